@@ -1,0 +1,74 @@
+"""The exceptions of ik_toolkit: one tree, so that `except IKError` catches every mistake we report.
+
+A caller's mistake raises one of these and names the joint, frame, file or option, lists what exists and suggests the
+near match. A numerical outcome (not converged, unreachable, singular) never raises: it is a status in the result.
+"""
+
+import difflib
+from collections.abc import Iterable
+
+
+class IKError(Exception):
+    """Base of every error raised by ik_toolkit."""
+
+    def __str__(self) -> str:
+        """Return the message itself (KeyError would show it quoted)."""
+        return str(self.args[0]) if self.args else ""
+
+
+class RobotNotFound(IKError, KeyError):
+    """No robot of that name and no file at that path."""
+
+
+class ModelError(IKError, ValueError):
+    """A robot description that cannot be used: broken, hostile or outside what the toolkit handles."""
+
+
+class FrameNotFound(IKError, KeyError):
+    """The model has no frame (link) of that name."""
+
+
+class JointNotFound(IKError, KeyError):
+    """The model has no moving joint of that name."""
+
+
+class InvalidTarget(IKError, ValueError):
+    """A target that is not a finite position or rigid pose."""
+
+
+class InvalidConfiguration(IKError, ValueError):
+    """Joint values of the wrong size, not finite, or outside the limits where that is refused."""
+
+
+class InvalidOption(IKError, ValueError):
+    """An option or parameter that does not exist or whose value is out of range."""
+
+
+class UnknownSolver(IKError, KeyError):
+    """No solver of that name, or one that does not fit this robot."""
+
+
+class MissingExtra(IKError, ImportError):
+    """An optional dependency is not installed; the message says the pip line."""
+
+    def __init__(self, package: str, extra: str) -> None:
+        """Say which package is missing and which extra brings it."""
+        super().__init__(f"{package} is not installed; run: pip install 'ik_toolkit[{extra}]'")
+        self.extra = extra
+
+
+class NotSolved(IKError):
+    """Raised by `Result.raise_for_status()` when the solve did not succeed; carries the result."""
+
+    def __init__(self, result) -> None:
+        """Keep the result beside its sentence."""
+        super().__init__(f"{result.status.name}: {result.message}")
+        self.result = result
+
+
+def near_match(name: object, options: Iterable[str]) -> str:
+    """Return ' Did you mean ...? Available: ...' for an unknown name (a sentence tail for error messages)."""
+    known = [str(option) for option in options]
+    close = difflib.get_close_matches(str(name), known, n=1, cutoff=0.5)
+    listed = ", ".join(known[:30]) + (f", ... ({len(known)} in all)" if len(known) > 30 else "")
+    return (f" Did you mean '{close[0]}'?" if close else "") + (f" Available: {listed}." if known else "")

@@ -1,0 +1,1 @@
+"""The compiled core: flat arrays in, numbers out. Knows neither Pinocchio nor URDF."""
