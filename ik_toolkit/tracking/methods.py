@@ -1,0 +1,201 @@
+"""The tracking methods, their options, and a runner for systems that are no robots.
+
+Four published methods (Patko and Zelei, 2019) and one of ours. With e = target - actual (the paper's sign is opposite),
+J^+ the (damped) pseudo-inverse, s = J^+ (target one step ahead - actual):
+
+    cv   u = J^+ (v + kappa e),                                  Adams-Bashforth 2 on the joint rate        (11), (29)
+    av   q' = q + s                                              one Newton step                            (16)
+    ca   a = J^+ (a_d + kd (v - J qd) + kp e - Jdot qd),         AB2 on the rate, trapezoid on the angle    (21), (32), (33)
+    aa   a = 2 s / h^2 - 2 J^+ J qd / h - J^+ Jdot(x) y,         trapezoid                                  (25)-(27)
+    aad  a = (s/h - J^+ J qd) / (gamma h) - J^+ Jdot(w) w / (2 gamma),   q' = q + h qd + gamma h^2 a        ours
+
+(29) and (32) print the indices i+1, i: read "the command computed now, and the one before"; only that gives the paper's
+matrices. Which dJ/dt stands in (25) is not decidable from the text; with w = s/h + (1 - J^+ J) qd the readings are
+1: Jdot(qd) qd (first line of (25)), 2: Jdot(qd) w (second line; the default, as this is the form the paper ends with), 3:
+Jdot(w) w. aa keeps an eigenvalue -1 (the rate may zigzag for ever); aad with gamma > 1/2 damps it at the same accuracy.
+
+On a redundant arm the acceleration level adds -k (1 - J^+ J) qd (null_damping), without which null motion grows.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ..errors import InvalidOption, near_match
+from ..kernel import motion
+from .reference import Reference
+from .stability import GAMMA, best_gains
+
+DAMPING = 0.02  # lengths over the arm's reach; joint speed per tip speed stays below 1 / (2 * 0.02)
+NULL_DAMPING = 2.0  # [1/s]
+
+# name: (code in the kernel, options it takes, one line)
+METHODS: dict[str, tuple[int, tuple[str, ...], str]] = {
+    "cv": (motion.CV, ("kappa",), "velocity level, error fed back with kappa (classical)"),
+    "av": (motion.AV, (), "one Newton step a sample (alternative velocity level)"),
+    "ca": (motion.CA, ("kp", "kd", "null_damping"), "acceleration level, error fed back with kp and kd (classical)"),
+    "aa": (motion.AA, ("reading", "null_damping"), "acceleration that removes the error in one step (alternative)"),
+    "aad": (motion.AA, ("gamma", "null_damping"), "aa with its zigzag damped, gamma > 1/2 (ours)"),
+}
+
+
+@dataclass(frozen=True)
+class Method:
+    """A tracking method and its options; None means the default, which may depend on the sample time.
+
+    kappa [1/s] (cv), kp [1/s^2] and kd [1/s] (ca): default the best gains for the sample time. reading 1, 2 or 3 of eq (25)
+    (aa). gamma (aad). null_damping [1/s] of redundant arms at acceleration level, at most 1/h. damping of the
+    pseudo-inverse near singularities (lengths over reach); 0 inverts exactly.
+    """
+
+    name: str
+    kappa: float | None = None
+    kp: float | None = None
+    kd: float | None = None
+    reading: int = 2
+    gamma: float = GAMMA
+    null_damping: float = NULL_DAMPING
+    damping: float = DAMPING
+
+    def gains(self, h: float) -> dict[str, float]:
+        """Gains used at sample time h [s], as `check_gains` takes them."""
+        best = best_gains(self.name, h)
+        given = {"kappa": self.kappa, "kp": self.kp, "kd": self.kd, "gamma": self.gamma}
+        if self.name == "ca" and (self.kp is None) != (self.kd is None):
+            raise InvalidOption("ca needs both kp and kd, or neither")
+        return {name: best[name] if given[name] is None else float(given[name] or 0.0) for name in best}
+
+    @property
+    def velocity_level(self) -> bool:
+        """Whether the joint rate, not its derivative, is commanded (the motion between samples is straight)."""
+        return self.name in ("cv", "av")
+
+    def pack(self, h: float, runaway: float) -> np.ndarray:
+        """Parameters as the kernel reads them; runaway: mean joint move in one step that ends a run."""
+        gains = self.gains(h)
+        p = np.zeros(motion.P_SIZE)
+        p[motion.P_CODE] = METHODS[self.name][0]
+        p[motion.P_KAPPA] = gains.get("kappa", 0.0)
+        p[motion.P_KP], p[motion.P_KD] = gains.get("kp", 0.0), gains.get("kd", 0.0)
+        p[motion.P_GAMMA] = 1.0 if self.velocity_level else self.gamma if self.name == "aad" else 0.5
+        p[motion.P_NULL] = min(self.null_damping, 1.0 / h)
+        p[motion.P_DAMPING] = self.damping
+        p[motion.P_READING] = {1: motion.AT_RATE, 2: motion.AT_RATE_AND_STEP, 3: motion.AT_STEP}[3 if self.name == "aad" else self.reading]
+        p[motion.P_RUNAWAY] = runaway
+        return p
+
+
+def make_method(method: str | Method, **options: Any) -> Method:
+    """Return a Method from its name (cv, av, ca, aa, aad) and options. Raises InvalidOption (unknown or out of range)."""
+    if isinstance(method, Method):
+        name, made = method.name, method
+    else:
+        if method not in METHODS:
+            raise InvalidOption(f"no tracking method '{method}'.{near_match(method, METHODS)}")
+        name, made = method, Method(method)
+    allowed = (*METHODS[name][1], "damping")
+    for option, value in options.items():
+        if option not in allowed:
+            raise InvalidOption(f"{name} has no option '{option}'.{near_match(option, allowed)}")
+        if not (isinstance(value, int | float) and math.isfinite(value)):
+            raise InvalidOption(f"{option} must be a finite number, not {value!r}")
+    made = replace(made, **options)
+    if made.reading not in (1, 2, 3):
+        raise InvalidOption(f"reading must be 1, 2 or 3 (see the docs of aa), not {made.reading}")
+    if made.gamma <= 0.0 or made.null_damping < 0.0 or made.damping < 0.0:
+        raise InvalidOption("gamma must be positive, null_damping and damping not negative")
+    return made
+
+
+class System(NamedTuple):
+    """Anything with a task: position(q) -> (m,), jacobian(q) -> (m, n), rate(q, x, y) -> (m,), which is (dJ/dt along x) y."""
+
+    position: Callable[[np.ndarray], np.ndarray]
+    jacobian: Callable[[np.ndarray], np.ndarray]
+    rate: Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
+
+
+class Run(NamedTuple):
+    """What `simulate` returns: arrays over the samples that were reached, and why it ended before the end ('' = it did not)."""
+
+    t: np.ndarray
+    q: np.ndarray
+    rate: np.ndarray
+    error: np.ndarray
+    gamma: float
+    stopped: str
+
+    def between(self, system: System, path: Callable[[np.ndarray], np.ndarray], fractions: np.ndarray) -> np.ndarray:
+        """Error norms (N, k) between samples, at the given fractions of a step, on the motion the method itself assumes."""
+        h = self.t[1] - self.t[0]
+        out = np.empty((len(self.t) - 1, len(fractions)))
+        for j, f in enumerate(fractions):
+            q = interpolate(self.q, self.rate, self.gamma, h, f)
+            out[:, j] = [np.linalg.norm(path(t) - system.position(x)) for t, x in zip(self.t[:-1] + f * h, q, strict=True)]
+        return out
+
+
+def interpolate(q: np.ndarray, rate: np.ndarray, gamma: float, h: float, f: float) -> np.ndarray:
+    """Joint values (N, n) a fraction f into each step: straight at velocity level, else with the constant acceleration."""
+    d = np.diff(q, axis=0)
+    return q[:-1] + f * d if gamma == 1.0 else q[:-1] + f * (1.0 - f) * h * rate[:-1] + f * f * d
+
+
+def simulate(
+    system: System,
+    path: Callable[[float], tuple[np.ndarray, np.ndarray, np.ndarray]],
+    method: str | Method,
+    h: float,
+    steps: int,
+    q0: np.ndarray,
+    *,
+    rate0: np.ndarray | None = None,
+    runaway: float = 1e6,
+    **options: Any,
+) -> Run:
+    """Track path(t) -> (position, velocity, acceleration) with a method on any system, for `steps` samples of h [s].
+
+    Same step functions as on robots. rate0: joint rate at the start, default J^+ velocity(0); the earlier command starts
+    equal to the first (an Euler step), as nothing else is published. Ends early, with a sentence, when a value is not finite
+    (left the domain) or a joint moves more than `runaway` in a step. damping defaults to 0 here: the exact inverse.
+    """
+    made = make_method(method, **{"damping": 0.0, **options})
+    p = made.pack(h, runaway)
+    q = np.array(q0, dtype=float)
+    n, m = len(q), len(system.position(q))
+    k = max(n, m)
+    G, y, t_, bias = np.empty((k, k)), np.empty(k), np.empty(k), np.zeros(m)
+    move, null, x1, x2, x = (np.empty(n) for _ in range(5))
+    prev, code = np.zeros(n), np.zeros(n, np.uint8)
+    limits = np.array([np.full(n, -np.inf), *(np.full(n, np.inf) for _ in range(3))])
+    target, v, a = path(0.0)
+    rate = np.zeros(n) if rate0 is None else np.array(rate0, dtype=float)
+    if rate0 is None:
+        J = np.ascontiguousarray(system.jacobian(q).T)
+        motion.factor(J, m, made.damping, G, y)
+        motion.apply(J, m, G, v, y, rate)
+    Q, R, E, stopped = [q.copy()], [rate.copy()], [target - system.position(q)], ""
+    for i in range(steps):
+        J = np.ascontiguousarray(system.jacobian(q).T)
+        following = path((i + 1) * h)
+        ahead = following[0] - system.position(q)
+        motion.prepare(p, J, m, ahead, rate, h, G, y, t_, move, null, x1, x2)
+        if p[motion.P_CODE] >= motion.CA:
+            bias = system.rate(q, x1, x2)
+        motion.command(p, J, m, E[-1], v, a, bias, rate, prev, h, 0.0 if i == 0 else 1.0, G, y, t_, move, null, x)
+        if not (np.isfinite(x).all() and np.abs(x).max() * h <= runaway):
+            stopped = f"the step at t = {i * h:.6g} s is not finite or moves a joint by more than {runaway:g}"
+            break
+        motion.advance(q, rate, x, p[motion.P_GAMMA], h, limits, code)
+        target, v, a = following
+        error = target - system.position(q)
+        if not np.isfinite(error).all():
+            stopped = f"q left the domain of the system at t = {(i + 1) * h:.6g} s"
+            break
+        Q.append(q.copy())
+        R.append(rate.copy())
+        E.append(error)
+    return Run(np.arange(len(Q)) * h, np.array(Q), np.array(R), np.array(E), float(p[motion.P_GAMMA]), stopped)

@@ -1,0 +1,146 @@
+"""What a tracking run gives back: arrays over the samples, figures, and files."""
+
+import csv
+from dataclasses import dataclass, field
+from enum import Enum
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..errors import InvalidOption
+from .stability import GainCheck
+
+
+class TrackStatus(Enum):
+    """COMPLETED; LOST (ended far from the reference); DIVERGED (joints ran away); NOT_FINITE (no usable step)."""
+
+    COMPLETED = "completed"
+    LOST = "lost"
+    DIVERGED = "diverged"
+    NOT_FINITE = "not finite"
+
+
+@dataclass
+class TrackResult:
+    """A tracking run of N steps.
+
+    t (N+1,) [s]; q, rate (N+1, n) joint values and the method's joint rates [rad or m (per s)]; xyz, target_xyz (N+1, 3)
+    [m], base axes; position_error (N+1,) [m], orientation_error (N+1,) [rad] or None; limited (N, n) bits 1 position,
+    2 speed, 4 acceleration limit; damped (N,) whether the pseudo-inverse was damped; between_position, between_orientation
+    (N,) largest error inside each step; figures (see `figures`); elapsed [s] of stepping; gain_check.
+    """
+
+    robot: str
+    method: str
+    options: dict[str, float]
+    dt: float
+    joint_names: tuple[str, ...]
+    t: np.ndarray
+    q: np.ndarray
+    rate: np.ndarray
+    xyz: np.ndarray
+    target_xyz: np.ndarray
+    position_error: np.ndarray
+    orientation_error: np.ndarray | None
+    limited: np.ndarray
+    damped: np.ndarray
+    between_position: np.ndarray | None
+    between_orientation: np.ndarray | None
+    elapsed: float
+    gain_check: GainCheck | None
+    figures: dict[str, Any] = field(default_factory=dict)
+    status: TrackStatus = TrackStatus.COMPLETED
+    message: str = ""
+
+    @property
+    def success(self) -> bool:
+        """Whether the reference was followed to its end."""
+        return self.status is TrackStatus.COMPLETED
+
+    def to_dict(self) -> dict[str, Any]:
+        """Summary for JSON: names, settings, status and figures; the arrays go to `save`."""
+        check = self.gain_check
+        return {
+            "robot": self.robot,
+            "method": self.method,
+            "options": self.options,
+            "dt": self.dt,
+            "steps": len(self.t) - 1,
+            "status": self.status.name,
+            "success": self.success,
+            "message": self.message,
+            "elapsed": self.elapsed,
+            "stability": None if check is None else {"verdict": check.verdict, "radius": check.radius, "message": check.message},
+            "figures": self.figures,
+        }
+
+    def save(self, path: str | Path) -> Path:
+        """Write the arrays to .npz (all of them) or .csv (one row a sample). Raises InvalidOption for another suffix."""
+        file = Path(path)
+        if file.suffix.lower() == ".npz":
+            optional = {"orientation_error": self.orientation_error, "between_orientation": self.between_orientation}
+            optional["between_position"] = self.between_position
+            names = ("t", "q", "rate", "xyz", "target_xyz", "position_error", "limited", "damped")
+            np.savez_compressed(
+                file,
+                joint_names=np.array(self.joint_names),
+                **{name: getattr(self, name) for name in names},
+                **{name: array for name, array in optional.items() if array is not None},
+            )
+        elif file.suffix.lower() == ".csv":
+            head = ["t", *(f"q_{j}" for j in self.joint_names), "x", "y", "z", "position_error"]
+            parts = [self.t[:, None], self.q, self.xyz, self.position_error[:, None]]
+            if self.orientation_error is not None:
+                head.append("orientation_error")
+                parts.append(self.orientation_error[:, None])
+            with file.open("w", newline="", encoding="utf-8") as stream:
+                writer = csv.writer(stream)
+                writer.writerow(head)
+                writer.writerows([repr(float(x)) for x in row] for row in np.hstack(parts))
+        else:
+            raise InvalidOption(f"a run is saved as .npz or .csv, not '{file.suffix}'")
+        return file
+
+
+def figures(result: TrackResult, jump: np.ndarray) -> dict[str, Any]:
+    """Figures of a run, as plain numbers.
+
+    position (orientation): max, rms, final, settled_max (second half) and between_max (inside steps). Joints, by finite
+    differences of the samples: peak_speed, peak_acceleration, peak_jerk (n,) [rad or m per s, s^2, s^3];
+    largest_move with its joint and time; jumps, the number of steps with a move above `jump` (n,). time_at_limits [s] (any
+    joint held back), time_at_limits_by_joint; damped_time [s] (near a singularity).
+    """
+    out: dict[str, Any] = {"position": _errors(result.position_error, result.between_position)}
+    if result.orientation_error is not None:
+        out["orientation"] = _errors(result.orientation_error, result.between_orientation)
+    moves = np.diff(result.q, axis=0)
+    for order, name in enumerate(("peak_speed", "peak_acceleration", "peak_jerk"), start=1):
+        d = np.diff(result.q, n=order, axis=0) / result.dt**order
+        out[name] = np.abs(d).max(axis=0).tolist() if len(d) else [0.0] * result.q.shape[1]
+    if len(moves):
+        step, joint = np.unravel_index(int(np.argmax(np.abs(moves))), moves.shape)
+        out["largest_move"] = {
+            "value": float(abs(moves[step, joint])), "joint": result.joint_names[joint], "time": float(result.t[step])
+        }  # fmt: skip
+    out["jumps"] = int((np.abs(moves) > jump).any(axis=1).sum())
+    hit = result.limited > 0
+    out["time_at_limits"] = float(hit.any(axis=1).sum() * result.dt)
+    out["time_at_limits_by_joint"] = {j: float(x) for j, x in zip(result.joint_names, hit.sum(axis=0) * result.dt, strict=True)}
+    out["damped_time"] = float(result.damped.sum() * result.dt)
+    return out
+
+
+def _errors(error: np.ndarray, between: np.ndarray | None) -> dict[str, float]:
+    settled = error[len(error) // 2 :]
+    out = {
+        "max": float(error.max()),
+        "rms": float(np.sqrt((error**2).mean())),
+        "final": float(error[-1]),
+        "settled_max": float(settled.max()),
+        "settled_rms": float(np.sqrt((settled**2).mean())),
+    }
+    if between is not None:
+        out["between_max"] = float(between.max())
+        out["between_settled_max"] = float(between[len(between) // 2 :].max())
+    return out

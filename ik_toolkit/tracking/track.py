@@ -1,0 +1,363 @@
+"""Tracking a moving target on a robot: `Tracker` for somebody's control loop, `track` for a whole reference.
+
+Both run the same compiled step (kernel/motion.py), so a run of `track` equals the same targets fed to `update`.
+"""
+
+import time
+import warnings
+from enum import Enum
+from typing import Any
+
+import numpy as np
+
+from ..errors import InvalidConfiguration, InvalidOption, InvalidTarget
+from ..kernel import motion
+from ..robot.pose import check_target
+from ..robot.robot import Robot
+from .methods import Method, interpolate, make_method
+from .reference import Reference
+from .result import TrackResult, TrackStatus, figures
+from .stability import check_gains
+
+RUNAWAY = 100.0  # mean joint move [rad, or reaches] in one step beyond which a run has diverged
+JUMP = 0.5  # joint move [rad, or reaches] in one step that is reported as a jump
+FRACTIONS = (0.25, 0.5, 0.75)  # where between two samples the error is looked at
+LOST = (0.01, 0.05)  # final error [reaches, rad] beyond which a run is called lost
+
+
+class StepStatus(Enum):
+    """How one step went: OK; LIMITED (a limit held a joint back); JUMPED (a joint moved far); HELD (no usable command)."""
+
+    OK = "ok"
+    LIMITED = "limited"
+    JUMPED = "jumped"
+    HELD = "held"
+
+
+class Step:
+    """One step of a tracker.
+
+    q (n,) [rad or m] and rate (n,) to command now; status; reason, a sentence ('' when OK); position_error [m] and
+    orientation_error [rad] (None for positions) left to this step's target.
+    """
+
+    __slots__ = ("_info", "orientation_error", "position_error", "q", "rate", "status")
+
+    def __init__(self, q, rate, status, position_error, orientation_error, info) -> None:
+        """Keep what the sentence needs; it is made only when asked for."""
+        self.q, self.rate, self.status = q, rate, status
+        self.position_error, self.orientation_error = position_error, orientation_error
+        self._info = info
+
+    @property
+    def reason(self) -> str:
+        """Why the status is not OK."""
+        robot, code, before, finite = self._info
+        if self.status is StepStatus.OK:
+            return ""
+        if self.status is StepStatus.HELD:
+            return ("the step is not finite" if finite else "the target is not finite") + ": braking and holding"
+        parts = []
+        move = np.abs(self.q - before) / robot.chain.unit
+        if self.status is StepStatus.JUMPED:
+            i = int(np.argmax(move))
+            parts.append(f"joint {robot.joint_names[i]} moved {self.q[i] - before[i]:.3g} in one step")
+        for bit, name in ((motion.POSITION, "position"), (motion.VELOCITY, "speed"), (motion.ACCELERATION, "acceleration")):
+            held = [j for j, c in zip(robot.joint_names, code, strict=True) if c & bit]
+            if held:
+                parts.append(f"{name} limit held back {', '.join(held)}")
+        return "; ".join(parts)
+
+    def __repr__(self) -> str:
+        """Status, error and reason."""
+        return f"Step({self.status.name}, {self.position_error:.3g} m{', ' + self.reason if self.reason else ''})"
+
+
+class Tracker:
+    """Follow targets that arrive one by one.
+
+    method: cv, av, ca, aa, aad with its options, see `Method`. q0 (n,): start, default home. rate0 (n,): joint rate at the
+    start, default the target's (at rest when acceleration limits are given). limits: keep joint positions and speeds of
+    the robot, and accelerations [rad/s^2 or m/s^2] when acceleration_limits gives them (number or (n,)); position, speed
+    and acceleration hold at every sample. jump: joint move [rad, or reaches] in one step reported as JUMPED. Raises
+    InvalidOption, InvalidConfiguration.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        method: str | Method = "cv",
+        *,
+        q0: Any = None,
+        rate0: Any = None,
+        limits: bool = True,
+        acceleration_limits: Any = None,
+        jump: float = JUMP,
+        **options: Any,
+    ) -> None:
+        """Bind a robot and a method."""
+        self.robot = robot
+        self.method = make_method(method, **options)
+        self.jump = jump
+        self._limits = _limit_rows(robot, limits, acceleration_limits)
+        self._at_rest = acceleration_limits is not None
+        self._p, self._h = None, 0.0
+        n = robot.n
+        self._q, self._rate, self._prev = np.zeros(n), np.zeros(n), np.zeros(n)
+        self._state = np.zeros(3)
+        self._T, self._V, self._A = np.zeros((2, 4, 4)), np.zeros((2, 6)), np.zeros((2, 6))
+        self._T[:] = np.eye(4)
+        self._Q, self._R, self._E = np.zeros((2, n)), np.zeros((2, n)), np.zeros((2, 6))
+        self._code, self._D = np.zeros((1, n), np.uint8), np.zeros(1)
+        self.reset(q0, rate0=rate0)
+
+    def reset(
+        self, q0: Any = None, target: Any = None, twist: Any = None, acceleration: Any = None, *, rate0: Any = None
+    ) -> None:
+        """Start again from q0 (default home), with the target's pose and motion at this moment if they are known."""
+        q = self.robot.check_q(self.robot.home if q0 is None else q0, "q0")
+        if self._limits[0].max() > -np.inf or self._limits[1].min() < np.inf:
+            outside = self.robot.outside(q)
+            if outside:
+                raise InvalidConfiguration(f"q0 is outside the limits of {', '.join(outside)}; move it inside or use limits=False")
+        self._q[:] = q / self.robot.chain.unit
+        self._rate[:] = 0.0
+        self._prev[:] = 0.0
+        self._state[:] = motion.MOVING, 0.0, 0.0
+        if rate0 is not None:
+            self._rate[:] = self.robot.check_q(rate0, "rate0") / self.robot.chain.unit
+        if rate0 is not None or self._at_rest:
+            self._state[0] = motion.GIVEN
+        self._m = 0
+        if target is not None:
+            self._take(0, target, twist, acceleration)
+
+    @property
+    def q(self) -> np.ndarray:
+        """Present joint values (n,)."""
+        return self._q * self.robot.chain.unit
+
+    def update(self, target: Any, dt: float, twist: Any = None, acceleration: Any = None) -> Step:
+        """Step to where the tip should be dt [s] from now; returns a Step.
+
+        target: T_base_tip (4, 4), pin.SE3 or position (3,), the same kind every time. twist, acceleration (6,) or (3,): of
+        the target at that moment, base axes; without twist the last two targets give it, without acceleration it is 0. A
+        target that is not finite is held against (HELD), not raised. Raises InvalidTarget for a wrong shape, InvalidOption
+        for a dt that is not positive.
+        """
+        dt = float(dt)
+        if not 0.0 < dt < np.inf:
+            raise InvalidOption(f"dt must be a positive number of seconds, not {dt!r}")
+        if self._p is None or dt != self._h:
+            self._p, self._h = self.method.pack(dt, np.inf), dt
+        finite = self._take(1, target, twist, acceleration, dt)
+        self._p[motion.P_BRAKE] = 0.0 if finite else 1.0
+        before = self.q
+        motion.tracker()(
+            self.robot.chain.rows, self.robot.chain.ends, self._T, self._V, self._A, dt, self._m, self._p, self._limits,
+            self._q, self._rate, self._prev, self._state, self._Q, self._R, self._E, self._code, self._D,
+        )  # fmt: skip
+        if finite:
+            self._T[0], self._V[0], self._A[0] = self._T[1], self._V[1], self._A[1]
+        code, e, unit = self._code[0], self._E[1], self.robot.chain.unit
+        q = self._q * unit
+        if code.any() and code[0] & motion.HELD:
+            status = StepStatus.HELD
+        elif (np.abs(q - before) > self.jump * unit).any():
+            status = StepStatus.JUMPED
+        else:
+            status = StepStatus.LIMITED if code.any() else StepStatus.OK
+        orientation = float(np.sqrt(e[3:] @ e[3:])) if self._m == 6 else None
+        info = (self.robot, code.copy(), before, finite)
+        return Step(q, self._rate * unit, status, float(np.sqrt(e[:3] @ e[:3])), orientation, info)
+
+    def _take(self, slot: int, target: Any, twist: Any, acceleration: Any, dt: float = 0.0) -> bool:
+        """Write a target into slot 0 (now) or 1 (end of step); False when it is not finite (the last one stays)."""
+        raw = np.asarray(getattr(target, "homogeneous", target), dtype=float)
+        m = {(3,): 3, (4, 4): 6}.get(raw.shape)
+        if m is None or self._m not in (0, m):
+            wanted = "a 4x4 pose or a position of 3 numbers" if m is None else "targets of one kind, poses or positions"
+            raise InvalidTarget(f"a tracker takes {wanted}, not shape {raw.shape}")
+        first = self._m == 0
+        motion_given = [np.zeros(6), np.zeros(6)]
+        for given, value, name in zip(motion_given, (twist, acceleration), ("twist", "acceleration"), strict=True):
+            if value is not None:
+                array = np.asarray(value, dtype=float)
+                if array.shape not in ((m,), (6,)):
+                    raise InvalidTarget(f"{name} must have {m} values, not shape {array.shape}")
+                given[: len(array)] = array
+        if not (np.isfinite(raw).all() and np.isfinite(motion_given).all()):
+            if first:
+                self._m = m
+                self._T[0] = self._T[1] = self._here(m)
+                self._m = 0 if slot == 0 else m
+            self._T[1], self._V[1], self._A[1] = self._T[0], 0.0, 0.0
+            return False
+        self._m = m
+        if m == 3:
+            self._T[slot, :3, 3] = raw
+        else:
+            self._T[slot] = check_target(raw)[0] if first else raw
+        if first and slot == 1:
+            self._T[0] = self._T[1]
+            self._V[0], self._A[0] = motion_given
+        if slot == 1 and twist is None:
+            motion_given[0][:3] = (self._T[1, :3, 3] - self._T[0, :3, 3]) / dt
+            if m == 6:
+                motion_given[0][3:] = _turned(self._T[0, :3, :3], self._T[1, :3, :3]) / dt
+        self._V[slot], self._A[slot] = motion_given
+        return True
+
+    def _here(self, m: int) -> np.ndarray:
+        T = self.robot.chain.forward(self.q)[0][0]
+        return T if m == 6 else np.vstack([np.hstack([np.eye(3), T[:3, 3:]]), T[3:]])
+
+
+def _turned(R0: np.ndarray, R1: np.ndarray) -> np.ndarray:
+    """Rotation vector (3,) from R0 to R1, base axes."""
+    import pinocchio as pin
+
+    return pin.log3(R1 @ R0.T)
+
+
+def _limit_rows(robot: Robot, limits: bool, acceleration_limits: Any) -> np.ndarray:
+    """Rows lower, upper, speed, acceleration (4, n) in kernel units; infinite where there is none."""
+    n, unit = robot.n, robot.chain.unit
+    rows = np.full((4, n), np.inf)
+    rows[0] = -np.inf
+    if limits:
+        speed = np.asarray(robot.velocity_limits, dtype=float)
+        rows[0], rows[1] = robot.lower / unit, robot.upper / unit
+        rows[2] = np.where(speed > 0.0, speed, np.inf) / unit
+    if acceleration_limits is not None:
+        if not limits:
+            raise InvalidOption("acceleration_limits need limits=True")
+        try:
+            a = np.broadcast_to(np.asarray(acceleration_limits, dtype=float), (n,))
+        except (TypeError, ValueError):
+            raise InvalidOption(f"acceleration_limits must be a number or {n} numbers, not {acceleration_limits!r}") from None
+        if not (a > 0.0).all():
+            raise InvalidOption(f"acceleration_limits must be positive, not {acceleration_limits!r}")
+        rows[3] = a / unit
+    return rows
+
+
+def track(
+    robot: Robot,
+    reference: Reference,
+    method: str | Method = "cv",
+    *,
+    dt: float = 0.01,
+    q0: Any = None,
+    rate0: Any = None,
+    limits: bool = True,
+    acceleration_limits: Any = None,
+    **options: Any,
+) -> TrackResult:
+    """Follow a reference with a method, one step each dt [s]; returns a TrackResult with arrays and figures.
+
+    method: cv, av, ca, aa or aad, options as in `Method` (kappa, kp, kd, reading, gamma, null_damping, damping). q0 (n,):
+    default home if the reference starts there, else a solution for the reference's start. rate0, limits and
+    acceleration_limits as in `Tracker`. Warns (UserWarning) before the run when the gains are unstable at dt. A run that
+    diverges ends there, with a status and a sentence; the arrays hold only what was reached. Raises InvalidOption,
+    InvalidConfiguration.
+    """
+    times = reference.times(dt)
+    if len(times) < 2:
+        raise InvalidOption(f"dt = {dt:g} s is longer than the reference ({reference.duration:g} s)")
+    made = make_method(method, **options)
+    check = check_gains(made.name, dt, **made.gains(dt))
+    if check.verdict == "unstable":
+        warnings.warn(check.message, stacklevel=2)
+    if q0 is None:
+        q0 = _start(robot, reference)
+    tracker = Tracker(robot, made, q0=q0, rate0=rate0, limits=limits, acceleration_limits=acceleration_limits)
+    T, V, A = reference.at(times)
+    n, steps = robot.n, len(times) - 1
+    Q, R, E = np.zeros((steps + 1, n)), np.zeros((steps + 1, n)), np.zeros((steps + 1, 6))
+    C, D = np.zeros((steps, n), np.uint8), np.zeros(steps)
+    p = made.pack(dt, RUNAWAY)
+    m = 3 if reference.position_only else 6
+    fixed = (robot.chain.rows, robot.chain.ends)
+    carried = (tracker._q, tracker._rate, tracker._prev, tracker._state)
+    follow = motion.tracker()
+    # No step: compiles (or loads) the loop, so that the time reported is that of tracking.
+    follow(*fixed, T[:1], V[:1], A[:1], dt, m, p, tracker._limits, *(x.copy() for x in carried), Q, R, E, C, D)
+    began = time.perf_counter()
+    done = follow(*fixed, T, V, A, dt, m, p, tracker._limits, *carried, Q, R, E, C, D)
+    elapsed = time.perf_counter() - began
+    # At a stop, row `done` is the last state reached; it has been evaluated.
+    keep = slice(0, done + 1)
+    unit = robot.chain.unit
+    Q, R, E = Q[keep] * unit, R[keep] * unit, E[keep]
+    between = _between(robot, reference, Q, R, float(p[motion.P_GAMMA]), dt) if done else (None, None)
+    stop = int(tracker._state[motion.S_STOP])
+    result = TrackResult(
+        robot=robot.name,
+        method=made.name,
+        options={**made.gains(dt), **({"reading": made.reading} if made.name == "aa" else {})},
+        dt=float(dt),
+        joint_names=robot.joint_names,
+        t=times[keep],
+        q=Q,
+        rate=R,
+        xyz=T[keep, :3, 3] - E[:, :3],
+        target_xyz=T[keep, :3, 3],
+        position_error=np.linalg.norm(E[:, :3], axis=1),
+        orientation_error=None if m == 3 else np.linalg.norm(E[:, 3:], axis=1),
+        limited=C[:done],
+        damped=D[:done] > 0.0,
+        between_position=between[0],
+        between_orientation=between[1],
+        elapsed=elapsed,
+        gain_check=check,
+    )
+    result.figures = figures(result, robot.chain.unit * JUMP)
+    result.status, result.message = _verdict(robot, result, stop, steps)
+    return result
+
+
+def _start(robot: Robot, reference: Reference) -> np.ndarray:
+    """Home if the tip is then at the reference's start, else a solution of it (the best one found, if none)."""
+    target = reference.target(0.0)
+    position, orientation = robot.errors(robot.home, target)
+    if position < 1e-9 and (orientation or 0.0) < 1e-9:
+        return robot.home
+    from ..solvers.solve import solve
+
+    return solve(robot, target, q0=robot.home).q
+
+
+def _between(
+    robot: Robot, reference: Reference, Q: np.ndarray, R: np.ndarray, gamma: float, dt: float
+) -> tuple[np.ndarray, np.ndarray | None]:
+    """Largest position and orientation error (N,) inside each step, on the motion the method itself assumes."""
+    worst_p, worst_o = np.zeros(len(Q) - 1), np.zeros(len(Q) - 1)
+    start = np.arange(len(Q) - 1) * dt
+    for f in FRACTIONS:
+        T = robot.chain.forward(interpolate(Q, R, gamma, dt, f))[0]
+        wanted = reference.at(start + f * dt)[0]
+        worst_p = np.maximum(worst_p, np.linalg.norm(T[:, :3, 3] - wanted[:, :3, 3], axis=1))
+        chord = np.linalg.norm(T[:, :3, :3] - wanted[:, :3, :3], axis=(1, 2)) / np.sqrt(8.0)
+        worst_o = np.maximum(worst_o, 2.0 * np.arcsin(np.minimum(chord, 1.0)))
+    return worst_p, None if reference.position_only else worst_o
+
+
+def _verdict(robot: Robot, result: TrackResult, stop: int, steps: int) -> tuple[TrackStatus, str]:
+    """Status of a whole run and one sentence."""
+    done = len(result.t) - 1
+    limited = result.limited.any(axis=1)
+    if stop != motion.FINE:
+        what = "moved joints without bound" if stop == motion.RUNAWAY else "gave a step that is not finite"
+        hint = result.gain_check.message if not result.gain_check.stable else "Try aad, smaller dt, damping, or limits=True."
+        return (
+            TrackStatus.DIVERGED if stop == motion.RUNAWAY else TrackStatus.NOT_FINITE,
+            f"{result.method} {what} after {done} of {steps} steps (t = {result.t[-1]:.4g} s). {hint}",
+        )
+    position = float(result.position_error[-1])
+    orientation = 0.0 if result.orientation_error is None else float(result.orientation_error[-1])
+    tail = f" A limit held a joint back in {limited.sum()} of {done} steps." if limited.any() else ""
+    if position > LOST[0] * robot.reach or orientation > LOST[1]:
+        turned = f" and {orientation:.3g} rad" if orientation > LOST[1] else ""
+        return TrackStatus.LOST, f"ended {position:.3g} m{turned} from the reference.{tail}"
+    return TrackStatus.COMPLETED, f"followed the reference to its end, {position:.3g} m from it.{tail}"
