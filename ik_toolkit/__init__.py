@@ -1,0 +1,44 @@
+"""Inverse kinematics for any URDF arm: solve, track, tune, compare, see.
+
+Public names load on first use, so that importing the package costs almost nothing.
+"""
+
+import importlib
+from typing import Any
+
+__version__ = "0.1.0"
+
+_NAMES = {
+    "Robot": "robot.robot",
+    "pose": "robot.pose",
+    "solve": "solvers.solve",
+    "Solver": "solvers.solve",
+    "solve_batch": "solvers.batch",
+    "Result": "solvers.result",
+    "Status": "solvers.result",
+    "LM": "solvers.rules.jacobian",
+    "DLS": "solvers.rules.jacobian",
+    "Pinv": "solvers.rules.jacobian",
+    "Transpose": "solvers.rules.jacobian",
+    "Newton": "solvers.rules.jacobian",
+    "CCD": "solvers.rules.ccd",
+    "PID": "solvers.rules.pid",
+    "StateSpace": "solvers.rules.state_space",
+    "IKError": "errors",
+    "NotSolved": "errors",
+}
+__all__ = sorted([*_NAMES, "__version__"])
+
+
+def __getattr__(name: str) -> Any:
+    """Import a public name when it is first used (PEP 562)."""
+    if name not in _NAMES:
+        raise AttributeError(f"module 'ik_toolkit' has no attribute '{name}'")
+    value = getattr(importlib.import_module(f"ik_toolkit.{_NAMES[name]}"), name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    """Names for completion."""
+    return __all__

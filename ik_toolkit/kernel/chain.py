@@ -1,0 +1,126 @@
+"""The flat arrays a kernel runs on, and how a chain's geometry is packed into them."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from .kinematics import ROW, TAU
+from .loop import E_VECTORS, forward
+from .seeds import PAD, ROTATION_WEIGHT, SEEDS
+
+__all__ = ["ROW", "Chain", "pack"]
+
+
+class Chain(NamedTuple):
+    """One serial path base -> tip, ready for the kernels.
+
+    rows (L, 10): see kinematics.py. ends: base (12), tip (12), then n values each of lower, upper, turns (may wrap by full
+    turns), unit (1, or `scale` for a prismatic coordinate), sampling low, sampling span, home; then scale and reach bounds.
+    seeds (256, n) and features (13, 272) are the table of start configurations. lower, upper (n,) in rad or m.
+    """
+
+    rows: np.ndarray
+    ends: np.ndarray
+    seeds: np.ndarray
+    features: np.ndarray
+    unit: np.ndarray
+    lower: np.ndarray
+    upper: np.ndarray
+    turns: np.ndarray
+    scale: float
+    reach: float
+
+    @property
+    def n(self) -> int:
+        """Number of coordinates."""
+        return len(self.lower)
+
+    def forward(self, Q: np.ndarray, jacobian: bool = False) -> tuple[np.ndarray, np.ndarray]:
+        """T_base_tip (N, 4, 4) and, when asked, Jacobians (N, 6, n; base axes, linear rows first) at Q (N, n)."""
+        Q = np.ascontiguousarray(np.atleast_2d(np.asarray(Q, dtype=float)))
+        T = np.empty((len(Q), 4, 4))
+        J = np.empty((len(Q) if jacobian else 0, 6, self.n))
+        forward(self.rows, self.ends, Q, self.unit, T, J)
+        return T, J
+
+
+def segments(rows: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
+    """Longest possible distance from each joint's point to the one before (infinite for an unlimited slide)."""
+    lengths = np.zeros(len(rows))
+    for i, row in enumerate(rows):
+        k = int(row[8])
+        ends = [row[7]] if row[6] == 0.0 else [row[7] + row[6] * x for x in (lower[k], upper[k])]
+        cross = 0.0 if i == 0 else np.hypot(row[2], row[3])
+        lengths[i] = max(np.hypot(cross, d) for d in ends)
+    return lengths
+
+
+def pack(
+    rows: np.ndarray,
+    base: np.ndarray,
+    tip: np.ndarray,
+    lower: np.ndarray,
+    upper: np.ndarray,
+    home: np.ndarray,
+) -> Chain:
+    """Make the kernel's arrays from rows, base and tip (12: rotation by rows, point; metres), limits and home (rad or m).
+
+    Coordinates that turn and drive nothing else may wrap when their range covers a full turn.
+    """
+    rows, base, tip = rows.copy(), base.copy(), tip.copy()
+    n = len(lower)
+    owner = rows[:, 8].astype(int)
+    slides = np.array([not rows[owner == k, 9].any() for k in range(n)])
+    mixed = np.array([rows[owner == k, 9].any() and not rows[owner == k, 9].all() for k in range(n)])
+    followers = np.bincount(owner, minlength=n)
+    turns = (upper - lower >= TAU - 1e-9) & ~slides & ~mixed & (followers == 1)
+    # Reach: offsets along the path plus finite strokes; one metre where that says nothing.
+    lengths = segments(rows, lower, upper)
+    finite = np.where(np.isfinite(lengths), lengths, np.hypot(rows[:, 2], rows[:, 3]) + np.abs(rows[:, 7]))
+    reach = float(finite[1:].sum() + np.linalg.norm(tip[9:]))
+    if rows[0, 6] != 0.0 and np.isfinite(lengths[0]):
+        reach += float(abs(rows[0, 6]) * (upper[owner[0]] - lower[owner[0]]))
+    if not 0.0 < reach < np.inf:
+        reach = 1.0
+    scale = float(2.0 ** np.clip(np.round(np.log2(reach)), -1000, 1000))
+    rows[:, [2, 3, 7]] /= scale
+    for i, k in enumerate(owner):
+        if not slides[k] and not rows[i, 9]:  # a slide that follows a turning leader: its ratio is a length
+            rows[i, 6] /= scale
+    base[9:] /= scale
+    tip[9:] /= scale
+    unit = np.where(slides, scale, 1.0)
+    low_k, high_k = lower / unit, upper / unit
+    # Where to draw starts: inside the limits, one turn or one reach where there are none.
+    half = np.where(slides, 1.0, np.pi)
+    low = np.where(np.isfinite(low_k), low_k, np.where(np.isfinite(high_k), high_k - 2 * half, -half))
+    high = np.where(np.isfinite(high_k), high_k, low + 2 * half)
+    lengths = segments(rows, low_k, high_k)
+    tool = float(np.linalg.norm(tip[9:]))
+    sliding = rows[1:, 6] != 0.0
+    shortest = np.where(sliding, 0.0, lengths[1:])
+    row0 = rows[0]
+    lift = [row0[7]] * 2 if row0[6] == 0.0 else sorted(row0[7] + row0[6] * x for x in (low_k[owner[0]], high_k[owner[0]]))
+
+    def hole(parts: np.ndarray, rest: np.ndarray) -> float:
+        """Radius the path cannot fold into: the longest rigid piece minus all the others at their longest."""
+        if len(parts) == 0:
+            return 0.0
+        i = int(np.argmax(parts))
+        return max(0.0, float(parts[i] - (rest.sum() - rest[i])))
+
+    wrist, whole = lengths[1:], np.append(lengths[1:], tool)
+    bounds = [float(whole.sum()), hole(np.append(shortest, tool), whole), float(wrist.sum()), hole(shortest, wrist)]
+    tail = [scale, *bounds, *lift]
+    rows[0, 0] = float((followers == 1).all() and np.allclose(rows[:, 4] + rows[:, 6], 1.0))
+    ends = np.concatenate([base, tip, low_k, high_k, turns, unit, low, high - low, home / unit, tail])
+    seeds = np.random.default_rng(1).uniform(low, high, (SEEDS, n))
+    T = np.empty((SEEDS, 4, 4))
+    flat = np.concatenate([np.eye(3).ravel(), np.zeros(3), tip, ends[E_VECTORS : E_VECTORS + 7 * n], [1.0], tail[1:]])
+    forward(rows, flat, seeds, np.ones(n), T, np.empty((0, 6, n)))
+    features = np.zeros((13, SEEDS + PAD), np.float32)  # of the last joint's rotation and the tip point, see seeds.nearest
+    features[:3, :SEEDS] = -2.0 * T[:, :3, 3].T
+    rotation = T[:, :3, :3] @ tip[:9].reshape(3, 3).T
+    features[3:12, :SEEDS] = -2.0 * ROTATION_WEIGHT * rotation.reshape(SEEDS, 9).T
+    features[12, :SEEDS] = (T[:, :3, 3] ** 2).sum(1)
+    return Chain(rows, ends, seeds, features, unit, lower, upper, turns.astype(float), scale, reach)

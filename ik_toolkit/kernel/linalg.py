@@ -1,0 +1,175 @@
+"""Small dense solves that allocate nothing: the damped 6x6 step, a general Cholesky and a Jacobi pseudo-inverse."""
+
+import math
+
+from .jit import inline, jit
+
+
+@jit
+def inverse3(a, b, c, d, e, f):
+    """Inverse of the symmetric [[a, b, c], [b, d, e], [c, e, f]] by cofactors, upper triangle by rows."""
+    ca = d * f - e * e
+    cb = c * e - b * f
+    cc = b * e - c * d
+    k = 1.0 / (a * ca + b * cb + c * cc)
+    return ca * k, cb * k, cc * k, (a * f - c * c) * k, (b * c - a * e) * k, (a * d - b * b) * k
+
+
+@jit
+def damped(J, w, dq, e, damping):
+    """dq = W J' (J W J' + damping)^-1 e with joint weights w (0 holds a joint); two 3x3 blocks instead of one 6x6."""
+    p00, p11, p22 = damping, damping, damping
+    p10, p20, p21 = 0.0, 0.0, 0.0
+    s00, s11, s22 = damping, damping, damping
+    s10, s20, s21 = 0.0, 0.0, 0.0
+    q00, q01, q02 = 0.0, 0.0, 0.0
+    q10, q11, q12 = 0.0, 0.0, 0.0
+    q20, q21, q22 = 0.0, 0.0, 0.0
+    for i in range(J.shape[0]):
+        if w[i] > 0.0:
+            j0, j1, j2, j3, j4, j5 = J[i, 0], J[i, 1], J[i, 2], J[i, 3], J[i, 4], J[i, 5]
+            a0, a1, a2 = w[i] * j0, w[i] * j1, w[i] * j2
+            a3, a4, a5 = w[i] * j3, w[i] * j4, w[i] * j5
+            p00 += a0 * j0
+            p10 += a1 * j0
+            p11 += a1 * j1
+            p20 += a2 * j0
+            p21 += a2 * j1
+            p22 += a2 * j2
+            s00 += a3 * j3
+            s10 += a4 * j3
+            s11 += a4 * j4
+            s20 += a5 * j3
+            s21 += a5 * j4
+            s22 += a5 * j5
+            q00 += a3 * j0
+            q01 += a3 * j1
+            q02 += a3 * j2
+            q10 += a4 * j0
+            q11 += a4 * j1
+            q12 += a4 * j2
+            q20 += a5 * j0
+            q21 += a5 * j1
+            q22 += a5 * j2
+    t0, t1, t2, t3, t4, t5 = inverse3(s00, s10, s20, s11, s21, s22)
+    g00, g01, g02 = t0 * q00 + t1 * q10 + t2 * q20, t0 * q01 + t1 * q11 + t2 * q21, t0 * q02 + t1 * q12 + t2 * q22
+    g10, g11, g12 = t1 * q00 + t3 * q10 + t4 * q20, t1 * q01 + t3 * q11 + t4 * q21, t1 * q02 + t3 * q12 + t4 * q22
+    g20, g21, g22 = t2 * q00 + t4 * q10 + t5 * q20, t2 * q01 + t4 * q11 + t5 * q21, t2 * q02 + t4 * q12 + t5 * q22
+    p00 -= q00 * g00 + q10 * g10 + q20 * g20
+    p10 -= q01 * g00 + q11 * g10 + q21 * g20
+    p11 -= q01 * g01 + q11 * g11 + q21 * g21
+    p20 -= q02 * g00 + q12 * g10 + q22 * g20
+    p21 -= q02 * g01 + q12 * g11 + q22 * g21
+    p22 -= q02 * g02 + q12 * g12 + q22 * g22
+    b0 = e.e0 - (g00 * e.e3 + g10 * e.e4 + g20 * e.e5)
+    b1 = e.e1 - (g01 * e.e3 + g11 * e.e4 + g21 * e.e5)
+    b2 = e.e2 - (g02 * e.e3 + g12 * e.e4 + g22 * e.e5)
+    u0, u1, u2, u3, u4, u5 = inverse3(p00, p10, p20, p11, p21, p22)
+    y0, y1, y2 = u0 * b0 + u1 * b1 + u2 * b2, u1 * b0 + u3 * b1 + u4 * b2, u2 * b0 + u4 * b1 + u5 * b2
+    y3 = t0 * e.e3 + t1 * e.e4 + t2 * e.e5 - (g00 * y0 + g01 * y1 + g02 * y2)
+    y4 = t1 * e.e3 + t3 * e.e4 + t4 * e.e5 - (g10 * y0 + g11 * y1 + g12 * y2)
+    y5 = t2 * e.e3 + t4 * e.e4 + t5 * e.e5 - (g20 * y0 + g21 * y1 + g22 * y2)
+    for i in range(J.shape[0]):
+        dq[i] = w[i] * (J[i, 0] * y0 + J[i, 1] * y1 + J[i, 2] * y2 + J[i, 3] * y3 + J[i, 4] * y4 + J[i, 5] * y5)
+
+
+@jit
+def hold(q, dq, w, lower, upper):
+    """Set w = 0 for joints that sit on a limit and are pushed outwards; True when a new one was found."""
+    hit = False
+    for i in range(q.shape[0]):
+        if w[i] > 0.0 and ((q[i] <= lower[i] and dq[i] < 0.0) or (q[i] >= upper[i] and dq[i] > 0.0)):
+            w[i] = 0.0
+            hit = True
+    return hit
+
+
+@jit
+def pseudo_inverse_step(J, e, rcond, V, dq):
+    """dq = pinv(J') e by one-sided Jacobi (Hestenes): singular values below rcond * the largest count as zero.
+
+    J (n, 6), one joint a row, is overwritten by U S; V (6, 6) is scratch, e (6,) the error. Returns the largest singular
+    value and the largest |dq| numerator, so that a caller can tell "no direction left" (second value 0) from a step.
+    """
+    n = J.shape[0]
+    for r in range(6):
+        for c in range(6):
+            V[r, c] = 1.0 if r == c else 0.0
+    for _ in range(40):
+        rotated = False
+        for r in range(5):
+            for c in range(r + 1, 6):
+                a, b, g = 0.0, 0.0, 0.0
+                for i in range(n):
+                    a += J[i, r] * J[i, r]
+                    b += J[i, c] * J[i, c]
+                    g += J[i, r] * J[i, c]
+                if abs(g) <= 1e-15 * math.sqrt(a * b) or abs(g) < 1e-300:
+                    continue
+                rotated = True
+                z = (b - a) / (2.0 * g)
+                t = (1.0 if z >= 0.0 else -1.0) / (abs(z) + math.sqrt(1.0 + z * z))
+                cs = 1.0 / math.sqrt(1.0 + t * t)
+                sn = t * cs
+                for i in range(n):
+                    u, v = J[i, r], J[i, c]
+                    J[i, r] = cs * u - sn * v
+                    J[i, c] = sn * u + cs * v
+                for k in range(6):
+                    u, v = V[k, r], V[k, c]
+                    V[k, r] = cs * u - sn * v
+                    V[k, c] = sn * u + cs * v
+        if not rotated:
+            break
+    top = 0.0
+    for r in range(6):
+        a = 0.0
+        for i in range(n):
+            a += J[i, r] * J[i, r]
+        top = max(top, a)
+    for i in range(n):
+        dq[i] = 0.0
+    used = 0.0
+    for r in range(6):
+        a = 0.0
+        for i in range(n):
+            a += J[i, r] * J[i, r]
+        if a > rcond * rcond * top and a > 0.0:
+            g = 0.0
+            for k in range(6):
+                g += V[k, r] * e[k]
+            used = max(used, abs(g))
+            for i in range(n):
+                dq[i] += J[i, r] * (g / a)
+    return math.sqrt(top), used
+
+
+@jit
+def lu_solve(A, b, m):
+    """Solve the leading m x m system in place by partial pivoting; False when a pivot is below 1e-10 of the largest entry."""
+    top = 0.0
+    for i in range(m):
+        for j in range(m):
+            top = max(top, abs(A[i, j]))
+    for k in range(m):
+        pivot = k
+        for i in range(k + 1, m):
+            if abs(A[i, k]) > abs(A[pivot, k]):
+                pivot = i
+        if not abs(A[pivot, k]) > 1e-10 * top:
+            return False
+        if pivot != k:
+            for j in range(m):
+                A[k, j], A[pivot, j] = A[pivot, j], A[k, j]
+            b[k], b[pivot] = b[pivot], b[k]
+        for i in range(k + 1, m):
+            f = A[i, k] / A[k, k]
+            for j in range(k, m):
+                A[i, j] -= f * A[k, j]
+            b[i] -= f * b[k]
+    for k in range(m - 1, -1, -1):
+        s = b[k]
+        for j in range(k + 1, m):
+            s -= A[k, j] * b[j]
+        b[k] = s / A[k, k]
+    return True

@@ -1,0 +1,144 @@
+"""Poses: making them from what people type, and refusing what is not one."""
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from ..errors import InvalidTarget
+
+PROJECT_WITHIN = 1e-2  # distance (largest singular value off 1) up to which a typed rotation is projected
+
+
+def nearest_rotation(R: np.ndarray) -> tuple[np.ndarray, float]:
+    """Rotation (3, 3) nearest to R and how far R was from it (largest deviation of a singular value from 1)."""
+    U, S, Vt = np.linalg.svd(R)
+    D = np.diag([1.0, 1.0, math.copysign(1.0, float(np.linalg.det(U @ Vt)))])
+    return U @ D @ Vt, float(np.abs(S * np.diag(D) - 1.0).max())
+
+
+def _numbers(value: Any, size: int, name: str) -> np.ndarray:
+    try:
+        array = np.asarray(value, dtype=float)
+    except (TypeError, ValueError):
+        raise InvalidTarget(f"{name} must be {size} numbers, not {value!r}") from None
+    if array.shape != (size,):
+        raise InvalidTarget(f"{name} must be {size} numbers, not an array of shape {array.shape}")
+    if not np.isfinite(array).all():
+        raise InvalidTarget(f"{name} must be finite numbers: {array.tolist()}")
+    return array
+
+
+def rpy_matrix(rpy: Sequence[float]) -> np.ndarray:
+    """Rotation (3, 3) of roll, pitch, yaw [rad] as URDF means them: Rz(yaw) Ry(pitch) Rx(roll)."""
+    (sr, sp, sy), (cr, cp, cy) = np.sin(rpy), np.cos(rpy)
+    return np.array(
+        [
+            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+            [-sp, cp * sr, cp * cr],
+        ]
+    )
+
+
+def matrix_rpy(R: np.ndarray) -> np.ndarray:
+    """Roll, pitch, yaw [rad] of a rotation (3, 3); yaw = 0 where pitch is +-90 degrees."""
+    pitch = math.atan2(-R[2, 0], math.hypot(R[0, 0], R[1, 0]))
+    if math.hypot(R[0, 0], R[1, 0]) < 1e-9:
+        return np.array([math.atan2(-R[1, 2], R[1, 1]), pitch, 0.0])
+    return np.array([math.atan2(R[2, 1], R[2, 2]), pitch, math.atan2(R[1, 0], R[0, 0])])
+
+
+def quat_matrix(quat_xyzw: Sequence[float]) -> np.ndarray:
+    """Rotation (3, 3) of a quaternion x, y, z, w (normalised here)."""
+    q = _numbers(quat_xyzw, 4, "quat_xyzw")
+    length = math.sqrt(float(q @ q))
+    if not length > 1e-6:
+        raise InvalidTarget(f"quat_xyzw has length {length:.3g}: not a rotation")
+    x, y, z, w = (q / length).tolist()
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+def matrix_quat(R: np.ndarray) -> np.ndarray:
+    """Quaternion x, y, z, w (w >= 0) of a rotation (3, 3)."""
+    K = np.array(
+        [
+            [R[0, 0] - R[1, 1] - R[2, 2], 0, 0, 0],
+            [R[1, 0] + R[0, 1], R[1, 1] - R[0, 0] - R[2, 2], 0, 0],
+            [R[2, 0] + R[0, 2], R[2, 1] + R[1, 2], R[2, 2] - R[0, 0] - R[1, 1], 0],
+            [R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1], R[0, 0] + R[1, 1] + R[2, 2]],
+        ]
+    )
+    q = np.linalg.eigh(K)[1][:, -1]  # eigh reads the lower triangle
+    return q if q[3] >= 0 else -q
+
+
+def pose(
+    xyz: Sequence[float] | None = None,
+    *,
+    rpy: Sequence[float] | None = None,
+    quat_xyzw: Sequence[float] | None = None,
+    rotation: Any = None,
+) -> np.ndarray:
+    """Return a target: T_base_tip (4, 4), or a position (3,) when no rotation is given (orientation free).
+
+    xyz [m]; one of rpy [rad] (URDF order: Rz(yaw) Ry(pitch) Rx(roll)), quat_xyzw, or rotation (3, 3). Raises InvalidTarget
+    for anything that is not finite, of the wrong size or not a rotation.
+    """
+    if sum(part is not None for part in (rpy, quat_xyzw, rotation)) > 1:
+        raise InvalidTarget("give one of rpy, quat_xyzw and rotation, not several")
+    position = _numbers((0.0, 0.0, 0.0) if xyz is None else xyz, 3, "xyz")
+    if rpy is not None:
+        R = rpy_matrix(_numbers(rpy, 3, "rpy"))
+    elif quat_xyzw is not None:
+        R = quat_matrix(quat_xyzw)
+    elif rotation is not None:
+        R = np.asarray(rotation, dtype=float)
+    else:
+        return position
+    T = np.eye(4)
+    T[:3, :3] = R
+    T[:3, 3] = position
+    return check_target(T)[0]
+
+
+def check_target(target: Any) -> tuple[np.ndarray, str]:
+    """Validate a target; return it as float64 (4, 4) or (3,), and a notice ('' or what was corrected).
+
+    Accepts a (4, 4) array, a (3,) position or anything with a `homogeneous` attribute (pin.SE3). A rotation within 1e-2 of
+    orthonormal is projected to the nearest one, and the notice says so. Raises InvalidTarget otherwise.
+    """
+    matrix = getattr(target, "homogeneous", target)
+    try:
+        T = np.array(matrix, dtype=float)
+    except (TypeError, ValueError):
+        raise InvalidTarget(
+            f"a target is a 4x4 pose, a pin.SE3 or a position of 3 numbers, not {type(target).__name__} {target!r}"
+        ) from None
+    if T.shape == (3,):
+        return _numbers(T, 3, "target position"), ""
+    if T.shape != (4, 4):
+        raise InvalidTarget(f"a target is a 4x4 pose, a pin.SE3 or a position of 3 numbers, not an array of shape {T.shape}")
+    if not np.isfinite(T).all():
+        raise InvalidTarget("the target pose has entries that are not finite numbers")
+    if np.abs(T[3] - (0.0, 0.0, 0.0, 1.0)).max() > 1e-9:
+        raise InvalidTarget(f"the last row of a pose must be 0 0 0 1, not {T[3].tolist()}")
+    R, off = nearest_rotation(T[:3, :3])
+    if off > PROJECT_WITHIN or np.linalg.det(T[:3, :3]) < 0.0:
+        raise InvalidTarget(
+            f"the target's rotation is not rigid (a singular value is off 1 by {off:.3g}, determinant "
+            f"{np.linalg.det(T[:3, :3]):.4g}); only deviations up to {PROJECT_WITHIN:g} are projected to the nearest rotation"
+        )
+    notice = ""
+    if off > 1e-6:
+        notice = f"the target's rotation was off by {off:.2g} and was projected to the nearest rotation"
+    if off > 1e-12:
+        T[:3, :3] = R
+    return T, notice

@@ -1,0 +1,367 @@
+"""The robot: a Pinocchio model with a base and a tip frame. The only object that knows URDF.
+
+Pinocchio is the authority for what every joint, frame and limit is and computes FK and Jacobians for users; the kernel's
+flat chain is probed from it.
+"""
+
+import copy
+import functools
+import threading
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from ..errors import FrameNotFound, InvalidConfiguration, JointNotFound, ModelError, near_match
+from ..kernel.chain import Chain
+from .check import mimic_limits, require_loadable, safe_read
+from .library import find
+from .pose import check_target
+from .probe import Path as JointPath
+from .probe import find_path, probe
+
+SINGULAR = 0.02  # smallest singular value (lengths over reach) below which a configuration is no good as home
+
+
+class Robot:
+    """A robot arm: model, base, tip, limits and home.
+
+    Attributes: name; model (pin.Model, mimic joints followed); base, tip (frame names); joint_names (n,), one per moving
+    joint of the path base -> tip; joint_kinds (n,) 'revolute', 'continuous' or 'prismatic'; lower, upper, home (n,) [rad or
+    m], infinite limits for continuous joints; velocity_limits (n,) [rad/s or m/s]; chain (kernel arrays); rest (nq,) values
+    of the joints off the path; urdf (text or None), path (file or None), package_dirs.
+    """
+
+    def __init__(
+        self,
+        model: pin.Model,
+        *,
+        tip: str | None = None,
+        base: str | None = None,
+        home: Sequence[float] | None = None,
+        name: str | None = None,
+        locked: Mapping[str, float] | None = None,
+        urdf: str | None = None,
+        path: Path | None = None,
+        package_dirs: Iterable[str | Path] = (),
+    ) -> None:
+        """Wrap an existing model.
+
+        tip, base: frame names (base default: the root; tip may be omitted when only one candidate exists). home (n,):
+        a good non-singular start; default mid-range. locked: joint name -> value [rad or m], held constant and left out of
+        q. Raises FrameNotFound, JointNotFound, ModelError, InvalidConfiguration.
+        """
+        if not isinstance(model, pin.Model):
+            raise ModelError(f"a pin.Model is expected, not {type(model).__name__}; Robot.load reads names, paths and URDF text")
+        self.model = model
+        self.name = name or model.name
+        self.urdf = urdf
+        self.path = path
+        self.package_dirs = tuple(Path(folder) for folder in package_dirs)
+        self.base = self._frame(base) if base is not None else "universe"
+        self.tip = self._frame(tip) if tip is not None else self._only_tip()
+        if base is None:
+            self.base = _root(model)
+        self.tool = pin.SE3.Identity()
+        self.rest = pin.neutral(model)
+        self.locked_joints: dict[str, float] = {}
+        for joint, value in (locked or {}).items():
+            self._set_rest(joint, value)
+        self._build(home)
+
+    @classmethod
+    def load(
+        cls,
+        source: str | Path,
+        *,
+        tip: str | None = None,
+        base: str | None = None,
+        package_dirs: Iterable[str | Path] = (),
+        locked: Mapping[str, float] | None = None,
+    ) -> "Robot":
+        """Load a robot by shipped name, `.urdf` path, URDF text, or example-robot-data name.
+
+        Meshes are never read. Raises RobotNotFound, ModelError (broken or hostile file, in one sentence), FrameNotFound
+        (lists the frames), JointNotFound.
+        """
+        found = find(source)
+        text = safe_read(found.source)
+        require_loadable(text)
+        try:
+            model = pin.buildModelFromXML(text, True)
+        except Exception as error:
+            raise ModelError(f"Pinocchio cannot read {found.name}: {str(error).strip().splitlines()[0]}") from None
+        home = found.home if tip is None and base is None and not locked else None
+        return cls(
+            model,
+            tip=tip if tip is not None else found.tip,
+            base=base if base is not None else found.base,
+            home=home,
+            name=found.name,
+            locked=locked,
+            urdf=text,
+            path=found.path,
+            package_dirs=[*package_dirs, *found.package_dirs],
+        )
+
+    # ------------------------------------------------------------------------------------------------ construction
+    def _frame(self, name: str) -> str:
+        bodies = [f.name for f in self.model.frames if f.type != pin.FrameType.JOINT]
+        if name not in bodies:
+            raise FrameNotFound(f"robot '{self.name}' has no frame '{name}'.{near_match(name, bodies)}")
+        return name
+
+    def _frame_id(self, name: str) -> int:
+        return next(i for i, f in enumerate(self.model.frames) if f.name == name and f.type != pin.FrameType.JOINT)
+
+    def tips(self) -> list[str]:
+        """Names of the frames at the ends of the tree that a joint moves."""
+        frames = self.model.frames
+        parents = {f.parentFrame for f in frames if f.type in (pin.FrameType.BODY, pin.FrameType.JOINT, pin.FrameType.FIXED_JOINT)}
+        leaves = [f for i, f in enumerate(frames) if f.type == pin.FrameType.BODY and i not in parents and f.parentJoint > 0]
+        return [f.name for f in leaves]
+
+    def _only_tip(self) -> str:
+        tips = self.tips()
+        if len(tips) == 1:
+            return tips[0]
+        if not tips:
+            raise ModelError(f"robot '{self.name}' has no movable joint: nothing to solve")
+        raise FrameNotFound(f"robot '{self.name}' has {len(tips)} possible tips; choose one with tip=: {', '.join(tips)}")
+
+    def _set_rest(self, joint: str, value: float) -> None:
+        names = [n for j, n in enumerate(self.model.names) if self.model.joints[j].nq in (1, 2) and self.model.joints[j].nv == 1]
+        if joint not in names:
+            raise JointNotFound(f"robot '{self.name}' has no movable joint '{joint}' to lock.{near_match(joint, names)}")
+        value = float(value)
+        if not np.isfinite(value):
+            raise InvalidConfiguration(f"the value of locked joint '{joint}' must be finite, not {value}")
+        j = self.model.joints[self.model.getJointId(joint)]
+        self.rest[j.idx_q : j.idx_q + j.nq] = (np.cos(value), np.sin(value)) if j.nq == 2 else value
+        self.locked_joints[joint] = value
+
+    def _build(self, home: Sequence[float] | None) -> None:
+        model = self.model
+        base_id, tip_id = self._frame_id(self.base), self._frame_id(self.tip)
+        locked = {model.getJointId(joint) for joint in self.locked_joints}
+        path = find_path(model, base_id, tip_id, locked)
+        self._path: JointPath = path
+        self.joint_names = tuple(model.names[j] for j in path.leaders)
+        lower = np.where(path.circle, -np.inf, model.lowerPositionLimit[path.idx_q])
+        upper = np.where(path.circle, np.inf, model.upperPositionLimit[path.idx_q])
+        for joint, (leader, ratio, offset, low, high) in mimic_limits(self.urdf).items() if self.urdf else ():
+            if leader not in self.joint_names or not model.existJointName(joint) or model.getJointId(joint) not in path.joints:
+                continue
+            ends = sorted(((low - offset) / ratio, (high - offset) / ratio)) if ratio else (-np.inf, np.inf)
+            i = self.joint_names.index(leader)
+            lower[i], upper[i] = max(lower[i], ends[0]), min(upper[i], ends[1])
+        lower = np.where(lower < -1e15, -np.inf, lower)
+        upper = np.where(upper > 1e15, np.inf, upper)
+        for i, joint in enumerate(self.joint_names):
+            if not lower[i] <= upper[i]:
+                raise ModelError(f"joint '{joint}' has no legal position: lower limit {lower[i]:g} is above upper limit {upper[i]:g}")
+        self.lower, self.upper = lower, upper
+        self.velocity_limits = np.asarray(model.upperVelocityLimit)[[model.joints[j].idx_v for j in path.leaders]]
+        bounded = np.isfinite(lower) & np.isfinite(upper)
+        middle = np.clip(0.0, lower, upper)
+        middle[bounded] = lower[bounded] + 0.5 * (upper - lower)[bounded]
+        self.home = middle
+        self._data0 = model.createData()
+        pin.framesForwardKinematics(model, self._data0, self.rest)
+        self._base_inverse = self._data0.oMf[base_id].inverse()
+        self._ids = (base_id, tip_id)
+        self.chain: Chain = probe(model, path, self.rest, base_id, tip_id, self.tool, lower, upper, middle)
+        rows = self.chain.rows
+        kinds = ["revolute" if rows[rows[:, 8] == i, 9].any() else "prismatic" for i in range(self.n)]
+        self.joint_kinds = tuple(
+            "continuous" if kind == "revolute" and np.isinf(lower[i]) and np.isinf(upper[i]) else kind for i, kind in enumerate(kinds)
+        )
+        self.home = self.check_q(home, "home") if home is not None else self._good_start(middle)
+        start = 24 + 6 * self.n
+        self.chain.ends[start : start + self.n] = self.home / self.chain.unit
+        for array in (self.lower, self.upper, self.home, self.velocity_limits, self.rest):
+            array.setflags(write=False)
+        self._local = threading.local()
+
+    def _good_start(self, middle: np.ndarray) -> np.ndarray:
+        """Mid-range, moved off a singular pose by the first of a fixed sequence of offsets that is well conditioned."""
+        span = np.where(np.isfinite(self.upper - self.lower), self.upper - self.lower, 2.0)
+        offsets = np.random.default_rng(0).uniform(-0.25, 0.25, (64, self.n)) * np.minimum(span, 2.0)
+        tries = np.clip(np.vstack([np.zeros(self.n), offsets]) + middle, self.lower, self.upper)
+        J = self.chain.forward(tries, jacobian=True)[1]
+        J[:, :3] /= self.chain.scale
+        J *= self.chain.unit
+        rank = np.linalg.matrix_rank(J, tol=1e-9).max()
+        smallest = np.linalg.svd(J, compute_uv=False)[:, max(rank, 1) - 1]
+        good = np.flatnonzero(smallest > SINGULAR)
+        return tries[good[0] if len(good) else int(np.argmax(smallest))]
+
+    # ------------------------------------------------------------------------------------------------ configurations
+    @property
+    def n(self) -> int:
+        """Number of coordinates in q."""
+        return len(self.joint_names)
+
+    @property
+    def reach(self) -> float:
+        """Longest distance [m] of the tip from the first joint: path offsets plus finite strokes (1 m where unbounded)."""
+        return self.chain.reach
+
+    def check_q(self, q: Any, name: str = "q") -> np.ndarray:
+        """Return q as a float64 copy (n,); raises InvalidConfiguration when it has the wrong size or is not finite."""
+        try:
+            array = np.array(q, dtype=float)
+        except (TypeError, ValueError):
+            raise InvalidConfiguration(f"{name} must be {self.n} numbers, not {q!r}") from None
+        if array.shape != (self.n,):
+            raise InvalidConfiguration(
+                f"{name} must have {self.n} values, one per joint ({', '.join(self.joint_names)}); got shape {array.shape}"
+            )
+        if not np.isfinite(array).all():
+            bad = ", ".join(j for j, x in zip(self.joint_names, array, strict=True) if not np.isfinite(x))
+            raise InvalidConfiguration(f"{name} is not finite at joint {bad}")
+        return array
+
+    def outside(self, q: np.ndarray) -> list[str]:
+        """Names of the joints whose value lies outside its limits."""
+        return [j for j, x, a, b in zip(self.joint_names, q, self.lower, self.upper, strict=True) if not a <= x <= b]
+
+    def at_limits(self, q: np.ndarray) -> list[str]:
+        """Names of the joints that stand on a limit (within 1e-9)."""
+        near = (q - self.lower <= 1e-9) | (self.upper - q <= 1e-9)
+        return [j for j, hit in zip(self.joint_names, near, strict=True) if hit]
+
+    def random_q(self, rng: np.random.Generator) -> np.ndarray:
+        """Uniform random q (n,) inside the limits (one turn, or one reach, where there are none)."""
+        low, span = self._sampling
+        return (low + span * rng.random(self.n)).clip(self.lower, self.upper)
+
+    @functools.cached_property
+    def _sampling(self) -> tuple[np.ndarray, np.ndarray]:
+        n, ends = self.n, self.chain.ends
+        return ends[24 + 4 * n : 24 + 5 * n] * self.chain.unit, ends[24 + 5 * n : 24 + 6 * n] * self.chain.unit
+
+    def to_pinocchio(self, q: Any, rest: np.ndarray | None = None) -> np.ndarray:
+        """Full configuration (nq,) of the model for q (n,); joints off the path keep `rest` (default: the robot's)."""
+        full = (self.rest if rest is None else np.asarray(rest, dtype=float)).copy()
+        if full.shape != (self.model.nq,):
+            raise InvalidConfiguration(f"rest must have {self.model.nq} values for this model, not shape {full.shape}")
+        return self._fill(full, self.check_q(q))
+
+    def _fill(self, full: np.ndarray, q: np.ndarray) -> np.ndarray:
+        idx, circle = self._path.idx_q, self._path.circle
+        full[idx] = q
+        if circle.any():
+            full[idx[circle]] = np.cos(q[circle])
+            full[idx[circle] + 1] = np.sin(q[circle])
+        return full
+
+    def from_pinocchio(self, q_full: np.ndarray) -> np.ndarray:
+        """Return q (n,) of a full configuration (nq,); continuous joints come back as angles in -pi..pi."""
+        full = np.asarray(q_full, dtype=float)
+        if full.shape != (self.model.nq,):
+            raise InvalidConfiguration(f"a full configuration of this model has {self.model.nq} values, not shape {full.shape}")
+        idx, circle = self._path.idx_q, self._path.circle
+        q = full[idx].copy()
+        q[circle] = np.arctan2(full[idx[circle] + 1], full[idx[circle]])
+        return q
+
+    # ------------------------------------------------------------------------------------------------ kinematics
+    @property
+    def data(self) -> pin.Data:
+        """Pinocchio workspace of the calling thread."""
+        data = getattr(self._local, "data", None)
+        if data is None:
+            data = self._local.data = self.model.createData()
+        return data
+
+    def fk(self, q: Any) -> pin.SE3:
+        """T_base_tip: pose of the tip in the base frame [m], computed by Pinocchio."""
+        return self._fk(self.check_q(q))
+
+    def _fk(self, q: np.ndarray) -> pin.SE3:
+        data = self.data
+        pin.forwardKinematics(self.model, data, self._fill(self.rest.copy(), q))
+        return self._base_inverse * pin.updateFramePlacement(self.model, data, self._ids[1]) * self.tool
+
+    def jacobian(self, q: Any) -> np.ndarray:
+        """Jacobian (6, n) of the tip point in base axes, linear rows first [m or rad per rad or m], by Pinocchio."""
+        full = self._fill(self.rest.copy(), self.check_q(q))
+        model, data = self.model, self.data
+        pin.computeJointJacobians(model, data, full)
+        pin.updateFramePlacements(model, data)
+        J = pin.getFrameJacobian(model, data, self._ids[1], pin.LOCAL_WORLD_ALIGNED)
+        J = J[:, [model.joints[j].idx_v for j in self._path.leaders]]
+        arm = data.oMf[self._ids[1]].rotation @ self.tool.translation
+        J[:3] += np.cross(J[3:], arm, axis=0)
+        R = self._base_inverse.rotation
+        return np.vstack([R @ J[:3], R @ J[3:]])
+
+    def errors(self, q: np.ndarray, target: np.ndarray) -> tuple[float, float | None]:
+        """Position error [m] and rotation angle [rad] (None for a (3,) target) between the tip at q and a target."""
+        T = self._fk(q)
+        if target.ndim == 1:
+            return float(np.linalg.norm(target - T.translation)), None
+        position = target[:3, 3] - T.translation
+        R = T.rotation.T @ target[:3, :3]
+        return float(np.sqrt(position @ position)), float(np.linalg.norm(pin.log3(R)))
+
+    # ------------------------------------------------------------------------------------------------ variants
+    def locked(self, joints: Mapping[str, float]) -> "Robot":
+        """Return a copy with joints held at values [rad or m] and left out of q. Raises JointNotFound."""
+        keep = [j for j in self.joint_names if j not in joints]
+        other = copy.copy(self)
+        other.rest = self.rest.copy()
+        other.locked_joints = dict(self.locked_joints)
+        for joint, value in joints.items():
+            other._set_rest(joint, value)
+        home = [x for j, x in zip(self.joint_names, self.home, strict=True) if j in keep]
+        other.__dict__.pop("_sampling", None)
+        other._build(home if keep else None)
+        return other
+
+    def with_tool(self, T_tip_tool: Any) -> "Robot":
+        """Return a copy whose tip is moved by T_tip_tool (4x4 or pin.SE3): targets, fk and errors are of the tool's point."""
+        T, _ = check_target(T_tip_tool)
+        if T.ndim == 1:
+            T = pin.SE3(np.eye(3), T).homogeneous
+        other = copy.copy(self)
+        other.__dict__.pop("_sampling", None)
+        other.tool = self.tool * pin.SE3(T)
+        other._build(self.home)
+        return other
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Leave out what belongs to a thread."""
+        state = self.__dict__.copy()
+        for name in ("_local", "_data0", "_solvers"):
+            state.pop(name, None)
+        return state
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Restore, with fresh thread-local workspace."""
+        self.__dict__.update(state)
+        self._local = threading.local()
+
+    def __repr__(self) -> str:
+        """One line: name, path and joints."""
+        return f"Robot('{self.name}', {self.base} -> {self.tip}, {self.n} joints: {', '.join(self.joint_names)})"
+
+    def _repr_html_(self) -> str:
+        """Joint table for notebooks."""
+        head = "<tr><th>joint</th><th>kind</th><th>lower</th><th>upper</th><th>home</th></tr>"
+        rows = "".join(
+            f"<tr><td>{j}</td><td>{k}</td><td>{a:.4g}</td><td>{b:.4g}</td><td>{h:.4g}</td></tr>"
+            for j, k, a, b, h in zip(self.joint_names, self.joint_kinds, self.lower, self.upper, self.home, strict=True)
+        )
+        return f"<b>{self.name}</b>: {self.base} &rarr; {self.tip}, reach {self.reach:.3g} m<table>{head}{rows}</table>"
+
+
+def _root(model: pin.Model) -> str:
+    """Name of the root link (the first body frame of the tree)."""
+    for frame in model.frames:
+        if frame.type == pin.FrameType.BODY and frame.parentJoint == 0:
+            return frame.name
+    return "universe"

@@ -1,0 +1,1 @@
+"""Closed-form solvers, recognised from a chain's geometry."""

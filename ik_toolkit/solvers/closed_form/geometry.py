@@ -1,0 +1,126 @@
+"""What the closed forms share: reading a chain's joint screws, and bringing joint angles to legal turns.
+
+A structure is recognised from geometry alone: every joint's axis is read at q = 0 from the Jacobian, so names, axis signs,
+angle offsets, intermediate frames and the pose of the base do not matter.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from ...kernel import loop
+from ...kernel.chain import Chain
+from ...kernel.jit import jit
+from ...kernel.kinematics import TAU, aim, error, fk, rotation_angle
+
+FIT = 1e-9  # how far [rad, or of the reach] axes may be off the recognised structure
+SNAP = 1e-9  # an answer this little [rad or m] beyond a limit is put on it
+
+
+class Screws(NamedTuple):
+    """Joint axes of a chain at q = 0 in base axes [m]."""
+
+    turns: np.ndarray  # (n,) True where the joint turns
+    axis: np.ndarray  # (n, 3) unit direction
+    point: np.ndarray  # (n, 3) the axis' point nearest the tip (turning joints)
+    T: np.ndarray  # (4, 4) T_base_tip
+
+
+def read_screws(chain: Chain) -> Screws | str:
+    """Return the joint screws at q = 0, or a sentence when a coordinate drives several joints (mimic)."""
+    if not chain.rows[0, 0] > 0.0:
+        return "it has mimic joints"
+    T, J = chain.forward(np.zeros(chain.n), jacobian=True)
+    linear, angular = J[0, :3].T, J[0, 3:].T
+    turns = chain.rows[:, 9] > 0.0
+    axis = np.where(turns[:, None], angular, linear)
+    return Screws(turns, axis, T[0, :3, 3] + np.cross(angular, linear), T[0])
+
+
+def angle_about(axis: np.ndarray, start: np.ndarray, end: np.ndarray) -> float:
+    """Angle [rad] that turns direction `start` into `end` about `axis` (all unit, start and end across the axis)."""
+    return math.atan2(float(axis @ np.cross(start, end)), float(start @ end))
+
+
+def across(axis: np.ndarray, v: np.ndarray) -> np.ndarray:
+    """Part of v (3,) perpendicular to the unit axis."""
+    return v - axis * (axis @ v)
+
+
+@jit
+def legal_turn(angle, low, high, near):
+    """Angle + k 2 pi inside [low, high] nearest to `near`, and by how much it breaks the limits (0 when legal)."""
+    x = angle + TAU * np.rint((near - angle) / TAU)
+    if x > high + SNAP:
+        x -= TAU * math.ceil((x - high - SNAP) / TAU)
+    if x < low - SNAP:
+        y = x + TAU * math.ceil((low - SNAP - x) / TAU)
+        if y <= high + SNAP or y - high < low - x:
+            x = y
+    return clamp(x, low, high)
+
+
+@jit
+def clamp(x, low, high):
+    """x, put on a limit it passes by less than SNAP, and by how much it breaks the limits otherwise."""
+    if x > high:
+        return (high, 0.0) if x - high <= SNAP else (x, x - high)
+    if x < low:
+        return (low, 0.0) if low - x <= SNAP else (x, low - x)
+    return x, 0.0
+
+
+@jit
+def copy_limits(ends, opt, q0, box):
+    """Fill box (4, n) with lower and upper limits, reference configuration [rad or m] and distance weights."""
+    n = box.shape[1]
+    v = loop.E_VECTORS
+    for i in range(n):
+        unit = ends[v + 3 * n + i]
+        limited = opt[loop.O_LIMITS] > 0.0
+        box[0, i] = ends[v + i] * unit if limited else -np.inf
+        box[1, i] = ends[v + n + i] * unit if limited else np.inf
+        box[2, i] = q0[i] if opt[loop.O_GIVEN] > 0.0 else ends[v + 6 * n + i] * unit
+        box[3, i] = 1.0 / (max(opt[loop.OPT_HEAD + i], 1e-12) * unit * unit)
+
+
+@jit
+def measure_tip(rows, ends, opt, T, q, box, broken, gap, goal, Z, trig, hist, out):
+    """Evaluate q with the kernel's forward kinematics and write the result row: errors and status are of that evaluation.
+
+    broken: by how much the best branch breaks a limit; gap: how far [m] the target is out of reach.
+    """
+    n = box.shape[1]
+    scale = ends[loop.E_VECTORS + 7 * n]
+    tip = ends[12:24]
+    for i in range(n):
+        q[i] = min(max(q[i], box[0, i]), box[1, i])
+        out[loop.OUT_HEAD + i] = q[i]
+        q[i] /= ends[loop.E_VECTORS + 3 * n + i]
+    aim(ends, tip, scale, T, goal)
+    x0, x1, x2, y0, y1, y2, z0, z1, z2, px, py, pz = fk(rows, q, Z, trig[0], trig[1], trig[2])
+    px, py, pz, e0, e1, e2, e3, e4, e5 = error(goal, tip, x0, x1, x2, y0, y1, y2, z0, z1, z2, px, py, pz)
+    position = math.sqrt(e0 * e0 + e1 * e1 + e2 * e2) * scale
+    rotation = 0.0 if opt[loop.O_KIND] == loop.POSITION else rotation_angle(e3 * e3 + e4 * e4 + e5 * e5)
+    if position < opt[loop.O_TOL_P] and rotation < opt[loop.O_TOL_R]:
+        out[loop.R_STATUS] = loop.CONVERGED
+    elif gap >= opt[loop.O_TOL_P]:
+        out[loop.R_STATUS] = loop.UNREACHABLE
+    elif broken > 0.0:
+        out[loop.R_STATUS] = loop.LIMIT_BLOCKED
+    else:
+        out[loop.R_STATUS] = loop.STALLED  # only a tolerance below rounding leads here
+    out[loop.R_ITERATIONS] = 0
+    out[loop.R_RESTARTS] = 0
+    out[loop.R_POSITION] = position
+    out[loop.R_ROTATION] = rotation
+    out[loop.R_EVALUATIONS] = 1
+    out[loop.R_EXCESS] = gap if out[loop.R_STATUS] == loop.UNREACHABLE else 0.0
+    out[loop.R_HISTORY] = 0
+    if hist.shape[0] > 0:
+        out[loop.R_HISTORY] = 1
+        hist[0, 0] = position
+        hist[0, 1] = rotation
+        for i in range(n):
+            hist[0, 2 + i] = out[loop.OUT_HEAD + i]

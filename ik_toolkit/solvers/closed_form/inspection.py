@@ -1,0 +1,306 @@
+"""An arm with a spherical shoulder on a lift (the 7-joint inspection robot), every branch in closed form.
+
+Recognised by its axes: joint 1 turns about an axis along which joint 2 slides (in either order, or the slide is locked or
+absent); axes 1, 3 and 4 meet in one point, each across the next; axis 5 is parallel to 4, axis 6 crosses axis 5 at right
+angles level with the shoulder, axis 7 is parallel to 6. Base, tool, axis signs, angle offsets and lengths are free.
+"""
+
+import math
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ...errors import InvalidOption
+from ...kernel import loop
+from ...kernel.chain import Chain
+from ...kernel.jit import cached, jit, kernel_stamp
+from . import geometry, reach
+from .geometry import FIT, across, angle_about, clamp, copy_limits, legal_turn, measure_tip, read_screws
+from .reach import inspection_branches, inspection_margin, inspection_nearest, lift_intervals, nearest_lift
+
+# Slots of the parameters: base -> shoulder axes (12), tip -> wrist axes (12), then these. Of each turning joint: its place
+# in q, sign and offset (theta = sign q + offset); of the lift: its place (-1: none), sign, offset, choice, given value.
+A4, A6, JOINTS, LIFT = 24, 25, 26, 44
+NEAREST, GIVEN, MIDDLE = range(3)
+SCAN = 48  # lifts tried in each feasible interval when no branch at the first lift is inside the joint limits
+
+
+class Inspection(NamedTuple):
+    """All branches (8) of a spherical shoulder on a lift, for poses; the legal one nearest q0 is returned.
+
+    lift: 'nearest' takes the feasible lift nearest q0's (another where no branch there is inside the limits), 'mid' the
+    middle of the longest feasible interval, a number [m] that lift only. Source: Shanmugasundar and Sivaramakrishnan
+    (2012), eqs. (7)-(13), completed: every branch, the lift as the free parameter, reach test, singular poses.
+    """
+
+    lift: float | str = "nearest"
+
+    @classmethod
+    def check(cls, robot: Any, rows: int) -> str:
+        """Sentence saying why the closed form does not fit the robot and task, or ''."""
+        reason = recognise(robot.chain)[1]
+        if reason:
+            return f"inspection does not fit this robot: {reason}"
+        return "" if rows == 6 else "inspection answers full poses: with the orientation free its solutions are not isolated"
+
+    def pack(self, robot: Any) -> np.ndarray:
+        """Geometry and choice of lift for the compiled solver. Raises InvalidOption for a lift that is no choice."""
+        choice, value = {"nearest": NEAREST, "mid": MIDDLE}.get(self.lift, GIVEN), 0.0
+        if choice == GIVEN:
+            try:
+                value = float(self.lift)
+            except ValueError:
+                value = math.nan
+            if not math.isfinite(value):
+                raise InvalidOption(f"lift must be 'nearest', 'mid' or a number of metres, not {self.lift!r}")
+        return np.concatenate([recognise(robot.chain)[0], [choice, value]])
+
+
+def recognise(chain: Chain) -> tuple[np.ndarray, str]:
+    """Parameters of the arm read off its joint axes, and '' or why it has not this structure."""
+    none = np.zeros(0)
+    if chain.n not in (6, 7):
+        return none, f"it has {chain.n} joints on the path, not a lift and 6 turning joints (or these 6)"
+    screws = read_screws(chain)
+    if isinstance(screws, str):
+        return none, screws
+    slides = np.flatnonzero(~screws.turns)
+    if len(slides) != chain.n - 6 or (len(slides) and slides[0] > 1):
+        return none, "its only sliding joint must be the lift, first or second on the path"
+    order = np.flatnonzero(screws.turns)
+    z1, z3, z4, z5, z6, z7 = screws.axis[order]
+    c1, c3, c4, c5, c6, c7 = screws.point[order]
+    if len(slides) and np.linalg.norm(np.cross(z1, screws.axis[slides[0]])) > FIT:
+        return none, "its lift does not slide along the first turning axis"
+    names = "first turning axis and joint 3", "joints 3 and 4", "joints 5 and 6"
+    for name, a, b in zip(names, (z1, z3, z5), (z3, z4, z6), strict=True):
+        if abs(a @ b) > FIT:
+            return none, f"the axes of the {name} are not at right angles (cosine {a @ b:.2g})"
+    for name, a, b in (("4 and 5", z4, z5), ("6 and 7", z6, z7)):
+        if np.linalg.norm(np.cross(a, b)) > FIT:
+            return none, f"the axes of joints {name} are not parallel"
+    slack = FIT * chain.reach
+    # The shoulder: the foot on axis 1 of joint 3's axis; axes 3 and 4 must pass through it.
+    shoulder = c1 + z1 * (z1 @ (c3 - c1))
+    for name, z, c in (("3", z3, c3), ("4", z4, c4)):
+        if np.linalg.norm(across(z, c - shoulder)) > slack:
+            return none, f"axis {name} does not pass through the shoulder point on axis 1"
+    level5 = c5 + z4 * (z4 @ (shoulder - c5))  # of axis 5, level with the shoulder
+    if np.linalg.norm(across(z6, c6 - level5)) > slack:
+        return none, "axis 6 does not cross axis 5 level with the shoulder"
+    level7 = c7 + z6 * (z6 @ (level5 - c7))
+    upper, fore = level5 - shoulder, level7 - level5
+    a4, a6 = float(np.linalg.norm(upper)), float(np.linalg.norm(fore))
+    if min(a4, a6) <= slack:
+        return none, "two of its parallel axes coincide"
+    # The Denavit-Hartenberg x axes at q = 0 give every angle's offset; axes 5 and 7 are turned along 4 and 6.
+    s5, s7 = math.copysign(1.0, z4 @ z5), math.copysign(1.0, z6 @ z7)
+    x1, x3, x4, x6 = np.cross(z1, z3), np.cross(z3, z4), upper / a4, fore / a6
+    x5 = np.cross(z6, z4)
+    signs = [1.0, 1.0, 1.0, s5, 1.0, s7]
+    offsets = [0.0, angle_about(z3, x1, x3), angle_about(z4, x3, x4), angle_about(z4, x4, x5), angle_about(z6, x5, x6), 0.0]
+    R = np.vstack([x1, np.cross(z1, x1), z1])
+    wrist = np.eye(4)
+    wrist[:3, :3] = np.column_stack([x6, np.cross(z6, x6), z6])
+    wrist[:3, 3] = level7
+    E = np.linalg.inv(screws.T) @ wrist
+    lift = [float(slides[0]), math.copysign(1.0, z1 @ screws.axis[slides[0]])] if len(slides) else [-1.0, 1.0]
+    joints = np.column_stack([order, signs, offsets]).ravel()
+    return np.concatenate([R.ravel(), -R @ shoulder, E[:3, :3].ravel(), E[:3, 3], [a4, a6], joints, lift]), ""
+
+
+@jit
+def wrist_pose(p, T, P):
+    """Fill P (12: rotation by rows, point) with the wrist pose of T (4, 4) in shoulder axes."""
+    for r in range(3):
+        b0, b1, b2 = p[3 * r], p[3 * r + 1], p[3 * r + 2]
+        m0 = b0 * T[0, 0] + b1 * T[1, 0] + b2 * T[2, 0]
+        m1 = b0 * T[0, 1] + b1 * T[1, 1] + b2 * T[2, 1]
+        m2 = b0 * T[0, 2] + b1 * T[1, 2] + b2 * T[2, 2]
+        for k in range(3):
+            P[3 * r + k] = m0 * p[12 + k] + m1 * p[15 + k] + m2 * p[18 + k]
+        P[9 + r] = b0 * T[0, 3] + b1 * T[1, 3] + b2 * T[2, 3] + p[9 + r] + m0 * p[21] + m1 * p[22] + m2 * p[23]
+
+
+@jit
+def joint_values(p, angles, d, box, q):
+    """Fill q with the legal turns of `angles` (6,) nearest box[2] and the lift; return the worst limit broken, the distance."""
+    worst, distance = 0.0, 0.0
+    for k in range(6):
+        i = int(p[JOINTS + 3 * k])
+        x = p[JOINTS + 3 * k + 1] * (angles[k] - p[JOINTS + 3 * k + 2])
+        q[i], broken = legal_turn(x, box[0, i], box[1, i], box[2, i])
+        worst = max(worst, broken)
+        distance += box[3, i] * (q[i] - box[2, i]) ** 2
+    i = int(p[LIFT])
+    if i >= 0:
+        q[i], broken = clamp(p[LIFT + 1] * d, box[0, i], box[1, i])
+        worst = max(worst, broken)
+        distance += box[3, i] * (q[i] - box[2, i]) ** 2
+    return worst, distance
+
+
+@jit
+def near_angles(p, box, near):
+    """Fill near (6,) with the theta of the reference configuration: they stand in where an angle is free."""
+    for k in range(6):
+        near[k] = p[JOINTS + 3 * k + 1] * box[2, int(p[JOINTS + 3 * k])] + p[JOINTS + 3 * k + 2]
+
+
+@jit
+def pick(p, P, d, box, near, moved, sols, q, best):
+    """Fill best (n,) with the branch at lift d that breaks limits least, of the legal ones the nearest; return both numbers.
+
+    The wrist point is first moved to the nearest reachable one.
+    """
+    moved[:] = P
+    inspection_nearest(moved, d, p[A4], p[A6])
+    least, nearest = np.inf, np.inf
+    for k in range(inspection_branches(moved, d, p[A4], p[A6], near, sols)):
+        worst, distance = joint_values(p, sols[k], d, box, q)
+        if worst < least or (worst == least and distance < nearest):
+            least, nearest = worst, distance
+            best[:] = q
+    return least, nearest
+
+
+@jit
+def lift_limits(p, box):
+    """Lowest and highest lift the limits allow, along the shoulder's own axis."""
+    i = int(p[LIFT])
+    if p[LIFT + 1] > 0.0:
+        return box[0, i], box[1, i]
+    return -box[1, i], -box[0, i]
+
+
+@jit
+def choose_lift(p, P, box, spans):
+    """Lift to try first, and how many feasible intervals stand in spans (2, 2).
+
+    0: reachable from no legal lift, the nearest is returned; -1: the lift is not free or its first choice is feasible.
+    """
+    a4, a6 = p[A4], p[A6]
+    i = int(p[LIFT])
+    if i < 0:
+        return 0.0, -1
+    choice = int(p[LIFT + 2])
+    if choice == GIVEN:
+        return p[LIFT + 1] * p[LIFT + 3], -1
+    low, high = lift_limits(p, box)
+    wish = min(max(p[LIFT + 1] * box[2, i], low), high)
+    if choice == NEAREST and inspection_margin(P, wish, a4, a6) >= 0.0:
+        return wish, -1
+    count = lift_intervals(P, a4, a6, low, high, spans)
+    if count == 0:
+        return nearest_lift(P, a4, a6, low, high), 0
+    best = 0.5 * (spans[0, 0] + spans[0, 1])
+    if choice == MIDDLE:
+        if count == 2 and spans[1, 1] - spans[1, 0] > spans[0, 1] - spans[0, 0]:
+            best = 0.5 * (spans[1, 0] + spans[1, 1])
+        return best, count
+    best = min(max(wish, spans[0, 0]), spans[0, 1])
+    other = min(max(wish, spans[count - 1, 0]), spans[count - 1, 1])
+    return (other if abs(other - wish) < abs(best - wish) else best), count
+
+
+@jit
+def scan_lifts(p, P, box, near, spans, count, moved, sols, q, trial, best):
+    """Search the feasible lifts for a legal branch: the one nearest the reference, or what breaks the limits least.
+
+    Lifts stand closer at the ends of an interval, where the angles change fastest; where none is legal the best is refined.
+    """
+    least, nearest, found, width = np.inf, np.inf, 0.0, 0.0
+    for k in range(count):
+        middle, half = 0.5 * (spans[k, 0] + spans[k, 1]), 0.5 * (spans[k, 1] - spans[k, 0])
+        for j in range(SCAN):
+            d = middle - half * math.cos(math.pi * j / (SCAN - 1))
+            worst, distance = pick(p, P, d, box, near, moved, sols, q, trial)
+            if worst < least or (worst == least and distance < nearest):
+                least, nearest, found, width = worst, distance, d, half * math.pi / (SCAN - 1)
+                best[:] = trial
+    low, high = lift_limits(p, box)
+    for _ in range(40):
+        if least == 0.0 or count == 0:
+            break
+        for side in (-1.0, 1.0):
+            d = min(max(found + side * width, low), high)
+            if inspection_margin(P, d, p[A4], p[A6]) >= 0.0:
+                worst, distance = pick(p, P, d, box, near, moved, sols, q, trial)
+                if worst < least:
+                    least, nearest, found = worst, distance, d
+                    best[:] = trial
+        width *= 0.6
+    return least
+
+
+def _compile_solve():
+    stamp = kernel_stamp(Path(__file__), Path(reach.__file__), Path(geometry.__file__))
+
+    @cached
+    def solve(rows, ends, seeds, feat, T, Q0, out, opt, hist):
+        stamp  # noqa: B018  part of the cache key, see kernel.loop
+        n = seeds.shape[1]
+        p = opt[loop.OPT_HEAD + n :]
+        box, near, spans = np.empty((4, n)), np.empty(6), np.empty((2, 2))
+        P, moved, sols = np.empty(12), np.empty(12), np.empty((8, 6))
+        q, trial, best = np.empty(n), np.empty(n), np.empty(n)
+        goal, Z, trig = np.empty(12), np.empty((n, 6)), np.zeros((3, 8))
+        for t in range(T.shape[0]):
+            if not loop.rigid(T[t]):
+                out[t, 0] = loop.BAD_TARGET
+                continue
+            copy_limits(ends, opt, Q0[t if Q0.shape[0] > 1 else 0], box)
+            near_angles(p, box, near)
+            wrist_pose(p, T[t], P)
+            d, count = choose_lift(p, P, box, spans)
+            gap = max(0.0, -inspection_margin(P, d, p[A4], p[A6]))
+            broken = pick(p, P, d, box, near, moved, sols, q, best)[0]
+            if p[LIFT] >= 0.0 and p[LIFT + 2] != GIVEN:
+                if broken > 0.0 and count != 0:
+                    if count < 0:
+                        low, high = lift_limits(p, box)
+                        count = lift_intervals(P, p[A4], p[A6], low, high, spans)
+                    broken = scan_lifts(p, P, box, near, spans, count, moved, sols, q, trial, best)
+                elif gap > 0.0 and lift_intervals(P, p[A4], p[A6], -np.inf, np.inf, spans) > 0:
+                    broken, gap = max(broken, gap), 0.0  # in reach with more stroke: it is the lift's limit that stops it
+            measure_tip(rows, ends, opt, T[t], best, box, broken, gap, goal, Z, trig, hist, out[t])
+
+    return solve
+
+
+def _compile_every():
+    stamp = kernel_stamp(Path(__file__), Path(reach.__file__), Path(geometry.__file__))
+
+    @cached
+    def every(p, T, box, lifts, out, broken):
+        """Fill out (8 K, n) with all branches of T (4, 4) at the lifts (K,) that reach it, broken (8 K,) with the limit
+        each breaks; return how many."""
+        stamp  # noqa: B018
+        near, P, sols = np.empty(6), np.empty(12), np.empty((8, 6))
+        near_angles(p, box, near)
+        wrist_pose(p, T, P)
+        count = 0
+        for d in lifts:
+            if inspection_margin(P, d, p[A4], p[A6]) < -reach.EDGE * (p[A4] + p[A6]):
+                continue
+            inspection_nearest(P, d, p[A4], p[A6])
+            for k in range(inspection_branches(P, d, p[A4], p[A6], near, sols)):
+                broken[count] = joint_values(p, sols[k], d, box, out[count])[0]
+                count += 1
+        return count
+
+    return every
+
+
+def feasible_lifts(p: np.ndarray, T: np.ndarray, low: float = -math.inf, high: float = math.inf) -> list[tuple[float, float]]:
+    """Intervals of the lift joint's value [m], inside [low, high], from which the pose T (4, 4) is reachable (0 to 2)."""
+    P, spans, sign = np.empty(12), np.empty((2, 2)), p[LIFT + 1]
+    wrist_pose(p, np.asarray(T, dtype=float), P)
+    ends = sorted((sign * low, sign * high))
+    count = lift_intervals(P, p[A4], p[A6], ends[0], ends[1], spans)
+    return sorted(tuple(sorted(sign * float(x) for x in span)) for span in spans[:count])
+
+
+loop._ENTRIES[Inspection] = _compile_solve()
+every_branch = _compile_every()

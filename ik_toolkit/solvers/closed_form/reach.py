@@ -1,0 +1,258 @@
+"""Closed-form mathematics of the two structures, on plain numbers: all branches, reach, and the nearest reachable point.
+
+Lengths in metres, angles in radians. Sources: planar 2R, Chinyai eqs. (1)-(5) with the signs corrected and atan2
+throughout; inspection arm, Shanmugasundar and Sivaramakrishnan (2012) eqs. (7)-(13), completed: their theta_1 = 2 atan2(py,
+px) has no basis, and the lift is the arm's one free parameter.
+"""
+
+import math
+
+from ...kernel.jit import jit
+from ...kernel.kinematics import TAU
+
+MERGED = 1e-7  # sin of an elbow angle below which its two branches are one (costs 1e-15 of the length)
+ON_AXIS = 1e-12  # distance (of the lengths) below which an angle about an axis is free
+EDGE = 1e-13  # of the lengths: rounding allowed in a reach test
+
+
+@jit
+def wrap(x):
+    """The angle in -pi..pi."""
+    return x - TAU * math.floor(x / TAU + 0.5)
+
+
+@jit
+def elbow(r, l1, l2):
+    """Elbow angle in 0..pi of two links that span the distance r: no cancellation at either end of the reach."""
+    a = max((l1 + l2 - r) * (l1 + l2 + r), 0.0)  # 2 l1 l2 (1 - cos)
+    b = max((r - abs(l1 - l2)) * (r + abs(l1 - l2)), 0.0)  # 2 l1 l2 (1 + cos)
+    return 2.0 * math.atan2(math.sqrt(a), math.sqrt(b))
+
+
+@jit
+def planar_margin(x, y, l1, l2):
+    """Distance [m] of a point inside (positive) or outside (negative) the ring that two links reach."""
+    r = math.hypot(x, y)
+    return min(l1 + l2 - r, r - abs(l1 - l2))
+
+
+@jit
+def planar_branches(x, y, l1, l2, near, sols):
+    """Fill sols (2, 2) with theta_1, theta_2 of the point of the reach nearest (x, y); return how many (1 or 2).
+
+    theta_2 > 0 comes first. Where the links fold back onto the base theta_1 is free and taken from `near`.
+    """
+    r = math.hypot(x, y)
+    size = l1 + l2
+    t2 = elbow(r, l1, l2)
+    if abs(math.sin(t2)) < MERGED:
+        sols[0, 1] = 0.0 if t2 < 1.0 else math.pi
+        if r <= ON_AXIS * size and abs(l1 - l2) <= ON_AXIS * size:
+            sols[0, 0] = near
+        else:
+            sols[0, 0] = wrap(math.atan2(y, x) - (0.0 if t2 < 1.0 or l1 >= l2 else math.pi))
+        return 1
+    inner = math.atan2(l2 * math.sin(t2), l1 + l2 * math.cos(t2))
+    heading = math.atan2(y, x)
+    sols[0, 0] = wrap(heading - inner)
+    sols[0, 1] = t2
+    sols[1, 0] = wrap(heading + inner)
+    sols[1, 1] = -t2
+    return 2
+
+
+@jit
+def shoulder_in_tool(P, d):
+    """Shoulder point (0, 0, d) in the axes of the wrist pose P (12: rotation by rows, point), from its origin."""
+    h = d - P[11]
+    x = P[6] * h - P[0] * P[9] - P[3] * P[10]
+    y = P[7] * h - P[1] * P[9] - P[4] * P[10]
+    z = P[8] * h - P[2] * P[9] - P[5] * P[10]
+    return x, y, z
+
+
+@jit
+def inspection_margin(P, d, a4, a6):
+    """Distance [m] of the wrist point inside (positive) or outside (negative) the reach at lift d, orientation kept."""
+    x, y, z = shoulder_in_tool(P, d)
+    r = math.hypot(x, y)
+    return min(a4 - math.hypot(r - a6, z), math.hypot(r + a6, z) - a4)
+
+
+@jit
+def inspection_nearest(P, d, a4, a6):
+    """Move the point of P to the nearest one reachable at lift d with the orientation kept; return the distance [m].
+
+    The reach is a torus about the tool axis (circle a6, tube a4) without its inner lemon: project on the tube's circle.
+    """
+    x, y, z = shoulder_in_tool(P, d)
+    r = math.hypot(x, y)
+    far = math.hypot(r - a6, z)
+    near = math.hypot(r + a6, z)
+    if far > a4:
+        gap, centre, h = far - a4, a6, far
+    elif near < a4:
+        gap, centre, h = a4 - near, -a6, near
+    else:
+        return 0.0
+    u, v = centre + a4 * (r - centre) / h, a4 * z / h
+    if r > 0.0:
+        dx, dy = x * (u / r - 1.0), y * (u / r - 1.0)
+    else:
+        dx, dy = u, 0.0
+    dz = v - z
+    for i in range(3):  # the shoulder moves by (dx, dy, dz) in tool axes, so the tool moves the other way
+        P[9 + i] -= P[3 * i] * dx + P[3 * i + 1] * dy + P[3 * i + 2] * dz
+    return gap
+
+
+@jit
+def inspection_branches(P, d, a4, a6, near, sols):
+    """Fill sols (8, 6) with theta_1, theta_3 .. theta_7 that put the wrist pose P at lift d; return how many.
+
+    Eight where nothing merges: wrist yaw e5, elbow e6, shoulder e3. P has to be reachable (see inspection_nearest).
+    Where an angle is free it is taken from `near` (6,): theta_1 when axes 1 and 4 align, theta_6 when the shoulder lies on
+    axis 6, theta_7 when it lies on axis 7.
+    """
+    x, y, z = shoulder_in_tool(P, d)
+    r = math.hypot(x, y)
+    size = a4 + a6
+    # a4 cos(theta_5); held inside what the elbow spans, or poses near cos(theta_5) = 0 lose half their digits.
+    reach = math.sqrt(max((a4 - z) * (a4 + z), 0.0))
+    on_six = abs(r - a6) <= ON_AXIS * size and reach <= 1e-6 * a4
+    reach = 0.0 if on_six else min(max(reach, abs(r - a6)), r + a6)
+    bend = near[4] if on_six else elbow(r, a6, reach)
+    straight = not on_six and abs(math.sin(bend)) < MERGED
+    if straight:
+        bend = 0.0 if bend < 1.0 else math.pi
+    heading = -near[5] if r <= ON_AXIS * size else math.atan2(-y, -x)
+    c6, s6 = math.cos(bend), math.sin(bend)
+    if straight:
+        s6 = 0.0
+    inner = 0.0 if on_six else math.atan2(-reach * s6, a6 + reach * c6)
+    n5 = 1.0 / math.hypot(z, reach)
+    s5 = z * n5
+    t5 = math.atan2(z, reach)
+    count = 0
+    for k6 in range(1 if on_six or straight else 2):
+        e6 = 1.0 - 2.0 * k6
+        t7 = (e6 * inner if r > ON_AXIS * size else 0.0) - heading
+        for k5 in range(1 if on_six else 2):
+            c5 = reach * n5
+            yaw = t5
+            t6 = bend if on_six else e6 * bend
+            if k5 == 1:  # cos(theta_5) and cos(theta_6) change sign together; the elbow's sine goes with them
+                c5 = -c5
+                yaw = math.pi - t5
+                t6 = t6 - math.pi if t6 > 0.0 else t6 + math.pi
+            phi = t6 + t7
+            cp, sp = math.cos(phi), math.sin(phi)
+            m02 = -(P[0] * sp + P[1] * cp)
+            m12 = -(P[3] * sp + P[4] * cp)
+            m22 = -(P[6] * sp + P[7] * cp)
+            u0 = P[0] * cp - P[1] * sp
+            u1 = P[3] * cp - P[4] * sp
+            m00, m01 = c5 * u0 - s5 * P[2], s5 * u0 + c5 * P[2]
+            m10, m11 = c5 * u1 - s5 * P[5], s5 * u1 + c5 * P[5]
+            tilt = math.hypot(m02, m12)
+            if tilt <= ON_AXIS:
+                c1, s1, t1 = math.cos(near[0]), math.sin(near[0]), near[0]
+            else:
+                c1, s1, t1 = m02 / tilt, m12 / tilt, math.atan2(m12, m02)
+            t3 = math.atan2(c1 * m02 + s1 * m12, -m22)
+            t4 = math.atan2(s1 * m00 - c1 * m10, s1 * m01 - c1 * m11)
+            for k3 in range(1 if tilt <= ON_AXIS else 2):
+                sols[count, 0] = wrap(t1 if k3 == 0 else t1 + math.pi)
+                sols[count, 1] = t3 if k3 == 0 else -t3
+                sols[count, 2] = wrap(t4 if k3 == 0 else t4 + math.pi)
+                sols[count, 3] = wrap(yaw)
+                sols[count, 4] = wrap(t6)
+                sols[count, 5] = wrap(t7)
+                count += 1
+    return count
+
+
+@jit
+def depressed_roots(p, q):
+    """Count (1 or 3) and real roots of u^3 + p u + q, ascending (the one root three times)."""
+    if p < 0.0 and 4.0 * p * p * p + 27.0 * q * q < 0.0:
+        m = 2.0 * math.sqrt(-p / 3.0)
+        a = math.acos(min(max(3.0 * q / (p * m), -1.0), 1.0)) / 3.0
+        return 3, m * math.cos(a - 2.0 * TAU / 3.0), m * math.cos(a - TAU / 3.0), m * math.cos(a)
+    h = math.sqrt(max(q * q / 4.0 + p * p * p / 27.0, 0.0))
+    w = math.copysign((0.5 * abs(q) + h) ** (1.0 / 3.0), -q)
+    root = w - p / (3.0 * w) if w != 0.0 else 0.0
+    return 1, root, root, root
+
+
+@jit
+def reach_edge(P, a4, a6, outside, inside):
+    """Lift between an unreachable and a reachable one where the reach margin vanishes, on the reachable side."""
+    for _ in range(60):
+        middle = 0.5 * (outside + inside)
+        if inspection_margin(P, middle, a4, a6) >= 0.0:
+            inside = middle
+        else:
+            outside = middle
+    return inside
+
+
+@jit
+def keep_interval(out, count, a, b, low, high):
+    """Append [a, b] clipped to [low, high] to out unless nothing is left; return the new count."""
+    a, b = max(a, low), min(b, high)
+    if a <= b:
+        out[count, 0] = a
+        out[count, 1] = b
+        count += 1
+    return count
+
+
+@jit
+def lift_intervals(P, a4, a6, low, high, out):
+    """Fill out (2, 2) with the lifts inside [low, high] from which P is reachable, ascending; return how many (0, 1, 2).
+
+    Reachable where a monic quartic in u = lift - P_z is not positive. Its turning points (a cubic) split the lifts into
+    pieces with at most one end each, which bisection on the reach margin finds to rounding.
+    """
+    wx, wy, wz, az = P[9], P[10], P[11], P[8]
+    p = wx * wx + wy * wy - a4 * a4 - a6 * a6 + 2.0 * a6 * a6 * az * az
+    q = -2.0 * a6 * a6 * az * (P[2] * wx + P[5] * wy)
+    n, first, between, last = depressed_roots(p, q)
+    first, between, last = first + wz, between + wz, last + wz
+    far = 1.001 * (a4 + a6)
+    slack = -EDGE * (a4 + a6)
+    has_first = inspection_margin(P, first, a4, a6) >= slack
+    if n == 1 or inspection_margin(P, between, a4, a6) >= 0.0:
+        if not has_first:
+            return 0
+        a = reach_edge(P, a4, a6, wz - far, first)
+        return keep_interval(out, 0, a, reach_edge(P, a4, a6, wz + far, last), low, high)
+    count = 0
+    if has_first:
+        a = reach_edge(P, a4, a6, wz - far, first)
+        count = keep_interval(out, count, a, reach_edge(P, a4, a6, between, first), low, high)
+    if inspection_margin(P, last, a4, a6) >= slack:
+        a = reach_edge(P, a4, a6, between, last)
+        count = keep_interval(out, count, a, reach_edge(P, a4, a6, wz + far, last), low, high)
+    return count
+
+
+@jit
+def nearest_lift(P, a4, a6, low, high):
+    """Lift in [low, high] from which the point of P (reachable from none) is missed by least, orientation kept."""
+    side = math.hypot(P[9], P[10]) + a4 + a6  # further than this from the point, going on only adds distance
+    low, high = max(low, min(P[11] - side, high)), min(high, max(P[11] + side, low))
+    best, step = low, (high - low) / 64.0
+    for k in range(1, 65):
+        d = low + k * step
+        if inspection_margin(P, d, a4, a6) > inspection_margin(P, best, a4, a6):
+            best = d
+    a, b = max(best - step, low), min(best + step, high)
+    for _ in range(60):  # golden section
+        u, v = b - 0.6180339887498949 * (b - a), a + 0.6180339887498949 * (b - a)
+        if inspection_margin(P, u, a4, a6) < inspection_margin(P, v, a4, a6):
+            a = u
+        else:
+            b = v
+    return 0.5 * (a + b)

@@ -1,0 +1,86 @@
+"""Options every solver understands, with their defaults: one table, used by the API, the CLI and `ik solvers NAME`."""
+
+import math
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+
+from ..errors import InvalidOption, near_match
+
+MAX_ITERATIONS = 1_000_000
+
+
+@dataclass(frozen=True)
+class Options:
+    """How to run a solver.
+
+    position_tolerance [m], orientation_tolerance [rad]: both errors must be below theirs. max_iterations: steps a descent;
+    restarts: further descents from other starts (None: the solver's own). max_evaluations: budget of FK evaluations over
+    all descents. seed: of the random starts. limits: keep joints inside their limits. q0_outside: 'clamp' (with a notice) or
+    'refuse'. mask: six weights x, y, z, rx, ry, rz (0 = free) in mask_frame 'base' or 'tip'. joint_weights (n,): how freely
+    each joint moves (1 = as usual, 0 = not at all). history: keep errors and q of every evaluation. check: re-check with
+    Pinocchio.
+    """
+
+    position_tolerance: float = 1e-6
+    orientation_tolerance: float = 1e-6
+    max_iterations: int | None = None
+    restarts: int | None = None
+    max_evaluations: int | None = None
+    seed: int = 0
+    limits: bool = True
+    q0_outside: str = "clamp"
+    mask: tuple[float, ...] | None = None
+    mask_frame: str = "base"
+    joint_weights: tuple[float, ...] | None = None
+    history: bool = False
+    check: bool = True
+
+
+NAMES = tuple(field.name for field in fields(Options))
+
+
+def make_options(given: dict[str, Any]) -> Options:
+    """Validate keyword options. `tolerance` sets both tolerances. Raises InvalidOption naming the option."""
+    values = dict(given)
+    if "tolerance" in values:
+        tolerance = values.pop("tolerance")
+        values.setdefault("position_tolerance", tolerance)
+        values.setdefault("orientation_tolerance", tolerance)
+    for name, value in values.items():
+        if name not in NAMES:
+            raise InvalidOption(f"there is no option '{name}'.{near_match(name, ('tolerance', *NAMES))}")
+        if name in ("position_tolerance", "orientation_tolerance"):
+            values[name] = _number(name, value, 0.0, math.inf)
+        elif name in ("max_iterations", "max_evaluations", "restarts", "seed") and value is not None:
+            low = 0 if name in ("seed", "restarts", "max_iterations") else 1
+            if isinstance(value, bool) or int(_number(name, value, low, 2**31)) != value:
+                raise InvalidOption(f"{name} must be a whole number of at least {low}, not {value!r}")
+            values[name] = int(value)
+            if name == "max_iterations" and values[name] > MAX_ITERATIONS:
+                raise InvalidOption(f"max_iterations is at most {MAX_ITERATIONS}, not {value}; use restarts for longer searches")
+        elif name in ("limits", "history", "check"):
+            values[name] = bool(value)
+        elif name == "q0_outside" and value not in ("clamp", "refuse"):
+            raise InvalidOption(f"q0_outside must be 'clamp' or 'refuse', not {value!r}")
+        elif name == "mask_frame" and value not in ("base", "tip"):
+            raise InvalidOption(f"mask_frame must be 'base' or 'tip', not {value!r}")
+        elif name in ("mask", "joint_weights") and value is not None:
+            array = np.asarray(value, dtype=float)
+            if array.ndim != 1 or not np.isfinite(array).all() or (array < 0).any() or not array.any():
+                raise InvalidOption(f"{name} must be numbers of at least 0, not all 0: {value!r}")
+            if name == "mask" and len(array) != 6:
+                raise InvalidOption(f"mask must have six weights (x, y, z, rx, ry, rz), not {len(array)}")
+            values[name] = tuple(array.tolist())
+    return Options(**values)
+
+
+def _number(name: str, value: Any, low: float, high: float) -> float:
+    try:
+        number = float(value)
+    except (TypeError, ValueError):
+        raise InvalidOption(f"{name} must be a number, not {value!r}") from None
+    if not low <= number <= high or number == math.inf:
+        raise InvalidOption(f"{name} must be between {low:g} and {high:g}, not {value!r}")
+    return number

@@ -1,0 +1,133 @@
+"""One row a solver. The CLI's choices, `ik solvers`, the docs table, the benchmark and the contract tests come from here.
+
+Rows are plain data with dotted names, so that listing them imports neither Pinocchio nor numba.
+"""
+
+import importlib
+from dataclasses import dataclass
+from typing import Any
+
+from ..errors import InvalidOption, UnknownSolver, near_match
+
+
+@dataclass(frozen=True)
+class Row:
+    """What the toolkit knows of a solver.
+
+    target: "module:Class" of the rule or closed form. iterations: steps a descent; descents: first try plus restarts.
+    give_up: (C, rho, C_free, rho_free), a descent ends when |e|^2 > C rho^k (first pair for starts from the table, second for
+    q0 and random starts), or None. hold: joints pushed past a limit are held and the step redone. closed: a closed form.
+    """
+
+    name: str
+    target: str
+    summary: str
+    handles: str
+    citation: str
+    iterations: int = 1000
+    descents: int = 1
+    give_up: tuple[float, float, float, float] | None = None
+    hold: bool = False
+    closed: bool = False
+    pose: bool = True
+    position: bool = True
+
+    def load(self) -> Any:
+        """Import and return the class."""
+        module, name = self.target.split(":")
+        return getattr(importlib.import_module(module), name)
+
+
+_RULES = "ik_toolkit.solvers.rules."
+ROWS: tuple[Row, ...] = (
+    Row(
+        "lm",
+        _RULES + "jacobian:LM",
+        "Levenberg-Marquardt, damping from the error, limits held, restarts from a seed table (default)",
+        "any robot; position, pose, masks",
+        "Sugihara 2011",
+        iterations=30,
+        descents=100,
+        give_up=(30.0, 0.18, 100.0, 0.35),
+        hold=True,
+    ),
+    Row(
+        "dls",
+        _RULES + "jacobian:DLS",
+        "Damped least squares with constant damping",
+        "any robot; position, pose, masks",
+        "Wampler 1986",
+        hold=True,
+    ),
+    Row(
+        "pinv",
+        _RULES + "jacobian:Pinv",
+        "Jacobian pseudo-inverse by singular values",
+        "any robot; position, pose, masks",
+        "Whitney 1969; Burrell 2016 eq. 7",
+    ),
+    Row(
+        "transpose",
+        _RULES + "jacobian:Transpose",
+        "Jacobian transpose with the exact line-search gain",
+        "any robot; position, pose, masks; slow near the answer",
+        "Buss 2004; Burrell 2016 eq. 11-12",
+        iterations=5000,
+    ),
+    Row(
+        "newton",
+        _RULES + "jacobian:Newton",
+        "Plain Newton-Raphson; stops where the Jacobian has no inverse",
+        "square tasks only: as many task rows as joints",
+        "Chinyai eq. 6-9",
+        iterations=100,
+    ),
+    Row(
+        "ccd",
+        _RULES + "ccd:CCD",
+        "Cyclic coordinate descent, one joint at a time from the tip",
+        "any robot; position exact per joint, pose by least squares per joint",
+        "Wang and Chen 1991; Olsen and Petersen 2011",
+    ),
+    Row(
+        "pid",
+        _RULES + "pid:PID",
+        "IK-PID: each joint's step from a PID law on the error, its sign by trial",
+        "any robot; position, pose with scaled orientation",
+        "Burrell 2016, Algorithm I",
+    ),
+    Row(
+        "state-space",
+        _RULES + "state_space:StateSpace",
+        "A static linear system maps the error to joint increments, no Jacobian",
+        "any robot; position (B n x 3) or pose (B n x 6)",
+        "Burrell 2016, Algorithm II",
+    ),
+)
+BY_NAME = {row.name: row for row in ROWS}
+
+
+def find_row(solver: Any) -> Row:
+    """Return the row of a solver name, rule class or rule instance. Raises UnknownSolver with a near match."""
+    if isinstance(solver, str):
+        if solver not in BY_NAME:
+            raise UnknownSolver(f"there is no solver '{solver}'.{near_match(solver, BY_NAME)}")
+        return BY_NAME[solver]
+    cls = solver if isinstance(solver, type) else type(solver)
+    for row in ROWS:
+        if row.target.split(":")[1] == cls.__name__ and row.load() is cls:
+            return row
+    raise UnknownSolver(f"{cls.__name__} is not a solver.{near_match(cls.__name__, BY_NAME)}")
+
+
+def make_rule(row: Row, parameters: dict[str, Any]) -> Any:
+    """Instance of the row's class with the given parameters. Raises InvalidOption for an unknown one or a bad value."""
+    cls = row.load()
+    fields = cls._fields
+    for key, value in parameters.items():
+        if key not in fields:
+            hint = near_match(key, fields) if fields else " It has no parameters."
+            raise InvalidOption(f"solver '{row.name}' has no parameter '{key}'.{hint}")
+        if isinstance(value, float) and value != value:
+            raise InvalidOption(f"parameter '{key}' of solver '{row.name}' must be a number, not NaN")
+    return cls(**parameters)

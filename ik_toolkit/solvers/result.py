@@ -1,0 +1,171 @@
+"""What a solve returns."""
+
+import enum
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..errors import NotSolved
+from ..kernel.loop import OUT_HEAD
+
+if TYPE_CHECKING:
+    from .solve import Solver
+
+
+class Status(enum.IntEnum):
+    """How a solve ended. Numbers are those of the kernel."""
+
+    CONVERGED = 0
+    STALLED = 1
+    ITERATION_LIMIT = 2
+    LIMIT_BLOCKED = 3
+    UNREACHABLE = 4
+    SINGULAR = 5
+    NOT_FINITE = 6
+    CHECK_FAILED = 7
+
+
+ADVICE = {
+    Status.CONVERGED: "",
+    Status.STALLED: "try more restarts, another q0, or a looser tolerance",
+    Status.ITERATION_LIMIT: "try more iterations, restarts, another q0, or solver 'lm'",
+    Status.LIMIT_BLOCKED: "try restarts, another q0, a partial target, or wider limits",
+    Status.UNREACHABLE: "move the target inside the reach",
+    Status.SINGULAR: "start from another q0, or use solver 'lm' with restarts",
+    Status.NOT_FINITE: "lower the gains",
+    Status.CHECK_FAILED: "please report this with the robot and the target",
+}
+
+
+class Result:
+    """Answer of one solve (read-only).
+
+    q (n,) [rad or m], evaluated and inside the limits; success; status; message (one sentence, with what to try);
+    position_error [m] and orientation_error [rad] (None when the target leaves orientation free) at q; iterations (steps
+    taken), restarts, fk_evaluations; limited_joints (names standing on a limit); elapsed [s]; seed; solver (name);
+    notice (what was corrected in the input, or ''); history (dict of arrays q, position_error, orientation_error, one row an
+    evaluation, or None).
+    """
+
+    __slots__ = ("_checked", "_history", "_row", "_solver", "_status", "elapsed", "notice", "position_only")
+
+    def __init__(self, solver: "Solver", row: np.ndarray, elapsed: float, position_only: bool) -> None:
+        """Keep the kernel's row; everything else is made when asked for."""
+        self._solver = solver
+        self._row = row
+        self._status = None
+        self._checked = None
+        self._history = None
+        self.elapsed = elapsed
+        self.position_only = position_only
+        self.notice = ""
+
+    @property
+    def q(self) -> np.ndarray:
+        """Joint values (n,) [rad or m]; the best configuration evaluated when the solve failed."""
+        return self._row[OUT_HEAD:]
+
+    @property
+    def status(self) -> Status:
+        """How the solve ended."""
+        return Status(int(self._row[0])) if self._status is None else self._status
+
+    @property
+    def success(self) -> bool:
+        """Whether both errors are inside their tolerances."""
+        return self.status == Status.CONVERGED
+
+    @property
+    def position_error(self) -> float:
+        """Distance of the tip from the target at q [m]."""
+        return float(self._row[3]) if self._checked is None else self._checked[0]
+
+    @property
+    def orientation_error(self) -> float | None:
+        """Rotation angle left at q [rad]; None for a position-only target."""
+        if self.position_only:
+            return None
+        return float(self._row[4]) if self._checked is None else self._checked[1]
+
+    @property
+    def iterations(self) -> int:
+        """Steps taken, over all descents."""
+        return int(self._row[1])
+
+    @property
+    def restarts(self) -> int:
+        """Descents after the first."""
+        return int(self._row[2])
+
+    @property
+    def fk_evaluations(self) -> int:
+        """Forward-kinematics evaluations made."""
+        return int(self._row[5])
+
+    @property
+    def limited_joints(self) -> tuple[str, ...]:
+        """Names of the joints that stand on a limit at q."""
+        return tuple(self._solver.robot.at_limits(self.q))
+
+    @property
+    def seed(self) -> int:
+        """Seed of the random restarts."""
+        return self._solver.options.seed
+
+    @property
+    def solver(self) -> str:
+        """Name of the solver that was used."""
+        return self._solver.name
+
+    @property
+    def robot(self) -> Any:
+        """The robot that was solved for."""
+        return self._solver.robot
+
+    @property
+    def history(self) -> dict[str, np.ndarray] | None:
+        """Errors and q of every evaluation, when `history=True` was asked for."""
+        return self._history
+
+    @property
+    def message(self) -> str:
+        """One sentence on how the solve ended and, on failure, what to try."""
+        return self._solver.sentence(self)
+
+    def raise_for_status(self) -> "Result":
+        """Return self, or raise NotSolved with the sentence when the solve failed."""
+        if not self.success:
+            raise NotSolved(self)
+        return self
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain numbers, strings and lists, ready for JSON."""
+        return {
+            "success": self.success,
+            "status": self.status.name,
+            "message": self.message,
+            "solver": self.solver,
+            "robot": self.robot.name,
+            "joint_names": list(self.robot.joint_names),
+            "q": self.q.tolist(),
+            "position_error": self.position_error,
+            "orientation_error": self.orientation_error,
+            "iterations": self.iterations,
+            "restarts": self.restarts,
+            "fk_evaluations": self.fk_evaluations,
+            "limited_joints": list(self.limited_joints),
+            "elapsed": self.elapsed,
+            "seed": self.seed,
+            "notice": self.notice,
+        }
+
+    def __repr__(self) -> str:
+        """One line."""
+        with np.printoptions(precision=6, suppress=True):
+            return f"Result({self.status.name}, q={self.q}, position_error={self.position_error:.3g}, solver='{self.solver}')"
+
+    def _repr_html_(self) -> str:
+        """Table for notebooks."""
+        colour = "#1b7837" if self.success else "#b2182b"
+        cells = "".join(f"<tr><td>{j}</td><td>{x:.6f}</td></tr>" for j, x in zip(self.robot.joint_names, self.q, strict=True))
+        return f"<b style='color:{colour}'>{self.status.name}</b> {self.message}<table>{cells}</table>"

@@ -1,0 +1,87 @@
+"""IK-PID: a proportional-integral-derivative law sizes the step of each joint, trial and error gives its sign."""
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ...errors import InvalidOption
+from ...kernel.kinematics import angle_ratio
+from ...kernel.loop import measure, rule
+
+UNITS = {"si": 1.0, "mm-deg": 1000.0 * math.pi / 180.0}  # rad/m per unit of gain
+
+
+class PID(NamedTuple):
+    """IK-PID, Algorithm I: for each joint, tip first, try q + d and q - d with d = kp |e| + ki sum|e| + kd (change of |e|).
+
+    Trials are clamped to the limits; the lowest error wins, not moving wins ties; a sweep with no movement ends the descent.
+    kp, ki, kd: gains K_p, K_i, K_d in rad per m of error (a sliding joint moves gain times the chain's length scale);
+    None: a plain default from the reach. orientation_scale: metres per radian by which the orientation error is scaled
+    before it joins the norm (default a tenth of the length scale). units: "si", or "mm-deg" for the paper's (error in mm,
+    increments in degrees). Source: Burrell et al. (2016), section 4, eq. (13), Algorithm I.
+    """
+
+    kp: float | None = None
+    ki: float = 0.0
+    kd: float = 0.0
+    orientation_scale: float | None = None
+    units: str = "si"
+
+    def pack(self, robot: Any) -> np.ndarray:
+        """Gains in kernel units and the orientation scale."""
+        if self.units not in UNITS:
+            raise InvalidOption(f"pid: units must be one of {', '.join(UNITS)}, not '{self.units}'")
+        scale = robot.chain.scale
+        to_kernel = UNITS[self.units] * scale
+        kp = 0.25 if self.kp is None else self.kp * to_kernel
+        orientation = 0.1 if self.orientation_scale is None else self.orientation_scale / scale
+        return np.array([kp, self.ki * to_kernel, self.kd * to_kernel, orientation])
+
+
+@rule(PID, sweep=True)
+def _pid(cls, p, s, e):
+    n = s.q.shape[0]
+    kind = int(s.opt[9])
+    tol_p = s.opt[0] / s.ends[24 + 7 * n]
+    tp, tr = tol_p * tol_p, s.opt[1] * s.opt[1]
+    weight = p[3] * p[3]
+    count = 0
+    for i in range(n):
+        s.x[8 + i] = s.q[i]
+    ratio = angle_ratio(e.rr)
+    now = math.sqrt(e.pp + weight * ratio * ratio * e.rr)
+    done = False
+    for k in range(n):
+        i = n - 1 - k
+        if done:
+            break
+        if not s.w[i] > 0.0:
+            continue
+        change = now - s.x[1] if s.x[2] > 0.0 else 0.0
+        s.x[0] += now
+        s.x[1] = now
+        s.x[2] = 1.0
+        step = p[0] * now + p[1] * s.x[0] + p[2] * change
+        old = s.q[i]
+        kept = old
+        least = now
+        for sign in range(2):
+            trial = old + step if sign == 0 else old - step
+            if s.opt[17] > 0.0:
+                trial = min(max(trial, s.lower[i]), s.upper[i])
+            s.q[i] = trial
+            px, py, pz, f = measure(s.rows, s.ends, s.tip, s.goal, s.mask, kind, s.q, s.Z, s.ang, s.sn, s.cs, s.V, s.y)
+            count += 1
+            ratio = angle_ratio(f.rr)
+            value = math.sqrt(f.pp + weight * ratio * ratio * f.rr)
+            if value < least:
+                least = value
+                kept = trial
+                done = f.pp < tp and f.rr < tr
+        s.q[i] = kept
+        now = least
+    for i in range(n):
+        s.dq[i] = s.q[i] - s.x[8 + i]
+        s.q[i] = s.x[8 + i]
+    return count

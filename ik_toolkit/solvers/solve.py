@@ -1,0 +1,291 @@
+"""The public calls: `solve` for one target, `Solver` bound once for hot loops.
+
+One hop from here to the loop: a bound solver holds the kernel's arrays and calls the compiled loop with them.
+"""
+
+import threading
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+
+from ..errors import InvalidConfiguration, InvalidOption, InvalidTarget
+from ..kernel.loop import (
+    BAD_TARGET,
+    MASK_BASE,
+    MASK_TIP,
+    O_C,
+    O_DESCENTS,
+    O_EVALUATIONS,
+    O_GIVEN,
+    O_HOLD,
+    O_ITERATIONS,
+    O_KIND,
+    O_LIMITS,
+    O_SEED,
+    O_TOL_P,
+    O_TOL_R,
+    O_W,
+    OPT_HEAD,
+    OUT_HEAD,
+    POSE,
+    POSITION,
+    entry,
+)
+from ..robot.pose import check_target
+from ..robot.robot import Robot
+from .options import Options, make_options
+from .registry import find_row, make_rule
+from .result import ADVICE, Result, Status
+
+MARGIN = 1.0 - 1e-9  # the kernel tests a little inside the tolerance, so that Pinocchio's rounding cannot disagree
+NEVER = (np.inf, 1.0, np.inf, 1.0)
+
+
+class Solver:
+    """A solver bound to a robot, for hot loops: `solver(target, q0=None) -> Result`, a few microseconds.
+
+    solver: name, rule class or instance; parameters of the rule and options (see Options) as keywords. The result is the
+    kernel's own evaluation unless check=True. Safe to call from several threads. Raises UnknownSolver, InvalidOption.
+    """
+
+    def __init__(self, robot: Robot, solver: Any = "lm", **options: Any) -> None:
+        """Validate everything once; the loop is compiled at the first call."""
+        row = find_row(solver)
+        preset = {}
+        if not isinstance(solver, str | type):
+            rule = solver
+            preset = getattr(solver, "options", dict)() if hasattr(solver, "options") else {}
+        else:
+            fields = row.load()._fields
+            parameters = {key: options.pop(key) for key in list(options) if key in fields}
+            rule = make_rule(row, parameters)
+        self.robot = robot
+        self.row = row
+        self.name = row.name
+        self.rule = rule
+        options.setdefault("check", False)
+        self.options: Options = make_options({**preset, **options})
+        if self.options.joint_weights is not None and len(self.options.joint_weights) != robot.n:
+            raise InvalidOption(f"joint_weights must have {robot.n} values, one per joint ({', '.join(robot.joint_names)})")
+        self._bind()
+
+    def _bind(self) -> None:
+        chain = self.robot.chain
+        self._kernel = entry(type(self.rule))
+        self._chain = (chain.rows, chain.ends, chain.seeds, chain.features)
+        self._width = OUT_HEAD + chain.n
+        self._home = self.robot.home.reshape(1, -1).copy()
+        self._silent = np.empty((0, 2 + chain.n))
+        self._lower, self._upper = self.robot.lower, self.robot.upper
+        self._packed: dict[tuple[int, bool], np.ndarray] = {}
+
+    # ------------------------------------------------------------------------------------------------ preparation
+    def pack(self, kind: int, given: bool) -> np.ndarray:
+        """Option array of the kernel for a kind of target, with or without a start given."""
+        key = (kind, given)
+        packed = self._packed.get(key)
+        if packed is None:
+            packed = self._packed[key] = self._pack(kind, given)
+        return packed
+
+    def _pack(self, kind: int, given: bool) -> np.ndarray:
+        o, row, n = self.options, self.row, self.robot.n
+        if kind == POSITION and not row.position or kind == POSE and not row.pose:
+            raise InvalidOption(f"solver '{row.name}' does not solve {'positions' if kind == POSITION else 'poses'}: {row.handles}")
+        head = np.zeros(OPT_HEAD)
+        head[O_TOL_P] = o.position_tolerance * MARGIN
+        head[O_TOL_R] = o.orientation_tolerance * MARGIN
+        descents = row.descents if o.restarts is None else o.restarts + 1
+        # Without restarts the one descent starts where the caller expects: at q0 or home, never from the seed table.
+        head[O_GIVEN] = float(given or descents == 1)
+        head[O_ITERATIONS] = row.iterations if o.max_iterations is None else o.max_iterations
+        head[O_DESCENTS] = descents
+        give_up = row.give_up if row.give_up and descents > 1 and o.max_iterations is None else NEVER
+        head[O_C : O_C + 4] = give_up
+        if o.mask is not None:
+            kind = MASK_BASE if o.mask_frame == "base" else MASK_TIP
+            head[O_W : O_W + 6] = o.mask
+        head[O_KIND] = kind
+        head[O_EVALUATIONS] = o.max_evaluations or np.inf
+        head[O_LIMITS] = float(o.limits)
+        head[O_SEED] = o.seed
+        head[O_HOLD] = float(row.hold)
+        weights = np.ones(n) if o.joint_weights is None else np.array(o.joint_weights)
+        check = getattr(self.rule, "check", None)
+        if check is not None:
+            reason = check(self.robot, self.task_rows(kind))
+            if reason:
+                raise InvalidOption(reason)
+        if self.row.name == "state-space":
+            parameters = self.rule.pack(self.robot, kind == POSITION)
+        else:
+            parameters = self.rule.pack(self.robot)
+        return np.concatenate([head, weights, parameters])
+
+    def task_rows(self, kind: int) -> int:
+        """Number of task rows the joints can influence at all (a planar arm's position has two, not three)."""
+        rng = np.random.default_rng(0)
+        Q = np.array([self.robot.random_q(rng) for _ in range(4)])
+        J = self.robot.chain.forward(Q, jacobian=True)[1]
+        rows = np.abs(J).max(axis=(0, 2)) > 1e-9 * np.abs(J).max()
+        if kind == POSITION:
+            rows = rows[:3]
+        elif self.options.mask is not None:
+            rows = rows & (np.array(self.options.mask) > 0)
+        return int(rows.sum())
+
+    def _start(self, q0: Any) -> tuple[np.ndarray, str]:
+        """Validate q0; clamp it into the limits or refuse it. Returns (1, n) and a notice."""
+        q = self.robot.check_q(q0, "q0")
+        if not self.options.limits:
+            return q[None], ""
+        inside = np.clip(q, self._lower, self._upper)
+        if (inside == q).all():
+            return q[None], ""
+        names = ", ".join(self.robot.outside(q))
+        if self.options.q0_outside == "refuse":
+            raise InvalidConfiguration(f"q0 is outside the limits at joint {names}")
+        return inside[None], f"q0 was outside the limits at joint {names} and was clamped"
+
+    # ------------------------------------------------------------------------------------------------ the call
+    def __call__(self, target: Any, q0: Any = None) -> Result:
+        """Solve for one target: T_base_tip (4, 4), pin.SE3, or a position (3,) [m]; q0 (n,) start, default home.
+
+        Raises InvalidTarget and InvalidConfiguration; a failure to converge is a status in the Result.
+        """
+        started = perf_counter()
+        notice = ""
+        if type(target) is np.ndarray and target.shape == (4, 4) and target.dtype == np.float64 and target.flags.carray:
+            T, kind = target.reshape(1, 4, 4), POSE
+        else:
+            T, kind, notice = _as_pose(target)
+        start = self._home
+        if q0 is not None:
+            start, note = self._start(q0)
+            notice = notice or note
+        row = self._run(T, kind, start, q0 is not None)
+        if row[0] == BAD_TARGET:
+            T, kind, notice = _as_pose(target)  # raises, or projects a rotation that is nearly rigid
+            row = self._run(T, kind, start, q0 is not None)
+        result = Result(self, row, perf_counter() - started, kind == POSITION)
+        result.notice = notice
+        if self.options.history:
+            self._record(result, T, kind, start, q0 is not None)
+        if self.options.check:
+            self._check(result, T[0] if kind == POSE else T[0, :3, 3])
+            result.elapsed = perf_counter() - started
+        return result
+
+    def _run(self, T: np.ndarray, kind: int, start: np.ndarray, given: bool) -> np.ndarray:
+        out = np.empty((1, self._width))
+        self._kernel(*self._chain, T, start, out, self.pack(kind, given), self._silent)
+        return out[0]
+
+    def _record(self, result: Result, T: np.ndarray, kind: int, start: np.ndarray, given: bool) -> None:
+        """Run once more with room for the history; the counts of the first run say how much."""
+        history = np.empty((result.fk_evaluations + 1, 2 + self.robot.n))
+        out = np.empty((1, self._width))
+        self._kernel(*self._chain, T, start, out, self.pack(kind, given), history)
+        history = history[: int(out[0, 6])]
+        result._history = {"position_error": history[:, 0], "orientation_error": history[:, 1], "q": history[:, 2:]}
+
+    def _check(self, result: Result, target: np.ndarray) -> None:
+        """Compute the errors again with Pinocchio; a success it does not confirm is no success."""
+        if self.options.mask is not None:
+            return
+        position, orientation = self.robot.errors(result.q, target)
+        result._checked = (position, orientation)
+        o = self.options
+        if result.success and not (position <= o.position_tolerance and (orientation or 0.0) <= o.orientation_tolerance):
+            result._status = Status.CHECK_FAILED
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Pickle what was asked for; the compiled loop is bound again."""
+        return {"robot": self.robot, "row": self.row, "name": self.name, "rule": self.rule, "options": self.options}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Restore and bind."""
+        self.__dict__.update(state)
+        self._bind()
+
+    # ------------------------------------------------------------------------------------------------ words
+    def sentence(self, result: Result) -> str:
+        """One sentence on how a result ended and what to try."""
+        row, status = result._row, result.status
+        left = f"{1000 * result.position_error:.3g} mm"
+        if result.orientation_error is not None:
+            left += f", {np.degrees(result.orientation_error):.3g} deg"
+        starts = int(row[2]) + 1
+        if status == Status.CONVERGED:
+            text = f"converged in {result.iterations} iterations to {left}"
+            if result.restarts:
+                text += f" after {result.restarts} restarts"
+            return text
+        if status == Status.UNREACHABLE:
+            text = f"the target is beyond reach by {1000 * row[7]:.4g} mm (a bound from the link lengths); closest {left}"
+        elif status == Status.STALLED and starts > 1:
+            text = f"closest {left} after {starts} starts; the target may be unreachable"
+        elif status == Status.STALLED:
+            text = f"no further progress at {left}: a local minimum of the error"
+        elif status == Status.LIMIT_BLOCKED:
+            joints = ", ".join(result.limited_joints)
+            text = f"joint limits ({joints}) block the way to the target; closest {left} after {starts} start{'s' * (starts > 1)}"
+        elif status == Status.ITERATION_LIMIT:
+            text = f"{left} away after {result.iterations} iterations"
+        elif status == Status.SINGULAR:
+            text = f"singular configuration: no joint motion reduces the error to first order (J'e = 0, or J has no inverse); {left} away"
+        elif status == Status.NOT_FINITE:
+            text = "the iteration left the finite numbers; best configuration returned"
+        else:
+            text = "the kernel reports success but Pinocchio's own kinematics do not confirm it"
+        return f"{text}; {ADVICE[status]}"
+
+
+def _as_pose(target: Any) -> tuple[np.ndarray, int, str]:
+    """Any target -> (1, 4, 4), kind and notice."""
+    if isinstance(target, str):
+        raise InvalidTarget(f"a target is a pose or a position, not the text {target!r}")
+    checked, notice = check_target(target)
+    if checked.ndim == 2:
+        return checked[None], POSE, notice
+    T = np.eye(4)
+    T[:3, 3] = checked
+    return T[None], POSITION, notice
+
+
+_SOLVERS_LOCK = threading.Lock()
+
+
+def bound(robot: Robot, solver: Any, options: dict[str, Any]) -> Solver:
+    """Return a Solver for these arguments, the same one each time they can be hashed."""
+    cache = robot.__dict__.setdefault("_solvers", {})
+    try:
+        key = (solver, *options.items())
+        found = cache.get(key)
+    except TypeError:  # a parameter that cannot be hashed, such as a matrix
+        return Solver(robot, solver, **options)
+    if found is None:
+        with _SOLVERS_LOCK:
+            found = cache[key] = Solver(robot, solver, **options)
+            if len(cache) > 64:
+                cache.pop(next(iter(cache)))
+    return found
+
+
+def solve(robot: Robot, target: Any, solver: Any = "auto", q0: Any = None, **options: Any) -> Result:
+    """Find joint values that bring the tip to the target.
+
+    target: T_base_tip (4, 4) or pin.SE3, or a position (3,) with orientation free [m]. solver: a name, a rule class or an
+    instance with its parameters; 'auto' uses a closed form where one fits and 'lm' otherwise. q0 (n,): where to start, default
+    home. Options: tolerance (both), position_tolerance [m], orientation_tolerance [rad], max_iterations, restarts,
+    max_evaluations, seed, limits, q0_outside, mask, mask_frame, joint_weights, history; parameters of the solver too. Success is
+    re-checked with Pinocchio. Raises InvalidTarget, InvalidConfiguration, UnknownSolver, InvalidOption.
+    """
+    if not isinstance(robot, Robot):
+        raise InvalidOption(f"the first argument is a Robot (see Robot.load), not {type(robot).__name__}")
+    if solver == "auto" if isinstance(solver, str) else solver is None:
+        solver = "lm"
+    options.setdefault("check", True)
+    return bound(robot, solver, options)(target, q0)
+
