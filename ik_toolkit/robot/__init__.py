@@ -1,0 +1,1 @@
+"""Robots: reading, checking and writing their descriptions, and the Pinocchio model behind each."""

@@ -1,0 +1,386 @@
+"""What a URDF must satisfy before Pinocchio sees it, and what `ik check` says about one, element by element.
+
+Pinocchio's parser lets zero axes, reversed limits and negative sizes pass, refuses a wrong tree without naming the element,
+and crashes the process on a very long chain. So every file goes through one streaming parse of ours first: capped, with no
+DOCTYPE, no entity expanded and nothing fetched.
+"""
+
+import functools
+import math
+import os
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from xml.parsers import expat
+
+from ..errors import ModelError, near_match
+
+MAX_BYTES = 20_000_000
+MAX_JOINTS = 1_000
+MAX_ELEMENTS = 200_000
+MAX_DEPTH = 64
+MOVING = ("revolute", "continuous", "prismatic")
+TYPES = (*MOVING, "fixed", "floating", "planar")
+NUMBERS = {  # element -> attribute -> how many numbers
+    "origin": {"xyz": 3, "rpy": 3},
+    "axis": {"xyz": 3},
+    "limit": {"lower": 1, "upper": 1, "effort": 1, "velocity": 1},
+    "mimic": {"multiplier": 1, "offset": 1},
+    "box": {"size": 3},
+    "cylinder": {"radius": 1, "length": 1},
+    "capsule": {"radius": 1, "length": 1},
+    "sphere": {"radius": 1},
+    "mesh": {"scale": 3},
+    "mass": {"value": 1},
+    "inertia": dict.fromkeys(("ixx", "ixy", "ixz", "iyy", "iyz", "izz"), 1),
+}
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One remark: severity ('error': the robot is not loaded; 'warning'), element ("joint 'j3'"), problem, advice."""
+
+    severity: str
+    element: str
+    problem: str
+    advice: str
+
+    def __str__(self) -> str:
+        """Return element and problem in one sentence."""
+        return f"{self.element}: {self.problem}"
+
+
+@dataclass
+class _Item:
+    """A link or a joint: its attributes, the elements inside it as (tag, attributes), its line."""
+
+    tag: str
+    attributes: Mapping[str, str]
+    line: int
+    inside: list[tuple[str, Mapping[str, str]]] = field(default_factory=list)
+
+    @property
+    def name(self) -> str:
+        return self.attributes.get("name", "")
+
+    def __str__(self) -> str:
+        return f"{self.tag} '{self.name}'" if self.name else f"{self.tag} in line {self.line}"
+
+    def first(self, tag: str) -> Mapping[str, str] | None:
+        return next((attributes for name, attributes in self.inside if name == tag), None)
+
+
+# ----------------------------------------------------------------------------------------------------------- reading
+def safe_read(source: str | Path) -> str:
+    """URDF text of a file, or URDF text given as a string, after a parse that expands and fetches nothing.
+
+    Raises ModelError, in one sentence, when it is missing, empty, over 20 MB, not UTF-8, malformed (says the line), has a
+    DOCTYPE or entities, is xacro, is nested too deeply, has too many elements or over 1,000 joints, or no <robot> root.
+    """
+    if isinstance(source, str) and source.lstrip("\ufeff \t\r\n").startswith("<"):
+        if len(source) > MAX_BYTES:
+            raise ModelError(f"the URDF text is larger than {MAX_BYTES // 1_000_000} MB")
+        text = source.lstrip("\ufeff \t\r\n")
+    else:
+        text = _read_file(Path(source).expanduser())
+    _parse(text)
+    return text
+
+
+def _read_file(path: Path) -> str:
+    try:
+        if not path.is_file():
+            raise ModelError(f"there is no file '{path}'" if not path.exists() else f"'{path}' is not a regular file")
+        with path.open("rb") as file:
+            raw = file.read(MAX_BYTES + 1)
+    except OSError as error:
+        raise ModelError(f"cannot read '{path}': {error.strerror or error}") from None
+    except ValueError:
+        raise ModelError("a path cannot contain a NUL character") from None
+    if len(raw) > MAX_BYTES:
+        raise ModelError(f"'{path.name}' is larger than {MAX_BYTES // 1_000_000} MB; a robot description is not")
+    try:
+        text = raw.decode("utf-8-sig").lstrip()
+    except UnicodeDecodeError as error:
+        raise ModelError(f"'{path.name}' is not UTF-8 text (byte {error.start}); save it as UTF-8") from None
+    if not text:
+        raise ModelError(f"'{path.name}' is empty")
+    if "\0" in text:
+        raise ModelError(f"'{path.name}' is not UTF-8 text (it has NUL bytes); save it as UTF-8")
+    return text
+
+
+@functools.lru_cache(maxsize=4)
+def _parse(text: str) -> list[_Item]:
+    """Links and joints of a URDF text in order; ModelError when it is not one or is over a cap."""
+    items: list[_Item] = []
+    stack: list[str] = []
+    counts = {"elements": 0, "joint": 0}
+    parser = expat.ParserCreate()
+    parser.buffer_text = True
+
+    def start(tag: str, attributes: dict[str, str]) -> None:
+        counts["elements"] += 1
+        if counts["elements"] > MAX_ELEMENTS:
+            raise ModelError(f"the URDF has more than {MAX_ELEMENTS:,} elements; it is not read")
+        if len(stack) >= MAX_DEPTH:
+            raise ModelError(f"the URDF is nested more than {MAX_DEPTH} deep in line {parser.CurrentLineNumber}; it is not read")
+        if not stack and tag != "robot":
+            raise ModelError(f"the root element is <{tag}>, not <robot>: this is not a URDF")
+        if tag.startswith("xacro:") or any("${" in value or "$(" in value for value in attributes.values()):
+            raise ModelError(f"line {parser.CurrentLineNumber} has xacro macros; expand it first: xacro IN.xacro > OUT.urdf")
+        if len(stack) == 1 and tag in ("link", "joint"):
+            if tag == "joint":
+                counts[tag] += 1
+                if counts[tag] > MAX_JOINTS:
+                    raise ModelError(f"the URDF has more than {MAX_JOINTS:,} joints; it is not read")
+            items.append(_Item(tag, attributes, parser.CurrentLineNumber))
+        elif len(stack) > 1 and stack[1] in ("link", "joint"):
+            items[-1].inside.append((tag, attributes))
+        stack.append(tag)
+
+    def end(tag: str) -> None:
+        stack.pop()
+
+    def refuse(*_: object) -> None:
+        raise ModelError("the URDF has a DOCTYPE or entity declarations; these are refused, never expanded or fetched")
+
+    parser.StartElementHandler, parser.EndElementHandler = start, end
+    parser.StartDoctypeDeclHandler = parser.EntityDeclHandler = refuse
+    parser.ExternalEntityRefHandler = refuse
+    try:
+        parser.Parse(text, True)
+    except expat.ExpatError as error:
+        reason = expat.ErrorString(error.code) or "syntax error"
+        raise ModelError(f"the URDF is not well-formed XML: {reason} in line {error.lineno}") from None
+    except UnicodeEncodeError:
+        raise ModelError("the URDF text has characters that UTF-8 cannot hold (lone surrogates)") from None
+    return items
+
+
+# ---------------------------------------------------------------------------------------------------------- checking
+def check_urdf(source: str | Path, package_dirs: Iterable[str | Path] = ()) -> list[Finding]:
+    """Everything found wrong with a URDF (path or text): errors, for which it is not loaded, then warnings.
+
+    Meshes are looked for only in the file's own folder and package_dirs; network addresses are never opened.
+    """
+    try:
+        text = safe_read(source)
+    except ModelError as error:
+        return [Finding("error", "file", str(error), "give a plain URDF file")]
+    items = _parse(text)
+    is_text = isinstance(source, str) and source.lstrip("\ufeff \t\r\n").startswith("<")
+    folders = [Path(folder).expanduser().resolve() for folder in package_dirs]
+    if not is_text:
+        folders.insert(0, Path(source).expanduser().resolve().parent)
+    warnings = [finding for item in items for finding in (*_remarks(item), *_meshes(item, folders))]
+    return [*_errors(items), *warnings]
+
+
+def require_loadable(text: str) -> None:
+    """Raise ModelError naming the first element, when a URDF's kinematics mean nothing (see `check_urdf` for all of it)."""
+    findings = list(_errors(_parse(text)))
+    if findings:
+        more = f" (and {len(findings) - 1} more; `ik check` lists them)" if len(findings) > 1 else ""
+        raise ModelError(f"the URDF cannot be used: {findings[0]}{more}; {findings[0].advice}")
+
+
+def mimic_limits(text: str) -> dict[str, tuple[str, float, float, float, float]]:
+    """Follower joint -> (leader, multiplier, offset, lower, upper) [rad or m]: q_follower = multiplier q_leader + offset.
+
+    The limits are the follower's own (infinite when it has none); Pinocchio does not keep them.
+    """
+    found = {}
+    for item in _parse(text):
+        mimic, limit = item.first("mimic"), item.first("limit")
+        if item.tag != "joint" or mimic is None:
+            continue
+        free = item.attributes.get("type") == "continuous" or limit is None
+        lower, upper = (-math.inf, math.inf) if free else (float(limit.get(end, 0.0)) for end in ("lower", "upper"))
+        ratio, offset = float(mimic.get("multiplier", 1.0)), float(mimic.get("offset", 0.0))
+        found[item.name] = (mimic.get("joint", ""), ratio, offset, lower, upper)
+    return found
+
+
+def _errors(items: list[_Item]) -> Iterator[Finding]:
+    links = [item for item in items if item.tag == "link"]
+    joints = [item for item in items if item.tag == "joint"]
+    if not links:
+        yield _error("robot", "it has no link", "a robot has at least a base link")
+        return
+    for group in (links, joints):
+        seen: dict[str, _Item] = {}
+        for item in group:
+            if not item.name:
+                yield _error(str(item), "it has no name", "give it a unique name")
+            elif item.name in seen:
+                lines = f"lines {seen[item.name].line} and {item.line}"
+                yield _error(str(item), f"the name is used twice ({lines})", "rename one of them")
+            seen.setdefault(item.name, item)
+    for item in items:
+        yield from _numbers(item)
+    for joint in joints:
+        yield from _joint(joint)
+    yield from _tree({link.name for link in links}, joints)
+    yield from _mimics(joints)
+
+
+def _error(element: str, problem: str, advice: str) -> Finding:
+    return Finding("error", element, problem, advice)
+
+
+def _values(text: str) -> list[float] | None:
+    """Read the numbers of an attribute; None when it is not all numbers."""
+    try:
+        return [float(word) for word in text.split()] if "_" not in text else None
+    except ValueError:
+        return None
+
+
+def _numbers(item: _Item) -> Iterator[Finding]:
+    for tag, attributes in item.inside:
+        for key, count in NUMBERS.get(tag, {}).items():
+            if key not in attributes:
+                continue
+            values = _values(attributes[key])
+            shown = f"<{tag} {key}=\"{attributes[key][:60]}\">"
+            if values is None or len(values) != count:
+                yield _error(str(item), f"{shown} is not {'a number' if count == 1 else f'{count} numbers'}", "correct it")
+            elif not all(map(math.isfinite, values)):
+                yield _error(str(item), f"{shown} is not finite", "write a finite number")
+
+
+def _joint(joint: _Item) -> Iterator[Finding]:
+    kind = joint.attributes.get("type")
+    if kind not in TYPES:
+        said = "it has no type" if kind is None else f"its type '{kind}' is unknown"
+        yield _error(str(joint), said, f"use one of: {', '.join(TYPES)}")
+        return
+    if kind not in MOVING:
+        return
+    axis = _values((joint.first("axis") or {}).get("xyz", "1 0 0"))
+    if axis is not None and len(axis) == 3 and not 1e-6 < math.hypot(*axis) < math.inf:
+        yield _error(str(joint), "its axis is zero, so it has no direction to move in", "write a unit axis such as 0 0 1")
+    limit = joint.first("limit")
+    if limit is None:
+        if kind != "continuous":
+            yield _error(str(joint), "it has no <limit>", "add lower, upper, effort and velocity, or make it continuous")
+        return
+    for key in ("effort", "velocity"):
+        if key not in limit:
+            yield _error(str(joint), f"its <limit> has no {key}", f"add {key} (Pinocchio refuses the file without)")
+    if kind != "continuous":
+        lower, upper = (_values(limit.get(end, "0")) for end in ("lower", "upper"))
+        if lower and upper and lower[0] > upper[0]:
+            yield _error(str(joint), f"its lower limit {lower[0]:g} is above its upper limit {upper[0]:g}", "exchange them")
+
+
+def _tree(links: set[str], joints: list[_Item]) -> Iterator[Finding]:
+    parent_of: dict[str, str] = {}
+    broken = False
+    for joint in joints:
+        ends = {}
+        for role in ("parent", "child"):
+            link = ends[role] = (joint.first(role) or {}).get("link", "")
+            if link not in links:
+                said = f"it has no {role} link" if not link else f"its {role} link '{link}' does not exist"
+                yield _error(str(joint), said, f"name an existing link.{near_match(link, sorted(links)) if link else ''}")
+                broken = True
+        if ends["child"] in parent_of and ends["child"] in links:
+            yield _error(f"link '{ends['child']}'", f"joint '{joint.name}' is a second joint leading to it", "a link has one parent joint")
+            broken = True
+        parent_of.setdefault(ends["child"], ends["parent"])
+    if broken:
+        return  # roots and cycles follow from the above
+    done = links - parent_of.keys()
+    if len(done) > 1:
+        yield _error("robot", f"it has {len(done)} root links: {_some(done)}", "connect them by joints to one root")
+    for link in sorted(links):
+        walk: dict[str, None] = {}
+        while link not in done and link not in walk:
+            walk[link] = None
+            link = parent_of[link]
+        if link in walk:
+            loop = list(walk)[list(walk).index(link) :]
+            yield _error(f"link '{link}'", f"it is its own ancestor: {_some(loop)} form a loop", "a URDF is a tree: remove one joint")
+        done = done | walk.keys()
+
+
+def _some(names: Iterable[str]) -> str:
+    listed = sorted(names)
+    return ", ".join(f"'{name}'" for name in listed[:5]) + (f" and {len(listed) - 5} more" if len(listed) > 5 else "")
+
+
+def _mimics(joints: list[_Item]) -> Iterator[Finding]:
+    by_name = {joint.name: joint for joint in joints}
+    leads = {joint.name: mimic.get("joint", "") for joint in joints if (mimic := joint.first("mimic")) is not None}
+    for name, leader in leads.items():
+        element = f"joint '{name}'"
+        if leader not in by_name:
+            yield _error(element, f"it mimics joint '{leader}', which does not exist", f"name a joint.{near_match(leader, by_name)}")
+            continue
+        seen = [name]
+        while leader in leads and leader not in seen:
+            seen.append(leader)
+            leader = leads[leader]
+        if leader in seen:
+            yield _error(element, f"it mimics itself through {_some(seen)}", "let one of these joints move freely")
+
+
+def _remarks(item: _Item) -> Iterator[Finding]:
+    if item.tag == "joint":
+        kind, limit = item.attributes.get("type"), item.first("limit")
+        if kind in ("floating", "planar"):
+            yield Finding("warning", str(item), f"{kind} joints cannot lie on the path to a tip", "use it outside the path only")
+        if kind in ("revolute", "prismatic") and limit is not None:
+            missing = [end for end in ("lower", "upper") if end not in limit]
+            lower, upper = (_values(limit.get(end, "0")) for end in ("lower", "upper"))
+            if missing:
+                yield Finding("warning", str(item), f"its <limit> has no {' and no '.join(missing)}: read as 0", "write both limits")
+            if lower and lower == upper:
+                yield Finding("warning", str(item), f"its limits are both {lower[0]:g}: it cannot move", "widen them, or make it fixed")
+        return
+    for tag, attributes in item.inside:
+        for key in ("radius", "length", "size"):
+            values = _values(attributes[key]) if tag in ("box", "cylinder", "capsule", "sphere") and key in attributes else None
+            if values and min(values) <= 0.0:
+                yield Finding("warning", str(item), f"<{tag}> has the {key} {attributes[key]}", "sizes are positive")
+        scale = _values(attributes.get("scale", "")) if tag == "mesh" else None
+        if scale and min(map(abs, scale)) == 0.0:
+            yield Finding("warning", str(item), f"its mesh has the scale {attributes['scale']}", "a zero scale leaves nothing to draw")
+
+
+def _meshes(item: _Item, folders: list[Path]) -> Iterator[Finding]:
+    for tag, attributes in item.inside:
+        if tag != "mesh":
+            continue
+        name = attributes.get("filename", "")
+        problem = _mesh_problem(name, folders)
+        if problem:
+            yield Finding("warning", str(item), f"mesh '{name[:200]}' {problem}", "only pictures and collision need it; see package_dirs")
+
+
+def _mesh_problem(name: str, folders: list[Path]) -> str:
+    """Say why a mesh cannot be used, or return ''."""
+    scheme, separator, rest = name.partition("://")
+    if not name or "\0" in name:
+        return "has no usable file name"
+    if separator and scheme not in ("package", "model", "file"):
+        return "is a network address, which is never opened"
+    if separator and scheme != "file":
+        package, _, inner = rest.partition("/")
+        places = [(folder, os.path.join(folder, rest)) for folder in folders]
+        places += [(folder, os.path.join(folder, inner)) for folder in folders if folder.name == package]
+    else:
+        places = [(folder, os.path.join(folder, rest if separator else name)) for folder in folders]
+    inside = [path for folder, path in places if Path(os.path.normpath(path)).is_relative_to(folder)]
+    if not inside:
+        return "lies outside the named folders and is not looked at" if folders else "cannot be found without a folder"
+    try:
+        found = [path for path in inside if os.path.isfile(path)]
+    except (OSError, ValueError):
+        found = []
+    if not found:
+        return "is not there"
+    real = [Path(path).resolve() for path in found]
+    return "" if any(path.is_relative_to(folder) for path in real for folder in folders) else "is a link out of the named folders"

@@ -1,0 +1,173 @@
+"""Names -> robot descriptions: the robots we ship, files, URDF text, and the arms of example-robot-data."""
+
+import functools
+import importlib.metadata
+import tomllib
+from dataclasses import dataclass
+from pathlib import Path
+
+from ..errors import RobotNotFound, near_match
+
+DATA_PACKAGE = "example-robot-data"
+
+
+@dataclass(frozen=True)
+class RobotEntry:
+    """What a name stands for.
+
+    name; path (file, None for URDF text); source (what to read: the path, or the URDF text); base and tip (link names; tip
+    is None when several exist or nothing is known); tips (all the known ones); home (n,) [rad or m] in the order of the
+    joints from base to tip (union of the paths, in the order of `tips`, where there are several), or None; package_dirs
+    (folders in which package:// names are looked up); paper, table and description (where the numbers come from); dh_file.
+    """
+
+    name: str
+    source: Path | str
+    path: Path | None = None
+    base: str | None = None
+    tips: tuple[str, ...] = ()
+    home: tuple[float, ...] | None = None
+    package_dirs: tuple[Path, ...] = ()
+    description: str = ""
+    paper: str = ""
+    table: str = ""
+    dh_file: Path | None = None
+
+    @property
+    def tip(self) -> str | None:
+        """The tip to use when none is asked for: the only one, or None."""
+        return self.tips[0] if len(self.tips) == 1 else None
+
+
+# name -> (file below robots/, tips). Fixed-base arms (and arms on a body that is held still) of example-robot-data 6.
+DATA_ROBOTS: dict[str, tuple[str, tuple[str, ...]]] = {
+    "panda": ("panda_description/urdf/panda.urdf", ("panda_hand_tcp",)),
+    "ur3": ("ur_description/urdf/ur3_robot.urdf", ("tool0",)),
+    "ur5": ("ur_description/urdf/ur5_robot.urdf", ("tool0",)),
+    "ur10": ("ur_description/urdf/ur10_robot.urdf", ("tool0",)),
+    "ur3_limited": ("ur_description/urdf/ur3_joint_limited_robot.urdf", ("tool0",)),
+    "ur5_limited": ("ur_description/urdf/ur5_joint_limited_robot.urdf", ("tool0",)),
+    "ur10_limited": ("ur_description/urdf/ur10_joint_limited_robot.urdf", ("tool0",)),
+    "xarm7": ("xarm_description/urdf/xarm7.urdf", ("link_eef",)),
+    "kinova": ("kinova_description/robots/kinova.urdf", ("j2s6s200_end_effector",)),
+    "z1": ("z1_description/urdf/z1.urdf", ("gripperStator",)),
+    "so100": ("so_arm_description/urdf/so100.urdf", ("gripper",)),
+    "so101": ("so_arm_description/urdf/so101.urdf", ("gripper_frame_link",)),
+    "tiago": ("tiago_description/robots/tiago.urdf", ("hand_tool_link",)),
+    "tiago_no_hand": ("tiago_description/robots/tiago_no_hand.urdf", ("arm_tool_link",)),
+    "tiago_dual": ("tiago_description/robots/tiago_dual.urdf", ("hand_left_tool_link", "hand_right_tool_link")),
+    "tiago_pro": ("tiago_pro_description/robots/tiago_pro.urdf", ("gripper_left_base_link", "gripper_right_base_link")),
+    "baxter": ("baxter_description/urdf/baxter.urdf", ("left_gripper", "right_gripper")),
+    "pr2": ("pr2_description/urdf/pr2.urdf", ("l_gripper_tool_frame", "r_gripper_tool_frame")),
+    "talos": ("talos_data/robots/talos_reduced.urdf", ("gripper_left_base_link", "gripper_right_base_link")),
+    "talos_arm": ("talos_data/robots/talos_left_arm.urdf", ("gripper_left_base_link",)),
+    "centauro": ("centauro_description/urdf/centauro.urdf", ("arm1_8", "arm2_8")),
+    "two_dofs": ("asr_twodof_description/urdf/TwoDofs.urdf", ("Tip",)),
+    "double_pendulum": ("double_pendulum_description/urdf/double_pendulum.urdf", ("link2",)),
+    "finger_edu": ("finger_edu_description/robots/finger_edu.urdf", ("finger_tip_link",)),
+}
+
+
+def urdf_folder() -> Path:
+    """Folder of the shipped robots: inside the installed package, or beside it in a checkout."""
+    package = Path(__file__).resolve().parent.parent
+    for folder in (package / "urdf", package.parent / "urdf"):
+        if (folder / "robots.toml").is_file():
+            return folder
+    raise RobotNotFound(f"the shipped robots are missing from {package / 'urdf'}; reinstall ik_toolkit")
+
+
+@functools.cache
+def shipped_robots() -> dict[str, RobotEntry]:
+    """Name -> entry of the robots that travel with the toolkit, in the order of robots.toml."""
+    folder = urdf_folder()
+    rows = tomllib.loads((folder / "robots.toml").read_text(encoding="utf-8"))
+    entries = {}
+    for name, row in rows.items():
+        path = folder / row["file"]
+        entries[name] = RobotEntry(
+            name=name,
+            source=path,
+            path=path,
+            base=row["base"],
+            tips=tuple(row["tips"]),
+            home=tuple(row["home"]),
+            package_dirs=(folder,),
+            description=row["description"],
+            paper=row["paper"],
+            table=row["table"],
+            dh_file=folder / row["dh"] if "dh" in row else None,
+        )
+    return entries
+
+
+def _data_root() -> Path | None:
+    try:
+        distribution = importlib.metadata.distribution(DATA_PACKAGE)
+    except importlib.metadata.PackageNotFoundError:
+        return None
+    root = Path(str(distribution.locate_file("cmeel.prefix/share/example-robot-data")))
+    return root if root.is_dir() else None
+
+
+def example_robot_data(name: str) -> tuple[Path, tuple[Path, ...]]:
+    """URDF path and package_dirs of an arm of the example-robot-data wheel (version 6: data only).
+
+    Raises RobotNotFound: unknown name (near match, all names), or the wheel is missing (says what to install).
+    """
+    if name not in DATA_ROBOTS:
+        raise RobotNotFound(f"{DATA_PACKAGE} has no arm '{name}'.{near_match(name, DATA_ROBOTS)}")
+    root = _data_root()
+    if root is None:
+        raise RobotNotFound(f"robot '{name}' comes with {DATA_PACKAGE}; run: pip install 'ik_toolkit[robots]'")
+    path = root / "robots" / DATA_ROBOTS[name][0]
+    if not path.is_file():
+        raise RobotNotFound(f"the installed {DATA_PACKAGE} has no file {path}; version 6 is expected")
+    return path, (root.parent,)
+
+
+def list_robots() -> list[RobotEntry]:
+    """List the shipped robots, then the arms of example-robot-data when that is installed."""
+    data = [find(name) for name in DATA_ROBOTS] if _data_root() else []
+    return [*shipped_robots().values(), *data]
+
+
+def find(source: str | Path) -> RobotEntry:
+    """Entry for a shipped name, a file path (relative, absolute, ~), URDF text, or an example-robot-data name.
+
+    Raises RobotNotFound with the near match and the names that exist.
+    """
+    if not isinstance(source, str | Path):
+        raise RobotNotFound(f"a robot is a name, a path or URDF text, not {type(source).__name__}")
+    if isinstance(source, str):
+        if source.lstrip("\ufeff \t\r\n").startswith("<"):
+            return RobotEntry(name="URDF text", source=source)
+        if source in shipped_robots():
+            return shipped_robots()[source]
+    path = _file(source)
+    if path is not None:
+        return RobotEntry(name=path.stem, source=path, path=path, package_dirs=(path.parent,))
+    name = str(source)
+    if name in DATA_ROBOTS:
+        path, folders = example_robot_data(name)
+        return RobotEntry(
+            name=name,
+            source=path,
+            path=path,
+            tips=DATA_ROBOTS[name][1],
+            package_dirs=folders,
+            description=f"{DATA_PACKAGE}: {DATA_ROBOTS[name][0]}",
+        )
+    shown = name if len(name) <= 200 else f"{name[:200]}..."
+    if "/" in name or "\\" in name or name.lower().endswith((".urdf", ".xml", ".xacro")):
+        raise RobotNotFound(f"there is no file '{shown}'")
+    raise RobotNotFound(f"there is no robot and no file '{shown}'.{near_match(shown, [*shipped_robots(), *DATA_ROBOTS])}")
+
+
+def _file(source: str | Path) -> Path | None:
+    """Absolute path when source names something that exists, else None (also for names no file can have)."""
+    try:
+        path = Path(source).expanduser()
+        return path.absolute() if str(source) and path.is_file() else None
+    except (OSError, ValueError, RuntimeError):  # too long, a NUL inside, no home folder
+        return None

@@ -1,0 +1,130 @@
+"""Elements of a URDF: links, joints and primitive shapes, written with the standard library's XML only."""
+
+import math
+import xml.etree.ElementTree as ET
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+COLOURS = {"steel": "0.23 0.26 0.30 1", "orange": "0.93 0.52 0.11 1", "silver": "0.72 0.74 0.77 1"}
+
+
+def new_robot(name: str) -> ET.Element:
+    """Return an empty <robot> with the materials defined."""
+    robot = ET.Element("robot", name=name)
+    for colour, rgba in COLOURS.items():
+        ET.SubElement(ET.SubElement(robot, "material", name=colour), "color", rgba=rgba)
+    return robot
+
+
+def to_text(robot: ET.Element) -> str:
+    """Indented XML text of a robot element."""
+    ET.indent(robot)
+    return '<?xml version="1.0" encoding="utf-8"?>\n' + ET.tostring(robot, encoding="unicode") + "\n"
+
+
+def add_link(robot: ET.Element, name: str) -> ET.Element:
+    """Append an empty link."""
+    return ET.SubElement(robot, "link", name=name)
+
+
+def add_joint(
+    robot: ET.Element, name: str, kind: str, parent: str, child: str, T: np.ndarray, limit: Mapping[str, float] | None = None
+) -> None:
+    """Append a joint at T (4x4) in the parent link; a moving one turns about or slides along z and has a limit.
+
+    limit: lower, upper [rad or m] (left out for a continuous joint), effort and velocity (Pinocchio refuses a file without).
+    """
+    joint = ET.SubElement(robot, "joint", name=name, type=kind)
+    _origin(joint, T)
+    ET.SubElement(joint, "parent", link=parent)
+    ET.SubElement(joint, "child", link=child)
+    if limit is not None:
+        ET.SubElement(joint, "axis", xyz="0 0 1")
+        ET.SubElement(joint, "limit", {key: _text(value) for key, value in limit.items()})
+
+
+def add_shape(link: ET.Element, shape: str, size: Sequence[float], T: np.ndarray, colour: str, solid: bool = False) -> None:
+    """Append a visual (and a collision shape when solid): 'box' (x, y, z) or 'cylinder' (radius, length along z), metres."""
+    for tag in ("visual", "collision") if solid else ("visual",):
+        part = ET.SubElement(link, tag)
+        _origin(part, T)
+        geometry = ET.SubElement(part, "geometry")
+        if shape == "box":
+            ET.SubElement(geometry, "box", size=_texts(size))
+        else:
+            ET.SubElement(geometry, "cylinder", radius=_text(size[0]), length=_text(size[1]))
+        if tag == "visual":
+            ET.SubElement(part, "material", name=colour)
+
+
+def add_bar(link: ET.Element, a: np.ndarray, b: np.ndarray, r: float) -> None:
+    """Draw a bar: round along z, a flat-sided boom otherwise; its collision shape leaves the joint drums free."""
+    length = float(np.linalg.norm(b - a))
+    T = _along(a, b)
+    if abs(T[2, 2]) > 0.999:
+        add_shape(link, "cylinder", (0.9 * r, length), T, "steel")
+    else:
+        add_shape(link, "box", (1.7 * r, 1.3 * r, length), T, "steel")
+        if length > 6.0 * r:
+            add_shape(link, "box", (0.9 * r, 1.6 * r, length - 4.5 * r), T, "orange")
+    if length > 3.5 * r:
+        link.append(_solid(T, 0.9 * r, length - 3.0 * r))
+
+
+def _solid(T: np.ndarray, radius: float, length: float) -> ET.Element:
+    part = ET.Element("collision")
+    _origin(part, T)
+    ET.SubElement(ET.SubElement(part, "geometry"), "cylinder", radius=_text(radius), length=_text(length))
+    return part
+
+
+def add_gripper(link: ET.Element, a: np.ndarray, b: np.ndarray, r: float) -> None:
+    """Draw a palm and two fingers whose ends frame the point b."""
+    size = min(r, float(np.linalg.norm(b - a)) / 5.2)
+    T = _along(a, b)
+    T[:3, 3] = b
+    add_shape(link, "box", (2.6 * size, 1.4 * size, 0.7 * size), T @ shift(z=-2.4 * size), "silver")
+    for side in (-1.0, 1.0):
+        add_shape(link, "box", (0.4 * size, 0.9 * size, 2.2 * size), T @ shift(x=side * 1.0 * size, z=-1.1 * size), "orange")
+
+
+def shift(x: float = 0.0, y: float = 0.0, z: float = 0.0) -> np.ndarray:
+    """Transform (4x4) of a pure translation [m]."""
+    T = np.eye(4)
+    T[:3, 3] = x, y, z
+    return T
+
+
+def _along(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Frame in the middle of a and b whose z points from a to b and whose x lies across the joint's z axis where it can."""
+    z = (b - a) / np.linalg.norm(b - a)
+    side = np.array([0.0, 0.0, 1.0]) if abs(z[2]) < 0.9 else np.array([1.0, 0.0, 0.0])
+    y = np.cross(z, side)
+    y /= np.linalg.norm(y)
+    T = shift(*(0.5 * (a + b)))
+    T[:3, :3] = np.column_stack([np.cross(y, z), y, z])
+    return T
+
+
+# ------------------------------------------------------------------------------------------------------------- text
+def _origin(parent: ET.Element, T: np.ndarray) -> None:
+    ET.SubElement(parent, "origin", xyz=_texts(T[:3, 3]), rpy=_texts(_rpy(T[:3, :3])))
+
+
+def _rpy(R: np.ndarray) -> tuple[float, float, float]:
+    """Roll, pitch, yaw of a rotation; the roll is read after undoing the yaw, so it stays exact at pitch +-90 degrees."""
+    yaw = math.atan2(R[1, 0], R[0, 0])
+    pitch = math.atan2(-R[2, 0], math.hypot(R[0, 0], R[1, 0]))
+    s, c = math.sin(yaw), math.cos(yaw)
+    return math.atan2(s * R[0, 2] - c * R[1, 2], c * R[1, 1] - s * R[0, 1]), pitch, yaw
+
+
+def _texts(values: Sequence[float] | np.ndarray) -> str:
+    return " ".join(_text(value) for value in values)
+
+
+def _text(value: float) -> str:
+    """Shortest text that reads back as the same number (so no precision is lost); -0 becomes 0."""
+    number = float(value) + 0.0
+    return str(int(number)) if number.is_integer() and abs(number) < 1e15 else repr(number)

@@ -1,0 +1,80 @@
+"""Write the shipped robots: urdf/*.urdf from the D-H tables in urdf/dh. Run: python scripts/make_urdfs.py [FOLDER]."""
+
+import math
+import sys
+from pathlib import Path
+
+import numpy as np
+
+from ik_toolkit.robot.dh import add_arm, add_pedestal, read_dh_table, to_urdf
+from ik_toolkit.robot.write import add_joint, add_link, add_shape, new_robot, shift, to_text
+
+URDF = Path(__file__).resolve().parent.parent / "urdf"
+TABLES = ("hydrolek_7w", "planar_3r", "planar_2r", "cartesian_pp", "inspection_7dof")
+
+# The machine of brokk_hydrolek is our assumption (the paper gives no dimensions): about the size of a small demolition
+# machine, held still on the ground; a turret on top carries both arms, mounted level and facing forward.
+TURRET = shift(x=0.10, z=0.62)  # in base_link, which lies on the ground below the middle of the machine
+MOUNTS = {"left": shift(x=0.22, y=0.27, z=0.44), "right": shift(x=0.22, y=-0.27, z=0.44)}  # in turret_link
+TURRET_LIMIT = {"lower": -math.pi / 2, "upper": math.pi / 2, "effort": 1000.0, "velocity": math.radians(30)}
+GRIPPER_LIMIT = {"lower": 0.0, "upper": 0.08, "effort": 1000.0, "velocity": 0.1}  # opening of one jaw
+
+
+def brokk() -> str:
+    """Return a machine held still, a slewing turret shared by both arms, and a gripper jaw beyond each tip (off the paths)."""
+    table = read_dh_table(URDF / "dh" / "hydrolek_7w.toml")
+    robot = new_robot("brokk_hydrolek")
+    add_link(robot, "world")
+    _chassis(add_link(robot, "base_link"))
+    add_joint(robot, "base_fixed", "fixed", "world", "base_link", np.eye(4))
+    turret = add_link(robot, "turret_link")
+    add_joint(robot, "turret", "revolute", "base_link", "turret_link", TURRET, TURRET_LIMIT)
+    add_shape(turret, "cylinder", (0.24, 0.12), shift(z=0.06), "steel", solid=True)
+    add_shape(turret, "box", (0.56, 0.42, 0.30), shift(x=-0.10, z=0.27), "orange", solid=True)
+    add_shape(turret, "box", (0.30, 0.36, 0.04), shift(x=-0.16, z=0.44), "silver")
+    add_shape(turret, "box", (0.16, 0.70, 0.14), shift(x=0.20, z=0.23), "steel", solid=True)
+    for side, mount in MOUNTS.items():
+        _arm(robot, turret, table, side, mount)
+    return to_text(robot)
+
+
+def _arm(robot, turret, table, side, mount) -> None:
+    add_shape(turret, "box", (0.15, 0.13, 0.12), mount @ shift(z=-0.19), "steel", solid=True)
+    add_pedestal(turret, table, mount)
+    add_arm(robot, table, "turret_link", f"{side}_tip", prefix=f"{side}_", mount=mount, gripper=False)
+    tip = next(link for link in robot.iter("link") if link.get("name") == f"{side}_tip")
+    jaw = add_link(robot, f"{side}_jaw")
+    add_shape(tip, "box", (0.15, 0.07, 0.04), shift(z=-0.11), "silver")
+    add_shape(tip, "box", (0.02, 0.05, 0.13), shift(x=-0.04, z=-0.055), "orange")
+    add_shape(jaw, "box", (0.05, 0.13, 0.02), shift(), "orange")
+    slide = np.array([[0, 0, 1, 0.0], [1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 0, 1]])  # z of the jaw along x of the tip
+    add_joint(robot, f"{side}_gripper", "prismatic", f"{side}_tip", f"{side}_jaw", shift(x=0.02, z=-0.055) @ slide, GRIPPER_LIMIT)
+
+
+def _chassis(link) -> None:
+    """Draw tracks with their wheels, a body, and four outriggers."""
+    add_shape(link, "box", (0.95, 0.34, 0.30), shift(z=0.36), "steel", solid=True)
+    add_shape(link, "box", (0.60, 0.40, 0.10), shift(x=-0.05, z=0.54), "orange", solid=True)
+    across = np.array([[1, 0, 0, 0.0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]])  # z of a wheel along y
+    for y in (-0.29, 0.29):
+        add_shape(link, "box", (0.80, 0.18, 0.26), shift(y=y, z=0.13), "steel", solid=True)
+        for x in (-0.40, 0.40):
+            add_shape(link, "cylinder", (0.13, 0.18), shift(x=x, y=y, z=0.13) @ across, "steel")
+            add_shape(link, "cylinder", (0.08, 0.20), shift(x=x, y=y, z=0.13) @ across, "silver")
+        for x in (-0.50, 0.50):
+            add_shape(link, "box", (0.10, 0.46, 0.08), shift(x=x * 1.1, y=y * 1.3, z=0.38), "orange")
+            add_shape(link, "cylinder", (0.035, 0.36), shift(x=x * 1.1, y=y * 2.05, z=0.20), "silver")
+            add_shape(link, "cylinder", (0.08, 0.03), shift(x=x * 1.1, y=y * 2.05, z=0.015), "steel")
+
+
+def robots() -> dict[str, str]:
+    """File name -> URDF text of every shipped robot."""
+    texts = {f"{name}.urdf": to_urdf(read_dh_table(URDF / "dh" / f"{name}.toml")) for name in TABLES}
+    return {**texts, "brokk_hydrolek.urdf": brokk()}
+
+
+if __name__ == "__main__":
+    folder = Path(sys.argv[1]) if len(sys.argv) > 1 else URDF
+    for file, text in robots().items():
+        (folder / file).write_text(text, encoding="utf-8")
+        print(folder / file)
