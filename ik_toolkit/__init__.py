@@ -24,6 +24,9 @@ _NAMES = {
     "CCD": "solvers.rules.ccd",
     "PID": "solvers.rules.pid",
     "StateSpace": "solvers.rules.state_space",
+    "Planar2R": "solvers.closed_form.planar_2r",
+    "Inspection": "solvers.closed_form.inspection",
+    "solve_all": "solvers.solve_all",
     "IKError": "errors",
     "NotSolved": "errors",
 }

@@ -143,6 +143,7 @@ class Robot:
         self.locked_joints[joint] = value
 
     def _build(self, home: Sequence[float] | None) -> None:
+        self.__dict__.pop("_solvers", None)  # a copy must not use solvers bound to the original's chain
         model = self.model
         base_id, tip_id = self._frame_id(self.base), self._frame_id(self.tip)
         locked = {model.getJointId(joint) for joint in self.locked_joints}

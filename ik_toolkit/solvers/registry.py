@@ -39,6 +39,7 @@ class Row:
 
 
 _RULES = "ik_toolkit.solvers.rules."
+_CLOSED = "ik_toolkit.solvers.closed_form."
 ROWS: tuple[Row, ...] = (
     Row(
         "lm",
@@ -102,6 +103,26 @@ ROWS: tuple[Row, ...] = (
         "A static linear system maps the error to joint increments, no Jacobian",
         "any robot; position (B n x 3) or pose (B n x 6)",
         "Burrell 2016, Algorithm II",
+    ),
+    Row(
+        "planar-2r",
+        _CLOSED + "planar_2r:Planar2R",
+        "Closed form of a planar two-link arm: both elbow branches, the legal one nearest q0",
+        "two turning joints with parallel axes (recognised by geometry); position",
+        "Chinyai eq. 1-5, corrected",
+        iterations=0,
+        closed=True,
+        pose=False,
+    ),
+    Row(
+        "inspection",
+        _CLOSED + "inspection:Inspection",
+        "Closed form of a spherical shoulder on a lift: 8 branches at each lift, the legal one nearest q0",
+        "a lift and six turning joints of the inspection robot's structure (recognised by geometry); pose",
+        "Shanmugasundar 2012 eq. 7-13, completed",
+        iterations=0,
+        closed=True,
+        position=False,
     ),
 )
 BY_NAME = {row.name: row for row in ROWS}

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ...errors import InvalidOption
+from ...errors import InvalidOption, UnknownSolver
 from ...kernel import loop
 from ...kernel.chain import Chain
 from ...kernel.jit import cached, jit, kernel_stamp
@@ -30,23 +30,22 @@ class Inspection(NamedTuple):
     """All branches (8) of a spherical shoulder on a lift, for poses; the legal one nearest q0 is returned.
 
     lift: 'nearest' takes the feasible lift nearest q0's (another where no branch there is inside the limits), 'mid' the
-    middle of the longest feasible interval, a number [m] that lift only. Source: Shanmugasundar and Sivaramakrishnan
+    middle of the longest feasible interval (with the same way out), a number [m] that lift only. Source: Shanmugasundar and Sivaramakrishnan
     (2012), eqs. (7)-(13), completed: every branch, the lift as the free parameter, reach test, singular poses.
     """
 
     lift: float | str = "nearest"
 
-    @classmethod
-    def check(cls, robot: Any, rows: int) -> str:
-        """Sentence saying why the closed form does not fit the robot and task, or ''."""
-        reason = recognise(robot.chain)[1]
-        if reason:
-            return f"inspection does not fit this robot: {reason}"
-        return "" if rows == 6 else "inspection answers full poses: with the orientation free its solutions are not isolated"
-
     def pack(self, robot: Any) -> np.ndarray:
-        """Geometry and choice of lift for the compiled solver. Raises InvalidOption for a lift that is no choice."""
-        choice, value = {"nearest": NEAREST, "mid": MIDDLE}.get(self.lift, GIVEN), 0.0
+        """Geometry and choice of lift for the compiled solver.
+
+        Raises UnknownSolver when the robot is no such arm, InvalidOption for a lift that is no choice.
+        """
+        parameters, reason = recognise(robot.chain)
+        if reason:
+            raise UnknownSolver(f"solver 'inspection' does not fit robot '{robot.name}': {reason}")
+        choice = {"nearest": NEAREST, "mid": MIDDLE}.get(str(self.lift), GIVEN)
+        value = 0.0
         if choice == GIVEN:
             try:
                 value = float(self.lift)
@@ -54,7 +53,7 @@ class Inspection(NamedTuple):
                 value = math.nan
             if not math.isfinite(value):
                 raise InvalidOption(f"lift must be 'nearest', 'mid' or a number of metres, not {self.lift!r}")
-        return np.concatenate([recognise(robot.chain)[0], [choice, value]])
+        return np.concatenate([parameters, [choice, value]])
 
 
 def recognise(chain: Chain) -> tuple[np.ndarray, str]:

@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ...errors import UnknownSolver
 from ...kernel import loop
 from ...kernel.chain import Chain
 from ...kernel.jit import cached, jit, kernel_stamp
@@ -24,17 +25,12 @@ class Planar2R(NamedTuple):
     the signs and the quadrants corrected.
     """
 
-    @classmethod
-    def check(cls, robot: Any, rows: int) -> str:
-        """Sentence saying why the closed form does not fit the robot and task, or ''."""
-        reason = recognise(robot.chain)[1]
-        if reason:
-            return f"planar-2r does not fit this robot: {reason}"
-        return "" if rows == 3 else "planar-2r answers positions: two joints cannot choose an orientation too"
-
     def pack(self, robot: Any) -> np.ndarray:
-        """Geometry of the compiled solver."""
-        return recognise(robot.chain)[0]
+        """Geometry for the compiled solver. Raises UnknownSolver when the robot is no such arm."""
+        parameters, reason = recognise(robot.chain)
+        if reason:
+            raise UnknownSolver(f"solver 'planar-2r' does not fit robot '{robot.name}': {reason}")
+        return parameters
 
 
 def recognise(chain: Chain) -> tuple[np.ndarray, str]:

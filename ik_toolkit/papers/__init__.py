@@ -1,0 +1,26 @@
+"""The papers behind the toolkit, reproduced: published numbers beside ours.
+
+PAPERS maps a name to its summary and "module:function"; the function returns a `report.Report`. Plain data with dotted names,
+so that listing the papers imports nothing.
+"""
+
+from typing import NamedTuple
+
+
+class Paper(NamedTuple):
+    """A paper that `ik reproduce` knows."""
+
+    target: str
+    summary: str
+
+
+PAPERS: dict[str, Paper] = {
+    "shanmugasundar": Paper(
+        "ik_toolkit.papers.shanmugasundar_2012:reproduce",
+        "Shanmugasundar and Sivaramakrishnan 2012: closed-form inverse of a 7-joint inspection robot",
+    ),
+    "chinyai": Paper(
+        "ik_toolkit.papers.chinyai:reproduce",
+        "Chinyai: Newton-Raphson against the closed form on a planar two-link arm",
+    ),
+}

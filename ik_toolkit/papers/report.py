@@ -1,0 +1,122 @@
+"""A report of one paper: text and tables as Markdown and JSON, pictures as PNG, all from one list of parts."""
+
+import importlib.util
+import json
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..errors import MissingExtra
+
+STYLE = {
+    "figure.dpi": 100,
+    "savefig.dpi": 160,
+    "savefig.bbox": "tight",
+    "font.size": 9,
+    "axes.titlesize": 9,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": False,
+    "legend.frameon": False,
+}
+# Okabe and Ito (2008): eight colours that stay apart for colour-blind readers.
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#F0E442", "#000000")
+
+
+class Report:
+    """Collects the parts of a report in reading order.
+
+    name: short file-name-safe name; title: heading. `data` holds every table under its key (rows as lists, columns named)
+    and every number given to `number`: what `report.json` and `ik reproduce --json` contain.
+    """
+
+    def __init__(self, name: str, title: str) -> None:
+        """Start an empty report."""
+        self.name = name
+        self.title = title
+        self.data: dict[str, Any] = {"paper": name, "title": title}
+        self._parts: list[str] = [f"# {title}"]
+        self._figures: list[tuple[str, Callable[[Any], Any]]] = []
+
+    def heading(self, text: str) -> None:
+        """Start a section."""
+        self._parts.append(f"## {text}")
+
+    def text(self, text: str) -> None:
+        """Add a paragraph of Markdown."""
+        self._parts.append(" ".join(text.split()))
+
+    def table(self, key: str, head: Sequence[str], rows: Sequence[Sequence[Any]]) -> None:
+        """Add a table under a key of `data`; floats are shown with 5 significant digits and stored whole."""
+        self.data[key] = {"columns": list(head), "rows": [list(row) for row in rows]}
+        lines = ["| " + " | ".join(head) + " |", "|" + " --- |" * len(head)]
+        lines += ["| " + " | ".join(_cell(x) for x in row) + " |" for row in rows]
+        self._parts.append("\n".join(lines))
+
+    def number(self, key: str, value: Any) -> Any:
+        """Store a number under a key of `data` and return it."""
+        self.data[key] = value
+        return value
+
+    def figure(self, file: str, caption: str, draw: Callable[[Any], Any]) -> None:
+        """Add a picture: `draw(plt)` returns the matplotlib figure; it is called only when pictures are written."""
+        self._figures.append((file, draw))
+        self._parts.append(f"![{caption}]({file})\n\n*{caption}*")
+
+    def markdown(self) -> str:
+        """The whole report."""
+        return "\n\n".join(self._parts) + "\n"
+
+    def write(self, folder: str | Path, pictures: bool | None = None) -> list[Path]:
+        """Write report.md, report.json and the pictures to `folder` (made if missing); return the files.
+
+        pictures: None draws them when matplotlib is installed. Raises MissingExtra when True and it is not.
+        """
+        if pictures is None:
+            pictures = importlib.util.find_spec("matplotlib") is not None
+        elif pictures and importlib.util.find_spec("matplotlib") is None:
+            raise MissingExtra("matplotlib", "plots")
+        folder = Path(folder)
+        folder.mkdir(parents=True, exist_ok=True)
+        files = [folder / "report.md", folder / "report.json"]
+        text = self.markdown()
+        if not pictures:
+            text += "\nThe pictures were left out: they need matplotlib (`pip install 'ik_toolkit[plots]'`).\n"
+        files[0].write_text(text, encoding="utf-8")
+        files[1].write_text(json.dumps(plain(self.data), indent=1) + "\n", encoding="utf-8")
+        if pictures:
+            import matplotlib
+
+            matplotlib.use("Agg", force=False)
+            import matplotlib.pyplot as plt
+
+            for file, draw in self._figures:
+                with plt.rc_context(STYLE):
+                    figure = draw(plt)
+                    figure.savefig(folder / file)
+                    plt.close(figure)
+                files.append(folder / file)
+        return files
+
+
+def plain(value: Any) -> Any:
+    """Turn numpy values into JSON ones; NaN and infinity become null."""
+    if isinstance(value, dict):
+        return {str(k): plain(v) for k, v in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(v) for v in value]
+    if isinstance(value, np.ndarray):
+        return plain(value.tolist())
+    if isinstance(value, np.generic):
+        return plain(value.item())
+    if isinstance(value, float) and not np.isfinite(value):
+        return None
+    return value
+
+
+def _cell(value: Any) -> str:
+    if isinstance(value, float | np.floating):
+        return "-" if np.isnan(value) else f"{value:.5g}"
+    return str(value).replace("|", "\\|").replace("\n", " ")
