@@ -21,7 +21,7 @@ GRIPPER_LIMIT = {"lower": 0.0, "upper": 0.08, "effort": 1000.0, "velocity": 0.1}
 
 
 def brokk() -> str:
-    """Return a machine held still, a slewing turret shared by both arms, and a gripper jaw beyond each tip (off the paths)."""
+    """URDF of a machine held still with a slewing turret shared by both arms and a gripper jaw beyond each tip."""
     table = read_dh_table(URDF / "dh" / "hydrolek_7w.toml")
     robot = new_robot("brokk_hydrolek")
     add_link(robot, "world")
@@ -48,7 +48,8 @@ def _arm(robot, turret, table, side, mount) -> None:
     add_shape(tip, "box", (0.02, 0.05, 0.13), shift(x=-0.04, z=-0.055), "orange")
     add_shape(jaw, "box", (0.05, 0.13, 0.02), shift(), "orange")
     slide = np.array([[0, 0, 1, 0.0], [1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 0, 1]])  # z of the jaw along x of the tip
-    add_joint(robot, f"{side}_gripper", "prismatic", f"{side}_tip", f"{side}_jaw", shift(x=0.02, z=-0.055) @ slide, GRIPPER_LIMIT)
+    place = shift(x=0.02, z=-0.055) @ slide
+    add_joint(robot, f"{side}_gripper", "prismatic", f"{side}_tip", f"{side}_jaw", place, GRIPPER_LIMIT)
 
 
 def _chassis(link) -> None:

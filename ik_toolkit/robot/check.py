@@ -34,6 +34,7 @@ NUMBERS = {  # element -> attribute -> how many numbers
     "mass": {"value": 1},
     "inertia": dict.fromkeys(("ixx", "ixy", "ixz", "iyy", "iyz", "izz"), 1),
 }
+READ = {*NUMBERS, "parent", "child"}
 
 
 @dataclass(frozen=True)
@@ -117,25 +118,29 @@ def _parse(text: str) -> list[_Item]:
     stack: list[str] = []
     counts = {"elements": 0, "joint": 0}
     parser = expat.ParserCreate()
-    parser.buffer_text = True
+    macros = "${" in text or "$(" in text
 
     def start(tag: str, attributes: dict[str, str]) -> None:
         counts["elements"] += 1
         if counts["elements"] > MAX_ELEMENTS:
             raise ModelError(f"the URDF has more than {MAX_ELEMENTS:,} elements; it is not read")
         if len(stack) >= MAX_DEPTH:
-            raise ModelError(f"the URDF is nested more than {MAX_DEPTH} deep in line {parser.CurrentLineNumber}; it is not read")
+            raise ModelError(
+                f"the URDF is nested more than {MAX_DEPTH} deep in line {parser.CurrentLineNumber}; it is not read"
+            )
         if not stack and tag != "robot":
             raise ModelError(f"the root element is <{tag}>, not <robot>: this is not a URDF")
-        if tag.startswith("xacro:") or any("${" in value or "$(" in value for value in attributes.values()):
-            raise ModelError(f"line {parser.CurrentLineNumber} has xacro macros; expand it first: xacro IN.xacro > OUT.urdf")
+        if tag.startswith("xacro:") or (macros and any("${" in x or "$(" in x for x in attributes.values())):
+            raise ModelError(
+                f"line {parser.CurrentLineNumber} has xacro macros; expand it first: xacro IN.xacro > OUT.urdf"
+            )
         if len(stack) == 1 and tag in ("link", "joint"):
             if tag == "joint":
                 counts[tag] += 1
                 if counts[tag] > MAX_JOINTS:
                     raise ModelError(f"the URDF has more than {MAX_JOINTS:,} joints; it is not read")
             items.append(_Item(tag, attributes, parser.CurrentLineNumber))
-        elif len(stack) > 1 and stack[1] in ("link", "joint"):
+        elif tag in READ and len(stack) > 1 and stack[1] in ("link", "joint"):
             items[-1].inside.append((tag, attributes))
         stack.append(tag)
 
@@ -229,6 +234,11 @@ def _error(element: str, problem: str, advice: str) -> Finding:
     return Finding("error", element, problem, advice)
 
 
+def _near(name: str, options: Iterable[str]) -> str:
+    """Return ' Did you mean ...?', without the list of everything."""
+    return near_match(name, options).partition(" Available")[0]
+
+
 def _values(text: str) -> list[float] | None:
     """Read the numbers of an attribute; None when it is not all numbers."""
     try:
@@ -243,9 +253,11 @@ def _numbers(item: _Item) -> Iterator[Finding]:
             if key not in attributes:
                 continue
             values = _values(attributes[key])
-            shown = f"<{tag} {key}=\"{attributes[key][:60]}\">"
+            shown = f'<{tag} {key}="{attributes[key][:60]}">'
             if values is None or len(values) != count:
-                yield _error(str(item), f"{shown} is not {'a number' if count == 1 else f'{count} numbers'}", "correct it")
+                yield _error(
+                    str(item), f"{shown} is not {'a number' if count == 1 else f'{count} numbers'}", "correct it"
+                )
             elif not all(map(math.isfinite, values)):
                 yield _error(str(item), f"{shown} is not finite", "write a finite number")
 
@@ -260,11 +272,15 @@ def _joint(joint: _Item) -> Iterator[Finding]:
         return
     axis = _values((joint.first("axis") or {}).get("xyz", "1 0 0"))
     if axis is not None and len(axis) == 3 and not 1e-6 < math.hypot(*axis) < math.inf:
-        yield _error(str(joint), "its axis is zero, so it has no direction to move in", "write a unit axis such as 0 0 1")
+        yield _error(
+            str(joint), "its axis is zero, so it has no direction to move in", "write a unit axis such as 0 0 1"
+        )
     limit = joint.first("limit")
     if limit is None:
         if kind != "continuous":
-            yield _error(str(joint), "it has no <limit>", "add lower, upper, effort and velocity, or make it continuous")
+            yield _error(
+                str(joint), "it has no <limit>", "add lower, upper, effort and velocity, or make it continuous"
+            )
         return
     for key in ("effort", "velocity"):
         if key not in limit:
@@ -272,7 +288,9 @@ def _joint(joint: _Item) -> Iterator[Finding]:
     if kind != "continuous":
         lower, upper = (_values(limit.get(end, "0")) for end in ("lower", "upper"))
         if lower and upper and lower[0] > upper[0]:
-            yield _error(str(joint), f"its lower limit {lower[0]:g} is above its upper limit {upper[0]:g}", "exchange them")
+            yield _error(
+                str(joint), f"its lower limit {lower[0]:g} is above its upper limit {upper[0]:g}", "exchange them"
+            )
 
 
 def _tree(links: set[str], joints: list[_Item]) -> Iterator[Finding]:
@@ -284,10 +302,14 @@ def _tree(links: set[str], joints: list[_Item]) -> Iterator[Finding]:
             link = ends[role] = (joint.first(role) or {}).get("link", "")
             if link not in links:
                 said = f"it has no {role} link" if not link else f"its {role} link '{link}' does not exist"
-                yield _error(str(joint), said, f"name an existing link.{near_match(link, sorted(links)) if link else ''}")
+                yield _error(str(joint), said, f"name an existing link.{_near(link, sorted(links))}")
                 broken = True
         if ends["child"] in parent_of and ends["child"] in links:
-            yield _error(f"link '{ends['child']}'", f"joint '{joint.name}' is a second joint leading to it", "a link has one parent joint")
+            yield _error(
+                f"link '{ends['child']}'",
+                f"joint '{joint.name}' is a second joint leading to it",
+                "a link has one parent joint",
+            )
             broken = True
         parent_of.setdefault(ends["child"], ends["parent"])
     if broken:
@@ -302,7 +324,11 @@ def _tree(links: set[str], joints: list[_Item]) -> Iterator[Finding]:
             link = parent_of[link]
         if link in walk:
             loop = list(walk)[list(walk).index(link) :]
-            yield _error(f"link '{link}'", f"it is its own ancestor: {_some(loop)} form a loop", "a URDF is a tree: remove one joint")
+            yield _error(
+                f"link '{link}'",
+                f"it is its own ancestor: {_some(loop)} form a loop",
+                "a URDF is a tree: remove one joint",
+            )
         done = done | walk.keys()
 
 
@@ -317,7 +343,9 @@ def _mimics(joints: list[_Item]) -> Iterator[Finding]:
     for name, leader in leads.items():
         element = f"joint '{name}'"
         if leader not in by_name:
-            yield _error(element, f"it mimics joint '{leader}', which does not exist", f"name a joint.{near_match(leader, by_name)}")
+            yield _error(
+                element, f"it mimics joint '{leader}', which does not exist", f"name a joint.{_near(leader, by_name)}"
+            )
             continue
         seen = [name]
         while leader in leads and leader not in seen:
@@ -331,23 +359,44 @@ def _remarks(item: _Item) -> Iterator[Finding]:
     if item.tag == "joint":
         kind, limit = item.attributes.get("type"), item.first("limit")
         if kind in ("floating", "planar"):
-            yield Finding("warning", str(item), f"{kind} joints cannot lie on the path to a tip", "use it outside the path only")
+            yield Finding(
+                "warning", str(item), f"{kind} joints cannot lie on the path to a tip", "use it outside the path only"
+            )
         if kind in ("revolute", "prismatic") and limit is not None:
             missing = [end for end in ("lower", "upper") if end not in limit]
             lower, upper = (_values(limit.get(end, "0")) for end in ("lower", "upper"))
             if missing:
-                yield Finding("warning", str(item), f"its <limit> has no {' and no '.join(missing)}: read as 0", "write both limits")
+                yield Finding(
+                    "warning",
+                    str(item),
+                    f"its <limit> has no {' and no '.join(missing)}: read as 0",
+                    "write both limits",
+                )
             if lower and lower == upper:
-                yield Finding("warning", str(item), f"its limits are both {lower[0]:g}: it cannot move", "widen them, or make it fixed")
+                yield Finding(
+                    "warning",
+                    str(item),
+                    f"its limits are both {lower[0]:g}: it cannot move",
+                    "widen them, or make it fixed",
+                )
         return
     for tag, attributes in item.inside:
         for key in ("radius", "length", "size"):
-            values = _values(attributes[key]) if tag in ("box", "cylinder", "capsule", "sphere") and key in attributes else None
+            values = (
+                _values(attributes[key])
+                if tag in ("box", "cylinder", "capsule", "sphere") and key in attributes
+                else None
+            )
             if values and min(values) <= 0.0:
                 yield Finding("warning", str(item), f"<{tag}> has the {key} {attributes[key]}", "sizes are positive")
         scale = _values(attributes.get("scale", "")) if tag == "mesh" else None
         if scale and min(map(abs, scale)) == 0.0:
-            yield Finding("warning", str(item), f"its mesh has the scale {attributes['scale']}", "a zero scale leaves nothing to draw")
+            yield Finding(
+                "warning",
+                str(item),
+                f"its mesh has the scale {attributes['scale']}",
+                "a zero scale leaves nothing to draw",
+            )
 
 
 def _meshes(item: _Item, folders: list[Path]) -> Iterator[Finding]:
@@ -357,7 +406,12 @@ def _meshes(item: _Item, folders: list[Path]) -> Iterator[Finding]:
         name = attributes.get("filename", "")
         problem = _mesh_problem(name, folders)
         if problem:
-            yield Finding("warning", str(item), f"mesh '{name[:200]}' {problem}", "only pictures and collision need it; see package_dirs")
+            yield Finding(
+                "warning",
+                str(item),
+                f"mesh '{name[:200]}' {problem}",
+                "only pictures and collision need it; see package_dirs",
+            )
 
 
 def _mesh_problem(name: str, folders: list[Path]) -> str:
@@ -369,8 +423,8 @@ def _mesh_problem(name: str, folders: list[Path]) -> str:
         return "is a network address, which is never opened"
     if separator and scheme != "file":
         package, _, inner = rest.partition("/")
-        places = [(folder, os.path.join(folder, rest)) for folder in folders]
-        places += [(folder, os.path.join(folder, inner)) for folder in folders if folder.name == package]
+        places = [(folder, os.path.join(folder, rest.lstrip("/"))) for folder in folders]
+        places += [(folder, os.path.join(folder, inner.lstrip("/"))) for folder in folders if folder.name == package]
     else:
         places = [(folder, os.path.join(folder, rest if separator else name)) for folder in folders]
     inside = [path for folder, path in places if Path(os.path.normpath(path)).is_relative_to(folder)]
@@ -383,4 +437,8 @@ def _mesh_problem(name: str, folders: list[Path]) -> str:
     if not found:
         return "is not there"
     real = [Path(path).resolve() for path in found]
-    return "" if any(path.is_relative_to(folder) for path in real for folder in folders) else "is a link out of the named folders"
+    return (
+        ""
+        if any(path.is_relative_to(folder) for path in real for folder in folders)
+        else "is a link out of the named folders"
+    )

@@ -31,7 +31,7 @@ MAX_BYTES = 1_000_000
 
 @dataclass(frozen=True)
 class DHRow:
-    """One joint: theta, alpha [rad], d, a [m] constants; lower, upper [rad or m]; velocity [rad/s or m/s], effort [Nm or N]."""
+    """One joint: constants theta, alpha [rad], d, a [m]; lower, upper, velocity, effort in rad or m, per second, Nm or N."""
 
     name: str
     type: str = "revolute"
@@ -70,7 +70,7 @@ def dh_fk(table: DHTable, q: Sequence[float]) -> np.ndarray:
 
 
 def joint_origins(table: DHTable) -> list[np.ndarray]:
-    """Constant transforms (4x4) before each joint's own z motion, and last the one from the last joint to the tool (n+1)."""
+    """Constant transforms (n+1 of 4x4): before each joint's own z motion, and from the last joint to the tool."""
     origins, before = [], table.base
     for row in table.rows:
         about_z, about_x = _screw(2, row.theta, row.d), _screw(0, row.alpha, row.a)
@@ -147,7 +147,9 @@ def _csv_settings(text: str) -> dict[str, Any]:
     joints = []
     for number, row in enumerate(cells[1:], 1):
         if len(row) > len(header):
-            raise ModelError(f"row {number} of the D-H table has {len(row)} cells; the header names {len(header)} columns")
+            raise ModelError(
+                f"row {number} of the D-H table has {len(row)} cells; the header names {len(header)} columns"
+            )
         joints.append({key: cell for key, cell in zip(header, row, strict=False) if cell})
     return {**settings, "joint": joints}
 
@@ -175,7 +177,9 @@ def dh_table(settings: Mapping[str, Any]) -> DHTable:
     names = [row.name for row in rows]
     for number, joint in enumerate(names, 1):
         if joint in names[: number - 1]:
-            raise ModelError(f"row {number}, column 'name' of the D-H table: '{joint}' is already the name of another joint")
+            raise ModelError(
+                f"row {number}, column 'name' of the D-H table: '{joint}' is already the name of another joint"
+            )
     base, tool = (_frame(settings, key, angle, length) for key in ("base", "tool"))
     return DHTable(name, convention, rows, base, tool)
 
@@ -202,7 +206,16 @@ def _row(number: int, joint: Any, angle: float, length: float) -> DHRow:
     if not isinstance(name, str) or not name.isprintable() or not name.strip():
         raise ModelError(f"{where}, column 'name' of the D-H table is {name!r}; it must be a printable text")
     own = length if kind == "prismatic" else angle
-    units = {"theta": angle, "alpha": angle, "d": length, "a": length, "lower": own, "upper": own, "velocity": own, "effort": 1.0}
+    units = {
+        "theta": angle,
+        "alpha": angle,
+        "d": length,
+        "a": length,
+        "lower": own,
+        "upper": own,
+        "velocity": own,
+        "effort": 1.0,
+    }
     values = {key: _number(joint[key], where, key) * unit for key, unit in units.items() if key in joint}
     if kind == "continuous":
         if "lower" in values or "upper" in values:
@@ -210,9 +223,13 @@ def _row(number: int, joint: Any, angle: float, length: float) -> DHRow:
     else:
         for key in ("lower", "upper"):
             if key not in values:
-                raise ModelError(f"{where}, column '{key}' of the D-H table is missing; a {kind} joint needs both limits")
+                raise ModelError(
+                    f"{where}, column '{key}' of the D-H table is missing; a {kind} joint needs both limits"
+                )
         if values["lower"] > values["upper"]:
-            raise ModelError(f"{where}, column 'lower' of the D-H table is above 'upper' ({joint['lower']} > {joint['upper']})")
+            raise ModelError(
+                f"{where}, column 'lower' of the D-H table is above 'upper' ({joint['lower']} > {joint['upper']})"
+            )
     for key in ("velocity", "effort"):
         if values.get(key, 1.0) <= 0.0:
             raise ModelError(f"{where}, column '{key}' of the D-H table must be positive, not {joint[key]}")
@@ -305,10 +322,10 @@ def add_pedestal(link: ET.Element, table: DHTable, mount: np.ndarray | None = No
 
 
 def _add_body(link: ET.Element, table: DHTable, number: int, end: np.ndarray, gripper: bool) -> None:
-    """Draw one link: the drum of its joint, bars along d and a to the next origin, a gripper on the longer of them."""
+    """Draw one link: the drum of its joint, bars along d and a to the next origin, a gripper on the last of them."""
     row, r = table.rows[number - 1], _radius(table, number)
     if row.type == "prismatic":
-        add_shape(link, "box", (2.6 * r, 2.6 * r, 2.6 * r), np.eye(4), "orange")
+        add_shape(link, "box", (3.4 * r, 3.4 * r, 3.4 * r), np.eye(4), "orange")
     else:
         add_shape(link, "cylinder", (1.35 * r, 2.7 * r), np.eye(4), "orange")
         add_shape(link, "cylinder", (0.8 * r, 3.1 * r), np.eye(4), "silver")
@@ -317,13 +334,12 @@ def _add_body(link: ET.Element, table: DHTable, number: int, end: np.ndarray, gr
     if row.type == "prismatic" and row.lower >= 0.0:
         add_shape(link, "cylinder", (0.75 * r, row.upper), shift(z=-0.5 * row.upper), "silver")
     points = [np.zeros(3), knee, tip]
-    longest = max(np.linalg.norm(b - a) for a, b in itertools.pairwise(points))
-    for a, b in itertools.pairwise(points):
-        if np.linalg.norm(b - a) > 1e-3 * r:
-            last = gripper and b is points[-1] and np.linalg.norm(b - a) == longest
-            add_bar(link, a, b - (b - a) * (min(0.5, 2.6 * r / np.linalg.norm(b - a)) if last else 0.0), r)
-            if last:
-                add_gripper(link, a, b, r)
+    bars = [(a, b) for a, b in itertools.pairwise(points) if np.linalg.norm(b - a) > 1e-3 * r]
+    for number, (a, b) in enumerate(bars, 1):
+        holds = gripper and number == len(bars)
+        add_bar(link, a, b - (b - a) * min(0.5, 2.6 * r / np.linalg.norm(b - a)) if holds else b, r)
+        if holds:
+            add_gripper(link, a, b, r)
     if 1e-3 * r < np.linalg.norm(knee) and 1e-3 * r < np.linalg.norm(tip - knee):
         add_shape(link, "box", (2.0 * r, 2.0 * r, 2.0 * r), shift(*knee), "steel")
 
@@ -336,4 +352,6 @@ def _add_rail(link: ET.Element, T: np.ndarray, row: DHRow, r: float) -> None:
         for end in (row.lower - 2.0 * r, row.upper + 2.0 * r):
             add_shape(link, "box", (2.2 * r, 2.2 * r, 0.6 * r), T @ shift(z=end), "steel")
     else:
-        add_shape(link, "cylinder", (1.15 * r, row.upper), T @ shift(z=row.lower - 0.5 * row.upper), "steel", solid=True)
+        add_shape(
+            link, "cylinder", (1.15 * r, row.upper), T @ shift(z=row.lower - 0.5 * row.upper), "steel", solid=True
+        )

@@ -161,7 +161,9 @@ def find(source: str | Path) -> RobotEntry:
     shown = name if len(name) <= 200 else f"{name[:200]}..."
     if "/" in name or "\\" in name or name.lower().endswith((".urdf", ".xml", ".xacro")):
         raise RobotNotFound(f"there is no file '{shown}'")
-    raise RobotNotFound(f"there is no robot and no file '{shown}'.{near_match(shown, [*shipped_robots(), *DATA_ROBOTS])}")
+    raise RobotNotFound(
+        f"there is no robot and no file '{shown}'.{near_match(shown, [*shipped_robots(), *DATA_ROBOTS])}"
+    )
 
 
 def _file(source: str | Path) -> Path | None:

@@ -29,7 +29,13 @@ def add_link(robot: ET.Element, name: str) -> ET.Element:
 
 
 def add_joint(
-    robot: ET.Element, name: str, kind: str, parent: str, child: str, T: np.ndarray, limit: Mapping[str, float] | None = None
+    robot: ET.Element,
+    name: str,
+    kind: str,
+    parent: str,
+    child: str,
+    T: np.ndarray,
+    limit: Mapping[str, float] | None = None,
 ) -> None:
     """Append a joint at T (4x4) in the parent link; a moving one turns about or slides along z and has a limit.
 
@@ -44,7 +50,9 @@ def add_joint(
         ET.SubElement(joint, "limit", {key: _text(value) for key, value in limit.items()})
 
 
-def add_shape(link: ET.Element, shape: str, size: Sequence[float], T: np.ndarray, colour: str, solid: bool = False) -> None:
+def add_shape(
+    link: ET.Element, shape: str, size: Sequence[float], T: np.ndarray, colour: str, solid: bool = False
+) -> None:
     """Append a visual (and a collision shape when solid): 'box' (x, y, z) or 'cylinder' (radius, length along z), metres."""
     for tag in ("visual", "collision") if solid else ("visual",):
         part = ET.SubElement(link, tag)
@@ -86,7 +94,9 @@ def add_gripper(link: ET.Element, a: np.ndarray, b: np.ndarray, r: float) -> Non
     T[:3, 3] = b
     add_shape(link, "box", (2.6 * size, 1.4 * size, 0.7 * size), T @ shift(z=-2.4 * size), "silver")
     for side in (-1.0, 1.0):
-        add_shape(link, "box", (0.4 * size, 0.9 * size, 2.2 * size), T @ shift(x=side * 1.0 * size, z=-1.1 * size), "orange")
+        add_shape(
+            link, "box", (0.4 * size, 0.9 * size, 2.2 * size), T @ shift(x=side * 1.0 * size, z=-1.1 * size), "orange"
+        )
 
 
 def shift(x: float = 0.0, y: float = 0.0, z: float = 0.0) -> np.ndarray:
@@ -97,7 +107,7 @@ def shift(x: float = 0.0, y: float = 0.0, z: float = 0.0) -> np.ndarray:
 
 
 def _along(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Frame in the middle of a and b whose z points from a to b and whose x lies across the joint's z axis where it can."""
+    """Frame in the middle of a and b whose z points from a to b; a boom stands upright on the joint's axis."""
     z = (b - a) / np.linalg.norm(b - a)
     side = np.array([0.0, 0.0, 1.0]) if abs(z[2]) < 0.9 else np.array([1.0, 0.0, 0.0])
     y = np.cross(z, side)
@@ -113,7 +123,7 @@ def _origin(parent: ET.Element, T: np.ndarray) -> None:
 
 
 def _rpy(R: np.ndarray) -> tuple[float, float, float]:
-    """Roll, pitch, yaw of a rotation; the roll is read after undoing the yaw, so it stays exact at pitch +-90 degrees."""
+    """Roll, pitch, yaw of a rotation; the roll is read after undoing the yaw: exact also at pitch +-90 degrees."""
     yaw = math.atan2(R[1, 0], R[0, 0])
     pitch = math.atan2(-R[2, 0], math.hypot(R[0, 0], R[1, 0]))
     s, c = math.sin(yaw), math.cos(yaw)
