@@ -34,12 +34,26 @@ from ..kernel.loop import (
 )
 from ..robot.pose import check_target
 from ..robot.robot import Robot
+from .closed_form import fits
 from .options import Options, make_options
 from .registry import find_row, make_rule
 from .result import ADVICE, Result, Status
 
 MARGIN = 1.0 - 1e-9  # the kernel tests a little inside the tolerance, so that Pinocchio's rounding cannot disagree
 NEVER = (np.inf, 1.0, np.inf, 1.0)
+# A closed form knows every branch, so what it says is proven. An answer that breaks a limit was put on it.
+CLOSED_FORM_SAYS = {
+    Status.CONVERGED: "closed form, the legal branch nearest q0; evaluated to {left}",
+    Status.UNREACHABLE: "the target is out of reach by {beyond} (exact); closest {left}; move the target inside the reach",
+    Status.LIMIT_BLOCKED: (
+        "the target is in reach but every branch breaks a joint limit, the best one at {joints}; held there it is {left} "
+        "away; widen the limits or move the target"
+    ),
+}
+EXACT = {  # options that a closed form honours or has no use for; 'auto' takes 'lm' when any other is given
+    "tolerance", "position_tolerance", "orientation_tolerance", "max_iterations", "max_evaluations", "restarts", "seed",
+    "limits", "q0_outside", "history", "check",
+}  # fmt: skip
 
 
 class Solver:
@@ -104,6 +118,8 @@ class Solver:
         give_up = row.give_up if row.give_up and descents > 1 and o.max_iterations is None else NEVER
         head[O_C : O_C + 4] = give_up
         if o.mask is not None:
+            if row.closed:
+                raise InvalidOption(f"solver '{row.name}' is a closed form and takes no mask; use 'lm'")
             kind = MASK_BASE if o.mask_frame == "base" else MASK_TIP
             head[O_W : O_W + 6] = o.mask
         head[O_KIND] = kind
@@ -217,6 +233,9 @@ class Solver:
         if result.orientation_error is not None:
             left += f", {np.degrees(result.orientation_error):.3g} deg"
         starts = int(row[2]) + 1
+        if self.row.closed and status in CLOSED_FORM_SAYS:
+            joints = ", ".join(result.limited_joints)
+            return CLOSED_FORM_SAYS[status].format(left=left, joints=joints, beyond=f"{1000 * row[7]:.4g} mm")
         if status == Status.CONVERGED:
             text = f"converged in {result.iterations} iterations to {left}"
             if result.restarts:
@@ -273,6 +292,13 @@ def bound(robot: Robot, solver: Any, options: dict[str, Any]) -> Solver:
     return found
 
 
+def automatic(robot: Robot, target: Any, options: dict[str, Any]) -> str:
+    """Name of the solver that 'auto' stands for: a closed form where one fits and no preference is given, else 'lm'."""
+    shape = getattr(target, "shape", (len(target),) if isinstance(target, list | tuple) else ())
+    position = tuple(shape) == (3,)
+    return (options.keys() <= EXACT and fits(robot, POSITION if position else POSE)) or "lm"
+
+
 def solve(robot: Robot, target: Any, solver: Any = "auto", q0: Any = None, **options: Any) -> Result:
     """Find joint values that bring the tip to the target.
 
@@ -285,7 +311,7 @@ def solve(robot: Robot, target: Any, solver: Any = "auto", q0: Any = None, **opt
     if not isinstance(robot, Robot):
         raise InvalidOption(f"the first argument is a Robot (see Robot.load), not {type(robot).__name__}")
     if solver == "auto" if isinstance(solver, str) else solver is None:
-        solver = "lm"
+        solver = automatic(robot, target, options)
     options.setdefault("check", True)
     return bound(robot, solver, options)(target, q0)
 

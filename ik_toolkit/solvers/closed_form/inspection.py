@@ -301,5 +301,27 @@ def feasible_lifts(p: np.ndarray, T: np.ndarray, low: float = -math.inf, high: f
     return sorted(tuple(sorted(sign * float(x) for x in span)) for span in spans[:count])
 
 
+def lifts_to_list(p: np.ndarray, T: np.ndarray, box: np.ndarray, count: int) -> tuple[np.ndarray, bool, str]:
+    """Lifts (K,) at which to list all branches, whether they are all there are to list, and words for the message.
+
+    One where the lift is given, locked or asked for by 'mid'; otherwise q0's (or the feasible one nearest it) and `count`
+    spread over each feasible interval.
+    """
+    P, spans = np.empty(12), np.empty((2, 2))
+    wrist_pose(p, T, P)
+    first, _ = choose_lift(p, P, box, spans)
+    place, sign = int(p[LIFT]), p[LIFT + 1]
+    if place < 0:
+        return np.array([first]), True, ""
+    if p[LIFT + 2] != NEAREST:
+        return np.array([first]), True, f" at lift {sign * first:.6g} m"
+    low, high = lift_limits(p, box)
+    found = lift_intervals(P, p[A4], p[A6], low, high, spans)
+    spread = [np.linspace(a, b, count + 2)[1:-1] for a, b in spans[:found]]
+    words = " and ".join(f"{a:.6g} to {b:.6g} m" for a, b in feasible_lifts(p, T, box[0, place], box[1, place]))
+    where = f" at {1 + count * found} lifts, of the infinitely many from {words}," if found else f" at lift {sign * first:.6g} m"
+    return np.concatenate([[first], *spread]), False, where
+
+
 loop._ENTRIES[Inspection] = _compile_solve()
 every_branch = _compile_every()
