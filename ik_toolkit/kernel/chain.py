@@ -9,13 +9,14 @@ from .loop import E_VECTORS, forward
 from .seeds import PAD, ROTATION_WEIGHT, SEEDS
 
 __all__ = ["ROW", "Chain", "pack"]
+WINDING = 5 * TAU
 
 
 class Chain(NamedTuple):
     """One serial path base -> tip, ready for the kernels.
 
-    rows (L, 10): see kinematics.py. ends: base (12), tip (12), then n values each of lower, upper, turns (may wrap by full
-    turns), unit (1, or `scale` for a prismatic coordinate), sampling low, sampling span, home; then scale and reach bounds.
+    rows (L, 10): see kinematics.py. ends: base (12), tip (12), then n values each of lower, upper, turns (1: may wrap by
+    full turns inside its limits, 2: endless), unit (1, or `scale` for a prismatic coordinate), sampling low, sampling span, home; then scale and reach bounds.
     seeds (256, n) and features (13, 272) are the table of start configurations. lower, upper (n,) in rad or m.
     """
 
@@ -91,6 +92,8 @@ def pack(
     tip[9:] /= scale
     unit = np.where(slides, scale, 1.0)
     low_k, high_k = lower / unit, upper / unit
+    # An endless joint is brought back after five turns inside the kernel; the answer is moved to the turn nearest q0.
+    endless = turns & np.isinf(lower) & np.isinf(upper)
     # Where to draw starts: inside the limits, one turn or one reach where there are none.
     half = np.where(slides, 1.0, np.pi)
     low = np.where(np.isfinite(low_k), low_k, np.where(np.isfinite(high_k), high_k - 2 * half, -half))
@@ -113,8 +116,10 @@ def pack(
     bounds = [float(whole.sum()), hole(np.append(shortest, tool), whole), float(wrist.sum()), hole(shortest, wrist)]
     tail = [scale, *bounds, *lift]
     rows[0, 0] = float((followers == 1).all() and np.allclose(rows[:, 4] + rows[:, 6], 1.0))
-    ends = np.concatenate([base, tip, low_k, high_k, turns, unit, low, high - low, home / unit, tail])
-    seeds = np.random.default_rng(1).uniform(low, high, (SEEDS, n))
+    inside = [np.where(endless, -WINDING, low_k), np.where(endless, WINDING, high_k), turns + 1.0 * endless, unit]
+    ends = np.concatenate([base, tip, *inside, low, high - low, home / unit, tail])
+    # A seed nobody else uses: a target drawn with default_rng(1) must not be found in the table by accident.
+    seeds = np.random.default_rng(0x5EED7AB1E).uniform(low, high, (SEEDS, n))
     T = np.empty((SEEDS, 4, 4))
     flat = np.concatenate([np.eye(3).ravel(), np.zeros(3), tip, ends[E_VECTORS : E_VECTORS + 7 * n], [1.0], tail[1:]])
     forward(rows, flat, seeds, np.ones(n), T, np.empty((0, 6, n)))

@@ -193,12 +193,16 @@ def error(goal, tip, x0, x1, x2, y0, y1, y2, z0, z1, z2, px, py, pz):
     vy = 0.5 * (x2 * d0 - x0 * d6 + y2 * d1 - y0 * d7 + z2 * d2 - z0 * d8)
     vz = 0.5 * (x0 * d3 - x1 * d0 + y0 * d4 - y1 * d1 + z0 * d5 - z1 * d2)
     cos1 = 0.5 * (1.0 + x0 * d0 + x1 * d3 + x2 * d6 + y0 * d1 + y1 * d4 + y2 * d7 + z0 * d2 + z1 * d5 + z2 * d8)  # 1+cos
-    if cos1 > 1e-7:
+    if cos1 > 0.5:
         f = math.sqrt(2.0 / cos1)
         r0, r1, r2 = vx * f, vy * f, vz * f
-    else:
-        r0, r1, r2 = half_turn_axis(goal, x0, x1, x2, y0, y1, y2, z0, z1, z2, vx, vy, vz)
-        f = 2.0 * math.sqrt(max(1.0 - 0.5 * cos1, 0.0))
+    else:  # towards half a turn the length is better taken from the cosine, and at last the axis too
+        vv = vx * vx + vy * vy + vz * vz
+        r0, r1, r2 = vx, vy, vz
+        if vv < 1e-8:
+            r0, r1, r2 = half_turn_axis(goal, x0, x1, x2, y0, y1, y2, z0, z1, z2, vx, vy, vz)
+            vv = 1.0
+        f = math.sqrt((4.0 - 2.0 * cos1) / vv)
         r0 *= f
         r1 *= f
         r2 *= f

@@ -246,6 +246,15 @@ def rigid(T):
 
 
 @jit
+def turn(wanted, q, lower, upper, turns):
+    """Full turns by which to move a joint so that it comes nearest `wanted` away, inside its limits unless it is endless."""
+    k = np.rint(wanted / TAU)
+    if turns < 1.5:
+        k = min(max(k, math.ceil((lower - q) / TAU)), math.floor((upper - q) / TAU))
+    return k
+
+
+@jit
 def why(q, lower, upper, J, e, limits):
     """Status of a descent that stands still: blocked by limits, singular (the Jacobian cannot see the error), or stalled."""
     whole, free, size = 0.0, 0.0, 0.0
@@ -424,6 +433,7 @@ def entry(cls: type) -> Callable:
                         count += r
                     total += 1
                     moved = 0.0
+                    far = 0.0
                     for i in range(n):
                         a = q[i] + dq[i]
                         if limits and (a < lower[i] or a > upper[i]):
@@ -432,8 +442,9 @@ def entry(cls: type) -> Callable:
                             else:
                                 a = min(max(a, lower[i]), upper[i])
                         moved = max(moved, abs(a - q[i]))
+                        far = far if abs(a) <= far else abs(a)  # keeps a NaN
                         q[i] = a
-                    if not moved < 1e12:
+                    if not far < 1e6:
                         ended = NOT_FINITE
                         break
                     if moved <= opt[20] and r != -2:
@@ -452,9 +463,7 @@ def entry(cls: type) -> Callable:
                     for i in range(n):
                         a = q[i] - Q0[given_row, i] / unit[i]
                         if turns[i] > 0.0:
-                            k0 = np.rint(-a / TAU)
-                            k0 = min(max(k0, math.ceil((lower[i] - q[i]) / TAU)), math.floor((upper[i] - q[i]) / TAU))
-                            a += k0 * TAU
+                            a += TAU * turn(-a, q[i], lower[i], upper[i], turns[i])
                         d += a * a / max(jw[i], 1e-12)
                     if d < found_distance:
                         found_distance = d
@@ -495,8 +504,7 @@ def entry(cls: type) -> Callable:
                 q[i] = best_q[i]
                 if turns[i] > 0.0 and limits:
                     ref = Q0[given_row, i] / unit[i] if given > 0 or closest > 0 else home[i]
-                    k0 = np.rint((ref - q[i]) / TAU)
-                    k0 = min(max(k0, math.ceil((lower[i] - q[i]) / TAU)), math.floor((upper[i] - q[i]) / TAU))
+                    k0 = turn(ref - q[i], q[i], lower[i], upper[i], turns[i])
                     if k0 != 0.0:
                         q[i] += k0 * TAU
                         shifted = True

@@ -99,7 +99,7 @@ class Robot:
             tip=tip if tip is not None else found.tip,
             base=base if base is not None else found.base,
             home=home,
-            name=found.name,
+            name=found.name if found.path else model.name,
             locked=locked,
             urdf=text,
             path=found.path,

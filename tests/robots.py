@@ -1,0 +1,111 @@
+"""Robots the tests share: the shipped ones, arms of example-robot-data, and small URDFs with every kind of joint."""
+
+import functools
+import importlib.metadata
+import itertools
+
+import numpy as np
+
+import ik_toolkit as ik
+
+SHIPPED = ("hydrolek_7w", "planar_3r", "planar_2r", "cartesian_pp", "inspection_7dof")
+DATA_ARMS = (
+    ("panda", "panda_hand_tcp"),
+    ("ur3", "tool0"),
+    ("ur5", "tool0"),
+    ("ur10", "tool0"),
+    ("xarm7", "link_eef"),
+    ("kinova", "j2s6s200_end_effector"),
+    ("z1", "gripperStator"),
+    ("so100", "gripper"),
+    ("so101", "gripper_frame_link"),
+    ("tiago", "hand_tool_link"),
+    ("baxter", "left_gripper"),
+    ("pr2", "l_gripper_tool_frame"),
+    ("talos", "gripper_right_base_link"),
+    ("centauro", "arm1_8"),
+)
+
+
+def joint(name, kind, parent, child, axis="0 0 1", xyz="0 0 0.2", rpy="0 0 0", limits=(-2.0, 2.0), mimic=""):
+    """Return one URDF joint and its child link."""
+    limit = "" if kind in ("fixed", "continuous") else f'<limit lower="{limits[0]}" upper="{limits[1]}" effort="1" velocity="2"/>'
+    return (
+        f'<link name="{child}"/><joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>'
+        f'<origin xyz="{xyz}" rpy="{rpy}"/><axis xyz="{axis}"/>{limit}{mimic}</joint>'
+    )
+
+
+def urdf(*joints, name="test"):
+    """Return a URDF of chained joints given as dicts for `joint` (parents and children are filled in)."""
+    text = f'<robot name="{name}"><link name="l0"/>'
+    for i, keywords in enumerate(joints):
+        text += joint(f"j{i}", parent=f"l{i}", child=f"l{i + 1}", **keywords)
+    return text + "</robot>"
+
+
+CONTINUOUS = urdf(
+    dict(kind="continuous"),
+    dict(kind="revolute", axis="0 1 0", rpy="1 2 3", xyz="0.1 0 0.2"),
+    dict(kind="continuous", axis="1 1 0", rpy="0 1 0"),
+    dict(kind="revolute", axis="0 0 -1", rpy=".3 0 0", xyz="0.2 0.1 0"),
+    dict(kind="continuous", axis="1 0 0", rpy="0 0 1"),
+    dict(kind="revolute", axis="0 1 1", rpy="2 0 0", xyz="0 0.1 0.1"),
+    name="continuous_mix",
+)
+MIMIC = urdf(
+    dict(kind="revolute"),
+    dict(kind="revolute", axis="0 1 0", xyz=".1 0 .2"),
+    dict(kind="revolute", axis="0 1 0", limits=(-1.0, 1.0), mimic='<mimic joint="j1" multiplier="-0.6" offset="0.2"/>'),
+    dict(kind="revolute", axis="1 0 0", rpy="0 .3 0"),
+    dict(kind="prismatic", axis="1 0 0", limits=(-0.3, 0.3), mimic='<mimic joint="j0" multiplier="0.1" offset="0.05"/>'),
+    dict(kind="revolute", axis="0 1 1", rpy=".7 0 0"),
+    dict(kind="revolute", rpy="0 0 .4"),
+    dict(kind="revolute", axis="0 1 0", rpy=".2 0 1"),
+    name="mimic_mix",
+)
+SLIDES = urdf(
+    dict(kind="prismatic", axis="1 0 0", limits=(-1.0, 1.0)),
+    dict(kind="prismatic", axis="1 1 0", rpy=".2 .3 0", limits=(-0.5, 0.8)),
+    dict(kind="revolute", rpy="1 0 0"),
+    dict(kind="fixed", xyz=".5 .1 .2"),
+    dict(kind="revolute", axis="0 1 0", rpy="0 .5 0"),
+    dict(kind="prismatic", xyz=".1 .2 .3", limits=(0.0, 0.6)),
+    dict(kind="revolute", axis="1 0 0", rpy="0 0 .2"),
+    dict(kind="revolute", rpy=".4 1 0"),
+    name="slides_mix",
+)
+MADE = {"continuous_mix": CONTINUOUS, "mimic_mix": MIMIC, "slides_mix": SLIDES}
+
+
+def have_data():
+    """Whether example-robot-data's arms are installed."""
+    try:
+        importlib.metadata.distribution("example-robot-data")
+    except importlib.metadata.PackageNotFoundError:
+        return False
+    return True
+
+
+@functools.cache
+def load(name):
+    """Load a robot of the tests by name, once."""
+    if name in MADE:
+        return ik.Robot.load(MADE[name])
+    if name == "locked":
+        return ik.Robot.load("inspection_7dof", locked={"lift": 0.25})
+    if name == "tool":
+        return ik.Robot.load("hydrolek_7w").with_tool(ik.pose((0.05, -0.02, 0.1), rpy=(0.3, 0.2, 0.1)))
+    return ik.Robot.load(name, tip=dict(DATA_ARMS).get(name))
+
+
+def sample(robot, count, seed=0):
+    """Random configurations (count, n) and their poses (count, 4, 4) by Pinocchio."""
+    rng = np.random.default_rng(seed)
+    Q = np.array([robot.random_q(rng) for _ in range(count)])
+    return Q, np.array([robot.fk(q).homogeneous for q in Q])
+
+
+def product(*names):
+    """All pairs of two lists, as a list."""
+    return list(itertools.product(*names))

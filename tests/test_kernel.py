@@ -1,0 +1,150 @@
+"""The kernel's kinematics against Pinocchio (the oracle) and against finite differences on the manifold."""
+
+import math
+
+import numpy as np
+import pinocchio as pin
+import pytest
+import robots
+
+from ik_toolkit.kernel import kinematics, linalg, seeds
+from ik_toolkit.kernel.jit import cached
+
+ALL = [*robots.SHIPPED, *robots.MADE, "locked", "tool", *(name for name, _ in robots.DATA_ARMS)]
+
+
+def robot_or_skip(name):
+    if name in dict(robots.DATA_ARMS) and not robots.have_data():
+        pytest.skip("example-robot-data is not installed")
+    return robots.load(name)
+
+
+@pytest.mark.parametrize("name", ALL)
+def test_forward_kinematics_and_jacobian_equal_pinocchio(name):
+    robot = robot_or_skip(name)
+    Q, T = robots.sample(robot, 200, seed=5)
+    size = max(1.0, robot.reach)
+    poses, jacobians = robot.chain.forward(Q, jacobian=True)
+    assert np.abs(poses - T).max() < 1e-12 * size
+    assert max(np.abs(robot.jacobian(q) - J).max() for q, J in zip(Q, jacobians, strict=True)) < 1e-12 * size
+
+
+@pytest.mark.parametrize("name", ["hydrolek_7w", "inspection_7dof", "continuous_mix", "mimic_mix", "slides_mix", "tool"])
+def test_jacobian_by_finite_differences_on_the_manifold(name):
+    robot = robots.load(name)
+    Q, _ = robots.sample(robot, 5, seed=6)
+    h = 1e-6
+    for q, J in zip(Q, robot.chain.forward(Q, jacobian=True)[1], strict=True):
+        for i in range(robot.n):
+            step = np.zeros(robot.n)
+            step[i] = h
+            a, b = robot.fk(q - step), robot.fk(q + step)
+            linear = (b.translation - a.translation) / (2 * h)
+            angular = a.rotation @ pin.log3(a.rotation.T @ b.rotation) / (2 * h)
+            assert np.allclose(J[:, i], np.concatenate([linear, angular]), atol=2e-9)
+
+
+@cached
+def _sincos(x, out):
+    for i in range(x.shape[0]):
+        s, c = kinematics.sincos(x[i])
+        out[i, 0] = s
+        out[i, 1] = c
+
+
+def test_sincos_is_exact_to_a_few_ulp_and_survives_many_turns():
+    x = np.concatenate([np.linspace(-30, 30, 20001), np.arange(-8, 9) * math.pi / 2])
+    out = np.empty((len(x), 2))
+    _sincos(x, out)
+    assert np.abs(out - np.column_stack([np.sin(x), np.cos(x)])).max() < 2e-15
+    x = 2 * math.pi * 1000 + np.linspace(-3, 3, 101)
+    out = np.empty((len(x), 2))
+    _sincos(x, out)
+    assert np.abs(out - np.column_stack([np.sin(x), np.cos(x)])).max() < 1e-12
+
+
+@cached
+def _rotation_error(target, actual, out):
+    goal = np.zeros(12)
+    for i in range(9):
+        goal[i] = target[i // 3, i % 3]
+    tip = np.zeros(12)
+    a = actual
+    r = kinematics.error(
+        goal, tip, a[0, 0], a[1, 0], a[2, 0], a[0, 1], a[1, 1], a[2, 1], a[0, 2], a[1, 2], a[2, 2], 0.0, 0.0, 0.0
+    )
+    rr = r[6] * r[6] + r[7] * r[7] + r[8] * r[8]
+    f = kinematics.angle_ratio(rr)
+    out[0] = f * r[6]
+    out[1] = f * r[7]
+    out[2] = f * r[8]
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-9, 1e-3, 1.0, 3.0, math.pi - 1e-3, math.pi - 1e-6, math.pi - 1e-9, math.pi])
+def test_rotation_error_is_the_rotation_vector_up_to_half_a_turn(angle):
+    rng = np.random.default_rng(0)
+    axes = [*np.eye(3), *-np.eye(3), *(v / np.linalg.norm(v) for v in rng.normal(size=(20, 3)))]
+    for axis in axes:
+        actual = pin.exp3(rng.normal(size=3))
+        target = pin.exp3(angle * axis) @ actual
+        out = np.empty(3)
+        _rotation_error(np.ascontiguousarray(target), np.ascontiguousarray(actual), out)
+        # Half a turn about an axis and about its opposite are the same rotation.
+        off = min(np.abs(out - angle * axis).max(), np.abs(out + angle * axis).max() if angle > math.pi - 1e-7 else np.inf)
+        # asin is steep at half a turn: half the digits of the angle are left there, all those of the axis
+        assert off < (1e-7 if angle > math.pi - 1e-5 else 1e-11)
+
+
+@cached
+def _pinv(J, e, rcond, dq):
+    V = np.empty((6, 6))
+    linalg.pseudo_inverse_step(J, e, rcond, V, dq)
+
+
+@pytest.mark.parametrize("n", [2, 3, 6, 7, 12])
+def test_pseudo_inverse_step_equals_numpy(n):
+    rng = np.random.default_rng(n)
+    for rank in (1, 2, min(n, 6)):
+        J = rng.normal(size=(6, rank)) @ rng.normal(size=(rank, n))
+        e, dq = rng.normal(size=6), np.empty(n)
+        _pinv(np.ascontiguousarray(J.T), e, 1e-9, dq)
+        assert np.allclose(dq, np.linalg.pinv(J, rcond=1e-9) @ e, atol=1e-9 * max(1.0, np.abs(dq).max()))
+
+
+@cached
+def _lu(A, b):
+    return linalg.lu_solve(A, b, b.shape[0])
+
+
+def test_lu_solve_equals_numpy_and_refuses_singular_systems():
+    rng = np.random.default_rng(1)
+    for n in (1, 2, 5, 6):
+        A, b = rng.normal(size=(n, n)), rng.normal(size=n)
+        x = b.copy()
+        assert _lu(A.copy(), x)
+        assert np.allclose(x, np.linalg.solve(A, b), atol=1e-10)
+    assert not _lu(np.ones((3, 3)), np.ones(3))
+    assert not _lu(np.zeros((2, 2)), np.ones(2))
+
+
+@cached
+def _random(out):
+    state = np.empty(1, np.uint64)
+    state[0] = np.uint64(88172645463325252)
+    for i in range(out.shape[0]):
+        out[i] = seeds.rnd(state)
+
+
+def test_random_sequence_is_uniform():
+    out = np.empty(200_000)
+    _random(out)
+    assert 0.0 <= out.min() and out.max() < 1.0
+    counts = np.histogram(out, bins=50, range=(0, 1))[0]
+    assert ((counts - 4000) ** 2 / 4000).sum() < 100  # chi-squared with 49 degrees of freedom, 1e-5 tail is 99.9
+
+
+def test_lengths_are_scaled_by_a_power_of_two():
+    for name in ("planar_3r", "panda") if robots.have_data() else ("planar_3r",):
+        chain = robots.load(name).chain
+        assert math.frexp(chain.scale)[0] == 0.5
+        assert 0.5 < chain.reach / chain.scale < 2.0
