@@ -1,8 +1,8 @@
 """What a URDF must satisfy before Pinocchio sees it, and what `ik check` says about one, element by element.
 
-Pinocchio's parser lets zero axes, reversed limits and negative sizes pass, refuses a wrong tree without naming the element,
-and crashes the process on a very long chain. So every file goes through one streaming parse of ours first: capped, with no
-DOCTYPE, no entity expanded and nothing fetched.
+Pinocchio's parser lets zero axes, reversed limits and negative sizes pass, refuses a wrong tree without naming the
+element, and crashes the process on a very long chain. So every file goes through one streaming parse of ours first:
+capped, with no DOCTYPE, no entity expanded and nothing fetched.
 """
 
 import functools
@@ -11,6 +11,7 @@ import os
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import NoReturn
 from xml.parsers import expat
 
 from ..errors import ModelError, near_match
@@ -75,8 +76,8 @@ class _Item:
 def safe_read(source: str | Path) -> str:
     """URDF text of a file, or URDF text given as a string, after a parse that expands and fetches nothing.
 
-    Raises ModelError, in one sentence, when it is missing, empty, over 20 MB, not UTF-8, malformed (says the line), has a
-    DOCTYPE or entities, is xacro, is nested too deeply, has too many elements or over 1,000 joints, or no <robot> root.
+    Raises ModelError, in one sentence, when it is missing, empty, over 20 MB, not UTF-8, malformed (says the line), is
+    xacro, has a DOCTYPE or entities, is nested too deep, has too many elements or over 1,000 joints, or no root <robot>.
     """
     if isinstance(source, str) and source.lstrip("\ufeff \t\r\n").startswith("<"):
         if len(source) > MAX_BYTES:
@@ -89,15 +90,16 @@ def safe_read(source: str | Path) -> str:
 
 
 def _read_file(path: Path) -> str:
+    shown, raw = repr(str(path)[:200]), b""
     try:
-        if not path.is_file():
-            raise ModelError(f"there is no file '{path}'" if not path.exists() else f"'{path}' is not a regular file")
-        with path.open("rb") as file:
-            raw = file.read(MAX_BYTES + 1)
-    except OSError as error:
-        raise ModelError(f"cannot read '{path}': {error.strerror or error}") from None
-    except ValueError:
-        raise ModelError("a path cannot contain a NUL character") from None
+        regular, exists = path.is_file(), path.exists()
+        if regular:
+            with path.open("rb") as file:
+                raw = file.read(MAX_BYTES + 1)
+    except (OSError, ValueError) as error:  # ValueError: a NUL in the path
+        raise ModelError(f"cannot read {shown}: {getattr(error, 'strerror', None) or error}") from None
+    if not regular:
+        raise ModelError(f"{shown} is not a regular file" if exists else f"there is no file {shown}")
     if len(raw) > MAX_BYTES:
         raise ModelError(f"'{path.name}' is larger than {MAX_BYTES // 1_000_000} MB; a robot description is not")
     try:
@@ -147,7 +149,7 @@ def _parse(text: str) -> list[_Item]:
     def end(tag: str) -> None:
         stack.pop()
 
-    def refuse(*_: object) -> None:
+    def refuse(*_: object) -> NoReturn:
         raise ModelError("the URDF has a DOCTYPE or entity declarations; these are refused, never expanded or fetched")
 
     parser.StartElementHandler, parser.EndElementHandler = start, end
@@ -183,7 +185,7 @@ def check_urdf(source: str | Path, package_dirs: Iterable[str | Path] = ()) -> l
 
 
 def require_loadable(text: str) -> None:
-    """Raise ModelError naming the first element, when a URDF's kinematics mean nothing (see `check_urdf` for all of it)."""
+    """Raise ModelError naming the first element when a URDF's kinematics mean nothing (`check_urdf` lists all)."""
     findings = list(_errors(_parse(text)))
     if findings:
         more = f" (and {len(findings) - 1} more; `ik check` lists them)" if len(findings) > 1 else ""
@@ -191,7 +193,7 @@ def require_loadable(text: str) -> None:
 
 
 def mimic_limits(text: str) -> dict[str, tuple[str, float, float, float, float]]:
-    """Follower joint -> (leader, multiplier, offset, lower, upper) [rad or m]: q_follower = multiplier q_leader + offset.
+    """Follower joint -> (leader, multiplier, offset, lower, upper) [rad or m]: q = multiplier q_leader + offset.
 
     The limits are the follower's own (infinite when it has none); Pinocchio does not keep them.
     """
@@ -200,8 +202,9 @@ def mimic_limits(text: str) -> dict[str, tuple[str, float, float, float, float]]
         mimic, limit = item.first("mimic"), item.first("limit")
         if item.tag != "joint" or mimic is None:
             continue
-        free = item.attributes.get("type") == "continuous" or limit is None
-        lower, upper = (-math.inf, math.inf) if free else (float(limit.get(end, 0.0)) for end in ("lower", "upper"))
+        lower, upper = -math.inf, math.inf
+        if limit is not None and item.attributes.get("type") != "continuous":
+            lower, upper = float(limit.get("lower", 0.0)), float(limit.get("upper", 0.0))
         ratio, offset = float(mimic.get("multiplier", 1.0)), float(mimic.get("offset", 0.0))
         found[item.name] = (mimic.get("joint", ""), ratio, offset, lower, upper)
     return found
@@ -235,8 +238,9 @@ def _error(element: str, problem: str, advice: str) -> Finding:
 
 
 def _near(name: str, options: Iterable[str]) -> str:
-    """Return ' Did you mean ...?', without the list of everything."""
-    return near_match(name, options).partition(" Available")[0]
+    """Return '. Did you mean ...?' or '', without the list of everything."""
+    found = near_match(name, options).partition(" Available")[0]
+    return f".{found}" if found.startswith(" Did") else ""
 
 
 def _values(text: str) -> list[float] | None:
@@ -302,7 +306,7 @@ def _tree(links: set[str], joints: list[_Item]) -> Iterator[Finding]:
             link = ends[role] = (joint.first(role) or {}).get("link", "")
             if link not in links:
                 said = f"it has no {role} link" if not link else f"its {role} link '{link}' does not exist"
-                yield _error(str(joint), said, f"name an existing link.{_near(link, sorted(links))}")
+                yield _error(str(joint), said, f"name an existing link{_near(link, sorted(links))}")
                 broken = True
         if ends["child"] in parent_of and ends["child"] in links:
             yield _error(
@@ -344,7 +348,7 @@ def _mimics(joints: list[_Item]) -> Iterator[Finding]:
         element = f"joint '{name}'"
         if leader not in by_name:
             yield _error(
-                element, f"it mimics joint '{leader}', which does not exist", f"name a joint.{_near(leader, by_name)}"
+                element, f"it mimics joint '{leader}', which does not exist", f"name a joint{_near(leader, by_name)}"
             )
             continue
         seen = [name]

@@ -1,8 +1,8 @@
 """Denavit-Hartenberg tables: read them (TOML or CSV), write them as URDF with primitive shapes, multiply them out.
 
 Classic rows (Denavit, Hartenberg 1955): T_i = Rz(theta) Tz(d) Tx(a) Rx(alpha). Modified rows (Craig 1986):
-T_i = Rx(alpha) Tx(a) Rz(theta) Tz(d), with a and alpha of the row itself. A turning joint adds q to theta, a sliding joint
-adds q to d. T_base_tool = base T_1 ... T_n tool.
+T_i = Rx(alpha) Tx(a) Rz(theta) Tz(d), with a and alpha of the row itself. A turning joint adds q to theta, a sliding
+joint adds q to d. T_base_tool = base T_1 ... T_n tool.
 """
 
 import csv
@@ -31,7 +31,7 @@ MAX_BYTES = 1_000_000
 
 @dataclass(frozen=True)
 class DHRow:
-    """One joint: constants theta, alpha [rad], d, a [m]; lower, upper, velocity, effort in rad or m, per second, Nm or N."""
+    """One joint: theta, alpha [rad], d, a [m]; lower, upper [rad or m]; velocity [per second]; effort [Nm or N]."""
 
     name: str
     type: str = "revolute"
@@ -99,18 +99,19 @@ def _screw(axis: int, angle: float, distance: float) -> np.ndarray:
 def read_dh_table(path: str | Path) -> DHTable:
     """D-H table of a `.toml` or `.csv` file.
 
-    TOML: name, convention, angles ('deg' or 'rad'), lengths ('m' or 'mm'), optional base and tool (`{xyz, rpy}` in those
-    units), and one [[joint]] a row with name and any of type, theta, d, a, alpha, lower, upper, velocity, effort (limits
-    are required unless the joint is continuous). CSV: the settings as lines `# convention = classic` (base_xyz, base_rpy,
-    tool_xyz, tool_rpy as three numbers), a header of column names, one line a joint. Raises ModelError naming row and column.
+    TOML: name, convention, angles ('deg' or 'rad'), lengths ('m' or 'mm'), optional base and tool (`{xyz, rpy}` in
+    those units), and one [[joint]] a row with any of name, type, theta, d, a, alpha, lower, upper, velocity, effort
+    (limits are required unless the joint is continuous). CSV: the settings as lines `# convention = classic` (base_xyz,
+    base_rpy, tool_xyz, tool_rpy as three numbers), a header of column names, one line a joint. Raises ModelError naming
+    row and column.
     """
     path = Path(path).expanduser()
     if path.suffix.lower() not in (".toml", ".csv"):
         raise ModelError(f"a D-H table is a .toml or .csv file, not '{path.name}'")
     try:
         raw = path.read_bytes()
-    except OSError as error:
-        raise ModelError(f"cannot read the D-H table '{path}': {error.strerror}") from None
+    except (OSError, ValueError) as error:  # ValueError: a NUL in the path
+        raise ModelError(f"cannot read the D-H table {str(path)[:200]!r}: {error}") from None
     if len(raw) > MAX_BYTES:
         raise ModelError(f"the D-H table '{path.name}' is larger than {MAX_BYTES // 1_000_000} MB")
     try:
@@ -120,9 +121,10 @@ def read_dh_table(path: str | Path) -> DHTable:
     if path.suffix.lower() == ".csv":
         return dh_table({"name": path.stem, **_csv_settings(text)})
     try:
-        return dh_table({"name": path.stem, **tomllib.loads(text)})
-    except (tomllib.TOMLDecodeError, RecursionError) as error:
+        settings = tomllib.loads(text)
+    except (ValueError, RecursionError) as error:  # ValueError: also an integer of thousands of digits
         raise ModelError(f"the D-H table '{path.name}' is not valid TOML: {error}") from None
+    return dh_table({"name": path.stem, **settings})
 
 
 def _csv_settings(text: str) -> dict[str, Any]:
@@ -166,8 +168,8 @@ def dh_table(settings: Mapping[str, Any]) -> DHTable:
     angle = _choice(settings, "angles", {"deg": math.pi / 180.0, "rad": 1.0})
     length = _choice(settings, "lengths", {"m": 1.0, "mm": 1e-3})
     name = settings.get("name")
-    if not isinstance(name, str) or not name.strip():
-        raise ModelError("the D-H table's setting 'name' must be a text")
+    if not isinstance(name, str) or not name.isprintable() or not name.strip():
+        raise ModelError("the D-H table's setting 'name' must be a printable text")
     joints = settings.get("joint", [])
     if not isinstance(joints, list) or not joints:
         raise ModelError("the D-H table has no joint: one [[joint]] (TOML) or line (CSV) a joint is expected")
@@ -176,7 +178,7 @@ def dh_table(settings: Mapping[str, Any]) -> DHTable:
     rows = tuple(_row(number, joint, angle, length) for number, joint in enumerate(joints, 1))
     names = [row.name for row in rows]
     for number, joint in enumerate(names, 1):
-        if joint in names[: number - 1]:
+        if joint in ("tool_fixed", *names[: number - 1]):
             raise ModelError(
                 f"row {number}, column 'name' of the D-H table: '{joint}' is already the name of another joint"
             )
@@ -266,7 +268,7 @@ def _frame(settings: Mapping[str, Any], key: str, angle: float, length: float) -
 
 # ---------------------------------------------------------------------------------------------------------- writing
 def to_urdf(table: DHTable) -> str:
-    """URDF text of a D-H table: links base_link, link_1 ... link_n, tool; joints named by the rows, axes z, limits written."""
+    """URDF text of a D-H table: links base_link, link_1 ... link_n, tool; joints named by the rows, all axes z."""
     robot = new_robot(table.name)
     base = add_link(robot, "base_link")
     add_pedestal(base, table)
@@ -283,7 +285,7 @@ def add_arm(
     mount: np.ndarray | None = None,
     gripper: bool = True,
 ) -> None:
-    """Append the joints and links of a table below link `root`, mounted at `mount` (4x4), with names prefixed, up to `tip`."""
+    """Append the joints and links of a table, mounted at `mount` (4x4) on link `root`, names prefixed, up to `tip`."""
     origins = joint_origins(table)
     if mount is not None:
         origins[0] = mount @ origins[0]
@@ -345,7 +347,7 @@ def _add_body(link: ET.Element, table: DHTable, number: int, end: np.ndarray, gr
 
 
 def _add_rail(link: ET.Element, T: np.ndarray, row: DHRow, r: float) -> None:
-    """Draw what a slide runs on: a rail over the whole stroke when it passes zero, otherwise the outer tube of a telescope."""
+    """Draw what a slide runs on: a rail when its stroke passes zero, otherwise the outer tube of a telescope."""
     if row.lower < 0.0:
         middle, length = 0.5 * (row.lower + row.upper), row.upper - row.lower + 4.0 * r
         add_shape(link, "box", (1.1 * r, 1.1 * r, length), T @ shift(z=middle), "silver")

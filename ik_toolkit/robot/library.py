@@ -15,10 +15,11 @@ DATA_PACKAGE = "example-robot-data"
 class RobotEntry:
     """What a name stands for.
 
-    name; path (file, None for URDF text); source (what to read: the path, or the URDF text); base and tip (link names; tip
-    is None when several exist or nothing is known); tips (all the known ones); home (n,) [rad or m] in the order of the
-    joints from base to tip (union of the paths, in the order of `tips`, where there are several), or None; package_dirs
-    (folders in which package:// names are looked up); paper, table and description (where the numbers come from); dh_file.
+    name; path (file, None for URDF text); source (what to read: the path, or the URDF text); base and tip (link names;
+    tip is None when several exist or nothing is known); tips (all the known ones); home (n,) [rad or m] in the order of
+    the joints from base to tip (union of the paths, in the order of `tips`, where there are several), or None;
+    package_dirs (folders in which package:// names are looked up); paper, table and description (where the numbers come
+    from); dh_file.
     """
 
     name: str

@@ -39,7 +39,7 @@ def add_joint(
 ) -> None:
     """Append a joint at T (4x4) in the parent link; a moving one turns about or slides along z and has a limit.
 
-    limit: lower, upper [rad or m] (left out for a continuous joint), effort and velocity (Pinocchio refuses a file without).
+    limit: lower, upper [rad or m] (none for a continuous joint), effort, velocity (Pinocchio refuses a file without).
     """
     joint = ET.SubElement(robot, "joint", name=name, type=kind)
     _origin(joint, T)
@@ -53,7 +53,9 @@ def add_joint(
 def add_shape(
     link: ET.Element, shape: str, size: Sequence[float], T: np.ndarray, colour: str, solid: bool = False
 ) -> None:
-    """Append a visual (and a collision shape when solid): 'box' (x, y, z) or 'cylinder' (radius, length along z), metres."""
+    """Append a visual (and a collision shape when solid): 'box' (x, y, z) or 'cylinder' (radius, length on z) [m]."""
+    if min(size) <= 0.0:
+        return  # a slide without a stroke has no tube to draw
     for tag in ("visual", "collision") if solid else ("visual",):
         part = ET.SubElement(link, tag)
         _origin(part, T)

@@ -1,0 +1,142 @@
+"""Names, paths and text find their robot; the shipped files are those the script writes."""
+
+import importlib.util
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from ik_toolkit.errors import RobotNotFound
+from ik_toolkit.robot import library
+from ik_toolkit.robot.library import DATA_ROBOTS, example_robot_data, find, list_robots, shipped_robots
+
+SCRIPT = Path(__file__).parent.parent / "scripts" / "make_urdfs.py"
+NAMES = ["hydrolek_7w", "brokk_hydrolek", "planar_3r", "planar_2r", "cartesian_pp", "inspection_7dof"]
+
+
+def has_data():
+    return library._data_root() is not None
+
+
+def test_shipped_files_are_what_the_script_writes():
+    spec = importlib.util.spec_from_file_location("make_urdfs", SCRIPT)
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    written = module.robots()
+    assert sorted(written) == sorted(entry.path.name for entry in shipped_robots().values())
+    for entry in shipped_robots().values():
+        assert entry.path.read_text(encoding="utf-8") == written[entry.path.name], f"run {SCRIPT.name}"
+
+
+def test_robots_toml_has_no_second_reach():
+    rows = tomllib.loads((library.urdf_folder() / "robots.toml").read_text())
+    assert list(rows) == NAMES
+    assert all("reach" not in row for row in rows.values())
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_home_is_inside_the_limits_and_not_singular(name):
+    entry = find(name)
+    model = pin.buildModelFromUrdf(str(entry.path), True)
+    data, home = model.createData(), pin.neutral(model)
+    moving = [j for j in range(1, model.njoints) if "gripper" not in model.names[j]]
+    assert len(entry.home) == len(moving)
+    for j, value in zip(moving, entry.home, strict=True):
+        assert model.lowerPositionLimit[model.joints[j].idx_q] < value < model.upperPositionLimit[model.joints[j].idx_q]
+        home[model.joints[j].idx_q] = value
+    pin.computeJointJacobians(model, data, home)
+    pin.updateFramePlacements(model, data)
+    for tip in entry.tips:
+        J = pin.getFrameJacobian(model, data, model.getFrameId(tip), pin.LOCAL_WORLD_ALIGNED)
+        J = J[:, np.abs(J).max(axis=0) > 0]
+        smallest = np.linalg.svd(J, compute_uv=False)[min(J.shape) - 1]
+        assert smallest > 0.05
+    assert model.existBodyName(entry.base)
+
+
+def test_brokk():
+    """Both arms are HydroLeks on one turret; the grippers move nothing on the paths."""
+    entry = find("brokk_hydrolek")
+    model = pin.buildModelFromUrdf(str(entry.path), True)
+    arm = pin.buildModelFromUrdf(str(find("hydrolek_7w").path), True)
+    data, arm_data = model.createData(), arm.createData()
+    assert entry.tip is None and entry.tips == ("left_tip", "right_tip")
+    rng = np.random.default_rng(3)
+    q = rng.uniform(model.lowerPositionLimit, model.upperPositionLimit)
+    pin.framesForwardKinematics(model, data, q)
+    for side, sign in (("left", 1.0), ("right", -1.0)):
+        own = [model.joints[model.getJointId(f"{side}_{joint}")].idx_q for joint in list(arm.names)[1:]]
+        pin.framesForwardKinematics(arm, arm_data, q[own])
+        T_world_turret = data.oMi[model.getJointId("turret")]
+        T_turret_mount = pin.SE3(np.eye(3), np.array([0.22, 0.27 * sign, 0.44]))
+        expected = T_world_turret * T_turret_mount * arm_data.oMf[arm.getFrameId("tool")]
+        got = data.oMf[model.getFrameId(f"{side}_tip")]
+        assert np.abs(expected.homogeneous - got.homogeneous).max() < 1e-12
+        assert model.joints[model.getJointId(f"{side}_gripper")].nq == 1
+        before = got.copy()
+        moved = q.copy()
+        moved[model.joints[model.getJointId(f"{side}_gripper")].idx_q] = 0.0
+        pin.framesForwardKinematics(model, data, moved)
+        assert np.array_equal(data.oMf[model.getFrameId(f"{side}_tip")].homogeneous, before.homogeneous)
+
+
+def test_find_by_path_text_and_name(tmp_path, monkeypatch):
+    shipped = find("planar_2r")
+    assert shipped.tip == "tool" and shipped.path.is_absolute()
+    file = tmp_path / "my.urdf"
+    file.write_text("<robot/>")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("HOME", str(tmp_path))
+    for source in (file, str(file), "my.urdf", "./my.urdf", "~/my.urdf"):
+        entry = find(source)
+        assert (entry.name, entry.path, entry.tip, entry.home) == ("my", file, None, None)
+    text = find(" \n<robot name='x'/>")
+    assert text.path is None and text.source == " \n<robot name='x'/>"
+
+
+@pytest.mark.parametrize(
+    ("source", "message"),
+    [
+        ("hydrolek", "Did you mean 'hydrolek_7w'?"),
+        ("pandas", "Did you mean 'panda'?"),
+        ("somewhere/arm.urdf", "there is no file 'somewhere/arm.urdf'"),
+        ("arm.urdf", "there is no file 'arm.urdf'"),
+        ("", "there is no robot and no file ''"),
+        ("a\0b", "there is no robot"),
+        ("x" * 10_000, "there is no robot"),
+        (7, "not int"),
+    ],
+)
+def test_not_found(source, message):
+    with pytest.raises(RobotNotFound) as caught:
+        find(source)
+    assert message in str(caught.value) and len(str(caught.value)) < 1000
+
+
+def test_without_the_data_wheel(monkeypatch):
+    monkeypatch.setattr(library, "DATA_PACKAGE", "no-such-distribution")
+    with pytest.raises(RobotNotFound, match=r"pip install 'ik_toolkit\[robots\]'"):
+        find("panda")
+    assert [entry.name for entry in list_robots()] == NAMES
+
+
+@pytest.mark.skipif(not has_data(), reason="example-robot-data is not installed")
+@pytest.mark.parametrize("name", list(DATA_ROBOTS))
+def test_data_robots_have_their_tips(name):
+    path, folders = example_robot_data(name)
+    model = pin.buildModelFromUrdf(str(path), True)
+    assert all(
+        model.existBodyName(tip) and model.frames[model.getFrameId(tip, pin.BODY)].parentJoint > 0
+        for tip in DATA_ROBOTS[name][1]
+    )
+    assert (folders[0] / "example-robot-data").is_dir()
+    assert find(name).path == path
+
+
+def test_data_robots_are_listed():
+    if has_data():
+        assert [entry.name for entry in list_robots()] == [*NAMES, *DATA_ROBOTS]
+    with pytest.raises(RobotNotFound, match="Did you mean 'panda'"):
+        example_robot_data("pandaa")
