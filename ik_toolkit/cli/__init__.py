@@ -1,0 +1,95 @@
+"""The command `ik`: one module per group of commands, each with `register(app)`. Heavy imports happen inside commands."""
+
+import importlib
+import os
+import sys
+from collections.abc import Sequence
+from typing import Annotated
+
+import typer
+
+from .. import __version__
+from ..errors import IKError, MissingExtra
+from .common import join_vectors, notice
+
+MODULES = (
+    "robots",
+    "solve",
+    "track",
+    "solvers",
+    "files",
+    "doctor",
+)  # a new group of commands is one module and its name here
+NOT_SOLVED, BAD_INPUT, MISSING_EXTRA, BUG, INTERRUPTED = 1, 2, 3, 70, 130
+# Typer carries its own copy of click in some versions; this is the root of its usage errors in all of them.
+UsageError = typer.BadParameter.mro()[2]
+
+
+def _version(value: bool) -> None:
+    if value:
+        print(f"ik_toolkit {__version__}")
+        raise typer.Exit
+
+
+def _options(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Print the version and exit.")
+    ] = False,
+    debug: Annotated[bool, typer.Option("--debug", help="Show the traceback of an error.")] = False,
+) -> None:
+    """Inverse kinematics for URDF arms.
+
+    Metres and radians unless --deg. Results go to stdout, notices to stderr; --json prints one object.
+
+    Exit codes: 0 solved or done, 1 not solved or found wrong, 2 bad input, 3 an extra is missing.
+    """
+
+
+def application() -> typer.Typer:
+    """Build the command line from its modules."""
+    app = typer.Typer(name="ik", pretty_exceptions_enable=False)
+    app.callback()(_options)
+    for module in MODULES:
+        importlib.import_module(f".{module}", __name__).register(app)
+    return app
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command line; return its exit code. The caller's mistakes become one sentence on stderr, never a traceback."""
+    arguments = join_vectors(sys.argv[1:] if argv is None else argv)
+    debug = "--debug" in arguments
+    arguments = [argument for argument in arguments if argument != "--debug"]
+    try:
+        command = typer.main.get_command(application())
+        return command.main(args=arguments or ["--help"], prog_name="ik", standalone_mode=False) or 0
+    except (KeyboardInterrupt, typer.Abort):
+        notice("ik: interrupted")
+        return INTERRUPTED
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # the reader left: nothing more to say to it
+        return 0
+    except Exception as error:
+        if debug:
+            raise
+        text, code = _explain(error)
+        notice(f"ik: {text}")
+        return code
+
+
+def _explain(error: Exception) -> tuple[str, int]:
+    """Sentence and exit code for an error."""
+    if isinstance(error, MissingExtra):
+        return str(error), MISSING_EXTRA
+    if isinstance(error, IKError):
+        return str(error), BAD_INPUT
+    if isinstance(error, UsageError):
+        context = getattr(error, "ctx", None)
+        command = context.command_path if context else "ik"
+        message = error.format_message().rstrip(".")  # type: ignore[attr-defined]
+        return f"{message}{'' if message.endswith('?') else '.'} See {command} --help", BAD_INPUT
+    if isinstance(error, OSError):
+        return f"{error.strerror or error}: {error.filename}" if error.filename else str(error), BAD_INPUT
+    return (
+        f"unexpected {type(error).__name__}: {str(error).partition(chr(10))[0]} (a bug of ik_toolkit; --debug shows the traceback)",
+        BUG,
+    )

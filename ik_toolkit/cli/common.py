@@ -1,0 +1,244 @@
+"""What the commands share: robot options, vectors of numbers, units, tables, JSON, and notices on stderr."""
+
+import json
+import math
+import os
+import sys
+import threading
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from ..errors import FrameNotFound, InvalidConfiguration, InvalidOption, InvalidTarget
+
+if TYPE_CHECKING:
+    import numpy as np
+    from rich.table import Table
+    from rich.text import Text
+
+    from ..robot.robot import Robot
+
+# Options that take several numbers: `--q 0.1 -0.2`, `--q 0.1,-0.2` and `--q "0.1 -0.2"` mean the same.
+VECTOR_OPTIONS = frozenset({"--q", "--q0", "--xyz", "--rpy", "--quat-xyzw", "--center", "--axis", "--start", "--end"})
+COMPILE_NOTICE_AFTER = 0.7  # s; a call that takes longer is compiling
+
+RobotArg = Annotated[str, typer.Argument(metavar="ROBOT", help="Name (see ik robots) or path of a URDF file.")]
+Tip = Annotated[str | None, typer.Option(metavar="FRAME", help="Tip frame; needed when the robot has several ends.")]
+Base = Annotated[
+    str | None, typer.Option(metavar="FRAME", help="Base frame of targets and poses; default: the root link.")
+]
+Lock = Annotated[
+    list[str] | None, typer.Option(metavar="JOINT=VALUE", help="Hold a joint at a value; may be repeated.")
+]
+PackageDir = Annotated[
+    list[str] | None, typer.Option(metavar="DIR", help="Folder in which package:// names are looked up.")
+]
+Deg = Annotated[bool, typer.Option("--deg", help="Turning joints and rpy in degrees; sliding joints stay in metres.")]
+Json = Annotated[bool, typer.Option("--json", help="Print one JSON object, in metres and radians whatever --deg says.")]
+Out = Annotated[
+    Path | None, typer.Option("-o", "--output", metavar="FILE", help="Also write the JSON object to a file.")
+]
+
+
+# ------------------------------------------------------------------------------------------------------------ numbers
+def numbers(text: str) -> list[float] | None:
+    """Read the numbers of '1 2', '1,2' or '1'; None when there is none or anything else."""
+    try:
+        return [float(part) for part in text.replace(",", " ").split()] or None
+    except ValueError:
+        return None
+
+
+def join_vectors(argv: Sequence[str]) -> list[str]:
+    """Join the numbers that follow a vector option into one argument (the parser takes one, and reads -1 as an option)."""
+    joined: list[str] = []
+    collecting = False
+    for position, token in enumerate(argv):
+        if token == "--":
+            return [*joined, *argv[position:]]
+        if collecting and numbers(token):
+            joined[-1] += ("" if joined[-1].endswith("=") else ",") + token
+            continue
+        after = argv[position + 1] if position + 1 < len(argv) else ""
+        collecting = token in VECTOR_OPTIONS and numbers(after) is not None
+        joined.append(f"{token}=" if collecting else token)
+    return joined
+
+
+def vector(text: str, option: str, size: int | None = None) -> list[float]:
+    """Read a vector option's numbers; InvalidOption or InvalidTarget when they are not numbers or not `size` many."""
+    values = numbers(text)
+    if values is None:
+        raise InvalidOption(f"{option} takes numbers, not '{text}'")
+    if size is not None and len(values) != size:
+        raise InvalidTarget(f"{option} takes {size} numbers; got {len(values)}")
+    return values
+
+
+def joint_vector(robot: "Robot", text: str, option: str, deg: bool) -> "np.ndarray":
+    """Joint values (n,) [rad or m] of a vector option; turning joints are read in degrees when `deg`."""
+    values = vector(text, option)
+    if len(values) != robot.n:
+        raise InvalidConfiguration(
+            f"{option} takes {robot.n} values, one per joint ({', '.join(robot.joint_names)}); got {len(values)}"
+        )
+    pairs = zip(values, robot.joint_kinds, strict=True)
+    return robot.check_q([math.radians(x) if deg and turns(kind) else x for x, kind in pairs], option)
+
+
+def assignments(pairs: Sequence[str] | None, option: str) -> dict[str, str]:
+    """Split KEY=VALUE arguments; InvalidOption when one has no '='."""
+    split = {}
+    for pair in pairs or ():
+        key, equals, value = pair.partition("=")
+        if not (key and equals and value):
+            raise InvalidOption(f"{option} takes NAME=VALUE, not '{pair}'")
+        split[key.strip()] = value.strip()
+    return split
+
+
+def turns(kind: str) -> bool:
+    """Whether a joint kind is measured as an angle."""
+    return kind != "prismatic"
+
+
+def number(value: float, kind: str, deg: bool) -> str:
+    """Joint value (given in rad or m) for a table; its unit is `unit(kind, deg)`."""
+    if not math.isfinite(value):
+        return "none"
+    degrees = deg and turns(kind)
+    return fixed(math.degrees(value) if degrees else value, 4 if degrees else 6)
+
+
+def fixed(value: float, digits: int) -> str:
+    """Write a number with this many decimals, and zero without a sign."""
+    return f"{round(value, digits) + 0.0:.{digits}f}"
+
+
+def unit(kind: str, deg: bool) -> str:
+    """Unit of a joint kind's value."""
+    return "m" if not turns(kind) else "deg" if deg else "rad"
+
+
+# -------------------------------------------------------------------------------------------------------------- robots
+def load_robot(
+    source: str,
+    tip: str | None = None,
+    base: str | None = None,
+    lock: Sequence[str] | None = None,
+    package_dir: Sequence[str] | None = None,
+    deg: bool = False,
+) -> "Robot":
+    """Load the robot that the shared options describe; values of --lock are degrees for turning joints when `deg`."""
+    from ..robot.library import find
+    from ..robot.robot import Robot
+
+    tips = find(source).tips
+    if tip is None and len(tips) > 1:
+        raise FrameNotFound(f"robot '{source}' has {len(tips)} tips; choose one with --tip: {', '.join(tips)}")
+    with compile_notice():
+        robot = Robot.load(source, tip=tip, base=base, package_dirs=package_dir or ())
+        if not lock:
+            return robot
+        values = {}
+        for joint, text in assignments(lock, "--lock").items():
+            value = numbers(text)
+            if value is None or len(value) != 1:
+                raise InvalidOption(f"--lock {joint} takes one number, not '{text}'")
+            values[joint] = math.radians(value[0]) if deg and not slides(robot, joint) else value[0]
+        return robot.locked(values)
+
+
+def slides(robot: "Robot", joint: str) -> bool:
+    """Whether a joint of the model (on the path or not) is prismatic."""
+    model = robot.model
+    return model.existJointName(joint) and model.joints[model.getJointId(joint)].shortname().startswith("JointModelP")
+
+
+@contextmanager
+def compile_notice(what: str = "the solver") -> Iterator[None]:
+    """Say on stderr that numba is compiling when the block takes longer than a compiled call would."""
+    timer = threading.Timer(
+        COMPILE_NOTICE_AFTER, notice, [f"compiling {what} (first use on this machine, takes some seconds) ..."]
+    )
+    timer.daemon = True
+    timer.start()
+    try:
+        yield
+    finally:
+        timer.cancel()
+
+
+# -------------------------------------------------------------------------------------------------------------- output
+def notice(text: str) -> None:
+    """Print one line of prose on stderr."""
+    print(text, file=sys.stderr, flush=True)
+
+
+def plain(value: Any) -> Any:
+    """Turn arrays, paths and enums into what JSON has; numbers that are not finite become null."""
+    if isinstance(value, dict):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple | set):
+        return [plain(item) for item in value]
+    if hasattr(value, "tolist"):  # numpy array or scalar
+        return plain(value.tolist())
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, str | int | bool) or value is None:
+        return value
+    return str(value)
+
+
+def write_json(payload: dict[str, Any], as_json: bool, output: Path | None = None) -> None:
+    """Print the object on stdout when `as_json`, and write it to `output` when that is given."""
+    if output is not None:
+        output.write_text(json.dumps(plain(payload), indent=2, allow_nan=False) + "\n", encoding="utf-8")
+        notice(f"wrote {output}")
+    if as_json:
+        print(json.dumps(plain(payload), allow_nan=False))
+
+
+def table(*columns: str) -> "Table":
+    """Empty table in the house style; columns named '<...' or '>...' never wrap, the latter are right-aligned."""
+    from rich import box
+    from rich.table import Table
+
+    made = Table(box=box.SIMPLE_HEAD, pad_edge=False)
+    for column in columns:
+        right, whole = column.startswith(">"), column.startswith(("<", ">"))
+        made.add_column(column.lstrip("<>"), justify="right" if right else "left", no_wrap=whole)
+    return made
+
+
+def show(*things: Any) -> None:
+    """Print tables and lines on stdout: as wide as the terminal, 100 columns where there is none."""
+    from rich.console import Console
+
+    width = None if sys.stdout.isatty() or "COLUMNS" in os.environ else 100
+    console = Console(width=width, highlight=False, markup=False)
+    for thing in things:
+        console.print(thing)
+
+
+def heading(text: str) -> "Text":
+    """Bold line above a table or a list."""
+    from rich.text import Text
+
+    return Text(text, style="bold")
+
+
+def facts(rows: dict[str, Any]) -> "Table":
+    """Two-column list of names and values, without lines; rows whose value is None are left out."""
+    from rich.table import Table
+
+    made = Table.grid(padding=(0, 2))
+    made.add_column(style="dim", no_wrap=True)
+    made.add_column(overflow="fold")
+    for name, value in rows.items():
+        if value is not None:
+            made.add_row(name, str(value))
+    return made

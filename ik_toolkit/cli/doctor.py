@@ -1,0 +1,131 @@
+"""`ik doctor`: what is installed, what is missing, and whether this machine can run it."""
+
+import importlib.metadata
+import importlib.util
+import os
+import platform
+import re
+import tempfile
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import typer
+
+from .common import Json, show, table, write_json
+
+CORE = ("pin", "numpy", "numba", "typer", "rich")
+COLOURS = {"ok": "green", "missing": "yellow", "problem": "red"}
+EXTRA = re.compile(r"""^([A-Za-z0-9_.-]+).*extra\s*==\s*['"]([a-z]+)['"]""")
+DEVELOPMENT = {"all", "test", "lint", "docs", "peers"}  # extras a user does not need
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands of this module."""
+    app.command()(doctor)
+
+
+def doctor(as_json: Json = False) -> None:
+    """Check the installation: versions, extras, cache folder, robots.
+
+    Uses no network. Exit code 1 when something is wrong; a missing extra is not.
+    """
+    rows = [*_versions(), *_extras(), _cache(), _pinocchio(), _robots()]
+    healthy = all(row["state"] != "problem" for row in rows)
+    write_json({"healthy": healthy, "checks": rows}, as_json)
+    if not as_json:
+        from rich.text import Text
+
+        made = table("<what", "<state", "detail")
+        for row in rows:
+            made.add_row(row["what"], Text(row["state"], COLOURS[row["state"]]), row["detail"])
+        show(made)
+    if not healthy:
+        raise typer.Exit(1)
+
+
+def _row(what: str, state: str, detail: str) -> dict[str, Any]:
+    return {"what": what, "state": state, "detail": detail}
+
+
+def _installed(package: str) -> str | None:
+    try:
+        return importlib.metadata.version(package)
+    except importlib.metadata.PackageNotFoundError:
+        return None
+
+
+def _versions() -> Iterator[dict[str, Any]]:
+    from .. import __version__
+
+    yield _row("ik_toolkit", "ok", f"{__version__}, {Path(__file__).resolve().parent.parent}")
+    yield _row("python", "ok", f"{platform.python_version()}, {platform.system()} {platform.machine()}")
+    for package in CORE:
+        version = _installed(package)
+        yield _row(package, "ok" if version else "problem", version or f"missing; run: pip install {package}")
+
+
+def _extras() -> Iterator[dict[str, Any]]:
+    """One row an extra, read from the installed package's own requirements."""
+    extras: dict[str, list[str]] = {}
+    for requirement in importlib.metadata.requires("ik_toolkit") or ():
+        found = EXTRA.match(requirement)
+        if found and found[2] not in DEVELOPMENT and found[1] != "ik_toolkit":
+            extras.setdefault(found[2], []).append(found[1])
+    for extra, packages in extras.items():
+        versions = {package: _installed(package) for package in packages}
+        missing = [package for package, version in versions.items() if version is None]
+        if missing:
+            detail = f"no {', '.join(missing)}; run: pip install 'ik_toolkit[{extra}]'"
+        else:
+            detail = ", ".join(f"{package} {version}" for package, version in versions.items())
+        yield _row(f"extra {extra}", "missing" if missing else "ok", detail)
+
+
+def _cache() -> dict[str, Any]:
+    """Where compiled kernels are kept: NUMBA_CACHE_DIR, beside the package, or the user's cache folder."""
+    beside = Path(__file__).resolve().parent.parent / "kernel"
+    wanted = [Path(os.environ["NUMBA_CACHE_DIR"])] if os.environ.get("NUMBA_CACHE_DIR") else [beside, Path.home()]
+    for folder in wanted:
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            with tempfile.TemporaryFile(dir=folder):
+                return _row("compile cache", "ok", f"writable: {folder}")
+        except OSError:
+            continue
+    tried = ", ".join(str(folder) for folder in wanted)
+    return _row(
+        "compile cache", "missing", f"not writable ({tried}): every process compiles again; set NUMBA_CACHE_DIR"
+    )
+
+
+def _pinocchio() -> dict[str, Any]:
+    """PyPI's 'pinocchio' is another program that hides the one we need; old ones lack what we use."""
+    stranger = _installed("pinocchio")
+    if stranger:
+        return _row("pinocchio", "problem", f"package 'pinocchio' {stranger} hides 'pin'; run: pip uninstall pinocchio")
+    try:
+        import pinocchio
+    except ImportError as error:
+        return _row("pinocchio", "problem", f"cannot be imported: {error}")
+    if not hasattr(pinocchio, "buildModelFromXML"):
+        return _row(
+            "pinocchio",
+            "problem",
+            f"{pinocchio.__file__} is not the rigid-body library; pip install --force-reinstall pin",
+        )
+    return _row("pinocchio", "ok", f"{pinocchio.__version__} imports")
+
+
+def _robots() -> dict[str, Any]:
+    from ..errors import IKError
+    from ..robot.library import list_robots, shipped_robots
+
+    try:
+        shipped, every = shipped_robots(), list_robots()
+    except IKError as error:
+        return _row("robots", "problem", str(error))
+    absent = [name for name, entry in shipped.items() if entry.path is None or not entry.path.is_file()]
+    if absent:
+        return _row("robots", "problem", f"files missing of: {', '.join(absent)}; reinstall ik_toolkit")
+    return _row("robots", "ok", f"{len(shipped)} shipped, {len(every) - len(shipped)} from example-robot-data")

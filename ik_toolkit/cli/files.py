@@ -1,0 +1,68 @@
+"""`ik dh` and `ik check`: a URDF from a D-H table, and what is wrong with a URDF."""
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from .common import Json, PackageDir, notice, show, table, write_json
+
+TableArg = Annotated[str, typer.Argument(metavar="TABLE", help="D-H table, a .toml or .csv file.")]
+UrdfOut = Annotated[
+    Path | None, typer.Option("-o", "--output", metavar="FILE", help="Write the URDF here, not on stdout.")
+]
+UrdfArg = Annotated[str, typer.Argument(metavar="URDF", help="Path of a URDF file, or a robot's name.")]
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands of this module."""
+    app.command()(dh)
+    app.command()(check)
+
+
+def dh(table_file: TableArg, output: UrdfOut = None, as_json: Json = False) -> None:
+    """Write the URDF of a D-H table (classic or modified), with primitive shapes."""
+    from ..robot.dh import read_dh_table, to_urdf
+
+    made = read_dh_table(table_file)
+    text = to_urdf(made)
+    if output is not None:
+        output.write_text(text, encoding="utf-8")
+        notice(f"wrote {output}: {made.name}, {len(made.rows)} joints, {made.convention} D-H")
+    if as_json:
+        joints = [row.name for row in made.rows]
+        write_json(
+            {"name": made.name, "convention": made.convention, "joints": joints, "output": output, "urdf": text}, True
+        )
+    elif output is None:
+        print(text, end="")
+
+
+def check(urdf: UrdfArg, package_dir: PackageDir = None, as_json: Json = False) -> None:
+    """Say what is wrong with a URDF, element by element.
+
+    Exit code 0 when it can be loaded (warnings may remain), 1 when it has errors.
+    """
+    from rich.text import Text
+
+    from ..robot.check import check_urdf
+    from ..robot.library import find
+
+    entry = find(urdf)
+    findings = check_urdf(entry.source, [*(package_dir or ()), *entry.package_dirs])
+    errors = [finding for finding in findings if finding.severity == "error"]
+    rows = [asdict(finding) for finding in findings]
+    write_json({"urdf": urdf, "loadable": not errors, "errors": len(errors), "findings": rows}, as_json)
+    if not as_json:
+        made = table("<severity", "element", "problem", "what to do")
+        for finding in findings:
+            colour = "red" if finding.severity == "error" else "yellow"
+            made.add_row(Text(finding.severity, colour), finding.element, finding.problem, finding.advice)
+        if findings:
+            show(made)
+        warnings = len(findings) - len(errors)
+        counts = f"{len(errors)} error{'s' * (len(errors) != 1)}, {warnings} warning{'s' * (warnings != 1)}"
+        show(f"{entry.name}: {counts if findings else 'nothing wrong found'}")
+    if errors:
+        raise typer.Exit(1)

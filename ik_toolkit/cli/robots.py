@@ -1,0 +1,225 @@
+"""`ik robots`, `ik info`, `ik fk`: which robots there are, what one is like, where its tip stands."""
+
+import math
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from .common import (
+    Base,
+    Deg,
+    Json,
+    Lock,
+    PackageDir,
+    RobotArg,
+    Tip,
+    facts,
+    fixed,
+    heading,
+    joint_vector,
+    load_robot,
+    notice,
+    number,
+    show,
+    table,
+    turns,
+    unit,
+    write_json,
+)
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from ..robot.robot import Robot
+
+Q = Annotated[str | None, typer.Option("--q", metavar="Q1 Q2 ...", help="Joint values, one per joint; default: home.")]
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands of this module."""
+    app.command()(robots)
+    app.command()(info)
+    app.command()(fk)
+
+
+def robots(as_json: Json = False) -> None:
+    """List the robots that can be given by name."""
+    from ..robot.library import list_robots, shipped_robots
+
+    entries = list_robots()
+    shipped = shipped_robots()
+    rows = [
+        {
+            "name": entry.name,
+            "tips": entry.tips,
+            "description": entry.description,
+            "shipped": entry.name in shipped,
+            "paper": entry.paper,
+            "path": entry.path,
+        }
+        for entry in entries
+    ]
+    write_json({"robots": rows}, as_json)
+    if as_json:
+        return
+    ours = table("<name", "<tips", "description", "paper")
+    theirs = table("<name", "<tips", "file")
+    for row in rows:
+        tips = "\n".join(row["tips"])
+        if row["shipped"]:
+            ours.add_row(row["name"], tips, row["description"], row["paper"])
+        else:
+            theirs.add_row(row["name"], tips, row["description"].partition(": ")[2])
+    show(heading("Shipped"), ours)
+    if theirs.row_count:
+        show(heading("From example-robot-data"), theirs)
+    else:
+        notice("more arms by name (panda, ur5, ...): pip install 'ik_toolkit[robots]'; or give the path of a URDF file")
+
+
+def info(
+    robot: RobotArg,
+    tip: Tip = None,
+    base: Base = None,
+    lock: Lock = None,
+    package_dir: PackageDir = None,
+    deg: Deg = False,
+    as_json: Json = False,
+) -> None:
+    """Show a robot: joints, limits, home, frames, reach, D-H table, and where it comes from."""
+    from ..robot.dh import read_dh_table
+    from ..robot.library import find
+
+    entry = find(robot)
+    tips = [tip] if tip or len(entry.tips) < 2 else entry.tips
+    arms = [load_robot(robot, name, base, lock, package_dir, deg) for name in tips]
+    dh = read_dh_table(entry.dh_file) if entry.dh_file else None
+    rows = [{**describe(arm), "package_dirs": arm.package_dirs} for arm in arms]
+    source = {"description": entry.description, "paper": entry.paper, "table": entry.table, "path": entry.path}
+    payload = {**rows[0], **source, "dh": _dh_dict(dh) if dh else None}
+    if len(rows) > 1:
+        payload["arms"] = rows
+    write_json(payload, as_json)
+    if as_json:
+        return
+    show(heading(entry.name))
+    show(facts({"robot": entry.description or None, "source": _source(entry.paper, entry.table), "file": entry.path}))
+    for arm in arms:
+        reach = f"{arm.reach:.4g} m (longest distance of the tip from the first joint)"
+        locked = ", ".join(f"{joint} = {value:g}" for joint, value in arm.locked_joints.items())
+        show(
+            "",
+            facts(
+                {"base -> tip": f"{arm.base} -> {arm.tip}", "joints": arm.n, "reach": reach, "locked": locked or None}
+            ),
+        )
+        show(_joint_table(arm, deg))
+    if dh:
+        show(heading(f"D-H table, {dh.convention}; q is the joint's value"), _dh_table(dh, deg))
+
+
+def _source(paper: str, source_table: str) -> str | None:
+    return "; ".join(part for part in (paper, source_table) if part) or None
+
+
+def describe(robot: "Robot") -> dict[str, Any]:
+    """Robot as plain data, in metres and radians."""
+    joints = zip(
+        robot.joint_names, robot.joint_kinds, robot.lower, robot.upper, robot.home, robot.velocity_limits, strict=True
+    )
+    names = ("name", "kind", "lower", "upper", "home", "velocity_limit")
+    return {
+        "name": robot.name,
+        "base": robot.base,
+        "tip": robot.tip,
+        "reach": robot.reach,
+        "joints": [dict(zip(names, joint, strict=True)) for joint in joints],
+        "locked": robot.locked_joints,
+    }
+
+
+def _joint_table(robot: "Robot", deg: bool) -> "Table":
+    made = table(">#", "<joint", "<kind", ">lower", ">upper", ">home", ">speed", "<unit (speed: per s)")
+    for i, (name, kind) in enumerate(zip(robot.joint_names, robot.joint_kinds, strict=True)):
+        columns = (robot.lower, robot.upper, robot.home, robot.velocity_limits)
+        made.add_row(str(i + 1), name, kind, *(number(float(x[i]), kind, deg) for x in columns), unit(kind, deg))
+    return made
+
+
+def _dh_dict(dh: Any) -> dict[str, Any]:
+    rows = [{key: getattr(row, key) for key in ("name", "type", "theta", "d", "a", "alpha")} for row in dh.rows]
+    return {"convention": dh.convention, "rows": rows, "base": dh.base, "tool": dh.tool}
+
+
+def _dh_table(dh: Any, deg: bool) -> "Table":
+    angle = unit("revolute", deg)
+    made = table("<joint", f">theta [{angle}]", ">d [m]", ">a [m]", f">alpha [{angle}]")
+    for row in dh.rows:
+        slides = row.type == "prismatic"
+        theta, alpha = (number(x, "revolute", deg) for x in (row.theta, row.alpha))
+        d, a = (number(x, "prismatic", deg) for x in (row.d, row.a))
+        made.add_row(row.name, *((theta, _added(d)) if slides else (_added(theta), d)), a, alpha)
+    return made
+
+
+def _added(constant: str) -> str:
+    """What q adds up to with a constant of the D-H table."""
+    if not float(constant):
+        return "q"
+    return f"q - {constant[1:]}" if constant.startswith("-") else f"q + {constant}"
+
+
+def fk(
+    robot: RobotArg,
+    q: Q = None,
+    tip: Tip = None,
+    base: Base = None,
+    lock: Lock = None,
+    package_dir: PackageDir = None,
+    deg: Deg = False,
+    as_json: Json = False,
+) -> None:
+    """Show where the tip stands for given joint values (pose in the robot's base frame)."""
+    from ..robot.pose import matrix_quat, matrix_rpy
+
+    arm = load_robot(robot, tip, base, lock, package_dir, deg)
+    values = arm.home if q is None else joint_vector(arm, q, "--q", deg)
+    outside = arm.outside(values)
+    if outside:
+        notice(f"outside the limits: {', '.join(outside)}")
+    T = arm.fk(values)
+    rpy, quat = matrix_rpy(T.rotation), matrix_quat(T.rotation)
+    payload = {
+        "robot": arm.name,
+        "base": arm.base,
+        "tip": arm.tip,
+        "joint_names": arm.joint_names,
+        "q": values,
+        "xyz": T.translation,
+        "rpy": rpy,
+        "quat_xyzw": quat,
+        "T_base_tip": T.homogeneous,
+    }
+    write_json(payload, as_json)
+    if as_json:
+        return
+    angles = [math.degrees(x) if deg else x for x in rpy]
+    at = [
+        f"{math.degrees(x) if deg and turns(kind) else float(x):.7g} {unit(kind, deg)}"
+        for x, kind in zip(values, arm.joint_kinds, strict=True)
+    ]
+    show(
+        facts(
+            {
+                "robot": f"{arm.name}, {arm.base} -> {arm.tip}",
+                "q" if q is not None else "q (home)": ", ".join(at),
+                "position": f"({_numbers(T.translation, 7)}) m",
+                "roll, pitch, yaw": f"({_numbers(angles, 4 if deg else 6)}) {'deg' if deg else 'rad'}",
+                "quaternion xyzw": f"({_numbers(quat, 7)})",
+            }
+        )
+    )
+
+
+def _numbers(values: Any, digits: int) -> str:
+    return ", ".join(fixed(float(x), digits) for x in values)

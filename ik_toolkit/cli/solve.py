@@ -1,0 +1,200 @@
+"""`ik solve`: joint values that bring the tip to a target."""
+
+import json
+import math
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from ..errors import InvalidOption
+from .common import (
+    Base,
+    Deg,
+    Json,
+    Lock,
+    Out,
+    PackageDir,
+    RobotArg,
+    Tip,
+    assignments,
+    compile_notice,
+    facts,
+    joint_vector,
+    load_robot,
+    notice,
+    number,
+    show,
+    table,
+    unit,
+    vector,
+    write_json,
+)
+
+if TYPE_CHECKING:
+    from ..solvers.result import Result
+
+Xyz = Annotated[str, typer.Option("--xyz", metavar="X Y Z", help="Where the tip shall be, in the base frame [m].")]
+Rpy = Annotated[str | None, typer.Option("--rpy", metavar="R P Y", help="Roll, pitch, yaw of the tip [rad]: Rz Ry Rx.")]
+Quat = Annotated[
+    str | None, typer.Option("--quat-xyzw", metavar="X Y Z W", help="Rotation of the tip as a quaternion.")
+]
+SolverName = Annotated[str, typer.Option("-s", "--solver", metavar="NAME", help="See ik solvers; auto picks for you.")]
+Params = Annotated[
+    list[str] | None,
+    typer.Option("-p", "--param", metavar="NAME=VALUE", help="Parameter of the solver; may be repeated."),
+]
+Preset = Annotated[str | None, typer.Option(metavar="NAME", help="Published or tuned parameters, by name.")]
+Start = Annotated[str | None, typer.Option("--q0", metavar="Q1 Q2 ...", help="Where to start; default: home.")]
+Tolerance = Annotated[float | None, typer.Option(metavar="TOL", help="Both tolerances, in m and rad; default 1e-6.")]
+PositionTolerance = Annotated[float | None, typer.Option(metavar="M", help="Position tolerance [m].")]
+OrientationTolerance = Annotated[float | None, typer.Option(metavar="RAD", help="Orientation tolerance [rad].")]
+MaxIterations = Annotated[int | None, typer.Option(metavar="N", help="Steps a descent; default: the solver's own.")]
+Restarts = Annotated[
+    int | None, typer.Option(metavar="N", help="Further descents from other starts; default: the solver's own.")
+]
+Seed = Annotated[int, typer.Option(metavar="N", help="Seed of the random restarts.")]
+Limits = Annotated[bool, typer.Option("--limits/--no-limits", help="Keep the joints inside their limits.")]
+ClampQ0 = Annotated[
+    bool, typer.Option("--clamp-q0/--refuse-q0", help="What to do with a start outside the limits: clamp it, or stop.")
+]
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands of this module."""
+    app.command()(solve)
+
+
+def solve(
+    robot: RobotArg,
+    xyz: Xyz,
+    rpy: Rpy = None,
+    quat_xyzw: Quat = None,
+    solver: SolverName = "auto",
+    param: Params = None,
+    preset: Preset = None,
+    q0: Start = None,
+    tolerance: Tolerance = None,
+    position_tolerance: PositionTolerance = None,
+    orientation_tolerance: OrientationTolerance = None,
+    max_iterations: MaxIterations = None,
+    restarts: Restarts = None,
+    seed: Seed = 0,
+    limits: Limits = True,
+    clamp_q0: ClampQ0 = True,
+    tip: Tip = None,
+    base: Base = None,
+    lock: Lock = None,
+    package_dir: PackageDir = None,
+    deg: Deg = False,
+    as_json: Json = False,
+    output: Out = None,
+) -> None:
+    """Find joint values that bring the tip to a position, or a pose when --rpy or --quat-xyzw is given.
+
+    Exit code 0 when solved, 1 when not: the status says how it ended, and the sentence on stderr what to try.
+    """
+    target = make_target(xyz, rpy, quat_xyzw, deg)
+    method = choose_solver(solver, param, preset)
+    arm = load_robot(robot, tip, base, lock, package_dir, deg)
+
+    from ..solvers.solve import solve as solve_one
+
+    given = {
+        "tolerance": tolerance,
+        "position_tolerance": position_tolerance,
+        "orientation_tolerance": orientation_tolerance,
+        "max_iterations": max_iterations,
+        "restarts": restarts,
+    }
+    options: dict[str, Any] = {key: value for key, value in given.items() if value is not None}
+    options |= {"seed": seed, "limits": limits, "q0_outside": "clamp" if clamp_q0 else "refuse"}
+    start = None if q0 is None else joint_vector(arm, q0, "--q0", deg)
+    with compile_notice():  # at a solved start: compiles or loads, so that the time shown below is the solve's own
+        at_home = arm.fk(arm.home)
+        solve_one(arm, at_home.translation if target.ndim == 1 else at_home, method, **options)
+    result = solve_one(arm, target, method, q0=start, **options)
+    payload = {**result.to_dict(), "base": arm.base, "tip": arm.tip, "target": target}
+    write_json(payload, as_json, output)
+    if not as_json:
+        _show(result, deg)
+    if result.notice:
+        notice(result.notice)
+    if not result.success:
+        notice(f"not solved, {result.status.name}: {result.message}")
+        raise typer.Exit(1)
+
+
+def make_target(xyz: str, rpy: str | None, quat_xyzw: str | None, deg: bool) -> Any:
+    """Target of the pose options: (3,) when the orientation is free, otherwise (4, 4); rpy in degrees when `deg`."""
+    from ..robot.pose import pose
+
+    angles = vector(rpy, "--rpy", 3) if rpy is not None else None
+    if angles is not None and deg:
+        angles = [math.radians(x) for x in angles]
+    quat = vector(quat_xyzw, "--quat-xyzw", 4) if quat_xyzw is not None else None
+    return pose(vector(xyz, "--xyz", 3), rpy=angles, quat_xyzw=quat)
+
+
+def choose_solver(name: str, params: list[str] | None, preset: str | None) -> Any:
+    """Solver name, or a rule with its preset and parameters applied. Raises UnknownSolver, InvalidOption."""
+    from ..solvers.registry import find_row, make_rule
+
+    if name == "auto" and not params and not preset:
+        return name
+    row = find_row("lm" if name == "auto" else name)
+    values = {key: _value(text) for key, text in assignments(params, "-p").items()}
+    if preset is None:
+        return make_rule(row, values) if values else name
+    cls = row.load()
+    if not hasattr(cls, "preset"):
+        raise InvalidOption(f"solver '{row.name}' has no presets")
+    make_rule(row, values)  # names the parameter that does not exist
+    return cls.preset(preset)._replace(**values)
+
+
+def _value(text: str) -> Any:
+    """Read a number, a list (JSON) or a word."""
+    try:
+        return float(text) if not text.lstrip("+-").isdigit() else int(text)
+    except ValueError:
+        pass
+    try:
+        return json.loads(text)
+    except ValueError:
+        return text
+
+
+def _show(result: "Result", deg: bool) -> None:
+    robot = result.robot
+    limited = set(result.limited_joints)
+    joints = table("<joint", ">value", "<unit", ">lower", ">upper", "")
+    for i, (name, kind) in enumerate(zip(robot.joint_names, robot.joint_kinds, strict=True)):
+        value, lower, upper = (number(float(x[i]), kind, deg) for x in (result.q, robot.lower, robot.upper))
+        joints.add_row(name, value, unit(kind, deg), lower, upper, "at limit" if name in limited else "")
+    show(joints)
+    angle = result.orientation_error
+    show(
+        facts(
+            {
+                "status": f"{result.status.name}, solver {result.solver}",
+                "position error": _length(result.position_error),
+                "orientation error": "free" if angle is None else f"{angle:.3g} rad ({math.degrees(angle):.3g} deg)",
+                "iterations": f"{result.iterations}, restarts {result.restarts}, FK evaluations {result.fk_evaluations}",
+                "time": _time(result.elapsed),
+            }
+        )
+    )
+
+
+def _length(value: float) -> str:
+    return f"{value:.3g} m" if value < 1e-6 or value >= 1 else f"{1000 * value:.4g} mm"
+
+
+def _time(seconds: float) -> str:
+    return (
+        f"{1e6 * seconds:.0f} us"
+        if seconds < 1e-3
+        else f"{1e3 * seconds:.3g} ms"
+        if seconds < 1
+        else f"{seconds:.3g} s"
+    )

@@ -1,0 +1,72 @@
+"""`ik solvers`: the methods there are, and the parameters of one."""
+
+import inspect
+from typing import Annotated, Any
+
+import typer
+
+from .common import Json, facts, heading, show, table, write_json
+
+Name = Annotated[str | None, typer.Argument(metavar="[NAME]", help="Show this solver's parameters.")]
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands of this module."""
+    app.command()(solvers)
+
+
+def solvers(name: Name = None, as_json: Json = False) -> None:
+    """List the solvers, or show one: parameters, defaults, options, source."""
+    from ..solvers.registry import ROWS, find_row
+
+    if name is not None:
+        _one(find_row(name), as_json)
+        return
+    rows = [{key: getattr(row, key) for key in ("name", "summary", "handles", "citation")} for row in ROWS]
+    write_json({"solvers": rows}, as_json)
+    if as_json:
+        return
+    made = table("<name", "how", "handles", "source")
+    for row in rows:
+        made.add_row(*row.values())
+    show(made)
+
+
+def _one(row: Any, as_json: bool) -> None:
+    from ..solvers.options import Options
+
+    cls = row.load()
+    defaults = getattr(cls, "_field_defaults", {})
+    parameters = [{"name": key, "default": defaults.get(key)} for key in getattr(cls, "_fields", ())]
+    options = {key: field.default for key, field in Options.__dataclass_fields__.items()}
+    options |= {"max_iterations": row.iterations, "restarts": row.descents - 1}
+    text = inspect.getdoc(cls) or ""
+    payload = {
+        "name": row.name,
+        "summary": row.summary,
+        "handles": row.handles,
+        "citation": row.citation,
+        "description": text,
+        "parameters": parameters,
+        "options": options,
+    }
+    write_json(payload, as_json)
+    if as_json:
+        return
+    from rich.text import Text
+
+    show(heading(row.name), facts({"how": row.summary, "handles": row.handles, "source": row.citation}))
+    show("", Text("\n\n".join(" ".join(part.split()) for part in text.split("\n\n"))), "")
+    if parameters:
+        made = table("<parameter", ">default")
+        for parameter in parameters:
+            made.add_row(parameter["name"], _shown(parameter["default"]))
+        show(heading("Parameters (-p NAME=VALUE)"), made)
+    made = table("<option", ">default")
+    for key, default in options.items():
+        made.add_row(key, _shown(default))
+    show(heading("Options of every solver, with this solver's defaults"), made)
+
+
+def _shown(value: Any) -> str:
+    return "none" if value is None else f"{value:g}" if isinstance(value, float) else str(value)
