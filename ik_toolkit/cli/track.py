@@ -154,15 +154,15 @@ def track(
                 acceleration_limits=acceleration,
                 **options,
             )
-    write_json({**result.to_dict(), "path": repr(reference), "base": arm.base, "tip": arm.tip}, as_json)
-    if not as_json:
-        _show(result, arm, reference)
     if output is not None:
         notice(f"wrote {result.save(output)}")
     if plot is not None:
         from ..show.tracking import plot_track
 
         notice(f"wrote {plot_track(result, arm, plot)}")
+    write_json({**result.to_dict(), "path": repr(reference), "base": arm.base, "tip": arm.tip}, as_json)
+    if not as_json:
+        _show(result, arm, reference)
     if not result.success:
         notice(f"{result.status.name}: {result.message}")
         raise typer.Exit(1)

@@ -1,8 +1,8 @@
-"""Following a moving target: rate of the Jacobian, the published step commands, limits, and the compiled tracker loop.
+"""Following a moving target, one step: rate of the Jacobian, pseudo-inverse, the published commands, limits.
 
-One step of every method is pure: `prepare` inverts the Jacobian and says at which joint velocities dJ/dt is wanted,
-`command` turns errors into the next joint rate, `advance` moves the joints, inside limits when there are any. The
-compiled loop and the paper's cases that are no robots (see tracking/methods.py) call the same three.
+All pure: `factor` inverts the Jacobian, `prepare` says at which joint velocities dJ/dt is wanted, `command` turns errors
+into the next joint rate, `advance` moves the joints, inside limits when there are any. The compiled loop (follow.py) and
+the paper's cases that are no robots (tracking/methods.py) call the same functions.
 
 All methods share one form: rate' = rate + h a and q' = q + h ((1 - gamma) rate + gamma rate'). gamma is 1 at velocity
 level, 1/2 for the paper's acceleration level and free for `aad`. Speed and acceleration of the sampled motion are convex
@@ -11,15 +11,11 @@ combinations of rates and accelerations, so limits put on these hold for the sam
 Sign: e = target - actual (Patko and Zelei, 2019, use the opposite). J is (n, m), one joint a row.
 """
 
-import functools
 import math
-from collections.abc import Callable
 
 import numpy as np
 
-from .jit import cached, jit, kernel_stamp
-from .kinematics import aim, angle_ratio, columns, error, fk
-from .loop import E_VECTORS
+from .jit import jit
 
 CV, AV, CA, AA = range(4)
 AT_RATE, AT_RATE_AND_STEP, AT_STEP = range(3)  # where aa takes dJ/dt: the readings of eq (25)
@@ -184,14 +180,13 @@ def apply(J, m, G, b, y, out):
 # ------------------------------------------------------------------------------------------------ one step
 @jit
 def prepare(p, J, m, ahead, rate, h, G, y, t, move, null, x1, x2):
-    """First half of a step; returns the damping lambda^2 used.
+    """First half of a step, after `factor`.
 
     ahead (m,): target at the end of the step minus the tip now. rate (n,): joint velocity. Writes move = J^+ ahead, null =
     (1 - J^+ J) rate, and the joint velocities x1, x2 of the product (dJ/dt along x1) x2 that `command` wants.
     """
     n = J.shape[0]
     code = int(p[0])
-    extra = factor(J, m, p[6], G, y)
     for i in range(n):
         move[i] = 0.0
         null[i] = 0.0
@@ -210,7 +205,6 @@ def prepare(p, J, m, ahead, rate, h, G, y, t, move, null, x1, x2):
             expected = move[i] / h + null[i]  # with the null part, or a redundant arm loses an order
             x1[i] = expected if reading == 2 else rate[i]
             x2[i] = rate[i] if reading == 0 else expected
-    return extra
 
 
 @jit
@@ -304,12 +298,32 @@ def advance(q, rate, x, gamma, h, limits, code):
         code[i] = hit
         any_hit = any_hit or hit > 0
         s = q[i] + h * ((1.0 - gamma) * v + gamma * w)
-        if hit == 1:  # rounding only
-            s = min(max(s, lower), upper)
-        q[i] = s
+        q[i] = min(max(s, lower), upper)  # rounding only
         rate[i] = w
         x[i] = w
     return any_hit
+
+
+@jit
+def ease(p, J, m, e, ahead, h, limits, G, y, c):
+    """Shrink the error fed back (e and ahead, in place) until the joints could brake before it is gone.
+
+    A method that removes a large error in one step asks for far more acceleration than there is; clipped, it overshoots
+    and swings for ever. Half of each joint's acceleration and speed is left to the correction, the rest to the path.
+    """
+    code = int(p[0])
+    natural = p[1] if code == 0 else p[2] / p[3] if code == 2 else 1.0 / h
+    apply(J, m, G, e, y, c)
+    f = 1.0
+    for i in range(c.shape[0]):
+        size = abs(c[i])
+        cap = min(fastest(size, 0.0, 1.0, h, 0.5 * limits[3, i]), 0.5 * limits[2, i])
+        if natural * size > cap:
+            f = min(f, cap / (natural * size))
+    if f < 1.0:
+        for k in range(m):
+            ahead[k] -= (1.0 - f) * e[k]
+            e[k] *= f
 
 
 @jit
@@ -327,104 +341,3 @@ def to_local(ends, scale, V, out):
     for r in range(3):
         out[r] = (ends[r] * V[0] + ends[3 + r] * V[1] + ends[6 + r] * V[2]) / scale
         out[3 + r] = ends[r] * V[3] + ends[3 + r] * V[4] + ends[6 + r] * V[5]
-
-
-# ------------------------------------------------------------------------------------------------ the loops
-@functools.cache
-def tracker() -> Callable:
-    """Return the compiled loop follow(rows, ends, T, V, A, h, m, p, limits, q, rate, prev, state, Q, R, E, C, D) -> steps.
-
-    T (N+1, 4, 4) [m], V, A (N+1, 6): pose, twist and acceleration of the target; m: 3 positions or 6 poses. q, rate, prev
-    (n,) and state (3,) are carried from call to call. Kernel units: lengths over the chain's scale; p, limits, q, rate,
-    prev, Q, R in them. Q, R (N+1, n), E (N+1, 6) error [m, rad], C (N, n) limit codes, D (N,) damping lambda^2.
-    """
-    stamp = kernel_stamp()
-
-    @cached
-    def follow(rows, ends, T, V, A, h, m, p, limits, q, rate, prev, state, Q, R, E, C, D):
-        stamp  # noqa: B018  a closure cell is part of the cache key
-        L = rows.shape[0]
-        n = q.shape[0]
-        Lp = (L + 3) // 4 * 4
-        tip = ends[12:24]
-        scale = ends[E_VECTORS + 7 * n]
-        J = np.empty((n, 6))
-        Z = np.empty((L, 6))
-        ang = np.zeros(Lp)
-        sn = np.empty(Lp)
-        cs = np.empty(Lp)
-        goal = np.empty(12)
-        G = np.empty((6, 6)) if n > 6 or m > 3 else np.empty((max(n, m), max(n, m)))
-        y = np.empty(6)
-        t = np.empty(6)
-        e = np.empty(6)
-        ahead = np.empty(6)
-        v = np.empty(6)
-        a = np.empty(6)
-        bias = np.zeros(6)
-        move = np.empty(n)
-        null = np.empty(n)
-        x1 = np.empty(n)
-        x2 = np.empty(n)
-        x = np.empty(n)
-        before = np.empty(n)
-        steps = T.shape[0] - 1
-        gamma = p[4]
-        for i in range(steps + 1):
-            x0, xx1, xx2, y0, y1, y2, z0, z1, z2, lx, ly, lz = fk(rows, q, Z, ang, sn, cs)
-            aim(ends, tip, scale, T[i], goal)
-            px, py, pz, e0, e1, e2, e3, e4, e5 = error(goal, tip, x0, xx1, xx2, y0, y1, y2, z0, z1, z2, lx, ly, lz)
-            f = angle_ratio(e3 * e3 + e4 * e4 + e5 * e5)
-            e[0], e[1], e[2], e[3], e[4], e[5] = e0, e1, e2, e3 * f, e4 * f, e5 * f
-            for k in range(3):
-                E[i, k] = (ends[3 * k] * e[0] + ends[3 * k + 1] * e[1] + ends[3 * k + 2] * e[2]) * scale
-                E[i, 3 + k] = ends[3 * k] * e[3] + ends[3 * k + 1] * e[4] + ends[3 * k + 2] * e[5]
-            if i < steps or state[0] == 0.0:
-                columns(rows, Z, J, px, py, pz)
-                to_local(ends, scale, V[i], v)
-            if state[0] == 0.0:
-                factor(J, m, p[6], G, y)
-                apply(J, m, G, v, y, rate)
-                for k in range(n):
-                    room = limits[1, k] - q[k] if rate[k] > 0.0 else q[k] - limits[0, k]
-                    top = min(limits[2, k], fastest(room, 0.0, gamma, h, limits[3, k]))
-                    rate[k] = min(max(rate[k], -top), top)
-                state[0] = 1.0
-            for k in range(n):
-                Q[i, k] = q[k]
-                R[i, k] = rate[k]
-            if i == steps:
-                break
-            to_local(ends, scale, A[i], a)
-            aim(ends, tip, scale, T[i + 1], goal)
-            px, py, pz, e0, e1, e2, e3, e4, e5 = error(goal, tip, x0, xx1, xx2, y0, y1, y2, z0, z1, z2, lx, ly, lz)
-            f = angle_ratio(e3 * e3 + e4 * e4 + e5 * e5)
-            ahead[0], ahead[1], ahead[2], ahead[3], ahead[4], ahead[5] = e0, e1, e2, e3 * f, e4 * f, e5 * f
-            D[i] = prepare(p, J, m, ahead, rate, h, G, y, t, move, null, x1, x2)
-            if p[0] >= 2.0:
-                jacobian_rate(rows, Z, J, px, py, pz, x1, x2, bias)
-            ratio = h / state[1] if state[0] == 2.0 else 0.0
-            if p[9] == 0.0:
-                command(p, J, m, e, v, a, bias, rate, prev, h, ratio, G, y, t, move, null, x)
-            largest = 0.0
-            for k in range(n):
-                before[k] = rate[k]
-                largest += abs(x[k])
-            bad = not largest < 1e300
-            if p[9] > 0.0 or (bad and p[8] == np.inf):
-                for k in range(n):
-                    x[k] = 0.0
-                    prev[k] = 0.0
-            elif bad or largest * h > p[8] * n:
-                state[2] = 1.0 if bad else 2.0
-                return i
-            advance(q, rate, x, gamma, h, limits, C[i])
-            settle(p, h, before, x, C[i], prev)
-            if p[9] > 0.0 or bad:
-                for k in range(n):
-                    C[i, k] = C[i, k] | 8
-            state[0] = 2.0
-            state[1] = h
-        return steps
-
-    return follow

@@ -73,6 +73,11 @@ class Method:
         """Whether the joint rate, not its derivative, is commanded (the motion between samples is straight)."""
         return self.name in ("cv", "av")
 
+    @property
+    def rate_weight(self) -> float:
+        """Return gamma of q' = q + h ((1 - gamma) rate + gamma rate')."""
+        return 1.0 if self.velocity_level else self.gamma if self.name == "aad" else 0.5
+
     def pack(self, h: float, runaway: float) -> np.ndarray:
         """Parameters as the kernel reads them; runaway: mean joint move in one step that ends a run."""
         gains = self.gains(h)
@@ -80,7 +85,7 @@ class Method:
         p[motion.P_CODE] = METHODS[self.name][0]
         p[motion.P_KAPPA] = gains.get("kappa", 0.0)
         p[motion.P_KP], p[motion.P_KD] = gains.get("kp", 0.0), gains.get("kd", 0.0)
-        p[motion.P_GAMMA] = 1.0 if self.velocity_level else self.gamma if self.name == "aad" else 0.5
+        p[motion.P_GAMMA] = self.rate_weight
         p[motion.P_NULL] = min(self.null_damping, 1.0 / h)
         p[motion.P_DAMPING] = self.damping
         p[motion.P_READING] = {1: motion.AT_RATE, 2: motion.AT_RATE_AND_STEP, 3: motion.AT_STEP}[3 if self.name == "aad" else self.reading]
@@ -182,6 +187,7 @@ def simulate(
         J = np.ascontiguousarray(system.jacobian(q).T)
         following = path((i + 1) * h)
         ahead = following[0] - system.position(q)
+        motion.factor(J, m, made.damping, G, y)
         motion.prepare(p, J, m, ahead, rate, h, G, y, t_, move, null, x1, x2)
         if p[motion.P_CODE] >= motion.CA:
             bias = system.rate(q, x1, x2)

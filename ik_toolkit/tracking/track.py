@@ -14,15 +14,15 @@ from ..errors import InvalidConfiguration, InvalidOption, InvalidTarget
 from ..kernel import motion
 from ..robot.pose import check_target
 from ..robot.robot import Robot
-from .methods import Method, interpolate, make_method
+from .engine import bind
+from .methods import Method, interpolate
 from .reference import Reference
 from .result import TrackResult, TrackStatus, figures
-from .stability import check_gains
 
 RUNAWAY = 100.0  # mean joint move [rad, or reaches] in one step beyond which a run has diverged
 JUMP = 0.5  # joint move [rad, or reaches] in one step that is reported as a jump
 FRACTIONS = (0.25, 0.5, 0.75)  # where between two samples the error is looked at
-LOST = (0.01, 0.05)  # final error [reaches, rad] beyond which a run is called lost
+LOST = (0.01, 0.05)  # error [reaches, rad] in the last tenth of a run beyond which it is called lost
 
 
 class StepStatus(Enum):
@@ -97,13 +97,12 @@ class Tracker:
     ) -> None:
         """Bind a robot and a method."""
         self.robot = robot
-        self.method = make_method(method, **options)
+        self.engine = bind(robot, method, limits, options)
         self.jump = jump
         self._limits = _limit_rows(robot, limits, acceleration_limits)
         self._at_rest = acceleration_limits is not None
-        self._p, self._h = None, 0.0
         n = robot.n
-        self._q, self._rate, self._prev = np.zeros(n), np.zeros(n), np.zeros(n)
+        self._q, self._rate = np.zeros(n), np.zeros(n)
         self._state = np.zeros(3)
         self._T, self._V, self._A = np.zeros((2, 4, 4)), np.zeros((2, 6)), np.zeros((2, 6))
         self._T[:] = np.eye(4)
@@ -122,7 +121,7 @@ class Tracker:
                 raise InvalidConfiguration(f"q0 is outside the limits of {', '.join(outside)}; move it inside or use limits=False")
         self._q[:] = q / self.robot.chain.unit
         self._rate[:] = 0.0
-        self._prev[:] = 0.0
+        self.engine.forget()
         self._state[:] = motion.MOVING, 0.0, 0.0
         if rate0 is not None:
             self._rate[:] = self.robot.check_q(rate0, "rate0") / self.robot.chain.unit
@@ -148,15 +147,9 @@ class Tracker:
         dt = float(dt)
         if not 0.0 < dt < np.inf:
             raise InvalidOption(f"dt must be a positive number of seconds, not {dt!r}")
-        if self._p is None or dt != self._h:
-            self._p, self._h = self.method.pack(dt, np.inf), dt
         finite = self._take(1, target, twist, acceleration, dt)
-        self._p[motion.P_BRAKE] = 0.0 if finite else 1.0
         before = self.q
-        motion.tracker()(
-            self.robot.chain.rows, self.robot.chain.ends, self._T, self._V, self._A, dt, self._m, self._p, self._limits,
-            self._q, self._rate, self._prev, self._state, self._Q, self._R, self._E, self._code, self._D,
-        )  # fmt: skip
+        self._steps(self._T, self._V, self._A, dt, not finite, np.inf, self._Q, self._R, self._E, self._code, self._D)
         if finite:
             self._T[0], self._V[0], self._A[0] = self._T[1], self._V[1], self._A[1]
         code, e, unit = self._code[0], self._E[1], self.robot.chain.unit
@@ -170,6 +163,11 @@ class Tracker:
         orientation = float(np.sqrt(e[3:] @ e[3:])) if self._m == 6 else None
         info = (self.robot, code.copy(), before, finite)
         return Step(q, self._rate * unit, status, float(np.sqrt(e[:3] @ e[:3])), orientation, info)
+
+    def _steps(self, T, V, A, dt, brake, runaway, Q, R, E, C, D) -> int:
+        """Take len(T) - 1 steps from the present state; return how many were taken."""
+        fixed = (float(brake), runaway, self._limits, self._q, self._rate, self._state)
+        return self.engine.run(T, V, A, dt, self._m, *fixed, Q, R, E, C, D)
 
     def _take(self, slot: int, target: Any, twist: Any, acceleration: Any, dt: float = 0.0) -> bool:
         """Write a target into slot 0 (now) or 1 (end of step); False when it is not finite (the last one stays)."""
@@ -265,37 +263,32 @@ def track(
     times = reference.times(dt)
     if len(times) < 2:
         raise InvalidOption(f"dt = {dt:g} s is longer than the reference ({reference.duration:g} s)")
-    made = make_method(method, **options)
-    check = check_gains(made.name, dt, **made.gains(dt))
-    if check.verdict == "unstable":
+    q0 = _start(robot, reference) if q0 is None else q0
+    tracker = Tracker(robot, method, q0=q0, rate0=rate0, limits=limits, acceleration_limits=acceleration_limits, **options)
+    engine = tracker.engine
+    check = engine.check(dt)
+    if check is not None and check.verdict == "unstable":
         warnings.warn(check.message, stacklevel=2)
-    if q0 is None:
-        q0 = _start(robot, reference)
-    tracker = Tracker(robot, made, q0=q0, rate0=rate0, limits=limits, acceleration_limits=acceleration_limits)
+    tracker._m = 3 if reference.position_only else 6
     T, V, A = reference.at(times)
     n, steps = robot.n, len(times) - 1
     Q, R, E = np.zeros((steps + 1, n)), np.zeros((steps + 1, n)), np.zeros((steps + 1, 6))
     C, D = np.zeros((steps, n), np.uint8), np.zeros(steps)
-    p = made.pack(dt, RUNAWAY)
-    m = 3 if reference.position_only else 6
-    fixed = (robot.chain.rows, robot.chain.ends)
-    carried = (tracker._q, tracker._rate, tracker._prev, tracker._state)
-    follow = motion.tracker()
-    # No step: compiles (or loads) the loop, so that the time reported is that of tracking.
-    follow(*fixed, T[:1], V[:1], A[:1], dt, m, p, tracker._limits, *(x.copy() for x in carried), Q, R, E, C, D)
+    # No step yet: this compiles (or loads) the loop, so that the time reported is that of tracking.
+    tracker._steps(T[:1], V[:1], A[:1], dt, False, RUNAWAY, Q, R, E, C, D)
     began = time.perf_counter()
-    done = follow(*fixed, T, V, A, dt, m, p, tracker._limits, *carried, Q, R, E, C, D)
+    done = tracker._steps(T, V, A, dt, False, RUNAWAY, Q, R, E, C, D)
     elapsed = time.perf_counter() - began
     # At a stop, row `done` is the last state reached; it has been evaluated.
     keep = slice(0, done + 1)
     unit = robot.chain.unit
     Q, R, E = Q[keep] * unit, R[keep] * unit, E[keep]
-    between = _between(robot, reference, Q, R, float(p[motion.P_GAMMA]), dt) if done else (None, None)
+    between = _between(robot, reference, Q, R, engine.gamma, dt) if done else (None, None)
     stop = int(tracker._state[motion.S_STOP])
     result = TrackResult(
         robot=robot.name,
-        method=made.name,
-        options={**made.gains(dt), **({"reading": made.reading} if made.name == "aa" else {})},
+        method=engine.name,
+        options=engine.settings(dt),
         dt=float(dt),
         joint_names=robot.joint_names,
         t=times[keep],
@@ -304,7 +297,7 @@ def track(
         xyz=T[keep, :3, 3] - E[:, :3],
         target_xyz=T[keep, :3, 3],
         position_error=np.linalg.norm(E[:, :3], axis=1),
-        orientation_error=None if m == 3 else np.linalg.norm(E[:, 3:], axis=1),
+        orientation_error=None if reference.position_only else np.linalg.norm(E[:, 3:], axis=1),
         limited=C[:done],
         damped=D[:done] > 0.0,
         between_position=between[0],
@@ -349,15 +342,17 @@ def _verdict(robot: Robot, result: TrackResult, stop: int, steps: int) -> tuple[
     limited = result.limited.any(axis=1)
     if stop != motion.FINE:
         what = "moved joints without bound" if stop == motion.RUNAWAY else "gave a step that is not finite"
-        hint = result.gain_check.message if not result.gain_check.stable else "Try aad, smaller dt, damping, or limits=True."
+        check = result.gain_check
+        hint = check.message if check is not None and not check.stable else "Try aad, a smaller dt, or limits=True."
         return (
             TrackStatus.DIVERGED if stop == motion.RUNAWAY else TrackStatus.NOT_FINITE,
             f"{result.method} {what} after {done} of {steps} steps (t = {result.t[-1]:.4g} s). {hint}",
         )
-    position = float(result.position_error[-1])
-    orientation = 0.0 if result.orientation_error is None else float(result.orientation_error[-1])
-    tail = f" A limit held a joint back in {limited.sum()} of {done} steps." if limited.any() else ""
+    tail = slice(9 * len(result.t) // 10, None)
+    position = float(result.position_error[tail].max())
+    orientation = 0.0 if result.orientation_error is None else float(result.orientation_error[tail].max())
+    note = f" A limit held a joint back in {limited.sum()} of {done} steps." if limited.any() else ""
     if position > LOST[0] * robot.reach or orientation > LOST[1]:
         turned = f" and {orientation:.3g} rad" if orientation > LOST[1] else ""
-        return TrackStatus.LOST, f"ended {position:.3g} m{turned} from the reference.{tail}"
-    return TrackStatus.COMPLETED, f"followed the reference to its end, {position:.3g} m from it.{tail}"
+        return TrackStatus.LOST, f"up to {position:.3g} m{turned} from the reference in the last tenth of the run.{note}"
+    return TrackStatus.COMPLETED, f"followed the reference to its end, within {position:.3g} m in the last tenth.{note}"

@@ -1,0 +1,129 @@
+"""Picture of a tracking run: the arm along its path, the errors, joint positions and speeds against their limits."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from ..errors import InvalidOption, MissingExtra
+from ..robot.robot import Robot
+from ..tracking.result import TrackResult
+
+# Okabe and Ito (2008): colours that stay apart for colour-blind readers.
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000", "#8C8C8C")
+FLOOR = 1e-12  # [m, rad] errors below are drawn here: a logarithmic axis has no zero
+STYLE = {"font.size": 9, "axes.titlesize": 9.5, "axes.spines.top": False, "axes.spines.right": False, "legend.frameon": False}
+
+
+def skeleton(robot: Robot, q: np.ndarray) -> np.ndarray:
+    """Points (k, 3) [m] of base, joints and tip at q, base frame: the arm as a polyline."""
+    data = robot.model.createData()
+    pin.forwardKinematics(robot.model, data, robot.to_pinocchio(q))
+    pin.updateFramePlacements(robot.model, data)
+    frames = {f.name: i for i, f in enumerate(robot.model.frames) if f.type != pin.FrameType.JOINT}
+    base = data.oMf[frames[robot.base]].inverse()
+    points = [np.zeros(3)]
+    for name in robot.joint_names:
+        points.append(base.act(data.oMi[robot.model.getJointId(name)].translation))
+    return np.array([*points, robot.fk(q).translation])
+
+
+def plot_track(result: TrackResult, robot: Robot, file: str | Path) -> Path:
+    """Draw a run and write it to `file` (.png, .pdf or .svg). Raises MissingExtra without matplotlib, InvalidOption."""
+    try:
+        import matplotlib
+    except ImportError:
+        raise MissingExtra("matplotlib", "plots") from None
+    matplotlib.use("Agg", force=False)
+    import matplotlib.pyplot as plt
+
+    path = Path(file)
+    if path.suffix.lower() not in (".png", ".pdf", ".svg"):
+        raise InvalidOption(f"a plot is written as .png, .pdf or .svg, not '{path.suffix}'")
+    with plt.rc_context(STYLE):
+        figure = plt.figure(figsize=(10.5, 6.8), layout="constrained")
+        grid = figure.add_gridspec(2, 2, width_ratios=(1.0, 1.15), wspace=0.1)
+        _path_panel(figure.add_subplot(grid[:, 0], projection="3d"), result, robot)
+        right = grid[:, 1].subgridspec(3, 1)
+        axes = [figure.add_subplot(right[0])]
+        axes += [figure.add_subplot(right[i], sharex=axes[0]) for i in (1, 2)]
+        _errors(axes[0], result)
+        _positions(axes[1], result, robot)
+        _speeds(axes[2], result, robot)
+        for ax in axes[:2]:
+            ax.tick_params(labelbottom=False)
+        axes[2].set_xlabel("time [s]")
+        settings = ", ".join(f"{k} {v:.4g}" for k, v in result.options.items())
+        figure.suptitle(
+            f"{result.robot}: {result.method}{' (' + settings + ')' if settings else ''}, {1 / result.dt:.4g} Hz: "
+            f"{result.status.name.lower()}",
+            x=0.01,
+            ha="left",
+            fontweight="bold",
+        )
+        figure.savefig(path, dpi=150)
+        plt.close(figure)
+    return path
+
+
+def _path_panel(ax: Any, result: TrackResult, robot: Robot) -> None:
+    from matplotlib.ticker import MaxNLocator
+
+    count = len(result.t)
+    for i, shade in ((0, "#C8C8C8"), (count // 2, "#969696"), (count - 1, "#4D4D4D")):
+        points = skeleton(robot, result.q[i])
+        ax.plot(*points.T, color=shade, lw=2.2, marker="o", ms=3.5, zorder=1)
+    ax.plot(*result.target_xyz.T, color="#000000", lw=0.9, ls="--", label="target", zorder=3)
+    ax.plot(*result.xyz.T, color=COLOURS[1], lw=2.0, label="tip", zorder=2)
+    ax.plot(*result.xyz[:1].T, color=COLOURS[1], marker="s", ms=5, ls="", label="start", zorder=4)
+    corners = np.vstack([skeleton(robot, result.q[0]), result.xyz, result.target_xyz])
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    half = np.maximum(0.5 * (high - low), 0.25 * (high - low).max())  # a flat arm still gets a box one can read
+    for middle, size, name in zip(0.5 * (low + high), half, "xyz", strict=True):
+        getattr(ax, f"set_{name}lim")(middle - size, middle + size)
+    ax.set_box_aspect(half, zoom=0.92)
+    ax.view_init(elev=22, azim=-60)
+    for name, axis in zip("xyz", (ax.xaxis, ax.yaxis, ax.zaxis), strict=True):
+        axis.pane.set_alpha(0.0)
+        axis._axinfo["grid"].update(color="#E4E4E4", linewidth=0.6)
+        axis.set_major_locator(MaxNLocator(3))
+        getattr(ax, f"set_{name}label")(f"{name} [m]")
+    ax.set_title("arm at start, half time and end (light to dark)", loc="left")
+    ax.legend(loc="upper left", fontsize=8)
+
+
+def _errors(ax: Any, result: TrackResult) -> None:
+    ax.semilogy(result.t, np.maximum(result.position_error, FLOOR), color=COLOURS[0], lw=1.3, label="position [m]")
+    if result.orientation_error is not None:
+        ax.semilogy(result.t, np.maximum(result.orientation_error, FLOOR), color=COLOURS[4], lw=1.3, label="orientation [rad]")
+    held = np.append(result.limited.any(axis=1), False)
+    if held.any():
+        ax.fill_between(result.t, 0, 1, where=held, transform=ax.get_xaxis_transform(), color="#E6E6E6", lw=0, label="at a limit")
+    ax.set_title("error at the samples", loc="left")
+    ax.grid(axis="y", color="#E0E0E0", lw=0.5)
+    ax.legend(fontsize=8, ncols=3, loc="upper right", bbox_to_anchor=(1.0, 1.22))
+
+
+def _positions(ax: Any, result: TrackResult, robot: Robot) -> None:
+    middle = np.where(np.isfinite(robot.lower + robot.upper), 0.5 * (robot.lower + robot.upper), 0.0)
+    half = np.where(np.isfinite(robot.upper - robot.lower), 0.5 * (robot.upper - robot.lower), np.pi)
+    for i, name in enumerate(result.joint_names):
+        ax.plot(result.t, (result.q[:, i] - middle[i]) / half[i], color=COLOURS[i % 8], lw=1.3, label=name, ls="-" if i < 8 else "--")
+    for edge in (-1, 1):
+        ax.axhline(edge, color="#000000", lw=0.8)
+    ax.set_ylim(-1.15, 1.15)
+    ax.set_yticks([-1, 0, 1], ["lower", "middle", "upper"])
+    ax.set_title("joint positions between their limits", loc="left")
+
+
+def _speeds(ax: Any, result: TrackResult, robot: Robot) -> None:
+    limit = np.where(robot.velocity_limits > 0, robot.velocity_limits, np.inf)
+    bounded = bool(np.isfinite(limit).all())
+    speed = np.diff(result.q, axis=0) / result.dt
+    for i in range(speed.shape[1]):
+        values = 100 * speed[:, i] / limit[i] if bounded else speed[:, i]
+        ax.plot(result.t[1:], values, color=COLOURS[i % 8], lw=1.3, ls="-" if i < 8 else "--", label=result.joint_names[i])
+    ax.set_title("joint speeds" + (" [% of the limit]" if bounded else " [rad/s or m/s]"), loc="left")
+    ax.grid(axis="y", color="#E0E0E0", lw=0.5)
+    ax.legend(fontsize=7.5, ncols=4, loc="upper center", bbox_to_anchor=(0.5, -0.28))
