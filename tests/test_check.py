@@ -100,9 +100,9 @@ def test_too_large_too_deep_too_many(tmp_path):
     file = tmp_path / "big.urdf"
     file.write_bytes(b" " * 20_000_001)
     assert "larger than 20 MB" in refusal(file)
-    assert "larger than 20 MB" in refusal("<robot>" + " " * 20_000_001)
-    assert "nested more than 64 deep" in refusal("<robot>" + "<a>" * 100_000)
-    assert "more than 200,000 elements" in refusal("<robot>" + "<a/>" * 300_000)
+    assert "larger than 20 MB" in refusal("<robot name='r'>" + " " * 20_000_001)
+    assert "nested more than 64 deep" in refusal("<robot name='r'>" + "<a>" * 100_000)
+    assert "more than 200,000 elements" in refusal("<robot name='r'>" + "<a/>" * 300_000)
 
 
 @pytest.mark.parametrize(
@@ -189,3 +189,10 @@ def test_any_bytes_are_refused(tmp_path_factory, raw):
     file.write_bytes(raw)
     with pytest.raises(ModelError):
         load(file)
+
+
+def test_what_only_pinocchio_refuses_is_reported():
+    """A follower above its leader is legal URDF, but Pinocchio wants the leader first."""
+    text = chain(2).replace('name="j0" type="revolute">', 'name="j0" type="revolute"><mimic joint="j1"/>')
+    assert [f.severity for f in check_urdf(load(text))] == ["error"]
+    assert "Pinocchio refuses it" in str(check_urdf(text)[0])

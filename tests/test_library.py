@@ -86,7 +86,7 @@ def test_find_by_path_text_and_name(tmp_path, monkeypatch):
     shipped = find("planar_2r")
     assert shipped.tip == "tool" and shipped.path.is_absolute()
     file = tmp_path / "my.urdf"
-    file.write_text("<robot/>")
+    file.write_text('<robot name="r"/>')
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("HOME", str(tmp_path))
     for source in (file, str(file), "my.urdf", "./my.urdf", "~/my.urdf"):

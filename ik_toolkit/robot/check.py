@@ -132,6 +132,8 @@ def _parse(text: str) -> list[_Item]:
             )
         if not stack and tag != "robot":
             raise ModelError(f"the root element is <{tag}>, not <robot>: this is not a URDF")
+        if not stack and not attributes.get("name"):
+            raise ModelError('the <robot> element has no name; write <robot name="...">')
         if tag.startswith("xacro:") or (macros and any("${" in x or "$(" in x for x in attributes.values())):
             raise ModelError(
                 f"line {parser.CurrentLineNumber} has xacro macros; expand it first: xacro IN.xacro > OUT.urdf"
@@ -181,7 +183,16 @@ def check_urdf(source: str | Path, package_dirs: Iterable[str | Path] = ()) -> l
     if not is_text:
         folders.insert(0, Path(source).expanduser().resolve().parent)
     warnings = [finding for item in items for finding in (*_remarks(item), *_meshes(item, folders))]
-    return [*_errors(items), *warnings]
+    errors = list(_errors(items))
+    if not errors:
+        import pinocchio as pin
+
+        try:
+            pin.buildModelFromXML(text, True)
+        except Exception as error:
+            said = str(error).strip().splitlines()[-1]
+            errors.append(_error("robot", f"Pinocchio refuses it: {said}", "the reason is Pinocchio's own"))
+    return [*errors, *warnings]
 
 
 def require_loadable(text: str) -> None:
@@ -225,6 +236,8 @@ def _errors(items: list[_Item]) -> Iterator[Finding]:
                 lines = f"lines {seen[item.name].line} and {item.line}"
                 yield _error(str(item), f"the name is used twice ({lines})", "rename one of them")
             seen.setdefault(item.name, item)
+    if any(joint.name == "universe" for joint in joints):
+        yield _error("joint 'universe'", "Pinocchio keeps this name for the world", "rename it")
     for item in items:
         yield from _numbers(item)
     for joint in joints:
@@ -289,6 +302,8 @@ def _joint(joint: _Item) -> Iterator[Finding]:
     for key in ("effort", "velocity"):
         if key not in limit:
             yield _error(str(joint), f"its <limit> has no {key}", f"add {key} (Pinocchio refuses the file without)")
+        elif (_values(limit[key]) or [0.0])[0] < 0.0:
+            yield _error(str(joint), f"its {key} limit is negative ({limit[key]})", "write a positive number")
     if kind != "continuous":
         lower, upper = (_values(limit.get(end, "0")) for end in ("lower", "upper"))
         if lower and upper and lower[0] > upper[0]:
@@ -357,6 +372,14 @@ def _mimics(joints: list[_Item]) -> Iterator[Finding]:
             leader = leads[leader]
         if leader in seen:
             yield _error(element, f"it mimics itself through {_some(seen)}", "let one of these joints move freely")
+        elif len(seen) > 1:
+            yield _error(
+                element, f"it mimics joint '{seen[1]}', itself a follower", f"let it mimic '{leader}' directly"
+            )
+        elif by_name[leader].attributes.get("type") not in MOVING:
+            yield _error(
+                element, f"it mimics joint '{leader}', which does not move", "name a moving joint, or make it fixed"
+            )
 
 
 def _remarks(item: _Item) -> Iterator[Finding]:
