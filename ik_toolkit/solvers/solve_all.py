@@ -71,7 +71,14 @@ class Solutions:
 
 
 def solve_all(
-    robot: Robot, target: Any, solver: Any = "auto", q0: Any = None, *, starts: int = 1000, count: int = 64, **options: Any
+    robot: Robot,
+    target: Any,
+    solver: Any = "auto",
+    q0: Any = None,
+    *,
+    starts: int = 1000,
+    count: int = 64,
+    **options: Any,
 ) -> Solutions:
     """Find every distinct solution inside the limits, nearest to q0 (default home) first.
 
@@ -143,15 +150,24 @@ def _closed(one: Solver, T: np.ndarray, kind: int, start: np.ndarray, starts: in
         out, broken = np.empty((8 * len(lifts), robot.n)), np.empty(8 * len(lifts))
         found = inspection.every_branch(p, T[0], box, lifts, out, broken)
     legal = broken[:found] == 0.0
-    message = f"{legal.sum()} of {found} branches{where} are inside the limits" if one.options.limits else f"{found} branches{where}"
+    message = (
+        f"{legal.sum()} of {found} branches{where} are inside the limits"
+        if one.options.limits
+        else f"{found} branches{where}"
+    )
     return out[:found][legal], complete, message
 
 
 def _search(one: Solver, T: np.ndarray, kind: int, start: np.ndarray, starts: int) -> tuple[np.ndarray, bool, str]:
     """Distinct converged answers of one descent from each of many starts."""
     robot, o = one.robot, one.options
-    tight = {"position_tolerance": min(TIGHT, o.position_tolerance), "orientation_tolerance": min(TIGHT, o.orientation_tolerance)}
-    kept = {name: getattr(o, name) for name in ("limits", "mask", "mask_frame", "joint_weights", "seed", "max_iterations")}
+    tight = {
+        "position_tolerance": min(TIGHT, o.position_tolerance),
+        "orientation_tolerance": min(TIGHT, o.orientation_tolerance),
+    }
+    kept = {
+        name: getattr(o, name) for name in ("limits", "mask", "mask_frame", "joint_weights", "seed", "max_iterations")
+    }
     single = Solver(robot, one.rule, restarts=0, **tight, **kept)
     rng = np.random.default_rng(o.seed)
     Q0 = np.vstack([start, [robot.random_q(rng) for _ in range(starts - 1)]]) if starts > 1 else start
@@ -159,12 +175,21 @@ def _search(one: Solver, T: np.ndarray, kind: int, start: np.ndarray, starts: in
     single._kernel(*single._chain, np.repeat(T, starts, axis=0), Q0, out, single.pack(kind, True), single._silent)
     answers = out[out[:, 0] == Status.CONVERGED, OUT_HEAD:]
     turning = robot.chain.turns > 0
-    if not o.limits and robot.chain.rows[0, 0] > 0.0:  # without limits (and mimic joints) every angle may be turned over
+    if (
+        not o.limits and robot.chain.rows[0, 0] > 0.0
+    ):  # without limits (and mimic joints) every angle may be turned over
         turning = np.array([kind != "prismatic" for kind in robot.joint_kinds])
     near = start[0][turning] + np.remainder(answers[:, turning] - start[0][turning] + np.pi, 2 * np.pi) - np.pi
     if o.limits:
         low, high = robot.lower[turning], robot.upper[turning]
-        near += 2 * np.pi * ((near < low) * np.ceil((low - near) / (2 * np.pi)) - (near > high) * np.ceil((near - high) / (2 * np.pi)))
+        near += (
+            2
+            * np.pi
+            * (
+                (near < low) * np.ceil((low - near) / (2 * np.pi))
+                - (near > high) * np.ceil((near - high) / (2 * np.pi))
+            )
+        )
     answers[:, turning] = near
     kept_rows: list[np.ndarray] = []
     for q in answers:

@@ -98,7 +98,14 @@ def recognise(chain: Chain) -> tuple[np.ndarray, str]:
     x1, x3, x4, x6 = np.cross(z1, z3), np.cross(z3, z4), upper / a4, fore / a6
     x5 = np.cross(z6, z4)
     signs = [1.0, 1.0, 1.0, s5, 1.0, s7]
-    offsets = [0.0, angle_about(z3, x1, x3), angle_about(z4, x3, x4), angle_about(z4, x4, x5), angle_about(z6, x5, x6), 0.0]
+    offsets = [
+        0.0,
+        angle_about(z3, x1, x3),
+        angle_about(z4, x3, x4),
+        angle_about(z4, x4, x5),
+        angle_about(z6, x5, x6),
+        0.0,
+    ]
     R = np.vstack([x1, np.cross(z1, x1), z1])
     wrist = np.eye(4)
     wrist[:3, :3] = np.column_stack([x6, np.cross(z6, x6), z6])
@@ -262,7 +269,10 @@ def _compile_solve():
                         count = lift_intervals(P, p[A4], p[A6], low, high, spans)
                     broken = scan_lifts(p, P, box, near, spans, count, moved, sols, q, trial, best)
                 elif gap > 0.0 and lift_intervals(P, p[A4], p[A6], -np.inf, np.inf, spans) > 0:
-                    broken, gap = max(broken, gap), 0.0  # in reach with more stroke: it is the lift's limit that stops it
+                    broken, gap = (
+                        max(broken, gap),
+                        0.0,
+                    )  # in reach with more stroke: it is the lift's limit that stops it
             measure_tip(rows, ends, opt, T[t], best, box, broken, gap, goal, Z, trig, hist, out[t])
 
     return solve
@@ -292,7 +302,9 @@ def _compile_every():
     return every
 
 
-def feasible_lifts(p: np.ndarray, T: np.ndarray, low: float = -math.inf, high: float = math.inf) -> list[tuple[float, float]]:
+def feasible_lifts(
+    p: np.ndarray, T: np.ndarray, low: float = -math.inf, high: float = math.inf
+) -> list[tuple[float, float]]:
     """Intervals of the lift joint's value [m], inside [low, high], from which the pose T (4, 4) is reachable (0 to 2)."""
     P, spans, sign = np.empty(12), np.empty((2, 2)), p[LIFT + 1]
     wrist_pose(p, np.asarray(T, dtype=float), P)
@@ -319,7 +331,11 @@ def lifts_to_list(p: np.ndarray, T: np.ndarray, box: np.ndarray, count: int) -> 
     found = lift_intervals(P, p[A4], p[A6], low, high, spans)
     spread = [np.linspace(a, b, count + 2)[1:-1] for a, b in spans[:found]]
     words = " and ".join(f"{a:.6g} to {b:.6g} m" for a, b in feasible_lifts(p, T, box[0, place], box[1, place]))
-    where = f" at {1 + count * found} lifts, of the infinitely many from {words}," if found else f" at lift {sign * first:.6g} m"
+    where = (
+        f" at {1 + count * found} lifts, of the infinitely many from {words},"
+        if found
+        else f" at lift {sign * first:.6g} m"
+    )
     return np.concatenate([[first], *spread]), False, where
 
 

@@ -173,6 +173,15 @@ def inspection_branches(P, d, a4, a6, near, sols):
 
 
 @jit
+def many_branches(P, lifts, a4, a6, near, sols):
+    """Count the branches of wrist poses P (N, 12) at lifts (N,): what the benchmarks time."""
+    count = 0
+    for k in range(P.shape[0]):
+        count += inspection_branches(P[k], lifts[k], a4, a6, near, sols)
+    return count
+
+
+@jit
 def depressed_roots(p, q):
     """Count (1 or 3) and real roots of u^3 + p u + q, ascending (the one root three times)."""
     if p < 0.0 and 4.0 * p * p * p + 27.0 * q * q < 0.0:
