@@ -29,7 +29,11 @@ DATA_ARMS = (
 
 def joint(name, kind, parent, child, axis="0 0 1", xyz="0 0 0.2", rpy="0 0 0", limits=(-2.0, 2.0), mimic=""):
     """Return one URDF joint and its child link."""
-    limit = "" if kind in ("fixed", "continuous") else f'<limit lower="{limits[0]}" upper="{limits[1]}" effort="1" velocity="2"/>'
+    limit = (
+        ""
+        if kind in ("fixed", "continuous")
+        else f'<limit lower="{limits[0]}" upper="{limits[1]}" effort="1" velocity="2"/>'
+    )
     return (
         f'<link name="{child}"/><joint name="{name}" type="{kind}"><parent link="{parent}"/><child link="{child}"/>'
         f'<origin xyz="{xyz}" rpy="{rpy}"/><axis xyz="{axis}"/>{limit}{mimic}</joint>'
@@ -58,7 +62,9 @@ MIMIC = urdf(
     dict(kind="revolute", axis="0 1 0", xyz=".1 0 .2"),
     dict(kind="revolute", axis="0 1 0", limits=(-1.0, 1.0), mimic='<mimic joint="j1" multiplier="-0.6" offset="0.2"/>'),
     dict(kind="revolute", axis="1 0 0", rpy="0 .3 0"),
-    dict(kind="prismatic", axis="1 0 0", limits=(-0.3, 0.3), mimic='<mimic joint="j0" multiplier="0.1" offset="0.05"/>'),
+    dict(
+        kind="prismatic", axis="1 0 0", limits=(-0.3, 0.3), mimic='<mimic joint="j0" multiplier="0.1" offset="0.05"/>'
+    ),
     dict(kind="revolute", axis="0 1 1", rpy=".7 0 0"),
     dict(kind="revolute", rpy="0 0 .4"),
     dict(kind="revolute", axis="0 1 0", rpy=".2 0 1"),

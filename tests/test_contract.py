@@ -9,7 +9,17 @@ from ik_toolkit.errors import IKError
 from ik_toolkit.solvers.options import make_options
 from ik_toolkit.solvers.registry import ROWS
 
-ARMS = ("hydrolek_7w", "planar_2r", "planar_3r", "cartesian_pp", "inspection_7dof", "continuous_mix", "mimic_mix", "slides_mix", "locked")
+ARMS = (
+    "hydrolek_7w",
+    "planar_2r",
+    "planar_3r",
+    "cartesian_pp",
+    "inspection_7dof",
+    "continuous_mix",
+    "mimic_mix",
+    "slides_mix",
+    "locked",
+)
 PLANAR = ("planar_2r", "planar_3r", "cartesian_pp")
 LOOSE = dict(position_tolerance=1e-3, orientation_tolerance=1e-2)
 
@@ -145,11 +155,15 @@ def test_history_holds_every_evaluation_of_the_loop(row):
     assert (history["q"] >= robot.lower).all() and (history["q"] <= robot.upper).all()
 
 
-@pytest.mark.parametrize("row", [row for row in ROWS if row.name in ("pinv", "dls", "transpose", "lm")], ids=lambda row: row.name)
+@pytest.mark.parametrize(
+    "row", [row for row in ROWS if row.name in ("pinv", "dls", "transpose", "lm")], ids=lambda row: row.name
+)
 def test_limits_can_be_left_out(row):
     robot = robots.load("hydrolek_7w")
     q = robot.upper + 0.1  # reachable only outside the limits
-    result = ik.Solver(robot, row.name, limits=False, tolerance=1e-4, max_iterations=5000)(robot.fk(q).homogeneous, q0=q - 0.05)
+    result = ik.Solver(robot, row.name, limits=False, tolerance=1e-4, max_iterations=5000)(
+        robot.fk(q).homogeneous, q0=q - 0.05
+    )
     assert result.success
     assert ((result.q < robot.lower) | (result.q > robot.upper)).any()
 

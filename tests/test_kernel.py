@@ -29,7 +29,9 @@ def test_forward_kinematics_and_jacobian_equal_pinocchio(name):
     assert max(np.abs(robot.jacobian(q) - J).max() for q, J in zip(Q, jacobians, strict=True)) < 1e-12 * size
 
 
-@pytest.mark.parametrize("name", ["hydrolek_7w", "inspection_7dof", "continuous_mix", "mimic_mix", "slides_mix", "tool"])
+@pytest.mark.parametrize(
+    "name", ["hydrolek_7w", "inspection_7dof", "continuous_mix", "mimic_mix", "slides_mix", "tool"]
+)
 def test_jacobian_by_finite_differences_on_the_manifold(name):
     robot = robots.load(name)
     Q, _ = robots.sample(robot, 5, seed=6)
@@ -90,7 +92,9 @@ def test_rotation_error_is_the_rotation_vector_up_to_half_a_turn(angle):
         out = np.empty(3)
         _rotation_error(np.ascontiguousarray(target), np.ascontiguousarray(actual), out)
         # Half a turn about an axis and about its opposite are the same rotation.
-        off = min(np.abs(out - angle * axis).max(), np.abs(out + angle * axis).max() if angle > math.pi - 1e-7 else np.inf)
+        off = min(
+            np.abs(out - angle * axis).max(), np.abs(out + angle * axis).max() if angle > math.pi - 1e-7 else np.inf
+        )
         # asin is steep at half a turn: half the digits of the angle are left there, all those of the axis
         assert off < (1e-7 if angle > math.pi - 1e-5 else 1e-11)
 

@@ -4,20 +4,63 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .kinematics import ROW, TAU
-from .loop import E_VECTORS, forward
+from .jit import cached
+from .kinematics import ROW, TAU, columns, fk
+from .loop import E_VECTORS
 from .seeds import PAD, ROTATION_WEIGHT, SEEDS
 
 __all__ = ["ROW", "Chain", "pack"]
 WINDING = 5 * TAU
 
 
+@cached
+def forward(rows, ends, Q, unit, T, J) -> None:
+    """Tip poses T (N, 4, 4) [m] in base axes and Jacobians J (N, 6, n) at Q (N, n); J may be (0, 6, n) to skip them."""
+    L = rows.shape[0]
+    n = Q.shape[1]
+    Lp = (L + 3) // 4 * 4
+    scale = ends[E_VECTORS + 7 * n]
+    tip = ends[12:24]
+    q = np.empty(n)
+    Z = np.empty((L, 6))
+    ang = np.zeros(Lp)
+    sn = np.zeros(Lp)
+    cs = np.zeros(Lp)
+    K = np.empty((n, 6))
+    F = np.empty((3, 4))
+    for t in range(Q.shape[0]):
+        for i in range(n):
+            q[i] = Q[t, i] / unit[i]
+        x0, x1, x2, y0, y1, y2, z0, z1, z2, px, py, pz = fk(rows, q, Z, ang, sn, cs)
+        for k in range(3):
+            F[0, k] = x0 * tip[k] + y0 * tip[3 + k] + z0 * tip[6 + k]
+            F[1, k] = x1 * tip[k] + y1 * tip[3 + k] + z1 * tip[6 + k]
+            F[2, k] = x2 * tip[k] + y2 * tip[3 + k] + z2 * tip[6 + k]
+        F[0, 3] = px + x0 * tip[9] + y0 * tip[10] + z0 * tip[11]
+        F[1, 3] = py + x1 * tip[9] + y1 * tip[10] + z1 * tip[11]
+        F[2, 3] = pz + x2 * tip[9] + y2 * tip[10] + z2 * tip[11]
+        for r in range(3):
+            for k in range(4):
+                T[t, r, k] = ends[3 * r] * F[0, k] + ends[3 * r + 1] * F[1, k] + ends[3 * r + 2] * F[2, k]
+            T[t, r, 3] = (T[t, r, 3] + ends[9 + r]) * scale
+            T[t, 3, r] = 0.0
+        T[t, 3, 3] = 1.0
+        if J.shape[0] > 0:
+            columns(rows, Z, K, F[0, 3], F[1, 3], F[2, 3])
+            for i in range(n):
+                for h in range(0, 6, 3):
+                    for r in range(3):
+                        g = ends[3 * r] * K[i, h] + ends[3 * r + 1] * K[i, h + 1] + ends[3 * r + 2] * K[i, h + 2]
+                        J[t, h + r, i] = g * (scale if h == 0 else 1.0) / unit[i]
+
+
 class Chain(NamedTuple):
     """One serial path base -> tip, ready for the kernels.
 
-    rows (L, 10): see kinematics.py. ends: base (12), tip (12), then n values each of lower, upper, turns (1: may wrap by
-    full turns inside its limits, 2: endless), unit (1, or `scale` for a prismatic coordinate), sampling low, sampling span, home; then scale and reach bounds.
-    seeds (256, n) and features (13, 272) are the table of start configurations. lower, upper (n,) in rad or m.
+    rows (L, 10): see kinematics.py. ends: base (12), tip (12), then n values each of lower, upper, turns (1: may wrap by full
+    turns inside its limits, 2: endless), unit (1, or `scale` for a prismatic coordinate), sampling low, sampling span, home;
+    then scale and reach bounds. seeds (256, n) and features (13, 272) are the table of start configurations. lower, upper
+    (n,) in rad or m.
     """
 
     rows: np.ndarray
@@ -103,7 +146,9 @@ def pack(
     sliding = rows[1:, 6] != 0.0
     shortest = np.where(sliding, 0.0, lengths[1:])
     row0 = rows[0]
-    lift = [row0[7]] * 2 if row0[6] == 0.0 else sorted(row0[7] + row0[6] * x for x in (low_k[owner[0]], high_k[owner[0]]))
+    lift = (
+        [row0[7]] * 2 if row0[6] == 0.0 else sorted(row0[7] + row0[6] * x for x in (low_k[owner[0]], high_k[owner[0]]))
+    )
 
     def hole(parts: np.ndarray, rest: np.ndarray) -> float:
         """Radius the path cannot fold into: the longest rigid piece minus all the others at their longest."""
@@ -123,7 +168,9 @@ def pack(
     T = np.empty((SEEDS, 4, 4))
     flat = np.concatenate([np.eye(3).ravel(), np.zeros(3), tip, ends[E_VECTORS : E_VECTORS + 7 * n], [1.0], tail[1:]])
     forward(rows, flat, seeds, np.ones(n), T, np.empty((0, 6, n)))
-    features = np.zeros((13, SEEDS + PAD), np.float32)  # of the last joint's rotation and the tip point, see seeds.nearest
+    features = np.zeros(
+        (13, SEEDS + PAD), np.float32
+    )  # of the last joint's rotation and the tip point, see seeds.nearest
     features[:3, :SEEDS] = -2.0 * T[:, :3, 3].T
     rotation = T[:, :3, :3] @ tip[:9].reshape(3, 3).T
     features[3:12, :SEEDS] = -2.0 * ROTATION_WEIGHT * rotation.reshape(SEEDS, 9).T

@@ -2,7 +2,7 @@
 
 import math
 
-from .jit import inline, jit
+from .jit import jit
 
 
 @jit

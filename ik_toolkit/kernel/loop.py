@@ -10,18 +10,32 @@ always one that was evaluated. Restarts wrap the loop.
 
 import math
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numba.extending import overload
 
+from .checks import (
+    BAD_TARGET,
+    CONVERGED,
+    ITERATION_LIMIT,
+    LIMIT_BLOCKED,
+    NOT_FINITE,
+    SINGULAR,
+    STALLED,
+    UNREACHABLE,
+    beyond,
+    edge,
+    rigid,
+    turn,
+    why,
+)
 from .jit import OPTIONS, cached, inline, jit, kernel_stamp, source_file
-from .kinematics import TAU, aim, angle_ratio, columns, error, fk, rotation_angle
+from .kinematics import TAU, aim, columns, error, fk, rotation_angle
 from .linalg import hold
 from .seeds import BEST, nearest, rnd
+from .task import shape_columns, shape_error
 
-CONVERGED, STALLED, ITERATION_LIMIT, LIMIT_BLOCKED, UNREACHABLE, SINGULAR, NOT_FINITE, CHECK_FAILED, BAD_TARGET = range(9)
-POSE, POSITION, MASK_BASE, MASK_TIP, AXIS = range(5)  # what of the pose error counts
 SINGULAR_STEP, WAITING = -1, -2  # what a rule may return instead of a count of evaluations
 
 # Slots of `opt`; the joint weights (n) and then the rule's parameters follow at OPT_HEAD.
@@ -122,67 +136,6 @@ def _step(cls, p, s, e):
     return RULES[cls.instance_class]
 
 
-@jit
-def shape_error(kind, w, ends, goal, V, y, x0, x1, x2, y0, y1, y2, z0, z1, z2, e0, e1, e2, e3, e4, e5):
-    """Set to zero, rotate or replace what of the pose error does not count; V and y keep what `shape_columns` needs.
-
-    w: six weights for the masks (base axes, or tip axes), or the tip axis (in the last joint's frame) for AXIS.
-    """
-    if kind == 1:  # POSITION
-        return e0, e1, e2, 0.0, 0.0, 0.0
-    if kind == 4:  # AXIS: from a (now) to b (wanted)
-        a0 = x0 * w[0] + y0 * w[1] + z0 * w[2]
-        a1 = x1 * w[0] + y1 * w[1] + z1 * w[2]
-        a2 = x2 * w[0] + y2 * w[1] + z2 * w[2]
-        b0 = goal[0] * w[0] + goal[1] * w[1] + goal[2] * w[2]
-        b1 = goal[3] * w[0] + goal[4] * w[1] + goal[5] * w[2]
-        b2 = goal[6] * w[0] + goal[7] * w[1] + goal[8] * w[2]
-        y[0], y[1], y[2] = a0, a1, a2
-        cos1 = 1.0 + a0 * b0 + a1 * b1 + a2 * b2
-        if cos1 > 1e-9:
-            f = math.sqrt(2.0 / cos1)
-            return e0, e1, e2, f * (a1 * b2 - a2 * b1), f * (a2 * b0 - a0 * b2), f * (a0 * b1 - a1 * b0)
-        if abs(a0) < 0.7:  # opposite: any axis across will do
-            f = 2.0 / math.sqrt(a1 * a1 + a2 * a2)
-            return e0, e1, e2, 0.0, -a2 * f, a1 * f
-        f = 2.0 / math.sqrt(a0 * a0 + a1 * a1)
-        return e0, e1, e2, -a1 * f, a0 * f, 0.0
-    for r in range(3):  # masks: rotate to the named frame, weight
-        if kind == 2:
-            V[r, 0], V[r, 1], V[r, 2] = ends[3 * r], ends[3 * r + 1], ends[3 * r + 2]
-        else:
-            t0, t1, t2 = ends[12 + r], ends[15 + r], ends[18 + r]
-            V[r, 0], V[r, 1], V[r, 2] = x0 * t0 + y0 * t1 + z0 * t2, x1 * t0 + y1 * t1 + z1 * t2, x2 * t0 + y2 * t1 + z2 * t2
-    ratio = angle_ratio(e3 * e3 + e4 * e4 + e5 * e5)
-    e3, e4, e5 = e3 * ratio, e4 * ratio, e5 * ratio
-    return (
-        w[0] * (V[0, 0] * e0 + V[0, 1] * e1 + V[0, 2] * e2),
-        w[1] * (V[1, 0] * e0 + V[1, 1] * e1 + V[1, 2] * e2),
-        w[2] * (V[2, 0] * e0 + V[2, 1] * e1 + V[2, 2] * e2),
-        w[3] * (V[0, 0] * e3 + V[0, 1] * e4 + V[0, 2] * e5),
-        w[4] * (V[1, 0] * e3 + V[1, 1] * e4 + V[1, 2] * e5),
-        w[5] * (V[2, 0] * e3 + V[2, 1] * e4 + V[2, 2] * e5),
-    )
-
-
-@jit
-def shape_columns(kind, w, V, y, J):
-    """Remove from the Jacobian what does not count, at the configuration shaped last."""
-    for i in range(J.shape[0]):
-        if kind == 1:
-            J[i, 3], J[i, 4], J[i, 5] = 0.0, 0.0, 0.0
-        elif kind == 4:
-            d = y[0] * J[i, 3] + y[1] * J[i, 4] + y[2] * J[i, 5]
-            J[i, 3] -= d * y[0]
-            J[i, 4] -= d * y[1]
-            J[i, 5] -= d * y[2]
-        else:
-            for h in range(0, 6, 3):
-                u, v, t = J[i, h], J[i, h + 1], J[i, h + 2]
-                for r in range(3):
-                    J[i, h + r] = w[h + r] * (V[r, 0] * u + V[r, 1] * v + V[r, 2] * t)
-
-
 def _measure(rows, ends, tip, goal, w, kind, q, Z, ang, sn, cs, V, y):
     """Evaluate the chain at q: tip point, and the error with what does not count set to zero."""
     x0, x1, x2, y0, y1, y2, z0, z1, z2, px, py, pz = fk(rows, q, Z, ang, sn, cs)
@@ -198,78 +151,6 @@ def _measure(rows, ends, tip, goal, w, kind, q, Z, ang, sn, cs, V, y):
 
 measure_inline = inline(_measure)  # for the hot place in the loop
 measure = jit(_measure)  # for the others, so that the loop stays small
-
-
-@jit
-def beyond(goal, tip, tail, kind, tol_p, tol_r):
-    """Length by which the target lies outside the reach bound (0 = not proven unreachable), in kernel units."""
-    worst = 0.0
-    if kind > 1:
-        return worst
-    for k in range(2 if kind == 0 else 1):
-        x, y, z = goal[9], goal[10], goal[11]
-        slack = tol_p
-        if k == 1:  # the last joint's point is fixed by the pose: the arm without its tool must reach it
-            for r in range(3):
-                g = goal[3 * r] * tip[9] + goal[3 * r + 1] * tip[10] + goal[3 * r + 2] * tip[11]
-                if r == 0:
-                    x -= g
-                elif r == 1:
-                    y -= g
-                else:
-                    z -= g
-            slack += tol_r * math.sqrt(tip[9] * tip[9] + tip[10] * tip[10] + tip[11] * tip[11])
-        slack += 1e-9
-        r2 = x * x + y * y
-        nearest_z = min(max(z, tail[5]), tail[6])
-        d = math.sqrt(r2 + (z - nearest_z) * (z - nearest_z))
-        worst = max(worst, d - tail[1 + 2 * k] - slack)
-        far = max(abs(z - tail[5]), abs(z - tail[6]))
-        d = math.sqrt(r2 + far * far)
-        worst = max(worst, tail[2 + 2 * k] - d - slack)
-    return worst
-
-
-@jit
-def rigid(T):
-    """Whether T (4, 4) is finite, its rotation orthonormal to 1e-6 and right-handed (NaN fails every test)."""
-    total = 0.0
-    for r in range(3):
-        total += abs(T[r, 3])
-        for c in range(r, 3):
-            g = T[0, r] * T[0, c] + T[1, r] * T[1, c] + T[2, r] * T[2, c]
-            if not abs(g - (1.0 if r == c else 0.0)) < 1e-6:
-                return False
-    det = T[0, 0] * (T[1, 1] * T[2, 2] - T[1, 2] * T[2, 1]) - T[0, 1] * (T[1, 0] * T[2, 2] - T[1, 2] * T[2, 0])
-    det += T[0, 2] * (T[1, 0] * T[2, 1] - T[1, 1] * T[2, 0])
-    return det > 0.0 and total < 1e300
-
-
-@jit
-def turn(wanted, q, lower, upper, turns):
-    """Full turns by which to move a joint so that it comes nearest `wanted` away, inside its limits unless it is endless."""
-    k = np.rint(wanted / TAU)
-    if turns < 1.5:
-        k = min(max(k, math.ceil((lower - q) / TAU)), math.floor((upper - q) / TAU))
-    return k
-
-
-@jit
-def why(q, lower, upper, J, e, limits):
-    """Status of a descent that stands still: blocked by limits, singular (the Jacobian cannot see the error), or stalled."""
-    whole, free, size = 0.0, 0.0, 0.0
-    for i in range(q.shape[0]):
-        g = J[i, 0] * e.e0 + J[i, 1] * e.e1 + J[i, 2] * e.e2 + J[i, 3] * e.e3 + J[i, 4] * e.e4 + J[i, 5] * e.e5
-        for k in range(6):
-            size += J[i, k] * J[i, k]
-        whole += g * g
-        if not (limits and ((q[i] <= lower[i] and g < 0.0) or (q[i] >= upper[i] and g > 0.0))):
-            free += g * g
-    if whole <= 1e-16 * e.ee * size:
-        return SINGULAR
-    if free < 1e-4 * whole:
-        return LIMIT_BLOCKED
-    return STALLED
 
 
 _ENTRIES: dict[type, Callable] = {}
@@ -294,7 +175,12 @@ def entry(cls: type) -> Callable:
         Lp = (L + 3) // 4 * 4
         v = E_VECTORS
         tip = ends[12:24]
-        lower, upper, turns, unit = ends[v : v + n], ends[v + n : v + 2 * n], ends[v + 2 * n : v + 3 * n], ends[v + 3 * n : v + 4 * n]
+        lower, upper, turns, unit = (
+            ends[v : v + n],
+            ends[v + n : v + 2 * n],
+            ends[v + 2 * n : v + 3 * n],
+            ends[v + 3 * n : v + 4 * n],
+        )
         low, span, home = ends[v + 4 * n : v + 5 * n], ends[v + 5 * n : v + 6 * n], ends[v + 6 * n : v + 7 * n]
         tail = ends[v + 7 * n :]
         scale = tail[0]
@@ -311,6 +197,7 @@ def entry(cls: type) -> Callable:
         goal = np.empty(12)
         V = np.empty((6, 6))
         y = np.empty(6)
+        target = np.empty(3)
         best_q = np.empty(n)
         q_found = np.empty(n)
         score = np.empty(seeds.shape[0], np.float32)
@@ -346,8 +233,9 @@ def entry(cls: type) -> Callable:
             aim(ends, tip, scale, T[t], goal)
             excess = beyond(goal, tip, tail, kind, tol_p, opt[1])
             descents = int(opt[4])
-            if excess > 0.0:
+            if excess > 0.0:  # aim at the edge of the reach instead: there the damping vanishes and the descent is fast
                 descents = min(descents, 3)
+                edge(goal, tail, excess, target)
             wp = 1.0
             wr = 0.0 if kind == 1 else 1.0
             if kind >= 2:
@@ -454,6 +342,9 @@ def entry(cls: type) -> Callable:
                         ended = why(q, lower, upper, J, e, limits)
                         break
                 status = ended
+                if solved and excess > 0.0:
+                    status = UNREACHABLE
+                    break
                 if solved:
                     if closest == 0:
                         status = CONVERGED
@@ -489,6 +380,13 @@ def entry(cls: type) -> Callable:
             elif status != CONVERGED:
                 if excess > 0.0:
                     status = UNREACHABLE
+                    goal[9], goal[10], goal[11] = target[0], target[1], target[2]
+                    for i in range(n):
+                        q[i] = best_q[i]
+                    px, py, pz, e = measure(rows, ends, tip, goal, mask, kind, q, Z, ang, sn, cs, V, y)
+                    count += 1
+                    best_pp = e.pp
+                    best_rr = e.rr
                 elif descents > 1 and status != NOT_FINITE:
                     for i in range(n):
                         q[i] = best_q[i]
@@ -530,44 +428,3 @@ def entry(cls: type) -> Callable:
 
     _ENTRIES[cls] = solve
     return solve
-
-
-@cached
-def forward(rows, ends, Q, unit, T, J) -> Any:
-    """Tip poses T (N, 4, 4) [m] in base axes and Jacobians J (N, 6, n) at Q (N, n); J may be (0, 6, n) to skip them."""
-    L = rows.shape[0]
-    n = Q.shape[1]
-    Lp = (L + 3) // 4 * 4
-    scale = ends[E_VECTORS + 7 * n]
-    tip = ends[12:24]
-    q = np.empty(n)
-    Z = np.empty((L, 6))
-    ang = np.zeros(Lp)
-    sn = np.zeros(Lp)
-    cs = np.zeros(Lp)
-    K = np.empty((n, 6))
-    F = np.empty((3, 4))
-    for t in range(Q.shape[0]):
-        for i in range(n):
-            q[i] = Q[t, i] / unit[i]
-        x0, x1, x2, y0, y1, y2, z0, z1, z2, px, py, pz = fk(rows, q, Z, ang, sn, cs)
-        for k in range(3):
-            F[0, k] = x0 * tip[k] + y0 * tip[3 + k] + z0 * tip[6 + k]
-            F[1, k] = x1 * tip[k] + y1 * tip[3 + k] + z1 * tip[6 + k]
-            F[2, k] = x2 * tip[k] + y2 * tip[3 + k] + z2 * tip[6 + k]
-        F[0, 3] = px + x0 * tip[9] + y0 * tip[10] + z0 * tip[11]
-        F[1, 3] = py + x1 * tip[9] + y1 * tip[10] + z1 * tip[11]
-        F[2, 3] = pz + x2 * tip[9] + y2 * tip[10] + z2 * tip[11]
-        for r in range(3):
-            for k in range(4):
-                T[t, r, k] = ends[3 * r] * F[0, k] + ends[3 * r + 1] * F[1, k] + ends[3 * r + 2] * F[2, k]
-            T[t, r, 3] = (T[t, r, 3] + ends[9 + r]) * scale
-            T[t, 3, r] = 0.0
-        T[t, 3, 3] = 1.0
-        if J.shape[0] > 0:
-            columns(rows, Z, K, F[0, 3], F[1, 3], F[2, 3])
-            for i in range(n):
-                for h in range(0, 6, 3):
-                    for r in range(3):
-                        g = ends[3 * r] * K[i, h] + ends[3 * r + 1] * K[i, h + 1] + ends[3 * r + 2] * K[i, h + 2]
-                        J[t, h + r, i] = g * (scale if h == 0 else 1.0) / unit[i]

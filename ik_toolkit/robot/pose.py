@@ -125,7 +125,9 @@ def check_target(target: Any) -> tuple[np.ndarray, str]:
     if T.shape == (3,):
         return _numbers(T, 3, "target position"), ""
     if T.shape != (4, 4):
-        raise InvalidTarget(f"a target is a 4x4 pose, a pin.SE3 or a position of 3 numbers, not an array of shape {T.shape}")
+        raise InvalidTarget(
+            f"a target is a 4x4 pose, a pin.SE3 or a position of 3 numbers, not an array of shape {T.shape}"
+        )
     if not np.isfinite(T).all():
         raise InvalidTarget("the target pose has entries that are not finite numbers")
     if np.abs(T[3] - (0.0, 0.0, 0.0, 1.0)).max() > 1e-9:

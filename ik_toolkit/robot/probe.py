@@ -112,7 +112,9 @@ def probe(
         screw = (m1 - m0) / 0.5
         turns = bool(np.linalg.norm(screw[3:]) > 1e-9)
         if turns and np.linalg.norm(screw[:3]) > 1e-9:
-            raise ModelError(f"joint '{model.names[j]}' moves along a helix; only turning or sliding joints are handled")
+            raise ModelError(
+                f"joint '{model.names[j]}' moves along a helix; only turning or sliding joints are handled"
+            )
         vector = screw[3:] if turns else screw[:3]
         ratio = float(np.linalg.norm(vector))
         if ratio < 1e-9:

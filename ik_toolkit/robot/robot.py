@@ -4,7 +4,6 @@ Pinocchio is the authority for what every joint, frame and limit is and computes
 flat chain is probed from it.
 """
 
-import copy
 import functools
 import threading
 from collections.abc import Iterable, Mapping, Sequence
@@ -22,6 +21,7 @@ from .pose import check_target
 from .probe import Path as JointPath
 from .probe import find_path, probe
 
+CACHES = ("_local", "_sampling", "_solvers", "_closed_form")  # belong to one object, or to one thread
 SINGULAR = 0.02  # smallest singular value (lengths over reach) below which a configuration is no good as home
 
 
@@ -54,7 +54,9 @@ class Robot:
         q. Raises FrameNotFound, JointNotFound, ModelError, InvalidConfiguration.
         """
         if not isinstance(model, pin.Model):
-            raise ModelError(f"a pin.Model is expected, not {type(model).__name__}; Robot.load reads names, paths and URDF text")
+            raise ModelError(
+                f"a pin.Model is expected, not {type(model).__name__}; Robot.load reads names, paths and URDF text"
+            )
         self.model = model
         self.name = name or model.name
         self.urdf = urdf
@@ -119,8 +121,14 @@ class Robot:
     def tips(self) -> list[str]:
         """Names of the frames at the ends of the tree that a joint moves."""
         frames = self.model.frames
-        parents = {f.parentFrame for f in frames if f.type in (pin.FrameType.BODY, pin.FrameType.JOINT, pin.FrameType.FIXED_JOINT)}
-        leaves = [f for i, f in enumerate(frames) if f.type == pin.FrameType.BODY and i not in parents and f.parentJoint > 0]
+        parents = {
+            f.parentFrame
+            for f in frames
+            if f.type in (pin.FrameType.BODY, pin.FrameType.JOINT, pin.FrameType.FIXED_JOINT)
+        }
+        leaves = [
+            f for i, f in enumerate(frames) if f.type == pin.FrameType.BODY and i not in parents and f.parentJoint > 0
+        ]
         return [f.name for f in leaves]
 
     def _only_tip(self) -> str:
@@ -129,12 +137,20 @@ class Robot:
             return tips[0]
         if not tips:
             raise ModelError(f"robot '{self.name}' has no movable joint: nothing to solve")
-        raise FrameNotFound(f"robot '{self.name}' has {len(tips)} possible tips; choose one with tip=: {', '.join(tips)}")
+        raise FrameNotFound(
+            f"robot '{self.name}' has {len(tips)} possible tips; choose one with tip=: {', '.join(tips)}"
+        )
 
     def _set_rest(self, joint: str, value: float) -> None:
-        names = [n for j, n in enumerate(self.model.names) if self.model.joints[j].nq in (1, 2) and self.model.joints[j].nv == 1]
+        names = [
+            n
+            for j, n in enumerate(self.model.names)
+            if self.model.joints[j].nq in (1, 2) and self.model.joints[j].nv == 1
+        ]
         if joint not in names:
-            raise JointNotFound(f"robot '{self.name}' has no movable joint '{joint}' to lock.{near_match(joint, names)}")
+            raise JointNotFound(
+                f"robot '{self.name}' has no movable joint '{joint}' to lock.{near_match(joint, names)}"
+            )
         value = float(value)
         if not np.isfinite(value):
             raise InvalidConfiguration(f"the value of locked joint '{joint}' must be finite, not {value}")
@@ -153,7 +169,11 @@ class Robot:
         lower = np.where(path.circle, -np.inf, model.lowerPositionLimit[path.idx_q])
         upper = np.where(path.circle, np.inf, model.upperPositionLimit[path.idx_q])
         for joint, (leader, ratio, offset, low, high) in mimic_limits(self.urdf).items() if self.urdf else ():
-            if leader not in self.joint_names or not model.existJointName(joint) or model.getJointId(joint) not in path.joints:
+            if (
+                leader not in self.joint_names
+                or not model.existJointName(joint)
+                or model.getJointId(joint) not in path.joints
+            ):
                 continue
             ends = sorted(((low - offset) / ratio, (high - offset) / ratio)) if ratio else (-np.inf, np.inf)
             i = self.joint_names.index(leader)
@@ -162,22 +182,25 @@ class Robot:
         upper = np.where(upper > 1e15, np.inf, upper)
         for i, joint in enumerate(self.joint_names):
             if not lower[i] <= upper[i]:
-                raise ModelError(f"joint '{joint}' has no legal position: lower limit {lower[i]:g} is above upper limit {upper[i]:g}")
+                raise ModelError(
+                    f"joint '{joint}' has no legal position: lower limit {lower[i]:g} is above upper limit {upper[i]:g}"
+                )
         self.lower, self.upper = lower, upper
         self.velocity_limits = np.asarray(model.upperVelocityLimit)[[model.joints[j].idx_v for j in path.leaders]]
         bounded = np.isfinite(lower) & np.isfinite(upper)
         middle = np.clip(0.0, lower, upper)
         middle[bounded] = lower[bounded] + 0.5 * (upper - lower)[bounded]
         self.home = middle
-        self._data0 = model.createData()
-        pin.framesForwardKinematics(model, self._data0, self.rest)
-        self._base_inverse = self._data0.oMf[base_id].inverse()
+        data = model.createData()
+        pin.framesForwardKinematics(model, data, self.rest)
+        self._base_inverse = data.oMf[base_id].inverse()
         self._ids = (base_id, tip_id)
         self.chain: Chain = probe(model, path, self.rest, base_id, tip_id, self.tool, lower, upper, middle)
         rows = self.chain.rows
         kinds = ["revolute" if rows[rows[:, 8] == i, 9].any() else "prismatic" for i in range(self.n)]
         self.joint_kinds = tuple(
-            "continuous" if kind == "revolute" and np.isinf(lower[i]) and np.isinf(upper[i]) else kind for i, kind in enumerate(kinds)
+            "continuous" if kind == "revolute" and np.isinf(lower[i]) and np.isinf(upper[i]) else kind
+            for i, kind in enumerate(kinds)
         )
         self.home = self.check_q(home, "home") if home is not None else self._good_start(middle)
         start = 24 + 6 * self.n
@@ -263,7 +286,9 @@ class Robot:
         """Return q (n,) of a full configuration (nq,); continuous joints come back as angles in -pi..pi."""
         full = np.asarray(q_full, dtype=float)
         if full.shape != (self.model.nq,):
-            raise InvalidConfiguration(f"a full configuration of this model has {self.model.nq} values, not shape {full.shape}")
+            raise InvalidConfiguration(
+                f"a full configuration of this model has {self.model.nq} values, not shape {full.shape}"
+            )
         idx, circle = self._path.idx_q, self._path.circle
         q = full[idx].copy()
         q[circle] = np.arctan2(full[idx[circle] + 1], full[idx[circle]])
@@ -310,16 +335,21 @@ class Robot:
         return float(np.sqrt(position @ position)), float(np.linalg.norm(pin.log3(R)))
 
     # ------------------------------------------------------------------------------------------------ variants
+    def _variant(self) -> "Robot":
+        """Copy that shares the model and has none of the caches."""
+        other = Robot.__new__(Robot)
+        other.__dict__.update({key: value for key, value in self.__dict__.items() if key not in CACHES})
+        return other
+
     def locked(self, joints: Mapping[str, float]) -> "Robot":
         """Return a copy with joints held at values [rad or m] and left out of q. Raises JointNotFound."""
         keep = [j for j in self.joint_names if j not in joints]
-        other = copy.copy(self)
+        other = self._variant()
         other.rest = self.rest.copy()
         other.locked_joints = dict(self.locked_joints)
         for joint, value in joints.items():
             other._set_rest(joint, value)
         home = [x for j, x in zip(self.joint_names, self.home, strict=True) if j in keep]
-        other.__dict__.pop("_sampling", None)
         other._build(home if keep else None)
         return other
 
@@ -328,22 +358,27 @@ class Robot:
         T, _ = check_target(T_tip_tool)
         if T.ndim == 1:
             T = pin.SE3(np.eye(3), T).homogeneous
-        other = copy.copy(self)
-        other.__dict__.pop("_sampling", None)
+        other = self._variant()
         other.tool = self.tool * pin.SE3(T)
         other._build(self.home)
         return other
 
     def __getstate__(self) -> dict[str, Any]:
-        """Leave out what belongs to a thread."""
-        state = self.__dict__.copy()
-        for name in ("_local", "_data0", "_solvers"):
-            state.pop(name, None)
+        """Leave out what belongs to a thread; the model travels as its URDF (pickled mimic joints crash Pinocchio 4.1)."""
+        state = {key: value for key, value in self.__dict__.items() if key not in CACHES}
+        if self.urdf is not None:
+            state["model"] = None
+        elif len(self.model.mimicking_joints):
+            raise ModelError(
+                f"robot '{self.name}' has mimic joints and was not made from a URDF, so it cannot be pickled"
+            )
         return state
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Restore, with fresh thread-local workspace."""
         self.__dict__.update(state)
+        if self.model is None:
+            self.model = pin.buildModelFromXML(self.urdf, True)
         self._local = threading.local()
 
     def __repr__(self) -> str:

@@ -59,7 +59,9 @@ def make_options(given: dict[str, Any]) -> Options:
                 raise InvalidOption(f"{name} must be a whole number of at least {low}, not {value!r}")
             values[name] = int(value)
             if name == "max_iterations" and values[name] > MAX_ITERATIONS:
-                raise InvalidOption(f"max_iterations is at most {MAX_ITERATIONS}, not {value}; use restarts for longer searches")
+                raise InvalidOption(
+                    f"max_iterations is at most {MAX_ITERATIONS}, not {value}; use restarts for longer searches"
+                )
         elif name in ("limits", "history", "check"):
             values[name] = bool(value)
         elif name == "q0_outside" and value not in ("clamp", "refuse"):

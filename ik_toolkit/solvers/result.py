@@ -167,5 +167,7 @@ class Result:
     def _repr_html_(self) -> str:
         """Table for notebooks."""
         colour = "#1b7837" if self.success else "#b2182b"
-        cells = "".join(f"<tr><td>{j}</td><td>{x:.6f}</td></tr>" for j, x in zip(self.robot.joint_names, self.q, strict=True))
+        cells = "".join(
+            f"<tr><td>{j}</td><td>{x:.6f}</td></tr>" for j, x in zip(self.robot.joint_names, self.q, strict=True)
+        )
         return f"<b style='color:{colour}'>{self.status.name}</b> {self.message}<table>{cells}</table>"

@@ -81,7 +81,9 @@ class Solver:
         options.setdefault("check", False)
         self.options: Options = make_options({**preset, **options})
         if self.options.joint_weights is not None and len(self.options.joint_weights) != robot.n:
-            raise InvalidOption(f"joint_weights must have {robot.n} values, one per joint ({', '.join(robot.joint_names)})")
+            raise InvalidOption(
+                f"joint_weights must have {robot.n} values, one per joint ({', '.join(robot.joint_names)})"
+            )
         self._bind()
 
     def _bind(self) -> None:
@@ -105,8 +107,10 @@ class Solver:
 
     def _pack(self, kind: int, given: bool) -> np.ndarray:
         o, row, n = self.options, self.row, self.robot.n
-        if kind == POSITION and not row.position or kind == POSE and not row.pose:
-            raise InvalidOption(f"solver '{row.name}' does not solve {'positions' if kind == POSITION else 'poses'}: {row.handles}")
+        if (kind == POSITION and not row.position) or (kind == POSE and not row.pose):
+            raise InvalidOption(
+                f"solver '{row.name}' does not solve {'positions' if kind == POSITION else 'poses'}: {row.handles}"
+            )
         head = np.zeros(OPT_HEAD)
         head[O_TOL_P] = o.position_tolerance * MARGIN
         head[O_TOL_R] = o.orientation_tolerance * MARGIN
@@ -213,7 +217,9 @@ class Solver:
         position, orientation = self.robot.errors(result.q, target)
         result._checked = (position, orientation)
         o = self.options
-        if result.success and not (position <= o.position_tolerance and (orientation or 0.0) <= o.orientation_tolerance):
+        if result.success and not (
+            position <= o.position_tolerance and (orientation or 0.0) <= o.orientation_tolerance
+        ):
             result._status = Status.CHECK_FAILED
 
     def __getstate__(self) -> dict[str, Any]:
@@ -242,7 +248,9 @@ class Solver:
                 text += f" after {result.restarts} restarts"
             return text
         if status == Status.UNREACHABLE:
-            text = f"the target is beyond reach by {1000 * row[7]:.4g} mm (a bound from the link lengths); closest {left}"
+            text = (
+                f"the target is beyond reach by {1000 * row[7]:.4g} mm (a bound from the link lengths); closest {left}"
+            )
         elif status == Status.STALLED and starts > 1:
             text = f"closest {left} after {starts} starts; the target may be unreachable"
         elif status == Status.STALLED:
@@ -253,7 +261,7 @@ class Solver:
         elif status == Status.ITERATION_LIMIT:
             text = f"{left} away after {result.iterations} iterations"
         elif status == Status.SINGULAR:
-            text = f"singular configuration: no joint motion reduces the error to first order (J'e = 0, or J has no inverse); {left} away"
+            text = f"singular: no joint motion reduces the error to first order (J'e = 0, or J has no inverse); {left} away"
         elif status == Status.NOT_FINITE:
             text = "the iteration left the finite numbers; best configuration returned"
         else:
@@ -314,4 +322,3 @@ def solve(robot: Robot, target: Any, solver: Any = "auto", q0: Any = None, **opt
         solver = automatic(robot, target, options)
     options.setdefault("check", True)
     return bound(robot, solver, options)(target, q0)
-

@@ -1,0 +1,88 @@
+"""Poses: conversions against Pinocchio, and what is refused."""
+
+import math
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import ik_toolkit as ik
+from ik_toolkit.errors import InvalidTarget
+from ik_toolkit.robot.pose import check_target, matrix_quat, matrix_rpy, quat_matrix, rpy_matrix
+
+angle = st.floats(-math.pi, math.pi)
+
+
+@given(angle, angle, angle)
+def test_rpy_is_pinocchios(roll, pitch, yaw):
+    R = rpy_matrix((roll, pitch, yaw))
+    assert np.allclose(R, pin.rpy.rpyToMatrix(roll, pitch, yaw), atol=1e-15)
+    assert np.allclose(rpy_matrix(matrix_rpy(R)), R, atol=1e-9)
+
+
+@pytest.mark.parametrize("pitch", [math.pi / 2, -math.pi / 2])
+def test_rpy_at_vertical_pitch(pitch):
+    R = rpy_matrix((0.3, pitch, -0.7))
+    rpy = matrix_rpy(R)
+    assert rpy[2] == 0.0
+    assert np.allclose(rpy_matrix(rpy), R, atol=1e-12)
+
+
+@given(st.lists(st.floats(-1, 1), min_size=4, max_size=4).filter(lambda q: np.linalg.norm(q) > 1e-3))
+def test_quaternion_order_is_xyzw(quat):
+    q = np.array(quat) / np.linalg.norm(quat)
+    R = quat_matrix(q)
+    assert np.allclose(R, pin.Quaternion(q[3], q[0], q[1], q[2]).matrix(), atol=1e-12)
+    back = matrix_quat(R)
+    assert back[3] >= 0.0
+    assert np.allclose(quat_matrix(back), R, atol=1e-9)
+
+
+def test_pose_builds_positions_and_poses():
+    assert ik.pose((1, 2, 3)).shape == (3,)
+    T = ik.pose((1, 2, 3), rpy=(0.1, 0.2, 0.3))
+    assert T.shape == (4, 4) and np.allclose(T[:3, 3], (1, 2, 3))
+    assert np.allclose(ik.pose((1, 2, 3), rotation=T[:3, :3]), T)
+    with pytest.raises(InvalidTarget, match="one of"):
+        ik.pose((0, 0, 0), rpy=(0, 0, 0), quat_xyzw=(0, 0, 0, 1))
+
+
+@pytest.mark.parametrize(
+    "target",
+    [
+        "nonsense",
+        None,
+        7,
+        [1, 2],
+        np.zeros((4, 4)),
+        np.eye(4) * np.nan,
+        np.diag([2.0, 2, 2, 1]),
+        np.diag([1.0, 1, -1, 1]),
+        np.eye(3),
+        np.array([[1.0, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 1, 1]]),
+        (math.nan, 0, 0),
+        (math.inf, 0, 0),
+        {"x": 1},
+    ],
+    ids=str,
+)
+def test_nonsense_is_refused(target):
+    with pytest.raises(InvalidTarget):
+        check_target(target)
+
+
+def test_a_nearly_rigid_rotation_is_projected_and_said_so():
+    T = ik.pose((0.4, 0.1, 0.2), rpy=(0.3, 0.2, 0.1))
+    typed = np.round(T, 3)
+    fixed, notice = check_target(typed)
+    assert "projected" in notice
+    assert np.allclose(fixed[:3, :3] @ fixed[:3, :3].T, np.eye(3), atol=1e-14)
+    assert np.abs(fixed - T).max() < 2e-3
+    assert (typed == np.round(T, 3)).all()
+    far = T.copy()
+    far[:3, :3] *= 1.02
+    with pytest.raises(InvalidTarget, match="not rigid"):
+        check_target(far)
+    assert check_target(pin.SE3(T))[1] == ""

@@ -1,0 +1,194 @@
+"""The robot: loading, tips, configurations, locking, tools, mimic and continuous joints, pickling, threads."""
+
+import pickle
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+import robots
+
+import ik_toolkit as ik
+from ik_toolkit import errors
+from ik_toolkit.robot.library import shipped_robots
+
+BRANCHED = robots.urdf(dict(kind="revolute"), dict(kind="revolute", axis="0 1 0")).replace(
+    "</robot>", robots.joint("side", "revolute", "l1", "other", axis="1 0 0") + "</robot>"
+)
+
+
+def test_q_has_one_number_per_moving_joint_of_the_path():
+    robot = robots.load("mimic_mix")
+    assert robot.joint_names == ("j0", "j1", "j3", "j5", "j6", "j7")
+    assert robot.model.nq == 6
+    robot = robots.load("continuous_mix")
+    assert robot.joint_kinds == ("continuous", "revolute", "continuous", "revolute", "continuous", "revolute")
+    assert np.isinf(robot.lower[[0, 2, 4]]).all() and np.isinf(robot.upper[[0, 2, 4]]).all()
+    assert robot.model.nq == 9 and robot.n == 6
+
+
+@pytest.mark.skipif(not robots.have_data(), reason="example-robot-data is not installed")
+def test_panda_hand_has_seven_joints_not_nine():
+    robot = robots.load("panda")
+    assert robot.n == 7 and robot.model.nq == 8
+    assert robot.tip == "panda_hand_tcp"
+
+
+def test_tip_may_be_omitted_only_when_there_is_one():
+    with pytest.raises(errors.FrameNotFound, match="l2, other"):
+        ik.Robot.load(BRANCHED)
+    robot = ik.Robot.load(BRANCHED, tip="other")
+    assert robot.joint_names == ("j0", "side")
+    with pytest.raises(errors.FrameNotFound, match="Did you mean 'other'"):
+        ik.Robot.load(BRANCHED, tip="othr")
+
+
+def test_base_may_be_any_link_and_joints_below_it_rest():
+    robot = ik.Robot.load(BRANCHED, tip="l2", base="other")
+    assert robot.joint_names == ("j1",)
+    full = ik.Robot.load(BRANCHED, tip="l2")
+    side = ik.Robot.load(BRANCHED, tip="other")
+    q = np.array([0.0, 0.7])
+    expected = side.fk([0.0, 0.0]).inverse() * full.fk(q)
+    assert np.allclose(robot.fk([0.7]).homogeneous, expected.homogeneous, atol=1e-15)
+
+
+@pytest.mark.parametrize("name", [*robots.SHIPPED, *robots.MADE])
+def test_full_configuration_and_back(name):
+    robot = robots.load(name)
+    q = robot.random_q(np.random.default_rng(2))
+    full = robot.to_pinocchio(q)
+    assert full.shape == (robot.model.nq,)
+    assert np.allclose(robot.from_pinocchio(full), q, atol=1e-12)
+    data = robot.model.createData()
+    pin.framesForwardKinematics(robot.model, data, full)
+    tip = data.oMf[robot.model.getFrameId(robot.tip, pin.BODY)]
+    base = data.oMf[robot.model.getFrameId(robot.base, pin.BODY)]
+    assert np.allclose((base.inverse() * tip).homogeneous, robot.fk(q).homogeneous, atol=1e-14)
+
+
+@pytest.mark.parametrize("name", [*shipped_robots()])
+def test_home_is_legal_and_not_singular(name):
+    tips = shipped_robots()[name].tips
+    robot = ik.Robot.load(name, tip=tips[0])
+    assert robot.outside(robot.home) == []
+    J = robot.jacobian(robot.home)
+    rank = max(
+        np.linalg.matrix_rank(robot.jacobian(robot.random_q(np.random.default_rng(k))), tol=1e-9) for k in range(5)
+    )
+    assert np.linalg.svd(J, compute_uv=False)[rank - 1] > 0.01
+
+
+@pytest.mark.skipif(not robots.have_data(), reason="example-robot-data is not installed")
+@pytest.mark.parametrize("name", ["ur5", "kinova", "xarm7", "z1"])
+def test_home_of_a_foreign_robot_is_moved_off_singular_poses(name):
+    robot = robots.load(name)
+    assert robot.outside(robot.home) == []
+    assert np.linalg.svd(robot.jacobian(robot.home), compute_uv=False)[5] > 0.01
+
+
+def test_follower_limits_bind_the_leader():
+    robot = robots.load("mimic_mix")
+    # j2 = -0.6 j1 + 0.2 within +-1 allows j1 in -1.333..2.0
+    k = robot.joint_names.index("j1")
+    assert robot.lower[k] == pytest.approx(-0.8 / 0.6)
+    assert robot.upper[k] == pytest.approx(2.0)
+
+
+def test_locked_joints_are_constants():
+    robot = robots.load("inspection_7dof")
+    locked = robot.locked({"lift": 0.3, "arm_yaw": 0.2})
+    assert locked.joint_names == tuple(j for j in robot.joint_names if j not in ("lift", "arm_yaw"))
+    q = locked.random_q(np.random.default_rng(0))
+    whole = dict(zip(locked.joint_names, q, strict=True)) | {"lift": 0.3, "arm_yaw": 0.2}
+    assert np.allclose(
+        locked.fk(q).homogeneous, robot.fk([whole[j] for j in robot.joint_names]).homogeneous, atol=1e-14
+    )
+    assert robot.n == 7  # the original is left alone
+    with pytest.raises(errors.JointNotFound, match="Did you mean 'lift'"):
+        robot.locked({"lfit": 0.0})
+    leader = robots.load("mimic_mix").locked({"j1": 0.5})
+    both = robots.load("mimic_mix")
+    q = leader.random_q(np.random.default_rng(1))
+    whole = dict(zip(leader.joint_names, q, strict=True)) | {"j1": 0.5}
+    assert np.allclose(leader.fk(q).homogeneous, both.fk([whole[j] for j in both.joint_names]).homogeneous, atol=1e-14)
+
+
+def test_tool_moves_the_tip():
+    robot, tool = robots.load("hydrolek_7w"), robots.load("tool")
+    q = robot.random_q(np.random.default_rng(4))
+    offset = ik.pose((0.05, -0.02, 0.1), rpy=(0.3, 0.2, 0.1))
+    assert np.allclose(tool.fk(q).homogeneous, robot.fk(q).homogeneous @ offset, atol=1e-14)
+    result = ik.solve(tool, tool.fk(q), tolerance=1e-8)
+    assert result.success
+
+
+@pytest.mark.parametrize(
+    ("source", "error"),
+    [
+        ("hydrolek", errors.RobotNotFound),
+        ("/nowhere/robot.urdf", errors.RobotNotFound),
+        ("<robot", errors.ModelError),
+        (robots.urdf(dict(kind="fixed")), errors.ModelError),
+        (robots.urdf(dict(kind="floating")), errors.ModelError),
+        (robots.urdf(dict(kind="revolute", axis="0 0 0")), errors.ModelError),
+        (robots.urdf(dict(kind="revolute", limits=(1, -1))), errors.ModelError),
+    ],
+)
+def test_what_cannot_be_loaded_says_so(source, error):
+    with pytest.raises(error) as caught:
+        ik.Robot.load(source)
+    assert 20 < len(str(caught.value)) < 900
+    assert isinstance(caught.value, ik.IKError)
+
+
+def test_wrong_configurations_are_refused():
+    robot = robots.load("hydrolek_7w")
+    for bad in ([0.0], np.full(6, np.nan), "abc", np.zeros((2, 6)), None):
+        with pytest.raises(errors.InvalidConfiguration):
+            robot.fk(bad)
+
+
+def test_wraps_an_existing_model():
+    model = pin.buildModelFromXML(robots.SLIDES)
+    robot = ik.Robot(model, tip="l8")
+    assert robot.n == 7
+    with pytest.raises(errors.ModelError, match=r"pin\.Model"):
+        ik.Robot("hydrolek_7w")
+
+
+@pytest.mark.parametrize("name", ["hydrolek_7w", "mimic_mix", "locked", "tool"])
+def test_pickling_keeps_the_robot(name):
+    robot = robots.load(name)
+    copy = pickle.loads(pickle.dumps(robot))
+    q = robot.random_q(np.random.default_rng(0))
+    assert copy.joint_names == robot.joint_names
+    assert np.array_equal(copy.fk(q).homogeneous, robot.fk(q).homogeneous)
+    T = robot.fk(q)
+    assert ik.solve(copy, T).q.tobytes() == ik.solve(robot, T).q.tobytes()
+
+
+def test_one_robot_from_many_threads():
+    robot = robots.load("hydrolek_7w")
+    Q, T = robots.sample(robot, 200, seed=9)
+    alone = [(robot.fk(q).homogeneous.tobytes(), ik.solve(robot, t).q.tobytes()) for q, t in zip(Q, T, strict=True)]
+    with ThreadPoolExecutor(8) as pool:
+        together = list(
+            pool.map(lambda k: (robot.fk(Q[k]).homogeneous.tobytes(), ik.solve(robot, T[k]).q.tobytes()), range(200))
+        )
+    assert together == alone
+
+
+def test_example_files_are_found_by_path(tmp_path, monkeypatch):
+    path = tmp_path / "arm with space.urdf"
+    path.write_text(robots.SLIDES)
+    assert ik.Robot.load(path).n == 7
+    assert ik.Robot.load(str(path)).path == path
+    monkeypatch.chdir(tmp_path)
+    assert ik.Robot.load(Path("arm with space.urdf")).n == 7
+
+
+def test_representations_name_the_joints():
+    robot = robots.load("hydrolek_7w")
+    assert "azimuth_yaw" in repr(robot) and "azimuth_yaw" in robot._repr_html_()

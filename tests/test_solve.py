@@ -1,0 +1,217 @@
+"""The public solve call: defaults, options, words, singular and unreachable targets."""
+
+import math
+import pickle
+
+import numpy as np
+import pytest
+import robots
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import ik_toolkit as ik
+from ik_toolkit import errors
+from ik_toolkit.solvers.registry import find_row
+
+
+@pytest.mark.parametrize("name", ["hydrolek_7w", "inspection_7dof", "continuous_mix", "mimic_mix", "slides_mix"])
+def test_lm_solves_nearly_every_reachable_pose_from_nothing(name):
+    robot = robots.load(name)
+    _, T = robots.sample(robot, 2000, seed=21)
+    batch = ik.solve_batch(robot, T, "lm")
+    assert batch.success.mean() >= 0.999
+    for k in range(0, 2000, 50):
+        position, orientation = robot.errors(batch.q[k], T[k])
+        assert not batch.success[k] or (position <= 1e-6 and orientation <= 1e-6)
+
+
+@pytest.mark.skipif(not robots.have_data(), reason="example-robot-data is not installed")
+@pytest.mark.parametrize("name", ["panda", "ur5", "kinova"])
+def test_lm_on_well_known_arms(name):
+    robot = robots.load(name)
+    _, T = robots.sample(robot, 2000, seed=22)
+    batch = ik.solve_batch(robot, T, "lm")
+    assert batch.success.mean() >= 0.999
+    assert (batch.q >= robot.lower).all() and (batch.q <= robot.upper).all()
+
+
+def test_names_classes_and_instances_mean_the_same():
+    robot = robots.load("hydrolek_7w")
+    T = robot.fk(robot.home + 0.05)
+    by_name = ik.solve(robot, T, "dls", damping=0.1)
+    assert by_name.q.tobytes() == ik.solve(robot, T, ik.DLS(damping=0.1)).q.tobytes()
+    assert by_name.q.tobytes() == ik.solve(robot, T, ik.DLS, damping=0.1).q.tobytes()
+    assert by_name.q.tobytes() != ik.solve(robot, T, "dls", damping=0.5).q.tobytes()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "error", "match"),
+    [
+        (dict(target="nonsense"), errors.InvalidTarget, "nonsense"),
+        (dict(solver="lmm"), errors.UnknownSolver, "Did you mean 'lm'"),
+        (dict(solver=int), errors.UnknownSolver, "int"),
+        (dict(tolerence=1e-3), errors.InvalidOption, "Did you mean 'tolerance'"),
+        (dict(tolerance="small"), errors.InvalidOption, "position_tolerance"),
+        (dict(tolerance=-1), errors.InvalidOption, "between"),
+        (dict(tolerance=math.nan), errors.InvalidOption, "between"),
+        (dict(max_iterations=2.5), errors.InvalidOption, "whole number"),
+        (dict(max_iterations=10**9), errors.InvalidOption, "at most"),
+        (dict(restarts=-1), errors.InvalidOption, "restarts"),
+        (dict(q0=[0, 0]), errors.InvalidConfiguration, "6 values"),
+        (dict(q0=[9] * 6, q0_outside="refuse"), errors.InvalidConfiguration, "azimuth_yaw"),
+        (dict(q0_outside="ignore"), errors.InvalidOption, "clamp"),
+        (dict(solver="dls", dampng=1), errors.InvalidOption, "dampng"),
+        (dict(solver="dls", damping=math.nan), errors.InvalidOption, "NaN"),
+        (dict(mask=(1, 1, 1)), errors.InvalidOption, "six"),
+        (dict(joint_weights=(1, 1)), errors.InvalidOption, "6 values"),
+        (dict(solver="newton", target=(0.5, 0, 0)), errors.InvalidOption, "as many task rows"),
+    ],
+)
+def test_mistakes_are_named(arguments, error, match):
+    robot = robots.load("hydrolek_7w")
+    target = arguments.pop("target", robot.fk(robot.home))
+    with pytest.raises(error, match=match) as caught:
+        ik.solve(robot, target, **arguments)
+    assert isinstance(caught.value, ik.IKError)
+
+
+def test_the_first_argument_is_a_robot():
+    with pytest.raises(errors.InvalidOption, match="Robot"):
+        ik.solve("hydrolek_7w", (1, 0, 0))
+
+
+def test_q0_outside_the_limits_is_clamped_with_a_notice():
+    robot = robots.load("hydrolek_7w")
+    result = ik.solve(robot, robot.fk(robot.home), q0=robot.upper + 1.0)
+    assert "clamped" in result.notice and "azimuth_yaw" in result.notice
+    assert result.success
+
+
+def test_unreachable_says_by_how_much():
+    robot = robots.load("planar_2r")
+    lm = ik.solve(robot, (3.0, 0.0, 0.0), "lm")
+    assert lm.status == ik.Status.UNREACHABLE
+    assert "1000 mm" in lm.message
+    assert lm.position_error == pytest.approx(1.0, abs=1e-6)
+    pose = ik.solve(robots.load("hydrolek_7w"), ik.pose((5, 0, 0), rpy=(0, 0, 0)))
+    assert pose.status == ik.Status.UNREACHABLE and "beyond reach" in pose.message
+
+
+def test_a_target_outside_the_limits_is_never_called_unreachable_without_proof():
+    robot = robots.load("hydrolek_7w")
+    result = ik.solve(robot, (-0.8, 0.0, 0.0))  # behind the arm: inside the reach bound, outside the joint ranges
+    assert not result.success
+    assert result.status in (ik.Status.LIMIT_BLOCKED, ik.Status.STALLED)
+    assert "closest" in result.message
+
+
+def test_singular_planar_arm():
+    """A straight planar 3R asked for a point on its own line: J'e = 0, so Jacobian methods stand still (Burrell 2016, 6.4)."""
+    robot = robots.load("planar_3r")
+    straight, target = np.zeros(3), np.array([5.0, 0.0, 0.0])
+    for name in ("transpose", "pinv", "dls"):
+        result = ik.solve(robot, target, name, q0=straight)
+        assert result.status in (ik.Status.SINGULAR, ik.Status.STALLED)
+        assert (result.q == 0).all() and "J'e = 0" in result.message
+    assert ik.solve(robot, target, "lm", q0=straight).success
+    B = np.array([[2.0, -2.0, 0], [-1.0, 0.0, 0], [1.0, -2.0, 0]])
+    rule = ik.StateSpace(A=-0.5 * np.eye(3), B=B, C=-0.05 * np.eye(3))
+    result = ik.solve(robot, target, rule, q0=straight, tolerance=0.02)
+    assert result.success
+    assert np.degrees(result.q) == pytest.approx([47.593, -60.0, -18.715], abs=2e-3)
+    assert result.iterations in (125, 126, 127)
+
+
+@pytest.mark.parametrize("angle", [math.pi, math.pi - 1e-9, math.pi - 1e-3])
+def test_half_a_turn_away(angle):
+    robot = robots.load("slides_mix")
+    rng = np.random.default_rng(0)
+    for _ in range(10):
+        q = robot.random_q(rng)
+        T = robot.fk(q).homogeneous
+        T[:3, :3] = T[:3, :3] @ ik.pose(rpy=(angle, 0, 0))[:3, :3]
+        for name in ("lm", "dls", "transpose", "pinv"):
+            result = ik.solve(robot, T, name, q0=q)
+            position, orientation = robot.errors(result.q, T)
+            assert result.success == (position <= 1e-6 and orientation <= 1e-6)
+            if name == "lm":
+                assert result.iterations > 0
+
+
+def test_endless_joints_come_back_at_the_turn_nearest_q0():
+    robot = robots.load("continuous_mix")
+    q = robot.random_q(np.random.default_rng(0))
+    q0 = q.copy()
+    turns = np.array([3, 0, -2, 0, 1000, 0]) * 2 * np.pi
+    result = ik.solve(robot, robot.fk(q), "lm", q0=q0 + turns + 0.02)
+    assert result.success
+    assert np.abs(result.q - (q + turns)).max() < 0.1
+
+
+def test_masks_free_what_they_name():
+    robot = robots.load("hydrolek_7w")
+    T = robot.fk(robot.home + 0.1).homogeneous
+    moved = T.copy()
+    moved[2, 3] += 30.0  # height is free
+    result = ik.solve(robot, moved, mask=(1, 1, 0, 0, 0, 0))
+    assert result.success
+    assert np.abs(robot.fk(result.q).translation - moved[:3, 3])[:2].max() < 1e-6
+    tip = ik.solve(robot, T, mask=(1, 1, 1, 1, 1, 0), mask_frame="tip", q0=robot.home)
+    assert tip.success
+    R = T[:3, :3].T @ robot.fk(tip.q).rotation
+    assert abs(R[2, 2] - 1.0) < 1e-10  # tip z axes agree, the turn about z is free
+
+
+def test_joint_weights_hold_a_joint():
+    robot = robots.load("inspection_7dof")
+    weights = [1, 0, 1, 1, 1, 1, 1]
+    q = robot.home + 0.05
+    q[1] = robot.home[1]
+    result = ik.solve(robot, robot.fk(q), "lm", joint_weights=weights, restarts=0, q0=robot.home)
+    assert result.success and result.q[1] == robot.home[1]
+
+
+def test_bound_solver_and_options_survive_pickling():
+    robot = robots.load("hydrolek_7w")
+    solver = ik.Solver(robot, "lm", tolerance=1e-5, seed=4)
+    T = robot.fk(robot.home + 0.1).homogeneous
+    copy = pickle.loads(pickle.dumps(solver))
+    assert copy(T).q.tobytes() == solver(T).q.tobytes()
+    assert copy.options == solver.options
+
+
+def test_read_only_and_foreign_arrays_are_targets_too():
+    robot = robots.load("hydrolek_7w")
+    T = robot.fk(robot.home + 0.1).homogeneous
+    expected = ik.solve(robot, T).q.tobytes()
+    frozen = T.copy()
+    frozen.setflags(write=False)
+    for same in (frozen, np.asfortranarray(T), T.tolist(), T.astype(np.longdouble)):
+        assert ik.solve(robot, same).q.tobytes() == expected
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.lists(st.floats(-3, 3), min_size=6, max_size=6), st.integers(0, 2**31 - 1))
+def test_converged_never_with_an_error_above_the_tolerance(values, seed):
+    robot = robots.load("hydrolek_7w")
+    T = ik.pose(values[:3], rpy=values[3:])
+    for target in (T, T[:3, 3]):
+        result = ik.solve(robot, target, "lm", seed=seed, restarts=4, tolerance=1e-4)
+        position, orientation = robot.errors(result.q, target)
+        assert result.success == (position <= 1e-4 and (orientation or 0.0) <= 1e-4)
+        assert robot.outside(result.q) == []
+
+
+def test_registry_finds_rows():
+    assert find_row("lm").load() is ik.LM
+    assert find_row(ik.PID).name == "pid"
+    assert find_row(ik.CCD()).name == "ccd"
+
+
+def test_result_is_plain_data():
+    robot = robots.load("hydrolek_7w")
+    result = ik.solve(robot, robot.fk(robot.home + 0.1))
+    plain = result.to_dict()
+    assert plain["success"] is True and plain["status"] == "CONVERGED" and len(plain["q"]) == 6
+    assert result.raise_for_status() is result
+    assert "CONVERGED" in repr(result) and "azimuth_yaw" in result._repr_html_()
