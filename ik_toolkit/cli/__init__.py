@@ -61,7 +61,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     arguments = [argument for argument in arguments if argument != "--debug"]
     try:
         command = typer.main.get_command(application())
-        return command.main(args=arguments or ["--help"], prog_name="ik", standalone_mode=False) or 0
+        code = command.main(args=arguments or ["--help"], prog_name="ik", standalone_mode=False) or 0
+        sys.stdout.flush()
+        return code
     except (KeyboardInterrupt, typer.Abort):
         notice("ik: interrupted")
         return INTERRUPTED
