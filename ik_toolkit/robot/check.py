@@ -5,37 +5,17 @@ element, and crashes the process on a very long chain. So every file goes throug
 capped, with no DOCTYPE, no entity expanded and nothing fetched.
 """
 
-import functools
 import math
 import os
-from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
 from pathlib import Path
-from typing import NoReturn
-from xml.parsers import expat
 
 from ..errors import ModelError, near_match
+from .read import NUMBERS, Item, parse, safe_read
 
-MAX_BYTES = 20_000_000
-MAX_JOINTS = 1_000
-MAX_ELEMENTS = 200_000
-MAX_DEPTH = 64
 MOVING = ("revolute", "continuous", "prismatic")
 TYPES = (*MOVING, "fixed", "floating", "planar")
-NUMBERS = {  # element -> attribute -> how many numbers
-    "origin": {"xyz": 3, "rpy": 3},
-    "axis": {"xyz": 3},
-    "limit": {"lower": 1, "upper": 1, "effort": 1, "velocity": 1},
-    "mimic": {"multiplier": 1, "offset": 1},
-    "box": {"size": 3},
-    "cylinder": {"radius": 1, "length": 1},
-    "capsule": {"radius": 1, "length": 1},
-    "sphere": {"radius": 1},
-    "mesh": {"scale": 3},
-    "mass": {"value": 1},
-    "inertia": dict.fromkeys(("ixx", "ixy", "ixz", "iyy", "iyz", "izz"), 1),
-}
-READ = {*NUMBERS, "parent", "child"}
 
 
 @dataclass(frozen=True)
@@ -52,122 +32,6 @@ class Finding:
         return f"{self.element}: {self.problem}"
 
 
-@dataclass
-class _Item:
-    """A link or a joint: its attributes, the elements inside it as (tag, attributes), its line."""
-
-    tag: str
-    attributes: Mapping[str, str]
-    line: int
-    inside: list[tuple[str, Mapping[str, str]]] = field(default_factory=list)
-
-    @property
-    def name(self) -> str:
-        return self.attributes.get("name", "")
-
-    def __str__(self) -> str:
-        return f"{self.tag} '{self.name}'" if self.name else f"{self.tag} in line {self.line}"
-
-    def first(self, tag: str) -> Mapping[str, str] | None:
-        return next((attributes for name, attributes in self.inside if name == tag), None)
-
-
-# ----------------------------------------------------------------------------------------------------------- reading
-def safe_read(source: str | Path) -> str:
-    """URDF text of a file, or URDF text given as a string, after a parse that expands and fetches nothing.
-
-    Raises ModelError, in one sentence, when it is missing, empty, over 20 MB, not UTF-8, malformed (says the line), is
-    xacro, has a DOCTYPE or entities, is nested too deep, has too many elements or over 1,000 joints, or no root <robot>.
-    """
-    if isinstance(source, str) and source.lstrip("\ufeff \t\r\n").startswith("<"):
-        if len(source) > MAX_BYTES:
-            raise ModelError(f"the URDF text is larger than {MAX_BYTES // 1_000_000} MB")
-        text = source.lstrip("\ufeff \t\r\n")
-    else:
-        text = _read_file(Path(source).expanduser())
-    _parse(text)
-    return text
-
-
-def _read_file(path: Path) -> str:
-    shown, raw = repr(str(path)[:200]), b""
-    try:
-        regular, exists = path.is_file(), path.exists()
-        if regular:
-            with path.open("rb") as file:
-                raw = file.read(MAX_BYTES + 1)
-    except (OSError, ValueError) as error:  # ValueError: a NUL in the path
-        raise ModelError(f"cannot read {shown}: {getattr(error, 'strerror', None) or error}") from None
-    if not regular:
-        raise ModelError(f"{shown} is not a regular file" if exists else f"there is no file {shown}")
-    if len(raw) > MAX_BYTES:
-        raise ModelError(f"'{path.name}' is larger than {MAX_BYTES // 1_000_000} MB; a robot description is not")
-    try:
-        text = raw.decode("utf-8-sig").lstrip()
-    except UnicodeDecodeError as error:
-        raise ModelError(f"'{path.name}' is not UTF-8 text (byte {error.start}); save it as UTF-8") from None
-    if not text:
-        raise ModelError(f"'{path.name}' is empty")
-    if "\0" in text:
-        raise ModelError(f"'{path.name}' is not UTF-8 text (it has NUL bytes); save it as UTF-8")
-    return text
-
-
-@functools.lru_cache(maxsize=4)
-def _parse(text: str) -> list[_Item]:
-    """Links and joints of a URDF text in order; ModelError when it is not one or is over a cap."""
-    items: list[_Item] = []
-    stack: list[str] = []
-    counts = {"elements": 0, "joint": 0}
-    parser = expat.ParserCreate()
-    macros = "${" in text or "$(" in text
-
-    def start(tag: str, attributes: dict[str, str]) -> None:
-        counts["elements"] += 1
-        if counts["elements"] > MAX_ELEMENTS:
-            raise ModelError(f"the URDF has more than {MAX_ELEMENTS:,} elements; it is not read")
-        if len(stack) >= MAX_DEPTH:
-            raise ModelError(
-                f"the URDF is nested more than {MAX_DEPTH} deep in line {parser.CurrentLineNumber}; it is not read"
-            )
-        if not stack and tag != "robot":
-            raise ModelError(f"the root element is <{tag}>, not <robot>: this is not a URDF")
-        if not stack and not attributes.get("name"):
-            raise ModelError('the <robot> element has no name; write <robot name="...">')
-        if tag.startswith("xacro:") or (macros and any("${" in x or "$(" in x for x in attributes.values())):
-            raise ModelError(
-                f"line {parser.CurrentLineNumber} has xacro macros; expand it first: xacro IN.xacro > OUT.urdf"
-            )
-        if len(stack) == 1 and tag in ("link", "joint"):
-            if tag == "joint":
-                counts[tag] += 1
-                if counts[tag] > MAX_JOINTS:
-                    raise ModelError(f"the URDF has more than {MAX_JOINTS:,} joints; it is not read")
-            items.append(_Item(tag, attributes, parser.CurrentLineNumber))
-        elif tag in READ and len(stack) > 1 and stack[1] in ("link", "joint"):
-            items[-1].inside.append((tag, attributes))
-        stack.append(tag)
-
-    def end(tag: str) -> None:
-        stack.pop()
-
-    def refuse(*_: object) -> NoReturn:
-        raise ModelError("the URDF has a DOCTYPE or entity declarations; these are refused, never expanded or fetched")
-
-    parser.StartElementHandler, parser.EndElementHandler = start, end
-    parser.StartDoctypeDeclHandler = parser.EntityDeclHandler = refuse
-    parser.ExternalEntityRefHandler = refuse
-    try:
-        parser.Parse(text, True)
-    except expat.ExpatError as error:
-        reason = expat.ErrorString(error.code) or "syntax error"
-        raise ModelError(f"the URDF is not well-formed XML: {reason} in line {error.lineno}") from None
-    except UnicodeEncodeError:
-        raise ModelError("the URDF text has characters that UTF-8 cannot hold (lone surrogates)") from None
-    return items
-
-
-# ---------------------------------------------------------------------------------------------------------- checking
 def check_urdf(source: str | Path, package_dirs: Iterable[str | Path] = ()) -> list[Finding]:
     """Everything found wrong with a URDF (path or text): errors, for which it is not loaded, then warnings.
 
@@ -177,7 +41,7 @@ def check_urdf(source: str | Path, package_dirs: Iterable[str | Path] = ()) -> l
         text = safe_read(source)
     except ModelError as error:
         return [Finding("error", "file", str(error), "give a plain URDF file")]
-    items = _parse(text)
+    items = parse(text)
     is_text = isinstance(source, str) and source.lstrip("\ufeff \t\r\n").startswith("<")
     folders = [Path(folder).expanduser().resolve() for folder in package_dirs]
     if not is_text:
@@ -197,7 +61,7 @@ def check_urdf(source: str | Path, package_dirs: Iterable[str | Path] = ()) -> l
 
 def require_loadable(text: str) -> None:
     """Raise ModelError naming the first element when a URDF's kinematics mean nothing (`check_urdf` lists all)."""
-    findings = list(_errors(_parse(text)))
+    findings = list(_errors(parse(text)))
     if findings:
         more = f" (and {len(findings) - 1} more; `ik check` lists them)" if len(findings) > 1 else ""
         raise ModelError(f"the URDF cannot be used: {findings[0]}{more}; {findings[0].advice}")
@@ -209,7 +73,7 @@ def mimic_limits(text: str) -> dict[str, tuple[str, float, float, float, float]]
     The limits are the follower's own (infinite when it has none); Pinocchio does not keep them.
     """
     found = {}
-    for item in _parse(text):
+    for item in parse(text):
         mimic, limit = item.first("mimic"), item.first("limit")
         if item.tag != "joint" or mimic is None:
             continue
@@ -221,14 +85,14 @@ def mimic_limits(text: str) -> dict[str, tuple[str, float, float, float, float]]
     return found
 
 
-def _errors(items: list[_Item]) -> Iterator[Finding]:
+def _errors(items: list[Item]) -> Iterator[Finding]:
     links = [item for item in items if item.tag == "link"]
     joints = [item for item in items if item.tag == "joint"]
     if not links:
         yield _error("robot", "it has no link", "a robot has at least a base link")
         return
     for group in (links, joints):
-        seen: dict[str, _Item] = {}
+        seen: dict[str, Item] = {}
         for item in group:
             if not item.name:
                 yield _error(str(item), "it has no name", "give it a unique name")
@@ -264,7 +128,7 @@ def _values(text: str) -> list[float] | None:
         return None
 
 
-def _numbers(item: _Item) -> Iterator[Finding]:
+def _numbers(item: Item) -> Iterator[Finding]:
     for tag, attributes in item.inside:
         for key, count in NUMBERS.get(tag, {}).items():
             if key not in attributes:
@@ -279,7 +143,7 @@ def _numbers(item: _Item) -> Iterator[Finding]:
                 yield _error(str(item), f"{shown} is not finite", "write a finite number")
 
 
-def _joint(joint: _Item) -> Iterator[Finding]:
+def _joint(joint: Item) -> Iterator[Finding]:
     kind = joint.attributes.get("type")
     if kind not in TYPES:
         said = "it has no type" if kind is None else f"its type '{kind}' is unknown"
@@ -312,7 +176,7 @@ def _joint(joint: _Item) -> Iterator[Finding]:
             )
 
 
-def _tree(links: set[str], joints: list[_Item]) -> Iterator[Finding]:
+def _tree(links: set[str], joints: list[Item]) -> Iterator[Finding]:
     parent_of: dict[str, str] = {}
     broken = False
     for joint in joints:
@@ -356,7 +220,7 @@ def _some(names: Iterable[str]) -> str:
     return ", ".join(f"'{name}'" for name in listed[:5]) + (f" and {len(listed) - 5} more" if len(listed) > 5 else "")
 
 
-def _mimics(joints: list[_Item]) -> Iterator[Finding]:
+def _mimics(joints: list[Item]) -> Iterator[Finding]:
     by_name = {joint.name: joint for joint in joints}
     leads = {joint.name: mimic.get("joint", "") for joint in joints if (mimic := joint.first("mimic")) is not None}
     for name, leader in leads.items():
@@ -382,7 +246,7 @@ def _mimics(joints: list[_Item]) -> Iterator[Finding]:
             )
 
 
-def _remarks(item: _Item) -> Iterator[Finding]:
+def _remarks(item: Item) -> Iterator[Finding]:
     if item.tag == "joint":
         kind, limit = item.attributes.get("type"), item.first("limit")
         if kind in ("floating", "planar"):
@@ -426,7 +290,7 @@ def _remarks(item: _Item) -> Iterator[Finding]:
             )
 
 
-def _meshes(item: _Item, folders: list[Path]) -> Iterator[Finding]:
+def _meshes(item: Item, folders: list[Path]) -> Iterator[Finding]:
     for tag, attributes in item.inside:
         if tag != "mesh":
             continue

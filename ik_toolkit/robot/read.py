@@ -1,0 +1,146 @@
+"""Reading a URDF safely: one streaming parse, capped, that expands no entity and fetches nothing."""
+
+import functools
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import NoReturn
+from xml.parsers import expat
+
+from ..errors import ModelError
+
+MAX_BYTES = 20_000_000
+MAX_JOINTS = 1_000
+MAX_ELEMENTS = 200_000
+MAX_DEPTH = 64
+NUMBERS = {  # element -> attribute -> how many numbers
+    "origin": {"xyz": 3, "rpy": 3},
+    "axis": {"xyz": 3},
+    "limit": {"lower": 1, "upper": 1, "effort": 1, "velocity": 1},
+    "mimic": {"multiplier": 1, "offset": 1},
+    "box": {"size": 3},
+    "cylinder": {"radius": 1, "length": 1},
+    "capsule": {"radius": 1, "length": 1},
+    "sphere": {"radius": 1},
+    "mesh": {"scale": 3},
+    "mass": {"value": 1},
+    "inertia": dict.fromkeys(("ixx", "ixy", "ixz", "iyy", "iyz", "izz"), 1),
+}
+READ = {*NUMBERS, "parent", "child"}
+
+
+@dataclass
+class Item:
+    """A link or a joint: its attributes, the elements inside it as (tag, attributes), its line."""
+
+    tag: str
+    attributes: Mapping[str, str]
+    line: int
+    inside: list[tuple[str, Mapping[str, str]]] = field(default_factory=list)
+
+    @property
+    def name(self) -> str:
+        """Its name, or ''."""
+        return self.attributes.get("name", "")
+
+    def __str__(self) -> str:
+        """Kind and name, for messages."""
+        return f"{self.tag} '{self.name}'" if self.name else f"{self.tag} in line {self.line}"
+
+    def first(self, tag: str) -> Mapping[str, str] | None:
+        """Attributes of the first such element inside, or None."""
+        return next((attributes for name, attributes in self.inside if name == tag), None)
+
+
+def safe_read(source: str | Path) -> str:
+    """URDF text of a file, or URDF text given as a string, after a parse that expands and fetches nothing.
+
+    Raises ModelError, in one sentence, when it is missing, empty, over 20 MB, not UTF-8, malformed (says the line), is
+    xacro, has a DOCTYPE or entities, is nested too deep, has too many elements or over 1,000 joints, or no root <robot>.
+    """
+    if isinstance(source, str) and source.lstrip("\ufeff \t\r\n").startswith("<"):
+        if len(source) > MAX_BYTES:
+            raise ModelError(f"the URDF text is larger than {MAX_BYTES // 1_000_000} MB")
+        text = source.lstrip("\ufeff \t\r\n")
+    else:
+        text = _read_file(Path(source).expanduser())
+    parse(text)
+    return text
+
+
+def _read_file(path: Path) -> str:
+    shown, raw = repr(str(path)[:200]), b""
+    try:
+        regular, exists = path.is_file(), path.exists()
+        if regular:
+            with path.open("rb") as file:
+                raw = file.read(MAX_BYTES + 1)
+    except (OSError, ValueError) as error:  # ValueError: a NUL in the path
+        raise ModelError(f"cannot read {shown}: {getattr(error, 'strerror', None) or error}") from None
+    if not regular:
+        raise ModelError(f"{shown} is not a regular file" if exists else f"there is no file {shown}")
+    if len(raw) > MAX_BYTES:
+        raise ModelError(f"'{path.name}' is larger than {MAX_BYTES // 1_000_000} MB; a robot description is not")
+    try:
+        text = raw.decode("utf-8-sig").lstrip()
+    except UnicodeDecodeError as error:
+        raise ModelError(f"'{path.name}' is not UTF-8 text (byte {error.start}); save it as UTF-8") from None
+    if not text:
+        raise ModelError(f"'{path.name}' is empty")
+    if "\0" in text:
+        raise ModelError(f"'{path.name}' is not UTF-8 text (it has NUL bytes); save it as UTF-8")
+    return text
+
+
+@functools.lru_cache(maxsize=4)
+def parse(text: str) -> list[Item]:
+    """Links and joints of a URDF text in order; ModelError when it is not one or is over a cap."""
+    items: list[Item] = []
+    stack: list[str] = []
+    counts = {"elements": 0, "joint": 0}
+    parser = expat.ParserCreate()
+    macros = "${" in text or "$(" in text
+
+    def start(tag: str, attributes: dict[str, str]) -> None:
+        counts["elements"] += 1
+        if counts["elements"] > MAX_ELEMENTS:
+            raise ModelError(f"the URDF has more than {MAX_ELEMENTS:,} elements; it is not read")
+        if len(stack) >= MAX_DEPTH:
+            raise ModelError(
+                f"the URDF is nested more than {MAX_DEPTH} deep in line {parser.CurrentLineNumber}; it is not read"
+            )
+        if not stack and tag != "robot":
+            raise ModelError(f"the root element is <{tag}>, not <robot>: this is not a URDF")
+        if not stack and not attributes.get("name"):
+            raise ModelError('the <robot> element has no name; write <robot name="...">')
+        if tag.startswith("xacro:") or (macros and any("${" in x or "$(" in x for x in attributes.values())):
+            raise ModelError(
+                f"line {parser.CurrentLineNumber} has xacro macros; expand it first: xacro IN.xacro > OUT.urdf"
+            )
+        if len(stack) == 1 and tag in ("link", "joint"):
+            if tag == "joint":
+                counts[tag] += 1
+                if counts[tag] > MAX_JOINTS:
+                    raise ModelError(f"the URDF has more than {MAX_JOINTS:,} joints; it is not read")
+            items.append(Item(tag, attributes, parser.CurrentLineNumber))
+        elif tag in READ and len(stack) > 1 and stack[1] in ("link", "joint"):
+            items[-1].inside.append((tag, attributes))
+        stack.append(tag)
+
+    def end(tag: str) -> None:
+        stack.pop()
+
+    def refuse(*_: object) -> NoReturn:
+        raise ModelError("the URDF has a DOCTYPE or entity declarations; these are refused, never expanded or fetched")
+
+    parser.StartElementHandler, parser.EndElementHandler = start, end
+    parser.StartDoctypeDeclHandler = parser.EntityDeclHandler = refuse
+    parser.ExternalEntityRefHandler = refuse
+    try:
+        parser.Parse(text, True)
+    except expat.ExpatError as error:
+        reason = expat.ErrorString(error.code) or "syntax error"
+        raise ModelError(f"the URDF is not well-formed XML: {reason} in line {error.lineno}") from None
+    except UnicodeEncodeError:
+        raise ModelError("the URDF text has characters that UTF-8 cannot hold (lone surrogates)") from None
+    return items
