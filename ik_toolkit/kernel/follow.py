@@ -1,7 +1,6 @@
 """The compiled tracker loops: the published methods in one, the solvers' feedback rules (one step a sample) in another."""
 
 import functools
-import math
 from collections.abc import Callable
 
 import numpy as np

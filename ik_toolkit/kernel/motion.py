@@ -18,7 +18,7 @@ import numpy as np
 from .jit import jit
 
 CV, AV, CA, AA = range(4)
-AT_RATE, AT_RATE_AND_STEP, AT_STEP = range(3)  # where aa takes dJ/dt: the readings of eq (25)
+AT_RATE, AT_RATE_AND_STEP, AT_STEP = range(3)  # where aa takes dJ/dt: readings 1, 2, 3 of eq (25)
 # Slots of `p`.
 P_CODE, P_KAPPA, P_KP, P_KD, P_GAMMA, P_NULL, P_DAMPING, P_READING, P_RUNAWAY, P_BRAKE = range(10)
 P_SIZE = 10

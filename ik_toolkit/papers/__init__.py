@@ -19,6 +19,10 @@ PAPERS: dict[str, Paper] = {
         "ik_toolkit.papers.shanmugasundar_2012:reproduce",
         "Shanmugasundar and Sivaramakrishnan 2012: closed-form inverse of a 7-joint inspection robot",
     ),
+    "patko": Paper(
+        "ik_toolkit.papers.patko_2019:reproduce",
+        "Patko and Zelei 2019: tracking at velocity and acceleration level, four methods",
+    ),
     "chinyai": Paper(
         "ik_toolkit.papers.chinyai:reproduce",
         "Chinyai: Newton-Raphson against the closed form on a planar two-link arm",

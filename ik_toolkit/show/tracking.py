@@ -13,7 +13,13 @@ from ..tracking.result import TrackResult
 # Okabe and Ito (2008): colours that stay apart for colour-blind readers.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000", "#8C8C8C")
 FLOOR = 1e-12  # [m, rad] errors below are drawn here: a logarithmic axis has no zero
-STYLE = {"font.size": 9, "axes.titlesize": 9.5, "axes.spines.top": False, "axes.spines.right": False, "legend.frameon": False}
+STYLE = {
+    "font.size": 9,
+    "axes.titlesize": 9.5,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "legend.frameon": False,
+}
 
 
 def skeleton(robot: Robot, q: np.ndarray) -> np.ndarray:
@@ -96,10 +102,14 @@ def _path_panel(ax: Any, result: TrackResult, robot: Robot) -> None:
 def _errors(ax: Any, result: TrackResult) -> None:
     ax.semilogy(result.t, np.maximum(result.position_error, FLOOR), color=COLOURS[0], lw=1.3, label="position [m]")
     if result.orientation_error is not None:
-        ax.semilogy(result.t, np.maximum(result.orientation_error, FLOOR), color=COLOURS[4], lw=1.3, label="orientation [rad]")
+        ax.semilogy(
+            result.t, np.maximum(result.orientation_error, FLOOR), color=COLOURS[4], lw=1.3, label="orientation [rad]"
+        )
     held = np.append(result.limited.any(axis=1), False)
     if held.any():
-        ax.fill_between(result.t, 0, 1, where=held, transform=ax.get_xaxis_transform(), color="#E6E6E6", lw=0, label="at a limit")
+        ax.fill_between(
+            result.t, 0, 1, where=held, transform=ax.get_xaxis_transform(), color="#E6E6E6", lw=0, label="at a limit"
+        )
     ax.set_title("error at the samples", loc="left")
     ax.grid(axis="y", color="#E0E0E0", lw=0.5)
     ax.legend(fontsize=8, ncols=3, loc="upper right", bbox_to_anchor=(1.0, 1.22))
@@ -109,7 +119,8 @@ def _positions(ax: Any, result: TrackResult, robot: Robot) -> None:
     middle = np.where(np.isfinite(robot.lower + robot.upper), 0.5 * (robot.lower + robot.upper), 0.0)
     half = np.where(np.isfinite(robot.upper - robot.lower), 0.5 * (robot.upper - robot.lower), np.pi)
     for i, name in enumerate(result.joint_names):
-        ax.plot(result.t, (result.q[:, i] - middle[i]) / half[i], color=COLOURS[i % 8], lw=1.3, label=name, ls="-" if i < 8 else "--")
+        shown = (result.q[:, i] - middle[i]) / half[i]
+        ax.plot(result.t, shown, color=COLOURS[i % 8], lw=1.3, label=name, ls="-" if i < 8 else "--")
     for edge in (-1, 1):
         ax.axhline(edge, color="#000000", lw=0.8)
     ax.set_ylim(-1.15, 1.15)
@@ -123,7 +134,9 @@ def _speeds(ax: Any, result: TrackResult, robot: Robot) -> None:
     speed = np.diff(result.q, axis=0) / result.dt
     for i in range(speed.shape[1]):
         values = 100 * speed[:, i] / limit[i] if bounded else speed[:, i]
-        ax.plot(result.t[1:], values, color=COLOURS[i % 8], lw=1.3, ls="-" if i < 8 else "--", label=result.joint_names[i])
+        ax.plot(
+            result.t[1:], values, color=COLOURS[i % 8], lw=1.3, ls="-" if i < 8 else "--", label=result.joint_names[i]
+        )
     ax.set_title("joint speeds" + (" [% of the limit]" if bounded else " [rad/s or m/s]"), loc="left")
     ax.grid(axis="y", color="#E0E0E0", lw=0.5)
     ax.legend(fontsize=7.5, ncols=4, loc="upper center", bbox_to_anchor=(0.5, -0.28))

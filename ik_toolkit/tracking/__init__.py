@@ -1,0 +1,1 @@
+"""Following a moving target: references, methods, stability, limits, runs."""

@@ -26,7 +26,6 @@ import numpy as np
 
 from ..errors import InvalidOption, near_match
 from ..kernel import motion
-from .reference import Reference
 from .stability import GAMMA, best_gains
 
 DAMPING = 0.02  # lengths over the arm's reach; joint speed per tip speed stays below 1 / (2 * 0.02)
@@ -88,7 +87,7 @@ class Method:
         p[motion.P_GAMMA] = self.rate_weight
         p[motion.P_NULL] = min(self.null_damping, 1.0 / h)
         p[motion.P_DAMPING] = self.damping
-        p[motion.P_READING] = {1: motion.AT_RATE, 2: motion.AT_RATE_AND_STEP, 3: motion.AT_STEP}[3 if self.name == "aad" else self.reading]
+        p[motion.P_READING] = motion.AT_STEP if self.name == "aad" else self.reading - 1
         p[motion.P_RUNAWAY] = runaway
         return p
 
@@ -124,12 +123,16 @@ class System(NamedTuple):
 
 
 class Run(NamedTuple):
-    """What `simulate` returns: arrays over the samples that were reached, and why it ended before the end ('' = it did not)."""
+    """What `simulate` returns: arrays over the samples that were reached, the last command of cv and ca, and a sentence.
+
+    stopped says why the run ended before its end ('' = it did not).
+    """
 
     t: np.ndarray
     q: np.ndarray
     rate: np.ndarray
     error: np.ndarray
+    command: np.ndarray
     gamma: float
     stopped: str
 
@@ -139,7 +142,9 @@ class Run(NamedTuple):
         out = np.empty((len(self.t) - 1, len(fractions)))
         for j, f in enumerate(fractions):
             q = interpolate(self.q, self.rate, self.gamma, h, f)
-            out[:, j] = [np.linalg.norm(path(t) - system.position(x)) for t, x in zip(self.t[:-1] + f * h, q, strict=True)]
+            out[:, j] = [
+                np.linalg.norm(path(t) - system.position(x)) for t, x in zip(self.t[:-1] + f * h, q, strict=True)
+            ]
         return out
 
 
@@ -158,14 +163,16 @@ def simulate(
     q0: np.ndarray,
     *,
     rate0: np.ndarray | None = None,
+    command0: np.ndarray | None = None,
     runaway: float = 1e6,
     **options: Any,
 ) -> Run:
     """Track path(t) -> (position, velocity, acceleration) with a method on any system, for `steps` samples of h [s].
 
-    Same step functions as on robots. rate0: joint rate at the start, default J^+ velocity(0); the earlier command starts
-    equal to the first (an Euler step), as nothing else is published. Ends early, with a sentence, when a value is not finite
-    (left the domain) or a joint moves more than `runaway` in a step. damping defaults to 0 here: the exact inverse.
+    Same step functions as on robots. rate0: joint rate at the start, default J^+ velocity(0); command0: the command before
+    the first (cv, ca), default equal to the first (an Euler step), as nothing else is published. Ends early, with a sentence,
+    when a value is not finite (left the domain) or a joint moves more than `runaway` in a step. damping defaults to 0 here:
+    the exact inverse.
     """
     made = make_method(method, **{"damping": 0.0, **options})
     p = made.pack(h, runaway)
@@ -174,7 +181,7 @@ def simulate(
     k = max(n, m)
     G, y, t_, bias = np.empty((k, k)), np.empty(k), np.empty(k), np.zeros(m)
     move, null, x1, x2, x = (np.empty(n) for _ in range(5))
-    prev, code = np.zeros(n), np.zeros(n, np.uint8)
+    prev, code = np.zeros(n) if command0 is None else np.array(command0, dtype=float), np.zeros(n, np.uint8)
     limits = np.array([np.full(n, -np.inf), *(np.full(n, np.inf) for _ in range(3))])
     target, v, a = path(0.0)
     rate = np.zeros(n) if rate0 is None else np.array(rate0, dtype=float)
@@ -191,7 +198,8 @@ def simulate(
         motion.prepare(p, J, m, ahead, rate, h, G, y, t_, move, null, x1, x2)
         if p[motion.P_CODE] >= motion.CA:
             bias = system.rate(q, x1, x2)
-        motion.command(p, J, m, E[-1], v, a, bias, rate, prev, h, 0.0 if i == 0 else 1.0, G, y, t_, move, null, x)
+        ratio = 0.0 if i == 0 and command0 is None else 1.0
+        motion.command(p, J, m, E[-1], v, a, bias, rate, prev, h, ratio, G, y, t_, move, null, x)
         if not (np.isfinite(x).all() and np.abs(x).max() * h <= runaway):
             stopped = f"the step at t = {i * h:.6g} s is not finite or moves a joint by more than {runaway:g}"
             break
@@ -204,4 +212,4 @@ def simulate(
         Q.append(q.copy())
         R.append(rate.copy())
         E.append(error)
-    return Run(np.arange(len(Q)) * h, np.array(Q), np.array(R), np.array(E), float(p[motion.P_GAMMA]), stopped)
+    return Run(np.arange(len(Q)) * h, np.array(Q), np.array(R), np.array(E), prev, float(p[motion.P_GAMMA]), stopped)

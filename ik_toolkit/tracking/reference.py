@@ -5,6 +5,7 @@ position (3,) leaves the orientation free.
 """
 
 import csv
+import itertools
 import math
 import zipfile
 from collections.abc import Callable, Sequence
@@ -55,7 +56,7 @@ class Reference:
 
     def times(self, dt: float) -> np.ndarray:
         """Sample times 0, dt, ... up to the duration [s]."""
-        return np.arange(int(math.floor(self.duration / _positive(dt, "dt [s]") + 1e-9)) + 1) * dt
+        return np.arange(math.floor(self.duration / _positive(dt, "dt [s]") + 1e-9) + 1) * dt
 
     def __repr__(self) -> str:
         """One line: kind, duration and what is asked for."""
@@ -232,7 +233,9 @@ def lissajous(
     The default is a figure of eight in the horizontal plane through the centre. Raises InvalidTarget, InvalidOption.
     """
     p, R0 = _split(center)
-    amp, cyc, pha = (_three(x, name) for x, name in ((amplitudes, "amplitudes"), (cycles, "cycles"), (phases, "phases")))
+    amp, cyc, pha = (
+        _three(x, name) for x, name in ((amplitudes, "amplitudes"), (cycles, "cycles"), (phases, "phases"))
+    )
     k = 2 * np.pi * cyc
 
     def path(s: np.ndarray) -> Samples:
@@ -269,7 +272,7 @@ def waypoints(
         raise InvalidTarget("waypoints must be all poses or all positions")
     P = np.array([p for p, _ in pairs])
     R = None if pairs[0][1] is None else np.array([R for _, R in pairs])
-    turns = np.zeros((len(P) - 1, 3)) if R is None else np.array([_log(a.T @ b) for a, b in zip(R[:-1], R[1:], strict=True)])
+    turns = np.zeros((len(P) - 1, 3)) if R is None else np.array([_log(a.T @ b) for a, b in itertools.pairwise(R)])
     if (times is None) == (duration is None):
         raise InvalidOption("waypoints need either times= or duration=")
     if times is None:
@@ -376,7 +379,8 @@ def _read_csv(file: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
     header = [cell.strip().lower() for cell in rows[0]]
     missing = [name for name in ("t", "x", "y", "z") if name not in header]
     if missing:
-        raise InvalidTarget(f"'{file.name}' has no column {', '.join(missing)}; the header must be t,x,y,z[,qx,qy,qz,qw], not {header}")
+        wanted = "the header must be t,x,y,z[,qx,qy,qz,qw]"
+        raise InvalidTarget(f"'{file.name}' has no column {', '.join(missing)}; {wanted}, not {','.join(header)}")
     quat = [name for name in ("qx", "qy", "qz", "qw") if name in header]
     if quat and len(quat) < 4:
         raise InvalidTarget(f"'{file.name}' has only {', '.join(quat)} of the quaternion qx,qy,qz,qw")

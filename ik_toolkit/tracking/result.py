@@ -71,7 +71,9 @@ class TrackResult:
             "success": self.success,
             "message": self.message,
             "elapsed": self.elapsed,
-            "stability": None if check is None else {"verdict": check.verdict, "radius": check.radius, "message": check.message},
+            "stability": None
+            if check is None
+            else {"verdict": check.verdict, "radius": check.radius, "message": check.message},
             "figures": self.figures,
         }
 
@@ -126,7 +128,9 @@ def figures(result: TrackResult, jump: np.ndarray) -> dict[str, Any]:
     out["jumps"] = int((np.abs(moves) > jump).any(axis=1).sum())
     hit = result.limited > 0
     out["time_at_limits"] = float(hit.any(axis=1).sum() * result.dt)
-    out["time_at_limits_by_joint"] = {j: float(x) for j, x in zip(result.joint_names, hit.sum(axis=0) * result.dt, strict=True)}
+    out["time_at_limits_by_joint"] = {
+        j: float(x) for j, x in zip(result.joint_names, hit.sum(axis=0) * result.dt, strict=True)
+    }
     out["damped_time"] = float(result.damped.sum() * result.dt)
     return out
 

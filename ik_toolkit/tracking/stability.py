@@ -27,6 +27,7 @@ BORDER = 1e-9  # relative distance to the border within which a gain set is call
 BEST_CV = 2.0 / 3.0
 TRIPLE = (1.0 - 4.0 ** (1.0 / 3.0)) / 3.0
 BEST_CA = (4.0 / 3.0 - 2.0 * TRIPLE + 2.0 * TRIPLE**3, 2.0 / 3.0 - TRIPLE - TRIPLE**3)  # (kp h^2, kd h)
+BEST_CA_RADIUS = -TRIPLE
 
 
 def mapping_matrix(

@@ -62,7 +62,11 @@ class Step:
         if self.status is StepStatus.JUMPED:
             i = int(np.argmax(move))
             parts.append(f"joint {robot.joint_names[i]} moved {self.q[i] - before[i]:.3g} in one step")
-        for bit, name in ((motion.POSITION, "position"), (motion.VELOCITY, "speed"), (motion.ACCELERATION, "acceleration")):
+        for bit, name in (
+            (motion.POSITION, "position"),
+            (motion.VELOCITY, "speed"),
+            (motion.ACCELERATION, "acceleration"),
+        ):
             held = [j for j, c in zip(robot.joint_names, code, strict=True) if c & bit]
             if held:
                 parts.append(f"{name} limit held back {', '.join(held)}")
@@ -118,7 +122,9 @@ class Tracker:
         if self._limits[0].max() > -np.inf or self._limits[1].min() < np.inf:
             outside = self.robot.outside(q)
             if outside:
-                raise InvalidConfiguration(f"q0 is outside the limits of {', '.join(outside)}; move it inside or use limits=False")
+                raise InvalidConfiguration(
+                    f"q0 is outside the limits of {', '.join(outside)}; move it inside or use limits=False"
+                )
         self._q[:] = q / self.robot.chain.unit
         self._rate[:] = 0.0
         self.engine.forget()
@@ -233,7 +239,9 @@ def _limit_rows(robot: Robot, limits: bool, acceleration_limits: Any) -> np.ndar
         try:
             a = np.broadcast_to(np.asarray(acceleration_limits, dtype=float), (n,))
         except (TypeError, ValueError):
-            raise InvalidOption(f"acceleration_limits must be a number or {n} numbers, not {acceleration_limits!r}") from None
+            raise InvalidOption(
+                f"acceleration_limits must be a number or {n} numbers, not {acceleration_limits!r}"
+            ) from None
         if not (a > 0.0).all():
             raise InvalidOption(f"acceleration_limits must be positive, not {acceleration_limits!r}")
         rows[3] = a / unit
@@ -264,7 +272,9 @@ def track(
     if len(times) < 2:
         raise InvalidOption(f"dt = {dt:g} s is longer than the reference ({reference.duration:g} s)")
     q0 = _start(robot, reference) if q0 is None else q0
-    tracker = Tracker(robot, method, q0=q0, rate0=rate0, limits=limits, acceleration_limits=acceleration_limits, **options)
+    tracker = Tracker(
+        robot, method, q0=q0, rate0=rate0, limits=limits, acceleration_limits=acceleration_limits, **options
+    )
     engine = tracker.engine
     check = engine.check(dt)
     if check is not None and check.verdict == "unstable":
@@ -354,5 +364,8 @@ def _verdict(robot: Robot, result: TrackResult, stop: int, steps: int) -> tuple[
     note = f" A limit held a joint back in {limited.sum()} of {done} steps." if limited.any() else ""
     if position > LOST[0] * robot.reach or orientation > LOST[1]:
         turned = f" and {orientation:.3g} rad" if orientation > LOST[1] else ""
-        return TrackStatus.LOST, f"up to {position:.3g} m{turned} from the reference in the last tenth of the run.{note}"
+        return (
+            TrackStatus.LOST,
+            f"up to {position:.3g} m{turned} from the reference in the last tenth of the run.{note}",
+        )
     return TrackStatus.COMPLETED, f"followed the reference to its end, within {position:.3g} m in the last tenth.{note}"
