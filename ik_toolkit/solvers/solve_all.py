@@ -6,7 +6,8 @@ from typing import Any
 import numpy as np
 
 from ..errors import InvalidOption
-from ..kernel.loop import OPT_HEAD, OUT_HEAD, POSITION
+from ..kernel.loop import OPT_HEAD, OUT_HEAD, R_POSITION, R_ROTATION
+from ..kernel.task import POSITION
 from ..robot.robot import Robot
 from . import closed_form
 from .result import Status
@@ -15,6 +16,7 @@ from .solve import Solver, _as_pose
 SAME = 1e-3  # largest joint difference [rad, or of the reach] at which two numerical answers are one
 TIGHT = 1e-9  # tolerance of the numerical search: answers to 1e-6 differ too much near singular poses to be merged
 SPREAD_LIFTS = 9  # lifts per feasible interval when the lift is free
+Found = tuple[np.ndarray, np.ndarray, np.ndarray, bool, str]  # q (K, n), errors [m], [rad], complete, message
 
 
 class Solutions:
@@ -98,8 +100,7 @@ def solve_all(
     one = Solver(robot, solver, **options)
     start = one._home if q0 is None else one._start(q0)[0]
     find = _closed if one.row.closed else _search
-    q, complete, message = find(one, T, kind, start, starts)
-    position, orientation = tip_errors(robot, q, T[0])
+    q, position, orientation, complete, message = find(one, T, kind, start, starts)
     o = one.options
     if one.row.closed:
         good = position <= o.position_tolerance
@@ -130,8 +131,8 @@ def tip_errors(robot: Robot, q: np.ndarray, T: np.ndarray) -> tuple[np.ndarray, 
     return np.linalg.norm(reached[:, :3, 3] - T[:3, 3], axis=1), angle
 
 
-def _closed(one: Solver, T: np.ndarray, kind: int, start: np.ndarray, starts: int) -> tuple[np.ndarray, bool, str]:
-    """All legal branches of a closed form."""
+def _closed(one: Solver, T: np.ndarray, kind: Any, start: np.ndarray, starts: int) -> Found:
+    """All legal branches of a closed form, evaluated."""
     robot = one.robot
     p = one.pack(kind, True)[OPT_HEAD + robot.n :]
     free = np.full(robot.n, np.inf)
@@ -155,53 +156,44 @@ def _closed(one: Solver, T: np.ndarray, kind: int, start: np.ndarray, starts: in
         if one.options.limits
         else f"{found} branches{where}"
     )
-    return out[:found][legal], complete, message
+    q = out[:found][legal]
+    return q, *tip_errors(robot, q, T[0]), complete, message
 
 
-def _search(one: Solver, T: np.ndarray, kind: int, start: np.ndarray, starts: int) -> tuple[np.ndarray, bool, str]:
+def _search(one: Solver, T: np.ndarray, kind: Any, start: np.ndarray, starts: int) -> Found:
     """Distinct converged answers of one descent from each of many starts."""
     robot, o = one.robot, one.options
     tight = {
         "position_tolerance": min(TIGHT, o.position_tolerance),
         "orientation_tolerance": min(TIGHT, o.orientation_tolerance),
     }
-    kept = {
+    same = {
         name: getattr(o, name) for name in ("limits", "mask", "mask_frame", "joint_weights", "seed", "max_iterations")
     }
-    single = Solver(robot, one.rule, restarts=0, **tight, **kept)
+    single = Solver(robot, one.rule, restarts=0, **tight, **same)
     rng = np.random.default_rng(o.seed)
     Q0 = np.vstack([start, [robot.random_q(rng) for _ in range(starts - 1)]]) if starts > 1 else start
     out = np.empty((starts, OUT_HEAD + robot.n))
     single._kernel(*single._chain, np.repeat(T, starts, axis=0), Q0, out, single.pack(kind, True), single._silent)
-    answers = out[out[:, 0] == Status.CONVERGED, OUT_HEAD:]
+    out = out[out[:, 0] == Status.CONVERGED]
+    answers = out[:, OUT_HEAD:]
     turning = robot.chain.turns > 0
-    if (
-        not o.limits and robot.chain.rows[0, 0] > 0.0
-    ):  # without limits (and mimic joints) every angle may be turned over
+    if not o.limits and robot.chain.rows[0, 0] > 0.0:  # no limits, no mimic joints: every angle may be turned over
         turning = np.array([kind != "prismatic" for kind in robot.joint_kinds])
-    near = start[0][turning] + np.remainder(answers[:, turning] - start[0][turning] + np.pi, 2 * np.pi) - np.pi
+    near = start[0, turning] + np.remainder(answers[:, turning] - start[0, turning] + np.pi, 2 * np.pi) - np.pi
     if o.limits:
         low, high = robot.lower[turning], robot.upper[turning]
-        near += (
-            2
-            * np.pi
-            * (
-                (near < low) * np.ceil((low - near) / (2 * np.pi))
-                - (near > high) * np.ceil((near - high) / (2 * np.pi))
-            )
-        )
+        near += 2 * np.pi * np.clip(0.0, np.ceil((low - near) / (2 * np.pi)), np.floor((high - near) / (2 * np.pi)))
     answers[:, turning] = near
-    kept_rows: list[np.ndarray] = []
-    for q in answers:
-        if kept_rows:
-            apart = np.abs(np.array(kept_rows) - q) / robot.chain.unit
-            apart[:, turning] = np.minimum(apart[:, turning], np.abs(2 * np.pi - apart[:, turning]))
-            if apart.max(axis=1).min() < SAME:
-                continue
-        kept_rows.append(q)
-    found = np.array(kept_rows).reshape(-1, robot.n)
-    kind_of = "a sample of infinitely many" if robot.n > one.task_rows(kind) else "distinct ones"
-    return found, False, f"{len(found)} solutions ({kind_of}) from {starts} starts, {len(answers)} of which converged"
+    kept: list[int] = []
+    for k, q in enumerate(answers):
+        apart = np.abs(answers[kept] - q) / robot.chain.unit
+        apart[:, turning] = np.minimum(apart[:, turning], np.abs(2 * np.pi - apart[:, turning]))
+        if not kept or apart.max(axis=1).min() >= SAME:
+            kept.append(k)
+    words = "a sample of infinitely many" if robot.n > one.task_rows(kind) else "distinct ones"
+    message = f"{len(kept)} solutions ({words}) from {starts} starts, {len(answers)} of which converged"
+    return answers[kept], out[kept, R_POSITION], out[kept, R_ROTATION], False, message
 
 
 def _spread(q: np.ndarray, count: int) -> np.ndarray:

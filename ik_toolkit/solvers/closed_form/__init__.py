@@ -4,7 +4,7 @@ from typing import Any
 
 
 def fits(robot: Any, kind: int) -> str | None:
-    """Name of the closed form that solves this robot for a kind of target (kernel.loop.POSE or POSITION), or None.
+    """Name of the closed form that solves this robot for a kind of target (kernel.task.POSE or POSITION), or None.
 
     The chain's geometry decides; the answer is kept with the robot, so asking again costs a look-up.
     """
@@ -15,7 +15,7 @@ def fits(robot: Any, kind: int) -> str | None:
 
 
 def _recognise(chain: Any) -> dict[int, str]:
-    from ...kernel.loop import POSE, POSITION
+    from ...kernel.task import POSE, POSITION
 
     if chain.n == 2:
         from . import planar_2r

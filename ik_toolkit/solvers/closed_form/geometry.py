@@ -11,8 +11,10 @@ import numpy as np
 
 from ...kernel import loop
 from ...kernel.chain import Chain
+from ...kernel.checks import CONVERGED, LIMIT_BLOCKED, STALLED, UNREACHABLE
 from ...kernel.jit import jit
 from ...kernel.kinematics import TAU, aim, error, fk, rotation_angle
+from ...kernel.task import POSITION
 
 FIT = 1e-9  # how far [rad, or of the reach] axes may be off the recognised structure
 SNAP = 1e-9  # an answer this little [rad or m] beyond a limit is put on it
@@ -102,21 +104,21 @@ def measure_tip(rows, ends, opt, T, q, box, broken, gap, goal, Z, trig, hist, ou
     x0, x1, x2, y0, y1, y2, z0, z1, z2, px, py, pz = fk(rows, q, Z, trig[0], trig[1], trig[2])
     px, py, pz, e0, e1, e2, e3, e4, e5 = error(goal, tip, x0, x1, x2, y0, y1, y2, z0, z1, z2, px, py, pz)
     position = math.sqrt(e0 * e0 + e1 * e1 + e2 * e2) * scale
-    rotation = 0.0 if opt[loop.O_KIND] == loop.POSITION else rotation_angle(e3 * e3 + e4 * e4 + e5 * e5)
+    rotation = 0.0 if opt[loop.O_KIND] == POSITION else rotation_angle(e3 * e3 + e4 * e4 + e5 * e5)
     if position < opt[loop.O_TOL_P] and rotation < opt[loop.O_TOL_R]:
-        out[loop.R_STATUS] = loop.CONVERGED
+        out[loop.R_STATUS] = CONVERGED
     elif gap >= opt[loop.O_TOL_P]:
-        out[loop.R_STATUS] = loop.UNREACHABLE
+        out[loop.R_STATUS] = UNREACHABLE
     elif broken > 0.0:
-        out[loop.R_STATUS] = loop.LIMIT_BLOCKED
+        out[loop.R_STATUS] = LIMIT_BLOCKED
     else:
-        out[loop.R_STATUS] = loop.STALLED  # only a tolerance below rounding leads here
+        out[loop.R_STATUS] = STALLED  # only a tolerance below rounding leads here
     out[loop.R_ITERATIONS] = 0
     out[loop.R_RESTARTS] = 0
     out[loop.R_POSITION] = position
     out[loop.R_ROTATION] = rotation
     out[loop.R_EVALUATIONS] = 1
-    out[loop.R_EXCESS] = gap if out[loop.R_STATUS] == loop.UNREACHABLE else 0.0
+    out[loop.R_EXCESS] = gap if out[loop.R_STATUS] == UNREACHABLE else 0.0
     out[loop.R_HISTORY] = 0
     if hist.shape[0] > 0:
         out[loop.R_HISTORY] = 1

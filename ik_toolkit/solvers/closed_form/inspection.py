@@ -14,6 +14,7 @@ import numpy as np
 from ...errors import InvalidOption, UnknownSolver
 from ...kernel import loop
 from ...kernel.chain import Chain
+from ...kernel.checks import BAD_TARGET, rigid
 from ...kernel.jit import cached, jit, kernel_stamp
 from . import geometry, reach
 from .geometry import FIT, across, angle_about, clamp, copy_limits, legal_turn, measure_tip, read_screws
@@ -30,8 +31,9 @@ class Inspection(NamedTuple):
     """All branches (8) of a spherical shoulder on a lift, for poses; the legal one nearest q0 is returned.
 
     lift: 'nearest' takes the feasible lift nearest q0's (another where no branch there is inside the limits), 'mid' the
-    middle of the longest feasible interval (with the same way out), a number [m] that lift only. Source: Shanmugasundar and Sivaramakrishnan
-    (2012), eqs. (7)-(13), completed: every branch, the lift as the free parameter, reach test, singular poses.
+    middle of the longest feasible interval (with the same way out), a number [m] that lift only.
+    Source: Shanmugasundar and Sivaramakrishnan (2012), eqs. (7)-(13), completed: every branch, the lift as the free
+    parameter, reach test, singular poses.
     """
 
     lift: float | str = "nearest"
@@ -253,8 +255,8 @@ def _compile_solve():
         q, trial, best = np.empty(n), np.empty(n), np.empty(n)
         goal, Z, trig = np.empty(12), np.empty((n, 6)), np.zeros((3, 8))
         for t in range(T.shape[0]):
-            if not loop.rigid(T[t]):
-                out[t, 0] = loop.BAD_TARGET
+            if not rigid(T[t]):
+                out[t, 0] = BAD_TARGET
                 continue
             copy_limits(ends, opt, Q0[t if Q0.shape[0] > 1 else 0], box)
             near_angles(p, box, near)
@@ -283,8 +285,10 @@ def _compile_every():
 
     @cached
     def every(p, T, box, lifts, out, broken):
-        """Fill out (8 K, n) with all branches of T (4, 4) at the lifts (K,) that reach it, broken (8 K,) with the limit
-        each breaks; return how many."""
+        """Fill out (8 K, n) with all branches of T (4, 4) at those of the lifts (K,) that reach it; return how many.
+
+        broken (8 K,) receives by how much each breaks a limit.
+        """
         stamp  # noqa: B018
         near, P, sols = np.empty(6), np.empty(12), np.empty((8, 6))
         near_angles(p, box, near)

@@ -9,6 +9,7 @@ import numpy as np
 from ...errors import UnknownSolver
 from ...kernel import loop
 from ...kernel.chain import Chain
+from ...kernel.checks import BAD_TARGET, rigid
 from ...kernel.jit import cached, jit, kernel_stamp
 from . import geometry, reach
 from .geometry import FIT, across, angle_about, copy_limits, legal_turn, measure_tip, read_screws
@@ -96,8 +97,8 @@ def _compile_solve():
         q, best = np.empty(n), np.empty(n)
         goal, Z, trig = np.empty(12), np.empty((2, 6)), np.zeros((3, 4))
         for t in range(T.shape[0]):
-            if not loop.rigid(T[t]):
-                out[t, 0] = loop.BAD_TARGET
+            if not rigid(T[t]):
+                out[t, 0] = BAD_TARGET
                 continue
             copy_limits(ends, opt, Q0[t if Q0.shape[0] > 1 else 0], box)
             near = p[ANGLES] * box[2, 0] + p[ANGLES + 1]

@@ -1,0 +1,473 @@
+"""Closed forms: oracle cases, completeness of the branches, recognition of the structure, and the common solver contract."""
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import ik_toolkit as ik
+from ik_toolkit.errors import InvalidOption, UnknownSolver
+from ik_toolkit.kernel.task import POSE, POSITION
+from ik_toolkit.solvers.closed_form import fits, inspection, planar_2r, reach
+
+DATA = json.loads((Path(__file__).parent / "data" / "closed_form.json").read_text())
+PI = math.pi
+
+
+def apart(a, b):
+    """Largest joint difference, angles modulo turns (all rows of `a` against all of `b`)."""
+    d = np.abs(np.asarray(a)[:, None] - np.asarray(b)[None])
+    return np.minimum(d, np.abs(2 * PI - d)).max(axis=2)
+
+
+def all_branches(robot, T, lift):
+    """Every branch at a lift, limits ignored."""
+    return ik.solve_all(robot, T, ik.Inspection(lift=float(lift)), limits=False)
+
+
+@pytest.fixture(scope="module")
+def arm():
+    return ik.Robot.load("inspection_7dof")
+
+
+@pytest.fixture(scope="module")
+def every(arm):
+    """Fast access to the compiled branches: (T, lift) -> (k, 7)."""
+    p = ik.Inspection().pack(arm)
+    box = np.vstack([np.full(7, -np.inf), np.full(7, np.inf), np.zeros(7), np.ones(7)])
+    out, broken = np.empty((8, 7)), np.empty(8)
+
+    def call(T, lift, near=None):
+        box[2] = 0.0 if near is None else near
+        return out[: inspection.every_branch(p, T, box, np.array([lift]), out, broken)].copy()
+
+    return call
+
+
+# ------------------------------------------------------------------------------------------------ inspection: oracles
+@pytest.mark.parametrize("case", DATA["configurations"])
+def test_reference_configurations(arm, case):
+    T = np.array(case["T"])
+    found = all_branches(arm, T, case["q"][1])
+    expected = np.array(case["solutions_at_lift"])
+    assert len(found) == len(expected) == 8 and found.complete
+    d = apart(found.q, expected)
+    assert d.min(axis=0).max() < 1e-9 and d.min(axis=1).max() < 1e-9
+    assert found.position_error.max() < 1e-12 and found.orientation_error.max() < 1e-12
+    spans = inspection.feasible_lifts(ik.Inspection().pack(arm), T)
+    assert np.shape(spans) == np.shape(case["lift_intervals"])
+    assert np.abs(np.array(spans) - case["lift_intervals"]).max() < 1e-9
+
+
+@pytest.mark.parametrize("case", DATA["singular"], ids=lambda c: c["name"])
+def test_singular_configurations_merge_and_still_solve(arm, every, case):
+    T, q = np.array(case["T"]), np.array(case["q"], dtype=float)
+    found = every(T, q[1], near=q)
+    assert len(found) == case["solutions_at_lift"]
+    assert np.abs(arm.chain.forward(found)[0] - T).max() < 1e-12
+    assert apart([q], found).min() < 1e-9  # what is free is taken from the reference, so q itself is found
+
+
+@pytest.mark.parametrize("case", DATA["unreachable"], ids=lambda c: c["name"])
+def test_unreachable_poses(arm, case):
+    T = np.array(case["T"])
+    result = ik.solve(arm, T, ik.Inspection(lift=0.22))
+    assert result.status == ik.Status.UNREACHABLE and not result.success
+    gap = -case["reach_margin_at_0_220"]
+    assert f"{1000 * gap:.4g} mm" in result.message
+    p = ik.Inspection().pack(arm)
+    P = np.empty(12)
+    inspection.wrist_pose(p, T, P)
+    assert reach.inspection_nearest(P, 0.22, p[inspection.A4], p[inspection.A6]) == pytest.approx(gap, abs=1e-12)
+    tip = P[9:] + 0.045 * P[[0, 3, 6]] + [0.0, 0.0, 0.53]
+    assert np.abs(tip - case["closest_position_at_0_220"]).max() < 1e-9
+    spans = inspection.feasible_lifts(p, T)
+    assert np.allclose(spans, case["lift_intervals"], atol=1e-9) and len(spans) == len(case["lift_intervals"])
+    free = ik.solve(arm, T, "inspection")
+    expected = {
+        "ok": ("CONVERGED", "LIMIT_BLOCKED"),
+        "out-of-reach": ("UNREACHABLE",),
+        "lift-range": ("LIMIT_BLOCKED",),
+    }
+    assert free.status.name in expected[case["reason"]]
+    if case["reason"] == "lift-range":
+        assert "lift" in free.limited_joints
+
+
+def test_nearest_reachable_position_is_nearest(arm):
+    """No sampled reachable wrist point with the same orientation is nearer than the projection."""
+    rng = np.random.default_rng(3)
+    p = ik.Inspection().pack(arm)
+    a4, a6 = p[inspection.A4], p[inspection.A6]
+    phi, psi = np.meshgrid(np.linspace(0, 2 * PI, 181), np.linspace(0, 2 * PI, 361))
+    for _ in range(40):
+        R = arm.fk(arm.random_q(rng)).rotation
+        P = np.concatenate([R.ravel(), rng.uniform(-0.7, 0.7, 3)])
+        moved = P.copy()
+        gap = reach.inspection_nearest(moved, 0.1, a4, a6)
+        assert np.linalg.norm(moved[9:] - P[9:]) == pytest.approx(gap, abs=1e-12)
+        assert reach.inspection_margin(moved, 0.1, a4, a6) > -1e-12
+        # Reachable set: shoulder minus the torus about the tool axis.
+        ring = (a6 + a4 * np.cos(psi))[..., None] * (
+            np.cos(phi)[..., None] * R[:, 0] + np.sin(phi)[..., None] * R[:, 1]
+        )
+        torus = np.array([0.0, 0.0, 0.1]) - ring - (a4 * np.sin(psi))[..., None] * R[:, 2]
+        distance = np.linalg.norm(torus - P[9:], axis=-1).min()
+        assert gap == 0.0 or abs(distance - gap) < 0.01
+
+
+def test_ten_thousand_random_configurations(arm, every):
+    rng = np.random.default_rng(0)
+    Q = rng.uniform(-PI, PI, (10_000, 7))
+    Q[:, 1] = rng.uniform(-0.2, 0.8, len(Q))
+    T = arm.chain.forward(Q)[0]
+    worst = 0.0
+    for q, goal in zip(Q, T, strict=True):
+        found = every(goal, q[1])
+        assert len(found) == 8
+        worst = max(worst, np.abs(arm.chain.forward(found)[0] - goal).max())
+        assert apart([q], found).min() < 1e-6
+    assert worst < 1e-9
+
+
+def test_four_thousand_near_singular_configurations(arm, every):
+    rng = np.random.default_rng(1)
+    worst = 0.0
+    for k in range(4000):
+        q = rng.uniform(-PI, PI, 7)
+        q[1] = rng.uniform(0.0, 0.44)
+        near = 10.0 ** rng.uniform(-17, -4, 3) * rng.choice((-1, 1), 3) * (rng.random(3) < 0.8)
+        sets = [(2, rng.choice((0.0, PI))), (5, rng.choice((0.0, PI))), (4, rng.choice((-1, 1)) * PI / 2)]
+        for i in rng.permutation(3)[: 1 + k % 3]:
+            joint, value = sets[i]
+            q[joint] = value + near[i]
+        T = arm.chain.forward(q)[0][0]
+        found = every(T, q[1], near=q)
+        assert len(found) >= 1
+        worst = max(worst, np.abs(arm.chain.forward(found)[0] - T).max())
+    assert worst < 1e-8
+
+
+def test_flips_are_exact_symmetries(arm, every):
+    """The shoulder and the whole-arm flip of the study of branches map the set onto itself."""
+    q = np.array([0.3, 0.22, 0.5, 0.4, 0.6, -0.9, 0.7])
+    found = every(arm.chain.forward(q)[0][0], 0.22)
+    flip = np.array([q[0] + PI, q[1], -q[2], q[3] + PI, *q[4:]])
+    other = np.array([q[0], q[1], q[2] + PI, PI - q[3], PI - q[4], q[5] + PI, q[6]])
+    assert apart([flip, other], found).min(axis=1).max() < 1e-12
+
+
+# -------------------------------------------------------------------------------------- inspection: the public solver
+def test_lift_choices(arm):
+    q = arm.home + 0.05
+    T = arm.fk(q)
+    assert ik.solve(arm, T, "inspection", q0=q).q[1] == pytest.approx(q[1], abs=1e-12)
+    assert ik.solve(arm, T, ik.Inspection(lift=0.3)).q[1] == 0.3
+    spans = inspection.feasible_lifts(ik.Inspection().pack(arm), T.homogeneous, arm.lower[1], arm.upper[1])
+    middle = ik.solve(arm, T, "inspection", lift="mid")
+    assert middle.q[1] == pytest.approx(np.mean(max(spans, key=lambda s: s[1] - s[0])), abs=1e-9)
+    for wrong in ("top", math.nan):
+        with pytest.raises(InvalidOption, match="lift"):
+            ik.solve(arm, T, ik.Inspection(lift=wrong))
+
+
+def test_lift_moves_when_its_first_choice_has_no_legal_branch(arm):
+    rng = np.random.default_rng(5)
+    moved = 0
+    for _ in range(300):
+        T = arm.fk(arm.random_q(rng))
+        result = ik.solve(arm, T, "inspection")
+        assert result.success and not arm.outside(result.q)
+        moved += not ik.solve(arm, T, ik.Inspection(lift=0.22)).success
+    assert moved > 50
+
+
+def test_answer_is_the_legal_branch_nearest_q0(arm):
+    rng = np.random.default_rng(6)
+    solver = ik.Inspection(lift=0.25)
+    for _ in range(50):
+        q = arm.random_q(rng)
+        q[1] = 0.25
+        q0 = arm.random_q(rng)
+        found = ik.solve_all(arm, arm.fk(q), solver, q0=q0)
+        assert found.complete and (np.diff(found.distance) >= 0).all()
+        assert not any(arm.outside(x) for x in found)
+        assert np.abs(ik.solve(arm, arm.fk(q), solver, q0=q0).q - found[0]).max() < 1e-12
+        branches = np.remainder(ik.solve_all(arm, arm.fk(q), solver, q0=q0, limits=False).q + PI, 2 * PI) - PI
+        assert sum(not arm.outside(x) for x in branches) == len(found)
+
+
+def test_every_branch_outside_the_limits_is_limit_blocked(arm):
+    q = np.array([0.0, 0.22, 0.3, 0.2, 0.4, 0.9, 3.0])  # no branch of it has the last joint within 120 degrees
+    result = ik.solve(arm, arm.fk(q), ik.Inspection(lift=0.22))
+    assert result.status == ik.Status.LIMIT_BLOCKED
+    assert result.limited_joints and all(joint in result.message for joint in result.limited_joints)
+    assert not arm.outside(result.q)
+    assert result.position_error == pytest.approx(arm.errors(result.q, arm.fk(q).homogeneous)[0], abs=1e-12)
+    assert ik.solve(arm, arm.fk(q), ik.Inspection(lift=0.22), limits=False).success
+
+
+def test_sample_pose_of_the_paper(arm):
+    sample = DATA["sample"]
+    result = ik.solve(arm, sample["target"], ik.Inspection(lift=0.22))
+    assert "projected" in result.notice and result.status == ik.Status.UNREACHABLE
+    assert result.position_error == pytest.approx(-sample["margin_at_0_220"], abs=1e-9)
+    free = ik.solve(arm, sample["target"])
+    assert free.success and free.solver == "inspection"
+    assert free.q[1] == pytest.approx(sample["lift_intervals"][0][0], abs=1e-9)
+    found = ik.solve_all(arm, sample["target"], ik.Inspection(lift="mid"), limits=False)
+    low, high = sample["lift_intervals"][0]
+    at = ik.solve_all(arm, sample["projected"], ik.Inspection(lift=(low + high) / 2), limits=False)
+    assert apart(at.q, sample["solutions_at_middle"]).min(axis=0).max() < 1e-9 and len(at) == len(found) == 8
+
+
+def test_free_lift_lists_a_spread_and_says_so(arm):
+    found = ik.solve_all(arm, arm.fk(arm.home))
+    assert not found.complete and len(found) > 5 and "infinitely many" in found.message
+    assert len(set(found.q[:, 1].round(6))) > 2 and found.position_error.max() < 1e-9
+
+
+def test_locked_lift_is_complete_and_agrees_with_restarts(arm):
+    held = arm.locked({"lift": 0.3})
+    assert fits(held, POSE) == "inspection" and fits(arm, POSITION) is None
+    T = held.fk(held.home + 0.1)
+    exact = ik.solve_all(held, T, limits=False)
+    search = ik.solve_all(held, T, "lm", limits=False)
+    assert exact.complete and not search.complete and len(exact) == len(search) == 8
+    assert apart(exact.q, search.q).min(axis=0).max() < 1e-6
+
+
+# -------------------------------------------------------------------------------------------------------- recognition
+def urdf(joints, tool):
+    """URDF of a serial chain: joints are (type, xyz, rpy, axis, lower, upper)."""
+    parts, parent = ['<robot name="drawn"><link name="base"/>'], "base"
+    text = lambda v: " ".join(repr(float(x)) for x in v)  # noqa: E731
+    for k, (kind, xyz, rpy, axis, low, high) in enumerate(joints):
+        parts.append(
+            f'<link name="l{k}"/><joint name="j{k}" type="{kind}"><parent link="{parent}"/><child link="l{k}"/>'
+            f'<origin xyz="{text(xyz)}" rpy="{text(rpy)}"/><axis xyz="{text(axis)}"/>'
+            f'<limit lower="{low!r}" upper="{high!r}" effort="1" velocity="1"/></joint>'
+        )
+        parent = f"l{k}"
+    parts.append(
+        f'<link name="tip"/><joint name="end" type="fixed"><parent link="{parent}"/><child link="tip"/>'
+        f'<origin xyz="{text(tool[0])}" rpy="{text(tool[1])}"/></joint></robot>'
+    )
+    return "".join(parts)
+
+
+angle = st.floats(-3.1, 3.1)
+length = st.floats(0.05, 2.0)
+offset = st.floats(-1.0, 1.0)
+triple = st.tuples(offset, offset, offset)
+
+
+@settings(max_examples=60, deadline=None, derandomize=True)
+@given(
+    triple, st.tuples(angle, angle, angle), length, length, angle, angle, offset, offset, st.booleans(), angle, angle
+)
+def test_any_planar_two_link_arm(xyz, rpy, l1, l2, turn_1, turn_2, rise_1, rise_2, reverse, q1, q2):
+    """Any lengths, base pose, angle offsets, height offsets and axis sign: both branches verify and q is among them."""
+    joints = [
+        ("continuous", xyz, rpy, (0, 0, 1), -1.0, 1.0),
+        (
+            "continuous",
+            (l1 * math.cos(turn_1), l1 * math.sin(turn_1), rise_1),
+            (0, 0, 0.3),
+            (0, 0, -1 if reverse else 1),
+            0.0,
+            0.0,
+        ),
+    ]
+    robot = ik.Robot.load(
+        urdf(joints, ((l2 * math.cos(turn_2), l2 * math.sin(turn_2), rise_2), (0.1, 0.2, 0.3))), tip="tip"
+    )
+    assert fits(robot, POSITION) == "planar-2r" and fits(robot, POSE) is None
+    q = np.array([q1, q2])
+    tip = robot.fk(q).translation
+    found = ik.solve_all(robot, tip, q0=q)
+    assert found.solver == "planar-2r" and found.complete
+    for x in found:
+        assert np.linalg.norm(robot.fk(x).translation - tip) < 1e-9
+    bend = planar_2r.recognise(robot.chain)[0]
+    s2 = abs(math.sin(bend[planar_2r.ANGLES + 2] * q2 + bend[planar_2r.ANGLES + 3]))
+    if s2 > 1e-3:
+        assert len(found) == 2 and apart([q], found.q).min() < 1e-6
+
+
+@settings(max_examples=40, deadline=None, derandomize=True)
+@given(
+    triple, st.tuples(angle, angle, angle), length, length, triple, st.tuples(angle, angle, angle),
+    st.lists(st.sampled_from((1, -1)), min_size=7, max_size=7), st.lists(angle, min_size=7, max_size=7), st.booleans(), offset,
+)  # fmt: skip
+def test_any_arm_of_the_inspection_structure(xyz, rpy, a4, a6, tool, tool_rpy, signs, twist, lift_first, slide):
+    """Axis signs, angle offsets, lengths, base, tool and the order of lift and column are read off the geometry."""
+    h = PI / 2
+    fixed = [
+        ((0, 0, 0), (h, 0, 0)),
+        ((0, 0, 0), (h, 0, 0)),
+        ((a4, 0, 0), (0, 0, 0)),
+        ((0, 0, 0), (-h, 0, 0)),
+        ((a6, 0, 0), (0, 0, 0)),
+    ]
+    column = ("continuous", xyz, rpy, (0, 0, signs[0]), -1.0, 1.0)
+    lift = ("prismatic", (0, 0, slide), (0, 0, 0.4), (0, 0, signs[1]), -1.0, 1.0)
+    joints = [column, lift]
+    if lift_first:
+        joints = [
+            ("prismatic", xyz, rpy, (0, 0, signs[1]), -1.0, 1.0),
+            ("continuous", (0, 0, slide), (0, 0, 0.4), (0, 0, signs[0]), 0.0, 0.0),
+        ]
+    for (where, turned), sign in zip(fixed, signs[2:], strict=True):
+        joints.append(("continuous", where, turned, (0, 0, sign), -1.0, 1.0))
+    # Flip axes 5 and 7 as whole frames too, and turn the tool anyhow.
+    robot = ik.Robot.load(urdf(joints, (tool, tool_rpy)), tip="tip")
+    assert fits(robot, POSE) == "inspection", inspection.recognise(robot.chain)[1]
+    q = np.array(twist)
+    place = 0 if lift_first else 1
+    q[place] = 0.3 * slide
+    found = ik.solve_all(robot, robot.fk(q), ik.Inspection(lift=q[place]), q0=q)
+    assert len(found) >= 1 and found.complete
+    assert found.position_error.max() < 1e-9 and found.orientation_error.max() < 1e-9
+
+
+def test_what_does_not_fit_is_said_in_words(arm):
+    panda_like = [("revolute", (0, 0, 0.1), (0, 0.7, 0), (0, 0, 1), -1.0, 1.0)] * 7
+    wrong = {
+        "joints on the path": urdf(panda_like[:3], ((0.1, 0, 0), (0, 0, 0))),
+        "slides": urdf(
+            [panda_like[0], ("prismatic", (0, 0, 0), (0, 0, 0), (1, 0, 0), -1.0, 1.0)], ((0.1, 0, 0), (0, 0, 0))
+        ),
+        "not parallel": urdf(panda_like[:2], ((0.1, 0, 0), (0, 0, 0))),
+        "coincide": urdf([("revolute", (0, 0, 0.1), (0, 0, 0), (0, 0, 1), -1.0, 1.0)] * 2, ((0.1, 0, 0), (0, 0, 0))),
+        "tip lies on": urdf([("revolute", (0.1, 0, 0), (0, 0, 0), (0, 0, 1), -1.0, 1.0)] * 2, ((0, 0, 0.3), (0, 0, 0))),
+    }
+    for words, text in wrong.items():
+        robot = ik.Robot.load(text, tip="tip")
+        assert fits(robot, POSITION) is None
+        with pytest.raises(UnknownSolver, match=words):
+            ik.solve(robot, [0.1, 0.0, 0.0], "planar-2r")
+    robot = ik.Robot.load(urdf(panda_like, ((0.1, 0, 0), (0, 0, 0))), tip="tip")
+    with pytest.raises(UnknownSolver, match="lift"):
+        ik.solve(robot, robot.fk(robot.home), "inspection")
+    assert ik.solve(robot, robot.fk(robot.home)).solver == "lm"
+    with pytest.raises(InvalidOption, match="positions"):
+        ik.solve(arm, [0.3, 0.0, 0.8], "inspection")
+    with pytest.raises(InvalidOption, match="mask"):
+        ik.solve(arm, arm.fk(arm.home), "inspection", mask=(1, 1, 1, 0, 0, 0))
+
+
+def test_a_slightly_bent_arm_is_refused():
+    """The structure is recognised to 1e-9: an axis 1e-7 rad off parallel is another arm."""
+    text = urdf(
+        [
+            ("revolute", (0, 0, 0), (0, 0, 0), (0, 0, 1), -1.0, 1.0),
+            ("revolute", (1, 0, 0), (1e-7, 0, 0), (0, 0, 1), -1.0, 1.0),
+        ],
+        ((1, 0, 0), (0, 0, 0)),
+    )
+    assert fits(ik.Robot.load(text, tip="tip"), POSITION) is None
+
+
+# ---------------------------------------------------------------------------------------------------------- planar 2R
+@pytest.mark.parametrize("case", DATA["planar_2r"])
+def test_planar_reference(case):
+    l1, l2, x, y = case["l1"], case["l2"], case["x"], case["y"]
+    sols = np.empty((2, 2))
+    if not case["solutions"]:
+        margin = reach.planar_margin(x, y, l1, l2)
+        r = math.hypot(x, y)
+        assert margin == pytest.approx(l1 + l2 - r if case["status"] == "too-far" else r - abs(l1 - l2)) and margin < 0
+        return
+    found = sols[: reach.planar_branches(x, y, l1, l2, 0.0, sols)]
+    assert len(found) == len(case["solutions"])
+    d = apart(found, case["solutions"])
+    assert d.min(axis=0).max() < 1e-9 and d.min(axis=1).max() < 1e-9
+
+
+def test_planar_reach_limits_and_plane():
+    robot = ik.Robot.load("planar_2r")
+    out = ik.solve(robot, [3.0, 0.0, 0.0])
+    assert out.status == ik.Status.UNREACHABLE and "1000 mm" in out.message and out.position_error == pytest.approx(1.0)
+    off = ik.solve(robot, [1.0, 0.5, 0.25])
+    assert off.status == ik.Status.UNREACHABLE and off.position_error == pytest.approx(0.25)
+    blocked = ik.solve(robot, [0.2, 0.1, 0.0])  # folds further than 150 degrees
+    assert blocked.status == ik.Status.LIMIT_BLOCKED and blocked.limited_joints == ("joint_2",)
+    assert len(ik.solve_all(robot, [0.2, 0.1, 0.0])) == 0
+    both = ik.solve_all(robot, [1.0, 0.5, 0.0])
+    assert len(both) == 2 and both.complete and both.distance[0] < both.distance[1]
+    assert np.array_equal(ik.solve(robot, [1.0, 0.5, 0.0], q0=both[1]).q, both[1])
+    near = ik.solve(robot, [2.0 + 5e-7, 0.0, 0.0])  # out of reach by less than the tolerance
+    assert near.success and near.position_error == pytest.approx(5e-7, rel=1e-3)
+
+
+def test_legal_turn_nearest_the_reference():
+    robot = ik.Robot.load(
+        urdf(
+            [
+                ("revolute", (0, 0, 0), (0, 0, 0), (0, 0, 1), -10.0, 10.0),
+                ("revolute", (1, 0, 0), (0, 0, 0), (0, 0, 1), 3.5, 6.0),
+            ],
+            ((0.7, 0, 0), (0, 0, 0)),
+        ),
+        tip="tip",
+    )
+    q = np.array([7.0, 4.0])
+    result = ik.solve(robot, robot.fk(q).translation, q0=[8.0, 5.0])
+    assert result.success and np.abs(result.q - q).max() < 1e-9
+    assert np.abs(ik.solve(robot, robot.fk(q).translation, q0=[1.0, 5.0]).q - (q - [2 * PI, 0.0])).max() < 1e-9
+    assert len(ik.solve_all(robot, robot.fk(q).translation)) == 1  # the other elbow, -4, has no legal turn
+
+
+# ------------------------------------------------------------------------------------------------ the common contract
+def test_auto_takes_the_closed_form_and_says_so(arm):
+    T = arm.fk(arm.home + 0.05)
+    assert ik.solve(arm, T).solver == "inspection"
+    assert ik.solve(arm, T, mask=(1, 1, 1, 1, 1, 1)).solver == "lm"
+    assert ik.solve(arm, T.translation).solver == "lm"
+    planar = ik.Robot.load("planar_2r")
+    assert ik.solve(planar, planar.fk(planar.home).translation).solver == "planar-2r"
+
+
+def test_batch_equals_single_calls(arm):
+    rng = np.random.default_rng(7)
+    T = np.array([arm.fk(arm.random_q(rng)).homogeneous for _ in range(20)])
+    T[3, :3, 3] += 5.0
+    many = ik.solve_batch(arm, T, "inspection")
+    for row, goal in zip(many.q, T, strict=True):
+        assert np.array_equal(row, ik.solve(arm, goal, "inspection").q)
+    assert many.status[3] == ik.Status.UNREACHABLE and many.success.sum() == 19
+
+
+def test_copies_do_not_share_bound_solvers(arm):
+    T = arm.fk(arm.home)
+    ik.solve(arm, T, "inspection")
+    held = arm.locked({"lift": 0.22})
+    assert ik.solve(held, T, "inspection").q.shape == (6,)
+
+
+def test_history_and_counts(arm):
+    result = ik.solve(arm, arm.fk(arm.home), "inspection", history=True)
+    assert result.iterations == 0 and result.restarts == 0 and result.fk_evaluations == 1
+    assert result.history["q"].shape == (1, 7) and np.array_equal(result.history["q"][0], result.q)
+
+
+def test_numerical_solve_all_merges_duplicates_and_turns():
+    robot = ik.Robot.load("planar_2r")
+    tip = robot.fk([0.4, 1.1]).translation
+    exact, search = ik.solve_all(robot, tip), ik.solve_all(robot, tip, "lm", starts=200)
+    assert len(search) == len(exact) == 2 and not search.complete
+    assert np.abs(search.q - exact.q).max() < 1e-6
+    redundant = ik.Robot.load("planar_3r")
+    sample = ik.solve_all(redundant, redundant.fk(redundant.home).translation, count=8, starts=200)
+    assert len(sample) == 8 and "infinitely many" in sample.message and not sample.complete
+    nothing = ik.solve_all(redundant, [50.0, 0.0, 0.0], starts=20)
+    assert len(nothing) == 0 and "reach" in nothing.message
+    for wrong in ({"starts": 0}, {"count": 2.5}):
+        with pytest.raises(InvalidOption):
+            ik.solve_all(robot, tip, **wrong)
+    assert json.dumps(exact.to_dict())
