@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -9,6 +10,42 @@ import numpy as np
 from ..errors import InvalidTarget
 
 PROJECT_WITHIN = 1e-2  # distance (largest singular value off 1) up to which a typed rotation is projected
+
+
+@dataclass(frozen=True, eq=False)
+class AxisTarget:
+    """A position with one axis of the tip along a direction: five of the six freedoms, the turn about the axis is free.
+
+    T_base_tip (4, 4) [m]: a pose that meets it; axis (3,): unit vector in the tip frame.
+    """
+
+    T_base_tip: np.ndarray
+    axis: tuple[float, float, float]
+
+    def errors(self, T: np.ndarray) -> tuple[float, float]:
+        """Position error [m] and angle between the axis and its direction [rad] of a tip pose T (4, 4)."""
+        now, wanted = T[:3, :3] @ self.axis, self.T_base_tip[:3, :3] @ self.axis
+        angle = 2.0 * math.asin(min(1.0, 0.5 * float(np.linalg.norm(now - wanted))))
+        return float(np.linalg.norm(self.T_base_tip[:3, 3] - T[:3, 3])), angle
+
+
+def _unit(value: Any, name: str) -> np.ndarray:
+    vector = _numbers(value, 3, name)
+    length = float(np.linalg.norm(vector))
+    if not length > 1e-9:
+        raise InvalidTarget(f"{name} must not be the zero vector")
+    return vector / length
+
+
+def _turn_onto(axis: np.ndarray, direction: np.ndarray) -> np.ndarray:
+    """Rotation (3, 3) that takes one unit vector onto another."""
+    cross, cos = np.cross(axis, direction), float(axis @ direction)
+    if cos < -1.0 + 1e-12:  # opposite: half a turn about any axis across
+        across = np.cross(axis, np.eye(3)[int(np.argmin(np.abs(axis)))])
+        across /= np.linalg.norm(across)
+        return 2.0 * np.outer(across, across) - np.eye(3)
+    K = np.array([[0.0, -cross[2], cross[1]], [cross[2], 0.0, -cross[0]], [-cross[1], cross[0], 0.0]])
+    return np.eye(3) + K + K @ K / (1.0 + cos)
 
 
 def nearest_rotation(R: np.ndarray) -> tuple[np.ndarray, float]:
@@ -86,12 +123,25 @@ def pose(
     rpy: Sequence[float] | None = None,
     quat_xyzw: Sequence[float] | None = None,
     rotation: Any = None,
-) -> np.ndarray:
+    axis: Sequence[float] = (0.0, 0.0, 1.0),
+    direction: Sequence[float] | None = None,
+) -> Any:
     """Return a target: T_base_tip (4, 4), or a position (3,) when no rotation is given (orientation free).
 
-    xyz [m]; one of rpy [rad] (URDF order: Rz(yaw) Ry(pitch) Rx(roll)), quat_xyzw, or rotation (3, 3). Raises InvalidTarget
-    for anything that is not finite, of the wrong size or not a rotation.
+    xyz [m]; one of rpy [rad] (URDF order: Rz(yaw) Ry(pitch) Rx(roll)), quat_xyzw, or rotation (3, 3). With a direction (3,) in
+    the base frame it is an AxisTarget: the tip's axis (3,) (default its z) points along it, the turn about it is free. Raises
+    InvalidTarget for anything that is not finite, of the wrong size or not a rotation.
     """
+    if direction is not None:
+        if any(part is not None for part in (rpy, quat_xyzw, rotation)):
+            raise InvalidTarget(
+                "a direction leaves the turn about it free, so it goes with no rpy, quat_xyzw or rotation"
+            )
+        tip_axis = _unit(axis, "axis")
+        T = np.eye(4)
+        T[:3, :3] = _turn_onto(tip_axis, _unit(direction, "direction"))
+        T[:3, 3] = _numbers((0.0, 0.0, 0.0) if xyz is None else xyz, 3, "xyz")
+        return AxisTarget(T, tuple(tip_axis.tolist()))
     if sum(part is not None for part in (rpy, quat_xyzw, rotation)) > 1:
         raise InvalidTarget("give one of rpy, quat_xyzw and rotation, not several")
     position = _numbers((0.0, 0.0, 0.0) if xyz is None else xyz, 3, "xyz")
@@ -107,6 +157,21 @@ def pose(
     T[:3, :3] = R
     T[:3, 3] = position
     return check_target(T)[0]
+
+
+def masked_errors(T: np.ndarray, target: np.ndarray, mask: Sequence[float], frame: str) -> tuple[float, float]:
+    """Weighted position error [m] and rotation error [rad] of a tip pose T (4, 4) against a target (4, 4) or (3,).
+
+    mask: six weights of x, y, z, rx, ry, rz in `frame` 'base' or 'tip' (the rotation vector from actual to target).
+    """
+    import pinocchio as pin
+
+    w = np.asarray(mask)
+    axes = np.eye(3) if frame == "base" else T[:3, :3].T
+    goal = target if target.ndim == 2 else pin.SE3(T[:3, :3], target).homogeneous
+    position = w[:3] * (axes @ (goal[:3, 3] - T[:3, 3]))
+    rotation = w[3:] * (axes @ pin.log3(goal[:3, :3] @ T[:3, :3].T))
+    return float(np.linalg.norm(position)), float(np.linalg.norm(rotation))
 
 
 def check_target(target: Any) -> tuple[np.ndarray, str]:

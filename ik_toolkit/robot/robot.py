@@ -16,6 +16,7 @@ import pinocchio as pin
 from ..errors import FrameNotFound, InvalidConfiguration, JointNotFound, ModelError, near_match
 from ..kernel.chain import Chain
 from .check import mimic_limits, require_loadable, safe_read
+from .joints import Joints
 from .library import find
 from .pose import check_target
 from .probe import Path as JointPath
@@ -25,7 +26,7 @@ CACHES = ("_local", "_sampling", "_solvers", "_closed_form")  # belong to one ob
 SINGULAR = 0.02  # smallest singular value (lengths over reach) below which a configuration is no good as home
 
 
-class Robot:
+class Robot(Joints):
     """A robot arm: model, base, tip, limits and home.
 
     Attributes: name; model (pin.Model, mimic joints followed); base, tip (frame names); joint_names (n,), one per moving
@@ -222,87 +223,17 @@ class Robot:
         good = np.flatnonzero(smallest > SINGULAR)
         return tries[good[0] if len(good) else int(np.argmax(smallest))]
 
-    # ------------------------------------------------------------------------------------------------ configurations
-    @property
-    def n(self) -> int:
-        """Number of coordinates in q."""
-        return len(self.joint_names)
-
     @property
     def reach(self) -> float:
         """Longest distance [m] of the tip from the first joint: path offsets plus finite strokes (1 m where unbounded)."""
         return self.chain.reach
-
-    def check_q(self, q: Any, name: str = "q") -> np.ndarray:
-        """Return q as a float64 copy (n,); raises InvalidConfiguration when it has the wrong size or is not finite."""
-        try:
-            array = np.array(q, dtype=float)
-        except (TypeError, ValueError):
-            raise InvalidConfiguration(f"{name} must be {self.n} numbers, not {q!r}") from None
-        if array.shape != (self.n,):
-            raise InvalidConfiguration(
-                f"{name} must have {self.n} values, one per joint ({', '.join(self.joint_names)}); got shape {array.shape}"
-            )
-        if not np.isfinite(array).all():
-            bad = ", ".join(j for j, x in zip(self.joint_names, array, strict=True) if not np.isfinite(x))
-            raise InvalidConfiguration(f"{name} is not finite at joint {bad}")
-        return array
-
-    def outside(self, q: np.ndarray) -> list[str]:
-        """Names of the joints whose value lies outside its limits."""
-        return [j for j, x, a, b in zip(self.joint_names, q, self.lower, self.upper, strict=True) if not a <= x <= b]
-
-    def at_limits(self, q: np.ndarray) -> list[str]:
-        """Names of the joints that stand on a limit (within 1e-9)."""
-        near = (q - self.lower <= 1e-9) | (self.upper - q <= 1e-9)
-        return [j for j, hit in zip(self.joint_names, near, strict=True) if hit]
-
-    def random_q(self, rng: np.random.Generator) -> np.ndarray:
-        """Uniform random q (n,) inside the limits (one turn, or one reach, where there are none)."""
-        low, span = self._sampling
-        return (low + span * rng.random(self.n)).clip(self.lower, self.upper)
 
     @functools.cached_property
     def _sampling(self) -> tuple[np.ndarray, np.ndarray]:
         n, ends = self.n, self.chain.ends
         return ends[24 + 4 * n : 24 + 5 * n] * self.chain.unit, ends[24 + 5 * n : 24 + 6 * n] * self.chain.unit
 
-    def to_pinocchio(self, q: Any, rest: np.ndarray | None = None) -> np.ndarray:
-        """Full configuration (nq,) of the model for q (n,); joints off the path keep `rest` (default: the robot's)."""
-        full = (self.rest if rest is None else np.asarray(rest, dtype=float)).copy()
-        if full.shape != (self.model.nq,):
-            raise InvalidConfiguration(f"rest must have {self.model.nq} values for this model, not shape {full.shape}")
-        return self._fill(full, self.check_q(q))
-
-    def _fill(self, full: np.ndarray, q: np.ndarray) -> np.ndarray:
-        idx, circle = self._path.idx_q, self._path.circle
-        full[idx] = q
-        if circle.any():
-            full[idx[circle]] = np.cos(q[circle])
-            full[idx[circle] + 1] = np.sin(q[circle])
-        return full
-
-    def from_pinocchio(self, q_full: np.ndarray) -> np.ndarray:
-        """Return q (n,) of a full configuration (nq,); continuous joints come back as angles in -pi..pi."""
-        full = np.asarray(q_full, dtype=float)
-        if full.shape != (self.model.nq,):
-            raise InvalidConfiguration(
-                f"a full configuration of this model has {self.model.nq} values, not shape {full.shape}"
-            )
-        idx, circle = self._path.idx_q, self._path.circle
-        q = full[idx].copy()
-        q[circle] = np.arctan2(full[idx[circle] + 1], full[idx[circle]])
-        return q
-
     # ------------------------------------------------------------------------------------------------ kinematics
-    @property
-    def data(self) -> pin.Data:
-        """Pinocchio workspace of the calling thread."""
-        data = getattr(self._local, "data", None)
-        if data is None:
-            data = self._local.data = self.model.createData()
-        return data
-
     def fk(self, q: Any) -> pin.SE3:
         """T_base_tip: pose of the tip in the base frame [m], computed by Pinocchio."""
         return self._fk(self.check_q(q))
@@ -385,14 +316,8 @@ class Robot:
         """One line: name, path and joints."""
         return f"Robot('{self.name}', {self.base} -> {self.tip}, {self.n} joints: {', '.join(self.joint_names)})"
 
-    def _repr_html_(self) -> str:
-        """Joint table for notebooks."""
-        head = "<tr><th>joint</th><th>kind</th><th>lower</th><th>upper</th><th>home</th></tr>"
-        rows = "".join(
-            f"<tr><td>{j}</td><td>{k}</td><td>{a:.4g}</td><td>{b:.4g}</td><td>{h:.4g}</td></tr>"
-            for j, k, a, b, h in zip(self.joint_names, self.joint_kinds, self.lower, self.upper, self.home, strict=True)
-        )
-        return f"<b>{self.name}</b>: {self.base} &rarr; {self.tip}, reach {self.reach:.3g} m<table>{head}{rows}</table>"
+    def _route(self) -> str:
+        return f"{self.base} &rarr; {self.tip}, reach {self.reach:.3g} m"
 
 
 def _root(model: pin.Model) -> str:

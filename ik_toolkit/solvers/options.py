@@ -9,6 +9,7 @@ import numpy as np
 from ..errors import InvalidOption, near_match
 
 MAX_ITERATIONS = 1_000_000
+OBJECTIVES = {"mid-range": 1, "reference": 2, "manipulability": 3}  # numbers of kernel/refine.py
 
 
 @dataclass(frozen=True)
@@ -19,7 +20,9 @@ class Options:
     restarts: further descents from other starts (None: the solver's own). max_evaluations: budget of FK evaluations over
     all descents. seed: of the random starts. limits: keep joints inside their limits. q0_outside: 'clamp' (with a notice) or
     'refuse'. mask: six weights x, y, z, rx, ry, rz (0 = free) in mask_frame 'base' or 'tip'. joint_weights (n,): how freely
-    each joint moves (1 = as usual, 0 = not at all). history: keep errors and q of every evaluation. check: re-check with
+    each joint moves (1 = as usual, 0 = not at all). closest: of several solutions return the one nearest q0. objective: for
+    redundant tasks, what to improve in the null space once solved: 'mid-range', 'reference' (near q0) or 'manipulability'.
+    history: keep errors and q of every evaluation. check: re-check with
     Pinocchio.
     """
 
@@ -34,6 +37,8 @@ class Options:
     mask: tuple[float, ...] | None = None
     mask_frame: str = "base"
     joint_weights: tuple[float, ...] | None = None
+    closest: bool = False
+    objective: str | None = None
     history: bool = False
     check: bool = True
 
@@ -62,7 +67,9 @@ def make_options(given: dict[str, Any]) -> Options:
                 raise InvalidOption(
                     f"max_iterations is at most {MAX_ITERATIONS}, not {value}; use restarts for longer searches"
                 )
-        elif name in ("limits", "history", "check"):
+        elif name == "objective" and value is not None and value not in OBJECTIVES:
+            raise InvalidOption(f"objective must be one of {', '.join(OBJECTIVES)}, not {value!r}")
+        elif name in ("limits", "history", "check", "closest"):
             values[name] = bool(value)
         elif name == "q0_outside" and value not in ("clamp", "refuse"):
             raise InvalidOption(f"q0_outside must be 'clamp' or 'refuse', not {value!r}")

@@ -37,6 +37,17 @@ ADVICE = {
 }
 
 
+# A closed form knows every branch, so what it says is proven. An answer that breaks a limit was put on it.
+CLOSED_FORM_SAYS = {
+    Status.CONVERGED: "closed form, the legal branch nearest q0; evaluated to {left}",
+    Status.UNREACHABLE: "the target is out of reach by {beyond} (exact); closest {left}; move the target inside the reach",
+    Status.LIMIT_BLOCKED: (
+        "the target is in reach but every branch breaks a joint limit, the best one at {joints}; held there it is {left} "
+        "away; widen the limits or move the target"
+    ),
+}
+
+
 class Result:
     """Answer of one solve (read-only).
 
@@ -130,7 +141,7 @@ class Result:
     @property
     def message(self) -> str:
         """One sentence on how the solve ended and, on failure, what to try."""
-        return self._solver.sentence(self)
+        return sentence(self)
 
     def raise_for_status(self) -> "Result":
         """Return self, or raise NotSolved with the sentence when the solve failed."""
@@ -171,3 +182,38 @@ class Result:
             f"<tr><td>{j}</td><td>{x:.6f}</td></tr>" for j, x in zip(self.robot.joint_names, self.q, strict=True)
         )
         return f"<b style='color:{colour}'>{self.status.name}</b> {self.message}<table>{cells}</table>"
+
+
+def sentence(result: Result) -> str:
+    """One sentence on how a result ended and what to try."""
+    row, status = result._row, result.status
+    left = f"{1000 * result.position_error:.3g} mm"
+    if result.orientation_error is not None:
+        left += f", {np.degrees(result.orientation_error):.3g} deg"
+    starts = int(row[2]) + 1
+    if result._solver.row.closed and status in CLOSED_FORM_SAYS:
+        joints = ", ".join(result.limited_joints)
+        return CLOSED_FORM_SAYS[status].format(left=left, joints=joints, beyond=f"{1000 * row[7]:.4g} mm")
+    if status == Status.CONVERGED:
+        text = f"converged in {result.iterations} iterations to {left}"
+        if result.restarts:
+            text += f" after {result.restarts} restarts"
+        return text
+    if status == Status.UNREACHABLE:
+        text = f"the target is beyond reach by {1000 * row[7]:.4g} mm (a bound from the link lengths); closest {left}"
+    elif status == Status.STALLED and starts > 1:
+        text = f"closest {left} after {starts} starts; the target may be unreachable"
+    elif status == Status.STALLED:
+        text = f"no further progress at {left}: a local minimum of the error"
+    elif status == Status.LIMIT_BLOCKED:
+        joints = ", ".join(result.limited_joints)
+        text = f"joint limits ({joints}) block the way to the target; closest {left} after {starts} start{'s' * (starts > 1)}"
+    elif status == Status.ITERATION_LIMIT:
+        text = f"{left} away after {result.iterations} iterations"
+    elif status == Status.SINGULAR:
+        text = f"singular: no joint motion reduces the error to first order (J'e = 0, or J has no inverse); {left} away"
+    elif status == Status.NOT_FINITE:
+        text = "the iteration left the finite numbers; best configuration returned"
+    else:
+        text = "the kernel reports success but Pinocchio's own kinematics do not confirm it"
+    return f"{text}; {ADVICE[status]}"

@@ -10,11 +10,10 @@ from typing import Any
 import numpy as np
 
 from ..errors import InvalidConfiguration, InvalidOption, InvalidTarget
+from ..kernel.checks import BAD_TARGET
 from ..kernel.loop import (
-    BAD_TARGET,
-    MASK_BASE,
-    MASK_TIP,
     O_C,
+    O_CLOSEST,
     O_DESCENTS,
     O_EVALUATIONS,
     O_GIVEN,
@@ -28,28 +27,22 @@ from ..kernel.loop import (
     O_W,
     OPT_HEAD,
     OUT_HEAD,
-    POSE,
-    POSITION,
+    R_POSITION,
+    R_ROTATION,
     entry,
 )
-from ..robot.pose import check_target
+from ..kernel.task import AXIS, MASK_BASE, MASK_TIP, POSE, POSITION
+from ..robot.pose import AxisTarget, check_target, masked_errors
 from ..robot.robot import Robot
 from .closed_form import fits
-from .options import Options, make_options
+from .options import OBJECTIVES, Options, make_options
 from .registry import find_row, make_rule
-from .result import ADVICE, Result, Status
+from .result import Result, Status
 
 MARGIN = 1.0 - 1e-9  # the kernel tests a little inside the tolerance, so that Pinocchio's rounding cannot disagree
+CLOSEST = 16  # solutions to compare when the one nearest q0 is asked for
+REFINE_STEPS = 60
 NEVER = (np.inf, 1.0, np.inf, 1.0)
-# A closed form knows every branch, so what it says is proven. An answer that breaks a limit was put on it.
-CLOSED_FORM_SAYS = {
-    Status.CONVERGED: "closed form, the legal branch nearest q0; evaluated to {left}",
-    Status.UNREACHABLE: "the target is out of reach by {beyond} (exact); closest {left}; move the target inside the reach",
-    Status.LIMIT_BLOCKED: (
-        "the target is in reach but every branch breaks a joint limit, the best one at {joints}; held there it is {left} "
-        "away; widen the limits or move the target"
-    ),
-}
 EXACT = {  # options that a closed form honours or has no use for; 'auto' takes 'lm' when any other is given
     "tolerance", "position_tolerance", "orientation_tolerance", "max_iterations", "max_evaluations", "restarts", "seed",
     "limits", "q0_outside", "history", "check",
@@ -94,10 +87,10 @@ class Solver:
         self._home = self.robot.home.reshape(1, -1).copy()
         self._silent = np.empty((0, 2 + chain.n))
         self._lower, self._upper = self.robot.lower, self.robot.upper
-        self._packed: dict[tuple[int, bool], np.ndarray] = {}
+        self._packed: dict[tuple[Any, bool], np.ndarray] = {}
 
     # ------------------------------------------------------------------------------------------------ preparation
-    def pack(self, kind: int, given: bool) -> np.ndarray:
+    def pack(self, kind: Any, given: bool) -> np.ndarray:
         """Option array of the kernel for a kind of target, with or without a start given."""
         key = (kind, given)
         packed = self._packed.get(key)
@@ -105,13 +98,20 @@ class Solver:
             packed = self._packed[key] = self._pack(kind, given)
         return packed
 
-    def _pack(self, kind: int, given: bool) -> np.ndarray:
+    def _pack(self, kind: Any, given: bool) -> np.ndarray:
         o, row, n = self.options, self.row, self.robot.n
+        head = np.zeros(OPT_HEAD)
+        if isinstance(kind, tuple):  # AXIS and the axis in the tip frame; the kernel wants it in the last joint's
+            head[O_W : O_W + 3] = self.robot.chain.ends[12:21].reshape(3, 3) @ kind[1]
+            kind = kind[0]
+        if row.closed and (o.mask is not None or o.closest or kind == AXIS):
+            raise InvalidOption(f"solver '{row.name}' is a closed form and takes no mask, axis or closest; use 'lm'")
+        if kind == AXIS and o.mask is not None:
+            raise InvalidOption("a mask and an axis target cannot be combined: the axis already frees one turn")
         if (kind == POSITION and not row.position) or (kind == POSE and not row.pose):
             raise InvalidOption(
                 f"solver '{row.name}' does not solve {'positions' if kind == POSITION else 'poses'}: {row.handles}"
             )
-        head = np.zeros(OPT_HEAD)
         head[O_TOL_P] = o.position_tolerance * MARGIN
         head[O_TOL_R] = o.orientation_tolerance * MARGIN
         descents = row.descents if o.restarts is None else o.restarts + 1
@@ -122,8 +122,6 @@ class Solver:
         give_up = row.give_up if row.give_up and descents > 1 and o.max_iterations is None else NEVER
         head[O_C : O_C + 4] = give_up
         if o.mask is not None:
-            if row.closed:
-                raise InvalidOption(f"solver '{row.name}' is a closed form and takes no mask; use 'lm'")
             kind = MASK_BASE if o.mask_frame == "base" else MASK_TIP
             head[O_W : O_W + 6] = o.mask
         head[O_KIND] = kind
@@ -131,6 +129,7 @@ class Solver:
         head[O_LIMITS] = float(o.limits)
         head[O_SEED] = o.seed
         head[O_HOLD] = float(row.hold)
+        head[O_CLOSEST] = CLOSEST if o.closest else 0
         weights = np.ones(n) if o.joint_weights is None else np.array(o.joint_weights)
         check = getattr(self.rule, "check", None)
         if check is not None:
@@ -192,8 +191,10 @@ class Solver:
         result.notice = notice
         if self.options.history:
             self._record(result, T, kind, start, q0 is not None)
+        if self.options.objective is not None and result.success:
+            self._refine(row, T, kind, start, q0 is not None)
         if self.options.check:
-            self._check(result, T[0] if kind == POSE else T[0, :3, 3])
+            self._check(result, target if isinstance(kind, tuple) else T[0] if kind == POSE else T[0, :3, 3])
             result.elapsed = perf_counter() - started
         return result
 
@@ -210,13 +211,28 @@ class Solver:
         history = history[: int(out[0, 6])]
         result._history = {"position_error": history[:, 0], "orientation_error": history[:, 1], "q": history[:, 2:]}
 
-    def _check(self, result: Result, target: np.ndarray) -> None:
+    def _refine(self, row: np.ndarray, T: np.ndarray, kind: Any, start: np.ndarray, given: bool) -> None:
+        """Improve a solution in the null space; q and its errors are replaced by better ones that were evaluated."""
+        from ..kernel.refine import refine
+
+        report = np.zeros(5)
+        q = row[OUT_HEAD:]
+        what = OBJECTIVES[self.options.objective or ""]
+        refine(*self._chain[:2], T, q, start[0], self.pack(kind, given), what, REFINE_STEPS, report)
+        if report[2] > 0:
+            row[R_POSITION], row[R_ROTATION] = report[3], report[4]
+
+    def _check(self, result: Result, target: Any) -> None:
         """Compute the errors again with Pinocchio; a success it does not confirm is no success."""
-        if self.options.mask is not None:
-            return
-        position, orientation = self.robot.errors(result.q, target)
-        result._checked = (position, orientation)
         o = self.options
+        if o.mask is not None:
+            T = self.robot.fk(result.q)
+            position, orientation = masked_errors(T.homogeneous, target, o.mask, o.mask_frame)
+        elif isinstance(target, AxisTarget):
+            position, orientation = target.errors(self.robot.fk(result.q).homogeneous)
+        else:
+            position, orientation = self.robot.errors(result.q, target)
+        result._checked = (position, orientation)
         if result.success and not (
             position <= o.position_tolerance and (orientation or 0.0) <= o.orientation_tolerance
         ):
@@ -231,46 +247,11 @@ class Solver:
         self.__dict__.update(state)
         self._bind()
 
-    # ------------------------------------------------------------------------------------------------ words
-    def sentence(self, result: Result) -> str:
-        """One sentence on how a result ended and what to try."""
-        row, status = result._row, result.status
-        left = f"{1000 * result.position_error:.3g} mm"
-        if result.orientation_error is not None:
-            left += f", {np.degrees(result.orientation_error):.3g} deg"
-        starts = int(row[2]) + 1
-        if self.row.closed and status in CLOSED_FORM_SAYS:
-            joints = ", ".join(result.limited_joints)
-            return CLOSED_FORM_SAYS[status].format(left=left, joints=joints, beyond=f"{1000 * row[7]:.4g} mm")
-        if status == Status.CONVERGED:
-            text = f"converged in {result.iterations} iterations to {left}"
-            if result.restarts:
-                text += f" after {result.restarts} restarts"
-            return text
-        if status == Status.UNREACHABLE:
-            text = (
-                f"the target is beyond reach by {1000 * row[7]:.4g} mm (a bound from the link lengths); closest {left}"
-            )
-        elif status == Status.STALLED and starts > 1:
-            text = f"closest {left} after {starts} starts; the target may be unreachable"
-        elif status == Status.STALLED:
-            text = f"no further progress at {left}: a local minimum of the error"
-        elif status == Status.LIMIT_BLOCKED:
-            joints = ", ".join(result.limited_joints)
-            text = f"joint limits ({joints}) block the way to the target; closest {left} after {starts} start{'s' * (starts > 1)}"
-        elif status == Status.ITERATION_LIMIT:
-            text = f"{left} away after {result.iterations} iterations"
-        elif status == Status.SINGULAR:
-            text = f"singular: no joint motion reduces the error to first order (J'e = 0, or J has no inverse); {left} away"
-        elif status == Status.NOT_FINITE:
-            text = "the iteration left the finite numbers; best configuration returned"
-        else:
-            text = "the kernel reports success but Pinocchio's own kinematics do not confirm it"
-        return f"{text}; {ADVICE[status]}"
 
-
-def _as_pose(target: Any) -> tuple[np.ndarray, int, str]:
-    """Any target -> (1, 4, 4), kind and notice."""
+def _as_pose(target: Any) -> tuple[np.ndarray, Any, str]:
+    """Any target -> (1, 4, 4), kind (a pair with the axis for AXIS) and notice."""
+    if isinstance(target, AxisTarget):
+        return target.T_base_tip[None], (AXIS, target.axis), ""
     if isinstance(target, str):
         raise InvalidTarget(f"a target is a pose or a position, not the text {target!r}")
     checked, notice = check_target(target)
@@ -288,7 +269,7 @@ def bound(robot: Robot, solver: Any, options: dict[str, Any]) -> Solver:
     """Return a Solver for these arguments, the same one each time they can be hashed."""
     cache = robot.__dict__.setdefault("_solvers", {})
     try:
-        key = (solver, *options.items())
+        key = (type(solver), solver, *options.items())  # the type too: named tuples of equal numbers are equal
         found = cache.get(key)
     except TypeError:  # a parameter that cannot be hashed, such as a matrix
         return Solver(robot, solver, **options)
@@ -302,6 +283,8 @@ def bound(robot: Robot, solver: Any, options: dict[str, Any]) -> Solver:
 
 def automatic(robot: Robot, target: Any, options: dict[str, Any]) -> str:
     """Name of the solver that 'auto' stands for: a closed form where one fits and no preference is given, else 'lm'."""
+    if isinstance(target, AxisTarget):
+        return "lm"
     shape = getattr(target, "shape", (len(target),) if isinstance(target, list | tuple) else ())
     position = tuple(shape) == (3,)
     return (options.keys() <= EXACT and fits(robot, POSITION if position else POSE)) or "lm"
@@ -310,10 +293,11 @@ def automatic(robot: Robot, target: Any, options: dict[str, Any]) -> str:
 def solve(robot: Robot, target: Any, solver: Any = "auto", q0: Any = None, **options: Any) -> Result:
     """Find joint values that bring the tip to the target.
 
-    target: T_base_tip (4, 4) or pin.SE3, or a position (3,) with orientation free [m]. solver: a name, a rule class or an
-    instance with its parameters; 'auto' uses a closed form where one fits and 'lm' otherwise. q0 (n,): where to start, default
-    home. Options: tolerance (both), position_tolerance [m], orientation_tolerance [rad], max_iterations, restarts,
-    max_evaluations, seed, limits, q0_outside, mask, mask_frame, joint_weights, history; parameters of the solver too. Success is
+    target: T_base_tip (4, 4) or pin.SE3, a position (3,) with orientation free [m], or an AxisTarget (see `pose`). solver: a
+    name, a rule class or an instance with its parameters; 'auto' uses a closed form where one fits and 'lm' otherwise. q0
+    (n,): where to start, default home. closest=q_ref (n,): of several solutions the one nearest to it. Options, see `Options`:
+    tolerance (both), position_tolerance [m], orientation_tolerance [rad], max_iterations, restarts, max_evaluations, seed,
+    limits, q0_outside, mask, mask_frame, joint_weights, objective, history; and the parameters of the solver. Success is
     re-checked with Pinocchio. Raises InvalidTarget, InvalidConfiguration, UnknownSolver, InvalidOption.
     """
     if not isinstance(robot, Robot):
@@ -321,4 +305,8 @@ def solve(robot: Robot, target: Any, solver: Any = "auto", q0: Any = None, **opt
     if solver == "auto" if isinstance(solver, str) else solver is None:
         solver = automatic(robot, target, options)
     options.setdefault("check", True)
+    if "closest" in options and not isinstance(options["closest"], bool | np.bool_):
+        if q0 is not None:
+            raise InvalidOption("give closest=q_ref or q0, not both: the search starts at q_ref")
+        q0, options["closest"] = options["closest"], True
     return bound(robot, solver, options)(target, q0)

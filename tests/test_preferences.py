@@ -1,0 +1,172 @@
+"""Preferences: each has a test that fails when the preference is ignored."""
+
+import numpy as np
+import pinocchio as pin
+import pytest
+import robots
+
+import ik_toolkit as ik
+from ik_toolkit import errors
+
+
+def manipulability(robot, q):
+    J = robot.jacobian(q)
+    return np.sqrt(np.linalg.det(J @ J.T))
+
+
+def mid_range(robot, q):
+    span = robot.upper - robot.lower
+    return 0.5 * np.sum(((q - 0.5 * (robot.lower + robot.upper)) / span) ** 2)
+
+
+def null_step(robot, q, size):
+    """q moved along the self-motion of a 7-joint arm by about `size`, and brought back onto the pose."""
+    direction = np.linalg.svd(robot.jacobian(q))[2][-1]
+    moved = ik.solve(robot, robot.fk(q), "dls", q0=q + size * direction, tolerance=1e-10)
+    return moved.q if moved.success else None
+
+
+@pytest.mark.parametrize(
+    ("objective", "cost"), [("mid-range", mid_range), ("manipulability", lambda r, q: -np.log(manipulability(r, q)))]
+)
+def test_objectives_reach_a_minimum_of_the_self_motion(objective, cost):
+    robot = robots.load("inspection_7dof")
+    _, T = robots.sample(robot, 12, seed=31)
+    better, still = 0, 0
+    for target in T:
+        plain = ik.solve(robot, target, "lm")
+        result = ik.solve(robot, target, "lm", objective=objective)
+        assert result.success and robot.outside(result.q) == []
+        assert robot.errors(result.q, target)[0] <= 1e-6
+        before, after = cost(robot, plain.q), cost(robot, result.q)
+        assert after <= before + 1e-9
+        better += after < before - 1e-3
+        if not result.limited_joints:
+            for size in (-0.02, 0.02):
+                other = null_step(robot, result.q, size)
+                if other is not None and robot.outside(other) == []:
+                    assert cost(robot, other) > after - 1e-5
+                    still += 1
+    assert better >= 8 and still >= 6
+
+
+def test_reference_objective_pulls_towards_q0():
+    robot = robots.load("inspection_7dof")
+    Q, T = robots.sample(robot, 20, seed=32)
+    closer = 0
+    for q, target in zip(Q, T, strict=True):
+        q0 = np.clip(q + 0.2, robot.lower, robot.upper)
+        plain = ik.solve(robot, target, "lm", q0=q0)
+        pulled = ik.solve(robot, target, "lm", q0=q0, objective="reference")
+        span = robot.upper - robot.lower
+        a, b = (np.linalg.norm((x.q - q0) / span) for x in (plain, pulled))
+        assert pulled.success and b <= a + 1e-9
+        closer += b < a - 1e-4
+    assert closer >= 10
+
+
+def test_closest_is_nearest_among_all_branches():
+    robot = robots.load("locked")  # six joints: isolated solutions, all known from the closed form
+    Q, T = robots.sample(robot, 40, seed=33)
+    rng = np.random.default_rng(0)
+    nearest, ignored = 0, 0
+    for target in T:
+        every = ik.solve_all(robot, target)
+        reference = robot.random_q(rng)
+        best = min(np.linalg.norm(q - reference) for q in every)
+        found = ik.solve(robot, target, "lm", closest=reference)
+        assert found.success
+        nearest += np.linalg.norm(found.q - reference) < best + 1e-3
+        ignored += np.linalg.norm(ik.solve(robot, target, "lm").q - reference) < best + 1e-3
+    assert nearest >= 36
+    assert ignored < nearest - 5
+
+
+def test_closest_keeps_a_solved_reference():
+    robot = robots.load("hydrolek_7w")
+    q = robot.random_q(np.random.default_rng(3))
+    result = ik.solve(robot, robot.fk(q), closest=q)
+    assert np.allclose(result.q, q, atol=1e-6)
+    with pytest.raises(errors.InvalidOption, match="not both"):
+        ik.solve(robot, robot.fk(q), closest=q, q0=q)
+
+
+@pytest.mark.parametrize("name", ["hydrolek_7w", "inspection_7dof", "slides_mix"])
+@pytest.mark.parametrize("solver", ["lm", "dls", "transpose"])
+def test_axis_targets_leave_the_turn_free(name, solver):
+    robot = robots.load(name)
+    rng = np.random.default_rng(8)
+    axis = np.array([0.3, -0.5, 0.8])
+    turned, tried = 0, 0
+    for _ in range(8):
+        q = robot.random_q(rng)
+        T = robot.fk(q)
+        target = ik.pose(T.translation, axis=axis, direction=T.rotation @ axis)
+        result = ik.solve(robot, target, solver, q0=np.clip(q + 0.1, robot.lower, robot.upper), tolerance=1e-5)
+        if solver == "lm":
+            assert result.success
+        if result.success:
+            at = robot.fk(result.q)
+            assert np.linalg.norm(at.translation - T.translation) <= 1e-5
+            unit = axis / np.linalg.norm(axis)
+            assert np.arccos(min(1.0, unit @ at.rotation.T @ T.rotation @ unit)) <= 1.1e-5
+            turned += np.linalg.norm(pin.log3(at.rotation.T @ T.rotation)) > 1e-3
+            tried += 1
+    assert tried >= 4 and turned >= tried // 2  # a full-pose solver would not have turned
+
+
+def test_opposite_axis_is_left():
+    robot = robots.load("hydrolek_7w")
+    T = robot.fk(robot.home)
+    target = ik.pose(T.translation, direction=-T.rotation[:, 2])
+    result = ik.solve(robot, target, "dls", q0=robot.home, limits=False, max_iterations=200)
+    assert result.iterations > 0 and result.orientation_error < 3.0
+
+
+@pytest.mark.parametrize("mask", [(1, 1, 1, 0, 0, 0), (1, 1, 0, 0, 0, 1), (0, 0, 0, 1, 1, 1), (1, 0, 1, 1, 0, 1)])
+@pytest.mark.parametrize("frame", ["base", "tip"])
+def test_masks_count_only_what_they_name(mask, frame):
+    robot = robots.load("inspection_7dof")
+    _, T = robots.sample(robot, 10, seed=34)
+    free = 0
+    for target in T:
+        result = ik.solve(robot, target, mask=mask, mask_frame=frame)
+        assert result.success
+        at = robot.fk(result.q)
+        R = np.eye(3) if frame == "base" else at.rotation.T
+        e = np.concatenate([R @ (target[:3, 3] - at.translation), R @ pin.log3(target[:3, :3] @ at.rotation.T)])
+        w = np.array(mask)
+        assert np.linalg.norm((w * e)[:3]) <= 1e-6 and np.linalg.norm((w * e)[3:]) <= 1e-6
+        free += np.abs((1 - w) * e).max() > 1e-3
+    assert free >= 8
+
+
+def test_weights_of_a_mask_scale_the_error():
+    robot = robots.load("hydrolek_7w")
+    T = robot.fk(robot.home + 0.1).homogeneous
+    loose = ik.solve(robot, T, "lm", mask=(1e-3, 1e-3, 1e-3, 0, 0, 0), q0=robot.home, tolerance=1e-5)
+    assert loose.success
+    assert 1e-5 < np.linalg.norm(robot.fk(loose.q).translation - T[:3, 3]) <= 1.01e-2
+
+
+def test_joint_weights_share_the_motion():
+    robot = robots.load("inspection_7dof")
+    q = robot.home.copy()
+    target = robot.fk(q + 0.05)
+    free = ik.solve(robot, target, "lm", q0=q, restarts=0)
+    heavy = ik.solve(robot, target, "lm", q0=q, restarts=0, joint_weights=(1, 1e-6, 1, 1, 1, 1, 1))
+    assert heavy.success and free.success
+    assert abs(heavy.q[1] - q[1]) < 0.01 * abs(free.q[1] - q[1]) + 1e-9
+
+
+def test_closed_forms_refuse_preferences():
+    robot = robots.load("planar_2r")
+    with pytest.raises(errors.InvalidOption, match="closed form"):
+        ik.solve(robot, (1.0, 0.5, 0.0), "planar-2r", closest=[0.1, 0.2])
+    assert ik.solve(robot, (1.0, 0.5, 0.0), closest=[0.1, 0.2]).solver == "lm"
+
+
+def test_objective_must_exist():
+    robot = robots.load("hydrolek_7w")
+    with pytest.raises(errors.InvalidOption, match="mid-range"):
+        ik.solve(robot, robot.fk(robot.home), objective="middle")
