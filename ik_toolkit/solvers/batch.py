@@ -8,7 +8,9 @@ from typing import Any
 import numpy as np
 
 from ..errors import InvalidConfiguration, InvalidOption, InvalidTarget
-from ..kernel.loop import BAD_TARGET, OUT_HEAD, POSE, POSITION
+from ..kernel.loop import OUT_HEAD
+from ..kernel.checks import BAD_TARGET
+from ..kernel.task import POSE, POSITION
 from ..robot.pose import check_target
 from ..robot.robot import Robot
 from .result import Status
