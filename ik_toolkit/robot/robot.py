@@ -159,7 +159,7 @@ class Robot(Joints):
         self.rest[j.idx_q : j.idx_q + j.nq] = (np.cos(value), np.sin(value)) if j.nq == 2 else value
         self.locked_joints[joint] = value
 
-    def _build(self, home: Sequence[float] | None) -> None:
+    def _build(self, home: Sequence[float] | np.ndarray | None) -> None:
         self.__dict__.pop("_solvers", None)  # a copy must not use solvers bound to the original's chain
         model = self.model
         base_id, tip_id = self._frame_id(self.base), self._frame_id(self.tip)
@@ -234,6 +234,14 @@ class Robot(Joints):
         return ends[24 + 4 * n : 24 + 5 * n] * self.chain.unit, ends[24 + 5 * n : 24 + 6 * n] * self.chain.unit
 
     # ------------------------------------------------------------------------------------------------ kinematics
+    @property
+    def data(self) -> pin.Data:
+        """Pinocchio workspace of the calling thread."""
+        data = getattr(self._local, "data", None)
+        if data is None:
+            data = self._local.data = self.model.createData()
+        return data
+
     def fk(self, q: Any) -> pin.SE3:
         """T_base_tip: pose of the tip in the base frame [m], computed by Pinocchio."""
         return self._fk(self.check_q(q))

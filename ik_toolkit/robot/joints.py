@@ -1,0 +1,99 @@
+"""Named joint values with limits: what a robot with one tip and a tree with several have in common."""
+
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from ..errors import InvalidConfiguration
+from .probe import Path
+
+
+class Joints:
+    """Coordinates q (n,) of a model: names, kinds, limits, home, and their places in the model's full configuration."""
+
+    name: str
+    model: pin.Model
+    joint_names: tuple[str, ...]
+    joint_kinds: tuple[str, ...]
+    lower: np.ndarray
+    upper: np.ndarray
+    home: np.ndarray
+    velocity_limits: np.ndarray
+    rest: np.ndarray
+    _path: Path
+    _sampling: Any  # low and span (n,) of random q
+
+    def _route(self) -> str:
+        """Where the joints lead, for people."""
+        raise NotImplementedError
+
+    @property
+    def n(self) -> int:
+        """Number of coordinates in q."""
+        return len(self.joint_names)
+
+    def check_q(self, q: Any, name: str = "q") -> np.ndarray:
+        """Return q as a float64 copy (n,); raises InvalidConfiguration when it has the wrong size or is not finite."""
+        try:
+            array = np.array(q, dtype=float)
+        except (TypeError, ValueError):
+            raise InvalidConfiguration(f"{name} must be {self.n} numbers, not {q!r}") from None
+        if array.shape != (self.n,):
+            raise InvalidConfiguration(
+                f"{name} must have {self.n} values, one per joint ({', '.join(self.joint_names)}); got shape {array.shape}"
+            )
+        if not np.isfinite(array).all():
+            bad = ", ".join(j for j, x in zip(self.joint_names, array, strict=True) if not np.isfinite(x))
+            raise InvalidConfiguration(f"{name} is not finite at joint {bad}")
+        return array
+
+    def outside(self, q: np.ndarray) -> list[str]:
+        """Names of the joints whose value lies outside its limits."""
+        return [j for j, x, a, b in zip(self.joint_names, q, self.lower, self.upper, strict=True) if not a <= x <= b]
+
+    def at_limits(self, q: np.ndarray) -> list[str]:
+        """Names of the joints that stand on a limit (within 1e-9)."""
+        near = (q - self.lower <= 1e-9) | (self.upper - q <= 1e-9)
+        return [j for j, hit in zip(self.joint_names, near, strict=True) if hit]
+
+    def random_q(self, rng: np.random.Generator) -> np.ndarray:
+        """Uniform random q (n,) inside the limits (one turn, or one reach, where there are none)."""
+        low, span = self._sampling
+        return (low + span * rng.random(self.n)).clip(self.lower, self.upper)
+
+    def to_pinocchio(self, q: Any, rest: np.ndarray | None = None) -> np.ndarray:
+        """Full configuration (nq,) of the model for q (n,); joints off the path keep `rest` (default: the robot's)."""
+        full = (self.rest if rest is None else np.asarray(rest, dtype=float)).copy()
+        if full.shape != (self.model.nq,):
+            raise InvalidConfiguration(f"rest must have {self.model.nq} values for this model, not shape {full.shape}")
+        return self._fill(full, self.check_q(q))
+
+    def _fill(self, full: np.ndarray, q: np.ndarray) -> np.ndarray:
+        idx, circle = self._path.idx_q, self._path.circle
+        full[idx] = q
+        if circle.any():
+            full[idx[circle]] = np.cos(q[circle])
+            full[idx[circle] + 1] = np.sin(q[circle])
+        return full
+
+    def from_pinocchio(self, q_full: np.ndarray) -> np.ndarray:
+        """Return q (n,) of a full configuration (nq,); continuous joints come back as angles in -pi..pi."""
+        full = np.asarray(q_full, dtype=float)
+        if full.shape != (self.model.nq,):
+            raise InvalidConfiguration(
+                f"a full configuration of this model has {self.model.nq} values, not shape {full.shape}"
+            )
+        idx, circle = self._path.idx_q, self._path.circle
+        q = full[idx].copy()
+        q[circle] = np.arctan2(full[idx[circle] + 1], full[idx[circle]])
+        return q
+
+    def _repr_html_(self) -> str:
+        """Joint table for notebooks."""
+        head = "<tr><th>joint</th><th>kind</th><th>lower</th><th>upper</th><th>home</th></tr>"
+        rows = "".join(
+            f"<tr><td>{j}</td><td>{k}</td><td>{a:.4g}</td><td>{b:.4g}</td><td>{h:.4g}</td></tr>"
+            for j, k, a, b, h in zip(self.joint_names, self.joint_kinds, self.lower, self.upper, self.home, strict=True)
+        )
+        return f"<b>{self.name}</b>: {self._route()}<table>{head}{rows}</table>"
