@@ -113,5 +113,7 @@ def test_mistakes_are_typed():
         st.mapping_matrix("ca", 0.1, kp=1.0)
     with pytest.raises(InvalidOption, match="Did you mean 'aad'"):
         st.mapping_matrix("aadd", 0.1)
+    with pytest.raises(InvalidOption, match=r"no gain 'kapa'\. Did you mean 'kappa'"):
+        st.check_gains("cv", 0.1, kapa=1.0)
     with pytest.raises(InvalidOption, match="sample time"):
         st.check_gains("cv", 0.0, kappa=1.0)

@@ -208,7 +208,7 @@ def _reference(
         normal = (0.0, 0.0, 1.0) if direction is None else direction.tolist()
         return shapes.circle(at, radius, normal=normal, turns=turns_ or 1.0, duration=duration, law=law or "constant")
     if path == "eight":
-        cycles = np.array([1.0, 2.0, 1.0]) * (turns_ or 1.0)
+        cycles = [(turns_ or 1.0) * k for k in (1.0, 2.0, 1.0)]
         amplitudes = (radius, 0.5 * radius, 0.0)
         return shapes.lissajous(at, amplitudes, cycles=cycles, duration=duration, law=law or "constant")
     if end is not None:

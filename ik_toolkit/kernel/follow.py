@@ -7,8 +7,9 @@ import numpy as np
 
 from .jit import cached, kernel_stamp, source_file
 from .kinematics import aim, angle_ratio, columns, error, fk
-from .loop import E_VECTORS, RULES, SWEEPS, Step, Sweep, measure, shape_columns, step
+from .loop import E_VECTORS, RULES, SWEEPS, Step, Sweep, measure, step
 from .motion import advance, apply, command, ease, factor, fastest, jacobian_rate, prepare, settle, to_local
+from .task import shape_columns
 
 
 @functools.cache

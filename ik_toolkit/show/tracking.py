@@ -13,7 +13,7 @@ from ..tracking.result import TrackResult
 # Okabe and Ito (2008): colours that stay apart for colour-blind readers.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000", "#8C8C8C")
 FLOOR = 1e-12  # [m, rad] errors below are drawn here: a logarithmic axis has no zero
-STYLE = {
+STYLE: Any = {
     "font.size": 9,
     "axes.titlesize": 9.5,
     "axes.spines.top": False,

@@ -76,7 +76,7 @@ class RuleSteps:
 
     def run(self, T, V, A, h, m, brake, runaway, limits, q, rate, state, Q, R, E, C, D) -> int:
         """Take len(T) - 1 steps; V and A are not used."""
-        from ..kernel.loop import POSE, POSITION
+        from ..kernel.task import POSE, POSITION
 
         self._p[motion.P_RUNAWAY], self._p[motion.P_BRAKE] = runaway, brake
         opt = self.solver.pack(POSITION if m == 3 else POSE, True)

@@ -136,7 +136,7 @@ class Run(NamedTuple):
     gamma: float
     stopped: str
 
-    def between(self, system: System, path: Callable[[np.ndarray], np.ndarray], fractions: np.ndarray) -> np.ndarray:
+    def between(self, system: System, path: Callable[[float], np.ndarray], fractions: np.ndarray) -> np.ndarray:
         """Error norms (N, k) between samples, at the given fractions of a step, on the motion the method itself assumes."""
         h = self.t[1] - self.t[0]
         out = np.empty((len(self.t) - 1, len(fractions)))

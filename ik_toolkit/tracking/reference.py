@@ -277,7 +277,7 @@ def waypoints(
         raise InvalidOption("waypoints need either times= or duration=")
     if times is None:
         share = np.linalg.norm(np.diff(P, axis=0), axis=1) + RADIAN_AS_METRES * np.linalg.norm(turns, axis=1)
-        if not (share > 0.0).all():
+        if not (share > 1e-12).all():
             raise InvalidTarget(f"waypoints {int(np.argmin(share))} and {int(np.argmin(share)) + 1} are the same")
         t = np.concatenate([[0.0], np.cumsum(share)]) / share.sum() * _positive(duration or 0.0, "duration [s]")
     else:
@@ -397,7 +397,7 @@ def _read_csv(file: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
 
 def _read_npz(file: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
     try:
-        with np.load(file, allow_pickle=False) as data:
+        with file.open("rb") as stream, np.load(stream, allow_pickle=False) as data:
             found = {name: np.asarray(data[name], dtype=float) for name in ("t", "xyz", "quat_xyzw") if name in data}
             names = list(data)
     except (ValueError, TypeError) as error:

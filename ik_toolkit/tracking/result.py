@@ -84,12 +84,9 @@ class TrackResult:
             optional = {"orientation_error": self.orientation_error, "between_orientation": self.between_orientation}
             optional["between_position"] = self.between_position
             names = ("t", "q", "rate", "xyz", "target_xyz", "position_error", "limited", "damped")
-            np.savez_compressed(
-                file,
-                joint_names=np.array(self.joint_names),
-                **{name: getattr(self, name) for name in names},
-                **{name: array for name, array in optional.items() if array is not None},
-            )
+            arrays: dict[str, Any] = {name: getattr(self, name) for name in names}
+            arrays |= {name: array for name, array in optional.items() if array is not None}
+            np.savez_compressed(file, joint_names=np.array(self.joint_names), **arrays)
         elif file.suffix.lower() == ".csv":
             head = ["t", *(f"q_{j}" for j in self.joint_names), "x", "y", "z", "position_error"]
             parts = [self.t[:, None], self.q, self.xyz, self.position_error[:, None]]

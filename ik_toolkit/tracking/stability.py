@@ -18,7 +18,8 @@ import numpy as np
 
 from ..errors import InvalidOption, near_match
 
-METHODS = ("cv", "av", "ca", "aa", "aad")
+GAINS = {"cv": ("kappa",), "av": (), "ca": ("kp", "kd"), "aa": (), "aad": ("gamma",)}  # of each method
+METHODS = tuple(GAINS)
 GAMMA = 0.6  # default of aad: eigenvalue 1 - 1/gamma = -2/3
 BORDER = 1e-9  # relative distance to the border within which a gain set is called marginal
 
@@ -159,7 +160,10 @@ def check_gains(method: str, h: float, **gains: float) -> GainCheck:
     The verdict comes from the closed-form region, the radius from the eigenvalues. Raises InvalidOption on a gain the
     method does not have or lacks.
     """
-    radius = spectral_radius(mapping_matrix(method, h, **gains))
+    for name in gains:
+        if name not in GAINS.get(method, (name,)):
+            raise InvalidOption(f"{method} has no gain '{name}'.{near_match(name, GAINS[method])}")
+    radius = spectral_radius(mapping_matrix(method, h, dof=1, **gains))
     best = best_gains(method, h)
     longest = longest_step(method, **gains)
     if method == "cv":

@@ -1,0 +1,193 @@
+"""Patko and Zelei (2019): settled errors, orders, growth and the report, against an independent implementation."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ik_toolkit.papers import patko_2019 as paper
+from ik_toolkit.tracking import stability as st
+from ik_toolkit.tracking.methods import simulate
+
+ORACLE = json.loads((Path(__file__).parent / "data" / "tracking.json").read_text())
+# Case and gain set of each of the oracle's runs; there `aad` has gamma 1.
+SETS = {
+    "1dof": "1-DoF",
+    "PP_unstable": "PP bad",
+    "PP_stable": "PP good",
+    "RR_unstable": "RR bad",
+    "RR_stable": "RR good",
+}
+RUNS = [(case, name) for case in ("1dof", "PP", "RR") for name in ORACLE["runs"][case]]
+CHAOTIC = ("RR_unstable|exact|cv", "RR_unstable|offset|cv")
+
+
+def one_run(case, name):
+    gains, start, key = name.split("|")
+    system = paper.CASES["1-DoF" if case == "1dof" else case]
+    changes = {"gamma": 1.0} if key == "aad" else {}
+    return system, paper.run(
+        system, paper.SETS[SETS[gains]], key, system.offset if start == "offset" else 0.0, **changes
+    )
+
+
+@pytest.mark.parametrize("case, name", RUNS)
+def test_settled_errors(case, name):
+    wanted = ORACLE["runs"][case][name]
+    system, made = one_run(case, name)
+    if "diverged_at" in wanted:
+        assert made.stopped and np.isfinite(made.q).all() and np.isfinite(made.error).all()
+        assert len(made.t) - 1 == pytest.approx(wanted["diverged_at"], abs=10)
+        return
+    if name in CHAOTIC:  # wanders at metres; its numbers depend on rounding
+        assert np.abs(made.error[len(made.error) // 2 :]).max() > 1.0
+        return
+    got = paper.settled(system, made)
+    for figure in ("max", "rms", "rms_all"):
+        assert got[figure] == pytest.approx(wanted[figure], rel=0.02, abs=1e-15)
+    if not name.endswith(("aad", "unstable|offset|ca")):  # grids between samples differ there
+        assert got["dense"] == pytest.approx(wanted["dense"], rel=0.02)
+
+
+def test_a_linear_arm_is_exact_at_samples_and_zigzags_between():
+    """PP: av and aa are exact at the samples; aa then overshoots by half the initial error for ever, aad does not."""
+    case = paper.CASES["PP"]
+    for key in ("av", "aa1", "aa2", "aa3", "aad"):
+        made = paper.run(case, paper.SETS["PP good"], key, case.offset)
+        assert np.abs(made.error[2:]).max() < 1e-15
+        dense = paper.settled(case, made)["dense"]
+        half = 0.5 * np.linalg.norm(case.offset)
+        assert dense == pytest.approx(half, rel=1e-3) if key.startswith("aa") and key != "aad" else dense < 2e-4
+
+
+@pytest.mark.parametrize("gamma", ["0.5", "0.55", "0.6", "0.75", "1.0", "1.5"])
+def test_aad_trades_zigzag_for_nothing_at_the_samples(gamma):
+    wanted = ORACLE["aad_gamma"][gamma]
+    case = paper.CASES["RR"]
+    made = paper.run(case, paper.SETS["RR good"], "aad", case.offset, gamma=float(gamma))
+    got = paper.settled(case, made)
+    assert got["max"] == pytest.approx(wanted["max"], rel=1e-6)
+    assert got["dense"] == pytest.approx(wanted["dense"], rel=0.02)
+
+
+@pytest.mark.parametrize("row", [*ORACLE["orders"]["RR"]])
+def test_orders_on_the_rr_arm(row):
+    wanted = ORACLE["orders"]["RR"][row]
+    key = row.split("_")[0]
+    case = paper.CASES["RR"]
+    errors = []
+    for h in wanted["h"][1:4]:
+        gains = paper.GainSet("", h, 2 / 3 / h, 1.6 / h**2, 0.8 / h, "", "") if "scaled" in row else paper.SETS["1-DoF"]
+        e = np.linalg.norm(paper.run(case, gains, key, h=h, steps=round(8 * np.pi / h)).error, axis=1)
+        errors.append(e[len(e) // 2 :].max())
+    assert errors == pytest.approx(wanted["max"][1:4], rel=0.02)
+    order = 2 if row in ("cv_fixed_gain", "av", "ca_fixed_gain") else 3
+    if row != "aa1":  # its growing zigzag adds to its third order
+        assert np.log2(errors[1] / errors[2]) == pytest.approx(order, abs=0.05)
+
+
+def test_leading_errors():
+    """Settled errors follow the leading terms: av h^2/2 Jdot qd; cv and ca from the sampled error equation (PP circle)."""
+    h, w, radius = 0.0628, 1.0, 0.3
+    case, gains = paper.CASES["PP"], paper.SETS["PP good"]
+    cv = paper.settled(case, paper.run(case, gains, "cv"))["max"]
+    assert cv == pytest.approx(5 / 12 * h**2 * radius * w**3 / np.hypot(gains.kappa, w), rel=0.01)
+    ca = paper.settled(case, paper.run(case, gains, "ca"))["max"]
+    lead = h**2 / gains.kp * radius * np.hypot(gains.kd / 12 * w**3, w**4 / 3)
+    assert ca == pytest.approx(lead, rel=0.02)
+    case = paper.CASES["RR"]
+    h = 0.01
+    made = paper.run(case, paper.SETS["RR good"], "av", h=h, steps=1300)
+    for i in (700, 1000, 1250):
+        bend = case.system.rate(made.q[i], made.rate[i + 1], made.rate[i + 1])
+        assert made.error[i + 1] == pytest.approx(-0.5 * h * h * bend, rel=0.05)  # e = target - actual
+
+
+def test_mapping_matrices_are_the_linearised_steps():
+    """Finite differences of the RR steps about a resting point have the eigenvalues of eqs (30)-(42)."""
+    case, gains = paper.CASES["RR"], paper.SETS["RR good"]
+    q0 = np.array([0.4, 1.3])
+    target = case.system.position(q0)
+    h, n = gains.h, 2
+
+    def rest(t):
+        return target, np.zeros(n), np.zeros(n)
+
+    for key, parts in (
+        ("cv", (0, 2)),
+        ("av", (0,)),
+        ("ca", (0, 1, 2)),
+        ("aa1", (0, 1)),
+        ("aa2", (0, 1)),
+        ("aa3", (0, 1)),
+        ("aad", (0, 1)),
+    ):
+        name, options = paper.METHODS[key]
+        options = options | {"cv": {"kappa": gains.kappa}, "ca": {"kp": gains.kp, "kd": gains.kd}}.get(key, {})
+        columns = [i + n * part for part in parts for i in range(n)]
+        A = np.zeros((len(columns), len(columns)))
+        for j, column in enumerate(columns):
+            after = []
+            for sign in (1.0, -1.0):
+                state = np.concatenate([q0, np.zeros(2 * n)])
+                state[column] += sign * 1e-6
+                made = simulate(
+                    case.system, rest, name, h, 1, state[:n], rate0=state[n : 2 * n], command0=state[2 * n :], **options
+                )
+                after.append(np.concatenate([made.q[-1], made.rate[-1], made.command])[columns])
+            A[:, j] = (after[0] - after[1]) / 2e-6
+        gain = {"cv": {"kappa": gains.kappa}, "ca": {"kp": gains.kp, "kd": gains.kd}, "aad": {"gamma": 0.6}}.get(
+            key, {}
+        )
+        wanted = np.linalg.eigvals(st.mapping_matrix(name, h, dof=n, **gain))
+        got = np.linalg.eigvals(A)
+        for value in wanted:
+            assert np.abs(got - value).min() < 1e-4  # double eigenvalues: square root of the rounding
+        assert np.poly(got) == pytest.approx(np.poly(wanted), abs=1e-7)
+
+
+def test_zigzag_at_rest_never_fades_for_aa_and_does_for_aad():
+    case = paper.CASES["RR"]
+    q0 = np.array([0.4, 1.3])
+    target = case.system.position(q0)
+
+    def rest(t):
+        return target, np.zeros(2), np.zeros(2)
+
+    for name, options, fades in (("aa", {"reading": 2}, False), ("aa", {"reading": 3}, False), ("aad", {}, True)):
+        made = simulate(case.system, rest, name, 0.2, 400, q0, rate0=np.array([0.3, -0.2]), **options)
+        last = np.linalg.norm(made.rate[-1])
+        assert last < 1e-12 if fades else last > 0.1
+
+
+def test_growth_in_motion():
+    """Floquet multipliers: aa decays on the 1-DoF path and explodes on the RR circle; the bad RR set grows."""
+    wanted = ORACLE["floquet"]
+    period = 2 * np.pi / 0.28
+    for key in ("aa1", "aa2", "aa3"):
+        assert paper.growth(paper.CASES["1-DoF"], paper.SETS["1-DoF"], key, period) == pytest.approx(
+            wanted[f"1dof|{key}"], rel=1e-3
+        )
+        got = paper.growth(paper.CASES["RR"], paper.SETS["RR good"], key, 4 * np.pi)
+        assert got == pytest.approx(wanted[f"RR_stable|{key}"], rel=0.02)
+    for key in ("cv", "ca"):
+        got = paper.growth(paper.CASES["RR"], paper.SETS["RR bad"], key, 4 * np.pi)
+        assert got == pytest.approx(wanted[f"RR_unstable|{key}"], rel=0.02)
+    assert paper.growth(paper.CASES["RR"], paper.SETS["RR good"], "aad", 4 * np.pi) < 1e-6
+
+
+def test_report(tmp_path):
+    made = paper.reproduce()
+    files = {file.name for file in made.write(tmp_path)}
+    pictures = {"fig9_charts.png", "fig4_one_dof.png", "fig5_6_pp.png", "fig7_8_rr.png", "orders.png"}
+    assert files == {"report.md", "report.json", *pictures}
+    assert all((tmp_path / name).stat().st_size > 20_000 for name in pictures)
+    text = (tmp_path / "report.md").read_text()
+    assert "contradiction" in text and "misprint" in text
+    data = json.loads((tmp_path / "report.json").read_text())
+    verdicts = {row[0]: (row[2], row[5], row[10], row[11]) for row in data["radii"]["rows"]}
+    assert verdicts["RR bad"] == ("unstable", "marginal", "stable", "NO")
+    assert verdicts["PP bad"] == ("unstable", "unstable", "unstable", "yes")
+    assert all(verdicts[name][-1] == "yes" for name in ("1-DoF", "PP good", "RR good"))
+    assert len(data["claims"]["rows"]) == 8

@@ -1,0 +1,179 @@
+"""References: exact derivatives, what they pass through, and files that are no reference."""
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from ik_toolkit.errors import InvalidOption, InvalidTarget
+from ik_toolkit.tracking import reference as rf
+
+START = pin.SE3(pin.exp3(np.array([0.3, -0.8, 0.5])), np.array([0.4, -0.2, 0.6])).homogeneous
+END = pin.SE3(pin.exp3(np.array([-0.9, 0.4, 1.1])), np.array([0.1, 0.3, 0.2])).homogeneous
+MIDDLE = pin.SE3(pin.exp3(np.array([0.1, 0.9, 0.2])), np.array([0.3, 0.1, 0.7])).homogeneous
+
+SHAPES = {
+    "line": lambda a, b, c: rf.line(a, b, duration=3.0),
+    "line at minimum jerk": lambda a, b, c: rf.line(a, b, duration=3.0, law="minimum-jerk"),
+    "line there and back": lambda a, b, c: rf.line(a, b, duration=3.0, rounds=2),
+    "circle": lambda a, b, c: rf.circle(a, 0.2, normal=(0.2, -0.5, 1.0), turns=1.5, duration=4.0),
+    "circle at minimum jerk": lambda a, b, c: rf.circle(a, 0.2, duration=4.0, law="minimum-jerk"),
+    "lissajous": lambda a, b, c: rf.lissajous(
+        a, (0.1, 0.2, 0.05), cycles=(1, 2, 3), phases=(0.1, 0.2, 0.3), duration=4.0
+    ),
+    "waypoints": lambda a, b, c: rf.waypoints([a, b, c, a], duration=6.0),
+    "spline": lambda a, b, c: rf.waypoints([a, b, c, a], times=[0.0, 1.0, 3.5, 6.0], law="spline"),
+}
+
+
+@pytest.mark.parametrize("pose", [True, False], ids=["pose", "position"])
+@pytest.mark.parametrize("name", SHAPES)
+def test_twist_and_acceleration_are_the_derivatives(name, pose):
+    ref = SHAPES[name](*((START, END, MIDDLE) if pose else (START[:3, 3], END[:3, 3], MIDDLE[:3, 3])))
+    assert ref.position_only is not pose
+    t = np.linspace(0.013, ref.duration - 0.017, 41)
+    d = 1e-5
+    (T0, V0, _), (T, V, A), (T1, V1, _) = ref.at(t - d), ref.at(t), ref.at(t + d)
+    assert V[:, :3] == pytest.approx((T1[:, :3, 3] - T0[:, :3, 3]) / (2 * d), abs=2e-8)
+    assert A[:, :3] == pytest.approx((V1[:, :3] - V0[:, :3]) / (2 * d), abs=2e-5)
+    turned = np.array([pin.log3(b @ a.T) for a, b in zip(T0[:, :3, :3], T1[:, :3, :3], strict=True)])
+    assert V[:, 3:] == pytest.approx(turned / (2 * d), abs=2e-8)
+    assert A[:, 3:] == pytest.approx((V1[:, 3:] - V0[:, 3:]) / (2 * d), abs=2e-5)
+    assert T[:, :3, :3] @ np.swapaxes(T[:, :3, :3], 1, 2) == pytest.approx(
+        np.broadcast_to(np.eye(3), (41, 3, 3)), abs=1e-12
+    )
+
+
+@pytest.mark.parametrize("name", SHAPES)
+def test_starts_where_it_should(name):
+    T = SHAPES[name](START, END, MIDDLE).at(0.0)[0]
+    wanted = START.copy()
+    if name == "lissajous":
+        wanted[:3, 3] += np.array([0.1, 0.2, 0.05]) * np.sin([0.1, 0.2, 0.3])
+    assert T == pytest.approx(wanted, abs=1e-12)
+
+
+def test_waypoints_and_ends():
+    for law in ("minimum-jerk", "spline"):
+        ref = rf.waypoints([START, END, MIDDLE], times=[2.0, 3.0, 5.5], law=law)
+        assert ref.duration == 3.5  # the first time becomes 0
+        for t, T in ((0.0, START), (1.0, END), (3.5, MIDDLE)):
+            assert ref.at(t)[0] == pytest.approx(T, abs=1e-9)
+        assert ref.at(0.0)[1][:3] == pytest.approx(np.zeros(3), abs=1e-9)
+    stop = rf.waypoints([START, END, MIDDLE], duration=4.0)
+    leg = [np.linalg.norm(b[:3, 3] - a[:3, 3]) + 0.25 * np.linalg.norm(pin.log3(a[:3, :3].T @ b[:3, :3])) for a, b in
+           ((START, END), (END, MIDDLE))]  # fmt: skip
+    assert stop.at(4.0 * leg[0] / sum(leg))[1] == pytest.approx(np.zeros(6), abs=1e-6)
+    assert rf.line(START, END, duration=2.0).at(2.0)[0] == pytest.approx(END, abs=1e-12)
+    assert rf.line(START, END, duration=2.0, rounds=3).at(2.0)[0] == pytest.approx(START, abs=1e-9)
+
+
+def test_circle_geometry():
+    ref = rf.circle(START, 0.2, normal=(0, 0, 1), duration=1.0)
+    p = ref.at(np.linspace(0, 1, 50))[0][:, :3, 3]
+    center = START[:3, 3] - (0.2, 0, 0)
+    assert np.linalg.norm(p - center, axis=1) == pytest.approx(np.full(50, 0.2))
+    assert p[:, 2] == pytest.approx(np.full(50, START[2, 3]))
+    assert p[12, 1] > center[1]  # counter-clockwise
+    about = rf.circle(center=center, radius=0.2, duration=1.0)
+    assert about.position_only and about.target(0.0) == pytest.approx(START[:3, 3])
+
+
+def test_times_and_custom_references():
+    ref = rf.line((0, 0, 0), (1, 0, 0), duration=1.0)
+    assert len(ref.times(0.1)) == 11 and ref.times(0.3)[-1] == pytest.approx(0.9)
+    own = rf.Reference(lambda t: ref.at(t), 1.0, position_only=True)
+    assert own.target(0.25) == pytest.approx([0.25, 0, 0])
+    assert own.at(0.25)[0].shape == (4, 4) and own.at([0.25])[0].shape == (1, 4, 4)
+
+
+def test_files_are_read_back(tmp_path):
+    source = rf.lissajous(START, duration=2.0)
+    t = np.linspace(5.0, 7.0, 81)
+    T = source.at(t - 5.0)[0]
+    quat = np.array([pin.Quaternion(R).coeffs() for R in T[:, :3, :3]])
+    np.savez(tmp_path / "path.npz", t=t, xyz=T[:, :3, 3], quat_xyzw=quat)
+    lines = [
+        "t,x,y,z,qx,qy,qz,qw",
+        *(",".join(map(repr, row)) for row in np.column_stack([t, T[:, :3, 3], quat]).tolist()),
+    ]
+    (tmp_path / "path.csv").write_text("\n".join(lines) + "\n")
+    inner = np.linspace(0.05, 1.95, 77)
+    for name in ("path.npz", "path.csv"):
+        ref = rf.from_file(tmp_path / name)
+        assert not ref.position_only and ref.duration == pytest.approx(2.0)
+        for got, wanted, tolerance in zip(ref.at(inner), source.at(inner), (1e-6, 1e-4, 2e-2), strict=True):
+            assert got == pytest.approx(wanted, abs=tolerance)
+    (tmp_path / "positions.csv").write_text("t, x, y, z\n0,0,0,0\n1,1,0,0\n")
+    ref = rf.from_file(str(tmp_path / "positions.csv"))
+    assert ref.position_only and ref.at(0.5)[1][:3] == pytest.approx([1, 0, 0])
+
+
+BAD_CSV = {
+    "": "empty",
+    "x,y,z\n1,2,3\n": "no column t",
+    "t,x,y,z,qx,qy\n0,0,0,0,0,0\n1,0,0,0,0,0\n": "only qx, qy",
+    "t,x,y,z\n0,0,0,0\n": "at least 2",
+    "t,x,y,z\n0,0,0,0\n1,one,0,0\n": "row 2 has no number in column x",
+    "t,x,y,z\n0,0,0,0\n1,0,0\n": "row 2 has no number in column z",
+    "t,x,y,z\n0,0,0,0\n1,nan,0,0\n": "xyz of row 2",
+    "t,x,y,z\n0,0,0,0\ninf,0,0,0\n": "not finite",
+    "t,x,y,z\n0,0,0,0\n2,0,0,0\n1,0,0,0\n": "must increase: number 3",
+    "t,x,y,z,qx,qy,qz,qw\n0,0,0,0,0,0,0,1\n1,0,0,0,0,0,0,0\n": "quat_xyzw of row 2",
+}
+
+
+@pytest.mark.parametrize("text", BAD_CSV)
+def test_bad_csv(tmp_path, text):
+    file = tmp_path / "bad.csv"
+    file.write_text(text)
+    with pytest.raises(InvalidTarget, match=BAD_CSV[text]):
+        rf.from_file(file)
+
+
+def test_bad_npz_and_bytes(tmp_path):
+    file = tmp_path / "bad.npz"
+    with pytest.raises(InvalidTarget, match="no reference file"):
+        rf.from_file(file)
+    for content in (b"", b"not a zip", b"PK\x03\x04" + bytes(range(256))):
+        file.write_bytes(content)
+        with pytest.raises(InvalidTarget):
+            rf.from_file(file)
+    np.savez(file, t=[0, 1], positions=np.zeros((2, 3)))
+    with pytest.raises(InvalidTarget, match="no array 'xyz'"):
+        rf.from_file(file)
+    np.savez(file, t=[0, 1], xyz=np.zeros((3, 2)))
+    with pytest.raises(InvalidTarget, match="shape"):
+        rf.from_file(file)
+    np.savez(file, t=[0, 1, 2], xyz=np.zeros((2, 3)))
+    with pytest.raises(InvalidTarget, match="2 numbers"):
+        rf.from_file(file)
+    np.savez(file, t=np.array([{}, {}], dtype=object), xyz=np.zeros((2, 3)))  # pickled objects are never loaded
+    with pytest.raises(InvalidTarget):
+        rf.from_file(file)
+    (tmp_path / "bytes.csv").write_bytes(b"\xff\xfe\x00\x01")
+    with pytest.raises(InvalidTarget):
+        rf.from_file(tmp_path / "bytes.csv")
+
+
+@pytest.mark.parametrize(
+    "make, error, words",
+    [
+        (lambda: rf.line(START, END[:3, 3], duration=1.0), InvalidTarget, "two poses or two positions"),
+        (lambda: rf.line(START, END, duration=-1.0), InvalidOption, "duration"),
+        (lambda: rf.line(START, END, duration=1.0, law="minimum-jrek"), InvalidOption, "Did you mean 'minimum-jerk'"),
+        (lambda: rf.circle(duration=1.0), InvalidOption, "start= or center="),
+        (lambda: rf.circle(START, 0.0), InvalidOption, "radius"),
+        (lambda: rf.circle(START, 0.1, normal=(0, 0, 0)), InvalidOption, "normal"),
+        (lambda: rf.circle(np.full(3, np.nan)), InvalidTarget, "finite"),
+        (lambda: rf.lissajous(START, (0.1, 0.1)), InvalidOption, "amplitudes"),
+        (lambda: rf.waypoints([START], duration=1.0), InvalidTarget, "at least 2"),
+        (lambda: rf.waypoints([START, END[:3, 3]], duration=1.0), InvalidTarget, "all poses or all positions"),
+        (lambda: rf.waypoints([START, END]), InvalidOption, "times= or duration="),
+        (lambda: rf.waypoints([START, END, END], duration=1.0), InvalidTarget, "1 and 2 are the same"),
+        (lambda: rf.waypoints([START, END], times=[0.0, 0.0]), InvalidTarget, "must increase"),
+        (lambda: rf.waypoints([START, END], duration=1.0, law="linear"), InvalidOption, "no waypoint law"),
+    ],
+)
+def test_mistakes_are_typed(make, error, words):
+    with pytest.raises(error, match=words):
+        make()
