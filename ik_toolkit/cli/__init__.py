@@ -16,6 +16,7 @@ MODULES = (
     "robots",
     "solve",
     "track",
+    "reproduce",
     "solvers",
     "files",
     "doctor",

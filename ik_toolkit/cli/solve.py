@@ -58,6 +58,10 @@ ClampQ0 = Annotated[
     bool, typer.Option("--clamp-q0/--refuse-q0", help="What to do with a start outside the limits: clamp it, or stop.")
 ]
 
+All = Annotated[
+    bool, typer.Option("--all", help="List every distinct solution inside the limits, nearest to q0 (or home) first.")
+]
+
 
 def register(app: typer.Typer) -> None:
     """Add the commands of this module."""
@@ -81,6 +85,7 @@ def solve(
     seed: Seed = 0,
     limits: Limits = True,
     clamp_q0: ClampQ0 = True,
+    every: All = False,
     tip: Tip = None,
     base: Base = None,
     lock: Lock = None,
@@ -109,6 +114,9 @@ def solve(
     options: dict[str, Any] = {key: value for key, value in given.items() if value is not None}
     options |= {"seed": seed, "limits": limits, "q0_outside": "clamp" if clamp_q0 else "refuse"}
     start = None if q0 is None else joint_vector(arm, q0, "--q0", deg)
+    if every:
+        _solve_all(arm, target, method, start, options, deg, as_json, output)
+        return
     with compile_notice():  # at a solved start: compiles or loads, so that the time shown below is the solve's own
         at_home = arm.fk(arm.home)
         solve_one(arm, at_home.translation if target.ndim == 1 else at_home, method, **options)
@@ -121,6 +129,31 @@ def solve(
         notice(result.notice)
     if not result.success:
         notice(f"not solved, {result.status.name}: {result.message}")
+        raise typer.Exit(1)
+
+
+def _solve_all(
+    arm: Any, target: Any, method: Any, start: Any, options: dict[str, Any], deg: bool, as_json: bool, output: Any
+) -> None:
+    """Print all solutions; exit code 1 when there is none."""
+    from ..solvers.solve_all import solve_all
+
+    with compile_notice():
+        found = solve_all(arm, target, method, start, **options)
+    write_json({**found.to_dict(), "base": arm.base, "tip": arm.tip, "target": target}, as_json, output)
+    if not as_json and len(found):
+        made = table(">#", *(">" + name.replace("_", "_\n") for name in arm.joint_names), ">distance")
+        units = (unit(kind, deg) for kind in arm.joint_kinds)
+        made.add_row("", *units, "", style="dim")
+        for k, (q, distance) in enumerate(zip(found, found.distance, strict=True), 1):
+            values = (number(float(x), kind, deg) for x, kind in zip(q, arm.joint_kinds, strict=True))
+            made.add_row(str(k), *values, f"{distance:.3g}")
+        show(made)
+    if not as_json:
+        complete = "these are all" if found.complete else "there may be more"
+        show(facts({"solutions": f"{len(found)}, {complete}; solver {found.solver}", "found": found.message}))
+    if not len(found):
+        notice(f"no solution: {found.message}")
         raise typer.Exit(1)
 
 

@@ -1,7 +1,9 @@
 """A report of one paper: text and tables as Markdown and JSON, pictures as PNG, all from one list of parts."""
 
+import importlib
 import importlib.util
 import json
+import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -87,9 +89,8 @@ class Report:
         files[0].write_text(text, encoding="utf-8")
         files[1].write_text(json.dumps(plain(self.data), indent=1) + "\n", encoding="utf-8")
         if pictures:
-            import matplotlib
-
-            matplotlib.use("Agg", force=False)
+            if "matplotlib.pyplot" not in sys.modules:  # a notebook keeps its own backend
+                importlib.import_module("matplotlib").use("Agg")
             import matplotlib.pyplot as plt
 
             for file, draw in self._figures:

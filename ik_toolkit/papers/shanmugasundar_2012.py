@@ -155,9 +155,9 @@ def _model(report: Report, robot: Robot) -> None:
         worst = max(worst, np.abs(printed_fk(np.delete(q, 1), 1000.0 * q[1]) - T).max())
     report.number("fk_difference_mm", worst)
     report.text(
-        f"The D-H rows of Table 2 read as classic (distal) parameters, row 2 being a lift along axis 1, give the matrix that "
-        f"the paper prints: all 12 elements agree at 200 random configurations within {worst:.1e} (mm and 1). "
-        f"Our URDF is `inspection_7dof`; its joint limits are our assumption, the paper gives none."
+        "The D-H rows of Table 2 read as classic (distal) parameters, row 2 being a lift along axis 1, give the "
+        f"matrix that the paper prints: all 12 elements agree at 200 random configurations within {worst:.1e} (mm "
+        "and 1). Our URDF is `inspection_7dof`; its joint limits are our assumption, the paper gives none."
     )
 
 
@@ -178,9 +178,9 @@ def _target(report: Report, printed: np.ndarray) -> None:
     report.number("target_equal_22_7", same[PI_22_7])
     report.number("target_equal_true_pi", same[math.pi])
     report.text(
-        f"The paper does not say how it chose the pose. It is the forward kinematics of (20 deg, 220 mm, 20, 0, 20, 0, 20 deg) "
-        f"with pi = 22/7 in the conversion to radians: {same[PI_22_7]} of 12 printed numbers agree to the last digit "
-        f"(with the true pi {same[math.pi]})."
+        "The paper does not say how it chose the pose. It is the forward kinematics of (20 deg, 220 mm, 20, 0, 20, "
+        f"0, 20 deg) with pi = 22/7 in the conversion to radians: {same[PI_22_7]} of 12 printed numbers agree to the "
+        f"last digit (with the true pi {same[math.pi]})."
     )
 
 
@@ -203,15 +203,17 @@ def _answers(report: Report, printed: np.ndarray, table_pose: np.ndarray) -> Non
     again = [f"{180.0 / PI_22_7 * x:.1f}" == f"{y:.1f}" for x, y in zip(from_table, SOFTWARE, strict=True)]
     report.number("software_angles_reproduced", sum(again))
     report.text(
-        f"Errors are those of the forward kinematics at lift 220 mm against the pose of Table 2 (its rotation projected to the "
-        f"nearest one), or against the exact pose in row 4. Fig 4 evaluated without rounding gives {sum(again)} of the 6 angles that the "
-        f"software printed. So both columns of Table 4 use the same formulas and are 1.1 to 1.2 mm and 2 deg off; 'more accurate "
-        f"results' by the software has no basis. Most of the 2 deg is the two-decimal pose fed into arc functions."
+        "Errors are those of the forward kinematics at lift 220 mm against the pose of Table 2 (its rotation "
+        "projected to the nearest one), or against the exact pose in row 4. Fig 4 evaluated without rounding gives "
+        f"{sum(again)} of the 6 angles that the software printed. So both columns of Table 4 use the same formulas "
+        "and are 1.1 to 1.2 mm and 2 deg off; 'more accurate results' by the software has no basis. Most of the 2 "
+        "deg is the two-decimal pose fed into arc functions."
     )
     report.text(
-        "Why the wrong theta_1 looks right: theta_3, theta_45 and theta_67 can satisfy the orientation for any theta_1, and the "
-        "arm has one free parameter. The sample stands at a turning point of that self-motion (theta_6 = 0, elbow stretched), "
-        "where theta_1 moves by a degree for less than half a millimetre of lift (figure `self-motion.png`)."
+        "Why the wrong theta_1 looks right: theta_3, theta_45 and theta_67 can satisfy the orientation for any "
+        "theta_1, and the arm has one free parameter. The sample stands at a turning point of that self-motion "
+        "(theta_6 = 0, elbow stretched), where theta_1 moves by a degree for less than half a millimetre of lift "
+        "(figure `self-motion.png`)."
     )
 
 
@@ -271,16 +273,16 @@ def _formulas(report: Report, robot: Robot, poses: int, seed: int) -> None:
     report.number("branches", {str(k): int(c) for k, c in zip(*np.unique(count, return_counts=True), strict=True)})
     report.number("origin_among_branches", origin)
     report.text(
-        f"{poses} poses of random configurations inside the limits, lift given; correct means 1e-6 (m, rad), for the last row every branch "
-        f"within 1e-9. theta_1 = 2 atan2(py, px) is off by {np.median(off):.0f} deg (median) and within 2 deg for "
-        f"{100 * np.mean(off < 2):.1f} %. With the right theta_1 and the right second branch (a sine leaves theta or pi - theta, "
-        f"not -theta) equations (7) to (13) are sound. Ours finds {min(count)} to {max(count)} branches, the original "
-        f"configuration among them for {origin} of {poses}."
+        f"{poses} poses of random configurations inside the limits, lift given; correct means 1e-6 (m, rad), for the "
+        f"last row every branch within 1e-9. theta_1 = 2 atan2(py, px) is off by {np.median(off):.0f} deg (median) "
+        f"and within 2 deg for {100 * np.mean(off < 2):.1f} %. With the right theta_1 and the right second branch (a "
+        f"sine leaves theta or pi - theta, not -theta) equations (7) to (13) are sound. Ours finds {min(count)} to "
+        f"{max(count)} branches, the original configuration among them for {origin} of {poses}."
     )
     report.figure(
         "branches.png",
-        "The eight configurations of one pose at one lift. Only two shapes differ to the eye (rows; the other in grey): within "
-        "a row the joints stand half turns apart, as the arrows along their axes show.",
+        "The eight configurations of one pose at one lift. Only two shapes differ to the eye (rows; the other in "
+        "grey): within a row the joints stand half turns apart, as the arrows along their axes show.",
         gallery(robot),
     )
 
@@ -311,17 +313,17 @@ def _sample(report: Report, robot: Robot, printed: np.ndarray, table_pose: np.nd
     ]
     report.table("sample", ["lift", "status", "theta_1", "lift (mm)", *ANGLES[1:], "error (mm)"], rows)
     report.text(
-        f"The printed rotation has singular values {', '.join(f'{x:.4f}' for x in values)}, so it is not a rotation; the toolkit "
-        f"projects it and says so. Projected, the pose is {1000 * fixed.position_error:.3f} mm out of reach at lift 220 mm "
-        f"({len(at_fixed)} branches reach the nearest point: the elbow is stretched, so the elbow branches merge) and reachable for lifts of {words}: "
-        f"8 branches at each lift between. A published answer is absent for all of these: the paper holds the lift at 220 mm and "
-        f"calls it theta_2 = 0."
+        f"The printed rotation has singular values {', '.join(f'{x:.4f}' for x in values)}, so it is not a rotation; "
+        f"the toolkit projects it and says so. Projected, the pose is {1000 * fixed.position_error:.3f} mm out of "
+        f"reach at lift 220 mm ({len(at_fixed)} branches reach the nearest point: the elbow is stretched, so the "
+        f"elbow branches merge) and reachable for lifts of {words}: 8 branches at each lift between. A published "
+        "answer is absent for all of these: the paper holds the lift at 220 mm and calls it theta_2 = 0."
     )
     exact = robot.fk(_q(np.radians([x for i, x in enumerate(ORIGIN) if i != 1]), D2)).homogeneous
     report.figure(
         "self-motion.png",
-        "Solutions of the sample pose over the lift. The published theta_1 belongs to a lift 0.44 mm higher on the curve of the "
-        "unrounded pose; the pose as printed cannot be reached at 220 mm at all.",
+        "Solutions of the sample pose over the lift. The published theta_1 belongs to a lift 0.44 mm higher on the "
+        "curve of the unrounded pose; the pose as printed cannot be reached at 220 mm at all.",
         self_motion(p, goal, exact, D2, MANUAL[0], ORIGIN[0]),
     )
 

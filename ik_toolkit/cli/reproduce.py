@@ -1,0 +1,56 @@
+"""`ik reproduce`: the papers behind the toolkit, published numbers beside ours."""
+
+import importlib
+import importlib.util
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ..errors import InvalidOption, near_match
+from .common import Json, facts, notice, show, table, write_json
+
+PaperArg = Annotated[
+    str | None, typer.Argument(metavar="[PAPER]", help="Name of a paper; without one they are listed.")
+]
+Folder = Annotated[
+    Path | None,
+    typer.Option("-o", "--output", metavar="DIR", help="Where the report goes; default: ./reproduce-PAPER."),
+]
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands of this module."""
+    app.command()(reproduce)
+
+
+def reproduce(paper: PaperArg = None, output: Folder = None, as_json: Json = False) -> None:
+    """Recompute a paper: a report with tables and pictures, every published number beside ours.
+
+    Writes report.md, report.json and the pictures (PNG, with matplotlib). Nothing in it is typed in but the published
+    numbers; times are of this run.
+    """
+    from ..papers import PAPERS
+
+    if paper is None:
+        write_json({"papers": {name: row.summary for name, row in PAPERS.items()}}, as_json)
+        if not as_json:
+            made = table("<name", "paper")
+            for name, row in PAPERS.items():
+                made.add_row(name, row.summary)
+            show(made)
+        return
+    if paper not in PAPERS:
+        raise InvalidOption(f"there is no paper '{paper}'.{near_match(paper, PAPERS)}")
+    module, function = PAPERS[paper].target.split(":")
+    folder = output or Path(f"reproduce-{paper}")
+    if folder.exists() and not folder.is_dir():
+        raise InvalidOption(f"-o takes a folder, and {folder} is a file")
+    notice(f"computing the report of '{paper}': takes a minute or less ...")
+    report = getattr(importlib.import_module(module), function)()
+    files = report.write(folder)
+    write_json({**report.data, "files": [str(file) for file in files]}, as_json)
+    if not as_json:
+        show(facts({"report": report.title, "written": ", ".join(file.name for file in files), "folder": str(folder)}))
+    if importlib.util.find_spec("matplotlib") is None:
+        notice("no pictures: they need matplotlib (pip install 'ik_toolkit[plots]')")
