@@ -215,3 +215,16 @@ def test_result_is_plain_data():
     assert plain["success"] is True and plain["status"] == "CONVERGED" and len(plain["q"]) == 6
     assert result.raise_for_status() is result
     assert "CONVERGED" in repr(result) and "azimuth_yaw" in result._repr_html_()
+
+
+def test_a_failed_solve_returns_the_best_configuration_it_evaluated():
+    robot = robots.load("hydrolek_7w")
+    target = np.array([-0.8, 0.3, 0.4])  # behind the arm
+    worse = 0
+    for name in ("pinv", "dls", "state-space", "transpose", "lm"):
+        result = ik.solve(robot, target, name, history=True, max_iterations=50, restarts=3)
+        assert not result.success
+        error = result.history["position_error"]
+        assert result.position_error == pytest.approx(error.min(), abs=1e-12)
+        worse += error[-1] > error.min() + 1e-6
+    assert worse >= 2  # otherwise the last one would do
