@@ -84,6 +84,10 @@ def test_times_and_custom_references():
     own = rf.Reference(lambda t: ref.at(t), 1.0, position_only=True)
     assert own.target(0.25) == pytest.approx([0.25, 0, 0])
     assert own.at(0.25)[0].shape == (4, 4) and own.at([0.25])[0].shape == (1, 4, 4)
+    with pytest.raises(InvalidTarget, match="must give"):
+        rf.Reference(lambda t: (np.eye(4), np.zeros(6), np.zeros(6)), 1.0).at(0.0)
+    with pytest.raises(InvalidOption, match="steps"):
+        ref.times(1e-9)
 
 
 def test_files_are_read_back(tmp_path):

@@ -35,7 +35,8 @@ def draw_charts(plt: Any, sets: Mapping[str, Any]) -> Any:
     for s in sets.values():
         good = s.paper == "stable"
         left.plot(s.h, s.kappa, ls="", marker="o" if good else "X", ms=6, color=COLOURS[0] if good else COLOURS[1])
-        left.annotate(s.name, (s.h, s.kappa), xytext=(7, 4), textcoords="offset points", fontsize=8)
+        side, shift = ("right", (-5, -11)) if good else ("left", (7, 4))
+        left.annotate(s.name, (s.h, s.kappa), xytext=shift, textcoords="offset points", fontsize=8, ha=side)
     left.set(xlim=(0, 0.35), ylim=(0, 22), xlabel="h [s]", ylabel=r"$\kappa$ [1/s]", title="cv")
     shades = {0.0628: "#EBEBEB", 0.12: "#C9C9C9", 0.2: "#A3A3A3"}
     for h0, shade in shades.items():
@@ -46,10 +47,10 @@ def draw_charts(plt: Any, sets: Mapping[str, Any]) -> Any:
     for s in sets.values():
         good = s.paper == "stable"
         right.plot(s.kd, s.kp, ls="", marker="o" if good else "X", ms=6, color=COLOURS[0] if good else COLOURS[1])
-        side, shift = ("left", (7, -3)) if good else ("right", (-7, 3))
+        side, shift = ("center", (0, -13)) if good else ("right", (-7, 3))
         right.annotate(s.name, (s.kd, s.kp), xytext=shift, textcoords="offset points", fontsize=8, ha=side)
     right.set(
-        xlim=(0, 17.5),
+        xlim=(0, 19),
         ylim=(10, 1200),
         yscale="log",
         xlabel=r"$\kappa_D$ [1/s]",

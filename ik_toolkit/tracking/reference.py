@@ -18,6 +18,7 @@ from ..errors import InvalidOption, InvalidTarget, MissingExtra, near_match
 from ..robot.pose import check_target, quat_matrix
 
 Samples = tuple[np.ndarray, np.ndarray, np.ndarray]  # values, first and second derivatives
+MAX_STEPS = 1e7
 RADIAN_AS_METRES = 0.25  # weight of a rotation against a distance when waypoints share out the time
 
 
@@ -46,7 +47,12 @@ class Reference:
     def at(self, t: Any) -> Samples:
         """Pose, twist and acceleration at t [s]: (4, 4), (6,), (6,) for a number, with a leading N for an array (N,)."""
         times = np.atleast_1d(np.asarray(t, dtype=float))
-        T, V, A = self.function(times)
+        T, V, A = (np.asarray(part, dtype=float) for part in self.function(times))
+        n = len(times)
+        if (T.shape, V.shape, A.shape) != ((n, 4, 4), (n, 6), (n, 6)):
+            raise InvalidTarget(
+                f"reference '{self.name}' must give ({n}, 4, 4), ({n}, 6), ({n}, 6) for {n} times, not {T.shape}, {V.shape}, {A.shape}"
+            )
         return (T, V, A) if np.ndim(t) else (T[0], V[0], A[0])
 
     def target(self, t: float) -> np.ndarray:
@@ -55,8 +61,13 @@ class Reference:
         return T[:3, 3].copy() if self.position_only else T
 
     def times(self, dt: float) -> np.ndarray:
-        """Sample times 0, dt, ... up to the duration [s]."""
-        return np.arange(math.floor(self.duration / _positive(dt, "dt [s]") + 1e-9) + 1) * dt
+        """Sample times 0, dt, ... up to the duration [s]. Raises InvalidOption beyond ten million of them."""
+        steps = self.duration / _positive(dt, "dt [s]")
+        if steps > MAX_STEPS:
+            raise InvalidOption(
+                f"dt = {dt:g} s makes {steps:.3g} steps of {self.duration:g} s; at most {MAX_STEPS:g} are taken"
+            )
+        return np.arange(math.floor(steps + 1e-9) + 1) * dt
 
     def __repr__(self) -> str:
         """One line: kind, duration and what is asked for."""
