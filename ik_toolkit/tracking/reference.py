@@ -50,9 +50,8 @@ class Reference:
         T, V, A = (np.asarray(part, dtype=float) for part in self.function(times))
         n = len(times)
         if (T.shape, V.shape, A.shape) != ((n, 4, 4), (n, 6), (n, 6)):
-            raise InvalidTarget(
-                f"reference '{self.name}' must give ({n}, 4, 4), ({n}, 6), ({n}, 6) for {n} times, not {T.shape}, {V.shape}, {A.shape}"
-            )
+            wanted = f"({n}, 4, 4), ({n}, 6), ({n}, 6) for {n} times"
+            raise InvalidTarget(f"reference '{self.name}' must give {wanted}, not {T.shape}, {V.shape}, {A.shape}")
         return (T, V, A) if np.ndim(t) else (T[0], V[0], A[0])
 
     def target(self, t: float) -> np.ndarray:
