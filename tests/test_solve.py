@@ -228,3 +228,17 @@ def test_a_failed_solve_returns_the_best_configuration_it_evaluated():
         assert result.position_error == pytest.approx(error.min(), abs=1e-12)
         worse += error[-1] > error.min() + 1e-6
     assert worse >= 2  # otherwise the last one would do
+
+
+@pytest.mark.parametrize("solver", ["lm", "dls", "planar-2r"])
+def test_a_start_that_is_not_legal_is_seen_wherever_it_comes_from(solver):
+    robot = robots.load("planar_2r")
+    target = robot.fk(robot.home).translation
+    bound = ik.Solver(robot, solver)
+    for bad in (np.array([np.nan, 0.0]), np.array([np.inf, 0.0]), [0.0, None], np.zeros(3)):
+        with pytest.raises(errors.InvalidConfiguration):
+            bound(target, q0=bad)
+    for outside in (np.array([9.0, 0.0]), [9.0, 0.0]):
+        result = bound(target, q0=outside)
+        assert "clamped" in result.notice and result.success
+    assert bound(target, q0=np.array([1.0, 0.5])).notice == ""

@@ -7,9 +7,8 @@ import numpy as np
 from .jit import jit
 from .kinematics import TAU
 
-CONVERGED, STALLED, ITERATION_LIMIT, LIMIT_BLOCKED, UNREACHABLE, SINGULAR, NOT_FINITE, CHECK_FAILED, BAD_TARGET = range(
-    9
-)
+CONVERGED, STALLED, ITERATION_LIMIT, LIMIT_BLOCKED, UNREACHABLE, SINGULAR, NOT_FINITE, CHECK_FAILED = range(8)
+BAD_TARGET, BAD_START = 8, 9  # never seen by a caller: the target or the start needs a look outside the kernel
 
 
 @jit
@@ -67,6 +66,16 @@ def rigid(T):
     det = T[0, 0] * (T[1, 1] * T[2, 2] - T[1, 2] * T[2, 1]) - T[0, 1] * (T[1, 0] * T[2, 2] - T[1, 2] * T[2, 0])
     det += T[0, 2] * (T[1, 0] * T[2, 1] - T[1, 1] * T[2, 0])
     return det > 0.0 and total < 1e300
+
+
+@jit
+def legal(q0, unit, lower, upper, turns, limits):
+    """Whether a start (n,) [rad or m] is finite and, when limits count, inside them."""
+    for i in range(q0.shape[0]):
+        a = q0[i] / unit[i]
+        if not abs(a) < 1e15 or (limits and turns[i] < 1.5 and not lower[i] <= a <= upper[i]):
+            return False
+    return True
 
 
 @jit

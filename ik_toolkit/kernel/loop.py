@@ -16,6 +16,7 @@ import numpy as np
 from numba.extending import overload
 
 from .checks import (
+    BAD_START,
     BAD_TARGET,
     CONVERGED,
     ITERATION_LIMIT,
@@ -26,6 +27,7 @@ from .checks import (
     UNREACHABLE,
     beyond,
     edge,
+    legal,
     rigid,
     turn,
     why,
@@ -131,7 +133,7 @@ def step(cls, p, s, e):
     return RULES[cls](cls, p, s, e)
 
 
-@overload(step, jit_options=dict(OPTIONS, forceinline=True))
+@overload(step, jit_options=dict(OPTIONS, forceinline=True))  # type: ignore[arg-type]
 def _step(cls, p, s, e):
     return RULES[cls.instance_class]
 
@@ -184,7 +186,6 @@ def entry(cls: type) -> Callable:
         low, span, home = ends[v + 4 * n : v + 5 * n], ends[v + 5 * n : v + 6 * n], ends[v + 6 * n : v + 7 * n]
         tail = ends[v + 7 * n :]
         scale = tail[0]
-        # Separate arrays, not slices of one: only then does the compiler know that they do not overlap (2x in speed).
         q = np.empty(n)
         dq = np.empty(n)
         w = np.empty(n)
@@ -227,6 +228,9 @@ def entry(cls: type) -> Callable:
             given_row = t if Q0.shape[0] > 1 else 0
             if not rigid(T[t]):
                 out[t, 0] = BAD_TARGET
+                continue
+            if (given > 0 or closest > 0) and not legal(Q0[given_row], unit, lower, upper, turns, limits):
+                out[t, 0] = BAD_START
                 continue
             # The random tail depends on the target's own seed only, not on its neighbours or the thread.
             state[0] = np.uint64(88172645463325252) ^ (np.uint64(opt[18]) * np.uint64(0x9E3779B97F4A7C15))

@@ -64,9 +64,9 @@ class Result:
         """Keep the kernel's row; everything else is made when asked for."""
         self._solver = solver
         self._row = row
-        self._status = None
-        self._checked = None
-        self._history = None
+        self._status: Status | None = None
+        self._checked: tuple[float, float | None] | None = None
+        self._history: dict[str, np.ndarray] | None = None
         self.elapsed = elapsed
         self.position_only = position_only
         self.notice = ""

@@ -84,6 +84,7 @@ class Solver:
         self._kernel = entry(type(self.rule))
         self._chain = (chain.rows, chain.ends, chain.seeds, chain.features)
         self._width = OUT_HEAD + chain.n
+        self._shape = (chain.n,)
         self._home = self.robot.home.reshape(1, -1).copy()
         self._silent = np.empty((0, 2 + chain.n))
         self._lower, self._upper = self.robot.lower, self.robot.upper
@@ -179,13 +180,20 @@ class Solver:
             T, kind = target.reshape(1, 4, 4), POSE
         else:
             T, kind, notice = _as_pose(target)
-        start = self._home
-        if q0 is not None:
+        if q0 is None:
+            start = self._home
+        elif type(q0) is np.ndarray and q0.shape == self._shape and q0.dtype == np.float64 and q0.flags.carray:
+            start = q0.reshape(1, -1)
+        else:
             start, note = self._start(q0)
             notice = notice or note
         row = self._run(T, kind, start, q0 is not None)
-        if row[0] == BAD_TARGET:
-            T, kind, notice = _as_pose(target)  # raises, or projects a rotation that is nearly rigid
+        if row[0] >= BAD_TARGET:  # what the kernel will not take is looked at here: refused in words, or mended
+            if row[0] == BAD_TARGET:
+                T, kind, notice = _as_pose(target)  # raises, or projects a rotation that is nearly rigid
+            if q0 is not None:
+                start, note = self._start(q0)
+                notice = notice or note
             row = self._run(T, kind, start, q0 is not None)
         result = Result(self, row, perf_counter() - started, kind == POSITION)
         result.notice = notice
