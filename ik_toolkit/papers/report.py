@@ -12,7 +12,7 @@ import numpy as np
 
 from ..errors import MissingExtra
 
-STYLE = {
+STYLE: dict[Any, Any] = {
     "figure.dpi": 100,
     "savefig.dpi": 160,
     "savefig.bbox": "tight",

@@ -1,15 +1,15 @@
 """Many targets at once: compiled, on all cores, in chunks, with the same bytes for any number of threads."""
 
 import os
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
 
 from ..errors import InvalidConfiguration, InvalidOption, InvalidTarget
-from ..kernel.loop import OUT_HEAD
 from ..kernel.checks import BAD_TARGET
+from ..kernel.loop import OUT_HEAD
 from ..kernel.task import POSE, POSITION
 from ..robot.pose import check_target
 from ..robot.robot import Robot
@@ -52,7 +52,16 @@ class BatchResult:
 
     def to_dict(self) -> dict[str, Any]:
         """Arrays by name, for np.savez and tables."""
-        names = ("q", "status", "success", "position_error", "orientation_error", "iterations", "restarts", "fk_evaluations")
+        names = (
+            "q",
+            "status",
+            "success",
+            "position_error",
+            "orientation_error",
+            "iterations",
+            "restarts",
+            "fk_evaluations",
+        )
         return {name: getattr(self, name) for name in names if getattr(self, name) is not None}
 
     def __repr__(self) -> str:
@@ -96,11 +105,15 @@ def _solve_part(solver: Solver, part: np.ndarray, q0: np.ndarray | None, first: 
         except InvalidTarget as error:
             raise InvalidTarget(f"target {first + k}: {error}") from None
         one = start if len(start) == 1 else start[k : k + 1]
-        solver._kernel(*solver._chain, T[k : k + 1], one, out[k : k + 1], solver.pack(kind, q0 is not None), solver._silent)
+        solver._kernel(
+            *solver._chain, T[k : k + 1], one, out[k : k + 1], solver.pack(kind, q0 is not None), solver._silent
+        )
     return out
 
 
-def _solve_remote(robot: Robot, solver: Any, options: dict[str, Any], part: np.ndarray, q0: Any, first: int) -> np.ndarray:
+def _solve_remote(
+    robot: Robot, solver: Any, options: dict[str, Any], part: np.ndarray, q0: Any, first: int
+) -> np.ndarray:
     """What a worker process or machine runs."""
     return _solve_part(bound(robot, solver, options), part, q0, first)
 
@@ -130,7 +143,9 @@ def solve_batch(
     if q0 is not None:
         starts = np.asarray(q0, dtype=float)
         if starts.shape[-1:] != (robot.n,) or starts.ndim > 2 or not np.isfinite(starts).all():
-            raise InvalidConfiguration(f"q0 of a batch is ({robot.n},) or (N, {robot.n}) finite numbers, not shape {starts.shape}")
+            raise InvalidConfiguration(
+                f"q0 of a batch is ({robot.n},) or (N, {robot.n}) finite numbers, not shape {starts.shape}"
+            )
         if local.options.limits:
             if local.options.q0_outside == "refuse" and ((starts < robot.lower) | (starts > robot.upper)).any():
                 raise InvalidConfiguration("q0 is outside the limits in at least one row")
@@ -147,7 +162,11 @@ def solve_batch(
                 raise InvalidConfiguration(f"q0 has {len(starts)} rows, fewer than there are targets")
             for a in range(0, len(chunk), CHUNK):
                 b = min(a + CHUNK, len(chunk))
-                yield chunk[a:b], starts[first + a : first + b] if starts is not None and starts.ndim == 2 else starts, first + a
+                yield (
+                    chunk[a:b],
+                    starts[first + a : first + b] if starts is not None and starts.ndim == 2 else starts,
+                    first + a,
+                )
             first += len(chunk)
 
     tables: list[np.ndarray] = []

@@ -88,7 +88,12 @@ def _state_space(cls, p, s, e):
     changed = 0.0
     for i in range(m):
         k = b + 6 * i
-        u = p[k] * e.e0 + p[k + 1] * e.e1 + p[k + 2] * e.e2 + ratio * (p[k + 3] * e.e3 + p[k + 4] * e.e4 + p[k + 5] * e.e5)
+        u = (
+            p[k] * e.e0
+            + p[k + 1] * e.e1
+            + p[k + 2] * e.e2
+            + ratio * (p[k + 3] * e.e3 + p[k + 4] * e.e4 + p[k + 5] * e.e5)
+        )
         for j in range(m):
             u += p[a + i * m + j] * s.x[j]
         s.x[2 * n + i] = u
