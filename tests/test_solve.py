@@ -2,6 +2,7 @@
 
 import math
 import pickle
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from hypothesis import strategies as st
 
 import ik_toolkit as ik
 from ik_toolkit import errors
+from ik_toolkit.kernel.loop import rule
 from ik_toolkit.solvers.registry import find_row
 
 
@@ -200,6 +202,31 @@ def test_converged_never_with_an_error_above_the_tolerance(values, seed):
         position, orientation = robot.errors(result.q, target)
         assert result.success == (position <= 1e-4 and (orientation or 0.0) <= 1e-4)
         assert robot.outside(result.q) == []
+
+
+class HalfStep(NamedTuple):
+    """Half of the gradient step, as somebody outside the package would write it."""
+
+    gain: float = 0.5
+
+    def pack(self, robot):
+        """Parameters of the compiled step."""
+        return np.array([self.gain])
+
+
+@rule(HalfStep)
+def _half_step(cls, p, s, e):
+    for i in range(s.dq.shape[0]):
+        s.dq[i] = p[0] * (s.J[i, 0] * e.e0 + s.J[i, 1] * e.e1 + s.J[i, 2] * e.e2)
+    return 0
+
+
+def test_a_rule_of_ones_own_runs_in_the_same_loop():
+    robot = robots.load("planar_2r")
+    target = robot.fk(robot.home + 0.1).translation
+    result = ik.solve(robot, target, HalfStep(gain=0.4), tolerance=1e-4)
+    assert result.success and result.solver == "HalfStep"
+    assert result.q.tobytes() == ik.solve(robot, target, HalfStep, gain=0.4, tolerance=1e-4).q.tobytes()
 
 
 def test_registry_finds_rows():

@@ -138,6 +138,12 @@ def find_row(solver: Any) -> Row:
     for row in ROWS:
         if row.target.split(":")[1] == cls.__name__ and row.load() is cls:
             return row
+    if hasattr(cls, "_fields") and hasattr(cls, "pack"):  # somebody's own rule, registered with kernel.loop.rule
+        from ..kernel.loop import RULES
+
+        if cls in RULES:
+            summary = (cls.__doc__ or cls.__name__).splitlines()[0]
+            return Row(cls.__name__, f"{cls.__module__}:{cls.__qualname__}", summary, "a rule of your own", "")
     raise UnknownSolver(f"{cls.__name__} is not a solver.{near_match(cls.__name__, BY_NAME)}")
 
 
