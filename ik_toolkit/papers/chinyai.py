@@ -44,7 +44,7 @@ def newton(x, y, l1, l2, t1, t2, kind, clip, tolerance, iterations):
     kind: the full step (PLAIN), halved until the error falls (SEARCH), Levenberg-Marquardt, or at most LONGEST a joint
     (STEP). clip: joints are cut to +-clip after every step.
     """
-    damping = 1e-3
+    damping, k, n1, n2 = 1e-3, 0, t1, t2
     ex = l1 * math.cos(t1) + l2 * math.cos(t1 + t2) - x
     ey = l1 * math.sin(t1) + l2 * math.sin(t1 + t2) - y
     ee = ex * ex + ey * ey

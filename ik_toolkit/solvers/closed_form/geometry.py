@@ -11,7 +11,7 @@ import numpy as np
 
 from ...kernel import loop
 from ...kernel.chain import Chain
-from ...kernel.checks import CONVERGED, LIMIT_BLOCKED, STALLED, UNREACHABLE
+from ...kernel.checks import CONVERGED, LIMIT_BLOCKED, STALLED, UNREACHABLE, legal
 from ...kernel.jit import jit
 from ...kernel.kinematics import TAU, aim, error, fk, rotation_angle
 from ...kernel.task import POSITION
@@ -71,6 +71,15 @@ def clamp(x, low, high):
     if x < low:
         return (low, 0.0) if low - x <= SNAP else (x, low - x)
     return x, 0.0
+
+
+@jit
+def legal_start(ends, opt, q0):
+    """Whether a start (n,) [rad or m] is finite and, when limits count, inside them."""
+    n = q0.shape[0]
+    v = loop.E_VECTORS
+    unit, turns = ends[v + 3 * n : v + 4 * n], ends[v + 2 * n : v + 3 * n]
+    return legal(q0, unit, ends[v : v + n], ends[v + n : v + 2 * n], turns, opt[loop.O_LIMITS] > 0.0)
 
 
 @jit

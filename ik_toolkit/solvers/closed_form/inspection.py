@@ -14,17 +14,20 @@ import numpy as np
 from ...errors import InvalidOption, UnknownSolver
 from ...kernel import loop
 from ...kernel.chain import Chain
-from ...kernel.checks import BAD_TARGET, rigid
+from ...kernel.checks import BAD_START, BAD_TARGET, rigid
 from ...kernel.jit import cached, jit, kernel_stamp
 from . import geometry, reach
-from .geometry import FIT, across, angle_about, clamp, copy_limits, legal_turn, measure_tip, read_screws
+from .geometry import FIT, across, angle_about, clamp, copy_limits, legal_start, legal_turn, measure_tip, read_screws
 from .reach import inspection_branches, inspection_margin, inspection_nearest, lift_intervals, nearest_lift
 
 # Slots of the parameters: base -> shoulder axes (12), tip -> wrist axes (12), then these. Of each turning joint: its place
 # in q, sign and offset (theta = sign q + offset); of the lift: its place (-1: none), sign, offset, choice, given value.
 A4, A6, JOINTS, LIFT = 24, 25, 26, 44
 NEAREST, GIVEN, MIDDLE = range(3)
-SCAN = 48  # lifts tried in each feasible interval when no branch at the first lift is inside the joint limits
+SCAN = (
+    12,
+    60,
+)  # lifts tried in each feasible interval when no branch at the first lift is legal; the second if need be
 
 
 class Inspection(NamedTuple):
@@ -219,14 +222,17 @@ def scan_lifts(p, P, box, near, spans, count, moved, sols, q, trial, best):
     Lifts stand closer at the ends of an interval, where the angles change fastest; where none is legal the best is refined.
     """
     least, nearest, found, width = np.inf, np.inf, 0.0, 0.0
-    for k in range(count):
-        middle, half = 0.5 * (spans[k, 0] + spans[k, 1]), 0.5 * (spans[k, 1] - spans[k, 0])
-        for j in range(SCAN):
-            d = middle - half * math.cos(math.pi * j / (SCAN - 1))
-            worst, distance = pick(p, P, d, box, near, moved, sols, q, trial)
-            if worst < least or (worst == least and distance < nearest):
-                least, nearest, found, width = worst, distance, d, half * math.pi / (SCAN - 1)
-                best[:] = trial
+    for lifts in SCAN:
+        for k in range(count):
+            middle, half = 0.5 * (spans[k, 0] + spans[k, 1]), 0.5 * (spans[k, 1] - spans[k, 0])
+            for j in range(lifts):
+                d = middle - half * math.cos(math.pi * j / (lifts - 1))
+                worst, distance = pick(p, P, d, box, near, moved, sols, q, trial)
+                if worst < least or (worst == least and distance < nearest):
+                    least, nearest, found, width = worst, distance, d, half * math.pi / (lifts - 1)
+                    best[:] = trial
+        if least == 0.0:
+            break
     low, high = lift_limits(p, box)
     for _ in range(40):
         if least == 0.0 or count == 0:
@@ -258,7 +264,11 @@ def _compile_solve():
             if not rigid(T[t]):
                 out[t, 0] = BAD_TARGET
                 continue
-            copy_limits(ends, opt, Q0[t if Q0.shape[0] > 1 else 0], box)
+            q0 = Q0[t if Q0.shape[0] > 1 else 0]
+            if opt[loop.O_GIVEN] > 0.0 and not legal_start(ends, opt, q0):
+                out[t, 0] = BAD_START
+                continue
+            copy_limits(ends, opt, q0, box)
             near_angles(p, box, near)
             wrist_pose(p, T[t], P)
             d, count = choose_lift(p, P, box, spans)

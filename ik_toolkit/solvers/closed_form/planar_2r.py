@@ -9,10 +9,10 @@ import numpy as np
 from ...errors import UnknownSolver
 from ...kernel import loop
 from ...kernel.chain import Chain
-from ...kernel.checks import BAD_TARGET, rigid
+from ...kernel.checks import BAD_START, BAD_TARGET, rigid
 from ...kernel.jit import cached, jit, kernel_stamp
 from . import geometry, reach
-from .geometry import FIT, across, angle_about, copy_limits, legal_turn, measure_tip, read_screws
+from .geometry import FIT, across, angle_about, copy_limits, legal_start, legal_turn, measure_tip, read_screws
 from .reach import planar_branches, planar_margin
 
 # Slots of the parameters: base -> arm plane (12), then these, then sign and offset of each angle: theta = sign q + offset.
@@ -100,7 +100,11 @@ def _compile_solve():
             if not rigid(T[t]):
                 out[t, 0] = BAD_TARGET
                 continue
-            copy_limits(ends, opt, Q0[t if Q0.shape[0] > 1 else 0], box)
+            q0 = Q0[t if Q0.shape[0] > 1 else 0]
+            if opt[loop.O_GIVEN] > 0.0 and not legal_start(ends, opt, q0):
+                out[t, 0] = BAD_START
+                continue
+            copy_limits(ends, opt, q0, box)
             near = p[ANGLES] * box[2, 0] + p[ANGLES + 1]
             x, y, off = to_plane(p, T[t])
             gap = math.hypot(max(0.0, -planar_margin(x, y, p[L1], p[L2])), off)
