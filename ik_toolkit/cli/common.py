@@ -1,5 +1,6 @@
 """What the commands share: robot options, vectors of numbers, units, tables, JSON, and notices on stderr."""
 
+import functools
 import json
 import math
 import os
@@ -162,7 +163,7 @@ def slides(robot: "Robot", joint: str) -> bool:
 def compile_notice(what: str = "the solver") -> Iterator[None]:
     """Say on stderr that numba is compiling when the block takes longer than a compiled call would."""
     timer = threading.Timer(
-        COMPILE_NOTICE_AFTER, notice, [f"compiling {what} (first use on this machine, takes some seconds) ..."]
+        COMPILE_NOTICE_AFTER, notice_once, [f"compiling {what} (first use on this machine, some seconds) ..."]
     )
     timer.daemon = True
     timer.start()
@@ -176,6 +177,12 @@ def compile_notice(what: str = "the solver") -> Iterator[None]:
 def notice(text: str) -> None:
     """Print one line of prose on stderr."""
     print(text, file=sys.stderr, flush=True)
+
+
+@functools.cache
+def notice_once(text: str) -> None:
+    """Print one line of prose on stderr, the first time only."""
+    notice(text)
 
 
 def plain(value: Any) -> Any:
