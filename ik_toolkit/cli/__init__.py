@@ -48,7 +48,7 @@ def _options(
 
 def application() -> typer.Typer:
     """Build the command line from its modules."""
-    app = typer.Typer(name="ik", pretty_exceptions_enable=False)
+    app = typer.Typer(name="ik", pretty_exceptions_enable=False, rich_markup_mode="markdown")
     app.callback()(_options)
     for module in MODULES:
         importlib.import_module(f".{module}", __name__).register(app)

@@ -27,20 +27,39 @@ VECTOR_OPTIONS = frozenset({"--q", "--q0", "--xyz", "--rpy", "--quat-xyzw", "--c
 COMPILE_NOTICE_AFTER = 0.7  # s; a call that takes longer is compiling
 
 RobotArg = Annotated[str, typer.Argument(metavar="ROBOT", help="Name (see ik robots) or path of a URDF file.")]
-Tip = Annotated[str | None, typer.Option(metavar="FRAME", help="Tip frame; needed when the robot has several ends.")]
+Tip = Annotated[
+    str | None,
+    typer.Option(metavar="FRAME", help="Tip frame; needed when there are several ends.", rich_help_panel="Robot"),
+]
 Base = Annotated[
-    str | None, typer.Option(metavar="FRAME", help="Base frame of targets and poses; default: the root link.")
+    str | None,
+    typer.Option(
+        metavar="FRAME", help="Base frame of targets and poses; default: the root link.", rich_help_panel="Robot"
+    ),
 ]
 Lock = Annotated[
-    list[str] | None, typer.Option(metavar="JOINT=VALUE", help="Hold a joint at a value; may be repeated.")
+    list[str] | None,
+    typer.Option(metavar="JOINT=VALUE", help="Hold a joint at a value; may be repeated.", rich_help_panel="Robot"),
 ]
 PackageDir = Annotated[
-    list[str] | None, typer.Option(metavar="DIR", help="Folder in which package:// names are looked up.")
+    list[str] | None,
+    typer.Option(metavar="DIR", help="Folder in which package:// names are looked up.", rich_help_panel="Robot"),
 ]
-Deg = Annotated[bool, typer.Option("--deg", help="Turning joints and rpy in degrees; sliding joints stay in metres.")]
-Json = Annotated[bool, typer.Option("--json", help="Print one JSON object, in metres and radians whatever --deg says.")]
+Deg = Annotated[
+    bool,
+    typer.Option(
+        "--deg", help="Turning joints and rpy in degrees; sliding joints stay in metres.", rich_help_panel="Output"
+    ),
+]
+Json = Annotated[
+    bool,
+    typer.Option("--json", help="Print one JSON object, always in metres and radians.", rich_help_panel="Output"),
+]
 Out = Annotated[
-    Path | None, typer.Option("-o", "--output", metavar="FILE", help="Also write the JSON object to a file.")
+    Path | None,
+    typer.Option(
+        "-o", "--output", metavar="FILE", help="Also write the JSON object to a file.", rich_help_panel="Output"
+    ),
 ]
 
 

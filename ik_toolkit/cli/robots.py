@@ -139,7 +139,7 @@ def describe(robot: "Robot") -> dict[str, Any]:
 
 
 def _joint_table(robot: "Robot", deg: bool) -> "Table":
-    made = table(">#", "<joint", "<kind", ">lower", ">upper", ">home", ">speed", "<unit (speed: per s)")
+    made = table(">#", "<joint", "<kind", ">lower", ">upper", ">home", ">speed per s", "<unit")
     for i, (name, kind) in enumerate(zip(robot.joint_names, robot.joint_kinds, strict=True)):
         columns = (robot.lower, robot.upper, robot.home, robot.velocity_limits)
         made.add_row(str(i + 1), name, kind, *(number(float(x[i]), kind, deg) for x in columns), unit(kind, deg))
