@@ -27,6 +27,17 @@ _NAMES = {
     "Planar2R": "solvers.closed_form.planar_2r",
     "Inspection": "solvers.closed_form.inspection",
     "solve_all": "solvers.solve_all",
+    "track": "tracking.track",
+    "Tracker": "tracking.track",
+    "TrackResult": "tracking.result",
+    "Reference": "tracking.reference",
+    "line": "tracking.reference",
+    "circle": "tracking.reference",
+    "lissajous": "tracking.reference",
+    "waypoints": "tracking.reference",
+    "reference_from_file": "tracking.reference:from_file",
+    "best_gains": "tracking.stability",
+    "check_gains": "tracking.stability",
     "IKError": "errors",
     "NotSolved": "errors",
 }
@@ -37,7 +48,8 @@ def __getattr__(name: str) -> Any:
     """Import a public name when it is first used (PEP 562)."""
     if name not in _NAMES:
         raise AttributeError(f"module 'ik_toolkit' has no attribute '{name}'")
-    value = getattr(importlib.import_module(f"ik_toolkit.{_NAMES[name]}"), name)
+    module, _, attribute = _NAMES[name].partition(":")
+    value = getattr(importlib.import_module(f"ik_toolkit.{module}"), attribute or name)
     globals()[name] = value
     return value
 
