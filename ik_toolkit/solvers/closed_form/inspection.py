@@ -77,27 +77,27 @@ def recognise(chain: Chain) -> tuple[np.ndarray, str]:
     c1, c3, c4, c5, c6, c7 = screws.point[order]
     if len(slides) and np.linalg.norm(np.cross(z1, screws.axis[slides[0]])) > FIT:
         return none, "its lift does not slide along the first turning axis"
-    names = "first turning axis and joint 3", "joints 3 and 4", "joints 5 and 6"
-    for name, a, b in zip(names, (z1, z3, z5), (z3, z4, z6), strict=True):
+    # Sentences count turning joints from the base, so that they read the same with and without a lift.
+    for pair, a, b in (("1 and 2", z1, z3), ("2 and 3", z3, z4), ("4 and 5", z5, z6)):
         if abs(a @ b) > FIT:
-            return none, f"the axes of the {name} are not at right angles (cosine {a @ b:.2g})"
-    for name, a, b in (("4 and 5", z4, z5), ("6 and 7", z6, z7)):
+            return none, f"its turning joints {pair} are not at right angles (cosine {a @ b:.2g})"
+    for pair, a, b in (("3 and 4", z4, z5), ("5 and 6", z6, z7)):
         if np.linalg.norm(np.cross(a, b)) > FIT:
-            return none, f"the axes of joints {name} are not parallel"
+            return none, f"its turning joints {pair} are not parallel"
     slack = FIT * chain.reach
     # The shoulder: the foot on axis 1 of joint 3's axis; axes 3 and 4 must pass through it.
     shoulder = c1 + z1 * (z1 @ (c3 - c1))
-    for name, z, c in (("3", z3, c3), ("4", z4, c4)):
+    for place, z, c in (("second", z3, c3), ("third", z4, c4)):
         if np.linalg.norm(across(z, c - shoulder)) > slack:
-            return none, f"axis {name} does not pass through the shoulder point on axis 1"
+            return none, f"its {place} turning axis misses the point where the first and second are nearest"
     level5 = c5 + z4 * (z4 @ (shoulder - c5))  # of axis 5, level with the shoulder
     if np.linalg.norm(across(z6, c6 - level5)) > slack:
-        return none, "axis 6 does not cross axis 5 level with the shoulder"
+        return none, "its fifth turning axis does not cross the fourth level with the shoulder"
     level7 = c7 + z6 * (z6 @ (level5 - c7))
     upper, fore = level5 - shoulder, level7 - level5
     a4, a6 = float(np.linalg.norm(upper)), float(np.linalg.norm(fore))
     if min(a4, a6) <= slack:
-        return none, "two of its parallel axes coincide"
+        return none, "two of its parallel turning axes coincide"
     # The Denavit-Hartenberg x axes at q = 0 give every angle's offset; axes 5 and 7 are turned along 4 and 6.
     s5, s7 = math.copysign(1.0, z4 @ z5), math.copysign(1.0, z6 @ z7)
     x1, x3, x4, x6 = np.cross(z1, z3), np.cross(z3, z4), upper / a4, fore / a6
