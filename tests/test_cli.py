@@ -362,3 +362,39 @@ def test_a_reader_that_leaves_early_hears_no_complaint(arguments):
     with process.stderr as stderr:
         assert stderr.read() == b""
     process.wait()
+
+
+def test_solve_takes_preferences(run):
+    code, out, _ = run(
+        "solve",
+        "inspection_7dof",
+        "--xyz",
+        "0.4",
+        "0.1",
+        "0.9",
+        "--direction",
+        "0",
+        "0",
+        "-1",
+        "--tip-axis",
+        "1",
+        "0",
+        "0",
+        "--json",
+    )
+    assert code == 0
+    robot = ik.Robot.load("inspection_7dof")
+    at = robot.fk(json.loads(out)["q"])
+    assert np.allclose(at.rotation[:, 0], (0, 0, -1), atol=1e-5)
+    code, out, _ = run(
+        "solve", "inspection_7dof", "--xyz", "0.4", "0.1", "0.9", "--mask", "1", "1", "0", "0", "0", "0",
+        "--joint-weights", "1", "0", "1", "1", "1", "1", "1", "--closest", "0", "0.2", "0", "0", "0", "-1", "0",
+        "--objective", "mid-range", "--json",
+    )  # fmt: skip
+    answer = json.loads(out)
+    assert code == 0 and answer["q"][1] == pytest.approx(0.2)
+    assert np.allclose(robot.fk(answer["q"]).translation[:2], (0.4, 0.1), atol=1e-6)
+    code, _, err = run("solve", "inspection_7dof", "--xyz", "0.4", "0.1", "0.9", "--tip-axis", "1", "0", "0")
+    assert code == 2 and "--direction" in err
+    code, _, err = run("solve", "inspection_7dof", "--xyz", "0.4", "0.1", "0.9", "--objective", "midrange")
+    assert code == 2 and "mid-range" in err

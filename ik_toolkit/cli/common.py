@@ -23,7 +23,10 @@ if TYPE_CHECKING:
     from ..robot.robot import Robot
 
 # Options that take several numbers: `--q 0.1 -0.2`, `--q 0.1,-0.2` and `--q "0.1 -0.2"` mean the same.
-VECTOR_OPTIONS = frozenset({"--q", "--q0", "--xyz", "--rpy", "--quat-xyzw", "--center", "--axis", "--start", "--end"})
+VECTOR_OPTIONS = frozenset(
+    "--q --q0 --xyz --rpy --quat-xyzw --center --axis --start --end --direction --tip-axis --mask --joint-weights "
+    "--closest".split()
+)
 COMPILE_NOTICE_AFTER = 0.7  # s; a call that takes longer is compiling
 
 RobotArg = Annotated[str, typer.Argument(metavar="ROBOT", help="Name (see ik robots) or path of a URDF file.")]

@@ -58,6 +58,30 @@ ClampQ0 = Annotated[
     bool, typer.Option("--clamp-q0/--refuse-q0", help="What to do with a start outside the limits: clamp it, or stop.")
 ]
 
+Direction = Annotated[
+    str | None,
+    typer.Option("--direction", metavar="X Y Z", help="Point --tip-axis along this; the turn about it stays free."),
+]
+TipAxis = Annotated[
+    str | None, typer.Option("--tip-axis", metavar="X Y Z", help="Axis of the tip for --direction; default its z.")
+]
+Mask = Annotated[
+    str | None,
+    typer.Option("--mask", metavar="X Y Z RX RY RZ", help="Six weights of what counts; 0 leaves it free."),
+]
+MaskFrame = Annotated[str, typer.Option("--mask-frame", metavar="base|tip", help="Axes the mask is meant in.")]
+Weights = Annotated[
+    str | None, typer.Option("--joint-weights", metavar="W1 W2 ...", help="How freely each joint moves; 0: not at all.")
+]
+Closest = Annotated[
+    str | None, typer.Option("--closest", metavar="Q1 Q2 ...", help="Of several solutions the one nearest this.")
+]
+Objective = Annotated[
+    str | None,
+    typer.Option(
+        "--objective", metavar="NAME", help="For redundant arms: mid-range, reference (near q0) or manipulability."
+    ),
+]
 All = Annotated[
     bool, typer.Option("--all", help="List every distinct solution inside the limits, nearest to q0 (or home) first.")
 ]
@@ -85,6 +109,13 @@ def solve(
     seed: Seed = 0,
     limits: Limits = True,
     clamp_q0: ClampQ0 = True,
+    direction: Direction = None,
+    tip_axis: TipAxis = None,
+    mask: Mask = None,
+    mask_frame: MaskFrame = "base",
+    joint_weights: Weights = None,
+    closest: Closest = None,
+    objective: Objective = None,
     every: All = False,
     tip: Tip = None,
     base: Base = None,
@@ -98,7 +129,7 @@ def solve(
 
     Exit code 0 when solved, 1 when not: the status says how it ended, and the sentence on stderr what to try.
     """
-    target = make_target(xyz, rpy, quat_xyzw, deg)
+    target = make_target(xyz, rpy, quat_xyzw, deg, direction, tip_axis)
     method = choose_solver(solver, param, preset)
     arm = load_robot(robot, tip, base, lock, package_dir, deg)
 
@@ -110,6 +141,10 @@ def solve(
         "orientation_tolerance": orientation_tolerance,
         "max_iterations": max_iterations,
         "restarts": restarts,
+        "mask": None if mask is None else tuple(vector(mask, "--mask", 6)),
+        "mask_frame": None if mask is None else mask_frame,
+        "joint_weights": None if joint_weights is None else tuple(vector(joint_weights, "--joint-weights", arm.n)),
+        "objective": objective,
     }
     options: dict[str, Any] = {key: value for key, value in given.items() if value is not None}
     options |= {"seed": seed, "limits": limits, "q0_outside": "clamp" if clamp_q0 else "refuse"}
@@ -119,9 +154,12 @@ def solve(
         return
     with compile_notice():  # at a solved start: compiles or loads, so that the time shown below is the solve's own
         at_home = arm.fk(arm.home)
-        solve_one(arm, at_home.translation if target.ndim == 1 else at_home, method, **options)
+        position_only = getattr(target, "ndim", 2) == 1
+        solve_one(arm, at_home.translation if position_only else at_home, method, **options)
+    if closest is not None:
+        options["closest"] = joint_vector(arm, closest, "--closest", deg)
     result = solve_one(arm, target, method, q0=start, **options)
-    payload = {**result.to_dict(), "base": arm.base, "tip": arm.tip, "target": target}
+    payload = {**result.to_dict(), "base": arm.base, "tip": arm.tip, "target": getattr(target, "T_base_tip", target)}
     write_json(payload, as_json, output)
     if not as_json:
         _show(result, deg)
@@ -157,15 +195,26 @@ def _solve_all(
         raise typer.Exit(1)
 
 
-def make_target(xyz: str, rpy: str | None, quat_xyzw: str | None, deg: bool) -> Any:
-    """Target of the pose options: (3,) when the orientation is free, otherwise (4, 4); rpy in degrees when `deg`."""
+def make_target(
+    xyz: str,
+    rpy: str | None,
+    quat_xyzw: str | None,
+    deg: bool,
+    direction: str | None = None,
+    tip_axis: str | None = None,
+) -> Any:
+    """Target of the pose options: (3,) when the orientation is free, (4, 4), or an AxisTarget; rpy in degrees when `deg`."""
     from ..robot.pose import pose
 
     angles = vector(rpy, "--rpy", 3) if rpy is not None else None
     if angles is not None and deg:
         angles = [math.radians(x) for x in angles]
     quat = vector(quat_xyzw, "--quat-xyzw", 4) if quat_xyzw is not None else None
-    return pose(vector(xyz, "--xyz", 3), rpy=angles, quat_xyzw=quat)
+    axis = (0.0, 0.0, 1.0) if tip_axis is None else vector(tip_axis, "--tip-axis", 3)
+    if tip_axis is not None and direction is None:
+        raise InvalidOption("--tip-axis says which axis --direction turns; give --direction too")
+    towards = None if direction is None else vector(direction, "--direction", 3)
+    return pose(vector(xyz, "--xyz", 3), rpy=angles, quat_xyzw=quat, axis=axis, direction=towards)
 
 
 def choose_solver(name: str, params: list[str] | None, preset: str | None) -> Any:
