@@ -211,6 +211,31 @@ def test_every_branch_outside_the_limits_is_limit_blocked(arm):
     assert ik.solve(arm, arm.fk(q), ik.Inspection(lift=0.22), limits=False).success
 
 
+def test_poses_that_need_more_stroke_name_the_lift(arm):
+    """Out of reach at every legal lift but not at others: the lift's limit blocks; no lift at all: unreachable."""
+    rng = np.random.default_rng(8)
+    p = ik.Inspection().pack(arm)
+    blocked = unreachable = 0
+    for _ in range(1000):
+        q = arm.random_q(rng)
+        q[1] = rng.uniform(-1.0, 1.5)
+        T = arm.chain.forward(q)[0][0]
+        if rng.random() < 0.3:
+            T[:2, 3] *= 1.5
+        result = ik.solve(arm, T, "inspection")
+        spans = inspection.feasible_lifts(p, T)
+        legal = inspection.feasible_lifts(p, T, arm.lower[1], arm.upper[1])
+        if legal:
+            assert result.status in (ik.Status.CONVERGED, ik.Status.LIMIT_BLOCKED)
+        elif spans:
+            blocked += 1
+            assert result.status == ik.Status.LIMIT_BLOCKED and "lift" in result.limited_joints
+        else:
+            unreachable += 1
+            assert result.status == ik.Status.UNREACHABLE
+    assert blocked > 100 and unreachable > 50
+
+
 def test_sample_pose_of_the_paper(arm):
     sample = DATA["sample"]
     result = ik.solve(arm, sample["target"], ik.Inspection(lift=0.22))
@@ -229,6 +254,8 @@ def test_free_lift_lists_a_spread_and_says_so(arm):
     found = ik.solve_all(arm, arm.fk(arm.home))
     assert not found.complete and len(found) > 5 and "infinitely many" in found.message
     assert len(set(found.q[:, 1].round(6))) > 2 and found.position_error.max() < 1e-9
+    few = ik.solve_all(arm, arm.fk(arm.home), ik.Inspection(lift=0.22), count=2, limits=False)
+    assert len(few) == 2 and not few.complete
 
 
 def test_locked_lift_is_complete_and_agrees_with_restarts(arm):

@@ -110,7 +110,7 @@ def solve_all(
     distance = np.sqrt((((q - start) / unit) ** 2).sum(axis=1))
     order = np.argsort(distance, kind="stable")
     if robot.n > one.task_rows(kind) and len(q) > count:
-        order = order[_spread(q[order] / unit, count)]
+        order, complete = order[_spread(q[order] / unit, count)], False
     if not len(q):
         failed = one(target, q0)
         message = message if failed.success else failed.message

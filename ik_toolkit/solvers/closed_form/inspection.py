@@ -17,7 +17,18 @@ from ...kernel.chain import Chain
 from ...kernel.checks import BAD_START, BAD_TARGET, rigid
 from ...kernel.jit import cached, jit, kernel_stamp
 from . import geometry, reach
-from .geometry import FIT, across, angle_about, clamp, copy_limits, legal_start, legal_turn, measure_tip, read_screws
+from .geometry import (
+    FIT,
+    SNAP,
+    across,
+    angle_about,
+    clamp,
+    copy_limits,
+    legal_start,
+    legal_turn,
+    measure_tip,
+    read_screws,
+)
 from .reach import inspection_branches, inspection_margin, inspection_nearest, lift_intervals, nearest_lift
 
 # Slots of the parameters: base -> shoulder axes (12), tip -> wrist axes (12), then these. Of each turning joint: its place
@@ -216,6 +227,19 @@ def choose_lift(p, P, box, spans):
 
 
 @jit
+def stopped_at(p, P, box, d, gap, spans):
+    """Where no legal lift reaches: the limit nearest a lift that would, and 0; or d and gap when no lift at all does."""
+    low, high = lift_limits(p, box)
+    least = np.inf
+    for k in range(lift_intervals(P, p[A4], p[A6], -np.inf, np.inf, spans)):
+        if spans[k, 0] - high > 0.0 and spans[k, 0] - high < least:
+            least, d, gap = spans[k, 0] - high, high, 0.0
+        if low - spans[k, 1] > 0.0 and low - spans[k, 1] < least:
+            least, d, gap = low - spans[k, 1], low, 0.0
+    return d, gap
+
+
+@jit
 def scan_lifts(p, P, box, near, spans, count, moved, sols, q, trial, best):
     """Search the feasible lifts for a legal branch: the one nearest the reference, or what breaks the limits least.
 
@@ -280,11 +304,10 @@ def _compile_solve():
                         low, high = lift_limits(p, box)
                         count = lift_intervals(P, p[A4], p[A6], low, high, spans)
                     broken = scan_lifts(p, P, box, near, spans, count, moved, sols, q, trial, best)
-                elif gap > 0.0 and lift_intervals(P, p[A4], p[A6], -np.inf, np.inf, spans) > 0:
-                    broken, gap = (
-                        max(broken, gap),
-                        0.0,
-                    )  # in reach with more stroke: it is the lift's limit that stops it
+                elif gap > 0.0:
+                    d, gap = stopped_at(p, P, box, d, gap, spans)
+                    if gap == 0.0:  # in reach with more stroke: it is the lift's limit that stops it
+                        broken = max(pick(p, P, d, box, near, moved, sols, q, best)[0], SNAP)
             measure_tip(rows, ends, opt, T[t], best, box, broken, gap, goal, Z, trig, hist, out[t])
 
     return solve
