@@ -99,6 +99,28 @@ def segments(rows: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> np.ndarr
     return lengths
 
 
+def box(lower: np.ndarray, upper: np.ndarray, slides: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Where to draw starts (kernel units): inside the limits, one turn or one reach where there are none."""
+    half = np.where(slides, 1.0, np.pi)
+    low = np.where(np.isfinite(lower), lower, np.where(np.isfinite(upper), upper - 2 * half, -half))
+    return low, np.where(np.isfinite(upper), upper, low + 2 * half)
+
+
+def table(rows: np.ndarray, ends: np.ndarray, seeds: np.ndarray) -> np.ndarray:
+    """Features (13, N + PAD) of the configurations `seeds` (N, n): the last joint's rotation, the tip point (seeds.nearest)."""
+    count, n = seeds.shape
+    T = np.empty((count, 4, 4))
+    tip, tail = ends[12:24], ends[E_VECTORS + 7 * n :]
+    flat = np.concatenate([np.eye(3).ravel(), np.zeros(3), ends[12 : E_VECTORS + 7 * n], [1.0], tail[1:]])
+    forward(rows, flat, seeds, np.ones(n), T, np.empty((0, 6, n)))
+    features = np.zeros((13, count + PAD), np.float32)
+    features[:3, :count] = -2.0 * T[:, :3, 3].T
+    rotation = T[:, :3, :3] @ tip[:9].reshape(3, 3).T
+    features[3:12, :count] = -2.0 * ROTATION_WEIGHT * rotation.reshape(count, 9).T
+    features[12, :count] = (T[:, :3, 3] ** 2).sum(1)
+    return features
+
+
 def pack(
     rows: np.ndarray,
     base: np.ndarray,
@@ -137,10 +159,7 @@ def pack(
     low_k, high_k = lower / unit, upper / unit
     # An endless joint is brought back after five turns inside the kernel; the answer is moved to the turn nearest q0.
     endless = turns & np.isinf(lower) & np.isinf(upper)
-    # Where to draw starts: inside the limits, one turn or one reach where there are none.
-    half = np.where(slides, 1.0, np.pi)
-    low = np.where(np.isfinite(low_k), low_k, np.where(np.isfinite(high_k), high_k - 2 * half, -half))
-    high = np.where(np.isfinite(high_k), high_k, low + 2 * half)
+    low, high = box(low_k, high_k, slides)
     lengths = segments(rows, low_k, high_k)
     tool = float(np.linalg.norm(tip[9:]))
     sliding = rows[1:, 6] != 0.0
@@ -165,14 +184,5 @@ def pack(
     ends = np.concatenate([base, tip, *inside, low, high - low, home / unit, tail])
     # A seed nobody else uses: a target drawn with default_rng(1) must not be found in the table by accident.
     seeds = np.random.default_rng(0x5EED7AB1E).uniform(low, high, (SEEDS, n))
-    T = np.empty((SEEDS, 4, 4))
-    flat = np.concatenate([np.eye(3).ravel(), np.zeros(3), tip, ends[E_VECTORS : E_VECTORS + 7 * n], [1.0], tail[1:]])
-    forward(rows, flat, seeds, np.ones(n), T, np.empty((0, 6, n)))
-    features = np.zeros(
-        (13, SEEDS + PAD), np.float32
-    )  # of the last joint's rotation and the tip point, see seeds.nearest
-    features[:3, :SEEDS] = -2.0 * T[:, :3, 3].T
-    rotation = T[:, :3, :3] @ tip[:9].reshape(3, 3).T
-    features[3:12, :SEEDS] = -2.0 * ROTATION_WEIGHT * rotation.reshape(SEEDS, 9).T
-    features[12, :SEEDS] = (T[:, :3, 3] ** 2).sum(1)
+    features = table(rows, ends, seeds)
     return Chain(rows, ends, seeds, features, unit, lower, upper, turns.astype(float), scale, reach)

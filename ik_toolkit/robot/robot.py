@@ -8,7 +8,7 @@ import functools
 import threading
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 import pinocchio as pin
@@ -21,6 +21,9 @@ from .library import find
 from .pose import check_target
 from .probe import Path as JointPath
 from .probe import find_path, probe
+
+if TYPE_CHECKING:
+    from .tree import Tree
 
 CACHES = ("_local", "_sampling", "_solvers", "_closed_form")  # belong to one object, or to one thread
 SINGULAR = 0.02  # smallest singular value (lengths over reach) below which a configuration is no good as home
@@ -74,6 +77,7 @@ class Robot(Joints):
             self._set_rest(joint, value)
         self._build(home)
 
+    @overload
     @classmethod
     def load(
         cls,
@@ -83,12 +87,37 @@ class Robot(Joints):
         base: str | None = None,
         package_dirs: Iterable[str | Path] = (),
         locked: Mapping[str, float] | None = None,
-    ) -> "Robot":
+    ) -> "Robot": ...
+    @overload
+    @classmethod
+    def load(
+        cls,
+        source: str | Path,
+        *,
+        tip: list[str] | tuple[str, ...],
+        base: str | None = None,
+        package_dirs: Iterable[str | Path] = (),
+        locked: Mapping[str, float] | None = None,
+    ) -> "Tree": ...
+    @classmethod
+    def load(
+        cls,
+        source: str | Path,
+        *,
+        tip: str | list[str] | tuple[str, ...] | None = None,
+        base: str | None = None,
+        package_dirs: Iterable[str | Path] = (),
+        locked: Mapping[str, float] | None = None,
+    ) -> "Robot | Tree":
         """Load a robot by shipped name, `.urdf` path, URDF text, or example-robot-data name.
 
-        Meshes are never read. Raises RobotNotFound, ModelError (broken or hostile file, in one sentence), FrameNotFound
-        (lists the frames), JointNotFound.
+        A list of tips makes a Tree, which is solved for a target a tip. Meshes are never read. Raises RobotNotFound,
+        ModelError (broken or hostile file, in one sentence), FrameNotFound (lists the frames), JointNotFound.
         """
+        if isinstance(tip, list | tuple):
+            from .tree import load_tree
+
+            return load_tree(source, tip, base, package_dirs, locked)
         found = find(source)
         text = safe_read(found.source)
         require_loadable(text)

@@ -138,6 +138,10 @@ def solve_batch(
     """
     if threads is not None and (isinstance(threads, bool) or int(threads) != threads or threads < 1):
         raise InvalidOption(f"threads must be a whole number of at least 1, not {threads!r}")
+    if not isinstance(robot, Robot):
+        raise InvalidOption(
+            f"solve_batch takes a robot with one tip, not a {type(robot).__name__}; call a bound Solver in a loop"
+        )
     local = Solver(robot, solver, **options)
     starts = None
     if q0 is not None:

@@ -34,6 +34,7 @@ from ..kernel.loop import (
 from ..kernel.task import AXIS, MASK_BASE, MASK_TIP, POSE, POSITION
 from ..robot.pose import AxisTarget, check_target, masked_errors
 from ..robot.robot import Robot
+from ..robot.tree import Tree
 from .closed_form import fits
 from .options import OBJECTIVES, Options, make_options
 from .registry import find_row, make_rule
@@ -55,6 +56,14 @@ class Solver:
     solver: name, rule class or instance; parameters of the rule and options (see Options) as keywords. The result is the
     kernel's own evaluation unless check=True. Safe to call from several threads. Raises UnknownSolver, InvalidOption.
     """
+
+    def __new__(cls, robot: Any = None, *_: Any, **__: Any) -> "Solver":
+        """Make a solver for several tips when the robot is a Tree."""
+        if isinstance(robot, Tree):
+            from .tree import TreeSolver
+
+            return object.__new__(TreeSolver)
+        return super().__new__(cls)
 
     def __init__(self, robot: Robot, solver: Any = "lm", **options: Any) -> None:
         """Validate everything once; the loop is compiled at the first call."""
@@ -291,7 +300,7 @@ def bound(robot: Robot, solver: Any, options: dict[str, Any]) -> Solver:
 
 def automatic(robot: Robot, target: Any, options: dict[str, Any]) -> str:
     """Name of the solver that 'auto' stands for: a closed form where one fits and no preference is given, else 'lm'."""
-    if isinstance(target, AxisTarget):
+    if isinstance(target, AxisTarget) or isinstance(robot, Tree):
         return "lm"
     shape = getattr(target, "shape", (len(target),) if isinstance(target, list | tuple) else ())
     position = tuple(shape) == (3,)
@@ -308,7 +317,7 @@ def solve(robot: Robot, target: Any, solver: Any = "auto", q0: Any = None, **opt
     limits, q0_outside, mask, mask_frame, joint_weights, objective, history; and the parameters of the solver. Success is
     re-checked with Pinocchio. Raises InvalidTarget, InvalidConfiguration, UnknownSolver, InvalidOption.
     """
-    if not isinstance(robot, Robot):
+    if not isinstance(robot, Robot | Tree):
         raise InvalidOption(f"the first argument is a Robot (see Robot.load), not {type(robot).__name__}")
     if solver == "auto" if isinstance(solver, str) else solver is None:
         solver = automatic(robot, target, options)

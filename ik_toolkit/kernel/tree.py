@@ -1,0 +1,103 @@
+"""The flat arrays of several tips of one tree: one chain per tip, all reading one shared vector of coordinates."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from .chain import WINDING, Chain, box, forward, table
+from .kinematics import TAU
+from .loop import E_VECTORS
+from .seeds import BEST
+
+Array = np.ndarray
+OWN = 256  # table rows for each of the BEST values of the shared joints
+
+
+class TreeChain(NamedTuple):
+    """Chains of F tips over n shared coordinates, ready for the kernel.
+
+    rows (L, 10) of all chains, chain f in rows[cut[f]:cut[f + 1]]; ends (F, ...) as in Chain, with the shared coordinates;
+    moves (F, n) 1 where a coordinate moves a tip; owner (n,) the only tip it moves, -1 when shared; seeds (N, n) and
+    features (F, 13, N + PAD): row j has the shared joints of group j % BEST, and each tip picks its own joints from the best
+    row of a group. unit, lower, upper (n,); scale: length of one kernel unit [m].
+    """
+
+    rows: Array
+    cut: Array
+    ends: Array
+    moves: Array
+    owner: Array
+    seeds: Array
+    features: Array
+    unit: Array
+    lower: Array
+    upper: Array
+    scale: float
+
+    def forward(self, Q: Array, jacobian: bool = False) -> tuple[Array, Array]:
+        """T_base_tip (N, F, 4, 4) and, when asked, stacked Jacobians (N, 6 F, n; base axes, linear first) at Q (N, n)."""
+        Q = np.ascontiguousarray(np.atleast_2d(np.asarray(Q, dtype=float)))
+        N, n = Q.shape
+        poses, stack = [], []
+        for f, ends in enumerate(self.ends):
+            T, J = np.empty((N, 4, 4)), np.empty((N if jacobian else 0, 6, n))
+            forward(self.rows[self.cut[f] : self.cut[f + 1]], ends, Q, self.unit, T, J)
+            poses.append(T)
+            stack.append(J)
+        return np.stack(poses, axis=1), np.concatenate(stack, axis=1)
+
+
+def pack_tree(chains: list[Chain], places: list[Array], lower: Array, upper: Array, home: Array) -> TreeChain:
+    """Join chains; places[f][i] is the shared coordinate of coordinate i of chain f. lower, upper, home (n,) [rad or m]."""
+    n, F = len(lower), len(chains)
+    scale = max(chain.scale for chain in chains)
+    parts = []
+    for chain, place in zip(chains, places, strict=True):  # back to metres (scales are powers of two, so exactly)
+        rows, own = chain.rows.copy(), chain.rows[:, 8].astype(int)
+        turning = [rows[own == k, 9].any() for k in range(chain.n)]
+        rows[:, [2, 3, 7]] *= chain.scale
+        for i, k in enumerate(own):
+            if turning[k] and not rows[i, 9]:
+                rows[i, 6] *= chain.scale
+        rows[:, 8] = place[own]
+        rows[0, 0] = 0.0  # columns are scattered: no chain has all the coordinates
+        parts.append(rows)
+    every = np.concatenate(parts)
+    slides = np.array([not every[every[:, 8] == k, 9].any() for k in range(n)])
+    unit = np.where(slides, scale, 1.0)
+    turns = upper - lower >= TAU - 1e-9
+    for chain, place in zip(chains, places, strict=True):
+        turns[place] &= chain.turns > 0.0
+    endless = turns & np.isinf(lower) & np.isinf(upper)
+    low, high = box(lower / unit, upper / unit, slides)
+    inside = [
+        np.where(endless, -WINDING, lower / unit),
+        np.where(endless, WINDING, upper / unit),
+        turns + 1.0 * endless,
+    ]
+    vectors = [*inside, unit, low, high - low, home / unit]
+    ends = np.empty((F, E_VECTORS + 7 * n + 7))
+    moves = np.zeros((F, n))
+    for f, (chain, place, rows) in enumerate(zip(chains, places, parts, strict=True)):
+        factor = chain.scale / scale
+        rows[:, [2, 3, 7]] /= scale
+        for i, k in enumerate(rows[:, 8].astype(int)):
+            if not slides[k] and not rows[i, 9]:
+                rows[i, 6] /= scale
+        points = chain.ends[:E_VECTORS].copy()
+        points[[9, 10, 11, 21, 22, 23]] *= factor
+        ends[f] = np.concatenate([points, *vectors, [scale], chain.ends[-6:] * factor])
+        moves[f, place] = 1.0
+    owner = np.where(moves.sum(axis=0) > 1, -1, np.argmax(moves, axis=0))
+    seeds = np.random.default_rng(0x5EED7AB1E).uniform(low, high, (BEST * OWN, n))
+    shared = owner < 0
+    # Shared joints take few values, spread evenly by Roberts' additive sequence, so that the tips agree on them.
+    d = int(shared.sum())
+    root = 2.0
+    for _ in range(64):
+        root = (1.0 + root) ** (1.0 / (d + 1))
+    spread = (0.5 + np.outer(np.arange(BEST), root ** -np.arange(1.0, d + 1))) % 1.0
+    seeds[:, shared] = np.tile(low[shared] + spread * (high - low)[shared], (OWN, 1))
+    cut = np.concatenate([[0], np.cumsum([len(rows) for rows in parts])])
+    features = np.stack([table(rows, end, seeds) for rows, end in zip(parts, ends, strict=True)])
+    return TreeChain(np.concatenate(parts), cut, ends, moves, owner, seeds, features, unit, lower, upper, scale)

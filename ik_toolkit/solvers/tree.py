@@ -1,0 +1,180 @@
+"""Solving for several tips at once: `ik.solve` and `ik.Solver` of a Tree."""
+
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+
+from ..errors import InvalidOption, UnknownSolver
+from ..kernel.checks import BAD_TARGET
+from ..kernel.loop import O_C, O_ITERATIONS, OUT_HEAD, R_HISTORY
+from ..kernel.task import POSE, POSITION
+from ..kernel.tree_loop import tree_entry
+from ..robot.tree import Tree
+from .registry import find_row
+from .result import Result, Status, sentence
+from .solve import NEVER, Solver
+
+ITERATIONS = 40  # steps a descent: the tips pull on shared joints
+GIVE_UP = (60.0, 0.25, 200.0, 0.4)
+
+
+class TreeResult(Result):
+    """Answer of a solve for several tips.
+
+    As Result, where position_error [m] and orientation_error [rad] are the largest over the tips (None when every target
+    leaves orientation free); position_errors and orientation_errors are dicts by tip.
+    """
+
+    __slots__ = ("_each", "_excess")
+
+    def __init__(
+        self, solver: "TreeSolver", row: np.ndarray, tips: np.ndarray, kinds: np.ndarray, elapsed: float
+    ) -> None:
+        """Keep the kernel's row and its errors (F, 3) by tip."""
+        super().__init__(solver, row, elapsed, bool((kinds == POSITION).all()))
+        self._each = [
+            (p, None if kind == POSITION else r) for (p, r, _), kind in zip(tips.tolist(), kinds, strict=True)
+        ]
+        self._excess = tips[:, 2]
+
+    @property
+    def position_errors(self) -> dict[str, float]:
+        """Distance of each tip from its target at q [m]."""
+        return {tip: error[0] for tip, error in zip(self.robot.tips, self._each, strict=True)}
+
+    @property
+    def orientation_errors(self) -> dict[str, float | None]:
+        """Rotation angle left at each tip [rad]; None where the target leaves orientation free."""
+        return {tip: error[1] for tip, error in zip(self.robot.tips, self._each, strict=True)}
+
+    @property
+    def message(self) -> str:
+        """One sentence on how the solve ended and, on failure, which tip is how far and what to try."""
+        if self.success:
+            return sentence(self)
+        left = []
+        for tip, (position, angle) in zip(self.robot.tips, self._each, strict=True):
+            left.append(f"{tip} {1000 * position:.3g} mm" + ("" if angle is None else f" {np.degrees(angle):.3g} deg"))
+        text = sentence(self)
+        if self.status == Status.UNREACHABLE:
+            beyond = [
+                f"{tip} by {1000 * x:.4g} mm" for tip, x in zip(self.robot.tips, self._excess, strict=True) if x > 0.0
+            ]
+            text = (
+                f"beyond reach: {', '.join(beyond)} (a bound from the link lengths); move the target inside the reach"
+            )
+        return f"{text}; left at each tip: {', '.join(left)}"
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain numbers, strings and lists, ready for JSON; errors by tip under `tips`."""
+        pairs = zip(self.robot.tips, self._each, strict=True)
+        tips = {tip: {"position_error": p, "orientation_error": r} for tip, (p, r) in pairs}
+        return {**super().to_dict(), "tips": tips}
+
+
+class TreeSolver(Solver):
+    """Solver bound to a Tree: `solver(targets, q0=None) -> TreeResult`; made by `ik.Solver(tree, ...)`.
+
+    Levenberg-Marquardt on the stacked errors with held joints, as `lm`; the first starts come from a table in which each tip
+    picks its own joints for several values of the shared ones. Options as for `lm`, without mask, closest and objective.
+    fk_evaluations counts all tips as one.
+    """
+
+    robot: Tree  # pyright: ignore[reportIncompatibleVariableOverride]
+
+    def __init__(self, robot: Tree, solver: Any = "lm", **options: Any) -> None:
+        """Validate everything once. Raises UnknownSolver (any but 'lm'), InvalidOption."""
+        if find_row(solver).name != "lm":
+            raise UnknownSolver(f"several tips together are solved by 'lm' only, not by '{find_row(solver).name}'")
+        super().__init__(robot, solver, **options)  # pyright: ignore[reportArgumentType]
+        for name in ("mask", "closest", "objective"):
+            if getattr(self.options, name):
+                raise InvalidOption(f"option '{name}' is for one tip; leave it out when several are solved together")
+
+    def _bind(self) -> None:
+        tree = self.robot
+        chain = tree.chain
+        self._kernel = tree_entry()
+        self._chain = (
+            chain.rows,
+            chain.cut,
+            chain.ends,
+            chain.moves,
+            chain.owner,
+            chain.seeds,
+            chain.features,
+        )
+        self._width = OUT_HEAD + tree.n
+        self._home = tree.home.reshape(1, -1).copy()
+        self._silent = np.empty((0, 2 + tree.n))
+        self._lower, self._upper = tree.lower, tree.upper
+        self._packed = {}
+
+    def _pack(self, kind: Any, given: bool) -> np.ndarray:
+        packed = super()._pack(kind, given)
+        if self.options.max_iterations is None:
+            packed[O_ITERATIONS] = ITERATIONS
+            if packed[O_C] != NEVER[0]:
+                packed[O_C : O_C + 4] = GIVE_UP
+        return packed
+
+    def __call__(self, targets: Any, q0: Any = None) -> TreeResult:  # pyright: ignore[reportIncompatibleMethodOverride]
+        """Solve for one target a tip: a dict by tip, or a sequence in the order of `robot.tips`; q0 (n,), default home.
+
+        Each target is T_base_tip (4, 4), pin.SE3, or a position (3,) [m]. Raises FrameNotFound, InvalidTarget and
+        InvalidConfiguration; a failure to converge is a status in the result.
+        """
+        started = perf_counter()
+        start, notice = (self._home, "") if q0 is None else self._start(q0)
+        T, kinds, note = self._read(targets, False)
+        row, tips = self._descend(T, kinds, start, q0 is not None, self._silent)
+        if row[0] == BAD_TARGET:
+            T, kinds, note = self._read(targets, True)
+            row, tips = self._descend(T, kinds, start, q0 is not None, self._silent)
+        result = TreeResult(self, row, tips, kinds, perf_counter() - started)
+        result.notice = "; ".join(filter(None, (note, notice)))
+        if self.options.history:  # once more with room for it; the counts of the first run say how much
+            history = np.empty((result.fk_evaluations + 1, 2 + self.robot.n))
+            again, _ = self._descend(T, kinds, start, q0 is not None, history)
+            history = history[: int(again[R_HISTORY])]
+            result._history = {"position_error": history[:, 0], "orientation_error": history[:, 1], "q": history[:, 2:]}
+        if self.options.check:
+            self._confirm(result, [x if kind == POSE else x[:3, 3] for x, kind in zip(T, kinds, strict=True)])
+            result.elapsed = perf_counter() - started
+        return result
+
+    def _read(self, targets: Any, strict: bool) -> tuple[np.ndarray, np.ndarray, str]:
+        """Targets as (F, 4, 4), their kinds (F,) and a notice; an array of poses is left to the kernel unless strict."""
+        F = len(self.robot.tips)
+        kinds = np.zeros(F, dtype=np.int64)  # POSE
+        array = type(targets) is np.ndarray and targets.shape == (F, 4, 4) and targets.dtype == np.float64
+        if array and targets.flags.carray and not strict:
+            return targets, kinds, ""
+        checked, notice = self.robot.check_targets(targets)
+        T = np.tile(np.eye(4), (F, 1, 1))
+        for f, target in enumerate(checked):
+            if target.ndim == 1:
+                kinds[f] = POSITION
+                T[f, :3, 3] = target
+            else:
+                T[f] = target
+        return T, kinds, notice
+
+    def _descend(
+        self, T: np.ndarray, kinds: np.ndarray, start: np.ndarray, given: bool, history: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Run the kernel; returns its row (8 + n,) and the errors and excess (F, 3) by tip."""
+        row, tips = np.empty(self._width), np.empty((len(kinds), 3))
+        self._kernel(*self._chain, kinds, T, start[0], row, tips, self.pack(POSE, given), history)
+        return row, tips
+
+    def _confirm(self, result: TreeResult, targets: Any) -> None:
+        """Compute the errors of every tip again with Pinocchio; a success it does not confirm is no success."""
+        o = self.options
+        result._each = self.robot.errors(result.q, targets)
+        angles = [angle for _, angle in result._each if angle is not None]
+        worst = (max(position for position, _ in result._each), max(angles, default=None))
+        result._checked = worst
+        if result.success and not (worst[0] <= o.position_tolerance and (worst[1] or 0.0) <= o.orientation_tolerance):
+            result._status = Status.CHECK_FAILED
