@@ -8,6 +8,7 @@ from .jit import jit
 from .kinematics import TAU
 
 CONVERGED, STALLED, ITERATION_LIMIT, LIMIT_BLOCKED, UNREACHABLE, SINGULAR, NOT_FINITE, CHECK_FAILED = range(8)
+FAR = 1e100  # coordinates [m] beyond this are refused: their squares are no numbers
 BAD_TARGET, BAD_START = 8, 9  # never seen by a caller: the target or the start needs a look outside the kernel
 
 
@@ -65,7 +66,7 @@ def rigid(T):
                 return False
     det = T[0, 0] * (T[1, 1] * T[2, 2] - T[1, 2] * T[2, 1]) - T[0, 1] * (T[1, 0] * T[2, 2] - T[1, 2] * T[2, 0])
     det += T[0, 2] * (T[1, 0] * T[2, 1] - T[1, 1] * T[2, 0])
-    return det > 0.0 and total < 1e300
+    return det > 0.0 and total < FAR
 
 
 @jit

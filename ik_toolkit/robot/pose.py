@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import InvalidTarget
+from ..kernel.checks import FAR
 
 PROJECT_WITHIN = 1e-2  # distance (largest singular value off 1) up to which a typed rotation is projected
 
@@ -174,6 +175,12 @@ def masked_errors(T: np.ndarray, target: np.ndarray, mask: Sequence[float], fram
     return float(np.linalg.norm(position)), float(np.linalg.norm(rotation))
 
 
+def _near(position: np.ndarray) -> np.ndarray:
+    if np.abs(position).max() >= FAR:
+        raise InvalidTarget(f"a target position must stay below {FAR:g} m: {position.tolist()}")
+    return position
+
+
 def check_target(target: Any) -> tuple[np.ndarray, str]:
     """Validate a target; return it as float64 (4, 4) or (3,), and a notice ('' or what was corrected).
 
@@ -188,7 +195,7 @@ def check_target(target: Any) -> tuple[np.ndarray, str]:
             f"a target is a 4x4 pose, a pin.SE3 or a position of 3 numbers, not {type(target).__name__} {target!r}"
         ) from None
     if T.shape == (3,):
-        return _numbers(T, 3, "target position"), ""
+        return _near(_numbers(T, 3, "target position")), ""
     if T.shape != (4, 4):
         raise InvalidTarget(
             f"a target is a 4x4 pose, a pin.SE3 or a position of 3 numbers, not an array of shape {T.shape}"
@@ -197,6 +204,7 @@ def check_target(target: Any) -> tuple[np.ndarray, str]:
         raise InvalidTarget("the target pose has entries that are not finite numbers")
     if np.abs(T[3] - (0.0, 0.0, 0.0, 1.0)).max() > 1e-9:
         raise InvalidTarget(f"the last row of a pose must be 0 0 0 1, not {T[3].tolist()}")
+    _near(T[:3, 3])
     R, off = nearest_rotation(T[:3, :3])
     if off > PROJECT_WITHIN or np.linalg.det(T[:3, :3]) < 0.0:
         raise InvalidTarget(

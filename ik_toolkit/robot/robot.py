@@ -5,6 +5,7 @@ flat chain is probed from it.
 """
 
 import functools
+import math
 import threading
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
@@ -25,7 +26,7 @@ from .probe import find_path, probe
 if TYPE_CHECKING:
     from .tree import Tree
 
-CACHES = ("_local", "_sampling", "_solvers", "_closed_form")  # belong to one object, or to one thread
+CACHES = ("_local", "_sampling", "_solvers", "_closed_form", "_collision")  # belong to one object, or to one thread
 SINGULAR = 0.02  # smallest singular value (lengths over reach) below which a configuration is no good as home
 
 
@@ -297,10 +298,9 @@ class Robot(Joints):
         """Position error [m] and rotation angle [rad] (None for a (3,) target) between the tip at q and a target."""
         T = self._fk(q)
         if target.ndim == 1:
-            return float(np.linalg.norm(target - T.translation)), None
-        position = target[:3, 3] - T.translation
-        R = T.rotation.T @ target[:3, :3]
-        return float(np.sqrt(position @ position)), float(np.linalg.norm(pin.log3(R)))
+            return math.hypot(*(target - T.translation)), None
+        rotation = pin.log3(T.rotation.T @ target[:3, :3])
+        return math.hypot(*(target[:3, 3] - T.translation)), math.hypot(*rotation)
 
     # ------------------------------------------------------------------------------------------------ variants
     def _variant(self) -> "Robot":

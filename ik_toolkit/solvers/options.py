@@ -22,8 +22,8 @@ class Options:
     'refuse'. mask: six weights x, y, z, rx, ry, rz (0 = free) in mask_frame 'base' or 'tip'. joint_weights (n,): how freely
     each joint moves (1 = as usual, 0 = not at all). closest: of several solutions return the one nearest q0. objective: for
     redundant tasks, what to improve in the null space once solved: 'mid-range', 'reference' (near q0) or 'manipulability'.
-    history: keep errors and q of every evaluation. check: re-check with
-    Pinocchio.
+    history: keep errors and q of every evaluation. check: re-check with Pinocchio. avoid_collisions: True (the robot's own
+    links) or a CollisionModel: only answers that touch nothing count, and the search goes on until one is found.
     """
 
     position_tolerance: float = 1e-6
@@ -41,6 +41,7 @@ class Options:
     objective: str | None = None
     history: bool = False
     check: bool = True
+    avoid_collisions: Any = False
 
 
 NAMES = tuple(field.name for field in fields(Options))

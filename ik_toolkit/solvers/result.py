@@ -23,6 +23,7 @@ class Status(enum.IntEnum):
     SINGULAR = 5
     NOT_FINITE = 6
     CHECK_FAILED = 7
+    COLLISION = 10  # 8 and 9 are the kernel's own
 
 
 ADVICE = {
@@ -34,6 +35,7 @@ ADVICE = {
     Status.SINGULAR: "start from another q0, or use solver 'lm' with restarts",
     Status.NOT_FINITE: "lower the gains",
     Status.CHECK_FAILED: "please report this with the robot and the target",
+    Status.COLLISION: "try more restarts, another q0, or move the target or what is in the way",
 }
 
 
@@ -54,11 +56,12 @@ class Result:
     q (n,) [rad or m], evaluated and inside the limits; success; status; message (one sentence, with what to try);
     position_error [m] and orientation_error [rad] (None when the target leaves orientation free) at q; iterations (steps
     taken), restarts, fk_evaluations; limited_joints (names standing on a limit); elapsed [s]; seed; solver (name);
-    notice (what was corrected in the input, or ''); history (dict of arrays q, position_error, orientation_error, one row an
+    notice (what was corrected in the input, or ''); collision (pair of names that touch at q, when collisions are avoided
+    and no answer without one was found, else None); history (dict of arrays q, position_error, orientation_error, one row an
     evaluation, or None).
     """
 
-    __slots__ = ("_checked", "_history", "_row", "_solver", "_status", "elapsed", "notice", "position_only")
+    __slots__ = ("collision", "_checked", "_history", "_row", "_solver", "_status", "elapsed", "notice", "position_only")
 
     def __init__(self, solver: "Solver", row: np.ndarray, elapsed: float, position_only: bool) -> None:
         """Keep the kernel's row; everything else is made when asked for."""
@@ -70,6 +73,7 @@ class Result:
         self.elapsed = elapsed
         self.position_only = position_only
         self.notice = ""
+        self.collision = None
 
     @property
     def q(self) -> np.ndarray:
@@ -168,6 +172,7 @@ class Result:
             "elapsed": self.elapsed,
             "seed": self.seed,
             "notice": self.notice,
+            "collision": self.collision,
         }
 
     def __repr__(self) -> str:
@@ -191,6 +196,10 @@ def sentence(result: Result) -> str:
     if result.orientation_error is not None:
         left += f", {np.degrees(result.orientation_error):.3g} deg"
     starts = int(row[2]) + 1
+    if result.collision is not None:
+        touching = " and ".join(result.collision)
+        text = f"every solution found in {starts} start{'s' * (starts > 1)} collides; in this one {touching} touch"
+        return f"{text}; {ADVICE[status]}"
     if result._solver.row.closed and status in CLOSED_FORM_SAYS:
         joints = ", ".join(result.limited_joints)
         return CLOSED_FORM_SAYS[status].format(left=left, joints=joints, beyond=f"{1000 * row[7]:.4g} mm")

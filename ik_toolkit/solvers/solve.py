@@ -98,6 +98,15 @@ class Solver:
         self._silent = np.empty((0, 2 + chain.n))
         self._lower, self._upper = self.robot.lower, self.robot.upper
         self._packed: dict[tuple[Any, bool], np.ndarray] = {}
+        o = self.options
+        self.collision = self.single = None
+        if o.avoid_collisions:
+            from .avoid import collision_model
+
+            self.collision = collision_model(self.robot, o.avoid_collisions)
+            once = {"restarts": 0, "closest": False, "objective": None, "history": False, "avoid_collisions": False}
+            self.single = Solver(self.robot, self.rule, **{**o.__dict__, **once})
+        self._extras = o.objective is not None or self.collision is not None
 
     # ------------------------------------------------------------------------------------------------ preparation
     def pack(self, kind: Any, given: bool) -> np.ndarray:
@@ -208,8 +217,8 @@ class Solver:
         result.notice = notice
         if self.options.history:
             self._record(result, T, kind, start, q0 is not None)
-        if self.options.objective is not None and result.success:
-            self._refine(row, T, kind, start, q0 is not None)
+        if self._extras and row[0] == Status.CONVERGED:
+            result.collision = self.finish(row, T, kind, start, q0 is not None)
         if self.options.check:
             self._check(result, target if isinstance(kind, tuple) else T[0] if kind == POSE else T[0, :3, 3])
             result.elapsed = perf_counter() - started
@@ -227,6 +236,23 @@ class Solver:
         self._kernel(*self._chain, T, start, out, self.pack(kind, given), history)
         history = history[: int(out[0, 6])]
         result._history = {"position_error": history[:, 0], "orientation_error": history[:, 1], "q": history[:, 2:]}
+
+    def finish(
+        self, row: np.ndarray, T: np.ndarray, kind: Any, start: np.ndarray, given: bool
+    ) -> tuple[str, str] | None:
+        """Make a converged row (8 + n,) touch nothing and meet the objective; returns the pair that still touches."""
+        if self.collision is not None:
+            from .avoid import avoid
+
+            pair = avoid(self, row, T, kind, start)
+            if pair is not None:
+                return pair
+        if self.options.objective is not None:
+            before = row.copy()
+            self._refine(row, T, kind, start, given)
+            if self.collision is not None and self.collision.collides(row[OUT_HEAD:]):
+                row[:] = before
+        return None
 
     def _refine(self, row: np.ndarray, T: np.ndarray, kind: Any, start: np.ndarray, given: bool) -> None:
         """Improve a solution in the null space; q and its errors are replaced by better ones that were evaluated."""
@@ -314,7 +340,7 @@ def solve(robot: Robot, target: Any, solver: Any = "auto", q0: Any = None, **opt
     name, a rule class or an instance with its parameters; 'auto' uses a closed form where one fits and 'lm' otherwise. q0
     (n,): where to start, default home. closest=q_ref (n,): of several solutions the one nearest to it. Options, see `Options`:
     tolerance (both), position_tolerance [m], orientation_tolerance [rad], max_iterations, restarts, max_evaluations, seed,
-    limits, q0_outside, mask, mask_frame, joint_weights, objective, history; and the parameters of the solver. Success is
+    limits, q0_outside, mask, mask_frame, joint_weights, objective, avoid_collisions, history; and the parameters of the solver. Success is
     re-checked with Pinocchio. Raises InvalidTarget, InvalidConfiguration, UnknownSolver, InvalidOption.
     """
     if not isinstance(robot, Robot | Tree):

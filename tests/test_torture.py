@@ -1,0 +1,232 @@
+"""Numerical torture: what must never crash, never give NaN and never claim success with an error above the tolerance."""
+
+import math
+
+import numpy as np
+import pinocchio as pin
+import pytest
+import robots
+
+import ik_toolkit as ik
+from ik_toolkit.errors import IKError
+from ik_toolkit.solvers.registry import ROWS
+
+
+def rotation_angles(R, S):
+    """Angle of R' S for stacks of rotations (N, 3, 3), accurate near 0 and pi."""
+    return 2.0 * np.arcsin(np.clip(np.linalg.norm(R - S, axis=(1, 2)) / math.sqrt(8.0), 0.0, 1.0))
+
+
+def honest(robot, batch, T, position_only, tolerance):
+    """Check every row: finite, inside the limits, and CONVERGED exactly when both true errors are inside the tolerance."""
+    q = batch.q
+    assert np.isfinite(q).all()
+    assert (q >= robot.lower).all() and (q <= robot.upper).all()
+    at = robot.chain.forward(q)[0]
+    position = np.linalg.norm(at[:, :3, 3] - (T if position_only else T[:, :3, 3]), axis=1)
+    ok = position <= tolerance
+    assert np.abs(position - batch.position_error).max() < 1e-9 * max(1.0, robot.reach, position.max())
+    if not position_only:
+        angle = rotation_angles(at[:, :3, :3], T[:, :3, :3])
+        ok &= angle <= tolerance * (1 + 1e-6) + 1e-12
+    assert not (batch.success & ~ok).any()
+    assert (batch.success == (batch.status == ik.Status.CONVERGED)).all()
+
+
+def mixed_targets(robot, count, seed):
+    """Reachable, near-reachable, far, half-turned and boundary poses (count, 4, 4)."""
+    rng = np.random.default_rng(seed)
+    Q = robot.chain.ends[24 + 4 * robot.n : 24 + 5 * robot.n] * robot.chain.unit
+    span = robot.chain.ends[24 + 5 * robot.n : 24 + 6 * robot.n] * robot.chain.unit
+    q = np.clip(Q + span * rng.random((count, robot.n)), robot.lower, robot.upper)
+    edge = rng.random((count, robot.n)) < 0.3
+    side = np.where(rng.random((count, robot.n)) < 0.5, robot.lower, robot.upper)
+    q = np.where(edge & np.isfinite(side), side, q)
+    T = robot.chain.forward(q)[0]
+    kind = rng.integers(0, 6, count)
+    T[kind == 1, :3, 3] *= rng.uniform(0.5, 2.0, ((kind == 1).sum(), 1))
+    T[kind == 2, :3, 3] += rng.normal(size=((kind == 2).sum(), 3)) * robot.reach
+    for k in np.flatnonzero(kind == 3):
+        axis = rng.normal(size=3)
+        T[k, :3, :3] = T[k, :3, :3] @ pin.exp3((math.pi - rng.choice([0.0, 1e-9, 1e-3])) * axis / np.linalg.norm(axis))
+    home = robot.fk(robot.home).homogeneous
+    for k in np.flatnonzero(kind == 4):
+        axis = rng.normal(size=3)
+        T[k] = home
+        T[k, :3, :3] = home[:3, :3] @ pin.exp3(math.pi * axis / np.linalg.norm(axis))
+    return T
+
+
+def check_solver(row, name, count, seed):
+    robot = robots.load(name)
+    T = mixed_targets(robot, count, seed)
+    done = 0
+    for position_only in (False, True):
+        targets = np.ascontiguousarray(T[:, :3, 3]) if position_only else T
+        for tolerance in (1e-3, 1e-6):
+            try:
+                batch = ik.solve_batch(
+                    robot, targets, row.name, tolerance=tolerance, max_iterations=min(row.iterations, 60)
+                )
+            except IKError:
+                continue  # the row says that it does not solve this
+            honest(robot, batch, targets, position_only, tolerance)
+            done += count
+    return done
+
+
+@pytest.mark.parametrize("row", ROWS, ids=lambda row: row.name)
+def test_success_is_never_claimed_above_the_tolerance(row):
+    names = {"planar-2r": ["planar_2r"], "inspection": ["inspection_7dof"], "newton": ["planar_2r", "continuous_mix"]}
+    done = sum(
+        check_solver(row, name, 300, 1) for name in names.get(row.name, ["hydrolek_7w", "slides_mix", "mimic_mix"])
+    )
+    assert done >= 600
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("row", ROWS, ids=lambda row: row.name)
+def test_success_is_never_claimed_above_the_tolerance_in_100000_cases(row):
+    names = {"planar-2r": ["planar_2r"], "inspection": ["inspection_7dof"], "newton": ["continuous_mix"]}
+    name = names.get(row.name, ["slides_mix"])[0]
+    done, seed = 0, 100
+    while done < 100_000:
+        done += check_solver(row, name, 5000, seed)
+        seed += 1
+
+
+@pytest.mark.slow
+def test_ten_million_solves_in_one_batch():
+    import resource
+
+    robot = robots.load("panda")
+    checked = 0
+
+    def chunks():
+        rng = np.random.default_rng(5)
+        low, span = robot._sampling
+        for _ in range(100):
+            q = (low + span * rng.random((100_000, robot.n))).clip(robot.lower, robot.upper)
+            yield robot.chain.forward(q)[0]
+
+    rng = np.random.default_rng(5)
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    batch = ik.solve_batch(robot, chunks())
+    grown = (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) / 1024
+    assert len(batch) == 10_000_000 and np.isfinite(batch.q).all()
+    assert batch.success.mean() > 0.9999
+    outputs = batch._table.nbytes / 2**20
+    assert grown < 2 * outputs + 400
+    low, span = robot._sampling
+    for c in range(100):
+        q = (low + span * rng.random((100_000, robot.n))).clip(robot.lower, robot.upper)
+        for k in range(c, 100_000, 100):
+            row = 100_000 * c + k
+            if batch.success[row]:
+                assert max(robot.errors(batch.q[row], robot.fk(q[k]).homogeneous)) <= 1e-6
+                checked += 1
+    assert checked > 99_000
+
+
+def chain_of(count, kind="revolute", length=0.1, limits=(-2.0, 2.0)):
+    axes = ("0 0 1", "0 1 0", "1 0 0")
+    return robots.urdf(
+        *(dict(kind=kind, axis=axes[i % 3], xyz=f"0 0 {length!r}", limits=limits) for i in range(count)),
+        name=f"chain{count}",
+    )
+
+
+@pytest.mark.parametrize("count", [1, 2, 40])
+@pytest.mark.parametrize("kind", ["revolute", "prismatic"])
+def test_short_and_long_chains(count, kind):
+    robot = ik.Robot.load(chain_of(count, kind))
+    rng = np.random.default_rng(0)
+    solved = 0
+    for _ in range(20):
+        q = robot.random_q(rng)
+        target = robot.fk(q).translation
+        result = ik.solve(robot, target, "lm")
+        position, _ = robot.errors(result.q, target)
+        assert robot.outside(result.q) == [] and result.success == (position <= 1e-6)
+        solved += result.success
+    assert solved >= 19
+
+
+@pytest.mark.parametrize("length", [1e-300, 1e-30, 1e-6, 1e6, 1e30, 1e150])
+def test_absurd_lengths(length):
+    robot = ik.Robot.load(chain_of(6, length=length))
+    rng = np.random.default_rng(0)
+    solved = 0
+    for _ in range(10):
+        T = robot.fk(robot.random_q(rng)).homogeneous
+        result = ik.solve(robot, T, position_tolerance=1e-6 * length, orientation_tolerance=1e-6)
+        assert np.isfinite(result.q).all() and robot.outside(result.q) == []
+        position, orientation = robot.errors(result.q, T)
+        if result.success:
+            assert position <= 1e-6 * length * (1 + 1e-9) and orientation <= 1e-6
+        solved += result.success
+    if 1e-100 < length < 1e100:
+        assert solved >= 9
+
+
+@pytest.mark.parametrize("target", [(1e300, 0, 0), (-1e-300, 1e-300, 0), (1e308, 1e308, 1e308), (0.0, 0.0, 0.0)])
+def test_absurd_targets(target):
+    for name in robots.SHIPPED:
+        robot = robots.load(name)
+        for row in ROWS:
+            try:
+                result = ik.solve(robot, np.array(target), row.name, max_iterations=20)
+            except IKError:
+                continue
+            assert np.isfinite(result.q).all() and robot.outside(result.q) == []
+            assert result.success == (robot.errors(result.q, np.array(target))[0] <= 1e-6)
+
+
+def test_limits_of_zero_width():
+    text = robots.urdf(
+        dict(kind="revolute"),
+        dict(kind="revolute", axis="0 1 0", limits=(0.3, 0.3)),
+        dict(kind="revolute", axis="0 1 0", xyz="0 0 0.5"),
+        dict(kind="prismatic", limits=(0.1, 0.1)),
+        dict(kind="revolute", axis="0 1 0", xyz="0 0 0.5"),
+        dict(kind="fixed", xyz="0 0 0.4"),
+    )
+    robot = ik.Robot.load(text)
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        q = robot.random_q(rng)
+        result = ik.solve(robot, robot.fk(q).translation)
+        assert result.success and result.q[1] == 0.3 and result.q[3] == 0.1
+
+
+@pytest.mark.parametrize("side", ["lower", "upper"])
+def test_starts_exactly_at_limits(side):
+    for name in ("hydrolek_7w", "inspection_7dof", "slides_mix"):
+        robot = robots.load(name)
+        corner = getattr(robot, side)
+        _, T = robots.sample(robot, 20, seed=2)
+        for target in T:
+            result = ik.solve(robot, target, "lm", q0=corner)
+            assert result.success and result.notice == ""
+        at_corner = ik.solve(robot, robot.fk(corner), "lm", q0=corner)
+        assert at_corner.success and at_corner.iterations == 0 and np.array_equal(at_corner.q, corner)
+
+
+def test_reach_boundary_and_beyond():
+    robot = robots.load("planar_3r")
+    for radius in (6.0, 6.0 - 1e-9, 6.0 - 1e-4):
+        result = ik.solve(robot, (radius, 0.0, 0.0), "lm", tolerance=1e-6)
+        assert result.success
+    for radius, status in ((6.0 + 1e-3, ik.Status.UNREACHABLE), (60.0, ik.Status.UNREACHABLE)):
+        result = ik.solve(robot, (radius, 0.0, 0.0), "lm")
+        assert result.status == status
+        assert result.position_error == pytest.approx(radius - 6.0, rel=1e-3)
+
+
+def test_singular_targets_and_starts():
+    robot = robots.load("inspection_7dof")
+    for q in (np.zeros(7), np.array([0.3, 0.2, 0, 0, 0, 0, 0]), np.array([0, 0.1, 0, 0.4, 0, 0, 0])):
+        T = robot.fk(q)
+        assert ik.solve(robot, T, "lm", tolerance=1e-6).success
+        result = ik.solve(robot, robot.fk(robot.home), "lm", q0=q)
+        assert result.success
