@@ -152,7 +152,7 @@ def test_short_and_long_chains(count, kind):
     assert solved >= 19
 
 
-@pytest.mark.parametrize("length", [1e-300, 1e-30, 1e-6, 1e6, 1e30, 1e150])
+@pytest.mark.parametrize("length", [1e-300, 1e-30, 1e-6, 1e6, 1e30, 1e90])
 def test_absurd_lengths(length):
     robot = ik.Robot.load(chain_of(6, length=length))
     rng = np.random.default_rng(0)
