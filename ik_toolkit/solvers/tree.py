@@ -77,7 +77,7 @@ class TreeSolver(Solver):
     """Solver bound to a Tree: `solver(targets, q0=None) -> TreeResult`; made by `ik.Solver(tree, ...)`.
 
     Levenberg-Marquardt on the stacked errors with held joints, as `lm`; the first starts come from a table in which each tip
-    picks its own joints for several values of the shared ones. Options as for `lm`, without mask, closest and objective.
+    picks its own joints for several values of the shared ones. Options as for `lm`, without mask, closest, objective and collisions.
     fk_evaluations counts all tips as one.
     """
 
@@ -88,7 +88,7 @@ class TreeSolver(Solver):
         if find_row(solver).name != "lm":
             raise UnknownSolver(f"several tips together are solved by 'lm' only, not by '{find_row(solver).name}'")
         super().__init__(robot, solver, **options)  # pyright: ignore[reportArgumentType]
-        for name in ("mask", "closest", "objective"):
+        for name in ("mask", "closest", "objective", "avoid_collisions"):
             if getattr(self.options, name):
                 raise InvalidOption(f"option '{name}' is for one tip; leave it out when several are solved together")
 

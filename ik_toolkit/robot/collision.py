@@ -1,0 +1,247 @@
+"""Collisions of a robot with itself and with shapes around it, by Pinocchio and coal.
+
+The boxes around the shapes are compared first (a tree of them, in C++); shapes are tested exactly only where boxes meet.
+"""
+
+import threading
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+import coal
+import numpy as np
+import pinocchio as pin
+
+from ..errors import InvalidConfiguration, InvalidOption, ModelError, near_match
+from .joints import Joints
+from .pose import check_target
+
+SAMPLES = 8  # configurations that show which links ever move against each other
+
+
+class CollisionModel:
+    """What can hit what: the robot's own links, and shapes added around it.
+
+    robot: the one whose collision shapes are read from its URDF (meshes are looked up through its package_dirs), or from
+    `geometry`, a pin.GeometryModel. ignore: pairs of link names that may touch. Never tested: links joined by one joint, links
+    that cannot move against each other, and pairs that touch both at home and at zero (if legal), which are listed in `excluded`.
+    Attributes: links, obstacles (names), pairs (tested, by name), excluded (pairs of link names). Raises ModelError (no
+    collision shapes, or a mesh that is not found), InvalidOption.
+    """
+
+    def __init__(
+        self, robot: Joints, *, geometry: pin.GeometryModel | None = None, ignore: Iterable[Sequence[str]] = ()
+    ) -> None:
+        """Read the shapes and decide which pairs count."""
+        self.robot = robot
+        self.ignore = [tuple(pair) for pair in ignore]
+        self._geometry = _read(robot) if geometry is None else geometry.clone()
+        self._geometry.removeAllCollisionPairs()
+        frames = robot.model.frames
+        self._names = [frames[o.parentFrame].name for o in self._geometry.geometryObjects]
+        self._given = geometry is not None
+        self._shapes: list[tuple[str, str, tuple, np.ndarray]] = []
+        if not self._names:
+            raise ModelError(
+                f"robot '{robot.name}' has no collision shapes (<collision> elements): there is nothing to test; "
+                "add them to the URDF, or pass geometry="
+            )
+        self.links = tuple(dict.fromkeys(self._names))
+        for pair in self.ignore:
+            unknown = [name for name in pair if name not in self.links]
+            if len(pair) != 2 or unknown:
+                raise InvalidOption(
+                    f"ignore takes pairs of links with collision shapes, not {pair}.{near_match((unknown or pair)[0], self.links)}"
+                )
+        self._local = threading.local()
+        self.excluded: tuple[tuple[str, str], ...] = ()
+        self._pair_links()
+
+    # ------------------------------------------------------------------------------------------------ what is tested
+    def _pair_links(self) -> None:
+        robot, geometry, model = self.robot, self._geometry, self.robot.model
+        owners = [o.parentJoint for o in geometry.geometryObjects]
+        placements = self._sample(owners)
+        above = {j: _owner_above(model, j, set(owners)) for j in set(owners)}
+        ignored = {frozenset(pair) for pair in self.ignore}
+        self._moving = [np.ptp(placements[j], axis=0).max() > 1e-9 for j in owners]
+        for b, jb in enumerate(owners):
+            for a, ja in enumerate(owners[:b]):
+                adjacent = ja == jb or above[ja] == jb or above[jb] == ja
+                if adjacent or frozenset((self._names[a], self._names[b])) in ignored:
+                    continue
+                between = np.linalg.inv(placements[ja]) @ placements[jb]
+                if np.ptp(between, axis=0).max() > 1e-9:
+                    geometry.addCollisionPair(pin.CollisionPair(a, b))
+        zero = np.zeros(robot.n)
+        touching = dict.fromkeys(self.collisions(robot.home))
+        if not robot.outside(zero):  # touching at one of them may be a real collision: a folded arm's
+            touching = {pair: None for pair in self.collisions(zero) if pair in touching}
+        self.excluded = tuple(touching)
+        for pair in list(geometry.collisionPairs):
+            if (self._names[pair.first], self._names[pair.second]) in touching:
+                geometry.removeCollisionPair(pair)
+        self._local = threading.local()
+
+    def _sample(self, owners: list[int]) -> dict[int, np.ndarray]:
+        """Placements (SAMPLES, 4, 4) of the joints that carry shapes, at the same random configurations."""
+        robot, data = self.robot, self.robot.model.createData()
+        rng = np.random.default_rng(0)
+        found: dict[int, list] = {j: [] for j in owners}
+        for _ in range(SAMPLES):
+            pin.forwardKinematics(robot.model, data, robot._fill(robot.rest.copy(), robot.random_q(rng)))
+            for j, list_j in found.items():
+                list_j.append(data.oMi[j].homogeneous)
+        return {j: np.array(list_j) for j, list_j in found.items()}
+
+    @property
+    def pairs(self) -> tuple[tuple[str, str], ...]:
+        """Pairs of names (links and obstacles) that are tested."""
+        named = ((self._names[p.first], self._names[p.second]) for p in self._geometry.collisionPairs)
+        return tuple(dict.fromkeys(named))
+
+    @property
+    def obstacles(self) -> tuple[str, ...]:
+        """Names of the shapes added around the robot."""
+        return tuple(shape[0] for shape in self._shapes)
+
+    # ------------------------------------------------------------------------------------------------ obstacles
+    def add_box(self, size: Sequence[float], pose: Any, name: str | None = None) -> "CollisionModel":
+        """Add a box of size (x, y, z) [m] centred at a pose (4, 4), pin.SE3 or position (3,) in the base frame."""
+        return self._add("box", _positive("size of a box", size, 3), pose, name)
+
+    def add_sphere(self, radius: float, position: Any, name: str | None = None) -> "CollisionModel":
+        """Add a sphere of a radius [m] centred at a position (3,) in the base frame."""
+        return self._add("sphere", _positive("radius of a sphere", [radius], 1), position, name)
+
+    def add_cylinder(self, radius: float, length: float, pose: Any, name: str | None = None) -> "CollisionModel":
+        """Add a cylinder [m] along z of a pose (4, 4), pin.SE3 or position (3,) in the base frame, centred there."""
+        return self._add("cylinder", _positive("radius and length of a cylinder", [radius, length], 2), pose, name)
+
+    def add_mesh(self, path: str | Path, pose: Any, scale: float = 1.0, name: str | None = None) -> "CollisionModel":
+        """Add a mesh file (STL, OBJ, DAE) times a scale, at a pose (4, 4), pin.SE3 or position (3,) in the base frame."""
+        return self._add("mesh", (str(path), *_positive("scale of a mesh", [scale], 1)), pose, name)
+
+    def _add(self, kind: str, sizes: tuple, pose: Any, name: str | None) -> "CollisionModel":
+        T, _ = check_target(pose)
+        if T.ndim == 1:
+            T = pin.SE3(np.eye(3), T).homogeneous
+        if name is None:
+            name = next(n for n in (f"{kind}_{k}" for k in range(1, 10**6)) if n not in self._names)
+        if name in self._names:
+            raise InvalidOption(f"there is already a link or obstacle named '{name}'")
+        base = getattr(self.robot, "_base_inverse", pin.SE3.Identity()).inverse()
+        shape = pin.GeometryObject(name, 0, base * pin.SE3(T), _shape(kind, sizes))
+        new = self._geometry.addGeometryObject(shape)
+        for k, moves in enumerate(self._moving):
+            if moves:
+                self._geometry.addCollisionPair(pin.CollisionPair(k, new))
+        self._names.append(name)
+        self._shapes.append((name, kind, sizes, T))
+        self._local = threading.local()
+        return self
+
+    # ------------------------------------------------------------------------------------------------ questions
+    def _workspace(self) -> tuple[Any, Any, Any]:
+        """Pinocchio's data, the geometry's, and the tree of boxes, each the calling thread's own."""
+        local = self._local
+        if not hasattr(local, "space"):
+            data, geometry_data = self.robot.model.createData(), self._geometry.createData()
+            # Pinocchio's own requests start from the last answer's guess, and then a verdict may depend on the ones before.
+            for k in range(len(geometry_data.collisionRequests)):
+                geometry_data.collisionRequests[k] = coal.CollisionRequest(coal.CollisionRequestFlag.NO_REQUEST, 1)
+            boxes = pin.BroadPhaseManager_DynamicAABBTreeCollisionManager(
+                self.robot.model, self._geometry, geometry_data
+            )
+            local.space = data, geometry_data, boxes
+        return local.space
+
+    def collides(self, q: Any) -> bool:
+        """Whether anything touches at q (n,) [rad or m]."""
+        if not len(self._geometry.collisionPairs):
+            return False
+        full = self._full(q)
+        data, _, boxes = self._workspace()
+        return bool(pin.computeCollisions(self.robot.model, data, boxes, full, True))
+
+    def collisions(self, q: Any) -> list[tuple[str, str]]:
+        """Every pair of names that touches at q (n,) [rad or m]."""
+        full = self._full(q)
+        data, found, _ = self._workspace()
+        pin.computeCollisions(self.robot.model, data, self._geometry, found, full, False)
+        hits = [pair for pair, hit in zip(self._geometry.collisionPairs, found.collisionResults, strict=True) if hit.isCollision()]
+        return list(dict.fromkeys((self._names[pair.first], self._names[pair.second]) for pair in hits))
+
+    def _full(self, q: Any) -> np.ndarray:
+        return self.robot._fill(self.robot.rest.copy(), self.robot.check_q(q))
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Keep what was asked for; the shapes are read again (a given geometry travels whole)."""
+        geometry = None
+        if self._given:
+            geometry = self._geometry.clone()
+            for name in self.obstacles:
+                geometry.removeGeometryObject(name)
+        return {"robot": self.robot, "ignore": self.ignore, "geometry": geometry, "shapes": self._shapes}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Build it again."""
+        self.__init__(state["robot"], geometry=state["geometry"], ignore=state["ignore"])
+        for name, kind, sizes, T in state["shapes"]:
+            self._add(kind, sizes, T, name)
+
+    def __repr__(self) -> str:
+        """One line."""
+        around = f", around it: {', '.join(self.obstacles)}" if self._shapes else ""
+        return f"CollisionModel('{self.robot.name}', {len(self.pairs)} pairs tested, {len(self.excluded)} excluded{around})"
+
+
+def _read(robot: Joints) -> pin.GeometryModel:
+    """Collision shapes of the robot's URDF, placed on its model."""
+    text = getattr(robot, "urdf", None)
+    if text is None:
+        raise ModelError(f"robot '{robot.name}' was not made from a URDF; pass its collision shapes as geometry=")
+    path = getattr(robot, "path", None)
+    folders = [str(folder) for folder in [*getattr(robot, "package_dirs", ()), *([path.parent] if path else [])]]
+    try:
+        return pin.buildGeomFromUrdfString(robot.model, text, pin.COLLISION, package_dirs=folders)
+    except (ValueError, RuntimeError) as error:
+        said = " ".join(str(error).split())
+        raise ModelError(
+            f"the collision shapes of robot '{robot.name}' cannot be read: {said}; package_dirs= names the folders to search"
+        ) from None
+
+
+def _owner_above(model: pin.Model, joint: int, owners: set[int]) -> int:
+    """Nearest joint above that carries shapes (-1: none): links with nothing but bare joints between them are adjacent."""
+    while joint > 0:
+        joint = model.parents[joint]
+        if joint in owners:
+            return joint
+    return -1
+
+
+def _positive(what: str, values: Any, count: int) -> tuple[float, ...]:
+    try:
+        array = np.array(values, dtype=float)
+    except (TypeError, ValueError):
+        array = np.empty(0)
+    if array.shape != (count,) or not (np.isfinite(array) & (array > 0)).all():
+        raise InvalidOption(f"the {what} must be {count} positive number{'s' * (count > 1)} [m], not {values!r}")
+    return tuple(array.tolist())
+
+
+def _shape(kind: str, sizes: tuple) -> Any:
+    if kind == "box":
+        return coal.Box(*sizes)
+    if kind == "sphere":
+        return coal.Sphere(*sizes)
+    if kind == "cylinder":
+        return coal.Cylinder(*sizes)
+    path, scale = sizes
+    if not Path(path).is_file():
+        raise InvalidConfiguration(f"there is no mesh file '{path}'")
+    try:
+        return coal.MeshLoader().load(str(path), np.full(3, scale))
+    except (ValueError, RuntimeError) as error:
+        raise InvalidConfiguration(f"the mesh file '{path}' cannot be read: {' '.join(str(error).split())}") from None
