@@ -10,8 +10,9 @@ import pytest
 import robots
 
 import ik_toolkit as ik
-from ik_toolkit import errors
+from ik_toolkit import cli, errors
 from ik_toolkit.robot.library import find
+from ik_toolkit.robot.pose import matrix_quat
 from ik_toolkit.robot.tree import Tree
 
 
@@ -389,3 +390,71 @@ def test_what_several_tips_cannot_do_is_said(brokk):
             ik.solve(brokk, T, **option)
     with pytest.raises(errors.InvalidOption, match="one tip"):
         ik.solve_batch(brokk, np.array([T]))
+
+
+# ----------------------------------------------------------------------------------------------------- the command line
+@pytest.fixture
+def run(capsys):
+    def call(*arguments):
+        code = cli.main([str(argument) for argument in arguments])
+        captured = capsys.readouterr()
+        return code, captured.out, captured.err
+
+    return call
+
+
+def options_of(targets):
+    words = []
+    for tip, T in targets.items():
+        numbers = [*T[:3, 3], *matrix_quat(T[:3, :3])] if T.ndim == 2 else T
+        words += ["--target", f"{tip}:" + ",".join(f"{x:.12f}" for x in numbers)]
+    return words
+
+
+def test_command_line_solves_both_tips(run, brokk):
+    T = dict(zip(brokk.tips, poses(brokk, brokk.random_q(np.random.default_rng(40))), strict=True))
+    code, out, _ = run("solve", "brokk_hydrolek", *options_of(T), "--json")
+    answer = json.loads(out)
+    assert code == 0 and answer["success"] and answer["joint_names"] == list(brokk.joint_names)
+    assert set(answer["tips"]) == set(brokk.tips) and set(answer["target"]) == set(brokk.tips)
+    for actual, target in zip(direct(brokk, answer["q"]), T.values(), strict=True):
+        assert np.abs(actual - target).max() < 3e-6
+    turned = run("solve", "brokk_hydrolek", *options_of(dict(reversed(T.items()))), "--json")
+    assert json.loads(turned[1])["q"] == answer["q"]
+    code, out, _ = run("solve", "brokk_hydrolek", *options_of(T))
+    assert code == 0 and "at left_tip" in out and "turret" in out
+
+
+def test_command_line_takes_positions_starts_and_locked_joints(run, brokk):
+    q = brokk.home.copy()
+    q[0] = 0.3
+    T = dict(zip(brokk.tips, poses(brokk, q), strict=True))
+    T["right_tip"] = T["right_tip"][:3, 3]
+    start = ",".join(str(x) for x in q)
+    code, out, _ = run("solve", "brokk_hydrolek", *options_of(T), "--q0", start, "--json", "--tolerance", "1e-5")
+    answer = json.loads(out)
+    assert code == 0 and answer["iterations"] == 0
+    assert answer["tips"]["right_tip"]["orientation_error"] is None
+    code, out, _ = run("solve", "brokk_hydrolek", *options_of(T), "--lock", "turret=0.3", "--json")
+    assert code == 0 and "turret" not in json.loads(out)["joint_names"]
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--target", "left_tip:9,0,0", "--target", "right_tip:1,0,1"], "left_tip by"),
+        (["--target", "left_tp:1,0,1", "--target", "right_tip:1,0,1"], "Did you mean 'left_tip'"),
+        (["--target", "left_tip:1,0"], "TIP:X,Y,Z"),
+        (["--target", "left_tip"], "TIP:X,Y,Z"),
+        (["--target", "left_tip:1,0,1", "--target", "left_tip:1,0,1"], "twice"),
+        (["--target", "left_tip:1,0,1,0,0,0,0"], "quat_xyzw has length 0"),
+        (["--target", "left_tip:nan,0,1"], "finite"),
+        (["--target", "left_tip:1,0,1", "--xyz", "1", "0", "0"], "leave out --xyz"),
+        (["--target", "left_tip:1,0,1", "-s", "pid"], "'lm' only"),
+        (["--target", "left_tip:1,0,1", "--all"], "Robot"),
+        (["--target", "left_tip:1,0,1", "--mask", "1", "1", "1", "0", "0", "0"], "mask"),
+    ],
+)
+def test_command_line_refuses_in_one_sentence(run, words, message):
+    code, out, err = run("solve", "brokk_hydrolek", *words)
+    assert code == (1 if "9,0,0" in words[1] else 2) and message in err and "Traceback" not in err

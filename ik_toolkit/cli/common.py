@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from rich.table import Table
     from rich.text import Text
 
-    from ..robot.robot import Robot
+    from ..robot.joints import Joints
 
 # Options that take several numbers: `--q 0.1 -0.2`, `--q 0.1,-0.2` and `--q "0.1 -0.2"` mean the same.
 VECTOR_OPTIONS = frozenset(
@@ -101,7 +101,7 @@ def vector(text: str, option: str, size: int | None = None) -> list[float]:
     return values
 
 
-def joint_vector(robot: "Robot", text: str, option: str, deg: bool) -> "np.ndarray":
+def joint_vector(robot: "Joints", text: str, option: str, deg: bool) -> "np.ndarray":
     """Joint values (n,) [rad or m] of a vector option; turning joints are read in degrees when `deg`."""
     values = vector(text, option)
     if len(values) != robot.n:
@@ -149,13 +149,16 @@ def unit(kind: str, deg: bool) -> str:
 # -------------------------------------------------------------------------------------------------------------- robots
 def load_robot(
     source: str,
-    tip: str | None = None,
+    tip: str | list[str] | None = None,
     base: str | None = None,
     lock: Sequence[str] | None = None,
     package_dir: Sequence[str] | None = None,
     deg: bool = False,
-) -> "Robot":
-    """Load the robot that the shared options describe; values of --lock are degrees for turning joints when `deg`."""
+) -> Any:
+    """Load the Robot (for a list of tips: the Tree) that the shared options describe.
+
+    Values of --lock are degrees for turning joints when `deg`.
+    """
     from ..robot.library import find
     from ..robot.robot import Robot
 
@@ -175,7 +178,7 @@ def load_robot(
         return robot.locked(values)
 
 
-def slides(robot: "Robot", joint: str) -> bool:
+def slides(robot: "Joints", joint: str) -> bool:
     """Whether a joint of the model (on the path or not) is prismatic."""
     model = robot.model
     return model.existJointName(joint) and model.joints[model.getJointId(joint)].shortname().startswith("JointModelP")

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ..errors import InvalidOption
+from ..errors import InvalidOption, InvalidTarget
 from .common import (
     Base,
     Deg,
@@ -23,6 +23,7 @@ from .common import (
     load_robot,
     notice,
     number,
+    numbers,
     show,
     table,
     unit,
@@ -33,10 +34,20 @@ from .common import (
 if TYPE_CHECKING:
     from ..solvers.result import Result
 
-Xyz = Annotated[str, typer.Option("--xyz", metavar="X Y Z", help="Where the tip shall be, in the base frame [m].")]
+Xyz = Annotated[
+    str | None, typer.Option("--xyz", metavar="X Y Z", help="Where the tip shall be, in the base frame [m].")
+]
 Rpy = Annotated[str | None, typer.Option("--rpy", metavar="R P Y", help="Roll, pitch, yaw of the tip [rad]: Rz Ry Rx.")]
 Quat = Annotated[
     str | None, typer.Option("--quat-xyzw", metavar="X Y Z W", help="Rotation of the tip as a quaternion.")
+]
+Targets = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--target",
+        metavar="TIP:X,Y,Z[,QX,QY,QZ,QW]",
+        help="Instead of --xyz: target of one of several tips, solved together; repeat for each.",
+    ),
 ]
 SolverName = Annotated[str, typer.Option("-s", "--solver", metavar="NAME", help="See ik solvers; auto picks for you.")]
 Params = Annotated[
@@ -94,9 +105,10 @@ def register(app: typer.Typer) -> None:
 
 def solve(
     robot: RobotArg,
-    xyz: Xyz,
+    xyz: Xyz = None,
     rpy: Rpy = None,
     quat_xyzw: Quat = None,
+    targets: Targets = None,
     solver: SolverName = "auto",
     param: Params = None,
     preset: Preset = None,
@@ -127,11 +139,20 @@ def solve(
 ) -> None:
     """Find joint values that bring the tip to a position, or a pose when --rpy or --quat-xyzw is given.
 
+    Several tips of one robot are solved together, shared joints included, with one --target for each.
+
     Exit code 0 when solved, 1 when not: the status says how it ended, and the sentence on stderr what to try.
     """
-    target = make_target(xyz, rpy, quat_xyzw, deg, direction, tip_axis)
+    if targets:
+        if any(x is not None for x in (xyz, rpy, quat_xyzw, direction, tip_axis, tip)):
+            raise InvalidOption("--target says tip and pose together; leave out --xyz, its rotation options and --tip")
+        target = make_targets(targets, robot)
+    elif xyz is None:
+        raise InvalidOption("Missing option '--xyz' (or, for several tips together, '--target')")
+    else:
+        target = make_target(xyz, rpy, quat_xyzw, deg, direction, tip_axis)
     method = choose_solver(solver, param, preset)
-    arm = load_robot(robot, tip, base, lock, package_dir, deg)
+    arm = load_robot(robot, list(target) if targets else tip, base, lock, package_dir, deg)
 
     from ..solvers.solve import solve as solve_one
 
@@ -159,7 +180,9 @@ def solve(
     if closest is not None:
         options["closest"] = joint_vector(arm, closest, "--closest", deg)
     result = solve_one(arm, target, method, q0=start, **options)
-    payload = {**result.to_dict(), "base": arm.base, "tip": arm.tip, "target": getattr(target, "T_base_tip", target)}
+    payload = {**result.to_dict(), "base": arm.base, "target": getattr(target, "T_base_tip", target)}
+    if not targets:
+        payload["tip"] = arm.tip
     write_json(payload, as_json, output)
     if not as_json:
         _show(result, deg)
@@ -217,6 +240,24 @@ def make_target(
     return pose(vector(xyz, "--xyz", 3), rpy=angles, quat_xyzw=quat, axis=axis, direction=towards)
 
 
+def make_targets(texts: list[str], robot: str) -> dict[str, Any]:
+    """Targets by tip of TIP:X,Y,Z[,QX,QY,QZ,QW]; tips in the order the robot lists them, so that q has one order."""
+    from ..robot.library import find
+    from ..robot.pose import pose
+
+    made = {}
+    for text in texts:
+        tip, colon, rest = text.rpartition(":")
+        values = numbers(rest) or []
+        if not (tip and colon and len(values) in (3, 7)):
+            raise InvalidTarget(f"--target takes TIP:X,Y,Z or TIP:X,Y,Z,QX,QY,QZ,QW, not '{text}'")
+        if tip in made:
+            raise InvalidTarget(f"--target gives '{tip}' twice")
+        made[tip] = pose(values[:3], quat_xyzw=values[3:] or None)
+    listed = [tip for tip in find(robot).tips if tip in made]
+    return {tip: made[tip] for tip in dict.fromkeys([*listed, *made])}
+
+
 def choose_solver(name: str, params: list[str] | None, preset: str | None) -> Any:
     """Solver name, or a rule with its preset and parameters applied. Raises UnknownSolver, InvalidOption."""
     from ..solvers.registry import find_row, make_rule
@@ -247,6 +288,8 @@ def _value(text: str) -> Any:
 
 
 def _show(result: "Result", deg: bool) -> None:
+    from ..solvers.tree import TreeResult
+
     robot = result.robot
     limited = set(result.limited_joints)
     joints = table("<joint", ">value", "<unit", ">lower", ">upper", "")
@@ -254,18 +297,26 @@ def _show(result: "Result", deg: bool) -> None:
         value, lower, upper = (number(float(x[i]), kind, deg) for x in (result.q, robot.lower, robot.upper))
         joints.add_row(name, value, unit(kind, deg), lower, upper, "at limit" if name in limited else "")
     show(joints)
-    angle = result.orientation_error
+    each = {}
+    if isinstance(result, TreeResult):
+        angles = result.orientation_errors
+        each = {f"at {tip}": f"{_length(x)}, {_angle(angles[tip])}" for tip, x in result.position_errors.items()}
     show(
         facts(
             {
                 "status": f"{result.status.name}, solver {result.solver}",
                 "position error": _length(result.position_error),
-                "orientation error": "free" if angle is None else f"{angle:.3g} rad ({math.degrees(angle):.3g} deg)",
+                "orientation error": _angle(result.orientation_error),
+                **each,
                 "iterations": f"{result.iterations}, restarts {result.restarts}, FK evaluations {result.fk_evaluations}",
                 "time": _time(result.elapsed),
             }
         )
     )
+
+
+def _angle(value: float | None) -> str:
+    return "free" if value is None else f"{value:.3g} rad ({math.degrees(value):.3g} deg)"
 
 
 def _length(value: float) -> str:
