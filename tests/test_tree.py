@@ -390,6 +390,8 @@ def test_what_several_tips_cannot_do_is_said(brokk):
             ik.solve(brokk, T, **option)
     with pytest.raises(errors.InvalidOption, match="one tip"):
         ik.solve_batch(brokk, np.array([T]))
+    with pytest.raises(errors.InvalidOption, match="one tip"):
+        ik.track(brokk, ik.line([0, 0, 0], [1, 0, 0], duration=1.0))
 
 
 # ----------------------------------------------------------------------------------------------------- the command line

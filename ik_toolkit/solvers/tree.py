@@ -7,7 +7,7 @@ import numpy as np
 
 from ..errors import InvalidOption, UnknownSolver
 from ..kernel.checks import BAD_TARGET
-from ..kernel.loop import O_C, O_ITERATIONS, OUT_HEAD, R_HISTORY
+from ..kernel.loop import O_C, O_DESCENTS, O_ITERATIONS, OUT_HEAD, R_HISTORY
 from ..kernel.task import POSE, POSITION
 from ..kernel.tree_loop import tree_entry
 from ..robot.tree import Tree
@@ -16,6 +16,7 @@ from .result import Result, Status, sentence
 from .solve import NEVER, Solver
 
 ITERATIONS = 40  # steps a descent: the tips pull on shared joints
+DESCENTS = 400  # a start has to suit every tip
 GIVE_UP = (60.0, 0.25, 200.0, 0.4)
 
 
@@ -77,7 +78,8 @@ class TreeSolver(Solver):
     """Solver bound to a Tree: `solver(targets, q0=None) -> TreeResult`; made by `ik.Solver(tree, ...)`.
 
     Levenberg-Marquardt on the stacked errors with held joints, as `lm`; the first starts come from a table in which each tip
-    picks its own joints for several values of the shared ones. Options as for `lm`, without mask, closest, objective and collisions.
+    picks its own joints for several values of the shared ones. Options as for `lm` (here 40 iterations a descent and 400
+    descents), without mask, closest, objective and collisions.
     fk_evaluations counts all tips as one.
     """
 
@@ -113,6 +115,8 @@ class TreeSolver(Solver):
 
     def _pack(self, kind: Any, given: bool) -> np.ndarray:
         packed = super()._pack(kind, given)
+        if self.options.restarts is None:
+            packed[O_DESCENTS] = DESCENTS
         if self.options.max_iterations is None:
             packed[O_ITERATIONS] = ITERATIONS
             if packed[O_C] != NEVER[0]:

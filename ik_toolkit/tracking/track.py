@@ -268,6 +268,8 @@ def track(
     diverges ends there, with a status and a sentence; the arrays hold only what was reached. Raises InvalidOption,
     InvalidConfiguration.
     """
+    if not isinstance(robot, Robot):
+        raise InvalidOption(f"track takes a robot with one tip (see Robot.load), not a {type(robot).__name__}")
     times = reference.times(dt)
     if len(times) < 2:
         raise InvalidOption(f"dt = {dt:g} s is longer than the reference ({reference.duration:g} s)")
