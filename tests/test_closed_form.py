@@ -149,7 +149,7 @@ def test_four_thousand_near_singular_configurations(arm, every):
         found = every(T, q[1], near=q)
         assert len(found) >= 1
         worst = max(worst, np.abs(arm.chain.forward(found)[0] - T).max())
-    assert worst < 1e-8
+    assert worst < 1e-10  # 4e-9 where the reach is not kept inside what the elbow spans
 
 
 def test_flips_are_exact_symmetries(arm, every):

@@ -10,7 +10,9 @@ import pytest
 from ik_toolkit.cli import main
 from ik_toolkit.errors import MissingExtra
 from ik_toolkit.papers import PAPERS, chinyai
+from ik_toolkit.papers import chinyai_formulas as planar
 from ik_toolkit.papers import shanmugasundar_2012 as shan
+from ik_toolkit.papers import shanmugasundar_formulas as printed
 from ik_toolkit.papers.report import Report
 
 DATA = json.loads((Path(__file__).parent / "data" / "closed_form.json").read_text())["sample"]
@@ -42,8 +44,8 @@ def test_all_twelve_numbers_of_the_target_are_explained(inspection_report):
 
 
 def test_published_angles_miss_the_pose_as_computed_independently(inspection_report):
-    position = column(inspection_report, "angles", "position error (mm)")
-    rotation = column(inspection_report, "angles", "rotation error (deg)")
+    position = column(inspection_report, "errors", "position error (mm)")
+    rotation = column(inspection_report, "errors", "rotation error (deg)")
     for row, answer in zip(("manual, Table 3", "software, Table 4"), DATA["answers"], strict=True):
         assert position[row] == pytest.approx(1000 * answer["error_m"], abs=1e-9)
         assert rotation[row] == pytest.approx(math.degrees(answer["error_rad"]), abs=1e-9)
@@ -52,10 +54,11 @@ def test_published_angles_miss_the_pose_as_computed_independently(inspection_rep
 
 
 def test_fig4_reproduces_the_program(inspection_report):
-    angles = shan.fig4(shan.pose_matrix(shan.PRINTED_POSE), shan.D2)
+    angles = printed.fig4(printed.pose_matrix(printed.PRINTED_POSE), printed.D2)
     expected = np.delete(DATA["fig4_angles"], 1)
     assert np.abs(angles - expected).max() < 1e-9
     assert inspection_report.data["software_angles_reproduced"] == 6
+    assert inspection_report.data["lift_of_published_theta_1_mm"] == pytest.approx(220.440, abs=1e-3)
 
 
 def test_only_corrected_and_complete_formulas_are_right(inspection_report):
@@ -79,28 +82,28 @@ def test_sample_pose_reach_and_lifts(inspection_report):
 def test_closed_form_of_the_planar_arm_is_exact():
     rng = np.random.default_rng(0)
     for l1, l2 in ((1.0, 1.0), (1.0, 0.6), (0.3, 1.2)):
-        for x, y in chinyai.targets(rng, 200, l1, l2):
-            a, b, c, d = chinyai.closed_form(x, y, l1, l2)
+        for x, y in planar.targets(rng, 200, l1, l2):
+            a, b, c, d = planar.closed_form(x, y, l1, l2)
             for t1, t2 in ((a, b), (c, d)):
                 reached = l1 * np.exp(1j * t1) + l2 * np.exp(1j * (t1 + t2))
                 assert abs(reached - complex(x, y)) < 1e-12
-            t1, t2 = chinyai.closed_form_numpy(x, y, l1, l2)
+            t1, t2 = planar.closed_form_numpy(x, y, l1, l2)
             assert np.allclose([t1[0], t2[0], t1[1], t2[1]], [a, b, c, d], atol=1e-6)
 
 
 def test_newton_kinds_end_where_they_should():
     start = np.radians((45.0, 90.0))
-    for kind in (chinyai.PLAIN, chinyai.SEARCH, chinyai.LEVENBERG, chinyai.STEP):
-        t1, t2, count, error = chinyai.newton(1.2, 0.7, 1.0, 1.0, *start, kind, chinyai.NO_CLIP, 1e-10, 50)
+    for kind in (planar.PLAIN, planar.SEARCH, planar.LEVENBERG, planar.STEP):
+        t1, t2, count, error = planar.newton(1.2, 0.7, 1.0, 1.0, *start, kind, planar.NO_CLIP, 1e-10, 50)
         assert count > 0 and error < 1e-10
         assert abs(np.exp(1j * t1) + np.exp(1j * (t1 + t2)) - (1.2 + 0.7j)) < 1e-9
-        solved = chinyai.newton(1.2, 0.7, 1.0, 1.0, t1, t2, kind, chinyai.NO_CLIP, 1e-10, 50)
+        solved = planar.newton(1.2, 0.7, 1.0, 1.0, t1, t2, kind, planar.NO_CLIP, 1e-10, 50)
         assert solved[:3] == (t1, t2, 0)
-    straight = chinyai.converge(np.array([[1.2, 0.7]]), 1.0, 1.0, (0.0, 0.0), chinyai.PLAIN)[0]
+    straight = planar.converge(np.array([[1.2, 0.7]]), 1.0, 1.0, (0.0, 0.0), planar.PLAIN)[0]
     assert straight[2] < 0 and (straight[:2] == 0.0).all()  # det J = 0: no step
-    assert chinyai.converge(np.array([[1.2, 0.7]]), 1.0, 1.0, (0.0, 0.0), chinyai.LEVENBERG)[0, 2] > 0
-    clipped = chinyai.converge(
-        chinyai.targets(np.random.default_rng(1), 500, 1.0, 1.0), 1.0, 1.0, start, chinyai.PLAIN, 2.0
+    assert planar.converge(np.array([[1.2, 0.7]]), 1.0, 1.0, (0.0, 0.0), planar.LEVENBERG)[0, 2] > 0
+    clipped = planar.converge(
+        planar.targets(np.random.default_rng(1), 500, 1.0, 1.0), 1.0, 1.0, start, planar.PLAIN, 2.0
     )
     assert np.abs(clipped[:, :2]).max() <= 2.0
 

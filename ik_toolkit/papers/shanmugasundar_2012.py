@@ -1,6 +1,6 @@
 """Shanmugasundar and Sivaramakrishnan (2012): the closed-form inverse of a 7-joint inspection robot, published beside ours.
 
-International Journal of Computer Applications 58 (18), 2012. Published numbers are data below, with their table or figure.
+International Journal of Computer Applications 58 (18), 2012. Published numbers are data in shanmugasundar_formulas.
 Millimetres and degrees as in the paper; the toolkit's own calls use metres and radians.
 """
 
@@ -21,105 +21,27 @@ from ..solvers.solve import Solver, solve
 from ..solvers.solve_all import solve_all
 from .report import Report
 from .shanmugasundar_figures import gallery, self_motion
-
-# Table 2 and Fig 8: the input pose as printed (columns n, o, a; p in mm).
-PRINTED_POSE = {
-    "n_x": "0.78", "n_y": "-0.06", "n_z": "0.62", "o_x": "-0.63", "o_y": "-0.10", "o_z": "0.77",
-    "a_x": "0.02", "a_y": "-0.99", "a_z": "-0.12", "p_x": "461.54", "p_y": "87.12", "p_z": "935.16",
-}  # fmt: skip
-D1, D2, A4, A6, A7 = 530.0, 220.0, 290.0, 180.0, 45.0  # Table 2, mm
-ORIGIN = (
-    20.0,
-    220.0,
-    20.0,
-    0.0,
-    20.0,
-    0.0,
-    20.0,
-)  # ours: deg, mm, deg ...; the paper does not say where the pose is from
-ANGLES = ("theta_1", "theta_3", "theta_4", "theta_5", "theta_6", "theta_7")
-MANUAL = (21.37, 18.906, 1.048, 20.673, 2.465, 20.755)  # Table 3
-SOFTWARE = (21.4, 18.9, 1.1, 20.6, 2.5, 20.6)  # Table 4 and Fig 8
-S6_PRINTED = 0.043  # sample calculation: sin(theta_6)
-PI_22_7 = 22.0 / 7.0
-
-
-def pose_matrix(printed: dict[str, str]) -> np.ndarray:
-    """The printed pose as (4, 4), lengths in mm."""
-    T = np.eye(4)
-    for c, column in enumerate("noap"):
-        T[:3, c] = [float(printed[f"{column}_{axis}"]) for axis in "xyz"]
-    return T
-
-
-def printed_fk(q: np.ndarray, lift: float) -> np.ndarray:
-    """The paper's matrix (section 3.1) at theta_1, theta_3 .. theta_7 [rad] and lift [mm], as (4, 4).
-
-    n_y, o_y and p_y are printed in part, n_z and o_z only inside the equations; they follow the printed pattern.
-    """
-    c1, c3, c4, c6 = (math.cos(q[i]) for i in (0, 1, 2, 4))
-    s1, s3, s4, s6 = (math.sin(q[i]) for i in (0, 1, 2, 4))
-    c45, s45 = math.cos(q[2] + q[3]), math.sin(q[2] + q[3])
-    c67, s67 = math.cos(q[4] + q[5]), math.sin(q[4] + q[5])
-    along, up = c67 * A7 + c6 * A6, s67 * A7 + s6 * A6
-    x = (c1 * c3 * c45 + s1 * s45) * along - c1 * s3 * up + (c1 * c3 * c4 + s1 * s4) * A4
-    y = (s1 * c3 * c45 - c1 * s45) * along - s1 * s3 * up + (s1 * c3 * c4 - c1 * s4) * A4
-    z = s3 * c45 * along + s3 * c4 * A4 + c3 * up + lift + D1
-    return np.array(
-        [
-            [c1 * (c3 * c45 * c67 - s3 * s67) + s1 * s45 * c67, c1 * (-c3 * c45 * s67 - s3 * c67) - s1 * s45 * s67,
-             -c1 * c3 * s45 + s1 * c45, x],
-            [s1 * (c3 * c45 * c67 - s3 * s67) - c1 * s45 * c67, s1 * (-c3 * c45 * s67 - s3 * c67) + c1 * s45 * s67,
-             -s1 * c3 * s45 - c1 * c45, y],
-            [s3 * c45 * c67 + c3 * s67, -s3 * c45 * s67 + c3 * c67, -s3 * s45, z],
-            [0.0, 0.0, 0.0, 1.0],
-        ]
-    )  # fmt: skip
-
-
-def fig4(
-    T: np.ndarray,
-    lift: float,
-    theta_1: float | None = None,
-    height: float | None = None,
-    signs: tuple[int, int, int, int, int] = (1, 1, 1, 1, 1),
-    complement: bool = False,
-) -> np.ndarray:
-    """Joint angles (6,) [rad] by Fig 4 and eqs. (9), (13), (14) for T (4, 4) [mm]; NaN where a root fails.
-
-    theta_1: None takes the printed 2 atan2(py, px). height: what stands for d1 + d2 (default the sum itself). signs: of
-    theta_45, theta_3, theta_6, theta_4, theta_67. complement: a negative sign of an arc sine gives pi - theta, which has the
-    same sine, and not the printed -theta. S4, C4 for the misprinted S2, C2. theta_67 is used but never given: its arc
-    cosine from n reproduces the printed 23.22 deg.
-    """
-    n, a, p = T[:3, 0], T[:3, 2], T[:3, 3]
-    t1 = 2.0 * math.atan2(p[1], p[0]) if theta_1 is None else theta_1
-    s1, c1 = math.sin(t1), math.cos(t1)
-    top = D1 + lift if height is None else height
-
-    def arc(function: Any, x: float, sign: int) -> float:
-        if not abs(x) <= 1.0 + 1e-12:
-            return math.nan
-        t = function(max(-1.0, min(1.0, x)))
-        return math.pi - t if complement and sign < 0 and function is math.asin else sign * t
-
-    t45 = arc(math.acos, s1 * a[0] - c1 * a[1], signs[0])
-    s45 = math.sin(t45) or math.nan
-    t3 = arc(math.asin, -a[2] / s45, signs[1])
-    s3, c3 = math.sin(t3), math.cos(t3)
-    t67 = arc(math.acos, (s1 * n[0] - c1 * n[1]) / s45, signs[4])
-    s67, c67 = math.sin(t67), math.cos(t67)
-    t6 = arc(math.asin, (-s3 * c1 * p[0] - s3 * s1 * p[1] + c3 * p[2] - c3 * top - s67 * A7) / A6, signs[2])
-    t4 = arc(math.asin, (s1 * p[0] - c1 * p[1] - s45 * c67 * A7 - s45 * math.cos(t6) * A6) / A4, signs[3])
-    return np.array([t1, t3, t4, t45 - t4, t6, t67 - t6])
-
-
-def pose_error(T: np.ndarray, goal: np.ndarray) -> tuple[float, float]:
-    """Distance [unit of T] and rotation angle [rad] between two poses."""
-    trace = float(np.trace(T[:3, :3].T @ goal[:3, :3]))
-    skew = T[:3, :3].T @ goal[:3, :3]
-    sine = 0.5 * math.hypot(skew[2, 1] - skew[1, 2], skew[0, 2] - skew[2, 0], skew[1, 0] - skew[0, 1])
-    return float(np.linalg.norm(T[:3, 3] - goal[:3, 3])), math.atan2(sine, 0.5 * (trace - 1.0))
+from .shanmugasundar_formulas import (
+    A6,
+    A7,
+    ANGLES,
+    D1,
+    D2,
+    MANUAL,
+    ORIGIN,
+    PI_22_7,
+    PRINTED_POSE,
+    S3,
+    S4,
+    S6,
+    SOFTWARE,
+    THETA_45,
+    THETA_67,
+    fig4,
+    pose_error,
+    pose_matrix,
+    printed_fk,
+)
 
 
 def reproduce(poses: int = 2000, seed: int = 0) -> Report:
@@ -188,32 +110,58 @@ def _answers(report: Report, printed: np.ndarray, table_pose: np.ndarray) -> Non
     report.heading("Tables 3 and 4: the published angles")
     origin = np.radians([x for i, x in enumerate(ORIGIN) if i != 1])
     exact = printed_fk(origin, D2)
-    from_table = fig4(printed, D2)
-    # The program turns radians into degrees with 22/7 as well; one printed decimal cannot tell.
-    rows = [
-        ["manual, Table 3", *MANUAL, *_errors(np.radians(MANUAL), table_pose)],
-        ["software, Table 4", *SOFTWARE, *_errors(np.radians(SOFTWARE), table_pose)],
-        ["ours: Fig 4, no rounding", *np.degrees(from_table), *_errors(from_table, table_pose)],
-        ["ours: Fig 4 on the exact 20 deg pose", *np.degrees(fig4(exact, D2)), *_errors(fig4(exact, D2), exact)],
-        ["ours: true origin of the pose", *np.degrees(origin), *_errors(origin, table_pose)],
-    ]
-    report.table(
-        "angles", ["source", *(f"{a} (deg)" for a in ANGLES), "position error (mm)", "rotation error (deg)"], rows
+    table = fig4(printed, D2)
+    t1, t3, t4, t5, t6, t7 = table
+    degrees = 180.0 / PI_22_7  # the program turns radians into degrees with 22/7 as well
+    program = [f"{degrees * x:.1f}" for x in table]
+    report.number("software_angles_reproduced", sum(a == f"{b:.1f}" for a, b in zip(program, SOFTWARE, strict=True)))
+    hand = "three-digit intermediate values"
+    reasons = (
+        "2 atan2 of (87.09, 461.57), the pose before rounding",
+        hand,
+        "slip of an intermediate",
+        hand,
+        hand,
+        hand,
     )
-    again = [f"{180.0 / PI_22_7 * x:.1f}" == f"{y:.1f}" for x, y in zip(from_table, SOFTWARE, strict=True)]
-    report.number("software_angles_reproduced", sum(again))
+    rows: list[list[Any]] = [
+        [f"{name} (deg)", manual, f"{software:.1f}", f"{degrees * x:.3f}", f"{math.degrees(true):.0f}", reason]
+        for name, manual, software, x, true, reason in zip(
+            ANGLES, MANUAL, SOFTWARE, table, origin, reasons, strict=True
+        )
+    ]
+    true = (origin[2] + origin[3], math.sin(origin[1]), origin[4] + origin[5], math.sin(origin[4]), math.sin(origin[2]))
+    rows += [
+        ["theta_45 (deg)", THETA_45, "", f"{degrees * (t4 + t5):.3f}", f"{math.degrees(true[0]):.0f}", hand],
+        ["sin theta_3", S3, "", f"{math.sin(t3):.4f}", f"{true[1]:.4f}", hand],
+        ["theta_67 (deg)", THETA_67, "", f"{degrees * (t6 + t7):.3f}", f"{math.degrees(true[2]):.0f}", hand],
+        ["sin theta_6", S6, "", f"{math.sin(t6):.4f}", f"{true[3]:.4f}", hand],
+        ["sin theta_4", S4, "", f"{math.sin(t4):.4f}", f"{true[4]:.4f}", hand],
+    ]
+    head = ["number", "manual, Table 3", "software, Table 4", "ours: Fig 4, no rounding", "true origin"]
+    report.table("published_angles", [*head, "why the manual differs from ours"], rows)
+    on_exact = fig4(exact, D2)
+    cases = {
+        "manual, Table 3": (np.radians(MANUAL), table_pose),
+        "software, Table 4": (np.radians(SOFTWARE), table_pose),
+        "ours: Fig 4, no rounding": (table, table_pose),
+        "ours: Fig 4 on the exact 20 deg pose": (on_exact, exact),
+        "ours: true origin of the pose": (origin, table_pose),
+    }
+    errors = {name: _errors(*case) for name, case in cases.items()}
+    report.table(
+        "errors",
+        ["angles", "position error (mm)", "rotation error (deg)"],
+        [[name, *(float(f"{x:.12g}") for x in error)] for name, error in errors.items()],
+    )
+    (manual_p, manual_r), (software_p, software_r), *_ = errors.values()
     report.text(
         "Errors are those of the forward kinematics at lift 220 mm against the pose of Table 2 (its rotation "
         "projected to the nearest one), or against the exact pose in row 4. Fig 4 evaluated without rounding gives "
-        f"{sum(again)} of the 6 angles that the software printed. So both columns of Table 4 use the same formulas "
-        "and are 1.1 to 1.2 mm and 2 deg off; 'more accurate results' by the software has no basis. Most of the 2 "
-        "deg is the two-decimal pose fed into arc functions."
-    )
-    report.text(
-        "Why the wrong theta_1 looks right: theta_3, theta_45 and theta_67 can satisfy the orientation for any "
-        "theta_1, and the arm has one free parameter. The sample stands at a turning point of that self-motion "
-        "(theta_6 = 0, elbow stretched), where theta_1 moves by a degree for less than half a millimetre of lift "
-        "(figure `self-motion.png`)."
+        f"{report.data['software_angles_reproduced']} of the 6 angles that the software printed, so both columns of "
+        f"Table 4 come from the same formulas; they miss the pose by {manual_p:.2f} and {software_p:.2f} mm, "
+        f"{manual_r:.2f} and {software_r:.2f} deg. 'More accurate results' by the software has no basis. Most of the "
+        "rotation error is the two-decimal pose fed into arc functions: on the exact pose it is 0."
     )
 
 
@@ -320,12 +268,33 @@ def _sample(report: Report, robot: Robot, printed: np.ndarray, table_pose: np.nd
         "answer is absent for all of these: the paper holds the lift at 220 mm and calls it theta_2 = 0."
     )
     exact = robot.fk(_q(np.radians([x for i, x in enumerate(ORIGIN) if i != 1]), D2)).homogeneous
+    higher = report.number("lift_of_published_theta_1_mm", _lift_of(p, exact, math.radians(MANUAL[0])))
+    report.text(
+        "Why the wrong theta_1 looks right: theta_3, theta_45 and theta_67 can satisfy the orientation for any "
+        "theta_1, and the arm has one free parameter. The sample stands at a turning point of that self-motion "
+        f"(theta_6 = 0, elbow stretched): on the unrounded pose theta_1 = {MANUAL[0]} deg is exact at a lift of "
+        f"{higher:.3f} mm."
+    )
     report.figure(
         "self-motion.png",
-        "Solutions of the sample pose over the lift. The published theta_1 belongs to a lift 0.44 mm higher on the "
-        "curve of the unrounded pose; the pose as printed cannot be reached at 220 mm at all.",
+        f"Solutions of the sample pose over the lift. The published theta_1 belongs to a lift {higher - D2:.2f} mm "
+        "higher on the curve of the unrounded pose; the pose as printed cannot be reached at 220 mm at all.",
         self_motion(p, goal, exact, D2, MANUAL[0], ORIGIN[0]),
     )
+
+
+def _lift_of(p: np.ndarray, T: np.ndarray, theta_1: float) -> float:
+    """Lift [mm], just above the lowest feasible one, at which the upper of the two nearest branches has theta_1 [rad]."""
+    box = np.vstack([np.full(7, -np.inf), np.full(7, np.inf), np.zeros(7), np.ones(7)])
+    out, broken = np.empty((8, 7)), np.empty(8)
+    low = inspection.feasible_lifts(p, T)[0][0]
+    high = low + 0.01
+    for _ in range(50):
+        middle = 0.5 * (low + high)
+        q = out[: inspection.every_branch(p, T, box, np.array([middle]), out, broken)]
+        upper = max(x[0] for x in q if abs(x[4]) < math.pi / 2 and abs(x[0] - theta_1) < math.pi / 2)
+        low, high = (middle, high) if upper < theta_1 else (low, middle)
+    return float(1000.0 * low)
 
 
 def _row(q: np.ndarray) -> list[float]:
@@ -391,7 +360,7 @@ def _misprints(report: Report, table_pose: np.ndarray) -> None:
         ],
         [
             "d1 + d1 in S6 and C6, Fig 4",
-            f"with it S6 = {s6[0]:.2f}: no angle; the printed {S6_PRINTED} needs d1 + d2 (ours {s6[1]:.3f})",
+            f"with it S6 = {s6[0]:.2f}: no angle; the printed {S6} needs d1 + d2 (ours {s6[1]:.3f})",
             "d1 + d2",
         ],
         ["S2, C2 in theta_4", "misprint", "S4, C4"],
