@@ -36,7 +36,7 @@ _NAMES = {
     "circle": "tracking.reference",
     "lissajous": "tracking.reference",
     "waypoints": "tracking.reference",
-    "reference_from_file": "tracking.reference:from_file",
+    "reference_from_file": "tracking.reference",
     "best_gains": "tracking.stability",
     "check_gains": "tracking.stability",
     "IKError": "errors",
@@ -49,8 +49,7 @@ def __getattr__(name: str) -> Any:
     """Import a public name when it is first used (PEP 562)."""
     if name not in _NAMES:
         raise AttributeError(f"module 'ik_toolkit' has no attribute '{name}'")
-    module, _, attribute = _NAMES[name].partition(":")
-    value = getattr(importlib.import_module(f"ik_toolkit.{module}"), attribute or name)
+    value = getattr(importlib.import_module(f"ik_toolkit.{_NAMES[name]}"), name)
     globals()[name] = value
     return value
 

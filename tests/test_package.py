@@ -134,3 +134,9 @@ def test_kernel_runs_uncompiled():
     environment = {**os.environ, "NUMBA_DISABLE_JIT": "1"}
     run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT, env=environment)
     assert run.returncode == 0, run.stderr
+
+
+def test_type_checkers_see_the_names_that_load_lazily():
+    stub = (ROOT / "ik_toolkit" / "__init__.pyi").read_text()
+    lines = re.findall(r"^from \.([\w.]+) import (\w+) as \2$", stub, re.MULTILINE)
+    assert {name: module for module, name in lines} == ik._NAMES

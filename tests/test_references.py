@@ -103,12 +103,12 @@ def test_files_are_read_back(tmp_path):
     (tmp_path / "path.csv").write_text("\n".join(lines) + "\n")
     inner = np.linspace(0.05, 1.95, 77)
     for name in ("path.npz", "path.csv"):
-        ref = rf.from_file(tmp_path / name)
+        ref = rf.reference_from_file(tmp_path / name)
         assert not ref.position_only and ref.duration == pytest.approx(2.0)
         for got, wanted, tolerance in zip(ref.at(inner), source.at(inner), (1e-6, 1e-4, 2e-2), strict=True):
             assert got == pytest.approx(wanted, abs=tolerance)
     (tmp_path / "positions.csv").write_text("t, x, y, z\n0,0,0,0\n1,1,0,0\n")
-    ref = rf.from_file(str(tmp_path / "positions.csv"))
+    ref = rf.reference_from_file(str(tmp_path / "positions.csv"))
     assert ref.position_only and ref.at(0.5)[1][:3] == pytest.approx([1, 0, 0])
 
 
@@ -131,32 +131,32 @@ def test_bad_csv(tmp_path, text):
     file = tmp_path / "bad.csv"
     file.write_text(text)
     with pytest.raises(InvalidTarget, match=BAD_CSV[text]):
-        rf.from_file(file)
+        rf.reference_from_file(file)
 
 
 def test_bad_npz_and_bytes(tmp_path):
     file = tmp_path / "bad.npz"
     with pytest.raises(InvalidTarget, match="no reference file"):
-        rf.from_file(file)
+        rf.reference_from_file(file)
     for content in (b"", b"not a zip", b"PK\x03\x04" + bytes(range(256))):
         file.write_bytes(content)
         with pytest.raises(InvalidTarget):
-            rf.from_file(file)
+            rf.reference_from_file(file)
     np.savez(file, t=[0, 1], positions=np.zeros((2, 3)))
     with pytest.raises(InvalidTarget, match="no array 'xyz'"):
-        rf.from_file(file)
+        rf.reference_from_file(file)
     np.savez(file, t=[0, 1], xyz=np.zeros((3, 2)))
     with pytest.raises(InvalidTarget, match="shape"):
-        rf.from_file(file)
+        rf.reference_from_file(file)
     np.savez(file, t=[0, 1, 2], xyz=np.zeros((2, 3)))
     with pytest.raises(InvalidTarget, match="2 numbers"):
-        rf.from_file(file)
+        rf.reference_from_file(file)
     np.savez(file, t=np.array([{}, {}], dtype=object), xyz=np.zeros((2, 3)))  # pickled objects are never loaded
     with pytest.raises(InvalidTarget):
-        rf.from_file(file)
+        rf.reference_from_file(file)
     (tmp_path / "bytes.csv").write_bytes(b"\xff\xfe\x00\x01")
     with pytest.raises(InvalidTarget):
-        rf.from_file(tmp_path / "bytes.csv")
+        rf.reference_from_file(tmp_path / "bytes.csv")
 
 
 @pytest.mark.parametrize(

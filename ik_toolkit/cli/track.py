@@ -198,7 +198,7 @@ def _reference(
     if path not in SHAPES:
         if Path(path).suffix.lower() not in (".csv", ".npz"):
             raise InvalidOption(f"no path '{path}'.{near_match(path, SHAPES)} Or give a .csv or .npz file.")
-        return shapes.from_file(path)
+        return shapes.reference_from_file(path)
     T = arm.fk(arm.home if q is None else q).homogeneous
     if start is not None:
         T[:3, 3] = vector(start, "--start", 3)

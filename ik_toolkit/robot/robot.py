@@ -27,6 +27,7 @@ if TYPE_CHECKING:
     from .tree import Tree
 
 CACHES = ("_local", "_sampling", "_solvers", "_closed_form", "_collision")  # belong to one object, or to one thread
+LINKS = (pin.FrameType.BODY, pin.FrameType.OP_FRAME, pin.FrameType.SENSOR)  # what a base or a tip may be
 SINGULAR = 0.02  # smallest singular value (lengths over reach) below which a configuration is no good as home
 
 
@@ -67,10 +68,8 @@ class Robot(Joints):
         self.urdf = urdf
         self.path = path
         self.package_dirs = tuple(Path(folder) for folder in package_dirs)
-        self.base = self._frame(base) if base is not None else "universe"
+        self.base = self._frame(base) if base is not None else _root(model)
         self.tip = self._frame(tip) if tip is not None else self._only_tip()
-        if base is None:
-            self.base = _root(model)
         self.tool = pin.SE3.Identity()
         self.rest = pin.neutral(model)
         self.locked_joints: dict[str, float] = {}
@@ -126,28 +125,32 @@ class Robot(Joints):
             model = pin.buildModelFromXML(text, True)
         except Exception as error:
             raise ModelError(f"Pinocchio cannot read {found.name}: {str(error).strip().splitlines()[0]}") from None
-        home = found.home if tip is None and base is None and not locked else None
-        return cls(
+        if tip is None and len(found.tips) > 1:
+            raise FrameNotFound(
+                f"robot '{found.name}' has {len(found.tips)} tips; choose one with tip=, or give a list: {', '.join(found.tips)}"
+            )
+        known = tip in (None, found.tip) and base in (None, found.base)
+        robot = cls(
             model,
             tip=tip if tip is not None else found.tip,
             base=base if base is not None else found.base,
-            home=home,
+            home=found.home if known else None,
             name=found.name if found.path else model.name,
-            locked=locked,
             urdf=text,
             path=found.path,
             package_dirs=[*package_dirs, *found.package_dirs],
         )
+        return robot.locked(locked) if locked else robot
 
     # ------------------------------------------------------------------------------------------------ construction
     def _frame(self, name: str) -> str:
-        bodies = [f.name for f in self.model.frames if f.type != pin.FrameType.JOINT]
+        bodies = [f.name for f in self.model.frames if f.type in LINKS]
         if name not in bodies:
             raise FrameNotFound(f"robot '{self.name}' has no frame '{name}'.{near_match(name, bodies)}")
         return name
 
     def _frame_id(self, name: str) -> int:
-        return next(i for i, f in enumerate(self.model.frames) if f.name == name and f.type != pin.FrameType.JOINT)
+        return next(i for i, f in enumerate(self.model.frames) if f.name == name and f.type in LINKS)
 
     def tips(self) -> list[str]:
         """Names of the frames at the ends of the tree that a joint moves."""
@@ -176,7 +179,7 @@ class Robot(Joints):
         names = [
             n
             for j, n in enumerate(self.model.names)
-            if self.model.joints[j].nq in (1, 2) and self.model.joints[j].nv == 1
+            if j and self.model.joints[j].nq in (1, 2) and self.model.joints[j].nv == 1
         ]
         if joint not in names:
             raise JointNotFound(

@@ -350,7 +350,7 @@ def _spline(t: np.ndarray, P: np.ndarray, R: np.ndarray | None, ends: str, name:
 
 
 # ------------------------------------------------------------------------------------------------ files
-def from_file(path: str | Path) -> Reference:
+def reference_from_file(path: str | Path) -> Reference:
     """Read a reference from CSV (header t,x,y,z and optionally qx,qy,qz,qw) or NPZ (t, xyz, optionally quat_xyzw).
 
     Times [s] increase (the first becomes 0), positions in the base frame [m]; a cubic spline goes through the samples, so

@@ -1,0 +1,36 @@
+"""What type checkers see of the public names, which load on first use (a test holds this to `__init__.py`)."""
+
+from .errors import IKError as IKError
+from .errors import NotSolved as NotSolved
+from .robot.collision import CollisionModel as CollisionModel
+from .robot.pose import pose as pose
+from .robot.robot import Robot as Robot
+from .solvers.batch import solve_batch as solve_batch
+from .solvers.closed_form.inspection import Inspection as Inspection
+from .solvers.closed_form.planar_2r import Planar2R as Planar2R
+from .solvers.result import Result as Result
+from .solvers.result import Status as Status
+from .solvers.rules.ccd import CCD as CCD
+from .solvers.rules.jacobian import DLS as DLS
+from .solvers.rules.jacobian import LM as LM
+from .solvers.rules.jacobian import Newton as Newton
+from .solvers.rules.jacobian import Pinv as Pinv
+from .solvers.rules.jacobian import Transpose as Transpose
+from .solvers.rules.pid import PID as PID
+from .solvers.rules.state_space import StateSpace as StateSpace
+from .solvers.solve import Solver as Solver
+from .solvers.solve import solve as solve
+from .solvers.solve_all import solve_all as solve_all
+from .tracking.reference import Reference as Reference
+from .tracking.reference import circle as circle
+from .tracking.reference import line as line
+from .tracking.reference import lissajous as lissajous
+from .tracking.reference import reference_from_file as reference_from_file
+from .tracking.reference import waypoints as waypoints
+from .tracking.result import TrackResult as TrackResult
+from .tracking.stability import best_gains as best_gains
+from .tracking.stability import check_gains as check_gains
+from .tracking.track import Tracker as Tracker
+from .tracking.track import track as track
+
+__version__: str
