@@ -99,6 +99,19 @@ def test_kinematics_equal_pinocchio(tree):
         assert np.abs(J[k] - tree.jacobian(q)).max() < 1e-12
 
 
+@pytest.mark.parametrize("base", ["chest", "turning", "left3_link"])
+def test_any_base_also_with_followers_of_joints_below_it(base):
+    """Joints between the root and the base move base and tips alike, so only their followers on the paths count."""
+    tree = ik.Robot.load(mixed(), tip=TREES["mixed"], base=base)
+    if base == "chest":
+        assert {"turn", "lift"} <= set(tree.joint_names)
+    q = tree.random_q(np.random.default_rng(9))
+    T, J = tree.chain.forward(q, jacobian=True)
+    assert np.abs(T[0] - direct(tree, q)).max() < 1e-12 and np.abs(T[0] - poses(tree, q)).max() < 1e-12
+    assert np.abs(J[0] - tree.jacobian(q)).max() < 1e-12
+    assert ik.solve(tree, poses(tree, q)).success
+
+
 def test_jacobian_by_finite_differences(tree):
     q, h = tree.random_q(np.random.default_rng(8)), 1e-6
     J = tree.jacobian(q)

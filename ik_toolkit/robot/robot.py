@@ -282,7 +282,8 @@ class Robot(Joints):
     def _fk(self, q: np.ndarray) -> pin.SE3:
         data = self.data
         pin.forwardKinematics(self.model, data, self._fill(self.rest.copy(), q))
-        return self._base_inverse * pin.updateFramePlacement(self.model, data, self._ids[1]) * self.tool
+        base = pin.updateFramePlacement(self.model, data, self._ids[0])  # moves when a follower's leader lies above it
+        return base.actInv(pin.updateFramePlacement(self.model, data, self._ids[1])) * self.tool
 
     def jacobian(self, q: Any) -> np.ndarray:
         """Jacobian (6, n) of the tip point in base axes, linear rows first [m or rad per rad or m], by Pinocchio."""
@@ -290,11 +291,15 @@ class Robot(Joints):
         model, data = self.model, self.data
         pin.computeJointJacobians(model, data, full)
         pin.updateFramePlacements(model, data)
-        J = pin.getFrameJacobian(model, data, self._ids[1], pin.LOCAL_WORLD_ALIGNED)
-        J = J[:, [model.joints[j].idx_v for j in self._path.leaders]]
-        arm = data.oMf[self._ids[1]].rotation @ self.tool.translation
-        J[:3] += np.cross(J[3:], arm, axis=0)
-        R = self._base_inverse.rotation
+        columns = [model.joints[j].idx_v for j in self._path.leaders]
+        base, tip = (data.oMf[i] for i in self._ids)
+        point = tip.act(self.tool.translation)
+        J = np.zeros((6, self.n))
+        for sign, frame, i in ((1.0, tip, self._ids[1]), (-1.0, base, self._ids[0])):  # of the tip relative to the base
+            K = pin.getFrameJacobian(model, data, i, pin.LOCAL_WORLD_ALIGNED)[:, columns]
+            K[:3] += np.cross(K[3:], point - frame.translation, axis=0)
+            J += sign * K
+        R = base.rotation.T
         return np.vstack([R @ J[:3], R @ J[3:]])
 
     def errors(self, q: np.ndarray, target: np.ndarray) -> tuple[float, float | None]:
