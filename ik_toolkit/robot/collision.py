@@ -169,7 +169,11 @@ class CollisionModel:
         full = self._full(q)
         data, found, _ = self._workspace()
         pin.computeCollisions(self.robot.model, data, self._geometry, found, full, False)
-        hits = [pair for pair, hit in zip(self._geometry.collisionPairs, found.collisionResults, strict=True) if hit.isCollision()]
+        hits = [
+            pair
+            for pair, hit in zip(self._geometry.collisionPairs, found.collisionResults, strict=True)
+            if hit.isCollision()
+        ]
         return list(dict.fromkeys((self._names[pair.first], self._names[pair.second]) for pair in hits))
 
     def _full(self, q: Any) -> np.ndarray:

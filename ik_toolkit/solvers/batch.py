@@ -1,202 +1,427 @@
-"""Many targets at once: compiled, on all cores, in chunks, with the same bytes for any number of threads."""
+"""Many targets at once: compiled, on all cores, in parts, with the same bytes for any number of threads or workers."""
 
+import functools
 import os
+import pickle
+import threading
+from collections import deque
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, ThreadPoolExecutor
+from itertools import chain as joined
+from time import perf_counter
 from typing import Any
 
 import numpy as np
 
 from ..errors import InvalidConfiguration, InvalidOption, InvalidTarget
 from ..kernel.checks import BAD_TARGET
-from ..kernel.loop import OUT_HEAD
+from ..kernel.loop import OUT_HEAD, R_EVALUATIONS, R_HISTORY, R_ITERATIONS, R_POSITION, R_RESTARTS, R_ROTATION, R_STATUS
 from ..kernel.task import POSE, POSITION
 from ..robot.pose import check_target
 from ..robot.robot import Robot
-from .result import Status
-from .solve import Solver, bound
+from .result import Result, Status
+from .solve import Solver, automatic
 
-CHUNK = 2048
+PART, REMOTE_PART = 2048, 4096  # rows handed to a thread, and to a worker of an executor
+AHEAD, REMOTE_AHEAD = 4, 64  # parts waiting per thread, and in all at an executor: an iterator is never read far ahead
+SLICE = 0.05  # s; a thread looks up this often whether it shall stop
+R_MOVE = R_HISTORY  # a batch keeps no history; in a chain its slot holds the largest joint move
+JUMP = 0.5  # rad, or of the robot's scale for slides
+
+
+class BatchInterrupted(KeyboardInterrupt):
+    """Ctrl-C during a batch; `result` is the BatchResult of the targets finished before it, from the first on."""
+
+    def __init__(self, result: "BatchResult") -> None:
+        """Keep what was finished."""
+        super().__init__(f"interrupted after {len(result)} targets")
+        self.result = result
 
 
 class BatchResult:
     """Answers of a batch, row k belonging to target k.
 
     q (N, n) [rad or m]; status (N,) numbers of Status; success (N,) bool; position_error (N,) [m]; orientation_error (N,)
-    [rad], None for positions; iterations, restarts, fk_evaluations (N,).
+    [rad], None for positions; iterations, restarts, fk_evaluations (N,). For a chain: moves (N,) and flips, else None.
+    batch[k] is the Result of target k, with its sentence.
     """
 
-    def __init__(self, table: np.ndarray, position_only: bool, solver: str) -> None:
+    def __init__(self, table: np.ndarray, position_only: bool, solver: Solver | None, chain: bool = False) -> None:
         """Wrap the kernel's rows (N, 8 + n)."""
         self._table = table
+        self._solver = solver
         self.position_only = position_only
-        self.solver = solver
+        self.solver = solver.name if solver is not None else ""
+        self.chain = chain
 
     def __len__(self) -> int:
         """Number of targets."""
         return len(self._table)
 
+    def __getitem__(self, k: int) -> Result:
+        """Result of target k."""
+        row = self._table[k]
+        if self._solver is None:
+            raise IndexError("an empty batch")
+        result = Result(self._solver, row, 0.0, self.position_only)
+        if row[R_STATUS] == Status.COLLISION and self._solver.collision is not None:
+            result.collision = self._solver.collision.collisions(result.q)[0]
+        return result
+
     q = property(lambda self: self._table[:, OUT_HEAD:])
-    status = property(lambda self: self._table[:, 0].astype(np.int64))
-    success = property(lambda self: self._table[:, 0] == Status.CONVERGED)
-    position_error = property(lambda self: self._table[:, 3])
-    orientation_error = property(lambda self: None if self.position_only else self._table[:, 4])
-    iterations = property(lambda self: self._table[:, 1].astype(np.int64))
-    restarts = property(lambda self: self._table[:, 2].astype(np.int64))
-    fk_evaluations = property(lambda self: self._table[:, 5].astype(np.int64))
+    status = property(lambda self: self._table[:, R_STATUS].astype(np.int64))
+    success = property(lambda self: self._table[:, R_STATUS] == Status.CONVERGED)
+    position_error = property(lambda self: self._table[:, R_POSITION])
+    orientation_error = property(lambda self: None if self.position_only else self._table[:, R_ROTATION])
+    iterations = property(lambda self: self._table[:, R_ITERATIONS].astype(np.int64))
+    restarts = property(lambda self: self._table[:, R_RESTARTS].astype(np.int64))
+    fk_evaluations = property(lambda self: self._table[:, R_EVALUATIONS].astype(np.int64))
+
+    @property
+    def moves(self) -> np.ndarray | None:
+        """Largest joint move (N,) from the answer before [rad, or of the robot's scale]; NaN where there is no answer."""
+        return self._table[:, R_MOVE] if self.chain else None
+
+    @property
+    def flips(self) -> np.ndarray | None:
+        """Rows of a chain whose answer is more than 0.5 rad (or of the robot's scale) away from the one before."""
+        return np.flatnonzero(self._table[:, R_MOVE] > JUMP) if self.chain else None
 
     def counts(self) -> dict[str, int]:
         """How many targets ended with each status."""
-        numbers, counts = np.unique(self.status, return_counts=True)
+        numbers, counts = np.unique(self._table[:, R_STATUS], return_counts=True)
         return {Status(int(k)).name: int(c) for k, c in zip(numbers, counts, strict=True)}
 
     def to_dict(self) -> dict[str, Any]:
         """Arrays by name, for np.savez and tables."""
-        names = (
-            "q",
-            "status",
-            "success",
-            "position_error",
-            "orientation_error",
-            "iterations",
-            "restarts",
-            "fk_evaluations",
-        )
-        return {name: getattr(self, name) for name in names if getattr(self, name) is not None}
+        names = ("q", "status", "success", "position_error", "orientation_error", "iterations", "restarts")
+        arrays = {name: getattr(self, name) for name in (*names, "fk_evaluations", "moves")}
+        return {name: array for name, array in arrays.items() if array is not None}
 
     def __repr__(self) -> str:
         """One line."""
-        return f"BatchResult({len(self)} targets, {int(self.success.sum())} solved, solver='{self.solver}', {self.counts()})"
+        flips = f", {len(self.flips)} flips" if self.flips is not None else ""
+        return f"BatchResult({len(self)} targets, {int(self.success.sum())} solved{flips}, solver='{self.solver}', {self.counts()})"
 
 
-def _chunks(targets: Any) -> Iterator[np.ndarray]:
-    """Targets as arrays of (m, 4, 4) or (m, 3), from one array or an iterable of such arrays."""
+# ---------------------------------------------------------------------------------------------------------------- input
+def _known(targets: Any) -> np.ndarray | None:
+    """Targets as one array when they are an array or a sequence; None for an iterator."""
     if isinstance(targets, np.ndarray):
-        targets = [targets]
-    elif not isinstance(targets, Iterator):
-        try:
-            targets = [np.asarray(targets, dtype=float)]
-        except (TypeError, ValueError):
-            raise InvalidTarget("targets are an array (N, 4, 4) or (N, 3), or an iterator of such arrays") from None
-    for part in targets:
-        part = np.asarray(part, dtype=float)
-        if part.shape[1:] not in ((4, 4), (3,)):
-            raise InvalidTarget(f"targets are (N, 4, 4) poses or (N, 3) positions, not an array of shape {part.shape}")
-        yield part
+        return targets
+    if isinstance(targets, Iterator):
+        return None
+    try:
+        return np.array([getattr(target, "homogeneous", target) for target in targets], dtype=float)
+    except (TypeError, ValueError):
+        raise InvalidTarget("targets are an array (N, 4, 4) or (N, 3), or an iterator of such arrays") from None
 
 
-def _solve_part(solver: Solver, part: np.ndarray, q0: np.ndarray | None, first: int) -> np.ndarray:
-    """Rows (m, 8 + n) of one part; `first` is its offset in the batch, for messages."""
-    kind = POSE if part.ndim == 3 else POSITION
-    if kind == POSE:
-        T = np.array(part, dtype=float, order="C")
-    else:
-        if not np.isfinite(part).all():
-            bad = int(np.flatnonzero(~np.isfinite(part).all(axis=1))[0])
-            raise InvalidTarget(f"target {first + bad} is not finite")
-        T = np.tile(np.eye(4), (len(part), 1, 1))
-        T[:, :3, 3] = part
-    out = np.empty((len(T), OUT_HEAD + solver.robot.n))
-    start = solver._home if q0 is None else np.array(np.atleast_2d(q0), dtype=float, order="C")
-    solver._kernel(*solver._chain, T, start, out, solver.pack(kind, q0 is not None), solver._silent)
-    for k in np.flatnonzero(out[:, 0] == BAD_TARGET):
+def _checked(chunks: Iterator[Any]) -> Iterator[np.ndarray]:
+    """Refuse chunks of the wrong shape, or of another kind than the first; their numbers are checked in the kernel."""
+    ndim = 0
+    for chunk in chunks:
+        chunk = np.asarray(chunk)
+        if chunk.size == 0 and chunk.ndim < 2:
+            continue
+        if chunk.dtype.kind not in "fiu" or chunk.shape[1:] not in ((4, 4), (3,)):
+            raise InvalidTarget(
+                f"targets are numbers of shape (N, 4, 4) or (N, 3), not {chunk.dtype} of shape {chunk.shape}"
+            )
+        if ndim not in (0, chunk.ndim):
+            raise InvalidTarget("a batch is all poses or all positions, not both")
+        ndim = chunk.ndim
+        yield chunk
+
+
+def _starts(solver: Solver, q0: np.ndarray, first: int) -> np.ndarray:
+    """Validated starts (1 or m, n), inside the limits."""
+    bad = ~np.isfinite(q0).all(axis=1)
+    if bad.any():
+        raise InvalidConfiguration(f"q0 of target {first + int(np.argmax(bad))} is not finite")
+    if not solver.options.limits:
+        return q0
+    inside = np.clip(q0, solver.robot.lower, solver.robot.upper)
+    if solver.options.q0_outside == "refuse" and (inside != q0).any():
+        k = int(np.argmax((inside != q0).any(axis=1)))
+        raise InvalidConfiguration(
+            f"q0 of target {first + k} is outside the limits at joint {', '.join(solver.robot.outside(q0[k]))}"
+        )
+    return inside
+
+
+# --------------------------------------------------------------------------------------------------------------- solving
+def _solve_rows(
+    solver: Solver, T: np.ndarray, start: np.ndarray, given: bool, kind: int, out: np.ndarray, first: int
+) -> None:
+    """Solve rows (m, 8 + n) as if each were alone; `first` is the number of the first, for messages."""
+    opt = solver.pack(kind, given)
+    solver._kernel(*solver._chain, T, start, out, opt, solver._silent)
+    for k in np.flatnonzero(out[:, R_STATUS] == BAD_TARGET):
         try:
-            T[k] = check_target(T[k])[0]
+            mended = check_target(T[k] if kind == POSE else T[k, :3, 3])[0]
         except InvalidTarget as error:
             raise InvalidTarget(f"target {first + k}: {error}") from None
-        one = start if len(start) == 1 else start[k : k + 1]
-        solver._kernel(
-            *solver._chain, T[k : k + 1], one, out[k : k + 1], solver.pack(kind, q0 is not None), solver._silent
-        )
+        T[k] = mended
+        solver._kernel(*solver._chain, T[k : k + 1], _row(start, k), out[k : k + 1], opt, solver._silent)
+    if solver._extras:
+        for k in np.flatnonzero(out[:, R_STATUS] == Status.CONVERGED):
+            solver.finish(out[k], T[k : k + 1], kind, _row(start, k), given)
+
+
+def _row(start: np.ndarray, k: int) -> np.ndarray:
+    return start if len(start) == 1 else start[k : k + 1]
+
+
+def _poses(part: np.ndarray) -> tuple[np.ndarray, int]:
+    """A copy of a part as (m, 4, 4), and its kind."""
+    if part.ndim == 3:
+        return np.array(part, dtype=float, order="C"), POSE
+    T = np.tile(np.eye(4), (len(part), 1, 1))
+    T[:, :3, 3] = part
+    return T, POSITION
+
+
+def _confirm(solver: Solver, T: np.ndarray, kind: int, out: np.ndarray, first: int, every: int) -> None:
+    """Check every so manieth row of the whole batch again with Pinocchio."""
+    for k in range(-first % every, len(out), every) if every else ():
+        if out[k, R_STATUS] == Status.CONVERGED:
+            result = Result(solver, out[k], 0.0, kind == POSITION)
+            solver._check(result, T[k] if kind == POSE else T[k, :3, 3])
+            out[k, R_STATUS] = result.status
+
+
+def _solve_part(
+    solver: Solver, part: np.ndarray, q0: np.ndarray | None, first: int, every: int, stop: threading.Event | None = None
+) -> np.ndarray:
+    """Rows (m, 8 + n) of one part, in slices between which it may be stopped (then they are incomplete)."""
+    T, kind = _poses(part)
+    start = solver._home if q0 is None else _starts(solver, q0, first)
+    out = np.zeros((len(T), OUT_HEAD + solver.robot.n))
+    a, size = 0, 16
+    while a < len(T) and not (stop is not None and stop.is_set()):
+        began = perf_counter()
+        rows = slice(a, a + size)
+        some = start if len(start) == 1 else start[rows]
+        _solve_rows(solver, T[rows], some, q0 is not None, kind, out[rows], first + a)
+        a += size
+        size = max(1, int(size * min(4.0, SLICE / max(perf_counter() - began, 1e-9))))
+    _confirm(solver, T, kind, out, first, every)
     return out
 
 
-def _solve_remote(
-    robot: Robot, solver: Any, options: dict[str, Any], part: np.ndarray, q0: Any, first: int
-) -> np.ndarray:
+@functools.lru_cache(4)
+def _unpacked(payload: bytes) -> Solver:
+    """Solver of a pickled one, kept by the worker for the next part."""
+    return pickle.loads(payload)
+
+
+def _solve_remote(payload: bytes, part: np.ndarray, q0: Any, first: int, every: int) -> np.ndarray:
     """What a worker process or machine runs."""
-    return _solve_part(bound(robot, solver, options), part, q0, first)
+    return _solve_part(_unpacked(payload), part, q0, first, every)
+
+
+Job = tuple[np.ndarray, np.ndarray | None, int]  # targets, starts, number of the first target
+
+
+def _on_threads(solver: Solver, jobs: Iterator[Job], every: int, threads: int) -> Iterator[np.ndarray]:
+    stop = threading.Event()
+    pool = ThreadPoolExecutor(threads)
+    try:
+        yield from _in_order(lambda job: pool.submit(_solve_part, solver, *job, every, stop), jobs, AHEAD * threads)
+    finally:
+        stop.set()
+        pool.shutdown(wait=True, cancel_futures=True)
+
+
+def _on_executor(solver: Solver, jobs: Iterator[Job], every: int, executor: Executor) -> Iterator[np.ndarray]:
+    payload = pickle.dumps(solver)
+    yield from _in_order(lambda job: executor.submit(_solve_remote, payload, *job, every), jobs, REMOTE_AHEAD)
+
+
+def _in_order(submit: Callable[[Job], Any], jobs: Iterator[Job], ahead: int) -> Iterator[np.ndarray]:
+    """Results in the order of the jobs, of which no more than `ahead` are under way."""
+    waiting: deque = deque()
+    try:
+        for job in jobs:
+            waiting.append(submit(job))
+            if len(waiting) >= ahead:
+                yield waiting.popleft().result()
+        while waiting:
+            yield waiting.popleft().result()
+    finally:
+        for future in waiting:
+            future.cancel()
+
+
+def _on_a_chain(solver: Solver, jobs: Iterator[Job], every: int) -> Iterator[np.ndarray]:
+    """Each target from the answer before it; parts end after SLICE, so that an interrupt loses little."""
+    last = start = None
+    unit = solver.robot.chain.unit
+    for part, q0, first in jobs:
+        T, kind = _poses(part)
+        out = np.zeros((len(T), OUT_HEAD + solver.robot.n))
+        a, began = 0, perf_counter()
+        for k in range(len(T)):
+            if start is None and q0 is not None:
+                start = _starts(solver, q0, first)
+            row = out[k : k + 1]
+            _solve_rows(
+                solver, T[k : k + 1], solver._home if start is None else start, start is not None, kind, row, first + k
+            )
+            q = row[:, OUT_HEAD:]
+            solved = row[0, R_STATUS] == Status.CONVERGED
+            row[0, R_MOVE] = np.nan if not solved else 0.0 if last is None else np.abs((q - last) / unit).max()
+            if solved:
+                last = start = q.copy()
+            if k + 1 == len(T) or perf_counter() - began > SLICE:
+                _confirm(solver, T[a : k + 1], kind, out[a : k + 1], first + a, every)
+                yield out[a : k + 1]
+                a, began = k + 1, perf_counter()
+
+
+def _whole(name: str, value: Any) -> int:
+    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < 1:
+        raise InvalidOption(f"{name} must be a whole number of at least 1, not {value!r}")
+    return int(value)
+
+
+def solve_parts(
+    robot: Robot,
+    targets: Any,
+    solver: Any = "auto",
+    *,
+    q0: Any = None,
+    threads: int | None = None,
+    executor: Executor | None = None,
+    chain: bool = False,
+    check: float = 0.01,
+    **options: Any,
+) -> Iterator[BatchResult]:
+    """Solve as `solve_batch` does and give the answers part by part, in order: for more targets than fit in memory."""
+    if not isinstance(robot, Robot):
+        raise InvalidOption(
+            f"solve_batch takes a robot with one tip, not a {type(robot).__name__}; call a bound Solver in a loop"
+        )
+    if executor is not None and (threads is not None or chain):
+        raise InvalidOption("an executor has its own workers, and a chain runs in one: leave out threads= and chain=")
+    if options.get("history"):
+        raise InvalidOption("a batch keeps no history; solve the target in question with ik.solve")
+    count = _whole("threads", threads) if threads is not None else _cores()
+    if not isinstance(check, int | float) or not 0.0 <= check <= 1.0:
+        raise InvalidOption(f"check is the fraction of answers to check again, 0 to 1, not {check!r}")
+    every = round(1.0 / check) if check else 0
+    known = _known(targets)
+    chunks = _checked(iter([known]) if known is not None else targets)
+    first = next(chunks, None)
+    starts = None
+    if q0 is not None:
+        starts = np.asarray(q0, dtype=float)
+        if starts.shape not in (
+            (robot.n,),
+            (1 if chain else len(known) if known is not None else len(starts), robot.n),
+        ):
+            wanted = (
+                f"({robot.n},)" if chain else f"({robot.n},) or ({'N' if known is None else len(known)}, {robot.n})"
+            )
+            raise InvalidConfiguration(f"q0 of this batch has the shape {wanted}, not {starts.shape}")
+    if solver is None or (isinstance(solver, str) and solver == "auto"):
+        solver = automatic(robot, np.empty(3 if first is not None and first.ndim == 2 else (4, 4)), options)
+    local = Solver(robot, solver, **options)
+    if first is None:
+        return iter(())
+    local.pack(POSITION if first.ndim == 2 else POSE, starts is not None)  # a solver that cannot do it says so here
+    jobs = _jobs(joined([first], chunks), starts, PART if executor is None else REMOTE_PART)
+    if chain:
+        tables = _on_a_chain(local, jobs, every)
+    elif executor is not None:
+        tables = _on_executor(local, jobs, every, executor)
+    else:
+        tables = _on_threads(local, jobs, every, count)
+    return _wrapped(tables, first.ndim == 2, local, chain)
+
+
+def _wrapped(tables: Iterator[np.ndarray], position_only: bool, solver: Solver, chain: bool) -> Iterator[BatchResult]:
+    for table in tables:
+        yield BatchResult(table, position_only, solver, chain)
+
+
+def _jobs(chunks: Iterator[np.ndarray], starts: np.ndarray | None, size: int) -> Iterator[Job]:
+    each = starts is not None and starts.ndim == 2 and len(starts) > 1
+    first = 0
+    for chunk in chunks:
+        for a in range(0, len(chunk), size):
+            part = chunk[a : a + size]
+            if starts is None:
+                q0 = None
+            elif not each:
+                q0 = starts.reshape(1, -1)
+            else:
+                q0 = starts[first : first + len(part)]
+                if len(q0) < len(part):
+                    raise InvalidConfiguration(f"q0 has {len(starts)} rows, fewer than there are targets")
+            yield part, q0, first
+            first += len(part)
+
+
+def _cores() -> int:
+    """Cores this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def solve_batch(
     robot: Robot,
     targets: Any,
-    solver: Any = "lm",
+    solver: Any = "auto",
     *,
     q0: Any = None,
     threads: int | None = None,
     executor: Executor | None = None,
+    chain: bool = False,
+    check: float = 0.01,
     progress: Callable[[int], None] | None = None,
     **options: Any,
 ) -> BatchResult:
     """Solve many targets on all cores.
 
-    targets: (N, 4, 4) poses or (N, 3) positions [m], or an iterator of such arrays. q0: None (home and seed table), (n,) for
-    all, or (N, n). threads: default all cores. executor: anything with the concurrent.futures interface (a process pool, a
-    Dask client's) instead of threads. progress(done) is called as parts finish. Options and parameters as for `solve`. Each
-    target is solved as if alone, so the answers do not depend on threads or order. Raises InvalidTarget (naming the row).
+    targets: (N, 4, 4) poses or (N, 3) positions [m], a list of poses, or an iterator of arrays of these shapes. q0: None (home
+    and seed table), (n,) for all, or (N, n). threads: default all cores. executor: anything with the concurrent.futures
+    interface (a process pool, a Dask client's `get_executor()`) instead of threads. chain: ordered waypoints, each solved from
+    the answer before it; q0 (n,) is where the first starts. check: fraction of the answers to check again with Pinocchio.
+    progress(done) is called as parts finish. Options and parameters as for `solve`. Without chain each target is solved as if
+    alone, so the answers do not depend on threads, workers or order. Ctrl-C raises BatchInterrupted, a KeyboardInterrupt whose
+    `result` holds the targets finished. Raises InvalidTarget and InvalidConfiguration (naming the target), UnknownSolver,
+    InvalidOption.
     """
-    if threads is not None and (isinstance(threads, bool) or int(threads) != threads or threads < 1):
-        raise InvalidOption(f"threads must be a whole number of at least 1, not {threads!r}")
-    if not isinstance(robot, Robot):
-        raise InvalidOption(
-            f"solve_batch takes a robot with one tip, not a {type(robot).__name__}; call a bound Solver in a loop"
-        )
-    local = Solver(robot, solver, **options)
-    starts = None
-    if q0 is not None:
-        starts = np.asarray(q0, dtype=float)
-        if starts.shape[-1:] != (robot.n,) or starts.ndim > 2 or not np.isfinite(starts).all():
-            raise InvalidConfiguration(
-                f"q0 of a batch is ({robot.n},) or (N, {robot.n}) finite numbers, not shape {starts.shape}"
-            )
-        if local.options.limits:
-            if local.options.q0_outside == "refuse" and ((starts < robot.lower) | (starts > robot.upper)).any():
-                raise InvalidConfiguration("q0 is outside the limits in at least one row")
-            starts = np.clip(starts, robot.lower, robot.upper)
-    kinds = set()
-
-    def jobs() -> Iterator[tuple[np.ndarray, np.ndarray | None, int]]:
-        first = 0
-        for chunk in _chunks(targets):
-            kinds.add(chunk.ndim)
-            if len(kinds) > 1:
-                raise InvalidTarget("a batch is all poses or all positions, not both")
-            if starts is not None and starts.ndim == 2 and first + len(chunk) > len(starts):
-                raise InvalidConfiguration(f"q0 has {len(starts)} rows, fewer than there are targets")
-            for a in range(0, len(chunk), CHUNK):
-                b = min(a + CHUNK, len(chunk))
-                yield (
-                    chunk[a:b],
-                    starts[first + a : first + b] if starts is not None and starts.ndim == 2 else starts,
-                    first + a,
-                )
-            first += len(chunk)
-
-    tables: list[np.ndarray] = []
-    done = 0
-
-    def collect(table: np.ndarray) -> None:
-        nonlocal done
-        tables.append(table)
-        done += len(table)
-        if progress is not None:
-            progress(done)
-
-    if executor is not None:
-        futures = [executor.submit(_solve_remote, robot, solver, options, *job) for job in jobs()]
-        for future in futures:
-            collect(future.result())
-    else:
-        count = threads or os.cpu_count() or 1
-        # Parts are handed out a few at a time, so that an iterator of targets is never held in memory as a whole.
-        with ThreadPoolExecutor(count) as pool:
-            waiting = []
-            for job in jobs():
-                waiting.append(pool.submit(_solve_part, local, *job))
-                if len(waiting) >= 4 * count:
-                    collect(waiting.pop(0).result())
-            for future in waiting:
-                collect(future.result())
-    table = np.concatenate(tables) if tables else np.empty((0, OUT_HEAD + robot.n))
-    return BatchResult(table, kinds == {2}, local.name)
+    known = _known(targets)
+    parts = solve_parts(
+        robot,
+        targets if known is None else known,
+        solver,
+        q0=q0,
+        threads=threads,
+        executor=executor,
+        chain=chain,
+        check=check,
+        **options,
+    )
+    table, done, part = np.empty((0, OUT_HEAD + robot.n)), 0, None
+    try:
+        for part in parts:
+            end = done + len(part)
+            if end > len(table):  # in place: no second copy of what is there
+                size = len(known) if known is not None else max(end, 2 * len(table))
+                table.resize((size, table.shape[1]), refcheck=False)
+            table[done:end] = part._table
+            done = end
+            if progress is not None:
+                progress(done)
+    except KeyboardInterrupt:
+        if part is None:
+            raise
+        raise BatchInterrupted(BatchResult(table[:done], part.position_only, part._solver, chain)) from None
+    if part is None:
+        position_only = known is not None and known.ndim == 2
+        return BatchResult(table, position_only, None, chain)
+    table.resize((done, table.shape[1]), refcheck=False)
+    return BatchResult(table, part.position_only, part._solver, chain)

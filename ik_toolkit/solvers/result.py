@@ -61,7 +61,7 @@ class Result:
     evaluation, or None).
     """
 
-    __slots__ = ("collision", "_checked", "_history", "_row", "_solver", "_status", "elapsed", "notice", "position_only")
+    __slots__ = ("_checked", "_history", "_row", "_solver", "_status", "collision", "elapsed", "notice", "position_only")
 
     def __init__(self, solver: "Solver", row: np.ndarray, elapsed: float, position_only: bool) -> None:
         """Keep the kernel's row; everything else is made when asked for."""

@@ -340,8 +340,8 @@ def solve(robot: Robot, target: Any, solver: Any = "auto", q0: Any = None, **opt
     name, a rule class or an instance with its parameters; 'auto' uses a closed form where one fits and 'lm' otherwise. q0
     (n,): where to start, default home. closest=q_ref (n,): of several solutions the one nearest to it. Options, see `Options`:
     tolerance (both), position_tolerance [m], orientation_tolerance [rad], max_iterations, restarts, max_evaluations, seed,
-    limits, q0_outside, mask, mask_frame, joint_weights, objective, avoid_collisions, history; and the parameters of the solver. Success is
-    re-checked with Pinocchio. Raises InvalidTarget, InvalidConfiguration, UnknownSolver, InvalidOption.
+    limits, q0_outside, mask, mask_frame, joint_weights, objective, avoid_collisions, history; and the parameters of the
+    solver. Success is re-checked with Pinocchio. Raises InvalidTarget, InvalidConfiguration, UnknownSolver, InvalidOption.
     """
     if not isinstance(robot, Robot | Tree):
         raise InvalidOption(f"the first argument is a Robot (see Robot.load), not {type(robot).__name__}")
