@@ -123,6 +123,21 @@ def test_jacobian_by_finite_differences(tree):
             assert np.allclose(J[6 * f : 6 * f + 6, i], np.concatenate([linear, angular]), atol=2e-9)
 
 
+@pytest.mark.parametrize("tips", [["left_tip"], ["left3_link", "left_tip"], ["left1_link", "right_tip", "left_tip"]])
+def test_any_number_of_tips_also_on_one_path(tips):
+    tree = ik.Robot.load(mixed(), tip=tips)
+    scales = {arm.chain.scale for arm in tree.arms}
+    assert tree.chain.scale == max(scales) and len(scales) == (2 if "left1_link" in tips else 1)
+    rng = np.random.default_rng(10)
+    solved = 0
+    for _ in range(30):
+        q = tree.random_q(rng)
+        T, J = tree.chain.forward(q, jacobian=True)
+        assert np.abs(T[0] - direct(tree, q)).max() < 1e-12 and np.abs(J[0] - tree.jacobian(q)).max() < 1e-12
+        solved += ik.solve(tree, poses(tree, q)).success
+    assert solved == 30
+
+
 def test_q_is_the_union_of_the_paths_and_shared_joints_come_once(tree):
     left, right = tree.arms
     shared = set(left.joint_names) & set(right.joint_names)
