@@ -1,0 +1,1 @@
+"""Many solves and their statistics: benchmark, tuning, workspace."""
