@@ -66,7 +66,11 @@ def test_auto_is_what_solve_takes(name, solver):
 def test_other_solvers_and_options_reach_the_rows():
     robot = load("hydrolek_7w")
     T = sample(robot, 8)[1]
-    for solver, options in (("dls", {"max_iterations": 5}), ("lm", {"objective": "mid-range"}), ("lm", {"closest": True})):
+    for solver, options in (
+        ("dls", {"max_iterations": 5}),
+        ("lm", {"objective": "mid-range"}),
+        ("lm", {"closest": True}),
+    ):
         many = ik.solve_batch(robot, T, solver, q0=robot.home, **options)
         for k, target in enumerate(T):
             assert many.q[k].tobytes() == ik.solve(robot, target, solver, q0=robot.home, **options).q.tobytes()

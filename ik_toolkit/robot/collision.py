@@ -119,7 +119,10 @@ class CollisionModel:
         return self._add("cylinder", _positive("radius and length of a cylinder", [radius, length], 2), pose, name)
 
     def add_mesh(self, path: str | Path, pose: Any, scale: float = 1.0, name: str | None = None) -> "CollisionModel":
-        """Add a mesh file (STL, OBJ, DAE) times a scale, at a pose (4, 4), pin.SE3 or position (3,) in the base frame."""
+        """Add a mesh file (STL, OBJ, DAE) times a scale, at a pose (4, 4), pin.SE3 or position (3,) in the base frame.
+
+        It is its surface: what is wholly inside touches nothing.
+        """
         return self._add("mesh", (str(path), *_positive("scale of a mesh", [scale], 1)), pose, name)
 
     def _add(self, kind: str, sizes: tuple, pose: Any, name: str | None) -> "CollisionModel":
@@ -143,7 +146,7 @@ class CollisionModel:
 
     # ------------------------------------------------------------------------------------------------ questions
     def _workspace(self) -> tuple[Any, Any, Any]:
-        """Pinocchio's data, the geometry's, and the tree of boxes, each the calling thread's own."""
+        """Pinocchio's data, the geometry's, and the tree of boxes or None, each the calling thread's own."""
         local = self._local
         if not hasattr(local, "space"):
             data, geometry_data = self.robot.model.createData(), self._geometry.createData()
@@ -153,7 +156,9 @@ class CollisionModel:
             boxes = pin.BroadPhaseManager_DynamicAABBTreeCollisionManager(
                 self.robot.model, self._geometry, geometry_data
             )
-            local.space = data, geometry_data, boxes
+            # Pinocchio leaves shapes whose box has no volume (a flat mesh) out of the tree: then every pair is tested.
+            flat = any(np.min(_extent(o.geometry)) <= 0.0 for o in self._geometry.geometryObjects)
+            local.space = data, geometry_data, None if flat else boxes
         return local.space
 
     def collides(self, q: Any) -> bool:
@@ -161,7 +166,9 @@ class CollisionModel:
         if not len(self._geometry.collisionPairs):
             return False
         full = self._full(q)
-        data, _, boxes = self._workspace()
+        data, found, boxes = self._workspace()
+        if boxes is None:
+            return bool(pin.computeCollisions(self.robot.model, data, self._geometry, found, full, True))
         return bool(pin.computeCollisions(self.robot.model, data, boxes, full, True))
 
     def collisions(self, q: Any) -> list[tuple[str, str]]:
@@ -214,6 +221,12 @@ def _read(robot: Joints) -> pin.GeometryModel:
         raise ModelError(
             f"the collision shapes of robot '{robot.name}' cannot be read: {said}; package_dirs= names the folders to search"
         ) from None
+
+
+def _extent(shape: Any) -> np.ndarray:
+    """Sides (3,) of the box around a shape, in its own axes [m]."""
+    shape.computeLocalAABB()
+    return shape.aabb_local.max_ - shape.aabb_local.min_
 
 
 def _owner_above(model: pin.Model, joint: int, owners: set[int]) -> int:

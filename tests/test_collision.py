@@ -1,0 +1,264 @@
+"""Collisions: what is tested against Pinocchio's own calls, what is left out, and solutions that touch nothing."""
+
+import pickle
+import threading
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from robots import have_data, load, sample, urdf
+
+import ik_toolkit as ik
+from ik_toolkit.errors import InvalidConfiguration, InvalidOption, InvalidTarget, ModelError
+
+ARMS = ["inspection_7dof", "brokk", *(["panda", "ur5", "baxter", "z1"] if have_data() else [])]
+ELBOW_ARM = "planar_2r"
+
+
+def arm(name):
+    return ik.Robot.load("brokk_hydrolek", tip="left_tip") if name == "brokk" else load(name)
+
+
+def elbow(robot, q, joint=2):
+    """Where a joint stands at q, in the base frame."""
+    data = robot.model.createData()
+    pin.forwardKinematics(robot.model, data, robot.to_pinocchio(q))
+    return data.oMi[joint].translation.copy()
+
+
+def independent(robot, pairs):
+    """Function q -> touching pairs of link names by pin.computeCollisions on shapes read here, with fresh data each time."""
+    folders = [str(folder) for folder in robot.package_dirs]
+    shapes = pin.buildGeomFromUrdfString(robot.model, robot.urdf, pin.COLLISION, package_dirs=folders)
+    names = [robot.model.frames[o.parentFrame].name for o in shapes.geometryObjects]
+    wanted = {frozenset(pair) for pair in pairs}
+    for a in range(len(names)):
+        for b in range(a):
+            if frozenset((names[a], names[b])) in wanted:
+                shapes.addCollisionPair(pin.CollisionPair(b, a))
+
+    def touching(q):
+        found = shapes.createData()
+        pin.computeCollisions(robot.model, robot.model.createData(), shapes, found, robot.to_pinocchio(q), False)
+        hits = zip(shapes.collisionPairs, found.collisionResults, strict=True)
+        return {frozenset((names[p.first], names[p.second])) for p, hit in hits if hit.isCollision()}
+
+    return touching
+
+
+@pytest.mark.parametrize("name", ARMS)
+def test_verdicts_are_those_of_pinocchio(name):
+    robot = arm(name)
+    model = ik.CollisionModel(robot)
+    touching, by_pinocchio = 0, independent(robot, model.pairs)
+    for q in sample(robot, 40, seed=2)[0]:
+        expected = by_pinocchio(q)
+        assert {frozenset(pair) for pair in model.collisions(q)} == expected
+        assert model.collides(q) == bool(expected)
+        touching += bool(expected)
+    assert name in ("inspection_7dof", "brokk") or 0 < touching < 40
+
+
+@pytest.mark.parametrize("name", ARMS)
+def test_a_verdict_does_not_depend_on_those_before(name):
+    robot = arm(name)
+    Q = sample(robot, 60, seed=5)[0]
+    model = ik.CollisionModel(robot)
+    there = [model.collides(q) for q in Q]
+    assert [model.collides(q) for q in Q[::-1]] == there[::-1]
+
+
+def test_joined_links_and_links_that_never_move_are_not_tested():
+    robot = load("hydrolek_7w")
+    model = ik.CollisionModel(robot)
+    parent = {robot.model.frames[o.parentFrame].name: o.parentJoint for o in model._geometry.geometryObjects}
+    order = sorted(set(parent.values()))
+    for first, second in model.pairs:
+        assert abs(order.index(parent[first]) - order.index(parent[second])) >= 2
+    assert len(model.pairs) == sum(range(len(order) - 1))
+    two = arm("brokk")  # the other arm rests: its links move against this one, not against its own mount
+    pairs = {frozenset(pair) for pair in ik.CollisionModel(two).pairs}
+    right = [pair for pair in pairs if all(name.startswith("right") for name in pair)]
+    assert not right and any("left" in a and "right" in b for a, b in map(sorted, pairs))
+
+
+TOUCHING = urdf(*[{"kind": "revolute", "axis": "0 1 0", "limits": (-1.0, 1.0), "xyz": "0 0 0.3"}] * 4, name="touching")
+BALL = '<collision><geometry><sphere radius="{}"/></geometry></collision>'
+
+
+def balls(*radii, text=TOUCHING):
+    for k, radius in enumerate(radii):
+        text = text.replace(f'<link name="l{k}"/>', f'<link name="l{k}">{BALL.format(radius)}</link>')
+    return ik.Robot.load(text)
+
+
+def test_pairs_that_touch_at_rest_are_listed_not_tested():
+    model = ik.CollisionModel(balls(0.05, 0.05, 0.4, 0.05, 0.3))
+    assert model.excluded == (("l2", "l4"),) and ("l0", "l2") not in model.excluded
+    assert ("l2", "l4") not in model.pairs and ("l0", "l3") in model.pairs
+    assert "1 excluded" in repr(model)
+
+
+def test_links_that_may_touch():
+    robot = load("hydrolek_7w")
+    pair = ik.CollisionModel(robot).pairs[0]
+    assert pair not in ik.CollisionModel(robot, ignore=[pair[::-1]]).pairs
+    with pytest.raises(InvalidOption, match="link_3"):
+        ik.CollisionModel(robot, ignore=[("link_2", "lnk_3")])
+    with pytest.raises(InvalidOption, match="pairs"):
+        ik.CollisionModel(robot, ignore=[("link_2",)])
+
+
+def test_robots_without_shapes_or_meshes_say_so():
+    with pytest.raises(ModelError, match="no collision shapes"):
+        ik.CollisionModel(load("slides_mix"))
+    with pytest.raises(ModelError, match="no collision shapes"):
+        ik.solve(load("slides_mix"), load("slides_mix").fk(load("slides_mix").home), avoid_collisions=True)
+    mesh = '<link name="l1"><collision><geometry><mesh filename="package://nowhere/part.stl"/></geometry></collision></link>'
+    with pytest.raises(ModelError, match=r"part\.stl.*package_dirs"):
+        ik.CollisionModel(ik.Robot.load(TOUCHING.replace('<link name="l1"/>', mesh)))
+    made = ik.Robot(pin.buildModelFromXML(TOUCHING), tip="l4")
+    with pytest.raises(ModelError, match="geometry="):
+        ik.CollisionModel(made)
+    shapes = pin.buildGeomFromUrdfString(made.model, balls(0.05, 0.05, 0.05, 0.05).urdf, pin.COLLISION)
+    assert ik.CollisionModel(made, geometry=shapes).pairs == (("l0", "l2"), ("l0", "l3"), ("l1", "l3"))
+
+
+# ------------------------------------------------------------------------------------------------------------- obstacles
+@pytest.mark.parametrize("base", [None, "link_1"])
+def test_shapes_stand_in_the_base_frame(base, tmp_path):
+    robot = ik.Robot.load("hydrolek_7w", base=base)
+    q = robot.home
+    link = next(o for o in ik.CollisionModel(robot)._geometry.geometryObjects if o.name == "link_5_0")
+    data = robot.model.createData()
+    pin.forwardKinematics(robot.model, data, robot.to_pinocchio(q))
+    at = robot._base_inverse.act(data.oMi[link.parentJoint].act(link.placement.translation))
+    away = at + np.array([0.0, 0.0, 5.0])
+    mesh = tmp_path / "corner.stl"
+    mesh.write_text(
+        "solid corner\nfacet normal 0 0 1\nouter loop\nvertex -1 -1 0\nvertex 1 -1 0\nvertex 0 1 0\nendloop\nendfacet\nendsolid\n"
+    )
+    for add in (
+        lambda model, x: model.add_sphere(0.01, x),
+        lambda model, x: model.add_box((0.01, 0.02, 0.03), x),
+        lambda model, x: model.add_cylinder(0.01, 0.02, ik.pose(x, rpy=(0.3, 0.2, 0.1))),
+        lambda model, x: model.add_mesh(mesh, x, 0.3),
+    ):
+        assert add(ik.CollisionModel(robot), at).collides(q)
+        assert not add(ik.CollisionModel(robot), away).collides(q)
+
+
+def test_a_sphere_touches_where_distance_says():
+    robot = load(ELBOW_ARM)  # links are cylinders along x: the distance of a point from them is plane geometry
+    q = np.array([0.0, 0.0])
+    radius = ik.CollisionModel(robot)._geometry.geometryObjects[-1].geometry.radius
+    for gap, touches in ((1e-4, False), (-1e-4, True)):
+        model = ik.CollisionModel(robot).add_sphere(0.1, (1.5, 0.1 + radius + gap, elbow(robot, q)[2]), "ball")
+        assert model.collides(q) == touches
+        assert model.collisions(q) == ([("link_2", "ball")] if touches else [])
+
+
+def test_shapes_are_checked_and_named():
+    model = ik.CollisionModel(load(ELBOW_ARM))
+    assert model.add_sphere(0.1, (5, 0, 0)).add_sphere(0.1, (6, 0, 0)).obstacles == ("sphere_1", "sphere_2")
+    with pytest.raises(InvalidOption, match="already"):
+        model.add_sphere(0.1, (5, 0, 0), "link_1")
+    for add in (
+        lambda: model.add_sphere(-1.0, (0, 0, 0)),
+        lambda: model.add_box((1, 2), (0, 0, 0)),
+        lambda: model.add_cylinder(1.0, np.nan, (0, 0, 0)),
+        lambda: model.add_box("abc", (0, 0, 0)),
+    ):
+        with pytest.raises(InvalidOption, match="positive"):
+            add()
+    with pytest.raises(InvalidTarget):
+        model.add_sphere(1.0, (0, 0))
+    with pytest.raises(InvalidConfiguration, match="no mesh file"):
+        model.add_mesh("nowhere.stl", (0, 0, 0))
+    assert len(model.obstacles) == 2
+
+
+def test_models_travel_and_serve_several_threads():
+    robot = load("inspection_7dof")
+    model = ik.CollisionModel(robot).add_box((0.2, 0.2, 0.2), robot.fk(robot.home).translation, "crate")
+    Q = sample(robot, 50)[0]
+    there = [model.collisions(q) for q in Q]
+    again = pickle.loads(pickle.dumps(model))
+    assert again.pairs == model.pairs and [again.collisions(q) for q in Q] == there
+    found = {}
+    threads = [
+        threading.Thread(target=lambda k=k: found.update({k: [model.collisions(q) for q in Q]})) for k in range(3)
+    ]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert all(found[k] == there for k in range(3))
+
+
+# --------------------------------------------------------------------------------------------------------------- solving
+@pytest.mark.parametrize(("name", "solver"), [(ELBOW_ARM, "auto"), (ELBOW_ARM, "planar-2r"), ("hydrolek_7w", "auto")])
+def test_a_sphere_on_the_elbow_forces_another_solution(name, solver):
+    robot = load(name)
+    q = np.array([0.4, 1.2]) if name == ELBOW_ARM else robot.home
+    target = robot.fk(q).translation
+    free = ik.solve(robot, target, solver, q0=q)
+    model = ik.CollisionModel(robot).add_sphere(0.15, elbow(robot, free.q, 2 if name == ELBOW_ARM else 3), "ball")
+    assert model.collides(free.q) and free.collision is None
+    result = ik.solve(robot, target, solver, q0=q, avoid_collisions=model)
+    assert result.success and not model.collides(result.q) and result.collision is None
+    assert result.restarts > free.restarts
+    assert robot.errors(result.q, target)[0] <= 1e-6 and not robot.outside(result.q)
+    assert np.array_equal(result.q, ik.solve(robot, target, solver, q0=q, avoid_collisions=model).q)
+
+
+def test_a_free_first_answer_is_kept():
+    robot = load("hydrolek_7w")
+    for T in sample(robot, 10)[1]:
+        plain = ik.solve(robot, T, "lm")
+        careful = ik.solve(robot, T, "lm", avoid_collisions=True)
+        assert careful.q.tobytes() == plain.q.tobytes() and careful.restarts == plain.restarts
+
+
+def test_only_colliding_answers_are_no_success_and_name_the_pair():
+    robot = load("hydrolek_7w")
+    T = robot.fk(robot.home)
+    model = ik.CollisionModel(robot).add_sphere(0.2, T.translation, "ball")
+    result = ik.solve(robot, T, avoid_collisions=model)
+    assert result.status == ik.Status.COLLISION and not result.success
+    assert result.collision is not None and "ball" in result.collision and "ball" in result.message
+    assert result.to_dict()["collision"] == result.collision and result.restarts >= 256
+    assert model.collisions(result.q) and robot.errors(result.q, T.homogeneous)[0] <= 1e-6
+    none = ik.solve(robot, T, avoid_collisions=model, restarts=0)
+    assert none.status == ik.Status.COLLISION and none.restarts == 0 and "1 start " in none.message
+    many = ik.solve_batch(robot, [T, T], avoid_collisions=model)
+    assert many.counts() == {"COLLISION": 2} and many[1].collision == result.collision
+
+
+def test_closest_and_objectives_go_with_collisions():
+    robot = load(ELBOW_ARM)
+    q = np.array([0.4, 1.2])
+    model = ik.CollisionModel(robot).add_sphere(0.15, elbow(robot, q), "ball")
+    result = ik.solve(robot, robot.fk(q).translation, closest=q, avoid_collisions=model)
+    assert result.success and result.q[1] == pytest.approx(-1.2, abs=1e-5)
+    three = load("planar_3r")
+    xyz = three.fk([0.5, 0.5, 0.5]).translation
+    for k in range(6):
+        plain = ik.solve(three, xyz, q0=three.home, objective="mid-range", seed=k)
+        wall = ik.CollisionModel(three).add_sphere(0.3, elbow(three, plain.q, 3), "ball")
+        found = ik.solve(three, xyz, q0=three.home, objective="mid-range", seed=k, avoid_collisions=wall)
+        assert not found.success or not wall.collides(found.q)
+
+
+def test_what_may_be_asked_for():
+    robot = load("hydrolek_7w")
+    other = ik.CollisionModel(load("inspection_7dof"))
+    T = robot.fk(robot.home)
+    with pytest.raises(InvalidOption, match="inspection_7dof"):
+        ik.solve(robot, T, avoid_collisions=other)
+    with pytest.raises(InvalidOption, match="avoid_collisions"):
+        ik.solve(robot, T, avoid_collisions="yes")
+    both = ik.Robot.load("brokk_hydrolek", tip=["left_tip", "right_tip"])
+    with pytest.raises(InvalidOption, match="avoid_collisions"):
+        ik.Solver(both, "lm", avoid_collisions=True)
+    assert ik.solve(robot.with_tool(np.eye(4)), T, avoid_collisions=True).success  # a copy gets a model of its own
