@@ -180,9 +180,20 @@ def test_limits_of_a_shared_joint_are_those_of_both_paths():
     turn = tree.joint_names.index("turn")
     # the left arm's follower (0.05 turn + 0.02 within -0.2..0.3) too; make it the tighter one and the tree must follow
     assert tree.upper[turn] == 2.0
-    tight = ik.Robot.load(mixed().replace('multiplier="0.05"', 'multiplier="0.2"'), tip=TREES["mixed"])
-    assert tight.upper[turn] == pytest.approx((0.3 - 0.02) / 0.2)
-    assert tight.arms[1].upper[0] == 2.0
+    for tips in (TREES["mixed"], TREES["mixed"][::-1]):
+        tight = ik.Robot.load(mixed().replace('multiplier="0.05"', 'multiplier="0.2"'), tip=tips)
+        assert tight.upper[turn] == pytest.approx((0.3 - 0.02) / 0.2)
+        assert tight.lower[turn] == pytest.approx((-0.2 - 0.02) / 0.2)
+        assert max(arm.upper[0] for arm in tight.arms) == 2.0
+
+
+def test_a_joint_that_one_path_follows_never_jumps_a_turn():
+    text = mixed().replace('lower="-2.0" upper="2.0"', 'lower="-4.0" upper="4.0"')
+    for tips in (TREES["mixed"], TREES["mixed"][::-1]):
+        tree = ik.Robot.load(text, tip=tips)
+        turn = tree.joint_names.index("turn")
+        assert sorted(arm.chain.turns[0] for arm in tree.arms) == [0.0, 1.0]
+        assert tree.chain.ends[0, 24 + 2 * tree.n + turn] == 0.0
 
 
 def test_tools_and_locked_joints():
@@ -291,7 +302,7 @@ def test_unreachable_names_the_tip(tree):
     left, right = tree.tips
     assert f"{right} by" in result.message and f"{left} by" not in result.message
     assert tree.outside(result.q) == [] and result.position_errors[right] > 40.0
-    assert result.position_errors[left] < 1.0
+    assert result.position_errors[left] < 1.0 and result.restarts <= 2
     with pytest.raises(ik.NotSolved, match="UNREACHABLE"):
         result.raise_for_status()
 
@@ -303,6 +314,32 @@ def test_targets_that_exclude_each_other_end_with_a_status(brokk):
     assert result.status in (ik.Status.STALLED, ik.Status.LIMIT_BLOCKED)
     assert "right_tip" in result.message and brokk.outside(result.q) == []
     assert result.position_error == max(e[0] for e in brokk.errors(result.q, T))
+
+    def size(q):
+        return sum((p / brokk.chain.scale) ** 2 + (2 * np.sin(r / 2)) ** 2 for p, r in brokk.errors(q, T))
+
+    tried = ik.solve(brokk, T, restarts=10, history=True).history["q"]
+    assert size(result.q) <= min(size(q) for q in tried) + 1e-12
+
+
+def test_a_cold_start_is_near_and_on_the_turn_nearest_home(brokk):
+    """Starts from the table, each arm's own joints chosen for its own target: few steps, few restarts."""
+    rng = np.random.default_rng(24)
+    results = [ik.solve(brokk, poses(brokk, brokk.random_q(rng))) for _ in range(200)]
+    assert np.mean([result.iterations for result in results]) < 5.5
+    assert np.mean([result.restarts for result in results]) < 0.1
+    rolls = [k for k, joint in enumerate(brokk.joint_names) if joint.endswith("wrist_roll")]
+    assert max(np.abs(result.q[rolls]).max() for result in results) <= np.pi + 1e-9
+    assert brokk.upper[rolls].min() > 4.0
+
+
+def test_a_success_that_pinocchio_does_not_confirm_is_none(brokk, monkeypatch):
+    T = poses(brokk, brokk.home)
+    assert ik.solve(brokk, T).success
+    monkeypatch.setattr(Tree, "errors", lambda *_: [(0.0, 0.0), (2e-6, 0.0)])
+    result = ik.solve(brokk, T)
+    assert result.status == ik.Status.CHECK_FAILED and not result.success
+    assert ik.Solver(brokk, check=False)(T).success
 
 
 def test_budgets_history_and_seed(brokk):
