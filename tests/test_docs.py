@@ -1,0 +1,48 @@
+"""The guide's examples run as printed, each page in one go; every page is reachable."""
+
+import re
+import shlex
+from pathlib import Path
+
+import pytest
+
+from ik_toolkit.cli import main
+
+DOCS = Path(__file__).resolve().parent.parent / "docs"
+PAGES = sorted(path for path in DOCS.rglob("*.md") if path.parent.name in ("docs", "guide"))
+
+
+def blocks(page, language):
+    return re.findall(rf"^```{language}\n(.*?)^```", page.read_text(encoding="utf-8"), re.MULTILINE | re.DOTALL)
+
+
+def commands(page):
+    lines = "\n".join(blocks(page, "sh")).replace("\\\n", " ").splitlines()
+    return [line for line in lines if line.startswith("ik ")]
+
+
+WITH_PYTHON = [page for page in PAGES if blocks(page, "python")]
+
+
+@pytest.mark.parametrize("page", WITH_PYTHON, ids=lambda page: page.stem)
+def test_examples_run(page, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    code = "\n".join(blocks(page, "python"))
+    exec(compile(code, str(page), "exec"), {"__name__": "guide"})
+
+
+@pytest.mark.parametrize("command", [command for page in PAGES for command in commands(page)])
+def test_commands_run(command, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert main(shlex.split(command)[1:]) == 0
+    assert capsys.readouterr().out.strip()
+
+
+def test_there_is_something_to_run():
+    assert len(WITH_PYTHON) >= 8
+
+
+def test_every_guide_page_is_listed():
+    index = (DOCS / "index.md").read_text(encoding="utf-8")
+    for page in (DOCS / "guide").glob("*.md"):
+        assert f"guide/{page.stem}\n" in index, page.name
