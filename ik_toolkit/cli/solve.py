@@ -2,6 +2,7 @@
 
 import json
 import math
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
@@ -93,6 +94,34 @@ Objective = Annotated[
         "--objective", metavar="NAME", help="For redundant arms: mid-range, reference (near q0) or manipulability."
     ),
 ]
+AvoidCollisions = Annotated[
+    bool, typer.Option("--avoid-collisions", help="Only solutions in which the robot's links do not touch.")
+]
+Obstacles = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--obstacle",
+        metavar="KIND:...",
+        help="Shape not to touch, in the base frame; may be repeated. box:x,y,z,sx,sy,sz sphere:x,y,z,r "
+        "cylinder:x,y,z,r,length; boxes and cylinders also with ,roll,pitch,yaw. Implies --avoid-collisions.",
+    ),
+]
+File = Annotated[
+    Path | None,
+    typer.Option(
+        "--targets",
+        metavar="FILE",
+        help="Instead of --xyz: many targets, solved on all cores; -o names the solutions' file. CSV with the header "
+        "x,y,z or x,y,z,qx,qy,qz,qw or x,y,z,roll,pitch,yaw, or NPZ with targets, or xyz and quat_xyzw.",
+    ),
+]
+Threads = Annotated[int | None, typer.Option(metavar="N", help="With --targets: threads; default: all cores.")]
+Chain = Annotated[
+    bool, typer.Option("--chain", help="With --targets: waypoints in order, each solved from the answer before it.")
+]
+Cluster = Annotated[
+    str | None, typer.Option(metavar="ADDRESS", help="With --targets: use the Dask scheduler at this address.")
+]
 All = Annotated[
     bool, typer.Option("--all", help="List every distinct solution inside the limits, nearest to q0 (or home) first.")
 ]
@@ -128,7 +157,13 @@ def solve(
     joint_weights: Weights = None,
     closest: Closest = None,
     objective: Objective = None,
+    avoid_collisions: AvoidCollisions = False,
+    obstacle: Obstacles = None,
     every: All = False,
+    file: File = None,
+    threads: Threads = None,
+    chain: Chain = False,
+    cluster: Cluster = None,
     tip: Tip = None,
     base: Base = None,
     lock: Lock = None,
@@ -141,14 +176,22 @@ def solve(
 
     Several tips of one robot are solved together, shared joints included, with one --target for each.
 
+    With --targets many are solved at once and written to the file that -o names: CSV, NPZ or Parquet by its ending.
+
     Exit code 0 when solved, 1 when not: the status says how it ended, and the sentence on stderr what to try.
     """
-    if targets:
+    if file is None and (threads is not None or chain or cluster is not None):
+        raise InvalidOption("--threads, --chain and --cluster go with --targets FILE")
+    target: Any = None
+    if file is not None:
+        if targets or every or any(x is not None for x in (xyz, rpy, quat_xyzw, direction, tip_axis)):
+            raise InvalidOption("--targets FILE says all targets; leave out --xyz and its kin, --target and --all")
+    elif targets:
         if any(x is not None for x in (xyz, rpy, quat_xyzw, direction, tip_axis, tip)):
             raise InvalidOption("--target says tip and pose together; leave out --xyz, its rotation options and --tip")
         target = make_targets(targets, robot)
     elif xyz is None:
-        raise InvalidOption("Missing option '--xyz' (or, for several tips together, '--target')")
+        raise InvalidOption("Missing option '--xyz' (or '--targets FILE' for many, '--target' for several tips)")
     else:
         target = make_target(xyz, rpy, quat_xyzw, deg, direction, tip_axis)
     method = choose_solver(solver, param, preset)
@@ -170,6 +213,22 @@ def solve(
     options: dict[str, Any] = {key: value for key, value in given.items() if value is not None}
     options |= {"seed": seed, "limits": limits, "q0_outside": "clamp" if clamp_q0 else "refuse"}
     start = None if q0 is None else joint_vector(arm, q0, "--q0", deg)
+    if avoid_collisions or obstacle:
+        from .obstacles import collision_model
+
+        options["avoid_collisions"] = collision_model(arm, obstacle or ())
+    if file is not None:
+        from .targets import solve_file
+
+        if closest is not None:
+            if start is not None:
+                raise InvalidOption("give --closest or --q0, not both: the search starts there")
+            start, options["closest"] = joint_vector(arm, closest, "--closest", deg), True
+        solve_file(
+            arm, file, output, method, start, options,
+            threads=threads, chain=chain, cluster=cluster, deg=deg, as_json=as_json,
+        )  # fmt: skip
+        return
     if every:
         _solve_all(arm, target, method, start, options, deg, as_json, output)
         return

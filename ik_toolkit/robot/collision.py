@@ -13,8 +13,8 @@ import numpy as np
 import pinocchio as pin
 
 from ..errors import InvalidConfiguration, InvalidOption, ModelError, near_match
-from .joints import Joints
 from .pose import check_target
+from .robot import Robot
 
 SAMPLES = 8  # configurations that show which links ever move against each other
 
@@ -30,9 +30,11 @@ class CollisionModel:
     """
 
     def __init__(
-        self, robot: Joints, *, geometry: pin.GeometryModel | None = None, ignore: Iterable[Sequence[str]] = ()
+        self, robot: Robot, *, geometry: pin.GeometryModel | None = None, ignore: Iterable[Sequence[str]] = ()
     ) -> None:
         """Read the shapes and decide which pairs count."""
+        if not isinstance(robot, Robot):
+            raise InvalidOption(f"collisions are tested for a robot with one tip, not for a {type(robot).__name__}")
         self.robot = robot
         self.ignore = [tuple(pair) for pair in ignore]
         self._geometry = _read(robot) if geometry is None else geometry.clone()
@@ -133,7 +135,7 @@ class CollisionModel:
             name = next(n for n in (f"{kind}_{k}" for k in range(1, 10**6)) if n not in self._names)
         if name in self._names:
             raise InvalidOption(f"there is already a link or obstacle named '{name}'")
-        base = getattr(self.robot, "_base_inverse", pin.SE3.Identity()).inverse()
+        base = self.robot._base_inverse.inverse()
         shape = pin.GeometryObject(name, 0, base * pin.SE3(T), _shape(kind, sizes))
         new = self._geometry.addGeometryObject(shape)
         for k, moves in enumerate(self._moving):
@@ -207,15 +209,13 @@ class CollisionModel:
         return f"CollisionModel('{self.robot.name}', {len(self.pairs)} pairs tested, {len(self.excluded)} excluded{around})"
 
 
-def _read(robot: Joints) -> pin.GeometryModel:
+def _read(robot: Robot) -> pin.GeometryModel:
     """Collision shapes of the robot's URDF, placed on its model."""
-    text = getattr(robot, "urdf", None)
-    if text is None:
+    if robot.urdf is None:
         raise ModelError(f"robot '{robot.name}' was not made from a URDF; pass its collision shapes as geometry=")
-    path = getattr(robot, "path", None)
-    folders = [str(folder) for folder in [*getattr(robot, "package_dirs", ()), *([path.parent] if path else [])]]
+    folders = [str(folder) for folder in [*robot.package_dirs, *([robot.path.parent] if robot.path else [])]]
     try:
-        return pin.buildGeomFromUrdfString(robot.model, text, pin.COLLISION, package_dirs=folders)
+        return pin.buildGeomFromUrdfString(robot.model, robot.urdf, pin.COLLISION, package_dirs=folders)
     except (ValueError, RuntimeError) as error:
         said = " ".join(str(error).split())
         raise ModelError(

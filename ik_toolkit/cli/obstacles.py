@@ -1,0 +1,45 @@
+"""`--obstacle KIND:NUMBERS`: shapes around the robot that solutions shall not touch."""
+
+from collections.abc import Sequence
+from typing import Any
+
+from ..errors import InvalidOption
+from .common import numbers
+
+FORMS = {
+    "box": ("x,y,z,sx,sy,sz[,roll,pitch,yaw]", 3),
+    "sphere": ("x,y,z,radius", 1),
+    "cylinder": ("x,y,z,radius,length[,roll,pitch,yaw]", 2),
+}
+
+
+def collision_model(arm: Any, texts: Sequence[str]) -> Any:
+    """Value of `avoid_collisions`: True, or a model with the obstacles [m, rad] placed in the base frame."""
+    if not texts:
+        return True
+    from ..robot.collision import CollisionModel
+    from ..robot.pose import pose
+
+    model = CollisionModel(arm)
+    for text in texts:
+        kind, _, rest = text.partition(":")
+        if kind not in FORMS:
+            raise InvalidOption(f"--obstacle takes {_forms()}; not '{text}'")
+        form, sizes = FORMS[kind]
+        values = numbers(rest) or []
+        turned = len(values) == 6 + sizes and kind != "sphere"
+        if len(values) != 3 + sizes and not turned:
+            raise InvalidOption(f"--obstacle {kind}: takes {form}; got {len(values)} numbers in '{text}'")
+        place = pose(values[:3], rpy=values[-3:] if turned else None)
+        size = values[3 : 3 + sizes]
+        if kind == "box":
+            model.add_box(size, place)
+        elif kind == "sphere":
+            model.add_sphere(*size, place)
+        else:
+            model.add_cylinder(*size, place)
+    return model
+
+
+def _forms() -> str:
+    return " or ".join(f"{kind}:{form}" for kind, (form, _) in FORMS.items())
