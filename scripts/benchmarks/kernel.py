@@ -1,0 +1,101 @@
+"""Cost of the building blocks: forward kinematics, Jacobian, one iteration; the compiled kernel beside Pinocchio.
+
+python scripts/benchmarks/kernel.py
+"""
+
+import common
+
+common.one_thread()
+
+from collections.abc import Callable  # noqa: E402
+from time import perf_counter  # noqa: E402
+
+import numpy as np  # noqa: E402
+import pinocchio as pin  # noqa: E402
+
+import ik_toolkit as ik  # noqa: E402
+from ik_toolkit.kernel.chain import forward  # noqa: E402
+from ik_toolkit.kernel.loop import OUT_HEAD  # noqa: E402
+from ik_toolkit.kernel.task import POSE  # noqa: E402
+
+
+def works(name: str, count: int, rng: np.random.Generator) -> dict[str, tuple[Callable[[], object], float]]:
+    """Row -> (work, how many it does)."""
+    robot = ik.Robot.load(name)
+    robot = ik.Robot.load(common.serial_urdf(robot), base=robot.base, tip=robot.tip)
+    Q, T = common.random_targets(robot, count, rng)
+    chain, model, data = robot.chain, robot.model, robot.model.createData()
+    poses, J, none = np.empty((count, 4, 4)), np.empty((count, 6, robot.n)), np.empty((0, 6, robot.n))
+    frame = model.getFrameId(robot.tip)
+    solver = ik.Solver(robot)
+    out = np.empty((count, OUT_HEAD + robot.n))
+    options = solver.pack(POSE, False)
+    targets = list(T)
+
+    def solve() -> None:
+        solver._kernel(*solver._chain, T, solver._home, out, options, solver._silent)
+
+    solve()
+    iterations = out[:, 1].sum()
+
+    def pinocchio_fk() -> None:
+        for q in Q:
+            pin.forwardKinematics(model, data, q)
+            pin.updateFramePlacement(model, data, frame)
+
+    def pinocchio_jacobian() -> None:
+        for q in Q:
+            pin.computeJointJacobians(model, data, q)
+            pin.getFrameJacobian(model, data, frame, pin.LOCAL_WORLD_ALIGNED)
+
+    def pinocchio_step() -> None:  # what a loop written in Python does each iteration, before it solves for dq
+        goal = pin.SE3(T[0])
+        for q in Q:
+            pin.computeJointJacobians(model, data, q)
+            error = pin.log6(pin.updateFramePlacement(model, data, frame).actInv(goal)).vector
+            J = pin.getFrameJacobian(model, data, frame, pin.LOCAL)
+            pin.integrate(model, q, J.T @ np.linalg.solve(J @ J.T + 1e-9 * np.eye(6), error))
+
+    def python_solve() -> None:
+        for target in targets:
+            solver(target)
+
+    return {
+        "kernel: FK": (lambda: forward(chain.rows, chain.ends, Q, chain.unit, poses, none), count),
+        "kernel: FK + Jacobian": (lambda: forward(chain.rows, chain.ends, Q, chain.unit, poses, J), count),
+        "kernel: one iteration of `lm` (all in)": (solve, iterations),
+        "kernel: one solve": (solve, count),
+        "bound solver from Python: one solve": (python_solve, count),
+        "Pinocchio from Python: FK": (pinocchio_fk, count),
+        "Pinocchio from Python: FK + Jacobian": (pinocchio_jacobian, count),
+        "Pinocchio from Python: one damped iteration": (pinocchio_step, count),
+    }
+
+
+def main() -> None:
+    parser = common.parser(__doc__, "benchmark_kernel.json")
+    parser.add_argument("--robots", nargs="+", default=common.ROBOTS)
+    parser.add_argument("--count", type=int, default=2000, help="configurations a run")
+    parser.add_argument("--runs", type=int, default=15, help="runs, of which the median counts")
+    given = parser.parse_args()
+    before = common.load_average()
+    medians: dict[str, dict[str, float]] = {}
+    for name in given.robots:
+        rows = works(name, given.count, np.random.default_rng(given.seed))
+        times: dict[str, list[float]] = {key: [] for key in rows}
+        for work, _ in rows.values():
+            work()
+        for _ in range(given.runs):
+            for key, (work, count) in rows.items():
+                started = perf_counter()
+                work()
+                times[key].append(1e9 * (perf_counter() - started) / count)
+        for key, values in times.items():
+            medians.setdefault(key, {})[name] = float(np.median(values))
+    rows = [[key, *(f"{values[name]:,.0f}" for name in given.robots)] for key, values in medians.items()]
+    payload = {"machine": common.machine(), "load_average": [before, common.load_average()], "median_ns": medians}
+    common.write(given.output, payload, "Nanoseconds, median of interleaved runs:", common.table(["", *given.robots], rows))
+
+
+if __name__ == "__main__":
+    main()
