@@ -110,19 +110,23 @@ class Err(NamedTuple):
 
 RULES: dict[type, Callable] = {}
 SWEEPS: set[type] = set()
+FREE: set[type] = set()  # rules that read no Jacobian
 
 
-def rule(cls: type, *, sweep: bool = False) -> Callable:
+def rule(cls: type, *, sweep: bool = False, jacobian: bool = True) -> Callable:
     """Register the decorated function f(cls, p, s, e) as the step of the rule class `cls`.
 
     p: parameters; s: Step, or Sweep; e: Err. It writes s.dq and returns the number of FK evaluations it made itself (0),
     SINGULAR_STEP, or WAITING (a step of zero that is no stall). It never tests convergence, counts or clips for the caller.
+    jacobian=False: the rule reads no s.J, and the loop saves itself the work (a sweep never gets one).
     """
 
     def add(function: Callable) -> Callable:
         RULES[cls] = function
         if sweep:
             SWEEPS.add(cls)
+        if sweep or not jacobian:
+            FREE.add(cls)
         return function
 
     return add
@@ -168,6 +172,7 @@ def entry(cls: type) -> Callable:
         return _ENTRIES[cls]
     stamp = kernel_stamp(source_file(RULES[cls]))
     sweeping = cls in SWEEPS
+    using_jacobian = cls not in FREE
 
     @cached
     def solve(rows, ends, seeds, feat, T, Q0, out, opt, hist):
@@ -309,9 +314,10 @@ def entry(cls: type) -> Callable:
                         ended = STALLED
                         break
                     c *= rho
-                    columns(rows, Z, J, px, py, pz)
-                    if kind > 0:
-                        shape_columns(kind, mask, V, y, J)
+                    if using_jacobian:
+                        columns(rows, Z, J, px, py, pz)
+                        if kind > 0:
+                            shape_columns(kind, mask, V, y, J)
                     for i in range(n):
                         w[i] = jw[i]
                     for _ in range(2):

@@ -156,14 +156,14 @@ def _solve_rows(
 ) -> None:
     """Solve rows (m, 8 + n) as if each were alone; `first` is the number of the first, for messages."""
     opt = solver.pack(kind, given)
-    solver._kernel(*solver._chain, T, start, out, opt, solver._silent)
+    solver._kernel(*solver.arrays(kind), T, start, out, opt, solver._silent)
     for k in np.flatnonzero(out[:, R_STATUS] == BAD_TARGET):
         try:
             mended = check_target(T[k] if kind == POSE else T[k, :3, 3])[0]
         except InvalidTarget as error:
             raise InvalidTarget(f"target {first + k}: {error}") from None
         T[k] = mended
-        solver._kernel(*solver._chain, T[k : k + 1], _row(start, k), out[k : k + 1], opt, solver._silent)
+        solver._kernel(*solver.arrays(kind), T[k : k + 1], _row(start, k), out[k : k + 1], opt, solver._silent)
     if solver._extras:
         for k in np.flatnonzero(out[:, R_STATUS] == Status.CONVERGED):
             solver.finish(out[k], T[k : k + 1], kind, _row(start, k), given)

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import InvalidConfiguration, InvalidOption, InvalidTarget
+from ..kernel.chain import table
 from ..kernel.checks import BAD_TARGET
 from ..kernel.loop import (
     O_C,
@@ -31,6 +32,7 @@ from ..kernel.loop import (
     R_ROTATION,
     entry,
 )
+from ..kernel.seeds import BEST
 from ..kernel.task import AXIS, MASK_BASE, MASK_TIP, POSE, POSITION
 from ..robot.pose import AxisTarget, check_target, masked_errors
 from ..robot.robot import Robot
@@ -98,6 +100,8 @@ class Solver:
         self._silent = np.empty((0, 2 + chain.n))
         self._lower, self._upper = self.robot.lower, self.robot.upper
         self._packed: dict[tuple[Any, bool], np.ndarray] = {}
+        self._tables: dict[bool, tuple] = {}  # a rule may bring a table of starts, one for positions and one for poses
+        self._own_starts = hasattr(self.rule, "start_table")
         o = self.options
         self.collision = self.single = None
         if o.avoid_collisions:
@@ -135,7 +139,7 @@ class Solver:
         head[O_TOL_R] = o.orientation_tolerance * MARGIN
         descents = row.descents if o.restarts is None else o.restarts + 1
         # Without restarts the one descent starts where the caller expects: at q0 or home, never from the seed table.
-        head[O_GIVEN] = float(given or descents == 1)
+        head[O_GIVEN] = float(given or (descents == 1 and self.arrays(kind) is self._chain))
         head[O_ITERATIONS] = row.iterations if o.max_iterations is None else o.max_iterations
         head[O_DESCENTS] = descents
         give_up = row.give_up if row.give_up and descents > 1 and o.max_iterations is None else NEVER
@@ -156,10 +160,25 @@ class Solver:
             if reason:
                 raise InvalidOption(reason)
         if self.row.name == "state-space":
-            parameters = self.rule.pack(self.robot, kind == POSITION)
+            parameters = self.rule.pack(self.robot, kind == POSITION, given)
         else:
             parameters = self.rule.pack(self.robot)
         return np.concatenate([head, weights, parameters])
+
+    def arrays(self, kind: Any) -> tuple:
+        """Arrays of the chain for the kernel, with the rule's own table of starts where it has one."""
+        if not self._own_starts:
+            return self._chain
+        position_only = kind == POSITION
+        found = self._tables.get(position_only)
+        if found is None:
+            starts = self.rule.start_table(self.robot, position_only)
+            found = self._chain
+            if starts is not None:
+                seeds = np.resize(starts / self.robot.chain.unit, (-(-len(starts) // BEST) * BEST, self.robot.n))
+                found = (*self._chain[:2], seeds, table(*self._chain[:2], seeds))
+            self._tables[position_only] = found
+        return found
 
     def task_rows(self, kind: int) -> int:
         """Number of task rows the joints can influence at all (a planar arm's position has two, not three)."""
@@ -226,14 +245,14 @@ class Solver:
 
     def _run(self, T: np.ndarray, kind: int, start: np.ndarray, given: bool) -> np.ndarray:
         out = np.empty((1, self._width))
-        self._kernel(*self._chain, T, start, out, self.pack(kind, given), self._silent)
+        self._kernel(*self.arrays(kind), T, start, out, self.pack(kind, given), self._silent)
         return out[0]
 
     def _record(self, result: Result, T: np.ndarray, kind: int, start: np.ndarray, given: bool) -> None:
         """Run once more with room for the history; the counts of the first run say how much."""
         history = np.empty((result.fk_evaluations + 1, 2 + self.robot.n))
         out = np.empty((1, self._width))
-        self._kernel(*self._chain, T, start, out, self.pack(kind, given), history)
+        self._kernel(*self.arrays(kind), T, start, out, self.pack(kind, given), history)
         history = history[: int(out[0, 6])]
         result._history = {"position_error": history[:, 0], "orientation_error": history[:, 1], "q": history[:, 2:]}
 

@@ -1,99 +1,249 @@
-"""The state-space solver: a static linear system maps the error to joint increments; no Jacobian is evaluated."""
+"""The state-space solver: a static linear system maps the error to joint increments; no Jacobian is evaluated.
+
+Stability. Along one direction of the task let kappa be the loop gain: the error falls by kappa e when the map's increment for
+the error e is taken, an eigenvalue of J(q) C B (of J(q) D). With A = a I and the literal delay of eq. (14) (dq(k) = C x(k),
+x before it absorbs e(k)) the error obeys z^2 - (1 + a) z + (a + kappa) = 0, so by Jury's test it is stable for
+0 < kappa < 1 - a: kappa < 1.5 at the paper's a = -0.5 (1 without the delay), with both poles at 0.25 for kappa = 0.5625. A
+feedthrough D alone gives z = 1 - kappa: stable for 0 < kappa < 2, fastest at 1.
+"""
 
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from ...errors import InvalidOption
-from ...kernel.kinematics import angle_ratio
+from ...kernel.kinematics import TAU, angle_ratio
 from ...kernel.loop import WAITING, rule
+from ..presets import check_starts, load_preset
 
 UNITS = {"si": (1.0, 1.0), "mm-deg": (1000.0, np.pi / 180.0)}  # per metre of error, rad per unit of increment
+HEAD = 4  # states, maps, whether there is a D, whether the map is chosen anew in every step
+MAPS = 128  # starts of the designed solver
+SAMPLES = 4096  # configurations they are picked from
+SPREAD, RADIUS = 0.15, 0.3  # Jacobians are averaged over +- this share of a joint's range, at most so many rad (or reaches)
+DAMPING = 0.1
+LOOP_GAIN = {True: 0.9, False: 0.6}  # kappa at a start, for positions and for poses; the bound of stability is 2
 
 
 class StateSpace(NamedTuple):
-    """Algorithm II: x(k+1) = A x(k) + B e(k), dq(k) = C x(k), x(0) = 0, with the literal delay (dq before x absorbs e).
+    """Algorithm II: dq(k) = C x(k) + D e(k), x(k+1) = A x(k) + B e(k), x(0) = 0, with the literal delay (dq before x absorbs e).
 
-    A (m, m), B (m, 3) for positions or (m, 6), C (n, m); e = target - actual in base axes [m, rad]. Joints saturate at
-    their limits and the state is left alone. Without matrices: A = -0.5 I, C = -0.05 I and B = -6 pinv(J(home)), damped; the
-    loop is stable where J B C has gains in (0, 1.5), and 0.3 is used. frame: rotation (3, 3) from base axes to the axes B
-    is meant in. units: "si", or "mm-deg" (e in mm, increments in degrees). Source: Burrell et al. (2016), eqs. (14)-(15).
+    A (m, m), B (m, 3) for positions or (m, 6), C (n, m); the published solver has no D (n, 3 or 6). e = target - actual in
+    base axes [m, rad], orientation as a rotation vector. Joints saturate at their limits and the state is left alone. starts
+    (M, n) [rad, m]: without q0 the start whose tip is nearest the target is taken (restarts take the next nearest); B and D may
+    then hold M maps, (M, m, 3) or (M, n, 3), and the start chosen selects its map; from a q0 the map of the nearest start is
+    chosen in every step. Without any of them: 128 starts spread over the workspace, and for each D = kappa pinv(mean Jacobian
+    around it), damped. frame: rotation (3, 3) from base axes to the axes B and D are meant in. units: "si", or "mm-deg" for
+    the paper's (e in mm, increments in degrees; starts stay in rad). tuned: options a preset brings along. Source: Burrell et
+    al. (2016), eqs. (14)-(15); several maps, feedthrough and design are ours.
     """
 
     A: Any = None
     B: Any = None
     C: Any = None
+    D: Any = None
+    starts: Any = None
     units: str = "si"
     frame: Any = None
+    tuned: Any = None
 
     @classmethod
-    def designed(cls, robot: Any, position_only: bool) -> "StateSpace":
-        """Return matrices from the damped pseudo-inverse of the Jacobian at home (loop gain 0.3)."""
-        J = robot.jacobian(robot.home)[: 3 if position_only else 6].copy()
-        scale = robot.chain.scale
-        J[:3] /= scale
-        W = J * robot.chain.unit
-        inverse = W.T @ np.linalg.inv(W @ W.T + 0.03**2 * np.eye(len(W)))
-        inverse = inverse * robot.chain.unit[:, None]
-        inverse[:, :3] /= scale
-        n = robot.n
-        return cls(A=-0.5 * np.eye(n), B=(0.3 / -0.05) * inverse, C=-0.05 * np.eye(n))
+    def preset(cls, name: str) -> "StateSpace":
+        """Published or tuned matrices, by name or path of a file. Raises InvalidOption listing the presets."""
+        values, options = load_preset("state-space", name, cls._fields)
+        return cls(**values)._replace(tuned=options)
 
-    def pack(self, robot: Any, position_only: bool = False) -> np.ndarray:
-        """Pack [m, A, B (m, 6), C] in kernel units and axes. Raises InvalidOption on wrong shapes."""
-        given = [part is not None for part in (self.A, self.B, self.C)]
-        if not any(given):
-            return self.designed(robot, position_only).pack(robot, position_only)
-        if not all(given):
+    def options(self) -> dict[str, Any]:
+        """Tolerance and iteration limit of the preset."""
+        return dict(self.tuned or {})
+
+    def resolve(self, robot: Any, position_only: bool) -> "StateSpace":
+        """Return the rule itself, or the designed one when it has no matrices (kept with the robot)."""
+        if any(part is not None for part in (self.A, self.B, self.C, self.D)):
+            return self
+        cache = robot.__dict__.setdefault("_solvers", {})
+        key = ("state-space design", position_only)
+        if key not in cache:
+            starts = spread_starts(robot, position_only, MAPS)
+            cache[key] = StateSpace(D=LOOP_GAIN[position_only] * inverse_maps(robot, starts, position_only), starts=starts)
+        return cache[key]
+
+    def start_table(self, robot: Any, position_only: bool) -> np.ndarray | None:
+        """Starts (M, n) [rad, m] to choose from without q0, or None for home."""
+        starts = self.resolve(robot, position_only).starts
+        return None if starts is None else check_starts("state-space", starts, robot)
+
+    def pack(self, robot: Any, position_only: bool = False, given: bool = True) -> np.ndarray:
+        """Numbers of the compiled step, in kernel units and axes. Raises InvalidOption on wrong shapes."""
+        made = self.resolve(robot, position_only)
+        if made.units not in UNITS:
+            raise InvalidOption(f"state-space: units must be one of {', '.join(UNITS)}, not '{made.units}'")
+        n, chain = robot.n, robot.chain
+        given_matrices = [part is not None for part in (made.A, made.B, made.C)]
+        if any(given_matrices) and not all(given_matrices):
             raise InvalidOption("state-space needs all of A, B and C, or none of them")
-        if self.units not in UNITS:
-            raise InvalidOption(f"state-space: units must be one of {', '.join(UNITS)}, not '{self.units}'")
-        A, B, C = (np.atleast_2d(np.asarray(part, dtype=float)) for part in (self.A, self.B, self.C))
-        m, n = len(A), robot.n
-        if A.shape != (m, m) or B.shape not in ((m, 3), (m, 6)) or C.shape != (n, m):
+        A, C = np.zeros((0, 0)), np.zeros((n, 0))
+        if all(given_matrices):
+            A, C = (np.atleast_2d(np.asarray(part, dtype=float)) for part in (made.A, made.C))
+        m = len(A)
+        starts = made.start_table(robot, position_only)
+        if starts is None:
+            starts = np.zeros((1, n))
+        M = len(starts)
+        B = _maps(made.B, M, m, "B", position_only) if m else np.zeros((M, 0, 3))
+        D = _maps(made.D, M, n, "D", position_only) if made.D is not None else np.zeros((M, 0, 3))
+        if A.shape != (m, m) or C.shape != (n, m):
             raise InvalidOption(
-                f"state-space: A (m, m), B (m, 3) or (m, 6), C ({n}, m) are needed; got {A.shape}, {B.shape}, {C.shape}"
+                f"state-space: A (m, m), B (m, 3) or (m, 6), C ({n}, m) are needed; got {A.shape}, {B.shape[1:]}, {C.shape}"
             )
         if m > 2 * n:
             raise InvalidOption(f"state-space: at most {2 * n} states for {n} joints, got {m}")
-        if not all(np.isfinite(part).all() for part in (A, B, C)):
-            raise InvalidOption("state-space: A, B and C must be finite")
-        if B.shape[1] == 3 and not position_only:
-            raise InvalidOption("state-space: B has three columns, so it solves positions; a pose needs B (m, 6)")
-        per_metre, increment = UNITS[self.units]
-        axes = np.asarray(robot.chain.ends[:9]).reshape(3, 3)
-        if self.frame is not None:
-            axes = np.asarray(self.frame, dtype=float) @ axes
-        full = np.zeros((m, 6))
-        full[:, :3] = B[:, :3] @ axes * (per_metre * robot.chain.scale)
-        if B.shape[1] == 6:
-            full[:, 3:] = B[:, 3:] @ axes
-        C = C * increment / robot.chain.unit[:, None]
-        return np.concatenate([[m], A.ravel(), full.ravel(), C.ravel()])
+        if not all(np.isfinite(part).all() for part in (A, B, C, D, starts)):
+            raise InvalidOption("state-space: A, B, C, D and starts must be finite")
+        per_metre, increment = UNITS[made.units]
+        axes = np.asarray(chain.ends[:9]).reshape(3, 3)
+        if made.frame is not None:
+            axes = np.asarray(made.frame, dtype=float) @ axes
+        to_kernel = increment / chain.unit[:, None]
+
+        def full(maps: np.ndarray) -> np.ndarray:
+            linear = maps[:, :, :3] @ axes * (per_metre * chain.scale)
+            angular = maps[:, :, 3:] @ axes if maps.shape[2] == 6 else np.zeros_like(linear)
+            return np.concatenate([linear, angular], axis=2)
+
+        B, D = full(B), full(D) * (to_kernel if D.shape[1] else 1.0)
+        table = np.concatenate([starts / chain.unit, B.reshape(M, -1), D.reshape(M, -1)], axis=1)
+        head = [m, M, float(D.shape[1] > 0), float(given and M > 1)]
+        turns = np.where(chain.turns > 0.0, 1.0 / TAU, 0.0)
+        return np.concatenate([head, turns, A.ravel(), (C * to_kernel).ravel(), table.ravel()])
 
 
-@rule(StateSpace)
+def _maps(maps: Any, count: int, rows: int, name: str, position_only: bool) -> np.ndarray:
+    """Maps (count, rows, 3 or 6). Raises InvalidOption."""
+    array = np.asarray(maps, dtype=float)
+    if array.ndim not in (2, 3) or array.shape[-2] != rows or array.shape[-1] not in (3, 6):
+        raise InvalidOption(f"state-space: {name} must have the shape ({rows}, 3) or ({rows}, 6), not {array.shape}")
+    if array.ndim == 3 and len(array) != count:
+        raise InvalidOption(f"state-space: {name} holds {len(array)} maps, and there are {count} starts")
+    if array.shape[-1] == 3 and not position_only:
+        raise InvalidOption(f"state-space: {name} has three columns, so it solves positions; a pose needs {name} ({rows}, 6)")
+    return np.broadcast_to(array, (count, rows, array.shape[-1]))
+
+
+# ------------------------------------------------------------------------------------------------------------- design
+def sampling_box(robot: Any) -> tuple[np.ndarray, np.ndarray]:
+    """Lower end and width (n,) [rad, m] of where starts are drawn: the limits, at most one turn about their middle."""
+    n, chain = robot.n, robot.chain
+    low, span = (chain.ends[24 + k * n : 24 + (k + 1) * n] * chain.unit for k in (4, 5))
+    turning = chain.unit == 1.0
+    width = np.where(turning, np.minimum(span, TAU), span)
+    return low + 0.5 * (span - width), width
+
+
+def spread_starts(robot: Any, position_only: bool, count: int, seed: int = 0) -> np.ndarray:
+    """Starts (count, n): the workspace is cut into cells (Lloyd's algorithm), each has a start far from limits and singularities.
+
+    With count = 1 it is home. Deterministic for a seed.
+    """
+    if count == 1:
+        return robot.home[None].copy()
+    rng = np.random.default_rng(seed)
+    chain = robot.chain
+    low, width = sampling_box(robot)
+    Q = low + width * rng.random((max(SAMPLES, 32 * count), robot.n))
+    T, J = chain.forward(Q, jacobian=True)
+    feature = T[:, :3, 3] / chain.scale
+    J = J[:, : 3 if position_only else 6] * np.minimum(width, 2.0 * chain.unit)
+    J[:, :3] /= chain.scale
+    if not position_only:  # the weight of the kernel's own table of starts
+        feature = np.concatenate([feature, np.sqrt(0.05) * T[:, :3, :3].reshape(len(Q), 9)], axis=1)
+    centre = feature[:count].copy()
+    for _ in range(6):
+        distance = (centre**2).sum(1) - 2.0 * feature @ centre.T
+        cell = distance.argmin(1)
+        size = np.bincount(cell, minlength=count)
+        for k in range(feature.shape[1]):
+            total = np.bincount(cell, feature[:, k], count)
+            centre[:, k] = np.where(size > 0, total / np.maximum(size, 1), centre[:, k])
+    values = np.linalg.svd(J, compute_uv=False)
+    good = values[:, min(values.shape[1], _rank(values)) - 1]
+    inner = np.minimum(4.0 * np.minimum(Q - low, low + width - Q) / np.where(width > 0.0, width, 1.0), 1.0)
+    score = good * np.prod(np.maximum(inner, 0.04), axis=1) ** (1.0 / robot.n)
+    away = ((feature - centre[cell]) ** 2).sum(1)
+    starts = []
+    for k in range(count):
+        members = np.flatnonzero(cell == k)
+        if len(members):
+            near = away[members] / (np.median(away[members]) + 1e-12)
+            starts.append(Q[members[np.argmax(score[members] * np.exp(-0.5 * near))]])
+    return np.array(starts)
+
+
+def _rank(values: np.ndarray) -> int:
+    """Rank of the task: singular values (N, r) that are not zero everywhere."""
+    return max(1, int((values.max(axis=0) > 1e-9 * values.max()).sum()))
+
+
+def inverse_maps(robot: Any, starts: np.ndarray, position_only: bool, seed: int = 0) -> np.ndarray:
+    """Damped inverses (M, n, 3 or 6) [rad or m per m or rad] of the Jacobian averaged around each start."""
+    rng = np.random.default_rng(seed)
+    chain, n = robot.chain, robot.n
+    low, width = sampling_box(robot)
+    rows = 3 if position_only else 6
+    radius = np.minimum(SPREAD * width, RADIUS * chain.unit)
+    offsets = rng.uniform(-1.0, 1.0, (64, n)) * radius
+    Q = np.clip(starts[:, None] + offsets, np.minimum(low, starts[:, None]), np.maximum(low + width, starts[:, None]))
+    J = chain.forward(Q.reshape(-1, n), jacobian=True)[1].reshape(len(starts), 64, 6, n).mean(axis=1)[:, :rows]
+    J[:, :3] /= chain.scale
+    weight = np.minimum(width, 2.0 * chain.unit)  # joints move in proportion to their range
+    W = J * weight
+    inverse = np.swapaxes(W, 1, 2) @ np.linalg.inv(W @ np.swapaxes(W, 1, 2) + DAMPING**2 * np.eye(rows))
+    maps = inverse * weight[:, None]
+    maps[:, :, :3] /= chain.scale
+    return maps
+
+
+# --------------------------------------------------------------------------------------------------------------- step
+@rule(StateSpace, jacobian=False)
 def _state_space(cls, p, s, e):
-    m = int(p[0])
     n = s.dq.shape[0]
-    a = 1
-    b = a + m * m
-    c = b + 6 * m
+    m, maps = int(p[0]), int(p[1])
+    feedthrough = p[2] > 0.0
+    a = HEAD + n
+    c = a + m * m
+    first = c + n * m
+    width = n + 6 * m + (6 * n if feedthrough else 0)
+    chosen = 0
+    if maps > 1:
+        chosen = int(s.x[4 * n]) - 1
+        if chosen < 0 or p[3] > 0.0:  # the map whose start is nearest
+            least = np.inf
+            for k in range(maps):
+                distance = 0.0
+                for i in range(n):
+                    d = s.q[i] - p[first + k * width + i]
+                    d -= TAU * np.rint(d * p[HEAD + i])
+                    distance += d * d
+                if distance < least:
+                    least = distance
+                    chosen = k
+            s.x[4 * n] = chosen + 1
+    b = first + chosen * width + n
+    f = b + 6 * m
+    ratio = angle_ratio(e.rr)
+    e3, e4, e5 = ratio * e.e3, ratio * e.e4, ratio * e.e5
     for i in range(n):
         u = 0.0
         for j in range(m):
             u += p[c + i * m + j] * s.x[j]
+        if feedthrough:
+            k = f + 6 * i
+            u += p[k] * e.e0 + p[k + 1] * e.e1 + p[k + 2] * e.e2 + p[k + 3] * e3 + p[k + 4] * e4 + p[k + 5] * e5
         s.dq[i] = u if s.w[i] > 0.0 else 0.0
-    ratio = angle_ratio(e.rr)
     changed = 0.0
     for i in range(m):
         k = b + 6 * i
-        u = (
-            p[k] * e.e0
-            + p[k + 1] * e.e1
-            + p[k + 2] * e.e2
-            + ratio * (p[k + 3] * e.e3 + p[k + 4] * e.e4 + p[k + 5] * e.e5)
-        )
+        u = p[k] * e.e0 + p[k + 1] * e.e1 + p[k + 2] * e.e2 + p[k + 3] * e3 + p[k + 4] * e4 + p[k + 5] * e5
         for j in range(m):
             u += p[a + i * m + j] * s.x[j]
         s.x[2 * n + i] = u

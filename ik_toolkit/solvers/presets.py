@@ -1,0 +1,87 @@
+"""Presets: named parameters of a solver with the tolerance and iteration limit they are meant for, in TOML files.
+
+A preset file holds `solver`, optionally `robot`, `position` and `source`, a table [parameters] (fields of the rule) and a
+table [options]. Shipped ones are in the folder presets/; `ik tune` writes others.
+"""
+
+import tomllib
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..errors import InvalidOption, near_match
+from .options import make_options
+
+FOLDER = Path(__file__).with_name("presets")
+LARGEST = 16_000_000  # bytes of a preset file
+
+
+def list_presets(solver: str) -> list[str]:
+    """Names of the shipped presets of a solver."""
+    return sorted(path.stem for path in (FOLDER / solver).glob("*.toml"))
+
+
+def read_preset(solver: str, name: str) -> dict[str, Any]:
+    """Content of a shipped preset, or of a file when the name ends in .toml. Raises InvalidOption."""
+    path = Path(name) if name.endswith(".toml") else FOLDER / solver / f"{name}.toml"
+    known = list_presets(solver)
+    if not name.endswith(".toml") and name not in known:
+        raise InvalidOption(f"solver '{solver}' has no preset '{name}'.{near_match(name, known)} A file ends in .toml")
+    try:
+        if path.stat().st_size > LARGEST:
+            raise InvalidOption(f"preset {name} is too large")
+        content = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise InvalidOption(f"preset {name} cannot be read: {error}") from None
+    if content.get("solver") != solver:
+        raise InvalidOption(f"preset {name} is for solver '{content.get('solver')}', not '{solver}'")
+    return content
+
+
+def load_preset(solver: str, name: str, fields: Sequence[str]) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Parameters and options of a preset. Raises InvalidOption for a wrong file, field or option."""
+    content = read_preset(solver, name)
+    values, options = content.get("parameters", {}), content.get("options", {})
+    if not isinstance(values, dict) or not isinstance(options, dict):
+        raise InvalidOption(f"preset {name}: [parameters] and [options] must be tables")
+    for key in values:
+        if key not in fields or key == "tuned":
+            raise InvalidOption(f"preset {name}: solver '{solver}' has no parameter '{key}'.{near_match(key, fields)}")
+    make_options(options)
+    return values, options
+
+
+def check_starts(solver: str, starts: Any, robot: Any) -> np.ndarray:
+    """Starts (M, n) of a rule, inside the robot's limits. Raises InvalidOption."""
+    array = np.atleast_2d(np.asarray(starts, dtype=float))
+    if array.ndim != 2 or array.shape[1] != robot.n or not len(array) or not np.isfinite(array).all():
+        raise InvalidOption(
+            f"{solver}: starts hold {robot.n} finite values each ({', '.join(robot.joint_names)}), not {array.shape}"
+        )
+    return np.clip(array, robot.lower, robot.upper)
+
+
+def write_preset(
+    path: Path, solver: str, parameters: dict[str, Any], options: dict[str, Any], about: dict[str, Any]
+) -> None:
+    """Write a preset that `--preset FILE` and `preset(FILE)` read; numbers keep every bit."""
+    lines = [f"solver = {_toml(solver)}", *(f"{key} = {_toml(value)}" for key, value in about.items())]
+    for title, table in (("parameters", parameters), ("options", options)):
+        lines += ["", f"[{title}]", *(f"{key} = {_toml(value)}" for key, value in table.items() if value is not None)]
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+
+
+def _toml(value: Any) -> str:
+    if hasattr(value, "tolist"):
+        value = value.tolist()
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, str):
+        escaped = value.replace("\\", "\\\\").replace('"', '\\"').replace("\n", " ")
+        return f'"{escaped}"'
+    if isinstance(value, list | tuple):
+        inner = ", ".join(_toml(x) for x in value)
+        return f"[{inner}]"
+    return repr(value)
