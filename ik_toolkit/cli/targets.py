@@ -210,7 +210,7 @@ def _cluster(address: str | None) -> Iterator[Any]:
     except ImportError:
         raise MissingExtra("distributed", "cluster") from None
     try:
-        client = Client(address, timeout=10)
+        client = Client(address, timeout=5)
     except (OSError, ValueError) as error:
         said = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise InvalidOption(f"no Dask scheduler answers at '{address}': {said}") from None

@@ -1,0 +1,220 @@
+"""`ik solve ROBOT --targets FILE`: every form of file, the same answers as solve_batch, mistakes named with their line."""
+
+import csv
+import json
+
+import numpy as np
+import pytest
+from robots import load, sample
+
+import ik_toolkit as ik
+from ik_toolkit.cli import main
+from ik_toolkit.cli import targets as module
+from ik_toolkit.robot.pose import matrix_quat, matrix_rpy
+
+ARM = "hydrolek_7w"
+
+
+@pytest.fixture
+def poses():
+    return sample(load(ARM), 30, seed=4)[1]
+
+
+def write(path, header, rows):
+    with path.open("w", newline="") as stream:
+        writer = csv.writer(stream)
+        writer.writerow(header.split(","))
+        writer.writerows(rows)
+    return str(path)
+
+
+def solved(path):
+    with open(path, newline="") as stream:
+        rows = list(csv.DictReader(stream))
+    return np.array([[float(row[name]) for name in load(ARM).joint_names] for row in rows]), rows
+
+
+def run(*words):
+    return main(["solve", ARM, *map(str, words)])
+
+
+def files(poses, tmp_path):
+    xyz = poses[:, :3, 3]
+    quat = np.array([matrix_quat(R) for R in poses[:, :3, :3]])
+    rpy = np.array([matrix_rpy(R) for R in poses[:, :3, :3]])
+    mixed = [[*a, *p, "n"] for a, p in zip(rpy[:, ::-1], xyz[:, ::-1], strict=True)]
+    np.savez(tmp_path / "targets.npz", targets=poses)
+    np.savez(tmp_path / "quat.npz", xyz=xyz, quat_xyzw=quat)
+    return {
+        "targets.npz": poses,
+        "quat.npz": poses,
+        write(tmp_path / "quat.csv", "x,y,z,qx,qy,qz,qw", np.c_[xyz, quat]): poses,
+        write(tmp_path / "rpy.csv", "Yaw, Pitch ,roll,z,y,x,note", mixed): poses,
+        write(tmp_path / "xyz.csv", "x,y,z", xyz): xyz,
+    }  # fmt: skip
+
+
+def test_every_form_of_file_gives_the_answers_of_a_batch(poses, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(module, "LINES", 7)  # several chunks
+    robot = load(ARM)
+    for name, targets in files(poses, tmp_path).items():
+        many = ik.solve_batch(robot, targets, "lm", seed=2)
+        for output in (tmp_path / "out.csv", tmp_path / "out.npz"):
+            code = run("--targets", tmp_path / name, "-o", output, "-s", "lm", "--seed", 2, "--json")
+            told = json.loads(capsys.readouterr().out)
+            assert code == (0 if many.success.all() else 1)
+            assert told["targets"] == 30 and told["solved"] == many.success.sum() and told["statuses"] == many.counts()
+        found = np.load(tmp_path / "out.npz")
+        q, rows = solved(tmp_path / "out.csv")
+        assert np.array_equal(q, found["q"]) and found["joint_names"].tolist() == list(robot.joint_names)
+        assert [ik.Status[row["status"]] for row in rows] == found["status"].tolist()
+        assert np.array_equal([float(row["position_error"]) for row in rows], found["position_error"])
+        assert np.allclose(q, many.q, atol=1e-4) and np.array_equal(many.status, found["status"])
+        if name == "targets.npz":
+            assert np.array_equal(q, many.q)
+
+
+def test_degrees_are_for_the_angles_of_the_file(poses, tmp_path):
+    rpy = np.array([matrix_rpy(R) for R in poses[:5, :3, :3]])
+    write(tmp_path / "rad.csv", "x,y,z,roll,pitch,yaw", np.c_[poses[:5, :3, 3], rpy])
+    write(tmp_path / "deg.csv", "x,y,z,roll,pitch,yaw", np.c_[poses[:5, :3, 3], np.degrees(rpy)])
+    assert run("--targets", tmp_path / "rad.csv", "-o", tmp_path / "a.csv") == 0
+    assert run("--targets", tmp_path / "deg.csv", "-o", tmp_path / "b.csv", "--deg") == 0
+    assert np.allclose(solved(tmp_path / "a.csv")[0], solved(tmp_path / "b.csv")[0], atol=1e-9)
+
+
+def test_chains_report_flips(tmp_path, capsys):
+    robot = ik.Robot.load("planar_2r")
+    up, across = robot.fk([0.3, 1.0]).translation, robot.fk([2.0, 1.0]).translation
+    write(tmp_path / "path.csv", "x,y,z", [up, up, across])
+    words = ["solve", "planar_2r", "--targets", str(tmp_path / "path.csv"), "-o", str(tmp_path / "out.csv"), "--chain"]
+    assert main([*words, "--q0", "0.3", "1.0"]) == 0
+    assert "1 (targets 2, counted from 0)" in capsys.readouterr().out
+    with open(tmp_path / "out.csv", newline="") as stream:
+        moves = [float(row["moves"]) for row in csv.DictReader(stream)]
+    assert moves[:2] == [0.0, 0.0] and moves[2] > 1.0
+    assert main([*words, "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["flips"] == [2]
+
+
+def test_unsolved_targets_are_a_status_and_code_1(tmp_path, capsys):
+    write(tmp_path / "far.csv", "x,y,z", [[1.0, 0.1, 0.2], [9, 9, 9]])
+    assert run("--targets", tmp_path / "far.csv", "-o", tmp_path / "out.csv") == 1
+    assert [row["status"] for row in solved(tmp_path / "out.csv")[1]] == ["CONVERGED", "UNREACHABLE"]
+    assert "1 UNREACHABLE" in capsys.readouterr().out
+
+
+def test_options_reach_the_batch(tmp_path):
+    write(tmp_path / "in.csv", "x,y,z", [[1.0, 0.1, 0.2]] * 2)
+    arm, q0 = load(ARM), load(ARM).home
+    assert (
+        run("--targets", tmp_path / "in.csv", "-o", tmp_path / "out.csv", "--closest", *q0, "--avoid-collisions") == 0
+    )
+    expected = ik.solve(arm, (1.0, 0.1, 0.2), closest=q0, avoid_collisions=True)
+    assert np.array_equal(solved(tmp_path / "out.csv")[0][1], expected.q)
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("", "no column x, y, z"),
+        ("x,y\n1,2\n", "no column z"),
+        ("x,y,z,qx,qw\n1,2,3,0,1\n", "qx, qw"),
+        ("x,y,z,qx,qy,qz,qw,roll\n1,2,3,0,0,0,1,0\n", "roll"),
+        ("x,y,z\n1,2,3\n\n1,foo,3\n", "line 4: 'foo' is not a finite number"),
+        ("x,y,z\n1,2,3\n1,nan,3\n", "line 3: 'nan'"),
+        ("x,y,z\n1,2,3\n1,2\n", "line 3: 2 columns"),
+        ("x,y,z,qx,qy,qz,qw\n1,2,3,0,0,0,1\n1,2,3,0,0,0,5\n", "line 3: the quaternion"),
+        ("x,y,z\n1,2,\xff\n", "cannot read"),
+    ],
+)
+def test_bad_tables_are_named_by_line(tmp_path, capsys, text, words):
+    (tmp_path / "bad.csv").write_bytes(text.encode("latin-1"))
+    assert run("--targets", tmp_path / "bad.csv", "-o", tmp_path / "out.csv") == 2
+    said = capsys.readouterr().err
+    assert words in said and "Traceback" not in said and not (tmp_path / "out.csv").exists()
+
+
+def test_bad_arrays_are_named(tmp_path, capsys):
+    for arrays, words in (
+        ({"q": np.zeros(3)}, "no array 'targets' or 'xyz', only q"),
+        ({"targets": np.zeros((2, 5))}, "shape (2, 5)"),
+        ({"xyz": np.zeros((2, 3)), "quat_xyzw": np.zeros((3, 4))}, "shape (N, 3)"),
+        ({"xyz": np.zeros((2, 3)), "quat_xyzw": np.ones((2, 4))}, "row 0: the quaternion"),
+        ({"targets": np.full((2, 3), np.inf)}, "target 0"),
+        ({"targets": np.array([None, None])}, "cannot read"),
+    ):
+        np.savez(tmp_path / "bad.npz", **arrays)
+        assert run("--targets", tmp_path / "bad.npz", "-o", tmp_path / "out.npz") == 2
+        assert words in capsys.readouterr().err
+    (tmp_path / "bad.npz").write_bytes(b"not a zip")
+    assert run("--targets", tmp_path / "bad.npz", "-o", tmp_path / "out.npz") == 2
+    assert "cannot read 'bad.npz'" in capsys.readouterr().err
+
+
+def test_what_does_not_go_together(tmp_path, capsys):
+    good = write(tmp_path / "in.csv", "x,y,z", [[1.0, 0.1, 0.2]])
+    out = tmp_path / "out.csv"
+    for words, said in (
+        (["--targets", good], "-o FILE"),
+        (["--targets", good, "-o", tmp_path / "out.txt"], "-o FILE"),
+        (["--targets", good, "-o", good], "overwrite"),
+        (["--targets", tmp_path / "none.csv", "-o", out], "no targets file"),
+        (["--targets", tmp_path, "-o", out], "no targets file"),
+        (["--targets", good, "-o", out, "--xyz", 1, 2, 3], "--xyz"),
+        (["--xyz", 1, 2, 3, "--chain"], "--targets"),
+        (["--xyz", 1, 2, 3, "--threads", 2], "--targets"),
+        (["--targets", good, "-o", out, "--threads", 0], "threads"),
+        (["--targets", good, "-o", out, "--mask", 1, 1, 1, 0, 0, 0, "--target", "tool:1,2,3"], "--target"),
+    ):
+        assert run(*words) == 2
+        assert said in capsys.readouterr().err
+    assert not out.exists()
+
+
+def test_an_interrupt_keeps_what_is_finished(tmp_path, capsys, monkeypatch):
+    robot = load(ARM)
+    xyz = sample(robot, 1)[1][:, :3, 3].repeat(9000, axis=0)
+    np.savez(tmp_path / "in.npz", targets=xyz)
+    real = module._progress
+
+    def impatient(count):
+        with real(count) as show_done:
+
+            def stop(done):
+                show_done(done)
+                if done > 4000:
+                    raise KeyboardInterrupt
+
+            yield stop
+
+    monkeypatch.setattr(module, "_progress", module.contextmanager(impatient))
+    for name in ("out.csv", "out.npz"):
+        assert run("--targets", tmp_path / "in.npz", "-o", tmp_path / name) == 130
+        assert f"the first 4096 solutions are in {tmp_path / name}" in capsys.readouterr().err
+    assert len(solved(tmp_path / "out.csv")[0]) == len(np.load(tmp_path / "out.npz")["q"]) == 4096
+
+
+# ------------------------------------------------------------------------------------------------------------- obstacles
+def test_obstacles_on_the_command_line(capsys):
+    robot = load(ARM)
+    target = ["--xyz", *robot.fk(robot.home).translation]
+    assert run(*target, "--avoid-collisions", "--json") == 0
+    free = json.loads(capsys.readouterr().out)
+    x, y, z = np.round(np.add(robot.fk(robot.home).translation, (0, 0, 0.0)), 6)
+    assert run(*target, "--obstacle", f"sphere:{x},{y},{z},0.3", "--json") == 1
+    told = json.loads(capsys.readouterr().out)
+    assert told["status"] == "COLLISION" and "sphere_1" in told["collision"] and free["collision"] is None
+    for obstacle in (f"box:{x},{y},{z},0.5,0.5,0.5", f"cylinder:{x},{y},{z},0.3,0.5,0.1,0.2,0.3"):
+        assert run(*target, "--obstacle", obstacle, "--obstacle", "sphere:9,9,9,1") == 1
+        assert obstacle[:3] in capsys.readouterr().err
+    assert run(*target, "--obstacle", "sphere:9,9,9,1") == 0
+
+
+@pytest.mark.parametrize(
+    "text", ["ball:1,2,3,4", "sphere:1,2,3", "box:1,2,3,4", "sphere:a,b,c,d", "sphere:0,0,0,-1", "box"]
+)
+def test_bad_obstacles_are_named(text, capsys):
+    assert run("--xyz", 1.0, 0.1, 0.2, "--obstacle", text) == 2
+    said = capsys.readouterr().err
+    assert text in said or "positive" in said
