@@ -7,10 +7,9 @@ import numpy as np
 from .chain import WINDING, Chain, box, forward, table
 from .kinematics import TAU
 from .loop import E_VECTORS
-from .seeds import BEST
 
 Array = np.ndarray
-OWN = 256  # table rows for each of the BEST values of the shared joints
+ROWS = 2048  # of the table of starts; each tip picks its own joints from it
 
 
 class TreeChain(NamedTuple):
@@ -18,8 +17,8 @@ class TreeChain(NamedTuple):
 
     rows (L, 10) of all chains, chain f in rows[cut[f]:cut[f + 1]]; ends (F, ...) as in Chain, with the shared coordinates;
     moves (F, n) 1 where a coordinate moves a tip; owner (n,) the only tip it moves, -1 when shared; seeds (N, n) and
-    features (F, 13, N + PAD): row j has the shared joints of group j % BEST, and each tip picks its own joints from the best
-    row of a group. unit, lower, upper (n,); scale: length of one kernel unit [m].
+    features (F, 13, N + PAD) are the table of starts: each tip picks its own joints from it, the first the shared ones too.
+    unit, lower, upper (n,); scale: length of one kernel unit [m].
     """
 
     rows: Array
@@ -89,15 +88,7 @@ def pack_tree(chains: list[Chain], places: list[Array], lower: Array, upper: Arr
         ends[f] = np.concatenate([points, *vectors, [scale], chain.ends[-6:] * factor])
         moves[f, place] = 1.0
     owner = np.where(moves.sum(axis=0) > 1, -1, np.argmax(moves, axis=0))
-    seeds = np.random.default_rng(0x5EED7AB1E).uniform(low, high, (BEST * OWN, n))
-    shared = owner < 0
-    # Shared joints take few values, spread evenly by Roberts' additive sequence, so that the tips agree on them.
-    d = int(shared.sum())
-    root = 2.0
-    for _ in range(64):
-        root = (1.0 + root) ** (1.0 / (d + 1))
-    spread = (0.5 + np.outer(np.arange(BEST), root ** -np.arange(1.0, d + 1))) % 1.0
-    seeds[:, shared] = np.tile(low[shared] + spread * (high - low)[shared], (OWN, 1))
+    seeds = np.random.default_rng(0x5EED7AB1E).uniform(low, high, (ROWS, n))
     cut = np.concatenate([[0], np.cumsum([len(rows) for rows in parts])])
     features = np.stack([table(rows, end, seeds) for rows, end in zip(parts, ends, strict=True)])
     return TreeChain(np.concatenate(parts), cut, ends, moves, owner, seeds, features, unit, lower, upper, scale)

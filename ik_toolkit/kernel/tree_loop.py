@@ -158,7 +158,7 @@ def why_tree(q, lower, upper, J, e, ee, limits):
 
 @jit
 def choose(features, goals, kinds, score, val, best, choice, total, order):
-    """Best table row of each tip in each group of shared joints, and the groups in order of the sum of their scores."""
+    """Best table row of each tip in each interleaved group of rows, and the groups in order of the sum of their scores."""
     for g in range(BEST):
         total[g] = 0.0
         order[g] = g

@@ -78,8 +78,8 @@ class TreeSolver(Solver):
     """Solver bound to a Tree: `solver(targets, q0=None) -> TreeResult`; made by `ik.Solver(tree, ...)`.
 
     Levenberg-Marquardt on the stacked errors with held joints, as `lm`; the first starts come from a table in which each tip
-    picks its own joints for several values of the shared ones. Options as for `lm` (here 40 iterations a descent and 400
-    descents), without mask, closest, objective and collisions.
+    picks its own joints. Options as for `lm` (here 40 iterations a descent and 400 descents), without mask, closest,
+    objective and collisions.
     fk_evaluations counts all tips as one.
     """
 
@@ -112,6 +112,7 @@ class TreeSolver(Solver):
         self._silent = np.empty((0, 2 + tree.n))
         self._lower, self._upper = tree.lower, tree.upper
         self._packed = {}
+        self._own_starts = False
 
     def _pack(self, kind: Any, given: bool) -> np.ndarray:
         packed = super()._pack(kind, given)
