@@ -1,0 +1,86 @@
+"""Run the hostile-input, torture, thread and process tests, the long ones included, and write docs/reliability.md.
+
+Usage: python scripts/reliability.py [-o docs/reliability.md]. Takes some minutes. The counts come from the tests themselves.
+"""
+
+import argparse
+import platform
+import subprocess
+import sys
+import tempfile
+import xml.etree.ElementTree as ET
+from collections import defaultdict
+from datetime import date
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+PARTS = {
+    "tests/test_check.py": "Broken and hostile URDFs: a corpus, generated giants, and fuzzing of URDF text",
+    "tests/test_dh.py": "D-H tables: random tables against Pinocchio, broken files, fuzzing",
+    "tests/test_references.py": "Trajectory files: broken and hostile",
+    "tests/test_pose.py": "Targets that are no poses",
+    "tests/test_robot.py": "Robots that cannot be loaded; pickling; one robot from eight threads",
+    "tests/test_torture.py": "Numerical torture: half turns, reach boundary, singular poses, absurd lengths, limits of zero width",
+    "tests/test_contract.py": "The contract of every solver on every kind of robot",
+    "tests/test_processes.py": "Fork, spawn, two processes compiling at once, a killed one, no folder for the cache",
+    "tests/test_batch.py": "Batches: threads, executors, interrupts, broken rows",
+    "tests/test_panel.py": "The panel: browsers, malformed messages, foreign origins",
+}
+HAND = ROOT / "docs" / "reliability_notes.md"
+
+
+def run(path: str) -> tuple[dict[str, int], float, list[str]]:
+    """Outcome counts (cases among them), seconds and notes of one test file, long runs included."""
+    with tempfile.TemporaryDirectory() as folder:
+        report = Path(folder) / "report.xml"
+        command = [sys.executable, "-m", "pytest", path, "-q", "-m", "slow or not slow", f"--junitxml={report}"]
+        subprocess.run(command, cwd=ROOT, check=False, stdout=subprocess.DEVNULL)
+        counts: dict[str, int] = defaultdict(int)
+        notes = []
+        seconds = 0.0
+        for case in ET.parse(report).getroot().iter("testcase"):
+            outcome = next((child.tag for child in case if child.tag in ("failure", "error", "skipped")), "passed")
+            counts[outcome] += 1
+            seconds += float(case.get("time", 0))
+            for prop in case.iter("property"):
+                if prop.get("name") == "cases":
+                    counts["cases"] += int(prop.get("value", "0"))
+                elif prop.get("name") == "note":
+                    notes.append(f"`{case.get('name')}`: {prop.get('value')}")
+    return counts, seconds, notes
+
+
+def main() -> None:
+    """Run every part and write the page."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("-o", "--output", type=Path, default=ROOT / "docs" / "reliability.md")
+    output = parser.parse_args().output
+    lines = [
+        "# Reliability",
+        "",
+        f"Written by `python scripts/reliability.py` on {date.today()}, Python {platform.python_version()}, "
+        f"{platform.system()} {platform.machine()}. Each row is one test file, its long runs included; the command is "
+        '`python -m pytest FILE -m "slow or not slow"`.',
+        "",
+        "| what was tried | file | tests | solves inside | failed | skipped | seconds |",
+        "|---|---|---:|---:|---:|---:|---:|",
+    ]
+    remarks = []
+    for path, what in PARTS.items():
+        if not (ROOT / path).exists():
+            continue
+        counts, seconds, notes = run(path)
+        failed = counts["failure"] + counts["error"]
+        tests = counts["passed"] + failed
+        solves = f"{counts['cases']:,}" if counts["cases"] else ""
+        lines.append(f"| {what} | `{path}` | {tests} | {solves} | {failed} | {counts['skipped']} | {seconds:.0f} |")
+        remarks += notes
+        print(lines[-1], file=sys.stderr)
+    lines += ["", *(f"- {remark}" for remark in remarks), ""]
+    if HAND.exists():
+        lines += [HAND.read_text(encoding="utf-8").rstrip(), ""]
+    output.write_text("\n".join(lines), encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
