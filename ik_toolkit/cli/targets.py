@@ -13,7 +13,7 @@ import numpy as np
 import typer
 
 from ..errors import InvalidOption, InvalidTarget, MissingExtra
-from ..robot.pose import quat_matrix, rpy_matrix
+from ..robot.pose import rpy_matrix
 from ..solvers.batch import BatchInterrupted, BatchResult, solve_batch, solve_parts
 from ..solvers.result import Status
 from .common import facts, notice, show, write_json
@@ -128,9 +128,13 @@ def _poses(xyz: np.ndarray, angles: np.ndarray, kind: Sequence[str], lines: Sequ
             raise InvalidTarget(
                 f"'{name}', {word} {lines[k]}: the quaternion qx,qy,qz,qw has length {length[k]:.4g}, not 1"
             )
-    matrix = quat_matrix if kind is QUAT else rpy_matrix
-    for k, each in enumerate(angles):
-        T[k, :3, :3] = matrix(each)
+        x, w = angles[:, :3] / length[:, None], 2.0 * angles[:, 3:] / length[:, None]
+        T[:, :3, :3] = 2.0 * x[:, :, None] * x[:, None, :]
+        T[:, [0, 1, 2], [0, 1, 2]] += 0.5 * w * w - 1.0
+        T[:, [1, 2, 0], [0, 1, 2]] += w * x[:, [2, 0, 1]]
+        T[:, [0, 1, 2], [1, 2, 0]] -= w * x[:, [2, 0, 1]]
+    else:
+        T[:, :3, :3] = np.moveaxis(rpy_matrix(angles.T), 2, 0)
     return T
 
 
