@@ -28,6 +28,7 @@ _NAMES = {
     "Planar2R": "solvers.closed_form.planar_2r",
     "Inspection": "solvers.closed_form.inspection",
     "solve_all": "solvers.solve_all",
+    "benchmark": "study.benchmark",
     "track": "tracking.track",
     "Tracker": "tracking.track",
     "TrackResult": "tracking.result",

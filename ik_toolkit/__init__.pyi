@@ -21,6 +21,7 @@ from .solvers.rules.state_space import StateSpace as StateSpace
 from .solvers.solve import Solver as Solver
 from .solvers.solve import solve as solve
 from .solvers.solve_all import solve_all as solve_all
+from .study.benchmark import benchmark as benchmark
 from .tracking.reference import Reference as Reference
 from .tracking.reference import circle as circle
 from .tracking.reference import line as line

@@ -18,7 +18,9 @@ MODULES = (
     "track",
     "reproduce",
     "solvers",
+    "bench",
     "files",
+    "view",
     "doctor",
 )  # a new group of commands is one module and its name here
 NOT_SOLVED, BAD_INPUT, MISSING_EXTRA, BUG, INTERRUPTED = 1, 2, 3, 70, 130

@@ -89,7 +89,10 @@ def table(head: list[str], rows: list[list[Any]]) -> str:
 
 def write(output: Path, payload: dict[str, Any], *tables: str) -> None:
     """Write the JSON and, beside it, the tables as Markdown; print the tables."""
-    payload = {"command": "python " + " ".join([f"scripts/benchmarks/{Path(sys.argv[0]).name}", *sys.argv[1:]]), **payload}
+    payload = {
+        "command": "python " + " ".join([f"scripts/benchmarks/{Path(sys.argv[0]).name}", *sys.argv[1:]]),
+        **payload,
+    }
     text = "\n\n".join(tables) + "\n"
     output.parent.mkdir(parents=True, exist_ok=True)
     output.write_text(json.dumps({**payload, "tables": text}, indent=1) + "\n", encoding="utf-8")

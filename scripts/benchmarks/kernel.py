@@ -94,7 +94,9 @@ def main() -> None:
             medians.setdefault(key, {})[name] = float(np.median(values))
     rows = [[key, *(f"{values[name]:,.0f}" for name in given.robots)] for key, values in medians.items()]
     payload = {"machine": common.machine(), "load_average": [before, common.load_average()], "median_ns": medians}
-    common.write(given.output, payload, "Nanoseconds, median of interleaved runs:", common.table(["", *given.robots], rows))
+    common.write(
+        given.output, payload, "Nanoseconds, median of interleaved runs:", common.table(["", *given.robots], rows)
+    )
 
 
 if __name__ == "__main__":

@@ -38,7 +38,9 @@ PEERS = (
     Peer("optik", "optik", ("optik-py", "numpy"), "SLSQP, one thread, Rust"),
     Peer("dynibo", "dynibo", ("dynibo", "numpy"), "damped least squares, restarts added by the benchmark, Rust"),
     Peer("pytracik", "pytracik", ("pytracik",), "TRAC-IK, its two threads, C++", share=0.5),
-    Peer("ssik", "ssik", ("ssik[urdf]",), "analytic, all solutions, `from_urdf` (no generated code)", share=0.1, six=True),
+    Peer(
+        "ssik", "ssik", ("ssik[urdf]",), "analytic, all solutions, `from_urdf` (no generated code)", share=0.1, six=True
+    ),
     Peer("pink", "pink", ("pin-pink", "qpsolvers[quadprog]"), "QP steps, 50 an attempt, restarts added", share=0.1),
     Peer("mink", "mink", ("mink", "qpsolvers[daqp]"), "QP steps, 50 an attempt, restarts added", share=0.1),
     Peer("ikpy", "ikpy", ("ikpy",), "SciPy least squares, restarts added", share=0.05),

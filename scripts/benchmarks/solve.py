@@ -11,6 +11,7 @@ import json
 import sys
 import tempfile
 from collections.abc import Callable
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -67,7 +68,14 @@ def starts(robot: ik.Robot, Q: np.ndarray, kind: str, rng: np.random.Generator) 
 
 
 def compare(
-    robot: ik.Robot, processes: dict[str, Process], kind: str, name: str, count: int, blocks: int, seed: int, folder: Path
+    robot: ik.Robot,
+    processes: dict[str, Process],
+    kind: str,
+    name: str,
+    count: int,
+    blocks: int,
+    seed: int,
+    folder: Path,
 ) -> dict[str, Any]:
     """One robot, one kind of start, one tolerance: times and right answers of every peer that can."""
     tolerance = common.TOLERANCES[name]
@@ -88,7 +96,7 @@ def compare(
         except RuntimeError as error:
             refused[key] = str(error)
     edges = np.linspace(0, count, blocks + 1).astype(int)
-    for a, b in zip(edges, edges[1:], strict=False):
+    for a, b in pairwise(edges):
         for key in list(times):
             end = min(b, int(count * processes[key].peer.share))
             if a >= end:
@@ -138,7 +146,10 @@ def tables(runs: list[dict[str, Any]], against: str) -> list[str]:
         for title, cell in (
             ("Microseconds a solve, median / mean / 99th percentile:", _times),
             (f"Times faster than `{against}` in the same run, median / 99th percentile:", _faster("wall")),
-            ("The same in processor time (all threads), which other work on the machine does not touch:", _faster("processor")),
+            (
+                "The same in processor time (all threads), which other work on the machine does not touch:",
+                _faster("processor"),
+            ),
             ("Answers inside limits and tolerances by Pinocchio, percent (95 % interval), and targets:", _success),
         ):
             rows = [[f"`{key}`", *(cell(run["rows"].get(key)) for run in group)] for key in keys]
@@ -197,12 +208,12 @@ def main() -> None:
                 arm.name = robot
                 for kind in given.starts:
                     for tolerance in given.tolerances:
-                        run = compare(
-                            arm, processes, kind, tolerance, given.targets, given.blocks, given.seed, folder
-                        )
+                        run = compare(arm, processes, kind, tolerance, given.targets, given.blocks, given.seed, folder)
                         ratios(run, given.against)
                         runs.append(run)
-                        line = {k: f"{_times(v)} {100 * v['solved'] / v['targets']:.4g}%" for k, v in run["rows"].items()}
+                        line = {
+                            k: f"{_times(v)} {100 * v['solved'] / v['targets']:.4g}%" for k, v in run["rows"].items()
+                        }
                         print(robot, kind, tolerance, json.dumps(line), run["refused"] or "", file=sys.stderr)
         finally:
             for process in processes.values():

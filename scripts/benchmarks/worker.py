@@ -160,7 +160,9 @@ def pink(s):
             error = task.compute_error(configuration)
             if norm(error[:3]) < s.tol_p and norm(error[3:]) < s.tol_r:
                 return configuration.q.copy()
-            velocity = library.solve_ik(configuration, [task], 1.0, solver="quadprog", damping=1e-12, safety_break=False)
+            velocity = library.solve_ik(
+                configuration, [task], 1.0, solver="quadprog", damping=1e-12, safety_break=False
+            )
             configuration.integrate_inplace(velocity, 1.0)
         return None
 

@@ -1,0 +1,85 @@
+"""`ik bench`: our own solvers side by side on a robot."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from .common import Json, Out, compile_notice, load_robot, notice, show, table, write_json
+
+Robots = Annotated[
+    list[str] | None, typer.Argument(metavar="[ROBOT...]", help="Names or URDF files; default hydrolek_7w.")
+]
+Solvers = Annotated[str | None, typer.Option(metavar="NAME,NAME", help="Solvers to compare; default: all that apply.")]
+Targets = Annotated[int, typer.Option("--targets", "-n", metavar="N", help="Random reachable targets a robot.")]
+Start = Annotated[
+    str, typer.Option(metavar="KIND", help="none (each solver's own), home, random, or near (within 0.1 rad).")
+]
+Task = Annotated[
+    str | None, typer.Option(metavar="KIND", help="pose or position; default: poses for 6 joints and more.")
+]
+Tolerance = Annotated[float, typer.Option(metavar="T", help="Position [m] and orientation [rad] tolerance.")]
+Seed = Annotated[int, typer.Option(metavar="N", help="Seed of targets, starts and restarts.")]
+Iterations = Annotated[int | None, typer.Option(metavar="N", help="Steps a descent; default: the solver's own.")]
+Restarts = Annotated[int | None, typer.Option(metavar="N", help="Further descents; default: the solver's own.")]
+Plot = Annotated[
+    Path | None,
+    typer.Option(metavar="FILE", help="Draw targets solved against time (png, svg, pdf).", rich_help_panel="Output"),
+]
+
+
+def register(app: typer.Typer) -> None:
+    """Add the commands of this module."""
+    app.command()(bench)
+
+
+def bench(
+    robots: Robots = None,
+    solvers: Solvers = None,
+    targets: Targets = 1000,
+    start: Start = "none",
+    task: Task = None,
+    tolerance: Tolerance = 1e-6,
+    max_iterations: Iterations = None,
+    restarts: Restarts = None,
+    seed: Seed = 0,
+    plot: Plot = None,
+    as_json: Json = False,
+    output: Out = None,
+) -> None:
+    """Compare the solvers on a robot: success, time, iterations.
+
+    Random reachable targets, one thread, every call timed from Python, failures included. 95 %: Wilson interval.
+    Steps are a median, restarts a mean.
+    """
+    from ..solvers.registry import find_row
+    from ..study.benchmark import benchmark
+
+    names = [find_row(name.strip()).name for name in solvers.split(",") if name.strip()] if solvers else None
+    arms = [load_robot(name) for name in robots or ["hydrolek_7w"]]
+    options = {"tolerance": tolerance, "max_iterations": max_iterations, "restarts": restarts}
+    given = {key: value for key, value in options.items() if value is not None}
+    with compile_notice("the solvers"):
+        found = benchmark(arms, names, targets=targets, start=start, task=task, seed=seed, **given)
+    write_json(found.to_dict(), as_json, output)
+    if plot is not None:
+        found.plot(plot)
+        notice(f"wrote {plot}")
+    if as_json:
+        return
+    columns = ("<robot", "<solver", ">solved %", ">95 %", ">median us", ">p99 us", ">steps", ">restarts")
+    made = table(*columns)
+    for row in found.rows:
+        made.add_row(
+            row.robot,
+            row.solver,
+            f"{100 * row.solved / row.targets:.2f}",
+            f"{100 * row.low:.1f}-{100 * row.high:.1f}",
+            f"{1e6 * row.median:.1f}",
+            f"{1e6 * row.p99:.1f}",
+            f"{row.iterations:g}",
+            f"{row.restarts:.2f}",
+        )
+    show(made)
+    for (robot, solver), why in found.skipped.items():
+        notice(f"{robot}: {solver} left out: {why}")

@@ -1,0 +1,229 @@
+"""Our own solvers side by side on a robot: success with its interval, times, iterations."""
+
+from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass, field
+from itertools import pairwise
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+
+from ..errors import IKError, InvalidOption, MissingExtra, near_match
+from ..robot.robot import Robot
+from ..solvers.registry import ROWS
+from ..solvers.result import Status
+from ..solvers.solve import Solver
+from .statistics import wilson
+
+BLOCKS = 10  # turns in which the targets are handed to the solvers, so that what else the machine does hits all alike
+NEAR = 0.1  # rad (m): a near start lies within this of a solution, each joint
+STARTS = ("none", "home", "random", "near")
+TASKS = ("pose", "position")
+
+
+@dataclass(frozen=True)
+class BenchmarkRow:
+    """One solver on one robot.
+
+    robot, solver; task 'pose' or 'position'; targets, solved, and the 95 % Wilson interval low, high of the success
+    probability; median, mean, p99 [s] of one call from Python, failures included; iterations and fk_evaluations, medians;
+    restarts, mean; statuses: name -> count; worst_position_error [m] and worst_orientation_error [rad] among the successes
+    (None without one, or for positions). seconds and iteration_counts (N,) are kept for plots.
+    """
+
+    robot: str
+    solver: str
+    task: str
+    targets: int
+    solved: int
+    low: float
+    high: float
+    median: float
+    mean: float
+    p99: float
+    iterations: float
+    restarts: float
+    fk_evaluations: float
+    statuses: dict[str, int]
+    worst_position_error: float | None
+    worst_orientation_error: float | None
+    seconds: np.ndarray = field(repr=False, compare=False)
+    iteration_counts: np.ndarray = field(repr=False, compare=False)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain numbers without the arrays, ready for JSON."""
+        return {key: value for key, value in self.__dict__.items() if not isinstance(value, np.ndarray)}
+
+
+@dataclass(frozen=True)
+class Benchmark:
+    """What `benchmark` returns: rows, in the order robots x solvers; skipped: (robot, solver) -> why it does not apply."""
+
+    rows: tuple[BenchmarkRow, ...]
+    skipped: dict[tuple[str, str], str]
+    targets: int
+    start: str
+    seed: int
+    options: dict[str, Any]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain numbers, strings and lists, ready for JSON."""
+        return {
+            "targets": self.targets,
+            "start": self.start,
+            "seed": self.seed,
+            "options": self.options,
+            "rows": [row.to_dict() for row in self.rows],
+            "skipped": [{"robot": a, "solver": b, "why": why} for (a, b), why in self.skipped.items()],
+        }
+
+    def plot(self, file: Any) -> None:
+        """Draw, a panel a robot, the share of targets solved within a time; write PNG, SVG or PDF. Raises MissingExtra."""
+        try:
+            from matplotlib.figure import Figure
+        except ImportError:
+            raise MissingExtra("matplotlib", "plots") from None
+        robots = list(dict.fromkeys(row.robot for row in self.rows))
+        solvers = list(dict.fromkeys(row.solver for row in self.rows))  # a solver has one colour in all panels
+        figure = Figure(figsize=(5.0 * max(1, len(robots)), 4.0), layout="constrained")
+        axes = figure.subplots(1, max(1, len(robots)), squeeze=False, sharey=True)[0]
+        for axis, robot in zip(axes, robots, strict=False):
+            for row in (row for row in self.rows if row.robot == robot):
+                times = 1e6 * np.append(np.sort(row.seconds[: row.solved]), row.seconds.max())
+                share = 100.0 * np.append(np.arange(1, row.solved + 1), row.solved) / row.targets
+                axis.step(times, share, where="post", label=row.solver, color=f"C{solvers.index(row.solver)}")
+            axis.set(xscale="log", xlabel="time of a solve [us]", title=robot, ylim=(0, 102))
+            axis.grid(alpha=0.3)
+            axis.legend(loc="lower right", fontsize="small")
+        axes[0].set_ylabel("targets solved [%]")
+        figure.savefig(file)
+
+
+def benchmark(
+    robots: Robot | str | Sequence[Robot | str],
+    solvers: Iterable[Any] | None = None,
+    *,
+    targets: int = 1000,
+    start: str = "none",
+    task: str | None = None,
+    seed: int = 0,
+    executor: Executor | None = None,
+    progress: Callable[[int, int], None] | None = None,
+    **options: Any,
+) -> Benchmark:
+    """Compare solvers on the same random reachable targets, one thread, each call timed from Python.
+
+    robots: one or several, loaded or by name. solvers: names, classes or instances; default: every registered one that
+    applies. targets: number a robot, poses of random configurations inside the limits. start: 'none' (each solver's own
+    choice), 'home', 'random', or 'near' (within 0.1 rad or m of a solution, each joint). task: 'pose' or 'position'; default
+    poses for six joints and more. executor: anything with the concurrent.futures interface, instead of this process; the
+    times are then of the workers. progress(done, all) counts blocks. Options: as for `solve`, given to every solver that
+    takes them. A solver that does not apply to a robot is listed in `skipped` with the reason. Raises RobotNotFound,
+    UnknownSolver, InvalidOption.
+    """
+    if start not in STARTS:
+        raise InvalidOption(f"start must be one of {', '.join(STARTS)}, not {start!r}.{near_match(str(start), STARTS)}")
+    if task is not None and task not in TASKS:
+        raise InvalidOption(f"task must be pose or position, not {task!r}.{near_match(str(task), TASKS)}")
+    if isinstance(targets, bool) or int(targets) != targets or targets < 1:
+        raise InvalidOption(f"targets must be a whole number of at least 1, not {targets!r}")
+    arms = [robots] if isinstance(robots, Robot | str) else list(robots)
+    arms = [Robot.load(arm) if isinstance(arm, str) else arm for arm in arms]
+    asked = [row.name for row in ROWS] if solvers is None else list(solvers)
+    if not arms or not asked:
+        raise InvalidOption("a benchmark takes at least one robot and one solver")
+    rows: list[BenchmarkRow] = []
+    skipped: dict[tuple[str, str], str] = {}
+    last: IKError | None = None
+    for number, arm in enumerate(arms):
+        kind = task or ("pose" if arm.n >= 6 else "position")
+        T, Q0 = problems(arm, int(targets), kind, start, seed)
+        bound: dict[str, Solver] = {}
+        for solver in asked:
+            try:
+                one = Solver(arm, solver, **options)
+                one(T[0], None if Q0 is None else Q0[0])  # compiles
+            except IKError as error:
+                if solvers is not None and not isinstance(error, InvalidOption):
+                    raise
+                skipped[arm.name, getattr(solver, "__name__", str(solver))] = str(error)
+                last = error
+                continue
+            name = one.name if one.name not in bound else f"{one.name} #{len(bound) + 1}"
+            bound[name] = one
+        parts: dict[str, list[np.ndarray]] = {name: [] for name in bound}
+        edges = np.linspace(0, len(T), min(BLOCKS, len(T)) + 1).astype(int)
+        jobs = [
+            (name, solver, T[a:b], None if Q0 is None else Q0[a:b])
+            for a, b in pairwise(edges)
+            for name, solver in bound.items()
+        ]
+        futures = [executor.submit(run_block, *job[1:]) for job in jobs] if executor is not None else None
+        for k, job in enumerate(jobs):
+            parts[job[0]].append(futures[k].result() if futures is not None else run_block(*job[1:]))
+            if progress is not None:
+                progress(number * len(jobs) + k + 1, len(arms) * len(jobs))
+        rows += [summary(arm.name, name, kind, np.concatenate(parts[name])) for name in bound]
+    if last is not None and not rows:  # nothing applies: more likely a wrong option than a wrong robot
+        raise last
+    return Benchmark(tuple(rows), skipped, int(targets), start, seed, dict(options))
+
+
+def problems(robot: Robot, count: int, task: str, start: str, seed: int) -> tuple[np.ndarray, np.ndarray | None]:
+    """Targets (N, 4, 4) or (N, 3) [m] and starts (N, n) [rad or m], None for each solver's own."""
+    rng = np.random.default_rng(seed)
+    Q = np.array([robot.random_q(rng) for _ in range(count)])
+    T = robot.chain.forward(Q)[0]
+    T = T if task == "pose" else np.ascontiguousarray(T[:, :3, 3])
+    if start == "none":
+        return T, None
+    if start == "home":
+        return T, np.tile(robot.home, (count, 1))
+    if start == "near":
+        return T, np.clip(Q + rng.uniform(-NEAR, NEAR, Q.shape), robot.lower, robot.upper)
+    return T, np.array([robot.random_q(rng) for _ in range(count)])
+
+
+def run_block(solver: Solver, T: np.ndarray, Q0: np.ndarray | None) -> np.ndarray:
+    """Solve a block; rows (m, 7) of seconds, status, iterations, restarts, FK evaluations, position and rotation error."""
+    table = np.empty((len(T), 7))
+    for k, target in enumerate(T):
+        q0 = None if Q0 is None else Q0[k]
+        started = perf_counter()
+        result = solver(target, q0)
+        table[k, 0] = perf_counter() - started
+        error = result.orientation_error
+        table[k, 1:5] = result.status, result.iterations, result.restarts, result.fk_evaluations
+        table[k, 5:] = result.position_error, np.nan if error is None else error
+    return table
+
+
+def summary(robot: str, solver: str, task: str, table: np.ndarray) -> BenchmarkRow:
+    """Statistics of the rows of `run_block`; the arrays kept have the solved targets first."""
+    good = table[:, 1] == Status.CONVERGED
+    solved, count = int(good.sum()), len(table)
+    low, high = wilson(solved, count)
+    numbers, counts = np.unique(table[:, 1], return_counts=True)
+    table = table[np.argsort(~good, kind="stable")]
+    seconds, best = table[:, 0], table[:solved]
+    return BenchmarkRow(
+        robot=robot,
+        solver=solver,
+        task=task,
+        targets=count,
+        solved=solved,
+        low=low,
+        high=high,
+        median=float(np.median(seconds)),
+        mean=float(seconds.mean()),
+        p99=float(np.percentile(seconds, 99)),
+        iterations=float(np.median(table[:, 2])),
+        restarts=float(table[:, 3].mean()),
+        fk_evaluations=float(np.median(table[:, 4])),
+        statuses={Status(int(k)).name: int(c) for k, c in zip(numbers, counts, strict=True)},
+        worst_position_error=float(best[:, 5].max()) if solved else None,
+        worst_orientation_error=float(best[:, 6].max()) if solved and task == "pose" else None,
+        seconds=seconds,
+        iteration_counts=table[:, 2],
+    )

@@ -1,0 +1,256 @@
+"""Benchmark: statistics, schema, what is compared, and the commands that make the published tables."""
+
+import importlib
+import json
+import math
+import subprocess
+import sys
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+import ik_toolkit as ik
+from ik_toolkit.errors import InvalidOption, RobotNotFound, UnknownSolver
+from ik_toolkit.study import benchmark as study
+from ik_toolkit.study.statistics import wilson
+
+SCRIPTS = Path(__file__).resolve().parent.parent / "scripts" / "benchmarks"
+
+
+@pytest.fixture(scope="module")
+def arm():
+    return ik.Robot.load("hydrolek_7w")
+
+
+@pytest.fixture
+def scripts(monkeypatch):
+    monkeypatch.syspath_prepend(str(SCRIPTS))
+    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "RAYON_NUM_THREADS"):
+        monkeypatch.setenv(name, "1")  # the scripts set these; put back afterwards
+    return importlib.import_module
+
+
+@pytest.mark.parametrize(
+    "successes, trials, low, high",
+    [(81, 263, 0.2553, 0.3662), (15, 148, 0.0624, 0.1605), (0, 20, 0.0, 0.1611), (1, 29, 0.0061, 0.1718)],
+)
+def test_wilson_published_examples(successes, trials, low, high):
+    """Newcombe (1998), Table I, method 3."""
+    assert wilson(successes, trials) == pytest.approx((low, high), abs=5e-5)
+
+
+def test_wilson_solves_its_equation():
+    """The ends p fulfil (share - p)^2 = z^2 p (1 - p) / N."""
+    for successes, trials in ((3, 10), (999, 1000), (50, 100)):
+        for p in wilson(successes, trials):
+            assert (successes / trials - p) ** 2 == pytest.approx(1.959963984540054**2 * p * (1 - p) / trials, rel=1e-9)
+    assert wilson(0, 0) == (0.0, 1.0)
+    assert wilson(7, 7)[1] == 1.0 and wilson(0, 7)[0] == 0.0
+
+
+def test_summary_counts_what_it_is_given():
+    """Made-up rows: seconds, status, iterations, restarts, FK evaluations, errors."""
+    table = np.array(
+        [
+            [4e-6, 1, 30, 5, 31, 0.5, 0.4],
+            [1e-6, 0, 4, 0, 5, 1e-7, 3e-7],
+            [2e-6, 0, 6, 1, 8, 2e-7, 1e-7],
+            [3e-6, 3, 30, 0, 31, 0.1, 0.1],
+        ]
+    )
+    row = study.summary("arm", "lm", "pose", table)
+    assert (row.targets, row.solved, row.statuses) == (4, 2, {"CONVERGED": 2, "STALLED": 1, "LIMIT_BLOCKED": 1})
+    assert (row.median, row.mean) == pytest.approx((2.5e-6, 2.5e-6))
+    assert (row.iterations, row.restarts, row.fk_evaluations) == (18, 1.5, 19.5)
+    assert (row.worst_position_error, row.worst_orientation_error) == (2e-7, 3e-7)
+    assert (row.low, row.high) == wilson(2, 4)
+    assert row.seconds[:2].tolist() == [1e-6, 2e-6]  # the solved ones first
+    nothing = study.summary("arm", "lm", "pose", table[[0, 3]])
+    assert nothing.worst_position_error is None and nothing.solved == 0
+
+
+def test_problems_are_reachable_and_starts_are_what_they_are_called(arm):
+    T, none = study.problems(arm, 50, "pose", "none", 3)
+    assert none is None
+    again, near = study.problems(arm, 50, "pose", "near", 3)
+    assert (T == again).all()
+    assert ((near >= arm.lower) & (near <= arm.upper)).all()
+    solver = ik.Solver(arm)
+    assert all(np.abs(solver(t, q).q - q).max() <= 2 * study.NEAR for t, q in zip(T[:5], near, strict=False))
+    positions, home = study.problems(arm, 50, "position", "home", 3)
+    assert (positions == T[:, :3, 3]).all() and (home == arm.home).all()
+    _, random = study.problems(arm, 50, "pose", "random", 3)
+    assert np.abs(random - near).max() > 0.5 and ((random >= arm.lower) & (random <= arm.upper)).all()
+
+
+def test_rows_and_what_is_left_out(arm):
+    seen = []
+    found = ik.benchmark(
+        [arm, "planar_2r"], ["lm", "planar-2r", "newton"], targets=12, progress=lambda *k: seen.append(k)
+    )
+    assert [(row.robot, row.solver, row.task) for row in found.rows] == [
+        ("hydrolek_7w", "lm", "pose"),
+        ("hydrolek_7w", "newton", "pose"),
+        ("planar_2r", "lm", "position"),
+        ("planar_2r", "planar-2r", "position"),
+        ("planar_2r", "newton", "position"),
+    ]
+    assert set(found.skipped) == {("hydrolek_7w", "planar-2r")}
+    for row in found.rows:
+        assert row.targets == 12 == sum(row.statuses.values()) == len(row.seconds)
+        assert row.solved == row.statuses.get("CONVERGED", 0)
+        assert 0 < row.median <= row.p99 and row.low <= row.solved / 12 <= row.high
+    assert found.rows[0].solved == 12 and found.rows[0].worst_position_error <= 1e-6
+    assert seen[-1][0] == seen[-1][1]
+    text = json.loads(json.dumps(found.to_dict(), allow_nan=False))
+    assert text["rows"][0]["solver"] == "lm" and text["skipped"][0]["solver"] == "planar-2r"
+
+
+def test_options_reach_the_solvers(arm):
+    few = ik.benchmark(arm, ["lm"], targets=20, max_iterations=1, restarts=0).rows[0]
+    assert few.solved < 20 and few.iterations <= 1
+    loose = ik.benchmark(arm, ["lm"], targets=20, tolerance=1e-2).rows[0]
+    assert 1e-6 < loose.worst_position_error <= 1e-2
+
+
+def test_instances_and_twins(arm):
+    found = ik.benchmark(arm, [ik.DLS(damping=1e-3), ik.DLS(damping=0.5)], targets=20, max_iterations=50)
+    assert [row.solver for row in found.rows] == ["dls", "dls #2"]
+    assert found.rows[0].iterations < found.rows[1].iterations
+
+
+def test_executor_gives_the_same_answers(arm):
+    alone = ik.benchmark(arm, ["lm", "dls"], targets=30, seed=4)
+    with ThreadPoolExecutor(2) as pool:
+        shared = ik.benchmark(arm, ["lm", "dls"], targets=30, seed=4, executor=pool)
+    for a, b in zip(alone.rows, shared.rows, strict=True):
+        assert (a.solved, a.iterations, a.restarts, a.statuses) == (b.solved, b.iterations, b.restarts, b.statuses)
+        assert (a.iteration_counts == b.iteration_counts).all()
+
+
+@pytest.mark.parametrize(
+    "arguments, error, words",
+    [
+        ({"start": "nere"}, InvalidOption, "near"),
+        ({"task": "poses"}, InvalidOption, "pose"),
+        ({"targets": 0}, InvalidOption, "targets"),
+        ({"targets": 2.5}, InvalidOption, "targets"),
+        ({"solvers": ["ml"]}, UnknownSolver, "lm"),
+        ({"solvers": []}, InvalidOption, "at least one"),
+        ({"robots": "hydrolek"}, RobotNotFound, "hydrolek_7w"),
+    ],
+)
+def test_mistakes_are_named(arm, arguments, error, words):
+    with pytest.raises(error, match=words):
+        ik.benchmark(**{"robots": arm, "solvers": ["lm"], "targets": 2, **arguments})
+
+
+def test_an_unknown_option_is_the_callers_mistake(arm):
+    with pytest.raises(InvalidOption, match="tolerance"):
+        ik.benchmark(arm, ["lm"], targets=2, tolerence=1e-3)
+
+
+def test_plot(arm, tmp_path):
+    pytest.importorskip("matplotlib")
+    found = ik.benchmark(arm, ["lm"], targets=5)
+    found.plot(tmp_path / "times.svg")
+    drawn = (tmp_path / "times.svg").read_text(encoding="utf-8")
+    assert all(f"<!-- {text} -->" in drawn for text in ("hydrolek_7w", "lm"))
+
+
+def test_command(tmp_path):
+    from ik_toolkit.cli import application
+
+    run = CliRunner().invoke(
+        application(),
+        ["bench", "hydrolek_7w", "--solvers", "lm,dls", "--targets", "10", "-o", str(tmp_path / "b.json")],
+    )
+    assert run.exit_code == 0 and "dls" in run.output
+    written = json.loads((tmp_path / "b.json").read_text(encoding="utf-8"))
+    assert [row["solver"] for row in written["rows"]] == ["lm", "dls"] and written["rows"][0]["targets"] == 10
+    run = CliRunner().invoke(application(), ["bench", "hydrolek_7w", "--solvers", "ml", "--targets", "2"])
+    assert isinstance(run.exception, UnknownSolver)
+
+
+# ------------------------------------------------------------------------------------- the commands of scripts/benchmarks
+def test_serial_urdf_is_the_same_arm(scripts):
+    """What the peers are given has the kinematics and limits of the robot, continuous joints apart."""
+    common = scripts("common")
+    brokk = ik.Robot.load("brokk_hydrolek", tip="left_tip")
+    rng = np.random.default_rng(0)
+    for robot in (ik.Robot.load("hydrolek_7w"), brokk):
+        arm = ik.Robot.load(common.serial_urdf(robot), base=robot.base, tip=robot.tip)
+        assert arm.joint_names == robot.joint_names
+        assert arm.model.njoints == arm.n + 1
+        bounded = np.isfinite(robot.lower)
+        assert (arm.lower[bounded] == robot.lower[bounded]).all() and (arm.upper[bounded] == robot.upper[bounded]).all()
+        assert arm.lower[~bounded] == pytest.approx(-2 * math.pi)
+        for _ in range(5):
+            q = arm.random_q(rng)
+            assert arm.fk(q).homogeneous == pytest.approx(robot.fk(q).homogeneous, abs=1e-12)
+
+
+def test_checker_is_not_fooled(scripts, arm):
+    """An answer counts by Pinocchio, inside limits; the right one of several, and full turns, are accepted."""
+    solve = scripts("solve")
+    rng = np.random.default_rng(0)
+    Q = np.array([arm.random_q(rng) for _ in range(6)])
+    T = arm.chain.forward(Q)[0]
+    answers = np.full((6, 2, arm.n), np.nan)
+    answers[:, 0] = Q
+    answers[1, 0, 0] += 1e-4  # off
+    answers[2, 0] = np.nan  # none
+    answers[3] = Q[0], Q[3]  # the second one is right
+    answers[4, 0, 5] += 2 * math.pi  # the same pose, a turn away
+    outside = arm.upper + 0.1
+    answers[5, 0], T[5] = outside, arm.chain.forward(outside[None])[0][0]
+    assert solve.right(arm, answers, T, (1e-6, 1e-6)).tolist() == [True, False, False, True, True, False]
+
+
+def test_axes_given_to_analytic_peers(scripts, arm, tmp_path):
+    """Product of exponentials of H and P is the tip, so that a peer told of axes solves the same arm."""
+    solve = scripts("solve")
+    s = solve.describe(arm, tmp_path)
+    q = arm.random_q(np.random.default_rng(1))
+    R, p = np.eye(3), np.array(s["P"][0])
+    for h, offset, angle in zip(s["H"], s["P"][1:], q, strict=True):
+        R = R @ solve.pin.exp3(np.array(h) * angle)
+        p = p + R @ offset
+    reached = arm.fk(q)
+    assert p == pytest.approx(reached.translation, abs=1e-12)
+    assert R @ np.array(s["R_tip"]) == pytest.approx(reached.rotation, abs=1e-12)
+
+
+def test_quaternion_and_turns_of_the_worker(scripts):
+    worker, pin = scripts("worker"), scripts("solve").pin
+    rng = np.random.default_rng(0)
+    for _ in range(20):
+        T = np.eye(4)
+        T[:3, :3] = pin.exp3(rng.normal(size=3) * 2)
+        x, y, z, w = worker.quaternion_xyzw(T)
+        assert pin.Quaternion(w, x, y, z).toRotationMatrix() == pytest.approx(T[:3, :3], abs=1e-12)
+    lower, upper = np.array([-1.0, -1.0, -4.0]), np.array([1.0, 1.0, 4.0])
+    assert worker.wrapped(np.array([6.3, 0.5, -9.0]), lower, upper) == pytest.approx(
+        [6.3 - 2 * math.pi, 0.5, -9.0 + 2 * math.pi]
+    )
+
+
+def test_one_small_run_against_a_process_of_its_own(tmp_path):
+    """The whole way with our own solvers as the peers: processes, blocks, checks, tables."""
+    output = tmp_path / "solve.json"
+    command = [
+        sys.executable, str(SCRIPTS / "solve.py"), "--venvs", str(tmp_path), "--robots", "hydrolek_7w", "--peers", "ik",
+        "ik_q0", "--against", "ik_q0", "--targets", "20", "--blocks", "2", "--starts", "near", "--tolerances", "strict",
+        "-o", str(output),
+    ]  # fmt: skip
+    subprocess.run(command, check=True, capture_output=True)
+    written = json.loads(output.read_text(encoding="utf-8"))
+    (run,) = written["runs"]
+    assert run["refused"] == {} and set(run["rows"]) == {"ik", "ik_q0"}
+    assert run["rows"]["ik"]["solved"] == run["rows"]["ik"]["targets"] == 20
+    assert run["rows"]["ik_q0"]["faster"]["wall"]["median"] == 1.0
+    assert "| `ik` |" in output.with_suffix(".md").read_text(encoding="utf-8")
+    assert str(tmp_path) not in json.dumps({**written, "command": ""})
