@@ -5,7 +5,7 @@ import multiprocessing
 
 import numpy as np
 import pytest
-from robots import load, sample
+from robots import have_data, load, sample
 
 import ik_toolkit as ik
 from ik_toolkit.errors import InvalidConfiguration, InvalidOption, InvalidTarget, UnknownSolver
@@ -218,6 +218,19 @@ def test_a_chain_reports_flips_and_steps_over_what_it_cannot_solve():
     assert path.status.tolist() == [0, 0, ik.Status.UNREACHABLE, 0, 0]
     assert np.isnan(path.moves[2]) and path.moves[3] == 0.0 and path.flips.tolist() == [4]
     assert ik.solve_batch(robot, up[None]).flips is None
+
+
+@pytest.mark.skipif(not have_data(), reason="example-robot-data is not installed")
+def test_a_chain_that_has_to_jump_takes_the_nearest_of_several():
+    """The arm runs into a limit on this path; the next descent would end 5 rad away."""
+    robot = load("panda")
+    end = sample(robot, 2)[0][1]
+    T = [robot.fk(q) for q in robot.home + np.linspace(0, 1, 1000)[:, None] * (end - robot.home)]
+    path = ik.solve_batch(robot, T, "lm", chain=True, q0=robot.home)
+    assert path.success.all() and len(path.flips) == 0
+    alone = ik.Solver(robot, "lm")
+    jumps = [np.abs(alone(T[k], path.q[k - 1]).q - path.q[k - 1]).max() for k in range(1, len(T))]
+    assert max(jumps) > 3.0
 
 
 # ------------------------------------------------------------------------------------------------------------- executors

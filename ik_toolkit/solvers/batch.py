@@ -255,9 +255,14 @@ def _in_order(submit: Callable[[Job], Any], jobs: Iterator[Job], ahead: int) -> 
 
 
 def _on_a_chain(solver: Solver, jobs: Iterator[Job], every: int) -> Iterator[np.ndarray]:
-    """Each target from the answer before it; parts end after SLICE, so that an interrupt loses little."""
+    """Each target from the answer before it; parts end after SLICE, so that an interrupt loses little.
+
+    Where the answer is far from the one before, the nearest of several is looked for instead.
+    """
     last = start = None
-    unit = solver.robot.chain.unit
+    near = None
+    if not (solver.row.closed or solver.options.closest):
+        near = Solver(solver.robot, solver.rule, **{**solver.options.__dict__, "closest": True})
     for part, q0, first in jobs:
         T, kind = _poses(part)
         out = np.zeros((len(T), OUT_HEAD + solver.robot.n))
@@ -265,19 +270,29 @@ def _on_a_chain(solver: Solver, jobs: Iterator[Job], every: int) -> Iterator[np.
         for k in range(len(T)):
             if start is None and q0 is not None:
                 start = _starts(solver, q0, first)
-            row = out[k : k + 1]
-            _solve_rows(
-                solver, T[k : k + 1], solver._home if start is None else start, start is not None, kind, row, first + k
-            )
-            q = row[:, OUT_HEAD:]
-            solved = row[0, R_STATUS] == Status.CONVERGED
-            row[0, R_MOVE] = np.nan if not solved else 0.0 if last is None else np.abs((q - last) / unit).max()
-            if solved:
-                last = start = q.copy()
+            row, target = out[k : k + 1], T[k : k + 1]
+            given = start is not None
+            _solve_rows(solver, target, start if given else solver._home, given, kind, row, first + k)
+            move = _move(solver, row, last)
+            if move > JUMP and near is not None:
+                other = row.copy()
+                _solve_rows(near, target, start, True, kind, other, first + k)
+                if _move(solver, other, last) < move:
+                    row[:], move = other, _move(solver, other, last)
+            row[0, R_MOVE] = move
+            if row[0, R_STATUS] == Status.CONVERGED:
+                last = start = row[:, OUT_HEAD:].copy()
             if k + 1 == len(T) or perf_counter() - began > SLICE:
                 _confirm(solver, T[a : k + 1], kind, out[a : k + 1], first + a, every)
                 yield out[a : k + 1]
                 a, began = k + 1, perf_counter()
+
+
+def _move(solver: Solver, row: np.ndarray, last: np.ndarray | None) -> float:
+    """Largest joint move of an answer (1, 8 + n) from the one before; NaN when it is none, 0 when it is the first."""
+    if row[0, R_STATUS] != Status.CONVERGED:
+        return np.nan
+    return 0.0 if last is None else float(np.abs((row[:, OUT_HEAD:] - last) / solver.robot.chain.unit).max())
 
 
 def _whole(name: str, value: Any) -> int:
@@ -387,11 +402,11 @@ def solve_batch(
     targets: (N, 4, 4) poses or (N, 3) positions [m], a list of poses, or an iterator of arrays of these shapes. q0: None (home
     and seed table), (n,) for all, or (N, n). threads: default all cores. executor: anything with the concurrent.futures
     interface (a process pool, a Dask client's `get_executor()`) instead of threads. chain: ordered waypoints, each solved from
-    the answer before it; q0 (n,) is where the first starts. check: fraction of the answers to check again with Pinocchio.
-    progress(done) is called as parts finish. Options and parameters as for `solve`. Without chain each target is solved as if
-    alone, so the answers do not depend on threads, workers or order. Ctrl-C raises BatchInterrupted, a KeyboardInterrupt whose
-    `result` holds the targets finished. Raises InvalidTarget and InvalidConfiguration (naming the target), UnknownSolver,
-    InvalidOption.
+    the answer before it, the nearest of several where that jumps; q0 (n,) is where the first starts. check: fraction of the
+    answers to check again with Pinocchio. progress(done) is called as parts finish. Options and parameters as for `solve`.
+    Without chain each target is solved as if alone, so the answers do not depend on threads, workers or order (on one kind
+    of CPU). Ctrl-C raises BatchInterrupted, a KeyboardInterrupt whose `result` holds the targets finished. Raises
+    InvalidTarget and InvalidConfiguration (naming the target), UnknownSolver, InvalidOption.
     """
     known = _known(targets)
     parts = solve_parts(
