@@ -18,6 +18,8 @@ from ik_toolkit.kernel.chain import forward  # noqa: E402
 from ik_toolkit.kernel.loop import OUT_HEAD  # noqa: E402
 from ik_toolkit.kernel.task import POSE  # noqa: E402
 
+UNREACHABLE = "`ik.solve` from Python: a target proven out of reach"
+
 
 def works(name: str, count: int, rng: np.random.Generator) -> dict[str, tuple[Callable[[], object], float]]:
     """Row -> (work, how many it does)."""
@@ -26,7 +28,7 @@ def works(name: str, count: int, rng: np.random.Generator) -> dict[str, tuple[Ca
     Q, T = common.random_targets(robot, count, rng)
     chain, model, data = robot.chain, robot.model, robot.model.createData()
     poses, J, none = np.empty((count, 4, 4)), np.empty((count, 6, robot.n)), np.empty((0, 6, robot.n))
-    frame = model.getFrameId(robot.tip)
+    frame = model.getFrameId(robot.tip, pin.FrameType.BODY)
     solver = ik.Solver(robot)
     out = np.empty((count, OUT_HEAD + robot.n))
     options = solver.pack(POSE, False)
@@ -56,9 +58,16 @@ def works(name: str, count: int, rng: np.random.Generator) -> dict[str, tuple[Ca
             J = pin.getFrameJacobian(model, data, frame, pin.LOCAL)
             pin.integrate(model, q, J.T @ np.linalg.solve(J @ J.T + 1e-9 * np.eye(6), error))
 
+    far = T.copy()
+    far[:, :3, 3] *= (2.0 * robot.reach / np.linalg.norm(T[:, :3, 3], axis=1))[:, None]
+
     def python_solve() -> None:
         for target in targets:
             solver(target)
+
+    def unreachable() -> None:
+        for target in far:
+            assert ik.solve(robot, target).status == ik.Status.UNREACHABLE
 
     return {
         "kernel: FK": (lambda: forward(chain.rows, chain.ends, Q, chain.unit, poses, none), count),
@@ -66,6 +75,7 @@ def works(name: str, count: int, rng: np.random.Generator) -> dict[str, tuple[Ca
         "kernel: one iteration of `lm` (all in)": (solve, iterations),
         "kernel: one solve": (solve, count),
         "bound solver from Python: one solve": (python_solve, count),
+        UNREACHABLE: (unreachable, count),
         "Pinocchio from Python: FK": (pinocchio_fk, count),
         "Pinocchio from Python: FK + Jacobian": (pinocchio_jacobian, count),
         "Pinocchio from Python: one damped iteration": (pinocchio_step, count),

@@ -18,6 +18,7 @@ from types import SimpleNamespace
 import numpy as np
 
 CAP = 0.05  # s; restarts added here, and time budgets of peers that have one, end then
+WARM = 5  # solves at the head of a block before its clock runs: the caches are cold after the other processes' turns
 STEPS = 50  # steps an attempt, for peers that offer single steps
 
 
@@ -272,6 +273,11 @@ def solve(call, read, n, source, destination):
         targets, starts = list(data["T"]), list(data["Q"])
     seconds, processor = np.empty(len(targets)), np.empty(len(targets))
     answers = []
+    for T, q0 in list(zip(targets, starts, strict=True))[:WARM]:
+        try:
+            call(T, q0)
+        except Exception:  # it is counted when it is timed
+            pass
     for k, (T, q0) in enumerate(zip(targets, starts, strict=True)):
         busy = process_time()
         started = perf_counter()

@@ -1,0 +1,172 @@
+"""Put the tables that the other commands wrote into one page, docs/benchmarks.md.
+
+python scripts/benchmarks/page.py docs/data -o docs/benchmarks.md
+
+Reads benchmark_solve.json, benchmark_success.json, benchmark_batch.json, benchmark_kernel.json and benchmark_joints.json
+from the folder given; those that are missing are left out.
+"""
+
+import argparse
+import json
+from pathlib import Path
+from typing import Any
+
+import common
+from kernel import UNREACHABLE
+
+HEAD = """\
+<!-- Written by scripts/benchmarks/page.py from docs/data/benchmark_*.json: run the commands again instead of editing. -->
+# Benchmarks
+
+Every number on this page was written by a command of `scripts/benchmarks/`; the commands stand above their tables, and
+the same data as JSON in `docs/data/`. Times are of one machine: read them as ratios within one run, which is how the
+comparison is made. Targets are poses of random configurations inside the joint limits, so all of them can be reached.
+"""
+SOLVE = """\
+Every solver runs in a process and a virtual environment of its own and gets the same targets, starts and tolerances, a
+block at a time in turn. The worker times each call from Python, with reading the joint values from the answer; failures
+count. An answer counts when Pinocchio finds it inside the limits and both tolerances; full turns are forgiven, and of an
+analytic solver's answers one has to be right. All robots are given as a serial URDF with continuous joints limited to two
+turns either way. Slow solvers get the first few targets only; their ratio is taken on these.
+"""
+
+
+def machine(data: dict[str, Any]) -> str:
+    """One line on where and with what a run was made."""
+    parts = dict(data["machine"])
+    text = f"{parts.pop('cpu')}, {parts.pop('cores')} cores, {parts.pop('system')}; "
+    text += ", ".join(f"{name} {version}" for name, version in parts.items())
+    load = data.get("load_average")
+    if load:
+        text += f". Load average before and after: {load[0]} and {load[1]} (the benchmark itself makes about 1)"
+    return text + "."
+
+
+def mark(met: bool) -> str:
+    return "yes" if met else "**no**"
+
+
+def aims(found: dict[str, dict[str, Any]]) -> list[list[str]]:
+    """Rows (aim, measured, met) of what this project set out to reach."""
+    rows = []
+    if "success" in found:
+        for r in found["success"]["rows"]:
+            share = r["solved"] / r["targets"]
+            rows.append(
+                [f"{r['robot']}: 99.99 % of {r['targets']:,} targets", common.percent(r), mark(share >= 0.9999)]
+            )
+        big = found["success"].get("million")
+        if big:
+            wrong = big["pinocchio"]["not_confirmed"]
+            text = f"{big['solved']:,} of {big['targets']:,}; {wrong} of {big['pinocchio']['checked']:,} not confirmed"
+            rows.append(["1,000,000 Panda targets, 1 % checked by Pinocchio", text, mark(not wrong)])
+            growth = big["peak_at_end"] - big["peak_at_quarter"]
+            rows.append(["the same from an iterator: memory flat", f"{growth / 1e6:+.1f} MB", mark(growth < 50e6)])
+    if "solve" in found:
+        runs = {(r["robot"], r["start"], r["tolerance"]): r["rows"] for r in found["solve"]["runs"]}
+        for robot, least, tail in (("panda", 12, 20), ("ur5", 6, None), ("kinova", 6, None)):
+            rows += faster(runs.get((robot, "random", "strict"), {}), robot, least, tail)
+        strict = runs.get(("ur5", "random", "strict"), {})
+        if {"ik", "eaik"} <= strict.keys():
+            for key in ("median", "mean"):
+                ours, theirs = strict["ik"]["wall"][key], strict["eaik"]["wall"][key]
+                text = f"{ours:.2f} us against {theirs:.2f} us"
+                rows.append([f"ur5: {key} faster than EAIK (its all answers)", text, mark(ours < theirs)])
+        for (robot, start, tolerance), run in runs.items():
+            if start == "near" and tolerance == "strict" and {"ik", "cartan"} <= run.keys():
+                ours, theirs = run["ik"]["wall"]["median"], run["cartan"]["wall"]["median"]
+                text = f"{ours:.2f} us; cartan {theirs:.2f} us"
+                rows.append(
+                    [
+                        f"{robot}: near start, median at most 5 us, faster than cartan",
+                        text,
+                        mark(ours <= 5 and ours < theirs),
+                    ]
+                )
+        worst = max(
+            (
+                (run["ik.solve"]["wall"]["median"], key[0])
+                for key, run in runs.items()
+                if "ik.solve" in run and key[1] == "random"
+            ),
+            default=None,
+        )
+        if worst:
+            text = f"{worst[0]:.1f} us ({worst[1]}, the slowest)"
+            rows.append(["`ik.solve` with everything on, median at most 25 us", text, mark(worst[0] <= 25)])
+    if "batch" in found:
+        for r in found["batch"]["rows"]:
+            if r["targets"] == 100_000 and r["threads"] == 2:
+                text = f"{r['per_second']:,.0f} a second, best run {r['best_per_second']:,.0f}"
+                rows.append(
+                    [f"{r['robot']}: batch of 100,000 on 2 cores, 400,000 a second", text, mark(r["per_second"] >= 4e5)]
+                )
+        most = max(r["memory"] for r in found["batch"]["rows"]) / 1e6
+        rows.append(["memory of a batch beyond input and output, under 50 MB", f"{most:.1f} MB", mark(most < 50)])
+    if "kernel" in found:
+        most = max(found["kernel"]["median_ns"][UNREACHABLE].values()) / 1e3
+        rows.append(
+            ["target proven out of reach, answered in 200 us", f"{most:.0f} us (slowest robot)", mark(most <= 200)]
+        )
+    return rows
+
+
+def faster(run: dict[str, Any], robot: str, least: float, tail: float | None) -> list[list[str]]:
+    """Rows of the comparison with the Robotics Toolbox, by the clock and by processor time."""
+    if "faster" not in run.get("ik", {}) or "rtb" not in run:
+        return []
+    rows = []
+    for key, name, bound in (("median", "median", least), ("p99", "99th percentile", tail)):
+        if bound is None:
+            continue
+        wall, processor = (run["ik"]["faster"][clock][key] for clock in ("wall", "processor"))
+        text = f"{wall:.1f} times ({run['ik']['wall'][key]:.1f} against {run['rtb']['wall'][key]:.0f} us)"
+        text += f"; processor time {processor:.1f} times"
+        rows.append([f"{robot}: {name} {bound} times faster than `ik_LM(k=0.1)`", text, mark(wall >= bound)])
+    return rows
+
+
+def section(title: str, data: dict[str, Any] | None, about: str = "") -> list[str]:
+    """Heading, command, machine and tables of one file."""
+    if data is None:
+        return []
+    parts = [f"## {title}", about.strip(), f"```\n{data['command']}\n```", machine(data)]
+    return [part for part in parts if part] + [data["tables"].strip()]
+
+
+def solvers(data: dict[str, Any]) -> str:
+    """Table of who is compared."""
+    rows = [[f"`{key}`", about, data["versions"].get(key, "")] for key, about in data["peers"].items()]
+    return common.table(["solver", "what", "version"], rows).replace("---:", "---")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folder", type=Path, help="folder with the JSON files")
+    parser.add_argument("-o", "--output", type=Path, default=Path("docs/benchmarks.md"))
+    given = parser.parse_args()
+    found = {}
+    for name in ("solve", "success", "batch", "kernel", "joints"):
+        path = given.folder / f"benchmark_{name}.json"
+        if path.exists():
+            found[name] = json.loads(path.read_text(encoding="utf-8"))
+    parts = [HEAD.strip()]
+    rows = aims(found)
+    if rows:
+        parts += [
+            "## Aims and results",
+            common.table(["aim (1e-6 m and rad, no starting guess, one thread)", "measured", "met"], rows),
+        ]
+    if "solve" in found:
+        parts += section("One solve, against others", found["solve"], SOLVE)[:-1]
+        parts += [solvers(found["solve"]), found["solve"]["tables"].strip()]
+    parts += section("Success", found.get("success"))
+    parts += section("Batch", found.get("batch"))
+    parts += section("Building blocks", found.get("kernel"))
+    parts += section("Number of joints", found.get("joints"))
+    given.output.parent.mkdir(parents=True, exist_ok=True)
+    given.output.write_text("\n\n".join(parts) + "\n", encoding="utf-8")
+
+
+if __name__ == "__main__":
+    main()
