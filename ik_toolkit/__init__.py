@@ -38,6 +38,8 @@ _NAMES = {
     "lissajous": "tracking.reference",
     "waypoints": "tracking.reference",
     "reference_from_file": "tracking.reference",
+    "tune": "study.tune",
+    "workspace": "study.workspace",
     "best_gains": "tracking.stability",
     "check_gains": "tracking.stability",
     "IKError": "errors",

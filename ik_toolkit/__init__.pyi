@@ -22,6 +22,8 @@ from .solvers.solve import Solver as Solver
 from .solvers.solve import solve as solve
 from .solvers.solve_all import solve_all as solve_all
 from .study.benchmark import benchmark as benchmark
+from .study.tune import tune as tune
+from .study.workspace import workspace as workspace
 from .tracking.reference import Reference as Reference
 from .tracking.reference import circle as circle
 from .tracking.reference import line as line

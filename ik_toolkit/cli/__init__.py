@@ -19,6 +19,8 @@ MODULES = (
     "reproduce",
     "solvers",
     "bench",
+    "tune",
+    "workspace",
     "files",
     "view",
     "doctor",

@@ -20,7 +20,10 @@ UNITS = {"si": (1.0, 1.0), "mm-deg": (1000.0, np.pi / 180.0)}  # per metre of er
 HEAD = 4  # states, maps, whether there is a D, whether the map is chosen anew in every step
 MAPS = 128  # starts of the designed solver
 SAMPLES = 4096  # configurations they are picked from
-SPREAD, RADIUS = 0.15, 0.3  # Jacobians are averaged over +- this share of a joint's range, at most so many rad (or reaches)
+SPREAD, RADIUS = (
+    0.15,
+    0.3,
+)  # Jacobians are averaged over +- this share of a joint's range, at most so many rad (or reaches)
 DAMPING = 0.1
 LOOP_GAIN = {True: 0.9, False: 0.6}  # kappa at a start, for positions and for poses; the bound of stability is 2
 
@@ -65,7 +68,9 @@ class StateSpace(NamedTuple):
         key = ("state-space design", position_only)
         if key not in cache:
             starts = spread_starts(robot, position_only, MAPS)
-            cache[key] = StateSpace(D=LOOP_GAIN[position_only] * inverse_maps(robot, starts, position_only), starts=starts)
+            cache[key] = StateSpace(
+                D=LOOP_GAIN[position_only] * inverse_maps(robot, starts, position_only), starts=starts
+            )
         return cache[key]
 
     def start_table(self, robot: Any, position_only: bool) -> np.ndarray | None:
@@ -126,7 +131,9 @@ def _maps(maps: Any, count: int, rows: int, name: str, position_only: bool) -> n
     if array.ndim == 3 and len(array) != count:
         raise InvalidOption(f"state-space: {name} holds {len(array)} maps, and there are {count} starts")
     if array.shape[-1] == 3 and not position_only:
-        raise InvalidOption(f"state-space: {name} has three columns, so it solves positions; a pose needs {name} ({rows}, 6)")
+        raise InvalidOption(
+            f"state-space: {name} has three columns, so it solves positions; a pose needs {name} ({rows}, 6)"
+        )
     return np.broadcast_to(array, (count, rows, array.shape[-1]))
 
 

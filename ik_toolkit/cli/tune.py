@@ -1,0 +1,153 @@
+"""`ik tune`: search a solver's parameters for a robot and write them as a preset."""
+
+import importlib.util
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from ..errors import InvalidOption, MissingExtra
+from .common import (
+    Base,
+    Deg,
+    Json,
+    Lock,
+    PackageDir,
+    RobotArg,
+    Tip,
+    compile_notice,
+    facts,
+    load_robot,
+    notice,
+    show,
+    write_json,
+)
+
+SolverArg = Annotated[str, typer.Argument(metavar="SOLVER", help="state-space, pid, or one with a gain or a damping.")]
+Method = Annotated[str, typer.Option("-m", "--method", metavar="cma|pso", help="CMA-ES or a particle swarm.")]
+Pose = Annotated[bool, typer.Option("--pose", help="Goals are poses; default: positions.")]
+Maps = Annotated[
+    int | None,
+    typer.Option(
+        metavar="K", help="state-space: K starts, each with its map; 1: as published. Default 32, with --from 1."
+    ),
+]
+From = Annotated[str | None, typer.Option("--from", metavar="PRESET", help="Preset the search starts from.")]
+Goals = Annotated[int, typer.Option(metavar="N", help="Training goals.")]
+HeldOut = Annotated[int, typer.Option(metavar="N", help="Sets of 1000 fresh goals that judge the result.")]
+Generations = Annotated[int, typer.Option(metavar="N", help="Generations at most.")]
+Population = Annotated[int | None, typer.Option(metavar="N", help="Candidates a generation; default: by size.")]
+Seconds = Annotated[float | None, typer.Option(metavar="S", help="Stop the search after so long.")]
+Seed = Annotated[int, typer.Option(metavar="N", help="Seed of the search and of all goals.")]
+Tolerance = Annotated[float, typer.Option(metavar="TOL", help="Both tolerances, in m and rad.")]
+MaxIterations = Annotated[int, typer.Option(metavar="N", help="Steps a solve.")]
+How = Annotated[str, typer.Option("--sample", metavar="joints|volume", help="Goals uniform in joints or in volume.")]
+Out = Annotated[Path | None, typer.Option("-o", "--output", metavar="FILE", help="Preset; default: ROBOT-SOLVER.toml.")]
+Resume = Annotated[bool, typer.Option("--resume", help="Go on from FILE.npz, which every run writes beside FILE.")]
+Plot = Annotated[Path | None, typer.Option(metavar="FILE", help="Draw the convergence to a .png, .pdf or .svg file.")]
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command of this module."""
+    app.command()(tune)
+
+
+def tune(
+    robot: RobotArg,
+    solver: SolverArg,
+    method: Method = "cma",
+    pose: Pose = False,
+    maps: Maps = None,
+    from_: From = None,
+    goals: Goals = 2000,
+    held_out: HeldOut = 10,
+    generations: Generations = 200,
+    population: Population = None,
+    seconds: Seconds = None,
+    seed: Seed = 0,
+    tolerance: Tolerance = 1e-3,
+    max_iterations: MaxIterations = 1000,
+    how: How = "joints",
+    tip: Tip = None,
+    base: Base = None,
+    lock: Lock = None,
+    package_dir: PackageDir = None,
+    deg: Deg = False,
+    as_json: Json = False,
+    output: Out = None,
+    resume: Resume = False,
+    plot: Plot = None,
+) -> None:
+    """Search gains and start configurations of a solver for a robot, and judge them on goals of fresh seeds.
+
+    The result is a preset for ik solve --preset FILE. Ctrl-C keeps the best so far; --resume goes on from there.
+    """
+    arm = load_robot(robot, tip, base, lock, package_dir, deg)
+
+    from ..solvers.registry import find_row
+    from ..study.tune import tune as search
+
+    cls = find_row(solver).load()
+    if from_ is not None and not hasattr(cls, "preset"):
+        raise InvalidOption(f"solver '{solver}' has no presets")
+    if plot is not None and importlib.util.find_spec("matplotlib") is None:
+        raise MissingExtra("matplotlib", "plots")
+    preset = output or Path(f"{Path(robot).stem}-{solver}.toml")
+    if preset.suffix != ".toml":
+        raise InvalidOption(f"a preset is written as .toml, not '{preset.name}'")
+    record = preset.with_suffix(".npz")
+    if not resume:
+        record.unlink(missing_ok=True)
+
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+    columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
+    with compile_notice(), Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task("searching", total=generations)
+        least = float("inf")
+
+        def step(generation: int, costs: Any) -> None:
+            nonlocal least
+            least = min(least, float(costs.min()))
+            bar.update(task, completed=generation, description=f"generation {generation}, cost {least:.4f}")
+
+        result = search(
+            arm,
+            solver,
+            position_only=not pose,
+            method=method,
+            maps=maps,
+            initial=None if from_ is None else cls.preset(from_),
+            goals=goals,
+            held_out=held_out,
+            generations=generations,
+            population=population,
+            seconds=seconds,
+            seed=seed,
+            tolerance=tolerance,
+            max_iterations=max_iterations,
+            how=how,
+            checkpoint=record,
+            progress=step,
+        )
+    result.save(preset)
+    if plot is not None:
+        from ..show.studies import plot_tuning
+
+        plot_tuning(result, plot)
+    write_json({**result.to_dict(), "preset": str(preset)}, as_json)
+    if not as_json:
+        show(
+            facts(
+                {
+                    "before, held out": result.before,
+                    "tuned, training": result.train,
+                    "tuned, held out": result.held_out,
+                    "search": f"{result.method}, {result.evaluations} evaluations, {result.elapsed:.0f} s",
+                    "preset": preset,
+                }
+            )
+        )
+    if result.interrupted:
+        notice(f"interrupted: the best so far is kept; --resume goes on from {record}")

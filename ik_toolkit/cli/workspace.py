@@ -1,0 +1,160 @@
+"""`ik workspace`: the reach of a robot, and where in it solvers succeed."""
+
+from contextlib import nullcontext
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from ..errors import InvalidOption
+from .common import (
+    Base,
+    Deg,
+    Json,
+    Lock,
+    Out,
+    PackageDir,
+    RobotArg,
+    Tip,
+    compile_notice,
+    facts,
+    heading,
+    joint_vector,
+    load_robot,
+    show,
+    table,
+    write_json,
+)
+
+Solvers = Annotated[
+    list[str] | None, typer.Option("-s", "--solver", metavar="NAME", help="May be repeated; default lm.")
+]
+Preset = Annotated[
+    list[str] | None,
+    typer.Option(metavar="SOLVER=PRESET", help="Also solve with a preset: its name, or a file; may be repeated."),
+]
+Goals = Annotated[int, typer.Option("-n", "--goals", metavar="N", help="Number of goals.")]
+How = Annotated[str, typer.Option("--sample", metavar="joints|volume", help="Goals uniform in joints or in volume.")]
+Pose = Annotated[bool, typer.Option("--pose", help="Goals are poses; default: positions.")]
+Seed = Annotated[int, typer.Option(metavar="N", help="Seed of the goals.")]
+Start = Annotated[str | None, typer.Option("--q0", metavar="Q1 Q2 ...", help="Where every solve starts.")]
+Tolerance = Annotated[float, typer.Option(metavar="TOL", help="Both tolerances, in m and rad.")]
+MaxIterations = Annotated[int | None, typer.Option(metavar="N", help="Steps a descent.")]
+Restarts = Annotated[int | None, typer.Option(metavar="N", help="Further descents from other starts.")]
+Csv = Annotated[Path | None, typer.Option("--csv", metavar="FILE", help="Write every goal to a .csv as it is solved.")]
+Workers = Annotated[int | None, typer.Option(metavar="N", help="Processes instead of threads.")]
+Plot = Annotated[Path | None, typer.Option(metavar="FILE", help="Draw the success map to a .png, .pdf or .svg file.")]
+Html = Annotated[Path | None, typer.Option("--html", metavar="FILE", help="Robot and goals as a 3D page, one file.")]
+LISTED = 10
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command of this module."""
+    app.command()(workspace)
+
+
+def workspace(
+    robot: RobotArg,
+    solver: Solvers = None,
+    preset: Preset = None,
+    goals: Goals = 10_000,
+    how: How = "joints",
+    pose: Pose = False,
+    seed: Seed = 0,
+    q0: Start = None,
+    tolerance: Tolerance = 1e-3,
+    max_iterations: MaxIterations = None,
+    restarts: Restarts = None,
+    tip: Tip = None,
+    base: Base = None,
+    lock: Lock = None,
+    package_dir: PackageDir = None,
+    deg: Deg = False,
+    as_json: Json = False,
+    output: Out = None,
+    csv: Csv = None,
+    workers: Workers = None,
+    plot: Plot = None,
+    html: Html = None,
+) -> None:
+    """Sample goals over the workspace and report, for each solver, successes, iterations, errors and failures."""
+    if workers is not None and workers < 1:
+        raise InvalidOption(f"--workers must be at least 1, not {workers}")
+    arm = load_robot(robot, tip, base, lock, package_dir, deg)
+
+    from ..solvers.registry import find_row
+    from ..study.workspace import workspace as study
+
+    chosen: dict = {name: name for name in solver or ([] if preset else ["lm"])}
+    for text in preset or ():
+        name, equals, which = text.partition("=")
+        cls = find_row(name).load()
+        if not equals or not hasattr(cls, "preset"):
+            raise InvalidOption(
+                f"--preset takes SOLVER=PRESET of a solver with presets (pid, state-space), not '{text}'"
+            )
+        chosen[f"{name} {Path(which).stem}"] = cls.preset(which)
+    options = {"max_iterations": max_iterations, "restarts": restarts}
+    start = None if q0 is None else joint_vector(arm, q0, "--q0", deg)
+
+    from concurrent.futures import ProcessPoolExecutor
+
+    from rich.console import Console
+    from rich.progress import Progress
+
+    pool = nullcontext() if workers is None else ProcessPoolExecutor(workers)
+    with compile_notice(), pool as executor, Progress(console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task("solving", total=goals)
+        found = study(
+            arm,
+            chosen,
+            goals=goals,
+            how=how,
+            position_only=not pose,
+            seed=seed,
+            q0=start,
+            file=csv,
+            executor=executor,
+            progress=lambda done: bar.update(task, completed=done),
+            tolerance=tolerance,
+            **{key: value for key, value in options.items() if value is not None},
+        )
+    if plot is not None:
+        from ..show.studies import plot_workspace
+
+        plot_workspace(found, plot)
+    if html is not None:
+        from ..show.scene import view
+
+        first = next(iter(found.solved))
+        view(arm, cloud=(found.points, found.solved[first]), title=f"{arm.name}: goals of {first}").save(html)
+    write_json(found.to_dict(), as_json, output)
+    if as_json:
+        return
+    box = " by ".join(f"{a:.3f}..{b:.3f}" for a, b in zip(found.low, found.high, strict=True))
+    near, far = found.radius
+    show(facts({"reach, sampled": f"x, y, z {box} m; {near:.3f} to {far:.3f} m from the base"}))
+    made = table("<solver", ">solved", ">of", ">per\n1000", "<95 %", ">steps", ">worst\n(mm)", "<not solved")
+    for name, outcome in found.outcomes.items():
+        data = outcome.to_dict()
+        low, high = data["wilson_95"]
+        steps = data["mean_iterations"]
+        other = "\n".join(f"{count} {status}" for status, count in outcome.statuses.items() if status != "CONVERGED")
+        made.add_row(
+            name,
+            str(outcome.solved),
+            str(outcome.goals),
+            f"{1000 * outcome.share:.1f}",
+            f"{1000 * low:.1f}..{1000 * high:.1f}",
+            "-" if steps is None else f"{steps:.1f}",
+            f"{1000 * outcome.worst:.4g}",
+            other or "-",
+        )
+    show(made)
+    for name, rows in found.failures.items():
+        if len(rows):
+            made = table(">x (m)", ">y (m)", ">z (m)", ">error (mm)")
+            show(heading(f"{name}: first failures"))
+            for x, y, z, error in rows[:LISTED].tolist():
+                made.add_row(f"{x:.4f}", f"{y:.4f}", f"{z:.4f}", f"{1000 * error:.3f}")
+            show(made)

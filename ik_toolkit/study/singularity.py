@@ -1,0 +1,119 @@
+"""Singularities: where methods stall from a start, which of them escape, and how near to singular they pass."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ..robot.robot import Robot
+from ..solvers.batch import solve_batch
+from ..solvers.registry import find_row
+from ..solvers.solve import Solver
+from .statistics import wilson
+
+STUCK = 1e-9  # rad or reaches: a run that never moves a joint further than this stands still
+
+
+@dataclass(frozen=True)
+class Run:
+    """One run from a start: errors, manipulability and condition of the Jacobian at each evaluation.
+
+    position_error (k,) [m]; manipulability (k,), the product of the singular values (lengths over the length scale); condition
+    (k,), largest over smallest (infinite where singular); q (k, n); stands_still: no joint ever moved.
+    """
+
+    solver: str
+    success: bool
+    status: str
+    iterations: int
+    position_error: np.ndarray
+    manipulability: np.ndarray
+    condition: np.ndarray
+    q: np.ndarray
+    stands_still: bool
+
+
+def measures(robot: Robot, Q: np.ndarray, position_only: bool = True) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Manipulability (N,), condition (N,) and smallest singular value (N,) at Q (N, n), over the task rows that can move.
+
+    Lengths over the robot's length scale. Source: Yoshikawa (1985).
+    """
+    J = robot.chain.forward(Q, jacobian=True)[1][:, : 3 if position_only else 6] * robot.chain.unit
+    J[:, :3] /= robot.chain.scale
+    some = robot.chain.forward(np.array([robot.random_q(np.random.default_rng(k)) for k in range(8)]), jacobian=True)[1]
+    moved = np.abs(some[:, : J.shape[1]]).max(axis=(0, 2)) > 1e-9
+    values = np.linalg.svd(J[:, moved], compute_uv=False)
+    least, most = values[:, -1], values[:, 0]
+    safe = least > 1e-12 * np.maximum(most, 1e-300)
+    condition = np.where(safe, most / np.where(safe, least, 1.0), np.inf)
+    return np.prod(values, axis=1), condition, np.where(safe, least, 0.0)
+
+
+def run(robot: Robot, target: np.ndarray, solver: Any, q0: np.ndarray, **options: Any) -> Run:
+    """Solve one target from q0, without restarts, and measure the Jacobian along the way."""
+    bound = Solver(robot, solver, **{"restarts": 0, **options, "history": True})
+    result = bound(np.asarray(target, dtype=float), q0=np.asarray(q0, dtype=float))
+    history = result.history or {}
+    Q = history["q"]
+    product, condition, _ = measures(robot, Q, np.ndim(target) == 1)
+    return Run(
+        bound.name,
+        result.success,
+        result.status.name,
+        result.iterations,
+        history["position_error"],
+        product,
+        condition,
+        Q,
+        bool((np.abs(Q - Q[0]) / robot.chain.unit).max() <= STUCK),
+    )
+
+
+@dataclass(frozen=True)
+class Escape:
+    """Share of targets a solver reaches from a start, next to the share from the start moved by `offset`."""
+
+    solver: str
+    goals: int
+    solved: int
+    stood_still: int
+    solved_offset: int
+    iterations: float
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values with Wilson intervals."""
+        return {
+            "goals": self.goals,
+            "solved": self.solved,
+            "wilson_95": list(wilson(self.solved, self.goals)),
+            "stood_still": self.stood_still,
+            "solved_with_start_moved": self.solved_offset,
+            "mean_iterations": self.iterations,
+        }
+
+
+def escapes(
+    robot: Robot, targets: np.ndarray, solvers: Sequence[Any], q0: np.ndarray, offset: float = 1e-6, **options: Any
+) -> list[Escape]:
+    """Which solvers reach the targets from q0 (singular, say), without restarts, and from q0 moved by `offset` [rad, reaches]."""
+    rng = np.random.default_rng(0)
+    q0 = np.asarray(q0, dtype=float)
+    moved = np.clip(q0 + offset * rng.uniform(0.5, 1.0, robot.n) * robot.chain.unit, robot.lower, robot.upper)
+    found = []
+    for solver in solvers:
+        here = solve_batch(robot, targets, solver, q0=q0, restarts=0, check=0.0, **options)
+        beside = solve_batch(robot, targets, solver, q0=moved, restarts=0, check=0.0, **options)
+        still = ~here.success & ((np.abs(here.q - q0) / robot.chain.unit).max(axis=1) <= STUCK)
+        steps = here.iterations[here.success]
+        found.append(
+            Escape(
+                find_row(solver).name,
+                len(here),
+                int(here.success.sum()),
+                int(still.sum()),
+                int(beside.success.sum()),
+                float(steps.mean()) if len(steps) else float("nan"),
+            )
+        )
+    return found

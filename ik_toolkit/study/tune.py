@@ -1,0 +1,332 @@
+"""Tuning: search the parameters of a solver for the fewest failures, judge the best on goals it has never seen."""
+
+import importlib.util
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+
+from ..errors import InvalidOption, MissingExtra, near_match
+from ..robot.robot import Robot
+from ..solvers.batch import solve_batch
+from ..solvers.presets import write_preset
+from ..solvers.registry import find_row
+from .spaces import Space, make_space
+from .statistics import wilson
+from .targets import sample_targets
+
+METHODS = ("cma", "pso")
+MAPS = 32  # starts of a tuned state-space solver
+FINALISTS = 8  # best candidates of the search that meet the validation goals
+SEARCH_ITERATIONS = 300  # limit while searching: lost goals cost most of the time, and slow ones shall count as lost
+TRAIN, VALIDATION, HELD_OUT = 1, 2, 3  # streams of the seed: the three sets never share a goal
+
+
+@dataclass
+class Score:
+    """Successes over goals: per set of goals, in all with a 95 % Wilson interval, and mean iterations of what was solved."""
+
+    successes: list[int]
+    goals: int
+    iterations: float
+
+    @property
+    def total(self) -> int:
+        """Goals over all sets."""
+        return self.goals * len(self.successes)
+
+    @property
+    def share(self) -> float:
+        """Successes over goals."""
+        return sum(self.successes) / self.total
+
+    @property
+    def interval(self) -> tuple[float, float]:
+        """Wilson interval of the share."""
+        return wilson(sum(self.successes), self.total)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values."""
+        return {
+            "successes": self.successes,
+            "goals_a_set": self.goals,
+            "share": self.share,
+            "wilson_95": list(self.interval),
+            "mean_iterations": self.iterations,
+        }
+
+    def __str__(self) -> str:
+        """Per thousand, with interval and range over the sets."""
+        low, high = self.interval
+        text = f"{1000 * self.share:.1f} of 1000 [{1000 * low:.1f}, {1000 * high:.1f}]"
+        if len(self.successes) > 1:
+            text += f", sets of {self.goals}: {min(self.successes)} to {max(self.successes)}"
+        return f"{text}, {self.iterations:.1f} iterations"
+
+
+def score(robot: Robot, rule: Any, sets: list[np.ndarray], **options: Any) -> Score:
+    """Solve sets of goals of equal size with a rule or solver name and count."""
+    successes, iterations = [], []
+    for targets in sets:
+        result = solve_batch(robot, targets, rule, check=0.0, **options)
+        successes.append(int(result.success.sum()))
+        iterations.append(result.iterations[result.success])
+    steps = np.concatenate(iterations)
+    return Score(successes, len(sets[0]), float(steps.mean()) if len(steps) else math.nan)
+
+
+@dataclass
+class TuneResult:
+    """What `tune` found.
+
+    rule: the tuned rule (give it to solve, Solver, solve_batch); train, held_out, before: Score on the training goals, on goals
+    of fresh seeds, and of the rule the search started from on the same fresh goals. history: best cost so far, best and median of
+    each generation. interrupted: stopped by Ctrl-C, the best so far is kept.
+    """
+
+    robot: str
+    solver: str
+    method: str
+    position_only: bool
+    rule: Any
+    train: Score
+    held_out: Score
+    before: Score
+    options: dict[str, Any]
+    history: np.ndarray
+    evaluations: int
+    elapsed: float
+    seed: int
+    interrupted: bool = False
+    parameters: dict[str, Any] = field(default_factory=dict)
+
+    def save(self, file: str | Path) -> Path:
+        """Write the preset that `ik solve --preset FILE` and `preset(FILE)` read."""
+        low, high = self.held_out.interval
+        about = {
+            "robot": self.robot,
+            "position": self.position_only,
+            "source": f"tuned: {self.method}, seed {self.seed}, {self.evaluations} evaluations; held out {self.held_out}",
+            "held_out_share": self.held_out.share,
+            "held_out_wilson_95": [low, high],
+        }
+        path = Path(file)
+        values = {key: value for key, value in self.rule._asdict().items() if value is not None and key != "tuned"}
+        write_preset(path, self.solver, values, self.options, about)
+        return path
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values."""
+        scores = {"train": self.train, "held_out": self.held_out, "before": self.before}
+        names = (
+            "robot",
+            "solver",
+            "method",
+            "position_only",
+            "evaluations",
+            "elapsed",
+            "seed",
+            "interrupted",
+            "options",
+        )
+        return {
+            **{name: getattr(self, name) for name in names},
+            **{name: one.to_dict() for name, one in scores.items()},
+            "history": self.history.tolist(),
+        }
+
+
+class Swarm:
+    """Particle swarm in the unit box, inertia 0.729 and both pulls 1.494 (Clerc and Kennedy 2002); walls stop a particle."""
+
+    def __init__(self, start: np.ndarray, spread: float, population: int, seed: int) -> None:
+        """Place the particles around `start`; the first one is it."""
+        self.rng = np.random.default_rng(seed)
+        self.x = np.clip(start + spread * self.rng.standard_normal((population, len(start))), 0.0, 1.0)
+        self.x[0] = start
+        self.v = spread * self.rng.uniform(-1.0, 1.0, self.x.shape)
+        self.own = self.x.copy()
+        self.cost = np.full(population, np.inf)
+
+    def ask(self) -> np.ndarray:
+        """Candidates (population, d)."""
+        return self.x
+
+    def tell(self, costs: np.ndarray) -> None:
+        """Learn the costs and move."""
+        better = costs < self.cost
+        self.own[better], self.cost[better] = self.x[better], costs[better]
+        leader = self.own[np.argmin(self.cost)]
+        a, b = self.rng.random((2, *self.x.shape))
+        self.v = 0.729 * self.v + 1.494 * (a * (self.own - self.x) + b * (leader - self.x))
+        moved = np.clip(self.x + self.v, 0.0, 1.0)
+        self.v[moved != self.x + self.v] = 0.0
+        self.x = moved
+
+
+class Evolution:
+    """CMA-ES of the `cma` package in the unit box (Hansen 2016)."""
+
+    def __init__(self, start: np.ndarray, spread: float, population: int, seed: int) -> None:
+        """Start at `start` with standard deviation `spread`."""
+        import cma
+
+        options = {"bounds": [0.0, 1.0], "popsize": population, "seed": seed % 2**31 + 1, "verbose": -9}
+        self.engine = cma.CMAEvolutionStrategy(start, spread, options)
+
+    def ask(self) -> np.ndarray:
+        """Candidates (population, d)."""
+        self.asked = self.engine.ask()
+        return np.array(self.asked)
+
+    def tell(self, costs: np.ndarray) -> None:
+        """Learn the costs."""
+        self.engine.tell(self.asked, list(costs))
+
+
+def tune(
+    robot: Robot,
+    solver: str,
+    *,
+    position_only: bool = True,
+    method: str = "cma",
+    maps: int | None = None,
+    initial: Any = None,
+    goals: int = 2000,
+    held_out: int = 10,
+    generations: int = 200,
+    population: int | None = None,
+    seconds: float | None = None,
+    seed: int = 0,
+    tolerance: float = 1e-3,
+    max_iterations: int = 1000,
+    how: str = "joints",
+    checkpoint: str | Path | None = None,
+    progress: Callable[[int, np.ndarray], None] | None = None,
+) -> TuneResult:
+    """Search parameters and start configurations of a solver with CMA-ES or a particle swarm.
+
+    maps: state-space only, number of starts; 1 tunes the published structure (a, B, start; C fixed, which loses nothing), more
+    tune starts whose maps are designed; default 32, or 1 when `initial`, the rule to start from, is given. goals: training
+    goals; held_out: sets of 1000 fresh goals that judge the result. cost of a candidate: share of failures, plus a tenth of how
+    far they were off (of the length scale), plus 0.02 mean iterations / max_iterations. seconds: stop the search after so long.
+    checkpoint: file that holds what was evaluated; when it exists the search goes on from there. progress(generation, costs).
+    Ctrl-C keeps the best so far. Deterministic for a seed (when `seconds` does not cut it). Raises InvalidOption, MissingExtra.
+    """
+    if method not in METHODS:
+        raise InvalidOption(f"tuning methods are {', '.join(METHODS)}, not '{method}'.{near_match(method, METHODS)}")
+    if method == "cma" and importlib.util.find_spec("cma") is None:
+        raise MissingExtra("cma", "tune")
+    row = find_row(solver)
+    if maps is None:
+        maps = MAPS if row.name == "state-space" and initial is None else 1
+    space = make_space(robot, row.name, position_only, maps, initial)
+    options = {"tolerance": tolerance, "max_iterations": max_iterations}
+    size = population or 4 + 2 * int(3 * math.log(space.size))
+
+    def draw(stream: int, count: int, k: int = 0) -> np.ndarray:
+        return sample_targets(robot, count, [seed, stream, k], how=how, position_only=position_only)
+
+    train = draw(TRAIN, goals)
+    begun = perf_counter()
+    search = _Search(robot, space, train, {**options, "max_iterations": min(max_iterations, SEARCH_ITERATIONS)})
+    record = _Record(checkpoint, f"{robot.name} {row.name} {method} {space.size} {size} {goals} {seed} {options} {how}")
+    engine = (Evolution if method == "cma" else Swarm)(space.start, space.spread, size, seed)
+    history: list[tuple[float, float, float]] = []
+    interrupted = False
+    try:
+        for generation in range(generations):
+            if seconds is not None and perf_counter() - begun > seconds:
+                break
+            X = engine.ask()
+            costs = record.replay(generation, X)
+            if costs is None:
+                costs = np.array([search.cost(x) for x in X])
+                record.add(X, costs)
+            search.note(X, costs)
+            engine.tell(costs)
+            history.append((search.best[0][0], float(costs.min()), float(np.median(costs))))
+            if progress is not None:
+                progress(generation + 1, costs)
+    except KeyboardInterrupt:
+        interrupted = True
+        if not search.best:
+            raise
+    if not search.best:  # no generation was asked for, or no time for one
+        search.note(space.start[None], np.array([search.cost(space.start)]))
+    validation = draw(VALIDATION, 2 * goals)
+    judged = [(search.cost(x, validation), k, x) for k, (_, x) in enumerate(search.best)]
+    rule = space.build(min(judged)[2])
+    fresh = [draw(HELD_OUT, 1000, k) for k in range(held_out)]
+    return TuneResult(
+        robot=robot.name,
+        solver=row.name,
+        method=method,
+        position_only=position_only,
+        rule=rule._replace(tuned=options) if "tuned" in rule._fields else rule,
+        train=score(robot, rule, [train], **options),
+        held_out=score(robot, rule, fresh, **options),
+        before=score(robot, space.initial, fresh, **options),
+        options=options,
+        history=np.array(history).reshape(-1, 3),
+        evaluations=len(history) * size,
+        elapsed=perf_counter() - begun,
+        seed=seed,
+        interrupted=interrupted,
+    )
+
+
+class _Search:
+    """Cost of candidates and the best of them."""
+
+    def __init__(self, robot: Robot, space: Space, train: np.ndarray, options: dict[str, Any]) -> None:
+        self.robot, self.space, self.train, self.options = robot, space, train, options
+        self.best: list[tuple[float, np.ndarray]] = []
+
+    def cost(self, x: np.ndarray, targets: np.ndarray | None = None) -> float:
+        targets = self.train if targets is None else targets
+        result = solve_batch(self.robot, targets, self.space.build(x), check=0.0, **self.options)
+        failed = ~result.success
+        scale = self.robot.chain.scale
+        off = np.minimum(result.position_error[failed] / scale + (0 if result.position_only else 0.3), 1.0)
+        steps = result.iterations[result.success].mean() if result.success.any() else self.options["max_iterations"]
+        return (failed.sum() + 0.1 * off.sum()) / len(targets) + 0.02 * float(steps) / self.options["max_iterations"]
+
+    def note(self, X: np.ndarray, costs: np.ndarray) -> None:
+        found = [*self.best, *((float(c), x.copy()) for c, x in zip(costs, X, strict=True))]
+        self.best = sorted(found, key=lambda pair: pair[0])[:FINALISTS]
+
+
+class _Record:
+    """What was evaluated, on disk after every generation; a resumed search replays it."""
+
+    def __init__(self, file: str | Path | None, key: str) -> None:
+        self.file = None if file is None else Path(file)
+        self.key = key
+        self.X: list[np.ndarray] = []
+        self.costs: list[np.ndarray] = []
+        if self.file is not None and self.file.exists():
+            with np.load(self.file) as old:
+                if str(old["key"]) != key:
+                    raise InvalidOption(f"{file} belongs to another search: {old['key']}")
+                self.X, self.costs = list(old["X"]), list(old["costs"])
+
+    def replay(self, generation: int, X: np.ndarray) -> np.ndarray | None:
+        if generation >= len(self.X):
+            return None
+        if not np.allclose(X, self.X[generation], atol=1e-9):
+            raise InvalidOption(f"{self.file} cannot be continued: the optimiser asks other candidates now; delete it")
+        return self.costs[generation]
+
+    def add(self, X: np.ndarray, costs: np.ndarray) -> None:
+        self.X.append(X.copy())
+        self.costs.append(costs.copy())
+        if self.file is not None:
+            part = self.file.with_name(self.file.name + ".part")
+            with part.open("wb") as out:
+                np.savez(out, key=self.key, X=np.array(self.X), costs=np.array(self.costs))
+            part.replace(self.file)

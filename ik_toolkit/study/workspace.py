@@ -1,0 +1,226 @@
+"""Workspace: how far the tip reaches, and where in it solvers succeed, how fast and how closely."""
+
+import csv
+import time
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..errors import InvalidOption
+from ..robot.robot import Robot
+from ..solvers.batch import solve_parts
+from ..solvers.registry import find_row
+from ..solvers.result import Status
+from .statistics import wilson
+from .targets import sample_targets, stream_targets
+
+GRID = 24  # cells along the longest side of the success map
+ENVELOPE = 100_000  # configurations whose tips give the envelope
+KEEP = 20_000  # goals kept in memory for pictures; with a file all of them are on disk
+FAILURES = 1000  # failures listed in memory
+
+
+@dataclass
+class Outcome:
+    """Counts of one solver over the workspace; iterations: sum over solved goals; worst: largest error among failures [m]."""
+
+    solver: str
+    goals: int = 0
+    solved: int = 0
+    iterations: int = 0
+    worst: float = 0.0
+    elapsed: float = 0.0
+    statuses: dict[str, int] = field(default_factory=dict)
+
+    @property
+    def share(self) -> float:
+        """Successes over goals."""
+        return self.solved / max(self.goals, 1)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values with the Wilson interval."""
+        return {
+            "goals": self.goals,
+            "solved": self.solved,
+            "share": self.share,
+            "wilson_95": list(wilson(self.solved, self.goals)),
+            "mean_iterations": self.iterations / self.solved if self.solved else None,
+            "worst_error": self.worst,
+            "elapsed": self.elapsed,
+            "statuses": self.statuses,
+        }
+
+
+@dataclass
+class Workspace:
+    """Result of `workspace`.
+
+    low, high (3,) [m]: box of the reach in the base frame; radius (nearest, farthest) [m] of the tip from the base origin.
+    outcomes: by solver. map: by solver, (2, nx, ny, nz) goals and successes a cell, cells from `low` on, `cell` [m] wide.
+    failures: by solver, rows (x, y, z, error) of the first failures [m]. points (N, 3), solved: by solver (N,), for pictures.
+    """
+
+    robot: str
+    low: np.ndarray
+    high: np.ndarray
+    radius: tuple[float, float]
+    cell: float
+    outcomes: dict[str, Outcome]
+    map: dict[str, np.ndarray]
+    failures: dict[str, np.ndarray]
+    points: np.ndarray
+    solved: dict[str, np.ndarray]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain values, without the map and the points."""
+        return {
+            "robot": self.robot,
+            "low": self.low.tolist(),
+            "high": self.high.tolist(),
+            "radius": list(self.radius),
+            "solvers": {name: one.to_dict() for name, one in self.outcomes.items()},
+            "failures": {name: rows.tolist() for name, rows in self.failures.items()},
+        }
+
+
+def envelope(robot: Robot, count: int = ENVELOPE, seed: int = 0) -> tuple[np.ndarray, np.ndarray, tuple[float, float]]:
+    """Box (low, high) and nearest and farthest distance from the base origin of sampled tips [m]: inner bounds of the reach."""
+    points = sample_targets(robot, count, seed, position_only=True)
+    away = np.linalg.norm(points, axis=1)
+    return points.min(0), points.max(0), (float(away.min()), float(away.max()))
+
+
+def workspace(
+    robot: Robot,
+    solvers: Sequence[Any] | Mapping[str, Any] = ("lm",),
+    *,
+    goals: int = 10_000,
+    how: str = "joints",
+    position_only: bool = True,
+    seed: int = 0,
+    q0: Any = None,
+    file: str | Path | None = None,
+    executor: Executor | None = None,
+    progress: Callable[[int], None] | None = None,
+    **options: Any,
+) -> Workspace:
+    """Solve goals over the workspace with each solver.
+
+    solvers: names or rules, or a mapping of labels to them. how: 'joints' or 'volume', see `sample_targets`. file: a .csv that receives every goal as it is
+    solved (x, y, z, then success, status, iterations, position_error, orientation_error a solver), so that millions of goals need
+    no more memory than a chunk. executor: as for `solve_batch`. options: as for `solve`. Goals depend on (seed, chunk) only.
+    Raises InvalidOption and what `solve_batch` raises.
+    """
+    if not solvers:
+        raise InvalidOption("workspace needs at least one solver")
+    named = dict(solvers) if isinstance(solvers, Mapping) else dict(zip(_names(solvers), solvers, strict=True))
+    names = list(named)
+    low, high, radius = envelope(robot)
+    cell = float(max((high - low).max() / GRID, 1e-9))
+    shape = np.maximum(np.ceil((high - low) / cell), 1).astype(int)
+    outcomes = {name: Outcome(name) for name in names}
+    maps = {name: np.zeros((2, *shape), np.int64) for name in names}
+    failures: dict[str, list[np.ndarray]] = {name: [] for name in names}
+    points: list[np.ndarray] = []
+    solved: dict[str, list[np.ndarray]] = {name: [] for name in names}
+    kept = done = 0
+    with _Table(file, names) as table:
+        for targets in stream_targets(robot, goals, seed, how=how, position_only=position_only):
+            xyz = targets if targets.ndim == 2 else targets[:, :3, 3]
+            index = np.clip(((xyz - low) / cell).astype(int), 0, shape - 1)
+            columns = []
+            for name, solver in named.items():
+                begun = time.perf_counter()
+                parts = list(solve_parts(robot, targets, solver, q0=q0, executor=executor, check=0.0, **options))
+                outcomes[name].elapsed += time.perf_counter() - begun
+                part = {
+                    key: np.concatenate([getattr(one, key) for one in parts])
+                    for key in ("success", "status", "iterations", "position_error")
+                }
+                angle = [one.orientation_error for one in parts if one.orientation_error is not None]
+                part["orientation_error"] = np.concatenate(angle) if angle else np.full(len(xyz), np.nan)
+                _count(outcomes[name], part)
+                np.add.at(maps[name][0], tuple(index.T), 1)
+                np.add.at(maps[name][1], tuple(index.T), part["success"])
+                bad = ~part["success"]
+                if bad.any() and sum(map(len, failures[name])) < FAILURES:
+                    failures[name].append(np.column_stack([xyz[bad], part["position_error"][bad]]))
+                if kept < KEEP:
+                    solved[name].append(part["success"])
+                columns.append(part)
+            if kept < KEEP:
+                points.append(xyz.copy())
+                kept += len(xyz)
+            table.write(xyz, columns)
+            done += len(xyz)
+            if progress is not None:
+                progress(done)
+    return Workspace(
+        robot.name,
+        low,
+        high,
+        radius,
+        cell,
+        outcomes,
+        maps,
+        {name: np.concatenate([np.empty((0, 4)), *rows])[:FAILURES] for name, rows in failures.items()},
+        np.concatenate(points),
+        {name: np.concatenate(rows) for name, rows in solved.items()},
+    )
+
+
+def _names(solvers: Sequence[Any]) -> list[str]:
+    """A distinct name for each solver."""
+    names: list[str] = []
+    for solver in solvers:
+        name = base = solver if solver == "auto" else find_row(solver).name
+        k = 2
+        while name in names:
+            name, k = f"{base} {k}", k + 1
+        names.append(name)
+    return names
+
+
+def _count(outcome: Outcome, part: dict[str, np.ndarray]) -> None:
+    good = part["success"]
+    outcome.goals += len(good)
+    outcome.solved += int(good.sum())
+    outcome.iterations += int(part["iterations"][good].sum())
+    if not good.all():
+        outcome.worst = max(outcome.worst, float(part["position_error"][~good].max()))
+    for number, count in zip(*np.unique(part["status"], return_counts=True), strict=True):
+        name = Status(int(number)).name
+        outcome.statuses[name] = outcome.statuses.get(name, 0) + int(count)
+
+
+class _Table:
+    """CSV file of every goal, or nothing."""
+
+    FIELDS = ("success", "status", "iterations", "position_error", "orientation_error")
+
+    def __init__(self, file: str | Path | None, names: list[str]) -> None:
+        self.out = None
+        if file is not None:
+            if Path(file).suffix.lower() != ".csv":
+                raise InvalidOption(f"the goals are written as .csv, not '{Path(file).name}'")
+            self.out = Path(file).open("w", newline="", encoding="utf-8")
+            self.writer = csv.writer(self.out)
+            self.writer.writerow(["x", "y", "z", *(f"{name} {key}" for name in names for key in self.FIELDS)])
+
+    def write(self, xyz: np.ndarray, columns: list[dict[str, np.ndarray]]) -> None:
+        if self.out is None:
+            return
+        lists = [part[key].tolist() for part in columns for key in self.FIELDS]
+        for k, point in enumerate(xyz.tolist()):
+            self.writer.writerow([*point, *(int(x[k]) if isinstance(x[k], bool) else x[k] for x in lists)])
+
+    def __enter__(self) -> "_Table":
+        return self
+
+    def __exit__(self, *_: Any) -> None:
+        if self.out is not None:
+            self.out.close()
