@@ -35,9 +35,9 @@ def collision_model(arm: Any, texts: Sequence[str]) -> Any:
         if kind == "box":
             model.add_box(size, place)
         elif kind == "sphere":
-            model.add_sphere(*size, place)
+            model.add_sphere(size[0], place)
         else:
-            model.add_cylinder(*size, place)
+            model.add_cylinder(size[0], size[1], place)
     return model
 
 

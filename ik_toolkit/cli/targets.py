@@ -255,7 +255,8 @@ def solve_file(
         nonlocal done, name
         for status, number in part.counts().items():
             tally[status] = tally.get(status, 0) + number
-        flips.extend((done + k).item() for k in (part.flips if chain else ()))
+        if part.flips is not None:
+            flips.extend((done + part.flips).tolist())
         done, name = done + len(part), part.solver
 
     with _cluster(cluster) as executor, _progress(count) as show_done:

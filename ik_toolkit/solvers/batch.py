@@ -169,7 +169,7 @@ def _solve_rows(
             solver.finish(out[k], T[k : k + 1], kind, _row(start, k), given)
 
 
-def _row(start: np.ndarray, k: int) -> np.ndarray:
+def _row(start: np.ndarray, k: Any) -> np.ndarray:
     return start if len(start) == 1 else start[k : k + 1]
 
 
@@ -259,8 +259,9 @@ def _on_a_chain(solver: Solver, jobs: Iterator[Job], every: int) -> Iterator[np.
 
     Where the answer is far from the one before, the nearest of several is looked for instead.
     """
-    last = start = None
-    near = None
+    last: np.ndarray | None = None
+    start = solver._home
+    given, near = False, None
     if not (solver.row.closed or solver.options.closest):
         near = Solver(solver.robot, solver.rule, **{**solver.options.__dict__, "closest": True})
     for part, q0, first in jobs:
@@ -268,11 +269,10 @@ def _on_a_chain(solver: Solver, jobs: Iterator[Job], every: int) -> Iterator[np.
         out = np.zeros((len(T), OUT_HEAD + solver.robot.n))
         a, began = 0, perf_counter()
         for k in range(len(T)):
-            if start is None and q0 is not None:
-                start = _starts(solver, q0, first)
+            if not given and q0 is not None:
+                start, given = _starts(solver, q0, first), True
             row, target = out[k : k + 1], T[k : k + 1]
-            given = start is not None
-            _solve_rows(solver, target, start if given else solver._home, given, kind, row, first + k)
+            _solve_rows(solver, target, start, given, kind, row, first + k)
             move = _move(solver, row, last)
             if move > JUMP and near is not None:
                 other = row.copy()
@@ -282,6 +282,7 @@ def _on_a_chain(solver: Solver, jobs: Iterator[Job], every: int) -> Iterator[np.
             row[0, R_MOVE] = move
             if row[0, R_STATUS] == Status.CONVERGED:
                 last = start = row[:, OUT_HEAD:].copy()
+                given = True
             if k + 1 == len(T) or perf_counter() - began > SLICE:
                 _confirm(solver, T[a : k + 1], kind, out[a : k + 1], first + a, every)
                 yield out[a : k + 1]

@@ -61,7 +61,17 @@ class Result:
     evaluation, or None).
     """
 
-    __slots__ = ("_checked", "_history", "_row", "_solver", "_status", "collision", "elapsed", "notice", "position_only")
+    __slots__ = (
+        "_checked",
+        "_history",
+        "_row",
+        "_solver",
+        "_status",
+        "collision",
+        "elapsed",
+        "notice",
+        "position_only",
+    )
 
     def __init__(self, solver: "Solver", row: np.ndarray, elapsed: float, position_only: bool) -> None:
         """Keep the kernel's row; everything else is made when asked for."""
@@ -73,7 +83,7 @@ class Result:
         self.elapsed = elapsed
         self.position_only = position_only
         self.notice = ""
-        self.collision = None
+        self.collision: tuple[str, str] | None = None
 
     @property
     def q(self) -> np.ndarray:
