@@ -250,6 +250,20 @@ def test_closest_and_objectives_go_with_collisions():
         assert not found.success or not wall.collides(found.q)
 
 
+@pytest.mark.parametrize("solver", ["auto", "lm"])
+def test_all_solutions_are_those_that_touch_nothing(solver):
+    robot = load(ELBOW_ARM)
+    q = np.array([0.4, 1.2])
+    xyz = robot.fk(q).translation
+    model = ik.CollisionModel(robot).add_sphere(0.15, elbow(robot, q), "ball")
+    assert len(ik.solve_all(robot, xyz, solver)) == 2
+    free = ik.solve_all(robot, xyz, solver, avoid_collisions=model)
+    assert len(free) == 1 and free.q[0, 1] == pytest.approx(-1.2, abs=1e-5) and "1 of them collide" in free.message
+    model.add_sphere(0.15, elbow(robot, free.q[0]), "other")
+    none = ik.solve_all(robot, xyz, solver, avoid_collisions=model)
+    assert len(none) == 0 and "touch" in none.message
+
+
 def test_what_may_be_asked_for():
     robot = load("hydrolek_7w")
     other = ik.CollisionModel(load("inspection_7dof"))

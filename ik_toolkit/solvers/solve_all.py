@@ -106,6 +106,10 @@ def solve_all(
         good = position <= o.position_tolerance
         good &= (orientation <= o.orientation_tolerance) | (kind == POSITION)
         q, position, orientation = q[good], position[good], orientation[good]
+    if one.collision is not None:
+        free = np.array([not one.collision.collides(x) for x in q], dtype=bool)
+        message += f"; {len(q) - free.sum()} of them collide and are left out" * (not free.all())
+        q, position, orientation = q[free], position[free], orientation[free]
     unit = robot.chain.unit
     distance = np.sqrt((((q - start) / unit) ** 2).sum(axis=1))
     order = np.argsort(distance, kind="stable")
