@@ -42,6 +42,7 @@ _NAMES = {
     "workspace": "study.workspace",
     "best_gains": "tracking.stability",
     "check_gains": "tracking.stability",
+    "view": "show.scene",
     "IKError": "errors",
     "NotSolved": "errors",
 }

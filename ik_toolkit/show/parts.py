@@ -1,0 +1,248 @@
+"""What a robot looks like: the visual shapes of its URDF as coloured triangles, placed by Pinocchio.
+
+Meshes go through trimesh, one shape per material, because viewers that read .dae themselves drop parts of it. A robot
+without shapes (or whose meshes are missing) is drawn as a stick figure, so that every model can be seen.
+"""
+
+import functools
+import warnings
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from ..errors import MissingExtra
+from ..robot.joints import Joints
+
+GREY = (0.70, 0.72, 0.75)
+STEEL, JOINT = (0.35, 0.42, 0.50), (0.90, 0.55, 0.10)  # stick figures
+SMOOTH = np.radians(35.0)  # edges sharper than this stay edges
+
+
+@dataclass(frozen=True)
+class Shape:
+    """Triangles of one colour: vertices (N, 3) [m], faces (M, 3), color (3,) in 0..1, opacity."""
+
+    vertices: np.ndarray
+    faces: np.ndarray
+    color: tuple[float, float, float]
+    opacity: float = 1.0
+
+
+@dataclass(frozen=True)
+class Part:
+    """One rigid piece of a robot: its name, the shapes in its own axes."""
+
+    name: str
+    shapes: tuple[Shape, ...]
+
+
+class Body:
+    """The drawn parts of a robot and where they are.
+
+    parts (list of Part); `placements(q)` gives their poses (P, 4, 4) in the model's world; notice ('' or why it is a stick
+    figure); T_world_base (4, 4) at rest.
+    """
+
+    def __init__(self, robot: Joints) -> None:
+        """Read the shapes. Raises MissingExtra without trimesh."""
+        self.robot = robot
+        self.model = robot.model
+        self.data = self.model.createData()
+        self.notice = ""
+        arms = getattr(robot, "arms", (robot,))
+        self.arms = arms
+        try:
+            self.geometry = _read(arms[0])
+            self.parts = [Part(g.name, _shapes(g)) for g in self.geometry.geometryObjects]
+        except (ValueError, RuntimeError, OSError) as error:
+            said = str(error).strip().splitlines()[0]
+            self.geometry = pin.GeometryModel()
+            self.parts, self.notice = [], f"shapes cannot be read ({said}); drawn as a stick figure"
+        if not self.parts:
+            self.notice = self.notice or "the URDF has no visual shapes; drawn as a stick figure"
+            self.geometry, self.parts = _sticks(robot, arms)
+        self.geometry_data = self.geometry.createData()
+        pin.framesForwardKinematics(self.model, self.data, robot.rest)
+        self.T_world_base = self.data.oMf[arms[0]._ids[0]].homogeneous
+
+    def placements(self, q: Any) -> np.ndarray:
+        """Poses (P, 4, 4) [m] of the parts in the world for joint values q (n,)."""
+        pin.forwardKinematics(self.model, self.data, self.robot.to_pinocchio(q))
+        pin.updateGeometryPlacements(self.model, self.data, self.geometry, self.geometry_data)
+        return np.array([M.homogeneous for M in self.geometry_data.oMg])
+
+    def tips(self, q: Any) -> np.ndarray:
+        """Poses (tips, 4, 4) [m] of the tips in the world at q (n,)."""
+        parts = getattr(self.robot, "_places", [slice(None)])
+        return np.array(
+            [
+                self.T_world_base @ arm.fk(np.asarray(q)[at]).homogeneous
+                for arm, at in zip(self.arms, parts, strict=True)
+            ]
+        )
+
+    def bounds(self, q: Any) -> np.ndarray:
+        """Corners (2, 3) [m] of the box around the robot at q, world axes."""
+        points = []
+        for part, T in zip(self.parts, self.placements(q), strict=True):
+            for shape in part.shapes:
+                low, high = shape.vertices.min(axis=0), shape.vertices.max(axis=0)
+                corners = np.array(np.meshgrid(*zip(low, high, strict=True))).reshape(3, -1).T
+                points.append(corners @ T[:3, :3].T + T[:3, 3])
+        stacked = np.vstack(points)
+        return np.array([stacked.min(axis=0), stacked.max(axis=0)])
+
+
+def need_trimesh() -> Any:
+    """Return the module trimesh, or raise MissingExtra."""
+    try:
+        import trimesh
+    except ImportError:
+        raise MissingExtra("trimesh", "view") from None
+    return trimesh
+
+
+def _read(robot: Any) -> pin.GeometryModel:
+    if robot.urdf is None:
+        return pin.GeometryModel()
+    folders = [str(folder) for folder in [*robot.package_dirs, *([robot.path.parent] if robot.path else [])]]
+    return pin.buildGeomFromUrdfString(robot.model, robot.urdf, pin.VISUAL, package_dirs=folders)
+
+
+def _shapes(geometry: Any) -> tuple[Shape, ...]:
+    """Triangles of one geometry object of Pinocchio."""
+    trimesh = need_trimesh()
+    given = tuple(float(c) for c in geometry.meshColor)
+    named = geometry.overrideMaterial or max(given[:3]) > 0.0
+    color, opacity = (given[:3] if named else GREY), (given[3] if named else 1.0)
+    path = Path(geometry.meshPath)
+    if path.suffix.lower() in (".dae", ".stl", ".obj", ".ply", ".glb", ".gltf", ".off"):
+        scale = np.asarray(geometry.meshScale)
+        own = path.suffix.lower() in (".dae", ".obj", ".glb", ".gltf") and not geometry.overrideMaterial
+        return tuple(
+            Shape(np.asarray(vertices * scale, dtype=np.float32), faces, c if own and c else color, opacity)
+            for vertices, faces, c in _mesh(str(path))
+        )
+    shape = geometry.geometry
+    kind = type(shape).__name__
+    if kind == "Cylinder":
+        mesh = trimesh.creation.cylinder(radius=shape.radius, height=2.0 * shape.halfLength, sections=48)
+    elif kind == "Box":
+        mesh = trimesh.creation.box(extents=2.0 * np.asarray(shape.halfSide))
+    elif kind == "Sphere":
+        mesh = trimesh.creation.uv_sphere(radius=shape.radius, count=(24, 24))
+    elif kind == "Capsule":
+        mesh = trimesh.creation.capsule(height=2.0 * shape.halfLength, radius=shape.radius, count=(24, 24))
+        mesh.apply_translation(-mesh.bounds.mean(axis=0))
+    elif hasattr(shape, "vertices"):
+        mesh = trimesh.Trimesh(
+            np.asarray(shape.vertices()), [list(shape.tri_indices(i)) for i in range(shape.num_tris)]
+        )
+    else:
+        raise ValueError(f"the shape {kind} is not known")
+    return (Shape(*smooth(mesh), color, opacity),)
+
+
+@functools.lru_cache(256)
+def _mesh(path: str) -> tuple[tuple[np.ndarray, np.ndarray, tuple[float, float, float] | None], ...]:
+    """Vertices, faces and own colour of every material of a mesh file, in the file's axes."""
+    trimesh = need_trimesh()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # trimesh grumbles about materials it need not understand
+        scene = trimesh.load_scene(path)
+    found = []
+    for node in scene.graph.nodes_geometry:
+        T, name = scene.graph[node]
+        mesh = scene.geometry[name]
+        if not hasattr(mesh, "faces") or not len(mesh.faces):
+            continue
+        own = getattr(getattr(mesh.visual, "material", mesh.visual), "main_color", None)
+        color = None if own is None else tuple((np.asarray(own[:3], dtype=float) / 255.0).tolist())
+        mesh = trimesh.Trimesh(trimesh.transform_points(mesh.vertices, T), mesh.faces, process=True)
+        found.append((*smooth(mesh), color))
+    if not found:
+        raise ValueError(f"there are no triangles in {path}")
+    return tuple(found)
+
+
+def smooth(mesh: Any) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices and faces, split along sharp edges so that a viewer's averaged normals show them as edges.
+
+    Corners of two faces stay one vertex when the faces meet at a flat enough edge there.
+    """
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import connected_components
+
+    faces, count = mesh.faces, 3 * len(mesh.faces)
+    flat = mesh.face_adjacency_angles < SMOOTH
+    pairs, edges = mesh.face_adjacency[flat], mesh.face_adjacency_edges[flat]
+    joined = []
+    for end in (0, 1):
+        corners = faces[pairs] == edges[:, end][:, None, None]  # (E, 2, 3): which corner of either face it is
+        joined.append(3 * pairs + corners.argmax(axis=2))
+    links = np.vstack(joined) if len(pairs) else np.empty((0, 2), dtype=int)
+    graph = coo_matrix((np.ones(len(links)), (links[:, 0], links[:, 1])), shape=(count, count))
+    total, label = connected_components(graph, directed=False)
+    vertices = np.empty((total, 3), dtype=np.float32)
+    vertices[label] = mesh.vertices[faces.ravel()]
+    return vertices, label.reshape(-1, 3).astype(np.uint32)
+
+
+def _sticks(robot: Joints, arms: Any) -> tuple[pin.GeometryModel, list[Part]]:
+    """A stick figure: a ball at every joint of the paths, a bar to the next, a bar to the tip."""
+    trimesh = need_trimesh()
+    model, geometry, parts = robot.model, pin.GeometryModel(), []
+    data = model.createData()
+    pin.framesForwardKinematics(model, data, robot.rest)
+    ball = pin.GeometryObject  # alias: the placement is all that is used of it
+    import coal
+
+    def add(name: str, joint: int, mesh: Any, color: tuple[float, float, float]) -> None:
+        if name not in {part.name for part in parts}:
+            geometry.addGeometryObject(ball(name, joint, pin.SE3.Identity(), coal.Sphere(1e-3)))
+            parts.append(Part(name, (Shape(*smooth(mesh), color),)))
+
+    for arm in arms:
+        r = 0.018 * arm.reach
+        joints = list(dict.fromkeys(model.getJointId(name) for name in arm.joint_names))
+        for k, joint in enumerate(joints):
+            name = model.names[joint]
+            add(f"{name}_ball", joint, trimesh.creation.uv_sphere(radius=1.7 * r, count=(16, 16)), JOINT)
+            end = data.oMi[joints[k + 1]] if k + 1 < len(joints) else data.oMf[arm._ids[1]] * arm.tool
+            p = data.oMi[joint].actInv(end.translation)
+            if np.linalg.norm(p) > r:
+                add(f"{name}_bar_{arm.tip}", joint, trimesh.creation.cylinder(r, segment=[np.zeros(3), p]), STEEL)
+        foot = data.oMi[joints[0]].translation - data.oMf[arm._ids[0]].translation
+        if np.linalg.norm(foot) > r:
+            start = data.oMf[arm._ids[0]].translation
+            add(f"base_bar_{arm.tip}", 0, trimesh.creation.cylinder(1.3 * r, segment=[start, start + foot]), STEEL)
+    return geometry, parts
+
+
+def tube(points: np.ndarray, radius: float, color: tuple[float, float, float], opacity: float = 1.0) -> Shape:
+    """A round line (WebGL draws lines one pixel wide) through points (N, 3) [m]."""
+    P = np.asarray(points, dtype=float)
+    P = P[np.append(True, np.linalg.norm(np.diff(P, axis=0), axis=1) > 1e-3 * radius)]
+    if len(P) < 2:
+        ball = need_trimesh().creation.uv_sphere(radius=1.5 * radius, count=(10, 10))
+        return Shape(ball.vertices.astype(np.float32) + P[0].astype(np.float32), ball.faces, color, opacity)
+    along = np.gradient(P, axis=0)
+    along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-12)
+    across = np.empty_like(P)
+    across[0] = np.cross(along[0], np.eye(3)[int(np.argmin(np.abs(along[0])))])
+    for k in range(1, len(P)):  # carried along, so that the tube does not twist
+        side = across[k - 1] - along[k] * (along[k] @ across[k - 1])
+        size = np.linalg.norm(side)
+        across[k] = side / size if size > 1e-9 else across[k - 1]
+    across /= np.linalg.norm(across, axis=1, keepdims=True)
+    third = np.cross(along, across)
+    angle = np.linspace(0.0, 2.0 * np.pi, 10, endpoint=False)
+    ring = np.cos(angle)[:, None, None] * across + np.sin(angle)[:, None, None] * third  # (10, N, 3)
+    vertices = (P + radius * ring).transpose(1, 0, 2).reshape(-1, 3)
+    k, j = np.meshgrid(np.arange(len(P) - 1), np.arange(10), indexing="ij")
+    a, b = 10 * k + j, 10 * k + (j + 1) % 10
+    faces = np.stack([np.stack([a, b, b + 10], -1), np.stack([a, b + 10, a + 10], -1)]).reshape(-1, 3)
+    return Shape(vertices.astype(np.float32), faces.astype(np.uint32), color, opacity)

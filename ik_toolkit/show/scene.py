@@ -1,0 +1,346 @@
+"""The 3-D view: a robot, ghosts, targets, trails, clouds and animations, live in a browser, in a notebook, or as one file."""
+
+import base64
+import html
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..errors import InvalidOption
+from ..robot.joints import Joints
+from ..robot.pose import AxisTarget, check_target
+from .parts import Body, Shape, need_trimesh, smooth, tube
+from .window import Window
+
+# Okabe and Ito (2008), as in the plots.
+BLUE, ORANGE, GREEN, PURPLE = (0.0, 0.447, 0.698), (0.835, 0.369, 0.0), (0.0, 0.62, 0.451), (0.8, 0.475, 0.655)
+YELLOW, SKY, RED, SLATE = (0.902, 0.624, 0.0), (0.337, 0.706, 0.914), (0.80, 0.20, 0.15), (0.30, 0.34, 0.40)
+GHOSTS = (BLUE, GREEN, YELLOW, PURPLE, SKY, ORANGE)
+AXES = ((0.82, 0.18, 0.16), (0.16, 0.62, 0.24), (0.13, 0.38, 0.78))  # x red, y green, z blue
+MAX_FRAMES = 400  # of an animation; a longer run is thinned
+BETWEEN = 6  # frames from one iterate to the next, so that the eye can follow
+MAX_GHOSTS = 12
+
+
+def css(color: Sequence[float]) -> str:
+    """Colour of a page for (r, g, b) in 0..1."""
+    return "#" + "".join(f"{round(255 * c):02x}" for c in color)
+
+
+class Scene:
+    """What is drawn of one robot. Poses given and taken are in the robot's base axes [m], joint values as in `robot`.
+
+    title, lines (what the page says). `drawn()` tells tests what is where. Raises MissingExtra without meshcat or trimesh.
+    """
+
+    def __init__(self, robot: Joints, title: str | None = None) -> None:
+        """An empty scene for a Robot or a Tree."""
+        self.robot = robot
+        self.body = Body(robot)
+        self.window = Window()
+        self._corners: list[np.ndarray] = []
+        self._legend: list[tuple[str, str]] = []
+        lines = [self.body.notice] if self.body.notice else []
+        self.window.say(title=title or robot.name, lines=lines)
+
+    # ------------------------------------------------------------------------------------------------- the robot
+    def show(
+        self,
+        q: Any,
+        name: str = "robot",
+        color: tuple[float, float, float] | None = None,
+        opacity: float = 1.0,
+        label: str = "",
+    ) -> None:
+        """Draw the robot at q (n,), or move it there; a colour makes it a see-through copy under another name."""
+        poses = self.body.placements(q)
+        if not any(path.startswith(f"{name}/") for path in self.window.transforms):
+            if color is None:
+                for part in self.body.parts:
+                    for k, shape in enumerate(part.shapes):
+                        self.window.shape(f"{name}/{part.name}/{k}", shape)
+            else:
+                if "robot" != name and not any(path.startswith("robot/") for path in self.window.objects):
+                    self.show(q)
+                for part, T in zip(self.body.parts, poses, strict=True):
+                    same = np.allclose(T, self.window.transforms[f"robot/{part.name}"], rtol=0.0, atol=1e-9)
+                    for k in range(0 if same else len(part.shapes)):  # what coincides with the robot is not drawn twice
+                        self.window.copy(f"{name}/{part.name}/{k}", f"robot/{part.name}/{k}", color, opacity)
+        for part, T in zip(self.body.parts, poses, strict=True):
+            self.window.place(f"{name}/{part.name}", T)
+        self._corners.append(self.body.bounds(q))
+        if label:
+            self._say(css(color or SLATE), label)
+
+    def ghosts(self, Q: Any, labels: Iterable[str] = ()) -> None:
+        """Draw the robot see-through at every row of Q (N, n), each in a colour of its own (the first 12)."""
+        names = [*labels]
+        for k, q in enumerate(np.atleast_2d(Q)[:MAX_GHOSTS]):
+            label = names[k] if k < len(names) else ""
+            self.show(q, f"ghost_{k + 1}", GHOSTS[k % len(GHOSTS)], 0.32, label)
+
+    # ------------------------------------------------------------------------------------------- what is around it
+    def frame(self, T_base: Any, name: str = "target", size: float | None = None, label: str = "") -> None:
+        """Draw the axes (x red, y green, z blue) of a pose; a position (3,) or an axis target is drawn as what it fixes."""
+        trimesh = need_trimesh()
+        size = size or 0.14 * self._extent()
+        r = 0.035 * size
+        free = isinstance(T_base, AxisTarget)
+        T = np.eye(4)
+        shapes = []
+        target = T_base.T_base_tip if free else check_target(T_base)[0]
+        if target.ndim == 1:
+            T[:3, 3] = target
+        else:
+            T = target
+        ball = trimesh.creation.uv_sphere(radius=(2.2 if target.ndim == 1 else 1.7) * r, count=(16, 16))
+        shapes.append((ball, RED if target.ndim == 1 else SLATE))
+        arrows = [(np.asarray(T_base.axis), PURPLE)] if free else [*zip(np.eye(3), AXES, strict=True)]
+        for direction, color in arrows if target.ndim == 2 else ():
+            shaft = trimesh.creation.cylinder(r, segment=[np.zeros(3), 0.8 * size * direction], sections=20)
+            cone = trimesh.creation.cone(radius=2.1 * r, height=0.22 * size, sections=24)
+            cone.apply_transform(trimesh.geometry.align_vectors((0, 0, 1), direction))
+            cone.apply_translation(0.78 * size * direction)
+            shapes += [(shaft, color), (cone, color)]
+        self.window.delete(name)
+        for k, (mesh, color) in enumerate(shapes):
+            self.window.shape(f"{name}/{k}", Shape(*smooth(mesh), color))
+        self.move(T, name)
+        point = (self.body.T_world_base @ T)[:3, 3]
+        self._corners.append(np.array([point, point]))
+        if label:
+            bands = f"linear-gradient(90deg, {', '.join(css(color) for color in AXES)})"
+            self._say(css(shapes[-1][1]) if free or target.ndim == 1 else bands, label)
+
+    def move(self, T_base: np.ndarray, name: str = "target") -> None:
+        """Move a drawn frame to another pose (4, 4)."""
+        self.window.place(name, self.body.T_world_base @ T_base)
+
+    def trail(
+        self,
+        points: Any,
+        name: str = "trail",
+        color: tuple[float, float, float] = ORANGE,
+        radius: float | None = None,
+        label: str = "",
+    ) -> None:
+        """Draw the way of the tip: points (N, 3) [m]."""
+        P = self._world(points)
+        self.window.delete(name)
+        self.window.shape(name, tube(P, radius or 0.005 * self._extent(), color))
+        self._corners.append(np.array([P.min(axis=0), P.max(axis=0)]))
+        if label:
+            self._say(css(color), label)
+
+    def cloud(self, points: Any, success: Any = None, name: str = "cloud", size: float | None = None) -> None:
+        """Draw points (N, 3) [m]; success (N,) colours them blue (reached) and orange (not)."""
+        P = self._world(points)
+        good = np.ones(len(P), dtype=bool) if success is None else np.asarray(success, dtype=bool)
+        if good.shape != (len(P),):
+            raise InvalidOption(f"success must have one value per point ({len(P)}), not shape {good.shape}")
+        self.window.delete(name)
+        colors = np.where(good[:, None], BLUE, ORANGE)
+        self.window.points(name, P, colors, size or 0.012 * self._extent())
+        self._corners.append(np.array([P.min(axis=0), P.max(axis=0)]))
+        if success is not None:
+            self._say(css(BLUE), f"reached: {good.sum()} of {len(good)}")
+            self._say(css(ORANGE), "not reached")
+
+    # ------------------------------------------------------------------------------------------------- animations
+    def animate(self, Q: Any, labels: Sequence[str], fps: float, first: int = 0, name: str = "robot") -> None:
+        """Let the robot go through the rows of Q (F, n) behind a time slider; labels (F,) are shown beside it."""
+        Q = np.atleast_2d(np.asarray(Q, dtype=float))
+        if len(Q) != len(labels) or not len(Q):
+            raise InvalidOption(f"an animation needs one label a row: {len(Q)} rows, {len(labels)} labels")
+        self.show(Q[first], name)
+        poses = np.array([self.body.placements(q) for q in Q], dtype="<f4")[:, :, :3]
+        paths = [f"/meshcat/{name}/{part.name}" for part in self.body.parts]
+        tips = np.array([self.body.tips(q) for q in Q])[:, :, :3]
+        if "tip" in self.window.transforms:
+            poses, paths = np.concatenate([poses, tips[:, :1].astype("<f4")], axis=1), [*paths, "/meshcat/tip"]
+        self._corners += [self.body.bounds(q) for q in Q[:: max(1, len(Q) // 12)]]
+        self.window.say(
+            animation={
+                "paths": paths,
+                "count": len(Q),
+                "first": first,
+                "fps": fps,
+                "labels": list(labels),
+                "data": base64.b64encode(np.ascontiguousarray(poses).tobytes()).decode(),
+            }
+        )
+
+    def converge(self, history: dict[str, np.ndarray]) -> None:
+        """Show how a solve went: its iterates as an animation, the way of the tip, a ghost where it began.
+
+        history: `Result.history` (arrays q, position_error [m], orientation_error [rad], one row an evaluation).
+        """
+        Q = np.asarray(history["q"])
+        position, angle = np.asarray(history["position_error"]), history.get("orientation_error")
+        rows = np.unique(np.linspace(0, len(Q) - 1, min(len(Q), MAX_FRAMES)).astype(int))
+        between = max(1, min(BETWEEN, MAX_FRAMES // len(rows)))
+        frames, labels = [], []
+        for k, row in enumerate(rows):
+            text = f"evaluation {row}: {length(position[row])}"
+            if angle is not None and np.isfinite(angle[row]):
+                text += f", {np.degrees(angle[row]):.3g} deg"
+            last = k + 1 == len(rows)
+            for step in range(1 if last else between):
+                frames.append(Q[row] if last else Q[row] + (step / between) * (Q[rows[k + 1]] - Q[row]))
+                labels.append(text)
+        self.show(Q[0], "start", SLATE, 0.22, "start")
+        self.trail([self._tip(q) for q in Q[rows]], label="way of the tip")
+        self.animate(frames, labels, fps=max(12.0, len(frames) / 12.0), first=len(frames) - 1)
+
+    def follow(self, result: Any) -> None:
+        """Show a tracking run (TrackResult): the arm moving in real time, its trail and the path asked for."""
+        rows = np.unique(np.linspace(0, len(result.t) - 1, min(len(result.t), MAX_FRAMES)).astype(int))
+        wide = 0.005 * self._extent()
+        self.trail(result.target_xyz[rows], "path", SLATE, 0.7 * wide, "path asked for")
+        self.trail(result.xyz[rows], "trail", ORANGE, wide, "way of the tip")
+        labels = [f"t = {result.t[k]:.2f} s, error {length(result.position_error[k])}" for k in rows]
+        span = float(result.t[rows[-1]] - result.t[rows[0]]) or 1.0
+        self.animate(result.q[rows], labels, fps=max(1.0, (len(rows) - 1) / span))
+
+    # ---------------------------------------------------------------------------------------------------- the page
+    def say(self, *lines: str) -> None:
+        """Write lines under the title."""
+        notice = [self.body.notice] if self.body.notice else []
+        self.window.say(lines=[*notice, *lines])
+
+    def look(self, eye: Sequence[float] | None = None, target: Sequence[float] | None = None) -> None:
+        """Aim the camera [m], world axes; without arguments at everything drawn so far."""
+        box = np.array([np.min([c[0] for c in self._corners], axis=0), np.max([c[1] for c in self._corners], axis=0)])
+        centre, radius = box.mean(axis=0), 0.5 * float(np.linalg.norm(box[1] - box[0]))
+        to = centre if target is None else np.asarray(target, dtype=float)
+        at = (
+            to + 1.6 * max(radius, 1e-3) * np.array([0.66, -0.63, 0.41])
+            if eye is None
+            else np.asarray(eye, dtype=float)
+        )
+        unit = 10.0 ** np.floor(np.log10(max(radius, 1e-3) / 4.0))  # about four cells to a radius
+        cell = unit * max(n for n in (1, 2, 5) if n * unit <= max(radius, 1e-3) / 4.0)
+        self.window.say(camera=[at.tolist(), to.tolist(), 2.0 * float(cell), float(min(box[0, 2], 0.0))])
+        grid = ("#b9c2cc", f"grid {1000 * cell:g} mm" if cell < 1.0 else f"grid {cell:g} m")
+        self.window.say(legend=[*self._legend, grid])
+
+    def html(self) -> str:
+        """The scene as one self-contained page: one file, no network, opens from disk."""
+        if self.window.about["camera"] is None:
+            self.look()
+        return self.window.html()
+
+    def save(self, path: str | Path) -> Path:
+        """Write the self-contained page. Raises InvalidOption when the name does not end in .html."""
+        file = Path(path)
+        if file.suffix.lower() not in (".html", ".htm"):
+            raise InvalidOption(f"a scene is written as .html, not '{file.suffix or file.name}'")
+        file.write_text(self.html(), encoding="utf-8")
+        return file
+
+    def serve(self, port: int = 0) -> str:
+        """Serve the scene live on 127.0.0.1 until `close()` or the end of the program; return the address."""
+        if self.window.about["camera"] is None:
+            self.look()
+        return self.window.serve(port)
+
+    def close(self) -> None:
+        """Stop serving."""
+        self.window.close()
+
+    def _repr_html_(self) -> str:
+        """Notebook cell: the whole page inside, so that it lives as long as the notebook."""
+        page = html.escape(self.html(), quote=True)
+        return f'<iframe srcdoc="{page}" style="width:100%;height:460px;border:0" sandbox="allow-scripts"></iframe>'
+
+    # ---------------------------------------------------------------------------------------------- for inspection
+    def drawn(self) -> dict[str, np.ndarray]:
+        """Pose (4, 4) in the world of everything drawn: 'robot/<part>', 'ghost_1/<part>', 'target', ... (trails and clouds
+        are in world axes already: identity).
+        """
+        found = {path: T.copy() for path, T in self.window.transforms.items()}
+        for path in self.window.objects:
+            if path in ("trail", "path", "cloud"):
+                found[path] = np.eye(4)
+        return found
+
+    def _extent(self) -> float:
+        corners = self._corners or [self.body.bounds(self.robot.home)]
+        low, high = np.min([c[0] for c in corners], axis=0), np.max([c[1] for c in corners], axis=0)
+        return max(0.7 * float(np.linalg.norm(high - low)), 1e-3)
+
+    def _tip(self, q: np.ndarray) -> np.ndarray:
+        world = self.body.tips(q)[0][:3, 3]
+        base = self.body.T_world_base
+        return base[:3, :3].T @ (world - base[:3, 3])
+
+    def _world(self, points: Any) -> np.ndarray:
+        P = np.atleast_2d(np.asarray(points, dtype=float))
+        if P.ndim != 2 or P.shape[1] != 3 or not len(P) or not np.isfinite(P).all():
+            raise InvalidOption(f"points must be finite numbers (N, 3), not shape {P.shape}")
+        base = self.body.T_world_base
+        return P @ base[:3, :3].T + base[:3, 3]
+
+    def _say(self, color: str, label: str) -> None:
+        if (color, label) not in self._legend:
+            self._legend.append((color, label))
+            self.window.say(legend=self._legend)
+
+
+def length(value: float) -> str:
+    """Length [m] in words."""
+    if value < 1e-3:
+        return f"{1e6 * value:.3g} um"
+    return f"{1e3 * value:.3g} mm" if value < 1.0 else f"{value:.3g} m"
+
+
+def view(robot: Joints, what: Any = None, *, target: Any = None, cloud: Any = None, title: str | None = None) -> Scene:
+    """Scene of a robot: at home, at q (n,), as a Result, a TrackResult, Solutions, or a list of q or Results (ghosts).
+
+    target: pose or position [m] to mark (for a Tree: by tip, or in its order). cloud: points (N, 3), or a pair
+    (points, success). A Result solved with history=True becomes an animation of the solve. The scene shows itself in a
+    notebook cell; `.save("x.html")` writes one file, `.serve()` opens it to a browser. Raises InvalidConfiguration,
+    InvalidTarget, InvalidOption, MissingExtra.
+    """
+    scene = Scene(robot, title)
+    run = hasattr(what, "target_xyz")
+    rows = np.atleast_2d(what.q) if hasattr(what, "q") else _rows(robot, robot.home if what is None else what)
+    if not len(rows):
+        raise InvalidOption("there is nothing to show: no configuration in the list")
+    many = len(rows) > 1 and not run
+    scene.show(rows[0], label="1 (solid)" if many else "")
+    back = np.linalg.inv(scene.body.T_world_base)
+    tips = scene.body.tips(rows[0])
+    for k, T in enumerate(tips):
+        scene.frame(back @ T, f"tip{k + 1 if k else ''}", 0.09 * scene._extent())
+    if run:
+        scene.follow(what)
+        scene.say(f"{what.method} at {1 / what.dt:.4g} Hz: {what.message or what.status.value}")
+    elif many:
+        scene.ghosts(rows[1:], [str(k) for k in range(2, len(rows) + 1)])
+        more = f" (the first {MAX_GHOSTS + 1} are drawn)" if len(rows) > MAX_GHOSTS + 1 else ""
+        scene.say(f"{len(rows)} configurations{more}")
+    elif hasattr(what, "history"):
+        if what.history is not None:
+            scene.converge(what.history)
+        scene.say(f"{what.solver}: {what.status.name}", what.message)
+    if target is not None:
+        targets = target.values() if isinstance(target, dict) else target if len(tips) > 1 else [target]
+        for k, T in enumerate(targets):
+            scene.frame(T, f"target{k + 1 if k else ''}", label="" if k else "target")
+    if cloud is not None:
+        points, success = cloud if isinstance(cloud, tuple) else (cloud, None)
+        scene.cloud(points, success)
+    scene.look()
+    return scene
+
+
+def _rows(robot: Joints, what: Any) -> np.ndarray:
+    """Configurations (N, n) of q, of several q, or of several results."""
+    if isinstance(what, list | tuple) and any(hasattr(item, "q") or np.ndim(item) for item in what):
+        return np.array([robot.check_q(getattr(item, "q", item)) for item in what]).reshape(-1, robot.n)
+    if np.ndim(what) == 2:
+        return np.array([robot.check_q(row) for row in what]).reshape(-1, robot.n)
+    return robot.check_q(what)[None]

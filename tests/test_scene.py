@@ -1,0 +1,301 @@
+"""Scenes: what is drawn is where Pinocchio puts it, pages are self-contained, and nothing keeps running."""
+
+import asyncio
+import contextlib
+import http.client
+import os
+import re
+import signal
+import socket
+import subprocess
+import sys
+import urllib.parse
+import urllib.request
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from robots import MADE, SLIDES, have_data, load
+
+import ik_toolkit as ik
+from ik_toolkit.errors import InvalidConfiguration, InvalidOption
+
+pytest.importorskip("meshcat", reason="meshcat is not installed (extra 'view')")
+pytest.importorskip("trimesh", reason="trimesh is not installed (extra 'view')")
+
+from ik_toolkit.show.parts import Body, Shape, tube
+from ik_toolkit.show.scene import Scene, view
+
+DATA = pytest.mark.skipif(not have_data(), reason="example-robot-data is not installed (extra 'robots')")
+DRAWN = ["hydrolek_7w", *(pytest.param(name, marks=DATA) for name in ("panda", "xarm7", "ur5"))]
+
+
+def visual(robot):
+    """Pinocchio's own reading of the visual shapes."""
+    folders = [str(folder) for folder in robot.package_dirs]
+    return pin.buildGeomFromUrdfString(robot.model, robot.urdf, pin.VISUAL, package_dirs=folders)
+
+
+@pytest.mark.parametrize("name", DRAWN)
+def test_drawn_transforms_are_pinocchios(name):
+    robot = load(name)
+    scene = Scene(robot)
+    geometry = visual(robot)
+    data, placed = robot.model.createData(), geometry.createData()
+    assert len(geometry.geometryObjects) > 3
+    for q in (robot.home, robot.random_q(np.random.default_rng(4))):
+        scene.show(q)
+        pin.updateGeometryPlacements(robot.model, data, geometry, placed, robot.to_pinocchio(q))
+        drawn = scene.drawn()
+        for shape, M in zip(geometry.geometryObjects, placed.oMg, strict=True):
+            assert np.allclose(drawn[f"robot/{shape.name}"], M.homogeneous, rtol=0, atol=1e-12), shape.name
+
+
+@pytest.mark.parametrize("name", DRAWN)
+def test_every_shape_is_drawn_whole(name):
+    """The triangles span the same box as Pinocchio's own reading of the mesh or primitive (a lost material would not)."""
+    robot = load(name)
+    body = Body(robot)
+    assert body.notice == ""
+    for part, shape in zip(body.parts, visual(robot).geometryObjects, strict=True):
+        shape.geometry.computeLocalAABB()
+        box = shape.geometry.aabb_local
+        vertices = np.vstack([s.vertices for s in part.shapes])
+        size = np.linalg.norm(box.max_ - box.min_)
+        assert np.allclose(vertices.min(axis=0), box.min_, atol=0.01 * size), part.name
+        assert np.allclose(vertices.max(axis=0), box.max_, atol=0.01 * size), part.name
+
+
+@DATA
+def test_colours_of_materials_survive():
+    colours = {shape.color for part in Body(load("ur5")).parts for shape in part.shapes}
+    assert len(colours) > 2
+
+
+def test_ghosts_are_copies_where_the_solutions_are():
+    robot = load("hydrolek_7w")
+    target = robot.fk(robot.random_q(np.random.default_rng(1))).translation
+    found = list(ik.solve_all(robot, target, starts=60))[:3]
+    assert len(found) == 3
+    scene = view(robot, found, target=target)
+    body = Body(robot)
+    drawn = scene.drawn()
+    for k, q in enumerate(found[1:], 1):
+        for part, T in zip(body.parts, body.placements(q), strict=True):
+            assert np.allclose(drawn[f"ghost_{k}/{part.name}"], T, rtol=0, atol=1e-12)
+    assert np.allclose(drawn["target"][:3, 3], target, atol=1e-12)
+    assert np.allclose(drawn["tip"][:3, 3], target, atol=1e-5)
+    copied = {path.split("/")[0] for path in scene.window.copies}
+    assert copied == {"ghost_1", "ghost_2"}
+    fixed = [part.name for part in body.parts if part.name.startswith("base_link")]
+    assert fixed and not any(path.startswith(f"ghost_1/{fixed[0]}/") for path in scene.window.copies)
+
+
+def frames(scene):
+    """Animation of a scene as poses (F, P, 3, 4)."""
+    import base64
+
+    made = scene.window.about["animation"]
+    values = np.frombuffer(base64.b64decode(made["data"]), dtype="<f4")
+    return made, values.reshape(made["count"], len(made["paths"]), 3, 4)
+
+
+def test_a_solve_becomes_an_animation_of_its_iterates():
+    robot = load("hydrolek_7w")
+    target = robot.fk(robot.random_q(np.random.default_rng(3)))
+    result = ik.solve(robot, target, "dls", history=True)
+    scene = view(robot, result, target=target)
+    made, poses = frames(scene)
+    tip = made["paths"].index("/meshcat/tip")
+    first, last = robot.fk(result.history["q"][0]), robot.fk(result.history["q"][-1])
+    assert np.allclose(poses[0, tip], first.homogeneous[:3], atol=1e-6)
+    assert np.allclose(poses[-1, tip], last.homogeneous[:3], atol=1e-6)
+    assert made["first"] == made["count"] - 1 and len(made["labels"]) == made["count"]
+    assert made["labels"][0].startswith("evaluation 0: ")
+    assert {"trail", "start/link_1_0"} <= set(scene.drawn())
+    assert scene.window.about["lines"][0] == "dls: CONVERGED"
+
+
+def test_a_tracking_run_becomes_an_animation_in_real_time():
+    robot = load("hydrolek_7w")
+    run = ik.track(robot, ik.circle(robot.fk(robot.home), 0.05, duration=2.0), "cv", dt=0.01, q0=robot.home)
+    scene = view(robot, run)
+    made, poses = frames(scene)
+    assert made["count"] == len(run.t) and np.isclose(made["fps"], 100.0)
+    tip = made["paths"].index("/meshcat/tip")
+    assert np.allclose(poses[:, tip, :, 3], run.xyz, atol=1e-5)
+    assert {"trail", "path"} <= set(scene.drawn())
+
+
+def test_several_tips_are_drawn_together():
+    tree = ik.Robot.load("brokk_hydrolek", tip=["left_tip", "right_tip"])
+    scene = view(tree, target={"left_tip": [1.0, 0.5, 1.0], "right_tip": [1.0, -0.5, 1.0]})
+    drawn = scene.drawn()
+    for name, arm, place in zip(("tip", "tip2"), tree.arms, tree._places, strict=True):
+        assert np.allclose(drawn[name], arm.fk(tree.home[place]).homogeneous, atol=1e-12)
+    assert drawn["target2"][1, 3] == -0.5
+
+
+def test_poses_are_in_base_axes():
+    """A base above the root: what is drawn stays where the tip is in the world."""
+    robot = ik.Robot.load(SLIDES, base="l1")
+    scene = view(robot)
+    data = robot.model.createData()
+    pin.framesForwardKinematics(robot.model, data, robot.to_pinocchio(robot.home))
+    assert np.allclose(scene.drawn()["tip"], data.oMf[robot.model.getFrameId(robot.tip)].homogeneous, atol=1e-12)
+
+
+@pytest.mark.parametrize("name", list(MADE))
+def test_a_robot_without_shapes_is_a_stick_figure(name):
+    robot = load(name)
+    scene = view(robot)
+    assert "stick figure" in scene.window.about["lines"][0]
+    drawn = scene.drawn()
+    data = robot.model.createData()
+    pin.forwardKinematics(robot.model, data, robot.to_pinocchio(robot.home))
+    for joint in robot.joint_names:
+        assert np.allclose(
+            drawn[f"robot/{joint}_ball"], data.oMi[robot.model.getJointId(joint)].homogeneous, atol=1e-12
+        )
+
+
+def test_missing_meshes_are_said(tmp_path):
+    text = SLIDES.replace(
+        '<link name="l1"/>',
+        '<link name="l1"><visual><geometry><mesh filename="package://nowhere/x.stl"/></geometry></visual></link>',
+    )
+    notice = Body(ik.Robot.load(text)).notice
+    assert "cannot be read" in notice and "stick figure" in notice
+
+
+def test_tube_is_round_and_follows_its_line():
+    P = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [1, 1, 0], [1, 1, 2.0]])
+    shape = tube(P, 0.1, (1, 0, 0))
+    rings = shape.vertices.reshape(-1, 10, 3)
+    assert len(rings) == 4 and shape.faces.max() < len(shape.vertices)
+    assert np.allclose(rings.mean(axis=1), P[[0, 1, 2, 4]], atol=1e-6)
+    assert np.allclose(np.linalg.norm(rings - rings.mean(axis=1, keepdims=True), axis=2), 0.1, atol=1e-6)
+    assert isinstance(tube(P[:1], 0.1, (1, 0, 0)), Shape)
+
+
+def test_page_is_self_contained_and_small(tmp_path):
+    robot = load("hydrolek_7w")
+    scene = view(robot, cloud=(np.eye(3), [True, False, True]), title="<b>&robot")
+    file = scene.save(tmp_path / "scene.html")
+    page = file.read_text(encoding="utf-8")
+    assert not re.findall(r"""(?:src|href|url\()\s*=?\s*["']?(?:https?:)?//""", page)
+    assert "http://" not in page and "https://" not in page
+    assert "<title>&lt;b&gt;&amp;robot</title>" in page
+    assert len(page) < 700_000
+    assert ["#0072b2", "reached: 2 of 3"] in [list(item) for item in scene.window.about["legend"]]
+    cell = scene._repr_html_()
+    assert cell.startswith("<iframe srcdoc=") and "<script" not in cell and 'sandbox="allow-scripts"' in cell
+
+
+def test_camera_is_aimed_at_the_robot():
+    robot = load("hydrolek_7w")
+    scene = view(robot)
+    eye, target, _, floor = scene.window.about["camera"]
+    low, high = Body(robot).bounds(robot.home)
+    assert (np.array(target) > low).all() and (np.array(target) < high + 0.1).all()
+    distance = np.linalg.norm(np.subtract(eye, target))
+    assert 0.5 * np.linalg.norm(high - low) < distance < 2.0 * np.linalg.norm(high - low)
+    assert floor <= low[2] + 1e-9
+
+
+def test_refusals_are_words(tmp_path):
+    robot = load("hydrolek_7w")
+    with pytest.raises(InvalidConfiguration, match="must have 6 values"):
+        view(robot, [1.0, 2.0])
+    with pytest.raises(InvalidOption, match="nothing to show"):
+        view(robot, np.empty((0, robot.n)))
+    with pytest.raises(InvalidOption, match=r"written as \.html"):
+        view(robot).save(tmp_path / "scene.png")
+    with pytest.raises(InvalidOption, match="one value per point"):
+        Scene(robot).cloud(np.eye(3), [True])
+
+
+# ------------------------------------------------------------------------------------------------------------ serving
+def status_of(url, headers):
+    """HTTP status of a plain request."""
+    parts = urllib.parse.urlsplit(url)
+    with contextlib.closing(http.client.HTTPConnection(parts.netloc, timeout=10)) as client:
+        client.request("GET", parts.path, headers=headers)
+        return client.getresponse().status
+
+
+def test_live_scene_is_local_and_needs_its_address():
+    from tornado.httpclient import HTTPRequest
+    from tornado.websocket import websocket_connect
+
+    robot = load("hydrolek_7w")
+    scene = view(robot)
+    url = scene.serve()
+    assert url == scene.serve() and re.fullmatch(r"http://127\.0\.0\.1:\d+/[\w-]{20,}/", url)
+    root = url[: url.index("/", 8) + 1]
+    with urllib.request.urlopen(url) as page:
+        assert b"live();" in page.read()
+    assert status_of(root, {}) == 404
+    opening = {
+        "Connection": "Upgrade",
+        "Upgrade": "websocket",
+        "Sec-WebSocket-Version": "13",
+        "Sec-WebSocket-Key": "a" * 22 + "==",
+    }
+    assert status_of(url + "ws", {**opening, "Origin": "http://elsewhere.example"}) == 403
+    socket_url = url.replace("http", "ws", 1) + "ws"
+
+    async def talk():
+        client = await websocket_connect(HTTPRequest(socket_url, headers={"Origin": root.rstrip("/")}))
+        first = [await client.read_message() for _ in range(len(scene.window.snapshot()) + 1)]
+        scene.show(robot.lower * 0.5)
+        moved = [await client.read_message() for _ in range(len(scene.body.parts))]
+        client.close()
+        return first, moved
+
+    first, moved = asyncio.run(talk())
+    assert isinstance(first[-1], str) and all(isinstance(m, bytes) for m in moved)
+    port = int(url.split(":")[2].split("/")[0])
+    scene.close()
+    with socket.socket() as probe:
+        assert probe.connect_ex(("127.0.0.1", port)) != 0
+
+
+def test_a_port_in_use_is_an_error():
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        with pytest.raises(OSError, match="in use"):
+            view(load("planar_2r")).serve(taken.getsockname()[1])
+
+
+@pytest.mark.parametrize("end", [signal.SIGTERM, signal.SIGINT])
+def test_view_ends_with_its_signal(end):
+    run = subprocess.Popen(
+        [sys.executable, "-m", "ik_toolkit", "view", "planar_2r", "--no-open"],
+        stderr=subprocess.PIPE,
+        text=True,
+        env={**os.environ, "PYTHONWARNINGS": "default"},
+    )
+    line = ""
+    while "http://" not in line:
+        line = run.stderr.readline()
+        assert line, "the command ended before it served"
+    port = int(re.search(r":(\d+)/", line)[1])
+    run.send_signal(end)
+    assert run.wait(20) == 0
+    with socket.socket() as probe:
+        assert probe.connect_ex(("127.0.0.1", port)) != 0
+    run.stderr.close()
+
+
+def test_view_writes_a_file(tmp_path, capsys):
+    from ik_toolkit.cli import main
+
+    file = tmp_path / "out.html"
+    assert main(["view", "hydrolek_7w", "--xyz", "0.6", "0.3", "0.1", "--html", str(file)]) == 0
+    assert "CONVERGED" in capsys.readouterr().err and file.stat().st_size > 100_000
+    assert main(["view", "hydrolek_7w", "--xyz", "9", "0", "0", "--html", str(file)]) == 1
+    assert "beyond reach" in capsys.readouterr().err
+    assert main(["view", "hydrolek_7w", "--q", "1", "2", "--html", str(file)]) == 2
+    assert "6 values" in capsys.readouterr().err
