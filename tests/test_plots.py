@@ -1,0 +1,121 @@
+"""Charts: they draw the numbers given, leave no figure open, and refuse what they cannot draw."""
+
+import numpy as np
+import pytest
+from robots import load
+
+import ik_toolkit as ik
+from ik_toolkit.errors import InvalidOption
+
+matplotlib = pytest.importorskip("matplotlib", reason="matplotlib is not installed (extra 'plots')")
+matplotlib.use("Agg")
+
+from ik_toolkit.show import plots
+
+
+@pytest.fixture(autouse=True)
+def nothing_stays_open():
+    import matplotlib.pyplot as plt
+
+    yield
+    assert plt.get_fignums() == []
+
+
+@pytest.fixture(scope="module")
+def solved():
+    robot = load("hydrolek_7w")
+    target = robot.fk(robot.random_q(np.random.default_rng(3)))
+    return {name: ik.solve(robot, target, name, history=True) for name in ("lm", "dls")}
+
+
+def lines(axis):
+    return {line.get_label(): np.asarray(line.get_ydata()) for line in axis.get_lines()}
+
+
+def test_convergence_draws_the_history(solved):
+    figure = plots.convergence(solved, tolerance=1e-6, title="side by side")
+    assert len(figure.axes) == 2
+    for axis, result in zip(figure.axes, solved.values(), strict=True):
+        drawn = lines(axis)
+        assert np.array_equal(drawn["position [m]"], np.maximum(result.history["position_error"], plots.FLOOR))
+        assert np.array_equal(drawn["orientation [rad]"], np.maximum(result.history["orientation_error"], plots.FLOOR))
+        assert axis.get_yscale() == "log"
+    assert plots.convergence(solved["lm"]).axes[0].get_title(loc="left").startswith("lm: ")
+    bare = {"position_error": [1.0, 0.1], "orientation_error": None}
+    assert "orientation [rad]" not in lines(plots.convergence({"mine": bare}).axes[0])
+
+
+def test_joint_paths_have_their_limits_in_degrees():
+    robot = load("inspection_7dof")
+    q = np.linspace(robot.lower, robot.upper, 20)
+    figure = plots.joint_paths(q, robot, t=np.arange(20.0))
+    axes = [axis for axis in figure.axes if axis.get_title(loc="left")]
+    assert len(axes) == robot.n
+    for i, (axis, kind) in enumerate(zip(axes, robot.joint_kinds, strict=True)):
+        scale = 1.0 if kind == "prismatic" else np.degrees(1.0)
+        edges = sorted(line.get_ydata()[0] for line in axis.get_lines() if len(line.get_ydata()) == 2)
+        assert np.allclose(edges, scale * np.array([robot.lower[i], robot.upper[i]]))
+        assert f"[{'m' if kind == 'prismatic' else 'deg'}]" in axis.get_title(loc="left")
+
+
+def test_continuous_joints_have_no_limit_band():
+    robot = load("continuous_mix")
+    figure = plots.joint_paths([robot.home, robot.home + 0.1], robot)
+    bands = [len(axis.patches) for axis in figure.axes[: robot.n]]
+    assert [band == 0 for band in bands] == [kind == "continuous" for kind in robot.joint_kinds]
+
+
+def test_tracking_errors_of_runs():
+    robot = load("hydrolek_7w")
+    path = ik.circle(robot.fk(robot.home), 0.03, duration=1.0)
+    runs = {name: ik.track(robot, path, name, dt=0.02, q0=robot.home) for name in ("cv", "ca")}
+    figure = plots.tracking_errors(runs, title="circle")
+    assert len(figure.axes) == 2 and set(lines(figure.axes[0])) == {"cv", "ca"}
+    assert np.array_equal(lines(figure.axes[0])["ca"], np.maximum(runs["ca"].position_error, plots.FLOOR))
+
+
+def test_stability_region_takes_arrays_and_functions():
+    x, y = np.linspace(0, 2, 5), np.linspace(0, 3, 4)
+    made = plots.stability_region(x, y, lambda a, b: a + b, xlabel="p", ylabel="d", marks={"used": (0.5, 0.5)})
+    assert made.axes[0].get_xlabel() == "p"
+    with pytest.raises(InvalidOption, match=r"\(4, 5\), rows by y"):
+        plots.stability_region(x, y, np.zeros((5, 4)), xlabel="p", ylabel="d")
+
+
+def test_success_map_shows_every_point_once_a_view():
+    points = np.random.default_rng(0).normal(size=(50, 3))
+    good = points[:, 0] > 0
+    figure = plots.success_map(points, good)
+    for axis in figure.axes:
+        drawn = lines(axis)
+        assert len(drawn["reached"]) == good.sum() and len(drawn["not reached"]) == (~good).sum()
+    assert f"{good.sum()} of 50" in figure.get_suptitle()
+    with pytest.raises(InvalidOption, match="one value per point"):
+        plots.success_map(points, good[:3])
+
+
+def test_bars_carry_numbers_and_intervals():
+    figure = plots.bars({"lm": 6.2, "pid": 140.0}, {"pid": (120.0, 166.0)}, unit="time a solve [us]", log=True)
+    axis = figure.axes[0]
+    assert [patch.get_width() for patch in axis.patches] == [6.2, 140.0]
+    assert [text.get_text() for text in axis.texts] == ["6.2", "140"]
+    assert [list(line.get_xdata()) for line in axis.get_lines()] == [[120.0, 166.0]]
+    assert [label.get_text() for label in axis.get_yticklabels()] == ["lm", "pid"]
+
+
+@pytest.mark.parametrize("suffix", plots.SUFFIXES)
+def test_save_writes_files(tmp_path, suffix):
+    file = plots.save(plots.bars({"a": 1.0}, unit="s"), tmp_path / f"chart{suffix}")
+    assert file.stat().st_size > 1000
+
+
+def test_refusals_are_words(tmp_path, solved):
+    robot = load("hydrolek_7w")
+    with pytest.raises(InvalidOption, match=r"\.png, \.pdf or \.svg"):
+        plots.save(plots.bars({"a": 1.0}, unit="s"), tmp_path / "chart.txt")
+    with pytest.raises(InvalidOption, match="history=True"):
+        plots.convergence(ik.solve(robot, robot.fk(robot.home), "lm"))
+    with pytest.raises(InvalidOption, match="no runs"):
+        plots.convergence({})
+    with pytest.raises(InvalidOption, match="array of 6 columns"):
+        plots.joint_paths(np.zeros((3, 2)), robot)
