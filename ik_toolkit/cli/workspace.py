@@ -134,7 +134,7 @@ def workspace(
     box = " by ".join(f"{a:.3f}..{b:.3f}" for a, b in zip(found.low, found.high, strict=True))
     near, far = found.radius
     show(facts({"reach, sampled": f"x, y, z {box} m; {near:.3f} to {far:.3f} m from the base"}))
-    made = table("<solver", ">solved", ">of", ">per\n1000", "<95 %", ">steps", ">worst\n(mm)", "<not solved")
+    made = table("<solver", "<solved", "<per 1000", ">steps", ">worst\n(mm)", "<not solved")
     for name, outcome in found.outcomes.items():
         data = outcome.to_dict()
         low, high = data["wilson_95"]
@@ -142,9 +142,7 @@ def workspace(
         other = "\n".join(f"{count} {status}" for status, count in outcome.statuses.items() if status != "CONVERGED")
         made.add_row(
             name,
-            str(outcome.solved),
-            str(outcome.goals),
-            f"{1000 * outcome.share:.1f}",
+            f"{outcome.solved} of {outcome.goals}",
             f"{1000 * low:.1f}..{1000 * high:.1f}",
             "-" if steps is None else f"{steps:.1f}",
             f"{1000 * outcome.worst:.4g}",

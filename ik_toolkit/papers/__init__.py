@@ -15,6 +15,10 @@ class Paper(NamedTuple):
 
 
 PAPERS: dict[str, Paper] = {
+    "burrell": Paper(
+        "ik_toolkit.papers.burrell_2016:reproduce",
+        "Burrell et al. 2016: IK-PID and state-space solver of the HydroLek-7W, tuned further, and on other robots",
+    ),
     "shanmugasundar": Paper(
         "ik_toolkit.papers.shanmugasundar_2012:reproduce",
         "Shanmugasundar and Sivaramakrishnan 2012: closed-form inverse of a 7-joint inspection robot",

@@ -46,7 +46,7 @@ def plot_tuning(result: TuneResult, file: str | Path) -> Path:
         axis.set(xlabel="generation", ylabel="cost (1 = everything lost)")
         low, high = result.held_out.interval
         axis.set_title(
-            f"{result.solver} on {result.robot}, {result.method}: {1000 * result.before.share:.0f} before, "
+            f"{result.solver} on {result.robot}, {result.method}: {1000 * result.before.share:.1f} before,\n"
             f"{1000 * result.held_out.share:.1f} [{1000 * low:.1f}, {1000 * high:.1f}] of 1000 held-out goals after"
         )
         axis.legend(loc="upper right")

@@ -110,9 +110,10 @@ def workspace(
 ) -> Workspace:
     """Solve goals over the workspace with each solver.
 
-    solvers: names or rules, or a mapping of labels to them. how: 'joints' or 'volume', see `sample_targets`. file: a .csv that receives every goal as it is
-    solved (x, y, z, then success, status, iterations, position_error, orientation_error a solver), so that millions of goals need
-    no more memory than a chunk. executor: as for `solve_batch`. options: as for `solve`. Goals depend on (seed, chunk) only.
+    solvers: names or rules, or a mapping of labels to them. how: 'joints' or 'volume', see `sample_targets`. file: a .csv that
+    receives every goal as it is solved (x, y, z, then success, status, iterations, position_error, orientation_error a
+    solver), so that millions of goals need no more memory than a chunk. executor: as for `solve_batch`. options: as for
+    `solve`. Goals depend on (seed, chunk) only.
     Raises InvalidOption and what `solve_batch` raises.
     """
     if not solvers:
