@@ -6,11 +6,9 @@ from robots import load
 
 import ik_toolkit as ik
 from ik_toolkit.errors import InvalidOption
-
-matplotlib = pytest.importorskip("matplotlib", reason="matplotlib is not installed (extra 'plots')")
-matplotlib.use("Agg")
-
 from ik_toolkit.show import plots
+
+pytest.importorskip("matplotlib", reason="matplotlib is not installed (extra 'plots')")
 
 
 @pytest.fixture(autouse=True)
