@@ -5,6 +5,7 @@ Everything goes to docs/generated/ and docs/notebooks/, which are not committed.
 
 import re
 import shutil
+import sys
 from pathlib import Path
 
 ROOMS = {  # how the public names are grouped in the API page, by the module they live in
@@ -33,12 +34,24 @@ def write_all(source: Path) -> None:
         path = folder / name
         if not path.exists() or path.read_text(encoding="utf-8") != page:
             path.write_text(page, encoding="utf-8")
+    write_scenes(source)
     copies = source / "notebooks"
     copies.mkdir(exist_ok=True)
     for old in copies.glob("*.ipynb"):
         old.unlink()
     for notebook in sorted((source.parent / "notebooks").glob("*.ipynb")):
         shutil.copy(notebook, copies)
+
+
+def write_scenes(source: Path) -> None:
+    """Write the scenes of shipped robots as pages that can be turned, below the built site's scenes/."""
+    sys.path.insert(0, str(source.parent / "scripts"))
+    from make_pictures import SCENES, SHIPPED
+
+    folder = source / "generated" / "extra" / "scenes"
+    folder.mkdir(parents=True, exist_ok=True)
+    for name in SHIPPED:
+        SCENES[name]().save(folder / f"{name}.html")
 
 
 # ------------------------------------------------------------------------------------------------ pages
@@ -58,7 +71,11 @@ def cli_page() -> str:
     from ik_toolkit.cli import application
 
     root = typer.main.get_command(application())
-    parts = ["# The command `ik`\n", _plain(root.help or ""), "Made from the commands themselves; `ik COMMAND --help` says the same.\n"]
+    parts = [
+        "# The command `ik`\n",
+        _plain(root.help or ""),
+        "Made from the commands themselves; `ik COMMAND --help` says the same.\n",
+    ]
     for name, command in root.commands.items():
         if command.hidden:
             continue
@@ -187,6 +204,13 @@ def _members(value) -> list[str]:
     return ["   :members:", *inherited]
 
 
+def list_measured_pages(app, docname: str, source: list[str]) -> None:
+    """Put the pages that long measurements write into the table of contents, when they are there."""
+    if docname == "index":
+        there = [name for name in ("benchmarks", "reliability") if (Path(app.srcdir) / f"{name}.md").exists()]
+        source[0] = source[0].replace("\ngallery\n", "\n" + "".join(f"{name}\n" for name in there) + "gallery\n")
+
+
 # ------------------------------------------------------------------------------------------------ autodoc
 def escape_docstring(app, what, name, obj, options, lines: list[str]) -> None:
     """Docstrings are plain text: code in backticks becomes literal, everything else loses its special meaning."""
@@ -196,7 +220,9 @@ def escape_docstring(app, what, name, obj, options, lines: list[str]) -> None:
         indented = line.startswith("    ") and stripped
         pieces = re.split(r"(`[^`]+`)", line)
         text = "".join(
-            f"``{piece[1:-1]}``" if piece.startswith("`") and piece.endswith("`") and len(piece) > 2 else re.sub(r"([\\*|_`])", r"\\\1", piece)
+            f"``{piece[1:-1]}``"
+            if piece.startswith("`") and piece.endswith("`") and len(piece) > 2
+            else re.sub(r"([\\*|_`])", r"\\\1", piece)
             for piece in pieces
         )
         out.append(f"| {text.strip()}" if indented else text)

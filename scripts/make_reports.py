@@ -1,6 +1,6 @@
 """Make the reports of the papers below docs/papers/, with small pictures: the output of `ik reproduce` for each.
 
-    python scripts/make_reports.py [PAPER ...]
+python scripts/make_reports.py [PAPER ...]
 """
 
 import argparse

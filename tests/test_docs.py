@@ -35,7 +35,8 @@ def test_examples_run(page, tmp_path, monkeypatch, capsys):
 def test_commands_run(command, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     assert main(shlex.split(command)[1:]) == 0
-    assert capsys.readouterr().out.strip()
+    said = capsys.readouterr()
+    assert (said.out + said.err).strip()
 
 
 def test_there_is_something_to_run():

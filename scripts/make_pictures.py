@@ -1,0 +1,99 @@
+"""Make the pictures of the README and the gallery: scenes drawn by `ik.view`, photographed in headless Chromium.
+
+Run: python scripts/make_pictures.py [NAME ...]   (needs the extras view and robots, and chromium)
+"""
+
+import argparse
+import shutil
+import subprocess
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from PIL import Image  # comes with matplotlib
+
+import ik_toolkit as ik
+
+FOLDER = Path(__file__).resolve().parent.parent / "docs" / "_static"
+SIZE = (1000, 600)
+FLAGS = (
+    "--headless --no-sandbox --disable-quic --no-first-run --disable-background-networking --disable-component-update "
+    "--disable-sync --hide-scrollbars --virtual-time-budget=15000"
+).split()
+
+
+def aim(scene: Any, at: tuple[float, float, float], eye: tuple[float, float, float]) -> Any:
+    """Look at a point [m] from nearer than the default, which leaves room for turning the scene."""
+    scene.look(eye=eye, target=at)
+    return scene
+
+
+def solve() -> Any:
+    """A pose on the HydroLek, with the way from home."""
+    robot = ik.Robot.load("hydrolek_7w")
+    target = robot.fk([0.4, 0.9, -0.4, 1.0, -1.0, 0.8])
+    scene = ik.view(robot, ik.solve(robot, target, history=True), target=target)
+    return aim(scene, (0.38, 0.08, 0.17), (0.95, -0.62, 0.5))
+
+
+def two_arms() -> Any:
+    """Both arms of the Brokk machine, solved together."""
+    robot = ik.Robot.load("brokk_hydrolek", tip=["left_tip", "right_tip"])
+    targets = {"left_tip": ik.pose(xyz=(1.35, 0.35, 0.75)), "right_tip": ik.pose(xyz=(1.25, -0.3, 0.95))}
+    return aim(ik.view(robot, ik.solve(robot, targets), target=targets), (0.4, 0.0, 0.62), (2.15, -1.25, 1.3))
+
+
+def branches() -> Any:
+    """Every solution found for one pose of the UR5, joints within half a turn."""
+    robot = ik.Robot.load("ur5_limited")
+    target = robot.fk([0.4, -1.1, 1.3, -0.6, 1.2, 0.3])
+    scene = ik.view(robot, ik.solve_all(robot, target), target=target)
+    return aim(scene, (0.2, 0.1, 0.25), (0.85, -0.58, 0.65))
+
+
+def tracking() -> Any:
+    """A figure of eight followed by the Panda."""
+    robot = ik.Robot.load("panda")
+    start = robot.fk(robot.home)
+    path = ik.lissajous(start, amplitudes=(0.12, 0.2, 0.0), duration=8.0)
+    return aim(ik.view(robot, ik.track(robot, path, "cv", dt=0.02)), (0.27, 0.0, 0.38), (0.95, -0.55, 0.72))
+
+
+def limits() -> Any:
+    """Which points of the plane y = 0 the HydroLek's tip reaches inside its joint limits."""
+    robot = ik.Robot.load("hydrolek_7w")
+    x, z = np.meshgrid(np.arange(0.15, 1.35, 0.04), np.arange(-0.9, 1.06, 0.04))
+    points = np.column_stack([x.ravel(), np.zeros(x.size), z.ravel()])
+    many = ik.solve_batch(robot, points, restarts=20)
+    return aim(ik.view(robot, cloud=(points, many.success)), (0.55, 0.0, 0.1), (0.72, -1.55, 0.3))
+
+
+SCENES = {"solve": solve, "two_arms": two_arms, "branches": branches, "tracking": tracking, "limits": limits}
+SHIPPED = ("solve", "two_arms", "limits")  # robots that need no extra
+
+
+def photograph(page: Path, picture: Path) -> None:
+    """Write the picture of a page."""
+    chromium = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+    if chromium is None:
+        raise SystemExit("chromium is not installed")
+    with tempfile.TemporaryDirectory() as profile:
+        size = f"--window-size={SIZE[0]},{SIZE[1]}"
+        command = [chromium, *FLAGS, f"--user-data-dir={profile}", size, f"--screenshot={picture}", page.as_uri()]
+        subprocess.run(command, check=True, capture_output=True, timeout=120)
+    Image.open(picture).convert("RGB").save(picture, optimize=True)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("names", nargs="*", help=f"default: all of {', '.join(SCENES)}")
+    for name in parser.parse_args().names or SCENES:
+        with tempfile.TemporaryDirectory() as folder:
+            page = SCENES[name]().save(Path(folder) / f"{name}.html")
+            photograph(page, FOLDER / f"{name}.png")
+        print(f"{name}.png: {(FOLDER / f'{name}.png').stat().st_size // 1000} kB")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,35 @@
+"""The committed notebooks: complete, small, executed in order, without scenes or errors (CI executes them apart)."""
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+
+FOLDER = Path(__file__).resolve().parent.parent / "notebooks"
+NOTEBOOKS = sorted(FOLDER.glob("*.ipynb"))
+LARGEST = 200_000  # bytes
+
+
+def test_numbered_from_00_to_05():
+    assert [path.name[:3] for path in NOTEBOOKS] == [f"0{k}_" for k in range(6)]
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_committed_small_and_executed(path):
+    assert path.stat().st_size < LARGEST
+    cells = json.loads(path.read_text(encoding="utf-8"))["cells"]
+    code = [cell for cell in cells if cell["cell_type"] == "code"]
+    assert [cell["execution_count"] for cell in code] == list(range(1, len(code) + 1))
+    outputs = [output for cell in code for output in cell["outputs"]]
+    assert not [output for output in outputs if output["output_type"] == "error"]
+    shown = [output["data"] for output in outputs if "data" in output]
+    assert any("image/png" in data for data in shown), "no picture that survives on a code-hosting page"
+    assert not [data for data in shown if "<iframe" in "".join(data.get("text/html", ""))]
+    assert any("ik.view(" in "".join(cell["source"]) for cell in code), "no 3-D scene"
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_links_between_notebooks_lead_somewhere(path):
+    for name in re.findall(r"\]\(([^)]+\.ipynb)\)", path.read_text(encoding="utf-8")):
+        assert (FOLDER / name).is_file(), name
