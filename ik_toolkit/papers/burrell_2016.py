@@ -7,7 +7,6 @@ right); its errors are in mm and its increments in degrees. The start, the goals
 
 import importlib.util
 import math
-from time import perf_counter
 from typing import Any
 
 import numpy as np
@@ -25,35 +24,14 @@ from ..study import singularity
 from ..study.targets import sample_targets
 from ..study.tune import score
 from .burrell_figures import draw_existence, draw_planar, draw_response, draw_workspace
-from .burrell_interpreted import interpreted_times
+from .burrell_published import MISPRINTS, PLANAR_B, TABLE_1, TABLE_3
+from .burrell_speed import speed
 from .report import Report
 
 TO_PAPER = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])  # base_link -> paper axes, Rx(-90 deg)
 SEEDS = range(100, 110)
 FITTED = np.radians([18.0, 51.0, -18.0, -6.0, -20.0, -78.0])  # one of 150 random starts, picked by 960, 994 and 665
 PAPER_OPTIONS: dict[str, Any] = {"tolerance": 1e-3, "max_iterations": 1000}
-# Table I and III as printed: theta offset, d, a, alpha, lower, upper (mm, degrees; planar arm in its units).
-TABLE_1 = (
-    (0, 0, 70.0, 90, -27.07, 40.60),
-    (0, 0, 523.4, 0, -10.32, 65.64),
-    (0, 0, 165.0, -90, -42.01, 21.43),
-    (0, -212.0, 44.45, 90, -63.94, 114.97),
-    (-90, 0, 184.0, -90, -81.52, -4.16),
-    (-90, 284.8, 0, 0, -260.0, 260.0),
-)
-TABLE_3 = ((0, 0, 2, 0, -60, 60),) * 3
-TABLE_2 = {  # ms at 5, 2, 1 and 0.1 mm
-    "J+": (0.823, 1.115, 1.368, 1.727),
-    "J^T": (0.951, 1.327, 1.602, 2.391),
-    "DLS": (1.091, 1.524, 1.780, 2.538),
-    "IK-PID": (16.258, 16.231, 16.147, math.nan),
-    "state space": (0.604, 0.763, 0.875, 1.310),
-}
-TOLERANCES = (5e-3, 2e-3, 1e-3, 1e-4)
-PLANAR_B = (
-    [[2, -2], [-1, 0], [1, -2]],
-    [[0, -2], [-1, -1], [-2, -1]],
-)  # found over integers; the paper's is unpublished
 
 
 def goals(robot: Robot, seed: int, count: int = 1000) -> np.ndarray:
@@ -104,7 +82,7 @@ def reproduce(seeds: int = 10) -> Report:
     goal = _existence(report, robot)
     _counts(report, robot, some)
     _responses(report, robot, goal, some)
-    _speed(report, robot)
+    speed(report, robot, goals(robot, 7), starts(robot)["mid-range"])
     _planar(report, some)
     _other_robots(report)
     _misprints(report)
@@ -164,7 +142,7 @@ def _existence(report: Report, robot: Robot) -> np.ndarray:
     for kp in np.round(np.arange(0.09, 0.3001, 0.01), 4):
         good = ~solved(left, float(kp))
         left, steps = left[good], steps[good]
-    order = np.argsort(np.abs(steps - 100), kind="stable")[:20]
+    order = np.argsort(np.abs(steps - 100), kind="stable")[:60]
     grid = np.round(np.arange(0.0848, 0.30005, 0.0001), 4)
     reached = np.array([solved(left[order], float(kp)).astype(int) for kp in grid]).sum(0)
     best = order[np.argmin(reached)]
@@ -294,85 +272,6 @@ def _responses(report: Report, robot: Robot, goal: np.ndarray, seeds: Any) -> No
     )
 
 
-def _speed(report: Report, robot: Robot) -> None:
-    report.heading("Table II: time per goal")
-    q0 = starts(robot)["mid-range"]
-    rules: dict[str, tuple[Any, np.ndarray | None]] = {
-        "J+": ("pinv", q0),
-        "J^T": ("transpose", q0),
-        "DLS": (DLS(damping=0.1 / robot.chain.scale), q0),
-        "IK-PID": (PID.preset("burrell-2016"), q0),
-        "state space": (StateSpace.preset("hydrolek-7w-one-map"), None),
-        "state space, 32 maps": (StateSpace.preset("hydrolek-7w"), None),
-    }
-    points = goals(robot, 7)
-    compiled: dict[str, list[float]] = {name: [] for name in rules}
-    for tolerance in TOLERANCES:
-        options = {"tolerance": tolerance, "max_iterations": 1000}
-        good = np.all([solve_batch(robot, points, r, q0=s, check=0.0, **options).success for r, s in rules.values()], 0)
-        for name, (rule, start) in rules.items():
-            solver = Solver(robot, rule, **options)
-            solver(points[0], q0=start)
-            best = math.inf
-            for _ in range(3):
-                begun = perf_counter()
-                solve_batch(robot, points[good], rule, q0=start, check=0.0, threads=1, **options)
-                best = min(best, perf_counter() - begun)
-            compiled[name].append(1000.0 * best / good.sum())
-    slow = interpreted_times(robot, points[:100], TOLERANCES, q0)
-    rows = []
-    for name in rules:
-        paper = TABLE_2.get(name, (math.nan,) * 4)
-        rows.append([name, *(_ratio(a, b) for a, b in zip(paper, TABLE_2["J+"], strict=True))])
-        rows[-1] += [_ratio(a, b) for a, b in zip(compiled[name], compiled["J+"], strict=True)]
-        rows[-1] += [_ratio(a, b) for a, b in zip(slow[name], slow["J+"], strict=True)] if name in slow else ["-"] * 4
-    mm = ["5", "2", "1", "0.1"]
-    head = [
-        "time over J+'s",
-        *(f"paper {x} mm" for x in mm),
-        *(f"compiled {x}" for x in mm),
-        *(f"numpy {x}" for x in mm),
-    ]
-    report.table("table_2_ratios", head, rows)
-    report.number("table_2_compiled_ms", compiled)
-    report.number("table_2_numpy_ms", slow)
-    at = TOLERANCES.index(1e-3)
-    one, many = (compiled[name][at] / compiled["J+"][at] for name in ("state space", "state space, 32 maps"))
-    fair = _same_starts(robot, points)
-    report.number("same_starts", fair)
-    report.text(
-        f"""Goals solved by all, start mid-range except for the tuned solvers, which bring theirs. Ratios, because the machines
-        differ; times of this run on a shared machine. Compiled J+ takes {1000 * compiled["J+"][at]:.1f} us a goal at 1 mm. The
-        paper's 65 % (Table II itself gives 73, 68, 64 and 76 %) belongs to what a Jacobian and its pseudo-inverse cost in
-        MATLAB and does not carry over: here one tuned map takes {one:.2f} times J+'s time. With 32 tuned starts the
-        state-space solver takes {many:.2f} times. Part of that is the start: J+ given the same 32 starts takes
-        {fair["pinv"]["us"]:.1f} us and solves {fair["pinv"]["solved"]} of 1000, the state-space solver
-        {fair["state-space"]["us"]:.1f} us and {fair["state-space"]["solved"]}, so from equal starts its time is
-        {fair["state-space"]["us"] / fair["pinv"]["us"]:.2f} of J+'s. IK-PID: slower by an order of magnitude, as published."""
-    )
-
-
-def _same_starts(robot: Robot, points: np.ndarray) -> dict[str, dict[str, float]]:
-    """Time [us] and successes of J+ and the tuned state-space solver, both from the nearest of the 32 tuned starts, given as q0."""
-    rule = StateSpace.preset("hydrolek-7w")
-    table = np.asarray(rule.starts, dtype=float)
-    tips = robot.chain.forward(table)[0][:, :3, 3]
-    nearest = table[((points[:, None] - tips) ** 2).sum(axis=2).argmin(axis=1)]
-    found = {}
-    for name, solver, q0 in (("pinv", "pinv", nearest), ("state-space", rule, None)):
-        best = math.inf
-        for _ in range(5):
-            begun = perf_counter()
-            result = solve_batch(robot, points, solver, q0=q0, check=0.0, threads=1, **PAPER_OPTIONS)
-            best = min(best, perf_counter() - begun)
-        found[name] = {"us": 1e6 * best / len(points), "solved": int(result.success.sum())}
-    return found
-
-
-def _ratio(a: float, b: float) -> str:
-    return "-" if math.isnan(a) else f"{a / b:.2f}"
-
-
 def _planar(report: Report, seeds: Any) -> None:
     report.heading("Section 6.4: the straight planar arm")
     robot = Robot.load("planar_3r")
@@ -477,22 +376,3 @@ def _one_map(robot: Robot, position_only: bool) -> StateSpace:
 def _misprints(report: Report) -> None:
     report.heading("Misprints and gaps, and the reading used")
     report.table("misprints", ["place", "problem", "used"], [list(row) for row in MISPRINTS])
-
-
-MISPRINTS = (
-    ("eq. (2), element (2,4)", "+sin(alpha) d printed; it would flip d_4 and d_6, and the printed B then solves 143, not 665", "minus"),
-    ("eq. (2) and Table I", "a_{i-1} in the formula, a in the table", "classic rows: the same thing here, as row 6 has a = alpha = 0"),
-    ("section 3.1", "T_i 'from the 1st to the i-th joint'; yaw, pitch, roll 'about x, y, z'", "T_i: link i-1 to i; yaw z, pitch y, roll x"),
-    ("section 6.4", "names eq. (10) and the pseudo-inverse, works (11)-(12), the transpose; alpha is 0/0, not 0", "J^T e = 0"),
-    ("section 4", "'+dtheta and +dtheta'", "plus and minus"),
-    ("Algorithm I, line 15", "'if theta > minimum limit'", "< minimum"),
-    ("Algorithm I, lines 8-14", "the minus trial starts from the saturated plus trial; f(theta +- theta_i)", "theta - delta; the trial vector"),
-    ("Algorithm I", "no exits, no sums, first change of |e| undefined", "exits of the text, first change 0, tip first, not moving wins ties"),
-    ("eq. (13)", "the sum of norms never falls, so K_i leaves a floor", "K_i as small as printed"),
-    ("eqs. (14)-(15)", "x(0), delay and windup at limits unsaid", "x(0) = 0, literal delay, state untouched by saturation"),
-    ("sections 6.1, 6.2", "start, goals, tolerance, iteration limit, tuned matrices unpublished", "ours, stated"),
-    ("section 6.3", "'approximately 65 %'", "Table II: 73, 68, 64, 76 %"),
-    ("Table II, IK-PID", "time falls as the tolerance tightens: no early exit was timed", "our exits"),
-    ("section 1", "six joints 'hence redundant'", "redundant for positions only"),
-    ("conclusion", "'improved robustness against singularities'", "one planar goal; see section 6.4"),
-)  # fmt: skip

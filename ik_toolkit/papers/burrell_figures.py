@@ -19,7 +19,7 @@ def draw_existence(runs: dict[float, np.ndarray]) -> Callable[[Any], Any]:
             line, width = styles[kp]
             axis.semilogy(error, line, lw=width, color=colour, label=f"$K_p$ = {kp:g}")
         axis.axhline(1.0, color="0.6", lw=0.8, ls=":")
-        axis.text(axis.get_xlim()[1], 1.05, "1 mm", ha="right", va="bottom", color="0.4", fontsize=8)
+        axis.text(0.0, 1.05, "1 mm", va="bottom", color="0.4", fontsize=8)
         axis.set(xlabel="sweep", ylabel="error (mm)")
         axis.legend()
         return figure
@@ -47,16 +47,20 @@ def draw_workspace(points: np.ndarray, maps: dict[str, np.ndarray]) -> Callable[
     """Goals (N, 3) [mm, paper frame], reached ones as dots and lost ones as circles, one panel a solver."""
 
     def draw(plt: Any) -> Any:
-        figure = plt.figure(figsize=(10.0, 4.8), layout="constrained")
+        figure = plt.figure(figsize=(10.0, 4.6), layout="constrained")
         for k, (name, good) in enumerate(maps.items()):
             axis = figure.add_subplot(1, len(maps), k + 1, projection="3d")
             x, y, z = points.T
-            axis.scatter(x[good], z[good], y[good], s=4, color=COLOURS[0], alpha=0.35, lw=0)
-            axis.scatter(x[~good], z[~good], y[~good], s=26, facecolors="none", edgecolors=COLOURS[1], lw=1.0)
+            axis.scatter(x[good], z[good], y[good], s=6, color=COLOURS[0], alpha=0.55, lw=0, depthshade=False)
+            axis.scatter(
+                x[~good], z[~good], y[~good], s=26, facecolors="none", edgecolors=COLOURS[1], lw=1.0, depthshade=False
+            )
             axis.set(xlabel="x forward (mm)", ylabel="z right (mm)", zlabel="y up (mm)")
             axis.set_title(f"{name}: {int(good.sum())} of {len(good)}")
             axis.view_init(22, -60)
-            axis.set_box_aspect((1, 1.3, 1.3), zoom=0.85)
+            axis.set_box_aspect((1, 1.3, 1.3), zoom=0.95)
+            for side in (axis.xaxis, axis.yaxis, axis.zaxis):
+                side.set_major_locator(plt.MaxNLocator(4))
         return figure
 
     return draw

@@ -1,0 +1,207 @@
+"""Tuning: spaces, searches, checkpoints, presets in a fresh process, the command."""
+
+import json
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+import robots
+
+import ik_toolkit as ik
+from ik_toolkit.cli import main
+from ik_toolkit.errors import InvalidOption
+from ik_toolkit.study.spaces import Parameter, make_space
+from ik_toolkit.study.statistics import wilson
+from ik_toolkit.study.targets import sample_targets
+from ik_toolkit.study.tune import Evolution, Score, Swarm, score, tune
+
+SMALL = dict(goals=150, held_out=2, population=8)
+
+
+def test_wilson_interval():
+    # Newcombe (1998), Stat. Med. 17, table I: 81 of 263 and 15 of 148, method 3
+    assert np.round(wilson(81, 263), 4).tolist() == [0.2553, 0.3662]
+    assert np.round(wilson(15, 148), 4).tolist() == [0.0624, 0.1605]
+    assert wilson(0, 20)[0] == 0.0 and wilson(20, 20)[1] == 1.0
+
+
+def test_score_counts_all_sets():
+    one = Score([990, 980], 1000, 12.0)
+    assert one.total == 2000 and one.share == 0.985
+    assert one.interval == wilson(1970, 2000)
+    assert "985.0 of 1000" in str(one) and "980 to 990" in str(one)
+
+
+# ------------------------------------------------------------------------------------------------------------- spaces
+def test_parameters_map_to_the_unit_interval_and_back():
+    for one in (Parameter("a", 1e-4, 1.0, 0.01, log=True), Parameter("b", -2.0, 5.0, 0.5)):
+        assert abs(one.from_unit(one.to_unit()) - one.initial) < 1e-12
+        assert abs(one.from_unit(np.zeros(1)) - one.low) < 1e-12 and abs(one.from_unit(np.ones(1)) - one.high) < 1e-12
+    many = Parameter("c", np.zeros((2, 3)), np.ones((2, 3)) * 4, np.arange(6.0).reshape(2, 3) / 2)
+    assert np.allclose(many.from_unit(many.to_unit()), many.initial)
+
+
+@pytest.mark.parametrize(
+    ("solver", "maps"), [("state-space", 1), ("state-space", 5), ("pid", 1), ("dls", 1), ("lm", 1), ("pinv", 1)]
+)
+@pytest.mark.parametrize("position_only", [True, False])
+def test_the_start_of_a_space_is_the_initial_rule(solver, maps, position_only):
+    robot = robots.load("hydrolek_7w")
+    space = make_space(robot, solver, position_only, maps)
+    assert ((space.start >= 0) & (space.start <= 1)).all() and len(space.start) == space.size
+    targets = sample_targets(robot, 60, 1, position_only=position_only)
+    a, b = (
+        ik.solve_batch(robot, targets, rule, q0=robot.home, tolerance=1e-3, max_iterations=100)
+        for rule in (space.initial, space.build(space.start))
+    )
+    assert (a.success == b.success).mean() > 0.95 and np.abs(a.q - b.q)[a.success & b.success].max() < 1e-2
+    assert space.build(np.zeros(space.size)) is not None and space.build(np.ones(space.size)) is not None
+
+
+def test_published_matrices_are_the_same_solver_in_the_search():
+    robot = robots.load("hydrolek_7w")
+    published = ik.StateSpace.preset("burrell-2016")
+    space = make_space(robot, "state-space", True, 1, published)
+    ours = space.build(space.start)
+    target = sample_targets(robot, 1, 4, position_only=True)[0]
+    runs = [
+        ik.solve(robot, target, rule, q0=robot.home, history=True, max_iterations=20, tolerance=1e-9).history["q"]
+        for rule in (published, ours)
+    ]
+    assert np.abs(runs[0] - runs[1]).max() < 1e-9
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda robot: make_space(robot, "ccd", True),
+        lambda robot: make_space(robot, "pid", True, 3),
+        lambda robot: make_space(robot, "state-space", True, 0),
+        lambda robot: make_space(
+            robot, "state-space", True, 1, ik.StateSpace(A=np.diag(np.arange(6.0)), B=np.ones((6, 3)), C=np.eye(6))
+        ),
+        lambda robot: tune(robot, "pid", method="gradient"),
+    ],
+)
+def test_mistakes_are_named(call):
+    with pytest.raises(InvalidOption):
+        call(robots.load("hydrolek_7w"))
+
+
+# ----------------------------------------------------------------------------------------------------------- searches
+@pytest.mark.parametrize("engine", [Swarm, Evolution])
+def test_searches_find_a_minimum_at_a_wall_and_inside(engine):
+    goal = np.array([0.3, 0.0, 1.0, 0.62, 0.5])
+
+    def run(seed):
+        search = engine(np.full(5, 0.5), 0.2, 16, seed)
+        least = np.inf
+        for _ in range(120):
+            X = search.ask()
+            assert ((X >= 0) & (X <= 1)).all()
+            costs = ((X - goal) ** 2).sum(1)
+            least = min(least, costs.min())
+            search.tell(costs)
+        return least
+
+    assert run(3) < 1e-4
+    assert run(3) == run(3)
+    assert run(3) != run(4)
+
+
+@pytest.mark.parametrize("method", ["cma", "pso"])
+def test_tuning_helps_on_goals_it_never_saw(method):
+    robot = robots.load("hydrolek_7w")
+    found = tune(robot, "state-space", maps=4, method=method, generations=12, **SMALL)
+    assert found.held_out.share > found.before.share
+    assert found.held_out.total == 2000 and found.train.total == 150
+    assert (np.diff(found.history[:, 0]) <= 0).all()
+    assert found.evaluations == 96
+    again = tune(robot, "state-space", maps=4, method=method, generations=12, **SMALL)
+    assert (np.asarray(again.rule.starts) == np.asarray(found.rule.starts)).all()
+    assert again.held_out.successes == found.held_out.successes
+
+
+def test_train_and_held_out_goals_differ():
+    robot = robots.load("hydrolek_7w")
+    sets = [sample_targets(robot, 50, [0, stream, k], position_only=True) for stream in (1, 2, 3) for k in (0, 1)]
+    points = np.concatenate(sets)
+    assert len(np.unique(points.round(12), axis=0)) == len(points)
+
+
+def test_a_search_goes_on_where_it_stopped(tmp_path):
+    robot = robots.load("hydrolek_7w")
+    file = tmp_path / "search.npz"
+    seen = []
+    whole = tune(robot, "pid", generations=4, **SMALL)
+    tune(robot, "pid", generations=2, checkpoint=file, **SMALL)
+    size = file.stat().st_size
+    rest = tune(robot, "pid", generations=4, checkpoint=file, progress=lambda k, costs: seen.append(k), **SMALL)
+    assert seen == [1, 2, 3, 4] and file.stat().st_size > size
+    assert rest.rule._replace(starts=None) == whole.rule._replace(starts=None)
+    with pytest.raises(InvalidOption, match="another search"):
+        tune(robot, "pid", generations=4, checkpoint=file, seed=5, **SMALL)
+
+
+def test_an_interrupted_search_keeps_the_best():
+    def stop(generation, costs):
+        if generation == 2:
+            raise KeyboardInterrupt
+
+    found = tune(robots.load("hydrolek_7w"), "pid", generations=50, progress=stop, **SMALL)
+    assert found.interrupted and len(found.history) == 2
+    assert found.held_out.share > 0.9
+
+
+# ------------------------------------------------------------------------------------------------------------ command
+def test_command_writes_a_preset_that_another_process_reads(tmp_path, capsys):
+    file, plot = tmp_path / "mine.toml", tmp_path / "plot.png"
+    arguments = ["tune", "hydrolek_7w", "state-space", "--maps", "3", "--generations", "4", "--population", "8"]
+    arguments += ["--goals", "150", "--held-out", "2", "-o", str(file), "--plot", str(plot), "--json"]
+    assert main(arguments) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert plot.stat().st_size > 10_000 and file.with_suffix(".npz").exists()
+    assert told["held_out"]["goals_a_set"] == 1000 and len(told["held_out"]["wilson_95"]) == 2
+    code = (
+        "import ik_toolkit as ik; from ik_toolkit.study.tune import score; from ik_toolkit.study.targets import sample_targets\n"
+        f"rule = ik.StateSpace.preset({str(file)!r}); robot = ik.Robot.load('hydrolek_7w')\n"
+        "sets = [sample_targets(robot, 1000, [0, 3, k], position_only=True) for k in range(2)]\n"
+        "print(score(robot, rule, sets, **rule.options()).successes)"
+    )
+    other = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert json.loads(other.stdout) == told["held_out"]["successes"]
+    q = ik.StateSpace.preset(str(file)).starts[0]
+    x, y, z = robots.load("hydrolek_7w").fk(q).translation + 0.01
+    solve = [
+        "solve",
+        "hydrolek_7w",
+        "--xyz",
+        str(x),
+        str(y),
+        str(z),
+        "-s",
+        "state-space",
+        "--preset",
+        str(file),
+        "--json",
+    ]
+    assert main(solve) == 0
+    assert json.loads(capsys.readouterr().out)["iterations"] < 100
+
+
+def test_command_refuses_with_a_sentence(tmp_path, capsys):
+    for arguments in (
+        ["tune", "hydrolek_7w", "ccd"],
+        ["tune", "hydrolek_7w", "state-space", "-o", "x.json"],
+        ["tune", "hydrolek_7w", "state-space", "--from", "nothing"],
+        ["tune", "hydrolek_7w", "lm", "--from", "burrell-2016"],
+    ):
+        assert main(arguments) == 2
+        assert capsys.readouterr().err.startswith("ik: ")
+
+
+def test_score_of_names_and_rules_agree():
+    robot = robots.load("hydrolek_7w")
+    sets = [sample_targets(robot, 100, 2, position_only=True)]
+    assert score(robot, "dls", sets, tolerance=1e-3) == score(robot, ik.DLS(), sets, tolerance=1e-3)

@@ -1,0 +1,129 @@
+"""Workspace and singularity studies: sampling, counts, streaming, workers, pictures, the command."""
+
+import csv
+import json
+from concurrent.futures import ProcessPoolExecutor
+
+import numpy as np
+import pytest
+import robots
+
+import ik_toolkit as ik
+from ik_toolkit.cli import main
+from ik_toolkit.errors import InvalidOption
+from ik_toolkit.study.singularity import escapes, measures
+from ik_toolkit.study.targets import sample_targets, stream_targets
+from ik_toolkit.study.workspace import envelope, workspace
+
+PUBLISHED = {"designed": "state-space", "published": ik.StateSpace.preset("burrell-2016")}
+
+
+def test_targets_are_reachable_reproducible_and_spread_as_asked():
+    robot = robots.load("hydrolek_7w")
+    assert (sample_targets(robot, 50, 3) == sample_targets(robot, 50, 3)).all()
+    assert (sample_targets(robot, 50, 3) != sample_targets(robot, 50, 4)).any()
+    assert sample_targets(robot, 7, position_only=True).shape == (7, 3)
+    q = robot.lower + (robot.upper - robot.lower) * np.random.default_rng(3).random((1, 6))
+    assert np.abs(robot.fk(q[0]).homogeneous - sample_targets(robot, 1, 3)[0]).max() < 1e-12
+    for how in ("joints", "volume"):
+        assert ik.solve_batch(robot, sample_targets(robot, 300, 1, how=how), tolerance=1e-4).success.all()
+
+    def crowding(how):  # largest share of the goals in one cell of a coarse grid
+        points = sample_targets(robot, 20_000, 1, how=how, position_only=True)
+        cells = np.unique((points // 0.2).astype(int), axis=0, return_counts=True)[1]
+        return cells.max() / len(points)
+
+    assert crowding("volume") < 0.8 * crowding("joints")
+    with pytest.raises(InvalidOption, match="joints"):
+        sample_targets(robot, 5, how="joint")
+
+
+def test_chunks_depend_on_seed_and_number_only():
+    robot = robots.load("hydrolek_7w")
+    parts = list(stream_targets(robot, 250, 7, chunk=100))
+    assert [len(part) for part in parts] == [100, 100, 50]
+    assert (next(stream_targets(robot, 100, 7, chunk=100)) == parts[0]).all()
+
+
+def test_envelope_is_the_published_reach():
+    low, high, (near, far) = envelope(robots.load("hydrolek_7w"))
+    assert np.abs(1000 * low - [64, -707, -730]).max() < 8
+    assert np.abs(1000 * high - [1207, 900, 900]).max() < 25
+    assert abs(1000 * near - 531) < 8 and abs(1000 * far - 1210) < 5
+
+
+def test_counts_map_failures_and_file_agree(tmp_path):
+    robot = robots.load("hydrolek_7w")
+    file = tmp_path / "goals.csv"
+    found = workspace(robot, PUBLISHED, goals=9000, seed=2, file=file, tolerance=1e-3, max_iterations=1000)
+    rows = list(csv.DictReader(file.read_text().splitlines()))
+    assert len(rows) == 9000 == len(found.points)
+    for name, one in found.outcomes.items():
+        solved = np.array([int(row[f"{name} success"]) for row in rows])
+        assert one.goals == 9000 and one.solved == solved.sum() == found.solved[name].sum()
+        assert found.map[name][0].sum() == 9000 and found.map[name][1].sum() == one.solved
+        assert sum(one.statuses.values()) == 9000 and one.statuses["CONVERGED"] == one.solved
+        errors = np.array([float(row[f"{name} position_error"]) for row in rows])
+        assert (errors[solved == 1] <= 1e-3).all() and (errors[solved == 0] > 1e-3 * (1 - 1e-6)).all()
+        assert one.worst == errors[solved == 0].max()
+        lost = np.array([[float(row[k]) for k in "xyz"] for row in rows])[solved == 0]
+        listed = found.failures[name]
+        assert (listed[:, :3] == lost[: len(listed)]).all()
+    assert 0.70 < found.outcomes["published"].share < 0.77 < 0.98 < found.outcomes["designed"].share
+    repeat = workspace(robot, PUBLISHED, goals=9000, seed=2, tolerance=1e-3, max_iterations=1000)
+    assert {k: v.solved for k, v in repeat.outcomes.items()} == {k: v.solved for k, v in found.outcomes.items()}
+
+
+def test_an_executor_gives_the_same():
+    robot = robots.load("planar_3r")
+    here = workspace(robot, ["lm", "lm"], goals=300, tolerance=1e-3)
+    with ProcessPoolExecutor(1) as pool:
+        there = workspace(robot, ["lm", "lm"], goals=300, tolerance=1e-3, executor=pool)
+    assert list(here.outcomes) == ["lm", "lm 2"]
+    assert [x.iterations for x in there.outcomes.values()] == [x.iterations for x in here.outcomes.values()]
+
+
+def test_poses_and_mistakes(tmp_path):
+    robot = robots.load("hydrolek_7w")
+    found = workspace(robot, ["lm"], goals=200, position_only=False, how="volume")
+    assert found.outcomes["lm"].solved == 200 and json.dumps(found.to_dict())
+    with pytest.raises(InvalidOption, match="csv"):
+        workspace(robot, ["lm"], goals=10, file=tmp_path / "x.txt")
+    with pytest.raises(InvalidOption, match="at least one"):
+        workspace(robot, [])
+
+
+def test_measures_of_a_planar_arm():
+    robot = robots.load("planar_2r")
+    Q = np.array([[0.3, 0.0], [0.1, np.pi / 2], [-0.4, 1.0]])
+    product, condition, least = measures(robot, Q)
+    area = np.abs(np.sin(Q[:, 1])) / robot.chain.scale**2  # links of 1 m: |det J| = sin(theta_2)
+    assert np.abs(product - area).max() < 1e-12
+    assert condition[0] == np.inf and least[0] == 0.0 and (condition[1:] < 10).all()
+
+
+def test_escapes_from_the_straight_arm():
+    robot = robots.load("planar_3r")
+    line = np.column_stack([np.linspace(4.0, 5.5, 10), np.zeros((10, 2))])
+    rule = ik.StateSpace(A=-0.5 * np.eye(3), B=[[2, -2, 0], [-1, 0, 0], [1, -2, 0]], C=-0.05 * np.eye(3))
+    found = {x.solver: x for x in escapes(robot, line, ["transpose", "dls", rule], np.zeros(3), tolerance=0.02)}
+    for name in ("transpose", "dls"):
+        assert found[name].solved == 0 and found[name].stood_still == 10
+        assert found[name].solved_offset == 10
+    assert found["state-space"].solved >= 5 and found["state-space"].stood_still == 0
+
+
+def test_command(tmp_path, capsys):
+    plot, table = tmp_path / "map.png", tmp_path / "goals.csv"
+    arguments = ["workspace", "hydrolek_7w", "-s", "lm", "--preset", "state-space=burrell-2016", "-n", "500"]
+    assert main([*arguments, "--plot", str(plot), "--csv", str(table), "--json"]) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert told["solvers"]["lm"]["solved"] == 500
+    assert (
+        len(told["failures"]["state-space burrell-2016"]) == 500 - told["solvers"]["state-space burrell-2016"]["solved"]
+    )
+    assert plot.stat().st_size > 10_000 and len(table.read_text().splitlines()) == 501
+    assert main(arguments) == 0
+    assert "500 of 500" in capsys.readouterr().out
+    assert main(["workspace", "hydrolek_7w", "--preset", "lm=x"]) == 2
+    assert "SOLVER=PRESET" in capsys.readouterr().err
