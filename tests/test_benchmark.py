@@ -252,5 +252,5 @@ def test_one_small_run_against_a_process_of_its_own(tmp_path):
     assert run["refused"] == {} and set(run["rows"]) == {"ik", "ik_q0"}
     assert run["rows"]["ik"]["solved"] == run["rows"]["ik"]["targets"] == 20
     assert run["rows"]["ik_q0"]["faster"]["wall"]["median"] == 1.0
-    assert "| `ik` |" in output.with_suffix(".md").read_text(encoding="utf-8")
-    assert str(tmp_path) not in json.dumps({**written, "command": ""})
+    assert "| `ik` |" in written["tables"]
+    assert str(tmp_path) not in json.dumps(written)

@@ -39,6 +39,7 @@ def machine() -> dict[str, Any]:
         "cpu": cpu,
         "cores": os.cpu_count(),
         "system": f"{platform.system()} {platform.machine()}",
+        "nice": os.nice(0),
         "python": platform.python_version(),
         "ik_toolkit": __version__,
         **{name: importlib.metadata.version(name) for name in names},
@@ -71,7 +72,7 @@ def rate(solved: int, count: int) -> dict[str, Any]:
 def percent(part: dict[str, Any]) -> str:
     """Success for a table: percent and interval."""
     share = 100 * part["solved"] / part["targets"]
-    return f"{share:.4g} ({100 * part['low']:.4g} to {100 * part['high']:.4g})"
+    return f"{share:.5g} ({100 * part['low']:.5g} to {100 * part['high']:.5g})"
 
 
 def short(value: float) -> str:
@@ -88,15 +89,17 @@ def table(head: list[str], rows: list[list[Any]]) -> str:
 
 
 def write(output: Path, payload: dict[str, Any], *tables: str) -> None:
-    """Write the JSON and, beside it, the tables as Markdown; print the tables."""
+    """Write the JSON, the tables as Markdown in it, and print the tables."""
+    words = [
+        Path(word).name if Path(word).is_absolute() else word for word in sys.argv[1:]
+    ]  # no folders of this machine
     payload = {
-        "command": "python " + " ".join([f"scripts/benchmarks/{Path(sys.argv[0]).name}", *sys.argv[1:]]),
+        "command": "python " + " ".join([f"scripts/benchmarks/{Path(sys.argv[0]).name}", *words]),
         **payload,
     }
     text = "\n\n".join(tables) + "\n"
     output.parent.mkdir(parents=True, exist_ok=True)
     output.write_text(json.dumps({**payload, "tables": text}, indent=1) + "\n", encoding="utf-8")
-    output.with_suffix(".md").write_text(text, encoding="utf-8")
     print(text)
 
 
@@ -114,12 +117,16 @@ def serial_urdf(robot: Robot) -> str:
         joints.append(parents[link])
         link = parents[link].find("parent").get("link")  # type: ignore[union-attr]
     made = ET.Element("robot", name=robot.name)
-    for name in [robot.base, *(j.find("child").get("link") for j in reversed(joints))]:  # type: ignore[union-attr]
-        inertial = ET.SubElement(ET.SubElement(made, "link", name=str(name)), "inertial")
+    links = [robot.base, *(str(j.find("child").get("link")) for j in reversed(joints))]  # type: ignore[union-attr]
+    for name in links:
+        inertial = ET.SubElement(ET.SubElement(made, "link", name=name), "inertial")
         ET.SubElement(inertial, "mass", value="1")
         ET.SubElement(inertial, "inertia", ixx="1", iyy="1", izz="1", ixy="0", ixz="0", iyz="0")
     for joint in reversed(joints):
-        copy = ET.SubElement(made, "joint", name=str(joint.get("name")), type=str(joint.get("type")))
+        name = str(joint.get("name"))
+        if name in links:  # some peers look a frame up by its name alone
+            name += "_joint"
+        copy = ET.SubElement(made, "joint", name=name, type=str(joint.get("type")))
         fixed = joint.get("type") == "fixed"
         for tag in ("origin", "parent", "child") if fixed else ("origin", "parent", "child", "axis", "limit"):
             part = joint.find(tag)

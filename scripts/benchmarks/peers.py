@@ -43,7 +43,7 @@ PEERS = (
     ),
     Peer("pink", "pink", ("pin-pink", "qpsolvers[quadprog]"), "QP steps, 50 an attempt, restarts added", share=0.1),
     Peer("mink", "mink", ("mink", "qpsolvers[daqp]"), "QP steps, 50 an attempt, restarts added", share=0.1),
-    Peer("ikpy", "ikpy", ("ikpy",), "SciPy least squares, restarts added", share=0.05),
+    Peer("ikpy", "ikpy", ("ikpy",), "SciPy least squares, restarts added", share=0.03),
 )
 BY_NAME = {peer.name: peer for peer in PEERS}
 DISTRIBUTIONS = {"rtb": "roboticstoolbox-python", "eaik": "eaik", "cartan": "cartan-bindings", "optik": "optik-py"}

@@ -27,7 +27,7 @@ from worker import wrapped  # noqa: E402
 import ik_toolkit as ik  # noqa: E402
 
 WARM = 20  # solves before the clock counts
-EDGE = 1e-9  # rad; rounding past a limit that is forgiven
+EDGE = 1e-6  # rad or m past a limit that is forgiven (TRAC-IK clamps to within 5e-9)
 
 
 def describe(robot: ik.Robot, folder: Path) -> dict[str, Any]:

@@ -129,10 +129,7 @@ def dynibo(s):
 
     def attempt(T, q0):
         desired = dynibo.Pose(translation=T[:3, 3], rotation_xyzw=quaternion_xyzw(T))
-        try:
-            return robot.inverse_kinematics(q0, target, desired, options)
-        except dynibo.SolverError:
-            return None
+        return robot.inverse_kinematics(q0, target, desired, options)
 
     return restarted(s, attempt), one
 
@@ -246,7 +243,10 @@ def restarted(s, attempt):
     def call(T, q0):
         end = perf_counter() + CAP
         while True:
-            q = attempt(T, q0)
+            try:
+                q = attempt(T, q0)
+            except Exception:  # such as a QP without a solution: an attempt that failed
+                q = None
             if q is not None:
                 q = wrapped(q, s.lower, s.upper)
                 if (q >= s.lower).all() and (q <= s.upper).all():
