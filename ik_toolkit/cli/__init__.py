@@ -23,6 +23,7 @@ MODULES = (
     "workspace",
     "files",
     "view",
+    "panel",
     "doctor",
 )  # a new group of commands is one module and its name here
 NOT_SOLVED, BAD_INPUT, MISSING_EXTRA, BUG, INTERRUPTED = 1, 2, 3, 70, 130

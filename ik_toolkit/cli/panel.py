@@ -1,0 +1,39 @@
+"""`ik panel`: drive a robot by hand in a browser."""
+
+from typing import Annotated
+
+import typer
+
+from ..errors import InvalidOption
+from .common import RobotArg, Tip, notice
+
+Host = Annotated[str, typer.Option(metavar="ADDRESS", help="Address to listen at; the default is this machine only.")]
+Port = Annotated[int, typer.Option(metavar="N", help="Port; default: a free one.")]
+Open = Annotated[bool, typer.Option("--open/--no-open", help="Open the address in a browser.")]
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command of this module."""
+    app.command()(panel)
+
+
+def panel(
+    robot: RobotArg = "hydrolek_7w", tip: Tip = None, host: Host = "127.0.0.1", port: Port = 0, browse: Open = True
+) -> None:
+    """Move joints, drag targets, compare solvers and solutions in a browser, until Ctrl-C.
+
+    Listens on this machine only unless --host says otherwise. Every browser tab has a robot of its own.
+    """
+    if not 0 <= port < 65536:
+        raise InvalidOption(f"--port is between 0 and 65535, not {port}")
+
+    from ..show.panel import Panel, is_loopback
+    from .view import wait
+
+    served = Panel(robot, tip, host=host, port=port)
+    if not is_loopback(host):
+        notice(
+            f"warning: the panel listens at {host}: everybody who can reach this machine can use it, without a password"
+        )
+    wait(f"the panel is at {served.url}", served.url, browse)
+    served.close()

@@ -1,0 +1,478 @@
+"""What one visitor of the panel sees: controls and the 3-D view (viser), around a Session."""
+
+import html
+import threading
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from ..errors import IKError
+from ..robot.library import list_robots
+from .parts import Body
+from .session import KINDS, SHOWN, Session
+
+GOOD, BAD, PLAIN = "#1b7837", "#b2182b", "#37424f"
+STEPS = 500  # of a slider, at least
+
+
+class Worker:
+    """Runs jobs one after another in a thread of its own; a newer job of the same name replaces a waiting one."""
+
+    def __init__(self) -> None:
+        """Start the thread."""
+        self._jobs: dict[str, Callable[[], None]] = {}
+        self._wake = threading.Condition()
+        self._ended = False
+        self._busy = False
+        threading.Thread(target=self._run, daemon=True, name="ik panel visitor").start()
+
+    def post(self, name: str, job: Callable[[], None]) -> None:
+        """Ask for a job."""
+        with self._wake:
+            self._jobs[name] = job
+            self._wake.notify_all()
+
+    def _run(self) -> None:
+        while True:
+            with self._wake:
+                self._busy = False
+                self._wake.notify_all()
+                self._wake.wait_for(lambda: self._jobs or self._ended)
+                if self._ended:
+                    return
+                job = self._jobs.pop(next(iter(self._jobs)))
+                self._busy = True
+            job()
+
+    def idle(self, timeout: float = 30.0) -> bool:
+        """Wait until there is nothing left to do."""
+        with self._wake:
+            return self._wake.wait_for(lambda: not self._jobs and not self._busy, timeout)
+
+    def end(self) -> None:
+        """End the thread after the job it is at."""
+        with self._wake:
+            self._ended = True
+            self._wake.notify_all()
+
+
+class Desk:
+    """Controls and view of one visitor. client: a viser client (or server). files: whether robots may be read by path."""
+
+    def __init__(self, client: Any, source: str, tip: str | None = None, *, files: bool = True) -> None:
+        """Build the first robot's controls; the work is done in the visitor's own thread."""
+        self.client, self.gui, self.scene = client, client.gui, client.scene
+        self.files = files
+        self.session = Session(source, tip)
+        self.kind, self.live, self.frames = KINDS[0], True, False
+        self.status: Any = None
+        self.worker = Worker()
+        self.worker.post("build", self._guard(self.build))
+
+    def close(self) -> None:
+        """End the visitor's thread."""
+        self.worker.end()
+
+    # ----------------------------------------------------------------------------------------------------- plumbing
+    def _guard(self, job: Callable[[], None]) -> Callable[[], None]:
+        """Say in words what the caller did wrong; anything else is a bug and is said as one. Never ends the thread."""
+
+        def run() -> None:
+            try:
+                job()
+            except IKError as error:
+                self.say(str(error), BAD)
+            except Exception as error:
+                if not self.worker._ended:  # a visitor who left takes the handles along
+                    self.say(f"unexpected {type(error).__name__}: {error} (a bug of ik_toolkit)", BAD)
+
+        return run
+
+    def _on(self, handle: Any, name: str, job: Callable[[], None]) -> None:
+        """Do a job when the visitor (not this program) changes or clicks something."""
+        listen = getattr(handle, "on_click", None) or handle.on_update
+
+        @listen
+        def _(event: Any) -> None:
+            if event.client is not None:
+                self.worker.post(name, self._guard(job))
+
+    def say(self, text: str, color: str = PLAIN) -> None:
+        """Show a sentence in the status line."""
+        if self.status is None:
+            return
+        self.status.content = (
+            f'<div role="status" style="padding:4px 12px;color:{color};font-size:13px;line-height:1.4">'
+            f"{html.escape(text)}</div>"
+        )
+
+    # -------------------------------------------------------------------------------------------------------- build
+    def build(self) -> None:
+        """Draw the robot and its controls anew (after a switch of robot, tip or units)."""
+        s = self.session
+        body = Body(s.robot)
+        self.body = body
+        with self.client.atomic():
+            self.gui.reset()
+            self.scene.reset()
+            self.gui.configure_theme(control_width="large", show_logo=False, show_share_button=False)
+            self._build_controls()
+            self._build_scene()
+        self.show()
+        self.say(body.notice or f"{s.robot.name}: {s.robot.base} to {s.robot.tip}, {s.robot.n} joints")
+        self._aim()
+
+    def _build_controls(self) -> None:
+        s, gui = self.session, self.gui
+        names = [entry.name for entry in list_robots()]
+        names = names if s.source in names else [s.source, *names]
+        robots = gui.add_dropdown("Robot", names, initial_value=s.source)
+        self._on(robots, "build", lambda: self._switch(robots.value))
+        if len(s.tips) > 1:
+            tips = gui.add_dropdown("Tip", list(dict.fromkeys([s.robot.tip, *s.tips])), initial_value=s.robot.tip)
+            self._on(tips, "build", lambda: self._switch(s.source, tips.value))
+        degrees = gui.add_checkbox(
+            "Degrees", s.degrees, hint="Angles in degrees; otherwise radians. Lengths in metres."
+        )
+        self._on(degrees, "build", lambda: self._units(degrees.value))
+        self.status = gui.add_html("")
+        tabs = gui.add_tab_group()
+        with tabs.add_tab("Joints"):
+            self._build_joints()
+        with tabs.add_tab("Solve"):
+            self._build_solve()
+        with tabs.add_tab("Robot"):
+            self._build_robot()
+
+    def _build_joints(self) -> None:
+        s, gui = self.session, self.gui
+        self.sliders = []
+        self.shown = [0.0] * s.robot.n
+        for i, name in enumerate(s.robot.joint_names):
+            low, high = (round(s.scale(i) * x, 9) for x in s.ends(i))
+            step = 10.0 ** np.floor(np.log10(max(high - low, 1e-6) / STEPS))
+            slider = gui.add_slider(f"{name} [{s.unit(i)}]", low, high, float(step), low)
+            self.sliders.append(slider)
+            self._on(slider, "joints", self._moved)
+        home, json = gui.add_button("Reset to home"), gui.add_button("Copy as JSON")
+        self._on(home, "joints", self._home)
+        self._on(json, "json", self._json)
+        self.pose = gui.add_html("")
+
+    def _build_solve(self) -> None:
+        s, gui = self.session, self.gui
+        T = s.tip() if s.target is None else s.target
+        xyz, rotation = s.words(T, self.kind)
+        self.xyz = gui.add_text("x y z [m]", xyz)
+        orientation = gui.add_dropdown("Orientation", KINDS, initial_value=self.kind)
+        self._on(orientation, "kind", lambda: self._orientation(orientation.value))
+        self.rotation = gui.add_text(self._rotation_label(), rotation, visible=self.kind != "free")
+        go = gui.add_button("Solve", color="blue")
+        self._on(go, "solve", self._solve)
+        follow = gui.add_checkbox("Follow while dragging", self.live, hint="Drag the arrows and rings in the view.")
+        self._on(follow, "live", lambda: setattr(self, "live", follow.value))
+        here = gui.add_button("Target to tip")
+        self._on(here, "solve", self._target_to_tip)
+        every = gui.add_button("All solutions")
+        self._on(every, "solve", self._solve_all)
+        self.outcome = gui.add_html("", visible=False)
+        self.found = gui.add_folder("Solutions", visible=False)
+        with gui.add_folder("Solver"):
+            choice = gui.add_dropdown("Method", s.choices(), initial_value=s.solver)
+            self._on(choice, "choice", lambda: self._choose(choice.value))
+            self.tolerance = gui.add_text("Tolerance [m, rad]", f"{s.tolerance:g}")
+            self.parameters = gui.add_folder("Parameters", visible=False)
+        self._fill_parameters()
+        with gui.add_folder("Convergence"):
+            self.plot = gui.add_uplot(
+                (np.array([0.0, 1.0]), np.zeros(2), np.zeros(2)),
+                (
+                    {"label": "evaluation"},
+                    {"label": "position, 10^x m", "stroke": "#0072B2", "width": 2},
+                    {"label": "orientation, 10^x rad", "stroke": "#D55E00", "width": 2, "dash": (6, 4)},
+                ),
+                scales={"x": {"time": False}},
+                height=190,
+                visible=False,
+            )
+
+    def _build_robot(self) -> None:
+        s, gui = self.session, self.gui
+        frames = gui.add_checkbox("Show joint frames", self.frames)
+        self._on(frames, "frames", lambda: self._show_frames(frames.value))
+        caption, head, rows = s.table()
+        gui.add_html(
+            f'<div style="padding:4px 12px;font-size:12px"><p>{html.escape(s.entry.description)}</p>'
+            f"<p>{html.escape(caption)}</p></div>{table_html(rows, head)}"
+        )
+        if self.files:
+            path = gui.add_text("URDF file", "", hint="Path of a .urdf on the machine the panel runs on.")
+            load = gui.add_button("Load file")
+            self._on(load, "build", lambda: self._switch(path.value))
+
+    def _build_scene(self) -> None:
+        scene, s, body = self.scene, self.session, self.body
+        low, high = body.bounds(s.q)
+        self.size = float(np.linalg.norm(high - low))
+        scene.set_up_direction("+z")
+        cell = 10.0 ** np.round(np.log10(self.size / 8.0))
+        scene.add_grid(
+            "/grid", 40 * cell, 40 * cell, cell_size=cell, section_size=5 * cell, position=(0.0, 0.0, min(low[2], 0.0))
+        )
+        self.parts = []
+        for part in body.parts:
+            self.parts.append(scene.add_frame(f"/robot/{part.name}", show_axes=False))
+            for k, shape in enumerate(part.shapes):
+                rgb = tuple(round(255 * c) for c in shape.color)
+                opacity = None if shape.opacity >= 1.0 else shape.opacity
+                scene.add_mesh_simple(
+                    f"/robot/{part.name}/{k}", shape.vertices, shape.faces, color=rgb, opacity=opacity, side="double"
+                )
+        length = 0.1 * self.size
+        self.tip = scene.add_frame("/tip", axes_length=length, axes_radius=0.03 * length)
+        self.axes = [
+            scene.add_frame(f"/joint/{k}", axes_length=0.8 * length, axes_radius=0.02 * length, visible=self.frames)
+            for k in range(s.robot.n)
+        ]
+        self.gizmo = scene.add_transform_controls("/target", scale=0.22 * self.size, disable_sliders=True)
+        self.gizmo_pose = s.tip()
+        self._place(self.gizmo, body.T_world_base @ self.gizmo_pose)
+
+        @self.gizmo.on_update
+        def _(_: Any) -> None:
+            self.worker.post("drag", self._guard(self._dragged))
+
+    # --------------------------------------------------------------------------------------------------------- show
+    @staticmethod
+    def _place(handle: Any, T: np.ndarray) -> None:
+        x, y, z, w = pin.Quaternion(T[:3, :3]).coeffs()
+        handle.wxyz, handle.position = (float(w), float(x), float(y), float(z)), tuple(T[:3, 3].tolist())
+
+    def show(self) -> None:
+        """Bring view, sliders and numbers to the session's q."""
+        s, body = self.session, self.body
+        T = s.tip()
+        with self.client.atomic():
+            for handle, M in zip(self.parts, body.placements(s.q), strict=True):
+                self._place(handle, M)
+            self._place(self.tip, body.T_world_base @ T)
+            for handle, joint in zip(self.axes, s.robot.joint_names, strict=True):
+                self._place(handle, body.data.oMi[s.robot.model.getJointId(joint)].homogeneous)
+            for i, slider in enumerate(self.sliders):
+                slider.value = self.shown[i] = float(np.clip(round(s.scale(i) * s.q[i], 4), slider.min, slider.max))
+        self.pose.content = pose_html(T, s)
+
+    def _aim(self) -> None:
+        low, high = self.body.bounds(self.session.q)
+        centre = 0.5 * (low + high)
+        camera = getattr(self.client, "camera", None)
+        if camera is not None:
+            camera.up_direction = (0.0, 0.0, 1.0)
+            camera.position = tuple((centre + 1.35 * self.size * np.array([0.66, -0.63, 0.41])).tolist())
+            camera.look_at = tuple(centre.tolist())
+
+    # ------------------------------------------------------------------------------------------------------ actions
+    def _switch(self, source: str, tip: str | None = None) -> None:
+        if not self.files and source not in {entry.name for entry in list_robots()}:
+            self.say("robots can be chosen by name only: this panel is open to other machines", BAD)
+            return
+        self.session.load(source, tip)
+        self.session.solver, self.session.parameters = "auto", {}
+        self.build()
+
+    def _units(self, degrees: bool) -> None:
+        self.session.degrees = degrees
+        self.build()
+
+    def _moved(self) -> None:
+        s = self.session
+        q = s.q.copy()
+        for i, slider in enumerate(self.sliders):
+            if slider.value != self.shown[i]:  # what is shown is rounded: a joint not touched keeps its value
+                q[i] = slider.value / s.scale(i)
+        s.q = np.clip(q, s.robot.lower, s.robot.upper)
+        self.show()
+
+    def _home(self) -> None:
+        s = self.session
+        s.q, s.result, s.solutions = s.robot.home.copy(), None, []
+        self.plot.visible = self.found.visible = self.outcome.visible = False
+        self.show()
+        self._target_to_tip()
+        self.say("at home")
+
+    def _json(self) -> None:
+        text = self.session.to_json()
+        modal = self.gui.add_modal("JSON (metres and radians)")
+        with modal:
+            self.gui.add_html(
+                '<textarea id="ik-json" readonly rows="14" style="width:100%;box-sizing:border-box;'
+                f'font:11px monospace">{html.escape(text)}</textarea><button style="margin:6px 0;padding:6px 14px" '
+                "onclick=\"const t=document.getElementById('ik-json');t.select();"
+                "(navigator.clipboard?navigator.clipboard.writeText(t.value):Promise.reject())"
+                ".catch(()=>document.execCommand('copy')).then(()=>this.textContent='Copied')\">Copy</button>"
+            )
+            done = self.gui.add_button("Close")
+        done.on_click(lambda _: modal.close())
+
+    def _rotation_label(self) -> str:
+        return (
+            "quaternion x y z w" if self.kind == "quaternion" else f"r p y [{'deg' if self.session.degrees else 'rad'}]"
+        )
+
+    def _orientation(self, kind: str) -> None:
+        self.kind = kind
+        self.rotation.visible = kind != "free"
+        if kind != "free":
+            self.rotation.label = self._rotation_label()
+            self.rotation.value = self.session.words(self.gizmo_pose, kind)[1]
+        self.gizmo.disable_rotations = kind == "free"
+
+    def _choose(self, name: str) -> None:
+        self.session.solver, self.session.parameters = name, {}
+        self._fill_parameters()
+
+    def _fill_parameters(self) -> None:
+        for child in list(self.parameters._children.values()):
+            child.remove()
+        fields = self.session.fields()
+        self.typed_parameters = {}
+        self.parameters.visible = bool(fields)
+        with self.parameters:
+            for name, default in fields.items():
+                hint = "the method's own default" if default is None else f"default {default}"
+                self.typed_parameters[name] = self.gui.add_text(
+                    name, "" if default is None else str(default), hint=hint
+                )
+
+    def _typed(self) -> np.ndarray:
+        """Target of the fields, and the solver's settings of theirs."""
+        s = self.session
+        fields = s.fields()
+        typed = {name: handle.value for name, handle in self.typed_parameters.items()}
+        s.parameters = {name: text for name, text in typed.items() if text.strip() != str(fields[name])}
+        try:
+            tolerance = float(self.tolerance.value)
+        except ValueError:
+            tolerance = -1.0
+        if not 0.0 < tolerance < 1.0:
+            raise IKError(f"the tolerance is a number above 0 and below 1, not '{self.tolerance.value}'")
+        s.tolerance = tolerance
+        return s.typed(self.xyz.value, self.kind, self.rotation.value)
+
+    def _solve(self) -> None:
+        target = self._typed()
+        self._put_gizmo(target)
+        self.say("solving ...")
+        result = self.session.solve(target)
+        self._verdict()
+        self._chart(result.history)
+
+    def _verdict(self) -> None:
+        result = self.session.result
+        if result is None:
+            return
+        if result.success:
+            self.show()
+        kept = "" if result.success else " The robot stays where it was."
+        self.say(f"{sentence(result.message)}{kept}", GOOD if result.success else BAD)
+        self.outcome.content = table_html(self.session.figures())
+        self.outcome.visible = True
+
+    def _dragged(self) -> None:
+        R = pin.Quaternion(*(float(x) for x in self.gizmo.wxyz)).normalized().matrix()
+        T = np.eye(4)
+        T[:3, :3], T[:3, 3] = R, self.gizmo.position
+        T = np.linalg.inv(self.body.T_world_base) @ T
+        self.gizmo_pose = T
+        self.xyz.value, rotation = self.session.words(T, self.kind)
+        if self.kind != "free":
+            self.rotation.value = rotation
+        if self.live:
+            self.session.follow(T[:3, 3] if self.kind == "free" else T)
+            self._verdict()
+
+    def _put_gizmo(self, target: np.ndarray) -> None:
+        T = self.gizmo_pose.copy()
+        if target.ndim == 1:
+            T[:3, 3] = target
+        else:
+            T = target
+        self.gizmo_pose = T
+        self._place(self.gizmo, self.body.T_world_base @ T)
+
+    def _target_to_tip(self) -> None:
+        T = self.session.tip()
+        self._put_gizmo(T)
+        self.xyz.value, rotation = self.session.words(T, self.kind)
+        if self.kind != "free":
+            self.rotation.value = rotation
+
+    def _solve_all(self) -> None:
+        s = self.session
+        target = self._typed()
+        self._put_gizmo(target)
+        self.say("searching ...")
+        words = s.solve_all(target)
+        for child in list(self.found._children.values()):
+            child.remove()
+        with self.found:
+            for k, q in enumerate(s.solutions):
+                values = ", ".join(f"{s.scale(i) * x:.4g}" for i, x in enumerate(q))
+                button = self.gui.add_button(f"{k + 1}: {values}")
+                self._on(button, "joints", lambda q=q, k=k: self._pick(k, q))
+        self.found.visible = bool(s.solutions)
+        more = f" The nearest {SHOWN} are listed." if len(s.solutions) == SHOWN else ""
+        self.say(f"{sentence(words)}{more}", GOOD if s.solutions else BAD)
+
+    def _pick(self, k: int, q: np.ndarray) -> None:
+        self.session.q = q.copy()
+        self.show()
+        self.say(f"solution {k + 1} of {len(self.session.solutions)}", GOOD)
+
+    def _chart(self, history: Any) -> None:
+        if history is None or len(history["position_error"]) < 2:
+            self.plot.visible = False
+            return
+        position = np.log10(np.maximum(history["position_error"], 1e-12))
+        angle = np.asarray(history["orientation_error"], dtype=float)
+        angle = np.log10(np.maximum(np.where(np.isfinite(angle), angle, np.nan), 1e-12))
+        self.plot.data = (np.arange(len(position), dtype=float), position, angle)
+        self.plot.visible = True
+
+    def _show_frames(self, visible: bool) -> None:
+        self.frames = visible
+        for frame in self.axes:
+            frame.visible = visible
+
+
+def sentence(text: str) -> str:
+    """Text with a capital and a full stop."""
+    return f"{text[0].upper()}{text[1:].rstrip('.')}." if text else ""
+
+
+def table_html(rows: Any, head: Any = None) -> str:
+    """Table of texts."""
+    cell, muted = "padding:1px 12px 1px 0;font-variant-numeric:tabular-nums;white-space:nowrap", "color:#4a5766"
+    top = "".join(f'<th style="{cell};text-align:left;font-weight:600">{html.escape(x)}</th>' for x in head or ())
+    body = "".join(
+        "<tr>"
+        + "".join(f'<td style="{cell}{";" + muted if not k else ""}">{html.escape(x)}</td>' for k, x in enumerate(row))
+        + "</tr>"
+        for row in rows
+    )
+    return f'<div style="padding:2px 12px 6px;font-size:12px;overflow-x:auto"><table><tr>{top}</tr>{body}</table></div>'
+
+
+def pose_html(T: np.ndarray, s: Session) -> str:
+    """Pose of the tip as matrix, xyz, rpy and quaternion."""
+    matrix = [[f"{x + 0.0:.5f}" for x in row] for row in np.round(T, 9)]
+    lines = [
+        ("xyz [m]", s.words(T, "free")[0]),
+        (f"rpy [{'deg' if s.degrees else 'rad'}]", s.words(T, KINDS[0])[1]),
+        ("quaternion xyzw", s.words(T, "quaternion")[1]),
+    ]
+    head = '<div style="padding:6px 12px 0;font-size:12px;font-weight:600">Pose of the tip, T_base_tip</div>'
+    return head + table_html(matrix).replace("color:#4a5766", "") + table_html(lines)

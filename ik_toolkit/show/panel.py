@@ -1,0 +1,119 @@
+"""The panel: a robot to drive by hand in a browser. Sliders and pose on one side, target and solver on the other.
+
+Every visitor has a robot of their own (a Session) and one worker thread that does what they ask, newest first, so that a
+drag never queues up and visitors do not disturb each other.
+"""
+
+import contextlib
+import http.client
+import io
+import ipaddress
+import threading
+from collections.abc import Callable, Iterator
+from typing import Any
+from urllib.parse import urlsplit
+
+from ..errors import InvalidOption, MissingExtra
+from .desk import Desk
+from .session import Session
+
+LOOPBACK = ("127.0.0.1", "localhost", "::1")
+
+
+class Panel:
+    """The panel's server. url: where it is; `close()` ends it. Several browsers may be open at once."""
+
+    def __init__(self, source: str, tip: str | None = None, *, host: str = "127.0.0.1", port: int = 0) -> None:
+        """Serve a robot by name or path. port 0: a free one. Raises MissingExtra, InvalidOption, RobotNotFound, ..."""
+        try:
+            import viser
+        except ImportError:
+            raise MissingExtra("viser", "panel") from None
+        Session(source, tip)  # says now what is wrong with it
+        with _guarded(host), contextlib.redirect_stdout(io.StringIO()):  # viser prints a banner
+            self.server = viser.ViserServer(host=host, port=port, verbose=False)
+        self.host, self.port = host, self.server.get_port()
+        if port not in (0, self.port):
+            self.close()
+            raise InvalidOption(f"port {port} is in use")
+        self.url = f"http://{'127.0.0.1' if host in ('0.0.0.0', '::') else host}:{self.port}/"
+        self._check_guard()
+        self.desks: dict[int, Desk] = {}
+        self.server.gui.set_panel_label("ik panel")
+        local = is_loopback(host)
+        self.server.on_client_connect(lambda client: self._welcome(client, source, tip, local))
+        self.server.on_client_disconnect(lambda client: self._goodbye(client))
+
+    def _welcome(self, client: Any, source: str, tip: str | None, local: bool) -> None:
+        self.desks[client.client_id] = Desk(client, source, tip, files=local)
+
+    def _goodbye(self, client: Any) -> None:
+        desk = self.desks.pop(client.client_id, None)
+        if desk is not None:
+            desk.close()
+
+    def _check_guard(self) -> None:
+        """A page of another site must be refused; if a release of viser changes so that it is not, do not serve."""
+        client = http.client.HTTPConnection(urlsplit(self.url).hostname or "", self.port, timeout=10)
+        try:
+            client.request("GET", "/", headers={"Origin": "http://elsewhere.invalid"})
+            refused = client.getresponse().status == 403
+        finally:
+            client.close()
+        if not refused:
+            self.close()
+            raise InvalidOption("this release of viser cannot be kept from answering other sites' pages: not served")
+
+    def close(self) -> None:
+        """Stop serving and end the visitors' threads."""
+        for desk in list(getattr(self, "desks", {}).values()):
+            desk.close()
+        with contextlib.redirect_stdout(io.StringIO()):
+            self.server.stop()
+
+
+def is_loopback(host: str) -> bool:
+    """Whether only programs of this machine can reach a host address."""
+    try:
+        return host == "localhost" or ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return False
+
+
+def refusal(headers: Any, host: str) -> str:
+    """Why a request is refused, or ''. A browser names the page that asks (Origin) and the name it looked up (Host)."""
+    asked = headers.get("Host", "")
+    name = urlsplit(f"//{asked}").hostname or ""
+    if is_loopback(host) and name not in LOOPBACK and name != host:
+        return f"this panel answers at {host} only, not as '{name}'"
+    origin = headers.get("Origin")
+    if origin is not None and urlsplit(origin).netloc != asked:
+        return "pages of other sites may not use this panel"
+    return ""
+
+
+@contextlib.contextmanager
+def _guarded(host: str) -> Iterator[None]:
+    """Make the server started inside check Host and Origin, which viser itself does not (any web page could connect)."""
+    import websockets.asyncio.server as ws
+
+    original = ws.serve
+
+    def serve(*args: Any, process_request: Callable[[Any, Any], Any] | None = None, **kwargs: Any) -> Any:
+        def check(connection: Any, request: Any) -> Any:
+            words = refusal(request.headers, host)
+            if words:
+                return connection.respond(http.client.FORBIDDEN, words + "\n")
+            return process_request(connection, request) if process_request is not None else None
+
+        return original(*args, process_request=check, **kwargs)
+
+    with _PATCHING:
+        ws.serve = serve  # type: ignore[assignment]
+        try:
+            yield
+        finally:
+            ws.serve = original
+
+
+_PATCHING = threading.Lock()
