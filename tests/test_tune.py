@@ -16,6 +16,7 @@ from ik_toolkit.study.statistics import wilson
 from ik_toolkit.study.targets import sample_targets
 from ik_toolkit.study.tune import Evolution, Score, Swarm, score, tune
 
+UNEQUAL = ik.StateSpace(A=np.diag(np.arange(6.0)), B=np.ones((6, 3)), C=np.eye(6))  # A is no multiple of I
 SMALL = dict(goals=150, held_out=2, population=8)
 
 
@@ -52,10 +53,12 @@ def test_the_start_of_a_space_is_the_initial_rule(solver, maps, position_only):
     assert ((space.start >= 0) & (space.start <= 1)).all() and len(space.start) == space.size
     targets = sample_targets(robot, 60, 1, position_only=position_only)
     a, b = (
-        ik.solve_batch(robot, targets, rule, q0=robot.home, tolerance=1e-3, max_iterations=100)
+        ik.solve_batch(robot, targets, rule, q0=robot.home, tolerance=1e-2, max_iterations=300)
         for rule in (space.initial, space.build(space.start))
     )
-    assert (a.success == b.success).mean() > 0.95 and np.abs(a.q - b.q)[a.success & b.success].max() < 1e-2
+    assert (a.success == b.success).mean() > 0.95 and (a.success & b.success).sum() > 5
+    # PID: a logarithmic scale has no zero, so its integral gain starts at a ten-millionth of kp
+    assert np.median(np.abs(a.q - b.q)[a.success & b.success]) < (1e-4 if solver == "pid" else 1e-9)
     assert space.build(np.zeros(space.size)) is not None and space.build(np.ones(space.size)) is not None
 
 
@@ -78,9 +81,7 @@ def test_published_matrices_are_the_same_solver_in_the_search():
         lambda robot: make_space(robot, "ccd", True),
         lambda robot: make_space(robot, "pid", True, 3),
         lambda robot: make_space(robot, "state-space", True, 0),
-        lambda robot: make_space(
-            robot, "state-space", True, 1, ik.StateSpace(A=np.diag(np.arange(6.0)), B=np.ones((6, 3)), C=np.eye(6))
-        ),
+        lambda robot: make_space(robot, "state-space", True, 1, UNEQUAL),
         lambda robot: tune(robot, "pid", method="gradient"),
     ],
 )

@@ -102,8 +102,9 @@ def tune(
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
+    console = Console(stderr=True)
     columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
-    with compile_notice(), Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+    with compile_notice(), Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
         task = bar.add_task("searching", total=generations)
         least = float("inf")
 

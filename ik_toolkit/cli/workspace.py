@@ -102,8 +102,10 @@ def workspace(
     from rich.console import Console
     from rich.progress import Progress
 
+    console = Console(stderr=True)
     pool = nullcontext() if workers is None else ProcessPoolExecutor(workers)
-    with compile_notice(), pool as executor, Progress(console=Console(stderr=True), transient=True) as bar:
+    bar = Progress(console=console, transient=True, disable=not console.is_terminal)
+    with compile_notice(), pool as executor, bar:
         task = bar.add_task("solving", total=goals)
         found = study(
             arm,

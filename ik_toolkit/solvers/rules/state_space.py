@@ -165,6 +165,7 @@ def spread_starts(robot: Any, position_only: bool, count: int, seed: int = 0) ->
     if not position_only:  # the weight of the kernel's own table of starts
         feature = np.concatenate([feature, np.sqrt(0.05) * T[:, :3, :3].reshape(len(Q), 9)], axis=1)
     centre = feature[:count].copy()
+    cell = np.zeros(len(Q), dtype=int)
     for _ in range(6):
         distance = (centre**2).sum(1) - 2.0 * feature @ centre.T
         cell = distance.argmin(1)
