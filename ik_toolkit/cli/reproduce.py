@@ -46,7 +46,7 @@ def reproduce(paper: PaperArg = None, output: Folder = None, as_json: Json = Fal
     folder = output or Path(f"reproduce-{paper}")
     if folder.exists() and not folder.is_dir():
         raise InvalidOption(f"-o takes a folder, and {folder} is a file")
-    notice(f"computing the report of '{paper}': takes a minute or less ...")
+    notice(f"computing the report of '{paper}': takes a minute or two ...")
     report = getattr(importlib.import_module(module), function)()
     files = report.write(folder)
     write_json({**report.data, "files": [str(file) for file in files]}, as_json)
