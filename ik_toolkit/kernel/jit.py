@@ -12,7 +12,9 @@ from numba import njit
 # No nnan/ninf: a NaN has to fail every test instead of being assumed away.
 OPTIONS: dict[str, Any] = {"fastmath": {"nsz", "arcp", "contract", "afn", "reassoc"}, "error_model": "numpy"}
 jit = njit(**OPTIONS)  # for functions with flat arguments; compiled into their callers, never cached on their own
-inline = njit(forceinline=True, **OPTIONS)  # for functions that take a NamedTuple of arrays (slow to pass by value)
+# For functions that take a NamedTuple of arrays (slow to pass by value), and for those whose last bit reaches a result: the
+# process that compiles a kernel links `jit` functions to the copies of their own, which round otherwise than the cached ones.
+inline = njit(forceinline=True, **OPTIONS)
 
 
 def cached(function: Callable) -> Any:

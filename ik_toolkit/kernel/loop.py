@@ -142,7 +142,8 @@ def _step(cls, p, s, e):
     return RULES[cls.instance_class]
 
 
-def _measure(rows, ends, tip, goal, w, kind, q, Z, ang, sn, cs, V, y):
+@inline
+def measure(rows, ends, tip, goal, w, kind, q, Z, ang, sn, cs, V, y):
     """Evaluate the chain at q: tip point, and the error with what does not count set to zero."""
     x0, x1, x2, y0, y1, y2, z0, z1, z2, px, py, pz = fk(rows, q, Z, ang, sn, cs)
     px, py, pz, e0, e1, e2, e3, e4, e5 = error(goal, tip, x0, x1, x2, y0, y1, y2, z0, z1, z2, px, py, pz)
@@ -153,10 +154,6 @@ def _measure(rows, ends, tip, goal, w, kind, q, Z, ang, sn, cs, V, y):
     pp = e0 * e0 + e1 * e1 + e2 * e2
     rr = e3 * e3 + e4 * e4 + e5 * e5
     return px, py, pz, Err(e0, e1, e2, e3, e4, e5, pp, rr, pp + rr)
-
-
-measure_inline = inline(_measure)  # for the hot place in the loop
-measure = jit(_measure)  # for the others, so that the loop stays small
 
 
 _ENTRIES: dict[type, Callable] = {}
@@ -288,7 +285,7 @@ def entry(cls: type) -> Callable:
                 ended = ITERATION_LIMIT
                 solved = False
                 for k in range(iterations + 1):
-                    px, py, pz, e = measure_inline(rows, ends, tip, goal, mask, kind, q, Z, ang, sn, cs, V, y)
+                    px, py, pz, e = measure(rows, ends, tip, goal, mask, kind, q, Z, ang, sn, cs, V, y)
                     count += 1
                     if rows_h < hist.shape[0]:
                         hist[rows_h, 0] = math.sqrt(e.pp) * scale

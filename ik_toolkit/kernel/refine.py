@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from .jit import cached, jit
+from .jit import cached, inline
 from .kinematics import TAU, aim, columns, rotation_angle
 from .linalg import damped, hold
 from .loop import E_VECTORS, Err, measure
@@ -13,7 +13,7 @@ from .task import shape_columns
 MID_RANGE, REFERENCE, MANIPULABILITY = 1, 2, 3
 
 
-@jit
+@inline
 def log_manipulability(J, unit, A):
     """Half the log-determinant of J'J over the rows that count (log of Yoshikawa's measure, up to a constant).
 

@@ -12,7 +12,7 @@ import numpy as np
 from ...kernel import loop
 from ...kernel.chain import Chain
 from ...kernel.checks import CONVERGED, LIMIT_BLOCKED, STALLED, UNREACHABLE, legal
-from ...kernel.jit import jit
+from ...kernel.jit import inline, jit
 from ...kernel.kinematics import TAU, aim, error, fk, rotation_angle
 from ...kernel.task import POSITION
 
@@ -96,7 +96,7 @@ def copy_limits(ends, opt, q0, box):
         box[3, i] = 1.0 / (max(opt[loop.OPT_HEAD + i], 1e-12) * unit * unit)
 
 
-@jit
+@inline
 def measure_tip(rows, ends, opt, T, q, box, broken, gap, goal, Z, trig, hist, out):
     """Evaluate q with the kernel's forward kinematics and write the result row: errors and status are of that evaluation.
 
