@@ -18,6 +18,7 @@ from types import SimpleNamespace
 import numpy as np
 
 CAP = 0.05  # s; restarts added here, and time budgets of peers that have one, end then
+EDGE = 1e-6  # rad or m past a limit that is forgiven (TRAC-IK clamps to within 5e-9)
 WARM = 5  # solves at the head of a block before its clock runs: the caches are cold after the other processes' turns
 STEPS = 50  # steps an attempt, for peers that offer single steps
 
@@ -232,8 +233,8 @@ def quaternion_xyzw(T):
 def wrapped(q, lower, upper):
     """Move turning joints that are past a limit by full turns, inside where that is possible."""
     turn = 2 * np.pi
-    q = q - turn * np.ceil(np.maximum(q - upper, 0.0) / turn)
-    return q + turn * np.ceil(np.maximum(lower - q, 0.0) / turn)
+    q = q - turn * np.ceil(np.maximum(q - upper - EDGE, 0.0) / turn)
+    return q + turn * np.ceil(np.maximum(lower - q - EDGE, 0.0) / turn)
 
 
 def restarted(s, attempt):
@@ -249,7 +250,7 @@ def restarted(s, attempt):
                 q = None
             if q is not None:
                 q = wrapped(q, s.lower, s.upper)
-                if (q >= s.lower).all() and (q <= s.upper).all():
+                if (q >= s.lower - EDGE).all() and (q <= s.upper + EDGE).all():
                     return q
             if perf_counter() > end:
                 return None
