@@ -42,6 +42,7 @@ from .options import OBJECTIVES, Options, make_options
 from .registry import find_row, make_rule
 from .result import Result, Status
 
+FLOAT = np.dtype(np.float64)  # one object in a process, so `is` tells; other kinds of float take the long way
 MARGIN = 1.0 - 1e-9  # the kernel tests a little inside the tolerance, so that Pinocchio's rounding cannot disagree
 CLOSEST = 16  # solutions to compare when the one nearest q0 is asked for
 REFINE_STEPS = 60
@@ -100,6 +101,7 @@ class Solver:
         self._silent = np.empty((0, 2 + chain.n))
         self._lower, self._upper = self.robot.lower, self.robot.upper
         self._packed: dict[tuple[Any, bool], np.ndarray] = {}
+        self._ready: dict[tuple[Any, bool], tuple] = {}
         self._tables: dict[bool, tuple] = {}  # a rule may bring a table of starts, one for positions and one for poses
         self._own_starts = hasattr(self.rule, "start_table")
         o = self.options
@@ -111,6 +113,7 @@ class Solver:
             once = {"restarts": 0, "closest": False, "objective": None, "history": False, "avoid_collisions": False}
             self.single = Solver(self.robot, self.rule, **{**o.__dict__, **once})
         self._extras = o.objective is not None or self.collision is not None
+        self._more = self._extras or o.history or o.check
 
     # ------------------------------------------------------------------------------------------------ preparation
     def pack(self, kind: Any, given: bool) -> np.ndarray:
@@ -213,14 +216,14 @@ class Solver:
         """
         started = perf_counter()
         notice = ""
-        if type(target) is np.ndarray and target.shape == (4, 4) and target.dtype == np.float64 and target.flags.carray:
-            T, kind = target.reshape(1, 4, 4), POSE
+        if type(target) is np.ndarray and target.dtype is FLOAT and target.shape == (4, 4) and target.flags.carray:
+            T, kind = target[None], POSE
         else:
             T, kind, notice = _as_pose(target)
         if q0 is None:
             start = self._home
-        elif type(q0) is np.ndarray and q0.shape == self._shape and q0.dtype == np.float64 and q0.flags.carray:
-            start = q0.reshape(1, -1)
+        elif type(q0) is np.ndarray and q0.dtype is FLOAT and q0.shape == self._shape and q0.flags.carray:
+            start = q0[None]
         else:
             start, note = self._start(q0)
             notice = notice or note
@@ -234,6 +237,8 @@ class Solver:
             row = self._run(T, kind, start, q0 is not None)
         result = Result(self, row, perf_counter() - started, kind == POSITION)
         result.notice = notice
+        if not self._more:
+            return result
         if self.options.history:
             self._record(result, T, kind, start, q0 is not None)
         if self._extras and row[0] == Status.CONVERGED:
@@ -244,8 +249,12 @@ class Solver:
         return result
 
     def _run(self, T: np.ndarray, kind: int, start: np.ndarray, given: bool) -> np.ndarray:
+        ready = self._ready.get((kind, given))
+        if ready is None:
+            ready = self._ready[kind, given] = (*self.arrays(kind), self.pack(kind, given))
+        rows, ends, seeds, features, opt = ready
         out = np.empty((1, self._width))
-        self._kernel(*self.arrays(kind), T, start, out, self.pack(kind, given), self._silent)
+        self._kernel(rows, ends, seeds, features, T, start, out, opt, self._silent)
         return out[0]
 
     def _record(self, result: Result, T: np.ndarray, kind: int, start: np.ndarray, given: bool) -> None:
