@@ -32,7 +32,7 @@ from .checks import (
     turn,
     why,
 )
-from .jit import OPTIONS, cached, inline, jit, kernel_stamp, source_file
+from .jit import OPTIONS, cached, inline, kernel_stamp, source_file
 from .kinematics import TAU, aim, columns, error, fk, rotation_angle
 from .linalg import hold
 from .seeds import BEST, nearest, rnd
