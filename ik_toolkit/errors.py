@@ -5,7 +5,10 @@ near match. A numerical outcome (not converged, unreachable, singular) never rai
 """
 
 import difflib
+import re
 from collections.abc import Iterable
+
+EXTRA = re.compile(r"""^([A-Za-z0-9_.-]+).*extra\s*==\s*['"]([a-z]+)['"]""")
 
 
 class IKError(Exception):
@@ -52,8 +55,9 @@ class MissingExtra(IKError, ImportError):
     """An optional dependency is not installed; the message says the pip line."""
 
     def __init__(self, package: str, extra: str) -> None:
-        """Say which package is missing and which extra brings it."""
-        super().__init__(f"{package} is not installed; run: pip install 'ik_toolkit[{extra}]'")
+        """Say which package is missing, and the packages of the extra it belongs to."""
+        needed = " ".join(extras().get(extra, [package]))
+        super().__init__(f"{package} is not installed; run: pip install {needed}")
         self.extra = extra
 
 
@@ -64,6 +68,21 @@ class NotSolved(IKError):
         """Keep the result beside its sentence."""
         super().__init__(f"{result.status.name}: {result.message}")
         self.result = result
+
+
+def extras() -> dict[str, list[str]]:
+    """Packages by extra, from the requirements of the installed ik_toolkit; empty where it is not installed."""
+    import importlib.metadata  # not for `import ik_toolkit`
+
+    found: dict[str, list[str]] = {}
+    try:
+        requirements = importlib.metadata.requires("ik_toolkit") or ()
+    except importlib.metadata.PackageNotFoundError:
+        return {}
+    for match in filter(None, map(EXTRA.match, requirements)):
+        if match[1] != "ik_toolkit":
+            found.setdefault(match[2], []).append(match[1])
+    return found
 
 
 def near_match(name: object, options: Iterable[str]) -> str:

@@ -117,7 +117,7 @@ def test_not_found(source, message):
 
 def test_without_the_data_wheel(monkeypatch):
     monkeypatch.setattr(library, "DATA_PACKAGE", "no-such-distribution")
-    with pytest.raises(RobotNotFound, match=r"pip install 'ik_toolkit\[robots\]'"):
+    with pytest.raises(RobotNotFound, match="run: pip install no-such-distribution"):
         find("panda")
     assert [entry.name for entry in list_robots()] == NAMES
 

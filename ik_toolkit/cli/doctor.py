@@ -4,7 +4,6 @@ import importlib.metadata
 import importlib.util
 import os
 import platform
-import re
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
@@ -12,11 +11,11 @@ from typing import Any
 
 import typer
 
+from ..errors import extras
 from .common import Json, show, table, write_json
 
 CORE = ("pin", "numpy", "numba", "typer", "rich")
 COLOURS = {"ok": "green", "missing": "yellow", "problem": "red"}
-EXTRA = re.compile(r"""^([A-Za-z0-9_.-]+).*extra\s*==\s*['"]([a-z]+)['"]""")
 DEVELOPMENT = {"all", "test", "lint", "docs", "peers"}  # extras a user does not need
 
 
@@ -67,16 +66,13 @@ def _versions() -> Iterator[dict[str, Any]]:
 
 def _extras() -> Iterator[dict[str, Any]]:
     """One row an extra, read from the installed package's own requirements."""
-    extras: dict[str, list[str]] = {}
-    for requirement in importlib.metadata.requires("ik_toolkit") or ():
-        found = EXTRA.match(requirement)
-        if found and found[2] not in DEVELOPMENT and found[1] != "ik_toolkit":
-            extras.setdefault(found[2], []).append(found[1])
-    for extra, packages in extras.items():
+    for extra, packages in extras().items():
+        if extra in DEVELOPMENT:
+            continue
         versions = {package: _installed(package) for package in packages}
         missing = [package for package, version in versions.items() if version is None]
         if missing:
-            detail = f"no {', '.join(missing)}; run: pip install 'ik_toolkit[{extra}]'"
+            detail = f"no {', '.join(missing)}; run: pip install {' '.join(missing)}"
         else:
             detail = ", ".join(f"{package} {version}" for package, version in versions.items())
         yield _row(f"extra {extra}", "missing" if missing else "ok", detail)

@@ -53,4 +53,4 @@ def reproduce(paper: PaperArg = None, output: Folder = None, as_json: Json = Fal
     if not as_json:
         show(facts({"report": report.title, "written": ", ".join(file.name for file in files), "folder": str(folder)}))
     if importlib.util.find_spec("matplotlib") is None:
-        notice("no pictures: they need matplotlib (pip install 'ik_toolkit[plots]')")
+        notice("no pictures: they need matplotlib (pip install matplotlib)")

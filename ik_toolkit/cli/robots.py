@@ -74,7 +74,7 @@ def robots(as_json: Json = False) -> None:
     if theirs.row_count:
         show(heading("From example-robot-data"), theirs)
     else:
-        notice("more arms by name (panda, ur5, ...): pip install 'ik_toolkit[robots]'; or give the path of a URDF file")
+        notice("more arms by name (panda, ur5, ...): pip install example-robot-data; or give the path of a URDF file")
 
 
 def info(

@@ -332,7 +332,7 @@ def _other_robots(report: Report) -> None:
         try:
             find("ur5")
         except IKError:
-            report.text("Left out: needs the robots of example-robot-data (`pip install 'ik_toolkit[robots]'`).")
+            report.text("Left out: needs the robots of example-robot-data (`pip install example-robot-data`).")
             return
     rows = []
     for name, tip in (("ur5", "tool0"), ("panda", "panda_hand_tcp")):

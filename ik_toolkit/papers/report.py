@@ -85,7 +85,7 @@ class Report:
         files = [folder / "report.md", folder / "report.json"]
         text = self.markdown()
         if not pictures:
-            text += "\nThe pictures were left out: they need matplotlib (`pip install 'ik_toolkit[plots]'`).\n"
+            text += "\nThe pictures were left out: they need matplotlib (`pip install matplotlib`).\n"
         files[0].write_text(text, encoding="utf-8")
         files[1].write_text(json.dumps(plain(self.data), indent=1) + "\n", encoding="utf-8")
         if pictures:

@@ -120,7 +120,7 @@ def example_robot_data(name: str) -> tuple[Path, tuple[Path, ...]]:
         raise RobotNotFound(f"{DATA_PACKAGE} has no arm '{name}'.{near_match(name, DATA_ROBOTS)}")
     root = _data_root()
     if root is None:
-        raise RobotNotFound(f"robot '{name}' comes with {DATA_PACKAGE}; run: pip install 'ik_toolkit[robots]'")
+        raise RobotNotFound(f"robot '{name}' comes with {DATA_PACKAGE}; run: pip install {DATA_PACKAGE}")
     path = root / "robots" / DATA_ROBOTS[name][0]
     if not path.is_file():
         raise RobotNotFound(f"the installed {DATA_PACKAGE} has no file {path}; version 6 is expected")
