@@ -414,6 +414,7 @@ class Desk:
         s = self.session
         target = self._typed()
         self._put_gizmo(target)
+        self.outcome.visible = False
         self.say("searching ...")
         words = s.solve_all(target)
         for child in list(self.found._children.values()):
@@ -436,10 +437,13 @@ class Desk:
         if history is None or len(history["position_error"]) < 2:
             self.plot.visible = False
             return
-        position = np.log10(np.maximum(history["position_error"], 1e-12))
-        angle = np.asarray(history["orientation_error"], dtype=float)
-        angle = np.log10(np.maximum(np.where(np.isfinite(angle), angle, np.nan), 1e-12))
-        self.plot.data = (np.arange(len(position), dtype=float), position, angle)
+        position, angle = (np.asarray(history[f"{kind}_error"], dtype=float) for kind in ("position", "orientation"))
+        rows = np.arange(len(position))
+        if self.session.result is not None and self.session.result.restarts:  # many descents: the best so far
+            rows = np.maximum.accumulate(np.where(position <= np.minimum.accumulate(position), rows, 0))
+        known = np.where(np.isfinite(angle), angle, np.nan)[rows]
+        curves = (np.log10(np.maximum(values, 1e-12)) for values in (position[rows], known))
+        self.plot.data = (np.arange(len(rows), dtype=float), *curves)
         self.plot.visible = True
 
     def _show_frames(self, visible: bool) -> None:

@@ -12,11 +12,12 @@ from ..robot.pose import matrix_quat, matrix_rpy, pose
 from ..robot.robot import Robot
 from ..solvers.registry import ROWS, find_row, make_rule
 from ..solvers.result import Result
-from ..solvers.solve import bound, solve
+from ..solvers.solve import automatic, bound, solve
 from ..solvers.solve_all import solve_all
 
 KINDS = ("roll pitch yaw", "quaternion", "free")  # how the orientation of a typed target is given
 SHOWN = 16  # solutions listed
+DRAG_RESTARTS = 8  # a dragged target is near: a long search would only make the drag stutter
 
 
 class Session:
@@ -130,12 +131,13 @@ class Session:
     def follow(self, target: np.ndarray) -> Result:
         """Solve as `solve` does, without keeping the way there: for a target that is being dragged."""
         self.target = np.array(target)
-        name = self.rule()
-        if name == "auto":
-            from ..solvers.solve import automatic
-
-            name = automatic(self.robot, self.target, {})
-        self.result = bound(self.robot, name, {"check": True, "tolerance": self.tolerance})(self.target, self.q)
+        rule = self.rule()
+        if isinstance(rule, str) and rule == "auto":
+            rule = automatic(self.robot, self.target, {})
+        options: dict[str, Any] = {"check": True, "tolerance": self.tolerance}
+        if find_row(rule).descents > 1:
+            options["restarts"] = DRAG_RESTARTS
+        self.result = bound(self.robot, rule, options)(self.target, self.q)
         if self.result.success:
             self.q = self.result.q.copy()
         return self.result
@@ -165,7 +167,7 @@ class Session:
 
     def table(self) -> tuple[str, tuple[str, ...], list[tuple[str, ...]]]:
         """Caption, head and rows: the D-H table of a robot that has one, otherwise its joint axes at home, in base axes."""
-        if self.entry.dh_file is not None and self.robot.tip in self.entry.tips[:1]:
+        if self.entry.dh_file is not None and self.entry.tips == (self.robot.tip,):
             from ..robot.dh import read_dh_table
 
             table = read_dh_table(self.entry.dh_file)

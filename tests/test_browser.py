@@ -1,0 +1,230 @@
+"""The panel and an exported scene in a real browser (Playwright driving Chromium). Skipped where either is missing."""
+
+import contextlib
+import os
+import shutil
+import time
+
+import numpy as np
+import pytest
+
+import ik_toolkit as ik
+
+api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed (pip install playwright)")
+CHROMIUM = os.environ.get("CHROMIUM") or shutil.which("chromium") or shutil.which("google-chrome")
+pytestmark = pytest.mark.skipif(
+    CHROMIUM is None, reason="no chromium found (apt-get install chromium, or set CHROMIUM)"
+)
+pytest.importorskip("meshcat", reason="meshcat is not installed (extra 'view')")
+
+FLAGS = (
+    "--no-sandbox --disable-quic --no-first-run --disable-background-networking --disable-component-update --disable-sync "
+    "--use-gl=angle --use-angle=swiftshader --enable-unsafe-swiftshader --ignore-gpu-blocklist"
+).split()
+PATIENCE = 60_000  # ms; a software renderer on a busy machine is slow
+
+
+@pytest.fixture(scope="module")
+def browser():
+    with (
+        api.sync_playwright() as play,
+        play.chromium.launch(executable_path=CHROMIUM, headless=True, args=FLAGS) as made,
+    ):
+        yield made
+
+
+@contextlib.contextmanager
+def fresh_page(browser, *, offline=False):
+    """A page without a past that notes what it asks outside this machine, and what goes wrong in it."""
+    with browser.new_context(viewport={"width": 900, "height": 640}, offline=offline) as context:
+        page = context.new_page()
+        page.set_default_timeout(PATIENCE)
+        page.outside, page.errors = [], []
+
+        def note(request):
+            if not request.url.startswith(("http://127.0.0.1", "ws://127.0.0.1", "data:", "blob:", "file:")):
+                page.outside.append(request.url)
+
+        page.on("request", note)
+        page.on("pageerror", lambda error: page.errors.append(str(error)))
+        yield page
+
+
+def picture(page):
+    """Pixels (H, W, 3) of the canvas."""
+    import io
+
+    from matplotlib.image import imread
+
+    return imread(io.BytesIO(page.locator("canvas").first.screenshot()))[:, :, :3]
+
+
+def test_exported_scene_opens_with_the_network_off(browser, tmp_path):
+    from ik_toolkit.show.scene import view
+
+    robot = ik.Robot.load("hydrolek_7w")
+    target = robot.fk(robot.random_q(np.random.default_rng(3)))
+    file = view(robot, ik.solve(robot, target, "dls", history=True), target=target).save(tmp_path / "scene.html")
+    with fresh_page(browser, offline=True) as page:
+        page.goto(file.as_uri())
+        page.wait_for_selector("body[data-ready]")
+        page.wait_for_timeout(1000)
+        assert page.outside == [] and page.errors == []
+        end = picture(page)
+        orange = (end[:, :, 0] > end[:, :, 2] + 0.25).mean()  # the robot's own colour
+        assert orange > 0.005 and end.std() > 0.02
+        page.evaluate("seek(0)")
+        assert page.locator("#now").inner_text().startswith("evaluation 0: ")
+        page.wait_for_timeout(500)
+        assert np.abs(picture(page) - end).mean() > 1e-3  # the slider moves the robot
+        page.locator("#play").click()
+        page.wait_for_function("Number(document.getElementById('time').value) > 3")
+
+
+def test_live_scene_follows_the_program(browser):
+    from ik_toolkit.show.scene import view
+
+    robot = ik.Robot.load("hydrolek_7w")
+    scene = view(robot)
+    with fresh_page(browser) as page, contextlib.closing(scene):
+        page.goto(scene.serve())
+        page.wait_for_selector("body[data-ready]")
+        page.wait_for_timeout(1000)
+        before = picture(page)
+        scene.show(robot.lower)
+        scene.say("moved")
+        page.wait_for_selector("text=moved")
+        page.wait_for_timeout(500)
+        assert np.abs(picture(page) - before).mean() > 1e-3
+        assert page.outside == [] and page.errors == []
+        scene.close()
+        page.wait_for_selector("text=has ended")
+
+
+class PanelPage:
+    """The panel as a visitor handles it."""
+
+    def __init__(self, page, url):
+        self.page = page
+        page.goto(url)
+        self.wait_for("joints")
+
+    def field(self, label):
+        """Input beside a label (the number, where a slider has one)."""
+        seen = "input[not(@type='hidden')]"
+        return self.page.locator(f"xpath=//label[normalize-space(.)='{label}']/ancestor::div[.//{seen}][1]//{seen}")
+
+    def status(self):
+        return self.page.locator("[role=status]").inner_text()
+
+    def wait_for(self, words):
+        """Wait until the status line contains some words; return it."""
+        end = time.monotonic() + PATIENCE / 1000
+        while time.monotonic() < end:
+            with contextlib.suppress(api.Error):
+                if words in self.status():
+                    return self.status()
+            self.page.wait_for_timeout(100)
+        raise AssertionError(f"the status line never said '{words}'; it says: {self.status()}")
+
+    def tab(self, name):
+        self.page.get_by_role("tab", name=name).click()
+
+    def press(self, name):
+        self.page.get_by_role("button", name=name, exact=True).click()
+
+    def type(self, label, text):
+        self.field(label).fill(text)
+        self.page.wait_for_timeout(300)  # the text is sent a moment after the last key
+
+    def choose(self, label, option):
+        self.field(label).click()
+        self.page.get_by_role("option", name=option, exact=True).click()
+
+    def pose(self):
+        """Matrix (4, 4) shown."""
+        cells = self.page.locator("text=Pose of the tip").locator("xpath=following::table[1]//td").all_inner_texts()
+        return np.array([float(x) for x in cells]).reshape(4, 4)
+
+    def wait_for_pose(self, T):
+        """Wait until a pose is shown."""
+        end = time.monotonic() + PATIENCE / 1000
+        while time.monotonic() < end:
+            if np.allclose(self.pose(), T, atol=2e-5):
+                return
+            self.page.wait_for_timeout(100)
+        assert np.allclose(self.pose(), T, atol=2e-5)
+
+
+@pytest.fixture(scope="module")
+def panel():
+    pytest.importorskip("viser", reason="viser is not installed (extra 'panel')")
+    from ik_toolkit.show.panel import Panel
+
+    with contextlib.closing(Panel("hydrolek_7w")) as made:
+        yield made
+
+
+def test_the_panel_by_hand(browser, panel):
+    robot = ik.Robot.load("hydrolek_7w")
+    with fresh_page(browser) as page:
+        hand = PanelPage(page, panel.url)
+        q = robot.home.copy()
+        hand.wait_for_pose(robot.fk(q).homogeneous)
+
+        number = hand.field("shoulder_pitch [deg]")  # the number beside the slider
+        number.fill("12.5")
+        number.press("Enter")
+        q[1] = np.radians(12.5)
+        hand.wait_for_pose(robot.fk(q).homogeneous)
+
+        goal = robot.fk(np.clip(q + 0.1, robot.lower, robot.upper))
+        session = next(iter(panel.desks.values())).session
+        xyz, rotation = session.words(goal.homogeneous, "roll pitch yaw")
+        hand.tab("Solve")
+        hand.type("x y z [m]", xyz)
+        hand.type("r p y [deg]", rotation)
+        hand.press("Solve")
+        hand.wait_for("Converged in")
+        hand.tab("Joints")
+        hand.wait_for_pose(goal.homogeneous)
+
+        hand.tab("Solve")
+        hand.type("x y z [m]", "9 0 0")
+        hand.press("Solve")
+        assert "The robot stays where it was." in hand.wait_for("beyond reach")
+        hand.type("x y z [m]", "9 0 up")
+        hand.press("Solve")
+        hand.wait_for("takes 3 numbers, not '9 0 up'")
+        hand.tab("Joints")
+        hand.wait_for_pose(goal.homogeneous)
+
+        hand.press("Copy as JSON")
+        page.wait_for_selector("#ik-json")
+        assert '"hydrolek_7w"' in page.locator("#ik-json").input_value()
+        hand.press("Close")
+
+        hand.choose("Robot", "planar_3r")
+        hand.wait_for("planar_3r: ")
+        planar = ik.Robot.load("planar_3r")
+        hand.wait_for_pose(planar.fk(planar.home).homogeneous)
+        assert picture(page).std() > 0.02
+        assert page.outside == [] and page.errors == []
+
+
+def test_two_visitors_have_a_robot_each(browser, panel):
+    robot = ik.Robot.load("hydrolek_7w")
+    with fresh_page(browser) as page:
+        first = PanelPage(page, panel.url)
+        other = page.context.new_page()
+        other.set_default_timeout(PATIENCE)
+        second = PanelPage(other, panel.url)
+        number = first.field("azimuth_yaw [deg]")
+        page.bring_to_front()
+        number.fill("-10")
+        number.press("Enter")
+        q = robot.home.copy()
+        q[0] = np.radians(-10.0)
+        first.wait_for_pose(robot.fk(q).homogeneous)
+        other.bring_to_front()
+        second.wait_for_pose(robot.fk(robot.home).homogeneous)

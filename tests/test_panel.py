@@ -1,0 +1,317 @@
+"""The panel without a browser: what a visitor's session does, what the page is told, and who is refused."""
+
+import contextlib
+import http.client
+import json
+import threading
+import time
+
+import numpy as np
+import pytest
+from robots import CONTINUOUS, have_data
+
+import ik_toolkit as ik
+from ik_toolkit.errors import InvalidOption, InvalidTarget, RobotNotFound
+from ik_toolkit.show.session import Session
+
+DATA = pytest.mark.skipif(not have_data(), reason="example-robot-data is not installed (extra 'robots')")
+
+
+# ------------------------------------------------------------------------------------------------------------ session
+def test_typed_pose_is_read_back():
+    session = Session("hydrolek_7w")
+    T = session.robot.fk(session.robot.random_q(np.random.default_rng(0))).homogeneous
+    for kind in ("roll pitch yaw", "quaternion"):
+        for degrees in (True, False):
+            session.degrees = degrees
+            assert np.allclose(session.typed(*interleave(session.words(T, kind), kind)), T, atol=2e-5)
+    assert np.allclose(session.typed("1, 2 3", "free", "nonsense"), [1, 2, 3])
+
+
+def interleave(words, kind):
+    xyz, rotation = words
+    return xyz, kind, rotation
+
+
+@pytest.mark.parametrize(
+    ("xyz", "kind", "rotation", "words"),
+    [
+        ("1 2", "free", "", "the position x y z .* takes 3 numbers; got 2"),
+        ("1 2 x", "free", "", "not '1 2 x'"),
+        ("1 2 3", "roll pitch yaw", "1", r"roll pitch yaw \[deg\] takes 3 numbers; got 1"),
+        ("1 2 3", "quaternion", "0 0 0 0", "not a rotation"),
+        ("1 2 nan", "free", "", "finite"),
+    ],
+)
+def test_bad_typed_input_is_refused_in_words(xyz, kind, rotation, words):
+    with pytest.raises(InvalidTarget, match=words):
+        Session("hydrolek_7w").typed(xyz, kind, rotation)
+
+
+def test_a_solve_moves_the_robot_and_a_failure_does_not():
+    session = Session("hydrolek_7w")
+    goal = session.robot.fk(session.robot.random_q(np.random.default_rng(1))).homogeneous
+    assert session.solve(goal).success and np.allclose(session.tip(), goal, atol=1e-5)
+    kept = session.q.copy()
+    far = goal.copy()
+    far[0, 3] = 9.0
+    assert not session.solve(far).success and np.array_equal(session.q, kept)
+    assert dict(session.figures())["status"] == "UNREACHABLE"
+    assert not session.follow(far).success and np.array_equal(session.q, kept)
+    assert session.follow(goal).success and session.result.history is None
+
+
+def test_parameters_go_to_the_solver():
+    session = Session("hydrolek_7w")
+    session.solver = "dls"
+    assert session.fields() == {"damping": 0.03}
+    session.parameters = {"damping": "0.5"}
+    assert session.rule() == ik.DLS(damping=0.5)
+    for text, words in (("a b", "takes a number or a list"), ("fast", "takes a number")):
+        session.parameters = {"damping": text}
+        with pytest.raises(InvalidOption, match=words):
+            session.solve(session.tip())
+    session.solver, session.parameters = "pid", {"kp": "[1, 1, 1, 1, 1, 1]"}
+    assert len(session.rule().kp) == 6
+
+
+def test_choices_leave_out_closed_forms_that_do_not_fit():
+    assert "inspection" in Session("inspection_7dof").choices()
+    names = Session("hydrolek_7w").choices()
+    assert names[:2] == ["auto", "lm"] and not {"inspection", "planar-2r"} & set(names)
+
+
+def test_all_solutions_are_kept_nearest_first():
+    session = Session("planar_2r")
+    words = session.solve_all(session.robot.fk(session.q).translation)
+    assert "these are all" in words and len(session.solutions) == 2
+    assert "no solution" in session.solve_all(np.array([9.0, 0, 0])) and session.solutions == []
+
+
+def test_switching_keeps_everything_when_it_fails():
+    session = Session("hydrolek_7w")
+    robot = session.robot
+    with pytest.raises(RobotNotFound):
+        session.load("no_such_robot")
+    assert session.robot is robot and session.source == "hydrolek_7w"
+    session.load("brokk_hydrolek")
+    assert session.robot.tip == "left_tip" and session.tips == ("left_tip", "right_tip")
+    session.load("brokk_hydrolek", "right_tip")
+    assert session.robot.tip == "right_tip"
+
+
+def test_a_file_with_several_tips_starts_with_one(tmp_path):
+    text = '<robot name="fork"><link name="a"/><link name="b"/><link name="c"/>' + "".join(
+        f'<joint name="j{x}" type="revolute"><parent link="a"/><child link="{x}"/><axis xyz="0 0 1"/>'
+        '<origin xyz="1 0 0"/><limit lower="-1" upper="1" effort="1" velocity="1"/></joint>'
+        for x in "bc"
+    )
+    file = tmp_path / "fork.urdf"
+    file.write_text(text + "</robot>")
+    session = Session(str(file))
+    assert session.tips == ("b", "c") and session.robot.tip == "b"
+
+
+def test_table_is_the_dh_table_or_the_joint_axes():
+    caption, head, rows = Session("hydrolek_7w").table()
+    assert "Denavit-Hartenberg" in caption and head[1] == "theta [deg]" and len(rows) == 6
+    session = Session("brokk_hydrolek")
+    caption, head, rows = session.table()
+    assert head == ("joint", "kind", "axis", "through [m]") and len(rows) == session.robot.n
+    import pinocchio as pin
+
+    data = session.robot.model.createData()
+    pin.forwardKinematics(session.robot.model, data, session.robot.to_pinocchio(session.robot.home))
+    for name, _, axis, through in rows:
+        w = np.array([float(x) for x in axis.split()])
+        joint = data.oMi[session.robot.model.getJointId(name)].translation
+        gap = joint - np.array([float(x) for x in through.split()])
+        assert np.linalg.norm(np.cross(gap, w)) < 1e-3, name  # the joint's origin lies on the axis
+
+
+def test_json_is_plain_numbers():
+    session = Session("planar_3r")
+    session.solve(session.robot.fk(session.robot.home).translation)
+    made = json.loads(session.to_json())
+    assert made["joint_names"] == list(session.robot.joint_names) and made["result"]["success"]
+    assert np.allclose(made["T_base_tip"], session.tip())
+
+
+def test_continuous_joints_have_a_turn_of_slider():
+    import pathlib
+    import tempfile
+
+    with tempfile.TemporaryDirectory() as folder:
+        file = pathlib.Path(folder) / "c.urdf"
+        file.write_text(CONTINUOUS)
+        session = Session(str(file))
+    low, high = session.ends(0)
+    assert np.isclose(high - low, 2 * np.pi) and session.unit(0) == "deg"
+    session.degrees = False
+    assert session.unit(0) == "rad" and session.scale(0) == 1.0
+
+
+# --------------------------------------------------------------------------------------------------------- the server
+viser = pytest.importorskip("viser", reason="viser is not installed (extra 'panel')")
+pytest.importorskip("trimesh", reason="trimesh is not installed (extra 'view')")
+
+
+@pytest.fixture(scope="module")
+def panel():
+    from ik_toolkit.show.panel import Panel
+
+    with contextlib.closing(Panel("hydrolek_7w")) as made:
+        yield made
+
+
+def asked(panel, **headers):
+    with contextlib.closing(http.client.HTTPConnection("127.0.0.1", panel.port, timeout=10)) as client:
+        client.request("GET", "/", headers=headers)
+        answer = client.getresponse()
+        return answer.status, answer.read().decode(errors="replace")
+
+
+def test_only_its_own_page_may_use_it(panel):
+    here = f"127.0.0.1:{panel.port}"
+    assert panel.server.get_host() == "127.0.0.1"
+    assert asked(panel)[0] == 200
+    assert asked(panel, Origin=f"http://{here}")[0] == 200
+    status, words = asked(panel, Origin="http://elsewhere.example")
+    assert status == 403 and "other sites" in words
+    socket = {"Connection": "Upgrade", "Upgrade": "websocket", "Sec-WebSocket-Version": "13"}
+    socket["Sec-WebSocket-Key"] = "dGhlIHNhbXBsZSBub25jZQ=="
+    assert asked(panel, Origin="http://elsewhere.example", **socket)[0] == 403
+    status, words = asked(panel, Host=f"rebound.example:{panel.port}")
+    assert status == 403 and "rebound.example" in words
+
+
+def test_a_taken_port_is_refused(panel):
+    from ik_toolkit.show.panel import Panel
+
+    with pytest.raises(InvalidOption, match=f"port {panel.port} is in use"):
+        Panel("hydrolek_7w", port=panel.port)
+    with pytest.raises(RobotNotFound):
+        Panel("no_such_robot")
+
+
+@pytest.fixture
+def desk(panel):
+    """A visitor's desk on the server itself: the same controls as a browser's, without one."""
+    from ik_toolkit.show.desk import Desk
+
+    made = Desk(panel.server, "hydrolek_7w")
+    assert made.worker.idle()
+    yield made
+    made.close()
+
+
+def test_moving_a_slider_moves_what_is_drawn(desk):
+    robot = desk.session.robot
+    slider = desk.sliders[1]
+    slider.value = 30.0
+    before = desk.session.q.copy()
+    desk._moved()
+    assert np.isclose(desk.session.q[1], np.radians(30.0)) and np.array_equal(desk.session.q[2:], before[2:])
+    T = robot.fk(desk.session.q)
+    assert np.allclose(desk.tip.position, T.translation, atol=1e-9)
+    for handle, M in zip(desk.parts, desk.body.placements(desk.session.q), strict=True):
+        assert np.allclose(handle.position, M[:3, 3], atol=1e-9)
+    assert f"{T.translation[0]:.5f}" in desk.pose.content
+
+
+def test_solving_a_typed_pose(desk):
+    goal = desk.session.robot.fk(desk.session.robot.random_q(np.random.default_rng(2))).homogeneous
+    desk.xyz.value, desk.rotation.value = desk.session.words(goal, "roll pitch yaw")
+    desk._guard(desk._solve)()
+    assert "Converged" in desk.status.content and desk.plot.visible and "CONVERGED" in desk.outcome.content
+    assert np.allclose(desk.tip.position, goal[:3, 3], atol=1e-4)
+    kept = np.array(desk.tip.position)
+    desk.xyz.value = "9 0 0"
+    desk._guard(desk._solve)()
+    assert "beyond reach" in desk.status.content and "stays where it was" in desk.status.content
+    assert np.array_equal(desk.tip.position, kept)
+    desk.xyz.value = "<b>9</b>"
+    desk._guard(desk._solve)()
+    assert "takes 3 numbers" in desk.status.content and "<b>" not in desk.status.content
+    desk.xyz.value, desk.tolerance.value = "0.9 0 0", "much"
+    desk._guard(desk._solve)()
+    assert "the tolerance is a number" in desk.status.content
+
+
+def test_dragging_follows(desk):
+    q = np.clip(desk.session.q + 0.05, desk.session.robot.lower, desk.session.robot.upper)
+    T = desk.session.robot.fk(q).homogeneous
+    desk._place(desk.gizmo, T)
+    desk._dragged()
+    assert np.allclose(desk.tip.position, T[:3, 3], atol=1e-5)
+    assert np.allclose([float(x) for x in desk.xyz.value.split()], T[:3, 3], atol=1e-5)
+    desk.live = False
+    kept = np.array(desk.tip.position)
+    desk.gizmo.position = (0.7, 0.1, 0.1)
+    desk._dragged()
+    assert np.array_equal(desk.tip.position, kept) and desk.xyz.value.startswith("0.7")
+
+
+def test_all_solutions_can_be_picked(desk):
+    desk._orientation("free")
+    desk.xyz.value = desk.session.words(desk.session.tip(), "free")[0]
+    desk._guard(desk._solve_all)()
+    assert desk.found.visible and len(desk.session.solutions) > 2
+    desk._pick(2, desk.session.solutions[2])
+    assert np.array_equal(desk.session.q, desk.session.solutions[2]) and "solution 3" in desk.status.content
+
+
+def test_switching_robot_units_and_home(desk):
+    desk._guard(lambda: desk._switch("planar_3r"))()
+    assert len(desk.sliders) == 3 and "planar_3r" in desk.status.content
+    assert "[deg]" in desk.sliders[0].label
+    desk._units(False)
+    assert "[rad]" in desk.sliders[0].label
+    desk.session.q = desk.session.robot.home + 0.1
+    desk._home()
+    assert np.array_equal(desk.session.q, desk.session.robot.home)
+    desk._guard(lambda: desk._switch("planar_4r"))()
+    assert "there is no robot" in desk.status.content and len(desk.sliders) == 3
+    desk.files = False
+    desk._guard(lambda: desk._switch("/etc/hostname"))()
+    assert "by name only" in desk.status.content
+
+
+@DATA
+def test_robots_of_the_data_package_are_offered(desk):
+    desk._guard(lambda: desk._switch("xarm7"))()
+    assert len(desk.sliders) == 7 and len(desk.parts) == 8
+
+
+def test_desks_do_not_share_a_robot(panel, desk):
+    from ik_toolkit.show.desk import Desk
+
+    other = Desk(panel.server, "hydrolek_7w")
+    assert other.worker.idle()
+    desk.session.q = desk.session.q + 0.01
+    assert not np.array_equal(desk.session.q, other.session.q)
+    other.close()
+
+
+def test_a_worker_does_the_newest_and_survives():
+    from ik_toolkit.show.desk import Worker
+
+    worker, done, gate = Worker(), [], threading.Event()
+    worker.post("wait", gate.wait)
+    time.sleep(0.05)
+    for k in range(50):
+        worker.post("drag", lambda k=k: done.append(k))
+    worker.post("other", lambda: done.append("other"))
+    gate.set()
+    assert worker.idle() and done == [49, "other"]
+    worker.end()
+
+
+def test_refusals_by_header():
+    from ik_toolkit.show.panel import is_loopback, refusal
+
+    assert is_loopback("127.0.0.1") and is_loopback("localhost") and is_loopback("::1") and not is_loopback("0.0.0.0")
+    assert refusal({"Host": "localhost:1"}, "127.0.0.1") == ""
+    assert "only" in refusal({"Host": "evil.example:1"}, "127.0.0.1")
+    assert refusal({"Host": "arm.example:1", "Origin": "http://arm.example:1"}, "0.0.0.0") == ""
+    assert "other sites" in refusal({"Host": "arm.example:1", "Origin": "http://evil.example"}, "0.0.0.0")
