@@ -256,3 +256,26 @@ def test_one_small_run_against_a_process_of_its_own(tmp_path):
     assert run["rows"]["ik_q0"]["faster"]["wall"]["median"] == 1.0
     assert "| `ik` |" in written["tables"]
     assert str(tmp_path) not in json.dumps(written)
+
+
+def test_an_interrupt_keeps_the_blocks_that_are_finished(tmp_path, monkeypatch, capsys):
+    from ik_toolkit.cli import main
+    from ik_toolkit.study import benchmark as module
+
+    real, done = module.run_block, []
+
+    def impatient(*job):
+        if len(done) == 15:
+            raise KeyboardInterrupt
+        done.append(job)
+        return real(*job)
+
+    monkeypatch.setattr(module, "run_block", impatient)
+    words = ["bench", "planar_2r", "planar_3r", "--solvers", "lm,dls", "-n", "100", "-o", str(tmp_path / "out.json")]
+    assert main(words) == 130
+    rows = json.loads((tmp_path / "out.json").read_text())["rows"]
+    assert [(row["robot"], row["solver"], row["targets"]) for row in rows] == [
+        ("planar_2r", "lm", 80),
+        ("planar_2r", "dls", 70),
+    ]
+    assert "interrupted" in capsys.readouterr().err

@@ -69,6 +69,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         command = typer.main.get_command(application())
         code = command.main(args=arguments or ["--help"], prog_name="ik", standalone_mode=False) or 0
         sys.stdout.flush()
+        if code == INTERRUPTED:
+            notice("ik: interrupted")
         return code
     except (KeyboardInterrupt, typer.Abort):
         notice("ik: interrupted")

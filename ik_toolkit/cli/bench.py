@@ -1,11 +1,14 @@
 """`ik bench`: our own solvers side by side on a robot."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from .common import Json, Out, compile_notice, load_robot, notice, show, table, write_json
+
+if TYPE_CHECKING:
+    from ..study.benchmark import Benchmark
 
 Robots = Annotated[
     list[str] | None, typer.Argument(metavar="[ROBOT...]", help="Names or URDF files; default hydrolek_7w.")
@@ -53,26 +56,38 @@ def bench(
     Steps are a median, restarts a mean.
     """
     from ..solvers.registry import find_row
-    from ..study.benchmark import benchmark
+    from ..study.benchmark import BenchmarkInterrupted, benchmark
 
     names = [find_row(name.strip()).name for name in solvers.split(",") if name.strip()] if solvers else None
     arms = [load_robot(name) for name in robots or ["hydrolek_7w"]]
     options = {"tolerance": tolerance, "max_iterations": max_iterations, "restarts": restarts}
     given = {key: value for key, value in options.items() if value is not None}
-    with compile_notice("the solvers"):
-        found = benchmark(arms, names, targets=targets, start=start, task=task, seed=seed, **given)
+    stopped = False
+    try:
+        with compile_notice("the solvers"):
+            found = benchmark(arms, names, targets=targets, start=start, task=task, seed=seed, **given)
+    except BenchmarkInterrupted as interrupt:
+        found, stopped = interrupt.result, True
+        if not found.rows:
+            raise KeyboardInterrupt from None
     write_json(found.to_dict(), as_json, output)
     if plot is not None:
         found.plot(plot)
         notice(f"wrote {plot}")
-    if as_json:
-        return
-    columns = ("<robot", "<solver", ">solved %", ">95 %", ">median us", ">p99 us", ">steps", ">restarts")
+    if not as_json:
+        _show(found)
+    if stopped:
+        raise KeyboardInterrupt
+
+
+def _show(found: "Benchmark") -> None:
+    columns = ("<robot", "<solver", ">targets", ">solved %", ">95 %", ">median us", ">p99 us", ">steps", ">restarts")
     made = table(*columns)
     for row in found.rows:
         made.add_row(
             row.robot,
             row.solver,
+            str(row.targets),
             f"{100 * row.solved / row.targets:.2f}",
             f"{100 * row.low:.1f}-{100 * row.high:.1f}",
             f"{1e6 * row.median:.1f}",

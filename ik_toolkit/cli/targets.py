@@ -1,6 +1,7 @@
 """`ik solve ROBOT --targets FILE`: many targets from a CSV or NPZ file, their solutions to a CSV, NPZ or Parquet file."""
 
 import csv
+import io
 import zipfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -162,7 +163,9 @@ class _CsvWriter:
         if not self.started:
             self.writer.writerow(columns)
         self.started = True
-        self.writer.writerows(zip(*(column.tolist() for column in columns.values()), strict=True))
+        lines = io.StringIO()  # a part is written whole or not at all: Ctrl-C falls before or after it
+        csv.writer(lines).writerows(zip(*(column.tolist() for column in columns.values()), strict=True))
+        self.stream.write(lines.getvalue())
 
     def close(self) -> None:
         self.stream.close()

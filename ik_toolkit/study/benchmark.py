@@ -100,6 +100,15 @@ class Benchmark:
         figure.savefig(file)
 
 
+class BenchmarkInterrupted(KeyboardInterrupt):
+    """Ctrl-C during a benchmark; `result` is the Benchmark of the blocks of targets finished before it."""
+
+    def __init__(self, result: Benchmark) -> None:
+        """Keep what was finished."""
+        super().__init__(f"interrupted with {len(result.rows)} rows")
+        self.result = result
+
+
 def benchmark(
     robots: Robot | str | Sequence[Robot | str],
     solvers: Iterable[Any] | None = None,
@@ -119,8 +128,9 @@ def benchmark(
     choice), 'home', 'random', or 'near' (within 0.1 rad or m of a solution, each joint). task: 'pose' or 'position'; default
     poses for six joints and more. executor: anything with the concurrent.futures interface, instead of this process; the
     times are then of the workers. progress(done, all) counts blocks. Options: as for `solve`, given to every solver that
-    takes them. A solver that does not apply to a robot is listed in `skipped` with the reason. Raises RobotNotFound,
-    UnknownSolver, InvalidOption.
+    takes them. A solver that does not apply to a robot is listed in `skipped` with the reason. Ctrl-C raises
+    BenchmarkInterrupted, a KeyboardInterrupt whose `result` holds what was finished. Raises RobotNotFound, UnknownSolver,
+    InvalidOption.
     """
     if start not in STARTS:
         raise InvalidOption(f"start must be one of {', '.join(STARTS)}, not {start!r}.{near_match(str(start), STARTS)}")
@@ -136,38 +146,48 @@ def benchmark(
     rows: list[BenchmarkRow] = []
     skipped: dict[tuple[str, str], str] = {}
     last: IKError | None = None
+    stopped = False
     for number, arm in enumerate(arms):
         kind = task or ("pose" if arm.n >= 6 else "position")
-        T, Q0 = problems(arm, int(targets), kind, start, seed)
-        bound: dict[str, Solver] = {}
-        for solver in asked:
-            try:
-                one = Solver(arm, solver, **options)
-                one(T[0], None if Q0 is None else Q0[0])  # compiles
-            except IKError as error:
-                if solvers is not None and not isinstance(error, InvalidOption):
-                    raise
-                skipped[arm.name, getattr(solver, "__name__", str(solver))] = str(error)
-                last = error
-                continue
-            name = one.name if one.name not in bound else f"{one.name} #{len(bound) + 1}"
-            bound[name] = one
-        parts: dict[str, list[np.ndarray]] = {name: [] for name in bound}
-        edges = np.linspace(0, len(T), min(BLOCKS, len(T)) + 1).astype(int)
-        jobs = [
-            (name, solver, T[a:b], None if Q0 is None else Q0[a:b])
-            for a, b in pairwise(edges)
-            for name, solver in bound.items()
-        ]
-        futures = [executor.submit(run_block, *job[1:]) for job in jobs] if executor is not None else None
-        for k, job in enumerate(jobs):
-            parts[job[0]].append(futures[k].result() if futures is not None else run_block(*job[1:]))
-            if progress is not None:
-                progress(number * len(jobs) + k + 1, len(arms) * len(jobs))
-        rows += [summary(arm.name, name, kind, np.concatenate(parts[name])) for name in bound]
-    if last is not None and not rows:  # nothing applies: more likely a wrong option than a wrong robot
+        parts: dict[str, list[np.ndarray]] = {}
+        try:
+            T, Q0 = problems(arm, int(targets), kind, start, seed)
+            bound: dict[str, Solver] = {}
+            for solver in asked:
+                try:
+                    one = Solver(arm, solver, **options)
+                    one(T[0], None if Q0 is None else Q0[0])  # compiles
+                except IKError as error:
+                    if solvers is not None and not isinstance(error, InvalidOption):
+                        raise
+                    skipped[arm.name, getattr(solver, "__name__", str(solver))] = str(error)
+                    last = error
+                    continue
+                name = one.name if one.name not in bound else f"{one.name} #{len(bound) + 1}"
+                bound[name] = one
+            edges = np.linspace(0, len(T), min(BLOCKS, len(T)) + 1).astype(int)
+            jobs = [
+                (name, solver, T[a:b], None if Q0 is None else Q0[a:b])
+                for a, b in pairwise(edges)
+                for name, solver in bound.items()
+            ]
+            futures = [executor.submit(run_block, *job[1:]) for job in jobs] if executor is not None else None
+            for k, job in enumerate(jobs):
+                block = futures[k].result() if futures is not None else run_block(*job[1:])
+                parts.setdefault(job[0], []).append(block)
+                if progress is not None:
+                    progress(number * len(jobs) + k + 1, len(arms) * len(jobs))
+        except KeyboardInterrupt:
+            stopped = True
+        rows += [summary(arm.name, name, kind, np.concatenate(parts[name])) for name in parts]
+        if stopped:
+            break
+    if last is not None and not rows and not stopped:  # nothing applies: more likely a wrong option than a wrong robot
         raise last
-    return Benchmark(tuple(rows), skipped, int(targets), start, seed, dict(options))
+    found = Benchmark(tuple(rows), skipped, int(targets), start, seed, dict(options))
+    if stopped:
+        raise BenchmarkInterrupted(found)
+    return found
 
 
 def problems(robot: Robot, count: int, task: str, start: str, seed: int) -> tuple[np.ndarray, np.ndarray | None]:
