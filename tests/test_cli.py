@@ -398,3 +398,29 @@ def test_solve_takes_preferences(run):
     assert code == 2 and "--direction" in err
     code, _, err = run("solve", "inspection_7dof", "--xyz", "0.4", "0.1", "0.9", "--objective", "midrange")
     assert code == 2 and "mid-range" in err
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "bench planar_2r -o no/x.json",
+        "bench planar_2r --plot no/x.png",
+        "tune planar_3r pid -o no/x.toml",
+        "tune planar_3r pid --plot no/x.png",
+        "workspace planar_3r --csv no/x.csv",
+        "workspace planar_3r --html no/x.html",
+        "track planar_3r -o no/x.npz",
+        "view planar_3r --html no/x.html",
+        "track planar_3r --plot folder.png",
+        "track planar_3r --plot x.gif",
+    ],
+)
+def test_an_output_that_cannot_be_written_is_refused_before_the_work(run, words, tmp_path, monkeypatch):
+    from ik_toolkit.cli import common
+
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "folder.png").mkdir()
+    monkeypatch.setattr(common, "load_robot", lambda *_: pytest.fail("the work has started"))
+    code, out, err = run(*words.split())
+    assert code == 2 and out == "" and err.count("\n") == 1
+    assert "there is no folder 'no'" in err or "is a folder" in err or "must end in" in err

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .common import Json, Out, compile_notice, load_robot, notice, show, table, write_json
+from .common import PLOTS, Json, Out, compile_notice, load_robot, notice, show, table, write_json, writes
 
 if TYPE_CHECKING:
     from ..study.benchmark import Benchmark
@@ -27,7 +27,12 @@ Iterations = Annotated[int | None, typer.Option(metavar="N", help="Steps a desce
 Restarts = Annotated[int | None, typer.Option(metavar="N", help="Further descents; default: the solver's own.")]
 Plot = Annotated[
     Path | None,
-    typer.Option(metavar="FILE", help="Draw targets solved against time (png, svg, pdf).", rich_help_panel="Output"),
+    typer.Option(
+        metavar="FILE",
+        help="Draw targets solved against time to a .png, .pdf or .svg file.",
+        rich_help_panel="Output",
+        callback=writes(*PLOTS),
+    ),
 ]
 
 

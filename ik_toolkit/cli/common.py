@@ -1,19 +1,20 @@
 """What the commands share: robot options, vectors of numbers, units, tables, JSON, and notices on stderr."""
 
 import functools
+import importlib.util
 import json
 import math
 import os
 import sys
 import threading
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ..errors import FrameNotFound, InvalidConfiguration, InvalidOption, InvalidTarget
+from ..errors import FrameNotFound, InvalidConfiguration, InvalidOption, InvalidTarget, MissingExtra
 
 if TYPE_CHECKING:
     import numpy as np
@@ -28,6 +29,30 @@ VECTOR_OPTIONS = frozenset(
     "--closest".split()
 )
 COMPILE_NOTICE_AFTER = 0.7  # s; a call that takes longer is compiling
+
+PLOTS = (".png", ".pdf", ".svg")
+
+
+def writes(*suffixes: str) -> Callable[[Path | None], Path | None]:
+    """Callback of an option that names a file to write: what can be known to go wrong is said before the work starts."""
+
+    def check(file: Path | None) -> Path | None:
+        if file is None:
+            return None
+        if suffixes and file.suffix.lower() not in suffixes:
+            raise InvalidOption(f"'{file}' must end in {' or '.join(suffixes)}")
+        if suffixes == PLOTS and importlib.util.find_spec("matplotlib") is None:
+            raise MissingExtra("matplotlib", "plots")
+        if file.is_dir():
+            raise InvalidOption(f"'{file}' is a folder, and a file is to be written there")
+        if not file.parent.is_dir():
+            raise InvalidOption(f"cannot write '{file}': there is no folder '{file.parent}'")
+        if not os.access(file if file.exists() else file.parent, os.W_OK):
+            raise InvalidOption(f"cannot write '{file}': no permission")
+        return file
+
+    return check
+
 
 RobotArg = Annotated[str, typer.Argument(metavar="ROBOT", help="Name (see ik robots) or path of a URDF file.")]
 Tip = Annotated[
@@ -61,7 +86,12 @@ Json = Annotated[
 Out = Annotated[
     Path | None,
     typer.Option(
-        "-o", "--output", metavar="FILE", help="Also write the JSON object to a file.", rich_help_panel="Output"
+        "-o",
+        "--output",
+        metavar="FILE",
+        help="Also write the JSON object to a file.",
+        rich_help_panel="Output",
+        callback=writes(),
     ),
 ]
 

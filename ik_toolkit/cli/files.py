@@ -6,11 +6,12 @@ from typing import Annotated
 
 import typer
 
-from .common import Json, PackageDir, notice, show, table, write_json
+from .common import Json, PackageDir, notice, show, table, write_json, writes
 
 TableArg = Annotated[str, typer.Argument(metavar="TABLE", help="D-H table, a .toml or .csv file.")]
 UrdfOut = Annotated[
-    Path | None, typer.Option("-o", "--output", metavar="FILE", help="Write the URDF here, not on stdout.")
+    Path | None,
+    typer.Option("-o", "--output", metavar="FILE", help="Write the URDF here, not on stdout.", callback=writes()),
 ]
 UrdfArg = Annotated[str, typer.Argument(metavar="URDF", help="Path of a URDF file, or a robot's name.")]
 

@@ -8,6 +8,7 @@ import typer
 
 from ..errors import InvalidOption, near_match
 from .common import (
+    PLOTS,
     Base,
     Deg,
     Json,
@@ -26,6 +27,7 @@ from .common import (
     turns,
     vector,
     write_json,
+    writes,
 )
 
 if TYPE_CHECKING:
@@ -81,9 +83,15 @@ Acceleration = Annotated[
     float | None, typer.Option(metavar="A", help="Acceleration limit of every joint [rad/s^2, m/s^2].")
 ]
 Out = Annotated[
-    Path | None, typer.Option("-o", "--output", metavar="FILE", help="Write the run to a .npz or .csv file.")
+    Path | None,
+    typer.Option(
+        "-o", "--output", metavar="FILE", help="Write the run to a .npz or .csv file.", callback=writes(".npz", ".csv")
+    ),
 ]
-Plot = Annotated[Path | None, typer.Option(metavar="FILE", help="Draw the run to a .png, .pdf or .svg file.")]
+Plot = Annotated[
+    Path | None,
+    typer.Option(metavar="FILE", help="Draw the run to a .png, .pdf or .svg file.", callback=writes(*PLOTS)),
+]
 
 
 def register(app: typer.Typer) -> None:
@@ -128,9 +136,6 @@ def track(
     """
     if not (rate > 0.0 and rate < float("inf")):
         raise InvalidOption(f"--rate must be positive, not {rate}")
-    for file, suffixes in ((output, (".npz", ".csv")), (plot, (".png", ".pdf", ".svg"))):
-        if file is not None and file.suffix.lower() not in suffixes:
-            raise InvalidOption(f"'{file}' must end in {' or '.join(suffixes)}")
     arm = load_robot(robot, tip, base, lock, package_dir, deg)
     options = {name: value for name, value in (("kappa", kappa), ("kp", kp), ("kd", kd)) if value is not None}
     options |= {name: _number(name, text) for name, text in assignments(param, "-p").items()}

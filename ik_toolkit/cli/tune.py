@@ -1,13 +1,13 @@
 """`ik tune`: search a solver's parameters for a robot and write them as a preset."""
 
-import importlib.util
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from ..errors import InvalidOption, MissingExtra
+from ..errors import InvalidOption
 from .common import (
+    PLOTS,
     Base,
     Deg,
     Json,
@@ -21,6 +21,7 @@ from .common import (
     notice,
     show,
     write_json,
+    writes,
 )
 
 SolverArg = Annotated[str, typer.Argument(metavar="SOLVER", help="state-space, pid, or one with a gain or a damping.")]
@@ -42,9 +43,17 @@ Seed = Annotated[int, typer.Option(metavar="N", help="Seed of the search and of 
 Tolerance = Annotated[float, typer.Option(metavar="TOL", help="Both tolerances, in m and rad.")]
 MaxIterations = Annotated[int, typer.Option(metavar="N", help="Steps a solve.")]
 How = Annotated[str, typer.Option("--sample", metavar="joints|volume", help="Goals uniform in joints or in volume.")]
-Out = Annotated[Path | None, typer.Option("-o", "--output", metavar="FILE", help="Preset; default: ROBOT-SOLVER.toml.")]
+Out = Annotated[
+    Path | None,
+    typer.Option(
+        "-o", "--output", metavar="FILE", help="Preset; default: ROBOT-SOLVER.toml.", callback=writes(".toml")
+    ),
+]
 Resume = Annotated[bool, typer.Option("--resume", help="Go on from FILE.npz, which every run writes beside FILE.")]
-Plot = Annotated[Path | None, typer.Option(metavar="FILE", help="Draw the convergence to a .png, .pdf or .svg file.")]
+Plot = Annotated[
+    Path | None,
+    typer.Option(metavar="FILE", help="Draw the convergence to a .png, .pdf or .svg file.", callback=writes(*PLOTS)),
+]
 
 
 def register(app: typer.Typer) -> None:
@@ -90,11 +99,8 @@ def tune(
     cls = find_row(solver).load()
     if from_ is not None and not hasattr(cls, "preset"):
         raise InvalidOption(f"solver '{solver}' has no presets")
-    if plot is not None and importlib.util.find_spec("matplotlib") is None:
-        raise MissingExtra("matplotlib", "plots")
     preset = output or Path(f"{Path(robot).stem}-{solver}.toml")
-    if preset.suffix != ".toml":
-        raise InvalidOption(f"a preset is written as .toml, not '{preset.name}'")
+    writes(".toml")(preset)
     record = preset.with_suffix(".npz")
     if not resume:
         record.unlink(missing_ok=True)

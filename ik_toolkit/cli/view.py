@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ..errors import InvalidOption
-from .common import Base, Deg, Lock, PackageDir, RobotArg, Tip, compile_notice, joint_vector, load_robot, notice
+from .common import Base, Deg, Lock, PackageDir, RobotArg, Tip, compile_notice, joint_vector, load_robot, notice, writes
 
 if TYPE_CHECKING:
     from ..show.scene import Scene
@@ -21,7 +21,13 @@ SolverName = Annotated[str, typer.Option("-s", "--solver", metavar="NAME", help=
 Ghosts = Annotated[bool, typer.Option("--all", help="With --xyz: show every solution found as a ghost.")]
 Start = Annotated[str | None, typer.Option("--q0", metavar="Q1 Q2 ...", help="Where the solve starts; default: home.")]
 Html = Annotated[
-    Path | None, typer.Option("--html", metavar="FILE", help="Write one self-contained page instead of serving.")
+    Path | None,
+    typer.Option(
+        "--html",
+        metavar="FILE",
+        help="Write one self-contained page instead of serving.",
+        callback=writes(".html", ".htm"),
+    ),
 ]
 Port = Annotated[int, typer.Option(metavar="N", help="Port on 127.0.0.1; default: a free one.")]
 Open = Annotated[bool, typer.Option("--open/--no-open", help="Open the address in a browser.")]

@@ -8,6 +8,7 @@ import typer
 
 from ..errors import InvalidOption
 from .common import (
+    PLOTS,
     Base,
     Deg,
     Json,
@@ -24,6 +25,7 @@ from .common import (
     show,
     table,
     write_json,
+    writes,
 )
 
 Solvers = Annotated[
@@ -41,10 +43,19 @@ Start = Annotated[str | None, typer.Option("--q0", metavar="Q1 Q2 ...", help="Wh
 Tolerance = Annotated[float, typer.Option(metavar="TOL", help="Both tolerances, in m and rad.")]
 MaxIterations = Annotated[int | None, typer.Option(metavar="N", help="Steps a descent.")]
 Restarts = Annotated[int | None, typer.Option(metavar="N", help="Further descents from other starts.")]
-Csv = Annotated[Path | None, typer.Option("--csv", metavar="FILE", help="Write every goal to a .csv as it is solved.")]
+Csv = Annotated[
+    Path | None,
+    typer.Option("--csv", metavar="FILE", help="Write every goal to a .csv as it is solved.", callback=writes(".csv")),
+]
 Workers = Annotated[int | None, typer.Option(metavar="N", help="Processes instead of threads.")]
-Plot = Annotated[Path | None, typer.Option(metavar="FILE", help="Draw the success map to a .png, .pdf or .svg file.")]
-Html = Annotated[Path | None, typer.Option("--html", metavar="FILE", help="Robot and goals as a 3D page, one file.")]
+Plot = Annotated[
+    Path | None,
+    typer.Option(metavar="FILE", help="Draw the success map to a .png, .pdf or .svg file.", callback=writes(*PLOTS)),
+]
+Html = Annotated[
+    Path | None,
+    typer.Option("--html", metavar="FILE", help="Robot and goals as a 3D page, one file.", callback=writes(".html")),
+]
 LISTED = 10
 
 
