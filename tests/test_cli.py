@@ -287,7 +287,7 @@ def test_doctor_reports_a_package_that_hides_pinocchio(run, monkeypatch):
         ([*SOLVE, "--lock", "wrist=1"], "Did you mean 'wrist_"),
         ([*SOLVE, "--lock", "wrist_roll"], "--lock takes NAME=VALUE"),
         ([*SOLVE, "--lock", "wrist_roll=up"], "takes one number"),
-        ([*SOLVE, "-o", "no/such/folder/file.json"], "No such file or directory"),
+        ([*SOLVE, "-o", "no/such/folder/file.json"], "there is no folder"),
         ([*SOLVE, "--bogus"], "No such option: --bogus"),
         (["solve", "brokk_hydrolek", "--xyz", "1", "0", "0"], "choose one with --tip: left_tip, right_tip"),
         (["fk", "hydrolek_7w", "--q", "1"], "--q takes 6 values"),
