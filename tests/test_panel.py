@@ -213,8 +213,8 @@ def test_moving_a_slider_moves_what_is_drawn(desk):
     desk._moved()
     assert np.isclose(desk.session.q[1], np.radians(30.0)) and np.array_equal(desk.session.q[2:], before[2:])
     T = robot.fk(desk.session.q)
-    assert np.allclose(desk.tip.position, T.translation, atol=1e-9)
-    for handle, M in zip(desk.parts, desk.body.placements(desk.session.q), strict=True):
+    assert np.allclose(desk.stage.tip.position, T.translation, atol=1e-9)
+    for handle, M in zip(desk.stage.parts, desk.stage.body.placements(desk.session.q), strict=True):
         assert np.allclose(handle.position, M[:3, 3], atol=1e-9)
     assert f"{T.translation[0]:.5f}" in desk.pose.content
 
@@ -224,12 +224,12 @@ def test_solving_a_typed_pose(desk):
     desk.xyz.value, desk.rotation.value = desk.session.words(goal, "roll pitch yaw")
     desk._guard(desk._solve)()
     assert "Converged" in desk.status.content and desk.plot.visible and "CONVERGED" in desk.outcome.content
-    assert np.allclose(desk.tip.position, goal[:3, 3], atol=1e-4)
-    kept = np.array(desk.tip.position)
+    assert np.allclose(desk.stage.tip.position, goal[:3, 3], atol=1e-4)
+    kept = np.array(desk.stage.tip.position)
     desk.xyz.value = "9 0 0"
     desk._guard(desk._solve)()
     assert "beyond reach" in desk.status.content and "stays where it was" in desk.status.content
-    assert np.array_equal(desk.tip.position, kept)
+    assert np.array_equal(desk.stage.tip.position, kept)
     desk.xyz.value = "<b>9</b>"
     desk._guard(desk._solve)()
     assert "takes 3 numbers" in desk.status.content and "<b>" not in desk.status.content
@@ -241,15 +241,15 @@ def test_solving_a_typed_pose(desk):
 def test_dragging_follows(desk):
     q = np.clip(desk.session.q + 0.05, desk.session.robot.lower, desk.session.robot.upper)
     T = desk.session.robot.fk(q).homogeneous
-    desk._place(desk.gizmo, T)
+    desk.stage.put_target(T)
     desk._dragged()
-    assert np.allclose(desk.tip.position, T[:3, 3], atol=1e-5)
+    assert np.allclose(desk.stage.tip.position, T[:3, 3], atol=1e-5)
     assert np.allclose([float(x) for x in desk.xyz.value.split()], T[:3, 3], atol=1e-5)
     desk.live = False
-    kept = np.array(desk.tip.position)
-    desk.gizmo.position = (0.7, 0.1, 0.1)
+    kept = np.array(desk.stage.tip.position)
+    desk.stage.gizmo.position = (0.7, 0.1, 0.1)
     desk._dragged()
-    assert np.array_equal(desk.tip.position, kept) and desk.xyz.value.startswith("0.7")
+    assert np.array_equal(desk.stage.tip.position, kept) and desk.xyz.value.startswith("0.7")
 
 
 def test_all_solutions_can_be_picked(desk):
@@ -280,7 +280,7 @@ def test_switching_robot_units_and_home(desk):
 @DATA
 def test_robots_of_the_data_package_are_offered(desk):
     desk._guard(lambda: desk._switch("xarm7"))()
-    assert len(desk.sliders) == 7 and len(desk.parts) == 8
+    assert len(desk.sliders) == 7 and len(desk.stage.parts) == 8
 
 
 def test_desks_do_not_share_a_robot(panel, desk):
@@ -294,7 +294,7 @@ def test_desks_do_not_share_a_robot(panel, desk):
 
 
 def test_a_worker_does_the_newest_and_survives():
-    from ik_toolkit.show.desk import Worker
+    from ik_toolkit.show.worker import Worker
 
     worker, done, gate = Worker(), [], threading.Event()
     worker.post("wait", gate.wait)

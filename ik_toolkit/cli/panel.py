@@ -5,7 +5,7 @@ from typing import Annotated
 import typer
 
 from ..errors import InvalidOption
-from .common import RobotArg, Tip, notice
+from .common import RobotArg, Tip, compile_notice, notice
 
 Host = Annotated[str, typer.Option(metavar="ADDRESS", help="Address to listen at; the default is this machine only.")]
 Port = Annotated[int, typer.Option(metavar="N", help="Port; default: a free one.")]
@@ -30,7 +30,8 @@ def panel(
     from ..show.panel import Panel, is_loopback
     from .view import wait
 
-    served = Panel(robot, tip, host=host, port=port)
+    with compile_notice():
+        served = Panel(robot, tip, host=host, port=port)
     if not is_loopback(host):
         notice(
             f"warning: the panel listens at {host}: everybody who can reach this machine can use it, without a password"

@@ -1,61 +1,20 @@
 """What one visitor of the panel sees: controls and the 3-D view (viser), around a Session."""
 
 import html
-import threading
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-import pinocchio as pin
 
 from ..errors import IKError
 from ..robot.library import list_robots
 from .parts import Body
 from .session import KINDS, SHOWN, Session
+from .stage import Stage
+from .worker import Worker
 
 GOOD, BAD, PLAIN = "#1b7837", "#b2182b", "#37424f"
 STEPS = 500  # of a slider, at least
-
-
-class Worker:
-    """Runs jobs one after another in a thread of its own; a newer job of the same name replaces a waiting one."""
-
-    def __init__(self) -> None:
-        """Start the thread."""
-        self._jobs: dict[str, Callable[[], None]] = {}
-        self._wake = threading.Condition()
-        self._ended = False
-        self._busy = False
-        threading.Thread(target=self._run, daemon=True, name="ik panel visitor").start()
-
-    def post(self, name: str, job: Callable[[], None]) -> None:
-        """Ask for a job."""
-        with self._wake:
-            self._jobs[name] = job
-            self._wake.notify_all()
-
-    def _run(self) -> None:
-        while True:
-            with self._wake:
-                self._busy = False
-                self._wake.notify_all()
-                self._wake.wait_for(lambda: self._jobs or self._ended)
-                if self._ended:
-                    return
-                job = self._jobs.pop(next(iter(self._jobs)))
-                self._busy = True
-            job()
-
-    def idle(self, timeout: float = 30.0) -> bool:
-        """Wait until there is nothing left to do."""
-        with self._wake:
-            return self._wake.wait_for(lambda: not self._jobs and not self._busy, timeout)
-
-    def end(self) -> None:
-        """End the thread after the job it is at."""
-        with self._wake:
-            self._ended = True
-            self._wake.notify_all()
 
 
 class Desk:
@@ -85,7 +44,7 @@ class Desk:
             except IKError as error:
                 self.say(str(error), BAD)
             except Exception as error:
-                if not self.worker._ended:  # a visitor who left takes the handles along
+                if not self.worker.ended:  # a visitor who left takes the handles along
                     self.say(f"unexpected {type(error).__name__}: {error} (a bug of ik_toolkit)", BAD)
 
         return run
@@ -113,16 +72,17 @@ class Desk:
         """Draw the robot and its controls anew (after a switch of robot, tip or units)."""
         s = self.session
         body = Body(s.robot)
-        self.body = body
         with self.client.atomic():
             self.gui.reset()
             self.scene.reset()
             self.gui.configure_theme(control_width="large", show_logo=False, show_share_button=False)
+            self.gui.main_panel.dock_right()
             self._build_controls()
-            self._build_scene()
+            self.stage = Stage(
+                self.client, body, s.q, self.frames, lambda: self.worker.post("drag", self._guard(self._dragged))
+            )
         self.show()
         self.say(body.notice or f"{s.robot.name}: {s.robot.base} to {s.robot.tip}, {s.robot.n} joints")
-        self._aim()
 
     def _build_controls(self) -> None:
         s, gui = self.session, self.gui
@@ -156,7 +116,7 @@ class Desk:
             slider = gui.add_slider(f"{name} [{s.unit(i)}]", low, high, float(step), low)
             self.sliders.append(slider)
             self._on(slider, "joints", self._moved)
-        home, json = gui.add_button("Reset to home"), gui.add_button("Copy as JSON")
+        home, json = (gui.add_button(text, color="gray") for text in ("Reset to home", "Copy as JSON"))
         self._on(home, "joints", self._home)
         self._on(json, "json", self._json)
         self.pose = gui.add_html("")
@@ -173,9 +133,9 @@ class Desk:
         self._on(go, "solve", self._solve)
         follow = gui.add_checkbox("Follow while dragging", self.live, hint="Drag the arrows and rings in the view.")
         self._on(follow, "live", lambda: setattr(self, "live", follow.value))
-        here = gui.add_button("Target to tip")
+        here = gui.add_button("Target to tip", color="gray")
         self._on(here, "solve", self._target_to_tip)
-        every = gui.add_button("All solutions")
+        every = gui.add_button("All solutions", color="gray")
         self._on(every, "solve", self._solve_all)
         self.outcome = gui.add_html("", visible=False)
         self.found = gui.add_folder("Solutions", visible=False)
@@ -187,13 +147,13 @@ class Desk:
         self._fill_parameters()
         with gui.add_folder("Convergence"):
             self.plot = gui.add_uplot(
-                (np.array([0.0, 1.0]), np.zeros(2), np.zeros(2)),
+                (np.array([0.0, 1.0]), np.ones(2), np.ones(2)),
                 (
                     {"label": "evaluation"},
-                    {"label": "position, 10^x m", "stroke": "#0072B2", "width": 2},
-                    {"label": "orientation, 10^x rad", "stroke": "#D55E00", "width": 2, "dash": (6, 4)},
+                    {"label": "position [m]", "stroke": "#0072B2", "width": 2},
+                    {"label": "orientation [rad]", "stroke": "#D55E00", "width": 2, "dash": (6, 4)},
                 ),
-                scales={"x": {"time": False}},
+                scales={"x": {"time": False}, "y": {"distr": 3}},
                 height=190,
                 visible=False,
             )
@@ -212,66 +172,14 @@ class Desk:
             load = gui.add_button("Load file")
             self._on(load, "build", lambda: self._switch(path.value))
 
-    def _build_scene(self) -> None:
-        scene, s, body = self.scene, self.session, self.body
-        low, high = body.bounds(s.q)
-        self.size = float(np.linalg.norm(high - low))
-        scene.set_up_direction("+z")
-        cell = 10.0 ** np.round(np.log10(self.size / 8.0))
-        scene.add_grid(
-            "/grid", 40 * cell, 40 * cell, cell_size=cell, section_size=5 * cell, position=(0.0, 0.0, min(low[2], 0.0))
-        )
-        self.parts = []
-        for part in body.parts:
-            self.parts.append(scene.add_frame(f"/robot/{part.name}", show_axes=False))
-            for k, shape in enumerate(part.shapes):
-                rgb = tuple(round(255 * c) for c in shape.color)
-                opacity = None if shape.opacity >= 1.0 else shape.opacity
-                scene.add_mesh_simple(
-                    f"/robot/{part.name}/{k}", shape.vertices, shape.faces, color=rgb, opacity=opacity, side="double"
-                )
-        length = 0.1 * self.size
-        self.tip = scene.add_frame("/tip", axes_length=length, axes_radius=0.03 * length)
-        self.axes = [
-            scene.add_frame(f"/joint/{k}", axes_length=0.8 * length, axes_radius=0.02 * length, visible=self.frames)
-            for k in range(s.robot.n)
-        ]
-        self.gizmo = scene.add_transform_controls("/target", scale=0.22 * self.size, disable_sliders=True)
-        self.gizmo_pose = s.tip()
-        self._place(self.gizmo, body.T_world_base @ self.gizmo_pose)
-
-        @self.gizmo.on_update
-        def _(_: Any) -> None:
-            self.worker.post("drag", self._guard(self._dragged))
-
-    # --------------------------------------------------------------------------------------------------------- show
-    @staticmethod
-    def _place(handle: Any, T: np.ndarray) -> None:
-        x, y, z, w = pin.Quaternion(T[:3, :3]).coeffs()
-        handle.wxyz, handle.position = (float(w), float(x), float(y), float(z)), tuple(T[:3, 3].tolist())
-
     def show(self) -> None:
         """Bring view, sliders and numbers to the session's q."""
-        s, body = self.session, self.body
-        T = s.tip()
+        s = self.session
         with self.client.atomic():
-            for handle, M in zip(self.parts, body.placements(s.q), strict=True):
-                self._place(handle, M)
-            self._place(self.tip, body.T_world_base @ T)
-            for handle, joint in zip(self.axes, s.robot.joint_names, strict=True):
-                self._place(handle, body.data.oMi[s.robot.model.getJointId(joint)].homogeneous)
+            self.stage.show(s.q)
             for i, slider in enumerate(self.sliders):
                 slider.value = self.shown[i] = float(np.clip(round(s.scale(i) * s.q[i], 4), slider.min, slider.max))
-        self.pose.content = pose_html(T, s)
-
-    def _aim(self) -> None:
-        low, high = self.body.bounds(self.session.q)
-        centre = 0.5 * (low + high)
-        camera = getattr(self.client, "camera", None)
-        if camera is not None:
-            camera.up_direction = (0.0, 0.0, 1.0)
-            camera.position = tuple((centre + 1.35 * self.size * np.array([0.66, -0.63, 0.41])).tolist())
-            camera.look_at = tuple(centre.tolist())
+        self.pose.content = pose_html(s.tip(), s)
 
     # ------------------------------------------------------------------------------------------------------ actions
     def _switch(self, source: str, tip: str | None = None) -> None:
@@ -327,8 +235,8 @@ class Desk:
         self.rotation.visible = kind != "free"
         if kind != "free":
             self.rotation.label = self._rotation_label()
-            self.rotation.value = self.session.words(self.gizmo_pose, kind)[1]
-        self.gizmo.disable_rotations = kind == "free"
+            self.rotation.value = self.session.words(self.stage.target, kind)[1]
+        self.stage.gizmo.disable_rotations = kind == "free"
 
     def _choose(self, name: str) -> None:
         self.session.solver, self.session.parameters = name, {}
@@ -364,7 +272,7 @@ class Desk:
 
     def _solve(self) -> None:
         target = self._typed()
-        self._put_gizmo(target)
+        self.stage.put_target(target)
         self.say("solving ...")
         result = self.session.solve(target)
         self._verdict()
@@ -382,11 +290,7 @@ class Desk:
         self.outcome.visible = True
 
     def _dragged(self) -> None:
-        R = pin.Quaternion(*(float(x) for x in self.gizmo.wxyz)).normalized().matrix()
-        T = np.eye(4)
-        T[:3, :3], T[:3, 3] = R, self.gizmo.position
-        T = np.linalg.inv(self.body.T_world_base) @ T
-        self.gizmo_pose = T
+        T = self.stage.read_target()
         self.xyz.value, rotation = self.session.words(T, self.kind)
         if self.kind != "free":
             self.rotation.value = rotation
@@ -394,18 +298,9 @@ class Desk:
             self.session.follow(T[:3, 3] if self.kind == "free" else T)
             self._verdict()
 
-    def _put_gizmo(self, target: np.ndarray) -> None:
-        T = self.gizmo_pose.copy()
-        if target.ndim == 1:
-            T[:3, 3] = target
-        else:
-            T = target
-        self.gizmo_pose = T
-        self._place(self.gizmo, self.body.T_world_base @ T)
-
     def _target_to_tip(self) -> None:
         T = self.session.tip()
-        self._put_gizmo(T)
+        self.stage.put_target(T)
         self.xyz.value, rotation = self.session.words(T, self.kind)
         if self.kind != "free":
             self.rotation.value = rotation
@@ -413,7 +308,7 @@ class Desk:
     def _solve_all(self) -> None:
         s = self.session
         target = self._typed()
-        self._put_gizmo(target)
+        self.stage.put_target(target)
         self.outcome.visible = False
         self.say("searching ...")
         words = s.solve_all(target)
@@ -422,7 +317,7 @@ class Desk:
         with self.found:
             for k, q in enumerate(s.solutions):
                 values = ", ".join(f"{s.scale(i) * x:.4g}" for i, x in enumerate(q))
-                button = self.gui.add_button(f"{k + 1}: {values}")
+                button = self.gui.add_button(f"{k + 1}: {values}", color="gray")
                 self._on(button, "joints", lambda q=q, k=k: self._pick(k, q))
         self.found.visible = bool(s.solutions)
         more = f" The nearest {SHOWN} are listed." if len(s.solutions) == SHOWN else ""
@@ -442,14 +337,13 @@ class Desk:
         if self.session.result is not None and self.session.result.restarts:  # many descents: the best so far
             rows = np.maximum.accumulate(np.where(position <= np.minimum.accumulate(position), rows, 0))
         known = np.where(np.isfinite(angle), angle, np.nan)[rows]
-        curves = (np.log10(np.maximum(values, 1e-12)) for values in (position[rows], known))
+        curves = (np.maximum(values, 1e-12) for values in (position[rows], known))
         self.plot.data = (np.arange(len(rows), dtype=float), *curves)
         self.plot.visible = True
 
     def _show_frames(self, visible: bool) -> None:
         self.frames = visible
-        for frame in self.axes:
-            frame.visible = visible
+        self.stage.show_frames(visible)
 
 
 def sentence(text: str) -> str:

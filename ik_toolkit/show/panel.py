@@ -29,7 +29,8 @@ class Panel:
             import viser
         except ImportError:
             raise MissingExtra("viser", "panel") from None
-        Session(source, tip)  # says now what is wrong with it
+        session = Session(source, tip)  # says now what is wrong with it
+        session.solve(session.tip())  # and compiles, where that has not been done: no visitor waits for it
         with _guarded(host), contextlib.redirect_stdout(io.StringIO()):  # viser prints a banner
             self.server = viser.ViserServer(host=host, port=port, verbose=False)
         self.host, self.port = host, self.server.get_port()

@@ -252,4 +252,5 @@ def _triple(values: np.ndarray) -> str:
 
 
 def _length(value: float) -> str:
-    return f"{1e6 * value:.3g} um" if value < 1e-3 else f"{1e3 * value:.4g} mm"
+    size, unit = next((x for x in ((1e-3, "mm"), (1e-6, "um")) if value >= x[0]), (1e-9, "nm"))
+    return f"{value / size:.3g} {unit}" if value < 1.0 else f"{value:.4g} m"

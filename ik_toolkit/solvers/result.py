@@ -202,7 +202,8 @@ class Result:
 def sentence(result: Result) -> str:
     """One sentence on how a result ended and what to try."""
     row, status = result._row, result.status
-    left = f"{1000 * result.position_error:.3g} mm"
+    away = result.position_error
+    left = f"{away:.3g} m" if away >= 1.0 else f"{1000 * away:.3g} mm"
     if result.orientation_error is not None:
         left += f", {np.degrees(result.orientation_error):.3g} deg"
     starts = int(row[2]) + 1

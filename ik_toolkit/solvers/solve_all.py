@@ -196,7 +196,7 @@ def _search(one: Solver, T: np.ndarray, kind: Any, start: np.ndarray, starts: in
         if not kept or apart.max(axis=1).min() >= SAME:
             kept.append(k)
     words = "a sample of infinitely many" if robot.n > one.task_rows(kind) else "distinct ones"
-    message = f"{len(kept)} solutions ({words}) from {starts} starts, {len(answers)} of which converged"
+    message = f"{len(kept)} solution{'s' * (len(kept) != 1)} ({words}) from {starts} starts, {len(answers)} of which converged"
     return answers[kept], out[kept, R_POSITION], out[kept, R_ROTATION], False, message
 
 

@@ -1,0 +1,97 @@
+"""The 3-D view of one visitor of the panel (viser): the robot, frames, and a target to drag."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from .parts import Body
+
+
+class Stage:
+    """A robot in the view of a viser client (or server). target: T_base_target (4, 4) of the arrows and rings."""
+
+    def __init__(self, client: Any, body: Body, q: np.ndarray, frames: bool, dragged: Callable[[], None]) -> None:
+        """Draw the robot at q; `dragged` is called when the visitor moves the target."""
+        self.client, self.body, self.robot = client, body, body.robot
+        scene, robot = client.scene, self.robot
+        low, high = body.bounds(q)
+        self.size = float(np.linalg.norm(high - low))
+        scene.set_up_direction("+z")
+        cell = 10.0 ** np.round(np.log10(self.size / 8.0))
+        floor = (0.0, 0.0, min(low[2], 0.0))
+        faint, clear = (228, 231, 235), (198, 204, 211)
+        scene.add_grid(
+            "/grid",
+            40 * cell,
+            40 * cell,
+            cell_size=cell,
+            section_size=5 * cell,
+            cell_color=faint,
+            section_color=clear,
+            position=floor,
+        )
+        self.parts = []
+        for part in body.parts:
+            self.parts.append(scene.add_frame(f"/robot/{part.name}", show_axes=False))
+            for k, shape in enumerate(part.shapes):
+                rgb = tuple(round(255 * c) for c in shape.color)
+                opacity = None if shape.opacity >= 1.0 else shape.opacity
+                scene.add_mesh_simple(
+                    f"/robot/{part.name}/{k}", shape.vertices, shape.faces, color=rgb, opacity=opacity, side="double"
+                )
+        length = 0.1 * self.size
+        self.tip = scene.add_frame("/tip", axes_length=length, axes_radius=0.03 * length)
+        self.axes = [
+            scene.add_frame(f"/joint/{k}", axes_length=0.8 * length, axes_radius=0.02 * length, visible=frames)
+            for k in range(robot.n)
+        ]
+        self.gizmo = scene.add_transform_controls("/target", scale=0.22 * self.size, disable_sliders=True)
+        self.put_target(robot.fk(q).homogeneous)
+        self.gizmo.on_update(lambda _: dragged())
+        self.aim(q)
+
+    def show(self, q: np.ndarray) -> None:
+        """Place everything but the target for joint values q (n,)."""
+        body, model = self.body, self.robot.model
+        for handle, M in zip(self.parts, body.placements(q), strict=True):
+            _place(handle, M)
+        _place(self.tip, body.T_world_base @ self.robot.fk(q).homogeneous)
+        for handle, joint in zip(self.axes, self.robot.joint_names, strict=True):
+            _place(handle, body.data.oMi[model.getJointId(joint)].homogeneous)
+
+    def show_frames(self, visible: bool) -> None:
+        """Show or hide the joints' axes."""
+        for frame in self.axes:
+            frame.visible = visible
+
+    def put_target(self, target: np.ndarray) -> None:
+        """Put arrows and rings at T_base_target (4, 4), or at a position (3,) with the rotation they have."""
+        if target.ndim == 1:
+            place, target = target, self.target.copy()
+            target[:3, 3] = place
+        self.target = target
+        _place(self.gizmo, self.body.T_world_base @ target)
+
+    def read_target(self) -> np.ndarray:
+        """T_base_target (4, 4) where the visitor has dragged arrows and rings to."""
+        T = np.eye(4)
+        T[:3, :3] = pin.Quaternion(*(float(x) for x in self.gizmo.wxyz)).normalized().matrix()
+        T[:3, 3] = self.gizmo.position
+        self.target = np.linalg.inv(self.body.T_world_base) @ T
+        return self.target
+
+    def aim(self, q: np.ndarray) -> None:
+        """Look at the robot at q from the front right."""
+        camera = getattr(self.client, "camera", None)
+        if camera is not None:  # a server has none
+            centre = self.body.bounds(q).mean(axis=0)
+            camera.up_direction = (0.0, 0.0, 1.0)
+            camera.position = tuple((centre + 1.35 * self.size * np.array([0.66, -0.63, 0.41])).tolist())
+            camera.look_at = tuple(centre.tolist())
+
+
+def _place(handle: Any, T: np.ndarray) -> None:
+    x, y, z, w = pin.Quaternion(T[:3, :3]).coeffs()
+    handle.wxyz, handle.position = (float(w), float(x), float(y), float(z)), tuple(T[:3, 3].tolist())
