@@ -110,7 +110,7 @@ def join_vectors(argv: Sequence[str]) -> list[str]:
     joined: list[str] = []
     collecting = False
     for position, token in enumerate(argv):
-        if token == "--":
+        if token == "--":  # noqa: S105  a word of the command line
             return [*joined, *argv[position:]]
         if collecting and numbers(token):
             joined[-1] += ("" if joined[-1].endswith("=") else ",") + token

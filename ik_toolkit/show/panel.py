@@ -37,7 +37,7 @@ class Panel:
         if port not in (0, self.port):
             self.close()
             raise InvalidOption(f"port {port} is in use")
-        self.url = f"http://{'127.0.0.1' if host in ('0.0.0.0', '::') else host}:{self.port}/"
+        self.url = f"http://{'127.0.0.1' if host in ('0.0.0.0', '::') else host}:{self.port}/"  # noqa: S104  compared, not bound
         self._check_guard()
         self.desks: dict[int, Desk] = {}
         self.server.gui.set_panel_label("ik panel")
