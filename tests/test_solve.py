@@ -107,6 +107,16 @@ def test_a_target_outside_the_limits_is_never_called_unreachable_without_proof()
     assert "closest" in result.message
 
 
+@pytest.mark.parametrize("name", ["cartesian_pp", "slides_mix"])
+def test_without_limits_a_slide_has_no_reach_bound(name):
+    robot = robots.load(name)
+    q = robot.upper + 0.7 * robot.reach
+    result = ik.solve(robot, robot.fk(q).translation, "lm", q0=q - 0.01, limits=False)
+    assert result.success
+    assert not ik.solve(robot, robot.fk(q).translation, "lm", q0=robot.upper).success
+    assert ik.solve(robots.load("planar_2r"), (3.0, 0.0, 0.0), "lm", limits=False).status == ik.Status.UNREACHABLE
+
+
 def test_singular_planar_arm():
     """A straight planar 3R asked for a point on its own line: J'e = 0, so Jacobian methods stand still (Burrell 2016, 6.4)."""
     robot = robots.load("planar_3r")

@@ -307,6 +307,20 @@ def test_unreachable_names_the_tip(tree):
         result.raise_for_status()
 
 
+def test_without_limits_a_slide_has_no_reach_bound():
+    links = "".join(f'<link name="{name}"/>' for name in ("base", "left", "right"))
+    slides = "".join(
+        f'<joint name="{tip}_slide" type="prismatic"><parent link="base"/><child link="{tip}"/><axis xyz="{axis}"/>'
+        '<limit lower="0" upper="1" effort="1" velocity="1"/></joint>'
+        for tip, axis in (("left", "1 0 0"), ("right", "0 1 0"))
+    )
+    tree = ik.Robot.load(f'<robot name="gantry">{links}{slides}</robot>', tip=["left", "right"])
+    targets = [(3.0, 0.0, 0.0), (0.0, 0.5, 0.0)]
+    assert ik.solve(tree, targets).status == ik.Status.UNREACHABLE
+    result = ik.solve(tree, targets, limits=False)
+    assert result.success and result.q == pytest.approx([3.0, 0.5])
+
+
 def test_targets_that_exclude_each_other_end_with_a_status(brokk):
     T = poses(brokk, brokk.home)
     T[1][:3, 3] = T[0][:3, 3] + (0.0, 0.8, 0.0)  # the right hand beyond the left one

@@ -121,6 +121,36 @@ def table(rows: np.ndarray, ends: np.ndarray, seeds: np.ndarray) -> np.ndarray:
     return features
 
 
+def reach_bounds(rows: np.ndarray, tip: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> list[float]:
+    """Bounds of the last six slots of `ends` (see loop.TAIL) for coordinates within lower, upper (n,); kernel units."""
+    lengths = segments(rows, lower, upper)
+    tool = float(np.linalg.norm(tip[9:]))
+    shortest = np.where(rows[1:, 6] != 0.0, 0.0, lengths[1:])
+    first = rows[0]
+    k = int(first[8])
+    lift = [first[7]] * 2 if first[6] == 0.0 else sorted(first[7] + first[6] * x for x in (lower[k], upper[k]))
+
+    def hole(parts: np.ndarray, rest: np.ndarray) -> float:
+        """Radius the path cannot fold into: the longest rigid piece minus all the others at their longest."""
+        if not parts.any():
+            return 0.0
+        i = int(np.argmax(parts))
+        return max(0.0, float(parts[i] - (rest.sum() - rest[i])))
+
+    wrist, whole = lengths[1:], np.append(lengths[1:], tool)
+    return [
+        float(whole.sum()), hole(np.append(shortest, tool), whole), float(wrist.sum()), hole(shortest, wrist), *lift
+    ]  # fmt: skip
+
+
+def without_limits(rows: np.ndarray, ends: np.ndarray, n: int) -> np.ndarray:
+    """Copy of `ends` whose reach bounds hold when limits do not count: slides then reach any distance."""
+    endless = np.full(n, np.inf)
+    free = ends.copy()
+    free[E_VECTORS + 7 * n + 1 :] = reach_bounds(rows, ends[12:24], -endless, endless)
+    return free
+
+
 def pack(
     rows: np.ndarray,
     base: np.ndarray,
@@ -160,25 +190,7 @@ def pack(
     # An endless joint is brought back after five turns inside the kernel; the answer is moved to the turn nearest q0.
     endless = turns & np.isinf(lower) & np.isinf(upper)
     low, high = box(low_k, high_k, slides)
-    lengths = segments(rows, low_k, high_k)
-    tool = float(np.linalg.norm(tip[9:]))
-    sliding = rows[1:, 6] != 0.0
-    shortest = np.where(sliding, 0.0, lengths[1:])
-    row0 = rows[0]
-    lift = (
-        [row0[7]] * 2 if row0[6] == 0.0 else sorted(row0[7] + row0[6] * x for x in (low_k[owner[0]], high_k[owner[0]]))
-    )
-
-    def hole(parts: np.ndarray, rest: np.ndarray) -> float:
-        """Radius the path cannot fold into: the longest rigid piece minus all the others at their longest."""
-        if len(parts) == 0:
-            return 0.0
-        i = int(np.argmax(parts))
-        return max(0.0, float(parts[i] - (rest.sum() - rest[i])))
-
-    wrist, whole = lengths[1:], np.append(lengths[1:], tool)
-    bounds = [float(whole.sum()), hole(np.append(shortest, tool), whole), float(wrist.sum()), hole(shortest, wrist)]
-    tail = [scale, *bounds, *lift]
+    tail = [scale, *reach_bounds(rows, tip, low_k, high_k)]
     rows[0, 0] = float((followers == 1).all() and np.allclose(rows[:, 4] + rows[:, 6], 1.0))
     inside = [np.where(endless, -WINDING, low_k), np.where(endless, WINDING, high_k), turns + 1.0 * endless, unit]
     ends = np.concatenate([base, tip, *inside, low, high - low, home / unit, tail])

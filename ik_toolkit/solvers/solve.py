@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import InvalidConfiguration, InvalidOption, InvalidTarget
-from ..kernel.chain import table
+from ..kernel.chain import table, without_limits
 from ..kernel.checks import BAD_TARGET
 from ..kernel.loop import (
     O_C,
@@ -94,7 +94,9 @@ class Solver:
     def _bind(self) -> None:
         chain = self.robot.chain
         self._kernel = entry(type(self.rule))
-        self._chain = (chain.rows, chain.ends, chain.seeds, chain.features)
+        o = self.options
+        ends = chain.ends if o.limits else without_limits(chain.rows, chain.ends, chain.n)
+        self._chain = (chain.rows, ends, chain.seeds, chain.features)
         self._width = OUT_HEAD + chain.n
         self._shape = (chain.n,)
         self._home = self.robot.home.reshape(1, -1).copy()
@@ -104,7 +106,6 @@ class Solver:
         self._ready: dict[tuple[Any, bool], tuple] = {}
         self._tables: dict[bool, tuple] = {}  # a rule may bring a table of starts, one for positions and one for poses
         self._own_starts = hasattr(self.rule, "start_table")
-        o = self.options
         self.collision = self.single = None
         if o.avoid_collisions:
             from .avoid import collision_model

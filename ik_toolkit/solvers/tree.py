@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import InvalidOption, UnknownSolver
+from ..kernel.chain import without_limits
 from ..kernel.checks import BAD_TARGET
 from ..kernel.loop import O_C, O_DESCENTS, O_ITERATIONS, OUT_HEAD, R_HISTORY
 from ..kernel.task import POSE, POSITION
@@ -97,11 +98,15 @@ class TreeSolver(Solver):
     def _bind(self) -> None:
         tree = self.robot
         chain = tree.chain
+        ends = chain.ends
+        if not self.options.limits:
+            parts = np.split(chain.rows, chain.cut[1:-1])
+            ends = np.array([without_limits(rows, end, tree.n) for rows, end in zip(parts, ends, strict=True)])
         self._kernel = tree_entry()
         self._chain = (
             chain.rows,
             chain.cut,
-            chain.ends,
+            ends,
             chain.moves,
             chain.owner,
             chain.seeds,
