@@ -23,6 +23,7 @@ PARTS = {
     "tests/test_torture.py": "Numerical torture: half turns, reach boundary, singular poses, absurd lengths, limits of zero width",
     "tests/test_contract.py": "The contract of every solver on every kind of robot",
     "tests/test_processes.py": "Fork, spawn, two processes compiling at once, a killed one, no folder for the cache",
+    "tests/test_interrupts.py": "Ctrl-C, the real signal, in batch, bench, tune and workspace",
     "tests/test_batch.py": "Batches: threads, executors, interrupts, broken rows",
     "tests/test_panel.py": "The panel: browsers, malformed messages, foreign origins",
 }
@@ -34,6 +35,7 @@ def run(path: str) -> tuple[dict[str, int], float, list[str]]:
     with tempfile.TemporaryDirectory() as folder:
         report = Path(folder) / "report.xml"
         command = [sys.executable, "-m", "pytest", path, "-q", "-m", "slow or not slow", f"--junitxml={report}"]
+        command += ["-o", "junit_family=xunit1"]  # the kind that keeps properties
         subprocess.run(command, cwd=ROOT, check=False, stdout=subprocess.DEVNULL)
         counts: dict[str, int] = defaultdict(int)
         notes = []
