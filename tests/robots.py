@@ -2,9 +2,11 @@
 
 import functools
 import importlib.metadata
+import importlib.util
 import itertools
 
 import numpy as np
+import pytest
 
 import ik_toolkit as ik
 
@@ -91,6 +93,12 @@ def have_data():
     except importlib.metadata.PackageNotFoundError:
         return False
     return True
+
+
+def needs(row):
+    """Skip the test where a solver's package is not installed."""
+    if row.name == "eaik" and importlib.util.find_spec("eaik") is None:
+        pytest.skip("EAIK is not installed (extra 'analytic')")
 
 
 @functools.cache

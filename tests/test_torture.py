@@ -77,7 +77,13 @@ def check_solver(row, name, count, seed):
 
 @pytest.mark.parametrize("row", ROWS, ids=lambda row: row.name)
 def test_success_is_never_claimed_above_the_tolerance(row, record_property):
-    names = {"planar-2r": ["planar_2r"], "inspection": ["inspection_7dof"], "newton": ["planar_2r", "continuous_mix"]}
+    robots.needs(row)
+    names = {
+        "planar-2r": ["planar_2r"],
+        "inspection": ["inspection_7dof"],
+        "eaik": ["locked", "locked"],
+        "newton": ["planar_2r", "continuous_mix"],
+    }
     done = sum(
         check_solver(row, name, 300, 1) for name in names.get(row.name, ["hydrolek_7w", "slides_mix", "mimic_mix"])
     )
@@ -88,7 +94,13 @@ def test_success_is_never_claimed_above_the_tolerance(row, record_property):
 @pytest.mark.slow
 @pytest.mark.parametrize("row", ROWS, ids=lambda row: row.name)
 def test_success_is_never_claimed_above_the_tolerance_in_100000_cases(row, record_property):
-    names = {"planar-2r": ["planar_2r"], "inspection": ["inspection_7dof"], "newton": ["continuous_mix"]}
+    robots.needs(row)
+    names = {
+        "planar-2r": ["planar_2r"],
+        "inspection": ["inspection_7dof"],
+        "eaik": ["locked"],
+        "newton": ["continuous_mix"],
+    }
     name = names.get(row.name, ["slides_mix"])[0]
     done, seed = 0, 100
     while done < 100_000:

@@ -124,6 +124,16 @@ ROWS: tuple[Row, ...] = (
         closed=True,
         position=False,
     ),
+    Row(
+        "eaik",
+        _CLOSED + "eaik:EAIK",
+        "All answers of the EAIK package, evaluated again; the legal one nearest q0",
+        "six turning joints of a structure EAIK decomposes (extra `analytic`); pose",
+        "Ostermeier, Kuelz, Althoff 2025",
+        iterations=0,
+        closed=True,
+        position=False,
+    ),
 )
 BY_NAME = {row.name: row for row in ROWS}
 

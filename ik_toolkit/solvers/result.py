@@ -42,6 +42,7 @@ ADVICE = {
 # A closed form knows every branch, so what it says is proven. An answer that breaks a limit was put on it.
 CLOSED_FORM_SAYS = {
     Status.CONVERGED: "closed form, the legal branch nearest q0; evaluated to {left}",
+    Status.STALLED: "no branch reaches the target within the tolerances; the closest is {left} away",
     Status.UNREACHABLE: "the target is out of reach by {beyond} (exact); closest {left}; move the target inside the reach",
     Status.LIMIT_BLOCKED: (
         "the target is in reach but every branch breaks a joint limit, the best one at {joints}; held there it is {left} "

@@ -148,6 +148,11 @@ def _closed(one: Solver, T: np.ndarray, kind: Any, start: np.ndarray, starts: in
         out, broken = np.empty((2, 2)), np.empty(2)
         found = planar_2r.every_branch(p, T[0], box, out, broken)
         complete, where = True, ""
+    elif one.name == "eaik":
+        from .closed_form import eaik
+
+        out, broken = eaik.every_branch(p, T[0], box)
+        found, complete, where = len(out), True, ""
     else:
         from .closed_form import inspection
 
