@@ -7,6 +7,10 @@ near match. A numerical outcome (not converged, unreachable, singular) never rai
 import difflib
 import re
 from collections.abc import Iterable
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    import numpy as np
 
 EXTRA = re.compile(r"""^([A-Za-z0-9_.-]+).*extra\s*==\s*['"]([a-z]+)['"]""")
 
@@ -68,6 +72,16 @@ class NotSolved(IKError):
         """Keep the result beside its sentence."""
         super().__init__(f"{result.status.name}: {result.message}")
         self.result = result
+
+
+def floats(value: Any, what: str, error: type[IKError]) -> "np.ndarray":
+    """Return a value as a new float64 array; raises `error`, "WHAT, not VALUE", when it is not made of numbers."""
+    import numpy as np  # not for `import ik_toolkit`
+
+    try:
+        return np.array(value, dtype=float)
+    except (TypeError, ValueError, OverflowError):
+        raise error(f"{what}, not {' '.join(repr(value).split())[:120]}") from None
 
 
 def extras() -> dict[str, list[str]]:

@@ -73,6 +73,12 @@ def test_nonsense_is_refused(target):
         check_target(target)
 
 
+@pytest.mark.parametrize("rotation", ["nonsense", [1, 2], np.zeros((4, 4)), np.eye(2), {"x": 1}], ids=str)
+def test_a_rotation_is_three_by_three_numbers(rotation):
+    with pytest.raises(InvalidTarget, match="rotation must be 3x3 numbers"):
+        ik.pose((0, 0, 0), rotation=rotation)
+
+
 def test_a_nearly_rigid_rotation_is_projected_and_said_so():
     T = ik.pose((0.4, 0.1, 0.2), rpy=(0.3, 0.2, 0.1))
     typed = np.round(T, 3)

@@ -96,6 +96,11 @@ def test_follower_limits_bind_the_leader():
     assert robot.upper[k] == pytest.approx(2.0)
 
 
+def test_one_package_folder_may_be_given_by_itself():
+    for given in ("meshes", Path("meshes"), ["meshes"]):
+        assert ik.Robot.load(BRANCHED, tip="l2", package_dirs=given).package_dirs[0] == Path("meshes")
+
+
 def test_locked_joints_are_constants():
     robot = robots.load("inspection_7dof")
     locked = robot.locked({"lift": 0.3, "arm_yaw": 0.2})
@@ -108,6 +113,8 @@ def test_locked_joints_are_constants():
     assert robot.n == 7  # the original is left alone
     with pytest.raises(errors.JointNotFound, match="Did you mean 'lift'"):
         robot.locked({"lfit": 0.0})
+    with pytest.raises(errors.InvalidConfiguration, match="'lift' must be a finite number, not 'down'"):
+        robot.locked({"lift": "down"})
     leader = robots.load("mimic_mix").locked({"j1": 0.5})
     both = robots.load("mimic_mix")
     q = leader.random_q(np.random.default_rng(1))

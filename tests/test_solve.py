@@ -66,6 +66,15 @@ def test_names_classes_and_instances_mean_the_same():
         (dict(solver="dls", damping=math.nan), errors.InvalidOption, "NaN"),
         (dict(mask=(1, 1, 1)), errors.InvalidOption, "six"),
         (dict(joint_weights=(1, 1)), errors.InvalidOption, "6 values"),
+        (dict(mask=("x",) * 6), errors.InvalidOption, "mask must be numbers"),
+        (dict(joint_weights="ab"), errors.InvalidOption, "joint_weights must be numbers"),
+        (dict(objective=["mid-range"]), errors.InvalidOption, "objective must be one of"),
+        (dict(limits="no"), errors.InvalidOption, "limits must be True or False"),
+        (dict(seed=10**400), errors.InvalidOption, "seed"),
+        (dict(solver="lm", damping=[1, 2]), errors.InvalidOption, r"finite numbers, not damping=\[1, 2\]"),
+        (dict(solver=ik.LM(damping=None)), errors.InvalidOption, "parameters of solver 'lm'"),
+        (dict(solver=ik.PID(kp="fast")), errors.InvalidOption, "kp='fast'"),
+        (dict(solver=ik.PID(starts="home")), errors.InvalidOption, "starts must be numbers"),
         (dict(solver="newton", target=(0.5, 0, 0)), errors.InvalidOption, "as many task rows"),
     ],
 )
@@ -80,6 +89,8 @@ def test_mistakes_are_named(arguments, error, match):
 def test_the_first_argument_is_a_robot():
     with pytest.raises(errors.InvalidOption, match="Robot"):
         ik.solve("hydrolek_7w", (1, 0, 0))
+    with pytest.raises(errors.InvalidOption, match="Robot"):
+        ik.Solver("hydrolek_7w", "lm")
 
 
 def test_q0_outside_the_limits_is_clamped_with_a_notice():

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from ..errors import InvalidConfiguration
+from ..errors import InvalidConfiguration, floats
 from .probe import Path
 
 
@@ -35,10 +35,7 @@ class Joints:
 
     def check_q(self, q: Any, name: str = "q") -> np.ndarray:
         """Return q as a float64 copy (n,); raises InvalidConfiguration when it has the wrong size or is not finite."""
-        try:
-            array = np.array(q, dtype=float)
-        except (TypeError, ValueError):
-            raise InvalidConfiguration(f"{name} must be {self.n} numbers, not {q!r}") from None
+        array = floats(q, f"{name} must be {self.n} numbers", InvalidConfiguration)
         if array.shape != (self.n,):
             raise InvalidConfiguration(
                 f"{name} must have {self.n} values, one per joint ({', '.join(self.joint_names)}); got shape {array.shape}"
@@ -64,7 +61,7 @@ class Joints:
 
     def to_pinocchio(self, q: Any, rest: np.ndarray | None = None) -> np.ndarray:
         """Full configuration (nq,) of the model for q (n,); joints off the path keep `rest` (default: the robot's)."""
-        full = (self.rest if rest is None else np.asarray(rest, dtype=float)).copy()
+        full = floats(self.rest if rest is None else rest, "rest must be numbers", InvalidConfiguration)
         if full.shape != (self.model.nq,):
             raise InvalidConfiguration(f"rest must have {self.model.nq} values for this model, not shape {full.shape}")
         return self._fill(full, self.check_q(q))
@@ -79,7 +76,7 @@ class Joints:
 
     def from_pinocchio(self, q_full: np.ndarray) -> np.ndarray:
         """Return q (n,) of a full configuration (nq,); continuous joints come back as angles in -pi..pi."""
-        full = np.asarray(q_full, dtype=float)
+        full = floats(q_full, "a full configuration must be numbers", InvalidConfiguration)
         if full.shape != (self.model.nq,):
             raise InvalidConfiguration(
                 f"a full configuration of this model has {self.model.nq} values, not shape {full.shape}"

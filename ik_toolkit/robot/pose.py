@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import InvalidTarget
+from ..errors import InvalidTarget, floats
 from ..kernel.checks import FAR
 
 PROJECT_WITHIN = 1e-2  # distance (largest singular value off 1) up to which a typed rotation is projected
@@ -57,10 +57,7 @@ def nearest_rotation(R: np.ndarray) -> tuple[np.ndarray, float]:
 
 
 def _numbers(value: Any, size: int, name: str) -> np.ndarray:
-    try:
-        array = np.asarray(value, dtype=float)
-    except (TypeError, ValueError):
-        raise InvalidTarget(f"{name} must be {size} numbers, not {value!r}") from None
+    array = floats(value, f"{name} must be {size} numbers", InvalidTarget)
     if array.shape != (size,):
         raise InvalidTarget(f"{name} must be {size} numbers, not an array of shape {array.shape}")
     if not np.isfinite(array).all():
@@ -151,7 +148,9 @@ def pose(
     elif quat_xyzw is not None:
         R = quat_matrix(quat_xyzw)
     elif rotation is not None:
-        R = np.asarray(rotation, dtype=float)
+        R = floats(rotation, "rotation must be 3x3 numbers", InvalidTarget)
+        if R.shape != (3, 3):
+            raise InvalidTarget(f"rotation must be 3x3 numbers, not an array of shape {R.shape}")
     else:
         return position
     T = np.eye(4)
@@ -188,12 +187,7 @@ def check_target(target: Any) -> tuple[np.ndarray, str]:
     orthonormal is projected to the nearest one, and the notice says so. Raises InvalidTarget otherwise.
     """
     matrix = getattr(target, "homogeneous", target)
-    try:
-        T = np.array(matrix, dtype=float)
-    except (TypeError, ValueError):
-        raise InvalidTarget(
-            f"a target is a 4x4 pose, a pin.SE3 or a position of 3 numbers, not {type(target).__name__} {target!r}"
-        ) from None
+    T = floats(matrix, "a target is a 4x4 pose, a pin.SE3 or a position of 3 numbers", InvalidTarget)
     if T.shape == (3,):
         return _near(_numbers(T, 3, "target position")), ""
     if T.shape != (4, 4):

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, overload
 import numpy as np
 import pinocchio as pin
 
-from ..errors import FrameNotFound, InvalidConfiguration, JointNotFound, ModelError, near_match
+from ..errors import FrameNotFound, InvalidConfiguration, JointNotFound, ModelError, floats, near_match
 from ..kernel.chain import Chain
 from .check import mimic_limits, require_loadable, safe_read
 from .joints import Joints
@@ -67,7 +67,7 @@ class Robot(Joints):
         self.name = name or model.name
         self.urdf = urdf
         self.path = path
-        self.package_dirs = tuple(Path(folder) for folder in package_dirs)
+        self.package_dirs = tuple(_folders(package_dirs))
         self.base = self._frame(base) if base is not None else _root(model)
         self.tip = self._frame(tip) if tip is not None else self._only_tip()
         self.tool = pin.SE3.Identity()
@@ -138,7 +138,7 @@ class Robot(Joints):
             name=found.name if found.path else model.name,
             urdf=text,
             path=found.path,
-            package_dirs=[*package_dirs, *found.package_dirs],
+            package_dirs=[*_folders(package_dirs), *found.package_dirs],
         )
         return robot.locked(locked) if locked else robot
 
@@ -185,9 +185,11 @@ class Robot(Joints):
             raise JointNotFound(
                 f"robot '{self.name}' has no movable joint '{joint}' to lock.{near_match(joint, names)}"
             )
-        value = float(value)
-        if not np.isfinite(value):
-            raise InvalidConfiguration(f"the value of locked joint '{joint}' must be finite, not {value}")
+        what = f"the value of locked joint '{joint}' must be a finite number"
+        number = floats(value, what, InvalidConfiguration)
+        if number.shape != () or not np.isfinite(number):
+            raise InvalidConfiguration(f"{what}, not {number.tolist()}")
+        value = float(number)
         j = self.model.joints[self.model.getJointId(joint)]
         self.rest[j.idx_q : j.idx_q + j.nq] = (np.cos(value), np.sin(value)) if j.nq == 2 else value
         self.locked_joints[joint] = value
@@ -363,6 +365,11 @@ class Robot(Joints):
 
     def _route(self) -> str:
         return f"{self.base} &rarr; {self.tip}, reach {self.reach:.3g} m"
+
+
+def _folders(given: Iterable[str | Path]) -> list[Path]:
+    """Folders of a list, or of a single name (which would be read letter by letter)."""
+    return [Path(folder) for folder in ([given] if isinstance(given, str | Path) else given)]
 
 
 def _root(model: pin.Model) -> str:

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import InvalidConfiguration, InvalidOption, InvalidTarget
+from ..errors import InvalidConfiguration, InvalidOption, InvalidTarget, floats
 from ..kernel.checks import BAD_TARGET
 from ..kernel.loop import OUT_HEAD, R_EVALUATIONS, R_HISTORY, R_ITERATIONS, R_POSITION, R_RESTARTS, R_ROTATION, R_STATUS
 from ..kernel.task import POSE, POSITION
@@ -321,6 +321,8 @@ def solve_parts(
         )
     if executor is not None and (threads is not None or chain):
         raise InvalidOption("an executor has its own workers, and a chain runs in one: leave out threads= and chain=")
+    if executor is not None and not hasattr(executor, "submit"):
+        raise InvalidOption(f"executor is a pool with a submit method (concurrent.futures), not {executor!r:.80}")
     if options.get("history"):
         raise InvalidOption("a batch keeps no history; solve the target in question with ik.solve")
     count = _whole("threads", threads) if threads is not None else _cores()
@@ -332,7 +334,7 @@ def solve_parts(
     first = next(chunks, None)
     starts = None
     if q0 is not None:
-        starts = np.asarray(q0, dtype=float)
+        starts = floats(q0, "q0 must be numbers", InvalidConfiguration)
         if starts.shape not in (
             (robot.n,),
             (1 if chain else len(known) if known is not None else len(starts), robot.n),

@@ -6,10 +6,11 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import InvalidOption, near_match
+from ..errors import InvalidOption, floats, near_match
 
 MAX_ITERATIONS = 1_000_000
 OBJECTIVES = {"mid-range": 1, "reference": 2, "manipulability": 3}  # numbers of kernel/refine.py
+WORDS = {"objective": tuple(OBJECTIVES), "q0_outside": ("clamp", "refuse"), "mask_frame": ("base", "tip")}
 
 
 @dataclass(frozen=True)
@@ -68,16 +69,16 @@ def make_options(given: dict[str, Any]) -> Options:
                 raise InvalidOption(
                     f"max_iterations is at most {MAX_ITERATIONS}, not {value}; use restarts for longer searches"
                 )
-        elif name == "objective" and value is not None and value not in OBJECTIVES:
-            raise InvalidOption(f"objective must be one of {', '.join(OBJECTIVES)}, not {value!r}")
+        elif name in WORDS and not (isinstance(value, str) and value in WORDS[name]):
+            if name == "objective" and value is None:
+                continue
+            raise InvalidOption(f"{name} must be one of {', '.join(WORDS[name])}, not {value!r}")
         elif name in ("limits", "history", "check", "closest"):
+            if not isinstance(value, bool | np.bool_):  # "no" would be taken for yes
+                raise InvalidOption(f"{name} must be True or False, not {value!r}")
             values[name] = bool(value)
-        elif name == "q0_outside" and value not in ("clamp", "refuse"):
-            raise InvalidOption(f"q0_outside must be 'clamp' or 'refuse', not {value!r}")
-        elif name == "mask_frame" and value not in ("base", "tip"):
-            raise InvalidOption(f"mask_frame must be 'base' or 'tip', not {value!r}")
         elif name in ("mask", "joint_weights") and value is not None:
-            array = np.asarray(value, dtype=float)
+            array = floats(value, f"{name} must be numbers of at least 0", InvalidOption)
             if array.ndim != 1 or not np.isfinite(array).all() or (array < 0).any() or not array.any():
                 raise InvalidOption(f"{name} must be numbers of at least 0, not all 0: {value!r}")
             if name == "mask" and len(array) != 6:
@@ -89,7 +90,7 @@ def make_options(given: dict[str, Any]) -> Options:
 def _number(name: str, value: Any, low: float, high: float) -> float:
     try:
         number = float(value)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise InvalidOption(f"{name} must be a number, not {value!r}") from None
     if not low <= number <= high or number == math.inf:
         raise InvalidOption(f"{name} must be between {low:g} and {high:g}, not {value!r}")

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import InvalidOption, near_match
+from ..errors import InvalidOption, floats, near_match
 from .options import make_options
 
 FOLDER = Path(__file__).with_name("presets")
@@ -23,8 +23,9 @@ def list_presets(solver: str) -> list[str]:
     return sorted(path.stem for path in (FOLDER / solver).glob("*.toml"))
 
 
-def read_preset(solver: str, name: str) -> dict[str, Any]:
+def read_preset(solver: str, name: str | Path) -> dict[str, Any]:
     """Content of a shipped preset, or of a file when the name ends in .toml. Raises InvalidOption."""
+    name = str(name)  # a Path is welcome
     path = Path(name) if name.endswith(".toml") else FOLDER / solver / f"{name}.toml"
     known = list_presets(solver)
     if not name.endswith(".toml") and name not in known:
@@ -40,7 +41,7 @@ def read_preset(solver: str, name: str) -> dict[str, Any]:
     return content
 
 
-def load_preset(solver: str, name: str, fields: Sequence[str]) -> tuple[dict[str, Any], dict[str, Any]]:
+def load_preset(solver: str, name: str | Path, fields: Sequence[str]) -> tuple[dict[str, Any], dict[str, Any]]:
     """Parameters and options of a preset. Raises InvalidOption for a wrong file, field or option."""
     content = read_preset(solver, name)
     values, options = content.get("parameters", {}), content.get("options", {})
@@ -55,7 +56,7 @@ def load_preset(solver: str, name: str, fields: Sequence[str]) -> tuple[dict[str
 
 def check_starts(solver: str, starts: Any, robot: Any) -> np.ndarray:
     """Starts (M, n) of a rule, inside the robot's limits. Raises InvalidOption."""
-    array = np.atleast_2d(np.asarray(starts, dtype=float))
+    array = np.atleast_2d(floats(starts, f"{solver}: starts must be numbers", InvalidOption))
     if array.ndim != 2 or array.shape[1] != robot.n or not len(array) or not np.isfinite(array).all():
         raise InvalidOption(
             f"{solver}: starts hold {robot.n} finite values each ({', '.join(robot.joint_names)}), not {array.shape}"

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import InvalidConfiguration, InvalidOption, InvalidTarget
+from ..errors import IKError, InvalidConfiguration, InvalidOption, InvalidTarget
 from ..kernel.chain import table, without_limits
 from ..kernel.checks import BAD_TARGET
 from ..kernel.loop import (
@@ -70,6 +70,7 @@ class Solver:
 
     def __init__(self, robot: Robot, solver: Any = "lm", **options: Any) -> None:
         """Validate everything once; the loop is compiled at the first call."""
+        require_robot(robot)
         row = find_row(solver)
         preset = {}
         if not isinstance(solver, str | type):
@@ -163,11 +164,23 @@ class Solver:
             reason = check(self.robot, self.task_rows(kind))
             if reason:
                 raise InvalidOption(reason)
-        if self.row.name == "state-space":
-            parameters = self.rule.pack(self.robot, kind == POSITION, given)
-        else:
-            parameters = self.rule.pack(self.robot)
-        return np.concatenate([head, weights, parameters])
+        return np.concatenate([head, weights, self._parameters(kind, given)])
+
+    def _parameters(self, kind: int, given: bool) -> np.ndarray:
+        """Numbers of the rule's compiled step. Raises InvalidOption when a parameter is none."""
+        which = (kind == POSITION, given) if self.row.name == "state-space" else ()
+        try:
+            parameters = np.asarray(self.rule.pack(self.robot, *which), dtype=float)
+        except IKError:
+            raise
+        except (TypeError, ValueError, OverflowError):
+            parameters = np.array(np.nan)
+        if parameters.ndim != 1 or not np.isfinite(parameters).all():
+            values = ", ".join(
+                f"{key}={value!r:.60}" for key, value in self.rule._asdict().items() if value is not None
+            )
+            raise InvalidOption(f"the parameters of solver '{self.name}' are finite numbers, not {values}")
+        return parameters
 
     def arrays(self, kind: Any) -> tuple:
         """Arrays of the chain for the kernel, with the rule's own table of starts where it has one."""
@@ -320,6 +333,12 @@ class Solver:
         self._bind()
 
 
+def require_robot(robot: Any) -> None:
+    """Raise InvalidOption when the first argument is no robot."""
+    if not isinstance(robot, Robot | Tree):
+        raise InvalidOption(f"the first argument is a Robot (see Robot.load), not {type(robot).__name__}")
+
+
 def _as_pose(target: Any) -> tuple[np.ndarray, Any, str]:
     """Any target -> (1, 4, 4), kind (a pair with the axis for AXIS) and notice."""
     if isinstance(target, AxisTarget):
@@ -372,8 +391,7 @@ def solve(robot: Robot, target: Any, solver: Any = "auto", q0: Any = None, **opt
     limits, q0_outside, mask, mask_frame, joint_weights, objective, avoid_collisions, history; and the parameters of the
     solver. Success is re-checked with Pinocchio. Raises InvalidTarget, InvalidConfiguration, UnknownSolver, InvalidOption.
     """
-    if not isinstance(robot, Robot | Tree):
-        raise InvalidOption(f"the first argument is a Robot (see Robot.load), not {type(robot).__name__}")
+    require_robot(robot)
     if solver == "auto" if isinstance(solver, str) else solver is None:
         solver = automatic(robot, target, options)
     options.setdefault("check", True)

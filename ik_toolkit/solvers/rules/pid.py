@@ -1,6 +1,7 @@
 """IK-PID: a proportional-integral-derivative law sizes the step of each joint, trial and error gives its sign."""
 
 import math
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -35,7 +36,7 @@ class PID(NamedTuple):
     tuned: Any = None
 
     @classmethod
-    def preset(cls, name: str) -> "PID":
+    def preset(cls, name: str | Path) -> "PID":
         """Published or tuned gains, by name or path of a file. Raises InvalidOption listing the presets."""
         values, options = load_preset("pid", name, cls._fields)
         return cls(**values)._replace(tuned=options)

@@ -7,6 +7,7 @@ x before it absorbs e(k)) the error obeys z^2 - (1 + a) z + (a + kappa) = 0, so 
 feedthrough D alone gives z = 1 - kappa: stable for 0 < kappa < 2, fastest at 1.
 """
 
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -51,7 +52,7 @@ class StateSpace(NamedTuple):
     tuned: Any = None
 
     @classmethod
-    def preset(cls, name: str) -> "StateSpace":
+    def preset(cls, name: str | Path) -> "StateSpace":
         """Published or tuned matrices, by name or path of a file. Raises InvalidOption listing the presets."""
         values, options = load_preset("state-space", name, cls._fields)
         return cls(**values)._replace(tuned=options)
