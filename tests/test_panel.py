@@ -308,7 +308,7 @@ def test_a_worker_does_the_newest_and_survives():
 
 
 def test_refusals_by_header():
-    from ik_toolkit.show.panel import is_loopback, refusal
+    from ik_toolkit.show.gate import is_loopback, refusal
 
     assert is_loopback("127.0.0.1") and is_loopback("localhost") and is_loopback("::1") and not is_loopback("0.0.0.0")
     assert refusal({"Host": "localhost:1"}, "127.0.0.1") == ""

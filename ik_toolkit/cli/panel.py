@@ -27,7 +27,8 @@ def panel(
     if not 0 <= port < 65536:
         raise InvalidOption(f"--port is between 0 and 65535, not {port}")
 
-    from ..show.panel import Panel, is_loopback
+    from ..show.gate import is_loopback
+    from ..show.panel import Panel
     from .view import wait
 
     with compile_notice():

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import IKError
+from ..errors import IKError, InvalidConfiguration
 from ..robot.library import list_robots
 from .parts import Body
 from .session import KINDS, SHOWN, Session
@@ -14,7 +14,9 @@ from .stage import Stage
 from .worker import Worker
 
 GOOD, BAD, PLAIN = "#1b7837", "#b2182b", "#37424f"
+QUIET = (71, 85, 105)  # of the buttons beside the main one
 STEPS = 500  # of a slider, at least
+LONGEST = 600  # characters said
 
 
 class Desk:
@@ -41,11 +43,13 @@ class Desk:
         def run() -> None:
             try:
                 job()
+                return
             except IKError as error:
-                self.say(str(error), BAD)
+                words = str(error)
             except Exception as error:
-                if not self.worker.ended:  # a visitor who left takes the handles along
-                    self.say(f"unexpected {type(error).__name__}: {error} (a bug of ik_toolkit)", BAD)
+                words = f"unexpected {type(error).__name__}: {error} (a bug of ik_toolkit)"
+            if not self.worker.ended:  # a visitor who left takes the handles along
+                self.say(words, BAD)
 
         return run
 
@@ -60,6 +64,7 @@ class Desk:
 
     def say(self, text: str, color: str = PLAIN) -> None:
         """Show a sentence in the status line."""
+        text = text if len(text) <= LONGEST else f"{text[:LONGEST]} ..."
         if self.status is None:
             return
         self.status.content = (
@@ -116,7 +121,7 @@ class Desk:
             slider = gui.add_slider(f"{name} [{s.unit(i)}]", low, high, float(step), low)
             self.sliders.append(slider)
             self._on(slider, "joints", self._moved)
-        home, json = (gui.add_button(text, color="gray") for text in ("Reset to home", "Copy as JSON"))
+        home, json = (gui.add_button(text, color=QUIET) for text in ("Reset to home", "Copy as JSON"))
         self._on(home, "joints", self._home)
         self._on(json, "json", self._json)
         self.pose = gui.add_html("")
@@ -133,9 +138,9 @@ class Desk:
         self._on(go, "solve", self._solve)
         follow = gui.add_checkbox("Follow while dragging", self.live, hint="Drag the arrows and rings in the view.")
         self._on(follow, "live", lambda: setattr(self, "live", follow.value))
-        here = gui.add_button("Target to tip", color="gray")
+        here = gui.add_button("Target to tip", color=QUIET)
         self._on(here, "solve", self._target_to_tip)
-        every = gui.add_button("All solutions", color="gray")
+        every = gui.add_button("All solutions", color=QUIET)
         self._on(every, "solve", self._solve_all)
         self.outcome = gui.add_html("", visible=False)
         self.found = gui.add_folder("Solutions", visible=False)
@@ -147,13 +152,13 @@ class Desk:
         self._fill_parameters()
         with gui.add_folder("Convergence"):
             self.plot = gui.add_uplot(
-                (np.array([0.0, 1.0]), np.ones(2), np.ones(2)),
+                (np.array([0.0, 1.0]), np.zeros(2), np.zeros(2)),
                 (
                     {"label": "evaluation"},
-                    {"label": "position [m]", "stroke": "#0072B2", "width": 2},
-                    {"label": "orientation [rad]", "stroke": "#D55E00", "width": 2, "dash": (6, 4)},
+                    {"label": "position, 10^x m", "stroke": "#0072B2", "width": 2},
+                    {"label": "orientation, 10^x rad", "stroke": "#D55E00", "width": 2, "dash": (6, 4)},
                 ),
-                scales={"x": {"time": False}, "y": {"distr": 3}},
+                scales={"x": {"time": False}},
                 height=190,
                 visible=False,
             )
@@ -168,8 +173,12 @@ class Desk:
             f"<p>{html.escape(caption)}</p></div>{table_html(rows, head)}"
         )
         if self.files:
-            path = gui.add_text("URDF file", "", hint="Path of a .urdf on the machine the panel runs on.")
-            load = gui.add_button("Load file")
+            path = gui.add_text(
+                "Other robot",
+                "",
+                hint="A name (panda, ur5, ...) or the path of a .urdf on the machine the panel runs on.",
+            )
+            load = gui.add_button("Load", color=QUIET)
             self._on(load, "build", lambda: self._switch(path.value))
 
     def show(self) -> None:
@@ -200,6 +209,8 @@ class Desk:
         for i, slider in enumerate(self.sliders):
             if slider.value != self.shown[i]:  # what is shown is rounded: a joint not touched keeps its value
                 q[i] = slider.value / s.scale(i)
+        if not np.isfinite(q).all():
+            raise InvalidConfiguration("a joint value is not a finite number")
         s.q = np.clip(q, s.robot.lower, s.robot.upper)
         self.show()
 
@@ -273,7 +284,8 @@ class Desk:
     def _solve(self) -> None:
         target = self._typed()
         self.stage.put_target(target)
-        self.say("solving ...")
+        self.found.visible = False
+        self.say("solving ... (a method's first use compiles it, some seconds)")
         result = self.session.solve(target)
         self._verdict()
         self._chart(result.history)
@@ -286,7 +298,9 @@ class Desk:
             self.show()
         kept = "" if result.success else " The robot stays where it was."
         self.say(f"{sentence(result.message)}{kept}", GOOD if result.success else BAD)
-        self.outcome.content = table_html(self.session.figures())
+        words = "" if result.success else sentence(result.message)  # once more, beside the button
+        self.outcome.content = f'<div style="padding:2px 12px;color:{BAD};font-size:13px">{html.escape(words)}</div>'
+        self.outcome.content += table_html(self.session.figures())
         self.outcome.visible = True
 
     def _dragged(self) -> None:
@@ -317,7 +331,7 @@ class Desk:
         with self.found:
             for k, q in enumerate(s.solutions):
                 values = ", ".join(f"{s.scale(i) * x:.4g}" for i, x in enumerate(q))
-                button = self.gui.add_button(f"{k + 1}: {values}", color="gray")
+                button = self.gui.add_button(f"{k + 1}: {values}", color=QUIET)
                 self._on(button, "joints", lambda q=q, k=k: self._pick(k, q))
         self.found.visible = bool(s.solutions)
         more = f" The nearest {SHOWN} are listed." if len(s.solutions) == SHOWN else ""
@@ -337,7 +351,7 @@ class Desk:
         if self.session.result is not None and self.session.result.restarts:  # many descents: the best so far
             rows = np.maximum.accumulate(np.where(position <= np.minimum.accumulate(position), rows, 0))
         known = np.where(np.isfinite(angle), angle, np.nan)[rows]
-        curves = (np.maximum(values, 1e-12) for values in (position[rows], known))
+        curves = (np.log10(np.maximum(values, 1e-12)) for values in (position[rows], known))
         self.plot.data = (np.arange(len(rows), dtype=float), *curves)
         self.plot.visible = True
 

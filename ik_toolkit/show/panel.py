@@ -7,17 +7,14 @@ drag never queues up and visitors do not disturb each other.
 import contextlib
 import http.client
 import io
-import ipaddress
-import threading
-from collections.abc import Callable, Iterator
+import warnings
 from typing import Any
 from urllib.parse import urlsplit
 
 from ..errors import InvalidOption, MissingExtra
 from .desk import Desk
+from .gate import guarded, is_loopback
 from .session import Session
-
-LOOPBACK = ("127.0.0.1", "localhost", "::1")
 
 
 class Panel:
@@ -29,9 +26,10 @@ class Panel:
             import viser
         except ImportError:
             raise MissingExtra("viser", "panel") from None
+        warnings.filterwarnings("ignore", "Queued a .* on a closed connection")  # a visitor may leave at any time
         session = Session(source, tip)  # says now what is wrong with it
         session.solve(session.tip())  # and compiles, where that has not been done: no visitor waits for it
-        with _guarded(host), contextlib.redirect_stdout(io.StringIO()):  # viser prints a banner
+        with guarded(host), contextlib.redirect_stdout(io.StringIO()):  # viser prints a banner
             self.server = viser.ViserServer(host=host, port=port, verbose=False)
         self.host, self.port = host, self.server.get_port()
         if port not in (0, self.port):
@@ -39,6 +37,7 @@ class Panel:
             raise InvalidOption(f"port {port} is in use")
         self.url = f"http://{'127.0.0.1' if host in ('0.0.0.0', '::') else host}:{self.port}/"  # noqa: S104  compared, not bound
         self._check_guard()
+        self.server.request_share_url = _no_tunnel  # type: ignore[method-assign] a page may ask for it unseen
         self.desks: dict[int, Desk] = {}
         self.server.gui.set_panel_label("ik panel")
         local = is_loopback(host)
@@ -47,6 +46,8 @@ class Panel:
 
     def _welcome(self, client: Any, source: str, tip: str | None, local: bool) -> None:
         self.desks[client.client_id] = Desk(client, source, tip, files=local)
+        if client.client_id not in self.server.get_clients():  # gone before it was let in
+            self._goodbye(client)
 
     def _goodbye(self, client: Any) -> None:
         desk = self.desks.pop(client.client_id, None)
@@ -73,48 +74,5 @@ class Panel:
             self.server.stop()
 
 
-def is_loopback(host: str) -> bool:
-    """Whether only programs of this machine can reach a host address."""
-    try:
-        return host == "localhost" or ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return False
-
-
-def refusal(headers: Any, host: str) -> str:
-    """Why a request is refused, or ''. A browser names the page that asks (Origin) and the name it looked up (Host)."""
-    asked = headers.get("Host", "")
-    name = urlsplit(f"//{asked}").hostname or ""
-    if is_loopback(host) and name not in LOOPBACK and name != host:
-        return f"this panel answers at {host} only, not as '{name}'"
-    origin = headers.get("Origin")
-    if origin is not None and urlsplit(origin).netloc != asked:
-        return "pages of other sites may not use this panel"
-    return ""
-
-
-@contextlib.contextmanager
-def _guarded(host: str) -> Iterator[None]:
-    """Make the server started inside check Host and Origin, which viser itself does not (any web page could connect)."""
-    import websockets.asyncio.server as ws
-
-    original = ws.serve
-
-    def serve(*args: Any, process_request: Callable[[Any, Any], Any] | None = None, **kwargs: Any) -> Any:
-        def check(connection: Any, request: Any) -> Any:
-            words = refusal(request.headers, host)
-            if words:
-                return connection.respond(http.client.FORBIDDEN, words + "\n")
-            return process_request(connection, request) if process_request is not None else None
-
-        return original(*args, process_request=check, **kwargs)
-
-    with _PATCHING:
-        ws.serve = serve  # type: ignore[assignment]
-        try:
-            yield
-        finally:
-            ws.serve = original
-
-
-_PATCHING = threading.Lock()
+def _no_tunnel(*_: Any, **__: Any) -> None:
+    """Never publish the panel through viser's relay."""

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
+from ..errors import InvalidTarget
 from .parts import Body
 
 
@@ -76,6 +77,8 @@ class Stage:
 
     def read_target(self) -> np.ndarray:
         """T_base_target (4, 4) where the visitor has dragged arrows and rings to."""
+        if not np.isfinite([*self.gizmo.wxyz, *self.gizmo.position]).all() or not np.any(self.gizmo.wxyz):
+            raise InvalidTarget("the target was dragged to no pose")
         T = np.eye(4)
         T[:3, :3] = pin.Quaternion(*(float(x) for x in self.gizmo.wxyz)).normalized().matrix()
         T[:3, 3] = self.gizmo.position

@@ -1,0 +1,84 @@
+"""Who may talk to the panel's server, and what becomes of messages that are none: checks viser does not make."""
+
+import asyncio
+import contextlib
+import http.client
+import ipaddress
+import logging
+import threading
+from collections.abc import Callable, Iterator
+from typing import Any
+from urllib.parse import urlsplit
+
+LOOPBACK = ("127.0.0.1", "localhost", "::1")
+LOG = logging.getLogger(__name__)
+_PATCHING = threading.Lock()
+
+
+def is_loopback(host: str) -> bool:
+    """Whether only programs of this machine can reach a host address."""
+    try:
+        return host == "localhost" or ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return False
+
+
+def refusal(headers: Any, host: str) -> str:
+    """Why a request is refused, or ''. A browser names the page that asks (Origin) and the name it looked up (Host)."""
+    asked = headers.get("Host", "")
+    name = ""
+    with contextlib.suppress(ValueError):
+        name = urlsplit(f"//{asked}").hostname or ""
+    if is_loopback(host) and name not in LOOPBACK and name != host:
+        return f"this panel answers at {host} only, not as '{name}'"
+    origin = headers.get("Origin")
+    if origin is not None and origin.partition("://")[2] != asked:
+        return "pages of other sites may not use this panel"
+    return ""
+
+
+@contextlib.contextmanager
+def guarded(host: str) -> Iterator[None]:
+    """Make the server started inside check Host and Origin (any web page could connect otherwise) and bear nonsense.
+
+    A message that cannot be read ends its connection with a word on why; one that makes no sense is dropped.
+    """
+    import websockets.asyncio.server as ws
+    from websockets.exceptions import ConnectionClosed
+
+    original = ws.serve
+
+    def serve(talk: Any, *args: Any, process_request: Callable[[Any, Any], Any] | None = None, **kwargs: Any) -> Any:
+        def check(connection: Any, request: Any) -> Any:
+            words = refusal(request.headers, host)
+            if words:
+                return connection.respond(http.client.FORBIDDEN, words + "\n")
+            return process_request(connection, request) if process_request is not None else None
+
+        async def bear(connection: Any) -> None:
+            asyncio.get_running_loop().set_exception_handler(_drop)
+            try:
+                await talk(connection)
+            except Exception as error:
+                LOG.info("unreadable message: %r", error)
+                closing = asyncio.create_task(connection.close(1007, "that was no message of the panel's page"))
+                with contextlib.suppress(ConnectionClosed):
+                    while True:  # what is still on the way would keep the closing word back
+                        await connection.recv()
+                await closing
+
+        return original(bear, *args, process_request=check, **kwargs)
+
+    with _PATCHING:
+        ws.serve = serve  # type: ignore[assignment]
+        try:
+            yield
+        finally:
+            ws.serve = original
+
+
+def _drop(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
+    if context.get("exception") is None:
+        loop.default_exception_handler(context)
+    else:
+        LOG.info("message without sense: %r", context["exception"])

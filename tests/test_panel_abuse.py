@@ -1,0 +1,270 @@
+"""The panel under abuse: many visitors, nonsense on the wire, visitors who leave in the middle. No browser is needed."""
+
+import contextlib
+import gc
+import math
+import random
+import threading
+import time
+
+import numpy as np
+import pytest
+
+viser = pytest.importorskip("viser", reason="viser is not installed (extra 'panel')")
+pytest.importorskip("trimesh", reason="trimesh is not installed (extra 'view')")
+import msgspec  # noqa: E402  both come with viser
+import websockets.exceptions  # noqa: E402
+import websockets.sync.client  # noqa: E402
+
+from ik_toolkit.show.panel import Panel  # noqa: E402
+
+pytestmark = pytest.mark.filterwarnings("ignore:Queued a")  # viser's word on a visitor who has left
+
+CAMERA = {
+    "type": "ViewerCameraMessage",
+    "wxyz": (1.0, 0.0, 0.0, 0.0),
+    "position": (1.0, 1.0, 1.0),
+    "fov": 1.0,
+    "near": 0.01,
+    "far": 100.0,
+    "image_height": 600,
+    "image_width": 800,
+    "look_at": (0.0, 0.0, 0.0),
+    "up_direction": (0.0, 0.0, 1.0),
+}
+
+
+class Visitor:
+    """What a browser says to the panel, without a browser. desk: what the panel holds for this visitor."""
+
+    def __init__(self, panel):
+        known = set(panel.desks)
+        self.panel = panel
+        self.socket = websockets.sync.client.connect(
+            f"ws://127.0.0.1:{panel.port}/",
+            origin=f"http://127.0.0.1:{panel.port}",
+            subprotocols=[f"viser-v{viser.__version__}"],
+            compression=None,
+            max_size=None,
+        )
+        self.listener = threading.Thread(target=self._listen, daemon=True)
+        self.listener.start()
+        self.say(**CAMERA)
+        assert until(lambda: set(panel.desks) - known)
+        (self.id,) = set(panel.desks) - known
+        self.desk = panel.desks[self.id]
+        assert self.desk.worker.idle()
+
+    def _listen(self):
+        with contextlib.suppress(websockets.exceptions.ConnectionClosed):
+            for _ in self.socket:
+                pass
+
+    def say(self, **message):
+        self.socket.send(msgspec.msgpack.encode(message))
+
+    def change(self, handle, value, name="value"):
+        self.say(type="GuiUpdateMessage", uuid=handle._impl.uuid, updates={name: value})
+
+    def press(self, label):
+        handles = self.desk.gui._gui_input_handle_from_uuid.values()
+        (button,) = [h for h in handles if getattr(h, "label", "") == label and h._impl.is_button]
+        self.change(button, True)
+
+    def drag(self, wxyz, position):
+        self.say(
+            type="TransformControlsUpdateMessage", name="/target", wxyz=wxyz, position=position, owner=str(self.id)
+        )
+
+    def status(self):
+        return self.desk.status.content
+
+    def leave(self):
+        self.socket.close()
+        assert until(lambda: self.id not in self.panel.desks)
+
+
+def until(true, patience=30.0):
+    """Whether something becomes true in time."""
+    end = time.monotonic() + patience
+    while not true():
+        if time.monotonic() > end:
+            return False
+        time.sleep(0.005)
+    return True
+
+
+def threads():
+    return sum(thread.name == "ik panel visitor" for thread in threading.enumerate())
+
+
+@pytest.fixture
+def panel():
+    with contextlib.closing(Panel("hydrolek_7w")) as made:
+        yield made
+
+
+def test_twenty_visitors_at_once(panel):
+    before = threads()
+    visitors = [Visitor(panel) for _ in range(20)]
+    for k, visitor in enumerate(visitors):
+        visitor.change(visitor.desk.sliders[0], float(k))
+    for k, visitor in enumerate(visitors):
+        assert until(lambda v=visitor, k=k: math.isclose(v.desk.session.q[0], math.radians(k), abs_tol=1e-9)), k
+    for visitor in visitors:
+        visitor.leave()
+    assert panel.desks == {} and until(lambda: threads() == before)
+
+
+def nonsense(rng, visitor):
+    """One message the page would never send."""
+    slider, text = rng.choice(visitor.desk.sliders)._impl.uuid, visitor.desk.xyz._impl.uuid
+    odd = rng.choice([None, "x", [], {}, True, -1, 1e308, math.nan, math.inf, "nan", [1, 2], {"a": None}, "\x00" * 9])
+    update = {"type": "GuiUpdateMessage", "uuid": rng.choice([slider, text])}
+    target = {
+        "type": "TransformControlsUpdateMessage",
+        "name": "/target",
+        "wxyz": [rng.choice([0.0, math.nan, 1e308, -1.0]) for _ in range(4)],
+        "position": [rng.choice([0.0, math.inf, 1e308, 1e-308]) for _ in range(3)],
+        "owner": rng.choice([str(visitor.id), "", "x"]),
+    }
+    readable = [
+        {**CAMERA, "fov": rng.choice([math.nan, -1.0, 1e308]), "look_at": (math.inf, 0.0, 0.0)},
+        {**update, "updates": {"value": odd}},
+        {**update, "updates": {rng.choice(["", "no_such", "value", "min", "max"]): odd}},
+        {**update, "uuid": odd if isinstance(odd, str) else "?", "updates": {"value": 1}},
+        target,
+        {"type": "ShareUrlRequest"},
+    ]
+    unreadable = [
+        rng.randbytes(rng.randrange(40)),
+        odd,
+        {"type": odd},
+        {"type": "NoSuchMessage"},
+        {"type": "ViewerCameraMessage", "wxyz": odd},
+        {**CAMERA, "extra": 1},
+        {"type": "FileTransferPart", "content": b"x"},
+    ]
+    message = rng.choice(readable if rng.random() < 0.96 else unreadable)
+    return message if isinstance(message, bytes) else msgspec.msgpack.encode(message)
+
+
+def unreadable(message):
+    try:
+        viser._messages.Message.deserialize(message)
+    except Exception:
+        return True
+    return False
+
+
+def harass(panel, count, seed):
+    """Send so many senseless messages, coming back whenever thrown out. How often that was."""
+    rng, out = random.Random(seed), 0
+    visitor = Visitor(panel)
+    for _ in range(count):
+        message = nonsense(rng, visitor)
+        visitor.socket.send(message)
+        if unreadable(message):
+            visitor.listener.join(30.0)
+            assert (visitor.socket.close_code, visitor.socket.close_reason) == (1007, THROWN_OUT), message
+            out += 1
+            visitor = Visitor(panel)
+    visitor.leave()
+    return out
+
+
+THROWN_OUT = "that was no message of the panel's page"
+
+
+def check_alive(panel):
+    """A new visitor is served: moves a joint, solves a pose, is told why another cannot be reached."""
+    visitor = Visitor(panel)
+    desk, robot = visitor.desk, visitor.desk.session.robot
+    visitor.change(desk.sliders[1], 30.0)
+    assert until(lambda: math.isclose(desk.session.q[1], math.radians(30.0)))
+    goal = robot.fk(np.clip(desk.session.q + 0.1, robot.lower, robot.upper)).homogeneous
+    for handle, text in zip((desk.xyz, desk.rotation), desk.session.words(goal, "roll pitch yaw"), strict=True):
+        visitor.change(handle, text)
+    assert until(lambda: desk.worker.idle() and desk.rotation.value == desk.session.words(goal, "roll pitch yaw")[1])
+    visitor.press("Solve")
+    assert until(lambda: "Converged" in visitor.status()), visitor.status()
+    visitor.change(desk.xyz, "9 0 0")
+    visitor.press("Solve")
+    assert until(lambda: "stays where it was" in visitor.status()), visitor.status()
+    visitor.leave()
+
+
+def test_a_thousand_malformed_messages(panel, record_property, capfd):
+    out = harass(panel, 1000, seed=0)
+    record_property("note", f"1000 malformed messages, thrown out in words {out} times")
+    assert out > 20
+    check_alive(panel)
+    assert panel.desks == {} and "Traceback" not in capfd.readouterr().err
+
+
+def test_values_that_are_no_numbers_are_refused_in_words(panel):
+    visitor = Visitor(panel)
+    q = visitor.desk.session.q.copy()
+    visitor.change(visitor.desk.sliders[0], math.nan)
+    assert until(lambda: "not a finite number" in visitor.status())
+    visitor.drag((math.nan, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+    assert until(lambda: "dragged to no pose" in visitor.status()), visitor.status()
+    visitor.drag((1.0, 0.0, 0.0, 0.0), (1e200, 0.0, 0.0))
+    assert until(lambda: "1e+200" in visitor.status() or "beyond" in visitor.status()), visitor.status()
+    assert np.array_equal(visitor.desk.session.q, q)
+    visitor.change(visitor.desk.xyz, "1 " * 100_000)
+    visitor.press("Solve")
+    assert until(lambda: "takes 3 numbers; got 100000" in visitor.status())
+    visitor.change(visitor.desk.xyz, "x" * 100_000)
+    visitor.press("Solve")
+    assert until(lambda: "takes 3 numbers, not" in visitor.status() and len(visitor.status()) < 2000)
+    visitor.leave()
+
+
+def test_leaving_in_the_middle_of_a_solve(panel, capfd):
+    before = threads()
+    for k in range(5):
+        visitor = Visitor(panel)
+        visitor.press("All solutions")
+        visitor.change(visitor.desk.sliders[0], float(k))
+        visitor.press("Solve")
+        visitor.leave()
+    assert until(lambda: threads() == before)
+    check_alive(panel)
+    assert "Traceback" not in capfd.readouterr().err
+
+
+def test_the_panel_is_never_published_by_a_page(panel):
+    visitor = Visitor(panel)
+    visitor.say(type="ShareUrlRequest")
+    check_alive(panel)
+    assert panel.server._share_tunnel is None
+    visitor.leave()
+
+
+def resident():
+    """Megabytes of memory in use."""
+    gc.collect()
+    with open("/proc/self/statm") as file:
+        return int(file.read().split()[1]) * 4096 / 2**20
+
+
+@pytest.mark.slow
+def test_memory_stays_flat(panel, record_property):
+    def round_of(seed):
+        visitors = [Visitor(panel) for _ in range(20)]
+        for visitor in visitors:
+            visitor.press("All solutions")
+        for visitor in visitors:
+            visitor.leave()
+        harass(panel, 1000, seed)
+        return resident()
+
+    first = [round_of(k) for k in range(3)][-1]
+    last = [round_of(10 + k) for k in range(10)][-1]
+    record_property(
+        "note",
+        f"memory after 3 rounds of 20 visitors and 1000 malformed messages {first:.0f} MB, after 13 {last:.0f} MB",
+    )
+    check_alive(panel)
+    assert last - first < 40
