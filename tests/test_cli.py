@@ -2,6 +2,7 @@
 
 import json
 import math
+import os
 import subprocess
 import sys
 import time
@@ -9,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import robots
 from typer.testing import CliRunner
 
 import ik_toolkit as ik
@@ -353,15 +355,36 @@ def test_no_command_shows_the_help(run):
     assert code == 0 and "Usage: ik" in out
 
 
-@pytest.mark.parametrize("arguments", [["robots"], ["robots", "--json"]])
-def test_a_reader_that_leaves_early_hears_no_complaint(arguments):
+@pytest.mark.parametrize(
+    ("arguments", "code"),
+    [
+        (["robots"], 0),
+        (["robots", "--json"], 0),
+        (["--help"], 0),
+        (["dh", DH], 0),
+        (["check", "tests/data/nothing.urdf"], 2),
+        (["solve", "planar_2r", "--xyz", "1", "1", "0"], 0),
+        (["solve", "planar_2r", "--xyz", "3", "0", "0", "--json"], 1),
+        (["solve", "planar_2r", "--xyz", "3", "0", "0"], 1),
+    ],
+)
+def test_a_reader_that_leaves_early_changes_nothing(arguments, code):
     command = [sys.executable, "-m", "ik_toolkit", *arguments]
     process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
     assert process.stdout and process.stderr
     process.stdout.close()
     with process.stderr as stderr:
-        assert stderr.read() == b""
-    process.wait()
+        said = stderr.read()
+    assert process.wait() == code
+    assert b"pipe" not in said.lower() and (b"ik: " in said or b"not solved" in said) == (code > 0)
+
+
+def test_a_terminal_that_lacks_characters_shows_escapes(tmp_path):
+    (tmp_path / "\u00e4rm.urdf").write_text(robots.urdf(dict(kind="revolute")), encoding="utf-8")
+    command = [sys.executable, "-m", "ik_toolkit", "info", str(tmp_path / "\u00e4rm.urdf")]
+    ascii_only = {**os.environ, "PYTHONIOENCODING": "ascii"}
+    done = subprocess.run(command, capture_output=True, env=ascii_only)
+    assert done.returncode == 0 and rb"\xe4rm" in done.stdout
 
 
 def test_solve_takes_preferences(run):

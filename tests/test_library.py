@@ -107,6 +107,7 @@ def test_find_by_path_text_and_name(tmp_path, monkeypatch):
         ("a\0b", "there is no robot"),
         ("x" * 10_000, "there is no robot"),
         (7, "not int"),
+        (str(Path(__file__).parent), "is a folder, not a URDF file"),
     ],
 )
 def test_not_found(source, message):

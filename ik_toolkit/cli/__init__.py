@@ -1,16 +1,16 @@
 """The command `ik`: one module per group of commands, each with `register(app)`. Heavy imports happen inside commands."""
 
 import importlib
-import os
 import sys
 from collections.abc import Sequence
+from contextlib import redirect_stdout
 from typing import Annotated
 
 import typer
 
 from .. import __version__
 from ..errors import IKError, MissingExtra
-from .common import join_vectors, notice
+from .common import Output, join_vectors, notice
 
 MODULES = (
     "robots",
@@ -67,17 +67,15 @@ def main(argv: Sequence[str] | None = None) -> int:
     arguments = [argument for argument in arguments if argument != "--debug"]
     try:
         command = typer.main.get_command(application())
-        code = command.main(args=arguments or ["--help"], prog_name="ik", standalone_mode=False) or 0
-        sys.stdout.flush()
+        with redirect_stdout(Output(sys.stdout)):
+            code = command.main(args=arguments or ["--help"], prog_name="ik", standalone_mode=False) or 0
+            sys.stdout.flush()
         if code == INTERRUPTED:
             notice("ik: interrupted")
         return code
     except (KeyboardInterrupt, typer.Abort):
         notice("ik: interrupted")
         return INTERRUPTED
-    except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # the reader left: nothing more to say to it
-        return 0
     except Exception as error:
         if debug:
             raise

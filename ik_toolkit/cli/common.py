@@ -229,6 +229,41 @@ def compile_notice(what: str = "the solver") -> Iterator[None]:
 
 
 # -------------------------------------------------------------------------------------------------------------- output
+class Output:
+    """Standard output for people who pipe it: a reader that leaves early does not end the command or change its exit code.
+
+    Characters the terminal's encoding lacks are escaped.
+    """
+
+    def __init__(self, stream: Any) -> None:
+        """Wrap a stream."""
+        self._stream = stream
+        if hasattr(stream, "reconfigure"):
+            stream.reconfigure(errors="backslashreplace")
+
+    def __getattr__(self, name: str) -> Any:
+        """Everything else is the stream's."""
+        return getattr(self._stream, name)
+
+    def write(self, text: str) -> int:
+        """Write, unless nobody reads any more."""
+        try:
+            return self._stream.write(text)
+        except BrokenPipeError:
+            return self._drop(len(text))
+
+    def flush(self) -> None:
+        """Flush, unless nobody reads any more."""
+        try:
+            self._stream.flush()
+        except BrokenPipeError:
+            self._drop(0)
+
+    def _drop(self, count: int) -> int:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), self._stream.fileno())
+        return count
+
+
 def notice(text: str) -> None:
     """Print one line of prose on stderr."""
     print(text, file=sys.stderr, flush=True)

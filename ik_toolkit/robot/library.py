@@ -160,6 +160,8 @@ def find(source: str | Path) -> RobotEntry:
             description=f"{DATA_PACKAGE}: {DATA_ROBOTS[name][0]}",
         )
     shown = name if len(name) <= 200 else f"{name[:200]}..."
+    if name and Path(shown).is_dir():
+        raise RobotNotFound(f"'{shown}' is a folder, not a URDF file")
     if "/" in name or "\\" in name or name.lower().endswith((".urdf", ".xml", ".xacro")):
         raise RobotNotFound(f"there is no file '{shown}'")
     raise RobotNotFound(
