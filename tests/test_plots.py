@@ -117,3 +117,17 @@ def test_refusals_are_words(tmp_path, solved):
         plots.convergence({})
     with pytest.raises(InvalidOption, match="array of 6 columns"):
         plots.joint_paths(np.zeros((3, 2)), robot)
+
+
+def test_history_says_what_the_result_says():
+    robot = ik.Robot.load("hydrolek_7w")
+    free = ik.solve(robot, robot.fk(robot.home).translation + 0.05, history=True)
+    assert np.isnan(free.history["orientation_error"]).all()
+    axis = plots.convergence(free).axes[0]
+    assert [line.get_label() for line in axis.lines] == ["position [m]"]
+    far = np.array([9.0, 0.0, 0.0])
+    lost = ik.solve(robot, far, history=True)
+    assert lost.status.name == "UNREACHABLE"
+    for q, error in zip(lost.history["q"], lost.history["position_error"], strict=True):
+        assert abs(np.linalg.norm(robot.fk(q).translation - far) - error) < 1e-9
+    assert lost.history["position_error"].min() <= lost.position_error + 1e-9

@@ -269,13 +269,25 @@ def test_a_port_in_use_is_an_error():
             view(load("planar_2r")).serve(taken.getsockname()[1])
 
 
-@pytest.mark.parametrize("end", [signal.SIGTERM, signal.SIGINT])
-def test_view_ends_with_its_signal(end):
+@pytest.mark.parametrize(
+    ("command", "end"),
+    [
+        ("view planar_2r --no-open", signal.SIGTERM),
+        ("view planar_2r --no-open", signal.SIGINT),
+        ("panel planar_2r --no-open", signal.SIGTERM),
+        ("panel planar_2r --no-open", signal.SIGINT),
+        ("solve planar_2r --xyz 1 1 0 --view", signal.SIGTERM),
+    ],
+)
+def test_no_server_is_left_after_a_signal(command, end):
+    if command.startswith("panel"):
+        pytest.importorskip("viser", reason="viser is not installed (extra 'panel')")
     run = subprocess.Popen(
-        [sys.executable, "-m", "ik_toolkit", "view", "planar_2r", "--no-open"],
+        [sys.executable, "-m", "ik_toolkit", *command.split()],
+        stdout=subprocess.DEVNULL,
         stderr=subprocess.PIPE,
         text=True,
-        env={**os.environ, "PYTHONWARNINGS": "default"},
+        env={**os.environ, "PYTHONWARNINGS": "default", "BROWSER": "true"},  # the command `true` opens nothing
     )
     line = ""
     while "http://" not in line:
@@ -286,6 +298,7 @@ def test_view_ends_with_its_signal(end):
     assert run.wait(20) == 0
     with socket.socket() as probe:
         assert probe.connect_ex(("127.0.0.1", port)) != 0
+    assert "Traceback" not in run.stderr.read()
     run.stderr.close()
 
 
@@ -299,3 +312,28 @@ def test_view_writes_a_file(tmp_path, capsys):
     assert "beyond reach" in capsys.readouterr().err
     assert main(["view", "hydrolek_7w", "--q", "1", "2", "--html", str(file)]) == 2
     assert "6 values" in capsys.readouterr().err
+
+
+def test_a_solve_is_drawn(tmp_path, capsys):
+    from ik_toolkit.cli import main
+
+    pytest.importorskip("matplotlib", reason="matplotlib is not installed (extra 'plots')")
+    page, chart = tmp_path / "out.html", tmp_path / "out.png"
+    pictures = ["--plot", str(chart), "--html", str(page)]
+    assert main(["solve", "hydrolek_7w", "--xyz", "0.6", "0.3", "0.1", *pictures]) == 0
+    assert page.stat().st_size > 100_000 and chart.read_bytes()[:4] == b"\x89PNG"
+    page.unlink()
+    assert main(["solve", "hydrolek_7w", "--xyz", "9", "0", "0", *pictures]) == 1
+    assert page.exists() and "beyond reach" in capsys.readouterr().err
+    page.unlink()
+    assert main(["solve", "planar_2r", "--xyz", "1", "1", "0", "--all", "--html", str(page)]) == 0 and page.exists()
+    assert main(["solve", "planar_2r", "--xyz", "1", "1", "0", "--all", *pictures]) == 2
+    assert main(["solve", "planar_2r", "--targets", "x.csv", "--html", str(page)]) == 2
+    assert "--plot, --html and --view show one solve" in capsys.readouterr().err
+
+
+def test_a_target_far_away_does_not_shrink_the_picture():
+    robot = load("hydrolek_7w")
+    near, far = view(robot), view(robot, target=[50.0, 0.0, 0.0])
+    assert np.allclose(near.window.about["camera"][0], far.window.about["camera"][0], atol=0.05)
+    assert any("outside the picture" in label for _, label in far.window.about["legend"])

@@ -31,6 +31,7 @@ from .common import (
     vector,
     write_json,
 )
+from .view import Chart, Html, Live, draw
 
 if TYPE_CHECKING:
     from ..solvers.result import Result
@@ -171,12 +172,17 @@ def solve(
     deg: Deg = False,
     as_json: Json = False,
     output: Out = None,
+    plot: Chart = None,
+    html: Html = None,
+    live: Live = False,
 ) -> None:
     """Find joint values that bring the tip to a position, or a pose when --rpy or --quat-xyzw is given.
 
     Several tips of one robot are solved together, shared joints included, with one --target for each.
 
     With --targets many are solved at once and written to the file that -o names: CSV, NPZ or Parquet by its ending.
+
+    --plot draws the way the error went; --view and --html show the robot in 3-D, the solve as an animation.
 
     Exit code 0 when solved, 1 when not: the status says how it ended, and the sentence on stderr what to try.
     """
@@ -186,6 +192,8 @@ def solve(
     if file is not None:
         if targets or every or any(x is not None for x in (xyz, rpy, quat_xyzw, direction, tip_axis)):
             raise InvalidOption("--targets FILE says all targets; leave out --xyz and its kin, --target and --all")
+        if plot is not None or html is not None or live:
+            raise InvalidOption("--plot, --html and --view show one solve, not the many of --targets FILE")
     elif targets:
         if any(x is not None for x in (xyz, rpy, quat_xyzw, direction, tip_axis, tip)):
             raise InvalidOption("--target says tip and pose together; leave out --xyz, its rotation options and --tip")
@@ -230,7 +238,10 @@ def solve(
         )  # fmt: skip
         return
     if every:
-        _solve_all(arm, target, method, start, options, deg, as_json, output)
+        if plot is not None:
+            raise InvalidOption("--plot draws one solve, and --all asks for many")
+        found = _solve_all(arm, target, method, start, options, deg, as_json, output)
+        draw(arm, list(found), target, None, html, live)
         return
     with compile_notice():  # at a solved start: compiles or loads, so that the time shown below is the solve's own
         at_home = arm.fk(arm.home)
@@ -249,13 +260,16 @@ def solve(
         notice(result.notice)
     if not result.success:
         notice(f"not solved, {result.status.name}: {result.message}")
+    if plot is not None or html is not None or live:
+        draw(arm, solve_one(arm, target, method, q0=start, history=True, **options), target, plot, html, live)
+    if not result.success:
         raise typer.Exit(1)
 
 
 def _solve_all(
     arm: Any, target: Any, method: Any, start: Any, options: dict[str, Any], deg: bool, as_json: bool, output: Any
-) -> None:
-    """Print all solutions; exit code 1 when there is none."""
+) -> Any:
+    """Print all solutions and return them; exit code 1 when there is none."""
     from ..solvers.solve_all import solve_all
 
     with compile_notice():
@@ -275,6 +289,7 @@ def _solve_all(
     if not len(found):
         notice(f"no solution: {found.message}")
         raise typer.Exit(1)
+    return found
 
 
 def make_target(

@@ -8,7 +8,20 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ..errors import InvalidOption
-from .common import Base, Deg, Lock, PackageDir, RobotArg, Tip, compile_notice, joint_vector, load_robot, notice, writes
+from .common import (
+    PLOTS,
+    Base,
+    Deg,
+    Lock,
+    PackageDir,
+    RobotArg,
+    Tip,
+    compile_notice,
+    joint_vector,
+    load_robot,
+    notice,
+    writes,
+)
 
 if TYPE_CHECKING:
     from ..show.scene import Scene
@@ -25,10 +38,20 @@ Html = Annotated[
     typer.Option(
         "--html",
         metavar="FILE",
-        help="Write one self-contained page instead of serving.",
+        help="Write the scene as one page that needs no network.",
         callback=writes(".html", ".htm"),
     ),
 ]
+Chart = Annotated[
+    Path | None,
+    typer.Option(
+        "--plot",
+        metavar="FILE",
+        help="Draw the error at every step to a .png, .pdf or .svg file.",
+        callback=writes(*PLOTS),
+    ),
+]
+Live = Annotated[bool, typer.Option("--view", help="Show it in 3-D in the browser, until Ctrl-C.")]
 Port = Annotated[int, typer.Option(metavar="N", help="Port on 127.0.0.1; default: a free one.")]
 Open = Annotated[bool, typer.Option("--open/--no-open", help="Open the address in a browser.")]
 
@@ -103,6 +126,25 @@ def _solve(arm: Any, target: Any, solver: str, start: Any, every: bool) -> tuple
         result = solve_one(arm, target, solver, q0=start, history=True)
     notice(f"{result.status.name}: {result.message}")
     return result, result.success
+
+
+def draw(arm: Any, what: Any, target: Any, plot: Path | None, html: Path | None, live: bool) -> None:
+    """Pictures asked for of a result with history or of several solutions: chart, page, scene in the browser."""
+    if plot is not None and len(what.history["q"]) < 2:
+        notice("no plot: the solve took no step")
+    elif plot is not None:
+        from ..show.plots import convergence, save
+
+        title = f"{arm.name}, {what.solver}: {what.status.name}"
+        notice(f"wrote {save(convergence(what, title=title), plot)}")
+    if html is not None or live:
+        from ..show.scene import view as make
+
+        scene = make(arm, what, target=getattr(target, "T_base_tip", target))
+        if html is not None:
+            present(scene, html)
+        if live:
+            present(scene, None)
 
 
 def present(scene: "Scene", html: Path | None, port: int = 0, browse: bool = True) -> None:

@@ -84,6 +84,7 @@ def convergence(runs: Any, *, tolerance: float | None = None, title: str = "") -
                 axis.semilogy(shown, color=COLOURS[1], ls="--", marker=few, ms=3, label="orientation [rad]")
             if tolerance is not None:
                 axis.axhline(tolerance, color=GREY, lw=0.9, ls=":", label="tolerance" if not k else None)
+            axis.xaxis.get_major_locator().set_params(integer=True)
             axis.set(xlabel="evaluation", title=f"{label}: {len(position) - 1} steps" if label else "")
         axes[0, 0].set_ylabel("error left")
         axes[0, 0].legend(loc="best", fontsize=8)

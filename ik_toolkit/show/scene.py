@@ -17,8 +17,9 @@ from .window import Window
 # Okabe and Ito (2008), as in the plots.
 BLUE, ORANGE, GREEN, PURPLE = (0.0, 0.447, 0.698), (0.835, 0.369, 0.0), (0.0, 0.62, 0.451), (0.8, 0.475, 0.655)
 YELLOW, SKY, RED, SLATE = (0.902, 0.624, 0.0), (0.337, 0.706, 0.914), (0.80, 0.20, 0.15), (0.30, 0.34, 0.40)
-GHOSTS = (BLUE, GREEN, YELLOW, PURPLE, SKY, ORANGE)
+GHOSTS = (BLUE, GREEN, YELLOW, PURPLE, SKY, ORANGE, (0.94, 0.89, 0.26), (0.45, 0.30, 0.18))
 AXES = ((0.82, 0.18, 0.16), (0.16, 0.62, 0.24), (0.13, 0.38, 0.78))  # x red, y green, z blue
+FAR = 3.0  # extents; a target further away is drawn, but does not shrink the picture
 MAX_FRAMES = 400  # of an animation; a longer run is thinned
 BETWEEN = 6  # frames from one iterate to the next, so that the eye can follow
 MAX_GHOSTS = 12
@@ -75,7 +76,7 @@ class Scene:
             self._say(css(color or SLATE), label)
 
     def ghosts(self, Q: Any, labels: Iterable[str] = ()) -> None:
-        """Draw the robot see-through at every row of Q (N, n), each in a colour of its own (the first 12)."""
+        """Draw the robot see-through at every row of Q (N, n), the first 12 of them; eight colours, in turn."""
         names = [*labels]
         for k, q in enumerate(np.atleast_2d(Q)[:MAX_GHOSTS]):
             label = names[k] if k < len(names) else ""
@@ -109,7 +110,10 @@ class Scene:
             self.window.shape(f"{name}/{k}", Shape(*smooth(mesh), color))
         self.move(T, name)
         point = (self.body.T_world_base @ T)[:3, 3]
-        self._corners.append(np.array([point, point]))
+        if self._corners and np.linalg.norm(point - np.mean(self._corners, axis=(0, 1))) > FAR * self._extent():
+            label = label and f"{label} (outside the picture)"
+        else:
+            self._corners.append(np.array([point, point]))
         if label:
             bands = f"linear-gradient(90deg, {', '.join(css(color) for color in AXES)})"
             self._say(css(shapes[-1][1]) if free or target.ndim == 1 else bands, label)

@@ -277,6 +277,11 @@ class Solver:
         out = np.empty((1, self._width))
         self._kernel(*self.arrays(kind), T, start, out, self.pack(kind, given), history)
         history = history[: int(out[0, 6])]
+        if result.orientation_error is None:
+            history[:, 1] = np.nan
+        if result.status == Status.UNREACHABLE:  # the loop aims at the nearest point inside the bound
+            tips = self.robot.chain.forward(history[:, 2:].copy())[0]
+            history[:, 0] = np.linalg.norm(tips[:, :3, 3] - T[0, :3, 3], axis=1)
         result._history = {"position_error": history[:, 0], "orientation_error": history[:, 1], "q": history[:, 2:]}
 
     def finish(

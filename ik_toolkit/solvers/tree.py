@@ -148,6 +148,8 @@ class TreeSolver(Solver):
             history = np.empty((result.fk_evaluations + 1, 2 + self.robot.n))
             again, _ = self._descend(T, kinds, start, q0 is not None, history)
             history = history[: int(again[R_HISTORY])]
+            if result.orientation_error is None:
+                history[:, 1] = np.nan
             result._history = {"position_error": history[:, 0], "orientation_error": history[:, 1], "q": history[:, 2:]}
         if self.options.check:
             self._confirm(result, [x if kind == POSE else x[:3, 3] for x, kind in zip(T, kinds, strict=True)])
