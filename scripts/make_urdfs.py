@@ -7,10 +7,11 @@ from pathlib import Path
 import numpy as np
 
 from ik_toolkit.robot.dh import add_arm, add_pedestal, read_dh_table, to_urdf
+from ik_toolkit.robot.library import shipped_robots
 from ik_toolkit.robot.write import add_joint, add_link, add_shape, new_robot, shift, to_text
 
 URDF = Path(__file__).resolve().parent.parent / "urdf"
-TABLES = ("hydrolek_7w", "planar_3r", "planar_2r", "cartesian_pp", "inspection_7dof")
+TABLES = [name for name, entry in shipped_robots().items() if entry.dh_file and entry.dh_file.stem == name]
 
 # The machine of brokk_hydrolek is our assumption (the paper gives no dimensions): about the size of a small demolition
 # machine, held still on the ground; a turret on top carries both arms, mounted level and facing forward.
