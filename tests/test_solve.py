@@ -69,7 +69,7 @@ def test_names_classes_and_instances_mean_the_same():
         (dict(mask=("x",) * 6), errors.InvalidOption, "mask must be numbers"),
         (dict(joint_weights="ab"), errors.InvalidOption, "joint_weights must be numbers"),
         (dict(objective=["mid-range"]), errors.InvalidOption, "objective must be one of"),
-        (dict(limits="no"), errors.InvalidOption, "limits must be True or False"),
+        (dict(limits="no"), errors.InvalidOption, "limits must be True or False here, not 'no'"),
         (dict(seed=10**400), errors.InvalidOption, "seed"),
         (dict(solver="lm", damping=[1, 2]), errors.InvalidOption, r"finite numbers, not damping=\[1, 2\]"),
         (dict(solver=ik.LM(damping=None)), errors.InvalidOption, "parameters of solver 'lm'"),
@@ -126,6 +126,16 @@ def test_without_limits_a_slide_has_no_reach_bound(name):
     assert result.success
     assert not ik.solve(robot, robot.fk(q).translation, "lm", q0=robot.upper).success
     assert ik.solve(robots.load("planar_2r"), (3.0, 0.0, 0.0), "lm", limits=False).status == ik.Status.UNREACHABLE
+
+
+@pytest.mark.parametrize("solver", ["lm", "dls"])
+def test_a_used_up_budget_is_called_that(solver):
+    robot = robots.load("hydrolek_7w")
+    target = robot.fk(robot.lower * 0.3 + robot.upper * 0.7)
+    spent = ik.solve(robot, target, solver, max_evaluations=3)
+    assert not spent.success and "the 3 evaluations allowed were used up in 1 start;" in spent.message
+    assert "minimum" not in spent.message and "max_evaluations" in spent.message
+    assert "allowed" not in ik.solve(robot, target, solver, max_evaluations=1000).message
 
 
 def test_singular_planar_arm():

@@ -75,7 +75,8 @@ def make_options(given: dict[str, Any]) -> Options:
             raise InvalidOption(f"{name} must be one of {', '.join(WORDS[name])}, not {value!r}")
         elif name in ("limits", "history", "check", "closest"):
             if not isinstance(value, bool | np.bool_):  # "no" would be taken for yes
-                raise InvalidOption(f"{name} must be True or False, not {value!r}")
+                hint = " (what it is nearest to is q0)" if name == "closest" else ""
+                raise InvalidOption(f"{name} must be True or False here{hint}, not {value!r:.60}")
             values[name] = bool(value)
         elif name in ("mask", "joint_weights") and value is not None:
             array = floats(value, f"{name} must be numbers of at least 0", InvalidOption)

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..errors import NotSolved
-from ..kernel.loop import OUT_HEAD
+from ..kernel.loop import OUT_HEAD, R_EVALUATIONS
 
 if TYPE_CHECKING:
     from .solve import Solver
@@ -220,6 +220,10 @@ def sentence(result: Result) -> str:
         if result.restarts:
             text += f" after {result.restarts} restarts"
         return text
+    budget = result._solver.options.max_evaluations
+    if budget and row[R_EVALUATIONS] >= budget and status in (Status.STALLED, Status.ITERATION_LIMIT):
+        text = f"the {budget} evaluations allowed were used up in {starts} start{'s' * (starts > 1)}; closest {left}"
+        return f"{text}; allow more (max_evaluations)"
     if status == Status.UNREACHABLE:
         text = f"the target is beyond reach by {1000 * row[7]:.4g} mm (a bound from the link lengths); closest {left}"
     elif status == Status.STALLED and starts > 1:
