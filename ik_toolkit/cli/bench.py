@@ -77,8 +77,9 @@ def bench(
             raise KeyboardInterrupt from None
     write_json(found.to_dict(), as_json, output)
     if plot is not None:
-        found.plot(plot)
-        notice(f"wrote {plot}")
+        from ..show.studies import plot_benchmark
+
+        notice(f"wrote {plot_benchmark(found, plot)}")
     if not as_json:
         _show(found)
     if stopped:

@@ -1,46 +1,50 @@
-"""Pictures of studies: convergence of a tuning run, success over the workspace."""
+"""Pictures of studies: benchmarks, convergence of a tuning run, success over the workspace."""
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from ..errors import InvalidOption, MissingExtra
+from ..study.benchmark import Benchmark
 from ..study.tune import TuneResult
 from ..study.workspace import Workspace
-
-COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7")
-STYLE: Any = {
-    "font.size": 9,
-    "axes.titlesize": 9.5,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "legend.frameon": False,
-}
+from .plots import COLOURS, GREY, drawing, save
 
 
-def pyplot(file: Path) -> Any:
-    """Matplotlib's pyplot without a window. Raises MissingExtra, and InvalidOption for a file it cannot write."""
-    try:
-        import matplotlib
-    except ImportError:
-        raise MissingExtra("matplotlib", "plots") from None
-    if file.suffix.lower() not in (".png", ".pdf", ".svg"):
-        raise InvalidOption(f"a plot is written as .png, .pdf or .svg, not '{file.suffix}'")
-    matplotlib.use("Agg", force=False)
-    import matplotlib.pyplot as plt
-
-    return plt
+def plot_benchmark(found: Benchmark, file: str | Path) -> Path:
+    """Draw, a row a robot, the share of targets solved with its 95 % interval, and the share solved within a time."""
+    robots = list(dict.fromkeys(row.robot for row in found.rows))
+    solvers = list(dict.fromkeys(row.solver for row in found.rows))  # a solver has one colour everywhere
+    with drawing() as plt:
+        height = 0.7 + len(robots) * max(2.4, 0.7 + 0.3 * len(solvers))
+        figure, axes = plt.subplots(len(robots), 2, figsize=(9.0, height), layout="constrained", squeeze=False)
+        for (bars, times), robot in zip(axes, robots, strict=True):
+            rows = [row for row in found.rows if row.robot == robot]
+            for k, row in enumerate(rows):
+                at = solvers.index(row.solver)
+                style = {"color": COLOURS[at % len(COLOURS)], "ls": ("-", "--", ":")[at // len(COLOURS) % 3]}
+                bars.barh(-k, 100.0 * row.solved / row.targets, color=style["color"], height=0.62)
+                bars.plot([100.0 * row.low, 100.0 * row.high], [-k, -k], color="black", lw=1.2, marker="|", ms=6)
+                seconds = np.append(np.sort(row.seconds[: row.solved]), row.seconds.max())
+                share = 100.0 * np.append(np.arange(1, row.solved + 1), row.solved) / row.targets
+                times.step(1e6 * seconds, share, where="post", **style)
+            bars.set_yticks(-np.arange(len(rows)), [row.solver for row in rows])
+            bars.grid(False, axis="y")
+            bars.set(xlim=(0, 102), title=f"{robot}: targets solved, 95 % interval", xlabel="of 100 targets")
+            times.set(
+                xscale="log",
+                ylim=(0, 102),
+                title="solved within a time; colours as on the left",
+                xlabel="time of a solve [us]",
+            )
+        return save(figure, file)
 
 
 def plot_tuning(result: TuneResult, file: str | Path) -> Path:
     """Draw cost over generations, with the held-out result in words, to a .png, .pdf or .svg."""
-    path = Path(file)
-    plt = pyplot(path)
-    with plt.rc_context(STYLE):
+    with drawing() as plt:
         figure, axis = plt.subplots(figsize=(6.2, 3.4), layout="constrained")
         generation = np.arange(1, len(result.history) + 1)
-        axis.semilogy(generation, result.history[:, 2], color="0.7", lw=1, label="median of the generation")
+        axis.semilogy(generation, result.history[:, 2], color=GREY, lw=1, label="median of the generation")
         axis.semilogy(generation, result.history[:, 1], color=COLOURS[1], lw=1, label="best of the generation")
         axis.semilogy(generation, result.history[:, 0], color=COLOURS[0], lw=2, label="best so far")
         axis.set(xlabel="generation", ylabel="cost (1 = everything lost)")
@@ -50,16 +54,12 @@ def plot_tuning(result: TuneResult, file: str | Path) -> Path:
             f"{1000 * result.held_out.share:.1f} [{1000 * low:.1f}, {1000 * high:.1f}] of 1000 held-out goals after"
         )
         axis.legend(loc="upper right")
-        figure.savefig(path, dpi=160)
-        plt.close(figure)
-    return path
+        return save(figure, file)
 
 
 def plot_workspace(found: Workspace, file: str | Path) -> Path:
     """Draw, for each solver, the share of goals solved seen from the side and from above, failures marked."""
-    path = Path(file)
-    plt = pyplot(path)
-    with plt.rc_context(STYLE):
+    with drawing() as plt:
         rows = len(found.outcomes)
         figure, axes = plt.subplots(rows, 2, figsize=(9.0, 0.5 + 3.7 * rows), layout="constrained", squeeze=False)
         image = None
@@ -73,14 +73,13 @@ def plot_workspace(found: Workspace, file: str | Path) -> Path:
                 image = axis.imshow(
                     share.T, origin="lower", extent=extent, cmap="cividis", vmin=0, vmax=1, interpolation="nearest"
                 )
+                axis.grid(False)
                 bad = found.failures[name]
                 axis.plot(bad[:, keep[0]], bad[:, keep[1]], "o", mfc="none", mec=COLOURS[1], ms=3, mew=0.7)
-                axis.set(xlabel=f"{'xyz'[keep[0]]} (m)", ylabel=f"{'xyz'[keep[1]]} (m)", aspect="equal")
+                axis.set(xlabel=f"{'xyz'[keep[0]]} [m]", ylabel=f"{'xyz'[keep[1]]} [m]", aspect="equal")
             row[0].set_title(f"{name}: {outcome.solved} of {outcome.goals} solved, seen from above")
             row[1].set_title(
                 "seen from the side; circles: first failures" if len(found.failures[name]) else "from the side"
             )
         figure.colorbar(image, ax=axes, label="share of goals solved", shrink=0.7)
-        figure.savefig(path, dpi=160)
-        plt.close(figure)
-    return path
+        return save(figure, file)

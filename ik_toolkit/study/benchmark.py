@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import IKError, InvalidOption, MissingExtra, near_match
+from ..errors import IKError, InvalidOption, near_match
 from ..robot.robot import Robot
 from ..solvers.registry import ROWS
 from ..solvers.result import Status
@@ -77,27 +77,6 @@ class Benchmark:
             "rows": [row.to_dict() for row in self.rows],
             "skipped": [{"robot": a, "solver": b, "why": why} for (a, b), why in self.skipped.items()],
         }
-
-    def plot(self, file: Any) -> None:
-        """Draw, a panel a robot, the share of targets solved within a time; write PNG, SVG or PDF. Raises MissingExtra."""
-        try:
-            from matplotlib.figure import Figure
-        except ImportError:
-            raise MissingExtra("matplotlib", "plots") from None
-        robots = list(dict.fromkeys(row.robot for row in self.rows))
-        solvers = list(dict.fromkeys(row.solver for row in self.rows))  # a solver has one colour in all panels
-        figure = Figure(figsize=(5.0 * max(1, len(robots)), 4.0), layout="constrained")
-        axes = figure.subplots(1, max(1, len(robots)), squeeze=False, sharey=True)[0]
-        for axis, robot in zip(axes, robots, strict=False):
-            for row in (row for row in self.rows if row.robot == robot):
-                times = 1e6 * np.append(np.sort(row.seconds[: row.solved]), row.seconds.max())
-                share = 100.0 * np.append(np.arange(1, row.solved + 1), row.solved) / row.targets
-                axis.step(times, share, where="post", label=row.solver, color=f"C{solvers.index(row.solver)}")
-            axis.set(xscale="log", xlabel="time of a solve [us]", title=robot, ylim=(0, 102))
-            axis.grid(alpha=0.3)
-            axis.legend(loc="lower right", fontsize="small")
-        axes[0].set_ylabel("targets solved [%]")
-        figure.savefig(file)
 
 
 class BenchmarkInterrupted(KeyboardInterrupt):
