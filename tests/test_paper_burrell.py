@@ -8,6 +8,7 @@ import pytest
 import robots
 
 import ik_toolkit as ik
+from ik_toolkit.cli import main
 from ik_toolkit.papers import PAPERS
 from ik_toolkit.papers import burrell_2016 as paper
 
@@ -156,6 +157,14 @@ def test_published_goal_is_out_of_reach():
         goal = paper.TO_PAPER.T @ (np.array([-10.0, 50, -20]) * unit)
         result = ik.solve(robot, goal)
         assert not result.success and result.position_error > 0.5
+
+
+def test_a_folder_that_cannot_be_written_is_refused_before_the_work(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(paper, "reproduce", lambda: pytest.fail("the work started"))
+    (tmp_path / "file").touch()
+    for folder in (tmp_path / "file", tmp_path / "file" / "below"):
+        assert main(["reproduce", "burrell", "-o", str(folder)]) == 2
+        assert str(tmp_path / "file") in capsys.readouterr().err
 
 
 def test_paper_is_listed():

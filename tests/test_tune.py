@@ -14,7 +14,7 @@ from ik_toolkit.errors import InvalidOption
 from ik_toolkit.study.spaces import Parameter, make_space
 from ik_toolkit.study.statistics import wilson
 from ik_toolkit.study.targets import sample_targets
-from ik_toolkit.study.tune import Evolution, Score, Swarm, score, tune
+from ik_toolkit.study.tune import Evolution, Score, Swarm, forget, score, tune
 
 UNEQUAL = ik.StateSpace(A=np.diag(np.arange(6.0)), B=np.ones((6, 3)), C=np.eye(6))  # A is no multiple of I
 SMALL = dict(goals=150, held_out=2, population=8)
@@ -75,6 +75,24 @@ def test_published_matrices_are_the_same_solver_in_the_search():
     assert np.abs(runs[0] - runs[1]).max() < 1e-9
 
 
+def test_several_starts_from_the_published_matrices():
+    robot = robots.load("hydrolek_7w")
+    published = ik.StateSpace.preset("burrell-2016")
+    space = make_space(robot, "state-space", True, 6, published)
+    rule = space.build(space.start)
+    one = make_space(robot, "state-space", True, 1, published).build(
+        make_space(robot, "state-space", True, 1, published).start
+    )
+    assert np.abs(rule.B - one.B).max() < 1e-12 and rule.B.shape == (6, 6, 3)  # share 0: the published B at every start
+    assert (rule.A == one.A).all() and (rule.C == one.C).all() and rule.starts.shape == (6, 6)
+    own = space.make({**space.values(space.start), "share": 1.0})
+    q = own.starts[2]
+    loop = np.linalg.eigvals(robot.jacobian(q)[:3] @ own.C @ own.B[2])
+    assert 0.2 < np.abs(loop).max() < 1.2  # around the loop gain asked for, 0.5625
+    found = tune(robot, "state-space", maps=6, initial=published, generations=25, **SMALL)
+    assert found.before.share < 0.8 and found.held_out.share > 0.9
+
+
 @pytest.mark.parametrize(
     "call",
     [
@@ -109,6 +127,13 @@ def test_searches_find_a_minimum_at_a_wall_and_inside(engine):
     assert run(3) < 1e-4
     assert run(3) == run(3)
     assert run(3) != run(4)
+
+
+@pytest.mark.parametrize("method", ["cma", "pso"])
+def test_a_single_parameter_is_searched(method):
+    found = tune(robots.load("hydrolek_7w"), "dls", method=method, goals=100, held_out=1, generations=15, population=6)
+    assert make_space(robots.load("hydrolek_7w"), "dls", True).size == 1
+    assert found.history[-1, 0] < found.history[0, 0]
 
 
 @pytest.mark.parametrize("method", ["cma", "pso"])
@@ -152,7 +177,40 @@ def test_an_interrupted_search_keeps_the_best():
 
     found = tune(robots.load("hydrolek_7w"), "pid", generations=50, progress=stop, **SMALL)
     assert found.interrupted and len(found.history) == 2
-    assert found.held_out.share > 0.9
+    assert found.held_out.share > 0.9 and len(found.held_out.successes) == 1  # judged at once, not on all sets
+
+
+def test_ctrl_c_while_the_result_is_judged_keeps_it(monkeypatch):
+    from ik_toolkit.study import tune as module
+
+    calls = []
+
+    def interrupted_once(*arguments, **options):
+        calls.append(1)
+        if len(calls) == 2:
+            raise KeyboardInterrupt
+        return score(*arguments, **options)
+
+    monkeypatch.setattr(module, "score", interrupted_once)
+    found = tune(robots.load("hydrolek_7w"), "dls", generations=2, **SMALL)
+    assert found.interrupted and len(calls) == 5 and found.held_out.share > 0.9
+
+
+def test_only_a_record_of_a_search_is_overwritten(tmp_path):
+    robot = robots.load("hydrolek_7w")
+    other, mine = tmp_path / "other.npz", tmp_path / "mine.npz"
+    np.savez(other, data=np.ones(3))
+    for content in (other.read_bytes(), b"", b"something else"):
+        other.write_bytes(content)
+        with pytest.raises(InvalidOption, match="not the record"):
+            forget(other)
+        with pytest.raises(InvalidOption, match="not the record"):
+            tune(robot, "dls", checkpoint=other, **SMALL)
+        assert other.read_bytes() == content
+    tune(robot, "dls", generations=1, checkpoint=mine, **SMALL)
+    forget(mine)
+    assert not mine.exists()
+    forget(mine)  # nothing there: nothing to do
 
 
 # ------------------------------------------------------------------------------------------------------------ command
@@ -197,9 +255,13 @@ def test_command_refuses_with_a_sentence(tmp_path, capsys):
         ["tune", "hydrolek_7w", "state-space", "-o", "x.json"],
         ["tune", "hydrolek_7w", "state-space", "--from", "nothing"],
         ["tune", "hydrolek_7w", "lm", "--from", "burrell-2016"],
+        ["tune", "hydrolek_7w", "dls", "-o", str(tmp_path / "none" / "x.toml")],
+        ["tune", "hydrolek_7w", "dls", "-o", str(tmp_path / "x.toml"), "--resume"],
+        ["tune", "hydrolek_7w", "dls", "-o", str(tmp_path / "x.toml"), "--plot", str(tmp_path / "none" / "x.png")],
     ):
         assert main(arguments) == 2
         assert capsys.readouterr().err.startswith("ik: ")
+    assert not list(tmp_path.iterdir())
 
 
 def test_score_of_names_and_rules_agree():

@@ -13,7 +13,7 @@ from ik_toolkit.cli import main
 from ik_toolkit.errors import InvalidOption
 from ik_toolkit.study.singularity import escapes, measures
 from ik_toolkit.study.targets import sample_targets, stream_targets
-from ik_toolkit.study.workspace import envelope, workspace
+from ik_toolkit.study.workspace import WorkspaceInterrupted, envelope, workspace
 
 PUBLISHED = {"designed": "state-space", "published": ik.StateSpace.preset("burrell-2016")}
 
@@ -81,6 +81,27 @@ def test_an_executor_gives_the_same():
         there = workspace(robot, ["lm", "lm"], goals=300, tolerance=1e-3, executor=pool)
     assert list(here.outcomes) == ["lm", "lm 2"]
     assert [x.iterations for x in there.outcomes.values()] == [x.iterations for x in here.outcomes.values()]
+
+
+def test_ctrl_c_keeps_the_chunks_finished(tmp_path):
+    robot = robots.load("planar_3r")
+    file = tmp_path / "goals.csv"
+
+    def stop(done):
+        if done == 2 * 8192:
+            raise KeyboardInterrupt
+
+    with pytest.raises(WorkspaceInterrupted) as caught:
+        workspace(robot, ["lm", "dls"], goals=10**7, file=file, progress=stop, tolerance=1e-3)
+    found = caught.value.result
+    rows = list(csv.DictReader(file.read_text().splitlines()))
+    assert len(rows) == 2 * 8192
+    for name, one in found.outcomes.items():
+        assert one.goals == 2 * 8192 == found.map[name][0].sum()
+        assert one.solved == sum(int(row[f"{name} success"]) for row in rows)
+
+    whole = workspace(robot, ["lm", "dls"], goals=2 * 8192, tolerance=1e-3)
+    assert {k: v.solved for k, v in whole.outcomes.items()} == {k: v.solved for k, v in found.outcomes.items()}
 
 
 def test_poses_and_mistakes(tmp_path):

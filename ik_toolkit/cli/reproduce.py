@@ -2,6 +2,7 @@
 
 import importlib
 import importlib.util
+import os
 from pathlib import Path
 from typing import Annotated
 
@@ -46,6 +47,9 @@ def reproduce(paper: PaperArg = None, output: Folder = None, as_json: Json = Fal
     folder = output or Path(f"reproduce-{paper}")
     if folder.exists() and not folder.is_dir():
         raise InvalidOption(f"-o takes a folder, and {folder} is a file")
+    folder.mkdir(parents=True, exist_ok=True)  # what cannot be written is known before the work starts
+    if not os.access(folder, os.W_OK):
+        raise InvalidOption(f"cannot write to '{folder}': no permission")
     notice(f"computing the report of '{paper}': takes a minute or two ...")
     report = getattr(importlib.import_module(module), function)()
     files = report.write(folder)

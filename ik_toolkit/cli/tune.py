@@ -29,9 +29,7 @@ Method = Annotated[str, typer.Option("-m", "--method", metavar="cma|pso", help="
 Pose = Annotated[bool, typer.Option("--pose", help="Goals are poses; default: positions.")]
 Maps = Annotated[
     int | None,
-    typer.Option(
-        metavar="K", help="state-space: K starts, each with its map; 1: as published. Default 32, with --from 1."
-    ),
+    typer.Option(metavar="K", help="state-space: K starts, each with its map; 1: as published. Default 32."),
 ]
 From = Annotated[str | None, typer.Option("--from", metavar="PRESET", help="Preset the search starts from.")]
 Goals = Annotated[int, typer.Option(metavar="N", help="Training goals.")]
@@ -94,6 +92,7 @@ def tune(
     arm = load_robot(robot, tip, base, lock, package_dir, deg)
 
     from ..solvers.registry import find_row
+    from ..study.tune import forget
     from ..study.tune import tune as search
 
     cls = find_row(solver).load()
@@ -102,8 +101,11 @@ def tune(
     preset = output or Path(f"{Path(robot).stem}-{solver}.toml")
     writes(".toml")(preset)
     record = preset.with_suffix(".npz")
+    writes(".npz")(record)
+    if resume and not record.exists():
+        raise InvalidOption(f"there is nothing to resume: no file '{record}'")
     if not resume:
-        record.unlink(missing_ok=True)
+        forget(record)
 
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
@@ -139,7 +141,7 @@ def tune(
             progress=step,
         )
     result.save(preset)
-    if plot is not None:
+    if plot is not None and not result.interrupted:
         from ..show.studies import plot_tuning
 
         plot_tuning(result, plot)
@@ -157,4 +159,5 @@ def tune(
             )
         )
     if result.interrupted:
-        notice(f"interrupted: the best so far is kept; --resume goes on from {record}")
+        notice(f"the best so far is in {preset}, judged on one set; --resume goes on from {record}")
+        raise KeyboardInterrupt

@@ -1,8 +1,9 @@
 """`ik workspace`: the reach of a robot, and where in it solvers succeed."""
 
+import signal
 from contextlib import nullcontext
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -27,6 +28,9 @@ from .common import (
     write_json,
     writes,
 )
+
+if TYPE_CHECKING:
+    from ..study.workspace import Workspace
 
 Solvers = Annotated[
     list[str] | None, typer.Option("-s", "--solver", metavar="NAME", help="May be repeated; default lm.")
@@ -88,12 +92,16 @@ def workspace(
     plot: Plot = None,
     html: Html = None,
 ) -> None:
-    """Sample goals over the workspace and report, for each solver, successes, iterations, errors and failures."""
+    """Sample goals over the workspace and report, for each solver, successes, iterations, errors and failures.
+
+    Ctrl-C keeps and reports what is finished (no pictures).
+    """
     if workers is not None and workers < 1:
         raise InvalidOption(f"--workers must be at least 1, not {workers}")
     arm = load_robot(robot, tip, base, lock, package_dir, deg)
 
     from ..solvers.registry import find_row
+    from ..study.workspace import WorkspaceInterrupted
     from ..study.workspace import workspace as study
 
     chosen: dict = {name: name for name in solver or ([] if preset else ["lm"])}
@@ -106,6 +114,7 @@ def workspace(
             )
         chosen[f"{name} {Path(which).stem}"] = cls.preset(which)
     options = {"max_iterations": max_iterations, "restarts": restarts}
+    stopped = False
     start = None if q0 is None else joint_vector(arm, q0, "--q0", deg)
 
     from concurrent.futures import ProcessPoolExecutor
@@ -114,39 +123,50 @@ def workspace(
     from rich.progress import Progress
 
     console = Console(stderr=True)
-    pool = nullcontext() if workers is None else ProcessPoolExecutor(workers)
+    ignore = (signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the workers too; only this process answers it
+    pool = (
+        nullcontext() if workers is None else ProcessPoolExecutor(workers, initializer=signal.signal, initargs=ignore)
+    )
     bar = Progress(console=console, transient=True, disable=not console.is_terminal)
     with compile_notice(), pool as executor, bar:
         task = bar.add_task("solving", total=goals)
-        found = study(
-            arm,
-            chosen,
-            goals=goals,
-            how=how,
-            position_only=not pose,
-            seed=seed,
-            q0=start,
-            file=csv,
-            executor=executor,
-            progress=lambda done: bar.update(task, completed=done),
-            tolerance=tolerance,
-            **{key: value for key, value in options.items() if value is not None},
-        )
-    if plot is not None:
+        try:
+            found = study(
+                arm,
+                chosen,
+                goals=goals,
+                how=how,
+                position_only=not pose,
+                seed=seed,
+                q0=start,
+                file=csv,
+                executor=executor,
+                progress=lambda done: bar.update(task, completed=done),
+                tolerance=tolerance,
+                **{key: value for key, value in options.items() if value is not None},
+            )
+        except WorkspaceInterrupted as interrupt:
+            found, stopped = interrupt.result, True
+    if plot is not None and not stopped:
         from ..show.studies import plot_workspace
 
         plot_workspace(found, plot)
-    if html is not None:
+    if html is not None and not stopped:
         from ..show.scene import view
 
         first = next(iter(found.solved))
         view(arm, cloud=(found.points, found.solved[first]), title=f"{arm.name}: goals of {first}").save(html)
     write_json(found.to_dict(), as_json, output)
-    if as_json:
-        return
+    if not as_json:
+        _show(found)
+    if stopped:
+        raise KeyboardInterrupt
+
+
+def _show(found: "Workspace") -> None:
     box = " by ".join(f"{a:.3f}..{b:.3f}" for a, b in zip(found.low, found.high, strict=True))
     near, far = found.radius
-    show(facts({"reach, sampled": f"x, y, z {box} m; {near:.3f} to {far:.3f} m from the base"}))
+    show(facts({"reach, sampled": f"x, y, z {box} m", "from the base": f"{near:.3f} to {far:.3f} m"}))
     made = table("<solver", "<solved", "<per 1000", ">steps", ">worst\n(mm)", "<not solved")
     for name, outcome in found.outcomes.items():
         data = outcome.to_dict()

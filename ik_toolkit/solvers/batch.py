@@ -1,6 +1,7 @@
 """Many targets at once: compiled, on all cores, in parts, with the same bytes for any number of threads or workers."""
 
 import functools
+import math
 import os
 import pickle
 import threading
@@ -20,9 +21,10 @@ from ..kernel.task import POSE, POSITION
 from ..robot.pose import check_target
 from ..robot.robot import Robot
 from .result import Result, Status
-from .solve import Solver, automatic
+from .solve import FAR_START, Solver, automatic
 
-PART, REMOTE_PART = 2048, 4096  # rows handed to a thread, and to a worker of an executor
+PART, REMOTE_PART = 2048, 4096  # most rows handed to a thread, and rows handed to a worker of an executor
+LEAST_PART = 128  # smaller batches are shared out evenly over the threads, but not in smaller parts than this
 AHEAD, REMOTE_AHEAD = 4, 64  # parts waiting per thread, and in all at an executor: an iterator is never read far ahead
 SLICE = 0.05  # s; a thread looks up this often whether it shall stop
 R_MOVE = R_HISTORY  # a batch keeps no history; in a chain its slot holds the largest joint move
@@ -139,9 +141,10 @@ def _starts(solver: Solver, q0: np.ndarray, first: int) -> np.ndarray:
     bad = ~np.isfinite(q0).all(axis=1)
     if bad.any():
         raise InvalidConfiguration(f"q0 of target {first + int(np.argmax(bad))} is not finite")
-    if not solver.options.limits:
-        return q0
-    inside = np.clip(q0, solver.robot.lower, solver.robot.upper)
+    inside = np.clip(q0, solver.robot.lower, solver.robot.upper) if solver.options.limits else q0
+    bad = (np.abs(inside / solver.robot.chain.unit) >= FAR_START).any(axis=1)
+    if bad.any():
+        raise InvalidConfiguration(f"q0 of target {first + int(np.argmax(bad))} is too large a number")
     if solver.options.q0_outside == "refuse" and (inside != q0).any():
         k = int(np.argmax((inside != q0).any(axis=1)))
         raise InvalidConfiguration(
@@ -349,7 +352,10 @@ def solve_parts(
     if first is None:
         return iter(())
     local.pack(POSITION if first.ndim == 2 else POSE, starts is not None)  # a solver that cannot do it says so here
-    jobs = _jobs(joined([first], chunks), starts, PART if executor is None else REMOTE_PART)
+    size = PART if executor is None else REMOTE_PART
+    if executor is None and known is not None:
+        size = min(size, max(LEAST_PART, math.ceil(len(known) / count)))
+    jobs = _jobs(joined([first], chunks), starts, size)
     if chain:
         tables = _on_a_chain(local, jobs, every)
     elif executor is not None:

@@ -84,7 +84,9 @@ def make_space(robot: Robot, solver: str, position_only: bool, maps: int = 1, in
     if isinstance(maps, bool) or int(maps) != maps or not 1 <= maps <= 4096:
         raise InvalidOption(f"maps must be a whole number from 1 to 4096, not {maps!r}")
     if solver == "state-space":
-        return _several_maps(robot, position_only, maps) if maps > 1 else _one_map(robot, position_only, initial)
+        if maps == 1:
+            return _one_map(robot, position_only, initial)
+        return _several_maps(robot, position_only, maps) if initial is None else _split(robot, maps, initial)
     if maps != 1:
         raise InvalidOption(f"only state-space has maps, not '{solver}'")
     if solver == "pid":
@@ -156,6 +158,27 @@ def _several_maps(robot: Robot, position_only: bool, maps: int) -> Space:
     parameters = (_start(robot, starts), Parameter("kappa", 0.2, 1.6, 0.9 if position_only else 0.6))
     initial = make({"starts": starts, "kappa": parameters[1].initial})
     return Space(parameters, initial, make, spread=0.08)
+
+
+def _split(robot: Robot, maps: int, initial: StateSpace) -> Space:
+    """A = a I, C = -0.05 I, literal delay, several starts: each B goes from the given one (share 0) to that start's own (share 1)."""
+    n, eye = robot.n, np.eye(robot.n)
+    a, B = _plain(initial, n)
+    position_only = B.shape[1] == 3
+    starts = spread_starts(robot, position_only, maps)
+
+    def make(values: dict[str, Any]) -> StateSpace:
+        where, share = values["starts"], values["share"]
+        own = values["kappa"] / C_FIXED * inverse_maps(robot, where, position_only)
+        return StateSpace(A=values["a"] * eye, B=(1.0 - share) * B + share * own, C=C_FIXED * eye, starts=where)
+
+    parameters = (
+        _start(robot, starts),
+        Parameter("share", 0.0, 1.0, 0.0),
+        Parameter("kappa", 0.1, 1.4, 0.5625),  # both poles at 0.25 for a = -0.5
+        Parameter("a", -0.95, 0.6, a),
+    )
+    return Space(parameters, initial, make)
 
 
 def _pid(robot: Robot, position_only: bool, initial: PID | None) -> Space:

@@ -2,6 +2,7 @@
 
 import importlib.util
 import math
+import zipfile
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -21,6 +22,7 @@ from .targets import sample_targets
 
 METHODS = ("cma", "pso")
 MAPS = 32  # starts of a tuned state-space solver
+JUDGED_SOON = 1  # held-out sets after Ctrl-C, which shall not be kept waiting
 FINALISTS = 8  # best candidates of the search that meet the validation goals
 SEARCH_ITERATIONS = 300  # limit while searching: lost goals cost most of the time, and slow ones shall count as lost
 TRAIN, VALIDATION, HELD_OUT = 1, 2, 3  # streams of the seed: the three sets never share a goal
@@ -85,7 +87,7 @@ class TuneResult:
 
     rule: the tuned rule (give it to solve, Solver, solve_batch); train, held_out, before: Score on the training goals, on goals
     of fresh seeds, and of the rule the search started from on the same fresh goals. history: best cost so far, best and median of
-    each generation. interrupted: stopped by Ctrl-C, the best so far is kept.
+    each generation. interrupted: stopped by Ctrl-C, the best on the training goals so far is kept and judged on one set only.
     """
 
     robot: str
@@ -176,12 +178,16 @@ class Evolution:
         import cma
 
         options = {"bounds": [0.0, 1.0], "popsize": population, "seed": seed % 2**31 + 1, "verbose": -9}
+        self.size = len(start)
+        start = (
+            np.append(start, 0.5) if self.size == 1 else start
+        )  # the package fails on one dimension: an idle second one
         self.engine = cma.CMAEvolutionStrategy(start, spread, options)
 
     def ask(self) -> np.ndarray:
         """Candidates (population, d)."""
         self.asked = self.engine.ask()
-        return np.array(self.asked)
+        return np.array(self.asked)[:, : self.size]
 
     def tell(self, costs: np.ndarray) -> None:
         """Learn the costs."""
@@ -210,8 +216,9 @@ def tune(
 ) -> TuneResult:
     """Search parameters and start configurations of a solver with CMA-ES or a particle swarm.
 
-    maps: state-space only, number of starts; 1 tunes the published structure (a, B, start; C fixed, which loses nothing), more
-    tune starts whose maps are designed; default 32, or 1 when `initial`, the rule to start from, is given. goals: training
+    maps: state-space only, number of starts, default 32; 1 tunes the published structure (a, B, start; C fixed, which loses
+    nothing), more tune starts whose maps are designed. initial: the rule to start from; a state-space rule keeps its structure
+    (a, B, C, literal delay), and with several starts each B is searched between the given one and its own. goals: training
     goals; held_out: sets of 1000 fresh goals that judge the result. cost of a candidate: share of failures, plus a tenth of how
     far they were off (of the length scale), plus 0.02 mean iterations / max_iterations. seconds: stop the search after so long.
     checkpoint: file that holds what was evaluated; when it exists the search goes on from there. progress(generation, costs).
@@ -223,7 +230,7 @@ def tune(
         raise MissingExtra("cma", "tune")
     row = find_row(solver)
     if maps is None:
-        maps = MAPS if row.name == "state-space" and initial is None else 1
+        maps = MAPS if row.name == "state-space" else 1
     space = make_space(robot, row.name, position_only, maps, initial)
     options = {"tolerance": tolerance, "max_iterations": max_iterations}
     size = population or 4 + 2 * int(3 * math.log(space.size))
@@ -234,10 +241,18 @@ def tune(
     train = draw(TRAIN, goals)
     begun = perf_counter()
     search = _Search(robot, space, train, {**options, "max_iterations": min(max_iterations, SEARCH_ITERATIONS)})
-    record = _Record(checkpoint, f"{robot.name} {row.name} {method} {space.size} {size} {goals} {seed} {options} {how}")
+    task = f"{robot.name} {robot.base} {robot.tip} {'positions' if position_only else 'poses'} {how} {goals} {seed} {options}"
+    record = _Record(checkpoint, f"{row.name} {method} {space.size} {size} {task}")
     engine = (Evolution if method == "cma" else Swarm)(space.start, space.spread, size, seed)
     history: list[tuple[float, float, float]] = []
     interrupted = False
+    rule: Any = None
+    fresh = [draw(HELD_OUT, 1000, k) for k in range(held_out)]
+
+    def judge(sets: list[np.ndarray]) -> list[Score]:
+        known = ((rule, [train]), (rule, sets), (space.initial, sets))
+        return [score(robot, one, goals, **options) for one, goals in known]
+
     try:
         for generation in range(generations):
             if seconds is not None and perf_counter() - begun > seconds:
@@ -252,25 +267,27 @@ def tune(
             history.append((search.best[0][0], float(costs.min()), float(np.median(costs))))
             if progress is not None:
                 progress(generation + 1, costs)
+        if not search.best:  # no generation was asked for, or no time for one
+            search.note(space.start[None], np.array([search.cost(space.start)]))
+        validation = draw(VALIDATION, 2 * goals)
+        judged = [(search.cost(x, validation), k, x) for k, (_, x) in enumerate(search.best)]
+        rule = space.build(min(judged)[2])
+        scores = judge(fresh)
     except KeyboardInterrupt:
         interrupted = True
         if not search.best:
             raise
-    if not search.best:  # no generation was asked for, or no time for one
-        search.note(space.start[None], np.array([search.cost(space.start)]))
-    validation = draw(VALIDATION, 2 * goals)
-    judged = [(search.cost(x, validation), k, x) for k, (_, x) in enumerate(search.best)]
-    rule = space.build(min(judged)[2])
-    fresh = [draw(HELD_OUT, 1000, k) for k in range(held_out)]
+        rule = rule or space.build(search.best[0][1])
+        scores = judge(fresh[:JUDGED_SOON])
     return TuneResult(
         robot=robot.name,
         solver=row.name,
         method=method,
         position_only=position_only,
         rule=rule._replace(tuned=options) if "tuned" in rule._fields else rule,
-        train=score(robot, rule, [train], **options),
-        held_out=score(robot, rule, fresh, **options),
-        before=score(robot, space.initial, fresh, **options),
+        train=scores[0],
+        held_out=scores[1],
+        before=scores[2],
         options=options,
         history=np.array(history).reshape(-1, 3),
         evaluations=len(history) * size,
@@ -301,32 +318,46 @@ class _Search:
         self.best = sorted(found, key=lambda pair: pair[0])[:FINALISTS]
 
 
+def forget(file: Path) -> None:
+    """Remove the record of an earlier search. Raises InvalidOption when the file is none."""
+    if file.exists():
+        _Record.read(file)
+        file.unlink()
+
+
 class _Record:
-    """What was evaluated, on disk after every generation; a resumed search replays it."""
+    """Costs of every generation, on disk; a resumed search replays them. First candidates tell whether it is the same search."""
 
     def __init__(self, file: str | Path | None, key: str) -> None:
         self.file = None if file is None else Path(file)
         self.key = key
-        self.X: list[np.ndarray] = []
+        self.first: list[np.ndarray] = []
         self.costs: list[np.ndarray] = []
         if self.file is not None and self.file.exists():
-            with np.load(self.file) as old:
-                if str(old["key"]) != key:
-                    raise InvalidOption(f"{file} belongs to another search: {old['key']}")
-                self.X, self.costs = list(old["X"]), list(old["costs"])
+            known, self.first, self.costs = self.read(self.file)
+            if known != key:
+                raise InvalidOption(f"{file} belongs to another search: {known}")
+
+    @staticmethod
+    def read(file: Path) -> tuple[str, list[np.ndarray], list[np.ndarray]]:
+        try:
+            with np.load(file) as old:
+                return str(old["key"]), list(old["first"]), list(old["costs"])
+        except (OSError, ValueError, KeyError, EOFError, AttributeError, TypeError, zipfile.BadZipFile):
+            raise InvalidOption(f"{file} is not the record of a search: move it away, or write elsewhere") from None
 
     def replay(self, generation: int, X: np.ndarray) -> np.ndarray | None:
-        if generation >= len(self.X):
+        if generation >= len(self.costs):
             return None
-        if not np.allclose(X, self.X[generation], atol=1e-9):
+        if not np.allclose(X[0], self.first[generation], atol=1e-9):
             raise InvalidOption(f"{self.file} cannot be continued: the optimiser asks other candidates now; delete it")
         return self.costs[generation]
 
     def add(self, X: np.ndarray, costs: np.ndarray) -> None:
-        self.X.append(X.copy())
+        self.first.append(X[0].copy())
         self.costs.append(costs.copy())
         if self.file is not None:
             part = self.file.with_name(self.file.name + ".part")
             with part.open("wb") as out:
-                np.savez(out, key=self.key, X=np.array(self.X), costs=np.array(self.costs))
+                np.savez(out, key=self.key, first=np.array(self.first), costs=np.array(self.costs))
             part.replace(self.file)

@@ -1,6 +1,7 @@
 """Workspace: how far the tip reaches, and where in it solvers succeed, how fast and how closely."""
 
 import csv
+import io
 import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
@@ -87,6 +88,15 @@ class Workspace:
         }
 
 
+class WorkspaceInterrupted(KeyboardInterrupt):
+    """Ctrl-C during a workspace study; `result` is the Workspace of the goals finished before it."""
+
+    def __init__(self, result: Workspace) -> None:
+        """Keep what was finished."""
+        super().__init__(f"interrupted after {next(iter(result.outcomes.values())).goals} goals")
+        self.result = result
+
+
 def envelope(robot: Robot, count: int = ENVELOPE, seed: int = 0) -> tuple[np.ndarray, np.ndarray, tuple[float, float]]:
     """Box (low, high) and nearest and farthest distance from the base origin of sampled tips [m]: inner bounds of the reach."""
     points = sample_targets(robot, count, seed, position_only=True)
@@ -113,8 +123,8 @@ def workspace(
     solvers: names or rules, or a mapping of labels to them. how: 'joints' or 'volume', see `sample_targets`. file: a .csv that
     receives every goal as it is solved (x, y, z, then success, status, iterations, position_error, orientation_error a
     solver), so that millions of goals need no more memory than a chunk. executor: as for `solve_batch`. options: as for
-    `solve`. Goals depend on (seed, chunk) only.
-    Raises InvalidOption and what `solve_batch` raises.
+    `solve`. Goals depend on (seed, chunk) only. Ctrl-C raises WorkspaceInterrupted, a KeyboardInterrupt whose `result` holds the
+    chunks finished, as the file does. Raises InvalidOption and what `solve_batch` raises.
     """
     if not solvers:
         raise InvalidOption("workspace needs at least one solver")
@@ -129,21 +139,30 @@ def workspace(
     points: list[np.ndarray] = []
     solved: dict[str, list[np.ndarray]] = {name: [] for name in names}
     kept = done = 0
-    with _Table(file, names) as table:
+    table = _Table(file, names)
+    interrupted = False
+    try:
         for targets in stream_targets(robot, goals, seed, how=how, position_only=position_only):
             xyz = targets if targets.ndim == 2 else targets[:, :3, 3]
             index = np.clip(((xyz - low) / cell).astype(int), 0, shape - 1)
-            columns = []
-            for name, solver in named.items():
+            columns, seconds = [], []
+            for solver in named.values():
                 begun = time.perf_counter()
                 parts = list(solve_parts(robot, targets, solver, q0=q0, executor=executor, check=0.0, **options))
-                outcomes[name].elapsed += time.perf_counter() - begun
+                seconds.append(time.perf_counter() - begun)
                 part = {
                     key: np.concatenate([getattr(one, key) for one in parts])
                     for key in ("success", "status", "iterations", "position_error")
                 }
                 angle = [one.orientation_error for one in parts if one.orientation_error is not None]
                 part["orientation_error"] = np.concatenate(angle) if angle else np.full(len(xyz), np.nan)
+                columns.append(part)
+            lines = table.lines(
+                xyz, columns
+            )  # slow: a Ctrl-C comes before the chunk counts, or after, hardly ever within
+            table.write(lines)
+            for name, part, elapsed in zip(names, columns, seconds, strict=True):
+                outcomes[name].elapsed += elapsed
                 _count(outcomes[name], part)
                 np.add.at(maps[name][0], tuple(index.T), 1)
                 np.add.at(maps[name][1], tuple(index.T), part["success"])
@@ -152,15 +171,19 @@ def workspace(
                     failures[name].append(np.column_stack([xyz[bad], part["position_error"][bad]]))
                 if kept < KEEP:
                     solved[name].append(part["success"])
-                columns.append(part)
             if kept < KEEP:
                 points.append(xyz.copy())
                 kept += len(xyz)
-            table.write(xyz, columns)
             done += len(xyz)
             if progress is not None:
                 progress(done)
-    return Workspace(
+    except KeyboardInterrupt:
+        if not done:
+            raise
+        interrupted = True
+    finally:
+        table.close()
+    found = Workspace(
         robot.name,
         low,
         high,
@@ -172,6 +195,9 @@ def workspace(
         np.concatenate(points),
         {name: np.concatenate(rows) for name, rows in solved.items()},
     )
+    if interrupted:
+        raise WorkspaceInterrupted(found)
+    return found
 
 
 def _names(solvers: Sequence[Any]) -> list[str]:
@@ -209,19 +235,20 @@ class _Table:
             if Path(file).suffix.lower() != ".csv":
                 raise InvalidOption(f"the goals are written as .csv, not '{Path(file).name}'")
             self.out = Path(file).open("w", newline="", encoding="utf-8")
-            self.writer = csv.writer(self.out)
-            self.writer.writerow(["x", "y", "z", *(f"{name} {key}" for name in names for key in self.FIELDS)])
+            csv.writer(self.out).writerow(["x", "y", "z", *(f"{name} {key}" for name in names for key in self.FIELDS)])
 
-    def write(self, xyz: np.ndarray, columns: list[dict[str, np.ndarray]]) -> None:
+    def lines(self, xyz: np.ndarray, columns: list[dict[str, np.ndarray]]) -> str:
         if self.out is None:
-            return
-        lists = [part[key].tolist() for part in columns for key in self.FIELDS]
-        for k, point in enumerate(xyz.tolist()):
-            self.writer.writerow([*point, *(int(x[k]) if isinstance(x[k], bool) else x[k] for x in lists)])
+            return ""
+        lists = [(part[key] + 0 if key == "success" else part[key]).tolist() for part in columns for key in self.FIELDS]
+        text = io.StringIO()
+        csv.writer(text).writerows(zip(*xyz.T.tolist(), *lists, strict=True))
+        return text.getvalue()
 
-    def __enter__(self) -> "_Table":
-        return self
+    def write(self, lines: str) -> None:
+        if self.out is not None:
+            self.out.write(lines)
 
-    def __exit__(self, *_: Any) -> None:
+    def close(self) -> None:
         if self.out is not None:
             self.out.close()

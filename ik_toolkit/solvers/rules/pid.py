@@ -14,6 +14,9 @@ from ..presets import check_starts, load_preset
 UNITS = {"si": 1.0, "mm-deg": 1000.0 * math.pi / 180.0}  # rad/m per unit of gain
 
 
+ROUNDING = 1e-14  # of the length scale; smaller gains of a trial are noise of the arithmetic
+
+
 class PID(NamedTuple):
     """IK-PID, Algorithm I: for each joint, tip first, try q + d and q - d with d = kp |e| + ki sum|e| + kd (change of |e|).
 
@@ -101,7 +104,7 @@ def _pid(cls, p, s, e):
             count += 1
             ratio = angle_ratio(f.rr)
             value = math.sqrt(f.pp + weight * ratio * ratio * f.rr)
-            if value < least:
+            if value < least - ROUNDING:  # not moving wins ties, as of a roll about the tip when only positions count
                 least = value
                 kept = trial
                 done = f.pp < tp and f.rr < tr
