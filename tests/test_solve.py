@@ -128,6 +128,16 @@ def test_without_limits_a_slide_has_no_reach_bound(name):
     assert ik.solve(robots.load("planar_2r"), (3.0, 0.0, 0.0), "lm", limits=False).status == ik.Status.UNREACHABLE
 
 
+def test_a_start_beyond_all_digits_is_refused():
+    robot = robots.load("continuous_mix")  # whose continuous joints no limit clamps
+    T, q0 = robot.fk(robot.home).homogeneous, np.full(robot.n, 1e16)
+    for call in (ik.solve, ik.Solver(robot, "lm"), ik.solve_batch, ik.solve_all):
+        arguments = (T,) if isinstance(call, ik.Solver) else (robot, T[None] if call is ik.solve_batch else T)
+        with pytest.raises(errors.InvalidConfiguration, match="too large a number"):
+            call(*arguments, q0=q0)
+    assert ik.solve(robot, T, q0=1e8 * np.ones(robot.n)).success
+
+
 @pytest.mark.parametrize("solver", ["lm", "dls"])
 def test_a_used_up_budget_is_called_that(solver):
     robot = robots.load("hydrolek_7w")

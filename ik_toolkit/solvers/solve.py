@@ -46,6 +46,7 @@ FLOAT = np.dtype(np.float64)  # one object in a process, so `is` tells; other ki
 MARGIN = 1.0 - 1e-9  # the kernel tests a little inside the tolerance, so that Pinocchio's rounding cannot disagree
 CLOSEST = 16  # solutions to compare when the one nearest q0 is asked for
 REFINE_STEPS = 60
+FAR_START = 1e15  # joint values (kernel units) from which on a start is refused, see kernel.checks.legal
 NEVER = (np.inf, 1.0, np.inf, 1.0)
 EXACT = {  # options that a closed form honours or has no use for; 'auto' takes 'lm' when any other is given
     "tolerance", "position_tolerance", "orientation_tolerance", "max_iterations", "max_evaluations", "restarts", "seed",
@@ -212,9 +213,11 @@ class Solver:
     def _start(self, q0: Any) -> tuple[np.ndarray, str]:
         """Validate q0; clamp it into the limits or refuse it. Returns (1, n) and a notice."""
         q = self.robot.check_q(q0, "q0")
-        if not self.options.limits:
-            return q[None], ""
-        inside = np.clip(q, self._lower, self._upper)
+        inside = np.clip(q, self._lower, self._upper) if self.options.limits else q
+        far = np.abs(inside / self.robot.chain.unit) >= FAR_START
+        if far.any():
+            names = ", ".join(j for j, x in zip(self.robot.joint_names, far, strict=True) if x)
+            raise InvalidConfiguration(f"q0 is too large a number at joint {names}: no digit is left for the angle")
         if (inside == q).all():
             return q[None], ""
         names = ", ".join(self.robot.outside(q))
