@@ -52,8 +52,8 @@ class Body:
         self.model = robot.model
         self.data = self.model.createData()
         self.notice = ""
-        arms = getattr(robot, "arms", (robot,))
-        self.arms = arms
+        self.arms: Any = getattr(robot, "arms", (robot,))
+        arms = self.arms
         try:
             self.geometry = _read(arms[0])
             self.parts = [Part(g.name, _shapes(g)) for g in self.geometry.geometryObjects]
@@ -115,9 +115,9 @@ def _read(robot: Any) -> pin.GeometryModel:
 def _shapes(geometry: Any) -> tuple[Shape, ...]:
     """Triangles of one geometry object of Pinocchio."""
     trimesh = need_trimesh()
-    given = tuple(float(c) for c in geometry.meshColor)
-    named = geometry.overrideMaterial or max(given[:3]) > 0.0
-    color, opacity = (given[:3] if named else GREY), (given[3] if named else 1.0)
+    *rgb, alpha = (float(c) for c in geometry.meshColor)
+    named = geometry.overrideMaterial or max(rgb) > 0.0
+    color, opacity = ((rgb[0], rgb[1], rgb[2]), alpha) if named else (GREY, 1.0)
     path = Path(geometry.meshPath)
     if path.suffix.lower() in (".dae", ".stl", ".obj", ".ply", ".glb", ".gltf", ".off"):
         scale = np.asarray(geometry.meshScale)

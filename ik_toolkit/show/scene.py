@@ -187,7 +187,7 @@ class Scene:
         between = max(1, min(BETWEEN, MAX_FRAMES // len(rows)))
         frames, labels = [], []
         for k, row in enumerate(rows):
-            text = f"evaluation {row}: {length(position[row])}"
+            text = f"evaluation {row}: {length(float(position[row]))}"
             if angle is not None and np.isfinite(angle[row]):
                 text += f", {np.degrees(angle[row]):.3g} deg"
             last = k + 1 == len(rows)
@@ -310,7 +310,8 @@ def view(robot: Joints, what: Any = None, *, target: Any = None, cloud: Any = No
     """
     scene = Scene(robot, title)
     run = hasattr(what, "target_xyz")
-    rows = np.atleast_2d(what.q) if hasattr(what, "q") else _rows(robot, robot.home if what is None else what)
+    what = robot.home if what is None else what
+    rows = np.atleast_2d(what.q) if hasattr(what, "q") else _rows(robot, what)
     if not len(rows):
         raise InvalidOption("there is nothing to show: no configuration in the list")
     many = len(rows) > 1 and not run

@@ -15,7 +15,8 @@ class Stage:
 
     def __init__(self, client: Any, body: Body, q: np.ndarray, frames: bool, dragged: Callable[[], None]) -> None:
         """Draw the robot at q; `dragged` is called when the visitor moves the target."""
-        self.client, self.body, self.robot = client, body, body.robot
+        self.client, self.body = client, body
+        self.robot: Any = body.robot
         scene, robot = client.scene, self.robot
         low, high = body.bounds(q)
         self.size = float(np.linalg.norm(high - low))

@@ -38,7 +38,7 @@ def _meshcat() -> Any:
     return meshcat
 
 
-def _number(color: tuple[float, float, float]) -> int:
+def _number(color: tuple[float, ...]) -> int:
     r, g, b = (round(255 * min(1.0, max(0.0, c))) for c in color)
     return r << 16 | g << 8 | b
 
@@ -131,7 +131,7 @@ class Window:
 
     # ------------------------------------------------------------------------------------------------------- pages
     def _page(self, body: str) -> str:
-        files = importlib.resources.files(__package__)
+        files = importlib.resources.files("ik_toolkit.show")
         page = (files / "scene.html").read_text(encoding="utf-8")
         return page.replace("@TITLE@", html.escape(self.about["title"])).replace("/*@START@*/", body)
 
@@ -227,19 +227,19 @@ def handlers(window: Window) -> tuple[Any, Any, Any]:
                 try:
                     await self.write_message(data, binary=isinstance(data, bytes))
                 except (tornado.websocket.WebSocketClosedError, tornado.iostream.StreamClosedError):
-                    window.listeners.discard(self.put)
+                    window.listeners.discard(self.forward)
 
-            self.put = lambda data: loop.call_soon_threadsafe(lambda: loop.create_task(write(data)))
+            self.forward = lambda data: loop.call_soon_threadsafe(lambda: loop.create_task(write(data)))
             with window.lock:
                 for data in window.snapshot():
-                    self.put(data)
-                self.put(json.dumps(window.about))
-                window.listeners.add(self.put)
+                    self.forward(data)
+                self.forward(json.dumps(window.about))
+                window.listeners.add(self.forward)
 
         def on_message(self, message: str | bytes) -> None:
             """Nothing is taken from the page."""
 
         def on_close(self) -> None:
-            window.listeners.discard(self.put)
+            window.listeners.discard(self.forward)
 
     return Page, Script, Socket
