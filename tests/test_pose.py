@@ -73,6 +73,18 @@ def test_nonsense_is_refused(target):
         check_target(target)
 
 
+@pytest.mark.parametrize("off", [0.0, 1e-12, 1e-9, 1e-6, 3e-6, 1e-5, 1e-3, 1.0])
+def test_a_direction_opposite_to_the_axis_makes_a_rotation(off):
+    rng = np.random.default_rng(2)
+    for _ in range(20):
+        axis = rng.normal(size=3)
+        direction = off * rng.normal(size=3) - axis
+        R = ik.pose((0, 0, 0), axis=axis, direction=direction).T_base_tip[:3, :3]
+        assert np.allclose(R @ R.T, np.eye(3), atol=1e-14) and np.linalg.det(R) > 0.0
+        turned = R @ axis / np.linalg.norm(axis)
+        assert np.allclose(turned, direction / np.linalg.norm(direction), atol=1e-14)
+
+
 @pytest.mark.parametrize("rotation", ["nonsense", [1, 2], np.zeros((4, 4)), np.eye(2), {"x": 1}], ids=str)
 def test_a_rotation_is_three_by_three_numbers(rotation):
     with pytest.raises(InvalidTarget, match="rotation must be 3x3 numbers"):

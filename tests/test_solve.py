@@ -128,6 +128,18 @@ def test_without_limits_a_slide_has_no_reach_bound(name):
     assert ik.solve(robots.load("planar_2r"), (3.0, 0.0, 0.0), "lm", limits=False).status == ik.Status.UNREACHABLE
 
 
+@pytest.mark.parametrize("digits", [6, 7, 8])
+def test_a_rotation_of_few_digits_is_no_reason_to_fail_the_check(digits):
+    robot, rng = robots.load("hydrolek_7w"), np.random.default_rng(5)
+    targets = np.array([robot.fk(robot.random_q(rng)).homogeneous for _ in range(20)])
+    targets[:, :3, :3] = targets[:, :3, :3].round(digits)
+    given = targets.copy()
+    results = [ik.solve(robot, T, tolerance=1e-9) for T in targets]
+    assert [result.status.name for result in results] == ["CONVERGED"] * 20
+    many = ik.solve_batch(robot, targets, tolerance=1e-9, check=1.0)
+    assert many.success.all() and np.array_equal(targets, given)
+
+
 def test_a_start_beyond_all_digits_is_refused():
     robot = robots.load("continuous_mix")  # whose continuous joints no limit clamps
     T, q0 = robot.fk(robot.home).homogeneous, np.full(robot.n, 1e16)

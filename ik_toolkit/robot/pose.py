@@ -41,10 +41,10 @@ def _unit(value: Any, name: str) -> np.ndarray:
 def _turn_onto(axis: np.ndarray, direction: np.ndarray) -> np.ndarray:
     """Rotation (3, 3) that takes one unit vector onto another."""
     cross, cos = np.cross(axis, direction), float(axis @ direction)
-    if cos < -1.0 + 1e-12:  # opposite: half a turn about any axis across
-        across = np.cross(axis, np.eye(3)[int(np.argmin(np.abs(axis)))])
-        across /= np.linalg.norm(across)
-        return 2.0 * np.outer(across, across) - np.eye(3)
+    if cos < 0.0:  # 1 + cos loses its digits towards half a turn: two reflections instead, by way of a third vector
+        between = np.eye(3)[int(np.argmin(np.maximum(np.abs(axis), np.abs(direction))))]
+        u, v = axis - between, direction - between
+        return (np.eye(3) - 2.0 * np.outer(v, v) / (v @ v)) @ (np.eye(3) - 2.0 * np.outer(u, u) / (u @ u))
     K = np.array([[0.0, -cross[2], cross[1]], [cross[2], 0.0, -cross[0]], [-cross[1], cross[0], 0.0]])
     return np.eye(3) + K + K @ K / (1.0 + cos)
 

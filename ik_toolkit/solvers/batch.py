@@ -177,9 +177,17 @@ def _row(start: np.ndarray, k: Any) -> np.ndarray:
 
 
 def _poses(part: np.ndarray) -> tuple[np.ndarray, int]:
-    """A copy of a part as (m, 4, 4), and its kind."""
+    """A copy of a part as (m, 4, 4), and its kind; rotations of few digits are replaced by the nearest exact ones."""
     if part.ndim == 3:
-        return np.array(part, dtype=float, order="C"), POSE
+        T = np.array(part, dtype=float, order="C")
+        R = T[:, :3, :3]
+        with np.errstate(invalid="ignore", over="ignore"):
+            off = np.abs(R.transpose(0, 2, 1) @ R - np.eye(3)).max(axis=(1, 2), initial=0.0)
+        rough = (off > 1e-12) & (off < 1e-6)  # what is worse, or not a number, the kernel hands back
+        if rough.any():
+            U, _, Vt = np.linalg.svd(R[rough])
+            T[rough, :3, :3] = U @ Vt
+        return T, POSE
     T = np.tile(np.eye(4), (len(part), 1, 1))
     T[:, :3, 3] = part
     return T, POSITION

@@ -137,7 +137,7 @@ class TreeSolver(Solver):
         """
         started = perf_counter()
         start, notice = (self._home, "") if q0 is None else self._start(q0)
-        T, kinds, note = self._read(targets, False)
+        T, kinds, note = self._read(targets, self.options.check)
         row, tips = self._descend(T, kinds, start, q0 is not None, self._silent)
         if row[0] == BAD_TARGET:
             T, kinds, note = self._read(targets, True)
