@@ -73,6 +73,11 @@ def test_nonsense_is_refused(target):
         check_target(target)
 
 
+def test_a_direction_at_a_position_that_is_no_place():
+    with pytest.raises(InvalidTarget, match="below"):
+        ik.pose((1e101, 0, 0), direction=(0, 0, 1))
+
+
 @pytest.mark.parametrize("off", [0.0, 1e-12, 1e-9, 1e-6, 3e-6, 1e-5, 1e-3, 1.0])
 def test_a_direction_opposite_to_the_axis_makes_a_rotation(off):
     rng = np.random.default_rng(2)

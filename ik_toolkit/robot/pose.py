@@ -138,7 +138,7 @@ def pose(
         tip_axis = _unit(axis, "axis")
         T = np.eye(4)
         T[:3, :3] = _turn_onto(tip_axis, _unit(direction, "direction"))
-        T[:3, 3] = _numbers((0.0, 0.0, 0.0) if xyz is None else xyz, 3, "xyz")
+        T[:3, 3] = _near(_numbers((0.0, 0.0, 0.0) if xyz is None else xyz, 3, "xyz"))
         return AxisTarget(T, tuple(tip_axis.tolist()))
     if sum(part is not None for part in (rpy, quat_xyzw, rotation)) > 1:
         raise InvalidTarget("give one of rpy, quat_xyzw and rotation, not several")
