@@ -6,6 +6,7 @@ import shutil
 import time
 
 import numpy as np
+import pinocchio as pin
 import pytest
 
 import ik_toolkit as ik
@@ -36,7 +37,7 @@ def browser():
 @contextlib.contextmanager
 def fresh_page(browser, *, offline=False):
     """A page without a past that notes what it asks outside this machine, and what goes wrong in it."""
-    with browser.new_context(viewport={"width": 900, "height": 640}, offline=offline) as context:
+    with browser.new_context(viewport={"width": 800, "height": 520}, offline=offline) as context:
         page = context.new_page()
         page.set_default_timeout(PATIENCE)
         page.outside, page.errors = [], []
@@ -165,6 +166,38 @@ def panel():
         yield made
 
 
+def on_screen(desk, canvas, point):
+    """Where a point (3,) [m] of the world is seen in the page."""
+    camera = desk.client.camera
+    w, x, y, z = camera.wxyz
+    across, down, ahead = pin.Quaternion(w, x, y, z).matrix().T @ (point - camera.position)
+    scale = 0.5 * canvas["height"] / np.tan(0.5 * camera.fov) / ahead
+    return canvas["x"] + 0.5 * canvas["width"] + scale * across, canvas["y"] + 0.5 * canvas["height"] + scale * down
+
+
+def test_dragging_the_target_moves_the_robot(browser, panel):
+    with fresh_page(browser) as page:
+        hand = PanelPage(page, panel.url)
+        page.wait_for_timeout(1500)  # the first picture is drawn, and the camera told
+        (desk,) = panel.desks.values()
+        T = desk.stage.target.copy()
+        canvas = page.locator("canvas").first.bounding_box()
+        arrow = 0.22 * desk.stage.size * (desk.stage.body.T_world_base @ T)[:3, 0]
+        at, to = (on_screen(desk, canvas, desk.stage.gizmo.position + k * arrow) for k in (0.8, 1.2))
+        page.mouse.move(*at)
+        page.wait_for_timeout(300)
+        page.mouse.down()
+        for k in range(1, 11):
+            page.mouse.move(*(np.array(at) + 0.1 * k * (np.array(to) - at)))
+            page.wait_for_timeout(50)
+        page.mouse.up()
+        moved = desk.stage.target[:3, 3] - T[:3, 3]
+        assert moved @ T[:3, 0] > 0.02 and np.linalg.norm(np.cross(moved, T[:3, 0])) < 1e-6  # along the arrow
+        hand.wait_for("Converged")
+        hand.wait_for_pose(desk.stage.target)
+        assert page.errors == []
+
+
 def test_the_panel_by_hand(browser, panel):
     robot = ik.Robot.load("hydrolek_7w")
     with fresh_page(browser) as page:
@@ -210,21 +243,3 @@ def test_the_panel_by_hand(browser, panel):
         hand.wait_for_pose(planar.fk(planar.home).homogeneous)
         assert picture(page).std() > 0.02
         assert page.outside == [] and page.errors == []
-
-
-def test_two_visitors_have_a_robot_each(browser, panel):
-    robot = ik.Robot.load("hydrolek_7w")
-    with fresh_page(browser) as page:
-        first = PanelPage(page, panel.url)
-        other = page.context.new_page()
-        other.set_default_timeout(PATIENCE)
-        second = PanelPage(other, panel.url)
-        number = first.field("azimuth_yaw [deg]")
-        page.bring_to_front()
-        number.fill("-10")
-        number.press("Enter")
-        q = robot.home.copy()
-        q[0] = np.radians(-10.0)
-        first.wait_for_pose(robot.fk(q).homogeneous)
-        other.bring_to_front()
-        second.wait_for_pose(robot.fk(robot.home).homogeneous)

@@ -189,6 +189,7 @@ class Desk:
             for i, slider in enumerate(self.sliders):
                 slider.value = self.shown[i] = float(np.clip(round(s.scale(i) * s.q[i], 4), slider.min, slider.max))
         self.pose.content = pose_html(s.tip(), s)
+        self.client.flush()  # now, not at the end of viser's next interval
 
     # ------------------------------------------------------------------------------------------------------ actions
     def _switch(self, source: str, tip: str | None = None) -> None:

@@ -39,6 +39,9 @@ def plot_benchmark(found: Benchmark, file: str | Path) -> Path:
         return save(figure, file)
 
 
+MARKED = 200  # more failures than this are not marked one by one
+
+
 def plot_tuning(result: TuneResult, file: str | Path) -> Path:
     """Draw cost over generations, with the held-out result in words, to a .png, .pdf or .svg."""
     with drawing() as plt:
@@ -58,10 +61,10 @@ def plot_tuning(result: TuneResult, file: str | Path) -> Path:
 
 
 def plot_workspace(found: Workspace, file: str | Path) -> Path:
-    """Draw, for each solver, the share of goals solved seen from the side and from above, failures marked."""
+    """Draw, for each solver, the share of goals solved seen from above and from the side, failures marked when they are few."""
     with drawing() as plt:
         rows = len(found.outcomes)
-        figure, axes = plt.subplots(rows, 2, figsize=(9.0, 0.5 + 3.7 * rows), layout="constrained", squeeze=False)
+        figure, axes = plt.subplots(rows, 2, figsize=(7.4, 0.3 + 4.0 * rows), layout="constrained", squeeze=False)
         image = None
         for row, (name, outcome) in zip(axes, found.outcomes.items(), strict=True):
             for axis, across, keep in ((row[0], 2, (0, 1)), (row[1], 1, (0, 2))):
@@ -74,12 +77,10 @@ def plot_workspace(found: Workspace, file: str | Path) -> Path:
                     share.T, origin="lower", extent=extent, cmap="cividis", vmin=0, vmax=1, interpolation="nearest"
                 )
                 axis.grid(False)
-                bad = found.failures[name]
+                bad = found.failures[name] if outcome.goals - outcome.solved <= MARKED else np.empty((0, 4))
                 axis.plot(bad[:, keep[0]], bad[:, keep[1]], "o", mfc="none", mec=COLOURS[1], ms=3, mew=0.7)
                 axis.set(xlabel=f"{'xyz'[keep[0]]} [m]", ylabel=f"{'xyz'[keep[1]]} [m]", aspect="equal")
-            row[0].set_title(f"{name}: {outcome.solved} of {outcome.goals} solved, seen from above")
-            row[1].set_title(
-                "seen from the side; circles: first failures" if len(found.failures[name]) else "from the side"
-            )
-        figure.colorbar(image, ax=axes, label="share of goals solved", shrink=0.7)
+            row[0].set_title(f"{name}\n{outcome.solved} of {outcome.goals} solved, from above")
+            row[1].set_title("circles: not solved\nfrom the side" if len(bad) else "from the side")
+        figure.colorbar(image, ax=axes, label="share of goals solved", shrink=min(0.8, 1.6 / rows), aspect=30, pad=0.02)
         return save(figure, file)
