@@ -52,6 +52,8 @@ def read_targets(path: Path, deg: bool) -> tuple[int, Any]:
 
 
 def _read_npz(path: Path) -> np.ndarray:
+    if not zipfile.is_zipfile(path):  # numpy would advise to unpickle it
+        raise InvalidTarget(f"'{path.name}' is no NPZ file (see numpy.savez)")
     with np.load(path, allow_pickle=False) as file:
         if "targets" in file:
             return file["targets"]
@@ -299,7 +301,7 @@ def solve_file(
         others = ", ".join(f"{number} {status}" for status, number in tally.items() if status != "CONVERGED")
         listed = ", ".join(map(str, flips[:10])) + (", ..." if len(flips) > 10 else "")
         rate = f"{elapsed:.3g} s, {done / elapsed:.3g} targets/s with reading and writing"
-        facing = {"solved": f"{solved} of {done}", "not solved": others or None, "solver": name, "time": rate}
+        facing = {"solved": f"{solved} of {done}", "not solved": others or None, "solver": name or None, "time": rate}
         if chain:
             facing["flips"] = f"{len(flips)} (targets {listed}, counted from 0)" if flips else "none"
         show(facts(facing))
