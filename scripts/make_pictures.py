@@ -1,9 +1,11 @@
 """Make the pictures of the README and the gallery: scenes drawn by `ik.view`, photographed in headless Chromium.
 
-Run: python scripts/make_pictures.py [NAME ...]   (needs the extras view and robots, and chromium)
+Run: python scripts/make_pictures.py [NAME ...]   (needs the extras view and robots, and chromium; `panel` also the extra
+panel and playwright)
 """
 
 import argparse
+import contextlib
 import shutil
 import subprocess
 import tempfile
@@ -73,22 +75,60 @@ SCENES = {"solve": solve, "two_arms": two_arms, "branches": branches, "tracking"
 SHIPPED = ("solve", "two_arms", "limits")  # robots that need no extra
 
 
-def photograph(page: Path, picture: Path) -> None:
-    """Write the picture of a page."""
+def find_chromium() -> str:
     chromium = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
     if chromium is None:
         raise SystemExit("chromium is not installed")
+    return chromium
+
+
+def panel(picture: Path) -> None:
+    """Write the picture of the panel after a solve, handled as a person would."""
+    from playwright.sync_api import sync_playwright
+
+    from ik_toolkit.show.panel import Panel
+
+    flags = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
+    with contextlib.closing(Panel("hydrolek_7w")) as served, sync_playwright() as play:
+        page = play.chromium.launch(executable_path=find_chromium(), args=flags).new_page(
+            viewport={"width": 1280, "height": 960}
+        )
+        page.goto(served.url)
+        page.locator(".mantine-Notification-closeButton").click()  # a word on the software renderer
+        page.get_by_role("tab", name="Solve").click()
+        for label, text in (("x y z [m]", "0.829 0.608 0.401"), ("r p y [deg]", "-69 -18 -26")):
+            page.locator(f"xpath=//label[.='{label}']/ancestor::div[.//input][1]//input").fill(text)
+        page.wait_for_timeout(500)
+        page.get_by_role("button", name="Solve", exact=True).click()
+        page.locator("[role=status]", has_text="Converged").wait_for()
+        page.wait_for_timeout(2000)
+        page.screenshot(path=picture)
+    Image.open(picture).convert("RGB").quantize(256).save(picture, optimize=True)
+
+
+def photograph(page: Path, picture: Path) -> None:
+    """Write the picture of a page."""
     with tempfile.TemporaryDirectory() as profile:
         size = f"--window-size={SIZE[0]},{SIZE[1]}"
-        command = [chromium, *FLAGS, f"--user-data-dir={profile}", size, f"--screenshot={picture}", page.as_uri()]
+        command = [
+            find_chromium(),
+            *FLAGS,
+            f"--user-data-dir={profile}",
+            size,
+            f"--screenshot={picture}",
+            page.as_uri(),
+        ]
         subprocess.run(command, check=True, capture_output=True, timeout=120)
     Image.open(picture).convert("RGB").save(picture, optimize=True)
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("names", nargs="*", help=f"default: all of {', '.join(SCENES)}")
-    for name in parser.parse_args().names or SCENES:
+    parser.add_argument("names", nargs="*", help=f"default: all of {', '.join(SCENES)}, panel")
+    for name in parser.parse_args().names or [*SCENES, "panel"]:
+        if name == "panel":
+            panel(FOLDER / "panel.png")
+            continue
         with tempfile.TemporaryDirectory() as folder:
             page = SCENES[name]().save(Path(folder) / f"{name}.html")
             photograph(page, FOLDER / f"{name}.png")

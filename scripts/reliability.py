@@ -25,7 +25,8 @@ PARTS = {
     "tests/test_processes.py": "Fork, spawn, two processes compiling at once, a killed one, no folder for the cache",
     "tests/test_interrupts.py": "Ctrl-C, the real signal, in batch, bench, tune and workspace",
     "tests/test_batch.py": "Batches: threads, executors, interrupts, broken rows",
-    "tests/test_panel.py": "The panel: browsers, malformed messages, foreign origins",
+    "tests/test_panel.py": "The panel: typed nonsense, foreign origins, hosts that are not this machine",
+    "tests/test_panel_abuse.py": "The panel: twenty visitors, malformed messages, leaving in the middle of a solve, memory",
 }
 HAND = ROOT / "docs" / "reliability_notes.md"
 

@@ -158,8 +158,9 @@ class Desk:
                     {"label": "position, 10^x m", "stroke": "#0072B2", "width": 2},
                     {"label": "orientation, 10^x rad", "stroke": "#D55E00", "width": 2, "dash": (6, 4)},
                 ),
+                title="error left, powers of ten",
                 scales={"x": {"time": False}},
-                height=190,
+                height=200,
                 visible=False,
             )
 
