@@ -19,7 +19,8 @@ ARMS = ["locked", *(["ur5", "kinova", "z1"] if robots.have_data() else [])]
 def test_without_the_package_it_says_what_to_install(monkeypatch):
     from ik_toolkit.solvers.closed_form import eaik
 
-    monkeypatch.setitem(sys.modules, "eaik", None)
+    for name in ("eaik", "eaik.IK_HP"):
+        monkeypatch.setitem(sys.modules, name, None)
     eaik._arm.cache_clear()
     robot = robots.load("locked")
     with pytest.raises(MissingExtra, match="(?i)pip install eaik"):
