@@ -387,6 +387,20 @@ def test_a_terminal_that_lacks_characters_shows_escapes(tmp_path):
     assert done.returncode == 0 and rb"\xe4rm" in done.stdout
 
 
+def test_all_with_a_direction_gives_a_spread_and_a_pose_in_json(run):
+    words = ["hydrolek_7w", "--xyz", "0.95", "0.17", "-0.19", "--direction", "1", "0", "0"]
+    found = json.loads(run("solve", *words, "--all", "--json")[1])
+    assert len(found["solutions"]) == 64 and "a sample of infinitely many" in found["message"]
+    assert np.shape(found["target"]) == (4, 4)
+
+
+def test_locked_values_are_shown_in_the_units_asked_for(run):
+    words = ["info", "inspection_7dof", "--lock", "lift=0.3"]
+    assert "arm_yaw = 30.0000 deg" in run(*words, "--lock", "arm_yaw=30", "--deg")[1]
+    out = run(*words, "--lock", "arm_yaw=0.5")[1]
+    assert "lift = 0.300000 m" in out and "arm_yaw = 0.500000 rad" in out
+
+
 def test_solve_takes_preferences(run):
     code, out, _ = run(
         "solve",

@@ -532,7 +532,7 @@ def test_command_line_takes_positions_starts_and_locked_joints(run, brokk):
         (["--target", "left_tip:nan,0,1"], "finite"),
         (["--target", "left_tip:1,0,1", "--xyz", "1", "0", "0"], "leave out --xyz"),
         (["--target", "left_tip:1,0,1", "-s", "pid"], "'lm' only"),
-        (["--target", "left_tip:1,0,1", "--all"], "Robot"),
+        (["--target", "left_tip:1,0,1", "--all"], "--all is for one tip"),
         (["--target", "left_tip:1,0,1", "--mask", "1", "1", "1", "0", "0", "0"], "mask"),
     ],
 )

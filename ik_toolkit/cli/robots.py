@@ -21,6 +21,7 @@ from .common import (
     notice,
     number,
     show,
+    slides,
     table,
     turns,
     unit,
@@ -106,7 +107,11 @@ def info(
     show(facts({"robot": entry.description or None, "source": _source(entry.paper, entry.table), "file": entry.path}))
     for arm in arms:
         reach = f"{arm.reach:.4g} m (longest distance of the tip from the first joint)"
-        locked = ", ".join(f"{joint} = {value:g}" for joint, value in arm.locked_joints.items())
+        kinds = {joint: "prismatic" if slides(arm, joint) else "revolute" for joint in arm.locked_joints}
+        locked = ", ".join(
+            f"{joint} = {number(value, kinds[joint], deg)} {unit(kinds[joint], deg)}"
+            for joint, value in arm.locked_joints.items()
+        )
         show(
             "",
             facts(

@@ -197,6 +197,8 @@ def solve(
     elif targets:
         if any(x is not None for x in (xyz, rpy, quat_xyzw, direction, tip_axis, tip)):
             raise InvalidOption("--target says tip and pose together; leave out --xyz, its rotation options and --tip")
+        if every:
+            raise InvalidOption("--all is for one tip; give one target with --xyz and --tip")
         target = make_targets(targets, robot)
     elif xyz is None:
         raise InvalidOption("Missing option '--xyz' (or '--targets FILE' for many, '--target' for several tips)")
@@ -274,7 +276,8 @@ def _solve_all(
 
     with compile_notice():
         found = solve_all(arm, target, method, start, **options)
-    write_json({**found.to_dict(), "base": arm.base, "tip": arm.tip, "target": target}, as_json, output)
+    where = {"base": arm.base, "tip": arm.tip, "target": getattr(target, "T_base_tip", target)}
+    write_json({**found.to_dict(), **where}, as_json, output)
     if not as_json and len(found):
         made = table(">#", *(">" + name.replace("_", "_\n") for name in arm.joint_names), ">distance")
         units = (unit(kind, deg) for kind in arm.joint_kinds)

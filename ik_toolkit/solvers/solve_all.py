@@ -113,7 +113,7 @@ def solve_all(
     unit = robot.chain.unit
     distance = np.sqrt((((q - start) / unit) ** 2).sum(axis=1))
     order = np.argsort(distance, kind="stable")
-    if robot.n > one.task_rows(kind) and len(q) > count:
+    if _redundant(one, kind) and len(q) > count:
         order, complete = order[_spread(q[order] / unit, count)], False
     if not len(q):
         failed = one(target, q0)
@@ -122,6 +122,12 @@ def solve_all(
     errors = position[order], None if kind == POSITION else orientation[order]
     message = f"{message}; {notice}" if notice else message
     return Solutions(robot, q[order], distance[order], errors, complete, one.name, message)
+
+
+def _redundant(one: Solver, kind: Any) -> bool:
+    """Whether joints are left over, so that solutions are not isolated; an axis target frees the turn about it."""
+    rows = one.task_rows(kind)
+    return one.robot.n > (min(rows, 5) if isinstance(kind, tuple) else rows)
 
 
 def tip_errors(robot: Robot, q: np.ndarray, T: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -200,7 +206,7 @@ def _search(one: Solver, T: np.ndarray, kind: Any, start: np.ndarray, starts: in
         apart[:, turning] = np.minimum(apart[:, turning], np.abs(2 * np.pi - apart[:, turning]))
         if not kept or apart.max(axis=1).min() >= SAME:
             kept.append(k)
-    words = "a sample of infinitely many" if robot.n > one.task_rows(kind) else "distinct ones"
+    words = "a sample of infinitely many" if _redundant(one, kind) else "distinct ones"
     message = f"{len(kept)} solution{'s' * (len(kept) != 1)} ({words}) from {starts} starts, {len(answers)} of which converged"
     return answers[kept], out[kept, R_POSITION], out[kept, R_ROTATION], False, message
 
