@@ -235,6 +235,7 @@ def test_tuned_presets_reach_their_gates_on_fresh_goals():
     sets = [tips(robot, 1000, [2016, k]) for k in range(10)]
     for rule, gate in (
         (ik.StateSpace.preset("hydrolek-7w"), 0.997),
+        (ik.StateSpace.preset("hydrolek-7w-delayed"), 0.997),
         (ik.StateSpace.preset("hydrolek-7w-one-map"), 0.988),
         (ik.PID.preset("hydrolek-7w"), 0.994),
     ):

@@ -9,19 +9,28 @@ from ..study.singularity import Run
 from .report import COLOURS
 
 
-def draw_existence(runs: dict[float, np.ndarray]) -> Callable[[Any], Any]:
-    """Errors [mm] over sweeps for each K_p."""
+def draw_existence(runs: dict[float, np.ndarray], gains: np.ndarray, ends: np.ndarray) -> Callable[[Any], Any]:
+    """Errors [mm] over sweeps for each K_p, and the error left [mm] over gains (k,)."""
 
     def draw(plt: Any) -> Any:
-        figure, axis = plt.subplots(figsize=(6.0, 3.2), layout="constrained")
-        styles = {0.0848: ("--", 1.4), 0.0847: ("-", 1.2), 0.02: ("-", 2.6)}
-        for (kp, error), colour in zip(runs.items(), COLOURS, strict=False):
-            line, width = styles[kp]
-            axis.semilogy(error, line, lw=width, color=colour, label=f"$K_p$ = {kp:g}")
-        axis.axhline(1.0, color="0.6", lw=0.8, ls=":")
-        axis.text(0.0, 1.05, "1 mm", va="bottom", color="0.4", fontsize=8)
-        axis.set(xlabel="sweep", ylabel="error (mm)")
-        axis.legend()
+        figure, (left, right) = plt.subplots(1, 2, figsize=(10.0, 3.6), layout="constrained", sharey=True)
+        styles = {0.0848: ("--", 1.6, 3), 0.0847: ("-", 2.6, 2), 0.02: ("-", 1.6, 2)}
+        for (kp, error), colour in zip(runs.items(), (COLOURS[1], COLOURS[0], COLOURS[2]), strict=False):
+            line, width, order = styles[kp]
+            label = f"$K_p$ = {kp:g}: {'reached' if error.min() <= 1.0 else f'stalls at {error.min():.3g} mm'}"
+            left.semilogy(error, line, lw=width, color=colour, label=label, zorder=order)
+        longest = max(len(error) for error in runs.values() if error.min() <= 1.0)
+        left.set(xlabel="sweep", ylabel="error (mm)", title="along the run", xlim=(-1, 1.3 * longest))
+        left.legend()
+        good = ends <= 1.0
+        right.semilogy(gains[good], ends[good], "o", ms=3, color=COLOURS[0], label="reached")
+        right.semilogy(gains[~good], ends[~good], "o", ms=3.4, mfc="none", mec=COLOURS[1], label="not reached")
+        right.axvline(0.08475, color="0.6", lw=0.8)
+        right.text(0.0875, 300.0, "0.0847 / 0.0848", color="0.4", fontsize=8)
+        right.set(xlabel="$K_p$ (degrees a mm)", title="left at the end, over the gain")
+        right.legend(loc="center right")
+        for axis in (left, right):
+            axis.axhline(1.0, color="0.6", lw=0.8, ls=":")
         return figure
 
     return draw
@@ -47,7 +56,7 @@ def draw_workspace(points: np.ndarray, maps: dict[str, np.ndarray]) -> Callable[
     """Goals (N, 3) [mm, paper frame], reached ones as dots and lost ones as circles, one panel a solver."""
 
     def draw(plt: Any) -> Any:
-        figure = plt.figure(figsize=(10.0, 4.6), layout="constrained")
+        figure = plt.figure(figsize=(3.7 * len(maps), 3.9))
         for k, (name, good) in enumerate(maps.items()):
             axis = figure.add_subplot(1, len(maps), k + 1, projection="3d")
             x, y, z = points.T
@@ -55,12 +64,16 @@ def draw_workspace(points: np.ndarray, maps: dict[str, np.ndarray]) -> Callable[
             axis.scatter(
                 x[~good], z[~good], y[~good], s=26, facecolors="none", edgecolors=COLOURS[1], lw=1.0, depthshade=False
             )
-            axis.set(xlabel="x forward (mm)", ylabel="z right (mm)", zlabel="y up (mm)")
-            axis.set_title(f"{name}: {int(good.sum())} of {len(good)}")
-            axis.view_init(22, -60)
-            axis.set_box_aspect((1, 1.3, 1.3), zoom=0.95)
+            axis.set_xlabel("x forward (mm)", labelpad=2)
+            axis.set_ylabel("z right (mm)", labelpad=4)
+            axis.set_zlabel("y up (mm)" if k == len(maps) - 1 else "", labelpad=2)
+            axis.set_title(f"{name}: {int(good.sum())} of {len(good)}", y=1.02)
+            axis.view_init(20, -62)
+            axis.set_box_aspect(np.ptp(points[:, (0, 2, 1)], axis=0), zoom=1.0)
+            axis.tick_params(labelsize=7, pad=0)
             for side in (axis.xaxis, axis.yaxis, axis.zaxis):
-                side.set_major_locator(plt.MaxNLocator(4))
+                side.set_major_locator(plt.MultipleLocator(500))
+        figure.subplots_adjust(left=0.0, right=0.97, bottom=0.05, top=0.93, wspace=0.02)
         return figure
 
     return draw

@@ -1,7 +1,12 @@
 """What Burrell et al. (2016) print: tables, and misprints with the reading used."""
 
 import math
+from typing import Any
 
+import numpy as np
+
+TO_PAPER = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])  # base_link -> paper axes, Rx(-90 deg)
+PAPER_OPTIONS: dict[str, Any] = {"tolerance": 1e-3, "max_iterations": 1000}  # of ours: the paper gives neither
 # Table I and III as printed: theta offset, d, a, alpha, lower, upper (mm, degrees; planar arm in its units).
 TABLE_1 = (
     (0, 0, 70.0, 90, -27.07, 40.60),

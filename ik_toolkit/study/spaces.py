@@ -161,7 +161,7 @@ def _several_maps(robot: Robot, position_only: bool, maps: int) -> Space:
 
 
 def _split(robot: Robot, maps: int, initial: StateSpace) -> Space:
-    """A = a I, C = -0.05 I, literal delay, several starts: each B goes from the given one (share 0) to that start's own (share 1)."""
+    """A = a I, C = -0.05 I, literal delay, several starts: each B between the given (share 0) and that start's own (share 1)."""
     n, eye = robot.n, np.eye(robot.n)
     a, B = _plain(initial, n)
     position_only = B.shape[1] == 3

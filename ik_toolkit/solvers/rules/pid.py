@@ -14,7 +14,7 @@ from ..presets import check_starts, load_preset
 UNITS = {"si": 1.0, "mm-deg": 1000.0 * math.pi / 180.0}  # rad/m per unit of gain
 
 
-ROUNDING = 1e-14  # of the length scale; smaller gains of a trial are noise of the arithmetic
+ROUNDING = 1e-14  # of the length scale: what a trial gains beyond that is no noise of the arithmetic
 
 
 class PID(NamedTuple):
