@@ -388,8 +388,10 @@ def test_a_terminal_that_lacks_characters_shows_escapes(tmp_path):
 
 
 def test_all_with_a_direction_gives_a_spread_and_a_pose_in_json(run):
-    words = ["hydrolek_7w", "--xyz", "0.95", "0.17", "-0.19", "--direction", "1", "0", "0"]
-    found = json.loads(run("solve", *words, "--all", "--json")[1])
+    robot = ik.Robot.load("hydrolek_7w")
+    T = robot.fk(robot.home)
+    words = ["--xyz", *T.translation, "--direction", *T.rotation[:, 2], "--all", "--json"]
+    found = json.loads(run("solve", "hydrolek_7w", *words)[1])
     assert len(found["solutions"]) == 64 and "a sample of infinitely many" in found["message"]
     assert np.shape(found["target"]) == (4, 4)
 

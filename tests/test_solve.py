@@ -226,6 +226,34 @@ def test_joint_weights_hold_a_joint():
     assert result.success and result.q[1] == robot.home[1]
 
 
+@pytest.mark.parametrize("solver", ["lm", "dls", "pid", "state-space"])
+def test_a_held_joint_stays_in_every_start(solver):
+    robot, rng = robots.load("inspection_7dof"), np.random.default_rng(3)
+    weights = (1, 0, 1, 1, 1, 1, 0)
+    Q, Q0 = (np.array([robot.random_q(rng) for _ in range(8)]) for _ in range(2))
+    Q[:, [1, 6]] = Q0[:, [1, 6]]
+    targets = np.array([robot.fk(q).translation for q in Q])
+    options = dict(joint_weights=weights, restarts=20)
+    for q0, target in zip(Q0, targets, strict=True):
+        for more in (dict(q0=q0), dict(closest=q0), dict(q0=q0, objective="mid-range")):
+            result = ik.solve(robot, target, solver, **more, **options)
+            assert np.allclose(result.q[[1, 6]], q0[[1, 6]], rtol=0, atol=1e-12)
+        assert result.success or solver != "lm"
+    home = ik.solve(robot, robot.fk(robot.home), solver, joint_weights=weights)
+    assert np.allclose(home.q[[1, 6]], robot.home[[1, 6]], rtol=0, atol=1e-12)
+    many = ik.solve_batch(robot, targets, solver, q0=Q0, **options)
+    assert np.allclose(many.q[:, [1, 6]], Q0[:, [1, 6]], rtol=0, atol=1e-12)
+    every = ik.solve_all(robot, targets[0], solver, q0=Q0[0], joint_weights=weights, starts=50)
+    assert np.allclose(every.q[:, [1, 6]], Q0[0, [1, 6]], rtol=0, atol=1e-12)
+
+
+def test_who_cannot_hold_a_joint_says_so():
+    robot = robots.load("planar_2r")
+    for solver in ("newton", "planar-2r"):
+        with pytest.raises(errors.InvalidOption, match="moves every joint"):
+            ik.solve(robot, (1, 1, 0), solver, joint_weights=(1, 0))
+
+
 def test_bound_solver_and_options_survive_pickling():
     robot = robots.load("hydrolek_7w")
     solver = ik.Solver(robot, "lm", tolerance=1e-5, seed=4)

@@ -386,6 +386,7 @@ def test_weights_and_limits(brokk):
     weights[0] = 0.0
     held = ik.solve(brokk, [x[:3, 3] for x in poses(brokk, near)], q0=brokk.home, joint_weights=weights, restarts=0)
     assert held.success and held.q[0] == brokk.home[0]
+    assert ik.solve(brokk, T, joint_weights=weights, restarts=5).q[0] == brokk.home[0]
     beyond = brokk.upper + 0.05
     assert not ik.solve(brokk, poses(brokk, beyond), restarts=5).success
     result = ik.solve(brokk, poses(brokk, beyond), q0=brokk.upper, limits=False, restarts=0)

@@ -48,6 +48,7 @@ def avoid(solver: Any, row: np.ndarray, T: np.ndarray, kind: Any, start: np.ndar
         count = min(size, left)
         left -= count
         Q0 = np.array([robot.random_q(rng) for _ in range(count)])
+        Q0[:, solver.held] = start[0, solver.held]
         out = np.empty((count, len(row)))
         single._kernel(*single._chain, np.repeat(T, count, axis=0), Q0, out, opt, single._silent)
         row[R_ITERATIONS] += out[:, R_ITERATIONS].sum()

@@ -158,15 +158,21 @@ def _solve_rows(
     solver: Solver, T: np.ndarray, start: np.ndarray, given: bool, kind: int, out: np.ndarray, first: int
 ) -> None:
     """Solve rows (m, 8 + n) as if each were alone; `first` is the number of the first, for messages."""
+    if len(solver.held) and len(start) > 1:  # each with a table of starts of its own
+        for k in range(len(T)):
+            one = slice(k, k + 1)
+            _solve_rows(solver, T[one], start[one], given, kind, out[one], first + k)
+        return
     opt = solver.pack(kind, given)
-    solver._kernel(*solver.arrays(kind), T, start, out, opt, solver._silent)
+    arrays = solver.arrays_for(kind, start)
+    solver._kernel(*arrays, T, start, out, opt, solver._silent)
     for k in np.flatnonzero(out[:, R_STATUS] == BAD_TARGET):
         try:
             mended = check_target(T[k] if kind == POSE else T[k, :3, 3])[0]
         except InvalidTarget as error:
             raise InvalidTarget(f"target {first + k}: {error}") from None
         T[k] = mended
-        solver._kernel(*solver.arrays(kind), T[k : k + 1], _row(start, k), out[k : k + 1], opt, solver._silent)
+        solver._kernel(*arrays, T[k : k + 1], _row(start, k), out[k : k + 1], opt, solver._silent)
     if solver._extras:
         for k in np.flatnonzero(out[:, R_STATUS] == Status.CONVERGED):
             solver.finish(out[k], T[k : k + 1], kind, _row(start, k), given)

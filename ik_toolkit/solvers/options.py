@@ -21,10 +21,10 @@ class Options:
     restarts: further descents from other starts (None: the solver's own). max_evaluations: budget of FK evaluations over
     all descents. seed: of the random starts. limits: keep joints inside their limits. q0_outside: 'clamp' (with a notice) or
     'refuse'. mask: six weights x, y, z, rx, ry, rz (0 = free) in mask_frame 'base' or 'tip'. joint_weights (n,): how freely
-    each joint moves (1 = as usual, 0 = not at all). closest: of several solutions return the one nearest q0. objective: for
-    redundant tasks, what to improve in the null space once solved: 'mid-range', 'reference' (near q0) or 'manipulability'.
-    history: keep errors and q of every evaluation. check: re-check with Pinocchio. avoid_collisions: True (the robot's own
-    links) or a CollisionModel: only answers that touch nothing count, and the search goes on until one is found.
+    each joint moves (1 = as usual, 0 = held where q0, or home, has it). closest: of several solutions return the one nearest
+    q0. objective: for redundant tasks, what to improve in the null space once solved: 'mid-range', 'reference' (near q0) or
+    'manipulability'. history: keep errors and q of every evaluation. check: re-check with Pinocchio. avoid_collisions: True (the
+    robot's own links) or a CollisionModel: only answers that touch nothing count, and the search goes on until one is found.
     """
 
     position_tolerance: float = 1e-6

@@ -41,6 +41,7 @@ from .closed_form import fits
 from .options import OBJECTIVES, Options, make_options
 from .registry import find_row, make_rule
 from .result import Result, Status
+from .starts import held_joints, pin
 
 FLOAT = np.dtype(np.float64)  # one object in a process, so `is` tells; other kinds of float take the long way
 MARGIN = 1.0 - 1e-9  # the kernel tests a little inside the tolerance, so that Pinocchio's rounding cannot disagree
@@ -108,6 +109,8 @@ class Solver:
         self._ready: dict[tuple[Any, bool], tuple] = {}
         self._tables: dict[bool, tuple] = {}  # a rule may bring a table of starts, one for positions and one for poses
         self._own_starts = hasattr(self.rule, "start_table")
+        self.held = held_joints(o)
+        self._pinned: tuple[Any, tuple] = (None, ())
         self.collision = self.single = None
         if o.avoid_collisions:
             from .avoid import collision_model
@@ -135,6 +138,8 @@ class Solver:
             kind = kind[0]
         if row.closed and (o.mask is not None or o.closest or kind == AXIS):
             raise InvalidOption(f"solver '{row.name}' is a closed form and takes no mask, axis or closest; use 'lm'")
+        if len(self.held) and (row.closed or row.name == "newton"):
+            raise InvalidOption(f"solver '{row.name}' moves every joint, so a joint weight of 0 is not kept; use 'lm'")
         if kind == AXIS and o.mask is not None:
             raise InvalidOption("a mask and an axis target cannot be combined: the axis already frees one turn")
         if (kind == POSITION and not row.position) or (kind == POSE and not row.pose):
@@ -197,6 +202,17 @@ class Solver:
                 found = (*self._chain[:2], seeds, table(*self._chain[:2], seeds))
             self._tables[position_only] = found
         return found
+
+    def arrays_for(self, kind: Any, start: np.ndarray) -> tuple:
+        """Arrays for a call from `start` (1, n): every other start has the held joints where this one has them, too."""
+        arrays = self.arrays(kind)
+        if not len(self.held):
+            return arrays
+        at = (start[0] / self.robot.chain.unit)[self.held]
+        key, last = (id(arrays), at.tobytes()), self._pinned
+        if last[0] != key:
+            self._pinned = last = (key, pin(arrays, self.held, at))
+        return last[1]
 
     def task_rows(self, kind: int) -> int:
         """Number of task rows the joints can influence at all (a planar arm's position has two, not three)."""
@@ -272,7 +288,9 @@ class Solver:
     def _run(self, T: np.ndarray, kind: int, start: np.ndarray, given: bool) -> np.ndarray:
         ready = self._ready.get((kind, given))
         if ready is None:
-            ready = self._ready[kind, given] = (*self.arrays(kind), self.pack(kind, given))
+            ready = (*self.arrays_for(kind, start), self.pack(kind, given))
+            if not len(self.held):
+                self._ready[kind, given] = ready
         rows, ends, seeds, features, opt = ready
         out = np.empty((1, self._width))
         self._kernel(rows, ends, seeds, features, T, start, out, opt, self._silent)
@@ -282,7 +300,7 @@ class Solver:
         """Run once more with room for the history; the counts of the first run say how much."""
         history = np.empty((result.fk_evaluations + 1, 2 + self.robot.n))
         out = np.empty((1, self._width))
-        self._kernel(*self.arrays(kind), T, start, out, self.pack(kind, given), history)
+        self._kernel(*self.arrays_for(kind, start), T, start, out, self.pack(kind, given), history)
         history = history[: int(out[0, 6])]
         if result.orientation_error is None:
             history[:, 1] = np.nan

@@ -127,7 +127,7 @@ def solve_all(
 def _redundant(one: Solver, kind: Any) -> bool:
     """Whether joints are left over, so that solutions are not isolated; an axis target frees the turn about it."""
     rows = one.task_rows(kind)
-    return one.robot.n > (min(rows, 5) if isinstance(kind, tuple) else rows)
+    return one.robot.n - len(one.held) > (min(rows, 5) if isinstance(kind, tuple) else rows)
 
 
 def tip_errors(robot: Robot, q: np.ndarray, T: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -188,6 +188,7 @@ def _search(one: Solver, T: np.ndarray, kind: Any, start: np.ndarray, starts: in
     single = Solver(robot, one.rule, restarts=0, **tight, **same)
     rng = np.random.default_rng(o.seed)
     Q0 = np.vstack([start, [robot.random_q(rng) for _ in range(starts - 1)]]) if starts > 1 else start
+    Q0[:, one.held] = start[0, one.held]
     out = np.empty((starts, OUT_HEAD + robot.n))
     single._kernel(*single._chain, np.repeat(T, starts, axis=0), Q0, out, single.pack(kind, True), single._silent)
     out = out[out[:, 0] == Status.CONVERGED]

@@ -15,6 +15,7 @@ from ..robot.tree import Tree
 from .registry import find_row
 from .result import Result, Status, sentence
 from .solve import NEVER, Solver
+from .starts import held_joints
 
 ITERATIONS = 40  # steps a descent: the tips pull on shared joints
 DESCENTS = 400  # a start has to suit every tip
@@ -117,6 +118,8 @@ class TreeSolver(Solver):
         self._silent = np.empty((0, 2 + tree.n))
         self._lower, self._upper = tree.lower, tree.upper
         self._packed = {}
+        self.held = held_joints(self.options)
+        self._pinned = (None, ())
         self._own_starts = False
 
     def _pack(self, kind: Any, given: bool) -> np.ndarray:
@@ -178,7 +181,7 @@ class TreeSolver(Solver):
     ) -> tuple[np.ndarray, np.ndarray]:
         """Run the kernel; returns its row (8 + n,) and the errors and excess (F, 3) by tip."""
         row, tips = np.empty(self._width), np.empty((len(kinds), 3))
-        self._kernel(*self._chain, kinds, T, start[0], row, tips, self.pack(POSE, given), history)
+        self._kernel(*self.arrays_for(POSE, start), kinds, T, start[0], row, tips, self.pack(POSE, given), history)
         return row, tips
 
     def _confirm(self, result: TreeResult, targets: Any) -> None:
