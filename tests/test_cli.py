@@ -287,6 +287,8 @@ def test_doctor_reports_a_package_that_hides_pinocchio(run, monkeypatch):
         ([*SOLVE, "--q0", "1", "2"], "--q0 takes 6 values, one per joint (azimuth_yaw"),
         ([*SOLVE, "--q0", "nan", "0", "0", "0", "0", "0"], "--q0 is not finite at joint azimuth_yaw"),
         ([*SOLVE, "--lock", "wrist=1"], "Did you mean 'wrist_"),
+        ([*SOLVE, "--all", "--closest", *"000000"], "--all lists the solutions nearest to --q0"),
+        ([*SOLVE, "--all", "--objective", "mid-range"], "takes no 'objective'"),
         ([*SOLVE, "--lock", "wrist_roll"], "--lock takes NAME=VALUE"),
         ([*SOLVE, "--lock", "wrist_roll=up"], "takes one number"),
         ([*SOLVE, "-o", "no/such/folder/file.json"], "there is no folder"),

@@ -242,6 +242,8 @@ def solve(
     if every:
         if plot is not None:
             raise InvalidOption("--plot draws one solve, and --all asks for many")
+        if closest is not None:
+            raise InvalidOption("--all lists the solutions nearest to --q0 first; give that instead of --closest")
         found = _solve_all(arm, target, method, start, options, deg, as_json, output)
         draw(arm, list(found), target, None, html, live)
         return

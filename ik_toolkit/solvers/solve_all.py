@@ -16,6 +16,7 @@ from .solve import Solver, _as_pose
 SAME = 1e-3  # largest joint difference [rad, or of the reach] at which two numerical answers are one
 TIGHT = 1e-9  # tolerance of the numerical search: answers to 1e-6 differ too much near singular poses to be merged
 SPREAD_LIFTS = 9  # lifts per feasible interval when the lift is free
+CHOOSING = ("closest", "objective", "history")  # options about one answer
 Found = tuple[np.ndarray, np.ndarray, np.ndarray, bool, str]  # q (K, n), errors [m], [rad], complete, message
 
 
@@ -87,13 +88,17 @@ def solve_all(
     target: T_base_tip (4, 4), pin.SE3 or a position (3,) [m]. 'auto' uses a closed form where one fits (complete, unless a
     free lift leaves infinitely many: then a spread over the feasible lifts) and otherwise 'lm' from `starts` random starts,
     answers a turn or less than 1e-3 apart merged (never proven complete). Redundant arms give a spread sample of `count`.
-    Options as for `solve`; limits=False lists what the limits forbid too. Raises as `solve` does.
+    Options as for `solve`, but for closest, objective and history; limits=False lists what the limits forbid too. Raises as
+    `solve` does.
     """
     if not isinstance(robot, Robot):
         raise InvalidOption(f"the first argument is a Robot (see Robot.load), not {type(robot).__name__}")
     for name, value in (("starts", starts), ("count", count)):
         if isinstance(value, bool) or not isinstance(value, int) or value < 1:
             raise InvalidOption(f"{name} must be a whole number of at least 1, not {value!r}")
+    for name in CHOOSING:
+        if options.get(name):
+            raise InvalidOption(f"solve_all lists every solution, nearest to q0 first, so it takes no '{name}'")
     T, kind, notice = _as_pose(target)
     if solver is None or (isinstance(solver, str) and solver == "auto"):
         solver = (not options.get("mask") and closed_form.fits(robot, kind)) or "lm"
