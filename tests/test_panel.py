@@ -5,6 +5,7 @@ import http.client
 import json
 import threading
 import time
+from urllib.parse import urlsplit
 
 import numpy as np
 import pytest
@@ -165,7 +166,7 @@ def panel():
 
 
 def asked(panel, **headers):
-    with contextlib.closing(http.client.HTTPConnection("127.0.0.1", panel.port, timeout=10)) as client:
+    with contextlib.closing(http.client.HTTPConnection(urlsplit(panel.url).hostname, panel.port, timeout=10)) as client:
         client.request("GET", "/", headers=headers)
         answer = client.getresponse()
         return answer.status, answer.read().decode(errors="replace")
@@ -192,6 +193,23 @@ def test_a_taken_port_is_refused(panel):
         Panel("hydrolek_7w", port=panel.port)
     with pytest.raises(RobotNotFound):
         Panel("no_such_robot")
+    for host in ("203.0.113.7", "no host"):  # an address kept for examples: never this machine's
+        with pytest.raises(InvalidOption, match=f"cannot listen at {host}"):
+            Panel("hydrolek_7w", host=host)
+
+
+def test_other_addresses(monkeypatch, capsys):
+    from ik_toolkit.cli import main
+    from ik_toolkit.show.panel import Panel
+
+    with contextlib.closing(Panel("planar_2r", host="127.0.0.2")) as made:
+        assert asked(made)[0] == 200 and made.url.startswith("http://127.0.0.2:")
+    monkeypatch.setattr("ik_toolkit.cli.view.wait", lambda words, url, browse: print(words))
+    assert main(["panel", "planar_2r", "--host", "0.0.0.0", "--no-open"]) == 0
+    said = capsys.readouterr()
+    assert "everybody who can reach" in said.err and "http://127.0.0.1:" in said.out
+    assert main(["panel", "planar_2r", "--no-open"]) == 0
+    assert "everybody" not in capsys.readouterr().err
 
 
 @pytest.fixture

@@ -5,8 +5,10 @@ drag never queues up and visitors do not disturb each other.
 """
 
 import contextlib
+import errno
 import http.client
 import io
+import socket
 import warnings
 from typing import Any
 from urllib.parse import urlsplit
@@ -26,6 +28,7 @@ class Panel:
             import viser
         except ImportError:
             raise MissingExtra("viser", "panel") from None
+        _check_address(host, port)
         warnings.filterwarnings("ignore", "Queued a .* on a closed connection")  # a visitor may leave at any time
         session = Session(source, tip)  # says now what is wrong with it
         session.solve(session.tip())  # and compiles, where that has not been done: no visitor waits for it
@@ -35,7 +38,8 @@ class Panel:
         if port not in (0, self.port):
             self.close()
             raise InvalidOption(f"port {port} is in use")
-        self.url = f"http://{'127.0.0.1' if host in ('0.0.0.0', '::') else host}:{self.port}/"  # noqa: S104  compared, not bound
+        name = {"0.0.0.0": "127.0.0.1", "::": "::1"}.get(host, host)  # noqa: S104  compared, not bound
+        self.url = f"http://{f'[{name}]' if ':' in name else name}:{self.port}/"
         self._check_guard()
         self.server.request_share_url = _no_tunnel  # type: ignore[method-assign] a page may ask for it unseen
         self.desks: dict[int, Desk] = {}
@@ -72,6 +76,20 @@ class Panel:
             desk.close()
         with contextlib.redirect_stdout(io.StringIO()):
             self.server.stop()
+
+
+def _check_address(host: str, port: int) -> None:
+    """Refuse an address that cannot be listened at; viser would try one port after another for ever."""
+    try:
+        family, kind, protocol, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
+        with socket.socket(family, kind, protocol) as probe:
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            probe.bind(address)
+    except OSError as error:
+        if error.errno == errno.EADDRINUSE:
+            raise InvalidOption(f"port {port} is in use") from None
+        at = f"{host}, port {port}" if port else host
+        raise InvalidOption(f"cannot listen at {at}: {error.strerror or error}") from None
 
 
 def _no_tunnel(*_: Any, **__: Any) -> None:
