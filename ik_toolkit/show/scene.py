@@ -295,9 +295,8 @@ class Scene:
 
 def length(value: float) -> str:
     """Length [m] in words."""
-    if value < 1e-3:
-        return f"{1e6 * value:.3g} um"
-    return f"{1e3 * value:.3g} mm" if value < 1.0 else f"{value:.3g} m"
+    size, unit = next((x for x in ((1.0, "m"), (1e-3, "mm"), (1e-6, "um")) if value >= x[0]), (1e-9, "nm"))
+    return f"{value / size:.3g} {unit}"
 
 
 def view(robot: Joints, what: Any = None, *, target: Any = None, cloud: Any = None, title: str | None = None) -> Scene:

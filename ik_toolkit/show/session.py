@@ -14,6 +14,7 @@ from ..solvers.registry import ROWS, find_row, make_rule
 from ..solvers.result import Result
 from ..solvers.solve import automatic, bound, solve
 from ..solvers.solve_all import solve_all
+from .scene import length
 
 KINDS = ("roll pitch yaw", "quaternion", "free")  # how the orientation of a typed target is given
 SHOWN = 16  # solutions listed
@@ -159,7 +160,7 @@ class Session:
         angle = "free" if r.orientation_error is None else f"{math.degrees(r.orientation_error):.3g} deg"
         return [
             ("status", r.status.name),
-            ("position error", _length(r.position_error)),
+            ("position error", length(r.position_error)),
             ("orientation error", angle),
             ("iterations", f"{r.iterations}, restarts {r.restarts}"),
             ("time", f"{1e3 * r.elapsed:.3g} ms, solver {r.solver}"),
@@ -249,8 +250,3 @@ def _figure(value: float) -> str:
 
 def _triple(values: np.ndarray) -> str:
     return " ".join(f"{round(float(x), 4) + 0.0:g}" for x in values)
-
-
-def _length(value: float) -> str:
-    size, unit = next((x for x in ((1e-3, "mm"), (1e-6, "um")) if value >= x[0]), (1e-9, "nm"))
-    return f"{value / size:.3g} {unit}" if value < 1.0 else f"{value:.4g} m"
