@@ -3,6 +3,7 @@
 import json
 import math
 import os
+import re
 import subprocess
 import sys
 import time
@@ -396,6 +397,16 @@ def test_all_with_a_direction_gives_a_spread_and_a_pose_in_json(run):
     found = json.loads(run("solve", "hydrolek_7w", *words)[1])
     assert len(found["solutions"]) == 64 and "a sample of infinitely many" in found["message"]
     assert np.shape(found["target"]) == (4, 4)
+
+
+@pytest.mark.parametrize("words", ["info inspection_7dof", "robots", "solvers", "solve planar_2r --xyz 1 1 0 --all"])
+def test_a_narrow_terminal_cuts_nothing_short(run, monkeypatch, words):
+    wide = run(*words.split())[1]
+    monkeypatch.setenv("COLUMNS", "60")
+    narrow = run(*words.split())[1]
+    assert "\u2026" not in wide + narrow
+    for number in re.findall(r"-?[0-9]+[.][0-9]+", wide):
+        assert number in narrow
 
 
 def test_locked_values_are_shown_in_the_units_asked_for(run):

@@ -307,17 +307,24 @@ def table(*columns: str) -> "Table":
     made = Table(box=box.SIMPLE_HEAD, pad_edge=False)
     for column in columns:
         right, whole = column.startswith(">"), column.startswith(("<", ">"))
-        made.add_column(column.lstrip("<>"), justify="right" if right else "left", no_wrap=whole)
+        made.add_column(column.lstrip("<>"), justify="right" if right else "left", no_wrap=whole, overflow="fold")
     return made
 
 
 def show(*things: Any) -> None:
     """Print tables and lines on stdout: as wide as the terminal, 100 columns where there is none."""
+    from rich.cells import cell_len
     from rich.console import Console
 
     width = None if sys.stdout.isatty() or "COLUMNS" in os.environ else 100
     console = Console(width=width, highlight=False, markup=False)
+    room = console.width
     for thing in things:
+        least = 0  # in a narrow terminal a long line is better than numbers cut short
+        for column in getattr(thing, "columns", ()):
+            lines = [line for cell in (column.header, *column.cells) for line in str(cell).split("\n")]
+            least += 3 + (max(map(cell_len, lines)) if column.no_wrap else 12)
+        console.width = max(room, least)
         console.print(thing)
 
 

@@ -248,13 +248,13 @@ def _show(result: "TrackResult", arm: "Robot", reference: "Reference") -> None:
             }
         )
     )
-    errors = table("error", ">max", ">RMS", ">final", ">second half, max", ">between samples")
+    errors = table("<error", ">max", ">RMS", ">final", ">second half, max", ">between samples")
     for name, unit in (("position", "m"), ("orientation", "rad")):
         if name in figures:
             row = figures[name]
             keys = ("max", "rms", "final", "settled_max", "between_settled_max")
             errors.add_row(f"{name} [{unit}]", *(f"{row[key]:.3g}" if key in row else "-" for key in keys))
-    joints = table("joint", ">peak speed", ">of limit", ">peak acceleration", ">peak jerk", ">held back")
+    joints = table("<joint", ">peak speed", ">of limit", ">peak acceleration", ">peak jerk", ">held back")
     for i, (name, kind) in enumerate(zip(result.joint_names, arm.joint_kinds, strict=True)):
         unit = "rad" if turns(kind) else "m"
         limit = float(arm.velocity_limits[i])
