@@ -23,7 +23,7 @@ def test_without_the_package_it_says_what_to_install(monkeypatch):
         monkeypatch.setitem(sys.modules, name, None)
     eaik._arm.cache_clear()
     robot = robots.load("locked")
-    with pytest.raises(MissingExtra, match="(?i)pip install eaik"):
+    with pytest.raises(MissingExtra, match=r"(?i)pip install eaik"):
         ik.solve(robot, robot.fk(robot.home), "eaik")
     assert ik.solve(robot, robot.fk(robot.home)).success  # nothing else needs it
 

@@ -150,7 +150,9 @@ def test_pictures_are_optional(tmp_path, monkeypatch):
     report.figure("a.png", "a", lambda plt: None)
     monkeypatch.setattr("ik_toolkit.papers.report.importlib.util.find_spec", lambda name: None)
     files = report.write(tmp_path)
-    assert [file.name for file in files] == ["report.md", "report.json"] and "pip install matplotlib" in files[0].read_text()
+    assert [file.name for file in files] == ["report.md", "report.json"] and "pip install matplotlib" in files[
+        0
+    ].read_text()
     with pytest.raises(MissingExtra):
         report.write(tmp_path, pictures=True)
 
