@@ -204,13 +204,6 @@ def _members(value) -> list[str]:
     return ["   :members:", *inherited]
 
 
-def list_measured_pages(app, docname: str, source: list[str]) -> None:
-    """Put the pages that long measurements write into the table of contents, when they are there."""
-    if docname == "index":
-        there = [name for name in ("benchmarks", "reliability") if (Path(app.srcdir) / f"{name}.md").exists()]
-        source[0] = source[0].replace("\ngallery\n", "\n" + "".join(f"{name}\n" for name in there) + "gallery\n")
-
-
 # ------------------------------------------------------------------------------------------------ autodoc
 def escape_docstring(app, what, name, obj, options, lines: list[str]) -> None:
     """Docstrings are plain text: code in backticks becomes literal, everything else loses its special meaning."""

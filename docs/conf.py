@@ -38,6 +38,5 @@ html_copy_source = False
 def setup(app):
     """Write the generated pages before reading, and make the plain docstrings safe for reStructuredText."""
     app.connect("builder-inited", lambda app: _generate.write_all(Path(app.srcdir)))
-    app.connect("source-read", _generate.list_measured_pages)
     app.connect("autodoc-process-docstring", _generate.escape_docstring)
     app.connect("autodoc-skip-member", _generate.skip_member)

@@ -75,10 +75,10 @@ def test_bench(tmp_path, record_property):
     ik.solve(ik.Robot.load("planar_3r"), (1.0, 1.0, 0.0), "dls")  # compiled, so that the command is soon at work
     out = tmp_path / "out.json"
     began = time.monotonic()
-    words = ["bench", "planar_3r", "--solvers", "dls", "-n", "300000", "-o", str(out)]
+    words = ["bench", *["planar_3r"] * 200, "--solvers", "dls", "-n", "50000", "-o", str(out)]  # long on any machine
     interrupted(record_property, words, lambda: time.monotonic() > began + 8)
     rows = json.loads(out.read_text())["rows"]
-    assert 0 < rows[0]["targets"] < 300000
+    assert 0 < sum(row["targets"] for row in rows) < 200 * 50000
 
 
 def test_tune(tmp_path, record_property):
