@@ -15,7 +15,8 @@ import typer
 
 from ..errors import InvalidOption, InvalidTarget, MissingExtra
 from ..robot.pose import rpy_matrix
-from ..solvers.batch import BatchInterrupted, BatchResult, solve_batch, solve_parts
+from ..solvers.batch import solve_batch, solve_parts
+from ..solvers.batch_result import BatchInterrupted, BatchResult
 from ..solvers.result import Status
 from .common import facts, notice, show, write_json
 

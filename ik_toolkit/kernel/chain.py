@@ -6,8 +6,8 @@ import numpy as np
 
 from .jit import cached
 from .kinematics import ROW, TAU, columns, fk
-from .loop import E_VECTORS
 from .seeds import PAD, ROTATION_WEIGHT, SEEDS
+from .slots import E_VECTORS
 
 __all__ = ["ROW", "Chain", "pack"]
 WINDING = 5 * TAU
@@ -122,7 +122,7 @@ def table(rows: np.ndarray, ends: np.ndarray, seeds: np.ndarray) -> np.ndarray:
 
 
 def reach_bounds(rows: np.ndarray, tip: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> list[float]:
-    """Bounds of the last six slots of `ends` (see loop.TAIL) for coordinates within lower, upper (n,); kernel units."""
+    """Bounds of the last six slots of `ends` (see slots.TAIL) for coordinates within lower, upper (n,); kernel units."""
     lengths = segments(rows, lower, upper)
     tool = float(np.linalg.norm(tip[9:]))
     shortest = np.where(rows[1:, 6] != 0.0, 0.0, lengths[1:])

@@ -1,11 +1,9 @@
-"""What is decided about a target or a standstill outside the iteration: rigid, out of reach, which turn, why no progress."""
+"""What is decided about a target or a standstill outside the iteration: rigid, out of reach, why no progress."""
 
 import math
 
-import numpy as np
-
 from .jit import jit
-from .kinematics import TAU
+from .task import POSE, POSITION
 
 CONVERGED, STALLED, ITERATION_LIMIT, LIMIT_BLOCKED, UNREACHABLE, SINGULAR, NOT_FINITE, CHECK_FAILED = range(8)
 FAR = 1e100  # coordinates [m] beyond this are refused: their squares are no numbers
@@ -16,9 +14,9 @@ BAD_TARGET, BAD_START = 8, 9  # never seen by a caller: the target or the start 
 def beyond(goal, tip, tail, kind, tol_p, tol_r):
     """Length by which the target lies outside the reach bound (0 = not proven unreachable), in kernel units."""
     worst = 0.0
-    if kind > 1:
+    if kind > POSITION:
         return worst
-    for k in range(2 if kind == 0 else 1):
+    for k in range(2 if kind == POSE else 1):
         x, y, z = goal[9], goal[10], goal[11]
         slack = tol_p
         if k == 1:  # the last joint's point is fixed by the pose: the arm without its tool must reach it
@@ -67,25 +65,6 @@ def rigid(T):
     det = T[0, 0] * (T[1, 1] * T[2, 2] - T[1, 2] * T[2, 1]) - T[0, 1] * (T[1, 0] * T[2, 2] - T[1, 2] * T[2, 0])
     det += T[0, 2] * (T[1, 0] * T[2, 1] - T[1, 1] * T[2, 0])
     return det > 0.0 and total < FAR
-
-
-@jit
-def legal(q0, unit, lower, upper, turns, limits):
-    """Whether a start (n,) [rad or m] is finite and, when limits count, inside them."""
-    for i in range(q0.shape[0]):
-        a = q0[i] / unit[i]
-        if not abs(a) < 1e15 or (limits and turns[i] < 1.5 and not lower[i] <= a <= upper[i]):
-            return False
-    return True
-
-
-@jit
-def turn(wanted, q, lower, upper, turns):
-    """Full turns by which to move a joint so that it comes nearest `wanted` away, inside its limits unless it is endless."""
-    k = np.rint(wanted / TAU)
-    if turns < 1.5:
-        k = min(max(k, math.ceil((lower - q) / TAU)), math.floor((upper - q) / TAU))
-    return k
 
 
 @jit

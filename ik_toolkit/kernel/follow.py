@@ -7,9 +7,36 @@ import numpy as np
 
 from .jit import cached, kernel_stamp, source_file
 from .kinematics import aim, angle_ratio, columns, error, fk
-from .loop import E_VECTORS, RULES, SWEEPS, Step, Sweep, measure, step
-from .motion import advance, apply, command, ease, factor, fastest, jacobian_rate, prepare, settle, to_local
-from .task import shape_columns
+from .loop import RULES, SWEEPS, Step, Sweep, measure, step
+from .motion import (
+    CA,
+    GIVEN,
+    HELD,
+    MOVING,
+    NOT_FINITE,
+    P_BRAKE,
+    P_CODE,
+    P_DAMPING,
+    P_GAMMA,
+    P_RUNAWAY,
+    RUNAWAY,
+    RUNNING,
+    S_H,
+    S_START,
+    S_STOP,
+    advance,
+    apply,
+    command,
+    ease,
+    factor,
+    fastest,
+    jacobian_rate,
+    prepare,
+    settle,
+    to_local,
+)
+from .slots import E_VECTORS, O_KIND, O_W, OPT_HEAD
+from .task import POSE, shape_columns
 
 
 @functools.cache
@@ -51,7 +78,7 @@ def tracker() -> Callable:
         x = np.empty(n)
         before = np.empty(n)
         steps = T.shape[0] - 1
-        gamma = p[4]
+        gamma = p[P_GAMMA]
         limited = False
         for k in range(n):
             limited = limited or limits[3, k] < np.inf
@@ -64,17 +91,17 @@ def tracker() -> Callable:
             for k in range(3):
                 E[i, k] = (ends[3 * k] * e[0] + ends[3 * k + 1] * e[1] + ends[3 * k + 2] * e[2]) * scale
                 E[i, 3 + k] = ends[3 * k] * e[3] + ends[3 * k + 1] * e[4] + ends[3 * k + 2] * e[5]
-            if i < steps or state[0] == 0.0:
+            if i < steps or state[S_START] == MOVING:
                 columns(rows, Z, J, px, py, pz)
                 to_local(ends, scale, V[i], v)
-            if state[0] == 0.0:
-                factor(J, m, p[6], G, y)
+            if state[S_START] == MOVING:
+                factor(J, m, p[P_DAMPING], G, y)
                 apply(J, m, G, v, y, rate)
                 for k in range(n):
                     room = limits[1, k] - q[k] if rate[k] > 0.0 else q[k] - limits[0, k]
                     top = min(limits[2, k], fastest(room, 0.0, gamma, h, limits[3, k]))
                     rate[k] = min(max(rate[k], -top), top)
-                state[0] = 1.0
+                state[S_START] = GIVEN
             for k in range(n):
                 Q[i, k] = q[k]
                 R[i, k] = rate[k]
@@ -85,34 +112,34 @@ def tracker() -> Callable:
             px, py, pz, e0, e1, e2, e3, e4, e5 = error(goal, tip, x0, xx1, xx2, y0, y1, y2, z0, z1, z2, lx, ly, lz)
             f = angle_ratio(e3 * e3 + e4 * e4 + e5 * e5)
             ahead[0], ahead[1], ahead[2], ahead[3], ahead[4], ahead[5] = e0, e1, e2, e3 * f, e4 * f, e5 * f
-            D[i] = factor(J, m, p[6], G, y)
+            D[i] = factor(J, m, p[P_DAMPING], G, y)
             if limited:
                 ease(p, J, m, e, ahead, h, limits, G, y, x)
             prepare(p, J, m, ahead, rate, h, G, y, t, move, null, x1, x2)
-            if p[0] >= 2.0:
+            if p[P_CODE] >= CA:
                 jacobian_rate(rows, Z, J, px, py, pz, x1, x2, bias)
-            ratio = h / state[1] if state[0] == 2.0 else 0.0
-            if p[9] == 0.0:
+            ratio = h / state[S_H] if state[S_START] == RUNNING else 0.0
+            if p[P_BRAKE] == 0.0:
                 command(p, J, m, e, v, a, bias, rate, prev, h, ratio, G, y, t, move, null, x)
             largest = 0.0
             for k in range(n):
                 before[k] = rate[k]
                 largest += abs(x[k])
             bad = not largest < 1e300
-            if p[9] > 0.0 or (bad and p[8] == np.inf):
+            if p[P_BRAKE] > 0.0 or (bad and p[P_RUNAWAY] == np.inf):
                 for k in range(n):
                     x[k] = 0.0
                     prev[k] = 0.0
-            elif bad or largest * h > p[8] * n:
-                state[2] = 1.0 if bad else 2.0
+            elif bad or largest * h > p[P_RUNAWAY] * n:
+                state[S_STOP] = NOT_FINITE if bad else RUNAWAY
                 return i
             advance(q, rate, x, gamma, h, limits, C[i])
             settle(p, h, before, x, C[i], prev)
-            if p[9] > 0.0 or bad:
+            if p[P_BRAKE] > 0.0 or bad:
                 for k in range(n):
-                    C[i, k] = C[i, k] | 8
-            state[0] = 2.0
-            state[1] = h
+                    C[i, k] = C[i, k] | HELD
+            state[S_START] = RUNNING
+            state[S_H] = h
         return steps
 
     return follow
@@ -138,10 +165,10 @@ def rule_tracker(cls: type) -> Callable:
         lower, upper, unit = ends[v : v + n], ends[v + n : v + 2 * n], ends[v + 3 * n : v + 4 * n]
         tip = ends[12:24]
         scale = ends[v + 7 * n]
-        kind = int(opt[9])
-        mask = opt[10:16]
-        weights = opt[24 : 24 + n]
-        parameters = opt[24 + n :]
+        kind = int(opt[O_KIND])
+        mask = opt[O_W : O_W + 6]
+        weights = opt[OPT_HEAD : OPT_HEAD + n]
+        parameters = opt[OPT_HEAD + n :]
         dq = np.empty(n)
         w = np.empty(n)
         x = np.empty(n)
@@ -173,28 +200,28 @@ def rule_tracker(cls: type) -> Callable:
             aim(ends, tip, scale, T[i + 1], goal)
             px, py, pz, e = measure(rows, ends, tip, goal, mask, kind, q, Z, ang, sn, cs, V, y)
             columns(rows, Z, J, px, py, pz)
-            if kind > 0:
+            if kind != POSE:
                 shape_columns(kind, mask, V, y, J)
             for k in range(n):
                 w[k] = weights[k]
             r = 0
-            if p[9] == 0.0:
+            if p[P_BRAKE] == 0.0:
                 r = step(cls, parameters, s, e)
             largest = 0.0
             for k in range(n):
                 x[k] = dq[k] / h if r != -1 else 0.0
                 largest += abs(x[k])
             bad = not largest < 1e300
-            if p[9] > 0.0 or (bad and p[8] == np.inf):
+            if p[P_BRAKE] > 0.0 or (bad and p[P_RUNAWAY] == np.inf):
                 for k in range(n):
                     x[k] = 0.0
-            elif bad or largest * h > p[8] * n:
-                state[2] = 1.0 if bad else 2.0
+            elif bad or largest * h > p[P_RUNAWAY] * n:
+                state[S_STOP] = NOT_FINITE if bad else RUNAWAY
                 return i
             advance(q, rate, x, 1.0, h, limits, C[i])
-            if p[9] > 0.0 or bad:
+            if p[P_BRAKE] > 0.0 or bad:
                 for k in range(n):
-                    C[i, k] = C[i, k] | 8
+                    C[i, k] = C[i, k] | HELD
         return steps
 
     return follow

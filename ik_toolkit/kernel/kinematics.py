@@ -12,7 +12,7 @@ import math
 
 import numpy as np
 
-from .jit import jit
+from .jit import inline, jit
 
 # Columns of a row: cos b, sin b, tx, ty, turn, a0, slide, d0, coordinate, 1 turns / 0 slides.
 # Row 0 has no Rx: its first slot says instead whether each joint is its own coordinate with ratio 1 (no mimic).
@@ -20,9 +20,12 @@ ROW = 10
 TAU = 2.0 * math.pi
 
 
-@jit
+@inline
 def sincos(x):
-    """Sine and cosine together and branch-free, so that a loop over joints vectorises; error below 2e-15 for |x| < 100."""
+    """Sine and cosine together and branch-free, so that a loop over joints vectorises; error below 2e-15 for |x| < 100.
+
+    x: a number or a vector.
+    """
     k = np.rint(x * 0.31830988618379067154)
     r = x - k * 3.1415926218032836914
     r = r - k * 3.1786509424591713469e-08

@@ -2,10 +2,10 @@
 
 import math
 
-from .jit import jit
+from .jit import inline, jit
 
 
-@jit
+@inline
 def inverse3(a, b, c, d, e, f):
     """Inverse of the symmetric [[a, b, c], [b, d, e], [c, e, f]] by cofactors, upper triangle by rows."""
     ca = d * f - e * e
@@ -13,6 +13,33 @@ def inverse3(a, b, c, d, e, f):
     cc = b * e - c * d
     k = 1.0 / (a * ca + b * cb + c * cc)
     return ca * k, cb * k, cc * k, (a * f - c * c) * k, (b * c - a * e) * k, (a * d - b * b) * k
+
+
+@inline
+def solve_blocks(
+    p00, p10, p11, p20, p21, p22, s00, s10, s11, s20, s21, s22, q00, q01, q02, q10, q11, q12, q20, q21, q22,
+    e0, e1, e2, e3, e4, e5,
+):  # fmt: skip
+    """Solve [[P, Q'], [Q, S]] y = e with symmetric P and S (3, 3), by the complement of S; numbers or vectors."""
+    t0, t1, t2, t3, t4, t5 = inverse3(s00, s10, s20, s11, s21, s22)
+    g00, g01, g02 = t0 * q00 + t1 * q10 + t2 * q20, t0 * q01 + t1 * q11 + t2 * q21, t0 * q02 + t1 * q12 + t2 * q22
+    g10, g11, g12 = t1 * q00 + t3 * q10 + t4 * q20, t1 * q01 + t3 * q11 + t4 * q21, t1 * q02 + t3 * q12 + t4 * q22
+    g20, g21, g22 = t2 * q00 + t4 * q10 + t5 * q20, t2 * q01 + t4 * q11 + t5 * q21, t2 * q02 + t4 * q12 + t5 * q22
+    p00 = p00 - (q00 * g00 + q10 * g10 + q20 * g20)
+    p10 = p10 - (q01 * g00 + q11 * g10 + q21 * g20)
+    p11 = p11 - (q01 * g01 + q11 * g11 + q21 * g21)
+    p20 = p20 - (q02 * g00 + q12 * g10 + q22 * g20)
+    p21 = p21 - (q02 * g01 + q12 * g11 + q22 * g21)
+    p22 = p22 - (q02 * g02 + q12 * g12 + q22 * g22)
+    b0 = e0 - (g00 * e3 + g10 * e4 + g20 * e5)
+    b1 = e1 - (g01 * e3 + g11 * e4 + g21 * e5)
+    b2 = e2 - (g02 * e3 + g12 * e4 + g22 * e5)
+    u0, u1, u2, u3, u4, u5 = inverse3(p00, p10, p20, p11, p21, p22)
+    y0, y1, y2 = u0 * b0 + u1 * b1 + u2 * b2, u1 * b0 + u3 * b1 + u4 * b2, u2 * b0 + u4 * b1 + u5 * b2
+    y3 = t0 * e3 + t1 * e4 + t2 * e5 - (g00 * y0 + g01 * y1 + g02 * y2)
+    y4 = t1 * e3 + t3 * e4 + t4 * e5 - (g10 * y0 + g11 * y1 + g12 * y2)
+    y5 = t2 * e3 + t4 * e4 + t5 * e5 - (g20 * y0 + g21 * y1 + g22 * y2)
+    return y0, y1, y2, y3, y4, y5
 
 
 @jit
@@ -51,37 +78,12 @@ def damped(J, w, dq, e, damping):
             q20 += a5 * j0
             q21 += a5 * j1
             q22 += a5 * j2
-    t0, t1, t2, t3, t4, t5 = inverse3(s00, s10, s20, s11, s21, s22)
-    g00, g01, g02 = t0 * q00 + t1 * q10 + t2 * q20, t0 * q01 + t1 * q11 + t2 * q21, t0 * q02 + t1 * q12 + t2 * q22
-    g10, g11, g12 = t1 * q00 + t3 * q10 + t4 * q20, t1 * q01 + t3 * q11 + t4 * q21, t1 * q02 + t3 * q12 + t4 * q22
-    g20, g21, g22 = t2 * q00 + t4 * q10 + t5 * q20, t2 * q01 + t4 * q11 + t5 * q21, t2 * q02 + t4 * q12 + t5 * q22
-    p00 -= q00 * g00 + q10 * g10 + q20 * g20
-    p10 -= q01 * g00 + q11 * g10 + q21 * g20
-    p11 -= q01 * g01 + q11 * g11 + q21 * g21
-    p20 -= q02 * g00 + q12 * g10 + q22 * g20
-    p21 -= q02 * g01 + q12 * g11 + q22 * g21
-    p22 -= q02 * g02 + q12 * g12 + q22 * g22
-    b0 = e.e0 - (g00 * e.e3 + g10 * e.e4 + g20 * e.e5)
-    b1 = e.e1 - (g01 * e.e3 + g11 * e.e4 + g21 * e.e5)
-    b2 = e.e2 - (g02 * e.e3 + g12 * e.e4 + g22 * e.e5)
-    u0, u1, u2, u3, u4, u5 = inverse3(p00, p10, p20, p11, p21, p22)
-    y0, y1, y2 = u0 * b0 + u1 * b1 + u2 * b2, u1 * b0 + u3 * b1 + u4 * b2, u2 * b0 + u4 * b1 + u5 * b2
-    y3 = t0 * e.e3 + t1 * e.e4 + t2 * e.e5 - (g00 * y0 + g01 * y1 + g02 * y2)
-    y4 = t1 * e.e3 + t3 * e.e4 + t4 * e.e5 - (g10 * y0 + g11 * y1 + g12 * y2)
-    y5 = t2 * e.e3 + t4 * e.e4 + t5 * e.e5 - (g20 * y0 + g21 * y1 + g22 * y2)
+    y0, y1, y2, y3, y4, y5 = solve_blocks(
+        p00, p10, p11, p20, p21, p22, s00, s10, s11, s20, s21, s22, q00, q01, q02, q10, q11, q12, q20, q21, q22,
+        e.e0, e.e1, e.e2, e.e3, e.e4, e.e5,
+    )  # fmt: skip
     for i in range(J.shape[0]):
         dq[i] = w[i] * (J[i, 0] * y0 + J[i, 1] * y1 + J[i, 2] * y2 + J[i, 3] * y3 + J[i, 4] * y4 + J[i, 5] * y5)
-
-
-@jit
-def hold(q, dq, w, lower, upper):
-    """Set w = 0 for joints that sit on a limit and are pushed outwards; True when a new one was found."""
-    hit = False
-    for i in range(q.shape[0]):
-        if w[i] > 0.0 and ((q[i] <= lower[i] and dq[i] < 0.0) or (q[i] >= upper[i] and dq[i] > 0.0)):
-            w[i] = 0.0
-            hit = True
-    return hit
 
 
 @jit

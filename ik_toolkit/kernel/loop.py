@@ -27,30 +27,46 @@ from .checks import (
     UNREACHABLE,
     beyond,
     edge,
-    legal,
     rigid,
-    turn,
     why,
 )
 from .jit import OPTIONS, cached, inline, kernel_stamp, source_file
 from .kinematics import TAU, aim, columns, error, fk, rotation_angle
-from .linalg import hold
+from .limits import face, hold, integrate, legal, turn
 from .seeds import BEST, nearest, rnd
-from .task import shape_columns, shape_error
+from .slots import (
+    E_VECTORS,
+    O_C,
+    O_C_FREE,
+    O_CLOSEST,
+    O_DESCENTS,
+    O_EVALUATIONS,
+    O_GIVEN,
+    O_HOLD,
+    O_ITERATIONS,
+    O_KIND,
+    O_LIMITS,
+    O_RHO,
+    O_RHO_FREE,
+    O_SEED,
+    O_STALL,
+    O_TOL_P,
+    O_TOL_R,
+    O_W,
+    OPT_HEAD,
+    OUT_HEAD,
+    R_EVALUATIONS,
+    R_EXCESS,
+    R_HISTORY,
+    R_ITERATIONS,
+    R_POSITION,
+    R_RESTARTS,
+    R_ROTATION,
+    R_STATUS,
+)
+from .task import AXIS, MASK_BASE, MASK_TIP, POSE, POSITION, shape_columns, shape_error
 
 SINGULAR_STEP, WAITING = -1, -2  # what a rule may return instead of a count of evaluations
-
-# Slots of `opt`; the joint weights (n) and then the rule's parameters follow at OPT_HEAD.
-O_TOL_P, O_TOL_R, O_GIVEN, O_ITERATIONS, O_DESCENTS = 0, 1, 2, 3, 4
-O_C, O_RHO, O_C_FREE, O_RHO_FREE, O_KIND, O_W = 5, 6, 7, 8, 9, 10  # O_W: six weights, or the tip axis for AXIS
-O_EVALUATIONS, O_LIMITS, O_SEED, O_CLOSEST, O_STALL, O_HOLD = 16, 17, 18, 19, 20, 21
-OPT_HEAD = 24
-# Slots of a row of `out`; q (n) follows at OUT_HEAD.
-R_STATUS, R_ITERATIONS, R_RESTARTS, R_POSITION, R_ROTATION, R_EVALUATIONS, R_HISTORY, R_EXCESS = range(8)
-OUT_HEAD = 8
-# Slots of `ends`: base (12), tip (12), then seven vectors of n, then the tail.
-E_VECTORS = 24
-TAIL = 7  # scale, reach of tip, hole of tip, reach of last joint, hole of last joint, lift low, lift high
 
 Array = np.ndarray
 
@@ -147,7 +163,7 @@ def measure(rows, ends, tip, goal, w, kind, q, Z, ang, sn, cs, V, y):
     """Evaluate the chain at q: tip point, and the error with what does not count set to zero."""
     x0, x1, x2, y0, y1, y2, z0, z1, z2, px, py, pz = fk(rows, q, Z, ang, sn, cs)
     px, py, pz, e0, e1, e2, e3, e4, e5 = error(goal, tip, x0, x1, x2, y0, y1, y2, z0, z1, z2, px, py, pz)
-    if kind > 0:
+    if kind != POSE:
         e0, e1, e2, e3, e4, e5 = shape_error(
             kind, w, ends, goal, V, y, x0, x1, x2, y0, y1, y2, z0, z1, z2, e0, e1, e2, e3, e4, e5
         )
@@ -156,7 +172,7 @@ def measure(rows, ends, tip, goal, w, kind, q, Z, ang, sn, cs, V, y):
     return px, py, pz, Err(e0, e1, e2, e3, e4, e5, pp, rr, pp + rr)
 
 
-_ENTRIES: dict[type, Callable] = {}
+ENTRIES: dict[type, Callable] = {}
 
 
 def entry(cls: type) -> Callable:
@@ -165,8 +181,8 @@ def entry(cls: type) -> Callable:
     T (N, 4, 4) [m]; Q0 (1 or N, n) start if opt[O_GIVEN], and the turn nearest to it is returned; out (N, 8 + n);
     hist (H, 2 + n) receives position error, orientation error and q of each evaluation (H may be 0).
     """
-    if cls in _ENTRIES:
-        return _ENTRIES[cls]
+    if cls in ENTRIES:
+        return ENTRIES[cls]
     stamp = kernel_stamp(source_file(RULES[cls]))
     sweeping = cls in SWEEPS
     using_jacobian = cls not in FREE
@@ -207,46 +223,46 @@ def entry(cls: type) -> Callable:
         val = np.empty(BEST, np.float32)
         best = np.empty(BEST, np.int64)
         state = np.empty(1, np.uint64)
-        kind = int(opt[9])
-        given = int(opt[2])
-        limits = opt[17] > 0.0
+        kind = int(opt[O_KIND])
+        given = int(opt[O_GIVEN])
+        limits = opt[O_LIMITS] > 0.0
         holding = limits and opt[O_HOLD] > 0.0
-        iterations = int(opt[3])
-        closest = int(opt[19])
-        jw = opt[24 : 24 + n]
-        mask = opt[10:16]
-        p = opt[24 + n :]
+        iterations = int(opt[O_ITERATIONS])
+        closest = int(opt[O_CLOSEST])
+        jw = opt[OPT_HEAD : OPT_HEAD + n]
+        mask = opt[O_W : O_W + 6]
+        p = opt[OPT_HEAD + n :]
         if sweeping:
             s = Sweep(q, dq, w, x, lower, upper, unit, rows, ends, tip, goal, mask, Z, ang, sn, cs, V, y, opt)
         else:
             s = Step(q, dq, w, J, x, V, y)
-        tol_p = opt[0] / scale
+        tol_p = opt[O_TOL_P] / scale
         tp = tol_p * tol_p
-        tr = 2.0 * math.sin(0.5 * min(opt[1], math.pi)) if opt[1] < math.pi else 3.0
-        if kind == 2 or kind == 3:
-            tr = opt[1]
+        tr = 2.0 * math.sin(0.5 * min(opt[O_TOL_R], math.pi)) if opt[O_TOL_R] < math.pi else 3.0
+        if kind == MASK_BASE or kind == MASK_TIP:
+            tr = opt[O_TOL_R]
         tr = tr * tr
         for t in range(T.shape[0]):
             given_row = t if Q0.shape[0] > 1 else 0
             if not rigid(T[t]):
-                out[t, 0] = BAD_TARGET
+                out[t, R_STATUS] = BAD_TARGET
                 continue
             if (given > 0 or closest > 0) and not legal(Q0[given_row], unit, lower, upper, turns, limits):
-                out[t, 0] = BAD_START
+                out[t, R_STATUS] = BAD_START
                 continue
             # The random tail depends on the target's own seed only, not on its neighbours or the thread.
-            state[0] = np.uint64(88172645463325252) ^ (np.uint64(opt[18]) * np.uint64(0x9E3779B97F4A7C15))
+            state[0] = np.uint64(88172645463325252) ^ (np.uint64(opt[O_SEED]) * np.uint64(0x9E3779B97F4A7C15))
             aim(ends, tip, scale, T[t], goal)
-            excess = beyond(goal, tip, tail, kind, tol_p, opt[1])
-            descents = int(opt[4])
+            excess = beyond(goal, tip, tail, kind, tol_p, opt[O_TOL_R])
+            descents = int(opt[O_DESCENTS])
             if excess > 0.0:  # aim at the edge of the reach instead: there the damping vanishes and the descent is fast
                 descents = min(descents, 3)
                 edge(goal, tail, excess, target)
             wp = 1.0
-            wr = 0.0 if kind == 1 else 1.0
-            if kind >= 2:
-                wp = 1.0 if opt[10] + opt[11] + opt[12] > 0.0 or kind == 4 else 0.0
-                wr = 1.0 if kind < 4 and opt[13] + opt[14] + opt[15] > 0.0 else 0.0
+            wr = 0.0 if kind == POSITION else 1.0
+            if kind > POSITION:
+                wp = 1.0 if opt[O_W] + opt[O_W + 1] + opt[O_W + 2] > 0.0 or kind == AXIS else 0.0
+                wr = 1.0 if kind != AXIS and opt[O_W + 3] + opt[O_W + 4] + opt[O_W + 5] > 0.0 else 0.0
             status = STALLED
             total = 0
             count = 0
@@ -262,8 +278,8 @@ def entry(cls: type) -> Callable:
             found_pp = 0.0
             found_rr = 0.0
             while tries < descents:
-                c = opt[7]
-                rho = opt[8]
+                c = opt[O_C_FREE]
+                rho = opt[O_RHO_FREE]
                 if tries < given:
                     for i in range(n):
                         q[i] = Q0[given_row, i] / unit[i]
@@ -274,8 +290,8 @@ def entry(cls: type) -> Callable:
                     if k < BEST:
                         for i in range(n):
                             q[i] = seeds[best[k], i]
-                        c = opt[5]
-                        rho = opt[6]
+                        c = opt[O_C]
+                        rho = opt[O_RHO]
                     else:
                         for i in range(n):
                             q[i] = low[i] + span[i] * rnd(state)
@@ -305,7 +321,7 @@ def entry(cls: type) -> Callable:
                     if not e.ee < 1e300:
                         ended = NOT_FINITE
                         break
-                    if k == iterations or count >= opt[16]:
+                    if k == iterations or count >= opt[O_EVALUATIONS]:
                         break
                     if e.ee > c and e.ee > 1e-9 and excess == 0.0:
                         ended = STALLED
@@ -313,7 +329,7 @@ def entry(cls: type) -> Callable:
                     c *= rho
                     if using_jacobian:
                         columns(rows, Z, J, px, py, pz)
-                        if kind > 0:
+                        if kind != POSE:
                             shape_columns(kind, mask, V, y, J)
                     for i in range(n):
                         w[i] = jw[i]
@@ -327,24 +343,13 @@ def entry(cls: type) -> Callable:
                     if r > 0:
                         count += r
                     total += 1
-                    moved = 0.0
-                    far = 0.0
-                    for i in range(n):
-                        a = q[i] + dq[i]
-                        if limits and (a < lower[i] or a > upper[i]):
-                            if turns[i] > 0.0:
-                                a -= TAU * np.rint((a - 0.5 * (lower[i] + upper[i])) / TAU)
-                            else:
-                                a = min(max(a, lower[i]), upper[i])
-                        moved = max(moved, abs(a - q[i]))
-                        far = far if abs(a) <= far else abs(a)  # keeps a NaN
-                        q[i] = a
+                    moved, far = integrate(q, dq, limits, lower, upper, turns)
                     if not far < 1e6:
                         ended = NOT_FINITE
                         break
-                    if moved <= opt[20] and r != -2:
+                    if moved <= opt[O_STALL] and r != -2:
                         columns(rows, Z, J, px, py, pz)
-                        if kind > 0:
+                        if kind != POSE:
                             shape_columns(kind, mask, V, y, J)
                         ended = why(q, lower, upper, J, e, limits)
                         break
@@ -371,7 +376,7 @@ def entry(cls: type) -> Callable:
                             q_found[i] = q[i]
                     if found >= closest:
                         break
-                if count >= opt[16]:
+                if count >= opt[O_EVALUATIONS]:
                     break
             if found > 0:
                 status = CONVERGED
@@ -399,20 +404,15 @@ def entry(cls: type) -> Callable:
                         q[i] = best_q[i]
                     px, py, pz, e = measure(rows, ends, tip, goal, mask, kind, q, Z, ang, sn, cs, V, y)
                     columns(rows, Z, J, px, py, pz)
-                    if kind > 0:
+                    if kind != POSE:
                         shape_columns(kind, mask, V, y, J)
                     count += 1
                     status = LIMIT_BLOCKED if why(q, lower, upper, J, e, limits) == LIMIT_BLOCKED else STALLED
             # Of the same answer several turns away, give the legal one nearest the start (or home).
-            shifted = False
             for i in range(n):
                 q[i] = best_q[i]
-                if turns[i] > 0.0 and limits:
-                    ref = Q0[given_row, i] / unit[i] if given > 0 or closest > 0 else home[i]
-                    k0 = turn(ref - q[i], q[i], lower[i], upper[i], turns[i])
-                    if k0 != 0.0:
-                        q[i] += k0 * TAU
-                        shifted = True
+                dq[i] = Q0[given_row, i] / unit[i] if given > 0 or closest > 0 else home[i]
+            shifted = limits and face(q, dq, lower, upper, turns)
             if shifted:
                 px, py, pz, e = measure(rows, ends, tip, goal, mask, kind, q, Z, ang, sn, cs, V, y)
                 count += 1
@@ -422,16 +422,18 @@ def entry(cls: type) -> Callable:
                 else:  # rounding of the turn broke a tolerance at the edge: keep the evaluated one
                     for i in range(n):
                         q[i] = best_q[i]
-            out[t, 0] = status
-            out[t, 1] = total
-            out[t, 2] = tries - 1
-            out[t, 3] = math.sqrt(best_pp) * scale
-            out[t, 4] = math.sqrt(best_rr) if kind == 2 or kind == 3 else rotation_angle(best_rr)
-            out[t, 5] = count
-            out[t, 6] = rows_h
-            out[t, 7] = excess * scale
+            out[t, R_STATUS] = status
+            out[t, R_ITERATIONS] = total
+            out[t, R_RESTARTS] = tries - 1
+            out[t, R_POSITION] = math.sqrt(best_pp) * scale
+            out[t, R_ROTATION] = (
+                math.sqrt(best_rr) if kind == MASK_BASE or kind == MASK_TIP else rotation_angle(best_rr)
+            )
+            out[t, R_EVALUATIONS] = count
+            out[t, R_HISTORY] = rows_h
+            out[t, R_EXCESS] = excess * scale
             for i in range(n):
-                out[t, 8 + i] = q[i] * unit[i]
+                out[t, OUT_HEAD + i] = q[i] * unit[i]
 
-    _ENTRIES[cls] = solve
+    ENTRIES[cls] = solve
     return solve

@@ -186,25 +186,25 @@ def prepare(p, J, m, ahead, rate, h, G, y, t, move, null, x1, x2):
     (1 - J^+ J) rate, and the joint velocities x1, x2 of the product (dJ/dt along x1) x2 that `command` wants.
     """
     n = J.shape[0]
-    code = int(p[0])
+    code = int(p[P_CODE])
     for i in range(n):
         move[i] = 0.0
         null[i] = 0.0
-    if code == 1 or code == 3:
+    if code == AV or code == AA:
         apply(J, m, G, ahead, y, move)
-    if code >= 2:
+    if code >= CA:
         for k in range(m):
             s = 0.0
             for i in range(n):
                 s += J[i, k] * rate[i]
             t[k] = s
         apply(J, m, G, t, y, null)
-        reading = int(p[7]) if code == 3 else 0
+        reading = int(p[P_READING]) if code == AA else AT_RATE
         for i in range(n):
             null[i] = rate[i] - null[i]
             expected = move[i] / h + null[i]  # with the null part, or a redundant arm loses an order
-            x1[i] = expected if reading == 2 else rate[i]
-            x2[i] = rate[i] if reading == 0 else expected
+            x1[i] = expected if reading == AT_STEP else rate[i]
+            x2[i] = rate[i] if reading == AT_RATE else expected
 
 
 @jit
@@ -217,36 +217,36 @@ def command(p, J, m, e, v, a, bias, rate, prev, h, ratio, G, y, t, move, null, x
     (27), (29), (32), (33).
     """
     n = J.shape[0]
-    code = int(p[0])
-    if code == 0:
+    code = int(p[P_CODE])
+    if code == CV:
         for k in range(m):
-            t[k] = v[k] + p[1] * e[k]
+            t[k] = v[k] + p[P_KAPPA] * e[k]
         apply(J, m, G, t, y, x)
         for i in range(n):
             u = x[i]
             x[i] = u + 0.5 * ratio * (u - prev[i])
             prev[i] = u
-    elif code == 1:
+    elif code == AV:
         for i in range(n):
             x[i] = move[i] / h
-    elif code == 2:
+    elif code == CA:
         for k in range(m):
             s = 0.0
             for i in range(n):
                 s += J[i, k] * rate[i]
-            t[k] = a[k] + p[3] * (v[k] - s) + p[2] * e[k] - bias[k]
+            t[k] = a[k] + p[P_KD] * (v[k] - s) + p[P_KP] * e[k] - bias[k]
         apply(J, m, G, t, y, x)
         for i in range(n):
-            u = x[i] - p[5] * null[i]
+            u = x[i] - p[P_NULL] * null[i]
             x[i] = rate[i] + h * (u + 0.5 * ratio * (u - prev[i]))
             prev[i] = u
     else:
-        gamma = p[4]
+        gamma = p[P_GAMMA]
         for k in range(m):
             t[k] = bias[k]
         apply(J, m, G, t, y, x)
         for i in range(n):
-            u = (move[i] / h - rate[i] + null[i]) / (gamma * h) - 0.5 * x[i] / gamma - p[5] * null[i]
+            u = (move[i] / h - rate[i] + null[i]) / (gamma * h) - 0.5 * x[i] / gamma - p[P_NULL] * null[i]
             x[i] = rate[i] + h * u
 
 
@@ -288,12 +288,12 @@ def advance(q, rate, x, gamma, h, limits, code):
         hit = 0
         if low > top:  # only from a start that could not brake in time: brake as hard as allowed
             w = min(max(0.0, fall), rise)
-            hit = 5
+            hit = POSITION | ACCELERATION
         elif w > top:
-            hit = 1 if top == top_p else 2 if top == speed else 4
+            hit = POSITION if top == top_p else VELOCITY if top == speed else ACCELERATION
             w = top
         elif w < low:
-            hit = 1 if low == low_p else 2 if low == -speed else 4
+            hit = POSITION if low == low_p else VELOCITY if low == -speed else ACCELERATION
             w = low
         code[i] = hit
         any_hit = any_hit or hit > 0
@@ -311,8 +311,8 @@ def ease(p, J, m, e, ahead, h, limits, G, y, c):
     A method that removes a large error in one step asks for far more acceleration than there is; clipped, it overshoots
     and swings for ever. Half of each joint's acceleration and speed is left to the correction, the rest to the path.
     """
-    code = int(p[0])
-    natural = p[1] if code == 0 else p[2] / p[3] if code == 2 else 1.0 / h
+    code = int(p[P_CODE])
+    natural = p[P_KAPPA] if code == CV else p[P_KP] / p[P_KD] if code == CA else 1.0 / h
     apply(J, m, G, e, y, c)
     f = 1.0
     for i in range(c.shape[0]):
@@ -329,10 +329,10 @@ def ease(p, J, m, e, ahead, h, limits, G, y, c):
 @jit
 def settle(p, h, rate_before, x, code, prev):
     """After limits: what a held-back joint really did becomes its earlier command (no wind-up)."""
-    if p[0] == 0.0 or p[0] == 2.0:
+    if p[P_CODE] == CV or p[P_CODE] == CA:
         for i in range(x.shape[0]):
             if code[i] > 0:
-                prev[i] = x[i] if p[0] == 0.0 else (x[i] - rate_before[i]) / h
+                prev[i] = x[i] if p[P_CODE] == CV else (x[i] - rate_before[i]) / h
 
 
 @jit

@@ -6,9 +6,11 @@ import numpy as np
 
 from .jit import cached, inline
 from .kinematics import TAU, aim, columns, rotation_angle
-from .linalg import damped, hold
-from .loop import E_VECTORS, Err, measure
-from .task import shape_columns
+from .limits import hold
+from .linalg import damped
+from .loop import Err, measure
+from .slots import E_VECTORS, O_KIND, O_TOL_P, O_TOL_R, O_W, OPT_HEAD
+from .task import MASK_BASE, MASK_TIP, POSE, shape_columns
 
 MID_RANGE, REFERENCE, MANIPULABILITY = 1, 2, 3
 
@@ -77,11 +79,11 @@ def refine(rows, ends, T, q_out, ref, opt, what, steps, report):
     V = np.empty((6, 6))
     A = np.empty((6, 6))
     y = np.empty(6)
-    kind = int(opt[9])
-    mask = opt[10:16]
-    weights = opt[24 : 24 + n]
-    tp = (opt[0] / scale) ** 2
-    tr = opt[1] if kind == 2 or kind == 3 else 2.0 * math.sin(0.5 * min(opt[1], math.pi))
+    kind = int(opt[O_KIND])
+    mask = opt[O_W : O_W + 6]
+    weights = opt[OPT_HEAD : OPT_HEAD + n]
+    tp = (opt[O_TOL_P] / scale) ** 2
+    tr = opt[O_TOL_R] if kind == MASK_BASE or kind == MASK_TIP else 2.0 * math.sin(0.5 * min(opt[O_TOL_R], math.pi))
     tr = tr * tr
     aim(ends, tip, scale, T[0], goal)
     for i in range(n):
@@ -96,7 +98,7 @@ def refine(rows, ends, T, q_out, ref, opt, what, steps, report):
         for _ in range(6):
             px, py, pz, e = measure(rows, ends, tip, goal, mask, kind, q, Z, ang, sn, cs, V, y)
             columns(rows, Z, J, px, py, pz)
-            if kind > 0:
+            if kind != POSE:
                 shape_columns(kind, mask, V, y, J)
             if e.pp < tp and e.rr < tr:
                 good = True
@@ -110,12 +112,12 @@ def refine(rows, ends, T, q_out, ref, opt, what, steps, report):
             for i in range(n):
                 q[i] = min(max(q[i] + dq[i], lower[i]), upper[i])
         now = 0.0
-        if what == 3:
+        if what == MANIPULABILITY:
             now = -log_manipulability(J, unit, A)
         else:
             for i in range(n):
-                home = low[i] + 0.5 * span[i] if what == 1 else ref[i] / unit[i]
-                if what == 2 or lower[i] > -1e15:
+                home = low[i] + 0.5 * span[i] if what == MID_RANGE else ref[i] / unit[i]
+                if what == REFERENCE or lower[i] > -1e15:
                     now += 0.5 * ((q[i] - home) / span[i]) ** 2
         if k == 0:
             if not good:
@@ -134,7 +136,7 @@ def refine(rows, ends, T, q_out, ref, opt, what, steps, report):
         if k == 0 or (good and now < value):
             value = now
             report[3] = math.sqrt(e.pp) * scale
-            report[4] = math.sqrt(e.rr) if kind == 2 or kind == 3 else rotation_angle(e.rr)
+            report[4] = math.sqrt(e.rr) if kind == MASK_BASE or kind == MASK_TIP else rotation_angle(e.rr)
             for i in range(n):
                 old[i] = q[i]
         report[1] = value
@@ -144,24 +146,24 @@ def refine(rows, ends, T, q_out, ref, opt, what, steps, report):
         # Direction: down the gradient without what moves the tip. The distances are measured in joint ranges, and with the
         # same metric in the projection their step of one is Newton's.
         for i in range(n):
-            w[i] = weights[i] * (span[i] * span[i] if what != 3 else 1.0)
-            home = low[i] + 0.5 * span[i] if what == 1 else ref[i] / unit[i]
-            z[i] = home - q[i] if what == 2 or (what == 1 and lower[i] > -1e15) else 0.0
-            if turns[i] > 0.0 and what == 2:
+            w[i] = weights[i] * (span[i] * span[i] if what != MANIPULABILITY else 1.0)
+            home = low[i] + 0.5 * span[i] if what == MID_RANGE else ref[i] / unit[i]
+            z[i] = home - q[i] if what == REFERENCE or (what == MID_RANGE and lower[i] > -1e15) else 0.0
+            if turns[i] > 0.0 and what == REFERENCE:
                 z[i] -= TAU * np.rint(z[i] / TAU)
-        if what == 3:
+        if what == MANIPULABILITY:
             h = 1e-6
             for i in range(n):
                 q[i] += h
                 px, py, pz, e = measure(rows, ends, tip, goal, mask, kind, q, Z, ang, sn, cs, V, y)
                 columns(rows, Z, J, px, py, pz)
-                if kind > 0:
+                if kind != POSE:
                     shape_columns(kind, mask, V, y, J)
                 z[i] = 0.5 * (log_manipulability(J, unit, A) + value) / h
                 q[i] -= h
         px, py, pz, e = measure(rows, ends, tip, goal, mask, kind, q, Z, ang, sn, cs, V, y)
         columns(rows, Z, J, px, py, pz)
-        if kind > 0:
+        if kind != POSE:
             shape_columns(kind, mask, V, y, J)
         for _ in range(n):
             for r in range(6):

@@ -14,9 +14,9 @@ def shape_error(kind, w, ends, goal, V, y, x0, x1, x2, y0, y1, y2, z0, z1, z2, e
 
     w: six weights for the masks (base axes, or tip axes), or the tip axis (in the last joint's frame) for AXIS.
     """
-    if kind == 1:  # POSITION
+    if kind == POSITION:
         return e0, e1, e2, 0.0, 0.0, 0.0
-    if kind == 4:  # AXIS: from a (now) to b (wanted)
+    if kind == AXIS:  # from a (now) to b (wanted)
         a0 = x0 * w[0] + y0 * w[1] + z0 * w[2]
         a1 = x1 * w[0] + y1 * w[1] + z1 * w[2]
         a2 = x2 * w[0] + y2 * w[1] + z2 * w[2]
@@ -34,7 +34,7 @@ def shape_error(kind, w, ends, goal, V, y, x0, x1, x2, y0, y1, y2, z0, z1, z2, e
         f = 2.0 / math.sqrt(a0 * a0 + a1 * a1)
         return e0, e1, e2, -a1 * f, a0 * f, 0.0
     for r in range(3):  # masks: rotate to the named frame, weight
-        if kind == 2:
+        if kind == MASK_BASE:
             V[r, 0], V[r, 1], V[r, 2] = ends[3 * r], ends[3 * r + 1], ends[3 * r + 2]
         else:
             t0, t1, t2 = ends[12 + r], ends[15 + r], ends[18 + r]
@@ -59,9 +59,9 @@ def shape_error(kind, w, ends, goal, V, y, x0, x1, x2, y0, y1, y2, z0, z1, z2, e
 def shape_columns(kind, w, V, y, J):
     """Remove from the Jacobian what does not count, at the configuration shaped last."""
     for i in range(J.shape[0]):
-        if kind == 1:
+        if kind == POSITION:
             J[i, 3], J[i, 4], J[i, 5] = 0.0, 0.0, 0.0
-        elif kind == 4:
+        elif kind == AXIS:
             d = y[0] * J[i, 3] + y[1] * J[i, 4] + y[2] * J[i, 5]
             J[i, 3] -= d * y[0]
             J[i, 4] -= d * y[1]

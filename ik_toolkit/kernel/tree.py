@@ -6,7 +6,7 @@ import numpy as np
 
 from .chain import WINDING, Chain, box, forward, table
 from .kinematics import TAU
-from .loop import E_VECTORS
+from .slots import E_VECTORS
 
 Array = np.ndarray
 ROWS = 2048  # of the table of starts; each tip picks its own joints from it

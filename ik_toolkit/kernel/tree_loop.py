@@ -23,13 +23,38 @@ from .checks import (
     beyond,
     edge,
     rigid,
-    turn,
 )
 from .jit import cached, jit, kernel_stamp
-from .kinematics import TAU, aim, columns, error, fk, rotation_angle
-from .linalg import hold
-from .loop import E_VECTORS
+from .kinematics import aim, columns, error, fk, rotation_angle
+from .limits import face, hold, integrate
 from .seeds import BEST, nearest, rnd
+from .slots import (
+    E_VECTORS,
+    O_C,
+    O_C_FREE,
+    O_DESCENTS,
+    O_EVALUATIONS,
+    O_GIVEN,
+    O_HOLD,
+    O_ITERATIONS,
+    O_LIMITS,
+    O_RHO,
+    O_RHO_FREE,
+    O_SEED,
+    O_STALL,
+    O_TOL_P,
+    O_TOL_R,
+    OPT_HEAD,
+    OUT_HEAD,
+    R_EVALUATIONS,
+    R_EXCESS,
+    R_HISTORY,
+    R_ITERATIONS,
+    R_POSITION,
+    R_RESTARTS,
+    R_ROTATION,
+    R_STATUS,
+)
 from .task import POSITION
 
 
@@ -225,28 +250,28 @@ def tree_entry() -> Callable:
         total = np.empty(BEST)
         order = np.empty(BEST, np.int64)
         state = np.empty(1, np.uint64)
-        state[0] = np.uint64(88172645463325252) ^ (np.uint64(opt[18]) * np.uint64(0x9E3779B97F4A7C15))
-        given = int(opt[2])
-        iterations = int(opt[3])
-        descents = int(opt[4])
-        limits = opt[17] > 0.0
-        holding = limits and opt[21] > 0.0
-        jw = opt[24 : 24 + n]
-        damping = opt[24 + n]
-        tol_p = opt[0] / scale
+        state[0] = np.uint64(88172645463325252) ^ (np.uint64(opt[O_SEED]) * np.uint64(0x9E3779B97F4A7C15))
+        given = int(opt[O_GIVEN])
+        iterations = int(opt[O_ITERATIONS])
+        descents = int(opt[O_DESCENTS])
+        limits = opt[O_LIMITS] > 0.0
+        holding = limits and opt[O_HOLD] > 0.0
+        jw = opt[OPT_HEAD : OPT_HEAD + n]
+        damping = opt[OPT_HEAD + n]
+        tol_p = opt[O_TOL_P] / scale
         tp = tol_p * tol_p
-        tr = 2.0 * math.sin(0.5 * opt[1]) if opt[1] < math.pi else 3.0
+        tr = 2.0 * math.sin(0.5 * opt[O_TOL_R]) if opt[O_TOL_R] < math.pi else 3.0
         tr = tr * tr
         out_of_reach = False
         for f in range(F):
             if not rigid(T[f]):
-                out[0] = BAD_TARGET
+                out[R_STATUS] = BAD_TARGET
                 return
         for f in range(F):
             tip = ends[f, 12:24]
             aim(ends[f], tip, scale, T[f], goals[f])
             tail = ends[f, v + 7 * n :]
-            excess[f] = beyond(goals[f], tip, tail, kinds[f], tol_p, opt[1])
+            excess[f] = beyond(goals[f], tip, tail, kinds[f], tol_p, opt[O_TOL_R])
             wanted[f, 0], wanted[f, 1], wanted[f, 2] = goals[f, 9], goals[f, 10], goals[f, 11]
             if excess[f] > 0.0:  # aim at the edge of the reach instead
                 out_of_reach = True
@@ -262,8 +287,8 @@ def tree_entry() -> Callable:
         for i in range(n):
             best_q[i] = q0[i] / unit[i] if given > 0 else home[i]
         while tries < descents:
-            c = opt[7]
-            rho = opt[8]
+            c = opt[O_C_FREE]
+            rho = opt[O_RHO_FREE]
             k = tries - given
             if k < 0:
                 for i in range(n):
@@ -274,8 +299,8 @@ def tree_entry() -> Callable:
                 g = order[k]
                 for i in range(n):
                     q[i] = seeds[choice[g, max(owner[i], 0)], i]
-                c = opt[5]
-                rho = opt[6]
+                c = opt[O_C]
+                rho = opt[O_RHO]
             else:
                 # Mostly keep the tips that arrived and the shared joints: by chance all at once seldom start well.
                 kept = False
@@ -310,7 +335,7 @@ def tree_entry() -> Callable:
                 if not ee < 1e300:
                     ended = NOT_FINITE
                     break
-                if k == iterations or count >= opt[16]:
+                if k == iterations or count >= opt[O_EVALUATIONS]:
                     break
                 if ee > c and ee > 1e-9 and not out_of_reach:
                     ended = STALLED
@@ -324,42 +349,26 @@ def tree_entry() -> Callable:
                     if not (holding and hold(q, dq, w, lower, upper)):
                         break
                 steps += 1
-                moved = 0.0
-                far = 0.0
-                for i in range(n):
-                    a = q[i] + dq[i]
-                    if limits and (a < lower[i] or a > upper[i]):
-                        if turns[i] > 0.0:
-                            a -= TAU * np.rint((a - 0.5 * (lower[i] + upper[i])) / TAU)
-                        else:
-                            a = min(max(a, lower[i]), upper[i])
-                    moved = max(moved, abs(a - q[i]))
-                    far = far if abs(a) <= far else abs(a)  # keeps a NaN
-                    q[i] = a
+                moved, far = integrate(q, dq, limits, lower, upper, turns)
                 if not far < 1e6:
                     ended = NOT_FINITE
                     break
-                if moved <= opt[20]:
+                if moved <= opt[O_STALL]:
                     jacobians(rows, cut, kinds, Z, points, J)
                     ended = why_tree(q, lower, upper, J, e, ee, limits)
                     break
             status = ended
-            if status == CONVERGED or count >= opt[16]:
+            if status == CONVERGED or count >= opt[O_EVALUATIONS]:
                 break
         if out_of_reach:
             status = UNREACHABLE
             for f in range(F):
                 goals[f, 9], goals[f, 10], goals[f, 11] = wanted[f, 0], wanted[f, 1], wanted[f, 2]
         # Of the same answer several turns away, give the legal one nearest the start (or home).
-        shifted = False
         for i in range(n):
             q[i] = best_q[i]
-            if turns[i] > 0.0 and limits:
-                ref = q0[i] / unit[i] if given > 0 else home[i]
-                a = turn(ref - q[i], q[i], lower[i], upper[i], turns[i])
-                if a != 0.0:
-                    q[i] += a * TAU
-                    shifted = True
+            dq[i] = q0[i] / unit[i] if given > 0 else home[i]
+        shifted = limits and face(q, dq, lower, upper, turns)
         judged = status != CONVERGED and status != NOT_FINITE and status != UNREACHABLE and descents > 1
         if shifted or out_of_reach or judged:
             ee, good = evaluate(rows, cut, ends, goals, kinds, q, Z, ang, sn, cs, points, e, tp, tr)
@@ -367,23 +376,21 @@ def tree_entry() -> Callable:
             if judged:
                 jacobians(rows, cut, kinds, Z, points, J)
                 status = LIMIT_BLOCKED if why_tree(q, lower, upper, J, e, ee, limits) == LIMIT_BLOCKED else STALLED
-            if (
-                status == CONVERGED and not good
-            ):  # rounding of the turn broke a tolerance at its edge: keep the evaluated one
+            if status == CONVERGED and not good:  # rounding of the turn broke a tolerance at its edge
                 for i in range(n):
                     q[i] = best_q[i]
             else:
                 for r in range(m):
                     best_e[r] = e[r]
         pp, rr = largest(best_e)
-        out[0] = status
-        out[1] = steps
-        out[2] = tries - 1
-        out[3] = math.sqrt(pp) * scale
-        out[4] = rotation_angle(rr)
-        out[5] = count
-        out[6] = rows_h
-        out[7] = 0.0
+        out[R_STATUS] = status
+        out[R_ITERATIONS] = steps
+        out[R_RESTARTS] = tries - 1
+        out[R_POSITION] = math.sqrt(pp) * scale
+        out[R_ROTATION] = rotation_angle(rr)
+        out[R_EVALUATIONS] = count
+        out[R_HISTORY] = rows_h
+        out[R_EXCESS] = 0.0
         for f in range(F):
             h = 6 * f
             pp = best_e[h] * best_e[h] + best_e[h + 1] * best_e[h + 1] + best_e[h + 2] * best_e[h + 2]
@@ -391,8 +398,8 @@ def tree_entry() -> Callable:
             tips[f, 0] = math.sqrt(pp) * scale
             tips[f, 1] = rotation_angle(rr)
             tips[f, 2] = excess[f] * scale
-            out[7] = max(out[7], tips[f, 2])
+            out[R_EXCESS] = max(out[R_EXCESS], tips[f, 2])
         for i in range(n):
-            out[8 + i] = q[i] * unit[i]
+            out[OUT_HEAD + i] = q[i] * unit[i]
 
     return solve

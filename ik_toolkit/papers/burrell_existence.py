@@ -3,7 +3,8 @@
 import numpy as np
 
 from ..robot.robot import Robot
-from ..solvers.batch import BatchResult, solve_batch
+from ..solvers.batch import solve_batch
+from ..solvers.batch_result import BatchResult
 from ..solvers.rules.pid import PID
 from ..solvers.rules.state_space import StateSpace
 from ..solvers.solve import Solver

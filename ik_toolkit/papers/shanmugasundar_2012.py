@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from ..kernel.loop import OPT_HEAD
+from ..kernel.slots import OPT_HEAD
 from ..kernel.task import POSE
 from ..robot.pose import nearest_rotation
 from ..robot.robot import Robot

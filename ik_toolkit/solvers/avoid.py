@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import InvalidOption
-from ..kernel.loop import OUT_HEAD, R_EVALUATIONS, R_ITERATIONS, R_RESTARTS, R_STATUS
+from ..kernel.slots import OUT_HEAD, R_EVALUATIONS, R_ITERATIONS, R_RESTARTS, R_STATUS
 from ..robot.collision import CollisionModel
 from ..robot.robot import Robot
 from .result import Status

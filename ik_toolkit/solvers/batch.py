@@ -13,97 +13,27 @@ from time import perf_counter
 from typing import Any
 
 import numpy as np
+from numba import config
 
 from ..errors import InvalidConfiguration, InvalidOption, InvalidTarget, floats
-from ..kernel.checks import BAD_TARGET
-from ..kernel.loop import OUT_HEAD, R_EVALUATIONS, R_HISTORY, R_ITERATIONS, R_POSITION, R_RESTARTS, R_ROTATION, R_STATUS
+from ..kernel.checks import BAD_TARGET, CONVERGED
+from ..kernel.lanes import LEFT, lanes
+from ..kernel.slots import (
+    OUT_HEAD,
+    R_STATUS,
+)
 from ..kernel.task import POSE, POSITION
 from ..robot.pose import check_target
 from ..robot.robot import Robot
+from .batch_result import JUMP, R_MOVE, BatchInterrupted, BatchResult
 from .result import Result, Status
+from .rules.jacobian import LM
 from .solve import FAR_START, Solver, automatic
 
 PART, REMOTE_PART = 2048, 4096  # most rows handed to a thread, and rows handed to a worker of an executor
 LEAST_PART = 128  # smaller batches are shared out evenly over the threads, but not in smaller parts than this
 AHEAD, REMOTE_AHEAD = 4, 64  # parts waiting per thread, and in all at an executor: an iterator is never read far ahead
 SLICE = 0.05  # s; a thread looks up this often whether it shall stop
-R_MOVE = R_HISTORY  # a batch keeps no history; in a chain its slot holds the largest joint move
-JUMP = 0.5  # rad, or of the robot's scale for slides
-
-
-class BatchInterrupted(KeyboardInterrupt):
-    """Ctrl-C during a batch; `result` is the BatchResult of the targets finished before it, from the first on."""
-
-    def __init__(self, result: "BatchResult") -> None:
-        """Keep what was finished."""
-        super().__init__(f"interrupted after {len(result)} targets")
-        self.result = result
-
-
-class BatchResult:
-    """Answers of a batch, row k belonging to target k.
-
-    q (N, n) [rad or m]; status (N,) numbers of Status; success (N,) bool; position_error (N,) [m]; orientation_error (N,)
-    [rad], None for positions; iterations, restarts, fk_evaluations (N,). For a chain: moves (N,) and flips, else None.
-    batch[k] is the Result of target k, with its sentence.
-    """
-
-    def __init__(self, table: np.ndarray, position_only: bool, solver: Solver | None, chain: bool = False) -> None:
-        """Wrap the kernel's rows (N, 8 + n)."""
-        self._table = table
-        self._solver = solver
-        self.position_only = position_only
-        self.solver = solver.name if solver is not None else ""
-        self.chain = chain
-
-    def __len__(self) -> int:
-        """Number of targets."""
-        return len(self._table)
-
-    def __getitem__(self, k: int) -> Result:
-        """Result of target k."""
-        row = self._table[k]
-        if self._solver is None:
-            raise IndexError("an empty batch")
-        result = Result(self._solver, row, 0.0, self.position_only)
-        if row[R_STATUS] == Status.COLLISION and self._solver.collision is not None:
-            result.collision = self._solver.collision.collisions(result.q)[0]
-        return result
-
-    q = property(lambda self: self._table[:, OUT_HEAD:])
-    status = property(lambda self: self._table[:, R_STATUS].astype(np.int64))
-    success = property(lambda self: self._table[:, R_STATUS] == Status.CONVERGED)
-    position_error = property(lambda self: self._table[:, R_POSITION])
-    orientation_error = property(lambda self: None if self.position_only else self._table[:, R_ROTATION])
-    iterations = property(lambda self: self._table[:, R_ITERATIONS].astype(np.int64))
-    restarts = property(lambda self: self._table[:, R_RESTARTS].astype(np.int64))
-    fk_evaluations = property(lambda self: self._table[:, R_EVALUATIONS].astype(np.int64))
-
-    @property
-    def moves(self) -> np.ndarray | None:
-        """Largest joint move (N,) from the answer before [rad, or of the robot's scale]; NaN where there is no answer."""
-        return self._table[:, R_MOVE] if self.chain else None
-
-    @property
-    def flips(self) -> np.ndarray | None:
-        """Rows of a chain whose answer is more than 0.5 rad (or of the robot's scale) away from the one before."""
-        return np.flatnonzero(self._table[:, R_MOVE] > JUMP) if self.chain else None
-
-    def counts(self) -> dict[str, int]:
-        """How many targets ended with each status."""
-        numbers, counts = np.unique(self._table[:, R_STATUS], return_counts=True)
-        return {Status(int(k)).name: int(c) for k, c in zip(numbers, counts, strict=True)}
-
-    def to_dict(self) -> dict[str, Any]:
-        """Arrays by name, for np.savez and tables."""
-        names = ("q", "status", "success", "position_error", "orientation_error", "iterations", "restarts")
-        arrays = {name: getattr(self, name) for name in (*names, "fk_evaluations", "moves")}
-        return {name: array for name, array in arrays.items() if array is not None}
-
-    def __repr__(self) -> str:
-        """One line."""
-        flips = f", {len(self.flips)} flips" if self.flips is not None else ""
-        return f"BatchResult({len(self)} targets, {int(self.success.sum())} solved{flips}, solver='{self.solver}', {self.counts()})"
 
 
 # ---------------------------------------------------------------------------------------------------------------- input
@@ -154,8 +84,23 @@ def _starts(solver: Solver, q0: np.ndarray, first: int) -> np.ndarray:
 
 
 # --------------------------------------------------------------------------------------------------------------- solving
+def _has_lanes(solver: Solver) -> bool:
+    """Whether the solver's targets can be solved eight side by side (kernel.lanes)."""
+    o = solver.options
+    plain = o.mask is None and o.joint_weights is None and o.max_evaluations is None and o.limits and not o.closest
+    compiled = not config.DISABLE_JIT  # pyright: ignore[reportAttributeAccessIssue]
+    return compiled and plain and type(solver.rule) is LM and solver.robot.chain.rows[0, 0] > 0.0
+
+
 def _solve_rows(
-    solver: Solver, T: np.ndarray, start: np.ndarray, given: bool, kind: int, out: np.ndarray, first: int
+    solver: Solver,
+    T: np.ndarray,
+    start: np.ndarray,
+    given: bool,
+    kind: int,
+    out: np.ndarray,
+    first: int,
+    side_by_side: bool = False,
 ) -> None:
     """Solve rows (m, 8 + n) as if each were alone; `first` is the number of the first, for messages."""
     if len(solver.held) and len(start) > 1:  # each with a table of starts of its own
@@ -165,7 +110,14 @@ def _solve_rows(
         return
     opt = solver.pack(kind, given)
     arrays = solver.arrays_for(kind, start)
-    solver._kernel(*arrays, T, start, out, opt, solver._silent)
+    if side_by_side:
+        lanes()(*arrays, T, start, out, opt)
+        left = np.flatnonzero(out[:, R_STATUS] == LEFT)
+        rest = np.zeros((len(left), out.shape[1]))
+        solver._kernel(*arrays, T[left], start if len(start) == 1 else start[left], rest, opt, solver._silent)
+        out[left] = rest
+    else:
+        solver._kernel(*arrays, T, start, out, opt, solver._silent)
     for k in np.flatnonzero(out[:, R_STATUS] == BAD_TARGET):
         try:
             mended = check_target(T[k] if kind == POSE else T[k, :3, 3])[0]
@@ -186,12 +138,14 @@ def _poses(part: np.ndarray) -> tuple[np.ndarray, int]:
     """A copy of a part as (m, 4, 4), and its kind; rotations of few digits are replaced by the nearest exact ones."""
     if part.ndim == 3:
         T = np.array(part, dtype=float, order="C")
-        R = T[:, :3, :3]
+        x, y, z = (np.ascontiguousarray(T[:, :3, k].T) for k in range(3))
+        off = np.zeros(len(T))
         with np.errstate(invalid="ignore", over="ignore"):
-            off = np.abs(R.transpose(0, 2, 1) @ R - np.eye(3)).max(axis=(1, 2), initial=0.0)
+            for u, v in ((x, x), (y, y), (z, z), (x, y), (x, z), (y, z)):
+                np.maximum(off, np.abs((u * v).sum(axis=0) - (u is v)), out=off)
         rough = (off > 1e-12) & (off < 1e-6)  # what is worse, or not a number, the kernel hands back
         if rough.any():
-            U, _, Vt = np.linalg.svd(R[rough])
+            U, _, Vt = np.linalg.svd(T[rough, :3, :3])
             T[rough, :3, :3] = U @ Vt
         return T, POSE
     T = np.tile(np.eye(4), (len(part), 1, 1))
@@ -202,7 +156,7 @@ def _poses(part: np.ndarray) -> tuple[np.ndarray, int]:
 def _confirm(solver: Solver, T: np.ndarray, kind: int, out: np.ndarray, first: int, every: int) -> None:
     """Check every so manieth row of the whole batch again with Pinocchio."""
     for k in range(-first % every, len(out), every) if every else ():
-        if out[k, R_STATUS] == Status.CONVERGED:
+        if out[k, R_STATUS] == CONVERGED:
             result = Result(solver, out[k], 0.0, kind == POSITION)
             solver._check(result, T[k] if kind == POSE else T[k, :3, 3])
             out[k, R_STATUS] = result.status
@@ -215,12 +169,13 @@ def _solve_part(
     T, kind = _poses(part)
     start = solver._home if q0 is None else _starts(solver, q0, first)
     out = np.zeros((len(T), OUT_HEAD + solver.robot.n))
-    a, size = 0, 16
+    side_by_side = _has_lanes(solver)
+    a, size = 0, 1024 if side_by_side else 16
     while a < len(T) and not (stop is not None and stop.is_set()):
         began = perf_counter()
         rows = slice(a, a + size)
         some = start if len(start) == 1 else start[rows]
-        _solve_rows(solver, T[rows], some, q0 is not None, kind, out[rows], first + a)
+        _solve_rows(solver, T[rows], some, q0 is not None, kind, out[rows], first + a, side_by_side)
         a += size
         size = max(1, int(size * min(4.0, SLICE / max(perf_counter() - began, 1e-9))))
     _confirm(solver, T, kind, out, first, every)
@@ -448,7 +403,7 @@ def solve_batch(
         for part in parts:
             end = done + len(part)
             if end > len(table):  # in place: no second copy of what is there
-                size = len(known) if known is not None else max(end, 2 * len(table))
+                size = len(known) if known is not None else max(end, len(table) + len(table) // 4)
                 table.resize((size, table.shape[1]), refcheck=False)
             table[done:end] = part._table
             done = end

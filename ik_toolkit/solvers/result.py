@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..errors import NotSolved
-from ..kernel.loop import OUT_HEAD, R_EVALUATIONS
+from ..kernel.slots import OUT_HEAD, R_EVALUATIONS
 
 if TYPE_CHECKING:
     from .solve import Solver

@@ -12,7 +12,9 @@ import numpy as np
 from ..errors import IKError, InvalidConfiguration, InvalidOption, InvalidTarget
 from ..kernel.chain import table, without_limits
 from ..kernel.checks import BAD_TARGET
-from ..kernel.loop import (
+from ..kernel.loop import entry
+from ..kernel.seeds import BEST
+from ..kernel.slots import (
     O_C,
     O_CLOSEST,
     O_DESCENTS,
@@ -30,9 +32,7 @@ from ..kernel.loop import (
     OUT_HEAD,
     R_POSITION,
     R_ROTATION,
-    entry,
 )
-from ..kernel.seeds import BEST
 from ..kernel.task import AXIS, MASK_BASE, MASK_TIP, POSE, POSITION
 from ..robot.pose import AxisTarget, check_target, masked_errors
 from ..robot.robot import Robot
@@ -47,7 +47,7 @@ FLOAT = np.dtype(np.float64)  # one object in a process, so `is` tells; other ki
 MARGIN = 1.0 - 1e-9  # the kernel tests a little inside the tolerance, so that Pinocchio's rounding cannot disagree
 CLOSEST = 16  # solutions to compare when the one nearest q0 is asked for
 REFINE_STEPS = 60
-FAR_START = 1e15  # joint values (kernel units) from which on a start is refused, see kernel.checks.legal
+FAR_START = 1e15  # joint values (kernel units) from which on a start is refused, see kernel.limits.legal
 NEVER = (np.inf, 1.0, np.inf, 1.0)
 EXACT = {  # options that a closed form honours or has no use for; 'auto' takes 'lm' when any other is given
     "tolerance", "position_tolerance", "orientation_tolerance", "max_iterations", "max_evaluations", "restarts", "seed",

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import InvalidOption
-from ..kernel.loop import OPT_HEAD, OUT_HEAD, R_POSITION, R_ROTATION
+from ..kernel.slots import OPT_HEAD, OUT_HEAD, R_POSITION, R_ROTATION
 from ..kernel.task import POSITION
 from ..robot.robot import Robot
 from . import closed_form

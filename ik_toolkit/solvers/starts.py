@@ -3,7 +3,7 @@
 import numpy as np
 
 from ..kernel.chain import table
-from ..kernel.loop import E_VECTORS
+from ..kernel.slots import E_VECTORS
 from .options import Options
 
 

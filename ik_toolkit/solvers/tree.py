@@ -8,7 +8,7 @@ import numpy as np
 from ..errors import InvalidOption, UnknownSolver
 from ..kernel.chain import without_limits
 from ..kernel.checks import BAD_TARGET
-from ..kernel.loop import O_C, O_DESCENTS, O_ITERATIONS, OUT_HEAD, R_HISTORY
+from ..kernel.slots import O_C, O_DESCENTS, O_ITERATIONS, OUT_HEAD, R_HISTORY
 from ..kernel.task import POSE, POSITION
 from ..kernel.tree_loop import tree_entry
 from ..robot.tree import Tree

@@ -12,7 +12,7 @@ from time import perf_counter
 import numpy as np
 
 import ik_toolkit as ik
-from ik_toolkit.kernel.loop import OUT_HEAD
+from ik_toolkit.kernel.slots import OUT_HEAD
 from ik_toolkit.kernel.task import POSE
 from ik_toolkit.solvers.closed_form import inspection, reach
 

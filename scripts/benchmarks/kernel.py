@@ -15,7 +15,7 @@ import pinocchio as pin  # noqa: E402
 
 import ik_toolkit as ik  # noqa: E402
 from ik_toolkit.kernel.chain import forward  # noqa: E402
-from ik_toolkit.kernel.loop import OUT_HEAD  # noqa: E402
+from ik_toolkit.kernel.slots import OUT_HEAD  # noqa: E402
 from ik_toolkit.kernel.task import POSE  # noqa: E402
 
 UNREACHABLE = "`ik.solve` from Python: a target proven out of reach"

@@ -7,10 +7,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ...errors import MissingExtra, UnknownSolver
-from ...kernel import loop
+from ...kernel import slots
 from ...kernel.chain import Chain
 from ...kernel.checks import BAD_START, BAD_TARGET, rigid
 from ...kernel.jit import cached, jit, kernel_stamp
+from ...kernel.loop import ENTRIES
 from . import geometry
 from .geometry import copy_limits, legal_start, legal_turn, measure_tip, read_screws
 
@@ -95,7 +96,7 @@ def _compile():
         if not rigid(T):
             out[0] = BAD_TARGET
             return
-        if opt[loop.O_GIVEN] > 0.0 and not legal_start(ends, opt, q0):
+        if opt[slots.O_GIVEN] > 0.0 and not legal_start(ends, opt, q0):
             out[0] = BAD_START
             return
         box = np.empty((4, N))
@@ -136,10 +137,10 @@ def every_branch(p: np.ndarray, T: np.ndarray, box: np.ndarray) -> tuple[np.ndar
 
 def _solve(rows, ends, seeds, feat, T, Q0, out, opt, hist) -> None:
     """Loop of the kernel's signature (see kernel.loop.entry), around a package that is called from Python."""
-    p = opt[loop.OPT_HEAD + N :]
+    p = opt[slots.OPT_HEAD + N :]
     for t in range(len(T)):
         q0 = Q0[t if len(Q0) > 1 else 0]
         _choose(rows, ends, T[t], *branches(p, T[t]), q0, opt, hist, out[t])
 
 
-loop._ENTRIES[EAIK] = _solve
+ENTRIES[EAIK] = _solve

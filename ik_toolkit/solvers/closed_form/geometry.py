@@ -9,11 +9,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...kernel import loop
+from ...kernel import slots
 from ...kernel.chain import Chain
-from ...kernel.checks import CONVERGED, LIMIT_BLOCKED, STALLED, UNREACHABLE, legal
+from ...kernel.checks import CONVERGED, LIMIT_BLOCKED, STALLED, UNREACHABLE
 from ...kernel.jit import inline, jit
 from ...kernel.kinematics import TAU, aim, error, fk, rotation_angle
+from ...kernel.limits import legal
 from ...kernel.task import POSITION
 
 FIT = 1e-9  # how far [rad, or of the reach] axes may be off the recognised structure
@@ -77,23 +78,23 @@ def clamp(x, low, high):
 def legal_start(ends, opt, q0):
     """Whether a start (n,) [rad or m] is finite and, when limits count, inside them."""
     n = q0.shape[0]
-    v = loop.E_VECTORS
+    v = slots.E_VECTORS
     unit, turns = ends[v + 3 * n : v + 4 * n], ends[v + 2 * n : v + 3 * n]
-    return legal(q0, unit, ends[v : v + n], ends[v + n : v + 2 * n], turns, opt[loop.O_LIMITS] > 0.0)
+    return legal(q0, unit, ends[v : v + n], ends[v + n : v + 2 * n], turns, opt[slots.O_LIMITS] > 0.0)
 
 
 @jit
 def copy_limits(ends, opt, q0, box):
     """Fill box (4, n) with lower and upper limits, reference configuration [rad or m] and distance weights."""
     n = box.shape[1]
-    v = loop.E_VECTORS
+    v = slots.E_VECTORS
     for i in range(n):
         unit = ends[v + 3 * n + i]
-        limited = opt[loop.O_LIMITS] > 0.0
+        limited = opt[slots.O_LIMITS] > 0.0
         box[0, i] = ends[v + i] * unit if limited else -np.inf
         box[1, i] = ends[v + n + i] * unit if limited else np.inf
-        box[2, i] = q0[i] if opt[loop.O_GIVEN] > 0.0 else ends[v + 6 * n + i] * unit
-        box[3, i] = 1.0 / (max(opt[loop.OPT_HEAD + i], 1e-12) * unit * unit)
+        box[2, i] = q0[i] if opt[slots.O_GIVEN] > 0.0 else ends[v + 6 * n + i] * unit
+        box[3, i] = 1.0 / (max(opt[slots.OPT_HEAD + i], 1e-12) * unit * unit)
 
 
 @inline
@@ -103,35 +104,35 @@ def measure_tip(rows, ends, opt, T, q, box, broken, gap, goal, Z, trig, hist, ou
     broken: by how much the best branch breaks a limit; gap: how far [m] the target is out of reach.
     """
     n = box.shape[1]
-    scale = ends[loop.E_VECTORS + 7 * n]
+    scale = ends[slots.E_VECTORS + 7 * n]
     tip = ends[12:24]
     for i in range(n):
         q[i] = min(max(q[i], box[0, i]), box[1, i])
-        out[loop.OUT_HEAD + i] = q[i]
-        q[i] /= ends[loop.E_VECTORS + 3 * n + i]
+        out[slots.OUT_HEAD + i] = q[i]
+        q[i] /= ends[slots.E_VECTORS + 3 * n + i]
     aim(ends, tip, scale, T, goal)
     x0, x1, x2, y0, y1, y2, z0, z1, z2, px, py, pz = fk(rows, q, Z, trig[0], trig[1], trig[2])
     px, py, pz, e0, e1, e2, e3, e4, e5 = error(goal, tip, x0, x1, x2, y0, y1, y2, z0, z1, z2, px, py, pz)
     position = math.sqrt(e0 * e0 + e1 * e1 + e2 * e2) * scale
-    rotation = 0.0 if opt[loop.O_KIND] == POSITION else rotation_angle(e3 * e3 + e4 * e4 + e5 * e5)
-    if position < opt[loop.O_TOL_P] and rotation < opt[loop.O_TOL_R]:
-        out[loop.R_STATUS] = CONVERGED
-    elif gap >= opt[loop.O_TOL_P]:
-        out[loop.R_STATUS] = UNREACHABLE
+    rotation = 0.0 if opt[slots.O_KIND] == POSITION else rotation_angle(e3 * e3 + e4 * e4 + e5 * e5)
+    if position < opt[slots.O_TOL_P] and rotation < opt[slots.O_TOL_R]:
+        out[slots.R_STATUS] = CONVERGED
+    elif gap >= opt[slots.O_TOL_P]:
+        out[slots.R_STATUS] = UNREACHABLE
     elif broken > 0.0:
-        out[loop.R_STATUS] = LIMIT_BLOCKED
+        out[slots.R_STATUS] = LIMIT_BLOCKED
     else:
-        out[loop.R_STATUS] = STALLED  # only a tolerance below rounding leads here
-    out[loop.R_ITERATIONS] = 0
-    out[loop.R_RESTARTS] = 0
-    out[loop.R_POSITION] = position
-    out[loop.R_ROTATION] = rotation
-    out[loop.R_EVALUATIONS] = 1
-    out[loop.R_EXCESS] = gap if out[loop.R_STATUS] == UNREACHABLE else 0.0
-    out[loop.R_HISTORY] = 0
+        out[slots.R_STATUS] = STALLED  # only a tolerance below rounding leads here
+    out[slots.R_ITERATIONS] = 0
+    out[slots.R_RESTARTS] = 0
+    out[slots.R_POSITION] = position
+    out[slots.R_ROTATION] = rotation
+    out[slots.R_EVALUATIONS] = 1
+    out[slots.R_EXCESS] = gap if out[slots.R_STATUS] == UNREACHABLE else 0.0
+    out[slots.R_HISTORY] = 0
     if hist.shape[0] > 0:
-        out[loop.R_HISTORY] = 1
+        out[slots.R_HISTORY] = 1
         hist[0, 0] = position
         hist[0, 1] = rotation
         for i in range(n):
-            hist[0, 2 + i] = out[loop.OUT_HEAD + i]
+            hist[0, 2 + i] = out[slots.OUT_HEAD + i]

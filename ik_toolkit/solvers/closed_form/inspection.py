@@ -12,10 +12,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ...errors import InvalidOption, UnknownSolver
-from ...kernel import loop
+from ...kernel import slots
 from ...kernel.chain import Chain
 from ...kernel.checks import BAD_START, BAD_TARGET, rigid
 from ...kernel.jit import cached, jit, kernel_stamp
+from ...kernel.loop import ENTRIES
 from . import geometry, reach
 from .geometry import (
     FIT,
@@ -279,7 +280,7 @@ def _compile_solve():
     def solve(rows, ends, seeds, feat, T, Q0, out, opt, hist):
         stamp  # noqa: B018  part of the cache key, see kernel.loop
         n = seeds.shape[1]
-        p = opt[loop.OPT_HEAD + n :]
+        p = opt[slots.OPT_HEAD + n :]
         box, near, spans = np.empty((4, n)), np.empty(6), np.empty((2, 2))
         P, moved, sols = np.empty(12), np.empty(12), np.empty((8, 6))
         q, trial, best = np.empty(n), np.empty(n), np.empty(n)
@@ -289,7 +290,7 @@ def _compile_solve():
                 out[t, 0] = BAD_TARGET
                 continue
             q0 = Q0[t if Q0.shape[0] > 1 else 0]
-            if opt[loop.O_GIVEN] > 0.0 and not legal_start(ends, opt, q0):
+            if opt[slots.O_GIVEN] > 0.0 and not legal_start(ends, opt, q0):
                 out[t, 0] = BAD_START
                 continue
             copy_limits(ends, opt, q0, box)
@@ -376,5 +377,5 @@ def lifts_to_list(p: np.ndarray, T: np.ndarray, box: np.ndarray, count: int) -> 
     return np.concatenate([[first], *spread]), False, where
 
 
-loop._ENTRIES[Inspection] = _compile_solve()
+ENTRIES[Inspection] = _compile_solve()
 every_branch = _compile_every()

@@ -7,10 +7,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ...errors import UnknownSolver
-from ...kernel import loop
+from ...kernel import slots
 from ...kernel.chain import Chain
 from ...kernel.checks import BAD_START, BAD_TARGET, rigid
 from ...kernel.jit import cached, jit, kernel_stamp
+from ...kernel.loop import ENTRIES
 from . import geometry, reach
 from .geometry import FIT, across, angle_about, copy_limits, legal_start, legal_turn, measure_tip, read_screws
 from .reach import planar_branches, planar_margin
@@ -90,7 +91,7 @@ def _compile_solve():
     def solve(rows, ends, seeds, feat, T, Q0, out, opt, hist):
         stamp  # noqa: B018  part of the cache key, see kernel.loop
         n = 2
-        p = opt[loop.OPT_HEAD + n :]
+        p = opt[slots.OPT_HEAD + n :]
         box = np.empty((4, n))
         near = p[ANGLES + 1]
         sols = np.empty((2, 2))
@@ -101,7 +102,7 @@ def _compile_solve():
                 out[t, 0] = BAD_TARGET
                 continue
             q0 = Q0[t if Q0.shape[0] > 1 else 0]
-            if opt[loop.O_GIVEN] > 0.0 and not legal_start(ends, opt, q0):
+            if opt[slots.O_GIVEN] > 0.0 and not legal_start(ends, opt, q0):
                 out[t, 0] = BAD_START
                 continue
             copy_limits(ends, opt, q0, box)
@@ -136,5 +137,5 @@ def _compile_all():
     return every
 
 
-loop._ENTRIES[Planar2R] = _compile_solve()
+ENTRIES[Planar2R] = _compile_solve()
 every_branch = _compile_all()

@@ -8,6 +8,8 @@ import numpy as np
 from ...kernel.jit import jit
 from ...kernel.kinematics import angle_ratio
 from ...kernel.loop import measure, rule
+from ...kernel.slots import E_VECTORS, O_KIND, O_LIMITS, O_TOL_P, O_TOL_R
+from ...kernel.task import MASK_BASE, MASK_TIP, POSITION
 
 
 @jit
@@ -49,13 +51,13 @@ class CCD(NamedTuple):
 @rule(CCD, sweep=True)
 def _ccd(cls, p, s, e):
     n = s.q.shape[0]
-    kind = int(s.opt[9])
-    tol_p = s.opt[0] / s.ends[24 + 7 * n]
-    tp, tr = tol_p * tol_p, s.opt[1] * s.opt[1]
+    kind = int(s.opt[O_KIND])
+    tol_p = s.opt[O_TOL_P] / s.ends[E_VECTORS + 7 * n]
+    tp, tr = tol_p * tol_p, s.opt[O_TOL_R] * s.opt[O_TOL_R]
     for i in range(n):
         s.x[8 + i] = s.q[i]
     px, py, pz = s.goal[9] - e.e0, s.goal[10] - e.e1, s.goal[11] - e.e2
-    if kind == 2 or kind == 3:  # a mask weights the error, so take the tip from the chain itself
+    if kind == MASK_BASE or kind == MASK_TIP:  # a mask weights the error, so take the tip from the chain itself
         px, py, pz, e = measure(s.rows, s.ends, s.tip, s.goal, s.mask, kind, s.q, s.Z, s.ang, s.sn, s.cs, s.V, s.y)
     count = 0
     column = s.x[8 + 2 * n : 14 + 2 * n]
@@ -67,7 +69,7 @@ def _ccd(cls, p, s, e):
             continue
         coordinate_column(s.rows, s.Z, i, px, py, pz, column)
         old = s.q[i]
-        if kind == 1 and s.rows[0, 0] > 0.0 and s.rows[i, 9] > 0.0:
+        if kind == POSITION and s.rows[0, 0] > 0.0 and s.rows[i, 9] > 0.0:
             zx, zy, zz = s.Z[i, 0], s.Z[i, 1], s.Z[i, 2]
             gx, gy, gz = s.goal[9] - s.Z[i, 3], s.goal[10] - s.Z[i, 4], s.goal[11] - s.Z[i, 5]
             rx, ry, rz = px - s.Z[i, 3], py - s.Z[i, 4], pz - s.Z[i, 5]
@@ -79,11 +81,11 @@ def _ccd(cls, p, s, e):
             top = column[0] * e.e0 + column[1] * e.e1 + column[2] * e.e2
             top += ratio * (column[3] * e.e3 + column[4] * e.e4 + column[5] * e.e5)
             size = 0.0
-            for r in range(6 if kind != 1 else 3):
+            for r in range(6 if kind != POSITION else 3):
                 size += column[r] * column[r]
             move = top / size if size > 1e-14 else 0.0
         new = old + move
-        if s.opt[17] > 0.0:
+        if s.opt[O_LIMITS] > 0.0:
             new = min(max(new, s.lower[i]), s.upper[i])
         if new == old:
             continue

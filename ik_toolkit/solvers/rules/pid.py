@@ -9,6 +9,7 @@ import numpy as np
 from ...errors import InvalidOption
 from ...kernel.kinematics import angle_ratio
 from ...kernel.loop import measure, rule
+from ...kernel.slots import E_VECTORS, O_KIND, O_LIMITS, O_TOL_P, O_TOL_R
 from ..presets import check_starts, load_preset
 
 UNITS = {"si": 1.0, "mm-deg": 1000.0 * math.pi / 180.0}  # rad/m per unit of gain
@@ -71,9 +72,9 @@ class PID(NamedTuple):
 @rule(PID, sweep=True)
 def _pid(cls, p, s, e):
     n = s.q.shape[0]
-    kind = int(s.opt[9])
-    tol_p = s.opt[0] / s.ends[24 + 7 * n]
-    tp, tr = tol_p * tol_p, s.opt[1] * s.opt[1]
+    kind = int(s.opt[O_KIND])
+    tol_p = s.opt[O_TOL_P] / s.ends[E_VECTORS + 7 * n]
+    tp, tr = tol_p * tol_p, s.opt[O_TOL_R] * s.opt[O_TOL_R]
     weight = p[3] * p[3]
     count = 0
     for i in range(n):
@@ -97,7 +98,7 @@ def _pid(cls, p, s, e):
         least = now
         for sign in range(2):
             trial = old + step if sign == 0 else old - step
-            if s.opt[17] > 0.0:
+            if s.opt[O_LIMITS] > 0.0:
                 trial = min(max(trial, s.lower[i]), s.upper[i])
             s.q[i] = trial
             px, py, pz, f = measure(s.rows, s.ends, s.tip, s.goal, s.mask, kind, s.q, s.Z, s.ang, s.sn, s.cs, s.V, s.y)

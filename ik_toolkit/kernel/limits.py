@@ -1,0 +1,72 @@
+"""Joint limits and full turns: what holds a joint, how a step ends, which turn of an endless joint is returned."""
+
+import math
+
+import numpy as np
+
+from .jit import inline, jit
+from .kinematics import TAU
+
+
+@jit
+def legal(q0, unit, lower, upper, turns, limits):
+    """Whether a start (n,) [rad or m] is finite and, when limits count, inside them."""
+    for i in range(q0.shape[0]):
+        a = q0[i] / unit[i]
+        if not abs(a) < 1e15 or (limits and turns[i] < 1.5 and not lower[i] <= a <= upper[i]):
+            return False
+    return True
+
+
+@jit
+def hold(q, dq, w, lower, upper):
+    """Set w = 0 for joints that sit on a limit and are pushed outwards; True when a new one was found."""
+    hit = False
+    for i in range(q.shape[0]):
+        if w[i] > 0.0 and ((q[i] <= lower[i] and dq[i] < 0.0) or (q[i] >= upper[i] and dq[i] > 0.0)):
+            w[i] = 0.0
+            hit = True
+    return hit
+
+
+@inline
+def integrate(q, dq, limits, lower, upper, turns):
+    """Add dq to q, inside the limits (joints that can turn fully take the turn inside them).
+
+    Returns the largest move and the largest coordinate.
+    """
+    moved = 0.0
+    far = 0.0
+    for i in range(q.shape[0]):
+        a = q[i] + dq[i]
+        if limits and (a < lower[i] or a > upper[i]):
+            if turns[i] > 0.0:
+                a -= TAU * np.rint((a - 0.5 * (lower[i] + upper[i])) / TAU)
+            else:
+                a = min(max(a, lower[i]), upper[i])
+        moved = max(moved, abs(a - q[i]))
+        far = far if abs(a) <= far else abs(a)  # keeps a NaN
+        q[i] = a
+    return moved, far
+
+
+@jit
+def turn(wanted, q, lower, upper, turns):
+    """Full turns by which to move a joint so that it comes nearest `wanted` away, inside its limits unless it is endless."""
+    k = np.rint(wanted / TAU)
+    if turns < 1.5:
+        k = min(max(k, math.ceil((lower - q) / TAU)), math.floor((upper - q) / TAU))
+    return k
+
+
+@inline
+def face(q, wanted, lower, upper, turns):
+    """Of the same answer several turns away, make q the legal one nearest `wanted` (n,); True when q changed."""
+    turned = False
+    for i in range(q.shape[0]):
+        if turns[i] > 0.0:
+            k = turn(wanted[i] - q[i], q[i], lower[i], upper[i], turns[i])
+            if k != 0.0:
+                q[i] += k * TAU
+                turned = True
+    return turned

@@ -1,0 +1,13 @@
+"""Where things stand in the flat arrays that go into the compiled loops and come out of them."""
+
+# `opt`; the joint weights (n) and then the rule's parameters follow at OPT_HEAD.
+O_TOL_P, O_TOL_R, O_GIVEN, O_ITERATIONS, O_DESCENTS = 0, 1, 2, 3, 4
+O_C, O_RHO, O_C_FREE, O_RHO_FREE, O_KIND, O_W = 5, 6, 7, 8, 9, 10  # O_W: six weights, or the tip axis for AXIS
+O_EVALUATIONS, O_LIMITS, O_SEED, O_CLOSEST, O_STALL, O_HOLD = 16, 17, 18, 19, 20, 21
+OPT_HEAD = 24
+# A row of `out`; q (n) follows at OUT_HEAD.
+R_STATUS, R_ITERATIONS, R_RESTARTS, R_POSITION, R_ROTATION, R_EVALUATIONS, R_HISTORY, R_EXCESS = range(8)
+OUT_HEAD = 8
+# `ends`: base (12), tip (12), then seven vectors of n (lower, upper, turns, unit, low, span, home), then the tail.
+E_VECTORS = 24
+TAIL = 7  # scale, reach of tip, hole of tip, reach of last joint, hole of last joint, lift low, lift high

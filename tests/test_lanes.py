@@ -1,0 +1,173 @@
+"""Eight targets side by side: the vector type against numpy, and the answers against Pinocchio, the limits and the loop."""
+
+import math
+
+import numpy as np
+import pytest
+import robots
+from numba import config, njit
+
+import ik_toolkit as ik
+from ik_toolkit.kernel import vector
+from ik_toolkit.kernel.checks import CONVERGED
+from ik_toolkit.kernel.kinematics import sincos
+from ik_toolkit.kernel.lanes import LEFT, lanes
+from ik_toolkit.kernel.linalg import solve_blocks
+from ik_toolkit.kernel.slots import OUT_HEAD, R_EVALUATIONS, R_ITERATIONS, R_POSITION, R_RESTARTS, R_ROTATION, R_STATUS
+from ik_toolkit.kernel.task import POSE, POSITION
+
+pytestmark = pytest.mark.skipif(config.DISABLE_JIT, reason="vectors exist in compiled code only")
+W = vector.WIDTH
+ARMS = ("hydrolek_7w", "inspection_7dof", "planar_3r", "cartesian_pp", "panda", "ur5", "kinova", "slides_mix")
+
+
+@njit
+def arithmetic(a, b, out):
+    x, y = vector.load(a, 0), vector.load(b, 0)
+    vector.store(out, 0, -x + y * 2.0 - 3.0 / y)
+    vector.store(out, W, vector.choose((x < y) & (x > 0.0) | (y >= 4.0), abs(x), np.rint(y)))
+    vector.store(out, 2 * W, math.sqrt(y) + vector.full(1.5))
+    s, c = sincos(x)
+    vector.store(out, 3 * W, s)
+    vector.store(out, 4 * W, c)
+    return vector.bits(x <= y)
+
+
+def test_vectors_compute_as_numpy_does():
+    rng = np.random.default_rng(0)
+    a, b, out = rng.normal(size=W) * 3, rng.uniform(0.5, 6.0, W), np.zeros(5 * W)
+    bits = arithmetic(a, b, out)
+    assert bits == sum(1 << i for i in range(W) if a[i] <= b[i]) and 0 < bits < 2**W - 1
+    wanted = [-a + b * 2 - 3 / b, np.where((a < b) & (a > 0) | (b >= 4), abs(a), np.rint(b)), np.sqrt(b) + 1.5]
+    np.testing.assert_allclose(out.reshape(5, W), [*wanted, np.sin(a), np.cos(a)], atol=2e-15, rtol=1e-14)
+
+
+@njit
+def blocks(M, e, y):
+    y[0], y[1], y[2], y[3], y[4], y[5] = solve_blocks(
+        M[0, 0], M[1, 0], M[1, 1], M[2, 0], M[2, 1], M[2, 2], M[3, 3], M[4, 3], M[4, 4], M[5, 3], M[5, 4], M[5, 5],
+        M[3, 0], M[3, 1], M[3, 2], M[4, 0], M[4, 1], M[4, 2], M[5, 0], M[5, 1], M[5, 2], e[0], e[1], e[2], e[3], e[4], e[5],
+    )  # fmt: skip
+
+
+def test_the_blocks_solve_the_whole():
+    rng = np.random.default_rng(1)
+    for _ in range(20):
+        J, e, y = rng.normal(size=(6, 7)), rng.normal(size=6), np.zeros(6)
+        blocks(J @ J.T + 0.1 * np.eye(6), e, y)
+        np.testing.assert_allclose(y, np.linalg.solve(J @ J.T + 0.1 * np.eye(6), e), rtol=1e-9)
+
+
+def run(robot, T, kind=POSE, q0=None, **options):
+    """Rows of the lanes and of the loop."""
+    solver = ik.Solver(robot, "lm", **options)
+    start = solver._home if q0 is None else np.atleast_2d(q0)
+    arguments = *solver.arrays(kind), T, start
+    opt = solver.pack(kind, q0 is not None)
+    side, loop = np.zeros((len(T), OUT_HEAD + robot.n)), np.zeros((len(T), OUT_HEAD + robot.n))
+    lanes()(*arguments, side, opt)
+    solver._kernel(*arguments, loop, opt, solver._silent)
+    return side, loop
+
+
+def correct(robot, rows, T, position_only=False, tolerance=1e-6):
+    """Assert that converged rows are at their targets by Pinocchio, inside the limits, and say their errors."""
+    solved = np.flatnonzero(rows[:, R_STATUS] == CONVERGED)
+    for k in solved:
+        q = rows[k, OUT_HEAD:]
+        assert not robot.outside(q)
+        position, rotation = robot.errors(q, T[k, :3, 3] if position_only else T[k])
+        assert position <= tolerance and abs(position - rows[k, R_POSITION]) < 1e-11
+        assert position_only or (rotation <= tolerance and abs(rotation - rows[k, R_ROTATION]) < 1e-9)
+    return solved
+
+
+@pytest.mark.parametrize("name", ARMS)
+@pytest.mark.parametrize("kind", [POSE, POSITION])
+def test_answers_are_those_of_the_loop_in_all_but_choice(name, kind):
+    robot = robots.load(name)
+    T = robots.sample(robot, 300, seed=4)[1]
+    if kind == POSE and robot.n < 6:
+        pytest.skip("too few joints for a pose")
+    side, loop = run(robot, T, kind)
+    solved = correct(robot, side, T, kind == POSITION)
+    assert set(side[:, R_STATUS]) <= {CONVERGED, LEFT}
+    assert len(solved) >= 0.98 * (loop[:, R_STATUS] == CONVERGED).sum()
+    counted = side[solved]
+    assert (counted[:, R_EVALUATIONS] >= counted[:, R_ITERATIONS] + counted[:, R_RESTARTS] + 1).all()
+    assert (counted[:, R_EVALUATIONS] <= counted[:, R_ITERATIONS] + counted[:, R_RESTARTS] + 2).all()
+    assert counted[:, R_ITERATIONS].mean() < 1.3 * loop[:, R_ITERATIONS].mean() + 1
+
+
+def test_a_start_at_the_solution_takes_no_step():
+    robot = robots.load("panda")
+    Q, T = robots.sample(robot, 50, seed=5)
+    side, _ = run(robot, T, q0=Q)
+    assert (side[:, R_STATUS] == CONVERGED).all() and (side[:, R_ITERATIONS] == 0).all()
+    assert np.abs(side[:, OUT_HEAD:] - Q).max() < 1e-12
+
+
+def test_endless_joints_come_back_at_the_turn_nearest_the_start():
+    robot = robots.load("kinova")
+    Q, T = robots.sample(robot, 50, seed=6)
+    wound = Q + 4 * math.pi * np.isinf(robot.upper)
+    side, loop = run(robot, T, q0=wound)
+    assert len(correct(robot, side, T)) == 50
+    np.testing.assert_allclose(side[:, OUT_HEAD:], loop[:, OUT_HEAD:], atol=1e-5)
+    assert np.abs(side[:, OUT_HEAD:] - wound).max() < 1e-5
+
+
+def test_what_needs_care_is_left_to_the_loop():
+    robot = robots.load("panda")
+    T = robots.sample(robot, 20, seed=7)[1]
+    T[3, :3, 3] += 50.0
+    T[8, 0, 0] = np.nan
+    T[13, :3, :3] *= 1.5
+    side, _ = run(robot, T)
+    assert (side[[3, 8, 13], R_STATUS] == LEFT).all() and (np.delete(side[:, R_STATUS], [3, 8, 13]) == CONVERGED).all()
+
+
+def test_half_a_turn_off_is_no_answer():
+    robot = robots.load("panda")
+    Q, T = robots.sample(robot, 64, seed=8)
+    T[:, :3, :3] = T[:, :3, :3] @ np.diag([1.0, -1.0, -1.0])
+    correct(robot, run(robot, T, q0=Q)[0], T)
+    correct(robot, run(robot, T, q0=Q, restarts=0)[0], T)
+
+
+@pytest.mark.parametrize("tolerance", [1e-10, 1e-3, 1.0, 3.1])
+def test_tolerances_are_kept(tolerance):
+    robot = robots.load("ur5")
+    T = robots.sample(robot, 100, seed=9)[1]
+    solved = correct(robot, run(robot, T, tolerance=tolerance)[0], T, tolerance=tolerance)
+    assert len(solved) > 90
+
+
+def test_one_descent_is_one_descent():
+    robot = robots.load("panda")
+    T = robots.sample(robot, 200, seed=10)[1]
+    one, loop = run(robot, T, restarts=0, max_iterations=60)
+    assert (one[one[:, R_STATUS] == CONVERGED, R_RESTARTS] == 0).all()
+    assert 0.2 < (one[:, R_STATUS] == CONVERGED).mean() < 0.9 and (loop[:, R_RESTARTS] == 0).all()
+
+
+@pytest.mark.parametrize(
+    "options",
+    [{"limits": False}, {"joint_weights": [1, 2, 1, 1, 1, 1, 1]}, {"mask": [1, 1, 1, 1, 1, 0]}, {"max_evaluations": 9}],
+)
+def test_options_that_lanes_do_not_know_go_to_the_loop(options):
+    robot = robots.load("panda")
+    T = robots.sample(robot, 20, seed=12)[1]
+    many = ik.solve_batch(robot, T, "lm", **options)
+    for k, target in enumerate(T):
+        assert many.q[k].tobytes() == ik.solve(robot, target, "lm", **options).q.tobytes()
+
+
+def test_the_batch_leaves_nothing_behind():
+    robot = robots.load("panda")
+    T = robots.sample(robot, 300, seed=11)[1]
+    T[::50, :3, 3] += 20.0
+    many = ik.solve_batch(robot, T, "lm")
+    assert many.counts() == {"CONVERGED": 294, "UNREACHABLE": 6}
+    again = ik.solve_batch(robot, T[37:38], "lm")
+    assert again._table.tobytes() == many._table[37:38].tobytes()
