@@ -16,6 +16,7 @@ import pinocchio as pin
 
 from ..errors import FrameNotFound, InvalidConfiguration, JointNotFound, ModelError, floats, near_match
 from ..kernel.chain import Chain
+from ..kernel.slots import E_VECTORS
 from .check import mimic_limits, require_loadable, safe_read
 from .joints import Joints
 from .library import find
@@ -239,7 +240,7 @@ class Robot(Joints):
             for i, kind in enumerate(kinds)
         )
         self.home = self.check_q(home, "home") if home is not None else self._good_start(middle)
-        start = 24 + 6 * self.n
+        start = E_VECTORS + 6 * self.n
         self.chain.ends[start : start + self.n] = self.home / self.chain.unit
         for array in (self.lower, self.upper, self.home, self.velocity_limits, self.rest):
             array.setflags(write=False)
@@ -265,8 +266,8 @@ class Robot(Joints):
 
     @functools.cached_property
     def _sampling(self) -> tuple[np.ndarray, np.ndarray]:
-        n, ends = self.n, self.chain.ends
-        return ends[24 + 4 * n : 24 + 5 * n] * self.chain.unit, ends[24 + 5 * n : 24 + 6 * n] * self.chain.unit
+        n, ends, v = self.n, self.chain.ends, E_VECTORS
+        return ends[v + 4 * n : v + 5 * n] * self.chain.unit, ends[v + 5 * n : v + 6 * n] * self.chain.unit
 
     # ------------------------------------------------------------------------------------------------ kinematics
     @property

@@ -9,6 +9,7 @@ import numpy as np
 import pinocchio as pin
 
 from ..errors import FrameNotFound, InvalidTarget, ModelError, near_match
+from ..kernel.slots import E_VECTORS
 from ..kernel.tree import TreeChain, pack_tree
 from .joints import Joints
 from .library import find
@@ -72,8 +73,8 @@ class Tree(Joints):
 
     @functools.cached_property
     def _sampling(self) -> tuple[np.ndarray, np.ndarray]:
-        n, ends = self.n, self.chain.ends[0]
-        return ends[24 + 4 * n : 24 + 5 * n] * self.chain.unit, ends[24 + 5 * n : 24 + 6 * n] * self.chain.unit
+        n, ends, v = self.n, self.chain.ends[0], E_VECTORS
+        return ends[v + 4 * n : v + 5 * n] * self.chain.unit, ends[v + 5 * n : v + 6 * n] * self.chain.unit
 
     def fk(self, q: Any) -> dict[str, pin.SE3]:
         """T_base_tip of every tip by name [m], computed by Pinocchio."""

@@ -37,7 +37,8 @@ class LM(NamedTuple):
 
 @rule(LM)
 def _lm(cls, p, s, e):
-    damped(s.J, s.w, s.dq, e, p[0] * e.ee + 1e-12)
+    damping = p[0]
+    damped(s.J, s.w, s.dq, e, damping * e.ee + 1e-12)
     return 0
 
 
@@ -57,7 +58,8 @@ class DLS(NamedTuple):
 
 @rule(DLS)
 def _dls(cls, p, s, e):
-    damped(s.J, s.w, s.dq, e, p[0] * p[0] + 1e-12)
+    damping = p[0]
+    damped(s.J, s.w, s.dq, e, damping * damping + 1e-12)
     return 0
 
 
@@ -78,14 +80,15 @@ class Pinv(NamedTuple):
 
 @rule(Pinv)
 def _pinv(cls, p, s, e):
+    gain, rcond = p[0], p[1]
     rotation_vector(e, s.y)
     for i in range(s.q.shape[0]):
         if not s.w[i] > 0.0:
             for k in range(6):
                 s.J[i, k] = 0.0
-    pseudo_inverse_step(s.J, s.y, p[1], s.V, s.dq)
+    pseudo_inverse_step(s.J, s.y, rcond, s.V, s.dq)
     for i in range(s.dq.shape[0]):
-        s.dq[i] *= p[0]
+        s.dq[i] *= gain
     return 0
 
 
@@ -104,6 +107,7 @@ class Transpose(NamedTuple):
 
 @rule(Transpose)
 def _transpose(cls, p, s, e):
+    gain = p[0]
     rotation_vector(e, s.y)
     n = s.dq.shape[0]
     top = 0.0
@@ -119,7 +123,7 @@ def _transpose(cls, p, s, e):
         for i in range(n):
             g += s.J[i, k] * s.dq[i]
         below += g * g
-    alpha = p[0] * top / below if below > 0.0 else 0.0
+    alpha = gain * top / below if below > 0.0 else 0.0
     for i in range(n):
         s.dq[i] *= alpha
     return 0

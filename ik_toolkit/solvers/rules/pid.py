@@ -60,7 +60,7 @@ class PID(NamedTuple):
         n, scale = robot.n, robot.chain.scale
         to_kernel = UNITS[self.units] * scale
         if self.kp is None:
-            ranges = robot.chain.ends[24 + 5 * n : 24 + 6 * n]
+            ranges = robot.chain.ends[E_VECTORS + 5 * n : E_VECTORS + 6 * n]
             kp = 0.25 * min(1.0, float(np.median(ranges)))
             kd = 3.0 * kp if self.kd is None else self.kd * to_kernel
         else:
@@ -75,7 +75,8 @@ def _pid(cls, p, s, e):
     kind = int(s.opt[O_KIND])
     tol_p = s.opt[O_TOL_P] / s.ends[E_VECTORS + 7 * n]
     tp, tr = tol_p * tol_p, s.opt[O_TOL_R] * s.opt[O_TOL_R]
-    weight = p[3] * p[3]
+    kp, ki, kd, orientation_scale = p[0], p[1], p[2], p[3]
+    weight = orientation_scale * orientation_scale
     count = 0
     for i in range(n):
         s.x[8 + i] = s.q[i]
@@ -92,7 +93,7 @@ def _pid(cls, p, s, e):
         s.x[0] += now
         s.x[1] = now
         s.x[2] = 1.0
-        step = p[0] * now + p[1] * s.x[0] + p[2] * change
+        step = kp * now + ki * s.x[0] + kd * change
         old = s.q[i]
         kept = old
         least = now
