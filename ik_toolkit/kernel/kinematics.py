@@ -54,7 +54,7 @@ def sincos_all(angles, sines, cosines):
         cosines[i] = c
 
 
-@jit
+@inline
 def fk(rows, q, Z, ang, sn, cs):
     """Frame of the last joint (columns x, y, z and point p); Z[i] receives axis and point of joint i."""
     for i in range(rows.shape[0]):
@@ -105,7 +105,7 @@ def fk(rows, q, Z, ang, sn, cs):
     return x0, x1, x2, y0, y1, y2, z0, z1, z2, px, py, pz
 
 
-@jit
+@inline
 def columns(rows, Z, J, px, py, pz):
     """Fill J (n, 6), one row per coordinate, linear part first, at the tip point; mimic joints add to their leader."""
     plain = rows[0, 0] > 0.0
@@ -184,7 +184,7 @@ def half_turn_axis(goal, x0, x1, x2, y0, y1, y2, z0, z1, z2, vx, vy, vz):
     return a0 * n, a1 * n, a2 * n
 
 
-@jit
+@inline
 def error(goal, tip, x0, x1, x2, y0, y1, y2, z0, z1, z2, px, py, pz):
     """Tip point, then error target - tip: position (3) and 2 sin(angle/2) times the rotation axis (3)."""
     tx = tip[9]

@@ -18,7 +18,7 @@ def legal(q0, unit, lower, upper, turns, limits):
     return True
 
 
-@jit
+@inline
 def hold(q, dq, w, lower, upper):
     """Set w = 0 for joints that sit on a limit and are pushed outwards; True when a new one was found."""
     hit = False

@@ -42,7 +42,7 @@ def solve_blocks(
     return y0, y1, y2, y3, y4, y5
 
 
-@jit
+@inline
 def damped(J, w, dq, e, damping):
     """dq = W J' (J W J' + damping)^-1 e with joint weights w (0 holds a joint); two 3x3 blocks instead of one 6x6."""
     p00, p11, p22 = damping, damping, damping

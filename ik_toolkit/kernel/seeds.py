@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from .jit import jit
+from .jit import inline, jit
 
 SEEDS = 256  # table size: larger tables cost more to scan than they save in iterations
 BEST = 8  # restarts taken from the table before random ones
@@ -10,7 +10,7 @@ PAD = 16  # keeps the 13 feature rows off one cache set
 ROTATION_WEIGHT = 0.05  # of |dR|_F^2 against |dp|^2 (lengths divided by the reach)
 
 
-@jit
+@inline
 def nearest(feat, goal, wp, wr, score, val, best):
     """Fill `best` (BEST,) with the nearest seed of each interleaved group, nearest first.
 

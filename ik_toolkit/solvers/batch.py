@@ -16,7 +16,7 @@ import numpy as np
 from numba import config
 
 from ..errors import InvalidConfiguration, InvalidOption, InvalidTarget, floats
-from ..kernel.checks import BAD_TARGET, CONVERGED
+from ..kernel.checks import BAD_TARGET, CHECK_FAILED, CONVERGED
 from ..kernel.lanes import LEFT, lanes
 from ..kernel.slots import (
     OUT_HEAD,
@@ -26,7 +26,7 @@ from ..kernel.task import POSE, POSITION
 from ..robot.pose import check_target
 from ..robot.robot import Robot
 from .batch_result import JUMP, R_MOVE, BatchInterrupted, BatchResult
-from .result import Result, Status
+from .result import Status
 from .rules.jacobian import LM
 from .solve import FAR_START, Solver, automatic
 
@@ -157,9 +157,9 @@ def _confirm(solver: Solver, T: np.ndarray, kind: int, out: np.ndarray, first: i
     """Check every so manieth row of the whole batch again with Pinocchio."""
     for k in range(-first % every, len(out), every) if every else ():
         if out[k, R_STATUS] == CONVERGED:
-            result = Result(solver, out[k], 0.0, kind == POSITION)
-            solver._check(result, T[k] if kind == POSE else T[k, :3, 3])
-            out[k, R_STATUS] = result.status
+            target = T[k] if kind == POSE else T[k, :3, 3]
+            if not solver.confirm(out[k, OUT_HEAD:], target)[2]:
+                out[k, R_STATUS] = CHECK_FAILED
 
 
 def _solve_part(

@@ -337,20 +337,23 @@ class Solver:
         if report[2] > 0:
             row[R_POSITION], row[R_ROTATION] = report[3], report[4]
 
-    def _check(self, result: Result, target: Any) -> None:
-        """Compute the errors again with Pinocchio; a success it does not confirm is no success."""
+    def confirm(self, q: np.ndarray, target: Any) -> tuple[float, float | None, bool]:
+        """Errors [m, rad] of q (n,) at a validated target by Pinocchio, and whether both are inside their tolerances."""
         o = self.options
         if o.mask is not None:
-            T = self.robot.fk(result.q)
-            position, orientation = masked_errors(T.homogeneous, target, o.mask, o.mask_frame)
+            position, orientation = masked_errors(self.robot.fk(q).homogeneous, target, o.mask, o.mask_frame)
         elif isinstance(target, AxisTarget):
-            position, orientation = target.errors(self.robot.fk(result.q).homogeneous)
+            position, orientation = target.errors(self.robot.fk(q).homogeneous)
         else:
-            position, orientation = self.robot.errors(result.q, target)
+            position, orientation = self.robot.errors(q, target)
+        good = position <= o.position_tolerance and (orientation or 0.0) <= o.orientation_tolerance
+        return position, orientation, good
+
+    def _check(self, result: Result, target: Any) -> None:
+        """Compute the errors again with Pinocchio; a success it does not confirm is no success."""
+        position, orientation, good = self.confirm(result.q, target)
         result._checked = (position, orientation)
-        if result.success and not (
-            position <= o.position_tolerance and (orientation or 0.0) <= o.orientation_tolerance
-        ):
+        if result.success and not good:
             result._status = Status.CHECK_FAILED
 
     def __getstate__(self) -> dict[str, Any]:

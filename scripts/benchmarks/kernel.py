@@ -15,6 +15,7 @@ import pinocchio as pin  # noqa: E402
 
 import ik_toolkit as ik  # noqa: E402
 from ik_toolkit.kernel.chain import forward  # noqa: E402
+from ik_toolkit.kernel.lanes import lanes  # noqa: E402
 from ik_toolkit.kernel.slots import OUT_HEAD  # noqa: E402
 from ik_toolkit.kernel.task import POSE  # noqa: E402
 
@@ -39,6 +40,12 @@ def works(name: str, count: int, rng: np.random.Generator) -> dict[str, tuple[Ca
 
     solve()
     iterations = out[:, 1].sum()
+    side = np.empty_like(out)
+
+    def side_by_side() -> None:  # what a batch runs; the few targets left over are not solved here
+        lanes()(*solver._chain, T, solver._home, side, options)
+
+    side_by_side()
 
     def pinocchio_fk() -> None:
         for q in Q:
@@ -74,6 +81,7 @@ def works(name: str, count: int, rng: np.random.Generator) -> dict[str, tuple[Ca
         "kernel: FK + Jacobian": (lambda: forward(chain.rows, chain.ends, Q, chain.unit, poses, J), count),
         "kernel: one iteration of `lm` (all in)": (solve, iterations),
         "kernel: one solve": (solve, count),
+        "kernel: one solve, eight side by side": (side_by_side, count),
         "bound solver from Python: one solve": (python_solve, count),
         UNREACHABLE: (unreachable, count),
         "Pinocchio from Python: FK": (pinocchio_fk, count),

@@ -104,9 +104,9 @@ def aims(found: dict[str, dict[str, Any]]) -> list[list[str]]:
         for r in found["batch"]["rows"]:
             if r["targets"] == 100_000 and r["threads"] == 2:
                 text = f"{r['per_second']:,.0f} a second, best run {r['best_per_second']:,.0f}"
-                rows.append(
-                    [f"{r['robot']}: batch of 100,000 on 2 cores, 400,000 a second", text, mark(r["per_second"] >= 4e5)]
-                )
+                for aim in (400_000, 1_000_000):
+                    name = f"{r['robot']}: batch of 100,000 on 2 cores, {aim:,} a second"
+                    rows.append([name, text, mark(r["per_second"] >= aim)])
         most = max(r["memory"] for r in found["batch"]["rows"]) / 1e6
         rows.append(["memory of a batch beyond input and output, under 50 MB", f"{most:.1f} MB", mark(most < 50)])
     if "kernel" in found:
