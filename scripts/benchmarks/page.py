@@ -1,6 +1,6 @@
 """Put the tables that the other commands wrote into one page, docs/benchmarks.md.
 
-python scripts/benchmarks/page.py docs/data -o docs/benchmarks.md
+python scripts/benchmarks/page.py docs/data -o docs/benchmarks.md --readme README.md
 
 Reads benchmark_solve.json, benchmark_success.json, benchmark_batch.json, benchmark_kernel.json and benchmark_joints.json
 from the folder given; those that are missing are left out.
@@ -22,6 +22,7 @@ Every number on this page was written by a command of `scripts/benchmarks/`; the
 the same data as JSON in `docs/data/`. Times are of one machine: read them as ratios within one run, which is how the
 comparison is made. Targets are poses of random configurations inside the joint limits, so all of them can be reached.
 """
+MARKS = ("<!-- benchmark: written by scripts/benchmarks/page.py -->", "<!-- end of benchmark -->")
 SOLVE = """\
 Every solver runs in a process and a virtual environment of its own and gets the same targets, starts and tolerances, a
 block at a time in turn. The worker times each call from Python, with reading the joint values from the answer; failures
@@ -146,10 +147,40 @@ def solvers(data: dict[str, Any]) -> str:
     return common.table(["solver", "what", "version"], rows).replace("---:", "---")
 
 
+def summary(found: dict[str, dict[str, Any]]) -> str:
+    """The few figures of the README: one robot, every solver."""
+    run = next(
+        r for r in found["solve"]["runs"] if (r["robot"], r["start"], r["tolerance"]) == ("panda", "random", "strict")
+    )
+    names = {"ik": "**`ik.Solver`**, bound", "ik.solve": "**`ik.solve`**, all checks"}
+    names |= {"rtb": "Robotics Toolbox `ik_LM(k=0.1)`", "pytracik": "TRAC-IK (pytracik, two threads)"}
+    rows = [
+        [
+            f"{names.get(key, key)} {found['solve']['versions'].get(key, '')}".strip(),
+            *(common.short(1.0 * row["wall"][part]) for part in ("median", "p99")),
+            common.percent(row).split(" (")[0],
+        ]
+        for key, row in sorted(run["rows"].items(), key=lambda item: item[1]["wall"]["median"])
+        if key != "ik_q0"
+    ]
+    batch = next(r for r in found["batch"]["rows"] if (r["robot"], r["targets"], r["threads"]) == ("panda", 100_000, 2))
+    machine = found["solve"]["machine"]["cpu"]
+    return "\n\n".join(
+        [
+            f"Random poses of the Panda to 1e-6 m and rad, one call from Python, one thread, {machine}, one interleaved run; right"
+            " is what Pinocchio finds inside the limits and tolerances:",
+            common.table(["", "median, us", "99th percentile, us", "right, %"], rows),
+            f"`ik.solve_batch` on two cores: {round(batch['per_second'], -4):,.0f} such poses a second. Other robots, tolerances"
+            " and starts, versions and commands: [benchmarks](docs/benchmarks.md).",
+        ]
+    )
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("folder", type=Path, help="folder with the JSON files")
     parser.add_argument("-o", "--output", type=Path, default=Path("docs/benchmarks.md"))
+    parser.add_argument("--readme", type=Path, help="also put the summary between the benchmark marks of this file")
     given = parser.parse_args()
     found = {}
     for name in ("solve", "success", "batch", "kernel", "joints"):
@@ -172,6 +203,10 @@ def main() -> None:
     parts += section("Number of joints", found.get("joints"))
     given.output.parent.mkdir(parents=True, exist_ok=True)
     given.output.write_text("\n\n".join(parts) + "\n", encoding="utf-8")
+    if given.readme:
+        before, rest = given.readme.read_text(encoding="utf-8").split(MARKS[0])
+        text = f"{before}{MARKS[0]}\n\n{summary(found)}\n\n{MARKS[1]}{rest.split(MARKS[1])[1]}"
+        given.readme.write_text(text, encoding="utf-8")
 
 
 if __name__ == "__main__":
