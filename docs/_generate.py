@@ -139,7 +139,7 @@ def _tips(row) -> list[str]:
 MEANINGS = {
     "CONVERGED": "both errors are inside their tolerances, confirmed by Pinocchio",
     "STALLED": "no further progress: a local minimum of the error, or nothing better after all starts",
-    "ITERATION_LIMIT": "the iterations ran out while the error was still falling",
+    "ITERATION_LIMIT": "the iterations, or the evaluations allowed, ran out while the error was still falling",
     "LIMIT_BLOCKED": "joint limits stand in the way; the message names the joints",
     "UNREACHABLE": "proven out of reach, by a bound from the link lengths or by a closed form; the message says by how much",
     "SINGULAR": "no joint motion reduces the error to first order",

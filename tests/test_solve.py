@@ -155,7 +155,8 @@ def test_a_used_up_budget_is_called_that(solver):
     robot = robots.load("hydrolek_7w")
     target = robot.fk(robot.lower * 0.3 + robot.upper * 0.7)
     spent = ik.solve(robot, target, solver, max_evaluations=3)
-    assert not spent.success and "the 3 evaluations allowed were used up in 1 start;" in spent.message
+    assert spent.status == ik.Status.ITERATION_LIMIT
+    assert "the 3 evaluations allowed were used up in 1 start;" in spent.message
     assert "minimum" not in spent.message and "max_evaluations" in spent.message
     assert "allowed" not in ik.solve(robot, target, solver, max_evaluations=1000).message
 

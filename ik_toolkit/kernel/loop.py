@@ -399,6 +399,8 @@ def entry(cls: type) -> Callable:
                     count += 1
                     best_pp = e.pp
                     best_rr = e.rr
+                elif count >= opt[O_EVALUATIONS] and status != NOT_FINITE:
+                    status = ITERATION_LIMIT
                 elif descents > 1 and status != NOT_FINITE:
                     for i in range(n):
                         q[i] = best_q[i]

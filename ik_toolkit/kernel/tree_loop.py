@@ -369,7 +369,11 @@ def tree_entry() -> Callable:
             q[i] = best_q[i]
             dq[i] = q0[i] / unit[i] if given > 0 else home[i]
         shifted = limits and face(q, dq, lower, upper, turns)
-        judged = status != CONVERGED and status != NOT_FINITE and status != UNREACHABLE and descents > 1
+        open_end = status != CONVERGED and status != NOT_FINITE and status != UNREACHABLE
+        spent = count >= opt[O_EVALUATIONS]
+        if open_end and spent:
+            status = ITERATION_LIMIT
+        judged = open_end and not spent and descents > 1
         if shifted or out_of_reach or judged:
             ee, good = evaluate(rows, cut, ends, goals, kinds, q, Z, ang, sn, cs, points, e, tp, tr)
             count += 1

@@ -221,7 +221,7 @@ def sentence(result: Result) -> str:
             text += f" after {result.restarts} restarts"
         return text
     budget = result._solver.options.max_evaluations
-    if budget and row[R_EVALUATIONS] >= budget and status in (Status.STALLED, Status.ITERATION_LIMIT):
+    if budget and row[R_EVALUATIONS] >= budget and status == Status.ITERATION_LIMIT:
         text = f"the {budget} evaluations allowed were used up in {starts} start{'s' * (starts > 1)}; closest {left}"
         return f"{text}; allow more (max_evaluations)"
     if status == Status.UNREACHABLE:
