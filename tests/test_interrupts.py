@@ -49,14 +49,14 @@ def some(path):
     return lambda: path.exists() and path.stat().st_size > 0
 
 
-@pytest.mark.parametrize("suffix", [".csv", ".npz"])
-def test_batch(tmp_path, record_property, suffix):
+@pytest.mark.parametrize(("suffix", "solver"), [(".csv", "lm"), (".npz", "dls")])  # lm would be done too soon
+def test_batch(tmp_path, record_property, suffix, solver):
     robot = robots.load("hydrolek_7w")
-    T = robot.chain.forward(np.tile(robot.home, (1000, 1)))[0]
+    T = robots.sample(robot, 1000)[1]
     np.savez(tmp_path / "in.npz", targets=np.tile(T, (4 * COUNT // 1000, 1, 1)))
     out = tmp_path / f"out{suffix}"
     began = some(out) if suffix == ".csv" else lambda time_=time.monotonic(): time.monotonic() > time_ + 3
-    words = ["solve", "hydrolek_7w", "--targets", str(tmp_path / "in.npz"), "-s", "lm", "-o", str(out)]
+    words = ["solve", "hydrolek_7w", "--targets", str(tmp_path / "in.npz"), "-s", solver, "-o", str(out)]
     err = interrupted(record_property, words, began)
     kept = len(np.load(out)["q"]) if suffix == ".npz" else out.read_text().count("\n") - 1
     assert 0 < kept < 4 * COUNT and f"the first {kept} solutions are in {out}" in err

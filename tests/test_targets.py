@@ -2,6 +2,7 @@
 
 import csv
 import json
+import signal
 
 import numpy as np
 import pytest
@@ -194,6 +195,20 @@ def test_an_interrupt_keeps_what_is_finished(tmp_path, capsys, monkeypatch):
         assert run("--targets", tmp_path / "in.npz", "-o", tmp_path / name) == 130
         assert f"the first 4096 solutions are in {tmp_path / name}" in capsys.readouterr().err
     assert len(solved(tmp_path / "out.csv")[0]) == len(np.load(tmp_path / "out.npz")["q"]) == 4096
+
+
+def test_an_interrupt_in_the_middle_of_writing_waits_for_its_end(tmp_path, capsys, monkeypatch):
+    np.savez(tmp_path / "in.npz", targets=sample(load(ARM), 5)[1])
+    real = np.savez
+
+    def slow(file, **arrays):
+        signal.raise_signal(signal.SIGINT)
+        real(file, **arrays)
+
+    monkeypatch.setattr(np, "savez", slow)
+    assert run("--targets", tmp_path / "in.npz", "-o", tmp_path / "out.npz") == 130
+    assert "the first 5 solutions are in" in capsys.readouterr().err
+    assert len(np.load(tmp_path / "out.npz")["q"]) == 5
 
 
 # ------------------------------------------------------------------------------------------------------------- obstacles

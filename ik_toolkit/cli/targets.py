@@ -2,6 +2,7 @@
 
 import csv
 import io
+import signal
 import zipfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -210,6 +211,19 @@ def _progress(count: int) -> Iterator[Any]:
 
 
 @contextmanager
+def _uninterrupted() -> Iterator[None]:
+    """Ctrl-C waits for the end of what is inside: a file written by half is lost."""
+    came = []
+    before = signal.signal(signal.SIGINT, lambda *_: came.append(True))
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, before)
+    if came:
+        raise KeyboardInterrupt
+
+
+@contextmanager
 def _cluster(address: str | None) -> Iterator[Any]:
     """Executor of a Dask scheduler that is already there; lost tasks are tried again by Dask."""
     if address is None:
@@ -268,13 +282,17 @@ def solve_file(
     with _cluster(cluster) as executor, _progress(count) as show_done:
         asked: dict[str, Any] = {"q0": start, "threads": threads, "chain": chain, "executor": executor, **options}
         if output.suffix.lower() == ".npz":
-            interrupted = None
+            interrupted: KeyboardInterrupt | None = None
             try:
                 many = solve_batch(arm, targets, method, progress=show_done, **asked)
             except BatchInterrupted as stop:
                 many, interrupted = stop.result, stop
-            add(many)
-            np.savez(output, **many.to_dict(), joint_names=np.array(names))
+            try:
+                with _uninterrupted():
+                    add(many)
+                    np.savez(output, **many.to_dict(), joint_names=np.array(names))
+            except KeyboardInterrupt as stop:
+                interrupted = stop
             if interrupted:
                 notice(f"the first {done} solutions are in {output}")
                 raise interrupted
