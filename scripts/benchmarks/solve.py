@@ -11,7 +11,7 @@ import json
 import sys
 import tempfile
 from collections.abc import Callable
-from itertools import pairwise
+from itertools import pairwise, product
 from pathlib import Path
 from typing import Any
 
@@ -132,6 +132,25 @@ def ratios(run: dict[str, Any], against: str) -> None:
         del row["seconds"]
 
 
+def settled(rounds: list[dict[str, Any]]) -> dict[str, Any]:
+    """One run of several: the median of each figure over the rounds (the machine has slow minutes), successes added up."""
+    rows = {}
+    for key in rounds[0]["rows"]:
+        same = [run["rows"][key] for run in rounds if key in run["rows"]]
+        rows[key] = common.rate(sum(row["solved"] for row in same), sum(row["targets"] for row in same))
+        rows[key] |= _medians(
+            [{part: row[part] for part in ("wall", "processor", "faster") if part in row} for row in same]
+        )
+    return {**rounds[0], "rows": rows, "refused": {k: v for run in rounds for k, v in run["refused"].items()}}
+
+
+def _medians(same: list[Any]) -> Any:
+    """Median of each number in dictionaries of one shape."""
+    if isinstance(same[0], dict):
+        return {key: _medians([part[key] for part in same]) for key in same[0]}
+    return float(np.median(same))
+
+
 def tables(runs: list[dict[str, Any]], against: str) -> list[str]:
     """Markdown: for each kind of start and tolerance the times, the ratios and the successes."""
     parts = []
@@ -194,34 +213,37 @@ def main() -> None:
     parser.add_argument("--tolerances", nargs="+", default=tuple(common.TOLERANCES), choices=tuple(common.TOLERANCES))
     parser.add_argument("--targets", type=int, default=2000, help="targets a robot; slow peers get the first few")
     parser.add_argument("--blocks", type=int, default=20, help="turns in which the targets are handed out")
+    parser.add_argument(
+        "--rounds", type=int, default=3, help="times everything is done, with other targets; medians count"
+    )
     parser.add_argument("--against", default="rtb", choices=list(BY_NAME), help="peer that the ratios refer to")
     given = parser.parse_args()
     before = common.load_average()
-    runs = []
+    rounds: dict[tuple[str, str, str], list[dict[str, Any]]] = {}
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         processes = started([BY_NAME[key] for key in given.peers], given.venvs, folder)
         try:
-            for robot in given.robots:
+            for number, robot in product(range(given.rounds), given.robots):
                 loaded = ik.Robot.load(robot)
                 arm = ik.Robot.load(common.serial_urdf(loaded), base=loaded.base, tip=loaded.tip)
                 arm.name = robot
-                for kind in given.starts:
-                    for tolerance in given.tolerances:
-                        run = compare(arm, processes, kind, tolerance, given.targets, given.blocks, given.seed, folder)
-                        ratios(run, given.against)
-                        runs.append(run)
-                        line = {
-                            k: f"{_times(v)} {100 * v['solved'] / v['targets']:.4g}%" for k, v in run["rows"].items()
-                        }
-                        print(robot, kind, tolerance, json.dumps(line), run["refused"] or "", file=sys.stderr)
+                for kind, tolerance in product(given.starts, given.tolerances):
+                    seed = given.seed + number
+                    run = compare(arm, processes, kind, tolerance, given.targets, given.blocks, seed, folder)
+                    ratios(run, given.against)
+                    rounds.setdefault((robot, kind, tolerance), []).append(run)
+                    line = {k: f"{_times(v)} {100 * v['solved'] / v['targets']:.4g}%" for k, v in run["rows"].items()}
+                    print(robot, kind, tolerance, json.dumps(line), run["refused"] or "", file=sys.stderr)
         finally:
             for process in processes.values():
                 process.close()
         versions = {key: process.version for key, process in processes.items() if process.version}
+    runs = [settled(same) for same in rounds.values()]
     about = {key: BY_NAME[key].about for key in processes}
     payload = {
         "machine": common.machine(), "load_average": [before, common.load_average()], "targets": given.targets,
+        "rounds": given.rounds,
         "seed": given.seed, "against": given.against, "peers": about, "versions": versions, "runs": runs,
     }  # fmt: skip
     common.write(given.output, payload, *tables(runs, given.against))
