@@ -1,5 +1,6 @@
 """Named joint values with limits: what a robot with one tip and a tree with several have in common."""
 
+import functools
 from typing import Any
 
 import numpy as np
@@ -66,10 +67,15 @@ class Joints:
             raise InvalidConfiguration(f"rest must have {self.model.nq} values for this model, not shape {full.shape}")
         return self._fill(full, self.check_q(q))
 
+    @functools.cached_property
+    def _circles(self) -> np.ndarray:
+        """Indices in q of the joints that Pinocchio stores as cosine and sine."""
+        return np.flatnonzero(self._path.circle)
+
     def _fill(self, full: np.ndarray, q: np.ndarray) -> np.ndarray:
-        idx, circle = self._path.idx_q, self._path.circle
+        idx, circle = self._path.idx_q, self._circles
         full[idx] = q
-        if circle.any():
+        if len(circle):
             full[idx[circle]] = np.cos(q[circle])
             full[idx[circle] + 1] = np.sin(q[circle])
         return full

@@ -27,7 +27,14 @@ from .probe import find_path, probe
 if TYPE_CHECKING:
     from .tree import Tree
 
-CACHES = ("_local", "_sampling", "_solvers", "_closed_form", "_collision")  # belong to one object, or to one thread
+CACHES = (
+    "_local",
+    "_sampling",
+    "_solvers",
+    "_closed_form",
+    "_collision",
+    "_circles",
+)  # belong to one object, or to one thread
 LINKS = (pin.FrameType.BODY, pin.FrameType.OP_FRAME, pin.FrameType.SENSOR)  # what a base or a tip may be
 SINGULAR = 0.02  # smallest singular value (lengths over reach) below which a configuration is no good as home
 
@@ -309,9 +316,9 @@ class Robot(Joints):
         """Position error [m] and rotation angle [rad] (None for a (3,) target) between the tip at q and a target."""
         T = self._fk(q)
         if target.ndim == 1:
-            return math.hypot(*(target - T.translation)), None
+            return math.hypot(*(target - T.translation).tolist()), None
         rotation = pin.log3(T.rotation.T @ target[:3, :3])
-        return math.hypot(*(target[:3, 3] - T.translation)), math.hypot(*rotation)
+        return math.hypot(*(target[:3, 3] - T.translation).tolist()), math.hypot(*rotation.tolist())
 
     # ------------------------------------------------------------------------------------------------ variants
     def _variant(self) -> "Robot":

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..errors import NotSolved
-from ..kernel.slots import OUT_HEAD, R_EVALUATIONS
+from ..kernel.slots import OUT_HEAD, R_EVALUATIONS, R_EXCESS, R_ITERATIONS, R_POSITION, R_RESTARTS, R_ROTATION, R_STATUS
 
 if TYPE_CHECKING:
     from .solve import Solver
@@ -94,7 +94,7 @@ class Result:
     @property
     def status(self) -> Status:
         """How the solve ended."""
-        return Status(int(self._row[0])) if self._status is None else self._status
+        return Status(int(self._row[R_STATUS])) if self._status is None else self._status
 
     @property
     def success(self) -> bool:
@@ -104,29 +104,29 @@ class Result:
     @property
     def position_error(self) -> float:
         """Distance of the tip from the target at q [m]."""
-        return float(self._row[3]) if self._checked is None else self._checked[0]
+        return float(self._row[R_POSITION]) if self._checked is None else self._checked[0]
 
     @property
     def orientation_error(self) -> float | None:
         """Rotation angle left at q [rad]; None for a position-only target."""
         if self.position_only:
             return None
-        return float(self._row[4]) if self._checked is None else self._checked[1]
+        return float(self._row[R_ROTATION]) if self._checked is None else self._checked[1]
 
     @property
     def iterations(self) -> int:
         """Steps taken, over all descents."""
-        return int(self._row[1])
+        return int(self._row[R_ITERATIONS])
 
     @property
     def restarts(self) -> int:
         """Descents after the first."""
-        return int(self._row[2])
+        return int(self._row[R_RESTARTS])
 
     @property
     def fk_evaluations(self) -> int:
         """Forward-kinematics evaluations made."""
-        return int(self._row[5])
+        return int(self._row[R_EVALUATIONS])
 
     @property
     def limited_joints(self) -> tuple[str, ...]:
@@ -207,14 +207,14 @@ def sentence(result: Result) -> str:
     left = f"{away:.3g} m" if away >= 1.0 else f"{1000 * away:.3g} mm"
     if result.orientation_error is not None:
         left += f", {np.degrees(result.orientation_error):.3g} deg"
-    starts = int(row[2]) + 1
+    starts = int(row[R_RESTARTS]) + 1
     if result.collision is not None:
         touching = " and ".join(result.collision)
         text = f"every solution found in {starts} start{'s' * (starts > 1)} collides; in this one {touching} touch"
         return f"{text}; {ADVICE[status]}"
     if result._solver.row.closed and status in CLOSED_FORM_SAYS:
         joints = ", ".join(result.limited_joints)
-        return CLOSED_FORM_SAYS[status].format(left=left, joints=joints, beyond=f"{1000 * row[7]:.4g} mm")
+        return CLOSED_FORM_SAYS[status].format(left=left, joints=joints, beyond=f"{1000 * row[R_EXCESS]:.4g} mm")
     if status == Status.CONVERGED:
         text = f"converged in {result.iterations} iterations to {left}"
         if result.restarts:
@@ -225,7 +225,7 @@ def sentence(result: Result) -> str:
         text = f"the {budget} evaluations allowed were used up in {starts} start{'s' * (starts > 1)}; closest {left}"
         return f"{text}; allow more (max_evaluations)"
     if status == Status.UNREACHABLE:
-        text = f"the target is beyond reach by {1000 * row[7]:.4g} mm (a bound from the link lengths); closest {left}"
+        text = f"the target is beyond reach by {1000 * row[R_EXCESS]:.4g} mm (a bound from the link lengths); closest {left}"
     elif status == Status.STALLED and starts > 1:
         text = f"closest {left} after {starts} starts; the target may be unreachable"
     elif status == Status.STALLED:

@@ -30,8 +30,10 @@ from ..kernel.slots import (
     O_W,
     OPT_HEAD,
     OUT_HEAD,
+    R_HISTORY,
     R_POSITION,
     R_ROTATION,
+    R_STATUS,
 )
 from ..kernel.task import AXIS, MASK_BASE, MASK_TIP, POSE, POSITION
 from ..robot.pose import AxisTarget, check_target, masked_errors
@@ -261,8 +263,8 @@ class Solver:
             start, note = self._start(q0)
             notice = notice or note
         row = self._run(T, kind, start, q0 is not None)
-        if row[0] >= BAD_TARGET:  # what the kernel will not take is looked at here: refused in words, or mended
-            if row[0] == BAD_TARGET:
+        if row[R_STATUS] >= BAD_TARGET:  # what the kernel will not take is looked at here: refused in words, or mended
+            if row[R_STATUS] == BAD_TARGET:
                 T, kind, notice = _as_pose(target)  # raises, or projects a rotation that is nearly rigid
             if q0 is not None:
                 start, note = self._start(q0)
@@ -274,7 +276,7 @@ class Solver:
             return result
         if self.options.history:
             self._record(result, T, kind, start, q0 is not None)
-        if self._extras and row[0] == Status.CONVERGED:
+        if self._extras and row[R_STATUS] == Status.CONVERGED:
             result.collision = self.finish(row, T, kind, start, q0 is not None)
         if self.options.check:
             self._check(result, target if isinstance(kind, tuple) else T[0] if kind == POSE else T[0, :3, 3])
@@ -301,7 +303,7 @@ class Solver:
         history = np.empty((result.fk_evaluations + 1, 2 + self.robot.n))
         out = np.empty((1, self._width))
         self._kernel(*self.arrays_for(kind, start), T, start, out, self.pack(kind, given), history)
-        history = history[: int(out[0, 6])]
+        history = history[: int(out[0, R_HISTORY])]
         if result.orientation_error is None:
             history[:, 1] = np.nan
         if result.status == Status.UNREACHABLE:  # the loop aims at the nearest point inside the bound
@@ -353,7 +355,7 @@ class Solver:
         """Compute the errors again with Pinocchio; a success it does not confirm is no success."""
         position, orientation, good = self.confirm(result.q, target)
         result._checked = (position, orientation)
-        if result.success and not good:
+        if not good and result.success:
             result._status = Status.CHECK_FAILED
 
     def __getstate__(self) -> dict[str, Any]:

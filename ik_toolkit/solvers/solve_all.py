@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import InvalidOption
-from ..kernel.slots import OPT_HEAD, OUT_HEAD, R_POSITION, R_ROTATION
+from ..kernel.slots import OPT_HEAD, OUT_HEAD, R_POSITION, R_ROTATION, R_STATUS
 from ..kernel.task import POSITION
 from ..robot.robot import Robot
 from . import closed_form
@@ -196,7 +196,7 @@ def _search(one: Solver, T: np.ndarray, kind: Any, start: np.ndarray, starts: in
     Q0[:, one.held] = start[0, one.held]
     out = np.empty((starts, OUT_HEAD + robot.n))
     single._kernel(*single._chain, np.repeat(T, starts, axis=0), Q0, out, single.pack(kind, True), single._silent)
-    out = out[out[:, 0] == Status.CONVERGED]
+    out = out[out[:, R_STATUS] == Status.CONVERGED]
     answers = out[:, OUT_HEAD:]
     turning = robot.chain.turns > 0
     if not o.limits and robot.chain.rows[0, 0] > 0.0:  # no limits, no mimic joints: every angle may be turned over

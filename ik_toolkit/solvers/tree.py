@@ -8,7 +8,7 @@ import numpy as np
 from ..errors import InvalidOption, UnknownSolver
 from ..kernel.chain import without_limits
 from ..kernel.checks import BAD_TARGET
-from ..kernel.slots import O_C, O_DESCENTS, O_ITERATIONS, OUT_HEAD, R_HISTORY
+from ..kernel.slots import O_C, O_DESCENTS, O_ITERATIONS, OUT_HEAD, R_HISTORY, R_STATUS
 from ..kernel.task import POSE, POSITION
 from ..kernel.tree_loop import tree_entry
 from ..robot.tree import Tree
@@ -142,7 +142,7 @@ class TreeSolver(Solver):
         start, notice = (self._home, "") if q0 is None else self._start(q0)
         T, kinds, note = self._read(targets, self.options.check)
         row, tips = self._descend(T, kinds, start, q0 is not None, self._silent)
-        if row[0] == BAD_TARGET:
+        if row[R_STATUS] == BAD_TARGET:
             T, kinds, note = self._read(targets, True)
             row, tips = self._descend(T, kinds, start, q0 is not None, self._silent)
         result = TreeResult(self, row, tips, kinds, perf_counter() - started)
