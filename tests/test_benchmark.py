@@ -242,19 +242,36 @@ def test_quaternion_and_turns_of_the_worker(scripts):
     assert (worker.wrapped(grazing, lower, upper) == grazing).all()
 
 
+def test_rounds_are_settled_by_their_median(scripts):
+    solve = scripts("solve")
+    rounds = [
+        {
+            "robot": "x",
+            "refused": {},
+            "rows": {"ik": {"solved": n, "targets": 10, "wall": {"p99": t}, "processor": {"p99": -t}}},
+        }
+        for n, t in ((10, 5.0), (9, 100.0), (10, 7.0))
+    ]
+    run = solve.settled(rounds)
+    assert run["rows"]["ik"]["wall"] == {"p99": 7.0} and run["rows"]["ik"]["processor"] == {"p99": -7.0}
+    assert (
+        run["rows"]["ik"]["solved"] == 29 and run["rows"]["ik"]["targets"] == 30 and "faster" not in run["rows"]["ik"]
+    )
+
+
 def test_one_small_run_against_a_process_of_its_own(tmp_path):
     """The whole way with our own solvers as the peers: processes, blocks, checks, tables."""
     output = tmp_path / "solve.json"
     command = [
         sys.executable, str(SCRIPTS / "solve.py"), "--venvs", str(tmp_path), "--robots", "hydrolek_7w", "--peers", "ik",
-        "ik_q0", "--against", "ik_q0", "--targets", "20", "--blocks", "2", "--starts", "near", "--tolerances", "strict",
-        "-o", str(output),
+        "ik_q0", "--against", "ik_q0", "--targets", "20", "--blocks", "2", "--rounds", "2", "--starts", "near",
+        "--tolerances", "strict", "-o", str(output),
     ]  # fmt: skip
     subprocess.run(command, check=True, capture_output=True)
     written = json.loads(output.read_text(encoding="utf-8"))
     (run,) = written["runs"]
     assert run["refused"] == {} and set(run["rows"]) == {"ik", "ik_q0"}
-    assert run["rows"]["ik"]["solved"] == run["rows"]["ik"]["targets"] == 20
+    assert run["rows"]["ik"]["solved"] == run["rows"]["ik"]["targets"] == 40
     assert run["rows"]["ik_q0"]["faster"]["wall"]["median"] == 1.0
     assert "| `ik` |" in written["tables"]
     assert str(tmp_path) not in json.dumps(written)
