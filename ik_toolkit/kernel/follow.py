@@ -35,7 +35,7 @@ from .motion import (
     settle,
     to_local,
 )
-from .slots import E_VECTORS, O_KIND, O_W, OPT_HEAD
+from .slots import E_VECTORS, O_KIND, O_W, OPT_HEAD, vectors
 from .task import POSE, shape_columns
 
 
@@ -161,10 +161,9 @@ def rule_tracker(cls: type) -> Callable:
         L = rows.shape[0]
         n = q.shape[0]
         Lp = (L + 3) // 4 * 4
-        v = E_VECTORS
-        lower, upper, unit = ends[v : v + n], ends[v + n : v + 2 * n], ends[v + 3 * n : v + 4 * n]
+        lower, upper, _, unit, _, _, _, tail = vectors(ends, n)
         tip = ends[12:24]
-        scale = ends[v + 7 * n]
+        scale = tail[0]
         kind = int(opt[O_KIND])
         mask = opt[O_W : O_W + 6]
         weights = opt[OPT_HEAD : OPT_HEAD + n]

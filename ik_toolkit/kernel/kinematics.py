@@ -227,6 +227,13 @@ def angle_ratio(rr):
     return math.asin(min(h, 1.0)) / h
 
 
+@inline
+def chord(angle):
+    """|2 sin(angle/2)|^2, what a tolerance allows; no rotation is beyond half a turn."""
+    length = 2.0 * math.sin(0.5 * angle) if angle < math.pi else 3.0
+    return length * length
+
+
 @jit
 def rotation_angle(rr):
     """Angle [rad] in 0..pi for rr = |2 sin(angle/2)|^2."""

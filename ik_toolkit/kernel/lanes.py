@@ -16,13 +16,12 @@ import numpy as np
 
 from .checks import CONVERGED, beyond, rigid
 from .jit import cached, inline, kernel_stamp
-from .kinematics import TAU, aim, rotation_angle, sincos
+from .kinematics import TAU, aim, chord, rotation_angle, sincos
 from .limits import face, legal
 from .linalg import solve_blocks
 from .loop import measure
-from .seeds import BEST, nearest, rnd
+from .seeds import BEST, nearest, rnd, sow
 from .slots import (
-    E_VECTORS,
     O_C,
     O_C_FREE,
     O_DESCENTS,
@@ -45,6 +44,7 @@ from .slots import (
     R_RESTARTS,
     R_ROTATION,
     R_STATUS,
+    vectors,
 )
 from .task import POSITION
 from .vector import WIDTH, bits, choose, full, load, store
@@ -149,7 +149,7 @@ def vector_step(rows, Z, Q, lower, upper, turns, turning, px, py, pz, e0, e1, e2
 
 @inline
 def vector_error(goal, x0, x1, x2, y0, y1, y2, z0, z1, z2):
-    """2 sin(angle/2) times the axis of the rotation left, and 1 + cos(angle) (wrong near half a turn: see the latter)."""
+    """2 sin(angle/2) times the axis of the rotation left, and 1 + cos(angle); below HALF_TURN only the latter is right."""
     W = WIDTH
     d0, d1, d2 = load(goal, 0), load(goal, W), load(goal, 2 * W)
     d3, d4, d5 = load(goal, 3 * W), load(goal, 4 * W), load(goal, 5 * W)
@@ -167,8 +167,7 @@ def lanes() -> Callable:
     """Return the compiled solve(rows, ends, seeds, feat, T, Q0, out, opt), arguments as for `loop.entry` with the rule LM.
 
     For poses and positions of chains without mimic joints, with limits, equal joint weights, no `closest` and no budget
-    of evaluations;
-    rows of `out` with the status LEFT are for the loop.
+    of evaluations; rows of `out` with the status LEFT are for the loop.
     """
     stamp = kernel_stamp()
 
@@ -178,16 +177,8 @@ def lanes() -> Callable:
         W = WIDTH
         n = seeds.shape[1]
         N = T.shape[0]
-        v = E_VECTORS
         tip = ends[12:24]
-        lower, upper, turns, unit = (
-            ends[v : v + n],
-            ends[v + n : v + 2 * n],
-            ends[v + 2 * n : v + 3 * n],
-            ends[v + 3 * n : v + 4 * n],
-        )
-        low, span, home = ends[v + 4 * n : v + 5 * n], ends[v + 5 * n : v + 6 * n], ends[v + 6 * n : v + 7 * n]
-        tail = ends[v + 7 * n :]
+        lower, upper, turns, unit, low, span, home, tail = vectors(ends, n)
         scale = tail[0]
         kind = int(opt[O_KIND])
         turning = 0.0 if kind == POSITION else 1.0
@@ -197,8 +188,7 @@ def lanes() -> Callable:
         damping = opt[OPT_HEAD + n]
         tol_p = opt[O_TOL_P] / scale
         tp = tol_p * tol_p
-        tr = 2.0 * math.sin(0.5 * opt[O_TOL_R]) if opt[O_TOL_R] < math.pi else 3.0
-        tr = tr * tr
+        tr = chord(opt[O_TOL_R])
         Q = np.zeros(n * W)
         Z = np.zeros(6 * n * W)
         goals = np.zeros(12 * W)
@@ -248,9 +238,7 @@ def lanes() -> Callable:
                             table[lane, k] = best[k]
                         for k in range(12):
                             goals[k * W + lane] = goal[k]
-                        state[lane, 0] = np.uint64(88172645463325252) ^ (
-                            np.uint64(opt[O_SEED]) * np.uint64(0x9E3779B97F4A7C15)
-                        )
+                        sow(state[lane], opt[O_SEED])
                         tries[lane] = 0
                         total[lane] = 0.0
                         which[lane] = t

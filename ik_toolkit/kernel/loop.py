@@ -31,11 +31,10 @@ from .checks import (
     why,
 )
 from .jit import OPTIONS, cached, inline, kernel_stamp, source_file
-from .kinematics import TAU, aim, columns, error, fk, rotation_angle
+from .kinematics import TAU, aim, chord, columns, error, fk, rotation_angle
 from .limits import face, hold, integrate, legal, turn
-from .seeds import BEST, nearest, rnd
+from .seeds import BEST, nearest, rnd, sow
 from .slots import (
-    E_VECTORS,
     O_C,
     O_C_FREE,
     O_CLOSEST,
@@ -63,6 +62,7 @@ from .slots import (
     R_RESTARTS,
     R_ROTATION,
     R_STATUS,
+    vectors,
 )
 from .task import AXIS, MASK_BASE, MASK_TIP, POSE, POSITION, shape_columns, shape_error
 
@@ -193,16 +193,8 @@ def entry(cls: type) -> Callable:
         L = rows.shape[0]
         n = seeds.shape[1]
         Lp = (L + 3) // 4 * 4
-        v = E_VECTORS
         tip = ends[12:24]
-        lower, upper, turns, unit = (
-            ends[v : v + n],
-            ends[v + n : v + 2 * n],
-            ends[v + 2 * n : v + 3 * n],
-            ends[v + 3 * n : v + 4 * n],
-        )
-        low, span, home = ends[v + 4 * n : v + 5 * n], ends[v + 5 * n : v + 6 * n], ends[v + 6 * n : v + 7 * n]
-        tail = ends[v + 7 * n :]
+        lower, upper, turns, unit, low, span, home, tail = vectors(ends, n)
         scale = tail[0]
         q = np.empty(n)
         dq = np.empty(n)
@@ -238,10 +230,7 @@ def entry(cls: type) -> Callable:
             s = Step(q, dq, w, J, x, V, y)
         tol_p = opt[O_TOL_P] / scale
         tp = tol_p * tol_p
-        tr = 2.0 * math.sin(0.5 * min(opt[O_TOL_R], math.pi)) if opt[O_TOL_R] < math.pi else 3.0
-        if kind == MASK_BASE or kind == MASK_TIP:
-            tr = opt[O_TOL_R]
-        tr = tr * tr
+        tr = opt[O_TOL_R] * opt[O_TOL_R] if kind == MASK_BASE or kind == MASK_TIP else chord(opt[O_TOL_R])
         for t in range(T.shape[0]):
             given_row = t if Q0.shape[0] > 1 else 0
             if not rigid(T[t]):
@@ -250,8 +239,7 @@ def entry(cls: type) -> Callable:
             if (given > 0 or closest > 0) and not legal(Q0[given_row], unit, lower, upper, turns, limits):
                 out[t, R_STATUS] = BAD_START
                 continue
-            # The random tail depends on the target's own seed only, not on its neighbours or the thread.
-            state[0] = np.uint64(88172645463325252) ^ (np.uint64(opt[O_SEED]) * np.uint64(0x9E3779B97F4A7C15))
+            sow(state, opt[O_SEED])
             aim(ends, tip, scale, T[t], goal)
             excess = beyond(goal, tip, tail, kind, tol_p, opt[O_TOL_R])
             descents = int(opt[O_DESCENTS])

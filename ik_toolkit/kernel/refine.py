@@ -5,11 +5,11 @@ import math
 import numpy as np
 
 from .jit import cached, inline
-from .kinematics import TAU, aim, columns, rotation_angle
+from .kinematics import TAU, aim, chord, columns, rotation_angle
 from .limits import hold
 from .linalg import damped
 from .loop import Err, measure
-from .slots import E_VECTORS, O_KIND, O_TOL_P, O_TOL_R, O_W, OPT_HEAD
+from .slots import O_KIND, O_TOL_P, O_TOL_R, O_W, OPT_HEAD, vectors
 from .task import MASK_BASE, MASK_TIP, POSE, shape_columns
 
 MID_RANGE, REFERENCE, MANIPULABILITY = 1, 2, 3
@@ -57,12 +57,9 @@ def refine(rows, ends, T, q_out, ref, opt, what, steps, report):
     L = rows.shape[0]
     n = q_out.shape[0]
     Lp = (L + 3) // 4 * 4
-    v = E_VECTORS
     tip = ends[12:24]
-    lower, upper = ends[v : v + n], ends[v + n : v + 2 * n]
-    turns, unit = ends[v + 2 * n : v + 3 * n], ends[v + 3 * n : v + 4 * n]
-    low, span = ends[v + 4 * n : v + 5 * n], ends[v + 5 * n : v + 6 * n]
-    scale = ends[v + 7 * n]
+    lower, upper, turns, unit, low, span, _, tail = vectors(ends, n)
+    scale = tail[0]
     q = np.empty(n)
     old = np.empty(n)
     dq = np.empty(n)
@@ -83,8 +80,7 @@ def refine(rows, ends, T, q_out, ref, opt, what, steps, report):
     mask = opt[O_W : O_W + 6]
     weights = opt[OPT_HEAD : OPT_HEAD + n]
     tp = (opt[O_TOL_P] / scale) ** 2
-    tr = opt[O_TOL_R] if kind == MASK_BASE or kind == MASK_TIP else 2.0 * math.sin(0.5 * min(opt[O_TOL_R], math.pi))
-    tr = tr * tr
+    tr = opt[O_TOL_R] * opt[O_TOL_R] if kind == MASK_BASE or kind == MASK_TIP else chord(opt[O_TOL_R])
     aim(ends, tip, scale, T[0], goal)
     for i in range(n):
         q[i] = q_out[i] / unit[i]

@@ -11,6 +11,12 @@ ROTATION_WEIGHT = 0.05  # of |dR|_F^2 against |dp|^2 (lengths divided by the rea
 
 
 @inline
+def sow(state, seed):
+    """Begin the random sequence of `state` (1,): it depends on the seed only, not on neighbours or the thread."""
+    state[0] = np.uint64(88172645463325252) ^ (np.uint64(seed) * np.uint64(0x9E3779B97F4A7C15))
+
+
+@inline
 def nearest(feat, goal, wp, wr, score, val, best):
     """Fill `best` (BEST,) with the nearest seed of each interleaved group, nearest first.
 

@@ -25,9 +25,9 @@ from .checks import (
     rigid,
 )
 from .jit import cached, jit, kernel_stamp
-from .kinematics import aim, columns, error, fk, rotation_angle
+from .kinematics import aim, chord, columns, error, fk, rotation_angle
 from .limits import face, hold, integrate
-from .seeds import BEST, nearest, rnd
+from .seeds import BEST, nearest, rnd, sow
 from .slots import (
     E_VECTORS,
     O_C,
@@ -54,6 +54,7 @@ from .slots import (
     R_RESTARTS,
     R_ROTATION,
     R_STATUS,
+    vectors,
 )
 from .task import POSITION
 
@@ -218,14 +219,8 @@ def tree_entry() -> Callable:
         F, n = moves.shape
         m = 6 * F
         v = E_VECTORS
-        lower, upper, turns = ends[0, v : v + n], ends[0, v + n : v + 2 * n], ends[0, v + 2 * n : v + 3 * n]
-        unit, low, span = (
-            ends[0, v + 3 * n : v + 4 * n],
-            ends[0, v + 4 * n : v + 5 * n],
-            ends[0, v + 5 * n : v + 6 * n],
-        )
-        home = ends[0, v + 6 * n : v + 7 * n]
-        scale = ends[0, v + 7 * n]
+        lower, upper, turns, unit, low, span, home, tail = vectors(ends[0], n)
+        scale = tail[0]
         q = np.empty(n)
         dq = np.empty(n)
         w = np.empty(n)
@@ -250,7 +245,7 @@ def tree_entry() -> Callable:
         total = np.empty(BEST)
         order = np.empty(BEST, np.int64)
         state = np.empty(1, np.uint64)
-        state[0] = np.uint64(88172645463325252) ^ (np.uint64(opt[O_SEED]) * np.uint64(0x9E3779B97F4A7C15))
+        sow(state, opt[O_SEED])
         given = int(opt[O_GIVEN])
         iterations = int(opt[O_ITERATIONS])
         descents = int(opt[O_DESCENTS])
@@ -260,8 +255,7 @@ def tree_entry() -> Callable:
         damping = opt[OPT_HEAD + n]
         tol_p = opt[O_TOL_P] / scale
         tp = tol_p * tol_p
-        tr = 2.0 * math.sin(0.5 * opt[O_TOL_R]) if opt[O_TOL_R] < math.pi else 3.0
-        tr = tr * tr
+        tr = chord(opt[O_TOL_R])
         out_of_reach = False
         for f in range(F):
             if not rigid(T[f]):
