@@ -27,14 +27,8 @@ from .probe import find_path, probe
 if TYPE_CHECKING:
     from .tree import Tree
 
-CACHES = (
-    "_local",
-    "_sampling",
-    "_solvers",
-    "_closed_form",
-    "_collision",
-    "_circles",
-)  # belong to one object, or to one thread
+# Attributes that belong to one object, or to one thread.
+CACHES = ("_local", "_sampling", "_solvers", "_closed_form", "_collision", "_circles")
 LINKS = (pin.FrameType.BODY, pin.FrameType.OP_FRAME, pin.FrameType.SENSOR)  # what a base or a tip may be
 SINGULAR = 0.02  # smallest singular value (lengths over reach) below which a configuration is no good as home
 

@@ -18,10 +18,7 @@ from numba import config
 from ..errors import InvalidConfiguration, InvalidOption, InvalidTarget, floats
 from ..kernel.checks import BAD_TARGET, CHECK_FAILED, CONVERGED
 from ..kernel.lanes import LEFT, lanes
-from ..kernel.slots import (
-    OUT_HEAD,
-    R_STATUS,
-)
+from ..kernel.slots import OUT_HEAD, R_STATUS
 from ..kernel.task import POSE, POSITION
 from ..robot.pose import check_target
 from ..robot.robot import Robot

@@ -179,9 +179,8 @@ class Evolution:
 
         options = {"bounds": [0.0, 1.0], "popsize": population, "seed": seed % 2**31 + 1, "verbose": -9}
         self.size = len(start)
-        start = (
-            np.append(start, 0.5) if self.size == 1 else start
-        )  # the package fails on one dimension: an idle second one
+        if self.size == 1:  # the package fails on one dimension: an idle second one
+            start = np.append(start, 0.5)
         self.engine = cma.CMAEvolutionStrategy(start, spread, options)
 
     def ask(self) -> np.ndarray:

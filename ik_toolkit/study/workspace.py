@@ -157,9 +157,8 @@ def workspace(
                 angle = [one.orientation_error for one in parts if one.orientation_error is not None]
                 part["orientation_error"] = np.concatenate(angle) if angle else np.full(len(xyz), np.nan)
                 columns.append(part)
-            lines = table.lines(
-                xyz, columns
-            )  # slow: a Ctrl-C comes before the chunk counts, or after, hardly ever within
+            # Slow, so here: a Ctrl-C comes before the chunk counts, or after, hardly ever within.
+            lines = table.lines(xyz, columns)
             table.write(lines)
             for name, part, elapsed in zip(names, columns, seconds, strict=True):
                 outcomes[name].elapsed += elapsed
