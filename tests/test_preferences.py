@@ -1,5 +1,7 @@
 """Preferences: each has a test that fails when the preference is ignored."""
 
+import tracemalloc
+
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -113,6 +115,25 @@ def test_axis_targets_leave_the_turn_free(name, solver):
             turned += np.linalg.norm(pin.log3(at.rotation.T @ T.rotation)) > 1e-3
             tried += 1
     assert tried >= 4 and turned >= tried // 2  # a full-pose solver would not have turned
+
+
+def test_ever_new_axes_do_not_fill_the_memory():
+    """A bound solver keeps what it prepared for a kind of target, and every axis is a kind of its own."""
+    robot = robots.load("hydrolek_7w")
+    solver, T = ik.Solver(robot, "lm"), robot.fk(robot.home)
+
+    def solve_some(count, rng):
+        for axis in rng.normal(size=(count, 3)):
+            assert solver(ik.pose(T.translation, axis=axis, direction=T.rotation @ axis), robot.home).success
+
+    solve_some(100, np.random.default_rng(1))
+    tracemalloc.start()
+    try:
+        solve_some(500, np.random.default_rng(2))
+        grown, _ = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert grown < 150_000  # 64 kinds kept at about 1 kB each; 500 of them were over 400 kB
 
 
 def test_opposite_axis_is_left():

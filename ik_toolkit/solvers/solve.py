@@ -47,6 +47,7 @@ from .starts import held_joints, pin
 
 FLOAT = np.dtype(np.float64)  # one object in a process, so `is` tells; other kinds of float take the long way
 MARGIN = 1.0 - 1e-9  # the kernel tests a little inside the tolerance, so that Pinocchio's rounding cannot disagree
+KINDS_KEPT = 64  # kinds of target a solver stays ready for: every axis is a kind of its own, and axes have no end
 CLOSEST = 16  # solutions to compare when the one nearest q0 is asked for
 REFINE_STEPS = 60
 FAR_START = 1e15  # joint values (kernel units) from which on a start is refused, see kernel.limits.legal
@@ -129,6 +130,8 @@ class Solver:
         key = (kind, given)
         packed = self._packed.get(key)
         if packed is None:
+            if len(self._packed) >= KINDS_KEPT:
+                self._packed.clear()
             packed = self._packed[key] = self._pack(kind, given)
         return packed
 
@@ -292,6 +295,8 @@ class Solver:
         if ready is None:
             ready = (*self.arrays_for(kind, start), self.pack(kind, given))
             if not len(self.held):
+                if len(self._ready) >= KINDS_KEPT:
+                    self._ready.clear()
                 self._ready[kind, given] = ready
         rows, ends, seeds, features, opt = ready
         out = np.empty((1, self._width))
