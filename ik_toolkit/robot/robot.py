@@ -216,8 +216,9 @@ class Robot(Joints):
             ends = sorted(((low - offset) / ratio, (high - offset) / ratio)) if ratio else (-np.inf, np.inf)
             i = self.joint_names.index(leader)
             lower[i], upper[i] = max(lower[i], ends[0]), min(upper[i], ends[1])
-        lower = np.where(lower < -1e15, -np.inf, lower)
-        upper = np.where(upper > 1e15, np.inf, upper)
+        # Adding 0 turns -0.0 into 0.0: numpy's generators call 0.0 to -0.0 a negative range.
+        lower = np.where(lower < -1e15, -np.inf, lower + 0.0)
+        upper = np.where(upper > 1e15, np.inf, upper + 0.0)
         for i, joint in enumerate(self.joint_names):
             if not lower[i] <= upper[i]:
                 raise ModelError(
