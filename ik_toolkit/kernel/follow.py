@@ -5,7 +5,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from .jit import cached, kernel_stamp, source_file
+from .jit import cached, source_file
 from .kinematics import aim, angle_ratio, columns, error, fk
 from .loop import RULES, SWEEPS, Step, Sweep, measure, step
 from .motion import (
@@ -47,11 +47,9 @@ def tracker() -> Callable:
     (n,) and state (3,) are carried from call to call. Kernel units: lengths over the chain's scale; p, limits, q, rate,
     prev, Q, R in them. Q, R (N+1, n), E (N+1, 6) error [m, rad], C (N, n) limit codes, D (N,) damping lambda^2.
     """
-    stamp = kernel_stamp()
 
     @cached
     def follow(rows, ends, T, V, A, h, m, p, limits, q, rate, prev, state, Q, R, E, C, D):
-        stamp  # noqa: B018  a closure cell is part of the cache key
         L = rows.shape[0]
         n = q.shape[0]
         Lp = (L + 3) // 4 * 4
@@ -152,12 +150,9 @@ def rule_tracker(cls: type) -> Callable:
     One step of the rule a sample, towards the target at its end; memory (4 n + 8,) is the rule's state, carried on. opt as
     the solver packs it; p, limits, state and the arrays as in `tracker`.
     """
-    stamp = kernel_stamp(source_file(RULES[cls]))
     sweeping = cls in SWEEPS
 
-    @cached
     def follow(rows, ends, T, h, opt, p, limits, q, rate, memory, state, Q, R, E, C):
-        stamp  # noqa: B018  a closure cell is part of the cache key
         L = rows.shape[0]
         n = q.shape[0]
         Lp = (L + 3) // 4 * 4
@@ -223,4 +218,4 @@ def rule_tracker(cls: type) -> Callable:
                     C[i, k] = C[i, k] | HELD
         return steps
 
-    return follow
+    return cached(follow, source_file(RULES[cls]))

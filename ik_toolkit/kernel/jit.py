@@ -1,4 +1,4 @@
-"""How the kernels are compiled: one set of numba options, and a disk cache that survives every kind of install."""
+"""How the kernels are compiled: one set of numba options, and a disk cache that is never stale and survives every install."""
 
 import functools
 import hashlib
@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from numba import njit
+from numba.core.caching import FunctionCache
 
 # No nnan/ninf: a NaN has to fail every test instead of being assumed away.
 OPTIONS: dict[str, Any] = {"fastmath": {"nsz", "arcp", "contract", "afn", "reassoc"}, "error_model": "numpy"}
@@ -17,18 +18,40 @@ jit = njit(**OPTIONS)  # for functions with flat arguments; compiled into their 
 inline = njit(forceinline=True, **OPTIONS)
 
 
-def cached(function: Callable) -> Any:
-    """Compile with a disk cache; where no cache folder can be written (numba then raises at decoration) do without."""
+class _StampedCache(FunctionCache):
+    """numba watches the file of the cached function only; its callees are in other files, so their hash joins the key."""
+
+    stamp = ""
+
+    def _index_key(self, sig: Any, codegen: Any) -> tuple:
+        return (*super()._index_key(sig, codegen), self.stamp)
+
+
+def cached(function: Callable, *sources: Path) -> Any:
+    """Compile with a disk cache that an edit of any kernel file, of the function's folder or of `sources` makes void.
+
+    Where no cache folder can be written (numba then raises) do without.
+    """
+    dispatcher = njit(nogil=True, **OPTIONS)(function)
+    if not hasattr(dispatcher, "_cache"):  # NUMBA_DISABLE_JIT=1: the plain function
+        return dispatcher
     try:
-        return njit(cache=True, nogil=True, **OPTIONS)(function)
+        cache = _StampedCache(function)
     except RuntimeError:
-        return njit(nogil=True, **OPTIONS)(function)
+        return dispatcher
+    cache.stamp = stamp_of(Path(__file__).parent, source_file(function).parent, *sources)
+    dispatcher._cache = cache
+    return dispatcher
+
+
+def stamp_of(*sources: Path) -> str:
+    """Hash of files, and of all Python files in folders."""
+    return hashlib.sha256("".join(map(_hash, sources)).encode()).hexdigest()
 
 
 @functools.cache
-def kernel_stamp(*sources: Path) -> str:
-    """Hash of the kernel files and `sources`: numba watches only the cached function's own file, so this goes in its key."""
-    files = [*sorted(Path(__file__).parent.glob("*.py")), *sources]
+def _hash(source: Path) -> str:
+    files = sorted(source.glob("*.py")) if source.is_dir() else [source]
     return hashlib.sha256(b"".join(path.read_bytes() for path in files)).hexdigest()
 
 

@@ -15,7 +15,7 @@ from collections.abc import Callable
 import numpy as np
 
 from .checks import CONVERGED, beyond, rigid
-from .jit import cached, inline, kernel_stamp
+from .jit import cached, inline
 from .kinematics import TAU, aim, chord, rotation_angle, sincos
 from .limits import face, legal
 from .linalg import solve_blocks
@@ -169,11 +169,9 @@ def lanes() -> Callable:
     For poses and positions of chains without mimic joints, with limits, equal joint weights, no `closest` and no budget
     of evaluations; rows of `out` with the status LEFT are for the loop.
     """
-    stamp = kernel_stamp()
 
     @cached
     def solve(rows, ends, seeds, feat, T, Q0, out, opt):
-        stamp  # noqa: B018  a closure cell is part of the cache key: an edited kernel file recompiles
         W = WIDTH
         n = seeds.shape[1]
         N = T.shape[0]

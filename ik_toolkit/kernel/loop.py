@@ -30,7 +30,7 @@ from .checks import (
     rigid,
     why,
 )
-from .jit import OPTIONS, cached, inline, kernel_stamp, source_file
+from .jit import OPTIONS, cached, inline, source_file
 from .kinematics import TAU, aim, chord, columns, error, fk, rotation_angle
 from .limits import face, hold, integrate, legal, turn
 from .seeds import BEST, nearest, rnd, sow
@@ -183,13 +183,10 @@ def entry(cls: type) -> Callable:
     """
     if cls in ENTRIES:
         return ENTRIES[cls]
-    stamp = kernel_stamp(source_file(RULES[cls]))
     sweeping = cls in SWEEPS
     using_jacobian = cls not in FREE
 
-    @cached
     def solve(rows, ends, seeds, feat, T, Q0, out, opt, hist):
-        stamp  # noqa: B018  a closure cell is part of the cache key: an edited kernel file recompiles
         L = rows.shape[0]
         n = seeds.shape[1]
         Lp = (L + 3) // 4 * 4
@@ -425,5 +422,5 @@ def entry(cls: type) -> Callable:
             for i in range(n):
                 out[t, OUT_HEAD + i] = q[i] * unit[i]
 
-    ENTRIES[cls] = solve
-    return solve
+    ENTRIES[cls] = cached(solve, source_file(RULES[cls]))
+    return ENTRIES[cls]

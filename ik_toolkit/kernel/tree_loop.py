@@ -24,7 +24,7 @@ from .checks import (
     edge,
     rigid,
 )
-from .jit import cached, jit, kernel_stamp
+from .jit import cached, jit
 from .kinematics import aim, chord, columns, error, fk, rotation_angle
 from .limits import face, hold, integrate
 from .seeds import BEST, nearest, rnd, sow
@@ -211,11 +211,9 @@ def tree_entry() -> Callable:
     largest errors over the tips; tips (F, 3) receives position error [m], orientation error [rad] and excess [m] of each.
     One descent is the loop's: evaluate, best-so-far, test, budget, give up, step, limits, integrate, stall.
     """
-    stamp = kernel_stamp()
 
     @cached
     def solve(rows, cut, ends, moves, owner, seeds, features, kinds, T, q0, out, tips, opt, hist):
-        stamp  # noqa: B018  a closure cell is part of the cache key: an edited kernel file recompiles
         F, n = moves.shape
         m = 6 * F
         v = E_VECTORS

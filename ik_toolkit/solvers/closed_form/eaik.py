@@ -1,7 +1,6 @@
 """Six turning joints of a structure that the EAIK package knows: all its answers, through the call of every other solver."""
 
 import functools
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -10,9 +9,8 @@ from ...errors import MissingExtra, UnknownSolver
 from ...kernel import slots
 from ...kernel.chain import Chain
 from ...kernel.checks import BAD_START, BAD_TARGET, rigid
-from ...kernel.jit import cached, jit, kernel_stamp
+from ...kernel.jit import cached, jit
 from ...kernel.loop import ENTRIES
-from . import geometry
 from .geometry import copy_limits, legal_start, legal_turn, measure_tip, read_screws
 
 N = 6
@@ -88,11 +86,8 @@ def joint_values(angles, box, q):
 
 
 def _compile():
-    stamp = kernel_stamp(Path(__file__), Path(geometry.__file__))
-
     @cached
     def choose(rows, ends, T, Q, nearest_only, q0, opt, hist, out):
-        stamp  # noqa: B018  part of the cache key, see kernel.loop
         if not rigid(T):
             out[0] = BAD_TARGET
             return
@@ -115,7 +110,6 @@ def _compile():
     @cached
     def every(Q, box, out, broken):
         """Fill out (K, 6) with the legal turns of Q nearest box[2], and broken (K,) with the limit each breaks."""
-        stamp  # noqa: B018
         for k in range(Q.shape[0]):
             broken[k] = joint_values(Q[k], box, out[k])[0]
 

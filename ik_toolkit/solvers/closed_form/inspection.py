@@ -6,7 +6,6 @@ angles level with the shoulder, axis 7 is parallel to 6. Base, tool, axis signs,
 """
 
 import math
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -15,9 +14,9 @@ from ...errors import InvalidOption, UnknownSolver
 from ...kernel import slots
 from ...kernel.chain import Chain
 from ...kernel.checks import BAD_START, BAD_TARGET, rigid
-from ...kernel.jit import cached, jit, kernel_stamp
+from ...kernel.jit import cached, jit
 from ...kernel.loop import ENTRIES
-from . import geometry, reach
+from . import reach
 from .geometry import (
     FIT,
     SNAP,
@@ -274,11 +273,8 @@ def scan_lifts(p, P, box, near, spans, count, moved, sols, q, trial, best):
 
 
 def _compile_solve():
-    stamp = kernel_stamp(Path(__file__), Path(reach.__file__), Path(geometry.__file__))
-
     @cached
     def solve(rows, ends, seeds, feat, T, Q0, out, opt, hist):
-        stamp  # noqa: B018  part of the cache key, see kernel.loop
         n = seeds.shape[1]
         p = opt[slots.OPT_HEAD + n :]
         box, near, spans = np.empty((4, n)), np.empty(6), np.empty((2, 2))
@@ -315,15 +311,12 @@ def _compile_solve():
 
 
 def _compile_every():
-    stamp = kernel_stamp(Path(__file__), Path(reach.__file__), Path(geometry.__file__))
-
     @cached
     def every(p, T, box, lifts, out, broken):
         """Fill out (8 K, n) with all branches of T (4, 4) at those of the lifts (K,) that reach it; return how many.
 
         broken (8 K,) receives by how much each breaks a limit.
         """
-        stamp  # noqa: B018
         near, P, sols = np.empty(6), np.empty(12), np.empty((8, 6))
         near_angles(p, box, near)
         wrist_pose(p, T, P)

@@ -1,7 +1,6 @@
 """Two turning joints with parallel axes, asked for a position: both elbow branches in closed form."""
 
 import math
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -10,9 +9,8 @@ from ...errors import UnknownSolver
 from ...kernel import slots
 from ...kernel.chain import Chain
 from ...kernel.checks import BAD_START, BAD_TARGET, rigid
-from ...kernel.jit import cached, jit, kernel_stamp
+from ...kernel.jit import cached, jit
 from ...kernel.loop import ENTRIES
-from . import geometry, reach
 from .geometry import FIT, across, angle_about, copy_limits, legal_start, legal_turn, measure_tip, read_screws
 from .reach import planar_branches, planar_margin
 
@@ -85,11 +83,8 @@ def joint_values(p, angles, box, q):
 
 
 def _compile_solve():
-    stamp = kernel_stamp(Path(__file__), Path(reach.__file__), Path(geometry.__file__))
-
     @cached
     def solve(rows, ends, seeds, feat, T, Q0, out, opt, hist):
-        stamp  # noqa: B018  part of the cache key, see kernel.loop
         n = 2
         p = opt[slots.OPT_HEAD + n :]
         box = np.empty((4, n))
@@ -121,12 +116,9 @@ def _compile_solve():
 
 
 def _compile_all():
-    stamp = kernel_stamp(Path(__file__), Path(reach.__file__), Path(geometry.__file__))
-
     @cached
     def every(p, T, box, out, broken):
         """Fill out (2, 2) with the branches of T (4, 4) and broken (2,) with the limit each breaks; return how many."""
-        stamp  # noqa: B018
         x, y, off = to_plane(p, T)
         sols = np.empty((2, 2))
         count = planar_branches(x, y, p[L1], p[L2], p[ANGLES] * box[2, 0] + p[ANGLES + 1], sols)
