@@ -102,6 +102,7 @@ def extras() -> dict[str, list[str]]:
 def near_match(name: object, options: Iterable[str]) -> str:
     """Return ' Did you mean ...? Available: ...' for an unknown name (a sentence tail for error messages)."""
     known = [str(option) for option in options]
-    close = difflib.get_close_matches(str(name), known, n=1, cutoff=0.5)
+    lower = [option.lower() for option in known]
+    close = [known[lower.index(option)] for option in difflib.get_close_matches(str(name).lower(), lower, 1, 0.5)]
     listed = ", ".join(known[:30]) + (f", ... ({len(known)} in all)" if len(known) > 30 else "")
     return (f" Did you mean '{close[0]}'?" if close else "") + (f" Available: {listed}." if known else "")

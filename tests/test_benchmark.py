@@ -15,7 +15,11 @@ from typer.testing import CliRunner
 import ik_toolkit as ik
 from ik_toolkit.errors import InvalidOption, RobotNotFound, UnknownSolver
 from ik_toolkit.study import benchmark as study
+from ik_toolkit.study import singularity
 from ik_toolkit.study.statistics import wilson
+from ik_toolkit.study.targets import sample_targets
+from ik_toolkit.study.tune import tune
+from ik_toolkit.study.workspace import workspace
 
 SCRIPTS = Path(__file__).resolve().parent.parent / "scripts" / "benchmarks"
 
@@ -107,6 +111,63 @@ def test_rows_and_what_is_left_out(arm):
     assert seen[-1][0] == seen[-1][1]
     text = json.loads(json.dumps(found.to_dict(), allow_nan=False))
     assert text["rows"][0]["solver"] == "lm" and text["skipped"][0]["solver"] == "planar-2r"
+
+
+def test_every_solver_meets_the_targets_with_one_attempt_and_with_equal_restarts():
+    """Nobody is compared at 100 attempts against one."""
+    robot = ik.Robot.load("inspection_7dof")
+    found = ik.benchmark(robot, ["lm", "dls", "state-space"], targets=60, tolerance=1e-3, restarts=7)
+    assert found.options["restarts"] == 7
+    for row in found.rows:
+        assert row.once.targets == row.targets == 60 and row.once.once is None
+        assert row.once.restarts == 0.0 and row.restarts <= 7.0
+        assert row.once.low <= row.once.solved / 60 <= row.once.high and row.once.solved <= row.solved
+    assert any(row.once.solved < row.solved for row in found.rows)
+    alone = ik.Solver(robot, "dls", tolerance=1e-3, restarts=0)
+    T, _ = study.problems(robot, 60, "pose", "none", 0)
+    assert found.rows[1].once.solved == sum(alone(target).success for target in T)
+    assert found.to_dict()["rows"][1]["once"]["solved"] == found.rows[1].once.solved
+    assert ik.benchmark(robot, ["dls"], targets=2, tolerance=1e-3).options["restarts"] == study.RESTARTS
+
+
+@pytest.mark.parametrize("places", ["80", "100"])
+def test_the_table_fits_a_terminal(arm, places, capsys, monkeypatch):
+    """80 columns, both successes, no word cut off."""
+    from ik_toolkit.cli import main
+
+    monkeypatch.setenv("COLUMNS", places)
+    assert main(["bench", "hydrolek_7w", "--solvers", "lm,dls,state-space", "-n", "12"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert max(map(len, lines)) <= 80
+    assert any("one attempt" in line and "with restarts" in line for line in lines)
+    rows = [line.split() for line in lines if line.split()[:1] in (["lm"], ["dls"], ["state-space"])]
+    assert len(rows) == 3 and all(len(row) == 8 for row in rows)
+
+
+def tree():
+    return ik.Robot.load("brokk_hydrolek", tip=["left_tip", "right_tip"])
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda robot: ik.benchmark(robot, ["lm"], targets=2),
+        lambda robot: ik.benchmark(["hydrolek_7w", robot], ["lm"], targets=2),
+        lambda robot: workspace(robot, goals=10),
+        lambda robot: tune(robot, "pid", goals=10, generations=1),
+        lambda robot: sample_targets(robot, 3),
+        lambda robot: singularity.run(robot, np.zeros(3), "lm", robot.home),
+        lambda robot: singularity.escapes(robot, np.zeros((1, 3)), ["lm"], robot.home),
+        lambda robot: singularity.measures(robot, robot.home[None]),
+    ],
+)
+def test_studies_are_for_one_tip(call):
+    """A Tree is refused by its tips, anything else by its type."""
+    with pytest.raises(InvalidOption, match=r"one tip.*left_tip, right_tip"):
+        call(tree())
+    broken = type("Thing", (), {"home": np.zeros(2)})()
+    with pytest.raises(InvalidOption, match="Thing"):
+        call(broken)
 
 
 def test_options_reach_the_solvers(arm):
@@ -294,7 +355,8 @@ def test_an_interrupt_keeps_the_blocks_that_are_finished(tmp_path, monkeypatch, 
     assert main(words) == 130
     rows = json.loads((tmp_path / "out.json").read_text())["rows"]
     assert [(row["robot"], row["solver"], row["targets"]) for row in rows] == [
-        ("planar_2r", "lm", 80),
-        ("planar_2r", "dls", 70),
+        ("planar_2r", "lm", 40),
+        ("planar_2r", "dls", 30),
     ]
+    assert all(row["once"]["targets"] == row["targets"] for row in rows)
     assert "interrupted" in capsys.readouterr().err

@@ -51,7 +51,11 @@ def test_names_classes_and_instances_mean_the_same():
     [
         (dict(target="nonsense"), errors.InvalidTarget, "nonsense"),
         (dict(solver="lmm"), errors.UnknownSolver, "Did you mean 'lm'"),
-        (dict(solver=int), errors.UnknownSolver, "int"),
+        (dict(solver="LM"), errors.UnknownSolver, "Did you mean 'lm'"),
+        (dict(solver="State-Space"), errors.UnknownSolver, "Did you mean 'state-space'"),
+        (dict(solver=int), errors.UnknownSolver, "not the class int"),
+        (dict(solver=1), errors.UnknownSolver, "a name, a rule class or an instance of one, not 1. Available: lm,"),
+        (dict(TOLERANCE=1e-3), errors.InvalidOption, "Did you mean 'tolerance'"),
         (dict(tolerence=1e-3), errors.InvalidOption, "Did you mean 'tolerance'"),
         (dict(tolerance="small"), errors.InvalidOption, "position_tolerance"),
         (dict(tolerance=-1), errors.InvalidOption, "between"),

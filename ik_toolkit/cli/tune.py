@@ -150,9 +150,11 @@ def tune(
         show(
             facts(
                 {
-                    "before, held out": result.before,
+                    "default, held out": result.scores["default"],
+                    "start, held out": result.before,
                     "tuned, training": result.train,
                     "tuned, held out": result.held_out,
+                    "verdict": result.verdict,
                     "search": f"{result.method}, {result.evaluations} evaluations, {result.elapsed:.0f} s",
                     "preset": preset,
                 }

@@ -151,6 +151,14 @@ def without_limits(rows: np.ndarray, ends: np.ndarray, n: int) -> np.ndarray:
     return free
 
 
+def without_wrap(ends: np.ndarray, n: int) -> np.ndarray:
+    """Copy of `ends` in which bounded joints stop at their limits, whatever their range; endless ones keep turning."""
+    ends = ends.copy()
+    turns = ends[..., E_VECTORS + 2 * n : E_VECTORS + 3 * n]
+    turns[turns == 1.0] = 0.0
+    return ends
+
+
 def pack(
     rows: np.ndarray,
     base: np.ndarray,

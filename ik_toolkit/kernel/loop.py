@@ -134,7 +134,9 @@ def rule(cls: type, *, sweep: bool = False, jacobian: bool = True) -> Callable:
 
     p: parameters; s: Step, or Sweep; e: Err. It writes s.dq and returns the number of FK evaluations it made itself (0),
     SINGULAR_STEP, or WAITING (a step of zero that is no stall). It never tests convergence, counts or clips for the caller.
-    jacobian=False: the rule reads no s.J, and the loop saves itself the work (a sweep never gets one).
+    jacobian=False: the rule reads no s.J, and the loop saves itself the work (a sweep never gets one). At a limit a joint
+    stops. A class attribute `hold = True` redoes the step without the joints it would push past theirs; `wrap = True` lets a
+    bounded joint with a full turn or more go on from the other end of its range.
     """
 
     def add(function: Callable) -> Callable:

@@ -19,7 +19,9 @@ class Options:
 
     position_tolerance [m], orientation_tolerance [rad]: both errors must be below theirs. max_iterations: steps a descent;
     restarts: further descents from other starts (None: the solver's own). max_evaluations: budget of FK evaluations over
-    all descents. seed: of the random starts. limits: keep joints inside their limits. q0_outside: 'clamp' (with a notice) or
+    all descents. seed: of the random starts. limits: keep joints inside their limits. wrap: whether a bounded joint with a
+    full turn or more may go on from the other end of its range, where it stops otherwise (None: the solver's own way; 'lm'
+    wraps, the published methods stop). q0_outside: 'clamp' (with a notice) or
     'refuse'. mask: six weights x, y, z, rx, ry, rz (0 = free) in mask_frame 'base' or 'tip'. joint_weights (n,): how freely
     each joint moves (1 = as usual, 0 = held where q0, or home, has it). closest: of several solutions return the one nearest
     q0. objective: for redundant tasks, what to improve in the null space once solved: 'mid-range', 'reference' (near q0) or
@@ -34,6 +36,7 @@ class Options:
     max_evaluations: int | None = None
     seed: int = 0
     limits: bool = True
+    wrap: bool | None = None
     q0_outside: str = "clamp"
     mask: tuple[float, ...] | None = None
     mask_frame: str = "base"
@@ -73,7 +76,7 @@ def make_options(given: dict[str, Any]) -> Options:
             if name == "objective" and value is None:
                 continue
             raise InvalidOption(f"{name} must be one of {', '.join(WORDS[name])}, not {value!r}")
-        elif name in ("limits", "history", "check", "closest"):
+        elif name in ("limits", "history", "check", "closest") or (name == "wrap" and value is not None):
             if not isinstance(value, bool | np.bool_):  # "no" would be taken for yes
                 hint = " (what it is nearest to is q0)" if name == "closest" else ""
                 raise InvalidOption(f"{name} must be True or False here{hint}, not {value!r:.60}")

@@ -16,7 +16,8 @@ class Row:
 
     target: "module:Class" of the rule or closed form. iterations: steps a descent; descents: first try plus restarts.
     give_up: (C, rho, C_free, rho_free), a descent ends when |e|^2 > C rho^k (first pair for starts from the table, second for
-    q0 and random starts), or None. hold: joints pushed past a limit are held and the step redone. closed: a closed form.
+    q0 and random starts), or None. closed: a closed form. What a rule does at a joint limit it says itself, see
+    `kernel.loop.rule`.
     """
 
     name: str
@@ -27,7 +28,6 @@ class Row:
     iterations: int = 1000
     descents: int = 1
     give_up: tuple[float, float, float, float] | None = None
-    hold: bool = False
     closed: bool = False
     pose: bool = True
     position: bool = True
@@ -50,7 +50,6 @@ ROWS: tuple[Row, ...] = (
         iterations=30,
         descents=100,
         give_up=(30.0, 0.18, 100.0, 0.35),
-        hold=True,
     ),
     Row(
         "dls",
@@ -58,7 +57,6 @@ ROWS: tuple[Row, ...] = (
         "Damped least squares with constant damping",
         "any robot; position, pose, masks",
         "Wampler 1986",
-        hold=True,
     ),
     Row(
         "pinv",
@@ -154,7 +152,9 @@ def find_row(solver: Any) -> Row:
         if cls in RULES:
             summary = (cls.__doc__ or cls.__name__).splitlines()[0]
             return Row(cls.__name__, f"{cls.__module__}:{cls.__qualname__}", summary, "a rule of your own", "")
-    raise UnknownSolver(f"{cls.__name__} is not a solver.{near_match(cls.__name__, BY_NAME)}")
+    what = f"the class {cls.__name__}" if isinstance(solver, type) else f"{solver!r:.60}"
+    names = ", ".join(BY_NAME)
+    raise UnknownSolver(f"a solver is a name, a rule class or an instance of one, not {what}. Available: {names}.")
 
 
 def make_rule(row: Row, parameters: dict[str, Any]) -> Any:

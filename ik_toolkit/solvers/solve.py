@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import IKError, InvalidConfiguration, InvalidOption, InvalidTarget
-from ..kernel.chain import table, without_limits
+from ..kernel.chain import table, without_limits, without_wrap
 from ..kernel.checks import BAD_TARGET
 from ..kernel.loop import entry
 from ..kernel.seeds import BEST
@@ -102,6 +102,8 @@ class Solver:
         self._kernel = entry(type(self.rule))
         o = self.options
         ends = chain.ends if o.limits else without_limits(chain.rows, chain.ends, chain.n)
+        if not (self.row.closed or self._wraps):
+            ends = without_wrap(ends, chain.n)
         self._chain = (chain.rows, ends, chain.seeds, chain.features)
         self._width = OUT_HEAD + chain.n
         self._shape = (chain.n,)
@@ -125,6 +127,11 @@ class Solver:
         self._more = self._extras or o.history or o.check
 
     # ------------------------------------------------------------------------------------------------ preparation
+    @property
+    def _wraps(self) -> bool:
+        wrap = self.options.wrap
+        return getattr(self.rule, "wrap", False) if wrap is None else wrap
+
     def pack(self, kind: Any, given: bool) -> np.ndarray:
         """Option array of the kernel for a kind of target, with or without a start given."""
         key = (kind, given)
@@ -167,7 +174,7 @@ class Solver:
         head[O_EVALUATIONS] = o.max_evaluations or np.inf
         head[O_LIMITS] = float(o.limits)
         head[O_SEED] = o.seed
-        head[O_HOLD] = float(row.hold)
+        head[O_HOLD] = float(getattr(self.rule, "hold", False))
         head[O_CLOSEST] = CLOSEST if o.closest else 0
         weights = np.ones(n) if o.joint_weights is None else np.array(o.joint_weights)
         check = getattr(self.rule, "check", None)

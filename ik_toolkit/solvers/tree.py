@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import InvalidOption, UnknownSolver
-from ..kernel.chain import without_limits
+from ..kernel.chain import without_limits, without_wrap
 from ..kernel.checks import BAD_TARGET
 from ..kernel.slots import O_C, O_DESCENTS, O_ITERATIONS, OUT_HEAD, R_HISTORY, R_STATUS
 from ..kernel.task import POSE, POSITION
@@ -103,6 +103,8 @@ class TreeSolver(Solver):
         if not self.options.limits:
             parts = np.split(chain.rows, chain.cut[1:-1])
             ends = np.array([without_limits(rows, end, tree.n) for rows, end in zip(parts, ends, strict=True)])
+        if not self._wraps:
+            ends = without_wrap(ends, tree.n)
         self._kernel = tree_entry()
         self._chain = (
             chain.rows,

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from time import perf_counter
 from typing import Any
@@ -15,21 +15,24 @@ from ..solvers.registry import ROWS
 from ..solvers.result import Status
 from ..solvers.solve import Solver
 from .statistics import wilson
+from .targets import require_one_tip
 
 BLOCKS = 10  # turns in which the targets are handed to the solvers, so that what else the machine does hits all alike
 NEAR = 0.1  # rad (m): a near start lies within this of a solution, each joint
+RESTARTS = 99  # for every solver alike: what 'lm' has by itself
 STARTS = ("none", "home", "random", "near")
 TASKS = ("pose", "position")
 
 
 @dataclass(frozen=True)
 class BenchmarkRow:
-    """One solver on one robot.
+    """One solver on one robot, with restarts and, in `once`, the same targets with one attempt.
 
     robot, solver; task 'pose' or 'position'; targets, solved, and the 95 % Wilson interval low, high of the success
     probability; median, mean, p99 [s] of one call from Python, failures included; iterations and fk_evaluations, medians;
     restarts, mean; statuses: name -> count; worst_position_error [m] and worst_orientation_error [rad] among the successes
-    (None without one, or for positions). seconds and iteration_counts (N,) are kept for plots.
+    (None without one, or for positions). seconds and iteration_counts (N,) are kept for plots. once: the row of one attempt a
+    target (None in that row itself).
     """
 
     robot: str
@@ -50,10 +53,12 @@ class BenchmarkRow:
     worst_orientation_error: float | None
     seconds: np.ndarray = field(repr=False, compare=False)
     iteration_counts: np.ndarray = field(repr=False, compare=False)
+    once: "BenchmarkRow | None" = None
 
     def to_dict(self) -> dict[str, Any]:
         """Plain numbers without the arrays, ready for JSON."""
-        return {key: value for key, value in self.__dict__.items() if not isinstance(value, np.ndarray)}
+        plain = {key: value for key, value in self.__dict__.items() if not isinstance(value, np.ndarray)}
+        return plain if self.once is None else {**plain, "once": self.once.to_dict()}
 
 
 @dataclass(frozen=True)
@@ -92,7 +97,7 @@ def benchmark(
     robots: Robot | str | Sequence[Robot | str],
     solvers: Iterable[Any] | None = None,
     *,
-    targets: int = 1000,
+    targets: int = 300,
     start: str = "none",
     task: str | None = None,
     seed: int = 0,
@@ -102,6 +107,7 @@ def benchmark(
 ) -> Benchmark:
     """Compare solvers on the same random reachable targets, one thread, each call timed from Python.
 
+    Every solver meets the targets twice, with one attempt and with the same number of restarts (`restarts=`, default 99).
     robots: one or several, loaded or by name. solvers: names, classes or instances; default: every registered one that
     applies. targets: number a robot, poses of random configurations inside the limits. start: 'none' (each solver's own
     choice), 'home', 'random', or 'near' (within 0.1 rad or m of a solution, each joint). task: 'pose' or 'position'; default
@@ -117,24 +123,27 @@ def benchmark(
         raise InvalidOption(f"task must be pose or position, not {task!r}.{near_match(str(task), TASKS)}")
     if isinstance(targets, bool) or int(targets) != targets or targets < 1:
         raise InvalidOption(f"targets must be a whole number of at least 1, not {targets!r}")
-    arms = [robots] if isinstance(robots, Robot | str) else list(robots)
+    arms = [robots] if isinstance(robots, str) or not isinstance(robots, Iterable) else list(robots)
     arms = [Robot.load(arm) if isinstance(arm, str) else arm for arm in arms]
+    for arm in arms:
+        require_one_tip(arm, "benchmark")
     asked = [row.name for row in ROWS] if solvers is None else list(solvers)
     if not arms or not asked:
         raise InvalidOption("a benchmark takes at least one robot and one solver")
     rows: list[BenchmarkRow] = []
     skipped: dict[tuple[str, str], str] = {}
     last: IKError | None = None
+    options = {"restarts": RESTARTS, **options}
     stopped = False
     for number, arm in enumerate(arms):
         kind = task or ("pose" if arm.n >= 6 else "position")
-        parts: dict[str, list[np.ndarray]] = {}
+        parts: dict[tuple[str, bool], list[np.ndarray]] = {}
         try:
             T, Q0 = problems(arm, int(targets), kind, start, seed)
-            bound: dict[str, Solver] = {}
+            bound: dict[tuple[str, bool], Solver] = {}
             for solver in asked:
                 try:
-                    one = Solver(arm, solver, **options)
+                    one, many = (Solver(arm, solver, **{**options, **own}) for own in ({"restarts": 0}, {}))
                     one(T[0], None if Q0 is None else Q0[0])  # compiles
                 except IKError as error:
                     if solvers is not None and not isinstance(error, InvalidOption):
@@ -142,13 +151,13 @@ def benchmark(
                     skipped[arm.name, getattr(solver, "__name__", str(solver))] = str(error)
                     last = error
                     continue
-                name = one.name if one.name not in bound else f"{one.name} #{len(bound) + 1}"
-                bound[name] = one
+                name = one.name if (one.name, True) not in bound else f"{one.name} #{len(bound) // 2 + 1}"
+                bound[name, True], bound[name, False] = one, many
             edges = np.linspace(0, len(T), min(BLOCKS, len(T)) + 1).astype(int)
             jobs = [
-                (name, solver, T[a:b], None if Q0 is None else Q0[a:b])
+                (key, solver, T[a:b], None if Q0 is None else Q0[a:b])
                 for a, b in pairwise(edges)
-                for name, solver in bound.items()
+                for key, solver in bound.items()
             ]
             futures = [executor.submit(run_block, *job[1:]) for job in jobs] if executor is not None else None
             for k, job in enumerate(jobs):
@@ -158,7 +167,10 @@ def benchmark(
                     progress(number * len(jobs) + k + 1, len(arms) * len(jobs))
         except KeyboardInterrupt:
             stopped = True
-        rows += [summary(arm.name, name, kind, np.concatenate(parts[name])) for name in parts]
+        for name in [name for name, once in parts if not once]:
+            tables = [np.concatenate(parts[name, once][: len(parts[name, False])]) for once in (True, False)]
+            one, many = (summary(arm.name, name, kind, table) for table in tables)
+            rows.append(replace(many, once=one))
         if stopped:
             break
     if last is not None and not rows and not stopped:  # nothing applies: more likely a wrong option than a wrong robot

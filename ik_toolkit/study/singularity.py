@@ -11,6 +11,7 @@ from ..solvers.batch import solve_batch
 from ..solvers.registry import find_row
 from ..solvers.solve import Solver
 from .statistics import wilson
+from .targets import require_one_tip
 
 STUCK = 1e-9  # rad or reaches: a run that never moves a joint further than this stands still
 
@@ -39,6 +40,7 @@ def measures(robot: Robot, Q: np.ndarray, position_only: bool = True) -> tuple[n
 
     Lengths over the robot's length scale. Source: Yoshikawa (1985).
     """
+    require_one_tip(robot, "a study of singularities")
     J = robot.chain.forward(Q, jacobian=True)[1][:, : 3 if position_only else 6] * robot.chain.unit
     J[:, :3] /= robot.chain.scale
     some = robot.chain.forward(np.array([robot.random_q(np.random.default_rng(k)) for k in range(8)]), jacobian=True)[1]
@@ -52,6 +54,7 @@ def measures(robot: Robot, Q: np.ndarray, position_only: bool = True) -> tuple[n
 
 def run(robot: Robot, target: np.ndarray, solver: Any, q0: np.ndarray, **options: Any) -> Run:
     """Solve one target from q0, without restarts, and measure the Jacobian along the way."""
+    require_one_tip(robot, "a study of singularities")
     bound = Solver(robot, solver, **{"restarts": 0, **options, "history": True})
     result = bound(np.asarray(target, dtype=float), q0=np.asarray(q0, dtype=float))
     history = result.history or {}
@@ -97,6 +100,7 @@ def escapes(
     robot: Robot, targets: np.ndarray, solvers: Sequence[Any], q0: np.ndarray, offset: float = 1e-6, **options: Any
 ) -> list[Escape]:
     """Which solvers reach the targets from q0 (singular, say), without restarts, and from q0 moved by `offset` [rad, reaches]."""
+    require_one_tip(robot, "a study of singularities")
     rng = np.random.default_rng(0)
     q0 = np.asarray(q0, dtype=float)
     moved = np.clip(q0 + offset * rng.uniform(0.5, 1.0, robot.n) * robot.chain.unit, robot.lower, robot.upper)

@@ -7,10 +7,22 @@ import numpy as np
 
 from ..errors import InvalidOption, near_match
 from ..robot.robot import Robot
+from ..robot.tree import Tree
 
 HOW = ("joints", "volume")
 CELLS = 40  # voxels along the reach, for volume-uniform targets
 POOL = 200_000  # configurations that fill the voxels
+
+
+def require_one_tip(robot: Any, what: str) -> None:
+    """Raise InvalidOption unless `robot` is a Robot; `what` names the study in the sentence."""
+    if isinstance(robot, Tree):
+        tips = ", ".join(robot.tips)
+        raise InvalidOption(
+            f"{what} takes a Robot with one tip, not a Tree with the tips {tips}; load it with one of them"
+        )
+    if not isinstance(robot, Robot):
+        raise InvalidOption(f"{what} takes a Robot (see Robot.load), not {type(robot).__name__}")
 
 
 def sample_joints(robot: Robot, count: int, seed: Any) -> np.ndarray:
@@ -27,6 +39,7 @@ def sample_targets(
     how: 'joints', the tip at joint values drawn uniformly; 'volume', every voxel of the reach (a fortieth of it wide) that the
     tip can enter is equally likely. seed: anything `numpy.random.default_rng` takes. Raises InvalidOption.
     """
+    require_one_tip(robot, "sampling of targets")
     if how not in HOW:
         raise InvalidOption(f"targets are drawn by one of {', '.join(HOW)}, not '{how}'.{near_match(str(how), HOW)}")
     if isinstance(count, bool) or int(count) != count or count < 1:

@@ -4,7 +4,7 @@ import importlib.util
 import math
 import zipfile
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -15,10 +15,11 @@ from ..errors import InvalidOption, MissingExtra, near_match
 from ..robot.robot import Robot
 from ..solvers.batch import solve_batch
 from ..solvers.presets import write_preset
-from ..solvers.registry import find_row
+from ..solvers.registry import find_row, make_rule
+from .engines import Evolution, Swarm
 from .spaces import Space, make_space
 from .statistics import wilson
-from .targets import sample_targets
+from .targets import require_one_tip, sample_targets
 
 METHODS = ("cma", "pso")
 MAPS = 32  # starts of a tuned state-space solver
@@ -51,6 +52,11 @@ class Score:
         """Wilson interval of the share."""
         return wilson(sum(self.successes), self.total)
 
+    @property
+    def rank(self) -> tuple[float, float]:
+        """Larger is better: the share, then fewer iterations."""
+        return self.share, -self.iterations if self.iterations == self.iterations else -math.inf
+
     def to_dict(self) -> dict[str, Any]:
         """Plain values."""
         return {
@@ -70,6 +76,10 @@ class Score:
         return f"{text}, {self.iterations:.1f} iterations"
 
 
+def _share(one: Score) -> str:
+    return f"{1000 * one.share:.1f} of 1000, {one.iterations:.1f} iterations"
+
+
 def score(robot: Robot, rule: Any, sets: list[np.ndarray], **options: Any) -> Score:
     """Solve sets of goals of equal size with a rule or solver name and count."""
     successes, iterations = [], []
@@ -85,9 +95,11 @@ def score(robot: Robot, rule: Any, sets: list[np.ndarray], **options: Any) -> Sc
 class TuneResult:
     """What `tune` found.
 
-    rule: the tuned rule (give it to solve, Solver, solve_batch); train, held_out, before: Score on the training goals, on goals
-    of fresh seeds, and of the rule the search started from on the same fresh goals. history: best cost so far, best and median of
-    each generation. interrupted: stopped by Ctrl-C, the best on the training goals so far is kept and judged on one set only.
+    rule: the best on held-out goals (give it to solve, Solver, solve_batch) of the `tuned` one, the `start` of the search and the
+    solver's `default`; kept says which. The default is not taken where maps= or initial= asked for another structure. scores: by
+    those names, Score on the held-out goals. train, held_out, before: Score of the tuned rule on the training goals and on the
+    held-out ones, and of the start on the latter. history: best cost so far, best and median of each generation. interrupted:
+    stopped by Ctrl-C, judged on one set only.
     """
 
     robot: str
@@ -96,24 +108,47 @@ class TuneResult:
     position_only: bool
     rule: Any
     train: Score
-    held_out: Score
-    before: Score
+    scores: dict[str, Score]
+    kept: str
     options: dict[str, Any]
     history: np.ndarray
     evaluations: int
     elapsed: float
     seed: int
     interrupted: bool = False
-    parameters: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def held_out(self) -> Score:
+        """Of the tuned rule on goals it has never seen."""
+        return self.scores["tuned"]
+
+    @property
+    def before(self) -> Score:
+        """Of the rule the search started from, on the same goals."""
+        return self.scores["start"]
+
+    @property
+    def verdict(self) -> str:
+        """One sentence: which rule is kept, and why when it is not the tuned one or the default is better."""
+        names = {"tuned": "the tuned rule", "start": "what the search started from", "default": "the default"}
+        kept = self.scores[self.kept]
+        text = f"kept: {names[self.kept]}"
+        if self.kept != "tuned":
+            text += f"; the tuned one is no better on held-out goals ({_share(self.held_out)} against {_share(kept)})"
+        if self.scores["default"].rank > kept.rank:
+            default = _share(self.scores["default"])
+            text += f"; the solver's default is better ({default}), and is not of the structure asked for"
+        return text
 
     def save(self, file: str | Path) -> Path:
         """Write the preset that `ik solve --preset FILE` and `preset(FILE)` read."""
-        low, high = self.held_out.interval
+        kept = self.scores[self.kept]
+        low, high = kept.interval
         about = {
             "robot": self.robot,
             "position": self.position_only,
-            "source": f"tuned: {self.method}, seed {self.seed}, {self.evaluations} evaluations; held out {self.held_out}",
-            "held_out_share": self.held_out.share,
+            "source": f"{self.kept}: {self.method}, seed {self.seed}, {self.evaluations} evaluations; held out {kept}",
+            "held_out_share": kept.share,
             "held_out_wilson_95": [low, high],
         }
         path = Path(file)
@@ -123,7 +158,12 @@ class TuneResult:
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values."""
-        scores = {"train": self.train, "held_out": self.held_out, "before": self.before}
+        scores = {
+            "train": self.train,
+            "held_out": self.held_out,
+            "before": self.before,
+            "default": self.scores["default"],
+        }
         names = (
             "robot",
             "solver",
@@ -134,63 +174,14 @@ class TuneResult:
             "seed",
             "interrupted",
             "options",
+            "kept",
+            "verdict",
         )
         return {
             **{name: getattr(self, name) for name in names},
             **{name: one.to_dict() for name, one in scores.items()},
             "history": self.history.tolist(),
         }
-
-
-class Swarm:
-    """Particle swarm in the unit box, inertia 0.729 and both pulls 1.494 (Clerc and Kennedy 2002); walls stop a particle."""
-
-    def __init__(self, start: np.ndarray, spread: float, population: int, seed: int) -> None:
-        """Place the particles around `start`; the first one is it."""
-        self.rng = np.random.default_rng(seed)
-        self.x = np.clip(start + spread * self.rng.standard_normal((population, len(start))), 0.0, 1.0)
-        self.x[0] = start
-        self.v = spread * self.rng.uniform(-1.0, 1.0, self.x.shape)
-        self.own = self.x.copy()
-        self.cost = np.full(population, np.inf)
-
-    def ask(self) -> np.ndarray:
-        """Candidates (population, d)."""
-        return self.x
-
-    def tell(self, costs: np.ndarray) -> None:
-        """Learn the costs and move."""
-        better = costs < self.cost
-        self.own[better], self.cost[better] = self.x[better], costs[better]
-        leader = self.own[np.argmin(self.cost)]
-        a, b = self.rng.random((2, *self.x.shape))
-        self.v = 0.729 * self.v + 1.494 * (a * (self.own - self.x) + b * (leader - self.x))
-        moved = np.clip(self.x + self.v, 0.0, 1.0)
-        self.v[moved != self.x + self.v] = 0.0
-        self.x = moved
-
-
-class Evolution:
-    """CMA-ES of the `cma` package in the unit box (Hansen 2016)."""
-
-    def __init__(self, start: np.ndarray, spread: float, population: int, seed: int) -> None:
-        """Start at `start` with standard deviation `spread`."""
-        import cma
-
-        options = {"bounds": [0.0, 1.0], "popsize": population, "seed": seed % 2**31 + 1, "verbose": -9}
-        self.size = len(start)
-        if self.size == 1:  # the package fails on one dimension: an idle second one
-            start = np.append(start, 0.5)
-        self.engine = cma.CMAEvolutionStrategy(start, spread, options)
-
-    def ask(self) -> np.ndarray:
-        """Candidates (population, d)."""
-        self.asked = self.engine.ask()
-        return np.array(self.asked)[:, : self.size]
-
-    def tell(self, costs: np.ndarray) -> None:
-        """Learn the costs."""
-        self.engine.tell(self.asked, list(costs))
 
 
 def tune(
@@ -221,13 +212,16 @@ def tune(
     goals; held_out: sets of 1000 fresh goals that judge the result. cost of a candidate: share of failures, plus a tenth of how
     far they were off (of the length scale), plus 0.02 mean iterations / max_iterations. seconds: stop the search after so long.
     checkpoint: file that holds what was evaluated; when it exists the search goes on from there. progress(generation, costs).
-    Ctrl-C keeps the best so far. Deterministic for a seed (when `seconds` does not cut it). Raises InvalidOption, MissingExtra.
+    The tuned rule, the start and the solver's default meet the held-out goals, and the best is kept. Ctrl-C keeps the best so
+    far. Deterministic for a seed (when `seconds` does not cut it). Raises InvalidOption, MissingExtra.
     """
+    require_one_tip(robot, "tune")
     if method not in METHODS:
         raise InvalidOption(f"tuning methods are {', '.join(METHODS)}, not '{method}'.{near_match(method, METHODS)}")
     if method == "cma" and importlib.util.find_spec("cma") is None:
         raise MissingExtra("cma", "tune")
     row = find_row(solver)
+    as_asked = maps is not None or initial is not None
     if maps is None:
         maps = MAPS if row.name == "state-space" else 1
     space = make_space(robot, row.name, position_only, maps, initial)
@@ -246,11 +240,15 @@ def tune(
     history: list[tuple[float, float, float]] = []
     interrupted = False
     rule: Any = None
+    rules = {"tuned": rule, "start": space.initial, "default": make_rule(row, {})}
     fresh = [draw(HELD_OUT, 1000, k) for k in range(held_out)]
 
-    def judge(sets: list[np.ndarray]) -> list[Score]:
-        known = ((rule, [train]), (rule, sets), (space.initial, sets))
-        return [score(robot, one, goals, **options) for one, goals in known]
+    def judge(sets: list[np.ndarray]) -> tuple[Score, dict[str, Score], str]:
+        rules["tuned"] = rule
+        scores = {name: score(robot, one, sets, **options) for name, one in rules.items()}
+        allowed = [name for name in rules if not (as_asked and name == "default")]
+        best = max(allowed, key=lambda name: scores[name].rank)
+        return score(robot, rule, [train], **options), scores, best
 
     try:
         for generation in range(generations):
@@ -271,22 +269,23 @@ def tune(
         validation = draw(VALIDATION, 2 * goals)
         judged = [(search.cost(x, validation), k, x) for k, (_, x) in enumerate(search.best)]
         rule = space.build(min(judged)[2])
-        scores = judge(fresh)
+        train_score, scores, kept = judge(fresh)
     except KeyboardInterrupt:
         interrupted = True
         if not search.best:
             raise
         rule = rule or space.build(search.best[0][1])
-        scores = judge(fresh[:JUDGED_SOON])
+        train_score, scores, kept = judge(fresh[:JUDGED_SOON])
+    rule = rules[kept]
     return TuneResult(
         robot=robot.name,
         solver=row.name,
         method=method,
         position_only=position_only,
         rule=rule._replace(tuned=options) if "tuned" in rule._fields else rule,
-        train=scores[0],
-        held_out=scores[1],
-        before=scores[2],
+        train=train_score,
+        scores=scores,
+        kept=kept,
         options=options,
         history=np.array(history).reshape(-1, 3),
         evaluations=len(history) * size,

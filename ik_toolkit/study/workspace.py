@@ -17,7 +17,7 @@ from ..solvers.batch import solve_parts
 from ..solvers.registry import find_row
 from ..solvers.result import Status
 from .statistics import wilson
-from .targets import sample_targets, stream_targets
+from .targets import require_one_tip, sample_targets, stream_targets
 
 GRID = 24  # cells along the longest side of the success map
 ENVELOPE = 100_000  # configurations whose tips give the envelope
@@ -126,6 +126,7 @@ def workspace(
     `solve`. Goals depend on (seed, chunk) only. Ctrl-C raises WorkspaceInterrupted, a KeyboardInterrupt whose `result` holds the
     chunks finished, as the file does. Raises InvalidOption and what `solve_batch` raises.
     """
+    require_one_tip(robot, "workspace")
     if not solvers:
         raise InvalidOption("workspace needs at least one solver")
     named = dict(solvers) if isinstance(solvers, Mapping) else dict(zip(_names(solvers), solvers, strict=True))

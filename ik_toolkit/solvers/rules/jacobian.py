@@ -29,6 +29,8 @@ class LM(NamedTuple):
     """
 
     damping: float = 0.02
+    hold = True
+    wrap = True
 
     def pack(self, robot: Any) -> np.ndarray:
         """Parameters of the compiled step."""
@@ -45,11 +47,13 @@ def _lm(cls, p, s, e):
 class DLS(NamedTuple):
     """Damped least squares: dq = J'(J J' + damping^2 I)^-1 e, constant damping; joints pushed past a limit are held.
 
-    damping: lambda, in units where lengths are divided by the robot's reach (scale). Source: Wampler, IEEE Trans. SMC 16
+    damping: lambda, in units where lengths are divided by the robot's reach (scale). hold: redo a step without the joints it
+    would push past a limit; False cuts the step off there, as the published method does. Source: Wampler, IEEE Trans. SMC 16
     (1986); Buss (2004), eq. (11).
     """
 
     damping: float = 0.03
+    hold: bool = True
 
     def pack(self, robot: Any) -> np.ndarray:
         """Parameters of the compiled step."""
