@@ -243,3 +243,30 @@ def test_the_panel_by_hand(browser, panel):
         hand.wait_for_pose(planar.fk(planar.home).homogeneous)
         assert picture(page).std() > 0.02
         assert page.outside == [] and page.errors == []
+
+
+def test_names_of_a_robot_do_nothing_in_a_page(browser, tmp_path):
+    pytest.importorskip("viser", reason="viser is not installed (extra 'panel')")
+    from test_hostile_names import EVIL, arm
+
+    from ik_toolkit.show.panel import Panel
+
+    file = tmp_path / "robot.urdf"
+    file.write_text(arm())
+    robot = ik.Robot.load(str(file))
+    scene = ik.view(robot)
+    with contextlib.closing(scene), contextlib.closing(Panel(str(file))) as panel, fresh_page(browser) as page:
+        page.on("dialog", lambda dialog: page.errors.append(dialog.message))  # what the names would open
+        for url in (scene.save(tmp_path / "scene.html").as_uri(), scene.serve()):
+            page.goto(url)
+            page.wait_for_selector("body[data-ready]")
+            assert page.title() == robot.name
+        hand = PanelPage(page, panel.url)
+        hand.tab("Robot")
+        page.get_by_text(EVIL[0]).first.wait_for()
+        hand.tab("Solve")
+        hand.type("x y z [m]", EVIL[0])
+        hand.press("Solve")
+        hand.wait_for(EVIL[0])
+        assert page.locator("img[src=x]").count() == 0 and page.errors == []
+        assert page.outside == []

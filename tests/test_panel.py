@@ -165,9 +165,10 @@ def panel():
         yield made
 
 
-def asked(panel, **headers):
-    with contextlib.closing(http.client.HTTPConnection(urlsplit(panel.url).hostname, panel.port, timeout=10)) as client:
-        client.request("GET", "/", headers=headers)
+def asked(panel, path=None, **headers):
+    at = urlsplit(panel.url)
+    with contextlib.closing(http.client.HTTPConnection(at.hostname, panel.port, timeout=10)) as client:
+        client.request("GET", at.path if path is None else path, headers=headers)
         answer = client.getresponse()
         return answer.status, answer.read().decode(errors="replace")
 
@@ -184,6 +185,32 @@ def test_only_its_own_page_may_use_it(panel):
     assert asked(panel, Origin="http://elsewhere.example", **socket)[0] == 403
     status, words = asked(panel, Host=f"rebound.example:{panel.port}")
     assert status == 403 and "rebound.example" in words
+
+
+def test_without_the_token_there_is_nothing_to_see(panel):
+    """Nor may another account of the same machine, which can reach the port, drive the panel or read what it serves."""
+    token = urlsplit(panel.url).path.strip("/")
+    assert len(token) >= 20
+    socket = {"Connection": "Upgrade", "Upgrade": "websocket", "Sec-WebSocket-Version": "13"}
+    socket["Sec-WebSocket-Key"] = "dGhlIHNhbXBsZSBub25jZQ=="
+    other = token[:-1] + ("A" if token[-1] != "A" else "B")
+    bad = [
+        "/",
+        "",
+        "//",
+        "/index.html",
+        f"/{token}x/",
+        f"/{token[:-1]}/",
+        f"/{other}/",
+        f"//{token}/",
+        f"/{other}/../{token}/",
+    ]
+    for path in [*bad, f"/?{token}", f"/%2f{token}/", f"/{token.swapcase()}/", "/" + "x" * 5000 + "/", "/%ff/"]:
+        for headers in ({}, socket):
+            status, words = asked(panel, path or "/", **headers)
+            assert status == 403 and "whole address" in words and token not in words, path
+    assert asked(panel)[0] == asked(panel, f"/{token}/index.html")[0] == asked(panel, f"/{token}/?x=1")[0] == 200
+    assert asked(panel, f"/{token}/no_such_file")[0] == 404 and asked(panel, f"/{token}/../../etc/hostname")[0] == 404
 
 
 def test_a_taken_port_is_refused(panel):
@@ -207,7 +234,7 @@ def test_other_addresses(monkeypatch, capsys):
     monkeypatch.setattr("ik_toolkit.cli.view.wait", lambda words, url, browse: print(words))
     assert main(["panel", "planar_2r", "--host", "0.0.0.0", "--no-open"]) == 0
     said = capsys.readouterr()
-    assert "everybody who can reach" in said.err and "http://127.0.0.1:" in said.out
+    assert "everybody who knows the address" in said.err and "http://127.0.0.1:" in said.out
     assert main(["panel", "planar_2r", "--no-open"]) == 0
     assert "everybody" not in capsys.readouterr().err
 

@@ -6,6 +6,7 @@ import math
 import random
 import threading
 import time
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -41,7 +42,7 @@ class Visitor:
         known = set(panel.desks)
         self.panel = panel
         self.socket = websockets.sync.client.connect(
-            f"ws://127.0.0.1:{panel.port}/",
+            panel.url.replace("http", "ws", 1),
             origin=f"http://127.0.0.1:{panel.port}",
             subprotocols=[f"viser-v{viser.__version__}"],
             compression=None,
@@ -243,6 +244,36 @@ def test_the_panel_is_never_published_by_a_page(panel):
     check_alive(panel)
     assert panel.server._share_tunnel is None
     visitor.leave()
+
+
+def test_no_files_are_taken(panel):
+    """Whoever is let in may send what they like: nothing of it is kept, and no message may be large."""
+    visitor = Visitor(panel)
+    slider = visitor.desk.sliders[0]
+    upload = {"transfer_uuid": "a", "source_component_uuid": slider._impl.uuid}
+    tracemalloc.start()
+    try:
+        visitor.say(
+            type="FileTransferStartUpload",
+            filename="x",
+            mime_type="x",
+            part_count=100,
+            size_bytes=50_000_000,
+            **upload,
+        )
+        for k in range(60):
+            visitor.say(type="FileTransferPart", part_index=k, content=bytes(500_000), **upload)
+        visitor.change(visitor.desk.sliders[1], 30.0)
+        assert until(lambda: math.isclose(visitor.desk.session.q[1], math.radians(30.0)))
+        assert tracemalloc.get_traced_memory()[0] < 10e6  # of 30 MB sent
+    finally:
+        tracemalloc.stop()
+    with contextlib.suppress(websockets.exceptions.ConnectionClosed):
+        visitor.change(visitor.desk.xyz, "1" * 2**21)
+    visitor.listener.join(30.0)
+    assert visitor.socket.close_code == 1009  # message too big
+    assert until(lambda: visitor.id not in panel.desks)
+    check_alive(panel)
 
 
 def resident():

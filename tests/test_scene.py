@@ -3,12 +3,14 @@
 import asyncio
 import contextlib
 import http.client
+import json
 import os
 import re
 import signal
 import socket
 import subprocess
 import sys
+import tracemalloc
 import urllib.parse
 import urllib.request
 
@@ -259,6 +261,106 @@ def test_live_scene_is_local_and_needs_its_address():
     scene.close()
     with socket.socket() as probe:
         assert probe.connect_ex(("127.0.0.1", port)) != 0
+
+
+def open_tab(url, **headers):
+    """A tab of a live scene that has opened its socket and reads nothing yet."""
+    at = urllib.parse.urlsplit(url)
+    tab = socket.create_connection((at.hostname, at.port), timeout=10)
+    opening = {
+        "Host": at.netloc,
+        "Origin": f"http://{at.netloc}",
+        "Connection": "Upgrade",
+        "Upgrade": "websocket",
+        "Sec-WebSocket-Version": "13",
+        "Sec-WebSocket-Key": "a" * 22 + "==",
+        **headers,
+    }
+    lines = [f"GET {at.path}ws HTTP/1.1", *(f"{key}: {value}" for key, value in opening.items()), "", ""]
+    tab.sendall("\r\n".join(lines).encode())
+    stream = tab.makefile("rb")
+    status = int(stream.readline().split()[1])
+    while stream.readline().strip():
+        pass
+    return tab, stream, status
+
+
+def frames_of(stream):
+    """Messages of a web socket, as they come: bytes, or str."""
+    while True:
+        kind, size = stream.read(2)
+        size &= 127
+        size = int.from_bytes(stream.read({126: 2, 127: 8}[size]), "big") if size > 125 else size
+        data = stream.read(size)
+        yield data.decode() if kind & 15 == 1 else data
+
+
+def test_a_tab_that_never_reads_holds_no_frames():
+    """Frames it has not taken are dropped; when it reads again it gets the latest state, whatever came in between."""
+    import umsgpack
+
+    robot = load("hydrolek_7w")
+    scene = view(robot)
+    tab, stream, status = open_tab(scene.serve())
+    assert status == 101
+    rng = np.random.default_rng(0)
+    poses = {path: np.eye(4) for path in scene.window.transforms}
+    tracemalloc.start()
+    try:
+        for k in range(1500):
+            for path, T in poses.items():
+                scene.window.place(path, T)
+            scene.window.delete(f"never_{k}")  # names without end
+            scene.say(f"{k}")
+        grown, _ = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert grown < 1e6  # over 10 MB when every frame waited
+    for k in range(20):
+        scene.show(robot.random_q(rng))
+        scene.trail(rng.random((20, 3)), f"trail_{k % 7}")
+        scene.window.delete(f"trail_{(k + 1) % 7}")
+    scene.say("the end")
+    shown, objects = {}, set()
+    for message in frames_of(stream):
+        if isinstance(message, str):
+            if "the end" in json.loads(message).get("lines", ()):
+                break
+            continue
+        command = umsgpack.unpackb(message)
+        path = command["path"].removeprefix("/meshcat/")
+        if command["type"] == "set_transform":
+            shown[path] = np.reshape(command["matrix"], (4, 4)).T
+        elif command["type"] == "delete":
+            objects = {p for p in objects if path and p != path and not p.startswith(path + "/")}
+        else:
+            objects.add(path)
+    tab.close()
+    scene.close()
+    assert objects == {*scene.window.objects, *scene.window.copies}
+    for path, T in scene.window.transforms.items():
+        assert np.array_equal(shown[path], T), path
+
+
+def test_the_scene_is_shown_to_nobody_without_its_token():
+    scene = view(load("planar_2r"))
+    url = scene.serve()
+    token = urllib.parse.urlsplit(url).path.strip("/")
+    root = url[: url.index("/", 8) + 1]
+    for word in ("", "x", token[:-1], token + "x", token.swapcase(), "x" * 5000, "%00", "..", f"x/../{token}"):
+        for name in ("", "viewer.js", "ws"):
+            assert status_of(f"{root}{word}/{name}", {}) == 404
+    for tab, stream, status in (
+        open_tab(f"{root}x/"),
+        open_tab(url, Origin="http://elsewhere.example"),
+        open_tab(url, Host="rebound.example"),
+    ):
+        assert status in (403, 404)
+        stream.close()
+        tab.close()
+    assert status_of(url, {"Host": "rebound.example"}) == 403
+    assert status_of(url, {}) == status_of(url + "viewer.js", {}) == 200
+    scene.close()
 
 
 def test_a_port_in_use_is_an_error():

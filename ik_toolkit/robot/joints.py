@@ -1,6 +1,7 @@
 """Named joint values with limits: what a robot with one tip and a tree with several have in common."""
 
 import functools
+import html
 from typing import Any
 
 import numpy as np
@@ -96,7 +97,7 @@ class Joints:
         """Joint table for notebooks."""
         head = "<tr><th>joint</th><th>kind</th><th>lower</th><th>upper</th><th>home</th></tr>"
         rows = "".join(
-            f"<tr><td>{j}</td><td>{k}</td><td>{a:.4g}</td><td>{b:.4g}</td><td>{h:.4g}</td></tr>"
+            f"<tr><td>{html.escape(j)}</td><td>{k}</td><td>{a:.4g}</td><td>{b:.4g}</td><td>{h:.4g}</td></tr>"
             for j, k, a, b, h in zip(self.joint_names, self.joint_kinds, self.lower, self.upper, self.home, strict=True)
         )
-        return f"<b>{self.name}</b>: {self._route()}<table>{head}{rows}</table>"
+        return f"<b>{html.escape(self.name)}</b>: {html.escape(self._route())}<table>{head}{rows}</table>"

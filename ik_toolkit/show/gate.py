@@ -1,16 +1,18 @@
-"""Who may talk to the panel's server, and what becomes of messages that are none: checks viser does not make."""
+"""Who may talk to the servers of panel and scene, and what becomes of messages that are none: checks viser does not make."""
 
 import asyncio
 import contextlib
 import http.client
 import ipaddress
 import logging
+import secrets
 import threading
 from collections.abc import Callable, Iterator
 from typing import Any
 from urllib.parse import urlsplit
 
 LOOPBACK = ("127.0.0.1", "localhost", "::1")
+LARGEST = 2**20  # bytes of a message: the page sends numbers and short texts, and anything is held until it is whole
 LOG = logging.getLogger(__name__)
 _PATCHING = threading.Lock()
 
@@ -23,6 +25,21 @@ def is_loopback(host: str) -> bool:
         return False
 
 
+def new_token() -> str:
+    """Word of 128 random bits that the address of a page starts with: who does not know it is served nothing."""
+    return secrets.token_urlsafe(16)
+
+
+def below(path: str, token: str) -> str | None:
+    """What a request's path asks for below /token, without its query; None when it starts with another word.
+
+    How long the comparison takes tells nothing about the token.
+    """
+    word, slash, rest = path.partition("?")[0].removeprefix("/").partition("/")
+    known = secrets.compare_digest(word.encode(errors="backslashreplace"), token.encode())
+    return slash + rest if known else None
+
+
 def refusal(headers: Any, host: str) -> str:
     """Why a request is refused, or ''. A browser names the page that asks (Origin) and the name it looked up (Host)."""
     asked = headers.get("Host", "")
@@ -30,18 +47,19 @@ def refusal(headers: Any, host: str) -> str:
     with contextlib.suppress(ValueError):
         name = urlsplit(f"//{asked}").hostname or ""
     if is_loopback(host) and name not in LOOPBACK and name != host:
-        return f"this panel answers at {host} only, not as '{name}'"
+        return f"this page is served at {host} only, not as '{name}'"
     origin = headers.get("Origin")
     if origin is not None and origin.partition("://")[2] != asked:
-        return "pages of other sites may not use this panel"
+        return "pages of other sites may not use this one"
     return ""
 
 
 @contextlib.contextmanager
-def guarded(host: str) -> Iterator[None]:
-    """Make the server started inside check Host and Origin (any web page could connect otherwise) and bear nonsense.
+def guarded(host: str, token: str) -> Iterator[None]:
+    """Make the server started inside check Host, Origin (any web page could connect otherwise) and token, and bear nonsense.
 
-    A message that cannot be read ends its connection with a word on why; one that makes no sense is dropped.
+    Page, files and socket are below /token. A message that cannot be read or is larger than any of the page's ends its
+    connection with a word on why; one that makes no sense is dropped.
     """
     import websockets.asyncio.server as ws
     from websockets.exceptions import ConnectionClosed
@@ -51,8 +69,10 @@ def guarded(host: str) -> Iterator[None]:
     def serve(talk: Any, *args: Any, process_request: Callable[[Any, Any], Any] | None = None, **kwargs: Any) -> Any:
         def check(connection: Any, request: Any) -> Any:
             words = refusal(request.headers, host)
-            if words:
-                return connection.respond(http.client.FORBIDDEN, words + "\n")
+            path = below(request.path, token)
+            if words or path is None:
+                return connection.respond(http.client.FORBIDDEN, f"{words or 'this is not the whole address'}\n")
+            request.path = path or "/"
             return process_request(connection, request) if process_request is not None else None
 
         async def bear(connection: Any) -> None:
@@ -67,7 +87,7 @@ def guarded(host: str) -> Iterator[None]:
                         await connection.recv()
                 await closing
 
-        return original(bear, *args, process_request=check, **kwargs)
+        return original(bear, *args, process_request=check, **{**kwargs, "max_size": LARGEST})
 
     with _PATCHING:
         ws.serve = serve  # type: ignore[assignment]

@@ -15,12 +15,12 @@ from urllib.parse import urlsplit
 
 from ..errors import InvalidOption, MissingExtra
 from .desk import Desk
-from .gate import guarded, is_loopback
+from .gate import guarded, is_loopback, new_token
 from .session import Session
 
 
 class Panel:
-    """The panel's server. url: where it is; `close()` ends it. Several browsers may be open at once."""
+    """The panel's server. url: where it is, with the token that lets in; `close()` ends it. Several browsers may be open."""
 
     def __init__(self, source: str, tip: str | None = None, *, host: str = "127.0.0.1", port: int = 0) -> None:
         """Serve a robot by name or path. port 0: a free one. Raises MissingExtra, InvalidOption, RobotNotFound, ..."""
@@ -32,14 +32,15 @@ class Panel:
         warnings.filterwarnings("ignore", "Queued a .* on a closed connection")  # a visitor may leave at any time
         session = Session(source, tip)  # says now what is wrong with it
         session.solve(session.tip())  # and compiles, where that has not been done: no visitor waits for it
-        with guarded(host), contextlib.redirect_stdout(io.StringIO()):  # viser prints a banner
+        token = new_token()
+        with guarded(host, token), contextlib.redirect_stdout(io.StringIO()):  # viser prints a banner
             self.server = viser.ViserServer(host=host, port=port, verbose=False)
         self.host, self.port = host, self.server.get_port()
         if port not in (0, self.port):
             self.close()
             raise InvalidOption(f"port {port} is in use")
         name = {"0.0.0.0": "127.0.0.1", "::": "::1"}.get(host, host)  # noqa: S104  compared, not bound
-        self.url = f"http://{f'[{name}]' if ':' in name else name}:{self.port}/"
+        self.url = f"http://{f'[{name}]' if ':' in name else name}:{self.port}/{token}/"
         self._check_guard()
         self.server.request_share_url = _no_tunnel  # type: ignore[method-assign] a page may ask for it unseen
         self.desks: dict[int, Desk] = {}
@@ -49,6 +50,7 @@ class Panel:
         self.server.on_client_disconnect(lambda client: self._goodbye(client))
 
     def _welcome(self, client: Any, source: str, tip: str | None, local: bool) -> None:
+        _no_uploads(client)
         self.desks[client.client_id] = Desk(client, source, tip, files=local)
         if client.client_id not in self.server.get_clients():  # gone before it was let in
             self._goodbye(client)
@@ -59,16 +61,18 @@ class Panel:
             desk.close()
 
     def _check_guard(self) -> None:
-        """A page of another site must be refused; if a release of viser changes so that it is not, do not serve."""
-        client = http.client.HTTPConnection(urlsplit(self.url).hostname or "", self.port, timeout=10)
-        try:
-            client.request("GET", "/", headers={"Origin": "http://elsewhere.invalid"})
-            refused = client.getresponse().status == 403
-        finally:
-            client.close()
-        if not refused:
-            self.close()
-            raise InvalidOption("this release of viser cannot be kept from answering other sites' pages: not served")
+        """Pages of other sites and who lacks the token must be refused; if a release of viser answers them, do not serve."""
+        at = urlsplit(self.url)
+        for path, headers in ((at.path, {"Origin": "http://elsewhere.invalid"}), ("/", {})):
+            client = http.client.HTTPConnection(at.hostname or "", self.port, timeout=10)
+            try:
+                client.request("GET", path, headers=headers)
+                refused = client.getresponse().status == http.client.FORBIDDEN
+            finally:
+                client.close()
+            if not refused:
+                self.close()
+                raise InvalidOption("this release of viser cannot be kept from answering everybody: not served")
 
     def close(self) -> None:
         """Stop serving and end the visitors' threads."""
@@ -90,6 +94,14 @@ def _check_address(host: str, port: int) -> None:
             raise InvalidOption(f"port {port} is in use") from None
         at = f"{host}, port {port}" if port else host
         raise InvalidOption(f"cannot listen at {at}: {error.strerror or error}") from None
+
+
+def _no_uploads(client: Any) -> None:
+    """Take no files: the panel asks for none, and viser would keep whatever a page sends."""
+    from viser import _messages
+
+    for kind in (_messages.FileTransferStartUpload, _messages.FileTransferPart):
+        client.gui._websock_interface.unregister_handler(kind)
 
 
 def _no_tunnel(*_: Any, **__: Any) -> None:

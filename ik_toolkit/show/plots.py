@@ -53,6 +53,11 @@ def drawing() -> Iterator[Any]:
                 plt.close(number)
 
 
+def plain(text: str) -> str:
+    """Text that matplotlib draws as it stands: between two dollar signs it would set (or fail to set) a formula."""
+    return text.replace("$", r"\$")
+
+
 def save(figure: Any, path: str | Path) -> Path:
     """Write a figure to a .png, .pdf or .svg file. Raises InvalidOption for another suffix."""
     file = Path(path)
@@ -66,7 +71,8 @@ def convergence(runs: Any, *, tolerance: float | None = None, title: str = "") -
     """Error at every evaluation of a solve, several solvers side by side, on one logarithmic scale.
 
     runs: a Result with history, its history, or a dict label -> either. Position [m] as a full line, orientation [rad]
-    dashed. tolerance [m, rad]: drawn as a line. Raises InvalidOption for a result without history.
+    dashed. Labels and title are drawn as they stand, never as formulas. tolerance [m, rad]: drawn as a line. Raises
+    InvalidOption for a result without history.
     """
     named = _named(runs)
     with drawing() as plt:
@@ -85,7 +91,7 @@ def convergence(runs: Any, *, tolerance: float | None = None, title: str = "") -
             if tolerance is not None:
                 axis.axhline(tolerance, color=GREY, lw=0.9, ls=":", label="tolerance" if not k else None)
             axis.xaxis.get_major_locator().set_params(integer=True)
-            axis.set(xlabel="evaluation", title=f"{label}: {len(position) - 1} steps" if label else "")
+            axis.set(xlabel="evaluation", title=plain(f"{label}: {len(position) - 1} steps") if label else "")
         axes[0, 0].set_ylabel("error left")
         axes[0, 0].legend(loc="best", fontsize=8)
         _title(figure, title)
@@ -127,7 +133,7 @@ def joint_paths(q: Any, robot: Joints, *, t: Any = None, title: str = "") -> Any
                     axis.axhspan(*sorted((edge, end)), color=PALE, lw=0)
                     axis.axhline(edge, color=GREY, lw=0.8)
             axis.plot(x, values, color=COLOURS[0])
-            axis.set_title(f"{robot.joint_names[i]} [{'deg' if angle else 'm'}]")
+            axis.set_title(plain(f"{robot.joint_names[i]} [{'deg' if angle else 'm'}]"))
             if i + columns >= robot.n:
                 axis.set_xlabel("time [s]" if t is not None else "step")
                 axis.tick_params(labelbottom=True)
@@ -153,7 +159,7 @@ def tracking_errors(runs: Any, *, title: str = "") -> Any:
         )
         for k, (label, run) in enumerate(named.items()):
             style = {"color": COLOURS[k % 8], "ls": DASHES[k % 8], "lw": 1.3}
-            axes[0, 0].semilogy(run.t, np.maximum(run.position_error, FLOOR), label=label, **style)
+            axes[0, 0].semilogy(run.t, np.maximum(run.position_error, FLOOR), label=plain(label), **style)
             if run.orientation_error is not None:
                 axes[1, 0].semilogy(run.t, np.maximum(run.orientation_error, FLOOR), **style)
         axes[0, 0].set_ylabel("position error [m]")
@@ -244,7 +250,7 @@ def bars(
             axis.set_xscale("log")
         for at, value, end in zip(place, x, ends, strict=True):
             axis.annotate(f"{value:.4g}", (end, at), xytext=(5, 0), textcoords="offset points", va="center", fontsize=8)
-        axis.set_yticks(place, names)
+        axis.set_yticks(place, [plain(name) for name in names])
         axis.grid(False, axis="y")
         axis.tick_params(axis="y", length=0)
         axis.margins(x=0.14)
@@ -255,7 +261,7 @@ def bars(
 
 def _title(figure: Any, text: str) -> None:
     if text:
-        figure.suptitle(text, x=0.01, ha="left", fontweight="bold", fontsize=10)
+        figure.suptitle(plain(text), x=0.01, ha="left", fontweight="bold", fontsize=10)
 
 
 def _matrix(values: Any, columns: int) -> np.ndarray:

@@ -7,7 +7,7 @@ import numpy as np
 from ..study.benchmark import Benchmark
 from ..study.tune import TuneResult
 from ..study.workspace import Workspace
-from .plots import COLOURS, GREY, drawing, save
+from .plots import COLOURS, GREY, drawing, plain, save
 
 
 def plot_benchmark(found: Benchmark, file: str | Path) -> Path:
@@ -27,9 +27,9 @@ def plot_benchmark(found: Benchmark, file: str | Path) -> Path:
                 seconds = np.append(np.sort(row.seconds[: row.solved]), row.seconds.max())
                 share = 100.0 * np.append(np.arange(1, row.solved + 1), row.solved) / row.targets
                 times.step(1e6 * seconds, share, where="post", **style)
-            bars.set_yticks(-np.arange(len(rows)), [row.solver for row in rows])
+            bars.set_yticks(-np.arange(len(rows)), [plain(row.solver) for row in rows])
             bars.grid(False, axis="y")
-            bars.set(xlim=(0, 102), title=f"{robot}: targets solved, 95 % interval", xlabel="of 100 targets")
+            bars.set(xlim=(0, 102), title=plain(f"{robot}: targets solved, 95 % interval"), xlabel="of 100 targets")
             times.set(
                 xscale="log",
                 ylim=(0, 102),
@@ -53,8 +53,8 @@ def plot_tuning(result: TuneResult, file: str | Path) -> Path:
         axis.set(xlabel="generation", ylabel="cost (1 = everything lost)")
         low, high = result.held_out.interval
         axis.set_title(
-            f"{result.solver} on {result.robot}, {result.method}: {1000 * result.before.share:.1f} before,\n"
-            f"{1000 * result.held_out.share:.1f} [{1000 * low:.1f}, {1000 * high:.1f}] of 1000 held-out goals after"
+            plain(f"{result.solver} on {result.robot}, {result.method}: {1000 * result.before.share:.1f} before,\n")
+            + f"{1000 * result.held_out.share:.1f} [{1000 * low:.1f}, {1000 * high:.1f}] of 1000 held-out goals after"
         )
         axis.legend(loc="upper right")
         return save(figure, file)
@@ -80,7 +80,7 @@ def plot_workspace(found: Workspace, file: str | Path) -> Path:
                 bad = found.failures[name] if outcome.goals - outcome.solved <= MARKED else np.empty((0, 4))
                 axis.plot(bad[:, keep[0]], bad[:, keep[1]], "o", mfc="none", mec=COLOURS[1], ms=3, mew=0.7)
                 axis.set(xlabel=f"{'xyz'[keep[0]]} [m]", ylabel=f"{'xyz'[keep[1]]} [m]", aspect="equal")
-            row[0].set_title(f"{name}\n{outcome.solved} of {outcome.goals} solved, from above")
+            row[0].set_title(f"{plain(name)}\n{outcome.solved} of {outcome.goals} solved, from above")
             row[1].set_title("circles: not solved\nfrom the side" if len(bad) else "from the side")
         figure.colorbar(image, ax=axes, label="share of goals solved", shrink=min(0.8, 1.6 / rows), aspect=30, pad=0.02)
         return save(figure, file)

@@ -9,6 +9,7 @@ import pinocchio as pin
 from ..errors import InvalidOption, MissingExtra
 from ..robot.robot import Robot
 from ..tracking.result import TrackResult
+from .plots import plain
 
 # Okabe and Ito (2008): colours that stay apart for colour-blind readers.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000", "#8C8C8C")
@@ -62,8 +63,10 @@ def plot_track(result: TrackResult, robot: Robot, file: str | Path) -> Path:
         axes[2].set_xlabel("time [s]")
         settings = ", ".join(f"{k} {v:.4g}" for k, v in result.options.items())
         figure.suptitle(
-            f"{result.robot}: {result.method}{' (' + settings + ')' if settings else ''}, {1 / result.dt:.4g} Hz: "
-            f"{result.status.name.lower()}",
+            plain(
+                f"{result.robot}: {result.method}{' (' + settings + ')' if settings else ''}, {1 / result.dt:.4g} Hz: "
+                f"{result.status.name.lower()}"
+            ),
             x=0.01,
             ha="left",
             fontweight="bold",
@@ -120,7 +123,7 @@ def _positions(ax: Any, result: TrackResult, robot: Robot) -> None:
     half = np.where(np.isfinite(robot.upper - robot.lower), 0.5 * (robot.upper - robot.lower), np.pi)
     for i, name in enumerate(result.joint_names):
         shown = (result.q[:, i] - middle[i]) / half[i]
-        ax.plot(result.t, shown, color=COLOURS[i % 8], lw=1.3, label=name, ls="-" if i < 8 else "--")
+        ax.plot(result.t, shown, color=COLOURS[i % 8], lw=1.3, label=plain(name), ls="-" if i < 8 else "--")
     for edge in (-1, 1):
         ax.axhline(edge, color="#000000", lw=0.8)
     ax.set_ylim(-1.15, 1.15)
@@ -132,11 +135,9 @@ def _speeds(ax: Any, result: TrackResult, robot: Robot) -> None:
     limit = np.where(robot.velocity_limits > 0, robot.velocity_limits, np.inf)
     bounded = bool(np.isfinite(limit).all())
     speed = np.diff(result.q, axis=0) / result.dt
-    for i in range(speed.shape[1]):
+    for i, name in enumerate(result.joint_names):
         values = 100 * speed[:, i] / limit[i] if bounded else speed[:, i]
-        ax.plot(
-            result.t[1:], values, color=COLOURS[i % 8], lw=1.3, ls="-" if i < 8 else "--", label=result.joint_names[i]
-        )
+        ax.plot(result.t[1:], values, color=COLOURS[i % 8], lw=1.3, ls="-" if i < 8 else "--", label=plain(name))
     ax.set_title("joint speeds" + (" [% of the limit]" if bounded else " [rad/s or m/s]"), loc="left")
     ax.grid(axis="y", color="#E0E0E0", lw=0.5)
     ax.legend(fontsize=7.5, ncols=4, loc="upper center", bbox_to_anchor=(0.5, -0.28))

@@ -6,22 +6,27 @@ animation's frames; here the same viewer script draws, and nothing outlives the 
 
 import asyncio
 import base64
+import contextlib
 import gzip
 import html
+import http.client
 import importlib.resources
 import json
-import secrets
 import socket
 import threading
 import warnings
+from collections.abc import Callable, Container
 from typing import Any
 
 import numpy as np
 
 from ..errors import MissingExtra
+from .gate import below, new_token, refusal
 from .parts import Shape
 
+HOST = "127.0.0.1"
 ROOT = "/meshcat/"
+MOST_GONE = 1000  # deleted paths noted for a page that does not read
 SHADE = 0.86  # of a colour: under the viewer's lights pure white has no form left
 
 
@@ -47,6 +52,12 @@ def _packed(data: bytes) -> str:
     return base64.b64encode(gzip.compress(data, 6, mtime=0)).decode()
 
 
+def _command(command: dict[str, Any]) -> bytes:
+    import umsgpack
+
+    return umsgpack.packb({**command, "path": ROOT + command["path"]})
+
+
 class Window:
     """What is drawn: commands by path, transforms for inspection, and what the page says about them (`about`)."""
 
@@ -57,19 +68,15 @@ class Window:
         self.copies: dict[str, bytes] = {}
         self.transforms: dict[str, np.ndarray] = {}
         self.about: dict[str, Any] = {"title": "", "lines": [], "legend": [], "camera": None, "animation": None}
-        self.listeners: set[Any] = set()
+        self.feeds: set[Feed] = set()
         self.lock = threading.RLock()
         self.server: Server | None = None
 
-    def _send(self, kept: dict[str, bytes] | None, command: dict[str, Any]) -> None:
-        import umsgpack
-
-        data = umsgpack.packb({**command, "path": ROOT + command["path"]})
+    def _keep(self, kept: dict[str, bytes], command: dict[str, Any]) -> None:
         with self.lock:
-            if kept is not None:
-                kept[command["path"]] = data
-            for put in list(self.listeners):
-                put(data)
+            kept[command["path"]] = _command(command)
+            for feed in self.feeds:
+                feed.changed(command["path"])
 
     def shape(self, path: str, shape: Shape) -> None:
         """Draw triangles at a path."""
@@ -81,59 +88,70 @@ class Window:
             shininess=22,
         )
         mesh = g.Mesh(g.TriangularMeshGeometry(shape.vertices, shape.faces), material)
-        self._send(self.objects, {"type": "set_object", "path": path, "object": mesh.lower()})
+        self._keep(self.objects, {"type": "set_object", "path": path, "object": mesh.lower()})
 
     def points(self, path: str, points: np.ndarray, colors: np.ndarray, size: float) -> None:
         """Draw a cloud: points (N, 3) [m], colors (N, 3) in 0..1, size [m]."""
         g = _meshcat().geometry
         cloud = g.PointsGeometry(points.T.astype(np.float32), colors.T.astype(np.float32))
-        self._send(
+        self._keep(
             self.objects,
             {"type": "set_object", "path": path, "object": g.Points(cloud, g.PointsMaterial(size=size)).lower()},
         )
 
     def copy(self, path: str, source: str, color: tuple[float, float, float], opacity: float) -> None:
         """Draw what another path shows once more, in another colour, without sending its triangles again."""
-        self._send(
+        self._keep(
             self.copies,
             {"type": "copy", "path": path, "source": ROOT + source, "color": _number(color), "opacity": float(opacity)},
         )
 
     def place(self, path: str, T: np.ndarray) -> None:
         """Set the pose (4, 4) [m] of a path in its parent."""
-        self.transforms[path] = np.array(T, dtype=float)
-        self._send(None, self._placing(path))
-
-    def _placing(self, path: str) -> dict[str, Any]:
-        return {"type": "set_transform", "path": path, "matrix": self.transforms[path].T.ravel().tolist()}
+        with self.lock:
+            self.transforms[path] = np.array(T, dtype=float)
+            for feed in self.feeds:
+                feed.changed(path)
 
     def delete(self, path: str) -> None:
         """Remove a path and everything below it."""
-        for kept in (self.objects, self.copies, self.transforms):
-            for key in [k for k in kept if k == path or k.startswith(path + "/")]:
-                del kept[key]
-        self._send(None, {"type": "delete", "path": path})
+        with self.lock:
+            for kept in (self.objects, self.copies, self.transforms):
+                for key in [k for k in kept if k == path or k.startswith(path + "/")]:
+                    del kept[key]
+            for feed in self.feeds:
+                feed.deleted(path)
 
     def say(self, **about: Any) -> None:
         """Change title, lines, legend, camera or animation of the page."""
-        self.about.update(about)
         with self.lock:
-            for put in list(self.listeners):
-                put(json.dumps(about))
+            self.about.update(about)
+            for feed in self.feeds:
+                feed.told(about)
 
-    def snapshot(self) -> list[bytes]:
-        """All commands that rebuild the scene, in order."""
-        import umsgpack
-
+    def snapshot(self, paths: Container[str] | None = None) -> list[bytes]:
+        """All commands that rebuild the scene (of some paths only), in order."""
         with self.lock:
-            placed = [{**self._placing(path), "path": ROOT + path} for path in self.transforms]
-            return [*self.objects.values(), *self.copies.values(), *(umsgpack.packb(c) for c in placed)]
+            return [
+                *(
+                    kept[path]
+                    for kept in (self.objects, self.copies)
+                    for path in kept
+                    if paths is None or path in paths
+                ),
+                *(
+                    _command({"type": "set_transform", "path": path, "matrix": T.T.ravel().tolist()})
+                    for path, T in self.transforms.items()
+                    if paths is None or path in paths
+                ),
+            ]
 
     # ------------------------------------------------------------------------------------------------------- pages
     def _page(self, body: str) -> str:
         files = importlib.resources.files("ik_toolkit.show")
         page = (files / "scene.html").read_text(encoding="utf-8")
-        return page.replace("@TITLE@", html.escape(self.about["title"])).replace("/*@START@*/", body)
+        # The title last: whatever a robot is called, nothing in it is replaced again.
+        return page.replace("/*@START@*/", body).replace("@TITLE@", html.escape(self.about["title"]))
 
     def html(self) -> str:
         """The scene as one page that asks nothing of any network."""
@@ -160,21 +178,70 @@ def viewer_script() -> bytes:
     return (importlib.resources.files("meshcat") / "viewer" / "dist" / "main.min.js").read_bytes()
 
 
+class Feed:
+    """What one open page has not been told yet: which paths changed, not how often, so a page that never reads holds no frames.
+
+    wake: called when there is news. The window's lock is held by whoever calls `changed`, `deleted` and `told`.
+    """
+
+    def __init__(self, window: Window, wake: Callable[[], None]) -> None:
+        """Everything is news to a page just opened."""
+        self.window, self._wake = window, wake
+        self._awake = False
+        self._gone: set[str] = set()
+        self._paths: set[str] = {*window.objects, *window.copies, *window.transforms}
+        self._about = dict(window.about)
+        self._news()
+
+    def _news(self) -> None:
+        if not self._awake:
+            self._awake = True
+            self._wake()
+
+    def changed(self, path: str) -> None:
+        """Note that what is drawn at a path, or its pose, is another."""
+        self._paths.add(path)
+        self._news()
+
+    def deleted(self, path: str) -> None:
+        """Note that a path and everything below it is gone."""
+        self._paths = {p for p in self._paths if p != path and not p.startswith(path + "/")}
+        self._gone.add(path)
+        if len(self._gone) > MOST_GONE:  # names without end: clear the page and draw what there is
+            window = self.window
+            self._gone, self._paths = {""}, {*window.objects, *window.copies, *window.transforms}
+        self._news()
+
+    def told(self, about: dict[str, Any]) -> None:
+        """Note what else the page says."""
+        self._about.update(about)
+        self._news()
+
+    def take(self) -> list[bytes | str]:
+        """Messages that bring the page up to date."""
+        with self.window.lock:
+            self._awake = False
+            gone, paths, about = self._gone, self._paths, self._about
+            self._gone, self._paths, self._about = set(), set(), {}
+            erased = [_command({"type": "delete", "path": path}) for path in gone]
+            return [*erased, *self.window.snapshot(paths), *([json.dumps(about)] if about else [])]
+
+
 class Server:
     """Serves one window from a daemon thread: page, script and a web socket below an unguessable path.
 
-    Bound to 127.0.0.1 only; a socket opened by another site's page is refused (Origin must match), and without the token
-    there is nothing to see. The thread ends with the process, also when that is killed.
+    Bound to 127.0.0.1 only; pages of other sites are refused, and without the token there is nothing to see. The thread ends
+    with the process, also when that is killed.
     """
 
     def __init__(self, window: Window, port: int = 0) -> None:
         """Start; port 0 takes a free one. Raises OSError when the port is taken."""
         self.window = window
-        self.token = secrets.token_urlsafe(16)
-        self._socket = socket.create_server(("127.0.0.1", port))
+        self.token = new_token()
+        self._socket = socket.create_server((HOST, port))
         self._socket.setblocking(False)
         self.port = self._socket.getsockname()[1]
-        self.url = f"http://127.0.0.1:{self.port}/{self.token}/"
+        self.url = f"http://{HOST}:{self.port}/{self.token}/"
         self._ready = threading.Event()
         self._thread = threading.Thread(target=asyncio.run, args=(self._run(),), daemon=True, name="ik scene server")
         self._thread.start()
@@ -185,13 +252,12 @@ class Server:
         import tornado.web
 
         self._loop, self._stop = asyncio.get_running_loop(), asyncio.Event()
-        page, script, feed = handlers(self.window)
-        at = f"/{self.token}/"
-        server = tornado.httpserver.HTTPServer(
-            tornado.web.Application(
-                [(at, page), (at + "viewer.js", script), (at + "ws", feed)], log_function=lambda _: None
-            )
-        )
+        names = ("", "viewer.js", "ws")
+        routes = [
+            ("/[^/]*/" + name.replace(".", "[.]"), made, {"token": self.token})
+            for name, made in zip(names, handlers(self.window), strict=True)
+        ]
+        server = tornado.httpserver.HTTPServer(tornado.web.Application(routes, log_function=lambda _: None))
         server.add_sockets([self._socket])
         self._ready.set()
         await self._stop.wait()
@@ -207,39 +273,56 @@ class Server:
 
 def handlers(window: Window) -> tuple[Any, Any, Any]:
     """Page, script and web-socket handlers of a window (made here: tornado is imported only when serving)."""
+    import tornado.iostream
     import tornado.web
     import tornado.websocket
 
-    class Page(tornado.web.RequestHandler):
+    class Door(tornado.web.RequestHandler):
+        def initialize(self, token: str) -> None:
+            self.token = token
+
+        def prepare(self) -> None:
+            if refusal(self.request.headers, HOST):
+                raise tornado.web.HTTPError(http.client.FORBIDDEN)
+            if below(self.request.path, self.token) is None:
+                raise tornado.web.HTTPError(http.client.NOT_FOUND)
+
+    class Page(Door):
         def get(self) -> None:
             self.write(window._page("live();"))
 
-    class Script(tornado.web.RequestHandler):
+    class Script(Door):
         def get(self) -> None:
             self.set_header("Content-Type", "text/javascript; charset=utf-8")
             self.write(viewer_script())
 
-    class Socket(tornado.websocket.WebSocketHandler):
+    class Socket(Door, tornado.websocket.WebSocketHandler):
         def open(self, *args: str, **kwargs: str) -> None:
-            loop = asyncio.get_running_loop()
+            loop, news = asyncio.get_running_loop(), asyncio.Event()
 
-            async def write(data: bytes | str) -> None:
-                try:
-                    await self.write_message(data, binary=isinstance(data, bytes))
-                except (tornado.websocket.WebSocketClosedError, tornado.iostream.StreamClosedError):
-                    window.listeners.discard(self.forward)
+            def wake() -> None:
+                with contextlib.suppress(RuntimeError):  # the server has ended in the meantime
+                    loop.call_soon_threadsafe(news.set)
 
-            self.forward = lambda data: loop.call_soon_threadsafe(lambda: loop.create_task(write(data)))
             with window.lock:
-                for data in window.snapshot():
-                    self.forward(data)
-                self.forward(json.dumps(window.about))
-                window.listeners.add(self.forward)
+                self.feed = Feed(window, wake)
+                window.feeds.add(self.feed)
+            self.writer = loop.create_task(self.write_all(news))
+
+        async def write_all(self, news: asyncio.Event) -> None:
+            with contextlib.suppress(tornado.websocket.WebSocketClosedError, tornado.iostream.StreamClosedError):
+                while True:
+                    await news.wait()
+                    news.clear()
+                    for data in self.feed.take():
+                        await self.write_message(data, binary=isinstance(data, bytes))  # until the page has room for it
 
         def on_message(self, message: str | bytes) -> None:
             """Nothing is taken from the page."""
 
         def on_close(self) -> None:
-            window.listeners.discard(self.forward)
+            with window.lock:
+                window.feeds.discard(self.feed)
+            self.writer.cancel()
 
     return Page, Script, Socket

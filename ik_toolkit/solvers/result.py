@@ -1,6 +1,7 @@
 """What a solve returns."""
 
 import enum
+import html
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -195,9 +196,10 @@ class Result:
         """Table for notebooks."""
         colour = "#1b7837" if self.success else "#b2182b"
         cells = "".join(
-            f"<tr><td>{j}</td><td>{x:.6f}</td></tr>" for j, x in zip(self.robot.joint_names, self.q, strict=True)
+            f"<tr><td>{html.escape(j)}</td><td>{x:.6f}</td></tr>"
+            for j, x in zip(self.robot.joint_names, self.q, strict=True)
         )
-        return f"<b style='color:{colour}'>{self.status.name}</b> {self.message}<table>{cells}</table>"
+        return f"<b style='color:{colour}'>{self.status.name}</b> {html.escape(self.message)}<table>{cells}</table>"
 
 
 def sentence(result: Result) -> str:

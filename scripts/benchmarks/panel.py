@@ -37,7 +37,7 @@ def drain(page: websockets.sync.client.ClientConnection, patience: float) -> Non
 def drag(robot: str) -> tuple[np.ndarray, np.ndarray]:
     """Milliseconds of solve and redraw, and until the page has it, of each step of a drag around the tip."""
     with contextlib.closing(Panel(robot)) as panel:
-        address = f"ws://127.0.0.1:{panel.port}/"
+        address = panel.url.replace("http", "ws", 1)
         with websockets.sync.client.connect(
             address, subprotocols=[f"viser-v{viser.__version__}"], compression=None, max_size=None
         ) as page:

@@ -1,0 +1,173 @@
+"""Names come from files of unknown origin: no HTML this toolkit makes, and no chart, takes them for anything but text."""
+
+import contextlib
+import html
+import html.parser
+import xml.etree.ElementTree as ET
+
+import numpy as np
+import pytest
+
+import ik_toolkit as ik
+from ik_toolkit.robot.joints import Joints
+from ik_toolkit.solvers.result import Result
+
+EVIL = (
+    "<img src=x onerror=alert(1)>",
+    "\"'><script>alert(2)</script>",
+    "</script></title></textarea><b onload=alert(3)>",
+    "$\\frac{1$ $x_1$ \\$",
+    "/*@START@*/ @TITLE@ {0} %s",
+    "a/../<object> & &lt;",
+)
+TAGS = {"img", "script", "b", "object"}
+
+
+def arm(names=EVIL):
+    """Text of a URDF with these names for its joints and in those of its links, each a box."""
+    links, joints = "", ""
+    for k in range(len(names) + 1):
+        box = "<visual><geometry><box size='0.1 0.1 0.1'/></geometry></visual>"
+        links += f"<link name={quoted(f'{k} {names[k % len(names)]}')}>{box}</link>"
+    for k, name in enumerate(names):
+        joints += (
+            f"<joint name={quoted(name)} type='revolute'><parent link={quoted(f'{k} {name}')}/>"
+            f"<child link={quoted(f'{k + 1} {names[(k + 1) % len(names)]}')}/><origin xyz='0.2 0.03 0.1'/>"
+            f"<axis xyz='{k % 2} {1 - k % 2} 0.3'/><limit lower='-2' upper='2' effort='1' velocity='1'/></joint>"
+        )
+    return f"<robot name={quoted(' '.join(names))}>{links}{joints}</robot>"
+
+
+def quoted(text):
+    return '"' + html.escape(text, quote=True) + '"'
+
+
+@pytest.fixture(scope="module")
+def robot():
+    made = ik.Robot.load(arm())
+    assert set(made.joint_names) == set(EVIL)
+    return made
+
+
+class Reader(html.parser.HTMLParser):
+    """Tags, attributes and texts of a page, as a browser takes them."""
+
+    def __init__(self, page):
+        super().__init__(convert_charrefs=True)
+        self.tags, self.handlers, self.text = [], [], ""
+        self.feed(page)
+        self.close()
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append(tag)
+        self.handlers += [(name, value) for name, value in attrs if name.startswith("on")]
+
+    def handle_data(self, data):
+        self.text += data
+
+
+def check(page, *, tags=(), handlers=0, says=()):
+    """No element and no handler but ours; the names are there as text."""
+    seen = Reader(page)
+    assert not (TAGS - set(tags)) & set(seen.tags), seen.tags
+    assert len(seen.handlers) == handlers, seen.handlers
+    for words in says:
+        assert words in seen.text, words
+
+
+def test_cells_of_a_notebook(robot):
+    tree = ik.Robot.load(arm(), tip=[robot.tip, f"3 {EVIL[3]}"])
+    target = robot.fk(robot.random_q(np.random.default_rng(0)))
+    for result in (ik.solve(robot, target), ik.solve(robot, (9.0, 0.0, 0.0))):
+        check(result._repr_html_(), tags=["b"], says=EVIL)
+    blocked = ik.solve(robot, robot.fk(robot.upper), "dls", q0=robot.lower, restarts=0, max_iterations=3)
+    check(blocked._repr_html_(), tags=["b"], says=EVIL)
+    for shown in (robot, tree):
+        check(shown._repr_html_(), tags=["b"], says=EVIL)
+    made = ik.solve(tree, tree.fk(tree.home))
+    check(made._repr_html_(), tags=["b"], says=tree.joint_names)
+
+
+def test_every_class_with_html_of_its_own_is_looked_at_here():
+    pytest.importorskip("meshcat", reason="meshcat is not installed (extra 'view')")
+    from ik_toolkit.show.scene import Scene
+
+    public = {c for c in vars(ik).values() if isinstance(c, type)} | {Joints, Result, Scene}
+    assert {c for c in public if "_repr_html_" in vars(c)} == {Joints, Result, Scene}
+
+
+def test_scenes(robot, tmp_path):
+    pytest.importorskip("meshcat", reason="meshcat is not installed (extra 'view')")
+    pytest.importorskip("trimesh", reason="trimesh is not installed (extra 'view')")
+    target = robot.fk(robot.random_q(np.random.default_rng(1)))
+    scene = ik.view(robot, ik.solve(robot, target, history=True), target=target)
+    page = scene.save(tmp_path / "scene.html").read_text()
+    plain = Reader(ik.view(ik.Robot.load("planar_2r")).html())
+    seen = Reader(page)
+    assert seen.tags == plain.tags and seen.handlers == plain.handlers == []
+    assert page.count('still("') == 1 and robot.name in seen.text
+    (cell,) = Reader(scene._repr_html_()).tags
+    assert cell == "iframe"
+
+
+def test_the_panel(robot, tmp_path):
+    viser = pytest.importorskip("viser", reason="viser is not installed (extra 'panel')")
+    pytest.importorskip("trimesh", reason="trimesh is not installed (extra 'view')")
+    from ik_toolkit.show.desk import Desk
+    from ik_toolkit.show.panel import Panel
+
+    file = tmp_path / "<img src=x onerror=alert(4)>.urdf"
+    file.write_text(arm())
+    with contextlib.closing(Panel(str(file))) as panel:
+        desk = Desk(panel.server, str(file))
+        assert desk.worker.idle()
+        desk.say("".join(EVIL))
+        pages = [desk.status.content]
+        for goal in (robot.fk(robot.home), robot.fk(robot.upper)):
+            desk.session.solve(goal.homogeneous)
+            desk._verdict()
+            pages += [desk.status.content, desk.outcome.content, desk.pose.content]
+        for source in (EVIL[0].replace("<", ""), f"nowhere/{EVIL[1][3:]}", EVIL[0]):  # the last is taken for a URDF
+            desk._guard(lambda source=source: desk._switch(source))()
+            pages.append(desk.status.content)
+        assert "onerror=alert(1)" in pages[-3] and "&lt;" in pages[-2] and "not well-formed" in pages[-1]
+        desk.xyz.value = EVIL[0]
+        desk._guard(desk._solve)()
+        pages.append(desk.status.content)
+        assert "onerror=alert(1)" in pages[-1]
+        handles = [h for c in desk.gui._container_handle_from_uuid.values() for h in c._children.values()]
+        assert not any(isinstance(h, viser.GuiMarkdownHandle) for h in handles)
+        table = [h.content for h in handles if isinstance(h, viser.GuiHtmlHandle)]
+        assert sum(EVIL[0] in Reader(page).text for page in table) >= 1
+        for page in pages + table:
+            check(page)
+        desk._json()
+        desk.close()
+
+
+def test_charts(tmp_path):
+    matplotlib = pytest.importorskip("matplotlib", reason="matplotlib is not installed (extra 'plots')")
+    from ik_toolkit.show import plots
+    from ik_toolkit.show.tracking import plot_track
+
+    evil = "$\\frac{1$ <b>"
+    robot = ik.Robot.load(arm([f"{evil}{k}" for k in range(6)]))
+    target = robot.fk(robot.random_q(np.random.default_rng(2)))
+    result = ik.solve(robot, target, "lm", history=True)
+    run = ik.track(robot, ik.circle(robot.fk(robot.home).translation, 0.02, duration=1.0), dt=0.05, q0=robot.home)
+    run.robot, run.method = evil, evil
+    figures = [
+        plots.convergence({evil: result}, title=evil),
+        plots.joint_paths(result.history["q"], robot, title=evil),
+        plots.tracking_errors({evil: run}, title=evil),
+        plots.bars({evil: 1.0}, unit="m", title=evil),
+        plots.success_map(np.eye(3), [True, False, True], title=evil),
+    ]
+    with matplotlib.rc_context({"svg.fonttype": "none"}):  # letters as letters, so that they can be read back
+        pages = [plots.save(figure, tmp_path / f"{k}.svg") for k, figure in enumerate(figures)]
+        pages.append(plot_track(run, robot, tmp_path / "track.svg"))
+    for page in pages:
+        drawn = ET.parse(page)
+        assert {element.tag.partition("}")[2] for element in drawn.iter()}.isdisjoint(TAGS)
+        words = " ".join("".join(element.itertext()) for element in drawn.iter() if element.tag.endswith("text"))
+        assert evil in words, page
