@@ -8,6 +8,7 @@ from .task import POSE, POSITION
 CONVERGED, STALLED, ITERATION_LIMIT, LIMIT_BLOCKED, UNREACHABLE, SINGULAR, NOT_FINITE, CHECK_FAILED = range(8)
 FAR = 1e100  # coordinates [m] beyond this are refused: their squares are no numbers
 BAD_TARGET, BAD_START = 8, 9  # never seen by a caller: the target or the start needs a look outside the kernel
+TOO_FAR = 11  # 10 is COLLISION, found outside the kernel
 
 
 @jit

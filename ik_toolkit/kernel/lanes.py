@@ -36,6 +36,7 @@ from .slots import (
     O_W,
     OPT_HEAD,
     OUT_HEAD,
+    R_ATTEMPT,
     R_EVALUATIONS,
     R_EXCESS,
     R_HISTORY,
@@ -305,6 +306,7 @@ def lanes() -> Callable:
                     out[t, R_STATUS] = CONVERGED
                     out[t, R_ITERATIONS] = total[lane] - tries[lane]
                     out[t, R_RESTARTS] = tries[lane] - 1
+                    out[t, R_ATTEMPT] = tries[lane] - 1
                     out[t, R_POSITION] = math.sqrt(left_p) * scale
                     out[t, R_ROTATION] = rotation_angle(left_r)
                     out[t, R_EVALUATIONS] = count

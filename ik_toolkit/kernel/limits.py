@@ -18,6 +18,38 @@ def legal(q0, unit, lower, upper, turns, limits):
     return True
 
 
+@jit
+def neighbourhood(q0, rows, follow, slide, unit, limits, lower, upper, turns, low, high):
+    """Fill low, high (n,) with the limits inside which no joint is further than `follow` [rad] or `slide` [m] from q0."""
+    for i in range(q0.shape[0]):
+        low[i] = slide / unit[i]
+    for r in range(rows.shape[0]):
+        if rows[r, 9] > 0.0:
+            low[int(rows[r, 8])] = follow
+    for i in range(q0.shape[0]):
+        a = q0[i] / unit[i]
+        width = low[i] - 1e-15 * (
+            abs(a) + low[i]
+        )  # some units in the last place less, so that a caller's own difference holds
+        free = turns[i] > 1.5 or not limits
+        low[i] = a - width if free else max(a - width, lower[i])
+        high[i] = a + width if free else min(a + width, upper[i])
+
+
+@jit
+def held_back(q, low, high, lower, upper, turns, limits, J, e):
+    """Joint that the neighbourhood of the start (not a limit) keeps most from lowering the error, -1 when there is none."""
+    worst, most = -1, 0.0
+    for i in range(q.shape[0]):
+        g = J[i, 0] * e.e0 + J[i, 1] * e.e1 + J[i, 2] * e.e2 + J[i, 3] * e.e3 + J[i, 4] * e.e4 + J[i, 5] * e.e5
+        free = turns[i] > 1.5 or not limits
+        below = g < 0.0 and q[i] <= low[i] and (free or low[i] > lower[i])
+        above = g > 0.0 and q[i] >= high[i] and (free or high[i] < upper[i])
+        if (below or above) and abs(g) > most:
+            worst, most = i, abs(g)
+    return worst
+
+
 @inline
 def hold(q, dq, w, lower, upper):
     """Set w = 0 for joints that sit on a limit and are pushed outwards; True when a new one was found."""

@@ -24,6 +24,7 @@ from .checks import (
     NOT_FINITE,
     SINGULAR,
     STALLED,
+    TOO_FAR,
     UNREACHABLE,
     beyond,
     edge,
@@ -32,7 +33,7 @@ from .checks import (
 )
 from .jit import OPTIONS, cached, inline, source_file
 from .kinematics import TAU, aim, chord, columns, error, fk, rotation_angle
-from .limits import face, hold, integrate, legal, turn
+from .limits import face, held_back, hold, integrate, legal, neighbourhood, turn
 from .seeds import BEST, nearest, rnd, sow
 from .slots import (
     O_C,
@@ -40,6 +41,8 @@ from .slots import (
     O_CLOSEST,
     O_DESCENTS,
     O_EVALUATIONS,
+    O_FOLLOW,
+    O_FOLLOW_SLIDE,
     O_GIVEN,
     O_HOLD,
     O_ITERATIONS,
@@ -54,6 +57,7 @@ from .slots import (
     O_W,
     OPT_HEAD,
     OUT_HEAD,
+    R_ATTEMPT,
     R_EVALUATIONS,
     R_EXCESS,
     R_HISTORY,
@@ -67,6 +71,10 @@ from .slots import (
 from .task import AXIS, MASK_BASE, MASK_TIP, POSE, POSITION, shape_columns, shape_error
 
 SINGULAR_STEP, WAITING = -1, -2  # what a rule may return instead of a count of evaluations
+
+# Near a singular pose the iteration converges too slowly for the give-up of the first attempts. From this attempt on each has
+# twice the iterations and is given up later, so that hard targets are not lost and easy ones cost what they did.
+PATIENT, PATIENT_RHO = 20, 0.6
 
 Array = np.ndarray
 
@@ -180,7 +188,7 @@ ENTRIES: dict[type, Callable] = {}
 def entry(cls: type) -> Callable:
     """Return the compiled loop of a rule class: solve(rows, ends, seeds, feat, T, Q0, out, opt, hist).
 
-    T (N, 4, 4) [m]; Q0 (1 or N, n) start if opt[O_GIVEN], and the turn nearest to it is returned; out (N, 8 + n);
+    T (N, 4, 4) [m]; Q0 (1 or N, n) start if opt[O_GIVEN], and the turn nearest to it is returned; out (N, OUT_HEAD + n);
     hist (H, 2 + n) receives position error, orientation error and q of each evaluation (H may be 0).
     """
     if cls in ENTRIES:
@@ -216,15 +224,21 @@ def entry(cls: type) -> Callable:
         state = np.empty(1, np.uint64)
         kind = int(opt[O_KIND])
         given = int(opt[O_GIVEN])
+        following = opt[O_FOLLOW] > 0.0
+        # The box of a step: the limits, or with `follow` what lies near the start, and there no full turn is taken.
+        low_q = np.empty(n) if following else lower
+        high_q = np.empty(n) if following else upper
+        whole_turns = np.zeros(n) if following else turns
         limits = opt[O_LIMITS] > 0.0
-        holding = limits and opt[O_HOLD] > 0.0
+        boxed = limits or following
+        holding = boxed and opt[O_HOLD] > 0.0
         iterations = int(opt[O_ITERATIONS])
         closest = int(opt[O_CLOSEST])
         jw = opt[OPT_HEAD : OPT_HEAD + n]
         mask = opt[O_W : O_W + 6]
         p = opt[OPT_HEAD + n :]
         if sweeping:
-            s = Sweep(q, dq, w, x, lower, upper, unit, rows, ends, tip, goal, mask, Z, ang, sn, cs, V, y, opt)
+            s = Sweep(q, dq, w, x, low_q, high_q, unit, rows, ends, tip, goal, mask, Z, ang, sn, cs, V, y, opt)
         else:
             s = Step(q, dq, w, J, x, V, y)
         tol_p = opt[O_TOL_P] / scale
@@ -238,6 +252,11 @@ def entry(cls: type) -> Callable:
             if (given > 0 or closest > 0) and not legal(Q0[given_row], unit, lower, upper, turns, limits):
                 out[t, R_STATUS] = BAD_START
                 continue
+            if following:
+                start = Q0[given_row]
+                neighbourhood(
+                    start, rows, opt[O_FOLLOW], opt[O_FOLLOW_SLIDE], unit, limits, lower, upper, turns, low_q, high_q
+                )
             sow(state, opt[O_SEED])
             aim(ends, tip, scale, T[t], goal)
             excess = beyond(goal, tip, tail, kind, tol_p, opt[O_TOL_R])
@@ -251,9 +270,12 @@ def entry(cls: type) -> Callable:
                 wp = 1.0 if opt[O_W] + opt[O_W + 1] + opt[O_W + 2] > 0.0 or kind == AXIS else 0.0
                 wr = 1.0 if kind != AXIS and opt[O_W + 3] + opt[O_W + 4] + opt[O_W + 5] > 0.0 else 0.0
             status = STALLED
+            held = -1
             total = 0
             count = 0
             tries = 0
+            best_try = 0
+            found_try = 0
             rows_h = 0
             best_ee = np.inf
             best_pp = np.inf
@@ -267,6 +289,7 @@ def entry(cls: type) -> Callable:
             while tries < descents:
                 c = opt[O_C_FREE]
                 rho = opt[O_RHO_FREE]
+                most = iterations
                 if tries < given:
                     for i in range(n):
                         q[i] = Q0[given_row, i] / unit[i]
@@ -282,12 +305,16 @@ def entry(cls: type) -> Callable:
                     else:
                         for i in range(n):
                             q[i] = low[i] + span[i] * rnd(state)
+                        if k >= PATIENT and c < np.inf:
+                            most = 2 * iterations
+                            rho = PATIENT_RHO
                 for i in range(x.shape[0]):
                     x[i] = 0.0
                 tries += 1
                 ended = ITERATION_LIMIT
                 solved = False
-                for k in range(iterations + 1):
+                still = False
+                for k in range(most + 1):
                     px, py, pz, e = measure(rows, ends, tip, goal, mask, kind, q, Z, ang, sn, cs, V, y)
                     count += 1
                     if rows_h < hist.shape[0]:
@@ -300,6 +327,7 @@ def entry(cls: type) -> Callable:
                         best_ee = e.ee
                         best_pp = e.pp
                         best_rr = e.rr
+                        best_try = tries - 1
                         for i in range(n):
                             best_q[i] = q[i]
                     if e.pp < tp and e.rr < tr:
@@ -308,7 +336,7 @@ def entry(cls: type) -> Callable:
                     if not e.ee < 1e300:
                         ended = NOT_FINITE
                         break
-                    if k == iterations or count >= opt[O_EVALUATIONS]:
+                    if k == most or count >= opt[O_EVALUATIONS]:
                         break
                     if e.ee > c and e.ee > 1e-9 and excess == 0.0:
                         ended = STALLED
@@ -322,7 +350,7 @@ def entry(cls: type) -> Callable:
                         w[i] = jw[i]
                     for _ in range(2):
                         r = step(cls, p, s, e)
-                        if not (holding and hold(q, dq, w, lower, upper)):
+                        if not (holding and hold(q, dq, w, low_q, high_q)):
                             break
                     if r == -1:
                         ended = SINGULAR
@@ -330,15 +358,13 @@ def entry(cls: type) -> Callable:
                     if r > 0:
                         count += r
                     total += 1
-                    moved, far = integrate(q, dq, limits, lower, upper, turns)
+                    moved, far = integrate(q, dq, boxed, low_q, high_q, whole_turns)
                     if not far < 1e6:
                         ended = NOT_FINITE
                         break
                     if moved <= opt[O_STALL] and r != -2:
-                        columns(rows, Z, J, px, py, pz)
-                        if kind != POSE:
-                            shape_columns(kind, mask, V, y, J)
-                        ended = why(q, lower, upper, J, e, limits)
+                        ended = STALLED
+                        still = True
                         break
                 status = ended
                 if solved and excess > 0.0:
@@ -359,6 +385,7 @@ def entry(cls: type) -> Callable:
                         found_distance = d
                         found_pp = e.pp
                         found_rr = e.rr
+                        found_try = tries - 1
                         for i in range(n):
                             q_found[i] = q[i]
                     if found >= closest:
@@ -369,11 +396,13 @@ def entry(cls: type) -> Callable:
                 status = CONVERGED
                 best_pp = found_pp
                 best_rr = found_rr
+                best_try = found_try
                 for i in range(n):
                     best_q[i] = q_found[i]
             if status == CONVERGED and found == 0:
                 best_pp = e.pp
                 best_rr = e.rr
+                best_try = tries - 1
                 for i in range(n):
                     best_q[i] = q[i]
             elif status != CONVERGED:
@@ -388,7 +417,7 @@ def entry(cls: type) -> Callable:
                     best_rr = e.rr
                 elif count >= opt[O_EVALUATIONS] and status != NOT_FINITE:
                     status = ITERATION_LIMIT
-                elif descents > 1 and status != NOT_FINITE:
+                elif (descents > 1 or following or still) and status != NOT_FINITE:
                     for i in range(n):
                         q[i] = best_q[i]
                     px, py, pz, e = measure(rows, ends, tip, goal, mask, kind, q, Z, ang, sn, cs, V, y)
@@ -396,12 +425,20 @@ def entry(cls: type) -> Callable:
                     if kind != POSE:
                         shape_columns(kind, mask, V, y, J)
                     count += 1
-                    status = LIMIT_BLOCKED if why(q, lower, upper, J, e, limits) == LIMIT_BLOCKED else STALLED
+                    reason = why(q, low_q, high_q, J, e, boxed)
+                    if following:
+                        held = held_back(q, low_q, high_q, lower, upper, turns, limits, J, e)
+                    if held >= 0:
+                        status = TOO_FAR
+                    elif descents > 1:
+                        status = LIMIT_BLOCKED if reason == LIMIT_BLOCKED else STALLED
+                    elif still:
+                        status = reason
             # Of the same answer several turns away, give the legal one nearest the start (or home).
             for i in range(n):
                 q[i] = best_q[i]
                 dq[i] = Q0[given_row, i] / unit[i] if given > 0 or closest > 0 else home[i]
-            shifted = limits and face(q, dq, lower, upper, turns)
+            shifted = limits and not following and face(q, dq, lower, upper, turns)
             if shifted:
                 px, py, pz, e = measure(rows, ends, tip, goal, mask, kind, q, Z, ang, sn, cs, V, y)
                 count += 1
@@ -420,7 +457,8 @@ def entry(cls: type) -> Callable:
             )
             out[t, R_EVALUATIONS] = count
             out[t, R_HISTORY] = rows_h
-            out[t, R_EXCESS] = excess * scale
+            out[t, R_EXCESS] = held if held >= 0 else excess * scale
+            out[t, R_ATTEMPT] = best_try
             for i in range(n):
                 out[t, OUT_HEAD + i] = q[i] * unit[i]
 

@@ -6,10 +6,12 @@ from .jit import inline
 O_TOL_P, O_TOL_R, O_GIVEN, O_ITERATIONS, O_DESCENTS = 0, 1, 2, 3, 4
 O_C, O_RHO, O_C_FREE, O_RHO_FREE, O_KIND, O_W = 5, 6, 7, 8, 9, 10  # O_W: six weights, or the tip axis for AXIS
 O_EVALUATIONS, O_LIMITS, O_SEED, O_CLOSEST, O_STALL, O_HOLD = 16, 17, 18, 19, 20, 21
+O_FOLLOW, O_FOLLOW_SLIDE = 22, 23  # largest move of a revolute joint [rad] and of a slide [m] from the start; 0: any
 OPT_HEAD = 24
 # A row of `out`; q (n) follows at OUT_HEAD.
-R_STATUS, R_ITERATIONS, R_RESTARTS, R_POSITION, R_ROTATION, R_EVALUATIONS, R_HISTORY, R_EXCESS = range(8)
-OUT_HEAD = 8
+# R_EXCESS: metres beyond reach, or for TOO_FAR the joint that is held; R_ATTEMPT: the attempt that found q, 0 the first.
+R_STATUS, R_ITERATIONS, R_RESTARTS, R_POSITION, R_ROTATION, R_EVALUATIONS, R_HISTORY, R_EXCESS, R_ATTEMPT = range(9)
+OUT_HEAD = 9
 # `ends`: base (12), tip (12), then seven vectors of n (lower, upper, turns, unit, low, span, home), then the tail.
 E_VECTORS = 24
 TAIL = 7  # scale, reach of tip, hole of tip, reach of last joint, hole of last joint, lift low, lift high

@@ -45,6 +45,7 @@ def shape_error(kind, w, ends, goal, V, y, x0, x1, x2, y0, y1, y2, z0, z1, z2, e
             )
     ratio = angle_ratio(e3 * e3 + e4 * e4 + e5 * e5)
     e3, e4, e5 = e3 * ratio, e4 * ratio, e5 * ratio
+    y[0], y[1], y[2], y[3], y[4], y[5] = e0, e1, e2, e3, e4, e5
     return (
         w[0] * (V[0, 0] * e0 + V[0, 1] * e1 + V[0, 2] * e2),
         w[1] * (V[1, 0] * e0 + V[1, 1] * e1 + V[1, 2] * e2),
@@ -56,8 +57,24 @@ def shape_error(kind, w, ends, goal, V, y, x0, x1, x2, y0, y1, y2, z0, z1, z2, e
 
 
 @jit
+def log_curvature(x, y, z):
+    """c in the derivative w + 1/2 r x w + c r x (r x w) of a rotation vector r = (x, y, z) (its inverse right Jacobian)."""
+    rr = x * x + y * y + z * z
+    if rr < 1e-4:
+        return 1.0 / 12.0 + rr / 720.0  # the next term is rr^2 / 30240
+    half = 0.5 * math.sqrt(rr)
+    return (1.0 - half * math.cos(half) / math.sin(half)) / rr
+
+
+@jit
 def shape_columns(kind, w, V, y, J):
-    """Remove from the Jacobian what does not count, at the configuration shaped last."""
+    """Remove from the Jacobian what does not count, at the configuration shaped last.
+
+    With a mask the free part of the error stays large while the rest vanishes, so the columns are the exact derivative of the
+    rotation vector, and in tip axes also of the axes that turn with the tip: otherwise steps would not reach the target.
+    """
+    side = 0.5 if kind == MASK_BASE else -0.5  # in tip axes: the inverse left Jacobian
+    c = log_curvature(y[3], y[4], y[5]) if kind == MASK_BASE or kind == MASK_TIP else 0.0
     for i in range(J.shape[0]):
         if kind == POSITION:
             J[i, 3], J[i, 4], J[i, 5] = 0.0, 0.0, 0.0
@@ -67,6 +84,15 @@ def shape_columns(kind, w, V, y, J):
             J[i, 4] -= d * y[1]
             J[i, 5] -= d * y[2]
         else:
+            a, b, d = J[i, 3], J[i, 4], J[i, 5]
+            if kind == MASK_TIP:
+                J[i, 0] += b * y[2] - d * y[1]
+                J[i, 1] += d * y[0] - a * y[2]
+                J[i, 2] += a * y[1] - b * y[0]
+            r0, r1, r2 = y[4] * d - y[5] * b, y[5] * a - y[3] * d, y[3] * b - y[4] * a
+            J[i, 3] += side * r0 + c * (y[4] * r2 - y[5] * r1)
+            J[i, 4] += side * r1 + c * (y[5] * r0 - y[3] * r2)
+            J[i, 5] += side * r2 + c * (y[3] * r1 - y[4] * r0)
             for h in range(0, 6, 3):
                 u, v, t = J[i, h], J[i, h + 1], J[i, h + 2]
                 for r in range(3):

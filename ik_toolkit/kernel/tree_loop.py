@@ -46,6 +46,7 @@ from .slots import (
     O_TOL_R,
     OPT_HEAD,
     OUT_HEAD,
+    R_ATTEMPT,
     R_EVALUATIONS,
     R_EXCESS,
     R_HISTORY,
@@ -207,7 +208,7 @@ def choose(features, goals, kinds, score, val, best, choice, total, order):
 def tree_entry() -> Callable:
     """Return the compiled loop: solve(rows, cut, ends, moves, owner, seeds, features, kinds, T, q0, out, tips, opt, hist).
 
-    kinds (F,) POSE or POSITION; T (F, 4, 4) [m]; q0 (n,); out (8 + n,), opt, hist (H, 2 + n) as in `loop.entry`, with the
+    kinds (F,) POSE or POSITION; T (F, 4, 4) [m]; q0 (n,); out (OUT_HEAD + n,), opt, hist (H, 2 + n) as in `loop.entry`, with the
     largest errors over the tips; tips (F, 3) receives position error [m], orientation error [rad] and excess [m] of each.
     One descent is the loop's: evaluate, best-so-far, test, budget, give up, step, limits, integrate, stall.
     """
@@ -274,6 +275,7 @@ def tree_entry() -> Callable:
         steps = 0
         count = 0
         tries = 0
+        best_try = 0
         rows_h = 0
         best_ee = np.inf
         for i in range(n):
@@ -317,6 +319,7 @@ def tree_entry() -> Callable:
                     rows_h += 1
                 if ee < best_ee or good:
                     best_ee = ee
+                    best_try = tries - 1
                     for i in range(n):
                         best_q[i] = q[i]
                     for r in range(m):
@@ -382,6 +385,7 @@ def tree_entry() -> Callable:
         out[R_STATUS] = status
         out[R_ITERATIONS] = steps
         out[R_RESTARTS] = tries - 1
+        out[R_ATTEMPT] = best_try
         out[R_POSITION] = math.sqrt(pp) * scale
         out[R_ROTATION] = rotation_angle(rr)
         out[R_EVALUATIONS] = count

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import FrameNotFound, InvalidOption, InvalidTarget
+from ..kernel.task import POSE, POSITION
 from ..robot.library import find
 from ..robot.pose import matrix_quat, matrix_rpy, pose
 from ..robot.robot import Robot
@@ -101,7 +102,6 @@ class Session:
     # -------------------------------------------------------------------------------------------------------- solve
     def choices(self) -> list[str]:
         """Names of solvers that can be tried on this robot."""
-        from ..kernel.task import POSE, POSITION
         from ..solvers.closed_form import fits
 
         closed = {fits(self.robot, kind) for kind in (POSITION, POSE)}
@@ -134,7 +134,7 @@ class Session:
         self.target = np.array(target)
         rule = self.rule()
         if isinstance(rule, str) and rule == "auto":
-            rule = automatic(self.robot, self.target, {})
+            rule = automatic(self.robot, POSITION if self.target.ndim == 1 else POSE, {})
         options: dict[str, Any] = {"check": True, "tolerance": self.tolerance}
         if find_row(rule).descents > 1:
             options["restarts"] = DRAG_RESTARTS

@@ -5,13 +5,14 @@ from typing import Any
 import numpy as np
 
 from ..errors import InvalidOption
-from ..kernel.slots import OUT_HEAD, R_EVALUATIONS, R_ITERATIONS, R_RESTARTS, R_STATUS
+from ..kernel.slots import OUT_HEAD, R_ATTEMPT, R_EVALUATIONS, R_ITERATIONS, R_RESTARTS, R_STATUS
 from ..robot.collision import CollisionModel
 from ..robot.robot import Robot
 from .result import Status
 
 STARTS = 256  # random starts tried before giving up, unless restarts= says otherwise
 ROUND = 16  # starts in one call of the kernel
+COUNTS = [R_ITERATIONS, R_RESTARTS, R_EVALUATIONS]
 
 
 def collision_model(robot: Robot, asked: Any) -> CollisionModel:
@@ -40,7 +41,7 @@ def avoid(solver: Any, row: np.ndarray, T: np.ndarray, kind: Any, start: np.ndar
     if not model.collides(row[OUT_HEAD:]):
         return None
     o, robot, single = solver.options, solver.robot, solver.single
-    left = STARTS if o.restarts is None else o.restarts
+    left = 0 if o.follow else STARTS if o.restarts is None else o.restarts
     size = max(left, 1) if o.closest else ROUND
     rng = np.random.default_rng(o.seed)
     opt = single.pack(kind, True)
@@ -58,7 +59,8 @@ def avoid(solver: Any, row: np.ndarray, T: np.ndarray, kind: Any, start: np.ndar
         away = (((out[:, OUT_HEAD:] - start) / robot.chain.unit) ** 2).sum(axis=1)
         for k in np.argsort(away, kind="stable"):
             if not model.collides(out[k, OUT_HEAD:]):
-                out[k, [R_ITERATIONS, R_RESTARTS, R_EVALUATIONS]] = row[[R_ITERATIONS, R_RESTARTS, R_EVALUATIONS]]
+                out[k, COUNTS] = row[COUNTS]
+                out[k, R_ATTEMPT] = row[R_RESTARTS]
                 row[:] = out[k]
                 return None
     row[R_STATUS] = Status.COLLISION

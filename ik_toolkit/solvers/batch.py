@@ -25,7 +25,7 @@ from ..robot.robot import Robot
 from .batch_result import JUMP, R_MOVE, BatchInterrupted, BatchResult
 from .result import Status
 from .rules.jacobian import LM
-from .solve import FAR_START, Solver, automatic
+from .solve import FAR_START, Solver, automatic, is_auto
 
 PART, REMOTE_PART = 2048, 4096  # most rows handed to a thread, and rows handed to a worker of an executor
 LEAST_PART = 128  # smaller batches are shared out evenly over the threads, but not in smaller parts than this
@@ -84,7 +84,8 @@ def _starts(solver: Solver, q0: np.ndarray, first: int) -> np.ndarray:
 def _has_lanes(solver: Solver) -> bool:
     """Whether the solver's targets can be solved eight side by side (kernel.lanes)."""
     o = solver.options
-    plain = o.mask is None and o.joint_weights is None and o.max_evaluations is None and o.limits and not o.closest
+    plain = o.mask is None and o.joint_weights is None and o.max_evaluations is None and o.limits
+    plain = plain and not (o.closest or o.follow)
     compiled = not config.DISABLE_JIT  # pyright: ignore[reportAttributeAccessIssue]
     return compiled and plain and type(solver.rule) is LM and solver.robot.chain.rows[0, 0] > 0.0
 
@@ -99,7 +100,7 @@ def _solve_rows(
     first: int,
     side_by_side: bool = False,
 ) -> None:
-    """Solve rows (m, 8 + n) as if each were alone; `first` is the number of the first, for messages."""
+    """Solve rows (m, OUT_HEAD + n) as if each were alone; `first` is the number of the first, for messages."""
     if len(solver.held) and len(start) > 1:  # each with a table of starts of its own
         for k in range(len(T)):
             one = slice(k, k + 1)
@@ -162,7 +163,7 @@ def _confirm(solver: Solver, T: np.ndarray, kind: int, out: np.ndarray, first: i
 def _solve_part(
     solver: Solver, part: np.ndarray, q0: np.ndarray | None, first: int, every: int, stop: threading.Event | None = None
 ) -> np.ndarray:
-    """Rows (m, 8 + n) of one part, in slices between which it may be stopped (then they are incomplete)."""
+    """Rows (m, OUT_HEAD + n) of one part, in slices between which it may be stopped (then they are incomplete)."""
     T, kind = _poses(part)
     start = solver._home if q0 is None else _starts(solver, q0, first)
     out = np.zeros((len(T), OUT_HEAD + solver.robot.n))
@@ -259,7 +260,7 @@ def _on_a_chain(solver: Solver, jobs: Iterator[Job], every: int) -> Iterator[np.
 
 
 def _move(solver: Solver, row: np.ndarray, last: np.ndarray | None) -> float:
-    """Largest joint move of an answer (1, 8 + n) from the one before; NaN when it is none, 0 when it is the first."""
+    """Largest joint move of an answer (1, OUT_HEAD + n) from the one before; NaN when it is none, 0 when it is the first."""
     if row[0, R_STATUS] != Status.CONVERGED:
         return np.nan
     return 0.0 if last is None else float(np.abs((row[:, OUT_HEAD:] - last) / solver.robot.chain.unit).max())
@@ -292,6 +293,8 @@ def solve_parts(
         raise InvalidOption("an executor has its own workers, and a chain runs in one: leave out threads= and chain=")
     if executor is not None and not hasattr(executor, "submit"):
         raise InvalidOption(f"executor is a pool with a submit method (concurrent.futures), not {executor!r:.80}")
+    if chain and options.get("follow"):
+        raise InvalidOption("a chain starts each target from the answer before it; follow takes a q0 for every row")
     if options.get("history"):
         raise InvalidOption("a batch keeps no history; solve the target in question with ik.solve")
     count = _whole("threads", threads) if threads is not None else _cores()
@@ -312,8 +315,8 @@ def solve_parts(
                 f"({robot.n},)" if chain else f"({robot.n},) or ({'N' if known is None else len(known)}, {robot.n})"
             )
             raise InvalidConfiguration(f"q0 of this batch has the shape {wanted}, not {starts.shape}")
-    if solver is None or (isinstance(solver, str) and solver == "auto"):
-        solver = automatic(robot, np.empty(3 if first is not None and first.ndim == 2 else (4, 4)), options)
+    if is_auto(solver):
+        solver = automatic(robot, POSITION if first is not None and first.ndim == 2 else POSE, options)
     local = Solver(robot, solver, **options)
     if first is None:
         return iter(())

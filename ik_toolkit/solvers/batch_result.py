@@ -39,11 +39,11 @@ class BatchResult:
     """
 
     def __init__(self, table: np.ndarray, position_only: bool, solver: Solver | None, chain: bool = False) -> None:
-        """Wrap the kernel's rows (N, 8 + n)."""
+        """Wrap the kernel's rows (N, OUT_HEAD + n)."""
         self._table = table
         self._solver = solver
         self.position_only = position_only
-        self.solver = solver.name if solver is not None else ""
+        self.solver = solver.row.name if solver is not None else ""
         self.chain = chain
 
     def __len__(self) -> int:

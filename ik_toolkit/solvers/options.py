@@ -9,6 +9,7 @@ import numpy as np
 from ..errors import InvalidOption, floats, near_match
 
 MAX_ITERATIONS = 1_000_000
+FOLLOW = 0.5  # rad (of the reach for slides): what follow=True allows, the move that a chain reports as a flip
 OBJECTIVES = {"mid-range": 1, "reference": 2, "manipulability": 3}  # numbers of kernel/refine.py
 WORDS = {"objective": tuple(OBJECTIVES), "q0_outside": ("clamp", "refuse"), "mask_frame": ("base", "tip")}
 
@@ -27,6 +28,8 @@ class Options:
     q0. objective: for redundant tasks, what to improve in the null space once solved: 'mid-range', 'reference' (near q0) or
     'manipulability'. history: keep errors and q of every evaluation. check: re-check with Pinocchio. avoid_collisions: True (the
     robot's own links) or a CollisionModel: only answers that touch nothing count, and the search goes on until one is found.
+    follow: for control loops, one attempt from q0 (required) in which no joint moves further than this [rad; slides: times the
+    robot's reach]; True is 0.5. A target beyond that ends as TOO_FAR. Not with closed forms, closest, restarts or objective.
     """
 
     position_tolerance: float = 1e-6
@@ -46,6 +49,7 @@ class Options:
     history: bool = False
     check: bool = True
     avoid_collisions: Any = False
+    follow: float = 0.0
 
 
 NAMES = tuple(field.name for field in fields(Options))
@@ -81,6 +85,8 @@ def make_options(given: dict[str, Any]) -> Options:
                 hint = " (what it is nearest to is q0)" if name == "closest" else ""
                 raise InvalidOption(f"{name} must be True or False here{hint}, not {value!r:.60}")
             values[name] = bool(value)
+        elif name == "follow":
+            values[name] = FOLLOW * value if isinstance(value, bool | np.bool_) else _number(name, value, 0.0, math.inf)
         elif name in ("mask", "joint_weights") and value is not None:
             array = floats(value, f"{name} must be numbers of at least 0", InvalidOption)
             if array.ndim != 1 or not np.isfinite(array).all() or (array < 0).any() or not array.any():
@@ -88,6 +94,9 @@ def make_options(given: dict[str, Any]) -> Options:
             if name == "mask" and len(array) != 6:
                 raise InvalidOption(f"mask must have six weights (x, y, z, rx, ry, rz), not {len(array)}")
             values[name] = tuple(array.tolist())
+    refused = [name for name in ("closest", "restarts", "objective") if values.get("follow") and values.get(name)]
+    if refused:
+        raise InvalidOption(f"follow makes one attempt that stays near q0, so it goes without {' and '.join(refused)}")
     return Options(**values)
 
 

@@ -7,7 +7,17 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..errors import NotSolved
-from ..kernel.slots import OUT_HEAD, R_EVALUATIONS, R_EXCESS, R_ITERATIONS, R_POSITION, R_RESTARTS, R_ROTATION, R_STATUS
+from ..kernel.slots import (
+    OUT_HEAD,
+    R_ATTEMPT,
+    R_EVALUATIONS,
+    R_EXCESS,
+    R_ITERATIONS,
+    R_POSITION,
+    R_RESTARTS,
+    R_ROTATION,
+    R_STATUS,
+)
 
 if TYPE_CHECKING:
     from .solve import Solver
@@ -25,6 +35,7 @@ class Status(enum.IntEnum):
     NOT_FINITE = 6
     CHECK_FAILED = 7
     COLLISION = 10  # 8 and 9 are the kernel's own
+    TOO_FAR = 11
 
 
 ADVICE = {
@@ -36,6 +47,7 @@ ADVICE = {
     Status.SINGULAR: "start from another q0, or use solver 'lm' with restarts",
     Status.NOT_FINITE: "lower the gains",
     Status.CHECK_FAILED: "please report this with the robot and the target",
+    Status.TOO_FAR: "move the target in smaller steps, or allow larger moves (follow)",
     Status.COLLISION: "try more restarts, another q0, or move the target or what is in the way",
 }
 
@@ -57,21 +69,23 @@ class Result:
 
     q (n,) [rad or m], evaluated and inside the limits; success; status; message (one sentence, with what to try);
     position_error [m] and orientation_error [rad] (None when the target leaves orientation free) at q; iterations (steps
-    taken), restarts, fk_evaluations; limited_joints (names standing on a limit); elapsed [s]; seed; solver (name);
-    notice (what was corrected in the input, or ''); collision (pair of names that touch at q, when collisions are avoided
+    taken), restarts, fk_evaluations; attempt (the one q comes from: 0 is the first, which starts at q0 when that was
+    given); limited_joints (names standing on a limit); elapsed [s]; seed; solver (name); notice (what was corrected in the
+    input, or that q comes from another attempt than the one from q0, or ''); collision (pair of names that touch at q, when collisions are avoided
     and no answer without one was found, else None); history (dict of arrays q, position_error, orientation_error, one row an
     evaluation, or None).
     """
 
     __slots__ = (
         "_checked",
+        "_given",
         "_history",
+        "_notice",
         "_row",
         "_solver",
         "_status",
         "collision",
         "elapsed",
-        "notice",
         "position_only",
     )
 
@@ -84,7 +98,8 @@ class Result:
         self._history: dict[str, np.ndarray] | None = None
         self.elapsed = elapsed
         self.position_only = position_only
-        self.notice = ""
+        self._notice = ""
+        self._given = False
         self.collision: tuple[str, str] | None = None
 
     @property
@@ -121,8 +136,21 @@ class Result:
 
     @property
     def restarts(self) -> int:
-        """Descents after the first."""
+        """Attempts after the first."""
         return int(self._row[R_RESTARTS])
+
+    @property
+    def attempt(self) -> int:
+        """Number of the attempt that q comes from: 0 is the first, which starts at q0 when that was given."""
+        return int(self._row[R_ATTEMPT])
+
+    @property
+    def notice(self) -> str:
+        """What was corrected in the input, and whether q comes from another attempt than the one from q0; or ''."""
+        if not (self._given and self.attempt) or self._solver.options.closest:
+            return self._notice
+        jump = f"q was found by attempt {self.attempt}, not from q0, and may be far from it; in a loop use follow=True"
+        return f"{self._notice}; {jump}" if self._notice else jump
 
     @property
     def fk_evaluations(self) -> int:
@@ -142,7 +170,7 @@ class Result:
     @property
     def solver(self) -> str:
         """Name of the solver that was used."""
-        return self._solver.name
+        return self._solver.row.name
 
     @property
     def robot(self) -> Any:
@@ -179,6 +207,7 @@ class Result:
             "orientation_error": self.orientation_error,
             "iterations": self.iterations,
             "restarts": self.restarts,
+            "attempt": self.attempt,
             "fk_evaluations": self.fk_evaluations,
             "limited_joints": list(self.limited_joints),
             "elapsed": self.elapsed,
@@ -228,6 +257,11 @@ def sentence(result: Result) -> str:
         return f"{text}; allow more (max_evaluations)"
     if status == Status.UNREACHABLE:
         text = f"the target is beyond reach by {1000 * row[R_EXCESS]:.4g} mm (a bound from the link lengths); closest {left}"
+    elif status == Status.TOO_FAR:
+        robot, joint = result.robot, int(row[R_EXCESS])
+        far = result._solver.options.follow
+        most = f"{far * robot.reach:.3g} m" if robot.joint_kinds[joint] == "prismatic" else f"{far:.3g} rad"
+        text = f"{left} away where joint {robot.joint_names[joint]} has moved the {most} allowed from q0"
     elif status == Status.STALLED and starts > 1:
         text = f"closest {left} after {starts} starts; the target may be unreachable"
     elif status == Status.STALLED:

@@ -19,6 +19,8 @@ from ..kernel.slots import (
     O_CLOSEST,
     O_DESCENTS,
     O_EVALUATIONS,
+    O_FOLLOW,
+    O_FOLLOW_SLIDE,
     O_GIVEN,
     O_HOLD,
     O_ITERATIONS,
@@ -40,8 +42,8 @@ from ..robot.pose import AxisTarget, check_target, masked_errors
 from ..robot.robot import Robot
 from ..robot.tree import Tree
 from .closed_form import fits
-from .options import OBJECTIVES, Options, make_options
-from .registry import find_row, make_rule
+from .options import NAMES, OBJECTIVES, Options, make_options
+from .registry import GENERAL, find_row, make_rule
 from .result import Result, Status
 from .starts import held_joints, pin
 
@@ -50,6 +52,7 @@ MARGIN = 1.0 - 1e-9  # the kernel tests a little inside the tolerance, so that P
 KINDS_KEPT = 64  # kinds of target a solver stays ready for: every axis is a kind of its own, and axes have no end
 CLOSEST = 16  # solutions to compare when the one nearest q0 is asked for
 REFINE_STEPS = 60
+FOLLOW_ITERATIONS = 100  # the one attempt of `follow` has no other to hand over to where it converges slowly
 FAR_START = 1e15  # joint values (kernel units) from which on a start is refused, see kernel.limits.legal
 NEVER = (np.inf, 1.0, np.inf, 1.0)
 EXACT = {  # options that a closed form honours or has no use for; 'auto' takes 'lm' when any other is given
@@ -61,8 +64,10 @@ EXACT = {  # options that a closed form honours or has no use for; 'auto' takes 
 class Solver:
     """A solver bound to a robot, for hot loops: `solver(target, q0=None) -> Result`, a few microseconds.
 
-    solver: name, rule class or instance; parameters of the rule and options (see Options) as keywords. The result is the
-    kernel's own evaluation unless check=True. Safe to call from several threads. Raises UnknownSolver, InvalidOption.
+    solver: name, rule class or instance; parameters of the rule and options (see Options) as keywords. 'auto' (the default, as
+    in `solve`) takes a closed form for the kinds of target it solves exactly, otherwise 'lm'; `result.solver` names the one
+    used. The result is the kernel's own evaluation unless check=True. Safe to call from several threads. Raises
+    UnknownSolver, InvalidOption.
     """
 
     def __new__(cls, robot: Any = None, *_: Any, **__: Any) -> "Solver":
@@ -73,9 +78,15 @@ class Solver:
             return object.__new__(TreeSolver)
         return super().__new__(cls)
 
-    def __init__(self, robot: Robot, solver: Any = "lm", **options: Any) -> None:
+    def __init__(self, robot: Robot, solver: Any = "auto", **options: Any) -> None:
         """Validate everything once; the loop is compiled at the first call."""
         require_robot(robot)
+        auto = is_auto(solver)
+        self._closed: dict[int, Solver] = {}  # by kind of target, where 'auto' takes a closed form
+        if auto:
+            chosen = {kind: automatic(robot, kind, options) for kind in (POSE, POSITION)}
+            self._closed = {kind: Solver(robot, name, **options) for kind, name in chosen.items() if name != GENERAL}
+            solver = GENERAL
         row = find_row(solver)
         preset = {}
         if not isinstance(solver, str | type):
@@ -87,7 +98,7 @@ class Solver:
             rule = make_rule(row, parameters)
         self.robot = robot
         self.row = row
-        self.name = row.name
+        self.name = "auto" if auto else row.name
         self.rule = rule
         options.setdefault("check", False)
         self.options: Options = make_options({**preset, **options})
@@ -95,6 +106,8 @@ class Solver:
             raise InvalidOption(
                 f"joint_weights must have {robot.n} values, one per joint ({', '.join(robot.joint_names)})"
             )
+        if self.options.follow and row.closed:
+            raise InvalidOption(f"solver '{row.name}' is a closed form and does not follow; use 'lm'")
         self._bind()
 
     def _bind(self) -> None:
@@ -121,7 +134,8 @@ class Solver:
             from .avoid import collision_model
 
             self.collision = collision_model(self.robot, o.avoid_collisions)
-            once = {"restarts": 0, "closest": False, "objective": None, "history": False, "avoid_collisions": False}
+            once = {"closest": False, "objective": None, "history": False, "avoid_collisions": False}
+            once |= {} if o.follow else {"restarts": 0}
             self.single = Solver(self.robot, self.rule, **{**o.__dict__, **once})
         self._extras = o.objective is not None or self.collision is not None
         self._more = self._extras or o.history or o.check
@@ -160,10 +174,16 @@ class Solver:
             )
         head[O_TOL_P] = o.position_tolerance * MARGIN
         head[O_TOL_R] = o.orientation_tolerance * MARGIN
-        descents = row.descents if o.restarts is None else o.restarts + 1
-        # Without restarts the one descent starts where the caller expects: at q0 or home, never from the seed table.
-        head[O_GIVEN] = float(given or (descents == 1 and self.arrays(kind) is self._chain))
-        head[O_ITERATIONS] = row.iterations if o.max_iterations is None else o.max_iterations
+        descents = 1 if o.follow else row.descents if o.restarts is None else o.restarts + 1
+        if o.follow:
+            if not given:
+                raise InvalidOption("follow bounds the move of each joint from q0, so q0 has to be given")
+            head[O_FOLLOW], head[O_FOLLOW_SLIDE] = o.follow, o.follow * self.robot.reach
+        # Without restarts the one attempt starts where the caller expects, at q0 or home, never from the seed table; and
+        # what is compared by its distance from q0 or home starts there first.
+        head[O_GIVEN] = float(given or o.closest or (descents == 1 and self.arrays(kind) is self._chain))
+        most = max(row.iterations, FOLLOW_ITERATIONS) if o.follow else row.iterations
+        head[O_ITERATIONS] = most if o.max_iterations is None else o.max_iterations
         head[O_DESCENTS] = descents
         give_up = row.give_up if row.give_up and descents > 1 and o.max_iterations is None else NEVER
         head[O_C : O_C + 4] = give_up
@@ -255,9 +275,9 @@ class Solver:
 
     # ------------------------------------------------------------------------------------------------ the call
     def __call__(self, target: Any, q0: Any = None) -> Result:
-        """Solve for one target: T_base_tip (4, 4), pin.SE3, or a position (3,) [m]; q0 (n,) start, default home.
+        """Solve for one target: T_base_tip (4, 4), pin.SE3, or a position (3,) [m]; q0 (n,): where the first attempt starts.
 
-        Raises InvalidTarget and InvalidConfiguration; a failure to converge is a status in the Result.
+        Without q0 the answer may be any solution. Raises InvalidTarget and InvalidConfiguration; a failure to converge is a status in the Result.
         """
         started = perf_counter()
         notice = ""
@@ -265,6 +285,8 @@ class Solver:
             T, kind = target[None], POSE
         else:
             T, kind, notice = _as_pose(target)
+        if self._closed and kind in self._closed:
+            return self._closed[kind](target, q0)
         if q0 is None:
             start = self._home
         elif type(q0) is np.ndarray and q0.dtype is FLOAT and q0.shape == self._shape and q0.flags.carray:
@@ -281,7 +303,8 @@ class Solver:
                 notice = notice or note
             row = self._run(T, kind, start, q0 is not None)
         result = Result(self, row, perf_counter() - started, kind == POSITION)
-        result.notice = notice
+        result._notice = notice
+        result._given = q0 is not None
         if not self._more:
             return result
         if self.options.history:
@@ -326,7 +349,7 @@ class Solver:
     def finish(
         self, row: np.ndarray, T: np.ndarray, kind: Any, start: np.ndarray, given: bool
     ) -> tuple[str, str] | None:
-        """Make a converged row (8 + n,) touch nothing and meet the objective; returns the pair that still touches."""
+        """Make a converged row (OUT_HEAD + n,) touch nothing and meet the objective; returns the pair that still touches."""
         if self.collision is not None:
             from .avoid import avoid
 
@@ -372,7 +395,8 @@ class Solver:
 
     def __getstate__(self) -> dict[str, Any]:
         """Pickle what was asked for; the compiled loop is bound again."""
-        return {"robot": self.robot, "row": self.row, "name": self.name, "rule": self.rule, "options": self.options}
+        kept = ("robot", "row", "name", "rule", "options", "_closed")
+        return {name: self.__dict__[name] for name in kept}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Restore and bind."""
@@ -419,13 +443,17 @@ def bound(robot: Robot, solver: Any, options: dict[str, Any]) -> Solver:
     return found
 
 
-def automatic(robot: Robot, target: Any, options: dict[str, Any]) -> str:
+def is_auto(solver: Any) -> bool:
+    """Whether the choice of the solver is left to us."""
+    return solver is None or (isinstance(solver, str) and solver == "auto")
+
+
+def automatic(robot: Robot, kind: int, options: dict[str, Any]) -> str:
     """Name of the solver that 'auto' stands for: a closed form where one fits and no preference is given, else 'lm'."""
-    if isinstance(target, AxisTarget) or isinstance(robot, Tree):
-        return "lm"
-    shape = getattr(target, "shape", (len(target),) if isinstance(target, list | tuple) else ())
-    position = tuple(shape) == (3,)
-    return (options.keys() <= EXACT and fits(robot, POSITION if position else POSE)) or "lm"
+    preferences = {name: value for name, value in options.items() if name not in EXACT}
+    if preferences.keys() <= set(NAMES) and make_options(preferences) == Options():
+        return fits(robot, kind) or GENERAL
+    return GENERAL
 
 
 def solve(robot: Robot, target: Any, solver: Any = "auto", q0: Any = None, **options: Any) -> Result:
@@ -433,14 +461,14 @@ def solve(robot: Robot, target: Any, solver: Any = "auto", q0: Any = None, **opt
 
     target: T_base_tip (4, 4) or pin.SE3, a position (3,) with orientation free [m], or an AxisTarget (see `pose`). solver: a
     name, a rule class or an instance with its parameters; 'auto' uses a closed form where one fits and 'lm' otherwise. q0
-    (n,): where to start, default home. closest=q_ref (n,): of several solutions the one nearest to it. Options, see `Options`:
+    (n,): where the first attempt starts; without it the answer may be any solution (fastest), so give q0 to stay near it.
+    follow: for loops, one attempt that moves no joint further than this from q0 (see Options). closest=q_ref (n,): of several solutions the one nearest to it. Options, see `Options`:
     tolerance (both), position_tolerance [m], orientation_tolerance [rad], max_iterations, restarts, max_evaluations, seed,
     limits, q0_outside, mask, mask_frame, joint_weights, objective, avoid_collisions, history; and the parameters of the
     solver. Success is re-checked with Pinocchio. Raises InvalidTarget, InvalidConfiguration, UnknownSolver, InvalidOption.
     """
     require_robot(robot)
-    if solver == "auto" if isinstance(solver, str) else solver is None:
-        solver = automatic(robot, target, options)
+    solver = "auto" if solver is None else solver
     options.setdefault("check", True)
     if "closest" in options and not isinstance(options["closest"], bool | np.bool_):
         if q0 is not None:

@@ -12,9 +12,9 @@ from ..kernel.slots import O_C, O_DESCENTS, O_ITERATIONS, OUT_HEAD, R_HISTORY, R
 from ..kernel.task import POSE, POSITION
 from ..kernel.tree_loop import tree_entry
 from ..robot.tree import Tree
-from .registry import find_row
+from .registry import GENERAL, find_row
 from .result import Result, Status, sentence
-from .solve import NEVER, Solver
+from .solve import NEVER, Solver, is_auto
 from .starts import held_joints
 
 ITERATIONS = 40  # steps a descent: the tips pull on shared joints
@@ -87,12 +87,15 @@ class TreeSolver(Solver):
 
     robot: Tree  # pyright: ignore[reportIncompatibleVariableOverride]
 
-    def __init__(self, robot: Tree, solver: Any = "lm", **options: Any) -> None:
-        """Validate everything once. Raises UnknownSolver (any but 'lm'), InvalidOption."""
-        if find_row(solver).name != "lm":
-            raise UnknownSolver(f"several tips together are solved by 'lm' only, not by '{find_row(solver).name}'")
+    def __init__(self, robot: Tree, solver: Any = "auto", **options: Any) -> None:
+        """Validate everything once. Raises UnknownSolver (any but 'lm', which is also 'auto'), InvalidOption."""
+        solver = GENERAL if is_auto(solver) else solver
+        if find_row(solver).name != GENERAL:
+            raise UnknownSolver(
+                f"several tips together are solved by '{GENERAL}' only, not by '{find_row(solver).name}'"
+            )
         super().__init__(robot, solver, **options)  # pyright: ignore[reportArgumentType]
-        for name in ("mask", "closest", "objective", "avoid_collisions"):
+        for name in ("mask", "closest", "objective", "avoid_collisions", "follow"):
             if getattr(self.options, name):
                 raise InvalidOption(f"option '{name}' is for one tip; leave it out when several are solved together")
 
@@ -148,7 +151,8 @@ class TreeSolver(Solver):
             T, kinds, note = self._read(targets, True)
             row, tips = self._descend(T, kinds, start, q0 is not None, self._silent)
         result = TreeResult(self, row, tips, kinds, perf_counter() - started)
-        result.notice = "; ".join(filter(None, (note, notice)))
+        result._notice = "; ".join(filter(None, (note, notice)))
+        result._given = q0 is not None
         if self.options.history:  # once more with room for it; the counts of the first run say how much
             history = np.empty((result.fk_evaluations + 1, 2 + self.robot.n))
             again, _ = self._descend(T, kinds, start, q0 is not None, history)
@@ -181,7 +185,7 @@ class TreeSolver(Solver):
     def _descend(
         self, T: np.ndarray, kinds: np.ndarray, start: np.ndarray, given: bool, history: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Run the kernel; returns its row (8 + n,) and the errors and excess (F, 3) by tip."""
+        """Run the kernel; returns its row (OUT_HEAD + n,) and the errors and excess (F, 3) by tip."""
         row, tips = np.empty(self._width), np.empty((len(kinds), 3))
         self._kernel(*self.arrays_for(POSE, start), kinds, T, start[0], row, tips, self.pack(POSE, given), history)
         return row, tips

@@ -125,6 +125,7 @@ def measure_tip(rows, ends, opt, T, q, box, broken, gap, goal, Z, trig, hist, ou
         out[slots.R_STATUS] = STALLED  # only a tolerance below rounding leads here
     out[slots.R_ITERATIONS] = 0
     out[slots.R_RESTARTS] = 0
+    out[slots.R_ATTEMPT] = 0
     out[slots.R_POSITION] = position
     out[slots.R_ROTATION] = rotation
     out[slots.R_EVALUATIONS] = 1
