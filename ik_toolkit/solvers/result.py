@@ -71,9 +71,9 @@ class Result:
     position_error [m] and orientation_error [rad] (None when the target leaves orientation free) at q; iterations (steps
     taken), restarts, fk_evaluations; attempt (the one q comes from: 0 is the first, which starts at q0 when that was
     given); limited_joints (names standing on a limit); elapsed [s]; seed; solver (name); notice (what was corrected in the
-    input, or that q comes from another attempt than the one from q0, or ''); collision (pair of names that touch at q, when collisions are avoided
-    and no answer without one was found, else None); history (dict of arrays q, position_error, orientation_error, one row an
-    evaluation, or None).
+    input, or that q comes from another attempt than the one from q0, or ''); collision (pair of names that touch at q, when
+    collisions are avoided and no answer without one was found, else None); history (dict of arrays q, position_error,
+    orientation_error, one row an evaluation, or None).
     """
 
     __slots__ = (

@@ -277,7 +277,8 @@ class Solver:
     def __call__(self, target: Any, q0: Any = None) -> Result:
         """Solve for one target: T_base_tip (4, 4), pin.SE3, or a position (3,) [m]; q0 (n,): where the first attempt starts.
 
-        Without q0 the answer may be any solution. Raises InvalidTarget and InvalidConfiguration; a failure to converge is a status in the Result.
+        Without q0 the answer may be any solution. Raises InvalidTarget and InvalidConfiguration; a failure to converge is a
+        status in the Result.
         """
         started = perf_counter()
         notice = ""
@@ -462,10 +463,10 @@ def solve(robot: Robot, target: Any, solver: Any = "auto", q0: Any = None, **opt
     target: T_base_tip (4, 4) or pin.SE3, a position (3,) with orientation free [m], or an AxisTarget (see `pose`). solver: a
     name, a rule class or an instance with its parameters; 'auto' uses a closed form where one fits and 'lm' otherwise. q0
     (n,): where the first attempt starts; without it the answer may be any solution (fastest), so give q0 to stay near it.
-    follow: for loops, one attempt that moves no joint further than this from q0 (see Options). closest=q_ref (n,): of several solutions the one nearest to it. Options, see `Options`:
-    tolerance (both), position_tolerance [m], orientation_tolerance [rad], max_iterations, restarts, max_evaluations, seed,
-    limits, q0_outside, mask, mask_frame, joint_weights, objective, avoid_collisions, history; and the parameters of the
-    solver. Success is re-checked with Pinocchio. Raises InvalidTarget, InvalidConfiguration, UnknownSolver, InvalidOption.
+    follow: for loops, one attempt that moves no joint further than this from q0. closest=q_ref (n,): of several solutions the
+    one nearest to it. Options, see `Options`: tolerance (both), position_tolerance [m], orientation_tolerance [rad],
+    max_iterations, restarts, max_evaluations, seed, limits, q0_outside, mask, mask_frame, joint_weights, objective,
+    avoid_collisions, history; and the parameters of the solver. Success is re-checked with Pinocchio. Raises InvalidTarget, InvalidConfiguration, UnknownSolver, InvalidOption.
     """
     require_robot(robot)
     solver = "auto" if solver is None else solver
