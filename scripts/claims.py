@@ -11,6 +11,7 @@ from time import perf_counter
 from typing import NamedTuple
 
 import numpy as np
+import pinocchio as pin
 
 import ik_toolkit as ik
 
@@ -107,6 +108,46 @@ def limit_corners(count: int, seed: int) -> Outcome:
         Q = np.where(rank < rng.integers(2, 6, (len(Q), 1)), ends, Q)
         outcomes.append(lost(robot, Q))
     return together(*outcomes)
+
+
+# ----------------------------------------------------------------------------------------------------------------- loops
+LOOP_ROBOTS = ("hydrolek_7w", "inspection_7dof", "panda", "ur5", "xarm7", "kinova")
+
+
+@claim("loops")
+def loops(count: int, seed: int) -> Outcome:
+    """A loop that moves the target by 1 mrad or 1 mm a call: no joint jumps with follow, and without it no jump is silent."""
+    rng = np.random.default_rng(seed)
+    calls, broken, words = 0, 0, ""
+    while calls < count:
+        robot = ik.Robot.load(LOOP_ROBOTS[int(rng.integers(len(LOOP_ROBOTS)))])
+        following, plain = ik.Solver(robot, follow=True), ik.Solver(robot, "lm")
+        q = uniform(robot, 1, rng)[0]
+        T = robot.fk(q)
+        step = pin.exp6(
+            np.concatenate([1e-3 * unit(rng), np.zeros(3)] if rng.random() < 0.5 else [np.zeros(3), 1e-3 * unit(rng)])
+        )
+        size = np.where(np.array(robot.joint_kinds) == "prismatic", robot.reach, 1.0)
+        for _ in range(min(1000, count)):
+            T = T * step
+            calls += 1
+            near, free = following(T.homogeneous, q0=q), plain(T.homogeneous, q0=q)
+            far = (np.abs(near.q - q) / size).max() > 0.5
+            silent = (np.abs(free.q - q) / size).max() > 0.5 and free.attempt > 0 and not free.notice
+            position, orientation = robot.errors(near.q, T.homogeneous)
+            false = near.success and max(position, orientation) > 1e-6
+            if far or silent or false:
+                broken, words = broken + 1, f"{robot.name} from q={q.tolist()}: {near.status.name}, {free.notice!r}"
+            if not near.success:
+                break
+            q = near.q
+    return Outcome(calls, broken, words)
+
+
+def unit(rng: np.random.Generator) -> np.ndarray:
+    """Random direction (3,)."""
+    v = rng.normal(size=3)
+    return v / np.linalg.norm(v)
 
 
 def main() -> None:

@@ -56,7 +56,9 @@ def test_no_joint_leaves_the_bound(name, solver):
         result = ik.solve(robot, target[:3, 3], solver, q0=q0, follow=bound, max_iterations=40)
         assert size_of_moves(robot, result.q, q0).max() <= bound
         assert not robot.outside(result.q) and result.restarts == 0
-        assert result.position_error == pytest.approx(np.linalg.norm(robot.fk(result.q).translation - target[:3, 3]), abs=1e-9)
+        assert result.position_error == pytest.approx(
+            np.linalg.norm(robot.fk(result.q).translation - target[:3, 3]), abs=1e-9
+        )
 
 
 def test_too_far_names_the_joint_and_keeps_the_best_inside():
@@ -79,7 +81,7 @@ def test_other_failures_keep_their_status():
     assert ik.solve(robot, (9.0, 0.0, 0.0), q0=robot.home, follow=True).status == ik.Status.UNREACHABLE
     parts = [dict(kind="revolute", limits=limits, xyz="0.5 0 0") for limits in ((-0.5, 0.5), (-0.5, 0.5), (-9.0, 9.0))]
     text = robots.urdf(*parts)
-    robot, wide = ik.Robot.load(text), ik.Robot.load(text.replace("0.5\" effort", "2.0\" effort"))
+    robot, wide = ik.Robot.load(text), ik.Robot.load(text.replace('0.5" effort', '2.0" effort'))
     beyond = wide.fk([0.7, 0.7, 0.0]).translation
     blocked = ik.solve(robot, beyond, "lm", q0=[0.5, 0.5, 0.0], follow=True)
     assert blocked.status == ik.Status.LIMIT_BLOCKED

@@ -466,7 +466,8 @@ def solve(robot: Robot, target: Any, solver: Any = "auto", q0: Any = None, **opt
     follow: for loops, one attempt that moves no joint further than this from q0. closest=q_ref (n,): of several solutions the
     one nearest to it. Options, see `Options`: tolerance (both), position_tolerance [m], orientation_tolerance [rad],
     max_iterations, restarts, max_evaluations, seed, limits, q0_outside, mask, mask_frame, joint_weights, objective,
-    avoid_collisions, history; and the parameters of the solver. Success is re-checked with Pinocchio. Raises InvalidTarget, InvalidConfiguration, UnknownSolver, InvalidOption.
+    avoid_collisions, history; and the parameters of the solver. Success is re-checked with Pinocchio. Raises InvalidTarget,
+    InvalidConfiguration, UnknownSolver, InvalidOption.
     """
     require_robot(robot)
     solver = "auto" if solver is None else solver
