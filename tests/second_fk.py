@@ -284,8 +284,8 @@ def _limits(rng, kind, size):
     return low, low + float(rng.uniform(0.1, 4.0))
 
 
-def _mimic(rng, leader, leader_kind, kind, size):
-    """A <mimic> of any size: revolute after revolute, after a slide (rad/m), a slide after either."""
+def _mimic(rng, leader, leader_kind, between, kind, size):
+    """A <mimic> of any size (revolute after revolute, after a slide (rad/m), a slide after either) and limits that fit."""
     ratio = float(rng.choice([1.0, -1.0, 0.5, 2.0, 20.0, rng.normal(), 10.0 ** rng.uniform(-4.0, 3.0)]))
     if kind == "prismatic":
         ratio *= size if leader_kind != "prismatic" else 1.0
@@ -293,14 +293,16 @@ def _mimic(rng, leader, leader_kind, kind, size):
     else:
         ratio /= size if leader_kind == "prismatic" else 1.0
         offset = float(rng.choice([0.0, 3.14159265, -3.14159265359, 1.57, rng.normal(), rng.uniform(-30.0, 30.0)]))
-    return f'<mimic joint="{leader}" multiplier="{ratio!r}" offset="{offset!r}"/>'
+    low, high = sorted(ratio * x + offset for x in between)
+    wider = float(rng.choice([0.0, 0.1, -0.2])) * (high - low)  # the leader's own limits bind, or the follower's
+    return f'<mimic joint="{leader}" multiplier="{ratio!r}" offset="{offset!r}"/>', (low - wider, high + wider)
 
 
 def random_case(rng, most=40):
     """A random robot as people and exporters write them, with one moving joint to `most`.
 
     Besides the path there are side branches; the base may be any link of the path, joints may be locked and a tool may sit
-    on the tip. Every follower has limits that its leader can meet.
+    on the tip.
     """
     size = 10.0 ** rng.uniform(-6.0, 6.0) if rng.random() < 0.3 else 10.0 ** rng.uniform(-1.0, 0.5)
     count = int(rng.integers(1, most + 1)) if rng.random() < 0.3 else int(rng.integers(1, 9))
@@ -311,13 +313,13 @@ def random_case(rng, most=40):
         kind = str(rng.choice(["revolute", "revolute", "revolute", "continuous", "prismatic", "fixed"]))
         branch = bool(links[1:]) and rng.random() < 0.1  # a joint beside the path
         parent, child = links[-1], f"l{i + 1}"
-        mimic, limit = "", ""
-        if kind != "fixed" and leaders and rng.random() < 0.2:
-            leader, leader_kind = leaders[int(rng.integers(len(leaders)))]
-            mimic = _mimic(rng, leader, leader_kind, kind, size)
+        mimic, limit, between = "", "", (-30.0, 30.0)
         if kind in ("revolute", "prismatic"):
-            # A follower's own limits are wide: that they bind is for tests that say how.
-            low, high = (-1e9, 1e9) if mimic else _limits(rng, kind, size)
+            between = _limits(rng, kind, size)
+        if kind != "fixed" and leaders and rng.random() < 0.2:
+            mimic, between = _mimic(rng, *leaders[int(rng.integers(len(leaders)))], kind, size)
+        if kind in ("revolute", "prismatic"):
+            low, high = between
             limit = f'<limit lower="{low!r}" upper="{high!r}" effort="1" velocity="1"/>'
         rpy = " ".join(_angle(rng) if rng.random() < 0.6 else "0" for _ in range(3))
         parts.append(
@@ -325,7 +327,7 @@ def random_case(rng, most=40):
             f'<origin xyz="{_triple(rng, size)}" rpy="{rpy}"/><axis xyz="{_axis(rng)}"/>{limit}{mimic}</joint>'
         )
         if kind != "fixed" and not mimic:
-            leaders.append((f"j{i}", kind))
+            leaders.append((f"j{i}", kind, between))
         if not branch:
             links.append(child)
             if kind != "fixed" and not mimic:

@@ -367,7 +367,8 @@ def test_budgets_history_and_seed(brokk):
     assert result.restarts == 2 and result.iterations == 6
     result = ik.solve(brokk, T, restarts=0, history=True, max_iterations=25)
     history = result.history
-    assert len(history["q"]) == result.iterations + 1 and history["position_error"].min() <= result.position_error
+    assert len(history["q"]) == result.iterations + 1
+    assert history["position_error"].min() <= result.position_error + 1e-14  # one is the kernel's, one Pinocchio's
     for q, position, angle in zip(history["q"], history["position_error"], history["orientation_error"], strict=True):
         measured = brokk.errors(q, T)
         assert abs(max(e[0] for e in measured) - position) < 1e-12

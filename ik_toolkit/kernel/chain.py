@@ -11,6 +11,9 @@ from .slots import E_VECTORS
 
 __all__ = ["ROW", "Chain", "pack"]
 WINDING = 5 * TAU
+RATIO = (
+    1e-12  # a ratio of a joint to its coordinate this close to 1 is 1: rounding of a unit axis, not a mimic multiplier
+)
 
 
 @cached
@@ -52,6 +55,44 @@ def forward(rows, ends, Q, unit, T, J) -> None:
                     for r in range(3):
                         g = ends[3 * r] * K[i, h] + ends[3 * r + 1] * K[i, h + 1] + ends[3 * r + 2] * K[i, h + 2]
                         J[t, h + r, i] = g * (scale if h == 0 else 1.0) / unit[i]
+
+
+def evaluate(rows, ends, Q, unit):
+    """What `forward` returns, T (N, 4, 4) and J (N, 6, n), by array arithmetic over all of Q (N, n): starts no compiler.
+
+    It serves where a robot is loaded; `forward`, which the tests hold to it, is some fifty times as fast from then on.
+    """
+    L, (N, n) = len(rows), Q.shape
+    scale, base, tip = ends[E_VECTORS + 7 * n], np.eye(4), np.eye(4)
+    for M, flat in ((base, ends[:12]), (tip, ends[12:24])):
+        M[:3, :3], M[:3, 3] = flat[:9].reshape(3, 3), flat[9:]
+    owner = rows[:, 8].astype(int)
+    q = (Q / unit).T[owner]
+    turn, slide = rows[:, 4, None] * q + rows[:, 5, None], rows[:, 6, None] * q + rows[:, 7, None]
+    c, s = np.cos(turn), np.sin(turn)
+    cb, sb = rows[:, 0, None].copy(), rows[:, 1, None]
+    cb[0] = 1.0  # no Rx before the first joint; the slot holds something else
+    steps = np.zeros((L, N, 4, 4))
+    steps[..., 0, 0], steps[..., 0, 1], steps[..., 0, 3] = c, -s, rows[:, 2, None]
+    steps[..., 1, 0], steps[..., 1, 1], steps[..., 1, 2] = cb * s, cb * c, -sb
+    steps[..., 2, 0], steps[..., 2, 1], steps[..., 2, 2] = sb * s, sb * c, cb
+    steps[..., 1, 3], steps[..., 2, 3] = cb * rows[:, 3, None] - sb * slide, sb * rows[:, 3, None] + cb * slide
+    steps[..., 3, 3] = 1.0
+    frames = np.empty((L, N, 4, 4))
+    at = np.broadcast_to(base, (N, 4, 4))
+    for i in range(L):
+        at = frames[i] = at @ steps[i]
+    T = at @ tip
+    axes, points = frames[..., :3, 2], frames[..., :3, 3]
+    turns = rows[:, 9, None, None] > 0.0
+    linear = np.where(turns, np.cross(axes, T[:, :3, 3] - points), axes)
+    columns = (
+        np.concatenate([scale * linear, np.where(turns, axes, 0.0)], axis=2) * (rows[:, 4] + rows[:, 6])[:, None, None]
+    )
+    J = np.zeros((n, N, 6))
+    np.add.at(J, owner, columns)
+    T[:, :3, 3] *= scale
+    return T, J.transpose(1, 2, 0) / unit
 
 
 class Chain(NamedTuple):
@@ -109,10 +150,9 @@ def box(lower: np.ndarray, upper: np.ndarray, slides: np.ndarray) -> tuple[np.nd
 def table(rows: np.ndarray, ends: np.ndarray, seeds: np.ndarray) -> np.ndarray:
     """Features (13, N + PAD) of the configurations `seeds` (N, n): the last joint's rotation, the tip point (seeds.nearest)."""
     count, n = seeds.shape
-    T = np.empty((count, 4, 4))
     tip, tail = ends[12:24], ends[E_VECTORS + 7 * n :]
     flat = np.concatenate([np.eye(3).ravel(), np.zeros(3), ends[12 : E_VECTORS + 7 * n], [1.0], tail[1:]])
-    forward(rows, flat, seeds, np.ones(n), T, np.empty((0, 6, n)))
+    T = evaluate(rows, flat, seeds, np.ones(n))[0]
     features = np.zeros((13, count + PAD), np.float32)
     features[:3, :count] = -2.0 * T[:, :3, 3].T
     rotation = T[:, :3, :3] @ tip[:9].reshape(3, 3).T
@@ -177,7 +217,10 @@ def pack(
     slides = np.array([not rows[owner == k, 9].any() for k in range(n)])
     mixed = np.array([rows[owner == k, 9].any() and not rows[owner == k, 9].all() for k in range(n)])
     followers = np.bincount(owner, minlength=n)
-    turns = (upper - lower >= TAU - 1e-9) & ~slides & ~mixed & (followers == 1)
+    # A full turn of a coordinate is one of its joint when they are the same; a lone follower may turn half as far.
+    own = followers == 1
+    own[owner[np.abs(rows[:, 4] + rows[:, 6] - 1.0) > RATIO]] = False
+    turns = (upper - lower >= TAU - 1e-9) & ~slides & ~mixed & own
     # Reach: offsets along the path plus finite strokes; one metre where that says nothing.
     lengths = segments(rows, lower, upper)
     finite = np.where(np.isfinite(lengths), lengths, np.hypot(rows[:, 2], rows[:, 3]) + np.abs(rows[:, 7]))
@@ -199,7 +242,7 @@ def pack(
     endless = turns & np.isinf(lower) & np.isinf(upper)
     low, high = box(low_k, high_k, slides)
     tail = [scale, *reach_bounds(rows, tip, low_k, high_k)]
-    rows[0, 0] = float((followers == 1).all() and np.allclose(rows[:, 4] + rows[:, 6], 1.0))
+    rows[0, 0] = float(own.all())
     inside = [np.where(endless, -WINDING, low_k), np.where(endless, WINDING, high_k), turns + 1.0 * endless, unit]
     ends = np.concatenate([base, tip, *inside, low, high - low, home / unit, tail])
     # A seed nobody else uses: a target drawn with default_rng(1) must not be found in the table by accident.

@@ -49,10 +49,10 @@ def check_urdf(source: str | Path, package_dirs: Iterable[str | Path] = ()) -> l
     warnings = [finding for item in items for finding in (*_remarks(item), *_meshes(item, folders))]
     errors = list(_errors(items))
     if not errors:
-        import pinocchio as pin
+        from .build import build_model
 
         try:
-            pin.buildModelFromXML(text, True)
+            build_model(text)
         except Exception as error:
             said = str(error).strip().splitlines()[-1]
             errors.append(_error("robot", f"Pinocchio refuses it: {said}", "the reason is Pinocchio's own"))

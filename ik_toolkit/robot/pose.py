@@ -38,7 +38,7 @@ def _unit(value: Any, name: str) -> np.ndarray:
     return vector / length
 
 
-def _turn_onto(axis: np.ndarray, direction: np.ndarray) -> np.ndarray:
+def turn_onto(axis: np.ndarray, direction: np.ndarray) -> np.ndarray:
     """Rotation (3, 3) that takes one unit vector onto another."""
     cross, cos = np.cross(axis, direction), float(axis @ direction)
     if cos < 0.0:  # 1 + cos loses its digits towards half a turn: two reflections instead, by way of a third vector
@@ -137,7 +137,7 @@ def pose(
             )
         tip_axis = _unit(axis, "axis")
         T = np.eye(4)
-        T[:3, :3] = _turn_onto(tip_axis, _unit(direction, "direction"))
+        T[:3, :3] = turn_onto(tip_axis, _unit(direction, "direction"))
         T[:3, 3] = _near(_numbers((0.0, 0.0, 0.0) if xyz is None else xyz, 3, "xyz"))
         return AxisTarget(T, tuple(tip_axis.tolist()))
     if sum(part is not None for part in (rpy, quat_xyzw, rotation)) > 1:

@@ -1,47 +1,63 @@
-"""Pinocchio model -> kernel chain. Nothing here reads joint types by name: every joint is evaluated and its screw read.
+"""Pinocchio model -> kernel chain. Nothing here reads joint types by name: every joint tells its screw itself.
 
-So revolute, prismatic, continuous, unaligned and mimic joints need no special code, and a joint that moves along anything
-but one fixed screw is refused by name.
+A joint's pose in its parent is placement . M(0) . exp(S q) with a constant S: its motion subspace, which holds the axis and
+a mimic multiplier, while M(0) holds a mimic offset. Both are read as they stand, so no angle is ever taken out of a matrix
+and none can wrap. Revolute, prismatic, continuous, unaligned and mimic joints need no special code, and a joint that moves
+along anything but one fixed screw is refused by name.
 """
 
 import math
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
 
 from ..errors import ModelError
-from ..kernel.chain import ROW, Chain, pack
+from ..kernel.chain import ROW, WINDING, Chain, evaluate, pack
+from .pose import turn_onto
+
+SAMPLES = 24  # configurations at which a chain is compared with Pinocchio
+AGREE = 1e-9  # largest difference allowed there [rad, or of the robot's size]: a thousandth of the default tolerance
+NO_LIMIT = 1e15  # a limit beyond this [rad, m, rad/s or m/s] is none
+PARALLEL = 1e-14  # sine between two axes that are parallel but for the rounding of a few matrix products
 
 
 class Path(NamedTuple):
     """The joints between base and tip, and where their coordinates live in Pinocchio's configuration."""
 
     joints: list[int]  # joint ids, base to tip
+    up: int  # how many of them, the first ones, lead from the base up to the last link it shares with the tip
     leaders: list[int]  # joint id per coordinate, in order of first use
-    owner: dict[int, int]  # joint id -> coordinate
+    owner: dict[int, int]  # joint id -> coordinate; a joint that is not here stands still
     idx_q: np.ndarray  # (n,)
     circle: np.ndarray  # (n,) stored as (cos, sin)
 
 
 def find_path(model: pin.Model, base: int, tip: int, locked: set[int]) -> Path:
-    """Joints from the base frame to the tip frame (frame ids) that are not locked."""
-    above = set()
-    j = model.frames[base].parentJoint
-    while j:
-        above.add(j)
-        j = model.parents[j]
-    joints = []
-    j = model.frames[tip].parentJoint
-    while j and j not in above:
-        joints.insert(0, j)
-        j = model.parents[j]
+    """Joints from the base frame to the tip frame (frame ids).
+
+    Those above the tip that are not locked are the coordinates, or follow them. Where the base stands on a branch of its
+    own, the joints of that branch hold still unless they follow (or lead) one of these.
+    """
+
+    def above(frame: int) -> list[int]:
+        joints = []
+        j = model.frames[frame].parentJoint
+        while j:
+            joints.append(j)
+            j = model.parents[j]
+        return joints
+
+    up, down = above(base), above(tip)[::-1]
+    shared = set(up) & set(down)
+    up, down = ([j for j in joints if j not in shared] for joints in (up, down))
     lead = dict(zip(model.mimicking_joints, model.mimicked_joints, strict=True))
+    still = {j for j in lead if model.joints[j].extract().scaling == 0.0}
     leaders: list[int] = []
-    owner = {}
-    for j in joints:
+    for j in down:
         leader = lead.get(j, j)
-        if leader in locked:
+        if leader in locked or j in still:
             continue
         if model.joints[leader].nv != 1:
             raise ModelError(
@@ -50,37 +66,81 @@ def find_path(model: pin.Model, base: int, tip: int, locked: set[int]) -> Path:
             )
         if leader not in leaders:
             leaders.append(leader)
-        owner[j] = leaders.index(leader)
     if not leaders:
         raise ModelError(
             f"no moving joint between base '{model.frames[base].name}' and tip '{model.frames[tip].name}': nothing to solve"
         )
+    joints = up + down
+    owner = {j: leaders.index(lead.get(j, j)) for j in joints if lead.get(j, j) in leaders and j not in still}
     idx_q = np.array([model.joints[j].idx_q for j in leaders])
     circle = np.array([model.joints[j].nq == 2 for j in leaders])
-    return Path(joints, leaders, owner, idx_q, circle)
+    return Path(joints, len(up), leaders, owner, idx_q, circle)
 
 
-def _evaluate(model: pin.Model, rest: np.ndarray, path: Path, value: float) -> pin.Data:
-    data, q = model.createData(), rest.copy()
-    for i, circle in zip(path.idx_q, path.circle, strict=True):
-        q[i : i + 1 + int(circle)] = (math.cos(value), math.sin(value)) if circle else value
-    pin.forwardKinematics(model, data, q)
-    return data
+def _leader_range(ratio: float, offset: float, low: float, high: float) -> tuple[float, float]:
+    """Where a leader may stand so that its follower ratio q + offset, as it is rounded, stays inside low..high."""
+
+    def end(value: float, inward: float) -> float:
+        step = inward * 2.0 * math.ulp(max(abs(value), abs(offset)))
+        tries = ((value + k * step - offset) / ratio for k in range(4))
+        return next((x for x in tries if low <= ratio * x + offset <= high), (value - offset) / ratio)
+
+    first, last = sorted((end(low, 1.0), end(high, -1.0)))
+    return first, last
+
+
+def limits(
+    model: pin.Model, path: Path, followers: Mapping[str, tuple[str, float, float, float, float]]
+) -> tuple[np.ndarray, np.ndarray]:
+    """Lower and upper (n,) [rad or m] of the coordinates, infinite where there are none.
+
+    followers: what `mimic_limits` returns; those on the path hold their leader inside their own limits.
+    """
+    own_lower = np.where(path.circle, -np.inf, model.lowerPositionLimit[path.idx_q])
+    own_upper = np.where(path.circle, np.inf, model.upperPositionLimit[path.idx_q])
+    lower, upper = own_lower.copy(), own_upper.copy()
+    for joint, (_, ratio, offset, low, high) in followers.items():
+        i = path.owner.get(model.getJointId(joint)) if model.existJointName(joint) else None
+        if i is None or math.isinf(low):
+            continue
+        first, last = _leader_range(ratio, offset, low, high)
+        lower[i], upper[i] = max(lower[i], first), min(upper[i], last)
+        rounding = 8.0 * math.ulp(max(abs(low), abs(high), abs(offset))) / abs(ratio)
+        if 0.0 < lower[i] - upper[i] <= rounding:  # they meet but for the last digits
+            lower[i] = upper[i] = min(max(lower[i], own_lower[i]), own_upper[i])
+    # Adding 0 turns -0.0 into 0.0: numpy's generators call 0.0 to -0.0 a negative range.
+    return np.where(lower < -NO_LIMIT, -np.inf, lower + 0.0), np.where(upper > NO_LIMIT, np.inf, upper + 0.0)
 
 
 def _split(R: np.ndarray) -> tuple[float, float, float]:
-    """Angles a, b, c of R = Rz(a) Rx(b) Rz(c)."""
+    """Angles a, b, c of R = Rz(a) Rx(b) Rz(c).
+
+    Between nearly parallel axes a is any direction the rounding left, so c is not read from R on its own but from what a
+    leaves of it: the product is R to the last digits whatever a is.
+    """
     s = math.hypot(R[0, 2], R[1, 2])
-    b = math.atan2(s, R[2, 2])
-    if s > 1e-12:
-        return math.atan2(R[0, 2], -R[1, 2]), b, math.atan2(R[2, 0], R[2, 1])
-    if R[2, 2] > 0.0:
-        return 0.0, 0.0, math.atan2(-R[0, 1], R[0, 0])
-    return 0.0, math.pi, math.atan2(-R[0, 1], R[0, 0])
+    if s <= PARALLEL:
+        return 0.0, 0.0 if R[2, 2] > 0.0 else math.pi, math.atan2(-R[0, 1], R[0, 0])
+    cos, sin = -R[1, 2] / s, R[0, 2] / s
+    x, y = cos * R[0, :2] + sin * R[1, :2]
+    return math.atan2(sin, cos), math.atan2(s, R[2, 2]), math.atan2(-y, x)
 
 
 def _turn(axis: int, angle: float) -> np.ndarray:
     return pin.AngleAxis(angle, np.eye(3)[axis]).matrix()
+
+
+def _screw(model: pin.Model, data: pin.Data, j: int) -> tuple[bool, float, np.ndarray]:
+    """Whether a joint turns (else it slides), how far per unit of its coordinate [rad or m], and its axis in its own frame."""
+    screw = np.asarray(data.joints[j].S).reshape(6)
+    slides, turns = screw[:3].any(), screw[3:].any()
+    if slides and turns:
+        raise ModelError(f"joint '{model.names[j]}' moves along a helix; only turning or sliding joints are handled")
+    if not (slides or turns):
+        raise ModelError(f"joint '{model.names[j]}' does not move: its axis is zero")
+    vector = screw[3:] if turns else screw[:3]
+    ratio = math.hypot(*vector.tolist())
+    return bool(turns), ratio, vector / ratio
 
 
 def probe(
@@ -98,34 +158,25 @@ def probe(
 
     base, tip: frame ids; tool: pose of the working point in the tip frame; lower, upper, home (n,) [rad or m].
     """
-    data0, data1 = _evaluate(model, rest, path, 0.0), _evaluate(model, rest, path, 0.5)
-    pin.updateFramePlacements(model, data0)
-    first = model.parents[path.joints[0]]
-    before = data0.oMf[base].actInv(data0.oMi[first])  # pose of the last common joint in the base frame
+    data, zero = model.createData(), rest.copy()
+    for i, circle in zip(path.idx_q, path.circle, strict=True):
+        zero[i : i + 1 + int(circle)] = (1.0, 0.0) if circle else 0.0
+    pin.forwardKinematics(model, data, zero)
+    before = model.frames[base].placement.inverse()  # from the axis of the moving joint before to the next one
     rows = []
     places = []
-    for j in path.joints:
-        if j not in path.owner:  # locked: a constant
-            before = before * data0.liMi[j]
+    for count, j in enumerate(path.joints):
+        upwards = count < path.up
+        if j not in path.owner:
+            before = before * (data.liMi[j].inverse() if upwards else data.liMi[j])
             continue
-        m0, m1 = (pin.log6(model.jointPlacements[j].actInv(d.liMi[j])).vector for d in (data0, data1))
-        screw = (m1 - m0) / 0.5
-        turns = bool(np.linalg.norm(screw[3:]) > 1e-9)
-        if turns and np.linalg.norm(screw[:3]) > 1e-9:
-            raise ModelError(
-                f"joint '{model.names[j]}' moves along a helix; only turning or sliding joints are handled"
-            )
-        vector = screw[3:] if turns else screw[:3]
-        ratio = float(np.linalg.norm(vector))
-        if ratio < 1e-9:
-            raise ModelError(f"joint '{model.names[j]}' does not move: its axis or its mimic multiplier is zero")
-        axis = vector / ratio
-        offset = float((m0[3:] if turns else m0[:3]) @ axis)
-        z = pin.SE3(pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), axis).matrix(), np.zeros(3))
-        places.append(before * model.jointPlacements[j] * z)
-        before = z.inverse()
+        turns, ratio, axis = _screw(model, data, j)
+        # Upwards a joint is passed the other way: exp(-S q), then its pose at 0 undone.
+        z = pin.SE3(turn_onto(np.array([0.0, 0.0, 1.0]), -axis if upwards else axis), np.zeros(3))
+        places.append(before * z if upwards else before * data.liMi[j] * z)
+        before = z.inverse() * data.liMi[j].inverse() if upwards else z.inverse()
         row = np.zeros(ROW)
-        row[4:8] = (ratio, offset, 0.0, 0.0) if turns else (0.0, 0.0, ratio, offset)
+        row[4 if turns else 6] = ratio
         row[8], row[9] = path.owner[j], turns
         if rows:
             a, b, c = _split(places[-1].rotation)
@@ -141,3 +192,38 @@ def probe(
         return np.concatenate([M.rotation.ravel(), M.translation])
 
     return pack(np.array(rows), flat(places[0]), flat(end), lower, upper, home)
+
+
+def configurations(chain: Chain, slides: np.ndarray) -> np.ndarray:
+    """Where a chain is compared (SAMPLES, n) [rad or m]: uniform over the limits, and each limit once.
+
+    Five turns, or one reach, either way where there are no limits; slides (n,): coordinates in metres.
+    """
+    lower, upper, n = chain.lower, chain.upper, chain.n
+    half = np.where(slides, chain.reach, WINDING)
+    low = np.where(np.isfinite(lower), lower, np.where(np.isfinite(upper), upper - 2.0 * half, -half))
+    high = np.where(np.isfinite(upper), upper, low + 2.0 * half)
+    Q = low + (high - low) * np.random.default_rng(0).random((SAMPLES, n))
+    joints = np.arange(n)
+    for side, first in ((lower, 0), (upper, 1)):
+        there = np.isfinite(side)
+        Q[(2 * joints[there] + first) % SAMPLES, joints[there]] = side[there]
+    return Q
+
+
+def difference(chain: Chain, Q: np.ndarray, T: np.ndarray, J: np.ndarray) -> float:
+    """Largest difference of the chain from poses T (N, 4, 4) [m] and Jacobians J (N, 6, n) at Q (N, n), in parts of AGREE.
+
+    Lengths are divided by the robot's size, the larger of its reach and its largest offset; a column of the Jacobian by the
+    ratio of its joints. A value of many turns is itself known to its last digit only, which is allowed on top.
+    """
+    rows, ends, scale = chain.rows, chain.ends, chain.scale
+    offsets = [ends[9:12], ends[21:24], *rows[:, [2, 3, 7]]]
+    size = max(chain.reach, scale * max(math.hypot(*offset) for offset in offsets))
+    mine, columns = evaluate(rows, ends, Q, chain.unit)
+    ratios = np.bincount(rows[:, 8].astype(int), np.abs(rows[:, 4] + rows[:, 6]), chain.n)
+    off_T, off_J = mine - T, (columns - J) * chain.unit / np.maximum(1.0, ratios)
+    off_T[:, :3, 3] /= size
+    off_J[:, :3] /= size
+    rounding = 8.0 * np.finfo(float).eps * float(np.abs(Q / chain.unit * ratios).max())
+    return float(np.abs(np.concatenate([off_T.ravel(), off_J.ravel()])).max()) / (AGREE + rounding)

@@ -15,14 +15,15 @@ import numpy as np
 import pinocchio as pin
 
 from ..errors import FrameNotFound, InvalidConfiguration, JointNotFound, ModelError, floats, near_match
-from ..kernel.chain import Chain
+from ..kernel.chain import Chain, evaluate
 from ..kernel.slots import E_VECTORS
+from .build import build_model
 from .check import mimic_limits, require_loadable, safe_read
 from .joints import Joints
 from .library import find
 from .pose import check_target
+from .probe import AGREE, NO_LIMIT, configurations, difference, find_path, limits, probe
 from .probe import Path as JointPath
-from .probe import find_path, probe
 
 if TYPE_CHECKING:
     from .tree import Tree
@@ -124,7 +125,7 @@ class Robot(Joints):
         text = safe_read(found.source)
         require_loadable(text)
         try:
-            model = pin.buildModelFromXML(text, True)
+            model = build_model(text)
         except Exception as error:
             raise ModelError(f"Pinocchio cannot read {found.name}: {str(error).strip().splitlines()[0]}") from None
         if tip is None and len(found.tips) > 1:
@@ -204,28 +205,15 @@ class Robot(Joints):
         path = find_path(model, base_id, tip_id, locked)
         self._path: JointPath = path
         self.joint_names = tuple(model.names[j] for j in path.leaders)
-        lower = np.where(path.circle, -np.inf, model.lowerPositionLimit[path.idx_q])
-        upper = np.where(path.circle, np.inf, model.upperPositionLimit[path.idx_q])
-        for joint, (leader, ratio, offset, low, high) in mimic_limits(self.urdf).items() if self.urdf else ():
-            if (
-                leader not in self.joint_names
-                or not model.existJointName(joint)
-                or model.getJointId(joint) not in path.joints
-            ):
-                continue
-            ends = sorted(((low - offset) / ratio, (high - offset) / ratio)) if ratio else (-np.inf, np.inf)
-            i = self.joint_names.index(leader)
-            lower[i], upper[i] = max(lower[i], ends[0]), min(upper[i], ends[1])
-        # Adding 0 turns -0.0 into 0.0: numpy's generators call 0.0 to -0.0 a negative range.
-        lower = np.where(lower < -1e15, -np.inf, lower + 0.0)
-        upper = np.where(upper > 1e15, np.inf, upper + 0.0)
+        lower, upper = limits(model, path, mimic_limits(self.urdf) if self.urdf else {})
         for i, joint in enumerate(self.joint_names):
             if not lower[i] <= upper[i]:
                 raise ModelError(
                     f"joint '{joint}' has no legal position: lower limit {lower[i]:g} is above upper limit {upper[i]:g}"
                 )
         self.lower, self.upper = lower, upper
-        self.velocity_limits = np.asarray(model.upperVelocityLimit)[[model.joints[j].idx_v for j in path.leaders]]
+        speeds = np.asarray(model.upperVelocityLimit)[[model.joints[j].idx_v for j in path.leaders]]
+        self.velocity_limits = np.where(speeds > NO_LIMIT, np.inf, speeds)
         bounded = np.isfinite(lower) & np.isfinite(upper)
         middle = np.clip(0.0, lower, upper)
         middle[bounded] = lower[bounded] + 0.5 * (upper - lower)[bounded]
@@ -241,21 +229,33 @@ class Robot(Joints):
             "continuous" if kind == "revolute" and np.isinf(lower[i]) and np.isinf(upper[i]) else kind
             for i, kind in enumerate(kinds)
         )
+        self._local = threading.local()
+        self._compare()
         self.home = self.check_q(home, "home") if home is not None else self._good_start(middle)
         start = E_VECTORS + 6 * self.n
         self.chain.ends[start : start + self.n] = self.home / self.chain.unit
         for array in (self.lower, self.upper, self.home, self.velocity_limits, self.rest):
             array.setflags(write=False)
-        self._local = threading.local()
+
+    def _compare(self) -> None:
+        """Refuse a robot whose chain is not what Pinocchio computes: its answers would be wrong and nothing would say so."""
+        Q = configurations(self.chain, np.array([kind == "prismatic" for kind in self.joint_kinds]))
+        poses, jacobians = zip(*(self._kinematics(q) for q in Q), strict=True)
+        off = difference(self.chain, Q, np.array([T.homogeneous for T in poses]), np.array(jacobians))
+        if not off <= 1.0:  # NaN is refused too
+            raise ModelError(
+                f"robot '{self.name}' from '{self.base}' to '{self.tip}' is refused: the kinematics read from it differ from "
+                f"Pinocchio's by {off * AGREE:.2g}, so answers would be wrong; please report this with its URDF"
+            )
 
     def _good_start(self, middle: np.ndarray) -> np.ndarray:
         """Mid-range, moved off a singular pose by the first of a fixed sequence of offsets that is well conditioned."""
         span = np.where(np.isfinite(self.upper - self.lower), self.upper - self.lower, 2.0)
         offsets = np.random.default_rng(0).uniform(-0.25, 0.25, (64, self.n)) * np.minimum(span, 2.0)
         tries = np.clip(np.vstack([np.zeros(self.n), offsets]) + middle, self.lower, self.upper)
-        J = self.chain.forward(tries, jacobian=True)[1]
-        J[:, :3] /= self.chain.scale
-        J *= self.chain.unit
+        chain = self.chain
+        J = evaluate(chain.rows, chain.ends, tries, chain.unit)[1] * chain.unit
+        J[:, :3] /= chain.scale
         rank = np.linalg.matrix_rank(J, tol=1e-9).max()
         smallest = np.linalg.svd(J, compute_uv=False)[:, max(rank, 1) - 1]
         good = np.flatnonzero(smallest > SINGULAR)
@@ -292,20 +292,22 @@ class Robot(Joints):
 
     def jacobian(self, q: Any) -> np.ndarray:
         """Jacobian (6, n) of the tip point in base axes, linear rows first [m or rad per rad or m], by Pinocchio."""
-        full = self._fill(self.rest.copy(), self.check_q(q))
+        return self._kinematics(self.check_q(q))[1]
+
+    def _kinematics(self, q: np.ndarray) -> tuple[pin.SE3, np.ndarray]:
+        """Pose and Jacobian (see `fk` and `jacobian`) at q (n,)."""
         model, data = self.model, self.data
-        pin.computeJointJacobians(model, data, full)
-        pin.updateFramePlacements(model, data)
+        pin.computeJointJacobians(model, data, self._fill(self.rest.copy(), q))
+        base, tip = (pin.updateFramePlacement(model, data, i) for i in self._ids)
         columns = [model.joints[j].idx_v for j in self._path.leaders]
-        base, tip = (data.oMf[i] for i in self._ids)
         point = tip.act(self.tool.translation)
         J = np.zeros((6, self.n))
         for sign, frame, i in ((1.0, tip, self._ids[1]), (-1.0, base, self._ids[0])):  # of the tip relative to the base
-            K = pin.getFrameJacobian(model, data, i, pin.LOCAL_WORLD_ALIGNED)[:, columns]
-            K[:3] += np.cross(K[3:], point - frame.translation, axis=0)
+            K = pin.getFrameJacobian(model, data, i, pin.LOCAL_WORLD_ALIGNED).reshape(6, -1)[:, columns]
+            K[:3] -= pin.skew(point - frame.translation) @ K[3:]
             J += sign * K
         R = base.rotation.T
-        return np.vstack([R @ J[:3], R @ J[3:]])
+        return base.actInv(tip) * self.tool, np.vstack([R @ J[:3], R @ J[3:]])
 
     def errors(self, q: np.ndarray, target: np.ndarray) -> tuple[float, float | None]:
         """Position error [m] and rotation angle [rad] (None for a (3,) target) between the tip at q and a target."""
@@ -358,8 +360,8 @@ class Robot(Joints):
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Restore, with fresh thread-local workspace."""
         self.__dict__.update(state)
-        if self.model is None:
-            self.model = pin.buildModelFromXML(self.urdf, True)
+        if self.model is None and self.urdf is not None:
+            self.model = build_model(self.urdf)
         self._local = threading.local()
 
     def __repr__(self) -> str:

@@ -65,7 +65,7 @@ class Tree(Joints):
                 raise ModelError(f"joint '{joint}' has no legal position: what the tips' paths allow does not overlap")
         self.joint_kinds = tuple(kinds[joint] for joint in names)
         self.lower, self.upper = lower, upper
-        self._path = JointPath([], [], {}, idx_q, circle)
+        self._path = JointPath([], 0, [], {}, idx_q, circle)
         self.home = self.check_q(np.clip(middle, lower, upper) if home is None else home, "home")
         self.chain: TreeChain = pack_tree([arm.chain for arm in arms], self._places, lower, upper, self.home)
         for array in (lower, upper, self.home, self.velocity_limits):

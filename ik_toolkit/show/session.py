@@ -213,13 +213,11 @@ class Session:
 
 def _tips(source: str) -> list[str]:
     """Possible tips of a robot that has several (a file of one's own)."""
-    import pinocchio as pin
-
+    from ..robot.build import build_model
     from ..robot.check import safe_read
 
-    model = pin.buildModelFromXML(safe_read(find(source).source), True)
     leaves = Robot.__new__(Robot)
-    leaves.model = model
+    leaves.model = build_model(safe_read(find(source).source))
     return leaves.tips()
 
 

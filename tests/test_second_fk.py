@@ -1,0 +1,248 @@
+"""Kinematics and answers judged by the second FK (second_fk.py): nothing here is judged by the kernel or by Pinocchio."""
+
+import itertools
+import math
+
+import numpy as np
+import pinocchio as pin
+import pytest
+import robots
+import second_fk
+from second_fk import RPY_LITERALS, SecondFK, pose_errors, random_case, turn_about
+
+import ik_toolkit as ik
+from ik_toolkit.errors import ModelError
+
+OFF = 1e-9  # of the robot's size [m], and [rad]
+
+
+def arm(**changes):
+    """A 7-joint arm; changes: keywords of `robots.joint` by joint number."""
+    axes = ("0 0 1", "0 1 0", "0 0 1", "0 1 0", "0 0 1", "0 1 0", "0 0 1")
+    joints = [dict(kind="revolute", axis=axis, xyz="0 0 0.2" if i else "0 0 0.1") for i, axis in enumerate(axes)]
+    for name, keywords in changes.items():
+        joints[int(name[1:])].update(keywords)
+    return robots.urdf(*joints, dict(kind="fixed", xyz="0.05 0 0.1"))
+
+
+# A revolute joint that follows a slide by 20 rad/m, a slide that follows a revolute one, and the literals of the report.
+PINION = robots.urdf(
+    dict(kind="prismatic", axis="1 0 0", limits=(0.0, 0.6)),
+    dict(kind="revolute", axis="0 1 0", xyz="0.1 0 0.2"),
+    dict(kind="revolute", axis="0 0 1", limits=(-1.0, 13.0), mimic='<mimic joint="j0" multiplier="20" offset="0.5"/>'),
+    dict(kind="revolute", axis="0 1 0", xyz="0.3 0 0"),
+    dict(kind="prismatic", limits=(-9.0, 9.0), mimic='<mimic joint="j1" multiplier="-0.4" offset="3.3"/>'),
+    dict(kind="fixed", xyz="0.2 0 0.1"),
+)
+HARD = {
+    "mimic_pi": arm(j5=dict(mimic='<mimic joint="j3" multiplier="1" offset="3.14159265"/>', limits=(-9.0, 9.0))),
+    "mimic_far": arm(j6=dict(mimic='<mimic joint="j1" multiplier="-7.5" offset="-40"/>', limits=(-99.0, 99.0))),
+    "pinion": PINION,
+    "parallel": arm(j3=dict(axis="-1 0 0"), j4=dict(rpy="-1.5707963267948966 0 1.57079632679")),
+    "near_minus_z": arm(j2=dict(axis="0.0000015 0 -1")),
+    "endless_leader": robots.urdf(
+        dict(kind="continuous"),
+        dict(kind="continuous", axis="0 1 0", xyz="0.1 0 0.3", mimic='<mimic joint="j0" multiplier="0.5" offset="1"/>'),
+        dict(kind="revolute", axis="1 0 0", xyz="0 0 0.3"),
+        dict(kind="revolute", xyz="0.2 0 0", limits=(-9.0, 9.0), mimic='<mimic joint="j0" multiplier="-1.5"/>'),
+        dict(kind="fixed", xyz="0.2 0 0.1"),
+    ),
+}
+
+
+def off(poses, judge, Q, names, reach):
+    """Largest error of poses (N, 4, 4) at Q (N, n): position over the robot's size, angle."""
+    position, angle = pose_errors(poses, judge.fk(Q, names))
+    return max(position.max() / max(reach, judge.largest_offset()), angle.max())
+
+
+def check_kinematics(robot, judge, seed, count=8):
+    """FK, Jacobian and limits of a loaded robot, and the compiled kernel, against the second FK at random q."""
+    rng, names = np.random.default_rng(seed), robot.joint_names
+    Q = np.array([robot.random_q(rng) for _ in range(count)])
+    assert off(np.array([robot.fk(q).homogeneous for q in Q]), judge, Q, names, robot.reach) < OFF
+    T, J = robot.chain.forward(Q, jacobian=True)
+    assert off(T, judge, Q, names, robot.reach) < OFF
+    for q, kernel in zip(Q, J, strict=True):
+        columns = robot.jacobian(q)
+        sizes = np.maximum(1.0, np.abs(columns).max(axis=0))
+        assert (np.abs(kernel - columns) / sizes).max() < OFF * max(1.0, robot.reach)
+    lower, upper = judge.limits(names)
+    assert np.allclose(robot.lower, lower, rtol=1e-12, atol=1e-12) and np.allclose(
+        robot.upper, upper, rtol=1e-12, atol=1e-12
+    )
+    assert not judge.outside(Q, names).any()
+
+
+def check_answers(robot, judge, T, q, success):
+    """Every success is inside the limits and the default tolerances, by the second FK."""
+    assert success.any()
+    position, angle = pose_errors(judge.fk(q, robot.joint_names), T)
+    assert (position[success] <= 1e-6 * (1 + 1e-9)).all() and (angle[success] <= 1e-6 * (1 + 1e-9)).all()
+    assert not judge.outside(q, robot.joint_names).any()
+
+
+@pytest.mark.parametrize("name", HARD)
+def test_literal_cases(name):
+    robot, judge = ik.Robot.load(HARD[name]), SecondFK(HARD[name])
+    check_kinematics(robot, judge, 1, count=200)
+    rng = np.random.default_rng(2)
+    T = judge.fk(np.array([robot.random_q(rng) for _ in range(300)]), robot.joint_names)
+    batch = ik.solve_batch(robot, T)
+    assert batch.success.mean() > 0.99
+    check_answers(robot, judge, T, batch.q, batch.success)
+    bound = ik.Solver(robot)
+    for solve in (bound, lambda target: ik.solve(robot, target)):
+        results = [solve(target) for target in T[:10]]
+        check_answers(robot, judge, T[:10], np.array([r.q for r in results]), np.array([r.success for r in results]))
+
+
+def test_every_rpy_that_people_write():
+    """All 2,197 triples, forty to a robot: axes that are parallel, square or opposite but for the literals' last digits."""
+    rng = np.random.default_rng(3)
+    triples = [" ".join(rpy) for rpy in itertools.product(RPY_LITERALS, repeat=3)]
+    assert len(triples) == 2197
+    for start in range(0, len(triples), 40):
+        axes = rng.choice(["0 0 1", "1 0 0", "0 -1 0", "0 0 -1"], 40)
+        text = robots.urdf(
+            *(
+                dict(kind="revolute", rpy=rpy, axis=axis, xyz="0.1 0.05 0.2")
+                for rpy, axis in zip(triples[start : start + 40], axes, strict=False)
+            )
+        )
+        check_kinematics(ik.Robot.load(text), SecondFK(text), start, count=2)
+
+
+def test_random_robots():
+    """80 of the robots that scripts/break/robots.py makes without end."""
+    refused = 0
+    for seed in range(80):
+        case = random_case(np.random.default_rng([11, seed]))
+        try:
+            robot = ik.Robot.load(case.text, base=case.base, tip=case.tip, locked=case.locked)
+        except ModelError as error:
+            assert "not in the kinematic tree" in str(error)  # Pinocchio wants a leader before its followers
+            refused += 1
+            continue
+        check_kinematics(robot if case.tool is None else robot.with_tool(case.tool), case.judge(), seed, count=5)
+    assert refused < 8
+
+
+def test_random_robots_in_batches():
+    for seed in range(6):
+        case = random_case(np.random.default_rng([12, seed]), most=9)
+        robot, judge = ik.Robot.load(case.text, base=case.base, tip=case.tip, locked=case.locked), case.judge()
+        robot = robot if case.tool is None else robot.with_tool(case.tool)
+        rng = np.random.default_rng(seed)
+        T = judge.fk(np.array([robot.random_q(rng) for _ in range(200)]), robot.joint_names)
+        batch = ik.solve_batch(robot, T, position_tolerance=1e-6 * robot.reach, orientation_tolerance=1e-6)
+        position, angle = pose_errors(judge.fk(batch.q, robot.joint_names), T)
+        assert (position[batch.success] <= 1e-6 * robot.reach * (1 + 1e-6)).all()
+        assert (angle[batch.success] <= 1e-6 * (1 + 1e-6)).all()
+        assert not judge.outside(batch.q, robot.joint_names).any()
+
+
+BRANCHES = (
+    '<robot name="branches"><link name="root"/>'
+    + robots.joint("left", "revolute", "root", "l1", axis="0 1 0")
+    + robots.joint(
+        "left_follower", "revolute", "l1", "l2", limits=(-9, 9), mimic='<mimic joint="left" multiplier="2" offset="4"/>'
+    )
+    + robots.joint("left_free", "revolute", "l2", "left_hand", axis="1 0 0")
+    + robots.joint("right", "revolute", "root", "r1", axis="1 1 0", xyz="0 0.3 0")
+    + robots.joint(
+        "right_follower", "prismatic", "r1", "r2", limits=(-9, 9), mimic='<mimic joint="left" multiplier="-0.3"/>'
+    )
+    + robots.joint("right_tip", "revolute", "r2", "right_hand", xyz="0.1 0 0.1")
+    + "</robot>"
+)
+
+
+@pytest.mark.parametrize(("base", "tip"), [("left_hand", "right_hand"), ("l1", "right_hand"), ("r1", "right_hand")])
+def test_a_base_on_a_branch_moves_with_what_it_shares(base, tip):
+    """Joints between the base and the shared link hold still, unless they lead or follow a joint of the path."""
+    robot, judge = ik.Robot.load(BRANCHES, base=base, tip=tip), SecondFK(BRANCHES, base, tip)
+    assert "left" in robot.joint_names and "left_free" not in robot.joint_names
+    check_kinematics(robot, judge, 4, count=50)
+
+
+def test_a_lone_follower_does_not_turn_with_its_leader():
+    """A full turn of the leader is half a turn of the only joint on the path that follows it."""
+    text = robots.urdf(
+        dict(kind="revolute", limits=(-7.0, 7.0)),
+        dict(kind="revolute", axis="0 1 0", limits=(-9, 9), mimic='<mimic joint="j0" multiplier="0.5"/>'),
+        dict(kind="revolute", axis="1 0 0", xyz="0 0 0.3", limits=(-3.2, 3.2)),
+        dict(kind="revolute", axis="0 1 0", xyz="0 0 0.3"),
+        dict(kind="fixed", xyz="0.1 0 0.2"),
+    )
+    robot, judge = ik.Robot.load(text, base="l1"), SecondFK(text, "l1")
+    rng = np.random.default_rng(5)
+    Q = np.array([robot.random_q(rng) for _ in range(300)])
+    T = judge.fk(Q, robot.joint_names)
+    batch = ik.solve_batch(robot, T)
+    check_answers(robot, judge, T, batch.q, batch.success)
+
+
+def test_a_follower_of_multiplier_zero_stands_still():
+    text = arm(j2=dict(mimic='<mimic joint="j0" multiplier="0" offset="0.4"/>'))
+    robot = ik.Robot.load(text)
+    assert robot.n == 6
+    check_kinematics(robot, SecondFK(text), 6)
+
+
+def test_limits_of_a_follower_hold_to_the_last_digit():
+    """At the limits a follower gives its leader, the follower's own value, as rounded, is inside its own."""
+    rng = np.random.default_rng(7)
+    for _ in range(100):
+        ratio, offset, low = rng.normal() * 3, rng.normal() * 2, rng.normal()
+        high = low + rng.choice([0.0, 0.5])
+        mimic = f'<mimic joint="j0" multiplier="{ratio!r}" offset="{offset!r}"/>'
+        text = robots.urdf(
+            dict(kind="continuous"), dict(kind="revolute", limits=(float(low), float(high)), mimic=mimic, axis="0 1 0")
+        )
+        robot = ik.Robot.load(text)
+        if high > low:
+            ends = ratio * np.array([robot.lower[0], robot.upper[0]]) + offset
+            assert low <= ends.min() and ends.max() <= high
+        assert robot.lower[0] <= robot.upper[0]
+
+
+def test_a_zero_range_that_is_written_with_a_minus():
+    text = robots.urdf(dict(kind="revolute", limits=("0", "-0.0")), dict(kind="revolute", axis="0 1 0"))
+    robot = ik.Robot.load(text)
+    assert robot.random_q(np.random.default_rng(0))[0] == 0.0
+    assert ik.solve(robot, robot.fk([0.0, 0.5])).success
+
+
+def test_one_degree_of_freedom_has_a_jacobian():
+    robot = ik.Robot.load(robots.urdf(dict(kind="revolute"), dict(kind="fixed", xyz="0.3 0 0")))
+    assert np.allclose(robot.jacobian([0.2])[:, 0], [-0.3 * math.sin(0.2), 0.3 * math.cos(0.2), 0, 0, 0, 1])
+    assert ik.solve(robot, robot.fk([0.2]).translation).success
+
+
+def test_a_chain_that_differs_from_pinocchio_is_refused():
+    """What Pinocchio computes and what was read from the joints is compared when a robot is loaded."""
+
+    class Skewed(ik.Robot):
+        def _kinematics(self, q):
+            T, J = super()._kinematics(q)
+            return T * pin.SE3(np.eye(3), np.array([2e-9, 0.0, 0.0])), J
+
+    with pytest.raises(ModelError, match="please report"):
+        Skewed(pin.buildModelFromXML(arm(), True))
+
+
+def test_the_second_fk_itself():
+    """Two joints by hand: the judge is right about what is easily written down."""
+    text = robots.urdf(
+        dict(kind="revolute", xyz="0 0 1", rpy="0 0 1.5707963267948966"),
+        dict(kind="prismatic", axis="2 0 0", xyz="0.5 0 0", mimic='<mimic joint="j0" multiplier="3" offset="0.25"/>'),
+    )
+    T = SecondFK(text).fk([[0.3]], ["j0"])[0]
+    angle = math.pi / 2 + 0.3
+    reach = 0.5 + 3 * 0.3 + 0.25
+    assert np.allclose(T[:3, 3], [reach * math.cos(angle), reach * math.sin(angle), 1.0])
+    assert np.allclose(T[:3, :3], turn_about(np.array([0.0, 0.0, 1.0]), angle))
+    for exact in (0.0, 1e-9, 1.0, math.pi - 1e-9, math.pi):
+        R = turn_about(np.array([0.6, 0.0, -0.8]), exact)
+        assert second_fk.angles_between(np.eye(3)[None], R[None])[0] == pytest.approx(exact, abs=1e-15)
