@@ -1,16 +1,26 @@
 """The disk cache of the compiled kernels: an edit of any file they are made of is seen."""
 
+import errno
+import importlib
+import importlib.util
+import json
+import logging
 import os
+import pickle
 import shutil
 import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
+from numba import config
 from numba.core.caching import Cache
 from numba.core.dispatcher import Dispatcher
+from numba.core.serialize import dumps
 
 import ik_toolkit
+from ik_toolkit.kernel import cache
 from ik_toolkit.kernel.chain import forward
 from ik_toolkit.kernel.lanes import lanes
 from ik_toolkit.kernel.refine import refine
@@ -82,3 +92,170 @@ def test_what_is_used_of_numba_is_there(function):
     assert "_index_key" in vars(Cache), "numba's Cache has no _index_key any more"
     assert isinstance(function, Dispatcher) and isinstance(function._cache, Cache)
     assert function._cache.stamp in function._cache._index_key((), function.targetctx.codegen())
+
+
+# --------------------------------------------------------------------------------------------- what happens to the files
+SOURCE = """
+from ik_toolkit.kernel.jit import cached
+
+@cached
+def double(x):
+    return 2.0 * x
+"""
+
+
+@pytest.fixture
+def double(tmp_path, caplog, monkeypatch):
+    """A function that calls a freshly imported `double`, compiled or loaded, and gives what was logged meanwhile."""
+    monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
+    path = tmp_path / "small_kernel.py"
+    path.write_text(SOURCE)
+    spec = importlib.util.spec_from_file_location("small_kernel", path)
+
+    def call():
+        module = importlib.util.module_from_spec(spec)
+        spec.loader.exec_module(module)
+        caplog.clear()
+        with caplog.at_level(logging.INFO, "ik_toolkit"):
+            assert module.double(21.0) == 42.0
+        return [(record.name, record.levelname) for record in caplog.records]
+
+    cache.not_kept.cache_clear()
+    call.folder = tmp_path / "__pycache__"
+    call.files = lambda: sorted(call.folder.glob("*.nbc"))
+    return call
+
+
+MADE, DAMAGED, UNKEPT = ("ik_toolkit.compile", "INFO"), ("ik_toolkit.cache", "WARNING"), ("ik_toolkit.cache", "WARNING")
+
+
+@pytest.mark.skipif(config.DISABLE_JIT, reason="nothing is compiled")
+def test_compiling_is_said_when_it_happens_and_only_then(double):
+    assert double() == [MADE]
+    assert double() == []
+    assert len(double.files()) == 1
+
+
+def cuts(data):
+    """Every kind of damage: cut anywhere, one bit flipped anywhere, something else altogether."""
+    rng = np.random.default_rng(7)
+    yield from (data[:k] for k in (0, 1, 19, 30, 52, 60, len(data) // 2, len(data) - 1))
+    for k in [0, 20, 51, 52, 53, *rng.integers(0, len(data), 20)]:
+        yield data[:k] + bytes([data[k] ^ 1 << rng.integers(8)]) + data[k + 1 :]
+    yield from (b"\0" * len(data), data + b"\0", pickle.dumps(KeyboardInterrupt()), cache.HEAD)
+
+
+@pytest.mark.skipif(config.DISABLE_JIT, reason="nothing is compiled")
+def test_a_damaged_file_is_noticed_and_made_anew(double):
+    double()
+    (path,) = double.files()
+    whole = path.read_bytes()
+    for damaged in cuts(whole):
+        path.write_bytes(damaged)
+        assert double() == [DAMAGED, MADE]
+        assert double() == []
+
+
+@pytest.mark.skipif(config.DISABLE_JIT, reason="nothing is compiled")
+def test_a_file_of_another_key_is_not_taken(double):
+    """Two kernels may not be mixed up, whatever a file is called."""
+    double()
+    (path,) = double.files()
+    _, payload = pickle.loads(cache.content(path))
+    cache.write(path, dumps((("another", "key"), payload)))
+    assert double() == [MADE]
+
+
+@pytest.mark.skipif(config.DISABLE_JIT, reason="nothing is compiled")
+@pytest.mark.parametrize("error", [errno.ENOSPC, errno.EIO, errno.EROFS, errno.EACCES])
+@pytest.mark.parametrize("call", ["write_bytes", "replace"])
+def test_a_disk_that_takes_nothing_is_said_once(double, monkeypatch, call, error):
+    def fail(*_, **__):
+        raise OSError(error, os.strerror(error))
+
+    monkeypatch.setattr(*((Path, call, fail) if call == "write_bytes" else (os, call, fail)))
+    assert double() == [MADE, UNKEPT]
+    assert double() == [MADE]
+    assert list(double.folder.glob("ik-*")) == []
+
+
+@pytest.mark.skipif(config.DISABLE_JIT, reason="nothing is compiled")
+def test_files_of_other_sources_are_removed(double):
+    double()
+    (path,) = double.files()
+    old = path.with_name(path.name.replace(cache.stamp_of(cache.KERNEL)[:12], "0" * 12))
+    path.rename(old)
+    cache._remove_old.cache_clear()
+    assert double() == [MADE] and double.files() == [path]
+
+
+def test_a_full_disk_at_the_first_solve(copy):
+    """The real thing: a process that may write no file solves all the same, and says once what it cannot keep."""
+    for path in copy.rglob("ik-chain.*.nbc"):
+        path.unlink()
+    code = "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (0, 0))\n" + REACH
+    done = run(copy, code)
+    assert float(done.stdout) == 2.0 and done.returncode == 0, done.stderr
+    assert done.stderr.count("cannot be kept") == 1 and "Traceback" not in done.stderr
+
+
+def test_the_command_says_that_it_compiles_only_when_it_does(copy):
+    code = "import sys; from ik_toolkit.cli import main; sys.exit(main(['fk', 'planar_2r']))"
+    for path in copy.rglob("ik-chain.*.nbc"):
+        path.unlink()
+    assert run(copy, code).stderr.count("compiling") == 1
+    assert run(copy, code).stderr == ""
+
+
+def test_doctor_finds_damaged_files_and_mends_them(copy):
+    doctor = "import sys; from ik_toolkit.cli import main; sys.exit(main(['doctor', '--json']))"
+
+    def state():
+        done = run(copy, doctor)
+        (row,) = (row for row in json.loads(done.stdout)["checks"] if row["what"] == "compile cache")
+        return row["state"], row["detail"]
+
+    assert run(copy, REACH).returncode == 0
+    path = next(copy.rglob("ik-chain.forward*.nbc"))
+    data = path.read_bytes()
+    path.write_bytes(data[:1000] + bytes([data[1000] ^ 4]) + data[1001:])
+    torn = path.with_name("ik-something.part")
+    torn.write_bytes(data[:100])
+    assert state()[0] == "mended" and not path.exists() and not torn.exists()
+    assert state()[0] == "ok"
+    full = run(copy, "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (0, 0))\n" + doctor)
+    assert full.returncode == 1 and "too large" in full.stdout
+
+
+RULE = """
+import logging, numpy as np
+from typing import NamedTuple
+import ik_toolkit as ik
+from ik_toolkit.kernel.cache import make_cache
+
+class Mine(NamedTuple):
+    gain: float = 0.5
+
+def function():
+    pass
+
+print(make_cache(function, (Mine,)).why)
+"""
+
+
+def test_a_rule_of_a_script_is_not_kept_and_says_so(tmp_path):
+    script = tmp_path / "script.py"
+    script.write_text(RULE)
+    done = subprocess.run([sys.executable, str(script)], capture_output=True, text=True, timeout=300)
+    assert "Mine is defined in a script or a session" in done.stdout, done.stderr
+
+
+def test_files_a_rule_is_compiled_from_are_watched(tmp_path, monkeypatch):
+    (tmp_path / "rule_helpers.py").write_text("from numba import njit\n@njit\ndef half(x):\n    return 0.5 * x\n")
+    (tmp_path / "rule_of_mine.py").write_text(
+        "import rule_helpers\nclass Mine: pass\ndef step(x):\n    return rule_helpers.half(x)\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    module = importlib.import_module("rule_of_mine")
+    watched = {path.name for thing in (module.Mine, module.step) for path in cache._sources(thing)}
+    assert watched == {"rule_of_mine.py", "rule_helpers.py"}

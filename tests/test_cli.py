@@ -6,7 +6,6 @@ import os
 import re
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import numpy as np
@@ -155,15 +154,6 @@ def test_output_file_holds_the_object(run, tmp_path):
     code, out, err = run(*SOLVE, "--json", "-o", file)
     assert code == 0 and f"wrote {file}" in err
     assert json.loads(file.read_text()) == json.loads(out)
-
-
-def test_a_call_that_compiles_says_so_once(monkeypatch, capsys):
-    monkeypatch.setattr(common, "COMPILE_NOTICE_AFTER", 0.0)
-    common.notice_once.cache_clear()
-    for _ in range(2):
-        with common.compile_notice("the test"):
-            time.sleep(0.2)
-    assert capsys.readouterr().err.count("compiling the test") == 1
 
 
 # -------------------------------------------------------------------------------------------------- lists and files

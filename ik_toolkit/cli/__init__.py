@@ -1,6 +1,7 @@
 """The command `ik`: one module per group of commands, each with `register(app)`. Heavy imports happen inside commands."""
 
 import importlib
+import logging
 import sys
 from collections.abc import Sequence
 from contextlib import redirect_stdout
@@ -10,7 +11,7 @@ import typer
 
 from .. import __version__
 from ..errors import IKError, MissingExtra
-from .common import Output, join_vectors, notice
+from .common import LogNotices, Output, join_vectors, notice
 
 MODULES = (
     "robots",
@@ -65,6 +66,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     arguments = join_vectors(sys.argv[1:] if argv is None else argv)
     debug = "--debug" in arguments
     arguments = [argument for argument in arguments if argument != "--debug"]
+    shown = LogNotices()
+    logging.getLogger("ik_toolkit.compile").setLevel(logging.INFO)
+    logging.getLogger("ik_toolkit").addHandler(shown)
     try:
         command = typer.main.get_command(application())
         with redirect_stdout(Output(sys.stdout)):
@@ -82,6 +86,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         text, code = _explain(error)
         notice(f"ik: {text}")
         return code
+    finally:
+        logging.getLogger("ik_toolkit").removeHandler(shown)
 
 
 def _explain(error: Exception) -> tuple[str, int]:

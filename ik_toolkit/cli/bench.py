@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .common import PLOTS, Json, Out, compile_notice, load_robot, notice, show, table, write_json, writes
+from .common import PLOTS, Json, Out, load_robot, notice, show, table, write_json, writes
 
 if TYPE_CHECKING:
     from ..study.benchmark import Benchmark
@@ -72,8 +72,7 @@ def bench(
     given = {key: value for key, value in options.items() if value is not None}
     stopped = False
     try:
-        with compile_notice("the solvers"):
-            found = benchmark(arms, names, targets=targets, start=start, task=task, seed=seed, **given)
+        found = benchmark(arms, names, targets=targets, start=start, task=task, seed=seed, **given)
     except BenchmarkInterrupted as interrupt:
         found, stopped = interrupt.result, True
         if not found.rows:

@@ -3,12 +3,11 @@
 import functools
 import importlib.util
 import json
+import logging
 import math
 import os
 import sys
-import threading
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -28,7 +27,6 @@ VECTOR_OPTIONS = frozenset(
     "--q --q0 --xyz --rpy --quat-xyzw --center --axis --start --end --direction --tip-axis --mask --joint-weights "
     "--closest".split()
 )
-COMPILE_NOTICE_AFTER = 0.7  # s; a call that takes longer is compiling
 
 PLOTS = (".png", ".pdf", ".svg")
 
@@ -195,37 +193,22 @@ def load_robot(
     tips = find(source).tips
     if tip is None and len(tips) > 1:
         raise FrameNotFound(f"robot '{source}' has {len(tips)} tips; choose one with --tip: {', '.join(tips)}")
-    with compile_notice():
-        robot = Robot.load(source, tip=tip, base=base, package_dirs=package_dir or ())
-        if not lock:
-            return robot
-        values = {}
-        for joint, text in assignments(lock, "--lock").items():
-            value = numbers(text)
-            if value is None or len(value) != 1:
-                raise InvalidOption(f"--lock {joint} takes one number, not '{text}'")
-            values[joint] = math.radians(value[0]) if deg and not slides(robot, joint) else value[0]
-        return robot.locked(values)
+    robot = Robot.load(source, tip=tip, base=base, package_dirs=package_dir or ())
+    if not lock:
+        return robot
+    values = {}
+    for joint, text in assignments(lock, "--lock").items():
+        value = numbers(text)
+        if value is None or len(value) != 1:
+            raise InvalidOption(f"--lock {joint} takes one number, not '{text}'")
+        values[joint] = math.radians(value[0]) if deg and not slides(robot, joint) else value[0]
+    return robot.locked(values)
 
 
 def slides(robot: "Joints", joint: str) -> bool:
     """Whether a joint of the model (on the path or not) is prismatic."""
     model = robot.model
     return model.existJointName(joint) and model.joints[model.getJointId(joint)].shortname().startswith("JointModelP")
-
-
-@contextmanager
-def compile_notice(what: str = "the solver") -> Iterator[None]:
-    """Say on stderr that numba is compiling when the block takes longer than a compiled call would."""
-    timer = threading.Timer(
-        COMPILE_NOTICE_AFTER, notice_once, [f"compiling {what} (first use on this machine, some seconds) ..."]
-    )
-    timer.daemon = True
-    timer.start()
-    try:
-        yield
-    finally:
-        timer.cancel()
 
 
 # -------------------------------------------------------------------------------------------------------------- output
@@ -273,6 +256,17 @@ def notice(text: str) -> None:
 def notice_once(text: str) -> None:
     """Print one line of prose on stderr, the first time only."""
     notice(text)
+
+
+class LogNotices(logging.Handler):
+    """Shows what the package logs on stderr; that it compiles is said once, whatever the number of kernels."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Print one record."""
+        if record.name == "ik_toolkit.compile":
+            notice_once(f"compiling the solver ({record.args[1]}) ...")  # type: ignore[index]
+        else:
+            notice(f"{record.levelname.lower()}: {record.getMessage()}")
 
 
 def plain(value: Any) -> Any:

@@ -15,7 +15,8 @@ from ..errors import extras
 from .common import Json, show, table, write_json
 
 CORE = ("pin", "numpy", "numba", "typer", "rich")
-COLOURS = {"ok": "green", "missing": "yellow", "problem": "red"}
+COLOURS = {"ok": "green", "missing": "yellow", "mended": "yellow", "problem": "red"}
+ROOM = 2**21  # bytes; the largest kernel takes less
 DEVELOPMENT = {"all", "test", "lint", "docs", "peers"}  # extras a user does not need
 
 
@@ -27,7 +28,8 @@ def register(app: typer.Typer) -> None:
 def doctor(as_json: Json = False) -> None:
     """Check the installation: versions, extras, cache folder, robots.
 
-    Uses no network. Exit code 1 when something is wrong; a missing extra is not.
+    Uses no network. Damaged files of compiled code are removed; they are made again when needed. Exit code 1 when something
+    is wrong; a missing extra is not.
     """
     rows = [*_versions(), *_extras(), _cache(), _pinocchio(), _robots()]
     healthy = all(row["state"] != "problem" for row in rows)
@@ -79,20 +81,33 @@ def _extras() -> Iterator[dict[str, Any]]:
 
 
 def _cache() -> dict[str, Any]:
-    """Where compiled kernels are kept: NUMBA_CACHE_DIR, beside the package, or the user's cache folder."""
-    beside = Path(__file__).resolve().parent.parent / "kernel"
-    wanted = [Path(os.environ["NUMBA_CACHE_DIR"])] if os.environ.get("NUMBA_CACHE_DIR") else [beside, Path.home()]
-    for folder in wanted:
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-            with tempfile.TemporaryFile(dir=folder):
-                return _row("compile cache", "ok", f"writable: {folder}")
-        except OSError:
-            continue
-    tried = ", ".join(str(folder) for folder in wanted)
-    return _row(
-        "compile cache", "missing", f"not writable ({tried}): every process compiles again; set NUMBA_CACHE_DIR"
-    )
+    """Where compiled kernels are kept, whether there is room, and whether they are whole; what is damaged is removed."""
+    try:
+        from ..kernel.cache import damaged
+        from ..kernel.chain import forward
+
+        folder, broken = damaged(forward)
+    except Exception as error:  # a broken installation: the rows above say which part
+        return _row("compile cache", "problem", f"the kernels cannot be imported: {error}")
+    if folder is None:
+        return _row(
+            "compile cache", "missing", f"every process compiles again ({forward._cache.why}); set NUMBA_CACHE_DIR"
+        )
+    try:
+        for path in broken:
+            path.unlink()
+        place = Path(forward._cache.cache_path)
+        place.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryFile(dir=place) as file:
+            file.write(bytes(ROOM))
+            file.flush()
+            os.fsync(file.fileno())
+    except OSError as error:
+        return _row("compile cache", "problem", f"{error.strerror}: {folder}; free it or set NUMBA_CACHE_DIR")
+    if broken:
+        names = ", ".join(path.name for path in broken[:3]) + (", ..." if len(broken) > 3 else "")
+        return _row("compile cache", "mended", f"{len(broken)} damaged file(s) removed from {folder}: {names}")
+    return _row("compile cache", "ok", f"writable, and all in it whole: {folder}")
 
 
 def _pinocchio() -> dict[str, Any]:

@@ -5,7 +5,7 @@ from typing import Annotated
 import typer
 
 from ..errors import InvalidOption
-from .common import RobotArg, Tip, compile_notice, notice
+from .common import RobotArg, Tip, notice
 
 Host = Annotated[str, typer.Option(metavar="ADDRESS", help="Address to listen at; the default is this machine only.")]
 Port = Annotated[int, typer.Option(metavar="N", help="Port; default: a free one.")]
@@ -32,8 +32,7 @@ def panel(
     from ..show.panel import Panel
     from .view import wait
 
-    with compile_notice():
-        served = Panel(robot, tip, host=host, port=port)
+    served = Panel(robot, tip, host=host, port=port)
     if not is_loopback(host):
         notice(
             f"warning: the panel listens at {host}, unencrypted: everybody who knows the address below can use it,"

@@ -18,7 +18,6 @@ from .common import (
     RobotArg,
     Tip,
     assignments,
-    compile_notice,
     facts,
     joint_vector,
     load_robot,
@@ -247,10 +246,10 @@ def solve(
         found = _solve_all(arm, target, method, start, options, deg, as_json, output)
         draw(arm, list(found), target, None, html, live)
         return
-    with compile_notice():  # at a solved start: compiles or loads, so that the time shown below is the solve's own
-        at_home = arm.fk(arm.home)
-        position_only = getattr(target, "ndim", 2) == 1
-        solve_one(arm, at_home.translation if position_only else at_home, method, **options)
+    # At a solved start: compiles or loads, so that the time shown below is the solve's own.
+    at_home = arm.fk(arm.home)
+    position_only = getattr(target, "ndim", 2) == 1
+    solve_one(arm, at_home.translation if position_only else at_home, method, **options)
     if closest is not None:
         options["closest"] = joint_vector(arm, closest, "--closest", deg)
     result = solve_one(arm, target, method, q0=start, **options)
@@ -276,8 +275,7 @@ def _solve_all(
     """Print all solutions and return them; exit code 1 when there is none."""
     from ..solvers.solve_all import solve_all
 
-    with compile_notice():
-        found = solve_all(arm, target, method, start, **options)
+    found = solve_all(arm, target, method, start, **options)
     where = {"base": arm.base, "tip": arm.tip, "target": getattr(target, "T_base_tip", target)}
     write_json({**found.to_dict(), **where}, as_json, output)
     if not as_json and len(found):

@@ -17,7 +17,6 @@ from .common import (
     RobotArg,
     Tip,
     assignments,
-    compile_notice,
     facts,
     joint_vector,
     load_robot,
@@ -143,22 +142,21 @@ def track(
 
     from ..tracking.track import track as follow
 
-    with compile_notice("the tracker"):
-        reference = _reference(arm, path, first, start, end, axis, radius, length, turns_, duration, law, position_only)
-        with warnings.catch_warnings():
-            warnings.simplefilter("always")
-            warnings.showwarning = lambda message, *_: notice(f"warning: {message}")
-            begin = arm.home if first is None and start is None and path in SHAPES else first
-            result = follow(
-                arm,
-                reference,
-                method,
-                dt=1.0 / rate,
-                q0=begin,
-                limits=limits,
-                acceleration_limits=acceleration,
-                **options,
-            )
+    reference = _reference(arm, path, first, start, end, axis, radius, length, turns_, duration, law, position_only)
+    with warnings.catch_warnings():
+        warnings.simplefilter("always")
+        warnings.showwarning = lambda message, *_: notice(f"warning: {message}")
+        begin = arm.home if first is None and start is None and path in SHAPES else first
+        result = follow(
+            arm,
+            reference,
+            method,
+            dt=1.0 / rate,
+            q0=begin,
+            limits=limits,
+            acceleration_limits=acceleration,
+            **options,
+        )
     if output is not None:
         notice(f"wrote {result.save(output)}")
     if plot is not None:

@@ -15,7 +15,6 @@ from .common import (
     PackageDir,
     RobotArg,
     Tip,
-    compile_notice,
     facts,
     load_robot,
     notice,
@@ -112,7 +111,7 @@ def tune(
 
     console = Console(stderr=True)
     columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
-    with compile_notice(), Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
         task = bar.add_task("searching", total=generations)
         least = float("inf")
 

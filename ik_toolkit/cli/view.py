@@ -16,7 +16,6 @@ from .common import (
     PackageDir,
     RobotArg,
     Tip,
-    compile_notice,
     joint_vector,
     load_robot,
     notice,
@@ -117,13 +116,12 @@ def _solve(arm: Any, target: Any, solver: str, start: Any, every: bool) -> tuple
     from ..solvers.solve import solve as solve_one
     from ..solvers.solve_all import solve_all
 
-    with compile_notice():
-        if every:
-            found = solve_all(arm, target, solver, start)
-            if len(found):
-                notice(found.message)
-                return list(found), True
-        result = solve_one(arm, target, solver, q0=start, history=True)
+    if every:
+        found = solve_all(arm, target, solver, start)
+        if len(found):
+            notice(found.message)
+            return list(found), True
+    result = solve_one(arm, target, solver, q0=start, history=True)
     notice(f"{result.status.name}: {result.message}")
     return result, result.success
 

@@ -18,7 +18,6 @@ from .common import (
     PackageDir,
     RobotArg,
     Tip,
-    compile_notice,
     facts,
     heading,
     joint_vector,
@@ -128,7 +127,7 @@ def workspace(
         nullcontext() if workers is None else ProcessPoolExecutor(workers, initializer=signal.signal, initargs=ignore)
     )
     bar = Progress(console=console, transient=True, disable=not console.is_terminal)
-    with compile_notice(), pool as executor, bar:
+    with pool as executor, bar:
         task = bar.add_task("solving", total=goals)
         try:
             found = study(

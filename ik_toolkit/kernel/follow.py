@@ -5,7 +5,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from .jit import cached, source_file
+from .jit import cached
 from .kinematics import aim, angle_ratio, columns, error, fk
 from .loop import RULES, SWEEPS, Step, Sweep, measure, step
 from .motion import (
@@ -218,4 +218,4 @@ def rule_tracker(cls: type) -> Callable:
                     C[i, k] = C[i, k] | HELD
         return steps
 
-    return cached(follow, source_file(RULES[cls]))
+    return cached(follow, cls, RULES[cls])

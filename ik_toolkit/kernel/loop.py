@@ -31,7 +31,7 @@ from .checks import (
     rigid,
     why,
 )
-from .jit import OPTIONS, cached, inline, source_file
+from .jit import OPTIONS, cached, inline
 from .kinematics import TAU, aim, chord, columns, error, fk, rotation_angle
 from .limits import face, held_back, hold, integrate, legal, neighbourhood, turn
 from .seeds import BEST, nearest, rnd, sow
@@ -462,5 +462,5 @@ def entry(cls: type) -> Callable:
             for i in range(n):
                 out[t, OUT_HEAD + i] = q[i] * unit[i]
 
-    ENTRIES[cls] = cached(solve, source_file(RULES[cls]))
+    ENTRIES[cls] = cached(solve, cls, RULES[cls])
     return ENTRIES[cls]

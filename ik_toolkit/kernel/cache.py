@@ -1,0 +1,188 @@
+"""Compiled kernels on disk: never stale, never half a file, and no reason to fail when the disk is full or damaged.
+
+numba's own cache watches the file of the cached function only, keeps all kernels of a function in one index that two
+processes may overwrite for each other, and passes on whatever a damaged file makes of unpickling. Here each kernel is one
+file, named by its key; it holds its key and a checksum, and what does not match is compiled again.
+"""
+
+import functools
+import hashlib
+import inspect
+import logging
+import os
+import pickle
+import types
+import uuid
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import llvmlite
+import numba
+from numba.core.caching import FunctionCache, NullCache
+from numba.core.dispatcher import Dispatcher
+from numba.core.serialize import dumps
+
+KERNEL = Path(__file__).parent
+HEAD = b"ik_toolkit kernel 1\n"  # of every file; then 32 bytes of SHA-256 over the rest
+PREFIX, SUFFIX = "ik-", ".nbc"
+LOG = logging.getLogger("ik_toolkit.cache")
+COMPILING = logging.getLogger("ik_toolkit.compile")
+
+
+class MemoryCache(NullCache):
+    """Keeps nothing: a kernel is compiled in every process. Says so when it happens."""
+
+    def __init__(self, what: str, why: str) -> None:
+        """Name what is compiled, and why it cannot be kept."""
+        self.what, self.why = what, why
+
+    def load_overload(self, sig: Any, target_context: Any) -> None:
+        """Nothing is there; numba compiles next."""
+        COMPILING.info("compiling %s (%s)", self.what, f"in every process: {self.why}")
+
+
+class DiskCache(FunctionCache):
+    """Keeps the kernels of one function, a file each, in the folder numba chooses for it."""
+
+    def __init__(self, function: Any, what: str, stamp: str) -> None:
+        """`stamp` joins the key: a hash of all sources. Raises RuntimeError where numba finds no folder to write."""
+        super().__init__(function)
+        self.what, self.stamp = what, stamp
+
+    def _index_key(self, sig: Any, codegen: Any) -> tuple:
+        return (*super()._index_key(sig, codegen), self.stamp, numba.__version__, llvmlite.__version__)
+
+    def path(self, key: tuple) -> Path:
+        """File of a key; the second part of its name says of which kernel sources it is."""
+        name = f"{PREFIX}{self._impl.filename_base}.{stamp_of(KERNEL)[:12]}.{_hash(repr(key).encode())[:16]}{SUFFIX}"
+        return Path(self._cache_path) / name
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        """Compiled code for a signature; None, and numba compiles, when there is none that is whole."""
+        target_context.refresh()
+        key = self._index_key(sig, target_context.codegen())
+        path = self.path(key)
+        try:
+            stored, payload = pickle.loads(content(path))  # noqa: S301  our own file, and whole
+            if stored == key:
+                return self._impl.rebuild(target_context, payload)
+        except FileNotFoundError:
+            pass
+        except Exception as error:  # whatever is wrong with a cache, compiling helps
+            LOG.warning("%s cannot be used and is made anew: %s", path, error)
+        COMPILING.info("compiling %s (%s)", self.what, "first use on this machine, some seconds")
+        return None
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        """Keep compiled code; where that cannot be written, the process goes on with what it has."""
+        if not self._impl.check_cachable(data):
+            return
+        key = self._index_key(sig, data.codegen)
+        try:
+            self._impl.locator.ensure_cache_path()
+            write(self.path(key), dumps((key, self._impl.reduce(data))))
+        except OSError as error:
+            not_kept(str(self._cache_path), error.strerror or str(error))
+
+
+@functools.cache  # once a process and reason
+def not_kept(folder: str, why: str) -> None:
+    """Say that the folder takes no kernels."""
+    LOG.warning(
+        "compiled kernels cannot be kept in %s (%s): every process compiles again; see `ik doctor`", folder, why
+    )
+
+
+def content(path: Path) -> bytes:
+    """What `write` wrote; ValueError when the file is not whole."""
+    data = path.read_bytes()
+    body = data[len(HEAD) + 32 :]
+    if data[: len(HEAD)] != HEAD or data[len(HEAD) : len(HEAD) + 32] != hashlib.sha256(body).digest():
+        raise ValueError("the file is damaged")
+    return body
+
+
+def damaged(function: Any) -> tuple[Path | None, list[Path]]:
+    """Top folder of the kernels on disk, seen from a cached function, and the files in it that are not whole."""
+    if not isinstance(function._cache, DiskCache):
+        return None, []
+    folder = Path(function._cache.cache_path)
+    top = KERNEL.parent if folder.name == "__pycache__" else folder.parent
+    return top, [path for path in sorted(top.rglob(f"{PREFIX}*")) if not _whole(path)]
+
+
+def _whole(path: Path) -> bool:
+    try:
+        return path.suffix == SUFFIX and bool(content(path))
+    except (OSError, ValueError):
+        return False
+
+
+def write(path: Path, body: bytes) -> None:
+    """Write a file whole or not at all, and remove those of other kernel sources."""
+    part = path.with_suffix(f".{uuid.uuid4().hex}.part")
+    try:
+        part.write_bytes(HEAD + hashlib.sha256(body).digest() + body)
+        os.replace(part, path)
+    except BaseException:
+        part.unlink(missing_ok=True)
+        raise
+    _remove_old(path.parent)
+
+
+@functools.cache  # once a process
+def _remove_old(folder: Path) -> None:
+    for path in folder.glob(f"{PREFIX}*{SUFFIX}"):
+        if f".{stamp_of(KERNEL)[:12]}." not in path.name:
+            path.unlink(missing_ok=True)
+
+
+def make_cache(function: Any, parts: tuple[Any, ...]) -> NullCache | DiskCache:
+    """Cache of a function into which `parts` (classes, functions) are compiled."""
+    what = " ".join([*(part.__name__ for part in parts[:1]), f"{function.__module__}.{function.__name__}"])
+    for part in parts:
+        if part.__module__ in ("__main__", "__mp_main__") or "<locals>" in part.__qualname__:
+            where = "in a script or a session" if "<locals>" not in part.__qualname__ else "inside a function"
+            return MemoryCache(what, f"{part.__name__} is defined {where}; a module of its own would be kept")
+    try:
+        sources = {source for thing in (function, *parts) for source in _sources(thing)}
+        return DiskCache(function, what, stamp_of(KERNEL, *sorted(sources)))
+    except (RuntimeError, OSError) as error:  # no folder to write; no file to watch
+        return MemoryCache(what, str(error))
+
+
+# ------------------------------------------------------------------------------------------------------------ the stamp
+def stamp_of(*sources: Path) -> str:
+    """Hash of files, and of all Python files in folders."""
+    return _hash("".join(map(_stamp, sources)).encode())
+
+
+@functools.cache
+def _stamp(source: Path) -> str:
+    files = sorted(source.glob("*.py")) if source.is_dir() else [source]
+    return _hash(b"".join(path.read_bytes() for path in files))
+
+
+def _hash(data: bytes) -> str:
+    return hashlib.sha256(data).hexdigest()
+
+
+def _sources(thing: Any, seen: set | None = None) -> Iterator[Path]:
+    """Files of a class or function, and of the compiled functions it calls, as far as they are outside the kernel."""
+    seen = set() if seen is None else seen
+    thing = getattr(thing, "py_func", thing)
+    path = Path(inspect.getsourcefile(thing) or __file__)
+    if thing in seen or path.parent == KERNEL:
+        return
+    seen.add(thing)
+    yield path
+    if not isinstance(thing, types.FunctionType):
+        return
+    found = inspect.getclosurevars(thing)
+    values = [*found.globals.values(), *found.nonlocals.values()]
+    modules = [value for value in values if isinstance(value, types.ModuleType)]
+    values += [vars(module).get(name) for module in modules for name in found.unbound]  # module.function(...)
+    for value in values:
+        if isinstance(value, Dispatcher):
+            yield from _sources(value, seen)
