@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     import numpy as np
 
+COMPARED = 1_000  # names a misspelled one is compared with; each takes up to 50 us
+SHOWN = 100  # characters of a name that are compared and shown: comparing takes time in their square
 EXTRA = re.compile(r"""^([A-Za-z0-9_.-]+).*extra\s*==\s*['"]([a-z]+)['"]""")
 
 
@@ -101,8 +103,9 @@ def extras() -> dict[str, list[str]]:
 
 def near_match(name: object, options: Iterable[str]) -> str:
     """Return ' Did you mean ...? Available: ...' for an unknown name (a sentence tail for error messages)."""
-    known = [str(option) for option in options]
-    lower = [option.lower() for option in known]
-    close = [known[lower.index(option)] for option in difflib.get_close_matches(str(name).lower(), lower, 1, 0.5)]
+    known = [str(option)[:SHOWN] for option in options]
+    lower = [option.lower() for option in known[:COMPARED]]
+    best = difflib.get_close_matches(str(name)[:SHOWN].lower(), lower, 1, 0.5)
+    close = [known[lower.index(option)] for option in best]
     listed = ", ".join(known[:30]) + (f", ... ({len(known)} in all)" if len(known) > 30 else "")
     return (f" Did you mean '{close[0]}'?" if close else "") + (f" Available: {listed}." if known else "")

@@ -3,6 +3,7 @@
 import json
 import math
 import os
+import sys
 from pathlib import Path
 
 import pinocchio as pin
@@ -10,9 +11,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ik_toolkit.errors import ModelError
+from ik_toolkit.errors import ModelError, near_match
 from ik_toolkit.robot.check import check_urdf, mimic_limits, require_loadable, safe_read
 from ik_toolkit.robot.library import shipped_robots
+from ik_toolkit.robot.read import parse
 
 CORPUS = Path(__file__).parent / "data" / "bad_urdf"
 EXPECTED = json.loads((CORPUS / "expected.json").read_text())
@@ -26,6 +28,10 @@ def chain(count, joint="revolute"):
         for i in range(count)
     )
     return f'<robot name="chain">{links}{joints}</robot>'
+
+
+def robot(inside):
+    return f'<robot name="r">{inside}</robot>'
 
 
 def load(source):
@@ -88,8 +94,14 @@ def test_all_errors_are_listed():
 
 
 def test_long_chains():
-    assert "more than 1,000 joints" in refusal(chain(1001))
-    assert pin.buildModelFromXML(load(chain(1000)), True).njoints == 1001
+    assert "more than 1,000 joints" in refusal(chain(1001, "fixed"))
+    assert pin.buildModelFromXML(load(chain(1000, "fixed")), True).nframes == 2002
+    followers = chain(1000).replace("</joint>", '<mimic joint="j0"/></joint>').replace('<mimic joint="j0"/>', "", 1)
+    assert pin.buildModelFromXML(load(followers), True).nv == 1
+    assert pin.buildModelFromXML(load(chain(128)), True).nv == 128
+    assert "129 degrees of freedom; at most 128" in refusal(chain(129))
+    floating = chain(22, "floating")  # 22 of six each
+    assert "132 degrees of freedom" in refusal(floating) and "132 degrees" in str(check_urdf(floating)[0])
 
 
 def test_million_joint_chain_stops_early():
@@ -103,6 +115,81 @@ def test_too_large_too_deep_too_many(tmp_path):
     assert "larger than 20 MB" in refusal("<robot name='r'>" + " " * 20_000_001)
     assert "nested more than 64 deep" in refusal("<robot name='r'>" + "<a>" * 100_000)
     assert "more than 200,000 elements" in refusal("<robot name='r'>" + "<a/>" * 300_000)
+
+
+def test_names_attributes_and_tags_are_capped():
+    two = (
+        '<link name="{0}x"/><link name="b"/><joint name="j" type="fixed"><parent link="{0}y"/><child link="b"/></joint>'
+    )
+    assert "the URDF has a name of more than 255 characters in line 1" in refusal(robot(two.format("ab" * 16_000)))
+    many = " ".join(f'a{i}="1"' for i in range(100_000))
+    for text in (f'<robot name="r" {many}/>', robot(f"<link {many}/>"), robot(f"<a {many}/>")):
+        assert refusal(text).startswith("the URDF has an element with 100,00")
+    for opened in ("<!--", "<a b='", "<a ", "<?x "):
+        assert "a tag or comment of more than 1 MB" in refusal(f'<robot name="r">{opened}{"x" * 5_000_000}')
+    declared = '<?xml version="1.0" encoding="iso-8859-1"?>' + robot('<link name="\u00e9"/>')
+    assert parse(declared)[0].name == "\u00e9"
+
+
+def counted(text):
+    """Calls of Python functions and lines run while a URDF is checked: work that does not depend on the machine."""
+    steps = 0
+
+    def step(frame, event, argument):
+        nonlocal steps
+        steps += 1
+        return step
+
+    sys.settrace(step)
+    try:
+        check_urdf(text)
+    finally:
+        sys.settrace(None)
+    return steps
+
+
+def joints(count, row, kind="fixed"):
+    return "".join(f'<joint name="j{i}" type="{kind}">{row.format(i, i + 1)}{LIMIT}</joint>' for i in range(count))
+
+
+def links(count):
+    return "".join(f'<link name="l{i}"/>' for i in range(count))
+
+
+ENDS = '<parent link="l{0}"/><child link="l{1}"/>'
+GROWING = {
+    "links": links,
+    "roots": lambda n: links(n) + joints(n // 2, ENDS.replace("{0}", "{1}")),
+    "unknown parents": lambda n: links(n) + joints(n // 4, ENDS.replace("l{0}", "m{0}")),
+    "unknown leaders": lambda n: links(n) + joints(n // 4, ENDS + '<mimic joint="k{0}"/>'),
+    "leaders of leaders": lambda n: links(n // 4 + 1) + joints(n // 4, ENDS + '<mimic joint="j{1}"/>'),
+    "one parent": lambda n: links(n) + joints(n // 4, '<parent link="l0"/><child link="l{1}"/>'),
+    "one child": lambda n: links(n) + joints(n // 4, '<parent link="l{1}"/><child link="l0"/>'),
+    "loop": lambda n: links(n // 4) + joints(n // 4, ENDS).replace(f'"l{n // 4}"', '"l0"'),
+    "same names": lambda n: '<link name="l"/>' * n,
+    "materials": lambda n: links(1) + "".join(f'<material name="{i}"/>' for i in range(n)),
+    "shapes": lambda n: f'<link name="l0">{SPHERE * n}</link>',
+    "meshes": lambda n: f'<link name="l0">{MESH * n}</link>',
+    "numbers": lambda n: f'<link name="l0"><inertial><origin xyz="{"0 " * n}"/></inertial></link>',
+    "several mimics": lambda n: links(2) + joints(1, ENDS + '<mimic joint="j0"/>' * n),
+}
+SPHERE = '<visual><geometry><sphere radius="0"/></geometry></visual>'
+MESH = '<visual><geometry><mesh filename="../a.stl"/></geometry></visual>'
+
+
+@pytest.mark.parametrize("kind", GROWING)
+def test_work_grows_with_the_size_of_the_file(kind):
+    """Four times the file is at most about five times the work (beyond what a file costs at all)."""
+    few, many = (counted(robot(GROWING[kind](n))) for n in (800, 3200))
+    assert many < 5.0 * few, (few, many)
+
+
+def test_a_long_misspelled_name_is_compared_in_part():
+    """difflib takes time in the product of the lengths, and for every name there is."""
+    assert near_match("ab" * 16_000, ["ba" * 16_000]).startswith(" Did you mean 'baba")
+    options = [f"{'ab' * 16_000}{i}" for i in range(5_000)]
+    assert len(near_match("b" + "ab" * 16_000, options)) < 5_000
+    assert "Did you mean 'wrist'" in near_match("wirst", ["wrist", *options])
 
 
 @pytest.mark.parametrize(

@@ -10,6 +10,7 @@ from robots import have_data, load, sample, urdf
 
 import ik_toolkit as ik
 from ik_toolkit.errors import InvalidConfiguration, InvalidOption, InvalidTarget, ModelError
+from ik_toolkit.robot.library import DATA_ROBOTS, example_robot_data
 
 ARMS = ["inspection_7dof", "brokk", *(["panda", "ur5", "baxter", "z1"] if have_data() else [])]
 ELBOW_ARM = "planar_2r"
@@ -97,6 +98,31 @@ def test_pairs_that_touch_at_rest_are_listed_not_tested():
     assert model.excluded == (("l2", "l4"),) and ("l0", "l2") not in model.excluded
     assert ("l2", "l4") not in model.pairs and ("l0", "l3") in model.pairs
     assert "1 excluded" in repr(model)
+
+
+def test_every_excluded_pair_is_gone():
+    """All of them touch at home and at zero: none is left (removing from the list that is walked skips every second)."""
+    model = ik.CollisionModel(balls(*[2.0] * 5))
+    assert len(model.excluded) == 6 and model.pairs == ()
+    two = TOUCHING.replace(
+        '<link name="l0"/>', f'<link name="l0">{BALL.format(2.0) * 3}</link>'
+    )  # pairs of shapes: 3 a link
+    model = ik.CollisionModel(balls(0, 0.01, 0.3, 0.3, 0.3, text=two))
+    assert {pair for pair in model.excluded if "l0" in pair} == {("l0", f"l{k}") for k in (2, 3, 4)}
+    assert not set(model.pairs) & set(model.excluded) and not model.collisions(model.robot.home)
+
+
+WIDE = ["panda_description/urdf/panda_collision.urdf", *(DATA_ROBOTS[name][0] for name in ("centauro", "tiago"))]
+
+
+@pytest.mark.skipif(not have_data(), reason="example-robot-data is not installed")
+@pytest.mark.parametrize("file", WIDE)
+def test_what_touches_by_construction_is_not_tested(file):
+    path = example_robot_data("panda")[0].parents[2] / file
+    tip = {"centauro": "arm1_8", "tiago": "hand_index_flex_3_link"}.get(path.stem, "panda_leftfinger")
+    model = ik.CollisionModel(ik.Robot.load(path, tip=tip, package_dirs=[path.parents[4]]))
+    assert model.excluded and not set(model.pairs) & set(model.excluded)
+    assert model.collisions(model.robot.home) == []
 
 
 def test_links_that_may_touch():

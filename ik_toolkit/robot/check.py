@@ -16,6 +16,7 @@ from .read import NUMBERS, Item, parse, safe_read
 
 MOVING = ("revolute", "continuous", "prismatic")
 TYPES = (*MOVING, "fixed", "floating", "planar")
+HINTS = 10  # near matches looked for in one file: each compares a name with every other
 
 
 @dataclass(frozen=True)
@@ -114,9 +115,9 @@ def _error(element: str, problem: str, advice: str) -> Finding:
     return Finding("error", element, problem, advice)
 
 
-def _near(name: str, options: Iterable[str]) -> str:
-    """Return '. Did you mean ...?' or '', without the list of everything."""
-    found = near_match(name, options).partition(" Available")[0]
+def _near(name: str, options: Iterable[str], before: int) -> str:
+    """Return '. Did you mean ...?' or '', without the list of everything; before: how many were looked for already."""
+    found = near_match(name, options).partition(" Available")[0] if before < HINTS else ""
     return f".{found}" if found.startswith(" Did") else ""
 
 
@@ -178,29 +179,29 @@ def _joint(joint: Item) -> Iterator[Finding]:
 
 def _tree(links: set[str], joints: list[Item]) -> Iterator[Finding]:
     parent_of: dict[str, str] = {}
-    broken = False
+    names, broken = sorted(links), 0
     for joint in joints:
         ends = {}
         for role in ("parent", "child"):
             link = ends[role] = (joint.first(role) or {}).get("link", "")
             if link not in links:
                 said = f"it has no {role} link" if not link else f"its {role} link '{link}' does not exist"
-                yield _error(str(joint), said, f"name an existing link{_near(link, sorted(links))}")
-                broken = True
+                yield _error(str(joint), said, f"name an existing link{_near(link, names, broken)}")
+                broken += 1
         if ends["child"] in parent_of and ends["child"] in links:
             yield _error(
                 f"link '{ends['child']}'",
                 f"joint '{joint.name}' is a second joint leading to it",
                 "a link has one parent joint",
             )
-            broken = True
+            broken += 1
         parent_of.setdefault(ends["child"], ends["parent"])
     if broken:
         return  # roots and cycles follow from the above
     done = links - parent_of.keys()
     if len(done) > 1:
         yield _error("robot", f"it has {len(done)} root links: {_some(done)}", "connect them by joints to one root")
-    for link in sorted(links):
+    for link in names:
         walk: dict[str, None] = {}
         while link not in done and link not in walk:
             walk[link] = None
@@ -212,7 +213,7 @@ def _tree(links: set[str], joints: list[Item]) -> Iterator[Finding]:
                 f"it is its own ancestor: {_some(loop)} form a loop",
                 "a URDF is a tree: remove one joint",
             )
-        done = done | walk.keys()
+        done.update(walk)
 
 
 def _some(names: Iterable[str]) -> str:
@@ -223,22 +224,26 @@ def _some(names: Iterable[str]) -> str:
 def _mimics(joints: list[Item]) -> Iterator[Finding]:
     by_name = {joint.name: joint for joint in joints}
     leads = {joint.name: mimic.get("joint", "") for joint in joints if (mimic := joint.first("mimic")) is not None}
+    ends: dict[str, str] = {}  # where each follower's chain of leaders ends: '' when it never does
+    for name in leads:
+        walk: dict[str, None] = {}
+        while name in leads and name not in ends and name not in walk:
+            walk[name] = None
+            name = leads[name]
+        ends.update(dict.fromkeys(walk, "" if name in walk else ends.get(name, name)))
+    unknown = 0
     for name, leader in leads.items():
         element = f"joint '{name}'"
         if leader not in by_name:
-            yield _error(
-                element, f"it mimics joint '{leader}', which does not exist", f"name a joint{_near(leader, by_name)}"
-            )
+            hint = _near(leader, by_name, unknown)
+            yield _error(element, f"it mimics joint '{leader}', which does not exist", f"name a joint{hint}")
+            unknown += 1
             continue
-        seen = [name]
-        while leader in leads and leader not in seen:
-            seen.append(leader)
-            leader = leads[leader]
-        if leader in seen:
-            yield _error(element, f"it mimics itself through {_some(seen)}", "let one of these joints move freely")
-        elif len(seen) > 1:
+        if not ends[name]:
+            yield _error(element, f"it mimics itself through '{leader}'", "let one of these joints move freely")
+        elif ends[name] != leader:
             yield _error(
-                element, f"it mimics joint '{seen[1]}', itself a follower", f"let it mimic '{leader}' directly"
+                element, f"it mimics joint '{leader}', itself a follower", f"let it mimic '{ends[name]}' directly"
             )
         elif by_name[leader].attributes.get("type") not in MOVING:
             yield _error(

@@ -55,7 +55,6 @@ class CollisionModel:
                 raise InvalidOption(
                     f"ignore takes pairs of links with collision shapes, not {pair}.{near_match((unknown or pair)[0], self.links)}"
                 )
-        self._local = threading.local()
         self.excluded: tuple[tuple[str, str], ...] = ()
         self._pair_links()
 
@@ -64,26 +63,33 @@ class CollisionModel:
         robot, geometry, model = self.robot, self._geometry, self.robot.model
         owners = [o.parentJoint for o in geometry.geometryObjects]
         placements = self._sample(owners)
-        above = {j: _owner_above(model, j, set(owners)) for j in set(owners)}
-        ignored = {frozenset(pair) for pair in self.ignore}
+        joints = list(placements)
+        above = {j: _owner_above(model, j, set(joints)) for j in joints}
         self._moving = [np.ptp(placements[j], axis=0).max() > 1e-9 for j in owners]
-        for b, jb in enumerate(owners):
-            for a, ja in enumerate(owners[:b]):
-                adjacent = ja == jb or above[ja] == jb or above[jb] == ja
-                if adjacent or frozenset((self._names[a], self._names[b])) in ignored:
-                    continue
-                between = np.linalg.inv(placements[ja]) @ placements[jb]
-                if np.ptp(between, axis=0).max() > 1e-9:
-                    geometry.addCollisionPair(pin.CollisionPair(a, b))
+        against = np.zeros((len(joints), len(joints)), dtype=bool)  # whether two joints' shapes move against each other
+        for b, jb in enumerate(joints):
+            for a, ja in enumerate(joints[:b]):
+                if above[ja] != jb and above[jb] != ja:
+                    between = np.linalg.inv(placements[ja]) @ placements[jb]
+                    against[a, b] = against[b, a] = np.ptp(between, axis=0).max() > 1e-9
+        of_joint = np.array([joints.index(j) for j in owners])
+        tested = np.triu(against[of_joint[:, None], of_joint], 1)
+        places = {name: [k for k, other in enumerate(self._names) if other == name] for name in self.links}
+
+        def leave_out(pairs: Iterable[tuple[str, ...]]) -> None:
+            for first, second in pairs:
+                tested[np.ix_(places[first], places[second])] = False
+                tested[np.ix_(places[second], places[first])] = False
+            geometry.setCollisionPairs(tested)
+            self._local = threading.local()
+
+        leave_out(self.ignore)
         zero = np.zeros(robot.n)
         touching = dict.fromkeys(self.collisions(robot.home))
         if not robot.outside(zero):  # touching at one of them may be a real collision: a folded arm's
             touching = {pair: None for pair in self.collisions(zero) if pair in touching}
         self.excluded = tuple(touching)
-        for pair in list(geometry.collisionPairs):
-            if (self._names[pair.first], self._names[pair.second]) in touching:
-                geometry.removeCollisionPair(pair)
-        self._local = threading.local()
+        leave_out(self.excluded)
 
     def _sample(self, owners: list[int]) -> dict[int, np.ndarray]:
         """Placements (SAMPLES, 4, 4) of the joints that carry shapes, at the same random configurations."""

@@ -4,15 +4,21 @@ import functools
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import NoReturn
+from typing import Any, NoReturn
 from xml.parsers import expat
 
 from ..errors import ModelError
 
 MAX_BYTES = 20_000_000
-MAX_JOINTS = 1_000
+MAX_JOINTS = 1_000  # fixed ones and followers included: Pinocchio's parser calls itself once a joint of a chain
+MAX_FREEDOM = 128  # one pin.Data holds eight arrays of n^3 doubles: 134 MB at 128, 0.5 GB at 200, 8 GB at 500
 MAX_ELEMENTS = 200_000
 MAX_DEPTH = 64
+MAX_ATTRIBUTES = 64  # of one element; Pinocchio's parser takes time in their square, and URDF knows 6 at most
+MAX_NAME = 255  # characters, as of a file's name; messages repeat names
+MAX_TAG = 1_000_000  # bytes of one tag or comment, which the parser holds in memory whole
+CHUNK = 65_536
+FREEDOM = {"revolute": 1, "continuous": 1, "prismatic": 1, "planar": 3, "floating": 6}  # coordinates by type of joint
 NUMBERS = {  # element -> attribute -> how many numbers
     "origin": {"xyz": 3, "rpy": 3},
     "axis": {"xyz": 3},
@@ -27,6 +33,7 @@ NUMBERS = {  # element -> attribute -> how many numbers
     "inertia": dict.fromkeys(("ixx", "ixy", "ixz", "iyy", "iyz", "izz"), 1),
 }
 READ = {*NUMBERS, "parent", "child"}
+NAMED = {"robot", "link", "joint", "parent", "child", "mimic"}  # elements whose attributes are names
 
 
 @dataclass
@@ -56,7 +63,8 @@ def safe_read(source: str | Path) -> str:
     """URDF text of a file, or URDF text given as a string, after a parse that expands and fetches nothing.
 
     Raises ModelError, in one sentence, when it is missing, empty, over 20 MB, not UTF-8, malformed (says the line), is
-    xacro, has a DOCTYPE or entities, is nested too deep, has too many elements or over 1,000 joints, or no root <robot>.
+    xacro, has a DOCTYPE or entities, is nested too deep, has too many elements, over 1,000 joints or 128 degrees of freedom,
+    too long a name or tag, or no root <robot>.
     """
     if isinstance(source, str) and source.lstrip("\ufeff \t\r\n").startswith("<"):
         if len(source) > MAX_BYTES:
@@ -98,17 +106,20 @@ def parse(text: str) -> list[Item]:
     items: list[Item] = []
     stack: list[str] = []
     counts = {"elements": 0, "joint": 0}
-    parser = expat.ParserCreate()
+    parser = expat.ParserCreate("utf-8")  # what a string is encoded in below, whatever its first line declares
     macros = "${" in text or "$(" in text
 
     def start(tag: str, attributes: dict[str, str]) -> None:
         counts["elements"] += 1
         if counts["elements"] > MAX_ELEMENTS:
             raise ModelError(f"the URDF has more than {MAX_ELEMENTS:,} elements; it is not read")
+        where = f"in line {parser.CurrentLineNumber}; it is not read"
         if len(stack) >= MAX_DEPTH:
-            raise ModelError(
-                f"the URDF is nested more than {MAX_DEPTH} deep in line {parser.CurrentLineNumber}; it is not read"
-            )
+            raise ModelError(f"the URDF is nested more than {MAX_DEPTH} deep {where}")
+        if len(attributes) > MAX_ATTRIBUTES:
+            raise ModelError(f"the URDF has an element with {len(attributes):,} attributes {where}")
+        if tag in NAMED and any(len(value) > MAX_NAME for value in attributes.values()):
+            raise ModelError(f"the URDF has a name of more than {MAX_NAME} characters {where}")
         if not stack and tag != "robot":
             raise ModelError(f"the root element is <{tag}>, not <robot>: this is not a URDF")
         if not stack and not attributes.get("name"):
@@ -137,10 +148,28 @@ def parse(text: str) -> list[Item]:
     parser.StartDoctypeDeclHandler = parser.EntityDeclHandler = refuse
     parser.ExternalEntityRefHandler = refuse
     try:
-        parser.Parse(text, True)
+        _feed(parser, text.encode())
     except expat.ExpatError as error:
         reason = expat.ErrorString(error.code) or "syntax error"
         raise ModelError(f"the URDF is not well-formed XML: {reason} in line {error.lineno}") from None
     except UnicodeEncodeError:
         raise ModelError("the URDF text has characters that UTF-8 cannot hold (lone surrogates)") from None
+    freedom = sum(FREEDOM.get(item.attributes.get("type", ""), 0) for item in items if item.first("mimic") is None)
+    if freedom > MAX_FREEDOM:
+        raise ModelError(
+            f"the URDF has {freedom} degrees of freedom; at most {MAX_FREEDOM} are read, because the memory Pinocchio "
+            "needs grows with their cube; make the joints that need not move fixed"
+        )
     return items
+
+
+def _feed(parser: Any, raw: bytes) -> None:
+    """Parse piece by piece, so that a tag or comment without end is refused before it fills the memory."""
+    for start in range(0, len(raw), CHUNK):
+        parser.Parse(raw[start : start + CHUNK], False)
+        if start + CHUNK - parser.CurrentByteIndex > MAX_TAG + CHUNK:
+            raise ModelError(
+                f"the URDF has a tag or comment of more than {MAX_TAG // 1_000_000} MB in line "
+                f"{parser.CurrentLineNumber}; it is not read"
+            )
+    parser.Parse(b"", True)
