@@ -14,6 +14,7 @@ _NAMES = {
     "solve": "solvers.solve",
     "Solver": "solvers.solve",
     "solve_batch": "solvers.batch",
+    "BatchCheckFailed": "solvers.batch_result",
     "CollisionModel": "robot.collision",
     "Result": "solvers.result",
     "Status": "solvers.result",

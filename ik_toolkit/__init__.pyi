@@ -7,6 +7,7 @@ from .robot.pose import pose as pose
 from .robot.robot import Robot as Robot
 from .show.scene import view as view
 from .solvers.batch import solve_batch as solve_batch
+from .solvers.batch_result import BatchCheckFailed as BatchCheckFailed
 from .solvers.closed_form.inspection import Inspection as Inspection
 from .solvers.closed_form.planar_2r import Planar2R as Planar2R
 from .solvers.result import Result as Result

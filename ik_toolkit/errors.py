@@ -76,14 +76,27 @@ class NotSolved(IKError):
         self.result = result
 
 
-def floats(value: Any, what: str, error: type[IKError]) -> "np.ndarray":
-    """Return a value as a new float64 array; raises `error`, "WHAT, not VALUE", when it is not made of numbers."""
+def floats(value: Any, what: str, error: type[IKError], kinds: str = "fiu") -> "np.ndarray":
+    """Return real numbers as a new float64 array in C order; `kinds` are numpy's letters for what counts as one.
+
+    Raises `error`, "WHAT, not VALUE", for all else: texts, truth values, dates, complex numbers and objects, which numpy would
+    turn into some number, and masked entries.
+    """
     import numpy as np  # not for `import ik_toolkit`
 
     try:
-        return np.array(value, dtype=float)
+        if not masked(value) and (array := np.asarray(value)).dtype.kind in kinds:
+            return np.array(array, dtype=float, order="C")
     except (TypeError, ValueError, OverflowError):
-        raise error(f"{what}, not {' '.join(repr(value).split())[:120]}") from None
+        pass
+    raise error(f"{what}, not {' '.join(repr(value).split())[:120]}")
+
+
+def masked(value: Any) -> bool:
+    """Whether an array, or anything in a list, has masked entries."""
+    import numpy as np  # not for `import ik_toolkit`
+
+    return any(map(masked, value)) if isinstance(value, list | tuple) else bool(np.ma.is_masked(value))
 
 
 def extras() -> dict[str, list[str]]:

@@ -1,11 +1,13 @@
-"""Batches: rows as if each were alone, whatever the threads, chunks or workers; chains; what is refused, and how."""
+"""Batches: the same bytes whatever the threads, chunks or workers; chains; the check by Pinocchio; what is refused, and how."""
 
 import concurrent.futures
 import multiprocessing
+import pickle
 
 import numpy as np
 import pytest
 from robots import have_data, load, sample
+from second_fk import SecondFK, pose_errors
 
 import ik_toolkit as ik
 from ik_toolkit.errors import InvalidConfiguration, InvalidOption, InvalidTarget, UnknownSolver
@@ -154,15 +156,134 @@ def test_options_that_do_not_fit_are_refused():
         ik.solve_batch(ik.Robot.load("brokk_hydrolek", tip=["left_tip", "right_tip"]), xyz)
 
 
-@pytest.mark.parametrize("fraction", [0.0, 0.1, 1.0])
-def test_a_fraction_is_checked_by_pinocchio(monkeypatch, fraction):
-    """An answer Pinocchio does not confirm is no success: here it says so of every row it is asked about."""
+@pytest.mark.parametrize(
+    ("share", "rows"),
+    [(0.0, 0), (5e-324, 1), (1e-3, 3), (0.01, 30), (1 / 3, 1000), (0.6, 1800), (0.97, 2910), (1.0, 3000)],
+)
+def test_the_share_asked_for_is_checked(monkeypatch, share, rows):
+    """To a row, and the same rows whatever the chunks; 0.6 once checked a half."""
     robot = load("hydrolek_7w")
-    T = poses(robot, 5000, seed=1)
-    monkeypatch.setattr(ik.Robot, "errors", lambda *_: (1.0, 1.0))
-    many = ik.solve_batch(robot, T, "lm", check=fraction, threads=2)
-    failed = np.flatnonzero(many.status == ik.Status.CHECK_FAILED)
-    assert np.array_equal(failed, np.arange(0, 5000, round(1 / fraction)) if fraction else [])
+    T = poses(robot, 3000, seed=1)
+    real, asked, row = ik.Robot.errors, [], {target.tobytes(): k for k, target in enumerate(T)}
+
+    def errors(self, q, target):
+        asked.append(row[target.tobytes()])
+        return real(self, q, target)
+
+    monkeypatch.setattr(ik.Robot, "errors", errors)
+    assert ik.solve_batch(robot, T, "lm", check=share).success.all()
+    first = sorted(asked)
+    assert len(set(first)) == len(first) == rows
+    asked.clear()
+    ik.solve_batch(robot, (T[a : a + 271] for a in range(0, len(T), 271)), "lm", check=share)
+    assert sorted(asked) == first
+
+
+def disagreeing(name="hydrolek_7w", row=1300, count=6000):
+    """A robot whose Pinocchio does not confirm the answer to one target, and targets (N, 4, 4)."""
+    robot = ik.Robot.load(name)
+    T = poses(robot, count, seed=1)
+    real = robot.errors
+    robot.errors = lambda q, target: (0.5, 0.0) if np.array_equal(target, T[row]) else real(q, target)
+    return robot, T
+
+
+@pytest.mark.parametrize("how", ["threads", "one thread", "executor", "iterator", "chain"])
+def test_an_answer_that_is_not_confirmed_ends_the_batch(how):
+    row, count = (30, 60) if how == "chain" else (1300, 6000)
+    robot, T = disagreeing(row=row, count=count)
+    options = {"threads": {"threads": 3}, "one thread": {"threads": 1}, "chain": {"chain": True}}.get(how, {})
+    with concurrent.futures.ThreadPoolExecutor(2) as pool:
+        if how == "executor":
+            robot, options = load("hydrolek_7w"), {"executor": Confirming(pool, T[row])}
+        targets = iter(np.split(T, 6)) if how == "iterator" else T
+        with pytest.raises(ik.BatchCheckFailed, match=f"to target {row}, so no answer of this batch") as caught:
+            ik.solve_batch(robot, targets, "lm", check=1.0, **options)
+    many = caught.value.result
+    assert isinstance(caught.value, ik.IKError) and caught.value.target == row
+    assert len(many) == len(T) or how == "iterator"  # of an iterator what was read up to there
+    assert set(many.counts()) == {"CHECK_FAILED"} and not many.success.any()
+    assert np.isfinite(many.q[: row + 1]).all() and np.isnan(many.q[row + 1 :]).all()
+    assert "report" in many[0].message and "report" in many[len(many) - 1].message
+    assert (many.iterations[row + 1 :] == 0).all() and np.isnan(many.position_error[row + 1 :]).all()
+
+
+class Confirming(concurrent.futures.Executor):
+    """A pool in which one target is not confirmed."""
+
+    def __init__(self, pool, target):
+        self.pool, self.target = pool, target
+
+    def submit(self, function, /, *arguments, **keywords):
+        def run():
+            solver = module._unpacked(arguments[0])
+            real = ik.Robot.errors
+            solver.robot.errors = lambda q, target: (
+                (0.5, 0.0) if np.array_equal(target, self.target) else real(solver.robot, q, target)
+            )
+            return function(*arguments, **keywords)
+
+        return self.pool.submit(run)
+
+
+def test_the_rows_that_are_left_are_the_same_for_any_number_of_threads():
+    robot, T = disagreeing()
+    tables = []
+    for threads in (1, 2, 5):
+        with pytest.raises(ik.BatchCheckFailed) as caught:
+            ik.solve_batch(robot, T, "lm", check=1.0, threads=threads)
+        tables.append(caught.value.result._table.tobytes())
+    assert tables[0] == tables[1] == tables[2]
+    del robot.errors
+    again = pickle.loads(pickle.dumps(caught.value))
+    assert str(again) == str(caught.value) and again.target == 1300
+
+
+def test_parts_end_where_an_answer_is_not_confirmed():
+    robot, T = disagreeing(row=4500)
+    given = []
+    with pytest.raises(ik.BatchCheckFailed, match="The 4096 answers handed out before it are in doubt too") as caught:
+        for part in solve_parts(robot, iter([T]), "lm", check=1.0):
+            given.append(part)
+    assert [len(part) for part in given] == [2048, 2048] and all(part.success.all() for part in given)
+    assert caught.value.before == 4096 and len(caught.value.result) == len(T) - 4096
+    assert set(caught.value.result.counts()) == {"CHECK_FAILED"}
+
+
+def test_what_is_not_looked_at_does_not_end_a_batch():
+    robot, T = disagreeing()
+    assert ik.solve_batch(robot, T, "lm", check=0.0).success.all()
+    assert ik.solve_batch(robot, T[1:], "lm", check=0.001).success.all()  # rows 0, 1000, 2000, ...
+
+
+# ------------------------------------------------------------------------------------------------ what a row promises
+@pytest.mark.parametrize("name", ["hydrolek_7w", "continuous_mix", "slides_mix", "mimic_mix", "locked"])
+@pytest.mark.parametrize("kind", ["pose", "position"])
+def test_a_row_keeps_what_a_single_solve_promises(name, kind):
+    """Inside limits and tolerances, the same statuses, as many solved; another of several solutions is allowed."""
+    robot = load(name)
+    rng = np.random.default_rng(11)
+    Q, T = sample(robot, 150, seed=11)
+    Q[::3] = np.where(rng.random((50, robot.n)) < 0.5, np.fmin(robot.upper, 3.0), np.fmax(robot.lower, -3.0))
+    T = robot.chain.forward(Q)[0]
+    T[::10, :3, 3] *= 40.0
+    q0 = np.clip(Q + rng.normal(0.0, 0.5, Q.shape), robot.lower, robot.upper)
+    targets = T if kind == "pose" else T[:, :3, 3].copy()
+    judge = None if robot.urdf is None else SecondFK(robot.urdf, robot.base, robot.tip, rest=robot.locked_joints)
+    single = ik.Solver(robot, "lm", tolerance=1e-7)
+    for starts in (None, q0):
+        many = ik.solve_batch(robot, targets, "lm", q0=starts, tolerance=1e-7)
+        alone = [single(x, None if starts is None else starts[k]) for k, x in enumerate(targets)]
+        statuses = np.array([int(one.status) for one in alone])
+        assert np.array_equal(many.status, statuses)
+        for q in (many.q, np.array([one.q for one in alone])):
+            assert ((robot.lower <= q) & (q <= robot.upper)).all()
+            position, angle = pose_errors(judge.fk(q, robot.joint_names), targets)
+            solved = many.success
+            assert position[solved].max() <= 1e-7 + 1e-12 and angle[solved].max() <= 1e-7 + 1e-12
+        assert many.success.sum() >= 130
+        for k in range(0, 150, 10):
+            assert many[k].status == alone[k].status and many[k].message.split(";")[0] == alone[k].message.split(";")[0]
 
 
 def test_progress_counts_up_to_all():

@@ -211,6 +211,27 @@ def test_an_interrupt_in_the_middle_of_writing_waits_for_its_end(tmp_path, capsy
     assert len(np.load(tmp_path / "out.npz")["q"]) == 5
 
 
+@pytest.mark.parametrize("name", ["out.csv", "out.npz"])
+def test_answers_that_are_not_confirmed_are_left_under_another_name(name, tmp_path, capsys, monkeypatch):
+    robot = load(ARM)
+    xyz = sample(robot, 1)[1][:, :3, 3].repeat(9000, axis=0)
+    xyz[4500, 2] += 1e-3
+    np.savez(tmp_path / "in.npz", targets=xyz)
+    real = ik.Robot.errors
+    doubted = lambda self, q, target: (1.0, None) if np.array_equal(target, xyz[4500]) else real(self, q, target)  # noqa: E731
+    monkeypatch.setattr(ik.Robot, "errors", doubted)
+    assert run("--targets", tmp_path / "in.npz", "-o", tmp_path / name, "--json") == 1
+    said = capsys.readouterr()
+    assert "does not confirm the answer to target 4500" in said.err and not said.out
+    assert f"{name}.failed" in said.err and not (tmp_path / name).exists()
+    left = tmp_path / f"{name}.failed"
+    words = np.load(left)["status"] if name == "out.npz" else np.array([row["status"] for row in solved(left)[1]])
+    assert (words[4500:] == (ik.Status.CHECK_FAILED if name == "out.npz" else "CHECK_FAILED")).all() and len(
+        words
+    ) > 4500
+    assert name == "out.csv" or (len(words) == 9000 and (words == ik.Status.CHECK_FAILED).all())
+
+
 # ------------------------------------------------------------------------------------------------------------- obstacles
 def test_obstacles_on_the_command_line(capsys):
     robot = load(ARM)

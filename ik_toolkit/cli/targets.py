@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from itertools import islice
 from pathlib import Path
 from time import perf_counter
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 import typer
@@ -17,7 +17,7 @@ import typer
 from ..errors import InvalidOption, InvalidTarget, MissingExtra
 from ..robot.pose import rpy_matrix
 from ..solvers.batch import solve_batch, solve_parts
-from ..solvers.batch_result import BatchInterrupted, BatchResult
+from ..solvers.batch_result import BatchCheckFailed, BatchInterrupted, BatchResult
 from ..solvers.result import Status
 from .common import facts, notice, show, write_json
 
@@ -242,6 +242,13 @@ def _cluster(address: str | None) -> Iterator[Any]:
         yield client.get_executor(retries=3)
 
 
+def _refuse(failure: BatchCheckFailed, failed: Path) -> NoReturn:
+    """Say why a batch failed and where its answers are; exit code 1."""
+    notice(f"ik: {failure}")
+    notice(f"the answers, all of them in doubt, are in {failed}")
+    raise typer.Exit(1)
+
+
 def solve_file(
     arm: Any,
     path: Path,
@@ -258,7 +265,8 @@ def solve_file(
 ) -> None:
     """Solve all targets of a file and write their solutions; exit code 1 when any is not solved.
 
-    What is finished when Ctrl-C comes is kept in the output file.
+    What is finished when Ctrl-C comes is kept in the output file. When Pinocchio does not confirm an answer, what there is goes
+    to NAME.failed, and the exit code is 1.
     """
     if output is None or output.suffix.lower() not in OUTPUTS:
         raise InvalidOption(f"--targets needs -o FILE for the solutions, which ends in {', '.join(OUTPUTS)}")
@@ -270,6 +278,7 @@ def solve_file(
     flips: list[int] = []
     done, name = 0, ""
     names = arm.joint_names
+    failed = output.with_name(f"{output.name}.failed")
 
     def add(part: BatchResult) -> None:
         nonlocal done, name
@@ -287,6 +296,10 @@ def solve_file(
                 many = solve_batch(arm, targets, method, progress=show_done, **asked)
             except BatchInterrupted as stop:
                 many, interrupted = stop.result, stop
+            except BatchCheckFailed as failure:
+                with failed.open("wb") as stream:
+                    np.savez(stream, **failure.result.to_dict(), joint_names=np.array(names))
+                _refuse(failure, failed)
             try:
                 with _uninterrupted():
                     add(many)
@@ -304,6 +317,11 @@ def solve_file(
                     writer.add(part)
                     add(part)
                     show_done(done)
+            except BatchCheckFailed as failure:
+                writer.add(failure.result)
+                writer.close()
+                output.replace(failed)
+                _refuse(failure, failed)
             except BaseException:
                 if done:
                     notice(f"the first {done} solutions are in {output}")

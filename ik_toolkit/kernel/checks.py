@@ -6,6 +6,7 @@ from .jit import jit
 from .task import POSE, POSITION
 
 CONVERGED, STALLED, ITERATION_LIMIT, LIMIT_BLOCKED, UNREACHABLE, SINGULAR, NOT_FINITE, CHECK_FAILED = range(8)
+LAST_ROW = 1e-9  # how far the last row of a pose may be off 0 0 0 1
 FAR = 1e100  # coordinates [m] beyond this are refused: their squares are no numbers
 BAD_TARGET, BAD_START = 8, 9  # never seen by a caller: the target or the start needs a look outside the kernel
 TOO_FAR = 11  # 10 is COLLISION, found outside the kernel
@@ -55,17 +56,19 @@ def edge(goal, tail, excess, kept):
 
 @jit
 def rigid(T):
-    """Whether T (4, 4) is finite, its rotation orthonormal to 1e-6 and right-handed (NaN fails every test)."""
+    """Whether T (4, 4) is finite, its rotation orthonormal to 1e-6 and right-handed, its last row 0 0 0 1 (NaN fails)."""
     total = 0.0
+    last = abs(T[3, 3] - 1.0)
     for r in range(3):
         total += abs(T[r, 3])
+        last += abs(T[3, r])
         for c in range(r, 3):
             g = T[0, r] * T[0, c] + T[1, r] * T[1, c] + T[2, r] * T[2, c]
             if not abs(g - (1.0 if r == c else 0.0)) < 1e-6:
                 return False
     det = T[0, 0] * (T[1, 1] * T[2, 2] - T[1, 2] * T[2, 1]) - T[0, 1] * (T[1, 0] * T[2, 2] - T[1, 2] * T[2, 0])
     det += T[0, 2] * (T[1, 0] * T[2, 1] - T[1, 1] * T[2, 0])
-    return det > 0.0 and total < FAR
+    return det > 0.0 and total < FAR and last < LAST_ROW
 
 
 @jit

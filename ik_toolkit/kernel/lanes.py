@@ -17,7 +17,7 @@ import numpy as np
 from .checks import CONVERGED, beyond, rigid
 from .jit import cached, inline
 from .kinematics import TAU, aim, chord, rotation_angle, sincos
-from .limits import face, legal
+from .limits import face, legal, middle
 from .linalg import solve_blocks
 from .loop import measure
 from .seeds import BEST, nearest, rnd, sow
@@ -140,11 +140,10 @@ def vector_step(rows, Z, Q, lower, upper, turns, turning, px, py, pz, e0, e1, e2
         d = d + (load(Z, k + 3 * W) * y3 + load(Z, k + 4 * W) * y4 + load(Z, k + 5 * W) * y5)
         q = load(Q, i * W) + d
         if turns[i] > 0.0:
-            back = q - TAU * np.rint((q - 0.5 * (lower[i] + upper[i])) * (1.0 / TAU))
+            back = q - TAU * np.rint((q - middle(lower[i], upper[i])) * (1.0 / TAU))
             q = choose((q < lower[i]) | (q > upper[i]), back, q)
-        else:
-            q = choose(q < lower[i], full(lower[i]), q)
-            q = choose(q > upper[i], full(upper[i]), q)
+        q = choose(q < lower[i], full(lower[i]), q)  # after a turn too: it may end a rounding outside
+        q = choose(q > upper[i], full(upper[i]), q)
         store(Q, i * W, q)
 
 

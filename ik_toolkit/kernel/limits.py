@@ -7,13 +7,23 @@ import numpy as np
 from .jit import inline, jit
 from .kinematics import TAU
 
+LARGEST = 1e9  # coordinates from which on a start is refused: an angle there has seven digits after the point
+
+
+@inline
+def middle(lower, upper):
+    """Angle next to which full turns bring a joint: the middle of its limits, or half a turn inside a limit alone."""
+    if lower == -np.inf:
+        return upper - 0.5 * TAU
+    return 0.5 * (lower + upper) if upper < np.inf else lower + 0.5 * TAU
+
 
 @jit
 def legal(q0, unit, lower, upper, turns, limits):
     """Whether a start (n,) [rad or m] is finite and, when limits count, inside them."""
     for i in range(q0.shape[0]):
         a = q0[i] / unit[i]
-        if not abs(a) < 1e15 or (limits and turns[i] < 1.5 and not lower[i] <= a <= upper[i]):
+        if not abs(a) < LARGEST or (limits and turns[i] < 1.5 and not lower[i] <= a <= upper[i]):
             return False
     return True
 
@@ -65,17 +75,16 @@ def hold(q, dq, w, lower, upper):
 def integrate(q, dq, limits, lower, upper, turns):
     """Add dq to q, inside the limits (joints that can turn fully take the turn inside them).
 
-    Returns the largest move and the largest coordinate.
+    A joint that is not to move stays, so an endless one is held at any turn. Returns the largest move and coordinate.
     """
     moved = 0.0
     far = 0.0
     for i in range(q.shape[0]):
         a = q[i] + dq[i]
-        if limits and (a < lower[i] or a > upper[i]):
+        if limits and (a < lower[i] or a > upper[i]) and dq[i] != 0.0:
             if turns[i] > 0.0:
-                a -= TAU * np.rint((a - 0.5 * (lower[i] + upper[i])) / TAU)
-            else:
-                a = min(max(a, lower[i]), upper[i])
+                a -= TAU * np.rint((a - middle(lower[i], upper[i])) / TAU)
+            a = min(max(a, lower[i]), upper[i])  # after a turn too: it may end a rounding outside
         moved = max(moved, abs(a - q[i]))
         far = far if abs(a) <= far else abs(a)  # keeps a NaN
         q[i] = a
@@ -100,5 +109,7 @@ def face(q, wanted, lower, upper, turns):
             k = turn(wanted[i] - q[i], q[i], lower[i], upper[i], turns[i])
             if k != 0.0:
                 q[i] += k * TAU
+                if turns[i] < 1.5:  # rounding may end outside
+                    q[i] = min(max(q[i], lower[i]), upper[i])
                 turned = True
     return turned

@@ -5,11 +5,11 @@ import math
 import numpy as np
 
 from .jit import cached, inline
-from .kinematics import TAU, aim, chord, columns, rotation_angle
+from .kinematics import aim, chord, columns, rotation_angle
 from .limits import hold
 from .linalg import damped
 from .loop import Err, measure
-from .slots import O_KIND, O_TOL_P, O_TOL_R, O_W, OPT_HEAD, vectors
+from .slots import O_KIND, O_LIMITS, O_TOL_P, O_TOL_R, O_W, OPT_HEAD, vectors
 from .task import MASK_BASE, MASK_TIP, POSE, shape_columns
 
 MID_RANGE, REFERENCE, MANIPULABILITY = 1, 2, 3
@@ -51,8 +51,8 @@ def refine(rows, ends, T, q_out, ref, opt, what, steps, report):
     """Improve q_out (n,) [rad or m] for the objective `what` without leaving the tolerances of the target T (1, 4, 4).
 
     ref (n,): where REFERENCE wants the joints. opt as for the loop. report (5,): objective before and after, steps taken,
-    position error [m] and rotation error left. MID_RANGE and REFERENCE: half the squared distance, in ranges;
-    MANIPULABILITY: minus the log of the manipulability.
+    position error [m] and rotation error left. MID_RANGE and REFERENCE: half the squared distance, in ranges (an endless
+    joint has no middle); MANIPULABILITY: minus the log of the manipulability.
     """
     L = rows.shape[0]
     n = q_out.shape[0]
@@ -61,6 +61,9 @@ def refine(rows, ends, T, q_out, ref, opt, what, steps, report):
     lower, upper, turns, unit, low, span, _, tail = vectors(ends, n)
     scale = tail[0]
     q = np.empty(n)
+    least = np.empty(n)
+    most = np.empty(n)
+    counted = np.empty(n)
     old = np.empty(n)
     dq = np.empty(n)
     z = np.empty(n)
@@ -84,6 +87,10 @@ def refine(rows, ends, T, q_out, ref, opt, what, steps, report):
     aim(ends, tip, scale, T[0], goal)
     for i in range(n):
         q[i] = q_out[i] / unit[i]
+        free = turns[i] > 1.5 or opt[O_LIMITS] == 0.0
+        least[i] = -np.inf if free else lower[i]
+        most[i] = np.inf if free else upper[i]
+        counted[i] = 1.0 if what == REFERENCE or (lower[i] > -1e15 and turns[i] < 1.5) else 0.0
     gain = 1.0
     fresh = False
     value = np.inf
@@ -103,18 +110,17 @@ def refine(rows, ends, T, q_out, ref, opt, what, steps, report):
                 w[i] = weights[i]
             for _ in range(2):
                 damped(J, w, dq, e, 1e-10)
-                if not hold(q, dq, w, lower, upper):
+                if not hold(q, dq, w, least, most):
                     break
             for i in range(n):
-                q[i] = min(max(q[i] + dq[i], lower[i]), upper[i])
+                q[i] = min(max(q[i] + dq[i], least[i]), most[i])
         now = 0.0
         if what == MANIPULABILITY:
             now = -log_manipulability(J, unit, A)
         else:
             for i in range(n):
                 home = low[i] + 0.5 * span[i] if what == MID_RANGE else ref[i] / unit[i]
-                if what == REFERENCE or lower[i] > -1e15:
-                    now += 0.5 * ((q[i] - home) / span[i]) ** 2
+                now += counted[i] * 0.5 * ((q[i] - home) / span[i]) ** 2
         if k == 0:
             if not good:
                 break
@@ -144,9 +150,7 @@ def refine(rows, ends, T, q_out, ref, opt, what, steps, report):
         for i in range(n):
             w[i] = weights[i] * (span[i] * span[i] if what != MANIPULABILITY else 1.0)
             home = low[i] + 0.5 * span[i] if what == MID_RANGE else ref[i] / unit[i]
-            z[i] = home - q[i] if what == REFERENCE or (what == MID_RANGE and lower[i] > -1e15) else 0.0
-            if turns[i] > 0.0 and what == REFERENCE:
-                z[i] -= TAU * np.rint(z[i] / TAU)
+            z[i] = counted[i] * (home - q[i])
         if what == MANIPULABILITY:
             h = 1e-6
             for i in range(n):
@@ -171,7 +175,7 @@ def refine(rows, ends, T, q_out, ref, opt, what, steps, report):
             damped(J, w, dq, Err(y[0], y[1], y[2], y[3], y[4], y[5], 0.0, 0.0, 0.0), 1e-10)
             for i in range(n):
                 dq[i] = dq[i] + z[i] if w[i] > 0.0 else 0.0
-            if not hold(q, dq, w, lower, upper):
+            if not hold(q, dq, w, least, most):
                 break
         size = 0.0
         ss = 0.0
@@ -192,7 +196,7 @@ def refine(rows, ends, T, q_out, ref, opt, what, steps, report):
         fresh = False
         factor = gain * min(1.0, 0.3 / size)
         for i in range(n):
-            q[i] = min(max(q[i] + factor * dq[i], lower[i]), upper[i])
+            q[i] = min(max(q[i] + factor * dq[i], least[i]), most[i])
     if taken > 0:
         for i in range(n):
             q_out[i] = old[i] * unit[i]

@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 
 from ..errors import InvalidTarget, floats
-from ..kernel.checks import FAR
+from ..kernel.checks import FAR, LAST_ROW
 
+LAST = (0.0, 0.0, 0.0, 1.0)  # last row of every pose
 PROJECT_WITHIN = 1e-2  # distance (largest singular value off 1) up to which a typed rotation is projected
 
 
@@ -17,11 +18,19 @@ PROJECT_WITHIN = 1e-2  # distance (largest singular value off 1) up to which a t
 class AxisTarget:
     """A position with one axis of the tip along a direction: five of the six freedoms, the turn about the axis is free.
 
-    T_base_tip (4, 4) [m]: a pose that meets it; axis (3,): unit vector in the tip frame.
+    T_base_tip (4, 4) [m]: a pose that meets it; axis (3,): vector in the tip frame, made a unit vector. Raises InvalidTarget.
     """
 
     T_base_tip: np.ndarray
     axis: tuple[float, float, float]
+
+    def __post_init__(self) -> None:
+        """Validate both, and keep copies."""
+        T, _ = check_target(self.T_base_tip)
+        if T.ndim == 1:
+            raise InvalidTarget("the T_base_tip of an AxisTarget is a 4x4 pose, not a position")
+        object.__setattr__(self, "T_base_tip", T)
+        object.__setattr__(self, "axis", tuple(_unit(self.axis, "axis").tolist()))
 
     def errors(self, T: np.ndarray) -> tuple[float, float]:
         """Position error [m] and angle between the axis and its direction [rad] of a tip pose T (4, 4)."""
@@ -138,7 +147,7 @@ def pose(
         tip_axis = _unit(axis, "axis")
         T = np.eye(4)
         T[:3, :3] = turn_onto(tip_axis, _unit(direction, "direction"))
-        T[:3, 3] = _near(_numbers((0.0, 0.0, 0.0) if xyz is None else xyz, 3, "xyz"))
+        T[:3, 3] = _numbers((0.0, 0.0, 0.0) if xyz is None else xyz, 3, "xyz")
         return AxisTarget(T, tuple(tip_axis.tolist()))
     if sum(part is not None for part in (rpy, quat_xyzw, rotation)) > 1:
         raise InvalidTarget("give one of rpy, quat_xyzw and rotation, not several")
@@ -196,8 +205,10 @@ def check_target(target: Any) -> tuple[np.ndarray, str]:
         )
     if not np.isfinite(T).all():
         raise InvalidTarget("the target pose has entries that are not finite numbers")
-    if np.abs(T[3] - (0.0, 0.0, 0.0, 1.0)).max() > 1e-9:
-        raise InvalidTarget(f"the last row of a pose must be 0 0 0 1, not {T[3].tolist()}")
+    if np.abs(T[3] - LAST).max() > LAST_ROW:
+        hint = "; the pose looks transposed" if np.abs(T[:, 3] - LAST).max() <= LAST_ROW else ""
+        raise InvalidTarget(f"the last row of a pose must be 0 0 0 1, not {T[3].tolist()}{hint}")
+    T[3] = LAST
     _near(T[:3, 3])
     R, off = nearest_rotation(T[:3, :3])
     if off > PROJECT_WITHIN or np.linalg.det(T[:3, :3]) < 0.0:

@@ -6,8 +6,9 @@ import os
 import pickle
 import threading
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
 from concurrent.futures import Executor, ThreadPoolExecutor
+from contextlib import closing
 from itertools import chain as joined
 from time import perf_counter
 from typing import Any
@@ -15,17 +16,18 @@ from typing import Any
 import numpy as np
 from numba import config
 
-from ..errors import InvalidConfiguration, InvalidOption, InvalidTarget, floats
+from ..errors import InvalidConfiguration, InvalidOption, InvalidTarget, floats, masked
 from ..kernel.checks import BAD_TARGET, CHECK_FAILED, CONVERGED
 from ..kernel.lanes import LEFT, lanes
-from ..kernel.slots import OUT_HEAD, R_STATUS
+from ..kernel.limits import LARGEST
+from ..kernel.slots import OUT_HEAD, R_POSITION, R_ROTATION, R_STATUS
 from ..kernel.task import POSE, POSITION
 from ..robot.pose import check_target
 from ..robot.robot import Robot
-from .batch_result import JUMP, R_MOVE, BatchInterrupted, BatchResult
+from .batch_result import JUMP, R_MOVE, BatchCheckFailed, BatchInterrupted, BatchResult
 from .result import Status
 from .rules.jacobian import LM
-from .solve import FAR_START, Solver, automatic, is_auto
+from .solve import Solver, automatic, is_auto
 
 PART, REMOTE_PART = 2048, 4096  # most rows handed to a thread, and rows handed to a worker of an executor
 LEAST_PART = 128  # smaller batches are shared out evenly over the threads, but not in smaller parts than this
@@ -41,22 +43,32 @@ def _known(targets: Any) -> np.ndarray | None:
     if isinstance(targets, Iterator):
         return None
     try:
-        return np.array([getattr(target, "homogeneous", target) for target in targets], dtype=float)
-    except (TypeError, ValueError):
+        return np.array([_numbers(getattr(target, "homogeneous", target)) for target in targets])
+    except (TypeError, ValueError) as error:
+        if isinstance(error, InvalidTarget):
+            raise
         raise InvalidTarget("targets are an array (N, 4, 4) or (N, 3), or an iterator of such arrays") from None
+
+
+def _numbers(targets: Any) -> np.ndarray:
+    """Targets as an array of real numbers, see `errors.floats`; a view where they are one."""
+    if masked(targets):
+        raise InvalidTarget("targets are numbers, and some of these are masked")
+    array = np.asarray(targets)
+    if array.dtype.kind not in "fiu":
+        raise InvalidTarget(f"targets are numbers, not {array.dtype} of shape {array.shape}")
+    return array
 
 
 def _checked(chunks: Iterator[Any]) -> Iterator[np.ndarray]:
     """Refuse chunks of the wrong shape, or of another kind than the first; their numbers are checked in the kernel."""
     ndim = 0
     for chunk in chunks:
-        chunk = np.asarray(chunk)
+        chunk = _numbers(chunk)
         if chunk.size == 0 and chunk.ndim < 2:
             continue
-        if chunk.dtype.kind not in "fiu" or chunk.shape[1:] not in ((4, 4), (3,)):
-            raise InvalidTarget(
-                f"targets are numbers of shape (N, 4, 4) or (N, 3), not {chunk.dtype} of shape {chunk.shape}"
-            )
+        if chunk.shape[1:] not in ((4, 4), (3,)):
+            raise InvalidTarget(f"targets are numbers of shape (N, 4, 4) or (N, 3), not of shape {chunk.shape}")
         if ndim not in (0, chunk.ndim):
             raise InvalidTarget("a batch is all poses or all positions, not both")
         ndim = chunk.ndim
@@ -69,9 +81,11 @@ def _starts(solver: Solver, q0: np.ndarray, first: int) -> np.ndarray:
     if bad.any():
         raise InvalidConfiguration(f"q0 of target {first + int(np.argmax(bad))} is not finite")
     inside = np.clip(q0, solver.robot.lower, solver.robot.upper) if solver.options.limits else q0
-    bad = (np.abs(inside / solver.robot.chain.unit) >= FAR_START).any(axis=1)
+    bad = (np.abs(inside / solver.robot.chain.unit) >= LARGEST).any(axis=1)
     if bad.any():
-        raise InvalidConfiguration(f"q0 of target {first + int(np.argmax(bad))} is too large a number")
+        raise InvalidConfiguration(
+            f"q0 of target {first + int(np.argmax(bad))} is too large a number: stay below {LARGEST:g}"
+        )
     if solver.options.q0_outside == "refuse" and (inside != q0).any():
         k = int(np.argmax((inside != q0).any(axis=1)))
         raise InvalidConfiguration(
@@ -100,7 +114,7 @@ def _solve_rows(
     first: int,
     side_by_side: bool = False,
 ) -> None:
-    """Solve rows (m, OUT_HEAD + n) as if each were alone; `first` is the number of the first, for messages."""
+    """Solve rows (m, OUT_HEAD + n), each from its own target and start alone; `first` is the number of the first."""
     if len(solver.held) and len(start) > 1:  # each with a table of starts of its own
         for k in range(len(T)):
             one = slice(k, k + 1)
@@ -133,9 +147,9 @@ def _row(start: np.ndarray, k: Any) -> np.ndarray:
 
 
 def _poses(part: np.ndarray) -> tuple[np.ndarray, int]:
-    """A copy of a part as (m, 4, 4), and its kind; rotations of few digits are replaced by the nearest exact ones."""
+    """A part as (m, 4, 4), and its kind; rotations of few digits are replaced, in place, by the nearest exact ones."""
     if part.ndim == 3:
-        T = np.array(part, dtype=float, order="C")
+        T = part
         x, y, z = (np.ascontiguousarray(T[:, :3, k].T) for k in range(3))
         off = np.zeros(len(T))
         with np.errstate(invalid="ignore", over="ignore"):
@@ -151,9 +165,21 @@ def _poses(part: np.ndarray) -> tuple[np.ndarray, int]:
     return T, POSITION
 
 
-def _confirm(solver: Solver, T: np.ndarray, kind: int, out: np.ndarray, first: int, every: int) -> None:
-    """Check every so manieth row of the whole batch again with Pinocchio."""
-    for k in range(-first % every, len(out), every) if every else ():
+def _sampled(first: int, count: int, share: float) -> Iterator[int]:
+    """Rows of a part to check, so that of the whole batch row ceil(j / share) is, for j = 0, 1, 2, ...
+
+    Whole numbers throughout: any share is met to a row, by the same rows however the batch is cut, and none overflows.
+    """
+    p, q = share.as_integer_ratio()
+    j = (first - 1) * p // q + 1
+    while p and (k := -(-j * q // p)) < first + count:
+        yield k - first
+        j += 1
+
+
+def _confirm(solver: Solver, T: np.ndarray, kind: int, out: np.ndarray, first: int, share: float) -> None:
+    """Check a share of the rows of the whole batch again with Pinocchio."""
+    for k in _sampled(first, len(out), share):
         if out[k, R_STATUS] == CONVERGED:
             target = T[k] if kind == POSE else T[k, :3, 3]
             if not solver.confirm(out[k, OUT_HEAD:], target)[2]:
@@ -161,7 +187,12 @@ def _confirm(solver: Solver, T: np.ndarray, kind: int, out: np.ndarray, first: i
 
 
 def _solve_part(
-    solver: Solver, part: np.ndarray, q0: np.ndarray | None, first: int, every: int, stop: threading.Event | None = None
+    solver: Solver,
+    part: np.ndarray,
+    q0: np.ndarray | None,
+    first: int,
+    share: float,
+    stop: threading.Event | None = None,
 ) -> np.ndarray:
     """Rows (m, OUT_HEAD + n) of one part, in slices between which it may be stopped (then they are incomplete)."""
     T, kind = _poses(part)
@@ -176,7 +207,7 @@ def _solve_part(
         _solve_rows(solver, T[rows], some, q0 is not None, kind, out[rows], first + a, side_by_side)
         a += size
         size = max(1, int(size * min(4.0, SLICE / max(perf_counter() - began, 1e-9))))
-    _confirm(solver, T, kind, out, first, every)
+    _confirm(solver, T, kind, out, first, share)
     return out
 
 
@@ -186,27 +217,28 @@ def _unpacked(payload: bytes) -> Solver:
     return pickle.loads(payload)  # noqa: S301  made by _on_executor, and sent by the scheduler that already runs our code
 
 
-def _solve_remote(payload: bytes, part: np.ndarray, q0: Any, first: int, every: int) -> np.ndarray:
+def _solve_remote(payload: bytes, part: np.ndarray, q0: Any, first: int, share: float) -> np.ndarray:
     """What a worker process or machine runs."""
-    return _solve_part(_unpacked(payload), part, q0, first, every)
+    return _solve_part(_unpacked(payload), part, q0, first, share)
 
 
-Job = tuple[np.ndarray, np.ndarray | None, int]  # targets, starts, number of the first target
+Job = tuple[np.ndarray, np.ndarray | None, int]  # targets (a copy), starts, number of the first target
+Tables = Generator[np.ndarray, None, None]
 
 
-def _on_threads(solver: Solver, jobs: Iterator[Job], every: int, threads: int) -> Iterator[np.ndarray]:
+def _on_threads(solver: Solver, jobs: Iterator[Job], share: float, threads: int) -> Tables:
     stop = threading.Event()
     pool = ThreadPoolExecutor(threads)
     try:
-        yield from _in_order(lambda job: pool.submit(_solve_part, solver, *job, every, stop), jobs, AHEAD * threads)
+        yield from _in_order(lambda job: pool.submit(_solve_part, solver, *job, share, stop), jobs, AHEAD * threads)
     finally:
         stop.set()
         pool.shutdown(wait=True, cancel_futures=True)
 
 
-def _on_executor(solver: Solver, jobs: Iterator[Job], every: int, executor: Executor) -> Iterator[np.ndarray]:
+def _on_executor(solver: Solver, jobs: Iterator[Job], share: float, executor: Executor) -> Tables:
     payload = pickle.dumps(solver)
-    yield from _in_order(lambda job: executor.submit(_solve_remote, payload, *job, every), jobs, REMOTE_AHEAD)
+    yield from _in_order(lambda job: executor.submit(_solve_remote, payload, *job, share), jobs, REMOTE_AHEAD)
 
 
 def _in_order(submit: Callable[[Job], Any], jobs: Iterator[Job], ahead: int) -> Iterator[np.ndarray]:
@@ -224,7 +256,7 @@ def _in_order(submit: Callable[[Job], Any], jobs: Iterator[Job], ahead: int) -> 
             future.cancel()
 
 
-def _on_a_chain(solver: Solver, jobs: Iterator[Job], every: int) -> Iterator[np.ndarray]:
+def _on_a_chain(solver: Solver, jobs: Iterator[Job], share: float) -> Tables:
     """Each target from the answer before it; parts end after SLICE, so that an interrupt loses little.
 
     Where the answer is far from the one before, the nearest of several is looked for instead.
@@ -254,7 +286,7 @@ def _on_a_chain(solver: Solver, jobs: Iterator[Job], every: int) -> Iterator[np.
                 last = start = row[:, OUT_HEAD:].copy()
                 given = True
             if k + 1 == len(T) or perf_counter() - began > SLICE:
-                _confirm(solver, T[a : k + 1], kind, out[a : k + 1], first + a, every)
+                _confirm(solver, T[a : k + 1], kind, out[a : k + 1], first + a, share)
                 yield out[a : k + 1]
                 a, began = k + 1, perf_counter()
 
@@ -284,7 +316,11 @@ def solve_parts(
     check: float = 0.01,
     **options: Any,
 ) -> Iterator[BatchResult]:
-    """Solve as `solve_batch` does and give the answers part by part, in order: for more targets than fit in memory."""
+    """Solve as `solve_batch` does and give the answers part by part, in order: for more targets than fit in memory.
+
+    An array is read as parts are taken, so leave it as it is until then; what an iterator gives may be used again at once.
+    Raises BatchCheckFailed at the part with an answer that Pinocchio does not confirm; its `result` is that part.
+    """
     if not isinstance(robot, Robot):
         raise InvalidOption(
             f"solve_batch takes a robot with one tip, not a {type(robot).__name__}; call a bound Solver in a loop"
@@ -300,7 +336,6 @@ def solve_parts(
     count = _whole("threads", threads) if threads is not None else _cores()
     if not isinstance(check, int | float) or not 0.0 <= check <= 1.0:
         raise InvalidOption(f"check is the fraction of answers to check again, 0 to 1, not {check!r}")
-    every = round(1.0 / check) if check else 0
     known = _known(targets)
     chunks = _checked(iter([known]) if known is not None else targets)
     first = next(chunks, None)
@@ -326,17 +361,26 @@ def solve_parts(
         size = min(size, max(LEAST_PART, math.ceil(len(known) / count)))
     jobs = _jobs(joined([first], chunks), starts, size)
     if chain:
-        tables = _on_a_chain(local, jobs, every)
+        tables = _on_a_chain(local, jobs, check)
     elif executor is not None:
-        tables = _on_executor(local, jobs, every, executor)
+        tables = _on_executor(local, jobs, check, executor)
     else:
-        tables = _on_threads(local, jobs, every, count)
+        tables = _on_threads(local, jobs, check, count)
     return _wrapped(tables, first.ndim == 2, local, chain)
 
 
-def _wrapped(tables: Iterator[np.ndarray], position_only: bool, solver: Solver, chain: bool) -> Iterator[BatchResult]:
-    for table in tables:
-        yield BatchResult(table, position_only, solver, chain)
+def _wrapped(tables: Tables, position_only: bool, solver: Solver, chain: bool) -> Iterator[BatchResult]:
+    """Parts as results; the first with an answer that Pinocchio does not confirm ends the batch."""
+    done = 0
+    with closing(tables):
+        for table in tables:
+            part = BatchResult(table, position_only, solver, chain)
+            failed = np.flatnonzero(table[:, R_STATUS] == CHECK_FAILED)
+            if len(failed):
+                table[:, R_STATUS] = CHECK_FAILED
+                raise BatchCheckFailed(part, done + int(failed[0]), done)
+            done += len(table)
+            yield part
 
 
 def _jobs(chunks: Iterator[np.ndarray], starts: np.ndarray | None, size: int) -> Iterator[Job]:
@@ -344,7 +388,7 @@ def _jobs(chunks: Iterator[np.ndarray], starts: np.ndarray | None, size: int) ->
     first = 0
     for chunk in chunks:
         for a in range(0, len(chunk), size):
-            part = chunk[a : a + size]
+            part = np.array(chunk[a : a + size], dtype=float, order="C")  # a buffer may be refilled while this waits
             if starts is None:
                 q0 = None
             elif not each:
@@ -382,9 +426,12 @@ def solve_batch(
     interface (a process pool, a Dask client's `get_executor()`) instead of threads. chain: ordered waypoints, each solved from
     the answer before it, the nearest of several where that jumps; q0 (n,) is where the first starts. check: fraction of the
     answers to check again with Pinocchio. progress(done) is called as parts finish. Options and parameters as for `solve`.
-    Without chain each target is solved as if alone, so the answers do not depend on threads, workers or order (on one kind
-    of CPU). Ctrl-C raises BatchInterrupted, a KeyboardInterrupt whose `result` holds the targets finished. Raises
-    InvalidTarget and InvalidConfiguration (naming the target), UnknownSolver, InvalidOption.
+    A row keeps what `solve` promises: limits, tolerances, what a status means. It may be another solution than `solve` gives for
+    that target; q0 per row says near which one to search. Without chain it depends on its own target and q0 alone: the same
+    bytes for any number of threads, chunks or workers (on one kind of CPU). Ctrl-C raises BatchInterrupted, a KeyboardInterrupt
+    whose `result` holds the targets finished. Raises BatchCheckFailed when Pinocchio does not confirm an answer (its `result`
+    has every row, none of them a success), InvalidTarget and InvalidConfiguration (naming the target), UnknownSolver and
+    InvalidOption.
     """
     known = _known(targets)
     parts = solve_parts(
@@ -413,6 +460,15 @@ def solve_batch(
         if part is None:
             raise
         raise BatchInterrupted(BatchResult(table[:done], part.position_only, part._solver, chain)) from None
+    except BatchCheckFailed as failure:  # rows up to the one that failed, and nothing of those after it, solved or not
+        part, end = failure.result, failure.target + 1
+        table.resize((len(known) if known is not None else done + len(part), table.shape[1]), refcheck=False)
+        table[done:end] = part._table[: end - done]
+        table[end:] = 0.0
+        table[end:, [R_POSITION, R_ROTATION, R_MOVE, *range(OUT_HEAD, table.shape[1])]] = np.nan
+        table[:, R_STATUS] = CHECK_FAILED
+        whole = BatchResult(table, part.position_only, part._solver, chain)
+        raise BatchCheckFailed(whole, failure.target, 0) from None
     if part is None:
         position_only = known is not None and known.ndim == 2
         return BatchResult(table, position_only, None, chain)

@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 
+from ..errors import IKError
 from ..kernel.slots import (
     OUT_HEAD,
     R_EVALUATIONS,
@@ -28,6 +29,29 @@ class BatchInterrupted(KeyboardInterrupt):
         """Keep what was finished."""
         super().__init__(f"interrupted after {len(result)} targets")
         self.result = result
+
+
+class BatchCheckFailed(IKError):
+    """Pinocchio does not confirm an answer of a batch: the solver is wrong for this robot, so no row is a success.
+
+    result: BatchResult whose rows all have the status CHECK_FAILED; target: number of the first that is not confirmed. From
+    `solve_batch` the result has every row, with NaN where the batch ended before; from `solve_parts` it is the part that failed.
+    """
+
+    def __init__(self, result: "BatchResult", target: int, before: int) -> None:
+        """Keep the rows; `before` counts those already handed out."""
+        doubt = f" The {before} answers handed out before it are in doubt too." if before else ""
+        super().__init__(
+            f"Pinocchio does not confirm the answer to target {target}, so no answer of this batch can be trusted.{doubt}"
+            " Please report this with the robot and the target."
+        )
+        self.result = result
+        self.target = target
+        self.before = before
+
+    def __reduce__(self) -> tuple:
+        """Pickle by what it is made of."""
+        return type(self), (self.result, self.target, self.before)
 
 
 class BatchResult:

@@ -88,7 +88,7 @@ def make_options(given: dict[str, Any]) -> Options:
         elif name == "follow":
             values[name] = FOLLOW * value if isinstance(value, bool | np.bool_) else _number(name, value, 0.0, math.inf)
         elif name in ("mask", "joint_weights") and value is not None:
-            array = floats(value, f"{name} must be numbers of at least 0", InvalidOption)
+            array = floats(value, f"{name} must be numbers of at least 0", InvalidOption, "fiub")  # True is 1 here
             if array.ndim != 1 or not np.isfinite(array).all() or (array < 0).any() or not array.any():
                 raise InvalidOption(f"{name} must be numbers of at least 0, not all 0: {value!r}")
             if name == "mask" and len(array) != 6:
@@ -101,10 +101,10 @@ def make_options(given: dict[str, Any]) -> Options:
 
 
 def _number(name: str, value: Any, low: float, high: float) -> float:
-    try:
-        number = float(value)
-    except (TypeError, ValueError, OverflowError):
-        raise InvalidOption(f"{name} must be a number, not {value!r}") from None
+    number = floats(value, f"{name} must be a number", InvalidOption)
+    if number.shape != ():
+        raise InvalidOption(f"{name} must be a number, not an array of shape {number.shape}")
+    number = float(number)
     if not low <= number <= high or number == math.inf:
         raise InvalidOption(f"{name} must be between {low:g} and {high:g}, not {value!r}")
     return number

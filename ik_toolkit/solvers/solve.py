@@ -12,6 +12,7 @@ import numpy as np
 from ..errors import IKError, InvalidConfiguration, InvalidOption, InvalidTarget
 from ..kernel.chain import table, without_limits, without_wrap
 from ..kernel.checks import BAD_TARGET
+from ..kernel.limits import LARGEST
 from ..kernel.loop import entry
 from ..kernel.seeds import BEST
 from ..kernel.slots import (
@@ -53,7 +54,6 @@ KINDS_KEPT = 64  # kinds of target a solver stays ready for: every axis is a kin
 CLOSEST = 16  # solutions to compare when the one nearest q0 is asked for
 REFINE_STEPS = 60
 FOLLOW_ITERATIONS = 100  # the one attempt of `follow` has no other to hand over to where it converges slowly
-FAR_START = 1e15  # joint values (kernel units) from which on a start is refused, see kernel.limits.legal
 NEVER = (np.inf, 1.0, np.inf, 1.0)
 EXACT = {  # options that a closed form honours or has no use for; 'auto' takes 'lm' when any other is given
     "tolerance", "position_tolerance", "orientation_tolerance", "max_iterations", "max_evaluations", "restarts", "seed",
@@ -168,6 +168,10 @@ class Solver:
             raise InvalidOption(f"solver '{row.name}' moves every joint, so a joint weight of 0 is not kept; use 'lm'")
         if kind == AXIS and o.mask is not None:
             raise InvalidOption("a mask and an axis target cannot be combined: the axis already frees one turn")
+        if kind == POSITION and o.mask is not None and any(o.mask[3:]):
+            raise InvalidOption(
+                f"a position leaves orientation free, so the last three weights of its mask must be 0, not {o.mask[3:]}"
+            )
         if (kind == POSITION and not row.position) or (kind == POSE and not row.pose):
             raise InvalidOption(
                 f"solver '{row.name}' does not solve {'positions' if kind == POSITION else 'poses'}: {row.handles}"
@@ -262,10 +266,12 @@ class Solver:
         """Validate q0; clamp it into the limits or refuse it. Returns (1, n) and a notice."""
         q = self.robot.check_q(q0, "q0")
         inside = np.clip(q, self._lower, self._upper) if self.options.limits else q
-        far = np.abs(inside / self.robot.chain.unit) >= FAR_START
+        far = np.abs(inside / self.robot.chain.unit) >= LARGEST
         if far.any():
             names = ", ".join(j for j, x in zip(self.robot.joint_names, far, strict=True) if x)
-            raise InvalidConfiguration(f"q0 is too large a number at joint {names}: no digit is left for the angle")
+            raise InvalidConfiguration(
+                f"q0 is too large a number at joint {names}: it must stay below {LARGEST:g} (rad, or reaches)"
+            )
         if (inside == q).all():
             return q[None], ""
         names = ", ".join(self.robot.outside(q))
@@ -432,7 +438,8 @@ def bound(robot: Robot, solver: Any, options: dict[str, Any]) -> Solver:
     """Return a Solver for these arguments, the same one each time they can be hashed."""
     cache = robot.__dict__.setdefault("_solvers", {})
     try:
-        key = (type(solver), solver, *options.items())  # the type too: named tuples of equal numbers are equal
+        # Types too: named tuples of equal numbers are equal, and so are 1 and True.
+        key = (type(solver), solver, *options.items(), *map(type, options.values()))
         found = cache.get(key)
     except TypeError:  # a parameter that cannot be hashed, such as a matrix
         return Solver(robot, solver, **options)

@@ -1,0 +1,268 @@
+"""What comes in is looked at once, on every path: last rows, kinds of numbers, layouts, masks, buffers that change."""
+
+import datetime
+import math
+
+import numpy as np
+import pytest
+from robots import load, sample
+from second_fk import SecondFK
+
+import ik_toolkit as ik
+from ik_toolkit.errors import InvalidConfiguration, InvalidOption, InvalidTarget
+from ik_toolkit.robot.pose import AxisTarget, check_target
+from ik_toolkit.solvers.batch import solve_parts
+
+ARM = "hydrolek_7w"
+TREE = ("brokk_hydrolek", ("left_tip", "right_tip"))
+
+
+def good():
+    """A robot and the pose of its tip at home (4, 4)."""
+    robot = load(ARM)
+    return robot, robot.fk(robot.home).homogeneous
+
+
+def every_way(robot, T):
+    """Calls that take a pose, by name."""
+    start = good()[1]
+    tree = ik.Robot.load(TREE[0], tip=list(TREE[1]))
+    return {
+        "solve": lambda: ik.solve(robot, T, "lm"),
+        "Solver": lambda: ik.Solver(robot, "lm")(T),
+        "Solver with q0": lambda: ik.Solver(robot, "lm")(T, robot.home),
+        "solve_all": lambda: ik.solve_all(robot, T, starts=2),
+        "batch of one": lambda: ik.solve_batch(robot, np.asanyarray(T)[None], "lm"),
+        "list": lambda: ik.solve_batch(robot, [start, T], "lm"),
+        "iterator": lambda: ik.solve_batch(robot, iter([start[None], np.asanyarray(T)[None]]), "lm"),
+        "chain": lambda: ik.solve_batch(robot, np.asanyarray(T)[None], "lm", chain=True),
+        "tree": lambda: ik.Solver(tree)([T, T]),
+        "with_tool": lambda: robot.with_tool(T),
+        "AxisTarget": lambda: AxisTarget(T, (0.0, 0.0, 1.0)),
+    }
+
+
+def with_last_row(row):
+    T = good()[1].copy()
+    T[3] = row
+    return T
+
+
+@pytest.mark.parametrize(
+    ("T", "words"),
+    [
+        (good()[1].T.copy(), "transposed"),
+        (good()[1].T, "transposed"),
+        (with_last_row([1.0, 2.0, 3.0, 4.0]), "last row"),
+        (with_last_row([0.0, 0.0, 0.0, 1.0 + 1e-6]), "last row"),
+        (with_last_row([0.0, 0.0, 0.0, 0.0]), "last row"),
+        (with_last_row([math.nan] * 4), "finite"),
+        (with_last_row([0.0, 0.0, math.inf, 1.0]), "finite"),
+    ],
+)
+def test_a_pose_with_a_wrong_last_row_is_refused_everywhere(T, words):
+    for name, call in every_way(load(ARM), T).items():
+        with pytest.raises(InvalidTarget, match=words):
+            call()
+            pytest.fail(name)
+
+
+def test_the_row_of_a_batch_that_looks_transposed_is_named():
+    robot = load(ARM)
+    T = sample(robot, 3000, seed=2)[1]
+    T[2222] = T[2222].T.copy()
+    with pytest.raises(InvalidTarget, match=r"target 2222: .*transposed"):
+        ik.solve_batch(robot, T, "lm")
+
+
+def no_numbers():
+    """Positions and poses that numpy would turn into numbers."""
+    T = good()[1]
+    hidden = np.ma.array(T, mask=np.zeros((4, 4), dtype=bool))
+    hidden[0, 3] = np.ma.masked
+    return {
+        "dates": np.array([["2026-01-01"] * 4] * 4, dtype="M8[D]"),
+        "lengths of time": np.ones((4, 4), dtype="m8[s]"),
+        "complex": T + 0.5j,
+        "masked": hidden,
+        "objects": T.astype(object),
+        "nothing": np.full((4, 4), None),
+        "truth values": np.eye(4, dtype=bool),
+        "texts": T.astype(str),
+        "bytes": T.astype("S20"),
+        "records": np.zeros((4, 4), dtype=[("x", float)]),
+    }
+
+
+@pytest.mark.parametrize("name", list(no_numbers()))
+def test_what_is_not_a_number_is_no_pose(name):
+    for way, call in every_way(load(ARM), no_numbers()[name]).items():
+        with pytest.raises(InvalidTarget):
+            call()
+            pytest.fail(way)
+
+
+@pytest.mark.parametrize(
+    "three",
+    [
+        ["1", "2", "3"],
+        [1.0, 2.0, 3.0 + 1j],
+        np.array([1, 2, 3], dtype="m8[s]"),
+        np.array([1.0, 2.0, None]),
+        [True, False, True],
+        [datetime.date(2026, 1, 1)] * 3,
+        np.ma.array([1.0, 2.0, 3.0], mask=[0, 1, 0]),
+        [np.ma.masked, 1.0, 2.0],
+    ],
+    ids=repr,
+)
+def test_what_is_not_a_number_is_refused_wherever_numbers_go_in(three):
+    robot = load(ARM)
+    six = [*three, *three] if isinstance(three, list) else np.ma.concatenate([three, three])
+    T = robot.fk(robot.home).homogeneous
+    for call, error in (
+        (lambda: ik.solve(robot, three), InvalidTarget),
+        (lambda: ik.pose(three), InvalidTarget),
+        (lambda: ik.pose((1, 0, 0), rpy=three), InvalidTarget),
+        (lambda: ik.pose((1, 0, 0), rotation=[three, three, three]), InvalidTarget),
+        (lambda: ik.pose((1, 0, 0), direction=three), InvalidTarget),
+        (lambda: ik.solve_batch(robot, [three, three]), InvalidTarget),
+        (lambda: robot.fk(six), InvalidConfiguration),
+        (lambda: ik.solve(robot, T, q0=six), InvalidConfiguration),
+        (lambda: ik.solve_batch(robot, T[None], q0=six), InvalidConfiguration),
+        (lambda: ik.solve_batch(robot, T[None], q0=[six]), InvalidConfiguration),
+        (lambda: ik.solve(robot, T, tolerance=three[0]), InvalidOption),
+    ):
+        if error is InvalidOption and isinstance(three[0], float | np.floating):
+            continue
+        with pytest.raises(error):
+            call()
+
+
+@pytest.mark.parametrize("value", [True, "1e-3", 1e-3 + 0j, np.array([1e-3, 1e-3]), None])
+def test_a_tolerance_is_one_real_number(value):
+    with pytest.raises(InvalidOption, match="position_tolerance"):
+        ik.solve(*good(), position_tolerance=value)
+
+
+def test_a_mask_may_be_of_truth_values():
+    robot, T = good()
+    for mask in ([True] * 3 + [False] * 3, np.array([1, 1, 1, 0, 0, 0], dtype=bool)):
+        assert ik.solve(robot, T, mask=mask).success
+    with pytest.raises(InvalidOption, match="mask"):
+        ik.solve(robot, T, mask=["1"] * 6)
+
+
+def layouts(T):
+    """The same poses (N, 4, 4), and those of fewer digits, in arrays of many kinds."""
+    wide = np.zeros((len(T), 4, 8))
+    wide[:, :, ::2] = T
+    frozen = T.copy()
+    frozen.setflags(write=False)
+    whole = np.round(T)
+    return {
+        "strided": (wide[:, :, ::2], T),
+        "backwards": (T[::-1], T[::-1]),
+        "fortran": (np.asfortranarray(T), T),
+        "read-only": (frozen, T),
+        "other byte order": (T.astype(">f8"), T),
+        "float32": (T.astype(np.float32), T.astype(np.float32).astype(float)),
+        "long double": (T.astype(np.longdouble), T),
+        "matrix subclass": (np.ma.array(T), T),
+        "list": (list(T), T),
+        "nested lists": (T.tolist(), T),
+        "whole numbers": (whole.astype(np.int32), whole),
+    }
+
+
+@pytest.mark.parametrize("name", list(layouts(np.zeros((1, 4, 4)))))
+def test_the_layout_of_an_array_changes_nothing(name):
+    robot = load(ARM)
+    T = sample(robot, 12, seed=9)[1]
+    if name == "whole numbers":  # positions only: few whole rotations are rigid
+        T[:, :3, :3] = np.eye(3)
+    given, meant = layouts(T)[name]
+    solver = ik.Solver(robot, "lm")
+    many = ik.solve_batch(robot, given, "lm")
+    wanted = ik.solve_batch(robot, np.ascontiguousarray(meant), "lm")
+    assert many._table.tobytes() == wanted._table.tobytes()
+    positions = given[:, :3, 3] if isinstance(given, np.ndarray) else [x[:3, 3] for x in meant]
+    only = ik.solve_batch(robot, positions, "lm")
+    assert only._table.tobytes() == ik.solve_batch(robot, meant[:, :3, 3].copy(), "lm")._table.tobytes()
+    for one, other in zip(given, meant, strict=True):
+        assert solver(one).q.tobytes() == solver(check_target(other)[0]).q.tobytes()
+
+
+def test_an_axis_target_is_looked_at_when_it_is_made():
+    robot, T = good()
+    kept = AxisTarget(T.tolist(), [0, 0, 2])
+    assert kept.axis == (0.0, 0.0, 1.0) and ik.solve(robot, kept, "lm").success
+    for T_base_tip, axis in ((np.zeros((4, 4)), (0, 0, 1)), (T, (0, 0, 0)), (T, "z"), (T[:3, 3], (0, 0, 1))):
+        with pytest.raises(InvalidTarget):
+            AxisTarget(T_base_tip, axis)
+
+
+# ---------------------------------------------------------------------------------------------------------- reused buffers
+@pytest.mark.parametrize("share", [0.01, 1.0])
+@pytest.mark.parametrize("kind", [np.float64, np.float32])
+def test_a_buffer_that_an_iterator_refills_gives_each_row_its_own_answer(share, kind):
+    robot = load(ARM)
+    judge = SecondFK(robot.urdf, base=robot.base, tip=robot.tip)
+    T = sample(robot, 4000, seed=5)[1].astype(kind)
+    buffer = np.empty((100, 4, 4), dtype=kind)
+
+    def chunks():
+        for a in range(0, len(T), len(buffer)):
+            buffer[:] = T[a : a + len(buffer)]
+            yield buffer
+
+    many = ik.solve_batch(robot, chunks(), "lm", check=share)
+    assert many._table.tobytes() == ik.solve_batch(robot, T, "lm")._table.tobytes()
+    off = np.linalg.norm(judge.fk(many.q, robot.joint_names)[:, :3, 3] - T[:, :3, 3], axis=1)
+    assert many.success.all() and off.max() <= 1e-6 + 1e-12
+
+
+def test_an_array_that_changes_between_the_parts_changes_no_part_already_read():
+    """Whatever is read of it before or after: an answer is for a target that stood in its row."""
+    robot = load(ARM)
+    first, later = sample(robot, 9000, seed=6)[1], sample(robot, 9000, seed=7)[1]
+    buffer = first.copy()
+    place = 0
+    for part in solve_parts(robot, buffer, "lm", threads=2, check=0.0):
+        buffer[:] = later
+        tips = robot.chain.forward(part.q)[0][:, :3, 3]
+        off = [np.linalg.norm(tips - T[place : place + len(part), :3, 3], axis=1) for T in (first, later)]
+        assert part.success.all() and np.minimum(*off).max() <= 1e-6 + 1e-12
+        place += len(part)
+    assert place == len(first)
+
+
+# ---------------------------------------------------------------------------------------------------------------- options
+@pytest.mark.parametrize("weights", [(1, 1, 1, 0, 0, 1), (0, 0, 0, 1, 1, 1), (1, 1, 0, 0, 1e-3, 0)])
+def test_a_position_has_no_rotation_to_weigh(weights):
+    robot = load(ARM)
+    xyz = robot.fk(robot.home).translation
+    for call in (
+        lambda: ik.solve(robot, xyz, mask=weights),
+        lambda: ik.Solver(robot, "lm", mask=weights)(xyz),
+        lambda: ik.solve_batch(robot, xyz[None], mask=weights),
+        lambda: ik.solve_batch(robot, xyz[None], mask=weights, chain=True),
+        lambda: ik.solve_all(robot, xyz, mask=weights),
+    ):
+        with pytest.raises(InvalidOption, match="a position leaves orientation free"):
+            call()
+    assert ik.solve(robot, xyz, mask=(1, 1, 0, 0, 0, 0)).success
+
+
+@pytest.mark.parametrize("name", ["limits", "closest", "history", "check"])
+def test_one_is_not_true_whatever_was_asked_before(name):
+    robot, T = good()
+    for value in (True, False):
+        ik.solve(robot, T, **{name: value})
+    for value in (1, 0, 1.0):
+        if name != "closest":
+            with pytest.raises(InvalidOption, match=name):
+                ik.solve(robot, T, **{name: value})
+    with pytest.raises(InvalidOption, match="seed"):
+        ik.solve(robot, T, seed=0)
+        ik.solve(robot, T, seed=False)
