@@ -111,16 +111,31 @@ class SecondFK:
 
     def fk(self, Q, joint_names):
         """T_base_tip (N, 4, 4) at Q (N, n), whose columns are the joints of `joint_names` [rad or m]."""
-        Q, names = np.atleast_2d(np.asarray(Q, dtype=float)), list(joint_names)
+        Q, names = np.atleast_2d(np.asarray(Q)), list(joint_names)
         R, p = self._out(self.down, Q, names)
         if self.up:
             B, b = self._out(self.up, Q, names)
             R, p = B.transpose(0, 2, 1) @ R, np.einsum("nji,nj->ni", B, p - b)
-        T = np.zeros((len(Q), 4, 4))
+        T = np.zeros((len(Q), 4, 4), dtype=np.result_type(R, p))
         T[:, 3, 3] = 1.0
         T[:, :3, :3] = R @ self.tool[:3, :3]
         T[:, :3, 3] = p + R @ self.tool[:3, 3]
         return T
+
+    def jacobian(self, Q, joint_names):
+        """Jacobians (N, 6, n) of the tip point in base axes, linear rows first: derivatives by complex steps, so exact."""
+        Q = np.atleast_2d(Q).astype(complex)
+        J = np.empty((len(Q), 6, Q.shape[1]))
+        for i in range(Q.shape[1]):
+            at = Q.copy()
+            at[:, i] += 1e-30j  # too small to change the real part: the imaginary part is the derivative
+            T = self.fk(at, joint_names)
+            W = T.imag[:, :3, :3] @ np.swapaxes(T.real[:, :3, :3], 1, 2) * 1e30
+            J[:, :3, i] = T.imag[:, :3, 3] * 1e30
+            J[:, 3:, i] = 0.5 * np.stack(
+                [W[:, 2, 1] - W[:, 1, 2], W[:, 0, 2] - W[:, 2, 0], W[:, 1, 0] - W[:, 0, 1]], axis=1
+            )
+        return J
 
     def limits(self, joint_names):
         """Lower and upper (n,) [rad or m] that the URDF allows, those of the followers on the path included."""

@@ -242,10 +242,10 @@ class Robot(Joints):
         Q = configurations(self.chain, np.array([kind == "prismatic" for kind in self.joint_kinds]))
         poses, jacobians = zip(*(self._kinematics(q) for q in Q), strict=True)
         off = difference(self.chain, Q, np.array([T.homogeneous for T in poses]), np.array(jacobians))
-        if not off <= 1.0:  # NaN is refused too
+        if not off <= AGREE:  # NaN is refused too
             raise ModelError(
                 f"robot '{self.name}' from '{self.base}' to '{self.tip}' is refused: the kinematics read from it differ from "
-                f"Pinocchio's by {off * AGREE:.2g}, so answers would be wrong; please report this with its URDF"
+                f"Pinocchio's by {off:.2g}, so answers would be wrong; please report this with its URDF"
             )
 
     def _good_start(self, middle: np.ndarray) -> np.ndarray:

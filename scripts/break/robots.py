@@ -1,0 +1,117 @@
+"""Load random URDFs as people write them and judge what was read from each by a second FK (tests/second_fk.py).
+
+Usage: python scripts/break/robots.py [--seed N] [--count N]. A robot is wrong when the tip pose or the Jacobian of the
+compiled kernel or of `Robot.fk` and `Robot.jacobian` is off by more than 1e-9 (lengths over its size), or a limit is not
+the URDF's. Exit code 1 when one is wrong or anything but a ModelError is raised; what was refused is listed by reason.
+"""
+
+import argparse
+import collections
+import faulthandler
+import re
+import sys
+import traceback
+from pathlib import Path
+
+import numpy as np
+
+import ik_toolkit as ik
+from ik_toolkit.errors import ModelError
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tests"))
+from second_fk import Case, SecondFK, pose_errors, random_case
+
+WRONG = 1e-9  # of the robot's size, or [rad]
+TURNS = 31.0  # five turns of an endless joint [rad]
+
+
+def load(case: Case) -> ik.Robot:
+    """The robot of a case."""
+    robot = ik.Robot.load(case.text, base=case.base, tip=case.tip, locked=case.locked)
+    return robot if case.tool is None else robot.with_tool(case.tool)
+
+
+def configurations(robot: ik.Robot, rng: np.random.Generator, count: int) -> np.ndarray:
+    """Legal q (count, n): uniform, endless joints over five turns, a quarter of the values on a limit."""
+    far = np.where(np.array(robot.joint_kinds) == "prismatic", robot.reach, TURNS)
+    low = np.where(np.isfinite(robot.lower), robot.lower, -far)
+    high = np.where(np.isfinite(robot.upper), robot.upper, far)
+    Q = (low + (high - low) * rng.random((count, robot.n))).clip(robot.lower, robot.upper)
+    edge = np.where(rng.random(Q.shape) < 0.5, low, high)
+    return np.where(rng.random(Q.shape) < 0.25, edge, Q)
+
+
+def worst(robot: ik.Robot, judge: SecondFK, rng: np.random.Generator) -> dict[str, float]:
+    """Largest errors of a robot: kernel and Pinocchio, pose and Jacobian, each over the robot's size."""
+    Q, names = configurations(robot, rng, 16), robot.joint_names
+    T, J = judge.fk(Q, names), judge.jacobian(Q, names)
+    size = max(robot.reach, judge.largest_offset())
+    poses, columns = robot.chain.forward(Q, jacobian=True)
+    mine = np.array([robot.fk(q).homogeneous for q in Q]), np.array([robot.jacobian(q) for q in Q])
+    found = {}
+    for who, pose, jacobian in (("kernel", poses, columns), ("Robot", *mine)):
+        position, angle = pose_errors(pose, T)
+        found[f"{who} pose"] = max(position.max() / size, angle.max())
+        off = jacobian - J
+        off[:, :3] /= size
+        found[f"{who} Jacobian"] = (np.abs(off) / scales(J, size)).max()
+    return found
+
+
+def scales(J: np.ndarray, size: float) -> np.ndarray:
+    """How large each column (N, 1, n) of the Jacobians is, 1 at least: a multiplier of 1000 makes its rounding as large."""
+    parts = np.concatenate([np.abs(J[:, :3]) / size, np.abs(J[:, 3:])], axis=1)
+    return np.maximum(1.0, parts.max(axis=(0, 1))[None, None])
+
+
+def limits_differ(robot: ik.Robot, judge: SecondFK, Q: np.ndarray) -> bool:
+    """Whether the limits are not those of the text (a follower's come with its rounding), or a legal q breaks one."""
+    near = dict(rtol=1e-12, atol=1e-12 * robot.reach)
+    given = judge.limits(robot.joint_names)
+    same = np.allclose(robot.lower, given[0], **near) and np.allclose(robot.upper, given[1], **near)
+    return not same or bool(judge.outside(Q, robot.joint_names).any())
+
+
+def main(seed: int, count: int) -> int:
+    """Try `count` robots; return the exit code."""
+    refused: collections.Counter[str] = collections.Counter()
+    most: collections.Counter[str] = collections.Counter()
+    wrong, crashes, tried = [], [], 0
+    for i in range(count):
+        rng = np.random.default_rng([seed, i])
+        case = random_case(rng)
+        try:
+            robot = load(case)
+        except ModelError as error:
+            refused[re.sub(r"'[^']*'|-?\d+(\.\d+)?(e[+-]\d+)?", "*", str(error))] += 1
+            continue
+        except Exception:
+            crashes.append((i, traceback.format_exc(limit=-1).strip().splitlines()[-1]))
+            continue
+        tried += 1
+        judge = case.judge()
+        errors = worst(robot, judge, rng)
+        for name, error in errors.items():
+            most[name] = max(most[name], error)
+            if not error <= WRONG:
+                wrong.append((i, f"{name} off by {error:.2g}"))
+        if limits_differ(robot, judge, configurations(robot, rng, 16)):
+            wrong.append((i, "the limits are not the URDF's"))
+    print(f"seed {seed}: {count} random URDFs, {tried} loaded, {sum(refused.values())} refused, {len(crashes)} crashes")
+    for reason, times in refused.most_common():
+        print(f"  refused {times}: {reason}")
+    for name, error in most.items():
+        print(f"  largest error, {name}: {error:.2g}")
+    print(f"wrong: {len({i for i, _ in wrong})}")
+    for i, what in [*wrong, *crashes][:20]:
+        print(f"  robot {i}: {what}")
+    return 1 if wrong or crashes else 0
+
+
+if __name__ == "__main__":
+    faulthandler.enable()  # a crash of the process says where
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--count", type=int, default=2400)
+    arguments = parser.parse_args()
+    sys.exit(main(arguments.seed, arguments.count))
