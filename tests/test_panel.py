@@ -65,9 +65,9 @@ def test_a_solve_moves_the_robot_and_a_failure_does_not():
 def test_parameters_go_to_the_solver():
     session = Session("hydrolek_7w")
     session.solver = "dls"
-    assert session.fields() == {"damping": 0.03}
-    session.parameters = {"damping": "0.5"}
-    assert session.rule() == ik.DLS(damping=0.5)
+    assert session.fields() == {"damping": 0.03, "hold": True}
+    session.parameters = {"damping": "0.5", "hold": "False"}
+    assert session.rule() == ik.DLS(damping=0.5, hold=False)
     for text, words in (("a b", "takes a number or a list"), ("fast", "takes a number")):
         session.parameters = {"damping": text}
         with pytest.raises(InvalidOption, match=words):

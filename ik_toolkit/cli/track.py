@@ -81,6 +81,18 @@ Limits = Annotated[
 Acceleration = Annotated[
     float | None, typer.Option(metavar="A", help="Acceleration limit of every joint [rad/s^2, m/s^2].")
 ]
+PositionTolerance = Annotated[
+    float,
+    typer.Option("--tolerance-position", metavar="M", help="Largest position error of a run that counts as followed."),
+]
+OrientationTolerance = Annotated[
+    float | None,
+    typer.Option("--tolerance-orientation", metavar="RAD", help="The same of the orientation; default: 0.1 degrees."),
+]
+Settle = Annotated[
+    float | None,
+    typer.Option(metavar="S", help="Time before errors count; default: 0, with --acceleration (a start at rest) 0.5."),
+]
 Out = Annotated[
     Path | None,
     typer.Option(
@@ -119,6 +131,9 @@ def track(
     q0: Q0 = None,
     limits: Limits = True,
     acceleration: Acceleration = None,
+    tolerance_position: PositionTolerance = 1e-3,
+    tolerance_orientation: OrientationTolerance = None,
+    settle: Settle = None,
     tip: Tip = None,
     base: Base = None,
     lock: Lock = None,
@@ -130,8 +145,8 @@ def track(
 ) -> None:
     """Follow a path with the tip and report errors, joint speeds and limits.
 
-    Gains that are unstable at the rate are said before the run, with better ones. Exit code 0 when the path was followed
-    to its end, 1 when the run was lost or diverged.
+    Gains that are unstable at the rate are said before the run, with better ones. Exit code 0 when every sample was inside the
+    tolerances (COMPLETED), 1 when one was not (LOST) or the run diverged.
     """
     if not (rate > 0.0 and rate < float("inf")):
         raise InvalidOption(f"--rate must be positive, not {rate}")
@@ -141,6 +156,7 @@ def track(
     first = None if q0 is None else joint_vector(arm, q0, "--q0", deg)
 
     from ..tracking.track import track as follow
+    from ..tracking.verdict import ORIENTATION_TOLERANCE
 
     reference = _reference(arm, path, first, start, end, axis, radius, length, turns_, duration, law, position_only)
     with warnings.catch_warnings():
@@ -155,6 +171,9 @@ def track(
             q0=begin,
             limits=limits,
             acceleration_limits=acceleration,
+            position_tolerance=tolerance_position,
+            orientation_tolerance=ORIENTATION_TOLERANCE if tolerance_orientation is None else tolerance_orientation,
+            settle=settle,
             **options,
         )
     if output is not None:
@@ -250,7 +269,7 @@ def _show(result: "TrackResult", arm: "Robot", reference: "Reference") -> None:
     for name, unit in (("position", "m"), ("orientation", "rad")):
         if name in figures:
             row = figures[name]
-            keys = ("max", "rms", "final", "settled_max", "between_settled_max")
+            keys = ("max", "rms", "final", "settled_max", "between_max")
             errors.add_row(f"{name} [{unit}]", *(f"{row[key]:.3g}" if key in row else "-" for key in keys))
     joints = table("<joint", ">peak speed", ">of limit", ">peak acceleration", ">peak jerk", ">held back")
     for i, (name, kind) in enumerate(zip(result.joint_names, arm.joint_kinds, strict=True)):

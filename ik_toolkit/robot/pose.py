@@ -222,3 +222,9 @@ def check_target(target: Any) -> tuple[np.ndarray, str]:
     if off > 1e-12:
         T[:3, :3] = R
     return T, notice
+
+
+def length(value: float) -> str:
+    """Length [m] in words."""
+    size, unit = next((x for x in ((1.0, "m"), (1e-3, "mm"), (1e-6, "um")) if value >= x[0]), (1e-9, "nm"))
+    return f"{value / size:.3g} {unit}"

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..errors import InvalidOption
 from ..robot.joints import Joints
-from ..robot.pose import AxisTarget, check_target
+from ..robot.pose import AxisTarget, check_target, length
 from .parts import Body, Shape, need_trimesh, smooth, tube
 from .window import Window
 
@@ -291,12 +291,6 @@ class Scene:
         if (color, label) not in self._legend:
             self._legend.append((color, label))
             self.window.say(legend=self._legend)
-
-
-def length(value: float) -> str:
-    """Length [m] in words."""
-    size, unit = next((x for x in ((1.0, "m"), (1e-3, "mm"), (1e-6, "um")) if value >= x[0]), (1e-9, "nm"))
-    return f"{value / size:.3g} {unit}"
 
 
 def view(robot: Joints, what: Any = None, *, target: Any = None, cloud: Any = None, title: str | None = None) -> Scene:

@@ -9,13 +9,12 @@ import numpy as np
 from ..errors import FrameNotFound, InvalidOption, InvalidTarget
 from ..kernel.task import POSE, POSITION
 from ..robot.library import find
-from ..robot.pose import matrix_quat, matrix_rpy, pose
+from ..robot.pose import length, matrix_quat, matrix_rpy, pose
 from ..robot.robot import Robot
 from ..solvers.registry import ROWS, find_row, make_rule
 from ..solvers.result import Result
 from ..solvers.solve import automatic, bound, solve
 from ..solvers.solve_all import solve_all
-from .scene import length
 
 KINDS = ("roll pitch yaw", "quaternion", "free")  # how the orientation of a typed target is given
 SHOWN = 16  # solutions listed
@@ -235,7 +234,9 @@ def _numbers(text: str, size: int, what: str) -> list[float]:
 def _value(name: str, text: str) -> Any:
     """Number, list (JSON) or word of a typed parameter."""
     try:
-        return json.loads(text)
+        return json.loads(
+            text.lower() if text in ("True", "False") else text
+        )  # these two are shown as Python writes them
     except ValueError:
         if text.replace("_", "").replace("-", "").isalpha():
             return text

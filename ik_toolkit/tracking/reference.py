@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import InvalidOption, InvalidTarget, MissingExtra, near_match
+from ..errors import InvalidOption, InvalidTarget, MissingExtra, floats, near_match
 from ..robot.pose import check_target, quat_matrix
 
 Samples = tuple[np.ndarray, np.ndarray, np.ndarray]  # values, first and second derivatives
@@ -38,20 +38,25 @@ class Reference:
         position_only: bool = False,
         name: str = "custom",
     ) -> None:
-        """Wrap a function of time. Raises InvalidOption when the duration is not a positive number."""
-        self.duration = _positive(duration, "duration [s]")
+        """Wrap a function of time. Raises InvalidOption when it is none, or the duration is not a positive number."""
+        if not callable(function):
+            raise InvalidOption(f"a reference is made from a function of time, not {type(function).__name__}")
+        self.duration = positive(duration, "duration [s]")
         self.function = function
         self.position_only = position_only
         self.name = name
 
     def at(self, t: Any) -> Samples:
         """Pose, twist and acceleration at t [s]: (4, 4), (6,), (6,) for a number, with a leading N for an array (N,)."""
-        times = np.atleast_1d(np.asarray(t, dtype=float))
-        T, V, A = (np.asarray(part, dtype=float) for part in self.function(times))
+        times = np.atleast_1d(floats(t, "t must be times [s]", InvalidOption))
         n = len(times)
+        wanted = f"reference '{self.name}' must give arrays ({n}, 4, 4), ({n}, 6), ({n}, 6) for {n} times"
+        made = self.function(times)
+        if not (isinstance(made, tuple | list) and len(made) == 3):
+            raise InvalidTarget(f"{wanted}, not {type(made).__name__}")
+        T, V, A = (floats(part, wanted, InvalidTarget) for part in made)
         if (T.shape, V.shape, A.shape) != ((n, 4, 4), (n, 6), (n, 6)):
-            wanted = f"({n}, 4, 4), ({n}, 6), ({n}, 6) for {n} times"
-            raise InvalidTarget(f"reference '{self.name}' must give {wanted}, not {T.shape}, {V.shape}, {A.shape}")
+            raise InvalidTarget(f"{wanted}, not {T.shape}, {V.shape}, {A.shape}")
         return (T, V, A) if np.ndim(t) else (T[0], V[0], A[0])
 
     def target(self, t: float) -> np.ndarray:
@@ -61,7 +66,7 @@ class Reference:
 
     def times(self, dt: float) -> np.ndarray:
         """Sample times 0, dt, ... up to the duration [s]. Raises InvalidOption beyond ten million of them."""
-        steps = self.duration / _positive(dt, "dt [s]")
+        steps = self.duration / positive(dt, "dt [s]")
         if steps > MAX_STEPS:
             raise InvalidOption(
                 f"dt = {dt:g} s makes {steps:.3g} steps of {self.duration:g} s; at most {MAX_STEPS:g} are taken"
@@ -73,7 +78,8 @@ class Reference:
         return f"Reference({self.name}, {self.duration:g} s, {'position' if self.position_only else 'pose'})"
 
 
-def _positive(value: float, name: str) -> float:
+def positive(value: float, name: str) -> float:
+    """Return a positive, finite number. Raises InvalidOption."""
     try:
         number = float(value)
     except (TypeError, ValueError):
@@ -112,7 +118,7 @@ def _on_path(
     turn: np.ndarray | None = None,
 ) -> Reference:
     """Reference along path(s), s in 0..1, with s = law(t / duration); turn: rotation vector in the frame R0, times s."""
-    duration = _positive(duration, "duration [s]")
+    duration = positive(duration, "duration [s]")
 
     def function(t: np.ndarray) -> Samples:
         s, s1, s2 = law(t / duration)
@@ -203,7 +209,7 @@ def circle(
     """
     if (start is None) == (center is None):
         raise InvalidOption("a circle needs either start= or center=")
-    radius = _positive(radius, "radius [m]")
+    radius = positive(radius, "radius [m]")
     p, R0 = _split(start if center is None else center)
     u, w = _plane(normal)
     c = p - radius * u if center is None else p
@@ -289,7 +295,7 @@ def waypoints(
         share = np.linalg.norm(np.diff(P, axis=0), axis=1) + RADIAN_AS_METRES * np.linalg.norm(turns, axis=1)
         if not (share > 1e-12).all():
             raise InvalidTarget(f"waypoints {int(np.argmin(share))} and {int(np.argmin(share)) + 1} are the same")
-        t = np.concatenate([[0.0], np.cumsum(share)]) / share.sum() * _positive(duration or 0.0, "duration [s]")
+        t = np.concatenate([[0.0], np.cumsum(share)]) / share.sum() * positive(duration or 0.0, "duration [s]")
     else:
         t = _check_times(np.asarray(times, dtype=float), len(P), "times")
     if law == "spline":

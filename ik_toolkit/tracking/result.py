@@ -13,7 +13,7 @@ from .stability import GainCheck
 
 
 class TrackStatus(Enum):
-    """COMPLETED; LOST (ended far from the reference); DIVERGED (joints ran away); NOT_FINITE (no usable step)."""
+    """COMPLETED; LOST (a sample outside the tolerances); DIVERGED (joints ran away); NOT_FINITE (no usable step)."""
 
     COMPLETED = "completed"
     LOST = "lost"
@@ -28,7 +28,8 @@ class TrackResult:
     t (N+1,) [s]; q, rate (N+1, n) joint values and the method's joint rates [rad or m (per s)]; xyz, target_xyz (N+1, 3)
     [m], base axes; position_error (N+1,) [m], orientation_error (N+1,) [rad] or None; limited (N, n) bits 1 position,
     2 speed, 4 acceleration limit; damped (N,) whether the pseudo-inverse was damped; between_position, between_orientation
-    (N,) largest error inside each step; figures (see `figures`); elapsed [s] of stepping; gain_check.
+    (N,) largest error inside each step; figures (see `figures`); elapsed [s] of stepping; gain_check. The verdict:
+    position_tolerance [m] and orientation_tolerance [rad] hold at every sample from settle [s] on (COMPLETED) or not (LOST).
     """
 
     robot: str
@@ -49,14 +50,24 @@ class TrackResult:
     between_orientation: np.ndarray | None
     elapsed: float
     gain_check: GainCheck | None
+    position_tolerance: float
+    orientation_tolerance: float
+    settle: float
     figures: dict[str, Any] = field(default_factory=dict)
     status: TrackStatus = TrackStatus.COMPLETED
     message: str = ""
 
     @property
     def success(self) -> bool:
-        """Whether the reference was followed to its end."""
+        """Whether the reference was followed to its end, every sample from settle on inside the tolerances."""
         return self.status is TrackStatus.COMPLETED
+
+    def outside(self) -> np.ndarray:
+        """Which samples (N+1,) from settle on have an error above a tolerance."""
+        inside = self.position_error <= self.position_tolerance
+        if self.orientation_error is not None:
+            inside &= self.orientation_error <= self.orientation_tolerance
+        return ~inside & (self.t >= self.settle)
 
     def to_dict(self) -> dict[str, Any]:
         """Summary for JSON: names, settings, status and figures; the arrays go to `save`."""
@@ -70,6 +81,10 @@ class TrackResult:
             "status": self.status.name,
             "success": self.success,
             "message": self.message,
+            "position_tolerance": self.position_tolerance,
+            "orientation_tolerance": self.orientation_tolerance,
+            "settle": self.settle,
+            "samples_outside": int(self.outside().sum()),
             "elapsed": self.elapsed,
             "stability": None
             if check is None

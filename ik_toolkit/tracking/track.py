@@ -10,19 +10,19 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import InvalidConfiguration, InvalidOption, InvalidTarget
+from ..errors import InvalidConfiguration, InvalidOption, InvalidTarget, floats
 from ..kernel import motion
-from ..robot.pose import check_target
+from ..robot.pose import PROJECT_WITHIN, AxisTarget, check_target
 from ..robot.robot import Robot
 from .engine import bind
 from .methods import Method, interpolate
-from .reference import Reference
-from .result import TrackResult, TrackStatus, figures
+from .reference import Reference, Samples, positive
+from .result import TrackResult, figures
+from .verdict import ORIENTATION_TOLERANCE, POSITION_TOLERANCE, settling, verdict
 
 RUNAWAY = 100.0  # mean joint move [rad, or reaches] in one step beyond which a run has diverged
 JUMP = 0.5  # joint move [rad, or reaches] in one step that is reported as a jump
 FRACTIONS = (0.25, 0.5, 0.75)  # where between two samples the error is looked at
-LOST = (0.01, 0.05)  # error [reaches, rad] in the last tenth of a run beyond which it is called lost
 
 
 class StepStatus(Enum):
@@ -100,9 +100,10 @@ class Tracker:
         **options: Any,
     ) -> None:
         """Bind a robot and a method."""
+        _require_one_tip(robot)
         self.robot = robot
         self.engine = bind(robot, method, limits, options)
-        self.jump = jump
+        self.jump = positive(jump, "jump")
         self._limits = _limit_rows(robot, limits, acceleration_limits)
         self._at_rest = acceleration_limits is not None
         n = robot.n
@@ -150,9 +151,7 @@ class Tracker:
         target that is not finite is held against (HELD), not raised. Raises InvalidTarget for a wrong shape, InvalidOption
         for a dt that is not positive.
         """
-        dt = float(dt)
-        if not 0.0 < dt < np.inf:
-            raise InvalidOption(f"dt must be a positive number of seconds, not {dt!r}")
+        dt = positive(dt, "dt [s]")
         finite = self._take(1, target, twist, acceleration, dt)
         before = self.q
         self._steps(self._T, self._V, self._A, dt, not finite, np.inf, self._Q, self._R, self._E, self._code, self._D)
@@ -177,7 +176,11 @@ class Tracker:
 
     def _take(self, slot: int, target: Any, twist: Any, acceleration: Any, dt: float = 0.0) -> bool:
         """Write a target into slot 0 (now) or 1 (end of step); False when it is not finite (the last one stays)."""
-        raw = np.asarray(getattr(target, "homogeneous", target), dtype=float)
+        if isinstance(target, AxisTarget):
+            raise InvalidTarget(
+                "a tracker takes no axis target: give a pose (4, 4), or a position to leave every turn free"
+            )
+        raw = floats(getattr(target, "homogeneous", target), "a tracker takes a 4x4 pose or a position", InvalidTarget)
         m = {(3,): 3, (4, 4): 6}.get(raw.shape)
         if m is None or self._m not in (0, m):
             wanted = "a 4x4 pose or a position of 3 numbers" if m is None else "targets of one kind, poses or positions"
@@ -186,7 +189,7 @@ class Tracker:
         motion_given = [np.zeros(6), np.zeros(6)]
         for given, value, name in zip(motion_given, (twist, acceleration), ("twist", "acceleration"), strict=True):
             if value is not None:
-                array = np.asarray(value, dtype=float)
+                array = floats(value, f"{name} must have {m} values", InvalidTarget)
                 if array.shape not in ((m,), (6,)):
                     raise InvalidTarget(f"{name} must have {m} values, not shape {array.shape}")
                 given[: len(array)] = array
@@ -201,7 +204,7 @@ class Tracker:
         if m == 3:
             self._T[slot, :3, 3] = raw
         else:
-            self._T[slot] = check_target(raw)[0] if first else raw
+            self._T[slot] = raw if _rigid(raw) else check_target(raw)[0]
         if first and slot == 1:
             self._T[0] = self._T[1]
             self._V[0], self._A[0] = motion_given
@@ -217,6 +220,22 @@ class Tracker:
         return T if m == 6 else np.vstack([np.hstack([np.eye(3), T[:3, 3:]]), T[3:]])
 
 
+def _require_one_tip(robot: Any) -> None:
+    """Raise InvalidOption for anything but a Robot."""
+    if not isinstance(robot, Robot):
+        raise InvalidOption(f"a robot with one tip is tracked (see Robot.load), not a {type(robot).__name__}")
+
+
+def _rigid(T: np.ndarray) -> bool:
+    """Whether (4, 4) numbers are a pose: the long look of `check_target`, which mends or refuses, costs ten times as much."""
+    (a, b, c, _), (d, e, f, _), (g, h, i, _), last = T.tolist()
+    off = (
+        a * a + b * b + c * c - 1.0, d * d + e * e + f * f - 1.0, a * d + b * e + c * f,
+        b * f - c * e - g, c * d - a * f - h, a * e - b * d - i,
+    )  # fmt: skip
+    return last == [0.0, 0.0, 0.0, 1.0] and max(map(abs, off)) < 1e-9
+
+
 def _turned(R0: np.ndarray, R1: np.ndarray) -> np.ndarray:
     """Rotation vector (3,) from R0 to R1, base axes."""
     import pinocchio as pin
@@ -229,6 +248,8 @@ def _limit_rows(robot: Robot, limits: bool, acceleration_limits: Any) -> np.ndar
     n, unit = robot.n, robot.chain.unit
     rows = np.full((4, n), np.inf)
     rows[0] = -np.inf
+    if not isinstance(limits, bool | np.bool_):
+        raise InvalidOption(f"limits is True or False, not {limits!r}")
     if limits:
         speed = np.asarray(robot.velocity_limits, dtype=float)
         rows[0], rows[1] = robot.lower / unit, robot.upper / unit
@@ -258,21 +279,33 @@ def track(
     rate0: Any = None,
     limits: bool = True,
     acceleration_limits: Any = None,
+    position_tolerance: float = POSITION_TOLERANCE,
+    orientation_tolerance: float = ORIENTATION_TOLERANCE,
+    settle: float | None = None,
     **options: Any,
 ) -> TrackResult:
     """Follow a reference with a method, one step each dt [s]; returns a TrackResult with arrays and figures.
 
     method: cv, av, ca, aa or aad, options as in `Method` (kappa, kp, kd, reading, gamma, null_damping, damping). q0 (n,):
     default home if the reference starts there, else a solution for the reference's start. rate0, limits and
-    acceleration_limits as in `Tracker`. Warns (UserWarning) before the run when the gains are unstable at dt. A run that
-    diverges ends there, with a status and a sentence; the arrays hold only what was reached. Raises InvalidOption,
-    InvalidConfiguration.
+    acceleration_limits as in `Tracker`. COMPLETED when no sample from settle [s] on has an error above position_tolerance
+    [m] and orientation_tolerance [rad], else LOST; settle is 0 by default, and 0.5 (half of a run shorter than 1 s) when
+    the arm starts at rest: with acceleration_limits, or with a rate0 of zeros. Warns (UserWarning) before the run when the
+    gains are unstable at dt. A run that diverges ends there, with a status and a sentence; the arrays hold only what was
+    reached. Raises InvalidOption, InvalidTarget, InvalidConfiguration.
     """
-    if not isinstance(robot, Robot):
-        raise InvalidOption(f"track takes a robot with one tip (see Robot.load), not a {type(robot).__name__}")
+    _require_one_tip(robot)
+    if not isinstance(reference, Reference):
+        raise InvalidTarget(f"track follows a Reference (ik.circle, ik.line, ...), not {type(reference).__name__}")
+    dt = positive(dt, "dt [s]")
     times = reference.times(dt)
     if len(times) < 2:
         raise InvalidOption(f"dt = {dt:g} s is longer than the reference ({reference.duration:g} s)")
+    tolerances = (
+        positive(position_tolerance, "position_tolerance [m]"),
+        positive(orientation_tolerance, "orientation_tolerance [rad]"),
+    )
+    T, V, A = _samples(reference, times)
     q0 = _start(robot, reference) if q0 is None else q0
     tracker = Tracker(
         robot, method, q0=q0, rate0=rate0, limits=limits, acceleration_limits=acceleration_limits, **options
@@ -282,7 +315,8 @@ def track(
     if check is not None and check.verdict == "unstable":
         warnings.warn(check.message, stacklevel=2)
     tracker._m = 3 if reference.position_only else 6
-    T, V, A = reference.at(times)
+    at_rest = tracker._state[0] == motion.GIVEN and not tracker._rate.any()
+    settle = settling(settle, at_rest, times[-1])
     n, steps = robot.n, len(times) - 1
     Q, R, E = np.zeros((steps + 1, n)), np.zeros((steps + 1, n)), np.zeros((steps + 1, 6))
     C, D = np.zeros((steps, n), np.uint8), np.zeros(steps)
@@ -316,10 +350,30 @@ def track(
         between_orientation=between[1],
         elapsed=elapsed,
         gain_check=check,
+        position_tolerance=tolerances[0],
+        orientation_tolerance=tolerances[1],
+        settle=settle,
     )
     result.figures = figures(result, robot.chain.unit * JUMP)
-    result.status, result.message = _verdict(robot, result, stop, steps)
+    result.status, result.message = verdict(result, stop, steps)
     return result
+
+
+def _samples(reference: Reference, times: np.ndarray) -> Samples:
+    """Pose, twist and acceleration at the samples. Raises InvalidTarget, with the time, where they are none."""
+    T, V, A = reference.at(times)
+    used = T[:, :3, 3] if reference.position_only else T.reshape(len(T), 16)
+    bad = ~np.isfinite(np.hstack([used, V, A])).all(axis=1)
+    what = "is not finite"
+    if not (bad.any() or reference.position_only):  # as for a single target, see `check_target`
+        R = T[:, :3, :3]
+        bad = np.abs(T[:, 3] - (0.0, 0.0, 0.0, 1.0)).max(axis=1) > 1e-9
+        bad |= np.abs(np.linalg.svd(R, compute_uv=False) - 1.0).max(axis=1) > PROJECT_WITHIN
+        bad |= np.linalg.det(R) < 0.0
+        what = "is no pose (a rotation, a position and the last row 0 0 0 1)"
+    if bad.any():
+        raise InvalidTarget(f"reference '{reference.name}' {what} at t = {times[int(np.argmax(bad))]:g} s")
+    return T, V, A
 
 
 def _start(robot: Robot, reference: Reference) -> np.ndarray:
@@ -346,28 +400,3 @@ def _between(
         chord = np.linalg.norm(T[:, :3, :3] - wanted[:, :3, :3], axis=(1, 2)) / np.sqrt(8.0)
         worst_o = np.maximum(worst_o, 2.0 * np.arcsin(np.minimum(chord, 1.0)))
     return worst_p, None if reference.position_only else worst_o
-
-
-def _verdict(robot: Robot, result: TrackResult, stop: int, steps: int) -> tuple[TrackStatus, str]:
-    """Status of a whole run and one sentence."""
-    done = len(result.t) - 1
-    limited = result.limited.any(axis=1)
-    if stop != motion.FINE:
-        what = "moved joints without bound" if stop == motion.RUNAWAY else "gave a step that is not finite"
-        check = result.gain_check
-        hint = check.message if check is not None and not check.stable else "Try aad, a smaller dt, or limits=True."
-        return (
-            TrackStatus.DIVERGED if stop == motion.RUNAWAY else TrackStatus.NOT_FINITE,
-            f"{result.method} {what} after {done} of {steps} steps (t = {result.t[-1]:.4g} s). {hint}",
-        )
-    tail = slice(9 * len(result.t) // 10, None)
-    position = float(result.position_error[tail].max())
-    orientation = 0.0 if result.orientation_error is None else float(result.orientation_error[tail].max())
-    note = f" A limit held a joint back in {limited.sum()} of {done} steps." if limited.any() else ""
-    if position > LOST[0] * robot.reach or orientation > LOST[1]:
-        turned = f" and {orientation:.3g} rad" if orientation > LOST[1] else ""
-        return (
-            TrackStatus.LOST,
-            f"up to {position:.3g} m{turned} from the reference in the last tenth of the run.{note}",
-        )
-    return TrackStatus.COMPLETED, f"followed the reference to its end, within {position:.3g} m in the last tenth.{note}"
