@@ -93,6 +93,6 @@ def bind(robot: Robot, method: Any, limits: bool, options: dict[str, Any]) -> Pu
     """Return the engine of a method name, a Method, a solver name or a rule. Raises InvalidOption for none of these."""
     if isinstance(method, Method) or (isinstance(method, str) and method in METHODS):
         return Published(robot, make_method(method, **options))
-    if isinstance(method, str) and method not in RULES:
+    if method is None or (isinstance(method, str) and method not in RULES):
         raise InvalidOption(f"no tracking method '{method}'.{near_match(method, (*METHODS, *RULES))}")
     return RuleSteps(robot, method, limits, options)
