@@ -85,18 +85,23 @@ def floats(value: Any, what: str, error: type[IKError], kinds: str = "fiu") -> "
     import numpy as np  # not for `import ik_toolkit`
 
     try:
-        if not masked(value) and (array := np.asarray(value)).dtype.kind in kinds:
-            return np.array(array, dtype=float, order="C")
+        if not masked(value) and (array := np.array(value, order="C")).dtype.kind in kinds:
+            return array.astype(float, order="C", copy=False)
     except (TypeError, ValueError, OverflowError):
         pass
     raise error(f"{what}, not {' '.join(repr(value).split())[:120]}")
 
 
 def masked(value: Any) -> bool:
-    """Whether an array, or anything in a list, has masked entries."""
+    """Whether an array, or an array in a list, has masked entries."""
     import numpy as np  # not for `import ik_toolkit`
 
-    return any(map(masked, value)) if isinstance(value, list | tuple) else bool(np.ma.is_masked(value))
+    if type(value) is np.ndarray:
+        return False
+    if isinstance(value, list | tuple):
+        inner = (list, tuple, np.ndarray)
+        return any([masked(item) for item in value if isinstance(item, inner)])
+    return isinstance(value, np.ma.MaskedArray) and bool(np.ma.is_masked(value))
 
 
 def extras() -> dict[str, list[str]]:
