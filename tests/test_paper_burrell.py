@@ -182,6 +182,8 @@ def test_the_report(tmp_path):
         "fig4.png",
         "fig5.png",
         "fig6.png",
+        "fig7.png",
+        "gains.png",
         "singularity.png",
     }
     assert "nan" not in files[0].read_text()

@@ -21,12 +21,14 @@ from ..solvers.rules.pid import PID
 from ..solvers.rules.state_space import StateSpace
 from ..solvers.solve import Solver
 from ..study import singularity
-from ..study.targets import sample_targets
+from ..study.targets import sample_joints, sample_targets
 from ..study.tune import score
 from .burrell_existence import existence
-from .burrell_figures import draw_planar, draw_response, draw_workspace
+from .burrell_figures import draw_planar, draw_reach, draw_response, draw_workspace
+from .burrell_gains import gains
 from .burrell_published import MISPRINTS, PAPER_OPTIONS, PLANAR_B, TABLE_1, TABLE_3, TO_PAPER
 from .burrell_speed import speed
+from .burrell_swarm import swarm
 from .report import Report
 
 SEEDS = range(100, 110)
@@ -80,8 +82,10 @@ def reproduce(seeds: int = 10) -> Report:
     _model(report, robot)
     goal = existence(report, robot, starts(robot)["clipped zero"])
     _counts(report, robot, some)
+    gains(report, robot, starts(robot), some)
+    swarm(report, robot, starts(robot)["mid-range"], [goals(robot, k) for k in some])
     _responses(report, robot, goal, some)
-    speed(report, robot, goals(robot, 7), starts(robot)["mid-range"])
+    speed(report, robot, starts(robot)["mid-range"])
     _planar(report, some)
     _other_robots(report)
     _misprints(report)
@@ -124,7 +128,8 @@ def _counts(report: Report, robot: Robot, seeds: Any) -> None:
         ("the same, output not delayed", "-", undelayed(published)),
         ("J+", "992..999", "pinv"),
         ("J^T", "992..999", "transpose"),
-        ("DLS, damping 100 mm, held limits", "992..999", DLS(damping=0.1 / robot.chain.scale)),
+        ("DLS, damping 100 mm, cut off at limits", "992..999", DLS(damping=0.1 / robot.chain.scale, hold=False)),
+        ("DLS, the same, limits held (ours)", "-", DLS(damping=0.1 / robot.chain.scale)),
     ]
     rows = []
     for name, said, rule in solvers:
@@ -142,7 +147,7 @@ def _counts(report: Report, robot: Robot, seeds: Any) -> None:
     sets = [goals(robot, k) for k in seeds]
     rows = []
     for name, said, rule in (
-        ("state space, 90 numbers tuned by a particle swarm (paper)", "993, about 350 iterations", None),
+        ("state space, 90 numbers tuned by a particle swarm (paper; ours below)", "993, about 350 iterations", None),
         ("state space without gains: 128 designed maps, feedthrough", "-", StateSpace()),
         (
             "state space, one map and start tuned from the published gains",
@@ -278,6 +283,17 @@ def _planar(report: Report, seeds: Any) -> None:
         workspace ({len(points)} goals, tolerance 0.02, from straight) the state-space solvers reach fewer goals than the Jacobian
         methods: one escaped goal on the line is no evidence of general immunity. A start 1e-6 rad away frees J^T and DLS."""
     )
+    reach = robot.chain.forward(sample_joints(robot, 6000, 0))[0][:, :2, 3]
+    ends = {
+        "published (47.6, -60.0, -18.8) deg": np.radians([47.6, -60.0, -18.8]),
+        "ours, state space": runs[solvers[6][0]].q[-1],
+        "start, where J^T stays": q0,
+    }
+    report.figure(
+        "fig7.png",
+        "Fig. 7 redrawn: the published configuration and that of the state-space solver lie on one another; grey: within reach",
+        draw_reach(reach, {name: _planar_joints(q) for name, q in ends.items()}, (5.0, 0.0)),
+    )
     beside = singularity.run(robot, target, "dls", q0 + 1e-6 * np.array([1.0, -0.5, 0.7]), **options)
     report.number("dls_from_1e-6", {"success": beside.success, "iterations": beside.iterations})
     report.figure(
@@ -285,6 +301,12 @@ def _planar(report: Report, seeds: Any) -> None:
         "Target (5, 0) from the straight arm: error and manipulability along the runs; a method that stands still is a point",
         draw_planar({**runs, "DLS, start moved 1e-6": beside}),
     )
+
+
+def _planar_joints(q: np.ndarray, link: float = 2.0) -> np.ndarray:
+    """Base, joints and tip (4, 2) of the planar arm."""
+    angle = np.cumsum(q)
+    return np.vstack([np.zeros(2), np.cumsum(link * np.column_stack([np.cos(angle), np.sin(angle)]), axis=0)])
 
 
 def _other_robots(report: Report) -> None:

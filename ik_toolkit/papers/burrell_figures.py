@@ -1,6 +1,6 @@
 """Pictures of the report on Burrell et al. (2016)."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -96,6 +96,43 @@ def draw_planar(runs: dict[str, Run]) -> Callable[[Any], Any]:
         axes[0].set(xlabel="iteration", ylabel="error (link units)")
         axes[1].set(xlabel="iteration", ylabel="manipulability (lengths over the scale)")
         figure.legend(loc="outside lower center", ncols=2, fontsize=8)
+        return figure
+
+    return draw
+
+
+def draw_gains(gains: Sequence[float], swept: dict[str, list[int]]) -> Callable[[Any], Any]:
+    """Goals of 1000 reached over K_p, a line a start."""
+
+    def draw(plt: Any) -> Any:
+        figure, axis = plt.subplots(figsize=(6.4, 3.4), layout="constrained")
+        for (name, row), colour, mark in zip(swept.items(), COLOURS, "os^", strict=False):
+            axis.semilogx(gains, row, "-" + mark, ms=4, lw=1.4, color=colour, label=f"start {name}")
+        axis.axhline(200, color="0.6", lw=0.8, ls=":")
+        axis.text(0.0012, 212, 'published: "say 20 %" when poorly tuned', color="0.35", fontsize=8)
+        axis.plot([0.02], [960], "*", ms=11, color="black", zorder=4)
+        axis.annotate("published 960 at 0.02", (0.02, 960), (0.03, 1010), fontsize=8, color="0.2")
+        axis.set(xlabel="$K_p$ (degrees a mm)", ylabel="goals of 1000 reached", ylim=(-20, 1070))
+        axis.legend(loc="lower center", bbox_to_anchor=(0.42, 0.45))
+        return figure
+
+    return draw
+
+
+def draw_reach(
+    reachable: np.ndarray, shapes: dict[str, np.ndarray], target: tuple[float, float]
+) -> Callable[[Any], Any]:
+    """Points the planar arm reaches (N, 2), and the arm's joints and tip (4, 2) in each named shape."""
+
+    def draw(plt: Any) -> Any:
+        figure, axis = plt.subplots(figsize=(6.4, 5.2), layout="constrained")
+        axis.plot(*reachable.T, ".", ms=1.6, color="0.82", zorder=0, rasterized=True)
+        styles = (("--", COLOURS[1], 5.0), ("-", COLOURS[0], 2.0), ("-", "0.45", 1.6))
+        for (name, points), (line, colour, width) in zip(shapes.items(), styles, strict=False):
+            axis.plot(*points.T, line, color=colour, lw=width, marker="o", ms=4, label=name)
+        axis.plot(*target, "*", ms=13, color="black", label=f"target ({target[0]:g}, {target[1]:g})", zorder=5)
+        axis.set(xlabel="x (link units)", ylabel="y (link units)", aspect="equal", xlim=(-3.2, 6.5))
+        axis.legend(loc="center left", bbox_to_anchor=(0.0, 0.34), fontsize=8)
         return figure
 
     return draw

@@ -6,7 +6,6 @@ empty. So the claim is tested here. Lengths in metres, angles in radians unless 
 
 import math
 from collections.abc import Callable
-from time import perf_counter
 from typing import Any
 
 import numpy as np
@@ -34,6 +33,9 @@ from .chinyai_formulas import (
     targets,
 )
 from .report import Report
+from .timing import Work, rounds, spread
+
+ROUNDS = 15
 
 
 def reproduce(count: int = 20_000, seed: int = 0) -> Report:
@@ -51,14 +53,16 @@ def reproduce(count: int = 20_000, seed: int = 0) -> Report:
     _convergence(report, rng, count)
     _failures(report, rng)
     report.heading("Verdict")
+    slower = min(values.min() for values in ratio.values()) > 1.0
+    words = {name: spread(values) for name, values in ratio.items()}
     report.text(
-        f"The claim {'does not hold' if min(ratio) > 1.0 else 'holds in part'} on this arm: in this run "
-        f"Newton-Raphson from a fixed start takes {ratio[0]:.0f} times as long as the closed form when both are "
-        f"compiled, {ratio[1]:.0f} times in plain Python and {ratio[2]:.0f} times in numpy, and still {ratio[3]:.1f} "
-        "times from a start 0.001 rad away (compiled); and it returns one answer, or none, where the closed form "
-        "returns both. What stands is the other half of the argument: Newton needs only the forward kinematics and "
-        "the Jacobian, so it also serves arms without a closed form. A guess at where the claim comes from: timing "
-        "a symbolic solve of the two equations against a numeric loop."
+        f"The claim {'does not hold' if slower else 'holds in part'} on this arm: in this run Newton-Raphson from a "
+        f"fixed start takes {words['compiled']} times as long as the closed form when both are compiled, "
+        f"{words['python']} times in plain Python and {words['numpy']} times in numpy, and still {words['warm']} times "
+        f"from a start 0.001 rad away (compiled; median [least-most] of {ROUNDS} rounds); and it returns one answer, or "
+        "none, where the closed form returns both. What stands is the other half of the argument: Newton needs only the "
+        "forward kinematics and the Jacobian, so it also serves arms without a closed form. A guess at where the claim "
+        "comes from: timing a symbolic solve of the two equations against a numeric loop."
     )
     _misprints(report)
     return report
@@ -116,21 +120,8 @@ def _formulas(report: Report, rng: np.random.Generator, count: int) -> None:
     )
 
 
-def _median_time(works: dict[str, tuple[Callable[[], Any], int]], runs: int = 9) -> dict[str, float]:
-    """Median time [s] a solve of each piece of work (function, solves in it), interleaved so that all meet the same load."""
-    times: dict[str, list[float]] = {name: [] for name in works}
-    for work, _ in works.values():
-        work()
-    for _ in range(runs):
-        for name, (work, count) in works.items():
-            start = perf_counter()
-            work()
-            times[name].append((perf_counter() - start) / count)
-    return {name: float(np.median(values)) for name, values in times.items()}
-
-
-def _speed(report: Report, rng: np.random.Generator) -> tuple[float, float, float, float]:
-    """Table of times; returns Newton over closed form: compiled, plain Python, numpy, and compiled from a warm start."""
+def _speed(report: Report, rng: np.random.Generator) -> dict[str, np.ndarray]:
+    """Table of times; returns Newton over closed form by round: compiled, plain Python, numpy, and compiled from a warm start."""
     report.heading("Time per solve")
     l1, l2, n, few = 1.0, 0.8, 20_000, 200
     X = targets(rng, n, l1, l2)
@@ -167,7 +158,7 @@ def _speed(report: Report, rng: np.random.Generator) -> tuple[float, float, floa
         return run
 
     extra = (PLAIN, NO_CLIP, tolerance, ITERATIONS)
-    works: dict[str, tuple[Callable[[], Any], int]] = {
+    works: dict[str, Work] = {
         "compiled, closed form": (lambda: closed_form_all(X, l1, l2, both), n),
         "python, closed form": (loop(python_closed, None), few),
         "numpy, closed form": (loop(closed_form_numpy, None), few),
@@ -182,22 +173,22 @@ def _speed(report: Report, rng: np.random.Generator) -> tuple[float, float, floa
         row = converge(X, l1, l2, start, PLAIN)
         good = row[:, 2] >= 0
         counts[name] = (float(row[good, 2].mean()), 100.0 * float(good.mean()))
-    times = _median_time(works)
+    times = rounds(works, ROUNDS)
     rows = []
     for key, label in (
         ("compiled", "compiled (numba), both branches"),
         ("python", "plain Python"),
         ("numpy", "numpy, small arrays"),
     ):
-        rows.append([label, "-", *(1e6 * times[f"{key}, {name}"] for name in ("closed form", *starts))])
+        rows.append([label, "-", *(spread(1e6 * times[f"{key}, {name}"]) for name in ("closed form", *starts))])
     rows.append(
         [
             "the toolkit's bound solvers from Python",
             "-",
-            1e6 * times["toolkit, closed form"],
-            1e6 * times["toolkit, fixed"],
-            math.nan,
-            math.nan,
+            spread(1e6 * times["toolkit, closed form"]),
+            spread(1e6 * times["toolkit, fixed"]),
+            "-",
+            "-",
         ]
     )
     report.table(
@@ -216,17 +207,18 @@ def _speed(report: Report, rng: np.random.Generator) -> tuple[float, float, floa
         f"{name}: {k:.1f} steps on average where it converges, {share:.1f} % do" for name, (k, share) in counts.items()
     )
     report.text(
-        "Medians of 9 interleaved runs on this machine; links 1 and 0.8 (toolkit row: 1 and 1, from home), "
+        f"Median [least-most] of {ROUNDS} rounds in turns, processor time, on this machine; links 1 "
+        "and 0.8 (toolkit row: 1 and 1, from home), "
         f"tolerance 1e-10 of the reach, at most {ITERATIONS} steps. Newton by start: {words}. The toolkit's row "
         "includes validation and the result object, the same for both."
     )
-    closed = times["compiled, closed form"]
-    return (
-        times["compiled, fixed"] / closed,
-        times["python, fixed"] / times["python, closed form"],
-        times["numpy, fixed"] / times["numpy, closed form"],
-        times["compiled, 0.001"] / closed,
-    )
+    pairs = {"compiled": "fixed", "python": "fixed", "numpy": "fixed", "warm": "0.001"}
+    ratio = {}
+    for name, start in pairs.items():
+        kind = "compiled" if name == "warm" else name
+        ratio[name] = times[f"{kind}, {start}"] / times[f"{kind}, closed form"]
+    report.number("newton_over_closed_form", ratio)
+    return ratio
 
 
 STARTS = {  # arm (l1, l2) -> starts in degrees

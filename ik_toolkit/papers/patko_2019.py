@@ -13,6 +13,7 @@ import numpy as np
 
 from ..tracking import stability as st
 from ..tracking.methods import Run, System, simulate
+from .patko_dynamics import dynamics
 from .patko_figures import draw_charts, draw_errors, draw_orders, draw_plane
 from .report import Report
 
@@ -188,6 +189,7 @@ def reproduce() -> Report:
         circle of 0.3 m about (1, 1) at 1 rad/s; RR l = 1 m on a circle of 0.35 m about (1, 0.6) at 0.5 rad/s; initial errors
         0.1, (0.1, -0.05) and (0.05, -0.05) m. Errors are target minus actual; the paper's sign is the opposite."""
     )
+    dynamics(made, {name: (SETS[name].kp, SETS[name].kd) for name in ("PP good", "RR good")})
     _radii(made)
     _figures(made)
     runs = _errors(made)

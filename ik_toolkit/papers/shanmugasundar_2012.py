@@ -6,19 +6,21 @@ Millimetres and degrees as in the paper; the toolkit's own calls use metres and 
 
 import itertools
 import math
-from time import perf_counter
 from typing import Any
 
 import numpy as np
 
 from ..kernel.slots import OPT_HEAD
 from ..kernel.task import POSE
+from ..robot.dh import read_dh_table
+from ..robot.library import find
 from ..robot.pose import nearest_rotation
 from ..robot.robot import Robot
 from ..solvers.closed_form import inspection, reach
 from ..solvers.closed_form.inspection import Inspection
 from ..solvers.solve import Solver, solve
 from ..solvers.solve_all import solve_all
+from ..study.statistics import wilson
 from .report import Report
 from .shanmugasundar_figures import gallery, self_motion
 from .shanmugasundar_formulas import (
@@ -35,6 +37,7 @@ from .shanmugasundar_formulas import (
     S4,
     S6,
     SOFTWARE,
+    TABLE_2,
     THETA_45,
     THETA_67,
     fig4,
@@ -42,6 +45,7 @@ from .shanmugasundar_formulas import (
     pose_matrix,
     printed_fk,
 )
+from .timing import Work, rounds, spread
 
 
 def reproduce(poses: int = 2000, seed: int = 0) -> Report:
@@ -76,6 +80,15 @@ def _model(report: Report, robot: Robot) -> None:
         T[:3, 3] *= 1000.0
         worst = max(worst, np.abs(printed_fk(np.delete(q, 1), 1000.0 * q[1]) - T).max())
     report.number("fk_difference_mm", worst)
+    path = find(robot.name).path
+    assert path is not None
+    ours = read_dh_table(path.parent / "dh" / f"{robot.name}.toml").rows
+    rows = []
+    for k, (printed, row) in enumerate(zip(TABLE_2, ours, strict=True)):
+        d = f"{1000 * row.d:g}" if k != 1 else f"lift, {1000 * robot.lower[1]:g} to {1000 * robot.upper[1]:g}"
+        cells = (f"{math.degrees(row.alpha):g}", f"{1000 * row.a:g}", d)
+        rows.append([k + 1, *(f"{a:g} / {b}" for a, b in zip(printed, cells, strict=True))])
+    report.table("table_2", ["row, printed / ours", "alpha (deg)", "a (mm)", "d (mm)"], rows)
     report.text(
         "The D-H rows of Table 2 read as classic (distal) parameters, row 2 being a lift along axis 1, give the "
         f"matrix that the paper prints: all 12 elements agree at 200 random configurations within {worst:.1e} (mm "
@@ -131,6 +144,9 @@ def _answers(report: Report, printed: np.ndarray, table_pose: np.ndarray) -> Non
         )
     ]
     true = (origin[2] + origin[3], math.sin(origin[1]), origin[4] + origin[5], math.sin(origin[4]), math.sin(origin[2]))
+    rows.insert(
+        1, ["theta_2", "0", "0", f"lift {D2:g} mm", f"lift {D2:g} mm", "joint 2 slides: it has a lift and no angle"]
+    )
     rows += [
         ["theta_45 (deg)", THETA_45, "", f"{degrees * (t4 + t5):.3f}", f"{math.degrees(true[0]):.0f}", hand],
         ["sin theta_3", S3, "", f"{math.sin(t3):.4f}", f"{true[1]:.4f}", hand],
@@ -199,7 +215,7 @@ def _formulas(report: Report, robot: Robot, poses: int, seed: int) -> None:
                     best = min(best, max(position / 1000.0, rotation))
             correct += best < 1e-6
             lost += best == math.inf
-        rows.append([name, 100.0 * correct / poses, 100.0 * lost / poses])
+        rows.append([name, _rate(correct, poses), _rate(lost, poses)])
     solver = Solver(robot, Inspection())
     p = solver.pack(POSE, True)[OPT_HEAD + robot.n :]
     box = np.vstack([np.full(robot.n, -np.inf), np.full(robot.n, np.inf), robot.home, np.ones(robot.n)])
@@ -212,8 +228,8 @@ def _formulas(report: Report, robot: Robot, poses: int, seed: int) -> None:
         correct += np.abs(reached - goal).max() < 1e-9
         apart = np.abs(np.remainder(out[:found] - q + math.pi, 2 * math.pi) - math.pi).max(axis=1)
         origin += apart.min() < 1e-6
-    rows.append(["complete closed form (ours), every branch", 100.0 * correct / poses, 0.0])
-    report.table("formulas", ["formulas", "correct (%)", "no angle at all (%)"], rows)
+    rows.append(["complete closed form (ours), every branch", _rate(correct, poses), _rate(count.count(0), poses)])
+    report.table("formulas", ["formulas", "correct (%, 95 % interval)", "no angle at all (%, 95 % interval)"], rows)
     off = np.degrees(
         np.abs(np.remainder(2 * np.arctan2(T[:, 1, 3], T[:, 0, 3]) - Q[:, 0] + math.pi, 2 * math.pi) - math.pi)
     )
@@ -223,7 +239,7 @@ def _formulas(report: Report, robot: Robot, poses: int, seed: int) -> None:
     report.text(
         f"{poses} poses of random configurations inside the limits, lift given; correct means 1e-6 (m, rad), for the "
         f"last row every branch within 1e-9. theta_1 = 2 atan2(py, px) is off by {np.median(off):.0f} deg (median) "
-        f"and within 2 deg for {100 * np.mean(off < 2):.1f} %. With the right theta_1 and the right second branch (a "
+        f"and within 2 deg for {_rate(int((off < 2).sum()), poses)} %. With the right theta_1 and the right second branch (a "
         f"sine leaves theta or pi - theta, not -theta) equations (7) to (13) are sound. Ours finds "
         f"{' or '.join(report.data['branches'])} branches each time, the original configuration among them for {origin} of {poses}."
     )
@@ -283,6 +299,12 @@ def _sample(report: Report, robot: Robot, printed: np.ndarray, table_pose: np.nd
     )
 
 
+def _rate(successes: int, trials: int) -> str:
+    """Percent with its Wilson interval."""
+    low, high = wilson(successes, trials)
+    return f"{100 * successes / trials:.4g} [{100 * low:.3g}-{100 * high:.3g}]"
+
+
 def _lift_of(p: np.ndarray, T: np.ndarray, theta_1: float) -> float:
     """Lift [mm], just above the lowest feasible one, at which the upper of the two nearest branches has theta_1 [rad]."""
     box = np.vstack([np.full(7, -np.inf), np.full(7, np.inf), np.zeros(7), np.ones(7)])
@@ -328,20 +350,16 @@ def _speed(report: Report, robot: Robot) -> None:
         for pose in T:
             bound(pose)
 
-    rows = []
-    for name, work, count in (
-        ("compiled, 8 branches", compiled, len(Q)),
-        ("plain Python (small helpers compiled), 8 branches", interpreted, 20),
-        ("bound solver from Python, lift free, limits", public, len(Q)),
-    ):
-        times = []
-        for _ in range(15):
-            start = perf_counter()
-            work()
-            times.append((perf_counter() - start) / count)
-        rows.append([name, "not given", 1e6 * float(np.median(times))])
-    report.table("time", ["one inverse", "published", "ours (us, median of 15 runs)"], rows)
-    report.text("The paper gives no times. Ours are of this run on this machine.")
+    works: dict[str, Work] = {
+        "compiled, 8 branches": (compiled, len(Q)),
+        "plain Python (small helpers compiled), 8 branches": (interpreted, 20),
+        "bound solver from Python, lift free, limits": (public, len(Q)),
+    }
+    rows = [[name, "not given", spread(1e6 * times)] for name, times in rounds(works, 15).items()]
+    report.table("time", ["one inverse", "published", "ours (us)"], rows)
+    report.text(
+        "The paper gives no times. Ours: median [least-most] of 15 rounds in turns, processor time, on this machine."
+    )
 
 
 def _misprints(report: Report, printed: np.ndarray) -> None:

@@ -1,0 +1,140 @@
+"""Parts of the papers' reports that can be checked by themselves: times, plain methods, edges, inverse dynamics."""
+
+import numpy as np
+import pinocchio as pin
+import pytest
+import robots
+
+import ik_toolkit as ik
+from ik_toolkit.papers import burrell_2016, burrell_gains, burrell_swarm, patko_dynamics
+from ik_toolkit.papers import shanmugasundar_2012 as inspection
+from ik_toolkit.papers.burrell_existence import least_distance
+from ik_toolkit.papers.burrell_published import PAPER_OPTIONS, TO_PAPER
+from ik_toolkit.papers.burrell_steps import Interpreted, PlainPinv
+from ik_toolkit.papers.report import Report
+from ik_toolkit.papers.timing import rounds, spread
+
+
+@pytest.fixture(scope="module")
+def hydrolek():
+    return robots.load("hydrolek_7w")
+
+
+def test_rounds_take_turns_and_the_spread_names_the_ends():
+    seen = []
+    works = {"a": (lambda: seen.append("a"), 10), "b": (lambda: seen.append("b"), 1)}
+    times = rounds(works, 3)
+    assert seen == ["a", "b"] * 4 and all(len(values) == 3 for values in times.values())
+    seen.clear()
+    rounds(works, 2, warm=True)
+    assert seen == ["a", "b"] * 2
+    assert spread(np.array([3.0, 1.0, 2.0]), ".2f") == "2.00 [1.00-3.00]"
+
+
+def test_the_plain_pseudo_inverse_is_that_by_singular_values(hydrolek):
+    """The same iterates, also from a stretched start, where it falls back on singular values."""
+    goals = burrell_2016.goals(hydrolek, 3, 60)
+    one, other = (
+        ik.solve_batch(hydrolek, goals, rule, q0=hydrolek.home, **PAPER_OPTIONS) for rule in ("pinv", PlainPinv())
+    )
+    assert (one.status == other.status).all() and (one.iterations == other.iterations).all()
+    assert np.abs(one.q - other.q)[one.success].max() < 1e-6
+    arm = robots.load("inspection_7dof")
+    straight = np.zeros(7)  # the arm points up: no joint moves the tip along itself
+    target = arm.fk(straight).translation + np.array([0.05, 0.02, -0.1])
+    first = [
+        ik.solve(arm, target, rule, q0=straight, max_iterations=1, tolerance=1e-9, history=True).history["q"][-1]
+        for rule in ("pinv", PlainPinv())
+    ]
+    assert np.abs(first[0] - first[1]).max() < 1e-9
+    with pytest.raises(ik.errors.InvalidOption, match="positions in space"):
+        ik.solve(arm, arm.fk(straight), PlainPinv(), q0=straight)
+
+
+def test_the_interpreted_methods_are_the_compiled_ones(hydrolek):
+    """What is timed in numpy is the method that is timed compiled: they agree on which goals are reached."""
+    plain = Interpreted(hydrolek)
+    goals = burrell_2016.goals(hydrolek, 8, 6)
+    damping = 0.1 / hydrolek.chain.scale
+    rules = {
+        "J+": "pinv",
+        "J+, plain": PlainPinv(),
+        "DLS, clipped": ik.DLS(damping=damping, hold=False),
+        "IK-PID": ik.PID.preset("burrell-2016"),
+    }
+    for name, rule in rules.items():
+        ours = ik.solve_batch(hydrolek, goals, rule, q0=hydrolek.home, **PAPER_OPTIONS).success
+        assert [plain.run(name, goal, hydrolek.home, 1e-3) for goal in goals] == ours.tolist(), name
+    assert set(plain.names) >= set(rules)
+
+
+def test_the_distance_to_the_workspace_is_a_minimum(hydrolek):
+    """548 mm in mm and 584 mm in cm, whatever the seed; the sampled ones were 568 and 630."""
+    goal = TO_PAPER.T @ np.array([-10.0, 50.0, -20.0])
+    for scale, wanted in ((1e-3, 0.5479), (1e-2, 0.5840)):
+        found = least_distance(hydrolek, goal * scale, seed=3)
+        assert found == pytest.approx(wanted, abs=2e-4)
+    inside = burrell_2016.goals(hydrolek, 5, 1)[0]
+    assert least_distance(hydrolek, inside) < 1e-4
+
+
+def test_the_edge_of_a_workspace_is_measured():
+    """Planar reach 2 m about the origin, made a sphere by a turn of the plane."""
+    arm = robots.load("hydrolek_7w")
+    points = burrell_2016.goals(arm, 100, 30)
+    far = burrell_gains.edge_distance(arm, points)
+    stretched = arm.fk(np.clip(np.zeros(6), arm.lower, arm.upper)).translation[None] * 0.999
+    assert set(far) <= {*burrell_gains.EDGE, 2 * burrell_gains.EDGE[-1]}
+    assert far.max() > burrell_gains.EDGE[0] and burrell_gains.edge_distance(arm, stretched)[0] <= 0.1
+
+
+def test_the_swarm_searches_all_90_entries(hydrolek, monkeypatch):
+    published = ik.StateSpace.preset("burrell-2016")
+    space = burrell_swarm.all_entries(published)
+    assert space.size == 90
+    start = space.build(space.start)
+    assert all(np.allclose(getattr(start, key), getattr(published, key)) for key in "ABC")
+    for name, value in (("GENERATIONS", 2), ("PARTICLES", 6), ("GOALS", 60)):
+        monkeypatch.setattr(burrell_swarm, name, value)
+    rule, evaluations = burrell_swarm.search(hydrolek, space, hydrolek.home)
+    assert evaluations == 12 and np.shape(rule.A) == (6, 6) and np.shape(rule.C) == (6, 6)
+
+
+# ------------------------------------------------------------------------------------------------------ Patko, eqs. 1-4
+def test_inverse_dynamics_cancels_the_arm():
+    """M and C of the equation of motion, from Pinocchio's own matrices: u = M v + C is what `rnea` gives."""
+    model = patko_dynamics.heavy_arm()
+    data = model.createData()
+    q, rate, v = np.array([0.4, -1.1]), np.array([0.7, 0.3]), np.array([2.0, -1.0])
+    u = pin.crba(model, data, q) @ v + pin.nonLinearEffects(model, data, q, rate)
+    assert np.abs(u - pin.rnea(model, data, q, rate, v)).max() < 1e-12
+    assert np.linalg.norm(pin.computeGeneralizedGravity(model, data, q)) > 1.0  # gravity counts in this plane
+    assert patko_dynamics.cancellation(model) < 1e-11
+
+
+def test_the_closed_loop_obeys_equation_4(monkeypatch):
+    monkeypatch.setattr(patko_dynamics, "STEPS", 800)
+    model = patko_dynamics.heavy_arm()
+    wanted = patko_dynamics.linear_error(40.0, 4.0)
+    assert wanted[0] == pytest.approx(patko_dynamics.SHIFT)
+    rate, change = np.gradient(wanted[:, 0], 1e-3), np.gradient(np.gradient(wanted[:, 0], 1e-3), 1e-3)
+    assert np.abs(change + 4.0 * rate + 40.0 * wanted[:, 0])[3:-3].max() < 1e-3 * np.abs(change).max()
+    assert np.abs(patko_dynamics.follow(model, model, 40.0, 4.0) - wanted).max() < 1e-9
+    heavier = patko_dynamics.heavy_arm(1.2 * patko_dynamics.MASS)
+    assert np.abs(patko_dynamics.follow(heavier, model, 40.0, 4.0) - wanted).max() > 1e-3
+
+
+# -------------------------------------------------------------------------------------------------------- Shanmugasundar
+def test_table_2_and_the_lift_stand_in_the_report():
+    report = Report("x", "x")
+    robot = robots.load("inspection_7dof")
+    inspection._model(report, robot)
+    rows = report.data["table_2"]["rows"]
+    assert len(rows) == 7 and rows[3] == [4, "0 / 0", "290 / 290", "0 / 0"] and rows[4][1] == "-90 / -90"
+    assert all(cell.split(" / ")[0] == cell.split(" / ")[1] for row in rows for cell in row[1:] if "lift" not in cell)
+    printed = inspection.pose_matrix(inspection.PRINTED_POSE)
+    inspection._answers(report, printed, printed)
+    angles = {row[0]: row for row in report.data["published_angles"]["rows"]}
+    assert angles["theta_2"][1:3] == ["0", "0"] and "220" in angles["theta_2"][3]
+    inspection._formulas(report, robot, 20, 0)
+    assert report.data["formulas"]["rows"][-1][1] == "100 [83.9-100]"
