@@ -2,6 +2,9 @@
 
 import itertools
 import math
+import os
+import subprocess
+import sys
 
 import numpy as np
 import pinocchio as pin
@@ -166,20 +169,22 @@ def test_a_base_on_a_branch_moves_with_what_it_shares(base, tip):
     check_kinematics(robot, judge, 4, count=50)
 
 
-def test_a_lone_follower_does_not_turn_with_its_leader():
-    """A full turn of the leader is half a turn of the only joint on the path that follows it."""
+@pytest.mark.parametrize("multiplier", ["0.5", "-3", "1.000003"])
+def test_a_follower_whose_leader_lies_above_the_base(multiplier):
+    """The leader moves nothing else, so it counts as the joint itself only when the multiplier is 1 to the last digits."""
     text = robots.urdf(
         dict(kind="revolute", limits=(-7.0, 7.0)),
-        dict(kind="revolute", axis="0 1 0", limits=(-9, 9), mimic='<mimic joint="j0" multiplier="0.5"/>'),
+        dict(kind="revolute", axis="0 1 0", limits=(-30, 30), mimic=f'<mimic joint="j0" multiplier="{multiplier}"/>'),
         dict(kind="revolute", axis="1 0 0", xyz="0 0 0.3", limits=(-3.2, 3.2)),
         dict(kind="revolute", axis="0 1 0", xyz="0 0 0.3"),
         dict(kind="fixed", xyz="0.1 0 0.2"),
     )
     robot, judge = ik.Robot.load(text, base="l1"), SecondFK(text, "l1")
+    check_kinematics(robot, judge, 5, count=50)
     rng = np.random.default_rng(5)
-    Q = np.array([robot.random_q(rng) for _ in range(300)])
-    T = judge.fk(Q, robot.joint_names)
-    batch = ik.solve_batch(robot, T)
+    T = judge.fk(np.array([robot.random_q(rng) for _ in range(300)]), robot.joint_names)
+    q0 = np.array([robot.random_q(rng) for _ in range(300)])
+    batch = ik.solve_batch(robot, T, q0=q0)
     check_answers(robot, judge, T, batch.q, batch.success)
 
 
@@ -230,6 +235,27 @@ def test_a_chain_that_differs_from_pinocchio_is_refused():
 
     with pytest.raises(ModelError, match="please report"):
         Skewed(pin.buildModelFromXML(arm(), True))
+
+
+def test_limits_that_are_none():
+    """A limit of a billion radians is no limit: there a double does not hold an angle to 1e-9 any more."""
+    robot = ik.Robot.load(robots.urdf(dict(kind="revolute", limits=(-1e9, 1e9)), dict(kind="revolute", axis="0 1 0")))
+    assert robot.joint_kinds[0] == "continuous" and np.isinf(robot.lower[0]) and np.isinf(robot.upper[0])
+
+
+def test_loading_compiles_nothing(tmp_path):
+    """A robot is loaded, its home found and its starts tabulated without the compiler, which takes seconds."""
+    code = (
+        "import numba.core.compiler as c\n"
+        "def refuse(*_, **__): raise SystemExit('compiled')\n"
+        "c.compile_extra = c.compile_ir = refuse\n"
+        "import ik_toolkit as ik\n"
+        "ik.Robot.load('hydrolek_7w').with_tool(ik.pose((0, 0, 0.1)))\n"
+        "ik.Robot.load('brokk_hydrolek', tip=['left_tip', 'right_tip'])\n"
+    )
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
+    done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
 
 
 def test_the_second_fk_itself():

@@ -87,11 +87,15 @@ def rpy_matrix(rpy: Sequence[float] | np.ndarray) -> np.ndarray:
 
 
 def matrix_rpy(R: np.ndarray) -> np.ndarray:
-    """Roll, pitch, yaw [rad] of a rotation (3, 3); yaw = 0 where pitch is +-90 degrees."""
-    pitch = math.atan2(-R[2, 0], math.hypot(R[0, 0], R[1, 0]))
-    if math.hypot(R[0, 0], R[1, 0]) < 1e-9:
-        return np.array([math.atan2(-R[1, 2], R[1, 1]), pitch, 0.0])
-    return np.array([math.atan2(R[2, 1], R[2, 2]), pitch, math.atan2(R[1, 0], R[0, 0])])
+    """Roll, pitch, yaw [rad] of a rotation (3, 3); yaw = 0 where pitch is +-90 degrees.
+
+    The roll is read after undoing the yaw, so together they are R to the last digits however near pitch is to 90 degrees.
+    """
+    cos_pitch = math.hypot(R[0, 0], R[1, 0])
+    yaw = math.atan2(R[1, 0], R[0, 0]) if cos_pitch > 1e-15 else 0.0  # below that a yaw is rounding
+    s, c = math.sin(yaw), math.cos(yaw)
+    roll = math.atan2(s * R[0, 2] - c * R[1, 2], c * R[1, 1] - s * R[0, 1])
+    return np.array([roll, math.atan2(-R[2, 0], cos_pitch), yaw])
 
 
 def quat_matrix(quat_xyzw: Sequence[float]) -> np.ndarray:

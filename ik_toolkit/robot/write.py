@@ -1,10 +1,11 @@
 """Elements of a URDF: links, joints and primitive shapes, written with the standard library's XML only."""
 
-import math
 import xml.etree.ElementTree as ET
 from collections.abc import Mapping, Sequence
 
 import numpy as np
+
+from .pose import matrix_rpy
 
 COLOURS = {"steel": "0.23 0.26 0.30 1", "orange": "0.93 0.52 0.11 1", "silver": "0.72 0.74 0.77 1"}
 
@@ -121,15 +122,7 @@ def _along(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 # ------------------------------------------------------------------------------------------------------------- text
 def _origin(parent: ET.Element, T: np.ndarray) -> None:
-    ET.SubElement(parent, "origin", xyz=_texts(T[:3, 3]), rpy=_texts(_rpy(T[:3, :3])))
-
-
-def _rpy(R: np.ndarray) -> tuple[float, float, float]:
-    """Roll, pitch, yaw of a rotation; the roll is read after undoing the yaw: exact also at pitch +-90 degrees."""
-    yaw = math.atan2(R[1, 0], R[0, 0])
-    pitch = math.atan2(-R[2, 0], math.hypot(R[0, 0], R[1, 0]))
-    s, c = math.sin(yaw), math.cos(yaw)
-    return math.atan2(s * R[0, 2] - c * R[1, 2], c * R[1, 1] - s * R[0, 1]), pitch, yaw
+    ET.SubElement(parent, "origin", xyz=_texts(T[:3, 3]), rpy=_texts(matrix_rpy(T[:3, :3])))
 
 
 def _texts(values: Sequence[float] | np.ndarray) -> str:
