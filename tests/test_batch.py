@@ -158,7 +158,17 @@ def test_options_that_do_not_fit_are_refused():
 
 @pytest.mark.parametrize(
     ("share", "rows"),
-    [(0.0, 0), (5e-324, 1), (1e-3, 3), (0.01, 30), (1 / 3, 1000), (0.6, 1800), (0.97, 2910), (1.0, 3000)],
+    [
+        (0.0, 0),
+        (5e-324, 1),
+        (1e-3, 3),
+        (0.01, 30),
+        (1 / 3, 1000),
+        (np.float32(0.5), 1500),
+        (0.6, 1800),
+        (0.97, 2910),
+        (1.0, 3000),
+    ],
 )
 def test_the_share_asked_for_is_checked(monkeypatch, share, rows):
     """To a row, and the same rows whatever the chunks; 0.6 once checked a half."""

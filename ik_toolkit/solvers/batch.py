@@ -170,7 +170,7 @@ def _sampled(first: int, count: int, share: float) -> Iterator[int]:
 
     Whole numbers throughout: any share is met to a row, by the same rows however the batch is cut, and none overflows.
     """
-    p, q = share.as_integer_ratio()
+    p, q = float(share).as_integer_ratio()
     j = (first - 1) * p // q + 1
     while p and (k := -(-j * q // p)) < first + count:
         yield k - first
@@ -334,7 +334,7 @@ def solve_parts(
     if options.get("history"):
         raise InvalidOption("a batch keeps no history; solve the target in question with ik.solve")
     count = _whole("threads", threads) if threads is not None else _cores()
-    if not isinstance(check, int | float) or not 0.0 <= check <= 1.0:
+    if not isinstance(check, int | float | np.floating) or not 0.0 <= check <= 1.0:
         raise InvalidOption(f"check is the fraction of answers to check again, 0 to 1, not {check!r}")
     known = _known(targets)
     chunks = _checked(iter([known]) if known is not None else targets)
