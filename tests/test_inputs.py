@@ -266,3 +266,12 @@ def test_one_is_not_true_whatever_was_asked_before(name):
     with pytest.raises(InvalidOption, match="seed"):
         ik.solve(robot, T, seed=0)
         ik.solve(robot, T, seed=False)
+
+
+def test_a_home_outside_the_limits_is_refused():
+    """A search without q0 may start there; that no limit was kept showed as a status that does not exist."""
+    robot = load(ARM)
+    for home in (robot.upper + 0.1, np.where(np.arange(robot.n) == 2, robot.lower - 1e-9, robot.home)):
+        with pytest.raises(InvalidConfiguration, match=f"home is outside the limits at joint .*{robot.joint_names[2]}"):
+            ik.Robot(robot.model, tip=robot.tip, home=home)
+    assert ik.Solver(ik.Robot(robot.model, tip=robot.tip, home=robot.upper), "lm", restarts=0)((1.0, 0.0, 0.5)).q.size

@@ -47,6 +47,14 @@ class Joints:
             raise InvalidConfiguration(f"{name} is not finite at joint {bad}")
         return array
 
+    def check_home(self, home: Any) -> np.ndarray:
+        """Return home as `check_q` does; raises InvalidConfiguration when it is outside the limits, too: searches start there."""
+        q = self.check_q(home, "home")
+        outside = self.outside(q)
+        if outside:
+            raise InvalidConfiguration(f"home is outside the limits at joint {', '.join(outside)}")
+        return q
+
     def outside(self, q: np.ndarray) -> list[str]:
         """Names of the joints whose value lies outside its limits."""
         return [j for j, x, a, b in zip(self.joint_names, q, self.lower, self.upper, strict=True) if not a <= x <= b]

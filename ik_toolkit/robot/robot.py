@@ -231,7 +231,7 @@ class Robot(Joints):
         )
         self._local = threading.local()
         self._compare()
-        self.home = self.check_q(home, "home") if home is not None else self._good_start(middle)
+        self.home = self.check_home(home) if home is not None else self._good_start(middle)
         start = E_VECTORS + 6 * self.n
         self.chain.ends[start : start + self.n] = self.home / self.chain.unit
         for array in (self.lower, self.upper, self.home, self.velocity_limits, self.rest):

@@ -66,7 +66,7 @@ class Tree(Joints):
         self.joint_kinds = tuple(kinds[joint] for joint in names)
         self.lower, self.upper = lower, upper
         self._path = JointPath([], 0, [], {}, idx_q, circle)
-        self.home = self.check_q(np.clip(middle, lower, upper) if home is None else home, "home")
+        self.home = self.check_home(np.clip(middle, lower, upper) if home is None else home)
         self.chain: TreeChain = pack_tree([arm.chain for arm in arms], self._places, lower, upper, self.home)
         for array in (lower, upper, self.home, self.velocity_limits):
             array.setflags(write=False)
