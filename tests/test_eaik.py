@@ -63,7 +63,7 @@ def test_out_of_reach_nan_and_pickling():
     far = T.copy()
     far[:3, 3] += 50.0
     lost = solver(far)
-    assert lost.status == ik.Status.STALLED and "no branch" in lost.message and np.isfinite(lost.q).all()
+    assert lost.status == ik.Status.UNREACHABLE and "out of reach" in lost.message and np.isfinite(lost.q).all()
     with pytest.raises(InvalidTarget):
         solver(np.full((4, 4), np.nan))
     with pytest.raises(InvalidConfiguration):

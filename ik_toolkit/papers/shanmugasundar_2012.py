@@ -260,11 +260,12 @@ def _sample(report: Report, robot: Robot, printed: np.ndarray, table_pose: np.nd
     fixed = solve(robot, raw, Inspection(lift=D2 / 1000.0))
     free = solve(robot, raw)
     middle = solve_all(robot, raw, Inspection(lift="mid"), limits=False)
-    at_fixed = solve_all(robot, robot.fk(fixed.q), Inspection(lift=D2 / 1000.0), limits=False)
     p = Inspection().pack(robot)
+    nearest, beyond = inspection.nearest_pose(p, goal, D2 / 1000.0)
+    at_fixed = solve_all(robot, nearest, Inspection(lift=D2 / 1000.0), limits=False)
     spans = inspection.feasible_lifts(p, goal)
     report.number("sample_notice", fixed.notice)
-    report.number("out_of_reach_mm", 1000.0 * fixed.position_error)
+    report.number("out_of_reach_mm", 1000.0 * beyond)
     report.number("feasible_lifts_mm", [[1000.0 * x for x in span] for span in spans])
     words = " and ".join(f"{1000 * a:.3f} to {1000 * b:.3f} mm" for a, b in spans)
     rows = [
@@ -278,7 +279,7 @@ def _sample(report: Report, robot: Robot, printed: np.ndarray, table_pose: np.nd
     report.table("sample", ["lift", "status", "theta_1", "lift (mm)", *ANGLES[1:], "error (mm)"], rows)
     report.text(
         f"The printed rotation has singular values {', '.join(f'{x:.4f}' for x in values)}, so it is not a rotation; "
-        f"the toolkit projects it and says so. Projected, the pose is {1000 * fixed.position_error:.3f} mm out of "
+        f"the toolkit projects it and says so. Projected, the pose is {1000 * beyond:.3f} mm out of "
         f"reach at lift 220 mm ({len(at_fixed)} branches reach the nearest point: the elbow is stretched, so the "
         f"elbow branches merge) and reachable for lifts of {words}: 8 branches at each lift between. A published "
         "answer is absent for all of these: the paper holds the lift at 220 mm and calls it theta_2 = 0."

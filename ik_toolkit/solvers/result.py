@@ -18,6 +18,8 @@ from ..kernel.slots import (
     R_ROTATION,
     R_STATUS,
 )
+from .fallback import SEARCHED
+from .registry import GENERAL
 
 if TYPE_CHECKING:
     from .solve import Solver
@@ -52,16 +54,16 @@ ADVICE = {
 }
 
 
-# A closed form knows every branch, so what it says is proven. An answer that breaks a limit was put on it.
+# What a closed form says of exact answers is proven; the configuration returned is the best that it or the search found.
 CLOSED_FORM_SAYS = {
     Status.CONVERGED: "closed form, the legal branch nearest q0; evaluated to {left}",
-    Status.STALLED: "no branch reaches the target within the tolerances; the closest is {left} away",
-    Status.UNREACHABLE: "the target is out of reach by {beyond} (exact); closest {left}; move the target inside the reach",
+    Status.UNREACHABLE: "the target is out of reach by at least {beyond}{kept}; the best configuration found is {left} away{at}",
     Status.LIMIT_BLOCKED: (
-        "the target is in reach but every branch breaks a joint limit, the best one at {joints}; held there it is {left} "
-        "away; widen the limits or move the target"
+        "the target is in reach but {why}; the best configuration found inside the limits is "
+        "{left} away{at}; widen the limits or move the target"
     ),
 }
+BROKEN = "every branch breaks a joint limit"
 
 
 class Result:
@@ -170,7 +172,7 @@ class Result:
     @property
     def solver(self) -> str:
         """Name of the solver that was used."""
-        return self._solver.row.name
+        return GENERAL if self._solver.row.closed and self._row[R_EXCESS] == SEARCHED else self._solver.row.name
 
     @property
     def robot(self) -> Any:
@@ -243,9 +245,18 @@ def sentence(result: Result) -> str:
         touching = " and ".join(result.collision)
         text = f"every solution found in {starts} start{'s' * (starts > 1)} collides; in this one {touching} touch"
         return f"{text}; {ADVICE[status]}"
-    if result._solver.row.closed and status in CLOSED_FORM_SAYS:
+    if result._solver.row.closed and status in CLOSED_FORM_SAYS and row[R_EXCESS] != SEARCHED:
         joints = ", ".join(result.limited_joints)
-        return CLOSED_FORM_SAYS[status].format(left=left, joints=joints, beyond=f"{1000 * row[R_EXCESS]:.4g} mm")
+        beyond = f"{1000 * row[R_EXCESS]:.4g} mm"
+        robot = result.robot
+        slides = [j for j, kind in zip(robot.joint_names, robot.joint_kinds, strict=True) if kind == "prismatic"]
+        return CLOSED_FORM_SAYS[status].format(
+            left=left,
+            beyond=beyond,
+            why=f"the stroke of {', '.join(slides)} is {beyond} too short" if row[R_EXCESS] > 0.0 else BROKEN,
+            kept="" if result.position_only else " with its orientation kept",
+            at=f", with {joints} at a limit" if joints else "",
+        )
     if status == Status.CONVERGED:
         text = f"converged in {result.iterations} iterations to {left}"
         if result.restarts:

@@ -43,6 +43,7 @@ from ..robot.pose import AxisTarget, check_target, masked_errors
 from ..robot.robot import Robot
 from ..robot.tree import Tree
 from .closed_form import fits
+from .fallback import with_search
 from .options import NAMES, OBJECTIVES, Options, make_options
 from .registry import GENERAL, find_row, make_rule
 from .result import Result, Status
@@ -112,7 +113,8 @@ class Solver:
 
     def _bind(self) -> None:
         chain = self.robot.chain
-        self._kernel = entry(type(self.rule))
+        loop = entry(type(self.rule))
+        self._kernel = with_search(self, loop) if self.row.closed else loop
         o = self.options
         ends = chain.ends if o.limits else without_limits(chain.rows, chain.ends, chain.n)
         if not (self.row.closed or self._wraps):

@@ -105,7 +105,7 @@ def _compile():
                 rough, least, near = nearest_only[k], worst, distance
                 best[:] = q
         goal, Z, trig = np.empty(12), np.empty((N, 6)), np.zeros((3, 8))
-        measure_tip(rows, ends, opt, T, best, box, 0.0 if rough else least, 0.0, goal, Z, trig, hist, out)
+        measure_tip(rows, ends, opt, T, best, box, 0.0, 0.0, 0.0, goal, Z, trig, hist, out)
 
     @cached
     def every(Q, box, out, broken):

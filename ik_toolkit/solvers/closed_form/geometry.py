@@ -98,10 +98,11 @@ def copy_limits(ends, opt, q0, box):
 
 
 @inline
-def measure_tip(rows, ends, opt, T, q, box, broken, gap, goal, Z, trig, hist, out):
+def measure_tip(rows, ends, opt, T, q, box, broken, gap, slack, goal, Z, trig, hist, out):
     """Evaluate q with the kernel's forward kinematics and write the result row: errors and status are of that evaluation.
 
-    broken: by how much the best branch breaks a limit; gap: how far [m] the target is out of reach.
+    broken: by how much the best branch breaks a limit; gap: how far [m] the target is out of reach with its orientation
+    kept; slack: how much of that [m] the orientation's tolerance may make up for.
     """
     n = box.shape[1]
     scale = ends[slots.E_VECTORS + 7 * n]
@@ -117,12 +118,12 @@ def measure_tip(rows, ends, opt, T, q, box, broken, gap, goal, Z, trig, hist, ou
     rotation = 0.0 if opt[slots.O_KIND] == POSITION else rotation_angle(e3 * e3 + e4 * e4 + e5 * e5)
     if position < opt[slots.O_TOL_P] and rotation < opt[slots.O_TOL_R]:
         out[slots.R_STATUS] = CONVERGED
-    elif gap >= opt[slots.O_TOL_P]:
+    elif gap >= opt[slots.O_TOL_P] + slack:
         out[slots.R_STATUS] = UNREACHABLE
-    elif broken > 0.0:
+    elif broken > 0.0 and gap < opt[slots.O_TOL_P]:
         out[slots.R_STATUS] = LIMIT_BLOCKED
     else:
-        out[slots.R_STATUS] = STALLED  # only a tolerance below rounding leads here
+        out[slots.R_STATUS] = STALLED  # proves nothing
     out[slots.R_ITERATIONS] = 0
     out[slots.R_RESTARTS] = 0
     out[slots.R_ATTEMPT] = 0

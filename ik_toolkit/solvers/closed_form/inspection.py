@@ -13,8 +13,9 @@ import numpy as np
 from ...errors import InvalidOption, UnknownSolver
 from ...kernel import slots
 from ...kernel.chain import Chain
-from ...kernel.checks import BAD_START, BAD_TARGET, rigid
+from ...kernel.checks import BAD_START, BAD_TARGET, LIMIT_BLOCKED, rigid
 from ...kernel.jit import cached, jit
+from ...kernel.kinematics import TAU
 from ...kernel.loop import ENTRIES
 from . import reach
 from .geometry import (
@@ -29,16 +30,26 @@ from .geometry import (
     measure_tip,
     read_screws,
 )
-from .reach import inspection_branches, inspection_margin, inspection_nearest, lift_intervals, nearest_lift
+from .reach import (
+    inspection_branch,
+    inspection_branches,
+    inspection_margin,
+    inspection_nearest,
+    level_arm,
+    lift_intervals,
+    nearest_lift,
+)
 
 # Slots of the parameters: base -> shoulder axes (12), tip -> wrist axes (12), then these. Of each turning joint: its place
 # in q, sign and offset (theta = sign q + offset); of the lift: its place (-1: none), sign, offset, choice, given value.
 A4, A6, JOINTS, LIFT = 24, 25, 26, 44
 NEAREST, GIVEN, MIDDLE = range(3)
-SCAN = (
-    12,
-    60,
-)  # lifts tried in each feasible interval when no branch at the first lift is legal; the second if need be
+CHOICES: dict[Any, int] = {"nearest": NEAREST, "mid": MIDDLE}
+SCAN = 12  # lifts tried in each feasible interval when no branch at the first lift is legal
+WINDOWS = 33  # lifts of each branch between which minima of the limit broken are looked for when none of those is legal
+GOLDEN, CLOSING = 0.6180339887498949, 64  # of the golden section: it ends at rounding, 0.618^64 = 4e-14
+TURNS = 8  # full turns looked at either way; joints with wider limits are as good as endless
+LEVEL = 1e-9  # slope of the tool's z axis, and miss of the forearm's length, up to which an arm is level
 
 
 class Inspection(NamedTuple):
@@ -60,7 +71,7 @@ class Inspection(NamedTuple):
         parameters, reason = recognise(robot.chain)
         if reason:
             raise UnknownSolver(f"solver 'inspection' does not fit robot '{robot.name}': {reason}")
-        choice = {"nearest": NEAREST, "mid": MIDDLE}.get(str(self.lift), GIVEN)
+        choice = CHOICES.get(self.lift, GIVEN)
         value = 0.0
         if choice == GIVEN:
             try:
@@ -70,6 +81,11 @@ class Inspection(NamedTuple):
             if not math.isfinite(value):
                 raise InvalidOption(f"lift must be 'nearest', 'mid' or a number of metres, not {self.lift!r}")
         return np.concatenate([parameters, [choice, value]])
+
+    def held(self, robot: Any) -> dict[int, float]:
+        """Joints (place in q) that have a given value: the lift, where it is a number [m]."""
+        place = np.flatnonzero([kind == "prismatic" for kind in robot.joint_kinds])
+        return {} if self.lift in CHOICES or not len(place) else {int(place[0]): float(self.lift)}
 
 
 def recognise(chain: Chain) -> tuple[np.ndarray, str]:
@@ -228,7 +244,7 @@ def choose_lift(p, P, box, spans):
 
 @jit
 def stopped_at(p, P, box, d, gap, spans):
-    """Where no legal lift reaches: the limit nearest a lift that would, and 0; or d and gap when no lift at all does."""
+    """Where no legal lift reaches: the limit nearest a lift that would, 0, and the stroke [m] missing; or d, gap and 0."""
     low, high = lift_limits(p, box)
     least = np.inf
     for k in range(lift_intervals(P, p[A4], p[A6], -np.inf, np.inf, spans)):
@@ -236,39 +252,120 @@ def stopped_at(p, P, box, d, gap, spans):
             least, d, gap = spans[k, 0] - high, high, 0.0
         if low - spans[k, 1] > 0.0 and low - spans[k, 1] < least:
             least, d, gap = low - spans[k, 1], low, 0.0
-    return d, gap
+    return d, gap, (least if gap == 0.0 else 0.0)
 
 
 @jit
 def scan_lifts(p, P, box, near, spans, count, moved, sols, q, trial, best):
-    """Search the feasible lifts for a legal branch: the one nearest the reference, or what breaks the limits least.
+    """Look at a few feasible lifts for a legal branch: the one nearest the reference, or what breaks the limits least.
 
-    Lifts stand closer at the ends of an interval, where the angles change fastest; where none is legal the best is refined.
+    Lifts stand closer at the ends of an interval, where the angles change fastest.
     """
-    least, nearest, found, width = np.inf, np.inf, 0.0, 0.0
-    for lifts in SCAN:
-        for k in range(count):
-            middle, half = 0.5 * (spans[k, 0] + spans[k, 1]), 0.5 * (spans[k, 1] - spans[k, 0])
-            for j in range(lifts):
-                d = middle - half * math.cos(math.pi * j / (lifts - 1))
-                worst, distance = pick(p, P, d, box, near, moved, sols, q, trial)
+    least, nearest = np.inf, np.inf
+    for k in range(count):
+        middle, half = 0.5 * (spans[k, 0] + spans[k, 1]), 0.5 * (spans[k, 1] - spans[k, 0])
+        for j in range(SCAN):
+            d = middle - half * math.cos(math.pi * j / (SCAN - 1))
+            worst, distance = pick(p, P, d, box, near, moved, sols, q, trial)
+            if worst < least or (worst == least and distance < nearest):
+                least, nearest = worst, distance
+                best[:] = trial
+    return least
+
+
+@jit
+def at_turn(p, P, k, middle, half, turn, box, near, row, q):
+    """Fill q with branch k at the lift middle - half cos(turn); return the worst limit broken and the distance."""
+    d = middle - half * math.cos(turn)
+    inspection_branch(P, d, p[A4], p[A6], near, k, row)
+    return joint_values(p, row, d, box, q)
+
+
+@jit
+def narrow_windows(p, P, box, near, spans, count, broken, row, q, best):
+    """Search every branch over the feasible lifts for the windows that are inside all limits, however narrow.
+
+    A branch leaves its limits between two lifts where the worst limit broken has a minimum above zero between them; each
+    minimum is closed in on until it is legal or as small as it gets. Returns the least that is broken.
+    """
+    least, nearest = np.inf, np.inf
+    step = math.pi / (WINDOWS - 1)
+    for span in range(count):
+        middle, half = 0.5 * (spans[span, 0] + spans[span, 1]), 0.5 * (spans[span, 1] - spans[span, 0])
+        for k in range(8):
+            for j in range(WINDOWS):
+                broken[j] = at_turn(p, P, k, middle, half, j * step, box, near, row, q)[0]
+            for j in range(WINDOWS):
+                if (j > 0 and broken[j - 1] < broken[j]) or (j + 1 < WINDOWS and broken[j + 1] < broken[j]):
+                    continue
+                a, b = max(j - 1, 0) * step, min(j + 1, WINDOWS - 1) * step
+                u, v = b - GOLDEN * (b - a), a + GOLDEN * (b - a)
+                at_u = at_turn(p, P, k, middle, half, u, box, near, row, q)[0]
+                at_v = at_turn(p, P, k, middle, half, v, box, near, row, q)[0]
+                for _ in range(CLOSING):
+                    if broken[j] == 0.0 or min(at_u, at_v) == 0.0:
+                        break
+                    if at_u < at_v:
+                        b, v, at_v = v, u, at_u
+                        u = b - GOLDEN * (b - a)
+                        at_u = at_turn(p, P, k, middle, half, u, box, near, row, q)[0]
+                    else:
+                        a, u, at_u = u, v, at_v
+                        v = a + GOLDEN * (b - a)
+                        at_v = at_turn(p, P, k, middle, half, v, box, near, row, q)[0]
+                turn = j * step if broken[j] <= min(at_u, at_v) else (u if at_u <= at_v else v)
+                worst, distance = at_turn(p, P, k, middle, half, turn, box, near, row, q)
                 if worst < least or (worst == least and distance < nearest):
-                    least, nearest, found, width = worst, distance, d, half * math.pi / (lifts - 1)
-                    best[:] = trial
-        if least == 0.0:
-            break
-    low, high = lift_limits(p, box)
-    for _ in range(40):
-        if least == 0.0 or count == 0:
-            break
-        for side in (-1.0, 1.0):
-            d = min(max(found + side * width, low), high)
-            if inspection_margin(P, d, p[A4], p[A6]) >= 0.0:
-                worst, distance = pick(p, P, d, box, near, moved, sols, q, trial)
-                if worst < least:
-                    least, nearest, found = worst, distance, d
-                    best[:] = trial
-        width *= 0.6
+                    least, nearest = worst, distance
+                    best[:] = q
+    return least
+
+
+@jit
+def meet_limits(p, box, up, row):
+    """Set theta_1 and theta_4 of a level arm (6,), whose sum or difference is given, to the legal pair nearest the reference.
+
+    theta_4 = constant + up theta_1, up = 1 or -1. Where no pair is legal, the one that breaks its limits least is taken.
+    """
+    i, j = int(p[JOINTS]), int(p[JOINTS + 6])
+    sign, offset, sign4 = p[JOINTS + 1], p[JOINTS + 2], p[JOINTS + 7]
+    constant = row[2] - up * row[0]
+    slope = sign4 * up * sign  # of the joint values: q_j = shift + slope q_i
+    base = sign4 * (constant + up * offset - p[JOINTS + 8])
+    first, second, wi, wj = box[2, i], box[2, j], box[3, i], box[3, j]
+    turns = np.rint((second - base - slope * first) / TAU)
+    least, nearest, chosen = np.inf, np.inf, first
+    for m in range(-TURNS, TURNS + 1):
+        shift = base + TAU * (turns + m)
+        ends = (box[0, j] - shift) * slope, (box[1, j] - shift) * slope
+        low, high = max(box[0, i], min(ends)), min(box[1, i], max(ends))
+        gap = max(low - high, 0.0)
+        x = 0.5 * (low + high) if gap > 0.0 else (wi * first + wj * slope * (second - shift)) / (wi + wj)
+        x = x if gap > 0.0 else min(max(x, low), high)
+        distance = wi * (x - first) ** 2 + wj * (shift + slope * x - second) ** 2
+        if gap < least or (gap == least and distance < nearest):
+            least, nearest, chosen = gap, distance, x
+    row[0] = sign * chosen + offset
+    row[2] = constant + up * row[0]
+
+
+@jit
+def pick_level(p, P, d, free, box, near, row, q, best):
+    """Fill best with the level arm (axes 1 and 4 parallel, one angle free) that breaks limits least, then the nearest.
+
+    Returns the limit it breaks, infinity where the pose has no level arm. free: the lift may be chosen, otherwise it is d.
+    """
+    least, nearest = np.inf, np.inf
+    size = p[A4] + p[A6]
+    for k in range(8 if abs(P[8]) <= LEVEL else 0):
+        at, miss = level_arm(P, d, free, p[A4], p[A6], k, near, row)
+        if miss > LEVEL * size:
+            continue
+        meet_limits(p, box, 1.0 - 2.0 * (k % 2), row)
+        worst, distance = joint_values(p, row, at, box, q)
+        if worst < least or (worst == least and distance < nearest):
+            least, nearest = worst, distance
+            best[:] = q
     return least
 
 
@@ -280,6 +377,7 @@ def _compile_solve():
         box, near, spans = np.empty((4, n)), np.empty(6), np.empty((2, 2))
         P, moved, sols = np.empty(12), np.empty(12), np.empty((8, 6))
         q, trial, best = np.empty(n), np.empty(n), np.empty(n)
+        row, limits = np.empty(6), np.empty(WINDOWS)
         goal, Z, trig = np.empty(12), np.empty((n, 6)), np.zeros((3, 8))
         for t in range(T.shape[0]):
             if not rigid(T[t]):
@@ -293,19 +391,32 @@ def _compile_solve():
             near_angles(p, box, near)
             wrist_pose(p, T[t], P)
             d, count = choose_lift(p, P, box, spans)
+            stroke = 0.0
             gap = max(0.0, -inspection_margin(P, d, p[A4], p[A6]))
             broken = pick(p, P, d, box, near, moved, sols, q, best)[0]
-            if p[LIFT] >= 0.0 and p[LIFT + 2] != GIVEN:
+            free = p[LIFT] >= 0.0 and p[LIFT + 2] != GIVEN
+            if broken > 0.0:
+                least = pick_level(p, P, d, free, box, near, row, q, trial)
+                if least < broken or (least == 0.0 and gap > 0.0):
+                    broken = least
+                    best[:] = trial
+            if free:
                 if broken > 0.0 and count != 0:
                     if count < 0:
                         low, high = lift_limits(p, box)
                         count = lift_intervals(P, p[A4], p[A6], low, high, spans)
                     broken = scan_lifts(p, P, box, near, spans, count, moved, sols, q, trial, best)
+                    if broken > 0.0:
+                        broken = narrow_windows(p, P, box, near, spans, count, limits, row, q, best)
                 elif gap > 0.0:
-                    d, gap = stopped_at(p, P, box, d, gap, spans)
-                    if gap == 0.0:  # in reach with more stroke: it is the lift's limit that stops it
+                    d, gap, stroke = stopped_at(p, P, box, d, gap, spans)
+                    if stroke > 0.0:  # in reach with more stroke: it is the lift's limit that stops it
                         broken = max(pick(p, P, d, box, near, moved, sols, q, best)[0], SNAP)
-            measure_tip(rows, ends, opt, T[t], best, box, broken, gap, goal, Z, trig, hist, out[t])
+            lever = p[A4] + p[A6] + math.sqrt(p[21] * p[21] + p[22] * p[22] + p[23] * p[23])
+            slack = opt[slots.O_TOL_R] * lever  # a pose turned by the tolerance moves the wrist no further than this
+            measure_tip(rows, ends, opt, T[t], best, box, broken, gap, slack, goal, Z, trig, hist, out[t])
+            if out[t, slots.R_STATUS] == LIMIT_BLOCKED:
+                out[t, slots.R_EXCESS] = stroke
 
     return solve
 
@@ -342,6 +453,16 @@ def feasible_lifts(
     ends = sorted((sign * low, sign * high))
     count = lift_intervals(P, p[A4], p[A6], ends[0], ends[1], spans)
     return sorted(tuple(sorted(sign * float(x) for x in span)) for span in spans[:count])
+
+
+def nearest_pose(p: np.ndarray, T: np.ndarray, lift: float) -> tuple[np.ndarray, float]:
+    """Nearest pose to T (4, 4) reachable at a value of the lift joint [m] with the orientation kept, and how far [m] it is."""
+    P, near = np.empty(12), np.array(T, dtype=float)
+    wrist_pose(p, near, P)
+    before = P[9:].copy()
+    gap = inspection_nearest(P, p[LIFT + 1] * lift, p[A4], p[A6])
+    near[:3, 3] += p[:9].reshape(3, 3).T @ (P[9:] - before)
+    return near, gap
 
 
 def lifts_to_list(p: np.ndarray, T: np.ndarray, box: np.ndarray, count: int) -> tuple[np.ndarray, bool, str]:

@@ -82,6 +82,43 @@ def joint_values(p, angles, box, q):
     return worst, distance
 
 
+@jit
+def nearest_on_limits(p, x, y, box, q, best):
+    """Fill best (2,) with the legal configuration that comes nearest to (x, y), when no branch is legal.
+
+    Then a joint stands on a limit: with joint 1 there the tip runs on a circle about the elbow, with joint 2 there on one
+    about the base; the nearest point of the arc is where the circle's angle is nearest that of the target.
+    """
+    a, b = p[L1], p[L2]
+    miss = np.inf
+    for side in range(4):
+        i, limit = side // 2, box[side % 2, side // 2]
+        if not np.isfinite(limit):
+            continue
+        fixed = p[ANGLES + 2 * i] * limit + p[ANGLES + 2 * i + 1]
+        if i == 0:
+            free = math.atan2(y - a * math.sin(fixed), x - a * math.cos(fixed)) - fixed
+        else:
+            free = math.atan2(y, x) - math.atan2(b * math.sin(fixed), a + b * math.cos(fixed))
+        j = 1 - i
+        q[i] = limit
+        angle = p[ANGLES + 2 * j] * (free - p[ANGLES + 2 * j + 1])
+        for turned in range(
+            3
+        ):  # the angle itself, and both limits: of an arc that leaves it out, the nearer end counts
+            if turned == 0:
+                q[j] = legal_turn(angle, box[0, j], box[1, j], box[2, j])[0]
+                q[j] = min(max(q[j], box[0, j]), box[1, j])
+            elif np.isfinite(box[turned - 1, j]):
+                q[j] = box[turned - 1, j]
+            t1 = p[ANGLES] * q[0] + p[ANGLES + 1]
+            t2 = t1 + p[ANGLES + 2] * q[1] + p[ANGLES + 3]
+            off = math.hypot(a * math.cos(t1) + b * math.cos(t2) - x, a * math.sin(t1) + b * math.sin(t2) - y)
+            if off < miss:
+                miss = off
+                best[:] = q
+
+
 def _compile_solve():
     @cached
     def solve(rows, ends, seeds, feat, T, Q0, out, opt, hist):
@@ -110,7 +147,9 @@ def _compile_solve():
                 if worst < least or (worst == least and distance < nearest):
                     least, nearest = worst, distance
                     best[:] = q
-            measure_tip(rows, ends, opt, T[t], best, box, least, gap, goal, Z, trig, hist, out[t])
+            if least > 0.0:
+                nearest_on_limits(p, x, y, box, q, best)
+            measure_tip(rows, ends, opt, T[t], best, box, least, gap, 0.0, goal, Z, trig, hist, out[t])
 
     return solve
 

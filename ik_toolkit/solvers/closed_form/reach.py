@@ -107,12 +107,9 @@ def inspection_nearest(P, d, a4, a6):
 
 
 @jit
-def inspection_branches(P, d, a4, a6, near, sols):
-    """Fill sols (8, 6) with theta_1, theta_3 .. theta_7 that put the wrist pose P at lift d; return how many.
-
-    Eight where nothing merges: wrist yaw e5, elbow e6, shoulder e3. P has to be reachable (see inspection_nearest).
-    Where an angle is free it is taken from `near` (6,): theta_1 when axes 1 and 4 align, theta_6 when the shoulder lies on
-    axis 6, theta_7 when it lies on axis 7.
+def forearm(P, d, a4, a6, near):
+    """Elbow and wrist at lift d: on axis 6?, straight?, a4 cos(theta_5), theta_6 >= 0, inner and outer angle, theta_5's sine
+    and cosine. P has to be reachable (see inspection_nearest); a free theta_6 or theta_7 is taken from `near` (6,).
     """
     x, y, z = shoulder_in_tool(P, d)
     r = math.hypot(x, y)
@@ -126,50 +123,111 @@ def inspection_branches(P, d, a4, a6, near, sols):
     if straight:
         bend = 0.0 if bend < 1.0 else math.pi
     heading = -near[5] if r <= ON_AXIS * size else math.atan2(-y, -x)
-    c6, s6 = math.cos(bend), math.sin(bend)
-    if straight:
-        s6 = 0.0
-    inner = 0.0 if on_six else math.atan2(-reach * s6, a6 + reach * c6)
+    inner = 0.0
+    if not on_six and r > ON_AXIS * size:
+        inner = math.atan2(0.0 if straight else -reach * math.sin(bend), a6 + reach * math.cos(bend))
     n5 = 1.0 / math.hypot(z, reach)
-    s5 = z * n5
-    t5 = math.atan2(z, reach)
+    return on_six, straight, bend, inner, heading, z * n5, reach * n5
+
+
+@jit
+def wrist(on_six, bend, inner, heading, s5, c5, k6, k5):
+    """Cosine of theta_5, theta_5, 6 and 7 of elbow branch k6 and wrist branch k5 (0 or 1 each) of a forearm."""
+    e6 = 1.0 - 2.0 * k6
+    t6, t7 = bend if on_six else e6 * bend, e6 * inner - heading
+    yaw = math.atan2(s5, c5)
+    if k5 == 1:  # cos(theta_5) and cos(theta_6) change sign together; the elbow's sine goes with them
+        return -c5, math.pi - yaw, (t6 - math.pi if t6 > 0.0 else t6 + math.pi), t7
+    return c5, yaw, t6, t7
+
+
+@jit
+def shoulder(P, c5, s5, phi, given, t1):
+    """Tilt of axis 4 against axis 1, and theta_1, 3, 4 of one shoulder branch, for phi = theta_6 + theta_7.
+
+    theta_1 is t1 where it is free (no tilt) or given; the other branch is theta_1 + pi, -theta_3, theta_4 + pi.
+    """
+    cp, sp = math.cos(phi), math.sin(phi)
+    m02 = -(P[0] * sp + P[1] * cp)
+    m12 = -(P[3] * sp + P[4] * cp)
+    m22 = -(P[6] * sp + P[7] * cp)
+    u0 = P[0] * cp - P[1] * sp
+    u1 = P[3] * cp - P[4] * sp
+    m00, m01 = c5 * u0 - s5 * P[2], s5 * u0 + c5 * P[2]
+    m10, m11 = c5 * u1 - s5 * P[5], s5 * u1 + c5 * P[5]
+    tilt = math.hypot(m02, m12)
+    if tilt <= ON_AXIS or given:
+        c1, s1 = math.cos(t1), math.sin(t1)
+    else:
+        c1, s1, t1 = m02 / tilt, m12 / tilt, math.atan2(m12, m02)
+    t3 = math.atan2(c1 * m02 + s1 * m12, -m22)
+    return tilt, t1, t3, math.atan2(s1 * m00 - c1 * m10, s1 * m01 - c1 * m11)
+
+
+@jit
+def fill(row, k3, t1, t3, t4, t5, t6, t7):
+    """Fill row (6,) with the angles of shoulder branch k3 (0 or 1)."""
+    row[0] = wrap(t1 + k3 * math.pi)
+    row[1] = t3 * (1.0 - 2.0 * k3)
+    row[2] = wrap(t4 + k3 * math.pi)
+    row[3] = wrap(t5)
+    row[4] = wrap(t6)
+    row[5] = wrap(t7)
+
+
+@jit
+def inspection_branches(P, d, a4, a6, near, sols):
+    """Fill sols (8, 6) with theta_1, theta_3 .. theta_7 that put the wrist pose P at lift d; return how many.
+
+    Eight where nothing merges: wrist yaw e5, elbow e6, shoulder e3. P has to be reachable (see inspection_nearest).
+    Where an angle is free it is taken from `near` (6,): theta_1 when axes 1 and 4 align, theta_6 when the shoulder lies on
+    axis 6, theta_7 when it lies on axis 7.
+    """
+    on_six, straight, bend, inner, heading, s5, c5 = forearm(P, d, a4, a6, near)
     count = 0
     for k6 in range(1 if on_six or straight else 2):
-        e6 = 1.0 - 2.0 * k6
-        t7 = (e6 * inner if r > ON_AXIS * size else 0.0) - heading
         for k5 in range(1 if on_six else 2):
-            c5 = reach * n5
-            yaw = t5
-            t6 = bend if on_six else e6 * bend
-            if k5 == 1:  # cos(theta_5) and cos(theta_6) change sign together; the elbow's sine goes with them
-                c5 = -c5
-                yaw = math.pi - t5
-                t6 = t6 - math.pi if t6 > 0.0 else t6 + math.pi
-            phi = t6 + t7
-            cp, sp = math.cos(phi), math.sin(phi)
-            m02 = -(P[0] * sp + P[1] * cp)
-            m12 = -(P[3] * sp + P[4] * cp)
-            m22 = -(P[6] * sp + P[7] * cp)
-            u0 = P[0] * cp - P[1] * sp
-            u1 = P[3] * cp - P[4] * sp
-            m00, m01 = c5 * u0 - s5 * P[2], s5 * u0 + c5 * P[2]
-            m10, m11 = c5 * u1 - s5 * P[5], s5 * u1 + c5 * P[5]
-            tilt = math.hypot(m02, m12)
-            if tilt <= ON_AXIS:
-                c1, s1, t1 = math.cos(near[0]), math.sin(near[0]), near[0]
-            else:
-                c1, s1, t1 = m02 / tilt, m12 / tilt, math.atan2(m12, m02)
-            t3 = math.atan2(c1 * m02 + s1 * m12, -m22)
-            t4 = math.atan2(s1 * m00 - c1 * m10, s1 * m01 - c1 * m11)
+            c, t5, t6, t7 = wrist(on_six, bend, inner, heading, s5, c5, k6, k5)
+            tilt, t1, t3, t4 = shoulder(P, c, s5, t6 + t7, False, near[0])
             for k3 in range(1 if tilt <= ON_AXIS else 2):
-                sols[count, 0] = wrap(t1 if k3 == 0 else t1 + math.pi)
-                sols[count, 1] = t3 if k3 == 0 else -t3
-                sols[count, 2] = wrap(t4 if k3 == 0 else t4 + math.pi)
-                sols[count, 3] = wrap(yaw)
-                sols[count, 4] = wrap(t6)
-                sols[count, 5] = wrap(t7)
+                fill(sols[count], k3, t1, t3, t4, t5, t6, t7)
                 count += 1
     return count
+
+
+@jit
+def inspection_branch(P, d, a4, a6, near, k, row):
+    """Fill row (6,) with branch k = 0..7 (shoulder, wrist, elbow as bits) at lift d: it varies smoothly with the lift."""
+    on_six, straight, bend, inner, heading, s5, c5 = forearm(P, d, a4, a6, near)
+    c, t5, t6, t7 = wrist(on_six, bend, inner, heading, s5, c5, k // 4, k // 2 % 2)
+    tilt, t1, t3, t4 = shoulder(P, c, s5, t6 + t7, False, near[0])
+    fill(row, k % 2, t1, t3, t4, t5, t6, t7)
+
+
+@jit
+def level_arm(P, d, free, a4, a6, k, near, row):
+    """Fill row (6,) with arm k = 0..7 whose axes 1 and 4 are parallel, at theta_1 = near[0]; return its lift, how far it misses.
+
+    Only a pose whose tool z axis is level has such arms. Where the lift is free it follows from theta_6, otherwise it is d
+    and the miss [m] is that of the forearm's length. k: arm up or down, elbow, wrist as bits.
+    """
+    up = 1.0 - 2.0 * (k % 2)  # cos(theta_3)
+    phi = math.atan2(up * P[6], up * P[7])
+    cp, sp = math.cos(phi), math.sin(phi)
+    x, y, z = shoulder_in_tool(P, P[11] if free else d)
+    reach = math.sqrt(max((a4 - z) * (a4 + z), 0.0)) * (1.0 - 2.0 * (k // 4))
+    c6 = -(x * cp - y * sp + reach) / a6
+    s6 = -(x * sp + y * cp) / a6
+    if free:
+        wanted = math.sqrt(max(1.0 - c6 * c6, 0.0)) * (1.0 - 2.0 * (k // 2 % 2))
+        d = P[11] + (s6 - wanted) * a6 * up
+        s6 = wanted
+    miss = abs(math.hypot(s6, c6) - 1.0) * a6 + abs(P[8]) * (a4 + a6) + max(abs(z) - a4, 0.0)
+    n5 = 1.0 / math.hypot(z, reach)
+    t6 = math.atan2(s6, c6)
+    tilt, t1, t3, t4 = shoulder(P, reach * n5, z * n5, phi, True, near[0])
+    fill(row, 0, t1, t3, t4, math.atan2(z, reach), t6, phi - t6)
+    return d, miss
 
 
 @jit

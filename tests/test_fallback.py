@@ -1,0 +1,128 @@
+"""Closed forms that find no answer: nothing is called impossible that is possible, and the best configuration is returned."""
+
+import numpy as np
+import pytest
+
+import ik_toolkit as ik
+
+LEVEL = ik.pose(
+    (-0.5012387278535977, 0.012334031550242807, 0.7275000000000001),
+    quat_xyzw=(-0.2418447626479752, 0.6644630243886744, 0.6963642403200189, 0.12278780396897282),
+)
+
+
+@pytest.fixture(scope="module")
+def arm():
+    return ik.Robot.load("inspection_7dof")
+
+
+def legal(robot, count, seed, **values):
+    """Legal configurations, some joints at given values."""
+    rng = np.random.default_rng(seed)
+    Q = rng.uniform(robot.lower, robot.upper, (count, robot.n))
+    for name, value in values.items():
+        Q[:, robot.joint_names.index(name)] = value
+    return Q
+
+
+def size(robot, result):
+    """Error of a result as the search measures it."""
+    turn = 2 * np.sin(0.5 * (result.orientation_error or 0.0))
+    return (result.position_error / robot.chain.scale) ** 2 + turn**2
+
+
+def test_the_level_arm_of_the_report_is_solved(arm):
+    result = ik.solve(arm, LEVEL)
+    assert result.success and not arm.outside(result.q)
+
+
+@pytest.mark.parametrize("lift", [None, 0.31])
+@pytest.mark.parametrize("values", [{"arm_pitch": 0.0}, {"elbow_pitch": 0.0}, {"arm_pitch": 0.0, "elbow_pitch": 0.0}])
+def test_no_target_of_a_singular_legal_configuration_is_lost(arm, lift, values):
+    robot = arm if lift is None else arm.locked({"lift": lift})
+    Q = legal(robot, 500, 1, **values)
+    T = robot.chain.forward(Q)[0]
+    batch = ik.solve_batch(robot, T, check=1.0)
+    assert batch.success.all()
+    assert (batch.q >= robot.lower).all() and (batch.q <= robot.upper).all()
+    assert all(ik.solve(robot, pose).success for pose in T[:40])
+
+
+def test_no_target_of_a_limit_corner_is_lost(arm):
+    for robot in (arm, arm.locked({"lift": 0.31})):
+        rng = np.random.default_rng(2)
+        Q = legal(robot, 3000, 3)
+        rank = np.argsort(rng.random(Q.shape), axis=1)
+        ends = np.where(rng.random(Q.shape) < 0.5, robot.lower, robot.upper)
+        Q = np.where(rank < rng.integers(2, 6, (len(Q), 1)), ends, Q)
+        assert ik.solve_batch(robot, robot.chain.forward(Q)[0]).success.all()
+
+
+def test_a_failed_closed_form_returns_the_best_configuration_and_speaks_of_it(arm):
+    rng = np.random.default_rng(4)
+    seen = set()
+    for robot in (arm, arm.locked({"lift": 0.22})):
+        for _ in range(60):
+            q = robot.random_q(rng)
+            T = robot.fk(q).homogeneous
+            T[:3, 3] *= rng.uniform(0.2, 1.6, 3)
+            result, search = ik.solve(robot, T), ik.solve(robot, T, "lm")
+            if result.success:
+                continue
+            assert not search.success
+            seen.add(result.status)
+            assert size(robot, result) <= size(robot, search) * (1 + 1e-9)
+            position, orientation = robot.errors(result.q, T)
+            assert abs(position - result.position_error) < 1e-9 and abs(orientation - result.orientation_error) < 1e-9
+            assert f"{1000 * position:.3g} mm, {np.degrees(orientation):.3g} deg" in result.message
+    assert {ik.Status.UNREACHABLE, ik.Status.LIMIT_BLOCKED} <= seen
+
+
+def test_the_best_configuration_of_a_planar_arm():
+    robot = ik.Robot.load("planar_2r")
+    rng = np.random.default_rng(5)
+    grid = np.stack(np.meshgrid(*(np.linspace(a, b, 400) for a, b in zip(robot.lower, robot.upper, strict=True))), -1)
+    tips = robot.chain.forward(grid.reshape(-1, 2))[0][:, :3, 3]
+    failed = 0
+    for _ in range(200):
+        target = np.array([*rng.uniform(-1.2, 1.2, 2) * robot.reach, 0.0])
+        result = ik.solve(robot, target)
+        failed += not result.success
+        nearest = np.linalg.norm(tips - target, axis=1).min()
+        assert result.position_error <= nearest + 1e-9
+    assert failed > 50
+
+
+def test_a_loose_tolerance_is_used_before_anything_is_called_impossible(arm):
+    rng = np.random.default_rng(6)
+    for robot, position in ((ik.Robot.load("planar_2r"), True),):
+        for tolerance in (1e-3, 1e-2, 5e-2):
+            Q = legal(robot, 300, 7)
+            at = rng.random(Q.shape) < 0.5
+            Q = np.where(at, np.where(rng.random(Q.shape) < 0.5, robot.lower, robot.upper), Q)
+            T = robot.chain.forward(Q)[0]
+            move = rng.normal(size=(len(T), 3))
+            T[:, :3, 3] += 0.9 * tolerance * move / np.linalg.norm(move, axis=1, keepdims=True)
+            if position:
+                T[:, 2, 3] = 0.0
+            batch = ik.solve_batch(robot, T[:, :3, 3] if position else T, tolerance=tolerance)
+            assert batch.success.all()
+
+
+def test_a_given_lift_is_kept(arm):
+    q = np.array([0.0, 0.22, 0.3, 0.2, 0.4, 0.9, 3.0])  # no branch of it has the last joint within 120 degrees
+    result = ik.solve(arm, arm.fk(q), ik.Inspection(lift=0.22))
+    assert result.status == ik.Status.LIMIT_BLOCKED and result.q[1] == pytest.approx(0.22, abs=1e-12)
+    outside = ik.solve(arm, arm.fk(q), ik.Inspection(lift=0.6))
+    assert not outside.success
+
+
+def test_history_counts_and_batches_hold_the_search_too(arm):
+    robot = arm.locked({"lift": 0.25})
+    T = robot.fk(robot.home).homogeneous
+    T[2, 3] += 0.6
+    result = ik.solve(robot, T, history=True)
+    assert not result.success and len(result.history["q"]) > 1
+    batch = ik.solve_batch(robot, np.array([T, robot.fk(robot.home).homogeneous]), threads=1)
+    assert batch.q[0].tobytes() == result.q.tobytes() and batch.success.tolist() == [False, True]
+    assert batch[0].message.split(";")[0] == result.message.split(";")[0]
