@@ -15,6 +15,7 @@ from second_fk import RPY_LITERALS, SecondFK, pose_errors, random_case, turn_abo
 
 import ik_toolkit as ik
 from ik_toolkit.errors import ModelError
+from ik_toolkit.show.session import Session
 
 OFF = 1e-9  # of the robot's size [m], and [rad]
 
@@ -217,10 +218,40 @@ def test_a_zero_range_that_is_written_with_a_minus():
     robot = ik.Robot.load(text)
     assert robot.random_q(np.random.default_rng(0))[0] == 0.0
     assert ik.solve(robot, robot.fk([0.0, 0.5])).success
+    if robots.have_data():  # its finger leads a follower whose limits are 0 and -0.0
+        pr2 = ik.Robot.load("pr2", tip="l_gripper_r_parallel_link")
+        assert pr2.outside(pr2.random_q(np.random.default_rng(0))) == []
 
 
-def test_one_degree_of_freedom_has_a_jacobian():
-    robot = ik.Robot.load(robots.urdf(dict(kind="revolute"), dict(kind="fixed", xyz="0.3 0 0")))
+def test_a_tree_whose_arms_share_leaders():
+    """A coordinate turns one arm and slides the other; another is a slide that turns what follows it by 20 rad/m."""
+    text = BRANCHES.replace("</robot>", "") + (
+        robots.joint("lift", "prismatic", "left_hand", "lifted", limits=(-0.2, 0.4))
+        + robots.joint(
+            "pinion", "revolute", "right_hand", "pinned", limits=(-9, 9), mimic='<mimic joint="lift" multiplier="20"/>'
+        )
+        + robots.joint("end", "fixed", "pinned", "right_end", xyz="0.2 0.1 0")
+        + "</robot>"
+    )
+    tips = ["lifted", "right_end"]
+    tree = ik.Robot.load(text, tip=tips)
+    rng = np.random.default_rng(8)
+    Q = np.array([tree.random_q(rng) for _ in range(50)])
+    poses, stack = tree.chain.forward(Q, jacobian=True)
+    for f, tip in enumerate(tips):
+        judge = SecondFK(text, tip=tip)
+        exact, T = judge.jacobian(Q, tree.joint_names), judge.fk(Q, tree.joint_names)
+        for found in (poses[:, f], np.array([tree.fk(q)[tip].homogeneous for q in Q])):
+            assert max(error.max() for error in pose_errors(found, T)) < OFF
+        for columns in (stack[:, 6 * f : 6 * f + 6], np.array([tree.jacobian(q)[6 * f : 6 * f + 6] for q in Q])):
+            assert np.abs(columns - exact).max() < 20 * OFF
+
+
+def test_one_degree_of_freedom_has_a_jacobian(tmp_path):
+    text = robots.urdf(dict(kind="revolute"), dict(kind="fixed", xyz="0.3 0 0"))
+    (tmp_path / "one.urdf").write_text(text)
+    assert len(Session(str(tmp_path / "one.urdf")).table()[2]) == 1  # what the panel shows of it
+    robot = ik.Robot.load(text)
     assert np.allclose(robot.jacobian([0.2])[:, 0], [-0.3 * math.sin(0.2), 0.3 * math.cos(0.2), 0, 0, 0, 1])
     assert ik.solve(robot, robot.fk([0.2]).translation).success
 
