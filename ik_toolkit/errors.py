@@ -14,15 +14,22 @@ if TYPE_CHECKING:
 
 COMPARED = 1_000  # names a misspelled one is compared with; each takes up to 50 us
 SHOWN = 100  # characters of a name that are compared and shown: comparing takes time in their square
+# What a terminal acts on instead of showing it: C0 and C1 controls but tab and newline, and what reorders text.
+CONTROLS = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200b-\u200f\u2028-\u202e\u2060-\u206f\ufeff]")
 EXTRA = re.compile(r"""^([A-Za-z0-9_.-]+).*extra\s*==\s*['"]([a-z]+)['"]""")
+
+
+def clean(text: object) -> str:
+    """Text fit for a terminal: controls, which come from names in files only, are written as escapes."""
+    return CONTROLS.sub(lambda found: ascii(found[0])[1:-1], str(text))
 
 
 class IKError(Exception):
     """Base of every error raised by ik_toolkit."""
 
     def __str__(self) -> str:
-        """Return the message itself (KeyError would show it quoted)."""
-        return str(self.args[0]) if self.args else ""
+        """Return the message itself (KeyError would show it quoted), without what a terminal would act on."""
+        return clean(self.args[0]) if self.args else ""
 
 
 class RobotNotFound(IKError, KeyError):

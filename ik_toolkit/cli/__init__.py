@@ -11,7 +11,7 @@ import typer
 
 from .. import __version__
 from ..errors import IKError, MissingExtra
-from .common import LogNotices, Output, join_vectors, notice
+from .common import LogNotices, Output, join_vectors, notice, on_sigterm, open_standard_streams
 
 MODULES = (
     "robots",
@@ -27,7 +27,7 @@ MODULES = (
     "panel",
     "doctor",
 )  # a new group of commands is one module and its name here
-NOT_SOLVED, BAD_INPUT, MISSING_EXTRA, BUG, INTERRUPTED = 1, 2, 3, 70, 130
+NOT_SOLVED, BAD_INPUT, MISSING_EXTRA, BUG, INTERRUPTED, TERMINATED = 1, 2, 3, 70, 130, 143
 # Typer carries its own copy of click in some versions; this is the root of its usage errors in all of them.
 UsageError = typer.BadParameter.mro()[2]
 
@@ -48,7 +48,8 @@ def _options(
 
     Metres and radians unless --deg. Results go to stdout, notices to stderr; --json prints one object.
 
-    Exit codes: 0 solved or done, 1 not solved or found wrong, 2 bad input, 3 an extra is missing.
+    Exit codes: 0 solved or done, 1 not solved or found wrong, 2 bad input, 3 an extra is missing, 130 Ctrl-C, 143 SIGTERM.
+    Files are written whole or not at all; what is finished when a long command is stopped is kept as FILE.partial.
     """
 
 
@@ -63,23 +64,22 @@ def application() -> typer.Typer:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line; return its exit code. The caller's mistakes become one sentence on stderr, never a traceback."""
+    open_standard_streams()
     arguments = join_vectors(sys.argv[1:] if argv is None else argv)
     debug = "--debug" in arguments
     arguments = [argument for argument in arguments if argument != "--debug"]
     shown = LogNotices()
     logging.getLogger("ik_toolkit.compile").setLevel(logging.INFO)
     logging.getLogger("ik_toolkit").addHandler(shown)
+    terminated: list[bool] = []
     try:
         command = typer.main.get_command(application())
-        with redirect_stdout(Output(sys.stdout)):
+        with redirect_stdout(Output(sys.stdout)), on_sigterm(terminated):
             code = command.main(args=arguments or ["--help"], prog_name="ik", standalone_mode=False) or 0
             sys.stdout.flush()
-        if code == INTERRUPTED:
-            notice("ik: interrupted")
-        return code
+        return _stopped(terminated) if code == INTERRUPTED else code
     except (KeyboardInterrupt, typer.Abort):
-        notice("ik: interrupted")
-        return INTERRUPTED
+        return _stopped(terminated)
     except Exception as error:
         if debug:
             raise
@@ -88,6 +88,11 @@ def main(argv: Sequence[str] | None = None) -> int:
         return code
     finally:
         logging.getLogger("ik_toolkit").removeHandler(shown)
+
+
+def _stopped(terminated: list[bool]) -> int:
+    notice("ik: terminated" if terminated else "ik: interrupted")
+    return TERMINATED if terminated else INTERRUPTED
 
 
 def _explain(error: Exception) -> tuple[str, int]:
@@ -102,7 +107,10 @@ def _explain(error: Exception) -> tuple[str, int]:
         message = error.format_message().rstrip(".")  # type: ignore[attr-defined]
         return f"{message}{'' if message.endswith('?') else '.'} See {command} --help", BAD_INPUT
     if isinstance(error, OSError):
-        return f"{error.strerror or error}: {error.filename}" if error.filename else str(error), BAD_INPUT
+        said = error.strerror or str(error) or type(error).__name__
+        return f"{said}: {error.filename}" if error.filename else said, BAD_INPUT
+    if isinstance(error, MemoryError):
+        return f"not enough memory{f': {error}' if str(error) else ''}", BAD_INPUT
     return (
         f"unexpected {type(error).__name__}: {str(error).partition(chr(10))[0]} (a bug of ik_toolkit; --debug shows the traceback)",
         BUG,

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .common import PLOTS, Json, Out, load_robot, notice, show, table, write_json, writes
+from .common import PLOTS, Json, Out, load_robot, notice, partial, show, table, write_json, writes
 
 if TYPE_CHECKING:
     from ..study.benchmark import Benchmark
@@ -77,8 +77,8 @@ def bench(
         found, stopped = interrupt.result, True
         if not found.rows:
             raise KeyboardInterrupt from None
-    write_json(found.to_dict(), as_json, output)
-    if plot is not None:
+    write_json(found.to_dict(), as_json, partial(output) if stopped else output)
+    if plot is not None and not stopped:
         from ..show.studies import plot_benchmark
 
         notice(f"wrote {plot_benchmark(found, plot)}")

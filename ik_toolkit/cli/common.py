@@ -6,14 +6,18 @@ import json
 import logging
 import math
 import os
+import signal
 import sys
-from collections.abc import Callable, Sequence
+import threading
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ..errors import FrameNotFound, InvalidConfiguration, InvalidOption, InvalidTarget, MissingExtra
+from ..errors import FrameNotFound, InvalidConfiguration, InvalidOption, InvalidTarget, MissingExtra, clean
+from ..files import write_whole
 
 if TYPE_CHECKING:
     import numpy as np
@@ -45,8 +49,9 @@ def writes(*suffixes: str) -> Callable[[Path | None], Path | None]:
             raise InvalidOption(f"'{file}' is a folder, and a file is to be written there")
         if not file.parent.is_dir():
             raise InvalidOption(f"cannot write '{file}': there is no folder '{file.parent}'")
-        if not os.access(file if file.exists() else file.parent, os.W_OK):
-            raise InvalidOption(f"cannot write '{file}': no permission")
+        for place in (file, file.resolve().parent):  # it is written beside and renamed
+            if place.exists() and not os.access(place, os.W_OK):
+                raise InvalidOption(f"cannot write '{file}': no permission")
         return file
 
     return check
@@ -212,6 +217,70 @@ def slides(robot: "Joints", joint: str) -> bool:
 
 
 # -------------------------------------------------------------------------------------------------------------- output
+def open_standard_streams() -> None:
+    """Give a process started with a closed stdin, stdout or stderr (`>&-`) the null device in its place.
+
+    Otherwise the next file opened would get its number, and what is printed would go there.
+    """
+    for number, name, mode in ((0, "stdin", "r"), (1, "stdout", "w"), (2, "stderr", "w")):
+        if getattr(sys, name) is not None:
+            continue
+        try:
+            os.fstat(number)
+        except OSError:
+            os.dup2(os.open(os.devnull, os.O_RDWR), number)
+        setattr(sys, name, open(number, mode, encoding="utf-8", closefd=False))
+
+
+@contextmanager
+def on_sigterm(came: list[bool]) -> Iterator[None]:
+    """Let SIGTERM end what is inside as Ctrl-C does, and note in `came` that it was the former."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    process = os.getpid()
+
+    def stop(*_: Any) -> None:
+        if os.getpid() != process:  # a worker forked from here
+            os._exit(143)
+        came.append(True)
+        raise KeyboardInterrupt
+
+    before = signal.signal(signal.SIGTERM, stop)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before if before is not None else signal.SIG_DFL)
+
+
+@contextmanager
+def uninterrupted() -> Iterator[None]:
+    """Ctrl-C and SIGTERM wait for the end of what is inside: a file written by half is lost."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    came: list[Any] = []
+    before = {
+        number: signal.signal(number, lambda number, frame: came.append((number, frame)))
+        for number in (signal.SIGINT, signal.SIGTERM)
+    }
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler if handler is not None else signal.SIG_DFL)
+    for number, frame in came[:1]:
+        if callable(before[number]):
+            before[number](number, frame)
+        elif before[number] == signal.SIG_DFL:
+            raise KeyboardInterrupt
+
+
+def partial(output: Path | None) -> Path | None:
+    """Name of a result that is not whole, beside the one asked for."""
+    return None if output is None else output.with_name(f"{output.name}.partial")
+
+
 class Output:
     """Standard output for people who pipe it: a reader that leaves early does not end the command or change its exit code.
 
@@ -248,8 +317,11 @@ class Output:
 
 
 def notice(text: str) -> None:
-    """Print one line of prose on stderr."""
-    print(text, file=sys.stderr, flush=True)
+    """Print one line of prose on stderr, if anybody is there to read it."""
+    try:
+        print(clean(text), file=sys.stderr, flush=True)
+    except (OSError, ValueError, AttributeError):  # a closed stderr (Python sets None), a reader that left, a full disk
+        pass
 
 
 @functools.cache
@@ -287,7 +359,7 @@ def plain(value: Any) -> Any:
 def write_json(payload: dict[str, Any], as_json: bool, output: Path | None = None) -> None:
     """Print the object on stdout when `as_json`, and write it to `output` when that is given."""
     if output is not None:
-        output.write_text(json.dumps(plain(payload), indent=2, allow_nan=False) + "\n", encoding="utf-8")
+        write_whole(output, json.dumps(plain(payload), indent=2, allow_nan=False) + "\n")
         notice(f"wrote {output}")
     if as_json:
         print(json.dumps(plain(payload), allow_nan=False))
@@ -309,6 +381,7 @@ def show(*things: Any) -> None:
     """Print tables and lines on stdout: as wide as the terminal, 100 columns where there is none."""
     from rich.cells import cell_len
     from rich.console import Console
+    from rich.segment import Segment, Segments
 
     width = None if sys.stdout.isatty() or "COLUMNS" in os.environ else 100
     console = Console(width=width, highlight=False, markup=False)
@@ -319,7 +392,8 @@ def show(*things: Any) -> None:
             lines = [line for cell in (column.header, *column.cells) for line in str(cell).split("\n")]
             least += 3 + (max(map(cell_len, lines)) if column.no_wrap else 12)
         console.width = max(room, least)
-        console.print(thing)
+        drawn = console.render(console.render_str(clean(thing)) if isinstance(thing, str) else thing)
+        console.print(Segments(Segment(clean(part.text), part.style, part.control) for part in drawn), end="")
 
 
 def heading(text: str) -> "Text":

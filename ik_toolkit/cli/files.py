@@ -6,6 +6,8 @@ from typing import Annotated
 
 import typer
 
+from ..errors import CONTROLS
+from ..files import write_whole
 from .common import Json, PackageDir, notice, show, table, write_json, writes
 
 TableArg = Annotated[str, typer.Argument(metavar="TABLE", help="D-H table, a .toml or .csv file.")]
@@ -29,7 +31,7 @@ def dh(table_file: TableArg, output: UrdfOut = None, as_json: Json = False) -> N
     made = read_dh_table(table_file)
     text = to_urdf(made)
     if output is not None:
-        output.write_text(text, encoding="utf-8")
+        write_whole(output, text)
         notice(f"wrote {output}: {made.name}, {len(made.rows)} joints, {made.convention} D-H")
     if as_json:
         joints = [row.name for row in made.rows]
@@ -37,7 +39,7 @@ def dh(table_file: TableArg, output: UrdfOut = None, as_json: Json = False) -> N
             {"name": made.name, "convention": made.convention, "joints": joints, "output": output, "urdf": text}, True
         )
     elif output is None:
-        print(text, end="")
+        print(CONTROLS.sub(lambda found: f"&#{ord(found[0])};", text), end="")  # the same XML, for a terminal
 
 
 def check(urdf: UrdfArg, package_dir: PackageDir = None, as_json: Json = False) -> None:

@@ -18,6 +18,7 @@ from .common import (
     facts,
     load_robot,
     notice,
+    partial,
     show,
     write_json,
     writes,
@@ -86,12 +87,12 @@ def tune(
 ) -> None:
     """Search gains and start configurations of a solver for a robot, and judge them on goals of fresh seeds.
 
-    The result is a preset for ik solve --preset FILE. Ctrl-C keeps the best so far; --resume goes on from there.
+    The result is a preset for ik solve --preset FILE. Ctrl-C keeps the best so far as FILE.partial; --resume goes on from there.
     """
     arm = load_robot(robot, tip, base, lock, package_dir, deg)
 
     from ..solvers.registry import find_row
-    from ..study.tune import forget
+    from ..study.tune import check_record
     from ..study.tune import tune as search
 
     cls = find_row(solver).load()
@@ -103,42 +104,53 @@ def tune(
     writes(".npz")(record)
     if resume and not record.exists():
         raise InvalidOption(f"there is nothing to resume: no file '{record}'")
-    if not resume:
-        forget(record)
+    set_aside = None
+    if record.exists() and not resume:
+        check_record(record)
+        set_aside = record.rename(partial(record))  # until this search has begun
 
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
     console = Console(stderr=True)
     columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
-        task = bar.add_task("searching", total=generations)
-        least = float("inf")
+    try:
+        with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
+            task = bar.add_task("searching", total=generations)
+            least = float("inf")
 
-        def step(generation: int, costs: Any) -> None:
-            nonlocal least
-            least = min(least, float(costs.min()))
-            bar.update(task, completed=generation, description=f"generation {generation}, cost {least:.4f}")
+            def step(generation: int, costs: Any) -> None:
+                nonlocal least
+                least = min(least, float(costs.min()))
+                bar.update(task, completed=generation, description=f"generation {generation}, cost {least:.4f}")
 
-        result = search(
-            arm,
-            solver,
-            position_only=not pose,
-            method=method,
-            maps=maps,
-            initial=None if from_ is None else cls.preset(from_),
-            goals=goals,
-            held_out=held_out,
-            generations=generations,
-            population=population,
-            seconds=seconds,
-            seed=seed,
-            tolerance=tolerance,
-            max_iterations=max_iterations,
-            how=how,
-            checkpoint=record,
-            progress=step,
-        )
+            result = search(
+                arm,
+                solver,
+                position_only=not pose,
+                method=method,
+                maps=maps,
+                initial=None if from_ is None else cls.preset(from_),
+                goals=goals,
+                held_out=held_out,
+                generations=generations,
+                population=population,
+                seconds=seconds,
+                seed=seed,
+                tolerance=tolerance,
+                max_iterations=max_iterations,
+                how=how,
+                checkpoint=record,
+                progress=step,
+            )
+    finally:
+        if set_aside is not None:
+            if record.exists():
+                set_aside.unlink()
+            else:
+                set_aside.rename(record)
+    if result.interrupted:
+        preset = partial(preset)
     result.save(preset)
     if plot is not None and not result.interrupted:
         from ..show.studies import plot_tuning

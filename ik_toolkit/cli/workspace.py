@@ -22,6 +22,8 @@ from .common import (
     heading,
     joint_vector,
     load_robot,
+    notice,
+    partial,
     show,
     table,
     write_json,
@@ -93,8 +95,10 @@ def workspace(
 ) -> None:
     """Sample goals over the workspace and report, for each solver, successes, iterations, errors and failures.
 
-    Ctrl-C keeps and reports what is finished (no pictures).
+    Ctrl-C reports what is finished and keeps it in files called NAME.partial (no pictures).
     """
+    if goals < 1:
+        raise InvalidOption(f"--goals must be at least 1, not {goals}")
     if workers is not None and workers < 1:
         raise InvalidOption(f"--workers must be at least 1, not {workers}")
     arm = load_robot(robot, tip, base, lock, package_dir, deg)
@@ -155,7 +159,9 @@ def workspace(
 
         first = next(iter(found.solved))
         view(arm, cloud=(found.points, found.solved[first]), title=f"{arm.name}: goals of {first}").save(html)
-    write_json(found.to_dict(), as_json, output)
+    if stopped and csv is not None:
+        notice(f"the goals finished are in {partial(csv)}")
+    write_json(found.to_dict(), as_json, partial(output) if stopped else output)
     if not as_json:
         _show(found)
     if stopped:

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import MissingExtra
+from ..files import whole_file, write_whole
 
 STYLE: dict[Any, Any] = {
     "figure.dpi": 100,
@@ -86,8 +87,8 @@ class Report:
         text = self.markdown()
         if not pictures:
             text += "\nThe pictures were left out: they need matplotlib (`pip install matplotlib`).\n"
-        files[0].write_text(text, encoding="utf-8")
-        files[1].write_text(json.dumps(plain(self.data), indent=1) + "\n", encoding="utf-8")
+        write_whole(files[0], text)
+        write_whole(files[1], json.dumps(plain(self.data), indent=1) + "\n")
         if pictures:
             if "matplotlib.pyplot" not in sys.modules:  # a notebook keeps its own backend
                 importlib.import_module("matplotlib").use("Agg")
@@ -96,7 +97,8 @@ class Report:
             for file, draw in self._figures:
                 with plt.rc_context(STYLE):
                     figure = draw(plt)
-                    figure.savefig(folder / file)
+                    with whole_file(folder / file) as stream:
+                        figure.savefig(stream, format=Path(file).suffix[1:])
                     plt.close(figure)
                 files.append(folder / file)
         return files

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import InvalidOption, MissingExtra
+from ..files import whole_file
 from ..robot.joints import Joints
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000", "#8C8C8C")
@@ -63,7 +64,8 @@ def save(figure: Any, path: str | Path) -> Path:
     file = Path(path)
     if file.suffix.lower() not in SUFFIXES:
         raise InvalidOption(f"a plot is written as .png, .pdf or .svg, not '{file.suffix or file.name}'")
-    figure.savefig(file, dpi=160)
+    with whole_file(file) as stream:
+        figure.savefig(stream, format=file.suffix[1:].lower(), dpi=160)
     return file
 
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import InvalidOption
+from ..files import write_whole
 from ..robot.joints import Joints
 from ..robot.pose import AxisTarget, check_target, length
 from .parts import Body, Shape, need_trimesh, smooth, tube
@@ -241,7 +242,7 @@ class Scene:
         file = Path(path)
         if file.suffix.lower() not in (".html", ".htm"):
             raise InvalidOption(f"a scene is written as .html, not '{file.suffix or file.name}'")
-        file.write_text(self.html(), encoding="utf-8")
+        write_whole(file, self.html())
         return file
 
     def serve(self, port: int = 0) -> str:

@@ -9,7 +9,7 @@ import pinocchio as pin
 from ..errors import InvalidOption, MissingExtra
 from ..robot.robot import Robot
 from ..tracking.result import TrackResult
-from .plots import plain
+from .plots import plain, save
 
 # Okabe and Ito (2008): colours that stay apart for colour-blind readers.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000", "#8C8C8C")
@@ -71,7 +71,7 @@ def plot_track(result: TrackResult, robot: Robot, file: str | Path) -> Path:
             ha="left",
             fontweight="bold",
         )
-        figure.savefig(path, dpi=150)
+        save(figure, path)
         plt.close(figure)
     return path
 

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import InvalidOption, floats, near_match
+from ..files import write_whole
 from .options import make_options
 
 FOLDER = Path(__file__).with_name("presets")
@@ -71,7 +72,7 @@ def write_preset(
     lines = [f"solver = {_toml(solver)}", *(f"{key} = {_toml(value)}" for key, value in about.items())]
     for title, table in (("parameters", parameters), ("options", options)):
         lines += ["", f"[{title}]", *(f"{key} = {_toml(value)}" for key, value in table.items() if value is not None)]
-    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    write_whole(path, "\n".join(lines) + "\n")
 
 
 def _toml(value: Any) -> str:

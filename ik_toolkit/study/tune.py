@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import InvalidOption, MissingExtra, near_match
+from ..files import whole_file
 from ..robot.robot import Robot
 from ..solvers.batch import solve_batch
 from ..solvers.presets import write_preset
@@ -316,11 +317,9 @@ class _Search:
         self.best = sorted(found, key=lambda pair: pair[0])[:FINALISTS]
 
 
-def forget(file: Path) -> None:
-    """Remove the record of an earlier search. Raises InvalidOption when the file is none."""
-    if file.exists():
-        _Record.read(file)
-        file.unlink()
+def check_record(file: Path) -> None:
+    """Raise InvalidOption when a file is not the record of a search."""
+    _Record.read(file)
 
 
 class _Record:
@@ -355,7 +354,5 @@ class _Record:
         self.first.append(X[0].copy())
         self.costs.append(costs.copy())
         if self.file is not None:
-            part = self.file.with_name(self.file.name + ".part")
-            with part.open("wb") as out:
+            with whole_file(self.file) as out:
                 np.savez(out, key=self.key, first=np.array(self.first), costs=np.array(self.costs))
-            part.replace(self.file)

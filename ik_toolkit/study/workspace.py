@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import InvalidOption
+from ..files import WholeFile
 from ..robot.robot import Robot
 from ..solvers.batch import solve_parts
 from ..solvers.registry import find_row
@@ -122,7 +123,7 @@ def workspace(
 
     solvers: names or rules, or a mapping of labels to them. how: 'joints' or 'volume', see `sample_targets`. file: a .csv that
     receives every goal as it is solved (x, y, z, then success, status, iterations, position_error, orientation_error a
-    solver), so that millions of goals need no more memory than a chunk. executor: as for `solve_batch`. options: as for
+    solver), so that millions of goals need no more memory than a chunk; when the run ends early it is called NAME.partial. executor: as for `solve_batch`. options: as for
     `solve`. Goals depend on (seed, chunk) only. Ctrl-C raises WorkspaceInterrupted, a KeyboardInterrupt whose `result` holds the
     chunks finished, as the file does. Raises InvalidOption and what `solve_batch` raises.
     """
@@ -141,7 +142,7 @@ def workspace(
     solved: dict[str, list[np.ndarray]] = {name: [] for name in names}
     kept = done = 0
     table = _Table(file, names)
-    interrupted = False
+    interrupted = whole = False
     try:
         for targets in stream_targets(robot, goals, seed, how=how, position_only=position_only):
             xyz = targets if targets.ndim == 2 else targets[:, :3, 3]
@@ -177,12 +178,13 @@ def workspace(
             done += len(xyz)
             if progress is not None:
                 progress(done)
+        whole = True
     except KeyboardInterrupt:
         if not done:
             raise
         interrupted = True
     finally:
-        table.close()
+        table.close(whole)
     found = Workspace(
         robot.name,
         low,
@@ -230,18 +232,21 @@ class _Table:
     FIELDS = ("success", "status", "iterations", "position_error", "orientation_error")
 
     def __init__(self, file: str | Path | None, names: list[str]) -> None:
-        self.out = None
+        self.out, self.head = None, []
         if file is not None:
             if Path(file).suffix.lower() != ".csv":
                 raise InvalidOption(f"the goals are written as .csv, not '{Path(file).name}'")
-            self.out = Path(file).open("w", newline="", encoding="utf-8")
-            csv.writer(self.out).writerow(["x", "y", "z", *(f"{name} {key}" for name in names for key in self.FIELDS)])
+            self.out = WholeFile(file)
+            self.head = ["x", "y", "z", *(f"{name} {key}" for name in names for key in self.FIELDS)]
 
     def lines(self, xyz: np.ndarray, columns: list[dict[str, np.ndarray]]) -> str:
         if self.out is None:
             return ""
         lists = [(part[key] + 0 if key == "success" else part[key]).tolist() for part in columns for key in self.FIELDS]
         text = io.StringIO()
+        if self.head:  # with the first goals: a file of a head alone is not worth keeping
+            csv.writer(text).writerow(self.head)
+            self.head = []
         csv.writer(text).writerows(zip(*xyz.T.tolist(), *lists, strict=True))
         return text.getvalue()
 
@@ -249,6 +254,11 @@ class _Table:
         if self.out is not None:
             self.out.write(lines)
 
-    def close(self) -> None:
-        if self.out is not None:
-            self.out.close()
+    def close(self, whole: bool) -> None:
+        """Give the file its name, or keep the goals finished as NAME.partial."""
+        if self.out is None:
+            return
+        if whole:
+            self.out.finish()
+        else:
+            self.out.keep(".partial")

@@ -1,6 +1,7 @@
 """What a tracking run gives back: arrays over the samples, figures, and files."""
 
 import csv
+import io
 from dataclasses import dataclass, field
 from enum import Enum
 from pathlib import Path
@@ -9,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import InvalidOption
+from ..files import whole_file, write_whole
 from .stability import GainCheck
 
 
@@ -101,17 +103,19 @@ class TrackResult:
             names = ("t", "q", "rate", "xyz", "target_xyz", "position_error", "limited", "damped")
             arrays: dict[str, Any] = {name: getattr(self, name) for name in names}
             arrays |= {name: array for name, array in optional.items() if array is not None}
-            np.savez_compressed(file, joint_names=np.array(self.joint_names), **arrays)
+            with whole_file(file) as stream:
+                np.savez_compressed(stream, joint_names=np.array(self.joint_names), **arrays)
         elif file.suffix.lower() == ".csv":
             head = ["t", *(f"q_{j}" for j in self.joint_names), "x", "y", "z", "position_error"]
             parts = [self.t[:, None], self.q, self.xyz, self.position_error[:, None]]
             if self.orientation_error is not None:
                 head.append("orientation_error")
                 parts.append(self.orientation_error[:, None])
-            with file.open("w", newline="", encoding="utf-8") as stream:
-                writer = csv.writer(stream)
-                writer.writerow(head)
-                writer.writerows([repr(float(x)) for x in row] for row in np.hstack(parts))
+            text = io.StringIO()
+            writer = csv.writer(text)
+            writer.writerow(head)
+            writer.writerows([repr(float(x)) for x in row] for row in np.hstack(parts))
+            write_whole(file, text.getvalue())
         else:
             raise InvalidOption(f"a run is saved as .npz or .csv, not '{file.suffix}'")
         return file

@@ -1,0 +1,104 @@
+"""Files are written whole or not at all: beside their place, then renamed.
+
+An interruption, a full disk or a mistake found late never costs the file that was there before.
+"""
+
+import os
+import uuid
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import BinaryIO
+
+
+class WholeFile:
+    """A file to be that is not under its name before `finish`.
+
+    It may be kept under another name, cut after the last `mark`, when the work ends early.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        """Open a file beside `path`. A device or a pipe is written to directly. Raises OSError."""
+        self.path = Path(path)
+        place = Path(os.path.realpath(path))  # a link stays one
+        self._place = place if place.is_file() or not place.exists() else None
+        self.part = place if self._place is None else place.with_name(f"{place.name}.{uuid.uuid4().hex[:8]}.part")
+        self.stream: BinaryIO = self.part.open("wb" if self._place is None else "xb")
+        self._good = 0
+
+    def write(self, data: str | bytes) -> None:
+        """Write text (as UTF-8) or bytes whole: what follows does not count until it is all written."""
+        with self._named():
+            self.stream.write(data.encode() if isinstance(data, str) else data)
+        self.mark()
+
+    def mark(self) -> None:
+        """All that has been written to the stream so far is worth keeping."""
+        with self._named():
+            self.stream.flush()
+        if self._place is not None:
+            self._good = self.stream.tell()
+
+    def finish(self) -> None:
+        """Give the file its name; it is on the disk by then."""
+        with self._named():
+            self.stream.flush()
+            if self._place is not None:
+                os.fsync(self.stream.fileno())
+        self.stream.close()
+        if self._place is None:
+            return
+        with self._named():
+            if self._place.exists():
+                os.chmod(self.part, self._place.stat().st_mode & 0o7777)
+            os.replace(self.part, self._place)
+
+    def keep(self, suffix: str) -> Path | None:
+        """Keep what is good as NAME`suffix` and return that name; None, and nothing stays, when there is nothing good."""
+        if self._place is None or not self._good:
+            self.drop()
+            return None
+        kept = self._place.with_name(self._place.name + suffix)
+        try:
+            self.stream.close()  # on a full disk this fails once more, on what is cut off below
+        except OSError:
+            pass
+        os.truncate(self.part, self._good)
+        os.replace(self.part, kept)
+        return kept
+
+    def drop(self) -> None:
+        """Remove what was written."""
+        try:
+            self.stream.close()
+        except OSError:
+            pass
+        if self._place is not None:
+            self.part.unlink(missing_ok=True)
+
+    @contextmanager
+    def _named(self) -> Iterator[None]:
+        """Let errors name the file that was asked for."""
+        try:
+            yield
+        except OSError as error:
+            raise OSError(error.errno, error.strerror, str(self.path)) from error
+
+
+@contextmanager
+def whole_file(path: str | Path) -> Iterator[BinaryIO]:
+    """Binary stream of a file that gets its name when the block ends well, and vanishes when it does not."""
+    file = WholeFile(path)
+    try:
+        with file._named():
+            yield file.stream
+        file.finish()
+    except BaseException:
+        file.drop()
+        raise
+
+
+def write_whole(path: str | Path, data: str | bytes) -> None:
+    """Write a file whole, text as UTF-8."""
+    with whole_file(path) as stream:
+        stream.write(data.encode() if isinstance(data, str) else data)
