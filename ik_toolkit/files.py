@@ -10,6 +10,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import BinaryIO
 
+PARTIAL = ".partial"  # added to the name of a result that is not whole
+
 
 class WholeFile:
     """A file to be that is not under its name before `finish`.
@@ -40,31 +42,37 @@ class WholeFile:
             self._good = self.stream.tell()
 
     def finish(self) -> None:
-        """Give the file its name; it is on the disk by then."""
-        with self._named():
-            self.stream.flush()
-            if self._place is not None:
-                os.fsync(self.stream.fileno())
-        self.stream.close()
-        if self._place is None:
-            return
-        with self._named():
-            if self._place.exists():
-                os.chmod(self.part, self._place.stat().st_mode & 0o7777)
-            os.replace(self.part, self._place)
+        """Give the file its name; it is on the disk by then. Where that fails, what was marked is kept as NAME.partial."""
+        try:
+            with self._named():
+                self.stream.flush()
+                if self._place is not None:
+                    os.fsync(self.stream.fileno())
+                self.stream.close()
+                if self._place is not None:
+                    if self._place.exists():
+                        os.chmod(self.part, self._place.stat().st_mode & 0o7777)
+                    os.replace(self.part, self._place)
+        except OSError:
+            self.keep(PARTIAL)
+            raise
 
     def keep(self, suffix: str) -> Path | None:
-        """Keep what is good as NAME`suffix` and return that name; None, and nothing stays, when there is nothing good."""
+        """Keep what was marked as NAME`suffix` and return that name; None, and nothing stays, when that is not possible."""
         if self._place is None or not self._good:
             self.drop()
             return None
-        kept = self._place.with_name(self._place.name + suffix)
+        kept = self.path.with_name(self.path.name + suffix)
         try:
             self.stream.close()  # on a full disk this fails once more, on what is cut off below
         except OSError:
             pass
-        os.truncate(self.part, self._good)
-        os.replace(self.part, kept)
+        try:
+            os.truncate(self.part, self._good)
+            os.replace(self.part, kept)
+        except OSError:
+            self.drop()
+            return None
         return kept
 
     def drop(self) -> None:

@@ -193,8 +193,9 @@ def test_an_interrupt_keeps_what_is_finished(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(module, "_progress", module.contextmanager(impatient))
     for name in ("out.csv", "out.npz"):
         assert run("--targets", tmp_path / "in.npz", "-o", tmp_path / name) == 130
-        assert f"the first 4096 solutions are in {tmp_path / name}" in capsys.readouterr().err
-    assert len(solved(tmp_path / "out.csv")[0]) == len(np.load(tmp_path / "out.npz")["q"]) == 4096
+        assert f"the first 4096 solutions are in {tmp_path / name}.partial" in capsys.readouterr().err
+        assert not (tmp_path / name).exists()
+    assert len(solved(tmp_path / "out.csv.partial")[0]) == len(np.load(tmp_path / "out.npz.partial")["q"]) == 4096
 
 
 def test_an_interrupt_in_the_middle_of_writing_waits_for_its_end(tmp_path, capsys, monkeypatch):
@@ -208,7 +209,7 @@ def test_an_interrupt_in_the_middle_of_writing_waits_for_its_end(tmp_path, capsy
     monkeypatch.setattr(np, "savez", slow)
     assert run("--targets", tmp_path / "in.npz", "-o", tmp_path / "out.npz") == 130
     assert "the first 5 solutions are in" in capsys.readouterr().err
-    assert len(np.load(tmp_path / "out.npz")["q"]) == 5
+    assert len(np.load(tmp_path / "out.npz.partial")["q"]) == 5
 
 
 @pytest.mark.parametrize("name", ["out.csv", "out.npz"])

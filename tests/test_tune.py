@@ -15,7 +15,7 @@ from ik_toolkit.study.engines import Evolution, Swarm
 from ik_toolkit.study.spaces import Parameter, make_space
 from ik_toolkit.study.statistics import wilson
 from ik_toolkit.study.targets import sample_targets
-from ik_toolkit.study.tune import Score, forget, score, tune
+from ik_toolkit.study.tune import Score, check_record, score, tune
 
 UNEQUAL = ik.StateSpace(A=np.diag(np.arange(6.0)), B=np.ones((6, 3)), C=np.eye(6))  # A is no multiple of I
 SMALL = dict(goals=150, held_out=2, population=8)
@@ -204,14 +204,21 @@ def test_only_a_record_of_a_search_is_overwritten(tmp_path):
     for content in (other.read_bytes(), b"", b"something else"):
         other.write_bytes(content)
         with pytest.raises(InvalidOption, match="not the record"):
-            forget(other)
+            check_record(other)
         with pytest.raises(InvalidOption, match="not the record"):
             tune(robot, "dls", checkpoint=other, **SMALL)
         assert other.read_bytes() == content
     tune(robot, "dls", generations=1, checkpoint=mine, **SMALL)
-    forget(mine)
-    assert not mine.exists()
-    forget(mine)  # nothing there: nothing to do
+    check_record(mine)
+
+
+def test_a_refused_search_leaves_the_record_of_the_one_before(tmp_path):
+    robot, preset = robots.load("hydrolek_7w"), tmp_path / "mine.toml"
+    tune(robot, "dls", generations=1, checkpoint=preset.with_suffix(".npz"), **SMALL)
+    before = preset.with_suffix(".npz").read_bytes()
+    assert main(["tune", "hydrolek_7w", "dls", "--goals", "-1", "-o", str(preset)]) == 2
+    assert [path.name for path in tmp_path.iterdir()] == ["mine.npz"]
+    assert preset.with_suffix(".npz").read_bytes() == before
 
 
 # ------------------------------------------------------------------------------------------------------------ command

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ..errors import FrameNotFound, InvalidConfiguration, InvalidOption, InvalidTarget, MissingExtra, clean
-from ..files import write_whole
+from ..files import PARTIAL, write_whole
 
 if TYPE_CHECKING:
     import numpy as np
@@ -278,7 +278,7 @@ def uninterrupted() -> Iterator[None]:
 
 def partial(output: Path | None) -> Path | None:
     """Name of a result that is not whole, beside the one asked for."""
-    return None if output is None else output.with_name(f"{output.name}.partial")
+    return None if output is None else output.with_name(output.name + PARTIAL)
 
 
 class Output:

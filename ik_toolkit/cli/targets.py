@@ -1,8 +1,7 @@
 """`ik solve ROBOT --targets FILE`: many targets from a CSV or NPZ file, their solutions to a CSV, NPZ or Parquet file."""
 
 import csv
-import io
-import signal
+import math
 import zipfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -18,13 +17,13 @@ from ..errors import InvalidOption, InvalidTarget, MissingExtra
 from ..robot.pose import rpy_matrix
 from ..solvers.batch import solve_batch, solve_parts
 from ..solvers.batch_result import BatchCheckFailed, BatchInterrupted, BatchResult
-from ..solvers.result import Status
-from .common import facts, notice, show, write_json
+from .common import facts, notice, show, uninterrupted, write_json
+from .solutions import OUTPUTS, Solutions
 
 LINES = 16384  # read at a time
 POSITION, QUAT, RPY = ("x", "y", "z"), ("qx", "qy", "qz", "qw"), ("roll", "pitch", "yaw")
+UNPACKED, EXPANSION = 2**30, 20  # bytes of an array, or so many times the file: poses pack to a fifth at best
 HEADER = "x,y,z, x,y,z,qx,qy,qz,qw or x,y,z,roll,pitch,yaw"
-OUTPUTS = (".csv", ".npz", ".parquet")
 
 
 # ---------------------------------------------------------------------------------------------------------------- input
@@ -47,25 +46,63 @@ def read_targets(path: Path, deg: bool) -> tuple[int, Any]:
             count = max(sum(block.count(b"\n") for block in iter(lambda: stream.read(1 << 20), b"")) - 1, 0)
         columns = _header(path)
         return count, _read_csv(path, columns, deg)
-    except (OSError, UnicodeDecodeError, EOFError, ValueError, zipfile.BadZipFile) as error:
-        if isinstance(error, InvalidTarget):
-            raise
-        raise InvalidTarget(f"cannot read '{path.name}': {error}") from None
+    except InvalidTarget:
+        raise
+    except Exception as error:  # damaged files raise whatever the decoders of zip, zlib, lzma, npy and csv meet
+        raise InvalidTarget(f"cannot read '{path.name}': {_said(error)}") from None
+
+
+def _said(error: Exception) -> str:
+    """What an error of a decoder says, in one short line."""
+    return " ".join(str(error).split())[:200] or type(error).__name__
+
+
+def _short(text: str) -> str:
+    """Text out of a file, cut to what a message can hold."""
+    return text if len(text) <= 80 else f"{text[:80]}..."
 
 
 def _read_npz(path: Path) -> np.ndarray:
     if not zipfile.is_zipfile(path):  # numpy would advise to unpickle it
         raise InvalidTarget(f"'{path.name}' is no NPZ file (see numpy.savez)")
+    _check_size(path)
     with np.load(path, allow_pickle=False) as file:
         if "targets" in file:
-            return file["targets"]
+            targets = file["targets"]
+            if targets.ndim not in (2, 3):
+                raise InvalidTarget(f"'{path.name}': targets has the shape (N, 4, 4) or (N, 3), not {targets.shape}")
+            return targets
         if "xyz" not in file:
-            raise InvalidTarget(f"'{path.name}' has no array 'targets' or 'xyz', only {', '.join(file) or 'nothing'}")
+            names = _short(", ".join(file)) or "nothing"
+            raise InvalidTarget(f"'{path.name}' has no array 'targets' or 'xyz', only {names}")
         xyz = np.asarray(file["xyz"], dtype=float)
         quat = np.asarray(file["quat_xyzw"], dtype=float) if "quat_xyzw" in file else None
     if xyz.ndim != 2 or xyz.shape[1] != 3 or (quat is not None and quat.shape != (len(xyz), 4)):
         raise InvalidTarget(f"'{path.name}': xyz has the shape (N, 3) and quat_xyzw (N, 4)")
     return xyz if quat is None else _poses(xyz, quat, QUAT, range(len(xyz)), path.name, "row")
+
+
+def _check_size(path: Path) -> None:
+    """Refuse an archive that grows without measure when it is unpacked, or holds less than an array's head promises."""
+    packed = path.stat().st_size
+    with zipfile.ZipFile(path) as archive:
+        for member in archive.infolist():
+            if member.filename not in ("targets.npy", "xyz.npy", "quat_xyzw.npy"):
+                continue
+            if member.file_size > max(UNPACKED, EXPANSION * packed):
+                raise InvalidTarget(
+                    f"'{path.name}': {member.filename} unpacks to {member.file_size / 1e9:.1f} GB, out of "
+                    f"{packed / 1e6:.1f} MB; save it with numpy.savez, without compression"
+                )
+            with archive.open(member) as stream:
+                version = np.lib.format.read_magic(stream)
+                read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+                shape, _, dtype = read(stream)
+                promised = math.prod(shape) * dtype.itemsize
+                if promised > member.file_size:
+                    raise InvalidTarget(
+                        f"'{path.name}': {member.filename} promises {promised:,} bytes and holds {member.file_size:,}"
+                    )
 
 
 def _header(path: Path) -> list[int]:
@@ -75,7 +112,8 @@ def _header(path: Path) -> list[int]:
     missing = [name for name in POSITION if name not in header]
     if missing:
         raise InvalidTarget(
-            f"'{path.name}' has no column {', '.join(missing)}; its first line must be {HEADER}, not {','.join(header)}"
+            f"'{path.name}' has no column {', '.join(missing)}; its first line must be {HEADER}, "
+            f"not {_short(','.join(header))}"
         )
     quat, rpy = ([name for name in names if name in header] for names in (QUAT, RPY))
     if (quat and rpy) or len(quat) not in (0, 4) or len(rpy) not in (0, 3):
@@ -86,6 +124,13 @@ def _header(path: Path) -> list[int]:
 
 
 def _read_csv(path: Path, columns: list[int], deg: bool) -> Iterator[np.ndarray]:
+    try:
+        yield from _blocks(path, columns, deg)
+    except (OSError, UnicodeDecodeError) as error:
+        raise InvalidTarget(f"cannot read '{path.name}': {_said(error)}") from None
+
+
+def _blocks(path: Path, columns: list[int], deg: bool) -> Iterator[np.ndarray]:
     with path.open(newline="", encoding="utf-8-sig") as stream:
         numbered = ((k, line) for k, line in enumerate(stream, 1) if k > 1 and line.strip())
         while block := list(islice(numbered, LINES)):
@@ -108,7 +153,12 @@ def _numbers(texts: list[str], columns: list[int], lines: list[int], name: str) 
             return values
     except ValueError:
         pass
-    for k, row in zip(lines, csv.reader(texts), strict=True):  # find the line to name
+    rows = []
+    for k, text in zip(lines, texts, strict=True):  # find the line to name
+        try:
+            row = next(csv.reader([text], strict=True))
+        except csv.Error as error:
+            raise InvalidTarget(f"'{name}', line {k}: {_said(error)}; a quote that is not closed?") from None
         if len(row) <= max(columns):
             raise InvalidTarget(f"'{name}', line {k}: {len(row)} columns where the first line has more")
         for column in columns:
@@ -117,8 +167,9 @@ def _numbers(texts: list[str], columns: list[int], lines: list[int], name: str) 
             except ValueError:
                 good = False
             if not good:
-                raise InvalidTarget(f"'{name}', line {k}: {row[column].strip()!r} is not a finite number")
-    return np.array([[float(row[column]) for column in columns] for row in csv.reader(texts)])
+                raise InvalidTarget(f"'{name}', line {k}: {_short(row[column].strip())!r} is not a finite number")
+        rows.append([float(row[column]) for column in columns])
+    return np.array(rows)
 
 
 def _poses(xyz: np.ndarray, angles: np.ndarray, kind: Sequence[str], lines: Sequence[int], name: str, word: str) -> Any:
@@ -143,60 +194,6 @@ def _poses(xyz: np.ndarray, angles: np.ndarray, kind: Sequence[str], lines: Sequ
     return T
 
 
-# --------------------------------------------------------------------------------------------------------------- output
-def _columns(part: BatchResult, names: Sequence[str]) -> dict[str, np.ndarray]:
-    """Columns of a table of solutions, by name: joints [rad or m], status and errors [m, rad], counts."""
-    words = {int(status): status.name for status in Status}
-    statuses = np.array([words.get(k, "") for k in range(max(words) + 1)])
-    columns = dict(zip(names, part.q.T, strict=True)) | {"status": statuses[part.status]}
-    rest = part.to_dict()
-    return columns | {name: rest[name] for name in rest if name not in ("q", "status", "success")}
-
-
-class _CsvWriter:
-    """Appends parts to a CSV file, numbers written so that they read back the same."""
-
-    def __init__(self, path: Path, names: Sequence[str]) -> None:
-        self.names = names
-        self.stream = path.open("w", newline="", encoding="utf-8")
-        self.writer = csv.writer(self.stream)
-        self.started = False
-
-    def add(self, part: BatchResult) -> None:
-        columns = _columns(part, self.names)
-        if not self.started:
-            self.writer.writerow(columns)
-        self.started = True
-        lines = io.StringIO()  # a part is written whole or not at all: Ctrl-C falls before or after it
-        csv.writer(lines).writerows(zip(*(column.tolist() for column in columns.values()), strict=True))
-        self.stream.write(lines.getvalue())
-
-    def close(self) -> None:
-        self.stream.close()
-
-
-class _ParquetWriter:
-    """Appends parts to a Parquet file as row groups."""
-
-    def __init__(self, path: Path, names: Sequence[str]) -> None:
-        try:
-            import pyarrow  # pyright: ignore[reportMissingImports]
-            import pyarrow.parquet  # pyright: ignore[reportMissingImports]
-        except ImportError:
-            raise InvalidOption("a .parquet file needs pyarrow, which is not installed; use .csv or .npz") from None
-        self.arrow, self.path, self.names, self.file = pyarrow, path, names, None
-
-    def add(self, part: BatchResult) -> None:
-        table = self.arrow.table(_columns(part, self.names))
-        if self.file is None:
-            self.file = self.arrow.parquet.ParquetWriter(self.path, table.schema)
-        self.file.write_table(table)
-
-    def close(self) -> None:
-        if self.file is not None:
-            self.file.close()
-
-
 @contextmanager
 def _progress(count: int) -> Iterator[Any]:
     """Bar on stderr where that is a terminal; gives a function of the number done."""
@@ -208,19 +205,6 @@ def _progress(count: int) -> Iterator[Any]:
     with Progress(*columns, console=console, disable=not console.is_terminal) as bar:
         task = bar.add_task("", total=count)
         yield lambda done: bar.update(task, completed=done)
-
-
-@contextmanager
-def _uninterrupted() -> Iterator[None]:
-    """Ctrl-C waits for the end of what is inside: a file written by half is lost."""
-    came = []
-    before = signal.signal(signal.SIGINT, lambda *_: came.append(True))
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, before)
-    if came:
-        raise KeyboardInterrupt
 
 
 @contextmanager
@@ -242,8 +226,54 @@ def _cluster(address: str | None) -> Iterator[Any]:
         yield client.get_executor(retries=3)
 
 
-def _refuse(failure: BatchCheckFailed, failed: Path) -> NoReturn:
+class _Tally:
+    """What is told of the parts of a batch."""
+
+    def __init__(self) -> None:
+        self.done, self.solver = 0, ""
+        self.statuses: dict[str, int] = {}
+        self.flips: list[int] = []
+
+    def add(self, part: BatchResult) -> None:
+        for status, number in part.counts().items():
+            self.statuses[status] = self.statuses.get(status, 0) + number
+        if part.flips is not None:
+            self.flips.extend((self.done + part.flips).tolist())
+        self.done, self.solver = self.done + len(part), part.solver
+
+
+def _solve_into(output: Path, arm: Any, targets: Any, method: Any, asked: dict[str, Any], show_done: Any) -> _Tally:
+    """Solve and write all targets; parts as they come where the format takes parts."""
+    tally = _Tally()
+    parts: Iterator[BatchResult] = iter(())
+    many, interrupted = None, None
+    try:
+        if output.suffix.lower() == ".npz":
+            many = solve_batch(arm, targets, method, progress=show_done, **asked)
+        else:
+            parts = solve_parts(arm, targets, method, **asked)
+    except BatchInterrupted as stop:
+        many, interrupted = stop.result, stop
+    except BatchCheckFailed as failure:
+        _refuse(failure, Solutions(output, arm.joint_names))
+    with Solutions(output, arm.joint_names) as file:  # opened only when the options are found good
+        try:
+            for part in parts if many is None else iter([many]):
+                with uninterrupted():
+                    file.add(part)
+                    tally.add(part)
+                show_done(tally.done)
+        except BatchCheckFailed as failure:
+            _refuse(failure, file)
+        if interrupted is not None:
+            raise interrupted
+    return tally
+
+
+def _refuse(failure: BatchCheckFailed, file: Solutions) -> NoReturn:
     """Say why a batch failed and where its answers are; exit code 1."""
+    file.add(failure.result)
+    failed = file.fail()
     notice(f"ik: {failure}")
     notice(f"the answers, all of them in doubt, are in {failed}")
     raise typer.Exit(1)
@@ -265,80 +295,35 @@ def solve_file(
 ) -> None:
     """Solve all targets of a file and write their solutions; exit code 1 when any is not solved.
 
-    What is finished when Ctrl-C comes is kept in the output file. When Pinocchio does not confirm an answer, what there is goes
-    to NAME.failed, and the exit code is 1.
+    What is finished when Ctrl-C or SIGTERM comes is kept as NAME.partial. When Pinocchio does not confirm an answer, what there
+    is goes to NAME.failed, and the exit code is 1.
     """
     if output is None or output.suffix.lower() not in OUTPUTS:
         raise InvalidOption(f"--targets needs -o FILE for the solutions, which ends in {', '.join(OUTPUTS)}")
-    if output.resolve() == path.resolve():
+    if output.resolve() == path.resolve() or (output.exists() and path.exists() and output.samefile(path)):
         raise InvalidOption(f"-o would overwrite the targets file '{path}'")
     count, targets = read_targets(path, deg)
     began = perf_counter()
-    tally: dict[str, int] = {}
-    flips: list[int] = []
-    done, name = 0, ""
-    names = arm.joint_names
-    failed = output.with_name(f"{output.name}.failed")
-
-    def add(part: BatchResult) -> None:
-        nonlocal done, name
-        for status, number in part.counts().items():
-            tally[status] = tally.get(status, 0) + number
-        if part.flips is not None:
-            flips.extend((done + part.flips).tolist())
-        done, name = done + len(part), part.solver
-
     with _cluster(cluster) as executor, _progress(count) as show_done:
         asked: dict[str, Any] = {"q0": start, "threads": threads, "chain": chain, "executor": executor, **options}
-        if output.suffix.lower() == ".npz":
-            interrupted: KeyboardInterrupt | None = None
-            try:
-                many = solve_batch(arm, targets, method, progress=show_done, **asked)
-            except BatchInterrupted as stop:
-                many, interrupted = stop.result, stop
-            except BatchCheckFailed as failure:
-                with failed.open("wb") as stream:
-                    np.savez(stream, **failure.result.to_dict(), joint_names=np.array(names))
-                _refuse(failure, failed)
-            try:
-                with _uninterrupted():
-                    add(many)
-                    np.savez(output, **many.to_dict(), joint_names=np.array(names))
-            except KeyboardInterrupt as stop:
-                interrupted = stop
-            if interrupted:
-                notice(f"the first {done} solutions are in {output}")
-                raise interrupted
-        else:
-            parts = solve_parts(arm, targets, method, **asked)  # opened only when the options are found good
-            writer = (_CsvWriter if output.suffix.lower() == ".csv" else _ParquetWriter)(output, names)
-            try:
-                for part in parts:
-                    writer.add(part)
-                    add(part)
-                    show_done(done)
-            except BatchCheckFailed as failure:
-                writer.add(failure.result)
-                writer.close()
-                output.replace(failed)
-                _refuse(failure, failed)
-            except BaseException:
-                if done:
-                    notice(f"the first {done} solutions are in {output}")
-                raise
-            finally:
-                writer.close()
+        tally = _solve_into(output, arm, targets, method, asked, show_done)
+    done, flips = tally.done, tally.flips
     elapsed = perf_counter() - began
     notice(f"wrote {output}")
-    solved = tally.get("CONVERGED", 0)
-    payload = {"robot": arm.name, "solver": name, "targets": done, "solved": solved, "statuses": tally}
-    payload |= {"joint_names": names, "elapsed": elapsed, "output": output, "seed": options["seed"]}
+    solved = tally.statuses.get("CONVERGED", 0)
+    payload = {"robot": arm.name, "solver": tally.solver, "targets": done, "solved": solved, "statuses": tally.statuses}
+    payload |= {"joint_names": arm.joint_names, "elapsed": elapsed, "output": output, "seed": options["seed"]}
     write_json(payload | ({"flips": flips} if chain else {}), as_json)
     if not as_json:
-        others = ", ".join(f"{number} {status}" for status, number in tally.items() if status != "CONVERGED")
+        others = ", ".join(f"{number} {status}" for status, number in tally.statuses.items() if status != "CONVERGED")
         listed = ", ".join(map(str, flips[:10])) + (", ..." if len(flips) > 10 else "")
         rate = f"{elapsed:.3g} s, {done / elapsed:.3g} targets/s with reading and writing"
-        facing = {"solved": f"{solved} of {done}", "not solved": others or None, "solver": name or None, "time": rate}
+        facing = {
+            "solved": f"{solved} of {done}",
+            "not solved": others or None,
+            "solver": tally.solver or None,
+            "time": rate,
+        }
         if chain:
             facing["flips"] = f"{len(flips)} (targets {listed}, counted from 0)" if flips else "none"
         show(facts(facing))

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import InvalidOption
-from ..files import WholeFile
+from ..files import PARTIAL, WholeFile
 from ..robot.robot import Robot
 from ..solvers.batch import solve_parts
 from ..solvers.registry import find_row
@@ -123,9 +123,10 @@ def workspace(
 
     solvers: names or rules, or a mapping of labels to them. how: 'joints' or 'volume', see `sample_targets`. file: a .csv that
     receives every goal as it is solved (x, y, z, then success, status, iterations, position_error, orientation_error a
-    solver), so that millions of goals need no more memory than a chunk; when the run ends early it is called NAME.partial. executor: as for `solve_batch`. options: as for
-    `solve`. Goals depend on (seed, chunk) only. Ctrl-C raises WorkspaceInterrupted, a KeyboardInterrupt whose `result` holds the
-    chunks finished, as the file does. Raises InvalidOption and what `solve_batch` raises.
+    solver), so that millions of goals need no more memory than a chunk; when the run ends early it is called NAME.partial.
+    executor: as for `solve_batch`. options: as for `solve`. Goals depend on (seed, chunk) only. Ctrl-C raises
+    WorkspaceInterrupted, a KeyboardInterrupt whose `result` holds the chunks finished, as the file does. Raises InvalidOption
+    and what `solve_batch` raises.
     """
     require_one_tip(robot, "workspace")
     if not solvers:
@@ -261,4 +262,4 @@ class _Table:
         if whole:
             self.out.finish()
         else:
-            self.out.keep(".partial")
+            self.out.keep(PARTIAL)

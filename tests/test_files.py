@@ -1,0 +1,344 @@
+"""Faults at every write, hostile names, closed streams: no output is lost, no control reaches a terminal, nothing is a bug."""
+
+import errno
+import io
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import zipfile
+
+import numpy as np
+import pytest
+
+from ik_toolkit import files
+from ik_toolkit.cli import main
+from ik_toolkit.errors import CONTROLS, InvalidOption, clean
+from ik_toolkit.files import WholeFile, whole_file, write_whole
+from ik_toolkit.robot.library import find
+
+ARM = "planar_2r"
+OLD = "what was here before\n"
+
+
+# ------------------------------------------------------------------------------------------------------------ the writer
+def fail_at(monkeypatch, call, error):
+    """Let one system call of the writer fail."""
+
+    def fail(*_, **__):
+        raise OSError(error, os.strerror(error))
+
+    if call == "write":
+
+        class Stream(io.BytesIO):
+            def fileno(self):
+                return 0
+
+            write = fail
+
+        class Full(WholeFile):
+            def __init__(self, path):
+                super().__init__(path)
+                self.stream.close()
+                self.stream = Stream()
+
+        monkeypatch.setattr(files, "WholeFile", Full)
+    else:
+        monkeypatch.setattr(os, call, fail)
+
+
+@pytest.mark.parametrize("error", [errno.ENOSPC, errno.EIO, errno.EDQUOT])
+@pytest.mark.parametrize("call", ["write", "fsync", "replace"])
+def test_a_fault_at_any_step_leaves_the_file_that_was_there(tmp_path, monkeypatch, call, error):
+    path = tmp_path / "out.json"
+    path.write_text(OLD)
+    fail_at(monkeypatch, call, error)
+    with pytest.raises(OSError) as raised:
+        write_whole(path, "new")
+    assert raised.value.errno == error and raised.value.filename == str(path)
+    assert path.read_text() == OLD and os.listdir(tmp_path) == ["out.json"]
+
+
+@pytest.mark.parametrize("mistake", [KeyboardInterrupt, InvalidOption, SystemExit])
+def test_what_raises_inside_leaves_the_file_that_was_there(tmp_path, mistake):
+    path = tmp_path / "out.npz"
+    path.write_text(OLD)
+    with pytest.raises(mistake), whole_file(path) as stream:
+        stream.write(b"half")
+        raise mistake("no")
+    assert path.read_text() == OLD and os.listdir(tmp_path) == ["out.npz"]
+
+
+def test_links_modes_and_devices_are_respected(tmp_path):
+    path, link, hard = tmp_path / "file", tmp_path / "link", tmp_path / "hard"
+    path.write_text(OLD)
+    path.chmod(0o640)
+    link.symlink_to(path)
+    os.link(path, hard)
+    write_whole(link, "new")
+    assert link.is_symlink() and path.read_text() == "new" and path.stat().st_mode & 0o777 == 0o640
+    assert hard.read_text() == OLD
+    write_whole("/dev/null", "nothing")
+    assert not os.path.isfile("/dev/null")
+
+
+def test_what_is_kept_ends_at_the_last_mark(tmp_path):
+    path = tmp_path / "out.csv"
+    path.write_text(OLD)
+    file = WholeFile(path)
+    file.write("a,b\n1,2\n")
+    file.stream.write(b"3,")  # torn
+    kept = file.keep(".partial")
+    assert kept == tmp_path / "out.csv.partial" and kept.read_text() == "a,b\n1,2\n" and path.read_text() == OLD
+    file = WholeFile(path)
+    assert file.keep(".other") is None
+    assert sorted(os.listdir(tmp_path)) == ["out.csv", "out.csv.partial"]
+
+
+# ------------------------------------------------------------------------------------------------- outputs of the commands
+def writers(folder):
+    """Command lines that write a file, and the file."""
+    np.savez(folder / "in.npz", targets=np.tile([1.0, 1.0, 0.0], (20, 1)))
+    shutil.copy(find(ARM).dh_file, folder / "dh.toml")
+    shape = ["--duration", "0.2", "--position-only", "--radius", "0.1"]
+    return {
+        "solve.json": ["solve", ARM, "--xyz", "1", "1", "0", "-o"],
+        "batch.csv": ["solve", ARM, "--targets", str(folder / "in.npz"), "-o"],
+        "batch.npz": ["solve", ARM, "--targets", str(folder / "in.npz"), "-o"],
+        "dh.urdf": ["dh", str(folder / "dh.toml"), "-o"],
+        "track.csv": ["track", ARM, *shape, "-o"],
+        "track.npz": ["track", ARM, *shape, "-o"],
+        "goals.csv": ["workspace", ARM, "-n", "50", "-s", "planar-2r", "--csv"],
+        "workspace.json": ["workspace", ARM, "-n", "50", "-s", "planar-2r", "-o"],
+        "bench.json": ["bench", ARM, "--solvers", "planar-2r", "-n", "20", "-o"],
+    }
+
+
+@pytest.mark.parametrize("error", [errno.ENOSPC, errno.EIO])
+@pytest.mark.parametrize("call", ["fsync", "replace"])
+def test_no_command_loses_the_file_that_was_there(tmp_path, monkeypatch, capsys, call, error):
+    lines = writers(tmp_path)
+    there = {*os.listdir(tmp_path), *lines}
+    for name, words in lines.items():
+        (tmp_path / name).write_text(OLD)
+        with monkeypatch.context() as patched:
+            fail_at(patched, call, error)
+            code = main([*words, str(tmp_path / name)])
+        said = capsys.readouterr().err
+        assert code == 2 and os.strerror(error) in said, (name, code, said)
+        assert (tmp_path / name).read_text() == OLD, name
+        kept = {path for path in os.listdir(tmp_path) if path not in there}
+        assert all(path.endswith(".partial") for path in kept), kept
+
+
+def test_the_commands_write_what_they_say(tmp_path, capsys):
+    for name, words in writers(tmp_path).items():
+        (tmp_path / name).write_text(OLD)
+        assert main([*words, str(tmp_path / name)]) in (0, 1), capsys.readouterr().err
+        assert OLD.encode() not in (tmp_path / name).read_bytes(), name
+    assert not [name for name in os.listdir(tmp_path) if name.endswith((".part", ".partial"))]
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".npz"])
+def test_a_target_that_is_nan_does_not_cost_the_old_file(tmp_path, capsys, suffix):
+    out = tmp_path / f"out{suffix}"
+    out.write_text(OLD)
+    targets = np.tile([1.0, 1.0, 0.0], (20, 1))
+    targets[7] = np.nan
+    np.savez(tmp_path / "in.npz", targets=targets)
+    assert main(["solve", ARM, "--targets", str(tmp_path / "in.npz"), "-o", str(out)]) == 2
+    assert "7" in capsys.readouterr().err and out.read_text() == OLD
+
+
+def test_a_bad_line_late_in_a_file_keeps_the_solutions_before_it_apart(tmp_path, capsys):
+    out = tmp_path / "out.csv"
+    out.write_text(OLD)
+    (tmp_path / "in.csv").write_text("x,y,z\n" + "1,1,0\n" * 40000 + "1,nan,0\n")
+    assert main(["solve", ARM, "--targets", str(tmp_path / "in.csv"), "-o", str(out)]) == 2
+    said = capsys.readouterr().err
+    assert "line 40002" in said and f"{out}.partial" in said and out.read_text() == OLD
+    rows = (tmp_path / "out.csv.partial").read_text().splitlines()
+    assert f"the first {len(rows) - 1} solutions" in said and {row.count(",") for row in rows} == {rows[0].count(",")}
+
+
+def test_targets_under_another_name_are_not_overwritten(tmp_path, capsys):
+    np.savez(tmp_path / "in.npz", targets=np.tile([1.0, 1.0, 0.0], (20, 1)))
+    before = (tmp_path / "in.npz").read_bytes()
+    os.link(tmp_path / "in.npz", tmp_path / "hard.npz")
+    (tmp_path / "soft.npz").symlink_to("in.npz")
+    for name in ("hard.npz", "soft.npz"):
+        assert main(["solve", ARM, "--targets", str(tmp_path / "in.npz"), "-o", str(tmp_path / name)]) == 2
+        assert "overwrite" in capsys.readouterr().err
+    assert (tmp_path / "in.npz").read_bytes() == before
+
+
+def ik_process(words, **options):
+    return subprocess.Popen(
+        [sys.executable, "-m", "ik_toolkit", *map(str, words)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+        **options,
+    )  # fmt: skip
+
+
+def test_sigterm_keeps_what_is_finished_apart(tmp_path):
+    out = tmp_path / "out.csv"
+    out.write_text(OLD)
+    np.savez(tmp_path / "in.npz", targets=np.tile([1.0, 1.0, 0.0], (3_000_000, 1)))
+    with ik_process(["solve", ARM, "--targets", tmp_path / "in.npz", "-s", "planar-2r", "-o", out]) as process:
+        while process.poll() is None and not any(p.stat().st_size > 0 for p in tmp_path.glob("out.csv.*.part")):
+            pass
+        process.send_signal(signal.SIGTERM)
+        _, said = process.communicate(timeout=60)
+    assert process.returncode == 143 and "ik: terminated" in said, said
+    assert out.read_text() == OLD
+    rows = (tmp_path / "out.csv.partial").read_text().splitlines()
+    assert f"the first {len(rows) - 1} solutions are in {out}.partial" in said
+    assert sorted(os.listdir(tmp_path)) == ["in.npz", "out.csv", "out.csv.partial"]
+
+
+def test_a_real_limit_on_the_size_of_files(tmp_path):
+    out = tmp_path / "out.csv"
+    out.write_text(OLD)
+    np.savez(tmp_path / "in.npz", targets=np.tile([1.0, 1.0, 0.0], (20000, 1)))
+    code = (
+        "import resource, sys; resource.setrlimit(resource.RLIMIT_FSIZE, (10**6, 10**6))\n"
+        "from ik_toolkit.cli import main; sys.exit(main())"
+    )
+    words = ["solve", ARM, "--targets", str(tmp_path / "in.npz"), "-s", "planar-2r", "-o", str(out)]
+    done = subprocess.run([sys.executable, "-c", code, *words], capture_output=True, text=True, timeout=120)
+    assert done.returncode == 2 and "too large" in done.stderr and str(out) in done.stderr, done.stderr
+    assert out.read_text() == OLD
+    rows = (tmp_path / "out.csv.partial").read_text().splitlines()
+    assert len({row.count(",") for row in rows}) == 1 and f"the first {len(rows) - 1} solutions" in done.stderr
+
+
+# ------------------------------------------------------------------------------------------------------- hostile targets
+def npz(**arrays):
+    data = io.BytesIO()
+    np.savez(data, **arrays)
+    return data.getvalue()
+
+
+def changed(data, at, value):
+    """Set bytes in the local and in the central head of the first member."""
+    data = bytearray(data)
+    local, central = data.index(b"PK\x03\x04"), data.index(b"PK\x01\x02")
+    for start, offset in ((local, at), (central, at + 2)):
+        data[start + offset : start + offset + len(value)] = value
+    return bytes(data)
+
+
+def bomb():
+    """A gigabyte and a half of zeros in a megabyte and a half."""
+    data = io.BytesIO()
+    with zipfile.ZipFile(data, "w", zipfile.ZIP_DEFLATED) as archive, archive.open("targets.npy", "w") as stream:
+        np.lib.format.write_array_header_1_0(stream, {"descr": "<f8", "fortran_order": False, "shape": (1 << 26, 3)})
+        for _ in range(1536):
+            stream.write(bytes(1 << 20))
+    return data.getvalue()
+
+
+def promising():
+    data = io.BytesIO()
+    with zipfile.ZipFile(data, "w") as archive, archive.open("targets.npy", "w") as stream:
+        np.lib.format.write_array_header_1_0(stream, {"descr": "<f8", "fortran_order": False, "shape": (1 << 50, 3)})
+    return data.getvalue()
+
+
+GOOD = npz(targets=np.ones((4, 3)))
+HOSTILE = {
+    "scalar.npz": npz(targets=np.float64(1.0)),
+    "flat.npz": npz(targets=np.ones(3)),
+    "words.npz": npz(targets=np.array([["a", "b", "c"]])),
+    "dates.npz": npz(targets=np.zeros((2, 3), "datetime64[s]")),
+    "complex.npz": npz(targets=np.ones((2, 3), complex)),
+    "objects.npz": npz(targets=np.array([{"x": 1}], dtype=object)),
+    "xyz.npz": npz(xyz=np.float64(1.0)),
+    "named.npz": npz(**{"\x1b]0;owned\x07\x9b31m\u202e": np.ones(3)}),
+    "encrypted.npz": changed(GOOD, 6, b"\x01\x00"),
+    "method.npz": changed(GOOD, 8, b"\x63\x00"),
+    "deflated.npz": changed(GOOD, 8, b"\x08\x00"),
+    "lzma.npz": changed(GOOD, 8, b"\x0e\x00"),
+    "cut.npz": GOOD[:-40],
+    "torn.npz": GOOD[:200] + bytes(64) + GOOD[264:],
+    "promising.npz": promising(),
+    "quote.csv": b'x,y,z\n1,"1,0\n1,1,0\n',
+    "quotes.csv": b'x,y,z\n1,"1""\n2",0\n',
+    "head.csv": b'"x,y,z\n1,1,0\n',
+    "huge.csv": b"x,y,z\n1," + b"9" * 300_000 + b"x,0\n",
+    "wide.csv": b"a" * 300_000 + b"\n1,1,0\n",
+    "escape.csv": b"\x1b]0;owned\x07,\xc2\x9b31m,\xe2\x80\xae\n1,1,0\n",
+    "cell.csv": b"x,y,z\n1,\x1b[2J\xe2\x80\xae,0\n",
+    "latin.csv": b"x,y,z\n1,1,0\n1,\xff,0\n",
+    "nul.csv": b"x,y,z\n1,\x00,0\n",
+    "utf16.csv": "x,y,z\n1,1,0\n".encode("utf-16"),
+}
+
+
+@pytest.mark.parametrize("name", HOSTILE)
+def test_a_hostile_file_of_targets_is_refused_in_a_short_sentence(tmp_path, capsys, name):
+    path, out = tmp_path / name, tmp_path / "out.csv"
+    path.write_bytes(HOSTILE[name])
+    out.write_text(OLD)
+    assert main(["solve", ARM, "--targets", str(path), "-o", str(out)]) == 2
+    said = capsys.readouterr().err
+    assert name in said or "targets" in said
+    assert len(said) < 1000 and not CONTROLS.search(said), said
+    assert out.read_text() == OLD
+
+
+@pytest.mark.slow  # writes and packs 1.5 GB
+def test_an_archive_that_grows_without_measure_is_refused(tmp_path, capsys):
+    (tmp_path / "bomb.npz").write_bytes(bomb())
+    assert main(["solve", ARM, "--targets", str(tmp_path / "bomb.npz"), "-o", str(tmp_path / "out.csv")]) == 2
+    assert "unpacks to 1.6 GB" in capsys.readouterr().err
+
+
+# ------------------------------------------------------------------------------------------------------------ the terminal
+EVIL = "a\x1b]0;owned\x07\x9b31m\u202e\u2066\x7f\u2028z"
+
+
+def test_clean_leaves_text_alone_and_escapes_controls():
+    assert clean("Gelenk 1, 腕, é, a\tb\n") == "Gelenk 1, 腕, é, a\tb\n"
+    said = clean(EVIL)
+    assert not CONTROLS.search(said) and said.startswith("a\\x1b]0;owned\\x07\\x9b31m\\u202e") and said.endswith("z")
+    assert str(InvalidOption(EVIL)) == said
+
+
+def test_names_from_a_file_do_not_act_on_the_terminal(tmp_path, capsys, monkeypatch):
+    evil = "\u009b31m\u202ejoint\u2066"  # XML holds no ESC, but these
+    urdf = (
+        f'<robot name="{evil}"><link name="base"/><link name="{evil}tip"/><joint name="{evil}" type="revolute">'
+        f'<parent link="base"/><child link="{evil}tip"/><axis xyz="0 0 1"/><origin xyz="1 0 0"/>'
+        '<limit lower="-1" upper="1" effort="1" velocity="1"/></joint></robot>'
+    )
+    path = tmp_path / f"{evil}.urdf"
+    path.write_text(urdf, encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    for words in (
+        ["info"], ["fk"], ["check"], ["fk", "--q", "9"], ["fk", "--q", "1", "2"], ["solve", "--xyz", "1", "0", "0"],
+        ["info", "--tip", evil], ["info", "--lock", f"{evil}=1"], ["track", "--duration", "0.05", "--position-only"],
+    ):  # fmt: skip
+        for extra in ([], ["--json"]):
+            main([words[0], str(path), *words[1:], *extra])
+            said = capsys.readouterr()
+            assert not CONTROLS.search(said.out) and not CONTROLS.search(said.err), (words, said)
+    assert main(["info", str(path), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["joints"][0]["name"] == evil
+
+
+def test_closed_and_full_streams_are_no_bug():
+    for close in (">&-", "2>&-", ">&- 2>&-", "<&-", "| head -c 1"):
+        line = f"{sys.executable} -m ik_toolkit robots {close}"
+        done = subprocess.run(["bash", "-c", line], capture_output=True, text=True, timeout=60)
+        assert done.returncode == 0 and "bug" not in done.stderr and "Traceback" not in done.stderr, (close, done)
+    done = subprocess.run(
+        ["bash", "-c", f"{sys.executable} -m ik_toolkit robots > /dev/full"], capture_output=True, text=True, timeout=60
+    )
+    assert done.returncode == 2 and "No space left" in done.stderr and "bug" not in done.stderr
+
+
+def test_no_goals_is_a_mistake_with_a_name(capsys):
+    assert main(["workspace", ARM, "-n", "0"]) == 2
+    assert "--goals" in capsys.readouterr().err
