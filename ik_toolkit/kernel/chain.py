@@ -1,5 +1,6 @@
 """The flat arrays a kernel runs on, and how a chain's geometry is packed into them."""
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -57,10 +58,18 @@ def forward(rows, ends, Q, unit, T, J) -> None:
                         J[t, h + r, i] = g * (scale if h == 0 else 1.0) / unit[i]
 
 
-def evaluate(rows, ends, Q, unit):
-    """What `forward` returns, T (N, 4, 4) and J (N, 6, n), by array arithmetic over all of Q (N, n): starts no compiler.
+def run(rows, ends, Q, unit, jacobian=False):
+    """T (N, 4, 4) and, when asked, J (N, 6, n) at Q (N, n) by `forward`."""
+    T = np.empty((len(Q), 4, 4))
+    J = np.empty((len(Q) if jacobian else 0, 6, Q.shape[1]))
+    forward(rows, ends, Q, unit, T, J)
+    return T, J
 
-    It serves where a robot is loaded; `forward`, which the tests hold to it, is some fifty times as fast from then on.
+
+def evaluate(rows, ends, Q, unit, jacobian=False):
+    """What `run` returns, by array arithmetic over all of Q (N, n) at once: starts no compiler.
+
+    It serves where a robot is loaded; `run`, which the tests hold to the same numbers, is some ten times as fast.
     """
     L, (N, n) = len(rows), Q.shape
     scale, base, tip = ends[E_VECTORS + 7 * n], np.eye(4), np.eye(4)
@@ -83,15 +92,18 @@ def evaluate(rows, ends, Q, unit):
     for i in range(L):
         at = frames[i] = at @ steps[i]
     T = at @ tip
+    point = T[:, :3, 3].copy()
+    T[:, :3, 3] *= scale
+    if not jacobian:
+        return T, np.empty((0, 6, n))
     axes, points = frames[..., :3, 2], frames[..., :3, 3]
     turns = rows[:, 9, None, None] > 0.0
-    linear = np.where(turns, np.cross(axes, T[:, :3, 3] - points), axes)
+    linear = np.where(turns, np.cross(axes, point - points), axes)
     columns = (
         np.concatenate([scale * linear, np.where(turns, axes, 0.0)], axis=2) * (rows[:, 4] + rows[:, 6])[:, None, None]
     )
     J = np.zeros((n, N, 6))
     np.add.at(J, owner, columns)
-    T[:, :3, 3] *= scale
     return T, J.transpose(1, 2, 0) / unit
 
 
@@ -123,10 +135,7 @@ class Chain(NamedTuple):
     def forward(self, Q: np.ndarray, jacobian: bool = False) -> tuple[np.ndarray, np.ndarray]:
         """T_base_tip (N, 4, 4) and, when asked, Jacobians (N, 6, n; base axes, linear rows first) at Q (N, n)."""
         Q = np.ascontiguousarray(np.atleast_2d(np.asarray(Q, dtype=float)))
-        T = np.empty((len(Q), 4, 4))
-        J = np.empty((len(Q) if jacobian else 0, 6, self.n))
-        forward(self.rows, self.ends, Q, self.unit, T, J)
-        return T, J
+        return run(self.rows, self.ends, Q, self.unit, jacobian)
 
 
 def segments(rows: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
@@ -147,12 +156,15 @@ def box(lower: np.ndarray, upper: np.ndarray, slides: np.ndarray) -> tuple[np.nd
     return low, np.where(np.isfinite(upper), upper, low + 2 * half)
 
 
-def table(rows: np.ndarray, ends: np.ndarray, seeds: np.ndarray) -> np.ndarray:
-    """Features (13, N + PAD) of the configurations `seeds` (N, n): the last joint's rotation, the tip point (seeds.nearest)."""
+def table(rows: np.ndarray, ends: np.ndarray, seeds: np.ndarray, kinematics: Callable = run) -> np.ndarray:
+    """Features (13, N + PAD) of the configurations `seeds` (N, n): the last joint's rotation, the tip point (seeds.nearest).
+
+    kinematics: `run`, or `evaluate` where nothing is to be compiled yet.
+    """
     count, n = seeds.shape
     tip, tail = ends[12:24], ends[E_VECTORS + 7 * n :]
     flat = np.concatenate([np.eye(3).ravel(), np.zeros(3), ends[12 : E_VECTORS + 7 * n], [1.0], tail[1:]])
-    T = evaluate(rows, flat, seeds, np.ones(n))[0]
+    T = kinematics(rows, flat, seeds, np.ones(n))[0]
     features = np.zeros((13, count + PAD), np.float32)
     features[:3, :count] = -2.0 * T[:, :3, 3].T
     rotation = T[:, :3, :3] @ tip[:9].reshape(3, 3).T
@@ -247,5 +259,5 @@ def pack(
     ends = np.concatenate([base, tip, *inside, low, high - low, home / unit, tail])
     # A seed nobody else uses: a target drawn with default_rng(1) must not be found in the table by accident.
     seeds = np.random.default_rng(0x5EED7AB1E).uniform(low, high, (SEEDS, n))
-    features = table(rows, ends, seeds)
+    features = table(rows, ends, seeds, evaluate)
     return Chain(rows, ends, seeds, features, unit, lower, upper, turns.astype(float), scale, reach)

@@ -4,7 +4,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .chain import WINDING, Chain, box, forward, table
+from .chain import WINDING, Chain, box, evaluate, run, table
 from .kinematics import TAU
 from .slots import E_VECTORS
 
@@ -36,13 +36,8 @@ class TreeChain(NamedTuple):
     def forward(self, Q: Array, jacobian: bool = False) -> tuple[Array, Array]:
         """T_base_tip (N, F, 4, 4) and, when asked, stacked Jacobians (N, 6 F, n; base axes, linear first) at Q (N, n)."""
         Q = np.ascontiguousarray(np.atleast_2d(np.asarray(Q, dtype=float)))
-        N, n = Q.shape
-        poses, stack = [], []
-        for f, ends in enumerate(self.ends):
-            T, J = np.empty((N, 4, 4)), np.empty((N if jacobian else 0, 6, n))
-            forward(self.rows[self.cut[f] : self.cut[f + 1]], ends, Q, self.unit, T, J)
-            poses.append(T)
-            stack.append(J)
+        parts = zip(np.split(self.rows, self.cut[1:-1]), self.ends, strict=True)
+        poses, stack = zip(*(run(rows, ends, Q, self.unit, jacobian) for rows, ends in parts), strict=True)
         return np.stack(poses, axis=1), np.concatenate(stack, axis=1)
 
 
@@ -90,5 +85,5 @@ def pack_tree(chains: list[Chain], places: list[Array], lower: Array, upper: Arr
     owner = np.where(moves.sum(axis=0) > 1, -1, np.argmax(moves, axis=0))
     seeds = np.random.default_rng(0x5EED7AB1E).uniform(low, high, (ROWS, n))
     cut = np.concatenate([[0], np.cumsum([len(rows) for rows in parts])])
-    features = np.stack([table(rows, end, seeds) for rows, end in zip(parts, ends, strict=True)])
+    features = np.stack([table(rows, end, seeds, evaluate) for rows, end in zip(parts, ends, strict=True)])
     return TreeChain(np.concatenate(parts), cut, ends, moves, owner, seeds, features, unit, lower, upper, scale)

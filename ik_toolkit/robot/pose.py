@@ -49,12 +49,12 @@ def _unit(value: Any, name: str) -> np.ndarray:
 
 def turn_onto(axis: np.ndarray, direction: np.ndarray) -> np.ndarray:
     """Rotation (3, 3) that takes one unit vector onto another."""
-    cross, cos = np.cross(axis, direction), float(axis @ direction)
+    cos = float(axis @ direction)
     if cos < 0.0:  # 1 + cos loses its digits towards half a turn: two reflections instead, by way of a third vector
         between = np.eye(3)[int(np.argmin(np.maximum(np.abs(axis), np.abs(direction))))]
         u, v = axis - between, direction - between
         return (np.eye(3) - 2.0 * np.outer(v, v) / (v @ v)) @ (np.eye(3) - 2.0 * np.outer(u, u) / (u @ u))
-    K = np.array([[0.0, -cross[2], cross[1]], [cross[2], 0.0, -cross[0]], [-cross[1], cross[0], 0.0]])
+    K = np.outer(direction, axis) - np.outer(axis, direction)  # of the cross product axis x direction
     return np.eye(3) + K + K @ K / (1.0 + cos)
 
 

@@ -223,7 +223,7 @@ def difference(chain: Chain, Q: np.ndarray, T: np.ndarray, J: np.ndarray) -> flo
     rows, ends, scale = chain.rows, chain.ends, chain.scale
     offsets = [ends[9:12], ends[21:24], *rows[:, [2, 3, 7]]]
     size = max(chain.reach, scale * max(math.hypot(*offset) for offset in offsets))
-    mine, columns = evaluate(rows, ends, Q, chain.unit)
+    mine, columns = evaluate(rows, ends, Q, chain.unit, jacobian=True)
     ratios = np.bincount(rows[:, 8].astype(int), np.abs(rows[:, 4] + rows[:, 6]), chain.n)
     off_T, off_J = mine - T, (columns - J) * chain.unit / np.maximum(1.0, ratios)
     off_T[:, :3, 3] /= size

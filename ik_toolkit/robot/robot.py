@@ -254,7 +254,7 @@ class Robot(Joints):
         offsets = np.random.default_rng(0).uniform(-0.25, 0.25, (64, self.n)) * np.minimum(span, 2.0)
         tries = np.clip(np.vstack([np.zeros(self.n), offsets]) + middle, self.lower, self.upper)
         chain = self.chain
-        J = evaluate(chain.rows, chain.ends, tries, chain.unit)[1] * chain.unit
+        J = evaluate(chain.rows, chain.ends, tries, chain.unit, jacobian=True)[1] * chain.unit
         J[:, :3] /= chain.scale
         rank = np.linalg.matrix_rank(J, tol=1e-9).max()
         smallest = np.linalg.svd(J, compute_uv=False)[:, max(rank, 1) - 1]
