@@ -5,6 +5,8 @@ near match. A numerical outcome (not converged, unreachable, singular) never rai
 """
 
 import difflib
+import logging
+import math
 import re
 from collections.abc import Iterable
 from typing import TYPE_CHECKING, Any
@@ -16,6 +18,8 @@ COMPARED = 1_000  # names a misspelled one is compared with; each takes up to 50
 SHOWN = 100  # characters of a name that are compared and shown: comparing takes time in their square
 # What a terminal acts on instead of showing it: C0 and C1 controls but tab and newline, and what reorders text.
 CONTROLS = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200b-\u200f\u2028-\u202e\u2060-\u206f\ufeff]")
+FEW_TURNS = 4.0 * math.pi  # rad; angles beyond are more often degrees than turns
+DOUBTED: set[str] = set()
 EXTRA = re.compile(r"""^([A-Za-z0-9_.-]+).*extra\s*==\s*['"]([a-z]+)['"]""")
 
 
@@ -41,7 +45,9 @@ class ModelError(IKError, ValueError):
 
 
 class FrameNotFound(IKError, KeyError):
-    """The model has no frame (link) of that name."""
+    """The model has no frame (link) of that name, or one has to be chosen among `tips`."""
+
+    tips: tuple[str, ...] = ()
 
 
 class JointNotFound(IKError, KeyError):
@@ -109,6 +115,15 @@ def masked(value: Any) -> bool:
         inner = (list, tuple, np.ndarray)
         return any([masked(item) for item in value if isinstance(item, inner)])
     return isinstance(value, np.ma.MaskedArray) and bool(np.ma.is_masked(value))
+
+
+def doubt_angle(where: str, value: float) -> None:
+    """Log that an angle [rad] of several turns may have been meant in degrees: once a place, for a loop may well go there."""
+    if where in DOUBTED:
+        return
+    DOUBTED.add(where)
+    turns = abs(value) / (2.0 * math.pi)
+    logging.getLogger("ik_toolkit").warning("%s: %g rad is %.3g turns; were degrees meant?", where, value, turns)
 
 
 def extras() -> dict[str, list[str]]:

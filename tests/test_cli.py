@@ -14,7 +14,7 @@ import robots
 from typer.testing import CliRunner
 
 import ik_toolkit as ik
-from ik_toolkit import cli
+from ik_toolkit import cli, errors
 from ik_toolkit.cli import common
 
 DH = str(Path(__file__).resolve().parent.parent / "urdf" / "dh" / "inspection_7dof.toml")
@@ -466,3 +466,38 @@ def test_an_output_that_cannot_be_written_is_refused_before_the_work(run, words,
     code, out, err = run(*words.split())
     assert code == 2 and out == "" and err.count("\n") == 1
     assert "there is no folder 'no'" in err or "is a folder" in err or "must end in" in err
+
+
+# ------------------------------------------------------------------------------------------------------- words of caution
+TWO = """<robot name="two"><link name="base"/><link name="a"/><link name="b"/>
+<joint name="ja" type="revolute"><parent link="base"/><child link="a"/><axis xyz="0 0 1"/><origin xyz="1 0 0"/>
+<limit lower="-1" upper="1" effort="1" velocity="1"/></joint>
+<joint name="jb" type="prismatic"><parent link="base"/><child link="b"/><axis xyz="0 0 1"/><origin xyz="2 0 0"/>
+<limit lower="-1" upper="1" effort="1" velocity="1"/></joint></robot>"""
+
+
+def test_info_of_a_file_with_several_tips_lists_them(run, tmp_path):
+    (tmp_path / "two.urdf").write_text(TWO)
+    code, out, err = run("info", tmp_path / "two.urdf")
+    assert code == 0 and not err and all(word in out for word in ("ja", "jb", "--tip", "two.urdf"))
+    told = json.loads(run("info", tmp_path / "two.urdf", "--json")[1])
+    assert told["tips"] == ["a", "b"] and [arm["joints"][0]["name"] for arm in told["arms"]] == ["ja", "jb"]
+    assert json.loads(run("info", tmp_path / "two.urdf", "--tip", "b", "--json")[1])["tip"] == "b"
+    assert run("info", tmp_path / "two.urdf", "--tip", "c")[0] == 2
+
+
+def test_angles_that_look_like_degrees_are_doubted_once(run, caplog):
+    errors.DOUBTED.clear()
+    code, _, err = run("fk", "planar_2r", "--q", "90", "1.5")
+    assert code == 0 and "q, joint joint_1: 90 rad is 14.3 turns; were degrees meant?" in err and "joint_2" not in err
+    assert "degrees meant" not in run("fk", "planar_2r", "--q", "90", "45", "--deg")[2]
+    assert "rpy: 180 rad" in run("solve", "hydrolek_7w", "--xyz", "1", "0.1", "0.2", "--rpy", "0", "180", "0")[2]
+    caplog.clear()
+    robot = ik.Robot.load("planar_2r")
+    for _ in range(3):
+        robot.fk([12.5, 45])
+        ik.pose((1, 0, 0), rpy=(12.5, -12.5, 0))
+    assert [record.getMessage() for record in caplog.records] == [
+        "q, joint joint_2: 45 rad is 7.16 turns; were degrees meant?"
+    ]
+    assert ik.Robot.load("cartesian_pp").fk([90, 45]) is not None and len(caplog.records) == 1

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from ..errors import FrameNotFound
 from .common import (
     Base,
     Deg,
@@ -93,7 +94,13 @@ def info(
 
     entry = find(robot)
     tips = [tip] if tip or len(entry.tips) < 2 else entry.tips
-    arms = [load_robot(robot, name, base, lock, package_dir, deg) for name in tips]
+    try:
+        arms = [load_robot(robot, name, base, lock, package_dir, deg) for name in tips]
+    except FrameNotFound as several:
+        if not several.tips:
+            raise
+        _show_tips(entry, [load_robot(robot, name, base, lock, package_dir, deg) for name in several.tips], as_json)
+        return
     dh = read_dh_table(entry.dh_file) if entry.dh_file else None
     rows = [{**describe(arm), "package_dirs": arm.package_dirs} for arm in arms]
     source = {"description": entry.description, "paper": entry.paper, "table": entry.table, "path": entry.path}
@@ -121,6 +128,18 @@ def info(
         show(_joint_table(arm, deg))
     if dh:
         show(heading(f"D-H table, {dh.convention}; q is the joint's value"), _dh_table(dh, deg))
+
+
+def _show_tips(entry: Any, arms: "list[Robot]", as_json: bool) -> None:
+    """One line an end of a robot with several, none of them known by name."""
+    source = {"name": entry.name, "description": entry.description, "path": entry.path}
+    write_json({**source, "tips": [arm.tip for arm in arms], "arms": [describe(arm) for arm in arms]}, as_json)
+    if as_json:
+        return
+    made = table("<tip", ">joints", ">reach [m]", "moved by")
+    for arm in arms:
+        made.add_row(arm.tip, str(arm.n), f"{arm.reach:.4g}", ", ".join(arm.joint_names))
+    show(heading(entry.name), facts({"file": entry.path, "tips": f"{len(arms)}; --tip NAME shows one"}), made)
 
 
 def _source(paper: str, source_table: str) -> str | None:

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from ..errors import InvalidConfiguration, floats
+from ..errors import FEW_TURNS, InvalidConfiguration, doubt_angle, floats
 from .probe import Path
 
 
@@ -42,9 +42,13 @@ class Joints:
             raise InvalidConfiguration(
                 f"{name} must have {self.n} values, one per joint ({', '.join(self.joint_names)}); got shape {array.shape}"
             )
-        if not np.isfinite(array).all():
-            bad = ", ".join(j for j, x in zip(self.joint_names, array, strict=True) if not np.isfinite(x))
-            raise InvalidConfiguration(f"{name} is not finite at joint {bad}")
+        if not np.abs(array).max(initial=0.0) <= FEW_TURNS:  # rare, and NaN is caught here too
+            if not np.isfinite(array).all():
+                bad = ", ".join(j for j, x in zip(self.joint_names, array, strict=True) if not np.isfinite(x))
+                raise InvalidConfiguration(f"{name} is not finite at joint {bad}")
+            for joint, kind, x in zip(self.joint_names, self.joint_kinds, array.tolist(), strict=True):
+                if kind != "prismatic" and abs(x) > FEW_TURNS:
+                    doubt_angle(f"{name}, joint {joint}", x)
         return array
 
     def check_home(self, home: Any) -> np.ndarray:

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import InvalidTarget, floats
+from ..errors import FEW_TURNS, InvalidTarget, doubt_angle, floats
 from ..kernel.checks import FAR, LAST_ROW
 
 LAST = (0.0, 0.0, 0.0, 1.0)  # last row of every pose
@@ -157,7 +157,10 @@ def pose(
         raise InvalidTarget("give one of rpy, quat_xyzw and rotation, not several")
     position = _numbers((0.0, 0.0, 0.0) if xyz is None else xyz, 3, "xyz")
     if rpy is not None:
-        R = rpy_matrix(_numbers(rpy, 3, "rpy"))
+        angles = _numbers(rpy, 3, "rpy")
+        if np.abs(angles).max() > FEW_TURNS:
+            doubt_angle("rpy", float(angles[np.abs(angles).argmax()]))
+        R = rpy_matrix(angles)
     elif quat_xyzw is not None:
         R = quat_matrix(quat_xyzw)
     elif rotation is not None:

@@ -174,9 +174,11 @@ class Robot(Joints):
             return tips[0]
         if not tips:
             raise ModelError(f"robot '{self.name}' has no movable joint: nothing to solve")
-        raise FrameNotFound(
+        several = FrameNotFound(
             f"robot '{self.name}' has {len(tips)} possible tips; choose one with tip=: {', '.join(tips)}"
         )
+        several.tips = tuple(tips)
+        raise several
 
     def _set_rest(self, joint: str, value: float) -> None:
         names = [
