@@ -49,7 +49,7 @@ def writes(*suffixes: str) -> Callable[[Path | None], Path | None]:
             raise InvalidOption(f"'{file}' is a folder, and a file is to be written there")
         if not file.parent.is_dir():
             raise InvalidOption(f"cannot write '{file}': there is no folder '{file.parent}'")
-        for place in (file, file.resolve().parent):  # it is written beside and renamed
+        for place in (file, Path(os.path.realpath(file)).parent):  # it is written beside and renamed
             if place.exists() and not os.access(place, os.W_OK):
                 raise InvalidOption(f"cannot write '{file}': no permission")
         return file
