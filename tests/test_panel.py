@@ -3,6 +3,8 @@
 import contextlib
 import http.client
 import json
+import logging
+import socket
 import threading
 import time
 from urllib.parse import urlsplit
@@ -180,19 +182,31 @@ def test_only_its_own_page_may_use_it(panel):
     assert asked(panel, Origin=f"http://{here}")[0] == 200
     status, words = asked(panel, Origin="http://elsewhere.example")
     assert status == 403 and "other sites" in words
-    socket = {"Connection": "Upgrade", "Upgrade": "websocket", "Sec-WebSocket-Version": "13"}
-    socket["Sec-WebSocket-Key"] = "dGhlIHNhbXBsZSBub25jZQ=="
-    assert asked(panel, Origin="http://elsewhere.example", **socket)[0] == 403
+    opening = {"Connection": "Upgrade", "Upgrade": "websocket", "Sec-WebSocket-Version": "13"}
+    opening["Sec-WebSocket-Key"] = "dGhlIHNhbXBsZSBub25jZQ=="
+    assert asked(panel, Origin="http://elsewhere.example", **opening)[0] == 403
     status, words = asked(panel, Host=f"rebound.example:{panel.port}")
     assert status == 403 and "rebound.example" in words
+
+
+def test_knocking_at_the_port_is_not_said(panel, caplog):
+    """Neither who lacks the token nor who speaks no HTTP fills the terminal of whoever runs the panel."""
+    assert asked(panel, "/nothing")[0] == 403
+    for words in (b"POST / HTTP/1.1\r\n\r\n", b"\x16\x03\x01" + bytes(50), b""):
+        with socket.create_connection(("127.0.0.1", panel.port), timeout=10) as knocking:
+            knocking.sendall(words)
+            knocking.shutdown(socket.SHUT_WR)
+            knocking.recv(1000)
+    assert asked(panel)[0] == 200
+    assert [record.message for record in caplog.records if record.levelno >= logging.WARNING] == []
 
 
 def test_without_the_token_there_is_nothing_to_see(panel):
     """Nor may another account of the same machine, which can reach the port, drive the panel or read what it serves."""
     token = urlsplit(panel.url).path.strip("/")
     assert len(token) >= 20
-    socket = {"Connection": "Upgrade", "Upgrade": "websocket", "Sec-WebSocket-Version": "13"}
-    socket["Sec-WebSocket-Key"] = "dGhlIHNhbXBsZSBub25jZQ=="
+    opening = {"Connection": "Upgrade", "Upgrade": "websocket", "Sec-WebSocket-Version": "13"}
+    opening["Sec-WebSocket-Key"] = "dGhlIHNhbXBsZSBub25jZQ=="
     other = token[:-1] + ("A" if token[-1] != "A" else "B")
     bad = [
         "/",
@@ -206,7 +220,7 @@ def test_without_the_token_there_is_nothing_to_see(panel):
         f"/{other}/../{token}/",
     ]
     for path in [*bad, f"/?{token}", f"/%2f{token}/", f"/{token.swapcase()}/", "/" + "x" * 5000 + "/", "/%ff/"]:
-        for headers in ({}, socket):
+        for headers in ({}, opening):
             status, words = asked(panel, path or "/", **headers)
             assert status == 403 and "whole address" in words and token not in words, path
     assert asked(panel)[0] == asked(panel, f"/{token}/index.html")[0] == asked(panel, f"/{token}/?x=1")[0] == 200

@@ -241,6 +241,7 @@ def test_leaving_in_the_middle_of_a_solve(panel, capfd):
 def test_the_panel_is_never_published_by_a_page(panel):
     visitor = Visitor(panel)
     visitor.say(type="ShareUrlRequest")
+    visitor.say(type="ShareUrlDisconnect")
     check_alive(panel)
     assert panel.server._share_tunnel is None
     visitor.leave()
@@ -274,6 +275,33 @@ def test_no_files_are_taken(panel):
     assert visitor.socket.close_code == 1009  # message too big
     assert until(lambda: visitor.id not in panel.desks)
     check_alive(panel)
+
+
+def test_visitors_cannot_talk_to_each_other_or_fill_the_memory(panel):
+    """What viser would pass on to every page and keep for those to come is not taken."""
+    visitor, heard = Visitor(panel), []
+    other = websockets.sync.client.connect(
+        panel.url.replace("http", "ws", 1),
+        subprotocols=[f"viser-v{viser.__version__}"],
+        compression=None,
+        max_size=None,
+    )
+    tracemalloc.start()
+    try:
+        for k in range(30):
+            visitor.say(type="GuiFormDirtyMessage", uuid=f"{k}" * 200_000)
+            visitor.say(type="GuiFormSubmitMessage", uuid=f"{k}" * 200_000)
+        visitor.change(visitor.desk.sliders[1], 30.0)
+        assert until(lambda: math.isclose(visitor.desk.session.q[1], math.radians(30.0)))
+        assert tracemalloc.get_traced_memory()[0] < 5e6  # of 20 MB sent
+    finally:
+        tracemalloc.stop()
+    with contextlib.suppress(TimeoutError):
+        while True:
+            heard.append(len(other.recv(timeout=0.2)))
+    assert sum(heard) < 50_000
+    other.close()
+    visitor.leave()
 
 
 def resident():

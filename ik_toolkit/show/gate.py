@@ -14,6 +14,8 @@ from urllib.parse import urlsplit
 LOOPBACK = ("127.0.0.1", "localhost", "::1")
 LARGEST = 2**20  # bytes of a message: the page sends numbers and short texts, and anything is held until it is whole
 LOG = logging.getLogger(__name__)
+QUIET = logging.getLogger(f"{__name__}.socket")  # a scanned port would fill the terminal with tracebacks of handshakes
+QUIET.setLevel(logging.CRITICAL)
 _PATCHING = threading.Lock()
 
 
@@ -87,7 +89,7 @@ def guarded(host: str, token: str) -> Iterator[None]:
                         await connection.recv()
                 await closing
 
-        return original(bear, *args, process_request=check, **{**kwargs, "max_size": LARGEST})
+        return original(bear, *args, process_request=check, **{**kwargs, "max_size": LARGEST, "logger": QUIET})
 
     with _PATCHING:
         ws.serve = serve  # type: ignore[assignment]

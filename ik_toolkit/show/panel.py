@@ -18,6 +18,14 @@ from .desk import Desk
 from .gate import guarded, is_loopback, new_token
 from .session import Session
 
+HEARD = (  # of a visitor's page: controls, the target's arrows and rings, the camera
+    "GuiUpdateMessage",
+    "TransformControlsUpdateMessage",
+    "TransformControlsDragStartMessage",
+    "TransformControlsDragEndMessage",
+    "ViewerCameraMessage",
+)
+
 
 class Panel:
     """The panel's server. url: where it is, with the token that lets in; `close()` ends it. Several browsers may be open."""
@@ -42,7 +50,7 @@ class Panel:
         name = {"0.0.0.0": "127.0.0.1", "::": "::1"}.get(host, host)  # noqa: S104  compared, not bound
         self.url = f"http://{f'[{name}]' if ':' in name else name}:{self.port}/{token}/"
         self._check_guard()
-        self.server.request_share_url = _no_tunnel  # type: ignore[method-assign] a page may ask for it unseen
+        _hear_only(self.server.gui._websock_interface, ())  # all that is heard is heard by a visitor's desk
         self.desks: dict[int, Desk] = {}
         self.server.gui.set_panel_label("ik panel")
         local = is_loopback(host)
@@ -50,7 +58,7 @@ class Panel:
         self.server.on_client_disconnect(lambda client: self._goodbye(client))
 
     def _welcome(self, client: Any, source: str, tip: str | None, local: bool) -> None:
-        _no_uploads(client)
+        _hear_only(client.gui._websock_interface, HEARD)
         self.desks[client.client_id] = Desk(client, source, tip, files=local)
         if client.client_id not in self.server.get_clients():  # gone before it was let in
             self._goodbye(client)
@@ -96,13 +104,8 @@ def _check_address(host: str, port: int) -> None:
         raise InvalidOption(f"cannot listen at {at}: {error.strerror or error}") from None
 
 
-def _no_uploads(client: Any) -> None:
-    """Take no files: the panel asks for none, and viser would keep whatever a page sends."""
-    from viser import _messages
-
-    for kind in (_messages.FileTransferStartUpload, _messages.FileTransferPart):
-        client.gui._websock_interface.unregister_handler(kind)
-
-
-def _no_tunnel(*_: Any, **__: Any) -> None:
-    """Never publish the panel through viser's relay."""
+def _hear_only(interface: Any, names: tuple[str, ...]) -> None:
+    """Take only some kinds of message from a page: viser keeps files, tells every other page about forms, opens tunnels."""
+    for kind in list(interface._incoming_handlers):
+        if kind.__name__ not in names:
+            interface.unregister_handler(kind)

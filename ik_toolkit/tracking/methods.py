@@ -17,7 +17,6 @@ Jdot(w) w. aa keeps an eigenvalue -1 (the rate may zigzag for ever); aad with ga
 On a redundant arm the acceleration level adds -k (1 - J^+ J) qd (null_damping), without which null motion grows.
 """
 
-import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
@@ -26,6 +25,7 @@ import numpy as np
 
 from ..errors import InvalidOption, near_match
 from ..kernel import motion
+from .inputs import number, one_of
 from .stability import GAMMA, best_gains
 
 DAMPING = 0.02  # lengths over the arm's reach; joint speed per tip speed stays below 1 / (2 * 0.02)
@@ -58,6 +58,18 @@ class Method:
     gamma: float = GAMMA
     null_damping: float = NULL_DAMPING
     damping: float = DAMPING
+
+    def __post_init__(self) -> None:
+        """Check name and options. Raises InvalidOption."""
+        one_of(self.name, METHODS, "tracking method")
+        for name in ("kappa", "kp", "kd", "reading", "gamma", "null_damping", "damping"):
+            value = getattr(self, name)
+            if value is not None or name not in ("kappa", "kp", "kd"):
+                number(value, name)
+        if self.reading not in (1, 2, 3):
+            raise InvalidOption(f"reading must be 1, 2 or 3 (see the docs of aa), not {self.reading}")
+        if self.gamma <= 0.0 or self.null_damping < 0.0 or self.damping < 0.0:
+            raise InvalidOption("gamma must be positive, null_damping and damping not negative")
 
     def gains(self, h: float) -> dict[str, float]:
         """Gains used at sample time h [s], as `check_gains` takes them."""
@@ -94,24 +106,13 @@ class Method:
 
 def make_method(method: str | Method, **options: Any) -> Method:
     """Return a Method from its name (cv, av, ca, aa, aad) and options. Raises InvalidOption (unknown or out of range)."""
-    if isinstance(method, Method):
-        name, made = method.name, method
-    else:
-        if method not in METHODS:
-            raise InvalidOption(f"no tracking method '{method}'.{near_match(method, METHODS)}")
-        name, made = method, Method(method)
-    allowed = (*METHODS[name][1], "damping")
+    made = method if isinstance(method, Method) else Method(method)
+    allowed = (*METHODS[made.name][1], "damping")
     for option, value in options.items():
         if option not in allowed:
-            raise InvalidOption(f"{name} has no option '{option}'.{near_match(option, allowed)}")
-        if not (isinstance(value, int | float) and math.isfinite(value)):
-            raise InvalidOption(f"{option} must be a finite number, not {value!r}")
-    made = replace(made, **options)
-    if made.reading not in (1, 2, 3):
-        raise InvalidOption(f"reading must be 1, 2 or 3 (see the docs of aa), not {made.reading}")
-    if made.gamma <= 0.0 or made.null_damping < 0.0 or made.damping < 0.0:
-        raise InvalidOption("gamma must be positive, null_damping and damping not negative")
-    return made
+            raise InvalidOption(f"{made.name} has no option '{option}'.{near_match(option, allowed)}")
+        number(value, option)  # None, too, is no choice that somebody makes
+    return replace(made, **options)
 
 
 class System(NamedTuple):

@@ -7,8 +7,9 @@ position (3,) leaves the orientation free.
 import csv
 import itertools
 import math
+import os
 import zipfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,9 +17,11 @@ import numpy as np
 
 from ..errors import InvalidOption, InvalidTarget, MissingExtra, floats, near_match
 from ..robot.pose import check_target, quat_matrix
+from .inputs import number, one_of, positive
 
 Samples = tuple[np.ndarray, np.ndarray, np.ndarray]  # values, first and second derivatives
 MAX_STEPS = 1e7
+SHORTEST = 1e-100  # [s] between points of a spline: its third power, by which is divided, is not 0 yet
 RADIAN_AS_METRES = 0.25  # weight of a rotation against a distance when waypoints share out the time
 
 
@@ -49,6 +52,8 @@ class Reference:
     def at(self, t: Any) -> Samples:
         """Pose, twist and acceleration at t [s]: (4, 4), (6,), (6,) for a number, with a leading N for an array (N,)."""
         times = np.atleast_1d(floats(t, "t must be times [s]", InvalidOption))
+        if times.ndim > 1:
+            raise InvalidOption(f"t must be a number or an array (N,) of times [s], not of shape {times.shape}")
         n = len(times)
         wanted = f"reference '{self.name}' must give arrays ({n}, 4, 4), ({n}, 6), ({n}, 6) for {n} times"
         made = self.function(times)
@@ -61,7 +66,7 @@ class Reference:
 
     def target(self, t: float) -> np.ndarray:
         """Target at t as the solvers take it: (4, 4), or (3,) when the orientation is free."""
-        T = self.at(float(t))[0]
+        T = self.at(number(t, "t [s]"))[0]
         return T[:3, 3].copy() if self.position_only else T
 
     def times(self, dt: float) -> np.ndarray:
@@ -76,17 +81,6 @@ class Reference:
     def __repr__(self) -> str:
         """One line: kind, duration and what is asked for."""
         return f"Reference({self.name}, {self.duration:g} s, {'position' if self.position_only else 'pose'})"
-
-
-def positive(value: float, name: str) -> float:
-    """Return a positive, finite number. Raises InvalidOption."""
-    try:
-        number = float(value)
-    except (TypeError, ValueError):
-        raise InvalidOption(f"{name} must be a number, not {value!r}") from None
-    if not (math.isfinite(number) and number > 0.0):
-        raise InvalidOption(f"{name} must be a positive number, not {value!r}")
-    return number
 
 
 # ------------------------------------------------------------------------------------------------ time laws
@@ -104,9 +98,7 @@ LAWS = {"constant": _constant, "minimum-jerk": _minimum_jerk}
 
 
 def _law(name: str) -> Callable[[np.ndarray], Samples]:
-    if name not in LAWS:
-        raise InvalidOption(f"no time law '{name}'.{near_match(name, LAWS)}")
-    return LAWS[name]
+    return LAWS[one_of(name, LAWS, "time law")]
 
 
 def _on_path(
@@ -187,8 +179,9 @@ def line(start: Any, end: Any, *, duration: float, law: str = "constant", rounds
         k = 2 * np.pi * rounds
         return 0.5 * (1 - np.cos(k * x)), 0.5 * k * np.sin(k * x), 0.5 * k * k * np.cos(k * x)
 
-    if rounds < 0:
-        raise InvalidOption(f"rounds must be 0 or more, not {rounds}")
+    rounds = number(rounds, "rounds")
+    if rounds < 0 or not rounds.is_integer():
+        raise InvalidOption(f"rounds must be 0 or a whole number above, not {rounds:g}")
     return _on_path(path, there_and_back if rounds else _law(law), duration, R0, "line", turn)
 
 
@@ -213,7 +206,7 @@ def circle(
     p, R0 = _split(start if center is None else center)
     u, w = _plane(normal)
     c = p - radius * u if center is None else p
-    k = 2 * np.pi * float(turns)
+    k = 2 * np.pi * number(turns, "turns")
 
     def path(s: np.ndarray) -> Samples:
         x, y = radius * np.cos(k * s)[:, None] * u, radius * np.sin(k * s)[:, None] * w
@@ -262,7 +255,7 @@ def lissajous(
 
 
 def _three(values: Sequence[float], name: str) -> np.ndarray:
-    array = np.asarray(values, dtype=float)
+    array = floats(values, f"{name} must be 3 numbers, one per base axis", InvalidOption)
     if array.shape != (3,) or not np.isfinite(array).all():
         raise InvalidOption(f"{name} must be 3 finite numbers, one per base axis, not {values!r}")
     return array
@@ -281,6 +274,8 @@ def waypoints(
     (cubic, with C2 rotations) starts and ends at rest in position and needs scipy. Raises InvalidTarget, InvalidOption,
     MissingExtra.
     """
+    if not isinstance(targets, Iterable):
+        raise InvalidTarget(f"waypoints are a list of poses or positions, not {type(targets).__name__}")
     pairs = [_split(target) for target in targets]
     if len(pairs) < 2:
         raise InvalidTarget(f"waypoints need at least 2 targets, not {len(pairs)}")
@@ -295,13 +290,11 @@ def waypoints(
         share = np.linalg.norm(np.diff(P, axis=0), axis=1) + RADIAN_AS_METRES * np.linalg.norm(turns, axis=1)
         if not (share > 1e-12).all():
             raise InvalidTarget(f"waypoints {int(np.argmin(share))} and {int(np.argmin(share)) + 1} are the same")
-        t = np.concatenate([[0.0], np.cumsum(share)]) / share.sum() * positive(duration or 0.0, "duration [s]")
+        t = np.concatenate([[0.0], np.cumsum(share)]) / share.sum() * positive(duration, "duration [s]")
     else:
-        t = _check_times(np.asarray(times, dtype=float), len(P), "times")
-    if law == "spline":
+        t = _check_times(floats(times, "times must be numbers [s]", InvalidTarget), len(P), "times")
+    if one_of(law, ("minimum-jerk", "spline"), "waypoint law") == "spline":
         return _spline(t, P, R, "clamped", "waypoints")
-    if law != "minimum-jerk":
-        raise InvalidOption(f"no waypoint law '{law}'.{near_match(law, ('minimum-jerk', 'spline'))}")
 
     def function(now: np.ndarray) -> Samples:
         leg = np.clip(np.searchsorted(t, now, side="right") - 1, 0, len(t) - 2)
@@ -338,6 +331,8 @@ def _spline(t: np.ndarray, P: np.ndarray, R: np.ndarray | None, ends: str, name:
         from scipy.spatial.transform import Rotation, RotationSpline
     except ImportError:
         raise MissingExtra("scipy", "tune") from None
+    if np.diff(t).min() < SHORTEST:
+        raise InvalidTarget(f"{name}: times less than {SHORTEST:g} s apart make no curve")
     position = CubicSpline(t, P, bc_type=ends if len(t) > 3 or ends == "clamped" else "natural")
     rotation = None if R is None else RotationSpline(t, Rotation.from_matrix(R))
 
@@ -362,6 +357,8 @@ def reference_from_file(path: str | Path) -> Reference:
     Times [s] increase (the first becomes 0), positions in the base frame [m]; a cubic spline goes through the samples, so
     velocity and acceleration are those of the spline. Needs scipy. Raises InvalidTarget, with the row, for a bad file.
     """
+    if not isinstance(path, str | os.PathLike):
+        raise InvalidTarget(f"a reference file is named by a path, not {type(path).__name__}")
     file = Path(path)
     if not file.is_file():
         raise InvalidTarget(f"no reference file '{file}'")

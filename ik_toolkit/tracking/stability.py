@@ -17,6 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..errors import InvalidOption, near_match
+from .inputs import number, one_of, positive
 
 GAINS = {"cv": ("kappa",), "av": (), "ca": ("kp", "kd"), "aa": (), "aad": ("gamma",)}  # of each method
 METHODS = tuple(GAINS)
@@ -73,12 +74,8 @@ def mapping_matrix(
 
 def _needed(method: str, h: float, **gains: float | None) -> list[float]:
     """Return the gains of a method as numbers; a missing or non-finite one, or a bad h, is the caller's mistake."""
-    if not (math.isfinite(h) and h > 0.0):
-        raise InvalidOption(f"the sample time must be a positive number of seconds, not {h!r}")
-    for name, value in gains.items():
-        if value is None or not math.isfinite(value):
-            raise InvalidOption(f"{method} needs {' and '.join(gains)} as finite numbers; {name} is {value!r}")
-    return [float(value) for value in gains.values() if value is not None]
+    positive(h, "the sample time [s]")
+    return [number(value, f"gain {name} of {method}") for name, value in gains.items()]
 
 
 def spectral_radius(A: np.ndarray) -> float:
@@ -107,12 +104,12 @@ def best_gains(method: str, h: float) -> dict[str, float]:
 
     cv: kappa h = 2/3. ca: kp h^2 = 1.7099, kd h = 0.8700, where all three eigenvalues meet.
     """
+    one_of(method, METHODS, "tracking method")
+    h = positive(h, "the sample time [s]")
     if method == "cv":
         return {"kappa": BEST_CV / h}
     if method == "ca":
         return {"kp": BEST_CA[0] / (h * h), "kd": BEST_CA[1] / h}
-    if method not in METHODS:
-        raise InvalidOption(f"no tracking method '{method}'.{near_match(method, METHODS)}")
     return {"gamma": GAMMA} if method == "aad" else {}
 
 
@@ -160,8 +157,9 @@ def check_gains(method: str, h: float, **gains: float) -> GainCheck:
     The verdict comes from the closed-form region, the radius from the eigenvalues. Raises InvalidOption on a gain the
     method does not have or lacks.
     """
+    one_of(method, METHODS, "tracking method")
     for name in gains:
-        if name not in GAINS.get(method, (name,)):
+        if name not in GAINS[method]:
             raise InvalidOption(f"{method} has no gain '{name}'.{near_match(name, GAINS[method])}")
     radius = spectral_radius(mapping_matrix(method, h, dof=1, **gains))
     best = best_gains(method, h)

@@ -15,8 +15,9 @@ from ..kernel import motion
 from ..robot.pose import PROJECT_WITHIN, AxisTarget, check_target
 from ..robot.robot import Robot
 from .engine import bind
+from .inputs import positive
 from .methods import Method, interpolate
-from .reference import Reference, Samples, positive
+from .reference import Reference, Samples
 from .result import TrackResult, figures
 from .verdict import ORIENTATION_TOLERANCE, POSITION_TOLERANCE, settling, verdict
 
@@ -257,12 +258,10 @@ def _limit_rows(robot: Robot, limits: bool, acceleration_limits: Any) -> np.ndar
     if acceleration_limits is not None:
         if not limits:
             raise InvalidOption("acceleration_limits need limits=True")
-        try:
-            a = np.broadcast_to(np.asarray(acceleration_limits, dtype=float), (n,))
-        except (TypeError, ValueError):
-            raise InvalidOption(
-                f"acceleration_limits must be a number or {n} numbers, not {acceleration_limits!r}"
-            ) from None
+        what = f"acceleration_limits must be a number or {n} numbers"
+        a = floats(acceleration_limits, what, InvalidOption)
+        if a.shape not in ((), (n,)):
+            raise InvalidOption(f"{what}, not {acceleration_limits!r:.60}")
         if not (a > 0.0).all():
             raise InvalidOption(f"acceleration_limits must be positive, not {acceleration_limits!r}")
         rows[3] = a / unit

@@ -1,0 +1,30 @@
+"""Numbers and names that tracking is given: one place that refuses what is none."""
+
+import math
+from collections.abc import Iterable
+from typing import Any
+
+from ..errors import InvalidOption, floats, near_match
+
+
+def number(value: Any, name: str) -> float:
+    """Return a finite number. Raises InvalidOption."""
+    array = floats(value, f"{name} must be a number", InvalidOption)
+    if array.ndim or not math.isfinite(array):
+        raise InvalidOption(f"{name} must be a finite number, not {value!r:.60}")
+    return float(array)
+
+
+def positive(value: Any, name: str) -> float:
+    """Return a positive, finite number. Raises InvalidOption."""
+    found = value if type(value) is float else number(value, name)  # most are floats, once a sample
+    if not 0.0 < found < math.inf:
+        raise InvalidOption(f"{name} must be a positive number, not {value!r:.60}")
+    return found
+
+
+def one_of(value: Any, names: Iterable[str], what: str) -> str:
+    """Return a name that exists. Raises InvalidOption, "no WHAT 'VALUE'", with a near match."""
+    if not (isinstance(value, str) and value in names):
+        raise InvalidOption(f"no {what} '{value!s:.60}'.{near_match(value, names)}")
+    return value
