@@ -4,8 +4,10 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from ik_toolkit.errors import InvalidOption, InvalidTarget
+from ik_toolkit.errors import IKError, InvalidOption, InvalidTarget
 from ik_toolkit.tracking import reference as rf
+from ik_toolkit.tracking.methods import Method, make_method
+from ik_toolkit.tracking.stability import best_gains, check_gains
 
 START = pin.SE3(pin.exp3(np.array([0.3, -0.8, 0.5])), np.array([0.4, -0.2, 0.6])).homogeneous
 END = pin.SE3(pin.exp3(np.array([-0.9, 0.4, 1.1])), np.array([0.1, 0.3, 0.2])).homogeneous
@@ -181,3 +183,44 @@ def test_bad_npz_and_bytes(tmp_path):
 def test_mistakes_are_typed(make, error, words):
     with pytest.raises(error, match=words):
         make()
+
+
+NO_NUMBERS = [None, "x", b"x", [], {}, np.nan, 10**400, np.eye(4), object(), 1j, np.datetime64("2020-01-01")]
+
+
+@pytest.mark.parametrize("wrong", NO_NUMBERS, ids=lambda value: repr(value)[:12])
+def test_wrong_inputs_are_typed(wrong):
+    """Whatever is given for a number, a name or a list: a sentence, never an error of numpy's or Python's own."""
+    start, three, legs = np.eye(4), (0.1, 0.1, 0.0), [(0.0, 0.0, 0.0), (1.0, 0.0, 0.0), (1.0, 1.0, 0.0)]
+    calls = [
+        *(
+            lambda name=name: rf.circle(start, **{name: wrong})
+            for name in ("radius", "turns", "duration", "law", "normal")
+        ),
+        *(
+            lambda name=name: rf.line(start, start, **{"duration": 1.0, name: wrong})
+            for name in ("duration", "law", "rounds")
+        ),
+        *(lambda name=name: rf.lissajous(start, **{name: wrong}) for name in ("amplitudes", "cycles", "phases", "law")),
+        lambda: rf.lissajous(start, three, duration=wrong),
+        lambda: rf.waypoints(wrong, duration=1.0),
+        lambda: rf.waypoints(legs, times=wrong if wrong is not None else [0.0, 0.0, 1.0]),
+        lambda: rf.waypoints(legs, duration=wrong),
+        lambda: rf.waypoints(legs, duration=1.0, law=wrong),
+        lambda: rf.reference_from_file(wrong),
+        lambda: rf.circle(start).at([wrong, [wrong]]),
+        lambda: rf.circle(start).target(wrong),
+        lambda: rf.circle(start).times(wrong),
+        lambda: make_method(Method("cv", gamma=wrong)),
+        lambda: make_method(wrong),
+        lambda: check_gains("cv", wrong, kappa=1.0),
+        lambda: check_gains("cv", 0.1, kappa=wrong),
+        lambda: check_gains("aad", 0.1, gamma=wrong),
+        lambda: check_gains(wrong, 0.1),
+        lambda: best_gains("cv", wrong),
+        lambda: best_gains(wrong, 0.1),
+    ]
+    for k, call in enumerate(calls):
+        with pytest.raises(IKError):
+            call()
+            pytest.fail(f"call {k} took {wrong!r}")

@@ -21,7 +21,7 @@ from .inputs import number, one_of, positive
 
 Samples = tuple[np.ndarray, np.ndarray, np.ndarray]  # values, first and second derivatives
 MAX_STEPS = 1e7
-SHORTEST = 1e-100  # [s] between points of a spline: its third power, by which is divided, is not 0 yet
+SHORTEST = 1e-100  # [s] between points of a spline: third powers of that, and of its inverse, are still numbers
 RADIAN_AS_METRES = 0.25  # weight of a rotation against a distance when waypoints share out the time
 
 
@@ -52,8 +52,8 @@ class Reference:
     def at(self, t: Any) -> Samples:
         """Pose, twist and acceleration at t [s]: (4, 4), (6,), (6,) for a number, with a leading N for an array (N,)."""
         times = np.atleast_1d(floats(t, "t must be times [s]", InvalidOption))
-        if times.ndim > 1:
-            raise InvalidOption(f"t must be a number or an array (N,) of times [s], not of shape {times.shape}")
+        if times.ndim > 1 or not np.isfinite(times).all():
+            raise InvalidOption(f"t must be a finite number or an array (N,) of them [s], not {repr(t)[:60]}")
         n = len(times)
         wanted = f"reference '{self.name}' must give arrays ({n}, 4, 4), ({n}, 6), ({n}, 6) for {n} times"
         made = self.function(times)
@@ -331,8 +331,10 @@ def _spline(t: np.ndarray, P: np.ndarray, R: np.ndarray | None, ends: str, name:
         from scipy.spatial.transform import Rotation, RotationSpline
     except ImportError:
         raise MissingExtra("scipy", "tune") from None
-    if np.diff(t).min() < SHORTEST:
-        raise InvalidTarget(f"{name}: times less than {SHORTEST:g} s apart make no curve")
+    if not SHORTEST < np.diff(t).min() <= np.diff(t).max() < 1.0 / SHORTEST:
+        raise InvalidTarget(
+            f"{name}: times less than {SHORTEST:g} s or more than {1 / SHORTEST:g} s apart make no curve"
+        )
     position = CubicSpline(t, P, bc_type=ends if len(t) > 3 or ends == "clamped" else "natural")
     rotation = None if R is None else RotationSpline(t, Rotation.from_matrix(R))
 

@@ -65,7 +65,7 @@ def mapping_matrix(
         A = np.zeros((1, 1))
     elif method in ("aa", "aad"):
         gamma = 0.5 if method == "aa" else gamma
-        _needed(method, h, gamma=gamma)
+        _needed(method, h, gamma=positive(gamma, "gamma"))
         A = np.array([[0.0, 0.0], [-1.0 / (gamma * h), 1.0 - 1.0 / gamma]])
     else:
         raise InvalidOption(f"no tracking method '{method}'.{near_match(method, METHODS)}")
@@ -75,7 +75,7 @@ def mapping_matrix(
 def _needed(method: str, h: float, **gains: float | None) -> list[float]:
     """Return the gains of a method as numbers; a missing or non-finite one, or a bad h, is the caller's mistake."""
     positive(h, "the sample time [s]")
-    return [number(value, f"gain {name} of {method}") for name, value in gains.items()]
+    return [number(value, f"{method} needs {' and '.join(gains)}: {name}") for name, value in gains.items()]
 
 
 def spectral_radius(A: np.ndarray) -> float:

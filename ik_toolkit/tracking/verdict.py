@@ -5,6 +5,7 @@ import numpy as np
 from ..errors import InvalidOption
 from ..kernel import motion
 from ..robot.pose import length
+from .inputs import number
 from .result import TrackResult, TrackStatus
 
 POSITION_TOLERANCE = 1e-3  # [m] what a path is commonly followed to
@@ -16,10 +17,7 @@ def settling(settle: float | None, at_rest: bool, duration: float) -> float:
     """Time [s] from which on the error is judged."""
     if settle is None:
         return min(SETTLE, 0.5 * float(duration)) if at_rest else 0.0
-    try:
-        given = float(settle)
-    except (TypeError, ValueError):
-        raise InvalidOption(f"settle [s] must be a number, not {settle!r}") from None
+    given = number(settle, "settle [s]")
     if not 0.0 <= given < duration:
         raise InvalidOption(f"settle must be between 0 and the length of the run ({duration:g} s), not {given:g} s")
     return given
