@@ -29,6 +29,7 @@ _NAMES = {
     "Planar2R": "solvers.closed_form.planar_2r",
     "Inspection": "solvers.closed_form.inspection",
     "solve_all": "solvers.solve_all",
+    "prepare": "solvers.prepare",
     "benchmark": "study.benchmark",
     "track": "tracking.track",
     "Tracker": "tracking.track",

@@ -11,6 +11,7 @@ import typer
 
 from .. import __version__
 from ..errors import IKError, MissingExtra
+from . import first_use
 from .common import LogNotices, Output, join_vectors, notice, on_sigterm, open_standard_streams
 
 MODULES = (
@@ -72,12 +73,16 @@ def main(argv: Sequence[str] | None = None) -> int:
     logging.getLogger("ik_toolkit.compile").setLevel(logging.INFO)
     logging.getLogger("ik_toolkit").addHandler(shown)
     terminated: list[bool] = []
+    if argv is None:
+        first_use.allow()
     try:
         command = typer.main.get_command(application())
         with redirect_stdout(Output(sys.stdout)), on_sigterm(terminated):
             code = command.main(args=arguments or ["--help"], prog_name="ik", standalone_mode=False) or 0
             sys.stdout.flush()
         return _stopped(terminated) if code == INTERRUPTED else code
+    except first_use.CompileNeeded as needed:
+        return first_use.again(arguments, needed.folder)
     except (KeyboardInterrupt, typer.Abort):
         return _stopped(terminated)
     except Exception as error:

@@ -6,13 +6,15 @@ import os
 import platform
 import tempfile
 from collections.abc import Iterator
+from contextlib import nullcontext
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import typer
 
 from ..errors import extras
-from .common import Json, show, table, write_json
+from . import first_use
+from .common import Json, notice, show, table, write_json
 
 CORE = ("pin", "numpy", "numba", "typer", "rich")
 COLOURS = {"ok": "green", "missing": "yellow", "mended": "yellow", "problem": "red"}
@@ -25,12 +27,21 @@ def register(app: typer.Typer) -> None:
     app.command()(doctor)
 
 
-def doctor(as_json: Json = False) -> None:
+def doctor(
+    as_json: Json = False,
+    prepare: Annotated[
+        bool, typer.Option("--prepare", help="Compile now what the default solvers need; about a minute, once.")
+    ] = False,
+    background: Annotated[bool, typer.Option("--background", hidden=True)] = False,
+) -> None:
     """Check the installation: versions, extras, cache folder, robots.
 
     Uses no network. Damaged files of compiled code are removed; they are made again when needed. Exit code 1 when something
     is wrong; a missing extra is not.
     """
+    if prepare:
+        _prepare(background)
+        return
     rows = [*_versions(), *_extras(), _cache(), _pinocchio(), _robots()]
     healthy = all(row["state"] != "problem" for row in rows)
     write_json({"healthy": healthy, "checks": rows}, as_json)
@@ -43,6 +54,16 @@ def doctor(as_json: Json = False) -> None:
         show(made)
     if not healthy:
         raise typer.Exit(1)
+
+
+def _prepare(background: bool) -> None:
+    from ..kernel.cache import folder
+    from ..solvers.prepare import prepare
+
+    place = folder()
+    with first_use.only_one(place) if background and place else nullcontext(True) as alone:
+        if alone:
+            prepare(progress=notice)
 
 
 def _row(what: str, state: str, detail: str) -> dict[str, Any]:

@@ -2,12 +2,14 @@
 
 import json
 import math
+from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from ..errors import InvalidOption, InvalidTarget
+from . import first_use
 from .common import (
     Base,
     Deg,
@@ -249,11 +251,21 @@ def solve(
     # At a solved start: compiles or loads, so that the time shown below is the solve's own.
     at_home = arm.fk(arm.home)
     position_only = getattr(target, "ndim", 2) == 1
-    solve_one(arm, at_home.translation if position_only else at_home, method, **options)
+    shown = plot is not None or html is not None or live
+    with nullcontext() if shown else first_use.instead_of_compiling():
+        solve_one(arm, at_home.translation if position_only else at_home, method, **options)
     if closest is not None:
         options["closest"] = joint_vector(arm, closest, "--closest", deg)
+    options["max_evaluations"] = first_use.budget()
     result = solve_one(arm, target, method, q0=start, **options)
-    payload = {**result.to_dict(), "base": arm.base, "target": getattr(target, "T_base_tip", target)}
+    if first_use.budget() and not result.success and result.status.name != "UNREACHABLE":
+        raise typer.Exit(first_use.NOT_ANSWERED)
+    payload = {
+        "kernel": first_use.kernel(),
+        **result.to_dict(),
+        "base": arm.base,
+        "target": getattr(target, "T_base_tip", target),
+    }
     if not targets:
         payload["tip"] = arm.tip
     write_json(payload, as_json, output)
@@ -263,7 +275,7 @@ def solve(
         notice(result.notice)
     if not result.success:
         notice(f"not solved, {result.status.name}: {result.message}")
-    if plot is not None or html is not None or live:
+    if shown:
         draw(arm, solve_one(arm, target, method, q0=start, history=True, **options), target, plot, html, live)
     if not result.success:
         raise typer.Exit(1)

@@ -71,7 +71,8 @@ class DiskCache(FunctionCache):
             pass
         except Exception as error:  # whatever is wrong with a cache, compiling helps
             LOG.warning("%s cannot be used and is made anew: %s", path, error)
-        COMPILING.info("compiling %s (%s)", self.what, "first use on this machine, some seconds")
+        where = {"folder": Path(self._cache_path)}
+        COMPILING.info("compiling %s (%s)", self.what, "first use on this machine, some seconds", extra=where)
         return None
 
     def save_overload(self, sig: Any, data: Any) -> None:
@@ -92,6 +93,14 @@ def not_kept(folder: str, why: str) -> None:
     LOG.warning(
         "compiled kernels cannot be kept in %s (%s): every process compiles again; see `ik doctor`", folder, why
     )
+
+
+def folder() -> Path | None:
+    """Where the kernels of this package are kept; None where nothing can be kept."""
+    try:
+        return Path(DiskCache(stamp_of, "", "").cache_path)
+    except (RuntimeError, OSError):
+        return None
 
 
 def content(path: Path) -> bytes:

@@ -1,0 +1,107 @@
+"""The first solve on a machine: answered by the uncompiled kernel, while a process in the background compiles.
+
+A command that finds nothing on disk stops where it would begin to compile, and is run again without compilation: the same code
+as plain Python, slow but at once. What that does not solve within its budget is run once more, compiled.
+"""
+
+import logging
+import os
+import subprocess
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+WAIT, INTERPRETED = "IK_TOOLKIT_WAIT", "IK_TOOLKIT_INTERPRETED"  # environment: compile and wait; this is the second run
+BUDGET = 2000  # evaluations of the uncompiled kernel, about a second's worth
+NOT_ANSWERED = 75  # exit code of the second run when its budget was used up (EX_TEMPFAIL of sysexits.h)
+LOCK, LOG = "ik-compiling.lock", "ik-compiling.log"  # beside the kernels
+_here = {"allowed": False}
+
+
+class CompileNeeded(Exception):
+    """Something is about to be compiled. folder: where it would be kept, None where it cannot be."""
+
+    def __init__(self, folder: Path | None) -> None:
+        """Keep the folder."""
+        super().__init__()
+        self.folder = folder
+
+
+class _Stop(logging.Handler):
+    def emit(self, record: logging.LogRecord) -> None:
+        raise CompileNeeded(getattr(record, "folder", None))
+
+
+def allow() -> None:
+    """Let this process be run again: it is the command itself, nobody asked it to wait, and it is not a build machine."""
+    _here["allowed"] = not any(os.environ.get(name) for name in (WAIT, INTERPRETED, "CI", "NUMBA_DISABLE_JIT"))
+
+
+def budget() -> int | None:
+    """Evaluations that a run without compilation may make; None in any other."""
+    return BUDGET if os.environ.get(INTERPRETED) else None
+
+
+def kernel() -> str:
+    """Which kernel answers here: "compiled" or "interpreted"."""
+    from numba import config
+
+    return "interpreted" if config.DISABLE_JIT else "compiled"  # type: ignore[attr-defined]
+
+
+@contextmanager
+def instead_of_compiling() -> Iterator[None]:
+    """Within it CompileNeeded is raised where a kernel would be compiled, in a process that `allow` allows."""
+    if not _here["allowed"]:
+        yield
+        return
+    log, stop = logging.getLogger("ik_toolkit.compile"), _Stop()
+    log.addHandler(stop)
+    try:
+        yield
+    finally:
+        log.removeHandler(stop)
+
+
+def again(arguments: Sequence[str], folder: Path | None) -> int:
+    """Run the command without compilation, then compile in the background; return its exit code."""
+    command = [sys.executable, "-m", "ik_toolkit"]
+    without = {**os.environ, INTERPRETED: "1", "NUMBA_DISABLE_JIT": "1"}
+    code = subprocess.run([*command, *arguments], env=without).returncode
+    waiting = {**os.environ, WAIT: "1"}
+    if code == NOT_ANSWERED:
+        return subprocess.run([*command, *arguments], env=waiting).returncode
+    if folder is None:
+        print(
+            f"solved without compiled code, which cannot be kept here (see ik doctor); {WAIT}=1 compiles",
+            file=sys.stderr,
+        )
+        return code
+    folder.mkdir(parents=True, exist_ok=True)
+    with open(folder / LOG, "ab") as log:
+        subprocess.Popen(
+            [*command, "doctor", "--prepare", "--background"],
+            env=waiting, stdin=subprocess.DEVNULL, stdout=log, stderr=log, start_new_session=True,
+        )  # fmt: skip
+    print(
+        f"first use: solved without compiled code; compiling goes on in the background ({folder / LOG})",
+        file=sys.stderr,
+    )
+    return code
+
+
+@contextmanager
+def only_one(folder: Path) -> Iterator[bool]:
+    """Whether no other process compiles in the background; it does while the block runs. Lowers the priority of this one."""
+    import fcntl
+
+    os.nice(19)
+    folder.mkdir(parents=True, exist_ok=True)
+    with open(folder / LOCK, "a") as lock:
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except OSError:
+            yield False
+            return
+        yield True

@@ -1,0 +1,46 @@
+"""Compiling ahead of the first call."""
+
+from collections.abc import Callable
+
+from ..errors import InvalidOption, UnknownSolver
+from ..robot.library import shipped_robots
+from ..robot.robot import Robot
+from ..robot.tree import Tree
+from .batch import solve_batch
+from .registry import find_row
+from .solve import Solver
+
+
+def prepare(*solvers: str, progress: Callable[[str], None] | None = None) -> None:
+    """Compile what single calls and batches of `solvers` need; what is on disk already is only loaded.
+
+    solvers: names, default 'auto': everything that `ik.solve`, `Solver` and `solve_batch` take by default, several tips included.
+    progress(words) is called before each part. Some ten seconds a solver when nothing is on disk. Raises UnknownSolver.
+    """
+    for name in solvers or ("auto",):
+        if name != "auto":
+            find_row(name)
+        for robot_name, entry in shipped_robots().items():
+            robot = Robot.load(robot_name, tip=entry.tip or list(entry.tips))
+            if progress is not None:
+                progress(f"{name} on {robot_name}")
+            if _call(robot, name) and name != "auto":
+                break
+
+
+def _call(robot: Robot | Tree, name: str) -> bool:
+    """Call a solver for a pose and for a position, alone and in a batch; False when it fits neither."""
+    at_home, fits = robot.fk(robot.home), False
+    if isinstance(robot, Tree):
+        calls = [lambda: Solver(robot, name)(at_home)]
+    else:
+        poses = [at_home.homogeneous[None], at_home.translation[None]]
+        calls = [lambda T=T: Solver(robot, name)(T[0]) for T in poses]
+        calls += [lambda T=T: solve_batch(robot, T, name) for T in poses]
+    for call in calls:
+        try:
+            call()
+            fits = True
+        except (UnknownSolver, InvalidOption):
+            continue
+    return fits
