@@ -10,6 +10,7 @@ from .solvers.batch import solve_batch as solve_batch
 from .solvers.batch_result import BatchCheckFailed as BatchCheckFailed
 from .solvers.closed_form.inspection import Inspection as Inspection
 from .solvers.closed_form.planar_2r import Planar2R as Planar2R
+from .solvers.prepare import prepare as prepare
 from .solvers.result import Result as Result
 from .solvers.result import Status as Status
 from .solvers.rules.ccd import CCD as CCD
@@ -22,7 +23,6 @@ from .solvers.rules.pid import PID as PID
 from .solvers.rules.state_space import StateSpace as StateSpace
 from .solvers.solve import Solver as Solver
 from .solvers.solve import solve as solve
-from .solvers.prepare import prepare as prepare
 from .solvers.solve_all import solve_all as solve_all
 from .study.benchmark import benchmark as benchmark
 from .study.tune import tune as tune

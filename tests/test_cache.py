@@ -200,7 +200,7 @@ def test_a_full_disk_at_the_first_solve(copy):
 
 
 def test_the_command_says_that_it_compiles_only_when_it_does(copy):
-    code = "import sys; from ik_toolkit.cli import main; sys.exit(main(['fk', 'planar_2r']))"
+    code = "import sys; from ik_toolkit.cli import main; sys.exit(main(['solve', 'planar_2r', '--xyz', '1', '1', '0', '--all']))"
     for path in copy.rglob("ik-chain.*.nbc"):
         path.unlink()
     assert run(copy, code).stderr.count("compiling") == 1
