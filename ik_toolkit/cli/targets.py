@@ -301,7 +301,9 @@ def solve_file(
     """
     if output is None or output.suffix.lower() not in OUTPUTS:
         raise InvalidOption(f"--targets needs -o FILE for the solutions, which ends in {', '.join(OUTPUTS)}")
-    if os.path.realpath(output) == os.path.realpath(path) or (output.exists() and path.exists() and output.samefile(path)):
+    if os.path.realpath(output) == os.path.realpath(path) or (
+        output.exists() and path.exists() and output.samefile(path)
+    ):
         raise InvalidOption(f"-o would overwrite the targets file '{path}'")
     count, targets = read_targets(path, deg)
     began = perf_counter()
