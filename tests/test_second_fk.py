@@ -289,6 +289,22 @@ def test_loading_compiles_nothing(tmp_path):
     assert done.returncode == 0, done.stderr
 
 
+def test_a_follower_that_loses_its_digits_is_refused():
+    """At ten million radians the last digit of an angle is 2e-9: no kernel can hold such a robot to 1e-9."""
+    follower = dict(kind="revolute", axis="0 1 0", xyz="0.1 0 0.2", limits=(-1e9, 1e9))
+    for multiplier, loads in (("1e5", True), ("1e8", False)):
+        text = robots.urdf(
+            dict(kind="revolute"),
+            {**follower, "mimic": f'<mimic joint="j0" multiplier="{multiplier}"/>'},
+            dict(kind="revolute"),
+        )
+        if loads:
+            check_kinematics(ik.Robot.load(text), SecondFK(text), 9)
+        else:
+            with pytest.raises(ModelError, match="please report"):
+                ik.Robot.load(text)
+
+
 def test_the_second_fk_itself():
     """Two joints by hand: the judge is right about what is easily written down."""
     text = robots.urdf(

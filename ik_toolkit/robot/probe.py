@@ -19,6 +19,7 @@ from .pose import turn_onto
 
 SAMPLES = 24  # configurations at which a chain is compared with Pinocchio
 AGREE = 1e-9  # largest difference allowed there [rad, or of the robot's size]: a thousandth of the default tolerance
+HELD = 2.5e-16  # of an angle [rad] of many turns: half its last digit, and as much again where its turns are taken off
 NO_LIMIT = 1e15  # a limit beyond this [m, rad/s or m/s] is none
 NO_TURN_LIMIT = 1e6  # nor is one beyond this [rad]: towards 1e7 rad the last digit of an angle is worth AGREE
 PARALLEL = 1e-14  # sine between two axes that are parallel but for the rounding of a few matrix products
@@ -218,7 +219,7 @@ def difference(chain: Chain, Q: np.ndarray, T: np.ndarray, J: np.ndarray) -> flo
     """Largest difference of the chain from poses T (N, 4, 4) [m] and Jacobians J (N, 6, n) at Q (N, n).
 
     Lengths are divided by the robot's size, the larger of its reach and its largest offset; a column of the Jacobian by the
-    ratio of its joints.
+    ratio of its joints. Counted in is what the compiled kernel loses at the largest angle: HELD of it.
     """
     rows, ends, scale = chain.rows, chain.ends, chain.scale
     offsets = [ends[9:12], ends[21:24], *rows[:, [2, 3, 7]]]
@@ -228,4 +229,5 @@ def difference(chain: Chain, Q: np.ndarray, T: np.ndarray, J: np.ndarray) -> flo
     off_T, off_J = mine - T, (columns - J) * chain.unit / np.maximum(1.0, ratios)
     off_T[:, :3, 3] /= size
     off_J[:, :3] /= size
-    return float(np.abs(np.concatenate([off_T.ravel(), off_J.ravel()])).max())
+    angles = rows[:, 4] * (Q / chain.unit)[:, rows[:, 8].astype(int)]
+    return float(max(np.abs(off_T).max(), np.abs(off_J).max(), HELD * np.abs(angles).max()))
