@@ -118,6 +118,18 @@ def test_a_limit_on_one_side_only():
         assert ((robot.lower <= q) & (q <= robot.upper)).all()
 
 
+@pytest.mark.parametrize("width", [1e3, 1e6, 1e10, 1e14])
+def test_limits_in_name_only_hide_no_solution(width):
+    """Starts drawn from all of such a range have no digits left for the angle."""
+    robot = arm([(-width, 2.0 * width)] * 6, seed=3)
+    Q = np.random.default_rng(4).uniform(-3.0, 3.0, (300, 6))
+    T = robot.chain.forward(Q)[0]
+    many = ik.solve_batch(robot, T, "lm", check=1.0)
+    solver = ik.Solver(robot, "lm")
+    assert many.success.mean() > 0.99 and np.mean([solver(x).success for x in T[:60]]) > 0.95
+    assert np.abs(many.q).max() < 100.0 or width < 1e4
+
+
 # ---------------------------------------------------------------------------------------------------- many turns away
 def wound(robot, q, turns):
     """q with its endless joints so many turns further."""

@@ -12,6 +12,7 @@ from .slots import E_VECTORS
 
 __all__ = ["ROW", "Chain", "pack"]
 WINDING = 5 * TAU
+TURNING = 1e4  # rad; a joint with a wider range has limits in name only
 RATIO = (
     1e-12  # a ratio of a joint to its coordinate this close to 1 is 1: rounding of a unit axis, not a mimic multiplier
 )
@@ -149,11 +150,14 @@ def segments(rows: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> np.ndarr
     return lengths
 
 
-def box(lower: np.ndarray, upper: np.ndarray, slides: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Where to draw starts (kernel units): inside the limits, one turn or one reach where there are none."""
+def box(lower: np.ndarray, upper: np.ndarray, slides: np.ndarray, turns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Where to draw starts (kernel units): inside the limits, one turn or one reach where there are none (or as good as none)."""
     half = np.where(slides, 1.0, np.pi)
     low = np.where(np.isfinite(lower), lower, np.where(np.isfinite(upper), upper - 2 * half, -half))
-    return low, np.where(np.isfinite(upper), upper, low + 2 * half)
+    high = np.where(np.isfinite(upper), upper, low + 2 * half)
+    wide = turns & (high - low > TURNING)
+    low = np.where(wide, np.clip(-np.pi, low, high - TAU), low)
+    return low, np.where(wide, low + TAU, high)
 
 
 def table(rows: np.ndarray, ends: np.ndarray, seeds: np.ndarray, kinematics: Callable = run) -> np.ndarray:
@@ -252,7 +256,7 @@ def pack(
     low_k, high_k = lower / unit, upper / unit
     # An endless joint is brought back after five turns inside the kernel; the answer is moved to the turn nearest q0.
     endless = turns & np.isinf(lower) & np.isinf(upper)
-    low, high = box(low_k, high_k, slides)
+    low, high = box(low_k, high_k, slides, turns)
     tail = [scale, *reach_bounds(rows, tip, low_k, high_k)]
     rows[0, 0] = float(own.all())
     inside = [np.where(endless, -WINDING, low_k), np.where(endless, WINDING, high_k), turns + 1.0 * endless, unit]

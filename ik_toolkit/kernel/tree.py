@@ -63,7 +63,7 @@ def pack_tree(chains: list[Chain], places: list[Array], lower: Array, upper: Arr
     for chain, place in zip(chains, places, strict=True):
         turns[place] &= chain.turns > 0.0
     endless = turns & np.isinf(lower) & np.isinf(upper)
-    low, high = box(lower / unit, upper / unit, slides)
+    low, high = box(lower / unit, upper / unit, slides, turns)
     inside = [
         np.where(endless, -WINDING, lower / unit),
         np.where(endless, WINDING, upper / unit),
