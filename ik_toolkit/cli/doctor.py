@@ -111,9 +111,8 @@ def _cache() -> dict[str, Any]:
     except Exception as error:  # a broken installation: the rows above say which part
         return _row("compile cache", "problem", f"the kernels cannot be imported: {error}")
     if folder is None:
-        return _row(
-            "compile cache", "missing", f"every process compiles again ({forward._cache.why}); set NUMBA_CACHE_DIR"
-        )
+        why = getattr(getattr(forward, "_cache", None), "why", "NUMBA_DISABLE_JIT is set")
+        return _row("compile cache", "missing", f"every process compiles again ({why}); set NUMBA_CACHE_DIR")
     try:
         for path in broken:
             path.unlink()

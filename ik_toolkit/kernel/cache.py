@@ -114,9 +114,10 @@ def content(path: Path) -> bytes:
 
 def damaged(function: Any) -> tuple[Path | None, list[Path]]:
     """Top folder of the kernels on disk, seen from a cached function, and the files in it that are not whole."""
-    if not isinstance(function._cache, DiskCache):
+    cache = getattr(function, "_cache", None)
+    if not isinstance(cache, DiskCache):
         return None, []
-    folder = Path(function._cache.cache_path)
+    folder = Path(cache.cache_path)
     top = KERNEL.parent if folder.name == "__pycache__" else folder.parent
     return top, [path for path in sorted(top.rglob(f"{PREFIX}*")) if not _whole(path)]
 

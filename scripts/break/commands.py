@@ -119,6 +119,27 @@ def hostile_files(folder: Path, rng: random.Random) -> list[str]:
     return [*files, "folder.csv", "folder.urdf", "loop.csv", "hard.csv", "soft.npz", "missing.csv", "missing/out.csv"]
 
 
+SENSIBLE = {  # values that get a command line past its checks
+    "--solver": "lm dls pinv transpose newton ccd pid state-space planar-2r inspection auto".split(),
+    "--tolerance": ["1e-6", "1e-3", "1e-12"],
+    "--tip": ["tool", "tip", "panda_hand_tcp", "left_tip"],
+    "--base": ["base", "base_link"],
+    "--param": ["damping=0.1", "gain=0.5", "kp=1"],
+    "--mask": ["1,1,1,0,0,0", "1,1,1,1,1,0"],
+    "--objective": ["mid-range", "manipulability"],
+    "--obstacle": ["sphere:1,1,1,0.2", "box:0,0,-1,1,1,0.1"],
+    "--max-iterations": ["1", "50"],
+    "--restarts": ["0", "3"],
+    "--seed": ["0", "7"],
+    "--goals": ["1", "30"],
+    "--preset": ["burrell-2016", "preset.toml", "pid=hydrolek-7w"],
+    "--q": ["0.1,0.2", "0,0,0", "0.1,0.2,0,0,0,0", "0,0,0,-1,0,1,0"],
+    "--q0": ["0.1,0.2", "0,0,0", "0.1,0.2,0,0,0,0", "0,0,0,-1,0,1,0"],
+    "--method": ["cv", "ca", "lm", "dls", "cma", "pso"],
+    "--path": ["circle", "line", "eight", "path.csv"],
+    "--rate": ["50", "1000"],
+    "--sample": ["joints", "volume"],
+}
 OUTPUTS = ("out.json", "out.csv", "out.npz", "out.toml", "out.urdf", "out.html", "out.png")
 
 
@@ -133,6 +154,8 @@ class Lines:
     def value(self, option: str) -> list[str]:
         """Words for an option's value, more often of its kind than not."""
         rng = self.rng
+        if option in SENSIBLE and rng.random() < 0.7:
+            return [rng.choice(SENSIBLE[option])]
         if option in ("--output", "--html", "--plot", "--csv"):
             return [rng.choice([*OUTPUTS, *OUTPUTS, *self.files, "/dev/null", "/dev/full", ""])]
         if option == "--targets":
@@ -162,8 +185,11 @@ class Lines:
                 if rng.random() < 0.95:
                     words.append(rng.choice(pool))
         options = [p for p in parameters if p.param_type_name == "option" and "--view" not in p.opts]
-        if name == "solve" and rng.random() < 0.7:
+        if name == "solve" and rng.random() < 0.4:
             words += ["--xyz", *self.value("--xyz")]
+        elif name == "solve":
+            words += ["--targets", *self.value("--targets"), "-o", rng.choice(OUTPUTS[:3])]
+            options = [p for p in options if not {"--xyz", "--plot", "--html", "--all"} & {*p.opts}] or options
         for parameter in rng.sample(options, min(len(options), rng.choice((0, 1, 1, 2, 3, 5, 8)))):
             option = max(rng.choice((parameter.opts, parameter.secondary_opts or parameter.opts)), key=len)
             words.append(option)
