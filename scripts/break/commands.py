@@ -184,7 +184,7 @@ class Lines:
                     pool = ("no such thing", *self.files)
                 if rng.random() < 0.95:
                     words.append(rng.choice(pool))
-        options = [p for p in parameters if p.param_type_name == "option" and "--view" not in p.opts]
+        options = [p for p in parameters if p.param_type_name == "option" and not {"--view", "--prepare"} & {*p.opts}]
         if name == "solve" and rng.random() < 0.4:
             words += ["--xyz", *self.value("--xyz")]
         elif name == "solve":
@@ -279,6 +279,7 @@ def faults(folder: Path, source: Path, code: int, said: str, words: list[str]) -
 
 def warm_up() -> None:
     """Import and compile what most commands use, so that a forked process starts at once."""
+    os.environ["IK_TOOLKIT_WAIT"] = "1"  # nothing that compiles in the background
     with contextlib.redirect_stdout(io.StringIO()):
         for name in ROBOTS:
             main(["info", name])
