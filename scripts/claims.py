@@ -163,8 +163,8 @@ TOLERANCES = (1e-3, float(np.radians(0.1)))  # [m, rad] of `ik.track`
 def excess(
     robot: ik.Robot, reference: ik.Reference, t: np.ndarray, Q: np.ndarray, limits: tuple[float, float]
 ) -> float:
-    """Largest error of the samples over its tolerance; the tip is where Pinocchio sees it."""
-    worst = 0.0
+    """Largest error of the samples over its tolerance, infinite for a run that ended early; the tip is where Pinocchio sees it."""
+    worst = 0.0 if len(t) and t[-1] > reference.duration - 0.1 else np.inf  # no step here is longer than 0.1 s
     for now, q in zip(t, Q, strict=True):
         wanted, tip = reference.at(float(now))[0], robot.fk(q)
         worst = max(worst, float(np.linalg.norm(wanted[:3, 3] - tip.translation)) / limits[0])

@@ -395,7 +395,11 @@ def test_no_server_is_left_after_a_signal(command, end):
     while "http://" not in line:
         line = run.stderr.readline()
         assert line, "the command ended before it served"
-    port = int(re.search(r":(\d+)/", line)[1])
+    url = re.search(r"http://\S+/", line)[0]
+    at = urllib.parse.urlsplit(url)
+    port = at.port
+    assert len(at.path.strip("/")) > 20 and status_of(url, {}) == 200  # the address printed is the whole one
+    assert status_of(f"http://{at.netloc}/", {}) in (403, 404)
     run.send_signal(end)
     assert run.wait(20) == 0
     with socket.socket() as probe:
