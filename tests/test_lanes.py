@@ -82,13 +82,13 @@ def correct(robot, rows, T, position_only=False, tolerance=1e-6):
     return solved
 
 
-@pytest.mark.parametrize("name", ARMS)
-@pytest.mark.parametrize("kind", [POSE, POSITION])
+@pytest.mark.parametrize(
+    ("name", "kind"),
+    [(name, kind) for name in ARMS for kind in (POSE, POSITION) if kind != POSE or name not in robots.PLANAR],
+)
 def test_answers_are_those_of_the_loop_in_all_but_choice(name, kind):
     robot = robots.load(name)
     T = robots.sample(robot, 300, seed=4)[1]
-    if kind == POSE and robot.n < 6:
-        pytest.skip("too few joints for a pose")
     side, loop = run(robot, T, kind)
     solved = correct(robot, side, T, kind == POSITION)
     assert set(side[:, R_STATUS]) <= {CONVERGED, LEFT}
@@ -131,8 +131,12 @@ def test_half_a_turn_off_is_no_answer():
     robot = robots.load("panda")
     Q, T = robots.sample(robot, 64, seed=8)
     T[:, :3, :3] = T[:, :3, :3] @ np.diag([1.0, -1.0, -1.0])
-    correct(robot, run(robot, T, q0=Q)[0], T)
-    correct(robot, run(robot, T, q0=Q, restarts=0)[0], T)
+    side, loop = run(robot, T, q0=Q)
+    solved = correct(robot, side, T)  # by a restart: about half of these poses can be reached at all
+    assert set(side[:, R_STATUS]) <= {CONVERGED, LEFT}
+    assert len(solved) >= 0.9 * (loop[:, R_STATUS] == CONVERGED).sum() > 20
+    alone, _ = run(robot, T, q0=Q, restarts=0)  # from the start itself the axis cannot be told: none is answered
+    assert (alone[:, R_STATUS] == LEFT).all()
 
 
 @pytest.mark.parametrize("tolerance", [1e-10, 1e-3, 1.0, 3.1])
@@ -168,6 +172,9 @@ def test_the_batch_leaves_nothing_behind():
     T = robots.sample(robot, 300, seed=11)[1]
     T[::50, :3, 3] += 20.0
     many = ik.solve_batch(robot, T, "lm")
-    assert many.counts() == {"CONVERGED": 294, "UNREACHABLE": 6}
+    far = np.zeros(300, dtype=bool)
+    far[::50] = True
+    assert (many.status[far] == ik.Status.UNREACHABLE).all()
+    assert many.success[~far].mean() > 0.99  # what is lost of reachable ones depends on the starts
     again = ik.solve_batch(robot, T[37:38], "lm")
     assert again._table.tobytes() == many._table[37:38].tobytes()
