@@ -269,11 +269,14 @@ def test_closest_and_objectives_go_with_collisions():
     assert result.success and result.q[1] == pytest.approx(-1.2, abs=1e-5)
     three = load("planar_3r")
     xyz = three.fk([0.5, 0.5, 0.5]).translation
+    around = 0
     for k in range(6):
         plain = ik.solve(three, xyz, q0=three.home, objective="mid-range", seed=k)
         wall = ik.CollisionModel(three).add_sphere(0.3, elbow(three, plain.q, 3), "ball")
         found = ik.solve(three, xyz, q0=three.home, objective="mid-range", seed=k, avoid_collisions=wall)
         assert not found.success or not wall.collides(found.q)
+        around += found.success
+    assert around >= 3  # a refusal every time would prove nothing
 
 
 @pytest.mark.parametrize("solver", ["auto", "lm"])

@@ -243,3 +243,4 @@ def test_starts_exactly_at_limits(side):
         _, T = robots.sample(robot, 20, seed=2)
         for target in T:
             result = ik.solve(robot, target, "lm", q0=corner)
+            assert result.success and "clamped" not in result.notice
