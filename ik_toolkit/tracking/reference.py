@@ -179,9 +179,9 @@ def line(start: Any, end: Any, *, duration: float, law: str = "constant", rounds
         k = 2 * np.pi * rounds
         return 0.5 * (1 - np.cos(k * x)), 0.5 * k * np.sin(k * x), 0.5 * k * k * np.cos(k * x)
 
-    rounds = number(rounds, "rounds")
-    if rounds < 0 or not rounds.is_integer():
-        raise InvalidOption(f"rounds must be 0 or a whole number above, not {rounds:g}")
+    times = number(rounds, "rounds")
+    if times < 0 or not times.is_integer():
+        raise InvalidOption(f"rounds must be 0 or a whole number above, not {times:g}")
     return _on_path(path, there_and_back if rounds else _law(law), duration, R0, "line", turn)
 
 
