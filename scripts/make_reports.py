@@ -13,7 +13,7 @@ from ik_toolkit.papers import PAPERS
 
 FOLDER = Path(__file__).resolve().parent.parent / "docs" / "papers"
 WIDTH = 1300  # pixels; enough for a page, and a reader's screen at twice the density
-COLOURS = 128
+COLOURS = 255
 
 
 def shrink(file: Path) -> None:
@@ -21,7 +21,8 @@ def shrink(file: Path) -> None:
     picture = Image.open(file).convert("RGB")
     if picture.width > WIDTH:
         picture = picture.resize((WIDTH, round(picture.height * WIDTH / picture.width)), Image.Resampling.LANCZOS)
-    picture.quantize(COLOURS, dither=Image.Dither.NONE).save(file, optimize=True)
+    # the rarest colours, such as a line that only the legend shows, are kept by this method
+    picture.quantize(COLOURS, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE).save(file, optimize=True)
 
 
 def main() -> None:

@@ -59,7 +59,7 @@ def draw_charts(plt: Any, sets: Mapping[str, Any]) -> Any:
     )
     right.plot([], [], ls="", marker="o", color=COLOURS[0], label="stable in the paper")
     right.plot([], [], ls="", marker="X", color=COLOURS[1], label="unstable in the paper")
-    right.legend(loc="lower right", fontsize=8)
+    right.legend(loc="upper left", fontsize=8)
     return figure
 
 
@@ -132,7 +132,7 @@ def draw_plane(plt: Any, case: Any, lap: float, panels: Mapping[str, Mapping[str
         _below(low, runs)
         low.set(yscale="log", ylim=(FLOOR, 1e6), xlabel="time [s]")
         low.grid(axis="y", color="#E0E0E0", lw=0.5)
-    axes[0, 0].legend(fontsize=8, loc="upper left")
+    axes[0, 0].legend(fontsize=8, loc="upper left", frameon=True, framealpha=1.0, edgecolor="none")
     axes[1, 0].set_ylabel("|error| [m]")
     axes[1, 1].legend(fontsize=8, loc="upper right", ncols=3)
     return figure
