@@ -1,11 +1,14 @@
 """Loops: `follow` keeps an answer near its start, and an answer from elsewhere says so."""
 
+import json
+
 import numpy as np
 import pinocchio as pin
 import pytest
 import robots
 
 import ik_toolkit as ik
+from ik_toolkit.cli import main
 
 BOUND = 0.5
 
@@ -184,3 +187,14 @@ def test_closest_to_home_is_the_nearest_of_what_it_compares():
         result = ik.solve(robot, robot.fk(q).homogeneous, closest=True)
         assert result.success
         assert np.linalg.norm(result.q - robot.home) <= np.linalg.norm(q - robot.home) + 0.05
+
+
+def test_follow_on_the_command_line(capsys):
+    line = ["solve", "planar_2r", "--xyz", "0.9", "1.2", "0", "--q0", "0.3", "1.2", "--json"]
+    assert main([*line, "--follow", "0.05"]) == 1
+    answer = json.loads(capsys.readouterr().out)
+    assert answer["status"] == "TOO_FAR" and np.abs(np.array(answer["q"]) - (0.3, 1.2)).max() <= 0.05
+    assert main([*line, "--follow", "1.0"]) == 0
+    assert json.loads(capsys.readouterr().out)["attempt"] == 0
+    assert main(["solve", "planar_2r", "--xyz", "0.9", "1.2", "0", "--follow", "1.0"]) == 2
+    assert "q0" in capsys.readouterr().err

@@ -90,6 +90,14 @@ Weights = Annotated[
 Closest = Annotated[
     str | None, typer.Option("--closest", metavar="Q1 Q2 ...", help="Of several solutions the one nearest this.")
 ]
+Follow = Annotated[
+    float | None,
+    typer.Option(
+        "--follow",
+        metavar="RAD",
+        help="One attempt that moves no joint further than this from --q0 (slides: times reach).",
+    ),
+]
 Objective = Annotated[
     str | None,
     typer.Option(
@@ -158,6 +166,7 @@ def solve(
     mask_frame: MaskFrame = "base",
     joint_weights: Weights = None,
     closest: Closest = None,
+    follow: Follow = None,
     objective: Objective = None,
     avoid_collisions: AvoidCollisions = False,
     obstacle: Obstacles = None,
@@ -220,6 +229,7 @@ def solve(
         "mask_frame": None if mask is None else mask_frame,
         "joint_weights": None if joint_weights is None else tuple(vector(joint_weights, "--joint-weights", arm.n)),
         "objective": objective,
+        "follow": follow,
     }
     options: dict[str, Any] = {key: value for key, value in given.items() if value is not None}
     options |= {"seed": seed, "limits": limits, "q0_outside": "clamp" if clamp_q0 else "refuse"}
@@ -253,7 +263,8 @@ def solve(
     position_only = getattr(target, "ndim", 2) == 1
     shown = plot is not None or html is not None or live
     with nullcontext() if shown else first_use.instead_of_compiling():
-        solve_one(arm, at_home.translation if position_only else at_home, method, **options)
+        near = arm.home if follow else None
+        solve_one(arm, at_home.translation if position_only else at_home, method, q0=near, **options)
     if closest is not None:
         options["closest"] = joint_vector(arm, closest, "--closest", deg)
     options["max_evaluations"] = first_use.budget()
