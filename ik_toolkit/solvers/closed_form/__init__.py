@@ -4,7 +4,13 @@ from typing import Any
 
 
 def fits(robot: Any, kind: int) -> str | None:
-    """Name of the closed form that solves this robot for a kind of target (kernel.task.POSE or POSITION), or None.
+    """Name of the closed form that solves this robot for a kind of target (kernel.task.POSE or POSITION), or None."""
+    found = fit(robot, kind)
+    return found[0] if found else None
+
+
+def fit(robot: Any, kind: int) -> tuple[str, float] | None:
+    """Name of the closed form for a kind of target, and how far the robot is off its structure [rad, or of the reach]; or None.
 
     The chain's geometry decides; the answer is kept with the robot, so asking again costs a look-up.
     """
@@ -14,15 +20,35 @@ def fits(robot: Any, kind: int) -> str | None:
     return known[1].get(kind)
 
 
-def _recognise(chain: Any) -> dict[int, str]:
+def describe(robot: Any) -> str:
+    """One sentence on the closed form that fits a robot and how well, or ''."""
+    from ...kernel.task import POSE, POSITION
+    from .geometry import FIT
+
+    for kind in (POSE, POSITION):
+        found = fit(robot, kind)
+        if found is not None:
+            name, off = found
+            if off <= FIT:
+                return f"'{name}' fits exactly"
+            return (
+                f"'{name}' fits nearly: the axes are off its structure by {off:.2g} (rad, or of the reach); answers are "
+                "finished on the real chain and prove nothing"
+            )
+    return ""
+
+
+def _recognise(chain: Any) -> dict[int, tuple[str, float]]:
     from ...kernel.task import POSE, POSITION
 
     if chain.n == 2:
         from . import planar_2r
 
-        return {} if planar_2r.recognise(chain)[1] else {POSITION: "planar-2r"}
+        found = planar_2r.recognise(chain)
+        return {} if found.reason else {POSITION: ("planar-2r", found.off)}
     if chain.n in (6, 7):
         from . import inspection
 
-        return {} if inspection.recognise(chain)[1] else {POSE: "inspection"}
+        found = inspection.recognise(chain)
+        return {} if found.reason else {POSE: ("inspection", found.off)}
     return {}

@@ -11,9 +11,13 @@ from ...kernel.chain import Chain
 from ...kernel.checks import BAD_START, BAD_TARGET, rigid
 from ...kernel.jit import cached, jit
 from ...kernel.loop import ENTRIES
-from .geometry import copy_limits, legal_start, legal_turn, measure_tip, read_screws
+from .finish import polish
+from .geometry import Branches, Fit, copy_limits, legal_start, legal_turn, measure_tip, no_fit, read_screws
 
 N = 6
+STEPS = (
+    12  # Newton steps that finish an answer; at a singular pose EAIK's own are off by 1e-4, and each step halves that
+)
 H, P, R_TIP = slice(0, 18), slice(18, 39), slice(39, 48)  # axes, steps from one to the next, tip's orientation at q = 0
 
 
@@ -27,27 +31,33 @@ class EAIK(NamedTuple):
 
     def pack(self, robot: Any) -> np.ndarray:
         """Axes of the arm. Raises UnknownSolver when it is none that EAIK decomposes, MissingExtra without the package."""
-        parameters, reason = recognise(robot.chain)
-        if reason:
-            raise UnknownSolver(f"solver 'eaik' does not fit robot '{robot.name}': {reason}")
-        return parameters
+        fit = recognise(robot.chain)
+        if fit.reason:
+            raise UnknownSolver(f"solver 'eaik' does not fit robot '{robot.name}': {fit.reason}")
+        return fit.parameters
+
+    def every(self, robot: Any, p: np.ndarray, T: np.ndarray, box: np.ndarray, count: int) -> Branches:
+        """All answers of EAIK for T (4, 4) at the turns nearest box[2]; it is known to miss some near singular poses."""
+        Q = branches(p, T)
+        out, broken = np.empty_like(Q), np.empty(len(Q))
+        every_branch(Q, box, out, broken)
+        return Branches(out, broken, np.zeros((len(Q), 3), dtype=np.int8), False, " of EAIK", (), STEPS, -1, True)
 
 
-def recognise(chain: Chain) -> tuple[np.ndarray, str]:
-    """Axes of the arm at q = 0, and '' or why EAIK cannot take it."""
-    none = np.zeros(0)
+def recognise(chain: Chain) -> Fit:
+    """Read the axes of the arm at q = 0."""
     if chain.n != N:
-        return none, f"it has {chain.n} joints on the path, not 6"
+        return no_fit(f"it has {chain.n} joints on the path, not 6")
     screws = read_screws(chain)
     if isinstance(screws, str):
-        return none, screws
+        return no_fit(screws)
     if not screws.turns.all():
-        return none, "not all of its joints turn"
+        return no_fit("not all of its joints turn")
     steps = np.diff(np.vstack([np.zeros(3), screws.point, screws.T[:3, 3]]), axis=0)
     parameters = np.concatenate([screws.axis.ravel(), steps.ravel(), screws.T[:3, :3].ravel()])
     if not _arm(parameters.tobytes()).hasKnownDecomposition():
-        return none, "EAIK knows no decomposition of its axes"
-    return parameters, ""
+        return no_fit("EAIK knows no decomposition of its axes")
+    return Fit(parameters, "", 0.0)
 
 
 @functools.lru_cache(16)
@@ -61,17 +71,14 @@ def _arm(parameters: bytes) -> Any:
     return HPRobot(p[H].reshape(N, 3), p[P].reshape(N + 1, 3))
 
 
-def branches(p: np.ndarray, T: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """EAIK's answers (K, 6) [rad] for T (4, 4), and which of them (K,) are only nearest, not exact."""
-    nothing = np.empty((0, N)), np.empty(0, dtype=bool)
+def branches(p: np.ndarray, T: np.ndarray) -> np.ndarray:
+    """EAIK's answers (K, 6) [rad] for T (4, 4), exact or not: its own flag is set for exact ones too."""
     if not np.isfinite(T).all():
-        return nothing
+        return np.empty((0, N))
     tool = np.eye(4)
     tool[:3, :3] = p[R_TIP].reshape(3, 3).T
-    found = _arm(p.tobytes()).IK(T @ tool)
-    Q = np.ascontiguousarray(found.Q, dtype=float).reshape(-1, N)
-    good = np.isfinite(Q).all(axis=1)
-    return Q[good], np.array(found.is_LS, dtype=bool)[good]
+    Q = np.ascontiguousarray(_arm(p.tobytes()).IK(T @ tool).Q, dtype=float).reshape(-1, N)
+    return Q[np.isfinite(Q).all(axis=1)]
 
 
 @jit
@@ -85,48 +92,44 @@ def joint_values(angles, box, q):
     return worst, distance
 
 
-def _compile():
-    @cached
-    def choose(rows, ends, T, Q, nearest_only, q0, opt, hist, out):
-        if not rigid(T):
-            out[0] = BAD_TARGET
-            return
-        if opt[slots.O_GIVEN] > 0.0 and not legal_start(ends, opt, q0):
-            out[0] = BAD_START
-            return
-        box = np.empty((4, N))
-        copy_limits(ends, opt, q0, box)
-        q, best = np.empty(N), box[2].copy()
-        least, near, rough = np.inf, np.inf, True
-        for k in range(Q.shape[0]):
-            worst, distance = joint_values(Q[k], box, q)
-            better = worst < least or (worst == least and distance < near)
-            if (rough and not nearest_only[k]) or (rough == nearest_only[k] and better):
-                rough, least, near = nearest_only[k], worst, distance
-                best[:] = q
-        goal, Z, trig = np.empty(12), np.empty((N, 6)), np.zeros((3, 8))
-        measure_tip(rows, ends, opt, T, best, box, 0.0, 0.0, 0.0, goal, Z, trig, hist, out)
+@cached
+def choose(rows, ends, T, Q, q0, opt, hist, out):
+    """Write the result row of T (4, 4): of EAIK's answers Q (K, 6), finished on the chain, the nearest one that is good.
 
-    @cached
-    def every(Q, box, out, broken):
-        """Fill out (K, 6) with the legal turns of Q nearest box[2], and broken (K,) with the limit each breaks."""
-        for k in range(Q.shape[0]):
-            broken[k] = joint_values(Q[k], box, out[k])[0]
+    Where none meets the tolerances inside the limits, the one with the smallest error.
+    """
+    if not rigid(T):
+        out[0] = BAD_TARGET
+        return
+    if opt[slots.O_GIVEN] > 0.0 and not legal_start(ends, opt, q0):
+        out[0] = BAD_START
+        return
+    box = np.empty((4, N))
+    copy_limits(ends, opt, q0, box)
+    q, best = np.empty(N), box[2].copy()
+    least, near = np.inf, np.inf
+    for k in range(Q.shape[0]):
+        joint_values(Q[k], box, q)
+        for i in range(N):
+            q[i] = min(max(q[i], box[0, i]), box[1, i])
+        position, rotation, _ = polish(rows, ends, opt, T, q, -1, STEPS)
+        error = max(position / opt[slots.O_TOL_P], rotation / opt[slots.O_TOL_R])
+        error = 0.0 if position < opt[slots.O_TOL_P] and rotation < opt[slots.O_TOL_R] else error
+        distance = 0.0
+        for i in range(N):
+            distance += box[3, i] * (q[i] - box[2, i]) ** 2
+        if error < least or (error == least and distance < near):
+            least, near = error, distance
+            best[:] = q
+    goal, Z, trig = np.empty(12), np.empty((N, 6)), np.zeros((3, 8))
+    measure_tip(rows, ends, opt, T, best, box, 0.0, 0.0, 0.0, goal, Z, trig, hist, out)
 
-    return choose, every
 
-
-_choose, _every = _compile()
-
-
-def every_branch(p: np.ndarray, T: np.ndarray, box: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Exact branches (K, 6) [rad] of T (4, 4) at the turns nearest box[2], and the limit (K,) each breaks."""
-    Q, nearest_only = branches(p, T)
-    Q = Q[~nearest_only]
-    broken = np.empty(len(Q))
-    out = np.empty_like(Q)
-    _every(Q, box, out, broken)
-    return out, broken
+@cached
+def every_branch(Q, box, out, broken):
+    """Fill out (K, 6) with the legal turns of Q nearest box[2], and broken (K,) with the limit each breaks."""
+    for k in range(Q.shape[0]):
+        broken[k] = joint_values(Q[k], box, out[k])[0]
 
 
 def _solve(rows, ends, seeds, feat, T, Q0, out, opt, hist) -> None:
@@ -134,7 +137,7 @@ def _solve(rows, ends, seeds, feat, T, Q0, out, opt, hist) -> None:
     p = opt[slots.OPT_HEAD + N :]
     for t in range(len(T)):
         q0 = Q0[t if len(Q0) > 1 else 0]
-        _choose(rows, ends, T[t], *branches(p, T[t]), q0, opt, hist, out[t])
+        choose(rows, ends, T[t], branches(p, T[t]), q0, opt, hist, out[t])
 
 
 ENTRIES[EAIK] = _solve

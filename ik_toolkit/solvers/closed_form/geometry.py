@@ -17,8 +17,49 @@ from ...kernel.kinematics import TAU, aim, error, fk, rotation_angle
 from ...kernel.limits import legal
 from ...kernel.task import POSITION
 
-FIT = 1e-9  # how far [rad, or of the reach] axes may be off the recognised structure
+FIT = 1e-9  # how far [rad, or of the reach] axes may be off a structure that is taken as exact
+NEAR = 1e-4  # how far off they may be at all: what people write with five digits is, and Newton's steps mend it
 SNAP = 1e-9  # an answer this little [rad or m] beyond a limit is put on it
+
+
+class Fit(NamedTuple):
+    """How a chain fits a structure."""
+
+    parameters: np.ndarray  # numbers of the closed form; empty where it does not fit
+    reason: str  # why it does not fit, or ''
+    off: float  # how far its axes are off the structure [rad, or of the reach]
+
+
+def no_fit(reason: str) -> Fit:
+    """Say why a chain does not fit."""
+    return Fit(np.zeros(0), reason, math.inf)
+
+
+class Family(NamedTuple):
+    """A continuum of solutions.
+
+    joints: names of the joints that move along it, the leading one first; lower, upper: range of the leading joint [rad or m],
+    None where the family was found numerically and not followed to its ends; message: one sentence.
+    """
+
+    joints: tuple[str, ...]
+    lower: float | None
+    upper: float | None
+    message: str
+
+
+class Branches(NamedTuple):
+    """What a closed form lists for one target."""
+
+    q: np.ndarray  # (K, n) branches [rad or m], at the turn nearest the reference
+    broken: np.ndarray  # (K,) by how much each breaks a limit
+    marks: np.ndarray  # (K, 3) signs of shoulder, elbow and wrist
+    complete: bool  # whether these are proven to be all
+    words: str  # where they are, for the message
+    families: tuple[Family, ...] = ()  # of which the rows are a sample
+    steps: int = 0  # Newton steps that finish each on the real chain
+    fixed: int = -1  # place of a joint that those steps do not move
+    partial: bool = False  # whether the closed form is known to miss some, so that a search has to add them
 
 
 class Screws(NamedTuple):

@@ -11,11 +11,29 @@ from ...kernel.chain import Chain
 from ...kernel.checks import BAD_START, BAD_TARGET, rigid
 from ...kernel.jit import cached, jit
 from ...kernel.loop import ENTRIES
-from .geometry import FIT, across, angle_about, copy_limits, legal_start, legal_turn, measure_tip, read_screws
+from .finish import polish
+from .geometry import (
+    FIT,
+    NEAR,
+    Branches,
+    Family,
+    Fit,
+    across,
+    angle_about,
+    copy_limits,
+    legal_start,
+    legal_turn,
+    measure_tip,
+    no_fit,
+    read_screws,
+)
 from .reach import planar_branches, planar_margin
 
-# Slots of the parameters: base -> arm plane (12), then these, then sign and offset of each angle: theta = sign q + offset.
-L1, L2, HEIGHT, ANGLES = 12, 13, 14, 15
+# Slots of the parameters: base -> arm plane (12), then these, then sign and offset of each angle (theta = sign q +
+# offset), and whether the axes are only nearly parallel.
+L1, L2, HEIGHT, ANGLES, NEARLY = 12, 13, 14, 15, 19
+STEPS = 8  # Newton steps that finish a branch of an arm whose axes are only nearly parallel
+FOLDED = 1e-9  # of the lengths: distance from the base below which the links count as folded onto it
 
 
 class Planar2R(NamedTuple):
@@ -27,38 +45,58 @@ class Planar2R(NamedTuple):
 
     def pack(self, robot: Any) -> np.ndarray:
         """Geometry for the compiled solver. Raises UnknownSolver when the robot is no such arm."""
-        parameters, reason = recognise(robot.chain)
-        if reason:
-            raise UnknownSolver(f"solver 'planar-2r' does not fit robot '{robot.name}': {reason}")
-        return parameters
+        fit = recognise(robot.chain)
+        if fit.reason:
+            raise UnknownSolver(f"solver 'planar-2r' does not fit robot '{robot.name}': {fit.reason}")
+        return fit.parameters
+
+    def every(self, robot: Any, p: np.ndarray, T: np.ndarray, box: np.ndarray, count: int) -> Branches:
+        """All branches of the point of T (4, 4); where the links fold back onto the base, `count` of the first joint's turns.
+
+        box (4, 2): limits, reference and weights (see geometry.copy_limits).
+        """
+        q, broken, marks = np.empty((2, 2)), np.empty(2), np.empty((2, 3), dtype=np.int8)
+        found, folded = every_branch(p, T, box, q, broken, marks)
+        nearly = p[NEARLY] > 0.0
+        families = ()
+        if folded and found and broken[0] == 0.0:
+            low, high = max(box[0, 0], -math.pi), min(box[1, 0], math.pi)
+            if high < low:  # limits that lie a turn or more away
+                low, high = box[0, 0], min(box[1, 0], box[0, 0] + 2.0 * math.pi)
+            q = np.column_stack([np.linspace(low, high, count), np.full(count, q[0, 1])])
+            found, broken, marks = count, np.zeros(count), np.zeros((count, 3), dtype=np.int8)
+            first = robot.joint_names[0]
+            text = f"the links fold back onto the base: {first} is free from {low:.6g} to {high:.6g} rad"
+            families = (Family((first,), float(low), float(high), text),)
+        complete = not (nearly or families)
+        return Branches(q[:found], broken[:found], marks[:found], complete, "", families, STEPS if nearly else 0)
 
 
-def recognise(chain: Chain) -> tuple[np.ndarray, str]:
-    """Parameters of the arm read off its joint axes, and '' or why it is not two parallel turning joints."""
-    none = np.zeros(0)
+def recognise(chain: Chain) -> Fit:
+    """Read the arm off its joint axes."""
     if chain.n != 2:
-        return none, f"it has {chain.n} joints on the path, not 2"
+        return no_fit(f"it has {chain.n} joints on the path, not 2")
     screws = read_screws(chain)
     if isinstance(screws, str):
-        return none, screws
+        return no_fit(screws)
     if not screws.turns.all():
-        return none, "one of its two joints slides; both must turn"
+        return no_fit("one of its two joints slides; both must turn")
     z, other = screws.axis
     tilt = float(np.linalg.norm(np.cross(z, other)))
-    if tilt > FIT:
-        return none, f"its two axes are not parallel (off by {tilt:.2g} rad)"
+    if tilt > NEAR:
+        return no_fit(f"its two axes are not parallel (off by {tilt:.2g} rad)")
     tip = screws.T[:3, 3]
     link = across(z, screws.point[1] - screws.point[0])
     hand = across(z, tip - screws.point[1])
     l1, l2 = float(np.linalg.norm(link)), float(np.linalg.norm(hand))
-    if min(l1, l2) <= FIT * chain.reach:
-        return none, "its two axes coincide" if l1 <= l2 else "its tip lies on the second axis"
+    if min(l1, l2) <= NEAR * chain.reach:
+        return no_fit("its two axes coincide" if l1 <= l2 else "its tip lies on the second axis")
     x = link / l1
     sign = 1.0 if z @ other > 0.0 else -1.0
     R = np.vstack([x, np.cross(z, x), z])
-    angles = [1.0, 0.0, sign, angle_about(z, x, hand / l2)]
+    angles = [1.0, 0.0, sign, angle_about(z, x, hand / l2), float(tilt > FIT)]
     height = z @ (tip - screws.point[0])
-    return np.concatenate([R.ravel(), -R @ screws.point[0], [l1, l2, height], angles]), ""
+    return Fit(np.concatenate([R.ravel(), -R @ screws.point[0], [l1, l2, height], angles]), "", tilt)
 
 
 @jit
@@ -149,24 +187,38 @@ def _compile_solve():
                     best[:] = q
             if least > 0.0:
                 nearest_on_limits(p, x, y, box, q, best)
+            if p[NEARLY] > 0.0:  # finished on the real chain; proves nothing
+                nearest = np.inf
+                for k in range(planar_branches(x, y, p[L1], p[L2], near, sols)):
+                    joint_values(p, sols[k], box, q)
+                    for i in range(n):
+                        q[i] = min(max(q[i], box[0, i]), box[1, i])
+                    position, _, _ = polish(rows, ends, opt, T[t], q, -1, STEPS)
+                    distance = box[3, 0] * (q[0] - box[2, 0]) ** 2 + box[3, 1] * (q[1] - box[2, 1]) ** 2
+                    if position < opt[slots.O_TOL_P] and distance < nearest:
+                        nearest = distance
+                        best[:] = q
+                least, gap = 0.0, 0.0
             measure_tip(rows, ends, opt, T[t], best, box, least, gap, 0.0, goal, Z, trig, hist, out[t])
 
     return solve
 
 
-def _compile_all():
-    @cached
-    def every(p, T, box, out, broken):
-        """Fill out (2, 2) with the branches of T (4, 4) and broken (2,) with the limit each breaks; return how many."""
-        x, y, off = to_plane(p, T)
-        sols = np.empty((2, 2))
-        count = planar_branches(x, y, p[L1], p[L2], p[ANGLES] * box[2, 0] + p[ANGLES + 1], sols)
-        for k in range(count):
-            broken[k] = joint_values(p, sols[k], box, out[k])[0]
-        return count
+@cached
+def every_branch(p, T, box, out, broken, marks):
+    """Fill out (2, 2) with the branches of T (4, 4), broken (2,) with the limit each breaks, marks (2, 3) with their signs.
 
-    return every
+    Returns how many, and whether the links fold back onto the base, where the first angle is free.
+    """
+    x, y, off = to_plane(p, T)
+    size = p[L1] + p[L2]
+    sols = np.empty((2, 2))
+    count = planar_branches(x, y, p[L1], p[L2], p[ANGLES] * box[2, 0] + p[ANGLES + 1], sols)
+    for k in range(count):
+        broken[k] = joint_values(p, sols[k], box, out[k])[0]
+        marks[k, 0] = marks[k, 2] = 0
+        marks[k, 1] = 0 if count == 1 else (1 if sols[k, 1] > 0.0 else -1)
+    return count, max(math.hypot(x, y), abs(p[L1] - p[L2])) <= FOLDED * size
 
 
 ENTRIES[Planar2R] = _compile_solve()
-every_branch = _compile_all()

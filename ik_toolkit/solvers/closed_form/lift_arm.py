@@ -1,0 +1,267 @@
+"""The compiled arm with a spherical shoulder on a lift: its branches inside the limits, over the lift and over free angles."""
+
+import math
+
+import numpy as np
+
+from ...kernel.jit import jit
+from ...kernel.kinematics import TAU
+from .geometry import clamp, legal_turn
+from .reach import (
+    inspection_branch,
+    inspection_branches,
+    inspection_margin,
+    inspection_nearest,
+    level_arm,
+    lift_intervals,
+    nearest_lift,
+)
+
+# Slots of the parameters: base -> shoulder axes (12), tip -> wrist axes (12), then these. Of each turning joint: its place
+# in q, sign and offset (theta = sign q + offset); of the lift: its place (-1: none), sign, choice, given value; then
+# whether the arm only nearly has the structure.
+A4, A6, JOINTS, LIFT, NEARLY = 24, 25, 26, 44, 48
+NEAREST, GIVEN, MIDDLE = range(3)
+SCAN = 12  # lifts tried in each feasible interval when no branch at the first lift is legal
+WINDOWS = 33  # lifts of each branch between which minima of the limit broken are looked for when none of those is legal
+GOLDEN, CLOSING = 0.6180339887498949, 64  # of the golden section: it ends at rounding, 0.618^64 = 4e-14
+TURNS = 8  # full turns looked at either way; joints with wider limits are as good as endless
+LEVEL = 1e-9  # slope of the tool's z axis, and miss of the forearm's length, up to which an arm is level
+
+
+@jit
+def wrist_pose(p, T, P):
+    """Fill P (12: rotation by rows, point) with the wrist pose of T (4, 4) in shoulder axes."""
+    for r in range(3):
+        b0, b1, b2 = p[3 * r], p[3 * r + 1], p[3 * r + 2]
+        m0 = b0 * T[0, 0] + b1 * T[1, 0] + b2 * T[2, 0]
+        m1 = b0 * T[0, 1] + b1 * T[1, 1] + b2 * T[2, 1]
+        m2 = b0 * T[0, 2] + b1 * T[1, 2] + b2 * T[2, 2]
+        for k in range(3):
+            P[3 * r + k] = m0 * p[12 + k] + m1 * p[15 + k] + m2 * p[18 + k]
+        P[9 + r] = b0 * T[0, 3] + b1 * T[1, 3] + b2 * T[2, 3] + p[9 + r] + m0 * p[21] + m1 * p[22] + m2 * p[23]
+
+
+@jit
+def joint_values(p, angles, d, box, q):
+    """Fill q with the legal turns of `angles` (6,) nearest box[2] and the lift; return the worst limit broken, the distance."""
+    worst, distance = 0.0, 0.0
+    for k in range(6):
+        i = int(p[JOINTS + 3 * k])
+        x = p[JOINTS + 3 * k + 1] * (angles[k] - p[JOINTS + 3 * k + 2])
+        q[i], broken = legal_turn(x, box[0, i], box[1, i], box[2, i])
+        worst = max(worst, broken)
+        distance += box[3, i] * (q[i] - box[2, i]) ** 2
+    i = int(p[LIFT])
+    if i >= 0:
+        q[i], broken = clamp(p[LIFT + 1] * d, box[0, i], box[1, i])
+        worst = max(worst, broken)
+        distance += box[3, i] * (q[i] - box[2, i]) ** 2
+    return worst, distance
+
+
+@jit
+def near_angles(p, box, near):
+    """Fill near (6,) with the theta of the reference configuration: they stand in where an angle is free."""
+    for k in range(6):
+        near[k] = p[JOINTS + 3 * k + 1] * box[2, int(p[JOINTS + 3 * k])] + p[JOINTS + 3 * k + 2]
+
+
+@jit
+def pick(p, P, d, box, near, moved, sols, q, best):
+    """Fill best (n,) with the branch at lift d that breaks limits least, of the legal ones the nearest; return both numbers.
+
+    The wrist point is first moved to the nearest reachable one.
+    """
+    moved[:] = P
+    inspection_nearest(moved, d, p[A4], p[A6])
+    least, nearest = np.inf, np.inf
+    for k in range(inspection_branches(moved, d, p[A4], p[A6], near, sols)):
+        worst, distance = joint_values(p, sols[k], d, box, q)
+        if worst < least or (worst == least and distance < nearest):
+            least, nearest = worst, distance
+            best[:] = q
+    return least, nearest
+
+
+@jit
+def lift_limits(p, box):
+    """Lowest and highest lift the limits allow, along the shoulder's own axis."""
+    i = int(p[LIFT])
+    if p[LIFT + 1] > 0.0:
+        return box[0, i], box[1, i]
+    return -box[1, i], -box[0, i]
+
+
+@jit
+def choose_lift(p, P, box, spans):
+    """Lift to try first, and how many feasible intervals stand in spans (2, 2).
+
+    0: reachable from no legal lift, the nearest is returned; -1: the lift is not free or its first choice is feasible.
+    """
+    a4, a6 = p[A4], p[A6]
+    i = int(p[LIFT])
+    if i < 0:
+        return 0.0, -1
+    choice = int(p[LIFT + 2])
+    if choice == GIVEN:
+        return p[LIFT + 1] * p[LIFT + 3], -1
+    low, high = lift_limits(p, box)
+    wish = min(max(p[LIFT + 1] * box[2, i], low), high)
+    if choice == NEAREST and inspection_margin(P, wish, a4, a6) >= 0.0:
+        return wish, -1
+    count = lift_intervals(P, a4, a6, low, high, spans)
+    if count == 0:
+        return nearest_lift(P, a4, a6, low, high), 0
+    best = 0.5 * (spans[0, 0] + spans[0, 1])
+    if choice == MIDDLE:
+        if count == 2 and spans[1, 1] - spans[1, 0] > spans[0, 1] - spans[0, 0]:
+            best = 0.5 * (spans[1, 0] + spans[1, 1])
+        return best, count
+    best = min(max(wish, spans[0, 0]), spans[0, 1])
+    other = min(max(wish, spans[count - 1, 0]), spans[count - 1, 1])
+    return (other if abs(other - wish) < abs(best - wish) else best), count
+
+
+@jit
+def stopped_at(p, P, box, d, gap, spans):
+    """Where no legal lift reaches: the limit nearest a lift that would, 0, and the stroke [m] missing; or d, gap and 0."""
+    low, high = lift_limits(p, box)
+    least = np.inf
+    for k in range(lift_intervals(P, p[A4], p[A6], -np.inf, np.inf, spans)):
+        if spans[k, 0] - high > 0.0 and spans[k, 0] - high < least:
+            least, d, gap = spans[k, 0] - high, high, 0.0
+        if low - spans[k, 1] > 0.0 and low - spans[k, 1] < least:
+            least, d, gap = low - spans[k, 1], low, 0.0
+    return d, gap, (least if gap == 0.0 else 0.0)
+
+
+@jit
+def scan_lifts(p, P, box, near, spans, count, moved, sols, q, trial, best):
+    """Look at a few feasible lifts for a legal branch: the one nearest the reference, or what breaks the limits least.
+
+    Lifts stand closer at the ends of an interval, where the angles change fastest.
+    """
+    least, nearest = np.inf, np.inf
+    for k in range(count):
+        middle, half = 0.5 * (spans[k, 0] + spans[k, 1]), 0.5 * (spans[k, 1] - spans[k, 0])
+        for j in range(SCAN):
+            d = middle - half * math.cos(math.pi * j / (SCAN - 1))
+            worst, distance = pick(p, P, d, box, near, moved, sols, q, trial)
+            if worst < least or (worst == least and distance < nearest):
+                least, nearest = worst, distance
+                best[:] = trial
+    return least
+
+
+@jit
+def at_turn(p, P, k, middle, half, turn, box, near, row, q):
+    """Fill q with branch k at the lift middle - half cos(turn); return the worst limit broken and the distance."""
+    d = middle - half * math.cos(turn)
+    inspection_branch(P, d, p[A4], p[A6], near, k, row)
+    return joint_values(p, row, d, box, q)
+
+
+@jit
+def narrow_windows(p, P, box, near, spans, count, broken, row, q, best):
+    """Search every branch over the feasible lifts for the windows that are inside all limits, however narrow.
+
+    A branch leaves its limits between two lifts where the worst limit broken has a minimum above zero between them; each
+    minimum is closed in on until it is legal or as small as it gets. Returns the least that is broken.
+    """
+    least, nearest = np.inf, np.inf
+    step = math.pi / (WINDOWS - 1)
+    for span in range(count):
+        middle, half = 0.5 * (spans[span, 0] + spans[span, 1]), 0.5 * (spans[span, 1] - spans[span, 0])
+        for k in range(8):
+            for j in range(WINDOWS):
+                broken[j] = at_turn(p, P, k, middle, half, j * step, box, near, row, q)[0]
+            for j in range(WINDOWS):
+                if (j > 0 and broken[j - 1] < broken[j]) or (j + 1 < WINDOWS and broken[j + 1] < broken[j]):
+                    continue
+                a, b = max(j - 1, 0) * step, min(j + 1, WINDOWS - 1) * step
+                u, v = b - GOLDEN * (b - a), a + GOLDEN * (b - a)
+                at_u = at_turn(p, P, k, middle, half, u, box, near, row, q)[0]
+                at_v = at_turn(p, P, k, middle, half, v, box, near, row, q)[0]
+                for _ in range(CLOSING):
+                    if broken[j] == 0.0 or min(at_u, at_v) == 0.0:
+                        break
+                    if at_u < at_v:
+                        b, v, at_v = v, u, at_u
+                        u = b - GOLDEN * (b - a)
+                        at_u = at_turn(p, P, k, middle, half, u, box, near, row, q)[0]
+                    else:
+                        a, u, at_u = u, v, at_v
+                        v = a + GOLDEN * (b - a)
+                        at_v = at_turn(p, P, k, middle, half, v, box, near, row, q)[0]
+                turn = j * step if broken[j] <= min(at_u, at_v) else (u if at_u <= at_v else v)
+                worst, distance = at_turn(p, P, k, middle, half, turn, box, near, row, q)
+                if worst < least or (worst == least and distance < nearest):
+                    least, nearest = worst, distance
+                    best[:] = q
+    return least
+
+
+@jit
+def coupled(p, up, row):
+    """Joints i and j of theta_1 and theta_4, and q_j = base + slope q_i, of a level arm (6,): theta_4 - up theta_1 is given."""
+    sign, sign4 = p[JOINTS + 1], p[JOINTS + 7]
+    base = sign4 * (row[2] - up * row[0] + up * p[JOINTS + 2] - p[JOINTS + 8])
+    return int(p[JOINTS]), int(p[JOINTS + 6]), base, sign4 * up * sign
+
+
+@jit
+def shared_range(box, i, j, shift, slope):
+    """Range of q_i in which it and q_j = shift + slope q_i (slope 1 or -1) are legal; empty where the first is above."""
+    a, b = (box[0, j] - shift) * slope, (box[1, j] - shift) * slope
+    return max(box[0, i], min(a, b)), min(box[1, i], max(a, b))
+
+
+@jit
+def set_free(p, up, x, row):
+    """Set theta_1 of a level arm (6,) to that of the joint value x; theta_4 follows."""
+    turned = p[JOINTS + 1] * x + p[JOINTS + 2] - row[0]
+    row[0] += turned
+    row[2] += up * turned
+
+
+@jit
+def meet_limits(p, box, up, row):
+    """Set theta_1 and theta_4 of a level arm (6,), whose sum or difference is given, to the legal pair nearest the reference.
+
+    theta_4 = constant + up theta_1, up = 1 or -1. Where no pair is legal, the one that breaks its limits least is taken.
+    """
+    i, j, base, slope = coupled(p, up, row)
+    first, second, wi, wj = box[2, i], box[2, j], box[3, i], box[3, j]
+    turns = np.rint((second - base - slope * first) / TAU)
+    least, nearest, chosen = np.inf, np.inf, first
+    for m in range(-TURNS, TURNS + 1):
+        shift = base + TAU * (turns + m)
+        low, high = shared_range(box, i, j, shift, slope)
+        gap = max(low - high, 0.0)
+        x = 0.5 * (low + high) if gap > 0.0 else (wi * first + wj * slope * (second - shift)) / (wi + wj)
+        x = x if gap > 0.0 else min(max(x, low), high)
+        distance = wi * (x - first) ** 2 + wj * (shift + slope * x - second) ** 2
+        if gap < least or (gap == least and distance < nearest):
+            least, nearest, chosen = gap, distance, x
+    set_free(p, up, chosen, row)
+
+
+@jit
+def pick_level(p, P, d, free, box, near, row, q, best):
+    """Fill best with the level arm (axes 1 and 4 parallel, one angle free) that breaks limits least, then the nearest.
+
+    Returns the limit it breaks, infinity where the pose has no level arm. free: the lift may be chosen, otherwise it is d.
+    """
+    least, nearest = np.inf, np.inf
+    size = p[A4] + p[A6]
+    for k in range(8 if abs(P[8]) <= LEVEL else 0):
+        at, miss = level_arm(P, d, free, p[A4], p[A6], k, near, row)
+        if miss > LEVEL * size:
+            continue
+        meet_limits(p, box, 1.0 - 2.0 * (k % 2), row)
+        worst, distance = joint_values(p, row, at, box, q)
+        if worst < least or (worst == least and distance < nearest):
+            least, nearest = worst, distance
+            best[:] = q
+    return least

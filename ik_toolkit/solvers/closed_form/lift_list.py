@@ -1,0 +1,221 @@
+"""All branches of the arm with a spherical shoulder on a lift, and the families where an angle or the lift is free."""
+
+import math
+from typing import Any
+
+import numpy as np
+
+from ...kernel.jit import cached
+from ...kernel.kinematics import TAU
+from . import reach
+from .geometry import Branches, Family
+from .lift_arm import (
+    A4,
+    A6,
+    GIVEN,
+    JOINTS,
+    LEVEL,
+    LIFT,
+    MIDDLE,
+    NEAREST,
+    NEARLY,
+    TURNS,
+    choose_lift,
+    coupled,
+    joint_values,
+    meet_limits,
+    near_angles,
+    set_free,
+    shared_range,
+    wrist_pose,
+)
+from .reach import (
+    forearm,
+    inspection_branches,
+    inspection_margin,
+    inspection_nearest,
+    level_arm,
+    lift_intervals,
+    shoulder_in_tool,
+)
+
+SPREAD_LIFTS = 9  # lifts per feasible interval when the lift is free
+STEPS = 8  # Newton steps that finish a branch of an arm that only nearly has the structure
+LEVEL_ARM, ON_AXIS_6, ON_AXIS_7 = 1, 2, 4  # what leaves an angle free at a given lift, as bits
+
+
+@cached
+def every_branch(p, T, box, lifts, out, broken):
+    """Fill out (8 K, n) with all branches of T (4, 4) at those of the lifts (K,) that reach it; return how many.
+
+    broken (8 K,) receives by how much each breaks a limit.
+    """
+    near, P, sols = np.empty(6), np.empty(12), np.empty((8, 6))
+    near_angles(p, box, near)
+    wrist_pose(p, T, P)
+    count = 0
+    for d in lifts:
+        if inspection_margin(P, d, p[A4], p[A6]) < -reach.EDGE * (p[A4] + p[A6]):
+            continue
+        inspection_nearest(P, d, p[A4], p[A6])
+        for k in range(inspection_branches(P, d, p[A4], p[A6], near, sols)):
+            broken[count] = joint_values(p, sols[k], d, box, out[count])[0]
+            count += 1
+    return count
+
+
+@cached
+def first_lift(p, T, box):
+    """Lift along the shoulder's axis at which to list the branches of T (4, 4) when one is asked for or q0's is wanted."""
+    P, spans = np.empty(12), np.empty((2, 2))
+    wrist_pose(p, T, P)
+    return choose_lift(p, P, box, spans)[0]
+
+
+@cached
+def looks(p, T, d, Q, marks):
+    """Fill marks (K, 3) with the signs of shoulder, elbow and wrist of Q (K, n); tell what is free at lift d, as bits."""
+    for k in range(Q.shape[0]):
+        for m in range(3):  # sin theta_3, sin theta_6, cos theta_5
+            place = JOINTS + (3, 12, 9)[m]
+            theta = p[place + 1] * Q[k, int(p[place])] + p[place + 2]
+            value = math.cos(theta) if m == 2 else math.sin(theta)
+            marks[k, m] = 0 if abs(value) < reach.MERGED else (1 if value > 0.0 else -1)
+    P = np.empty(12)
+    wrist_pose(p, T, P)
+    x, y, z = shoulder_in_tool(P, d)
+    free = LEVEL_ARM if abs(P[8]) <= LEVEL else 0
+    if forearm(P, d, p[A4], p[A6], np.zeros(6))[0]:
+        free += ON_AXIS_6
+    if math.hypot(x, y) <= LEVEL * (p[A4] + p[A6]):
+        free += ON_AXIS_7
+    return free
+
+
+@cached
+def level_family(p, T, box, d, free, samples, spans, out, broken):
+    """Fill spans (S, 2) with the legal ranges of theta_1's joint [rad] of the level arms of T (4, 4); return how many.
+
+    out (S samples, n) and broken (S samples,) receive configurations spread evenly over each. free: the lift is whatever each
+    arm needs, otherwise it is d.
+    """
+    P, near, row, q = np.empty(12), np.empty(6), np.empty(6), np.empty(out.shape[1])
+    near_angles(p, box, near)
+    wrist_pose(p, T, P)
+    count = 0
+    for k in range(8):
+        at, miss = level_arm(P, d, free, p[A4], p[A6], k, near, row)
+        if miss > LEVEL * (p[A4] + p[A6]) or (not free and k // 2 % 2 == 1):
+            continue
+        up = 1.0 - 2.0 * (k % 2)
+        meet_limits(p, box, up, row)
+        if joint_values(p, row, at, box, q)[0] > 0.0:
+            continue
+        i, j, base, slope = coupled(p, up, row)
+        first = np.rint((q[j] - base - slope * q[i]) / TAU)
+        for m in range(-TURNS, TURNS + 1):
+            low, high = shared_range(box, i, j, base + TAU * (first + m), slope)
+            if high < low:
+                continue
+            whole = high - low >= TAU
+            if whole:
+                low, high = q[i] - 0.5 * TAU, q[i] + 0.5 * TAU
+            spans[count, 0], spans[count, 1] = low, high
+            for s in range(samples):
+                set_free(p, up, low + (high - low) * s / max(samples - 1, 1), row)
+                broken[count * samples + s] = joint_values(p, row, at, box, out[count * samples + s])[0]
+            count += 1
+            if whole:
+                break
+    return count
+
+
+def feasible_lifts(
+    p: np.ndarray, T: np.ndarray, low: float = -math.inf, high: float = math.inf
+) -> list[tuple[float, float]]:
+    """Intervals of the lift joint's value [m], inside [low, high], from which the pose T (4, 4) is reachable (0 to 2)."""
+    P, spans, sign = np.empty(12), np.empty((2, 2)), p[LIFT + 1]
+    wrist_pose(p, np.asarray(T, dtype=float), P)
+    ends = sorted((sign * low, sign * high))
+    count = lift_intervals(P, p[A4], p[A6], ends[0], ends[1], spans)
+    return sorted(tuple(sorted(sign * float(x) for x in span)) for span in spans[:count])
+
+
+def nearest_pose(p: np.ndarray, T: np.ndarray, lift: float) -> tuple[np.ndarray, float]:
+    """Nearest pose to T (4, 4) reachable at a value of the lift joint [m] with the orientation kept, and how far [m] it is."""
+    P, near = np.empty(12), np.array(T, dtype=float)
+    wrist_pose(p, near, P)
+    before = P[9:].copy()
+    gap = inspection_nearest(P, p[LIFT + 1] * lift, p[A4], p[A6])
+    near[:3, 3] += p[:9].reshape(3, 3).T @ (P[9:] - before)
+    return near, gap
+
+
+def listing(robot: Any, p: np.ndarray, T: np.ndarray, box: np.ndarray, count: int) -> Branches:
+    """All branches of T (4, 4) at the lift that is given, locked or asked for by 'mid'; a spread where it is free.
+
+    box (4, n): limits, reference and weights (see geometry.copy_limits). count: about how many members of a family to list.
+    """
+    place, sign, choice = int(p[LIFT]), p[LIFT + 1], p[LIFT + 2]
+    free_lift = place >= 0 and choice == NEAREST
+    if place < 0 or choice == GIVEN:
+        lifts = np.array([0.0 if place < 0 else sign * p[LIFT + 3]])
+    else:
+        lifts = np.array([first_lift(p, T, box)])
+    words = "" if place < 0 else f" at lift {sign * lifts[0]:.6g} m"
+    families = []
+    if free_lift:
+        spans = feasible_lifts(p, T, box[0, place], box[1, place])
+        others = tuple(name for k, name in enumerate(robot.joint_names) if k != place)
+        for a, b in spans:
+            text = f"{robot.joint_names[place]} is free from {a:.6g} to {b:.6g} m, and the other joints follow"
+            families.append(Family((robot.joint_names[place], *others), float(a), float(b), text))
+        lifts = np.concatenate([lifts, *(sign * np.linspace(a, b, SPREAD_LIFTS + 2)[1:-1] for a, b in spans)])
+        if spans:
+            feasible = " and ".join(f"{a:.6g} to {b:.6g} m" for a, b in spans)
+            words = f" at {len(lifts)} lifts, of the infinitely many from {feasible},"
+    q, broken = np.empty((8 * len(lifts), robot.n)), np.empty(8 * len(lifts))
+    found = every_branch(p, T, box, lifts, q, broken)
+    q, broken, marks = q[:found], broken[:found], np.empty((found, 3), dtype=np.int8)
+    free = looks(p, T, lifts[0], q, marks)
+    if free:
+        more, new = _free_angles(robot, p, T, box, lifts[0], free, free_lift, count)
+        families += new
+        q, broken = np.vstack([q, *(rows for rows, _ in more)]), np.concatenate([broken, *(limit for _, limit in more)])
+        marks = np.empty((len(q), 3), dtype=np.int8)
+        looks(p, T, lifts[0], q, marks)
+    nearly = p[NEARLY] > 0.0
+    complete = not (nearly or families or (place >= 0 and choice == MIDDLE))
+    fixed = -1 if place < 0 or free_lift else place
+    return Branches(q, broken, marks, complete, words, tuple(families), STEPS if nearly else 0, fixed)
+
+
+def _free_angles(
+    robot: Any, p: np.ndarray, T: np.ndarray, box: np.ndarray, d: float, free: int, free_lift: bool, count: int
+) -> tuple[list[tuple[np.ndarray, np.ndarray]], list[Family]]:
+    """Members (q, broken) and families where theta_1, theta_6 or theta_7 is free."""
+    names = [robot.joint_names[int(p[JOINTS + 3 * k])] for k in range(6)]  # of theta_1, 3, 4, 5, 6, 7
+    more, families = [], []
+    if free & LEVEL_ARM:
+        most = 8 * (2 * TURNS + 1)
+        spans, q, broken = np.empty((most, 2)), np.empty((most * count, robot.n)), np.empty(most * count)
+        found = level_family(p, T, box, d, free_lift, count, spans, q, broken)
+        more.append((q[: found * count], broken[: found * count]))
+        for low, high in spans[:found]:
+            text = f"the arm is level: {names[0]} is free from {low:.6g} to {high:.6g} rad, and {names[2]} follows"
+            families.append(Family((names[0], names[2]), float(low), float(high), text))
+    for bit, leading, axis in ((ON_AXIS_6, 4, "sixth"), (ON_AXIS_7, 5, "seventh")):
+        if not free & bit:
+            continue
+        q, broken, at = np.empty((8 * count, robot.n)), np.empty(8 * count), 0
+        for angle in np.linspace(-np.pi, np.pi, count, endpoint=False):
+            here = box.copy()
+            place = JOINTS + 3 * leading
+            here[2, int(p[place])] = p[place + 1] * (angle - p[place + 2])
+            at += every_branch(p, T, here, np.array([d]), q[at:], broken[at:])
+        more.append((q[:at], broken[:at]))
+        if (broken[:at] == 0.0).any():
+            moving = (names[leading], names[0], names[1], names[2])
+            text = f"the shoulder lies on the {axis} axis: {names[leading]} is free, and {', '.join(moving[1:])} follow"
+            families.append(Family(moving, None, None, text))
+    return more, families

@@ -1,0 +1,129 @@
+"""What `solve_all` and `Solver.all` return: the distinct solutions of a target, and the families they are samples of."""
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from ..robot.robot import Robot
+from .closed_form.geometry import Family
+
+__all__ = ["Family", "Solutions", "SolutionsBatch"]
+
+
+class Solutions:
+    """Distinct solutions of one target, nearest to q0 first.
+
+    q (K, n) [rad or m]; distance (K,) from q0 (angles [rad], lengths over the robot's scale); position_error (K,) [m] and
+    orientation_error (K,) [rad] (None for positions), evaluated; branches (K, 3): signs of shoulder, elbow and wrist of a closed
+    form of ours (0 where two branches merge or the arm has no such joint), else None; found_by (K,): name of the solver of
+    each; complete: whether these are proven to be all of them (turns by 2 pi apart); families: tuple of Family, of which the
+    rows are a sample; solver (name); message (one sentence). len(), indexing and iteration give the rows of q.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        q: np.ndarray,
+        distance: np.ndarray,
+        errors: tuple[np.ndarray, np.ndarray | None],
+        complete: bool,
+        solver: str,
+        message: str,
+        families: tuple[Family, ...] = (),
+        branches: np.ndarray | None = None,
+        found_by: tuple[str, ...] | None = None,
+    ) -> None:
+        """Keep the parts."""
+        self.robot = robot
+        self.q = q
+        self.distance = distance
+        self.position_error, self.orientation_error = errors
+        self.complete = complete
+        self.solver = solver
+        self.message = message
+        self.families = families
+        self.branches = branches
+        self.found_by = (solver,) * len(q) if found_by is None else found_by
+
+    def __len__(self) -> int:
+        """Number of solutions."""
+        return len(self.q)
+
+    def __iter__(self) -> Iterator[np.ndarray]:
+        """Solutions (n,), nearest first."""
+        return iter(self.q)
+
+    def __getitem__(self, k: int) -> np.ndarray:
+        """Solution number k (n,)."""
+        return self.q[k]
+
+    def keep(self, rows: np.ndarray) -> "Solutions":
+        """The same with some rows (indices or truth values) only."""
+        rows = np.arange(len(self))[rows]
+        orientation = self.orientation_error
+        return Solutions(
+            self.robot, self.q[rows], self.distance[rows],
+            (self.position_error[rows], None if orientation is None else orientation[rows]),
+            self.complete, self.solver, self.message, self.families,
+            None if self.branches is None else self.branches[rows], tuple(self.found_by[k] for k in rows),
+        )  # fmt: skip
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain numbers, strings and lists, ready for JSON."""
+        orientation = self.orientation_error
+        return {
+            "success": len(self) > 0,
+            "complete": self.complete,
+            "message": self.message,
+            "solver": self.solver,
+            "robot": self.robot.name,
+            "joint_names": list(self.robot.joint_names),
+            "solutions": self.q.tolist(),
+            "distance": self.distance.tolist(),
+            "position_error": self.position_error.tolist(),
+            "orientation_error": None if orientation is None else orientation.tolist(),
+            "branches": None if self.branches is None else self.branches.tolist(),
+            "found_by": list(self.found_by),
+            "families": [family._asdict() for family in self.families],
+        }
+
+    def __repr__(self) -> str:
+        """One line."""
+        return f"Solutions({len(self)} of '{self.robot.name}', complete={self.complete}, solver='{self.solver}': {self.message})"
+
+
+class SolutionsBatch:
+    """Solutions of many targets, all rows together.
+
+    q (M, n); target (M,): number of the target of each row; distance, position_error, orientation_error, branches: as in
+    Solutions, a row each; complete (N,) bool. len() is the number of targets; batch[k] is the Solutions of target k.
+    """
+
+    def __init__(self, each: list[Solutions]) -> None:
+        """Join the solutions of the targets."""
+        self._each = each
+        self.target = np.repeat(np.arange(len(each)), [len(one) for one in each])
+        self.complete = np.array([one.complete for one in each], dtype=bool)
+
+    def _joined(self, name: str) -> np.ndarray | None:
+        parts = [getattr(one, name) for one in self._each]
+        return None if not parts or parts[0] is None else np.concatenate(parts)
+
+    q = property(lambda self: self._joined("q"))
+    distance = property(lambda self: self._joined("distance"))
+    position_error = property(lambda self: self._joined("position_error"))
+    orientation_error = property(lambda self: self._joined("orientation_error"))
+    branches = property(lambda self: self._joined("branches"))
+
+    def __len__(self) -> int:
+        """Number of targets."""
+        return len(self._each)
+
+    def __getitem__(self, k: int) -> Solutions:
+        """Solutions of target k."""
+        return self._each[k]
+
+    def __repr__(self) -> str:
+        """One line."""
+        return f"SolutionsBatch({len(self)} targets, {len(self.target)} solutions)"

@@ -1,0 +1,110 @@
+"""Lists of solutions: nothing is called complete that is not, families are said, branches have names."""
+
+import importlib.util
+
+import numpy as np
+import pytest
+import robots
+
+import ik_toolkit as ik
+
+needs_eaik = pytest.mark.skipif(importlib.util.find_spec("eaik") is None, reason="EAIK is not installed")
+needs_data = pytest.mark.skipif(not robots.have_data(), reason="example-robot-data is not installed")
+
+
+def apart(Q, q):
+    """Largest joint difference of rows of Q from q, angles modulo turns."""
+    d = np.abs(Q - q)
+    return np.minimum(d, np.abs(2 * np.pi - d)).max(axis=1)
+
+
+def test_a_level_arm_is_a_family():
+    robot = robots.load("locked")
+    rng = np.random.default_rng(0)
+    for _ in range(10):
+        q = robot.random_q(rng)
+        q[robot.joint_names.index("arm_pitch")] = 0.0
+        found = ik.solve_all(robot, robot.fk(q), count=20)
+        assert not found.complete and 1 < len(found) <= 20
+        assert all(not robot.outside(x) for x in found) and found.position_error.max() < 1e-6
+        inside = [f for f in found.families if f.joints == ("column_yaw", "arm_yaw") and f.lower <= q[0] <= f.upper]
+        assert inside and "is free" in inside[0].message
+        for x in np.linspace(inside[0].lower, inside[0].upper, 7):  # the range is legal from end to end
+            assert np.abs(found.q[:, 0] - x).min() < 2.0
+        other = ik.solve_all(robot, robot.fk(q), "lm", starts=100, count=20)
+        assert not other.complete and len(other) <= 20 and {"column_yaw", "arm_yaw"} <= set(other.families[0].joints)
+    plain = ik.solve_all(robot, robot.fk(robot.home + 0.1))
+    assert plain.complete and plain.families == ()
+
+
+def test_folded_links_are_a_family():
+    joints = [dict(kind="revolute", limits=(-2.0, 1.5)), dict(kind="revolute", xyz="0.5 0 0", limits=(-3.2, 3.2))]
+    robot = ik.Robot.load(robots.urdf(*joints, dict(kind="fixed", xyz="0.5 0 0"), name="folding"))
+    found = ik.solve_all(robot, [0.0, 0.0, 0.2], count=9)
+    assert found.solver == "planar-2r" and not found.complete and len(found) == 9
+    assert found.families[0][:3] == (("j0",), -2.0, 1.5)
+    assert found.q[:, 0].min() == -2.0 and found.q[:, 0].max() == 1.5
+    straight = ik.solve_all(robot, [1.0, 0.0, 0.2])
+    assert straight.complete and len(straight) == 1 and straight.families == ()
+
+
+@needs_data
+def test_a_wrist_that_leaves_an_angle_free_is_a_family_and_a_straight_elbow_is_none():
+    robot = robots.load("ur5")
+    q = np.array([0.3, -1.2, 1.4, -0.5, 0.0, 0.8])
+    found = ik.solve_all(robot, robot.fk(q), starts=300, count=24)
+    assert not found.complete and len(found) <= 24
+    assert set(found.families[0].joints) >= {"shoulder_lift_joint", "elbow_joint", "wrist_1_joint", "wrist_3_joint"}
+    assert found.families[0].lower is None
+    q = np.array([0.3, -1.2, 0.0, -0.5, 0.9, 0.8])
+    found = ik.solve_all(robot, robot.fk(q), starts=300)
+    assert found.families == () and apart(found.q, q).min() < 1e-3
+
+
+@needs_eaik
+@needs_data
+def test_answers_of_eaik_are_finished_and_completed_by_starts():
+    rng = np.random.default_rng(1)
+    arms = [(robots.load("ur5"), {"elbow_joint": 0.0}), (robots.load("panda").locked({"panda_joint5": 0.3}), {})]
+    for robot, values in arms:
+        for _ in range(8):
+            q = robot.random_q(rng)
+            q = np.clip(q, -2.5, 2.5) if values else q
+            for name, value in values.items():
+                q[robot.joint_names.index(name)] = value
+            found = ik.solve_all(robot, robot.fk(q), "eaik", starts=100)
+            assert not found.complete and apart(found.q, q).min() < 1e-3
+            assert set(found.found_by) <= {"eaik", "lm"} and "eaik" in found.found_by
+            assert ik.solve(robot, robot.fk(q), "eaik").success
+
+
+def test_a_bound_list_is_that_of_solve_all_and_names_its_branches():
+    robot = robots.load("locked")
+    solver = ik.Solver(robot, limits=False)
+    _, T = robots.sample(robot, 20, seed=4)
+    for pose in T:
+        found = solver.all(pose)
+        assert np.array_equal(found.q, ik.solve_all(robot, pose, limits=False).q)
+        assert found.complete and len({tuple(signs) for signs in found.branches.tolist()}) == len(found) == 8
+        elbow = robot.joint_names.index("elbow_pitch")
+        assert (np.sign(np.sin(found.q[:, elbow])) == found.branches[:, 1]).all()
+    many = solver.all(T)
+    assert len(many) == 20 and many.complete.all() and many.q.shape == (160, 6) and many.branches.shape == (160, 3)
+    assert (np.bincount(many.target) == 8).all() and np.array_equal(many[3].q, solver.all(T[3]).q)
+    planar = ik.Solver(ik.Robot.load("planar_2r"))
+    both = planar.all(np.array([[0.9, 0.9, 0.0], [0.5, 1.0, 0.0]]))
+    assert both.branches.tolist() == [[0, 1, 0], [0, -1, 0]] * 2 or both.branches[:, 1].sum() == 0
+    rough = T[0].round(5)
+    assert len(solver.all(rough)) == 8 and "projected" in solver.all(rough).message
+    with pytest.raises(ik.IKError):
+        solver.all(np.full((4, 4), np.nan))
+    with pytest.raises(ik.IKError):
+        solver.all(T[0], count=0)
+
+
+def test_a_free_lift_says_its_range():
+    robot = ik.Robot.load("inspection_7dof")
+    found = ik.solve_all(robot, robot.fk(robot.home), count=16)
+    assert not found.complete and len(found) <= 16
+    lift = next(family for family in found.families if family.joints[0] == "lift")
+    assert robot.lower[1] <= lift.lower < robot.home[1] < lift.upper <= robot.upper[1]
