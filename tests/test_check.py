@@ -73,7 +73,7 @@ def test_loaded(name):
 
 def test_mesh_found_beside_the_file_or_in_a_package(tmp_path):
     (tmp_path / "arm" / "meshes").mkdir(parents=True)
-    (tmp_path / "arm" / "meshes" / "a.stl").write_text("solid")
+    (tmp_path / "arm" / "meshes" / "a.stl").write_text("solid")  # not opened
     text = '<robot name="r"><link name="a"><visual><geometry><mesh filename="{}"/></geometry></visual></link></robot>'
     (tmp_path / "arm" / "r.urdf").write_text(text.format("meshes/a.stl"))
     assert check_urdf(tmp_path / "arm" / "r.urdf") == []

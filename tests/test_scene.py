@@ -167,7 +167,7 @@ def test_missing_meshes_are_said(tmp_path):
         '<link name="l1"><visual><geometry><mesh filename="package://nowhere/x.stl"/></geometry></visual></link>',
     )
     notice = Body(ik.Robot.load(text)).notice
-    assert "cannot be read" in notice and "stick figure" in notice
+    assert "link 'l1': mesh 'package://nowhere/x.stl' cannot be found" in notice and "stick figure" in notice
 
 
 def test_tube_is_round_and_follows_its_line():

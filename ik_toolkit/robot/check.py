@@ -6,13 +6,13 @@ capped, with no DOCTYPE, no entity expanded and nothing fetched.
 """
 
 import math
-import os
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 from ..errors import ModelError, near_match
-from .read import NUMBERS, Item, parse, safe_read
+from .meshes import find_mesh, mesh_folders
+from .read import NUMBERS, Item, numbers, parse, safe_read
 
 MOVING = ("revolute", "continuous", "prismatic")
 TYPES = (*MOVING, "fixed", "floating", "planar")
@@ -36,7 +36,7 @@ class Finding:
 def check_urdf(source: str | Path, package_dirs: Iterable[str | Path] = ()) -> list[Finding]:
     """Everything found wrong with a URDF (path or text): errors, for which it is not loaded, then warnings.
 
-    Meshes are looked for only in the file's own folder and package_dirs; network addresses are never opened.
+    Meshes are looked for only in the file's own folder, its ROS package and package_dirs; network addresses are never opened.
     """
     try:
         text = safe_read(source)
@@ -44,9 +44,7 @@ def check_urdf(source: str | Path, package_dirs: Iterable[str | Path] = ()) -> l
         return [Finding("error", "file", str(error), "give a plain URDF file")]
     items = parse(text)
     is_text = isinstance(source, str) and source.lstrip("\ufeff \t\r\n").startswith("<")
-    folders = [Path(folder).expanduser().resolve() for folder in package_dirs]
-    if not is_text:
-        folders.insert(0, Path(source).expanduser().resolve().parent)
+    folders = mesh_folders(None if is_text else Path(source), package_dirs)
     warnings = [finding for item in items for finding in (*_remarks(item), *_meshes(item, folders))]
     errors = list(_errors(items))
     if not errors:
@@ -121,20 +119,12 @@ def _near(name: str, options: Iterable[str], before: int) -> str:
     return f".{found}" if found.startswith(" Did") else ""
 
 
-def _values(text: str) -> list[float] | None:
-    """Read the numbers of an attribute; None when it is not all numbers."""
-    try:
-        return [float(word) for word in text.split()] if "_" not in text else None
-    except ValueError:
-        return None
-
-
 def _numbers(item: Item) -> Iterator[Finding]:
     for tag, attributes in item.inside:
         for key, count in NUMBERS.get(tag, {}).items():
             if key not in attributes:
                 continue
-            values = _values(attributes[key])
+            values = numbers(attributes[key])
             shown = f'<{tag} {key}="{attributes[key][:60]}">'
             if values is None or len(values) != count:
                 yield _error(
@@ -152,7 +142,7 @@ def _joint(joint: Item) -> Iterator[Finding]:
         return
     if kind not in MOVING:
         return
-    axis = _values((joint.first("axis") or {}).get("xyz", "1 0 0"))
+    axis = numbers((joint.first("axis") or {}).get("xyz", "1 0 0"))
     if axis is not None and len(axis) == 3 and not 1e-6 < math.hypot(*axis) < math.inf:
         yield _error(
             str(joint), "its axis is zero, so it has no direction to move in", "write a unit axis such as 0 0 1"
@@ -167,10 +157,10 @@ def _joint(joint: Item) -> Iterator[Finding]:
     for key in ("effort", "velocity"):
         if key not in limit:
             yield _error(str(joint), f"its <limit> has no {key}", f"add {key} (Pinocchio refuses the file without)")
-        elif (_values(limit[key]) or [0.0])[0] < 0.0:
+        elif (numbers(limit[key]) or [0.0])[0] < 0.0:
             yield _error(str(joint), f"its {key} limit is negative ({limit[key]})", "write a positive number")
     if kind != "continuous":
-        lower, upper = (_values(limit.get(end, "0")) for end in ("lower", "upper"))
+        lower, upper = (numbers(limit.get(end, "0")) for end in ("lower", "upper"))
         if lower and upper and lower[0] > upper[0]:
             yield _error(
                 str(joint), f"its lower limit {lower[0]:g} is above its upper limit {upper[0]:g}", "exchange them"
@@ -260,7 +250,7 @@ def _remarks(item: Item) -> Iterator[Finding]:
             )
         if kind in ("revolute", "prismatic") and limit is not None:
             missing = [end for end in ("lower", "upper") if end not in limit]
-            lower, upper = (_values(limit.get(end, "0")) for end in ("lower", "upper"))
+            lower, upper = (numbers(limit.get(end, "0")) for end in ("lower", "upper"))
             if missing:
                 yield Finding(
                     "warning",
@@ -279,13 +269,13 @@ def _remarks(item: Item) -> Iterator[Finding]:
     for tag, attributes in item.inside:
         for key in ("radius", "length", "size"):
             values = (
-                _values(attributes[key])
+                numbers(attributes[key])
                 if tag in ("box", "cylinder", "capsule", "sphere") and key in attributes
                 else None
             )
             if values and min(values) <= 0.0:
                 yield Finding("warning", str(item), f"<{tag}> has the {key} {attributes[key]}", "sizes are positive")
-        scale = _values(attributes.get("scale", "")) if tag == "mesh" else None
+        scale = numbers(attributes.get("scale", "")) if tag == "mesh" else None
         if scale and min(map(abs, scale)) == 0.0:
             yield Finding(
                 "warning",
@@ -300,41 +290,8 @@ def _meshes(item: Item, folders: list[Path]) -> Iterator[Finding]:
         if tag != "mesh":
             continue
         name = attributes.get("filename", "")
-        problem = _mesh_problem(name, folders)
-        if problem:
-            yield Finding(
-                "warning",
-                str(item),
-                f"mesh '{name[:200]}' {problem}",
-                "only pictures and collision need it; see package_dirs",
-            )
-
-
-def _mesh_problem(name: str, folders: list[Path]) -> str:
-    """Say why a mesh cannot be used, or return ''."""
-    scheme, separator, rest = name.partition("://")
-    if not name or "\0" in name:
-        return "has no usable file name"
-    if separator and scheme not in ("package", "model", "file"):
-        return "is a network address, which is never opened"
-    if separator and scheme != "file":
-        package, _, inner = rest.partition("/")
-        places = [(folder, os.path.join(folder, rest.lstrip("/"))) for folder in folders]
-        places += [(folder, os.path.join(folder, inner.lstrip("/"))) for folder in folders if folder.name == package]
-    else:
-        places = [(folder, os.path.join(folder, rest if separator else name)) for folder in folders]
-    inside = [path for folder, path in places if Path(os.path.normpath(path)).is_relative_to(folder)]
-    if not inside:
-        return "lies outside the named folders and is not looked at" if folders else "cannot be found without a folder"
-    try:
-        found = [path for path in inside if os.path.isfile(path)]
-    except (OSError, ValueError):
-        found = []
-    if not found:
-        return "is not there"
-    real = [Path(path).resolve() for path in found]
-    return (
-        ""
-        if any(path.is_relative_to(folder) for path in real for folder in folders)
-        else "is a link out of the named folders"
-    )
+        try:
+            find_mesh(name, folders)
+        except ModelError as error:
+            advice = "only pictures and collision need it; see package_dirs"
+            yield Finding("warning", str(item), f"mesh '{name[:200]}' {error}", advice)

@@ -13,20 +13,23 @@ import numpy as np
 import pinocchio as pin
 
 from ..errors import InvalidConfiguration, InvalidOption, ModelError, near_match
+from .meshes import Mesh, find_mesh, read_meshes
 from .pose import check_target
 from .robot import Robot
+from .shapes import LinkShape, geometry_model, link_shapes, said
 
+MAX_SHAPES = 500  # of a robot: 125,000 pairs, which take 2 s to set up; robots have up to 100
 SAMPLES = 8  # configurations that show which links ever move against each other
 
 
 class CollisionModel:
     """What can hit what: the robot's own links, and shapes added around it.
 
-    robot: the one whose collision shapes are read from its URDF (meshes are looked up through its package_dirs), or from
-    `geometry`, a pin.GeometryModel. ignore: pairs of link names that may touch. Never tested: links joined by one joint, links
-    that cannot move against each other, and pairs that touch both at home and at zero (if legal), which are listed in `excluded`.
-    Attributes: links, obstacles (names), pairs (tested, by name), excluded (pairs of link names). Raises ModelError (no
-    collision shapes, or a mesh that is not found), InvalidOption.
+    robot: the one whose collision shapes are read from its URDF (meshes from the URDF's folder, its ROS package and package_dirs,
+    from nowhere else), or from `geometry`, a pin.GeometryModel. ignore: pairs of link names that may touch. Never tested: links
+    joined by one joint, links that cannot move against each other, and pairs that touch both at home and at zero (if legal), which
+    are listed in `excluded`. Attributes: links, obstacles (names), pairs (tested, by name), excluded (pairs of link names). Raises
+    ModelError (no collision shapes, over 500, one without extent, or a mesh that cannot be read), InvalidOption.
     """
 
     def __init__(
@@ -219,14 +222,34 @@ def _read(robot: Robot) -> pin.GeometryModel:
     """Collision shapes of the robot's URDF, placed on its model."""
     if robot.urdf is None:
         raise ModelError(f"robot '{robot.name}' was not made from a URDF; pass its collision shapes as geometry=")
-    folders = [str(folder) for folder in [*robot.package_dirs, *([robot.path.parent] if robot.path else [])]]
-    try:
-        return pin.buildGeomFromUrdfString(robot.model, robot.urdf, pin.COLLISION, package_dirs=folders)
-    except (ValueError, RuntimeError) as error:
-        said = " ".join(str(error).split())
-        raise ModelError(
-            f"the collision shapes of robot '{robot.name}' cannot be read: {said}; package_dirs= names the folders to search"
-        ) from None
+    shapes, problems = link_shapes(robot, "surface", MAX_SHAPES)
+    if problems:
+        where = "; meshes are read from the URDF's folder, its ROS package and package_dirs="
+        hint = where if any(problem.startswith("mesh ") for _, problem in problems) else ""
+        raise ModelError(f"the collision shapes of robot '{robot.name}' cannot be used: {said(problems)}{hint}")
+    return geometry_model(robot.model, shapes, [_form(shape) for shape in shapes])
+
+
+def _form(shape: LinkShape) -> Any:
+    """The coal shape of a link's shape."""
+    if shape.kind == "mesh":
+        surface = _surface(shape.mesh, np.array(shape.sizes))
+        if shape.convex:
+            surface.buildConvexRepresentation(False)
+            return surface.convex
+        return surface
+    return _shape(shape.kind, shape.sizes)
+
+
+def _surface(mesh: Mesh, scale: np.ndarray) -> Any:
+    """The surface of a mesh times a scale (3,), as coal tests it."""
+    surface = coal.BVHModelOBBRSS()
+    (piece,) = mesh.pieces
+    surface.beginModel(len(piece.faces), len(piece.vertices))
+    surface.addVertices(piece.vertices * scale)
+    surface.addTriangles(piece.faces)
+    surface.endModel()
+    return surface
 
 
 def _extent(shape: Any) -> np.ndarray:
@@ -261,10 +284,17 @@ def _shape(kind: str, sizes: tuple) -> Any:
         return coal.Sphere(*sizes)
     if kind == "cylinder":
         return coal.Cylinder(*sizes)
+    if kind == "capsule":
+        return coal.Capsule(*sizes)
     path, scale = sizes
-    if not Path(path).is_file():
+    file = Path(path).expanduser()
+    if not file.is_file():
         raise InvalidConfiguration(f"there is no mesh file '{path}'")
     try:
-        return coal.MeshLoader().load(str(path), np.full(3, scale))
-    except (ValueError, RuntimeError) as error:
-        raise InvalidConfiguration(f"the mesh file '{path}' cannot be read: {' '.join(str(error).split())}") from None
+        real = find_mesh(str(file.absolute()), [file.resolve().parent, file.absolute().parent])
+    except ModelError as error:
+        raise InvalidConfiguration(f"the mesh file '{path}' {error}") from None
+    mesh = read_meshes([real], "surface", [real.parent])[real]
+    if mesh.refused:
+        raise InvalidConfiguration(f"the mesh file '{path}' {mesh.refused}")
+    return _surface(mesh, np.full(3, scale))

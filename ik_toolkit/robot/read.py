@@ -32,18 +32,24 @@ NUMBERS = {  # element -> attribute -> how many numbers
     "mass": {"value": 1},
     "inertia": dict.fromkeys(("ixx", "ixy", "ixz", "iyy", "iyz", "izz"), 1),
 }
-READ = {*NUMBERS, "parent", "child"}
+READ = {*NUMBERS, "parent", "child", "color", "convex"}
+SHAPES = ("visual", "collision")
 NAMED = {"robot", "link", "joint", "parent", "child", "mimic"}  # elements whose attributes are names
 
 
 @dataclass
 class Item:
-    """A link or a joint: its attributes, the elements inside it as (tag, attributes), its line."""
+    """A link, a joint or a material: its attributes, the elements inside it as (tag, attributes), its line.
+
+    shapes: for each visual and collision of a link 'role' (its tag), 'name', 'geometry' (tag, attributes), and the attributes of
+    'origin', 'material' and 'color', where they are given.
+    """
 
     tag: str
     attributes: Mapping[str, str]
     line: int
     inside: list[tuple[str, Mapping[str, str]]] = field(default_factory=list)
+    shapes: list[dict[str, Any]] = field(default_factory=list)
 
     @property
     def name(self) -> str:
@@ -128,14 +134,17 @@ def parse(text: str) -> list[Item]:
             raise ModelError(
                 f"line {parser.CurrentLineNumber} has xacro macros; expand it first: xacro IN.xacro > OUT.urdf"
             )
-        if len(stack) == 1 and tag in ("link", "joint"):
+        if len(stack) == 1 and tag in ("link", "joint", "material"):
             if tag == "joint":
                 counts[tag] += 1
                 if counts[tag] > MAX_JOINTS:
                     raise ModelError(f"the URDF has more than {MAX_JOINTS:,} joints; it is not read")
             items.append(Item(tag, attributes, parser.CurrentLineNumber))
-        elif tag in READ and len(stack) > 1 and stack[1] in ("link", "joint"):
-            items[-1].inside.append((tag, attributes))
+        elif len(stack) > 1 and stack[1] in ("link", "joint", "material"):
+            if tag in READ:
+                items[-1].inside.append((tag, attributes))
+            if stack[1] == "link" and (len(stack) > 2 or tag in SHAPES):
+                _shape(items[-1].shapes, stack[2:], tag, attributes)
         stack.append(tag)
 
     def end(tag: str) -> None:
@@ -161,6 +170,25 @@ def parse(text: str) -> list[Item]:
             "needs grows with their cube; make the joints that need not move fixed"
         )
     return items
+
+
+def _shape(shapes: list[dict[str, Any]], above: list[str], tag: str, attributes: Mapping[str, str]) -> None:
+    """Take in an element of a link below `above`; of several where one belongs the first counts, as in Pinocchio's parser."""
+    if not above:
+        shapes.append({"role": tag, "name": attributes.get("name", "")})
+    elif above[0] in SHAPES:
+        if (len(above) == 1 and tag in ("origin", "material")) or (above[1:] == ["material"] and tag == "color"):
+            shapes[-1].setdefault(tag, attributes)
+        elif above[1:] == ["geometry"]:
+            shapes[-1].setdefault("geometry", (tag, attributes))
+
+
+def numbers(text: str) -> list[float] | None:
+    """Read the numbers of an attribute; None when it is not all numbers."""
+    try:
+        return [float(word) for word in text.split()] if "_" not in text else None
+    except ValueError:
+        return None
 
 
 def _feed(parser: Any, raw: bytes) -> None:

@@ -1,21 +1,25 @@
 """What a robot looks like: the visual shapes of its URDF as coloured triangles, placed by Pinocchio.
 
-Meshes go through trimesh, one shape per material, because viewers that read .dae themselves drop parts of it. A robot
-without shapes (or whose meshes are missing) is drawn as a stick figure, so that every model can be seen.
+Meshes go through trimesh, one shape per material, because viewers that read .dae themselves drop parts of it. What cannot be drawn
+is said; a robot of which nothing can be is drawn as a stick figure, so that every model can be seen.
 """
 
 import functools
-import warnings
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import coal
 import numpy as np
 import pinocchio as pin
 
-from ..errors import MissingExtra
+from ..errors import MissingExtra, ModelError
 from ..robot.joints import Joints
+from ..robot.meshes import Mesh
+from ..robot.shapes import LinkShape, geometry_model, link_shapes, said
 
+MAX_SHAPES = 2_000  # of a robot; robots have up to 150
+COLORED = (".dae", ".obj", ".glb", ".gltf")  # formats with colours worth showing
 GREY = (0.70, 0.72, 0.75)
 STEEL, JOINT = (0.35, 0.42, 0.50), (0.90, 0.55, 0.10)  # stick figures
 SMOOTH = np.radians(35.0)  # edges sharper than this stay edges
@@ -42,8 +46,8 @@ class Part:
 class Body:
     """The drawn parts of a robot and where they are.
 
-    parts (list of Part); `placements(q)` gives their poses (P, 4, 4) in the model's world; notice ('' or why it is a stick
-    figure); T_world_base (4, 4) at rest.
+    parts (list of Part); `placements(q)` gives their poses (P, 4, 4) in the model's world; notice ('' or what is not drawn, and
+    why); T_world_base (4, 4) at rest.
     """
 
     def __init__(self, robot: Joints) -> None:
@@ -51,22 +55,15 @@ class Body:
         self.robot = robot
         self.model = robot.model
         self.data = self.model.createData()
-        self.notice = ""
         self.arms: Any = getattr(robot, "arms", (robot,))
-        arms = self.arms
-        try:
-            self.geometry = _read(arms[0])
-            self.parts = [Part(g.name, _shapes(g)) for g in self.geometry.geometryObjects]
-        except (ValueError, RuntimeError, OSError) as error:
-            said = str(error).strip().splitlines()[0]
-            self.geometry = pin.GeometryModel()
-            self.parts, self.notice = [], f"shapes cannot be read ({said}); drawn as a stick figure"
+        need_trimesh()
+        self.geometry, self.parts, self.notice = _read(self.arms[0])
         if not self.parts:
-            self.notice = self.notice or "the URDF has no visual shapes; drawn as a stick figure"
-            self.geometry, self.parts = _sticks(robot, arms)
+            self.notice = f"{self.notice or 'the URDF has no visual shapes'}; drawn as a stick figure"
+            self.geometry, self.parts = _sticks(robot, self.arms)
         self.geometry_data = self.geometry.createData()
         pin.framesForwardKinematics(self.model, self.data, robot.rest)
-        self.T_world_base = self.data.oMf[arms[0]._ids[0]].homogeneous
+        self.T_world_base = self.data.oMf[self.arms[0]._ids[0]].homogeneous
 
     def placements(self, q: Any) -> np.ndarray:
         """Poses (P, 4, 4) [m] of the parts in the world for joint values q (n,)."""
@@ -105,67 +102,61 @@ def need_trimesh() -> Any:
     return trimesh
 
 
-def _read(robot: Any) -> pin.GeometryModel:
+def _read(robot: Any) -> tuple[pin.GeometryModel, list[Part], str]:
+    """Places and parts of what can be drawn, and a sentence about what cannot."""
     if robot.urdf is None:
-        return pin.GeometryModel()
-    folders = [str(folder) for folder in [*robot.package_dirs, *([robot.path.parent] if robot.path else [])]]
-    return pin.buildGeomFromUrdfString(robot.model, robot.urdf, pin.VISUAL, package_dirs=folders)
+        return pin.GeometryModel(), [], ""
+    try:
+        shapes, problems = link_shapes(robot, "look", MAX_SHAPES)
+    except ModelError as error:
+        return pin.GeometryModel(), [], str(error)
+    parts, drawn = [], []
+    for shape in shapes:
+        pieces = _pieces(shape)
+        if pieces:
+            parts.append(Part(shape.name, pieces))
+            drawn.append(shape)
+        else:
+            problems.append((f"link '{shape.link}'", f"a {shape.kind} without extent"))
+    geometry = geometry_model(
+        robot.model, drawn, [coal.Sphere(1e-3)] * len(drawn)
+    )  # of the geometry the places are used
+    return geometry, parts, f"not read: {said(problems)}" if problems else ""
 
 
-def _shapes(geometry: Any) -> tuple[Shape, ...]:
-    """Triangles of one geometry object of Pinocchio."""
-    trimesh = need_trimesh()
-    *rgb, alpha = (float(c) for c in geometry.meshColor)
-    named = geometry.overrideMaterial or max(rgb) > 0.0
-    color, opacity = ((rgb[0], rgb[1], rgb[2]), alpha) if named else (GREY, 1.0)
-    path = Path(geometry.meshPath)
-    if path.suffix.lower() in (".dae", ".stl", ".obj", ".ply", ".glb", ".gltf", ".off"):
-        scale = np.asarray(geometry.meshScale)
-        own = path.suffix.lower() in (".dae", ".obj", ".glb", ".gltf") and not geometry.overrideMaterial
+def _pieces(shape: LinkShape) -> tuple[Shape, ...]:
+    """Triangles of a link's shape, one Shape a material; () when nothing is left of it."""
+    creation = need_trimesh().creation
+    *rgb, opacity = shape.color or (*GREY, 1.0)
+    color = (rgb[0], rgb[1], rgb[2])
+    if shape.kind == "mesh":
+        own = shape.color is None and Path(shape.file).suffix.lower() in COLORED
         return tuple(
-            Shape(np.asarray(vertices * scale, dtype=np.float32), faces, c if own and c else color, opacity)
-            for vertices, faces, c in _mesh(str(path))
+            Shape(
+                np.asarray(vertices * np.array(shape.sizes), dtype=np.float32),
+                faces,
+                c if own and c else color,
+                opacity,
+            )
+            for vertices, faces, c in _smoothed(shape.mesh)
         )
-    shape = geometry.geometry
-    kind = type(shape).__name__
-    if kind == "Cylinder":
-        mesh = trimesh.creation.cylinder(radius=shape.radius, height=2.0 * shape.halfLength, sections=48)
-    elif kind == "Box":
-        mesh = trimesh.creation.box(extents=2.0 * np.asarray(shape.halfSide))
-    elif kind == "Sphere":
-        mesh = trimesh.creation.uv_sphere(radius=shape.radius, count=(24, 24))
-    elif kind == "Capsule":
-        mesh = trimesh.creation.capsule(height=2.0 * shape.halfLength, radius=shape.radius, count=(24, 24))
-        mesh.apply_translation(-mesh.bounds.mean(axis=0))
-    elif hasattr(shape, "vertices"):
-        mesh = trimesh.Trimesh(
-            np.asarray(shape.vertices()), [list(shape.tri_indices(i)) for i in range(shape.num_tris)]
-        )
+    if shape.kind == "cylinder":
+        mesh = creation.cylinder(radius=shape.sizes[0], height=shape.sizes[1], sections=48)
+    elif shape.kind == "box":
+        mesh = creation.box(extents=shape.sizes)
+    elif shape.kind == "sphere":
+        mesh = creation.uv_sphere(radius=shape.sizes[0], count=(24, 24))
     else:
-        raise ValueError(f"the shape {kind} is not known")
-    return (Shape(*smooth(mesh), color, opacity),)
+        mesh = creation.capsule(height=shape.sizes[1], radius=shape.sizes[0], count=(24, 24))
+        mesh.apply_translation(-mesh.bounds.mean(axis=0))
+    return (Shape(*smooth(mesh), color, opacity),) if len(mesh.faces) else ()
 
 
 @functools.lru_cache(256)
-def _mesh(path: str) -> tuple[tuple[np.ndarray, np.ndarray, tuple[float, float, float] | None], ...]:
-    """Vertices, faces and own colour of every material of a mesh file, in the file's axes."""
-    trimesh = need_trimesh()
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # trimesh grumbles about materials it need not understand
-        scene = trimesh.load_scene(path)
-    found = []
-    for node in scene.graph.nodes_geometry:
-        T, name = scene.graph[node]
-        mesh = scene.geometry[name]
-        if not hasattr(mesh, "faces") or not len(mesh.faces):
-            continue
-        own = getattr(getattr(mesh.visual, "material", mesh.visual), "main_color", None)
-        color = None if own is None else tuple((np.asarray(own[:3], dtype=float) / 255.0).tolist())
-        mesh = trimesh.Trimesh(trimesh.transform_points(mesh.vertices, T), mesh.faces, process=True)
-        found.append((*smooth(mesh), color))
-    if not found:
-        raise ValueError(f"there are no triangles in {path}")
-    return tuple(found)
+def _smoothed(mesh: Mesh) -> tuple[tuple[np.ndarray, np.ndarray, tuple[float, float, float] | None], ...]:
+    """Vertices, faces and own colour of every material of a mesh, in the file's axes."""
+    make = need_trimesh().Trimesh
+    return tuple((*smooth(make(piece.vertices, piece.faces, process=True)), piece.color) for piece in mesh.pieces)
 
 
 def smooth(mesh: Any) -> tuple[np.ndarray, np.ndarray]:
@@ -198,7 +189,6 @@ def _sticks(robot: Joints, arms: Any) -> tuple[pin.GeometryModel, list[Part]]:
     data = model.createData()
     pin.framesForwardKinematics(model, data, robot.rest)
     ball = pin.GeometryObject  # alias: the placement is all that is used of it
-    import coal
 
     def add(name: str, joint: int, mesh: Any, color: tuple[float, float, float]) -> None:
         if name not in {part.name for part in parts}:

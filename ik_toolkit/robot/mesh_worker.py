@@ -1,0 +1,243 @@
+"""The process that reads mesh files for `meshes.py`: a script of its own, so that a file that kills its reader kills only this.
+
+It imports nothing of the toolkit. Job (JSON on stdin): kind 'surface' (triangles by coal, for collisions) or 'look' (triangles and
+colours by trimesh), out (folder), folders (the only ones referenced files are read from), files, and the caps. It prints
+"begin K", then one line of JSON a file, and writes OUT/K.npz with v0, f0, c0 (vertices [m], faces, colour or empty), v1, ...
+"""
+
+import base64
+import contextlib
+import io
+import json
+import os
+import sys
+import warnings
+from pathlib import Path
+from urllib.parse import unquote
+from xml.parsers import expat
+
+FAR = 1e6  # [units of the file]; what lies further away is a broken number
+REPEATED = 100_000  # nodes that one stands for
+COAL = ("From file", "in function", "at line", "message: Could not load resource", "Hint")  # lines around its reader's reason
+DEEP = 200  # nodes inside nodes of a .dae or .gltf; exporters nest a few
+
+
+class Refused(Exception):
+    """A file that is not read; the message says why."""
+
+
+class References:
+    """Files that a mesh file names: read only from inside the folders, and only regular files up to the cap."""
+
+    def __init__(self, file: Path, job: dict) -> None:
+        self.file, self.job = file, job
+        self.refused: list[str] = []  # for lying outside
+        self.last = ""
+
+    def get(self, name: str) -> bytes:
+        """Bytes of a referenced file; Refused when it lies outside or is not there."""
+        shown, inside = repr(name)[:100], False
+        try:
+            if "://" in name:
+                raise Refused
+            path = (self.file.parent / unquote(name).strip()).resolve()
+            inside = any(path.is_relative_to(folder) for folder in self.job["folders"])
+            if inside and path.is_file() and path.stat().st_size <= self.job["bytes"]:
+                return path.read_bytes()
+            said = "is not there, or too large" if inside else "lies outside the folders of the robot"
+        except Refused:
+            said = "is an address"
+        except (OSError, ValueError, RuntimeError):
+            said = "cannot be read"
+        self.last = f"{shown}, which it refers to, {said} and is not read"
+        if not inside:
+            self.refused.append(self.last)
+        raise Refused(self.last)
+
+    __getitem__ = get
+
+
+def check_xml(raw: bytes) -> None:
+    """Refuse a .dae that declares entities, nests nodes too deep or lets one contain itself: readers crash on these."""
+    stack: list[str] = []
+    inside: dict[str, list] = {}  # id of a node or scene -> the nodes below it or instanced by it
+    parser = expat.ParserCreate()
+
+    def start(tag: str, attributes: dict) -> None:
+        tag = tag.rpartition(":")[2]
+        stack.append(attributes.get("id", "") if tag in ("node", "visual_scene") else "")
+        if len(stack) > DEEP:
+            raise Refused(f"its elements are nested more than {DEEP} deep")
+        child = attributes.get("url", "").lstrip("#") if tag.startswith("instance_") else stack[-1]
+        if child:
+            inside.setdefault(next(filter(None, reversed(stack[:-1])), ""), []).append(child)
+
+    def refuse(*_: object) -> None:
+        raise Refused("it has a DOCTYPE or entity declarations")
+
+    parser.StartElementHandler, parser.EndElementHandler = start, lambda tag: stack.pop()
+    parser.StartDoctypeDeclHandler = parser.EntityDeclHandler = refuse
+    try:
+        parser.Parse(raw, True)
+    except expat.ExpatError as error:
+        raise Refused(f"it is not well-formed XML ({expat.ErrorString(error.code)} in line {error.lineno})") from None
+    check_instances(inside)
+
+
+def check_instances(inside: dict[str, list]) -> None:
+    """Refuse nodes that contain themselves, stand too deep, or hold others over and over (2 of 2 of 2 ...)."""
+    size: dict[str, int] = {}
+    for root in inside:
+        path = [(root, iter(inside[root]))] if root not in size else []
+        on_path = {root}
+        while path:
+            node, rest = path[-1]
+            child = next(rest, None)
+            if child is None:
+                size[node] = 1 + sum(size.get(other, 1) for other in inside[node])
+                if size[node] > REPEATED:
+                    raise Refused(f"its nodes stand for more than {REPEATED:,} others")
+                path.pop()
+                on_path.discard(node)
+            elif child in on_path:
+                raise Refused(f"its node {child[:60]!r} contains itself")
+            elif child in inside and child not in size:
+                path.append((child, iter(inside[child])))
+                on_path.add(child)
+                if len(path) > DEEP:
+                    raise Refused(f"its nodes are nested more than {DEEP} deep")
+
+
+def inline(raw: bytes, references: References) -> bytes:
+    """Text of a .gltf whose buffers are inside it (readers would open any path written there)."""
+    tree = json.loads(raw)
+    for buffer in tree.get("buffers", []):
+        uri = buffer.get("uri", "")
+        if uri and not uri.startswith("data:"):
+            data = base64.b64encode(references.get(uri)).decode()
+            buffer["uri"] = f"data:application/octet-stream;base64,{data}"
+    tree["images"] = [{"uri": "data:image/png;base64,"} for _ in tree.get("images", [])]
+    return json.dumps(tree).encode()
+
+
+def check_gltf(raw: bytes) -> None:
+    """Refuse a .gltf or .glb whose nodes contain themselves, and a .glb that keeps buffers elsewhere."""
+    binary = raw[:4] == b"glTF"
+    try:
+        tree = json.loads(raw[20 : 20 + int.from_bytes(raw[12:16], "little")] if binary else raw)
+        inside = {str(k): [str(c) for c in node.get("children", [])] for k, node in enumerate(tree.get("nodes", []))}
+        outside = binary and any(
+            not str(buffer.get("uri", "data:")).startswith("data:") for buffer in tree.get("buffers", [])
+        )
+    except (ValueError, AttributeError, TypeError, RecursionError):
+        raise Refused("its JSON is broken") from None
+    if outside:
+        raise Refused("it keeps buffers in other files")
+    check_instances(inside)
+
+
+def surface(file: Path, raw: bytes, references: References, out: Path):
+    """Triangles of a mesh file by coal (assimp): what collisions are tested with."""
+    import coal
+    import numpy as np
+
+    path, kind = file, file.suffix.lower()
+    if kind in (".obj", ".gltf"):
+        path = out / f"copy{kind}"
+        if kind == ".obj":  # vertices and faces only: other lines name files
+            lines = raw.replace(b"\\\r\n", b" ").replace(b"\\\n", b" ").splitlines()
+            path.write_bytes(b"\n".join(line for line in lines if line.split()[:1] in ([b"v"], [b"f"])))
+        else:
+            path.write_bytes(inline(raw, references))
+    shape = coal.MeshLoader().load(str(path), np.ones(3))
+    faces = [(t[0], t[1], t[2]) for t in map(shape.tri_indices, range(shape.num_tris))]
+    yield shape.vertices(), np.array(faces, dtype=np.int64).reshape(-1, 3), None
+
+
+def look(file: Path, raw: bytes, references: References, out: Path):
+    """Triangles and own colour of every material of a mesh file by trimesh: what is drawn."""
+    import numpy as np
+    import trimesh
+
+    class Resolver(trimesh.resolvers.Resolver):
+        def __init__(self) -> None:
+            pass
+
+        get = __getitem__ = staticmethod(references.get)
+        write = namespaced = keys = lambda *_: None
+
+    warnings.simplefilter("ignore")  # trimesh grumbles about materials it need not understand
+    scene = trimesh.load_scene(io.BytesIO(raw), file_type=file.suffix.lower()[1:], resolver=Resolver())
+    for node in scene.graph.nodes_geometry:
+        T, name = scene.graph[node]
+        mesh = scene.geometry[name]
+        if not hasattr(mesh, "faces") or not len(mesh.faces):
+            continue
+        own = getattr(getattr(mesh.visual, "material", mesh.visual), "main_color", None)
+        color = None if own is None else np.asarray(own[:3], dtype=float) / 255.0
+        yield trimesh.transform_points(mesh.vertices, T), mesh.faces, color
+
+
+def read(file: Path, references: References, job: dict, out: Path, number: int) -> None:
+    """Read one file and write its triangles to OUT/NUMBER.npz."""
+    import numpy as np
+
+    raw = file.read_bytes()
+    if file.suffix.lower() == ".dae":
+        check_xml(raw)
+    elif file.suffix.lower() in (".gltf", ".glb"):
+        check_gltf(raw)
+    arrays, count = {}, 0
+    pieces = {"surface": surface, "look": look}[job["kind"]](file, raw, references, out)
+    for k, (vertices, faces, color) in enumerate(pieces):
+        vertices, faces = np.asarray(vertices, dtype=float), np.asarray(faces, dtype=np.int64)
+        count += len(faces)
+        if count > job["triangles"]:
+            raise Refused(f"it has more than {job['triangles']:,} triangles")
+        if len(faces) and not (np.abs(vertices[np.unique(faces)]) <= FAR).all():  # NaN too
+            raise Refused(f"it has corners that are no finite numbers up to {FAR:g}")
+        arrays |= {f"v{k}": vertices, f"f{k}": faces, f"c{k}": np.empty(0) if color is None else color}
+    if not count:
+        raise Refused("there are no triangles in it")
+    np.savez(out / f"{number}.npz", **arrays)
+
+
+def limit(what: str, value: int) -> None:
+    """Cap a resource of this process where the system can."""
+    with contextlib.suppress(ImportError, AttributeError, ValueError, OSError):
+        import resource
+
+        number = getattr(resource, f"RLIMIT_{what}")
+        hard = resource.getrlimit(number)[1]
+        resource.setrlimit(number, (value if hard < 0 else min(value, hard), hard))
+
+
+def main() -> None:
+    """Read the job from stdin and the files one by one."""
+    job = json.load(sys.stdin)
+    out = Path(job["out"])
+    limit("CORE", 0)
+    limit("AS", job["memory"])
+    for number, (name, seconds) in enumerate(job["files"]):
+        print(f"begin {number}", flush=True)
+        limit("CPU", int(sum(os.times()[:2]) + seconds) + 1)  # beyond it the system ends the process
+        file = Path(name)
+        references = References(file, job)
+        said = ""
+        try:
+            read(file, references, job, out, number)
+        except Refused as error:
+            said = str(error)
+        except MemoryError:
+            said = "it needs too much memory"
+        except RecursionError:
+            said = "its parts are nested too deep"
+        except Exception as error:  # whatever a reader raises is one more way to be broken
+            lines = [line for line in str(error).splitlines() if not line.startswith(COAL)]
+            said = references.last or " ".join(" ".join(lines).split())[:120] or type(error).__name__
+        notes = [] if said else list(dict.fromkeys(references.refused))[:3]
+        print(json.dumps({"file": number, "refused": said, "notes": notes}), flush=True)
+
+
+if __name__ == "__main__":
+    main()

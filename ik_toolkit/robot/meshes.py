@@ -1,0 +1,183 @@
+"""Mesh files: where they may lie, and their triangles, read by a process of its own.
+
+One rule for `ik check`, pictures, panel and collisions: a mesh is read from the URDF's folder, the ROS package the URDF lies in
+(the nearest folder above with a package.xml) and `package_dirs`, and from nowhere else: links that lead outside are refused, and
+so are the files a mesh refers to. Readers of mesh files crash on broken ones, so they run in a subprocess with limits.
+"""
+
+import json
+import math
+import os
+import subprocess
+import sys
+import tempfile
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+
+from ..errors import ModelError
+
+FORMATS = (".stl", ".dae", ".obj", ".ply", ".off", ".glb", ".gltf")
+MAX_MESH_BYTES = 100_000_000  # the largest of example-robot-data has 29 MB
+MAX_TRIANGLES = 2_000_000  # of one file; that one has 351,394
+MAX_MESHES = 1_000  # different files of one robot
+MEMORY = 2_000_000_000  # bytes of the reading process; that file takes 0.5 GB
+SECONDS, SECONDS_PER_MB = 20.0, 2.0  # of processor time for one file; that file takes 1.6 s in all
+MAX_CRASHES = 5  # reading processes one robot may cost
+KEPT = 256  # files whose triangles are remembered
+WORKER = Path(__file__).with_name("mesh_worker.py")
+
+
+class Piece(NamedTuple):
+    """Triangles of one material: vertices (N, 3) [units of the file], faces (M, 3), color (3,) in 0..1 or None."""
+
+    vertices: np.ndarray
+    faces: np.ndarray
+    color: tuple[float, float, float] | None
+
+
+@dataclass(frozen=True, eq=False)
+class Mesh:
+    """What a file holds, or why it was not read (refused), and what else was not (notes)."""
+
+    pieces: tuple[Piece, ...] = ()
+    refused: str = ""
+    notes: tuple[str, ...] = ()
+
+
+_read: dict[tuple, Mesh] = {}  # by kind, path, size and time of the last change
+
+
+def mesh_folders(path: Path | None, package_dirs: Iterable[str | Path]) -> list[Path]:
+    """Folders that meshes of a URDF file (None: of a text) are read from, without links."""
+    folders = [Path(folder).expanduser() for folder in package_dirs]
+    if path is not None:
+        home = path.expanduser().resolve().parent
+        package = [folder for folder in (home, *home.parents) if (folder / "package.xml").is_file()]
+        folders = [home, *package[:1], *folders]
+    return list(dict.fromkeys(folder.resolve() for folder in folders))
+
+
+def find_mesh(name: str, folders: Sequence[Path]) -> Path:
+    """Real path of a mesh named in a URDF (package://, model://, file:// or a path); ModelError, the end of a sentence."""
+    scheme, separator, rest = name.partition("://")
+    if not name or "\0" in name:
+        raise ModelError("has no usable file name")
+    if separator and scheme not in ("package", "model", "file"):
+        raise ModelError("is a network address, which is never opened")
+    if separator and scheme != "file":
+        package, _, inner = rest.partition("/")
+        places = [os.path.join(folder, rest.lstrip("/")) for folder in folders]
+        places += [os.path.join(folder, inner.lstrip("/")) for folder in folders if folder.name == package]
+    else:
+        places = [os.path.join(folder, rest if separator else name) for folder in folders]
+    inside = [place for place in places if _inside(Path(os.path.normpath(place)), folders)]
+    if not inside:
+        raise ModelError(
+            "lies outside the named folders and is not looked at" if folders else "cannot be found without a folder"
+        )
+    try:
+        real = [Path(place).resolve() for place in inside if os.path.isfile(place)]
+        found = next((path for path in real if _inside(path, folders)), None)
+        size = found.stat().st_size if found else 0
+    except (OSError, ValueError, RuntimeError):  # links in a circle, a name that is too long
+        raise ModelError("cannot be read") from None
+    if found is None:
+        raise ModelError("is a link out of the named folders" if real else "is not there")
+    if found.suffix.lower() not in FORMATS:
+        raise ModelError(f"is no format that is read ({', '.join(FORMATS)})")
+    if size > MAX_MESH_BYTES:
+        raise ModelError(f"is larger than {MAX_MESH_BYTES // 1_000_000} MB")
+    return found
+
+
+def _inside(path: Path, folders: Sequence[Path]) -> bool:
+    return any(path.is_relative_to(folder) for folder in folders)
+
+
+def read_meshes(paths: Iterable[Path], kind: str, folders: Sequence[Path]) -> dict[Path, Mesh]:
+    """Triangles of files (paths of `find_mesh`) for 'surface' (one piece a file) or 'look' (a piece a material).
+
+    What cannot be read has `refused`, the end of a sentence; files they refer to are read only from `folders`.
+    """
+    found: dict[Path, Mesh] = {}
+    left: dict[Path, tuple] = {}
+    for path in dict.fromkeys(paths):
+        try:
+            about = path.stat()
+        except OSError:
+            found[path] = Mesh(refused="is not there")
+            continue
+        key = kind, path, about.st_size, about.st_mtime_ns, tuple(folders)
+        if key in _read:
+            found[path] = _read[key]
+        elif len(left) < MAX_MESHES:
+            left[path] = key
+        else:
+            found[path] = Mesh(refused=f"is not read: the robot has more than {MAX_MESHES:,} meshes")
+    for _ in range(MAX_CRASHES):
+        for path, mesh in (_run([*left], kind, folders) if left else {}).items():
+            if len(_read) >= KEPT:
+                del _read[next(iter(_read))]
+            found[path] = _read[left.pop(path)] = mesh
+    return found | dict.fromkeys(left, Mesh(refused="is not read: too many others crashed their reader"))
+
+
+def _run(paths: Sequence[Path], kind: str, folders: Sequence[Path]) -> dict[Path, Mesh]:
+    """Read files in one process until all are read or one of them ends it; the files done, that one included."""
+    seconds = [SECONDS + SECONDS_PER_MB * path.stat().st_size / 1e6 for path in paths]
+    with tempfile.TemporaryDirectory(prefix="ik_mesh_") as out:
+        job = {
+            "kind": kind,
+            "out": out,
+            "folders": [str(folder) for folder in folders],
+            "files": [(str(path), allowed) for path, allowed in zip(paths, seconds, strict=True)],
+            "bytes": MAX_MESH_BYTES,
+            "triangles": MAX_TRIANGLES,
+            "memory": MEMORY,
+        }
+        threads = dict.fromkeys(
+            ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1"
+        )  # each takes memory
+        try:
+            done = subprocess.run(
+                [sys.executable, "-P", str(WORKER)],
+                input=json.dumps(job),
+                stdout=subprocess.PIPE,
+                stderr=subprocess.DEVNULL,
+                text=True,
+                timeout=3.0 * math.fsum(seconds),  # of wall time: a busy machine, a slow disk
+                env={**os.environ, **threads},
+                check=False,
+            )
+            said, end = done.stdout, "crashed its reader, or took too much time or memory"
+        except subprocess.TimeoutExpired as error:
+            said, end = error.stdout or "", "took too much time"
+            said = said.decode() if isinstance(said, bytes) else said
+        except OSError as error:
+            raise ModelError(f"the process that reads meshes cannot be started: {error.strerror}") from None
+        rows = [json.loads(line) for line in said.splitlines() if line.startswith("{") and line.endswith("}")]
+        if not said.startswith("begin"):
+            raise ModelError(
+                "the process that reads meshes ended before it read one; is this Python's executable whole?"
+            )
+        meshes = {}
+        for row in rows:
+            pieces = () if row["refused"] else _pieces(Path(out) / f"{row['file']}.npz")
+            refused = f"cannot be read: {row['refused']}" if row["refused"] else ""
+            meshes[paths[row["file"]]] = Mesh(pieces, refused, tuple(row["notes"]))
+        if len(rows) < len(paths):
+            meshes[paths[len(rows)]] = Mesh(refused=end)
+        return meshes
+
+
+def _pieces(file: Path) -> tuple[Piece, ...]:
+    with np.load(file) as arrays:
+        pieces = []
+        for k in range(len(arrays.files) // 3):
+            vertices, faces, color = (arrays[f"{letter}{k}"] for letter in "vfc")
+            pieces.append(Piece(vertices, faces, tuple(color.tolist()) or None))
+    return tuple(pieces)

@@ -1,0 +1,293 @@
+"""Meshes of unknown origin: where they may lie, what they may refer to, and files that kill their reader."""
+
+import json
+import os
+import struct
+
+import numpy as np
+import pytest
+from robots import urdf
+
+import ik_toolkit as ik
+from ik_toolkit.errors import InvalidConfiguration, ModelError
+from ik_toolkit.robot import meshes
+from ik_toolkit.robot.check import check_urdf
+from ik_toolkit.robot.shapes import link_shapes
+from ik_toolkit.show.parts import Body
+
+SOLID = "solid a\nfacet normal 0 0 1\nouter loop\nvertex {} 0 0\nvertex 1 0 0\nvertex 0 1 0\nendloop\nendfacet\nendsolid a\n"
+STL = SOLID.format(0)
+OBJ = "mtllib {}\nv 0 0 0\nv 1 0 0\nv 0 1 0\nusemtl red\nf 1 2 3\n"
+RED = "newmtl red\nKd 1 0 0\n"
+DAE = """<COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="1.4.1">
+<asset><unit meter="1"/><up_axis>Z_UP</up_axis></asset>
+<library_geometries><geometry id="g"><mesh>
+<source id="p"><float_array id="pa" count="9">0 0 0 1 0 0 0 1 0</float_array><technique_common>
+<accessor source="#pa" count="3" stride="3"><param name="X" type="float"/>
+<param name="Y" type="float"/><param name="Z" type="float"/>
+</accessor></technique_common></source><vertices id="v"><input semantic="POSITION" source="#p"/></vertices>
+<triangles count="1"><input semantic="VERTEX" source="#v" offset="0"/><p>0 1 2</p></triangles></mesh></geometry>
+</library_geometries>
+<library_nodes>{nodes}</library_nodes>
+<library_visual_scenes><visual_scene id="s">{scene}</visual_scene></library_visual_scenes>
+<scene><instance_visual_scene url="#s"/></scene></COLLADA>"""
+FACE = '<instance_geometry url="#g"/>'
+
+
+def gltf(uri, children=()):
+    """A triangle whose corners lie in a buffer of their own."""
+    accessors = [
+        {"bufferView": 0, "componentType": 5126, "count": 3, "type": "VEC3", "min": [0, 0, 0], "max": [1, 1, 0]}
+    ]
+    return json.dumps(
+        {
+            "asset": {"version": "2.0"},
+            "scene": 0,
+            "scenes": [{"nodes": [0]}],
+            "nodes": [{"mesh": 0, "children": list(children)}],
+            "meshes": [{"primitives": [{"attributes": {"POSITION": 0}}]}],
+            "buffers": [{"uri": uri, "byteLength": 36}],
+            "bufferViews": [{"buffer": 0, "byteLength": 36}],
+            "accessors": accessors,
+        }
+    )
+
+
+def robot(name, folder, package_dirs=(), role="both"):
+    """A robot in `folder` whose second link is a mesh, as a visual and a collision shape."""
+    shape = f'<geometry><mesh filename="{name}"/></geometry>'
+    tags = ("visual", "collision") if role == "both" else (role,)
+    link = f'<link name="l1">{"".join(f"<{tag}>{shape}</{tag}>" for tag in tags)}</link>'
+    text = urdf({"kind": "revolute"}, {"kind": "revolute", "axis": "0 1 0"}).replace('<link name="l1"/>', link)
+    file = folder / "r.urdf"
+    file.write_text(text)
+    return ik.Robot.load(file, package_dirs=package_dirs)
+
+
+def refusals(name, folder, package_dirs=()):
+    """What the check, a picture and a collision model say of a mesh; '' where it is read."""
+    arm = robot(name, folder, package_dirs)
+    checked = next(
+        (str(finding) for finding in check_urdf(folder / "r.urdf", package_dirs) if "mesh" in str(finding)), ""
+    )
+    try:
+        ik.CollisionModel(arm)
+        tested = ""
+    except ModelError as error:
+        tested = str(error)
+    return checked, Body(arm).notice, tested
+
+
+@pytest.fixture
+def place(tmp_path):
+    """A robot's folder with a good mesh, and one beside it that is none of its business."""
+    for name in ("robot", "secret"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "a.stl").write_text(STL)
+        (tmp_path / name / "a.mtl").write_text(RED)
+        (tmp_path / name / "a.bin").write_bytes(np.eye(3, dtype="<f4").tobytes())
+    return tmp_path
+
+
+def test_one_rule_for_check_pictures_and_collisions(place):
+    folder = place / "robot"
+    os.symlink(place / "secret" / "a.stl", folder / "out.stl")
+    os.symlink(folder / "a.stl", folder / "in.stl")
+    os.symlink(folder / "loop.stl", folder / "loop.stl")
+    os.symlink(place / "secret", folder / "way")
+    os.mkfifo(folder / "pipe.stl")
+    for name in ("a.stl", "./a.stl", f"{folder}/a.stl", f"file://{folder}/a.stl", "package://robot/a.stl", "in.stl"):
+        assert refusals(name, folder) == ("", "", ""), name
+    outside = ["../secret/a.stl", f"{place}/secret/a.stl", f"file://{place}/secret/a.stl", "package://../secret/a.stl"]
+    for name in [*outside, "package://robot/../../secret/a.stl", "out.stl", "way/a.stl"]:
+        said = "is a link out of the named folders" if name in ("out.stl", "way/a.stl") else "outside the named folders"
+        assert all(said in sentence for sentence in refusals(name, folder)), name
+    for name in (*outside, "out.stl"):
+        assert refusals(name, folder, [place / "secret"]) == ("", "", ""), name  # named, so allowed
+    others = {
+        "loop.stl": "is not there",
+        "pipe.stl": "is not there",
+        "r.urdf": "is no format",
+        "http://x/a.stl": "network",
+    }
+    for name, said in others.items():
+        assert all(said in sentence for sentence in refusals(name, folder)), name
+
+
+def test_the_ros_package_of_a_urdf_is_its_own(place):
+    (place / "robot" / "urdf").mkdir()
+    assert "outside the named folders" in refusals("../a.stl", place / "robot" / "urdf")[0]
+    (place / "robot" / "package.xml").write_text("<package/>")
+    for name in ("../a.stl", "package://robot/a.stl"):
+        assert refusals(name, place / "robot" / "urdf") == ("", "", ""), name
+    assert "outside" in refusals("../../secret/a.stl", place / "robot" / "urdf")[0]
+
+
+def test_files_that_a_mesh_refers_to_stay_inside(place):
+    folder = place / "robot"
+
+    def color(name):
+        body = Body(robot(name, folder))
+        return body.parts[0].shapes[0].color, body.notice
+
+    for k, name in enumerate(("a.mtl", "../secret/a.mtl", f"{place}/secret/a.mtl", "http://127.0.0.1:9/a.mtl")):
+        (folder / f"{k}.obj").write_text(OBJ.format(name))
+        (red, _, _), notice = color(f"{k}.obj")
+        assert (red == 1.0) == (k == 0) and ("is not read" in notice) == (k > 0), (name, notice)
+        ik.CollisionModel(robot(f"{k}.obj", folder))  # colours are none of its business
+    (folder / "in.gltf").write_text(gltf("a.bin"))
+    assert refusals("in.gltf", folder) == ("", "", "")
+    for k, name in enumerate(("../secret/a.bin", f"{place}/secret/a.bin", "%2e%2e/secret/a.bin")):
+        (folder / f"{k}.gltf").write_text(gltf(name))
+        assert all("outside the folders" in sentence for sentence in refusals(f"{k}.gltf", folder)[1:]), name
+    tree = gltf("../secret/a.bin").encode()
+    tree += b" " * (-len(tree) % 4)
+    (folder / "a.glb").write_bytes(
+        struct.pack("<4sII4sI", b"glTF", 2, 20 + len(tree), b"", 0)[:12]
+        + struct.pack("<I4s", len(tree), b"JSON")
+        + tree
+    )
+    assert all("other files" in sentence for sentence in refusals("a.glb", folder)[1:])
+
+
+NESTED = f'<node id="n">{"<node>" * 20_000}{FACE}{"</node>" * 20_000}</node>'
+CHAIN = (
+    "".join(f'<node id="n{k}"><instance_node url="#n{k + 1}"/></node>' for k in range(5_000))
+    + f'<node id="n5000">{FACE}</node>'
+)
+DOUBLED = (
+    "".join(f'<node id="n{k}">{f"""<instance_node url="#n{k + 1}"/>""" * 2}</node>' for k in range(40))
+    + f'<node id="n40">{FACE}</node>'
+)
+HOSTILE = {
+    "self.dae": (
+        DAE.format(nodes='<node id="n"><instance_node url="#n"/></node>', scene='<instance_node url="#n"/>'),
+        "contains itself",
+    ),
+    "ring.dae": (
+        DAE.format(
+            nodes='<node id="a"><node><instance_node url="#b"/></node></node><node id="b"><instance_node url="#a"/></node>',
+            scene='<instance_node url="#a"/>',
+        ),
+        "contains itself",
+    ),
+    "inside.dae": (
+        DAE.format(nodes="", scene=f'<node id="n">{FACE}<instance_node url="#n"/></node>'),
+        "contains itself",
+    ),
+    "deep.dae": (DAE.format(nodes="", scene=NESTED), "nested more than 200 deep"),
+    "chain.dae": (
+        DAE.format(nodes=CHAIN, scene='<node><instance_node url="#n0"/></node>'),
+        "nested more than 200 deep",
+    ),
+    "doubled.dae": (
+        DAE.format(nodes=DOUBLED, scene='<node><instance_node url="#n0"/></node>'),
+        "more than 100,000 others",
+    ),
+    "entity.dae": ('<!DOCTYPE a [<!ENTITY b "c">]>' + DAE.format(nodes="", scene=f"<node>{FACE}</node>"), "DOCTYPE"),
+    "cut.dae": (DAE.format(nodes="", scene="")[:300], "not well-formed"),
+    "loop.gltf": (gltf("a.bin", [0]), "contains itself"),
+    "cut.gltf": (gltf("a.bin")[:90], "JSON is broken"),
+    "list.gltf": ("[]", "JSON is broken"),
+    "empty.stl": ("", "cannot be read"),
+    "count.stl": ("\0" * 80 + "\xff\xff\xff\x7f", "cannot be read"),
+    "nan.stl": (SOLID.format("nan"), "cannot be read"),
+    "huge.stl": (SOLID.format("1e30"), "cannot be read"),
+    "index.obj": ("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 99999999\n", "cannot be read"),
+    "none.obj": ("v 0 0 0\n", "cannot be read"),
+    "count.ply": ("ply\nformat ascii 1.0\nelement vertex 4000000000\nproperty float x\nend_header\n0\n", ""),
+    "count.off": ("OFF\n4000000000 4000000000 0\n0 0 0\n", ""),
+}
+
+
+@pytest.mark.parametrize("kind", ["surface", "look"])
+def test_hostile_meshes_are_refused_by_name(kind, place):
+    """Each of them ended the process, hung or filled the memory in one reader or the other, or is simply broken."""
+    folder = place / "robot"
+    arm = robot("a.stl", folder)
+    shape = '<{0}><geometry><mesh filename="{1}"/></geometry></{0}>'
+    for name, (text, _) in HOSTILE.items():
+        (folder / name).write_text(text, encoding="latin-1")
+        more = "".join(shape.format(role, name) for role in ("visual", "collision"))
+        arm.urdf = arm.urdf.replace("<visual>", f"{more}<visual>", 1)
+    shapes, problems = link_shapes(arm, kind, 100)
+    assert [shape.file for shape in shapes] == ["a.stl"] and len(problems) == len(HOSTILE)
+    for name, (_, said) in HOSTILE.items():
+        (problem,) = [problem for element, problem in problems if f"mesh '{name}'" in problem]
+        assert said in problem and len(problem) < 300, problem
+    if kind == "look":
+        body = Body(arm)
+        assert len(body.parts) == 1 and "and 16 more" in body.notice
+    else:
+        with pytest.raises(ModelError, match=r"link 'l1': mesh .*count\.off.*and 16 more"):
+            ik.CollisionModel(arm)
+        with pytest.raises(
+            InvalidConfiguration, match=r"mesh file .*self\.dae' cannot be read: its node 'n' contains itself"
+        ):
+            ik.CollisionModel(robot("a.stl", folder)).add_mesh(folder / "self.dae", (0, 0, 3))
+
+
+@pytest.mark.parametrize(
+    ("body", "said"), [("os.kill(os.getpid(), 11)", "crashed"), ("[0 for _ in iter(int, 1)]", "too much time")]
+)
+def test_a_file_that_kills_its_reader_is_named_and_the_others_are_read(place, monkeypatch, body, said):
+    """Readers have more bugs than we know: here any file of 6 bytes is one."""
+    worker = place / "worker.py"
+    text = meshes.WORKER.read_text().replace(
+        "    raw = file.read_bytes()\n", f"    raw = file.read_bytes()\n    if len(raw) == 6: {body}\n"
+    )
+    assert body in text
+    worker.write_text(text)
+    monkeypatch.setattr(meshes, "WORKER", worker)
+    monkeypatch.setattr(meshes, "SECONDS", 0.5)
+    folder = place / "robot"
+    paths = [folder / name for name in ("b.stl", "c.stl", "a.stl")]
+    for path in paths[:2]:
+        path.write_text("killer")
+    found = meshes.read_meshes(paths, "surface", [folder])
+    assert all(said in found[path].refused for path in paths[:2]) and len(found[paths[2]].pieces[0].faces) == 1
+    many = [folder / f"{k}.stl" for k in range(20)] if "kill" in body else []
+    for path in many:
+        path.write_text("killer")
+    assert all("crashed" in mesh.refused for mesh in meshes.read_meshes(many, "surface", [folder]).values())
+
+
+def test_counts_of_shapes_are_capped(place):
+    ball = "<collision><geometry><sphere radius='0.1'/></geometry></collision>"
+    for tag, most in (("collision", 500), ("visual", 2_000)):
+        arm = robot("a.stl", place / "robot", role="visual")
+        arm.urdf = arm.urdf.replace(
+            "</visual></link>", "</visual>" + ball.replace("collision", tag) * (most + 1) + "</link>"
+        )
+        if tag == "collision":
+            with pytest.raises(ModelError, match="501 collision shapes; at most 500"):
+                ik.CollisionModel(arm)
+        else:
+            assert "2,002 visual shapes; at most 2,000" in Body(arm).notice and "stick figure" in Body(arm).notice
+
+
+SIZES = [
+    'sphere radius="0"',
+    'sphere radius="-1"',
+    'sphere radius="1e300"',
+    'box size="0 0 0"',
+    'box size="1 -1 1"',
+    "sphere",
+]
+SIZES += [
+    'cylinder radius="0" length="1"',
+    'cylinder radius="1" length="-1"',
+    'mesh filename="a.stl" scale="0 1 1"',
+    "blob",
+    "",
+]
+
+
+@pytest.mark.parametrize("shape", SIZES)
+def test_shapes_without_extent_are_said(shape, place):
+    arm = robot("a.stl", place / "robot")
+    arm.urdf = arm.urdf.replace('<mesh filename="a.stl"/>', f"<{shape}/>" if shape else "")
+    with pytest.raises(ModelError, match=r"link 'l1': .*(is no shape|leaves nothing|has no|is not a shape)"):
+        ik.CollisionModel(arm)
+    scene = ik.view(arm)
+    assert "link 'l1': " in scene.body.notice and "stick figure" in scene.body.notice and "</html>" in scene.html()
