@@ -18,7 +18,13 @@ from xml.parsers import expat
 
 FAR = 1e6  # [units of the file]; what lies further away is a broken number
 REPEATED = 100_000  # nodes that one stands for
-COAL = ("From file", "in function", "at line", "message: Could not load resource", "Hint")  # lines around its reader's reason
+COAL = (
+    "From file",
+    "in function",
+    "at line",
+    "message: Could not load resource",
+    "Hint",
+)  # lines around its reader's reason
 DEEP = 200  # nodes inside nodes of a .dae or .gltf; exporters nest a few
 
 

@@ -113,11 +113,9 @@ def _read(robot: Any) -> tuple[pin.GeometryModel, list[Part], str]:
     parts, drawn = [], []
     for shape in shapes:
         pieces = _pieces(shape)
-        if pieces:
+        if pieces:  # a ball of a hair's breadth, as some robots have for a marker, has no triangles left
             parts.append(Part(shape.name, pieces))
             drawn.append(shape)
-        else:
-            problems.append((f"link '{shape.link}'", f"a {shape.kind} without extent"))
     geometry = geometry_model(
         robot.model, drawn, [coal.Sphere(1e-3)] * len(drawn)
     )  # of the geometry the places are used
