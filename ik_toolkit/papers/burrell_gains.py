@@ -54,7 +54,7 @@ def _edge(report: Report, robot: Robot, points: np.ndarray, q0: np.ndarray) -> N
     head = ["goals", "number", *(f"within {1000 * level:g} mm of the edge" for level in EDGE)]
     report.table("edge", head, rows)
     near, all_ = (100 * np.mean(distances[name] <= EDGE[1]) for name in ("lost", "reached"))
-    supported = "supports this" if near > 2.0 * all_ else "does not support this"
+    supported = "support this" if near > 2.0 * all_ else "do not support this"
     report.text(
         f"""The paper says that the 6 points its best gains lose "are on the periphery of the workspace". With {len(points)} goals,
         of which those gains lose {len(lost)} from mid-range, ours {supported}: {near:.0f} % of the lost ones lie within
