@@ -15,6 +15,14 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
 PARTS = {
+    "tests/test_second_fk.py": "Random robots against forward kinematics written a second time",
+    "tests/test_inside_limits.py": "Limits kept to the last digit",
+    "tests/test_inputs.py": "Targets, starts and options that are no numbers, in odd layouts, or reused",
+    "tests/test_fallback.py": "Closed forms at level arms, limits and loose tolerances",
+    "tests/test_cache.py": "Compiled code on disk: edited sources, damaged files, full disks",
+    "tests/test_files.py": "Outputs: full disks, signals, hostile target files",
+    "tests/test_meshes.py": "Hostile and broken meshes",
+    "tests/test_hostile_names.py": "Names from files in every page and chart",
     "tests/test_check.py": "Broken and hostile URDFs: a corpus, generated giants, and fuzzing of URDF text",
     "tests/test_dh.py": "D-H tables: random tables against Pinocchio, broken files, fuzzing",
     "tests/test_references.py": "Trajectory files: broken and hostile",
