@@ -12,7 +12,7 @@ import sys
 import tempfile
 from collections.abc import Callable
 from time import perf_counter
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -50,9 +50,10 @@ def uniform(robot: ik.Robot, count: int, rng: np.random.Generator) -> np.ndarray
     return rng.uniform(low, high, (count, robot.n))
 
 
-def lost(robot: ik.Robot, Q: np.ndarray, position: bool = False, **options) -> Outcome:
-    """Count the targets made from Q (N, n) that a batch does not solve, or solves outside the limits."""
+def lost(robot: ik.Robot, Q: np.ndarray, position: bool = False, move: Any = 0.0, **options: Any) -> Outcome:
+    """Count the targets made from Q (N, n), moved by `move` (N, 3) [m], that a batch does not solve or solves outside limits."""
     T = robot.chain.forward(Q)[0]
+    T[:, :3, 3] += move
     batch = ik.solve_batch(robot, T[:, :3, 3] if position else T, **options)
     bad = ~batch.success | (batch.q < robot.lower).any(axis=1) | (batch.q > robot.upper).any(axis=1)
     words = f"first: q={Q[np.argmax(bad)].tolist()}, {ik.Status(int(batch.status[np.argmax(bad)])).name}"
@@ -114,6 +115,148 @@ def limit_corners(count: int, seed: int) -> Outcome:
         Q = np.where(rank < rng.integers(2, 6, (len(Q), 1)), ends, Q)
         outcomes.append(lost(robot, Q))
     return together(*outcomes)
+
+
+@claim("loose-tolerances")
+def loose_tolerances(count: int, seed: int) -> Outcome:
+    """No target less than the tolerance away from a legal configuration, joints at limits among them, is called impossible."""
+    rng = np.random.default_rng(seed)
+    outcomes = []
+    for robot in (inspection(), inspection(float(rng.uniform(0.05, 0.4))), ik.Robot.load("planar_2r")):
+        planar = robot.n == 2
+        for tolerance in (1e-4, 1e-3, 1e-2):
+            Q = uniform(robot, count // 9, rng)
+            ends = np.where(rng.random(Q.shape) < 0.5, robot.lower, robot.upper)
+            Q = np.where(rng.random(Q.shape) < 0.3, ends, Q)
+            move = rng.normal(size=(len(Q), 3)) * (1.0, 1.0, 0.0 if planar else 1.0)
+            move *= 0.9 * tolerance / np.linalg.norm(move, axis=1, keepdims=True)
+            outcomes.append(lost(robot, Q, planar, move, tolerance=tolerance))
+    return together(*outcomes)
+
+
+def folding(rng: np.random.Generator) -> ik.Robot:
+    """A planar arm with equal links that folds onto its base, with limits of its own."""
+    low, high = rng.uniform(-3.0, -0.5), rng.uniform(0.5, 3.0)
+    limits = (
+        f'<limit lower="{low}" upper="{high}" effort="1" velocity="1"/>',
+        '<limit lower="-4" upper="4" effort="1" velocity="1"/>',
+    )
+    joints = "".join(
+        f'<link name="l{k + 1}"/><joint name="j{k}" type="revolute"><parent link="l{k}"/><child link="l{k + 1}"/>'
+        f'<origin xyz="{0.5 * k} 0 0"/><axis xyz="0 0 1"/>{limit}</joint>'
+        for k, limit in enumerate(limits)
+    )
+    tip = '<link name="tip"/><joint name="end" type="fixed"><parent link="l2"/><child link="tip"/><origin xyz="0.5 0 0"/></joint>'
+    return ik.Robot.load(f'<robot name="folding"><link name="l0"/>{joints}{tip}</robot>', tip="tip")
+
+
+@claim("planar")
+def planar(count: int, seed: int) -> Outcome:
+    """A planar arm loses no target: equal links, on the base, stretched out, at its limits."""
+    rng = np.random.default_rng(seed)
+    outcomes = []
+    for robot in (folding(rng), ik.Robot.load("planar_2r")):
+        elbow = robot.joint_names[1]
+        half = np.pi if robot.upper[1] > np.pi else robot.upper[1]
+        for value in (0.0, half, float(robot.lower[1])):
+            outcomes.append(lost(robot, drawn(robot, count // 6, rng, **{elbow: value}), True))
+    return together(*outcomes)
+
+
+def members(rng: np.random.Generator) -> list[tuple[ik.Robot, np.ndarray, bool]]:
+    """Robots, configurations on a family of solutions, and whether the target is a position."""
+    locked, arm = inspection(float(rng.uniform(0.05, 0.4))), inspection()
+    cases = [(locked, drawn(locked, 1, rng, **{SHOULDER: 0.0})[0], False), (arm, drawn(arm, 1, rng)[0], False)]
+    fold = folding(rng)
+    cases.append((fold, drawn(fold, 1, rng, j1=np.pi)[0], True))
+    try:
+        ur5 = ik.Robot.load("ur5", tip="tool0")
+        q = uniform(ur5, 1, rng)[0]
+        q[4] = 0.0
+        cases.append((ur5, q, False))
+    except ik.IKError:
+        pass  # example-robot-data is not installed
+    return cases
+
+
+@claim("families")
+def families(count: int, seed: int) -> Outcome:
+    """Where a family of solutions exists `solve_all` is never complete, says so, and lists at most `count`."""
+    rng = np.random.default_rng(seed)
+    cases = broken = 0
+    words = ""
+    for _ in range(max(count // 5000, 1)):
+        for robot, q, position in members(rng):
+            T = robot.fk(q)
+            found = ik.solve_all(robot, T.translation if position else T, starts=200, count=16)
+            cases += 1
+            if found.complete or not found.families or not 0 < len(found) <= 16:
+                broken += 1
+                words = f"last: {robot.name} q={q.tolist()}: {found}"
+    return Outcome(cases, broken, words)
+
+
+def nearest(Q: np.ndarray, q: np.ndarray) -> float:
+    """Largest joint difference of the row of Q nearest q, angles modulo turns."""
+    apart = np.abs(Q - q)
+    return float(np.minimum(apart, np.abs(2 * np.pi - apart)).max(axis=1, initial=0.0).min(initial=np.inf))
+
+
+@claim("recall")
+def recall(count: int, seed: int) -> Outcome:
+    """`solve_all` lists the configuration a target was made from, at generic and singular poses; complete lists miss nothing.
+
+    6R: by our closed form, and by starts; what starts find has to be in a list that is called complete.
+    """
+    rng = np.random.default_rng(seed)
+    locked = inspection(float(rng.uniform(0.05, 0.4)))
+    robots = [(locked, "auto", count // 500, ({}, {ELBOW: 0.0})), (locked, "lm", count // 5000, ({}, {ELBOW: 0.0}))]
+    try:
+        panda = ik.Robot.load("panda", tip="panda_hand_tcp").locked({"panda_joint5": float(rng.uniform(-1.0, 1.0))})
+        robots.append((panda, "auto", count // 5000, ({},)))
+        robots.append((ik.Robot.load("ur5", tip="tool0"), "auto", count // 5000, ({}, {"elbow_joint": 0.0})))
+    except ik.IKError:
+        pass  # example-robot-data is not installed
+    cases = broken = 0
+    words = ""
+    for robot, solver, number, poses in robots:
+        for values in poses:
+            for q in drawn(robot, max(number, 2), rng, **values):
+                found = ik.solve_all(robot, robot.fk(q), solver, starts=1000)
+                wrong = nearest(found.q, q) > 2e-3
+                if found.complete:
+                    other = ik.solve_all(robot, robot.fk(q), "lm", starts=50)
+                    wrong |= any(nearest(found.q, x) > 2e-3 for x in other)
+                cases += 1
+                broken += wrong
+                words = f"last: {robot.name} q={q.tolist()}: {found}" if wrong else words
+    return Outcome(cases, broken, words)
+
+
+@claim("failures")
+def failures(count: int, seed: int) -> Outcome:
+    """A failed closed form returns a configuration no worse than that of `lm`, legal, with errors and sentence of its own."""
+    rng = np.random.default_rng(seed)
+    cases = broken = 0
+    for robot in (inspection(), inspection(float(rng.uniform(0.05, 0.4)))):
+        scale = robot.chain.scale
+        for q in uniform(robot, max(count // 500, 2), rng):
+            T = robot.fk(q).homogeneous
+            T[:3, 3] *= rng.uniform(0.2, 1.6, 3)
+            result, search = ik.solve(robot, T), ik.solve(robot, T, "lm")
+            if result.success:
+                continue
+            cases += 1
+            position, rotation = robot.errors(result.q, T)
+            size, other = (
+                (r.position_error / scale) ** 2 + 4.0 * np.sin(0.5 * r.orientation_error) ** 2 for r in (result, search)
+            )
+            said = f"{1000 * position:.3g} mm" in result.message or f"{position:.3g} m" in result.message
+            right = abs(position - result.position_error) < 1e-9 and abs(rotation - result.orientation_error) < 1e-7
+            broken += (
+                search.success or size > other * (1 + 1e-9) or robot.outside(result.q) != [] or not (said and right)
+            )
+    return Outcome(cases, broken)
 
 
 # ----------------------------------------------------------------------------------------------------------------- loops

@@ -5,9 +5,8 @@ from typing import Any
 
 import numpy as np
 
-from ..kernel.checks import BAD_TARGET, CONVERGED, STALLED
+from ..kernel.checks import BAD_TARGET, CONVERGED, STALLED, UNREACHABLE
 from ..kernel.slots import (
-    O_GIVEN,
     O_KIND,
     OUT_HEAD,
     R_ATTEMPT,
@@ -23,6 +22,7 @@ from ..kernel.slots import (
 from .registry import GENERAL
 
 SEARCHED = -1.0  # in the slot of the excess: q came from the search
+STARTS, STEPS = 64, 24  # of the last search, which is for the tolerances
 COUNTS = [R_ITERATIONS, R_RESTARTS, R_EVALUATIONS, R_HISTORY]
 PLAIN = {"closest": False, "objective": None, "history": False, "check": False, "avoid_collisions": False}
 
@@ -71,11 +71,38 @@ def with_search(solver: Any, closed: Callable) -> Callable:
         ended = np.array(out[failed, OUT_HEAD:])
         kind = int(opt[O_KIND])
         # With one target the closed form has written one row of the history; with more there is none.
-        open_ = continue_with(usual, T, start, (kind, opt[O_GIVEN] > 0.0), failed, out, hist[1:])
+        given = len(Q0) > 1 or not np.array_equal(Q0[0], robot.home)  # a closed form is always told to start somewhere
+        open_ = continue_with(usual, T, start, (kind, given), failed, out, hist[1:])
         if open_.any():
-            continue_with(once, T, ended[open_], (kind, True), failed[open_], out, hist[:0])
+            still = continue_with(once, T, ended[open_], (kind, True), failed[open_], out, hist[:0])
+            fixed = next(iter(held), -1)
+            for k in failed[open_][still]:
+                if out[k, R_STATUS] != UNREACHABLE:
+                    into_tolerances(solver, rows, ends, T[k], opt, fixed, out[k])
 
     return loop
+
+
+def into_tolerances(
+    solver: Any, rows: np.ndarray, ends: np.ndarray, T: np.ndarray, opt: np.ndarray, fixed: int, row: np.ndarray
+) -> None:
+    """Search once more with errors counted in units of their tolerances: a loose one may be met away from the least error.
+
+    From the best configuration found, and from STARTS others.
+    """
+    from .closed_form.finish import first_good
+
+    robot = solver.robot
+    rng = np.random.default_rng(solver.options.seed)
+    starts = np.array([row[OUT_HEAD:], *(robot.random_q(rng) for _ in range(STARTS))])
+    if fixed >= 0:
+        starts[:, fixed] = row[OUT_HEAD + fixed]
+    q = np.empty(robot.n)
+    position, rotation, evaluations = first_good(rows, ends, opt, T, starts, fixed, STEPS, q)
+    row[R_EVALUATIONS] += evaluations
+    if position < np.inf:
+        row[OUT_HEAD:] = q
+        row[R_STATUS], row[R_POSITION], row[R_ROTATION], row[R_EXCESS] = CONVERGED, position, rotation, SEARCHED
 
 
 def continue_with(

@@ -9,7 +9,7 @@ from ..kernel.checks import rigid
 from ..kernel.slots import OPT_HEAD, OUT_HEAD, R_POSITION, R_ROTATION, R_STATUS
 from ..kernel.task import POSE, POSITION
 from ..robot.robot import Robot
-from .closed_form.finish import listed
+from .closed_form.finish import finished, listed
 from .closed_form.geometry import Family
 from .registry import GENERAL
 from .result import Status
@@ -20,6 +20,7 @@ SAME = 1e-3  # largest joint difference [rad, or of the reach] at which two nume
 TIGHT = 1e-9  # tolerance of the numerical search: answers to 1e-6 differ too much near singular poses to be merged
 FLAT = 1e-4  # singular value (lengths over the scale) below which a direction may lead along a family
 STRIDE = 0.02  # rad, or of the scale: step along that direction; an isolated answer is not found again so far away
+CLOSE, STEPS = 1e-2, 40  # errors [of the scale, rad] from which numerical answers are finished, and steps given to that
 CHOOSING = ("closest", "objective", "history", "follow")  # options about one answer
 
 
@@ -227,6 +228,8 @@ def _search(one: Solver, T: np.ndarray, kind: Any, start: np.ndarray, starts: in
     Q0 = np.vstack([start, [robot.random_q(rng) for _ in range(starts - 1)]]) if starts > 1 else start
     Q0[:, one.held] = start[0, one.held]
     out = _attempts(single, T, kind, Q0)
+    if o.mask is None and not isinstance(kind, tuple) and not len(one.held):
+        _finish_close(single, T, kind, out)
     out = out[out[:, R_STATUS] == Status.CONVERGED]
     answers = out[:, OUT_HEAD:]
     turning, limited = _turning(one)
@@ -255,6 +258,21 @@ def _search(one: Solver, T: np.ndarray, kind: Any, start: np.ndarray, starts: in
     if found.families:
         found.message += f"; {found.families[0].message}"
     return found
+
+
+def _finish_close(single: Solver, T: np.ndarray, kind: Any, out: np.ndarray) -> None:
+    """Give result rows that ended close to the target more steps: at a singular pose an attempt converges slowly."""
+    close = (out[:, R_STATUS] != Status.CONVERGED) & (out[:, R_POSITION] < CLOSE * single.robot.chain.scale)
+    close &= out[:, R_ROTATION] < CLOSE
+    if not close.any():
+        return
+    rows, ends = single._chain[:2]
+    Q, errors = out[close, OUT_HEAD:], np.empty((close.sum(), 2))
+    finished(rows, ends, single.pack(kind, True), T[0], Q, STEPS, errors)
+    good = (errors < (single.options.position_tolerance, single.options.orientation_tolerance)).all(axis=1)
+    where = np.flatnonzero(close)[good]
+    out[where, OUT_HEAD:] = Q[good]
+    out[where, R_POSITION], out[where, R_ROTATION], out[where, R_STATUS] = *errors[good].T, Status.CONVERGED
 
 
 def _attempts(single: Solver, T: np.ndarray, kind: Any, Q0: np.ndarray) -> np.ndarray:

@@ -118,3 +118,23 @@ def listed(rows, ends, opt, T, start, fixed, steps, Q, broken, marks, table, sig
         signs[place] = marks[k]
         kept += 1
     return kept, legal
+
+
+@cached
+def first_good(rows, ends, opt, T, starts, fixed, steps, q):
+    """Fill q (n,) with the first of starts (K, n), polished, that meets the tolerances of T (4, 4); return its errors, or inf."""
+    evaluations = 0
+    for k in range(starts.shape[0]):
+        q[:] = starts[k]
+        position, rotation, count = polish(rows, ends, opt, T, q, fixed, steps)
+        evaluations += count
+        if position < opt[slots.O_TOL_P] and rotation < opt[slots.O_TOL_R]:
+            return position, rotation, evaluations
+    return np.inf, np.inf, evaluations
+
+
+@cached
+def finished(rows, ends, opt, T, Q, steps, errors):
+    """Polish Q (K, n) for T (4, 4) in place; errors (K, 2) receives both errors [m], [rad] of each."""
+    for k in range(Q.shape[0]):
+        errors[k, 0], errors[k, 1], _ = polish(rows, ends, opt, T, Q[k], -1, steps)
