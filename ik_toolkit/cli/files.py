@@ -2,11 +2,11 @@
 
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
-from ..errors import CONTROLS
+from ..errors import CONTROLS, IKError
 from ..files import write_whole
 from .common import Json, PackageDir, notice, show, table, write_json, writes
 
@@ -56,7 +56,9 @@ def check(urdf: UrdfArg, package_dir: PackageDir = None, as_json: Json = False) 
     findings = check_urdf(entry.source, [*(package_dir or ()), *entry.package_dirs])
     errors = [finding for finding in findings if finding.severity == "error"]
     rows = [asdict(finding) for finding in findings]
-    write_json({"urdf": urdf, "loadable": not errors, "errors": len(errors), "findings": rows}, as_json)
+    forms = {} if errors else _closed_forms(entry, package_dir or ())
+    payload = {"urdf": urdf, "loadable": not errors, "errors": len(errors), "findings": rows, "closed_forms": forms}
+    write_json(payload, as_json)
     if not as_json:
         made = table("<severity", "element", "problem", "what to do")
         for finding in findings:
@@ -67,5 +69,23 @@ def check(urdf: UrdfArg, package_dir: PackageDir = None, as_json: Json = False) 
         warnings = len(findings) - len(errors)
         counts = f"{len(errors)} error{'s' * (len(errors) != 1)}, {warnings} warning{'s' * (warnings != 1)}"
         show(f"{entry.name}: {counts if findings else 'nothing wrong found'}")
+        for tip, words in forms.items():
+            show(f"closed form up to {tip}: {words}")
     if errors:
         raise typer.Exit(1)
+
+
+def _closed_forms(entry: Any, package_dirs: Any) -> dict[str, str]:
+    """By tip, what is said of the closed form that fits there."""
+    from ..robot.robot import Robot
+    from ..solvers.closed_form import describe
+
+    found = {}
+    for tip in entry.tips or (None,):
+        try:
+            robot = Robot.load(entry.source, tip=tip, package_dirs=[*package_dirs, *entry.package_dirs])
+        except IKError:  # several ends and none named: no arm to speak of
+            continue
+        if describe(robot):
+            found[robot.tip] = describe(robot)
+    return found

@@ -91,6 +91,7 @@ def info(
     """Show a robot: joints, limits, home, frames, reach, D-H table, and where it comes from."""
     from ..robot.dh import read_dh_table
     from ..robot.library import find
+    from ..solvers.closed_form import describe as closed_form
 
     entry = find(robot)
     tips = [tip] if tip or len(entry.tips) < 2 else entry.tips
@@ -122,7 +123,13 @@ def info(
         show(
             "",
             facts(
-                {"base -> tip": f"{arm.base} -> {arm.tip}", "joints": arm.n, "reach": reach, "locked": locked or None}
+                {
+                    "base -> tip": f"{arm.base} -> {arm.tip}",
+                    "joints": arm.n,
+                    "reach": reach,
+                    "locked": locked or None,
+                    "closed form": closed_form(arm) or None,
+                }
             ),
         )
         show(_joint_table(arm, deg))
@@ -148,6 +155,8 @@ def _source(paper: str, source_table: str) -> str | None:
 
 def describe(robot: "Robot") -> dict[str, Any]:
     """Robot as plain data, in metres and radians."""
+    from ..solvers.closed_form import describe as closed_form
+
     joints = zip(
         robot.joint_names, robot.joint_kinds, robot.lower, robot.upper, robot.home, robot.velocity_limits, strict=True
     )
@@ -159,6 +168,7 @@ def describe(robot: "Robot") -> dict[str, Any]:
         "reach": robot.reach,
         "joints": [dict(zip(names, joint, strict=True)) for joint in joints],
         "locked": robot.locked_joints,
+        "closed_form": closed_form(robot) or None,
     }
 
 
