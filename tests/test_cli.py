@@ -501,3 +501,26 @@ def test_angles_that_look_like_degrees_are_doubted_once(run, caplog):
         "q, joint joint_2: 45 rad is 7.16 turns; were degrees meant?"
     ]
     assert ik.Robot.load("cartesian_pp").fk([90, 45]) is not None and len(caplog.records) == 1
+
+
+def test_angles_that_limits_allow_are_not_taken_for_degrees(caplog):
+    far = robots.urdf(
+        dict(kind="revolute", limits=(20.0, 30.0)), dict(kind="revolute", axis="0 1 0", limits=(-2.0, 2.0))
+    )
+    errors.DOUBTED.clear()
+    robot = ik.Robot.load(far)
+    robot.with_tool((0.1, 0, 0)).locked({"j1": 0.2})  # nobody typed the home that these check again
+    q = np.array([23.0, 0.5])
+    assert ik.solve(robot, robot.fk(q), "lm", q0=q, mask=(1, 1, 1, 0, 0, 0)).success
+    assert not caplog.records
+    robot.fk([45, 0.5])
+    assert [record.getMessage() for record in caplog.records] == [
+        "q, joint j0: 45 rad is 7.16 turns; were degrees meant?"
+    ]
+
+
+def test_the_answer_to_a_partial_target_is_not_doubted_as_if_typed(caplog):
+    robot = ik.Robot.load(robots.urdf(dict(kind="continuous"), dict(kind="revolute", axis="0 1 0")))
+    errors.DOUBTED.clear()
+    assert ik.solve(robot, robot.fk([0.1, 0.5]), "lm", q0=[14.0, 0.5], mask=(1, 1, 1, 0, 0, 0)).success
+    assert [record.getMessage()[:2] for record in caplog.records] == ["q0"]

@@ -46,9 +46,12 @@ class Joints:
             if not np.isfinite(array).all():
                 bad = ", ".join(j for j, x in zip(self.joint_names, array, strict=True) if not np.isfinite(x))
                 raise InvalidConfiguration(f"{name} is not finite at joint {bad}")
-            for joint, kind, x in zip(self.joint_names, self.joint_kinds, array.tolist(), strict=True):
-                if kind != "prismatic" and abs(x) > FEW_TURNS:
-                    doubt_angle(f"{name}, joint {joint}", x)
+            meant = (self.lower <= array) & (array <= self.upper) & (self.upper - self.lower < np.inf)
+            for joint, kind, x in zip(self.joint_names, self.joint_kinds, np.where(meant, 0.0, array), strict=True):
+                if (
+                    kind != "prismatic" and abs(x) > FEW_TURNS
+                ):  # a value that limits allow is no slip, and often our own
+                    doubt_angle(f"{name}, joint {joint}", float(x))
         return array
 
     def check_home(self, home: Any) -> np.ndarray:

@@ -397,9 +397,9 @@ class Solver:
         """Errors [m, rad] of q (n,) at a validated target by Pinocchio, and whether both are inside their tolerances."""
         o = self.options
         if o.mask is not None:
-            position, orientation = masked_errors(self.robot.fk(q).homogeneous, target, o.mask, o.mask_frame)
+            position, orientation = masked_errors(self.robot._fk(q).homogeneous, target, o.mask, o.mask_frame)
         elif isinstance(target, AxisTarget):
-            position, orientation = target.errors(self.robot.fk(q).homogeneous)
+            position, orientation = target.errors(self.robot._fk(q).homogeneous)
         else:
             position, orientation = self.robot.errors(q, target)
         good = position <= o.position_tolerance and (orientation or 0.0) <= o.orientation_tolerance
