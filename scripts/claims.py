@@ -227,7 +227,8 @@ def recall(count: int, seed: int) -> Outcome:
                 wrong = nearest(found.q, q) > 2e-3
                 if found.complete:
                     other = ik.solve_all(robot, robot.fk(q), "lm", starts=50)
-                    wrong |= any(nearest(found.q, x) > 2e-3 for x in other)
+                    # At a nearly level, straight arm what meets 1e-9 is spread over 0.01 rad; other branches are further away.
+                    wrong |= any(nearest(found.q, x) > 0.05 for x in other)
                 cases += 1
                 broken += wrong and found.complete
                 missed += wrong and not found.complete

@@ -108,3 +108,18 @@ def test_a_free_lift_says_its_range():
     assert not found.complete and len(found) <= 16
     lift = next(family for family in found.families if family.joints[0] == "lift")
     assert robot.lower[1] <= lift.lower < robot.home[1] < lift.upper <= robot.upper[1]
+
+
+def test_a_shoulder_on_the_sixth_or_seventh_axis_is_a_family():
+    robot = robots.load("locked")
+    rng = np.random.default_rng(0)
+    yaw, elbow = (robot.joint_names.index(name) for name in ("forearm_yaw", "elbow_pitch"))
+    for leading, values in (
+        ("elbow_pitch", {yaw: np.pi / 2}),
+        ("wrist_pitch", {yaw: np.arccos(180 / 290), elbow: np.pi}),
+    ):
+        for _ in range(5):
+            q = rng.uniform(-3.0, 3.0, 6)
+            q[list(values)] = list(values.values())
+            found = ik.solve_all(robot, robot.fk(q), limits=False, count=16)
+            assert not found.complete and 1 < len(found) <= 16 and found.families[0].joints[0] == leading

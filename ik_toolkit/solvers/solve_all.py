@@ -321,7 +321,7 @@ def _families(single: Solver, found: Solutions, T: np.ndarray, kind: Any, redund
     turning, _ = _turning(single)
     moved = np.abs(out[:, OUT_HEAD:] - np.vstack([found.q[where]] * 2)) / robot.chain.unit
     moved[:, turning] = np.minimum(moved[:, turning], np.abs(2 * np.pi - moved[:, turning]))
-    another = (out[:, R_STATUS] == Status.CONVERGED) & (moved.max(axis=1) > 0.1 * STRIDE)
+    another = (out[:, R_STATUS] == Status.CONVERGED) & (moved.max(axis=1) > 0.5 * STRIDE)
     if not another.any():
         return ()
     joints = (moved[another] > 1e-2 * STRIDE).any(axis=0)
