@@ -54,7 +54,7 @@ ADVICE = {
 }
 
 
-# What a closed form says of exact answers is proven; the configuration returned is the best that it or the search found.
+# The configuration returned with a failure is the best that the closed form or the search after it found.
 CLOSED_FORM_SAYS = {
     Status.CONVERGED: "closed form, the legal branch nearest q0; evaluated to {left}",
     Status.UNREACHABLE: "the target is out of reach by at least {beyond}{kept}; the best configuration found is {left} away{at}",
