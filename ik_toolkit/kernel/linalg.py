@@ -6,13 +6,18 @@ from .jit import inline, jit
 
 
 @inline
-def inverse3(a, b, c, d, e, f):
-    """Inverse of the symmetric [[a, b, c], [b, d, e], [c, e, f]] by cofactors, upper triangle by rows."""
-    ca = d * f - e * e
-    cb = c * e - b * f
-    cc = b * e - c * d
-    k = 1.0 / (a * ca + b * cb + c * cc)
-    return ca * k, cb * k, cc * k, (a * f - c * c) * k, (b * c - a * e) * k, (a * d - b * b) * k
+def factors3(a, b, c, d, e, f):
+    """L D L' of the symmetric [[a, b, c], [b, d, e], [c, e, f]]: l10, l20, l21 and the inverses of the three pivots.
+
+    Not the inverse by cofactors: where the matrix is little but damping, as the rotations of joints that all turn about one
+    axis, its entries are 1 over the damping and what they are multiplied with cancels, down to rounding.
+    """
+    i0 = 1.0 / a
+    l10, l20 = b * i0, c * i0
+    i1 = 1.0 / (d - l10 * b)
+    m = e - l10 * c
+    l21 = m * i1
+    return l10, l20, l21, i0, i1, 1.0 / (f - l20 * c - l21 * m)
 
 
 @inline
@@ -21,24 +26,29 @@ def solve_blocks(
     e0, e1, e2, e3, e4, e5,
 ):  # fmt: skip
     """Solve [[P, Q'], [Q, S]] y = e with symmetric P and S (3, 3), by the complement of S; numbers or vectors."""
-    t0, t1, t2, t3, t4, t5 = inverse3(s00, s10, s20, s11, s21, s22)
-    g00, g01, g02 = t0 * q00 + t1 * q10 + t2 * q20, t0 * q01 + t1 * q11 + t2 * q21, t0 * q02 + t1 * q12 + t2 * q22
-    g10, g11, g12 = t1 * q00 + t3 * q10 + t4 * q20, t1 * q01 + t3 * q11 + t4 * q21, t1 * q02 + t3 * q12 + t4 * q22
-    g20, g21, g22 = t2 * q00 + t4 * q10 + t5 * q20, t2 * q01 + t4 * q11 + t5 * q21, t2 * q02 + t4 * q12 + t5 * q22
+    l10, l20, l21, i0, i1, i2 = factors3(s00, s10, s20, s11, s21, s22)
+    q10, q11, q12, e4 = q10 - l10 * q00, q11 - l10 * q01, q12 - l10 * q02, e4 - l10 * e3
+    q20, q21, q22 = q20 - l20 * q00 - l21 * q10, q21 - l20 * q01 - l21 * q11, q22 - l20 * q02 - l21 * q12
+    e5 = e5 - l20 * e3 - l21 * e4
+    g00, g01, g02 = i0 * q00, i0 * q01, i0 * q02
+    g10, g11, g12 = i1 * q10, i1 * q11, i1 * q12
+    g20, g21, g22 = i2 * q20, i2 * q21, i2 * q22
     p00 = p00 - (q00 * g00 + q10 * g10 + q20 * g20)
     p10 = p10 - (q01 * g00 + q11 * g10 + q21 * g20)
     p11 = p11 - (q01 * g01 + q11 * g11 + q21 * g21)
     p20 = p20 - (q02 * g00 + q12 * g10 + q22 * g20)
     p21 = p21 - (q02 * g01 + q12 * g11 + q22 * g21)
     p22 = p22 - (q02 * g02 + q12 * g12 + q22 * g22)
+    k10, k20, k21, h0, h1, h2 = factors3(p00, p10, p20, p11, p21, p22)
     b0 = e0 - (g00 * e3 + g10 * e4 + g20 * e5)
-    b1 = e1 - (g01 * e3 + g11 * e4 + g21 * e5)
-    b2 = e2 - (g02 * e3 + g12 * e4 + g22 * e5)
-    u0, u1, u2, u3, u4, u5 = inverse3(p00, p10, p20, p11, p21, p22)
-    y0, y1, y2 = u0 * b0 + u1 * b1 + u2 * b2, u1 * b0 + u3 * b1 + u4 * b2, u2 * b0 + u4 * b1 + u5 * b2
-    y3 = t0 * e3 + t1 * e4 + t2 * e5 - (g00 * y0 + g01 * y1 + g02 * y2)
-    y4 = t1 * e3 + t3 * e4 + t4 * e5 - (g10 * y0 + g11 * y1 + g12 * y2)
-    y5 = t2 * e3 + t4 * e4 + t5 * e5 - (g20 * y0 + g21 * y1 + g22 * y2)
+    b1 = e1 - (g01 * e3 + g11 * e4 + g21 * e5) - k10 * b0
+    b2 = e2 - (g02 * e3 + g12 * e4 + g22 * e5) - k20 * b0 - k21 * b1
+    y2 = b2 * h2
+    y1 = b1 * h1 - k21 * y2
+    y0 = b0 * h0 - k10 * y1 - k20 * y2
+    y5 = i2 * e5 - (g20 * y0 + g21 * y1 + g22 * y2)
+    y4 = i1 * e4 - (g10 * y0 + g11 * y1 + g12 * y2) - l21 * y5
+    y3 = i0 * e3 - (g00 * y0 + g01 * y1 + g02 * y2) - l10 * y4 - l20 * y5
     return y0, y1, y2, y3, y4, y5
 
 
