@@ -10,7 +10,7 @@ from robots import urdf
 
 import ik_toolkit as ik
 from ik_toolkit.errors import InvalidConfiguration, ModelError
-from ik_toolkit.robot import meshes
+from ik_toolkit.robot import meshes, shapes
 from ik_toolkit.robot.check import check_urdf
 from ik_toolkit.robot.shapes import link_shapes
 from ik_toolkit.show.parts import Body
@@ -123,31 +123,47 @@ def test_the_ros_package_of_a_urdf_is_its_own(place):
     assert "outside" in refusals("../../secret/a.stl", place / "robot" / "urdf")[0]
 
 
+def crowd(folder, names):
+    """A robot whose second link has a mesh of each name beside the good one, visual and collision."""
+    arm = robot("a.stl", folder)
+    shape = '<{0}><geometry><mesh filename="{1}"/></geometry></{0}>'
+    more = "".join(shape.format(role, name) for name in names for role in ("visual", "collision"))
+    arm.urdf = arm.urdf.replace("<visual>", f"{more}<visual>", 1)
+    return arm
+
+
 def test_files_that_a_mesh_refers_to_stay_inside(place):
     folder = place / "robot"
-
-    def color(name):
-        body = Body(robot(name, folder))
-        return body.parts[0].shapes[0].color, body.notice
-
-    for k, name in enumerate(("a.mtl", "../secret/a.mtl", f"{place}/secret/a.mtl", "http://127.0.0.1:9/a.mtl")):
-        (folder / f"{k}.obj").write_text(OBJ.format(name))
-        (red, _, _), notice = color(f"{k}.obj")
-        assert (red == 1.0) == (k == 0) and ("is not read" in notice) == (k > 0), (name, notice)
-        ik.CollisionModel(robot(f"{k}.obj", folder))  # colours are none of its business
-    (folder / "in.gltf").write_text(gltf("a.bin"))
-    assert refusals("in.gltf", folder) == ("", "", "")
-    for k, name in enumerate(("../secret/a.bin", f"{place}/secret/a.bin", "%2e%2e/secret/a.bin")):
-        (folder / f"{k}.gltf").write_text(gltf(name))
-        assert all("outside the folders" in sentence for sentence in refusals(f"{k}.gltf", folder)[1:]), name
+    colors = {
+        "0.obj": "a.mtl",
+        "1.obj": "../secret/a.mtl",
+        "2.obj": f"{place}/secret/a.mtl",
+        "3.obj": "http://127.0.0.1:9/a.mtl",
+    }
+    buffers = {
+        "0.gltf": "a.bin",
+        "1.gltf": "../secret/a.bin",
+        "2.gltf": f"{place}/secret/a.bin",
+        "3.gltf": "%2e%2e/secret/a.bin",
+    }
+    for name, other in (colors | buffers).items():
+        (folder / name).write_text(OBJ.format(other) if name in colors else gltf(other))
     tree = gltf("../secret/a.bin").encode()
     tree += b" " * (-len(tree) % 4)
-    (folder / "a.glb").write_bytes(
-        struct.pack("<4sII4sI", b"glTF", 2, 20 + len(tree), b"", 0)[:12]
-        + struct.pack("<I4s", len(tree), b"JSON")
-        + tree
-    )
-    assert all("other files" in sentence for sentence in refusals("a.glb", folder)[1:])
+    head = struct.pack("<4sIII4s", b"glTF", 2, 20 + len(tree), len(tree), b"JSON")
+    (folder / "a.glb").write_bytes(head + tree)
+    arm = crowd(folder, [*colors, *buffers, "a.glb"])
+
+    drawn, problems = link_shapes(arm, "look", 100)
+    red = {shape.file for shape in drawn if shape.mesh.pieces[0].color == (1.0, 0.0, 0.0)}
+    assert red == {"0.obj"} and {shape.file for shape in drawn} == {*colors, "0.gltf", "a.stl"}
+    said = {problem.split("'")[1]: problem for _, problem in problems}
+    assert set(said) == {"1.obj", "2.obj", "3.obj", "1.gltf", "2.gltf", "3.gltf", "a.glb"}
+    assert "is an address and is not read" in said.pop("3.obj") and "in other files" in said.pop("a.glb")
+    assert all("lies outside the folders of the robot and is not read" in problem for problem in said.values())
+
+    tested, problems = link_shapes(arm, "surface", 100)  # colours are none of its business
+    assert {shape.file for shape in tested} == {*colors, "0.gltf", "a.stl"} and len(problems) == 4
 
 
 NESTED = f'<node id="n">{"<node>" * 20_000}{FACE}{"</node>" * 20_000}</node>'
@@ -204,14 +220,11 @@ HOSTILE = {
 def test_hostile_meshes_are_refused_by_name(kind, place):
     """Each of them ended the process, hung or filled the memory in one reader or the other, or is simply broken."""
     folder = place / "robot"
-    arm = robot("a.stl", folder)
-    shape = '<{0}><geometry><mesh filename="{1}"/></geometry></{0}>'
     for name, (text, _) in HOSTILE.items():
         (folder / name).write_text(text, encoding="latin-1")
-        more = "".join(shape.format(role, name) for role in ("visual", "collision"))
-        arm.urdf = arm.urdf.replace("<visual>", f"{more}<visual>", 1)
-    shapes, problems = link_shapes(arm, kind, 100)
-    assert [shape.file for shape in shapes] == ["a.stl"] and len(problems) == len(HOSTILE)
+    arm = crowd(folder, HOSTILE)
+    found, problems = link_shapes(arm, kind, 100)
+    assert [shape.file for shape in found] == ["a.stl"] and len(problems) == len(HOSTILE)
     for name, (_, said) in HOSTILE.items():
         (problem,) = [problem for element, problem in problems if f"mesh '{name}'" in problem]
         assert said in problem and len(problem) < 300, problem
@@ -219,7 +232,7 @@ def test_hostile_meshes_are_refused_by_name(kind, place):
         body = Body(arm)
         assert len(body.parts) == 1 and "and 16 more" in body.notice
     else:
-        with pytest.raises(ModelError, match=r"link 'l1': mesh .*count\.off.*and 16 more"):
+        with pytest.raises(ModelError, match=r"link 'l1': mesh .*self\.dae.*and 16 more"):
             ik.CollisionModel(arm)
         with pytest.raises(
             InvalidConfiguration, match=r"mesh file .*self\.dae' cannot be read: its node 'n' contains itself"
@@ -254,16 +267,27 @@ def test_a_file_that_kills_its_reader_is_named_and_the_others_are_read(place, mo
 
 def test_counts_of_shapes_are_capped(place):
     ball = "<collision><geometry><sphere radius='0.1'/></geometry></collision>"
-    for tag, most in (("collision", 500), ("visual", 2_000)):
+    for tag, most in (("collision", 300), ("visual", 2_000)):
         arm = robot("a.stl", place / "robot", role="visual")
         arm.urdf = arm.urdf.replace(
             "</visual></link>", "</visual>" + ball.replace("collision", tag) * (most + 1) + "</link>"
         )
         if tag == "collision":
-            with pytest.raises(ModelError, match="501 collision shapes; at most 500"):
+            with pytest.raises(ModelError, match="301 collision shapes; at most 300"):
                 ik.CollisionModel(arm)
         else:
             assert "2,002 visual shapes; at most 2,000" in Body(arm).notice and "stick figure" in Body(arm).notice
+
+
+def test_a_mesh_that_is_used_over_and_over_is_counted_each_time(place, monkeypatch):
+    arm = robot("a.stl", place / "robot")
+    arm.urdf = arm.urdf.replace(
+        "<visual>", "<visual>" + "<geometry><mesh filename='a.stl'/></geometry></visual><visual>" * 9
+    )
+    monkeypatch.setattr(shapes, "MAX_TOTAL", 9)
+    assert "have 10 triangles; at most 9" in Body(arm).notice and "stick figure" in Body(arm).notice
+    monkeypatch.setattr(shapes, "MAX_TOTAL", 10)
+    assert len(Body(arm).parts) == 10
 
 
 SIZES = [

@@ -18,7 +18,7 @@ from .pose import check_target
 from .robot import Robot
 from .shapes import LinkShape, geometry_model, link_shapes, said
 
-MAX_SHAPES = 500  # of a robot: 125,000 pairs, which take 2 s to set up; robots have up to 100
+MAX_SHAPES = 300  # of a robot: 45,000 pairs, which take 1 s and 0.5 GB to set up; robots have up to 100
 SAMPLES = 8  # configurations that show which links ever move against each other
 
 
@@ -29,7 +29,7 @@ class CollisionModel:
     from nowhere else), or from `geometry`, a pin.GeometryModel. ignore: pairs of link names that may touch. Never tested: links
     joined by one joint, links that cannot move against each other, and pairs that touch both at home and at zero (if legal), which
     are listed in `excluded`. Attributes: links, obstacles (names), pairs (tested, by name), excluded (pairs of link names). Raises
-    ModelError (no collision shapes, over 500, one without extent, or a mesh that cannot be read), InvalidOption.
+    ModelError (no collision shapes, over 300, one without extent, or a mesh that cannot be read), InvalidOption.
     """
 
     def __init__(

@@ -164,8 +164,9 @@ def look(file: Path, raw: bytes, references: References, out: Path):
     """Triangles and own colour of every material of a mesh file by trimesh: what is drawn."""
     import numpy as np
     import trimesh
+    from trimesh.resolvers import Resolver as BaseResolver
 
-    class Resolver(trimesh.resolvers.Resolver):
+    class Resolver(BaseResolver):
         def __init__(self) -> None:
             pass
 

@@ -16,6 +16,7 @@ from .meshes import Mesh, find_mesh, mesh_folders, read_meshes
 from .pose import rpy_matrix
 from .read import Item, numbers, parse
 
+MAX_TOTAL = 5_000_000  # triangles of a robot: 2 GB as boxes in boxes for collisions; robots have up to 1,000,000
 LARGEST = 1e6  # [m] or times: sizes, scales and distances of shapes
 SIZES = {  # shape -> attribute -> how many numbers
     "box": {"size": 3},
@@ -63,9 +64,10 @@ def link_shapes(robot: Any, kind: str, most: int) -> tuple[list[LinkShape], Prob
     files = {}
     for item in items:
         own = [given for given in item.shapes if given["role"] == role]
+        asked = {(tag, attributes.get("name")) for tag, attributes in item.inside}  # in <collision_checking>
         for k, given in enumerate(own):
             try:
-                shape = _shape(item, k, given, colors)
+                shape = _shape(item, k, given, asked, colors)
                 if shape.file and shape.file not in files:
                     try:
                         files[shape.file] = find_mesh(shape.file, folders)
@@ -82,6 +84,11 @@ def link_shapes(robot: Any, kind: str, most: int) -> tuple[list[LinkShape], Prob
         problems += [(f"link '{shape.link}'", f"mesh '{shape.file[:200]}' {problem}") for problem in said]
         if not mesh.refused:
             found.append(replace(shape, mesh=mesh))
+    total = sum(len(piece.faces) for shape in found for piece in shape.mesh.pieces)
+    if total > MAX_TOTAL:
+        raise ModelError(
+            f"the {role} meshes of robot '{robot.name}' have {total:,} triangles; at most {MAX_TOTAL:,} are read"
+        )
     return found, problems
 
 
@@ -104,11 +111,19 @@ def geometry_model(model: pin.Model, shapes: Sequence[LinkShape], forms: Sequenc
     return geometry
 
 
-def _shape(item: Item, k: int, given: Mapping[str, Any], colors: Mapping[str, tuple[float, ...]]) -> LinkShape:
-    """Return one shape; ModelError, the end of a sentence, when it is none."""
+def _shape(
+    item: Item,
+    k: int,
+    given: Mapping[str, Any],
+    asked: set[tuple[str, str | None]],
+    colors: Mapping[str, tuple[float, ...]],
+) -> LinkShape:
+    """Return one shape; ModelError, the end of a sentence, when it is none.
+
+    asked: (tag, name of a collision shape) for 'capsule' and 'convex', which stand for a cylinder and a mesh.
+    """
     tag, attributes = given.get("geometry", ("", {}))
-    asked = {name for name, inside in item.inside if given["name"] and inside.get("name") == given["name"]}
-    kind = "capsule" if tag == "cylinder" and "capsule" in asked else tag  # asked for in <collision_checking>
+    kind = "capsule" if tag == "cylinder" and ("capsule", given["name"]) in asked else tag
     file = attributes.get("filename", "")
     if kind == "mesh":
         if not file:
@@ -133,7 +148,14 @@ def _shape(item: Item, k: int, given: Mapping[str, Any], colors: Mapping[str, tu
     place = pin.SE3(np.array(rpy_matrix(rpy)), np.array(xyz))
     mesh = kind == "mesh"
     return LinkShape(
-        f"{item.name}_{k}", item.name, kind, sizes, place, color, file * mesh, convex=mesh and "convex" in asked
+        f"{item.name}_{k}",
+        item.name,
+        kind,
+        sizes,
+        place,
+        color,
+        file * mesh,
+        convex=mesh and ("convex", given["name"]) in asked,
     )
 
 
