@@ -64,8 +64,8 @@ def test_forward_kinematics_sees_an_edit_of_another_kernel_file(copy):
     assert float(first.stdout) == 2.0, first.stderr
     edit(
         copy / "ik_toolkit" / "kernel" / "kinematics.py",
-        "    return x0, x1, x2, y0, y1, y2, z0, z1, z2, px, py, pz\n",
-        "    return x0, x1, x2, y0, y1, y2, z0, z1, z2, px + 1.0, py, pz\n",
+        "    return Pose(M3(x, y, z), p)\n",
+        "    return Pose(M3(x, y, z), p + V3(1.0, 0.0, 0.0))\n",
     )
     assert float(run(copy, REACH).stdout) != 2.0
 

@@ -9,11 +9,10 @@ from numba import config, njit
 
 import ik_toolkit as ik
 from ik_toolkit.kernel import vector
+from ik_toolkit.kernel.algebra import M3, V3, Blocks, Sym3, at3, put3, sincos
 from ik_toolkit.kernel.checks import CONVERGED
-from ik_toolkit.kernel.kinematics import sincos
 from ik_toolkit.kernel.lanes import LEFT, lanes
-from ik_toolkit.kernel.linalg import solve_blocks
-from ik_toolkit.kernel.slots import OUT_HEAD, R_EVALUATIONS, R_ITERATIONS, R_POSITION, R_RESTARTS, R_ROTATION, R_STATUS
+from ik_toolkit.kernel.records import ANSWER, AT
 from ik_toolkit.kernel.task import POSE, POSITION
 
 pytestmark = pytest.mark.skipif(config.DISABLE_JIT, reason="vectors exist in compiled code only")
@@ -44,10 +43,12 @@ def test_vectors_compute_as_numpy_does():
 
 @njit
 def blocks(M, e, y):
-    y[0], y[1], y[2], y[3], y[4], y[5] = solve_blocks(
-        M[0, 0], M[1, 0], M[1, 1], M[2, 0], M[2, 1], M[2, 2], M[3, 3], M[4, 3], M[4, 4], M[5, 3], M[5, 4], M[5, 5],
-        M[3, 0], M[3, 1], M[3, 2], M[4, 0], M[4, 1], M[4, 2], M[5, 0], M[5, 1], M[5, 2], e[0], e[1], e[2], e[3], e[4], e[5],
-    )  # fmt: skip
+    P = Sym3(M[0, 0], M[0, 1], M[0, 2], M[1, 1], M[1, 2], M[2, 2])
+    S = Sym3(M[3, 3], M[3, 4], M[3, 5], M[4, 4], M[4, 5], M[5, 5])
+    Q = M3(V3(M[3, 0], M[4, 0], M[5, 0]), V3(M[3, 1], M[4, 1], M[5, 1]), V3(M[3, 2], M[4, 2], M[5, 2]))
+    linear, angular = Blocks(P, Q, S).solve(at3(e, 0), at3(e, 3))
+    put3(y, 0, linear)
+    put3(y, 3, angular)
 
 
 def test_the_blocks_solve_the_whole():
@@ -64,7 +65,7 @@ def run(robot, T, kind=POSE, q0=None, **options):
     start = solver._home if q0 is None else np.atleast_2d(q0)
     arguments = *solver.arrays(kind), T, start
     opt = solver.pack(kind, q0 is not None)
-    side, loop = np.zeros((len(T), OUT_HEAD + robot.n)), np.zeros((len(T), OUT_HEAD + robot.n))
+    side, loop = np.zeros((len(T), ANSWER + robot.n)), np.zeros((len(T), ANSWER + robot.n))
     lanes()(*arguments, side, opt)
     solver._kernel(*arguments, loop, opt, solver._silent)
     return side, loop
@@ -72,13 +73,13 @@ def run(robot, T, kind=POSE, q0=None, **options):
 
 def correct(robot, rows, T, position_only=False, tolerance=1e-6):
     """Assert that converged rows are at their targets by Pinocchio, inside the limits, and say their errors."""
-    solved = np.flatnonzero(rows[:, R_STATUS] == CONVERGED)
+    solved = np.flatnonzero(rows[:, AT.status] == CONVERGED)
     for k in solved:
-        q = rows[k, OUT_HEAD:]
+        q = rows[k, ANSWER:]
         assert not robot.outside(q)
         position, rotation = robot.errors(q, T[k, :3, 3] if position_only else T[k])
-        assert position <= tolerance and abs(position - rows[k, R_POSITION]) < 1e-11
-        assert position_only or (rotation <= tolerance and abs(rotation - rows[k, R_ROTATION]) < 1e-9)
+        assert position <= tolerance and abs(position - rows[k, AT.position]) < 1e-11
+        assert position_only or (rotation <= tolerance and abs(rotation - rows[k, AT.rotation]) < 1e-9)
     return solved
 
 
@@ -91,20 +92,20 @@ def test_answers_are_those_of_the_loop_in_all_but_choice(name, kind):
     T = robots.sample(robot, 300, seed=4)[1]
     side, loop = run(robot, T, kind)
     solved = correct(robot, side, T, kind == POSITION)
-    assert set(side[:, R_STATUS]) <= {CONVERGED, LEFT}
-    assert len(solved) >= 0.98 * (loop[:, R_STATUS] == CONVERGED).sum()
+    assert set(side[:, AT.status]) <= {CONVERGED, LEFT}
+    assert len(solved) >= 0.98 * (loop[:, AT.status] == CONVERGED).sum()
     counted = side[solved]
-    assert (counted[:, R_EVALUATIONS] >= counted[:, R_ITERATIONS] + counted[:, R_RESTARTS] + 1).all()
-    assert (counted[:, R_EVALUATIONS] <= counted[:, R_ITERATIONS] + counted[:, R_RESTARTS] + 2).all()
-    assert counted[:, R_ITERATIONS].mean() < 1.3 * loop[:, R_ITERATIONS].mean() + 1
+    assert (counted[:, AT.evaluations] >= counted[:, AT.iterations] + counted[:, AT.restarts] + 1).all()
+    assert (counted[:, AT.evaluations] <= counted[:, AT.iterations] + counted[:, AT.restarts] + 2).all()
+    assert counted[:, AT.iterations].mean() < 1.3 * loop[:, AT.iterations].mean() + 1
 
 
 def test_a_start_at_the_solution_takes_no_step():
     robot = robots.load("panda")
     Q, T = robots.sample(robot, 50, seed=5)
     side, _ = run(robot, T, q0=Q)
-    assert (side[:, R_STATUS] == CONVERGED).all() and (side[:, R_ITERATIONS] == 0).all()
-    assert np.abs(side[:, OUT_HEAD:] - Q).max() < 1e-12
+    assert (side[:, AT.status] == CONVERGED).all() and (side[:, AT.iterations] == 0).all()
+    assert np.abs(side[:, ANSWER:] - Q).max() < 1e-12
 
 
 def test_endless_joints_come_back_at_the_turn_nearest_the_start():
@@ -113,8 +114,8 @@ def test_endless_joints_come_back_at_the_turn_nearest_the_start():
     wound = Q + 4 * math.pi * np.isinf(robot.upper)
     side, loop = run(robot, T, q0=wound)
     assert len(correct(robot, side, T)) == 50
-    np.testing.assert_allclose(side[:, OUT_HEAD:], loop[:, OUT_HEAD:], atol=1e-5)
-    assert np.abs(side[:, OUT_HEAD:] - wound).max() < 1e-5
+    np.testing.assert_allclose(side[:, ANSWER:], loop[:, ANSWER:], atol=1e-5)
+    assert np.abs(side[:, ANSWER:] - wound).max() < 1e-5
 
 
 def test_what_needs_care_is_left_to_the_loop():
@@ -124,7 +125,9 @@ def test_what_needs_care_is_left_to_the_loop():
     T[8, 0, 0] = np.nan
     T[13, :3, :3] *= 1.5
     side, _ = run(robot, T)
-    assert (side[[3, 8, 13], R_STATUS] == LEFT).all() and (np.delete(side[:, R_STATUS], [3, 8, 13]) == CONVERGED).all()
+    assert (side[[3, 8, 13], AT.status] == LEFT).all() and (
+        np.delete(side[:, AT.status], [3, 8, 13]) == CONVERGED
+    ).all()
 
 
 def test_half_a_turn_off_is_no_answer():
@@ -133,10 +136,10 @@ def test_half_a_turn_off_is_no_answer():
     T[:, :3, :3] = T[:, :3, :3] @ np.diag([1.0, -1.0, -1.0])
     side, loop = run(robot, T, q0=Q)
     solved = correct(robot, side, T)  # by a restart: about half of these poses can be reached at all
-    assert set(side[:, R_STATUS]) <= {CONVERGED, LEFT}
-    assert len(solved) >= 0.9 * (loop[:, R_STATUS] == CONVERGED).sum() > 20
+    assert set(side[:, AT.status]) <= {CONVERGED, LEFT}
+    assert len(solved) >= 0.9 * (loop[:, AT.status] == CONVERGED).sum() > 20
     alone, _ = run(robot, T, q0=Q, restarts=0)  # from the start itself the axis cannot be told: none is answered
-    assert (alone[:, R_STATUS] == LEFT).all()
+    assert (alone[:, AT.status] == LEFT).all()
 
 
 @pytest.mark.parametrize("tolerance", [1e-10, 1e-3, 1.0, 3.1])
@@ -151,8 +154,8 @@ def test_one_descent_is_one_descent():
     robot = robots.load("panda")
     T = robots.sample(robot, 200, seed=10)[1]
     one, loop = run(robot, T, restarts=0, max_iterations=60)
-    assert (one[one[:, R_STATUS] == CONVERGED, R_RESTARTS] == 0).all()
-    assert 0.2 < (one[:, R_STATUS] == CONVERGED).mean() < 0.9 and (loop[:, R_RESTARTS] == 0).all()
+    assert (one[one[:, AT.status] == CONVERGED, AT.restarts] == 0).all()
+    assert 0.2 < (one[:, AT.status] == CONVERGED).mean() < 0.9 and (loop[:, AT.restarts] == 0).all()
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 import ik_toolkit as ik
 from ik_toolkit import errors
-from ik_toolkit.kernel.loop import rule
+from ik_toolkit.kernel.jit import compiled
 from ik_toolkit.robot.pose import AxisTarget
 from ik_toolkit.solvers.registry import find_row
 
@@ -291,6 +291,7 @@ def test_converged_never_with_an_error_above_the_tolerance(values, seed):
         assert robot.outside(result.q) == []
 
 
+@compiled
 class HalfStep(NamedTuple):
     """Half of the gradient step, as somebody outside the package would write it."""
 
@@ -298,14 +299,12 @@ class HalfStep(NamedTuple):
 
     def pack(self, robot):
         """Parameters of the compiled step."""
-        return np.array([self.gain])
+        return self
 
-
-@rule(HalfStep)
-def _half_step(cls, p, s, e):
-    for i in range(s.dq.shape[0]):
-        s.dq[i] = p[0] * (s.J[i, 0] * e.e0 + s.J[i, 1] * e.e1 + s.J[i, 2] * e.e2)
-    return 0
+    def step(self, p, e):
+        for i in range(p.desk.dq.shape[0]):
+            p.desk.dq[i] = self.gain * p.slope(e, i)
+        return 0
 
 
 def test_a_rule_of_ones_own_runs_in_the_same_loop():

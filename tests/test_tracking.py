@@ -15,7 +15,11 @@ import ik_toolkit as ik
 from ik_toolkit.cli import main
 from ik_toolkit.errors import IKError, InvalidConfiguration, InvalidOption, InvalidTarget
 from ik_toolkit.kernel import motion
-from ik_toolkit.kernel.kinematics import columns, fk
+from ik_toolkit.kernel.algebra import at3
+from ik_toolkit.kernel.jit import cached
+from ik_toolkit.kernel.kinematics import fk, room
+from ik_toolkit.kernel.problem import fill
+from ik_toolkit.kernel.records import TASK
 from ik_toolkit.papers import patko_2019 as paper
 from ik_toolkit.robot.robot import Robot
 from ik_toolkit.tracking.methods import make_method, simulate
@@ -66,16 +70,22 @@ def panda_reference(robot, pose, duration=12.6):
 
 
 # ------------------------------------------------------------------------------------------------ rate of the Jacobian
+@cached
+def _rate(rows, ends, q, x, y, out):
+    n = q.shape[0]
+    size, angles = room(rows.shape[0])
+    joints, trig, J = np.empty(size), np.zeros(angles), np.empty((n, 6))
+    now = fk(rows, q, joints, trig)
+    tip = now.point + now.axes.times(at3(ends, 21))
+    fill(rows, np.zeros(TASK), np.empty(0), joints, tip, J, 0)
+    motion.jacobian_rate(rows, joints, J, tip, x, y, out)
+
+
 def jacobian_rate(robot, q, x, y):
     """(dJ/dt along x) y by the kernel, base axes, metres."""
-    chain = robot.chain
-    rows, ends, n = chain.rows, chain.ends, robot.n
-    Z, J, out = np.empty((len(rows), 6)), np.empty((n, 6)), np.empty(6)
-    buffers = [np.zeros((len(rows) + 3) // 4 * 4) for _ in range(3)]
-    *R, px, py, pz = fk(rows, q / chain.unit, Z, *buffers)
-    tip = np.array(R).reshape(3, 3).T @ ends[21:24] + (px, py, pz)
-    columns(rows, Z, J, *tip)
-    motion.jacobian_rate(rows, Z, J, *tip, x / chain.unit, y / chain.unit, out)
+    chain, out = robot.chain, np.empty(6)
+    ends = chain.ends
+    _rate(chain.rows, ends, q / chain.unit, x / chain.unit, y / chain.unit, out)
     base = ends[:9].reshape(3, 3)
     return np.concatenate([base @ out[:3] * chain.scale, base @ out[3:]])
 

@@ -146,7 +146,7 @@ def test_q_is_the_union_of_the_paths_and_shared_joints_come_once(tree):
     for k, joint in enumerate(tree.joint_names):
         moves = np.abs(tree.jacobian(tree.random_q(np.random.default_rng(1)))[:, k]).reshape(2, 6).max(axis=1) > 1e-9
         assert moves.tolist() == [joint in left.joint_names, joint in right.joint_names]
-        assert tree.chain.moves[:, k].tolist() == [float(x) for x in moves]
+        assert tree.chain.ends[:, k - tree.n].tolist() == [float(x) for x in moves]
 
 
 def test_brokk_home_is_the_listed_one_joint_by_joint(brokk):
@@ -465,9 +465,10 @@ def test_what_several_tips_cannot_do_is_said(brokk):
         ik.Robot.load("brokk_hydrolek", tip=[])
     with pytest.raises(errors.ModelError, match="one model"):
         Tree([brokk.arms[0], ik.Robot.load("hydrolek_7w")])
-    with pytest.raises(errors.UnknownSolver, match="'lm' only"):
-        ik.solve(brokk, T, "dls")
-    for option in (dict(mask=(1, 1, 1, 0, 0, 0)), dict(closest=True), dict(objective="mid-range")):
+    for rule in ("newton", "state-space"):
+        with pytest.raises(errors.UnknownSolver, match="one tip; for several use 'lm'"):
+            ik.solve(brokk, T, rule)
+    for option in (dict(objective="mid-range"), dict(follow=0.1)):
         with pytest.raises(errors.InvalidOption, match=next(iter(option))):
             ik.solve(brokk, T, **option)
     with pytest.raises(errors.InvalidOption, match="one tip"):
@@ -534,9 +535,9 @@ def test_command_line_takes_positions_starts_and_locked_joints(run, brokk):
         (["--target", "left_tip:1,0,1,0,0,0,0"], "quat_xyzw has length 0"),
         (["--target", "left_tip:nan,0,1"], "finite"),
         (["--target", "left_tip:1,0,1", "--xyz", "1", "0", "0"], "leave out --xyz"),
-        (["--target", "left_tip:1,0,1", "-s", "pid"], "'lm' only"),
+        (["--target", "left_tip:1,0,1", "-s", "state-space"], "for several use 'lm'"),
         (["--target", "left_tip:1,0,1", "--all"], "--all is for one tip"),
-        (["--target", "left_tip:1,0,1", "--mask", "1", "1", "1", "0", "0", "0"], "mask"),
+        (["--target", "left_tip:1,0,1", "--mask", "1", "1", "1", "1", "0", "0"], "must be 0"),
     ],
 )
 def test_command_line_refuses_in_one_sentence(run, words, message):

@@ -5,10 +5,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from .algebra import V3, at3, rotation_at
 from .jit import cached
-from .kinematics import ROW, TAU, columns, fk
+from .kinematics import ROW, TAU, fk, room
+from .problem import fill
+from .records import POINTS, TASK, Ends
 from .seeds import PAD, ROTATION_WEIGHT, SEEDS
-from .slots import E_VECTORS
 
 __all__ = ["ROW", "Chain", "pack"]
 WINDING = 5 * TAU
@@ -21,42 +23,32 @@ RATIO = (
 @cached
 def forward(rows, ends, Q, unit, T, J) -> None:
     """Tip poses T (N, 4, 4) [m] in base axes and Jacobians J (N, 6, n) at Q (N, n); J may be (0, 6, n) to skip them."""
-    L = rows.shape[0]
     n = Q.shape[1]
-    Lp = (L + 3) // 4 * 4
-    scale = ends[E_VECTORS + 7 * n]
-    tip = ends[12:24]
-    q = np.empty(n)
-    Z = np.empty((L, 6))
-    ang = np.zeros(Lp)
-    sn = np.zeros(Lp)
-    cs = np.zeros(Lp)
-    K = np.empty((n, 6))
-    F = np.empty((3, 4))
+    box = Ends(ends, n)
+    base, tool = rotation_at(ends, 0), rotation_at(ends, 12)
+    size, angles = room(rows.shape[0])
+    q, joints, trig = np.empty(n), np.empty(size), np.zeros(angles)
+    task, kept, K = np.zeros(TASK), np.empty(0), np.empty((n, 6))
     for t in range(Q.shape[0]):
         for i in range(n):
             q[i] = Q[t, i] / unit[i]
-        x0, x1, x2, y0, y1, y2, z0, z1, z2, px, py, pz = fk(rows, q, Z, ang, sn, cs)
-        for k in range(3):
-            F[0, k] = x0 * tip[k] + y0 * tip[3 + k] + z0 * tip[6 + k]
-            F[1, k] = x1 * tip[k] + y1 * tip[3 + k] + z1 * tip[6 + k]
-            F[2, k] = x2 * tip[k] + y2 * tip[3 + k] + z2 * tip[6 + k]
-        F[0, 3] = px + x0 * tip[9] + y0 * tip[10] + z0 * tip[11]
-        F[1, 3] = py + x1 * tip[9] + y1 * tip[10] + z1 * tip[11]
-        F[2, 3] = pz + x2 * tip[9] + y2 * tip[10] + z2 * tip[11]
-        for r in range(3):
-            for k in range(4):
-                T[t, r, k] = ends[3 * r] * F[0, k] + ends[3 * r + 1] * F[1, k] + ends[3 * r + 2] * F[2, k]
-            T[t, r, 3] = (T[t, r, 3] + ends[9 + r]) * scale
-            T[t, 3, r] = 0.0
-        T[t, 3, 3] = 1.0
+        now = fk(rows, q, joints, trig)
+        tip = now.point + now.axes.times(at3(ends, 21))
+        p = (base.times(tip) + at3(ends, 9)) * box.scale()
+        x = base.times(now.axes.times(tool.x))
+        y = base.times(now.axes.times(tool.y))
+        z = base.times(now.axes.times(tool.z))
+        T[t, 0, 0], T[t, 0, 1], T[t, 0, 2], T[t, 0, 3] = x.x, y.x, z.x, p.x
+        T[t, 1, 0], T[t, 1, 1], T[t, 1, 2], T[t, 1, 3] = x.y, y.y, z.y, p.y
+        T[t, 2, 0], T[t, 2, 1], T[t, 2, 2], T[t, 2, 3] = x.z, y.z, z.z, p.z
+        T[t, 3, 0], T[t, 3, 1], T[t, 3, 2], T[t, 3, 3] = 0.0, 0.0, 0.0, 1.0
         if J.shape[0] > 0:
-            columns(rows, Z, K, F[0, 3], F[1, 3], F[2, 3])
+            fill(rows, task, kept, joints, tip, K, 0)
             for i in range(n):
-                for h in range(0, 6, 3):
-                    for r in range(3):
-                        g = ends[3 * r] * K[i, h] + ends[3 * r + 1] * K[i, h + 1] + ends[3 * r + 2] * K[i, h + 2]
-                        J[t, h + r, i] = g * (scale if h == 0 else 1.0) / unit[i]
+                u = base.times(V3(K[i, 0], K[i, 1], K[i, 2])) * (box.scale() / unit[i])
+                v = base.times(V3(K[i, 3], K[i, 4], K[i, 5])) * (1.0 / unit[i])
+                J[t, 0, i], J[t, 1, i], J[t, 2, i] = u.x, u.y, u.z
+                J[t, 3, i], J[t, 4, i], J[t, 5, i] = v.x, v.y, v.z
 
 
 def run(rows, ends, Q, unit, jacobian=False):
@@ -73,7 +65,7 @@ def evaluate(rows, ends, Q, unit, jacobian=False):
     It serves where a robot is loaded; `run`, which the tests hold to the same numbers, is some ten times as fast.
     """
     L, (N, n) = len(rows), Q.shape
-    scale, base, tip = ends[E_VECTORS + 7 * n], np.eye(4), np.eye(4)
+    scale, base, tip = ends[POINTS + 7 * n], np.eye(4), np.eye(4)
     for M, flat in ((base, ends[:12]), (tip, ends[12:24])):
         M[:3, :3], M[:3, 3] = flat[:9].reshape(3, 3), flat[9:]
     owner = rows[:, 8].astype(int)
@@ -166,8 +158,8 @@ def table(rows: np.ndarray, ends: np.ndarray, seeds: np.ndarray, kinematics: Cal
     kinematics: `run`, or `evaluate` where nothing is to be compiled yet.
     """
     count, n = seeds.shape
-    tip, tail = ends[12:24], ends[E_VECTORS + 7 * n :]
-    flat = np.concatenate([np.eye(3).ravel(), np.zeros(3), ends[12 : E_VECTORS + 7 * n], [1.0], tail[1:]])
+    tip, tail = ends[12:24], ends[POINTS + 7 * n :]
+    flat = np.concatenate([np.eye(3).ravel(), np.zeros(3), ends[12 : POINTS + 7 * n], [1.0], tail[1:7]])
     T = kinematics(rows, flat, seeds, np.ones(n))[0]
     features = np.zeros((13, count + PAD), np.float32)
     features[:3, :count] = -2.0 * T[:, :3, 3].T
@@ -178,7 +170,7 @@ def table(rows: np.ndarray, ends: np.ndarray, seeds: np.ndarray, kinematics: Cal
 
 
 def reach_bounds(rows: np.ndarray, tip: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> list[float]:
-    """Bounds of the last six slots of `ends` (see slots.TAIL) for coordinates within lower, upper (n,); kernel units."""
+    """The last six numbers of `ends` (see `records.Ends.bound`) for coordinates within lower, upper (n,); kernel units."""
     lengths = segments(rows, lower, upper)
     tool = float(np.linalg.norm(tip[9:]))
     shortest = np.where(rows[1:, 6] != 0.0, 0.0, lengths[1:])
@@ -203,14 +195,14 @@ def without_limits(rows: np.ndarray, ends: np.ndarray, n: int) -> np.ndarray:
     """Copy of `ends` whose reach bounds hold when limits do not count: slides then reach any distance."""
     endless = np.full(n, np.inf)
     free = ends.copy()
-    free[E_VECTORS + 7 * n + 1 :] = reach_bounds(rows, ends[12:24], -endless, endless)
+    free[POINTS + 7 * n + 1 : POINTS + 7 * n + 7] = reach_bounds(rows, ends[12:24], -endless, endless)
     return free
 
 
 def without_wrap(ends: np.ndarray, n: int) -> np.ndarray:
     """Copy of `ends` in which bounded joints stop at their limits, whatever their range; endless ones keep turning."""
     ends = ends.copy()
-    turns = ends[..., E_VECTORS + 2 * n : E_VECTORS + 3 * n]
+    turns = ends[..., POINTS + 2 * n : POINTS + 3 * n]
     turns[turns == 1.0] = 0.0
     return ends
 

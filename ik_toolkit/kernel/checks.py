@@ -1,57 +1,54 @@
-"""What is decided about a target or a standstill outside the iteration: rigid, out of reach, why no progress."""
+"""What is decided about a target outside the iteration: rigid, out of reach."""
 
 import math
 
-from .jit import jit
+from .algebra import V3, at3, put3, rotation_at
+from .jit import inner, jit, spliced
 from .task import POSE, POSITION
 
 CONVERGED, STALLED, ITERATION_LIMIT, LIMIT_BLOCKED, UNREACHABLE, SINGULAR, NOT_FINITE, CHECK_FAILED = range(8)
-LAST_ROW = 1e-9  # how far the last row of a pose may be off 0 0 0 1
-FAR = 1e100  # coordinates [m] beyond this are refused: their squares are no numbers
 BAD_TARGET, BAD_START = 8, 9  # never seen by a caller: the target or the start needs a look outside the kernel
 TOO_FAR = 11  # 10 is COLLISION, found outside the kernel
+LAST_ROW = 1e-9  # how far the last row of a pose may be off 0 0 0 1
+REACH_SLACK = 1e-9  # [kernel units] more than any rounding of the bound: "unreachable" is a proof
+UNSEEN = 1e-16  # cos^2 of the angle between error and what the joints can do, below which that is rounding
+BLOCKED = 1e-4  # share of the squared gradient left to free joints, below which limits are what holds the attempt
+FAR = 1e100  # coordinates [m] beyond this are refused: their squares are no numbers
 
 
-@jit
-def beyond(goal, tip, tail, kind, tol_p, tol_r):
+@inner
+def ring(p, reach, hole, ends, slack):
+    """Length by which a point lies outside the reach, or inside the hole, of an arm whose foot a lift may move."""
+    across = p.x * p.x + p.y * p.y
+    low, high = ends.bound(4), ends.bound(5)
+    near = p.z - min(max(p.z, low), high)
+    far = max(abs(p.z - low), abs(p.z - high))
+    return max(math.sqrt(across + near * near) - reach, hole - math.sqrt(across + far * far)) - slack
+
+
+@inner
+def beyond(goal, ends, kind, tol_p, tol_r):
     """Length by which the target lies outside the reach bound (0 = not proven unreachable), in kernel units."""
-    worst = 0.0
     if kind > POSITION:
-        return worst
-    for k in range(2 if kind == POSE else 1):
-        x, y, z = goal[9], goal[10], goal[11]
-        slack = tol_p
-        if k == 1:  # the last joint's point is fixed by the pose: the arm without its tool must reach it
-            for r in range(3):
-                g = goal[3 * r] * tip[9] + goal[3 * r + 1] * tip[10] + goal[3 * r + 2] * tip[11]
-                if r == 0:
-                    x -= g
-                elif r == 1:
-                    y -= g
-                else:
-                    z -= g
-            slack += tol_r * math.sqrt(tip[9] * tip[9] + tip[10] * tip[10] + tip[11] * tip[11])
-        slack += 1e-9
-        r2 = x * x + y * y
-        nearest_z = min(max(z, tail[5]), tail[6])
-        d = math.sqrt(r2 + (z - nearest_z) * (z - nearest_z))
-        worst = max(worst, d - tail[1 + 2 * k] - slack)
-        far = max(abs(z - tail[5]), abs(z - tail[6]))
-        d = math.sqrt(r2 + far * far)
-        worst = max(worst, tail[2 + 2 * k] - d - slack)
+        return 0.0
+    point, slack = at3(goal, 9), tol_p + REACH_SLACK
+    worst = max(0.0, ring(point, ends.bound(0), ends.bound(1), ends, slack))
+    if kind == POSE:  # the last joint's point is fixed by the pose: the arm without its tool must reach it
+        tool = at3(ends.flat, 21)
+        wrist = point - rotation_at(goal, 0).times(tool)
+        slack += tol_r * math.sqrt(tool.square())
+        worst = max(worst, ring(wrist, ends.bound(2), ends.bound(3), ends, slack))
     return worst
 
 
-@jit
-def edge(goal, tail, excess, kept):
-    """Move the goal's point by `excess` towards (or, inside the hole, away from) the first joint; `kept` gets the old one."""
-    kept[0], kept[1], kept[2] = goal[9], goal[10], goal[11]
-    centre = min(max(goal[11], tail[5]), tail[6])
-    d = math.sqrt(goal[9] * goal[9] + goal[10] * goal[10] + (goal[11] - centre) * (goal[11] - centre))
-    f = 1.0 - excess / d if d > 0.5 * tail[1] else 1.0 + excess / max(d, 1e-300)
-    goal[9] *= f
-    goal[10] *= f
-    goal[11] = centre + f * (goal[11] - centre)
+@inner
+def edge(goal, ends, excess):
+    """Move the goal's point by `excess` towards (or, inside the hole, away from) the first joint."""
+    p = at3(goal, 9)
+    centre = V3(0.0, 0.0, min(max(p.z, ends.bound(4)), ends.bound(5)))
+    out = p - centre
+    d = math.sqrt(out.square())
+    put3(goal, 9, centre + out * (1.0 - excess / d if d > 0.5 * ends.bound(0) else 1.0 + excess / max(d, 1e-300)))
 
 
 @jit
@@ -71,19 +68,18 @@ def rigid(T):
     return det > 0.0 and total < FAR and last < LAST_ROW
 
 
-@jit
-def why(q, lower, upper, J, e, limits):
-    """Status of a descent that stands still: blocked by limits, singular (the Jacobian cannot see the error), or stalled."""
+@spliced
+def standstill(p, look, near, boxed):
+    """Why an attempt stands still, after p.jacobian: blocked by limits, singular (no joint sees the error), or stalled."""
+    q, J = p.desk.q, p.desk.J
     whole, free, size = 0.0, 0.0, 0.0
     for i in range(q.shape[0]):
-        g = J[i, 0] * e.e0 + J[i, 1] * e.e1 + J[i, 2] * e.e2 + J[i, 3] * e.e3 + J[i, 4] * e.e4 + J[i, 5] * e.e5
-        for k in range(6):
+        g = p.slope(look, i)
+        for k in range(J.shape[1]):
             size += J[i, k] * J[i, k]
         whole += g * g
-        if not (limits and ((q[i] <= lower[i] and g < 0.0) or (q[i] >= upper[i] and g > 0.0))):
+        if not (boxed and ((q[i] <= near.lower(i) and g < 0.0) or (q[i] >= near.upper(i) and g > 0.0))):
             free += g * g
-    if whole <= 1e-16 * e.ee * size:
+    if whole <= UNSEEN * look.ee * size:
         return SINGULAR
-    if free < 1e-4 * whole:
-        return LIMIT_BLOCKED
-    return STALLED
+    return LIMIT_BLOCKED if free < BLOCKED * whole else STALLED

@@ -5,25 +5,21 @@ from collections.abc import Callable
 
 import numpy as np
 
-from .jit import cached
-from .kinematics import aim, angle_ratio, columns, error, fk
-from .loop import RULES, SWEEPS, Step, Sweep, measure, step
+from .algebra import at3, put3, rotation_at
+from .jit import cached, inline
+from .kinematics import aim, angle_ratio, fk, pose_error, room
 from .motion import (
     CA,
     GIVEN,
     HELD,
     MOVING,
     NOT_FINITE,
-    P_BRAKE,
-    P_CODE,
-    P_DAMPING,
-    P_GAMMA,
-    P_RUNAWAY,
     RUNAWAY,
     RUNNING,
     S_H,
     S_START,
     S_STOP,
+    Law,
     advance,
     apply,
     command,
@@ -35,32 +31,72 @@ from .motion import (
     settle,
     to_local,
 )
-from .slots import E_VECTORS, O_KIND, O_W, OPT_HEAD, vectors
-from .task import POSE, shape_columns
+from .problem import fill
+from .records import HEAD, TASK, Ends, Orders, copy, read
+from .search import SINGULAR_STEP, step_class
+from .serial import make_serial
+
+LARGEST = 1e300  # a sum of joint speeds from which on it is no number to follow
+
+
+@inline
+def judge(wanted, h, p, state):
+    """Make the joint speeds `wanted` zero where they cannot be followed or the arm brakes; whether to stop, to hold still."""
+    largest = 0.0
+    for k in range(wanted.shape[0]):
+        largest += abs(wanted[k])
+    bad = not largest < LARGEST
+    still = p.brake > 0.0 or (bad and p.runaway == np.inf)
+    if still:
+        for k in range(wanted.shape[0]):
+            wanted[k] = 0.0
+    elif bad or largest * h > p.runaway * wanted.shape[0]:
+        state[S_STOP] = NOT_FINITE if bad else RUNAWAY
+        return True, still
+    return False, still
+
+
+@inline
+def note(ends, linear, turn, E):
+    """Write an error, its rotation a rotation vector, in base axes [m, rad] to E (6,)."""
+    base = rotation_at(ends.flat, 0)
+    put3(E, 0, base.times(linear) * ends.scale())
+    put3(E, 3, base.times(turn))
+
+
+@inline
+def twist_to(ends, T, goal, now, tip, out):
+    """Write the error from the pose now to T (4, 4), the rotation as a rotation vector, to out (6,), in kernel units."""
+    aim(ends, T, goal)
+    linear, angular = pose_error(goal, now, tip)
+    put3(out, 0, linear)
+    put3(out, 3, angular * angle_ratio(angular.square()))
+
+
+@inline
+def mark_held(code):
+    """Every joint was held."""
+    for k in range(code.shape[0]):
+        code[k] = code[k] | HELD
 
 
 @functools.cache
 def tracker() -> Callable:
     """Return the compiled loop follow(rows, ends, T, V, A, h, m, p, limits, q, rate, prev, state, Q, R, E, C, D) -> steps.
 
-    T (N+1, 4, 4) [m], V, A (N+1, 6): pose, twist and acceleration of the target; m: 3 positions or 6 poses. q, rate, prev
-    (n,) and state (3,) are carried from call to call. Kernel units: lengths over the chain's scale; p, limits, q, rate,
-    prev, Q, R in them. Q, R (N+1, n), E (N+1, 6) error [m, rad], C (N, n) limit codes, D (N,) damping lambda^2.
+    T (N+1, 4, 4) [m], V, A (N+1, 6): pose, twist and acceleration of the target; m: 3 positions or 6 poses. p: a `Law`. q,
+    rate, prev (n,) and state (3,) are carried from call to call. Kernel units: lengths over the chain's scale; p, limits, q,
+    rate, prev, Q, R in them. Q, R (N+1, n), E (N+1, 6) error [m, rad], C (N, n) limit codes, D (N,) damping lambda^2.
     """
 
     @cached
     def follow(rows, ends, T, V, A, h, m, p, limits, q, rate, prev, state, Q, R, E, C, D):
-        L = rows.shape[0]
         n = q.shape[0]
-        Lp = (L + 3) // 4 * 4
-        tip = ends[12:24]
-        scale = ends[E_VECTORS + 7 * n]
+        law, box = read(Law, p), Ends(ends, n)
+        size, angles = room(rows.shape[0])
+        joints, trig, goal = np.empty(size), np.zeros(angles), np.empty(12)
+        task, kept = np.zeros(TASK), np.empty(0)  # all of the pose
         J = np.empty((n, 6))
-        Z = np.empty((L, 6))
-        ang = np.zeros(Lp)
-        sn = np.empty(Lp)
-        cs = np.empty(Lp)
-        goal = np.empty(12)
         G = np.empty((6, 6))
         y = np.empty(6)
         t = np.empty(6)
@@ -76,66 +112,51 @@ def tracker() -> Callable:
         x = np.empty(n)
         before = np.empty(n)
         steps = T.shape[0] - 1
-        gamma = p[P_GAMMA]
         limited = False
         for k in range(n):
             limited = limited or limits[3, k] < np.inf
         for i in range(steps + 1):
-            x0, xx1, xx2, y0, y1, y2, z0, z1, z2, lx, ly, lz = fk(rows, q, Z, ang, sn, cs)
-            aim(ends, tip, scale, T[i], goal)
-            px, py, pz, e0, e1, e2, e3, e4, e5 = error(goal, tip, x0, xx1, xx2, y0, y1, y2, z0, z1, z2, lx, ly, lz)
-            f = angle_ratio(e3 * e3 + e4 * e4 + e5 * e5)
-            e[0], e[1], e[2], e[3], e[4], e[5] = e0, e1, e2, e3 * f, e4 * f, e5 * f
-            for k in range(3):
-                E[i, k] = (ends[3 * k] * e[0] + ends[3 * k + 1] * e[1] + ends[3 * k + 2] * e[2]) * scale
-                E[i, 3 + k] = ends[3 * k] * e[3] + ends[3 * k + 1] * e[4] + ends[3 * k + 2] * e[5]
+            now = fk(rows, q, joints, trig)
+            tip = now.point + now.axes.times(at3(ends, 21))
+            twist_to(box, T[i], goal, now, tip, e)
+            note(box, at3(e, 0), at3(e, 3), E[i])
             if i < steps or state[S_START] == MOVING:
-                columns(rows, Z, J, px, py, pz)
-                to_local(ends, scale, V[i], v)
+                fill(rows, task, kept, joints, tip, J, 0)
+                to_local(box, V[i], v)
             if state[S_START] == MOVING:
-                factor(J, m, p[P_DAMPING], G, y)
+                factor(J, m, law.damping, G, y)
                 apply(J, m, G, v, y, rate)
                 for k in range(n):
-                    room = limits[1, k] - q[k] if rate[k] > 0.0 else q[k] - limits[0, k]
-                    top = min(limits[2, k], fastest(room, 0.0, gamma, h, limits[3, k]))
+                    gap = limits[1, k] - q[k] if rate[k] > 0.0 else q[k] - limits[0, k]
+                    top = min(limits[2, k], fastest(gap, 0.0, law.gamma, h, limits[3, k]))
                     rate[k] = min(max(rate[k], -top), top)
                 state[S_START] = GIVEN
-            for k in range(n):
-                Q[i, k] = q[k]
-                R[i, k] = rate[k]
+            copy(q, Q[i])
+            copy(rate, R[i])
             if i == steps:
                 break
-            to_local(ends, scale, A[i], a)
-            aim(ends, tip, scale, T[i + 1], goal)
-            px, py, pz, e0, e1, e2, e3, e4, e5 = error(goal, tip, x0, xx1, xx2, y0, y1, y2, z0, z1, z2, lx, ly, lz)
-            f = angle_ratio(e3 * e3 + e4 * e4 + e5 * e5)
-            ahead[0], ahead[1], ahead[2], ahead[3], ahead[4], ahead[5] = e0, e1, e2, e3 * f, e4 * f, e5 * f
-            D[i] = factor(J, m, p[P_DAMPING], G, y)
+            to_local(box, A[i], a)
+            twist_to(box, T[i + 1], goal, now, tip, ahead)
+            D[i] = factor(J, m, law.damping, G, y)
             if limited:
-                ease(p, J, m, e, ahead, h, limits, G, y, x)
-            prepare(p, J, m, ahead, rate, h, G, y, t, move, null, x1, x2)
-            if p[P_CODE] >= CA:
-                jacobian_rate(rows, Z, J, px, py, pz, x1, x2, bias)
+                ease(law, J, m, e, ahead, h, limits, G, y, x)
+            prepare(law, J, m, ahead, rate, h, G, y, t, move, null, x1, x2)
+            if law.code >= CA:
+                jacobian_rate(rows, joints, J, tip, x1, x2, bias)
             ratio = h / state[S_H] if state[S_START] == RUNNING else 0.0
-            if p[P_BRAKE] == 0.0:
-                command(p, J, m, e, v, a, bias, rate, prev, h, ratio, G, y, t, move, null, x)
-            largest = 0.0
-            for k in range(n):
-                before[k] = rate[k]
-                largest += abs(x[k])
-            bad = not largest < 1e300
-            if p[P_BRAKE] > 0.0 or (bad and p[P_RUNAWAY] == np.inf):
-                for k in range(n):
-                    x[k] = 0.0
-                    prev[k] = 0.0
-            elif bad or largest * h > p[P_RUNAWAY] * n:
-                state[S_STOP] = NOT_FINITE if bad else RUNAWAY
+            if law.brake == 0.0:
+                command(law, J, m, e, v, a, bias, rate, prev, h, ratio, G, y, t, move, null, x)
+            copy(rate, before)
+            stop, still = judge(x, h, law, state)
+            if stop:
                 return i
-            advance(q, rate, x, gamma, h, limits, C[i])
-            settle(p, h, before, x, C[i], prev)
-            if p[P_BRAKE] > 0.0 or bad:
+            if still:
                 for k in range(n):
-                    C[i, k] = C[i, k] | HELD
+                    prev[k] = 0.0
+            advance(q, rate, x, law.gamma, h, limits, C[i])
+            settle(law, h, before, x, C[i], prev)
+            if still:
+                mark_held(C[i])
             state[S_START] = RUNNING
             state[S_H] = h
         return steps
@@ -150,72 +171,46 @@ def rule_tracker(cls: type) -> Callable:
     One step of the rule a sample, towards the target at its end; memory (4 n + 8,) is the rule's state, carried on. opt as
     the solver packs it; p, limits, state and the arrays as in `tracker`.
     """
-    sweeping = cls in SWEEPS
+    step = step_class(cls)
 
     def follow(rows, ends, T, h, opt, p, limits, q, rate, memory, state, Q, R, E, C):
-        L = rows.shape[0]
         n = q.shape[0]
-        Lp = (L + 3) // 4 * 4
-        lower, upper, _, unit, _, _, _, tail = vectors(ends, n)
-        tip = ends[12:24]
-        scale = tail[0]
-        kind = int(opt[O_KIND])
-        mask = opt[O_W : O_W + 6]
-        weights = opt[OPT_HEAD : OPT_HEAD + n]
-        parameters = opt[OPT_HEAD + n :]
-        dq = np.empty(n)
-        w = np.empty(n)
-        x = np.empty(n)
-        J = np.empty((n, 6))
-        Z = np.empty((L, 6))
-        ang = np.zeros(Lp)
-        sn = np.empty(Lp)
-        cs = np.empty(Lp)
-        goal = np.empty(12)
-        V = np.empty((6, 6))
-        y = np.empty(6)
-        if sweeping:
-            s = Sweep(q, dq, w, memory, lower, upper, unit, rows, ends, tip, goal, mask, Z, ang, sn, cs, V, y, opt)
-        else:
-            s = Step(q, dq, w, J, memory, V, y)
+        law = read(Law, p)
+        o = read(Orders, opt)
+        task = make_serial(rows, ends, opt[HEAD:], n, o)
+        rule = read(step, opt, HEAD + TASK + n)
+        weights = opt[HEAD + TASK : HEAD + TASK + n]
+        s = task.desk
         steps = T.shape[0] - 1
+        copy(memory, s.x)
+        s.spent[1] = np.inf
+        done = steps
         for i in range(steps + 1):
-            aim(ends, tip, scale, T[i], goal)
-            px, py, pz, e = measure(rows, ends, tip, goal, mask, kind, q, Z, ang, sn, cs, V, y)
-            f = angle_ratio(e.rr)
-            for k in range(3):
-                E[i, k] = (ends[3 * k] * e.e0 + ends[3 * k + 1] * e.e1 + ends[3 * k + 2] * e.e2) * scale
-                E[i, 3 + k] = f * (ends[3 * k] * e.e3 + ends[3 * k + 1] * e.e4 + ends[3 * k + 2] * e.e5)
-            for k in range(n):
-                Q[i, k] = q[k]
-                R[i, k] = rate[k]
+            aim(task.ends, T[i], task.goal)
+            e = task.evaluate(q)
+            note(task.ends, e.linear, e.angular * angle_ratio(e.angular.square()), E[i])
+            copy(q, Q[i])
+            copy(rate, R[i])
             if i == steps:
                 break
-            aim(ends, tip, scale, T[i + 1], goal)
-            px, py, pz, e = measure(rows, ends, tip, goal, mask, kind, q, Z, ang, sn, cs, V, y)
-            columns(rows, Z, J, px, py, pz)
-            if kind != POSE:
-                shape_columns(kind, mask, V, y, J)
+            aim(task.ends, T[i + 1], task.goal)
+            copy(q, s.q)
+            e = task.evaluate(q)
+            task.jacobian(e)
+            copy(weights, s.w)
+            code = 0
+            if law.brake == 0.0:
+                code = rule.step(task, e)
             for k in range(n):
-                w[k] = weights[k]
-            r = 0
-            if p[P_BRAKE] == 0.0:
-                r = step(cls, parameters, s, e)
-            largest = 0.0
-            for k in range(n):
-                x[k] = dq[k] / h if r != -1 else 0.0
-                largest += abs(x[k])
-            bad = not largest < 1e300
-            if p[P_BRAKE] > 0.0 or (bad and p[P_RUNAWAY] == np.inf):
-                for k in range(n):
-                    x[k] = 0.0
-            elif bad or largest * h > p[P_RUNAWAY] * n:
-                state[S_STOP] = NOT_FINITE if bad else RUNAWAY
-                return i
-            advance(q, rate, x, 1.0, h, limits, C[i])
-            if p[P_BRAKE] > 0.0 or bad:
-                for k in range(n):
-                    C[i, k] = C[i, k] | HELD
-        return steps
+                s.dq[k] = s.dq[k] / h if code != SINGULAR_STEP else 0.0
+            stop, still = judge(s.dq, h, law, state)
+            if stop:
+                done = i
+                break
+            advance(q, rate, s.dq, 1.0, h, limits, C[i])
+            if still:
+                mark_held(C[i])
+        copy(s.x, memory)
+        return done
 
-    return cached(follow, cls, RULES[cls])
+    return cached(follow, cls, step.step)

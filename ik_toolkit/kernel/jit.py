@@ -1,26 +1,98 @@
-"""How the kernels are compiled: one set of numba options, and a cache on disk (see cache.py)."""
+"""How the kernels are compiled: one set of numba options, classes whose methods compile, and a cache on disk (see cache.py)."""
 
+import functools
+import gc
+import inspect
+import operator
 from collections.abc import Callable
 from typing import Any
 
-from numba import njit
+from numba import njit, types
+from numba.extending import overload, overload_method
 
 from .cache import make_cache
 
 # No nnan/ninf: a NaN has to fail every test instead of being assumed away.
 OPTIONS: dict[str, Any] = {"fastmath": {"nsz", "arcp", "contract", "afn", "reassoc"}, "error_model": "numpy"}
-jit = njit(**OPTIONS)  # for functions with flat arguments; compiled into their callers, never cached on their own
-# For functions that take a NamedTuple of arrays (slow to pass by value), and for those whose last bit reaches a result: the
-# process that compiles a kernel links `jit` functions to the copies of their own, which round otherwise than the cached ones.
-inline = njit(forceinline=True, **OPTIONS)
+jit = njit(**OPTIONS)  # may be called from Python, too; compiled into its callers, never cached on its own
+# What follows is for the kernel alone. A call from Python would crash: the wrappers for that hold, and optimise, two more
+# copies of a function. Only what makes arrays counts references (`build`); all the rest borrows them, so a record of arrays
+# costs nothing to pass, and must not return an array, or a record of arrays, to a function that counts.
+BARE: dict[str, Any] = dict(OPTIONS, no_cpython_wrapper=True, no_cfunc_wrapper=True)
+BUILD: dict[str, Any] = dict(BARE, forceinline=True)
+INLINE: dict[str, Any] = dict(BUILD, _nrt=False)
+inner = njit(**BARE, _nrt=False)  # one copy, called: for what is cold, or large and used at several places
+# For functions that take or return records, and for those whose last bit reaches a result: the process that compiles a
+# kernel links `inner` functions to the copies of their own, which round otherwise than the cached ones.
+inline = njit(**INLINE)
+build = njit(**BUILD)
+spliced = njit(inline="always", _nrt=False, **BARE)  # for a large part called once: no second copy is optimised
 
 
+# ------------------------------------------------------------------------------------------------- classes in the kernel
+OPERATORS = {
+    "__add__": operator.add, "__sub__": operator.sub, "__mul__": operator.mul, "__neg__": operator.neg,
+}  # fmt: skip
+METHODS: dict[str, dict[type, Callable]] = {}  # name -> class -> function
+FIELDS: set[str] = set()
+
+
+def compiled(cls: type) -> type:
+    """Class decorator: let kernels call the methods of a NamedTuple class, each inlined where it is called.
+
+    A method is chosen by the class of the record it is called on, at compile time: this is how the one search loop gets its
+    rule and its problem. Without compilation (NUMBA_DISABLE_JIT=1) they are the plain methods they look like. Methods of one
+    name have the same names of arguments in all classes; numba looks up methods before fields, so no field may have the name
+    of a method, of whatever class. Class methods, and methods no kernel calls, stay Python.
+    """
+    FIELDS.update(cls._fields)  # type: ignore[attr-defined]
+    for name, method in vars(cls).items():
+        if inspect.isfunction(method) and (name in OPERATORS or not name.startswith("_")):
+            METHODS.setdefault(name, {})[cls] = method
+            if len(METHODS[name]) == 1:
+                _let_numba_know(name, method)
+    if clash := FIELDS & METHODS.keys():
+        raise TypeError(f"{cls.__name__}: a field and a method of kernel records share the name {', '.join(clash)}")
+    return cls
+
+
+def _let_numba_know(name: str, example: Callable) -> None:
+    """Tell numba of a method name; its classes are looked up when a call is compiled."""
+
+    def resolve(self: Any, *_: Any) -> Callable | None:
+        return METHODS[name].get(getattr(self, "instance_class", None))  # type: ignore[arg-type]
+
+    resolve.__signature__ = inspect.signature(example)  # type: ignore[attr-defined]  numba compares the names of arguments
+    if name in OPERATORS:
+        overload(OPERATORS[name], jit_options=INLINE)(resolve)
+    else:
+        overload_method(types.BaseNamedTuple, name, jit_options=INLINE)(resolve)
+
+
+# ----------------------------------------------------------------------------------------------------------- the boundary
 def cached(function: Callable, *parts: Any) -> Any:
     """Compile with a cache on disk that an edit of any source makes void: kernel files, the function's, those of `parts`.
 
     parts: classes and functions compiled into it that cannot be found by its global names (a rule).
     """
-    dispatcher = njit(nogil=True, **OPTIONS)(function)
+    dispatcher = njit(nogil=True, no_cfunc_wrapper=True, **OPTIONS)(function)
     if hasattr(dispatcher, "_cache"):  # with NUMBA_DISABLE_JIT=1 it is the plain function
         dispatcher._cache = make_cache(function, parts)
+        dispatcher._compile_for_args = without_collector(dispatcher._compile_for_args)
     return dispatcher
+
+
+def without_collector(compile_for: Callable) -> Callable:
+    """Compile with the garbage collector at rest: it searches millions of objects, most of them kept, for a tenth of the time."""
+
+    @functools.wraps(compile_for)
+    def call(*arguments: Any, **keywords: Any) -> Any:
+        was_on = gc.isenabled()
+        gc.disable()
+        try:
+            return compile_for(*arguments, **keywords)
+        finally:
+            if was_on:
+                gc.enable()
+
+    return call

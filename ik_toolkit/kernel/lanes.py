@@ -1,9 +1,9 @@
-"""Levenberg-Marquardt for eight targets side by side, one in each lane of a vector: twice the solves a second of `loop`.
+"""Levenberg-Marquardt for eight targets side by side, one in each lane of a vector: twice the solves a second of `search`.
 
-The same starts, give-up and tests as the loop with the rule LM; limits differ in that the sign of the gradient, not of the
-step, says which joints to hold (some lane would want the step redone almost always). A lane that is done takes the next
-target, and lanes never see each other, so an answer depends on its target alone. What takes a lane too long or needs care
-(unreachable, half a turn off, refused) is left to the loop.
+The same formulas, starts, give-up and tests as the search with the rule LM; limits differ in that the sign of the gradient,
+not of the step, says which joints to hold (some lane would want the step redone almost always). A lane that is done takes
+the next target, and lanes never see each other, so an answer depends on its target alone. What takes a lane too long or
+needs care (unreachable, half a turn off, refused) is left to the search.
 """
 
 # numba itself gives an intrinsic its first argument, which type checkers cannot know.
@@ -11,310 +11,227 @@ target, and lanes never see each other, so an answer depends on its target alone
 import functools
 import math
 from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 
-from .checks import CONVERGED, beyond, rigid
-from .jit import cached, inline
-from .kinematics import TAU, aim, chord, rotation_angle, sincos
+from .algebra import at, at3, diagonal, put, put3, rotation_at, rotation_left
+from .checks import CONVERGED
+from .jit import build, cached, compiled, inline, spliced
+from .kinematics import TAU, column, fk, rotation_angle
 from .limits import face, legal, middle
-from .linalg import solve_blocks
-from .loop import measure
-from .seeds import BEST, nearest, rnd, sow
-from .slots import (
-    O_C,
-    O_C_FREE,
-    O_DESCENTS,
-    O_GIVEN,
-    O_ITERATIONS,
-    O_KIND,
-    O_RHO,
-    O_RHO_FREE,
-    O_SEED,
-    O_TOL_P,
-    O_TOL_R,
-    O_W,
-    OPT_HEAD,
-    OUT_HEAD,
-    R_ATTEMPT,
-    R_EVALUATIONS,
-    R_EXCESS,
-    R_HISTORY,
-    R_ITERATIONS,
-    R_POSITION,
-    R_RESTARTS,
-    R_ROTATION,
-    R_STATUS,
-    vectors,
-)
+from .problem import BEST_OF_ALL
+from .records import ANSWER, HEAD, TASK, Answer, Array, Ends, Orders, copy, read, write
+from .search import ROUNDING, make_table
+from .seeds import BEST, rnd, sow
+from .serial import make_serial
 from .task import POSITION
-from .vector import WIDTH, bits, choose, full, load, store
+from .vector import WIDTH, bits, choose, full
 
-LEFT = -1  # status of a target left to the loop
-HALF_TURN = 5e-4  # 1 + cos below which a descent is given up: the axis cannot be told
-DESCENTS = 32  # of one target before it is left: by then others would wait for it
-
-
-@inline
-def put(Z, i, a, b, c, d, e, f):
-    """Write the six vectors of joint i."""
-    k = 6 * i * WIDTH
-    store(Z, k, a)
-    store(Z, k + WIDTH, b)
-    store(Z, k + 2 * WIDTH, c)
-    store(Z, k + 3 * WIDTH, d)
-    store(Z, k + 4 * WIDTH, e)
-    store(Z, k + 5 * WIDTH, f)
+LEFT = -1  # status of a target left to the search
+HALF_TURN = 5e-4  # 1 + cos below which a attempt is given up: the axis cannot be told
+ATTEMPTS = 32  # of one target before it is left: by then others would wait for it
+ALL = (1 << WIDTH) - 1
 
 
-@inline
-def vector_fk(rows, Q, Z):
-    """Frames of the last joint as `kinematics.fk`; Q (n * WIDTH,), Z (6 L * WIDTH,) receives axes and points."""
+@compiled
+class Lanes(NamedTuple):
+    """Eight attempts; the last axis of an array, or the only one, is the lane."""
+
+    Q: Array  # (n, 8)
+    joints: Array  # (6 n, 8) axes and points, then the Jacobian
+    trig: Array  # (3 n, 8)
+    goals: Array  # (12, 8)
+    ceiling: Array  # (8,) a attempt whose squared error is above is given up ...
+    decay: Array  # ... and this factor lowers it every iteration
+    age: Array  # evaluations of this attempt
+    spent: Array  # evaluations of this target
+    pp: Array  # squared errors of the last look
+    rr: Array
+    which: Array  # target in each lane, -1: none
+    tries: Array
+    starts: Array  # (8, BEST) rows of the table
+    state: Array  # (8, 1) of the random sequences
+
+
+@build
+def make_lanes(n):
+    """No target in any lane."""
     W = WIDTH
-    zero, one = full(0.0), full(1.0)
-    q = load(Q, 0)
-    s, c = sincos(q * rows[0, 4] + rows[0, 5])
-    x0, x1, x2 = c, s, zero
-    y0, y1, y2 = -s, c, zero
-    z0, z1, z2 = zero, zero, one
-    px, py, pz = zero, zero, q * rows[0, 6] + rows[0, 7]
-    put(Z, 0, z0, z1, z2, px, py, pz)
-    for i in range(1, rows.shape[0]):
-        cb, sb, tx, ty = rows[i, 0], rows[i, 1], rows[i, 2], rows[i, 3]
-        q = load(Q, i * W)
-        s, c = sincos(q * rows[i, 4] + rows[i, 5])
-        d = q * rows[i, 6] + rows[i, 7]
-        v0, v1, v2 = y0 * cb + z0 * sb, y1 * cb + z1 * sb, y2 * cb + z2 * sb
-        z0, z1, z2 = z0 * cb - y0 * sb, z1 * cb - y1 * sb, z2 * cb - y2 * sb
-        px = px + (x0 * tx + v0 * ty + z0 * d)
-        py = py + (x1 * tx + v1 * ty + z1 * d)
-        pz = pz + (x2 * tx + v2 * ty + z2 * d)
-        put(Z, i, z0, z1, z2, px, py, pz)
-        y0, y1, y2 = v0 * c - x0 * s, v1 * c - x1 * s, v2 * c - x2 * s
-        x0, x1, x2 = x0 * c + v0 * s, x1 * c + v1 * s, x2 * c + v2 * s
-    return x0, x1, x2, y0, y1, y2, z0, z1, z2, px, py, pz
-
-
-@inline
-def vector_step(rows, Z, Q, lower, upper, turns, turning, px, py, pz, e0, e1, e2, e3, e4, e5, damping):
-    """Move Q by the damped step; `turning` is 0 where orientation is free. Z becomes the Jacobian."""
-    W = WIDTH
-    zero, one = full(0.0), full(1.0)
-    p00, p11, p22 = damping, damping, damping
-    p10, p20, p21 = zero, zero, zero
-    s00, s11, s22 = damping, damping, damping
-    s10, s20, s21 = zero, zero, zero
-    q00, q01, q02 = zero, zero, zero
-    q10, q11, q12 = zero, zero, zero
-    q20, q21, q22 = zero, zero, zero
-    for i in range(rows.shape[0]):
-        k = 6 * i * W
-        j0, j1, j2 = load(Z, k), load(Z, k + W), load(Z, k + 2 * W)
-        j3, j4, j5 = zero, zero, zero
-        if rows[i, 9] > 0.0:
-            j3, j4, j5 = j0, j1, j2
-            rx, ry, rz = px - load(Z, k + 3 * W), py - load(Z, k + 4 * W), pz - load(Z, k + 5 * W)
-            j0, j1, j2 = j4 * rz - j5 * ry, j5 * rx - j3 * rz, j3 * ry - j4 * rx
-            j3, j4, j5 = j3 * turning, j4 * turning, j5 * turning
-        w = one
-        if turns[i] == 0.0:
-            g = j0 * e0 + j1 * e1 + j2 * e2 + j3 * e3 + j4 * e4 + j5 * e5
-            q = load(Q, i * W)
-            w = choose(((q <= lower[i]) & (g < 0.0)) | ((q >= upper[i]) & (g > 0.0)), zero, one)
-            j0, j1, j2, j3, j4, j5 = j0 * w, j1 * w, j2 * w, j3 * w, j4 * w, j5 * w
-        put(Z, i, j0, j1, j2, j3, j4, j5)
-        p00, p10, p11 = p00 + j0 * j0, p10 + j1 * j0, p11 + j1 * j1
-        p20, p21, p22 = p20 + j2 * j0, p21 + j2 * j1, p22 + j2 * j2
-        s00, s10, s11 = s00 + j3 * j3, s10 + j4 * j3, s11 + j4 * j4
-        s20, s21, s22 = s20 + j5 * j3, s21 + j5 * j4, s22 + j5 * j5
-        q00, q01, q02 = q00 + j3 * j0, q01 + j3 * j1, q02 + j3 * j2
-        q10, q11, q12 = q10 + j4 * j0, q11 + j4 * j1, q12 + j4 * j2
-        q20, q21, q22 = q20 + j5 * j0, q21 + j5 * j1, q22 + j5 * j2
-    y0, y1, y2, y3, y4, y5 = solve_blocks(
-        p00, p10, p11, p20, p21, p22, s00, s10, s11, s20, s21, s22, q00, q01, q02, q10, q11, q12, q20, q21, q22,
-        e0, e1, e2, e3, e4, e5,
+    return Lanes(
+        np.zeros((n, W)), np.zeros((6 * n, W)), np.zeros((3 * n, W)), np.zeros((12, W)), np.full((1, W), np.inf),
+        np.ones((1, W)), np.zeros((1, W)), np.zeros((1, W)), np.empty((1, W)), np.empty((1, W)), np.full(W, -1, np.int64),
+        np.zeros(W, np.int64), np.empty((W, BEST), np.int64), np.empty((W, 1), np.uint64),
     )  # fmt: skip
-    for i in range(rows.shape[0]):
-        k = 6 * i * W
-        d = load(Z, k) * y0 + load(Z, k + W) * y1 + load(Z, k + 2 * W) * y2
-        d = d + (load(Z, k + 3 * W) * y3 + load(Z, k + 4 * W) * y4 + load(Z, k + 5 * W) * y5)
-        q = load(Q, i * W) + d
-        if turns[i] > 0.0:
-            back = q - TAU * np.rint((q - middle(lower[i], upper[i])) * (1.0 / TAU))
-            q = choose((q < lower[i]) | (q > upper[i]), back, q)
-        q = choose(q < lower[i], full(lower[i]), q)  # after a turn too: it may end a rounding outside
-        q = choose(q > upper[i], full(upper[i]), q)
-        store(Q, i * W, q)
+
+
+@spliced
+def errors(rows, tip, s, turning):
+    """Tip, errors (linear, angular) and 1 + cos of the angle left; below HALF_TURN only the latter is right."""
+    now = fk(rows, s.Q, s.joints, s.trig)
+    point = now.point + now.axes.times(tip)
+    sine, cos1 = rotation_left(now.axes, rotation_at(s.goals, 0))
+    angular = sine * (turning * math.sqrt(2.0 / choose(cos1 > HALF_TURN, cos1, full(1.0))))
+    return point, at3(s.goals, 9) - point, angular, cos1
+
+
+@spliced
+def move(rows, s, ends, turning, point, linear, angular, damping):
+    """The damped step with joints held by the sign of the gradient, inside the limits. s.joints becomes the Jacobian."""
+    n = rows.shape[0]
+    zero, one = full(0.0), full(1.0)
+    blocks = diagonal(damping)
+    for i in range(n):
+        u, v = column(rows, s.joints, i, point)
+        v = v * turning
+        if ends.turns(i) == 0.0:
+            slope, q = u.dot(linear) + v.dot(angular), at(s.Q, i)
+            out = ((q <= ends.lower(i)) & (slope < 0.0)) | ((q >= ends.upper(i)) & (slope > 0.0))
+            w = choose(out, zero, one)
+            u, v = u * w, v * w
+        put3(s.joints, 6 * i, u)
+        put3(s.joints, 6 * i + 3, v)
+        blocks = blocks.with_column(u, v, u, v)
+    y, z = blocks.solve(linear, angular)
+    for i in range(n):
+        q = at(s.Q, i) + (at3(s.joints, 6 * i).dot(y) + at3(s.joints, 6 * i + 3).dot(z))
+        low, high = ends.lower(i), ends.upper(i)
+        if ends.turns(i) > 0.0:
+            back = q - TAU * np.rint((q - middle(low, high)) * (1.0 / TAU))
+            q = choose((q < low) | (q > high), back, q)
+        q = choose(q < low, full(low), q)  # after a turn too: it may end a rounding outside
+        q = choose(q > high, full(high), q)
+        put(s.Q, i, q)
+
+
+@spliced
+def take_target(p, o, ends, table, s, lane, t, T, Q0, out):
+    """Put target t into a lane; False when it needs the care of the search."""
+    out[t, 0] = LEFT
+    excess = p.aim(T[t], o)
+    given = o.given > 0.0
+    if excess != 0.0 or (given and not legal(Q0[t if Q0.shape[0] > 1 else 0], ends, True)):
+        return False
+    p.rank(table)
+    copy(table.best, s.starts[lane])
+    for k in range(12):
+        s.goals[k, lane] = p.goal[k]
+    sow(s.state[lane], o.seed)
+    s.tries[lane] = 0
+    s.spent[0, lane] = 0.0
+    s.which[lane] = t
+    return True
+
+
+@spliced
+def begin_attempt(o, ends, seeds, s, lane, Q0):
+    """Start of the next attempt of the target in a lane."""
+    n = s.Q.shape[0]
+    k = s.tries[lane] - int(o.given)
+    s.ceiling[0, lane], s.decay[0, lane] = o.c_free, o.rho_free
+    if k < 0:
+        t = s.which[lane] if Q0.shape[0] > 1 else 0
+        for i in range(n):
+            s.Q[i, lane] = Q0[t, i] / ends.unit(i)
+    elif k < BEST:
+        s.ceiling[0, lane], s.decay[0, lane] = o.c, o.rho
+        for i in range(n):
+            s.Q[i, lane] = seeds[s.starts[lane, k], i]
+    else:
+        for i in range(n):
+            s.Q[i, lane] = ends.low(i) + ends.span(i) * rnd(s.state[lane])
+    s.tries[lane] += 1
+
+
+@spliced
+def hand_in(p, o, ends, s, lane, wanted, Q0, out):
+    """Write the answer of a lane."""
+    t, q, n = s.which[lane], p.desk.q, s.Q.shape[0]
+    for i in range(n):
+        q[i] = s.Q[i, lane]
+        wanted[i] = Q0[t if Q0.shape[0] > 1 else 0, i] / ends.unit(i) if o.given > 0.0 else ends.home(i)
+    count = s.spent[0, lane]
+    position, rotation = math.sqrt(s.pp[0, lane]) * ends.scale(), rotation_angle(s.rr[0, lane])
+    if face(q, wanted, ends):
+        count += 1.0
+        for k in range(12):
+            p.goal[k] = s.goals[k, lane]
+        put3(p.goal, 12, at3(p.goal, 9))  # it is in reach, so the aim is the target itself
+        e = p.evaluate(q)
+        if not e.good:  # rounding of the turn broke a tolerance at its edge
+            return
+        p.keep(e, BEST_OF_ALL)
+        position, rotation = p.left(BEST_OF_ALL)
+    tries = float(s.tries[lane])
+    steps = s.spent[0, lane] - tries
+    found = tries - 1.0
+    write(out[t], 0, Answer(float(CONVERGED), steps, found, position, rotation, count, 0.0, 0.0, found, -1.0))
+    for i in range(n):
+        out[t, ANSWER + i] = q[i] * ends.unit(i)
 
 
 @inline
-def vector_error(goal, x0, x1, x2, y0, y1, y2, z0, z1, z2):
-    """2 sin(angle/2) times the axis of the rotation left, and 1 + cos(angle); below HALF_TURN only the latter is right."""
-    W = WIDTH
-    d0, d1, d2 = load(goal, 0), load(goal, W), load(goal, 2 * W)
-    d3, d4, d5 = load(goal, 3 * W), load(goal, 4 * W), load(goal, 5 * W)
-    d6, d7, d8 = load(goal, 6 * W), load(goal, 7 * W), load(goal, 8 * W)
-    vx = 0.5 * (x1 * d6 - x2 * d3 + y1 * d7 - y2 * d4 + z1 * d8 - z2 * d5)
-    vy = 0.5 * (x2 * d0 - x0 * d6 + y2 * d1 - y0 * d7 + z2 * d2 - z0 * d8)
-    vz = 0.5 * (x0 * d3 - x1 * d0 + y0 * d4 - y1 * d1 + z0 * d5 - z1 * d2)
-    cos1 = 0.5 * (1.0 + x0 * d0 + x1 * d3 + x2 * d6 + y0 * d1 + y1 * d4 + y2 * d7 + z0 * d2 + z1 * d5 + z2 * d8)
-    f = math.sqrt(2.0 / choose(cos1 > HALF_TURN, cos1, full(1.0)))
-    return vx * f, vy * f, vz * f, cos1
+def run(p, o, ends, table, s, wanted, damping, T, Q0, out):
+    """Until every target is done or left."""
+    W, N = WIDTH, T.shape[0]
+    rows, tip = p.rows, at3(ends.flat, 21)
+    turning = 0.0 if int(p.task[0]) == POSITION else 1.0
+    attempts = min(int(o.attempts), ATTEMPTS)
+    following, live, renew = 0, 0, ALL
+    while True:
+        if renew != 0:
+            for lane in range(W):
+                if (renew >> lane) & 1 == 0:
+                    continue
+                if s.which[lane] >= 0 and s.tries[lane] >= attempts:
+                    s.which[lane] = -1
+                    live -= 1
+                while s.which[lane] < 0 and following < N:
+                    if take_target(p, o, ends, table, s, lane, following, T, Q0, out):
+                        live += 1
+                    following += 1
+                s.age[0, lane] = 0.0
+                if s.which[lane] < 0:
+                    s.ceiling[0, lane] = np.inf
+                else:
+                    begin_attempt(o, ends, table.seeds, s, lane, Q0)
+        if live == 0:
+            break
+        point, linear, angular, cos1 = errors(rows, tip, s, turning)
+        pp, rr = linear.square(), angular.square()
+        ee = pp + rr
+        seen = (cos1 > HALF_TURN) | (full(turning) < 0.5)
+        age, ceiling = at(s.age, 0), at(s.ceiling, 0)
+        done = bits((pp < p.tp) & (rr < p.tr) & seen)
+        renew = (bits(((ee > ceiling) & (ee > ROUNDING)) | (age >= o.iterations)) | ~bits(seen)) & ALL
+        put(s.age, 0, age + 1.0)
+        put(s.spent, 0, at(s.spent, 0) + 1.0)
+        put(s.ceiling, 0, ceiling * at(s.decay, 0))
+        if done != 0:
+            renew = renew | done
+            put(s.pp, 0, pp)
+            put(s.rr, 0, rr)
+            for lane in range(W):
+                if s.which[lane] >= 0 and (done >> lane) & 1:
+                    hand_in(p, o, ends, s, lane, wanted, Q0, out)
+                    s.which[lane] = -1
+                    live -= 1
+        move(rows, s, ends, turning, point, linear, angular, damping * ee + 1e-12)
 
 
 @functools.cache
 def lanes() -> Callable:
-    """Return the compiled solve(rows, ends, seeds, feat, T, Q0, out, opt), arguments as for `loop.entry` with the rule LM.
+    """Return the compiled solve(rows, ends, seeds, features, T, Q0, out, orders), arguments as for `search.entry` with LM.
 
     For poses and positions of chains without mimic joints, with limits, equal joint weights, no `closest` and no budget
-    of evaluations; rows of `out` with the status LEFT are for the loop.
+    of evaluations; rows of `out` with the status LEFT are for the search.
     """
 
-    @cached
-    def solve(rows, ends, seeds, feat, T, Q0, out, opt):
-        W = WIDTH
+    def solve(rows, ends, seeds, features, T, Q0, out, orders):
         n = seeds.shape[1]
-        N = T.shape[0]
-        tip = ends[12:24]
-        lower, upper, turns, unit, low, span, home, tail = vectors(ends, n)
-        scale = tail[0]
-        kind = int(opt[O_KIND])
-        turning = 0.0 if kind == POSITION else 1.0
-        given = int(opt[O_GIVEN])
-        iterations = opt[O_ITERATIONS]
-        descents = min(int(opt[O_DESCENTS]), DESCENTS)
-        damping = opt[OPT_HEAD + n]
-        tol_p = opt[O_TOL_P] / scale
-        tp = tol_p * tol_p
-        tr = chord(opt[O_TOL_R])
-        Q = np.zeros(n * W)
-        Z = np.zeros(6 * n * W)
-        goals = np.zeros(12 * W)
-        limit = np.full(W, np.inf)  # give up a descent whose squared error is above
-        decay = np.ones(W)  # ... which falls by this factor an iteration
-        age = np.zeros(W)  # evaluations of this descent
-        total = np.zeros(W)  # evaluations of this target
-        pp = np.empty(W)
-        rr = np.empty(W)
-        which = np.full(W, -1, np.int64)  # target in each lane, -1: none
-        tries = np.zeros(W, np.int64)
-        table = np.empty((W, BEST), np.int64)
-        state = np.empty((W, 1), np.uint64)
-        goal = np.empty(12)
-        q = np.empty(n)
-        wanted = np.empty(n)
-        score = np.empty(seeds.shape[0], np.float32)
-        val = np.empty(BEST, np.float32)
-        best = np.empty(BEST, np.int64)
-        ang, sn, cs = np.zeros(n + 3), np.empty(n + 3), np.empty(n + 3)
-        scratch, V, y = np.empty((n, 6)), np.empty((6, 6)), np.empty(6)
-        mask = opt[O_W : O_W + 6]
-        following = 0
-        live = 0
-        renew = (1 << W) - 1
-        while True:
-            if renew != 0:
-                for lane in range(W):
-                    if (renew >> lane) & 1 == 0:
-                        continue
-                    if which[lane] >= 0 and tries[lane] >= descents:
-                        which[lane] = -1
-                        live -= 1
-                    while which[lane] < 0 and following < N:
-                        t = following
-                        following += 1
-                        out[t, R_STATUS] = LEFT
-                        if not rigid(T[t]) or (
-                            given > 0 and not legal(Q0[t if Q0.shape[0] > 1 else 0], unit, lower, upper, turns, True)
-                        ):
-                            continue
-                        aim(ends, tip, scale, T[t], goal)
-                        if beyond(goal, tip, tail, kind, tol_p, opt[O_TOL_R]) > 0.0:
-                            continue
-                        nearest(feat, goal, 1.0, turning, score, val, best)
-                        for k in range(BEST):
-                            table[lane, k] = best[k]
-                        for k in range(12):
-                            goals[k * W + lane] = goal[k]
-                        sow(state[lane], opt[O_SEED])
-                        tries[lane] = 0
-                        total[lane] = 0.0
-                        which[lane] = t
-                        live += 1
-                    age[lane] = 0.0
-                    if which[lane] < 0:
-                        limit[lane] = np.inf
-                        continue
-                    k = tries[lane] - given
-                    limit[lane], decay[lane] = opt[O_C_FREE], opt[O_RHO_FREE]
-                    if k < 0:
-                        start = which[lane] if Q0.shape[0] > 1 else 0
-                        for i in range(n):
-                            Q[i * W + lane] = Q0[start, i] / unit[i]
-                    elif k < BEST:
-                        limit[lane], decay[lane] = opt[O_C], opt[O_RHO]
-                        for i in range(n):
-                            Q[i * W + lane] = seeds[table[lane, k], i]
-                    else:
-                        for i in range(n):
-                            Q[i * W + lane] = low[i] + span[i] * rnd(state[lane])
-                    tries[lane] += 1
-            if live == 0:
-                break
-            x0, x1, x2, y0, y1, y2, z0, z1, z2, px, py, pz = vector_fk(rows, Q, Z)
-            px = px + (x0 * tip[9] + y0 * tip[10] + z0 * tip[11])
-            py = py + (x1 * tip[9] + y1 * tip[10] + z1 * tip[11])
-            pz = pz + (x2 * tip[9] + y2 * tip[10] + z2 * tip[11])
-            e0, e1, e2 = load(goals, 9 * W) - px, load(goals, 10 * W) - py, load(goals, 11 * W) - pz
-            e3, e4, e5, cos1 = vector_error(goals, x0, x1, x2, y0, y1, y2, z0, z1, z2)
-            e3, e4, e5 = e3 * turning, e4 * turning, e5 * turning
-            ep = e0 * e0 + e1 * e1 + e2 * e2
-            er = e3 * e3 + e4 * e4 + e5 * e5
-            ee = ep + er
-            seen = (cos1 > HALF_TURN) | (full(turning) < 0.5)
-            now = load(age, 0)
-            above = load(limit, 0)
-            done = bits((ep < tp) & (er < tr) & seen)
-            renew = (bits(((ee > above) & (ee > 1e-9)) | (now >= iterations)) | ~bits(seen)) & ((1 << W) - 1)
-            store(age, 0, now + 1.0)
-            store(total, 0, load(total, 0) + 1.0)
-            store(limit, 0, above * load(decay, 0))
-            if done != 0:
-                store(pp, 0, ep)
-                store(rr, 0, er)
-                renew = renew | done
-                for lane in range(W):
-                    t = which[lane]
-                    if t < 0 or (done >> lane) & 1 == 0:
-                        continue
-                    which[lane] = -1
-                    live -= 1
-                    for i in range(n):
-                        q[i] = Q[i * W + lane]
-                        wanted[i] = Q0[t if Q0.shape[0] > 1 else 0, i] / unit[i] if given > 0 else home[i]
-                    count = total[lane]
-                    left_p, left_r = pp[lane], rr[lane]
-                    if face(q, wanted, lower, upper, turns):
-                        count += 1.0
-                        for k in range(12):
-                            goal[k] = goals[k * W + lane]
-                        _, _, _, e = measure(rows, ends, tip, goal, mask, kind, q, scratch, ang, sn, cs, V, y)
-                        left_p, left_r = e.pp, e.rr
-                        if not (left_p < tp and left_r < tr):  # rounding of the turn broke a tolerance at its edge
-                            continue
-                    out[t, R_STATUS] = CONVERGED
-                    out[t, R_ITERATIONS] = total[lane] - tries[lane]
-                    out[t, R_RESTARTS] = tries[lane] - 1
-                    out[t, R_ATTEMPT] = tries[lane] - 1
-                    out[t, R_POSITION] = math.sqrt(left_p) * scale
-                    out[t, R_ROTATION] = rotation_angle(left_r)
-                    out[t, R_EVALUATIONS] = count
-                    out[t, R_HISTORY] = 0.0
-                    out[t, R_EXCESS] = 0.0
-                    for i in range(n):
-                        out[t, OUT_HEAD + i] = q[i] * unit[i]
-            vector_step(
-                rows, Z, Q, lower, upper, turns, turning, px, py, pz, e0, e1, e2, e3, e4, e5, damping * ee + 1e-12
-            )
+        o = read(Orders, orders)
+        p = make_serial(rows, ends, orders[HEAD:], n, o)
+        damping = orders[HEAD + TASK + n]
+        run(p, o, Ends(ends, n), make_table(seeds, features, 1), make_lanes(n), np.empty(n), damping, T, Q0, out)
 
-    return solve
+    return cached(solve)

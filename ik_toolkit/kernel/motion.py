@@ -12,73 +12,71 @@ Sign: e = target - actual (Patko and Zelei, 2019, use the opposite). J is (n, m)
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
-from .jit import jit
+from .algebra import V3, at3, put3, rotation_at
+from .jit import compiled, inner, jit
+from .linalg import cholesky, cholesky_solve
 
 CV, AV, CA, AA = range(4)
 AT_RATE, AT_RATE_AND_STEP, AT_STEP = range(3)  # where aa takes dJ/dt: readings 1, 2, 3 of eq (25)
-# Slots of `p`.
-P_CODE, P_KAPPA, P_KP, P_KD, P_GAMMA, P_NULL, P_DAMPING, P_READING, P_RUNAWAY, P_BRAKE = range(10)
-P_SIZE = 10
 # Slots of `state` and what its first and last hold.
 S_START, S_H, S_STOP = range(3)
 MOVING, GIVEN, RUNNING = range(3)  # start with the reference's rate, with the rate given, or go on
 FINE, NOT_FINITE, RUNAWAY = range(3)
 # Bits of `code`: why a joint did not move as commanded.
 POSITION, VELOCITY, ACCELERATION, HELD = 1, 2, 4, 8
+SINGLE = 1e-24  # share of the largest diagonal entry of JJ' below which a row is one the joints cannot move
 REGION = 2.0  # damping fades in where the smallest singular value falls below REGION * damping
 
 
-@jit
-def jacobian_rate(rows, Z, J, px, py, pz, x, y, out):
-    """Return in out (6,) the product (dJ/dt along joint velocity x) y at the tip point; Z, J from `fk` and `columns`."""
-    v0, v1, v2 = 0.0, 0.0, 0.0  # tip velocity
+@compiled
+class Law(NamedTuple):
+    """A tracking method and its gains; those it does not have are 0. Python hands it over as an array."""
+
+    code: float  # CV, AV, CA, AA
+    kappa: float
+    kp: float
+    kd: float
+    gamma: float
+    null: float  # damping of null-space motion [1/s]
+    damping: float
+    reading: float  # AT_RATE, AT_RATE_AND_STEP, AT_STEP
+    runaway: float  # largest mean move of a joint in a step; inf: hold still instead of stopping
+    brake: float  # 1: come to rest
+
+
+PLACE = Law._make(range(len(Law._fields)))  # in the array that Python hands over
+
+
+@inner
+def jacobian_rate(rows, joints, J, tip, x, y, out):
+    """Return in out (6,) the product (dJ/dt along joint velocity x) y at the tip point; joints, J from `fk` and `fill`."""
+    zero = V3(0.0, 0.0, 0.0)
+    v = zero  # tip velocity
     for i in range(J.shape[0]):
-        v0 += J[i, 0] * x[i]
-        v1 += J[i, 1] * x[i]
-        v2 += J[i, 2] * x[i]
-    w0, w1, w2 = 0.0, 0.0, 0.0  # angular velocity before the joint
-    u0, u1, u2 = 0.0, 0.0, 0.0  # velocity of the joint's point
-    a0, a1, a2, b0, b1, b2 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        v = v + V3(J[i, 0], J[i, 1], J[i, 2]) * x[i]
+    turn, speed = zero, zero  # angular velocity before the joint, velocity of the joint's point
+    linear, angular = zero, zero
     for i in range(rows.shape[0]):
         k = int(rows[i, 8])
-        z0, z1, z2 = Z[i, 0], Z[i, 1], Z[i, 2]
+        axis, point = at3(joints, 6 * i), at3(joints, 6 * i + 3)
         if i > 0:
-            d0, d1, d2 = Z[i, 3] - Z[i - 1, 3], Z[i, 4] - Z[i - 1, 4], Z[i, 5] - Z[i - 1, 5]
-            u0 += w1 * d2 - w2 * d1
-            u1 += w2 * d0 - w0 * d2
-            u2 += w0 * d1 - w1 * d0
-        c0, c1, c2 = w1 * z2 - w2 * z1, w2 * z0 - w0 * z2, w0 * z1 - w1 * z0  # dz/dt
+            speed = speed + turn.cross(point - at3(joints, 6 * i - 3))
+        change = turn.cross(axis)  # of the axis
         ratio = rows[i, 4] + rows[i, 6]
-        f = ratio * y[k]
-        g = ratio * x[k]
+        f, g = ratio * y[k], ratio * x[k]
         if rows[i, 9] > 0.0:
-            r0, r1, r2 = px - Z[i, 3], py - Z[i, 4], pz - Z[i, 5]
-            s0, s1, s2 = v0 - u0, v1 - u1, v2 - u2
-            a0 += f * (c1 * r2 - c2 * r1 + z1 * s2 - z2 * s1)
-            a1 += f * (c2 * r0 - c0 * r2 + z2 * s0 - z0 * s2)
-            a2 += f * (c0 * r1 - c1 * r0 + z0 * s1 - z1 * s0)
-            b0 += f * c0
-            b1 += f * c1
-            b2 += f * c2
-            w0 += g * z0
-            w1 += g * z1
-            w2 += g * z2
+            linear = linear + (change.cross(tip - point) + axis.cross(v - speed)) * f
+            angular = angular + change * f
+            turn = turn + axis * g
         else:
-            a0 += f * c0
-            a1 += f * c1
-            a2 += f * c2
-            u0 += g * z0
-            u1 += g * z1
-            u2 += g * z2
-    out[0] = a0
-    out[1] = a1
-    out[2] = a2
-    out[3] = b0
-    out[4] = b1
-    out[5] = b2
+            linear = linear + change * f
+            speed = speed + axis * g
+    put3(out, 0, linear)
+    put3(out, 3, angular)
 
 
 # ------------------------------------------------------------------------------------------------ pseudo-inverse
@@ -100,21 +98,13 @@ def gram(J, m, wide, extra, G):
             G[r, c] = s
         top = max(top, G[r, r])
     for r in range(k):
-        G[r, r] = G[r, r] + extra if G[r, r] > 1e-24 * top else 1.0
+        G[r, r] = G[r, r] + extra if G[r, r] > SINGLE * top else 1.0
 
 
 @jit
-def cholesky(G, k, y):
-    """Factor in place; return 1 / trace(inverse), a lower bound of the smallest eigenvalue (0 or NaN: singular)."""
-    for r in range(k):
-        for c in range(r + 1):
-            s = G[r, c]
-            for j in range(c):
-                s -= G[r, j] * G[c, j]
-            if r > c:
-                G[r, c] = s / G[c, c]
-            else:
-                G[r, r] = math.sqrt(s)
+def invert(G, k, y):
+    """Factor G in place; return 1 / trace(inverse), a lower bound of the smallest eigenvalue (0 or NaN: singular)."""
+    cholesky(G, k, 0.0)
     trace = 0.0
     for c in range(k):
         for r in range(c, k):
@@ -136,13 +126,13 @@ def factor(J, m, damping, G, y):
     wide = J.shape[0] >= m
     k = m if wide else J.shape[0]
     gram(J, m, wide, 0.0, G)
-    low = cholesky(G, k, y)
+    low = invert(G, k, y)
     border = REGION * REGION * damping * damping
     extra = 0.0
     if damping > 0.0 and not low >= border:
         extra = damping * damping * (1.0 - low / border) if low > 0.0 else damping * damping
         gram(J, m, wide, extra, G)
-        cholesky(G, k, y)
+        cholesky(G, k, 0.0)
     return extra
 
 
@@ -159,14 +149,8 @@ def apply(J, m, G, b, y, out):
         else:
             for i in range(m):
                 s += J[r, i] * b[i]
-        for j in range(r):
-            s -= G[r, j] * y[j]
-        y[r] = s / G[r, r]
-    for r in range(k - 1, -1, -1):
-        s = y[r]
-        for j in range(r + 1, k):
-            s -= G[j, r] * y[j]
-        y[r] = s / G[r, r]
+        y[r] = s
+    cholesky_solve(G, k, y)
     for i in range(n):
         if wide:
             s = 0.0
@@ -186,7 +170,7 @@ def prepare(p, J, m, ahead, rate, h, G, y, t, move, null, x1, x2):
     (1 - J^+ J) rate, and the joint velocities x1, x2 of the product (dJ/dt along x1) x2 that `command` wants.
     """
     n = J.shape[0]
-    code = int(p[P_CODE])
+    code = int(p.code)
     for i in range(n):
         move[i] = 0.0
         null[i] = 0.0
@@ -199,7 +183,7 @@ def prepare(p, J, m, ahead, rate, h, G, y, t, move, null, x1, x2):
                 s += J[i, k] * rate[i]
             t[k] = s
         apply(J, m, G, t, y, null)
-        reading = int(p[P_READING]) if code == AA else AT_RATE
+        reading = int(p.reading) if code == AA else AT_RATE
         for i in range(n):
             null[i] = rate[i] - null[i]
             expected = move[i] / h + null[i]  # with the null part, or a redundant arm loses an order
@@ -217,10 +201,10 @@ def command(p, J, m, e, v, a, bias, rate, prev, h, ratio, G, y, t, move, null, x
     (27), (29), (32), (33).
     """
     n = J.shape[0]
-    code = int(p[P_CODE])
+    code = int(p.code)
     if code == CV:
         for k in range(m):
-            t[k] = v[k] + p[P_KAPPA] * e[k]
+            t[k] = v[k] + p.kappa * e[k]
         apply(J, m, G, t, y, x)
         for i in range(n):
             u = x[i]
@@ -234,19 +218,19 @@ def command(p, J, m, e, v, a, bias, rate, prev, h, ratio, G, y, t, move, null, x
             s = 0.0
             for i in range(n):
                 s += J[i, k] * rate[i]
-            t[k] = a[k] + p[P_KD] * (v[k] - s) + p[P_KP] * e[k] - bias[k]
+            t[k] = a[k] + p.kd * (v[k] - s) + p.kp * e[k] - bias[k]
         apply(J, m, G, t, y, x)
         for i in range(n):
-            u = x[i] - p[P_NULL] * null[i]
+            u = x[i] - p.null * null[i]
             x[i] = rate[i] + h * (u + 0.5 * ratio * (u - prev[i]))
             prev[i] = u
     else:
-        gamma = p[P_GAMMA]
+        gamma = p.gamma
         for k in range(m):
             t[k] = bias[k]
         apply(J, m, G, t, y, x)
         for i in range(n):
-            u = (move[i] / h - rate[i] + null[i]) / (gamma * h) - 0.5 * x[i] / gamma - p[P_NULL] * null[i]
+            u = (move[i] / h - rate[i] + null[i]) / (gamma * h) - 0.5 * x[i] / gamma - p.null * null[i]
             x[i] = rate[i] + h * u
 
 
@@ -311,8 +295,8 @@ def ease(p, J, m, e, ahead, h, limits, G, y, c):
     A method that removes a large error in one step asks for far more acceleration than there is; clipped, it overshoots
     and swings for ever. Half of each joint's acceleration and speed is left to the correction, the rest to the path.
     """
-    code = int(p[P_CODE])
-    natural = p[P_KAPPA] if code == CV else p[P_KP] / p[P_KD] if code == CA else 1.0 / h
+    code = int(p.code)
+    natural = p.kappa if code == CV else p.kp / p.kd if code == CA else 1.0 / h
     apply(J, m, G, e, y, c)
     f = 1.0
     for i in range(c.shape[0]):
@@ -329,15 +313,15 @@ def ease(p, J, m, e, ahead, h, limits, G, y, c):
 @jit
 def settle(p, h, rate_before, x, code, prev):
     """After limits: what a held-back joint really did becomes its earlier command (no wind-up)."""
-    if p[P_CODE] == CV or p[P_CODE] == CA:
+    if p.code == CV or p.code == CA:
         for i in range(x.shape[0]):
             if code[i] > 0:
-                prev[i] = x[i] if p[P_CODE] == CV else (x[i] - rate_before[i]) / h
+                prev[i] = x[i] if p.code == CV else (x[i] - rate_before[i]) / h
 
 
-@jit
-def to_local(ends, scale, V, out):
-    """Twist or acceleration (6,) in base axes [m, rad] -> first joint's axes, lengths over `scale`."""
-    for r in range(3):
-        out[r] = (ends[r] * V[0] + ends[3 + r] * V[1] + ends[6 + r] * V[2]) / scale
-        out[3 + r] = ends[r] * V[3] + ends[3 + r] * V[4] + ends[6 + r] * V[5]
+@inner
+def to_local(ends, V, out):
+    """Twist or acceleration (6,) in base axes [m, rad] -> first joint's axes, kernel units."""
+    base = rotation_at(ends.flat, 0)
+    put3(out, 0, base.across(at3(V, 0)) * (1.0 / ends.scale()))
+    put3(out, 3, base.across(at3(V, 3)))

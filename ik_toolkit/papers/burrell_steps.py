@@ -10,8 +10,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..kernel.linalg import pseudo_inverse_step
-from ..kernel.loop import rule
+from ..kernel.algebra import V3, Sym3
+from ..kernel.jit import compiled
 from ..robot.dh import read_dh_table
 from ..robot.library import find
 from ..robot.robot import Robot
@@ -21,6 +21,7 @@ LIMIT = 1000  # iterations
 NEAR_SINGULAR = 1e-8  # of det(JJ') over (trace / 3)^3: from a condition of about 1e4 of J on the inverse loses too much
 
 
+@compiled
 class PlainPinv(NamedTuple):
     """Pseudo-inverse for positions by dq = J'(JJ')^-1 e, eq. (8); near a singularity by singular values.
 
@@ -34,37 +35,25 @@ class PlainPinv(NamedTuple):
         """Sentence saying why the rule does not fit the task, or ''."""
         return "" if rows == 3 else f"the plain pseudo-inverse is for positions in space, and this task has {rows} rows"
 
-    def pack(self, robot: Any) -> np.ndarray:
+    def pack(self, robot: Any) -> "PlainPinv":
         """Parameters of the compiled step."""
-        return np.array([self.rcond])
+        return self
 
-
-@rule(PlainPinv)
-def _plain_pinv(cls, p, s, e):
-    n = s.dq.shape[0]
-    a, b, c, d, f, g = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0  # JJ' = [[a, b, c], [b, d, f], [c, f, g]]
-    for i in range(n):
-        x, y, z = s.J[i, 0], s.J[i, 1], s.J[i, 2]
-        a += x * x
-        b += x * y
-        c += x * z
-        d += y * y
-        f += y * z
-        g += z * z
-    A, B, C = d * g - f * f, c * f - b * g, b * f - c * d
-    determinant = a * A + b * B + c * C
-    mean = (a + d + g) / 3.0
-    if determinant > NEAR_SINGULAR * mean * mean * mean:
-        u = (A * e.e0 + B * e.e1 + C * e.e2) / determinant
-        v = (B * e.e0 + (a * g - c * c) * e.e1 + (b * c - a * f) * e.e2) / determinant
-        w = (C * e.e0 + (b * c - a * f) * e.e1 + (a * d - b * b) * e.e2) / determinant
-        for i in range(n):
-            s.dq[i] = s.J[i, 0] * u + s.J[i, 1] * v + s.J[i, 2] * w
+    def step(self, p, e):
+        s = p.desk
+        gram = Sym3(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)  # JJ'
+        for i in range(s.dq.shape[0]):
+            u = V3(s.J[i, 0], s.J[i, 1], s.J[i, 2])
+            gram = gram.plus(u, u)
+        mean = (gram.xx + gram.yy + gram.zz) / 3.0
+        if gram.determinant() > NEAR_SINGULAR * mean * mean * mean:
+            f = gram.factors()
+            y = f.back(f.scaled(f.forward(e.linear)))
+            for i in range(s.dq.shape[0]):
+                s.dq[i] = V3(s.J[i, 0], s.J[i, 1], s.J[i, 2]).dot(y)
+        else:
+            p.pseudo(e, self.rcond)
         return 0
-    s.y[0], s.y[1], s.y[2] = e.e0, e.e1, e.e2
-    s.y[3], s.y[4], s.y[5] = 0.0, 0.0, 0.0
-    pseudo_inverse_step(s.J, s.y, p[0], s.V, s.dq)
-    return 0
 
 
 # --------------------------------------------------------------------------------------------------------- interpreted

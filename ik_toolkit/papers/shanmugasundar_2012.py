@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from ..kernel.slots import OPT_HEAD
+from ..kernel.records import WEIGHTS
 from ..kernel.task import POSE
 from ..robot.dh import read_dh_table
 from ..robot.library import find
@@ -217,7 +217,7 @@ def _formulas(report: Report, robot: Robot, poses: int, seed: int) -> None:
             lost += best == math.inf
         rows.append([name, _rate(correct, poses), _rate(lost, poses)])
     solver = Solver(robot, Inspection())
-    p = solver.pack(POSE, True)[OPT_HEAD + robot.n :]
+    p = solver.pack(POSE, True)[WEIGHTS + robot.n :]
     box = np.vstack([np.full(robot.n, -np.inf), np.full(robot.n, np.inf), robot.home, np.ones(robot.n)])
     T[:, :3, 3] /= 1000.0
     out, broken, count, correct, origin = np.empty((8, robot.n)), np.empty(8), [], 0, 0

@@ -16,7 +16,7 @@ import pinocchio as pin
 
 from ..errors import FrameNotFound, InvalidConfiguration, JointNotFound, ModelError, floats, near_match
 from ..kernel.chain import Chain, evaluate
-from ..kernel.slots import E_VECTORS
+from ..kernel.records import POINTS
 from .build import build_model
 from .check import mimic_limits, require_loadable, safe_read
 from .joints import Joints
@@ -234,7 +234,7 @@ class Robot(Joints):
         self._local = threading.local()
         self._compare()
         self.home = self.check_home(home) if home is not None else self._good_start(middle)
-        start = E_VECTORS + 6 * self.n
+        start = POINTS + 6 * self.n
         self.chain.ends[start : start + self.n] = self.home / self.chain.unit
         for array in (self.lower, self.upper, self.home, self.velocity_limits, self.rest):
             array.setflags(write=False)
@@ -270,7 +270,7 @@ class Robot(Joints):
 
     @functools.cached_property
     def _sampling(self) -> tuple[np.ndarray, np.ndarray]:
-        n, ends, v = self.n, self.chain.ends, E_VECTORS
+        n, ends, v = self.n, self.chain.ends, POINTS
         return ends[v + 4 * n : v + 5 * n] * self.chain.unit, ends[v + 5 * n : v + 6 * n] * self.chain.unit
 
     # ------------------------------------------------------------------------------------------------ kinematics

@@ -9,8 +9,8 @@ import numpy as np
 import pinocchio as pin
 
 from ..errors import FrameNotFound, InvalidTarget, ModelError, near_match
-from ..kernel.slots import E_VECTORS
-from ..kernel.tree import TreeChain, pack_tree
+from ..kernel.records import POINTS
+from ..kernel.tree_chain import TreeChain, pack_tree
 from .joints import Joints
 from .library import find
 from .pose import AxisTarget, check_target
@@ -73,7 +73,7 @@ class Tree(Joints):
 
     @functools.cached_property
     def _sampling(self) -> tuple[np.ndarray, np.ndarray]:
-        n, ends, v = self.n, self.chain.ends[0], E_VECTORS
+        n, ends, v = self.n, self.chain.ends[0], POINTS
         return ends[v + 4 * n : v + 5 * n] * self.chain.unit, ends[v + 5 * n : v + 6 * n] * self.chain.unit
 
     def fk(self, q: Any) -> dict[str, pin.SE3]:

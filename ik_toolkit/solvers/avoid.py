@@ -5,14 +5,14 @@ from typing import Any
 import numpy as np
 
 from ..errors import InvalidOption
-from ..kernel.slots import OUT_HEAD, R_ATTEMPT, R_EVALUATIONS, R_ITERATIONS, R_RESTARTS, R_STATUS
+from ..kernel.records import ANSWER, AT
 from ..robot.collision import CollisionModel
 from ..robot.robot import Robot
 from .result import Status
 
 STARTS = 256  # random starts tried before giving up, unless restarts= says otherwise
 ROUND = 16  # starts in one call of the kernel
-COUNTS = [R_ITERATIONS, R_RESTARTS, R_EVALUATIONS]
+COUNTS = [AT.iterations, AT.restarts, AT.evaluations]
 
 
 def collision_model(robot: Robot, asked: Any) -> CollisionModel:
@@ -38,30 +38,30 @@ def avoid(solver: Any, row: np.ndarray, T: np.ndarray, kind: Any, start: np.ndar
     all starts). The counts are those of all starts; a row without a free solution gets the status COLLISION.
     """
     model: CollisionModel = solver.collision
-    if not model.collides(row[OUT_HEAD:]):
+    if not model.collides(row[ANSWER:]):
         return None
     o, robot, single = solver.options, solver.robot, solver.single
     left = 0 if o.follow else STARTS if o.restarts is None else o.restarts
     size = max(left, 1) if o.closest else ROUND
     rng = np.random.default_rng(o.seed)
     opt = single.pack(kind, True)
-    while left > 0 and not (o.max_evaluations and row[R_EVALUATIONS] >= o.max_evaluations):
+    while left > 0 and not (o.max_evaluations and row[AT.evaluations] >= o.max_evaluations):
         count = min(size, left)
         left -= count
         Q0 = np.array([robot.random_q(rng) for _ in range(count)])
         Q0[:, solver.held] = start[0, solver.held]
         out = np.empty((count, len(row)))
         single._kernel(*single._chain, np.repeat(T, count, axis=0), Q0, out, opt, single._silent)
-        row[R_ITERATIONS] += out[:, R_ITERATIONS].sum()
-        row[R_EVALUATIONS] += out[:, R_EVALUATIONS].sum()
-        row[R_RESTARTS] += count
-        out = out[out[:, R_STATUS] == Status.CONVERGED]
-        away = (((out[:, OUT_HEAD:] - start) / robot.chain.unit) ** 2).sum(axis=1)
+        row[AT.iterations] += out[:, AT.iterations].sum()
+        row[AT.evaluations] += out[:, AT.evaluations].sum()
+        row[AT.restarts] += count
+        out = out[out[:, AT.status] == Status.CONVERGED]
+        away = (((out[:, ANSWER:] - start) / robot.chain.unit) ** 2).sum(axis=1)
         for k in np.argsort(away, kind="stable"):
-            if not model.collides(out[k, OUT_HEAD:]):
+            if not model.collides(out[k, ANSWER:]):
                 out[k, COUNTS] = row[COUNTS]
-                out[k, R_ATTEMPT] = row[R_RESTARTS]
+                out[k, AT.attempt] = row[AT.restarts]
                 row[:] = out[k]
                 return None
-    row[R_STATUS] = Status.COLLISION
-    return model.collisions(row[OUT_HEAD:])[0]
+    row[AT.status] = Status.COLLISION
+    return model.collisions(row[ANSWER:])[0]

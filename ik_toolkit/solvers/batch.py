@@ -20,7 +20,7 @@ from ..errors import InvalidConfiguration, InvalidOption, InvalidTarget, floats,
 from ..kernel.checks import BAD_TARGET, CHECK_FAILED, CONVERGED
 from ..kernel.lanes import LEFT, lanes
 from ..kernel.limits import LARGEST
-from ..kernel.slots import OUT_HEAD, R_POSITION, R_ROTATION, R_STATUS
+from ..kernel.records import ANSWER, AT
 from ..kernel.task import POSE, POSITION
 from ..robot.pose import check_target
 from ..robot.robot import Robot
@@ -114,7 +114,7 @@ def _solve_rows(
     first: int,
     side_by_side: bool = False,
 ) -> None:
-    """Solve rows (m, OUT_HEAD + n), each from its own target and start alone; `first` is the number of the first."""
+    """Solve rows (m, ANSWER + n), each from its own target and start alone; `first` is the number of the first."""
     if len(solver.held) and len(start) > 1:  # each with a table of starts of its own
         for k in range(len(T)):
             one = slice(k, k + 1)
@@ -124,13 +124,13 @@ def _solve_rows(
     arrays = solver.arrays_for(kind, start)
     if side_by_side:
         lanes()(*arrays, T, start, out, opt)
-        left = np.flatnonzero(out[:, R_STATUS] == LEFT)
+        left = np.flatnonzero(out[:, AT.status] == LEFT)
         rest = np.zeros((len(left), out.shape[1]))
         solver._kernel(*arrays, T[left], start if len(start) == 1 else start[left], rest, opt, solver._silent)
         out[left] = rest
     else:
         solver._kernel(*arrays, T, start, out, opt, solver._silent)
-    for k in np.flatnonzero(out[:, R_STATUS] == BAD_TARGET):
+    for k in np.flatnonzero(out[:, AT.status] == BAD_TARGET):
         try:
             mended = check_target(T[k] if kind == POSE else T[k, :3, 3])[0]
         except InvalidTarget as error:
@@ -138,7 +138,7 @@ def _solve_rows(
         T[k] = mended
         solver._kernel(*arrays, T[k : k + 1], _row(start, k), out[k : k + 1], opt, solver._silent)
     if solver._extras:
-        for k in np.flatnonzero(out[:, R_STATUS] == Status.CONVERGED):
+        for k in np.flatnonzero(out[:, AT.status] == Status.CONVERGED):
             solver.finish(out[k], T[k : k + 1], kind, _row(start, k), given)
 
 
@@ -180,10 +180,10 @@ def _sampled(first: int, count: int, share: float) -> Iterator[int]:
 def _confirm(solver: Solver, T: np.ndarray, kind: int, out: np.ndarray, first: int, share: float) -> None:
     """Check a share of the rows of the whole batch again with Pinocchio."""
     for k in _sampled(first, len(out), share):
-        if out[k, R_STATUS] == CONVERGED:
+        if out[k, AT.status] == CONVERGED:
             target = T[k] if kind == POSE else T[k, :3, 3]
-            if not solver.confirm(out[k, OUT_HEAD:], target)[2]:
-                out[k, R_STATUS] = CHECK_FAILED
+            if not solver.confirm(out[k, ANSWER:], target)[2]:
+                out[k, AT.status] = CHECK_FAILED
 
 
 def _solve_part(
@@ -194,10 +194,10 @@ def _solve_part(
     share: float,
     stop: threading.Event | None = None,
 ) -> np.ndarray:
-    """Rows (m, OUT_HEAD + n) of one part, in slices between which it may be stopped (then they are incomplete)."""
+    """Rows (m, ANSWER + n) of one part, in slices between which it may be stopped (then they are incomplete)."""
     T, kind = _poses(part)
     start = solver._home if q0 is None else _starts(solver, q0, first)
-    out = np.zeros((len(T), OUT_HEAD + solver.robot.n))
+    out = np.zeros((len(T), ANSWER + solver.robot.n))
     side_by_side = _has_lanes(solver)
     a, size = 0, 1024 if side_by_side else 16
     while a < len(T) and not (stop is not None and stop.is_set()):
@@ -268,7 +268,7 @@ def _on_a_chain(solver: Solver, jobs: Iterator[Job], share: float) -> Tables:
         near = Solver(solver.robot, solver.rule, **{**solver.options.__dict__, "closest": True})
     for part, q0, first in jobs:
         T, kind = _poses(part)
-        out = np.zeros((len(T), OUT_HEAD + solver.robot.n))
+        out = np.zeros((len(T), ANSWER + solver.robot.n))
         a, began = 0, perf_counter()
         for k in range(len(T)):
             if not given and q0 is not None:
@@ -282,8 +282,8 @@ def _on_a_chain(solver: Solver, jobs: Iterator[Job], share: float) -> Tables:
                 if _move(solver, other, last) < move:
                     row[:], move = other, _move(solver, other, last)
             row[0, R_MOVE] = move
-            if row[0, R_STATUS] == Status.CONVERGED:
-                last = start = row[:, OUT_HEAD:].copy()
+            if row[0, AT.status] == Status.CONVERGED:
+                last = start = row[:, ANSWER:].copy()
                 given = True
             if k + 1 == len(T) or perf_counter() - began > SLICE:
                 _confirm(solver, T[a : k + 1], kind, out[a : k + 1], first + a, share)
@@ -292,10 +292,10 @@ def _on_a_chain(solver: Solver, jobs: Iterator[Job], share: float) -> Tables:
 
 
 def _move(solver: Solver, row: np.ndarray, last: np.ndarray | None) -> float:
-    """Largest joint move of an answer (1, OUT_HEAD + n) from the one before; NaN when it is none, 0 when it is the first."""
-    if row[0, R_STATUS] != Status.CONVERGED:
+    """Largest joint move of an answer (1, ANSWER + n) from the one before; NaN when it is none, 0 when it is the first."""
+    if row[0, AT.status] != Status.CONVERGED:
         return np.nan
-    return 0.0 if last is None else float(np.abs((row[:, OUT_HEAD:] - last) / solver.robot.chain.unit).max())
+    return 0.0 if last is None else float(np.abs((row[:, ANSWER:] - last) / solver.robot.chain.unit).max())
 
 
 def _whole(name: str, value: Any) -> int:
@@ -375,9 +375,9 @@ def _wrapped(tables: Tables, position_only: bool, solver: Solver, chain: bool) -
     with closing(tables):
         for table in tables:
             part = BatchResult(table, position_only, solver, chain)
-            failed = np.flatnonzero(table[:, R_STATUS] == CHECK_FAILED)
+            failed = np.flatnonzero(table[:, AT.status] == CHECK_FAILED)
             if len(failed):
-                table[:, R_STATUS] = CHECK_FAILED
+                table[:, AT.status] = CHECK_FAILED
                 raise BatchCheckFailed(part, done + int(failed[0]), done)
             done += len(table)
             yield part
@@ -445,7 +445,7 @@ def solve_batch(
         check=check,
         **options,
     )
-    table, done, part = np.empty((0, OUT_HEAD + robot.n)), 0, None
+    table, done, part = np.empty((0, ANSWER + robot.n)), 0, None
     try:
         for part in parts:
             end = done + len(part)
@@ -465,8 +465,8 @@ def solve_batch(
         table.resize((len(known) if known is not None else done + len(part), table.shape[1]), refcheck=False)
         table[done:end] = part._table[: end - done]
         table[end:] = 0.0
-        table[end:, [R_POSITION, R_ROTATION, R_MOVE, *range(OUT_HEAD, table.shape[1])]] = np.nan
-        table[:, R_STATUS] = CHECK_FAILED
+        table[end:, [AT.position, AT.rotation, R_MOVE, *range(ANSWER, table.shape[1])]] = np.nan
+        table[:, AT.status] = CHECK_FAILED
         whole = BatchResult(table, part.position_only, part._solver, chain)
         raise BatchCheckFailed(whole, failure.target, 0) from None
     if part is None:

@@ -5,20 +5,11 @@ from typing import Any
 import numpy as np
 
 from ..errors import IKError
-from ..kernel.slots import (
-    OUT_HEAD,
-    R_EVALUATIONS,
-    R_HISTORY,
-    R_ITERATIONS,
-    R_POSITION,
-    R_RESTARTS,
-    R_ROTATION,
-    R_STATUS,
-)
+from ..kernel.records import ANSWER, AT
 from .result import Result, Status
 from .solve import Solver
 
-R_MOVE = R_HISTORY  # a batch keeps no history; in a chain its slot holds the largest joint move
+R_MOVE = AT.history  # a batch keeps no history; in a chain its slot holds the largest joint move
 JUMP = 0.5  # rad, or of the robot's scale for slides
 
 
@@ -63,7 +54,7 @@ class BatchResult:
     """
 
     def __init__(self, table: np.ndarray, position_only: bool, solver: Solver | None, chain: bool = False) -> None:
-        """Wrap the kernel's rows (N, OUT_HEAD + n)."""
+        """Wrap the kernel's rows (N, ANSWER + n)."""
         self._table = table
         self._solver = solver
         self.position_only = position_only
@@ -80,18 +71,18 @@ class BatchResult:
         if self._solver is None:
             raise IndexError("an empty batch")
         result = Result(self._solver, row, 0.0, self.position_only)
-        if row[R_STATUS] == Status.COLLISION and self._solver.collision is not None:
+        if row[AT.status] == Status.COLLISION and self._solver.collision is not None:
             result.collision = self._solver.collision.collisions(result.q)[0]
         return result
 
-    q = property(lambda self: self._table[:, OUT_HEAD:])
-    status = property(lambda self: self._table[:, R_STATUS].astype(np.int64))
-    success = property(lambda self: self._table[:, R_STATUS] == Status.CONVERGED)
-    position_error = property(lambda self: self._table[:, R_POSITION])
-    orientation_error = property(lambda self: None if self.position_only else self._table[:, R_ROTATION])
-    iterations = property(lambda self: self._table[:, R_ITERATIONS].astype(np.int64))
-    restarts = property(lambda self: self._table[:, R_RESTARTS].astype(np.int64))
-    fk_evaluations = property(lambda self: self._table[:, R_EVALUATIONS].astype(np.int64))
+    q = property(lambda self: self._table[:, ANSWER:])
+    status = property(lambda self: self._table[:, AT.status].astype(np.int64))
+    success = property(lambda self: self._table[:, AT.status] == Status.CONVERGED)
+    position_error = property(lambda self: self._table[:, AT.position])
+    orientation_error = property(lambda self: None if self.position_only else self._table[:, AT.rotation])
+    iterations = property(lambda self: self._table[:, AT.iterations].astype(np.int64))
+    restarts = property(lambda self: self._table[:, AT.restarts].astype(np.int64))
+    fk_evaluations = property(lambda self: self._table[:, AT.evaluations].astype(np.int64))
 
     @property
     def moves(self) -> np.ndarray | None:
@@ -105,7 +96,7 @@ class BatchResult:
 
     def counts(self) -> dict[str, int]:
         """How many targets ended with each status."""
-        numbers, counts = np.unique(self._table[:, R_STATUS], return_counts=True)
+        numbers, counts = np.unique(self._table[:, AT.status], return_counts=True)
         return {Status(int(k)).name: int(c) for k, c in zip(numbers, counts, strict=True)}
 
     def to_dict(self) -> dict[str, Any]:

@@ -16,8 +16,8 @@ class Row:
 
     target: "module:Class" of the rule or closed form. iterations: steps a descent; descents: first try plus restarts.
     give_up: (C, rho, C_free, rho_free), a descent ends when |e|^2 > C rho^k (first pair for starts from the table, second for
-    q0 and random starts), or None. closed: a closed form. What a rule does at a joint limit it says itself, see
-    `kernel.loop.rule`.
+    q0 and random starts), or None. closed: a closed form. What a rule does at a joint limit it says itself: see
+    `solvers.rules`.
     """
 
     name: str
@@ -147,10 +147,11 @@ def find_row(solver: Any) -> Row:
     for row in ROWS:
         if row.target.split(":")[1] == cls.__name__ and row.load() is cls:
             return row
-    if hasattr(cls, "_fields") and hasattr(cls, "pack"):  # somebody's own rule, registered with kernel.loop.rule
-        from ..kernel.loop import RULES
+    if hasattr(cls, "_fields") and hasattr(cls, "pack"):  # somebody's own rule
+        from ..kernel.jit import METHODS
+        from ..kernel.search import step_class
 
-        if cls in RULES:
+        if step_class(cls) in METHODS.get("step", ()):
             summary = (cls.__doc__ or cls.__name__).splitlines()[0]
             return Row(cls.__name__, f"{cls.__module__}:{cls.__qualname__}", summary, "a rule of your own", "")
     what = f"the class {cls.__name__}" if isinstance(solver, type) else f"{solver!r:.60}"

@@ -7,17 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..errors import NotSolved
-from ..kernel.slots import (
-    OUT_HEAD,
-    R_ATTEMPT,
-    R_EVALUATIONS,
-    R_EXCESS,
-    R_ITERATIONS,
-    R_POSITION,
-    R_RESTARTS,
-    R_ROTATION,
-    R_STATUS,
-)
+from ..kernel.records import ANSWER, AT
 from .fallback import SEARCHED
 from .registry import GENERAL
 
@@ -107,12 +97,12 @@ class Result:
     @property
     def q(self) -> np.ndarray:
         """Joint values (n,) [rad or m]; the best configuration evaluated when the solve failed."""
-        return self._row[OUT_HEAD:]
+        return self._row[ANSWER:]
 
     @property
     def status(self) -> Status:
         """How the solve ended."""
-        return Status(int(self._row[R_STATUS])) if self._status is None else self._status
+        return Status(int(self._row[AT.status])) if self._status is None else self._status
 
     @property
     def success(self) -> bool:
@@ -122,29 +112,29 @@ class Result:
     @property
     def position_error(self) -> float:
         """Distance of the tip from the target at q [m]."""
-        return float(self._row[R_POSITION]) if self._checked is None else self._checked[0]
+        return float(self._row[AT.position]) if self._checked is None else self._checked[0]
 
     @property
     def orientation_error(self) -> float | None:
         """Rotation angle left at q [rad]; None for a position-only target."""
         if self.position_only:
             return None
-        return float(self._row[R_ROTATION]) if self._checked is None else self._checked[1]
+        return float(self._row[AT.rotation]) if self._checked is None else self._checked[1]
 
     @property
     def iterations(self) -> int:
         """Steps taken, over all descents."""
-        return int(self._row[R_ITERATIONS])
+        return int(self._row[AT.iterations])
 
     @property
     def restarts(self) -> int:
         """Attempts after the first."""
-        return int(self._row[R_RESTARTS])
+        return int(self._row[AT.restarts])
 
     @property
     def attempt(self) -> int:
         """Number of the attempt that q comes from: 0 is the first, which starts at q0 when that was given."""
-        return int(self._row[R_ATTEMPT])
+        return int(self._row[AT.attempt])
 
     @property
     def notice(self) -> str:
@@ -157,7 +147,7 @@ class Result:
     @property
     def fk_evaluations(self) -> int:
         """Forward-kinematics evaluations made."""
-        return int(self._row[R_EVALUATIONS])
+        return int(self._row[AT.evaluations])
 
     @property
     def limited_joints(self) -> tuple[str, ...]:
@@ -172,7 +162,7 @@ class Result:
     @property
     def solver(self) -> str:
         """Name of the solver that was used."""
-        return GENERAL if self._solver.row.closed and self._row[R_EXCESS] == SEARCHED else self._solver.row.name
+        return GENERAL if self._solver.row.closed and self._row[AT.excess] == SEARCHED else self._solver.row.name
 
     @property
     def robot(self) -> Any:
@@ -240,20 +230,20 @@ def sentence(result: Result) -> str:
     left = f"{away:.3g} m" if away >= 1.0 else f"{1000 * away:.3g} mm"
     if result.orientation_error is not None:
         left += f", {np.degrees(result.orientation_error):.3g} deg"
-    starts = int(row[R_RESTARTS]) + 1
+    starts = int(row[AT.restarts]) + 1
     if result.collision is not None:
         touching = " and ".join(result.collision)
         text = f"every solution found in {starts} start{'s' * (starts > 1)} collides; in this one {touching} touch"
         return f"{text}; {ADVICE[status]}"
-    if result._solver.row.closed and status in CLOSED_FORM_SAYS and row[R_EXCESS] != SEARCHED:
+    if result._solver.row.closed and status in CLOSED_FORM_SAYS and row[AT.excess] != SEARCHED:
         joints = ", ".join(result.limited_joints)
-        beyond = f"{1000 * row[R_EXCESS]:.4g} mm"
+        beyond = f"{1000 * row[AT.excess]:.4g} mm"
         robot = result.robot
         slides = [j for j, kind in zip(robot.joint_names, robot.joint_kinds, strict=True) if kind == "prismatic"]
         return CLOSED_FORM_SAYS[status].format(
             left=left,
             beyond=beyond,
-            why=f"the stroke of {', '.join(slides)} is {beyond} too short" if row[R_EXCESS] > 0.0 else BROKEN,
+            why=f"the stroke of {', '.join(slides)} is {beyond} too short" if row[AT.excess] > 0.0 else BROKEN,
             kept="" if result.position_only else " with its orientation kept",
             at=f", with {joints} at a limit" if joints else "",
         )
@@ -263,13 +253,13 @@ def sentence(result: Result) -> str:
             text += f" after {result.restarts} restarts"
         return text
     budget = result._solver.options.max_evaluations
-    if budget and row[R_EVALUATIONS] >= budget and status == Status.ITERATION_LIMIT:
+    if budget and row[AT.evaluations] >= budget and status == Status.ITERATION_LIMIT:
         text = f"the {budget} evaluations allowed were used up in {starts} start{'s' * (starts > 1)}; closest {left}"
         return f"{text}; allow more (max_evaluations)"
     if status == Status.UNREACHABLE:
-        text = f"the target is beyond reach by {1000 * row[R_EXCESS]:.4g} mm (a bound from the link lengths); closest {left}"
+        text = f"the target is beyond reach by {1000 * row[AT.excess]:.4g} mm (a bound from the link lengths); closest {left}"
     elif status == Status.TOO_FAR:
-        robot, joint = result.robot, int(row[R_EXCESS])
+        robot, joint = result.robot, int(row[AT.held])
         far = result._solver.options.follow
         most = f"{far * robot.reach:.3g} m" if robot.joint_kinds[joint] == "prismatic" else f"{far:.3g} rad"
         text = f"{left} away where joint {robot.joint_names[joint]} has moved the {most} allowed from q0"

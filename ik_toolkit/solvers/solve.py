@@ -5,7 +5,7 @@ One hop from here to the loop: a bound solver holds the kernel's arrays and call
 
 import threading
 from time import perf_counter
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -13,31 +13,9 @@ from ..errors import IKError, InvalidConfiguration, InvalidOption, InvalidTarget
 from ..kernel.chain import table, without_limits, without_wrap
 from ..kernel.checks import BAD_TARGET
 from ..kernel.limits import LARGEST
-from ..kernel.loop import entry
+from ..kernel.records import ANSWER, AT, Orders, Task
+from ..kernel.search import entry
 from ..kernel.seeds import BEST
-from ..kernel.slots import (
-    O_C,
-    O_CLOSEST,
-    O_DESCENTS,
-    O_EVALUATIONS,
-    O_FOLLOW,
-    O_FOLLOW_SLIDE,
-    O_GIVEN,
-    O_HOLD,
-    O_ITERATIONS,
-    O_KIND,
-    O_LIMITS,
-    O_SEED,
-    O_TOL_P,
-    O_TOL_R,
-    O_W,
-    OPT_HEAD,
-    OUT_HEAD,
-    R_HISTORY,
-    R_POSITION,
-    R_ROTATION,
-    R_STATUS,
-)
 from ..kernel.task import AXIS, MASK_BASE, MASK_TIP, POSE, POSITION
 from ..robot.pose import AxisTarget, check_target, masked_errors
 from ..robot.robot import Robot
@@ -56,10 +34,20 @@ CLOSEST = 16  # solutions to compare when the one nearest q0 is asked for
 REFINE_STEPS = 60
 FOLLOW_ITERATIONS = 100  # the one attempt of `follow` has no other to hand over to where it converges slowly
 NEVER = (np.inf, 1.0, np.inf, 1.0)
+PATIENCE = 20  # attempts without q0's: by then easy targets are solved
 EXACT = {  # options that a closed form honours or has no use for; 'auto' takes 'lm' when any other is given
     "tolerance", "position_tolerance", "orientation_tolerance", "max_iterations", "max_evaluations", "restarts", "seed",
     "limits", "q0_outside", "history", "check",
 }  # fmt: skip
+
+
+class Length(NamedTuple):
+    """How long a search goes on: iterations of an attempt, attempts, when one is given up, and from which on not so soon."""
+
+    iterations: int
+    attempts: int
+    give_up: tuple[float, float, float, float] | None  # c, rho, c_free, rho_free of `Orders`
+    patience: float
 
 
 class Solver:
@@ -120,7 +108,7 @@ class Solver:
         if not (self.row.closed or self._wraps):
             ends = without_wrap(ends, chain.n)
         self._chain = (chain.rows, ends, chain.seeds, chain.features)
-        self._width = OUT_HEAD + chain.n
+        self._width = ANSWER + chain.n
         self._shape = (chain.n,)
         self._home = self.robot.home.reshape(1, -1).copy()
         self._silent = np.empty((0, 2 + chain.n))
@@ -159,16 +147,56 @@ class Solver:
         return packed
 
     def _pack(self, kind: Any, given: bool) -> np.ndarray:
-        o, row, n = self.options, self.row, self.robot.n
-        head = np.zeros(OPT_HEAD)
-        if isinstance(kind, tuple):  # AXIS and the axis in the tip frame; the kernel wants it in the last joint's
-            head[O_W : O_W + 3] = self.robot.chain.ends[12:21].reshape(3, 3) @ kind[1]
-            kind = kind[0]
-        if row.closed and (o.mask is not None or o.closest or kind == AXIS):
+        o = self.options
+        tasks = [self._task(one, ends) for one, ends in self._by_tip(kind)]
+        if o.follow and not given:
+            raise InvalidOption("follow bounds the move of each joint from q0, so q0 has to be given")
+        length = self._length()
+        attempts = 1 if o.follow else length.attempts if o.restarts is None else o.restarts + 1
+        iterations = max(length.iterations, FOLLOW_ITERATIONS) if o.follow else length.iterations
+        gives_up = length.give_up and attempts > 1 and o.max_iterations is None
+        c, rho, c_free, rho_free = length.give_up if gives_up else NEVER
+        orders = Orders(
+            tol_p=o.position_tolerance * MARGIN,
+            tol_r=o.orientation_tolerance * MARGIN,
+            # Without restarts the one attempt starts where the caller expects, at q0 or home, never from the seed table; and
+            # what is compared by its distance from q0 or home starts there first.
+            given=bool(given or o.closest or (attempts == 1 and self.arrays(kind) is self._chain)),
+            iterations=iterations if o.max_iterations is None else o.max_iterations,
+            attempts=attempts,
+            c=c,
+            rho=rho,
+            c_free=c_free,
+            rho_free=rho_free,
+            patience=length.patience if gives_up else np.inf,
+            evaluations=o.max_evaluations or np.inf,
+            limits=o.limits,
+            seed=o.seed,
+            closest=CLOSEST if o.closest else 0,
+            hold=getattr(self.rule, "hold", False),
+            follow=o.follow or 0.0,
+            follow_slide=o.follow * self.robot.reach if o.follow else 0.0,
+        )
+        weights = np.ones(self.robot.n) if o.joint_weights is None else o.joint_weights
+        return np.concatenate([orders, *tasks, weights, self._parameters(tasks[0], given)])
+
+    def _by_tip(self, kind: Any) -> list[tuple[Any, np.ndarray]]:
+        """Kind of target and `ends` of each tip."""
+        return [(kind, self.robot.chain.ends)]
+
+    def _length(self) -> Length:
+        """How long the search goes on where the caller does not say."""
+        return Length(self.row.iterations, self.row.descents, self.row.give_up, PATIENCE)
+
+    def _task(self, kind: Any, ends: np.ndarray) -> Task:
+        """What counts at a tip. Raises InvalidOption when the solver does not do that."""
+        o, row = self.options, self.row
+        axis = isinstance(kind, tuple)  # AXIS and the axis in the tip frame; the kernel wants it in the last joint's
+        if row.closed and (o.mask is not None or o.closest or axis):
             raise InvalidOption(f"solver '{row.name}' is a closed form and takes no mask, axis or closest; use 'lm'")
         if len(self.held) and (row.closed or row.name == "newton"):
             raise InvalidOption(f"solver '{row.name}' moves every joint, so a joint weight of 0 is not kept; use 'lm'")
-        if kind == AXIS and o.mask is not None:
+        if axis and o.mask is not None:
             raise InvalidOption("a mask and an axis target cannot be combined: the axis already frees one turn")
         if kind == POSITION and o.mask is not None and any(o.mask[3:]):
             raise InvalidOption(
@@ -178,40 +206,19 @@ class Solver:
             raise InvalidOption(
                 f"solver '{row.name}' does not solve {'positions' if kind == POSITION else 'poses'}: {row.handles}"
             )
-        head[O_TOL_P] = o.position_tolerance * MARGIN
-        head[O_TOL_R] = o.orientation_tolerance * MARGIN
-        descents = 1 if o.follow else row.descents if o.restarts is None else o.restarts + 1
-        if o.follow:
-            if not given:
-                raise InvalidOption("follow bounds the move of each joint from q0, so q0 has to be given")
-            head[O_FOLLOW], head[O_FOLLOW_SLIDE] = o.follow, o.follow * self.robot.reach
-        # Without restarts the one attempt starts where the caller expects, at q0 or home, never from the seed table; and
-        # what is compared by its distance from q0 or home starts there first.
-        head[O_GIVEN] = float(given or o.closest or (descents == 1 and self.arrays(kind) is self._chain))
-        most = max(row.iterations, FOLLOW_ITERATIONS) if o.follow else row.iterations
-        head[O_ITERATIONS] = most if o.max_iterations is None else o.max_iterations
-        head[O_DESCENTS] = descents
-        give_up = row.give_up if row.give_up and descents > 1 and o.max_iterations is None else NEVER
-        head[O_C : O_C + 4] = give_up
+        if axis:
+            return Task(AXIS, *(ends[12:21].reshape(3, 3) @ kind[1]))
         if o.mask is not None:
-            kind = MASK_BASE if o.mask_frame == "base" else MASK_TIP
-            head[O_W : O_W + 6] = o.mask
-        head[O_KIND] = kind
-        head[O_EVALUATIONS] = o.max_evaluations or np.inf
-        head[O_LIMITS] = float(o.limits)
-        head[O_SEED] = o.seed
-        head[O_HOLD] = float(getattr(self.rule, "hold", False))
-        head[O_CLOSEST] = CLOSEST if o.closest else 0
-        weights = np.ones(n) if o.joint_weights is None else np.array(o.joint_weights)
-        check = getattr(self.rule, "check", None)
-        if check is not None:
-            reason = check(self.robot, self.task_rows(kind))
-            if reason:
-                raise InvalidOption(reason)
-        return np.concatenate([head, weights, self._parameters(kind, given)])
+            return Task(MASK_BASE if o.mask_frame == "base" else MASK_TIP, *o.mask)
+        return Task(kind)
 
-    def _parameters(self, kind: int, given: bool) -> np.ndarray:
-        """Numbers of the rule's compiled step. Raises InvalidOption when a parameter is none."""
+    def _parameters(self, task: Task, given: bool) -> np.ndarray:
+        """Numbers of the rule's compiled step. Raises InvalidOption when a parameter is none, or the rule does not fit."""
+        kind = task.kind
+        check = getattr(self.rule, "check", None)
+        reason = check(self.robot, self.task_rows(kind)) if check is not None else ""
+        if reason:
+            raise InvalidOption(reason)
         which = (kind == POSITION, given) if self.row.name == "state-space" else ()
         try:
             parameters = np.asarray(self.rule.pack(self.robot, *which), dtype=float)
@@ -304,8 +311,8 @@ class Solver:
             start, note = self._start(q0)
             notice = notice or note
         row = self._run(T, kind, start, q0 is not None)
-        if row[R_STATUS] >= BAD_TARGET:  # what the kernel will not take is looked at here: refused in words, or mended
-            if row[R_STATUS] == BAD_TARGET:
+        if row[AT.status] >= BAD_TARGET:  # what the kernel will not take is looked at here: refused in words, or mended
+            if row[AT.status] == BAD_TARGET:
                 T, kind, notice = _as_pose(target)  # raises, or projects a rotation that is nearly rigid
             if q0 is not None:
                 start, note = self._start(q0)
@@ -318,7 +325,7 @@ class Solver:
             return result
         if self.options.history:
             self._record(result, T, kind, start, q0 is not None)
-        if self._extras and row[R_STATUS] == Status.CONVERGED:
+        if self._extras and row[AT.status] == Status.CONVERGED:
             result.collision = self.finish(row, T, kind, start, q0 is not None)
         if self.options.check:
             self._check(result, target if isinstance(kind, tuple) else T[0] if kind == POSE else T[0, :3, 3])
@@ -339,7 +346,7 @@ class Solver:
 
         return find_all(self, target, q0, starts, count)
 
-    def _run(self, T: np.ndarray, kind: int, start: np.ndarray, given: bool) -> np.ndarray:
+    def _run(self, T: np.ndarray, kind: Any, start: np.ndarray, given: bool) -> np.ndarray:
         ready = self._ready.get((kind, given))
         if ready is None:
             ready = (*self.arrays_for(kind, start), self.pack(kind, given))
@@ -357,7 +364,7 @@ class Solver:
         history = np.empty((result.fk_evaluations + 1, 2 + self.robot.n))
         out = np.empty((1, self._width))
         self._kernel(*self.arrays_for(kind, start), T, start, out, self.pack(kind, given), history)
-        history = history[: int(out[0, R_HISTORY])]
+        history = history[: int(out[0, AT.history])]
         if result.orientation_error is None:
             history[:, 1] = np.nan
         if result.status == Status.UNREACHABLE:  # the loop aims at the nearest point inside the bound
@@ -368,7 +375,7 @@ class Solver:
     def finish(
         self, row: np.ndarray, T: np.ndarray, kind: Any, start: np.ndarray, given: bool
     ) -> tuple[str, str] | None:
-        """Make a converged row (OUT_HEAD + n,) touch nothing and meet the objective; returns the pair that still touches."""
+        """Make a converged row (ANSWER + n,) touch nothing and meet the objective; returns the pair that still touches."""
         if self.collision is not None:
             from .avoid import avoid
 
@@ -378,7 +385,7 @@ class Solver:
         if self.options.objective is not None:
             before = row.copy()
             self._refine(row, T, kind, start, given)
-            if self.collision is not None and self.collision.collides(row[OUT_HEAD:]):
+            if self.collision is not None and self.collision.collides(row[ANSWER:]):
                 row[:] = before
         return None
 
@@ -387,11 +394,11 @@ class Solver:
         from ..kernel.refine import refine
 
         report = np.zeros(5)
-        q = row[OUT_HEAD:]
+        q = row[ANSWER:]
         what = OBJECTIVES[self.options.objective or ""]
         refine(*self._chain[:2], T, q, start[0], self.pack(kind, given), what, REFINE_STEPS, report)
         if report[2] > 0:
-            row[R_POSITION], row[R_ROTATION] = report[3], report[4]
+            row[AT.position], row[AT.rotation] = report[3], report[4]
 
     def confirm(self, q: np.ndarray, target: Any) -> tuple[float, float | None, bool]:
         """Errors [m, rad] of q (n,) at a validated target by Pinocchio, and whether both are inside their tolerances."""

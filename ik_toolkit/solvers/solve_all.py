@@ -6,7 +6,7 @@ import numpy as np
 
 from ..errors import InvalidOption
 from ..kernel.checks import rigid
-from ..kernel.slots import OPT_HEAD, OUT_HEAD, R_POSITION, R_ROTATION, R_STATUS
+from ..kernel.records import ANSWER, AT, WEIGHTS
 from ..kernel.task import POSE, POSITION
 from ..robot.robot import Robot
 from .closed_form.finish import finished, listed
@@ -110,7 +110,7 @@ def _prepared(one: Solver, kind: Any) -> tuple[np.ndarray, np.ndarray, np.ndarra
         free = np.full(robot.n, np.inf)
         lower, upper = (robot.lower, robot.upper) if one.options.limits else (-free, free)
         box = np.vstack([lower, upper, robot.home, 1.0 / robot.chain.unit**2])
-        kept[kind] = (opt, opt[OPT_HEAD + robot.n :], box)
+        kept[kind] = (opt, opt[WEIGHTS + robot.n :], box)
     return kept[kind]
 
 
@@ -230,8 +230,8 @@ def _search(one: Solver, T: np.ndarray, kind: Any, start: np.ndarray, starts: in
     out = _attempts(single, T, kind, Q0)
     if o.mask is None and not isinstance(kind, tuple) and not len(one.held):
         _finish_close(single, T, kind, out)
-    out = out[out[:, R_STATUS] == Status.CONVERGED]
-    answers = out[:, OUT_HEAD:]
+    out = out[out[:, AT.status] == Status.CONVERGED]
+    answers = out[:, ANSWER:]
     turning, limited = _turning(one)
     near = start[0, turning] + np.remainder(answers[:, turning] - start[0, turning] + np.pi, 2 * np.pi) - np.pi
     if limited:
@@ -240,8 +240,8 @@ def _search(one: Solver, T: np.ndarray, kind: Any, start: np.ndarray, starts: in
         near = np.clip(near, low, high)  # a turn rounds
     answers[:, turning] = near
     distance = np.sqrt((((answers - start) / robot.chain.unit) ** 2).sum(axis=1))
-    orientation = None if kind == POSITION else out[:, R_ROTATION]
-    errors = out[:, R_POSITION], orientation
+    orientation = None if kind == POSITION else out[:, AT.rotation]
+    errors = out[:, AT.position], orientation
     name = GENERAL if one.row.closed else one.name if one.name != "auto" else one.row.name
     found = Solutions(robot, answers, distance, errors, False, name, "", (), None, (single.row.name,) * len(answers))
     found = _distinct(found, one)
@@ -262,22 +262,22 @@ def _search(one: Solver, T: np.ndarray, kind: Any, start: np.ndarray, starts: in
 
 def _finish_close(single: Solver, T: np.ndarray, kind: Any, out: np.ndarray) -> None:
     """Give result rows that ended close to the target more steps: at a singular pose an attempt converges slowly."""
-    close = (out[:, R_STATUS] != Status.CONVERGED) & (out[:, R_POSITION] < CLOSE * single.robot.chain.scale)
-    close &= out[:, R_ROTATION] < CLOSE
+    close = (out[:, AT.status] != Status.CONVERGED) & (out[:, AT.position] < CLOSE * single.robot.chain.scale)
+    close &= out[:, AT.rotation] < CLOSE
     if not close.any():
         return
     rows, ends = single._chain[:2]
-    Q, errors = out[close, OUT_HEAD:], np.empty((close.sum(), 2))
+    Q, errors = out[close, ANSWER:], np.empty((close.sum(), 2))
     finished(rows, ends, single.pack(kind, True), T[0], Q, STEPS, errors)
     good = (errors < (single.options.position_tolerance, single.options.orientation_tolerance)).all(axis=1)
     where = np.flatnonzero(close)[good]
-    out[where, OUT_HEAD:] = Q[good]
-    out[where, R_POSITION], out[where, R_ROTATION], out[where, R_STATUS] = *errors[good].T, Status.CONVERGED
+    out[where, ANSWER:] = Q[good]
+    out[where, AT.position], out[where, AT.rotation], out[where, AT.status] = *errors[good].T, Status.CONVERGED
 
 
 def _attempts(single: Solver, T: np.ndarray, kind: Any, Q0: np.ndarray) -> np.ndarray:
     """Result rows of one attempt at T (1, 4, 4) from each start Q0 (K, n)."""
-    out = np.empty((len(Q0), OUT_HEAD + single.robot.n))
+    out = np.empty((len(Q0), ANSWER + single.robot.n))
     Q0 = np.ascontiguousarray(Q0)
     single._kernel(
         *single.arrays_for(kind, Q0[:1]),
@@ -319,9 +319,9 @@ def _families(single: Solver, found: Solutions, T: np.ndarray, kind: Any, redund
         tried = np.clip(tried, robot.lower, robot.upper)
     out = _attempts(single, T, kind, tried)
     turning, _ = _turning(single)
-    moved = np.abs(out[:, OUT_HEAD:] - np.vstack([found.q[where]] * 2)) / robot.chain.unit
+    moved = np.abs(out[:, ANSWER:] - np.vstack([found.q[where]] * 2)) / robot.chain.unit
     moved[:, turning] = np.minimum(moved[:, turning], np.abs(2 * np.pi - moved[:, turning]))
-    another = (out[:, R_STATUS] == Status.CONVERGED) & (moved.max(axis=1) > 0.5 * STRIDE)
+    another = (out[:, AT.status] == Status.CONVERGED) & (moved.max(axis=1) > 0.5 * STRIDE)
     if not another.any():
         return ()
     joints = (moved[another] > 1e-2 * STRIDE).any(axis=0)

@@ -3,7 +3,8 @@
 import numpy as np
 
 from ..kernel.chain import table
-from ..kernel.slots import E_VECTORS
+from ..kernel.records import POINTS
+from ..kernel.tree_chain import split
 from .options import Options
 
 
@@ -14,14 +15,12 @@ def held_joints(options: Options) -> np.ndarray:
 
 def pin(arrays: tuple, held: np.ndarray, at: np.ndarray) -> tuple:
     """Arrays of a chain (or a tree's) whose table of starts and random starts have the `held` joints at `at` (kernel units)."""
-    *front, seeds, _ = arrays
-    rows, ends = front[0], front[1 if len(front) == 2 else 2].copy()
-    seeds, n = seeds.copy(), seeds.shape[1]
+    rows, ends, seeds, _ = arrays
+    ends, seeds, n = ends.copy(), seeds.copy(), seeds.shape[1]
     seeds[:, held] = at
-    ends[..., E_VECTORS + 4 * n + held] = at
-    ends[..., E_VECTORS + 5 * n + held] = 0.0  # width of the range that random starts are drawn from
-    if len(front) == 2:
+    ends[..., POINTS + 4 * n + held] = at
+    ends[..., POINTS + 5 * n + held] = 0.0  # width of the range that random starts are drawn from
+    if ends.ndim == 1:
         return rows, ends, seeds, table(rows, ends, seeds)
-    cut = front[1]
-    parts = zip(np.split(rows, cut[1:-1]), ends, strict=True)
-    return rows, cut, ends, *front[3:], seeds, np.stack([table(part, end, seeds) for part, end in parts])
+    parts = zip(split(rows, ends, n), ends, strict=True)
+    return rows, ends, seeds, np.stack([table(part, end, seeds) for part, end in parts])

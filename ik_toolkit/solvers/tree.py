@@ -8,13 +8,14 @@ import numpy as np
 from ..errors import InvalidOption, UnknownSolver
 from ..kernel.chain import without_limits, without_wrap
 from ..kernel.checks import BAD_TARGET
-from ..kernel.slots import O_C, O_DESCENTS, O_ITERATIONS, OUT_HEAD, R_HISTORY, R_STATUS
+from ..kernel.records import ANSWER, AT, MISS, Miss
+from ..kernel.search import entry
 from ..kernel.task import POSE, POSITION
-from ..kernel.tree_loop import tree_entry
+from ..robot.pose import masked_errors
 from ..robot.tree import Tree
 from .registry import GENERAL, find_row
 from .result import Result, Status, sentence
-from .solve import NEVER, Solver, is_auto
+from .solve import Length, Solver, is_auto
 from .starts import held_joints
 
 ITERATIONS = 40  # steps a descent: the tips pull on shared joints
@@ -31,15 +32,15 @@ class TreeResult(Result):
 
     __slots__ = ("_each", "_excess")
 
-    def __init__(
-        self, solver: "TreeSolver", row: np.ndarray, tips: np.ndarray, kinds: np.ndarray, elapsed: float
-    ) -> None:
-        """Keep the kernel's row and its errors (F, 3) by tip."""
-        super().__init__(solver, row, elapsed, bool((kinds == POSITION).all()))
+    def __init__(self, solver: "TreeSolver", row: np.ndarray, kinds: tuple, elapsed: float) -> None:
+        """Keep the kernel's row; its end holds what is left at each tip."""
+        end = ANSWER + solver.robot.n
+        super().__init__(solver, row[:end], elapsed, all(kind == POSITION for kind in kinds))
+        tips = [Miss._make(x) for x in row[end:].reshape(-1, MISS).tolist()]
         self._each = [
-            (p, None if kind == POSITION else r) for (p, r, _), kind in zip(tips.tolist(), kinds, strict=True)
+            (x.position, None if kind == POSITION else x.rotation) for x, kind in zip(tips, kinds, strict=True)
         ]
-        self._excess = tips[:, 2]
+        self._excess = [x.excess for x in tips]
 
     @property
     def position_errors(self) -> dict[str, float]:
@@ -79,23 +80,21 @@ class TreeResult(Result):
 class TreeSolver(Solver):
     """Solver bound to a Tree: `solver(targets, q0=None) -> TreeResult`; made by `ik.Solver(tree, ...)`.
 
-    Levenberg-Marquardt on the stacked errors with held joints, as `lm`; the first starts come from a table in which each tip
-    picks its own joints. Options as for `lm` (here 40 iterations a descent and 400 descents), without mask, closest,
-    objective and collisions.
-    fk_evaluations counts all tips as one.
+    The rules work on the stacked errors of all tips ('auto' is `lm`, here with 40 iterations an attempt and 400 attempts); the
+    first starts of `lm` come from a table in which each tip picks its own joints. Options as for one tip, without objective,
+    collisions and follow; a mask counts at every tip. fk_evaluations counts all tips as one.
     """
 
     robot: Tree  # pyright: ignore[reportIncompatibleVariableOverride]
 
     def __init__(self, robot: Tree, solver: Any = "auto", **options: Any) -> None:
-        """Validate everything once. Raises UnknownSolver (any but 'lm', which is also 'auto'), InvalidOption."""
+        """Validate everything once. Raises UnknownSolver (closed forms and rules for one tip), InvalidOption."""
         solver = GENERAL if is_auto(solver) else solver
-        if find_row(solver).name != GENERAL:
-            raise UnknownSolver(
-                f"several tips together are solved by '{GENERAL}' only, not by '{find_row(solver).name}'"
-            )
+        row = find_row(solver)
+        if row.closed or getattr(row.load(), "one_tip", False):
+            raise UnknownSolver(f"solver '{row.name}' is for one tip; for several use '{GENERAL}'")
         super().__init__(robot, solver, **options)  # pyright: ignore[reportArgumentType]
-        for name in ("mask", "closest", "objective", "avoid_collisions", "follow"):
+        for name in ("objective", "avoid_collisions", "follow"):
             if getattr(self.options, name):
                 raise InvalidOption(f"option '{name}' is for one tip; leave it out when several are solved together")
 
@@ -104,38 +103,30 @@ class TreeSolver(Solver):
         chain = tree.chain
         ends = chain.ends
         if not self.options.limits:
-            parts = np.split(chain.rows, chain.cut[1:-1])
-            ends = np.array([without_limits(rows, end, tree.n) for rows, end in zip(parts, ends, strict=True)])
+            ends = np.array(
+                [without_limits(rows, end, tree.n) for rows, end in zip(chain.parts, chain.ends, strict=True)]
+            )
         if not self._wraps:
             ends = without_wrap(ends, tree.n)
-        self._kernel = tree_entry()
-        self._chain = (
-            chain.rows,
-            chain.cut,
-            ends,
-            chain.moves,
-            chain.owner,
-            chain.seeds,
-            chain.features,
-        )
-        self._width = OUT_HEAD + tree.n
+        self._kernel = entry(type(self.rule))
+        self._chain = (chain.rows, ends, chain.seeds, chain.features)
+        self._width = ANSWER + tree.n + MISS * len(tree.tips)
         self._home = tree.home.reshape(1, -1).copy()
         self._silent = np.empty((0, 2 + tree.n))
         self._lower, self._upper = tree.lower, tree.upper
         self._packed = {}
+        self._ready = {}
         self.held = held_joints(self.options)
         self._pinned = (None, ())
         self._own_starts = False
 
-    def _pack(self, kind: Any, given: bool) -> np.ndarray:
-        packed = super()._pack(kind, given)
-        if self.options.restarts is None:
-            packed[O_DESCENTS] = DESCENTS
-        if self.options.max_iterations is None:
-            packed[O_ITERATIONS] = ITERATIONS
-            if packed[O_C] != NEVER[0]:
-                packed[O_C : O_C + 4] = GIVE_UP
-        return packed
+    def _by_tip(self, kind: Any) -> list[tuple[Any, np.ndarray]]:
+        return list(zip(kind, self.robot.chain.ends, strict=True))
+
+    def _length(self) -> Length:
+        if self.row.name == GENERAL:
+            return Length(ITERATIONS, DESCENTS, GIVE_UP, np.inf)
+        return super()._length()
 
     def __call__(self, targets: Any, q0: Any = None) -> TreeResult:  # pyright: ignore[reportIncompatibleMethodOverride]
         """Solve for one target a tip: a dict by tip, or a sequence in the order of `robot.tips`; q0 (n,), default home.
@@ -146,17 +137,18 @@ class TreeSolver(Solver):
         started = perf_counter()
         start, notice = (self._home, "") if q0 is None else self._start(q0)
         T, kinds, note = self._read(targets, self.options.check)
-        row, tips = self._descend(T, kinds, start, q0 is not None, self._silent)
-        if row[R_STATUS] == BAD_TARGET:
+        row = self._run(T[None], kinds, start, q0 is not None)
+        if row[AT.status] == BAD_TARGET:
             T, kinds, note = self._read(targets, True)
-            row, tips = self._descend(T, kinds, start, q0 is not None, self._silent)
-        result = TreeResult(self, row, tips, kinds, perf_counter() - started)
+            row = self._run(T[None], kinds, start, q0 is not None)
+        result = TreeResult(self, row, kinds, perf_counter() - started)
         result._notice = "; ".join(filter(None, (note, notice)))
         result._given = q0 is not None
         if self.options.history:  # once more with room for it; the counts of the first run say how much
             history = np.empty((result.fk_evaluations + 1, 2 + self.robot.n))
-            again, _ = self._descend(T, kinds, start, q0 is not None, history)
-            history = history[: int(again[R_HISTORY])]
+            out, orders = np.empty((1, self._width)), self.pack(kinds, q0 is not None)
+            self._kernel(*self.arrays_for(kinds, start), T[None], start, out, orders, history)
+            history = history[: int(out[0, AT.history])]
             if result.orientation_error is None:
                 history[:, 1] = np.nan
             result._history = {"position_error": history[:, 0], "orientation_error": history[:, 1], "q": history[:, 2:]}
@@ -165,35 +157,30 @@ class TreeSolver(Solver):
             result.elapsed = perf_counter() - started
         return result
 
-    def _read(self, targets: Any, strict: bool) -> tuple[np.ndarray, np.ndarray, str]:
-        """Targets as (F, 4, 4), their kinds (F,) and a notice; an array of poses is left to the kernel unless strict."""
+    def _read(self, targets: Any, strict: bool) -> tuple[np.ndarray, tuple, str]:
+        """Targets as (F, 4, 4), their kinds and a notice; an array of poses is left to the kernel unless strict."""
         F = len(self.robot.tips)
-        kinds = np.zeros(F, dtype=np.int64)  # POSE
         array = type(targets) is np.ndarray and targets.shape == (F, 4, 4) and targets.dtype == np.float64
         if array and targets.flags.carray and not strict:
-            return targets, kinds, ""
+            return targets, (POSE,) * F, ""
         checked, notice = self.robot.check_targets(targets)
+        kinds = tuple(POSITION if target.ndim == 1 else POSE for target in checked)
         T = np.tile(np.eye(4), (F, 1, 1))
-        for f, target in enumerate(checked):
+        for pose, target in zip(T, checked, strict=True):
             if target.ndim == 1:
-                kinds[f] = POSITION
-                T[f, :3, 3] = target
+                pose[:3, 3] = target
             else:
-                T[f] = target
+                pose[:] = target
         return T, kinds, notice
-
-    def _descend(
-        self, T: np.ndarray, kinds: np.ndarray, start: np.ndarray, given: bool, history: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Run the kernel; returns its row (OUT_HEAD + n,) and the errors and excess (F, 3) by tip."""
-        row, tips = np.empty(self._width), np.empty((len(kinds), 3))
-        self._kernel(*self.arrays_for(POSE, start), kinds, T, start[0], row, tips, self.pack(POSE, given), history)
-        return row, tips
 
     def _confirm(self, result: TreeResult, targets: Any) -> None:
         """Compute the errors of every tip again with Pinocchio; a success it does not confirm is no success."""
         o = self.options
-        result._each = self.robot.errors(result.q, targets)
+        if o.mask is None:
+            result._each = self.robot.errors(result.q, targets)
+        else:
+            pairs = zip(self.robot.fk(result.q).values(), targets, strict=True)
+            result._each = [masked_errors(pose.homogeneous, T, o.mask, o.mask_frame) for pose, T in pairs]
         angles = [angle for _, angle in result._each if angle is not None]
         worst = (max(position for position, _ in result._each), max(angles, default=None))
         result._checked = worst

@@ -184,7 +184,7 @@ def _split(robot: Robot, maps: int, initial: StateSpace) -> Space:
 def _pid(robot: Robot, position_only: bool, initial: PID | None) -> Space:
     """Gains on log scales, and one start."""
     initial = initial or PID()
-    packed = initial.pack(robot) / robot.chain.scale
+    packed = np.array(initial.pack(robot)) / robot.chain.scale
     kp, ki, kd = (float(x) for x in packed[:3])
     start = robot.home[None] if initial.starts is None else np.atleast_2d(np.asarray(initial.starts, dtype=float))[:1]
     parameters = [
@@ -194,6 +194,6 @@ def _pid(robot: Robot, position_only: bool, initial: PID | None) -> Space:
         _start(robot, start),
     ]
     if not position_only:
-        scale = float(initial.pack(robot)[3] * robot.chain.scale)
+        scale = float(initial.pack(robot).orientation * robot.chain.scale)
         parameters.append(Parameter("orientation_scale", scale / 10, scale * 10, scale, "m/rad", True))
     return Space(tuple(parameters), initial, lambda values: PID(**values))

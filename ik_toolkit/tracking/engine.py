@@ -42,7 +42,7 @@ class Published:
         """Take len(T) - 1 steps; see kernel/follow.py."""
         if self._key != (h, runaway):
             self._p, self._key = self.method.pack(h, runaway), (h, runaway)
-        self._p[motion.P_BRAKE] = brake
+        self._p[motion.PLACE.brake] = brake
         rows, ends = self.chain.rows, self.chain.ends
         return tracker()(rows, ends, T, V, A, h, m, self._p, limits, q, rate, self.previous, state, Q, R, E, C, D)
 
@@ -64,7 +64,7 @@ class RuleSteps:
         self.solver = Solver(robot, rule, **{"tolerance": 1e-9, "limits": limits, **options})
         self.name = self.solver.name
         self.previous = np.zeros(4 * robot.n + 8)
-        self._p = np.zeros(motion.P_SIZE)
+        self._p = np.zeros(len(motion.Law._fields))
 
     def settings(self, h: float) -> dict[str, float]:
         """Parameters of the rule that are plain numbers."""
@@ -78,7 +78,7 @@ class RuleSteps:
         """Take len(T) - 1 steps; V and A are not used."""
         from ..kernel.task import POSE, POSITION
 
-        self._p[motion.P_RUNAWAY], self._p[motion.P_BRAKE] = runaway, brake
+        self._p[motion.PLACE.runaway], self._p[motion.PLACE.brake] = runaway, brake
         opt = self.solver.pack(POSITION if m == 3 else POSE, True)
         follow = rule_tracker(type(self.solver.rule))
         rows, ends = self.chain.rows, self.chain.ends

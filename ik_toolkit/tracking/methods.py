@@ -92,16 +92,19 @@ class Method:
     def pack(self, h: float, runaway: float) -> np.ndarray:
         """Parameters as the kernel reads them; runaway: mean joint move in one step that ends a run."""
         gains = self.gains(h)
-        p = np.zeros(motion.P_SIZE)
-        p[motion.P_CODE] = METHODS[self.name][0]
-        p[motion.P_KAPPA] = gains.get("kappa", 0.0)
-        p[motion.P_KP], p[motion.P_KD] = gains.get("kp", 0.0), gains.get("kd", 0.0)
-        p[motion.P_GAMMA] = self.rate_weight
-        p[motion.P_NULL] = min(self.null_damping, 1.0 / h)
-        p[motion.P_DAMPING] = self.damping
-        p[motion.P_READING] = motion.AT_STEP if self.name == "aad" else self.reading - 1
-        p[motion.P_RUNAWAY] = runaway
-        return p
+        law = motion.Law(
+            code=METHODS[self.name][0],
+            kappa=gains.get("kappa", 0.0),
+            kp=gains.get("kp", 0.0),
+            kd=gains.get("kd", 0.0),
+            gamma=self.rate_weight,
+            null=min(self.null_damping, 1.0 / h),
+            damping=self.damping,
+            reading=motion.AT_STEP if self.name == "aad" else self.reading - 1,
+            runaway=runaway,
+            brake=0.0,
+        )
+        return np.array(law, dtype=float)
 
 
 def make_method(method: str | Method, **options: Any) -> Method:
@@ -176,7 +179,7 @@ def simulate(
     the exact inverse.
     """
     made = make_method(method, **{"damping": 0.0, **options})
-    p = made.pack(h, runaway)
+    p = motion.Law._make(made.pack(h, runaway).tolist())
     q = np.array(q0, dtype=float)
     n, m = len(q), len(system.position(q))
     k = max(n, m)
@@ -197,14 +200,14 @@ def simulate(
         ahead = following[0] - system.position(q)
         motion.factor(J, m, made.damping, G, y)
         motion.prepare(p, J, m, ahead, rate, h, G, y, t_, move, null, x1, x2)
-        if p[motion.P_CODE] >= motion.CA:
+        if p.code >= motion.CA:
             bias = system.rate(q, x1, x2)
         ratio = 0.0 if i == 0 and command0 is None else 1.0
         motion.command(p, J, m, E[-1], v, a, bias, rate, prev, h, ratio, G, y, t_, move, null, x)
         if not (np.isfinite(x).all() and np.abs(x).max() * h <= runaway):
             stopped = f"the step at t = {i * h:.6g} s is not finite or moves a joint by more than {runaway:g}"
             break
-        motion.advance(q, rate, x, p[motion.P_GAMMA], h, limits, code)
+        motion.advance(q, rate, x, p.gamma, h, limits, code)
         target, v, a = following
         error = target - system.position(q)
         if not np.isfinite(error).all():
@@ -213,4 +216,4 @@ def simulate(
         Q.append(q.copy())
         R.append(rate.copy())
         E.append(error)
-    return Run(np.arange(len(Q)) * h, np.array(Q), np.array(R), np.array(E), prev, float(p[motion.P_GAMMA]), stopped)
+    return Run(np.arange(len(Q)) * h, np.array(Q), np.array(R), np.array(E), prev, float(p.gamma), stopped)

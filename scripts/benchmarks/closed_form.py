@@ -12,7 +12,7 @@ from time import perf_counter
 import numpy as np
 
 import ik_toolkit as ik
-from ik_toolkit.kernel.slots import OUT_HEAD
+from ik_toolkit.kernel.records import ANSWER
 from ik_toolkit.kernel.task import POSE
 from ik_toolkit.solvers.closed_form import inspection, reach
 
@@ -41,7 +41,7 @@ def kernel_works(arm: ik.Robot, Q: np.ndarray, T: np.ndarray) -> dict[str, tuple
         inspection.wrist_pose(p, pose, row)
     a4, a6 = p[inspection.A4], p[inspection.A6]
     lifts, near, sols = Q[:, 1].copy(), np.zeros(6), np.empty((8, 6))
-    out = np.empty((len(T), OUT_HEAD + arm.n))
+    out = np.empty((len(T), ANSWER + arm.n))
     home = arm.home[None].copy()
 
     def solve(rule: ik.Inspection, start: np.ndarray) -> Callable[[], object]:

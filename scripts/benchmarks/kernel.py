@@ -1,6 +1,6 @@
 """Cost of the building blocks: forward kinematics, Jacobian, one iteration; the compiled kernel beside Pinocchio.
 
-python scripts/benchmarks/kernel.py
+python scripts/benchmarks/kernel.py              (two versions against each other: against.py)
 """
 
 import common
@@ -16,7 +16,7 @@ import pinocchio as pin  # noqa: E402
 import ik_toolkit as ik  # noqa: E402
 from ik_toolkit.kernel.chain import forward  # noqa: E402
 from ik_toolkit.kernel.lanes import lanes  # noqa: E402
-from ik_toolkit.kernel.slots import OUT_HEAD  # noqa: E402
+from ik_toolkit.kernel.records import ANSWER  # noqa: E402
 from ik_toolkit.kernel.task import POSE  # noqa: E402
 
 UNREACHABLE = "`ik.solve` from Python: a target proven out of reach"
@@ -31,7 +31,7 @@ def works(name: str, count: int, rng: np.random.Generator) -> dict[str, tuple[Ca
     poses, J, none = np.empty((count, 4, 4)), np.empty((count, 6, robot.n)), np.empty((0, 6, robot.n))
     frame = model.getFrameId(robot.tip, pin.FrameType.BODY)
     solver = ik.Solver(robot)
-    out = np.empty((count, OUT_HEAD + robot.n))
+    out = np.empty((count, ANSWER + robot.n))
     options = solver.pack(POSE, False)
     targets = list(T)
 

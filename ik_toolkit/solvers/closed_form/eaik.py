@@ -6,11 +6,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ...errors import MissingExtra, UnknownSolver
-from ...kernel import slots
 from ...kernel.chain import Chain
 from ...kernel.checks import BAD_START, BAD_TARGET, rigid
 from ...kernel.jit import cached, jit
-from ...kernel.loop import ENTRIES
+from ...kernel.kinematics import room
+from ...kernel.records import ORDER, WEIGHTS
+from ...kernel.search import ENTRIES
 from .finish import polish
 from .geometry import Branches, Fit, copy_limits, legal_start, legal_turn, measure_tip, no_fit, read_screws
 
@@ -101,7 +102,7 @@ def choose(rows, ends, T, Q, q0, opt, hist, out):
     if not rigid(T):
         out[0] = BAD_TARGET
         return
-    if opt[slots.O_GIVEN] > 0.0 and not legal_start(ends, opt, q0):
+    if not legal_start(ends, opt, q0):
         out[0] = BAD_START
         return
     box = np.empty((4, N))
@@ -113,16 +114,16 @@ def choose(rows, ends, T, Q, q0, opt, hist, out):
         for i in range(N):
             q[i] = min(max(q[i], box[0, i]), box[1, i])
         position, rotation, _ = polish(rows, ends, opt, T, q, -1, STEPS)
-        error = max(position / opt[slots.O_TOL_P], rotation / opt[slots.O_TOL_R])
-        error = 0.0 if position < opt[slots.O_TOL_P] and rotation < opt[slots.O_TOL_R] else error
+        error = max(position / opt[ORDER.tol_p], rotation / opt[ORDER.tol_r])
+        error = 0.0 if position < opt[ORDER.tol_p] and rotation < opt[ORDER.tol_r] else error
         distance = 0.0
         for i in range(N):
             distance += box[3, i] * (q[i] - box[2, i]) ** 2
         if error < least or (error == least and distance < near):
             least, near = error, distance
             best[:] = q
-    goal, Z, trig = np.empty(12), np.empty((N, 6)), np.zeros((3, 8))
-    measure_tip(rows, ends, opt, T, best, box, 0.0, 0.0, 0.0, goal, Z, trig, hist, out)
+    goal, joints, trig = np.empty(12), np.empty(room(N)[0]), np.zeros(room(N)[1])
+    measure_tip(rows, ends, opt, T, best, box, 0.0, 0.0, 0.0, goal, joints, trig, hist, out)
 
 
 @cached
@@ -133,8 +134,8 @@ def every_branch(Q, box, out, broken):
 
 
 def _solve(rows, ends, seeds, feat, T, Q0, out, opt, hist) -> None:
-    """Loop of the kernel's signature (see kernel.loop.entry), around a package that is called from Python."""
-    p = opt[slots.OPT_HEAD + N :]
+    """Loop of the kernel's signature (see kernel.search.entry), around a package that is called from Python."""
+    p = opt[WEIGHTS + N :]
     for t in range(len(T)):
         q0 = Q0[t if len(Q0) > 1 else 0]
         choose(rows, ends, T[t], branches(p, T[t]), q0, opt, hist, out[t])

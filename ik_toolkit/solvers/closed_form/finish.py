@@ -4,13 +4,13 @@ import math
 
 import numpy as np
 
-from ...kernel import slots
 from ...kernel.jit import cached, jit
-from ...kernel.kinematics import aim, columns, rotation_angle
+from ...kernel.kinematics import aim, rotation_angle
 from ...kernel.limits import hold
 from ...kernel.linalg import damped
-from ...kernel.loop import Err, measure
-from ...kernel.task import POSE, POSITION, shape_columns
+from ...kernel.records import HEAD, ORDER, Ends, Orders, copy, read
+from ...kernel.serial import make_serial
+from ...kernel.task import POSE, POSITION
 
 DAMPING = 1e-9  # of the first step: next to nothing, so that it is Newton's
 SOFTEST, STIFFEST = 1e-12, 1e3  # the damping stays between
@@ -24,63 +24,58 @@ def polish(rows, ends, opt, T, q, fixed, steps):
     fixed: place of a joint that is not moved, or -1. Stops when both errors are a thousandth of their tolerances. Returns both
     errors of q [m], [rad] and the number of evaluations.
     """
-    n, links = q.shape[0], rows.shape[0]
-    tip = ends[12:24]
-    lower, upper, turns, unit, low, span, home, tail = slots.vectors(ends, n)
-    scale = tail[0]
-    limited = opt[slots.O_LIMITS] > 0.0
-    kind = int(opt[slots.O_KIND])
-    wide = (links + 3) // 4 * 4
-    Z, ang, sn, cs = np.empty((links, 6)), np.zeros(wide), np.empty(wide), np.empty(wide)
-    J, V, y, goal = np.empty((n, 6)), np.empty((6, 6)), np.empty(6), np.empty(12)
-    x, old, dq, w = np.empty(n), np.empty(n), np.empty(n), np.empty(n)
-    mask = opt[slots.O_W : slots.O_W + 6]
-    aim(ends, tip, scale, T, goal)
-    tp, tr = opt[slots.O_TOL_P] / scale, opt[slots.O_TOL_R]
+    n = q.shape[0]
+    o = read(Orders, opt)
+    p = make_serial(rows, ends, opt[HEAD:], n, o)
+    s, box = p.desk, p.ends
+    limited = o.limits > 0.0
+    kind = int(opt[HEAD])
+    x, old = s.q, np.empty(n)
+    aim(box, T, p.goal)
+    tp, tr = o.tol_p / box.scale(), o.tol_r
     least = min(tp, tr) if kind == POSE else tp
     wp, wr = (least / tp, least / tr) if kind == POSE and least > 0.0 else (1.0, 1.0)
     for i in range(n):
-        x[i] = q[i] / unit[i]
+        x[i] = q[i] / box.unit(i)
         old[i] = x[i]
     best, position, rotation, damping, count = np.inf, np.inf, np.inf, DAMPING, 0
     for k in range(steps + 1):
-        px, py, pz, e = measure(rows, ends, tip, goal, mask, kind, x, Z, ang, sn, cs, V, y)
+        e = p.evaluate(x)
         count += 1
-        size = wp * wp * e.pp + wr * wr * e.rr
+        size = wp * wp * e.linear.square() + wr * wr * e.angular.square()
         if size < best:
-            best, position, rotation = size, math.sqrt(e.pp) * scale, rotation_angle(e.rr)
+            best, position, rotation = (
+                size,
+                math.sqrt(e.linear.square()) * box.scale(),
+                rotation_angle(e.angular.square()),
+            )
             if kind == POSITION:
                 rotation = 0.0
-            for i in range(n):
-                old[i] = x[i]
+            copy(x, old)
             damping = max(0.1 * damping, SOFTEST)
-            if position <= 1e-3 * opt[slots.O_TOL_P] and rotation <= 1e-3 * opt[slots.O_TOL_R]:
+            if position <= 1e-3 * o.tol_p and rotation <= 1e-3 * o.tol_r:
                 break
         else:
-            for i in range(n):
-                x[i] = old[i]
+            copy(old, x)
             damping = max(100.0 * damping, DAMPING)
-            px, py, pz, e = measure(rows, ends, tip, goal, mask, kind, x, Z, ang, sn, cs, V, y)
+            e = p.evaluate(x)
         if k == steps or damping > STIFFEST:
             break
-        columns(rows, Z, J, px, py, pz)
-        if kind != POSE:
-            shape_columns(kind, mask, V, y, J)
+        p.jacobian(e)
         for i in range(n):
-            w[i] = 0.0 if i == fixed else 1.0
+            s.w[i] = 0.0 if i == fixed else 1.0
             for r in range(3):
-                J[i, r] *= wp
-                J[i, 3 + r] *= wr
-        weighed = Err(wp * e.e0, wp * e.e1, wp * e.e2, wr * e.e3, wr * e.e4, wr * e.e5, 0.0, 0.0, 0.0)
+                s.J[i, r] *= wp
+                s.J[i, 3 + r] *= wr
         for _ in range(n):
-            damped(J, w, dq, weighed, damping * max(wp, wr) ** 2)
-            if not (limited and hold(x, dq, w, lower, upper)):
+            damped(s.J, s.w, s.dq, e.linear * wp, e.angular * wr, damping * max(wp, wr) ** 2)
+            if not (limited and hold(x, s.dq, s.w, box)):
                 break
         for i in range(n):
-            a = x[i] + dq[i]
-            x[i] = min(max(a, lower[i]), upper[i]) if limited else a
+            a = x[i] + s.dq[i]
+            x[i] = min(max(a, box.lower(i)), box.upper(i)) if limited else a
     for i in range(n):
-        q[i] = old[i] * unit[i]
+        q[i] = old[i] * box.unit(i)
     return position, rotation, count
 
 
@@ -93,7 +88,8 @@ def listed(rows, ends, opt, T, start, fixed, steps, Q, broken, marks, table, sig
     are the labels of the branches. Returns how many count and how many are inside the limits.
     """
     n = Q.shape[1]
-    lower, upper, turns, unit, low, span, home, tail = slots.vectors(ends, n)
+    box = Ends(ends, n)
+    o = read(Orders, opt)
     kept = legal = 0
     q = np.empty(n)
     for k in range(Q.shape[0]):
@@ -102,11 +98,11 @@ def listed(rows, ends, opt, T, start, fixed, steps, Q, broken, marks, table, sig
         legal += 1
         q[:] = Q[k]
         position, rotation, _ = polish(rows, ends, opt, T, q, fixed, steps)
-        if not (position < opt[slots.O_TOL_P] and rotation < opt[slots.O_TOL_R]):
+        if not (position < o.tol_p and rotation < o.tol_r):
             continue
         distance = 0.0
         for i in range(n):
-            distance += ((q[i] - start[i]) / unit[i]) ** 2
+            distance += ((q[i] - start[i]) / box.unit(i)) ** 2
         distance = math.sqrt(distance)
         place = kept
         while place > 0 and table[place - 1, 2] > distance:
@@ -128,7 +124,7 @@ def first_good(rows, ends, opt, T, starts, fixed, steps, q):
         q[:] = starts[k]
         position, rotation, count = polish(rows, ends, opt, T, q, fixed, steps)
         evaluations += count
-        if position < opt[slots.O_TOL_P] and rotation < opt[slots.O_TOL_R]:
+        if position < opt[ORDER.tol_p] and rotation < opt[ORDER.tol_r]:
             return position, rotation, evaluations
     return np.inf, np.inf, evaluations
 

@@ -9,12 +9,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...kernel import slots
+from ...kernel.algebra import at3
 from ...kernel.chain import Chain
 from ...kernel.checks import CONVERGED, LIMIT_BLOCKED, STALLED, UNREACHABLE
 from ...kernel.jit import inline, jit
-from ...kernel.kinematics import TAU, aim, error, fk, rotation_angle
-from ...kernel.limits import legal
+from ...kernel.kinematics import TAU, aim, fk, pose_error, rotation_angle
+from ...kernel.limits import LIGHTEST, legal
+from ...kernel.records import ANSWER, HEAD, WEIGHTS, Answer, Ends, Orders, read, write
 from ...kernel.task import POSITION
 
 FIT = 1e-9  # how far [rad, or of the reach] axes may be off a structure that is taken as exact
@@ -117,65 +118,58 @@ def clamp(x, low, high):
 
 @jit
 def legal_start(ends, opt, q0):
-    """Whether a start (n,) [rad or m] is finite and, when limits count, inside them."""
-    n = q0.shape[0]
-    v = slots.E_VECTORS
-    unit, turns = ends[v + 3 * n : v + 4 * n], ends[v + 2 * n : v + 3 * n]
-    return legal(q0, unit, ends[v : v + n], ends[v + n : v + 2 * n], turns, opt[slots.O_LIMITS] > 0.0)
+    """Whether a start (n,), if there is one, is finite and, when limits count, inside them [rad or m]."""
+    o = read(Orders, opt)
+    return o.given == 0.0 or legal(q0, Ends(ends, q0.shape[0]), o.limits > 0.0)
 
 
 @jit
 def copy_limits(ends, opt, q0, box):
     """Fill box (4, n) with lower and upper limits, reference configuration [rad or m] and distance weights."""
     n = box.shape[1]
-    v = slots.E_VECTORS
+    o, chain = read(Orders, opt), Ends(ends, n)
     for i in range(n):
-        unit = ends[v + 3 * n + i]
-        limited = opt[slots.O_LIMITS] > 0.0
-        box[0, i] = ends[v + i] * unit if limited else -np.inf
-        box[1, i] = ends[v + n + i] * unit if limited else np.inf
-        box[2, i] = q0[i] if opt[slots.O_GIVEN] > 0.0 else ends[v + 6 * n + i] * unit
-        box[3, i] = 1.0 / (max(opt[slots.OPT_HEAD + i], 1e-12) * unit * unit)
+        unit = chain.unit(i)
+        limited = o.limits > 0.0
+        box[0, i] = chain.lower(i) * unit if limited else -np.inf
+        box[1, i] = chain.upper(i) * unit if limited else np.inf
+        box[2, i] = q0[i] if o.given > 0.0 else chain.home(i) * unit
+        box[3, i] = 1.0 / (max(opt[WEIGHTS + i], LIGHTEST) * unit * unit)
 
 
 @inline
-def measure_tip(rows, ends, opt, T, q, box, broken, gap, slack, goal, Z, trig, hist, out):
+def measure_tip(rows, ends, opt, T, q, box, broken, gap, slack, goal, joints, trig, hist, out):
     """Evaluate q with the kernel's forward kinematics and write the result row: errors and status are of that evaluation.
 
     broken: by how much the best branch breaks a limit; gap: how far [m] the target is out of reach with its orientation
-    kept; slack: how much of that [m] the orientation's tolerance may make up for.
+    kept; slack: how much of that [m] the orientation's tolerance may make up for. goal (12,), joints, trig: scratch, see
+    `kinematics.room`.
     """
     n = box.shape[1]
-    scale = ends[slots.E_VECTORS + 7 * n]
-    tip = ends[12:24]
+    o, chain = read(Orders, opt), Ends(ends, n)
     for i in range(n):
         q[i] = min(max(q[i], box[0, i]), box[1, i])
-        out[slots.OUT_HEAD + i] = q[i]
-        q[i] /= ends[slots.E_VECTORS + 3 * n + i]
-    aim(ends, tip, scale, T, goal)
-    x0, x1, x2, y0, y1, y2, z0, z1, z2, px, py, pz = fk(rows, q, Z, trig[0], trig[1], trig[2])
-    px, py, pz, e0, e1, e2, e3, e4, e5 = error(goal, tip, x0, x1, x2, y0, y1, y2, z0, z1, z2, px, py, pz)
-    position = math.sqrt(e0 * e0 + e1 * e1 + e2 * e2) * scale
-    rotation = 0.0 if opt[slots.O_KIND] == POSITION else rotation_angle(e3 * e3 + e4 * e4 + e5 * e5)
-    if position < opt[slots.O_TOL_P] and rotation < opt[slots.O_TOL_R]:
-        out[slots.R_STATUS] = CONVERGED
-    elif gap >= opt[slots.O_TOL_P] + slack:
-        out[slots.R_STATUS] = UNREACHABLE
-    elif broken > 0.0 and gap < opt[slots.O_TOL_P]:
-        out[slots.R_STATUS] = LIMIT_BLOCKED
+        out[ANSWER + i] = q[i]
+        q[i] /= chain.unit(i)
+    aim(chain, T, goal)
+    now = fk(rows, q, joints, trig)
+    linear, angular = pose_error(goal, now, now.point + now.axes.times(at3(ends, 21)))
+    position = math.sqrt(linear.square()) * chain.scale()
+    rotation = 0.0 if int(opt[HEAD]) == POSITION else rotation_angle(angular.square())
+    if position < o.tol_p and rotation < o.tol_r:
+        status = CONVERGED
+    elif gap >= o.tol_p + slack:
+        status = UNREACHABLE
+    elif broken > 0.0 and gap < o.tol_p:
+        status = LIMIT_BLOCKED
     else:
-        out[slots.R_STATUS] = STALLED  # proves nothing
-    out[slots.R_ITERATIONS] = 0
-    out[slots.R_RESTARTS] = 0
-    out[slots.R_ATTEMPT] = 0
-    out[slots.R_POSITION] = position
-    out[slots.R_ROTATION] = rotation
-    out[slots.R_EVALUATIONS] = 1
-    out[slots.R_EXCESS] = gap if out[slots.R_STATUS] == UNREACHABLE else 0.0
-    out[slots.R_HISTORY] = 0
+        status = STALLED  # proves nothing
+    noted = 0.0
     if hist.shape[0] > 0:
-        out[slots.R_HISTORY] = 1
+        noted = 1.0
         hist[0, 0] = position
         hist[0, 1] = rotation
         for i in range(n):
-            hist[0, 2 + i] = out[slots.OUT_HEAD + i]
+            hist[0, 2 + i] = out[ANSWER + i]
+    excess = gap if status == UNREACHABLE else 0.0
+    write(out, 0, Answer(float(status), 0.0, 0.0, position, rotation, 1.0, noted, excess, 0.0, -1.0))

@@ -11,11 +11,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ...errors import InvalidOption, UnknownSolver
-from ...kernel import slots
 from ...kernel.chain import Chain
 from ...kernel.checks import BAD_START, BAD_TARGET, LIMIT_BLOCKED, rigid
 from ...kernel.jit import cached
-from ...kernel.loop import ENTRIES
+from ...kernel.kinematics import room
+from ...kernel.records import AT, ORDER, WEIGHTS
+from ...kernel.search import ENTRIES
 from .finish import polish
 from .geometry import (
     FIT,
@@ -165,18 +166,18 @@ def _compile_solve():
     @cached
     def solve(rows, ends, seeds, feat, T, Q0, out, opt, hist):
         n = seeds.shape[1]
-        p = opt[slots.OPT_HEAD + n :]
+        p = opt[WEIGHTS + n :]
         box, near, spans = np.empty((4, n)), np.empty(6), np.empty((2, 2))
         P, moved, sols = np.empty(12), np.empty(12), np.empty((8, 6))
         q, trial, best = np.empty(n), np.empty(n), np.empty(n)
         row, limits = np.empty(6), np.empty(WINDOWS)
-        goal, Z, trig = np.empty(12), np.empty((n, 6)), np.zeros((3, 8))
+        goal, joints, trig = np.empty(12), np.empty(room(n)[0]), np.zeros(room(n)[1])
         for t in range(T.shape[0]):
             if not rigid(T[t]):
                 out[t, 0] = BAD_TARGET
                 continue
             q0 = Q0[t if Q0.shape[0] > 1 else 0]
-            if opt[slots.O_GIVEN] > 0.0 and not legal_start(ends, opt, q0):
+            if not legal_start(ends, opt, q0):
                 out[t, 0] = BAD_START
                 continue
             copy_limits(ends, opt, q0, box)
@@ -205,9 +206,9 @@ def _compile_solve():
                     if stroke > 0.0:  # in reach with more stroke: it is the lift's limit that stops it
                         broken = max(pick(p, P, d, box, near, moved, sols, q, best)[0], SNAP)
             lever = p[A4] + p[A6] + math.sqrt(p[21] * p[21] + p[22] * p[22] + p[23] * p[23])
-            slack = opt[slots.O_TOL_R] * lever  # a pose turned by the tolerance moves the wrist no further than this
+            slack = opt[ORDER.tol_r] * lever  # a pose turned by the tolerance moves the wrist no further than this
             nearly = p[NEARLY] > 0.0
-            if nearly or (broken > 0.0 and stroke == 0.0 and gap < opt[slots.O_TOL_P] + slack):
+            if nearly or (broken > 0.0 and stroke == 0.0 and gap < opt[ORDER.tol_p] + slack):
                 i = int(p[LIFT])
                 at = p[LIFT + 1] * best[i] if i >= 0 else 0.0
                 moved[:] = P
@@ -228,16 +229,16 @@ def _compile_solve():
                     distance = 0.0
                     for j in range(n):
                         distance += box[3, j] * (trial[j] - box[2, j]) ** 2
-                    if position < opt[slots.O_TOL_P] and rotation < opt[slots.O_TOL_R] and distance < nearest:
+                    if position < opt[ORDER.tol_p] and rotation < opt[ORDER.tol_r] and distance < nearest:
                         nearest = distance
                         q[:] = trial
                 if nearest < np.inf:
                     best[:] = q
                 if nearly:  # proves nothing
                     broken, gap = 0.0, 0.0
-            measure_tip(rows, ends, opt, T[t], best, box, broken, gap, slack, goal, Z, trig, hist, out[t])
-            if out[t, slots.R_STATUS] == LIMIT_BLOCKED:
-                out[t, slots.R_EXCESS] = stroke
+            measure_tip(rows, ends, opt, T[t], best, box, broken, gap, slack, goal, joints, trig, hist, out[t])
+            if out[t, AT.status] == LIMIT_BLOCKED:
+                out[t, AT.excess] = stroke
 
     return solve
 

@@ -6,11 +6,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ...errors import UnknownSolver
-from ...kernel import slots
 from ...kernel.chain import Chain
 from ...kernel.checks import BAD_START, BAD_TARGET, rigid
 from ...kernel.jit import cached, jit
-from ...kernel.loop import ENTRIES
+from ...kernel.kinematics import room
+from ...kernel.records import ORDER, WEIGHTS
+from ...kernel.search import ENTRIES
 from .finish import polish
 from .geometry import (
     FIT,
@@ -161,18 +162,18 @@ def _compile_solve():
     @cached
     def solve(rows, ends, seeds, feat, T, Q0, out, opt, hist):
         n = 2
-        p = opt[slots.OPT_HEAD + n :]
+        p = opt[WEIGHTS + n :]
         box = np.empty((4, n))
         near = p[ANGLES + 1]
         sols = np.empty((2, 2))
         q, best = np.empty(n), np.empty(n)
-        goal, Z, trig = np.empty(12), np.empty((2, 6)), np.zeros((3, 4))
+        goal, joints, trig = np.empty(12), np.empty(room(2)[0]), np.zeros(room(2)[1])
         for t in range(T.shape[0]):
             if not rigid(T[t]):
                 out[t, 0] = BAD_TARGET
                 continue
             q0 = Q0[t if Q0.shape[0] > 1 else 0]
-            if opt[slots.O_GIVEN] > 0.0 and not legal_start(ends, opt, q0):
+            if not legal_start(ends, opt, q0):
                 out[t, 0] = BAD_START
                 continue
             copy_limits(ends, opt, q0, box)
@@ -195,11 +196,11 @@ def _compile_solve():
                         q[i] = min(max(q[i], box[0, i]), box[1, i])
                     position, _, _ = polish(rows, ends, opt, T[t], q, -1, STEPS)
                     distance = box[3, 0] * (q[0] - box[2, 0]) ** 2 + box[3, 1] * (q[1] - box[2, 1]) ** 2
-                    if position < opt[slots.O_TOL_P] and distance < nearest:
+                    if position < opt[ORDER.tol_p] and distance < nearest:
                         nearest = distance
                         best[:] = q
                 least, gap = 0.0, 0.0
-            measure_tip(rows, ends, opt, T[t], best, box, least, gap, 0.0, goal, Z, trig, hist, out[t])
+            measure_tip(rows, ends, opt, T[t], best, box, least, gap, 0.0, goal, joints, trig, hist, out[t])
 
     return solve
 

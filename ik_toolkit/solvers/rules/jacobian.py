@@ -1,26 +1,18 @@
 """Rules that use the Jacobian: pseudo-inverse, transpose, damped least squares, Newton-Raphson, Levenberg-Marquardt.
 
-Each class is a rule: its fields are its parameters. `pack(robot)` turns them into the numbers its compiled step reads.
+Each class is a rule: its fields are its parameters. `pack(robot)` turns them into the record whose compiled `step` reads them.
 """
 
 from typing import Any, NamedTuple
 
-import numpy as np
+from ...kernel.jit import compiled
+from ...kernel.linalg import lu_solve
+from ...kernel.search import SINGULAR_STEP
 
-from ...kernel.jit import inline
-from ...kernel.kinematics import angle_ratio
-from ...kernel.linalg import damped, lu_solve, pseudo_inverse_step
-from ...kernel.loop import SINGULAR_STEP, rule
-
-
-@inline
-def rotation_vector(e, y):
-    """Write the six errors to y (6,), the rotation part as a rotation vector."""
-    ratio = angle_ratio(e.rr)
-    y[0], y[1], y[2] = e.e0, e.e1, e.e2
-    y[3], y[4], y[5] = ratio * e.e3, ratio * e.e4, ratio * e.e5
+FLOOR = 1e-12  # damping that is always there: at the target of a planar arm JJ' has no inverse
 
 
+@compiled
 class LM(NamedTuple):
     """Levenberg-Marquardt: dq = J'(J J' + damping |e|^2 I)^-1 e; joints pushed past a limit are held and the step redone.
 
@@ -32,18 +24,16 @@ class LM(NamedTuple):
     hold = True
     wrap = True
 
-    def pack(self, robot: Any) -> np.ndarray:
+    def pack(self, robot: Any) -> "LM":
         """Parameters of the compiled step."""
-        return np.array([self.damping])
+        return self
+
+    def step(self, p, e):
+        p.damped(e, self.damping * e.ee + FLOOR)
+        return 0
 
 
-@rule(LM)
-def _lm(cls, p, s, e):
-    damping = p[0]
-    damped(s.J, s.w, s.dq, e, damping * e.ee + 1e-12)
-    return 0
-
-
+@compiled
 class DLS(NamedTuple):
     """Damped least squares: dq = J'(J J' + damping^2 I)^-1 e, constant damping; joints pushed past a limit are held.
 
@@ -55,18 +45,16 @@ class DLS(NamedTuple):
     damping: float = 0.03
     hold: bool = True
 
-    def pack(self, robot: Any) -> np.ndarray:
+    def pack(self, robot: Any) -> "DLS":
         """Parameters of the compiled step."""
-        return np.array([self.damping])
+        return self
+
+    def step(self, p, e):
+        p.damped(e, self.damping * self.damping + FLOOR)
+        return 0
 
 
-@rule(DLS)
-def _dls(cls, p, s, e):
-    damping = p[0]
-    damped(s.J, s.w, s.dq, e, damping * damping + 1e-12)
-    return 0
-
-
+@compiled
 class Pinv(NamedTuple):
     """Pseudo-inverse: dq = gain pinv(J) e by singular values; those below rcond times the largest count as zero.
 
@@ -77,25 +65,23 @@ class Pinv(NamedTuple):
     gain: float = 1.0
     rcond: float = 1e-8
 
-    def pack(self, robot: Any) -> np.ndarray:
+    def pack(self, robot: Any) -> "Pinv":
         """Parameters of the compiled step."""
-        return np.array([self.gain, self.rcond])
+        return self
+
+    def step(self, p, e):
+        s = p.desk
+        for i in range(s.q.shape[0]):
+            if not s.w[i] > 0.0:
+                for k in range(s.J.shape[1]):
+                    s.J[i, k] = 0.0
+        p.pseudo(e, self.rcond)
+        for i in range(s.dq.shape[0]):
+            s.dq[i] *= self.gain
+        return 0
 
 
-@rule(Pinv)
-def _pinv(cls, p, s, e):
-    gain, rcond = p[0], p[1]
-    rotation_vector(e, s.y)
-    for i in range(s.q.shape[0]):
-        if not s.w[i] > 0.0:
-            for k in range(6):
-                s.J[i, k] = 0.0
-    pseudo_inverse_step(s.J, s.y, rcond, s.V, s.dq)
-    for i in range(s.dq.shape[0]):
-        s.dq[i] *= gain
-    return 0
-
-
+@compiled
 class Transpose(NamedTuple):
     """Jacobian transpose: dq = gain alpha J'e with alpha = <e, JJ'e> / <JJ'e, JJ'e>, the exact step along J'e.
 
@@ -104,33 +90,31 @@ class Transpose(NamedTuple):
 
     gain: float = 1.0
 
-    def pack(self, robot: Any) -> np.ndarray:
+    def pack(self, robot: Any) -> "Transpose":
         """Parameters of the compiled step."""
-        return np.array([self.gain])
+        return self
 
-
-@rule(Transpose)
-def _transpose(cls, p, s, e):
-    gain = p[0]
-    rotation_vector(e, s.y)
-    n = s.dq.shape[0]
-    top = 0.0
-    for i in range(n):
-        g = 0.0
-        for k in range(6):
-            g += s.J[i, k] * s.y[k]
-        s.dq[i] = s.w[i] * g
-        top += s.w[i] * g * g
-    below = 0.0
-    for k in range(6):
-        g = 0.0
+    def step(self, p, e):
+        s = p.desk
+        n, m = s.J.shape
+        p.stack(e)
+        top = 0.0
         for i in range(n):
-            g += s.J[i, k] * s.dq[i]
-        below += g * g
-    alpha = gain * top / below if below > 0.0 else 0.0
-    for i in range(n):
-        s.dq[i] *= alpha
-    return 0
+            g = 0.0
+            for k in range(m):
+                g += s.J[i, k] * s.y[k]
+            s.dq[i] = s.w[i] * g
+            top += s.w[i] * g * g
+        below = 0.0
+        for k in range(m):
+            g = 0.0
+            for i in range(n):
+                g += s.J[i, k] * s.dq[i]
+            below += g * g
+        alpha = self.gain * top / below if below > 0.0 else 0.0
+        for i in range(n):
+            s.dq[i] *= alpha
+        return 0
 
 
 class Newton(NamedTuple):
@@ -138,6 +122,8 @@ class Newton(NamedTuple):
 
     Source: Chinyai, eqs. (6)-(9), planar 2R; the error there is f(q) - x with a minus sign, ours is target - actual.
     """
+
+    one_tip = True
 
     @classmethod
     def check(cls, robot: Any, rows: int) -> str:
@@ -149,29 +135,38 @@ class Newton(NamedTuple):
             )
         return ""
 
-    def pack(self, robot: Any) -> np.ndarray:
-        """No parameters."""
-        return np.zeros(0)
+    def pack(self, robot: Any) -> "Inverse":
+        """Parameters of the compiled step."""
+        return Inverse(1e-12)
 
 
-@rule(Newton)
-def _newton(cls, p, s, e):
-    rotation_vector(e, s.y)
-    n = s.dq.shape[0]
-    m = 0
-    for k in range(6):
-        size = 0.0
-        for i in range(n):
-            size = max(size, abs(s.J[i, k]))
-        if size > 1e-12:
-            if m == n:
-                return SINGULAR_STEP
+@compiled
+class Inverse(NamedTuple):
+    """Newton as it is compiled (numba passes no record without fields)."""
+
+    least: float  # rows of the Jacobian that are nowhere larger do not count
+
+    def step(self, p, e):
+        s = p.desk
+        n = s.dq.shape[0]
+        p.stack(e)
+        m = 0
+        for k in range(s.J.shape[1]):
+            size = 0.0
             for i in range(n):
-                s.V[m, i] = s.J[i, k]
-            s.y[m] = s.y[k]
-            m += 1
-    if m < n or not lu_solve(s.V, s.y, n):
-        return SINGULAR_STEP
-    for i in range(n):
-        s.dq[i] = s.y[i]
-    return 0
+                size = max(size, abs(s.J[i, k]))
+            if size > self.least:
+                if m == n:
+                    return SINGULAR_STEP
+                for i in range(n):
+                    s.A[m, i] = s.J[i, k]
+                s.y[m] = s.y[k]
+                m += 1
+        if m < n or not lu_solve(s.A, s.y, n):
+            return SINGULAR_STEP
+        for i in range(n):
+            s.dq[i] = s.y[i]
+        return 0
+
+
+Newton.COMPILED = Inverse

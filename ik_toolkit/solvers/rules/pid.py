@@ -7,9 +7,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ...errors import InvalidOption
-from ...kernel.kinematics import angle_ratio
-from ...kernel.loop import measure, rule
-from ...kernel.slots import E_VECTORS, O_KIND, O_LIMITS, O_TOL_P, O_TOL_R
+from ...kernel.jit import compiled
+from ...kernel.records import POINTS
+from ...kernel.search import WAITING
 from ..presets import check_starts, load_preset
 
 UNITS = {"si": 1.0, "mm-deg": 1000.0 * math.pi / 180.0}  # rad/m per unit of gain
@@ -53,66 +53,73 @@ class PID(NamedTuple):
         """Starts (M, n) [rad, m] to choose from without q0, or None for home. Raises InvalidOption on a wrong shape."""
         return None if self.starts is None else check_starts("pid", self.starts, robot)
 
-    def pack(self, robot: Any) -> np.ndarray:
+    def pack(self, robot: Any) -> "Gains":
         """Gains in kernel units and the orientation scale."""
         if self.units not in UNITS:
             raise InvalidOption(f"pid: units must be one of {', '.join(UNITS)}, not '{self.units}'")
         n, scale = robot.n, robot.chain.scale
         to_kernel = UNITS[self.units] * scale
         if self.kp is None:
-            ranges = robot.chain.ends[E_VECTORS + 5 * n : E_VECTORS + 6 * n]
+            ranges = np.atleast_2d(robot.chain.ends)[0, POINTS + 5 * n : POINTS + 6 * n]
             kp = 0.25 * min(1.0, float(np.median(ranges)))
             kd = 3.0 * kp if self.kd is None else self.kd * to_kernel
         else:
             kp, kd = self.kp * to_kernel, (self.kd or 0.0) * to_kernel
         orientation = 0.2 if self.orientation_scale is None else self.orientation_scale / scale
-        return np.array([kp, self.ki * to_kernel, kd, orientation])
+        return Gains(kp, self.ki * to_kernel, kd, orientation)
 
 
-@rule(PID, sweep=True)
-def _pid(cls, p, s, e):
-    n = s.q.shape[0]
-    kind = int(s.opt[O_KIND])
-    tol_p = s.opt[O_TOL_P] / s.ends[E_VECTORS + 7 * n]
-    tp, tr = tol_p * tol_p, s.opt[O_TOL_R] * s.opt[O_TOL_R]
-    kp, ki, kd, orientation_scale = p[0], p[1], p[2], p[3]
-    weight = orientation_scale * orientation_scale
-    count = 0
-    for i in range(n):
-        s.x[8 + i] = s.q[i]
-    ratio = angle_ratio(e.rr)
-    now = math.sqrt(e.pp + weight * ratio * ratio * e.rr)
-    done = False
-    for k in range(n):
-        i = n - 1 - k
-        if done:
-            break
-        if not s.w[i] > 0.0:
-            continue
-        change = now - s.x[1] if s.x[2] > 0.0 else 0.0
-        s.x[0] += now
-        s.x[1] = now
-        s.x[2] = 1.0
-        step = kp * now + ki * s.x[0] + kd * change
-        old = s.q[i]
-        kept = old
-        least = now
-        for sign in range(2):
-            trial = old + step if sign == 0 else old - step
-            if s.opt[O_LIMITS] > 0.0:
-                trial = min(max(trial, s.lower[i]), s.upper[i])
-            s.q[i] = trial
-            px, py, pz, f = measure(s.rows, s.ends, s.tip, s.goal, s.mask, kind, s.q, s.Z, s.ang, s.sn, s.cs, s.V, s.y)
-            count += 1
-            ratio = angle_ratio(f.rr)
-            value = math.sqrt(f.pp + weight * ratio * ratio * f.rr)
-            if value < least - ROUNDING:  # not moving wins ties, as of a roll about the tip when only positions count
-                least = value
-                kept = trial
-                done = f.pp < tp and f.rr < tr
-        s.q[i] = kept
-        now = least
-    for i in range(n):
-        s.dq[i] = s.q[i] - s.x[8 + i]
-        s.q[i] = s.x[8 + i]
-    return count
+@compiled
+class Gains(NamedTuple):
+    """PID in kernel units, and its step. The memory holds the integral, the last norm and whether there was one."""
+
+    kp: float
+    ki: float
+    kd: float
+    orientation: float
+
+    JACOBIAN = False
+
+    def step(self, p, e):
+        s = p.desk
+        n = s.q.shape[0]
+        for i in range(n):
+            s.x[8 + i] = s.q[i]
+        now = p.norm(e, self.orientation)
+        done, cut = False, False
+        for k in range(n):
+            i = n - 1 - k
+            if done:
+                break
+            if not s.w[i] > 0.0:
+                continue
+            if not s.affords(2):
+                cut = True
+                break
+            change = now - s.x[1] if s.x[2] > 0.0 else 0.0
+            s.x[0] += now
+            s.x[1] = now
+            s.x[2] = 1.0
+            size = self.kp * now + self.ki * s.x[0] + self.kd * change
+            old = s.q[i]
+            kept = old
+            least = now
+            for sign in range(2):
+                s.q[i] = p.inside(i, old + size if sign == 0 else old - size)
+                f = p.try_out(s.q)
+                value = p.norm(f, self.orientation)
+                if (
+                    value < least - ROUNDING
+                ):  # not moving wins ties, as of a roll about the tip when only positions count
+                    least = value
+                    kept = s.q[i]
+                    done = f.good
+            s.q[i] = kept
+            now = least
+        for i in range(n):
+            s.dq[i] = s.q[i] - s.x[8 + i]
+            s.q[i] = s.x[8 + i]
+        return WAITING if cut else 0
+
+
+PID.COMPILED = Gains  # type: ignore[attr-defined]

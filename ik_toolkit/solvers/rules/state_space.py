@@ -13,8 +13,10 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ...errors import InvalidOption
-from ...kernel.kinematics import TAU, angle_ratio
-from ...kernel.loop import WAITING, rule
+from ...kernel.jit import compiled
+from ...kernel.kinematics import TAU
+from ...kernel.records import POINTS, Array
+from ...kernel.search import WAITING
 from ..presets import check_starts, load_preset
 
 UNITS = {"si": (1.0, 1.0), "mm-deg": (1000.0, np.pi / 180.0)}  # per metre of error, rad per unit of increment
@@ -26,6 +28,7 @@ SPREAD, RADIUS = (
     0.3,
 )  # Jacobians are averaged over +- this share of a joint's range, at most so many rad (or reaches)
 DAMPING = 0.1
+SETTLED = 1e-13  # a state that changes by less in a step has settled
 LOOP_GAIN = {True: 0.9, False: 0.6}  # kappa at a start, for positions and for poses; the bound of stability is 2
 
 
@@ -50,6 +53,7 @@ class StateSpace(NamedTuple):
     units: str = "si"
     frame: Any = None
     tuned: Any = None
+    one_tip = True
 
     @classmethod
     def preset(cls, name: str | Path) -> "StateSpace":
@@ -142,7 +146,7 @@ def _maps(maps: Any, count: int, rows: int, name: str, position_only: bool) -> n
 def sampling_box(robot: Any) -> tuple[np.ndarray, np.ndarray]:
     """Lower end and width (n,) [rad, m] of where starts are drawn: the limits, at most one turn about their middle."""
     n, chain = robot.n, robot.chain
-    low, span = (chain.ends[24 + k * n : 24 + (k + 1) * n] * chain.unit for k in (4, 5))
+    low, span = (chain.ends[POINTS + k * n : POINTS + (k + 1) * n] * chain.unit for k in (4, 5))
     turning = chain.unit == 1.0
     width = np.where(turning, np.minimum(span, TAU), span)
     return low + 0.5 * (span - width), width
@@ -213,51 +217,67 @@ def inverse_maps(robot: Any, starts: np.ndarray, position_only: bool, seed: int 
 
 
 # --------------------------------------------------------------------------------------------------------------- step
-@rule(StateSpace, jacobian=False)
-def _state_space(cls, p, s, e):
-    n = s.dq.shape[0]
-    m, maps = int(p[0]), int(p[1])
-    feedthrough = p[2] > 0.0
-    a = HEAD + n
-    c = a + m * m
-    first = c + n * m
-    width = n + 6 * m + (6 * n if feedthrough else 0)
-    chosen = 0
-    if maps > 1:
-        chosen = int(s.x[4 * n]) - 1
-        if chosen < 0 or p[3] > 0.0:  # the map whose start is nearest
-            least = np.inf
-            for k in range(maps):
-                distance = 0.0
-                for i in range(n):
-                    d = s.q[i] - p[first + k * width + i]
-                    d -= TAU * np.rint(d * p[HEAD + i])
-                    distance += d * d
-                if distance < least:
-                    least = distance
-                    chosen = k
-            s.x[4 * n] = chosen + 1
-    b = first + chosen * width + n
-    f = b + 6 * m
-    ratio = angle_ratio(e.rr)
-    e3, e4, e5 = ratio * e.e3, ratio * e.e4, ratio * e.e5
-    for i in range(n):
-        u = 0.0
-        for j in range(m):
-            u += p[c + i * m + j] * s.x[j]
-        if feedthrough:
-            k = f + 6 * i
-            u += p[k] * e.e0 + p[k + 1] * e.e1 + p[k + 2] * e.e2 + p[k + 3] * e3 + p[k + 4] * e4 + p[k + 5] * e5
-        s.dq[i] = u if s.w[i] > 0.0 else 0.0
-    changed = 0.0
-    for i in range(m):
-        k = b + 6 * i
-        u = p[k] * e.e0 + p[k + 1] * e.e1 + p[k + 2] * e.e2 + p[k + 3] * e3 + p[k + 4] * e4 + p[k + 5] * e5
-        for j in range(m):
-            u += p[a + i * m + j] * s.x[j]
-        s.x[2 * n + i] = u
-    for i in range(m):
-        changed = max(changed, abs(s.x[2 * n + i] - s.x[i]))
-        s.x[i] = s.x[2 * n + i]
-    # Joints may rest on their limits while the state still builds up: that is no stall.
-    return WAITING if changed > 1e-13 else 0
+@compiled
+class Maps(NamedTuple):
+    """Algorithm II as it is compiled. The memory holds the state and, behind 4 n numbers, the place of the map in use, from 1."""
+
+    numbers: Array  # HEAD, for each joint 1 / (2 pi) or 0, A, C, then for each map its start, B, D
+
+    JACOBIAN = False
+
+    def nearest_map(self, q, first, width):
+        """Place of the map whose start is nearest q (n,)."""
+        numbers = self.numbers
+        least, chosen = np.inf, 0
+        for k in range(int(numbers[1])):
+            distance = 0.0
+            for i in range(q.shape[0]):
+                d = q[i] - numbers[first + k * width + i]
+                d -= TAU * np.rint(d * numbers[HEAD + i])
+                distance += d * d
+            if distance < least:
+                least, chosen = distance, k
+        return chosen
+
+    def step(self, p, e):
+        s, numbers = p.desk, self.numbers
+        n = s.dq.shape[0]
+        m, maps = int(numbers[0]), int(numbers[1])
+        feedthrough = numbers[2] > 0.0
+        a = HEAD + n
+        c = a + m * m
+        first = c + n * m
+        width = n + 6 * m + (6 * n if feedthrough else 0)
+        chosen = 0
+        if maps > 1:
+            chosen = int(s.x[4 * n]) - 1
+            if chosen < 0 or numbers[3] > 0.0:
+                chosen = self.nearest_map(s.q, first, width)
+                s.x[4 * n] = chosen + 1
+        b = first + chosen * width + n
+        f = b + 6 * m
+        p.stack(e)
+        for i in range(n):
+            u = 0.0
+            for j in range(m):
+                u += numbers[c + i * m + j] * s.x[j]
+            if feedthrough:
+                for k in range(6):
+                    u += numbers[f + 6 * i + k] * s.y[k]
+            s.dq[i] = u if s.w[i] > 0.0 else 0.0
+        changed = 0.0
+        for i in range(m):
+            u = 0.0
+            for k in range(6):
+                u += numbers[b + 6 * i + k] * s.y[k]
+            for j in range(m):
+                u += numbers[a + i * m + j] * s.x[j]
+            s.x[2 * n + i] = u
+        for i in range(m):
+            changed = max(changed, abs(s.x[2 * n + i] - s.x[i]))
+            s.x[i] = s.x[2 * n + i]
+        # Joints may rest on their limits while the state still builds up: that is no stall.
+        return WAITING if changed > SETTLED else 0
+
+
+StateSpace.COMPILED = Maps  # type: ignore[attr-defined]

@@ -1,0 +1,130 @@
+"""What a search runs on: one tip (`serial.Serial`) or several with shared joints (`tree.Tree`). Both answer the same calls.
+
+    aim(T, orders)     take a target: by how much it is out of reach [kernel units], -1 when it is no pose
+    evaluate(q)        the errors there, as a look: e.ee the squared norm of all of them, e.good inside the tolerances
+    jacobian(look)     fill J (n, m), one joint a row, linear part first, six columns a tip
+    damped(look, x)    the step dq = W J'(J W J' + x)^-1 e
+    pseudo(look, r)    the step dq = pinv(J) e; singular values below r times the largest count as zero
+    stack(look)        errors y (m,), rotations as rotation vectors, for rules written with J and e
+    slope(look, i)     J_i e
+    norm, inside, best_move, try_out, undo    for rules that move one joint after the other
+    rank, begin, draw  starts
+    keep, left, report errors of the answer
+
+A record holds views of the flat arrays and scratch; it is made once a call and never leaves inlined code.
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from .algebra import at3, chord, put3
+from .checks import beyond, edge, rigid
+from .jit import build, compiled, inline
+from .kinematics import aim, column, fk, pose_error, rotation_angle
+from .records import Array
+from .task import POSE, masked, shape_column, shape_error
+
+GOAL = 15  # numbers of a goal: pose (12), and its point again where the search aims at the edge of the reach instead
+BEST_OF_ALL, NEAREST, NOW = 0, 1, 2  # places to keep errors: the least, those of the answer nearest q0, any others
+
+
+@compiled
+class Desk(NamedTuple):
+    """Scratch of a search over n coordinates and m errors of F tips."""
+
+    q: Array  # (n,) current coordinates
+    dq: Array  # (n,) the step
+    w: Array  # (n,) joint weights; 0 holds a joint in this step
+    x: Array  # (4 n + 8,) memory of the rule, zeroed at the start of an attempt
+    J: Array  # (n, m)
+    A: Array  # (m, m)
+    y: Array  # (m,)
+    e: Array  # (m,) errors as they are minimised, of several tips
+    spent: Array  # (2,) evaluations made, and how many are allowed
+    errors: Array  # (3, F, 2) squared errors kept, see BEST_OF_ALL; position, rotation
+
+    def affords(self, evaluations):
+        """Whether a rule may make so many evaluations, and one is left for the search itself."""
+        return self.spent[0] + evaluations < self.spent[1]
+
+
+@build
+def make_desk(n, m):
+    """Scratch for n coordinates and m errors."""
+    return Desk(
+        np.empty(n), np.empty(n), np.empty(n), np.empty(4 * n + 8), np.zeros((n, m)), np.empty((m, m)), np.empty(m),
+        np.empty(m), np.zeros(2), np.empty((3, m // 6, 2)),
+    )  # fmt: skip
+
+
+@inline
+def tolerances(orders, kind, scale):
+    """Squared tolerances of position and rotation, as the errors of a kind of task are measured."""
+    tol_p = orders.tol_p / scale
+    return tol_p * tol_p, orders.tol_r * orders.tol_r if masked(kind) else chord(orders.tol_r)
+
+
+@inline
+def angle_left(kind, rr):
+    """Angle [rad] of a squared rotation error."""
+    return math.sqrt(rr) if masked(kind) else rotation_angle(rr)
+
+
+@inline
+def take(T, ends, task, goal, orders):
+    """Write a target to goal (GOAL,). Returns by how much it is out of reach, -1 when it is no pose."""
+    if not rigid(T):
+        return -1.0
+    aim(ends, T, goal)
+    put3(goal, 12, at3(goal, 9))
+    excess = beyond(goal, ends, int(task[0]), orders.tol_p / ends.scale(), orders.tol_r)
+    if excess > 0.0:  # there the damping vanishes and the search is fast
+        edge(goal, ends, excess)
+    return excess
+
+
+@inline
+def from_target(goal, linear):
+    """Position error measured from the target itself, not from the edge of the reach. (A mask never aims there.)"""
+    return linear + (at3(goal, 12) - at3(goal, 9))
+
+
+@inline
+def look_at(rows, ends, task, goal, kept, q, joints, trig):
+    """Tip and errors (linear, angular) of one chain at q, with what does not count set to zero."""
+    now = fk(rows, q, joints, trig)
+    tip = now.point + now.axes.times(at3(ends.flat, 21))
+    linear, angular = pose_error(goal, now, tip)
+    kind = int(task[0])
+    if kind != POSE:
+        linear, angular = shape_error(kind, task[1:7], ends, goal, kept, now.axes, linear, angular)
+    return tip, linear, angular
+
+
+@inline
+def fill(rows, task, kept, joints, tip, J, first):
+    """Write the columns of one chain to J[:, first : first + 6]; mimic joints add to their leader."""
+    plain = rows[0, 0] > 0.0
+    kind = int(task[0])
+    if not plain:
+        for i in range(J.shape[0]):
+            for k in range(first, first + 6):
+                J[i, k] = 0.0
+    for i in range(rows.shape[0]):
+        u, v = column(rows, joints, i, tip)
+        if kind != POSE:
+            u, v = shape_column(kind, task[1:7], kept, u, v)
+        if plain:
+            J[i, first], J[i, first + 1], J[i, first + 2] = u.x, u.y, u.z
+            J[i, first + 3], J[i, first + 4], J[i, first + 5] = v.x, v.y, v.z
+        else:
+            k = int(rows[i, 8])
+            ratio = rows[i, 4] + rows[i, 6]
+            J[k, first] += ratio * u.x
+            J[k, first + 1] += ratio * u.y
+            J[k, first + 2] += ratio * u.z
+            J[k, first + 3] += ratio * v.x
+            J[k, first + 4] += ratio * v.y
+            J[k, first + 5] += ratio * v.z

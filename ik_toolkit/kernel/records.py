@@ -1,0 +1,164 @@
+"""What goes into the compiled loops and what comes out, by name. The order of the fields is the layout of the flat arrays.
+
+Python packs `[*Orders(...), *Task(...), ...]` and reads `row[AT.status]`; the kernel makes the same records from the same
+arrays. Flat arrays cross the boundary because they are cheap there (50 ns each, a record of arrays twice that).
+"""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba.extending import overload
+from numba.np.unsafe.ndarray import to_fixed_tuple
+
+from .jit import BUILD, compiled, inline
+
+Array = np.ndarray
+
+
+@compiled
+class Orders(NamedTuple):
+    """Head of `orders`; a `Task` for each tip, the joint weights (n) and the parameters of the rule follow."""
+
+    tol_p: float  # [m]
+    tol_r: float  # [rad]
+    given: float  # 1: the first attempt starts at q0
+    iterations: float  # of an attempt
+    attempts: float
+    c: float  # an attempt from the table ends when |e|^2 > c rho^k
+    rho: float
+    c_free: float  # the same for one from q0 or a random start
+    rho_free: float
+    patience: float  # from this attempt after q0's on, each has twice the iterations and is given up later; inf: none
+    evaluations: float  # budget
+    limits: float  # 0: ignore them
+    seed: float
+    closest: float  # how many answers to compare when the one nearest q0 is wanted, 0: take the first
+    hold: float  # 1: joints pushed past a limit are held and the step is redone
+    follow: float  # largest move of a turning joint [rad] from q0 ...
+    follow_slide: float  # ... and of a slide [m]; 0: any
+
+
+@compiled
+class Task(NamedTuple):
+    """What of the pose error of a tip counts: a kind of `task`, and six weights (masks) or the axis (AXIS, last joint's frame)."""
+
+    kind: float
+    w0: float = 0.0
+    w1: float = 0.0
+    w2: float = 0.0
+    w3: float = 0.0
+    w4: float = 0.0
+    w5: float = 0.0
+
+
+@compiled
+class Answer(NamedTuple):
+    """Head of a row of `out`; q (n) follows, then for several tips the `Miss` of each."""
+
+    status: float
+    iterations: float
+    restarts: float
+    position: float  # [m], the largest over the tips
+    rotation: float  # [rad]
+    evaluations: float
+    history: float  # rows of `history` written
+    excess: float  # [m] by which a target lies out of reach
+    attempt: float  # the attempt that found q, 0 the first
+    held: float  # joint that the neighbourhood of q0 holds back (TOO_FAR), -1: none
+
+
+@compiled
+class Miss(NamedTuple):
+    """What is left at one tip."""
+
+    position: float  # [m]
+    rotation: float  # [rad]
+    excess: float  # [m]
+
+
+HEAD, TASK, ANSWER, MISS = len(Orders._fields), len(Task._fields), len(Answer._fields), len(Miss._fields)
+WEIGHTS = HEAD + TASK  # where the joint weights begin in the orders for one tip
+AT = Answer._make(range(ANSWER))  # places in a row: row[AT.status]
+ORDER = Orders._make(range(HEAD))  # and in the orders
+POINTS = 24  # numbers of `ends` before what belongs to the coordinates: base (12), tip (12)
+
+
+@compiled
+class Ends(NamedTuple):
+    """Base (rotation by rows, point), tip (the same, from 12 on), then what belongs to each coordinate, by place.
+
+    One array, so that a kernel carries one. Lengths in kernel units.
+    """
+
+    flat: Array
+    n: int
+
+    def lower(self, i):
+        return self.flat[POINTS + i]
+
+    def upper(self, i):
+        return self.flat[POINTS + self.n + i]
+
+    def turns(self, i):
+        """0: never wraps, 1: by full turns inside its limits, 2: endless."""
+        return self.flat[POINTS + 2 * self.n + i]
+
+    def unit(self, i):
+        """1 for an angle, the chain's scale for a slide."""
+        return self.flat[POINTS + 3 * self.n + i]
+
+    def low(self, i):
+        """Where random starts are drawn from ..."""
+        return self.flat[POINTS + 4 * self.n + i]
+
+    def span(self, i):
+        """... and how wide that is."""
+        return self.flat[POINTS + 5 * self.n + i]
+
+    def home(self, i):
+        return self.flat[POINTS + 6 * self.n + i]
+
+    def scale(self):
+        """Length of one kernel unit [m]."""
+        return self.flat[POINTS + 7 * self.n]
+
+    def bound(self, k):
+        """Reach of the tip, hole of the tip, reach of the last joint, hole of the last joint, lift low, lift high."""
+        return self.flat[POINTS + 1 + 7 * self.n + k]
+
+    def confine(self, i, low, high):
+        """Put a coordinate between new limits, where it does not wrap."""
+        self.flat[POINTS + i] = low
+        self.flat[POINTS + self.n + i] = high
+        self.flat[POINTS + 2 * self.n + i] = 0.0
+
+
+# ---------------------------------------------------------------------------------------------------- arrays <-> records
+def read(cls: type, array: Array, start: int = 0) -> Any:
+    """Record of class `cls` from array[start:]."""
+    if list(cls.__annotations__.values()) == [Array]:
+        return cls(array[start:])
+    return cls(*array[start : start + len(cls._fields)])  # type: ignore[attr-defined]
+
+
+@overload(read, jit_options=BUILD)
+def _read(cls, array, start=0):
+    make = cls.instance_class
+    size = len(make._fields)
+    if list(make.__annotations__.values()) == [Array]:  # a rule of many numbers takes them as they are
+        return lambda cls, array, start=0: make(array[start:])
+    return lambda cls, array, start=0: make(*to_fixed_tuple(array[start:], size))
+
+
+@inline
+def write(array, start, record):
+    """Write a record of numbers to array[start:]."""
+    for i in range(len(record)):
+        array[start + i] = record[i]
+
+
+@inline
+def copy(source, target):
+    """target[:] = source, element by element: slices compile slowly."""
+    for i in range(source.shape[0]):
+        target[i] = source[i]

@@ -1,0 +1,331 @@
+"""The one search: attempts from good starts, for any rule and any problem.
+
+A rule is a NamedTuple class whose fields are its parameters and whose method step(p, e) writes p.desk.dq; a problem is a
+Serial or a Tree. Both are chosen by class when the search is compiled, so the loop exists once and costs no call. With
+NUMBA_DISABLE_JIT=1 the same code runs as plain Python.
+
+Order in every iteration: evaluate, best so far, test, budget, give up, step, limits, integrate, stall. The q reported is
+always one that was evaluated, at most full turns away. Restarts wrap the loop.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+from numba.extending import overload
+
+from .checks import (
+    BAD_START,
+    BAD_TARGET,
+    CONVERGED,
+    ITERATION_LIMIT,
+    LIMIT_BLOCKED,
+    NOT_FINITE,
+    SINGULAR,
+    STALLED,
+    TOO_FAR,
+    UNREACHABLE,
+    standstill,
+)
+from .jit import BUILD, build, cached, compiled, inline, spliced
+from .limits import distance, face, held_back, hold, integrate, legal, neighbourhood
+from .problem import BEST_OF_ALL, NEAREST, NOW
+from .records import ANSWER, HEAD, TASK, Answer, Array, Ends, Orders, copy, read, write
+from .seeds import BEST, sow
+from .serial import make_serial
+from .tree import make_tree
+
+SINGULAR_STEP, WAITING = -1, -2  # what step may return instead of 0: no step exists; a step of zero that is no stall
+GOING, STILL = -1, -2  # of an attempt that goes on, or stands still; the search says why
+LOOK = -1.0  # iterations of what is no attempt but a look at the answer
+# Near a singular pose the iteration converges too slowly for the give-up of the first attempts. A patient attempt has twice
+# the iterations and is given up later, so that hard targets are not lost and easy ones cost what they did.
+PATIENT, PATIENT_RHO = 2.0, 0.6
+EDGE_ATTEMPTS = 3  # at a target proven out of reach: the nearest pose is worth no long search
+ROUNDING = 1e-9  # squared error below which no attempt is given up: what is left there is rounding
+OVERFLOW, FAR_OFF = 1e300, 1e6  # a squared error, and a coordinate, from which on no number can be trusted
+
+
+def problem(rows, ends, tasks, n, orders):
+    """Serial or Tree, by the shape of `ends`."""
+    return (make_serial if ends.ndim == 1 else make_tree)(rows, ends, tasks, n, orders)
+
+
+@overload(problem, jit_options=BUILD)
+def _problem(rows, ends, tasks, n, orders):
+    if ends.ndim == 1:
+        return lambda rows, ends, tasks, n, orders: make_serial(rows, ends, tasks, n, orders)
+    return lambda rows, ends, tasks, n, orders: make_tree(rows, ends, tasks, n, orders)
+
+
+@compiled
+class Table(NamedTuple):
+    """Known configurations to start from, and scratch to choose among them."""
+
+    seeds: Array
+    features: Array
+    score: Array
+    val: Array
+    best: Array
+    choice: Array
+    total: Array
+    state: Array  # of the random sequence
+
+
+@build
+def make_table(seeds, features, tips):
+    """Table with its scratch."""
+    return Table(
+        seeds, features, np.empty(seeds.shape[0], np.float32), np.empty(BEST, np.float32), np.empty(BEST, np.int64),
+        np.empty((BEST, tips), np.int64), np.empty(BEST), np.empty(1, np.uint64),
+    )  # fmt: skip
+
+
+@compiled
+class Spent(NamedTuple):
+    """What a search has used up."""
+
+    evaluations: int
+    steps: int
+    noted: int  # rows of history
+
+
+@inline
+def verdict(e, k, most, count, c, o):
+    """What an evaluation means for an attempt in its iteration k: a status, or GOING."""
+    if e.good:
+        return CONVERGED
+    if not e.ee < OVERFLOW:
+        return NOT_FINITE
+    if k >= most or count >= o.evaluations:
+        return ITERATION_LIMIT
+    if e.ee > c and e.ee > ROUNDING:
+        return STALLED
+    return GOING
+
+
+@spliced
+def note(p, e, ends, history, row):
+    """Write a row of history: position error, rotation error, q."""
+    p.keep(e, NOW)
+    history[row, 0], history[row, 1] = p.left(NOW)
+    for i in range(p.desk.q.shape[0]):
+        history[row, 2 + i] = p.desk.q[i] * ends.unit(i)
+
+
+@spliced
+def descend(rule, p, o, near, weights, most, c, rho, spent, least, best, needs_jacobian, history):
+    """One attempt from p.desk.q; best (n,) and p keep the q of the least error and its errors.
+
+    With most = LOOK only the errors and the Jacobian at p.desk.q. Returns the status, the last look, the least squared error
+    and the counts.
+    """
+    q, dq, w = p.desk.q, p.desk.dq, p.desk.w
+    boxed = o.limits > 0.0 or o.follow > 0.0
+    holding = boxed and o.hold > 0.0
+    count, steps, noted = spent.evaluations, spent.steps, spent.noted
+    k = 0.0
+    while True:
+        e = p.evaluate(q)
+        count += 1
+        status = GOING
+        if most >= 0.0:
+            if noted < history.shape[0]:
+                note(p, e, near, history, noted)
+                noted += 1
+            if e.ee < least or e.good:
+                least = e.ee
+                copy(q, best)
+                p.keep(e, BEST_OF_ALL)
+            status = verdict(e, k, most, count, c, o)
+            if status != GOING:
+                break
+        if needs_jacobian or most < 0.0:
+            p.jacobian(e)
+        if most < 0.0:
+            break
+        k += 1.0
+        c *= rho
+        copy(weights, w)
+        p.desk.spent[0] = count
+        for _ in range(2):
+            code = rule.step(p, e)
+            if not (holding and hold(q, dq, w, near)):
+                break
+        count = int(p.desk.spent[0])
+        if code == SINGULAR_STEP:
+            status = SINGULAR
+            break
+        steps += 1
+        moved, far = integrate(q, dq, boxed, near)
+        if not far < FAR_OFF:
+            status = NOT_FINITE
+            break
+        if moved <= 0.0 and code != WAITING:
+            status = STILL
+            break
+    return status, e, least, Spent(count, steps, noted)
+
+
+@inline
+def search(rule, p, o, near, ends, weights, table, best, found, start, needs_jacobian, excess, history):
+    """Attempts until one converges (or `closest` have), then the answer in p.desk.q. Returns the head of its row.
+
+    start (n,): q0, or home; the turn nearest to it is returned. near: ends with the limits of a step, which `follow` narrows.
+    """
+    q = p.desk.q
+    given, closest, attempts = int(o.given), int(o.closest), int(o.attempts)
+    limits, following = o.limits > 0.0, o.follow > 0.0
+    if excess > 0.0:
+        attempts, closest = min(attempts, EDGE_ATTEMPTS), 0
+    copy(start, best)
+    for f in range(p.desk.errors.shape[1]):
+        p.desk.errors[BEST_OF_ALL, f, 0], p.desk.errors[BEST_OF_ALL, f, 1] = np.inf, np.inf
+    p.desk.spent[1] = o.evaluations
+    spent = Spent(0, 0, 0)
+    least, shortest = np.inf, np.inf
+    hits, tries, attempt, place, held = 0, 0, 0, BEST_OF_ALL, -1
+    turned, judged, status = False, False, GOING
+    most, c, rho = 0.0, 0.0, 0.0
+    while True:
+        if status == GOING:
+            most, c, rho = start_attempt(p, o, table, tries - given, start)
+            if excess > 0.0:
+                c = np.inf
+            for i in range(p.desk.x.shape[0]):
+                p.desk.x[i] = 0.0
+        before = least
+        ended, e, least, spent = descend(
+            rule, p, o, near, weights, most, c, rho, spent, least, best, needs_jacobian, history
+        )
+        if status != GOING:
+            break  # that was the look at the answer
+        if place == BEST_OF_ALL and (least < before or ended == CONVERGED):
+            attempt = tries
+        tries += 1
+        if ended == CONVERGED:
+            hits += 1
+            d = distance(q, start, weights, ends) if closest > 0 else 0.0
+            if closest > 0 and d < shortest:
+                shortest, place, attempt = d, NEAREST, tries - 1
+                copy(q, found)
+                p.keep(e, NEAREST)
+        if hits < max(closest, 1) and tries < attempts and spent.evaluations < o.evaluations:
+            continue
+        status, judged = ended, False
+        if hits > 0:
+            status = CONVERGED
+        if excess > 0.0:
+            status = UNREACHABLE
+        elif status != CONVERGED and status != NOT_FINITE:
+            judged = attempts > 1 or following or status == STILL
+            if spent.evaluations >= o.evaluations:
+                status, judged = ITERATION_LIMIT, False
+        copy(best if place == BEST_OF_ALL else found, q)
+        # Of the same answer several turns away, give the legal one nearest the start (or home).
+        turned = limits and not following and face(q, start, ends)
+        if not (judged or turned) or spent.evaluations >= o.evaluations:
+            break
+        most = LOOK
+    if most < 0.0:
+        if status == CONVERGED and not e.good:  # rounding of the turn broke a tolerance at its edge
+            copy(best if place == BEST_OF_ALL else found, q)
+        else:
+            p.keep(e, place)
+    if judged:
+        if following:
+            held = held_back(p, e, near, ends, limits)
+        why = standstill(p, e, near, limits or following)
+        if held >= 0:
+            status = TOO_FAR
+        elif attempts > 1:
+            status = LIMIT_BLOCKED if why == LIMIT_BLOCKED else STALLED
+        elif status == STILL:
+            status = why
+    position, rotation = p.left(place)
+    answer = Answer(
+        float(status), float(spent.steps), float(tries - 1), position, rotation, float(spent.evaluations),
+        float(spent.noted), excess * ends.scale(), float(attempt), float(held),
+    )  # fmt: skip
+    return answer, place
+
+
+@inline
+def start_attempt(p, o, table, k, start):
+    """Put the start of attempt k (negative: q0) into p.desk.q. Returns its iterations and how it is given up."""
+    q = p.desk.q
+    most, c, rho = o.iterations, o.c_free, o.rho_free
+    if k < 0:
+        copy(start, q)
+    elif k < BEST:
+        if k == 0:
+            p.rank(table)
+        p.begin(table, k, q)
+        c, rho = o.c, o.rho
+    else:
+        p.draw(table, k, q)
+        if k >= o.patience:
+            most, rho = PATIENT * o.iterations, PATIENT_RHO
+    return most, c, rho
+
+
+ENTRIES: dict[type, Callable] = {}
+
+
+def step_class(cls: type) -> type:
+    """The class of a rule whose fields are what the compiled step reads: `COMPILED`, or the rule's own."""
+    return getattr(cls, "COMPILED", cls)
+
+
+def entry(cls: type) -> Callable:
+    """Return the compiled search of a rule: solve(rows, ends, seeds, features, T, Q0, out, orders, history).
+
+    One tip: ends (K,), features (13, M), T (N, 4, 4) [m]; F tips: ends (F, K'), features (F, 13, M), T (N, F, 4, 4). Q0 (1 or
+    N, n) start if orders say so, and the turn nearest to it is returned; out (N, ANSWER + n), or (N, ANSWER + n + 3 F); orders:
+    `Orders`, a `Task` a tip, joint weights (n), parameters; history (H, 2 + n) receives position error, orientation error
+    and q of each evaluation (H may be 0).
+    """
+    if cls in ENTRIES:
+        return ENTRIES[cls]
+    step = step_class(cls)
+    needs_jacobian = getattr(step, "JACOBIAN", True)
+
+    def solve(rows, ends, seeds, features, T, Q0, out, orders, history):
+        n = seeds.shape[1]
+        o = read(Orders, orders)
+        tips = ends.size // ends.shape[-1]
+        first = HEAD + TASK * tips
+        weights = orders[first : first + n]
+        rule = read(step, orders, first + n)
+        limits, following = o.limits > 0.0, o.follow > 0.0
+        near_ends = ends.copy() if following else ends
+        p = problem(rows, near_ends, orders[HEAD:first], n, o)
+        # What belongs to the coordinates is the same for every tip, and stands first.
+        box, near = Ends(ends.reshape(-1), n), Ends(near_ends.reshape(-1), n)
+        table = make_table(seeds, features, tips)
+        best, found, start = np.empty(n), np.empty(n), np.empty(n)
+        from_q0 = o.given > 0.0 or o.closest > 0.0
+        for t in range(T.shape[0]):
+            q0 = Q0[t if Q0.shape[0] > 1 else 0]
+            excess = p.aim(T[t], o)
+            if excess < 0.0:
+                out[t, 0] = BAD_TARGET
+                continue
+            if from_q0 and not legal(q0, box, limits):
+                out[t, 0] = BAD_START
+                continue
+            for i in range(n):
+                start[i] = q0[i] / box.unit(i) if from_q0 else box.home(i)
+            if following:
+                neighbourhood(q0, rows, o.follow, o.follow_slide, limits, box, near)
+            sow(table.state, o.seed)
+            answer, place = search(
+                rule, p, o, near, box, weights, table, best, found, start, needs_jacobian, excess, history
+            )
+            write(out[t], 0, answer)
+            for i in range(n):
+                out[t, ANSWER + i] = p.desk.q[i] * box.unit(i)
+            p.report(place, out[t])
+
+    ENTRIES[cls] = cached(solve, cls, step.step)
+    return ENTRIES[cls]

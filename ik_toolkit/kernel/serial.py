@@ -1,0 +1,151 @@
+"""The problem of one tip; see problem.py for what each call does."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from .algebra import V3, at3
+from .jit import build, compiled
+from .kinematics import angle_ratio, column, room
+from .linalg import damped, pseudo_inverse_step
+from .problem import GOAL, Desk, angle_left, fill, from_target, look_at, make_desk, take, tolerances
+from .records import Array, Ends
+from .seeds import nearest, rnd
+from .task import KEPT, POSE, POSITION, counts, shape_column
+
+
+@compiled
+class Look(NamedTuple):
+    """One tip at a configuration. Lengths are divided by the chain's scale; axes are those of the first joint."""
+
+    point: V3  # the tip
+    linear: V3  # target - tip
+    angular: V3  # 2 sin(angle/2) * axis of the rotation left
+    ee: float  # squared norm of all errors
+    good: bool  # inside the tolerances
+
+
+@compiled
+class Serial(NamedTuple):
+    """One tip: rows (L, 10), ends and task flat."""
+
+    desk: Desk
+    rows: Array
+    ends: Ends  # with the limits of a step
+    task: Array
+    goal: Array
+    kept: Array
+    joints: Array
+    trig: Array
+    tp: float
+    tr: float
+    boxed: bool  # whether limits count
+
+    def aim(self, T, orders):
+        return take(T, self.ends, self.task, self.goal, orders)
+
+    def evaluate(self, q):
+        tip, linear, angular = look_at(self.rows, self.ends, self.task, self.goal, self.kept, q, self.joints, self.trig)
+        pp, rr = linear.square(), angular.square()
+        return Look(tip, linear, angular, pp + rr, pp < self.tp and rr < self.tr)
+
+    def jacobian(self, look):
+        fill(self.rows, self.task, self.kept, self.joints, look.point, self.desk.J, 0)
+
+    def damped(self, look, damping):
+        damped(self.desk.J, self.desk.w, self.desk.dq, look.linear, look.angular, damping)
+
+    def pseudo(self, look, rcond):
+        s = self.desk
+        self.stack(look)
+        pseudo_inverse_step(s.J, s.y, rcond, s.A, s.dq, 6)
+
+    def stack(self, look):
+        y = self.desk.y
+        turn = look.angular * angle_ratio(look.angular.square())
+        y[0], y[1], y[2] = look.linear.x, look.linear.y, look.linear.z
+        y[3], y[4], y[5] = turn.x, turn.y, turn.z
+
+    def slope(self, look, i):
+        J = self.desk.J
+        return V3(J[i, 0], J[i, 1], J[i, 2]).dot(look.linear) + V3(J[i, 3], J[i, 4], J[i, 5]).dot(look.angular)
+
+    def norm(self, look, weight):
+        """Norm of the errors, rotations as angles times `weight`."""
+        ratio = weight * angle_ratio(look.angular.square())
+        return math.sqrt(look.linear.square() + ratio * ratio * look.angular.square())
+
+    def inside(self, i, value):
+        """Coordinate i at `value`, or at the limit it would pass."""
+        return min(max(value, self.ends.lower(i)), self.ends.upper(i)) if self.boxed else value
+
+    def best_move(self, look, i, least):
+        """Move of coordinate i alone to where the error is least: exact for a turning joint and a position, else linear."""
+        linear, angular = V3(0.0, 0.0, 0.0), V3(0.0, 0.0, 0.0)
+        kind = int(self.task[0])
+        for r in range(self.rows.shape[0]):
+            if int(self.rows[r, 8]) == i:
+                u, v = column(self.rows, self.joints, r, look.point)
+                ratio = self.rows[r, 4] + self.rows[r, 6]
+                linear, angular = linear + u * ratio, angular + v * ratio
+        if kind == POSITION and self.rows[0, 0] > 0.0 and self.rows[i, 9] > 0.0:
+            axis, point = at3(self.joints, 6 * i), at3(self.joints, 6 * i + 3)
+            to, now = at3(self.goal, 9) - point, look.point - point
+            side = linear.dot(to)
+            ahead = now.dot(to) - now.dot(axis) * to.dot(axis)
+            return math.atan2(side, ahead) if abs(side) + abs(ahead) > least else 0.0
+        if kind != POSE:
+            linear, angular = shape_column(kind, self.task[1:7], self.kept, linear, angular)
+        size = linear.square() + angular.square()
+        top = linear.dot(look.linear) + angle_ratio(look.angular.square()) * angular.dot(look.angular)
+        return top / size if size > least else 0.0
+
+    def try_out(self, q):
+        """Evaluate for a rule: it counts."""
+        self.desk.spent[0] += 1.0
+        return self.evaluate(q)
+
+    def undo(self, look):
+        """After a trial was taken back: the joints before the one moved are as they were, only what a mask keeps may differ."""
+        if int(self.task[0]) > POSITION:
+            self.try_out(self.desk.q)
+
+    def rank(self, table):
+        wp, wr = counts(int(self.task[0]), self.task[1:7])
+        nearest(table.features, self.goal, wp, wr, table.score, table.val, table.best)
+
+    def begin(self, table, k, q):
+        for i in range(q.shape[0]):
+            q[i] = table.seeds[table.best[k], i]
+
+    def draw(self, table, k, q):
+        for i in range(q.shape[0]):
+            q[i] = self.ends.low(i) + self.ends.span(i) * rnd(table.state)
+
+    def keep(self, look, place):
+        """Keep the errors of a look, measured from the target itself."""
+        errors = self.desk.errors
+        errors[place, 0, 0] = from_target(self.goal, look.linear).square()
+        errors[place, 0, 1] = look.angular.square()
+
+    def left(self, place):
+        """Position error [m] and rotation error [rad] kept at a place."""
+        errors = self.desk.errors
+        position = math.sqrt(errors[place, 0, 0]) * self.ends.scale()
+        return position, angle_left(int(self.task[0]), errors[place, 0, 1])
+
+    def report(self, place, row):
+        """Nothing beyond the head of the row."""
+
+
+@build
+def make_serial(rows, ends, tasks, n, orders):
+    """Serial with its scratch."""
+    box = Ends(ends, n)
+    joints, angles = room(rows.shape[0])
+    tp, tr = tolerances(orders, int(tasks[0]), box.scale())
+    return Serial(
+        make_desk(n, 6), rows, box, tasks[:7], np.empty(GOAL), np.empty(KEPT), np.empty(joints), np.zeros(angles), tp, tr,
+        orders.limits > 0.0 or orders.follow > 0.0,
+    )  # fmt: skip
