@@ -174,6 +174,31 @@ def test_targets_under_another_name_are_not_overwritten(tmp_path, capsys):
     assert (tmp_path / "in.npz").read_bytes() == before
 
 
+def test_a_robot_or_path_is_not_overwritten_by_what_is_made_of_it(tmp_path, capsys):
+    arm, table, path = tmp_path / "arm.urdf", tmp_path / "dh.toml", tmp_path / "way.csv"
+    arm.write_text(find(ARM).source.read_text())
+    table.write_text("no table")
+    path.write_text("t,x,y,z\n0,1,1,0\n1,1,1.1,0\n")
+    os.link(arm, tmp_path / "hard")
+    (tmp_path / "soft").symlink_to("arm.urdf")
+    solve = ["solve", str(arm), "--xyz", "1", "1", "0"]
+    for words in (
+        *([*solve, "-o", str(tmp_path / name)] for name in ("arm.urdf", "hard", "soft")),
+        ["solve", "-o", f"{tmp_path}/./arm.urdf", *solve[1:]],
+        ["workspace", str(arm), "-n", "3", "-o", str(arm)],
+        ["bench", ARM, str(arm), "-n", "3", "--solvers", "dls", "-o", str(arm)],
+        ["dh", str(table), "-o", str(table)],
+        ["track", str(arm), "--path", str(path), "-o", str(path)],
+        ["workspace", str(arm), "-n", "3", "--preset", f"pid={table}", "-o", str(table)],
+    ):
+        before = {file: file.read_bytes() for file in tmp_path.iterdir()}
+        assert main(words) == 2, words
+        assert "would overwrite" in capsys.readouterr().err
+        assert {file: file.read_bytes() for file in tmp_path.iterdir()} == before, words
+    twice = ["-o", str(tmp_path / "a.html"), "--html", str(tmp_path / "." / "a.html")]
+    assert main([*solve, *twice]) == 2 and "one file" in capsys.readouterr().err
+
+
 def ik_process(words, **options):
     return subprocess.Popen(
         [sys.executable, "-m", "ik_toolkit", *map(str, words)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,

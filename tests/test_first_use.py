@@ -3,6 +3,7 @@
 import fcntl
 import json
 import os
+import signal
 import subprocess
 import sys
 import time
@@ -18,12 +19,12 @@ SOLVE = ["solve", "hydrolek_7w", "--xyz", "1.0", "0.1", "0.2", "--json"]
 OUT_OF_LIMITS = ["solve", "hydrolek_7w", "--xyz", "-1.2", "0.0", "0.3", "--json"]  # in reach, but not within the limits
 
 
-def run(arguments, cache, **more):
+def run(arguments, cache, *, start=("-m", "ik_toolkit"), cwd=None, **more):
     """Run `ik` as a user does, with a cache folder of its own."""
     env = {key: value for key, value in os.environ.items() if key not in ("CI", first_use.WAIT, "NUMBA_DISABLE_JIT")}
     env |= {"NUMBA_CACHE_DIR": str(cache), **more}
     return subprocess.run(
-        [sys.executable, "-m", "ik_toolkit", *arguments], env=env, capture_output=True, text=True, timeout=500
+        [sys.executable, *start, *arguments], env=env, capture_output=True, text=True, timeout=500, cwd=cwd
     )
 
 
@@ -69,3 +70,53 @@ def test_what_the_uncompiled_kernel_cannot_solve_is_solved_compiled_and_then_eve
     after = run(SOLVE, tmp_path)
     assert json.loads(after.stdout)["kernel"] == "compiled" and "background" not in after.stderr
     assert set(tmp_path.rglob("*.nbc")) == kept
+
+
+def test_the_second_run_repeats_no_notice_and_runs_nothing_from_the_current_folder(tmp_path):
+    place = folder(tmp_path)
+    place.mkdir(parents=True, exist_ok=True)
+    (tmp_path / "typer.py").write_text("raise SystemExit('ran what lies in the current folder')")
+    script = "import sys; sys.path.remove(''); from ik_toolkit.cli import main; sys.exit(main())"  # as the script `ik`
+    with open(place / first_use.LOCK, "a") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        done = run(
+            [*SOLVE, "--rpy", "90", "0", "0", "--mask", "1", "1", "1", "0", "0", "0"],
+            tmp_path,
+            start=("-c", script),
+            cwd=tmp_path,
+        )
+    assert json.loads(done.stdout)["kernel"] == "interpreted"
+    assert done.stderr.count("were degrees meant") == 1 and "current folder" not in done.stderr
+
+
+@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+def test_the_second_run_ends_with_the_command(number, code):
+    # A command that stops where it would compile, and whose second run sleeps until it is ended.
+    script = f"""
+import sys
+from ik_toolkit import cli
+from ik_toolkit.cli import first_use, solve
+def needed(*_):
+    raise first_use.CompileNeeded(None)
+second = '''
+import sys, time
+from ik_toolkit.cli.common import on_sigterm
+try:
+    with on_sigterm([]):
+        print(1, flush=True)
+        time.sleep(60)
+except KeyboardInterrupt:
+    print(2, flush=True)
+    sys.exit({code})
+'''
+solve.load_robot, run = needed, first_use._run
+first_use._run = lambda command, *more: run([sys.executable, "-c", second], *more)
+sys.exit(cli.main())
+"""
+    process = subprocess.Popen(
+        [sys.executable, "-c", script, *SOLVE], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    assert process.stdout.readline() == "1\n"
+    process.send_signal(number)
+    out, err = process.communicate(timeout=60)
+    assert process.returncode == code and out == "2\n" and not err

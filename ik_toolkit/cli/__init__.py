@@ -12,7 +12,7 @@ import typer
 from .. import __version__
 from ..errors import IKError, MissingExtra
 from . import first_use
-from .common import LogNotices, Output, join_vectors, notice, on_sigterm, open_standard_streams
+from .common import Command, LogNotices, Output, join_vectors, notice, on_sigterm, open_standard_streams
 
 MODULES = (
     "robots",
@@ -60,6 +60,8 @@ def application() -> typer.Typer:
     app.callback()(_options)
     for module in MODULES:
         importlib.import_module(f".{module}", __name__).register(app)
+    for info in app.registered_commands:
+        info.cls = Command
     return app
 
 
@@ -70,19 +72,21 @@ def main(argv: Sequence[str] | None = None) -> int:
     debug = "--debug" in arguments
     arguments = [argument for argument in arguments if argument != "--debug"]
     shown = LogNotices()
+    shown.addFilter(lambda _: not first_use.said_before())
     logging.getLogger("ik_toolkit.compile").setLevel(logging.INFO)
     logging.getLogger("ik_toolkit").addHandler(shown)
     terminated: list[bool] = []
     if argv is None:
         first_use.allow()
     try:
-        command = typer.main.get_command(application())
         with redirect_stdout(Output(sys.stdout)), on_sigterm(terminated):
-            code = command.main(args=arguments or ["--help"], prog_name="ik", standalone_mode=False) or 0
-            sys.stdout.flush()
+            try:
+                command = typer.main.get_command(application())
+                code = command.main(args=arguments or ["--help"], prog_name="ik", standalone_mode=False) or 0
+                sys.stdout.flush()
+            except first_use.CompileNeeded as needed:
+                return first_use.again(arguments, needed.folder, terminated)
         return _stopped(terminated) if code == INTERRUPTED else code
-    except first_use.CompileNeeded as needed:
-        return first_use.again(arguments, needed.folder)
     except (KeyboardInterrupt, typer.Abort):
         return _stopped(terminated)
     except Exception as error:

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
+import typer.core
 
 from ..errors import FrameNotFound, InvalidConfiguration, InvalidOption, InvalidTarget, MissingExtra, clean
 from ..files import PARTIAL, write_whole
@@ -33,6 +34,7 @@ VECTOR_OPTIONS = frozenset(
 )
 
 PLOTS = (".png", ".pdf", ".svg")
+READ = ("file",)  # parameters of commands that are paths and are read; all others are written
 
 
 def writes(*suffixes: str) -> Callable[[Path | None], Path | None]:
@@ -55,6 +57,33 @@ def writes(*suffixes: str) -> Callable[[Path | None], Path | None]:
         return file
 
     return check
+
+
+class Command(typer.core.TyperCommand):
+    """A command that refuses to write over a file it reads, under whatever name, or two results into one file."""
+
+    def invoke(self, ctx: Any) -> Any:
+        """Run the command. Raises InvalidOption."""
+        outputs = [value for name, value in ctx.params.items() if isinstance(value, Path) and name not in READ]
+        for k, output in enumerate(outputs):
+            if any(_same(output, other) for other in outputs[:k]):
+                raise InvalidOption(f"two results cannot be written to one file, '{output}'")
+        for value in ctx.params.values():
+            for word in value if isinstance(value, list | tuple) else [value]:
+                if not isinstance(word, str | Path) or any(word is output for output in outputs):
+                    continue
+                given = str(word).rpartition("=")[2] if not os.path.isfile(word) else word  # SOLVER=PRESET
+                for output in outputs:
+                    if os.path.isfile(given) and _same(output, given):
+                        raise InvalidOption(f"'{output}' would overwrite '{given}', which is read; choose another name")
+        return super().invoke(ctx)
+
+
+def _same(one: str | Path, other: str | Path) -> bool:
+    """Whether two names are of one file, there or not: by links too, or by case where that does not count."""
+    if os.path.exists(one) and os.path.exists(other):
+        return os.path.samefile(one, other)
+    return os.path.realpath(one) == os.path.realpath(other)
 
 
 RobotArg = Annotated[str, typer.Argument(metavar="ROBOT", help="Name (see ik robots) or path of a URDF file.")]

@@ -6,17 +6,21 @@ as plain Python, slow but at once. What that does not solve within its budget is
 
 import logging
 import os
+import signal
 import subprocess
 import sys
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
+from .common import notice
+
 WAIT, INTERPRETED = "IK_TOOLKIT_WAIT", "IK_TOOLKIT_INTERPRETED"  # environment: compile and wait; this is the second run
+AGAIN = "IK_TOOLKIT_AGAIN"  # environment: this is the second or third run
 BUDGET = 2000  # evaluations of the uncompiled kernel, about a second's worth
 NOT_ANSWERED = 75  # exit code of the second run when its budget was used up (EX_TEMPFAIL of sysexits.h)
 LOCK, LOG = "ik-compiling.lock", "ik-compiling.log"  # beside the kernels
-_here = {"allowed": False}
+_here = {"allowed": False, "past": False}
 
 
 class CompileNeeded(Exception):
@@ -53,6 +57,7 @@ def kernel() -> str:
 @contextmanager
 def instead_of_compiling() -> Iterator[None]:
     """Within it CompileNeeded is raised where a kernel would be compiled, in a process that `allow` allows."""
+    _here["past"] = True
     if not _here["allowed"]:
         yield
         return
@@ -64,31 +69,57 @@ def instead_of_compiling() -> Iterator[None]:
         log.removeHandler(stop)
 
 
-def again(arguments: Sequence[str], folder: Path | None) -> int:
-    """Run the command without compilation, then compile in the background; return its exit code."""
-    command = [sys.executable, "-m", "ik_toolkit"]
-    without = {**os.environ, INTERPRETED: "1", "NUMBA_DISABLE_JIT": "1"}
-    code = subprocess.run([*command, *arguments], env=without).returncode
+def said_before() -> bool:
+    """Whether this run is a further one and has not come to where the first stopped: that one has shown these notices."""
+    return bool(os.environ.get(AGAIN)) and not _here["past"]
+
+
+def again(arguments: Sequence[str], folder: Path | None, terminated: Sequence[bool]) -> int:
+    """Run the command without compilation, then compile in the background; return its exit code.
+
+    terminated: not empty when it is SIGTERM that raises KeyboardInterrupt.
+    """
+    # The module path of this process, not the current folder in front of it as `-m` has: what lies there is not ours to run.
+    start = f"import sys; sys.path[:] = {sys.path!r}; from ik_toolkit.cli import main; sys.exit(main())"
+    command = [sys.executable, "-c", start]
     waiting = {**os.environ, WAIT: "1"}
+    without = {**os.environ, AGAIN: "1", INTERPRETED: "1", "NUMBA_DISABLE_JIT": "1"}
+    code = _run([*command, *arguments], without, terminated)
     if code == NOT_ANSWERED:
-        return subprocess.run([*command, *arguments], env=waiting).returncode
-    if folder is None:
-        print(
-            f"solved without compiled code, which cannot be kept here (see ik doctor); {WAIT}=1 compiles",
-            file=sys.stderr,
-        )
+        return _run([*command, *arguments], {**waiting, AGAIN: "1"}, terminated)
+    if code not in (0, 1):  # a mistake or an interruption, which it has explained
         return code
-    folder.mkdir(parents=True, exist_ok=True)
-    with open(folder / LOG, "ab") as log:
-        subprocess.Popen(
-            [*command, "doctor", "--prepare", "--background"],
-            env=waiting, stdin=subprocess.DEVNULL, stdout=log, stderr=log, start_new_session=True,
-        )  # fmt: skip
-    print(
-        f"first use: solved without compiled code; compiling goes on in the background ({folder / LOG})",
-        file=sys.stderr,
-    )
+    if folder is None:
+        notice(f"solved without compiled code, which cannot be kept here (see ik doctor); {WAIT}=1 compiles")
+        return code
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with open(folder / LOG, "ab") as log:
+            subprocess.Popen(
+                [*command, "doctor", "--prepare", "--background"],
+                env=waiting, stdin=subprocess.DEVNULL, stdout=log, stderr=log, start_new_session=True,
+            )  # fmt: skip
+    except OSError as error:
+        notice(f"solved without compiled code; compiling in the background cannot start: {error.strerror}: {folder}")
+        return code
+    notice(f"first use: solved without compiled code; compiling goes on in the background ({folder / LOG})")
     return code
+
+
+def _run(command: Sequence[str], environment: dict[str, str], terminated: Sequence[bool]) -> int:
+    """Exit code of a command run in this one's place: Ctrl-C and SIGTERM end it as well, and it says so."""
+    with subprocess.Popen(command, env=environment) as process:
+        try:
+            return process.wait()
+        except KeyboardInterrupt:
+            try:
+                process.wait(1.0)  # Ctrl-C in a terminal has reached it too
+            except subprocess.TimeoutExpired:
+                process.send_signal(signal.SIGTERM if terminated else signal.SIGINT)
+            code = process.wait()
+            if code < 0:  # ended before it could say anything
+                raise
+            return code
 
 
 @contextmanager

@@ -2,7 +2,6 @@
 
 import csv
 import math
-import os
 import zipfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -301,10 +300,6 @@ def solve_file(
     """
     if output is None or output.suffix.lower() not in OUTPUTS:
         raise InvalidOption(f"--targets needs -o FILE for the solutions, which ends in {', '.join(OUTPUTS)}")
-    if os.path.realpath(output) == os.path.realpath(path) or (
-        output.exists() and path.exists() and output.samefile(path)
-    ):
-        raise InvalidOption(f"-o would overwrite the targets file '{path}'")
     count, targets = read_targets(path, deg)
     began = perf_counter()
     with _cluster(cluster) as executor, _progress(count) as show_done:
