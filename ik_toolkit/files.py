@@ -30,13 +30,13 @@ class WholeFile:
 
     def write(self, data: str | bytes) -> None:
         """Write text (as UTF-8) or bytes whole: what follows does not count until it is all written."""
-        with self._named():
+        with self.named():
             self.stream.write(data.encode() if isinstance(data, str) else data)
         self.mark()
 
     def mark(self) -> None:
         """All that has been written to the stream so far is worth keeping."""
-        with self._named():
+        with self.named():
             self.stream.flush()
         if self._place is not None:
             self._good = self.stream.tell()
@@ -44,7 +44,7 @@ class WholeFile:
     def finish(self) -> None:
         """Give the file its name; it is on the disk by then. Where that fails, what was marked is kept as NAME.partial."""
         try:
-            with self._named():
+            with self.named():
                 self.stream.flush()
                 if self._place is not None:
                     os.fsync(self.stream.fileno())
@@ -85,7 +85,7 @@ class WholeFile:
             self.part.unlink(missing_ok=True)
 
     @contextmanager
-    def _named(self) -> Iterator[None]:
+    def named(self) -> Iterator[None]:
         """Let errors name the file that was asked for."""
         try:
             yield
@@ -98,7 +98,7 @@ def whole_file(path: str | Path) -> Iterator[BinaryIO]:
     """Binary stream of a file that gets its name when the block ends well, and vanishes when it does not."""
     file = WholeFile(path)
     try:
-        with file._named():
+        with file.named():
             yield file.stream
         file.finish()
     except BaseException:

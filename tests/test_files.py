@@ -199,6 +199,17 @@ def test_a_robot_or_path_is_not_overwritten_by_what_is_made_of_it(tmp_path, caps
     assert main([*solve, *twice]) == 2 and "one file" in capsys.readouterr().err
 
 
+def test_a_full_disk_names_the_file_of_arrays(tmp_path, capsys, monkeypatch):
+    def fail(*_, **__):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))  # as numpy does, which writes to a stream
+
+    np.savez(tmp_path / "in.npz", targets=np.tile([1.0, 1.0, 0.0], (3, 1)))
+    monkeypatch.setattr(np, "savez", fail)
+    out = tmp_path / "out.npz"
+    assert main(["solve", ARM, "--targets", str(tmp_path / "in.npz"), "-o", str(out)]) == 2
+    assert str(out) in capsys.readouterr().err and os.listdir(tmp_path) == ["in.npz"]
+
+
 def ik_process(words, **options):
     return subprocess.Popen(
         [sys.executable, "-m", "ik_toolkit", *map(str, words)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,

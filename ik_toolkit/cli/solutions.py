@@ -112,7 +112,8 @@ class Solutions:
 
     def add(self, part: BatchResult) -> None:
         """Append a part."""
-        self.writer.add(part)
+        with self.file.named():  # numpy and pyarrow name no file
+            self.writer.add(part)
         self.count += len(part)
 
     def fail(self) -> Path | None:
