@@ -17,10 +17,10 @@ import urllib.request
 import numpy as np
 import pinocchio as pin
 import pytest
-from robots import MADE, SLIDES, have_data, load
+from robots import MADE, SLIDES, have_data, load, urdf
 
 import ik_toolkit as ik
-from ik_toolkit.errors import InvalidConfiguration, InvalidOption
+from ik_toolkit.errors import InvalidConfiguration, InvalidOption, ModelError
 
 pytest.importorskip("meshcat", reason="meshcat is not installed (extra 'view')")
 pytest.importorskip("trimesh", reason="trimesh is not installed (extra 'view')")
@@ -168,6 +168,16 @@ def test_missing_meshes_are_said(tmp_path):
     )
     notice = Body(ik.Robot.load(text)).notice
     assert "link 'l1': mesh 'package://nowhere/x.stl' cannot be found" in notice and "stick figure" in notice
+
+
+@pytest.mark.parametrize("length", ["1e-320", "1e-9", "1e8", "1e12"])
+def test_robots_of_any_size_are_drawn_or_refused(length):
+    robot = ik.Robot.load(urdf(*[{"kind": "revolute", "axis": "0 1 0", "xyz": f"0 {length} 0"}] * 2))
+    if float(length) > 1e9:
+        with pytest.raises(ModelError, match="further than 1e\\+09 m"):
+            ik.view(robot)
+    else:
+        assert "</html>" in ik.view(robot).html()
 
 
 def test_tube_is_round_and_follows_its_line():

@@ -18,6 +18,8 @@ from ..robot.joints import Joints
 from ..robot.meshes import Mesh
 from ..robot.shapes import LinkShape, geometry_model, link_shapes, said
 
+FARTHEST = 1e9  # [m]; pages compute with 32 bits, and multiply lengths
+THINNEST = 1e-6  # [m] of a stick
 MAX_SHAPES = 2_000  # of a robot; robots have up to 150
 COLORED = (".dae", ".obj", ".glb", ".gltf")  # formats with colours worth showing
 GREY = (0.70, 0.72, 0.75)
@@ -51,18 +53,20 @@ class Body:
     """
 
     def __init__(self, robot: Joints) -> None:
-        """Read the shapes. Raises MissingExtra without trimesh."""
+        """Read the shapes. Raises MissingExtra without trimesh, ModelError for a robot of astronomic size."""
         self.robot = robot
         self.model = robot.model
         self.data = self.model.createData()
         self.arms: Any = getattr(robot, "arms", (robot,))
         need_trimesh()
+        pin.framesForwardKinematics(self.model, self.data, robot.rest)
+        if not max(np.abs(place.translation).max() for place in self.data.oMf) <= FARTHEST:
+            raise ModelError(f"robot '{robot.name}' has links further than {FARTHEST:g} m away: it cannot be drawn")
         self.geometry, self.parts, self.notice = _read(self.arms[0])
         if not self.parts:
             self.notice = f"{self.notice or 'the URDF has no visual shapes'}; drawn as a stick figure"
             self.geometry, self.parts = _sticks(robot, self.arms)
         self.geometry_data = self.geometry.createData()
-        pin.framesForwardKinematics(self.model, self.data, robot.rest)
         self.T_world_base = self.data.oMf[self.arms[0]._ids[0]].homogeneous
 
     def placements(self, q: Any) -> np.ndarray:
@@ -113,7 +117,7 @@ def _read(robot: Any) -> tuple[pin.GeometryModel, list[Part], str]:
     parts, drawn = [], []
     for shape in shapes:
         pieces = _pieces(shape)
-        if pieces:  # a ball of a hair's breadth, as some robots have for a marker, has no triangles left
+        if sum(len(piece.faces) for piece in pieces):  # a mesh may be all points and lines
             parts.append(Part(shape.name, pieces))
             drawn.append(shape)
     geometry = geometry_model(
@@ -138,16 +142,18 @@ def _pieces(shape: LinkShape) -> tuple[Shape, ...]:
             )
             for vertices, faces, c in _smoothed(shape.mesh)
         )
-    if shape.kind == "cylinder":
-        mesh = creation.cylinder(radius=shape.sizes[0], height=shape.sizes[1], sections=48)
-    elif shape.kind == "box":
-        mesh = creation.box(extents=shape.sizes)
+    scale = np.array(shape.sizes) if shape.kind == "box" else np.full(3, shape.sizes[0])
+    if shape.kind == "box":
+        mesh = creation.box(extents=(1.0, 1.0, 1.0))
     elif shape.kind == "sphere":
-        mesh = creation.uv_sphere(radius=shape.sizes[0], count=(24, 24))
+        mesh = creation.uv_sphere(radius=1.0, count=(24, 24))
+    elif shape.kind == "cylinder":
+        mesh = creation.cylinder(radius=1.0, height=1.0, sections=48)
+        scale[2] = shape.sizes[1]
     else:
-        mesh = creation.capsule(height=shape.sizes[1], radius=shape.sizes[0], count=(24, 24))
+        mesh = creation.capsule(height=shape.sizes[1] / shape.sizes[0], radius=1.0, count=(24, 24))
         mesh.apply_translation(-mesh.bounds.mean(axis=0))
-    return (Shape(*smooth(mesh), color, opacity),) if len(mesh.faces) else ()
+    return (Shape(*smooth(mesh, scale), color, opacity),)
 
 
 @functools.lru_cache(256)
@@ -157,10 +163,11 @@ def _smoothed(mesh: Mesh) -> tuple[tuple[np.ndarray, np.ndarray, tuple[float, fl
     return tuple((*smooth(make(piece.vertices, piece.faces, process=True)), piece.color) for piece in mesh.pieces)
 
 
-def smooth(mesh: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices and faces, split along sharp edges so that a viewer's averaged normals show them as edges.
+def smooth(mesh: Any, scale: Any = 1.0) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices times a scale, and faces, split along sharp edges so that a viewer's averaged normals show them as edges.
 
-    Corners of two faces stay one vertex when the faces meet at a flat enough edge there.
+    Corners of two faces stay one vertex when the faces meet at a flat enough edge there. What may be small is made large and
+    scaled here: trimesh leaves out triangles whose sides are under 0.1 mm.
     """
     from scipy.sparse import coo_matrix
     from scipy.sparse.csgraph import connected_components
@@ -176,7 +183,7 @@ def smooth(mesh: Any) -> tuple[np.ndarray, np.ndarray]:
     graph = coo_matrix((np.ones(len(links)), (links[:, 0], links[:, 1])), shape=(count, count))
     total, label = connected_components(graph, directed=False)
     vertices = np.empty((total, 3), dtype=np.float32)
-    vertices[label] = mesh.vertices[faces.ravel()]
+    vertices[label] = (mesh.vertices * scale)[faces.ravel()]
     return vertices, label.reshape(-1, 3).astype(np.uint32)
 
 
@@ -188,25 +195,37 @@ def _sticks(robot: Joints, arms: Any) -> tuple[pin.GeometryModel, list[Part]]:
     pin.framesForwardKinematics(model, data, robot.rest)
     ball = pin.GeometryObject  # alias: the placement is all that is used of it
 
-    def add(name: str, joint: int, mesh: Any, color: tuple[float, float, float]) -> None:
+    def add(name: str, joint: int, mesh: Any, scale: float, color: tuple[float, float, float]) -> None:
         if name not in {part.name for part in parts}:
             geometry.addGeometryObject(ball(name, joint, pin.SE3.Identity(), coal.Sphere(1e-3)))
-            parts.append(Part(name, (Shape(*smooth(mesh), color),)))
+            parts.append(Part(name, (Shape(*smooth(mesh, scale), color),)))
 
     for arm in arms:
-        r = 0.018 * arm.reach
+        r = max(0.018 * arm.reach, THINNEST)
         joints = list(dict.fromkeys(model.getJointId(name) for name in arm.joint_names))
         for k, joint in enumerate(joints):
             name = model.names[joint]
-            add(f"{name}_ball", joint, trimesh.creation.uv_sphere(radius=1.7 * r, count=(16, 16)), JOINT)
+            add(f"{name}_ball", joint, trimesh.creation.uv_sphere(radius=1.7, count=(16, 16)), r, JOINT)
             end = data.oMi[joints[k + 1]] if k + 1 < len(joints) else data.oMf[arm._ids[1]] * arm.tool
             p = data.oMi[joint].actInv(end.translation)
             if np.linalg.norm(p) > r:
-                add(f"{name}_bar_{arm.tip}", joint, trimesh.creation.cylinder(r, segment=[np.zeros(3), p]), STEEL)
+                add(
+                    f"{name}_bar_{arm.tip}",
+                    joint,
+                    trimesh.creation.cylinder(1.0, segment=[np.zeros(3), p / r]),
+                    r,
+                    STEEL,
+                )
         foot = data.oMi[joints[0]].translation - data.oMf[arm._ids[0]].translation
         if np.linalg.norm(foot) > r:
             start = data.oMf[arm._ids[0]].translation
-            add(f"base_bar_{arm.tip}", 0, trimesh.creation.cylinder(1.3 * r, segment=[start, start + foot]), STEEL)
+            add(
+                f"base_bar_{arm.tip}",
+                0,
+                trimesh.creation.cylinder(1.3, segment=[start / r, (start + foot) / r]),
+                r,
+                STEEL,
+            )
     return geometry, parts
 
 
@@ -215,8 +234,8 @@ def tube(points: np.ndarray, radius: float, color: tuple[float, float, float], o
     P = np.asarray(points, dtype=float)
     P = P[np.append(True, np.linalg.norm(np.diff(P, axis=0), axis=1) > 1e-3 * radius)]
     if len(P) < 2:
-        ball = need_trimesh().creation.uv_sphere(radius=1.5 * radius, count=(10, 10))
-        return Shape(ball.vertices.astype(np.float32) + P[0].astype(np.float32), ball.faces, color, opacity)
+        ball = need_trimesh().creation.uv_sphere(radius=1.5, count=(10, 10))
+        return Shape((ball.vertices * radius + P[0]).astype(np.float32), ball.faces, color, opacity)
     along = np.gradient(P, axis=0)
     along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-12)
     across = np.empty_like(P)

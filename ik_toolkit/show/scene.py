@@ -88,7 +88,7 @@ class Scene:
         """Draw the axes (x red, y green, z blue) of a pose; a position (3,) or an axis target is drawn as what it fixes."""
         trimesh = need_trimesh()
         size = size or 0.14 * self._extent()
-        r = 0.035 * size
+        r = 0.035  # in units of size, as all below
         free = isinstance(T_base, AxisTarget)
         T = np.eye(4)
         shapes = []
@@ -101,14 +101,14 @@ class Scene:
         shapes.append((ball, RED if target.ndim == 1 else SLATE))
         arrows = [(np.asarray(T_base.axis), PURPLE)] if free else [*zip(np.eye(3), AXES, strict=True)]
         for direction, color in arrows if target.ndim == 2 else ():
-            shaft = trimesh.creation.cylinder(r, segment=[np.zeros(3), 0.8 * size * direction], sections=20)
-            cone = trimesh.creation.cone(radius=2.1 * r, height=0.22 * size, sections=24)
+            shaft = trimesh.creation.cylinder(r, segment=[np.zeros(3), 0.8 * direction], sections=20)
+            cone = trimesh.creation.cone(radius=2.1 * r, height=0.22, sections=24)
             cone.apply_transform(trimesh.geometry.align_vectors((0, 0, 1), direction))
-            cone.apply_translation(0.78 * size * direction)
+            cone.apply_translation(0.78 * direction)
             shapes += [(shaft, color), (cone, color)]
         self.window.delete(name)
         for k, (mesh, color) in enumerate(shapes):
-            self.window.shape(f"{name}/{k}", Shape(*smooth(mesh), color))
+            self.window.shape(f"{name}/{k}", Shape(*smooth(mesh, size), color))
         self.move(T, name)
         point = (self.body.T_world_base @ T)[:3, 3]
         if self._corners and np.linalg.norm(point - np.mean(self._corners, axis=(0, 1))) > FAR * self._extent():
