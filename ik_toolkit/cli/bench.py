@@ -77,7 +77,7 @@ def bench(
         found, stopped = interrupt.result, True
         if not found.rows:
             raise KeyboardInterrupt from None
-    write_json(found.to_dict(), as_json, partial(output) if stopped else output)
+    write_json(found.to_dict(), as_json, partial(output) if stopped and output else output)
     if plot is not None and not stopped:
         from ..show.studies import plot_benchmark
 

@@ -299,15 +299,16 @@ def uninterrupted() -> Iterator[None]:
         for number, handler in before.items():
             signal.signal(number, handler if handler is not None else signal.SIG_DFL)
     for number, frame in came[:1]:
-        if callable(before[number]):
-            before[number](number, frame)
-        elif before[number] == signal.SIG_DFL:
+        handler = before[number]
+        if callable(handler):
+            handler(number, frame)  # pyright: ignore[reportCallIssue, reportOptionalCall]
+        elif handler == signal.SIG_DFL:
             raise KeyboardInterrupt
 
 
-def partial(output: Path | None) -> Path | None:
+def partial(output: Path) -> Path:
     """Name of a result that is not whole, beside the one asked for."""
-    return None if output is None else output.with_name(output.name + PARTIAL)
+    return output.with_name(output.name + PARTIAL)
 
 
 class Output:

@@ -161,7 +161,7 @@ def workspace(
         view(arm, cloud=(found.points, found.solved[first]), title=f"{arm.name}: goals of {first}").save(html)
     if stopped and csv is not None:
         notice(f"the goals finished are in {partial(csv)}")
-    write_json(found.to_dict(), as_json, partial(output) if stopped else output)
+    write_json(found.to_dict(), as_json, partial(output) if stopped and output else output)
     if not as_json:
         _show(found)
     if stopped:

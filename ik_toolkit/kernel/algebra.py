@@ -4,6 +4,8 @@ The formulas are written once: a component is a float in the search for one targ
 Inlined, nothing of these records is left in the machine code.
 """
 
+# numba's own types know neither options in a dict nor that overloads and intrinsics are called by numba.
+# pyright: reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
 import math
 from typing import Any, NamedTuple
 

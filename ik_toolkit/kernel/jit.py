@@ -1,5 +1,7 @@
 """How the kernels are compiled: one set of numba options, classes whose methods compile, and a cache on disk (see cache.py)."""
 
+# numba's own types know neither options in a dict nor that overloads and intrinsics are called by numba.
+# pyright: reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
 import functools
 import gc
 import inspect

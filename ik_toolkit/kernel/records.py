@@ -4,6 +4,8 @@ Python packs `[*Orders(...), *Task(...), ...]` and reads `row[AT.status]`; the k
 arrays. Flat arrays cross the boundary because they are cheap there (50 ns each, a record of arrays twice that).
 """
 
+# numba's own types know neither options in a dict nor that overloads and intrinsics are called by numba.
+# pyright: reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
 from typing import Any, NamedTuple
 
 import numpy as np

@@ -8,6 +8,8 @@ Order in every iteration: evaluate, best so far, test, budget, give up, step, li
 always one that was evaluated, at most full turns away. Restarts wrap the loop.
 """
 
+# numba's own types know neither options in a dict nor that overloads and intrinsics are called by numba.
+# pyright: reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
 from collections.abc import Callable
 from typing import NamedTuple
 

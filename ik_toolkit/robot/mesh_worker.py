@@ -170,8 +170,8 @@ def look(file: Path, raw: bytes, references: References, out: Path):
         def __init__(self) -> None:
             pass
 
-        get = __getitem__ = staticmethod(references.get)
-        write = namespaced = keys = lambda *_: None
+        get = __getitem__ = staticmethod(references.get)  # pyright: ignore[reportAssignmentType]
+        write = namespaced = keys = lambda *_: None  # pyright: ignore[reportAssignmentType]
 
     warnings.simplefilter("ignore")  # trimesh grumbles about materials it need not understand
     scene = trimesh.load_scene(io.BytesIO(raw), file_type=file.suffix.lower()[1:], resolver=Resolver())

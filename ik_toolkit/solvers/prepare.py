@@ -1,6 +1,7 @@
 """Compiling ahead of the first call."""
 
 from collections.abc import Callable
+from typing import Any
 
 from ..errors import InvalidOption, UnknownSolver
 from ..robot.library import shipped_robots
@@ -28,11 +29,12 @@ def prepare(*solvers: str, progress: Callable[[str], None] | None = None) -> Non
                 break
 
 
-def _call(robot: Robot | Tree, name: str) -> bool:
+def _call(robot: Any, name: str) -> bool:
     """Call a solver for a pose and for a position, alone and in a batch; False when it fits neither."""
     at_home, fits = robot.fk(robot.home), False
+    calls: list[Callable[[], Any]]
     if isinstance(robot, Tree):
-        calls = [lambda: Solver(robot, name)(at_home)]
+        calls = [lambda: Solver(robot, name)(at_home)]  # pyright: ignore[reportArgumentType]
     else:
         poses = [at_home.homogeneous[None], at_home.translation[None]]
         calls = [lambda T=T: Solver(robot, name)(T[0]) for T in poses]

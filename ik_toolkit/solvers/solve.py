@@ -154,8 +154,8 @@ class Solver:
         length = self._length()
         attempts = 1 if o.follow else length.attempts if o.restarts is None else o.restarts + 1
         iterations = max(length.iterations, FOLLOW_ITERATIONS) if o.follow else length.iterations
-        gives_up = length.give_up and attempts > 1 and o.max_iterations is None
-        c, rho, c_free, rho_free = length.give_up if gives_up else NEVER
+        give_up = length.give_up if attempts > 1 and o.max_iterations is None else None
+        c, rho, c_free, rho_free = give_up or NEVER
         orders = Orders(
             tol_p=o.position_tolerance * MARGIN,
             tol_r=o.orientation_tolerance * MARGIN,
@@ -168,7 +168,7 @@ class Solver:
             rho=rho,
             c_free=c_free,
             rho_free=rho_free,
-            patience=length.patience if gives_up else np.inf,
+            patience=length.patience if give_up else np.inf,
             evaluations=o.max_evaluations or np.inf,
             limits=o.limits,
             seed=o.seed,

@@ -158,7 +158,7 @@ def _with_search(first: Solutions, other: Solutions, one: Solver) -> Solutions:
         np.concatenate([first.distance, other.distance]),
         (
             np.concatenate([first.position_error, other.position_error]),
-            np.concatenate([first.orientation_error, other.orientation_error]),
+            np.concatenate([first.orientation_error, other.orientation_error]),  # pyright: ignore
         ),
         False,
         one.name,
@@ -325,5 +325,5 @@ def _families(single: Solver, found: Solutions, T: np.ndarray, kind: Any, redund
     if not another.any():
         return ()
     joints = (moved[another] > 1e-2 * STRIDE).any(axis=0)
-    names = tuple(name for name, moves in zip(robot.joint_names, joints, strict=True) if moves)
+    names = tuple(name for name, moves in zip(robot.joint_names, np.atleast_1d(joints), strict=True) if moves)
     return (Family(names, None, None, f"a family of solutions, found numerically: {', '.join(names)} move along it"),)

@@ -169,4 +169,4 @@ class Inverse(NamedTuple):
         return 0
 
 
-Newton.COMPILED = Inverse
+Newton.COMPILED = Inverse  # pyright: ignore[reportAttributeAccessIssue]
