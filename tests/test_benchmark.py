@@ -353,7 +353,7 @@ def test_an_interrupt_keeps_the_blocks_that_are_finished(tmp_path, monkeypatch, 
     monkeypatch.setattr(module, "run_block", impatient)
     words = ["bench", "planar_2r", "planar_3r", "--solvers", "lm,dls", "-n", "100", "-o", str(tmp_path / "out.json")]
     assert main(words) == 130
-    rows = json.loads((tmp_path / "out.json").read_text())["rows"]
+    rows = json.loads((tmp_path / "out.json.partial").read_text())["rows"]
     assert [(row["robot"], row["solver"], row["targets"]) for row in rows] == [
         ("planar_2r", "lm", 40),
         ("planar_2r", "dls", 30),

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ...kernel.algebra import at3
-from ...kernel.chain import Chain
+from ...kernel.chain import Chain, evaluate
 from ...kernel.checks import CONVERGED, LIMIT_BLOCKED, STALLED, UNREACHABLE
 from ...kernel.jit import inline, jit
 from ...kernel.kinematics import TAU, aim, fk, pose_error, rotation_angle
@@ -76,7 +76,7 @@ def read_screws(chain: Chain) -> Screws | str:
     """Return the joint screws at q = 0, or a sentence when a coordinate drives several joints (mimic)."""
     if not chain.rows[0, 0] > 0.0:
         return "it has mimic joints"
-    T, J = chain.forward(np.zeros(chain.n), jacobian=True)
+    T, J = evaluate(chain.rows, chain.ends, np.zeros((1, chain.n)), chain.unit, jacobian=True)  # compiles nothing
     linear, angular = J[0, :3].T, J[0, 3:].T
     turns = chain.rows[:, 9] > 0.0
     axis = np.where(turns[:, None], angular, linear)
