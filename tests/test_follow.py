@@ -149,6 +149,19 @@ def test_attempt_tells_where_the_answer_comes_from():
     assert seen == {True, False}
 
 
+def test_a_joint_that_goes_to_its_other_end_is_said():
+    robot = ik.Robot.load(robots.urdf(*(dict(kind="revolute", limits=(-3.5, 3.5), xyz="0.5 0 0") for _ in range(3))))
+    q0, solver = np.array([3.49, 0.4, 0.3]), ik.Solver(robot, "lm")
+    over = robot.fk([3.49, 0.4, 0.3]).homogeneous
+    turn = pin.SE3(pin.exp3(np.array([0.0, 0.0, 0.03])), np.zeros(3)).homogeneous  # about the first joint's axis, past its limit
+    turn[:3, 3] = np.array([0.5, 0, 0]) - turn[:3, :3] @ np.array([0.5, 0, 0])
+    jumped, stayed = solver(turn @ over, q0=q0), solver(over, q0=q0)
+    assert jumped.success and abs(jumped.q[0] - q0[0]) > np.pi and jumped.attempt == 0
+    assert robot.joint_names[0] in jumped.notice and "follow" in jumped.notice
+    assert stayed.success and not stayed.notice
+    assert not ik.solve(robot, turn @ over, "lm", q0=q0, follow=True).success
+
+
 def test_one_choice_of_solver():
     for name, target, used in (
         ("planar_2r", (1.0, 1.0, 0.0), "planar-2r"),

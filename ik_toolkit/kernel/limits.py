@@ -101,6 +101,15 @@ def turn(wanted, q, ends, i):
     return k
 
 
+@inner
+def other_end(q, start, ends):
+    """Joint of a bounded range that ended more than half a turn from where it started, -1 when there is none."""
+    for i in range(q.shape[0]):
+        if 0.0 < ends.turns(i) < 1.5 and abs(q[i] - start[i]) > math.pi:
+            return i
+    return -1
+
+
 @inline
 def face(q, wanted, ends):
     """Of the same answer several turns away, make q the legal one nearest `wanted` (n,); True when q changed."""

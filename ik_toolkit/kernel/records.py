@@ -66,7 +66,7 @@ class Answer(NamedTuple):
     history: float  # rows of `history` written
     excess: float  # [m] by which a target lies out of reach
     attempt: float  # the attempt that found q, 0 the first
-    held: float  # joint that the neighbourhood of q0 holds back (TOO_FAR), -1: none
+    held: float  # joint that the neighbourhood of q0 holds back (TOO_FAR) or that went to its other end (CONVERGED), -1: none
 
 
 @compiled

@@ -30,7 +30,7 @@ from .checks import (
     standstill,
 )
 from .jit import BUILD, build, cached, compiled, inline, spliced
-from .limits import distance, face, held_back, hold, integrate, legal, neighbourhood
+from .limits import distance, face, held_back, hold, integrate, legal, neighbourhood, other_end
 from .problem import BEST_OF_ALL, NEAREST, NOW
 from .records import ANSWER, HEAD, TASK, Answer, Array, Ends, Orders, copy, read, write
 from .seeds import BEST, sow
@@ -244,6 +244,8 @@ def search(rule, p, o, near, ends, weights, table, best, found, start, needs_jac
             status = LIMIT_BLOCKED if why == LIMIT_BLOCKED else STALLED
         elif status == STILL:
             status = why
+    if status == CONVERGED and given > 0 and not following:
+        held = other_end(q, start, ends)
     position, rotation = p.left(place)
     answer = Answer(
         float(status), float(spent.steps), float(tries - 1), position, rotation, float(spent.evaluations),

@@ -47,7 +47,7 @@ ADVICE = {
 # The configuration returned with a failure is the best that the closed form or the search after it found.
 CLOSED_FORM_SAYS = {
     Status.CONVERGED: "closed form, the legal branch nearest q0; evaluated to {left}",
-    Status.UNREACHABLE: "the target is out of reach by at least {beyond}{kept}; the best configuration found is {left} away{at}",
+    Status.UNREACHABLE: "the target is out of reach by about {beyond}{kept}; the best configuration found is {left} away{at}",
     Status.LIMIT_BLOCKED: (
         "the target is in reach but {why}; the best configuration found inside the limits is "
         "{left} away{at}; widen the limits or move the target"
@@ -63,7 +63,7 @@ class Result:
     position_error [m] and orientation_error [rad] (None when the target leaves orientation free) at q; iterations (steps
     taken), restarts, fk_evaluations; attempt (the one q comes from: 0 is the first, which starts at q0 when that was
     given); limited_joints (names standing on a limit); elapsed [s]; seed; solver (name); notice (what was corrected in the
-    input, or that q comes from another attempt than the one from q0, or ''); collision (pair of names that touch at q, when
+    input, or that q comes from another attempt than the one from q0 or is half a turn from it, or ''); collision (pair of names that touch at q, when
     collisions are avoided and no answer without one was found, else None); history (dict of arrays q, position_error,
     orientation_error, one row an evaluation, or None).
     """
@@ -138,11 +138,17 @@ class Result:
 
     @property
     def notice(self) -> str:
-        """What was corrected in the input, and whether q comes from another attempt than the one from q0; or ''."""
-        if not (self._given and self.attempt) or self._solver.options.closest:
-            return self._notice
-        jump = f"q was found by attempt {self.attempt}, not from q0, and may be far from it; in a loop use follow=True"
-        return f"{self._notice}; {jump}" if self._notice else jump
+        """What was corrected in the input, and whether q is another attempt's, or half a turn or more from q0; or ''."""
+        jump = ""
+        if self._given and not self._solver.options.closest:
+            if self.attempt:
+                jump = f"q was found by attempt {self.attempt}, not from q0, and may be far from it"
+            elif self.status == Status.CONVERGED and self._row[AT.held] >= 0.0:
+                joint = self.robot.joint_names[int(self._row[AT.held])]
+                jump = f"joint {joint} went to the other end of its range, more than half a turn from q0"
+        if jump:
+            jump += "; in a loop use follow=True"
+        return "; ".join(filter(None, (self._notice, jump)))
 
     @property
     def fk_evaluations(self) -> int:
@@ -269,7 +275,9 @@ def sentence(result: Result) -> str:
         text = f"no further progress at {left}: a local minimum of the error"
     elif status == Status.LIMIT_BLOCKED:
         joints = ", ".join(result.limited_joints)
-        text = f"joint limits ({joints}) block the way to the target; closest {left} after {starts} start{'s' * (starts > 1)}"
+        text = f"joint limits ({joints}) seem to block the way to the target; closest {left} after {starts} start{'s' * (starts > 1)}"
+    elif status == Status.ITERATION_LIMIT and result._solver.options.follow:
+        return f"{left} away after {result.iterations} iterations; move the target in smaller steps, or use the tracker"
     elif status == Status.ITERATION_LIMIT:
         text = f"{left} away after {result.iterations} iterations"
     elif status == Status.SINGULAR:
