@@ -63,7 +63,8 @@ class Result:
     position_error [m] and orientation_error [rad] (None when the target leaves orientation free) at q; iterations (steps
     taken), restarts, fk_evaluations; attempt (the one q comes from: 0 is the first, which starts at q0 when that was
     given); limited_joints (names standing on a limit); elapsed [s]; seed; solver (name); notice (what was corrected in the
-    input, or that q comes from another attempt than the one from q0 or is half a turn from it, or ''); collision (pair of names that touch at q, when
+    input, or that q comes from another attempt than the one from q0 or is half a turn from it, or ''); collision (pair of
+    names that touch at q, when
     collisions are avoided and no answer without one was found, else None); history (dict of arrays q, position_error,
     orientation_error, one row an evaluation, or None).
     """
@@ -275,7 +276,8 @@ def sentence(result: Result) -> str:
         text = f"no further progress at {left}: a local minimum of the error"
     elif status == Status.LIMIT_BLOCKED:
         joints = ", ".join(result.limited_joints)
-        text = f"joint limits ({joints}) seem to block the way to the target; closest {left} after {starts} start{'s' * (starts > 1)}"
+        text = f"joint limits ({joints}) seem to block the way to the target"
+        text += f"; closest {left} after {starts} start{'s' * (starts > 1)}"
     elif status == Status.ITERATION_LIMIT and result._solver.options.follow:
         return f"{left} away after {result.iterations} iterations; move the target in smaller steps, or use the tracker"
     elif status == Status.ITERATION_LIMIT:
