@@ -191,7 +191,7 @@ def test_files_of_other_sources_are_removed(double):
 
 def test_a_full_disk_at_the_first_solve(copy):
     """The real thing: a process that may write no file solves all the same, and says once what it cannot keep."""
-    for path in copy.rglob("ik-chain.*.nbc"):
+    for path in copy.rglob("ik-planar_2r.*.nbc"):
         path.unlink()
     code = "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (0, 0))\n" + REACH
     done = run(copy, code)
@@ -200,8 +200,8 @@ def test_a_full_disk_at_the_first_solve(copy):
 
 
 def test_the_command_says_that_it_compiles_only_when_it_does(copy):
-    code = "import sys; from ik_toolkit.cli import main; sys.exit(main(['solve', 'planar_2r', '--xyz', '1', '1', '0', '--all']))"
-    for path in copy.rglob("ik-chain.*.nbc"):
+    code = "import sys; from ik_toolkit.cli import main; sys.exit(main(['solve', 'planar_2r', '--xyz', '1', '1', '0']))"
+    for path in copy.rglob("ik-planar_2r.*.nbc"):
         path.unlink()
     assert run(copy, code).stderr.count("compiling") == 1
     assert run(copy, code).stderr == ""

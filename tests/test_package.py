@@ -90,7 +90,7 @@ def test_readme_has_blocks_to_run():
 def test_readme_states_the_two_commands():
     lines = [line for block in blocks("sh") for line in block.splitlines() if line.startswith("python3 -m venv")]
     assert len(lines) == 2
-    assert "ik solve hydrolek_7w" in lines[0] and lines[1].endswith("-m pytest")
+    assert "ik solve hydrolek_7w" in lines[0] and lines[1].endswith("-m pytest -n auto")
     assert main(shlex.split(lines[0].partition("/bin/ik ")[2])) == 0
 
 
