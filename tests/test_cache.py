@@ -191,7 +191,7 @@ def test_files_of_other_sources_are_removed(double):
 
 def test_a_full_disk_at_the_first_solve(copy):
     """The real thing: a process that may write no file solves all the same, and says once what it cannot keep."""
-    for path in copy.rglob("ik-planar_2r.*.nbc"):
+    for path in copy.rglob("ik-chain.*.nbc"):
         path.unlink()
     code = "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (0, 0))\n" + REACH
     done = run(copy, code)
