@@ -10,7 +10,7 @@ from pathlib import Path
 
 ROOMS = {  # how the public names are grouped in the API page, by the module they live in
     "Robots and targets": ("robot.",),
-    "Solving": ("solvers.solve", "solvers.batch", "solvers.tree", "solvers.result"),
+    "Solving": ("solvers.solve", "solvers.prepare", "solvers.batch", "solvers.tree", "solvers.result"),
     "Solvers and their parameters": ("solvers.rules.", "solvers.closed_form."),
     "Tracking": ("tracking.",),
     "Studies": ("study.", "papers."),
@@ -146,6 +146,7 @@ MEANINGS = {
     "NOT_FINITE": "the iteration left the finite numbers, usually because of gains that are too high",
     "CHECK_FAILED": "the kernel reported success and Pinocchio did not confirm it: a bug",
     "COLLISION": "the target was met, but every answer found touches something (only with avoid_collisions)",
+    "TOO_FAR": "the answer, if there is one, is further from q0 than follow allows a joint to move",
 }
 
 

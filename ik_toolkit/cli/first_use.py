@@ -19,7 +19,7 @@ WAIT, INTERPRETED = "IK_TOOLKIT_WAIT", "IK_TOOLKIT_INTERPRETED"  # environment: 
 AGAIN = "IK_TOOLKIT_AGAIN"  # environment: this is the second or third run
 BUDGET = 2000  # evaluations of the uncompiled kernel, about a second's worth
 NOT_ANSWERED = 75  # exit code of the second run when its budget was used up (EX_TEMPFAIL of sysexits.h)
-LOCK, LOG = "ik-compiling.lock", "ik-compiling.log"  # beside the kernels
+LOCK, LOG = "compiling.lock", "compiling.log"  # beside the kernels
 _here = {"allowed": False, "past": False}
 
 
