@@ -81,7 +81,7 @@ def test_refine_sees_an_edit_of_another_kernel_file(copy):
     first = run(copy, REFINED)
     assert first.stdout.strip() == "CONVERGED", first.stderr
     path = copy / "ik_toolkit" / "kernel" / "linalg.py"  # the closed form does not call `damped`, refine does
-    path.write_text(path.read_text().replace("def damped(J, w, dq, e, ", "def damped(J, w, dq, e, edited, "))
+    edit(path, "def damped(J, w, dq, linear, ", "def damped(J, w, dq, edited, linear, ")
     again = run(copy, REFINED)
     assert again.returncode != 0 and "edited" in again.stderr
 
