@@ -15,26 +15,27 @@ from pathlib import Path
 
 ROOT = Path(__file__).resolve().parent.parent
 PARTS = {
-    "tests/test_second_fk.py": "Random robots against forward kinematics written a second time",
-    "tests/test_inside_limits.py": "Limits kept to the last digit",
-    "tests/test_inputs.py": "Targets, starts and options that are no numbers, in odd layouts, or reused",
-    "tests/test_fallback.py": "Closed forms at level arms, limits and loose tolerances",
-    "tests/test_cache.py": "Compiled code on disk: edited sources, damaged files, full disks",
-    "tests/test_files.py": "Outputs: full disks, signals, hostile target files",
-    "tests/test_meshes.py": "Hostile and broken meshes",
-    "tests/test_hostile_names.py": "Names from files in every page and chart",
-    "tests/test_check.py": "Broken and hostile URDFs: a corpus, generated giants, and fuzzing of URDF text",
-    "tests/test_dh.py": "D-H tables: random tables against Pinocchio, broken files, fuzzing",
-    "tests/test_references.py": "Trajectory files: broken and hostile",
-    "tests/test_pose.py": "Targets that are no poses",
-    "tests/test_robot.py": "Robots that cannot be loaded; pickling; one robot from eight threads",
-    "tests/test_torture.py": "Numerical torture: half turns, reach boundary, singular poses, absurd lengths, limits of zero width",
-    "tests/test_contract.py": "The contract of every solver on every kind of robot",
-    "tests/test_processes.py": "Fork, spawn, two processes compiling at once, a killed one, no folder for the cache",
-    "tests/test_interrupts.py": "Ctrl-C, the real signal, in batch, bench, tune and workspace",
-    "tests/test_batch.py": "Batches: threads, executors, interrupts, broken rows",
-    "tests/test_panel.py": "The panel: typed nonsense, foreign origins, hosts that are not this machine",
-    "tests/test_panel_abuse.py": "The panel: twenty visitors, malformed messages, leaving in the middle of a solve, memory",
+    "tests/robot/test_second_fk.py": "Random robots against forward kinematics written a second time",
+    "tests/solvers/test_inside_limits.py": "Limits kept to the last digit",
+    "tests/solvers/test_inputs.py": "Targets, starts and options that are no numbers, in odd layouts, or reused",
+    "tests/solvers/test_fallback.py": "Closed forms at level arms, limits and loose tolerances",
+    "tests/kernel/test_cache.py": "Compiled code on disk: edited sources, damaged files, full disks",
+    "tests/package/test_files.py": "Outputs: full disks, signals, hostile target files",
+    "tests/robot/test_meshes.py": "Hostile and broken meshes",
+    "tests/show/test_hostile_names.py": "Names from files in every page and chart",
+    "tests/robot/test_check.py": "Broken and hostile URDFs: a corpus, generated giants, and fuzzing of URDF text",
+    "tests/robot/test_dh.py": "D-H tables: random tables against Pinocchio, broken files, fuzzing",
+    "tests/tracking/test_references.py": "Trajectory files: broken and hostile",
+    "tests/robot/test_pose.py": "Targets that are no poses",
+    "tests/robot/test_robot.py": "Robots that cannot be loaded; pickling; one robot from eight threads",
+    "tests/solvers/test_torture.py": "Numerical torture: half turns, reach boundary, singular poses, absurd lengths, "
+    "limits of zero width",
+    "tests/contract": "The contract of every solver on every kind of robot",
+    "tests/package/test_processes.py": "Fork, spawn, two processes compiling at once, a killed one, no folder for the cache",
+    "tests/cli/test_interrupts.py": "Ctrl-C, the real signal, in batch, bench, tune and workspace",
+    "tests/solvers/test_batch.py": "Batches: threads, executors, interrupts, broken rows",
+    "tests/show/test_panel.py": "The panel: typed nonsense, foreign origins, hosts that are not this machine",
+    "tests/show/test_panel_abuse.py": "The panel: twenty visitors, malformed messages, leaving in the middle of a solve, memory",
 }
 HAND = ROOT / "docs" / "reliability_notes.md"
 
@@ -70,7 +71,7 @@ def main() -> None:
         "# Reliability",
         "",
         f"Written by `python scripts/reliability.py` on {date.today()}, Python {platform.python_version()}, "
-        f"{platform.system()} {platform.machine()}. Each row is one test file, its long runs included; the command is "
+        f"{platform.system()} {platform.machine()}. Each row is one test file or folder, its long runs included; the command is "
         '`python -m pytest FILE -m "slow or not slow"`.',
         "",
         "| what was tried | file | tests | solves inside | failed | skipped | seconds |",
@@ -78,8 +79,6 @@ def main() -> None:
     ]
     remarks = []
     for path, what in PARTS.items():
-        if not (ROOT / path).exists():
-            continue
         counts, seconds, notes = run(path)
         failed = counts["failure"] + counts["error"]
         tests = counts["passed"] + failed

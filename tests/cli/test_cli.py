@@ -6,18 +6,18 @@ import os
 import re
 import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
 import robots
+from folders import ROOT
 from typer.testing import CliRunner
 
 import ik_toolkit as ik
 from ik_toolkit import cli, errors
 from ik_toolkit.cli import common
 
-DH = str(Path(__file__).resolve().parent.parent / "urdf" / "dh" / "inspection_7dof.toml")
+DH = str(ROOT / "urdf" / "dh" / "inspection_7dof.toml")
 SOLVE = ["solve", "hydrolek_7w", "--xyz", "1.0", "0.1", "0.2"]
 
 

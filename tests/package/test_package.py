@@ -9,12 +9,12 @@ import tomllib
 from pathlib import Path
 
 import pytest
+from folders import ROOT
 
 import ik_toolkit as ik
 from ik_toolkit.cli import MODULES, main
 from ik_toolkit.solvers.registry import ROWS
 
-ROOT = Path(__file__).resolve().parent.parent
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 HEAVY = {
     "matplotlib",

@@ -26,18 +26,14 @@ def run(code, timeout=120, **environment):
     return done.stdout
 
 
-def answer(robot, target):
-    return ik.solve(robot, target).q.tobytes()
-
-
 @pytest.mark.parametrize("method", ["fork", "spawn"])
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")  # forking a process that has threads
 def test_the_same_bytes_from_other_processes(method):
     robot = robots.load("hydrolek_7w")
     _, T = robots.sample(robot, 6, seed=3)
-    here = [answer(robot, target) for target in T]
+    here = [ik.solve(robot, target).q.tobytes() for target in T]
     with ProcessPoolExecutor(2, mp_context=multiprocessing.get_context(method)) as pool:
-        assert list(pool.map(answer, [robot] * len(T), T)) == here
+        assert [result.q.tobytes() for result in pool.map(ik.solve, [robot] * len(T), T)] == here
 
 
 def test_two_processes_may_compile_the_same_cache_at_once(tmp_path):

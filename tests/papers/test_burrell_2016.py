@@ -1,18 +1,16 @@
 """Burrell et al. (2016): poses, counts and the planar example against an independent program's numbers."""
 
-import json
-from pathlib import Path
-
 import numpy as np
 import pytest
 import robots
+from folders import read_data
 
 import ik_toolkit as ik
 from ik_toolkit.cli import main
 from ik_toolkit.papers import PAPERS
 from ik_toolkit.papers import burrell_2016 as paper
 
-DATA = json.loads((Path(__file__).parent / "data" / "burrell.json").read_text())
+DATA = read_data("burrell")
 SEEDS = DATA["seeds"][:2]
 RULES = {
     "pid_kp_0_02": ik.PID(kp=0.02, units="mm-deg"),

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from folders import read_data
 
 from ik_toolkit.cli import main
 from ik_toolkit.errors import MissingExtra
@@ -15,7 +16,7 @@ from ik_toolkit.papers import shanmugasundar_2012 as shan
 from ik_toolkit.papers import shanmugasundar_formulas as printed
 from ik_toolkit.papers.report import Report
 
-DATA = json.loads((Path(__file__).parent / "data" / "closed_form.json").read_text())["sample"]
+DATA = read_data("closed_form")["sample"]
 
 
 def column(report, key, name):

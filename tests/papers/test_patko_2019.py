@@ -1,16 +1,16 @@
 """Patko and Zelei (2019): settled errors, orders, growth and the report, against an independent implementation."""
 
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
+from folders import read_data
 
 from ik_toolkit.papers import patko_2019 as paper
 from ik_toolkit.tracking import stability as st
 from ik_toolkit.tracking.methods import simulate
 
-ORACLE = json.loads((Path(__file__).parent / "data" / "tracking.json").read_text())
+ORACLE = read_data("tracking")
 # Case and gain set of each of the oracle's runs; there `aad` has gamma 1.
 SETS = {
     "1dof": "1-DoF",

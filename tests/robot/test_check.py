@@ -4,10 +4,10 @@ import json
 import math
 import os
 import sys
-from pathlib import Path
 
 import pinocchio as pin
 import pytest
+from folders import DATA
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -16,7 +16,7 @@ from ik_toolkit.robot.check import check_urdf, mimic_limits, require_loadable, s
 from ik_toolkit.robot.library import shipped_robots
 from ik_toolkit.robot.read import parse
 
-CORPUS = Path(__file__).parent / "data" / "bad_urdf"
+CORPUS = DATA / "bad_urdf"
 EXPECTED = json.loads((CORPUS / "expected.json").read_text())
 LIMIT = '<limit lower="-1" upper="1" effort="1" velocity="1"/>'
 

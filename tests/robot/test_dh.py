@@ -1,12 +1,11 @@
 """D-H tables: the written URDF read by Pinocchio equals the plain product of the rows; errors name row and column."""
 
-import json
 import math
-from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
 import pytest
+from folders import read_data
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -15,7 +14,6 @@ from ik_toolkit.robot.check import check_urdf
 from ik_toolkit.robot.dh import dh_fk, dh_table, read_dh_table, to_urdf
 from ik_toolkit.robot.library import shipped_robots
 
-DATA = Path(__file__).parent / "data"
 TABLED = [name for name, entry in shipped_robots().items() if entry.tip]
 
 
@@ -44,7 +42,7 @@ def test_shipped_urdf_is_the_product_of_its_table(name):
 
 def test_hydrolek_poses():
     table = read_dh_table(shipped_robots()["hydrolek_7w"].dh_file)
-    poses = json.loads((DATA / "hydrolek_poses.json").read_text())["poses"]
+    poses = read_data("hydrolek_poses")["poses"]
     assert len(poses) == 30
     for pose in poses:
         assert np.abs(dh_fk(table, pose["q"]) - pose["T"]).max() < 1e-12

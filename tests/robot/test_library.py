@@ -2,17 +2,17 @@
 
 import importlib.util
 import tomllib
-from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
 import pytest
+from folders import SCRIPTS, TESTS
 
 from ik_toolkit.errors import RobotNotFound
 from ik_toolkit.robot import library
 from ik_toolkit.robot.library import DATA_ROBOTS, example_robot_data, find, list_robots, shipped_robots
 
-SCRIPT = Path(__file__).parent.parent / "scripts" / "make_urdfs.py"
+SCRIPT = SCRIPTS / "make_urdfs.py"
 PAPERS = {"hydrolek_7w", "brokk_hydrolek", "planar_3r", "planar_2r", "cartesian_pp", "inspection_7dof"}
 NAMES = list(shipped_robots())
 
@@ -108,7 +108,7 @@ def test_find_by_path_text_and_name(tmp_path, monkeypatch):
         ("a\0b", "there is no robot"),
         ("x" * 10_000, "there is no robot"),
         (7, "not int"),
-        (str(Path(__file__).parent), "is a folder, not a URDF file"),
+        (str(TESTS), "is a folder, not a URDF file"),
     ],
 )
 def test_not_found(source, message):

@@ -2,10 +2,10 @@
 
 import json
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
+from folders import read_data
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -14,7 +14,7 @@ from ik_toolkit.errors import InvalidOption, UnknownSolver
 from ik_toolkit.kernel.task import POSE, POSITION
 from ik_toolkit.solvers.closed_form import describe, fits, inspection, planar_2r, reach
 
-DATA = json.loads((Path(__file__).parent / "data" / "closed_form.json").read_text())
+DATA = read_data("closed_form")
 PI = math.pi
 
 

@@ -6,10 +6,10 @@ import math
 import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
-from pathlib import Path
 
 import numpy as np
 import pytest
+from folders import SCRIPTS
 from typer.testing import CliRunner
 
 import ik_toolkit as ik
@@ -21,7 +21,7 @@ from ik_toolkit.study.targets import sample_targets
 from ik_toolkit.study.tune import tune
 from ik_toolkit.study.workspace import workspace
 
-SCRIPTS = Path(__file__).resolve().parent.parent / "scripts" / "benchmarks"
+BENCHMARKS = SCRIPTS / "benchmarks"
 
 
 @pytest.fixture(scope="module")
@@ -31,7 +31,7 @@ def arm():
 
 @pytest.fixture
 def scripts(monkeypatch):
-    monkeypatch.syspath_prepend(str(SCRIPTS))
+    monkeypatch.syspath_prepend(str(BENCHMARKS))
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "RAYON_NUM_THREADS"):
         monkeypatch.setenv(name, "1")  # the scripts set these; put back afterwards
     return importlib.import_module
@@ -324,7 +324,7 @@ def test_one_small_run_against_a_process_of_its_own(tmp_path):
     """The whole way with our own solvers as the peers: processes, blocks, checks, tables."""
     output = tmp_path / "solve.json"
     command = [
-        sys.executable, str(SCRIPTS / "solve.py"), "--venvs", str(tmp_path), "--robots", "hydrolek_7w", "--peers", "ik",
+        sys.executable, str(BENCHMARKS / "solve.py"), "--venvs", str(tmp_path), "--robots", "hydrolek_7w", "--peers", "ik",
         "ik_q0", "--against", "ik_q0", "--targets", "20", "--blocks", "2", "--rounds", "2", "--starts", "near",
         "--tolerances", "strict", "-o", str(output),
     ]  # fmt: skip

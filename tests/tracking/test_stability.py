@@ -1,16 +1,15 @@
 """Mapping matrices, closed-form stability regions, best gains and the check of a user's gains."""
 
-import json
 import math
-from pathlib import Path
 
 import numpy as np
 import pytest
+from folders import read_data
 
 from ik_toolkit.errors import InvalidOption
 from ik_toolkit.tracking import stability as st
 
-ORACLE = json.loads((Path(__file__).parent / "data" / "tracking.json").read_text())["stability"]
+ORACLE = read_data("tracking")["stability"]
 
 
 def test_published_gain_sets():

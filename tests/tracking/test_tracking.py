@@ -2,11 +2,11 @@
 
 import json
 import warnings
-from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
 import pytest
+from folders import read_data
 from hypothesis import given, settings
 from hypothesis import strategies as some
 from robots import have_data
@@ -26,7 +26,7 @@ from ik_toolkit.tracking.methods import make_method, simulate
 from ik_toolkit.tracking.reference import Reference, circle, line
 from ik_toolkit.tracking.track import StepStatus, Tracker, track
 
-ORACLE = json.loads((Path(__file__).parent / "data" / "tracking.json").read_text())
+ORACLE = read_data("tracking")
 Q0 = np.array([0.0, -np.pi / 4, 0.0, -3 * np.pi / 4, 0.0, np.pi / 2, np.pi / 4])
 MIMIC = """<robot name="mimic"><link name="b"/><link name="l1"/><link name="l2"/><link name="l3"/><link name="tip"/>
 <joint name="a" type="revolute"><parent link="b"/><child link="l1"/><origin xyz="0.1 0 0.3" rpy="0.2 0.4 0"/><axis xyz="0 0.6 0.8"/>

@@ -1,0 +1,14 @@
+"""Folders and data the tests read, so that a test may move without counting its parents."""
+
+import json
+from pathlib import Path
+
+TESTS = Path(__file__).resolve().parent
+DATA = TESTS / "data"
+ROOT = TESTS.parent
+SCRIPTS = ROOT / "scripts"
+
+
+def read_data(name):
+    """Return what tests/data/NAME.json holds: numbers of independent programs."""
+    return json.loads((DATA / f"{name}.json").read_text())
