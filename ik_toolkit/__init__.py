@@ -10,6 +10,7 @@ __version__ = "0.1.0"
 
 _NAMES = {
     "Robot": "robot.robot",
+    "Tree": "robot.tree",
     "pose": "robot.pose",
     "solve": "solvers.solve",
     "Solver": "solvers.solve",

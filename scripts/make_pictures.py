@@ -41,7 +41,7 @@ def solve() -> Any:
 
 def two_arms() -> Any:
     """Both arms of the Brokk machine, solved together."""
-    robot = ik.Robot.load("brokk_hydrolek", tip=["left_tip", "right_tip"])
+    robot = ik.Tree.load("brokk_hydrolek", tips=["left_tip", "right_tip"])
     targets = {"left_tip": ik.pose(xyz=(1.35, 0.35, 0.75)), "right_tip": ik.pose(xyz=(1.25, -0.3, 0.95))}
     return aim(ik.view(robot, ik.solve(robot, targets), target=targets), (0.4, 0.0, 0.62), (2.15, -1.25, 1.3))
 

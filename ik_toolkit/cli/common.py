@@ -223,11 +223,16 @@ def load_robot(
     """
     from ..robot.library import find
     from ..robot.robot import Robot
+    from ..robot.tree import Tree
 
     tips = find(source).tips
     if tip is None and len(tips) > 1:
         raise FrameNotFound(f"robot '{source}' has {len(tips)} tips; choose one with --tip: {', '.join(tips)}")
-    robot = Robot.load(source, tip=tip, base=base, package_dirs=package_dir or ())
+    robot: Robot | Tree
+    if isinstance(tip, list):
+        robot = Tree.load(source, tips=tip, base=base, package_dirs=package_dir or ())
+    else:
+        robot = Robot.load(source, tip=tip, base=base, package_dirs=package_dir or ())
     if not lock:
         return robot
     values = {}

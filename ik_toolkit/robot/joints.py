@@ -8,11 +8,17 @@ import numpy as np
 import pinocchio as pin
 
 from ..errors import FEW_TURNS, InvalidConfiguration, doubt_angle, floats
+from ..kernel.records import POINTS
 from .probe import Path
 
 
 class Joints:
-    """Coordinates q (n,) of a model: names, kinds, limits, home, and their places in the model's full configuration."""
+    """Coordinates q (n,) of a model: names, kinds, limits, home, and their places in the model's full configuration.
+
+    A robot and a tree alike have `arms`, one Robot a tip; `tips`, their names; `places`, index arrays that take each arm's
+    coordinates out of q; and `memo`, a dict in which whoever makes something for this robot (a bound solver, its collision
+    shapes) may keep it under a key of their own. Copies and pickles begin with an empty one.
+    """
 
     name: str
     model: pin.Model
@@ -23,8 +29,12 @@ class Joints:
     home: np.ndarray
     velocity_limits: np.ndarray
     rest: np.ndarray
+    chain: Any
+    tips: tuple[str, ...]
+    arms: tuple[Any, ...]
+    places: tuple[np.ndarray, ...]
+    memo: dict[Any, Any]
     _path: Path
-    _sampling: Any  # low and span (n,) of random q
 
     def _route(self) -> str:
         """Where the joints lead, for people."""
@@ -34,6 +44,11 @@ class Joints:
     def n(self) -> int:
         """Number of coordinates in q."""
         return len(self.joint_names)
+
+    @property
+    def reach(self) -> float:
+        """Longest distance [m] of a tip from its first joint: path offsets plus finite strokes (1 m where unbounded)."""
+        return max(arm.chain.reach for arm in self.arms)
 
     def check_q(self, q: Any, name: str = "q") -> np.ndarray:
         """Return q as a float64 copy (n,); raises InvalidConfiguration when it has the wrong size or is not finite."""
@@ -70,6 +85,12 @@ class Joints:
         """Names of the joints that stand on a limit (within 1e-9)."""
         near = (q - self.lower <= 1e-9) | (self.upper - q <= 1e-9)
         return [j for j, hit in zip(self.joint_names, near, strict=True) if hit]
+
+    @functools.cached_property
+    def _sampling(self) -> tuple[np.ndarray, np.ndarray]:
+        """Low and span (n,) of random q."""
+        n, ends = self.n, np.atleast_2d(self.chain.ends)[0, POINTS:]
+        return ends[4 * n : 5 * n] * self.chain.unit, ends[5 * n : 6 * n] * self.chain.unit
 
     def random_q(self, rng: np.random.Generator) -> np.ndarray:
         """Uniform random q (n,) inside the limits (one turn, or one reach, where there are none)."""

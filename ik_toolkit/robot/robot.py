@@ -4,32 +4,28 @@ Pinocchio is the authority for what every joint, frame and limit is and computes
 flat chain is probed from it.
 """
 
-import functools
 import math
 import threading
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, overload
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
 
-from ..errors import FrameNotFound, InvalidConfiguration, JointNotFound, ModelError, floats, near_match
+from ..errors import FrameNotFound, InvalidConfiguration, InvalidOption, JointNotFound, ModelError, floats, near_match
 from ..kernel.chain import Chain, evaluate
 from ..kernel.records import POINTS
 from .build import build_model
 from .check import mimic_limits, require_loadable, safe_read
 from .joints import Joints
-from .library import find
+from .library import RobotEntry, find
 from .pose import check_target
 from .probe import AGREE, NO_LIMIT, configurations, difference, find_path, limits, probe
 from .probe import Path as JointPath
 
-if TYPE_CHECKING:
-    from .tree import Tree
-
 # Attributes that belong to one object, or to one thread.
-CACHES = ("_local", "_sampling", "_solvers", "_closed_form", "_collision", "_circles")
+CACHES = ("_local", "_sampling", "_circles", "memo")
 LINKS = (pin.FrameType.BODY, pin.FrameType.OP_FRAME, pin.FrameType.SENSOR)  # what a base or a tip may be
 SINGULAR = 0.02  # smallest singular value (lengths over reach) below which a configuration is no good as home
 
@@ -40,7 +36,8 @@ class Robot(Joints):
     Attributes: name; model (pin.Model, mimic joints followed); base, tip (frame names); joint_names (n,), one per moving
     joint of the path base -> tip; joint_kinds (n,) 'revolute', 'continuous' or 'prismatic'; lower, upper, home (n,) [rad or
     m], infinite limits for continuous joints; velocity_limits (n,) [rad/s or m/s]; chain (kernel arrays); rest (nq,) values
-    of the joints off the path; urdf (text or None), path (file or None), package_dirs.
+    of the joints off the path; locked_joints (name -> value held); tool (pin.SE3, T_tip_tool); urdf (text or None), path (file
+    or None), package_dirs; tips, arms, places and reach, as a Tree has them; memo (see Joints).
     """
 
     def __init__(
@@ -80,7 +77,6 @@ class Robot(Joints):
             self._set_rest(joint, value)
         self._build(home)
 
-    @overload
     @classmethod
     def load(
         cls,
@@ -90,63 +86,34 @@ class Robot(Joints):
         base: str | None = None,
         package_dirs: Iterable[str | Path] = (),
         locked: Mapping[str, float] | None = None,
-    ) -> "Robot": ...
-    @overload
-    @classmethod
-    def load(
-        cls,
-        source: str | Path,
-        *,
-        tip: list[str] | tuple[str, ...],
-        base: str | None = None,
-        package_dirs: Iterable[str | Path] = (),
-        locked: Mapping[str, float] | None = None,
-    ) -> "Tree": ...
-    @classmethod
-    def load(
-        cls,
-        source: str | Path,
-        *,
-        tip: str | list[str] | tuple[str, ...] | None = None,
-        base: str | None = None,
-        package_dirs: Iterable[str | Path] = (),
-        locked: Mapping[str, float] | None = None,
-    ) -> "Robot | Tree":
+    ) -> "Robot":
         """Load a robot by shipped name, `.urdf` path, URDF text, or example-robot-data name.
 
-        A list of tips makes a Tree, which is solved for a target a tip. Meshes are never read. Raises RobotNotFound,
-        ModelError (broken or hostile file, in one sentence), FrameNotFound (lists the frames), JointNotFound.
+        tip: one frame; for several solved together see `Tree.load`. Meshes are never read. Raises RobotNotFound, ModelError
+        (broken or hostile file, in one sentence), FrameNotFound (lists the frames), JointNotFound, InvalidOption (a list of tips).
         """
-        if isinstance(tip, list | tuple):
-            from .tree import load_tree
-
-            return load_tree(source, tip, base, package_dirs, locked)
-        found = find(source)
-        text = safe_read(found.source)
-        require_loadable(text)
-        try:
-            model = build_model(text)
-        except Exception as error:
-            raise ModelError(f"Pinocchio cannot read {found.name}: {str(error).strip().splitlines()[0]}") from None
-        if tip is None and len(found.tips) > 1:
+        entry, made = read(source, package_dirs)
+        if tip is None and len(entry.tips) > 1:
             raise FrameNotFound(
-                f"robot '{found.name}' has {len(found.tips)} tips; choose one with tip=, or give a list: {', '.join(found.tips)}"
+                f"robot '{entry.name}' has {len(entry.tips)} tips; choose one with tip=, or solve for several with "
+                f"ik.Tree.load(source, tips=[...]): {', '.join(entry.tips)}"
             )
-        known = tip in (None, found.tip) and base in (None, found.base)
+        known = tip in (None, entry.tip) and base in (None, entry.base)
         robot = cls(
-            model,
-            tip=tip if tip is not None else found.tip,
-            base=base if base is not None else found.base,
-            home=found.home if known else None,
-            name=found.name if found.path else model.name,
-            urdf=text,
-            path=found.path,
-            package_dirs=[*_folders(package_dirs), *found.package_dirs],
+            **made,
+            tip=tip if tip is not None else entry.tip,
+            base=base if base is not None else entry.base,
+            home=entry.home if known else None,
         )
         return robot.locked(locked) if locked else robot
 
     # ------------------------------------------------------------------------------------------------ construction
     def _frame(self, name: str) -> str:
+        if not isinstance(name, str):
+            several = (
+                "; for several tips use ik.Tree.load(source, tips=[...])" if isinstance(name, list | tuple) else ""
+            )
+            raise InvalidOption(f"a tip or base is the name of one frame, not {name!r}{several}")
         bodies = [f.name for f in self.model.frames if f.type in LINKS]
         if name not in bodies:
             raise FrameNotFound(f"robot '{self.name}' has no frame '{name}'.{near_match(name, bodies)}")
@@ -155,21 +122,8 @@ class Robot(Joints):
     def _frame_id(self, name: str) -> int:
         return next(i for i, f in enumerate(self.model.frames) if f.name == name and f.type in LINKS)
 
-    def tips(self) -> list[str]:
-        """Names of the frames at the ends of the tree that a joint moves."""
-        frames = self.model.frames
-        parents = {
-            f.parentFrame
-            for f in frames
-            if f.type in (pin.FrameType.BODY, pin.FrameType.JOINT, pin.FrameType.FIXED_JOINT)
-        }
-        leaves = [
-            f for i, f in enumerate(frames) if f.type == pin.FrameType.BODY and i not in parents and f.parentJoint > 0
-        ]
-        return [f.name for f in leaves]
-
     def _only_tip(self) -> str:
-        tips = self.tips()
+        tips = path_ends(self.model)
         if len(tips) == 1:
             return tips[0]
         if not tips:
@@ -177,7 +131,7 @@ class Robot(Joints):
         several = FrameNotFound(
             f"robot '{self.name}' has {len(tips)} possible tips; choose one with tip=: {', '.join(tips)}"
         )
-        several.tips = tuple(tips)
+        several.tips = tips
         raise several
 
     def _set_rest(self, joint: str, value: float) -> None:
@@ -200,13 +154,14 @@ class Robot(Joints):
         self.locked_joints[joint] = value
 
     def _build(self, home: Sequence[float] | np.ndarray | None) -> None:
-        self.__dict__.pop("_solvers", None)  # a copy must not use solvers bound to the original's chain
+        self.memo: dict[Any, Any] = {}
         model = self.model
         base_id, tip_id = self._frame_id(self.base), self._frame_id(self.tip)
         locked = {model.getJointId(joint) for joint in self.locked_joints}
         path = find_path(model, base_id, tip_id, locked)
         self._path: JointPath = path
         self.joint_names = tuple(model.names[j] for j in path.leaders)
+        self.tips, self.places = (self.tip,), (np.arange(self.n),)
         lower, upper = limits(model, path, mimic_limits(self.urdf) if self.urdf else {})
         for i, joint in enumerate(self.joint_names):
             if not lower[i] <= upper[i]:
@@ -264,14 +219,9 @@ class Robot(Joints):
         return tries[good[0] if len(good) else int(np.argmax(smallest))]
 
     @property
-    def reach(self) -> float:
-        """Longest distance [m] of the tip from the first joint: path offsets plus finite strokes (1 m where unbounded)."""
-        return self.chain.reach
-
-    @functools.cached_property
-    def _sampling(self) -> tuple[np.ndarray, np.ndarray]:
-        n, ends, v = self.n, self.chain.ends, POINTS
-        return ends[v + 4 * n : v + 5 * n] * self.chain.unit, ends[v + 5 * n : v + 6 * n] * self.chain.unit
+    def arms(self) -> tuple["Robot"]:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """The robot itself, as a Tree has a robot a tip."""
+        return (self,)
 
     # ------------------------------------------------------------------------------------------------ kinematics
     @property
@@ -364,7 +314,7 @@ class Robot(Joints):
         self.__dict__.update(state)
         if self.model is None and self.urdf is not None:
             self.model = build_model(self.urdf)
-        self._local = threading.local()
+        self._local, self.memo = threading.local(), {}
 
     def __repr__(self) -> str:
         """One line: name, path and joints."""
@@ -372,6 +322,31 @@ class Robot(Joints):
 
     def _route(self) -> str:
         return f"{self.base} &rarr; {self.tip}, reach {self.reach:.3g} m"
+
+
+def read(source: str | Path, package_dirs: Iterable[str | Path]) -> tuple[RobotEntry, dict[str, Any]]:
+    """What a source names, and what `Robot` takes of it: its model, name, text and folders. Raises as `Robot.load` does."""
+    entry = find(source)
+    text = safe_read(entry.source)
+    require_loadable(text)
+    try:
+        model = build_model(text)
+    except Exception as error:
+        raise ModelError(f"Pinocchio cannot read {entry.name}: {str(error).strip().splitlines()[0]}") from None
+    name = entry.name if entry.path else model.name
+    folders = [*_folders(package_dirs), *entry.package_dirs]
+    return entry, {"model": model, "name": name, "urdf": text, "path": entry.path, "package_dirs": folders}
+
+
+def path_ends(model: pin.Model) -> tuple[str, ...]:
+    """Names of the frames at the ends of the model's paths that a joint moves: what a tip may well be."""
+    frames = model.frames
+    parents = {
+        f.parentFrame for f in frames if f.type in (pin.FrameType.BODY, pin.FrameType.JOINT, pin.FrameType.FIXED_JOINT)
+    }
+    return tuple(
+        f.name for i, f in enumerate(frames) if f.type == pin.FrameType.BODY and i not in parents and f.parentJoint > 0
+    )
 
 
 def _folders(given: Iterable[str | Path]) -> list[Path]:

@@ -1,6 +1,5 @@
 """A robot with several tips: arms of one model that share joints, solved for together."""
 
-import functools
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -8,14 +7,12 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from ..errors import FrameNotFound, InvalidTarget, ModelError, near_match
-from ..kernel.records import POINTS
+from ..errors import FrameNotFound, InvalidOption, InvalidTarget, ModelError, near_match
 from ..kernel.tree_chain import TreeChain, pack_tree
 from .joints import Joints
-from .library import find
 from .pose import AxisTarget, check_target
 from .probe import Path as JointPath
-from .robot import Robot
+from .robot import Robot, path_ends, read
 
 
 def union(arms: Sequence[Robot]) -> tuple[str, ...]:
@@ -24,12 +21,13 @@ def union(arms: Sequence[Robot]) -> tuple[str, ...]:
 
 
 class Tree(Joints):
-    """Several tips of one model: `Robot.load(name, tip=["left_tip", "right_tip"])`, or `Tree([left, right])` from robots.
+    """Several tips of one model: `Tree.load(name, tips=["left_tip", "right_tip"])`, or `Tree([left, right])` from robots.
 
     q (n,) holds every joint of the paths once: those of the first tip's path, base to tip, then what the next tip's path
-    adds, and so on. Attributes: arms (Robot per tip); tips, base (frame names); name, model, joint_names, joint_kinds, lower,
-    upper, home, velocity_limits, rest as in Robot; chain (kernel arrays). The arms share model, base and resting joints
-    (else ModelError); each may have a tool of its own.
+    adds, and so on. Attributes: arms (a Robot for each tip); tips, base (frame names); places (for each tip, the indices in q
+    of its arm's joints); name, model, joint_names, joint_kinds, lower, upper, home, velocity_limits, rest, locked_joints, urdf,
+    path, package_dirs as in Robot; chain (kernel arrays); reach [m], the largest of the arms'; memo (see Joints). The arms
+    share model, base and resting joints (else ModelError); each may have a tool of its own.
     """
 
     def __init__(self, arms: Sequence[Robot], home: Sequence[float] | np.ndarray | None = None) -> None:
@@ -48,13 +46,19 @@ class Tree(Joints):
                     f"'{arm.tip}' and '{first.tip}' must be tips of one model with the same base and the same resting joints"
                 )
         self.name, self.model, self.base, self.rest = first.name, first.model, first.base, first.rest
+        self.urdf, self.path, self.package_dirs = first.urdf, first.path, first.package_dirs
         self.joint_names = names = union(arms)
-        self._places = [np.array([names.index(joint) for joint in arm.joint_names]) for arm in arms]
+        self.locked_joints = {joint: x for arm in arms for joint, x in arm.locked_joints.items()}
+        for joint in names:
+            if joint in self.locked_joints:
+                raise ModelError(f"joint '{joint}' is locked for one tip and moves another: lock it for all of them")
+        self.memo: dict[Any, Any] = {}
+        self.places = tuple(np.array([names.index(joint) for joint in arm.joint_names]) for arm in arms)
         lower, upper = np.full(self.n, -np.inf), np.full(self.n, np.inf)
         self.velocity_limits, middle = np.empty(self.n), np.empty(self.n)
         idx_q, circle = np.empty(self.n, dtype=int), np.empty(self.n, dtype=bool)
         kinds = {}
-        for arm, place in zip(reversed(arms), reversed(self._places), strict=True):  # the first tip's values stay
+        for arm, place in zip(reversed(arms), reversed(self.places), strict=True):  # the first tip's values stay
             lower[place] = np.maximum(lower[place], arm.lower)
             upper[place] = np.minimum(upper[place], arm.upper)
             self.velocity_limits[place], middle[place] = arm.velocity_limits, arm.home
@@ -67,25 +71,61 @@ class Tree(Joints):
         self.lower, self.upper = lower, upper
         self._path = JointPath([], 0, [], {}, idx_q, circle)
         self.home = self.check_home(np.clip(middle, lower, upper) if home is None else home)
-        self.chain: TreeChain = pack_tree([arm.chain for arm in arms], self._places, lower, upper, self.home)
+        self.chain: TreeChain = pack_tree([arm.chain for arm in arms], list(self.places), lower, upper, self.home)
         for array in (lower, upper, self.home, self.velocity_limits):
             array.setflags(write=False)
 
-    @functools.cached_property
-    def _sampling(self) -> tuple[np.ndarray, np.ndarray]:
-        n, ends, v = self.n, self.chain.ends[0], POINTS
-        return ends[v + 4 * n : v + 5 * n] * self.chain.unit, ends[v + 5 * n : v + 6 * n] * self.chain.unit
+    @classmethod
+    def load(
+        cls,
+        source: str | Path,
+        tips: Sequence[str] | None = None,
+        *,
+        base: str | None = None,
+        package_dirs: Iterable[str | Path] = (),
+        locked: Mapping[str, float] | None = None,
+    ) -> "Tree":
+        """Load several tips of a robot by shipped name, `.urdf` path, URDF text, or example-robot-data name.
+
+        tips: frame names; default those that a known name stands for (see `ik robots`), where it has several. A known home is
+        used joint by joint. Raises what Robot.load does; FrameNotFound without tips lists the ends of the paths.
+        """
+        entry, made = read(source, package_dirs)
+        if tips is None:
+            tips = entry.tips
+            if len(tips) < 2:
+                ends = ", ".join(path_ends(made["model"])) or "none"
+                raise FrameNotFound(
+                    f"give the tips of robot '{made['name']}' with tips=[...]; its paths end at: {ends}"
+                )
+        if not isinstance(tips, list | tuple):
+            raise InvalidOption(
+                f"tips= takes a list of frame names, not {tips!r}; for one tip use ik.Robot.load(source, tip=)"
+            )
+        if not tips:
+            raise FrameNotFound("tips=[] names no tip; give at least one")
+        base = entry.base if base is None else base
+        arms = [Robot(**made, tip=tip, base=base) for tip in tips]
+        tree = cls(arms)
+        if entry.home is not None and base == entry.base:
+            known_arms = (
+                arms if tuple(tips) == entry.tips else [Robot(**made, tip=tip, base=base) for tip in entry.tips]
+            )
+            home = dict(zip(tree.joint_names, tree.home.tolist(), strict=True))
+            home.update(zip(union(known_arms), entry.home, strict=True))
+            tree = cls(arms, [home[joint] for joint in tree.joint_names])
+        return tree.locked(locked) if locked else tree
 
     def fk(self, q: Any) -> dict[str, pin.SE3]:
         """T_base_tip of every tip by name [m], computed by Pinocchio."""
         q = self.check_q(q)
-        return {arm.tip: arm._fk(q[place]) for arm, place in zip(self.arms, self._places, strict=True)}
+        return {arm.tip: arm._fk(q[place]) for arm, place in zip(self.arms, self.places, strict=True)}
 
     def jacobian(self, q: Any) -> np.ndarray:
         """Stacked Jacobian (6 F, n): six rows a tip in the order of `tips`, base axes, linear rows first, by Pinocchio."""
         q = self.check_q(q)
         J = np.zeros((6 * len(self.arms), self.n))
-        for f, (arm, place) in enumerate(zip(self.arms, self._places, strict=True)):
+        for f, (arm, place) in enumerate(zip(self.arms, self.places, strict=True)):
             J[6 * f : 6 * f + 6, place] = arm.jacobian(q[place])
         return J
 
@@ -96,9 +136,7 @@ class Tree(Joints):
         """
         expected = f"robot '{self.name}' takes one target for each of {', '.join(self.tips)}"
         if isinstance(targets, Mapping):
-            for tip in targets:
-                if tip not in self.tips:
-                    raise FrameNotFound(f"'{tip}' is not one of the tips solved for.{near_match(tip, self.tips)}")
+            self._known_tips(targets)
             missing = [tip for tip in self.tips if tip not in targets]
             if missing:
                 raise InvalidTarget(f"{expected}; missing: {', '.join(missing)}")
@@ -124,13 +162,27 @@ class Tree(Joints):
 
     def errors(self, q: np.ndarray, targets: Sequence[np.ndarray]) -> list[tuple[float, float | None]]:
         """Position error [m] and rotation angle [rad] (None for a (3,) target) of each tip, by Pinocchio."""
-        return [arm.errors(q[place], T) for arm, place, T in zip(self.arms, self._places, targets, strict=True)]
+        return [arm.errors(q[place], T) for arm, place, T in zip(self.arms, self.places, targets, strict=True)]
 
     def locked(self, joints: Mapping[str, float]) -> "Tree":
         """Return a copy with joints held at values [rad or m] and left out of q. Raises JointNotFound."""
         arms = [arm.locked(joints) for arm in self.arms]
         home = {joint: x for joint, x in zip(self.joint_names, self.home, strict=True) if joint not in joints}
         return Tree(arms, list(home.values()))
+
+    def with_tool(self, T_tip_tool: Any) -> "Tree":
+        """Return a copy whose tips are moved by T_tip_tool (4x4 or pin.SE3): one for all of them, or a dict by tip.
+
+        Raises FrameNotFound (unknown tip), InvalidTarget.
+        """
+        tools = T_tip_tool if isinstance(T_tip_tool, Mapping) else dict.fromkeys(self.tips, T_tip_tool)
+        self._known_tips(tools)
+        return Tree([arm.with_tool(tools[arm.tip]) if arm.tip in tools else arm for arm in self.arms], self.home)
+
+    def _known_tips(self, names: Iterable[Any]) -> None:
+        for tip in names:
+            if tip not in self.tips:
+                raise FrameNotFound(f"'{tip}' is not one of the tips solved for.{near_match(tip, self.tips)}")
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle the arms."""
@@ -142,36 +194,3 @@ class Tree(Joints):
 
     def _route(self) -> str:
         return f"{self.base} &rarr; {', '.join(self.tips)}"
-
-
-def load_tree(
-    source: Any,
-    tips: Sequence[str],
-    base: str | None,
-    package_dirs: Iterable[str | Path],
-    locked: Mapping[str, float] | None,
-) -> Tree:
-    """Tree over `tips` of a robot that is read once; see Robot.load. A shipped robot's home is used joint by joint."""
-    if not len(tips):
-        raise FrameNotFound("tip=[] names no tip; give at least one")
-    first = Robot.load(source, tip=tips[0], base=base, package_dirs=package_dirs, locked=locked)
-
-    def arm(tip: str) -> Robot:
-        return Robot(
-            first.model,
-            tip=tip,
-            base=first.base,
-            name=first.name,
-            locked=locked,
-            urdf=first.urdf,
-            path=first.path,
-            package_dirs=first.package_dirs,
-        )
-
-    tree = Tree([first, *(arm(tip) for tip in tips[1:])])
-    found = find(source)
-    if found.home is None or base is not None or locked:
-        return tree
-    known = dict(zip(union([arm(tip) for tip in found.tips]), found.home, strict=True))
-    home = {**dict(zip(tree.joint_names, tree.home.tolist(), strict=True)), **known}
-    return Tree(tree.arms, [home[joint] for joint in tree.joint_names])

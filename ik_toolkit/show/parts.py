@@ -57,7 +57,7 @@ class Body:
         self.robot = robot
         self.model = robot.model
         self.data = self.model.createData()
-        self.arms: Any = getattr(robot, "arms", (robot,))
+        self.arms: Any = robot.arms
         need_trimesh()
         pin.framesForwardKinematics(self.model, self.data, robot.rest)
         if not max(np.abs(place.translation).max() for place in self.data.oMf) <= FARTHEST:
@@ -77,11 +77,10 @@ class Body:
 
     def tips(self, q: Any) -> np.ndarray:
         """Poses (tips, 4, 4) [m] of the tips in the world at q (n,)."""
-        parts = getattr(self.robot, "_places", [slice(None)])
         return np.array(
             [
                 self.T_world_base @ arm.fk(np.asarray(q)[at]).homogeneous
-                for arm, at in zip(self.arms, parts, strict=True)
+                for arm, at in zip(self.arms, self.robot.places, strict=True)
             ]
         )
 

@@ -10,7 +10,7 @@ from ..errors import FrameNotFound, InvalidOption, InvalidTarget
 from ..kernel.task import POSE, POSITION
 from ..robot.library import find
 from ..robot.pose import length, matrix_quat, matrix_rpy, pose
-from ..robot.robot import Robot
+from ..robot.robot import Robot, path_ends
 from ..solvers.registry import ROWS, find_row, make_rule
 from ..solvers.result import Result
 from ..solvers.solve import automatic, bound, solve
@@ -42,15 +42,12 @@ class Session:
             tip = entry.tips[0]
         try:
             robot = Robot.load(source.strip(), tip=tip)
-        except FrameNotFound:
-            if tip is not None:
+        except FrameNotFound as several:
+            if tip is not None or not several.tips:
                 raise
-            tips = _tips(source.strip())
-            if not tips:
-                raise
-            robot = Robot.load(source.strip(), tip=tips[0])
+            robot = Robot.load(source.strip(), tip=several.tips[0])
         self.source, self.entry, self.robot = source.strip(), entry, robot
-        self.tips = tuple(entry.tips) if len(entry.tips) > 1 else tuple(robot.tips())
+        self.tips = tuple(entry.tips) if len(entry.tips) > 1 else path_ends(robot.model)
         self.q = robot.home.copy()
         self.target: np.ndarray | None = None
         self.result: Result | None = None
@@ -208,16 +205,6 @@ class Session:
     def to_json(self) -> str:
         """JSON text of `to_dict`."""
         return json.dumps(self.to_dict(), indent=1)
-
-
-def _tips(source: str) -> list[str]:
-    """Possible tips of a robot that has several (a file of one's own)."""
-    from ..robot.build import build_model
-    from ..robot.check import safe_read
-
-    leaves = Robot.__new__(Robot)
-    leaves.model = build_model(safe_read(find(source).source))
-    return leaves.tips()
 
 
 def _numbers(text: str, size: int, what: str) -> list[float]:

@@ -25,9 +25,9 @@ def collision_model(robot: Robot, asked: Any) -> CollisionModel:
         return asked
     if asked is not True:
         raise InvalidOption(f"avoid_collisions is True or a CollisionModel, not {asked!r}")
-    if "_collision" not in robot.__dict__:
-        robot.__dict__["_collision"] = CollisionModel(robot)
-    return robot.__dict__["_collision"]
+    if "collision model" not in robot.memo:
+        robot.memo["collision model"] = CollisionModel(robot)
+    return robot.memo["collision model"]
 
 
 def avoid(solver: Any, row: np.ndarray, T: np.ndarray, kind: Any, start: np.ndarray) -> tuple[str, str] | None:

@@ -22,7 +22,7 @@ def prepare(*solvers: str, progress: Callable[[str], None] | None = None) -> Non
         if name != "auto":
             find_row(name)
         for robot_name, entry in shipped_robots().items():
-            robot = Robot.load(robot_name, tip=entry.tip or list(entry.tips))
+            robot = Robot.load(robot_name) if entry.tip else Tree.load(robot_name)
             if progress is not None:
                 progress(f"{name} on {robot_name}")
             if _call(robot, name) and name != "auto":

@@ -455,7 +455,7 @@ _SOLVERS_LOCK = threading.Lock()
 
 def bound(robot: Robot, solver: Any, options: dict[str, Any]) -> Solver:
     """Return a Solver for these arguments, the same one each time they can be hashed."""
-    cache = robot.__dict__.setdefault("_solvers", {})
+    cache = robot.memo.setdefault("bound solvers", {})
     try:
         # Types too: named tuples of equal numbers are equal, and so are 1 and True.
         key = (type(solver), solver, *options.items(), *map(type, options.values()))

@@ -33,7 +33,7 @@ def make_item(name: str, robot_name: str):
     count = COUNTS.get(name, 100)
     rng = np.random.default_rng(3)
     if name == "python tree":
-        tree = ik.Robot.load("brokk_hydrolek", tip=["left_tip", "right_tip"])
+        tree = ik.Tree.load("brokk_hydrolek", tips=["left_tip", "right_tip"])
         solver = ik.Solver(tree, "lm")
         targets = [np.array([T.homogeneous for T in tree.fk(tree.random_q(rng)).values()]) for _ in range(count)]
         results = []

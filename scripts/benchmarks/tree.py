@@ -19,7 +19,7 @@ ROBOTS = ("brokk_hydrolek", "talos", "tiago_dual", "tiago_pro", "baxter", "pr2",
 
 def measure(name: str, count: int, seed: int) -> dict[str, Any]:
     """Bound solver called from Python, one target after the other; every success is checked by Pinocchio."""
-    tree = ik.Robot.load(name, tip=list(find(name).tips))
+    tree = ik.Tree.load(name, tips=list(find(name).tips))
     rng = np.random.default_rng(seed)
     targets = tree.chain.forward(np.array([tree.random_q(rng) for _ in range(count)]))[0]
     solver = ik.Solver(tree)

@@ -18,7 +18,7 @@ RULES = ("lm", "dls", "pinv", "transpose", "ccd", "pid", "state-space")
 
 @pytest.fixture(scope="module")
 def brokk():
-    return ik.Robot.load("brokk_hydrolek", tip=TIPS)
+    return ik.Tree.load("brokk_hydrolek", tips=TIPS)
 
 
 def poses(tree, q):

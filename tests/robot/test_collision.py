@@ -301,7 +301,7 @@ def test_what_may_be_asked_for():
         ik.solve(robot, T, avoid_collisions=other)
     with pytest.raises(InvalidOption, match="avoid_collisions"):
         ik.solve(robot, T, avoid_collisions="yes")
-    both = ik.Robot.load("brokk_hydrolek", tip=["left_tip", "right_tip"])
+    both = ik.Tree.load("brokk_hydrolek", tips=["left_tip", "right_tip"])
     with pytest.raises(InvalidOption, match="avoid_collisions"):
         ik.Solver(both, "lm", avoid_collisions=True)
     assert ik.solve(robot.with_tool(np.eye(4)), T, avoid_collisions=True).success  # a copy gets a model of its own

@@ -234,7 +234,7 @@ def test_a_tree_whose_arms_share_leaders():
         + "</robot>"
     )
     tips = ["lifted", "right_end"]
-    tree = ik.Robot.load(text, tip=tips)
+    tree = ik.Tree.load(text, tips=tips)
     rng = np.random.default_rng(8)
     Q = np.array([tree.random_q(rng) for _ in range(50)])
     poses, stack = tree.chain.forward(Q, jacobian=True)
@@ -282,7 +282,7 @@ def test_loading_compiles_nothing(tmp_path):
         "c.compile_extra = c.compile_ir = refuse\n"
         "import ik_toolkit as ik\n"
         "ik.Robot.load('hydrolek_7w').with_tool(ik.pose((0, 0, 0.1)))\n"
-        "ik.Robot.load('brokk_hydrolek', tip=['left_tip', 'right_tip'])\n"
+        "ik.Tree.load('brokk_hydrolek', tips=['left_tip', 'right_tip'])\n"
     )
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
     done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=False)

@@ -76,7 +76,7 @@ def check(page, *, tags=(), handlers=0, says=()):
 
 
 def test_cells_of_a_notebook(robot):
-    tree = ik.Robot.load(arm(), tip=[robot.tip, f"3 {EVIL[3]}"])
+    tree = ik.Tree.load(arm(), tips=[robot.tip, f"3 {EVIL[3]}"])
     target = robot.fk(robot.random_q(np.random.default_rng(0)))
     for result in (ik.solve(robot, target), ik.solve(robot, (9.0, 0.0, 0.0))):
         check(result._repr_html_(), tags=["b"], says=EVIL)

@@ -130,10 +130,10 @@ def test_a_tracking_run_becomes_an_animation_in_real_time():
 
 
 def test_several_tips_are_drawn_together():
-    tree = ik.Robot.load("brokk_hydrolek", tip=["left_tip", "right_tip"])
+    tree = ik.Tree.load("brokk_hydrolek", tips=["left_tip", "right_tip"])
     scene = view(tree, target={"left_tip": [1.0, 0.5, 1.0], "right_tip": [1.0, -0.5, 1.0]})
     drawn = scene.drawn()
-    for name, arm, place in zip(("tip", "tip2"), tree.arms, tree._places, strict=True):
+    for name, arm, place in zip(("tip", "tip2"), tree.arms, tree.places, strict=True):
         assert np.allclose(drawn[name], arm.fk(tree.home[place]).homogeneous, atol=1e-12)
     assert drawn["target2"][1, 3] == -0.5
 

@@ -153,7 +153,7 @@ def test_options_that_do_not_fit_are_refused():
     with pytest.raises(InvalidOption, match="does not solve poses"):
         ik.solve_batch(load("planar_2r"), np.eye(4)[None], "planar-2r")
     with pytest.raises(InvalidOption, match="one tip"):
-        ik.solve_batch(ik.Robot.load("brokk_hydrolek", tip=["left_tip", "right_tip"]), xyz)
+        ik.solve_batch(ik.Tree.load("brokk_hydrolek", tips=["left_tip", "right_tip"]), xyz)
 
 
 @pytest.mark.parametrize(

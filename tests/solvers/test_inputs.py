@@ -26,7 +26,7 @@ def good():
 def every_way(robot, T):
     """Calls that take a pose, by name."""
     start = good()[1]
-    tree = ik.Robot.load(TREE[0], tip=list(TREE[1]))
+    tree = ik.Tree.load(TREE[0], tips=list(TREE[1]))
     return {
         "solve": lambda: ik.solve(robot, T, "lm"),
         "Solver": lambda: ik.Solver(robot, "lm")(T),

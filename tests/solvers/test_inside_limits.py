@@ -97,7 +97,7 @@ def test_several_tips_keep_their_limits():
             f'<joint name="j{k}" type="revolute"><parent link="l{parent}"/><child link="l{k + 1}"/><origin xyz="0.1 0.05 0.3"/>'
             f'<axis xyz="{axis}"/><limit lower="-3.14159265359" upper="3.14159265359" effort="1" velocity="1"/></joint>'
         )
-    tree = ik.Robot.load(lines + "</robot>", tip=["l4", "l7"])
+    tree = ik.Tree.load(lines + "</robot>", tips=["l4", "l7"])
     solver, rng = ik.Solver(tree), np.random.default_rng(4)
     for q in at_limits(tree, 150, rng):
         result = solver([T.translation for T in tree.fk(q).values()])

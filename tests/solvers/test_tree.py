@@ -1,5 +1,6 @@
 """Several tips at once: kinematics against Pinocchio, the contract of the solver, shared joints, errors, the command line."""
 
+import copy
 import json
 import pickle
 import re
@@ -62,7 +63,7 @@ TREES = {
 def tree_of(name):
     if name == "talos" and not robots.have_data():
         pytest.skip("example-robot-data is not installed")
-    return ik.Robot.load(mixed() if name == "mixed" else name, tip=TREES[name])
+    return ik.Tree.load(mixed() if name == "mixed" else name, tips=TREES[name])
 
 
 @pytest.fixture(scope="module", params=TREES)
@@ -102,7 +103,7 @@ def test_kinematics_equal_pinocchio(tree):
 @pytest.mark.parametrize("base", ["chest", "turning", "left3_link"])
 def test_any_base_also_with_followers_of_joints_below_it(base):
     """Joints between the root and the base move base and tips alike, so only their followers on the paths count."""
-    tree = ik.Robot.load(mixed(), tip=TREES["mixed"], base=base)
+    tree = ik.Tree.load(mixed(), tips=TREES["mixed"], base=base)
     if base == "chest":
         assert {"turn", "lift"} <= set(tree.joint_names)
     q = tree.random_q(np.random.default_rng(9))
@@ -125,7 +126,7 @@ def test_jacobian_by_finite_differences(tree):
 
 @pytest.mark.parametrize("tips", [["left_tip"], ["left3_link", "left_tip"], ["left1_link", "right_tip", "left_tip"]])
 def test_any_number_of_tips_also_on_one_path(tips):
-    tree = ik.Robot.load(mixed(), tip=tips)
+    tree = ik.Tree.load(mixed(), tips=tips)
     scales = {arm.chain.scale for arm in tree.arms}
     assert tree.chain.scale == max(scales) and len(scales) == (2 if "left1_link" in tips else 1)
     rng = np.random.default_rng(10)
@@ -152,7 +153,7 @@ def test_q_is_the_union_of_the_paths_and_shared_joints_come_once(tree):
 def test_brokk_home_is_the_listed_one_joint_by_joint(brokk):
     home = find("brokk_hydrolek").home
     assert brokk.home.tolist() == list(home)
-    turned = ik.Robot.load("brokk_hydrolek", tip=["right_tip", "left_tip"])
+    turned = ik.Tree.load("brokk_hydrolek", tips=["right_tip", "left_tip"])
     assert turned.joint_names[0] == "turret" and turned.joint_names[1].startswith("right")
     assert dict(zip(turned.joint_names, turned.home, strict=True)) == dict(zip(brokk.joint_names, home, strict=True))
 
@@ -181,7 +182,7 @@ def test_limits_of_a_shared_joint_are_those_of_both_paths():
     # the left arm's follower (0.05 turn + 0.02 within -0.2..0.3) too; make it the tighter one and the tree must follow
     assert tree.upper[turn] == 2.0
     for tips in (TREES["mixed"], TREES["mixed"][::-1]):
-        tight = ik.Robot.load(mixed().replace('multiplier="0.05"', 'multiplier="0.2"'), tip=tips)
+        tight = ik.Tree.load(mixed().replace('multiplier="0.05"', 'multiplier="0.2"'), tips=tips)
         assert tight.upper[turn] == pytest.approx((0.3 - 0.02) / 0.2)
         assert tight.lower[turn] == pytest.approx((-0.2 - 0.02) / 0.2)
         assert max(arm.upper[0] for arm in tight.arms) == 2.0
@@ -190,7 +191,7 @@ def test_limits_of_a_shared_joint_are_those_of_both_paths():
 def test_a_joint_that_one_path_follows_never_jumps_a_turn():
     text = mixed().replace('lower="-2.0" upper="2.0"', 'lower="-4.0" upper="4.0"')
     for tips in (TREES["mixed"], TREES["mixed"][::-1]):
-        tree = ik.Robot.load(text, tip=tips)
+        tree = ik.Tree.load(text, tips=tips)
         turn = tree.joint_names.index("turn")
         assert sorted(arm.chain.turns[0] for arm in tree.arms) == [0.0, 1.0]
         assert tree.chain.ends[0, 24 + 2 * tree.n + turn] == 0.0
@@ -206,6 +207,85 @@ def test_tools_and_locked_joints():
     assert np.allclose(poses(tree, q)[0], full[0] @ tool, atol=1e-12)
     assert np.allclose(poses(tree, q)[1], full[1], atol=1e-12)
     assert ik.solve(tree, poses(tree, q), q0=q + 0.01).success
+
+
+def test_loading_says_what_it_needs(brokk):
+    """No call returns a type that depends on a value: a list of tips is for Tree.load, one tip for Robot.load."""
+    for load in (ik.Robot.load, lambda source, tip: ik.Robot(ik.Robot.load(source, tip="left_tip").model, tip=tip)):
+        for tip in (["left_tip", "right_tip"], ["left_tip"], ("left_tip",)):
+            with pytest.raises(errors.InvalidOption, match=r"ik\.Tree\.load\(source, tips=\[\.\.\.\]\)"):
+                load("brokk_hydrolek", tip=tip)
+    with pytest.raises(errors.FrameNotFound, match=r"2 tips.*ik\.Tree\.load.*left_tip, right_tip"):
+        ik.Robot.load("brokk_hydrolek")
+    whole = ik.Tree.load("brokk_hydrolek")
+    assert whole.tips == brokk.tips and whole.home.tolist() == brokk.home.tolist()
+    with pytest.raises(errors.FrameNotFound, match="its paths end at: left_tip, right_tip"):
+        ik.Tree.load(mixed())
+    with pytest.raises(errors.FrameNotFound, match=r"robot 'planar_2r'.*its paths end at"):
+        ik.Tree.load("planar_2r")
+    for tips in ("left_tip", {"left_tip", "right_tip"}, 3):
+        with pytest.raises(errors.InvalidOption, match=r"list of frame names.*ik\.Robot\.load\(source, tip=\)"):
+            ik.Tree.load("brokk_hydrolek", tips)
+    with pytest.raises(errors.InvalidOption, match="name of one frame, not 3"):
+        ik.Tree.load("brokk_hydrolek", ["left_tip", 3])
+    with pytest.raises(errors.JointNotFound, match="turet"):
+        ik.Tree.load("brokk_hydrolek", locked={"turet": 0.0})
+
+
+def test_a_known_home_is_kept_by_locked_copies(brokk):
+    home = dict(zip(brokk.joint_names, brokk.home, strict=True))
+    for locked in ({"turret": 0.3}, {"right_elbow": -0.4}, {joint: 0.1 for joint in brokk.arms[0].joint_names[:2]}):
+        locked = {joint: value for joint, value in locked.items() if joint in home}
+        made = ik.Tree.load("brokk_hydrolek", locked=locked)
+        assert made.locked_joints == locked and made.n == brokk.n - len(locked)
+        assert dict(zip(made.joint_names, made.home, strict=True)) == {j: x for j, x in home.items() if j not in locked}
+        assert brokk.locked(locked).home.tolist() == made.home.tolist()
+
+
+def test_a_joint_cannot_be_locked_for_one_tip_only(brokk):
+    left, right = brokk.arms
+    with pytest.raises(errors.ModelError, match="'turret' is locked for one tip"):
+        Tree([left.locked({"turret": 0.0}), right])
+    free = next(joint for joint in right.joint_names if joint not in left.joint_names)
+    assert Tree([left.locked({free: 0.0}), right.locked({free: 0.0})]).n == brokk.n - 1
+
+
+@pytest.mark.parametrize("name", ["brokk_hydrolek", "mixed"])
+def test_a_robot_and_a_tree_answer_alike(name):
+    tree = tree_of(name)
+    q = tree.random_q(np.random.default_rng(4))
+    for robot in (tree, *tree.arms):
+        values = q if robot is tree else q[tree.places[tree.arms.index(robot)]]
+        assert robot.tips == tuple(arm.tip for arm in robot.arms) and len(robot.places) == len(robot.tips)
+        assert robot.reach == max(arm.reach for arm in robot.arms)
+        for arm, place in zip(robot.arms, robot.places, strict=True):
+            assert arm.joint_names == tuple(robot.joint_names[i] for i in place)
+            seen = direct(tree, q)[tree.tips.index(arm.tip)]
+            assert np.allclose(arm.fk(values[place]).homogeneous, seen, atol=1e-12)
+        assert robot.urdf and robot.package_dirs is not None and robot.locked_joints == {}
+
+
+def test_what_is_kept_with_a_robot_stays_with_it(brokk):
+    for robot in (brokk, brokk.arms[0]):
+        robot.memo["mine"] = 1
+        tool = np.eye(4)
+        for other in (robot.with_tool(tool), robot.locked({}), copy.copy(robot), pickle.loads(pickle.dumps(robot))):
+            assert "mine" not in other.memo and other.memo is not robot.memo
+        assert robot.memo.pop("mine") == 1
+
+
+def test_tools_by_tip(brokk):
+    q, tool = brokk.random_q(np.random.default_rng(5)), ik.pose((0.05, 0.0, 0.1), rpy=(0.2, 0.0, 0.3))
+    bare = poses(brokk, q)
+    for given, moved in ((tool, (True, True)), ({"right_tip": tool}, (False, True)), ({}, (False, False))):
+        tree = brokk.with_tool(given)
+        assert tree.home.tolist() == brokk.home.tolist()
+        for T, before, hand in zip(poses(tree, q), bare, moved, strict=True):
+            assert np.allclose(T, before @ tool if hand else before, atol=1e-12)
+    with pytest.raises(errors.FrameNotFound, match="Did you mean 'right_tip'"):
+        brokk.with_tool({"rigt_tip": tool})
+    with pytest.raises(errors.InvalidTarget):
+        brokk.with_tool({"right_tip": 2.0 * tool})
 
 
 # ----------------------------------------------------------------------------------------------------------- the solver
@@ -314,7 +394,7 @@ def test_without_limits_a_slide_has_no_reach_bound():
         '<limit lower="0" upper="1" effort="1" velocity="1"/></joint>'
         for tip, axis in (("left", "1 0 0"), ("right", "0 1 0"))
     )
-    tree = ik.Robot.load(f'<robot name="gantry">{links}{slides}</robot>', tip=["left", "right"])
+    tree = ik.Tree.load(f'<robot name="gantry">{links}{slides}</robot>', tips=["left", "right"])
     targets = [(3.0, 0.0, 0.0), (0.0, 0.5, 0.0)]
     assert ik.solve(tree, targets).status == ik.Status.UNREACHABLE
     result = ik.solve(tree, targets, limits=False)
@@ -401,7 +481,7 @@ def test_weights_and_limits(brokk):
 def test_lengths_have_no_unit_in_the_kernel():
     """A machine four times as large takes the same steps to the same angles."""
     lift = r'<mimic joint="lift"[^>]*>'  # a slide that drives a turn is measured in metres
-    small, large = (ik.Robot.load(re.sub(lift, "", mixed(size)), tip=TREES["mixed"]) for size in (1.0, 4.0))
+    small, large = (ik.Tree.load(re.sub(lift, "", mixed(size)), tips=TREES["mixed"]) for size in (1.0, 4.0))
     factor = np.where(np.array(small.joint_kinds) == "prismatic", 4.0, 1.0)
     rng = np.random.default_rng(33)
     for _ in range(10):
@@ -458,11 +538,11 @@ def test_bad_targets_are_refused_by_name(brokk, targets, kind, words):
 def test_what_several_tips_cannot_do_is_said(brokk):
     T = poses(brokk, brokk.home)
     with pytest.raises(errors.FrameNotFound, match="Did you mean 'left_tip'"):
-        ik.Robot.load("brokk_hydrolek", tip=["left_tp", "right_tip"])
+        ik.Tree.load("brokk_hydrolek", tips=["left_tp", "right_tip"])
     with pytest.raises(errors.FrameNotFound, match="once only"):
-        ik.Robot.load("brokk_hydrolek", tip=["left_tip", "left_tip"])
+        ik.Tree.load("brokk_hydrolek", tips=["left_tip", "left_tip"])
     with pytest.raises(errors.FrameNotFound, match="at least one"):
-        ik.Robot.load("brokk_hydrolek", tip=[])
+        ik.Tree.load("brokk_hydrolek", tips=[])
     with pytest.raises(errors.ModelError, match="one model"):
         Tree([brokk.arms[0], ik.Robot.load("hydrolek_7w")])
     for rule in ("newton", "state-space"):

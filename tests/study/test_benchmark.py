@@ -145,7 +145,7 @@ def test_the_table_fits_a_terminal(arm, places, capsys, monkeypatch):
 
 
 def tree():
-    return ik.Robot.load("brokk_hydrolek", tip=["left_tip", "right_tip"])
+    return ik.Tree.load("brokk_hydrolek", tips=["left_tip", "right_tip"])
 
 
 @pytest.mark.parametrize(

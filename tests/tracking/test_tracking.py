@@ -570,7 +570,7 @@ def test_command_warns_and_refuses(capsys):
 
 def test_wrong_inputs_of_a_run_are_typed(panda, planar):
     ref = panda_reference(panda, True, 1.0)
-    tree = Robot.load("brokk_hydrolek", tip=["left_tip", "right_tip"])
+    tree = ik.Tree.load("brokk_hydrolek", tips=["left_tip", "right_tip"])
     for robot in (tree, None, "panda"):
         with pytest.raises(InvalidOption, match="robot with one tip"):
             track(robot, ref)

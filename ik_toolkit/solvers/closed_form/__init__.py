@@ -14,10 +14,9 @@ def fit(robot: Any, kind: int) -> tuple[str, float] | None:
 
     The chain's geometry decides; the answer is kept with the robot, so asking again costs a look-up.
     """
-    known = robot.__dict__.get("_closed_form")
-    if known is None or known[0] is not robot.chain:
-        known = robot.__dict__["_closed_form"] = (robot.chain, _recognise(robot.chain))
-    return known[1].get(kind)
+    if "closed forms" not in robot.memo:
+        robot.memo["closed forms"] = _recognise(robot.chain)
+    return robot.memo["closed forms"].get(kind)
 
 
 def describe(robot: Any) -> str:

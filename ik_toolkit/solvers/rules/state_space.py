@@ -69,14 +69,13 @@ class StateSpace(NamedTuple):
         """Return the rule itself, or the designed one when it has no matrices (kept with the robot)."""
         if any(part is not None for part in (self.A, self.B, self.C, self.D)):
             return self
-        cache = robot.__dict__.setdefault("_solvers", {})
         key = ("state-space design", position_only)
-        if key not in cache:
+        if key not in robot.memo:
             starts = spread_starts(robot, position_only, MAPS)
-            cache[key] = StateSpace(
+            robot.memo[key] = StateSpace(
                 D=LOOP_GAIN[position_only] * inverse_maps(robot, starts, position_only), starts=starts
             )
-        return cache[key]
+        return robot.memo[key]
 
     def start_table(self, robot: Any, position_only: bool) -> np.ndarray | None:
         """Starts (M, n) [rad, m] to choose from without q0, or None for home."""
