@@ -12,7 +12,9 @@ import typer
 from .. import __version__
 from ..errors import IKError, MissingExtra
 from . import first_use
-from .common import Command, LogNotices, Output, join_vectors, notice, on_sigterm, open_standard_streams
+from .arguments import Command, join_vectors
+from .output import LogNotices, notice
+from .streams import Output, on_sigterm, open_standard_streams
 
 MODULES = (
     "robots",

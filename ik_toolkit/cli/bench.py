@@ -5,7 +5,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .common import PLOTS, Json, Out, load_robot, notice, partial, show, table, write_json, writes
+from .arguments import PLOTS, Json, Out, load_robot, writes
+from .output import notice, partial, show, table, write_json
 
 if TYPE_CHECKING:
     from ..study.benchmark import Benchmark

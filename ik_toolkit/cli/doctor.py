@@ -14,7 +14,8 @@ import typer
 
 from ..errors import extras
 from . import first_use
-from .common import Json, notice, show, table, write_json
+from .arguments import Json
+from .output import notice, show, table, write_json
 
 CORE = ("pin", "numpy", "numba", "typer", "rich")
 COLOURS = {"ok": "green", "missing": "yellow", "mended": "yellow", "problem": "red"}

@@ -8,7 +8,8 @@ import typer
 
 from ..errors import CONTROLS, IKError
 from ..files import write_whole
-from .common import Json, PackageDir, notice, show, table, write_json, writes
+from .arguments import Json, PackageDir, writes
+from .output import notice, show, table, write_json
 
 TableArg = Annotated[str, typer.Argument(metavar="TABLE", help="D-H table, a .toml or .csv file.")]
 UrdfOut = Annotated[

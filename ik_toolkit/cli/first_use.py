@@ -13,7 +13,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
-from .common import notice
+from .output import notice
 
 WAIT, INTERPRETED = "IK_TOOLKIT_WAIT", "IK_TOOLKIT_INTERPRETED"  # environment: compile and wait; this is the second run
 AGAIN = "IK_TOOLKIT_AGAIN"  # environment: this is the second or third run

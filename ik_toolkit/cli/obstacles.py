@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from ..errors import InvalidOption
-from .common import numbers
+from ..text import numbers
 
 FORMS = {
     "box": ("x,y,z,sx,sy,sz[,roll,pitch,yaw]", 3),

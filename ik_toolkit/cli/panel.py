@@ -5,7 +5,8 @@ from typing import Annotated
 import typer
 
 from ..errors import InvalidOption
-from .common import RobotArg, Tip, notice
+from .arguments import RobotArg, Tip
+from .output import notice
 
 Host = Annotated[str, typer.Option(metavar="ADDRESS", help="Address to listen at; the default is this machine only.")]
 Port = Annotated[int, typer.Option(metavar="N", help="Port; default: a free one.")]
@@ -30,7 +31,7 @@ def panel(
 
     from ..show.gate import is_loopback
     from ..show.panel import Panel
-    from .view import wait
+    from .pictures import wait
 
     served = Panel(robot, tip, host=host, port=port)
     if not is_loopback(host):

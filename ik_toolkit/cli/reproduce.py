@@ -9,7 +9,8 @@ from typing import Annotated
 import typer
 
 from ..errors import InvalidOption, near_match
-from .common import Json, facts, notice, show, table, write_json
+from .arguments import Json
+from .output import facts, notice, show, table, write_json
 
 PaperArg = Annotated[
     str | None, typer.Argument(metavar="[PAPER]", help="Name of a paper; without one they are listed.")

@@ -6,28 +6,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ..errors import FrameNotFound
-from .common import (
-    Base,
-    Deg,
-    Json,
-    Lock,
-    PackageDir,
-    RobotArg,
-    Tip,
-    facts,
-    fixed,
-    heading,
-    joint_vector,
-    load_robot,
-    notice,
-    number,
-    show,
-    slides,
-    table,
-    turns,
-    unit,
-    write_json,
-)
+from .arguments import Base, Deg, Json, Lock, PackageDir, RobotArg, Tip, joint_vector, load_robot, slides
+from .output import facts, fixed, heading, notice, number, show, table, turns, unit, write_json
 
 if TYPE_CHECKING:
     from rich.table import Table

@@ -12,7 +12,8 @@ from ..errors import InvalidOption
 from ..files import PARTIAL, WholeFile
 from ..solvers.batch_result import BatchResult
 from ..solvers.result import Status
-from .common import notice, uninterrupted
+from .output import notice
+from .streams import uninterrupted
 
 OUTPUTS = (".csv", ".npz", ".parquet")
 FAILED = ".failed"

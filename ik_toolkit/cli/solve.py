@@ -1,140 +1,20 @@
 """`ik solve`: joint values that bring the tip to a target."""
 
-import json
 import math
 from contextlib import nullcontext
-from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any
 
 import typer
 
-from ..errors import InvalidOption, InvalidTarget
 from . import first_use
-from .common import (
-    Base,
-    Deg,
-    Json,
-    Lock,
-    Out,
-    PackageDir,
-    RobotArg,
-    Tip,
-    assignments,
-    facts,
-    joint_vector,
-    load_robot,
-    notice,
-    number,
-    numbers,
-    show,
-    table,
-    unit,
-    vector,
-    write_json,
-)
-from .view import Chart, Html, Live, draw
+from . import solve_options as asked
+from .arguments import Base, Deg, Json, Lock, Out, PackageDir, RobotArg, Tip, load_robot
+from .output import facts, notice, number, show, table, unit, write_json
+from .pictures import Chart, Html, Live, draw
 
 if TYPE_CHECKING:
     from ..solvers.result import Result
-
-Xyz = Annotated[
-    str | None, typer.Option("--xyz", metavar="X Y Z", help="Where the tip shall be, in the base frame [m].")
-]
-Rpy = Annotated[str | None, typer.Option("--rpy", metavar="R P Y", help="Roll, pitch, yaw of the tip [rad]: Rz Ry Rx.")]
-Quat = Annotated[
-    str | None, typer.Option("--quat-xyzw", metavar="X Y Z W", help="Rotation of the tip as a quaternion.")
-]
-Targets = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--target",
-        metavar="TIP:X,Y,Z[,QX,QY,QZ,QW]",
-        help="Instead of --xyz: target of one of several tips, solved together; repeat for each.",
-    ),
-]
-SolverName = Annotated[str, typer.Option("-s", "--solver", metavar="NAME", help="See ik solvers; auto picks for you.")]
-Params = Annotated[
-    list[str] | None,
-    typer.Option("-p", "--param", metavar="NAME=VALUE", help="Parameter of the solver; may be repeated."),
-]
-Preset = Annotated[str | None, typer.Option(metavar="NAME", help="Published or tuned parameters, by name.")]
-Start = Annotated[str | None, typer.Option("--q0", metavar="Q1 Q2 ...", help="Where to start; default: home.")]
-Tolerance = Annotated[float | None, typer.Option(metavar="TOL", help="Both tolerances, in m and rad; default 1e-6.")]
-PositionTolerance = Annotated[float | None, typer.Option(metavar="M", help="Position tolerance [m].")]
-OrientationTolerance = Annotated[float | None, typer.Option(metavar="RAD", help="Orientation tolerance [rad].")]
-MaxIterations = Annotated[int | None, typer.Option(metavar="N", help="Steps a descent; default: the solver's own.")]
-Restarts = Annotated[
-    int | None, typer.Option(metavar="N", help="Further descents from other starts; default: the solver's own.")
-]
-Seed = Annotated[int, typer.Option(metavar="N", help="Seed of the random restarts.")]
-Limits = Annotated[bool, typer.Option("--limits/--no-limits", help="Keep the joints inside their limits.")]
-ClampQ0 = Annotated[
-    bool, typer.Option("--clamp-q0/--refuse-q0", help="What to do with a start outside the limits: clamp it, or stop.")
-]
-
-Direction = Annotated[
-    str | None,
-    typer.Option("--direction", metavar="X Y Z", help="Point --tip-axis along this; the turn about it stays free."),
-]
-TipAxis = Annotated[
-    str | None, typer.Option("--tip-axis", metavar="X Y Z", help="Axis of the tip for --direction; default its z.")
-]
-Mask = Annotated[
-    str | None,
-    typer.Option("--mask", metavar="X Y Z RX RY RZ", help="Six weights of what counts; 0 leaves it free."),
-]
-MaskFrame = Annotated[str, typer.Option("--mask-frame", metavar="base|tip", help="Axes the mask is meant in.")]
-Weights = Annotated[
-    str | None, typer.Option("--joint-weights", metavar="W1 W2 ...", help="How freely each joint moves; 0: not at all.")
-]
-Closest = Annotated[
-    str | None, typer.Option("--closest", metavar="Q1 Q2 ...", help="Of several solutions the one nearest this.")
-]
-Follow = Annotated[
-    float | None,
-    typer.Option(
-        "--follow",
-        metavar="RAD",
-        help="One attempt that moves no joint further than this from --q0 (slides: times reach).",
-    ),
-]
-Objective = Annotated[
-    str | None,
-    typer.Option(
-        "--objective", metavar="NAME", help="For redundant arms: mid-range, reference (near q0) or manipulability."
-    ),
-]
-AvoidCollisions = Annotated[
-    bool, typer.Option("--avoid-collisions", help="Only solutions in which the robot's links do not touch.")
-]
-Obstacles = Annotated[
-    list[str] | None,
-    typer.Option(
-        "--obstacle",
-        metavar="KIND:...",
-        help="Shape not to touch, in the base frame; may be repeated. box:x,y,z,sx,sy,sz sphere:x,y,z,r "
-        "cylinder:x,y,z,r,length; boxes and cylinders also with ,roll,pitch,yaw. Implies --avoid-collisions.",
-    ),
-]
-File = Annotated[
-    Path | None,
-    typer.Option(
-        "--targets",
-        metavar="FILE",
-        help="Instead of --xyz: many targets, solved on all cores; -o names the solutions' file. CSV with the header "
-        "x,y,z or x,y,z,qx,qy,qz,qw or x,y,z,roll,pitch,yaw, or NPZ with targets, or xyz and quat_xyzw.",
-    ),
-]
-Threads = Annotated[int | None, typer.Option(metavar="N", help="With --targets: threads; default: all cores.")]
-Chain = Annotated[
-    bool, typer.Option("--chain", help="With --targets: waypoints in order, each solved from the answer before it.")
-]
-Cluster = Annotated[
-    str | None, typer.Option(metavar="ADDRESS", help="With --targets: use the Dask scheduler at this address.")
-]
-All = Annotated[
-    bool, typer.Option("--all", help="List every distinct solution inside the limits, nearest to q0 (or home) first.")
-]
 
 
 def register(app: typer.Typer) -> None:
@@ -144,37 +24,37 @@ def register(app: typer.Typer) -> None:
 
 def solve(
     robot: RobotArg,
-    xyz: Xyz = None,
-    rpy: Rpy = None,
-    quat_xyzw: Quat = None,
-    targets: Targets = None,
-    solver: SolverName = "auto",
-    param: Params = None,
-    preset: Preset = None,
-    q0: Start = None,
-    tolerance: Tolerance = None,
-    position_tolerance: PositionTolerance = None,
-    orientation_tolerance: OrientationTolerance = None,
-    max_iterations: MaxIterations = None,
-    restarts: Restarts = None,
-    seed: Seed = 0,
-    limits: Limits = True,
-    clamp_q0: ClampQ0 = True,
-    direction: Direction = None,
-    tip_axis: TipAxis = None,
-    mask: Mask = None,
-    mask_frame: MaskFrame = "base",
-    joint_weights: Weights = None,
-    closest: Closest = None,
-    follow: Follow = None,
-    objective: Objective = None,
-    avoid_collisions: AvoidCollisions = False,
-    obstacle: Obstacles = None,
-    every: All = False,
-    file: File = None,
-    threads: Threads = None,
-    chain: Chain = False,
-    cluster: Cluster = None,
+    xyz: asked.Xyz = None,
+    rpy: asked.Rpy = None,
+    quat_xyzw: asked.Quat = None,
+    targets: asked.Targets = None,
+    solver: asked.SolverName = "auto",
+    param: asked.Params = None,
+    preset: asked.Preset = None,
+    q0: asked.Start = None,
+    tolerance: asked.Tolerance = None,
+    position_tolerance: asked.PositionTolerance = None,
+    orientation_tolerance: asked.OrientationTolerance = None,
+    max_iterations: asked.MaxIterations = None,
+    restarts: asked.Restarts = None,
+    seed: asked.Seed = 0,
+    limits: asked.Limits = True,
+    clamp_q0: asked.ClampQ0 = True,
+    direction: asked.Direction = None,
+    tip_axis: asked.TipAxis = None,
+    mask: asked.Mask = None,
+    mask_frame: asked.MaskFrame = "base",
+    joint_weights: asked.Weights = None,
+    closest: asked.Closest = None,
+    follow: asked.Follow = None,
+    objective: asked.Objective = None,
+    avoid_collisions: asked.AvoidCollisions = False,
+    obstacle: asked.Obstacles = None,
+    every: asked.All = False,
+    file: asked.File = None,
+    threads: asked.Threads = None,
+    chain: asked.Chain = False,
+    cluster: asked.Cluster = None,
     tip: Tip = None,
     base: Base = None,
     lock: Lock = None,
@@ -196,77 +76,39 @@ def solve(
 
     Exit code 0 when solved, 1 when not: the status says how it ended, and the sentence on stderr what to try.
     """
-    if file is None and (threads is not None or chain or cluster is not None):
-        raise InvalidOption("--threads, --chain and --cluster go with --targets FILE")
-    target: Any = None
-    if file is not None:
-        if targets or every or any(x is not None for x in (xyz, rpy, quat_xyzw, direction, tip_axis)):
-            raise InvalidOption("--targets FILE says all targets; leave out --xyz and its kin, --target and --all")
-        if plot is not None or html is not None or live:
-            raise InvalidOption("--plot, --html and --view show one solve, not the many of --targets FILE")
-    elif targets:
-        if any(x is not None for x in (xyz, rpy, quat_xyzw, direction, tip_axis, tip)):
-            raise InvalidOption("--target says tip and pose together; leave out --xyz, its rotation options and --tip")
-        if every:
-            raise InvalidOption("--all is for one tip; give one target with --xyz and --tip")
-        target = make_targets(targets, robot)
-    elif xyz is None:
-        raise InvalidOption("Missing option '--xyz' (or '--targets FILE' for many, '--target' for several tips)")
-    else:
-        target = make_target(xyz, rpy, quat_xyzw, deg, direction, tip_axis)
-    method = choose_solver(solver, param, preset)
+    line = SimpleNamespace(**locals())  # the command line, for what reads parts of it
+    asked.refuse_contradictions(line)
+    target: Any = None if file else asked.make_targets(targets, robot) if targets else asked.read_target(line)
+    method = asked.choose_solver(solver, param, preset)
     arm = load_robot(robot, list(target) if targets else tip, base, lock, package_dir, deg)
-
-    from ..solvers.solve import solve as solve_one
-
-    given = {
-        "tolerance": tolerance,
-        "position_tolerance": position_tolerance,
-        "orientation_tolerance": orientation_tolerance,
-        "max_iterations": max_iterations,
-        "restarts": restarts,
-        "mask": None if mask is None else tuple(vector(mask, "--mask", 6)),
-        "mask_frame": None if mask is None else mask_frame,
-        "joint_weights": None if joint_weights is None else tuple(vector(joint_weights, "--joint-weights", arm.n)),
-        "objective": objective,
-        "follow": follow,
-    }
-    options: dict[str, Any] = {key: value for key, value in given.items() if value is not None}
-    options |= {"seed": seed, "limits": limits, "q0_outside": "clamp" if clamp_q0 else "refuse"}
-    start = None if q0 is None else joint_vector(arm, q0, "--q0", deg)
-    if avoid_collisions or obstacle:
-        from .obstacles import collision_model
-
-        options["avoid_collisions"] = collision_model(arm, obstacle or ())
+    options = asked.read_options(line, arm)
+    start = options.pop("q0")
     if file is not None:
         from .targets import solve_file
 
-        if closest is not None:
-            if start is not None:
-                raise InvalidOption("give --closest or --q0, not both: the search starts there")
-            start, options["closest"] = joint_vector(arm, closest, "--closest", deg), True
         solve_file(
             arm, file, output, method, start, options,
             threads=threads, chain=chain, cluster=cluster, deg=deg, as_json=as_json,
         )  # fmt: skip
-        return
-    if every:
-        if plot is not None:
-            raise InvalidOption("--plot draws one solve, and --all asks for many")
-        if closest is not None:
-            raise InvalidOption("--all lists the solutions nearest to --q0 first; give that instead of --closest")
+    elif every:
         found = _solve_all(arm, target, method, start, options, deg, as_json, output)
         draw(arm, list(found), target, None, html, live)
-        return
+    else:
+        _solve_one(arm, target, method, start, options, line)
+
+
+def _solve_one(arm: Any, target: Any, method: Any, start: Any, options: dict[str, Any], line: SimpleNamespace) -> None:
+    """Solve, print, draw; exit code 1 when it is not solved."""
+    from ..solvers.solve import solve as solve_one
+
     # At a solved start: compiles or loads, so that the time shown below is the solve's own.
     at_home = arm.fk(arm.home)
     position_only = getattr(target, "ndim", 2) == 1
-    shown = plot is not None or html is not None or live
+    shown = line.plot is not None or line.html is not None or line.live
+    first = {key: value for key, value in options.items() if key != "closest"}
     with nullcontext() if shown else first_use.instead_of_compiling():
-        near = arm.home if follow else None
-        solve_one(arm, at_home.translation if position_only else at_home, method, q0=near, **options)
-    if closest is not None:
-        options["closest"] = joint_vector(arm, closest, "--closest", deg)
+        near = arm.home if line.follow else None
+        solve_one(arm, at_home.translation if position_only else at_home, method, q0=near, **first)
     options["max_evaluations"] = first_use.budget()
     result = solve_one(arm, target, method, q0=start, **options)
     if first_use.budget() and not result.success and result.status.name != "UNREACHABLE":
@@ -277,17 +119,18 @@ def solve(
         "base": arm.base,
         "target": getattr(target, "T_base_tip", target),
     }
-    if not targets:
+    if not line.targets:
         payload["tip"] = arm.tip
-    write_json(payload, as_json, output)
-    if not as_json:
-        _show(result, deg)
+    write_json(payload, line.as_json, line.output)
+    if not line.as_json:
+        _show(result, line.deg)
     if result.notice:
         notice(result.notice)
     if not result.success:
         notice(f"not solved, {result.status.name}: {result.message}")
     if shown:
-        draw(arm, solve_one(arm, target, method, q0=start, history=True, **options), target, plot, html, live)
+        result = solve_one(arm, target, method, q0=start, history=True, **options)
+        draw(arm, result, target, line.plot, line.html, line.live)
     if not result.success:
         raise typer.Exit(1)
 
@@ -316,75 +159,6 @@ def _solve_all(
         notice(f"no solution: {found.message}")
         raise typer.Exit(1)
     return found
-
-
-def make_target(
-    xyz: str,
-    rpy: str | None,
-    quat_xyzw: str | None,
-    deg: bool,
-    direction: str | None = None,
-    tip_axis: str | None = None,
-) -> Any:
-    """Target of the pose options: (3,) when the orientation is free, (4, 4), or an AxisTarget; rpy in degrees when `deg`."""
-    from ..robot.pose import pose
-
-    angles = vector(rpy, "--rpy", 3) if rpy is not None else None
-    if angles is not None and deg:
-        angles = [math.radians(x) for x in angles]
-    quat = vector(quat_xyzw, "--quat-xyzw", 4) if quat_xyzw is not None else None
-    axis = (0.0, 0.0, 1.0) if tip_axis is None else vector(tip_axis, "--tip-axis", 3)
-    if tip_axis is not None and direction is None:
-        raise InvalidOption("--tip-axis says which axis --direction turns; give --direction too")
-    towards = None if direction is None else vector(direction, "--direction", 3)
-    return pose(vector(xyz, "--xyz", 3), rpy=angles, quat_xyzw=quat, axis=axis, direction=towards)
-
-
-def make_targets(texts: list[str], robot: str) -> dict[str, Any]:
-    """Targets by tip of TIP:X,Y,Z[,QX,QY,QZ,QW]; tips in the order the robot lists them, so that q has one order."""
-    from ..robot.library import find
-    from ..robot.pose import pose
-
-    made = {}
-    for text in texts:
-        tip, colon, rest = text.rpartition(":")
-        values = numbers(rest) or []
-        if not (tip and colon and len(values) in (3, 7)):
-            raise InvalidTarget(f"--target takes TIP:X,Y,Z or TIP:X,Y,Z,QX,QY,QZ,QW, not '{text}'")
-        if tip in made:
-            raise InvalidTarget(f"--target gives '{tip}' twice")
-        made[tip] = pose(values[:3], quat_xyzw=values[3:] or None)
-    listed = [tip for tip in find(robot).tips if tip in made]
-    return {tip: made[tip] for tip in dict.fromkeys([*listed, *made])}
-
-
-def choose_solver(name: str, params: list[str] | None, preset: str | None) -> Any:
-    """Solver name, or a rule with its preset and parameters applied. Raises UnknownSolver, InvalidOption."""
-    from ..solvers.registry import find_row, make_rule
-
-    if name == "auto" and not params and not preset:
-        return name
-    row = find_row("lm" if name == "auto" else name)
-    values = {key: _value(text) for key, text in assignments(params, "-p").items()}
-    if preset is None:
-        return make_rule(row, values) if values else name
-    cls = row.load()
-    if not hasattr(cls, "preset"):
-        raise InvalidOption(f"solver '{row.name}' has no presets")
-    make_rule(row, values)  # names the parameter that does not exist
-    return cls.preset(preset)._replace(**values)
-
-
-def _value(text: str) -> Any:
-    """Read a number, a list (JSON) or a word."""
-    try:
-        return float(text) if not text.lstrip("+-").isdigit() else int(text)
-    except ValueError:
-        pass
-    try:
-        return json.loads(text)
-    except ValueError:
-        return text
 
 
 def _show(result: "Result", deg: bool) -> None:

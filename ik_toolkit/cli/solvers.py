@@ -5,7 +5,8 @@ from typing import Annotated, Any
 
 import typer
 
-from .common import Json, facts, heading, show, table, write_json
+from .arguments import Json
+from .output import facts, heading, show, table, write_json
 
 Name = Annotated[str | None, typer.Argument(metavar="[NAME]", help="Show this solver's parameters.")]
 

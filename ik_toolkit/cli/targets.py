@@ -17,8 +17,9 @@ from ..errors import InvalidOption, InvalidTarget, MissingExtra
 from ..robot.pose import rpy_matrix
 from ..solvers.batch import solve_batch, solve_parts
 from ..solvers.batch_result import BatchCheckFailed, BatchInterrupted, BatchResult
-from .common import facts, notice, show, uninterrupted, write_json
+from .output import facts, notice, progress, show, write_json
 from .solutions import OUTPUTS, Solutions
+from .streams import uninterrupted
 
 LINES = 16384  # read at a time
 POSITION, QUAT, RPY = ("x", "y", "z"), ("qx", "qy", "qz", "qw"), ("roll", "pitch", "yaw")
@@ -195,19 +196,6 @@ def _poses(xyz: np.ndarray, angles: np.ndarray, kind: Sequence[str], lines: Sequ
 
 
 @contextmanager
-def _progress(count: int) -> Iterator[Any]:
-    """Bar on stderr where that is a terminal; gives a function of the number done."""
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
-    console = Console(stderr=True)
-    columns = TextColumn("solving"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
-    with Progress(*columns, console=console, disable=not console.is_terminal) as bar:
-        task = bar.add_task("", total=count)
-        yield lambda done: bar.update(task, completed=done)
-
-
-@contextmanager
 def _cluster(address: str | None) -> Iterator[Any]:
     """Executor of a Dask scheduler that is already there; lost tasks are tried again by Dask."""
     if address is None:
@@ -302,7 +290,7 @@ def solve_file(
         raise InvalidOption(f"--targets needs -o FILE for the solutions, which ends in {', '.join(OUTPUTS)}")
     count, targets = read_targets(path, deg)
     began = perf_counter()
-    with _cluster(cluster) as executor, _progress(count) as show_done:
+    with _cluster(cluster) as executor, progress("solving", count) as show_done:
         asked: dict[str, Any] = {"q0": start, "threads": threads, "chain": chain, "executor": executor, **options}
         tally = _solve_into(output, arm, targets, method, asked, show_done)
     done, flips = tally.done, tally.flips

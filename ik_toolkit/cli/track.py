@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ..errors import InvalidOption, near_match
-from .common import (
+from ..text import parameter, vector
+from .arguments import (
     PLOTS,
     Base,
     Deg,
@@ -17,17 +18,11 @@ from .common import (
     RobotArg,
     Tip,
     assignments,
-    facts,
     joint_vector,
     load_robot,
-    notice,
-    show,
-    table,
-    turns,
-    vector,
-    write_json,
     writes,
 )
+from .output import facts, notice, show, table, turns, write_json
 
 if TYPE_CHECKING:
     from ..robot.robot import Robot
@@ -152,7 +147,7 @@ def track(
         raise InvalidOption(f"--rate must be positive, not {rate}")
     arm = load_robot(robot, tip, base, lock, package_dir, deg)
     options = {name: value for name, value in (("kappa", kappa), ("kp", kp), ("kd", kd)) if value is not None}
-    options |= {name: _number(name, text) for name, text in assignments(param, "-p").items()}
+    options |= {name: parameter(name, text) for name, text in assignments(param, "-p").items()}
     first = None if q0 is None else joint_vector(arm, q0, "--q0", deg)
 
     from ..tracking.track import track as follow
@@ -188,14 +183,6 @@ def track(
     if not result.success:
         notice(f"{result.status.name}: {result.message}")
         raise typer.Exit(1)
-
-
-def _number(name: str, text: str) -> float | int:
-    try:
-        value = float(text)
-    except ValueError:
-        raise InvalidOption(f"-p {name} takes a number, not '{text}'") from None
-    return int(value) if name == "reading" and value.is_integer() else value
 
 
 def _reference(

@@ -1,28 +1,18 @@
 """`ik tune`: search a solver's parameters for a robot and write them as a preset."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from ..errors import InvalidOption
-from .common import (
-    PLOTS,
-    Base,
-    Deg,
-    Json,
-    Lock,
-    PackageDir,
-    RobotArg,
-    Tip,
-    facts,
-    load_robot,
-    notice,
-    partial,
-    show,
-    write_json,
-    writes,
-)
+from .arguments import PLOTS, Base, Deg, Json, Lock, PackageDir, RobotArg, Tip, load_robot, writes
+from .output import facts, notice, partial, progress, show, write_json
+
+if TYPE_CHECKING:
+    from ..study.tune import TuneResult
 
 SolverArg = Annotated[str, typer.Argument(metavar="SOLVER", help="state-space, pid, or one with a gain or a damping.")]
 Method = Annotated[str, typer.Option("-m", "--method", metavar="cma|pso", help="CMA-ES or a particle swarm.")]
@@ -92,7 +82,6 @@ def tune(
     arm = load_robot(robot, tip, base, lock, package_dir, deg)
 
     from ..solvers.registry import find_row
-    from ..study.tune import check_record
     from ..study.tune import tune as search
 
     cls = find_row(solver).load()
@@ -102,53 +91,33 @@ def tune(
     writes(".toml")(preset)
     record = preset.with_suffix(".npz")
     writes(".npz")(record)
-    if resume and not record.exists():
-        raise InvalidOption(f"there is nothing to resume: no file '{record}'")
-    set_aside = None
-    if record.exists() and not resume:
-        check_record(record)
-        set_aside = record.rename(partial(record))  # until this search has begun
+    least = float("inf")
+    with _record(record, resume), progress("searching", generations) as bar:
 
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+        def step(generation: int, costs: Any) -> None:
+            nonlocal least
+            least = min(least, float(costs.min()))
+            bar(generation, f"generation {generation}, cost {least:.4f}")
 
-    console = Console(stderr=True)
-    columns = (TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn())
-    try:
-        with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
-            task = bar.add_task("searching", total=generations)
-            least = float("inf")
-
-            def step(generation: int, costs: Any) -> None:
-                nonlocal least
-                least = min(least, float(costs.min()))
-                bar.update(task, completed=generation, description=f"generation {generation}, cost {least:.4f}")
-
-            result = search(
-                arm,
-                solver,
-                position_only=not pose,
-                method=method,
-                maps=maps,
-                initial=None if from_ is None else cls.preset(from_),
-                goals=goals,
-                held_out=held_out,
-                generations=generations,
-                population=population,
-                seconds=seconds,
-                seed=seed,
-                tolerance=tolerance,
-                max_iterations=max_iterations,
-                how=how,
-                checkpoint=record,
-                progress=step,
-            )
-    finally:
-        if set_aside is not None:
-            if record.exists():
-                set_aside.unlink()
-            else:
-                set_aside.rename(record)
+        result = search(
+            arm,
+            solver,
+            position_only=not pose,
+            method=method,
+            maps=maps,
+            initial=None if from_ is None else cls.preset(from_),
+            goals=goals,
+            held_out=held_out,
+            generations=generations,
+            population=population,
+            seconds=seconds,
+            seed=seed,
+            tolerance=tolerance,
+            max_iterations=max_iterations,
+            how=how,
+            checkpoint=record,
+            progress=step,
+        )
     if result.interrupted:
         preset = partial(preset)
     result.save(preset)
@@ -158,19 +127,44 @@ def tune(
         plot_tuning(result, plot)
     write_json({**result.to_dict(), "preset": str(preset)}, as_json)
     if not as_json:
-        show(
-            facts(
-                {
-                    "default, held out": result.scores["default"],
-                    "start, held out": result.before,
-                    "tuned, training": result.train,
-                    "tuned, held out": result.held_out,
-                    "verdict": result.verdict,
-                    "search": f"{result.method}, {result.evaluations} evaluations, {result.elapsed:.0f} s",
-                    "preset": preset,
-                }
-            )
-        )
+        _show(result, preset)
     if result.interrupted:
         notice(f"the best so far is in {preset}, judged on one set; --resume goes on from {record}")
         raise KeyboardInterrupt
+
+
+@contextmanager
+def _record(file: Path, resume: bool) -> Iterator[None]:
+    """Keep the record of an earlier search beside `file` until this one has begun its own; --resume goes on from it."""
+    from ..study.tune import check_record
+
+    if resume and not file.exists():
+        raise InvalidOption(f"there is nothing to resume: no file '{file}'")
+    if resume or not file.exists():
+        yield
+        return
+    check_record(file)
+    set_aside = file.rename(partial(file))
+    try:
+        yield
+    finally:
+        if file.exists():
+            set_aside.unlink()
+        else:
+            set_aside.rename(file)
+
+
+def _show(result: "TuneResult", preset: Path) -> None:
+    show(
+        facts(
+            {
+                "default, held out": result.scores["default"],
+                "start, held out": result.before,
+                "tuned, training": result.train,
+                "tuned, held out": result.held_out,
+                "verdict": result.verdict,
+                "search": f"{result.method}, {result.evaluations} evaluations, {result.elapsed:.0f} s",
+                "preset": preset,
+            }
+        )
+    )

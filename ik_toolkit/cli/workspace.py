@@ -3,32 +3,13 @@
 import signal
 from contextlib import nullcontext
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from ..errors import InvalidOption
-from .common import (
-    PLOTS,
-    Base,
-    Deg,
-    Json,
-    Lock,
-    Out,
-    PackageDir,
-    RobotArg,
-    Tip,
-    facts,
-    heading,
-    joint_vector,
-    load_robot,
-    notice,
-    partial,
-    show,
-    table,
-    write_json,
-    writes,
-)
+from .arguments import PLOTS, Base, Deg, Json, Lock, Out, PackageDir, RobotArg, Tip, joint_vector, load_robot, writes
+from .output import facts, heading, notice, partial, progress, show, table, write_json
 
 if TYPE_CHECKING:
     from ..study.workspace import Workspace
@@ -103,36 +84,15 @@ def workspace(
         raise InvalidOption(f"--workers must be at least 1, not {workers}")
     arm = load_robot(robot, tip, base, lock, package_dir, deg)
 
-    from ..solvers.registry import find_row
     from ..study.workspace import WorkspaceInterrupted
     from ..study.workspace import workspace as study
 
-    chosen: dict = {name: name for name in solver or ([] if preset else ["lm"])}
-    for text in preset or ():
-        name, equals, which = text.partition("=")
-        cls = find_row(name).load()
-        if not equals or not hasattr(cls, "preset"):
-            raise InvalidOption(
-                f"--preset takes SOLVER=PRESET of a solver with presets (pid, state-space), not '{text}'"
-            )
-        chosen[f"{name} {Path(which).stem}"] = cls.preset(which)
+    chosen = _chosen(solver, preset)
     options = {"max_iterations": max_iterations, "restarts": restarts}
     stopped = False
     start = None if q0 is None else joint_vector(arm, q0, "--q0", deg)
 
-    from concurrent.futures import ProcessPoolExecutor
-
-    from rich.console import Console
-    from rich.progress import Progress
-
-    console = Console(stderr=True)
-    ignore = (signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches the workers too; only this process answers it
-    pool = (
-        nullcontext() if workers is None else ProcessPoolExecutor(workers, initializer=signal.signal, initargs=ignore)
-    )
-    bar = Progress(console=console, transient=True, disable=not console.is_terminal)
-    with pool as executor, bar:
-        task = bar.add_task("solving", total=goals)
+    with _workers(workers) as executor, progress("solving", goals) as step:
         try:
             found = study(
                 arm,
@@ -144,7 +104,7 @@ def workspace(
                 q0=start,
                 file=csv,
                 executor=executor,
-                progress=lambda done: bar.update(task, completed=done),
+                progress=step,
                 tolerance=tolerance,
                 **{key: value for key, value in options.items() if value is not None},
             )
@@ -166,6 +126,31 @@ def workspace(
         _show(found)
     if stopped:
         raise KeyboardInterrupt
+
+
+def _chosen(names: list[str] | None, presets: list[str] | None) -> dict[str, Any]:
+    """Solvers by the name they are shown under: --solver and --preset."""
+    from ..solvers.registry import find_row
+
+    chosen: dict[str, Any] = {name: name for name in names or ([] if presets else ["lm"])}
+    for text in presets or ():
+        name, equals, which = text.partition("=")
+        cls = find_row(name).load()
+        if not equals or not hasattr(cls, "preset"):
+            raise InvalidOption(
+                f"--preset takes SOLVER=PRESET of a solver with presets (pid, state-space), not '{text}'"
+            )
+        chosen[f"{name} {Path(which).stem}"] = cls.preset(which)
+    return chosen
+
+
+def _workers(count: int | None) -> Any:
+    """Pool of processes, or nothing. Ctrl-C reaches them too; only this process answers it."""
+    from concurrent.futures import ProcessPoolExecutor
+
+    if count is None:
+        return nullcontext()
+    return ProcessPoolExecutor(count, initializer=signal.signal, initargs=(signal.SIGINT, signal.SIG_IGN))
 
 
 def _show(found: "Workspace") -> None:

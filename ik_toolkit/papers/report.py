@@ -12,6 +12,7 @@ import numpy as np
 
 from ..errors import MissingExtra
 from ..files import whole_file, write_whole
+from ..text import plain
 
 STYLE: dict[Any, Any] = {
     "figure.dpi": 100,
@@ -102,21 +103,6 @@ class Report:
                     plt.close(figure)
                 files.append(folder / file)
         return files
-
-
-def plain(value: Any) -> Any:
-    """Turn numpy values into JSON ones; NaN and infinity become null."""
-    if isinstance(value, dict):
-        return {str(k): plain(v) for k, v in value.items()}
-    if isinstance(value, list | tuple):
-        return [plain(v) for v in value]
-    if isinstance(value, np.ndarray):
-        return plain(value.tolist())
-    if isinstance(value, np.generic):
-        return plain(value.item())
-    if isinstance(value, float) and not np.isfinite(value):
-        return None
-    return value
 
 
 def _cell(value: Any) -> str:

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import FrameNotFound, InvalidOption, InvalidTarget
+from ..errors import FrameNotFound
 from ..kernel.task import POSE, POSITION
 from ..robot.library import find
 from ..robot.pose import length, matrix_quat, matrix_rpy, pose
@@ -15,6 +15,7 @@ from ..solvers.registry import ROWS, find_row, make_rule
 from ..solvers.result import Result
 from ..solvers.solve import automatic, bound, solve
 from ..solvers.solve_all import solve_all
+from ..text import parameter, vector
 
 KINDS = ("roll pitch yaw", "quaternion", "free")  # how the orientation of a typed target is given
 SHOWN = 16  # solutions listed
@@ -76,12 +77,12 @@ class Session:
     # ------------------------------------------------------------------------------------------------------- target
     def typed(self, xyz: str, kind: str, rotation: str) -> np.ndarray:
         """Target of typed numbers; the words of the refusal name the field. Raises InvalidTarget."""
-        place = _numbers(xyz, 3, "the position x y z [m]")
+        place = vector(xyz, "the position x y z [m]", 3)
         if kind == "free":
             return pose(place)
         if kind == "quaternion":
-            return pose(place, quat_xyzw=_numbers(rotation, 4, "the quaternion x y z w"))
-        angles = _numbers(rotation, 3, f"roll pitch yaw [{'deg' if self.degrees else 'rad'}]")
+            return pose(place, quat_xyzw=vector(rotation, "the quaternion x y z w", 4))
+        angles = vector(rotation, f"roll pitch yaw [{'deg' if self.degrees else 'rad'}]", 3)
         return pose(place, rpy=[math.radians(a) if self.degrees else a for a in angles])
 
     def words(self, T: np.ndarray, kind: str) -> tuple[str, str]:
@@ -115,7 +116,7 @@ class Session:
         given = {name: text.strip() for name, text in self.parameters.items() if text.strip() and name in self.fields()}
         if not given:
             return self.solver
-        return make_rule(find_row(self.solver), {name: _value(name, text) for name, text in given.items()})
+        return make_rule(find_row(self.solver), {name: parameter(name, text) for name, text in given.items()})
 
     def solve(self, target: np.ndarray) -> Result:
         """Solve from q, keep the way there; q moves only when it succeeds. Raises what `ik.solve` raises."""
@@ -205,29 +206,6 @@ class Session:
     def to_json(self) -> str:
         """JSON text of `to_dict`."""
         return json.dumps(self.to_dict(), indent=1)
-
-
-def _numbers(text: str, size: int, what: str) -> list[float]:
-    parts = text.replace(",", " ").split()
-    try:
-        values = [float(part) for part in parts]
-    except ValueError:
-        raise InvalidTarget(f"{what} takes {size} numbers, not '{text.strip()}'") from None
-    if len(values) != size:
-        raise InvalidTarget(f"{what} takes {size} numbers; got {len(values)}")
-    return values
-
-
-def _value(name: str, text: str) -> Any:
-    """Number, list (JSON) or word of a typed parameter."""
-    try:
-        return json.loads(
-            text.lower() if text in ("True", "False") else text
-        )  # these two are shown as Python writes them
-    except ValueError:
-        if text.replace("_", "").replace("-", "").isalpha():
-            return text
-        raise InvalidOption(f"parameter '{name}' takes a number or a list like [1, 2], not '{text}'") from None
 
 
 def _figure(value: float) -> str:

@@ -100,7 +100,7 @@ def needed(*_):
     raise first_use.CompileNeeded(None)
 second = '''
 import sys, time
-from ik_toolkit.cli.common import on_sigterm
+from ik_toolkit.cli.streams import on_sigterm
 try:
     with on_sigterm([]):
         print(1, flush=True)

@@ -6,6 +6,7 @@ import signal
 
 import numpy as np
 import pytest
+from rich.progress import Progress
 from robots import load, sample
 
 import ik_toolkit as ik
@@ -178,19 +179,14 @@ def test_an_interrupt_keeps_what_is_finished(tmp_path, capsys, monkeypatch):
     robot = load(ARM)
     xyz = sample(robot, 1)[1][:, :3, 3].repeat(9000, axis=0)
     np.savez(tmp_path / "in.npz", targets=xyz)
-    real = module._progress
+    real = Progress.update
 
-    def impatient(count):
-        with real(count) as show_done:
+    def impatient(bar, task, *, completed, **more):
+        real(bar, task, completed=completed, **more)
+        if completed > 4000:
+            raise KeyboardInterrupt
 
-            def stop(done):
-                show_done(done)
-                if done > 4000:
-                    raise KeyboardInterrupt
-
-            yield stop
-
-    monkeypatch.setattr(module, "_progress", module.contextmanager(impatient))
+    monkeypatch.setattr(Progress, "update", impatient)
     for name in ("out.csv", "out.npz"):
         assert run("--targets", tmp_path / "in.npz", "-o", tmp_path / name) == 130
         assert f"the first 4096 solutions are in {tmp_path / name}.partial" in capsys.readouterr().err

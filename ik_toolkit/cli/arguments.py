@@ -1,0 +1,201 @@
+"""Options and arguments the commands share: vectors of numbers, robots, files to write. They are read and refused here."""
+
+import importlib.util
+import math
+import os
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+import typer.core
+
+from ..errors import FrameNotFound, InvalidConfiguration, InvalidOption, MissingExtra
+from ..text import numbers, vector
+from .output import turns
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from ..robot.joints import Joints
+
+# Options that take several numbers: `--q 0.1 -0.2`, `--q 0.1,-0.2` and `--q "0.1 -0.2"` mean the same.
+VECTOR_OPTIONS = frozenset(
+    "--q --q0 --xyz --rpy --quat-xyzw --center --axis --start --end --direction --tip-axis --mask --joint-weights "
+    "--closest".split()
+)
+
+PLOTS = (".png", ".pdf", ".svg")
+READ = ("file",)  # parameters of commands that are paths and are read; all others are written
+
+
+def writes(*suffixes: str) -> Callable[[Path | None], Path | None]:
+    """Callback of an option that names a file to write: what can be known to go wrong is said before the work starts."""
+
+    def check(file: Path | None) -> Path | None:
+        if file is None:
+            return None
+        if suffixes and file.suffix.lower() not in suffixes:
+            raise InvalidOption(f"'{file}' must end in {' or '.join(suffixes)}")
+        if suffixes == PLOTS and importlib.util.find_spec("matplotlib") is None:
+            raise MissingExtra("matplotlib", "plots")
+        if file.is_dir():
+            raise InvalidOption(f"'{file}' is a folder, and a file is to be written there")
+        if not file.parent.is_dir():
+            raise InvalidOption(f"cannot write '{file}': there is no folder '{file.parent}'")
+        for place in (file, Path(os.path.realpath(file)).parent):  # it is written beside and renamed
+            if place.exists() and not os.access(place, os.W_OK):
+                raise InvalidOption(f"cannot write '{file}': no permission")
+        return file
+
+    return check
+
+
+class Command(typer.core.TyperCommand):
+    """A command that refuses to write over a file it reads, under whatever name, or two results into one file."""
+
+    def invoke(self, ctx: Any) -> Any:
+        """Run the command. Raises InvalidOption."""
+        outputs = [value for name, value in ctx.params.items() if isinstance(value, Path) and name not in READ]
+        for k, output in enumerate(outputs):
+            if any(_same(output, other) for other in outputs[:k]):
+                raise InvalidOption(f"two results cannot be written to one file, '{output}'")
+        for value in ctx.params.values():
+            for word in value if isinstance(value, list | tuple) else [value]:
+                if not isinstance(word, str | Path) or any(word is output for output in outputs):
+                    continue
+                given = str(word).rpartition("=")[2] if not os.path.isfile(word) else word  # SOLVER=PRESET
+                for output in outputs:
+                    if os.path.isfile(given) and _same(output, given):
+                        raise InvalidOption(f"'{output}' would overwrite '{given}', which is read; choose another name")
+        return super().invoke(ctx)
+
+
+def _same(one: str | Path, other: str | Path) -> bool:
+    """Whether two names are of one file, there or not: by links too, or by case where that does not count."""
+    if os.path.exists(one) and os.path.exists(other):
+        return os.path.samefile(one, other)
+    return os.path.realpath(one) == os.path.realpath(other)
+
+
+RobotArg = Annotated[str, typer.Argument(metavar="ROBOT", help="Name (see ik robots) or path of a URDF file.")]
+Tip = Annotated[
+    str | None,
+    typer.Option(metavar="FRAME", help="Tip frame; needed when there are several ends.", rich_help_panel="Robot"),
+]
+Base = Annotated[
+    str | None,
+    typer.Option(
+        metavar="FRAME", help="Base frame of targets and poses; default: the root link.", rich_help_panel="Robot"
+    ),
+]
+Lock = Annotated[
+    list[str] | None,
+    typer.Option(metavar="JOINT=VALUE", help="Hold a joint at a value; may be repeated.", rich_help_panel="Robot"),
+]
+PackageDir = Annotated[
+    list[str] | None,
+    typer.Option(metavar="DIR", help="Folder in which package:// names are looked up.", rich_help_panel="Robot"),
+]
+Deg = Annotated[
+    bool,
+    typer.Option(
+        "--deg", help="Turning joints and rpy in degrees; sliding joints stay in metres.", rich_help_panel="Output"
+    ),
+]
+Json = Annotated[
+    bool,
+    typer.Option("--json", help="Print one JSON object, always in metres and radians.", rich_help_panel="Output"),
+]
+Out = Annotated[
+    Path | None,
+    typer.Option(
+        "-o",
+        "--output",
+        metavar="FILE",
+        help="Also write the JSON object to a file.",
+        rich_help_panel="Output",
+        callback=writes(),
+    ),
+]
+
+
+# ------------------------------------------------------------------------------------------------------------ numbers
+def join_vectors(argv: Sequence[str]) -> list[str]:
+    """Join the numbers that follow a vector option into one argument (the parser takes one, and reads -1 as an option)."""
+    joined: list[str] = []
+    collecting = False
+    for position, token in enumerate(argv):
+        if token == "--":  # noqa: S105  a word of the command line
+            return [*joined, *argv[position:]]
+        if collecting and numbers(token):
+            joined[-1] += ("" if joined[-1].endswith("=") else ",") + token
+            continue
+        after = argv[position + 1] if position + 1 < len(argv) else ""
+        collecting = token in VECTOR_OPTIONS and numbers(after) is not None
+        joined.append(f"{token}=" if collecting else token)
+    return joined
+
+
+def joint_vector(robot: "Joints", text: str, option: str, deg: bool) -> "np.ndarray":
+    """Joint values (n,) [rad or m] of a vector option; turning joints are read in degrees when `deg`."""
+    values = vector(text, option)
+    if len(values) != robot.n:
+        raise InvalidConfiguration(
+            f"{option} takes {robot.n} values, one per joint ({', '.join(robot.joint_names)}); got {len(values)}"
+        )
+    pairs = zip(values, robot.joint_kinds, strict=True)
+    return robot.check_q([math.radians(x) if deg and turns(kind) else x for x, kind in pairs], option)
+
+
+def assignments(pairs: Sequence[str] | None, option: str) -> dict[str, str]:
+    """Split KEY=VALUE arguments; InvalidOption when one has no '='."""
+    split = {}
+    for pair in pairs or ():
+        key, equals, value = pair.partition("=")
+        if not (key and equals and value):
+            raise InvalidOption(f"{option} takes NAME=VALUE, not '{pair}'")
+        split[key.strip()] = value.strip()
+    return split
+
+
+# -------------------------------------------------------------------------------------------------------------- robots
+def load_robot(
+    source: str,
+    tip: str | list[str] | None = None,
+    base: str | None = None,
+    lock: Sequence[str] | None = None,
+    package_dir: Sequence[str] | None = None,
+    deg: bool = False,
+) -> Any:
+    """Load the Robot (for a list of tips: the Tree) that the shared options describe.
+
+    Values of --lock are degrees for turning joints when `deg`.
+    """
+    from ..robot.library import find
+    from ..robot.robot import Robot
+    from ..robot.tree import Tree
+
+    tips = find(source).tips
+    if tip is None and len(tips) > 1:
+        raise FrameNotFound(f"robot '{source}' has {len(tips)} tips; choose one with --tip: {', '.join(tips)}")
+    robot: Robot | Tree
+    if isinstance(tip, list):
+        robot = Tree.load(source, tips=tip, base=base, package_dirs=package_dir or ())
+    else:
+        robot = Robot.load(source, tip=tip, base=base, package_dirs=package_dir or ())
+    if not lock:
+        return robot
+    values = {}
+    for joint, text in assignments(lock, "--lock").items():
+        value = numbers(text)
+        if value is None or len(value) != 1:
+            raise InvalidOption(f"--lock {joint} takes one number, not '{text}'")
+        values[joint] = math.radians(value[0]) if deg and not slides(robot, joint) else value[0]
+    return robot.locked(values)
+
+
+def slides(robot: "Joints", joint: str) -> bool:
+    """Whether a joint of the model (on the path or not) is prismatic."""
+    model = robot.model
+    return model.existJointName(joint) and model.joints[model.getJointId(joint)].shortname().startswith("JointModelP")

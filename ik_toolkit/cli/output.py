@@ -1,0 +1,147 @@
+"""What a command shows: results as tables or JSON on stdout; notices and progress on stderr."""
+
+import functools
+import json
+import logging
+import math
+import os
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from ..errors import clean
+from ..files import PARTIAL, write_whole
+from ..text import plain
+
+if TYPE_CHECKING:
+    from rich.table import Table
+    from rich.text import Text
+
+
+def notice(text: str) -> None:
+    """Print one line of prose on stderr, if anybody is there to read it."""
+    try:
+        print(clean(text), file=sys.stderr, flush=True)
+    except (OSError, ValueError, AttributeError):  # a closed stderr (Python sets None), a reader that left, a full disk
+        pass
+
+
+@functools.cache
+def notice_once(text: str) -> None:
+    """Print one line of prose on stderr, the first time only."""
+    notice(text)
+
+
+class LogNotices(logging.Handler):
+    """Shows what the package logs on stderr; that it compiles is said once, whatever the number of kernels."""
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Print one record."""
+        if record.name == "ik_toolkit.compile":
+            notice_once(f"compiling the solver ({record.args[1]}) ...")  # type: ignore[index]
+        else:
+            notice(f"{record.levelname.lower()}: {record.getMessage()}")
+
+
+def partial(output: Path) -> Path:
+    """Name of a result that is not whole, beside the one asked for."""
+    return output.with_name(output.name + PARTIAL)
+
+
+def write_json(payload: dict[str, Any], as_json: bool, output: Path | None = None) -> None:
+    """Print the object on stdout when `as_json`, and write it to `output` when that is given."""
+    if output is not None:
+        write_whole(output, json.dumps(plain(payload), indent=2, allow_nan=False) + "\n")
+        notice(f"wrote {output}")
+    if as_json:
+        print(json.dumps(plain(payload), allow_nan=False))
+
+
+def table(*columns: str) -> "Table":
+    """Empty table in the house style; columns named '<...' or '>...' never wrap, the latter are right-aligned."""
+    from rich import box
+    from rich.table import Table
+
+    made = Table(box=box.SIMPLE_HEAD, pad_edge=False)
+    for column in columns:
+        right, whole = column.startswith(">"), column.startswith(("<", ">"))
+        made.add_column(column.lstrip("<>"), justify="right" if right else "left", no_wrap=whole, overflow="fold")
+    return made
+
+
+def show(*things: Any) -> None:
+    """Print tables and lines on stdout: as wide as the terminal, 100 columns where there is none."""
+    from rich.cells import cell_len
+    from rich.console import Console
+    from rich.segment import Segment, Segments
+
+    width = None if sys.stdout.isatty() or "COLUMNS" in os.environ else 100
+    console = Console(width=width, highlight=False, markup=False)
+    room = console.width
+    for thing in things:
+        least = 0  # in a narrow terminal a long line is better than numbers cut short
+        for column in getattr(thing, "columns", ()):
+            lines = [line for cell in (column.header, *column.cells) for line in str(cell).split("\n")]
+            least += 3 + (max(map(cell_len, lines)) if column.no_wrap else 12)
+        console.width = max(room, least)
+        drawn = console.render(console.render_str(clean(thing)) if isinstance(thing, str) else thing)
+        console.print(Segments(Segment(clean(part.text), part.style, part.control) for part in drawn), end="")
+
+
+def heading(text: str) -> "Text":
+    """Bold line above a table or a list."""
+    from rich.text import Text
+
+    return Text(text, style="bold")
+
+
+def facts(rows: dict[str, Any]) -> "Table":
+    """Two-column list of names and values, without lines; rows whose value is None are left out."""
+    from rich.table import Table
+
+    made = Table.grid(padding=(0, 2))
+    made.add_column(style="dim", no_wrap=True)
+    made.add_column(overflow="fold")
+    for name, value in rows.items():
+        if value is not None:
+            made.add_row(name, str(value))
+    return made
+
+
+@contextmanager
+def progress(what: str, total: int) -> Iterator[Callable[..., None]]:
+    """Bar on stderr where that is a terminal; gives a function of the number done and, if it changes, of what is shown."""
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    console = Console(stderr=True)
+    columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
+        task = bar.add_task(what, total=total)
+        yield lambda done, shown=None: bar.update(task, completed=done, description=shown)
+
+
+# --------------------------------------------------------------------------------------------------------------- units
+def turns(kind: str) -> bool:
+    """Whether a joint kind is measured as an angle."""
+    return kind != "prismatic"
+
+
+def number(value: float, kind: str, deg: bool) -> str:
+    """Joint value (given in rad or m) for a table; its unit is `unit(kind, deg)`."""
+    if not math.isfinite(value):
+        return "none"
+    degrees = deg and turns(kind)
+    return fixed(math.degrees(value) if degrees else value, 4 if degrees else 6)
+
+
+def fixed(value: float, digits: int) -> str:
+    """Write a number with this many decimals, and zero without a sign."""
+    return f"{round(value, digits) + 0.0:.{digits}f}"
+
+
+def unit(kind: str, deg: bool) -> str:
+    """Unit of a joint kind's value."""
+    return "m" if not turns(kind) else "deg" if deg else "rad"

@@ -1,0 +1,85 @@
+"""Pictures of an answer: a chart, a page, the scene in the browser."""
+
+import signal
+import threading
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from ..errors import InvalidOption
+from .arguments import PLOTS, writes
+from .output import notice
+
+if TYPE_CHECKING:
+    from ..show.scene import Scene
+
+Html = Annotated[
+    Path | None,
+    typer.Option(
+        "--html",
+        metavar="FILE",
+        help="Write the scene as one page that needs no network.",
+        callback=writes(".html", ".htm"),
+    ),
+]
+Chart = Annotated[
+    Path | None,
+    typer.Option(
+        "--plot",
+        metavar="FILE",
+        help="Draw the error at every step to a .png, .pdf or .svg file.",
+        callback=writes(*PLOTS),
+    ),
+]
+Live = Annotated[bool, typer.Option("--view", help="Show it in 3-D in the browser, until Ctrl-C.")]
+
+
+def draw(arm: Any, what: Any, target: Any, plot: Path | None, html: Path | None, live: bool) -> None:
+    """Pictures asked for of a result with history or of several solutions: chart, page, scene in the browser."""
+    if plot is not None and len(what.history["q"]) < 2:
+        notice("no plot: the solve took no step")
+    elif plot is not None:
+        from ..show.plots import convergence, save
+
+        title = f"{arm.name}, {what.solver}: {what.status.name}"
+        notice(f"wrote {save(convergence(what, title=title), plot)}")
+    if html is not None or live:
+        from ..show.scene import view as make
+
+        scene = make(arm, what, target=getattr(target, "T_base_tip", target))
+        if html is not None:
+            present(scene, html)
+        if live:
+            present(scene, None)
+
+
+def present(scene: "Scene", html: Path | None, port: int = 0, browse: bool = True) -> None:
+    """Write the page, or serve it until Ctrl-C or SIGTERM."""
+    if html is not None:
+        notice(f"wrote {scene.save(html)} ({html.stat().st_size / 1e6:.1f} MB, opens without a network)")
+        return
+    try:
+        url = scene.serve(port)
+    except OSError as error:
+        raise InvalidOption(f"port {port} cannot be used: {error.strerror or error}") from None
+    wait(f"the scene is at {url}", url, browse)
+    scene.close()
+
+
+def wait(announcement: str, url: str, browse: bool) -> None:
+    """Say where the page is, open a browser, and wait for Ctrl-C or SIGTERM."""
+    done = threading.Event()
+    before = signal.signal(signal.SIGTERM, lambda *_: done.set())
+    try:
+        notice(f"{announcement}  (Ctrl-C ends it)")
+        if browse:
+            import webbrowser
+
+            threading.Thread(target=webbrowser.open, args=(url,), daemon=True).start()
+        while not done.wait(0.5):
+            pass
+    except KeyboardInterrupt:
+        notice("")
+    finally:
+        signal.signal(signal.SIGTERM, before)

@@ -1,0 +1,230 @@
+"""Options of `ik solve`, and what they say: a target, a solver, the options of a call."""
+
+import math
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Annotated, Any
+
+import typer
+
+from ..errors import InvalidOption, InvalidTarget
+from ..text import numbers, parameter, vector
+from .arguments import assignments, joint_vector
+from .obstacles import collision_model
+
+Xyz = Annotated[
+    str | None, typer.Option("--xyz", metavar="X Y Z", help="Where the tip shall be, in the base frame [m].")
+]
+Rpy = Annotated[str | None, typer.Option("--rpy", metavar="R P Y", help="Roll, pitch, yaw of the tip [rad]: Rz Ry Rx.")]
+Quat = Annotated[
+    str | None, typer.Option("--quat-xyzw", metavar="X Y Z W", help="Rotation of the tip as a quaternion.")
+]
+Targets = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--target",
+        metavar="TIP:X,Y,Z[,QX,QY,QZ,QW]",
+        help="Instead of --xyz: target of one of several tips, solved together; repeat for each.",
+    ),
+]
+SolverName = Annotated[str, typer.Option("-s", "--solver", metavar="NAME", help="See ik solvers; auto picks for you.")]
+Params = Annotated[
+    list[str] | None,
+    typer.Option("-p", "--param", metavar="NAME=VALUE", help="Parameter of the solver; may be repeated."),
+]
+Preset = Annotated[str | None, typer.Option(metavar="NAME", help="Published or tuned parameters, by name.")]
+Start = Annotated[str | None, typer.Option("--q0", metavar="Q1 Q2 ...", help="Where to start; default: home.")]
+Tolerance = Annotated[float | None, typer.Option(metavar="TOL", help="Both tolerances, in m and rad; default 1e-6.")]
+PositionTolerance = Annotated[float | None, typer.Option(metavar="M", help="Position tolerance [m].")]
+OrientationTolerance = Annotated[float | None, typer.Option(metavar="RAD", help="Orientation tolerance [rad].")]
+MaxIterations = Annotated[int | None, typer.Option(metavar="N", help="Steps a descent; default: the solver's own.")]
+Restarts = Annotated[
+    int | None, typer.Option(metavar="N", help="Further descents from other starts; default: the solver's own.")
+]
+Seed = Annotated[int, typer.Option(metavar="N", help="Seed of the random restarts.")]
+Limits = Annotated[bool, typer.Option("--limits/--no-limits", help="Keep the joints inside their limits.")]
+ClampQ0 = Annotated[
+    bool, typer.Option("--clamp-q0/--refuse-q0", help="What to do with a start outside the limits: clamp it, or stop.")
+]
+
+Direction = Annotated[
+    str | None,
+    typer.Option("--direction", metavar="X Y Z", help="Point --tip-axis along this; the turn about it stays free."),
+]
+TipAxis = Annotated[
+    str | None, typer.Option("--tip-axis", metavar="X Y Z", help="Axis of the tip for --direction; default its z.")
+]
+Mask = Annotated[
+    str | None,
+    typer.Option("--mask", metavar="X Y Z RX RY RZ", help="Six weights of what counts; 0 leaves it free."),
+]
+MaskFrame = Annotated[str, typer.Option("--mask-frame", metavar="base|tip", help="Axes the mask is meant in.")]
+Weights = Annotated[
+    str | None, typer.Option("--joint-weights", metavar="W1 W2 ...", help="How freely each joint moves; 0: not at all.")
+]
+Closest = Annotated[
+    str | None, typer.Option("--closest", metavar="Q1 Q2 ...", help="Of several solutions the one nearest this.")
+]
+Follow = Annotated[
+    float | None,
+    typer.Option(
+        "--follow",
+        metavar="RAD",
+        help="One attempt that moves no joint further than this from --q0 (slides: times reach).",
+    ),
+]
+Objective = Annotated[
+    str | None,
+    typer.Option(
+        "--objective", metavar="NAME", help="For redundant arms: mid-range, reference (near q0) or manipulability."
+    ),
+]
+AvoidCollisions = Annotated[
+    bool, typer.Option("--avoid-collisions", help="Only solutions in which the robot's links do not touch.")
+]
+Obstacles = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--obstacle",
+        metavar="KIND:...",
+        help="Shape not to touch, in the base frame; may be repeated. box:x,y,z,sx,sy,sz sphere:x,y,z,r "
+        "cylinder:x,y,z,r,length; boxes and cylinders also with ,roll,pitch,yaw. Implies --avoid-collisions.",
+    ),
+]
+File = Annotated[
+    Path | None,
+    typer.Option(
+        "--targets",
+        metavar="FILE",
+        help="Instead of --xyz: many targets, solved on all cores; -o names the solutions' file. CSV with the header "
+        "x,y,z or x,y,z,qx,qy,qz,qw or x,y,z,roll,pitch,yaw, or NPZ with targets, or xyz and quat_xyzw.",
+    ),
+]
+Threads = Annotated[int | None, typer.Option(metavar="N", help="With --targets: threads; default: all cores.")]
+Chain = Annotated[
+    bool, typer.Option("--chain", help="With --targets: waypoints in order, each solved from the answer before it.")
+]
+Cluster = Annotated[
+    str | None, typer.Option(metavar="ADDRESS", help="With --targets: use the Dask scheduler at this address.")
+]
+All = Annotated[
+    bool, typer.Option("--all", help="List every distinct solution inside the limits, nearest to q0 (or home) first.")
+]
+PASSED_ON = (
+    "tolerance",
+    "position_tolerance",
+    "orientation_tolerance",
+    "max_iterations",
+    "restarts",
+    "seed",
+    "objective",
+    "follow",
+)  # options of the command that are options of the call, word for word
+
+
+def refuse_contradictions(line: SimpleNamespace) -> None:
+    """Raise InvalidOption for options of `ik solve` that do not go together, or a target that is missing."""
+    kin = [line.xyz, line.rpy, line.quat_xyzw, line.direction, line.tip_axis]
+    posed = any(given is not None for given in kin)
+    drawn = line.html is not None or line.live
+    if line.file is None and (line.threads is not None or line.chain or line.cluster is not None):
+        raise InvalidOption("--threads, --chain and --cluster go with --targets FILE")
+    if line.file is not None:
+        if line.targets or line.every or posed:
+            raise InvalidOption("--targets FILE says all targets; leave out --xyz and its kin, --target and --all")
+        if line.plot is not None or drawn:
+            raise InvalidOption("--plot, --html and --view show one solve, not the many of --targets FILE")
+        if line.closest is not None and line.q0 is not None:
+            raise InvalidOption("give --closest or --q0, not both: the search starts there")
+    elif line.targets:
+        if posed or line.tip is not None:
+            raise InvalidOption("--target says tip and pose together; leave out --xyz, its rotation options and --tip")
+        if line.every:
+            raise InvalidOption("--all is for one tip; give one target with --xyz and --tip")
+    elif line.xyz is None:
+        raise InvalidOption("Missing option '--xyz' (or '--targets FILE' for many, '--target' for several tips)")
+    if line.every:
+        if line.plot is not None:
+            raise InvalidOption("--plot draws one solve, and --all asks for many")
+        if line.closest is not None:
+            raise InvalidOption("--all lists the solutions nearest to --q0 first; give that instead of --closest")
+
+
+def read_options(line: SimpleNamespace, arm: Any) -> dict[str, Any]:
+    """Options of the call, those given only; among them q0 and, of a file of targets, closest as a word. Raises InvalidOption."""
+    given = {name: getattr(line, name) for name in PASSED_ON}
+    if line.mask is not None:
+        given |= {"mask": tuple(vector(line.mask, "--mask", 6)), "mask_frame": line.mask_frame}
+    if line.joint_weights is not None:
+        given["joint_weights"] = tuple(vector(line.joint_weights, "--joint-weights", arm.n))
+    options = {name: value for name, value in given.items() if value is not None}
+    options |= {"limits": line.limits, "q0_outside": "clamp" if line.clamp_q0 else "refuse"}
+    options["q0"] = None if line.q0 is None else joint_vector(arm, line.q0, "--q0", line.deg)
+    if line.avoid_collisions or line.obstacle:
+        options["avoid_collisions"] = collision_model(arm, line.obstacle or ())
+    if line.closest is not None:
+        nearest = joint_vector(arm, line.closest, "--closest", line.deg)
+        options |= {"closest": nearest} if line.file is None else {"q0": nearest, "closest": True}
+    return options
+
+
+def make_target(
+    xyz: str,
+    rpy: str | None,
+    quat_xyzw: str | None,
+    deg: bool,
+    direction: str | None = None,
+    tip_axis: str | None = None,
+) -> Any:
+    """Target of the pose options: (3,) when the orientation is free, (4, 4), or an AxisTarget; rpy in degrees when `deg`."""
+    from ..robot.pose import pose
+
+    angles = vector(rpy, "--rpy", 3) if rpy is not None else None
+    if angles is not None and deg:
+        angles = [math.radians(x) for x in angles]
+    quat = vector(quat_xyzw, "--quat-xyzw", 4) if quat_xyzw is not None else None
+    axis = (0.0, 0.0, 1.0) if tip_axis is None else vector(tip_axis, "--tip-axis", 3)
+    if tip_axis is not None and direction is None:
+        raise InvalidOption("--tip-axis says which axis --direction turns; give --direction too")
+    towards = None if direction is None else vector(direction, "--direction", 3)
+    return pose(vector(xyz, "--xyz", 3), rpy=angles, quat_xyzw=quat, axis=axis, direction=towards)
+
+
+def read_target(line: SimpleNamespace) -> Any:
+    """Target of the options of `ik solve`, see `make_target`."""
+    return make_target(line.xyz, line.rpy, line.quat_xyzw, line.deg, line.direction, line.tip_axis)
+
+
+def make_targets(texts: list[str], robot: str) -> dict[str, Any]:
+    """Targets by tip of TIP:X,Y,Z[,QX,QY,QZ,QW]; tips in the order the robot lists them, so that q has one order."""
+    from ..robot.library import find
+    from ..robot.pose import pose
+
+    made = {}
+    for text in texts:
+        tip, colon, rest = text.rpartition(":")
+        values = numbers(rest) or []
+        if not (tip and colon and len(values) in (3, 7)):
+            raise InvalidTarget(f"--target takes TIP:X,Y,Z or TIP:X,Y,Z,QX,QY,QZ,QW, not '{text}'")
+        if tip in made:
+            raise InvalidTarget(f"--target gives '{tip}' twice")
+        made[tip] = pose(values[:3], quat_xyzw=values[3:] or None)
+    listed = [tip for tip in find(robot).tips if tip in made]
+    return {tip: made[tip] for tip in dict.fromkeys([*listed, *made])}
+
+
+def choose_solver(name: str, params: list[str] | None, preset: str | None) -> Any:
+    """Solver name, or a rule with its preset and parameters applied. Raises UnknownSolver, InvalidOption."""
+    from ..solvers.registry import find_row, make_rule
+
+    if name == "auto" and not params and not preset:
+        return name
+    row = find_row("lm" if name == "auto" else name)
+    values = {key: parameter(key, text) for key, text in assignments(params, "-p").items()}
+    if preset is None:
+        return make_rule(row, values) if values else name
+    cls = row.load()
+    if not hasattr(cls, "preset"):
+        raise InvalidOption(f"solver '{row.name}' has no presets")
+    make_rule(row, values)  # names the parameter that does not exist
+    return cls.preset(preset)._replace(**values)

@@ -1,0 +1,104 @@
+"""What a command does with standard streams and signals: closed ones, readers that leave, Ctrl-C and SIGTERM."""
+
+import os
+import signal
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+
+def open_standard_streams() -> None:
+    """Give a process started with a closed stdin, stdout or stderr (`>&-`) the null device in its place.
+
+    Otherwise the next file opened would get its number, and what is printed would go there.
+    """
+    for number, name, mode in ((0, "stdin", "r"), (1, "stdout", "w"), (2, "stderr", "w")):
+        if getattr(sys, name) is not None:
+            continue
+        try:
+            os.fstat(number)
+        except OSError:
+            os.dup2(os.open(os.devnull, os.O_RDWR), number)
+        setattr(sys, name, open(number, mode, encoding="utf-8", closefd=False))
+
+
+@contextmanager
+def on_sigterm(came: list[bool]) -> Iterator[None]:
+    """Let SIGTERM end what is inside as Ctrl-C does, and note in `came` that it was the former."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    process = os.getpid()
+
+    def stop(*_: Any) -> None:
+        if os.getpid() != process:  # a worker forked from here
+            os._exit(143)
+        came.append(True)
+        raise KeyboardInterrupt
+
+    before = signal.signal(signal.SIGTERM, stop)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before if before is not None else signal.SIG_DFL)
+
+
+@contextmanager
+def uninterrupted() -> Iterator[None]:
+    """Ctrl-C and SIGTERM wait for the end of what is inside: a file written by half is lost."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    came: list[Any] = []
+    before = {
+        number: signal.signal(number, lambda number, frame: came.append((number, frame)))
+        for number in (signal.SIGINT, signal.SIGTERM)
+    }
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler if handler is not None else signal.SIG_DFL)
+    for number, frame in came[:1]:
+        handler = before[number]
+        if callable(handler):
+            handler(number, frame)  # pyright: ignore[reportCallIssue, reportOptionalCall]
+        elif handler == signal.SIG_DFL:
+            raise KeyboardInterrupt
+
+
+class Output:
+    """Standard output for people who pipe it: a reader that leaves early does not end the command or change its exit code.
+
+    Characters the terminal's encoding lacks are escaped.
+    """
+
+    def __init__(self, stream: Any) -> None:
+        """Wrap a stream."""
+        self._stream = stream
+        if hasattr(stream, "reconfigure"):
+            stream.reconfigure(errors="backslashreplace")
+
+    def __getattr__(self, name: str) -> Any:
+        """Everything else is the stream's."""
+        return getattr(self._stream, name)
+
+    def write(self, text: str) -> int:
+        """Write, unless nobody reads any more."""
+        try:
+            return self._stream.write(text)
+        except BrokenPipeError:
+            return self._drop(len(text))
+
+    def flush(self) -> None:
+        """Flush, unless nobody reads any more."""
+        try:
+            self._stream.flush()
+        except BrokenPipeError:
+            self._drop(0)
+
+    def _drop(self, count: int) -> int:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), self._stream.fileno())
+        return count

@@ -1,0 +1,47 @@
+"""Angles that look like degrees are doubted, once, where somebody typed them."""
+
+import numpy as np
+import robots
+
+import ik_toolkit as ik
+from ik_toolkit import errors
+
+
+def test_angles_that_look_like_degrees_are_doubted_once(run, caplog):
+    errors.DOUBTED.clear()
+    code, _, err = run("fk", "planar_2r", "--q", "90", "1.5")
+    assert code == 0 and "q, joint joint_1: 90 rad is 14.3 turns; were degrees meant?" in err and "joint_2" not in err
+    assert "degrees meant" not in run("fk", "planar_2r", "--q", "90", "45", "--deg")[2]
+    assert "rpy: 180 rad" in run("solve", "hydrolek_7w", "--xyz", "1", "0.1", "0.2", "--rpy", "0", "180", "0")[2]
+    caplog.clear()
+    robot = ik.Robot.load("planar_2r")
+    for _ in range(3):
+        robot.fk([12.5, 45])
+        ik.pose((1, 0, 0), rpy=(12.5, -12.5, 0))
+    assert [record.getMessage() for record in caplog.records] == [
+        "q, joint joint_2: 45 rad is 7.16 turns; were degrees meant?"
+    ]
+    assert ik.Robot.load("cartesian_pp").fk([90, 45]) is not None and len(caplog.records) == 1
+
+
+def test_angles_that_limits_allow_are_not_taken_for_degrees(caplog):
+    far = robots.urdf(
+        dict(kind="revolute", limits=(20.0, 30.0)), dict(kind="revolute", axis="0 1 0", limits=(-2.0, 2.0))
+    )
+    errors.DOUBTED.clear()
+    robot = ik.Robot.load(far)
+    robot.with_tool((0.1, 0, 0)).locked({"j1": 0.2})  # nobody typed the home that these check again
+    q = np.array([23.0, 0.5])
+    assert ik.solve(robot, robot.fk(q), "lm", q0=q, mask=(1, 1, 1, 0, 0, 0)).success
+    assert not caplog.records
+    robot.fk([45, 0.5])
+    assert [record.getMessage() for record in caplog.records] == [
+        "q, joint j0: 45 rad is 7.16 turns; were degrees meant?"
+    ]
+
+
+def test_the_answer_to_a_partial_target_is_not_doubted_as_if_typed(caplog):
+    robot = ik.Robot.load(robots.urdf(dict(kind="continuous"), dict(kind="revolute", axis="0 1 0")))
+    errors.DOUBTED.clear()
+    assert ik.solve(robot, robot.fk([0.1, 0.5]), "lm", q0=[14.0, 0.5], mask=(1, 1, 1, 0, 0, 0)).success
+    assert [record.getMessage()[:2] for record in caplog.records] == ["q0"]

@@ -1,0 +1,139 @@
+"""What the commands list: robots, solvers, D-H tables, the state of the machine."""
+
+import json
+import re
+
+import numpy as np
+import pytest
+from folders import ROOT
+
+import ik_toolkit as ik
+
+DH = str(ROOT / "urdf" / "dh" / "inspection_7dof.toml")
+
+
+def test_robots_lists_the_shipped_ones(run):
+    code, out, _ = run("robots")
+    names = {row["name"] for row in json.loads(run("robots", "--json")[1])["robots"] if row["shipped"]}
+    assert code == 0 and {"hydrolek_7w", "brokk_hydrolek", "inspection_7dof"} <= names
+    assert all(name in out for name in names)
+
+
+def test_info_shows_joints_limits_and_the_dh_table(run):
+    code, out, _ = run("info", "hydrolek_7w", "--deg")
+    assert code == 0
+    for word in (
+        "azimuth_yaw",
+        "-27.0700",
+        "40.6000",
+        "base_link -> tool",
+        "D-H table, classic",
+        "q - 90.0000",
+        "Burrell",
+    ):
+        assert word in out
+    info = json.loads(run("info", "hydrolek_7w", "--json")[1])
+    robot = ik.Robot.load("hydrolek_7w")
+    assert [joint["upper"] for joint in info["joints"]] == robot.upper.tolist() and info["reach"] == robot.reach
+    assert info["dh"]["rows"][1]["a"] == 0.5234
+
+
+def test_info_of_a_robot_with_two_tips_shows_both(run):
+    code, out, _ = run("info", "brokk_hydrolek")
+    assert code == 0 and "world -> left_tip" in out and "world -> right_tip" in out
+    assert [arm["tip"] for arm in json.loads(run("info", "brokk_hydrolek", "--json")[1])["arms"]] == [
+        "left_tip",
+        "right_tip",
+    ]
+
+
+def test_solvers_lists_every_row_and_the_parameters_of_one(run):
+    from ik_toolkit.solvers.registry import ROWS
+
+    code, out, _ = run("solvers")
+    assert code == 0 and all(row.name in out for row in ROWS)
+    code, out, _ = run("solvers", "lm")
+    assert code == 0 and "damping" in out and "0.02" in out and "Sugihara" in out
+    shown = json.loads(run("solvers", "pid", "--json")[1])
+    assert [parameter["name"] for parameter in shown["parameters"]] == list(ik.PID._fields)
+    assert shown["options"]["restarts"] == 0
+
+
+def test_dh_writes_a_urdf_that_loads(run, tmp_path):
+    file = tmp_path / "made.urdf"
+    code, out, err = run("dh", DH, "-o", file)
+    assert code == 0 and not out and f"wrote {file}" in err
+    made, shipped = ik.Robot.load(file), ik.Robot.load("inspection_7dof")
+    assert np.allclose(made.fk(shipped.home).homogeneous, shipped.fk(shipped.home).homogeneous, atol=1e-12)
+    assert run("dh", DH)[1] == file.read_text()
+
+
+def test_check_finds_nothing_or_says_what(run, tmp_path):
+    assert run("check", "hydrolek_7w")[0] == 0
+    file = tmp_path / "bad.urdf"
+    file.write_text(
+        "<robot name='r'><link name='a'/><joint name='j' type='fixed'><parent link='b'/><child link='a'/></joint></robot>"
+    )
+    code, out, _ = run("check", file)
+    assert code == 1 and "error" in out and "joint 'j'" in out
+    found = json.loads(run("check", file, "--json")[1])
+    assert not found["loadable"] and found["errors"] >= 1 and found["findings"][0]["severity"] == "error"
+
+
+def test_doctor_finds_this_machine_healthy(run):
+    code, out, _ = run("doctor", "--json")
+    checks = {row["what"]: row["state"] for row in json.loads(out)["checks"]}
+    assert code == 0 and checks["pin"] == checks["robots"] == checks["pinocchio"] == "ok"
+    assert {"extra view", "extra panel", "extra plots", "extra tune"} <= set(checks)
+
+
+def test_doctor_says_the_pip_line_of_a_missing_extra(run, monkeypatch):
+    from ik_toolkit.cli import doctor
+
+    real = doctor._installed
+    monkeypatch.setattr(doctor, "_installed", lambda package: None if package == "viser" else real(package))
+    code, out, _ = run("doctor")
+    assert code == 0 and "no viser; run: pip install viser" in out
+
+
+def test_doctor_reports_a_package_that_hides_pinocchio(run, monkeypatch):
+    from ik_toolkit.cli import doctor
+
+    real = doctor._installed
+    monkeypatch.setattr(doctor, "_installed", lambda package: "0.4" if package == "pinocchio" else real(package))
+    code, out, _ = run("doctor")
+    assert code == 1 and "pip uninstall pinocchio" in " ".join(out.split())
+
+
+@pytest.mark.parametrize("words", ["info inspection_7dof", "robots", "solvers", "solve planar_2r --xyz 1 1 0 --all"])
+def test_a_narrow_terminal_cuts_nothing_short(run, monkeypatch, words):
+    wide = run(*words.split())[1]
+    monkeypatch.setenv("COLUMNS", "60")
+    narrow = run(*words.split())[1]
+    assert "\u2026" not in wide + narrow
+    for number in re.findall(r"-?[0-9]+[.][0-9]+", wide):
+        assert number in narrow
+
+
+def test_locked_values_are_shown_in_the_units_asked_for(run):
+    words = ["info", "inspection_7dof", "--lock", "lift=0.3"]
+    assert "arm_yaw = 30.0000 deg" in run(*words, "--lock", "arm_yaw=30", "--deg")[1]
+    out = run(*words, "--lock", "arm_yaw=0.5")[1]
+    assert "lift = 0.300000 m" in out and "arm_yaw = 0.500000 rad" in out
+
+
+TWO = """<robot name="two"><link name="base"/><link name="a"/><link name="b"/>
+<joint name="ja" type="revolute"><parent link="base"/><child link="a"/><axis xyz="0 0 1"/><origin xyz="1 0 0"/>
+<limit lower="-1" upper="1" effort="1" velocity="1"/></joint>
+<joint name="jb" type="prismatic"><parent link="base"/><child link="b"/><axis xyz="0 0 1"/><origin xyz="2 0 0"/>
+<limit lower="-1" upper="1" effort="1" velocity="1"/></joint></robot>"""
+
+
+def test_info_of_a_file_with_several_tips_lists_them(run, tmp_path):
+    (tmp_path / "two.urdf").write_text(TWO)
+    code, out, err = run("info", tmp_path / "two.urdf")
+    assert code == 0 and not err and all(word in out for word in ("ja", "jb", "--tip", "two.urdf"))
+    told = json.loads(run("info", tmp_path / "two.urdf", "--json")[1])
+    assert told["tips"] == ["a", "b"] and [arm["joints"][0]["name"] for arm in told["arms"]] == ["ja", "jb"]
+    assert json.loads(run("info", tmp_path / "two.urdf", "--tip", "b", "--json")[1])["tip"] == "b"
+    assert run("info", tmp_path / "two.urdf", "--tip", "c")[0] == 2

@@ -1,0 +1,163 @@
+"""Mistakes, bugs, interrupts, readers that leave: one sentence, an exit code, never a traceback."""
+
+import os
+import subprocess
+import sys
+
+import pytest
+import robots
+from folders import ROOT
+from typer.testing import CliRunner
+
+import ik_toolkit as ik
+from ik_toolkit import cli, errors
+from ik_toolkit.solvers import registry
+
+DH = str(ROOT / "urdf" / "dh" / "inspection_7dof.toml")
+SOLVE = ["solve", "hydrolek_7w", "--xyz", "1.0", "0.1", "0.2"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (["slove"], "Did you mean 'solve'"),
+        (["solve"], "Missing argument 'ROBOT'"),
+        (["solve", "hydrolek_7w"], "Missing option '--xyz'"),
+        (["solve", "hydrolec_7w", "--xyz", "1", "0", "0"], "Did you mean 'hydrolek_7w'"),
+        (["solve", "nowhere.urdf", "--xyz", "1", "0", "0"], "there is no file 'nowhere.urdf'"),
+        (["solve", "hydrolek_7w", "--xyz", "1", "0"], "--xyz takes 3 numbers; got 2"),
+        (["solve", "hydrolek_7w", "--xyz", "nan", "0", "0"], "finite"),
+        (["solve", "hydrolek_7w", "--xyz", "1", "0", "inf"], "finite"),
+        (["solve", "hydrolek_7w", "--xyz", "here"], "--xyz takes 3 numbers, not 'here'"),
+        ([*SOLVE, "--rpy", "0", "0"], "--rpy takes 3 numbers"),
+        ([*SOLVE, "--quat-xyzw", "0", "0", "0", "0"], "quat_xyzw has length 0"),
+        ([*SOLVE, "--rpy", "0", "0", "0", "--quat-xyzw", "0", "0", "0", "1"], "give one of rpy"),
+        ([*SOLVE, "-s", "ml"], "Did you mean 'lm'"),
+        ([*SOLVE, "-p", "dampng=1"], "Did you mean 'damping'"),
+        ([*SOLVE, "-p", "damping"], "-p takes NAME=VALUE"),
+        ([*SOLVE, "-p", "damping=much"], "takes a number"),
+        ([*SOLVE, "--tolerance", "-1"], "must be between 0"),
+        ([*SOLVE, "--tolerance", "small"], "Invalid value for '--tolerance'"),
+        ([*SOLVE, "--max-iterations", "-5"], "max_iterations"),
+        ([*SOLVE, "--tip", "tol"], "Did you mean 'tool'"),
+        ([*SOLVE, "--base", "bas_link"], "Did you mean 'base_link'"),
+        ([*SOLVE, "--q0", "1", "2"], "--q0 takes 6 values, one per joint (azimuth_yaw"),
+        ([*SOLVE, "--q0", "nan", "0", "0", "0", "0", "0"], "--q0 is not finite at joint azimuth_yaw"),
+        ([*SOLVE, "--lock", "wrist=1"], "Did you mean 'wrist_"),
+        ([*SOLVE, "--all", "--closest", *"000000"], "--all lists the solutions nearest to --q0"),
+        ([*SOLVE, "--all", "--objective", "mid-range"], "takes no 'objective'"),
+        ([*SOLVE, "--lock", "wrist_roll"], "--lock takes NAME=VALUE"),
+        ([*SOLVE, "--lock", "wrist_roll=up"], "takes one number"),
+        ([*SOLVE, "-o", "no/such/folder/file.json"], "there is no folder"),
+        ([*SOLVE, "--bogus"], "No such option: --bogus"),
+        (["solve", "brokk_hydrolek", "--xyz", "1", "0", "0"], "choose one with --tip: left_tip, right_tip"),
+        (["fk", "hydrolek_7w", "--q", "1"], "--q takes 6 values"),
+        (["solvers", "lmm"], "Did you mean 'lm'"),
+        (["dh", "nothing.toml"], "cannot read"),
+        (["check", "nothing.urdf"], "there is no file"),
+    ],
+    ids=lambda value: " ".join(value[-4:]) if isinstance(value, list) else None,
+)
+def test_a_mistake_is_one_sentence_and_exit_code_two(run, arguments, says):
+    code, out, err = run(*arguments)
+    assert code == 2 and not out
+    assert err.startswith("ik: ") and err.count("\n") == 1 and says in err
+
+
+def test_a_missing_extra_is_exit_code_three(run, monkeypatch):
+    def fail(name):
+        raise errors.MissingExtra("meshcat", "view")
+
+    monkeypatch.setattr(registry, "find_row", fail)
+    code, _, err = run("solvers", "lm")
+    assert code == 3 and "run: pip install meshcat pycollada trimesh yourdfpy" in err
+
+
+def test_a_bug_is_a_short_message_unless_debug(run, monkeypatch):
+    def fail(name):
+        raise ZeroDivisionError("inner\ndetails")
+
+    monkeypatch.setattr(registry, "find_row", fail)
+    code, _, err = run("solvers", "lm")
+    assert code == 70 and "unexpected ZeroDivisionError: inner (" in err and "Traceback" not in err
+    with pytest.raises(ZeroDivisionError):
+        run("solvers", "lm", "--debug")
+
+
+def test_ctrl_c_is_exit_code_130(run, monkeypatch):
+    def fail(name):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(registry, "find_row", fail)
+    assert run("solvers", "lm")[0] == 130
+
+
+def test_help_of_every_command():
+    runner = CliRunner()
+    app = cli.application()
+    overview = runner.invoke(app, ["--help"])
+    assert overview.exit_code == 0
+    for name in ("robots", "info", "fk", "solve", "solvers", "dh", "check", "doctor"):
+        assert name in overview.stdout
+        assert runner.invoke(app, [name, "--help"]).exit_code == 0
+
+
+def test_no_command_shows_the_help(run):
+    code, out, _ = run()
+    assert code == 0 and "Usage: ik" in out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code"),
+    [
+        (["robots"], 0),
+        (["robots", "--json"], 0),
+        (["--help"], 0),
+        (["dh", DH], 0),
+        (["check", "tests/data/nothing.urdf"], 2),
+        (["solve", "planar_2r", "--xyz", "1", "1", "0"], 0),
+        (["solve", "planar_2r", "--xyz", "3", "0", "0", "--json"], 1),
+        (["solve", "planar_2r", "--xyz", "3", "0", "0"], 1),
+    ],
+)
+def test_a_reader_that_leaves_early_changes_nothing(arguments, code):
+    command = [sys.executable, "-m", "ik_toolkit", *arguments]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    assert process.stdout and process.stderr
+    process.stdout.close()
+    with process.stderr as stderr:
+        said = stderr.read()
+    assert process.wait() == code
+    assert b"pipe" not in said.lower() and (b"ik: " in said or b"not solved" in said) == (code > 0)
+
+
+def test_a_terminal_that_lacks_characters_shows_escapes(tmp_path):
+    (tmp_path / "\u00e4rm.urdf").write_text(robots.urdf(dict(kind="revolute")), encoding="utf-8")
+    command = [sys.executable, "-m", "ik_toolkit", "info", str(tmp_path / "\u00e4rm.urdf")]
+    ascii_only = {**os.environ, "PYTHONIOENCODING": "ascii"}
+    done = subprocess.run(command, capture_output=True, env=ascii_only)
+    assert done.returncode == 0 and rb"\xe4rm" in done.stdout
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "bench planar_2r -o no/x.json",
+        "bench planar_2r --plot no/x.png",
+        "tune planar_3r pid -o no/x.toml",
+        "tune planar_3r pid --plot no/x.png",
+        "workspace planar_3r --csv no/x.csv",
+        "workspace planar_3r --html no/x.html",
+        "track planar_3r -o no/x.npz",
+        "view planar_3r --html no/x.html",
+        "track planar_3r --plot folder.png",
+        "track planar_3r --plot x.gif",
+    ],
+)
+def test_an_output_that_cannot_be_written_is_refused_before_the_work(run, words, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "folder.png").mkdir()
+    monkeypatch.setattr(ik.Robot, "load", lambda *_, **__: pytest.fail("the work has started"))
+    code, out, err = run(*words.split())
+    assert code == 2 and out == "" and err.count("\n") == 1
+    assert "there is no folder 'no'" in err or "is a folder" in err or "must end in" in err

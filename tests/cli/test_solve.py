@@ -1,0 +1,177 @@
+"""`ik solve` and `ik fk`: what they read, print and return."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+
+import ik_toolkit as ik
+from ik_toolkit.cli.arguments import join_vectors
+
+SOLVE = ["solve", "hydrolek_7w", "--xyz", "1.0", "0.1", "0.2"]
+
+
+def test_numbers_after_a_vector_option_are_joined():
+    joined = join_vectors(["fk", "arm", "--q", "1", "-2e-1", ".3", "--deg", "--xyz", "1,2", "-3", "--seed", "4"])
+    assert joined == ["fk", "arm", "--q=1,-2e-1,.3", "--deg", "--xyz=1,2,-3", "--seed", "4"]
+
+
+@pytest.mark.parametrize("argv", [["--q=1,2", "3"], ["--q", "word"], ["--", "--q", "1", "2"], ["--q"], ["--q", ""]])
+def test_other_arguments_are_left_alone(argv):
+    assert join_vectors(argv) == argv
+
+
+@pytest.mark.parametrize(
+    "q", [["20", "0.22", "20", "0", "20", "0", "20"], ["20,0.22,20,0,20,0,20"], ["20 .22 20 0 20 0 20"]]
+)
+def test_fk_in_degrees_leaves_sliding_joints_in_metres(run, q):
+    code, out, _ = run("fk", "inspection_7dof", "--deg", "--q", *q)
+    assert code == 0
+    assert "(0.4615787, 0.0870954, 0.9350900) m" in out
+    assert "0.22 m" in out and "20 deg" in out
+
+
+def test_fk_takes_negative_numbers_and_says_the_same_as_python(run):
+    q = [-0.1, 0.2, -0.3, 0.0, -0.5, 1.5]
+    code, out, _ = run("fk", "hydrolek_7w", "--q", *q, "--json")
+    robot = ik.Robot.load("hydrolek_7w")
+    pose = json.loads(out)
+    assert code == 0 and pose["q"] == q and pose["joint_names"] == list(robot.joint_names)
+    assert np.allclose(pose["T_base_tip"], robot.fk(q).homogeneous, atol=1e-15)
+    assert np.allclose(ik.pose(pose["xyz"], rpy=pose["rpy"]), pose["T_base_tip"], atol=1e-12)
+    assert np.allclose(ik.pose(pose["xyz"], quat_xyzw=pose["quat_xyzw"]), pose["T_base_tip"], atol=1e-12)
+
+
+def test_json_is_in_radians_whatever_deg_says(run):
+    _, plain, _ = run("fk", "planar_2r", "--q", math.radians(30), math.radians(-45), "--json")
+    _, degrees, _ = run("fk", "planar_2r", "--q", 30, -45, "--deg", "--json")
+    assert json.loads(plain) == json.loads(degrees)
+
+
+def test_fk_says_what_is_outside_the_limits(run):
+    code, _, err = run("fk", "hydrolek_7w", "--q", 3, 0, 0, 0, 0, 0)
+    assert code == 0 and err.startswith("outside the limits: azimuth_yaw")
+
+
+def test_solve_prints_joints_that_reach_the_target(run):
+    code, out, err = run(*SOLVE, "--json")
+    answer = json.loads(out)
+    robot = ik.Robot.load("hydrolek_7w")
+    assert code == 0 and answer["success"] and answer["status"] == "CONVERGED"
+    assert np.linalg.norm(robot.fk(answer["q"]).translation - (1.0, 0.1, 0.2)) < 1e-6
+    assert (answer["base"], answer["tip"], answer["target"]) == ("base_link", "tool", [1.0, 0.1, 0.2])
+
+
+def test_solve_table_shows_joints_errors_counts_and_time(run):
+    code, out, _ = run(*SOLVE)
+    robot = ik.Robot.load("hydrolek_7w")
+    assert code == 0 and all(name in out for name in robot.joint_names)
+    for word in ("rad", "CONVERGED, solver lm", "position error", "orientation error  free", "restarts", "time"):
+        assert word in out
+
+
+def test_solve_a_pose_in_degrees(run):
+    robot = ik.Robot.load("hydrolek_7w")
+    rpy = (-90.0, 10.0, -70.0)
+    code, out, _ = run("solve", "hydrolek_7w", "--xyz", 1.0, 0.2, 0.1, "--rpy", *rpy, "--deg", "--json")
+    answer = json.loads(out)
+    wanted = ik.pose((1.0, 0.2, 0.1), rpy=np.radians(rpy))
+    assert code == 0 and np.allclose(robot.fk(answer["q"]).homogeneous, wanted, atol=1e-5)
+    code, shown, _ = run("solve", "hydrolek_7w", "--xyz", 1.0, 0.2, 0.1, "--rpy", *rpy, "--deg")
+    assert code == 0 and f"{math.degrees(answer['q'][1]):.4f}" in shown
+
+
+def test_unreachable_target_says_by_how_much_and_returns_one(run):
+    code, out, err = run("solve", "hydrolek_7w", "--xyz", 5, 0, 0)
+    assert code == 1 and "UNREACHABLE" in out
+    assert "beyond reach by 3556 mm" in err and "Traceback" not in err
+    code, out, _ = run("solve", "hydrolek_7w", "--xyz", 5, 0, 0, "--json")
+    assert code == 1 and json.loads(out)["status"] == "UNREACHABLE"
+
+
+@pytest.mark.parametrize("solver", ["lm", "dls", "ccd", "state-space"])
+def test_solve_with_a_named_solver(run, solver):
+    code, out, _ = run(*SOLVE, "-s", solver, "--tolerance", "1e-3", "--json")
+    answer = json.loads(out)
+    assert code == 0 and answer["solver"] == solver and answer["position_error"] < 1e-3
+
+
+def test_solver_parameters_and_limits_of_effort_are_passed_on(run):
+    few = json.loads(run(*SOLVE, "-s", "dls", "-p", "damping=0.5", "--max-iterations", 3, "--json")[1])
+    many = json.loads(run(*SOLVE, "-s", "dls", "-p", "damping=0.01", "--max-iterations", 50, "--json")[1])
+    assert (few["status"], few["iterations"]) == ("ITERATION_LIMIT", 3) and many["success"]
+
+
+def test_start_outside_the_limits_is_clamped_with_a_notice_or_refused(run):
+    start = ["--q0", 3, 0, 0, 0, 0, 0]
+    code, out, err = run(*SOLVE, *start, "--json")
+    assert code == 0 and "was clamped" in err and "azimuth_yaw" in json.loads(out)["notice"]
+    code, out, err = run(*SOLVE, *start, "--refuse-q0")
+    assert code == 2 and not out and "outside the limits at joint azimuth_yaw" in err
+
+
+def test_a_locked_joint_keeps_its_value(run):
+    answer = json.loads(run(*SOLVE, "--lock", "wrist_roll=90", "--deg", "--json")[1])
+    assert answer["success"] and "wrist_roll" not in answer["joint_names"] and len(answer["q"]) == 5
+    robot = ik.Robot.load("hydrolek_7w").locked({"wrist_roll": math.pi / 2})
+    assert np.linalg.norm(robot.fk(answer["q"]).translation - (1.0, 0.1, 0.2)) < 1e-6
+
+
+def test_a_sliding_joint_is_locked_in_metres_even_with_deg(run):
+    info = json.loads(
+        run("info", "inspection_7dof", "--lock", "lift=0.3", "--lock", "arm_yaw=30", "--deg", "--json")[1]
+    )
+    assert info["locked"] == {"lift": 0.3, "arm_yaw": math.radians(30)}
+
+
+def test_output_file_holds_the_object(run, tmp_path):
+    file = tmp_path / "answer.json"
+    code, out, err = run(*SOLVE, "--json", "-o", file)
+    assert code == 0 and f"wrote {file}" in err
+    assert json.loads(file.read_text()) == json.loads(out)
+
+
+def test_all_with_a_direction_gives_a_spread_and_a_pose_in_json(run):
+    robot = ik.Robot.load("hydrolek_7w")
+    T = robot.fk(robot.home)
+    words = ["--xyz", *T.translation, "--direction", *T.rotation[:, 2], "--all", "--json"]
+    found = json.loads(run("solve", "hydrolek_7w", *words)[1])
+    assert len(found["solutions"]) == 64 and "a sample of infinitely many" in found["message"]
+    assert np.shape(found["target"]) == (4, 4)
+
+
+def test_solve_takes_preferences(run):
+    code, out, _ = run(
+        "solve",
+        "inspection_7dof",
+        "--xyz",
+        "0.4",
+        "0.1",
+        "0.9",
+        "--direction",
+        "0",
+        "0",
+        "-1",
+        "--tip-axis",
+        "1",
+        "0",
+        "0",
+        "--json",
+    )
+    assert code == 0
+    robot = ik.Robot.load("inspection_7dof")
+    at = robot.fk(json.loads(out)["q"])
+    assert np.allclose(at.rotation[:, 0], (0, 0, -1), atol=1e-5)
+    code, out, _ = run(
+        "solve", "inspection_7dof", "--xyz", "0.4", "0.1", "0.9", "--mask", "1", "1", "0", "0", "0", "0",
+        "--joint-weights", "1", "0", "1", "1", "1", "1", "1", "--closest", "0", "0.2", "0", "0", "0", "-1", "0",
+        "--objective", "mid-range", "--json",
+    )  # fmt: skip
+    answer = json.loads(out)
+    assert code == 0 and answer["q"][1] == pytest.approx(0.2)
+    assert np.allclose(robot.fk(answer["q"]).translation[:2], (0.4, 0.1), atol=1e-6)
+    code, _, err = run("solve", "inspection_7dof", "--xyz", "0.4", "0.1", "0.9", "--tip-axis", "1", "0", "0")
+    assert code == 2 and "--direction" in err
+    code, _, err = run("solve", "inspection_7dof", "--xyz", "0.4", "0.1", "0.9", "--objective", "midrange")
+    assert code == 2 and "mid-range" in err
