@@ -11,7 +11,7 @@ from pathlib import Path
 ROOMS = {  # how the public names are grouped in the API page, by the module they live in
     "Robots and targets": ("robot.",),
     "Solving": ("solvers.solve", "solvers.prepare", "solvers.batch", "solvers.tree", "solvers.result"),
-    "Solvers and their parameters": ("solvers.rules.", "solvers.closed_form."),
+    "Solvers and their parameters": ("solvers.protocol", "solvers.rules.", "solvers.closed_form."),
     "Tracking": ("tracking.",),
     "Studies": ("study.", "papers."),
     "Pictures": ("show.",),

@@ -19,6 +19,8 @@ _NAMES = {
     "CollisionModel": "robot.collision",
     "Result": "solvers.result",
     "Status": "solvers.result",
+    "rule": "solvers.protocol",
+    "closed_form": "solvers.protocol",
     "LM": "solvers.rules.jacobian",
     "DLS": "solvers.rules.jacobian",
     "Pinv": "solvers.rules.jacobian",

@@ -11,6 +11,8 @@ from .solvers.batch_result import BatchCheckFailed as BatchCheckFailed
 from .solvers.closed_form.inspection import Inspection as Inspection
 from .solvers.closed_form.planar_2r import Planar2R as Planar2R
 from .solvers.prepare import prepare as prepare
+from .solvers.protocol import closed_form as closed_form
+from .solvers.protocol import rule as rule
 from .solvers.result import Result as Result
 from .solvers.result import Status as Status
 from .solvers.rules.ccd import CCD as CCD

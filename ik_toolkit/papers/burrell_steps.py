@@ -6,22 +6,22 @@ MATLAB; the toolkit's solvers do not use them.
 
 import math
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from ..kernel.algebra import V3, Sym3
-from ..kernel.jit import compiled
 from ..robot.dh import read_dh_table
 from ..robot.library import find
 from ..robot.robot import Robot
+from ..solvers.protocol import Asked, rule
 from ..solvers.rules.state_space import StateSpace
 
 LIMIT = 1000  # iterations
 NEAR_SINGULAR = 1e-8  # of det(JJ') over (trace / 3)^3: from a condition of about 1e4 of J on the inverse loses too much
 
 
-@compiled
+@rule
 class PlainPinv(NamedTuple):
     """Pseudo-inverse for positions by dq = J'(JJ')^-1 e, eq. (8); near a singularity by singular values.
 
@@ -30,14 +30,9 @@ class PlainPinv(NamedTuple):
 
     rcond: float = 1e-8
 
-    @classmethod
-    def check(cls, robot: Any, rows: int) -> str:
-        """Sentence saying why the rule does not fit the task, or ''."""
-        return "" if rows == 3 else f"the plain pseudo-inverse is for positions in space, and this task has {rows} rows"
-
-    def pack(self, robot: Any) -> "PlainPinv":
-        """Parameters of the compiled step."""
-        return self
+    def refuses(self, asked: Asked) -> str:
+        """Why it does not do what is asked, or ''."""
+        return "" if asked.rows == 3 else f"is for positions in space, and this task has {asked.rows} rows"
 
     def step(self, p, e):
         s = p.desk

@@ -5,11 +5,11 @@ One hop from here to the loop: a bound solver holds the kernel's arrays and call
 
 import threading
 from time import perf_counter
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
-from ..errors import IKError, InvalidConfiguration, InvalidOption, InvalidTarget
+from ..errors import InvalidConfiguration, InvalidOption, InvalidTarget
 from ..kernel.chain import table, without_limits, without_wrap
 from ..kernel.checks import BAD_TARGET
 from ..kernel.limits import LARGEST
@@ -23,6 +23,7 @@ from ..robot.tree import Tree
 from .closed_form import fits
 from .fallback import with_search
 from .options import NAMES, OBJECTIVES, Options, make_options
+from .protocol import Asked, parameters
 from .registry import GENERAL, find_row, make_rule
 from .result import Result, Status
 from .starts import held_joints, pin
@@ -34,20 +35,10 @@ CLOSEST = 16  # solutions to compare when the one nearest q0 is asked for
 REFINE_STEPS = 60
 FOLLOW_ITERATIONS = 100  # the one attempt of `follow` has no other to hand over to where it converges slowly
 NEVER = (np.inf, 1.0, np.inf, 1.0)
-PATIENCE = 20  # attempts without q0's: by then easy targets are solved
 EXACT = {  # options that a closed form honours or has no use for; 'auto' takes 'lm' when any other is given
     "tolerance", "position_tolerance", "orientation_tolerance", "max_iterations", "max_evaluations", "restarts", "seed",
     "limits", "q0_outside", "history", "check",
 }  # fmt: skip
-
-
-class Length(NamedTuple):
-    """How long a search goes on: iterations of an attempt, attempts, when one is given up, and from which on not so soon."""
-
-    iterations: int
-    attempts: int
-    give_up: tuple[float, float, float, float] | None  # c, rho, c_free, rho_free of `Orders`
-    patience: float
 
 
 class Solver:
@@ -184,9 +175,9 @@ class Solver:
         """Kind of target and `ends` of each tip."""
         return [(kind, self.robot.chain.ends)]
 
-    def _length(self) -> Length:
+    def _length(self) -> Any:
         """How long the search goes on where the caller does not say."""
-        return Length(self.row.iterations, self.row.descents, self.row.give_up, PATIENCE)
+        return self.row.length(2 if isinstance(self.robot, Tree) else 1)
 
     def _task(self, kind: Any, ends: np.ndarray) -> Task:
         """What counts at a tip. Raises InvalidOption when the solver does not do that."""
@@ -194,7 +185,7 @@ class Solver:
         axis = isinstance(kind, tuple)  # AXIS and the axis in the tip frame; the kernel wants it in the last joint's
         if row.closed and (o.mask is not None or o.closest or axis):
             raise InvalidOption(f"solver '{row.name}' is a closed form and takes no mask, axis or closest; use 'lm'")
-        if len(self.held) and (row.closed or row.name == "newton"):
+        if len(self.held) and row.moves_all:
             raise InvalidOption(f"solver '{row.name}' moves every joint, so a joint weight of 0 is not kept; use 'lm'")
         if axis and o.mask is not None:
             raise InvalidOption("a mask and an axis target cannot be combined: the axis already frees one turn")
@@ -214,24 +205,10 @@ class Solver:
 
     def _parameters(self, task: Task, given: bool) -> np.ndarray:
         """Numbers of the rule's compiled step. Raises InvalidOption when a parameter is none, or the rule does not fit."""
-        kind = task.kind
-        check = getattr(self.rule, "check", None)
-        reason = check(self.robot, self.task_rows(kind)) if check is not None else ""
-        if reason:
-            raise InvalidOption(reason)
-        which = (kind == POSITION, given) if self.row.name == "state-space" else ()
-        try:
-            parameters = np.asarray(self.rule.pack(self.robot, *which), dtype=float)
-        except IKError:
-            raise
-        except (TypeError, ValueError, OverflowError):
-            parameters = np.array(np.nan)
-        if parameters.ndim != 1 or not np.isfinite(parameters).all():
-            values = ", ".join(
-                f"{key}={value!r:.60}" for key, value in self.rule._asdict().items() if value is not None
-            )
-            raise InvalidOption(f"the parameters of solver '{self.name}' are finite numbers, not {values}")
-        return parameters
+        asked = Asked(self.robot, (int(task.kind),), given, self.options)
+        if reason := self.rule.refuses(asked):
+            raise InvalidOption(f"solver '{self.row.name}' {reason}")
+        return parameters(self.row, self.rule, asked)
 
     def arrays(self, kind: Any) -> tuple:
         """Arrays of the chain for the kernel, with the rule's own table of starts where it has one."""
@@ -258,18 +235,6 @@ class Solver:
         if last[0] != key:
             self._pinned = last = (key, pin(arrays, self.held, at))
         return last[1]
-
-    def task_rows(self, kind: int) -> int:
-        """Number of task rows the joints can influence at all (a planar arm's position has two, not three)."""
-        rng = np.random.default_rng(0)
-        Q = np.array([self.robot.random_q(rng) for _ in range(4)])
-        J = self.robot.chain.forward(Q, jacobian=True)[1]
-        rows = np.abs(J).max(axis=(0, 2)) > 1e-9 * np.abs(J).max()
-        if kind == POSITION:
-            rows = rows[:3]
-        elif self.options.mask is not None:
-            rows = rows & (np.array(self.options.mask) > 0)
-        return int(rows.sum())
 
     def _start(self, q0: Any) -> tuple[np.ndarray, str]:
         """Validate q0; clamp it into the limits or refuse it. Returns (1, n) and a notice."""

@@ -11,6 +11,7 @@ from ..kernel.task import POSE, POSITION
 from ..robot.robot import Robot
 from .closed_form.finish import finished, listed
 from .closed_form.geometry import Family
+from .protocol import Asked
 from .registry import GENERAL
 from .result import Status
 from .solutions import Solutions, SolutionsBatch
@@ -97,7 +98,7 @@ def _pose_of(target: Any) -> tuple[np.ndarray, Any, str]:
 
 def _redundant(one: Solver, kind: Any) -> bool:
     """Whether joints are left over, so that solutions are not isolated; an axis target frees the turn about it."""
-    rows = one.task_rows(kind)
+    rows = Asked(one.robot, (kind,), options=one.options).rows
     return one.robot.n - len(one.held) > (min(rows, 5) if isinstance(kind, tuple) else rows)
 
 

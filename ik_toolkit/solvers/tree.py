@@ -15,12 +15,8 @@ from ..robot.pose import masked_errors
 from ..robot.tree import Tree
 from .registry import GENERAL, find_row
 from .result import Result, Status, sentence
-from .solve import Length, Solver, is_auto
+from .solve import Solver, is_auto
 from .starts import held_joints
-
-ITERATIONS = 40  # steps a descent: the tips pull on shared joints
-DESCENTS = 400  # a start has to suit every tip
-GIVE_UP = (60.0, 0.25, 200.0, 0.4)
 
 
 class TreeResult(Result):
@@ -91,7 +87,7 @@ class TreeSolver(Solver):
         """Validate everything once. Raises UnknownSolver (closed forms and rules for one tip), InvalidOption."""
         solver = GENERAL if is_auto(solver) else solver
         row = find_row(solver)
-        if row.closed or getattr(row.load(), "one_tip", False):
+        if row.one_tip:
             raise UnknownSolver(f"solver '{row.name}' is for one tip; for several use '{GENERAL}'")
         super().__init__(robot, solver, **options)  # pyright: ignore[reportArgumentType]
         for name in ("objective", "avoid_collisions", "follow"):
@@ -122,11 +118,6 @@ class TreeSolver(Solver):
 
     def _by_tip(self, kind: Any) -> list[tuple[Any, np.ndarray]]:
         return list(zip(kind, self.robot.chain.ends, strict=True))
-
-    def _length(self) -> Length:
-        if self.row.name == GENERAL:
-            return Length(ITERATIONS, DESCENTS, GIVE_UP, np.inf)
-        return super()._length()
 
     def __call__(self, targets: Any, q0: Any = None) -> TreeResult:  # pyright: ignore[reportIncompatibleMethodOverride]
         """Solve for one target a tip: a dict by tip, or a sequence in the order of `robot.tips`; q0 (n,), default home.

@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 
 import ik_toolkit as ik
 from ik_toolkit import errors
-from ik_toolkit.kernel.jit import compiled
 from ik_toolkit.robot.pose import AxisTarget
+from ik_toolkit.solvers.protocol import rule
 from ik_toolkit.solvers.registry import find_row
 
 
@@ -291,15 +291,11 @@ def test_converged_never_with_an_error_above_the_tolerance(values, seed):
         assert robot.outside(result.q) == []
 
 
-@compiled
+@rule
 class HalfStep(NamedTuple):
     """Half of the gradient step, as somebody outside the package would write it."""
 
     gain: float = 0.5
-
-    def pack(self, robot):
-        """Parameters of the compiled step."""
-        return self
 
     def step(self, p, e):
         for i in range(p.desk.dq.shape[0]):

@@ -1,17 +1,19 @@
 """Six turning joints of a structure that the EAIK package knows: all its answers, through the call of every other solver."""
 
 import functools
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from ...errors import MissingExtra, UnknownSolver
+from ...errors import MissingExtra
 from ...kernel.chain import Chain
 from ...kernel.checks import BAD_START, BAD_TARGET, rigid
 from ...kernel.jit import cached, jit
 from ...kernel.kinematics import room
 from ...kernel.records import ORDER, WEIGHTS
 from ...kernel.search import ENTRIES
+from ..protocol import closed_form
 from .finish import polish
 from .geometry import Branches, Fit, copy_limits, legal_start, legal_turn, measure_tip, no_fit, read_screws
 
@@ -20,29 +22,6 @@ STEPS = (
     12  # Newton steps that finish an answer; at a singular pose EAIK's own are off by 1e-4, and each step halves that
 )
 H, P, R_TIP = slice(0, 18), slice(18, 39), slice(39, 48)  # axes, steps from one to the next, tip's orientation at q = 0
-
-
-class EAIK(NamedTuple):
-    """Analytic answers of the EAIK package for six turning joints, for poses; the legal one nearest q0 is returned.
-
-    Needs the extra 'analytic'. The axes are read off the robot at q = 0; limits, turns and the choice are ours, and every
-    answer is evaluated again. Source: Ostermeier, Kuelz, Althoff (2025), "Automatic geometric decomposition for analytical
-    inverse kinematics".
-    """
-
-    def pack(self, robot: Any) -> np.ndarray:
-        """Axes of the arm. Raises UnknownSolver when it is none that EAIK decomposes, MissingExtra without the package."""
-        fit = recognise(robot.chain)
-        if fit.reason:
-            raise UnknownSolver(f"solver 'eaik' does not fit robot '{robot.name}': {fit.reason}")
-        return fit.parameters
-
-    def every(self, robot: Any, p: np.ndarray, T: np.ndarray, box: np.ndarray, count: int) -> Branches:
-        """All answers of EAIK for T (4, 4) at the turns nearest box[2]; it is known to miss some near singular poses."""
-        Q = branches(p, T)
-        out, broken = np.empty_like(Q), np.empty(len(Q))
-        every_branch(Q, box, out, broken)
-        return Branches(out, broken, np.zeros((len(Q), 3), dtype=np.int8), False, " of EAIK", (), STEPS, -1, True)
 
 
 def recognise(chain: Chain) -> Fit:
@@ -139,6 +118,29 @@ def _solve(rows, ends, seeds, feat, T, Q0, out, opt, hist) -> None:
     for t in range(len(T)):
         q0 = Q0[t if len(Q0) > 1 else 0]
         choose(rows, ends, T[t], branches(p, T[t]), q0, opt, hist, out[t])
+
+
+@closed_form
+class EAIK(NamedTuple):
+    """Analytic answers of the EAIK package for six turning joints, for poses; the legal one nearest q0 is returned.
+
+    Needs the extra 'analytic'. The axes are read off the robot at q = 0; limits, turns and the choice are ours, and every
+    answer is evaluated again. Source: Ostermeier, Kuelz, Althoff (2025), "Automatic geometric decomposition for analytical
+    inverse kinematics".
+    """
+
+    recognise = staticmethod(recognise)
+
+    def every(self, robot: Any, p: np.ndarray, T: np.ndarray, box: np.ndarray, count: int) -> Branches:
+        """All answers of EAIK for T (4, 4) at the turns nearest box[2]; it is known to miss some near singular poses."""
+        Q = branches(p, T)
+        out, broken = np.empty_like(Q), np.empty(len(Q))
+        every_branch(Q, box, out, broken)
+        return Branches(out, broken, np.zeros((len(Q), 3), dtype=np.int8), False, " of EAIK", (), STEPS, -1, True)
+
+    def loop(self, robot: Any) -> Callable:
+        """The solve around EAIK."""
+        return _solve
 
 
 ENTRIES[EAIK] = _solve

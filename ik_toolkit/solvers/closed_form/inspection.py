@@ -6,23 +6,24 @@ angles level with the shoulder, axis 7 is parallel to 6. Base, tool, axis signs,
 """
 
 import math
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from ...errors import InvalidOption, UnknownSolver
+from ...errors import InvalidOption
 from ...kernel.chain import Chain
 from ...kernel.checks import BAD_START, BAD_TARGET, LIMIT_BLOCKED, rigid
 from ...kernel.jit import cached
 from ...kernel.kinematics import room
 from ...kernel.records import AT, ORDER, WEIGHTS
 from ...kernel.search import ENTRIES
+from ..protocol import Asked, closed_form, fitted
 from .finish import polish
 from .geometry import (
     FIT,
     NEAR,
     SNAP,
-    Branches,
     Fit,
     across,
     angle_about,
@@ -58,46 +59,6 @@ from .reach import inspection_branches, inspection_margin, inspection_nearest, l
 __all__ = ["Inspection", "every_branch", "feasible_lifts", "nearest_pose", "recognise", "wrist_pose"]
 STEPS = 24  # of the finish on the real chain
 CHOICES: dict[Any, int] = {"nearest": NEAREST, "mid": MIDDLE}
-
-
-class Inspection(NamedTuple):
-    """All branches (8) of a spherical shoulder on a lift, for poses; the legal one nearest q0 is returned.
-
-    lift: 'nearest' takes the feasible lift nearest q0's (another where no branch there is inside the limits), 'mid' the
-    middle of the longest feasible interval (with the same way out), a number [m] that lift only.
-    Source: Shanmugasundar and Sivaramakrishnan (2012), eqs. (7)-(13), completed: every branch, the lift as the free
-    parameter, reach test, singular poses.
-    """
-
-    lift: float | str = "nearest"
-
-    def pack(self, robot: Any) -> np.ndarray:
-        """Geometry and choice of lift for the compiled solver.
-
-        Raises UnknownSolver when the robot is no such arm, InvalidOption for a lift that is no choice.
-        """
-        parameters, reason, off = recognise(robot.chain)
-        if reason:
-            raise UnknownSolver(f"solver 'inspection' does not fit robot '{robot.name}': {reason}")
-        choice = CHOICES.get(self.lift, GIVEN)
-        value = 0.0
-        if choice == GIVEN:
-            try:
-                value = float(self.lift)
-            except ValueError:
-                value = math.nan
-            if not math.isfinite(value):
-                raise InvalidOption(f"lift must be 'nearest', 'mid' or a number of metres, not {self.lift!r}")
-        return np.concatenate([parameters, [choice, value, float(off > FIT)]])
-
-    def held(self, robot: Any) -> dict[int, float]:
-        """Joints (place in q) that have a given value: the lift, where it is a number [m]."""
-        place = np.flatnonzero([kind == "prismatic" for kind in robot.joint_kinds])
-        return {} if self.lift in CHOICES or not len(place) else {int(place[0]): float(self.lift)}
-
-    def every(self, robot: Any, p: np.ndarray, T: np.ndarray, box: np.ndarray, count: int) -> Branches:
-        """All branches of T (4, 4): see `lift_list.listing`."""
-        return listing(robot, p, T, box, count)
 
 
 def recognise(chain: Chain) -> Fit:
@@ -162,85 +123,122 @@ def recognise(chain: Chain) -> Fit:
     return Fit(parameters, "", float(max(value for value, _ in off)))
 
 
-def _compile_solve():
-    @cached
-    def solve(rows, ends, seeds, feat, T, Q0, out, opt, hist):
-        n = seeds.shape[1]
-        p = opt[WEIGHTS + n :]
-        box, near, spans = np.empty((4, n)), np.empty(6), np.empty((2, 2))
-        P, moved, sols = np.empty(12), np.empty(12), np.empty((8, 6))
-        q, trial, best = np.empty(n), np.empty(n), np.empty(n)
-        row, limits = np.empty(6), np.empty(WINDOWS)
-        goal, joints, trig = np.empty(12), np.empty(room(n)[0]), np.zeros(room(n)[1])
-        for t in range(T.shape[0]):
-            if not rigid(T[t]):
-                out[t, 0] = BAD_TARGET
-                continue
-            q0 = Q0[t if Q0.shape[0] > 1 else 0]
-            if not legal_start(ends, opt, q0):
-                out[t, 0] = BAD_START
-                continue
-            copy_limits(ends, opt, q0, box)
-            near_angles(p, box, near)
-            wrist_pose(p, T[t], P)
-            d, count = choose_lift(p, P, box, spans)
-            stroke = 0.0
-            gap = max(0.0, -inspection_margin(P, d, p[A4], p[A6]))
-            broken = pick(p, P, d, box, near, moved, sols, q, best)[0]
-            free = p[LIFT] >= 0.0 and p[LIFT + 2] != GIVEN
-            if broken > 0.0:
-                least = pick_level(p, P, d, free, box, near, row, q, trial)
-                if least < broken or (least == 0.0 and gap > 0.0):
-                    broken = least
-                    best[:] = trial
-            if free:
-                if broken > 0.0 and count != 0:
-                    if count < 0:
-                        low, high = lift_limits(p, box)
-                        count = lift_intervals(P, p[A4], p[A6], low, high, spans)
-                    broken = scan_lifts(p, P, box, near, spans, count, moved, sols, q, trial, best)
-                    if broken > 0.0:
-                        broken = narrow_windows(p, P, box, near, spans, count, limits, row, q, best)
-                elif gap > 0.0:
-                    d, gap, stroke = stopped_at(p, P, box, d, gap, spans)
-                    if stroke > 0.0:  # in reach with more stroke: it is the lift's limit that stops it
-                        broken = max(pick(p, P, d, box, near, moved, sols, q, best)[0], SNAP)
-            lever = p[A4] + p[A6] + math.sqrt(p[21] * p[21] + p[22] * p[22] + p[23] * p[23])
-            slack = opt[ORDER.tol_r] * lever  # a pose turned by the tolerance moves the wrist no further than this
-            nearly = p[NEARLY] > 0.0
-            if nearly or (broken > 0.0 and stroke == 0.0 and gap < opt[ORDER.tol_p] + slack):
-                i = int(p[LIFT])
-                at = p[LIFT + 1] * best[i] if i >= 0 else 0.0
-                moved[:] = P
-                inspection_nearest(moved, at, p[A4], p[A6])
-                found = inspection_branches(moved, at, p[A4], p[A6], near, sols)
-                fixed = i if i >= 0 and not free else -1
-                nearest = np.inf
-                for k in range(found + 1):  # the best so far, then every branch at its lift
-                    if k > 0:
-                        joint_values(p, sols[k - 1], at, box, trial)
-                    else:
-                        trial[:] = best
-                    if fixed >= 0 and not box[0, fixed] <= trial[fixed] <= box[1, fixed]:
-                        continue
-                    for j in range(n):
-                        trial[j] = min(max(trial[j], box[0, j]), box[1, j])
-                    position, rotation, _ = polish(rows, ends, opt, T[t], trial, fixed, STEPS)
-                    distance = 0.0
-                    for j in range(n):
-                        distance += box[3, j] * (trial[j] - box[2, j]) ** 2
-                    if position < opt[ORDER.tol_p] and rotation < opt[ORDER.tol_r] and distance < nearest:
-                        nearest = distance
-                        q[:] = trial
-                if nearest < np.inf:
-                    best[:] = q
-                if nearly:  # proves nothing
-                    broken, gap = 0.0, 0.0
-            measure_tip(rows, ends, opt, T[t], best, box, broken, gap, slack, goal, joints, trig, hist, out[t])
-            if out[t, AT.status] == LIMIT_BLOCKED:
-                out[t, AT.excess] = stroke
-
-    return solve
+@cached
+def solve(rows, ends, seeds, feat, T, Q0, out, opt, hist):
+    """Arguments of `kernel.search.entry`: the branch inside the limits nearest Q0, or how far none is."""
+    n = seeds.shape[1]
+    p = opt[WEIGHTS + n :]
+    box, near, spans = np.empty((4, n)), np.empty(6), np.empty((2, 2))
+    P, moved, sols = np.empty(12), np.empty(12), np.empty((8, 6))
+    q, trial, best = np.empty(n), np.empty(n), np.empty(n)
+    row, limits = np.empty(6), np.empty(WINDOWS)
+    goal, joints, trig = np.empty(12), np.empty(room(n)[0]), np.zeros(room(n)[1])
+    for t in range(T.shape[0]):
+        if not rigid(T[t]):
+            out[t, 0] = BAD_TARGET
+            continue
+        q0 = Q0[t if Q0.shape[0] > 1 else 0]
+        if not legal_start(ends, opt, q0):
+            out[t, 0] = BAD_START
+            continue
+        copy_limits(ends, opt, q0, box)
+        near_angles(p, box, near)
+        wrist_pose(p, T[t], P)
+        d, count = choose_lift(p, P, box, spans)
+        stroke = 0.0
+        gap = max(0.0, -inspection_margin(P, d, p[A4], p[A6]))
+        broken = pick(p, P, d, box, near, moved, sols, q, best)[0]
+        free = p[LIFT] >= 0.0 and p[LIFT + 2] != GIVEN
+        if broken > 0.0:
+            least = pick_level(p, P, d, free, box, near, row, q, trial)
+            if least < broken or (least == 0.0 and gap > 0.0):
+                broken = least
+                best[:] = trial
+        if free:
+            if broken > 0.0 and count != 0:
+                if count < 0:
+                    low, high = lift_limits(p, box)
+                    count = lift_intervals(P, p[A4], p[A6], low, high, spans)
+                broken = scan_lifts(p, P, box, near, spans, count, moved, sols, q, trial, best)
+                if broken > 0.0:
+                    broken = narrow_windows(p, P, box, near, spans, count, limits, row, q, best)
+            elif gap > 0.0:
+                d, gap, stroke = stopped_at(p, P, box, d, gap, spans)
+                if stroke > 0.0:  # in reach with more stroke: it is the lift's limit that stops it
+                    broken = max(pick(p, P, d, box, near, moved, sols, q, best)[0], SNAP)
+        lever = p[A4] + p[A6] + math.sqrt(p[21] * p[21] + p[22] * p[22] + p[23] * p[23])
+        slack = opt[ORDER.tol_r] * lever  # a pose turned by the tolerance moves the wrist no further than this
+        nearly = p[NEARLY] > 0.0
+        if nearly or (broken > 0.0 and stroke == 0.0 and gap < opt[ORDER.tol_p] + slack):
+            i = int(p[LIFT])
+            at = p[LIFT + 1] * best[i] if i >= 0 else 0.0
+            moved[:] = P
+            inspection_nearest(moved, at, p[A4], p[A6])
+            found = inspection_branches(moved, at, p[A4], p[A6], near, sols)
+            fixed = i if i >= 0 and not free else -1
+            nearest = np.inf
+            for k in range(found + 1):  # the best so far, then every branch at its lift
+                if k > 0:
+                    joint_values(p, sols[k - 1], at, box, trial)
+                else:
+                    trial[:] = best
+                if fixed >= 0 and not box[0, fixed] <= trial[fixed] <= box[1, fixed]:
+                    continue
+                for j in range(n):
+                    trial[j] = min(max(trial[j], box[0, j]), box[1, j])
+                position, rotation, _ = polish(rows, ends, opt, T[t], trial, fixed, STEPS)
+                distance = 0.0
+                for j in range(n):
+                    distance += box[3, j] * (trial[j] - box[2, j]) ** 2
+                if position < opt[ORDER.tol_p] and rotation < opt[ORDER.tol_r] and distance < nearest:
+                    nearest = distance
+                    q[:] = trial
+            if nearest < np.inf:
+                best[:] = q
+            if nearly:  # proves nothing
+                broken, gap = 0.0, 0.0
+        measure_tip(rows, ends, opt, T[t], best, box, broken, gap, slack, goal, joints, trig, hist, out[t])
+        if out[t, AT.status] == LIMIT_BLOCKED:
+            out[t, AT.excess] = stroke
 
 
-ENTRIES[Inspection] = _compile_solve()
+@closed_form
+class Inspection(NamedTuple):
+    """All branches (8) of a spherical shoulder on a lift, for poses; the legal one nearest q0 is returned.
+
+    lift: 'nearest' takes the feasible lift nearest q0's (another where no branch there is inside the limits), 'mid' the
+    middle of the longest feasible interval (with the same way out), a number [m] that lift only.
+    Source: Shanmugasundar and Sivaramakrishnan (2012), eqs. (7)-(13), completed: every branch, the lift as the free
+    parameter, reach test, singular poses.
+    """
+
+    lift: float | str = "nearest"
+
+    recognise = staticmethod(recognise)
+    every = staticmethod(listing)
+
+    def pack(self, robot: Any, asked: Asked | None = None) -> np.ndarray:
+        """Geometry and choice of lift for the compiled solver. Raises UnknownSolver, InvalidOption for a lift that is no choice."""
+        parameters, _, off = fitted(self, robot)
+        choice = CHOICES.get(self.lift, GIVEN)
+        value = 0.0
+        if choice == GIVEN:
+            try:
+                value = float(self.lift)
+            except ValueError:
+                value = math.nan
+            if not math.isfinite(value):
+                raise InvalidOption(f"lift must be 'nearest', 'mid' or a number of metres, not {self.lift!r}")
+        return np.concatenate([parameters, [choice, value, float(off > FIT)]])
+
+    def held(self, robot: Any) -> dict[int, float]:
+        """Joints (place in q) that have a given value: the lift, where it is a number [m]."""
+        place = np.flatnonzero([kind == "prismatic" for kind in robot.joint_kinds])
+        return {} if self.lift in CHOICES or not len(place) else {int(place[0]): float(self.lift)}
+
+    def loop(self, robot: Any) -> Callable:
+        """The compiled solve."""
+        return solve
+
+
+ENTRIES[Inspection] = solve

@@ -1,17 +1,18 @@
 """Two turning joints with parallel axes, asked for a position: both elbow branches in closed form."""
 
 import math
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from ...errors import UnknownSolver
 from ...kernel.chain import Chain
 from ...kernel.checks import BAD_START, BAD_TARGET, rigid
 from ...kernel.jit import cached, jit
 from ...kernel.kinematics import room
 from ...kernel.records import ORDER, WEIGHTS
 from ...kernel.search import ENTRIES
+from ..protocol import closed_form
 from .finish import polish
 from .geometry import (
     FIT,
@@ -35,42 +36,6 @@ from .reach import planar_branches, planar_margin
 L1, L2, HEIGHT, ANGLES, NEARLY = 12, 13, 14, 15, 19
 STEPS = 8  # Newton steps that finish a branch of an arm whose axes are only nearly parallel
 FOLDED = 1e-9  # of the lengths: distance from the base below which the links count as folded onto it
-
-
-class Planar2R(NamedTuple):
-    """Both elbow branches of two turning joints with parallel axes, for positions; the legal one nearest q0 is returned.
-
-    Any link lengths, base pose, axis signs, angle and height offsets. Source: Chinyai, eqs. (1)-(5), with the second branch,
-    the signs and the quadrants corrected.
-    """
-
-    def pack(self, robot: Any) -> np.ndarray:
-        """Geometry for the compiled solver. Raises UnknownSolver when the robot is no such arm."""
-        fit = recognise(robot.chain)
-        if fit.reason:
-            raise UnknownSolver(f"solver 'planar-2r' does not fit robot '{robot.name}': {fit.reason}")
-        return fit.parameters
-
-    def every(self, robot: Any, p: np.ndarray, T: np.ndarray, box: np.ndarray, count: int) -> Branches:
-        """All branches of the point of T (4, 4); where the links fold back onto the base, `count` of the first joint's turns.
-
-        box (4, 2): limits, reference and weights (see geometry.copy_limits).
-        """
-        q, broken, marks = np.empty((2, 2)), np.empty(2), np.empty((2, 3), dtype=np.int8)
-        found, folded = every_branch(p, T, box, q, broken, marks)
-        nearly = p[NEARLY] > 0.0
-        families = ()
-        if folded and found and broken[0] == 0.0:
-            low, high = max(box[0, 0], -math.pi), min(box[1, 0], math.pi)
-            if high < low:  # limits that lie a turn or more away
-                low, high = box[0, 0], min(box[1, 0], box[0, 0] + 2.0 * math.pi)
-            q = np.column_stack([np.linspace(low, high, count), np.full(count, q[0, 1])])
-            found, broken, marks = count, np.zeros(count), np.zeros((count, 3), dtype=np.int8)
-            first = robot.joint_names[0]
-            text = f"the links fold back onto the base: {first} is free from {low:.6g} to {high:.6g} rad"
-            families = (Family((first,), float(low), float(high), text),)
-        complete = not (nearly or families)
-        return Branches(q[:found], broken[:found], marks[:found], complete, "", families, STEPS if nearly else 0)
 
 
 def recognise(chain: Chain) -> Fit:
@@ -158,51 +123,49 @@ def nearest_on_limits(p, x, y, box, q, best):
                 best[:] = q
 
 
-def _compile_solve():
-    @cached
-    def solve(rows, ends, seeds, feat, T, Q0, out, opt, hist):
-        n = 2
-        p = opt[WEIGHTS + n :]
-        box = np.empty((4, n))
-        near = p[ANGLES + 1]
-        sols = np.empty((2, 2))
-        q, best = np.empty(n), np.empty(n)
-        goal, joints, trig = np.empty(12), np.empty(room(2)[0]), np.zeros(room(2)[1])
-        for t in range(T.shape[0]):
-            if not rigid(T[t]):
-                out[t, 0] = BAD_TARGET
-                continue
-            q0 = Q0[t if Q0.shape[0] > 1 else 0]
-            if not legal_start(ends, opt, q0):
-                out[t, 0] = BAD_START
-                continue
-            copy_limits(ends, opt, q0, box)
-            near = p[ANGLES] * box[2, 0] + p[ANGLES + 1]
-            x, y, off = to_plane(p, T[t])
-            gap = math.hypot(max(0.0, -planar_margin(x, y, p[L1], p[L2])), off)
-            least, nearest = np.inf, np.inf
+@cached
+def solve(rows, ends, seeds, feat, T, Q0, out, opt, hist):
+    """Arguments of `kernel.search.entry`: the branch inside the limits nearest Q0, or how far none is."""
+    n = 2
+    p = opt[WEIGHTS + n :]
+    box = np.empty((4, n))
+    near = p[ANGLES + 1]
+    sols = np.empty((2, 2))
+    q, best = np.empty(n), np.empty(n)
+    goal, joints, trig = np.empty(12), np.empty(room(2)[0]), np.zeros(room(2)[1])
+    for t in range(T.shape[0]):
+        if not rigid(T[t]):
+            out[t, 0] = BAD_TARGET
+            continue
+        q0 = Q0[t if Q0.shape[0] > 1 else 0]
+        if not legal_start(ends, opt, q0):
+            out[t, 0] = BAD_START
+            continue
+        copy_limits(ends, opt, q0, box)
+        near = p[ANGLES] * box[2, 0] + p[ANGLES + 1]
+        x, y, off = to_plane(p, T[t])
+        gap = math.hypot(max(0.0, -planar_margin(x, y, p[L1], p[L2])), off)
+        least, nearest = np.inf, np.inf
+        for k in range(planar_branches(x, y, p[L1], p[L2], near, sols)):
+            worst, distance = joint_values(p, sols[k], box, q)
+            if worst < least or (worst == least and distance < nearest):
+                least, nearest = worst, distance
+                best[:] = q
+        if least > 0.0:
+            nearest_on_limits(p, x, y, box, q, best)
+        if p[NEARLY] > 0.0:  # finished on the real chain; proves nothing
+            nearest = np.inf
             for k in range(planar_branches(x, y, p[L1], p[L2], near, sols)):
-                worst, distance = joint_values(p, sols[k], box, q)
-                if worst < least or (worst == least and distance < nearest):
-                    least, nearest = worst, distance
+                joint_values(p, sols[k], box, q)
+                for i in range(n):
+                    q[i] = min(max(q[i], box[0, i]), box[1, i])
+                position, _, _ = polish(rows, ends, opt, T[t], q, -1, STEPS)
+                distance = box[3, 0] * (q[0] - box[2, 0]) ** 2 + box[3, 1] * (q[1] - box[2, 1]) ** 2
+                if position < opt[ORDER.tol_p] and distance < nearest:
+                    nearest = distance
                     best[:] = q
-            if least > 0.0:
-                nearest_on_limits(p, x, y, box, q, best)
-            if p[NEARLY] > 0.0:  # finished on the real chain; proves nothing
-                nearest = np.inf
-                for k in range(planar_branches(x, y, p[L1], p[L2], near, sols)):
-                    joint_values(p, sols[k], box, q)
-                    for i in range(n):
-                        q[i] = min(max(q[i], box[0, i]), box[1, i])
-                    position, _, _ = polish(rows, ends, opt, T[t], q, -1, STEPS)
-                    distance = box[3, 0] * (q[0] - box[2, 0]) ** 2 + box[3, 1] * (q[1] - box[2, 1]) ** 2
-                    if position < opt[ORDER.tol_p] and distance < nearest:
-                        nearest = distance
-                        best[:] = q
-                least, gap = 0.0, 0.0
-            measure_tip(rows, ends, opt, T[t], best, box, least, gap, 0.0, goal, joints, trig, hist, out[t])
-
-    return solve
+            least, gap = 0.0, 0.0
+        measure_tip(rows, ends, opt, T[t], best, box, least, gap, 0.0, goal, joints, trig, hist, out[t])
 
 
 @cached
@@ -222,4 +185,40 @@ def every_branch(p, T, box, out, broken, marks):
     return count, max(math.hypot(x, y), abs(p[L1] - p[L2])) <= FOLDED * size
 
 
-ENTRIES[Planar2R] = _compile_solve()
+@closed_form
+class Planar2R(NamedTuple):
+    """Both elbow branches of two turning joints with parallel axes, for positions; the legal one nearest q0 is returned.
+
+    Any link lengths, base pose, axis signs, angle and height offsets. Source: Chinyai, eqs. (1)-(5), with the second branch,
+    the signs and the quadrants corrected.
+    """
+
+    recognise = staticmethod(recognise)
+
+    def every(self, robot: Any, p: np.ndarray, T: np.ndarray, box: np.ndarray, count: int) -> Branches:
+        """All branches of the point of T (4, 4); where the links fold back onto the base, `count` of the first joint's turns.
+
+        box (4, 2): limits, reference and weights (see geometry.copy_limits).
+        """
+        q, broken, marks = np.empty((2, 2)), np.empty(2), np.empty((2, 3), dtype=np.int8)
+        found, folded = every_branch(p, T, box, q, broken, marks)
+        nearly = p[NEARLY] > 0.0
+        families = ()
+        if folded and found and broken[0] == 0.0:
+            low, high = max(box[0, 0], -math.pi), min(box[1, 0], math.pi)
+            if high < low:  # limits that lie a turn or more away
+                low, high = box[0, 0], min(box[1, 0], box[0, 0] + 2.0 * math.pi)
+            q = np.column_stack([np.linspace(low, high, count), np.full(count, q[0, 1])])
+            found, broken, marks = count, np.zeros(count), np.zeros((count, 3), dtype=np.int8)
+            first = robot.joint_names[0]
+            text = f"the links fold back onto the base: {first} is free from {low:.6g} to {high:.6g} rad"
+            families = (Family((first,), float(low), float(high), text),)
+        complete = not (nearly or families)
+        return Branches(q[:found], broken[:found], marks[:found], complete, "", families, STEPS if nearly else 0)
+
+    def loop(self, robot: Any) -> Callable:
+        """The compiled solve."""
+        return solve
+
+
+ENTRIES[Planar2R] = solve

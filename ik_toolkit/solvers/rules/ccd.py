@@ -4,19 +4,7 @@ from typing import Any, NamedTuple
 
 from ...kernel.jit import compiled
 from ...kernel.search import WAITING
-
-
-class CCD(NamedTuple):
-    """Cyclic coordinate descent. Position: each joint turns the tip as near the target as it can, exactly.
-
-    A pose has no such closed step: there each joint takes the least-squares step on the six errors, kept when the error
-    falls. Several tips as a pose. Source: Wang and Chen, IEEE Trans. Robotics and Automation 7 (1991); Olsen and Petersen
-    (2011) for positions.
-    """
-
-    def pack(self, robot: Any) -> "Sweep":
-        """Parameters of the compiled step."""
-        return Sweep(1e-14)
+from ..protocol import Asked, rule
 
 
 @compiled
@@ -59,4 +47,15 @@ class Sweep(NamedTuple):
         return WAITING if cut else 0
 
 
-CCD.COMPILED = Sweep  # type: ignore[attr-defined]
+@rule(step=Sweep)
+class CCD(NamedTuple):
+    """Cyclic coordinate descent. Position: each joint turns the tip as near the target as it can, exactly.
+
+    A pose has no such closed step: there each joint takes the least-squares step on the six errors, kept when the error
+    falls. Several tips as a pose. Source: Wang and Chen, IEEE Trans. Robotics and Automation 7 (1991); Olsen and Petersen
+    (2011) for positions.
+    """
+
+    def pack(self, robot: Any, asked: Asked | None = None) -> Sweep:
+        """Parameters of the compiled step."""
+        return Sweep(1e-14)

@@ -1,18 +1,20 @@
 """Rules that use the Jacobian: pseudo-inverse, transpose, damped least squares, Newton-Raphson, Levenberg-Marquardt.
 
-Each class is a rule: its fields are its parameters. `pack(robot)` turns them into the record whose compiled `step` reads them.
+Each class is a rule: its fields are its parameters, which its compiled `step` reads.
 """
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from ...kernel.jit import compiled
 from ...kernel.linalg import lu_solve
 from ...kernel.search import SINGULAR_STEP
+from ..protocol import Asked, rule
 
 FLOOR = 1e-12  # damping that is always there: at the target of a planar arm JJ' has no inverse
 
 
-@compiled
+@rule
 class LM(NamedTuple):
     """Levenberg-Marquardt: dq = J'(J J' + damping |e|^2 I)^-1 e; joints pushed past a limit are held and the step redone.
 
@@ -24,16 +26,18 @@ class LM(NamedTuple):
     hold = True
     wrap = True
 
-    def pack(self, robot: Any) -> "LM":
-        """Parameters of the compiled step."""
-        return self
+    def lanes(self) -> Callable:
+        """These steps for eight targets side by side."""
+        from ...kernel.lanes import lanes
+
+        return lanes()
 
     def step(self, p, e):
         p.damped(e, self.damping * e.ee + FLOOR)
         return 0
 
 
-@compiled
+@rule
 class DLS(NamedTuple):
     """Damped least squares: dq = J'(J J' + damping^2 I)^-1 e, constant damping; joints pushed past a limit are held.
 
@@ -45,16 +49,12 @@ class DLS(NamedTuple):
     damping: float = 0.03
     hold: bool = True
 
-    def pack(self, robot: Any) -> "DLS":
-        """Parameters of the compiled step."""
-        return self
-
     def step(self, p, e):
         p.damped(e, self.damping * self.damping + FLOOR)
         return 0
 
 
-@compiled
+@rule
 class Pinv(NamedTuple):
     """Pseudo-inverse: dq = gain pinv(J) e by singular values; those below rcond times the largest count as zero.
 
@@ -64,10 +64,6 @@ class Pinv(NamedTuple):
 
     gain: float = 1.0
     rcond: float = 1e-8
-
-    def pack(self, robot: Any) -> "Pinv":
-        """Parameters of the compiled step."""
-        return self
 
     def step(self, p, e):
         s = p.desk
@@ -81,7 +77,7 @@ class Pinv(NamedTuple):
         return 0
 
 
-@compiled
+@rule
 class Transpose(NamedTuple):
     """Jacobian transpose: dq = gain alpha J'e with alpha = <e, JJ'e> / <JJ'e, JJ'e>, the exact step along J'e.
 
@@ -89,10 +85,6 @@ class Transpose(NamedTuple):
     """
 
     gain: float = 1.0
-
-    def pack(self, robot: Any) -> "Transpose":
-        """Parameters of the compiled step."""
-        return self
 
     def step(self, p, e):
         s = p.desk
@@ -115,29 +107,6 @@ class Transpose(NamedTuple):
         for i in range(n):
             s.dq[i] *= alpha
         return 0
-
-
-class Newton(NamedTuple):
-    """Newton-Raphson: dq = J^-1 e, for tasks with as many rows as joints; ends as SINGULAR where J has no inverse.
-
-    Source: Chinyai, eqs. (6)-(9), planar 2R; the error there is f(q) - x with a minus sign, ours is target - actual.
-    """
-
-    one_tip = True
-
-    @classmethod
-    def check(cls, robot: Any, rows: int) -> str:
-        """Sentence saying why the rule does not fit the robot and task, or ''."""
-        if rows != robot.n:
-            return (
-                f"newton needs as many task rows as joints, and here the task has {rows} and the path {robot.n} joints; "
-                "use lm, dls or pinv"
-            )
-        return ""
-
-    def pack(self, robot: Any) -> "Inverse":
-        """Parameters of the compiled step."""
-        return Inverse(1e-12)
 
 
 @compiled
@@ -169,4 +138,20 @@ class Inverse(NamedTuple):
         return 0
 
 
-Newton.COMPILED = Inverse  # pyright: ignore[reportAttributeAccessIssue]
+@rule(step=Inverse)
+class Newton(NamedTuple):
+    """Newton-Raphson: dq = J^-1 e, for tasks with as many rows as joints; ends as SINGULAR where J has no inverse.
+
+    Source: Chinyai, eqs. (6)-(9), planar 2R; the error there is f(q) - x with a minus sign, ours is target - actual.
+    """
+
+    def refuses(self, asked: Asked) -> str:
+        """Why it does not do what is asked, or ''."""
+        n = asked.robot.n
+        if asked.rows == n:
+            return ""
+        return f"needs as many task rows as joints, and here the task has {asked.rows} and the path {n} joints"
+
+    def pack(self, robot: Any, asked: Asked | None = None) -> Inverse:
+        """Parameters of the compiled step."""
+        return Inverse(1e-12)

@@ -11,62 +11,12 @@ from ...kernel.jit import compiled
 from ...kernel.records import POINTS
 from ...kernel.search import WAITING
 from ..presets import check_starts, load_preset
+from ..protocol import Asked, rule
 
 UNITS = {"si": 1.0, "mm-deg": 1000.0 * math.pi / 180.0}  # rad/m per unit of gain
 
 
 ROUNDING = 1e-14  # of the length scale: what a trial gains beyond that is no noise of the arithmetic
-
-
-class PID(NamedTuple):
-    """IK-PID, Algorithm I: for each joint, tip first, try q + d and q - d with d = kp |e| + ki sum|e| + kd (change of |e|).
-
-    Trials are clamped to the limits; the lowest error wins, not moving wins ties; a sweep with no movement ends the descent.
-    kp, ki, kd: gains K_p, K_i, K_d in rad per m of error (a sliding joint moves gain times the chain's length scale).
-    Without kp: kp = 0.25 over the length scale, times the median joint range where that is under 1 rad (or scale), and kd = 3 kp
-    unless given: a joint whose lever is no longer than the scale then changes the error by a quarter of it at most, far from
-    the 2 |e| beyond which no trial helps. orientation_scale: metres per radian by which the orientation error is scaled before
-    it joins the norm (default a fifth of the length scale). starts (M, n) [rad, m]: without q0 the one whose tip is nearest the
-    target is taken. units: "si", or "mm-deg" for the paper's gains (error in mm, increments in degrees). tuned: options a
-    preset brings along. Source: Burrell et al. (2016), section 4, eq. (13), Algorithm I; defaults are ours.
-    """
-
-    kp: float | None = None
-    ki: float = 0.0
-    kd: float | None = None
-    orientation_scale: float | None = None
-    starts: Any = None
-    units: str = "si"
-    tuned: Any = None
-
-    @classmethod
-    def preset(cls, name: str | Path) -> "PID":
-        """Published or tuned gains, by name or path of a file. Raises InvalidOption listing the presets."""
-        values, options = load_preset("pid", name, cls._fields)
-        return cls(**values)._replace(tuned=options)
-
-    def options(self) -> dict[str, Any]:
-        """Tolerance and iteration limit of the preset."""
-        return dict(self.tuned or {})
-
-    def start_table(self, robot: Any, position_only: bool) -> np.ndarray | None:
-        """Starts (M, n) [rad, m] to choose from without q0, or None for home. Raises InvalidOption on a wrong shape."""
-        return None if self.starts is None else check_starts("pid", self.starts, robot)
-
-    def pack(self, robot: Any) -> "Gains":
-        """Gains in kernel units and the orientation scale."""
-        if self.units not in UNITS:
-            raise InvalidOption(f"pid: units must be one of {', '.join(UNITS)}, not '{self.units}'")
-        n, scale = robot.n, robot.chain.scale
-        to_kernel = UNITS[self.units] * scale
-        if self.kp is None:
-            ranges = np.atleast_2d(robot.chain.ends)[0, POINTS + 5 * n : POINTS + 6 * n]
-            kp = 0.25 * min(1.0, float(np.median(ranges)))
-            kd = 3.0 * kp if self.kd is None else self.kd * to_kernel
-        else:
-            kp, kd = self.kp * to_kernel, (self.kd or 0.0) * to_kernel
-        orientation = 0.2 if self.orientation_scale is None else self.orientation_scale / scale
-        return Gains(kp, self.ki * to_kernel, kd, orientation)
 
 
 @compiled
@@ -122,4 +72,53 @@ class Gains(NamedTuple):
         return WAITING if cut else 0
 
 
-PID.COMPILED = Gains  # type: ignore[attr-defined]
+@rule(step=Gains)
+class PID(NamedTuple):
+    """IK-PID, Algorithm I: for each joint, tip first, try q + d and q - d with d = kp |e| + ki sum|e| + kd (change of |e|).
+
+    Trials are clamped to the limits; the lowest error wins, not moving wins ties; a sweep with no movement ends the descent.
+    kp, ki, kd: gains K_p, K_i, K_d in rad per m of error (a sliding joint moves gain times the chain's length scale).
+    Without kp: kp = 0.25 over the length scale, times the median joint range where that is under 1 rad (or scale), and kd = 3 kp
+    unless given: a joint whose lever is no longer than the scale then changes the error by a quarter of it at most, far from
+    the 2 |e| beyond which no trial helps. orientation_scale: metres per radian by which the orientation error is scaled before
+    it joins the norm (default a fifth of the length scale). starts (M, n) [rad, m]: without q0 the one whose tip is nearest the
+    target is taken. units: "si", or "mm-deg" for the paper's gains (error in mm, increments in degrees). tuned: options a
+    preset brings along. Source: Burrell et al. (2016), section 4, eq. (13), Algorithm I; defaults are ours.
+    """
+
+    kp: float | None = None
+    ki: float = 0.0
+    kd: float | None = None
+    orientation_scale: float | None = None
+    starts: Any = None
+    units: str = "si"
+    tuned: Any = None
+
+    @classmethod
+    def preset(cls, name: str | Path) -> "PID":
+        """Published or tuned gains, by name or path of a file. Raises InvalidOption listing the presets."""
+        values, options = load_preset("pid", name, cls._fields)
+        return cls(**values)._replace(tuned=options)
+
+    def options(self) -> dict[str, Any]:
+        """Tolerance and iteration limit of the preset."""
+        return dict(self.tuned or {})
+
+    def start_table(self, robot: Any, position_only: bool) -> np.ndarray | None:
+        """Starts (M, n) [rad, m] to choose from without q0, or None for home. Raises InvalidOption on a wrong shape."""
+        return None if self.starts is None else check_starts("pid", self.starts, robot)
+
+    def pack(self, robot: Any, asked: Asked | None = None) -> Gains:
+        """Gains in kernel units and the orientation scale."""
+        if self.units not in UNITS:
+            raise InvalidOption(f"pid: units must be one of {', '.join(UNITS)}, not '{self.units}'")
+        n, scale = robot.n, robot.chain.scale
+        to_kernel = UNITS[self.units] * scale
+        if self.kp is None:
+            ranges = np.atleast_2d(robot.chain.ends)[0, POINTS + 5 * n : POINTS + 6 * n]
+            kp = 0.25 * min(1.0, float(np.median(ranges)))
+            kd = 3.0 * kp if self.kd is None else self.kd * to_kernel
+        else:
+            kp, kd = self.kp * to_kernel, (self.kd or 0.0) * to_kernel
+        orientation = 0.2 if self.orientation_scale is None else self.orientation_scale / scale
+        return Gains(kp, self.ki * to_kernel, kd, orientation)

@@ -17,7 +17,9 @@ from ...kernel.jit import compiled
 from ...kernel.kinematics import TAU
 from ...kernel.records import POINTS, Array
 from ...kernel.search import WAITING
+from ...kernel.task import POSE, POSITION
 from ..presets import check_starts, load_preset
+from ..protocol import Asked, rule
 
 UNITS = {"si": (1.0, 1.0), "mm-deg": (1000.0, np.pi / 180.0)}  # per metre of error, rad per unit of increment
 HEAD = 4  # states, maps, whether there is a D, whether the map is chosen anew in every step
@@ -32,6 +34,70 @@ SETTLED = 1e-13  # a state that changes by less in a step has settled
 LOOP_GAIN = {True: 0.9, False: 0.6}  # kappa at a start, for positions and for poses; the bound of stability is 2
 
 
+@compiled
+class Maps(NamedTuple):
+    """Algorithm II as it is compiled. The memory holds the state and, behind 4 n numbers, the place of the map in use, from 1."""
+
+    numbers: Array  # HEAD, for each joint 1 / (2 pi) or 0, A, C, then for each map its start, B, D
+
+    JACOBIAN = False
+
+    def nearest_map(self, q, first, width):
+        """Place of the map whose start is nearest q (n,)."""
+        numbers = self.numbers
+        least, chosen = np.inf, 0
+        for k in range(int(numbers[1])):
+            distance = 0.0
+            for i in range(q.shape[0]):
+                d = q[i] - numbers[first + k * width + i]
+                d -= TAU * np.rint(d * numbers[HEAD + i])
+                distance += d * d
+            if distance < least:
+                least, chosen = distance, k
+        return chosen
+
+    def step(self, p, e):
+        s, numbers = p.desk, self.numbers
+        n = s.dq.shape[0]
+        m, maps = int(numbers[0]), int(numbers[1])
+        feedthrough = numbers[2] > 0.0
+        a = HEAD + n
+        c = a + m * m
+        first = c + n * m
+        width = n + 6 * m + (6 * n if feedthrough else 0)
+        chosen = 0
+        if maps > 1:
+            chosen = int(s.x[4 * n]) - 1
+            if chosen < 0 or numbers[3] > 0.0:
+                chosen = self.nearest_map(s.q, first, width)
+                s.x[4 * n] = chosen + 1
+        b = first + chosen * width + n
+        f = b + 6 * m
+        p.stack(e)
+        for i in range(n):
+            u = 0.0
+            for j in range(m):
+                u += numbers[c + i * m + j] * s.x[j]
+            if feedthrough:
+                for k in range(6):
+                    u += numbers[f + 6 * i + k] * s.y[k]
+            s.dq[i] = u if s.w[i] > 0.0 else 0.0
+        changed = 0.0
+        for i in range(m):
+            u = 0.0
+            for k in range(6):
+                u += numbers[b + 6 * i + k] * s.y[k]
+            for j in range(m):
+                u += numbers[a + i * m + j] * s.x[j]
+            s.x[2 * n + i] = u
+        for i in range(m):
+            changed = max(changed, abs(s.x[2 * n + i] - s.x[i]))
+            s.x[i] = s.x[2 * n + i]
+        # Joints may rest on their limits while the state still builds up: that is no stall.
+        return WAITING if changed > SETTLED else 0
+
+
+@rule(step=Maps)
 class StateSpace(NamedTuple):
     """Algorithm II: dq(k) = C x(k) + D e(k), x(k+1) = A x(k) + B e(k), x(0) = 0, with the literal delay (dq before x absorbs e).
 
@@ -53,7 +119,6 @@ class StateSpace(NamedTuple):
     units: str = "si"
     frame: Any = None
     tuned: Any = None
-    one_tip = True
 
     @classmethod
     def preset(cls, name: str | Path) -> "StateSpace":
@@ -82,8 +147,13 @@ class StateSpace(NamedTuple):
         starts = self.resolve(robot, position_only).starts
         return None if starts is None else check_starts("state-space", starts, robot)
 
-    def pack(self, robot: Any, position_only: bool = False, given: bool = True) -> np.ndarray:
+    def pack_for(self, robot: Any, position_only: bool, given: bool) -> np.ndarray:
+        """As `pack`; until the core asks with `Asked`."""
+        return self.pack(robot, Asked(robot, (POSITION if position_only else POSE,), given))
+
+    def pack(self, robot: Any, asked: Asked | None = None) -> np.ndarray:
         """Numbers of the compiled step, in kernel units and axes. Raises InvalidOption on wrong shapes."""
+        position_only, given = (asked.position_only, asked.given) if asked is not None else (False, True)
         made = self.resolve(robot, position_only)
         if made.units not in UNITS:
             raise InvalidOption(f"state-space: units must be one of {', '.join(UNITS)}, not '{made.units}'")
@@ -213,70 +283,3 @@ def inverse_maps(robot: Any, starts: np.ndarray, position_only: bool, seed: int 
     maps = inverse * weight[:, None]
     maps[:, :, :3] /= chain.scale
     return maps
-
-
-# --------------------------------------------------------------------------------------------------------------- step
-@compiled
-class Maps(NamedTuple):
-    """Algorithm II as it is compiled. The memory holds the state and, behind 4 n numbers, the place of the map in use, from 1."""
-
-    numbers: Array  # HEAD, for each joint 1 / (2 pi) or 0, A, C, then for each map its start, B, D
-
-    JACOBIAN = False
-
-    def nearest_map(self, q, first, width):
-        """Place of the map whose start is nearest q (n,)."""
-        numbers = self.numbers
-        least, chosen = np.inf, 0
-        for k in range(int(numbers[1])):
-            distance = 0.0
-            for i in range(q.shape[0]):
-                d = q[i] - numbers[first + k * width + i]
-                d -= TAU * np.rint(d * numbers[HEAD + i])
-                distance += d * d
-            if distance < least:
-                least, chosen = distance, k
-        return chosen
-
-    def step(self, p, e):
-        s, numbers = p.desk, self.numbers
-        n = s.dq.shape[0]
-        m, maps = int(numbers[0]), int(numbers[1])
-        feedthrough = numbers[2] > 0.0
-        a = HEAD + n
-        c = a + m * m
-        first = c + n * m
-        width = n + 6 * m + (6 * n if feedthrough else 0)
-        chosen = 0
-        if maps > 1:
-            chosen = int(s.x[4 * n]) - 1
-            if chosen < 0 or numbers[3] > 0.0:
-                chosen = self.nearest_map(s.q, first, width)
-                s.x[4 * n] = chosen + 1
-        b = first + chosen * width + n
-        f = b + 6 * m
-        p.stack(e)
-        for i in range(n):
-            u = 0.0
-            for j in range(m):
-                u += numbers[c + i * m + j] * s.x[j]
-            if feedthrough:
-                for k in range(6):
-                    u += numbers[f + 6 * i + k] * s.y[k]
-            s.dq[i] = u if s.w[i] > 0.0 else 0.0
-        changed = 0.0
-        for i in range(m):
-            u = 0.0
-            for k in range(6):
-                u += numbers[b + 6 * i + k] * s.y[k]
-            for j in range(m):
-                u += numbers[a + i * m + j] * s.x[j]
-            s.x[2 * n + i] = u
-        for i in range(m):
-            changed = max(changed, abs(s.x[2 * n + i] - s.x[i]))
-            s.x[i] = s.x[2 * n + i]
-        # Joints may rest on their limits while the state still builds up: that is no stall.
-        return WAITING if changed > SETTLED else 0
-
-
-StateSpace.COMPILED = Maps  # type: ignore[attr-defined]
