@@ -5,6 +5,7 @@ from .errors import NotSolved as NotSolved
 from .robot.collision import CollisionModel as CollisionModel
 from .robot.pose import pose as pose
 from .robot.robot import Robot as Robot
+from .robot.tree import Tree as Tree
 from .show.scene import view as view
 from .solvers.batch import solve_batch as solve_batch
 from .solvers.batch_result import BatchCheckFailed as BatchCheckFailed

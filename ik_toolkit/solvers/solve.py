@@ -177,7 +177,7 @@ class Solver:
 
     def _length(self) -> Any:
         """How long the search goes on where the caller does not say."""
-        return self.row.length(2 if isinstance(self.robot, Tree) else 1)
+        return self.row.length(len(self.robot.tips))
 
     def _task(self, kind: Any, ends: np.ndarray) -> Task:
         """What counts at a tip. Raises InvalidOption when the solver does not do that."""
