@@ -4,6 +4,8 @@
     evaluate(q)        the errors there, as a look: e.ee the squared norm of all of them, e.good inside the tolerances
     jacobian(look)     fill J (n, m), one joint a row, linear part first, six columns a tip
     damped(look, x)    the step dq = W J'(J W J' + x)^-1 e
+    toward(y, x)       the same step for errors y (m,) of the caller's
+    width()            m, where it is known at compile time as a constant
     pseudo(look, r)    the step dq = pinv(J) e; singular values below r times the largest count as zero
     stack(look)        errors y (m,), rotations as rotation vectors, for rules written with J and e
     slope(look, i)     J_i e

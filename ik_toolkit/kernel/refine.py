@@ -1,17 +1,19 @@
-"""Moving a solution within the set of solutions: descend a secondary objective in the null space, stay on the target."""
+"""Moving a solution within the set of solutions: descend a secondary objective in the null space, stay on the target.
+
+Written against the calls of a problem, so for one tip and for several.
+"""
 
 import math
 from typing import NamedTuple
 
 import numpy as np
 
-from .algebra import V3
 from .jit import build, cached, compiled, inline, spliced
 from .limits import hold
-from .linalg import cholesky, damped
+from .linalg import cholesky
 from .problem import BEST_OF_ALL
-from .records import HEAD, TASK, Array, Ends, Orders, copy, read
-from .serial import make_serial
+from .records import ANSWER, AT, HEAD, TASK, Array, Ends, Orders, copy, read
+from .search import problem
 
 MID_RANGE, REFERENCE, MANIPULABILITY = 1, 2, 3
 COUNTED = 1e-18  # squared norm from which on a row of the Jacobian is one the joints can move
@@ -25,7 +27,7 @@ LONGEST = 0.3  # [rad or kernel unit] largest move of a joint in a step: the nul
 
 @compiled
 class Bounds(NamedTuple):
-    """Limits as they count here (endless joints have none), by place; flat holds three vectors of n."""
+    """Limits as they count here (endless joints have none), by place."""
 
     limits: Array  # (3, n) lower, upper, whether the objective counts the joint
 
@@ -52,13 +54,15 @@ def make_bounds(ends, what, limits):
 
 
 @inline
-def log_manipulability(J, ends, A):
-    """Half the log-determinant of J'J over the rows that count (log of Yoshikawa's measure, up to a constant).
+def log_manipulability(p, ends):
+    """Half the log-determinant of JJ' over the rows of the last Jacobian that count, of all tips stacked.
 
-    Columns of sliding joints are turned back to metres; J is overwritten, A (6, 6) is scratch.
+    That is the log of Yoshikawa's measure, up to a constant. Columns of sliding joints are turned back to metres; p.desk.J and
+    A are overwritten.
     """
+    J, A = p.desk.J, p.desk.A
     m = 0
-    for r in range(6):
+    for r in range(p.width()):
         size = 0.0
         for i in range(J.shape[0]):
             size += J[i, r] * J[i, r]
@@ -110,109 +114,124 @@ def correct(p, weights, box):
 
 
 @inline
-def direction(p, z, w, box):
-    """Write to p.desk.dq what of z, in the metric 1/w, does not move the tip, joints at a bound held; uses p.desk.J."""
+def direction(p, z, box):
+    """Write to p.desk.dq what of z, in the metric 1/w, moves no tip, joints at a bound held; uses p.desk.J, w and y."""
     s = p.desk
     n = z.shape[0]
     for _ in range(n):
-        for r in range(6):
+        for r in range(p.width()):
             g = 0.0
             for i in range(n):
-                if w[i] > 0.0:
+                if s.w[i] > 0.0:
                     g += s.J[i, r] * z[i]
             s.y[r] = -g
-        damped(s.J, w, s.dq, V3(s.y[0], s.y[1], s.y[2]), V3(s.y[3], s.y[4], s.y[5]), DAMPING)
+        p.toward(s.y, DAMPING)
         for i in range(n):
-            s.dq[i] = s.dq[i] + z[i] if w[i] > 0.0 else 0.0
-        if not hold(s.q, s.dq, w, box):
+            s.dq[i] = s.dq[i] + z[i] if s.w[i] > 0.0 else 0.0
+        if not hold(s.q, s.dq, s.w, box):
             break
 
 
-@cached
-def refine(rows, ends, T, q_out, ref, opt, what, steps, report):
-    """Improve q_out (n,) [rad or m] for the objective `what` without leaving the tolerances of the target T (1, 4, 4).
+@inline
+def objective(p, what, ends, box, ref):
+    """Value to lower at p.desk.q, whose Jacobian is made; see `refine`."""
+    if what == MANIPULABILITY:
+        return -log_manipulability(p, ends)
+    total = 0.0
+    for i in range(ref.shape[0]):
+        total += box.counted(i) * 0.5 * ((p.desk.q[i] - wanted(what, ends, ref, i)) / ends.span(i)) ** 2
+    return total
 
-    ref (n,): where REFERENCE wants the joints. opt as for the search. report (5,): objective before and after, steps taken,
-    position error [m] and rotation error left. MID_RANGE and REFERENCE: half the squared distance, in ranges (an endless
-    joint has no middle); MANIPULABILITY: minus the log of the manipulability.
+
+@spliced
+def downhill(p, what, ends, box, ref, value, z):
+    """Write to z (n,) where the objective falls from p.desk.q, at which it is `value`; the Jacobian there is made again.
+
+    The distances are measured in joint ranges; with the same metric in the projection their step of one is Newton's.
     """
-    n = q_out.shape[0]
-    o = read(Orders, opt)
-    p = make_serial(rows, ends, opt[HEAD:], n, o)
-    weights = opt[HEAD + TASK : HEAD + TASK + n]
-    full = Ends(ends, n)
+    q = p.desk.q
+    n = q.shape[0]
+    for i in range(n):
+        z[i] = box.counted(i) * (wanted(what, ends, ref, i) - q[i])
+    for i in range(n + 1):  # the last time with q as it is, for the Jacobian there
+        if i < n:
+            if what != MANIPULABILITY:
+                continue
+            q[i] += DIFFERENCE
+        e = p.evaluate(q)
+        p.jacobian(e)
+        if i < n:
+            z[i] = 0.5 * (log_manipulability(p, ends) + value) / DIFFERENCE
+            q[i] -= DIFFERENCE
+
+
+@inline
+def secant(old, before, way, dq, gain):
+    """Length of the next step from the one just taken: what Barzilai and Borwein (1988) make of the secant."""
+    ss, sy = 0.0, 0.0
+    for i in range(old.shape[0]):
+        step = old[i] - before[i]
+        ss += step * step
+        sy += step * (way[i] - dq[i])
+    return min(max(ss / sy, 1e-3), 1e3) if sy > 1e-12 * ss else gain
+
+
+@cached
+def refine(rows, ends, T, row, ref, orders, what, steps):
+    """Improve the solution in `row` for the objective `what` without leaving the tolerances of the target.
+
+    rows, ends, T (1, ...), row and orders as of `search.entry`; ref (n,): where REFERENCE wants the joints. MID_RANGE and
+    REFERENCE lower half the squared distance, in ranges (an endless joint has no middle); MANIPULABILITY minus the log of the
+    manipulability. q and its errors are replaced when some step of at most `steps` was taken.
+    """
+    n = ref.shape[0]
+    o = read(Orders, orders)
+    first = HEAD + TASK * (ends.size // ends.shape[-1])
+    p = problem(rows, ends, orders[HEAD:first], n, o)
+    weights = orders[first : first + n]
+    full = Ends(ends.reshape(-1), n)  # what belongs to the coordinates is the same for every tip, and stands first
     box = make_bounds(full, what, o.limits > 0.0)
-    s = p.desk
-    q, dq, w = s.q, s.dq, s.w
+    q, dq, w = p.desk.q, p.desk.dq, p.desk.w
     old, z, before, way = np.empty(n), np.empty(n), np.zeros(n), np.zeros(n)
     p.aim(T[0], o)
     for i in range(n):
-        q[i] = q_out[i] / full.unit(i)
+        q[i] = row[ANSWER + i] / full.unit(i)
     gain = 1.0
-    fresh = False
+    fresh = False  # whether the step before was an improvement
     value = np.inf
     taken = 0
     for k in range(steps + 1):
         e = correct(p, weights, box)
-        now = 0.0
-        if what == MANIPULABILITY:
-            now = -log_manipulability(s.J, full, s.A)
-        else:
-            for i in range(n):
-                now += box.counted(i) * 0.5 * ((q[i] - wanted(what, full, ref, i)) / full.span(i)) ** 2
-        if k == 0:
-            if not e.good:
-                break
-            report[0] = now
-        elif not e.good or not now < value - 1e-12 * abs(value):  # rounding of the sum is no progress
-            copy(old, q)
-            gain *= 0.25
-            if gain < 1e-6:
-                break
-        else:
-            taken += 1
-            fresh = True
-        if k == 0 or (e.good and now < value):
+        now = objective(p, what, full, box, ref)
+        better = e.good and (k == 0 or now < value - 1e-12 * abs(value))  # rounding of the sum is no progress
+        if better:
             value = now
             p.keep(e, BEST_OF_ALL)
-            report[3], report[4] = p.left(BEST_OF_ALL)
             copy(q, old)
-        report[1] = value
-        report[2] = taken
-        if k == steps:
+        elif k > 0:
+            copy(old, q)
+            gain *= 0.25
+        if k == steps or gain < 1e-6 or not (better or k > 0):
             break
-        # Direction: down the gradient without what moves the tip. The distances are measured in joint ranges, and with the
-        # same metric in the projection their step of one is Newton's.
-        for i in range(n):
-            z[i] = box.counted(i) * (wanted(what, full, ref, i) - q[i])
-        for i in range(n + 1):  # the last time with q as it is, for the Jacobian there
-            if i < n:
-                if what != MANIPULABILITY:
-                    continue
-                q[i] += DIFFERENCE
-            e = p.evaluate(q)
-            p.jacobian(e)
-            if i < n:
-                z[i] = 0.5 * (log_manipulability(s.J, full, s.A) + value) / DIFFERENCE
-                q[i] -= DIFFERENCE
+        fresh = better and k > 0
+        taken += 1 if fresh else 0
+        downhill(p, what, full, box, ref, value, z)
         for i in range(n):
             w[i] = weights[i] * (full.span(i) * full.span(i) if what != MANIPULABILITY else 1.0)
-        direction(p, z, w, box)
-        size, ss, sy = 0.0, 0.0, 0.0
+        direction(p, z, box)
+        size = 0.0
         for i in range(n):
             size = max(size, abs(dq[i]))
-            step = old[i] - before[i]
-            ss += step * step
-            sy += step * (way[i] - dq[i])
         if size < SMALLEST:
             break
-        if fresh and taken > 0 and sy > 1e-12 * ss:  # Barzilai and Borwein: the secant says how far
-            gain = min(max(ss / sy, 1e-3), 1e3)
-        if fresh or k == 0:
+        if fresh:
+            gain = secant(old, before, way, dq, gain)
+        if better:
             copy(old, before)
             copy(dq, way)
-        fresh = False
         move(q, dq, gain * min(1.0, LONGEST / size), box)
     if taken > 0:
+        row[AT.position], row[AT.rotation] = p.left(BEST_OF_ALL)
+        p.report(BEST_OF_ALL, row)
         for i in range(n):
-            q_out[i] = old[i] * full.unit(i)
+            row[ANSWER + i] = old[i] * full.unit(i)

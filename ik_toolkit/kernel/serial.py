@@ -56,6 +56,12 @@ class Serial(NamedTuple):
     def damped(self, look, damping):
         damped(self.desk.J, self.desk.w, self.desk.dq, look.linear, look.angular, damping)
 
+    def toward(self, y, damping):
+        damped(self.desk.J, self.desk.w, self.desk.dq, at3(y, 0), at3(y, 3), damping)
+
+    def width(self):
+        return 6
+
     def pseudo(self, look, rcond):
         s = self.desk
         self.stack(look)

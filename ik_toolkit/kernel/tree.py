@@ -86,6 +86,13 @@ class Tree(NamedTuple):
         s = self.desk
         damped_stack(s.J, self.moves, s.w, s.dq, s.e, damping, s.A, s.y)
 
+    def toward(self, y, damping):
+        s = self.desk
+        damped_stack(s.J, self.moves, s.w, s.dq, y, damping, s.A, s.y)
+
+    def width(self):
+        return self.desk.J.shape[1]
+
     def pseudo(self, look, rcond):
         s = self.desk
         self.stack(look)

@@ -358,12 +358,8 @@ class Solver:
         """Improve a solution in the null space; q and its errors are replaced by better ones that were evaluated."""
         from ..kernel.refine import refine
 
-        report = np.zeros(5)
-        q = row[ANSWER:]
         what = OBJECTIVES[self.options.objective or ""]
-        refine(*self._chain[:2], T, q, start[0], self.pack(kind, given), what, REFINE_STEPS, report)
-        if report[2] > 0:
-            row[AT.position], row[AT.rotation] = report[3], report[4]
+        refine(*self._chain[:2], T, row, start[0], self.pack(kind, given), what, REFINE_STEPS)
 
     def confirm(self, q: np.ndarray, target: Any) -> tuple[float, float | None, bool]:
         """Errors [m, rad] of q (n,) at a validated target by Pinocchio, and whether both are inside their tolerances."""
