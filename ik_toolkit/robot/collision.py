@@ -17,6 +17,7 @@ from .meshes import Mesh, find_mesh, read_meshes
 from .pose import check_target
 from .robot import Robot
 from .shapes import LinkShape, geometry_model, link_shapes, said
+from .tree import Tree
 
 MAX_SHAPES = 300  # of a robot: 45,000 pairs, which take 1 s and 0.5 GB to set up; robots have up to 100
 SAMPLES = 8  # configurations that show which links ever move against each other
@@ -25,7 +26,7 @@ SAMPLES = 8  # configurations that show which links ever move against each other
 class CollisionModel:
     """What can hit what: the robot's own links, and shapes added around it.
 
-    robot: the one whose collision shapes are read from its URDF (meshes from the URDF's folder, its ROS package and package_dirs,
+    robot: the Robot or Tree (all its arms, against each other too) whose collision shapes are read from its URDF (meshes from the URDF's folder, its ROS package and package_dirs,
     from nowhere else), or from `geometry`, a pin.GeometryModel. ignore: pairs of link names that may touch. Never tested: links
     joined by one joint, links that cannot move against each other, and pairs that touch both at home and at zero (if legal), which
     are listed in `excluded`. Attributes: links, obstacles (names), pairs (tested, by name), excluded (pairs of link names). Raises
@@ -33,11 +34,11 @@ class CollisionModel:
     """
 
     def __init__(
-        self, robot: Robot, *, geometry: pin.GeometryModel | None = None, ignore: Iterable[Sequence[str]] = ()
+        self, robot: Robot | Tree, *, geometry: pin.GeometryModel | None = None, ignore: Iterable[Sequence[str]] = ()
     ) -> None:
         """Read the shapes and decide which pairs count."""
-        if not isinstance(robot, Robot):
-            raise InvalidOption(f"collisions are tested for a robot with one tip, not for a {type(robot).__name__}")
+        if not isinstance(robot, Robot | Tree):
+            raise InvalidOption(f"collisions are tested for a Robot or a Tree, not for a {type(robot).__name__}")
         self.robot = robot
         self.ignore = [tuple(pair) for pair in ignore]
         self._geometry = _read(robot) if geometry is None else geometry.clone()
@@ -144,7 +145,7 @@ class CollisionModel:
             name = next(n for n in (f"{kind}_{k}" for k in range(1, 10**6)) if n not in self._names)
         if name in self._names:
             raise InvalidOption(f"there is already a link or obstacle named '{name}'")
-        base = self.robot._base_inverse.inverse()
+        base = self.robot.arms[0]._base_inverse.inverse()
         shape = pin.GeometryObject(name, 0, base * pin.SE3(T), _shape(kind, sizes))
         new = self._geometry.addGeometryObject(shape)
         for k, moves in enumerate(self._moving):
@@ -218,7 +219,7 @@ class CollisionModel:
         return f"CollisionModel('{self.robot.name}', {len(self.pairs)} pairs tested, {len(self.excluded)} excluded{around})"
 
 
-def _read(robot: Robot) -> pin.GeometryModel:
+def _read(robot: Robot | Tree) -> pin.GeometryModel:
     """Collision shapes of the robot's URDF, placed on its model."""
     if robot.urdf is None:
         raise ModelError(f"robot '{robot.name}' was not made from a URDF; pass its collision shapes as geometry=")

@@ -12,11 +12,14 @@ import ik_toolkit as ik
 from ik_toolkit.errors import InvalidConfiguration, InvalidOption, InvalidTarget, ModelError
 from ik_toolkit.robot.library import DATA_ROBOTS, example_robot_data
 
-ARMS = ["inspection_7dof", "brokk", *(["panda", "ur5", "baxter", "z1"] if have_data() else [])]
+BOTH = ["brokk both", *(["baxter both", "pr2 both"] if have_data() else [])]
+ARMS = ["inspection_7dof", "brokk", *(["panda", "ur5", "baxter", "z1"] if have_data() else []), *BOTH]
 ELBOW_ARM = "planar_2r"
 
 
 def arm(name):
+    if name in BOTH:
+        return ik.Tree.load("brokk_hydrolek" if name == "brokk both" else name.split()[0])
     return ik.Robot.load("brokk_hydrolek", tip="left_tip") if name == "brokk" else load(name)
 
 
@@ -52,12 +55,39 @@ def test_verdicts_are_those_of_pinocchio(name):
     robot = arm(name)
     model = ik.CollisionModel(robot)
     touching, by_pinocchio = 0, independent(robot, model.pairs)
-    for q in sample(robot, 40, seed=2)[0]:
+    rng = np.random.default_rng(2)
+    for q in [robot.random_q(rng) for _ in range(40)]:
         expected = by_pinocchio(q)
         assert {frozenset(pair) for pair in model.collisions(q)} == expected
         assert model.collides(q) == bool(expected)
         touching += bool(expected)
-    assert name in ("inspection_7dof", "brokk") or 0 < touching < 40
+    assert name in ("inspection_7dof", "brokk", "baxter both") or 0 < touching < 40
+
+
+def test_arms_meet_each_other_and_obstacles():
+    tree = arm("brokk both")
+    model = ik.CollisionModel(tree)
+    rng = np.random.default_rng(3)
+    meeting = []
+    while len(meeting) < 3:
+        q = tree.random_q(rng)
+        for pair in model.collisions(q):
+            if sorted(name.split("_")[0] for name in pair) == ["left", "right"]:
+                meeting.append((q, pair))
+    for q, pair in meeting:
+        assert pair in model.collisions(q) and pair in model.pairs
+        assert independent(tree, [pair])(q) == {frozenset(pair)}
+    q = tree.home
+    assert not model.collides(q)
+    for tip, T in tree.fk(q).items():  # obstacles stand in the base frame, and either arm may meet them
+        ball = ik.CollisionModel(tree).add_sphere(0.15, T.translation, f"ball at {tip}")
+        side = tip.split("_")[0]
+        assert ball.collisions(q) and all(
+            name.startswith((side, "ball")) for pair in ball.collisions(q) for name in pair
+        )
+        assert pickle.loads(pickle.dumps(ball)).collisions(q) == ball.collisions(q)
+    with pytest.raises(InvalidOption, match="a Robot or a Tree, not for a list"):
+        ik.CollisionModel(list(tree.arms))
 
 
 @pytest.mark.parametrize("name", ARMS)
