@@ -26,11 +26,12 @@ SAMPLES = 8  # configurations that show which links ever move against each other
 class CollisionModel:
     """What can hit what: the robot's own links, and shapes added around it.
 
-    robot: the Robot or Tree (all its arms, against each other too) whose collision shapes are read from its URDF (meshes from the URDF's folder, its ROS package and package_dirs,
-    from nowhere else), or from `geometry`, a pin.GeometryModel. ignore: pairs of link names that may touch. Never tested: links
-    joined by one joint, links that cannot move against each other, and pairs that touch both at home and at zero (if legal), which
-    are listed in `excluded`. Attributes: links, obstacles (names), pairs (tested, by name), excluded (pairs of link names). Raises
-    ModelError (no collision shapes, over 300, one without extent, or a mesh that cannot be read), InvalidOption.
+    robot: the Robot or Tree (its arms against each other, too) whose collision shapes are read from its URDF (meshes from the
+    URDF's folder, its ROS package and package_dirs, from nowhere else), or from `geometry`, a pin.GeometryModel. ignore: pairs of
+    link names that may touch. Never tested: links joined by one joint, links that cannot move against each other, and pairs
+    that touch both at home and at zero (if legal), which are listed in `excluded`. Attributes: links, obstacles (names), pairs
+    (tested, by name), excluded (pairs of link names). Raises ModelError (no collision shapes, over 300, one without extent, or
+    a mesh that cannot be read), InvalidOption.
     """
 
     def __init__(
