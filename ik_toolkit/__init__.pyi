@@ -31,15 +31,15 @@ from .study.benchmark import benchmark as benchmark
 from .study.tune import tune as tune
 from .study.workspace import workspace as workspace
 from .tracking.reference import Reference as Reference
-from .tracking.reference import circle as circle
-from .tracking.reference import line as line
-from .tracking.reference import lissajous as lissajous
-from .tracking.reference import reference_from_file as reference_from_file
-from .tracking.reference import waypoints as waypoints
 from .tracking.result import TrackResult as TrackResult
+from .tracking.shapes import circle as circle
+from .tracking.shapes import line as line
+from .tracking.shapes import lissajous as lissajous
 from .tracking.stability import best_gains as best_gains
 from .tracking.stability import check_gains as check_gains
 from .tracking.track import Tracker as Tracker
 from .tracking.track import track as track
+from .tracking.waypoints import reference_from_file as reference_from_file
+from .tracking.waypoints import waypoints as waypoints
 
 __version__: str

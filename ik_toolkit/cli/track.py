@@ -202,12 +202,13 @@ def _reference(
     """Reference of the path options; it starts at the tip unless --start says otherwise, and keeps the tip's orientation."""
     import numpy as np
 
-    from ..tracking import reference as shapes
+    from ..tracking import shapes
+    from ..tracking.waypoints import reference_from_file
 
     if path not in SHAPES:
         if Path(path).suffix.lower() not in (".csv", ".npz"):
             raise InvalidOption(f"no path '{path}'.{near_match(path, SHAPES)} Or give a .csv or .npz file.")
-        return shapes.reference_from_file(path)
+        return reference_from_file(path)
     T = arm.fk(arm.home if q is None else q).homogeneous
     if start is not None:
         T[:3, 3] = vector(start, "--start", 3)

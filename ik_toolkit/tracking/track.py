@@ -17,7 +17,7 @@ from ..robot.robot import Robot
 from .engine import bind
 from .inputs import positive
 from .methods import Method, interpolate
-from .reference import Reference, Samples
+from .reference import Reference, Samples, log
 from .result import TrackResult, figures
 from .verdict import ORIENTATION_TOLERANCE, POSITION_TOLERANCE, settling, verdict
 
@@ -212,7 +212,7 @@ class Tracker:
         if slot == 1 and twist is None:
             motion_given[0][:3] = (self._T[1, :3, 3] - self._T[0, :3, 3]) / dt
             if m == 6:
-                motion_given[0][3:] = _turned(self._T[0, :3, :3], self._T[1, :3, :3]) / dt
+                motion_given[0][3:] = log(self._T[1, :3, :3] @ self._T[0, :3, :3].T) / dt
         self._V[slot], self._A[slot] = motion_given
         return True
 
@@ -235,13 +235,6 @@ def _rigid(T: np.ndarray) -> bool:
         b * f - c * e - g, c * d - a * f - h, a * e - b * d - i,
     )  # fmt: skip
     return last == [0.0, 0.0, 0.0, 1.0] and max(map(abs, off)) < 1e-9
-
-
-def _turned(R0: np.ndarray, R1: np.ndarray) -> np.ndarray:
-    """Rotation vector (3,) from R0 to R1, base axes."""
-    import pinocchio as pin
-
-    return pin.log3(R1 @ R0.T)
 
 
 def _limit_rows(robot: Robot, limits: bool, acceleration_limits: Any) -> np.ndarray:

@@ -11,7 +11,7 @@ from robots import load, sample
 
 import ik_toolkit as ik
 from ik_toolkit.cli import main
-from ik_toolkit.cli import targets as module
+from ik_toolkit.robot import pose_files
 from ik_toolkit.robot.pose import matrix_quat, matrix_rpy
 
 ARM = "hydrolek_7w"
@@ -57,7 +57,7 @@ def files(poses, tmp_path):
 
 
 def test_every_form_of_file_gives_the_answers_of_a_batch(poses, tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(module, "LINES", 7)  # several chunks
+    monkeypatch.setattr(pose_files, "LINES", 7)  # several chunks
     robot = load(ARM)
     for name, targets in files(poses, tmp_path).items():
         many = ik.solve_batch(robot, targets, "lm", seed=2)

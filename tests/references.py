@@ -1,0 +1,35 @@
+"""A moving target, and an arm with every kind of joint, that the tracking tests share."""
+
+import numpy as np
+import pinocchio as pin
+
+import ik_toolkit as ik
+
+MIMIC = """<robot name="mimic"><link name="b"/><link name="l1"/><link name="l2"/><link name="l3"/><link name="tip"/>
+<joint name="a" type="revolute"><parent link="b"/><child link="l1"/><origin xyz="0.1 0 0.3" rpy="0.2 0.4 0"/><axis xyz="0 0.6 0.8"/>
+<limit lower="-2" upper="2" velocity="2" effort="1"/></joint>
+<joint name="s" type="prismatic"><parent link="l1"/><child link="l2"/><origin xyz="0.2 0.1 0" rpy="0 0.5 0"/><axis xyz="1 0 0"/>
+<limit lower="-0.5" upper="0.5" velocity="1" effort="1"/></joint>
+<joint name="f" type="revolute"><parent link="l2"/><child link="l3"/><origin xyz="0 0.3 0.1"/><axis xyz="0 1 0"/>
+<limit lower="-2" upper="2" velocity="2" effort="1"/><mimic joint="a" multiplier="-0.7" offset="0.3"/></joint>
+<joint name="w" type="continuous"><parent link="l3"/><child link="tip"/><origin xyz="0.3 0 0" rpy="0.1 0 0.2"/>
+<axis xyz="0.8 0 0.6"/><limit velocity="3" effort="1"/></joint></robot>"""
+Q0 = np.array([0.0, -np.pi / 4, 0.0, -3 * np.pi / 4, 0.0, np.pi / 2, np.pi / 4])
+
+
+def panda_reference(robot, pose, duration=12.6):
+    """Circle of 0.1 m from the tip at Q0, 1 rad/s, world xy; the pose also tilts by 0.3 sin t about y."""
+    T0 = robot.fk(Q0).homogeneous
+
+    def function(t):
+        T, V, A = np.tile(np.eye(4), (len(t), 1, 1)), np.zeros((len(t), 6)), np.zeros((len(t), 6))
+        T[:, :3, 3] = T0[:3, 3] + 0.1 * np.stack([np.cos(t) - 1, np.sin(t), 0 * t], 1)
+        V[:, 0], V[:, 1] = -0.1 * np.sin(t), 0.1 * np.cos(t)
+        A[:, 0], A[:, 1] = -0.1 * np.cos(t), -0.1 * np.sin(t)
+        T[:, :3, :3] = T0[:3, :3]
+        if pose:
+            T[:, :3, :3] = [pin.exp3(np.array([0.0, 0.3 * np.sin(x), 0.0])) @ T0[:3, :3] for x in t]
+            V[:, 4], A[:, 4] = 0.3 * np.cos(t), -0.3 * np.sin(t)
+        return T, V, A
+
+    return ik.Reference(function, duration, position_only=not pose)

@@ -1,0 +1,135 @@
+"""The published methods: their errors and orders, and how runs end that diverge or leave the reach."""
+
+import json
+
+import numpy as np
+import pytest
+from folders import read_data
+from references import Q0, panda_reference
+
+import ik_toolkit as ik
+from ik_toolkit.papers import patko_2019 as paper
+from ik_toolkit.robot.robot import Robot
+from ik_toolkit.tracking.methods import simulate
+from ik_toolkit.tracking.track import track
+
+ORACLE = read_data("tracking")
+METHODS = paper.METHODS
+# ------------------------------------------------------------------------------------------------ accuracy
+PANDA_ROWS = {
+    "cv_fixed_gain": ("cv", lambda h: {"kappa": 5.5}, 2),
+    "cv_scaled_gain": ("cv", lambda h: {}, 3),
+    "av": ("av", lambda h: {}, 2),
+    "ca_fixed_gain": ("ca", lambda h: {"kp": 110.0, "kd": 6.5}, 2),
+    "ca_scaled_gain": ("ca", lambda h: {"kp": 1.6 / h**2, "kd": 0.8 / h}, 3),
+    "aa1": ("aa", lambda h: {"reading": 1}, 3),
+    "aa2": ("aa", lambda h: {}, 3),
+    "aa3": ("aa", lambda h: {"reading": 3}, 3),
+    "aad": ("aad", lambda h: {"gamma": 1.0}, 3),
+}
+
+
+@pytest.mark.parametrize("row", PANDA_ROWS)
+@pytest.mark.parametrize("pose", [True, False], ids=["pose", "position"])
+def test_panda_errors_and_orders(panda, row, pose):
+    """Settled errors of a redundant arm against the oracle; the order in h needs all three changes for redundancy."""
+    method, options, order = PANDA_ROWS[row]
+    tables = ORACLE["panda"]
+    wanted = tables["pose_exact_position_m" if pose else "pos_exact_position_m"][row]
+    got, turned = [], []
+    for h in wanted["h"]:
+        run = track(panda, panda_reference(panda, pose), method, dt=h, q0=Q0, limits=False, **options(h))
+        assert not run.damped.any()
+        got.append(run.figures["position"]["settled_max"])
+        turned.append(run.figures["orientation"]["settled_max"] if pose else 0.0)
+    assert got == pytest.approx(wanted["max"], rel=0.01)
+    if pose:
+        assert turned == pytest.approx(tables["pose_exact_rotation_rad"][row]["max"], rel=0.01)
+    assert np.log2(got[-2] / got[-1]) == pytest.approx(order, abs=0.1)
+
+
+@pytest.mark.parametrize("key", METHODS)
+def test_rr_absolute_and_relative_angles(planar, key):
+    """The paper's RR arm (absolute angles) and the URDF arm (relative) move the tip along the same path."""
+    case, gains = paper.CASES["RR"], paper.SETS["RR good"]
+    steps = 40 if key in ("aa1", "aa2") else case.steps  # these diverge, and rounding grows with them
+    absolute = paper.run(case, gains, key, case.offset, steps=steps)
+    q = absolute.q[0]
+    rate = absolute.rate[0]
+    ref = ik.circle(center=(1.0, 0.6, 0.0), radius=0.35, turns=steps * 0.2 * 0.5 / (2 * np.pi), duration=steps * 0.2)
+    method, options = METHODS[key]
+    gain = {"cv": {"kappa": gains.kappa}, "ca": {"kp": gains.kp, "kd": gains.kd}}.get(key, {})
+    start, first = (q[0], q[1] - q[0]), (rate[0], rate[1] - rate[0])
+    relative = track(planar, ref, method, dt=0.2, q0=start, rate0=first, limits=False, damping=0.0, **options, **gain)
+    tip = np.array([case.system.position(x) for x in absolute.q])
+    assert relative.xyz[:, :2] == pytest.approx(tip, abs=1e-12)
+    assert np.abs(relative.xyz[:, 2]).max() < 1e-15
+
+
+def test_slides_track_as_the_published_pp_arm():
+    case, gains = paper.CASES["PP"], paper.SETS["PP good"]
+    robot = Robot.load("cartesian_pp")
+    ref = ik.circle(center=(1.0, 1.0, 0.0), radius=0.3, turns=10.0, duration=20 * np.pi)
+    for key in ("cv", "ca"):
+        options = {"kappa": gains.kappa} if key == "cv" else {"kp": gains.kp, "kd": gains.kd}
+        run = track(robot, ref, key, dt=gains.h, limits=False, **options)
+        wanted = ORACLE["runs"]["PP"][f"PP_stable|exact|{key}"]
+        assert run.figures["position"]["settled_max"] == pytest.approx(wanted["max"], rel=0.005)
+    av = track(robot, ref, "av", dt=gains.h, limits=False)
+    assert av.position_error[2:].max() < 1e-15
+    assert case.steps == 1000
+
+
+def test_null_motion_is_damped(panda):
+    """Without damping a null-space kick grows on the acceleration level; with 2 1/s it fades."""
+    J = panda.jacobian(Q0)[:3]
+    null = np.eye(7) - np.linalg.pinv(J) @ J
+    ref = panda_reference(panda, False, 31.4)
+    rate = np.linalg.pinv(J) @ ref.at(0.0)[1][:3] + null @ (0.3 * np.eye(7)[2])
+    gains = {"kp": 110.0, "kd": 6.5}
+    loose = track(panda, ref, "ca", dt=0.05, q0=Q0, rate0=rate, limits=False, null_damping=0.0, damping=0.0, **gains)
+    tame = track(panda, ref, "ca", dt=0.05, q0=Q0, rate0=rate, limits=False, damping=0.0, **gains)
+    assert max(loose.figures["peak_speed"]) > 5.0
+    assert max(tame.figures["peak_speed"]) < 0.6
+    assert tame.figures["position"]["settled_max"] == pytest.approx(5.60465e-6, rel=0.02)
+
+
+# ------------------------------------------------------------------------------------------------ ends of runs
+def test_runs_that_diverge_end_with_a_sentence(planar, panda):
+    ref = ik.circle(center=(1.0, 0.6, 0.0), radius=0.35, turns=10, duration=40 * np.pi)
+    run = track(planar, ref, "aa", reading=1, dt=0.2, limits=False, damping=0.0)
+    assert run.status.name in ("DIVERGED", "NOT_FINITE") and not run.success
+    assert len(run.t) < 631 and "aad" in run.message
+    assert len(run.q) == len(run.xyz) == len(run.position_error) == len(run.t) == len(run.limited) + 1
+    for array in (run.q, run.rate, run.xyz, run.position_error, run.between_position):
+        assert np.isfinite(array).all()
+    with pytest.warns(UserWarning, match="unstable at rest.*Try kp"):
+        run = track(panda, panda_reference(panda, True), "ca", dt=0.01, kp=30000.0, kd=20.0, q0=Q0, limits=False)
+    assert run.status.name == "DIVERGED" and "Try kp" in run.message and np.isfinite(run.q).all()
+    assert json.loads(json.dumps(run.to_dict()))["success"] is False
+
+
+@pytest.mark.parametrize("method", ["cv", "av", "ca", "aa", "aad"])
+def test_out_of_reach_and_back(planar, method):
+    """A target pulled 0.1 m out of reach and back. The exact inverse may fail, with finite arrays; damping brings it home."""
+    ref = ik.line((1.2, 0, 0), (2.1, 0, 0), duration=12.6, rounds=1)
+    exact = track(planar, ref, method, dt=0.02, limits=False, damping=0.0)
+    assert np.isfinite(exact.q).all() and np.isfinite(exact.position_error).all()
+    for acceleration in (None, 20.0, 5.0):
+        safe = track(planar, ref, method, dt=0.02, acceleration_limits=acceleration)
+        assert safe.status.name == "LOST" and safe.damped.any() and safe.position_error[-60:].max() < 1e-3
+        assert safe.position_error.max() > 0.0999  # out of reach is out of reach
+        assert safe.position_error.max() < 0.2 or acceleration
+
+
+def test_unreachable_is_lost_and_says_limits(planar):
+    run = track(planar, ik.circle(center=(3.0, 0, 0), radius=0.1, duration=2.0), "cv")
+    assert run.status.name == "LOST" and "from the reference" in run.message
+    assert run.to_dict()["status"] == "LOST"
+
+
+def test_simulate_stops_at_the_edge_of_the_domain():
+    case = paper.CASES["1-DoF"]
+    with np.errstate(all="ignore"):
+        run = simulate(case.system, case.path, "ca", 0.12, 1870, (case.path(0)[0] + 0.3 - 0.2) ** 2, kp=110.0, kd=6.5)
+    assert run.stopped and np.isfinite(run.q).all() and np.isfinite(run.error).all()

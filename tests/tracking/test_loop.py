@@ -1,0 +1,104 @@
+"""The interface for control loops: `Tracker.update` and its statuses."""
+
+import numpy as np
+import pytest
+from references import Q0, panda_reference
+
+import ik_toolkit as ik
+from ik_toolkit.errors import InvalidOption, InvalidTarget
+from ik_toolkit.tracking.methods import make_method
+from ik_toolkit.tracking.track import StepStatus, Tracker, track
+
+LIMITED: dict = {}
+
+
+@pytest.mark.parametrize("method", ["cv", "ca", "aad", "state-space"])
+def test_updates_equal_a_run(panda, method):
+    ref = panda_reference(panda, True, 1.0)
+    run = track(panda, ref, method, dt=0.01, q0=Q0, acceleration_limits=10.0)
+    T, V, A = ref.at(run.t)
+    tracker = Tracker(panda, method, q0=Q0, acceleration_limits=10.0)
+    tracker.reset(Q0, T[0], V[0], A[0])
+    for i in range(1, len(run.t)):
+        step = tracker.update(T[i], 0.01, V[i], A[i])
+        assert np.array_equal(step.q, run.q[i])
+    assert step.position_error == run.position_error[-1]
+    assert step.orientation_error == pytest.approx(run.orientation_error[-1])
+
+
+def test_step_statuses(panda):
+    tracker = Tracker(panda, "cv", q0=Q0, acceleration_limits=20.0)
+    T = panda.fk(Q0).homogeneous
+    assert tracker.update(T, 0.01).status is StepStatus.OK
+    far = T.copy()
+    far[:3, 3] += (0.1, 0.1, 0.0)
+    tracker.update(far, 0.01)
+    step = tracker.update(far, 0.01)
+    assert step.status is StepStatus.LIMITED and "acceleration limit held back panda_joint" in step.reason
+    broken = T.copy()
+    broken[0, 3] = np.nan
+    speeds = []
+    for _ in range(40):
+        step = tracker.update(broken, 0.01)
+        speeds.append(np.abs(step.rate).max())
+        assert step.status is StepStatus.HELD and "target is not finite" in step.reason and np.isfinite(step.q).all()
+    assert speeds[-1] == 0.0 and speeds[0] > 0.0
+    for _ in range(200):
+        step = tracker.update(far, 0.01)
+    assert step.status is StepStatus.OK and step.reason == "" and step.position_error < 1e-6
+    free = Tracker(panda, "av", q0=Q0, limits=False)
+    step = free.update(panda.fk(-Q0).homogeneous, 0.01)
+    assert step.status is StepStatus.JUMPED and "in one step" in step.reason
+
+
+def test_updates_without_twist_and_with_uneven_steps(panda):
+    """A stream of bare targets: the twist comes from the last two, and the step length may vary."""
+    ref = panda_reference(panda, True, 6.0)
+    tracker = Tracker(panda, "cv", q0=Q0)
+    rng = np.random.default_rng(0)
+    t, worst = 0.0, 0.0
+    while t < 5.0:
+        dt = rng.uniform(0.005, 0.015)
+        t += dt
+        step = tracker.update(ref.target(t), dt)
+        worst = max(worst, step.position_error if t > 1.0 else 0.0)
+    assert 0.0 < worst < 1e-4  # a target moves up to 1.5 mm in a step
+    held = Tracker(panda, "cv", q0=Q0)
+    assert held.update(np.full(3, np.nan), 0.01).status is StepStatus.HELD
+    assert held.update(panda.fk(Q0).translation, 0.01).status is StepStatus.OK
+
+
+def test_mistakes_in_the_loop_are_typed(panda):
+    tracker = Tracker(panda, q0=Q0)
+    with pytest.raises(InvalidTarget, match="not shape"):
+        tracker.update(np.zeros(4), 0.01)
+    with pytest.raises(InvalidTarget, match="axis target"):
+        tracker.update(ik.pose(np.zeros(3), direction=(0, 0, 1)), 0.01)
+    for target in ("home", None, {"tip": np.eye(4)}, [[1, 2], [3]], object()):
+        with pytest.raises(InvalidTarget, match="4x4 pose or a position"):
+            tracker.update(target, 0.01)
+    tracker.update(panda.fk(Q0), 0.01)
+    for target in (panda.fk(Q0).homogeneous.T.copy(), np.diag([1.0, 1.0, -1.0, 1.0]), np.diag([2.0, 0.5, 1.0, 1.0])):
+        with pytest.raises(InvalidTarget, match=r"last row|rotation"):
+            tracker.update(target, 0.01)
+    with pytest.raises(InvalidTarget, match="one kind"):
+        tracker.update(np.zeros(3), 0.01)
+    with pytest.raises(InvalidTarget, match="twist"):
+        tracker.update(panda.fk(Q0), 0.01, twist=np.zeros(2))
+    with pytest.raises(InvalidTarget, match="acceleration must have 6 values"):
+        tracker.update(panda.fk(Q0), 0.01, acceleration="fast")
+    for dt in (0.0, -1.0, np.nan, np.inf, None, "slow", [0.01]):
+        with pytest.raises(InvalidOption, match="dt"):
+            tracker.update(panda.fk(Q0), dt)
+    for bad, words in (("cw", "Did you mean 'cv'"), ("newton", "no tracking method")):
+        with pytest.raises(InvalidOption, match=words):
+            Tracker(panda, bad)
+    with pytest.raises(InvalidOption, match=r"has no option 'kapa'.*kappa"):
+        Tracker(panda, "cv", kapa=3.0)
+    with pytest.raises(InvalidOption, match="both kp and kd"):
+        track(panda, panda_reference(panda, True, 1.0), "ca", kp=3.0)
+    for option in ({"reading": 4}, {"null_damping": -1.0}, {"damping": float("nan")}):
+        with pytest.raises(InvalidOption):
+            make_method("aa", **option)
+    with pytest.raises(InvalidOption, match="longer than the reference"):
+        track(panda, panda_reference(panda, True, 1.0), dt=2.0)

@@ -1,0 +1,161 @@
+"""Whole runs: rules as trackers, saved files, the command, inputs that are none."""
+
+import json
+import warnings
+
+import numpy as np
+import pytest
+from references import Q0, panda_reference
+
+import ik_toolkit as ik
+from ik_toolkit.cli import main
+from ik_toolkit.errors import IKError, InvalidConfiguration, InvalidOption, InvalidTarget
+from ik_toolkit.tracking.track import Tracker, track
+
+
+def test_solver_rules_as_trackers(panda):
+    ref = panda_reference(panda, True, 6.0)
+    for rule, position, orientation in (
+        ("dls", 2e-5, 1e-5),
+        ("lm", 2e-6, 2e-6),
+        ("pid", 0.01, 0.1),
+        ("state-space", 0.01, 0.02),
+    ):
+        run = track(panda, ref, rule, dt=0.005, q0=Q0)
+        assert run.gain_check is None and len(run.t) == 1201
+        assert run.figures["position"]["settled_max"] < position
+        assert run.figures["orientation"]["settled_max"] < orientation
+    with pytest.raises(InvalidOption, match="no option 'dampling'"):
+        track(panda, ref, "dls", dampling=1.0)
+
+
+def test_saved_files(panda, tmp_path):
+    run = track(panda, panda_reference(panda, True, 1.0), "aad", dt=0.01, q0=Q0)
+    with np.load(run.save(tmp_path / "run.npz")) as data:
+        assert np.array_equal(data["q"], run.q) and list(data["joint_names"]) == list(panda.joint_names)
+        assert np.array_equal(data["orientation_error"], run.orientation_error)
+    rows = run.save(tmp_path / "run.csv").read_text().splitlines()
+    assert len(rows) == 102 and rows[0].startswith("t,q_panda_joint1") and rows[0].endswith("orientation_error")
+    assert np.array_equal([float(x) for x in rows[-1].split(",")][1:8], run.q[-1])
+    with pytest.raises(InvalidOption, match=r"npz or \.csv"):
+        run.save(tmp_path / "run.txt")
+    assert run.figures["position"]["between_settled_max"] >= 0.0
+
+
+def test_command(capsys, tmp_path):
+    plot, file = tmp_path / "cut.png", tmp_path / "cut.npz"
+    cut = [
+        "track",
+        "hydrolek_7w",
+        "--path",
+        "line",
+        "--length",
+        "0.3",
+        "--axis",
+        "0",
+        "0",
+        "-1",
+        "--rate",
+        "200",
+        "-m",
+        "ca",
+    ]
+    assert main([*cut, "--plot", str(plot), "-o", str(file)]) == 0
+    out = capsys.readouterr()
+    assert "COMPLETED" in out.out and "shoulder_pitch" in out.out
+    assert plot.stat().st_size > 20_000 and file.is_file()
+    assert main([*cut, "--json"]) == 0
+    data = json.loads(capsys.readouterr().out)
+    assert data["success"] and data["figures"]["position"]["max"] < 1e-6 and data["stability"]["verdict"] == "stable"
+
+
+def test_command_warns_and_refuses(capsys):
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")  # the command shows the warning itself
+        code = main(
+            ["track", "panda", "-m", "ca", "--kp", "30000", "--kd", "20", "--duration", "3", "--no-limits", "--json"]
+        )
+    out = capsys.readouterr()
+    assert code == 1 and "unstable" in out.err and "Try kp" in out.err
+    assert json.loads(out.out)["status"] == "DIVERGED"
+    for arguments, words in (
+        (["--path", "circel"], "Did you mean 'circle'"),
+        (["-m", "cw"], "Did you mean 'cv'"),
+        (["--rate", "0"], "--rate"),
+        (["-o", "run.txt"], ".npz or .csv"),
+        (["--path", "missing.csv"], "no reference file"),
+        (["-p", "damping=x"], "damping must be a number"),
+    ):
+        assert main(["track", "panda", *arguments]) == 2
+        assert words in capsys.readouterr().err
+
+
+def test_wrong_inputs_of_a_run_are_typed(panda, planar):
+    ref = panda_reference(panda, True, 1.0)
+    tree = ik.Tree.load("brokk_hydrolek", tips=["left_tip", "right_tip"])
+    for robot in (tree, None, "panda"):
+        with pytest.raises(InvalidOption, match="robot with one tip"):
+            track(robot, ref)
+        with pytest.raises(InvalidOption, match="robot with one tip"):
+            Tracker(robot)
+    for wrong in (np.eye(4), None, "circle", panda):
+        with pytest.raises(InvalidTarget, match="follows a Reference"):
+            track(panda, wrong)
+    for option, value in (
+        ("dt", 0.0),
+        ("dt", -0.01),
+        ("dt", np.nan),
+        ("dt", None),
+        ("dt", "fast"),
+        ("limits", 3),
+        ("limits", "no"),
+        ("method", None),
+        ("method", ["cv"]),
+        ("method", 7),
+        ("acceleration_limits", np.nan),
+        ("acceleration_limits", "high"),
+        ("kappa", "high"),
+        ("kappa", None),
+    ):
+        with pytest.raises(IKError, match=r"."):
+            track(panda, ref, **{option: value})
+    for option in ("q0", "rate0"):
+        for value in (np.zeros(3), np.full(7, np.nan), "home", np.zeros((7, 1))):
+            with pytest.raises(InvalidConfiguration, match=option):
+                track(panda, ref, **{option: value})
+    for jump in (0.0, -1.0, np.nan, "far"):
+        with pytest.raises(InvalidOption, match="jump"):
+            Tracker(panda, jump=jump)
+
+    def broken(change, **options):
+        def function(t):
+            T, V, A = (np.array(part) for part in ref.at(t))
+            return change(T, V, A, t > 0.5)
+
+        return ik.Reference(function, 1.0, name="mine", **options)
+
+    def at(part, value):
+        def change(T, V, A, late):
+            (T, V, A)[part][late] = value
+            return T, V, A
+
+        return change
+
+    mirror = np.diag([1.0, 1.0, -1.0, 1.0])
+    for change in (at(0, np.nan), at(1, np.inf), at(2, np.nan), at(0, 0.0), at(0, mirror), at(0, 1.5 * np.eye(4))):
+        with pytest.raises(InvalidTarget, match=r"reference 'mine' is n.* at t = 0.51 s"):
+            track(panda, broken(change), q0=Q0)
+    for change in (
+        lambda T, V, A, late: (T, V),
+        lambda T, V, A, late: None,
+        lambda T, V, A, late: (T, V, "no"),
+        lambda T, V, A, late: (T[:1], V, A),
+        lambda T, V, A, late: (T[:, :3], V, A),
+    ):
+        with pytest.raises(InvalidTarget, match="reference 'mine' must give"):
+            track(panda, broken(change), q0=Q0)
+    with pytest.raises(InvalidOption, match="function of time"):
+        ik.Reference(None, 1.0)
+    for duration in (0.0, -1.0, np.nan, "long", None):
+        with pytest.raises(InvalidOption, match="duration"):
+            ik.Reference(ref.function, duration)

@@ -1,0 +1,91 @@
+"""Whether a path was followed: every sample counts, after the time to settle."""
+
+import json
+
+import numpy as np
+import pytest
+from references import Q0, panda_reference
+from robots import have_data
+
+import ik_toolkit as ik
+from ik_toolkit.cli import main
+from ik_toolkit.errors import InvalidOption
+from ik_toolkit.tracking.track import track
+
+DATA = pytest.mark.skipif(not have_data(), reason="example-robot-data is not installed (extra 'robots')")
+
+
+@pytest.mark.parametrize("name", ["hydrolek_7w", pytest.param("kinova", marks=DATA)])
+def test_a_miss_in_the_middle_is_no_success(name, capsys):
+    """Both default tracks come back to the path before their last tenth, and were called COMPLETED for it."""
+    assert main(["track", name, "--json"]) == 1
+    data = json.loads(capsys.readouterr().out)
+    assert data["status"] == "LOST" and not data["success"] and data["samples_outside"] > 100
+    assert data["figures"]["position"]["max"] > 0.1 and data["position_tolerance"] == 0.001
+    assert "1 mm and 0.1 deg are allowed" in data["message"] and "Between samples" in data["message"]
+
+
+def judged(run, robot, reference, position=1e-3, orientation=np.radians(0.1), settle=0.0):
+    """Verdict from q alone, by Pinocchio."""
+    worst = 0.0
+    for t, q in zip(run.t, run.q, strict=True):
+        if t >= settle:
+            p, o = robot.errors(q, reference.target(t))
+            worst = max(worst, p / position, (o or 0.0) / orientation)
+    return worst
+
+
+def test_the_verdict_reads_every_sample(planar, panda):
+    ref = panda_reference(panda, True, 2.0)
+    start = Q0 + 0.01
+    run = track(panda, ref, "cv", dt=0.01, q0=start)
+    assert run.status.name == "LOST" and judged(run, panda, ref) > 1.0
+    assert run.outside()[0] and not run.outside()[50:].any()
+    assert f"outside in {run.outside().sum()} of 201 samples" in run.message and "t = 0 s" in run.message
+    later = track(panda, ref, "cv", dt=0.01, q0=start, settle=0.5)
+    assert later.success and judged(later, panda, ref, settle=0.5) <= 1.0 and "after 0.5 s" in later.message
+    assert later.to_dict()["settle"] == 0.5 and later.to_dict()["samples_outside"] == 0
+    worst = float(run.position_error.max())
+    turn = float(run.orientation_error.max())
+    for position, orientation, good in (
+        (worst, turn, True),
+        (np.nextafter(worst, 0.0), turn, False),
+        (worst, np.nextafter(turn, 0.0), False),
+    ):
+        again = track(
+            panda, ref, "cv", dt=0.01, q0=start, position_tolerance=position, orientation_tolerance=orientation
+        )
+        assert again.success is good, (position, orientation)
+
+
+def test_an_arm_that_starts_at_rest_has_half_a_second(planar):
+    """The circle moves from the first moment: with a limit on the acceleration the arm has to catch up."""
+    q0 = np.array([0.3, 0.9])
+    ref = ik.circle(planar.fk(q0).translation, 0.2, duration=4.0)
+    run = track(planar, ref, "cv", dt=0.01, q0=q0, acceleration_limits=8.0)
+    assert run.settle == 0.5 and run.success and run.position_error.max() > 1e-3
+    assert track(planar, ref, "cv", dt=0.01, q0=q0, acceleration_limits=8.0, settle=0.0).status.name == "LOST"
+    assert track(planar, ref, "cv", dt=0.01, q0=q0, rate0=np.zeros(2)).settle == 0.5
+    moving = track(planar, ref, "cv", dt=0.01, q0=q0)
+    assert moving.settle == 0.0 and moving.success and judged(moving, planar, ref) <= 1.0
+    short = ik.circle(planar.fk(q0).translation, 0.02, duration=0.4)
+    assert track(planar, short, "cv", dt=0.01, q0=q0, acceleration_limits=8.0).settle == pytest.approx(0.2)
+    for settle in (-0.1, 4.0, np.nan, "soon"):
+        with pytest.raises(InvalidOption, match="settle"):
+            track(planar, ref, dt=0.01, q0=q0, settle=settle)
+    for option in ("position_tolerance", "orientation_tolerance"):
+        for value in (0.0, -1.0, np.nan, np.inf, "small", None):
+            with pytest.raises(InvalidOption, match=option):
+                track(planar, ref, dt=0.01, q0=q0, **{option: value})
+
+
+def test_the_verdict_of_the_command(capsys):
+    words = ["track", "planar_2r", "--q0", "0.3", "0.9", "--duration", "2", "--acceleration", "8", "--radius", "0.1"]
+    words.append("--position-only")
+    assert main([*words, "--json"]) == 0 and json.loads(capsys.readouterr().out)["settle"] == 0.5
+    assert main([*words, "--settle", "0"]) == 1
+    assert "LOST" in capsys.readouterr().err
+    assert main([*words, "--tolerance-position", "1e-9"]) == 1
+    assert "1 nm" in capsys.readouterr().err
+    assert main([*words, "--tolerance-orientation", "0"]) == 2
+    assert "orientation_tolerance" in capsys.readouterr().err
