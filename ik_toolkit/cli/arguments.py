@@ -83,6 +83,12 @@ Tip = Annotated[
     str | None,
     typer.Option(metavar="FRAME", help="Tip frame; needed when there are several ends.", rich_help_panel="Robot"),
 ]
+Tips = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--tip", metavar="FRAME", help="Tip frame; may be repeated: several tips together.", rich_help_panel="Robot"
+    ),
+]
 Base = Annotated[
     str | None,
     typer.Option(
@@ -193,6 +199,11 @@ def load_robot(
             raise InvalidOption(f"--lock {joint} takes one number, not '{text}'")
         values[joint] = math.radians(value[0]) if deg and not slides(robot, joint) else value[0]
     return robot.locked(values)
+
+
+def one_or_several(tips: list[str] | None) -> str | list[str] | None:
+    """What `load_robot` makes of a --tip that may be repeated: one is a Robot's, several are a Tree's."""
+    return tips[0] if tips and len(tips) == 1 else tips or None
 
 
 def slides(robot: "Joints", joint: str) -> bool:

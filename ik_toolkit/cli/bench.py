@@ -5,8 +5,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from .arguments import PLOTS, Json, Out, load_robot, writes
-from .output import notice, partial, show, table, write_json
+from ..errors import InvalidOption
+from .arguments import PLOTS, Json, Out, Tips, load_robot, one_or_several, writes
+from .output import notice, partial, progress, show, table, write_json
 
 if TYPE_CHECKING:
     from ..study.benchmark import Benchmark
@@ -47,6 +48,7 @@ def register(app: typer.Typer) -> None:
 
 def bench(
     robots: Robots = None,
+    tip: Tips = None,
     solvers: Solvers = None,
     targets: Targets = 300,
     start: Start = "none",
@@ -62,18 +64,26 @@ def bench(
     """Compare the solvers on a robot: success, time, iterations.
 
     Random reachable targets, one thread, every call timed from Python, failures included. Every solver meets them twice:
-    with one attempt, and with the same number of restarts. 95 %: Wilson interval; us: median time of a call.
+    with one attempt, and with the same number of restarts. 95 %: Wilson interval; us: median time of a call. With several
+    --tip all of them are solved for together.
     """
     from ..solvers.registry import find_row
     from ..study.benchmark import BenchmarkInterrupted, benchmark
 
     names = [find_row(name.strip()).name for name in solvers.split(",") if name.strip()] if solvers else None
-    arms = [load_robot(name) for name in robots or ["hydrolek_7w"]]
+    if tip and len(robots or ()) > 1:
+        raise InvalidOption(f"--tip is for one robot; {len(robots or ())} are given")
+    arms = [load_robot(name, one_or_several(tip)) for name in robots or ["hydrolek_7w"]]
     options = {"tolerance": tolerance, "max_iterations": max_iterations, "restarts": restarts}
     given = {key: value for key, value in options.items() if value is not None}
     stopped = False
     try:
-        found = benchmark(arms, names, targets=targets, start=start, task=task, seed=seed, **given)
+        with progress("solving", None) as bar:
+
+            def step(done: int, count: int) -> None:
+                bar(done, total=count)
+
+            found = benchmark(arms, names, targets=targets, start=start, task=task, seed=seed, progress=step, **given)
     except BenchmarkInterrupted as interrupt:
         found, stopped = interrupt.result, True
         if not found.rows:
@@ -90,8 +100,7 @@ def bench(
 
 
 def _show(found: "Benchmark") -> None:
-    for robot in dict.fromkeys(row.robot for row in found.rows):
-        rows = [row for row in found.rows if row.robot == robot]
+    for robot, rows in found.by_robot().items():
         made = table("<\nsolver", *(f">{column}" for column in COLUMNS))
         for row in rows:
             cells = [row.solver]

@@ -111,8 +111,8 @@ def facts(rows: dict[str, Any]) -> "Table":
 
 
 @contextmanager
-def progress(what: str, total: int) -> Iterator[Callable[..., None]]:
-    """Bar on stderr where that is a terminal; gives a function of the number done and, if it changes, of what is shown."""
+def progress(what: str, total: int | None) -> Iterator[Callable[..., None]]:
+    """Bar on stderr where that is a terminal; gives a function of the number done and, if they change, the words and the total."""
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
@@ -120,7 +120,7 @@ def progress(what: str, total: int) -> Iterator[Callable[..., None]]:
     columns = TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn()
     with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
         task = bar.add_task(what, total=total)
-        yield lambda done, shown=None: bar.update(task, completed=done, description=shown)
+        yield lambda done, shown=None, total=None: bar.update(task, completed=done, description=shown, total=total)
 
 
 # --------------------------------------------------------------------------------------------------------------- units

@@ -21,7 +21,7 @@ from ..solvers.rules.pid import PID
 from ..solvers.rules.state_space import StateSpace
 from ..solvers.solve import Solver
 from ..study import singularity
-from ..study.targets import sample_joints, sample_targets
+from ..study.targets import sample_targets
 from ..study.tune import score
 from .burrell_existence import existence
 from .burrell_figures import draw_planar, draw_reach, draw_response, draw_workspace
@@ -283,7 +283,7 @@ def _planar(report: Report, seeds: Any) -> None:
         workspace ({len(points)} goals, tolerance 0.02, from straight) the state-space solvers reach fewer goals than the Jacobian
         methods: one escaped goal on the line is no evidence of general immunity. A start 1e-6 rad away frees J^T and DLS."""
     )
-    reach = robot.chain.forward(sample_joints(robot, 6000, 0))[0][:, :2, 3]
+    reach = robot.chain.forward(robot.random_q(np.random.default_rng(0), 6000))[0][:, :2, 3]
     ends = {
         "published (47.6, -60.0, -18.8) deg": np.radians([47.6, -60.0, -18.8]),
         "ours, state space": runs[solvers[6][0]].q[-1],

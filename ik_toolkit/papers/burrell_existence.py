@@ -8,7 +8,7 @@ from ..solvers.batch_result import BatchResult
 from ..solvers.rules.pid import PID
 from ..solvers.rules.state_space import StateSpace
 from ..solvers.solve import Solver
-from ..study.targets import sample_joints, sample_targets
+from ..study.targets import sample_targets
 from .burrell_figures import draw_existence
 from .burrell_published import PAPER_OPTIONS, TO_PAPER
 from .report import Report
@@ -82,7 +82,7 @@ def existence(report: Report, robot: Robot, q0: np.ndarray) -> np.ndarray:
 def least_distance(robot: Robot, point: np.ndarray, starts: int = 64, seed: int = 0) -> float:
     """Distance [m] from a point (3,) to the nearest tip found: random moves from the nearest of 200,000, ever shorter ones."""
     rng = np.random.default_rng(seed)
-    Q = sample_joints(robot, 200_000, rng)
+    Q = robot.random_q(rng, 200_000)
     far = np.linalg.norm(robot.chain.forward(Q)[0][:, :3, 3] - point, axis=1)
     best = np.argsort(far)[:starts]
     Q, far = Q[best], far[best]

@@ -2,12 +2,13 @@
 
 import functools
 import html
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
 import pinocchio as pin
 
-from ..errors import FEW_TURNS, InvalidConfiguration, doubt_angle, floats
+from ..errors import FEW_TURNS, FrameNotFound, InvalidConfiguration, doubt_angle, floats, near_match
 from ..kernel.records import POINTS
 from .probe import Path
 
@@ -49,6 +50,12 @@ class Joints:
     def reach(self) -> float:
         """Longest distance [m] of a tip from its first joint: path offsets plus finite strokes (1 m where unbounded)."""
         return max(arm.chain.reach for arm in self.arms)
+
+    def check_tips(self, names: Iterable[Any]) -> None:
+        """Raise FrameNotFound for a name that is not one of the tips."""
+        for tip in names:
+            if tip not in self.tips:
+                raise FrameNotFound(f"'{tip}' is not one of the tips solved for.{near_match(tip, self.tips)}")
 
     def check_q(self, q: Any, name: str = "q") -> np.ndarray:
         """Return q as a float64 copy (n,); raises InvalidConfiguration when it has the wrong size or is not finite."""
@@ -92,10 +99,10 @@ class Joints:
         n, ends = self.n, np.atleast_2d(self.chain.ends)[0, POINTS:]
         return ends[4 * n : 5 * n] * self.chain.unit, ends[5 * n : 6 * n] * self.chain.unit
 
-    def random_q(self, rng: np.random.Generator) -> np.ndarray:
-        """Uniform random q (n,) inside the limits (one turn, or one reach, where there are none)."""
+    def random_q(self, rng: np.random.Generator, count: int | None = None) -> np.ndarray:
+        """Uniform random q (n,), or (count, n), inside the limits (one turn, or one reach, where there are none)."""
         low, span = self._sampling
-        return (low + span * rng.random(self.n)).clip(self.lower, self.upper)
+        return (low + span * rng.random(self.n if count is None else (count, self.n))).clip(self.lower, self.upper)
 
     def to_pinocchio(self, q: Any, rest: np.ndarray | None = None) -> np.ndarray:
         """Full configuration (nq,) of the model for q (n,); joints off the path keep `rest` (default: the robot's)."""

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from ..errors import FrameNotFound, InvalidOption, InvalidTarget, ModelError, near_match
+from ..errors import FrameNotFound, InvalidOption, InvalidTarget, ModelError
 from ..kernel.tree_chain import TreeChain, pack_tree
 from .joints import Joints
 from .pose import AxisTarget, check_target
@@ -136,7 +136,7 @@ class Tree(Joints):
         """
         expected = f"robot '{self.name}' takes one target for each of {', '.join(self.tips)}"
         if isinstance(targets, Mapping):
-            self._known_tips(targets)
+            self.check_tips(targets)
             missing = [tip for tip in self.tips if tip not in targets]
             if missing:
                 raise InvalidTarget(f"{expected}; missing: {', '.join(missing)}")
@@ -176,13 +176,8 @@ class Tree(Joints):
         Raises FrameNotFound (unknown tip), InvalidTarget.
         """
         tools = T_tip_tool if isinstance(T_tip_tool, Mapping) else dict.fromkeys(self.tips, T_tip_tool)
-        self._known_tips(tools)
+        self.check_tips(tools)
         return Tree([arm.with_tool(tools[arm.tip]) if arm.tip in tools else arm for arm in self.arms], self.home)
-
-    def _known_tips(self, names: Iterable[Any]) -> None:
-        for tip in names:
-            if tip not in self.tips:
-                raise FrameNotFound(f"'{tip}' is not one of the tips solved for.{near_match(tip, self.tips)}")
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle the arms."""

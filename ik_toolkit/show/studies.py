@@ -12,13 +12,12 @@ from .plots import COLOURS, GREY, drawing, plain, save
 
 def plot_benchmark(found: Benchmark, file: str | Path) -> Path:
     """Draw, a row a robot, the share of targets solved with its 95 % interval, and the share solved within a time."""
-    robots = list(dict.fromkeys(row.robot for row in found.rows))
+    robots = found.by_robot()
     solvers = list(dict.fromkeys(row.solver for row in found.rows))  # a solver has one colour everywhere
     with drawing() as plt:
         height = 0.7 + len(robots) * max(2.4, 0.7 + 0.3 * len(solvers))
         figure, axes = plt.subplots(len(robots), 2, figsize=(9.0, height), layout="constrained", squeeze=False)
-        for (bars, times), robot in zip(axes, robots, strict=True):
-            rows = [row for row in found.rows if row.robot == robot]
+        for (bars, times), (robot, rows) in zip(axes, robots.items(), strict=True):
             for k, row in enumerate(rows):
                 at = solvers.index(row.solver)
                 style = {"color": COLOURS[at % len(COLOURS)], "ls": ("-", "--", ":")[at // len(COLOURS) % 3]}

@@ -1,6 +1,6 @@
 """Our own solvers side by side on a robot: success with its interval, times, iterations."""
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
@@ -9,13 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import IKError, InvalidOption, near_match
+from ..errors import IKError, InvalidOption, UnknownSolver, near_match
 from ..robot.robot import Robot
-from ..solvers.registry import ROWS
+from ..robot.tree import Tree
+from ..solvers.registry import ROWS, find_row
 from ..solvers.result import Status
-from ..solvers.solve import Solver
+from ..solvers.solve import Solver, is_auto, require_robot
 from .statistics import wilson
-from .targets import require_one_tip
 
 BLOCKS = 10  # turns in which the targets are handed to the solvers, so that what else the machine does hits all alike
 NEAR = 0.1  # rad (m): a near start lies within this of a solution, each joint
@@ -28,14 +28,15 @@ TASKS = ("pose", "position")
 class BenchmarkRow:
     """One solver on one robot, with restarts and, in `once`, the same targets with one attempt.
 
-    robot, solver; task 'pose' or 'position'; targets, solved, and the 95 % Wilson interval low, high of the success
+    robot, tips, solver; task 'pose' or 'position'; targets, solved, and the 95 % Wilson interval low, high of the success
     probability; median, mean, p99 [s] of one call from Python, failures included; iterations and fk_evaluations, medians;
-    restarts, mean; statuses: name -> count; worst_position_error [m] and worst_orientation_error [rad] among the successes
-    (None without one, or for positions). seconds and iteration_counts (N,) are kept for plots. once: the row of one attempt a
-    target (None in that row itself).
+    restarts, mean; statuses: name -> count; worst_position_error [m] and worst_orientation_error [rad] among the successes, of
+    several tips the largest (None without one, or for positions). seconds and iteration_counts (N,) are kept for plots. once:
+    the row of one attempt a target (None in that row itself).
     """
 
     robot: str
+    tips: tuple[str, ...]
     solver: str
     task: str
     targets: int
@@ -72,6 +73,16 @@ class Benchmark:
     seed: int
     options: dict[str, Any]
 
+    def by_robot(self) -> dict[str, list[BenchmarkRow]]:
+        """Rows of each robot by its name, with its tips where it has several or the same robot comes with others."""
+        tips: dict[str, set] = {}
+        for row in self.rows:
+            tips.setdefault(row.robot, set()).add(row.tips)
+        found: dict[str, list[BenchmarkRow]] = {}
+        for row in self.rows:
+            found.setdefault(label(row.robot, row.tips, len(tips[row.robot]) > 1), []).append(row)
+        return found
+
     def to_dict(self) -> dict[str, Any]:
         """Plain numbers, strings and lists, ready for JSON."""
         return {
@@ -94,7 +105,7 @@ class BenchmarkInterrupted(KeyboardInterrupt):
 
 
 def benchmark(
-    robots: Robot | str | Sequence[Robot | str],
+    robots: Robot | Tree | str | Sequence[Robot | Tree | str],
     solvers: Iterable[Any] | None = None,
     *,
     targets: int = 300,
@@ -108,14 +119,14 @@ def benchmark(
     """Compare solvers on the same random reachable targets, one thread, each call timed from Python.
 
     Every solver meets the targets twice, with one attempt and with the same number of restarts (`restarts=`, default 99).
-    robots: one or several, loaded or by name. solvers: names, classes or instances; default: every registered one that
-    applies. targets: number a robot, poses of random configurations inside the limits. start: 'none' (each solver's own
-    choice), 'home', 'random', or 'near' (within 0.1 rad or m of a solution, each joint). task: 'pose' or 'position'; default
-    poses for six joints and more. executor: anything with the concurrent.futures interface, instead of this process; the
-    times are then of the workers. progress(done, all) counts blocks. Options: as for `solve`, given to every solver that
-    takes them. A solver that does not apply to a robot is listed in `skipped` with the reason. Ctrl-C raises
-    BenchmarkInterrupted, a KeyboardInterrupt whose `result` holds what was finished. Raises RobotNotFound, UnknownSolver,
-    InvalidOption.
+    robots: one or several, loaded or by name; of a Tree all tips are solved together, and errors are the largest of them.
+    solvers: names, classes or instances; default: every registered one that applies. targets: number a robot, poses of random
+    configurations inside the limits. start: 'none' (each solver's own choice), 'home', 'random', or 'near' (within 0.1 rad or m
+    of a solution, each joint). task: 'pose' or 'position'; default poses for six joints a tip and more. executor: anything with
+    the concurrent.futures interface, instead of this process; the times are then of the workers. progress(done, all) counts
+    blocks. Options: as for `solve`, given to every solver that takes them. A solver that does not apply to a robot is listed in
+    `skipped` with the reason. Ctrl-C raises BenchmarkInterrupted, a KeyboardInterrupt whose `result` holds what was finished.
+    Raises RobotNotFound, UnknownSolver, InvalidOption.
     """
     if start not in STARTS:
         raise InvalidOption(f"start must be one of {', '.join(STARTS)}, not {start!r}.{near_match(str(start), STARTS)}")
@@ -126,50 +137,34 @@ def benchmark(
     arms = [robots] if isinstance(robots, str) or not isinstance(robots, Iterable) else list(robots)
     arms = [Robot.load(arm) if isinstance(arm, str) else arm for arm in arms]
     for arm in arms:
-        require_one_tip(arm, "benchmark")
+        require_robot(arm)
     asked = [row.name for row in ROWS] if solvers is None else list(solvers)
+    for solver in asked:
+        if not is_auto(solver):
+            find_row(solver)  # raises for a name that does not exist; one that does not apply is left out
     if not arms or not asked:
         raise InvalidOption("a benchmark takes at least one robot and one solver")
     rows: list[BenchmarkRow] = []
     skipped: dict[tuple[str, str], str] = {}
-    last: IKError | None = None
     options = {"restarts": RESTARTS, **options}
+    last: IKError | None = None
     stopped = False
     for number, arm in enumerate(arms):
-        kind = task or ("pose" if arm.n >= 6 else "position")
+        kind = task or ("pose" if arm.n >= 6 * len(arm.tips) else "position")
         parts: dict[tuple[str, bool], list[np.ndarray]] = {}
         try:
             T, Q0 = problems(arm, int(targets), kind, start, seed)
-            bound: dict[tuple[str, bool], Solver] = {}
-            for solver in asked:
-                try:
-                    one, many = (Solver(arm, solver, **{**options, **own}) for own in ({"restarts": 0}, {}))
-                    one(T[0], None if Q0 is None else Q0[0])  # compiles
-                except IKError as error:
-                    if solvers is not None and not isinstance(error, InvalidOption):
-                        raise
-                    skipped[arm.name, getattr(solver, "__name__", str(solver))] = str(error)
-                    last = error
-                    continue
-                name = one.name if (one.name, True) not in bound else f"{one.name} #{len(bound) // 2 + 1}"
-                bound[name, True], bound[name, False] = one, many
-            edges = np.linspace(0, len(T), min(BLOCKS, len(T)) + 1).astype(int)
-            jobs = [
-                (key, solver, T[a:b], None if Q0 is None else Q0[a:b])
-                for a, b in pairwise(edges)
-                for key, solver in bound.items()
-            ]
-            futures = [executor.submit(run_block, *job[1:]) for job in jobs] if executor is not None else None
-            for k, job in enumerate(jobs):
-                block = futures[k].result() if futures is not None else run_block(*job[1:])
-                parts.setdefault(job[0], []).append(block)
+            bound, refused = _bind(arm, asked, options, T, Q0, every=solvers is None)
+            skipped |= {(label(arm.name, arm.tips), name): str(error) for name, error in refused.items()}
+            last = next(reversed(refused.values()), last)
+            for done, count in _measure(bound, T, Q0, executor, parts):
                 if progress is not None:
-                    progress(number * len(jobs) + k + 1, len(arms) * len(jobs))
+                    progress(number * count + done, len(arms) * count)
         except KeyboardInterrupt:
             stopped = True
         for name in [name for name, once in parts if not once]:
             tables = [np.concatenate(parts[name, once][: len(parts[name, False])]) for once in (True, False)]
-            one, many = (summary(arm.name, name, kind, table) for table in tables)
+            one, many = (summary(arm, name, kind, table) for table in tables)
             rows.append(replace(many, once=one))
         if stopped:
             break
@@ -181,19 +176,70 @@ def benchmark(
     return found
 
 
-def problems(robot: Robot, count: int, task: str, start: str, seed: int) -> tuple[np.ndarray, np.ndarray | None]:
-    """Targets (N, 4, 4) or (N, 3) [m] and starts (N, n) [rad or m], None for each solver's own."""
+def label(robot: str, tips: tuple[str, ...], always: bool = False) -> str:
+    """Name of a robot, and of its tips where it has several (or always)."""
+    return f"{robot} ({' + '.join(tips)})" if always or len(tips) > 1 else robot
+
+
+Bound = dict[tuple[str, bool], Solver]
+
+
+def _bind(
+    robot: Robot | Tree, asked: list[Any], options: dict[str, Any], T: np.ndarray, Q0: np.ndarray | None, *, every: bool
+) -> tuple[Bound, dict[str, IKError]]:
+    """By name: each solver with one attempt (True) and with restarts (False), compiled; and those that do not apply, with why.
+
+    every: they were not chosen by name, so whatever does not apply is left out.
+    """
+    bound: Bound = {}
+    refused: dict[str, IKError] = {}
+    for solver in asked:
+        try:
+            one, many = (Solver(robot, solver, **{**options, **own}) for own in ({"restarts": 0}, {}))
+            one(T[0], None if Q0 is None else Q0[0])  # compiles
+        except IKError as error:
+            if not every and not isinstance(error, InvalidOption | UnknownSolver):
+                raise
+            refused[getattr(solver, "__name__", str(solver))] = error
+            continue
+        name = one.name if (one.name, True) not in bound else f"{one.name} #{len(bound) // 2 + 1}"
+        bound[name, True], bound[name, False] = one, many
+    return bound, refused
+
+
+def _measure(
+    bound: Bound,
+    T: np.ndarray,
+    Q0: np.ndarray | None,
+    executor: Executor | None,
+    parts: dict[tuple[str, bool], list[np.ndarray]],
+) -> Iterator[tuple[int, int]]:
+    """Hand the targets to all solvers in turns; the tables of `run_block` go to `parts`. Yields how many of all are done."""
+    edges = np.linspace(0, len(T), min(BLOCKS, len(T)) + 1).astype(int)
+    jobs = [
+        (key, solver, T[a:b], None if Q0 is None else Q0[a:b])
+        for a, b in pairwise(edges)
+        for key, solver in bound.items()
+    ]
+    futures = [executor.submit(run_block, *job[1:]) for job in jobs] if executor is not None else None
+    for k, job in enumerate(jobs):
+        parts.setdefault(job[0], []).append(run_block(*job[1:]) if futures is None else futures[k].result())
+        yield k + 1, len(jobs)
+
+
+def problems(robot: Robot | Tree, count: int, task: str, start: str, seed: int) -> tuple[np.ndarray, np.ndarray | None]:
+    """Targets (N, 4, 4) or (N, 3) [m], of a Tree (N, F, ...), and starts (N, n) [rad or m], None for each solver's own."""
     rng = np.random.default_rng(seed)
-    Q = np.array([robot.random_q(rng) for _ in range(count)])
+    Q = robot.random_q(rng, count)
     T = robot.chain.forward(Q)[0]
-    T = T if task == "pose" else np.ascontiguousarray(T[:, :3, 3])
+    T = T if task == "pose" else np.ascontiguousarray(T[..., :3, 3])
     if start == "none":
         return T, None
     if start == "home":
         return T, np.tile(robot.home, (count, 1))
     if start == "near":
         return T, np.clip(Q + rng.uniform(-NEAR, NEAR, Q.shape), robot.lower, robot.upper)
-    return T, np.array([robot.random_q(rng) for _ in range(count)])
+    return T, robot.random_q(rng, count)
 
 
 def run_block(solver: Solver, T: np.ndarray, Q0: np.ndarray | None) -> np.ndarray:
@@ -210,7 +256,7 @@ def run_block(solver: Solver, T: np.ndarray, Q0: np.ndarray | None) -> np.ndarra
     return table
 
 
-def summary(robot: str, solver: str, task: str, table: np.ndarray) -> BenchmarkRow:
+def summary(robot: Robot | Tree, solver: str, task: str, table: np.ndarray) -> BenchmarkRow:
     """Statistics of the rows of `run_block`; the arrays kept have the solved targets first."""
     good = table[:, 1] == Status.CONVERGED
     solved, count = int(good.sum()), len(table)
@@ -219,7 +265,8 @@ def summary(robot: str, solver: str, task: str, table: np.ndarray) -> BenchmarkR
     table = table[np.argsort(~good, kind="stable")]
     seconds, best = table[:, 0], table[:solved]
     return BenchmarkRow(
-        robot=robot,
+        robot=robot.name,
+        tips=robot.tips,
         solver=solver,
         task=task,
         targets=count,

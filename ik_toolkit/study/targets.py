@@ -8,6 +8,7 @@ import numpy as np
 from ..errors import InvalidOption, near_match
 from ..robot.robot import Robot
 from ..robot.tree import Tree
+from ..solvers.solve import require_robot
 
 HOW = ("joints", "volume")
 CELLS = 40  # voxels along the reach, for volume-uniform targets
@@ -16,39 +17,41 @@ POOL = 200_000  # configurations that fill the voxels
 
 def require_one_tip(robot: Any, what: str) -> None:
     """Raise InvalidOption unless `robot` is a Robot; `what` names the study in the sentence."""
-    if isinstance(robot, Tree):
+    require_robot(robot)
+    if not isinstance(robot, Robot):
         tips = ", ".join(robot.tips)
         raise InvalidOption(
             f"{what} takes a Robot with one tip, not a Tree with the tips {tips}; load it with one of them"
         )
-    if not isinstance(robot, Robot):
-        raise InvalidOption(f"{what} takes a Robot (see Robot.load), not {type(robot).__name__}")
-
-
-def sample_joints(robot: Robot, count: int, seed: Any) -> np.ndarray:
-    """Configurations (count, n) [rad, m], uniform inside the limits (one turn or one reach where there are none)."""
-    low, span = robot._sampling
-    return low + span * np.random.default_rng(seed).random((count, robot.n))
 
 
 def sample_targets(
-    robot: Robot, count: int, seed: Any = 0, *, how: str = "joints", position_only: bool = False
+    robot: Robot | Tree,
+    count: int,
+    seed: Any = 0,
+    *,
+    how: str = "joints",
+    position_only: bool = False,
+    tip: str | None = None,
 ) -> np.ndarray:
-    """Reachable targets: poses (count, 4, 4), or positions (count, 3) [m].
+    """Reachable targets: poses (count, 4, 4), or positions (count, 3) [m]; of a Tree (count, F, 4, 4) or (count, F, 3).
 
-    how: 'joints', the tip at joint values drawn uniformly; 'volume', every voxel of the reach (a fortieth of it wide) that the
-    tip can enter is equally likely. seed: anything `numpy.random.default_rng` takes. Raises InvalidOption.
+    how: 'joints', the tips at joint values drawn uniformly; 'volume', every voxel of the reach (a fortieth of it wide) that the
+    tip can enter is equally likely. tip: of a Tree, the targets of this tip alone (which 'volume' needs). seed: anything
+    `numpy.random.default_rng` takes. Raises InvalidOption, FrameNotFound.
     """
-    require_one_tip(robot, "sampling of targets")
+    require_robot(robot)
     if how not in HOW:
         raise InvalidOption(f"targets are drawn by one of {', '.join(HOW)}, not '{how}'.{near_match(str(how), HOW)}")
     if isinstance(count, bool) or int(count) != count or count < 1:
         raise InvalidOption(f"the number of targets must be a whole number of at least 1, not {count!r}")
+    if tip is None and how == "volume" and isinstance(robot, Tree):
+        raise InvalidOption(f"targets uniform in volume are drawn for one tip; choose among {', '.join(robot.tips)}")
     rng = np.random.default_rng(seed)
     if how == "joints":
-        T = robot.chain.forward(sample_joints(robot, count, rng))[0]
+        T = _poses(robot, robot.random_q(rng, count), tip)
     else:
-        pool = robot.chain.forward(sample_joints(robot, POOL, 0))[0]
+        pool = _poses(robot, robot.random_q(np.random.default_rng(0), POOL), tip)
         cell = np.floor(pool[:, :3, 3] / (robot.reach / CELLS)).astype(np.int64)
         cell -= cell.min(axis=0)
         key = (cell[:, 0] * (cell[:, 1].max() + 1) + cell[:, 1]) * (cell[:, 2].max() + 1) + cell[:, 2]
@@ -56,12 +59,21 @@ def sample_targets(
         _, first, size = np.unique(key[order], return_index=True, return_counts=True)
         voxel = rng.integers(0, len(first), count)
         T = pool[order[first[voxel] + np.floor(rng.random(count) * size[voxel]).astype(np.int64)]]
-    return T[:, :3, 3].copy() if position_only else T
+    return T[..., :3, 3].copy() if position_only else T
+
+
+def _poses(robot: Robot | Tree, Q: np.ndarray, tip: str | None) -> np.ndarray:
+    """Poses of all tips, or of one, at Q (count, n)."""
+    if tip is None:
+        return robot.chain.forward(Q)[0]
+    robot.check_tips([tip])
+    f = robot.tips.index(tip)
+    return robot.arms[f].chain.forward(Q[:, robot.places[f]])[0]
 
 
 def stream_targets(
-    robot: Robot, count: int, seed: int = 0, *, how: str = "joints", position_only: bool = False, chunk: int = 8192
+    robot: Robot | Tree, count: int, seed: int = 0, *, chunk: int = 8192, **asked: Any
 ) -> Iterator[np.ndarray]:
     """The same in chunks, for more targets than fit in memory; chunk k depends on (seed, k) only."""
     for k, done in enumerate(range(0, count, chunk)):
-        yield sample_targets(robot, min(chunk, count - done), [seed, k], how=how, position_only=position_only)
+        yield sample_targets(robot, min(chunk, count - done), [seed, k], **asked)

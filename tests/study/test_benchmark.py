@@ -13,7 +13,7 @@ from folders import SCRIPTS
 from typer.testing import CliRunner
 
 import ik_toolkit as ik
-from ik_toolkit.errors import InvalidOption, RobotNotFound, UnknownSolver
+from ik_toolkit.errors import FrameNotFound, InvalidOption, RobotNotFound, UnknownSolver
 from ik_toolkit.study import benchmark as study
 from ik_toolkit.study import singularity
 from ik_toolkit.study.statistics import wilson
@@ -55,7 +55,7 @@ def test_wilson_solves_its_equation():
     assert wilson(7, 7)[1] == 1.0 and wilson(0, 7)[0] == 0.0
 
 
-def test_summary_counts_what_it_is_given():
+def test_summary_counts_what_it_is_given(arm):
     """Made-up rows: seconds, status, iterations, restarts, FK evaluations, errors."""
     table = np.array(
         [
@@ -65,14 +65,14 @@ def test_summary_counts_what_it_is_given():
             [3e-6, 3, 30, 0, 31, 0.1, 0.1],
         ]
     )
-    row = study.summary("arm", "lm", "pose", table)
+    row = study.summary(arm, "lm", "pose", table)
     assert (row.targets, row.solved, row.statuses) == (4, 2, {"CONVERGED": 2, "STALLED": 1, "LIMIT_BLOCKED": 1})
     assert (row.median, row.mean) == pytest.approx((2.5e-6, 2.5e-6))
     assert (row.iterations, row.restarts, row.fk_evaluations) == (18, 1.5, 19.5)
     assert (row.worst_position_error, row.worst_orientation_error) == (2e-7, 3e-7)
     assert (row.low, row.high) == wilson(2, 4)
     assert row.seconds[:2].tolist() == [1e-6, 2e-6]  # the solved ones first
-    nothing = study.summary("arm", "lm", "pose", table[[0, 3]])
+    nothing = study.summary(arm, "lm", "pose", table[[0, 3]])
     assert nothing.worst_position_error is None and nothing.solved == 0
 
 
@@ -151,23 +151,76 @@ def tree():
 @pytest.mark.parametrize(
     "call",
     [
-        lambda robot: ik.benchmark(robot, ["lm"], targets=2),
-        lambda robot: ik.benchmark(["hydrolek_7w", robot], ["lm"], targets=2),
         lambda robot: workspace(robot, goals=10),
         lambda robot: tune(robot, "pid", goals=10, generations=1),
-        lambda robot: sample_targets(robot, 3),
         lambda robot: singularity.run(robot, np.zeros(3), "lm", robot.home),
         lambda robot: singularity.escapes(robot, np.zeros((1, 3)), ["lm"], robot.home),
         lambda robot: singularity.measures(robot, robot.home[None]),
     ],
 )
-def test_studies_are_for_one_tip(call):
+def test_some_studies_are_for_one_tip(call):
     """A Tree is refused by its tips, anything else by its type."""
     with pytest.raises(InvalidOption, match=r"one tip.*left_tip, right_tip"):
         call(tree())
     broken = type("Thing", (), {"home": np.zeros(2)})()
     with pytest.raises(InvalidOption, match="Thing"):
         call(broken)
+
+
+@pytest.mark.parametrize("task", ["pose", "position"])
+def test_several_tips_meet_the_same_rows(task):
+    both = tree()
+    found = ik.benchmark(both, ["lm", "dls", "newton", "inspection"], targets=25, task=task, seed=2)
+    assert [row.solver for row in found.rows] == ["lm", "dls"] and {name for _, name in found.skipped} == {
+        "newton",
+        "inspection",
+    }
+    assert {robot for robot, _ in found.skipped} == {"brokk_hydrolek (left_tip + right_tip)"} == set(found.by_robot())
+    T, _ = study.problems(both, 25, task, "none", 2)
+    solver = ik.Solver(both, "lm", restarts=study.RESTARTS)
+    results = [solver(list(target)) for target in T]
+    row = found.rows[0]
+    assert row.tips == both.tips and row.to_dict()["tips"] == both.tips
+    assert row.solved == sum(result.success for result in results) >= 24
+    assert row.once.solved <= row.solved and row.restarts == np.mean([result.restarts for result in results])
+    good = [result for result in results if result.success]
+    assert row.worst_position_error == max(max(result.position_errors.values()) for result in good)
+    angles = [angle for result in good for angle in result.orientation_errors.values()]
+    assert row.worst_orientation_error == (max(angles) if task == "pose" else None)
+
+
+def test_arms_of_one_robot_are_told_apart():
+    both = tree()
+    found = ik.benchmark([*both.arms, both], ["lm"], targets=2, task="position")
+    names = [f"brokk_hydrolek ({tips})" for tips in ("left_tip", "right_tip", "left_tip + right_tip")]
+    assert list(found.by_robot()) == names and [len(rows) for rows in found.by_robot().values()] == [1, 1, 1]
+
+
+@pytest.mark.parametrize("start", ["home", "near", "random"])
+def test_starts_and_targets_of_several_tips(start):
+    both = tree()
+    T, Q0 = study.problems(both, 20, "pose", start, 5)
+    assert T.shape == (20, 2, 4, 4) and Q0.shape == (20, both.n) and not any(both.outside(q) for q in Q0)
+    solver = ik.Solver(both)
+    for target, q0 in zip(T[:4], Q0, strict=False):
+        result = solver(target, q0)
+        assert result.success and (start != "near" or np.abs(result.q - q0).max() <= 2 * study.NEAR)
+
+
+def test_targets_of_several_tips_or_one():
+    both = tree()
+    T = sample_targets(both, 6, 1)
+    q = both.random_q(np.random.default_rng(1), 6)
+    assert np.allclose([[x.homogeneous for x in both.fk(row).values()] for row in q], T, atol=1e-12)
+    assert (sample_targets(both, 6, 1, position_only=True) == T[..., :3, 3]).all()
+    for f, tip in enumerate(both.tips):
+        assert np.allclose(sample_targets(both, 6, 1, tip=tip), T[:, f], atol=1e-12)
+        assert sample_targets(both, 6, 1, tip=tip, how="volume", position_only=True).shape == (6, 3)
+    with pytest.raises(InvalidOption, match="one tip; choose among left_tip, right_tip"):
+        sample_targets(both, 3, how="volume")
+    with pytest.raises(FrameNotFound, match="Did you mean 'left_tip'"):
+        sample_targets(both, 3, tip="left_tp")
+    assert (both.random_q(np.random.default_rng(1)) == q[0]).all()  # one at a time they are the same
 
 
 def test_options_reach_the_solvers(arm):
@@ -234,6 +287,32 @@ def test_command(tmp_path):
     assert run.exit_code == 0 and "dls" in run.output
     written = json.loads((tmp_path / "b.json").read_text(encoding="utf-8"))
     assert [row["solver"] for row in written["rows"]] == ["lm", "dls"] and written["rows"][0]["targets"] == 10
+    run = CliRunner().invoke(
+        application(),
+        [
+            "bench",
+            "brokk_hydrolek",
+            "--tip",
+            "left_tip",
+            "--tip",
+            "right_tip",
+            "--solvers",
+            "lm",
+            "-n",
+            "4",
+            "-o",
+            str(tmp_path / "t.json"),
+        ],
+    )
+    assert run.exit_code == 0 and "brokk_hydrolek (left_tip + right_tip): 4 targets (pose)" in run.output
+    (row,) = json.loads((tmp_path / "t.json").read_text(encoding="utf-8"))["rows"]
+    assert row["tips"] == ["left_tip", "right_tip"] and row["solved"] == 4
+    run = CliRunner().invoke(
+        application(), ["bench", "brokk_hydrolek", "--tip", "left_tip", "--solvers", "lm", "-n", "4"]
+    )
+    assert run.exit_code == 0 and "brokk_hydrolek: 4 targets (pose)" in run.output
+    run = CliRunner().invoke(application(), ["bench", "hydrolek_7w", "planar_2r", "--tip", "tip", "-n", "2"])
+    assert isinstance(run.exception, InvalidOption)
     run = CliRunner().invoke(application(), ["bench", "hydrolek_7w", "--solvers", "ml", "--targets", "2"])
     assert isinstance(run.exception, UnknownSolver)
 
