@@ -21,8 +21,8 @@ if TYPE_CHECKING:
 
 # Options that take several numbers: `--q 0.1 -0.2`, `--q 0.1,-0.2` and `--q "0.1 -0.2"` mean the same.
 VECTOR_OPTIONS = frozenset(
-    "--q --q0 --xyz --rpy --quat-xyzw --center --axis --start --end --direction --tip-axis --mask --joint-weights "
-    "--closest".split()
+    "--q --q0 --xyz --rpy --quat-xyzw --center --axis --start --end --direction --tip-axis --mask --slack --free-turn "
+    "--joint-weights --closest".split()
 )
 
 PLOTS = (".png", ".pdf", ".svg")

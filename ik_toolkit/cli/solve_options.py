@@ -58,7 +58,20 @@ Mask = Annotated[
     str | None,
     typer.Option("--mask", metavar="X Y Z RX RY RZ", help="Six weights of what counts; 0 leaves it free."),
 ]
-MaskFrame = Annotated[str, typer.Option("--mask-frame", metavar="base|tip", help="Axes the mask is meant in.")]
+Slack = Annotated[
+    str | None,
+    typer.Option(
+        "--slack",
+        metavar="X Y Z RX RY RZ",
+        help="Six half widths inside which there is no error, m and rad (with --deg, degrees); inf frees one.",
+    ),
+]
+FreeTurn = Annotated[
+    str | None, typer.Option("--free-turn", metavar="X Y Z", help="Axis of the tip about which it may turn freely.")
+]
+Frame = Annotated[
+    str | None, typer.Option("--frame", metavar="base|tip|target", help="Whose axes --mask and --slack are along.")
+]
 Weights = Annotated[
     str | None, typer.Option("--joint-weights", metavar="W1 W2 ...", help="How freely each joint moves; 0: not at all.")
 ]
@@ -119,6 +132,7 @@ PASSED_ON = (
     "seed",
     "objective",
     "follow",
+    "frame",
 )  # options of the command that are options of the call, word for word
 
 
@@ -153,8 +167,11 @@ def refuse_contradictions(line: SimpleNamespace) -> None:
 def read_options(line: SimpleNamespace, arm: Any) -> dict[str, Any]:
     """Options of the call, those given only; among them q0 and, of a file of targets, closest as a word. Raises InvalidOption."""
     given = {name: getattr(line, name) for name in PASSED_ON}
-    if line.mask is not None:
-        given |= {"mask": tuple(vector(line.mask, "--mask", 6)), "mask_frame": line.mask_frame}
+    for name, option, size in (("mask", "--mask", 6), ("slack", "--slack", 6), ("free_turn", "--free-turn", 3)):
+        if getattr(line, name) is not None:
+            given[name] = tuple(vector(getattr(line, name), option, size))
+    if line.slack is not None and line.deg:
+        given["slack"] = (*given["slack"][:3], *map(math.radians, given["slack"][3:]))
     if line.joint_weights is not None:
         given["joint_weights"] = tuple(vector(line.joint_weights, "--joint-weights", arm.n))
     options = {name: value for name, value in given.items() if value is not None}

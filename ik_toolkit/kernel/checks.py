@@ -4,13 +4,14 @@ import math
 
 from .algebra import V3, at3, put3, rotation_at
 from .jit import inner, jit, spliced
-from .task import POSE, POSITION
+from .task import Part
 
 CONVERGED, STALLED, ITERATION_LIMIT, LIMIT_BLOCKED, UNREACHABLE, SINGULAR, NOT_FINITE, CHECK_FAILED = range(8)
 BAD_TARGET, BAD_START = 8, 9  # never seen by a caller: the target or the start needs a look outside the kernel
 TOO_FAR = 11  # 10 is COLLISION, found outside the kernel
 LAST_ROW = 1e-9  # how far the last row of a pose may be off 0 0 0 1
 REACH_SLACK = 1e-9  # [kernel units] more than any rounding of the bound: "unreachable" is a proof
+WIDE = 2.0  # rad of rotation left from which on it says nothing of where the last joint is: a chord is never longer
 UNSEEN = 1e-16  # cos^2 of the angle between error and what the joints can do, below which that is rounding
 BLOCKED = 1e-4  # share of the squared gradient left to free joints, below which limits are what holds the attempt
 FAR = 1e100  # coordinates [m] beyond this are refused: their squares are no numbers
@@ -27,16 +28,26 @@ def ring(p, reach, hole, ends, slack):
 
 
 @inner
-def beyond(goal, ends, kind, tol_p, tol_r):
-    """Length by which the target lies outside the reach bound (0 = not proven unreachable), in kernel units."""
-    if kind > POSITION:
+def beyond(goal, ends, task, tol_p, tol_r):
+    """Length by which the target lies outside the reach bound (0 = not proven unreachable), in kernel units.
+
+    A tip whose errors are inside what the task and the tolerances allow is no further than that from the target's point. The
+    last joint's point is fixed by the pose, up to the part of the tool across a free turn: the arm without its tool must reach it.
+    """
+    what = Part(task)
+    point, slack = at3(goal, 9), what.allowance(0, tol_p) + REACH_SLACK
+    if not slack < math.inf:
         return 0.0
-    point, slack = at3(goal, 9), tol_p + REACH_SLACK
     worst = max(0.0, ring(point, ends.bound(0), ends.bound(1), ends, slack))
-    if kind == POSE:  # the last joint's point is fixed by the pose: the arm without its tool must reach it
-        tool = at3(ends.flat, 21)
+    angle = what.allowance(3, tol_r)
+    if angle < WIDE:
+        tool, side = at3(ends.flat, 21), 0.0
+        if what.free_turn():
+            along = what.axis() * what.axis().dot(tool)
+            side = math.sqrt((tool - along).square())
+            tool = along
         wrist = point - rotation_at(goal, 0).times(tool)
-        slack += tol_r * math.sqrt(tool.square())
+        slack += angle * math.sqrt(tool.square()) + side
         worst = max(worst, ring(wrist, ends.bound(2), ends.bound(3), ends, slack))
     return worst
 

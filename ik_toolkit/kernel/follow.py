@@ -68,7 +68,7 @@ def note(ends, linear, turn, E):
 def twist_to(ends, T, goal, now, tip, out):
     """Write the error from the pose now to T (4, 4), the rotation as a rotation vector, to out (6,), in kernel units."""
     aim(ends, T, goal)
-    linear, angular = pose_error(goal, now, tip)
+    linear, angular = pose_error(goal, now.axes, tip)
     put3(out, 0, linear)
     put3(out, 3, angular * angle_ratio(angular.square()))
 

@@ -121,9 +121,9 @@ def rotation_error(now, goal):
 
 
 @inline
-def pose_error(goal, now, tip):
-    """Errors (linear, angular as of `rotation_error`) of the last joint's pose `now` and the point `tip` at a goal of `aim`."""
-    return at3(goal, 9) - tip, rotation_error(now.axes, rotation_at(goal, 0))
+def pose_error(goal, axes, tip):
+    """Errors (linear, angular as of `rotation_error`) of the last joint's axes and the point `tip` at a goal of `aim`."""
+    return at3(goal, 9) - tip, rotation_error(axes, rotation_at(goal, 0))
 
 
 @inner

@@ -16,17 +16,16 @@
 A record holds views of the flat arrays and scratch; it is made once a call and never leaves inlined code.
 """
 
-import math
 from typing import NamedTuple
 
 import numpy as np
 
-from .algebra import at3, chord, put3
+from .algebra import V3, at3, chord, put3
 from .checks import beyond, edge, rigid
 from .jit import build, compiled, inline
-from .kinematics import aim, column, fk, pose_error, rotation_angle
+from .kinematics import aim, column, fk, pose_error
 from .records import Array
-from .task import POSE, masked, shape_column, shape_error
+from .task import FREE, PART, POSE, POSITION, count_column, shape
 
 GOAL = 15  # numbers of a goal: pose (12), and its point again where the search aims at the edge of the reach instead
 BEST_OF_ALL, NEAREST, NOW = 0, 1, 2  # places to keep errors: the least, those of the answer nearest q0, any others
@@ -38,6 +37,7 @@ class Desk(NamedTuple):
 
     q: Array  # (n,) current coordinates
     dq: Array  # (n,) the step
+    start: Array  # (n,) q0, or home
     w: Array  # (n,) joint weights; 0 holds a joint in this step
     x: Array  # (4 n + 8,) memory of the rule, zeroed at the start of an attempt
     J: Array  # (n, m)
@@ -56,7 +56,7 @@ class Desk(NamedTuple):
 def make_desk(n, m):
     """Scratch for n coordinates and m errors."""
     return Desk(
-        np.empty(n), np.empty(n), np.empty(n), np.empty(4 * n + 8), np.zeros((n, m)), np.empty((m, m)), np.empty(m),
+        np.empty(n), np.empty(n), np.empty(n), np.empty(n), np.empty(4 * n + 8), np.zeros((n, m)), np.empty((m, m)), np.empty(m),
         np.empty(m), np.zeros(2), np.empty((3, m // 6, 2)),
     )  # fmt: skip
 
@@ -65,13 +65,7 @@ def make_desk(n, m):
 def tolerances(orders, kind, scale):
     """Squared tolerances of position and rotation, as the errors of a kind of task are measured."""
     tol_p = orders.tol_p / scale
-    return tol_p * tol_p, orders.tol_r * orders.tol_r if masked(kind) else chord(orders.tol_r)
-
-
-@inline
-def angle_left(kind, rr):
-    """Angle [rad] of a squared rotation error."""
-    return math.sqrt(rr) if masked(kind) else rotation_angle(rr)
+    return tol_p * tol_p, orders.tol_r * orders.tol_r if kind == PART else chord(orders.tol_r)
 
 
 @inline
@@ -81,28 +75,45 @@ def take(T, ends, task, goal, orders):
         return -1.0
     aim(ends, T, goal)
     put3(goal, 12, at3(goal, 9))
-    excess = beyond(goal, ends, int(task[0]), orders.tol_p / ends.scale(), orders.tol_r)
-    if excess > 0.0:  # there the damping vanishes and the search is fast
+    excess = beyond(goal, ends, task, orders.tol_p / ends.scale(), orders.tol_r)
+    if excess > 0.0 and int(task[0]) < FREE:  # there the damping vanishes and the search is fast
         edge(goal, ends, excess)
     return excess
 
 
 @inline
 def from_target(goal, linear):
-    """Position error measured from the target itself, not from the edge of the reach. (A mask never aims there.)"""
+    """Position error measured from the target itself, not from the edge of the reach. (Where a part counts they are one.)"""
     return linear + (at3(goal, 12) - at3(goal, 9))
 
 
 @inline
-def look_at(rows, ends, task, goal, kept, q, joints, trig):
-    """Tip and errors (linear, angular) of one chain at q, with what does not count set to zero."""
+def tip_at(rows, ends, q, joints, trig):
+    """Axes of the last joint, and the tip, of one chain at q."""
     now = fk(rows, q, joints, trig)
-    tip = now.point + now.axes.times(at3(ends.flat, 21))
-    linear, angular = pose_error(goal, now, tip)
+    return now.axes, now.point + now.axes.times(at3(ends.flat, 21))
+
+
+@inline
+def errors_at(task, ends, goal, kept, axes, tip):
+    """Errors (linear, angular) that count."""
+    linear, angular = pose_error(goal, axes, tip)
     kind = int(task[0])
-    if kind != POSE:
-        linear, angular = shape_error(kind, task[1:7], ends, goal, kept, now.axes, linear, angular)
-    return tip, linear, angular
+    if kind == POSE:
+        return linear, angular
+    if kind == POSITION:
+        return linear, V3(0.0, 0.0, 0.0)
+    return shape(task, ends, goal, axes, linear, angular, kept)
+
+
+@inline
+def counted(kind, kept, linear, angular):
+    """A column of the tip as its errors count."""
+    if kind == POSE:
+        return linear, angular
+    if kind == POSITION:
+        return linear, V3(0.0, 0.0, 0.0)
+    return count_column(kept, linear, angular)
 
 
 @inline
@@ -116,17 +127,20 @@ def fill(rows, task, kept, joints, tip, J, first):
                 J[i, k] = 0.0
     for i in range(rows.shape[0]):
         u, v = column(rows, joints, i, tip)
-        if kind != POSE:
-            u, v = shape_column(kind, task[1:7], kept, u, v)
+        u, v = counted(kind, kept, u, v)
         if plain:
             J[i, first], J[i, first + 1], J[i, first + 2] = u.x, u.y, u.z
             J[i, first + 3], J[i, first + 4], J[i, first + 5] = v.x, v.y, v.z
         else:
-            k = int(rows[i, 8])
-            ratio = rows[i, 4] + rows[i, 6]
-            J[k, first] += ratio * u.x
-            J[k, first + 1] += ratio * u.y
-            J[k, first + 2] += ratio * u.z
-            J[k, first + 3] += ratio * v.x
-            J[k, first + 4] += ratio * v.y
-            J[k, first + 5] += ratio * v.z
+            add_column(J, int(rows[i, 8]), first, rows[i, 4] + rows[i, 6], u, v)
+
+
+@inline
+def add_column(J, i, first, ratio, u, v):
+    """Add ratio times (u, v) to J[i, first : first + 6]."""
+    J[i, first] += ratio * u.x
+    J[i, first + 1] += ratio * u.y
+    J[i, first + 2] += ratio * u.z
+    J[i, first + 3] += ratio * v.x
+    J[i, first + 4] += ratio * v.y
+    J[i, first + 5] += ratio * v.z

@@ -40,17 +40,27 @@ class Orders(NamedTuple):
     follow_slide: float  # ... and of a slide [m]; 0: any
 
 
-@compiled
 class Task(NamedTuple):
-    """What of the pose error of a tip counts: a kind of `task`, and six weights (masks) or the axis (AXIS, last joint's frame)."""
+    """What of the error of a tip counts, as `task` reads it; lengths in kernel units, the axis in the last joint's frame."""
 
-    kind: float
-    w0: float = 0.0
-    w1: float = 0.0
-    w2: float = 0.0
-    w3: float = 0.0
-    w4: float = 0.0
-    w5: float = 0.0
+    kind: float  # POSE, POSITION, FREE or PART
+    frame: float = 0.0  # whose axes weights and slacks are along: BASE, TIP or TARGET
+    other: float = -1.0  # the tip that the target is relative to, -1: the base
+    ax: float = 0.0  # the axis about which the tip may turn; none when zero
+    ay: float = 0.0
+    az: float = 0.0
+    w0: float = 1.0  # weights, 0 where an error does not count: three of the position, three of the rotation
+    w1: float = 1.0
+    w2: float = 1.0
+    w3: float = 1.0
+    w4: float = 1.0
+    w5: float = 1.0
+    s0: float = 0.0  # and half widths inside which there is no error
+    s1: float = 0.0
+    s2: float = 0.0
+    s3: float = 0.0
+    s4: float = 0.0
+    s5: float = 0.0
 
 
 @compiled

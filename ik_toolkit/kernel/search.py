@@ -307,7 +307,7 @@ def entry(cls: type) -> Callable:
         # What belongs to the coordinates is the same for every tip, and stands first.
         box, near = Ends(ends.reshape(-1), n), Ends(near_ends.reshape(-1), n)
         table = make_table(seeds, features, tips)
-        best, found, start = np.empty(n), np.empty(n), np.empty(n)
+        best, found, start = np.empty(n), np.empty(n), p.desk.start
         from_q0 = o.given > 0.0 or o.closest > 0.0
         for t in range(T.shape[0]):
             q0 = Q0[t if Q0.shape[0] > 1 else 0]

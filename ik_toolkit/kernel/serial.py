@@ -7,21 +7,21 @@ import numpy as np
 
 from .algebra import V3, at3
 from .jit import build, compiled
-from .kinematics import angle_ratio, column, room
+from .kinematics import column, room
 from .linalg import damped, pseudo_inverse_step
-from .problem import GOAL, Desk, angle_left, fill, from_target, look_at, make_desk, take, tolerances
-from .records import Array, Ends
+from .problem import GOAL, Desk, counted, errors_at, fill, from_target, make_desk, take, tip_at, tolerances
+from .records import TASK, Array, Ends
 from .seeds import nearest, rnd
-from .task import KEPT, POSE, POSITION, counts, shape_column
+from .task import KEPT, POSITION, angle_left, counts, vector_ratio
 
 
 @compiled
 class Look(NamedTuple):
-    """One tip at a configuration. Lengths are divided by the chain's scale; axes are those of the first joint."""
+    """One tip at a configuration. Lengths are divided by the chain's scale; axes: the first joint's, or the task's."""
 
     point: V3  # the tip
     linear: V3  # target - tip
-    angular: V3  # 2 sin(angle/2) * axis of the rotation left
+    angular: V3  # 2 sin(angle/2) * axis of the rotation left; a rotation vector where a part counts
     ee: float  # squared norm of all errors
     good: bool  # inside the tolerances
 
@@ -46,7 +46,8 @@ class Serial(NamedTuple):
         return take(T, self.ends, self.task, self.goal, orders)
 
     def evaluate(self, q):
-        tip, linear, angular = look_at(self.rows, self.ends, self.task, self.goal, self.kept, q, self.joints, self.trig)
+        axes, tip = tip_at(self.rows, self.ends, q, self.joints, self.trig)
+        linear, angular = errors_at(self.task, self.ends, self.goal, self.kept, axes, tip)
         pp, rr = linear.square(), angular.square()
         return Look(tip, linear, angular, pp + rr, pp < self.tp and rr < self.tr)
 
@@ -69,7 +70,7 @@ class Serial(NamedTuple):
 
     def stack(self, look):
         y = self.desk.y
-        turn = look.angular * angle_ratio(look.angular.square())
+        turn = look.angular * vector_ratio(int(self.task[0]), look.angular.square())
         y[0], y[1], y[2] = look.linear.x, look.linear.y, look.linear.z
         y[3], y[4], y[5] = turn.x, turn.y, turn.z
 
@@ -79,7 +80,7 @@ class Serial(NamedTuple):
 
     def norm(self, look, weight):
         """Norm of the errors, rotations as angles times `weight`."""
-        ratio = weight * angle_ratio(look.angular.square())
+        ratio = weight * vector_ratio(int(self.task[0]), look.angular.square())
         return math.sqrt(look.linear.square() + ratio * ratio * look.angular.square())
 
     def inside(self, i, value):
@@ -101,10 +102,9 @@ class Serial(NamedTuple):
             side = linear.dot(to)
             ahead = now.dot(to) - now.dot(axis) * to.dot(axis)
             return math.atan2(side, ahead) if abs(side) + abs(ahead) > least else 0.0
-        if kind != POSE:
-            linear, angular = shape_column(kind, self.task[1:7], self.kept, linear, angular)
+        linear, angular = counted(kind, self.kept, linear, angular)
         size = linear.square() + angular.square()
-        top = linear.dot(look.linear) + angle_ratio(look.angular.square()) * angular.dot(look.angular)
+        top = linear.dot(look.linear) + vector_ratio(kind, look.angular.square()) * angular.dot(look.angular)
         return top / size if size > least else 0.0
 
     def try_out(self, q):
@@ -113,12 +113,12 @@ class Serial(NamedTuple):
         return self.evaluate(q)
 
     def undo(self, look):
-        """After a trial was taken back: the joints before the one moved are as they were, only what a mask keeps may differ."""
+        """After a trial was taken back: the joints before the one moved are as they were, only what `shape` keeps may differ."""
         if int(self.task[0]) > POSITION:
             self.try_out(self.desk.q)
 
     def rank(self, table):
-        wp, wr = counts(int(self.task[0]), self.task[1:7])
+        wp, wr = counts(self.task)
         nearest(table.features, self.goal, wp, wr, table.score, table.val, table.best)
 
     def begin(self, table, k, q):
@@ -152,6 +152,6 @@ def make_serial(rows, ends, tasks, n, orders):
     joints, angles = room(rows.shape[0])
     tp, tr = tolerances(orders, int(tasks[0]), box.scale())
     return Serial(
-        make_desk(n, 6), rows, box, tasks[:7], np.empty(GOAL), np.empty(KEPT), np.empty(joints), np.zeros(angles), tp, tr,
+        make_desk(n, 6), rows, box, tasks[:TASK], np.empty(GOAL), np.empty(KEPT), np.empty(joints), np.zeros(angles), tp, tr,
         orders.limits > 0.0 or orders.follow > 0.0,
     )  # fmt: skip

@@ -9,16 +9,78 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .algebra import at3, put3
-from .jit import build, compiled
-from .kinematics import angle_ratio, room
+from .algebra import M3, V3, at3, put3, rotation_at
+from .checks import rigid
+from .jit import build, compiled, inline, inner
+from .kinematics import column, room
 from .linalg import damped_stack, pseudo_inverse_step
-from .problem import GOAL, Desk, angle_left, fill, from_target, look_at, make_desk, take, tolerances
-from .records import MISS, Array, Ends, Miss, Orders, write
+from .problem import GOAL, Desk, add_column, errors_at, fill, from_target, make_desk, take, tip_at, tolerances
+from .records import MISS, TASK, Array, Ends, Miss, Orders, write
 from .seeds import BEST, nearest, rnd
-from .task import KEPT, counts
+from .task import FREE, KEPT, POSE, POSITION, angle_left, count_goal_column, counts, vector_ratio
 
 ARRIVED = 1e-4  # squared error (lengths over reach) below which a tip is at its target, near enough to keep its joints
+
+
+# Of a target given relative to another tip, by place: what brings that tip's axes to the target's (9), the target's point in
+# that tip's axes (3), and the pose of that chain's first joint in this chain's (12).
+TURN, POINT, FRAME, LINK = 0, 9, 12, 24
+
+
+@inline
+def put_axes(A, i, m):
+    """Write a matrix to nine places, by rows."""
+    put3(A, i, V3(m.x.x, m.y.x, m.z.x))
+    put3(A, i + 3, V3(m.x.y, m.y.y, m.z.y))
+    put3(A, i + 6, V3(m.x.z, m.y.z, m.z.z))
+
+
+@inline
+def product(a, b):
+    """a b."""
+    return M3(a.times(b.x), a.times(b.y), a.times(b.z))
+
+
+@inline
+def transposed(m):
+    """The transpose of a matrix."""
+    return M3(V3(m.x.x, m.y.x, m.z.x), V3(m.x.y, m.y.y, m.z.y), V3(m.x.z, m.y.z, m.z.z))
+
+
+@inner
+def link_to(T, ends, other, link):
+    """Read a target T (4, 4) [m] in the frame of another tip: link (LINK,). ends, other: of the two chains."""
+    tool = rotation_at(other.flat, 12)
+    turn = M3(V3(T[0, 0], T[1, 0], T[2, 0]), V3(T[0, 1], T[1, 1], T[2, 1]), V3(T[0, 2], T[1, 2], T[2, 2]))
+    put_axes(link, TURN, product(tool, product(turn, transposed(rotation_at(ends.flat, 12)))))
+    put3(link, POINT, tool.times(V3(T[0, 3], T[1, 3], T[2, 3]) * (1.0 / ends.scale())))
+    base = transposed(rotation_at(ends.flat, 0))
+    put_axes(link, FRAME, product(base, rotation_at(other.flat, 0)))
+    put3(link, FRAME + 9, base.times(at3(other.flat, 9) - at3(ends.flat, 9)))
+
+
+@inner
+def carry(pose, link, goal):
+    """Write where the target is, to goal (GOAL,), when the other tip is at a pose: axes of its last joint (9), its point."""
+    frame, axes = rotation_at(link, FRAME), rotation_at(pose, 0)
+    put_axes(goal, 0, product(frame, product(axes, rotation_at(link, TURN))))
+    put3(goal, 9, frame.times(at3(pose, 9) + axes.times(at3(link, POINT))) + at3(link, FRAME + 9))
+    put3(goal, 12, at3(goal, 9))
+
+
+@inner
+def fill_goal(rows, task, kept, joints, pose, link, J, first):
+    """Subtract how the target of a tip moves with the other tip, whose rows, joints and pose these are."""
+    point = at3(pose, 9) + rotation_at(pose, 0).times(at3(link, POINT))
+    frame, kind = rotation_at(link, FRAME), int(task[0])
+    for i in range(rows.shape[0]):
+        u, v = column(rows, joints, i, point)
+        u, v = frame.times(u), frame.times(v)
+        if kind == POSITION:
+            v = v * 0.0
+        elif kind != POSE:
+            u, v = count_goal_column(kept, u, v)
+        add_column(J, int(rows[i, 8]), first, -(rows[i, 4] + rows[i, 6]), u, v)
 
 
 @compiled
@@ -36,11 +98,14 @@ class Tree(NamedTuple):
     desk: Desk
     rows: Array
     ends: Array  # (F, ...)
-    tasks: Array  # (F, 7)
+    tasks: Array  # (F, TASK)
     cut: Array  # (F + 1,) chain f in rows[cut[f] : cut[f + 1]]
-    moves: Array  # (F, n) 1 where a coordinate moves a tip
+    moves: Array  # (F, n) 1 where a coordinate moves what counts at a tip
+    choosers: Array  # (2, n) the tip whose start a coordinate takes, -1: none, and how many tips it moves
     goals: Array  # (F, GOAL)
-    kept: Array  # (F, KEPT + 3) as of Serial, then the tip
+    links: Array  # (F, LINK)
+    kept: Array  # (F, KEPT) as of Serial
+    poses: Array  # (F, 12) axes of the last joint by rows, then the tip
     joints: Array
     trig: Array
     tips: Array  # (F, 2) excess, squared error of the look before
@@ -50,23 +115,50 @@ class Tree(NamedTuple):
     def aim(self, T, orders):
         worst = 0.0
         for f in range(self.tasks.shape[0]):
-            excess = take(T[f], Ends(self.ends[f], self.desk.q.shape[0]), self.tasks[f], self.goals[f], orders)
+            other = int(self.tasks[f, 2])
+            if other >= 0:  # it moves, so nothing is proven about it
+                if not rigid(T[f]):
+                    return -1.0
+                link_to(
+                    T[f],
+                    Ends(self.ends[f], self.desk.q.shape[0]),
+                    Ends(self.ends[other], self.desk.q.shape[0]),
+                    self.links[f],
+                )
+                excess = 0.0
+            else:
+                excess = take(T[f], Ends(self.ends[f], self.desk.q.shape[0]), self.tasks[f], self.goals[f], orders)
             if excess < 0.0:
                 return -1.0
             self.tips[f, 0] = excess
             worst = max(worst, excess)
         return worst
 
+    def place(self, f, q):
+        """Find axes and tip of chain f at q."""
+        rows = self.rows[self.cut[f] : self.cut[f + 1]]
+        angles = room(rows.shape[0])[1]
+        axes, tip = tip_at(
+            rows, Ends(self.ends[f], self.desk.q.shape[0]), q, self.joints[6 * self.cut[f] :], self.trig[:angles]
+        )
+        put_axes(self.poses[f], 0, axes)
+        put3(self.poses[f], 9, tip)
+
     def evaluate(self, q):
         total, good = 0.0, True
         e = self.desk.e
         for f in range(self.tasks.shape[0]):
-            ends = Ends(self.ends[f], q.shape[0])
-            rows = self.rows[self.cut[f] : self.cut[f + 1]]
-            angles = room(rows.shape[0])[1]
-            tip, linear, angular = look_at(
-                rows, ends, self.tasks[f], self.goals[f], self.kept[f], q, self.joints[6 * self.cut[f] :], self.trig[:angles]
-            )  # fmt: skip
+            self.place(f, q)
+        for f in range(self.tasks.shape[0]):
+            other = int(self.tasks[f, 2])
+            if other >= 0:
+                carry(self.poses[other], self.links[f], self.goals[f])
+            ends, axes, tip = (
+                Ends(self.ends[f], self.desk.q.shape[0]),
+                rotation_at(self.poses[f], 0),
+                at3(self.poses[f], 9),
+            )
+            linear, angular = errors_at(self.tasks[f], ends, self.goals[f], self.kept[f], axes, tip)
             pp, rr = linear.square(), angular.square()
             tp, tr = tolerances(self.orders, int(self.tasks[f, 0]), ends.scale())
             good = good and pp < tp and rr < tr
@@ -74,13 +166,17 @@ class Tree(NamedTuple):
             put3(e, 6 * f, linear)
             put3(e, 6 * f + 3, angular)
             self.tips[f, 1] = pp + rr
-            put3(self.kept[f], KEPT, tip)
         return Looks(total, good)
 
     def jacobian(self, look):
+        cut, J = self.cut, self.desk.J
         for f in range(self.tasks.shape[0]):
-            rows, joints = self.rows[self.cut[f] : self.cut[f + 1]], self.joints[6 * self.cut[f] :]
-            fill(rows, self.tasks[f], self.kept[f], joints, at3(self.kept[f], KEPT), self.desk.J, 6 * f)
+            task, kept, joints = self.tasks[f], self.kept[f], self.joints[6 * cut[f] :]
+            fill(self.rows[cut[f] : cut[f + 1]], task, kept, joints, at3(self.poses[f], 9), J, 6 * f)
+            other = int(task[2])
+            if other >= 0:
+                rows, joints = self.rows[cut[other] : cut[other + 1]], self.joints[6 * cut[other] :]
+                fill_goal(rows, task, kept, joints, self.poses[other], self.links[f], J, 6 * f)
 
     def damped(self, look, damping):
         s = self.desk
@@ -103,7 +199,7 @@ class Tree(NamedTuple):
         for h in range(0, e.shape[0], 6):
             angular = at3(e, h + 3)
             put3(y, h, at3(e, h))
-            put3(y, h + 3, angular * angle_ratio(angular.square()))
+            put3(y, h + 3, angular * vector_ratio(int(self.tasks[h // 6, 0]), angular.square()))
 
     def slope(self, look, i):
         total = 0.0
@@ -115,7 +211,7 @@ class Tree(NamedTuple):
         total = 0.0
         for h in range(0, self.desk.e.shape[0], 6):
             linear, angular = at3(self.desk.e, h), at3(self.desk.e, h + 3)
-            ratio = weight * angle_ratio(angular.square())
+            ratio = weight * vector_ratio(int(self.tasks[h // 6, 0]), angular.square())
             total += linear.square() + ratio * ratio * angular.square()
         return math.sqrt(total)
 
@@ -140,22 +236,26 @@ class Tree(NamedTuple):
     def undo(self, look):
         self.try_out(self.desk.q)
 
-    def owner(self, i):
-        """The only tip that coordinate i moves, -1 when it is shared."""
-        found = -1
-        for f in range(self.moves.shape[0]):
-            if self.moves[f, i] > 0.0:
-                if found >= 0:
-                    return -1
-                found = f
-        return found
-
     def rank(self, table):
-        """Best row of each tip in each interleaved group of rows, the groups in order of the sum of their scores."""
+        """Best row of each tip in each interleaved group of rows, the groups in order of the sum of their scores.
+
+        A target relative to another tip is looked for where that tip's own target has it, or where that tip starts.
+        """
+        F = self.tasks.shape[0]
+        for f in range(F):
+            if int(self.tasks[f, 0]) == FREE and int(self.tasks[f, 2]) < 0:
+                self.place(f, self.desk.start)
+                copy_pose(self.poses[f], self.goals[f])
+        for _ in range(F):  # a chain of them is no longer than that
+            for f in range(F):
+                other = int(self.tasks[f, 2])
+                if other >= 0:
+                    at_target(self.goals[other], self.poses[other])
+                    carry(self.poses[other], self.links[f], self.goals[f])
         for g in range(BEST):
             table.total[g] = 0.0
-        for f in range(self.tasks.shape[0]):
-            wp, wr = counts(int(self.tasks[f, 0]), self.tasks[f, 1:7])
+        for f in range(F):
+            wp, wr = counts(self.tasks[f])
             nearest(table.features[f], self.goals[f], wp, wr, table.score, table.val, table.best)
             for k in range(BEST):
                 g = table.best[k] % BEST
@@ -170,20 +270,30 @@ class Tree(NamedTuple):
             table.total[first] = np.inf
 
     def begin(self, table, k, q):
+        """Each coordinate as its tip chose it; one without a target of its tip's stays where the search starts."""
         for i in range(q.shape[0]):
-            q[i] = table.seeds[table.choice[table.best[k], max(self.owner(i), 0)], i]
+            f = int(self.choosers[0, i])
+            if f < 0 or int(self.tasks[f, 0]) == FREE:
+                q[i] = self.desk.start[i]
+            else:
+                q[i] = table.seeds[table.choice[table.best[k], f], i]
+
+    def arrived(self, f):
+        return int(self.tasks[f, 0]) != FREE and self.tips[f, 1] < ARRIVED
 
     def draw(self, table, k, q):
         """Mostly keep the tips that arrived and the shared joints: by chance all at once seldom start well."""
         some = False
         for f in range(self.tasks.shape[0]):
-            some = some or self.tips[f, 1] < ARRIVED
+            some = some or self.arrived(f)
         some = some and k % 4 > 0  # every fourth start is all new
-        ends = Ends(self.ends[0], q.shape[0])
+        ends = Ends(self.ends[0], self.desk.q.shape[0])
         for i in range(q.shape[0]):
             a = ends.low(i) + ends.span(i) * rnd(table.state)
-            owner = self.owner(i)
-            if not (some and (owner < 0 or self.tips[owner, 1] < ARRIVED)):
+            f = int(self.choosers[0, i])
+            if f < 0:
+                q[i] = self.desk.start[i]
+            elif not (some and (self.choosers[1, i] > 1.0 or self.arrived(f))):
                 q[i] = a
 
     def keep(self, look, place):
@@ -213,16 +323,56 @@ class Tree(NamedTuple):
             write(row, row.shape[0] - MISS * (self.tasks.shape[0] - f), Miss(p, r, excess))
 
 
+@inline
+def copy_pose(pose, goal):
+    """A goal (GOAL,) where a tip is."""
+    for k in range(12):
+        goal[k] = pose[k]
+
+
+@inline
+def at_target(goal, pose):
+    """The pose (12,) of a tip that is at its goal."""
+    for k in range(12):
+        pose[k] = goal[k]
+
+
+@build
+def make_moves(ends, tasks, n):
+    """`moves` and `choosers` of a Tree: joints that move a free tip alone move nothing that counts, and choose no start."""
+    F = ends.shape[0]
+    own = ends[:, ends.shape[1] - n :]
+    moves, choosers = np.zeros((F, n)), np.zeros((2, n))
+    asked = np.zeros(F)  # whether a tip has a say: its target counts, or another's is relative to it
+    for f in range(F):
+        asked[f] = 1.0 if int(tasks[f, 0]) != FREE else asked[f]
+        if int(tasks[f, 2]) >= 0:
+            asked[int(tasks[f, 2])] = 1.0
+    for i in range(n):
+        choosers[0, i] = -1.0
+        for f in range(F):
+            other = int(tasks[f, 2])
+            if int(tasks[f, 0]) != FREE and (own[f, i] > 0.0 or (other >= 0 and own[other, i] > 0.0)):
+                moves[f, i] = 1.0
+            if asked[f] > 0.0 and own[f, i] > 0.0:
+                choosers[1, i] += 1.0
+                if choosers[0, i] < 0.0 or (int(tasks[int(choosers[0, i]), 0]) == FREE and int(tasks[f, 0]) != FREE):
+                    choosers[0, i] = f
+    return moves, choosers
+
+
 @build
 def make_tree(rows, ends, tasks, n, orders):
-    """Tree with its scratch; the ends of a tip end with the number of its rows and `moves` (n)."""
+    """Tree with its scratch; the ends of a tip end with the number of its rows and which coordinates move it (n)."""
     F = ends.shape[0]
     cut = np.zeros(F + 1, np.int64)
     for f in range(F):
         cut[f + 1] = cut[f] + int(ends[f, ends.shape[1] - n - 1])
     joints, angles = room(rows.shape[0])
+    each = tasks[: TASK * F].reshape(F, TASK)
+    moves, choosers = make_moves(ends, each, n)
     return Tree(
-        make_desk(n, 6 * F), rows, ends, tasks[: 7 * F].reshape(F, 7), cut, ends[:, ends.shape[1] - n :],
-        np.empty((F, GOAL)), np.empty((F, KEPT + 3)), np.empty(joints), np.zeros(angles), np.full((F, 2), np.inf), orders,
+        make_desk(n, 6 * F), rows, ends, each, cut, moves, choosers, np.empty((F, GOAL)), np.empty((F, LINK)),
+        np.empty((F, KEPT)), np.empty((F, 12)), np.empty(joints), np.zeros(angles), np.full((F, 2), np.inf), orders,
         orders.limits > 0.0 or orders.follow > 0.0,
     )  # fmt: skip

@@ -32,12 +32,6 @@ class AxisTarget:
         object.__setattr__(self, "T_base_tip", T)
         object.__setattr__(self, "axis", tuple(_unit(self.axis, "axis").tolist()))
 
-    def errors(self, T: np.ndarray) -> tuple[float, float]:
-        """Position error [m] and angle between the axis and its direction [rad] of a tip pose T (4, 4)."""
-        now, wanted = T[:3, :3] @ self.axis, self.T_base_tip[:3, :3] @ self.axis
-        angle = 2.0 * math.asin(min(1.0, 0.5 * float(np.linalg.norm(now - wanted))))
-        return float(np.linalg.norm(self.T_base_tip[:3, 3] - T[:3, 3])), angle
-
 
 def _unit(value: Any, name: str) -> np.ndarray:
     vector = _numbers(value, 3, name)
@@ -175,19 +169,55 @@ def pose(
     return check_target(T)[0]
 
 
-def masked_errors(T: np.ndarray, target: np.ndarray, mask: Sequence[float], frame: str) -> tuple[float, float]:
-    """Weighted position error [m] and rotation error [rad] of a tip pose T (4, 4) against a target (4, 4) or (3,).
+def raw_error(T: np.ndarray, target: np.ndarray, frame: str = "base") -> np.ndarray:
+    """Error (6,) of a tip pose T (4, 4) at a target (4, 4) or (3,): target - tip [m], then the rotation vector left [rad].
 
-    mask: six weights of x, y, z, rx, ry, rz in `frame` 'base' or 'tip' (the rotation vector from actual to target).
+    Along the axes of `frame`: 'base' (of T and target), 'tip' or 'target'. The rotation vector r is that of the rotation
+    exp(r) T = target; NaN for a position, which has none.
     """
     import pinocchio as pin
 
-    w = np.asarray(mask)
-    axes = np.eye(3) if frame == "base" else T[:3, :3].T
-    goal = target if target.ndim == 2 else pin.SE3(T[:3, :3], target).homogeneous
-    position = w[:3] * (axes @ (goal[:3, 3] - T[:3, 3]))
-    rotation = w[3:] * (axes @ pin.log3(goal[:3, :3] @ T[:3, :3].T))
-    return float(np.linalg.norm(position)), float(np.linalg.norm(rotation))
+    axes = np.eye(3) if frame == "base" else (T if frame == "tip" else target)[:3, :3].T
+    e = np.full(6, np.nan)
+    if target.ndim == 1:
+        e[:3] = axes @ (target - T[:3, 3])
+    else:
+        e[:3] = axes @ (target[:3, 3] - T[:3, 3])
+        e[3:] = axes @ pin.log3(target[:3, :3] @ T[:3, :3].T)
+    return e
+
+
+def errors(
+    T: np.ndarray,
+    target: np.ndarray,
+    *,
+    mask: Sequence[float] | None = None,
+    slack: Sequence[float] | None = None,
+    free_turn: Sequence[float] | None = None,
+    frame: str = "base",
+) -> tuple[np.ndarray, float, float | None]:
+    """Error of a tip pose T (4, 4) at a target (4, 4) or (3,): as it is (6,), and the norms of what counts [m], [rad] or None.
+
+    First the turn about the tip axis free_turn (3,) is left out: the rotation vector becomes that of the least rotation that
+    brings the axis where the target has it. Then each error loses its slack (6,), and is multiplied by its mask weight (6,).
+    All along the axes of `frame`, see `raw_error`. The orientation norm is None for a position.
+    """
+    raw = raw_error(T, target, frame)
+    e = raw.copy()
+    if free_turn is not None and target.ndim == 2:
+        now, wanted = T[:3, :3] @ free_turn, target[:3, :3] @ free_turn
+        across = np.cross(now, wanted)
+        sine, angle = float(np.linalg.norm(across)), math.atan2(float(np.linalg.norm(across)), float(now @ wanted))
+        if sine < 1e-9:  # parallel, or half a turn about any axis across
+            across = np.cross(now, np.eye(3)[np.argmin(np.abs(now))]) if angle > 1.0 else np.zeros(3)
+            sine = max(float(np.linalg.norm(across)), 1e-9)
+        axes = np.eye(3) if frame == "base" else (T if frame == "tip" else target)[:3, :3].T
+        e[3:] = axes @ across * (angle / sine)
+    if slack is not None:
+        e = np.copysign(np.maximum(np.abs(e) - slack, 0.0), e)
+    if mask is not None:
+        e = e * mask
+    return raw, math.hypot(*e[:3].tolist()), None if target.ndim == 1 else math.hypot(*e[3:].tolist())
 
 
 def _near(position: np.ndarray) -> np.ndarray:

@@ -28,6 +28,7 @@ from .batch_result import JUMP, R_MOVE, BatchCheckFailed, BatchInterrupted, Batc
 from .result import Status
 from .rules.jacobian import LM
 from .solve import Solver, automatic, is_auto
+from .task import counts_in_part
 
 PART, REMOTE_PART = 2048, 4096  # most rows handed to a thread, and rows handed to a worker of an executor
 LEAST_PART = 128  # smaller batches are shared out evenly over the threads, but not in smaller parts than this
@@ -98,7 +99,7 @@ def _starts(solver: Solver, q0: np.ndarray, first: int) -> np.ndarray:
 def _has_lanes(solver: Solver) -> bool:
     """Whether the solver's targets can be solved eight side by side (kernel.lanes)."""
     o = solver.options
-    plain = o.mask is None and o.joint_weights is None and o.max_evaluations is None and o.limits
+    plain = not counts_in_part((), o) and o.joint_weights is None and o.max_evaluations is None and o.limits
     plain = plain and not (o.closest or o.follow)
     compiled = not config.DISABLE_JIT  # pyright: ignore[reportAttributeAccessIssue]
     return compiled and plain and type(solver.rule) is LM and solver.robot.chain.rows[0, 0] > 0.0

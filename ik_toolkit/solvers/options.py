@@ -1,6 +1,7 @@
 """Options every solver understands, with their defaults: one table, used by the API, the CLI and `ik solvers NAME`."""
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -11,7 +12,9 @@ from ..errors import InvalidOption, floats, near_match
 MAX_ITERATIONS = 1_000_000
 FOLLOW = 0.5  # rad (of the reach for slides): what follow=True allows, the move that a chain reports as a flip
 OBJECTIVES = {"mid-range": 1, "reference": 2, "manipulability": 3}  # numbers of kernel/refine.py
-WORDS = {"objective": tuple(OBJECTIVES), "q0_outside": ("clamp", "refuse"), "mask_frame": ("base", "tip")}
+WORDS = {"objective": tuple(OBJECTIVES), "q0_outside": ("clamp", "refuse")}
+COUNTING = ("mask", "slack", "free_turn", "frame")  # what counts: one value for every tip, or a dict by tip
+FRAMES = ("base", "tip", "target")
 
 
 @dataclass(frozen=True)
@@ -23,9 +26,13 @@ class Options:
     all descents. seed: of the random starts. limits: keep joints inside their limits. wrap: whether a bounded joint with a
     full turn or more may go on from the other end of its range, where it stops otherwise (None: the solver's own way; 'lm'
     wraps, the published methods stop). q0_outside: 'clamp' (with a notice) or
-    'refuse'. mask: six weights x, y, z, rx, ry, rz (0 = free) in mask_frame 'base' or 'tip'. joint_weights (n,): how freely
-    each joint moves (1 = as usual, 0 = held where q0, or home, has it). closest: of several solutions return the one nearest
-    q0. objective: for redundant tasks, what to improve in the null space once solved: 'mid-range', 'reference' (near q0) or
+    'refuse'. What counts of the errors x, y, z [m] and rx, ry, rz [rad] (target - tip, and the rotation vector left), along the
+    axes of frame 'base', 'tip' or 'target': free_turn (3,), a tip axis about which rotation is free; then slack (6,), half
+    widths inside which there is no error (inf, and pi for a rotation, free it); then mask (6,), weights (0 = free). Each is one
+    value for every tip or a dict by tip, and the tolerances hold for what is left. relative_to: of a Tree, a dict from a tip to
+    the tip in whose frame its target is given. joint_weights (n,): how freely each joint moves (1 = as usual, 0 = held where
+    q0, or home, has it). closest: of several solutions return the one nearest q0. objective: for redundant tasks, what to
+    improve in the null space once solved: 'mid-range', 'reference' (near q0) or
     'manipulability'. history: keep errors and q of every evaluation. check: re-check with Pinocchio. avoid_collisions: True (the
     robot's own links) or a CollisionModel: only answers that touch nothing count, and the search goes on until one is found.
     follow: for control loops, one attempt from q0 (required) in which no joint moves further than this [rad; slides: times the
@@ -41,8 +48,11 @@ class Options:
     limits: bool = True
     wrap: bool | None = None
     q0_outside: str = "clamp"
-    mask: tuple[float, ...] | None = None
-    mask_frame: str = "base"
+    mask: Any = None
+    slack: Any = None
+    free_turn: Any = None
+    frame: Any = "base"
+    relative_to: dict[str, str] | None = None
     joint_weights: tuple[float, ...] | None = None
     closest: bool = False
     objective: str | None = None
@@ -63,6 +73,8 @@ def make_options(given: dict[str, Any]) -> Options:
         values.setdefault("position_tolerance", tolerance)
         values.setdefault("orientation_tolerance", tolerance)
     for name, value in values.items():
+        if name == "mask_frame":
+            raise InvalidOption("mask_frame is now called frame: 'base', 'tip' or 'target'")
         if name not in NAMES:
             raise InvalidOption(f"there is no option '{name}'.{near_match(name, ('tolerance', *NAMES))}")
         if name in ("position_tolerance", "orientation_tolerance"):
@@ -87,17 +99,56 @@ def make_options(given: dict[str, Any]) -> Options:
             values[name] = bool(value)
         elif name == "follow":
             values[name] = FOLLOW * value if isinstance(value, bool | np.bool_) else _number(name, value, 0.0, math.inf)
-        elif name in ("mask", "joint_weights") and value is not None:
-            array = floats(value, f"{name} must be numbers of at least 0", InvalidOption, "fiub")  # True is 1 here
-            if array.ndim != 1 or not np.isfinite(array).all() or (array < 0).any() or not array.any():
-                raise InvalidOption(f"{name} must be numbers of at least 0, not all 0: {value!r}")
-            if name == "mask" and len(array) != 6:
-                raise InvalidOption(f"mask must have six weights (x, y, z, rx, ry, rz), not {len(array)}")
-            values[name] = tuple(array.tolist())
+        elif name in COUNTING:
+            if isinstance(value, Mapping):
+                values[name] = {tip: counting(name, one) for tip, one in value.items()}
+            else:
+                values[name] = counting(name, value)
+        elif name == "relative_to" and value is not None:
+            if not isinstance(value, Mapping) or not all(isinstance(x, str) for pair in value.items() for x in pair):
+                raise InvalidOption(
+                    f"relative_to is a dict from a tip to the tip its target is relative to, not {value!r}"
+                )
+            values[name] = dict(value) or None
+        elif name == "joint_weights" and value is not None:
+            values[name] = _weights(name, value)
     refused = [name for name in ("closest", "restarts", "objective") if values.get("follow") and values.get(name)]
     if refused:
         raise InvalidOption(f"follow makes one attempt that stays near q0, so it goes without {' and '.join(refused)}")
     return Options(**values)
+
+
+def counting(name: str, value: Any) -> Any:
+    """One value of mask, slack, free_turn or frame, validated. Raises InvalidOption."""
+    if name == "frame":
+        if value not in FRAMES:
+            raise InvalidOption(f"frame must be one of {', '.join(FRAMES)}, not {value!r}")
+        return value
+    if value is None:
+        return None
+    if name == "mask":
+        weights = _weights(name, value)
+        if len(weights) != 6:
+            raise InvalidOption(f"mask must have six weights (x, y, z, rx, ry, rz), not {len(weights)}")
+        return weights
+    array = floats(value, f"{name} must be numbers", InvalidOption)
+    if name == "slack":
+        if array.shape != (6,) or not (array >= 0).all():
+            raise InvalidOption(
+                f"slack must have six half widths of at least 0 (x, y, z [m], rx, ry, rz [rad]; inf frees one), not {value!r}"
+            )
+        return tuple(array.tolist())
+    length = float(np.linalg.norm(array)) if array.shape == (3,) else 0.0
+    if not 1e-9 < length < math.inf:  # shorter, it has no direction to speak of
+        raise InvalidOption(f"free_turn is an axis of the tip, three numbers that are not all 0, not {value!r}")
+    return tuple((array / length).tolist())
+
+
+def _weights(name: str, value: Any) -> tuple[float, ...]:
+    array = floats(value, f"{name} must be numbers of at least 0", InvalidOption, "fiub")  # True is 1 here
+    if array.ndim != 1 or not np.isfinite(array).all() or (array < 0).any() or not array.any():
+        raise InvalidOption(f"{name} must be numbers of at least 0, not all 0: {value!r}")
+    return tuple(array.tolist())
 
 
 def _number(name: str, value: Any, low: float, high: float) -> float:

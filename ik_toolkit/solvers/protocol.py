@@ -18,6 +18,7 @@ from ..kernel.search import entry
 from ..kernel.task import POSE, POSITION
 from .options import Options
 from .registry import GENERAL, Row, find_row
+from .task import counted_rows, counts_in_part
 
 if TYPE_CHECKING:
     from .closed_form.geometry import Branches, Fit
@@ -44,16 +45,12 @@ class Asked:
 
     @property
     def rows(self) -> int:
-        """How many rows of the task of one tip the joints can influence at all (a planar arm's position has two, not three)."""
+        """How many rows of the task the joints can influence at all (a planar arm's position has two, not three)."""
         rng = np.random.default_rng(0)
         Q = np.array([self.robot.random_q(rng) for _ in range(4)])
         J = self.robot.chain.forward(Q, jacobian=True)[1]
         rows = np.abs(J).max(axis=(0, 2)) > 1e-9 * np.abs(J).max()
-        if self.position_only:
-            rows = rows[:3]
-        elif self.options.mask is not None:
-            rows = rows & (np.array(self.options.mask) > 0)
-        return int(rows.sum())
+        return int((rows & counted_rows(self.robot, self.kinds, self.options)).sum())
 
 
 class Rule(Protocol):
@@ -198,10 +195,8 @@ def refusal(row: Row, solver: Any, asked: Asked) -> str:
     """Why a solver does not do what is asked on a robot it fits, or ''. The name of the solver goes before."""
     o = asked.options
     if row.closed:
-        usual = Options()
-        partial = [name for name in ("mask", "slack", "free_turn", "closest", "follow") if hasattr(o, name)]
-        partial = [name for name in partial if getattr(o, name) != getattr(usual, name)]
-        if partial or any(isinstance(kind, tuple) for kind in asked.kinds):
+        partial = [name for name in ("mask", "slack", "free_turn", "closest", "follow") if getattr(o, name)]
+        if partial or counts_in_part(asked.kinds, o):
             return f"is a closed form and takes no {' or '.join(partial) or 'axis'}; use '{GENERAL}'"
     if row.moves_all and o.joint_weights is not None and 0.0 in o.joint_weights:
         return f"moves every joint, so a joint weight of 0 is not kept; use '{GENERAL}'"

@@ -9,15 +9,15 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import InvalidConfiguration, InvalidOption, InvalidTarget
+from ..errors import InvalidConfiguration, InvalidOption
 from ..kernel.chain import table, without_limits, without_wrap
 from ..kernel.checks import BAD_TARGET
 from ..kernel.limits import LARGEST
 from ..kernel.records import ANSWER, AT, Orders, Task
 from ..kernel.search import entry
 from ..kernel.seeds import BEST
-from ..kernel.task import AXIS, MASK_BASE, MASK_TIP, POSE, POSITION
-from ..robot.pose import AxisTarget, check_target, masked_errors
+from ..kernel.task import POSE, POSITION
+from ..robot.pose import check_target
 from ..robot.robot import Robot
 from ..robot.tree import Tree
 from .closed_form import fits
@@ -27,6 +27,7 @@ from .protocol import Asked, parameters
 from .registry import GENERAL, find_row, make_rule
 from .result import Result, Status
 from .starts import held_joints, pin
+from .task import counted_errors, counts_in_part, kernel_tasks, read_one
 
 FLOAT = np.dtype(np.float64)  # one object in a process, so `is` tells; other kinds of float take the long way
 MARGIN = 1.0 - 1e-9  # the kernel tests a little inside the tolerance, so that Pinocchio's rounding cannot disagree
@@ -139,7 +140,7 @@ class Solver:
 
     def _pack(self, kind: Any, given: bool) -> np.ndarray:
         o = self.options
-        tasks = [self._task(one, ends) for one, ends in self._by_tip(kind)]
+        tasks = self._tasks(kind)
         if o.follow and not given:
             raise InvalidOption("follow bounds the move of each joint from q0, so q0 has to be given")
         length = self._length()
@@ -169,43 +170,31 @@ class Solver:
             follow_slide=o.follow * self.robot.reach if o.follow else 0.0,
         )
         weights = np.ones(self.robot.n) if o.joint_weights is None else o.joint_weights
-        return np.concatenate([orders, *tasks, weights, self._parameters(tasks[0], given)])
-
-    def _by_tip(self, kind: Any) -> list[tuple[Any, np.ndarray]]:
-        """Kind of target and `ends` of each tip."""
-        return [(kind, self.robot.chain.ends)]
+        return np.concatenate([orders, *tasks, weights, self._parameters(kind, given)])
 
     def _length(self) -> Any:
         """How long the search goes on where the caller does not say."""
         return self.row.length(len(self.robot.tips))
 
-    def _task(self, kind: Any, ends: np.ndarray) -> Task:
-        """What counts at a tip. Raises InvalidOption when the solver does not do that."""
+    def _tasks(self, kind: Any) -> list[Task]:
+        """What counts at each tip. Raises InvalidOption when the solver does not do that."""
         o, row = self.options, self.row
-        axis = isinstance(kind, tuple)  # AXIS and the axis in the tip frame; the kernel wants it in the last joint's
-        if row.closed and (o.mask is not None or o.closest or axis):
-            raise InvalidOption(f"solver '{row.name}' is a closed form and takes no mask, axis or closest; use 'lm'")
+        kinds = kind if isinstance(self.robot, Tree) else (kind,)
+        if row.closed and (o.closest or counts_in_part(kinds, o)):
+            raise InvalidOption(
+                f"solver '{row.name}' is a closed form and takes no mask, slack, free_turn, axis target or closest; use 'lm'"
+            )
         if len(self.held) and row.moves_all:
             raise InvalidOption(f"solver '{row.name}' moves every joint, so a joint weight of 0 is not kept; use 'lm'")
-        if axis and o.mask is not None:
-            raise InvalidOption("a mask and an axis target cannot be combined: the axis already frees one turn")
-        if kind == POSITION and o.mask is not None and any(o.mask[3:]):
+        if (POSITION in kinds and not row.position) or (POSE in kinds and not row.pose):
             raise InvalidOption(
-                f"a position leaves orientation free, so the last three weights of its mask must be 0, not {o.mask[3:]}"
+                f"solver '{row.name}' does not solve {'positions' if POSITION in kinds else 'poses'}: {row.handles}"
             )
-        if (kind == POSITION and not row.position) or (kind == POSE and not row.pose):
-            raise InvalidOption(
-                f"solver '{row.name}' does not solve {'positions' if kind == POSITION else 'poses'}: {row.handles}"
-            )
-        if axis:
-            return Task(AXIS, *(ends[12:21].reshape(3, 3) @ kind[1]))
-        if o.mask is not None:
-            return Task(MASK_BASE if o.mask_frame == "base" else MASK_TIP, *o.mask)
-        return Task(kind)
+        return kernel_tasks(self.robot, kinds, o)
 
-    def _parameters(self, task: Task, given: bool) -> np.ndarray:
+    def _parameters(self, kind: Any, given: bool) -> np.ndarray:
         """Numbers of the rule's compiled step. Raises InvalidOption when a parameter is none, or the rule does not fit."""
-        asked = Asked(self.robot, (int(task.kind),), given, self.options)
+        asked = Asked(self.robot, kind if isinstance(self.robot, Tree) else (kind,), given, self.options)
         if reason := self.rule.refuses(asked):
             raise InvalidOption(f"solver '{self.row.name}' {reason}")
         return parameters(self.row, self.rule, asked)
@@ -364,12 +353,8 @@ class Solver:
     def confirm(self, q: np.ndarray, target: Any) -> tuple[float, float | None, bool]:
         """Errors [m, rad] of q (n,) at a validated target by Pinocchio, and whether both are inside their tolerances."""
         o = self.options
-        if o.mask is not None:
-            position, orientation = masked_errors(self.robot._fk(q).homogeneous, target, o.mask, o.mask_frame)
-        elif isinstance(target, AxisTarget):
-            position, orientation = target.errors(self.robot._fk(q).homogeneous)
-        else:
-            position, orientation = self.robot.errors(q, target)
+        T, kind, _ = _as_pose(target)
+        ((position, orientation),) = counted_errors(self.robot, q, T, (kind,), o)
         good = position <= o.position_tolerance and (orientation or 0.0) <= o.orientation_tolerance
         return position, orientation, good
 
@@ -399,16 +384,8 @@ def require_robot(robot: Any) -> None:
 
 def _as_pose(target: Any) -> tuple[np.ndarray, Any, str]:
     """Any target -> (1, 4, 4), kind (a pair with the axis for AXIS) and notice."""
-    if isinstance(target, AxisTarget):
-        return target.T_base_tip[None], (AXIS, target.axis), ""
-    if isinstance(target, str):
-        raise InvalidTarget(f"a target is a pose or a position, not the text {target!r}")
-    checked, notice = check_target(target)
-    if checked.ndim == 2:
-        return checked[None], POSE, notice
-    T = np.eye(4)
-    T[:3, 3] = checked
-    return T[None], POSITION, notice
+    T, kind, notice = read_one(target)
+    return T[None], kind, notice
 
 
 _SOLVERS_LOCK = threading.Lock()
@@ -452,7 +429,7 @@ def solve(robot: Robot, target: Any, solver: Any = "auto", q0: Any = None, **opt
     (n,): where the first attempt starts; without it the answer may be any solution (fastest), so give q0 to stay near it.
     follow: for loops, one attempt that moves no joint further than this from q0. closest=q_ref (n,): of several solutions the
     one nearest to it. Options, see `Options`: tolerance (both), position_tolerance [m], orientation_tolerance [rad],
-    max_iterations, restarts, max_evaluations, seed, limits, q0_outside, mask, mask_frame, joint_weights, objective,
+    max_iterations, restarts, max_evaluations, seed, limits, q0_outside, mask, slack, free_turn, frame, joint_weights, objective,
     avoid_collisions, history; and the parameters of the solver. Success is re-checked with Pinocchio. Raises InvalidTarget,
     InvalidConfiguration, UnknownSolver, InvalidOption.
     """

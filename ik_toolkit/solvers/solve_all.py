@@ -11,11 +11,13 @@ from ..kernel.task import POSE, POSITION
 from ..robot.robot import Robot
 from .closed_form.finish import finished, listed
 from .closed_form.geometry import Family
+from .options import COUNTING
 from .protocol import Asked
 from .registry import GENERAL
 from .result import Status
 from .solutions import Solutions, SolutionsBatch
 from .solve import Solver, _as_pose, bound
+from .task import counts_in_part
 
 SAME = 1e-3  # largest joint difference [rad, or of the reach] at which two numerical answers are one
 TIGHT = 1e-9  # tolerance of the numerical search: answers to 1e-6 differ too much near singular poses to be merged
@@ -220,16 +222,14 @@ def _search(one: Solver, T: np.ndarray, kind: Any, start: np.ndarray, starts: in
         "position_tolerance": min(TIGHT, o.position_tolerance),
         "orientation_tolerance": min(TIGHT, o.orientation_tolerance),
     }
-    same = {
-        name: getattr(o, name) for name in ("limits", "mask", "mask_frame", "joint_weights", "seed", "max_iterations")
-    }
+    same = {name: getattr(o, name) for name in ("limits", *COUNTING, "joint_weights", "seed", "max_iterations")}
     rule = GENERAL if one.row.closed else one.rule
     single = Solver(robot, rule, restarts=0, **tight, **same)
     rng = np.random.default_rng(o.seed)
     Q0 = np.vstack([start, [robot.random_q(rng) for _ in range(starts - 1)]]) if starts > 1 else start
     Q0[:, one.held] = start[0, one.held]
     out = _attempts(single, T, kind, Q0)
-    if o.mask is None and not isinstance(kind, tuple) and not len(one.held):
+    if not counts_in_part((kind,), o) and not len(one.held):
         _finish_close(single, T, kind, out)
     out = out[out[:, AT.status] == Status.CONVERGED]
     answers = out[:, ANSWER:]
@@ -297,7 +297,7 @@ def _families(single: Solver, found: Solutions, T: np.ndarray, kind: Any, redund
     A singular pose alone is no family: from beside an isolated solution the search comes back to it.
     """
     robot = found.robot
-    if not len(found) or isinstance(kind, tuple) or single.options.mask is not None:
+    if not len(found) or counts_in_part((kind,), single.options):
         names = tuple(robot.joint_names)
         return (Family(names, None, None, "joints are left over"),) if redundant and len(found) else ()
     J = robot.chain.forward(found.q, jacobian=True)[1]

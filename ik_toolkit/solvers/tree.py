@@ -10,13 +10,13 @@ from ..kernel.chain import without_limits, without_wrap
 from ..kernel.checks import BAD_TARGET
 from ..kernel.records import ANSWER, AT, MISS, Miss
 from ..kernel.search import entry
-from ..kernel.task import POSE, POSITION
-from ..robot.pose import masked_errors
+from ..kernel.task import FREE, POSE, POSITION
 from ..robot.tree import Tree
 from .registry import GENERAL, find_row
 from .result import Result, Status, sentence
 from .solve import Solver, is_auto
 from .starts import held_joints
+from .task import counted_errors, read_target
 
 
 class TreeResult(Result):
@@ -31,10 +31,10 @@ class TreeResult(Result):
     def __init__(self, solver: "TreeSolver", row: np.ndarray, kinds: tuple, elapsed: float) -> None:
         """Keep the kernel's row; its end holds what is left at each tip."""
         end = ANSWER + solver.robot.n
-        super().__init__(solver, row[:end], elapsed, all(kind == POSITION for kind in kinds))
+        super().__init__(solver, row[:end], elapsed, all(kind in (POSITION, FREE) for kind in kinds))
         tips = [Miss._make(x) for x in row[end:].reshape(-1, MISS).tolist()]
         self._each = [
-            (x.position, None if kind == POSITION else x.rotation) for x, kind in zip(tips, kinds, strict=True)
+            (x.position, None if kind in (POSITION, FREE) else x.rotation) for x, kind in zip(tips, kinds, strict=True)
         ]
         self._excess = [x.excess for x in tips]
 
@@ -116,9 +116,6 @@ class TreeSolver(Solver):
         self._pinned = (None, ())
         self._own_starts = False
 
-    def _by_tip(self, kind: Any) -> list[tuple[Any, np.ndarray]]:
-        return list(zip(kind, self.robot.chain.ends, strict=True))
-
     def __call__(self, targets: Any, q0: Any = None) -> TreeResult:  # pyright: ignore[reportIncompatibleMethodOverride]
         """Solve for one target a tip: a dict by tip, or a sequence in the order of `robot.tips`; q0 (n,), default home.
 
@@ -144,7 +141,7 @@ class TreeSolver(Solver):
                 history[:, 1] = np.nan
             result._history = {"position_error": history[:, 0], "orientation_error": history[:, 1], "q": history[:, 2:]}
         if self.options.check:
-            self._confirm(result, [x if kind == POSE else x[:3, 3] for x, kind in zip(T, kinds, strict=True)])
+            self._confirm(result, T, kinds)
             result.elapsed = perf_counter() - started
         return result
 
@@ -154,24 +151,13 @@ class TreeSolver(Solver):
         array = type(targets) is np.ndarray and targets.shape == (F, 4, 4) and targets.dtype == np.float64
         if array and targets.flags.carray and not strict:
             return targets, (POSE,) * F, ""
-        checked, notice = self.robot.check_targets(targets)
-        kinds = tuple(POSITION if target.ndim == 1 else POSE for target in checked)
-        T = np.tile(np.eye(4), (F, 1, 1))
-        for pose, target in zip(T, checked, strict=True):
-            if target.ndim == 1:
-                pose[:3, 3] = target
-            else:
-                pose[:] = target
-        return T, kinds, notice
+        T, kinds, notice = read_target(self.robot, targets)
+        return T[0], kinds, notice
 
-    def _confirm(self, result: TreeResult, targets: Any) -> None:
+    def _confirm(self, result: TreeResult, T: np.ndarray, kinds: tuple) -> None:
         """Compute the errors of every tip again with Pinocchio; a success it does not confirm is no success."""
         o = self.options
-        if o.mask is None:
-            result._each = self.robot.errors(result.q, targets)
-        else:
-            pairs = zip(self.robot.fk(result.q).values(), targets, strict=True)
-            result._each = [masked_errors(pose.homogeneous, T, o.mask, o.mask_frame) for pose, T in pairs]
+        result._each = counted_errors(self.robot, result.q, T, kinds, o)
         angles = [angle for _, angle in result._each if angle is not None]
         worst = (max(position for position, _ in result._each), max(angles, default=None))
         result._checked = worst

@@ -64,9 +64,7 @@ def test_the_budget_of_evaluations_is_never_overrun(rule, name):
             assert not robot.outside(result.q)
 
 
-@pytest.mark.parametrize(
-    "options", [{"mask": (1, 1, 1, 0, 0, 1), "mask_frame": "tip"}, {"closest": True}, {"restarts": 5}]
-)
+@pytest.mark.parametrize("options", [{"mask": (1, 1, 1, 0, 0, 1), "frame": "tip"}, {"closest": True}, {"restarts": 5}])
 @pytest.mark.parametrize("rule", ["lm", "ccd"])
 def test_the_budget_holds_with_every_option(rule, options):
     robot = robots.load("kinova")
@@ -125,7 +123,7 @@ def test_a_mask_counts_at_every_tip(brokk, frame):
     rng = np.random.default_rng(5)
     for _ in range(5):
         q = brokk.random_q(rng)
-        result = ik.solve(brokk, poses(brokk, q), mask=(1, 1, 1, 0, 0, 1), mask_frame=frame)
+        result = ik.solve(brokk, poses(brokk, q), mask=(1, 1, 1, 0, 0, 1), frame=frame)
         assert result.success, result.message
         for T, goal in zip(poses(brokk, result.q), poses(brokk, q), strict=True):
             axes = np.eye(3) if frame == "base" else T[:3, :3].T

@@ -187,7 +187,7 @@ def test_a_mask_in_tip_axes_stays_near_its_start():
         q0 = robot.random_q(rng)
         T = robot.fk(np.clip(q0 + rng.uniform(-0.004, 0.004, robot.n), robot.lower, robot.upper)).homogeneous
         free = turned(T, rng.uniform(-2.0, 2.0))
-        masked = ik.solve(robot, free, "lm", q0=q0, mask=(1, 1, 1, 1, 1, 0), mask_frame="tip")
+        masked = ik.solve(robot, free, "lm", q0=q0, mask=(1, 1, 1, 1, 1, 0), frame="tip")
         axis = ik.solve(robot, ik.pose(T[:3, 3], direction=T[:3, 2]), "lm", q0=q0)
         assert masked.success and axis.success
         assert masked.attempt == axis.attempt == 0

@@ -151,7 +151,7 @@ def test_masks_count_only_what_they_name(mask, frame):
     _, T = robots.sample(robot, 10, seed=34)
     free = 0
     for target in T:
-        result = ik.solve(robot, target, mask=mask, mask_frame=frame)
+        result = ik.solve(robot, target, mask=mask, frame=frame)
         assert result.success
         at = robot.fk(result.q)
         R = np.eye(3) if frame == "base" else at.rotation.T

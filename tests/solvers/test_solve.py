@@ -217,7 +217,7 @@ def test_masks_free_what_they_name():
     result = ik.solve(robot, moved, mask=(1, 1, 0, 0, 0, 0))
     assert result.success
     assert np.abs(robot.fk(result.q).translation - moved[:3, 3])[:2].max() < 1e-6
-    tip = ik.solve(robot, T, mask=(1, 1, 1, 1, 1, 0), mask_frame="tip", q0=robot.home)
+    tip = ik.solve(robot, T, mask=(1, 1, 1, 1, 1, 0), frame="tip", q0=robot.home)
     assert tip.success
     R = T[:3, :3].T @ robot.fk(tip.q).rotation
     assert abs(R[2, 2] - 1.0) < 1e-10  # tip z axes agree, the turn about z is free

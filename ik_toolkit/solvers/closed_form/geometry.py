@@ -153,7 +153,7 @@ def measure_tip(rows, ends, opt, T, q, box, broken, gap, slack, goal, joints, tr
         q[i] /= chain.unit(i)
     aim(chain, T, goal)
     now = fk(rows, q, joints, trig)
-    linear, angular = pose_error(goal, now, now.point + now.axes.times(at3(ends, 21)))
+    linear, angular = pose_error(goal, now.axes, now.point + now.axes.times(at3(ends, 21)))
     position = math.sqrt(linear.square()) * chain.scale()
     rotation = 0.0 if int(opt[HEAD]) == POSITION else rotation_angle(angular.square())
     if position < o.tol_p and rotation < o.tol_r:

@@ -1,0 +1,247 @@
+"""Targets as the kernel takes them, and what of their errors counts: in the kernel and in Pinocchio's check alike."""
+
+import math
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ..errors import FrameNotFound, InvalidOption, InvalidTarget, near_match
+from ..kernel.records import Task
+from ..kernel.task import AXIS, FREE, PART, POSE, POSITION
+from ..robot.pose import AxisTarget, check_target, errors
+from .options import COUNTING, FRAMES, Options
+
+POSES = (POSE,)  # kinds of a pose for one tip
+ALL = (1.0,) * 6
+NONE = (0.0,) * 6
+
+
+class Counts(NamedTuple):
+    """What of the error of one tip counts, see `Options`: six weights and half widths or None, a unit tip axis or None, axes."""
+
+    mask: tuple[float, ...] | None
+    slack: tuple[float, ...] | None
+    free_turn: tuple[float, ...] | None
+    frame: str
+
+    @property
+    def in_part(self) -> bool:
+        """Whether something is left out, whatever the target."""
+        return any(part is not None for part in self[:3])
+
+
+# ----------------------------------------------------------------------------------------------------------- what counts
+def what_counts(robot: Any, o: Options) -> tuple[Counts, ...]:
+    """What counts at each tip. Raises InvalidOption: an unknown tip, or a tip at which nothing counts."""
+    every = []
+    for name in COUNTING:
+        value = getattr(o, name)
+        if isinstance(value, Mapping):
+            for tip in value:
+                if tip not in robot.tips:
+                    raise InvalidOption(
+                        f"{name}: '{tip}' is not one of the tips solved for.{near_match(tip, robot.tips)}"
+                    )
+        default = "base" if name == "frame" else None
+        every.append([value.get(tip, default) if isinstance(value, Mapping) else value for tip in robot.tips])
+    counts = tuple(Counts(*one) for one in zip(*every, strict=True))
+    for tip, one in zip(robot.tips, counts, strict=True):
+        if one.slack is not None and not any(_counting(one, POSE)):
+            raise InvalidOption(
+                f"{_at(robot, tip)}slack {one.slack} leaves nothing that counts; leave the tip out instead"
+            )
+    return counts
+
+
+def relatives(robot: Any, o: Options) -> tuple[int, ...]:
+    """Number of the tip that each tip's target is relative to, -1 for the base. Raises InvalidOption: unknown tips, circles."""
+    if o.relative_to is None:
+        return (-1,) * len(robot.tips)
+    if len(robot.tips) == 1:
+        raise InvalidOption("relative_to is for robots with several tips (ik.Tree.load)")
+    for tip in (tip for pair in o.relative_to.items() for tip in pair):
+        if tip not in robot.tips:
+            raise InvalidOption(f"relative_to: '{tip}' is not one of the tips solved for.{near_match(tip, robot.tips)}")
+    for tip in o.relative_to:
+        seen = [tip]
+        while seen[-1] in o.relative_to:
+            seen.append(o.relative_to[seen[-1]])
+            if seen[-1] in seen[:-1]:
+                circle = " -> ".join(seen[seen.index(seen[-1]) :])
+                raise InvalidOption(
+                    f"relative_to goes round in a circle: {circle}; one of them needs a target of its own"
+                )
+    return tuple(robot.tips.index(o.relative_to[tip]) if tip in o.relative_to else -1 for tip in robot.tips)
+
+
+def counts_in_part(kinds: tuple, o: Options) -> bool:
+    """Whether anything but whole poses and positions is asked for: what closed forms do not solve."""
+    options = any(getattr(o, name) is not None for name in (*COUNTING[:3], "relative_to"))
+    return options or any(kind not in (POSE, POSITION) for kind in kinds)
+
+
+def counted_rows(robot: Any, kinds: tuple, o: Options) -> np.ndarray:
+    """Which of the stacked errors (6 F,) count at all, as if all frames were the base. A free turn leaves two of a rotation."""
+    return np.concatenate([_counting(one, kind) for one, kind in zip(what_counts(robot, o), kinds, strict=True)])
+
+
+def _counting(counts: Counts, kind: Any) -> np.ndarray:
+    """Which of the six errors count."""
+    if kind == FREE:
+        return np.zeros(6, dtype=bool)
+    rows = np.array(counts.mask or ALL) > 0.0
+    rows &= np.array(counts.slack or NONE) < (*(math.inf,) * 3, *(math.pi,) * 3)
+    if kind == POSITION:
+        rows[3:] = False
+    elif (counts.free_turn is not None or isinstance(kind, tuple)) and rows[3:].all():
+        rows[5] = False
+    return rows
+
+
+def kernel_tasks(robot: Any, kinds: tuple, o: Options) -> list[Task]:
+    """What counts at each tip as the kernel reads it. Raises InvalidOption where options and kinds of target disagree."""
+    scale, tasks = robot.chain.scale, []
+    given = zip(
+        robot.tips,
+        kinds,
+        what_counts(robot, o),
+        relatives(robot, o),
+        robot.chain.ends.reshape(len(kinds), -1),
+        strict=True,
+    )
+    for tip, kind, counts, other, ends in given:
+        if kind == FREE:
+            tasks.append(Task(FREE, 0.0, -1.0, *NONE[:3], *NONE))
+            continue
+        axis = _free_axis(counts, kind, _at(robot, tip))
+        weights = counts.mask or ALL
+        if kind == POSITION:
+            _require_position(counts, _at(robot, tip))
+            weights = (*weights[:3], *NONE[3:])
+        slack = np.array(counts.slack or NONE)
+        slack[:3] /= scale
+        plain = axis is None and counts.mask is None and counts.slack is None
+        turn = NONE[:3] if axis is None else ends[12:21].reshape(3, 3) @ axis
+        tasks.append(Task(kind if plain else PART, FRAMES.index(counts.frame), other, *turn, *weights, *slack))
+    return tasks
+
+
+def _at(robot: Any, tip: str) -> str:
+    """Where a message is about one of several tips."""
+    return f"{tip}: " if len(robot.tips) > 1 else ""
+
+
+def _free_axis(counts: Counts, kind: Any, at: str = "") -> tuple[float, ...] | None:
+    """Tip axis about which the turn is free, from the options or an AxisTarget."""
+    if not isinstance(kind, tuple):
+        return None if kind == POSITION else counts.free_turn
+    if counts.free_turn is not None:
+        raise InvalidOption(f"{at}an axis target frees the turn about its axis; leave free_turn out")
+    return kind[1]
+
+
+def _require_position(counts: Counts, at: str) -> None:
+    """Raise InvalidOption where a position is asked for more than it says."""
+    if counts.mask is not None and any(counts.mask[3:]):
+        raise InvalidOption(
+            f"{at}a position leaves orientation free, so the last three weights of its mask must be 0, not {counts.mask[3:]}"
+        )
+    if counts.frame == "target" and (counts.mask is not None or counts.slack is not None):
+        raise InvalidOption(f"{at}a position has no axes of its own, so frame='target' needs a pose")
+
+
+# --------------------------------------------------------------------------------------------------------------- targets
+def read_target(robot: Any, target: Any) -> tuple[np.ndarray, tuple, str]:
+    """Validated target as T (1, 4, 4), of several tips (1, F, 4, 4); its kinds, one a tip; and a notice.
+
+    target: T_base_tip (4, 4), pin.SE3, a position (3,) or an AxisTarget; of several tips a dict by tip of these, or a list in
+    the order of `robot.tips`. A kind is POSE, POSITION, (AXIS, axis), or FREE for a tip left out of a dict. Raises
+    FrameNotFound (unknown tip) and InvalidTarget (which names the tip).
+    """
+    tips = robot.tips
+    several = robot.chain.ends.ndim > 1  # a Tree, also of one tip
+    if not (several or isinstance(target, Mapping)):
+        T, kind, notice = read_one(target)
+        return T[None], (kind,), notice
+    made = [_read_tip(tip, one) for tip, one in zip(tips, _by_tip(robot, target), strict=True)]
+    T = np.array([one[0] for one in made])
+    kinds = tuple(one[1] for one in made)
+    if all(kind == FREE for kind in kinds):
+        raise InvalidTarget(f"give a target for at least one of {', '.join(tips)}")
+    notice = "; ".join(f"{tip}: {one[2]}" for tip, one in zip(tips, made, strict=True) if one[2])
+    return T[None] if several else T, kinds, notice
+
+
+def _by_tip(robot: Any, targets: Any) -> list[Any]:
+    """A target or None for each tip."""
+    tips = robot.tips
+    if isinstance(targets, Mapping):
+        for tip in targets:
+            if tip not in tips:
+                raise FrameNotFound(f"'{tip}' is not one of the tips solved for.{near_match(tip, tips)}")
+        return [targets.get(tip) for tip in tips]
+    expected = f"robot '{robot.name}' takes one target for each of {', '.join(tips)}"
+    single = getattr(targets, "shape", ()) in ((4, 4), (3,))
+    if single or not isinstance(targets, list | tuple | np.ndarray):
+        raise InvalidTarget(f"{expected} (a dict, or a list in this order), not a single one")
+    if len(targets) != len(tips):
+        raise InvalidTarget(f"{expected}; got {len(targets)} (a dict may leave tips out: they are free)")
+    return list(targets)
+
+
+def _read_tip(tip: str, target: Any) -> tuple[np.ndarray, Any, str]:
+    if target is None:
+        return np.eye(4), FREE, ""
+    try:
+        return read_one(target)
+    except InvalidTarget as error:
+        raise InvalidTarget(f"{tip}: {error}") from None
+
+
+def read_one(target: Any) -> tuple[np.ndarray, Any, str]:
+    """One target -> (4, 4), kind and notice."""
+    if isinstance(target, AxisTarget):
+        return target.T_base_tip, (AXIS, target.axis), ""
+    if isinstance(target, str):
+        raise InvalidTarget(f"a target is a pose or a position, not the text {target!r}")
+    checked, notice = check_target(target)
+    if checked.ndim == 2:
+        return checked, POSE, notice
+    T = np.eye(4)
+    T[:3, 3] = checked
+    return T, POSITION, notice
+
+
+# ------------------------------------------------------------------------------------------------------ Pinocchio's check
+def counted_errors(
+    robot: Any, q: np.ndarray, T: np.ndarray, kinds: tuple, o: Options
+) -> list[tuple[float, float | None]]:
+    """Position error [m] and orientation error [rad] that count at each tip at q (n,), by Pinocchio.
+
+    T (1, 4, 4) or (1, F, 4, 4), or without the first axis: validated targets. None where the target leaves orientation free;
+    at a free tip nothing is left.
+    """
+    if not counts_in_part(kinds, o):
+        given = zip(robot.arms, robot.places, T.reshape(-1, 4, 4), kinds, strict=True)
+        return [arm.errors(q[at], one[:3, 3] if kind == POSITION else one) for arm, at, one, kind in given]
+    return [(position, orientation) for _, position, orientation in all_errors(robot, q, T, kinds, o)]
+
+
+def all_errors(
+    robot: Any, q: np.ndarray, T: np.ndarray, kinds: tuple, o: Options
+) -> list[tuple[np.ndarray, float, float | None]]:
+    """The same with the error as it is (6,) before each, see `robot.pose.errors`; NaN where there is no target."""
+    poses = [arm._fk(q[at]).homogeneous for arm, at in zip(robot.arms, robot.places, strict=True)]
+    found = []
+    for pose, one, kind, counts, other in zip(
+        poses, T.reshape(-1, 4, 4), kinds, what_counts(robot, o), relatives(robot, o), strict=True
+    ):
+        if kind == FREE:
+            found.append((np.full(6, np.nan), 0.0, None))
+            continue
+        goal = one if other < 0 else poses[other] @ one
+        target = goal[:3, 3] if kind == POSITION else goal
+        axis = _free_axis(counts, kind)
+        found.append(errors(pose, target, mask=counts.mask, slack=counts.slack, free_turn=axis, frame=counts.frame))
+    return found
