@@ -13,20 +13,19 @@ from numba import njit, types
 from numba.extending import overload, overload_method
 
 from .cache import make_cache
-from .parts import KernelPipeline, PartPipeline
+from .parts import PartPipeline
 
 # No nnan/ninf: a NaN has to fail every test instead of being assumed away.
 OPTIONS: dict[str, Any] = {"fastmath": {"nsz", "arcp", "contract", "afn", "reassoc"}, "error_model": "numpy"}
 jit = njit(**OPTIONS)  # may be called from Python, too; compiled into its callers, never cached on its own
-# What follows is for the kernel alone. A call from Python would crash: the wrappers for that hold, and optimise, two more
-# copies of a function. Only what makes arrays counts references (`build`); all the rest borrows them, so a record of arrays
-# costs nothing to pass, and must not return an array, or a record of arrays, to a function that counts.
+# What follows is for the kernel alone (see parts.py); a call from Python would crash. Only what makes arrays counts references
+# (`build`); all the rest borrows them, so a record of arrays costs nothing to pass, and must not return an array, or a record
+# of arrays, to a function that counts.
 BARE: dict[str, Any] = dict(OPTIONS, no_cpython_wrapper=True, no_cfunc_wrapper=True, pipeline_class=PartPipeline)
 BUILD: dict[str, Any] = dict(BARE, forceinline=True)
 INLINE: dict[str, Any] = dict(BUILD, _nrt=False)
 inner = njit(**BARE, _nrt=False)  # one copy, called: for what is cold, or large and used at several places
-# For functions that take or return records, and for those whose last bit reaches a result: the process that compiles a
-# kernel links `inner` functions to the copies of their own, which round otherwise than the cached ones.
+# For functions that take or return records, which are expensive to pass.
 inline = njit(**INLINE)
 build = njit(**BUILD)
 spliced = njit(inline="always", _nrt=False, **BARE)  # for a large part called once: no second copy is optimised
@@ -78,7 +77,7 @@ def cached(function: Callable, *parts: Any) -> Any:
 
     parts: classes and functions compiled into it that cannot be found by its global names (a rule).
     """
-    dispatcher = njit(nogil=True, no_cfunc_wrapper=True, pipeline_class=KernelPipeline, **OPTIONS)(function)
+    dispatcher = njit(nogil=True, no_cfunc_wrapper=True, **OPTIONS)(function)
     if hasattr(dispatcher, "_cache"):  # with NUMBA_DISABLE_JIT=1 it is the plain function
         dispatcher._cache = make_cache(function, parts)
         dispatcher._compile_for_args = without_collector(dispatcher._compile_for_args)

@@ -6,6 +6,7 @@ it calls, and makes machine code of it. Parts are never run on their own.
 
 from typing import Any
 
+from llvmlite.binding import Linkage
 from numba import _dynfunc
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler, Flags
@@ -19,25 +20,31 @@ class PartLibrary(JITCodeLibrary):
         self._raise_if_finalized()
         self._finalized = True
 
-    def get_pointer_to_function(self, name: str) -> int:
-        """No machine code."""
-        self._ensure_finalized()
-        return 0
-
-
-class KernelLibrary(JITCodeLibrary):
-    """Code of a kernel: takes the parts, those of parts as well, each once."""
-
-    def add_linking_library(self, library: Any) -> None:
-        """Link a library and all that it needs."""
-        waiting, seen = [library], set(self._linking_libraries)
-        while waiting:
-            library = waiting.pop()
-            if library not in seen:
+    def _get_module_for_linking(self) -> Any:
+        if self._shared_module is None:
+            module = _for_linking(self)
+            waiting, seen = list(self._linking_libraries), {self}
+            while waiting:
+                library = waiting.pop()
+                if library in seen:
+                    continue
                 seen.add(library)
-                super().add_linking_library(library)
                 if isinstance(library, PartLibrary):
                     waiting += library._linking_libraries
+                    module.link_in(_for_linking(library))
+                else:
+                    module.link_in(library._get_module_for_linking(), preserve=True)
+            self._shared_module = module
+        return self._shared_module
+
+
+def _for_linking(part: PartLibrary) -> Any:
+    """Copy of the own code of a part, whose names may occur again in others."""
+    module = part._final_module.clone()
+    for function in module.functions:
+        if not function.is_declaration and function.linkage == Linkage.external:
+            function.linkage = "linkonce_odr"
+    return module
 
 
 class Quick(Flags):
@@ -72,14 +79,3 @@ class PartPipeline(Compiler):
         )  # fmt: skip
         state.targetctx.insert_user_function(entry, description, [library])
         return result._replace(entry_point=entry)
-
-
-class KernelPipeline(Compiler):
-    """numba's pipeline into a KernelLibrary."""
-
-    def compile_extra(self, func: Any) -> Any:
-        """Compile a function."""
-        self.state.flags = Quick(self.state.flags)
-        self.state.library = KernelLibrary(self.state.targetctx.codegen(), func.__qualname__)
-        self.state.library.enable_object_caching()
-        return super().compile_extra(func)

@@ -14,15 +14,19 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numba import config
+from numba import _dynfunc, config, float64, njit
 from numba.core.caching import Cache
+from numba.core.codegen import CPUCodeLibrary
+from numba.core.compiler import Flags
 from numba.core.dispatcher import Dispatcher
 from numba.core.serialize import dumps
 
 import ik_toolkit
 from ik_toolkit.kernel import cache
 from ik_toolkit.kernel.chain import forward
+from ik_toolkit.kernel.jit import INLINE
 from ik_toolkit.kernel.lanes import lanes
+from ik_toolkit.kernel.parts import PartLibrary
 from ik_toolkit.kernel.refine import refine
 
 PACKAGE = Path(ik_toolkit.__file__).parent
@@ -92,6 +96,20 @@ def test_what_is_used_of_numba_is_there(function):
     assert "_index_key" in vars(Cache), "numba's Cache has no _index_key any more"
     assert isinstance(function, Dispatcher) and isinstance(function._cache, Cache)
     assert function._cache.stamp in function._cache._index_key((), function.targetctx.codegen())
+
+
+@pytest.mark.skipif(config.DISABLE_JIT, reason="nothing is compiled")
+def test_parts_are_neither_optimised_nor_made_machine_code_on_their_own():
+    """`parts.PartLibrary` overrides what numba calls to do so. When those names move, compiling takes twice as long in silence."""
+    assert {"no_compile", "nrt"} <= set(Flags.options) and callable(_dynfunc.make_function)
+    assert {"finalize", "_get_module_for_linking", "_optimize_final_module"} <= set(vars(CPUCodeLibrary))
+    part = njit(**INLINE)(lambda x: x + 1.0)
+    part.compile((float64,))
+    (result,) = part.overloads.values()
+    assert isinstance(result.library, PartLibrary) and result.library._final_module is not None
+    assert not result.library._codegen._engine.is_symbol_defined(result.fndesc.llvm_func_name)
+    caller = njit(lambda x: part(x))
+    assert caller(1.0) == 2.0
 
 
 # --------------------------------------------------------------------------------------------- what happens to the files
