@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ..errors import InvalidOption
-from .arguments import PLOTS, Base, Deg, Json, Lock, PackageDir, RobotArg, Tip, load_robot, writes
+from .arguments import PLOTS, Base, Deg, Json, Lock, PackageDir, RobotArg, Tips, load_robot, one_or_several, writes
 from .output import facts, notice, partial, progress, show, write_json
 
 if TYPE_CHECKING:
@@ -65,7 +65,7 @@ def tune(
     tolerance: Tolerance = 1e-3,
     max_iterations: MaxIterations = 1000,
     how: How = "joints",
-    tip: Tip = None,
+    tip: Tips = None,
     base: Base = None,
     lock: Lock = None,
     package_dir: PackageDir = None,
@@ -79,7 +79,7 @@ def tune(
 
     The result is a preset for ik solve --preset FILE. Ctrl-C keeps the best so far as FILE.partial; --resume goes on from there.
     """
-    arm = load_robot(robot, tip, base, lock, package_dir, deg)
+    arm = load_robot(robot, one_or_several(tip), base, lock, package_dir, deg)
 
     from ..solvers.registry import find_row
     from ..study.tune import tune as search

@@ -8,7 +8,21 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ..errors import InvalidOption
-from .arguments import PLOTS, Base, Deg, Json, Lock, Out, PackageDir, RobotArg, Tip, joint_vector, load_robot, writes
+from .arguments import (
+    PLOTS,
+    Base,
+    Deg,
+    Json,
+    Lock,
+    Out,
+    PackageDir,
+    RobotArg,
+    Tips,
+    joint_vector,
+    load_robot,
+    one_or_several,
+    writes,
+)
 from .output import facts, heading, notice, partial, progress, show, table, write_json
 
 if TYPE_CHECKING:
@@ -62,7 +76,7 @@ def workspace(
     tolerance: Tolerance = 1e-3,
     max_iterations: MaxIterations = None,
     restarts: Restarts = None,
-    tip: Tip = None,
+    tip: Tips = None,
     base: Base = None,
     lock: Lock = None,
     package_dir: PackageDir = None,
@@ -76,13 +90,15 @@ def workspace(
 ) -> None:
     """Sample goals over the workspace and report, for each solver, successes, iterations, errors and failures.
 
+    With several --tip the first is the one whose workspace it is; the others are free.
+
     Ctrl-C reports what is finished and keeps it in files called NAME.partial (no pictures).
     """
     if goals < 1:
         raise InvalidOption(f"--goals must be at least 1, not {goals}")
     if workers is not None and workers < 1:
         raise InvalidOption(f"--workers must be at least 1, not {workers}")
-    arm = load_robot(robot, tip, base, lock, package_dir, deg)
+    arm = load_robot(robot, one_or_several(tip), base, lock, package_dir, deg)
 
     from ..study.workspace import WorkspaceInterrupted
     from ..study.workspace import workspace as study
@@ -97,6 +113,7 @@ def workspace(
             found = study(
                 arm,
                 chosen,
+                tip=arm.tips[0],
                 goals=goals,
                 how=how,
                 position_only=not pose,
@@ -118,7 +135,9 @@ def workspace(
         from ..show.scene import view
 
         first = next(iter(found.solved))
-        view(arm, cloud=(found.points, found.solved[first]), title=f"{arm.name}: goals of {first}").save(html)
+        view(arm, cloud=(found.points, found.solved[first]), title=f"{arm.name}: goals of {found.tip}, {first}").save(
+            html
+        )
     if stopped and csv is not None:
         notice(f"the goals finished are in {partial(csv)}")
     write_json(found.to_dict(), as_json, partial(output) if stopped and output else output)

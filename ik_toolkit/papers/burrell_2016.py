@@ -357,7 +357,7 @@ def _one_map(robot: Robot, position_only: bool) -> StateSpace:
     """The published structure with designed gains, from home."""
     from ..study.spaces import make_space
 
-    return make_space(robot, "state-space", position_only).initial
+    return make_space(robot, "state-space", position_only, 1).initial
 
 
 def _misprints(report: Report) -> None:

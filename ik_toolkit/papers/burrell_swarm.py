@@ -8,8 +8,8 @@ import numpy as np
 from ..robot.robot import Robot
 from ..solvers.batch import solve_batch
 from ..solvers.rules.state_space import StateSpace
+from ..solvers.space import Parameter, Space
 from ..study.engines import Swarm
-from ..study.spaces import Parameter, Space
 from ..study.targets import sample_targets
 from ..study.tune import score
 from .burrell_published import PAPER_OPTIONS

@@ -35,6 +35,7 @@ class Joints:
     arms: tuple[Any, ...]
     places: tuple[np.ndarray, ...]
     memo: dict[Any, Any]
+    by_tip = False  # whether targets come by tip, as a tree's do, also when it has one
     _path: Path
 
     def _route(self) -> str:

@@ -30,6 +30,8 @@ class Tree(Joints):
     share model, base and resting joints (else ModelError); each may have a tool of its own.
     """
 
+    by_tip = True
+
     def __init__(self, arms: Sequence[Robot], home: Sequence[float] | np.ndarray | None = None) -> None:
         """Join robots that differ in their tip only. home (n,): default the arms' own. Raises ModelError, FrameNotFound."""
         if isinstance(arms, Robot) or not all(isinstance(arm, Robot) for arm in arms) or not len(arms):

@@ -25,6 +25,15 @@ def require_one_tip(robot: Any, what: str) -> None:
         )
 
 
+def one_tip(robot: Robot | Tree, tip: str | None) -> str:
+    """The tip that is meant: the one given, or a Robot's own. Raises InvalidOption (a Tree, and none given), FrameNotFound."""
+    if tip is None and robot.by_tip:
+        raise InvalidOption(f"this is for one tip of several; choose it with tip=: {', '.join(robot.tips)}")
+    tip = robot.tips[0] if tip is None else tip
+    robot.check_tips([tip])
+    return tip
+
+
 def sample_targets(
     robot: Robot | Tree,
     count: int,
@@ -45,8 +54,8 @@ def sample_targets(
         raise InvalidOption(f"targets are drawn by one of {', '.join(HOW)}, not '{how}'.{near_match(str(how), HOW)}")
     if isinstance(count, bool) or int(count) != count or count < 1:
         raise InvalidOption(f"the number of targets must be a whole number of at least 1, not {count!r}")
-    if tip is None and how == "volume" and isinstance(robot, Tree):
-        raise InvalidOption(f"targets uniform in volume are drawn for one tip; choose among {', '.join(robot.tips)}")
+    if tip is not None or how == "volume":
+        tip = one_tip(robot, tip)
     rng = np.random.default_rng(seed)
     if how == "joints":
         T = _poses(robot, robot.random_q(rng, count), tip)
@@ -66,7 +75,6 @@ def _poses(robot: Robot | Tree, Q: np.ndarray, tip: str | None) -> np.ndarray:
     """Poses of all tips, or of one, at Q (count, n)."""
     if tip is None:
         return robot.chain.forward(Q)[0]
-    robot.check_tips([tip])
     f = robot.tips.index(tip)
     return robot.arms[f].chain.forward(Q[:, robot.places[f]])[0]
 

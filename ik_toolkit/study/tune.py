@@ -14,16 +14,18 @@ import numpy as np
 from ..errors import InvalidOption, MissingExtra, near_match
 from ..files import whole_file
 from ..robot.robot import Robot
+from ..robot.tree import Tree
 from ..solvers.batch import solve_batch
 from ..solvers.presets import write_preset
 from ..solvers.registry import find_row, make_rule
+from ..solvers.solve import require_robot
+from ..solvers.space import Space
 from .engines import Evolution, Swarm
-from .spaces import Space, make_space
+from .spaces import make_space
 from .statistics import wilson
-from .targets import require_one_tip, sample_targets
+from .targets import sample_targets
 
 METHODS = ("cma", "pso")
-MAPS = 32  # starts of a tuned state-space solver
 JUDGED_SOON = 1  # held-out sets after Ctrl-C, which shall not be kept waiting
 FINALISTS = 8  # best candidates of the search that meet the validation goals
 SEARCH_ITERATIONS = 300  # limit while searching: lost goals cost most of the time, and slow ones shall count as lost
@@ -81,7 +83,7 @@ def _share(one: Score) -> str:
     return f"{1000 * one.share:.1f} of 1000, {one.iterations:.1f} iterations"
 
 
-def score(robot: Robot, rule: Any, sets: list[np.ndarray], **options: Any) -> Score:
+def score(robot: Robot | Tree, rule: Any, sets: list[np.ndarray], **options: Any) -> Score:
     """Solve sets of goals of equal size with a rule or solver name and count."""
     successes, iterations = [], []
     for targets in sets:
@@ -186,7 +188,7 @@ class TuneResult:
 
 
 def tune(
-    robot: Robot,
+    robot: Robot | Tree,
     solver: str,
     *,
     position_only: bool = True,
@@ -207,6 +209,7 @@ def tune(
 ) -> TuneResult:
     """Search parameters and start configurations of a solver with CMA-ES or a particle swarm.
 
+    robot: of a Tree all tips are solved together; a goal has a target a tip, and its errors are the largest of them.
     maps: state-space only, number of starts, default 32; 1 tunes the published structure (a, B, start; C fixed, which loses
     nothing), more tune starts whose maps are designed. initial: the rule to start from; a state-space rule keeps its structure
     (a, B, C, literal delay), and with several starts each B is searched between the given one and its own. goals: training
@@ -216,15 +219,13 @@ def tune(
     The tuned rule, the start and the solver's default meet the held-out goals, and the best is kept. Ctrl-C keeps the best so
     far. Deterministic for a seed (when `seconds` does not cut it). Raises InvalidOption, MissingExtra.
     """
-    require_one_tip(robot, "tune")
+    require_robot(robot)
     if method not in METHODS:
         raise InvalidOption(f"tuning methods are {', '.join(METHODS)}, not '{method}'.{near_match(method, METHODS)}")
     if method == "cma" and importlib.util.find_spec("cma") is None:
         raise MissingExtra("cma", "tune")
     row = find_row(solver)
     as_asked = maps is not None or initial is not None
-    if maps is None:
-        maps = MAPS if row.name == "state-space" else 1
     space = make_space(robot, row.name, position_only, maps, initial)
     options = {"tolerance": tolerance, "max_iterations": max_iterations}
     size = population or 4 + 2 * int(3 * math.log(space.size))
@@ -235,7 +236,8 @@ def tune(
     train = draw(TRAIN, goals)
     begun = perf_counter()
     search = _Search(robot, space, train, {**options, "max_iterations": min(max_iterations, SEARCH_ITERATIONS)})
-    task = f"{robot.name} {robot.base} {robot.tip} {'positions' if position_only else 'poses'} {how} {goals} {seed} {options}"
+    what, tips = "positions" if position_only else "poses", "+".join(robot.tips)
+    task = f"{robot.name} {robot.base} {tips} {what} {how} {goals} {seed} {options}"
     record = _Record(checkpoint, f"{row.name} {method} {space.size} {size} {task}")
     engine = (Evolution if method == "cma" else Swarm)(space.start, space.spread, size, seed)
     history: list[tuple[float, float, float]] = []
@@ -299,7 +301,7 @@ def tune(
 class _Search:
     """Cost of candidates and the best of them."""
 
-    def __init__(self, robot: Robot, space: Space, train: np.ndarray, options: dict[str, Any]) -> None:
+    def __init__(self, robot: Robot | Tree, space: Space, train: np.ndarray, options: dict[str, Any]) -> None:
         self.robot, self.space, self.train, self.options = robot, space, train, options
         self.best: list[tuple[float, np.ndarray]] = []
 

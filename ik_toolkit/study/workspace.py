@@ -14,11 +14,13 @@ import numpy as np
 from ..errors import InvalidOption
 from ..files import PARTIAL, WholeFile
 from ..robot.robot import Robot
+from ..robot.tree import Tree
 from ..solvers.batch import solve_parts
 from ..solvers.registry import find_row
 from ..solvers.result import Status
+from ..solvers.solve import require_robot
 from .statistics import wilson
-from .targets import require_one_tip, sample_targets, stream_targets
+from .targets import one_tip, sample_targets, stream_targets
 
 GRID = 24  # cells along the longest side of the success map
 ENVELOPE = 100_000  # configurations whose tips give the envelope
@@ -61,8 +63,9 @@ class Outcome:
 class Workspace:
     """Result of `workspace`.
 
-    low, high (3,) [m]: box of the reach in the base frame; radius (nearest, farthest) [m] of the tip from the base origin.
-    outcomes: by solver. map: by solver, (2, nx, ny, nz) goals and successes a cell, cells from `low` on, `cell` [m] wide.
+    tip: the one whose reach it is. low, high (3,) [m]: box of the reach in the base frame; radius (nearest, farthest) [m] of
+    the tip from the base origin. outcomes: by solver. map: by solver, (2, nx, ny, nz) goals and successes a cell, cells from
+    `low` on, `cell` [m] wide.
     failures: by solver, rows (x, y, z, error) of the first failures [m]. points (N, 3), solved: by solver (N,), for pictures.
     """
 
@@ -71,6 +74,7 @@ class Workspace:
     high: np.ndarray
     radius: tuple[float, float]
     cell: float
+    tip: str
     outcomes: dict[str, Outcome]
     map: dict[str, np.ndarray]
     failures: dict[str, np.ndarray]
@@ -81,6 +85,7 @@ class Workspace:
         """Plain values, without the map and the points."""
         return {
             "robot": self.robot,
+            "tip": self.tip,
             "low": self.low.tolist(),
             "high": self.high.tolist(),
             "radius": list(self.radius),
@@ -98,17 +103,20 @@ class WorkspaceInterrupted(KeyboardInterrupt):
         self.result = result
 
 
-def envelope(robot: Robot, count: int = ENVELOPE, seed: int = 0) -> tuple[np.ndarray, np.ndarray, tuple[float, float]]:
-    """Box (low, high) and nearest and farthest distance from the base origin of sampled tips [m]: inner bounds of the reach."""
-    points = sample_targets(robot, count, seed, position_only=True)
+def envelope(
+    robot: Robot | Tree, count: int = ENVELOPE, seed: int = 0, *, tip: str | None = None
+) -> tuple[np.ndarray, np.ndarray, tuple[float, float]]:
+    """Box (low, high) and nearest and farthest distance from the base origin of a sampled tip [m]: inner bounds of the reach."""
+    points = sample_targets(robot, count, seed, position_only=True, tip=one_tip(robot, tip))
     away = np.linalg.norm(points, axis=1)
     return points.min(0), points.max(0), (float(away.min()), float(away.max()))
 
 
 def workspace(
-    robot: Robot,
+    robot: Robot | Tree,
     solvers: Sequence[Any] | Mapping[str, Any] = ("lm",),
     *,
+    tip: str | None = None,
     goals: int = 10_000,
     how: str = "joints",
     position_only: bool = True,
@@ -121,19 +129,21 @@ def workspace(
 ) -> Workspace:
     """Solve goals over the workspace with each solver.
 
-    solvers: names or rules, or a mapping of labels to them. how: 'joints' or 'volume', see `sample_targets`. file: a .csv that
+    tip: of a Tree, the one whose reach is meant; the others are free (and with avoid_collisions move out of its way). solvers:
+    names or rules, or a mapping of labels to them. how: 'joints' or 'volume', see `sample_targets`. file: a .csv that
     receives every goal as it is solved (x, y, z, then success, status, iterations, position_error, orientation_error a
     solver), so that millions of goals need no more memory than a chunk; when the run ends early it is called NAME.partial.
     executor: as for `solve_batch`. options: as for `solve`. Goals depend on (seed, chunk) only. Ctrl-C raises
     WorkspaceInterrupted, a KeyboardInterrupt whose `result` holds the chunks finished, as the file does. Raises InvalidOption
     and what `solve_batch` raises.
     """
-    require_one_tip(robot, "workspace")
+    require_robot(robot)
+    tip = one_tip(robot, tip)
     if not solvers:
         raise InvalidOption("workspace needs at least one solver")
     named = dict(solvers) if isinstance(solvers, Mapping) else dict(zip(_names(solvers), solvers, strict=True))
     names = list(named)
-    low, high, radius = envelope(robot)
+    low, high, radius = envelope(robot, tip=tip)
     cell = float(max((high - low).max() / GRID, 1e-9))
     shape = np.maximum(np.ceil((high - low) / cell), 1).astype(int)
     outcomes = {name: Outcome(name) for name in names}
@@ -145,13 +155,14 @@ def workspace(
     table = _Table(file, names)
     interrupted = whole = False
     try:
-        for targets in stream_targets(robot, goals, seed, how=how, position_only=position_only):
+        for targets in stream_targets(robot, goals, seed, how=how, position_only=position_only, tip=tip):
+            asked = {tip: targets} if robot.by_tip else targets
             xyz = targets if targets.ndim == 2 else targets[:, :3, 3]
             index = np.clip(((xyz - low) / cell).astype(int), 0, shape - 1)
             columns, seconds = [], []
             for solver in named.values():
                 begun = time.perf_counter()
-                parts = list(solve_parts(robot, targets, solver, q0=q0, executor=executor, check=0.0, **options))
+                parts = list(solve_parts(robot, asked, solver, q0=q0, executor=executor, check=0.0, **options))
                 seconds.append(time.perf_counter() - begun)
                 part = {
                     key: np.concatenate([getattr(one, key) for one in parts])
@@ -192,6 +203,7 @@ def workspace(
         high,
         radius,
         cell,
+        tip,
         outcomes,
         maps,
         {name: np.concatenate([np.empty((0, 4)), *rows])[:FAILURES] for name, rows in failures.items()},

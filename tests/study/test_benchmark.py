@@ -216,7 +216,7 @@ def test_targets_of_several_tips_or_one():
     for f, tip in enumerate(both.tips):
         assert np.allclose(sample_targets(both, 6, 1, tip=tip), T[:, f], atol=1e-12)
         assert sample_targets(both, 6, 1, tip=tip, how="volume", position_only=True).shape == (6, 3)
-    with pytest.raises(InvalidOption, match="one tip; choose among left_tip, right_tip"):
+    with pytest.raises(InvalidOption, match="choose it with tip=: left_tip, right_tip"):
         sample_targets(both, 3, how="volume")
     with pytest.raises(FrameNotFound, match="Did you mean 'left_tip'"):
         sample_targets(both, 3, tip="left_tp")

@@ -12,6 +12,7 @@ from ...kernel.records import POINTS
 from ...kernel.search import WAITING
 from ..presets import check_starts, load_preset
 from ..protocol import Asked, rule
+from ..space import Parameter, Space, start_parameter
 
 UNITS = {"si": 1.0, "mm-deg": 1000.0 * math.pi / 180.0}  # rad/m per unit of gain
 
@@ -103,6 +104,26 @@ class PID(NamedTuple):
     def options(self) -> dict[str, Any]:
         """Tolerance and iteration limit of the preset."""
         return dict(self.tuned or {})
+
+    @classmethod
+    def space(cls, robot: Any, position_only: bool, initial: "PID | None" = None) -> Space:
+        """What is tuned: the gains on log scales, and one start."""
+        initial = initial or cls()
+        packed = np.array(initial.pack(robot)) / robot.chain.scale
+        kp, ki, kd = (float(x) for x in packed[:3])
+        start = (
+            robot.home[None] if initial.starts is None else np.atleast_2d(np.asarray(initial.starts, dtype=float))[:1]
+        )
+        parameters = [
+            Parameter("kp", kp / 8, kp * 8, kp, "rad/m", True),
+            Parameter("ki", 1e-7 * kp, 1e-1 * kp, min(max(ki, 1e-7 * kp), 1e-1 * kp), "rad/m", True),
+            Parameter("kd", 1e-2 * kp, 100 * kp, min(max(kd, 1e-2 * kp), 100 * kp), "rad/m", True),
+            start_parameter(robot, start),
+        ]
+        if not position_only:
+            scale = float(initial.pack(robot).orientation * robot.chain.scale)
+            parameters.append(Parameter("orientation_scale", scale / 10, scale * 10, scale, "m/rad", True))
+        return Space(tuple(parameters), initial, lambda values: cls(**values))
 
     def start_table(self, robot: Any, position_only: bool) -> np.ndarray | None:
         """Starts (M, n) [rad, m] to choose from without q0, or None for home. Raises InvalidOption on a wrong shape."""

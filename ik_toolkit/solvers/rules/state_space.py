@@ -15,15 +15,18 @@ import numpy as np
 from ...errors import InvalidOption
 from ...kernel.jit import compiled
 from ...kernel.kinematics import TAU
-from ...kernel.records import POINTS, Array
+from ...kernel.records import Array
 from ...kernel.search import WAITING
 from ...kernel.task import POSE, POSITION
 from ..presets import check_starts, load_preset
 from ..protocol import Asked, rule
+from ..space import Parameter, Space, sampling_box, start_parameter
 
 UNITS = {"si": (1.0, 1.0), "mm-deg": (1000.0, np.pi / 180.0)}  # per metre of error, rad per unit of increment
 HEAD = 4  # states, maps, whether there is a D, whether the map is chosen anew in every step
 MAPS = 128  # starts of the designed solver
+TUNED_MAPS = 32  # starts of a tuned one
+C_FIXED = -0.05  # (A, B, C) and (TAT^-1, TB, CT^-1) are the same solver, so C need not be searched
 SAMPLES = 4096  # configurations they are picked from
 SPREAD, RADIUS = (
     0.15,
@@ -142,6 +145,16 @@ class StateSpace(NamedTuple):
             )
         return robot.memo[key]
 
+    @classmethod
+    def space(
+        cls, robot: Any, position_only: bool, initial: "StateSpace | None" = None, maps: int | None = None
+    ) -> Space:
+        """What is tuned: one start and the published structure (maps=1), or starts whose maps are designed (default 32)."""
+        maps = TUNED_MAPS if maps is None else maps
+        if maps == 1:
+            return _one_map(robot, position_only, initial)
+        return _several_maps(robot, position_only, maps) if initial is None else _split(robot, maps, initial)
+
     def start_table(self, robot: Any, position_only: bool) -> np.ndarray | None:
         """Starts (M, n) [rad, m] to choose from without q0, or None for home."""
         starts = self.resolve(robot, position_only).starts
@@ -212,15 +225,6 @@ def _maps(maps: Any, count: int, rows: int, name: str, position_only: bool) -> n
 
 
 # ------------------------------------------------------------------------------------------------------------- design
-def sampling_box(robot: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Lower end and width (n,) [rad, m] of where starts are drawn: the limits, at most one turn about their middle."""
-    n, chain = robot.n, robot.chain
-    low, span = (chain.ends[POINTS + k * n : POINTS + (k + 1) * n] * chain.unit for k in (4, 5))
-    turning = chain.unit == 1.0
-    width = np.where(turning, np.minimum(span, TAU), span)
-    return low + 0.5 * (span - width), width
-
-
 def spread_starts(robot: Any, position_only: bool, count: int, seed: int = 0) -> np.ndarray:
     """Starts (count, n): the workspace is cut into cells (Lloyd's algorithm), each has a start far from limits and singularities.
 
@@ -283,3 +287,76 @@ def inverse_maps(robot: Any, starts: np.ndarray, position_only: bool, seed: int 
     maps = inverse * weight[:, None]
     maps[:, :, :3] /= chain.scale
     return maps
+
+
+# ------------------------------------------------------------------------------------------------------- what is tuned
+def _one_map(robot: Any, position_only: bool, initial: StateSpace | None) -> Space:
+    """The published structure: A = a I, B, C = -0.05 I, literal delay, one start."""
+    n, scale, unit = robot.n, robot.chain.scale, robot.chain.unit
+    start = robot.home[None]
+    if initial is None:  # a = -0.5 puts both poles at 0.25 for a loop gain of 0.5625
+        B = 0.5625 / C_FIXED * inverse_maps(robot, start, position_only)[0]
+        initial = StateSpace(A=-0.5 * np.eye(n), B=B, C=C_FIXED * np.eye(n), starts=start)
+    a, B = _plain(initial, n)
+    if initial.starts is not None:
+        start = np.atleast_2d(np.asarray(initial.starts, dtype=float))[:1]
+    size = np.concatenate([np.full(3, 1.0 / scale), np.ones(3)])[: B.shape[1]] * unit[:, None] / abs(C_FIXED)
+    reach = np.maximum(1.5, 1.5 * np.abs(B / size).max()) * size
+
+    def make(values: dict[str, Any]) -> StateSpace:
+        return StateSpace(A=values["a"] * np.eye(n), B=values["B"], C=C_FIXED * np.eye(n), starts=values["starts"])
+
+    parameters = (
+        start_parameter(robot, start),
+        Parameter("B", -reach, reach, B, "rad/m, 1"),
+        Parameter("a", -0.95, 0.6, a),
+    )
+    return Space(parameters, initial, make)
+
+
+def _plain(rule: StateSpace, n: int) -> tuple[float, np.ndarray]:
+    """(a, B) [SI, base axes] of a rule with A = a I and C = c I, rescaled to C = -0.05 I. Raises InvalidOption."""
+    A, B, C = (np.asarray(part, dtype=float) for part in (rule.A, rule.B, rule.C))
+    if A.shape != (n, n) or C.shape != (n, n) or B.ndim != 2 or rule.D is not None:
+        raise InvalidOption("the search can start from a rule with A (n, n), one B, C (n, n) and no D")
+    a, c = A[0, 0], C[0, 0]
+    if not (np.allclose(A, a * np.eye(n)) and np.allclose(C, c * np.eye(n)) and c != 0.0):
+        raise InvalidOption("the search can start from a rule with A = a I and C = c I only")
+    per_metre, increment = UNITS[rule.units]
+    frame = np.eye(3) if rule.frame is None else np.asarray(rule.frame, dtype=float)
+    B = np.concatenate([B[:, :3] @ frame * per_metre, B[:, 3:] @ frame if B.shape[1] == 6 else B[:, 3:]], axis=1)
+    return float(a), B * (c * increment / C_FIXED)
+
+
+def _several_maps(robot: Any, position_only: bool, maps: int) -> Space:
+    """Starts are searched; the map of each is the damped inverse of the Jacobian averaged around it, times one loop gain."""
+    starts = spread_starts(robot, position_only, maps)
+
+    def make(values: dict[str, Any]) -> StateSpace:
+        where = values["starts"]
+        return StateSpace(D=values["kappa"] * inverse_maps(robot, where, position_only), starts=where)
+
+    parameters = (start_parameter(robot, starts), Parameter("kappa", 0.2, 1.6, 0.9 if position_only else 0.6))
+    initial = make({"starts": starts, "kappa": parameters[1].initial})
+    return Space(parameters, initial, make, spread=0.08)
+
+
+def _split(robot: Any, maps: int, initial: StateSpace) -> Space:
+    """A = a I, C = -0.05 I, literal delay, several starts: each B between the given (share 0) and that start's own (share 1)."""
+    n, eye = robot.n, np.eye(robot.n)
+    a, B = _plain(initial, n)
+    position_only = B.shape[1] == 3
+    starts = spread_starts(robot, position_only, maps)
+
+    def make(values: dict[str, Any]) -> StateSpace:
+        where, share = values["starts"], values["share"]
+        own = values["kappa"] / C_FIXED * inverse_maps(robot, where, position_only)
+        return StateSpace(A=values["a"] * eye, B=(1.0 - share) * B + share * own, C=C_FIXED * eye, starts=where)
+
+    parameters = (
+        start_parameter(robot, starts),
+        Parameter("share", 0.0, 1.0, 0.0),
+        Parameter("kappa", 0.1, 1.4, 0.5625),  # both poles at 0.25 for a = -0.5
+        Parameter("a", -0.95, 0.6, a),
+    )
+    return Space(parameters, initial, make)

@@ -1,0 +1,93 @@
+"""What can be tuned of a solver: names, ranges, logarithmic or not, units, and the rule that a point of it stands for.
+
+A rule that knows what to tune has a class method `space(robot, position_only, initial=None)`, see `study.spaces.make_space`.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ..kernel.kinematics import TAU
+from ..kernel.records import POINTS
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One declared parameter: lower and upper end (scalars or arrays of one shape), log scale or not, unit, where to start."""
+
+    name: str
+    low: Any
+    high: Any
+    initial: Any
+    unit: str = ""
+    log: bool = False
+
+    @property
+    def size(self) -> int:
+        """Number of values."""
+        return int(np.size(self.initial))
+
+    def to_unit(self) -> np.ndarray:
+        """The initial values in [0, 1]."""
+        low, high, value = (np.broadcast_to(x, np.shape(self.initial)).ravel() for x in self._ends(self.initial))
+        return np.clip((value - low) / np.where(high > low, high - low, 1.0), 0.0, 1.0)
+
+    def from_unit(self, x: np.ndarray) -> Any:
+        """Values of a point in [0, 1]: a float, or an array shaped as `initial`."""
+        low, high, _ = self._ends(self.initial)
+        value = low + (high - low) * x.reshape(np.shape(self.initial))
+        value = np.exp(value) if self.log else value
+        return float(value) if np.ndim(self.initial) == 0 else value
+
+    def _ends(self, value: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        ends = (np.asarray(part, dtype=float) for part in (self.low, self.high, value))
+        low, high, value = (np.log(part) if self.log else part for part in ends)
+        return low, high, value
+
+
+@dataclass(frozen=True)
+class Space:
+    """Declared parameters of a search, the rule it starts from, and what makes a rule of values by name."""
+
+    parameters: tuple[Parameter, ...]
+    initial: Any
+    make: Callable[[dict[str, Any]], Any]
+    spread: float = 0.15
+
+    @property
+    def size(self) -> int:
+        """Numbers searched."""
+        return sum(parameter.size for parameter in self.parameters)
+
+    @property
+    def start(self) -> np.ndarray:
+        """The initial point in the unit box."""
+        return np.concatenate([parameter.to_unit() for parameter in self.parameters])
+
+    def values(self, x: np.ndarray) -> dict[str, Any]:
+        """Values by name of a point in the unit box."""
+        ends = np.cumsum([0, *(parameter.size for parameter in self.parameters)])
+        parts = zip(self.parameters, ends[:-1], ends[1:], strict=True)
+        return {parameter.name: parameter.from_unit(np.asarray(x)[a:b]) for parameter, a, b in parts}
+
+    def build(self, x: np.ndarray) -> Any:
+        """The rule of a point in the unit box."""
+        return self.make(self.values(x))
+
+
+def sampling_box(robot: Any) -> tuple[np.ndarray, np.ndarray]:
+    """Lower end and width (n,) [rad, m] of where starts are drawn: the limits, at most one turn about their middle."""
+    n, chain = robot.n, robot.chain
+    ends = np.atleast_2d(chain.ends)[0]  # of several tips: what belongs to the coordinates is the same for all
+    low, span = (ends[POINTS + k * n : POINTS + (k + 1) * n] * chain.unit for k in (4, 5))
+    turning = chain.unit == 1.0
+    width = np.where(turning, np.minimum(span, TAU), span)
+    return low + 0.5 * (span - width), width
+
+
+def start_parameter(robot: Any, initial: np.ndarray) -> Parameter:
+    """Starts (M, n) [rad, m] as a parameter, anywhere in the box where starts are drawn."""
+    low, width = sampling_box(robot)
+    return Parameter("starts", low, low + width, np.clip(initial, low, low + width), "rad, m")
