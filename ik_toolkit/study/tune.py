@@ -240,7 +240,6 @@ def tune(
     task = f"{robot.name} {robot.base} {tips} {what} {how} {goals} {seed} {options}"
     record = _Record(checkpoint, f"{row.name} {method} {space.size} {size} {task}")
     engine = (Evolution if method == "cma" else Swarm)(space.start, space.spread, size, seed)
-    history: list[tuple[float, float, float]] = []
     interrupted = False
     rule: Any = None
     rules = {"tuned": rule, "start": space.initial, "default": make_rule(row, {})}
@@ -257,14 +256,7 @@ def tune(
         for generation in range(generations):
             if seconds is not None and perf_counter() - begun > seconds:
                 break
-            X = engine.ask()
-            costs = record.replay(generation, X)
-            if costs is None:
-                costs = np.array([search.cost(x) for x in X])
-                record.add(X, costs)
-            search.note(X, costs)
-            engine.tell(costs)
-            history.append((search.best[0][0], float(costs.min()), float(np.median(costs))))
+            costs = search.generation(engine, record)
             if progress is not None:
                 progress(generation + 1, costs)
         if not search.best:  # no generation was asked for, or no time for one
@@ -290,8 +282,8 @@ def tune(
         scores=scores,
         kept=kept,
         options=options,
-        history=np.array(history).reshape(-1, 3),
-        evaluations=len(history) * size,
+        history=np.array(search.history).reshape(-1, 3),
+        evaluations=len(search.history) * size,
         elapsed=perf_counter() - begun,
         seed=seed,
         interrupted=interrupted,
@@ -299,11 +291,24 @@ def tune(
 
 
 class _Search:
-    """Cost of candidates and the best of them."""
+    """Cost of candidates and the best of them; history: a row a generation, see TuneResult."""
 
     def __init__(self, robot: Robot | Tree, space: Space, train: np.ndarray, options: dict[str, Any]) -> None:
         self.robot, self.space, self.train, self.options = robot, space, train, options
         self.best: list[tuple[float, np.ndarray]] = []
+        self.history: list[tuple[float, float, float]] = []
+
+    def generation(self, engine: Any, record: "_Record") -> np.ndarray:
+        """Costs of the engine's next candidates, from the record where they are known."""
+        X = engine.ask()
+        costs = record.replay(len(self.history), X)
+        if costs is None:
+            costs = np.array([self.cost(x) for x in X])
+            record.add(X, costs)
+        self.note(X, costs)
+        engine.tell(costs)
+        self.history.append((self.best[0][0], float(costs.min()), float(np.median(costs))))
+        return costs
 
     def cost(self, x: np.ndarray, targets: np.ndarray | None = None) -> float:
         targets = self.train if targets is None else targets

@@ -142,23 +142,13 @@ def workspace(
     if not solvers:
         raise InvalidOption("workspace needs at least one solver")
     named = dict(solvers) if isinstance(solvers, Mapping) else dict(zip(_names(solvers), solvers, strict=True))
-    names = list(named)
-    low, high, radius = envelope(robot, tip=tip)
-    cell = float(max((high - low).max() / GRID, 1e-9))
-    shape = np.maximum(np.ceil((high - low) / cell), 1).astype(int)
-    outcomes = {name: Outcome(name) for name in names}
-    maps = {name: np.zeros((2, *shape), np.int64) for name in names}
-    failures: dict[str, list[np.ndarray]] = {name: [] for name in names}
-    points: list[np.ndarray] = []
-    solved: dict[str, list[np.ndarray]] = {name: [] for name in names}
-    kept = done = 0
-    table = _Table(file, names)
+    tally = _Tally(robot, tip, list(named))
+    table = _Table(file, list(named))
     interrupted = whole = False
     try:
         for targets in stream_targets(robot, goals, seed, how=how, position_only=position_only, tip=tip):
             asked = {tip: targets} if robot.by_tip else targets
             xyz = targets if targets.ndim == 2 else targets[:, :3, 3]
-            index = np.clip(((xyz - low) / cell).astype(int), 0, shape - 1)
             columns, seconds = [], []
             for solver in named.values():
                 begun = time.perf_counter()
@@ -174,45 +164,72 @@ def workspace(
             # Slow, so here: a Ctrl-C comes before the chunk counts, or after, hardly ever within.
             lines = table.lines(xyz, columns)
             table.write(lines)
-            for name, part, elapsed in zip(names, columns, seconds, strict=True):
-                outcomes[name].elapsed += elapsed
-                _count(outcomes[name], part)
-                np.add.at(maps[name][0], tuple(index.T), 1)
-                np.add.at(maps[name][1], tuple(index.T), part["success"])
-                bad = ~part["success"]
-                if bad.any() and sum(map(len, failures[name])) < FAILURES:
-                    failures[name].append(np.column_stack([xyz[bad], part["position_error"][bad]]))
-                if kept < KEEP:
-                    solved[name].append(part["success"])
-            if kept < KEEP:
-                points.append(xyz.copy())
-                kept += len(xyz)
-            done += len(xyz)
+            tally.add(xyz, columns, seconds)
             if progress is not None:
-                progress(done)
+                progress(tally.done)
         whole = True
     except KeyboardInterrupt:
-        if not done:
+        if not tally.done:
             raise
         interrupted = True
     finally:
         table.close(whole)
-    found = Workspace(
-        robot.name,
-        low,
-        high,
-        radius,
-        cell,
-        tip,
-        outcomes,
-        maps,
-        {name: np.concatenate([np.empty((0, 4)), *rows])[:FAILURES] for name, rows in failures.items()},
-        np.concatenate(points),
-        {name: np.concatenate(rows) for name, rows in solved.items()},
-    )
+    found = tally.result()
     if interrupted:
         raise WorkspaceInterrupted(found)
     return found
+
+
+class _Tally:
+    """What a Workspace says of the chunks so far."""
+
+    def __init__(self, robot: Robot | Tree, tip: str, names: list[str]) -> None:
+        self.robot, self.tip = robot.name, tip
+        self.low, self.high, self.radius = envelope(robot, tip=tip)
+        self.cell = float(max((self.high - self.low).max() / GRID, 1e-9))
+        self.shape = np.maximum(np.ceil((self.high - self.low) / self.cell), 1).astype(int)
+        self.outcomes = {name: Outcome(name) for name in names}
+        self.maps = {name: np.zeros((2, *self.shape), np.int64) for name in names}
+        self.failures: dict[str, list[np.ndarray]] = {name: [] for name in names}
+        self.points: list[np.ndarray] = []
+        self.solved: dict[str, list[np.ndarray]] = {name: [] for name in names}
+        self.kept = self.done = 0
+
+    def add(self, xyz: np.ndarray, columns: list[dict[str, np.ndarray]], seconds: list[float]) -> None:
+        """Count a chunk: the goals' points (m, 3), what each solver made of them and how long it took."""
+        index = np.clip(((xyz - self.low) / self.cell).astype(int), 0, self.shape - 1)
+        for name, part, elapsed in zip(self.outcomes, columns, seconds, strict=True):
+            self.outcomes[name].elapsed += elapsed
+            _count(self.outcomes[name], part)
+            np.add.at(self.maps[name][0], tuple(index.T), 1)
+            np.add.at(self.maps[name][1], tuple(index.T), part["success"])
+            bad = ~part["success"]
+            if bad.any() and sum(map(len, self.failures[name])) < FAILURES:
+                self.failures[name].append(np.column_stack([xyz[bad], part["position_error"][bad]]))
+            if self.kept < KEEP:
+                self.solved[name].append(part["success"])
+        if self.kept < KEEP:
+            self.points.append(xyz.copy())
+            self.kept += len(xyz)
+        self.done += len(xyz)
+
+    def result(self) -> Workspace:
+        """The study of what was counted."""
+        return Workspace(
+            robot=self.robot,
+            low=self.low,
+            high=self.high,
+            radius=self.radius,
+            cell=self.cell,
+            tip=self.tip,
+            outcomes=self.outcomes,
+            map=self.maps,
+            failures={
+                name: np.concatenate([np.empty((0, 4)), *rows])[:FAILURES] for name, rows in self.failures.items()
+            },
+            points=np.concatenate(self.points),
+            solved={name: np.concatenate(rows) for name, rows in self.solved.items()},
+        )
 
 
 def _names(solvers: Sequence[Any]) -> list[str]:

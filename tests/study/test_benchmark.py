@@ -18,8 +18,6 @@ from ik_toolkit.study import benchmark as study
 from ik_toolkit.study import singularity
 from ik_toolkit.study.statistics import wilson
 from ik_toolkit.study.targets import sample_targets
-from ik_toolkit.study.tune import tune
-from ik_toolkit.study.workspace import workspace
 
 BENCHMARKS = SCRIPTS / "benchmarks"
 
@@ -151,8 +149,6 @@ def tree():
 @pytest.mark.parametrize(
     "call",
     [
-        lambda robot: workspace(robot, goals=10),
-        lambda robot: tune(robot, "pid", goals=10, generations=1),
         lambda robot: singularity.run(robot, np.zeros(3), "lm", robot.home),
         lambda robot: singularity.escapes(robot, np.zeros((1, 3)), ["lm"], robot.home),
         lambda robot: singularity.measures(robot, robot.home[None]),
