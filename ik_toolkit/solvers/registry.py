@@ -8,7 +8,7 @@ import math
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
-from ..errors import InvalidOption, UnknownSolver, near_match
+from ..errors import IKError, InvalidOption, UnknownSolver, near_match
 
 
 class Length(NamedTuple):
@@ -34,8 +34,8 @@ class Row:
     target: "module:Class" of the rule or closed form. search: how long it goes on; several: the same for several tips, where it
     differs. closed: a closed form. pose, position: the targets it solves. one_tip: not for several tips. moves_all: moves every
     joint, so that none can be held by a weight of 0. tracks: makes sense one step a sample. joints: of a closed form that 'auto'
-    takes where it fits, the numbers of joints of the robots it may fit. What a solver does beyond that it says itself: see
-    `protocol`.
+    takes where it fits, the numbers of joints of the robots it may fit. package: whose it is, when it is not ours (see
+    `others`). cls: the class, when it need not be imported. What a solver does beyond that it says itself: see `protocol`.
     """
 
     name: str
@@ -52,11 +52,26 @@ class Row:
     moves_all: bool = False
     tracks: bool = True
     joints: tuple[int, ...] = ()
+    package: str = ""
+    cls: Any = None
 
     def load(self) -> Any:
-        """Import and return the class."""
+        """Import and return the class. Raises UnknownSolver where that of another package cannot be imported or is no solver."""
+        if self.cls is not None:
+            return self.cls
         module, name = self.target.split(":")
-        return getattr(importlib.import_module(module), name)
+        try:
+            cls = getattr(importlib.import_module(module), name)
+        except Exception as error:
+            if not self.package or isinstance(error, IKError):
+                raise
+            what = f"{type(error).__name__}: {error}"
+            raise UnknownSolver(f"solver '{self.name}' of package {self.package} cannot be loaded: {what}") from error
+        if not hasattr(cls, "loop"):
+            raise UnknownSolver(
+                f"solver '{self.name}': {self.target} is no solver; put @ik_toolkit.rule over the class"
+            )
+        return cls
 
     def length(self, tips: int = 1) -> Length:
         """How long the search goes on for so many tips."""
@@ -173,18 +188,30 @@ BY_NAME = {row.name: row for row in ROWS}
 GENERAL = ROWS[0].name  # what 'auto' takes where no closed form fits
 
 
+def list_rows() -> tuple[Row, ...]:
+    """Our rows, then those of other packages."""
+    from .others import registered
+
+    return (*ROWS, *registered().values())
+
+
 def find_row(solver: Any) -> Row:
     """Return the row of a solver name, rule class or rule instance. Raises UnknownSolver with a near match."""
     if isinstance(solver, str):
-        if solver not in BY_NAME:
-            raise UnknownSolver(f"there is no solver '{solver}'.{near_match(solver, BY_NAME)}")
-        return BY_NAME[solver]
+        if solver in BY_NAME:
+            return BY_NAME[solver]
+        rows = {row.name: row for row in list_rows()}
+        if solver not in rows:
+            raise UnknownSolver(f"there is no solver '{solver}'.{near_match(solver, rows)}")
+        return rows[solver]
     cls = solver if isinstance(solver, type) else type(solver)
-    for row in ROWS:
-        if row.target.split(":")[1] == cls.__name__ and row.load() is cls:
-            return row
     if hasattr(cls, "loop"):  # marked by protocol.rule or protocol.closed_form
+        for row in (row for rows in (lambda: ROWS, list_rows) for row in rows()):
+            if row.target.split(":")[1] == cls.__name__ and row.load() is cls:
+                return row
         return _own(cls)
+    if hasattr(cls, "_fields") and hasattr(cls, "step"):
+        raise UnknownSolver(f"{cls.__name__} is no rule yet: put @ik_toolkit.rule over the class")
     what = f"the class {cls.__name__}" if isinstance(solver, type) else f"{solver!r:.60}"
     names = ", ".join(BY_NAME)
     raise UnknownSolver(f"a solver is a name, a rule class or an instance of one, not {what}. Available: {names}.")
@@ -195,9 +222,8 @@ def _own(cls: type) -> Row:
     said = {name: getattr(cls, name) for name in OWN if hasattr(cls, name)}
     kind = _CLOSED_FORM if hasattr(cls, "every") else {}
     summary = (cls.__doc__ or cls.__name__).splitlines()[0]
-    return Row(
-        cls.__name__, f"{cls.__module__}:{cls.__qualname__}", summary, "a solver of your own", "", **{**kind, **said}
-    )
+    target = f"{cls.__module__}:{cls.__qualname__}"
+    return Row(cls.__name__, target, summary, "a solver of your own", "", **{**kind, **said, "cls": cls})
 
 
 def make_rule(row: Row, parameters: dict[str, Any]) -> Any:

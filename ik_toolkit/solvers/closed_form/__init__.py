@@ -39,15 +39,12 @@ def describe(robot: Any) -> str:
 
 def _recognise(chain: Any) -> dict[int, tuple[str, float]]:
     from ...kernel.task import POSE, POSITION
+    from ..registry import ROWS
 
-    if chain.n == 2:
-        from . import planar_2r
-
-        found = planar_2r.recognise(chain)
-        return {} if found.reason else {POSITION: ("planar-2r", found.off)}
-    if chain.n in (6, 7):
-        from . import inspection
-
-        found = inspection.recognise(chain)
-        return {} if found.reason else {POSE: ("inspection", found.off)}
-    return {}
+    found: dict[int, tuple[str, float]] = {}
+    for row in ROWS:
+        if chain.n in row.joints:
+            fit = row.load().recognise(chain)
+            kinds = [kind for kind, solved in ((POSE, row.pose), (POSITION, row.position)) if solved and not fit.reason]
+            found |= {kind: (row.name, fit.off) for kind in kinds if kind not in found}
+    return found
