@@ -51,6 +51,13 @@ def writes(*suffixes: str) -> Callable[[Path | None], Path | None]:
     return check
 
 
+def solver_named(text: str) -> Any:
+    """A solver's name as it is, or the class of FILE.py:CLASS. Raises InvalidOption."""
+    from ..solvers.others import from_file, is_file
+
+    return from_file(text) if is_file(text) else text
+
+
 class Command(typer.core.TyperCommand):
     """A command that refuses to write over a file it reads, under whatever name, or two results into one file."""
 

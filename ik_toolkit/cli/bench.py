@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ..errors import InvalidOption
-from .arguments import PLOTS, Json, Out, Tips, load_robot, one_or_several, writes
+from .arguments import PLOTS, Json, Out, Tips, load_robot, one_or_several, solver_named, writes
 from .output import notice, partial, progress, show, table, write_json
 
 if TYPE_CHECKING:
@@ -15,7 +15,16 @@ if TYPE_CHECKING:
 Robots = Annotated[
     list[str] | None, typer.Argument(metavar="[ROBOT...]", help="Names or URDF files; default hydrolek_7w.")
 ]
-Solvers = Annotated[str | None, typer.Option(metavar="NAME,NAME", help="Solvers to compare; default: all that apply.")]
+Solvers = Annotated[
+    list[str] | None,
+    typer.Option(
+        "-s",
+        "--solvers",
+        "--solver",
+        metavar="NAME,NAME",
+        help="Solvers to compare, or FILE.py:CLASS for one of your own; may be repeated; default: all that apply.",
+    ),
+]
 Targets = Annotated[int, typer.Option("--targets", "-n", metavar="N", help="Random reachable targets a robot.")]
 Start = Annotated[
     str, typer.Option(metavar="KIND", help="none (each solver's own), home, random, or near (within 0.1 rad).")
@@ -67,10 +76,9 @@ def bench(
     with one attempt, and with the same number of restarts. 95 %: Wilson interval; us: median time of a call. With several
     --tip all of them are solved for together.
     """
-    from ..solvers.registry import find_row
     from ..study.benchmark import BenchmarkInterrupted, benchmark
 
-    names = [find_row(name.strip()).name for name in solvers.split(",") if name.strip()] if solvers else None
+    chosen = [solver_named(name.strip()) for text in solvers or () for name in text.split(",") if name.strip()]
     if tip and len(robots or ()) > 1:
         raise InvalidOption(f"--tip is for one robot; {len(robots or ())} are given")
     arms = [load_robot(name, one_or_several(tip)) for name in robots or ["hydrolek_7w"]]
@@ -83,7 +91,7 @@ def bench(
             def step(done: int, count: int) -> None:
                 bar(done, total=count)
 
-            found = benchmark(arms, names, targets=targets, start=start, task=task, seed=seed, progress=step, **given)
+            found = benchmark(arms, chosen or None, targets=targets, start=start, task=task, seed=seed, progress=step, **given)
     except BenchmarkInterrupted as interrupt:
         found, stopped = interrupt.result, True
         if not found.rows:

@@ -9,7 +9,7 @@ import typer
 
 from ..errors import InvalidOption, InvalidTarget
 from ..text import numbers, parameter, vector
-from .arguments import assignments, joint_vector
+from .arguments import assignments, joint_vector, solver_named
 from .obstacles import collision_model
 
 Xyz = Annotated[
@@ -232,16 +232,14 @@ def make_targets(texts: list[str], robot: str) -> dict[str, Any]:
 
 def choose_solver(name: str, params: list[str] | None, preset: str | None) -> Any:
     """Solver name, or a rule with its preset and parameters applied. Raises UnknownSolver, InvalidOption."""
-    from ..solvers.registry import find_row, make_rule
+    from ..solvers.presets import from_preset
+    from ..solvers.registry import GENERAL, find_row, make_rule
 
     if name == "auto" and not params and not preset:
         return name
-    row = find_row("lm" if name == "auto" else name)
+    asked = solver_named(name)
+    row = find_row(GENERAL if asked == "auto" else asked)
     values = {key: parameter(key, text) for key, text in assignments(params, "-p").items()}
     if preset is None:
-        return make_rule(row, values) if values else name
-    cls = row.load()
-    if not hasattr(cls, "preset"):
-        raise InvalidOption(f"solver '{row.name}' has no presets")
-    make_rule(row, values)  # names the parameter that does not exist
-    return cls.preset(preset)._replace(**values)
+        return make_rule(row, values) if values else asked
+    return from_preset(row, preset, values)

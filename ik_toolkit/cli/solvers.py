@@ -5,7 +5,7 @@ from typing import Annotated, Any
 
 import typer
 
-from .arguments import Json
+from .arguments import Json, solver_named
 from .output import facts, heading, show, table, write_json
 
 Name = Annotated[str | None, typer.Argument(metavar="[NAME]", help="Show this solver's parameters.")]
@@ -18,12 +18,12 @@ def register(app: typer.Typer) -> None:
 
 def solvers(name: Name = None, as_json: Json = False) -> None:
     """List the solvers, or show one: parameters, defaults, options, source."""
-    from ..solvers.registry import ROWS, find_row
+    from ..solvers.registry import find_row, list_rows
 
     if name is not None:
-        _one(find_row(name), as_json)
+        _one(find_row(solver_named(name)), as_json)
         return
-    rows = [{key: getattr(row, key) for key in ("name", "summary", "handles", "citation")} for row in ROWS]
+    rows = [{key: getattr(row, key) for key in ("name", "summary", "handles", "citation")} for row in list_rows()]
     write_json({"solvers": rows}, as_json)
     if as_json:
         return
@@ -40,7 +40,8 @@ def _one(row: Any, as_json: bool) -> None:
     defaults = getattr(cls, "_field_defaults", {})
     parameters = [{"name": key, "default": defaults.get(key)} for key in getattr(cls, "_fields", ())]
     options = {key: field.default for key, field in Options.__dataclass_fields__.items()}
-    options |= {"max_iterations": row.iterations, "restarts": row.descents - 1}
+    length = row.length()
+    options |= {"max_iterations": length.iterations, "restarts": length.attempts - 1}
     text = inspect.getdoc(cls) or ""
     payload = {
         "name": row.name,

@@ -34,7 +34,7 @@ PathOption = Annotated[
     str, typer.Option("--path", metavar="SHAPE|FILE", help="circle, line, eight, or a .csv or .npz file.")
 ]
 Method = Annotated[
-    str, typer.Option("-m", "--method", metavar="NAME", help="cv av ca aa aad, or a solver: dls pid state-space.")
+    str, typer.Option("-m", "--method", metavar="NAME", help="cv av ca aa aad, or a solver (see ik solvers).")
 ]
 Radius = Annotated[float, typer.Option(metavar="M", help="Radius of the circle, half width of the eight [m].")]
 Length = Annotated[float, typer.Option(metavar="M", help="Length of the line [m], along --axis.")]

@@ -81,12 +81,11 @@ def tune(
     """
     arm = load_robot(robot, one_or_several(tip), base, lock, package_dir, deg)
 
+    from ..solvers.presets import from_preset
     from ..solvers.registry import find_row
     from ..study.tune import tune as search
 
-    cls = find_row(solver).load()
-    if from_ is not None and not hasattr(cls, "preset"):
-        raise InvalidOption(f"solver '{solver}' has no presets")
+    initial = None if from_ is None else from_preset(find_row(solver), from_)
     preset = output or Path(f"{Path(robot).stem}-{solver}.toml")
     writes(".toml")(preset)
     record = preset.with_suffix(".npz")
@@ -105,7 +104,7 @@ def tune(
             position_only=not pose,
             method=method,
             maps=maps,
-            initial=None if from_ is None else cls.preset(from_),
+            initial=initial,
             goals=goals,
             held_out=held_out,
             generations=generations,

@@ -29,7 +29,8 @@ if TYPE_CHECKING:
     from ..study.workspace import Workspace
 
 Solvers = Annotated[
-    list[str] | None, typer.Option("-s", "--solver", metavar="NAME", help="May be repeated; default lm.")
+    list[str] | None,
+    typer.Option("-s", "--solver", metavar="NAME", help="May be repeated; default: the search of auto."),
 ]
 Preset = Annotated[
     list[str] | None,
@@ -149,17 +150,15 @@ def workspace(
 
 def _chosen(names: list[str] | None, presets: list[str] | None) -> dict[str, Any]:
     """Solvers by the name they are shown under: --solver and --preset."""
-    from ..solvers.registry import find_row
+    from ..solvers.presets import from_preset
+    from ..solvers.registry import GENERAL, find_row
 
-    chosen: dict[str, Any] = {name: name for name in names or ([] if presets else ["lm"])}
+    chosen: dict[str, Any] = {name: name for name in names or ([] if presets else [GENERAL])}
     for text in presets or ():
         name, equals, which = text.partition("=")
-        cls = find_row(name).load()
-        if not equals or not hasattr(cls, "preset"):
-            raise InvalidOption(
-                f"--preset takes SOLVER=PRESET of a solver with presets (pid, state-space), not '{text}'"
-            )
-        chosen[f"{name} {Path(which).stem}"] = cls.preset(which)
+        if not equals:
+            raise InvalidOption(f"--preset takes SOLVER=PRESET, not '{text}'")
+        chosen[f"{name} {Path(which).stem}"] = from_preset(find_row(name), which)
     return chosen
 
 

@@ -11,7 +11,7 @@ from ..kernel.task import POSE, POSITION
 from ..robot.library import find
 from ..robot.pose import length, matrix_quat, matrix_rpy, pose
 from ..robot.robot import Robot, path_ends
-from ..solvers.registry import ROWS, find_row, make_rule
+from ..solvers.registry import find_row, list_rows, make_rule
 from ..solvers.result import Result
 from ..solvers.solve import automatic, bound, solve
 from ..solvers.solve_all import solve_all
@@ -102,7 +102,7 @@ class Session:
         from ..solvers.closed_form import fits
 
         closed = {fits(self.robot, kind) for kind in (POSITION, POSE)}
-        return ["auto", *(row.name for row in ROWS if not row.closed or row.name in closed)]
+        return ["auto", *(row.name for row in list_rows() if not row.closed or row.name in closed)]
 
     def fields(self) -> dict[str, Any]:
         """Parameters of the chosen solver with their defaults."""
@@ -133,7 +133,7 @@ class Session:
         if isinstance(rule, str) and rule == "auto":
             rule = automatic(self.robot, POSITION if self.target.ndim == 1 else POSE, {})
         options: dict[str, Any] = {"check": True, "tolerance": self.tolerance}
-        if find_row(rule).descents > 1:
+        if find_row(rule).length(len(self.robot.tips)).attempts > 1:
             options["restarts"] = DRAG_RESTARTS
         self.result = bound(self.robot, rule, options)(self.target, self.q)
         if self.result.success:

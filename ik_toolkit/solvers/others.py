@@ -20,7 +20,6 @@ import traceback
 from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from ..errors import InvalidOption, near_match
 from .registry import BY_NAME, Row
@@ -105,24 +104,24 @@ def _names(paths: Iterable[Path]) -> list[str]:
     return sorted(path.name for path in paths)
 
 
+@functools.cache  # a file is run once a process
 def _classes(path: Path) -> dict[str, type]:
     """Classes that a file makes, by name. Raises InvalidOption when it does not run."""
-    # A name of its own, so that a file called as a module (numpy.py) hides nothing and two files of one name stay two.
-    module_name = f"{path.stem}_{hashlib.sha256(str(path).encode()).hexdigest()[:8]}"
-    module: Any = sys.modules.get(module_name)
-    if module is None:
-        spec = importlib.util.spec_from_file_location(module_name, path)
-        assert spec is not None and spec.loader is not None
-        module = sys.modules[module_name] = importlib.util.module_from_spec(spec)
-        sys.path.insert(0, str(path.parent))
-        try:
-            spec.loader.exec_module(module)
-        except Exception as error:
-            del sys.modules[module_name]
-            at = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == str(path)]
-            line = getattr(error, "lineno", None) or (at[-1] if at else None)
-            where = f", line {line}" if line is not None else ""
-            raise InvalidOption(f"{path.name}{where}: {type(error).__name__}: {error}") from error
-        finally:
-            sys.path.remove(str(path.parent))
+    # A name of its own, so that a file called as a module (numpy.py) hides nothing. It goes by the content, so that what was
+    # compiled for a file that moved is found again.
+    module_name = f"{path.stem}_{hashlib.sha256(path.read_bytes()).hexdigest()[:8]}"
+    spec = importlib.util.spec_from_file_location(module_name, path)
+    assert spec is not None and spec.loader is not None
+    module = sys.modules[module_name] = importlib.util.module_from_spec(spec)
+    sys.path.insert(0, str(path.parent))
+    try:
+        spec.loader.exec_module(module)
+    except Exception as error:
+        del sys.modules[module_name]
+        at = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == str(path)]
+        line = getattr(error, "lineno", None) or (at[-1] if at else None)
+        where = f", line {line}" if line is not None else ""
+        raise InvalidOption(f"{path.name}{where}: {type(error).__name__}: {error}") from error
+    finally:
+        sys.path.remove(str(path.parent))
     return {k: cls for k, cls in vars(module).items() if isinstance(cls, type) and cls.__module__ == module_name}

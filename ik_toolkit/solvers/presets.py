@@ -14,6 +14,7 @@ import numpy as np
 from ..errors import InvalidOption, floats, near_match
 from ..files import write_whole
 from .options import make_options
+from .registry import make_rule
 
 FOLDER = Path(__file__).with_name("presets")
 LARGEST = 16_000_000  # bytes of a preset file
@@ -53,6 +54,16 @@ def load_preset(solver: str, name: str | Path, fields: Sequence[str]) -> tuple[d
             raise InvalidOption(f"preset {name}: solver '{solver}' has no parameter '{key}'.{near_match(key, fields)}")
     make_options(options)
     return values, options
+
+
+def from_preset(row: Any, name: str | Path, values: dict[str, Any] | None = None) -> Any:
+    """Rule of a registry row with a preset, and some parameters changed. Raises InvalidOption."""
+    cls = row.load()
+    if not hasattr(cls, "preset"):
+        have = ", ".join(sorted(folder.name for folder in FOLDER.iterdir() if folder.is_dir()))
+        raise InvalidOption(f"solver '{row.name}' has no presets; these have: {have}")
+    make_rule(row, values or {})  # names the parameter that does not exist
+    return cls.preset(name)._replace(**(values or {}))
 
 
 def check_starts(solver: str, starts: Any, robot: Any) -> np.ndarray:

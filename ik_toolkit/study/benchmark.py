@@ -12,14 +12,14 @@ import numpy as np
 from ..errors import IKError, InvalidOption, UnknownSolver, near_match
 from ..robot.robot import Robot
 from ..robot.tree import Tree
-from ..solvers.registry import ROWS, find_row
+from ..solvers.registry import find_row, list_rows
 from ..solvers.result import Status
 from ..solvers.solve import Solver, is_auto, require_robot
 from .statistics import wilson
 
 BLOCKS = 10  # turns in which the targets are handed to the solvers, so that what else the machine does hits all alike
 NEAR = 0.1  # rad (m): a near start lies within this of a solution, each joint
-RESTARTS = 99  # for every solver alike: what 'lm' has by itself
+RESTARTS = 99  # for every solver alike
 STARTS = ("none", "home", "random", "near")
 TASKS = ("pose", "position")
 
@@ -138,7 +138,7 @@ def benchmark(
     arms = [Robot.load(arm) if isinstance(arm, str) else arm for arm in arms]
     for arm in arms:
         require_robot(arm)
-    asked = [row.name for row in ROWS] if solvers is None else list(solvers)
+    asked = [row.name for row in list_rows()] if solvers is None else list(solvers)
     for solver in asked:
         if not is_auto(solver):
             find_row(solver)  # raises for a name that does not exist; one that does not apply is left out

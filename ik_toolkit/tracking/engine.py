@@ -11,10 +11,9 @@ from ..errors import InvalidOption, near_match
 from ..kernel import motion
 from ..kernel.follow import rule_tracker, tracker
 from ..robot.robot import Robot
+from ..solvers.registry import list_rows
 from .methods import METHODS, Method, make_method
 from .stability import GainCheck, check_gains
-
-RULES = ("dls", "pid", "state-space", "lm", "pinv", "transpose", "ccd")  # solvers that make sense one step a sample
 
 
 class Published:
@@ -93,6 +92,8 @@ def bind(robot: Robot, method: Any, limits: bool, options: dict[str, Any]) -> Pu
     """Return the engine of a method name, a Method, a solver name or a rule. Raises InvalidOption for none of these."""
     if isinstance(method, Method) or (isinstance(method, str) and method in METHODS):
         return Published(robot, make_method(method, **options))
-    if method is None or (isinstance(method, str) and method not in RULES):
-        raise InvalidOption(f"no tracking method '{method}'.{near_match(method, (*METHODS, *RULES))}")
+    if method is None or isinstance(method, str):
+        rules = [row.name for row in list_rows() if row.tracks]
+        if method not in rules:
+            raise InvalidOption(f"no tracking method '{method}'.{near_match(method, (*METHODS, *rules))}")
     return RuleSteps(robot, method, limits, options)

@@ -74,7 +74,7 @@ def check_solver(row, name, count, seed):
             if not solves(row, robot, position_only):
                 continue
             batch = ik.solve_batch(
-                robot, targets, row.name, tolerance=tolerance, max_iterations=min(row.iterations, 60)
+                robot, targets, row.name, tolerance=tolerance, max_iterations=min(row.length().iterations, 60)
             )
             honest(robot, batch, targets, position_only, tolerance)
             done += count
