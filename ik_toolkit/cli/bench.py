@@ -91,7 +91,9 @@ def bench(
             def step(done: int, count: int) -> None:
                 bar(done, total=count)
 
-            found = benchmark(arms, chosen or None, targets=targets, start=start, task=task, seed=seed, progress=step, **given)
+            found = benchmark(
+                arms, chosen or None, targets=targets, start=start, task=task, seed=seed, progress=step, **given
+            )
     except BenchmarkInterrupted as interrupt:
         found, stopped = interrupt.result, True
         if not found.rows:
