@@ -194,10 +194,8 @@ def require(row: Row, solver: Any, asked: Asked) -> None:
 def refusal(row: Row, solver: Any, asked: Asked) -> str:
     """Why a solver does not do what is asked on a robot it fits, or ''. The name of the solver goes before."""
     o = asked.options
-    if row.closed:
-        partial = [name for name in ("mask", "slack", "free_turn", "closest", "follow") if getattr(o, name)]
-        if partial or counts_in_part(asked.kinds, o):
-            return f"is a closed form and takes no {' or '.join(partial) or 'axis'}; use '{GENERAL}'"
+    if row.closed and (o.closest or o.follow or counts_in_part(asked.kinds, o)):
+        return f"is a closed form and takes no mask, slack, free_turn, axis target, closest or follow; use '{GENERAL}'"
     if row.moves_all and o.joint_weights is not None and 0.0 in o.joint_weights:
         return f"moves every joint, so a joint weight of 0 is not kept; use '{GENERAL}'"
     for kind, word, solved in ((POSITION, "positions", row.position), (POSE, "poses", row.pose)):
