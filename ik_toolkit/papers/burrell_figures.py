@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from ..study.singularity import Run
-from .report import COLOURS
+from ..style import COLOURS
 
 
 def draw_existence(runs: dict[float, np.ndarray], gains: np.ndarray, ends: np.ndarray) -> Callable[[Any], Any]:

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from .report import COLOURS
+from ..style import COLOURS
 
 KINDS = {"plain": 0, "search": 1, "LM": 2, "step": 3}  # see chinyai.newton
 

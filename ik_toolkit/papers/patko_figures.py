@@ -5,8 +5,8 @@ from typing import Any
 
 import numpy as np
 
+from ..style import COLOURS, PALE
 from ..tracking import stability as st
-from .report import COLOURS
 
 COLOUR = {
     "cv": COLOURS[0],
@@ -15,7 +15,7 @@ COLOUR = {
     "aa1": COLOURS[5],
     "aa2": COLOURS[3],
     "aa3": COLOURS[4],
-    "aad": COLOURS[7],
+    "aad": COLOURS[6],
 }
 DASH = {"aa1": "--", "aad": "--"}
 NAMES = {"aa1": "aa, reading 1", "aa2": "aa, reading 2", "aa3": "aa, reading 3", "aad": "aad (ours)"}
@@ -71,7 +71,7 @@ def draw_errors(plt: Any, panels: Mapping[str, Mapping[str, Any]], xlim: tuple[f
             _curve(ax, key, run, xlim[1])
         _below(ax, runs)
         ax.set(xlim=xlim, ylim=(FLOOR, 3.0), yscale="log", xlabel="time [s]", title=title)
-        ax.grid(axis="y", color="#E0E0E0", lw=0.5)
+        ax.grid(axis="y", color=PALE, lw=0.5)
     axes[0].set_ylabel("|error| [m]")
     axes[-1].legend(fontsize=8, ncols=1, loc="center left", bbox_to_anchor=(1.0, 0.5))
     return figure
@@ -131,7 +131,7 @@ def draw_plane(plt: Any, case: Any, lap: float, panels: Mapping[str, Mapping[str
         top.set_ylim(middle[1] - 0.75 * span, middle[1] + 0.75 * span)
         _below(low, runs)
         low.set(yscale="log", ylim=(FLOOR, 1e6), xlabel="time [s]")
-        low.grid(axis="y", color="#E0E0E0", lw=0.5)
+        low.grid(axis="y", color=PALE, lw=0.5)
     axes[0, 0].legend(fontsize=8, loc="upper left", frameon=True, framealpha=1.0, edgecolor="none")
     axes[1, 0].set_ylabel("|error| [m]")
     axes[1, 1].legend(fontsize=8, loc="upper right", ncols=3)

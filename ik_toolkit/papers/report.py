@@ -11,22 +11,9 @@ from typing import Any
 import numpy as np
 
 from ..errors import MissingExtra
-from ..files import whole_file, write_whole
+from ..files import write_whole
+from ..style import PRINTED
 from ..text import plain
-
-STYLE: dict[Any, Any] = {
-    "figure.dpi": 100,
-    "savefig.dpi": 160,
-    "savefig.bbox": "tight",
-    "font.size": 9,
-    "axes.titlesize": 9,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.grid": False,
-    "legend.frameon": False,
-}
-# Okabe and Ito (2008): eight colours that stay apart for colour-blind readers.
-COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#F0E442", "#000000")
 
 
 class Report:
@@ -93,15 +80,11 @@ class Report:
         if pictures:
             if "matplotlib.pyplot" not in sys.modules:  # a notebook keeps its own backend
                 importlib.import_module("matplotlib").use("Agg")
-            import matplotlib.pyplot as plt
+            from ..show.plots import drawing, save
 
             for file, draw in self._figures:
-                with plt.rc_context(STYLE):
-                    figure = draw(plt)
-                    with whole_file(folder / file) as stream:
-                        figure.savefig(stream, format=Path(file).suffix[1:])
-                    plt.close(figure)
-                files.append(folder / file)
+                with drawing(PRINTED) as plt:
+                    files.append(save(draw(plt), folder / file))
         return files
 
 

@@ -9,7 +9,7 @@ from ..robot.robot import Robot
 from ..solvers.closed_form import inspection
 from ..solvers.closed_form.inspection import Inspection
 from ..solvers.solve_all import solve_all
-from .report import COLOURS
+from ..style import COLOURS
 
 
 def _skeleton(robot: Robot, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

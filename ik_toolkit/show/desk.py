@@ -8,12 +8,13 @@ import numpy as np
 
 from ..errors import IKError, InvalidConfiguration
 from ..robot.library import list_robots
+from ..style import BAD, COLOURS, GOOD
 from .parts import Body
 from .session import KINDS, SHOWN, Session
 from .stage import Stage
 from .worker import Worker
 
-GOOD, BAD, PLAIN = "#1b7837", "#b2182b", "#37424f"
+PLAIN, MUTED = "#37424f", "#4a5766"
 QUIET = (71, 85, 105)  # of the buttons beside the main one
 STEPS = 500  # of a slider, at least
 LONGEST = 600  # characters said
@@ -155,8 +156,8 @@ class Desk:
                 (np.array([0.0, 1.0]), np.zeros(2), np.zeros(2)),
                 (
                     {"label": "evaluation"},
-                    {"label": "position, 10^x m", "stroke": "#0072B2", "width": 2},
-                    {"label": "orientation, 10^x rad", "stroke": "#D55E00", "width": 2, "dash": (6, 4)},
+                    {"label": "position, 10^x m", "stroke": COLOURS[0], "width": 2},
+                    {"label": "orientation, 10^x rad", "stroke": COLOURS[1], "width": 2, "dash": (6, 4)},
                 ),
                 title="error left, powers of ten",
                 scales={"x": {"time": False}},
@@ -369,7 +370,7 @@ def sentence(text: str) -> str:
 
 def table_html(rows: Any, head: Any = None) -> str:
     """Table of texts."""
-    cell, muted = "padding:1px 12px 1px 0;font-variant-numeric:tabular-nums;white-space:nowrap", "color:#4a5766"
+    cell, muted = "padding:1px 12px 1px 0;font-variant-numeric:tabular-nums;white-space:nowrap", f"color:{MUTED}"
     top = "".join(f'<th style="{cell};text-align:left;font-weight:600">{html.escape(x)}</th>' for x in head or ())
     body = "".join(
         "<tr>"
@@ -389,4 +390,4 @@ def pose_html(T: np.ndarray, s: Session) -> str:
         ("quaternion xyzw", s.words(T, "quaternion")[1]),
     ]
     head = '<div style="padding:6px 12px 0;font-size:12px;font-weight:600">Pose of the tip, T_base_tip</div>'
-    return head + table_html(matrix).replace("color:#4a5766", "") + table_html(lines)
+    return head + table_html(matrix).replace(f"color:{MUTED}", "") + table_html(lines)

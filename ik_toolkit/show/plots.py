@@ -1,7 +1,6 @@
 """Charts in one house style: readable in print, in grey and to colour-blind eyes. Each returns a matplotlib Figure.
 
-Colours are those of Okabe and Ito (2008); lines differ in dashes as well, so that nothing hangs on colour alone.
-`save` writes a figure to a file.
+Lines differ in dashes as well as in colour, so that nothing hangs on colour alone. `save` writes a figure to a file.
 """
 
 from collections.abc import Callable, Iterator, Mapping
@@ -14,39 +13,21 @@ import numpy as np
 from ..errors import InvalidOption, MissingExtra
 from ..files import whole_file
 from ..robot.joints import Joints
+from ..style import COLOURS, DASHES, GREY, PALE, STYLE
 
-COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000", "#8C8C8C")
-DASHES = ("-", "--", "-.", ":", (0, (5, 1)), (0, (1, 1)), (0, (3, 1, 1, 1)), (0, (7, 3)))
-GREY, PALE = "#6F6F6F", "#E4E4E4"
 FLOOR = 1e-12  # [m, rad] what is smaller is drawn here: a logarithmic axis has no zero
 SUFFIXES = (".png", ".pdf", ".svg")
-STYLE: Any = {
-    "font.size": 9,
-    "axes.titlesize": 9.5,
-    "axes.titlelocation": "left",
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.grid": True,
-    "axes.axisbelow": True,
-    "grid.color": PALE,
-    "grid.linewidth": 0.6,
-    "lines.linewidth": 1.5,
-    "legend.frameon": False,
-    "figure.dpi": 110,
-    "savefig.dpi": 160,
-    "svg.fonttype": "none",
-}
 
 
 @contextmanager
-def drawing() -> Iterator[Any]:
+def drawing(style: Any = STYLE) -> Iterator[Any]:
     """Matplotlib's pyplot in the house style; figures made inside are not kept open. Raises MissingExtra."""
     try:
         import matplotlib.pyplot as plt
     except ImportError:
         raise MissingExtra("matplotlib", "plots") from None
     before = set(plt.get_fignums())
-    with plt.rc_context(STYLE):
+    with plt.rc_context(style):
         try:
             yield plt
         finally:

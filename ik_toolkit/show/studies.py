@@ -7,7 +7,8 @@ import numpy as np
 from ..study.benchmark import Benchmark
 from ..study.tune import TuneResult
 from ..study.workspace import Workspace
-from .plots import COLOURS, GREY, drawing, plain, save
+from ..style import COLOURS, GREY
+from .plots import drawing, plain, save
 
 
 def plot_benchmark(found: Benchmark, file: str | Path) -> Path:

@@ -6,21 +6,10 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from ..errors import InvalidOption, MissingExtra
 from ..robot.robot import Robot
+from ..style import COLOURS, DASHES, GREY, PALE
 from ..tracking.result import TrackResult
-from .plots import plain, save
-
-# Okabe and Ito (2008): colours that stay apart for colour-blind readers.
-COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000", "#8C8C8C")
-FLOOR = 1e-12  # [m, rad] errors below are drawn here: a logarithmic axis has no zero
-STYLE: Any = {
-    "font.size": 9,
-    "axes.titlesize": 9.5,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "legend.frameon": False,
-}
+from .plots import FLOOR, drawing, plain, save
 
 
 def skeleton(robot: Robot, q: np.ndarray) -> np.ndarray:
@@ -38,17 +27,7 @@ def skeleton(robot: Robot, q: np.ndarray) -> np.ndarray:
 
 def plot_track(result: TrackResult, robot: Robot, file: str | Path) -> Path:
     """Draw a run and write it to `file` (.png, .pdf or .svg). Raises MissingExtra without matplotlib, InvalidOption."""
-    try:
-        import matplotlib
-    except ImportError:
-        raise MissingExtra("matplotlib", "plots") from None
-    matplotlib.use("Agg", force=False)
-    import matplotlib.pyplot as plt
-
-    path = Path(file)
-    if path.suffix.lower() not in (".png", ".pdf", ".svg"):
-        raise InvalidOption(f"a plot is written as .png, .pdf or .svg, not '{path.suffix}'")
-    with plt.rc_context(STYLE):
+    with drawing() as plt:
         figure = plt.figure(figsize=(10.5, 6.8), layout="constrained")
         grid = figure.add_gridspec(2, 2, width_ratios=(1.0, 1.15), wspace=0.1)
         _path_panel(figure.add_subplot(grid[:, 0], projection="3d"), result, robot)
@@ -71,9 +50,7 @@ def plot_track(result: TrackResult, robot: Robot, file: str | Path) -> Path:
             ha="left",
             fontweight="bold",
         )
-        save(figure, path)
-        plt.close(figure)
-    return path
+        return save(figure, file)
 
 
 def _path_panel(ax: Any, result: TrackResult, robot: Robot) -> None:
@@ -83,7 +60,7 @@ def _path_panel(ax: Any, result: TrackResult, robot: Robot) -> None:
     for i, shade in ((0, "#C8C8C8"), (count // 2, "#969696"), (count - 1, "#4D4D4D")):
         points = skeleton(robot, result.q[i])
         ax.plot(*points.T, color=shade, lw=2.2, marker="o", ms=3.5, zorder=1)
-    ax.plot(*result.target_xyz.T, color="#000000", lw=0.9, ls="--", label="target", zorder=3)
+    ax.plot(*result.target_xyz.T, color=COLOURS[6], lw=0.9, ls="--", label="target", zorder=3)
     ax.plot(*result.xyz.T, color=COLOURS[1], lw=2.0, label="tip", zorder=2)
     ax.plot(*result.xyz[:1].T, color=COLOURS[1], marker="s", ms=5, ls="", label="start", zorder=4)
     corners = np.vstack([skeleton(robot, result.q[0]), result.xyz, result.target_xyz])
@@ -95,7 +72,7 @@ def _path_panel(ax: Any, result: TrackResult, robot: Robot) -> None:
     ax.view_init(elev=22, azim=-60)
     for name, axis in zip("xyz", (ax.xaxis, ax.yaxis, ax.zaxis), strict=True):
         axis.pane.set_alpha(0.0)
-        axis._axinfo["grid"].update(color="#E4E4E4", linewidth=0.6)
+        axis._axinfo["grid"].update(color=PALE, linewidth=0.6)
         axis.set_major_locator(MaxNLocator(3))
         getattr(ax, f"set_{name}label")(f"{name} [m]")
     ax.set_title("arm at start, half time and end (light to dark)", loc="left")
@@ -111,10 +88,9 @@ def _errors(ax: Any, result: TrackResult) -> None:
     held = np.append(result.limited.any(axis=1), False)
     if held.any():
         ax.fill_between(
-            result.t, 0, 1, where=held, transform=ax.get_xaxis_transform(), color="#E6E6E6", lw=0, label="at a limit"
+            result.t, 0, 1, where=held, transform=ax.get_xaxis_transform(), color=PALE, lw=0, label="at a limit"
         )
     ax.set_title("error at the samples", loc="left")
-    ax.grid(axis="y", color="#E0E0E0", lw=0.5)
     ax.legend(fontsize=8, ncols=3, loc="upper right", bbox_to_anchor=(1.0, 1.22))
 
 
@@ -123,9 +99,9 @@ def _positions(ax: Any, result: TrackResult, robot: Robot) -> None:
     half = np.where(np.isfinite(robot.upper - robot.lower), 0.5 * (robot.upper - robot.lower), np.pi)
     for i, name in enumerate(result.joint_names):
         shown = (result.q[:, i] - middle[i]) / half[i]
-        ax.plot(result.t, shown, color=COLOURS[i % 8], lw=1.3, label=plain(name), ls="-" if i < 8 else "--")
+        ax.plot(result.t, shown, color=COLOURS[i % 8], lw=1.3, label=plain(name), ls=DASHES[i // 8 % 8])
     for edge in (-1, 1):
-        ax.axhline(edge, color="#000000", lw=0.8)
+        ax.axhline(edge, color=GREY, lw=0.8)
     ax.set_ylim(-1.15, 1.15)
     ax.set_yticks([-1, 0, 1], ["lower", "middle", "upper"])
     ax.set_title("joint positions between their limits", loc="left")
@@ -137,7 +113,6 @@ def _speeds(ax: Any, result: TrackResult, robot: Robot) -> None:
     speed = np.diff(result.q, axis=0) / result.dt
     for i, name in enumerate(result.joint_names):
         values = 100 * speed[:, i] / limit[i] if bounded else speed[:, i]
-        ax.plot(result.t[1:], values, color=COLOURS[i % 8], lw=1.3, ls="-" if i < 8 else "--", label=plain(name))
+        ax.plot(result.t[1:], values, color=COLOURS[i % 8], lw=1.3, ls=DASHES[i // 8 % 8], label=plain(name))
     ax.set_title("joint speeds" + (" [% of the limit]" if bounded else " [rad/s or m/s]"), loc="left")
-    ax.grid(axis="y", color="#E0E0E0", lw=0.5)
     ax.legend(fontsize=7.5, ncols=4, loc="upper center", bbox_to_anchor=(0.5, -0.28))
