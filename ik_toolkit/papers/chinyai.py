@@ -120,9 +120,8 @@ def _formulas(report: Report, rng: np.random.Generator, count: int) -> None:
     )
 
 
-def _speed(report: Report, rng: np.random.Generator) -> dict[str, np.ndarray]:
-    """Table of times; returns Newton over closed form by round: compiled, plain Python, numpy, and compiled from a warm start."""
-    report.heading("Time per solve")
+def _measure(rng: np.random.Generator) -> tuple[dict[str, np.ndarray], dict[str, tuple[float, float]]]:
+    """Times [s] by implementation and start; steps and share [%] converged by start."""
     l1, l2, n, few = 1.0, 0.8, 20_000, 200
     X = targets(rng, n, l1, l2)
     both, out = np.empty((n, 4)), np.empty((n, 4))
@@ -173,14 +172,20 @@ def _speed(report: Report, rng: np.random.Generator) -> dict[str, np.ndarray]:
         row = converge(X, l1, l2, start, PLAIN)
         good = row[:, 2] >= 0
         counts[name] = (float(row[good, 2].mean()), 100.0 * float(good.mean()))
-    times = rounds(works, ROUNDS)
+    return rounds(works, ROUNDS), counts
+
+
+def _speed(report: Report, rng: np.random.Generator) -> dict[str, np.ndarray]:
+    """Table of times; returns Newton over closed form by round: compiled, plain Python, numpy, and compiled from a warm start."""
+    report.heading("Time per solve")
+    times, counts = _measure(rng)
     rows = []
     for key, label in (
         ("compiled", "compiled (numba), both branches"),
         ("python", "plain Python"),
         ("numpy", "numpy, small arrays"),
     ):
-        rows.append([label, "-", *(spread(1e6 * times[f"{key}, {name}"]) for name in ("closed form", *starts))])
+        rows.append([label, "-", *(spread(1e6 * times[f"{key}, {name}"]) for name in ("closed form", *counts))])
     rows.append(
         [
             "the toolkit's bound solvers from Python",

@@ -7,6 +7,7 @@ import pytest
 from folders import read_data
 
 from ik_toolkit.papers import patko_2019 as paper
+from ik_toolkit.papers import patko_cases as cases
 from ik_toolkit.tracking import stability as st
 from ik_toolkit.tracking.methods import simulate
 
@@ -25,10 +26,10 @@ CHAOTIC = ("RR_unstable|exact|cv", "RR_unstable|offset|cv")
 
 def one_run(case, name):
     gains, start, key = name.split("|")
-    system = paper.CASES["1-DoF" if case == "1dof" else case]
+    system = cases.CASES["1-DoF" if case == "1dof" else case]
     changes = {"gamma": 1.0} if key == "aad" else {}
-    return system, paper.run(
-        system, paper.SETS[SETS[gains]], key, system.offset if start == "offset" else 0.0, **changes
+    return system, cases.run(
+        system, cases.SETS[SETS[gains]], key, system.offset if start == "offset" else 0.0, **changes
     )
 
 
@@ -43,7 +44,7 @@ def test_settled_errors(case, name):
     if name in CHAOTIC:  # wanders at metres; its numbers depend on rounding
         assert np.abs(made.error[len(made.error) // 2 :]).max() > 1.0
         return
-    got = paper.settled(system, made)
+    got = cases.settled(system, made)
     for figure in ("max", "rms", "rms_all"):
         assert got[figure] == pytest.approx(wanted[figure], rel=0.02, abs=1e-15)
     if not name.endswith(("aad", "unstable|offset|ca")):  # grids between samples differ there
@@ -52,11 +53,11 @@ def test_settled_errors(case, name):
 
 def test_a_linear_arm_is_exact_at_samples_and_zigzags_between():
     """PP: av and aa are exact at the samples; aa then overshoots by half the initial error for ever, aad does not."""
-    case = paper.CASES["PP"]
+    case = cases.CASES["PP"]
     for key in ("av", "aa1", "aa2", "aa3", "aad"):
-        made = paper.run(case, paper.SETS["PP good"], key, case.offset)
+        made = cases.run(case, cases.SETS["PP good"], key, case.offset)
         assert np.abs(made.error[2:]).max() < 1e-15
-        dense = paper.settled(case, made)["dense"]
+        dense = cases.settled(case, made)["dense"]
         half = 0.5 * np.linalg.norm(case.offset)
         assert dense == pytest.approx(half, rel=1e-3) if key.startswith("aa") and key != "aad" else dense < 2e-4
 
@@ -64,9 +65,9 @@ def test_a_linear_arm_is_exact_at_samples_and_zigzags_between():
 @pytest.mark.parametrize("gamma", ["0.5", "0.55", "0.6", "0.75", "1.0", "1.5"])
 def test_aad_trades_zigzag_for_nothing_at_the_samples(gamma):
     wanted = ORACLE["aad_gamma"][gamma]
-    case = paper.CASES["RR"]
-    made = paper.run(case, paper.SETS["RR good"], "aad", case.offset, gamma=float(gamma))
-    got = paper.settled(case, made)
+    case = cases.CASES["RR"]
+    made = cases.run(case, cases.SETS["RR good"], "aad", case.offset, gamma=float(gamma))
+    got = cases.settled(case, made)
     assert got["max"] == pytest.approx(wanted["max"], rel=1e-6)
     assert got["dense"] == pytest.approx(wanted["dense"], rel=0.02)
 
@@ -75,11 +76,11 @@ def test_aad_trades_zigzag_for_nothing_at_the_samples(gamma):
 def test_orders_on_the_rr_arm(row):
     wanted = ORACLE["orders"]["RR"][row]
     key = row.split("_")[0]
-    case = paper.CASES["RR"]
+    case = cases.CASES["RR"]
     errors = []
     for h in wanted["h"][1:4]:
-        gains = paper.GainSet("", h, 2 / 3 / h, 1.6 / h**2, 0.8 / h, "", "") if "scaled" in row else paper.SETS["1-DoF"]
-        e = np.linalg.norm(paper.run(case, gains, key, h=h, steps=round(8 * np.pi / h)).error, axis=1)
+        gains = cases.GainSet("", h, 2 / 3 / h, 1.6 / h**2, 0.8 / h, "", "") if "scaled" in row else cases.SETS["1-DoF"]
+        e = np.linalg.norm(cases.run(case, gains, key, h=h, steps=round(8 * np.pi / h)).error, axis=1)
         errors.append(e[len(e) // 2 :].max())
     assert errors == pytest.approx(wanted["max"][1:4], rel=0.02)
     order = 2 if row in ("cv_fixed_gain", "av", "ca_fixed_gain") else 3
@@ -90,15 +91,15 @@ def test_orders_on_the_rr_arm(row):
 def test_leading_errors():
     """Settled errors follow the leading terms: av h^2/2 Jdot qd; cv and ca from the sampled error equation (PP circle)."""
     h, w, radius = 0.0628, 1.0, 0.3
-    case, gains = paper.CASES["PP"], paper.SETS["PP good"]
-    cv = paper.settled(case, paper.run(case, gains, "cv"))["max"]
+    case, gains = cases.CASES["PP"], cases.SETS["PP good"]
+    cv = cases.settled(case, cases.run(case, gains, "cv"))["max"]
     assert cv == pytest.approx(5 / 12 * h**2 * radius * w**3 / np.hypot(gains.kappa, w), rel=0.01)
-    ca = paper.settled(case, paper.run(case, gains, "ca"))["max"]
+    ca = cases.settled(case, cases.run(case, gains, "ca"))["max"]
     lead = h**2 / gains.kp * radius * np.hypot(gains.kd / 12 * w**3, w**4 / 3)
     assert ca == pytest.approx(lead, rel=0.02)
-    case = paper.CASES["RR"]
+    case = cases.CASES["RR"]
     h = 0.01
-    made = paper.run(case, paper.SETS["RR good"], "av", h=h, steps=1300)
+    made = cases.run(case, cases.SETS["RR good"], "av", h=h, steps=1300)
     for i in (700, 1000, 1250):
         bend = case.system.rate(made.q[i], made.rate[i + 1], made.rate[i + 1])
         assert made.error[i + 1] == pytest.approx(-0.5 * h * h * bend, rel=0.05)  # e = target - actual
@@ -106,7 +107,7 @@ def test_leading_errors():
 
 def test_mapping_matrices_are_the_linearised_steps():
     """Finite differences of the RR steps about a resting point have the eigenvalues of eqs (30)-(42)."""
-    case, gains = paper.CASES["RR"], paper.SETS["RR good"]
+    case, gains = cases.CASES["RR"], cases.SETS["RR good"]
     q0 = np.array([0.4, 1.3])
     target = case.system.position(q0)
     h, n = gains.h, 2
@@ -123,7 +124,7 @@ def test_mapping_matrices_are_the_linearised_steps():
         ("aa3", (0, 1)),
         ("aad", (0, 1)),
     ):
-        name, options = paper.METHODS[key]
+        name, options = cases.METHODS[key]
         options = options | {"cv": {"kappa": gains.kappa}, "ca": {"kp": gains.kp, "kd": gains.kd}}.get(key, {})
         columns = [i + n * part for part in parts for i in range(n)]
         A = np.zeros((len(columns), len(columns)))
@@ -148,7 +149,7 @@ def test_mapping_matrices_are_the_linearised_steps():
 
 
 def test_zigzag_at_rest_never_fades_for_aa_and_does_for_aad():
-    case = paper.CASES["RR"]
+    case = cases.CASES["RR"]
     q0 = np.array([0.4, 1.3])
     target = case.system.position(q0)
 
@@ -166,15 +167,15 @@ def test_growth_in_motion():
     wanted = ORACLE["floquet"]
     period = 2 * np.pi / 0.28
     for key in ("aa1", "aa2", "aa3"):
-        assert paper.growth(paper.CASES["1-DoF"], paper.SETS["1-DoF"], key, period) == pytest.approx(
+        assert cases.growth(cases.CASES["1-DoF"], cases.SETS["1-DoF"], key, period) == pytest.approx(
             wanted[f"1dof|{key}"], rel=1e-3
         )
-        got = paper.growth(paper.CASES["RR"], paper.SETS["RR good"], key, 4 * np.pi)
+        got = cases.growth(cases.CASES["RR"], cases.SETS["RR good"], key, 4 * np.pi)
         assert got == pytest.approx(wanted[f"RR_stable|{key}"], rel=0.02)
     for key in ("cv", "ca"):
-        got = paper.growth(paper.CASES["RR"], paper.SETS["RR bad"], key, 4 * np.pi)
+        got = cases.growth(cases.CASES["RR"], cases.SETS["RR bad"], key, 4 * np.pi)
         assert got == pytest.approx(wanted[f"RR_unstable|{key}"], rel=0.02)
-    assert paper.growth(paper.CASES["RR"], paper.SETS["RR good"], "aad", 4 * np.pi) < 1e-6
+    assert cases.growth(cases.CASES["RR"], cases.SETS["RR good"], "aad", 4 * np.pi) < 1e-6
 
 
 def test_report(tmp_path):

@@ -128,13 +128,13 @@ def test_the_closed_loop_obeys_equation_4(monkeypatch):
 def test_table_2_and_the_lift_stand_in_the_report():
     report = Report("x", "x")
     robot = robots.load("inspection_7dof")
-    inspection._model(report, robot)
+    inspection.model(report, robot)
     rows = report.data["table_2"]["rows"]
     assert len(rows) == 7 and rows[3] == [4, "0 / 0", "290 / 290", "0 / 0"] and rows[4][1] == "-90 / -90"
     assert all(cell.split(" / ")[0] == cell.split(" / ")[1] for row in rows for cell in row[1:] if "lift" not in cell)
     printed = inspection.pose_matrix(inspection.PRINTED_POSE)
-    inspection._answers(report, printed, printed)
+    inspection.answers(report, printed, printed)
     angles = {row[0]: row for row in report.data["published_angles"]["rows"]}
     assert angles["theta_2"][1:3] == ["0", "0"] and "220" in angles["theta_2"][3]
-    inspection._formulas(report, robot, 20, 0)
+    inspection.formulas(report, robot, 20, 0)
     assert report.data["formulas"]["rows"][-1][1] == "100 [83.9-100]"

@@ -8,13 +8,13 @@ from folders import read_data
 from references import Q0, panda_reference
 
 import ik_toolkit as ik
-from ik_toolkit.papers import patko_2019 as paper
+from ik_toolkit.papers import patko_cases as cases
 from ik_toolkit.robot.robot import Robot
 from ik_toolkit.tracking.methods import simulate
 from ik_toolkit.tracking.track import track
 
 ORACLE = read_data("tracking")
-METHODS = paper.METHODS
+METHODS = cases.METHODS
 # ------------------------------------------------------------------------------------------------ accuracy
 PANDA_ROWS = {
     "cv_fixed_gain": ("cv", lambda h: {"kappa": 5.5}, 2),
@@ -51,9 +51,9 @@ def test_panda_errors_and_orders(panda, row, pose):
 @pytest.mark.parametrize("key", METHODS)
 def test_rr_absolute_and_relative_angles(planar, key):
     """The paper's RR arm (absolute angles) and the URDF arm (relative) move the tip along the same path."""
-    case, gains = paper.CASES["RR"], paper.SETS["RR good"]
+    case, gains = cases.CASES["RR"], cases.SETS["RR good"]
     steps = 40 if key in ("aa1", "aa2") else case.steps  # these diverge, and rounding grows with them
-    absolute = paper.run(case, gains, key, case.offset, steps=steps)
+    absolute = cases.run(case, gains, key, case.offset, steps=steps)
     q = absolute.q[0]
     rate = absolute.rate[0]
     ref = ik.circle(center=(1.0, 0.6, 0.0), radius=0.35, turns=steps * 0.2 * 0.5 / (2 * np.pi), duration=steps * 0.2)
@@ -67,7 +67,7 @@ def test_rr_absolute_and_relative_angles(planar, key):
 
 
 def test_slides_track_as_the_published_pp_arm():
-    case, gains = paper.CASES["PP"], paper.SETS["PP good"]
+    case, gains = cases.CASES["PP"], cases.SETS["PP good"]
     robot = Robot.load("cartesian_pp")
     ref = ik.circle(center=(1.0, 1.0, 0.0), radius=0.3, turns=10.0, duration=20 * np.pi)
     for key in ("cv", "ca"):
@@ -129,7 +129,7 @@ def test_unreachable_is_lost_and_says_limits(planar):
 
 
 def test_simulate_stops_at_the_edge_of_the_domain():
-    case = paper.CASES["1-DoF"]
+    case = cases.CASES["1-DoF"]
     with np.errstate(all="ignore"):
         run = simulate(case.system, case.path, "ca", 0.12, 1870, (case.path(0)[0] + 0.3 - 0.2) ** 2, kp=110.0, kd=6.5)
     assert run.stopped and np.isfinite(run.q).all() and np.isfinite(run.error).all()
