@@ -1,0 +1,145 @@
+"""The closed form of the planar arm, and what closed forms share with every solver."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+from folders import read_data
+
+import ik_toolkit as ik
+from ik_toolkit.errors import InvalidOption
+from ik_toolkit.solvers.closed_form import reach
+
+DATA = read_data("closed_form")
+PI = math.pi
+
+
+def apart(a, b):
+    """Largest joint difference, angles modulo turns (all rows of `a` against all of `b`)."""
+    d = np.abs(np.asarray(a)[:, None] - np.asarray(b)[None])
+    return np.minimum(d, np.abs(2 * PI - d)).max(axis=2)
+
+
+@pytest.fixture(scope="module")
+def arm():
+    return ik.Robot.load("inspection_7dof")
+
+
+# -------------------------------------------------------------------------------------------------------- recognition
+def urdf(joints, tool):
+    """URDF of a serial chain: joints are (type, xyz, rpy, axis, lower, upper)."""
+    parts, parent = ['<robot name="drawn"><link name="base"/>'], "base"
+    text = lambda v: " ".join(repr(float(x)) for x in v)  # noqa: E731
+    for k, (kind, xyz, rpy, axis, low, high) in enumerate(joints):
+        parts.append(
+            f'<link name="l{k}"/><joint name="j{k}" type="{kind}"><parent link="{parent}"/><child link="l{k}"/>'
+            f'<origin xyz="{text(xyz)}" rpy="{text(rpy)}"/><axis xyz="{text(axis)}"/>'
+            f'<limit lower="{low!r}" upper="{high!r}" effort="1" velocity="1"/></joint>'
+        )
+        parent = f"l{k}"
+    parts.append(
+        f'<link name="tip"/><joint name="end" type="fixed"><parent link="{parent}"/><child link="tip"/>'
+        f'<origin xyz="{text(tool[0])}" rpy="{text(tool[1])}"/></joint></robot>'
+    )
+    return "".join(parts)
+
+
+# ---------------------------------------------------------------------------------------------------------- planar 2R
+@pytest.mark.parametrize("case", DATA["planar_2r"])
+def test_planar_reference(case):
+    l1, l2, x, y = case["l1"], case["l2"], case["x"], case["y"]
+    sols = np.empty((2, 2))
+    if not case["solutions"]:
+        margin = reach.planar_margin(x, y, l1, l2)
+        r = math.hypot(x, y)
+        assert margin == pytest.approx(l1 + l2 - r if case["status"] == "too-far" else r - abs(l1 - l2)) and margin < 0
+        return
+    found = sols[: reach.planar_branches(x, y, l1, l2, 0.0, sols)]
+    assert len(found) == len(case["solutions"])
+    d = apart(found, case["solutions"])
+    assert d.min(axis=0).max() < 1e-9 and d.min(axis=1).max() < 1e-9
+
+
+def test_planar_reach_limits_and_plane():
+    robot = ik.Robot.load("planar_2r")
+    out = ik.solve(robot, [3.0, 0.0, 0.0])
+    assert out.status == ik.Status.UNREACHABLE and "1000 mm" in out.message and out.position_error == pytest.approx(1.0)
+    off = ik.solve(robot, [1.0, 0.5, 0.25])
+    assert off.status == ik.Status.UNREACHABLE and off.position_error == pytest.approx(0.25)
+    blocked = ik.solve(robot, [0.2, 0.1, 0.0])  # folds further than 150 degrees
+    assert blocked.status == ik.Status.LIMIT_BLOCKED and blocked.limited_joints == ("joint_2",)
+    assert len(ik.solve_all(robot, [0.2, 0.1, 0.0])) == 0
+    both = ik.solve_all(robot, [1.0, 0.5, 0.0])
+    assert len(both) == 2 and both.complete and both.distance[0] < both.distance[1]
+    assert np.array_equal(ik.solve(robot, [1.0, 0.5, 0.0], q0=both[1]).q, both[1])
+    near = ik.solve(robot, [2.0 + 5e-7, 0.0, 0.0])  # out of reach by less than the tolerance
+    assert near.success and near.position_error == pytest.approx(5e-7, rel=1e-3)
+
+
+def test_legal_turn_nearest_the_reference():
+    robot = ik.Robot.load(
+        urdf(
+            [
+                ("revolute", (0, 0, 0), (0, 0, 0), (0, 0, 1), -10.0, 10.0),
+                ("revolute", (1, 0, 0), (0, 0, 0), (0, 0, 1), 3.5, 6.0),
+            ],
+            ((0.7, 0, 0), (0, 0, 0)),
+        ),
+        tip="tip",
+    )
+    q = np.array([7.0, 4.0])
+    result = ik.solve(robot, robot.fk(q).translation, q0=[8.0, 5.0])
+    assert result.success and np.abs(result.q - q).max() < 1e-9
+    assert np.abs(ik.solve(robot, robot.fk(q).translation, q0=[1.0, 5.0]).q - (q - [2 * PI, 0.0])).max() < 1e-9
+    assert len(ik.solve_all(robot, robot.fk(q).translation)) == 1  # the other elbow, -4, has no legal turn
+
+
+# ------------------------------------------------------------------------------------------------ the common contract
+def test_auto_takes_the_closed_form_and_says_so(arm):
+    T = arm.fk(arm.home + 0.05)
+    assert ik.solve(arm, T).solver == "inspection"
+    assert ik.solve(arm, T, mask=(1, 1, 1, 1, 1, 1)).solver == "lm"
+    assert ik.solve(arm, T.translation).solver == "lm"
+    planar = ik.Robot.load("planar_2r")
+    assert ik.solve(planar, planar.fk(planar.home).translation).solver == "planar-2r"
+
+
+def test_batch_equals_single_calls(arm):
+    rng = np.random.default_rng(7)
+    T = np.array([arm.fk(arm.random_q(rng)).homogeneous for _ in range(20)])
+    T[3, :3, 3] += 5.0
+    many = ik.solve_batch(arm, T, "inspection")
+    for row, goal in zip(many.q, T, strict=True):
+        assert np.array_equal(row, ik.solve(arm, goal, "inspection").q)
+    assert many.status[3] == ik.Status.UNREACHABLE and many.success.sum() == 19
+
+
+def test_copies_do_not_share_bound_solvers(arm):
+    T = arm.fk(arm.home)
+    ik.solve(arm, T, "inspection")
+    held = arm.locked({"lift": 0.22})
+    assert ik.solve(held, T, "inspection").q.shape == (6,)
+
+
+def test_history_and_counts(arm):
+    result = ik.solve(arm, arm.fk(arm.home), "inspection", history=True)
+    assert result.iterations == 0 and result.restarts == 0 and result.fk_evaluations == 1
+    assert result.history["q"].shape == (1, 7) and np.array_equal(result.history["q"][0], result.q)
+
+
+def test_numerical_solve_all_merges_duplicates_and_turns():
+    robot = ik.Robot.load("planar_2r")
+    tip = robot.fk([0.4, 1.1]).translation
+    exact, search = ik.solve_all(robot, tip), ik.solve_all(robot, tip, "lm", starts=200)
+    assert len(search) == len(exact) == 2 and not search.complete
+    assert np.abs(search.q - exact.q).max() < 1e-6
+    redundant = ik.Robot.load("planar_3r")
+    sample = ik.solve_all(redundant, redundant.fk(redundant.home).translation, count=8, starts=200)
+    assert len(sample) == 8 and "infinitely many" in sample.message and not sample.complete
+    nothing = ik.solve_all(redundant, [50.0, 0.0, 0.0], starts=20)
+    assert len(nothing) == 0 and "reach" in nothing.message
+    for wrong in ({"starts": 0}, {"count": 2.5}):
+        with pytest.raises(InvalidOption):
+            ik.solve_all(robot, tip, **wrong)
+    assert json.dumps(exact.to_dict())

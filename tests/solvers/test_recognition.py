@@ -1,0 +1,183 @@
+"""Which arms the closed forms recognise, and what is said of those that do not fit."""
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import ik_toolkit as ik
+from ik_toolkit.errors import InvalidOption, UnknownSolver
+from ik_toolkit.kernel.task import POSE, POSITION
+from ik_toolkit.solvers.closed_form import describe, fits, inspection, planar_2r
+
+PI = math.pi
+
+
+def apart(a, b):
+    """Largest joint difference, angles modulo turns (all rows of `a` against all of `b`)."""
+    d = np.abs(np.asarray(a)[:, None] - np.asarray(b)[None])
+    return np.minimum(d, np.abs(2 * PI - d)).max(axis=2)
+
+
+@pytest.fixture(scope="module")
+def arm():
+    return ik.Robot.load("inspection_7dof")
+
+
+def urdf(joints, tool):
+    """URDF of a serial chain: joints are (type, xyz, rpy, axis, lower, upper)."""
+    parts, parent = ['<robot name="drawn"><link name="base"/>'], "base"
+    text = lambda v: " ".join(repr(float(x)) for x in v)  # noqa: E731
+    for k, (kind, xyz, rpy, axis, low, high) in enumerate(joints):
+        parts.append(
+            f'<link name="l{k}"/><joint name="j{k}" type="{kind}"><parent link="{parent}"/><child link="l{k}"/>'
+            f'<origin xyz="{text(xyz)}" rpy="{text(rpy)}"/><axis xyz="{text(axis)}"/>'
+            f'<limit lower="{low!r}" upper="{high!r}" effort="1" velocity="1"/></joint>'
+        )
+        parent = f"l{k}"
+    parts.append(
+        f'<link name="tip"/><joint name="end" type="fixed"><parent link="{parent}"/><child link="tip"/>'
+        f'<origin xyz="{text(tool[0])}" rpy="{text(tool[1])}"/></joint></robot>'
+    )
+    return "".join(parts)
+
+
+angle = st.floats(-3.1, 3.1)
+length = st.floats(0.05, 2.0)
+offset = st.floats(-1.0, 1.0)
+triple = st.tuples(offset, offset, offset)
+
+
+@settings(max_examples=60, deadline=None, derandomize=True)
+@given(
+    triple, st.tuples(angle, angle, angle), length, length, angle, angle, offset, offset, st.booleans(), angle, angle
+)
+def test_any_planar_two_link_arm(xyz, rpy, l1, l2, turn_1, turn_2, rise_1, rise_2, reverse, q1, q2):
+    """Any lengths, base pose, angle offsets, height offsets and axis sign: both branches verify and q is among them."""
+    joints = [
+        ("continuous", xyz, rpy, (0, 0, 1), -1.0, 1.0),
+        (
+            "continuous",
+            (l1 * math.cos(turn_1), l1 * math.sin(turn_1), rise_1),
+            (0, 0, 0.3),
+            (0, 0, -1 if reverse else 1),
+            0.0,
+            0.0,
+        ),
+    ]
+    robot = ik.Robot.load(
+        urdf(joints, ((l2 * math.cos(turn_2), l2 * math.sin(turn_2), rise_2), (0.1, 0.2, 0.3))), tip="tip"
+    )
+    assert fits(robot, POSITION) == "planar-2r" and fits(robot, POSE) is None
+    q = np.array([q1, q2])
+    tip = robot.fk(q).translation
+    found = ik.solve_all(robot, tip, q0=q)
+    assert found.solver == "planar-2r" and found.complete
+    for x in found:
+        assert np.linalg.norm(robot.fk(x).translation - tip) < 1e-9
+    bend = planar_2r.recognise(robot.chain)[0]
+    s2 = abs(math.sin(bend[planar_2r.ANGLES + 2] * q2 + bend[planar_2r.ANGLES + 3]))
+    if s2 > 1e-3:
+        assert len(found) == 2 and apart([q], found.q).min() < 1e-6
+
+
+@settings(max_examples=40, deadline=None, derandomize=True)
+@given(
+    triple, st.tuples(angle, angle, angle), length, length, triple, st.tuples(angle, angle, angle),
+    st.lists(st.sampled_from((1, -1)), min_size=7, max_size=7), st.lists(angle, min_size=7, max_size=7), st.booleans(), offset,
+)  # fmt: skip
+def test_any_arm_of_the_inspection_structure(xyz, rpy, a4, a6, tool, tool_rpy, signs, twist, lift_first, slide):
+    """Axis signs, angle offsets, lengths, base, tool and the order of lift and column are read off the geometry."""
+    h = PI / 2
+    fixed = [
+        ((0, 0, 0), (h, 0, 0)),
+        ((0, 0, 0), (h, 0, 0)),
+        ((a4, 0, 0), (0, 0, 0)),
+        ((0, 0, 0), (-h, 0, 0)),
+        ((a6, 0, 0), (0, 0, 0)),
+    ]
+    column = ("continuous", xyz, rpy, (0, 0, signs[0]), -1.0, 1.0)
+    lift = ("prismatic", (0, 0, slide), (0, 0, 0.4), (0, 0, signs[1]), -1.0, 1.0)
+    joints = [column, lift]
+    if lift_first:
+        joints = [
+            ("prismatic", xyz, rpy, (0, 0, signs[1]), -1.0, 1.0),
+            ("continuous", (0, 0, slide), (0, 0, 0.4), (0, 0, signs[0]), 0.0, 0.0),
+        ]
+    for (where, turned), sign in zip(fixed, signs[2:], strict=True):
+        joints.append(("continuous", where, turned, (0, 0, sign), -1.0, 1.0))
+    # Flip axes 5 and 7 as whole frames too, and turn the tool anyhow.
+    robot = ik.Robot.load(urdf(joints, (tool, tool_rpy)), tip="tip")
+    assert fits(robot, POSE) == "inspection", inspection.recognise(robot.chain)[1]
+    q = np.array(twist)
+    place = 0 if lift_first else 1
+    q[place] = 0.3 * slide
+    found = ik.solve_all(robot, robot.fk(q), ik.Inspection(lift=q[place]), q0=q)
+    assert len(found) >= 1 and found.complete == (not found.families)
+    assert found.position_error.max() < 1e-9 and found.orientation_error.max() < 1e-9
+
+
+def test_what_does_not_fit_is_said_in_words(arm):
+    panda_like = [("revolute", (0, 0, 0.1), (0, 0.7, 0), (0, 0, 1), -1.0, 1.0)] * 7
+    wrong = {
+        "joints on the path": urdf(panda_like[:3], ((0.1, 0, 0), (0, 0, 0))),
+        "slides": urdf(
+            [panda_like[0], ("prismatic", (0, 0, 0), (0, 0, 0), (1, 0, 0), -1.0, 1.0)], ((0.1, 0, 0), (0, 0, 0))
+        ),
+        "not parallel": urdf(panda_like[:2], ((0.1, 0, 0), (0, 0, 0))),
+        "coincide": urdf([("revolute", (0, 0, 0.1), (0, 0, 0), (0, 0, 1), -1.0, 1.0)] * 2, ((0.1, 0, 0), (0, 0, 0))),
+        "tip lies on": urdf([("revolute", (0.1, 0, 0), (0, 0, 0), (0, 0, 1), -1.0, 1.0)] * 2, ((0, 0, 0.3), (0, 0, 0))),
+    }
+    for words, text in wrong.items():
+        robot = ik.Robot.load(text, tip="tip")
+        assert fits(robot, POSITION) is None
+        with pytest.raises(UnknownSolver, match=words):
+            ik.solve(robot, [0.1, 0.0, 0.0], "planar-2r")
+    robot = ik.Robot.load(urdf(panda_like, ((0.1, 0, 0), (0, 0, 0))), tip="tip")
+    with pytest.raises(UnknownSolver, match="lift"):
+        ik.solve(robot, robot.fk(robot.home), "inspection")
+    assert ik.solve(robot, robot.fk(robot.home)).solver == "lm"
+    with pytest.raises(InvalidOption, match="positions"):
+        ik.solve(arm, [0.3, 0.0, 0.8], "inspection")
+    with pytest.raises(InvalidOption, match="mask"):
+        ik.solve(arm, arm.fk(arm.home), "inspection", mask=(1, 1, 1, 0, 0, 0))
+
+
+def bent(angle):
+    """A planar arm whose second axis is off parallel by an angle [rad]."""
+    joint = ("revolute", (1, 0, 0), (angle, 0, 0), (0, 0, 1), -2.5, 2.5)
+    text = urdf([("revolute", (0, 0, 0), (0, 0, 0), (0, 0, 1), -2.5, 2.5), joint], ((0.8, 0, 0), (0, 0, 0)))
+    return ik.Robot.load(text, tip="tip")
+
+
+def test_an_arm_that_nearly_fits_is_finished_on_the_real_chain_and_proves_nothing():
+    robot = bent(3e-5)
+    assert fits(robot, POSITION) == "planar-2r" and "3e-05" in describe(robot) and "exactly" in describe(bent(0.0))
+    rng = np.random.default_rng(3)
+    for _ in range(50):
+        q = robot.random_q(rng)
+        result = ik.solve(robot, robot.fk(q).translation, tolerance=1e-8)
+        assert result.success and result.solver in ("planar-2r", "lm")
+        assert not ik.solve_all(robot, robot.fk(q).translation, tolerance=1e-8).complete
+    off = ik.solve(robot, [1.0, 0.5, 0.25])
+    assert off.status not in (ik.Status.CONVERGED, ik.Status.UNREACHABLE)
+    assert fits(bent(1e-3), POSITION) is None
+    with pytest.raises(UnknownSolver, match="not parallel"):
+        ik.solve(bent(1e-3), [1.0, 0.5, 0.0], "planar-2r")
+
+
+def test_an_inspection_arm_written_with_few_digits_is_solved(arm):
+    text = arm.urdf.replace("1.5707963267948966", "1.5708")
+    robot = ik.Robot.load(text, tip=arm.tip, base=arm.base)
+    assert fits(robot, POSE) == "inspection" and "nearly" in describe(robot)
+    rng = np.random.default_rng(4)
+    for held in (robot, robot.locked({"lift": 0.3})):
+        Q = rng.uniform(held.lower, held.upper, (100, held.n))
+        T = held.chain.forward(Q)[0]
+        batch = ik.solve_batch(held, T, check=1.0)
+        assert batch.success.all()
+        assert sum(batch[k].solver == "inspection" for k in range(100)) > 90
+        found = [ik.solve_all(held, pose, q0=q) for pose, q in zip(T[:20], Q, strict=False)]
+        assert not any(one.complete for one in found) and all(len(one) for one in found)
