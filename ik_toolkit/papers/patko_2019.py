@@ -8,7 +8,7 @@ leaves out the arms' paths, lengths, initial errors and durations; those chosen 
 import numpy as np
 
 from ..tracking import stability as st
-from .patko_cases import CASES, METHODS, SETS, growth, run, settled
+from .patko_cases import CASES, METHODS, SETS, GainSet, growth, run, settled
 from .patko_dynamics import dynamics
 from .patko_figures import draw_charts, draw_errors, draw_orders, draw_plane
 from .report import Report
