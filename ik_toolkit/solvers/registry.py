@@ -1,11 +1,21 @@
 """One row a solver. The CLI's choices, `ik solvers`, the docs table, the benchmark and the contract tests come from here.
 
-Rows are plain data with dotted names, so that listing them imports neither Pinocchio nor numba.
+Rows are plain data with dotted names, so that listing them imports neither Pinocchio nor numba. Another package registers a solver
+by an entry point of the group `ik_toolkit.solvers`, named as the solver and leading to its row:
+
+    [project.entry-points."ik_toolkit.solvers"]
+    half-step = "my_package.rows:HALF_STEP"
+
+where `my_package/rows.py` imports nothing but this module and says HALF_STEP = Row("half-step",
+"my_package.half_step:HalfStep", ...). So its solvers are listed without importing what solves.
 """
 
+import functools
 import importlib
+import logging
 import math
-from dataclasses import dataclass
+import re
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 from ..errors import IKError, InvalidOption, UnknownSolver, near_match
@@ -35,7 +45,7 @@ class Row:
     differs. closed: a closed form. pose, position: the targets it solves. one_tip: not for several tips. moves_all: moves every
     joint, so that none can be held by a weight of 0. tracks: makes sense one step a sample. joints: of a closed form that 'auto'
     takes where it fits, the numbers of joints of the robots it may fit. package: whose it is, when it is not ours (see
-    `others`). cls: the class, when it need not be imported. What a solver does beyond that it says itself: see `protocol`.
+    `registered`). cls: the class, when it need not be imported. What a solver does beyond that it says itself: see `protocol`.
     """
 
     name: str
@@ -183,6 +193,9 @@ ROWS: tuple[Row, ...] = (
         position=False,
     ),
 )
+GROUP = "ik_toolkit.solvers"  # of entry points
+NAME = re.compile(r"[a-z0-9][a-z0-9_.-]*")  # commands take lists of names with commas, and FILE:CLASS with a colon
+LOG = logging.getLogger("ik_toolkit.solvers")
 OWN = ("search", "several", "pose", "position", "one_tip", "moves_all", "tracks")
 BY_NAME = {row.name: row for row in ROWS}
 GENERAL = ROWS[0].name  # what 'auto' takes where no closed form fits
@@ -190,9 +203,51 @@ GENERAL = ROWS[0].name  # what 'auto' takes where no closed form fits
 
 def list_rows() -> tuple[Row, ...]:
     """Our rows, then those of other packages."""
-    from .others import registered
-
     return (*ROWS, *registered().values())
+
+
+@functools.cache  # once a process: reading what is installed takes some milliseconds
+def registered() -> dict[str, Row]:
+    """Rows of other packages by name. What is broken is left out, with a warning that names the package."""
+    import importlib.metadata
+
+    found: dict[str, tuple[Row, str]] = {}
+    refused = set()
+    for point in importlib.metadata.entry_points(group=GROUP):
+        package = point.dist.name if point.dist is not None else point.value
+        try:
+            row = _row(point)
+        except Exception as error:  # whatever somebody else's package does, ours goes on without it
+            why = f"{type(error).__name__}: {error}" if not isinstance(error, InvalidOption) else error
+            LOG.warning("package %s: solver '%s' is left out: %s", package, point.name, why)
+            continue
+        if row.name in found:
+            LOG.warning(
+                "packages %s and %s both register a solver '%s': neither is taken",
+                *sorted((found[row.name][1], package)),
+                row.name,
+            )
+            refused.add(row.name)
+        found[row.name] = replace(row, package=package), package
+    return {name: row for name, (row, _) in sorted(found.items()) if name not in refused}
+
+
+def _row(point: Any) -> Row:
+    """Row of an entry point. Raises InvalidOption for what is no row, or cannot have its name."""
+    row = point.load()
+    if not isinstance(row, Row):
+        raise InvalidOption(f"{point.value} is a {type(row).__name__}, not a Row of ik_toolkit.solvers.registry")
+    if row.name != point.name:
+        raise InvalidOption(f"its row is called '{row.name}'")
+    if not NAME.fullmatch(row.name) or row.name == "auto":
+        raise InvalidOption("a name is made of small letters, digits, '-', '_' and '.', and is not 'auto'")
+    if row.name in BY_NAME:
+        raise InvalidOption("ik_toolkit has a solver of that name")
+    if row.target.count(":") != 1:
+        raise InvalidOption(f"its target '{row.target}' is not MODULE:CLASS")
+    return replace(
+        row, joints=()
+    )  # 'auto' stands for solvers of this package: installing another must not change answers
 
 
 def find_row(solver: Any) -> Row:

@@ -1,0 +1,66 @@
+"""A solver of somebody's own in a file, given as FILE.py:CLASS."""
+
+import functools
+import hashlib
+import importlib.util
+import sys
+import traceback
+from collections.abc import Iterable
+from pathlib import Path
+
+from ..errors import InvalidOption, near_match
+
+
+def is_file(text: str) -> bool:
+    """Whether a solver is given as FILE.py:CLASS."""
+    return ".py:" in text or text.endswith(".py")
+
+
+def from_file(text: str) -> type:
+    """The class of FILE.py:CLASS, run as Python runs a script: files beside it can be imported.
+
+    Raises InvalidOption when there is no such file or class, when it does not run, or when the class is no solver.
+    """
+    name, _, wanted = text.rpartition(":") if not text.endswith(".py") else (text, "", "")
+    path = Path(name).expanduser().resolve()
+    if not path.is_file():
+        near = near_match(path.name, _names(path.parent.glob("*.py")))
+        raise InvalidOption(f"solver '{text}': there is no file '{name}'.{near}")
+    classes = _classes(path)
+    solvers = {key: cls for key, cls in classes.items() if hasattr(cls, "loop")}
+    if not wanted:
+        raise InvalidOption(f"solver '{text}': say which class, {name}:CLASS.{near_match(path.stem, solvers)}")
+    if wanted in solvers:
+        return solvers[wanted]
+    mark = "a solver is marked by @ik_toolkit.rule or @ik_toolkit.closed_form"
+    if wanted in classes:
+        raise InvalidOption(f"solver '{text}': the class {wanted} is no solver; {mark}")
+    tail = near_match(wanted, solvers) or f" It has no solver at all; {mark}."
+    raise InvalidOption(f"solver '{text}': the file has no class '{wanted}'.{tail}")
+
+
+def _names(paths: Iterable[Path]) -> list[str]:
+    return sorted(path.name for path in paths)
+
+
+@functools.cache  # a file is run once a process
+def _classes(path: Path) -> dict[str, type]:
+    """Classes that a file makes, by name. Raises InvalidOption when it does not run."""
+    # A name of its own, so that a file called as a module (numpy.py) hides nothing. It goes by the content, so that what was
+    # compiled for a file that moved is found again.
+    module_name = f"{path.stem}_{hashlib.sha256(path.read_bytes()).hexdigest()[:8]}"
+    spec = importlib.util.spec_from_file_location(module_name, path)
+    assert spec is not None and spec.loader is not None
+    module = sys.modules[module_name] = importlib.util.module_from_spec(spec)
+    sys.path.insert(0, str(path.parent))
+    try:
+        spec.loader.exec_module(module)
+    except Exception as error:
+        del sys.modules[module_name]
+        at = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == str(path)]
+        line = getattr(error, "lineno", None) or (at[-1] if at else None)
+        where = f", line {line}" if line is not None else ""
+        raise InvalidOption(f"{path.name}{where}: {type(error).__name__}: {error}") from error
+    finally:
+        sys.path.remove(str(path.parent))
+    return {k: cls for k, cls in vars(module).items() if isinstance(cls, type) and cls.__module__ == module_name}
