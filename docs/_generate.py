@@ -10,7 +10,7 @@ from pathlib import Path
 
 ROOMS = {  # how the public names are grouped in the API page, by the module they live in
     "Robots and targets": ("robot.",),
-    "Solving": ("solvers.solve", "solvers.prepare", "solvers.batch", "solvers.tree", "solvers.result"),
+    "Solving": ("solvers.solve", "solvers.prepare", "solvers.batch", "solvers.result", "solvers.status"),
     "Solvers and their parameters": ("solvers.protocol", "solvers.rules.", "solvers.closed_form."),
     "Tracking": ("tracking.",),
     "Studies": ("study.", "papers."),
@@ -152,7 +152,7 @@ MEANINGS = {
 
 def statuses_page() -> str:
     """Table of the statuses: what each means, and the advice of its message."""
-    from ik_toolkit.solvers.result import ADVICE, Status
+    from ik_toolkit.solvers.status import ADVICE, Status
 
     return table(
         ["status", "meaning", "advice in the message"],

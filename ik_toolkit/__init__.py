@@ -18,7 +18,7 @@ _NAMES = {
     "BatchCheckFailed": "solvers.batch_result",
     "CollisionModel": "robot.collision",
     "Result": "solvers.result",
-    "Status": "solvers.result",
+    "Status": "solvers.status",
     "rule": "solvers.protocol",
     "closed_form": "solvers.protocol",
     "LM": "solvers.rules.jacobian",

@@ -15,7 +15,6 @@ from .solvers.prepare import prepare as prepare
 from .solvers.protocol import closed_form as closed_form
 from .solvers.protocol import rule as rule
 from .solvers.result import Result as Result
-from .solvers.result import Status as Status
 from .solvers.rules.ccd import CCD as CCD
 from .solvers.rules.jacobian import DLS as DLS
 from .solvers.rules.jacobian import LM as LM
@@ -27,6 +26,7 @@ from .solvers.rules.state_space import StateSpace as StateSpace
 from .solvers.solve import Solver as Solver
 from .solvers.solve import solve as solve
 from .solvers.solve_all import solve_all as solve_all
+from .solvers.status import Status as Status
 from .study.benchmark import benchmark as benchmark
 from .study.tune import tune as tune
 from .study.workspace import workspace as workspace

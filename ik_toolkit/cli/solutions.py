@@ -11,7 +11,7 @@ import numpy as np
 from ..errors import InvalidOption
 from ..files import PARTIAL, WholeFile
 from ..solvers.batch_result import BatchResult
-from ..solvers.result import Status
+from ..solvers.status import Status
 from .output import notice
 from .streams import uninterrupted
 

@@ -164,8 +164,6 @@ def _solve_all(
 
 
 def _show(result: "Result", deg: bool) -> None:
-    from ..solvers.tree import TreeResult
-
     robot = result.robot
     limited = set(result.limited_joints)
     joints = table("<joint", ">value", "<unit", ">lower", ">upper", "")
@@ -174,7 +172,7 @@ def _show(result: "Result", deg: bool) -> None:
         joints.add_row(name, value, unit(kind, deg), lower, upper, "at limit" if name in limited else "")
     show(joints)
     each = {}
-    if isinstance(result, TreeResult):
+    if len(robot.tips) > 1:
         angles = result.orientation_errors
         each = {f"at {tip}": f"{_length(x)}, {_angle(angles[tip])}" for tip, x in result.position_errors.items()}
     show(

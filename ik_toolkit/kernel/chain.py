@@ -121,6 +121,11 @@ class Chain(NamedTuple):
     reach: float
 
     @property
+    def plain(self) -> bool:
+        """Whether row i moves coordinate i alone: no followers."""
+        return self.rows[0, 0] > 0.0
+
+    @property
     def n(self) -> int:
         """Number of coordinates."""
         return len(self.lower)

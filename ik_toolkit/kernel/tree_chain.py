@@ -29,6 +29,14 @@ class TreeChain(NamedTuple):
     upper: Array
     scale: float
 
+    plain = False  # columns are scattered: no chain has all the coordinates
+
+    @property
+    def turns(self) -> Array:
+        """As in Chain: 0 where a coordinate never wraps."""
+        n = len(self.lower)
+        return self.ends[0, POINTS + 2 * n : POINTS + 3 * n]
+
     @property
     def parts(self) -> list[Array]:
         """Rows of each chain."""

@@ -215,7 +215,7 @@ def formulas(report: Report, robot: Robot, poses: int, seed: int) -> None:
             lost += best == math.inf
         rows.append([name, _rate(correct, poses), _rate(lost, poses)])
     solver = Solver(robot, Inspection())
-    p = solver.pack(POSE, True)[WEIGHTS + robot.n :]
+    p = solver.plan.orders((POSE,), True)[WEIGHTS + robot.n :]
     box = np.vstack([np.full(robot.n, -np.inf), np.full(robot.n, np.inf), robot.home, np.ones(robot.n)])
     T[:, :3, 3] /= 1000.0
     out, broken, count, correct, origin = np.empty((8, robot.n)), np.empty(8), [], 0, 0

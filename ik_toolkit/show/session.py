@@ -13,7 +13,7 @@ from ..robot.pose import length, matrix_quat, matrix_rpy, pose
 from ..robot.robot import Robot, path_ends
 from ..solvers.registry import find_row, list_rows, make_rule
 from ..solvers.result import Result
-from ..solvers.solve import automatic, bound, solve
+from ..solvers.solve import bound, is_auto, solve
 from ..solvers.solve_all import solve_all
 from ..text import parameter, vector
 
@@ -130,10 +130,8 @@ class Session:
         """Solve as `solve` does, without keeping the way there: for a target that is being dragged."""
         self.target = np.array(target)
         rule = self.rule()
-        if isinstance(rule, str) and rule == "auto":
-            rule = automatic(self.robot, POSITION if self.target.ndim == 1 else POSE, {})
         options: dict[str, Any] = {"check": True, "tolerance": self.tolerance}
-        if find_row(rule).length(len(self.robot.tips)).attempts > 1:
+        if is_auto(rule) or find_row(rule).length().attempts > 1:
             options["restarts"] = DRAG_RESTARTS
         self.result = bound(self.robot, rule, options)(self.target, self.q)
         if self.result.success:

@@ -1,5 +1,6 @@
 """Solutions that touch nothing: when a solver's answer collides, the search goes on from other starts."""
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -7,15 +8,14 @@ import numpy as np
 from ..errors import InvalidOption
 from ..kernel.records import ANSWER, AT
 from ..robot.collision import CollisionModel
-from ..robot.robot import Robot
-from .result import Status
+from .status import Status
 
 STARTS = 256  # random starts tried before giving up, unless restarts= says otherwise
 ROUND = 16  # starts in one call of the kernel
 COUNTS = [AT.iterations, AT.restarts, AT.evaluations]
 
 
-def collision_model(robot: Robot, asked: Any) -> CollisionModel:
+def collision_model(robot: Any, asked: Any) -> CollisionModel:
     """What `avoid_collisions` stands for: a model made for this robot, or for True one with its own links only."""
     if isinstance(asked, CollisionModel):
         if asked.robot is not robot:
@@ -30,38 +30,55 @@ def collision_model(robot: Robot, asked: Any) -> CollisionModel:
     return robot.memo["collision model"]
 
 
-def avoid(solver: Any, row: np.ndarray, T: np.ndarray, kind: Any, start: np.ndarray) -> tuple[str, str] | None:
-    """Replace a solution in `row` that collides by one that does not; if none is found return the pair that touches.
+def avoiding(plan: Any, then: tuple[Callable[[Any], Any], ...]) -> Callable[[Any], Any]:
+    """Step that replaces a converged answer that collides by one that does not, and then improves it where that stays free.
 
-    solver: bound, with `collision` and `single` (the same without restarts); T (1, 4, 4); start (1, n). Random starts are
-    solved ROUND at a time, and of each round the solution nearest the start that touches nothing is taken (with `closest` of
-    all starts). The counts are those of all starts; a row without a free solution gets the status COLLISION.
+    Random starts are solved ROUND at a time, and of each round the solution nearest the start that touches nothing is taken
+    (with `closest` of all starts). The counts are those of all starts; without a free solution the status is COLLISION. then:
+    steps that improve a free answer; one that makes it touch is taken back.
     """
-    model: CollisionModel = solver.collision
-    if not model.collides(row[ANSWER:]):
-        return None
-    o, robot, single = solver.options, solver.robot, solver.single
+    model = collision_model(plan.robot, plan.options.avoid_collisions)
+    once = {"closest": False, "objective": None, "history": False, "avoid_collisions": False, "check": False}
+    single = plan.varied(**once, **({} if plan.options.follow else {"restarts": 0}))
+
+    def step(outcome: Any) -> Any:
+        if outcome.row[AT.status] != Status.CONVERGED:
+            return outcome
+        n = plan.robot.n
+        if model.collides(outcome.row[ANSWER : ANSWER + n]):
+            outcome = _another(single, model, outcome)
+        for improve in then:
+            better = improve(outcome)
+            if not model.collides(better.row[ANSWER : ANSWER + n]):
+                outcome = better
+        return outcome
+
+    return step
+
+
+def _another(single: Any, model: CollisionModel, outcome: Any) -> Any:
+    """Outcome with a solution that touches nothing, or with the pair that touches and the status COLLISION."""
+    o, robot, row = outcome.plan.options, single.robot, outcome.row.copy()
+    q = slice(ANSWER, ANSWER + robot.n)
     left = 0 if o.follow else STARTS if o.restarts is None else o.restarts
     size = max(left, 1) if o.closest else ROUND
     rng = np.random.default_rng(o.seed)
-    opt = single.pack(kind, True)
     while left > 0 and not (o.max_evaluations and row[AT.evaluations] >= o.max_evaluations):
         count = min(size, left)
         left -= count
         Q0 = np.array([robot.random_q(rng) for _ in range(count)])
-        Q0[:, solver.held] = start[0, solver.held]
+        Q0[:, single.held] = outcome.start[0, single.held]
         out = np.empty((count, len(row)))
-        single._kernel(*single._chain, np.repeat(T, count, axis=0), Q0, out, opt, single._silent)
+        single.run(np.repeat(outcome.T, count, axis=0), outcome.kinds, Q0, True, out)
         row[AT.iterations] += out[:, AT.iterations].sum()
         row[AT.evaluations] += out[:, AT.evaluations].sum()
         row[AT.restarts] += count
         out = out[out[:, AT.status] == Status.CONVERGED]
-        away = (((out[:, ANSWER:] - start) / robot.chain.unit) ** 2).sum(axis=1)
+        away = (((out[:, q] - outcome.start) / robot.chain.unit) ** 2).sum(axis=1)
         for k in np.argsort(away, kind="stable"):
-            if not model.collides(out[k, ANSWER:]):
+            if not model.collides(out[k, q]):
                 out[k, COUNTS] = row[COUNTS]
                 out[k, AT.attempt] = row[AT.restarts]
-                row[:] = out[k]
-                return None
+                return outcome._replace(row=out[k])
     row[AT.status] = Status.COLLISION
-    return model.collisions(row[ANSWER:])[0]
+    return outcome._replace(row=row, collision=model.collisions(row[q])[0])

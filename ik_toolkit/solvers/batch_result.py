@@ -5,9 +5,11 @@ from typing import Any
 import numpy as np
 
 from ..errors import IKError
-from ..kernel.records import ANSWER, AT
-from .result import Result, Status
-from .solve import Solver
+from ..kernel.records import ANSWER, AT, MISS
+from .avoid import collision_model
+from .plan import Plan
+from .result import SPOKEN, Outcome, Result
+from .status import Status
 
 R_MOVE = AT.history  # a batch keeps no history; in a chain its slot holds the largest joint move
 JUMP = 0.5  # rad, or of the robot's scale for slides
@@ -49,54 +51,82 @@ class BatchResult:
     """Answers of a batch, row k belonging to target k.
 
     q (N, n) [rad or m]; status (N,) numbers of Status; success (N,) bool; position_error (N,) [m]; orientation_error (N,)
-    [rad], None for positions; iterations, restarts, fk_evaluations (N,). For a chain: moves (N,) and flips, else None.
-    batch[k] is the Result of target k, with its sentence.
+    [rad], None where orientation is free; of several tips the largest, and position_errors, orientation_errors by tip;
+    iterations, restarts, fk_evaluations (N,). For a chain: moves (N,) and flips, else None. batch[k] is the Result of target
+    k, with its sentence. table: the rows of the kernel.
     """
 
-    def __init__(self, table: np.ndarray, position_only: bool, solver: Solver | None, chain: bool = False) -> None:
-        """Wrap the kernel's rows (N, ANSWER + n)."""
-        self._table = table
-        self._solver = solver
-        self.position_only = position_only
-        self.solver = solver.row.name if solver is not None else ""
+    def __init__(self, table: np.ndarray, kinds: tuple, plan: Plan, chain: bool = False) -> None:
+        """Wrap the kernel's rows (N, width) of targets of these kinds, one a tip."""
+        self.table = table
+        self.kinds = kinds
+        self.plan = plan
+        self.solver = plan.row.name
         self.chain = chain
+
+    def of(self, table: np.ndarray) -> "BatchResult":
+        """The same batch with other rows."""
+        return BatchResult(table, self.kinds, self.plan, self.chain)
 
     def __len__(self) -> int:
         """Number of targets."""
-        return len(self._table)
+        return len(self.table)
 
     def __getitem__(self, k: int) -> Result:
         """Result of target k."""
-        row = self._table[k]
-        if self._solver is None:
-            raise IndexError("an empty batch")
-        result = Result(self._solver, row, 0.0, self.position_only)
-        if row[AT.status] == Status.COLLISION and self._solver.collision is not None:
-            result.collision = self._solver.collision.collisions(result.q)[0]
-        return result
+        row = self.table[k]
+        touching = None
+        if row[AT.status] == Status.COLLISION:
+            touching = collision_model(self.plan.robot, self.plan.options.avoid_collisions).collisions(self.q[k])[0]
+        nothing = np.empty(0)  # a batch keeps neither targets nor starts
+        return Result(Outcome(self.plan, nothing, self.kinds, nothing, False, row, 0.0, collision=touching))
 
-    q = property(lambda self: self._table[:, ANSWER:])
-    status = property(lambda self: self._table[:, AT.status].astype(np.int64))
-    success = property(lambda self: self._table[:, AT.status] == Status.CONVERGED)
-    position_error = property(lambda self: self._table[:, AT.position])
-    orientation_error = property(lambda self: None if self.position_only else self._table[:, AT.rotation])
-    iterations = property(lambda self: self._table[:, AT.iterations].astype(np.int64))
-    restarts = property(lambda self: self._table[:, AT.restarts].astype(np.int64))
-    fk_evaluations = property(lambda self: self._table[:, AT.evaluations].astype(np.int64))
+    @property
+    def position_only(self) -> bool:
+        """Whether every target leaves orientation free."""
+        return all(kind in SPOKEN for kind in self.kinds)
+
+    q = property(lambda self: self.table[:, ANSWER : ANSWER + self.plan.robot.n])
+    status = property(lambda self: self.table[:, AT.status].astype(np.int64))
+    success = property(lambda self: self.table[:, AT.status] == Status.CONVERGED)
+    position_error = property(lambda self: self.table[:, AT.position])
+    orientation_error = property(lambda self: None if self.position_only else self.table[:, AT.rotation])
+
+    @property
+    def position_errors(self) -> dict[str, np.ndarray]:
+        """Distance (N,) of each tip from its target [m]."""
+        return {tip: errors[:, 0] for tip, errors in zip(self.plan.robot.tips, self._each(), strict=True)}
+
+    @property
+    def orientation_errors(self) -> dict[str, np.ndarray | None]:
+        """Rotation angle (N,) left at each tip [rad]; None where orientation is free."""
+        each = zip(self.plan.robot.tips, self.kinds, self._each(), strict=True)
+        return {tip: None if kind in SPOKEN else errors[:, 1] for tip, kind, errors in each}
+
+    def _each(self) -> list[np.ndarray]:
+        """Errors (N, 2) of each tip."""
+        if len(self.kinds) == 1:
+            return [self.table[:, [AT.position, AT.rotation]]]
+        first = ANSWER + self.plan.robot.n
+        return [self.table[:, first + MISS * f : first + MISS * f + 2] for f in range(len(self.kinds))]
+
+    iterations = property(lambda self: self.table[:, AT.iterations].astype(np.int64))
+    restarts = property(lambda self: self.table[:, AT.restarts].astype(np.int64))
+    fk_evaluations = property(lambda self: self.table[:, AT.evaluations].astype(np.int64))
 
     @property
     def moves(self) -> np.ndarray | None:
         """Largest joint move (N,) from the answer before [rad, or of the robot's scale]; NaN where there is no answer."""
-        return self._table[:, R_MOVE] if self.chain else None
+        return self.table[:, R_MOVE] if self.chain else None
 
     @property
     def flips(self) -> np.ndarray | None:
         """Rows of a chain whose answer is more than 0.5 rad (or of the robot's scale) away from the one before."""
-        return np.flatnonzero(self._table[:, R_MOVE] > JUMP) if self.chain else None
+        return np.flatnonzero(self.table[:, R_MOVE] > JUMP) if self.chain else None
 
     def counts(self) -> dict[str, int]:
         """How many targets ended with each status."""
-        numbers, counts = np.unique(self._table[:, AT.status], return_counts=True)
+        numbers, counts = np.unique(self.table[:, AT.status], return_counts=True)
         return {Status(int(k)).name: int(c) for k, c in zip(numbers, counts, strict=True)}
 
     def to_dict(self) -> dict[str, Any]:

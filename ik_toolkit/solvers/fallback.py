@@ -7,9 +7,8 @@ import numpy as np
 
 from ..kernel.checks import BAD_TARGET, CONVERGED, STALLED, UNREACHABLE
 from ..kernel.records import ANSWER, AT, HEAD
-from .registry import GENERAL
+from .status import SEARCHED
 
-SEARCHED = -1.0  # in the slot of the excess: q came from the search
 STARTS, STEPS = 64, 24  # of the last search, which is for the tolerances
 COUNTS = [AT.iterations, AT.restarts, AT.evaluations, AT.history]
 PLAIN = {"closest": False, "objective": None, "history": False, "check": False, "avoid_collisions": False}
@@ -20,27 +19,28 @@ def error_size(rows: np.ndarray, scale: float) -> np.ndarray:
     return (rows[:, AT.position] / scale) ** 2 + (2.0 * np.sin(0.5 * rows[:, AT.rotation])) ** 2
 
 
-def with_search(solver: Any, closed: Callable) -> Callable:
-    """Loop of the kernel's signature (see kernel.search.entry): the closed form, and 'lm' for the rows it does not solve.
+def with_search(plan: Any, closed: Callable) -> Callable:
+    """Loop of the kernel's signature (see kernel.search.entry): the closed form, and the search for the rows it does not solve.
 
-    solver: the bound Solver of the closed form; 'lm' gets its options, and keeps joints where the rule holds them. It begins as
+    plan: that of the closed form; the search gets its options, and keeps joints where the closed form holds them. It begins as
     usual, and then once where the closed form ended. A row that is not solved either way keeps the closed form's status, unless
-    that is STALLED: then it proves nothing, and 'lm' gives the status. Its q is the best of all.
+    that is STALLED: then it proves nothing, and the search gives the status. Its q is the best of all.
     """
-    robot = solver.robot
+    robot = plan.robot
     made: list[tuple[Any, Any, dict[int, float]]] = []
 
     def searches() -> tuple[Any, Any, dict[int, float]]:
-        """Solver 'lm', the same for one attempt, and the joints they hold; made when first needed."""
+        """The search, the same for one attempt, and the joints they hold; made when first needed."""
         if not made:
-            options = {**solver.options.__dict__, **PLAIN}
-            held = solver.rule.held(robot) if hasattr(solver.rule, "held") else {}
+            options = dict(PLAIN)
+            held = plan.rule.held(robot)
             if held:
-                weights = np.ones(robot.n) if options["joint_weights"] is None else np.array(options["joint_weights"])
+                weights = (
+                    np.ones(robot.n) if plan.options.joint_weights is None else np.array(plan.options.joint_weights)
+                )
                 weights[list(held)] = 0.0
-                options["joint_weights"] = weights
-            kind = type(solver)
-            made.append((kind(robot, GENERAL, **options), kind(robot, GENERAL, **{**options, "restarts": 0}), held))
+                options["joint_weights"] = tuple(weights.tolist())
+            made.append((plan.search(**options), plan.search(**{**options, "restarts": 0}), held))
         return made[0]
 
     def loop(rows, ends, seeds, feat, T, Q0, out, opt, hist) -> None:
@@ -54,25 +54,25 @@ def with_search(solver: Any, closed: Callable) -> Callable:
         start = np.array(Q0 if len(Q0) == 1 else Q0[failed])
         for joint, value in held.items():
             start[:, joint] = value
-        if solver.options.limits and ((start < robot.lower) | (start > robot.upper)).any():
+        if plan.options.limits and ((start < robot.lower) | (start > robot.upper)).any():
             return  # a joint is held where the limits forbid it: nothing else is to be found
         ended = np.array(out[failed, ANSWER:])
-        kind = int(opt[HEAD])
+        kinds = (int(opt[HEAD]),)
         # With one target the closed form has written one row of the history; with more there is none.
         given = len(Q0) > 1 or not np.array_equal(Q0[0], robot.home)  # a closed form is always told to start somewhere
-        open_ = continue_with(usual, T, start, (kind, given), failed, out, hist[1:])
+        open_ = continue_with(usual, T, start, (kinds, given), failed, out, hist[1:])
         if open_.any():
-            still = continue_with(once, T, ended[open_], (kind, True), failed[open_], out, hist[:0])
+            still = continue_with(once, T, ended[open_], (kinds, True), failed[open_], out, hist[:0])
             fixed = next(iter(held), -1)
             for k in failed[open_][still]:
                 if out[k, AT.status] != UNREACHABLE:
-                    into_tolerances(solver, rows, ends, T[k], opt, fixed, out[k])
+                    into_tolerances(plan, rows, ends, T[k], opt, fixed, out[k])
 
     return loop
 
 
 def into_tolerances(
-    solver: Any, rows: np.ndarray, ends: np.ndarray, T: np.ndarray, opt: np.ndarray, fixed: int, row: np.ndarray
+    plan: Any, rows: np.ndarray, ends: np.ndarray, T: np.ndarray, opt: np.ndarray, fixed: int, row: np.ndarray
 ) -> None:
     """Search once more with errors counted in units of their tolerances: a loose one may be met away from the least error.
 
@@ -80,8 +80,8 @@ def into_tolerances(
     """
     from .closed_form.finish import first_good
 
-    robot = solver.robot
-    rng = np.random.default_rng(solver.options.seed)
+    robot = plan.robot
+    rng = np.random.default_rng(plan.options.seed)
     starts = np.array([row[ANSWER:], *(robot.random_q(rng) for _ in range(STARTS))])
     if fixed >= 0:
         starts[:, fixed] = row[ANSWER + fixed]
@@ -97,17 +97,17 @@ def continue_with(
     search: Any,
     T: np.ndarray,
     start: np.ndarray,
-    how: tuple[int, bool],
+    how: tuple[tuple, bool],
     failed: np.ndarray,
     out: np.ndarray,
     hist: np.ndarray,
 ) -> np.ndarray:
     """Search the rows `failed` of out (N, ANSWER + n) from start (1 or len(failed), n); tell which of them are still not solved.
 
-    how: kind of target, and whether the starts are given (see Solver.pack).
+    how: kinds of target, and whether the starts are given (see Plan.run).
     """
     found = np.zeros((len(failed), out.shape[1]))
-    search._kernel(*search.arrays_for(how[0], start), T[failed], start, found, search.pack(*how), hist)
+    search.run(T[failed], how[0], start, how[1], found, hist)
     merge(out, failed, found, search.robot.chain.scale)
     return found[:, AT.status] != CONVERGED
 

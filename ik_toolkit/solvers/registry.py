@@ -87,11 +87,6 @@ class Row:
         """How long the search goes on for so many tips."""
         return self.several if tips > 1 and self.several is not None else self.search
 
-    # until the core has moved to `length`
-    iterations = property(lambda self: self.search.iterations)
-    descents = property(lambda self: self.search.attempts)
-    give_up = property(lambda self: self.search.give_up)
-
 
 _RULES = "ik_toolkit.solvers.rules."
 _CLOSED = "ik_toolkit.solvers.closed_form."

@@ -160,7 +160,7 @@ def read_target(robot: Any, target: Any) -> tuple[np.ndarray, tuple, str]:
     FrameNotFound (unknown tip) and InvalidTarget (which names the tip).
     """
     tips = robot.tips
-    several = robot.chain.ends.ndim > 1  # a Tree, also of one tip
+    several = robot.by_tip
     if not (several or isinstance(target, Mapping)):
         T, kind, notice = read_one(target)
         return T[None], (kind,), notice

@@ -13,8 +13,8 @@ from ..errors import IKError, InvalidOption, UnknownSolver, near_match
 from ..robot.robot import Robot
 from ..robot.tree import Tree
 from ..solvers.registry import find_row, list_rows
-from ..solvers.result import Status
 from ..solvers.solve import Solver, is_auto, require_robot
+from ..solvers.status import Status
 from .statistics import wilson
 
 BLOCKS = 10  # turns in which the targets are handed to the solvers, so that what else the machine does hits all alike

@@ -17,8 +17,8 @@ from ..robot.robot import Robot
 from ..robot.tree import Tree
 from ..solvers.batch import solve_parts
 from ..solvers.registry import find_row
-from ..solvers.result import Status
 from ..solvers.solve import require_robot
+from ..solvers.status import Status
 from .statistics import wilson
 from .targets import one_tip, sample_targets, stream_targets
 

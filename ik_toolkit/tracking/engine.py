@@ -78,7 +78,7 @@ class RuleSteps:
         from ..kernel.task import POSE, POSITION
 
         self._p[motion.PLACE.runaway], self._p[motion.PLACE.brake] = runaway, brake
-        opt = self.solver.pack(POSITION if m == 3 else POSE, True)
+        opt = self.solver.plan.orders((POSITION if m == 3 else POSE,), True)
         follow = rule_tracker(type(self.solver.rule))
         rows, ends = self.chain.rows, self.chain.ends
         return follow(rows, ends, T, h, opt, self._p, limits, q, rate, self.previous, state, Q, R, E, C)

@@ -33,7 +33,9 @@ def make_item(name: str, robot_name: str):
     count = COUNTS.get(name, 100)
     rng = np.random.default_rng(3)
     if name == "python tree":
-        tree = ik.Tree.load("brokk_hydrolek", tips=["left_tip", "right_tip"])
+        tips = ["left_tip", "right_tip"]
+        load = getattr(ik, "Tree", None)
+        tree = load.load("brokk_hydrolek", tips=tips) if load else ik.Robot.load("brokk_hydrolek", tip=tips)
         solver = ik.Solver(tree, "lm")
         targets = [np.array([T.homogeneous for T in tree.fk(tree.random_q(rng)).values()]) for _ in range(count)]
         results = []
@@ -46,17 +48,27 @@ def make_item(name: str, robot_name: str):
         return lambda: ik.track(robot, reference, name.split()[1], dt=1e-3, q0=q0), 2000, lambda: (0, 0)
     T = np.array([robot.fk(robot.random_q(rng)).homogeneous for _ in range(count)])
     solver = ik.Solver(robot, "lm" if name in ("lanes", "python") else name)
-    out = np.zeros((count, solver._width))
-    arrays, orders = solver.arrays(POSE), solver.pack(POSE, False)
+    kernel, arrays, orders, home, silent, width = parts_of(solver, POSE)
+    out = np.zeros((count, width))
     rows = lambda: (float((out[:, 0] == 0).mean()), float(out[:, 1].mean()))  # noqa: E731
     if name == "lanes":
         from ik_toolkit.kernel.lanes import lanes
 
-        return lambda: lanes()(*arrays, T, solver._home, out, orders), count, rows
+        return lambda: lanes()(*arrays, T, home, out, orders), count, rows
     if name == "python":
         results = []
         return lambda: results.__setitem__(slice(None), [solver(x) for x in T]), count, lambda: _of(results)
-    return lambda: solver._kernel(*arrays, T, solver._home, out, orders, solver._silent), count, rows
+    return lambda: kernel(*arrays, T, home, out, orders, silent), count, rows
+
+
+def parts_of(solver, kind: int) -> tuple:
+    """Loop, arrays, orders, home, an empty history and the width of a row, of today's solvers and of those before plans."""
+    plan = getattr(solver, "plan", None)
+    if plan is None:
+        return (
+            solver._kernel, solver.arrays(kind), solver.pack(kind, False), solver._home, solver._silent, solver._width
+        )  # fmt: skip
+    return plan.kernel, plan.arrays((kind,), plan.home), plan.orders((kind,), False), plan.home, plan.silent, plan.width
 
 
 def _of(results: list) -> tuple[float, float]:

@@ -34,7 +34,7 @@ def measure(name: str, count: int, threads: int, runs: int, seed: int) -> dict[s
     busy, started = process_time(), perf_counter()
     done = ik.solve_batch(robot, T, threads=threads)
     seconds, processor = [perf_counter() - started], [process_time() - busy]
-    size = done._table.nbytes
+    size = done.table.nbytes
     beyond = max(0, peak() - before - size)
     solved = int(done.success.sum())
     for _ in range(runs - 1):

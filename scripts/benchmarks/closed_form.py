@@ -45,9 +45,8 @@ def kernel_works(arm: ik.Robot, Q: np.ndarray, T: np.ndarray) -> dict[str, tuple
     home = arm.home[None].copy()
 
     def solve(rule: ik.Inspection, start: np.ndarray) -> Callable[[], object]:
-        solver = ik.Solver(arm, rule)
-        options = solver.pack(POSE, True)
-        return lambda: solver._kernel(*solver._chain, T, start, out, options, solver._silent)
+        plan = ik.Solver(arm, rule).plan
+        return lambda: plan.run(T, (POSE,), start, True, out)
 
     return {
         "kernel: 8 branches at a lift": (lambda: reach.many_branches(P, lifts, a4, a6, near, sols), len(T)),

@@ -32,18 +32,19 @@ def works(name: str, count: int, rng: np.random.Generator) -> dict[str, tuple[Ca
     frame = model.getFrameId(robot.tip, pin.FrameType.BODY)
     solver = ik.Solver(robot)
     out = np.empty((count, ANSWER + robot.n))
-    options = solver.pack(POSE, False)
+    plan = ik.Solver(robot).plan
+    arrays, orders = plan.arrays((POSE,), plan.home), plan.orders((POSE,), False)
     targets = list(T)
 
     def solve() -> None:
-        solver._kernel(*solver._chain, T, solver._home, out, options, solver._silent)
+        plan.kernel(*arrays, T, plan.home, out, orders, plan.silent)
 
     solve()
     iterations = out[:, 1].sum()
     side = np.empty_like(out)
 
     def side_by_side() -> None:  # what a batch runs; the few targets left over are not solved here
-        lanes()(*solver._chain, T, solver._home, side, options)
+        lanes()(*arrays, T, plan.home, side, orders)
 
     side_by_side()
 

@@ -75,7 +75,7 @@ def million(seed: int, count: int = 1_000_000) -> dict[str, Any]:
 
     ik.solve_batch(robot, np.tile(np.eye(4), (8, 1, 1)))
     done = ik.solve_batch(robot, (T for T, _ in chunks(robot, count, seed)), progress=progress)
-    width = done._table.shape[1] * 8
+    width = done.table.shape[1] * 8
     early = next((d, p) for d, p in peaks if d >= count // 4)
     good = done.success
     total = {"checked": 0, "not_confirmed": 0, "worst_m": 0.0, "worst_rad": 0.0}

@@ -61,13 +61,13 @@ def test_the_blocks_solve_the_whole():
 
 def run(robot, T, kind=POSE, q0=None, **options):
     """Rows of the lanes and of the loop."""
-    solver = ik.Solver(robot, "lm", **options)
-    start = solver._home if q0 is None else np.atleast_2d(q0)
-    arguments = *solver.arrays(kind), T, start
-    opt = solver.pack(kind, q0 is not None)
+    plan = ik.Solver(robot, "lm", **options).plan
+    start = plan.home if q0 is None else np.atleast_2d(q0)
+    arguments = *plan.arrays((kind,), start), T, start
+    opt = plan.orders((kind,), q0 is not None)
     side, loop = np.zeros((len(T), ANSWER + robot.n)), np.zeros((len(T), ANSWER + robot.n))
     lanes()(*arguments, side, opt)
-    solver._kernel(*arguments, loop, opt, solver._silent)
+    plan.kernel(*arguments, loop, opt, plan.silent)
     return side, loop
 
 
@@ -180,4 +180,4 @@ def test_the_batch_leaves_nothing_behind():
     assert (many.status[far] == ik.Status.UNREACHABLE).all()
     assert many.success[~far].mean() > 0.99  # what is lost of reachable ones depends on the starts
     again = ik.solve_batch(robot, T[37:38], "lm")
-    assert again._table.tobytes() == many._table[37:38].tobytes()
+    assert again.table.tobytes() == many.table[37:38].tobytes()

@@ -39,7 +39,7 @@ def test_a_cluster_gives_the_same_bytes(cluster, targets):
     with Client(cluster) as client:
         far = ik.solve_batch(robot, T, "lm", executor=client.get_executor(), seed=5)
         keys = client.run(lambda: __import__("sys").modules["ik_toolkit.solvers.batch"]._unpacked.cache_info().misses)
-    assert far._table.tobytes() == ik.solve_batch(robot, T, "lm", seed=5)._table.tobytes()
+    assert far.table.tobytes() == ik.solve_batch(robot, T, "lm", seed=5).table.tobytes()
     assert len(keys) == 2 and set(keys.values()) == {1}  # both worked, and read the robot once each
 
 

@@ -11,7 +11,8 @@ from second_fk import SecondFK
 import ik_toolkit as ik
 from ik_toolkit.errors import InvalidConfiguration, InvalidOption, InvalidTarget
 from ik_toolkit.robot.pose import AxisTarget, check_target
-from ik_toolkit.solvers.batch import AHEAD, solve_parts
+from ik_toolkit.solvers.batch import solve_parts
+from ik_toolkit.solvers.batch_parts import AHEAD
 
 ARM = "hydrolek_7w"
 TREE = ("brokk_hydrolek", ("left_tip", "right_tip"))
@@ -185,10 +186,10 @@ def test_the_layout_of_an_array_changes_nothing(name):
     solver = ik.Solver(robot, "lm")
     many = ik.solve_batch(robot, given, "lm")
     wanted = ik.solve_batch(robot, np.ascontiguousarray(meant), "lm")
-    assert many._table.tobytes() == wanted._table.tobytes()
+    assert many.table.tobytes() == wanted.table.tobytes()
     positions = given[:, :3, 3] if isinstance(given, np.ndarray) else [x[:3, 3] for x in meant]
     only = ik.solve_batch(robot, positions, "lm")
-    assert only._table.tobytes() == ik.solve_batch(robot, meant[:, :3, 3].copy(), "lm")._table.tobytes()
+    assert only.table.tobytes() == ik.solve_batch(robot, meant[:, :3, 3].copy(), "lm").table.tobytes()
     for one, other in zip(given, meant, strict=True):
         assert solver(one).q.tobytes() == solver(check_target(other)[0]).q.tobytes()
 
@@ -217,7 +218,7 @@ def test_a_buffer_that_an_iterator_refills_gives_each_row_its_own_answer(share, 
             yield buffer
 
     many = ik.solve_batch(robot, chunks(), "lm", check=share)
-    assert many._table.tobytes() == ik.solve_batch(robot, T, "lm")._table.tobytes()
+    assert many.table.tobytes() == ik.solve_batch(robot, T, "lm").table.tobytes()
     off = np.linalg.norm(judge.fk(many.q, robot.joint_names)[:, :3, 3] - T[:, :3, 3], axis=1)
     assert many.success.all() and off.max() <= 1e-6 + 1e-12
 

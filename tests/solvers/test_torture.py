@@ -137,7 +137,7 @@ def test_ten_million_solves_in_one_batch(record_property):
     grown = (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) / 1024
     assert len(batch) == 10_000_000 and np.isfinite(batch.q).all()
     assert batch.success.mean() > 0.9999
-    outputs = batch._table.nbytes / 2**20
+    outputs = batch.table.nbytes / 2**20
     assert grown < 2 * outputs + 400
     low, span = robot._sampling
     success, answers = batch.success, batch.q

@@ -430,7 +430,10 @@ def test_a_cold_start_is_near_and_on_the_turn_nearest_home(brokk):
 def test_a_success_that_pinocchio_does_not_confirm_is_none(brokk, monkeypatch):
     T = poses(brokk, brokk.home)
     assert ik.solve(brokk, T).success
-    monkeypatch.setattr(ik.Robot, "errors", lambda *_: (2e-6, 0.0))
+    real = ik.Robot.errors
+    monkeypatch.setattr(
+        ik.Robot, "errors", lambda arm, q, T: (2e-6, 0.0) if arm.tip == "right_tip" else real(arm, q, T)
+    )
     result = ik.solve(brokk, T)
     assert result.status == ik.Status.CHECK_FAILED and not result.success
     assert ik.Solver(brokk, check=False)(T).success
@@ -548,11 +551,6 @@ def test_what_several_tips_cannot_do_is_said(brokk):
     for rule in ("newton", "state-space"):
         with pytest.raises(errors.UnknownSolver, match="one tip; for several use 'lm'"):
             ik.solve(brokk, T, rule)
-    for option in (dict(objective="mid-range"), dict(follow=0.1)):
-        with pytest.raises(errors.InvalidOption, match=next(iter(option))):
-            ik.solve(brokk, T, **option)
-    with pytest.raises(errors.InvalidOption, match="one tip"):
-        ik.solve_batch(brokk, np.array([T]))
     with pytest.raises(errors.InvalidOption, match="one tip"):
         ik.track(brokk, ik.line([0, 0, 0], [1, 0, 0], duration=1.0))
 

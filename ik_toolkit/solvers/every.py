@@ -1,0 +1,137 @@
+"""Listing every solution of a target: from a closed form where one fits, otherwise from many starts."""
+
+from typing import Any
+
+import numpy as np
+
+from ..errors import InvalidOption
+from ..kernel.checks import rigid
+from ..kernel.records import WEIGHTS
+from ..kernel.task import POSITION
+from .avoid import collision_model
+from .closed_form.finish import listed
+from .finish import inside
+from .plan import Plan
+from .search_all import distinct_rows, sample, search
+from .solutions import Solutions, SolutionsBatch
+from .task import POSES, counted_errors, read_target
+
+
+def find_all(solver: Any, target: Any, q0: Any, starts: int, count: int) -> Any:
+    """Solutions of a target, or SolutionsBatch of (N, 4, 4) or (N, 3) targets, by a bound solver: see `Solver.all`."""
+    for name, value in (("starts", starts), ("count", count)):
+        if isinstance(value, bool) or not isinstance(value, int) or value < 1:
+            raise InvalidOption(f"{name} must be a whole number of at least 1, not {value!r}")
+    several = solver.robot.by_tip
+    shape: tuple[int, ...] = getattr(target, "shape", ())
+    if len(shape) == 3 + several or (len(shape) == 2 + several and shape[len(shape) - 1] == 3):
+        return SolutionsBatch([find_all(solver, one, q0, starts, count) for one in target])
+    T, kinds, notice = _read(solver.robot, target)
+    plan = solver.plan_for(kinds)
+    o = plan.options
+    start = plan.home if q0 is None else plan.check_start(q0)[0]
+    if plan.row.closed:
+        found = _listed(plan, T, kinds, start[0], starts, count)
+    else:
+        found = search(plan, T, kinds, start, starts, count)
+    if o.avoid_collisions and len(found):
+        model = collision_model(plan.robot, o.avoid_collisions)
+        free = np.array([not model.collides(x) for x in found.q], dtype=bool)
+        found = found.keep(free)
+        found.message += f"; {len(free) - free.sum()} of them collide and are left out" * (not free.all())
+    if o.check and len(found):
+        good = np.array(
+            [inside(counted_errors(plan.robot, q, T[0], kinds, o), o) for q in found.q],
+            dtype=bool,
+        )
+        if not good.all():
+            found = found.keep(good)
+            found.message += f"; {len(good) - good.sum()} are not confirmed by Pinocchio and left out"
+    if not len(found):
+        failed = solver(target, q0)
+        if not failed.success:
+            found.message = failed.message
+        found.families = ()
+    if notice:
+        found.message = f"{found.message}; {notice}"
+    return found
+
+
+def _read(robot: Any, target: Any) -> tuple[np.ndarray, Any, str]:
+    """Any target -> (1, ...), kinds and notice; a plain pose that is one costs next to nothing."""
+    if type(target) is np.ndarray and target.dtype == np.float64 and target.shape == (4, 4) and target.flags.carray:
+        if not robot.by_tip and rigid(target):
+            return target[None], POSES, ""
+    return read_target(robot, target)
+
+
+def _prepared(plan: Plan, kinds: tuple) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Options of the kernel, parameters of the closed form, and the box of limits, reference and weights (4, n); kept."""
+    kept = plan.memo
+    if kinds not in kept:
+        robot = plan.robot
+        opt = plan.orders(kinds, True)
+        free = np.full(robot.n, np.inf)
+        lower, upper = (robot.lower, robot.upper) if plan.options.limits else (-free, free)
+        box = np.vstack([lower, upper, robot.home, 1.0 / robot.chain.unit**2])
+        kept[kinds] = (opt, opt[WEIGHTS + robot.n :], box)
+    return kept[kinds]
+
+
+def _listed(plan: Plan, T: np.ndarray, kinds: tuple, start: np.ndarray, starts: int, count: int) -> Solutions:
+    """All legal branches of a closed form, evaluated, nearest to start (n,) first."""
+    robot = plan.robot
+    opt, p, box = _prepared(plan, kinds)
+    box = box.copy()
+    box[2] = start
+    made = plan.rule.every(robot, p, T[0], box, count)
+    found = len(made.q)
+    table, signs = np.empty((found, 3 + robot.n)), np.empty((found, 3), dtype=np.int8)
+    rows, ends = plan.chain[:2]
+    kept, legal = listed(
+        rows, ends, opt, T[0], start, made.fixed, made.steps, made.q, made.broken, made.marks, table, signs
+    )
+    table, signs = table[:kept], signs[:kept]
+    inside = f"{legal} of {found} branches{made.words} are inside the limits"
+    message = inside if plan.options.limits else f"{found} branches{made.words}"
+    if kept < legal:
+        message += f", {kept} of which meet the tolerances"
+    orientation = None if kinds == (POSITION,) else table[:, 1]
+    families = made.families if kept else ()
+    complete = made.complete
+    if families:
+        message += f"; a sample of infinitely many: {'; '.join(family.message for family in families)}"
+    result = Solutions(
+        robot, table[:, 3:], table[:, 2], (table[:, 0], orientation), complete, plan.row.name, message, families, signs
+    )
+    if made.partial:
+        result = _with_search(result, search(plan, T, kinds, start[None], starts, count), plan)
+    if families or made.steps or made.partial:
+        result = distinct_rows(result, plan)
+    if len(result) > count:
+        result = sample(result, count)
+        result.complete = False
+    return result
+
+
+def _with_search(first: Solutions, other: Solutions, plan: Plan) -> Solutions:
+    """Solutions of a closed form that misses some, and those a search adds to them."""
+    both = Solutions(
+        first.robot,
+        np.vstack([first.q, other.q]),
+        np.concatenate([first.distance, other.distance]),
+        (
+            np.concatenate([first.position_error, other.position_error]),
+            np.concatenate([first.orientation_error, other.orientation_error]),  # pyright: ignore
+        ),
+        False,
+        plan.row.name,
+        "",
+        other.families,
+        None,
+        first.found_by + other.found_by,
+    )
+    both = distinct_rows(both, plan)
+    added = sum(name != plan.row.name for name in both.found_by)
+    both.message = f"{first.message}; {added} more by {other.solver}: {other.message}"
+    return both.keep(np.argsort(both.distance, kind="stable"))

@@ -1,0 +1,84 @@
+"""The steps that finish an answer: each takes an Outcome and returns it, changed or not.
+
+`plan.improving` are those that may replace q (collisions, objective); they run on converged answers, of single calls and of
+batches. `plan.steps` are all of a single call: history, improving, and the check by Pinocchio.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from ..kernel.records import ANSWER, AT
+from ..robot.pose import check_target
+from .options import OBJECTIVES
+from .status import Status
+from .task import POSE, counted_errors
+
+Step = Callable[[Any], Any]
+REFINE_STEPS = 60
+
+
+def finishing(plan: Any) -> tuple[tuple[Step, ...], tuple[Step, ...]]:
+    """Steps of a single call, and those of them that improve an answer, as the options of a plan ask for them."""
+    o = plan.options
+    improving: tuple[Step, ...] = () if o.objective is None else (improve,)
+    if o.avoid_collisions:
+        from .avoid import avoiding
+
+        improving = (avoiding(plan, improving),)
+    steps = [*([record] if o.history else []), *improving, *([confirm] if o.check else [])]
+    return tuple(steps), improving
+
+
+def record(outcome: Any) -> Any:
+    """Run once more with room for the history; the counts of the first run say how much."""
+    plan = outcome.plan
+    history = np.empty((int(outcome.row[AT.evaluations]) + 1, 2 + plan.robot.n))
+    out = np.empty((1, plan.width))
+    plan.run(outcome.T, outcome.kinds, outcome.start, outcome.given, out, history)
+    history = history[: int(out[0, AT.history])]
+    if all(angle is None for _, angle in outcome.left()):
+        history[:, 1] = np.nan
+    columns = {"position_error": history[:, 0], "orientation_error": history[:, 1], "q": history[:, 2:]}
+    return outcome._replace(history=columns)
+
+
+def improve(outcome: Any) -> Any:
+    """Move a solution in the null space; q and its errors are replaced by better ones that were evaluated."""
+    from ..kernel.refine import refine
+
+    plan, row = outcome.plan, outcome.row
+    if row[AT.status] != Status.CONVERGED:
+        return outcome
+    row, what = row.copy(), OBJECTIVES[plan.options.objective]
+    orders = plan.orders(outcome.kinds, outcome.given)
+    refine(*plan.chain[:2], plan.shaped(outcome.T), row, outcome.start[0], orders, what, REFINE_STEPS)
+    return outcome._replace(row=row)
+
+
+def confirm(outcome: Any) -> Any:
+    """Compute the errors again with Pinocchio; a success it does not confirm is no success."""
+    plan, kinds = outcome.plan, outcome.kinds
+    n = plan.robot.n
+    errors = counted_errors(plan.robot, outcome.row[ANSWER : ANSWER + n], outcome.T[0], kinds, plan.options)
+    outcome = outcome._replace(errors=errors)
+    if outcome.row[AT.status] != Status.CONVERGED or inside(errors, plan.options):
+        return outcome
+    if kinds == (POSE,):
+        mended = check_target(outcome.T[0])[0]  # a rotation of few digits has no angle more exact than they are
+        if not np.array_equal(mended, outcome.T[0]):
+            row = plan.solve(mended[None], kinds, outcome.start, outcome.given)
+            again = outcome._replace(T=mended[None], row=row, errors=None)
+            for step in plan.steps:
+                again = step(again)
+            return again
+    row = outcome.row.copy()
+    row[AT.status] = Status.CHECK_FAILED
+    return outcome._replace(row=row)
+
+
+def inside(errors: Any, options: Any) -> bool:
+    """Whether the errors of every tip are inside their tolerances."""
+    p, r = options.position_tolerance, options.orientation_tolerance
+    return all(position <= p and (angle or 0.0) <= r for position, angle in errors)

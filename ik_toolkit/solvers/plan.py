@@ -1,0 +1,203 @@
+"""A robot, a rule and options as arrays of the kernel, made once: what every call runs, and the only cache of it."""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from ..errors import InvalidConfiguration, InvalidOption, UnknownSolver
+from ..kernel.chain import table, without_limits, without_wrap
+from ..kernel.limits import LARGEST
+from ..kernel.records import ANSWER, MISS, Orders
+from ..kernel.seeds import BEST
+from ..kernel.task import POSITION
+from ..kernel.tree_chain import split
+from .fallback import with_search
+from .finish import finishing
+from .options import Options
+from .protocol import Asked, misfit, parameters, require
+from .registry import GENERAL, Row, find_row
+from .starts import held_joints, pin
+from .task import kernel_tasks
+
+MARGIN = 1.0 - 1e-9  # the kernel tests a little inside the tolerance, so that Pinocchio's rounding cannot disagree
+KINDS_KEPT = 64  # kinds of target a plan stays ready for: every axis is a kind of its own, and axes have no end
+CLOSEST = 16  # solutions to compare when the one nearest q0 is asked for
+FOLLOW_ITERATIONS = 100  # the one attempt of `follow` has no other to hand over to where it converges slowly
+NEVER = (np.inf, 1.0, np.inf, 1.0)
+
+
+class Plan:
+    """A solver as it runs on a robot: the compiled loop, the arrays it takes, and the steps that finish its answers.
+
+    robot, row, rule, options; kernel (compiled loop); home (1, n): the start when none is given; silent: room for no history;
+    held: places of the joints with weight 0; steps, improving: what finishes an answer (see `finish`).
+    """
+
+    def __init__(self, robot: Any, row: Row, rule: Any, options: Options) -> None:
+        """Validate what does not depend on the target. Raises UnknownSolver (a rule for one tip), InvalidOption."""
+        if reason := misfit(row, rule, robot):
+            raise UnknownSolver(reason)
+        if options.joint_weights is not None and len(options.joint_weights) != robot.n:
+            raise InvalidOption(
+                f"joint_weights must have {robot.n} values, one per joint ({', '.join(robot.joint_names)})"
+            )
+        self.robot, self.row, self.rule, self.options = robot, row, rule, options
+        self.held = held_joints(options)
+        loop = rule.loop(robot)
+        self.kernel = with_search(self, loop) if row.closed else loop
+        chain = robot.chain
+        self.chain = (chain.rows, self._ends(), chain.seeds, chain.features)
+        self.width = ANSWER + robot.n + (MISS * len(robot.tips) if robot.by_tip else 0)
+        self._poses = (-1, len(robot.tips), 4, 4) if robot.by_tip else (-1, 4, 4)
+        self.home = robot.home.reshape(1, -1).copy()
+        self.silent = np.empty((0, 2 + robot.n))
+        self._plain = not len(self.held)
+        self.memo: dict[Any, Any] = {}  # of whoever keeps something with the plan
+        self._packed: dict[tuple, np.ndarray] = {}
+        self._tables: dict[bool, tuple] = {}
+        self._pinned: tuple[Any, tuple] = (None, ())
+        self.steps, self.improving = finishing(self)
+
+    def varied(self, **options: Any) -> "Plan":
+        """The same with some options changed."""
+        return Plan(self.robot, self.row, self.rule, replace(self.options, **options))
+
+    def search(self, **options: Any) -> "Plan":
+        """The general search with the same options, some of them changed."""
+        row = find_row(GENERAL)
+        return Plan(self.robot, row, row.load()(), replace(self.options, **options))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle what was asked for; the compiled loop is bound again."""
+        return Plan, (self.robot, self.row, self.rule, self.options)
+
+    # ---------------------------------------------------------------------------------------------------------- running
+    def run(
+        self,
+        T: np.ndarray,
+        kinds: tuple,
+        start: np.ndarray,
+        given: bool,
+        out: np.ndarray,
+        history: np.ndarray | None = None,
+    ) -> None:
+        """Solve N targets T (N, 4, 4), of several tips (N, F, 4, 4), of the same kinds; rows of `out` (N, width) are written.
+
+        start (1 or N, n); given: whether it is the caller's; history (H, 2 + n): see kernel.search.entry.
+        """
+        arrays = self.arrays(kinds, start)
+        orders = self.orders(kinds, given)
+        self.kernel(*arrays, self.shaped(T), start, out, orders, self.silent if history is None else history)
+
+    def shaped(self, T: np.ndarray) -> np.ndarray:
+        """Targets as the kernel takes them: (N, 4, 4), of several tips (N, F, 4, 4)."""
+        return T.reshape(self._poses)
+
+    def solve(self, T: np.ndarray, kinds: tuple, start: np.ndarray, given: bool) -> np.ndarray:
+        """Row (width,) of one target T (1, ...)."""
+        out = np.empty((1, self.width))
+        self.run(T, kinds, start, given, out)
+        return out[0]
+
+    # --------------------------------------------------------------------------------------------------------- preparing
+    def _ends(self) -> np.ndarray:
+        """`ends` of the chain as the options want limits to count."""
+        chain, n = self.robot.chain, self.robot.n
+        ends = chain.ends
+        if not self.options.limits:
+            flat = ends.reshape(-1, ends.shape[-1])
+            parts = zip(split(chain.rows, flat, n) if ends.ndim > 1 else [chain.rows], flat, strict=True)
+            ends = np.array([without_limits(rows, end, n) for rows, end in parts]).reshape(ends.shape)
+        wrap = self.rule.wrap if self.options.wrap is None or self.row.closed else self.options.wrap
+        return ends if wrap else without_wrap(ends, n)
+
+    def arrays(self, kinds: tuple, start: np.ndarray) -> tuple:
+        """Rows, ends, seeds and features for a call from `start` (1 or N, n).
+
+        Held joints stand in every start where the first row of `start` has them.
+        """
+        found = self._table(kinds[0] == POSITION)
+        if self._plain:
+            return found
+        at = (start[0] / self.robot.chain.unit)[self.held]
+        key, last = (id(found), at.tobytes()), self._pinned
+        if last[0] != key:
+            self._pinned = last = (key, pin(found, self.held, at))
+        return last[1]
+
+    def _table(self, position_only: bool) -> tuple:
+        """Arrays of the chain, with the rule's own table of starts where it has one."""
+        found = self._tables.get(position_only)
+        if found is None:
+            robot, found = self.robot, self.chain
+            starts = self.rule.start_table(robot, position_only)
+            if starts is not None:
+                seeds = np.resize(starts / robot.chain.unit, (-(-len(starts) // BEST) * BEST, robot.n))
+                found = (*found[:2], seeds, table(*found[:2], seeds))
+            self._tables[position_only] = found
+        return found
+
+    def orders(self, kinds: tuple, given: bool) -> np.ndarray:
+        """Option array of the kernel for kinds of target, with or without a start given. Raises InvalidOption."""
+        packed = self._packed.get((kinds, given))
+        if packed is None:
+            if len(self._packed) >= KINDS_KEPT:
+                self._packed.clear()
+            packed = self._packed[kinds, given] = self._pack(kinds, given)
+        return packed
+
+    def _pack(self, kinds: tuple, given: bool) -> np.ndarray:
+        o, row = self.options, self.row
+        asked = Asked(self.robot, kinds, given, o)
+        require(row, self.rule, asked)
+        tasks = kernel_tasks(self.robot, kinds, o)
+        if o.follow and not given:
+            raise InvalidOption("follow bounds the move of each joint from q0, so q0 has to be given")
+        length = row.length(len(self.robot.tips))
+        attempts = 1 if o.follow else length.attempts if o.restarts is None else o.restarts + 1
+        iterations = max(length.iterations, FOLLOW_ITERATIONS) if o.follow else length.iterations
+        give_up = length.give_up if attempts > 1 and o.max_iterations is None else None
+        c, rho, c_free, rho_free = give_up or NEVER
+        own_starts = self._table(kinds[0] == POSITION) is not self.chain
+        orders = Orders(
+            tol_p=o.position_tolerance * MARGIN,
+            tol_r=o.orientation_tolerance * MARGIN,
+            # Without restarts the one attempt starts where the caller expects, at q0 or home, never from the seed table; and
+            # what is compared by its distance from q0 or home starts there first.
+            given=bool(given or o.closest or (attempts == 1 and not own_starts)),
+            iterations=iterations if o.max_iterations is None else o.max_iterations,
+            attempts=attempts,
+            c=c,
+            rho=rho,
+            c_free=c_free,
+            rho_free=rho_free,
+            patience=length.patience if give_up else np.inf,
+            evaluations=o.max_evaluations or np.inf,
+            limits=o.limits,
+            seed=o.seed,
+            closest=CLOSEST if o.closest else 0,
+            hold=self.rule.hold,
+            follow=o.follow or 0.0,
+            follow_slide=o.follow * self.robot.reach if o.follow else 0.0,
+        )
+        weights = np.ones(self.robot.n) if o.joint_weights is None else o.joint_weights
+        return np.concatenate([orders, *tasks, weights, parameters(row, self.rule, asked)])
+
+    def check_start(self, q0: Any) -> tuple[np.ndarray, str]:
+        """Validate q0 (n,); clamp it into the limits or refuse it. Returns (1, n) and a notice. Raises InvalidConfiguration."""
+        robot = self.robot
+        q = robot.check_q(q0, "q0")
+        inside = np.clip(q, robot.lower, robot.upper) if self.options.limits else q
+        far = np.abs(inside / robot.chain.unit) >= LARGEST
+        if far.any():
+            names = ", ".join(j for j, x in zip(robot.joint_names, far, strict=True) if x)
+            raise InvalidConfiguration(
+                f"q0 is too large a number at joint {names}: it must stay below {LARGEST:g} (rad, or reaches)"
+            )
+        if (inside == q).all():
+            return q[None], ""
+        names = ", ".join(robot.outside(q))
+        if self.options.q0_outside == "refuse":
+            raise InvalidConfiguration(f"q0 is outside the limits at joint {names}")
+        return inside[None], f"q0 was outside the limits at joint {names} and was clamped"

@@ -1,0 +1,144 @@
+"""How a search for one q ended, in a word and in a sentence."""
+
+import enum
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from ..kernel.records import AT
+
+if TYPE_CHECKING:
+    from .result import Result
+
+
+class Status(enum.IntEnum):
+    """How a solve ended. Numbers are those of the kernel."""
+
+    CONVERGED = 0
+    STALLED = 1
+    ITERATION_LIMIT = 2
+    LIMIT_BLOCKED = 3
+    UNREACHABLE = 4
+    SINGULAR = 5
+    NOT_FINITE = 6
+    CHECK_FAILED = 7
+    COLLISION = 10  # 8 and 9 are the kernel's own
+    TOO_FAR = 11
+
+
+SEARCHED = -1.0  # in the slot of the excess of a closed form's row: q came from the search after it
+ADVICE = {
+    Status.CONVERGED: "",
+    Status.STALLED: "try more restarts, another q0, or a looser tolerance",
+    Status.ITERATION_LIMIT: "try more iterations, restarts, another q0, or the default solver",
+    Status.LIMIT_BLOCKED: "try restarts, another q0, a partial target, or wider limits",
+    Status.UNREACHABLE: "move the target inside the reach",
+    Status.SINGULAR: "start from another q0, or use the default solver with restarts",
+    Status.NOT_FINITE: "lower the gains",
+    Status.CHECK_FAILED: "please report this with the robot and the target",
+    Status.TOO_FAR: "move the target in smaller steps, or allow larger moves (follow)",
+    Status.COLLISION: "try more restarts, another q0, or move the target or what is in the way",
+}
+# The configuration returned with a failure is the best that the closed form or the search after it found.
+CLOSED_FORM_SAYS = {
+    Status.CONVERGED: "closed form, the legal branch nearest q0; evaluated to {left}",
+    Status.UNREACHABLE: "the target is out of reach by about {beyond}{kept}; the best configuration found is {left} away{at}",
+    Status.LIMIT_BLOCKED: (
+        "the target is in reach but {why}; the best configuration found inside the limits is "
+        "{left} away{at}; widen the limits or move the target"
+    ),
+}
+BROKEN = "every branch breaks a joint limit"
+
+
+def sentence(result: "Result") -> str:
+    """One sentence on how a result ended and what to try; of several tips a failure says what is left at each."""
+    row, status, plan = result._of.row, result.status, result._of.plan
+    left, starts = _left(result), result.restarts + 1
+    if result.collision is not None:
+        touching = " and ".join(result.collision)
+        text = f"every solution found in {_starts(starts)} collides; in this one {touching} touch"
+        return f"{text}; {ADVICE[status]}"
+    if plan.row.closed and status in CLOSED_FORM_SAYS and row[AT.excess] != SEARCHED:
+        return _closed_form_says(result, left)
+    if status == Status.CONVERGED:
+        text = f"converged in {result.iterations} iterations to {left}"
+        return f"{text} after {result.restarts} restarts" if result.restarts else text
+    budget = plan.options.max_evaluations
+    if budget and row[AT.evaluations] >= budget and status == Status.ITERATION_LIMIT:
+        text = f"the {budget} evaluations allowed were used up in {_starts(starts)}; closest {left}"
+        text = f"{text}; allow more (max_evaluations)"
+    elif status == Status.ITERATION_LIMIT and plan.options.follow:
+        text = f"{left} away after {result.iterations} iterations; move the target in smaller steps, or use the tracker"
+    else:
+        text = f"{_failure(result, left, starts)}; {ADVICE[status]}"
+    return text + _at_each_tip(result)
+
+
+def _left(result: "Result") -> str:
+    """What is left at q, in words."""
+    away = result.position_error
+    left = f"{away:.3g} m" if away >= 1.0 else f"{1000 * away:.3g} mm"
+    if result.orientation_error is not None:
+        left += f", {np.degrees(result.orientation_error):.3g} deg"
+    return left
+
+
+def _starts(count: int) -> str:
+    return f"{count} start{'s' * (count > 1)}"
+
+
+def _at_each_tip(result: "Result") -> str:
+    """What is left at each of several tips, or ''."""
+    if len(result.robot.tips) == 1:
+        return ""
+    left = []
+    for tip, position in result.position_errors.items():
+        angle = result.orientation_errors[tip]
+        left.append(f"{tip} {1000 * position:.3g} mm" + ("" if angle is None else f" {np.degrees(angle):.3g} deg"))
+    return f"; left at each tip: {', '.join(left)}"
+
+
+def _closed_form_says(result: "Result", left: str) -> str:
+    row, robot = result._of.row, result.robot
+    joints = ", ".join(result.limited_joints)
+    beyond = f"{1000 * row[AT.excess]:.4g} mm"
+    slides = [j for j, kind in zip(robot.joint_names, robot.joint_kinds, strict=True) if kind == "prismatic"]
+    return CLOSED_FORM_SAYS[result.status].format(
+        left=left,
+        beyond=beyond,
+        why=f"the stroke of {', '.join(slides)} is {beyond} too short" if row[AT.excess] > 0.0 else BROKEN,
+        kept="" if result.position_only else " with its orientation kept",
+        at=f", with {joints} at a limit" if joints else "",
+    )
+
+
+def _failure(result: "Result", left: str, starts: int) -> str:
+    """What a failed search has to say, without what to try."""
+    row, status, robot = result._of.row, result.status, result.robot
+    if status == Status.UNREACHABLE:
+        beyond = [
+            f"{tip} by {1000 * x:.4g} mm" for tip, x in zip(robot.tips, result._of.excess(), strict=True) if x > 0
+        ]
+        if len(robot.tips) == 1:
+            by = beyond[0].removeprefix(robot.tips[0])
+            return f"the target is beyond reach{by} (a bound from the link lengths); closest {left}"
+        return f"beyond reach: {', '.join(beyond)} (a bound from the link lengths)"
+    if status == Status.TOO_FAR:
+        joint, far = int(row[AT.held]), result._of.plan.options.follow
+        most = f"{far * robot.reach:.3g} m" if robot.joint_kinds[joint] == "prismatic" else f"{far:.3g} rad"
+        return f"{left} away where joint {robot.joint_names[joint]} has moved the {most} allowed from q0"
+    if status == Status.STALLED and starts > 1:
+        return f"closest {left} after {starts} starts; the target may be unreachable"
+    if status == Status.STALLED:
+        return f"no further progress at {left}: a local minimum of the error"
+    if status == Status.LIMIT_BLOCKED:
+        joints = ", ".join(result.limited_joints)
+        return f"joint limits ({joints}) seem to block the way to the target; closest {left} after {_starts(starts)}"
+    if status == Status.ITERATION_LIMIT:
+        return f"{left} away after {result.iterations} iterations"
+    if status == Status.SINGULAR:
+        return f"singular: no joint motion reduces the error to first order (J'e = 0, or J has no inverse); {left} away"
+    if status == Status.NOT_FINITE:
+        return "the iteration left the finite numbers; best configuration returned"
+    return "the kernel reports success but Pinocchio's own kinematics do not confirm it"

@@ -1,0 +1,125 @@
+"""Many targets for several tips: forms of the targets, the bytes, what a row says, what is refused."""
+
+import numpy as np
+import pytest
+import robots
+
+import ik_toolkit as ik
+from ik_toolkit.errors import FrameNotFound, InvalidTarget
+from ik_toolkit.solvers.batch import solve_parts
+
+TIPS = ["left_tip", "right_tip"]
+
+
+@pytest.fixture(scope="module")
+def tree():
+    return ik.Tree.load("brokk_hydrolek", tips=TIPS)
+
+
+def reachable(tree, count, seed=0):
+    rng = np.random.default_rng(seed)
+    return tree.chain.forward(np.array([tree.random_q(rng) for _ in range(count)]))[0]
+
+
+def test_rows_are_those_of_single_solves_and_pinocchio_agrees(tree):
+    T = reachable(tree, 60)
+    T[7, 1, :3, 3] += 50.0
+    many = ik.solve_batch(tree, T, check=1.0)
+    solver = ik.Solver(tree)
+    for k in range(len(T)):
+        alone = solver(T[k])
+        assert alone.q.tobytes() == many.q[k].tobytes() and alone.status == many.status[k]
+        assert alone.position_errors == {tip: errors[k] for tip, errors in many.position_errors.items()}
+        assert many[k].message == alone.message
+    assert many.status[7] == ik.Status.UNREACHABLE and "right_tip by" in many[7].message
+    good = np.delete(np.arange(len(T)), 7)
+    assert many.success[good].all()
+    for k in good:
+        for tip, reached in tree.fk(many.q[k]).items():
+            assert np.abs(reached.homogeneous - T[k, TIPS.index(tip)]).max() < 3e-6
+    assert (many.q >= tree.lower).all() and (many.q <= tree.upper).all()
+
+
+def test_any_form_and_any_cut_gives_the_same_bytes(tree):
+    T = reachable(tree, 300, seed=1)
+    whole = ik.solve_batch(tree, T, threads=1).table.tobytes()
+    assert ik.solve_batch(tree, T, threads=3).table.tobytes() == whole
+    assert ik.solve_batch(tree, {"right_tip": T[:, 1], "left_tip": T[:, 0]}).table.tobytes() == whole
+    assert ik.solve_batch(tree, iter(np.split(T, 5))).table.tobytes() == whole
+    assert ik.solve_batch(tree, [list(pair) for pair in T]).table.tobytes() == whole
+    assert np.concatenate([part.table for part in solve_parts(tree, T)]).tobytes() == whole
+
+
+def test_positions_mixtures_and_free_tips(tree):
+    T = reachable(tree, 40, seed=2)
+    points = ik.solve_batch(tree, np.ascontiguousarray(T[:, :, :3, 3]))
+    assert points.success.all() and points.orientation_error is None and points.position_only
+    mixed = ik.solve_batch(tree, {"left_tip": T[:, 0], "right_tip": T[:, 1, :3, 3]})
+    assert mixed.success.all() and mixed.orientation_errors["right_tip"] is None
+    assert mixed.orientation_errors["left_tip"].max() < 1e-6
+    one = ik.solve_batch(tree, {"right_tip": T[:, 1]})
+    assert one.success.all() and one.orientation_errors["left_tip"] is None
+    for k in range(len(T)):
+        assert np.abs(tree.fk(one.q[k])["right_tip"].homogeneous - T[k, 1]).max() < 3e-6
+        alone = ik.solve(tree, {"right_tip": T[k, 1]})
+        assert alone.success and alone.position_errors["left_tip"] == 0.0
+
+
+def test_a_chain_goes_from_answer_to_answer(tree):
+    rng = np.random.default_rng(3)
+    q0, way = tree.home, 0.2 * rng.uniform(-1.0, 1.0, tree.n)
+    Q = np.clip(q0 + np.linspace(0.0, 1.0, 50)[:, None] * way, tree.lower, tree.upper)
+    path = ik.solve_batch(tree, tree.chain.forward(Q)[0], chain=True, q0=q0)
+    assert path.success.all() and not len(path.flips) and path.moves.max() < 0.1
+
+
+def test_collisions_and_objective_are_those_of_single_solves(tree):
+    T = reachable(tree, 12, seed=4)
+    options = {"avoid_collisions": True, "restarts": 16}
+    many = ik.solve_batch(tree, T, **options)
+    for k in range(len(T)):
+        alone = ik.solve(tree, T[k], **options)
+        assert alone.status == many.status[k] and alone.q.tobytes() == many.q[k].tobytes()
+        assert alone.collision == many[k].collision
+
+
+@pytest.mark.parametrize(
+    ("targets", "error", "words"),
+    [
+        (np.zeros((4, 4, 4)), InvalidTarget, r"\(N, 2, 4, 4\)"),
+        (np.zeros((4, 3, 3)), InvalidTarget, "left_tip, right_tip"),
+        ({"left": np.zeros((2, 3))}, FrameNotFound, "Did you mean 'left_tip'"),
+        ({}, InvalidTarget, "at least one of"),
+        ({"left_tip": np.zeros((2, 3)), "right_tip": np.zeros((3, 3))}, InvalidTarget, "left_tip 2, right_tip 3"),
+        ({"left_tip": np.zeros((2, 5))}, InvalidTarget, "left_tip: targets are"),
+        ({"left_tip": np.full((2, 3), np.nan)}, InvalidTarget, "target 0 of left_tip"),
+    ],
+)
+def test_what_is_no_batch_is_refused_by_name(tree, targets, error, words):
+    with pytest.raises(error, match=words):
+        ik.solve_batch(tree, targets)
+
+
+def test_the_kind_of_the_targets_may_not_change(tree):
+    T = reachable(tree, 4)
+    with pytest.raises(InvalidTarget, match="one kind"):
+        ik.solve_batch(tree, iter([T, T[:, :, :3, 3]]))
+
+
+def test_workers_take_trees(tree):
+    from concurrent.futures import ThreadPoolExecutor
+
+    T = reachable(tree, 30, seed=6)
+    with ThreadPoolExecutor(2) as pool:
+        assert ik.solve_batch(tree, T, executor=pool).table.tobytes() == ik.solve_batch(tree, T).table.tobytes()
+
+
+def test_robots_of_the_library():
+    for name, tips in (
+        ("baxter", ["left_gripper", "right_gripper"]),
+        ("tiago_dual", ["arm_left_tool_link", "arm_right_tool_link"]),
+    ):
+        robots.have_data() or pytest.skip("example-robot-data is not installed")
+        tree = ik.Tree.load(name, tips=tips)
+        many = ik.solve_batch(tree, reachable(tree, 200, seed=7), check=0.2)
+        assert many.success.mean() > 0.99
