@@ -17,6 +17,7 @@ class Block(NamedTuple):
     """Targets of N rows: for each tip (N, 4, 4), (N, 3), or None where it is free."""
 
     parts: tuple[np.ndarray | None, ...]
+    by_tip: bool
 
     @property
     def kinds(self) -> tuple:
@@ -42,7 +43,7 @@ class Block(NamedTuple):
             else:
                 T[:, f] = part[a:b]
                 _straighten(T[:, f])
-        return T[:, 0] if len(self.parts) == 1 else T
+        return T if self.by_tip else T[:, 0]
 
 
 def _straighten(T: np.ndarray) -> None:
@@ -96,7 +97,7 @@ def blocks(chunks: Iterator[Any], robot: Any) -> Iterator[Block]:
     kinds = None
     for chunk in chunks:
         if isinstance(chunk, Mapping):
-            block = _by_tip(chunk, robot.tips)
+            block = _by_tip(chunk, robot)
         else:
             array = _numbers(chunk)
             if array.size == 0 and array.ndim < 2:
@@ -113,16 +114,17 @@ def _stacked(array: np.ndarray, robot: Any) -> Block:
     if not robot.by_tip:
         if array.shape[1:] not in SHAPES:
             raise InvalidTarget(f"targets are numbers of shape (N, 4, 4) or (N, 3), not of shape {array.shape}")
-        return Block((array,))
+        return Block((array,), False)
     if array.shape[1:] not in ((F, 4, 4), (F, 3)):
         raise InvalidTarget(
             f"targets of {', '.join(tips)} are numbers of shape (N, {F}, 4, 4) or (N, {F}, 3), or a dict by tip, not of "
             f"shape {array.shape}"
         )
-    return Block(tuple(array[:, f] for f in range(F)))
+    return Block(tuple(array[:, f] for f in range(F)), True)
 
 
-def _by_tip(chunk: Mapping[str, Any], tips: tuple[str, ...]) -> Block:
+def _by_tip(chunk: Mapping[str, Any], robot: Any) -> Block:
+    tips = robot.tips
     for tip in chunk:
         if tip not in tips:
             raise FrameNotFound(f"'{tip}' is not one of the tips solved for.{near_match(str(tip), tips)}")
@@ -135,7 +137,7 @@ def _by_tip(chunk: Mapping[str, Any], tips: tuple[str, ...]) -> Block:
     if len({len(part) for part in parts if part is not None}) > 1:
         counts = ", ".join(f"{tip} {len(part)}" for tip, part in zip(tips, parts, strict=True) if part is not None)
         raise InvalidTarget(f"every tip takes as many targets as the others, not {counts}")
-    return Block(parts)
+    return Block(parts, robot.by_tip)
 
 
 def mended(T: np.ndarray, kinds: tuple, tips: tuple[str, ...], number: int) -> np.ndarray:

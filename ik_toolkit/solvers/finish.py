@@ -53,7 +53,7 @@ def improve(outcome: Any) -> Any:
         return outcome
     row, what = row.copy(), OBJECTIVES[plan.options.objective]
     orders = plan.orders(outcome.kinds, outcome.given)
-    refine(*plan.chain[:2], plan.shaped(outcome.T), row, outcome.start[0], orders, what, REFINE_STEPS)
+    refine(*plan.chain[:2], outcome.T, row, outcome.start[0], orders, what, REFINE_STEPS)
     return outcome._replace(row=row)
 
 

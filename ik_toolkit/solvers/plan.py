@@ -49,11 +49,11 @@ class Plan:
         chain = robot.chain
         self.chain = (chain.rows, self._ends(), chain.seeds, chain.features)
         self.width = ANSWER + robot.n + (MISS * len(robot.tips) if robot.by_tip else 0)
-        self._poses = (-1, len(robot.tips), 4, 4) if robot.by_tip else (-1, 4, 4)
         self.home = robot.home.reshape(1, -1).copy()
         self.silent = np.empty((0, 2 + robot.n))
         self._plain = not len(self.held)
         self.memo: dict[Any, Any] = {}  # of whoever keeps something with the plan
+        self._ready: dict[tuple, tuple] = {}
         self._packed: dict[tuple, np.ndarray] = {}
         self._tables: dict[bool, tuple] = {}
         self._pinned: tuple[Any, tuple] = (None, ())
@@ -88,16 +88,18 @@ class Plan:
         """
         arrays = self.arrays(kinds, start)
         orders = self.orders(kinds, given)
-        self.kernel(*arrays, self.shaped(T), start, out, orders, self.silent if history is None else history)
-
-    def shaped(self, T: np.ndarray) -> np.ndarray:
-        """Targets as the kernel takes them: (N, 4, 4), of several tips (N, F, 4, 4)."""
-        return T.reshape(self._poses)
+        self.kernel(*arrays, T, start, out, orders, self.silent if history is None else history)
 
     def solve(self, T: np.ndarray, kinds: tuple, start: np.ndarray, given: bool) -> np.ndarray:
-        """Row (width,) of one target T (1, ...)."""
+        """Row (width,) of one target T (1, ...): `run` without a look-up too many, since it takes a microsecond."""
+        ready = self._ready.get((kinds, given))
+        if ready is None:
+            ready = (*self.arrays(kinds, start), self.orders(kinds, given))
+            if self._plain:
+                self._ready[kinds, given] = ready
+        rows, ends, seeds, features, orders = ready
         out = np.empty((1, self.width))
-        self.run(T, kinds, start, given, out)
+        self.kernel(rows, ends, seeds, features, T, start, out, orders, self.silent)
         return out[0]
 
     # --------------------------------------------------------------------------------------------------------- preparing
@@ -144,6 +146,7 @@ class Plan:
         if packed is None:
             if len(self._packed) >= KINDS_KEPT:
                 self._packed.clear()
+                self._ready.clear()
             packed = self._packed[kinds, given] = self._pack(kinds, given)
         return packed
 

@@ -53,7 +53,8 @@ class Solver:
         self.robot = robot
         self.name = "auto" if auto else self.plan.row.name
         self._shape = (robot.n,)
-        self._pose = () if robot.by_tip else (4, 4)
+        self._pose = (len(robot.tips), 4, 4) if robot.by_tip else (4, 4)
+        self._kinds = POSES * len(robot.tips)
 
     @property
     def rule(self) -> Any:
@@ -79,7 +80,7 @@ class Solver:
         started = perf_counter()
         notice = ""
         if type(target) is np.ndarray and target.dtype is FLOAT and target.shape == self._pose and target.flags.carray:
-            T, kinds = target[None], POSES
+            T, kinds = target[None], self._kinds
         else:
             T, kinds, notice = read_target(self.robot, target)
         plan = self._plans.get(kinds, self.plan)
