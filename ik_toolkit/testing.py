@@ -21,7 +21,8 @@ from .robot.tree import Tree
 from .solvers.batch import solve_batch
 from .solvers.protocol import Asked
 from .solvers.registry import Row, find_row
-from .solvers.result import Result, Status
+from .solvers.result import Result
+from .solvers.status import Status
 from .solvers.solve import Solver
 
 KINDS = ("pose", "position")
