@@ -10,6 +10,7 @@ from ..kernel.records import ANSWER, AT, MISS
 from ..kernel.task import FREE, POSITION
 from .registry import GENERAL
 from .status import SEARCHED, Status, sentence
+from .task import all_errors
 
 if TYPE_CHECKING:
     from .plan import Plan
@@ -56,7 +57,8 @@ class Result:
 
     q (n,) [rad or m], evaluated and inside the limits; success; status; message (one sentence, with what to try);
     position_error [m] and orientation_error [rad] (None when the target leaves orientation free) at q, of several tips the
-    largest; position_errors and orientation_errors: the same by tip; iterations (steps taken), restarts, fk_evaluations (all
+    largest; position_errors and orientation_errors: the same by tip, what counts of them; raw_error (6,), raw_errors by tip:
+    all of them; iterations (steps taken), restarts, fk_evaluations (all
     tips count as one); attempt (the one q comes from: 0 is the first, which starts at q0 when that was given); limited_joints
     (names standing on a limit); elapsed [s]; seed; solver (name); notice (what was corrected in the input, or that q comes
     from another attempt than the one from q0 or is half a turn from it, or ''); collision (pair of names that touch at q,
@@ -109,6 +111,24 @@ class Result:
     def orientation_errors(self) -> dict[str, float | None]:
         """Rotation angle left at each tip [rad]; None where the target leaves orientation free."""
         return {tip: angle for tip, (_, angle) in zip(self.robot.tips, self._of.left(), strict=True)}
+
+    @property
+    def raw_errors(self) -> dict[str, np.ndarray]:
+        """e (6,) of each tip at q by Pinocchio: target - tip [m] and the rotation vector left [rad], in the axes of `frame`.
+
+        Before slack, free turn and mask; NaN where a tip has no target, or in a row of a batch, which keeps no targets.
+        """
+        of = self._of
+        if not of.T.size:
+            return {tip: np.full(6, np.nan) for tip in self.robot.tips}
+        each = all_errors(self.robot, self.q, of.T, of.kinds, of.plan.options)
+        return {tip: raw for tip, (raw, _, _) in zip(self.robot.tips, each, strict=True)}
+
+    @property
+    def raw_error(self) -> np.ndarray:
+        """The same (6,) of the tip; of several the one with the largest position error."""
+        errors = self.position_errors
+        return self.raw_errors[max(errors, key=lambda tip: errors[tip])]
 
     @property
     def iterations(self) -> int:

@@ -123,3 +123,64 @@ def test_robots_of_the_library():
         tree = ik.Tree.load(name, tips=tips)
         many = ik.solve_batch(tree, reachable(tree, 200, seed=7), check=0.2)
         assert many.success.mean() > 0.99
+
+
+def test_raw_errors_are_what_is_left_before_anything_is_left_out(tree):
+    import pinocchio as pin
+
+    T = reachable(tree, 1, seed=8)[0]
+    result = ik.solve(tree, T, slack={"left_tip": [0.05, 0.05, 0.05, 0.2, 0.2, 0.2]}, restarts=0, q0=tree.home)
+    assert set(result.raw_errors) == set(TIPS)
+    for k, (tip, raw) in enumerate(result.raw_errors.items()):
+        at = tree.fk(result.q)[tip].homogeneous
+        assert np.allclose(raw[:3], T[k, :3, 3] - at[:3, 3], atol=1e-12)
+        assert np.allclose(raw[3:], pin.log3(T[k, :3, :3] @ at[:3, :3].T), atol=1e-9)
+    assert np.isnan(ik.solve(tree, {"left_tip": T[0]}).raw_errors["right_tip"]).all()
+    arm = tree.arms[0]
+    one = ik.solve(arm, T[0], mask=[1, 1, 1, 0, 0, 0])
+    assert one.success and np.linalg.norm(one.raw_error[:3]) < 1e-6 < np.linalg.norm(one.raw_error[3:])
+
+
+def test_every_solution_of_several_tips(tree):
+    T = reachable(tree, 1, seed=9)[0]
+    q0 = tree.random_q(np.random.default_rng(10))
+    found = ik.solve_all(tree, T, q0=q0, starts=200, count=20)
+    assert 1 < len(found) <= 20 and not found.complete
+    assert (np.diff(found.distance) >= 0.0).all()
+    for q in found:
+        assert (q >= tree.lower).all() and (q <= tree.upper).all()
+        for tip, reached in tree.fk(q).items():
+            assert np.abs(reached.homogeneous - T[TIPS.index(tip)]).max() < 3e-6
+    apart = [np.abs(a - b).max() for k, a in enumerate(found.q) for b in found.q[:k]]
+    assert min(apart) > 1e-3
+    many = ik.Solver(tree).all(np.array([T, T]), starts=50)
+    assert len(many) == 2 and np.array_equal(many[0].q, many[1].q)
+
+
+def test_follow_bounds_the_move_of_every_joint(tree):
+    rng = np.random.default_rng(11)
+    for _ in range(20):
+        q0 = tree.random_q(rng)
+        near = np.clip(q0 + rng.uniform(-0.1, 0.1, tree.n), tree.lower, tree.upper)
+        result = ik.solve(tree, tree.chain.forward(near)[0][0], q0=q0, follow=0.3)
+        assert result.success and np.abs((result.q - q0) / tree.chain.unit).max() <= 0.3 + 1e-12
+        far = ik.solve(tree, tree.chain.forward(tree.random_q(rng))[0][0], q0=q0, follow=0.05)
+        assert np.abs((far.q - q0) / tree.chain.unit).max() <= 0.05 + 1e-12
+        assert far.success or far.status in (
+            ik.Status.TOO_FAR,
+            ik.Status.ITERATION_LIMIT,
+            ik.Status.LIMIT_BLOCKED,
+            ik.Status.STALLED,
+        )
+
+
+def test_closest_is_the_nearest_of_what_is_found(tree):
+    rng = np.random.default_rng(12)
+    nearer = 0
+    for _ in range(10):
+        T, q0 = reachable(tree, 1, seed=int(rng.integers(1 << 30)))[0], tree.random_q(rng)
+        close, any_one = ik.solve(tree, T, closest=q0), ik.solve(tree, T, q0=q0)
+        away = [np.linalg.norm((r.q - q0) / tree.chain.unit) for r in (close, any_one)]
+        assert close.success and away[0] <= away[1] + 1e-9
+        nearer += away[0] < away[1] - 1e-3
+    assert nearer > 0
