@@ -22,8 +22,8 @@ from .solvers.batch import solve_batch
 from .solvers.protocol import Asked
 from .solvers.registry import Row, find_row
 from .solvers.result import Result
-from .solvers.status import Status
 from .solvers.solve import Solver
+from .solvers.status import Status
 
 KINDS = ("pose", "position")
 LOOSE = {"position_tolerance": 1e-3, "orientation_tolerance": 1e-2}  # slow methods get there, too

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import InvalidConfiguration, InvalidOption, UnknownSolver
-from ..kernel.chain import table, without_limits, without_wrap
+from ..kernel.chain import without_limits, without_wrap
 from ..kernel.limits import LARGEST
 from ..kernel.records import ANSWER, MISS, Orders
 from ..kernel.seeds import BEST
@@ -17,7 +17,7 @@ from .finish import finishing
 from .options import Options
 from .protocol import Asked, misfit, parameters, require
 from .registry import GENERAL, Row, find_row
-from .starts import held_joints, pin
+from .starts import held_joints, pin, with_seeds
 from .task import kernel_tasks
 
 MARGIN = 1.0 - 1e-9  # the kernel tests a little inside the tolerance, so that Pinocchio's rounding cannot disagree
@@ -136,7 +136,7 @@ class Plan:
             starts = self.rule.start_table(robot, position_only)
             if starts is not None:
                 seeds = np.resize(starts / robot.chain.unit, (-(-len(starts) // BEST) * BEST, robot.n))
-                found = (*found[:2], seeds, table(*found[:2], seeds))
+                found = with_seeds(*found[:2], seeds)
             self._tables[position_only] = found
         return found
 

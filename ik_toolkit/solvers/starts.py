@@ -20,7 +20,12 @@ def pin(arrays: tuple, held: np.ndarray, at: np.ndarray) -> tuple:
     seeds[:, held] = at
     ends[..., POINTS + 4 * n + held] = at
     ends[..., POINTS + 5 * n + held] = 0.0  # width of the range that random starts are drawn from
+    return with_seeds(rows, ends, seeds)
+
+
+def with_seeds(rows: np.ndarray, ends: np.ndarray, seeds: np.ndarray) -> tuple:
+    """Arrays of a chain, or a tree's, with another table of starts (N, n), in kernel units."""
     if ends.ndim == 1:
         return rows, ends, seeds, table(rows, ends, seeds)
-    parts = zip(split(rows, ends, n), ends, strict=True)
+    parts = zip(split(rows, ends, seeds.shape[1]), ends, strict=True)
     return rows, ends, seeds, np.stack([table(part, end, seeds) for part, end in parts])

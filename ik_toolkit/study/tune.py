@@ -11,12 +11,13 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import InvalidOption, MissingExtra, near_match
+from ..errors import InvalidOption, MissingExtra, UnknownSolver, near_match
 from ..files import whole_file
 from ..robot.robot import Robot
 from ..robot.tree import Tree
 from ..solvers.batch import solve_batch
 from ..solvers.presets import write_preset
+from ..solvers.protocol import misfit
 from ..solvers.registry import find_row, make_rule
 from ..solvers.solve import require_robot
 from ..solvers.space import Space
@@ -217,7 +218,7 @@ def tune(
     far they were off (of the length scale), plus 0.02 mean iterations / max_iterations. seconds: stop the search after so long.
     checkpoint: file that holds what was evaluated; when it exists the search goes on from there. progress(generation, costs).
     The tuned rule, the start and the solver's default meet the held-out goals, and the best is kept. Ctrl-C keeps the best so
-    far. Deterministic for a seed (when `seconds` does not cut it). Raises InvalidOption, MissingExtra.
+    far. Deterministic for a seed (when `seconds` does not cut it). Raises InvalidOption, UnknownSolver, MissingExtra.
     """
     require_robot(robot)
     if method not in METHODS:
@@ -225,6 +226,9 @@ def tune(
     if method == "cma" and importlib.util.find_spec("cma") is None:
         raise MissingExtra("cma", "tune")
     row = find_row(solver)
+    default = make_rule(row, {})
+    if reason := misfit(row, default, robot):
+        raise UnknownSolver(reason)
     as_asked = maps is not None or initial is not None
     space = make_space(robot, row.name, position_only, maps, initial)
     options = {"tolerance": tolerance, "max_iterations": max_iterations}
@@ -242,7 +246,7 @@ def tune(
     engine = (Evolution if method == "cma" else Swarm)(space.start, space.spread, size, seed)
     interrupted = False
     rule: Any = None
-    rules = {"tuned": rule, "start": space.initial, "default": make_rule(row, {})}
+    rules = {"tuned": rule, "start": space.initial, "default": default}
     fresh = [draw(HELD_OUT, 1000, k) for k in range(held_out)]
 
     def judge(sets: list[np.ndarray]) -> tuple[Score, dict[str, Score], str]:

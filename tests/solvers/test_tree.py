@@ -274,6 +274,21 @@ def test_what_is_kept_with_a_robot_stays_with_it(brokk):
         assert robot.memo.pop("mine") == 1
 
 
+def test_a_tip_left_out_misses_nothing(brokk):
+    """By the kernel's own reckoning, as by Pinocchio's: of single solves, batches and their largest errors."""
+    rng = np.random.default_rng(61)
+    T = np.array([poses(brokk, brokk.random_q(rng)) for _ in range(6)])
+    for f, tip in enumerate(brokk.tips):
+        other = brokk.tips[1 - f]
+        many = ik.solve_batch(brokk, {tip: T[:, f]}, check=0.0)
+        assert many.success.all() and many.position_error.max() <= 1e-6 and not many.position_errors[other].any()
+        for check in (False, True):
+            for target in T[:, f]:
+                result = ik.Solver(brokk, check=check)({tip: target})
+                assert result.position_errors[other] == 0.0 and result.orientation_errors[other] is None
+                assert result.success and result.position_error <= 1e-6
+
+
 def test_tools_by_tip(brokk):
     q, tool = brokk.random_q(np.random.default_rng(5)), ik.pose((0.05, 0.0, 0.1), rpy=(0.2, 0.0, 0.3))
     bare = poses(brokk, q)
