@@ -1,0 +1,223 @@
+"""Several tips of one model: kinematics against Pinocchio, shared joints, loading."""
+
+import copy
+import pickle
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from trees import TREES, direct, mixed, poses, tree_of
+
+import ik_toolkit as ik
+from ik_toolkit import errors
+from ik_toolkit.robot.library import find
+from ik_toolkit.robot.tree import Tree
+
+
+@pytest.fixture(scope="module", params=TREES)
+def tree(request):
+    return tree_of(request.param)
+
+
+@pytest.fixture(scope="module")
+def brokk():
+    return tree_of("brokk_hydrolek")
+
+
+def test_kinematics_equal_pinocchio(tree):
+    rng = np.random.default_rng(4)
+    Q = np.array([tree.random_q(rng) for _ in range(100)])
+    T, J = tree.chain.forward(Q, jacobian=True)
+    assert T.shape == (100, 2, 4, 4) and J.shape == (100, 12, tree.n)
+    for k, q in enumerate(Q):
+        assert np.abs(T[k] - poses(tree, q)).max() < 1e-12
+        assert np.abs(T[k] - direct(tree, q)).max() < 1e-12
+        assert np.abs(J[k] - tree.jacobian(q)).max() < 1e-12
+
+
+@pytest.mark.parametrize("base", ["chest", "turning", "left3_link"])
+def test_any_base_also_with_followers_of_joints_below_it(base):
+    """Joints between the root and the base move base and tips alike, so only their followers on the paths count."""
+    tree = ik.Tree.load(mixed(), tips=TREES["mixed"], base=base)
+    if base == "chest":
+        assert {"turn", "lift"} <= set(tree.joint_names)
+    q = tree.random_q(np.random.default_rng(9))
+    T, J = tree.chain.forward(q, jacobian=True)
+    assert np.abs(T[0] - direct(tree, q)).max() < 1e-12 and np.abs(T[0] - poses(tree, q)).max() < 1e-12
+    assert np.abs(J[0] - tree.jacobian(q)).max() < 1e-12
+    assert ik.solve(tree, poses(tree, q)).success
+
+
+def test_jacobian_by_finite_differences(tree):
+    q, h = tree.random_q(np.random.default_rng(8)), 1e-6
+    J = tree.jacobian(q)
+    for i in range(tree.n):
+        step = h * np.eye(tree.n)[i]
+        for f, (a, b) in enumerate(zip(direct(tree, q - step), direct(tree, q + step), strict=True)):
+            linear = (b[:3, 3] - a[:3, 3]) / (2 * h)
+            angular = a[:3, :3] @ pin.log3(a[:3, :3].T @ b[:3, :3]) / (2 * h)
+            assert np.allclose(J[6 * f : 6 * f + 6, i], np.concatenate([linear, angular]), atol=2e-9)
+
+
+@pytest.mark.parametrize("tips", [["left_tip"], ["left3_link", "left_tip"], ["left1_link", "right_tip", "left_tip"]])
+def test_any_number_of_tips_also_on_one_path(tips):
+    tree = ik.Tree.load(mixed(), tips=tips)
+    scales = {arm.chain.scale for arm in tree.arms}
+    assert tree.chain.scale == max(scales) and len(scales) == (2 if "left1_link" in tips else 1)
+    rng = np.random.default_rng(10)
+    solved = 0
+    for _ in range(30):
+        q = tree.random_q(rng)
+        T, J = tree.chain.forward(q, jacobian=True)
+        assert np.abs(T[0] - direct(tree, q)).max() < 1e-12 and np.abs(J[0] - tree.jacobian(q)).max() < 1e-12
+        solved += ik.solve(tree, poses(tree, q)).success
+    assert solved == 30
+
+
+def test_q_is_the_union_of_the_paths_and_shared_joints_come_once(tree):
+    left, right = tree.arms
+    shared = set(left.joint_names) & set(right.joint_names)
+    assert shared and tree.n == left.n + right.n - len(shared)
+    assert tree.joint_names == left.joint_names + tuple(j for j in right.joint_names if j not in shared)
+    for k, joint in enumerate(tree.joint_names):
+        moves = np.abs(tree.jacobian(tree.random_q(np.random.default_rng(1)))[:, k]).reshape(2, 6).max(axis=1) > 1e-9
+        assert moves.tolist() == [joint in left.joint_names, joint in right.joint_names]
+        assert tree.chain.ends[:, k - tree.n].tolist() == [float(x) for x in moves]
+
+
+def test_brokk_home_is_the_listed_one_joint_by_joint(brokk):
+    home = find("brokk_hydrolek").home
+    assert brokk.home.tolist() == list(home)
+    turned = ik.Tree.load("brokk_hydrolek", tips=["right_tip", "left_tip"])
+    assert turned.joint_names[0] == "turret" and turned.joint_names[1].startswith("right")
+    assert dict(zip(turned.joint_names, turned.home, strict=True)) == dict(zip(brokk.joint_names, home, strict=True))
+
+
+def test_configurations_as_of_a_robot(tree):
+    rng = np.random.default_rng(2)
+    for _ in range(50):
+        q = tree.random_q(rng)
+        assert tree.outside(q) == []
+        assert np.allclose(tree.from_pinocchio(tree.to_pinocchio(q)), q, atol=1e-12)
+    assert tree.check_q(tree.home) is not tree.home
+    with pytest.raises(errors.InvalidConfiguration, match=f"{tree.n} values"):
+        tree.fk(np.zeros(tree.n + 1))
+    copy = pickle.loads(pickle.dumps(tree))
+    assert copy.joint_names == tree.joint_names and np.array_equal(copy.home, tree.home)
+    assert ik.solve(copy, poses(tree, q)).q.tobytes() == ik.solve(tree, poses(tree, q)).q.tobytes()
+    assert all(word in repr(tree) + tree._repr_html_() for word in tree.tips)
+
+
+def test_limits_of_a_shared_joint_are_those_of_both_paths():
+    tree = tree_of("mixed")
+    lift, left = tree.joint_names.index("lift"), tree.arms[0]
+    # the right arm's follower (0.8 lift + 0.1 within -1.6..1.8) allows more than the lift itself: the lift's own limit stays
+    assert tree.upper[lift] == 0.4 == left.upper[1]
+    turn = tree.joint_names.index("turn")
+    # the left arm's follower (0.05 turn + 0.02 within -0.2..0.3) too; make it the tighter one and the tree must follow
+    assert tree.upper[turn] == 2.0
+    for tips in (TREES["mixed"], TREES["mixed"][::-1]):
+        tight = ik.Tree.load(mixed().replace('multiplier="0.05"', 'multiplier="0.2"'), tips=tips)
+        assert tight.upper[turn] == pytest.approx((0.3 - 0.02) / 0.2)
+        assert tight.lower[turn] == pytest.approx((-0.2 - 0.02) / 0.2)
+        assert max(arm.upper[0] for arm in tight.arms) == 2.0
+
+
+def test_a_joint_that_one_path_follows_never_jumps_a_turn():
+    text = mixed().replace('lower="-2.0" upper="2.0"', 'lower="-4.0" upper="4.0"')
+    for tips in (TREES["mixed"], TREES["mixed"][::-1]):
+        tree = ik.Tree.load(text, tips=tips)
+        turn = tree.joint_names.index("turn")
+        assert sorted(arm.chain.turns[0] for arm in tree.arms) == [0.0, 1.0]
+        assert tree.chain.ends[0, 24 + 2 * tree.n + turn] == 0.0
+
+
+def test_tools_and_locked_joints():
+    left, right = tree_of("mixed").arms
+    tool = ik.pose((0.05, 0.0, 0.1), rpy=(0.2, 0.0, 0.3))
+    tree = Tree([left.with_tool(tool), right]).locked({"lift": 0.25})
+    assert "lift" not in tree.joint_names and tree.n == left.n + right.n - 3
+    q = tree.random_q(np.random.default_rng(3))
+    full = direct(tree, q)
+    assert np.allclose(poses(tree, q)[0], full[0] @ tool, atol=1e-12)
+    assert np.allclose(poses(tree, q)[1], full[1], atol=1e-12)
+    assert ik.solve(tree, poses(tree, q), q0=q + 0.01).success
+
+
+def test_loading_says_what_it_needs(brokk):
+    """No call returns a type that depends on a value: a list of tips is for Tree.load, one tip for Robot.load."""
+    for load in (ik.Robot.load, lambda source, tip: ik.Robot(ik.Robot.load(source, tip="left_tip").model, tip=tip)):
+        for tip in (["left_tip", "right_tip"], ["left_tip"], ("left_tip",)):
+            with pytest.raises(errors.InvalidOption, match=r"ik\.Tree\.load\(source, tips=\[\.\.\.\]\)"):
+                load("brokk_hydrolek", tip=tip)
+    with pytest.raises(errors.FrameNotFound, match=r"2 tips.*ik\.Tree\.load.*left_tip, right_tip"):
+        ik.Robot.load("brokk_hydrolek")
+    whole = ik.Tree.load("brokk_hydrolek")
+    assert whole.tips == brokk.tips and whole.home.tolist() == brokk.home.tolist()
+    with pytest.raises(errors.FrameNotFound, match="its paths end at: left_tip, right_tip"):
+        ik.Tree.load(mixed())
+    with pytest.raises(errors.FrameNotFound, match=r"robot 'planar_2r'.*its paths end at"):
+        ik.Tree.load("planar_2r")
+    for tips in ("left_tip", {"left_tip", "right_tip"}, 3):
+        with pytest.raises(errors.InvalidOption, match=r"list of frame names.*ik\.Robot\.load\(source, tip=\)"):
+            ik.Tree.load("brokk_hydrolek", tips)
+    with pytest.raises(errors.InvalidOption, match="name of one frame, not 3"):
+        ik.Tree.load("brokk_hydrolek", ["left_tip", 3])
+    with pytest.raises(errors.JointNotFound, match="turet"):
+        ik.Tree.load("brokk_hydrolek", locked={"turet": 0.0})
+
+
+def test_a_known_home_is_kept_by_locked_copies(brokk):
+    home = dict(zip(brokk.joint_names, brokk.home, strict=True))
+    for locked in ({"turret": 0.3}, {"right_elbow": -0.4}, {joint: 0.1 for joint in brokk.arms[0].joint_names[:2]}):
+        locked = {joint: value for joint, value in locked.items() if joint in home}
+        made = ik.Tree.load("brokk_hydrolek", locked=locked)
+        assert made.locked_joints == locked and made.n == brokk.n - len(locked)
+        assert dict(zip(made.joint_names, made.home, strict=True)) == {j: x for j, x in home.items() if j not in locked}
+        assert brokk.locked(locked).home.tolist() == made.home.tolist()
+
+
+def test_a_joint_cannot_be_locked_for_one_tip_only(brokk):
+    left, right = brokk.arms
+    with pytest.raises(errors.ModelError, match="'turret' is locked for one tip"):
+        Tree([left.locked({"turret": 0.0}), right])
+    free = next(joint for joint in right.joint_names if joint not in left.joint_names)
+    assert Tree([left.locked({free: 0.0}), right.locked({free: 0.0})]).n == brokk.n - 1
+
+
+@pytest.mark.parametrize("name", ["brokk_hydrolek", "mixed"])
+def test_a_robot_and_a_tree_answer_alike(name):
+    tree = tree_of(name)
+    q = tree.random_q(np.random.default_rng(4))
+    for robot in (tree, *tree.arms):
+        values = q if robot is tree else q[tree.places[tree.arms.index(robot)]]
+        assert robot.tips == tuple(arm.tip for arm in robot.arms) and len(robot.places) == len(robot.tips)
+        assert robot.reach == max(arm.reach for arm in robot.arms)
+        for arm, place in zip(robot.arms, robot.places, strict=True):
+            assert arm.joint_names == tuple(robot.joint_names[i] for i in place)
+            seen = direct(tree, q)[tree.tips.index(arm.tip)]
+            assert np.allclose(arm.fk(values[place]).homogeneous, seen, atol=1e-12)
+        assert robot.urdf and robot.package_dirs is not None and robot.locked_joints == {}
+
+
+def test_what_is_kept_with_a_robot_stays_with_it(brokk):
+    for robot in (brokk, brokk.arms[0]):
+        robot.memo["mine"] = 1
+        tool = np.eye(4)
+        for other in (robot.with_tool(tool), robot.locked({}), copy.copy(robot), pickle.loads(pickle.dumps(robot))):
+            assert "mine" not in other.memo and other.memo is not robot.memo
+        assert robot.memo.pop("mine") == 1
+
+
+def test_tools_by_tip(brokk):
+    q, tool = brokk.random_q(np.random.default_rng(5)), ik.pose((0.05, 0.0, 0.1), rpy=(0.2, 0.0, 0.3))
+    bare = poses(brokk, q)
+    for given, moved in ((tool, (True, True)), ({"right_tip": tool}, (False, True)), ({}, (False, False))):
+        tree = brokk.with_tool(given)
+        assert tree.home.tolist() == brokk.home.tolist()
+        for T, before, hand in zip(poses(tree, q), bare, moved, strict=True):
+            assert np.allclose(T, before @ tool if hand else before, atol=1e-12)
+    with pytest.raises(errors.FrameNotFound, match="Did you mean 'right_tip'"):
+        brokk.with_tool({"rigt_tip": tool})
+    with pytest.raises(errors.InvalidTarget):
+        brokk.with_tool({"right_tip": 2.0 * tool})
