@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 # Options that take several numbers: `--q 0.1 -0.2`, `--q 0.1,-0.2` and `--q "0.1 -0.2"` mean the same.
 VECTOR_OPTIONS = frozenset(
     "--q --q0 --xyz --rpy --quat-xyzw --center --axis --start --end --direction --tip-axis --mask --slack --free-turn "
-    "--joint-weights --closest".split()
+    "--joint-weights --closest --target".split()
 )
 
 PLOTS = (".png", ".pdf", ".svg")
@@ -59,7 +59,16 @@ def solver_named(text: str) -> Any:
 
 
 class Command(typer.core.TyperCommand):
-    """A command that refuses to write over a file it reads, under whatever name, or two results into one file."""
+    """A command that refuses several tips where it takes one, to write over a file it reads, or two results into one file."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Read the arguments. Raises InvalidOption."""
+        tips = sum(word == "--tip" or word.startswith("--tip=") for word in args)
+        if tips > 1 and any(
+            option.name == "tip" and not option.multiple for option in self.params
+        ):  # the last would count
+            raise InvalidOption(f"{ctx.command_path} takes one tip and --tip names {tips}; choose one of them")
+        return super().parse_args(ctx, args)
 
     def invoke(self, ctx: Any) -> Any:
         """Run the command. Raises InvalidOption."""
@@ -141,11 +150,14 @@ def join_vectors(argv: Sequence[str]) -> list[str]:
     for position, token in enumerate(argv):
         if token == "--":  # noqa: S105  a word of the command line
             return [*joined, *argv[position:]]
+        if collecting and joined[-1].endswith("="):  # the first of them, which may begin with TIP:
+            joined[-1] += token
+            continue
         if collecting and numbers(token):
-            joined[-1] += ("" if joined[-1].endswith("=") else ",") + token
+            joined[-1] += f",{token}"
             continue
         after = argv[position + 1] if position + 1 < len(argv) else ""
-        collecting = token in VECTOR_OPTIONS and numbers(after) is not None
+        collecting = token in VECTOR_OPTIONS and numbers(after.rpartition(":")[2]) is not None
         joined.append(f"{token}=" if collecting else token)
     return joined
 

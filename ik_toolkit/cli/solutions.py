@@ -59,8 +59,10 @@ class NpzWriter:
         self.file, self.names = file, names
 
     def add(self, part: BatchResult) -> None:
-        """Write the arrays."""
-        np.savez(self.file.stream, **part.to_dict(), joint_names=np.array(self.names))
+        """Write the arrays, and of several tips their names in order."""
+        robot = part.plan.robot
+        tips = {"tips": np.array(robot.tips)} if robot.by_tip else {}
+        np.savez(self.file.stream, **part.to_dict(), joint_names=np.array(self.names), **tips)
         self.file.mark()
 
     def close(self) -> None:

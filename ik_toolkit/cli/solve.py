@@ -9,12 +9,15 @@ import typer
 
 from . import first_use
 from . import solve_options as asked
-from .arguments import Base, Deg, Json, Lock, Out, PackageDir, RobotArg, Tip, load_robot
+from .arguments import Base, Deg, Json, Lock, Out, PackageDir, RobotArg, Tips, load_robot
+from .by_tip import choose_tips, in_base
 from .output import facts, notice, number, show, table, unit, write_json
 from .pictures import Chart, Html, Live, draw
 
 if TYPE_CHECKING:
     from ..solvers.result import Result
+
+ABREAST = 4  # solutions of several tips beside each other: what 80 columns hold
 
 
 def register(app: typer.Typer) -> None:
@@ -28,6 +31,7 @@ def solve(
     rpy: asked.Rpy = None,
     quat_xyzw: asked.Quat = None,
     targets: asked.Targets = None,
+    relative: asked.Relative = None,
     solver: asked.SolverName = "auto",
     param: asked.Params = None,
     preset: asked.Preset = None,
@@ -57,7 +61,7 @@ def solve(
     threads: asked.Threads = None,
     chain: asked.Chain = False,
     cluster: asked.Cluster = None,
-    tip: Tip = None,
+    tip: Tips = None,
     base: Base = None,
     lock: Lock = None,
     package_dir: PackageDir = None,
@@ -70,7 +74,8 @@ def solve(
 ) -> None:
     """Find joint values that bring the tip to a position, or a pose when --rpy or --quat-xyzw is given.
 
-    Several tips of one robot are solved together, shared joints included, with one --target for each.
+    Several tips of one robot are solved together, shared joints included, with a --target for each. They are those of
+    --tip, or the robot's own; one without a target is free. What counts, directions and frames may be given by tip.
 
     With --targets many are solved at once and written to the file that -o names: CSV, NPZ or Parquet by its ending.
 
@@ -80,9 +85,9 @@ def solve(
     """
     line = SimpleNamespace(**locals())  # the command line, for what reads parts of it
     asked.refuse_contradictions(line)
-    target: Any = None if file else asked.make_targets(targets, robot) if targets else asked.read_target(line)
+    target = asked.read_target(line)
     method = asked.choose_solver(solver, param, preset)
-    arm = load_robot(robot, list(target) if targets else tip, base, lock, package_dir, deg)
+    arm = load_robot(robot, choose_tips(line, target if targets else None), base, lock, package_dir, deg)
     options = asked.read_options(line, arm)
     start = options.pop("q0")
     if file is not None:
@@ -93,8 +98,7 @@ def solve(
             threads=threads, chain=chain, cluster=cluster, deg=deg, as_json=as_json,
         )  # fmt: skip
     elif every:
-        found = _solve_all(arm, target, method, start, options, deg, as_json, output)
-        draw(arm, list(found), target, None, html, live)
+        _solve_all(arm, target, method, start, options, line)
     else:
         _solve_one(arm, target, method, start, options, line)
 
@@ -103,67 +107,92 @@ def _solve_one(arm: Any, target: Any, method: Any, start: Any, options: dict[str
     """Solve, print, draw; exit code 1 when it is not solved."""
     from ..solvers.solve import solve as solve_one
 
-    # At a solved start: compiles or loads, so that the time shown below is the solve's own.
-    at_home = arm.fk(arm.home)
-    position_only = getattr(target, "ndim", 2) == 1
     shown = line.plot is not None or line.html is not None or line.live
     first = {key: value for key, value in options.items() if key != "closest"}
     with nullcontext() if shown else first_use.instead_of_compiling():
-        near = arm.home if line.follow else None
-        solve_one(arm, at_home.translation if position_only else at_home, method, q0=near, **first)
+        # At a solved start: compiles or loads, so that the time shown below is the solve's own.
+        solve_one(arm, _at_home(arm, target, options), method, q0=arm.home if line.follow else None, **first)
     options["max_evaluations"] = first_use.budget()
     result = solve_one(arm, target, method, q0=start, **options)
     if first_use.budget() and not result.success and result.status.name != "UNREACHABLE":
         raise typer.Exit(first_use.NOT_ANSWERED)
-    payload = {
-        "kernel": first_use.kernel(),
-        **result.to_dict(),
-        "base": arm.base,
-        "target": getattr(target, "T_base_tip", target),
-    }
-    if not line.targets:
-        payload["tip"] = arm.tip
-    write_json(payload, line.as_json, line.output)
+    write_json(
+        {"kernel": first_use.kernel(), **result.to_dict(), **_asked(arm, target, options)}, line.as_json, line.output
+    )
     if not line.as_json:
-        _show(result, line.deg)
+        _show(result, target, options, line.deg)
     if result.notice:
         notice(result.notice)
     if not result.success:
         notice(f"not solved, {result.status.name}: {result.message}")
     if shown:
         result = solve_one(arm, target, method, q0=start, history=True, **options)
-        draw(arm, result, target, line.plot, line.html, line.live)
+        _draw(arm, result, result.q, target, options, line)
     if not result.success:
         raise typer.Exit(1)
 
 
-def _solve_all(
-    arm: Any, target: Any, method: Any, start: Any, options: dict[str, Any], deg: bool, as_json: bool, output: Any
-) -> Any:
-    """Print all solutions and return them; exit code 1 when there is none."""
+def _at_home(arm: Any, target: Any, options: dict[str, Any]) -> Any:
+    """A target of the form of the one given that is met at home."""
+    T = arm.fk(arm.home)
+    if not arm.by_tip:
+        return T.translation if getattr(target, "ndim", 2) == 1 else T
+    relative = options.get("relative_to") or {}  # an unknown tip among them is refused by the solver
+    return {tip: T[relative[tip]].actInv(T[tip]) if relative.get(tip) in T else T[tip] for tip in T}
+
+
+def _asked(arm: Any, target: Any, options: dict[str, Any]) -> dict[str, Any]:
+    """What was asked for, for JSON."""
+    plain = target if arm.by_tip else {arm.tip: target}
+    plain = {tip: getattr(one, "T_base_tip", one) for tip, one in plain.items()}
+    if not arm.by_tip:
+        return {"base": arm.base, "target": plain[arm.tip], "tip": arm.tip}
+    relative = options.get("relative_to")
+    return {"base": arm.base, "target": plain, **({"relative_to": relative} if relative else {})}
+
+
+def _draw(arm: Any, what: Any, q: Any, target: Any, options: dict[str, Any], line: SimpleNamespace) -> None:
+    """Pictures asked for, with the targets where they are when the robot stands at q."""
+    if line.plot is not None or line.html is not None or line.live:
+        draw(arm, what, in_base(target, arm.fk(q), options.get("relative_to")), line.plot, line.html, line.live)
+
+
+def _solve_all(arm: Any, target: Any, method: Any, start: Any, options: dict[str, Any], line: SimpleNamespace) -> None:
+    """Print all solutions and draw them; exit code 1 when there is none."""
     from ..solvers.solve_all import solve_all
 
     found = solve_all(arm, target, method, start, **options)
-    where = {"base": arm.base, "tip": arm.tip, "target": getattr(target, "T_base_tip", target)}
-    write_json({**found.to_dict(), **where}, as_json, output)
-    if not as_json and len(found):
-        made = table(">#", *(">" + name.replace("_", "_\n") for name in arm.joint_names), ">distance")
-        units = (unit(kind, deg) for kind in arm.joint_kinds)
-        made.add_row("", *units, "", style="dim")
-        for k, (q, distance) in enumerate(zip(found, found.distance, strict=True), 1):
-            values = (number(float(x), kind, deg) for x, kind in zip(q, arm.joint_kinds, strict=True))
-            made.add_row(str(k), *values, f"{distance:.3g}")
-        show(made)
-    if not as_json:
+    write_json({**found.to_dict(), **_asked(arm, target, options)}, line.as_json, line.output)
+    if not line.as_json:
+        show(*_solutions(found, line.deg))
         complete = "these are all" if found.complete else "there may be more"
         show(facts({"solutions": f"{len(found)}, {complete}; solver {found.solver}", "found": found.message}))
     if not len(found):
         notice(f"no solution: {found.message}")
         raise typer.Exit(1)
-    return found
+    _draw(arm, list(found), found[0], target, options, line)
 
 
-def _show(result: "Result", deg: bool) -> None:
+def _solutions(found: Any, deg: bool) -> list[Any]:
+    """Tables of solutions: a row each where the joints of one arm are columns, otherwise a column each, a few in a table."""
+    arm, made = found.robot, []
+    kinds = arm.joint_kinds
+    if not arm.by_tip and len(found):
+        made.append(table(">#", *(">" + name.replace("_", "_\n") for name in arm.joint_names), ">distance"))
+        made[0].add_row("", *(unit(kind, deg) for kind in kinds), "", style="dim")
+        for k, (q, distance) in enumerate(zip(found, found.distance, strict=True), 1):
+            values = (number(float(x), kind, deg) for x, kind in zip(q, kinds, strict=True))
+            made[0].add_row(str(k), *values, f"{distance:.3g}")
+    for first in range(0, len(found) if arm.by_tip else 0, ABREAST):
+        rows = range(first, min(first + ABREAST, len(found)))
+        made.append(table("<joint", "<unit", *(f">{k + 1}" for k in rows)))
+        for i, (name, kind) in enumerate(zip(arm.joint_names, kinds, strict=True)):
+            made[-1].add_row(name, unit(kind, deg), *(number(float(found.q[k, i]), kind, deg) for k in rows))
+        made[-1].add_row("distance", "", *(f"{found.distance[k]:.3g}" for k in rows), style="dim")
+    return made
+
+
+def _show(result: "Result", target: Any, options: dict[str, Any], deg: bool) -> None:
     robot = result.robot
     limited = set(result.limited_joints)
     joints = table("<joint", ">value", "<unit", ">lower", ">upper", "")
@@ -171,22 +200,20 @@ def _show(result: "Result", deg: bool) -> None:
         value, lower, upper = (number(float(x[i]), kind, deg) for x in (result.q, robot.lower, robot.upper))
         joints.add_row(name, value, unit(kind, deg), lower, upper, "at limit" if name in limited else "")
     show(joints)
-    each = {}
-    if len(robot.tips) > 1:
-        angles = result.orientation_errors
-        each = {f"at {tip}": f"{_length(x)}, {_angle(angles[tip])}" for tip, x in result.position_errors.items()}
-    show(
-        facts(
-            {
-                "status": f"{result.status.name}, solver {result.solver}",
-                "position error": _length(result.position_error),
-                "orientation error": _angle(result.orientation_error),
-                **each,
-                "iterations": f"{result.iterations}, restarts {result.restarts}, FK evaluations {result.fk_evaluations}",
-                "time": _time(result.elapsed),
-            }
-        )
-    )
+    if robot.by_tip:
+        relative = options.get("relative_to") or {}
+        tips = table("<tip", "<target", ">position error", ">orientation error")
+        for tip, position in result.position_errors.items():
+            what = f"in {relative[tip]}" if tip in relative else "in the base frame"
+            if tip in target:
+                tips.add_row(tip, what, _length(position), _angle(result.orientation_errors[tip]))
+            else:
+                tips.add_row(tip, "none", "free", "free")
+        show(tips)
+    counts = f"{result.iterations}, restarts {result.restarts}, FK evaluations {result.fk_evaluations}"
+    errors = {"position error": _length(result.position_error), "orientation error": _angle(result.orientation_error)}
+    status = {"status": f"{result.status.name}, solver {result.solver}"}
+    show(facts({**status, **({} if robot.by_tip else errors), "iterations": counts, "time": _time(result.elapsed)}))
 
 
 def _angle(value: float | None) -> str:

@@ -7,8 +7,9 @@ from typing import Annotated, Any
 
 import typer
 
-from ..errors import InvalidOption, InvalidTarget
-from ..text import numbers, parameter, vector
+from ..errors import InvalidOption
+from ..text import parameter, vector
+from . import by_tip
 from .arguments import assignments, joint_vector, solver_named
 from .obstacles import collision_model
 
@@ -23,8 +24,17 @@ Targets = Annotated[
     list[str] | None,
     typer.Option(
         "--target",
-        metavar="TIP:X,Y,Z[,QX,QY,QZ,QW]",
-        help="Instead of --xyz: target of one of several tips, solved together; repeat for each.",
+        metavar="TIP:X,Y,Z[,...]",
+        help="Instead of --xyz: target of one of several tips, solved together; repeat for each. A position, or with "
+        "roll, pitch, yaw or a quaternion x y z w behind it a pose. A tip without a target is free.",
+    ),
+]
+Relative = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--relative",
+        metavar="TIP:OTHER",
+        help="The target of TIP is given in the frame of the tip OTHER, wherever that goes; may be repeated.",
     ),
 ]
 SolverName = Annotated[str, typer.Option("-s", "--solver", metavar="NAME", help="See ik solvers; auto picks for you.")]
@@ -48,29 +58,39 @@ ClampQ0 = Annotated[
 ]
 
 Direction = Annotated[
-    str | None,
-    typer.Option("--direction", metavar="X Y Z", help="Point --tip-axis along this; the turn about it stays free."),
+    list[str] | None,
+    typer.Option(
+        "--direction", metavar="[TIP:]X Y Z", help="Point --tip-axis along this; the turn about it stays free."
+    ),
 ]
 TipAxis = Annotated[
-    str | None, typer.Option("--tip-axis", metavar="X Y Z", help="Axis of the tip for --direction; default its z.")
+    list[str] | None,
+    typer.Option("--tip-axis", metavar="[TIP:]X Y Z", help="Axis of the tip for --direction; default its z."),
 ]
 Mask = Annotated[
-    str | None,
-    typer.Option("--mask", metavar="X Y Z RX RY RZ", help="Six weights of what counts; 0 leaves it free."),
+    list[str] | None,
+    typer.Option(
+        "--mask",
+        metavar="[TIP:]X Y Z RX RY RZ",
+        help="Six weights of what counts; 0 leaves it free. Like the next "
+        "three: for all tips, or as TIP:... for one of several; may be repeated.",
+    ),
 ]
 Slack = Annotated[
-    str | None,
+    list[str] | None,
     typer.Option(
         "--slack",
-        metavar="X Y Z RX RY RZ",
+        metavar="[TIP:]X Y Z RX RY RZ",
         help="Six half widths inside which there is no error, m and rad (with --deg, degrees); inf frees one.",
     ),
 ]
 FreeTurn = Annotated[
-    str | None, typer.Option("--free-turn", metavar="X Y Z", help="Axis of the tip about which it may turn freely.")
+    list[str] | None,
+    typer.Option("--free-turn", metavar="[TIP:]X Y Z", help="Axis of the tip about which it may turn freely."),
 ]
 Frame = Annotated[
-    str | None, typer.Option("--frame", metavar="base|tip|target", help="Whose axes --mask and --slack are along.")
+    list[str] | None,
+    typer.Option("--frame", metavar="[TIP:]base|tip|target", help="Whose axes --mask and --slack are along."),
 ]
 Weights = Annotated[
     str | None, typer.Option("--joint-weights", metavar="W1 W2 ...", help="How freely each joint moves; 0: not at all.")
@@ -110,7 +130,8 @@ File = Annotated[
         "--targets",
         metavar="FILE",
         help="Instead of --xyz: many targets, solved on all cores; -o names the solutions' file. CSV with the header "
-        "x,y,z or x,y,z,qx,qy,qz,qw or x,y,z,roll,pitch,yaw, or NPZ with targets, or xyz and quat_xyzw.",
+        "x,y,z or x,y,z,qx,qy,qz,qw or x,y,z,roll,pitch,yaw, or NPZ with targets, or xyz and quat_xyzw. Several tips: CSV "
+        "columns TIP.x, TIP.y, ..., or NPZ with an array TIP (N, 4, 4) or (N, 3) for each, or targets (N, tips, 4, 4).",
     ),
 ]
 Threads = Annotated[int | None, typer.Option(metavar="N", help="With --targets: threads; default: all cores.")]
@@ -132,7 +153,6 @@ PASSED_ON = (
     "seed",
     "objective",
     "follow",
-    "frame",
 )  # options of the command that are options of the call, word for word
 
 
@@ -151,10 +171,10 @@ def refuse_contradictions(line: SimpleNamespace) -> None:
         if line.closest is not None and line.q0 is not None:
             raise InvalidOption("give --closest or --q0, not both: the search starts there")
     elif line.targets:
-        if posed or line.tip is not None:
-            raise InvalidOption("--target says tip and pose together; leave out --xyz, its rotation options and --tip")
-        if line.every:
-            raise InvalidOption("--all is for one tip; give one target with --xyz and --tip")
+        if any(given is not None for given in kin[:3]):
+            raise InvalidOption("--target says tip and pose together; leave out --xyz and its rotation options")
+    elif line.relative:
+        raise InvalidOption("--relative is for several tips, with a --target for each")
     elif line.xyz is None:
         raise InvalidOption("Missing option '--xyz' (or '--targets FILE' for many, '--target' for several tips)")
     if line.every:
@@ -167,11 +187,11 @@ def refuse_contradictions(line: SimpleNamespace) -> None:
 def read_options(line: SimpleNamespace, arm: Any) -> dict[str, Any]:
     """Options of the call, those given only; among them q0 and, of a file of targets, closest as a word. Raises InvalidOption."""
     given = {name: getattr(line, name) for name in PASSED_ON}
-    for name, option, size in (("mask", "--mask", 6), ("slack", "--slack", 6), ("free_turn", "--free-turn", 3)):
-        if getattr(line, name) is not None:
-            given[name] = tuple(vector(getattr(line, name), option, size))
-    if line.slack is not None and line.deg:
-        given["slack"] = (*given["slack"][:3], *map(math.radians, given["slack"][3:]))
+    given["mask"] = by_tip.vectors(line.mask, "--mask", 6)
+    given["slack"] = by_tip.values(line.slack, "--slack", lambda text: _slack(text, line.deg))
+    given["free_turn"] = by_tip.vectors(line.free_turn, "--free-turn", 3)
+    given["frame"] = by_tip.values(line.frame, "--frame", str)
+    given["relative_to"] = by_tip.relations(line.relative)
     if line.joint_weights is not None:
         given["joint_weights"] = tuple(vector(line.joint_weights, "--joint-weights", arm.n))
     options = {name: value for name, value in given.items() if value is not None}
@@ -185,13 +205,19 @@ def read_options(line: SimpleNamespace, arm: Any) -> dict[str, Any]:
     return options
 
 
+def _slack(text: str, deg: bool) -> tuple[float, ...]:
+    """Half widths [m, rad], the last three given in degrees when `deg`."""
+    widths = vector(text, "--slack", 6)
+    return (*widths[:3], *(math.radians(x) if deg else x for x in widths[3:]))
+
+
 def make_target(
     xyz: str,
     rpy: str | None,
     quat_xyzw: str | None,
     deg: bool,
-    direction: str | None = None,
-    tip_axis: str | None = None,
+    direction: list[str] | None = None,
+    tip_axis: list[str] | None = None,
 ) -> Any:
     """Target of the pose options: (3,) when the orientation is free, (4, 4), or an AxisTarget; rpy in degrees when `deg`."""
     from ..robot.pose import pose
@@ -200,34 +226,20 @@ def make_target(
     if angles is not None and deg:
         angles = [math.radians(x) for x in angles]
     quat = vector(quat_xyzw, "--quat-xyzw", 4) if quat_xyzw is not None else None
-    axis = (0.0, 0.0, 1.0) if tip_axis is None else vector(tip_axis, "--tip-axis", 3)
-    if tip_axis is not None and direction is None:
-        raise InvalidOption("--tip-axis says which axis --direction turns; give --direction too")
-    towards = None if direction is None else vector(direction, "--direction", 3)
-    return pose(vector(xyz, "--xyz", 3), rpy=angles, quat_xyzw=quat, axis=axis, direction=towards)
+    towards, axis = by_tip.directions(direction, tip_axis)
+    for option, one in (("--direction", towards), ("--tip-axis", axis)):
+        if isinstance(one, dict):
+            raise InvalidOption(f"{option} TIP:... goes with --target; for --xyz leave out the tip")
+    return pose(vector(xyz, "--xyz", 3), rpy=angles, quat_xyzw=quat, axis=axis or by_tip.Z, direction=towards)
 
 
 def read_target(line: SimpleNamespace) -> Any:
-    """Target of the options of `ik solve`, see `make_target`."""
+    """Target of the options of `ik solve`: targets by tip, one target (see `make_target`), or None where a file says them."""
+    if line.targets:
+        return by_tip.targets(line.targets, line.deg, line.direction, line.tip_axis)
+    if line.file is not None:
+        return None
     return make_target(line.xyz, line.rpy, line.quat_xyzw, line.deg, line.direction, line.tip_axis)
-
-
-def make_targets(texts: list[str], robot: str) -> dict[str, Any]:
-    """Targets by tip of TIP:X,Y,Z[,QX,QY,QZ,QW]; tips in the order the robot lists them, so that q has one order."""
-    from ..robot.library import find
-    from ..robot.pose import pose
-
-    made = {}
-    for text in texts:
-        tip, colon, rest = text.rpartition(":")
-        values = numbers(rest) or []
-        if not (tip and colon and len(values) in (3, 7)):
-            raise InvalidTarget(f"--target takes TIP:X,Y,Z or TIP:X,Y,Z,QX,QY,QZ,QW, not '{text}'")
-        if tip in made:
-            raise InvalidTarget(f"--target gives '{tip}' twice")
-        made[tip] = pose(values[:3], quat_xyzw=values[3:] or None)
-    listed = [tip for tip in find(robot).tips if tip in made]
-    return {tip: made[tip] for tip in dict.fromkeys([*listed, *made])}
 
 
 def choose_solver(name: str, params: list[str] | None, preset: str | None) -> Any:

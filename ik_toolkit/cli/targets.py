@@ -110,7 +110,7 @@ def solve_file(
     """
     if output is None or output.suffix.lower() not in OUTPUTS:
         raise InvalidOption(f"--targets needs -o FILE for the solutions, which ends in {', '.join(OUTPUTS)}")
-    count, blocks = read_poses(path, "targets", deg=deg)
+    count, blocks = read_poses(path, "targets", deg=deg, tips=arm.tips if arm.by_tip else ())
     targets: Any = (poses for _, poses in blocks) if path.suffix.lower() == ".csv" else next(blocks).poses
     began = perf_counter()
     with _cluster(cluster) as executor, progress("solving", count) as show_done:
@@ -121,6 +121,7 @@ def solve_file(
     notice(f"wrote {output}")
     solved = tally.statuses.get("CONVERGED", 0)
     payload = {"robot": arm.name, "solver": tally.solver, "targets": done, "solved": solved, "statuses": tally.statuses}
+    payload |= {"tips": arm.tips} if arm.by_tip else {}
     payload |= {"joint_names": arm.joint_names, "elapsed": elapsed, "output": output, "seed": options["seed"]}
     write_json(payload | ({"flips": flips} if chain else {}), as_json)
     if not as_json:

@@ -3,6 +3,9 @@
 CSV: a first line that names x,y,z [m] and none or all of qx,qy,qz,qw or of roll,pitch,yaw (URDF order), and t [s] where times are
 asked for, in any order; further columns are ignored. NPZ: `xyz` (N, 3) with `quat_xyzw` (N, 4) or none, and `t` (N,); without
 times also `targets` (N, 4, 4) or (N, 3).
+
+Of several tips: CSV columns TIP.x, TIP.y, ... of the same kinds for each; NPZ with an array TIP (N, 4, 4) or (N, 3) for each, or
+`targets` (N, F, 4, 4) or (N, F, 3), in the order of an array `tips` of names where there is one. A tip without any is free.
 """
 
 import csv
@@ -24,29 +27,35 @@ UNPACKED, EXPANSION = 2**30, 20  # bytes of an array, or so many times the file:
 
 
 class Block(NamedTuple):
-    """Rows read at a time: t (m,) [s] or None, poses (m, 4, 4) or positions (m, 3)."""
+    """Rows read at a time: t (m,) [s] or None, poses (m, 4, 4) or positions (m, 3), of several tips a dict of these by tip."""
 
     t: np.ndarray | None
-    poses: np.ndarray
+    poses: Any
 
 
-def read_poses(path: Path, what: str, *, times: bool = False, deg: bool = False) -> tuple[int, Iterator[Block]]:
+def read_poses(
+    path: Path, what: str, *, times: bool = False, deg: bool = False, tips: Sequence[str] = ()
+) -> tuple[int, Iterator[Block]]:
     """Number of rows and the blocks of a file, one of NPZ and many of CSV; `what` the file holds is for messages.
 
-    times: t is asked for as well. deg: roll, pitch and yaw are degrees, not radians. Raises InvalidTarget, naming the line (of a
-    CSV for the lines that are read later, too).
+    times: t is asked for as well. deg: roll, pitch and yaw are degrees, not radians. tips: names of the tips whose poses the
+    file holds; none: poses without a name. Raises InvalidTarget, naming the line (of a CSV for the lines that are read later,
+    too).
     """
     if not path.is_file():
         raise InvalidTarget(f"there is no {what} file '{path}'")
     try:
         if path.suffix.lower() == ".npz":
+            if tips:
+                poses = _read_npz_by_tip(path, tips)
+                return len(next(iter(poses.values()))), iter([Block(None, poses)])
             block = _read_npz(path, times)
             return len(block.poses), iter([block])
         if path.suffix.lower() != ".csv":
             raise InvalidTarget(f"a {what} file is .csv or .npz, not '{path.name}'")
         with path.open("rb") as stream:
             count = max(sum(block.count(b"\n") for block in iter(lambda: stream.read(1 << 20), b"")) - 1, 0)
-        columns = _header(path, times)
+        columns = _tip_columns(path, tips) if tips else {"": _header(path, times)}
         return count, _read_csv(path, columns, times, deg)
     except InvalidTarget:
         raise
@@ -64,10 +73,15 @@ def _short(text: str) -> str:
     return text if len(text) <= 80 else f"{text[:80]}..."
 
 
-def _read_npz(path: Path, times: bool) -> Block:
+def _require_npz(path: Path, names: Sequence[str]) -> None:
+    """Raise InvalidTarget for what is no NPZ file, or one whose arrays of these names are not to be trusted."""
     if not zipfile.is_zipfile(path):  # numpy would advise to unpickle it
         raise InvalidTarget(f"'{path.name}' is no NPZ file (see numpy.savez)")
-    _check_size(path)
+    _check_size(path, names)
+
+
+def _read_npz(path: Path, times: bool) -> Block:
+    _require_npz(path, ("targets", "t", "xyz", "quat_xyzw"))
     with np.load(path, allow_pickle=False) as file:
         if "targets" in file and not times:
             targets = file["targets"]
@@ -87,12 +101,45 @@ def _read_npz(path: Path, times: bool) -> Block:
     return Block(t, xyz if quat is None else _poses(xyz, quat, QUAT, range(len(xyz)), path.name, "row"))
 
 
-def _check_size(path: Path) -> None:
+def _read_npz_by_tip(path: Path, tips: Sequence[str]) -> dict[str, np.ndarray]:
+    """Targets (N, 4, 4) or (N, 3) by tip."""
+    _require_npz(path, ("targets", "tips", *tips))
+    with np.load(path, allow_pickle=False) as file:
+        named = {tip: file[tip] for tip in tips if tip in file}
+        order = file["tips"].tolist() if "tips" in file else list(tips)
+        targets = file["targets"] if "targets" in file and not named else None
+        names = list(file)
+    if targets is None:
+        strange = [name for name in names if name not in tips and near_match(name, tips)]
+        if strange or not named:
+            raise InvalidTarget(
+                f"'{path.name}' needs an array 'targets', or one by the name of each tip ({', '.join(tips)}); it has "
+                f"{_short(', '.join(names)) or 'nothing'}.{near_match((strange or names or [''])[0], tips)}"
+            )
+        for tip, array in named.items():
+            if array.shape[1:] not in ((4, 4), (3,)):
+                raise InvalidTarget(f"'{path.name}': {tip} has the shape (N, 4, 4) or (N, 3), not {array.shape}")
+        if len({len(array) for array in named.values()}) > 1:
+            rows = ", ".join(f"{tip} has {len(array)}" for tip, array in named.items())
+            raise InvalidTarget(f"'{path.name}': every tip takes as many rows as the others; {rows}")
+        return named
+    for tip in order:
+        if tip not in tips:
+            raise InvalidTarget(f"'{path.name}': '{tip}' of 'tips' is not solved for.{near_match(str(tip), tips)}")
+    if targets.shape[1:] not in ((len(order), 4, 4), (len(order), 3)) or len(set(order)) < len(order):
+        raise InvalidTarget(
+            f"'{path.name}': targets of {', '.join(order)} have the shape (N, {len(order)}, 4, 4) or (N, {len(order)}, 3), "
+            f"not {targets.shape}"
+        )
+    return {tip: targets[:, f] for f, tip in enumerate(order)}
+
+
+def _check_size(path: Path, names: Sequence[str]) -> None:
     """Refuse an archive that grows without measure when it is unpacked, or holds less than an array's head promises."""
     packed = path.stat().st_size
     with zipfile.ZipFile(path) as archive:
         for member in archive.infolist():
-            if member.filename not in ("targets.npy", "t.npy", "xyz.npy", "quat_xyzw.npy"):
+            if member.filename.removesuffix(".npy") not in names:
                 continue
             if member.file_size > max(UNPACKED, EXPANSION * packed):
                 raise InvalidTarget(
@@ -110,41 +157,86 @@ def _check_size(path: Path) -> None:
                     )
 
 
+def _first_line(path: Path) -> list[str]:
+    """Names of the columns."""
+    with path.open(newline="", encoding="utf-8-sig") as stream:
+        return [cell.strip() for cell in next(csv.reader(stream), [])]
+
+
 def _header(path: Path, times: bool) -> list[int]:
     """Places of the columns that count: t where asked for; 3, 7 (quaternion) or 6 (roll, pitch, yaw)."""
-    with path.open(newline="", encoding="utf-8-sig") as stream:
-        header = [cell.strip().lower() for cell in next(csv.reader(stream), [])]
-    needed = (*(["t"] if times else []), *POSITION)
+    return _places([cell.lower() for cell in _first_line(path)], path.name, ["t"] if times else [], "")
+
+
+def _places(header: list[str], file: str, needed: list[str], prefix: str) -> list[int]:
+    """Places of the columns of one pose, whose names begin with `prefix`, behind those of other columns that are needed."""
+    position, every_quat, every_rpy = (tuple(prefix + name for name in names) for names in (POSITION, QUAT, RPY))
+    needed = [*needed, *position]
     first = ",".join(needed)
-    forms = f"{first}, {first},{','.join(QUAT)} or {first},{','.join(RPY)}"
+    forms = f"{first}, {first},{','.join(every_quat)} or {first},{','.join(every_rpy)}"
     missing = [name for name in needed if name not in header]
     if missing:
         raise InvalidTarget(
-            f"'{path.name}' has no column {', '.join(missing)}; its first line must be {forms}, "
-            f"not {_short(','.join(header))}"
+            f"'{file}' has no column {', '.join(missing)}; its first line must be {forms}, not {_short(','.join(header))}"
         )
-    quat, rpy = ([name for name in names if name in header] for names in (QUAT, RPY))
+    quat, rpy = ([name for name in names if name in header] for names in (every_quat, every_rpy))
     if (quat and rpy) or len(quat) not in (0, 4) or len(rpy) not in (0, 3):
-        raise InvalidTarget(f"'{path.name}' has the columns {', '.join([*quat, *rpy])}; the first line must be {forms}")
+        raise InvalidTarget(f"'{file}' has the columns {', '.join([*quat, *rpy])}; the first line must be {forms}")
     return [header.index(name) for name in (*needed, *quat, *rpy)]
 
 
-def _read_csv(path: Path, columns: list[int], times: bool, deg: bool) -> Iterator[Block]:
+def _tip_columns(path: Path, tips: Sequence[str]) -> dict[str, list[int]]:
+    """Places of the columns TIP.x, ... of each tip that has any. Raises InvalidTarget: none has, or the name of one is wrong."""
+    header = []
+    for cell in _first_line(path):
+        tip, dot, name = cell.rpartition(".")
+        header.append(f"{tip}{dot}{name.lower()}")
+        if dot and name.lower() in (*POSITION, *QUAT, *RPY) and tip not in tips:
+            raise InvalidTarget(
+                f"'{path.name}', column '{cell}': '{tip}' is not one of the tips solved for, {', '.join(tips)}."
+                f"{near_match(tip, tips)}"
+            )
+    found = {
+        tip: _places(header, path.name, [], f"{tip}.")
+        for tip in tips
+        if any(f"{tip}.{name}" in header for name in (*POSITION, *QUAT, *RPY))
+    }
+    if not found:
+        forms = ",".join(f"{tip}.{name}" for tip in tips for name in POSITION)
+        raise InvalidTarget(
+            f"'{path.name}' has no columns of {', '.join(tips)}; its first line is {forms}, with .qx,.qy,.qz,.qw or "
+            f".roll,.pitch,.yaw of a tip for its poses, not {_short(','.join(header))}"
+        )
+    return found
+
+
+def _read_csv(path: Path, columns: dict[str, list[int]], times: bool, deg: bool) -> Iterator[Block]:
+    """Blocks of a file whose columns are at these places by tip ('' for poses without a name)."""
+    every = [place for places in columns.values() for place in places]
     try:
         with path.open(newline="", encoding="utf-8-sig") as stream:
             numbered = ((k, line) for k, line in enumerate(stream, 1) if k > 1 and line.strip())
             while block := list(islice(numbered, LINES)):
                 lines = [k for k, _ in block]
-                values = _numbers([line for _, line in block], columns, lines, path.name)
+                values = _numbers([line for _, line in block], every, lines, path.name)
                 t, values = (values[:, 0], values[:, 1:]) if times else (None, values)
-                xyz, angles = values[:, :3], values[:, 3:]
-                if angles.shape[1]:
-                    kind = QUAT if angles.shape[1] == 4 else RPY
-                    angles = np.radians(angles) if deg and kind is RPY else angles
-                    xyz = _poses(xyz, angles, kind, lines, path.name, "line")
-                yield Block(t, xyz)
+                made, first = {}, 0
+                for tip, places in columns.items():
+                    last = first + len(places) - times
+                    made[tip] = _part(values[:, first:last], lines, path.name, deg, f"{tip}." if tip else "")
+                    first = last
+                yield Block(t, made[""] if "" in made else made)
     except (OSError, UnicodeDecodeError) as error:
         raise InvalidTarget(f"cannot read '{path.name}': {_said(error)}") from None
+
+
+def _part(values: np.ndarray, lines: list[int], name: str, deg: bool, prefix: str) -> np.ndarray:
+    """Positions (m, 3), or poses of these and quaternions or roll, pitch, yaw (m, 7 or 6), whose names begin with `prefix`."""
+    xyz, angles = values[:, :3], values[:, 3:]
+    if not angles.shape[1]:
+        return xyz
+    kind = QUAT if angles.shape[1] == 4 else RPY
+    return _poses(xyz, np.radians(angles) if deg and kind is RPY else angles, kind, lines, name, "line", prefix)
 
 
 def _numbers(texts: list[str], columns: list[int], lines: list[int], name: str) -> np.ndarray:
@@ -174,7 +266,15 @@ def _numbers(texts: list[str], columns: list[int], lines: list[int], name: str) 
     return np.array(rows)
 
 
-def _poses(xyz: np.ndarray, angles: np.ndarray, kind: Sequence[str], lines: Sequence[int], name: str, word: str) -> Any:
+def _poses(
+    xyz: np.ndarray,
+    angles: np.ndarray,
+    kind: Sequence[str],
+    lines: Sequence[int],
+    name: str,
+    word: str,
+    prefix: str = "",
+) -> np.ndarray:
     """Poses (m, 4, 4) of positions and quaternions or roll, pitch, yaw."""
     T = np.tile(np.eye(4), (len(xyz), 1, 1))
     T[:, :3, 3] = xyz
@@ -184,7 +284,8 @@ def _poses(xyz: np.ndarray, angles: np.ndarray, kind: Sequence[str], lines: Sequ
         if bad.any():
             k = int(np.argmax(bad))
             raise InvalidTarget(
-                f"'{name}', {word} {lines[k]}: the quaternion qx,qy,qz,qw has length {length[k]:.4g}, not 1"
+                f"'{name}', {word} {lines[k]}: the quaternion {','.join(prefix + x for x in QUAT)} has length "
+                f"{length[k]:.4g}, not 1"
             )
         x, w = angles[:, :3] / length[:, None], 2.0 * angles[:, 3:] / length[:, None]
         T[:, :3, :3] = 2.0 * x[:, :, None] * x[:, None, :]

@@ -130,9 +130,15 @@ class BatchResult:
         return {Status(int(k)).name: int(c) for k, c in zip(numbers, counts, strict=True)}
 
     def to_dict(self) -> dict[str, Any]:
-        """Arrays by name, for np.savez and tables."""
+        """Arrays by name, for np.savez and tables; of several tips also TIP.position_error and TIP.orientation_error."""
         names = ("q", "status", "success", "position_error", "orientation_error", "iterations", "restarts")
         arrays = {name: getattr(self, name) for name in (*names, "fk_evaluations", "moves")}
+        if len(self.kinds) > 1:
+            for name, errors in (
+                ("position_error", self.position_errors),
+                ("orientation_error", self.orientation_errors),
+            ):
+                arrays |= {f"{tip}.{name}": array for tip, array in errors.items()}
         return {name: array for name, array in arrays.items() if array is not None}
 
     def __repr__(self) -> str:

@@ -1,0 +1,328 @@
+"""`ik solve` on several tips: every option that one tip has, by tip where that makes sense; files of targets."""
+
+import csv
+import json
+
+import numpy as np
+import pytest
+
+import ik_toolkit as ik
+from ik_toolkit.robot.pose import matrix_quat, matrix_rpy
+
+BROKK = "brokk_hydrolek"
+LEFT, RIGHT = "left_tip", "right_tip"
+
+
+@pytest.fixture(scope="module")
+def brokk():
+    return ik.Tree.load(BROKK)
+
+
+@pytest.fixture(scope="module")
+def poses(brokk):
+    """Targets (40, 2, 4, 4) that can be reached together."""
+    rng = np.random.default_rng(7)
+    return np.array([[T.homogeneous for T in brokk.fk(q).values()] for q in brokk.random_q(rng, 40)])
+
+
+def words(tip, *values):
+    return ["--target", f"{tip}:" + ",".join(f"{x:.12f}" for x in np.concatenate([np.ravel(v) for v in values]))]
+
+
+def answer(run, *arguments, code=0):
+    ended, out, err = run("solve", BROKK, *arguments, "--json")
+    assert ended == code, err
+    return json.loads(out)
+
+
+def refusal(run, *arguments):
+    code, out, err = run(*arguments)
+    assert code == 2 and not out and err.count("\n") == 1 and "Traceback" not in err
+    return err
+
+
+# ---------------------------------------------------------------------------------------------------------- one target
+def test_targets_are_positions_poses_by_angles_or_by_quaternion(run, brokk, poses):
+    T, U = poses[0]
+    rpy = np.degrees(matrix_rpy(T[:3, :3]))
+    found = answer(run, *words(LEFT, T[:3, 3], rpy), *words(RIGHT, U[:3, 3], matrix_quat(U[:3, :3])), "--deg")
+    at = brokk.fk(found["q"])
+    assert np.allclose(at[LEFT].homogeneous, T, atol=1e-5) and np.allclose(at[RIGHT].homogeneous, U, atol=1e-5)
+    assert list(found["target"]) == [LEFT, RIGHT] and found["tips"][LEFT]["orientation_error"] < 1e-6
+
+
+def test_numbers_of_a_target_may_stand_apart(run, poses):
+    T, U = poses[0]
+    apart = ["--target", f"{LEFT}:{T[0, 3]:.9f}", f"{T[1, 3]:.9f}", f"{T[2, 3]:.9f}", *words(RIGHT, U[:3, 3])]
+    assert answer(run, *apart)["q"] == answer(run, *words(LEFT, np.round(T[:3, 3], 9)), *words(RIGHT, U[:3, 3]))["q"]
+
+
+def test_a_tip_without_a_target_is_free(run, brokk, poses):
+    found = answer(run, *words(LEFT, poses[1][0][:3, 3]))
+    assert found["joint_names"] == list(brokk.joint_names) and list(found["target"]) == [LEFT]
+    code, out, _ = run("solve", BROKK, *words(LEFT, poses[1][0][:3, 3]))
+    assert code == 0 and [line.split() for line in out.splitlines() if line.startswith(f" {RIGHT} ")] == [
+        [RIGHT, "none", "free", "free"]
+    ]
+    only = answer(run, *words(LEFT, poses[1][0][:3, 3]), "--tip", LEFT)
+    assert only["joint_names"] == list(brokk.arms[0].joint_names)
+
+
+def test_what_counts_is_given_for_all_tips_or_by_tip(run, brokk, poses):
+    T, U = poses[2]
+    both = [*words(LEFT, T[:3, 3], matrix_quat(T[:3, :3])), *words(RIGHT, U[:3, 3], matrix_quat(U[:3, :3]))]
+    far = U.copy()
+    far[2, 3] += 0.5
+    off = words(RIGHT, far[:3, 3], matrix_quat(far[:3, :3]))
+    found = answer(run, *both[:2], *off, "--mask", f"{RIGHT}:1", 1, 0, 0, 0, 0)
+    at = brokk.fk(found["q"])
+    assert np.allclose(at[LEFT].homogeneous, T, atol=1e-5)
+    assert np.allclose(at[RIGHT].translation[:2], U[:2, 3], atol=1e-5)
+    found = answer(run, *both, "--slack", f"{LEFT}:0.02,0.02,0.02,5,5,5", "--frame", f"{LEFT}:target", "--deg")
+    gap = np.abs(T[:3, :3].T @ (brokk.fk(found["q"])[LEFT].translation - T[:3, 3]))
+    assert gap.max() < 0.02 + 1e-6 and found["tips"][LEFT]["position_error"] < 1e-6
+    found = answer(run, *both, "--free-turn", f"{LEFT}:0,0,1", "--free-turn", f"{RIGHT}:1,0,0")
+    at = brokk.fk(found["q"])
+    assert np.allclose(at[LEFT].rotation[:, 2], T[:3, 2], atol=1e-5)
+    assert np.allclose(at[RIGHT].rotation[:, 0], U[:3, 0], atol=1e-5)
+    found = answer(run, *both, "--mask", 1, 1, 1, 0, 0, 0)
+    assert found["success"]
+
+
+def test_directions_by_tip(run, brokk, poses):
+    T, U = poses[3]
+    places = [*words(LEFT, T[:3, 3]), *words(RIGHT, U[:3, 3])]
+    way = f"{LEFT}:" + ",".join(map(str, T[:3, 0]))
+    found = answer(run, *places, "--direction", way, "--tip-axis", f"{LEFT}:1,0,0")
+    at = brokk.fk(found["q"])
+    assert np.allclose(at[LEFT].rotation[:, 0], T[:3, 0], atol=1e-5)
+    assert np.allclose(at[RIGHT].translation, U[:3, 3], atol=1e-5)
+    assert found["tips"][RIGHT]["orientation_error"] is None
+    assert np.shape(found["target"][LEFT]) == (4, 4) and np.shape(found["target"][RIGHT]) == (3,)
+
+
+def test_a_target_relative_to_another_tip(run, brokk, poses):
+    T, U = poses[4]
+    between = np.linalg.inv(T) @ U
+    relative = ["--relative", f"{RIGHT}:{LEFT}"]
+    pose = words(RIGHT, between[:3, 3], matrix_quat(between[:3, :3]))
+    found = answer(run, *words(LEFT, T[:3, 3]), *pose, *relative)
+    at = brokk.fk(found["q"])
+    assert np.allclose(at[LEFT].actInv(at[RIGHT]).homogeneous, between, atol=1e-5)
+    assert np.allclose(at[LEFT].translation, T[:3, 3], atol=1e-5) and found["relative_to"] == {RIGHT: LEFT}
+    found = answer(run, *pose, *relative)  # the other tip is free
+    at = brokk.fk(found["q"])
+    assert np.allclose(at[LEFT].actInv(at[RIGHT]).homogeneous, between, atol=1e-5)
+    code, out, _ = run("solve", BROKK, *pose, *relative)
+    assert code == 0 and f"in {LEFT}" in out
+
+
+def test_preferences_starts_and_histories(run, brokk, poses, tmp_path):
+    q = brokk.random_q(np.random.default_rng(3))
+    T = brokk.fk(q)
+    goal = [*words(LEFT, T[LEFT].translation), *words(RIGHT, T[RIGHT].translation)]
+    near = answer(run, *goal, "--closest", *q)
+    assert np.allclose(near["q"], q, atol=1e-9)
+    moved = brokk.fk(q + 0.01)
+    step = [*words(LEFT, moved[LEFT].translation), *words(RIGHT, moved[RIGHT].translation)]
+    assert np.abs(np.subtract(answer(run, *step, "--q0", *q, "--follow", 0.3)["q"], q)).max() <= 0.3
+    assert answer(run, *goal, "--objective", "mid-range", "--avoid-collisions")["success"]
+    code, _, err = run("solve", BROKK, *goal, "--plot", tmp_path / "error.svg")
+    assert code == 0 and (tmp_path / "error.svg").stat().st_size
+
+
+def test_all_solutions_fit_a_narrow_terminal(run, brokk, poses, monkeypatch):
+    T, U = poses[5]
+    goal = [*words(LEFT, T[:3, 3], matrix_quat(T[:3, :3])), *words(RIGHT, U[:3, 3], matrix_quat(U[:3, :3]))]
+    found = answer(run, *goal, "--all")
+    assert len(found["solutions"]) > 4 and not found["complete"] and list(found["target"]) == [LEFT, RIGHT]
+    monkeypatch.setenv("COLUMNS", "80")
+    code, out, _ = run("solve", BROKK, *goal, "--all")
+    tables = out[: out.index("solutions ")]
+    assert code == 0 and max(map(len, tables.splitlines())) <= 80
+    rows = [line.split() for line in tables.splitlines() if line.startswith(" turret ")]
+    shown = [float(x) for row in rows for x in row[2:]]
+    assert np.allclose(shown, [q[0] for q in found["solutions"]], atol=1e-6)
+
+
+def test_tables_are_as_wide_as_a_terminal(run, poses, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    T, U = poses[6]
+    code, out, _ = run("solve", BROKK, *words(LEFT, T[:3, 3]), *words(RIGHT, U[:3, 3]), "--deg")
+    assert code == 0 and max(map(len, out.splitlines())) <= 80 and "position error" in out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["--xyz", "1", "0", "1"], "leave out --xyz and give a --target TIP:X,Y,Z for each"),
+        (["--xyz", "1", "0", "1", "--tip", LEFT, "--tip", RIGHT], "--xyz is for one tip"),
+        (["--xyz", "1", "0", "1", "--tip", LEFT, "--relative", f"{RIGHT}:{LEFT}"], "--relative is for several tips"),
+        (["--target", f"{LEFT}:1,0,1", "--tip", RIGHT], f"'{LEFT}' is not one of the tips solved for"),
+        (["--target", f"{LEFT}:1,0,1", "--tip", LEFT, "--tip", LEFT], "--tip gives 'left_tip' twice"),
+        (["--target", f"{LEFT}:1,0,1,2"], "--target takes TIP:X,Y,Z, TIP:X,Y,Z,ROLL,PITCH,YAW"),
+        (["--target", f"{LEFT}:1,0,1", "--mask", f"{LEFT}:1,1"], "--mask takes 6 numbers; got 2"),
+        (["--target", f"{LEFT}:1,0,1", "--mask", "1,1,1,0,0,0", "--mask", "1,1,0,0,0,0"], "--mask is given twice"),
+        (
+            ["--target", f"{LEFT}:1,0,1", "--slack", "1,1,1,0,0,0", "--slack", f"{LEFT}:1,1,0,0,0,0"],
+            "once for all tips",
+        ),
+        (["--target", f"{LEFT}:1,0,1", "--free-turn", "left_tp:0,0,1"], "Did you mean 'left_tip'"),
+        (["--target", f"{LEFT}:1,0,1", "--frame", f"{LEFT}:world"], "frame must be one of base, tip, target"),
+        (["--target", f"{LEFT}:1,0,1", "--direction", f"{RIGHT}:0,0,1"], f"needs a --target of {RIGHT}"),
+        (["--target", f"{LEFT}:1,0,1", "--tip-axis", "0,0,1"], "give --direction too"),
+        (["--target", f"{LEFT}:1,0,1", "--relative", RIGHT], "--relative takes TIP:OTHER"),
+        (["--target", f"{LEFT}:1,0,1", "--relative", f"{LEFT}:{LEFT}"], "goes round in a circle"),
+        (["--target", f"{LEFT}:1,0,1", "--q0", "0", "0"], "--q0 takes 13 values"),
+        (["--target", f"{LEFT}:1,0,1", "-s", "inspection"], "one tip"),
+    ],
+)
+def test_what_does_not_go_together_is_refused_in_a_sentence(run, arguments, said):
+    assert said in refusal(run, "solve", BROKK, *arguments)
+
+
+@pytest.mark.parametrize("command", ["fk", "track"])
+def test_a_command_for_one_tip_takes_no_two(run, command):
+    extra = ["--line", "0.1", "0", "0"] if command == "track" else []
+    assert "takes one tip and --tip names 2" in refusal(run, command, BROKK, "--tip", LEFT, f"--tip={RIGHT}", *extra)
+
+
+def test_one_tip_is_asked_as_before(run):
+    at = ["--xyz", "1.3", "0.4", "0.8"]
+    code, out, _ = run("solve", BROKK, *at, "--tip", LEFT, "--json")
+    found = json.loads(out)
+    assert code == 0 and found["tip"] == LEFT and "tips" not in found
+    code, out, _ = run("solve", "hydrolek_7w", "--xyz", "1.0", "0.1", "0.2", "--mask", "tool:1,1,1,0,0,0", "--json")
+    assert code == 0 and json.loads(out)["success"]
+    err = refusal(run, "solve", "hydrolek_7w", "--xyz", "1", "0.1", "0.2", "--direction", "tool:0,0,1")
+    assert "--direction TIP:... goes with --target" in err
+
+
+# ------------------------------------------------------------------------------------------------------ files of targets
+def write(path, header, rows):
+    with path.open("w", newline="") as stream:
+        writer = csv.writer(stream)
+        writer.writerow(header)
+        writer.writerows(rows)
+    return path
+
+
+def columns(tip, names):
+    return [f"{tip}.{name}" for name in names.split(",")]
+
+
+def files(poses, folder):
+    """The same targets in every form, and what a batch takes for them."""
+    T, U = poses[:, 0], poses[:, 1]
+    rpy = np.array([matrix_rpy(R) for R in T[:, :3, :3]])
+    quat = np.array([matrix_quat(R) for R in U[:, :3, :3]])
+    np.savez(folder / "stacked.npz", targets=poses)
+    np.savez(folder / "turned.npz", targets=poses[:, ::-1], tips=[RIGHT, LEFT])
+    np.savez(folder / "named.npz", **{LEFT: T, RIGHT: U})
+    np.savez(folder / "mixed.npz", **{LEFT: T[:, :3, 3], RIGHT: U})
+    head = [*columns(RIGHT, "QX,qy,qz,qw,x,y,z"), "note", *columns(LEFT, "x,y,z,roll,pitch,yaw")]
+    write(folder / "both.csv", head, np.c_[quat, U[:, :3, 3], np.zeros(len(T)), T[:, :3, 3], rpy])
+    write(folder / "one.csv", columns(RIGHT, "x,y,z"), U[:, :3, 3])
+    both = {LEFT: T, RIGHT: U}
+    return {
+        "stacked.npz": both, "turned.npz": both, "named.npz": both, "mixed.npz": {LEFT: T[:, :3, 3], RIGHT: U},
+        "both.csv": both, "one.csv": {RIGHT: U[:, :3, 3]},
+    }  # fmt: skip
+
+
+def test_every_form_of_file_gives_the_answers_of_a_batch(run, brokk, poses, tmp_path):
+    for name, given in files(poses, tmp_path).items():
+        many = ik.solve_batch(brokk, given, seed=2)
+        for output in (tmp_path / "out.csv", tmp_path / "out.npz"):
+            code, out, _ = run("solve", BROKK, "--targets", tmp_path / name, "-o", output, "--seed", 2, "--json")
+            told = json.loads(out)
+            assert code == (not many.success.all()) and told["targets"] == 40 and told["solved"] == many.success.sum()
+            assert told["tips"] == [LEFT, RIGHT]
+        kept = np.load(tmp_path / "out.npz")
+        with (tmp_path / "out.csv").open(newline="") as stream:
+            rows = list(csv.DictReader(stream))
+        q = np.array([[float(row[joint]) for joint in brokk.joint_names] for row in rows])
+        assert np.array_equal(q, kept["q"]) and np.allclose(q, many.q, atol=1e-6)
+        for tip in brokk.tips:
+            key = f"{tip}.position_error"
+            assert np.array_equal([float(row[key]) for row in rows], kept[key])
+            assert np.allclose(kept[key], many.position_errors[tip], atol=1e-9)
+            assert (f"{tip}.orientation_error" in kept) == (many.orientation_errors[tip] is not None)
+
+
+def test_solutions_read_back_as_what_was_asked_for(run, brokk, poses, tmp_path):
+    files(poses, tmp_path)
+    run("solve", BROKK, "--targets", tmp_path / "both.csv", "-o", tmp_path / "out.npz")
+    kept = np.load(tmp_path / "out.npz")
+    assert kept["tips"].tolist() == [LEFT, RIGHT] and kept["joint_names"].tolist() == list(brokk.joint_names)
+    good = kept["success"]
+    reached = np.array([[T.homogeneous for T in brokk.fk(q).values()] for q in kept["q"][good]])
+    assert good.mean() > 0.9 and np.allclose(reached, poses[good], atol=1e-5)
+    np.savez(tmp_path / "again.npz", targets=reached, tips=kept["tips"])  # and they are targets themselves
+    code, out, _ = run("solve", BROKK, "--targets", tmp_path / "again.npz", "-o", tmp_path / "b.npz", "--json")
+    assert json.loads(out)["solved"] == good.sum() and code == 0
+
+
+def test_files_take_tips_degrees_chains_and_relations(run, brokk, poses, tmp_path):
+    T = poses[:4]
+    between = np.linalg.inv(T[:, 0]) @ T[:, 1]
+    rpy = np.degrees([matrix_rpy(R) for R in between[:, :3, :3]])
+    head = [*columns(LEFT, "x,y,z"), *columns(RIGHT, "x,y,z,roll,pitch,yaw")]
+    write(tmp_path / "in.csv", head, np.c_[T[:, 0, :3, 3], between[:, :3, 3], rpy])
+    words = ["--tip", RIGHT, "--tip", LEFT, "--relative", f"{RIGHT}:{LEFT}", "--deg", "--chain"]
+    code, _, err = run("solve", BROKK, "--targets", tmp_path / "in.csv", "-o", tmp_path / "out.npz", *words)
+    assert code == 0, err
+    tree = ik.Tree.load(BROKK, tips=[RIGHT, LEFT])
+    kept = np.load(tmp_path / "out.npz")
+    assert kept["joint_names"].tolist() == list(tree.joint_names) and len(kept["moves"]) == 4
+    for q, one, wanted in zip(kept["q"], T, between, strict=True):
+        at = tree.fk(q)
+        assert np.allclose(at[LEFT].translation, one[0, :3, 3], atol=1e-5)
+        assert np.allclose(at[LEFT].actInv(at[RIGHT]).homogeneous, wanted, atol=1e-5)
+
+
+def test_a_file_with_one_tip_is_read_as_before(run, poses, tmp_path):
+    write(tmp_path / "in.csv", ["x", "y", "z"], poses[:3, 0, :3, 3])
+    code, out, _ = run("solve", BROKK, "--tip", LEFT, "--targets", tmp_path / "in.csv", "-o", tmp_path / "out.csv")
+    with (tmp_path / "out.csv").open(newline="") as stream:
+        head = next(csv.reader(stream))
+    assert code == 0 and "3 of 3" in out and not any("." in name for name in head)
+
+
+@pytest.mark.parametrize(
+    ("header", "row", "said"),
+    [
+        ("x,y,z", "1,0,1", "has no columns of left_tip, right_tip; its first line is left_tip.x,left_tip.y"),
+        ("left_tip.x,left_tip.y", "1,0", "has no column left_tip.z"),
+        ("left_tp.x,left_tp.y,left_tp.z", "1,0,1", "column 'left_tp.x': 'left_tp' is not one of the tips"),
+        ("left_tip.x,left_tip.y,left_tip.z,left_tip.roll", "1,0,1,0", "has the columns left_tip.roll"),
+        ("left_tip.x,left_tip.y,left_tip.z", "1,up,1", "line 2: 'up' is not a finite number"),
+        (
+            "right_tip.x,right_tip.y,right_tip.z,right_tip.qx,right_tip.qy,right_tip.qz,right_tip.qw",
+            "1,0,1,0,0,0,2",
+            "line 2: the quaternion right_tip.qx,right_tip.qy,right_tip.qz,right_tip.qw has length 2",
+        ),
+    ],
+)
+def test_csv_files_that_are_wrong_are_named(run, tmp_path, header, row, said):
+    file = tmp_path / "in.csv"
+    file.write_text(f"{header}\n{row}\n")
+    assert said in refusal(run, "solve", BROKK, "--targets", file, "-o", tmp_path / "out.csv")
+    assert not (tmp_path / "out.csv").exists()
+
+
+@pytest.mark.parametrize(
+    ("arrays", "said"),
+    [
+        ({"targets": np.zeros((3, 4, 4))}, "have the shape (N, 2, 4, 4) or (N, 2, 3), not (3, 4, 4)"),
+        ({"targets": np.zeros((3, 2, 3)), "tips": [LEFT, "right"]}, "'right' of 'tips' is not solved for"),
+        ({"left_tp": np.zeros((3, 3))}, "Did you mean 'left_tip'"),
+        ({LEFT: np.zeros((3, 3)), "right_tp": np.zeros((3, 3))}, "Did you mean 'right_tip'"),
+        ({LEFT: np.zeros((3, 3)), RIGHT: np.zeros((2, 3))}, "left_tip has 3, right_tip has 2"),
+        ({LEFT: np.zeros((3, 5))}, "left_tip has the shape (N, 4, 4) or (N, 3), not (3, 5)"),
+        ({"q": np.zeros(3)}, "it has q"),
+    ],
+)
+def test_npz_files_that_are_wrong_are_named(run, tmp_path, arrays, said):
+    np.savez(tmp_path / "in.npz", **arrays)
+    assert said in refusal(run, "solve", BROKK, "--targets", tmp_path / "in.npz", "-o", tmp_path / "out.npz")
