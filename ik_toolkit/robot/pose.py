@@ -3,7 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal, overload
 
 import numpy as np
 
@@ -122,15 +122,40 @@ def matrix_quat(R: np.ndarray) -> np.ndarray:
     return q if q[3] >= 0 else -q
 
 
+Numbers = Sequence[float] | np.ndarray
+Matrix = np.ndarray[tuple[Literal[4], Literal[4]], np.dtype[np.float64]]
+Position = np.ndarray[tuple[Literal[3]], np.dtype[np.float64]]
+
+
+@overload
+def pose(xyz: Numbers | None = None, *, direction: Numbers, axis: Numbers = ...) -> AxisTarget: ...
+@overload
+def pose(xyz: Numbers | None = None, *, rpy: Numbers) -> Matrix: ...
+@overload
+def pose(xyz: Numbers | None = None, *, quat_xyzw: Numbers) -> Matrix: ...
+@overload
+def pose(xyz: Numbers | None = None, *, rotation: Any) -> Matrix: ...
+@overload
+def pose(xyz: Numbers | None = None) -> Position: ...
+@overload
 def pose(
-    xyz: Sequence[float] | None = None,
+    xyz: Numbers | None = None,
     *,
-    rpy: Sequence[float] | None = None,
-    quat_xyzw: Sequence[float] | None = None,
+    rpy: Numbers | None = None,
+    quat_xyzw: Numbers | None = None,
     rotation: Any = None,
-    axis: Sequence[float] = (0.0, 0.0, 1.0),
-    direction: Sequence[float] | None = None,
-) -> Any:
+    axis: Numbers = ...,
+    direction: Numbers | None = None,
+) -> AxisTarget | Matrix | Position: ...
+def pose(
+    xyz: Numbers | None = None,
+    *,
+    rpy: Numbers | None = None,
+    quat_xyzw: Numbers | None = None,
+    rotation: Any = None,
+    axis: Numbers = (0.0, 0.0, 1.0),
+    direction: Numbers | None = None,
+) -> AxisTarget | np.ndarray:
     """Return a target: T_base_tip (4, 4), or a position (3,) when no rotation is given (orientation free).
 
     xyz [m]; one of rpy [rad] (URDF order: Rz(yaw) Ry(pitch) Rx(roll)), quat_xyzw, or rotation (3, 3). With a direction (3,) in

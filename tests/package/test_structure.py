@@ -1,0 +1,81 @@
+"""The form of the code: no circles between modules, no file and no function too long to read."""
+
+import ast
+
+import pytest
+from folders import ROOT
+
+PACKAGE = ROOT / "ik_toolkit"
+
+
+def modules():
+    """Path of every module of the package by its dotted name."""
+    paths = {".".join(path.relative_to(ROOT).with_suffix("").parts): path for path in PACKAGE.rglob("*.py")}
+    return {name.removesuffix(".__init__"): path for name, path in paths.items()}
+
+
+def for_type_checkers(node):
+    """Whether a node is a block that only type checkers read."""
+    return isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test)
+
+
+def statements(tree):
+    """Every node that runs, those inside functions too."""
+    for node in tree.orelse if for_type_checkers(tree) else ast.iter_child_nodes(tree):
+        yield node
+        yield from statements(node)
+
+
+def imports(name, path, known):
+    """Modules of the package that one of them imports, wherever in its text."""
+    package = name if path.name == "__init__.py" else name.rpartition(".")[0]
+    for node in statements(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            found = [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            parts = package.split(".")[: len(package.split(".")) - node.level + 1] if node.level else []
+            base = ".".join([*parts, *([node.module] if node.module else [])])
+            found = [f"{base}.{alias.name}" if f"{base}.{alias.name}" in known else base for alias in node.names]
+        else:
+            continue
+        yield from (module for module in found if module in known and module != name)
+
+
+def circles(graph):
+    """Sets of modules each of which imports all others of its set, directly or not."""
+    reach = {name: set(graph[name]) for name in graph}
+    for middle in graph:
+        for name in graph:
+            if middle in reach[name]:
+                reach[name] |= reach[middle]
+    return {
+        frozenset(n for n in graph if n in reach[name] and name in reach[n]) for name in graph if name in reach[name]
+    }
+
+
+def test_no_module_imports_one_that_imports_it():
+    known = modules()
+    graph = {name: set(imports(name, path, known)) for name, path in known.items()}
+    assert len(graph) > 100 and "ik_toolkit.kernel.jit" in graph["ik_toolkit.kernel.search"]
+    assert not circles(graph), [sorted(circle) for circle in circles(graph)]
+
+
+@pytest.mark.parametrize(
+    ("text", "found"),
+    [
+        ("from . import b", {"p.b"}),
+        ("def f():\n    from .b import x", {"p.b"}),
+        ("class A:\n    def f(self):\n        if self:\n            import p.b", {"p.b"}),
+        ("from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    from .b import x", set()),
+        ("import typing\nif typing.TYPE_CHECKING:\n    import p.b\nelse:\n    from p import c", {"p.c"}),
+    ],
+)
+def test_imports_inside_functions_count_and_those_for_type_checkers_do_not(text, found, tmp_path):
+    path = tmp_path / "a.py"
+    path.write_text(text)
+    assert set(imports("p.a", path, {"p", "p.a", "p.b", "p.c"})) == found
+
+
+def test_a_circle_of_three_is_found():
+    graph = {"a": {"b"}, "b": {"c"}, "c": {"a"}, "d": {"a"}}
+    assert circles(graph) == {frozenset("abc")}
