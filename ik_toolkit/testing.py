@@ -26,7 +26,7 @@ from .solvers.solve import Solver
 from .solvers.status import Status
 
 KINDS = ("pose", "position")
-LOOSE = {"position_tolerance": 1e-3, "orientation_tolerance": 1e-2}  # slow methods get there, too
+LOOSE: dict[str, Any] = {"position_tolerance": 1e-3, "orientation_tolerance": 1e-2}  # slow methods get there, too
 SAMPLES = 8  # targets a clause: most faults show at the first
 SHORT = 20  # characters: a sentence has more
 ROUNDING = 1e-9  # m: kernel and Pinocchio add up the same path in another order

@@ -92,7 +92,7 @@ def matrix_rpy(R: np.ndarray) -> np.ndarray:
     return np.array([roll, math.atan2(-R[2, 0], cos_pitch), yaw])
 
 
-def quat_matrix(quat_xyzw: Sequence[float]) -> np.ndarray:
+def quat_matrix(quat_xyzw: Sequence[float] | np.ndarray) -> np.ndarray:
     """Rotation (3, 3) of a quaternion x, y, z, w (normalised here)."""
     q = _numbers(quat_xyzw, 4, "quat_xyzw")
     length = math.sqrt(float(q @ q))

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Executor
 from contextlib import closing
 from itertools import chain as joined
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 
@@ -19,6 +19,7 @@ from ..robot.tree import Tree
 from .batch_parts import Job, Tables, on_a_chain, on_executor, on_threads
 from .batch_result import R_MOVE, BatchCheckFailed, BatchInterrupted, BatchResult
 from .batch_targets import Block, blocks, known
+from .options import BatchOptions
 from .plan import Plan
 from .solve import Solver, require_robot
 
@@ -42,7 +43,7 @@ def solve_parts(
     executor: Executor | None = None,
     chain: bool = False,
     check: float = 0.01,
-    **options: Any,
+    **options: Unpack[BatchOptions],
 ) -> Iterator[BatchResult]:
     """Solve as `solve_batch` does and give the answers part by part, in order: for more targets than fit in memory.
 
@@ -148,7 +149,7 @@ def solve_batch(
     chain: bool = False,
     check: float = 0.01,
     progress: Callable[[int], None] | None = None,
-    **options: Any,
+    **options: Unpack[BatchOptions],
 ) -> BatchResult:
     """Solve many targets on all cores.
 

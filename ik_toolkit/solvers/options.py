@@ -1,9 +1,9 @@
 """Options every solver understands, with their defaults: one table, used by the API, the CLI and `ik solvers NAME`."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
-from typing import Any
+from typing import Any, Literal, TypedDict
 
 import numpy as np
 
@@ -63,6 +63,61 @@ class Options:
 
 
 NAMES = tuple(field.name for field in fields(Options))
+Numbers = Sequence[float] | np.ndarray
+
+
+class BatchOptions(TypedDict, total=False):
+    """What `solve_batch` takes by keyword, for editors and type checkers: options (see `Options`) and parameters of our solvers."""
+
+    tolerance: float
+    position_tolerance: float
+    orientation_tolerance: float
+    max_iterations: int | None
+    restarts: int | None
+    max_evaluations: int | None
+    seed: int
+    limits: bool
+    wrap: bool | None
+    q0_outside: Literal["clamp", "refuse"]
+    mask: Numbers | Mapping[str, Numbers | None] | None
+    slack: Numbers | Mapping[str, Numbers | None] | None
+    free_turn: Numbers | Mapping[str, Numbers | None] | None
+    frame: Literal["base", "tip", "target"] | Mapping[str, Literal["base", "tip", "target"]]
+    relative_to: Mapping[str, str] | None
+    joint_weights: Numbers | None
+    closest: bool | Numbers
+    objective: Literal["mid-range", "reference", "manipulability"] | None
+    avoid_collisions: Any
+    follow: bool | float
+    # parameters
+    damping: float
+    hold: bool
+    gain: float
+    rcond: float
+    kp: float | None
+    ki: float
+    kd: float | None
+    orientation_scale: float | None
+    A: Any
+    B: Any
+    C: Any
+    D: Any
+    units: str
+    tuned: Any
+    lift: float | str
+
+
+class AllOptions(BatchOptions, total=False):
+    """What `solve_all` takes by keyword; the `check` of a batch is a share."""
+
+    check: bool
+    history: bool
+
+
+class SolveOptions(AllOptions, total=False):
+    """What `solve` and `Solver` take by keyword; the `starts` of `solve_all` is a number."""
+
+    starts: Any
 
 
 def make_options(given: dict[str, Any]) -> Options:

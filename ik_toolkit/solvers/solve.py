@@ -4,8 +4,9 @@ One hop from here to the loop: a bound solver picks its plan by the kind of targ
 """
 
 import threading
+from collections.abc import Mapping
 from time import perf_counter
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 
@@ -16,7 +17,7 @@ from ..kernel.task import POSE, POSITION
 from ..robot.robot import Robot
 from ..robot.tree import Tree
 from .closed_form import fits
-from .options import NAMES, Options, make_options
+from .options import NAMES, Options, SolveOptions, make_options
 from .plan import Plan
 from .registry import GENERAL, find_row, make_rule
 from .result import Outcome, Result
@@ -40,7 +41,7 @@ class Solver:
     InvalidOption.
     """
 
-    def __init__(self, robot: Robot | Tree, solver: Any = "auto", **options: Any) -> None:
+    def __init__(self, robot: Robot | Tree, solver: Any = "auto", **options: Unpack[SolveOptions]) -> None:
         """Validate everything once; the loop is compiled at the first call."""
         require_robot(robot)
         options.setdefault("check", False)
@@ -124,7 +125,7 @@ def require_robot(robot: Any) -> None:
         raise InvalidOption(f"the first argument is a Robot (see Robot.load), not {type(robot).__name__}")
 
 
-def make_plan(robot: Any, solver: Any, options: dict[str, Any]) -> Plan:
+def make_plan(robot: Any, solver: Any, options: Mapping[str, Any]) -> Plan:
     """Plan of a solver by name, rule class or instance. Raises UnknownSolver, InvalidOption."""
     row = find_row(solver)
     preset = {}
@@ -141,7 +142,7 @@ def make_plan(robot: Any, solver: Any, options: dict[str, Any]) -> Plan:
 _SOLVERS_LOCK = threading.Lock()
 
 
-def bound(robot: Any, solver: Any, options: dict[str, Any]) -> Solver:
+def bound(robot: Any, solver: Any, options: Mapping[str, Any]) -> Solver:
     """Return a Solver for these arguments, the same one each time they can be hashed."""
     kept = robot.memo.setdefault("solvers", {})
     try:
@@ -163,7 +164,7 @@ def is_auto(solver: Any) -> bool:
     return solver is None or (isinstance(solver, str) and solver == "auto")
 
 
-def automatic(robot: Any, kind: int, options: dict[str, Any]) -> str:
+def automatic(robot: Any, kind: int, options: Mapping[str, Any]) -> str:
     """Name of the solver that 'auto' stands for: a closed form where one fits and no preference is given, else the search."""
     if robot.by_tip:
         return GENERAL
@@ -173,7 +174,9 @@ def automatic(robot: Any, kind: int, options: dict[str, Any]) -> str:
     return GENERAL
 
 
-def solve(robot: Robot | Tree, target: Any, solver: Any = "auto", q0: Any = None, **options: Any) -> Result:
+def solve(
+    robot: Robot | Tree, target: Any, solver: Any = "auto", q0: Any = None, **options: Unpack[SolveOptions]
+) -> Result:
     """Find joint values that bring the tip to the target, or several tips to theirs.
 
     target: T_base_tip (4, 4) or pin.SE3, a position (3,) with orientation free [m], or an AxisTarget (see `pose`); for a Tree

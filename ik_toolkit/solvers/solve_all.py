@@ -1,11 +1,12 @@
 """The public call for every distinct solution of one target."""
 
-from typing import Any
+from typing import Any, Unpack
 
 from ..errors import InvalidOption
 from ..robot.robot import Robot
 from ..robot.tree import Tree
 from .every import find_all
+from .options import AllOptions
 from .solutions import Solutions
 from .solve import bound, require_robot
 
@@ -20,7 +21,7 @@ def solve_all(
     *,
     starts: int = 1000,
     count: int = 64,
-    **options: Any,
+    **options: Unpack[AllOptions],
 ) -> Solutions:
     """Find every distinct solution inside the limits, nearest to q0 (default home) first.
 

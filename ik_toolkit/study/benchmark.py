@@ -193,9 +193,10 @@ def _bind(
     """
     bound: Bound = {}
     refused: dict[str, IKError] = {}
+    without: dict[str, Any] = options | {"restarts": 0}
     for solver in asked:
         try:
-            one, many = (Solver(robot, solver, **{**options, **own}) for own in ({"restarts": 0}, {}))
+            one, many = Solver(robot, solver, **without), Solver(robot, solver, **options)
             one(T[0], None if Q0 is None else Q0[0])  # compiles
         except IKError as error:
             if not every and not isinstance(error, InvalidOption | UnknownSolver):

@@ -55,7 +55,8 @@ def measures(robot: Robot, Q: np.ndarray, position_only: bool = True) -> tuple[n
 def run(robot: Robot, target: np.ndarray, solver: Any, q0: np.ndarray, **options: Any) -> Run:
     """Solve one target from q0, without restarts, and measure the Jacobian along the way."""
     require_one_tip(robot, "a study of singularities")
-    bound = Solver(robot, solver, **{"restarts": 0, **options, "history": True})
+    asked: dict[str, Any] = {"restarts": 0, **options, "history": True}
+    bound = Solver(robot, solver, **asked)
     result = bound(np.asarray(target, dtype=float), q0=np.asarray(q0, dtype=float))
     history = result.history or {}
     Q = history["q"]

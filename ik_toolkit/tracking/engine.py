@@ -60,7 +60,7 @@ class RuleSteps:
         from ..solvers.solve import Solver
 
         self.chain = robot.chain
-        self.solver = Solver(robot, rule, **{"tolerance": 1e-9, "limits": limits, **options})
+        self.solver = Solver(robot, rule, **({"tolerance": 1e-9, "limits": limits} | options))
         self.name = self.solver.name
         self.previous = np.zeros(4 * robot.n + 8)
         self._p = np.zeros(len(motion.Law._fields))
