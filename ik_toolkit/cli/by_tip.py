@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Callable, Sequence
-from types import SimpleNamespace
 from typing import Any
 
 from ..errors import InvalidOption, InvalidTarget
@@ -55,7 +54,9 @@ def directions(direction: Sequence[str] | None, tip_axis: Sequence[str] | None) 
     return ways, axes
 
 
-def targets(texts: Sequence[str], deg: bool, direction: Sequence[str] | None, tip_axis: Sequence[str] | None) -> Any:
+def targets(
+    texts: Sequence[str], deg: bool, direction: Sequence[str] | None = None, tip_axis: Sequence[str] | None = None
+) -> dict[str, Any]:
     """Targets by tip of --target (see FORMS), --direction and --tip-axis; angles in degrees when `deg`."""
     from ..robot.pose import pose
 
@@ -80,31 +81,32 @@ def targets(texts: Sequence[str], deg: bool, direction: Sequence[str] | None, ti
     return made
 
 
-def choose_tips(line: SimpleNamespace, given: dict[str, Any] | None) -> str | list[str] | None:
+def choose_tips(
+    source: str, tips: Sequence[str] | None, given: dict[str, Any] | None, relative: Sequence[str] | None, one: bool
+) -> str | list[str] | None:
     """Tip of a Robot, or the tips of a Tree: those of --tip, else the robot's own, else those with a target.
 
-    given: targets by tip, None where there is no --target. Raises InvalidOption.
+    given: targets by tip, None where there is no --target; one: whether one target without a tip is given. Raises InvalidOption.
     """
     from ..robot.library import find
 
-    known, named = find(line.robot).tips, list(line.tip or ())
+    known, named = find(source).tips, list(tips or ())
     for k, tip in enumerate(named):
         if tip in named[:k]:
             raise InvalidOption(f"--tip gives '{tip}' twice")
-    if given is None and line.xyz is not None:
-        if len(named) > 1:
-            raise InvalidOption(f"--xyz is for one tip; give {', '.join(named)} a --target TIP:X,Y,Z each")
-        if not named and len(known) > 1:
-            raise InvalidOption(
-                f"robot '{line.robot}' has {len(known)} tips; choose one with --tip: {', '.join(known)}; or leave out --xyz "
-                "and give a --target TIP:X,Y,Z for each (a tip without one is free)"
-            )
-    relative = relations(getattr(line, "relative", None)) or {}
+    if one and len(named) > 1:
+        raise InvalidOption(f"--xyz is for one tip; give {', '.join(named)} a --target TIP:X,Y,Z each")
+    if one and not named and len(known) > 1:
+        raise InvalidOption(
+            f"robot '{source}' has {len(known)} tips; choose one with --tip: {', '.join(known)}; or leave out --xyz and give a "
+            "--target TIP:X,Y,Z for each (a tip without one is free)"
+        )
     if given is None:
         return named[0] if len(named) == 1 else named or (list(known) if len(known) > 1 else None)
-    asked = list(dict.fromkeys([*given, *relative, *relative.values()]))
     if named:
         return named
+    others = relations(relative) or {}
+    asked = list(dict.fromkeys([*given, *others, *others.values()]))
     if len(known) > 1 and all(tip in known for tip in asked):
         return list(known)
     return [*(tip for tip in known if tip in asked), *(tip for tip in asked if tip not in known)]

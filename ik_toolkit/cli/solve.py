@@ -87,7 +87,8 @@ def solve(
     asked.refuse_contradictions(line)
     target = asked.read_target(line)
     method = asked.choose_solver(solver, param, preset)
-    arm = load_robot(robot, choose_tips(line, target if targets else None), base, lock, package_dir, deg)
+    tips = choose_tips(robot, tip, target if targets else None, relative, xyz is not None)
+    arm = load_robot(robot, tips, base, lock, package_dir, deg)
     options = asked.read_options(line, arm)
     start = options.pop("q0")
     if file is not None:

@@ -2,13 +2,13 @@
 
 import base64
 import html
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ..errors import InvalidOption
+from ..errors import InvalidOption, InvalidTarget
 from ..files import write_whole
 from ..robot.joints import Joints
 from ..robot.pose import AxisTarget, check_target, length
@@ -18,6 +18,7 @@ from .window import Window
 # Okabe and Ito (2008), as in the plots.
 BLUE, ORANGE, GREEN, PURPLE = (0.0, 0.447, 0.698), (0.835, 0.369, 0.0), (0.0, 0.62, 0.451), (0.8, 0.475, 0.655)
 YELLOW, SKY, RED, SLATE = (0.902, 0.624, 0.0), (0.337, 0.706, 0.914), (0.80, 0.20, 0.15), (0.30, 0.34, 0.40)
+TRAILS = (ORANGE, PURPLE, GREEN, SKY, YELLOW)  # of several tips
 GHOSTS = (BLUE, GREEN, YELLOW, PURPLE, SKY, ORANGE, (0.94, 0.89, 0.26), (0.45, 0.30, 0.18))
 AXES = ((0.82, 0.18, 0.16), (0.16, 0.62, 0.24), (0.13, 0.38, 0.78))  # x red, y green, z blue
 FAR = 3.0  # extents; a target further away is drawn, but does not shrink the picture
@@ -44,6 +45,7 @@ class Scene:
         self.window = Window()
         self._corners: list[np.ndarray] = []
         self._legend: list[tuple[str, str]] = []
+        self._names: list[tuple[str, str, int]] = []
         lines = [self.body.notice] if self.body.notice else []
         self.window.say(title=title or robot.name, lines=lines)
 
@@ -119,6 +121,11 @@ class Scene:
             bands = f"linear-gradient(90deg, {', '.join(css(color) for color in AXES)})"
             self._say(css(shapes[-1][1]) if free or target.ndim == 1 else bands, label)
 
+    def name(self, path: str, text: str, below: bool = False) -> None:
+        """Write beside a drawn frame what it is: above it, or below."""
+        self._names = [one for one in self._names if one[0] != path] + [(path, text, 6 if below else -24)]
+        self.window.say(names=self._names)
+
     def move(self, T_base: np.ndarray, name: str = "target") -> None:
         """Move a drawn frame to another pose (4, 4)."""
         self.window.place(name, self.body.T_world_base @ T_base)
@@ -162,9 +169,10 @@ class Scene:
         self.show(Q[first], name)
         poses = np.array([self.body.placements(q) for q in Q], dtype="<f4")[:, :, :3]
         paths = [f"/meshcat/{name}/{part.name}" for part in self.body.parts]
-        tips = np.array([self.body.tips(q) for q in Q])[:, :, :3]
-        if "tip" in self.window.transforms:
-            poses, paths = np.concatenate([poses, tips[:, :1].astype("<f4")], axis=1), [*paths, "/meshcat/tip"]
+        drawn = [tip for tip in range(len(self.robot.tips)) if numbered("tip", tip) in self.window.transforms]
+        tips = np.array([self.body.tips(q)[drawn, :3] for q in Q])
+        poses = np.concatenate([poses, tips.astype("<f4")], axis=1)
+        paths += [f"/meshcat/{numbered('tip', tip)}" for tip in drawn]
         self._corners += [self.body.bounds(q) for q in Q[:: max(1, len(Q) // 12)]]
         self.window.say(
             animation={
@@ -196,7 +204,11 @@ class Scene:
                 frames.append(Q[row] if last else Q[row] + (step / between) * (Q[rows[k + 1]] - Q[row]))
                 labels.append(text)
         self.show(Q[0], "start", SLATE, 0.22, "start")
-        self.trail([self._tip(q) for q in Q[rows]], label="way of the tip")
+        ways = np.array([self._tips(q) for q in Q[rows]])
+        several = len(self.robot.tips) > 1
+        for k, tip in enumerate(self.robot.tips):
+            label = f"way of {tip}" if several else "way of the tip"
+            self.trail(ways[:, k], numbered("trail", k), TRAILS[k % len(TRAILS)], label=label)
         self.animate(frames, labels, fps=max(12.0, len(frames) / 12.0), first=len(frames) - 1)
 
     def follow(self, result: Any) -> None:
@@ -267,7 +279,7 @@ class Scene:
         """
         found = {path: T.copy() for path, T in self.window.transforms.items()}
         for path in self.window.objects:
-            if path in ("trail", "path", "cloud"):
+            if path.startswith("trail") or path in ("path", "cloud"):
                 found[path] = np.eye(4)
         return found
 
@@ -276,10 +288,11 @@ class Scene:
         low, high = np.min([c[0] for c in corners], axis=0), np.max([c[1] for c in corners], axis=0)
         return max(0.7 * float(np.linalg.norm(high - low)), 1e-3)
 
-    def _tip(self, q: np.ndarray) -> np.ndarray:
-        world = self.body.tips(q)[0][:3, 3]
+    def _tips(self, q: np.ndarray) -> np.ndarray:
+        """Positions (tips, 3) [m] of the tips in base axes."""
+        world = self.body.tips(q)[:, :3, 3]
         base = self.body.T_world_base
-        return base[:3, :3].T @ (world - base[:3, 3])
+        return (world - base[:3, 3]) @ base[:3, :3]
 
     def _world(self, points: Any) -> np.ndarray:
         P = np.atleast_2d(np.asarray(points, dtype=float))
@@ -312,8 +325,11 @@ def view(robot: Joints, what: Any = None, *, target: Any = None, cloud: Any = No
     scene.show(rows[0], label="1 (solid)" if many else "")
     back = np.linalg.inv(scene.body.T_world_base)
     tips = scene.body.tips(rows[0])
+    size = 0.09 * scene._extent()
     for k, T in enumerate(tips):
-        scene.frame(back @ T, f"tip{k + 1 if k else ''}", 0.09 * scene._extent())
+        scene.frame(back @ T, numbered("tip", k), size)
+        if len(tips) > 1:
+            scene.name(numbered("tip", k), robot.tips[k], below=True)
     if run:
         scene.follow(what)
         scene.say(f"{what.method} at {1 / what.dt:.4g} Hz: {what.message or what.status.value}")
@@ -326,14 +342,35 @@ def view(robot: Joints, what: Any = None, *, target: Any = None, cloud: Any = No
             scene.converge(what.history)
         scene.say(f"{what.solver}: {what.status.name}", what.message)
     if target is not None:
-        targets = target.values() if isinstance(target, dict) else target if len(tips) > 1 else [target]
-        for k, T in enumerate(targets):
-            scene.frame(T, f"target{k + 1 if k else ''}", label="" if k else "target")
+        size = 0.14 * scene._extent()
+        for k, (tip, T) in enumerate(_by_tip(robot, target).items()):
+            scene.frame(T, numbered("target", k), size, label="" if k else "targets" if len(tips) > 1 else "target")
+            if len(tips) > 1:
+                scene.name(numbered("target", k), f"target of {tip}")
     if cloud is not None:
         points, success = cloud if isinstance(cloud, tuple) else (cloud, None)
         scene.cloud(points, success)
     scene.look()
     return scene
+
+
+def numbered(word: str, k: int) -> str:
+    """Path of the drawing of tip k: the first has the word alone."""
+    return f"{word}{k + 1 if k else ''}"
+
+
+def _by_tip(robot: Joints, target: Any) -> dict[str, Any]:
+    """Targets by tip of a dict, of a list in the order of the tips, or of one. Raises FrameNotFound, InvalidTarget."""
+    if isinstance(target, Mapping):
+        robot.check_tips(target)
+        return {tip: target[tip] for tip in robot.tips if target.get(tip) is not None}
+    if not robot.by_tip:
+        return {robot.tips[0]: target}
+    if len(target) != len(robot.tips):
+        raise InvalidTarget(
+            f"a target for each of {', '.join(robot.tips)} is drawn, or a dict by tip; not {len(target)}"
+        )
+    return dict(zip(robot.tips, target, strict=True))
 
 
 def _rows(robot: Joints, what: Any) -> np.ndarray:

@@ -67,7 +67,14 @@ class Window:
         self.objects: dict[str, bytes] = {}
         self.copies: dict[str, bytes] = {}
         self.transforms: dict[str, np.ndarray] = {}
-        self.about: dict[str, Any] = {"title": "", "lines": [], "legend": [], "camera": None, "animation": None}
+        self.about: dict[str, Any] = {
+            "title": "",
+            "lines": [],
+            "legend": [],
+            "names": [],
+            "camera": None,
+            "animation": None,
+        }
         self.feeds: set[Feed] = set()
         self.lock = threading.RLock()
         self.server: Server | None = None
@@ -123,7 +130,7 @@ class Window:
                 feed.deleted(path)
 
     def say(self, **about: Any) -> None:
-        """Change title, lines, legend, camera or animation of the page."""
+        """Change title, lines, legend, names of frames, camera or animation of the page."""
         with self.lock:
             self.about.update(about)
             for feed in self.feeds:

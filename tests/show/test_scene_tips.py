@@ -1,0 +1,105 @@
+"""Scenes of several tips: every tip and target is drawn where it is, and named."""
+
+import base64
+
+import numpy as np
+import pytest
+
+import ik_toolkit as ik
+from ik_toolkit import cli
+from ik_toolkit.errors import FrameNotFound, InvalidTarget
+
+pytest.importorskip("meshcat", reason="meshcat is not installed (extra 'view')")
+pytest.importorskip("trimesh", reason="trimesh is not installed (extra 'view')")
+
+from ik_toolkit.show.scene import Scene, view
+
+
+@pytest.fixture(scope="module")
+def brokk():
+    return ik.Tree.load("brokk_hydrolek")
+
+
+@pytest.fixture(scope="module")
+def goal(brokk):
+    T = brokk.fk(brokk.random_q(np.random.default_rng(2)))
+    return {tip: pose.homogeneous for tip, pose in T.items()}
+
+
+def names(scene):
+    return {path: text for path, text, _ in scene.window.about["names"]}
+
+
+def test_tips_and_targets_are_named_and_where_they_are(brokk, goal):
+    found = ik.solve(brokk, goal)
+    scene = view(brokk, found, target=goal)
+    drawn = scene.drawn()
+    for k, tip in enumerate(brokk.tips):
+        number = str(k + 1) if k else ""
+        world = scene.body.T_world_base @ goal[tip]
+        assert np.allclose(drawn[f"target{number}"], world) and np.allclose(drawn[f"tip{number}"], world, atol=1e-5)
+        assert names(scene)[f"target{number}"] == f"target of {tip}" and names(scene)[f"tip{number}"] == tip
+    assert "span" in scene.html() and names(view(brokk.arms[0])) == {}
+
+
+def test_the_second_of_two_targets_keeps_its_name(brokk, goal):
+    scene = view(brokk, target={"right_tip": goal["right_tip"]})
+    assert names(scene)["target"] == "target of right_tip"
+    assert np.allclose(scene.drawn()["target"], scene.body.T_world_base @ goal["right_tip"])
+    with pytest.raises(FrameNotFound, match="Did you mean 'left_tip'"):
+        view(brokk, target={"left_tp": goal["left_tip"]})
+    with pytest.raises(InvalidTarget, match="a target for each of left_tip, right_tip"):
+        view(brokk, target=[goal["left_tip"]])
+
+
+def test_an_animation_moves_every_tip_and_draws_its_way(brokk, goal):
+    found = ik.solve(brokk, goal, history=True)
+    scene = view(brokk, found, target=goal)
+    about = scene.window.about["animation"]
+    values = np.frombuffer(base64.b64decode(about["data"]), dtype="<f4").reshape(about["count"], -1, 3, 4)
+    for k, tip in enumerate(brokk.tips):
+        path = about["paths"].index(f"/meshcat/tip{k + 1 if k else ''}")
+        world = scene.body.T_world_base @ brokk.fk(found.q)[tip].homogeneous
+        assert np.allclose(values[-1, path], world[:3], atol=1e-5)
+    assert {"trail", "trail2"} <= scene.drawn().keys()
+    assert [text for _, text in scene.window.about["legend"] if text.startswith("way of")] == [
+        "way of left_tip",
+        "way of right_tip",
+    ]
+
+
+def test_view_solves_for_several_tips(brokk, goal, tmp_path, capsys, monkeypatch):
+    drawn = {}
+    frame = Scene.frame
+    monkeypatch.setattr(
+        Scene, "frame", lambda self, T, name="target", *a, **k: (drawn.update({name: T}), frame(self, T, name, *a, **k))
+    )
+    T, U = (goal[tip][:3, 3] for tip in brokk.tips)
+    words = ["--target", f"left_tip:{T[0]},{T[1]},{T[2]}", "--target", f"right_tip:{U[0]},{U[1]},{U[2]}"]
+    file = tmp_path / "a.html"
+    assert cli.main(["view", "brokk_hydrolek", *words, "--html", str(file)]) == 0
+    assert "CONVERGED" in capsys.readouterr().err and file.exists()
+    assert np.allclose(drawn["target"], T) and np.allclose(drawn["target2"], U)
+    relative = ["--target", "right_tip:0.1,-0.3,0.1", "--relative", "right_tip:left_tip"]
+    for command in ("view", "solve"):  # drawn where it is in the end, in the base frame
+        drawn.clear()
+        assert cli.main([command, "brokk_hydrolek", *words[:2], *relative, "--html", str(file)]) == 0
+        assert np.allclose(drawn["target2"], drawn_tip(brokk, words[:2], relative), atol=1e-4)
+    capsys.readouterr()
+    for wrong, said in (
+        (["--xyz", "1", "0", "1", *words], "leave out --xyz"),
+        (["--q", *map(str, brokk.home), *words], "give one of them"),
+        (["--xyz", "1", "0", "1"], "choose one with --tip: left_tip, right_tip"),
+        (["--relative", "right_tip:left_tip"], "--relative is for several tips"),
+        (["--all"], "--q0 and --all belong to --xyz or --target"),
+    ):
+        assert cli.main(["view", "brokk_hydrolek", *wrong, "--html", str(file)]) == 2
+        assert said in capsys.readouterr().err
+
+
+def drawn_tip(brokk, words, relative):
+    """Where the right tip stands in the answer."""
+    left = [float(x) for x in words[1].partition(":")[2].split(",")]
+    right = [float(x) for x in relative[1].partition(":")[2].split(",")]
+    found = ik.solve(brokk, {"left_tip": left, "right_tip": right}, relative_to={"right_tip": "left_tip"})
+    return brokk.fk(found.q)["right_tip"].translation
