@@ -107,6 +107,8 @@ def load(name):
     """Load a robot of the tests by name, once."""
     if name in MADE:
         return ik.Robot.load(MADE[name])
+    if name == "two_arms":
+        return ik.Tree.load("brokk_hydrolek")
     if name == "locked":
         return ik.Robot.load("inspection_7dof", locked={"lift": 0.25})
     if name == "tool":

@@ -95,7 +95,8 @@ class ClosedForm(Protocol):
     wrap = True
     hold = False
 
-    def recognise(self, chain: Any) -> "Fit":
+    @staticmethod
+    def recognise(chain: Any) -> "Fit":
         """Whether a chain has the structure, how nearly, and the numbers of the closed form."""
         ...
 
@@ -122,8 +123,10 @@ class ClosedForm(Protocol):
     start_table, options, lanes = Rule.start_table, Rule.options, Rule.lanes
 
     def loop(self, robot: Any) -> Callable:
-        """The solve with the arguments of `kernel.search.entry`."""
-        ...
+        """The solve with the arguments of `kernel.search.entry`. Default: of `every`, the nearest that meets the tolerances."""
+        from .closed_form.nearest import nearest_of
+
+        return nearest_of(self, robot)
 
 
 @overload

@@ -21,19 +21,33 @@ def commands(page):
     return [line for line in lines if line.startswith("ik ")]
 
 
+def write_files(page, folder):
+    """Write the blocks that are files (their first line is `# NAME.py`) to a folder; return the other Python blocks."""
+    rest = []
+    for block in blocks(page, "python"):
+        if name := re.match(r"# ([\w/]+\.py)\n", block):
+            (folder / name[1]).parent.mkdir(exist_ok=True)
+            (folder / name[1]).write_text(block)
+        else:
+            rest.append(block)
+    return rest
+
+
 WITH_PYTHON = [page for page in PAGES if blocks(page, "python")]
 
 
 @pytest.mark.parametrize("page", WITH_PYTHON, ids=lambda page: page.stem)
 def test_examples_run(page, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    code = "\n".join(blocks(page, "python"))
+    monkeypatch.syspath_prepend(tmp_path)
+    code = "\n".join(write_files(page, tmp_path))
     exec(compile(code, str(page), "exec"), {"__name__": "guide"})
 
 
-@pytest.mark.parametrize("command", [command for page in PAGES for command in commands(page)])
-def test_commands_run(command, tmp_path, monkeypatch, capsys):
+@pytest.mark.parametrize(("page", "command"), [(page, line) for page in PAGES for line in commands(page)])
+def test_commands_run(page, command, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
+    write_files(page, tmp_path)
     assert main(shlex.split(command)[1:]) == 0
     said = capsys.readouterr()
     assert (said.out + said.err).strip()

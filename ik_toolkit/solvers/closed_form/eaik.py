@@ -1,21 +1,15 @@
 """Six turning joints of a structure that the EAIK package knows: all its answers, through the call of every other solver."""
 
 import functools
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from ...errors import MissingExtra
 from ...kernel.chain import Chain
-from ...kernel.checks import BAD_START, BAD_TARGET, rigid
 from ...kernel.jit import cached, jit
-from ...kernel.kinematics import room
-from ...kernel.records import ORDER, WEIGHTS
-from ...kernel.search import ENTRIES
 from ..protocol import closed_form
-from .finish import polish
-from .geometry import Branches, Fit, copy_limits, legal_start, legal_turn, measure_tip, no_fit, read_screws
+from .geometry import Branches, Fit, legal_turn, no_fit, read_screws
 
 N = 6
 STEPS = (
@@ -73,51 +67,10 @@ def joint_values(angles, box, q):
 
 
 @cached
-def choose(rows, ends, T, Q, q0, opt, hist, out):
-    """Write the result row of T (4, 4): of EAIK's answers Q (K, 6), finished on the chain, the nearest one that is good.
-
-    Where none meets the tolerances inside the limits, the one with the smallest error.
-    """
-    if not rigid(T):
-        out[0] = BAD_TARGET
-        return
-    if not legal_start(ends, opt, q0):
-        out[0] = BAD_START
-        return
-    box = np.empty((4, N))
-    copy_limits(ends, opt, q0, box)
-    q, best = np.empty(N), box[2].copy()
-    least, near = np.inf, np.inf
-    for k in range(Q.shape[0]):
-        joint_values(Q[k], box, q)
-        for i in range(N):
-            q[i] = min(max(q[i], box[0, i]), box[1, i])
-        position, rotation, _ = polish(rows, ends, opt, T, q, -1, STEPS)
-        error = max(position / opt[ORDER.tol_p], rotation / opt[ORDER.tol_r])
-        error = 0.0 if position < opt[ORDER.tol_p] and rotation < opt[ORDER.tol_r] else error
-        distance = 0.0
-        for i in range(N):
-            distance += box[3, i] * (q[i] - box[2, i]) ** 2
-        if error < least or (error == least and distance < near):
-            least, near = error, distance
-            best[:] = q
-    goal, joints, trig = np.empty(12), np.empty(room(N)[0]), np.zeros(room(N)[1])
-    measure_tip(rows, ends, opt, T, best, box, 0.0, 0.0, 0.0, goal, joints, trig, hist, out)
-
-
-@cached
 def every_branch(Q, box, out, broken):
     """Fill out (K, 6) with the legal turns of Q nearest box[2], and broken (K,) with the limit each breaks."""
     for k in range(Q.shape[0]):
         broken[k] = joint_values(Q[k], box, out[k])[0]
-
-
-def _solve(rows, ends, seeds, feat, T, Q0, out, opt, hist) -> None:
-    """Loop of the kernel's signature (see kernel.search.entry), around a package that is called from Python."""
-    p = opt[WEIGHTS + N :]
-    for t in range(len(T)):
-        q0 = Q0[t if len(Q0) > 1 else 0]
-        choose(rows, ends, T[t], branches(p, T[t]), q0, opt, hist, out[t])
 
 
 @closed_form
@@ -137,10 +90,3 @@ class EAIK(NamedTuple):
         out, broken = np.empty_like(Q), np.empty(len(Q))
         every_branch(Q, box, out, broken)
         return Branches(out, broken, np.zeros((len(Q), 3), dtype=np.int8), False, " of EAIK", (), STEPS, -1, True)
-
-    def loop(self, robot: Any) -> Callable:
-        """The solve around EAIK."""
-        return _solve
-
-
-ENTRIES[EAIK] = _solve

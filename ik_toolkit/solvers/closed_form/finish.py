@@ -17,12 +17,12 @@ SOFTEST, STIFFEST = 1e-12, 1e3  # the damping stays between
 
 
 @jit
-def polish(rows, ends, opt, T, q, fixed, steps):
+def polish(rows, ends, opt, T, q, fixed, steps, most):
     """Improve q (n,) [rad or m] for the target T (4, 4) inside the limits, by at most `steps` damped Newton steps.
 
     The errors count in units of their tolerances, so that a step into both tolerances is preferred to a smaller error of one.
-    fixed: place of a joint that is not moved, or -1. Stops when both errors are a thousandth of their tolerances. Returns both
-    errors of q [m], [rad] and the number of evaluations.
+    fixed: place of a joint that is not moved, or -1; most: evaluations allowed (inf: any number). Stops when both errors are a
+    thousandth of their tolerances. Returns both errors of q [m], [rad] (inf when it was not evaluated) and the evaluations made.
     """
     n = q.shape[0]
     o = read(Orders, opt)
@@ -40,6 +40,8 @@ def polish(rows, ends, opt, T, q, fixed, steps):
         old[i] = x[i]
     best, position, rotation, damping, count = np.inf, np.inf, np.inf, DAMPING, 0
     for k in range(steps + 1):
+        if count >= most:
+            break
         e = p.evaluate(x)
         count += 1
         size = wp * wp * e.linear.square() + wr * wr * e.angular.square()
@@ -58,7 +60,10 @@ def polish(rows, ends, opt, T, q, fixed, steps):
         else:
             copy(old, x)
             damping = max(100.0 * damping, DAMPING)
+            if count >= most:
+                break
             e = p.evaluate(x)
+            count += 1
         if k == steps or damping > STIFFEST:
             break
         p.jacobian(e)
@@ -97,7 +102,7 @@ def listed(rows, ends, opt, T, start, fixed, steps, Q, broken, marks, table, sig
             continue
         legal += 1
         q[:] = Q[k]
-        position, rotation, _ = polish(rows, ends, opt, T, q, fixed, steps)
+        position, rotation, _ = polish(rows, ends, opt, T, q, fixed, steps, np.inf)
         if not (position < o.tol_p and rotation < o.tol_r):
             continue
         distance = 0.0
@@ -117,12 +122,17 @@ def listed(rows, ends, opt, T, start, fixed, steps, Q, broken, marks, table, sig
 
 
 @cached
-def first_good(rows, ends, opt, T, starts, fixed, steps, q):
-    """Fill q (n,) with the first of starts (K, n), polished, that meets the tolerances of T (4, 4); return its errors, or inf."""
+def first_good(rows, ends, opt, T, starts, fixed, steps, most, q):
+    """Fill q (n,) with the first of starts (K, n), polished, that meets the tolerances of T (4, 4).
+
+    most: evaluations allowed in all (inf: any number). Returns its errors, or inf, and the evaluations made.
+    """
     evaluations = 0
     for k in range(starts.shape[0]):
+        if evaluations >= most:
+            break
         q[:] = starts[k]
-        position, rotation, count = polish(rows, ends, opt, T, q, fixed, steps)
+        position, rotation, count = polish(rows, ends, opt, T, q, fixed, steps, most - evaluations)
         evaluations += count
         if position < opt[ORDER.tol_p] and rotation < opt[ORDER.tol_r]:
             return position, rotation, evaluations
@@ -133,4 +143,4 @@ def first_good(rows, ends, opt, T, starts, fixed, steps, q):
 def finished(rows, ends, opt, T, Q, steps, errors):
     """Polish Q (K, n) for T (4, 4) in place; errors (K, 2) receives both errors [m], [rad] of each."""
     for k in range(Q.shape[0]):
-        errors[k, 0], errors[k, 1], _ = polish(rows, ends, opt, T, Q[k], -1, steps)
+        errors[k, 0], errors[k, 1], _ = polish(rows, ends, opt, T, Q[k], -1, steps, np.inf)

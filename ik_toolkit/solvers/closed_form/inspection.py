@@ -169,6 +169,7 @@ def solve(rows, ends, seeds, feat, T, Q0, out, opt, hist):
         lever = p[A4] + p[A6] + math.sqrt(p[21] * p[21] + p[22] * p[22] + p[23] * p[23])
         slack = opt[ORDER.tol_r] * lever  # a pose turned by the tolerance moves the wrist no further than this
         nearly = p[NEARLY] > 0.0
+        spent = 0
         if nearly or (broken > 0.0 and stroke == 0.0 and gap < opt[ORDER.tol_p] + slack):
             i = int(p[LIFT])
             at = p[LIFT + 1] * best[i] if i >= 0 else 0.0
@@ -186,7 +187,9 @@ def solve(rows, ends, seeds, feat, T, Q0, out, opt, hist):
                     continue
                 for j in range(n):
                     trial[j] = min(max(trial[j], box[0, j]), box[1, j])
-                position, rotation, _ = polish(rows, ends, opt, T[t], trial, fixed, STEPS)
+                left = opt[ORDER.evaluations] - 1.0 - spent  # one is for the answer
+                position, rotation, count = polish(rows, ends, opt, T[t], trial, fixed, STEPS, left)
+                spent += count
                 distance = 0.0
                 for j in range(n):
                     distance += box[3, j] * (trial[j] - box[2, j]) ** 2
@@ -198,6 +201,7 @@ def solve(rows, ends, seeds, feat, T, Q0, out, opt, hist):
             if nearly:  # proves nothing
                 broken, gap = 0.0, 0.0
         measure_tip(rows, ends, opt, T[t], best, box, broken, gap, slack, goal, joints, trig, hist, out[t])
+        out[t, AT.evaluations] += spent
         if out[t, AT.status] == LIMIT_BLOCKED:
             out[t, AT.excess] = stroke
 

@@ -10,7 +10,7 @@ from ...kernel.chain import Chain
 from ...kernel.checks import BAD_START, BAD_TARGET, rigid
 from ...kernel.jit import cached, jit
 from ...kernel.kinematics import room
-from ...kernel.records import ORDER, WEIGHTS
+from ...kernel.records import AT, ORDER, WEIGHTS
 from ...kernel.search import ENTRIES
 from ..protocol import closed_form
 from .finish import polish
@@ -153,19 +153,23 @@ def solve(rows, ends, seeds, feat, T, Q0, out, opt, hist):
                 best[:] = q
         if least > 0.0:
             nearest_on_limits(p, x, y, box, q, best)
+        spent = 0
         if p[NEARLY] > 0.0:  # finished on the real chain; proves nothing
             nearest = np.inf
             for k in range(planar_branches(x, y, p[L1], p[L2], near, sols)):
                 joint_values(p, sols[k], box, q)
                 for i in range(n):
                     q[i] = min(max(q[i], box[0, i]), box[1, i])
-                position, _, _ = polish(rows, ends, opt, T[t], q, -1, STEPS)
+                left = opt[ORDER.evaluations] - 1.0 - spent  # one is for the answer
+                position, _, count = polish(rows, ends, opt, T[t], q, -1, STEPS, left)
+                spent += count
                 distance = box[3, 0] * (q[0] - box[2, 0]) ** 2 + box[3, 1] * (q[1] - box[2, 1]) ** 2
                 if position < opt[ORDER.tol_p] and distance < nearest:
                     nearest = distance
                     best[:] = q
             least, gap = 0.0, 0.0
         measure_tip(rows, ends, opt, T[t], best, box, least, gap, 0.0, goal, joints, trig, hist, out[t])
+        out[t, AT.evaluations] += spent
 
 
 @cached

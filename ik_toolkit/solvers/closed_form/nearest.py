@@ -1,0 +1,70 @@
+"""The solve of a closed form that only lists its branches: of those that meet the tolerances, the one nearest the start."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from ...kernel.checks import BAD_START, BAD_TARGET, rigid
+from ...kernel.jit import cached
+from ...kernel.kinematics import room
+from ...kernel.limits import LIGHTEST
+from ...kernel.records import AT, ORDER, WEIGHTS
+from .finish import polish
+from .geometry import copy_limits, legal_start, measure_tip
+
+SAMPLE = 64  # branches asked for where a family has no end
+
+
+def nearest_of(form: Any, robot: Any) -> Callable:
+    """Solve with the arguments of `kernel.search.entry` around `form.every`, which is called from Python. It proves nothing."""
+
+    def solve(rows, ends, seeds, feat, T, Q0, out, opt, hist) -> None:
+        n = robot.n
+        numbers, unit = opt[WEIGHTS + n :], robot.chain.unit
+        weights = 1.0 / (np.maximum(opt[WEIGHTS : WEIGHTS + n], LIGHTEST) * unit**2)
+        free = np.full(n, np.inf)
+        lower, upper = (robot.lower, robot.upper) if opt[ORDER.limits] else (-free, free)
+        for t in range(len(T)):
+            q0 = Q0[t if len(Q0) > 1 else 0]
+            if not rigid(T[t]):
+                out[t, AT.status] = BAD_TARGET
+                continue
+            near = q0 if opt[ORDER.given] else robot.home
+            made = form.every(robot, numbers, T[t], np.vstack([lower, upper, near, weights]), SAMPLE)
+            choose(rows, ends, T[t], made.q, made.steps, made.fixed, q0, opt, hist, out[t])
+
+    return solve
+
+
+@cached
+def choose(rows, ends, T, Q, steps, fixed, q0, opt, hist, out):
+    """Write the result row of T (4, 4): of the branches Q (K, n), finished on the chain, the nearest one that is good.
+
+    Where none meets the tolerances inside the limits, the one with the smallest error.
+    """
+    n = Q.shape[1]
+    if not legal_start(ends, opt, q0):
+        out[0] = BAD_START
+        return
+    box = np.empty((4, n))
+    copy_limits(ends, opt, q0, box)
+    q, best = np.empty(n), box[2].copy()
+    least, near, spent = np.inf, np.inf, 0
+    for k in range(Q.shape[0]):
+        for i in range(n):
+            q[i] = min(max(Q[k, i], box[0, i]), box[1, i])
+        left = opt[ORDER.evaluations] - 1.0 - spent  # one is for the answer
+        position, rotation, count = polish(rows, ends, opt, T, q, fixed, steps, left)
+        spent += count
+        error = max(position / opt[ORDER.tol_p], rotation / opt[ORDER.tol_r])
+        error = 0.0 if position < opt[ORDER.tol_p] and rotation < opt[ORDER.tol_r] else error
+        distance = 0.0
+        for i in range(n):
+            distance += box[3, i] * (q[i] - box[2, i]) ** 2
+        if error < least or (error == least and distance < near):
+            least, near = error, distance
+            best[:] = q
+    goal, joints, trig = np.empty(12), np.empty(room(n)[0]), np.zeros(room(n)[1])
+    measure_tip(rows, ends, opt, T, best, box, 0.0, 0.0, 0.0, goal, joints, trig, hist, out)
+    out[AT.evaluations] += spent

@@ -1,0 +1,154 @@
+"""`check_solver` catches solvers that break the contract: each fault is of a rule that runs the real search and spoils its rows."""
+
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+import robots
+
+import ik_toolkit as ik
+from ik_toolkit.kernel.records import ANSWER, AT
+from ik_toolkit.kernel.search import entry
+from ik_toolkit.solvers.rules.jacobian import LM
+from ik_toolkit.testing import CLAUSES, cases, check_solver
+
+CALLS = []  # what the fault of memory keeps
+
+
+def moves_the_target(out, T, Q0, history):
+    T[:, 0, 3] += 1e-3
+
+
+def moves_the_start(out, T, Q0, history):
+    Q0[:] = 0.3
+
+
+def leaves_the_limits(out, T, Q0, history):
+    out[:, ANSWER] = 100.0
+
+
+def understates_the_error(out, T, Q0, history):
+    out[:, AT.position] *= 0.5
+
+
+def claims_success(out, T, Q0, history):
+    out[:, AT.status], out[:, AT.position] = ik.Status.CONVERGED, 0.0
+
+
+def hides_success(out, T, Q0, history):
+    out[:, AT.status] = ik.Status.STALLED
+
+
+def remembers(out, T, Q0, history):
+    CALLS.append(0)
+    out[:, ANSWER:] += 1e-12 * len(CALLS)
+
+
+def overspends(out, T, Q0, history):
+    out[:, AT.evaluations] += 1000
+
+
+def restarts_always(out, T, Q0, history):
+    out[:, AT.restarts] += 1
+
+
+def invents_history(out, T, Q0, history):
+    history[:, 0] += 1e-3
+
+
+def gives_no_number(out, T, Q0, history):
+    out[out[:, AT.status] != ik.Status.CONVERGED, ANSWER:] = np.nan
+
+
+def moves_held_joints(out, T, Q0, history):
+    out[:, -1] += 1e-6
+
+
+FAULTS = {
+    fault.__name__: fault
+    for fault in (
+        moves_the_target, moves_the_start, leaves_the_limits, understates_the_error, claims_success, hides_success, remembers,
+        overspends, restarts_always, invents_history, gives_no_number, moves_held_joints,
+    )
+}  # fmt: skip
+
+
+@ik.rule(step=LM)
+class Faulty(NamedTuple):
+    """The default rule with a fault."""
+
+    fault: str = ""
+
+    def pack(self, robot, asked):
+        return LM()
+
+    def loop(self, robot):
+        solve, spoil = entry(LM), FAULTS.get(self.fault, lambda *_: None)
+
+        def loop(rows, ends, seeds, features, T, Q0, out, orders, history):
+            solve(rows, ends, seeds, features, T, Q0, out, orders, history)
+            spoil(out, T, Q0, history)
+
+        return loop
+
+
+def test_the_rule_without_a_fault_passes():
+    check_solver(Faulty(), robots=["hydrolek_7w", robots.load("planar_2r")], seed=1)
+
+
+@pytest.mark.parametrize("fault", FAULTS)
+def test_a_fault_is_found_and_named(fault):
+    with pytest.raises(AssertionError, match=r"^Faulty on planar_2r \(position\): .{20,}"):
+        check_solver(Faulty(fault), robots=["planar_2r"])
+
+
+@pytest.mark.parametrize("clause", CLAUSES)
+def test_every_clause_is_broken_by_some_fault(clause):
+    broken = 0
+    for fault in FAULTS:
+        (case,) = cases(Faulty(fault), [robots.load("planar_2r")])
+        try:
+            CLAUSES[clause](case)
+        except (AssertionError, ik.IKError):
+            broken += 1
+    assert broken
+
+
+@ik.rule(step=LM)
+class Silent(NamedTuple):
+    """A rule that refuses everything and hardly says why."""
+
+    words: str = ""
+
+    def refuses(self, asked):
+        return self.words
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [("no", "a refusal says why"), ("is for robots with a soul, and this has none", "fits none of the")],
+)
+def test_a_rule_that_solves_nothing_does_not_pass(words, says):
+    with pytest.raises(AssertionError, match=says):
+        check_solver(Silent(words), robots=["planar_2r"])
+
+
+@ik.rule(step=LM)
+class Raising(NamedTuple):
+    """A rule that fails while it is prepared."""
+
+    gain: float = 1.0
+
+    def pack(self, robot, asked):
+        raise ZeroDivisionError("nothing there")
+
+
+def test_an_exception_of_its_own_is_named():
+    with pytest.raises(AssertionError, match="raises ZeroDivisionError: nothing there"):
+        check_solver(Raising, robots=["planar_2r"])
+
+
+def test_names_and_classes_that_are_no_solver_are_refused():
+    for wrong in ("lmm", dict, 3):
+        with pytest.raises(ik.IKError):
+            check_solver(wrong)
