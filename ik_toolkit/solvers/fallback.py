@@ -5,8 +5,8 @@ from typing import Any
 
 import numpy as np
 
-from ..kernel.checks import BAD_TARGET, CONVERGED, STALLED, UNREACHABLE
-from ..kernel.records import ANSWER, AT, HEAD
+from ..kernel.checks import BAD_TARGET, CONVERGED, ITERATION_LIMIT, STALLED, UNREACHABLE
+from ..kernel.records import ANSWER, AT, HEAD, ORDER
 from .status import SEARCHED
 
 STARTS, STEPS = 64, 24  # of the last search, which is for the tolerances
@@ -60,9 +60,9 @@ def with_search(plan: Any, closed: Callable) -> Callable:
         kinds = (int(opt[HEAD]),)
         # With one target the closed form has written one row of the history; with more there is none.
         given = len(Q0) > 1 or not np.array_equal(Q0[0], robot.home)  # a closed form is always told to start somewhere
-        open_ = continue_with(usual, T, start, (kinds, given), failed, out, hist[1:])
+        open_ = continue_with(usual, T[failed], start, (kinds, given), failed, out, hist[1:])
         if open_.any():
-            still = continue_with(once, T, ended[open_], (kinds, True), failed[open_], out, hist[:0])
+            still = continue_with(once, T[failed[open_]], ended[open_], (kinds, True), failed[open_], out, hist[:0])
             fixed = next(iter(held), -1)
             for k in failed[open_][still]:
                 if out[k, AT.status] != UNREACHABLE:
@@ -86,7 +86,8 @@ def into_tolerances(
     if fixed >= 0:
         starts[:, fixed] = row[ANSWER + fixed]
     q = np.empty(robot.n)
-    position, rotation, evaluations = first_good(rows, ends, opt, T, starts, fixed, STEPS, q)
+    left = opt[ORDER.evaluations] - row[AT.evaluations]
+    position, rotation, evaluations = first_good(rows, ends, opt, T, starts, fixed, STEPS, left, q)
     row[AT.evaluations] += evaluations
     if position < np.inf:
         row[ANSWER:] = q
@@ -102,12 +103,37 @@ def continue_with(
     out: np.ndarray,
     hist: np.ndarray,
 ) -> np.ndarray:
-    """Search the rows `failed` of out (N, ANSWER + n) from start (1 or len(failed), n); tell which of them are still not solved.
+    """Search targets T (M, 4, 4), the rows `failed` (M,) of out (N, ANSWER + n), from start (1 or M, n); tell which stay unsolved.
 
-    how: kinds of target, and whether the starts are given (see Plan.run).
+    how: kinds of target, and whether the starts are given (see Plan.run). Where evaluations are limited, each row is searched with
+    what it has left of them.
     """
+    budget = search.options.max_evaluations
+    if budget is not None:
+        still = np.ones(len(failed), dtype=bool)
+        for i, k in enumerate(failed):
+            left = budget - int(out[k, AT.evaluations])
+            if left > 0:
+                one, q0 = slice(i, i + 1), start if len(start) == 1 else start[i : i + 1]
+                still[i] = _continue(search.varied(max_evaluations=left), T[one], q0, how, failed[one], out, hist)[0]
+            elif out[k, AT.status] == STALLED:
+                out[k, AT.status] = ITERATION_LIMIT
+        return still
+    return _continue(search, T, start, how, failed, out, hist)
+
+
+def _continue(
+    search: Any,
+    T: np.ndarray,
+    start: np.ndarray,
+    how: tuple[tuple, bool],
+    failed: np.ndarray,
+    out: np.ndarray,
+    hist: np.ndarray,
+) -> np.ndarray:
+    """The same for rows that have the search's budget."""
     found = np.zeros((len(failed), out.shape[1]))
-    search.run(T[failed], how[0], start, how[1], found, hist)
+    search.run(T, how[0], start, how[1], found, hist)
     merge(out, failed, found, search.robot.chain.scale)
     return found[:, AT.status] != CONVERGED
 

@@ -25,11 +25,11 @@ def solve_all(
 ) -> Solutions:
     """Find every distinct solution inside the limits, nearest to q0 (default home) first.
 
-    target: as for `solve`. 'auto' uses a closed form where one fits (complete, unless the fit
-    is only near or a family exists: `families` says what is free, and the rows are a spread sample of at most `count`) and
-    otherwise 'lm' from `starts` random starts, answers a turn or less than 1e-3 apart merged (never proven complete). 'eaik'
-    is completed by the same starts. Options as for `solve`, but for closest, objective, follow and history; limits=False
-    lists what the limits forbid too. Each is checked with Pinocchio. Raises as `solve` does.
+    target: as for `solve`. 'auto' uses a closed form where one fits (complete, unless the fit is only near or a family exists:
+    `families` says what is free, and the rows are a spread sample of at most `count`) and otherwise a search from `starts` random
+    starts, answers a turn or less than 1e-3 apart merged (never proven complete). A closed form that may miss some is completed by
+    the same starts. Options as for `solve`, but for closest, objective, follow and history; limits=False lists what the limits
+    forbid too. Each is checked with Pinocchio. Raises as `solve` does.
     """
     require_robot(robot)
     for name in CHOOSING:

@@ -16,7 +16,7 @@ from ..files import PARTIAL, WholeFile
 from ..robot.robot import Robot
 from ..robot.tree import Tree
 from ..solvers.batch import solve_parts
-from ..solvers.registry import find_row
+from ..solvers.registry import GENERAL, find_row
 from ..solvers.solve import require_robot
 from ..solvers.status import Status
 from .statistics import wilson
@@ -114,7 +114,7 @@ def envelope(
 
 def workspace(
     robot: Robot | Tree,
-    solvers: Sequence[Any] | Mapping[str, Any] = ("lm",),
+    solvers: Sequence[Any] | Mapping[str, Any] = (GENERAL,),
     *,
     tip: str | None = None,
     goals: int = 10_000,

@@ -60,20 +60,20 @@ def case(name, arm, kind):
     return Case(name, robots.load(arm), kind, seed=3)
 
 
-@pytest.mark.parametrize(("name", "arm", "kind"), pairs(claimed=False))
+@pytest.mark.parametrize(("name", "arm", "kind"), list(pairs(claimed=False)))
 def test_what_a_row_does_not_claim_is_refused_in_words(name, arm, kind):
     robots.needs(BY_NAME[name])
     assert not case(name, arm, kind).fits()
 
 
-@pytest.mark.parametrize(("name", "arm", "kind"), pairs(claimed=True))
+@pytest.mark.parametrize(("name", "arm", "kind"), list(pairs(claimed=True)))
 def test_what_a_row_claims_is_taken(name, arm, kind):
     robots.needs(BY_NAME[name])
     assert case(name, arm, kind).fits()
 
 
 @pytest.mark.parametrize("clause", CLAUSES)
-@pytest.mark.parametrize(("name", "arm", "kind"), pairs(claimed=True))
+@pytest.mark.parametrize(("name", "arm", "kind"), list(pairs(claimed=True)))
 def test_clause(name, arm, kind, clause):
     robots.needs(BY_NAME[name])
     CLAUSES[clause](case(name, arm, kind))

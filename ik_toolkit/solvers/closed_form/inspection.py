@@ -17,7 +17,6 @@ from ...kernel.checks import BAD_START, BAD_TARGET, LIMIT_BLOCKED, rigid
 from ...kernel.jit import cached
 from ...kernel.kinematics import room
 from ...kernel.records import AT, ORDER, WEIGHTS
-from ...kernel.search import ENTRIES
 from ..protocol import Asked, closed_form, fitted
 from .finish import polish
 from .geometry import (
@@ -243,6 +242,3 @@ class Inspection(NamedTuple):
     def loop(self, robot: Any) -> Callable:
         """The compiled solve."""
         return solve
-
-
-ENTRIES[Inspection] = solve

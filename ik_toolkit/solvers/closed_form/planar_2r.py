@@ -11,7 +11,6 @@ from ...kernel.checks import BAD_START, BAD_TARGET, rigid
 from ...kernel.jit import cached, jit
 from ...kernel.kinematics import room
 from ...kernel.records import AT, ORDER, WEIGHTS
-from ...kernel.search import ENTRIES
 from ..protocol import closed_form
 from .finish import polish
 from .geometry import (
@@ -223,6 +222,3 @@ class Planar2R(NamedTuple):
     def loop(self, robot: Any) -> Callable:
         """The compiled solve."""
         return solve
-
-
-ENTRIES[Planar2R] = solve
