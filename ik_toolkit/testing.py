@@ -295,7 +295,7 @@ def holds_joints(case: Case) -> None:
     start = robot.random_q(np.random.default_rng(case.seed))
     target = case.target(robot.random_q(np.random.default_rng(case.seed + 1)))
     try:
-        result = case.bind(joint_weights=weights.tolist(), restarts=3)(target, q0=start)
+        result = case.bind(joint_weights=weights.tolist(), restarts=3, max_iterations=50)(target, q0=start)
     except (InvalidOption, UnknownSolver) as refused:
         case.claim(case.row.name in str(refused), f"a refusal names the solver, and this one does not: {refused}")
         return
@@ -320,7 +320,7 @@ def solves_batches(case: Case) -> None:
 def lists_solutions(case: Case) -> None:
     """What `Solver.all` lists meets the target inside the limits."""
     target = case.target(case.robot.random_q(np.random.default_rng(case.seed)))
-    found = case.bind().all(target, starts=20, count=8)
+    found = case.bind(max_iterations=100).all(target, starts=20, count=8)
     case.claim(len(found) <= 8, "it lists more solutions than are asked for")
     for q in found.q:
         distance, angle = case.left(q, target)
