@@ -1,0 +1,46 @@
+"""A closed form and the search after it share one budget of evaluations."""
+
+import numpy as np
+import pytest
+import robots
+
+import ik_toolkit as ik
+
+
+@pytest.mark.parametrize(("name", "solver"), [("planar_2r", "planar-2r"), ("inspection_7dof", "inspection")])
+def test_a_failed_closed_form_leaves_the_search_what_is_left(name, solver):
+    robot = robots.load(name)
+    rng = np.random.default_rng(5)
+    # Positions or poses near the edge of the reach: the closed form fails at some, and the search has its say.
+    targets = []
+    for _ in range(10):
+        T = robot.fk(robot.random_q(rng)).homogeneous
+        T[:3, 3] += rng.uniform(-0.3, 0.3, 3) * robot.reach
+        targets.append(T if name == "inspection_7dof" else T[:3, 3])
+    plain = ik.Solver(robot, solver)
+    searched = [T for T in targets if plain(T).fk_evaluations > 30]
+    assert len(searched) >= 2
+    for budget in (1, 2, 3, 10, 30, 31, 100):
+        bound = ik.Solver(robot, solver, max_evaluations=budget)
+        for T in searched:
+            result = bound(T)
+            assert 1 <= result.fk_evaluations <= budget
+            assert not robot.outside(result.q)
+        batch = ik.solve_batch(robot, np.array(searched), solver, max_evaluations=budget)
+        for row, T in zip(batch, searched, strict=True):
+            assert row.fk_evaluations == bound(T).fk_evaluations
+
+
+def test_a_used_up_budget_is_said():
+    arm = robots.load("inspection_7dof")
+    rng = np.random.default_rng(8)
+    said = set()
+    for _ in range(20):
+        T = arm.fk(arm.random_q(rng)).homogeneous
+        T[:3, 3] += rng.uniform(-0.2, 0.2, 3)
+        result = ik.solve(arm, T, "inspection", max_evaluations=5)
+        said.add(result.status.name)
+        if result.status == ik.Status.ITERATION_LIMIT:
+            assert "5 evaluations allowed were used up" in result.message
+        assert result.fk_evaluations <= 5
+    assert said <= {"CONVERGED", "UNREACHABLE", "LIMIT_BLOCKED", "ITERATION_LIMIT"}
