@@ -56,6 +56,20 @@ def avoiding(plan: Any, then: tuple[Callable[[Any], Any], ...]) -> Callable[[Any
     return step
 
 
+def _from(Q0: np.ndarray, single: Any, outcome: Any, budget: float) -> np.ndarray:
+    """Rows of the attempts from Q0 (m, n): all of them at once, or one after the other until the evaluations are used up."""
+    out = np.empty((len(Q0), len(outcome.row)))
+    if budget == np.inf:
+        single.run(np.repeat(outcome.T, len(Q0), axis=0), outcome.kinds, Q0, True, out)
+        return out
+    for k in range(len(Q0)):
+        if budget <= 0:
+            return out[:k]
+        single.varied(max_evaluations=int(budget)).run(outcome.T, outcome.kinds, Q0[k : k + 1], True, out[k : k + 1])
+        budget -= out[k, AT.evaluations]
+    return out
+
+
 def _another(single: Any, model: CollisionModel, outcome: Any) -> Any:
     """Outcome with a solution that touches nothing, or with the pair that touches and the status COLLISION."""
     o, robot, row = outcome.plan.options, single.robot, outcome.row.copy()
@@ -66,13 +80,12 @@ def _another(single: Any, model: CollisionModel, outcome: Any) -> Any:
     while left > 0 and not (o.max_evaluations and row[AT.evaluations] >= o.max_evaluations):
         count = min(size, left)
         left -= count
-        Q0 = np.array([robot.random_q(rng) for _ in range(count)])
+        Q0 = robot.random_q(rng, count)
         Q0[:, single.held] = outcome.start[0, single.held]
-        out = np.empty((count, len(row)))
-        single.run(np.repeat(outcome.T, count, axis=0), outcome.kinds, Q0, True, out)
+        out = _from(Q0, single, outcome, (o.max_evaluations or np.inf) - row[AT.evaluations])
         row[AT.iterations] += out[:, AT.iterations].sum()
         row[AT.evaluations] += out[:, AT.evaluations].sum()
-        row[AT.restarts] += count
+        row[AT.restarts] += len(out)
         out = out[out[:, AT.status] == Status.CONVERGED]
         away = (((out[:, q] - outcome.start) / robot.chain.unit) ** 2).sum(axis=1)
         for k in np.argsort(away, kind="stable"):

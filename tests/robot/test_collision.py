@@ -332,6 +332,8 @@ def test_what_may_be_asked_for():
     with pytest.raises(InvalidOption, match="avoid_collisions"):
         ik.solve(robot, T, avoid_collisions="yes")
     both = ik.Tree.load("brokk_hydrolek", tips=["left_tip", "right_tip"])
-    with pytest.raises(InvalidOption, match="avoid_collisions"):
-        ik.Solver(both, "lm", avoid_collisions=True)
+    with pytest.raises(
+        InvalidOption, match="another Robot object"
+    ):  # an arm's own shapes say nothing of the other arm's
+        ik.Solver(both, "lm", avoid_collisions=ik.CollisionModel(both.arms[0]))
     assert ik.solve(robot.with_tool(np.eye(4)), T, avoid_collisions=True).success  # a copy gets a model of its own

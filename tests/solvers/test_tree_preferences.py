@@ -181,3 +181,23 @@ def test_obstacles_stop_either_arm():
         ball = next(o for o in model._geometry.geometryObjects if o.name == "ball")
         found = ik.solve(tree, goal, q0=tree.home, avoid_collisions=model)
         assert found.success and not touching(tree, model, [ball])(found.q)
+
+
+@pytest.mark.parametrize("options", [{}, {"closest": True}])
+def test_a_budget_holds_for_all_attempts_that_avoid_collisions(options):
+    """Every evaluation counts, those of the attempts after a colliding answer too."""
+    tree = ik.Tree.load("brokk_hydrolek")
+    model = ik.CollisionModel(tree)
+    rng = np.random.default_rng(56)
+    met = 0
+    while met < 6:
+        q = tree.random_q(rng)
+        if not model.collides(q):
+            continue
+        met += 1
+        goal = {tip: T.translation for tip, T in tree.fk(q).items()}
+        needed = ik.solve(tree, goal, q0=q, avoid_collisions=model, **options).fk_evaluations
+        for budget in (2, 5, needed - 1, needed, needed + 20):
+            found = ik.solve(tree, goal, q0=q, avoid_collisions=model, max_evaluations=budget, **options)
+            assert found.fk_evaluations <= budget
+            assert model.collides(found.q) == (not found.success)
