@@ -4,7 +4,8 @@ import math
 
 from .algebra import V3, at3, put3, rotation_at
 from .jit import inner, jit, spliced
-from .task import Part
+from .records import WHAT
+from .task import allowance
 
 CONVERGED, STALLED, ITERATION_LIMIT, LIMIT_BLOCKED, UNREACHABLE, SINGULAR, NOT_FINITE, CHECK_FAILED = range(8)
 BAD_TARGET, BAD_START = 8, 9  # never seen by a caller: the target or the start needs a look outside the kernel
@@ -34,16 +35,16 @@ def beyond(goal, ends, task, tol_p, tol_r):
     A tip whose errors are inside what the task and the tolerances allow is no further than that from the target's point. The
     last joint's point is fixed by the pose, up to the part of the tool across a free turn: the arm without its tool must reach it.
     """
-    what = Part(task)
-    point, slack = at3(goal, 9), what.allowance(0, tol_p) + REACH_SLACK
+    point, slack = at3(goal, 9), allowance(task, 0, tol_p) + REACH_SLACK
     if not slack < math.inf:
         return 0.0
     worst = max(0.0, ring(point, ends.bound(0), ends.bound(1), ends, slack))
-    angle = what.allowance(3, tol_r)
+    angle = allowance(task, 3, tol_r)
     if angle < WIDE:
         tool, side = at3(ends.flat, 21), 0.0
-        if what.free_turn():
-            along = what.axis() * what.axis().dot(tool)
+        if task[WHAT.free] > 0.0:
+            axis = at3(task, WHAT.ax)
+            along = axis * axis.dot(tool)
             side = math.sqrt((tool - along).square())
             tool = along
         wrist = point - rotation_at(goal, 0).times(tool)

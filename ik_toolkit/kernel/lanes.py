@@ -21,7 +21,7 @@ from .jit import build, cached, compiled, inline, spliced
 from .kinematics import TAU, column, fk, rotation_angle
 from .limits import face, legal, middle
 from .problem import BEST_OF_ALL
-from .records import ANSWER, HEAD, TASK, Answer, Array, Ends, Orders, copy, read, write
+from .records import ANSWER, HEAD, TASK, WHAT, Answer, Array, Ends, Orders, copy, read, write
 from .search import ROUNDING, make_table
 from .seeds import BEST, rnd, sow
 from .serial import make_serial
@@ -175,7 +175,7 @@ def run(p, o, ends, table, s, wanted, damping, T, Q0, out):
     """Until every target is done or left."""
     W, N = WIDTH, T.shape[0]
     rows, tip = p.rows, at3(ends.flat, 21)
-    turning = 0.0 if int(p.task[0]) == POSITION else 1.0
+    turning = 0.0 if int(p.task[WHAT.kind]) == POSITION else 1.0
     attempts = min(int(o.attempts), ATTEMPTS)
     following, live, renew = 0, 0, ALL
     while True:

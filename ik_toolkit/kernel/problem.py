@@ -24,7 +24,7 @@ from .algebra import V3, at3, chord, put3
 from .checks import beyond, edge, rigid
 from .jit import build, compiled, inline
 from .kinematics import aim, column, fk, pose_error
-from .records import Array
+from .records import WHAT, Array
 from .task import FREE, PART, POSE, POSITION, count_column, shape
 
 GOAL = 15  # numbers of a goal: pose (12), and its point again where the search aims at the edge of the reach instead
@@ -76,7 +76,7 @@ def take(T, ends, task, goal, orders):
     aim(ends, T, goal)
     put3(goal, 12, at3(goal, 9))
     excess = beyond(goal, ends, task, orders.tol_p / ends.scale(), orders.tol_r)
-    if excess > 0.0 and int(task[0]) < FREE:  # there the damping vanishes and the search is fast
+    if excess > 0.0 and int(task[WHAT.kind]) < FREE:  # there the damping vanishes and the search is fast
         edge(goal, ends, excess)
     return excess
 
@@ -98,7 +98,7 @@ def tip_at(rows, ends, q, joints, trig):
 def errors_at(task, ends, goal, kept, axes, tip):
     """Errors (linear, angular) that count."""
     linear, angular = pose_error(goal, axes, tip)
-    kind = int(task[0])
+    kind = int(task[WHAT.kind])
     if kind == POSE:
         return linear, angular
     if kind == POSITION:
@@ -120,7 +120,7 @@ def counted(kind, kept, linear, angular):
 def fill(rows, task, kept, joints, tip, J, first):
     """Write the columns of one chain to J[:, first : first + 6]; mimic joints add to their leader."""
     plain = rows[0, 0] > 0.0
-    kind = int(task[0])
+    kind = int(task[WHAT.kind])
     if not plain:
         for i in range(J.shape[0]):
             for k in range(first, first + 6):

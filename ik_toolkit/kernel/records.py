@@ -46,7 +46,8 @@ class Task(NamedTuple):
     kind: float  # POSE, POSITION, FREE or PART
     frame: float = 0.0  # whose axes weights and slacks are along: BASE, TIP or TARGET
     other: float = -1.0  # the tip that the target is relative to, -1: the base
-    ax: float = 0.0  # the axis about which the tip may turn; none when zero
+    free: float = 0.0  # 1: the tip may turn about an axis
+    ax: float = 0.0
     ay: float = 0.0
     az: float = 0.0
     w0: float = 1.0  # weights, 0 where an error does not count: three of the position, three of the rotation
@@ -91,7 +92,8 @@ class Miss(NamedTuple):
 HEAD, TASK, ANSWER, MISS = len(Orders._fields), len(Task._fields), len(Answer._fields), len(Miss._fields)
 WEIGHTS = HEAD + TASK  # where the joint weights begin in the orders for one tip
 AT = Answer._make(range(ANSWER))  # places in a row: row[AT.status]
-ORDER = Orders._make(range(HEAD))  # and in the orders
+ORDER = Orders._make(range(HEAD))  # in the orders
+WHAT = Task._make(range(TASK))  # and in a task
 POINTS = 24  # numbers of `ends` before what belongs to the coordinates: base (12), tip (12)
 
 

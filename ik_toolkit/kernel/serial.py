@@ -10,7 +10,7 @@ from .jit import build, compiled
 from .kinematics import column, room
 from .linalg import damped, pseudo_inverse_step
 from .problem import GOAL, Desk, counted, errors_at, fill, from_target, make_desk, take, tip_at, tolerances
-from .records import TASK, Array, Ends
+from .records import TASK, WHAT, Array, Ends
 from .seeds import nearest, rnd
 from .task import KEPT, POSITION, angle_left, counts, vector_ratio
 
@@ -70,7 +70,7 @@ class Serial(NamedTuple):
 
     def stack(self, look):
         y = self.desk.y
-        turn = look.angular * vector_ratio(int(self.task[0]), look.angular.square())
+        turn = look.angular * vector_ratio(int(self.task[WHAT.kind]), look.angular.square())
         y[0], y[1], y[2] = look.linear.x, look.linear.y, look.linear.z
         y[3], y[4], y[5] = turn.x, turn.y, turn.z
 
@@ -80,7 +80,7 @@ class Serial(NamedTuple):
 
     def norm(self, look, weight):
         """Norm of the errors, rotations as angles times `weight`."""
-        ratio = weight * vector_ratio(int(self.task[0]), look.angular.square())
+        ratio = weight * vector_ratio(int(self.task[WHAT.kind]), look.angular.square())
         return math.sqrt(look.linear.square() + ratio * ratio * look.angular.square())
 
     def inside(self, i, value):
@@ -90,7 +90,7 @@ class Serial(NamedTuple):
     def best_move(self, look, i, least):
         """Move of coordinate i alone to where the error is least: exact for a turning joint and a position, else linear."""
         linear, angular = V3(0.0, 0.0, 0.0), V3(0.0, 0.0, 0.0)
-        kind = int(self.task[0])
+        kind = int(self.task[WHAT.kind])
         for r in range(self.rows.shape[0]):
             if int(self.rows[r, 8]) == i:
                 u, v = column(self.rows, self.joints, r, look.point)
@@ -114,7 +114,7 @@ class Serial(NamedTuple):
 
     def undo(self, look):
         """After a trial was taken back: the joints before the one moved are as they were, only what `shape` keeps may differ."""
-        if int(self.task[0]) > POSITION:
+        if int(self.task[WHAT.kind]) > POSITION:
             self.try_out(self.desk.q)
 
     def rank(self, table):
@@ -139,7 +139,7 @@ class Serial(NamedTuple):
         """Position error [m] and rotation error [rad] kept at a place."""
         errors = self.desk.errors
         position = math.sqrt(errors[place, 0, 0]) * self.ends.scale()
-        return position, angle_left(int(self.task[0]), errors[place, 0, 1])
+        return position, angle_left(int(self.task[WHAT.kind]), errors[place, 0, 1])
 
     def report(self, place, row):
         """Nothing beyond the head of the row."""
@@ -150,7 +150,7 @@ def make_serial(rows, ends, tasks, n, orders):
     """Serial with its scratch."""
     box = Ends(ends, n)
     joints, angles = room(rows.shape[0])
-    tp, tr = tolerances(orders, int(tasks[0]), box.scale())
+    tp, tr = tolerances(orders, int(tasks[WHAT.kind]), box.scale())
     return Serial(
         make_desk(n, 6), rows, box, tasks[:TASK], np.empty(GOAL), np.empty(KEPT), np.empty(joints), np.zeros(angles), tp, tr,
         orders.limits > 0.0 or orders.follow > 0.0,

@@ -13,12 +13,11 @@ outside. They and their derivative are continuous there, and near the answer the
 """
 
 import math
-from typing import NamedTuple
 
 from .algebra import M3, V3, at3, put3, rotation_at
-from .jit import compiled, inline, inner
+from .jit import inline, inner
 from .kinematics import angle_ratio, rotation_angle
-from .records import Array
+from .records import WHAT
 
 POSE, POSITION, FREE, PART = range(4)
 AXIS = "axis"  # (AXIS, axis) is a kind of target, not of task: a pose of which the turn about a tip axis is free
@@ -29,46 +28,16 @@ L, A, B, ARM, ARM_GOAL, ERROR, KEPT = 0, 9, 18, 27, 30, 33, 39
 STRAIGHT = 1e-9  # sine of the angle below which two directions are parallel, and their cross product says nothing
 
 
-@compiled
-class Part(NamedTuple):
-    """A `Task` in its flat array."""
-
-    task: Array
-
-    def kind(self):
-        return int(self.task[0])
-
-    def in_axes_of(self):
-        """BASE, TIP or TARGET."""
-        return int(self.task[1])
-
-    def relative(self):
-        """Number of the tip that the target is relative to, -1: none."""
-        return int(self.task[2])
-
-    def axis(self):
-        return at3(self.task, 3)
-
-    def free_turn(self):
-        """Whether the turn about the axis is free."""
-        return abs(self.task[3]) + abs(self.task[4]) + abs(self.task[5]) > 0.0
-
-    def weight(self, i):
-        return self.task[6 + i]
-
-    def slack(self, i):
-        return self.task[12 + i]
-
-    def allowance(self, first, tolerance):
-        """Largest norm of the three errors from `first` on that is inside the tolerance; inf when one does not count."""
-        least, room = math.inf, 0.0
-        for i in range(first, first + 3):
-            least = min(least, self.weight(i))
-            room += self.slack(i) * self.slack(i)
-        return math.sqrt(room) + tolerance / least if least > 0.0 else math.inf
+@inner
+def allowance(task, first, tolerance):
+    """Largest norm of the three errors from `first` on that is inside the tolerance; inf when one of them does not count."""
+    least, room = math.inf, 0.0
+    for i in range(first, first + 3):
+        least = min(least, task[WHAT.w0 + i])
+        room += task[WHAT.s0 + i] * task[WHAT.s0 + i]
+    return math.sqrt(room) + tolerance / least if least > 0.0 else math.inf
 
 
-# ------------------------------------------------------------------------------------------------ rotations and derivatives
 @inner
 def log_curvature(rr):
     """c in the derivative w + 1/2 r x w + c r x (r x w) of a rotation vector r with rr = |r|^2 (its inverse right Jacobian)."""
@@ -78,90 +47,62 @@ def log_curvature(rr):
     return (1.0 - half * math.cos(half) / math.sin(half)) / rr
 
 
-@inline
-def log_rate(r, curvature, v):
-    """How r falls when the tip turns by v; with -r the transpose, which says how it grows when the target does."""
-    across = r.cross(v)
-    return v + across * 0.5 + r.cross(across) * curvature
-
-
-@inner
-def swing(a, b):
-    """f and f' (by the cosine) in the least rotation vector f a x b that brings the direction a to b."""
-    sine, cosine = math.sqrt(a.cross(b).square()), a.dot(b)
-    if sine < STRAIGHT:
-        return (1.0, -1.0 / 3.0) if cosine > 0.0 else (-1.0, 0.0)
-    ratio = math.atan2(sine, cosine) / sine
-    return ratio, (ratio * cosine - 1.0) / (sine * sine)
-
-
-@inner
-def half_turn(a):
-    """Half a turn about any axis across the direction a."""
-    across = V3(0.0, -a.z, a.y) if abs(a.x) < 0.7 else V3(-a.y, a.x, 0.0)  # 0.7: the longer of two
-    return across * (math.pi / math.sqrt(across.square()))
-
-
-@inline
-def swing_rate(a, b, ratio, slope, v):
-    """How the rotation vector of `swing` falls when a turns by v; with a and b exchanged the transpose."""
-    k = a.cross(b)
-    return (v * a.dot(b) - a * b.dot(v)) * ratio - k * (slope * k.dot(v))
-
-
-# ------------------------------------------------------------------------------------------------------------------- shape
-@inline
-def beside(x, slack):
-    """What of x lies outside the slack."""
-    return math.copysign(max(abs(x) - slack, 0.0), x)
-
-
 @inner
 def shape(task, ends, goal, now, linear, angular, kept):
     """Errors that count, of a pose error (angular: 2 sin(angle/2) times the axis); `kept` (KEPT,) is for `count_column`.
 
-    now: axes of the last joint.
+    now: axes of the last joint. When the tip turns by v the rotation vector r falls by G v, when the target does it grows by
+    G' v; r itself turns with its axes where they move.
     """
-    what = Part(task)
     none = V3(0.0, 0.0, 0.0)
-    if what.kind() == FREE:
+    if int(task[WHAT.kind]) == FREE:
         for k in range(KEPT):
             kept[k] = 0.0
         return none, none
     target = rotation_at(goal, 0)
-    frame = what.in_axes_of()
-    turns = what.free_turn()
-    a, b = now.times(what.axis()), target.times(what.axis())
-    ratio, slope = 0.0, 0.0
-    if turns:
-        ratio, slope = swing(a, b)
-        r = half_turn(a) if ratio < 0.0 else a.cross(b) * ratio
+    frame, turns = int(task[WHAT.frame]), task[WHAT.free] > 0.0
+    a, b, k, f, slope = none, none, none, 0.0, 0.0
+    if turns:  # r = f a x b; f = angle / sine, and its slope by the cosine
+        axis = at3(task, WHAT.ax)
+        a, b = now.times(axis), target.times(axis)
+        k = a.cross(b)
+        sine, cosine = math.sqrt(k.square()), a.dot(b)
+        r, f, slope = k, 1.0, -1.0 / 3.0
+        if sine > STRAIGHT:
+            f = math.atan2(sine, cosine) / sine
+            r, slope = k * f, (f * cosine - 1.0) / (sine * sine)
+        elif cosine < 0.0:  # half a turn about any axis across; 0.7: the longer of two
+            r, f, slope = V3(0.0, -a.z, a.y) if abs(a.x) < 0.7 else V3(-a.y, a.x, 0.0), -1.0, 0.0
+            r = r * (math.pi / math.sqrt(r.square()))
     else:
         r = angular * angle_ratio(angular.square())
-        ratio = log_curvature(r.square())
+        f = log_curvature(r.square())
     axes = target if frame == TARGET else now
     for i in range(3):
-        axis = (
-            at3(ends.flat, 3 * i)
-            if frame == BASE
-            else axes.times(V3(ends.flat[12 + i], ends.flat[15 + i], ends.flat[18 + i]))
-        )
-        if turns:
-            own, others = swing_rate(b, a, ratio, slope, axis), swing_rate(a, b, ratio, slope, axis)
-        else:
-            own, others = log_rate(-r, ratio, axis), log_rate(r, ratio, axis)
+        axis = at3(ends.flat, 3 * i)
+        if frame != BASE:
+            axis = axes.times(V3(ends.flat[12 + i], ends.flat[15 + i], ends.flat[18 + i]))
         across = r.cross(axis)
+        if turns:  # G' and G times the axis: rows of G and of G'
+            bend = k * (slope * k.dot(axis))
+            own, others = a.cross(axis.cross(b)) * f - bend, b.cross(axis.cross(a)) * f - bend
+        else:
+            bend = axis + r.cross(across) * f
+            own, others = bend - across * 0.5, bend + across * 0.5
         if frame == TIP:
             own = own + across
         if frame == TARGET:
             others = others - across
-        e, turn = beside(axis.dot(linear), what.slack(i)), beside(axis.dot(r), what.slack(3 + i))
-        w, v = what.weight(i), what.weight(3 + i)
-        kept[ERROR + i], kept[ERROR + 3 + i] = w * e, v * turn
-        w, v = w if e != 0.0 else 0.0, v if turn != 0.0 else 0.0
-        put3(kept, L + 3 * i, axis * w)
-        put3(kept, A + 3 * i, own * v)
-        put3(kept, B + 3 * i, others * v)
+        e, w, s = axis.dot(linear), task[WHAT.w0 + i], task[WHAT.s0 + i]
+        e = e - min(max(e, -s), s)
+        kept[ERROR + i] = w * e
+        put3(kept, L + 3 * i, axis * (w if e != 0.0 else 0.0))
+        e, w, s = axis.dot(r), task[WHAT.w3 + i], task[WHAT.s3 + i]
+        e = e - min(max(e, -s), s)
+        kept[ERROR + 3 + i] = w * e
+        w = w if e != 0.0 else 0.0
+        put3(kept, A + 3 * i, own * w)
+        put3(kept, B + 3 * i, others * w)
     put3(kept, ARM, linear if frame == TIP else none)
     put3(kept, ARM_GOAL, -linear if frame == TARGET else none)
     return at3(kept, ERROR), at3(kept, ERROR + 3)
@@ -203,11 +144,10 @@ def angle_left(kind, rr):
 @inline
 def counts(task):
     """Whether position and rotation count (1.0 or 0.0), for the choice of starts."""
-    what = Part(task)
     position, rotation = 0.0, 0.0
     for i in range(3):
-        if what.weight(i) > 0.0 and what.slack(i) < math.inf:
+        if task[WHAT.w0 + i] > 0.0 and task[WHAT.s0 + i] < math.inf:
             position = 1.0
-        if what.weight(3 + i) > 0.0 and what.slack(3 + i) < math.pi and not what.free_turn():
+        if task[WHAT.w3 + i] > 0.0 and task[WHAT.s3 + i] < math.pi and task[WHAT.free] == 0.0:
             rotation = 1.0
     return position, rotation

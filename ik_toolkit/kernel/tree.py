@@ -15,7 +15,7 @@ from .jit import build, compiled, inline, inner
 from .kinematics import column, room
 from .linalg import damped_stack, pseudo_inverse_step
 from .problem import GOAL, Desk, add_column, errors_at, fill, from_target, make_desk, take, tip_at, tolerances
-from .records import MISS, TASK, Array, Ends, Miss, Orders, write
+from .records import MISS, TASK, WHAT, Array, Ends, Miss, Orders, copy, write
 from .seeds import BEST, nearest, rnd
 from .task import FREE, KEPT, POSE, POSITION, angle_left, count_goal_column, counts, vector_ratio
 
@@ -72,7 +72,7 @@ def carry(pose, link, goal):
 def fill_goal(rows, task, kept, joints, pose, link, J, first):
     """Subtract how the target of a tip moves with the other tip, whose rows, joints and pose these are."""
     point = at3(pose, 9) + rotation_at(pose, 0).times(at3(link, POINT))
-    frame, kind = rotation_at(link, FRAME), int(task[0])
+    frame, kind = rotation_at(link, FRAME), int(task[WHAT.kind])
     for i in range(rows.shape[0]):
         u, v = column(rows, joints, i, point)
         u, v = frame.times(u), frame.times(v)
@@ -105,7 +105,7 @@ class Tree(NamedTuple):
     goals: Array  # (F, GOAL)
     links: Array  # (F, LINK)
     kept: Array  # (F, KEPT) as of Serial
-    poses: Array  # (F, 12) axes of the last joint by rows, then the tip
+    poses: Array  # (F, GOAL) axes of the last joint by rows, then the tip
     joints: Array
     trig: Array
     tips: Array  # (F, 2) excess, squared error of the look before
@@ -115,7 +115,7 @@ class Tree(NamedTuple):
     def aim(self, T, orders):
         worst = 0.0
         for f in range(self.tasks.shape[0]):
-            other = int(self.tasks[f, 2])
+            other = int(self.tasks[f, WHAT.other])
             if other >= 0:  # it moves, so nothing is proven about it
                 if not rigid(T[f]):
                     return -1.0
@@ -150,7 +150,7 @@ class Tree(NamedTuple):
         for f in range(self.tasks.shape[0]):
             self.place(f, q)
         for f in range(self.tasks.shape[0]):
-            other = int(self.tasks[f, 2])
+            other = int(self.tasks[f, WHAT.other])
             if other >= 0:
                 carry(self.poses[other], self.links[f], self.goals[f])
             ends, axes, tip = (
@@ -160,7 +160,7 @@ class Tree(NamedTuple):
             )
             linear, angular = errors_at(self.tasks[f], ends, self.goals[f], self.kept[f], axes, tip)
             pp, rr = linear.square(), angular.square()
-            tp, tr = tolerances(self.orders, int(self.tasks[f, 0]), ends.scale())
+            tp, tr = tolerances(self.orders, int(self.tasks[f, WHAT.kind]), ends.scale())
             good = good and pp < tp and rr < tr
             total += pp + rr
             put3(e, 6 * f, linear)
@@ -173,7 +173,7 @@ class Tree(NamedTuple):
         for f in range(self.tasks.shape[0]):
             task, kept, joints = self.tasks[f], self.kept[f], self.joints[6 * cut[f] :]
             fill(self.rows[cut[f] : cut[f + 1]], task, kept, joints, at3(self.poses[f], 9), J, 6 * f)
-            other = int(task[2])
+            other = int(task[WHAT.other])
             if other >= 0:
                 rows, joints = self.rows[cut[other] : cut[other + 1]], self.joints[6 * cut[other] :]
                 fill_goal(rows, task, kept, joints, self.poses[other], self.links[f], J, 6 * f)
@@ -199,7 +199,7 @@ class Tree(NamedTuple):
         for h in range(0, e.shape[0], 6):
             angular = at3(e, h + 3)
             put3(y, h, at3(e, h))
-            put3(y, h + 3, angular * vector_ratio(int(self.tasks[h // 6, 0]), angular.square()))
+            put3(y, h + 3, angular * vector_ratio(int(self.tasks[h // 6, WHAT.kind]), angular.square()))
 
     def slope(self, look, i):
         total = 0.0
@@ -211,7 +211,7 @@ class Tree(NamedTuple):
         total = 0.0
         for h in range(0, self.desk.e.shape[0], 6):
             linear, angular = at3(self.desk.e, h), at3(self.desk.e, h + 3)
-            ratio = weight * vector_ratio(int(self.tasks[h // 6, 0]), angular.square())
+            ratio = weight * vector_ratio(int(self.tasks[h // 6, WHAT.kind]), angular.square())
             total += linear.square() + ratio * ratio * angular.square()
         return math.sqrt(total)
 
@@ -243,14 +243,14 @@ class Tree(NamedTuple):
         """
         F = self.tasks.shape[0]
         for f in range(F):
-            if int(self.tasks[f, 0]) == FREE and int(self.tasks[f, 2]) < 0:
+            if int(self.tasks[f, WHAT.kind]) == FREE and int(self.tasks[f, WHAT.other]) < 0:
                 self.place(f, self.desk.start)
-                copy_pose(self.poses[f], self.goals[f])
+                copy(self.poses[f], self.goals[f])
         for _ in range(F):  # a chain of them is no longer than that
             for f in range(F):
-                other = int(self.tasks[f, 2])
+                other = int(self.tasks[f, WHAT.other])
                 if other >= 0:
-                    at_target(self.goals[other], self.poses[other])
+                    copy(self.goals[other], self.poses[other])
                     carry(self.poses[other], self.links[f], self.goals[f])
         for g in range(BEST):
             table.total[g] = 0.0
@@ -273,13 +273,13 @@ class Tree(NamedTuple):
         """Each coordinate as its tip chose it; one without a target of its tip's stays where the search starts."""
         for i in range(q.shape[0]):
             f = int(self.choosers[0, i])
-            if f < 0 or int(self.tasks[f, 0]) == FREE:
+            if f < 0 or int(self.tasks[f, WHAT.kind]) == FREE:
                 q[i] = self.desk.start[i]
             else:
                 q[i] = table.seeds[table.choice[table.best[k], f], i]
 
     def arrived(self, f):
-        return int(self.tasks[f, 0]) != FREE and self.tips[f, 1] < ARRIVED
+        return int(self.tasks[f, WHAT.kind]) != FREE and self.tips[f, 1] < ARRIVED
 
     def draw(self, table, k, q):
         """Mostly keep the tips that arrived and the shared joints: by chance all at once seldom start well."""
@@ -307,7 +307,7 @@ class Tree(NamedTuple):
         """Position error [m] and rotation error [rad] of tip f kept at a place."""
         errors = self.desk.errors
         position = math.sqrt(errors[place, f, 0]) * Ends(self.ends[f], self.desk.q.shape[0]).scale()
-        return position, angle_left(int(self.tasks[f, 0]), errors[place, f, 1])
+        return position, angle_left(int(self.tasks[f, WHAT.kind]), errors[place, f, 1])
 
     def left(self, place):
         position, rotation = 0.0, 0.0
@@ -324,20 +324,6 @@ class Tree(NamedTuple):
             write(row, row.shape[0] - MISS * (self.tasks.shape[0] - f), Miss(p, r, excess))
 
 
-@inline
-def copy_pose(pose, goal):
-    """A goal (GOAL,) where a tip is."""
-    for k in range(12):
-        goal[k] = pose[k]
-
-
-@inline
-def at_target(goal, pose):
-    """The pose (12,) of a tip that is at its goal."""
-    for k in range(12):
-        pose[k] = goal[k]
-
-
 @build
 def make_moves(ends, tasks, n):
     """`moves` and `choosers` of a Tree: joints that move a free tip alone move nothing that counts, and choose no start."""
@@ -346,18 +332,20 @@ def make_moves(ends, tasks, n):
     moves, choosers = np.zeros((F, n)), np.zeros((2, n))
     asked = np.zeros(F)  # whether a tip has a say: its target counts, or another's is relative to it
     for f in range(F):
-        asked[f] = 1.0 if int(tasks[f, 0]) != FREE else asked[f]
-        if int(tasks[f, 2]) >= 0:
-            asked[int(tasks[f, 2])] = 1.0
+        asked[f] = 1.0 if int(tasks[f, WHAT.kind]) != FREE else asked[f]
+        if int(tasks[f, WHAT.other]) >= 0:
+            asked[int(tasks[f, WHAT.other])] = 1.0
     for i in range(n):
         choosers[0, i] = -1.0
         for f in range(F):
-            other = int(tasks[f, 2])
-            if int(tasks[f, 0]) != FREE and (own[f, i] > 0.0 or (other >= 0 and own[other, i] > 0.0)):
+            other = int(tasks[f, WHAT.other])
+            if int(tasks[f, WHAT.kind]) != FREE and (own[f, i] > 0.0 or (other >= 0 and own[other, i] > 0.0)):
                 moves[f, i] = 1.0
             if asked[f] > 0.0 and own[f, i] > 0.0:
                 choosers[1, i] += 1.0
-                if choosers[0, i] < 0.0 or (int(tasks[int(choosers[0, i]), 0]) == FREE and int(tasks[f, 0]) != FREE):
+                if choosers[0, i] < 0.0 or (
+                    int(tasks[int(choosers[0, i]), WHAT.kind]) == FREE and int(tasks[f, WHAT.kind]) != FREE
+                ):
                     choosers[0, i] = f
     return moves, choosers
 
@@ -374,6 +362,6 @@ def make_tree(rows, ends, tasks, n, orders):
     moves, choosers = make_moves(ends, each, n)
     return Tree(
         make_desk(n, 6 * F), rows, ends, each, cut, moves, choosers, np.empty((F, GOAL)), np.empty((F, LINK)),
-        np.empty((F, KEPT)), np.empty((F, 12)), np.empty(joints), np.zeros(angles), np.full((F, 2), np.inf), orders,
+        np.empty((F, KEPT)), np.empty((F, GOAL)), np.empty(joints), np.zeros(angles), np.full((F, 2), np.inf), orders,
         orders.limits > 0.0 or orders.follow > 0.0,
     )  # fmt: skip

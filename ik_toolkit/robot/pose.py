@@ -231,11 +231,13 @@ def errors(
     e = raw.copy()
     if free_turn is not None and target.ndim == 2:
         now, wanted = T[:3, :3] @ free_turn, target[:3, :3] @ free_turn
-        across = np.cross(now, wanted)
-        sine, angle = float(np.linalg.norm(across)), math.atan2(float(np.linalg.norm(across)), float(now @ wanted))
-        if sine < 1e-9:  # parallel, or half a turn about any axis across
-            across = np.cross(now, np.eye(3)[np.argmin(np.abs(now))]) if angle > 1.0 else np.zeros(3)
-            sine = max(float(np.linalg.norm(across)), 1e-9)
+        across, cosine = np.cross(now, wanted), float(now @ wanted)
+        if np.linalg.norm(across) < 1e-9 and cosine < 0.0:  # half a turn, about any axis across
+            across = np.cross(now, np.eye(3)[np.argmin(np.abs(now))])
+            angle = math.pi
+        else:
+            angle = math.atan2(np.linalg.norm(across), cosine)
+        sine = float(np.linalg.norm(across)) or 1.0
         axes = np.eye(3) if frame == "base" else (T if frame == "tip" else target)[:3, :3].T
         e[3:] = axes @ across * (angle / sine)
     if slack is not None:

@@ -112,7 +112,7 @@ def kernel_tasks(robot: Any, kinds: tuple, o: Options) -> list[Task]:
     )
     for tip, kind, counts, other, ends in given:
         if kind == FREE:
-            tasks.append(Task(FREE, 0.0, -1.0, *NONE[:3], *NONE))
+            tasks.append(Task(FREE, 0.0, -1.0, 0.0, *NONE[:3], *NONE))
             continue
         axis = _free_axis(counts, kind, _at(robot, tip))
         weights = counts.mask or ALL
@@ -123,7 +123,9 @@ def kernel_tasks(robot: Any, kinds: tuple, o: Options) -> list[Task]:
         slack[:3] /= scale
         plain = axis is None and counts.mask is None and counts.slack is None
         turn = NONE[:3] if axis is None else ends[12:21].reshape(3, 3) @ axis
-        tasks.append(Task(kind if plain else PART, FRAMES.index(counts.frame), other, *turn, *weights, *slack))
+        tasks.append(
+            Task(kind if plain else PART, FRAMES.index(counts.frame), other, axis is not None, *turn, *weights, *slack)
+        )
     return tasks
 
 

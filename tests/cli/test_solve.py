@@ -175,3 +175,33 @@ def test_solve_takes_preferences(run):
     assert code == 2 and "--direction" in err
     code, _, err = run("solve", "inspection_7dof", "--xyz", "0.4", "0.1", "0.9", "--objective", "midrange")
     assert code == 2 and "mid-range" in err
+
+
+def test_what_counts_on_the_command_line_is_what_it_is_in_python(run):
+    words = [
+        *SOLVE,
+        "--rpy",
+        "-90",
+        "0",
+        "-70",
+        "--deg",
+        "--slack",
+        "0.02",
+        "0",
+        "0",
+        "0",
+        "inf",
+        "10",
+        "--free-turn",
+        "0",
+        "0",
+        "1",
+    ]
+    code, out, _ = run(*words, "--frame", "tip", "--mask", "1", "1", "1", "1", "1", "0", "--json")
+    robot = ik.Robot.load("hydrolek_7w")
+    target = ik.pose((1.0, 0.1, 0.2), rpy=np.radians([-90, 0, -70]))
+    slack = [0.02, 0, 0, 0, np.inf, np.radians(10)]
+    same = ik.solve(robot, target, slack=slack, free_turn=[0, 0, 1], frame="tip", mask=[1, 1, 1, 1, 1, 0])
+    assert code == 0 and json.loads(out)["q"] == same.q.tolist()
+    code, _, err = run(*SOLVE, "--slack", "1", "2")
+    assert code == 2 and "--slack takes 6 numbers" in err
