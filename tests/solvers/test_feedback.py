@@ -24,7 +24,7 @@ def test_presets_bring_tolerance_and_iterations():
     for cls in (ik.PID, ik.StateSpace):
         solver = ik.Solver(robot, cls.preset("burrell-2016"))
         assert solver.options.position_tolerance == 1e-3
-        assert solver._pack(1, True)[3] == 1000
+        assert solver.options.max_iterations == 1000
         assert ik.Solver(robot, cls.preset("burrell-2016"), tolerance=1e-4).options.position_tolerance == 1e-4
 
 

@@ -125,7 +125,7 @@ def test_follow_needs_a_start_and_a_rule():
     with pytest.raises(ik.IKError, match="q0"):
         ik.solve(robot, (1.0, 1.0, 0.0), follow=True)
     with pytest.raises(ik.IKError, match="closed form"):
-        ik.Solver(robot, "planar-2r", follow=True)
+        ik.Solver(robot, "planar-2r", follow=True)((1.0, 1.0, 0.0), robot.home)
     with pytest.raises(ik.IKError, match="follow"):
         ik.Solver(robot, follow=-1.0)
     with pytest.raises(ik.IKError, match="chain"):

@@ -148,4 +148,4 @@ def test_command(tmp_path, capsys):
     assert main(arguments) == 0
     assert "500 of 500" in capsys.readouterr().out
     assert main(["workspace", "hydrolek_7w", "--preset", "lm=x"]) == 2
-    assert "SOLVER=PRESET" in capsys.readouterr().err
+    assert "has no presets" in capsys.readouterr().err
