@@ -7,13 +7,21 @@ it calls, and makes machine code of it. Parts are never run on their own.
 from typing import Any
 
 from llvmlite.binding import Linkage
-from numba import _dynfunc
+from numba import _dynfunc, types
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler, Flags
 
 
 class PartLibrary(JITCodeLibrary):
     """Code of a part as it was made; what it calls stays in libraries of its own."""
+
+    def _optimize_functions(self, ll_module: Any) -> None:
+        """Simplify what the module defines; numba makes new passes for each function, and for those only declared, too."""
+        ll_module.data_layout = self._codegen._data_layout
+        passes, builder = self._codegen._function_pass_manager()
+        for function in ll_module.functions:
+            if not function.is_declaration:
+                passes.run(function, builder)
 
     def finalize(self) -> None:
         """Nothing is to be done before the kernel."""
@@ -53,6 +61,12 @@ class Quick(Flags):
     numba looks its overloads up by them for every operator of every function; Flags compares all fifty, by name.
     """
 
+    def copy(self) -> "Quick":
+        """What callees inherit: not the inlining, or they would be compiled once for inlined callers and once for others."""
+        flags = Quick(self)
+        flags.discard("forceinline")
+        return flags
+
     def values(self) -> dict:
         return self._values
 
@@ -63,8 +77,24 @@ class Quick(Flags):
         return isinstance(other, Quick) and self._values == other._values
 
 
+# Passes that find nothing to do in a part: `with`, comprehensions, functions made in functions, exceptions, numba's own inlining,
+# expressions of arrays. Each walks through the whole function, and so does what follows a pass.
+UNNEEDED = {
+    "WithLifting", "InlineClosureLikes", "MakeFunctionToJitFunction", "RewriteSemanticConstants", "RewriteDynamicRaises",
+    "FindLiterallyCalls", "LiteralUnroll", "LiteralPropagationSubPipelinePass", "InlineOverloads", "NopythonRewrites",
+    "IRLegalization", "DumpParforDiagnostics",
+}  # fmt: skip
+
+
 class PartPipeline(Compiler):
     """numba's pipeline into a PartLibrary."""
+
+    def define_pipelines(self) -> list:
+        """numba's, without the passes that find nothing in a kernel."""
+        (manager,) = super().define_pipelines()
+        manager.passes = [(step, why) for step, why in manager.passes if step.__name__ not in UNNEEDED]
+        manager.finalize()
+        return [manager]
 
     def compile_extra(self, func: Any) -> Any:
         """Compile a function; what would call it from Python is empty."""
@@ -79,3 +109,13 @@ class PartPipeline(Compiler):
         )  # fmt: skip
         state.targetctx.insert_user_function(entry, description, [library])
         return result._replace(entry_point=entry)
+
+
+def any_integer(dispatcher: Any) -> Any:
+    """Compile a part once for all integers: numba compiles it for each constant that it is called with."""
+    if hasattr(dispatcher, "get_call_template"):  # with NUMBA_DISABLE_JIT=1 it is the plain function
+        plain = dispatcher.get_call_template
+        dispatcher.get_call_template = lambda args, kws: plain(
+            tuple(types.unliteral(a) for a in args), {k: types.unliteral(a) for k, a in kws.items()}
+        )
+    return dispatcher
