@@ -1,9 +1,10 @@
 """Two versions of the package in alternate rounds, each in a process and with a cache of its own: CPU time, and what compiles.
 
-python scripts/benchmarks/against.py OLD_CHECKOUT [--rounds 15] [--items lm lanes ...]
+python scripts/benchmarks/against.py OLD_CHECKOUT --compile 3 -o docs/data/benchmark_against.json
 
-Only ratios count; the two processes never run at the same time. 'first' is the CPU time of the first call: with an empty
-cache (--empty) the compiler, otherwise loading. Successes and iterations of both versions stand beside it.
+Only ratios count: one of the two measures while the other waits. Successes and iterations of both stand beside them. With
+--compile N also the CPU time of first calls, each N times in a fresh process with an empty cache. About two minutes for the
+rounds, two for each N, on a machine that does nothing else.
 """
 
 import argparse
@@ -14,6 +15,8 @@ import statistics
 import subprocess
 import sys
 import tempfile
+from collections.abc import Sequence
+from math import comb
 from pathlib import Path
 from time import process_time, thread_time
 
@@ -21,6 +24,10 @@ HERE = Path(__file__).resolve().parents[2]
 RULES = ("lm", "dls", "pinv", "transpose", "ccd", "pid", "state-space")
 ITEMS = (*RULES, "lanes", "python", "python tree", "track aad", "track dls")
 COUNTS = {"lm": 1500, "lanes": 1500, "python": 1500, "dls": 200, "pinv": 60, "transpose": 60, "ccd": 60, "pid": 60}
+FIRST = {  # what compiles in the last of these items, after the others
+    "LM": ("lm",), "several tips": ("python tree",), "a second rule (DLS)": ("lm", "dls"), "lanes": ("lm", "lanes"),
+    "several tips after LM": ("lm", "python tree"),
+}  # fmt: skip
 
 
 def make_item(name: str, robot_name: str):
@@ -96,47 +103,120 @@ def worker(names: list[str], robot: str) -> None:
         print(json.dumps(first if line.strip() == "ready" else times), flush=True)
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("old", type=Path)
-    parser.add_argument("--rounds", type=int, default=15)
-    parser.add_argument("--items", nargs="+", default=list(ITEMS), choices=ITEMS)
-    parser.add_argument("--robot", default="panda")
-    parser.add_argument("--empty", action="store_true", help="begin with empty caches: what compiling costs")
-    given = parser.parse_args()
-    processes = []
-    for place in (given.old.resolve(), HERE):
-        cache = Path(tempfile.gettempdir()) / f"ik-against-{place.name}"
-        if given.empty:
-            shutil.rmtree(cache, ignore_errors=True)
-        env = {**os.environ, "PYTHONPATH": str(place), "NUMBA_CACHE_DIR": str(cache), "OMP_NUM_THREADS": "1"}
-        command = [sys.executable, __file__, "worker", given.robot, *given.items]
-        processes.append(subprocess.Popen(command, env=env, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True))
+def start(place: Path, cache: Path, robot: str, items: Sequence[str]) -> subprocess.Popen:
+    """Start a worker on a checkout with a cache."""
+    env = {**os.environ, "PYTHONPATH": str(place), "NUMBA_CACHE_DIR": str(cache), "OMP_NUM_THREADS": "1"}
+    command = [sys.executable, __file__, "worker", robot, *items]
+    return subprocess.Popen(command, env=env, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
 
-    def ask(process: subprocess.Popen, word: str) -> dict:
-        process.stdin.write(word + "\n")
-        process.stdin.flush()
-        return json.loads(process.stdout.readline())
 
+def ask(process: subprocess.Popen, word: str) -> dict:
+    """Answer of a worker."""
+    assert process.stdin is not None and process.stdout is not None
+    process.stdin.write(word + "\n")
+    process.stdin.flush()
+    return json.loads(process.stdout.readline())
+
+
+def end(process: subprocess.Popen) -> None:
+    """End a worker."""
+    assert process.stdin is not None
+    process.stdin.close()
+    process.wait()
+
+
+def interval(values: list[float]) -> tuple[float, float]:
+    """95 % interval of the median by order statistics: so many of n fair coins show heads."""
+    n, k, below = len(values), 0, 0.0
+    while below + comb(n, k) / 2**n <= 0.025:
+        below += comb(n, k) / 2**n
+        k += 1
+    ordered = sorted(values)
+    return ordered[max(k - 1, 0)], ordered[n - max(k, 1)]
+
+
+def speed(places: Sequence[Path], given: argparse.Namespace) -> list[list]:
+    """Rows (item, old, new [us], ratio, its interval, successes and iterations of both)."""
+    processes = [start(place, given.cache / f"speed-{k}", given.robot, given.items) for k, place in enumerate(places)]
     first = [ask(process, "ready") for process in processes]
     times: list[dict[str, list[float]]] = [{}, {}]
     for k in range(given.rounds):
         for which in (0, 1) if k % 2 else (1, 0):
             for key, value in ask(processes[which], "go").items():
                 times[which].setdefault(key, []).append(value)
-    print(f"{'':14} {'old':>9} {'new':>9} us  ratio (95 %)         first call [s]   successes       iterations")
-    for key, old in times[0].items():
-        new = times[1][key]
-        ratios = sorted(b / a for a, b in zip(old, new, strict=True))
-        low, high = ratios[int(0.025 * len(ratios))], ratios[-1 - int(0.025 * len(ratios))]
-        a, b = first[0][key], first[1][key]
-        print(
-            f"{key:14} {statistics.median(old):9.3f} {statistics.median(new):9.3f}     {statistics.median(ratios):.3f} "
-            f"({low:.3f}-{high:.3f})  {a[0]:6.2f} {b[0]:6.2f}   {a[1]:.4f} {b[1]:.4f}   {a[2]:.3f} {b[2]:.3f}"
-        )
     for process in processes:
-        process.stdin.close()
-        process.wait()
+        end(process)
+    rows = []
+    for key, old in times[0].items():
+        ratios = [b / a for a, b in zip(old, times[1][key], strict=True)]
+        middle = statistics.median(old), statistics.median(times[1][key]), statistics.median(ratios)
+        rows.append([key, *middle, interval(ratios), first[0][key][1:], first[1][key][1:]])
+    return rows
+
+
+def compiling(places: Sequence[Path], given: argparse.Namespace) -> list[list]:
+    """Rows (what, old, new): median CPU seconds of a first call in a fresh process with an empty cache."""
+    rows = []
+    for what, items in FIRST.items():
+        found: list[list[float]] = [[], []]
+        for k in range(given.compile):
+            for which in (0, 1) if k % 2 else (1, 0):
+                cache = given.cache / "first"
+                shutil.rmtree(cache, ignore_errors=True)
+                process = start(places[which], cache, given.robot, items)
+                found[which].append(ask(process, "ready")[items[-1]][0])
+                end(process)
+        rows.append([what, *(statistics.median(f) for f in found)])
+        print(*rows[-1], file=sys.stderr)
+    return rows
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("old", type=Path, help="checkout of the older version")
+    parser.add_argument("--rounds", type=int, default=15)
+    parser.add_argument("--items", nargs="*", default=list(ITEMS), choices=ITEMS)
+    parser.add_argument("--robot", default="panda")
+    parser.add_argument("--compile", type=int, default=0, metavar="N", help="also first compiles, each N times")
+    parser.add_argument("-o", "--output", type=Path, help="JSON to write, for page.py")
+    given = parser.parse_args()
+    from common import load_average, machine, table, write  # not in the workers: it imports the package
+
+    places = given.old.resolve(), HERE
+    with tempfile.TemporaryDirectory() as folder:
+        given.cache = Path(folder)
+        rows = speed(places, given) if given.items else []
+        first = compiling(places, given) if given.compile else []
+    head = [
+        "",
+        "before, us",
+        "now, us",
+        "ratio",
+        "95 % interval",
+        "successes before",
+        "now",
+        "iterations before",
+        "now",
+    ]
+    tables = [
+        table(
+            head,
+            [
+                [f"`{key}`", f"{a:.3f}", f"{b:.3f}", f"**{r:.3f}**", f"{low:.3f} to {high:.3f}"]
+                + [f"{x[0]:.4f}" for x in (was, is_)]
+                + [f"{x[1]:.2f}" for x in (was, is_)]
+                for key, a, b, r, (low, high), was, is_ in rows
+            ],
+        )
+    ]
+    if first:
+        lines = [[what, f"{a:.1f}", f"{b:.1f}", f"{b / a:.2f}"] for what, a, b in first]
+        tables.append(table(["first call with an empty cache", "before, CPU s", "now, CPU s", "ratio"], lines))
+    if given.output:
+        payload = {"machine": machine(), "load_average": load_average(), "rounds": given.rounds, "rows": rows}
+        write(given.output, {**payload, "first": first}, *tables)
+    else:
+        print("\n\n".join(tables))
 
 
 if __name__ == "__main__":

@@ -2,8 +2,8 @@
 
 python scripts/benchmarks/page.py docs/data -o docs/benchmarks.md --readme README.md
 
-Reads benchmark_solve.json, benchmark_success.json, benchmark_batch.json, benchmark_kernel.json and benchmark_joints.json
-from the folder given; those that are missing are left out.
+Reads benchmark_solve.json, benchmark_success.json, benchmark_batch.json, benchmark_kernel.json, benchmark_joints.json
+and benchmark_against.json from the folder given; those that are missing are left out.
 """
 
 import argparse
@@ -30,6 +30,11 @@ count. An answer counts when Pinocchio finds it inside the limits and both toler
 analytic solver's answers one has to be right. All robots are given as a serial URDF with continuous joints limited to two
 turns either way. Slow solvers get the first few targets only; their ratio is taken on these. Everything is done three times with
 other targets: times and ratios are medians over these rounds, successes are added up.
+"""
+AGAINST = """\
+Before is the last commit of the older kernel (9ac99ef), which had a loop of its own for one tip, for several tips and for eight
+side by side. Each version has a process, a cache and the same targets; the rounds alternate. CPU time; of the ratios the median
+and its 95 % interval by order statistics.
 """
 
 
@@ -184,7 +189,7 @@ def main() -> None:
     parser.add_argument("--readme", type=Path, help="also put the summary between the benchmark marks of this file")
     given = parser.parse_args()
     found = {}
-    for name in ("solve", "success", "batch", "kernel", "joints"):
+    for name in ("solve", "success", "batch", "kernel", "joints", "against"):
         path = given.folder / f"benchmark_{name}.json"
         if path.exists():
             found[name] = json.loads(path.read_text(encoding="utf-8"))
@@ -202,6 +207,7 @@ def main() -> None:
     parts += section("Batch", found.get("batch"))
     parts += section("Building blocks", found.get("kernel"))
     parts += section("Number of joints", found.get("joints"))
+    parts += section("Against the version before", found.get("against"), AGAINST)
     given.output.parent.mkdir(parents=True, exist_ok=True)
     given.output.write_text("\n\n".join(parts) + "\n", encoding="utf-8")
     if given.readme:
