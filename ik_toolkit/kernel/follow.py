@@ -16,9 +16,7 @@ from .motion import (
     NOT_FINITE,
     RUNAWAY,
     RUNNING,
-    S_H,
-    S_START,
-    S_STOP,
+    STATE,
     Law,
     advance,
     apply,
@@ -51,7 +49,7 @@ def judge(wanted, h, p, state):
         for k in range(wanted.shape[0]):
             wanted[k] = 0.0
     elif bad or largest * h > p.runaway * wanted.shape[0]:
-        state[S_STOP] = NOT_FINITE if bad else RUNAWAY
+        state[STATE.stop] = NOT_FINITE if bad else RUNAWAY
         return True, still
     return False, still
 
@@ -120,17 +118,17 @@ def tracker() -> Callable:
             tip = now.point + now.axes.times(at3(ends, 21))
             twist_to(box, T[i], goal, now, tip, e)
             note(box, at3(e, 0), at3(e, 3), E[i])
-            if i < steps or state[S_START] == MOVING:
+            if i < steps or state[STATE.start] == MOVING:
                 fill(rows, task, kept, joints, tip, J, 0)
                 to_local(box, V[i], v)
-            if state[S_START] == MOVING:
+            if state[STATE.start] == MOVING:
                 factor(J, m, law.damping, G, y)
                 apply(J, m, G, v, y, rate)
                 for k in range(n):
                     gap = limits[1, k] - q[k] if rate[k] > 0.0 else q[k] - limits[0, k]
                     top = min(limits[2, k], fastest(gap, 0.0, law.gamma, h, limits[3, k]))
                     rate[k] = min(max(rate[k], -top), top)
-                state[S_START] = GIVEN
+                state[STATE.start] = GIVEN
             copy(q, Q[i])
             copy(rate, R[i])
             if i == steps:
@@ -143,7 +141,7 @@ def tracker() -> Callable:
             prepare(law, J, m, ahead, rate, h, G, y, t, move, null, x1, x2)
             if law.code >= CA:
                 jacobian_rate(rows, joints, J, tip, x1, x2, bias)
-            ratio = h / state[S_H] if state[S_START] == RUNNING else 0.0
+            ratio = h / state[STATE.step] if state[STATE.start] == RUNNING else 0.0
             if law.brake == 0.0:
                 command(law, J, m, e, v, a, bias, rate, prev, h, ratio, G, y, t, move, null, x)
             copy(rate, before)
@@ -157,8 +155,8 @@ def tracker() -> Callable:
             settle(law, h, before, x, C[i], prev)
             if still:
                 mark_held(C[i])
-            state[S_START] = RUNNING
-            state[S_H] = h
+            state[STATE.start] = RUNNING
+            state[STATE.step] = h
         return steps
 
     return follow

@@ -20,6 +20,12 @@ TAU = 2.0 * math.pi
 
 
 @inline
+def own_coordinates(rows):
+    """Whether each joint is its own coordinate with ratio 1 (no mimic)."""
+    return rows[0, 0] > 0.0
+
+
+@inline
 def room(L):
     """Length of the arrays `joints` and `trig` of a chain of L rows; angles are padded so that whole registers are used."""
     return 6 * L, 3 * ((L + 3) // 4 * 4)

@@ -22,14 +22,23 @@ from .linalg import cholesky, cholesky_solve
 
 CV, AV, CA, AA = range(4)
 AT_RATE, AT_RATE_AND_STEP, AT_STEP = range(3)  # where aa takes dJ/dt: readings 1, 2, 3 of eq (25)
-# Slots of `state` and what its first and last hold.
-S_START, S_H, S_STOP = range(3)
 MOVING, GIVEN, RUNNING = range(3)  # start with the reference's rate, with the rate given, or go on
 FINE, NOT_FINITE, RUNAWAY = range(3)
 # Bits of `code`: why a joint did not move as commanded.
 POSITION, VELOCITY, ACCELERATION, HELD = 1, 2, 4, 8
 SINGLE = 1e-24  # share of the largest diagonal entry of JJ' below which a row is one the joints cannot move
 REGION = 2.0  # damping fades in where the smallest singular value falls below REGION * damping
+
+
+class State(NamedTuple):
+    """What a tracker keeps between steps, as an array that Python hands over."""
+
+    start: int  # how the next step begins: MOVING, GIVEN, RUNNING
+    step: int  # length of the last step [s]
+    stop: int  # why the loop ended: FINE, NOT_FINITE, RUNAWAY
+
+
+STATE = State._make(range(3))  # places in the array
 
 
 @compiled

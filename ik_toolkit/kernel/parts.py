@@ -61,12 +61,6 @@ class Quick(Flags):
     numba looks its overloads up by them for every operator of every function; Flags compares all fifty, by name.
     """
 
-    def copy(self) -> "Quick":
-        """What callees inherit: not the inlining, or they would be compiled once for inlined callers and once for others."""
-        flags = Quick(self)
-        flags.discard("forceinline")
-        return flags
-
     def values(self) -> dict:
         return self._values
 

@@ -23,7 +23,7 @@ import numpy as np
 from .algebra import V3, at3, chord, put3
 from .checks import beyond, edge, rigid
 from .jit import build, compiled, inline
-from .kinematics import aim, column, fk, pose_error
+from .kinematics import aim, column, fk, own_coordinates, pose_error
 from .records import WHAT, Array
 from .task import FREE, PART, POSE, POSITION, count_column, shape
 
@@ -119,7 +119,7 @@ def counted(kind, kept, linear, angular):
 @inline
 def fill(rows, task, kept, joints, tip, J, first):
     """Write the columns of one chain to J[:, first : first + 6]; mimic joints add to their leader."""
-    plain = rows[0, 0] > 0.0
+    plain = own_coordinates(rows)
     kind = int(task[WHAT.kind])
     if not plain:
         for i in range(J.shape[0]):

@@ -10,10 +10,22 @@ PAD = 16  # keeps the 13 feature rows off one cache set
 ROTATION_WEIGHT = 0.05  # of |dR|_F^2 against |dp|^2 (lengths divided by the reach)
 
 
+HALF = np.uint64(32)
+LOW = np.uint64(0xFFFFFFFF)
+
+
+@inline
+def product(a, b):
+    """a b modulo 2^64 of two uint64, by halves: uncompiled, numpy warns of an overflow."""
+    low = (a & LOW) * (b & LOW)
+    cross = (((a & LOW) * (b >> HALF)) & LOW) + (((a >> HALF) * (b & LOW)) & LOW)
+    return (((low >> HALF) + cross) << HALF) | (low & LOW)
+
+
 @inline
 def sow(state, seed):
     """Begin the random sequence of `state` (1,): it depends on the seed only, not on neighbours or the thread."""
-    state[0] = np.uint64(88172645463325252) ^ (np.uint64(seed) * np.uint64(0x9E3779B97F4A7C15))
+    state[0] = np.uint64(88172645463325252) ^ product(np.uint64(seed), np.uint64(0x9E3779B97F4A7C15))
 
 
 @inline
@@ -73,4 +85,4 @@ def rnd(state):
     x ^= x << np.uint64(25)
     x ^= x >> np.uint64(27)
     state[0] = x
-    return float((x * np.uint64(2685821657736338717)) >> np.uint64(11)) * (1.0 / 9007199254740992.0)
+    return float(product(x, np.uint64(2685821657736338717)) >> np.uint64(11)) * (1.0 / 9007199254740992.0)

@@ -7,7 +7,7 @@ import numpy as np
 
 from .algebra import V3, at3
 from .jit import build, compiled
-from .kinematics import column, room
+from .kinematics import column, own_coordinates, room
 from .linalg import damped, pseudo_inverse_step
 from .problem import GOAL, Desk, counted, errors_at, fill, from_target, make_desk, take, tip_at, tolerances
 from .records import TASK, WHAT, Array, Ends
@@ -96,7 +96,7 @@ class Serial(NamedTuple):
                 u, v = column(self.rows, self.joints, r, look.point)
                 ratio = self.rows[r, 4] + self.rows[r, 6]
                 linear, angular = linear + u * ratio, angular + v * ratio
-        if kind == POSITION and self.rows[0, 0] > 0.0 and self.rows[i, 9] > 0.0:
+        if kind == POSITION and own_coordinates(self.rows) and self.rows[i, 9] > 0.0:
             axis, point = at3(self.joints, 6 * i), at3(self.joints, 6 * i + 3)
             to, now = at3(self.goal, 9) - point, look.point - point
             side = linear.dot(to)

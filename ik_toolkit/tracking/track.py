@@ -109,7 +109,7 @@ class Tracker:
         self._at_rest = acceleration_limits is not None
         n = robot.n
         self._q, self._rate = np.zeros(n), np.zeros(n)
-        self._state = np.zeros(3)
+        self._state = np.zeros(len(motion.STATE))
         self._T, self._V, self._A = np.zeros((2, 4, 4)), np.zeros((2, 6)), np.zeros((2, 6))
         self._T[:] = np.eye(4)
         self._Q, self._R, self._E = np.zeros((2, n)), np.zeros((2, n)), np.zeros((2, 6))
@@ -134,7 +134,7 @@ class Tracker:
         if rate0 is not None:
             self._rate[:] = self.robot.check_q(rate0, "rate0") / self.robot.chain.unit
         if rate0 is not None or self._at_rest:
-            self._state[0] = motion.GIVEN
+            self._state[motion.STATE.start] = motion.GIVEN
         self._m = 0
         if target is not None:
             self._take(0, target, twist, acceleration)
@@ -307,7 +307,7 @@ def track(
     if check is not None and check.verdict == "unstable":
         warnings.warn(check.message, stacklevel=2)
     tracker._m = 3 if reference.position_only else 6
-    at_rest = tracker._state[0] == motion.GIVEN and not tracker._rate.any()
+    at_rest = tracker._state[motion.STATE.start] == motion.GIVEN and not tracker._rate.any()
     settle = settling(settle, at_rest, times[-1])
     n, steps = robot.n, len(times) - 1
     Q, R, E = np.zeros((steps + 1, n)), np.zeros((steps + 1, n)), np.zeros((steps + 1, 6))
@@ -322,7 +322,7 @@ def track(
     unit = robot.chain.unit
     Q, R, E = Q[keep] * unit, R[keep] * unit, E[keep]
     between = _between(robot, reference, Q, R, engine.gamma, dt) if done else (None, None)
-    stop = int(tracker._state[motion.S_STOP])
+    stop = int(tracker._state[motion.STATE.stop])
     result = TrackResult(
         robot=robot.name,
         method=engine.name,
