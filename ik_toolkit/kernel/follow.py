@@ -141,7 +141,7 @@ def tracker() -> Callable:
             prepare(law, J, m, ahead, rate, h, G, y, t, move, null, x1, x2)
             if law.code >= CA:
                 jacobian_rate(rows, joints, J, tip, x1, x2, bias)
-            ratio = h / state[STATE.step] if state[STATE.start] == RUNNING else 0.0
+            ratio = h / state[STATE.period] if state[STATE.start] == RUNNING else 0.0
             if law.brake == 0.0:
                 command(law, J, m, e, v, a, bias, rate, prev, h, ratio, G, y, t, move, null, x)
             copy(rate, before)
@@ -156,7 +156,7 @@ def tracker() -> Callable:
             if still:
                 mark_held(C[i])
             state[STATE.start] = RUNNING
-            state[STATE.step] = h
+            state[STATE.period] = h
         return steps
 
     return follow

@@ -34,7 +34,7 @@ class State(NamedTuple):
     """What a tracker keeps between steps, as an array that Python hands over."""
 
     start: int  # how the next step begins: MOVING, GIVEN, RUNNING
-    step: int  # length of the last step [s]
+    period: int  # length of the last step [s]
     stop: int  # why the loop ended: FINE, NOT_FINITE, RUNAWAY
 
 
