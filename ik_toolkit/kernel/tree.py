@@ -299,7 +299,7 @@ class Tree(NamedTuple):
     def keep(self, look, place):
         e, errors = self.desk.e, self.desk.errors
         for f in range(self.tasks.shape[0]):
-            free = int(self.tasks[f, 0]) == FREE  # its goal is where the search starts, and nothing it misses
+            free = int(self.tasks[f, WHAT.kind]) == FREE  # its goal is where the search starts, and nothing it misses
             errors[place, f, 0] = 0.0 if free else from_target(self.goals[f], at3(e, 6 * f)).square()
             errors[place, f, 1] = at3(e, 6 * f + 3).square()
 

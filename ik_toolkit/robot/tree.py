@@ -7,10 +7,9 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from ..errors import FrameNotFound, InvalidOption, InvalidTarget, ModelError
+from ..errors import FrameNotFound, InvalidOption, ModelError
 from ..kernel.tree_chain import TreeChain, pack_tree
 from .joints import Joints
-from .pose import AxisTarget, check_target
 from .probe import Path as JointPath
 from .robot import Robot, path_ends, read
 
@@ -130,37 +129,6 @@ class Tree(Joints):
         for f, (arm, place) in enumerate(zip(self.arms, self.places, strict=True)):
             J[6 * f : 6 * f + 6, place] = arm.jacobian(q[place])
         return J
-
-    def check_targets(self, targets: Any) -> tuple[list[np.ndarray], str]:
-        """Validate one target a tip: a dict by tip, or a sequence in the order of `tips`; each (4, 4) or (3,), and a notice.
-
-        Raises FrameNotFound (unknown tip), InvalidTarget (missing tip, wrong number, not a pose; names the tip).
-        """
-        expected = f"robot '{self.name}' takes one target for each of {', '.join(self.tips)}"
-        if isinstance(targets, Mapping):
-            self.check_tips(targets)
-            missing = [tip for tip in self.tips if tip not in targets]
-            if missing:
-                raise InvalidTarget(f"{expected}; missing: {', '.join(missing)}")
-            given = [targets[tip] for tip in self.tips]
-        else:
-            if not isinstance(targets, list | tuple | np.ndarray) or getattr(targets, "shape", ()) in ((4, 4), (3,)):
-                raise InvalidTarget(f"{expected} (a dict, or a list in this order), not a single one")
-            given = list(targets)
-            if len(given) != len(self.tips):
-                raise InvalidTarget(f"{expected}; got {len(given)}")
-        checked, notices = [], []
-        for tip, target in zip(self.tips, given, strict=True):
-            if isinstance(target, AxisTarget):
-                raise InvalidTarget(f"{tip}: an axis target is for one tip; give a pose or a position")
-            try:
-                T, notice = check_target(target)
-            except InvalidTarget as error:
-                raise InvalidTarget(f"{tip}: {error}") from None
-            checked.append(T)
-            if notice:
-                notices.append(f"{tip}: {notice}")
-        return checked, "; ".join(notices)
 
     def errors(self, q: np.ndarray, targets: Sequence[np.ndarray]) -> list[tuple[float, float | None]]:
         """Position error [m] and rotation angle [rad] (None for a (3,) target) of each tip, by Pinocchio."""

@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..errors import FrameNotFound, InvalidTarget, masked, near_match
+from ..errors import InvalidTarget, masked
 from ..kernel.task import FREE, POSE, POSITION
 from ..robot.pose import check_target
 
@@ -125,9 +125,7 @@ def _stacked(array: np.ndarray, robot: Any) -> Block:
 
 def _by_tip(chunk: Mapping[str, Any], robot: Any) -> Block:
     tips = robot.tips
-    for tip in chunk:
-        if tip not in tips:
-            raise FrameNotFound(f"'{tip}' is not one of the tips solved for.{near_match(str(tip), tips)}")
+    robot.check_tips(chunk)
     parts = tuple(None if tip not in chunk else _numbers(chunk[tip]) for tip in tips)
     if all(part is None for part in parts):
         raise InvalidTarget(f"a dict of targets needs at least one of {', '.join(tips)}")

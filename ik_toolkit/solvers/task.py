@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..errors import FrameNotFound, InvalidOption, InvalidTarget, near_match
+from ..errors import InvalidOption, InvalidTarget, near_match
 from ..kernel.records import Task
 from ..kernel.task import AXIS, FREE, PART, POSE, POSITION
 from ..robot.pose import AxisTarget, check_target, errors
@@ -179,9 +179,7 @@ def _by_tip(robot: Any, targets: Any) -> list[Any]:
     """A target or None for each tip."""
     tips = robot.tips
     if isinstance(targets, Mapping):
-        for tip in targets:
-            if tip not in tips:
-                raise FrameNotFound(f"'{tip}' is not one of the tips solved for.{near_match(tip, tips)}")
+        robot.check_tips(targets)
         return [targets.get(tip) for tip in tips]
     expected = f"robot '{robot.name}' takes one target for each of {', '.join(tips)}"
     single = getattr(targets, "shape", ()) in ((4, 4), (3,))
