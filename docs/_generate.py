@@ -224,7 +224,10 @@ def escape_docstring(app, what, name, obj, options, lines: list[str]) -> None:
 
 
 def skip_member(app, what, name, obj, skip, options) -> bool | None:
-    """Leave out the fields and tuple methods of named tuples, and what only the kernel calls."""
-    if name in ("count", "index", "pack", "designed") or type(obj).__name__ == "_tuplegetter":
+    """Leave out the fields and tuple methods of named tuples, and what the toolkit asks of every solver (see the guide)."""
+    from ik_toolkit.solvers.protocol import ClosedForm, Rule
+
+    asked = {*vars(Rule), *vars(ClosedForm)} - {"preset"}
+    if name in {"count", "index", "designed", "resolve", *asked} or type(obj).__name__ == "_tuplegetter":
         return True
     return None

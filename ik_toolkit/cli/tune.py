@@ -14,12 +14,16 @@ from .output import facts, notice, partial, progress, show, write_json
 if TYPE_CHECKING:
     from ..study.tune import TuneResult
 
-SolverArg = Annotated[str, typer.Argument(metavar="SOLVER", help="state-space, pid, or one with a gain or a damping.")]
+SolverArg = Annotated[
+    str, typer.Argument(metavar="SOLVER", help="One with presets, a gain or a damping; see ik solvers.")
+]
 Method = Annotated[str, typer.Option("-m", "--method", metavar="cma|pso", help="CMA-ES or a particle swarm.")]
 Pose = Annotated[bool, typer.Option("--pose", help="Goals are poses; default: positions.")]
 Maps = Annotated[
     int | None,
-    typer.Option(metavar="K", help="state-space: K starts, each with its map; 1: as published. Default 32."),
+    typer.Option(
+        metavar="K", help="Of a solver with maps: K starts, each with its map; 1: as published. Default: its own."
+    ),
 ]
 From = Annotated[str | None, typer.Option("--from", metavar="PRESET", help="Preset the search starts from.")]
 Goals = Annotated[int, typer.Option(metavar="N", help="Training goals.")]

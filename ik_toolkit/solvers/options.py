@@ -24,10 +24,9 @@ class Options:
     position_tolerance [m], orientation_tolerance [rad]: both errors must be below theirs. max_iterations: steps a descent;
     restarts: further descents from other starts (None: the solver's own). max_evaluations: budget of FK evaluations over
     all descents. seed: of the random starts. limits: keep joints inside their limits. wrap: whether a bounded joint with a
-    full turn or more may go on from the other end of its range, where it stops otherwise (None: the solver's own way; 'lm'
-    wraps, the published methods stop). q0_outside: 'clamp' (with a notice) or
-    'refuse'. What counts of the errors x, y, z [m] and rx, ry, rz [rad] (target - tip, and the rotation vector left), along the
-    axes of frame 'base', 'tip' or 'target': free_turn (3,), a tip axis about which rotation is free; then slack (6,), half
+    full turn or more may go on from the other end of its range, where it stops otherwise (None: the solver's own way; the default
+    search wraps, the published methods stop). q0_outside: 'clamp' (with a notice) or 'refuse'. What counts of the errors
+    x, y, z [m] and rx, ry, rz [rad] (target - tip, and the rotation vector left), along the axes of frame 'base', 'tip' or 'target': free_turn (3,), a tip axis about which rotation is free; then slack (6,), half
     widths inside which there is no error (inf, and pi for a rotation, free it); then mask (6,), weights (0 = free). Each is one
     value for every tip or a dict by tip, and the tolerances hold for what is left. relative_to: of a Tree, a dict from a tip to
     the tip in whose frame its target is given. joint_weights (n,): how freely each joint moves (1 = as usual, 0 = held where

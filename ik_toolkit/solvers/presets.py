@@ -59,7 +59,7 @@ def load_preset(solver: str, name: str | Path, fields: Sequence[str]) -> tuple[d
 def from_preset(row: Any, name: str | Path, values: dict[str, Any] | None = None) -> Any:
     """Rule of a registry row with a preset, and some parameters changed. Raises InvalidOption."""
     cls = row.load()
-    if not hasattr(cls, "preset"):
+    if cls.preset is None:
         have = ", ".join(sorted(folder.name for folder in FOLDER.iterdir() if folder.is_dir()))
         raise InvalidOption(f"solver '{row.name}' has no presets; these have: {have}")
     make_rule(row, values or {})  # names the parameter that does not exist

@@ -63,6 +63,11 @@ class Rule(Protocol):
     """Redo a step without the joints it would push past a limit; otherwise the step is cut off there."""
     wrap = False
     """Let a bounded joint with a full turn or more go on from the other end of its range."""
+    preset: Any = None
+    """Class method preset(name) -> rule with published or tuned parameters (see `presets`). Default None: there are none."""
+    space: Any = None
+    """Class method space(robot, position_only, initial) -> what `ik tune` searches (`space.Space`); with maps= where there are
+    several. Default None: the fields called damping and gain."""
 
     def pack(self, robot: Any, asked: Asked | None = None) -> Any:
         """Numbers of the compiled step: a record of the class that has `step`, or an array of them. Default: the rule itself."""
@@ -120,6 +125,7 @@ class ClosedForm(Protocol):
         """Joints (place in q) that the parameters put at a value [rad or m]."""
         return {}
 
+    preset, space = Rule.preset, Rule.space
     start_table, options, lanes = Rule.start_table, Rule.options, Rule.lanes
 
     def loop(self, robot: Any) -> Callable:

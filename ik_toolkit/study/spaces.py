@@ -25,7 +25,7 @@ def make_space(
     """
     row = find_row(solver)
     cls = row.load()
-    own = getattr(cls, "space", None)
+    own = cls.space
     if maps is not None and (isinstance(maps, bool) or int(maps) != maps or not 1 <= maps <= 4096):
         raise InvalidOption(f"maps must be a whole number from 1 to 4096, not {maps!r}")
     several = own is not None and "maps" in inspect.signature(own).parameters

@@ -148,4 +148,6 @@ def test_command(tmp_path, capsys):
     assert main(arguments) == 0
     assert "500 of 500" in capsys.readouterr().out
     assert main(["workspace", "hydrolek_7w", "--preset", "lm=x"]) == 2
-    assert "has no presets" in capsys.readouterr().err
+    assert "'lm' has no presets; these have: pid, state-space" in " ".join(capsys.readouterr().err.split())
+    assert main(["workspace", "hydrolek_7w", "--preset", "pid"]) == 2
+    assert "SOLVER=PRESET" in capsys.readouterr().err
