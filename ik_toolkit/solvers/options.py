@@ -21,21 +21,22 @@ FRAMES = ("base", "tip", "target")
 class Options:
     """How to run a solver.
 
-    position_tolerance [m], orientation_tolerance [rad]: both errors must be below theirs. max_iterations: steps a descent;
-    restarts: further descents from other starts (None: the solver's own). max_evaluations: budget of FK evaluations over
-    all descents. seed: of the random starts. limits: keep joints inside their limits. wrap: whether a bounded joint with a
-    full turn or more may go on from the other end of its range, where it stops otherwise (None: the solver's own way; the default
-    search wraps, the published methods stop). q0_outside: 'clamp' (with a notice) or 'refuse'. What counts of the errors
-    x, y, z [m] and rx, ry, rz [rad] (target - tip, and the rotation vector left), along the axes of frame 'base', 'tip' or 'target': free_turn (3,), a tip axis about which rotation is free; then slack (6,), half
-    widths inside which there is no error (inf, and pi for a rotation, free it); then mask (6,), weights (0 = free). Each is one
-    value for every tip or a dict by tip, and the tolerances hold for what is left. relative_to: of a Tree, a dict from a tip to
-    the tip in whose frame its target is given. joint_weights (n,): how freely each joint moves (1 = as usual, 0 = held where
-    q0, or home, has it). closest: of several solutions return the one nearest q0. objective: for redundant tasks, what to
-    improve in the null space once solved: 'mid-range', 'reference' (near q0) or
-    'manipulability'. history: keep errors and q of every evaluation. check: re-check with Pinocchio. avoid_collisions: True (the
-    robot's own links) or a CollisionModel: only answers that touch nothing count, and the search goes on until one is found.
-    follow: for control loops, one attempt from q0 (required) in which no joint moves further than this [rad; slides: times the
-    robot's reach]; True is 0.5. A target beyond that ends as TOO_FAR. Not with closed forms, closest, restarts or objective.
+    position_tolerance [m], orientation_tolerance [rad]: both errors must be below theirs. max_iterations: steps an attempt;
+    restarts: further attempts from other starts (None: the solver's own). max_evaluations: budget of FK evaluations over all
+    attempts. seed: of the random starts. limits: keep joints inside their limits. wrap: whether a bounded joint with a full
+    turn or more may go on from the other end of its range, where it stops otherwise (None: the solver's own way; the default
+    search wraps, the published methods stop). q0_outside: 'clamp' (with a notice) or 'refuse'. What counts of the errors x, y,
+    z [m] and rx, ry, rz [rad] (target - tip, and the rotation vector left), along the axes of frame 'base', 'tip' or 'target':
+    free_turn (3,), a tip axis about which rotation is free; then slack (6,), half widths inside which there is no error (inf,
+    and pi for a rotation, free it); then mask (6,), weights (0 = free). Each is one value for every tip or a dict by tip, and
+    the tolerances hold for what is left. relative_to: of a Tree, a dict from a tip to the tip in whose frame its target is
+    given. joint_weights (n,): how freely each joint moves (1 = as usual, 0 = held where q0, or home, has it). closest: of
+    several solutions return the one nearest q0. objective: for redundant tasks, what to improve in the null space once solved:
+    'mid-range', 'reference' (near q0) or 'manipulability'. history: keep errors and q of every evaluation. check: re-check with
+    Pinocchio. avoid_collisions: True (the robot's own links) or a CollisionModel: only answers that touch nothing count, and
+    the search goes on until one is found. follow: for control loops, one attempt from q0 (required) in which no joint moves
+    further than this [rad; slides: times the robot's reach]; True is 0.5. A target beyond that ends as TOO_FAR. Not with closed
+    forms, closest, restarts or objective.
     """
 
     position_tolerance: float = 1e-6

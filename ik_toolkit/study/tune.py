@@ -210,9 +210,9 @@ def tune(
 ) -> TuneResult:
     """Search parameters and start configurations of a solver with CMA-ES or a particle swarm.
 
-    robot: of a Tree all tips are solved together; a goal has a target a tip, and its errors are the largest of them.
-    maps: of a solver that has them, number of starts (default: its own); 1 tunes the published structure (a, B, start; C fixed,
-    which loses nothing), more tune starts whose maps are designed. initial: the rule to start from; one with maps keeps its structure
+    robot: of a Tree all tips are solved together; a goal has a target a tip, and its errors are the largest of them. maps: of a
+    solver that has them, number of starts (default: its own); 1 tunes the published structure (a, B, start; C fixed, which
+    loses nothing), more tune starts whose maps are designed. initial: the rule to start from; one with maps keeps its structure
     (a, B, C, literal delay), and with several starts each B is searched between the given one and its own. goals: training
     goals; held_out: sets of 1000 fresh goals that judge the result. cost of a candidate: share of failures, plus a tenth of how
     far they were off (of the length scale), plus 0.02 mean iterations / max_iterations. seconds: stop the search after so long.
