@@ -83,16 +83,14 @@ def shape(task, ends, goal, now, linear, angular, kept):
         if frame != BASE:
             axis = axes.times(V3(ends.flat[12 + i], ends.flat[15 + i], ends.flat[18 + i]))
         across = r.cross(axis)
-        if turns:  # G' and G times the axis: rows of G and of G'
+        if turns:  # G' times the axis: a row of G
             bend = k * (slope * k.dot(axis))
-            own, others = a.cross(axis.cross(b)) * f - bend, b.cross(axis.cross(a)) * f - bend
+            own = a.cross(axis.cross(b)) * f - bend
         else:
             bend = axis + r.cross(across) * f
-            own, others = bend - across * 0.5, bend + across * 0.5
+            own = bend - across * 0.5
         if frame == TIP:
             own = own + across
-        if frame == TARGET:
-            others = others - across
         e, w, s = axis.dot(linear), task[WHAT.w0 + i], task[WHAT.s0 + i]
         e = e - min(max(e, -s), s)
         kept[ERROR + i] = w * e
@@ -102,7 +100,9 @@ def shape(task, ends, goal, now, linear, angular, kept):
         kept[ERROR + 3 + i] = w * e
         w = w if e != 0.0 else 0.0
         put3(kept, A + 3 * i, own * w)
-        put3(kept, B + 3 * i, others * w)
+        if task[WHAT.other] >= 0.0:  # and G times it
+            others = b.cross(axis.cross(a)) * f - bend if turns else bend + across * 0.5
+            put3(kept, B + 3 * i, (others - across if frame == TARGET else others) * w)
     put3(kept, ARM, linear if frame == TIP else none)
     put3(kept, ARM_GOAL, -linear if frame == TARGET else none)
     return at3(kept, ERROR), at3(kept, ERROR + 3)
