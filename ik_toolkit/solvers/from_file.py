@@ -5,7 +5,6 @@ import hashlib
 import importlib.util
 import sys
 import traceback
-from collections.abc import Iterable
 from pathlib import Path
 
 from ..errors import InvalidOption, near_match
@@ -24,7 +23,7 @@ def from_file(text: str) -> type:
     name, _, wanted = text.rpartition(":") if not text.endswith(".py") else (text, "", "")
     path = Path(name).expanduser().resolve()
     if not path.is_file():
-        near = near_match(path.name, _names(path.parent.glob("*.py")))
+        near = near_match(path.name, sorted(one.name for one in path.parent.glob("*.py") if one.is_file()))
         raise InvalidOption(f"solver '{text}': there is no file '{name}'.{near}")
     classes = _classes(path)
     solvers = {key: cls for key, cls in classes.items() if hasattr(cls, "loop")}
@@ -39,23 +38,23 @@ def from_file(text: str) -> type:
     raise InvalidOption(f"solver '{text}': the file has no class '{wanted}'.{tail}")
 
 
-def _names(paths: Iterable[Path]) -> list[str]:
-    return sorted(path.name for path in paths)
-
-
 @functools.cache  # a file is run once a process
 def _classes(path: Path) -> dict[str, type]:
     """Classes that a file makes, by name. Raises InvalidOption when it does not run."""
     # A name of its own, so that a file called as a module (numpy.py) hides nothing. It goes by the content, so that what was
     # compiled for a file that moved is found again.
-    module_name = f"{path.stem}_{hashlib.sha256(path.read_bytes()).hexdigest()[:8]}"
+    try:
+        content = path.read_bytes()
+    except OSError as error:
+        raise InvalidOption(f"cannot read '{path}': {error.strerror}") from None
+    module_name = f"{path.stem}_{hashlib.sha256(content).hexdigest()[:8]}"
     spec = importlib.util.spec_from_file_location(module_name, path)
     assert spec is not None and spec.loader is not None
     module = sys.modules[module_name] = importlib.util.module_from_spec(spec)
     sys.path.insert(0, str(path.parent))
     try:
         spec.loader.exec_module(module)
-    except Exception as error:
+    except (Exception, SystemExit) as error:  # a script may end itself
         del sys.modules[module_name]
         at = [frame.lineno for frame in traceback.extract_tb(error.__traceback__) if frame.filename == str(path)]
         line = getattr(error, "lineno", None) or (at[-1] if at else None)

@@ -6,6 +6,7 @@ the class leaves out. Nothing else in the toolkit asks for a solver by its name 
 row (`registry.Row`), which says what must be known without importing the class.
 """
 
+import inspect
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar, overload
@@ -169,6 +170,8 @@ def closed_form(cls: Class) -> Class:
 
 
 def _filled(cls: Any, protocol: Any) -> Any:
+    if hasattr(cls, "pack") and len(inspect.signature(cls.pack).parameters) < 3:
+        raise TypeError(f"{cls.__name__}: pack takes (self, robot, asked)")
     for name, value in vars(protocol).items():
         if not name.startswith("_") and not hasattr(cls, name):
             setattr(cls, name, value)

@@ -166,6 +166,18 @@ def test_what_cannot_be_a_rule_is_refused_where_it_is_written():
             def step(self, p, e):
                 return 0
 
+    with pytest.raises(TypeError, match=r"OldPack: pack takes \(self, robot, asked\)"):
+
+        @ik.rule
+        class OldPack(NamedTuple):
+            gain: float = 1.0
+
+            def pack(self, robot):
+                return self
+
+            def step(self, p, e):
+                return 0
+
     with pytest.raises(TypeError, match="`recognise` and `every`"):
 
         @ik.closed_form
@@ -221,6 +233,8 @@ def test_two_files_of_one_name_are_two(tmp_path):
         ("empty.py:X", "no solver at all"),
         ("broken.py:X", r"broken.py, line 2: ZeroDivisionError: division by zero"),
         ("wrong.py:X", r"wrong.py, line 3: SyntaxError"),
+        ("ends.py:X", r"ends.py, line 1: SystemExit: 3"),
+        ("folder.py:X", r"there is no file 'folder.py'\.(?! Did you mean 'folder.py')"),
     ],
 )
 def test_mistakes_with_files_are_named(asked, says, tmp_path, monkeypatch, capsys):
@@ -229,6 +243,8 @@ def test_mistakes_with_files_are_named(asked, says, tmp_path, monkeypatch, capsy
     (tmp_path / "empty.py").touch()
     (tmp_path / "broken.py").write_text("import math\n1 / 0\n")
     (tmp_path / "wrong.py").write_text("import math\n\nx = (:\n")
+    (tmp_path / "ends.py").write_text("raise SystemExit(3)\n")
+    (tmp_path / "folder.py").mkdir()
     with pytest.raises(InvalidOption, match=says):
         from_file(asked)
     assert main(["bench", "planar_2r", "-n", "2", "--solver", asked]) == 2
