@@ -34,7 +34,7 @@ Task = Annotated[
 ]
 Tolerance = Annotated[float, typer.Option(metavar="T", help="Position [m] and orientation [rad] tolerance.")]
 Seed = Annotated[int, typer.Option(metavar="N", help="Seed of targets, starts and restarts.")]
-Iterations = Annotated[int | None, typer.Option(metavar="N", help="Steps a descent; default: the solver's own.")]
+Iterations = Annotated[int | None, typer.Option(metavar="N", help="Steps an attempt; default: the solver's own.")]
 Restarts = Annotated[
     int | None, typer.Option(metavar="N", help="Restarts of every solver in the second columns; default 99.")
 ]

@@ -47,9 +47,9 @@ Start = Annotated[str | None, typer.Option("--q0", metavar="Q1 Q2 ...", help="Wh
 Tolerance = Annotated[float | None, typer.Option(metavar="TOL", help="Both tolerances, in m and rad; default 1e-6.")]
 PositionTolerance = Annotated[float | None, typer.Option(metavar="M", help="Position tolerance [m].")]
 OrientationTolerance = Annotated[float | None, typer.Option(metavar="RAD", help="Orientation tolerance [rad].")]
-MaxIterations = Annotated[int | None, typer.Option(metavar="N", help="Steps a descent; default: the solver's own.")]
+MaxIterations = Annotated[int | None, typer.Option(metavar="N", help="Steps an attempt; default: the solver's own.")]
 Restarts = Annotated[
-    int | None, typer.Option(metavar="N", help="Further descents from other starts; default: the solver's own.")
+    int | None, typer.Option(metavar="N", help="Further attempts, from other starts; default: the solver's own.")
 ]
 Seed = Annotated[int, typer.Option(metavar="N", help="Seed of the random restarts.")]
 Limits = Annotated[bool, typer.Option("--limits/--no-limits", help="Keep the joints inside their limits.")]

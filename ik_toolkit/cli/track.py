@@ -222,17 +222,17 @@ def _reference(
         amplitudes = (radius, 0.5 * radius, 0.0)
         return shapes.lissajous(at, amplitudes, cycles=cycles, duration=duration, law=law or "constant")
     if end is not None:
-        goal = np.array(vector(end, "--end", 3))
+        last = np.array(vector(end, "--end", 3))
     else:
         direction = np.array([1.0, 0.0, 0.0]) if direction is None else direction
         size = float(np.linalg.norm(direction))
         if not size > 0.0:
             raise InvalidOption("--axis must not be zero")
-        goal = T[:3, 3] + length * direction / size
+        last = T[:3, 3] + length * direction / size
     T1 = T.copy()
-    T1[:3, 3] = goal
+    T1[:3, 3] = last
     return shapes.line(
-        at, goal if position_only else T1, duration=duration, law=law or "minimum-jerk", rounds=int(turns_)
+        at, last if position_only else T1, duration=duration, law=law or "minimum-jerk", rounds=int(turns_)
     )
 
 

@@ -18,7 +18,7 @@ SolverArg = Annotated[
     str, typer.Argument(metavar="SOLVER", help="One with presets, a gain or a damping; see ik solvers.")
 ]
 Method = Annotated[str, typer.Option("-m", "--method", metavar="cma|pso", help="CMA-ES or a particle swarm.")]
-Pose = Annotated[bool, typer.Option("--pose", help="Goals are poses; default: positions.")]
+Pose = Annotated[bool, typer.Option("--pose", help="Targets are poses; default: positions.")]
 Maps = Annotated[
     int | None,
     typer.Option(
@@ -26,15 +26,15 @@ Maps = Annotated[
     ),
 ]
 From = Annotated[str | None, typer.Option("--from", metavar="PRESET", help="Preset the search starts from.")]
-Goals = Annotated[int, typer.Option(metavar="N", help="Training goals.")]
-HeldOut = Annotated[int, typer.Option(metavar="N", help="Sets of 1000 fresh goals that judge the result.")]
+Targets = Annotated[int, typer.Option(metavar="N", help="Training targets.")]
+HeldOut = Annotated[int, typer.Option(metavar="N", help="Sets of 1000 fresh targets that judge the result.")]
 Generations = Annotated[int, typer.Option(metavar="N", help="Generations at most.")]
 Population = Annotated[int | None, typer.Option(metavar="N", help="Candidates a generation; default: by size.")]
 Seconds = Annotated[float | None, typer.Option(metavar="S", help="Stop the search after so long.")]
-Seed = Annotated[int, typer.Option(metavar="N", help="Seed of the search and of all goals.")]
+Seed = Annotated[int, typer.Option(metavar="N", help="Seed of the search and of all targets.")]
 Tolerance = Annotated[float, typer.Option(metavar="TOL", help="Both tolerances, in m and rad.")]
 MaxIterations = Annotated[int, typer.Option(metavar="N", help="Steps a solve.")]
-How = Annotated[str, typer.Option("--sample", metavar="joints|volume", help="Goals uniform in joints or in volume.")]
+How = Annotated[str, typer.Option("--sample", metavar="joints|volume", help="Targets uniform in joints or in volume.")]
 Out = Annotated[
     Path | None,
     typer.Option(
@@ -60,7 +60,7 @@ def tune(
     pose: Pose = False,
     maps: Maps = None,
     from_: From = None,
-    goals: Goals = 2000,
+    targets: Targets = 2000,
     held_out: HeldOut = 10,
     generations: Generations = 200,
     population: Population = None,
@@ -79,7 +79,7 @@ def tune(
     resume: Resume = False,
     plot: Plot = None,
 ) -> None:
-    """Search gains and start configurations of a solver for a robot, and judge them on goals of fresh seeds.
+    """Search gains and start configurations of a solver for a robot, and judge them on targets of fresh seeds.
 
     The result is a preset for ik solve --preset FILE. Ctrl-C keeps the best so far as FILE.partial; --resume goes on from there.
     """
@@ -109,7 +109,7 @@ def tune(
             method=method,
             maps=maps,
             initial=initial,
-            goals=goals,
+            targets=targets,
             held_out=held_out,
             generations=generations,
             population=population,

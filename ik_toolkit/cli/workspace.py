@@ -36,17 +36,19 @@ Preset = Annotated[
     list[str] | None,
     typer.Option(metavar="SOLVER=PRESET", help="Also solve with a preset: its name, or a file; may be repeated."),
 ]
-Goals = Annotated[int, typer.Option("-n", "--goals", metavar="N", help="Number of goals.")]
-How = Annotated[str, typer.Option("--sample", metavar="joints|volume", help="Goals uniform in joints or in volume.")]
-Pose = Annotated[bool, typer.Option("--pose", help="Goals are poses; default: positions.")]
-Seed = Annotated[int, typer.Option(metavar="N", help="Seed of the goals.")]
+Targets = Annotated[int, typer.Option("-n", "--targets", metavar="N", help="Number of targets.")]
+How = Annotated[str, typer.Option("--sample", metavar="joints|volume", help="Targets uniform in joints or in volume.")]
+Pose = Annotated[bool, typer.Option("--pose", help="Targets are poses; default: positions.")]
+Seed = Annotated[int, typer.Option(metavar="N", help="Seed of the targets.")]
 Start = Annotated[str | None, typer.Option("--q0", metavar="Q1 Q2 ...", help="Where every solve starts.")]
 Tolerance = Annotated[float, typer.Option(metavar="TOL", help="Both tolerances, in m and rad.")]
-MaxIterations = Annotated[int | None, typer.Option(metavar="N", help="Steps a descent.")]
-Restarts = Annotated[int | None, typer.Option(metavar="N", help="Further descents from other starts.")]
+MaxIterations = Annotated[int | None, typer.Option(metavar="N", help="Steps an attempt.")]
+Restarts = Annotated[int | None, typer.Option(metavar="N", help="Further attempts, from other starts.")]
 Csv = Annotated[
     Path | None,
-    typer.Option("--csv", metavar="FILE", help="Write every goal to a .csv as it is solved.", callback=writes(".csv")),
+    typer.Option(
+        "--csv", metavar="FILE", help="Write every target to a .csv as it is solved.", callback=writes(".csv")
+    ),
 ]
 Workers = Annotated[int | None, typer.Option(metavar="N", help="Processes instead of threads.")]
 Plot = Annotated[
@@ -55,7 +57,7 @@ Plot = Annotated[
 ]
 Html = Annotated[
     Path | None,
-    typer.Option("--html", metavar="FILE", help="Robot and goals as a 3D page, one file.", callback=writes(".html")),
+    typer.Option("--html", metavar="FILE", help="Robot and targets as a 3D page, one file.", callback=writes(".html")),
 ]
 LISTED = 10
 
@@ -69,7 +71,7 @@ def workspace(
     robot: RobotArg,
     solver: Solvers = None,
     preset: Preset = None,
-    goals: Goals = 10_000,
+    targets: Targets = 10_000,
     how: How = "joints",
     pose: Pose = False,
     seed: Seed = 0,
@@ -89,14 +91,14 @@ def workspace(
     plot: Plot = None,
     html: Html = None,
 ) -> None:
-    """Sample goals over the workspace and report, for each solver, successes, iterations, errors and failures.
+    """Sample targets over the workspace and report, for each solver, successes, iterations, errors and failures.
 
     With several --tip the first is the one whose workspace it is; the others are free.
 
     Ctrl-C reports what is finished and keeps it in files called NAME.partial (no pictures).
     """
-    if goals < 1:
-        raise InvalidOption(f"--goals must be at least 1, not {goals}")
+    if targets < 1:
+        raise InvalidOption(f"--targets must be at least 1, not {targets}")
     if workers is not None and workers < 1:
         raise InvalidOption(f"--workers must be at least 1, not {workers}")
     arm = load_robot(robot, one_or_several(tip), base, lock, package_dir, deg)
@@ -109,13 +111,13 @@ def workspace(
     stopped = False
     start = None if q0 is None else joint_vector(arm, q0, "--q0", deg)
 
-    with _workers(workers) as executor, progress("solving", goals) as step:
+    with _workers(workers) as executor, progress("solving", targets) as step:
         try:
             found = study(
                 arm,
                 chosen,
                 tip=arm.tips[0],
-                goals=goals,
+                targets=targets,
                 how=how,
                 position_only=not pose,
                 seed=seed,
@@ -136,11 +138,11 @@ def workspace(
         from ..show.scene import view
 
         first = next(iter(found.solved))
-        view(arm, cloud=(found.points, found.solved[first]), title=f"{arm.name}: goals of {found.tip}, {first}").save(
+        view(arm, cloud=(found.points, found.solved[first]), title=f"{arm.name}: targets of {found.tip}, {first}").save(
             html
         )
     if stopped and csv is not None:
-        notice(f"the goals finished are in {partial(csv)}")
+        notice(f"the targets finished are in {partial(csv)}")
     write_json(found.to_dict(), as_json, partial(output) if stopped and output else output)
     if not as_json:
         _show(found)
@@ -183,7 +185,7 @@ def _show(found: "Workspace") -> None:
         other = "\n".join(f"{count} {status}" for status, count in outcome.statuses.items() if status != "CONVERGED")
         made.add_row(
             name,
-            f"{outcome.solved} of {outcome.goals}",
+            f"{outcome.solved} of {outcome.targets}",
             f"{1000 * low:.1f}..{1000 * high:.1f}",
             "-" if steps is None else f"{steps:.1f}",
             f"{1000 * outcome.worst:.4g}",

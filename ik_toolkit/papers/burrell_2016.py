@@ -182,7 +182,7 @@ def _counts(report: Report, robot: Robot, seeds: Any) -> None:
         """The presets were tuned by `ik tune` on goals of other streams (none of these seeds) and come with the toolkit:
         `ik tune hydrolek_7w state-space` (feedthrough), the same with `--from burrell-2016` (from the published gains, 32 starts)
         and with `--from burrell-2016 --maps 1` (one start), and `ik tune hydrolek_7w pid --from burrell-2016 --generations 25
-        --goals 1000`. A converged run of one map that never saturates ends on a
+        --targets 1000`. A converged run of one map that never saturates ends on a
         3-dimensional slice of joint space through its start, so start and map have to be tuned together; several starts are
         what brings the last goals and the speed."""
     )
@@ -263,7 +263,7 @@ def _planar(report: Report, seeds: Any) -> None:
             if run.success
             else run.status.lower()
         )
-        share, moved = 1000.0 * over.solved / over.goals, 1000.0 * over.solved_offset / over.goals
+        share, moved = 1000.0 * over.solved / over.targets, 1000.0 * over.solved_offset / over.targets
         rows.append([name, said, ours, f"{share:.0f}", f"{moved:.0f}", over.iterations])
     head = [
         "solver",
@@ -332,7 +332,7 @@ def _other_robots(report: Report) -> None:
                 ("state space, 32 tuned maps", StateSpace.preset(tuned), one),
                 ("IK-PID, tuned", PID.preset(tuned), one),
                 ("DLS", "dls", one),
-                ("LM, one descent from home", "lm", one),
+                ("LM, one attempt from home", "lm", one),
                 ("LM with restarts", "lm", {"tolerance": 1e-3}),
             ):
                 found = score(robot, rule, sets, **options)
@@ -343,10 +343,10 @@ def _other_robots(report: Report) -> None:
     head = ["robot", "task", "solver", "solved of 1000", "95 % Wilson", "mean iterations"]
     report.table("other_robots", head, rows)
     report.text(
-        """3000 goals each, uniform in the joints, 1 mm and 1 mrad, one descent of at most 500 steps. Tuned by `ik tune ur5
-        state-space --tip tool0 --max-iterations 500 --goals 1000 --generations 100` and the same for panda (`--tip
-        panda_hand_tcp`); poses with `--pose --goals 500 --generations 60`; `pid` with `--goals 400 --generations 20 --population
-        12`, poses with `--goals 1000 --generations 15`. For positions several maps come near the Jacobian
+        """3000 goals each, uniform in the joints, 1 mm and 1 mrad, one attempt of at most 500 steps. Tuned by `ik tune ur5
+        state-space --tip tool0 --max-iterations 500 --targets 1000 --generations 100` and the same for panda (`--tip
+        panda_hand_tcp`); poses with `--pose --targets 500 --generations 60`; `pid` with `--targets 400 --generations 20
+        --population 12`, poses with `--targets 1000 --generations 15`. For positions several maps come near the Jacobian
         methods, and on the UR5 the number of maps counts for more than tuning; one map from home does not suffice on either arm.
         For full poses static maps lose many goals that LM finds, tuned or not: there they are no replacement. IK-PID needs no
         gains for positions; for poses tuning helps it on the Panda and hardly on the UR5."""

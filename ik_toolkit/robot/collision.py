@@ -42,10 +42,10 @@ class CollisionModel:
             raise InvalidOption(f"collisions are tested for a Robot or a Tree, not for a {type(robot).__name__}")
         self.robot = robot
         self.ignore = [tuple(pair) for pair in ignore]
-        self._geometry = _read(robot) if geometry is None else geometry.clone()
-        self._geometry.removeAllCollisionPairs()
+        self.geometry = _read(robot) if geometry is None else geometry.clone()
+        self.geometry.removeAllCollisionPairs()
         frames = robot.model.frames
-        self._names = [frames[o.parentFrame].name for o in self._geometry.geometryObjects]
+        self._names = [frames[o.parentFrame].name for o in self.geometry.geometryObjects]
         self._given = geometry is not None
         self._shapes: list[tuple[str, str, tuple, np.ndarray]] = []
         if not self._names:
@@ -65,7 +65,7 @@ class CollisionModel:
 
     # ------------------------------------------------------------------------------------------------ what is tested
     def _pair_links(self) -> None:
-        robot, geometry, model = self.robot, self._geometry, self.robot.model
+        robot, geometry, model = self.robot, self.geometry, self.robot.model
         owners = [o.parentJoint for o in geometry.geometryObjects]
         placements = self._sample(owners)
         joints = list(placements)
@@ -110,7 +110,7 @@ class CollisionModel:
     @property
     def pairs(self) -> tuple[tuple[str, str], ...]:
         """Pairs of names (links and obstacles) that are tested."""
-        named = ((self._names[p.first], self._names[p.second]) for p in self._geometry.collisionPairs)
+        named = ((self._names[p.first], self._names[p.second]) for p in self.geometry.collisionPairs)
         return tuple(dict.fromkeys(named))
 
     @property
@@ -148,10 +148,10 @@ class CollisionModel:
             raise InvalidOption(f"there is already a link or obstacle named '{name}'")
         base = self.robot.arms[0]._base_inverse.inverse()
         shape = pin.GeometryObject(name, 0, base * pin.SE3(T), _shape(kind, sizes))
-        new = self._geometry.addGeometryObject(shape)
+        new = self.geometry.addGeometryObject(shape)
         for k, moves in enumerate(self._moving):
             if moves:
-                self._geometry.addCollisionPair(pin.CollisionPair(k, new))
+                self.geometry.addCollisionPair(pin.CollisionPair(k, new))
         self._names.append(name)
         self._shapes.append((name, kind, sizes, T))
         self._local = threading.local()
@@ -162,36 +162,36 @@ class CollisionModel:
         """Pinocchio's data, the geometry's, and the tree of boxes or None, each the calling thread's own."""
         local = self._local
         if not hasattr(local, "space"):
-            data, geometry_data = self.robot.model.createData(), self._geometry.createData()
+            data, geometry_data = self.robot.model.createData(), self.geometry.createData()
             # Pinocchio's own requests start from the last answer's guess, and then a verdict may depend on the ones before.
             for k in range(len(geometry_data.collisionRequests)):
                 geometry_data.collisionRequests[k] = coal.CollisionRequest(coal.CollisionRequestFlag.NO_REQUEST, 1)
             boxes = pin.BroadPhaseManager_DynamicAABBTreeCollisionManager(
-                self.robot.model, self._geometry, geometry_data
+                self.robot.model, self.geometry, geometry_data
             )
             # Pinocchio leaves shapes whose box has no volume (a flat mesh) out of the tree: then every pair is tested.
-            flat = any(np.min(_extent(o.geometry)) <= 0.0 for o in self._geometry.geometryObjects)
+            flat = any(np.min(_extent(o.geometry)) <= 0.0 for o in self.geometry.geometryObjects)
             local.space = data, geometry_data, None if flat else boxes
         return local.space
 
     def collides(self, q: Any) -> bool:
         """Whether anything touches at q (n,) [rad or m]."""
-        if not len(self._geometry.collisionPairs):
+        if not len(self.geometry.collisionPairs):
             return False
         full = self._full(q)
         data, found, boxes = self._workspace()
         if boxes is None:
-            return bool(pin.computeCollisions(self.robot.model, data, self._geometry, found, full, True))
+            return bool(pin.computeCollisions(self.robot.model, data, self.geometry, found, full, True))
         return bool(pin.computeCollisions(self.robot.model, data, boxes, full, True))
 
     def collisions(self, q: Any) -> list[tuple[str, str]]:
         """Every pair of names that touches at q (n,) [rad or m]."""
         full = self._full(q)
         data, found, _ = self._workspace()
-        pin.computeCollisions(self.robot.model, data, self._geometry, found, full, False)
+        pin.computeCollisions(self.robot.model, data, self.geometry, found, full, False)
         hits = [
             pair
-            for pair, hit in zip(self._geometry.collisionPairs, found.collisionResults, strict=True)
+            for pair, hit in zip(self.geometry.collisionPairs, found.collisionResults, strict=True)
             if hit.isCollision()
         ]
         return list(dict.fromkeys((self._names[pair.first], self._names[pair.second]) for pair in hits))
@@ -203,7 +203,7 @@ class CollisionModel:
         """Keep what was asked for; the shapes are read again (a given geometry travels whole)."""
         geometry = None
         if self._given:
-            geometry = self._geometry.clone()
+            geometry = self.geometry.clone()
             for name in self.obstacles:
                 geometry.removeGeometryObject(name)
         return {"robot": self.robot, "ignore": self.ignore, "geometry": geometry, "shapes": self._shapes}

@@ -351,7 +351,7 @@ class Desk:
             return
         position, angle = (np.asarray(history[f"{kind}_error"], dtype=float) for kind in ("position", "orientation"))
         rows = np.arange(len(position))
-        if self.session.result is not None and self.session.result.restarts:  # many descents: the best so far
+        if self.session.result is not None and self.session.result.restarts:  # many attempts: the best so far
             rows = np.maximum.accumulate(np.where(position <= np.minimum.accumulate(position), rows, 0))
         known = np.where(np.isfinite(angle), angle, np.nan)[rows]
         curves = (np.log10(np.maximum(values, 1e-12)) for values in (position[rows], known))

@@ -54,33 +54,35 @@ def plot_tuning(result: TuneResult, file: str | Path) -> Path:
         low, high = result.held_out.interval
         axis.set_title(
             plain(f"{result.solver} on {result.robot}, {result.method}: {1000 * result.before.share:.1f} before,\n")
-            + f"{1000 * result.held_out.share:.1f} [{1000 * low:.1f}, {1000 * high:.1f}] of 1000 held-out goals after"
+            + f"{1000 * result.held_out.share:.1f} [{1000 * low:.1f}, {1000 * high:.1f}] of 1000 held-out targets after"
         )
         axis.legend(loc="upper right")
         return save(figure, file)
 
 
 def plot_workspace(found: Workspace, file: str | Path) -> Path:
-    """Draw, for each solver, the share of goals solved seen from above and from the side, failures marked when they are few."""
+    """Draw, for each solver, the share of targets solved seen from above and from the side, failures marked when they are few."""
     with drawing() as plt:
         rows = len(found.outcomes)
         figure, axes = plt.subplots(rows, 2, figsize=(7.4, 0.3 + 4.0 * rows), layout="constrained", squeeze=False)
         image = None
         for row, (name, outcome) in zip(axes, found.outcomes.items(), strict=True):
             for axis, across, keep in ((row[0], 2, (0, 1)), (row[1], 1, (0, 2))):
-                goals, solved = found.map[name].sum(axis=1 + across)
+                targets, solved = found.map[name].sum(axis=1 + across)
                 with np.errstate(invalid="ignore"):
-                    share = np.where(goals > 0, solved / goals, np.nan)
+                    share = np.where(targets > 0, solved / targets, np.nan)
                 ends = found.low + found.cell * np.array(found.map[name].shape[1:])
                 extent = (found.low[keep[0]], ends[keep[0]], found.low[keep[1]], ends[keep[1]])
                 image = axis.imshow(
                     share.T, origin="lower", extent=extent, cmap="cividis", vmin=0, vmax=1, interpolation="nearest"
                 )
                 axis.grid(False)
-                bad = found.failures[name] if outcome.goals - outcome.solved <= MARKED else np.empty((0, 4))
+                bad = found.failures[name] if outcome.targets - outcome.solved <= MARKED else np.empty((0, 4))
                 axis.plot(bad[:, keep[0]], bad[:, keep[1]], "o", mfc="none", mec=COLOURS[1], ms=3, mew=0.7)
                 axis.set(xlabel=f"{'xyz'[keep[0]]} [m]", ylabel=f"{'xyz'[keep[1]]} [m]", aspect="equal")
-            row[0].set_title(f"{plain(name)}\n{outcome.solved} of {outcome.goals} solved, from above")
+            row[0].set_title(f"{plain(name)}\n{outcome.solved} of {outcome.targets} solved, from above")
             row[1].set_title("circles: not solved\nfrom the side" if len(bad) else "from the side")
-        figure.colorbar(image, ax=axes, label="share of goals solved", shrink=min(0.8, 1.6 / rows), aspect=30, pad=0.02)
+        figure.colorbar(
+            image, ax=axes, label="share of targets solved", shrink=min(0.8, 1.6 / rows), aspect=30, pad=0.02
+        )
         return save(figure, file)

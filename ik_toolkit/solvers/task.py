@@ -240,8 +240,8 @@ def all_errors(
         if kind == FREE:
             found.append((np.full(6, np.nan), 0.0, None))
             continue
-        goal = one if other < 0 else poses[other] @ one
-        target = goal[:3, 3] if kind == POSITION else goal
+        posed = one if other < 0 else poses[other] @ one
+        target = posed[:3, 3] if kind == POSITION else posed
         axis = _free_axis(counts, kind)
         found.append(errors(pose, target, mask=counts.mask, slack=counts.slack, free_turn=axis, frame=counts.frame))
     return found

@@ -79,7 +79,7 @@ class Escape:
     """Share of targets a solver reaches from a start, next to the share from the start moved by `offset`."""
 
     solver: str
-    goals: int
+    targets: int
     solved: int
     stood_still: int
     solved_offset: int
@@ -88,9 +88,9 @@ class Escape:
     def to_dict(self) -> dict[str, Any]:
         """Plain values with Wilson intervals."""
         return {
-            "goals": self.goals,
+            "targets": self.targets,
             "solved": self.solved,
-            "wilson_95": list(wilson(self.solved, self.goals)),
+            "wilson_95": list(wilson(self.solved, self.targets)),
             "stood_still": self.stood_still,
             "solved_with_start_moved": self.solved_offset,
             "mean_iterations": self.iterations,

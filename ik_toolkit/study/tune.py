@@ -1,4 +1,4 @@
-"""Tuning: search the parameters of a solver for the fewest failures, judge the best on goals it has never seen."""
+"""Tuning: search the parameters of a solver for the fewest failures, judge the best on targets it has never seen."""
 
 import importlib.util
 import math
@@ -28,27 +28,27 @@ from .targets import sample_targets
 
 METHODS = ("cma", "pso")
 JUDGED_SOON = 1  # held-out sets after Ctrl-C, which shall not be kept waiting
-FINALISTS = 8  # best candidates of the search that meet the validation goals
-SEARCH_ITERATIONS = 300  # limit while searching: lost goals cost most of the time, and slow ones shall count as lost
-TRAIN, VALIDATION, HELD_OUT = 1, 2, 3  # streams of the seed: the three sets never share a goal
+FINALISTS = 8  # best candidates of the search that meet the validation targets
+SEARCH_ITERATIONS = 300  # limit while searching: lost targets cost most of the time, and slow ones shall count as lost
+TRAIN, VALIDATION, HELD_OUT = 1, 2, 3  # streams of the seed: the three sets never share a target
 
 
 @dataclass
 class Score:
-    """Successes over goals: per set of goals, in all with a 95 % Wilson interval, and mean iterations of what was solved."""
+    """Successes over targets: per set of targets, in all with a 95 % Wilson interval, and mean iterations of what was solved."""
 
     successes: list[int]
-    goals: int
+    targets: int
     iterations: float
 
     @property
     def total(self) -> int:
-        """Goals over all sets."""
-        return self.goals * len(self.successes)
+        """Targets over all sets."""
+        return self.targets * len(self.successes)
 
     @property
     def share(self) -> float:
-        """Successes over goals."""
+        """Successes over targets."""
         return sum(self.successes) / self.total
 
     @property
@@ -65,7 +65,7 @@ class Score:
         """Plain values."""
         return {
             "successes": self.successes,
-            "goals_a_set": self.goals,
+            "targets_a_set": self.targets,
             "share": self.share,
             "wilson_95": list(self.interval),
             "mean_iterations": self.iterations,
@@ -76,7 +76,7 @@ class Score:
         low, high = self.interval
         text = f"{1000 * self.share:.1f} of 1000 [{1000 * low:.1f}, {1000 * high:.1f}]"
         if len(self.successes) > 1:
-            text += f", sets of {self.goals}: {min(self.successes)} to {max(self.successes)}"
+            text += f", sets of {self.targets}: {min(self.successes)} to {max(self.successes)}"
         return f"{text}, {self.iterations:.1f} iterations"
 
 
@@ -85,7 +85,7 @@ def _share(one: Score) -> str:
 
 
 def score(robot: Robot | Tree, rule: Any, sets: list[np.ndarray], **options: Any) -> Score:
-    """Solve sets of goals of equal size with a rule or solver name and count."""
+    """Solve sets of targets of equal size with a rule or solver name and count."""
     successes, iterations = [], []
     for targets in sets:
         result = solve_batch(robot, targets, rule, check=0.0, **options)
@@ -99,9 +99,9 @@ def score(robot: Robot | Tree, rule: Any, sets: list[np.ndarray], **options: Any
 class TuneResult:
     """What `tune` found.
 
-    rule: the best on held-out goals (give it to solve, Solver, solve_batch) of the `tuned` one, the `start` of the search and the
+    rule: the best on held-out targets (give it to solve, Solver, solve_batch) of the `tuned` one, the `start` of the search and the
     solver's `default`; kept says which. The default is not taken where maps= or initial= asked for another structure. scores: by
-    those names, Score on the held-out goals. train, held_out, before: Score of the tuned rule on the training goals and on the
+    those names, Score on the held-out targets. train, held_out, before: Score of the tuned rule on the training targets and on the
     held-out ones, and of the start on the latter. history: best cost so far, best and median of each generation. interrupted:
     stopped by Ctrl-C, judged on one set only.
     """
@@ -123,12 +123,12 @@ class TuneResult:
 
     @property
     def held_out(self) -> Score:
-        """Of the tuned rule on goals it has never seen."""
+        """Of the tuned rule on targets it has never seen."""
         return self.scores["tuned"]
 
     @property
     def before(self) -> Score:
-        """Of the rule the search started from, on the same goals."""
+        """Of the rule the search started from, on the same targets."""
         return self.scores["start"]
 
     @property
@@ -138,7 +138,7 @@ class TuneResult:
         kept = self.scores[self.kept]
         text = f"kept: {names[self.kept]}"
         if self.kept != "tuned":
-            text += f"; the tuned one is no better on held-out goals ({_share(self.held_out)} against {_share(kept)})"
+            text += f"; the tuned one is no better on held-out targets ({_share(self.held_out)} against {_share(kept)})"
         if self.scores["default"].rank > kept.rank:
             default = _share(self.scores["default"])
             text += f"; the solver's default is better ({default}), and is not of the structure asked for"
@@ -196,7 +196,7 @@ def tune(
     method: str = "cma",
     maps: int | None = None,
     initial: Any = None,
-    goals: int = 2000,
+    targets: int = 2000,
     held_out: int = 10,
     generations: int = 200,
     population: int | None = None,
@@ -210,14 +210,14 @@ def tune(
 ) -> TuneResult:
     """Search parameters and start configurations of a solver with CMA-ES or a particle swarm.
 
-    robot: of a Tree all tips are solved together; a goal has a target a tip, and its errors are the largest of them. maps: of a
+    robot: of a Tree all tips are solved together; a target is then one a tip, and its errors are the largest of them. maps: of a
     solver that has them, number of starts (default: its own); 1 tunes the published structure (a, B, start; C fixed, which
     loses nothing), more tune starts whose maps are designed. initial: the rule to start from; one with maps keeps its structure
-    (a, B, C, literal delay), and with several starts each B is searched between the given one and its own. goals: training
-    goals; held_out: sets of 1000 fresh goals that judge the result. cost of a candidate: share of failures, plus a tenth of how
+    (a, B, C, literal delay), and with several starts each B is searched between the given one and its own. targets: training
+    targets; held_out: sets of 1000 fresh targets that judge the result. cost of a candidate: share of failures, plus a tenth of how
     far they were off (of the length scale), plus 0.02 mean iterations / max_iterations. seconds: stop the search after so long.
     checkpoint: file that holds what was evaluated; when it exists the search goes on from there. progress(generation, costs).
-    The tuned rule, the start and the solver's default meet the held-out goals, and the best is kept. Ctrl-C keeps the best so
+    The tuned rule, the start and the solver's default meet the held-out targets, and the best is kept. Ctrl-C keeps the best so
     far. Deterministic for a seed (when `seconds` does not cut it). Raises InvalidOption, UnknownSolver, MissingExtra.
     """
     require_robot(robot)
@@ -237,11 +237,11 @@ def tune(
     def draw(stream: int, count: int, k: int = 0) -> np.ndarray:
         return sample_targets(robot, count, [seed, stream, k], how=how, position_only=position_only)
 
-    train = draw(TRAIN, goals)
+    train = draw(TRAIN, targets)
     begun = perf_counter()
     search = _Search(robot, space, train, {**options, "max_iterations": min(max_iterations, SEARCH_ITERATIONS)})
     what, tips = "positions" if position_only else "poses", "+".join(robot.tips)
-    task = f"{robot.name} {robot.base} {tips} {what} {how} {goals} {seed} {options}"
+    task = f"{robot.name} {robot.base} {tips} {what} {how} {targets} {seed} {options}"
     record = _Record(checkpoint, f"{row.name} {method} {space.size} {size} {task}")
     engine = (Evolution if method == "cma" else Swarm)(space.start, space.spread, size, seed)
     interrupted = False
@@ -265,7 +265,7 @@ def tune(
                 progress(generation + 1, costs)
         if not search.best:  # no generation was asked for, or no time for one
             search.note(space.start[None], np.array([search.cost(space.start)]))
-        validation = draw(VALIDATION, 2 * goals)
+        validation = draw(VALIDATION, 2 * targets)
         judged = [(search.cost(x, validation), k, x) for k, (_, x) in enumerate(search.best)]
         rule = space.build(min(judged)[2])
         train_score, scores, kept = judge(fresh)

@@ -24,16 +24,16 @@ from .targets import one_tip, sample_targets, stream_targets
 
 GRID = 24  # cells along the longest side of the success map
 ENVELOPE = 100_000  # configurations whose tips give the envelope
-KEEP = 20_000  # goals kept in memory for pictures; with a file all of them are on disk
+KEEP = 20_000  # targets kept in memory for pictures; with a file all of them are on disk
 FAILURES = 1000  # failures listed in memory
 
 
 @dataclass
 class Outcome:
-    """Counts of one solver over the workspace; iterations: sum over solved goals; worst: largest error among failures [m]."""
+    """Counts of one solver over the workspace; iterations: sum over solved targets; worst: largest error among failures [m]."""
 
     solver: str
-    goals: int = 0
+    targets: int = 0
     solved: int = 0
     iterations: int = 0
     worst: float = 0.0
@@ -42,16 +42,16 @@ class Outcome:
 
     @property
     def share(self) -> float:
-        """Successes over goals."""
-        return self.solved / max(self.goals, 1)
+        """Successes over targets."""
+        return self.solved / max(self.targets, 1)
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values with the Wilson interval."""
         return {
-            "goals": self.goals,
+            "targets": self.targets,
             "solved": self.solved,
             "share": self.share,
-            "wilson_95": list(wilson(self.solved, self.goals)),
+            "wilson_95": list(wilson(self.solved, self.targets)),
             "mean_iterations": self.iterations / self.solved if self.solved else None,
             "worst_error": self.worst,
             "elapsed": self.elapsed,
@@ -64,7 +64,7 @@ class Workspace:
     """Result of `workspace`.
 
     tip: the one whose reach it is. low, high (3,) [m]: box of the reach in the base frame; radius (nearest, farthest) [m] of
-    the tip from the base origin. outcomes: by solver. map: by solver, (2, nx, ny, nz) goals and successes a cell, cells from
+    the tip from the base origin. outcomes: by solver. map: by solver, (2, nx, ny, nz) targets and successes a cell, cells from
     `low` on, `cell` [m] wide.
     failures: by solver, rows (x, y, z, error) of the first failures [m]. points (N, 3), solved: by solver (N,), for pictures.
     """
@@ -95,11 +95,11 @@ class Workspace:
 
 
 class WorkspaceInterrupted(KeyboardInterrupt):
-    """Ctrl-C during a workspace study; `result` is the Workspace of the goals finished before it."""
+    """Ctrl-C during a workspace study; `result` is the Workspace of the targets finished before it."""
 
     def __init__(self, result: Workspace) -> None:
         """Keep what was finished."""
-        super().__init__(f"interrupted after {next(iter(result.outcomes.values())).goals} goals")
+        super().__init__(f"interrupted after {next(iter(result.outcomes.values())).targets} targets")
         self.result = result
 
 
@@ -117,7 +117,7 @@ def workspace(
     solvers: Sequence[Any] | Mapping[str, Any] = (GENERAL,),
     *,
     tip: str | None = None,
-    goals: int = 10_000,
+    targets: int = 10_000,
     how: str = "joints",
     position_only: bool = True,
     seed: int = 0,
@@ -127,13 +127,13 @@ def workspace(
     progress: Callable[[int], None] | None = None,
     **options: Any,
 ) -> Workspace:
-    """Solve goals over the workspace with each solver.
+    """Solve targets over the workspace with each solver.
 
     tip: of a Tree, the one whose reach is meant; the others are free (and with avoid_collisions move out of its way). solvers:
     names or rules, or a mapping of labels to them. how: 'joints' or 'volume', see `sample_targets`. file: a .csv that
-    receives every goal as it is solved (x, y, z, then success, status, iterations, position_error, orientation_error a
-    solver), so that millions of goals need no more memory than a chunk; when the run ends early it is called NAME.partial.
-    executor: as for `solve_batch`. options: as for `solve`. Goals depend on (seed, chunk) only. Ctrl-C raises
+    receives every target as it is solved (x, y, z, then success, status, iterations, position_error, orientation_error a
+    solver), so that millions of targets need no more memory than a chunk; when the run ends early it is called NAME.partial.
+    executor: as for `solve_batch`. options: as for `solve`. Targets depend on (seed, chunk) only. Ctrl-C raises
     WorkspaceInterrupted, a KeyboardInterrupt whose `result` holds the chunks finished, as the file does. Raises InvalidOption
     and what `solve_batch` raises.
     """
@@ -146,9 +146,9 @@ def workspace(
     table = _Table(file, list(named))
     interrupted = whole = False
     try:
-        for targets in stream_targets(robot, goals, seed, how=how, position_only=position_only, tip=tip):
-            asked = {tip: targets} if robot.by_tip else targets
-            xyz = targets if targets.ndim == 2 else targets[:, :3, 3]
+        for part in stream_targets(robot, targets, seed, how=how, position_only=position_only, tip=tip):
+            asked = {tip: part} if robot.by_tip else part
+            xyz = part if part.ndim == 2 else part[:, :3, 3]
             columns, seconds = [], []
             for solver in named.values():
                 begun = time.perf_counter()
@@ -196,7 +196,7 @@ class _Tally:
         self.kept = self.done = 0
 
     def add(self, xyz: np.ndarray, columns: list[dict[str, np.ndarray]], seconds: list[float]) -> None:
-        """Count a chunk: the goals' points (m, 3), what each solver made of them and how long it took."""
+        """Count a chunk: the targets' points (m, 3), what each solver made of them and how long it took."""
         index = np.clip(((xyz - self.low) / self.cell).astype(int), 0, self.shape - 1)
         for name, part, elapsed in zip(self.outcomes, columns, seconds, strict=True):
             self.outcomes[name].elapsed += elapsed
@@ -246,7 +246,7 @@ def _names(solvers: Sequence[Any]) -> list[str]:
 
 def _count(outcome: Outcome, part: dict[str, np.ndarray]) -> None:
     good = part["success"]
-    outcome.goals += len(good)
+    outcome.targets += len(good)
     outcome.solved += int(good.sum())
     outcome.iterations += int(part["iterations"][good].sum())
     if not good.all():
@@ -257,7 +257,7 @@ def _count(outcome: Outcome, part: dict[str, np.ndarray]) -> None:
 
 
 class _Table:
-    """CSV file of every goal, or nothing."""
+    """CSV file of every target, or nothing."""
 
     FIELDS = ("success", "status", "iterations", "position_error", "orientation_error")
 
@@ -265,7 +265,7 @@ class _Table:
         self.out, self.head = None, []
         if file is not None:
             if Path(file).suffix.lower() != ".csv":
-                raise InvalidOption(f"the goals are written as .csv, not '{Path(file).name}'")
+                raise InvalidOption(f"the targets are written as .csv, not '{Path(file).name}'")
             self.out = WholeFile(file)
             self.head = ["x", "y", "z", *(f"{name} {key}" for name in names for key in self.FIELDS)]
 
@@ -274,7 +274,7 @@ class _Table:
             return ""
         lists = [(part[key] + 0 if key == "success" else part[key]).tolist() for part in columns for key in self.FIELDS]
         text = io.StringIO()
-        if self.head:  # with the first goals: a file of a head alone is not worth keeping
+        if self.head:  # with the first targets: a file of a head alone is not worth keeping
             csv.writer(text).writerow(self.head)
             self.head = []
         csv.writer(text).writerows(zip(*xyz.T.tolist(), *lists, strict=True))
@@ -285,7 +285,7 @@ class _Table:
             self.out.write(lines)
 
     def close(self, whole: bool) -> None:
-        """Give the file its name, or keep the goals finished as NAME.partial."""
+        """Give the file its name, or keep the targets finished as NAME.partial."""
         if self.out is None:
             return
         if whole:

@@ -38,7 +38,7 @@ SLOW = {"panel", "reproduce"}  # serve for ever, or take minutes: with mistakes 
 ROBOTS = ("planar_2r", "planar_3r", "hydrolek_7w", "panda", "inspection_7dof", "brokk_hydrolek", "cartesian_pp")
 SMALL = {  # so that most command lines come to their end
     "bench": ["-n", "3", "--solvers", "lm"],
-    "tune": ["--generations", "1", "--goals", "10", "--held-out", "1", "--population", "4"],
+    "tune": ["--generations", "1", "--targets", "10", "--held-out", "1", "--population", "4"],
     "workspace": ["-n", "20"],
     "track": ["--duration", "0.1"],
     "view": ["--html", "out.html", "--no-open"],
@@ -131,7 +131,7 @@ SENSIBLE = {  # values that get a command line past its checks
     "--max-iterations": ["1", "50"],
     "--restarts": ["0", "3"],
     "--seed": ["0", "7"],
-    "--goals": ["1", "30"],
+    "--targets": ["1", "30"],
     "--preset": ["burrell-2016", "preset.toml", "pid=hydrolek-7w"],
     "--q": ["0.1,0.2", "0,0,0", "0.1,0.2,0,0,0,0", "0,0,0,-1,0,1,0"],
     "--q0": ["0.1,0.2", "0,0,0", "0.1,0.2,0,0,0,0", "0,0,0,-1,0,1,0"],

@@ -120,24 +120,24 @@ def test_a_target_relative_to_another_tip(run, brokk, poses):
 def test_preferences_starts_and_histories(run, brokk, poses, tmp_path):
     q = brokk.random_q(np.random.default_rng(3))
     T = brokk.fk(q)
-    goal = [*words(LEFT, T[LEFT].translation), *words(RIGHT, T[RIGHT].translation)]
-    near = answer(run, *goal, "--closest", *q)
+    target = [*words(LEFT, T[LEFT].translation), *words(RIGHT, T[RIGHT].translation)]
+    near = answer(run, *target, "--closest", *q)
     assert np.allclose(near["q"], q, atol=1e-9)
     moved = brokk.fk(q + 0.01)
     step = [*words(LEFT, moved[LEFT].translation), *words(RIGHT, moved[RIGHT].translation)]
     assert np.abs(np.subtract(answer(run, *step, "--q0", *q, "--follow", 0.3)["q"], q)).max() <= 0.3
-    assert answer(run, *goal, "--objective", "mid-range", "--avoid-collisions")["success"]
-    code, _, err = run("solve", BROKK, *goal, "--plot", tmp_path / "error.svg")
+    assert answer(run, *target, "--objective", "mid-range", "--avoid-collisions")["success"]
+    code, _, err = run("solve", BROKK, *target, "--plot", tmp_path / "error.svg")
     assert code == 0 and (tmp_path / "error.svg").stat().st_size
 
 
 def test_all_solutions_fit_a_narrow_terminal(run, brokk, poses, monkeypatch):
     T, U = poses[5]
-    goal = [*words(LEFT, T[:3, 3], matrix_quat(T[:3, :3])), *words(RIGHT, U[:3, 3], matrix_quat(U[:3, :3]))]
-    found = answer(run, *goal, "--all")
+    target = [*words(LEFT, T[:3, 3], matrix_quat(T[:3, :3])), *words(RIGHT, U[:3, 3], matrix_quat(U[:3, :3]))]
+    found = answer(run, *target, "--all")
     assert len(found["solutions"]) > 4 and not found["complete"] and list(found["target"]) == [LEFT, RIGHT]
     monkeypatch.setenv("COLUMNS", "80")
-    code, out, _ = run("solve", BROKK, *goal, "--all")
+    code, out, _ = run("solve", BROKK, *target, "--all")
     tables = out[: out.index("solutions ")]
     assert code == 0 and max(map(len, tables.splitlines())) <= 80
     rows = [line.split() for line in tables.splitlines() if line.startswith(" turret ")]

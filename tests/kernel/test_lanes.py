@@ -150,7 +150,7 @@ def test_tolerances_are_kept(tolerance):
     assert len(solved) > 90
 
 
-def test_one_descent_is_one_descent():
+def test_one_attempt_is_one_attempt():
     robot = robots.load("panda")
     T = robots.sample(robot, 200, seed=10)[1]
     one, loop = run(robot, T, restarts=0, max_iterations=60)

@@ -110,7 +110,7 @@ def writers(folder):
         "dh.urdf": ["dh", str(folder / "dh.toml"), "-o"],
         "track.csv": ["track", ARM, *shape, "-o"],
         "track.npz": ["track", ARM, *shape, "-o"],
-        "goals.csv": ["workspace", ARM, "-n", "50", "-s", "planar-2r", "--csv"],
+        "targets.csv": ["workspace", ARM, "-n", "50", "-s", "planar-2r", "--csv"],
         "workspace.json": ["workspace", ARM, "-n", "50", "-s", "planar-2r", "-o"],
         "bench.json": ["bench", ARM, "--solvers", "planar-2r", "-n", "20", "-o"],
     }
@@ -377,4 +377,4 @@ def test_closed_and_full_streams_are_no_bug():
 
 def test_no_goals_is_a_mistake_with_a_name(capsys):
     assert main(["workspace", ARM, "-n", "0"]) == 2
-    assert "--goals" in capsys.readouterr().err
+    assert "--targets" in capsys.readouterr().err

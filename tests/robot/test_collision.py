@@ -102,7 +102,7 @@ def test_a_verdict_does_not_depend_on_those_before(name):
 def test_joined_links_and_links_that_never_move_are_not_tested():
     robot = load("hydrolek_7w")
     model = ik.CollisionModel(robot)
-    parent = {robot.model.frames[o.parentFrame].name: o.parentJoint for o in model._geometry.geometryObjects}
+    parent = {robot.model.frames[o.parentFrame].name: o.parentJoint for o in model.geometry.geometryObjects}
     order = sorted(set(parent.values()))
     for first, second in model.pairs:
         assert abs(order.index(parent[first]) - order.index(parent[second])) >= 2
@@ -185,7 +185,7 @@ def test_robots_without_shapes_or_meshes_say_so():
 def test_shapes_stand_in_the_base_frame(base, tmp_path):
     robot = ik.Robot.load("hydrolek_7w", base=base)
     q = robot.home
-    link = next(o for o in ik.CollisionModel(robot)._geometry.geometryObjects if o.name == "link_5_0")
+    link = next(o for o in ik.CollisionModel(robot).geometry.geometryObjects if o.name == "link_5_0")
     data = robot.model.createData()
     pin.forwardKinematics(robot.model, data, robot.to_pinocchio(q))
     at = robot._base_inverse.act(data.oMi[link.parentJoint].act(link.placement.translation))
@@ -207,7 +207,7 @@ def test_shapes_stand_in_the_base_frame(base, tmp_path):
 def test_a_sphere_touches_where_distance_says():
     robot = load(ELBOW_ARM)  # links are cylinders along x: the distance of a point from them is plane geometry
     q = np.array([0.0, 0.0])
-    radius = ik.CollisionModel(robot)._geometry.geometryObjects[-1].geometry.radius
+    radius = ik.CollisionModel(robot).geometry.geometryObjects[-1].geometry.radius
     for gap, touches in ((1e-4, False), (-1e-4, True)):
         model = ik.CollisionModel(robot).add_sphere(0.1, (1.5, 0.1 + radius + gap, elbow(robot, q)[2]), "ball")
         assert model.collides(q) == touches

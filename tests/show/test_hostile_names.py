@@ -123,8 +123,8 @@ def test_the_panel(robot, tmp_path):
         assert desk.worker.idle()
         desk.say("".join(EVIL))
         pages = [desk.status.content]
-        for goal in (robot.fk(robot.home), robot.fk(robot.upper)):
-            desk.session.solve(goal.homogeneous)
+        for target in (robot.fk(robot.home), robot.fk(robot.upper)):
+            desk.session.solve(target.homogeneous)
             desk._verdict()
             pages += [desk.status.content, desk.outcome.content, desk.pose.content]
         for source in (EVIL[0].replace("<", ""), f"nowhere/{EVIL[1][3:]}", EVIL[0]):  # the last is taken for a URDF

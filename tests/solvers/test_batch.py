@@ -341,7 +341,7 @@ def test_a_chain_reports_flips_and_steps_over_what_it_cannot_solve():
 
 @pytest.mark.skipif(not have_data(), reason="example-robot-data is not installed")
 def test_a_chain_that_has_to_jump_takes_the_nearest_of_several():
-    """The arm runs into a limit on this path; the next descent would end 5 rad away."""
+    """The arm runs into a limit on this path; the next attempt would end 5 rad away."""
     robot = load("panda")
     end = sample(robot, 2)[0][1]
     T = [robot.fk(q) for q in robot.home + np.linspace(0, 1, 1000)[:, None] * (end - robot.home)]

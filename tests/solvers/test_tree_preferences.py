@@ -177,7 +177,7 @@ def test_obstacles_stop_either_arm():
         elbow = data.oMi[tree.model.getJointId(arm.joint_names[3])].translation.copy()
         model = ik.CollisionModel(tree).add_sphere(0.12, elbow, "ball")
         assert any("ball" in pair for pair in model.collisions(free.q)) and len(place) == arm.n
-        ball = next(o for o in model._geometry.geometryObjects if o.name == "ball")
+        ball = next(o for o in model.geometry.geometryObjects if o.name == "ball")
         found = ik.solve(tree, goal, q0=tree.home, avoid_collisions=model)
         assert found.success and not touching(tree, model, [ball])(found.q)
 

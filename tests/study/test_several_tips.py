@@ -15,7 +15,7 @@ from ik_toolkit.study.tune import score, tune
 from ik_toolkit.study.workspace import envelope, workspace
 
 TIPS = ["--tip", "left_tip", "--tip", "right_tip"]
-SMALL = dict(method="pso", goals=30, held_out=1, generations=2, population=4, max_iterations=200, tolerance=1e-2)
+SMALL = dict(method="pso", targets=30, held_out=1, generations=2, population=4, max_iterations=200, tolerance=1e-2)
 
 
 @pytest.fixture(scope="module")
@@ -51,7 +51,7 @@ def test_a_search_goes_on_from_its_record_for_the_same_tips_only(brokk, tmp_path
 def test_solvers_for_one_tip_say_so(brokk):
     for call in (
         lambda: tune(brokk, "state-space", **SMALL),
-        lambda: workspace(brokk, ["state-space"], tip="left_tip", goals=10),
+        lambda: workspace(brokk, ["state-space"], tip="left_tip", targets=10),
     ):
         with pytest.raises((InvalidOption, UnknownSolver), match="one tip"):
             call()
@@ -59,8 +59,8 @@ def test_solvers_for_one_tip_say_so(brokk):
 
 @pytest.mark.parametrize("how", ["joints", "volume"])
 def test_the_workspace_of_one_tip_with_the_other_free(brokk, how, tmp_path):
-    file = tmp_path / "goals.csv"
-    found = workspace(brokk, ["lm", "dls"], tip="right_tip", goals=300, how=how, tolerance=1e-3, file=file)
+    file = tmp_path / "targets.csv"
+    found = workspace(brokk, ["lm", "dls"], tip="right_tip", targets=300, how=how, tolerance=1e-3, file=file)
     low, high, radius = envelope(brokk, tip="right_tip")
     assert (found.low == low).all() and (found.high == high).all() and found.radius == radius
     assert found.outcomes["lm"].solved == 300 and 0 < found.outcomes["dls"].solved
@@ -70,24 +70,24 @@ def test_the_workspace_of_one_tip_with_the_other_free(brokk, how, tmp_path):
     assert len(rows) == 300 and {row["lm success"] for row in rows} == {"1"}
     assert np.allclose([[float(row[k]) for k in "xyz"] for row in rows], found.points)
     assert max(float(row["lm position_error"]) for row in rows) <= 1e-3
-    alone = workspace(brokk.arms[1], ["lm"], goals=300, how=how, tolerance=1e-3)
+    alone = workspace(brokk.arms[1], ["lm"], targets=300, how=how, tolerance=1e-3)
     assert np.abs(alone.high - found.high).max() < 0.1 and alone.outcomes["lm"].solved == 300
 
 
 def test_the_other_arm_makes_way(brokk):
     """What one arm alone cannot reach for the other, resting one, both together can."""
-    goals = dict(tip="right_tip", goals=40, seed=4, tolerance=1e-3)
-    free = workspace(brokk, ["lm"], avoid_collisions=True, **goals).outcomes["lm"]
+    targets = dict(tip="right_tip", targets=40, seed=4, tolerance=1e-3)
+    free = workspace(brokk, ["lm"], avoid_collisions=True, **targets).outcomes["lm"]
     assert free.solved + free.statuses.get("COLLISION", 0) == 40 and free.solved >= 38
 
 
 def test_the_tip_has_to_be_one(brokk):
     with pytest.raises(InvalidOption, match="tip=: left_tip, right_tip"):
-        workspace(brokk, goals=10)
+        workspace(brokk, targets=10)
     with pytest.raises(FrameNotFound, match="Did you mean 'left_tip'"):
-        workspace(brokk, tip="left_tp", goals=10)
+        workspace(brokk, tip="left_tp", targets=10)
     with pytest.raises(FrameNotFound, match="right_tip"):
-        workspace(brokk.arms[1], tip="left_tip", goals=10)
+        workspace(brokk.arms[1], tip="left_tip", targets=10)
     with pytest.raises(InvalidOption, match="tip="):
         tune(brokk, "dls", how="volume", **SMALL)
 
@@ -95,7 +95,7 @@ def test_the_tip_has_to_be_one(brokk):
 def test_commands(tmp_path):
     run = CliRunner().invoke(
         application(),
-        ["tune", "brokk_hydrolek", "dls", *TIPS, "-m", "pso", "--goals", "20", "--held-out", "1", "--generations", "1",
+        ["tune", "brokk_hydrolek", "dls", *TIPS, "-m", "pso", "--targets", "20", "--held-out", "1", "--generations", "1",
          "--population", "3", "--max-iterations", "100", "-o", str(tmp_path / "mine.toml"), "--json"],
     )  # fmt: skip
     assert run.exit_code == 0, run.output

@@ -18,7 +18,7 @@ from ik_toolkit.study.targets import sample_targets
 from ik_toolkit.study.tune import Score, check_record, score, tune
 
 UNEQUAL = ik.StateSpace(A=np.diag(np.arange(6.0)), B=np.ones((6, 3)), C=np.eye(6))  # A is no multiple of I
-SMALL = dict(goals=150, held_out=2, population=8)
+SMALL = dict(targets=150, held_out=2, population=8)
 
 
 def test_wilson_interval():
@@ -112,7 +112,7 @@ def test_mistakes_are_named(call):
 # ----------------------------------------------------------------------------------------------------------- searches
 @pytest.mark.parametrize("engine", [Swarm, Evolution])
 def test_searches_find_a_minimum_at_a_wall_and_inside(engine):
-    goal = np.array([0.3, 0.0, 1.0, 0.62, 0.5])
+    target = np.array([0.3, 0.0, 1.0, 0.62, 0.5])
 
     def run(seed):
         search = engine(np.full(5, 0.5), 0.2, 16, seed)
@@ -120,7 +120,7 @@ def test_searches_find_a_minimum_at_a_wall_and_inside(engine):
         for _ in range(120):
             X = search.ask()
             assert ((X >= 0) & (X <= 1)).all()
-            costs = ((X - goal) ** 2).sum(1)
+            costs = ((X - target) ** 2).sum(1)
             least = min(least, costs.min())
             search.tell(costs)
         return least
@@ -132,7 +132,9 @@ def test_searches_find_a_minimum_at_a_wall_and_inside(engine):
 
 @pytest.mark.parametrize("method", ["cma", "pso"])
 def test_a_single_parameter_is_searched(method):
-    found = tune(robots.load("hydrolek_7w"), "dls", method=method, goals=100, held_out=1, generations=15, population=6)
+    found = tune(
+        robots.load("hydrolek_7w"), "dls", method=method, targets=100, held_out=1, generations=15, population=6
+    )
     assert make_space(robots.load("hydrolek_7w"), "dls", True).size == 1
     assert found.history[-1, 0] < found.history[0, 0]
 
@@ -216,7 +218,7 @@ def test_a_refused_search_leaves_the_record_of_the_one_before(tmp_path):
     robot, preset = robots.load("hydrolek_7w"), tmp_path / "mine.toml"
     tune(robot, "dls", generations=1, checkpoint=preset.with_suffix(".npz"), **SMALL)
     before = preset.with_suffix(".npz").read_bytes()
-    assert main(["tune", "hydrolek_7w", "dls", "--goals", "-1", "-o", str(preset)]) == 2
+    assert main(["tune", "hydrolek_7w", "dls", "--targets", "-1", "-o", str(preset)]) == 2
     assert [path.name for path in tmp_path.iterdir()] == ["mine.npz"]
     assert preset.with_suffix(".npz").read_bytes() == before
 
@@ -225,11 +227,11 @@ def test_a_refused_search_leaves_the_record_of_the_one_before(tmp_path):
 def test_command_writes_a_preset_that_another_process_reads(tmp_path, capsys):
     file, plot = tmp_path / "mine.toml", tmp_path / "plot.png"
     arguments = ["tune", "hydrolek_7w", "state-space", "--maps", "3", "--generations", "4", "--population", "8"]
-    arguments += ["--goals", "150", "--held-out", "2", "-o", str(file), "--plot", str(plot), "--json"]
+    arguments += ["--targets", "150", "--held-out", "2", "-o", str(file), "--plot", str(plot), "--json"]
     assert main(arguments) == 0
     told = json.loads(capsys.readouterr().out)
     assert plot.stat().st_size > 10_000 and file.with_suffix(".npz").exists()
-    assert told["held_out"]["goals_a_set"] == 1000 and len(told["held_out"]["wilson_95"]) == 2
+    assert told["held_out"]["targets_a_set"] == 1000 and len(told["held_out"]["wilson_95"]) == 2
     code = (
         "import ik_toolkit as ik; from ik_toolkit.study.tune import score; from ik_toolkit.study.targets import sample_targets\n"
         f"rule = ik.StateSpace.preset({str(file)!r}); robot = ik.Robot.load('hydrolek_7w')\n"
@@ -279,17 +281,17 @@ def test_score_of_names_and_rules_agree():
 
 
 def test_a_preset_worse_than_the_default_is_not_saved_without_a_word(tmp_path, capsys):
-    """Few goals and few generations overfit: what is saved is the better one, and the command says so."""
+    """Few targets and few generations overfit: what is saved is the better one, and the command says so."""
     file = tmp_path / "dls.toml"
-    arguments = ["tune", "hydrolek_7w", "dls", "--generations", "1", "--population", "4", "--goals", "3"]
+    arguments = ["tune", "hydrolek_7w", "dls", "--generations", "1", "--population", "4", "--targets", "3"]
     assert main([*arguments, "--held-out", "2", "--json", "-o", str(file)]) == 0
     told = json.loads(capsys.readouterr().out)
     assert told["held_out"]["share"] < told["default"]["share"]  # the premise: the search made it worse
-    assert told["kept"] in ("default", "start") and "no better on held-out goals" in told["verdict"]
+    assert told["kept"] in ("default", "start") and "no better on held-out targets" in told["verdict"]
     assert main([*arguments, "--held-out", "2", "-o", str(file)]) == 0
     assert "no better on" in " ".join(capsys.readouterr().out.split())
     robot = robots.load("hydrolek_7w")
-    again = tune(robot, "dls", generations=1, population=4, goals=3, held_out=2)
+    again = tune(robot, "dls", generations=1, population=4, targets=3, held_out=2)
     sets = [sample_targets(robot, 1000, [0, 3, k], position_only=True) for k in range(2)]
     assert score(robot, again.rule, sets, **again.options) == again.scores[again.kept]
     assert again.scores[again.kept].rank == max(one.rank for one in again.scores.values())
@@ -297,7 +299,7 @@ def test_a_preset_worse_than_the_default_is_not_saved_without_a_word(tmp_path, c
 
 def test_the_structure_asked_for_is_kept_and_a_better_default_is_named():
     """One map as published loses to 128 designed ones; it was asked for, so it is what is saved."""
-    found = tune(robots.load("hydrolek_7w"), "state-space", maps=1, generations=1, goals=50, held_out=1, population=6)
+    found = tune(robots.load("hydrolek_7w"), "state-space", maps=1, generations=1, targets=50, held_out=1, population=6)
     assert found.kept in ("tuned", "start") and np.shape(np.atleast_2d(found.rule.starts)) == (1, 6)
     assert found.scores["default"].share > found.scores[found.kept].share
     assert "default is better" in found.verdict

@@ -28,7 +28,7 @@ def test_targets_are_reachable_reproducible_and_spread_as_asked():
     for how in ("joints", "volume"):
         assert ik.solve_batch(robot, sample_targets(robot, 300, 1, how=how), tolerance=1e-4).success.all()
 
-    def crowding(how):  # largest share of the goals in one cell of a coarse grid
+    def crowding(how):  # largest share of the targets in one cell of a coarse grid
         points = sample_targets(robot, 20_000, 1, how=how, position_only=True)
         cells = np.unique((points // 0.2).astype(int), axis=0, return_counts=True)[1]
         return cells.max() / len(points)
@@ -54,13 +54,13 @@ def test_envelope_is_the_published_reach():
 
 def test_counts_map_failures_and_file_agree(tmp_path):
     robot = robots.load("hydrolek_7w")
-    file = tmp_path / "goals.csv"
-    found = workspace(robot, PUBLISHED, goals=9000, seed=2, file=file, tolerance=1e-3, max_iterations=1000)
+    file = tmp_path / "targets.csv"
+    found = workspace(robot, PUBLISHED, targets=9000, seed=2, file=file, tolerance=1e-3, max_iterations=1000)
     rows = list(csv.DictReader(file.read_text().splitlines()))
     assert len(rows) == 9000 == len(found.points)
     for name, one in found.outcomes.items():
         solved = np.array([int(row[f"{name} success"]) for row in rows])
-        assert one.goals == 9000 and one.solved == solved.sum() == found.solved[name].sum()
+        assert one.targets == 9000 and one.solved == solved.sum() == found.solved[name].sum()
         assert found.map[name][0].sum() == 9000 and found.map[name][1].sum() == one.solved
         assert sum(one.statuses.values()) == 9000 and one.statuses["CONVERGED"] == one.solved
         errors = np.array([float(row[f"{name} position_error"]) for row in rows])
@@ -70,47 +70,47 @@ def test_counts_map_failures_and_file_agree(tmp_path):
         listed = found.failures[name]
         assert (listed[:, :3] == lost[: len(listed)]).all()
     assert 0.70 < found.outcomes["published"].share < 0.77 < 0.98 < found.outcomes["designed"].share
-    repeat = workspace(robot, PUBLISHED, goals=9000, seed=2, tolerance=1e-3, max_iterations=1000)
+    repeat = workspace(robot, PUBLISHED, targets=9000, seed=2, tolerance=1e-3, max_iterations=1000)
     assert {k: v.solved for k, v in repeat.outcomes.items()} == {k: v.solved for k, v in found.outcomes.items()}
 
 
 def test_an_executor_gives_the_same():
     robot = robots.load("planar_3r")
-    here = workspace(robot, ["lm", "lm"], goals=300, tolerance=1e-3)
+    here = workspace(robot, ["lm", "lm"], targets=300, tolerance=1e-3)
     with ProcessPoolExecutor(1) as pool:
-        there = workspace(robot, ["lm", "lm"], goals=300, tolerance=1e-3, executor=pool)
+        there = workspace(robot, ["lm", "lm"], targets=300, tolerance=1e-3, executor=pool)
     assert list(here.outcomes) == ["lm", "lm 2"]
     assert [x.iterations for x in there.outcomes.values()] == [x.iterations for x in here.outcomes.values()]
 
 
 def test_ctrl_c_keeps_the_chunks_finished(tmp_path):
     robot = robots.load("planar_3r")
-    file = tmp_path / "goals.csv"
+    file = tmp_path / "targets.csv"
 
     def stop(done):
         if done == 2 * 8192:
             raise KeyboardInterrupt
 
     with pytest.raises(WorkspaceInterrupted) as caught:
-        workspace(robot, ["lm", "dls"], goals=10**7, file=file, progress=stop, tolerance=1e-3)
+        workspace(robot, ["lm", "dls"], targets=10**7, file=file, progress=stop, tolerance=1e-3)
     found = caught.value.result
     assert not file.exists()
-    rows = list(csv.DictReader((tmp_path / "goals.csv.partial").read_text().splitlines()))
+    rows = list(csv.DictReader((tmp_path / "targets.csv.partial").read_text().splitlines()))
     assert len(rows) == 2 * 8192
     for name, one in found.outcomes.items():
-        assert one.goals == 2 * 8192 == found.map[name][0].sum()
+        assert one.targets == 2 * 8192 == found.map[name][0].sum()
         assert one.solved == sum(int(row[f"{name} success"]) for row in rows)
 
-    whole = workspace(robot, ["lm", "dls"], goals=2 * 8192, tolerance=1e-3)
+    whole = workspace(robot, ["lm", "dls"], targets=2 * 8192, tolerance=1e-3)
     assert {k: v.solved for k, v in whole.outcomes.items()} == {k: v.solved for k, v in found.outcomes.items()}
 
 
 def test_poses_and_mistakes(tmp_path):
     robot = robots.load("hydrolek_7w")
-    found = workspace(robot, ["lm"], goals=200, position_only=False, how="volume")
+    found = workspace(robot, ["lm"], targets=200, position_only=False, how="volume")
     assert found.outcomes["lm"].solved == 200 and json.dumps(found.to_dict())
     with pytest.raises(InvalidOption, match="csv"):
-        workspace(robot, ["lm"], goals=10, file=tmp_path / "x.txt")
+        workspace(robot, ["lm"], targets=10, file=tmp_path / "x.txt")
     with pytest.raises(InvalidOption, match="at least one"):
         workspace(robot, [])
 
@@ -136,7 +136,7 @@ def test_escapes_from_the_straight_arm():
 
 
 def test_command(tmp_path, capsys):
-    plot, table = tmp_path / "map.png", tmp_path / "goals.csv"
+    plot, table = tmp_path / "map.png", tmp_path / "targets.csv"
     arguments = ["workspace", "hydrolek_7w", "-s", "lm", "--preset", "state-space=burrell-2016", "-n", "500"]
     assert main([*arguments, "--plot", str(plot), "--csv", str(table), "--json"]) == 0
     told = json.loads(capsys.readouterr().out)
