@@ -18,7 +18,7 @@ from ..robot.tree import Tree
 from ..solvers.batch import solve_batch
 from ..solvers.presets import write_preset
 from ..solvers.protocol import misfit
-from ..solvers.registry import find_row, make_rule
+from ..solvers.registry import Row, find_row, make_rule
 from ..solvers.solve import require_robot
 from ..solvers.space import Space
 from .engines import Evolution, Swarm
@@ -220,15 +220,7 @@ def tune(
     The tuned rule, the start and the solver's default meet the held-out targets, and the best is kept. Ctrl-C keeps the best so
     far. Deterministic for a seed (when `seconds` does not cut it). Raises InvalidOption, UnknownSolver, MissingExtra.
     """
-    require_robot(robot)
-    if method not in METHODS:
-        raise InvalidOption(f"tuning methods are {', '.join(METHODS)}, not '{method}'.{near_match(method, METHODS)}")
-    if method == "cma" and importlib.util.find_spec("cma") is None:
-        raise MissingExtra("cma", "tune")
-    row = find_row(solver)
-    default = make_rule(row, {})
-    if reason := misfit(row, default, robot):
-        raise UnknownSolver(reason)
+    row, default = _tunable(robot, solver, method)
     as_asked = maps is not None or initial is not None
     space = make_space(robot, row.name, position_only, maps, initial)
     options = {"tolerance": tolerance, "max_iterations": max_iterations}
@@ -257,14 +249,7 @@ def tune(
         return score(robot, rule, [train], **options), scores, best
 
     try:
-        for generation in range(generations):
-            if seconds is not None and perf_counter() - begun > seconds:
-                break
-            costs = search.generation(engine, record)
-            if progress is not None:
-                progress(generation + 1, costs)
-        if not search.best:  # no generation was asked for, or no time for one
-            search.note(space.start[None], np.array([search.cost(space.start)]))
+        search.run(engine, record, generations, seconds, progress)
         validation = draw(VALIDATION, 2 * targets)
         judged = [(search.cost(x, validation), k, x) for k, (_, x) in enumerate(search.best)]
         rule = space.build(min(judged)[2])
@@ -294,6 +279,20 @@ def tune(
     )
 
 
+def _tunable(robot: Any, solver: str, method: str) -> tuple[Row, Any]:
+    """Row and default rule of a solver to be tuned. Raises InvalidOption, UnknownSolver, MissingExtra."""
+    require_robot(robot)
+    if method not in METHODS:
+        raise InvalidOption(f"tuning methods are {', '.join(METHODS)}, not '{method}'.{near_match(method, METHODS)}")
+    if method == "cma" and importlib.util.find_spec("cma") is None:
+        raise MissingExtra("cma", "tune")
+    row = find_row(solver)
+    default = make_rule(row, {})
+    if reason := misfit(row, default, robot):
+        raise UnknownSolver(reason)
+    return row, default
+
+
 class _Search:
     """Cost of candidates and the best of them; history: a row a generation, see TuneResult."""
 
@@ -301,6 +300,25 @@ class _Search:
         self.robot, self.space, self.train, self.options = robot, space, train, options
         self.best: list[tuple[float, np.ndarray]] = []
         self.history: list[tuple[float, float, float]] = []
+
+    def run(
+        self,
+        engine: Any,
+        record: "_Record",
+        generations: int,
+        seconds: float | None,
+        progress: Callable[[int, np.ndarray], None] | None,
+    ) -> None:
+        """Search for so many generations, or seconds; there is a best candidate afterwards."""
+        begun = perf_counter()
+        for generation in range(generations):
+            if seconds is not None and perf_counter() - begun > seconds:
+                break
+            costs = self.generation(engine, record)
+            if progress is not None:
+                progress(generation + 1, costs)
+        if not self.best:  # no generation was asked for, or no time for one
+            self.note(self.space.start[None], np.array([self.cost(self.space.start)]))
 
     def generation(self, engine: Any, record: "_Record") -> np.ndarray:
         """Costs of the engine's next candidates, from the record where they are known."""
