@@ -61,7 +61,7 @@ class NpzWriter:
     def add(self, part: BatchResult) -> None:
         """Write the arrays, and of several tips their names in order."""
         robot = part.plan.robot
-        tips = {"tips": np.array(robot.tips)} if robot.by_tip else {}
+        tips: dict[str, Any] = {"tips": np.array(robot.tips)} if robot.by_tip else {}
         np.savez(self.file.stream, **part.to_dict(), joint_names=np.array(self.names), **tips)
         self.file.mark()
 

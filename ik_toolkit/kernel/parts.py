@@ -7,7 +7,7 @@ it calls, and makes machine code of it. Parts are never run on their own.
 from typing import Any
 
 from llvmlite.binding import Linkage
-from numba import _dynfunc, types
+from numba import _dynfunc, types  # pyright: ignore[reportAttributeAccessIssue]
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler, Flags
 
@@ -95,7 +95,7 @@ class PartPipeline(Compiler):
         state = self.state
         state.library = PartLibrary(state.targetctx.codegen(), func.__qualname__)
         state.flags = Quick(state.flags)
-        state.flags.no_compile = True
+        state.flags.no_compile = True  # pyright: ignore[reportAttributeAccessIssue]
         result = super().compile_extra(func)
         description, library = result.fndesc, result.library
         entry = _dynfunc.make_function(

@@ -93,7 +93,7 @@ HEAD, TASK, ANSWER, MISS = len(Orders._fields), len(Task._fields), len(Answer._f
 WEIGHTS = HEAD + TASK  # where the joint weights begin in the orders for one tip
 AT = Answer._make(range(ANSWER))  # places in a row: row[AT.status]
 ORDER = Orders._make(range(HEAD))  # in the orders
-WHAT = Task._make(range(TASK))  # and in a task
+WHAT: Any = Task._make(range(TASK))  # and in a task
 POINTS = 24  # numbers of `ends` before what belongs to the coordinates: base (12), tip (12)
 
 

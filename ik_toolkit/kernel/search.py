@@ -116,7 +116,7 @@ def note(p, e, ends, history, row):
 
 
 @spliced
-def descend(rule, p, o, near, weights, most, c, rho, spent, least, best, needs_jacobian, history):
+def make_attempt(rule, p, o, near, weights, most, c, rho, spent, least, best, needs_jacobian, history):
     """One attempt from p.desk.q; best (n,) and p keep the q of the least error and its errors.
 
     With most = LOOK only the errors and the Jacobian at p.desk.q. Returns the status, the last look, the least squared error
@@ -197,7 +197,7 @@ def search(rule, p, o, near, ends, weights, table, best, found, start, needs_jac
             for i in range(p.desk.x.shape[0]):
                 p.desk.x[i] = 0.0
         before = least
-        ended, e, least, spent = descend(
+        ended, e, least, spent = make_attempt(
             rule, p, o, near, weights, most, c, rho, spent, least, best, needs_jacobian, history
         )
         if status != GOING:

@@ -1,4 +1,4 @@
-"""Where descents start: the nearest entries of a table of known configurations, then a reproducible random sequence."""
+"""Where attempts start: the nearest entries of a table of known configurations, then a reproducible random sequence."""
 
 import numpy as np
 

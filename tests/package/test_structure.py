@@ -79,3 +79,28 @@ def test_imports_inside_functions_count_and_those_for_type_checkers_do_not(text,
 def test_a_circle_of_three_is_found():
     graph = {"a": {"b"}, "b": {"c"}, "c": {"a"}, "d": {"a"}}
     assert circles(graph) == {frozenset("abc")}
+
+
+# A definition counts whole but for its docstring: signature, comments and blank lines too.
+LINES_OF_A_FILE, LINES_OF_A_FUNCTION = 400, 80
+SOURCES = sorted(path for folder in ("ik_toolkit", "tests", "scripts") for path in (ROOT / folder).rglob("*.py"))
+
+
+def length(function):
+    """Lines of a function without its docstring."""
+    text = ast.get_docstring(function, clean=False)
+    return function.end_lineno - function.lineno + 1 - (len(text.splitlines()) if text else 0)
+
+
+def test_no_file_and_no_function_is_too_long_to_read():
+    assert len(SOURCES) > 200
+    long = []
+    for path in SOURCES:
+        text = path.read_text(encoding="utf-8")
+        name, lines = path.relative_to(ROOT), len(text.splitlines())
+        if lines > LINES_OF_A_FILE:
+            long.append(f"{name}: {lines} lines")
+        for node in ast.walk(ast.parse(text)):
+            if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef) and length(node) > LINES_OF_A_FUNCTION:
+                long.append(f"{name}, {node.name}: {length(node)} lines")
+    assert not long
