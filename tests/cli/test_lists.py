@@ -1,5 +1,6 @@
 """What the commands list: robots, solvers, D-H tables, the state of the machine."""
 
+import importlib.metadata
 import json
 import re
 
@@ -87,20 +88,26 @@ def test_doctor_finds_this_machine_healthy(run):
     assert {"extra view", "extra panel", "extra plots", "extra tune"} <= set(checks)
 
 
-def test_doctor_says_the_pip_line_of_a_missing_extra(run, monkeypatch):
-    from ik_toolkit.cli import doctor
+def installed(monkeypatch, package, version):
+    """Let a package look as installed in a version, or (None) as not installed."""
+    real = importlib.metadata.version
 
-    real = doctor._installed
-    monkeypatch.setattr(doctor, "_installed", lambda package: None if package == "viser" else real(package))
+    def told(name):
+        if name == package and version is None:
+            raise importlib.metadata.PackageNotFoundError(name)
+        return version if name == package else real(name)
+
+    monkeypatch.setattr(importlib.metadata, "version", told)
+
+
+def test_doctor_says_the_pip_line_of_a_missing_extra(run, monkeypatch):
+    installed(monkeypatch, "viser", None)
     code, out, _ = run("doctor")
     assert code == 0 and "no viser; run: pip install viser" in out
 
 
 def test_doctor_reports_a_package_that_hides_pinocchio(run, monkeypatch):
-    from ik_toolkit.cli import doctor
-
-    real = doctor._installed
-    monkeypatch.setattr(doctor, "_installed", lambda package: "0.4" if package == "pinocchio" else real(package))
+    installed(monkeypatch, "pinocchio", "0.4")
     code, out, _ = run("doctor")
     assert code == 1 and "pip uninstall pinocchio" in " ".join(out.split())
 

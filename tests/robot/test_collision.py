@@ -188,7 +188,9 @@ def test_shapes_stand_in_the_base_frame(base, tmp_path):
     link = next(o for o in ik.CollisionModel(robot).geometry.geometryObjects if o.name == "link_5_0")
     data = robot.model.createData()
     pin.forwardKinematics(robot.model, data, robot.to_pinocchio(q))
-    at = robot._base_inverse.act(data.oMi[link.parentJoint].act(link.placement.translation))
+    pin.updateFramePlacements(robot.model, data)
+    base = data.oMf[robot.model.getFrameId(robot.base)]
+    at = base.actInv(data.oMi[link.parentJoint].act(link.placement.translation))
     away = at + np.array([0.0, 0.0, 5.0])
     mesh = tmp_path / "corner.stl"
     mesh.write_text(

@@ -7,6 +7,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 from folders import SCRIPTS, TESTS
+from robots import have_data
 
 from ik_toolkit.errors import RobotNotFound
 from ik_toolkit.robot import library
@@ -15,10 +16,6 @@ from ik_toolkit.robot.library import DATA_ROBOTS, example_robot_data, find, list
 SCRIPT = SCRIPTS / "make_urdfs.py"
 PAPERS = {"hydrolek_7w", "brokk_hydrolek", "planar_3r", "planar_2r", "cartesian_pp", "inspection_7dof"}
 NAMES = list(shipped_robots())
-
-
-def has_data():
-    return library._data_root() is not None
 
 
 def test_shipped_files_are_what_the_script_writes():
@@ -124,7 +121,7 @@ def test_without_the_data_wheel(monkeypatch):
     assert [entry.name for entry in list_robots()] == NAMES
 
 
-@pytest.mark.skipif(not has_data(), reason="example-robot-data is not installed")
+@pytest.mark.skipif(not have_data(), reason="example-robot-data is not installed")
 @pytest.mark.parametrize("name", list(DATA_ROBOTS))
 def test_data_robots_have_their_tips(name):
     path, folders = example_robot_data(name)
@@ -138,7 +135,7 @@ def test_data_robots_have_their_tips(name):
 
 
 def test_data_robots_are_listed():
-    if has_data():
+    if have_data():
         assert [entry.name for entry in list_robots()] == [*NAMES, *DATA_ROBOTS]
     with pytest.raises(RobotNotFound, match="Did you mean 'panda'"):
         example_robot_data("pandaa")

@@ -17,9 +17,7 @@ from ik_toolkit.solvers.batch_result import BatchInterrupted
 
 
 def poses(robot, count, seed=0):
-    low, span = robot._sampling
-    Q = (low + span * np.random.default_rng(seed).random((count, robot.n))).clip(robot.lower, robot.upper)
-    return robot.chain.forward(Q)[0]
+    return robot.chain.forward(robot.random_q(np.random.default_rng(seed), count))[0]
 
 
 @pytest.mark.parametrize(("name", "solver"), [("hydrolek_7w", "lm"), ("hydrolek_7w", "dls"), ("mimic_mix", "lm")])

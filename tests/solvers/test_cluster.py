@@ -27,9 +27,7 @@ def cluster():
 @pytest.fixture(scope="module")
 def targets():
     robot = ik.Robot.load("hydrolek_7w")
-    low, span = robot._sampling
-    Q = low + span * np.random.default_rng(0).random((20000, robot.n))
-    return robot, robot.chain.forward(Q.clip(robot.lower, robot.upper))[0]
+    return robot, robot.chain.forward(robot.random_q(np.random.default_rng(0), 20000))[0]
 
 
 def test_a_cluster_gives_the_same_bytes(cluster, targets):

@@ -126,10 +126,8 @@ def test_ten_million_solves_in_one_batch(record_property):
 
     def chunks():
         rng = np.random.default_rng(5)
-        low, span = robot._sampling
         for _ in range(100):
-            q = (low + span * rng.random((100_000, robot.n))).clip(robot.lower, robot.upper)
-            yield robot.chain.forward(q)[0]
+            yield robot.chain.forward(robot.random_q(rng, 100_000))[0]
 
     rng = np.random.default_rng(5)
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
@@ -139,10 +137,9 @@ def test_ten_million_solves_in_one_batch(record_property):
     assert batch.success.mean() > 0.9999
     outputs = batch.table.nbytes / 2**20
     assert grown < 2 * outputs + 400
-    low, span = robot._sampling
     success, answers = batch.success, batch.q
     for c in range(100):
-        q = (low + span * rng.random((100_000, robot.n))).clip(robot.lower, robot.upper)
+        q = robot.random_q(rng, 100_000)
         for k in range(c, 100_000, 100):
             row = 100_000 * c + k
             if success[row]:
