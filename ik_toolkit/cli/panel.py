@@ -5,7 +5,7 @@ from typing import Annotated
 import typer
 
 from ..errors import InvalidOption
-from .arguments import RobotArg, Tip
+from .arguments import RobotArg, Tips
 from .output import notice
 
 Host = Annotated[str, typer.Option(metavar="ADDRESS", help="Address to listen at; the default is this machine only.")]
@@ -19,12 +19,12 @@ def register(app: typer.Typer) -> None:
 
 
 def panel(
-    robot: RobotArg = "hydrolek_7w", tip: Tip = None, host: Host = "127.0.0.1", port: Port = 0, browse: Open = True
+    robot: RobotArg = "hydrolek_7w", tip: Tips = None, host: Host = "127.0.0.1", port: Port = 0, browse: Open = True
 ) -> None:
     """Move joints, drag targets, compare solvers and solutions in a browser, until Ctrl-C.
 
     Listens on this machine only unless --host says otherwise; only who knows the whole address printed, with its token, is let
-    in. Every browser tab has a robot of its own.
+    in. Every browser tab has a robot of its own. A robot with several tips has a target to drag for each; the others stay.
     """
     if not 0 <= port < 65536:
         raise InvalidOption(f"--port is between 0 and 65535, not {port}")

@@ -1,7 +1,8 @@
 """What one visitor of the panel sees: controls and the 3-D view (viser), around a Session."""
 
 import html
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from contextlib import nullcontext
 from typing import Any
 
 import numpy as np
@@ -9,26 +10,32 @@ import numpy as np
 from ..errors import IKError, InvalidConfiguration
 from ..robot.library import list_robots
 from ..style import BAD, COLOURS, GOOD
+from .goals import Goal
 from .parts import Body
 from .session import KINDS, SHOWN, Session
 from .stage import Stage
+from .tables import pose_html, sentence, table_html
 from .worker import Worker
 
-PLAIN, MUTED = "#37424f", "#4a5766"
+PLAIN = "#37424f"
 QUIET = (71, 85, 105)  # of the buttons beside the main one
 STEPS = 500  # of a slider, at least
 LONGEST = 600  # characters said
+MOST_TIPS = 4  # chosen in the page
 
 
 class Desk:
     """Controls and view of one visitor. client: a viser client (or server). files: whether robots may be read by path."""
 
-    def __init__(self, client: Any, source: str, tip: str | None = None, *, files: bool = True) -> None:
+    def __init__(
+        self, client: Any, source: str, tips: str | Sequence[str] | None = None, *, files: bool = True
+    ) -> None:
         """Build the first robot's controls; the work is done in the visitor's own thread."""
         self.client, self.gui, self.scene = client, client.gui, client.scene
         self.files = files
-        self.session = Session(source, tip)
-        self.kind, self.live, self.frames = KINDS[0], True, False
+        self.session = Session(source, tips)
+        self.kinds: dict[str, str] = {}
+        self.live, self.frames = True, False
         self.status: Any = None
         self.worker = Worker()
         self.worker.post("build", self._guard(self.build))
@@ -85,10 +92,17 @@ class Desk:
             self.gui.main_panel.dock_right()
             self._build_controls()
             self.stage = Stage(
-                self.client, body, s.q, self.frames, lambda: self.worker.post("drag", self._guard(self._dragged))
+                self.client,
+                body,
+                s.q,
+                s.goals(),
+                self.frames,
+                lambda: self.worker.post("drag", self._guard(self._dragged)),
             )
+            for goal, handle in zip(self.goals, self.stage.handles, strict=True):
+                goal.join(handle)
         self.show()
-        self.say(body.notice or f"{s.robot.name}: {s.robot.base} to {s.robot.tip}, {s.robot.n} joints")
+        self.say(body.notice or f"{s.robot.name}: {s.robot.base} to {' and '.join(s.robot.tips)}, {s.robot.n} joints")
 
     def _build_controls(self) -> None:
         s, gui = self.session, self.gui
@@ -96,9 +110,7 @@ class Desk:
         names = names if s.source in names else [s.source, *names]
         robots = gui.add_dropdown("Robot", names, initial_value=s.source)
         self._on(robots, "build", lambda: self._switch(robots.value))
-        if len(s.tips) > 1:
-            tips = gui.add_dropdown("Tip", list(dict.fromkeys([s.robot.tip, *s.tips])), initial_value=s.robot.tip)
-            self._on(tips, "build", lambda: self._switch(s.source, tips.value))
+        self._build_tips()
         degrees = gui.add_checkbox(
             "Degrees", s.degrees, hint="Angles in degrees; otherwise radians. Lengths in metres."
         )
@@ -111,6 +123,23 @@ class Desk:
             self._build_solve()
         with tabs.add_tab("Robot"):
             self._build_robot()
+
+    def _build_tips(self) -> None:
+        """A list of tips to choose from for each that is solved for, and one more to add another."""
+        s = self.session
+        chosen, every = s.robot.tips, list(dict.fromkeys([*s.robot.tips, *s.tips]))
+        if len(every) < 2:
+            return
+        none, lists = "none", []
+        for k in range(min(len(chosen) + 1, len(every), MOST_TIPS)):
+            now = chosen[k] if k < len(chosen) else none
+            offered = [tip for tip in every if tip == now or tip not in chosen]
+            label = f"Tip {k + 1}" if k else "Tip"
+            lists.append(
+                self.gui.add_dropdown(label, offered if not k else [none, *offered], initial_value=now)
+            )  # fmt: skip
+        for one in lists:
+            self._on(one, "build", lambda: self._switch(s.source, [x.value for x in lists if x.value != none]))
 
     def _build_joints(self) -> None:
         s, gui = self.session, self.gui
@@ -129,18 +158,19 @@ class Desk:
 
     def _build_solve(self) -> None:
         s, gui = self.session, self.gui
-        T = s.tip() if s.target is None else s.target
-        xyz, rotation = s.words(T, self.kind)
-        self.xyz = gui.add_text("x y z [m]", xyz)
-        orientation = gui.add_dropdown("Orientation", KINDS, initial_value=self.kind)
-        self._on(orientation, "kind", lambda: self._orientation(orientation.value))
-        self.rotation = gui.add_text(self._rotation_label(), rotation, visible=self.kind != "free")
+        self.goals = []
+        for tip in s.robot.tips:
+            with gui.add_folder(tip) if len(s.robot.tips) > 1 else nullcontext():
+                self.goals.append(Goal(gui, s, tip, self.kinds.get(tip, KINDS[0]), self._on))
         go = gui.add_button("Solve", color="blue")
         self._on(go, "solve", self._solve)
         follow = gui.add_checkbox("Follow while dragging", self.live, hint="Drag the arrows and rings in the view.")
         self._on(follow, "live", lambda: setattr(self, "live", follow.value))
-        here = gui.add_button("Target to tip", color=QUIET)
+        several = len(s.robot.tips) > 1
+        here = gui.add_button("Targets to tips" if several else "Target to tip", color=QUIET)
         self._on(here, "solve", self._target_to_tip)
+        anywhere = gui.add_button("Random targets" if several else "Random target", color=QUIET)
+        self._on(anywhere, "solve", self._random)
         every = gui.add_button("All solutions", color=QUIET)
         self._on(every, "solve", self._solve_all)
         self.outcome = gui.add_html("", visible=False)
@@ -190,20 +220,21 @@ class Desk:
             self.stage.show(s.q)
             for i, slider in enumerate(self.sliders):
                 slider.value = self.shown[i] = float(np.clip(round(s.scale(i) * s.q[i], 4), slider.min, slider.max))
-        self.pose.content = pose_html(s.tip(), s)
+        self.pose.content = "".join(pose_html(T, s, tip) for tip, T in s.poses().items())
         self.client.flush()  # now, not at the end of viser's next interval
 
     # ------------------------------------------------------------------------------------------------------ actions
-    def _switch(self, source: str, tip: str | None = None) -> None:
+    def _switch(self, source: str, tips: str | Sequence[str] | None = None) -> None:
         if not self.files and source not in {entry.name for entry in list_robots()}:
             self.say("robots can be chosen by name only: this panel is open to other machines", BAD)
             return
-        self.session.load(source, tip)
-        self.session.solver, self.session.parameters = "auto", {}
+        self.session.load(source, tips)
+        self.session.solver, self.session.parameters, self.kinds = "auto", {}, {}
         self.build()
 
     def _units(self, degrees: bool) -> None:
         self.session.degrees = degrees
+        self.kinds = {goal.tip: goal.kind for goal in self.goals}
         self.build()
 
     def _moved(self) -> None:
@@ -239,19 +270,6 @@ class Desk:
             done = self.gui.add_button("Close")
         done.on_click(lambda _: modal.close())
 
-    def _rotation_label(self) -> str:
-        return (
-            "quaternion x y z w" if self.kind == "quaternion" else f"r p y [{'deg' if self.session.degrees else 'rad'}]"
-        )
-
-    def _orientation(self, kind: str) -> None:
-        self.kind = kind
-        self.rotation.visible = kind != "free"
-        if kind != "free":
-            self.rotation.label = self._rotation_label()
-            self.rotation.value = self.session.words(self.stage.target, kind)[1]
-        self.stage.gizmo.disable_rotations = kind == "free"
-
     def _choose(self, name: str) -> None:
         self.session.solver, self.session.parameters = name, {}
         self._fill_parameters()
@@ -269,8 +287,8 @@ class Desk:
                     name, "" if default is None else str(default), hint=hint
                 )
 
-    def _typed(self) -> np.ndarray:
-        """Target of the fields, and the solver's settings of theirs."""
+    def _typed(self) -> Any:
+        """Target of the fields as the robot takes it, and the solver's settings of theirs."""
         s = self.session
         fields = s.fields()
         typed = {name: handle.value for name, handle in self.typed_parameters.items()}
@@ -282,11 +300,14 @@ class Desk:
         if not 0.0 < tolerance < 1.0:
             raise IKError(f"the tolerance is a number above 0 and below 1, not '{self.tolerance.value}'")
         s.tolerance = tolerance
-        return s.typed(self.xyz.value, self.kind, self.rotation.value)
+        return self._joined({goal.tip: goal.typed() for goal in self.goals})
+
+    def _joined(self, targets: dict[str, np.ndarray | None]) -> Any:
+        """Targets as the robot takes them, without the tips that have none."""
+        return self.session.joined({tip: T for tip, T in targets.items() if T is not None})
 
     def _solve(self) -> None:
         target = self._typed()
-        self.stage.put_target(target)
         self.found.visible = False
         self.say("solving ... (a method's first use compiles it, some seconds)")
         result = self.session.solve(target)
@@ -307,25 +328,28 @@ class Desk:
         self.outcome.visible = True
 
     def _dragged(self) -> None:
-        T = self.stage.read_target()
-        self.xyz.value, rotation = self.session.words(T, self.kind)
-        if self.kind != "free":
-            self.rotation.value = rotation
+        targets = {goal.tip: goal.dragged() for goal in self.goals}
         if self.live:
-            self.session.follow(T[:3, 3] if self.kind == "free" else T)
+            self.session.follow(self._joined(targets))
             self._verdict()
 
+    def _put(self, poses: dict[str, np.ndarray]) -> None:
+        """Put the targets at poses by tip."""
+        with self.client.atomic():
+            for goal in self.goals:
+                goal.put(poses[goal.tip])
+
     def _target_to_tip(self) -> None:
-        T = self.session.tip()
-        self.stage.put_target(T)
-        self.xyz.value, rotation = self.session.words(T, self.kind)
-        if self.kind != "free":
-            self.rotation.value = rotation
+        self._put(self.session.poses())
+
+    def _random(self) -> None:
+        self._put(self.session.random_poses())
+        if self.live:
+            self._solve()
 
     def _solve_all(self) -> None:
         s = self.session
         target = self._typed()
-        self.stage.put_target(target)
         self.outcome.visible = False
         self.say("searching ...")
         words = s.solve_all(target)
@@ -334,6 +358,8 @@ class Desk:
         with self.found:
             for k, q in enumerate(s.solutions):
                 values = ", ".join(f"{s.scale(i) * x:.4g}" for i, x in enumerate(q))
+                if s.robot.by_tip:  # too many for a button
+                    values = f"distance {s.distances[k]:.3f}"
                 button = self.gui.add_button(f"{k + 1}: {values}", color=QUIET)
                 self._on(button, "joints", lambda q=q, k=k: self._pick(k, q))
         self.found.visible = bool(s.solutions)
@@ -361,33 +387,3 @@ class Desk:
     def _show_frames(self, visible: bool) -> None:
         self.frames = visible
         self.stage.show_frames(visible)
-
-
-def sentence(text: str) -> str:
-    """Text with a capital and a full stop."""
-    return f"{text[0].upper()}{text[1:].rstrip('.')}." if text else ""
-
-
-def table_html(rows: Any, head: Any = None) -> str:
-    """Table of texts."""
-    cell, muted = "padding:1px 12px 1px 0;font-variant-numeric:tabular-nums;white-space:nowrap", f"color:{MUTED}"
-    top = "".join(f'<th style="{cell};text-align:left;font-weight:600">{html.escape(x)}</th>' for x in head or ())
-    body = "".join(
-        "<tr>"
-        + "".join(f'<td style="{cell}{";" + muted if not k else ""}">{html.escape(x)}</td>' for k, x in enumerate(row))
-        + "</tr>"
-        for row in rows
-    )
-    return f'<div style="padding:2px 12px 6px;font-size:12px;overflow-x:auto"><table><tr>{top}</tr>{body}</table></div>'
-
-
-def pose_html(T: np.ndarray, s: Session) -> str:
-    """Pose of the tip as matrix, xyz, rpy and quaternion."""
-    matrix = [[f"{x + 0.0:.5f}" for x in row] for row in np.round(T, 9)]
-    lines = [
-        ("xyz [m]", s.words(T, "free")[0]),
-        (f"rpy [{'deg' if s.degrees else 'rad'}]", s.words(T, KINDS[0])[1]),
-        ("quaternion xyzw", s.words(T, "quaternion")[1]),
-    ]
-    head = '<div style="padding:6px 12px 0;font-size:12px;font-weight:600">Pose of the tip, T_base_tip</div>'
-    return head + table_html(matrix).replace(f"color:{MUTED}", "") + table_html(lines)

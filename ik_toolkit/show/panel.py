@@ -10,6 +10,7 @@ import http.client
 import io
 import socket
 import warnings
+from collections.abc import Sequence
 from typing import Any
 from urllib.parse import urlsplit
 
@@ -30,16 +31,23 @@ HEARD = (  # of a visitor's page: controls, the target's arrows and rings, the c
 class Panel:
     """The panel's server. url: where it is, with the token that lets in; `close()` ends it. Several browsers may be open."""
 
-    def __init__(self, source: str, tip: str | None = None, *, host: str = "127.0.0.1", port: int = 0) -> None:
-        """Serve a robot by name or path. port 0: a free one. Raises MissingExtra, InvalidOption, RobotNotFound, ..."""
+    def __init__(
+        self, source: str, tips: str | Sequence[str] | None = None, *, host: str = "127.0.0.1", port: int = 0
+    ) -> None:
+        """Serve a robot by name or path. tips: one or several, default all that are known. port 0: a free one.
+
+        Raises MissingExtra, InvalidOption, RobotNotFound, ...
+        """
         try:
             import viser
         except ImportError:
             raise MissingExtra("viser", "panel") from None
         _check_address(host, port)
         warnings.filterwarnings("ignore", "Queued a .* on a closed connection")  # a visitor may leave at any time
-        session = Session(source, tip)  # says now what is wrong with it
-        session.solve(session.tip())  # and compiles, where that has not been done: no visitor waits for it
+        session = Session(source, tips)  # says now what is wrong with it
+        session.solve(
+            session.joined(session.poses())
+        )  # and compiles, where that has not been done: no visitor waits for it
         token = new_token()
         with guarded(host, token), contextlib.redirect_stdout(io.StringIO()):  # viser prints a banner
             self.server = viser.ViserServer(host=host, port=port, verbose=False)
@@ -54,12 +62,12 @@ class Panel:
         self.desks: dict[int, Desk] = {}
         self.server.gui.set_panel_label("ik panel")
         local = is_loopback(host)
-        self.server.on_client_connect(lambda client: self._welcome(client, source, tip, local))
+        self.server.on_client_connect(lambda client: self._welcome(client, source, tips, local))
         self.server.on_client_disconnect(lambda client: self._goodbye(client))
 
-    def _welcome(self, client: Any, source: str, tip: str | None, local: bool) -> None:
+    def _welcome(self, client: Any, source: str, tips: str | Sequence[str] | None, local: bool) -> None:
         _hear_only(client.gui._websock_interface, HEARD)
-        self.desks[client.client_id] = Desk(client, source, tip, files=local)
+        self.desks[client.client_id] = Desk(client, source, tips, files=local)
         if client.client_id not in self.server.get_clients():  # gone before it was let in
             self._goodbye(client)
 

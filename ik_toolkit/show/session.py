@@ -1,7 +1,8 @@
-"""What one visitor of the panel works with: a robot, a configuration, a target, a solver. No drawing, no web."""
+"""What one visitor of the panel works with: a robot of one tip or several, q, targets, a solver. No drawing, no web."""
 
 import json
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -11,48 +12,57 @@ from ..kernel.task import POSE, POSITION
 from ..robot.library import find
 from ..robot.pose import length, matrix_quat, matrix_rpy, pose
 from ..robot.robot import Robot, path_ends
+from ..robot.tree import Tree
 from ..solvers.registry import find_row, list_rows, make_rule
 from ..solvers.result import Result
 from ..solvers.solve import bound, is_auto, solve
 from ..solvers.solve_all import solve_all
-from ..text import parameter, vector
+from ..text import parameter, plain, vector
 
 KINDS = ("roll pitch yaw", "quaternion", "free")  # how the orientation of a typed target is given
+NONE = "no target"  # of one of several tips
 SHOWN = 16  # solutions listed
 DRAG_RESTARTS = 8  # a dragged target is near: a long search would only make the drag stutter
 
 
 class Session:
-    """State of one visitor. q (n,) [rad or m]; target (4, 4) or (3,) [m] or None; result and solutions of the last solve.
+    """State of one visitor. q (n,) [rad or m]; target, as the robot takes it, or None; result and solutions of the last solve.
 
-    solver (name) and parameters (name -> text as typed, '' for the default); degrees: how angles are typed and shown.
+    robot: a Robot, or a Tree; tips: all there are to choose from. A target is (4, 4) or (3,) [m], of a Tree a dict of these by
+    tip. solver (name) and parameters (name -> text as typed, '' for the default); degrees: how angles are typed and shown.
     """
 
-    def __init__(self, source: str, tip: str | None = None) -> None:
-        """Start with a robot by name or path. Raises RobotNotFound, ModelError, FrameNotFound."""
+    def __init__(self, source: str, tips: str | Sequence[str] | None = None) -> None:
+        """Start with a robot by name or path, and with one tip or several. Raises RobotNotFound, ModelError, FrameNotFound."""
         self.degrees = True
         self.solver = "auto"
         self.parameters: dict[str, str] = {}
         self.tolerance = 1e-6
-        self.load(source, tip)
+        self.random = np.random.default_rng(0)
+        self.load(source, tips)
 
-    def load(self, source: str, tip: str | None = None) -> None:
-        """Switch to another robot; nothing changes when that fails."""
-        entry = find(source.strip())
-        if tip is None and len(entry.tips) > 1:
-            tip = entry.tips[0]
-        try:
-            robot = Robot.load(source.strip(), tip=tip)
-        except FrameNotFound as several:
-            if tip is not None or not several.tips:
-                raise
-            robot = Robot.load(source.strip(), tip=several.tips[0])
-        self.source, self.entry, self.robot = source.strip(), entry, robot
+    def load(self, source: str, tips: str | Sequence[str] | None = None) -> None:
+        """Switch to another robot; nothing changes when that fails. tips: default all that are known, or else the first."""
+        source = source.strip()
+        entry = find(source)
+        chosen = [tips] if isinstance(tips, str) else list(tips or entry.tips)
+        robot: Robot | Tree
+        if len(chosen) > 1:
+            robot = Tree.load(source, tips=chosen)
+        else:
+            try:
+                robot = Robot.load(source, tip=chosen[0] if chosen else None)
+            except FrameNotFound as several:
+                if chosen or not several.tips:
+                    raise
+                robot = Robot.load(source, tip=several.tips[0])
+        self.source, self.entry, self.robot = source, entry, robot
         self.tips = tuple(entry.tips) if len(entry.tips) > 1 else path_ends(robot.model)
         self.q = robot.home.copy()
-        self.target: np.ndarray | None = None
+        self.target: Any = None
         self.result: Result | None = None
         self.solutions: list[np.ndarray] = []
+        self.distances: list[float] = []
 
     # ------------------------------------------------------------------------------------------------------- joints
     def scale(self, i: int) -> float:
@@ -70,9 +80,27 @@ class Session:
         low = low if math.isfinite(low) else min(-span, float(self.q[i]))
         return low, (high if math.isfinite(high) else max(low + 2.0 * span, float(self.q[i])))
 
-    def tip(self) -> np.ndarray:
-        """T_base_tip (4, 4) at q."""
-        return self.robot.fk(self.q).homogeneous
+    def poses(self, q: np.ndarray | None = None) -> dict[str, np.ndarray]:
+        """T_base_tip (4, 4) of each tip at q (n,), default where the robot stands."""
+        T: Any = self.robot.fk(self.q if q is None else q)
+        return {tip: (T[tip] if self.robot.by_tip else T).homogeneous for tip in self.robot.tips}
+
+    def random_poses(self) -> dict[str, np.ndarray]:
+        """Poses that the tips can take together, others at every call."""
+        return self.poses(self.robot.random_q(self.random))
+
+    def joined(self, targets: dict[str, np.ndarray]) -> Any:
+        """Targets by tip as the robot takes them: one tip's without its name."""
+        return targets if self.robot.by_tip else targets[self.robot.tips[0]]
+
+    def goals(self) -> dict[str, np.ndarray]:
+        """Pose (4, 4) of each tip's target; where the tip stands if it has none, turned as it is if the target is a position."""
+        given = self.target if self.robot.by_tip else {self.robot.tips[0]: self.target}
+        poses = self.poses()
+        for tip, target in (given or {}).items():
+            if target is not None:
+                poses[tip] = target if target.ndim == 2 else np.r_[np.c_[poses[tip][:3, :3], target], [[0, 0, 0, 1]]]
+        return poses
 
     # ------------------------------------------------------------------------------------------------------- target
     def typed(self, xyz: str, kind: str, rotation: str) -> np.ndarray:
@@ -101,8 +129,10 @@ class Session:
         """Names of solvers that can be tried on this robot."""
         from ..solvers.closed_form import fits
 
-        closed = {fits(self.robot, kind) for kind in (POSITION, POSE)}
-        return ["auto", *(row.name for row in list_rows() if not row.closed or row.name in closed)]
+        several = self.robot.by_tip
+        closed = set() if several else {fits(self.robot, kind) for kind in (POSITION, POSE)}
+        rows = (row for row in list_rows() if not (several and row.one_tip))
+        return ["auto", *(row.name for row in rows if not row.closed or row.name in closed)]
 
     def fields(self) -> dict[str, Any]:
         """Parameters of the chosen solver with their defaults."""
@@ -118,17 +148,17 @@ class Session:
             return self.solver
         return make_rule(find_row(self.solver), {name: parameter(name, text) for name, text in given.items()})
 
-    def solve(self, target: np.ndarray) -> Result:
+    def solve(self, target: Any) -> Result:
         """Solve from q, keep the way there; q moves only when it succeeds. Raises what `ik.solve` raises."""
-        self.target = np.array(target)
+        self.target = _copy(target)
         self.result = solve(self.robot, self.target, self.rule(), q0=self.q, history=True, tolerance=self.tolerance)
         if self.result.success:
             self.q = self.result.q.copy()
         return self.result
 
-    def follow(self, target: np.ndarray) -> Result:
+    def follow(self, target: Any) -> Result:
         """Solve as `solve` does, without keeping the way there: for a target that is being dragged."""
-        self.target = np.array(target)
+        self.target = _copy(target)
         rule = self.rule()
         options: dict[str, Any] = {"check": True, "tolerance": self.tolerance}
         if is_auto(rule) or find_row(rule).length().attempts > 1:
@@ -138,11 +168,11 @@ class Session:
             self.q = self.result.q.copy()
         return self.result
 
-    def solve_all(self, target: np.ndarray) -> str:
+    def solve_all(self, target: Any) -> str:
         """Find solutions (the nearest 16 are kept) and say how many there are. Raises what `ik.solve_all` raises."""
-        self.target = np.array(target)
+        self.target = _copy(target)
         found = solve_all(self.robot, self.target, "auto", self.q, starts=200, count=SHOWN)
-        self.solutions = [q.copy() for q in found][:SHOWN]
+        self.solutions, self.distances = [q.copy() for q in found][:SHOWN], found.distance.tolist()[:SHOWN]
         complete = "; these are all" if found.complete else ""
         return f"{found.message}{complete}" if len(found) else f"no solution: {found.message}"
 
@@ -152,18 +182,22 @@ class Session:
         r = self.result
         if r is None:
             return []
-        angle = "free" if r.orientation_error is None else f"{math.degrees(r.orientation_error):.3g} deg"
+        errors = [("position error", length(r.position_error)), ("orientation error", _angle(r.orientation_error))]
+        if self.robot.by_tip:
+            errors = []
+            for tip, position in r.position_errors.items():
+                left = f"{length(position)}, {_angle(r.orientation_errors[tip])}"
+                errors.append((tip, left if tip in self.target else NONE))
         return [
             ("status", r.status.name),
-            ("position error", length(r.position_error)),
-            ("orientation error", angle),
+            *errors,
             ("iterations", f"{r.iterations}, restarts {r.restarts}"),
             ("time", f"{1e3 * r.elapsed:.3g} ms, solver {r.solver}"),
         ]
 
     def table(self) -> tuple[str, tuple[str, ...], list[tuple[str, ...]]]:
         """Caption, head and rows: the D-H table of a robot that has one, otherwise its joint axes at home, in base axes."""
-        if self.entry.dh_file is not None and self.entry.tips == (self.robot.tip,):
+        if self.entry.dh_file is not None and not self.robot.by_tip and self.entry.tips == self.robot.tips:
             from ..robot.dh import read_dh_table
 
             table = read_dh_table(self.entry.dh_file)
@@ -175,35 +209,51 @@ class Session:
                 name = f"{r.name}{' (slides)' if r.type == 'prismatic' else ''}"
                 rows.append((name, f"{math.degrees(r.theta):g}", f"{r.d:g}", f"{r.a:g}", f"{math.degrees(r.alpha):g}"))
             return caption, ("joint", "theta [deg]", "d [m]", "a [m]", "alpha [deg]"), rows
-        J, p = self.robot.jacobian(self.robot.home), self.robot.fk(self.robot.home).translation
-        rows = []
-        for name, kind, column in zip(self.robot.joint_names, self.robot.joint_kinds, J.T, strict=True):
-            v, w = column[:3], column[3:]
-            axis = w if kind != "prismatic" else v
-            through = _triple(p + np.cross(w, v) / (w @ w)) if kind != "prismatic" else "any"
-            rows.append((name, kind, _triple(axis / max(float(np.linalg.norm(axis)), 1e-12)), through))
+        seen: dict[str, tuple[str, ...]] = {}
+        for arm, place in zip(self.robot.arms, self.robot.places, strict=True):
+            q = self.robot.home[place]
+            J, p = arm.jacobian(q), arm.fk(q).translation
+            for name, kind, column in zip(arm.joint_names, arm.joint_kinds, J.T, strict=True):
+                v, w = column[:3], column[3:]
+                axis = w if kind != "prismatic" else v
+                through = _triple(p + np.cross(w, v) / (w @ w)) if kind != "prismatic" else "any"
+                seen[name] = (name, kind, _triple(axis / max(float(np.linalg.norm(axis)), 1e-12)), through)
+        rows = [seen[name] for name in self.robot.joint_names]
         return "Joint axes at home, in base axes", ("joint", "kind", "axis", "through [m]"), rows
 
     def to_dict(self) -> dict[str, Any]:
         """What is on the screen, in metres and radians, ready for JSON."""
-        T = self.tip()
+        each = {
+            tip: {
+                "T_base_tip": T.tolist(),
+                "xyz": T[:3, 3].tolist(),
+                "rpy": matrix_rpy(T[:3, :3]).tolist(),
+                "quat_xyzw": matrix_quat(T[:3, :3]).tolist(),
+            }
+            for tip, T in self.poses().items()
+        }
         return {
             "robot": self.source,
             "base": self.robot.base,
-            "tip": self.robot.tip,
+            **({"tips": each} if self.robot.by_tip else {"tip": self.robot.tips[0], **each[self.robot.tips[0]]}),
             "joint_names": list(self.robot.joint_names),
             "q": self.q.tolist(),
-            "T_base_tip": T.tolist(),
-            "xyz": T[:3, 3].tolist(),
-            "rpy": matrix_rpy(T[:3, :3]).tolist(),
-            "quat_xyzw": matrix_quat(T[:3, :3]).tolist(),
-            "target": None if self.target is None else self.target.tolist(),
+            "target": plain(self.target),
             "result": None if self.result is None else self.result.to_dict(),
         }
 
     def to_json(self) -> str:
         """JSON text of `to_dict`."""
         return json.dumps(self.to_dict(), indent=1)
+
+
+def _copy(target: Any) -> Any:
+    """Target or targets by tip, of their own."""
+    return {tip: np.array(T) for tip, T in target.items()} if isinstance(target, dict) else np.array(target)
+
+
+def _angle(value: float | None) -> str:
+    return "free" if value is None else f"{math.degrees(value):.3g} deg"
 
 
 def _figure(value: float) -> str:

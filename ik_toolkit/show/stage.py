@@ -1,4 +1,4 @@
-"""The 3-D view of one visitor of the panel (viser): the robot, frames, and a target to drag."""
+"""The 3-D view of one visitor of the panel (viser): the robot, frames, and a target to drag for each tip."""
 
 from collections.abc import Callable
 from typing import Any
@@ -10,11 +10,56 @@ from ..errors import InvalidTarget
 from .parts import Body
 
 
-class Stage:
-    """A robot in the view of a viser client (or server). target: T_base_target (4, 4) of the arrows and rings."""
+class Handle:
+    """Arrows and rings of one tip's target. target: T_base_target (4, 4)."""
 
-    def __init__(self, client: Any, body: Body, q: np.ndarray, frames: bool, dragged: Callable[[], None]) -> None:
-        """Draw the robot at q; `dragged` is called when the visitor moves the target."""
+    def __init__(self, stage: "Stage", k: int, name: str, T: np.ndarray, dragged: Callable[[], None]) -> None:
+        """Draw them at T (4, 4); `dragged` is called when the visitor moves them."""
+        self.T_world_base = stage.body.T_world_base
+        scene = stage.client.scene
+        self.gizmo = scene.add_transform_controls(f"/target/{k}", scale=0.22 * stage.size, disable_sliders=True)
+        self.name = scene.add_label(f"/target/{k}/name", name, anchor="bottom-left") if name else None
+        self.put(T)
+        self.gizmo.on_update(lambda _: dragged())
+
+    def put(self, target: np.ndarray) -> None:
+        """Put them at T_base_target (4, 4), or at a position (3,) with the rotation they have."""
+        if target.ndim == 1:
+            place, target = target, self.target.copy()
+            target[:3, 3] = place
+        self.target = target
+        _place(self.gizmo, self.T_world_base @ target)
+
+    def read(self) -> np.ndarray:
+        """T_base_target (4, 4) where the visitor has dragged them to."""
+        if not np.isfinite([*self.gizmo.wxyz, *self.gizmo.position]).all() or not np.any(self.gizmo.wxyz):
+            raise InvalidTarget("the target was dragged to no pose")
+        T = np.eye(4)
+        T[:3, :3] = pin.Quaternion(*(float(x) for x in self.gizmo.wxyz)).normalized().matrix()
+        T[:3, 3] = self.gizmo.position
+        self.target = np.linalg.inv(self.T_world_base) @ T
+        return self.target
+
+    def turns(self, rotations: bool, visible: bool) -> None:
+        """Whether there are rings, and whether there is anything."""
+        self.gizmo.disable_rotations, self.gizmo.visible = not rotations, visible
+        if self.name is not None:
+            self.name.visible = visible
+
+
+class Stage:
+    """A robot in the view of a viser client (or server). handles: one a tip."""
+
+    def __init__(
+        self,
+        client: Any,
+        body: Body,
+        q: np.ndarray,
+        targets: dict[str, np.ndarray],
+        frames: bool,
+        dragged: Callable[[], None],
+    ) -> None:
+        """Draw the robot at q and targets (4, 4) by tip; `dragged` is called when the visitor moves one."""
         self.client, self.body = client, body
         self.robot: Any = body.robot
         scene, robot = client.scene, self.robot
@@ -44,14 +89,16 @@ class Stage:
                     f"/robot/{part.name}/{k}", shape.vertices, shape.faces, color=rgb, opacity=opacity, side="double"
                 )
         length = 0.1 * self.size
-        self.tip = scene.add_frame("/tip", axes_length=length, axes_radius=0.03 * length)
+        self.tips = [
+            scene.add_frame(f"/tip/{k}", axes_length=length, axes_radius=0.03 * length) for k in range(len(targets))
+        ]
         self.axes = [
             scene.add_frame(f"/joint/{k}", axes_length=0.8 * length, axes_radius=0.02 * length, visible=frames)
             for k in range(robot.n)
         ]
-        self.gizmo = scene.add_transform_controls("/target", scale=0.22 * self.size, disable_sliders=True)
-        self.put_target(robot.fk(q).homogeneous)
-        self.gizmo.on_update(lambda _: dragged())
+        self.handles = [
+            Handle(self, k, tip if len(targets) > 1 else "", T, dragged) for k, (tip, T) in enumerate(targets.items())
+        ]
         self.aim(q)
 
     def show(self, q: np.ndarray) -> None:
@@ -59,7 +106,8 @@ class Stage:
         body, model = self.body, self.robot.model
         for handle, M in zip(self.parts, body.placements(q), strict=True):
             _place(handle, M)
-        _place(self.tip, body.T_world_base @ self.robot.fk(q).homogeneous)
+        for handle, T in zip(self.tips, body.tips(q), strict=True):
+            _place(handle, T)
         for handle, joint in zip(self.axes, self.robot.joint_names, strict=True):
             _place(handle, body.data.oMi[model.getJointId(joint)].homogeneous)
 
@@ -67,24 +115,6 @@ class Stage:
         """Show or hide the joints' axes."""
         for frame in self.axes:
             frame.visible = visible
-
-    def put_target(self, target: np.ndarray) -> None:
-        """Put arrows and rings at T_base_target (4, 4), or at a position (3,) with the rotation they have."""
-        if target.ndim == 1:
-            place, target = target, self.target.copy()
-            target[:3, 3] = place
-        self.target = target
-        _place(self.gizmo, self.body.T_world_base @ target)
-
-    def read_target(self) -> np.ndarray:
-        """T_base_target (4, 4) where the visitor has dragged arrows and rings to."""
-        if not np.isfinite([*self.gizmo.wxyz, *self.gizmo.position]).all() or not np.any(self.gizmo.wxyz):
-            raise InvalidTarget("the target was dragged to no pose")
-        T = np.eye(4)
-        T[:3, :3] = pin.Quaternion(*(float(x) for x in self.gizmo.wxyz)).normalized().matrix()
-        T[:3, 3] = self.gizmo.position
-        self.target = np.linalg.inv(self.body.T_world_base) @ T
-        return self.target
 
     def aim(self, q: np.ndarray) -> None:
         """Look at the robot at q from the front right."""

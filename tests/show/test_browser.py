@@ -175,27 +175,57 @@ def on_screen(desk, canvas, point):
     return canvas["x"] + 0.5 * canvas["width"] + scale * across, canvas["y"] + 0.5 * canvas["height"] + scale * down
 
 
+def drag(page, desk, k):
+    """Drag the target of tip k along its x arrow; returns where it was (4, 4)."""
+    handle = desk.stage.handles[k]
+    T = handle.target.copy()
+    canvas = page.locator("canvas").first.bounding_box()
+    arrow = 0.22 * desk.stage.size * (desk.stage.body.T_world_base @ T)[:3, 0]
+    at, to = (on_screen(desk, canvas, handle.gizmo.position + f * arrow) for f in (0.8, 1.2))
+    page.mouse.move(*at)
+    page.wait_for_timeout(300)
+    page.mouse.down()
+    for step in range(1, 11):
+        page.mouse.move(*(np.array(at) + 0.1 * step * (np.array(to) - at)))
+        page.wait_for_timeout(50)
+    page.mouse.up()
+    moved = handle.target[:3, 3] - T[:3, 3]
+    assert moved @ T[:3, 0] > 0.02 and np.linalg.norm(np.cross(moved, T[:3, 0])) < 1e-6  # along the arrow
+    return T
+
+
 def test_dragging_the_target_moves_the_robot(browser, panel):
     with fresh_page(browser) as page:
         hand = PanelPage(page, panel.url)
         page.wait_for_timeout(1500)  # the first picture is drawn, and the camera told
         (desk,) = panel.desks.values()
-        T = desk.stage.target.copy()
-        canvas = page.locator("canvas").first.bounding_box()
-        arrow = 0.22 * desk.stage.size * (desk.stage.body.T_world_base @ T)[:3, 0]
-        at, to = (on_screen(desk, canvas, desk.stage.gizmo.position + k * arrow) for k in (0.8, 1.2))
-        page.mouse.move(*at)
-        page.wait_for_timeout(300)
-        page.mouse.down()
-        for k in range(1, 11):
-            page.mouse.move(*(np.array(at) + 0.1 * k * (np.array(to) - at)))
-            page.wait_for_timeout(50)
-        page.mouse.up()
-        moved = desk.stage.target[:3, 3] - T[:3, 3]
-        assert moved @ T[:3, 0] > 0.02 and np.linalg.norm(np.cross(moved, T[:3, 0])) < 1e-6  # along the arrow
+        drag(page, desk, 0)
         hand.wait_for("Converged")
-        hand.wait_for_pose(desk.stage.target)
+        hand.wait_for_pose(desk.stage.handles[0].target)
         assert page.errors == []
+
+
+def test_each_of_two_targets_can_be_dragged(browser):
+    pytest.importorskip("viser", reason="viser is not installed (extra 'panel')")
+    from ik_toolkit.show.panel import Panel
+
+    with contextlib.closing(Panel("brokk_hydrolek")) as panel, fresh_page(browser) as page:
+        hand = PanelPage(page, panel.url)
+        page.wait_for_timeout(1500)
+        (desk,) = panel.desks.values()
+        for k, other in ((1, 0), (0, 1)):
+            still = desk.session.poses()[desk.session.robot.tips[other]]
+            drag(page, desk, k)
+            hand.wait_for("Converged")
+            assert desk.worker.idle()
+            poses = list(desk.session.poses().values())
+            assert np.allclose(poses[k], desk.stage.handles[k].target, atol=1e-5)
+            assert np.allclose(poses[other], still, atol=1e-5)
+        hand.tab("Solve")
+        page.locator("td", has_text="right_tip").first.wait_for()
+        hand.choose("Tip 2", "none")
+        hand.wait_for("to left_tip, 7 joints")
+        assert page.outside == [] and page.errors == []
 
 
 def test_the_panel_by_hand(browser, panel):

@@ -131,7 +131,7 @@ def test_the_panel(robot, tmp_path):
             desk._guard(lambda source=source: desk._switch(source))()
             pages.append(desk.status.content)
         assert "onerror=alert(1)" in pages[-3] and "&lt;" in pages[-2] and "not well-formed" in pages[-1]
-        desk.xyz.value = EVIL[0]
+        desk.goals[0].xyz.value = EVIL[0]
         desk._guard(desk._solve)()
         pages.append(desk.status.content)
         assert "onerror=alert(1)" in pages[-1]

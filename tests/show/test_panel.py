@@ -54,7 +54,7 @@ def test_bad_typed_input_is_refused_in_words(xyz, kind, rotation, words):
 def test_a_solve_moves_the_robot_and_a_failure_does_not():
     session = Session("hydrolek_7w")
     goal = session.robot.fk(session.robot.random_q(np.random.default_rng(1))).homogeneous
-    assert session.solve(goal).success and np.allclose(session.tip(), goal, atol=1e-5)
+    assert session.solve(goal).success and np.allclose(session.poses()["tool"], goal, atol=1e-5)
     kept = session.q.copy()
     far = goal.copy()
     far[0, 3] = 9.0
@@ -73,7 +73,7 @@ def test_parameters_go_to_the_solver():
     for text, words in (("a b", "takes a number or a list"), ("fast", "takes a number")):
         session.parameters = {"damping": text}
         with pytest.raises(InvalidOption, match=words):
-            session.solve(session.tip())
+            session.solve(session.poses()["tool"])
     session.solver, session.parameters = "pid", {"kp": "[1, 1, 1, 1, 1, 1]"}
     assert len(session.rule().kp) == 6
 
@@ -98,7 +98,7 @@ def test_switching_keeps_everything_when_it_fails():
         session.load("no_such_robot")
     assert session.robot is robot and session.source == "hydrolek_7w"
     session.load("brokk_hydrolek")
-    assert session.robot.tip == "left_tip" and session.tips == ("left_tip", "right_tip")
+    assert session.robot.tips == session.tips == ("left_tip", "right_tip")
     session.load("brokk_hydrolek", "right_tip")
     assert session.robot.tip == "right_tip"
 
@@ -137,7 +137,7 @@ def test_json_is_plain_numbers():
     session.solve(session.robot.fk(session.robot.home).translation)
     made = json.loads(session.to_json())
     assert made["joint_names"] == list(session.robot.joint_names) and made["result"]["success"]
-    assert np.allclose(made["T_base_tip"], session.tip())
+    assert np.allclose(made["T_base_tip"], session.poses()["tool"])
 
 
 def test_continuous_joints_have_a_turn_of_slider():
@@ -272,7 +272,7 @@ def test_moving_a_slider_moves_what_is_drawn(desk):
     desk._moved()
     assert np.isclose(desk.session.q[1], np.radians(30.0)) and np.array_equal(desk.session.q[2:], before[2:])
     T = robot.fk(desk.session.q)
-    assert np.allclose(desk.stage.tip.position, T.translation, atol=1e-9)
+    assert np.allclose(desk.stage.tips[0].position, T.translation, atol=1e-9)
     for handle, M in zip(desk.stage.parts, desk.stage.body.placements(desk.session.q), strict=True):
         assert np.allclose(handle.position, M[:3, 3], atol=1e-9)
     assert f"{T.translation[0]:.5f}" in desk.pose.content
@@ -280,19 +280,19 @@ def test_moving_a_slider_moves_what_is_drawn(desk):
 
 def test_solving_a_typed_pose(desk):
     goal = desk.session.robot.fk(desk.session.robot.random_q(np.random.default_rng(2))).homogeneous
-    desk.xyz.value, desk.rotation.value = desk.session.words(goal, "roll pitch yaw")
+    desk.goals[0].xyz.value, desk.goals[0].rotation.value = desk.session.words(goal, "roll pitch yaw")
     desk._guard(desk._solve)()
     assert "Converged" in desk.status.content and desk.plot.visible and "CONVERGED" in desk.outcome.content
-    assert np.allclose(desk.stage.tip.position, goal[:3, 3], atol=1e-4)
-    kept = np.array(desk.stage.tip.position)
-    desk.xyz.value = "9 0 0"
+    assert np.allclose(desk.stage.tips[0].position, goal[:3, 3], atol=1e-4)
+    kept = np.array(desk.stage.tips[0].position)
+    desk.goals[0].xyz.value = "9 0 0"
     desk._guard(desk._solve)()
     assert "beyond reach" in desk.status.content and "stays where it was" in desk.status.content
-    assert np.array_equal(desk.stage.tip.position, kept)
-    desk.xyz.value = "<b>9</b>"
+    assert np.array_equal(desk.stage.tips[0].position, kept)
+    desk.goals[0].xyz.value = "<b>9</b>"
     desk._guard(desk._solve)()
     assert "takes 3 numbers" in desk.status.content and "<b>" not in desk.status.content
-    desk.xyz.value, desk.tolerance.value = "0.9 0 0", "much"
+    desk.goals[0].xyz.value, desk.tolerance.value = "0.9 0 0", "much"
     desk._guard(desk._solve)()
     assert "the tolerance is a number" in desk.status.content
 
@@ -300,20 +300,20 @@ def test_solving_a_typed_pose(desk):
 def test_dragging_follows(desk):
     q = np.clip(desk.session.q + 0.05, desk.session.robot.lower, desk.session.robot.upper)
     T = desk.session.robot.fk(q).homogeneous
-    desk.stage.put_target(T)
+    desk.stage.handles[0].put(T)
     desk._dragged()
-    assert np.allclose(desk.stage.tip.position, T[:3, 3], atol=1e-5)
-    assert np.allclose([float(x) for x in desk.xyz.value.split()], T[:3, 3], atol=1e-5)
+    assert np.allclose(desk.stage.tips[0].position, T[:3, 3], atol=1e-5)
+    assert np.allclose([float(x) for x in desk.goals[0].xyz.value.split()], T[:3, 3], atol=1e-5)
     desk.live = False
-    kept = np.array(desk.stage.tip.position)
-    desk.stage.gizmo.position = (0.7, 0.1, 0.1)
+    kept = np.array(desk.stage.tips[0].position)
+    desk.stage.handles[0].gizmo.position = (0.7, 0.1, 0.1)
     desk._dragged()
-    assert np.array_equal(desk.stage.tip.position, kept) and desk.xyz.value.startswith("0.7")
+    assert np.array_equal(desk.stage.tips[0].position, kept) and desk.goals[0].xyz.value.startswith("0.7")
 
 
 def test_all_solutions_can_be_picked(desk):
-    desk._orientation("free")
-    desk.xyz.value = desk.session.words(desk.session.tip(), "free")[0]
+    desk.goals[0].give("free")
+    desk.goals[0].xyz.value = desk.session.words(desk.session.poses()["tool"], "free")[0]
     desk._guard(desk._solve_all)()
     assert desk.found.visible and len(desk.session.solutions) > 2
     desk._pick(2, desk.session.solutions[2])

@@ -74,7 +74,7 @@ class Visitor:
 
     def drag(self, wxyz, position):
         self.say(
-            type="TransformControlsUpdateMessage", name="/target", wxyz=wxyz, position=position, owner=str(self.id)
+            type="TransformControlsUpdateMessage", name="/target/0", wxyz=wxyz, position=position, owner=str(self.id)
         )
 
     def status(self):
@@ -122,12 +122,12 @@ def test_twenty_visitors_at_once(panel):
 
 def nonsense(rng, visitor):
     """One message the page would never send."""
-    slider, text = rng.choice(visitor.desk.sliders)._impl.uuid, visitor.desk.xyz._impl.uuid
+    slider, text = rng.choice(visitor.desk.sliders)._impl.uuid, visitor.desk.goals[0].xyz._impl.uuid
     odd = rng.choice([None, "x", [], {}, True, -1, 1e308, math.nan, math.inf, "nan", [1, 2], {"a": None}, "\x00" * 9])
     update = {"type": "GuiUpdateMessage", "uuid": rng.choice([slider, text])}
     target = {
         "type": "TransformControlsUpdateMessage",
-        "name": "/target",
+        "name": "/target/0",
         "wxyz": [rng.choice([0.0, math.nan, 1e308, -1.0]) for _ in range(4)],
         "position": [rng.choice([0.0, math.inf, 1e308, 1e-308]) for _ in range(3)],
         "owner": rng.choice([str(visitor.id), "", "x"]),
@@ -187,12 +187,16 @@ def check_alive(panel):
     visitor.change(desk.sliders[1], 30.0)
     assert until(lambda: math.isclose(desk.session.q[1], math.radians(30.0)))
     goal = robot.fk(np.clip(desk.session.q + 0.1, robot.lower, robot.upper)).homogeneous
-    for handle, text in zip((desk.xyz, desk.rotation), desk.session.words(goal, "roll pitch yaw"), strict=True):
+    for handle, text in zip(
+        (desk.goals[0].xyz, desk.goals[0].rotation), desk.session.words(goal, "roll pitch yaw"), strict=True
+    ):
         visitor.change(handle, text)
-    assert until(lambda: desk.worker.idle() and desk.rotation.value == desk.session.words(goal, "roll pitch yaw")[1])
+    assert until(
+        lambda: desk.worker.idle() and desk.goals[0].rotation.value == desk.session.words(goal, "roll pitch yaw")[1]
+    )
     visitor.press("Solve")
     assert until(lambda: "Converged" in visitor.status()), visitor.status()
-    visitor.change(desk.xyz, "9 0 0")
+    visitor.change(desk.goals[0].xyz, "9 0 0")
     visitor.press("Solve")
     assert until(lambda: "stays where it was" in visitor.status()), visitor.status()
     visitor.leave()
@@ -216,10 +220,10 @@ def test_values_that_are_no_numbers_are_refused_in_words(panel):
     visitor.drag((1.0, 0.0, 0.0, 0.0), (1e200, 0.0, 0.0))
     assert until(lambda: "1e+200" in visitor.status() or "beyond" in visitor.status()), visitor.status()
     assert np.array_equal(visitor.desk.session.q, q)
-    visitor.change(visitor.desk.xyz, "1 " * 100_000)
+    visitor.change(visitor.desk.goals[0].xyz, "1 " * 100_000)
     visitor.press("Solve")
     assert until(lambda: "takes 3 numbers; got 100000" in visitor.status())
-    visitor.change(visitor.desk.xyz, "x" * 100_000)
+    visitor.change(visitor.desk.goals[0].xyz, "x" * 100_000)
     visitor.press("Solve")
     assert until(lambda: "takes 3 numbers, not" in visitor.status() and len(visitor.status()) < 2000)
     visitor.leave()
@@ -270,7 +274,7 @@ def test_no_files_are_taken(panel):
     finally:
         tracemalloc.stop()
     with contextlib.suppress(websockets.exceptions.ConnectionClosed):
-        visitor.change(visitor.desk.xyz, "1" * 2**21)
+        visitor.change(visitor.desk.goals[0].xyz, "1" * 2**21)
     visitor.listener.join(30.0)
     assert visitor.socket.close_code == 1009  # message too big
     assert until(lambda: visitor.id not in panel.desks)

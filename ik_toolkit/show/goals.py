@@ -1,0 +1,75 @@
+"""Controls of the panel for the target of one tip: typed numbers, and how its orientation is given."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from .session import KINDS, NONE, Session
+from .stage import Handle
+
+
+class Goal:
+    """The target of one tip as typed and as dragged. kind: one of KINDS, or NONE where the tip has no target."""
+
+    def __init__(self, gui: Any, session: Session, tip: str, kind: str, listen: Callable[..., None]) -> None:
+        """Build the controls; listen(handle, name, job) does a job when the visitor changes one."""
+        self.session, self.tip, self.kind = session, tip, kind
+        T = session.goals()[tip]
+        xyz, rotation = session.words(T, kind)
+        self.xyz = gui.add_text("x y z [m]", xyz, visible=kind != NONE)
+        kinds = (*KINDS, NONE) if session.robot.by_tip else KINDS
+        orientation = gui.add_dropdown("Orientation", kinds, initial_value=kind)
+        listen(orientation, f"kind {tip}", lambda: self.give(orientation.value))
+        self.rotation = gui.add_text(self._label(), rotation, visible=self.posed)
+        self.handle: Handle | None = None
+
+    @property
+    def posed(self) -> bool:
+        """Whether an orientation is asked for."""
+        return self.kind in KINDS[:2]
+
+    def join(self, handle: Handle) -> None:
+        """Take the arrows and rings that belong to it."""
+        self.handle = handle
+        handle.turns(self.posed, self.kind != NONE)
+
+    def give(self, kind: str) -> None:
+        """Change how the orientation is given."""
+        self.kind = kind
+        self.xyz.visible, self.rotation.visible = kind != NONE, self.posed
+        if self.posed:
+            self.rotation.label = self._label()
+            self.rotation.value = self.session.words(self.handle.target, kind)[1]
+        self.handle.turns(self.posed, kind != NONE)
+
+    def _label(self) -> str:
+        return (
+            "quaternion x y z w" if self.kind == "quaternion" else f"r p y [{'deg' if self.session.degrees else 'rad'}]"
+        )
+
+    def typed(self) -> np.ndarray | None:
+        """Target of the fields, where the arrows go too; None where there is none. Raises InvalidTarget."""
+        if self.kind == NONE:
+            return None
+        target = self.session.typed(self.xyz.value, self.kind, self.rotation.value)
+        self.handle.put(target)
+        return target
+
+    def dragged(self) -> np.ndarray | None:
+        """Target that the arrows were dragged to, written into the fields."""
+        if self.kind == NONE:
+            return None
+        T = self.handle.read()
+        self._write(T)
+        return T if self.posed else T[:3, 3]
+
+    def put(self, T: np.ndarray) -> None:
+        """Put arrows and fields at a pose (4, 4)."""
+        self.handle.put(T)
+        self._write(T)
+
+    def _write(self, T: np.ndarray) -> None:
+        self.xyz.value, rotation = self.session.words(T, self.kind)
+        if self.posed:
+            self.rotation.value = rotation
