@@ -159,3 +159,14 @@ class Tree(Joints):
 
     def _route(self) -> str:
         return f"{self.base} &rarr; {', '.join(self.tips)}"
+
+
+def require_one_tip(robot: Any, what: str) -> None:
+    """Raise InvalidOption unless `robot` is a Robot; `what` begins the sentence, which says how to choose one tip of a tree."""
+    if isinstance(robot, Tree):
+        raise InvalidOption(
+            f"{what} is for one tip, and this tree has {', '.join(robot.tips)}; choose one: ik.Robot.load(source, tip="
+            f"'{robot.tips[0]}'), or --tip in a shell"
+        )
+    if not isinstance(robot, Robot):
+        raise InvalidOption(f"{what} takes a Robot (see Robot.load), not {type(robot).__name__}")

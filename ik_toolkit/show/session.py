@@ -129,9 +129,8 @@ class Session:
         """Names of solvers that can be tried on this robot."""
         from ..solvers.closed_form import fits
 
-        several = self.robot.by_tip
-        closed = set() if several else {fits(self.robot, kind) for kind in (POSITION, POSE)}
-        rows = (row for row in list_rows() if not (several and row.one_tip))
+        closed = {fits(self.robot, kind) for kind in (POSITION, POSE)}
+        rows = (row for row in list_rows() if not (self.robot.by_tip and row.one_tip))
         return ["auto", *(row.name for row in rows if not row.closed or row.name in closed)]
 
     def fields(self) -> dict[str, Any]:

@@ -7,11 +7,11 @@ from typing import Any
 import numpy as np
 
 from ..robot.robot import Robot
+from ..robot.tree import require_one_tip
 from ..solvers.batch import solve_batch
 from ..solvers.registry import find_row
 from ..solvers.solve import Solver
 from .statistics import wilson
-from .targets import require_one_tip
 
 STUCK = 1e-9  # rad or reaches: a run that never moves a joint further than this stands still
 

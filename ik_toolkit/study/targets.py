@@ -15,16 +15,6 @@ CELLS = 40  # voxels along the reach, for volume-uniform targets
 POOL = 200_000  # configurations that fill the voxels
 
 
-def require_one_tip(robot: Any, what: str) -> None:
-    """Raise InvalidOption unless `robot` is a Robot; `what` names the study in the sentence."""
-    require_robot(robot)
-    if not isinstance(robot, Robot):
-        tips = ", ".join(robot.tips)
-        raise InvalidOption(
-            f"{what} takes a Robot with one tip, not a Tree with the tips {tips}; load it with one of them"
-        )
-
-
 def one_tip(robot: Robot | Tree, tip: str | None) -> str:
     """The tip that is meant: the one given, or a Robot's own. Raises InvalidOption (a Tree, and none given), FrameNotFound."""
     if tip is None and robot.by_tip:

@@ -14,6 +14,7 @@ from ..errors import InvalidConfiguration, InvalidOption, InvalidTarget, floats
 from ..kernel import motion
 from ..robot.pose import PROJECT_WITHIN, AxisTarget, check_target
 from ..robot.robot import Robot
+from ..robot.tree import require_one_tip
 from .engine import bind
 from .inputs import positive
 from .methods import Method, interpolate
@@ -101,7 +102,7 @@ class Tracker:
         **options: Any,
     ) -> None:
         """Bind a robot and a method."""
-        _require_one_tip(robot)
+        require_one_tip(robot, "tracking")
         self.robot = robot
         self.engine = bind(robot, method, limits, options)
         self.jump = positive(jump, "jump")
@@ -221,12 +222,6 @@ class Tracker:
         return T if m == 6 else np.vstack([np.hstack([np.eye(3), T[:3, 3:]]), T[3:]])
 
 
-def _require_one_tip(robot: Any) -> None:
-    """Raise InvalidOption for anything but a Robot."""
-    if not isinstance(robot, Robot):
-        raise InvalidOption(f"a robot with one tip is tracked (see Robot.load), not a {type(robot).__name__}")
-
-
 def _rigid(T: np.ndarray) -> bool:
     """Whether (4, 4) numbers are a pose: the long look of `check_target`, which mends or refuses, costs ten times as much."""
     (a, b, c, _), (d, e, f, _), (g, h, i, _), last = T.tolist()
@@ -286,7 +281,7 @@ def track(
     gains are unstable at dt. A run that diverges ends there, with a status and a sentence; the arrays hold only what was
     reached. Raises InvalidOption, InvalidTarget, InvalidConfiguration.
     """
-    _require_one_tip(robot)
+    require_one_tip(robot, "tracking")
     if not isinstance(reference, Reference):
         raise InvalidTarget(f"track follows a Reference (ik.circle, ik.line, ...), not {type(reference).__name__}")
     dt = positive(dt, "dt [s]")
