@@ -59,14 +59,17 @@ def drag(robot: str) -> tuple[np.ndarray, np.ndarray]:
                 inside.append(time.perf_counter() - begun)
 
             desk._dragged = timed
-            wxyz, start = tuple(map(float, desk.stage.gizmo.wxyz)), np.array(desk.stage.gizmo.position)
+            wxyz, start = (
+                tuple(map(float, desk.stage.handles[0].gizmo.wxyz)),
+                np.array(desk.stage.handles[0].gizmo.position),
+            )
             whole = []
             for k in range(1, STEPS + 1):
                 place = start + 0.08 * desk.session.robot.reach * np.sin(k / np.array([15.0, 11.0, 19.0]))
                 begun = time.perf_counter()
                 say(
                     type="TransformControlsUpdateMessage",
-                    name="/target",
+                    name="/target/0",
                     wxyz=wxyz,
                     position=place.tolist(),
                     owner=str(number),
