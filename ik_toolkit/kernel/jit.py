@@ -13,7 +13,13 @@ from numba import njit, types
 from numba.extending import overload, overload_method
 
 from .cache import make_cache
-from .parts import PartPipeline, any_integer
+
+try:
+    from .parts import PartPipeline
+except ImportError:  # another numba: it compiles parts its own way, which takes longer
+    PARTS = {}
+else:
+    PARTS = {"pipeline_class": PartPipeline}
 
 # No nnan/ninf: a NaN has to fail every test instead of being assumed away.
 OPTIONS: dict[str, Any] = {"fastmath": {"nsz", "arcp", "contract", "afn", "reassoc"}, "error_model": "numpy"}
@@ -21,21 +27,13 @@ jit = njit(**OPTIONS)  # may be called from Python, too; compiled into its calle
 # What follows is for the kernel alone (see parts.py); a call from Python would crash. Only what makes arrays counts references
 # (`build`); all the rest borrows them, so a record of arrays costs nothing to pass, and must not return an array, or a record
 # of arrays, to a function that counts.
-BARE: dict[str, Any] = dict(OPTIONS, no_cpython_wrapper=True, no_cfunc_wrapper=True, pipeline_class=PartPipeline)
+BARE: dict[str, Any] = dict(OPTIONS, no_cpython_wrapper=True, no_cfunc_wrapper=True, **PARTS)
 BUILD: dict[str, Any] = dict(BARE, forceinline=True)
 INLINE: dict[str, Any] = dict(BUILD, _nrt=False)
+inner = njit(**BARE, _nrt=False)  # one copy, called: for what is cold, or large and used at several places
+inline = njit(**INLINE)  # into every caller; also what takes or returns records, which are expensive to pass
 build = njit(**BUILD)
 spliced = njit(inline="always", _nrt=False, **BARE)  # for a large part called once: no second copy is optimised
-
-
-def inner(function: Callable) -> Any:
-    """One copy, called: for what is cold, or large and used at several places."""
-    return any_integer(njit(**BARE, _nrt=False)(function))
-
-
-def inline(function: Callable) -> Any:
-    """Into every caller; also what takes or returns records, which are expensive to pass."""
-    return any_integer(njit(**INLINE)(function))
 
 
 # ------------------------------------------------------------------------------------------------- classes in the kernel

@@ -1,19 +1,23 @@
-"""How parts of a kernel are compiled: their code is only kept, and optimised once, in the kernel that they end up in.
-
-numba takes every compiled function for something to run: it optimises each as a library of its own, twice, with copies of all
-it calls, and makes machine code of it. Parts are never run on their own.
-"""
+"""How parts of a kernel are compiled: numba makes machine code of every function, but parts are never run on their own."""
 
 from typing import Any
 
-from llvmlite.binding import Linkage
-from numba import _dynfunc, types  # pyright: ignore[reportAttributeAccessIssue]
+from numba import _dynfunc  # pyright: ignore[reportAttributeAccessIssue]
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler, Flags
 
+# What is used of numba beyond its documentation; where it is missing, jit.py does without this module.
+USED = ("_optimize_functions", "_finalize_final_module")
+if "no_compile" not in Flags.options or not all(hasattr(JITCodeLibrary, name) for name in USED):
+    raise ImportError("this numba compiles otherwise")
+
 
 class PartLibrary(JITCodeLibrary):
-    """Code of a part as it was made; what it calls stays in libraries of its own."""
+    """Code of a part and of what it calls, optimised, but no machine code of it.
+
+    It is optimised before it is inlined: inlined first and optimised once, all takes a second less to compile, and dls runs
+    a quarter slower.
+    """
 
     def _optimize_functions(self, ll_module: Any) -> None:
         """Simplify what the module defines; numba makes new passes for each function, and for those only declared, too."""
@@ -23,36 +27,8 @@ class PartLibrary(JITCodeLibrary):
             if not function.is_declaration:
                 passes.run(function, builder)
 
-    def finalize(self) -> None:
-        """Nothing is to be done before the kernel."""
-        self._raise_if_finalized()
+    def _finalize_final_module(self) -> None:
         self._finalized = True
-
-    def _get_module_for_linking(self) -> Any:
-        if self._shared_module is None:
-            module = _for_linking(self)
-            waiting, seen = list(self._linking_libraries), {self}
-            while waiting:
-                library = waiting.pop()
-                if library in seen:
-                    continue
-                seen.add(library)
-                if isinstance(library, PartLibrary):
-                    waiting += library._linking_libraries
-                    module.link_in(_for_linking(library))
-                else:
-                    module.link_in(library._get_module_for_linking(), preserve=True)
-            self._shared_module = module
-        return self._shared_module
-
-
-def _for_linking(part: PartLibrary) -> Any:
-    """Copy of the own code of a part, whose names may occur again in others."""
-    module = part._final_module.clone()
-    for function in module.functions:
-        if not function.is_declaration and function.linkage == Linkage.external:
-            function.linkage = "linkonce_odr"
-    return module
 
 
 class Quick(Flags):
@@ -103,13 +79,3 @@ class PartPipeline(Compiler):
         )  # fmt: skip
         state.targetctx.insert_user_function(entry, description, [library])
         return result._replace(entry_point=entry)
-
-
-def any_integer(dispatcher: Any) -> Any:
-    """Compile a part once for all integers: numba compiles it for each constant that it is called with."""
-    if hasattr(dispatcher, "get_call_template"):  # with NUMBA_DISABLE_JIT=1 it is the plain function
-        plain = dispatcher.get_call_template
-        dispatcher.get_call_template = lambda args, kws: plain(
-            tuple(types.unliteral(a) for a in args), {k: types.unliteral(a) for k, a in kws.items()}
-        )
-    return dispatcher
