@@ -8,6 +8,7 @@ import numpy as np
 from ..errors import NotSolved
 from ..kernel.records import ANSWER, AT, MISS
 from ..kernel.task import FREE, POSITION
+from ..style import BAD, GOOD
 from .registry import GENERAL
 from .status import SEARCHED, Status, sentence
 from .task import all_errors
@@ -244,7 +245,7 @@ class Result:
 
     def _repr_html_(self) -> str:
         """Table for notebooks."""
-        colour = "#1b7837" if self.success else "#b2182b"
+        colour = GOOD if self.success else BAD
         cells = "".join(
             f"<tr><td>{html.escape(j)}</td><td>{x:.6f}</td></tr>"
             for j, x in zip(self.robot.joint_names, self.q, strict=True)
