@@ -203,13 +203,12 @@ def _show(result: "Result", target: Any, options: dict[str, Any], deg: bool) -> 
     show(joints)
     if robot.by_tip:
         relative = options.get("relative_to") or {}
-        tips = table("<tip", "<target", ">position error", ">orientation error")
+        tips = table("<tip", "<target in", ">position\nerror", ">orientation\nerror")
         for tip, position in result.position_errors.items():
-            what = f"in {relative[tip]}" if tip in relative else "in the base frame"
-            if tip in target:
-                tips.add_row(tip, what, _length(position), _angle(result.orientation_errors[tip]))
-            else:
-                tips.add_row(tip, "none", "free", "free")
+            angle = result.orientation_errors[tip]
+            left = "free" if angle is None else f"{math.degrees(angle):.3g} deg" if deg else f"{angle:.3g} rad"
+            given = (relative.get(tip, robot.base), _length(position), left)
+            tips.add_row(tip, *(given if tip in target else ("no target", "free", "free")))
         show(tips)
     counts = f"{result.iterations}, restarts {result.restarts}, FK evaluations {result.fk_evaluations}"
     errors = {"position error": _length(result.position_error), "orientation error": _angle(result.orientation_error)}
