@@ -208,7 +208,16 @@ def load_robot(
     if isinstance(tip, list):
         robot = Tree.load(source, tips=tip, base=base, package_dirs=package_dir or ())
     else:
-        robot = Robot.load(source, tip=tip, base=base, package_dirs=package_dir or ())
+        try:
+            robot = Robot.load(source, tip=tip, base=base, package_dirs=package_dir or ())
+        except FrameNotFound as several:
+            if not several.tips:
+                raise
+            ends = FrameNotFound(
+                f"'{source}' has {len(several.tips)} ends; choose with --tip: {', '.join(several.tips)}"
+            )
+            ends.tips = several.tips
+            raise ends from None
     if not lock:
         return robot
     values = {}

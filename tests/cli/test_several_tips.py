@@ -337,3 +337,18 @@ def test_long_names_fit_a_terminal(run, monkeypatch):
     code, out, _ = run("solve", "tiago_dual", *words)
     assert code == 0 and max(map(len, out.splitlines())) <= 80
     assert sum(line.split()[:2] == [right, left] for line in out.splitlines()) == 1
+
+
+def test_a_robot_without_known_tips_is_asked_for_them_in_the_words_of_a_shell(run, tmp_path):
+    ends = "".join(
+        f'<link name="{x}"/><joint name="j{x}" type="revolute"><parent link="a"/><child link="{x}"/><axis xyz="0 0 1"/>'
+        f'<origin xyz="1 0 0"/><limit lower="-1" upper="1" effort="1" velocity="1"/></joint>'
+        for x in "bc"
+    )
+    file = tmp_path / "fork.urdf"
+    file.write_text(f'<robot name="fork"><link name="a"/>{ends}</robot>')
+    assert "has 2 ends; choose with --tip: b, c" in refusal(run, "solve", file, "--xyz", 1, 0, 0)
+    code, out, _ = run("solve", file, "--target", "b:1,0,0", "--json")
+    assert code == 0 and json.loads(out)["joint_names"] == ["jb"]
+    code, out, _ = run("solve", file, "--target", "b:1,0,0", "--tip", "b", "--tip", "c", "--json")
+    assert code == 0 and json.loads(out)["joint_names"] == ["jb", "jc"]
