@@ -27,9 +27,10 @@ jit = njit(**OPTIONS)  # may be called from Python, too; compiled into its calle
 # What follows is for the kernel alone (see parts.py); a call from Python would crash. Only what makes arrays counts references
 # (`build`); all the rest borrows them, so a record of arrays costs nothing to pass, and must not return an array, or a record
 # of arrays, to a function that counts.
+# What makes arrays is compiled by plain numba: as a part, its references are counted in full, 5 microseconds a call.
+BUILD: dict[str, Any] = dict(OPTIONS, no_cpython_wrapper=True, no_cfunc_wrapper=True, forceinline=True)
+INLINE: dict[str, Any] = dict(BUILD, _nrt=False, **PARTS)
 BARE: dict[str, Any] = dict(OPTIONS, no_cpython_wrapper=True, no_cfunc_wrapper=True, **PARTS)
-BUILD: dict[str, Any] = dict(BARE, forceinline=True)
-INLINE: dict[str, Any] = dict(BUILD, _nrt=False)
 inner = njit(**BARE, _nrt=False)  # one copy, called: for what is cold, or large and used at several places
 inline = njit(**INLINE)  # into every caller; also what takes or returns records, which are expensive to pass
 build = njit(**BUILD)
