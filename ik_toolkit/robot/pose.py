@@ -194,15 +194,22 @@ def pose(
     return check_target(T)[0]
 
 
+def _axes(T: np.ndarray, target: np.ndarray, frame: str) -> np.ndarray:
+    """Rotation (3, 3) that takes a vector of the base into the axes of `frame`."""
+    if frame == "base" or (frame == "target" and target.ndim == 1):
+        return np.eye(3)
+    return (T if frame == "tip" else target)[:3, :3].T
+
+
 def raw_error(T: np.ndarray, target: np.ndarray, frame: str = "base") -> np.ndarray:
     """Error (6,) of a tip pose T (4, 4) at a target (4, 4) or (3,): target - tip [m], then the rotation vector left [rad].
 
-    Along the axes of `frame`: 'base' (of T and target), 'tip' or 'target'. The rotation vector r is that of the rotation
-    exp(r) T = target; NaN for a position, which has none.
+    Along the axes of `frame`: 'base' (of T and target), 'tip' or 'target' (of a position, which has no axes: 'base'). The
+    rotation vector r is that of the rotation exp(r) T = target; NaN for a position, which has none.
     """
     import pinocchio as pin
 
-    axes = np.eye(3) if frame == "base" else (T if frame == "tip" else target)[:3, :3].T
+    axes = _axes(T, target, frame)
     e = np.full(6, np.nan)
     if target.ndim == 1:
         e[:3] = axes @ (target - T[:3, 3])
@@ -238,8 +245,7 @@ def errors(
         else:
             angle = math.atan2(np.linalg.norm(across), cosine)
         sine = float(np.linalg.norm(across)) or 1.0
-        axes = np.eye(3) if frame == "base" else (T if frame == "tip" else target)[:3, :3].T
-        e[3:] = axes @ across * (angle / sine)
+        e[3:] = _axes(T, target, frame) @ across * (angle / sine)
     if slack is not None:
         e = np.copysign(np.maximum(np.abs(e) - slack, 0.0), e)
     if mask is not None:

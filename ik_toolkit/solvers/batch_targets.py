@@ -1,6 +1,6 @@
 """Targets of a batch, read part by part in whatever form they come: arrays, dicts by tip, lists, iterators."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -64,7 +64,7 @@ def known(targets: Any) -> Any:
     if isinstance(targets, np.ndarray):
         return targets
     if isinstance(targets, Mapping):
-        return {tip: known(part) for tip, part in targets.items()}
+        return {tip: _named(tip, known, part) for tip, part in targets.items() if part is not None}
     if isinstance(targets, Iterator):
         return None
     try:
@@ -73,6 +73,14 @@ def known(targets: Any) -> Any:
         if isinstance(error, InvalidTarget):
             raise
         raise InvalidTarget("targets are an array (N, 4, 4) or (N, 3), or an iterator of such arrays") from None
+
+
+def _named(tip: str, read: Callable[[Any], Any], part: Any) -> Any:
+    """What `read` makes of the targets of one tip. Raises InvalidTarget naming it."""
+    try:
+        return read(part)
+    except InvalidTarget as error:
+        raise InvalidTarget(f"{tip}: {error}") from None
 
 
 def _plain(target: Any) -> np.ndarray:
@@ -126,7 +134,7 @@ def _stacked(array: np.ndarray, robot: Any) -> Block:
 def _by_tip(chunk: Mapping[str, Any], robot: Any) -> Block:
     tips = robot.tips
     robot.check_tips(chunk)
-    parts = tuple(None if tip not in chunk else _numbers(chunk[tip]) for tip in tips)
+    parts = tuple(None if chunk.get(tip) is None else _named(tip, _numbers, chunk[tip]) for tip in tips)
     if all(part is None for part in parts):
         raise InvalidTarget(f"a dict of targets needs at least one of {', '.join(tips)}")
     for tip, part in zip(tips, parts, strict=True):

@@ -32,12 +32,18 @@ def finishing(plan: Any) -> tuple[tuple[Step, ...], tuple[Step, ...]]:
 
 
 def record(outcome: Any) -> Any:
-    """Run once more with room for the history; the counts of the first run say how much."""
+    """Run once more with room for the history; the counts of the first run say how much.
+
+    An answer given full turns nearer to the start was evaluated after the search, so it is the last row.
+    """
     plan = outcome.plan
     history = np.empty((int(outcome.row[AT.evaluations]) + 1, 2 + plan.robot.n))
     out = np.empty((1, plan.width))
     plan.run(outcome.T, outcome.kinds, outcome.start, outcome.given, out, history)
     history = history[: int(out[0, AT.history])]
+    q = out[0, ANSWER : ANSWER + plan.robot.n]
+    if not (history[:, 2:] == q).all(axis=1).any():
+        history = np.vstack([history, [out[0, AT.position], out[0, AT.rotation], *q]])
     if all(angle is None for _, angle in outcome.left()):
         history[:, 1] = np.nan
     columns = {"position_error": history[:, 0], "orientation_error": history[:, 1], "q": history[:, 2:]}

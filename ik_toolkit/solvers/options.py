@@ -176,7 +176,7 @@ def make_options(given: dict[str, Any]) -> Options:
 def counting(name: str, value: Any) -> Any:
     """One value of mask, slack, free_turn or frame, validated. Raises InvalidOption."""
     if name == "frame":
-        if value not in FRAMES:
+        if not (isinstance(value, str) and value in FRAMES):
             raise InvalidOption(f"frame must be one of {', '.join(FRAMES)}, not {value!r}")
         return value
     if value is None:

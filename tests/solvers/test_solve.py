@@ -339,6 +339,17 @@ def test_a_failed_solve_returns_the_best_configuration_it_evaluated():
     assert worse >= 2  # otherwise the last one would do
 
 
+def test_an_answer_turned_to_the_start_is_the_last_row_of_the_history():
+    robot = robots.load("hydrolek_7w")
+    turned = 0
+    for target in robots.sample(robot, 40, seed=12)[1]:
+        result = ik.solve(robot, target, "lm", history=True)
+        rows = result.history["q"]
+        assert (rows == result.q).all(axis=1).any() and len(rows) == result.fk_evaluations
+        turned += np.abs(rows[-1] - rows[-2]).max() > 6.0 if len(rows) > 1 else 0
+    assert turned > 3
+
+
 @pytest.mark.parametrize("solver", ["lm", "dls", "planar-2r"])
 def test_a_start_that_is_not_legal_is_seen_wherever_it_comes_from(solver):
     robot = robots.load("planar_2r")

@@ -65,6 +65,13 @@ def test_positions_mixtures_and_free_tips(tree):
         assert alone.success and alone.position_errors["left_tip"] == 0.0
 
 
+def test_none_frees_a_tip_as_it_does_in_a_single_solve(tree):
+    T = reachable(tree, 5)
+    without = ik.solve_batch(tree, {"left_tip": T[:, 0]})
+    for targets in ({"left_tip": T[:, 0], "right_tip": None}, iter([{"left_tip": T[:, 0], "right_tip": None}])):
+        assert ik.solve_batch(tree, targets).q.tobytes() == without.q.tobytes()
+
+
 def test_a_chain_goes_from_answer_to_answer(tree):
     rng = np.random.default_rng(3)
     q0, way = tree.home, 0.2 * rng.uniform(-1.0, 1.0, tree.n)
@@ -93,6 +100,9 @@ def test_collisions_and_objective_are_those_of_single_solves(tree):
         ({"left_tip": np.zeros((2, 3)), "right_tip": np.zeros((3, 3))}, InvalidTarget, "left_tip 2, right_tip 3"),
         ({"left_tip": np.zeros((2, 5))}, InvalidTarget, "left_tip: targets are"),
         ({"left_tip": np.full((2, 3), np.nan)}, InvalidTarget, "target 0 of left_tip"),
+        ({"left_tip": None, "right_tip": None}, InvalidTarget, "at least one of"),
+        ({"left_tip": [[0.0, 0.0, "up"]]}, InvalidTarget, "left_tip: targets are"),
+        (iter([{"left_tip": "up"}]), InvalidTarget, "left_tip: targets are"),
     ],
 )
 def test_what_is_no_batch_is_refused_by_name(tree, targets, error, words):

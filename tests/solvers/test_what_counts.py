@@ -198,6 +198,7 @@ def test_closed_forms_refuse_and_auto_searches():
     [
         ({"mask_frame": "tip"}, "now called frame"),
         ({"frame": "tool"}, "base, tip, target"),
+        ({"frame": np.array(["base", "tip"])}, "base, tip, target"),
         ({"slack": [0.1] * 3}, "six half widths"),
         ({"slack": [0.1] * 5 + [-1e-3]}, "at least 0"),
         ({"slack": [np.nan] * 6}, "at least 0"),
@@ -223,6 +224,21 @@ def test_a_position_has_no_axes(arm):
 
 
 # ------------------------------------------------------------------------------------------------------------ several tips
+def test_a_position_in_the_frame_of_the_target_has_raw_errors_in_the_base(arm, brokk):
+    """`frame='target'` may be meant for the pose of the other tip; a position is then measured along the base's axes."""
+    rng = np.random.default_rng(8)
+    point = arm.fk(arm.random_q(rng)).translation
+    result = ik.solve(arm, point, frame="target")
+    assert result.success and np.abs(result.raw_error[:3] - (point - arm.fk(result.q).translation)).max() < 1e-12
+    poses = brokk.fk(brokk.random_q(rng))
+    target = {"left_tip": poses["left_tip"], "right_tip": poses["right_tip"].translation}
+    result = ik.solve(brokk, target, frame="target", slack={"left_tip": (0.01, 0.0, 0.0, 0.0, 0.0, 0.0)})
+    assert result.success
+    left = target["right_tip"] - brokk.fk(result.q)["right_tip"].translation
+    assert np.abs(result.raw_errors["right_tip"][:3] - left).max() < 1e-12
+    assert ik.solve(brokk, {"left_tip": poses["left_tip"].translation}, frame="target").success
+
+
 def test_each_tip_counts_what_its_options_say(brokk):
     rng = np.random.default_rng(2)
     for _ in range(20):
