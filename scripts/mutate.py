@@ -38,7 +38,7 @@ TESTS = tuple(
         "kernel", "solvers/test_solve.py", "solvers/test_tree.py", "solvers/test_tree_preferences.py", "solvers/test_follow.py",
         "solvers/test_limits.py", "solvers/test_budget.py", "solvers/test_what_counts.py", "solvers/test_preferences.py",
         "solvers/test_inside_limits.py", "solvers/test_feedback.py", "solvers/test_inputs.py", "solvers/test_others.py",
-        "robot/test_robot.py", "robot/test_pose.py", "tracking/test_tracking.py",
+        "robot/test_robot.py", "robot/test_pose.py", "tracking",
     )
 )  # fmt: skip
 SLOW = 4.0  # seconds of a test, uncompiled: slower ones are not used

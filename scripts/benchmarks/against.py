@@ -182,7 +182,7 @@ def main() -> None:
     given = parser.parse_args()
     from common import load_average, machine, table, write  # not in the workers: it imports the package
 
-    places = given.old.resolve(), HERE
+    places, load = (given.old.resolve(), HERE), load_average()
     with tempfile.TemporaryDirectory() as folder:
         given.cache = Path(folder)
         rows = speed(places, given) if given.items else []
@@ -213,7 +213,15 @@ def main() -> None:
         lines = [[what, f"{a:.1f}", f"{b:.1f}", f"{b / a:.2f}"] for what, a, b in first]
         tables.append(table(["first call with an empty cache", "before, CPU s", "now, CPU s", "ratio"], lines))
     if given.output:
-        payload = {"machine": machine(), "load_average": load_average(), "rounds": given.rounds, "rows": rows}
+        command = ["git", "-C", str(given.old), "rev-parse", "--short", "HEAD"]
+        old = subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
+        payload = {
+            "old": old,
+            "machine": machine(),
+            "load_average": [load, load_average()],
+            "rounds": given.rounds,
+            "rows": rows,
+        }
         write(given.output, {**payload, "first": first}, *tables)
     else:
         print("\n\n".join(tables))

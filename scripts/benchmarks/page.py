@@ -32,9 +32,8 @@ turns either way. Slow solvers get the first few targets only; their ratio is ta
 other targets: times and ratios are medians over these rounds, successes are added up.
 """
 AGAINST = """\
-Before is the last commit of the older kernel (9ac99ef), which had a loop of its own for one tip, for several tips and for eight
-side by side. Each version has a process, a cache and the same targets; the rounds alternate. CPU time; of the ratios the median
-and its 95 % interval by order statistics.
+Before is commit {old}. Each version has a process, a cache and the same targets; the rounds alternate. CPU time; of the ratios
+the median and its 95 % interval by order statistics.
 """
 
 
@@ -207,7 +206,9 @@ def main() -> None:
     parts += section("Batch", found.get("batch"))
     parts += section("Building blocks", found.get("kernel"))
     parts += section("Number of joints", found.get("joints"))
-    parts += section("Against the version before", found.get("against"), AGAINST)
+    parts += section(
+        "Against the version before", found.get("against"), AGAINST.format(old=found.get("against", {}).get("old"))
+    )
     given.output.parent.mkdir(parents=True, exist_ok=True)
     given.output.write_text("\n\n".join(parts) + "\n", encoding="utf-8")
     if given.readme:
