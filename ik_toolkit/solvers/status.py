@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..kernel.records import AT
+from ..kernel.task import FREE
 
 if TYPE_CHECKING:
     from .result import Result
@@ -89,11 +90,13 @@ def _starts(count: int) -> str:
 
 
 def _at_each_tip(result: "Result") -> str:
-    """What is left at each of several tips, or ''."""
+    """What is left at each of several tips that have a target, or ''."""
     if len(result.robot.tips) == 1:
         return ""
     left = []
-    for tip, position in result.position_errors.items():
+    for kind, (tip, position) in zip(result._of.kinds, result.position_errors.items(), strict=True):
+        if kind == FREE:
+            continue
         angle = result.orientation_errors[tip]
         left.append(f"{tip} {1000 * position:.3g} mm" + ("" if angle is None else f" {np.degrees(angle):.3g} deg"))
     return f"; left at each tip: {', '.join(left)}"

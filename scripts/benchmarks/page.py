@@ -2,8 +2,8 @@
 
 python scripts/benchmarks/page.py docs/data -o docs/benchmarks.md --readme README.md
 
-Reads benchmark_solve.json, benchmark_success.json, benchmark_batch.json, benchmark_kernel.json, benchmark_joints.json
-and benchmark_against.json from the folder given; those that are missing are left out.
+Reads benchmark_solve.json, benchmark_success.json, benchmark_batch.json, benchmark_kernel.json, benchmark_joints.json,
+benchmark_tree.json and benchmark_against.json from the folder given; those that are missing are left out.
 """
 
 import argparse
@@ -188,7 +188,7 @@ def main() -> None:
     parser.add_argument("--readme", type=Path, help="also put the summary between the benchmark marks of this file")
     given = parser.parse_args()
     found = {}
-    for name in ("solve", "success", "batch", "kernel", "joints", "against"):
+    for name in ("solve", "success", "batch", "kernel", "joints", "tree", "against"):
         path = given.folder / f"benchmark_{name}.json"
         if path.exists():
             found[name] = json.loads(path.read_text(encoding="utf-8"))
@@ -206,6 +206,7 @@ def main() -> None:
     parts += section("Batch", found.get("batch"))
     parts += section("Building blocks", found.get("kernel"))
     parts += section("Number of joints", found.get("joints"))
+    parts += section("Several tips", found.get("tree"))
     parts += section(
         "Against the version before", found.get("against"), AGAINST.format(old=found.get("against", {}).get("old"))
     )

@@ -1,81 +1,95 @@
-"""Success and time of several tips solved together: random reachable targets, no starting guess, 1e-6 m and rad.
+"""Several tips solved together: random reachable poses for all tips, no starting guess, 1e-6 m and rad.
 
-python scripts/benchmarks/tree.py [-n TARGETS] [-o tree.json]      (robots beside brokk_hydrolek need the extra `robots`)
+python scripts/benchmarks/tree.py      (robots beside brokk_hydrolek need the extra `robots`)
+
+Single calls of a bound solver from Python, every success judged by Pinocchio; and the same targets as one batch on all cores,
+the best of three.
 """
 
-import argparse
-import json
-import platform
-from time import perf_counter
-from typing import Any
+import common
 
-import numpy as np
+common.one_thread()
 
-import ik_toolkit as ik
-from ik_toolkit.robot.library import find
+from time import perf_counter  # noqa: E402
+from typing import Any  # noqa: E402
 
-ROBOTS = ("brokk_hydrolek", "talos", "tiago_dual", "tiago_pro", "baxter", "pr2", "centauro")
+import numpy as np  # noqa: E402
+
+import ik_toolkit as ik  # noqa: E402
+from ik_toolkit.robot.library import find  # noqa: E402
+
+ROBOTS = ("brokk_hydrolek", "tiago_dual", "baxter", "pr2", "talos", "tiago_pro", "centauro")
+TOLERANCE = 1e-6  # m and rad
 
 
 def measure(name: str, count: int, seed: int) -> dict[str, Any]:
-    """Bound solver called from Python, one target after the other; every success is checked by Pinocchio."""
+    """Times of single solves, counts, and the rate of a batch."""
     tree = ik.Tree.load(name, tips=list(find(name).tips))
-    rng = np.random.default_rng(seed)
-    targets = tree.chain.forward(np.array([tree.random_q(rng) for _ in range(count)]))[0]
+    Q = tree.random_q(np.random.default_rng(seed), count)
+    targets = tree.chain.forward(Q)[0]
     solver = ik.Solver(tree)
-    solver(targets[0])  # compiles or loads
-    times, results = np.empty(count), []
+    for target in targets[:20]:
+        solver(target)
+    seconds, results = np.empty(count), []
     for k, target in enumerate(targets):
-        start = perf_counter()
+        started = perf_counter()
         results.append(solver(target))
-        times[k] = 1e6 * (perf_counter() - start)
-    worst = 0.0
-    for result, target in zip(results, targets, strict=True):
-        if result.success:
-            worst = max(worst, *(max(error) for error in tree.errors(result.q, target)))
+        seconds[k] = perf_counter() - started
+    good = [r.success and right(tree, r.q, T) for r, T in zip(results, targets, strict=True)]
+    ik.solve_batch(tree, targets[:100])
+    rates, many = [], None
+    for _ in range(3):
+        started = perf_counter()
+        many = ik.solve_batch(tree, targets)
+        rates.append(count / (perf_counter() - started))
     return {
-        "robot": name,
-        "joints": tree.n,
-        "shared": int((tree.chain.owner < 0).sum()),
-        "solved": sum(result.success for result in results),
-        "targets": count,
-        "mean_us": times.mean(),
-        "median_us": np.median(times),
-        "p99_us": np.percentile(times, 99),
-        "iterations": np.mean([result.iterations for result in results]),
-        "restarts_max": max(result.restarts for result in results),
-        "worst_error": worst,
-    }
+        "robot": name, "joints": tree.n, "tips": len(tree.tips), **common.rate(sum(good), count),
+        **common.microseconds(seconds), "iterations": float(np.mean([r.iterations for r in results])),
+        "restarts": float(np.mean([r.restarts for r in results])), "claimed": sum(r.success for r in results),
+        "batch_solved": int(many.success.sum()), "per_second": max(rates), "rates": rates,
+    }  # fmt: skip
+
+
+def right(tree: ik.Tree, q: np.ndarray, T: np.ndarray) -> bool:
+    """Whether every tip is at its target by Pinocchio, inside the limits."""
+    worst = max(max(error) for error in tree.errors(q, T))
+    return worst <= TOLERANCE and bool(((q >= tree.lower) & (q <= tree.upper)).all())
 
 
 def main() -> None:
-    """Print the table, and write it as JSON when asked."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("-n", type=int, default=10_000, help="targets a robot")
-    parser.add_argument("--seed", type=int, default=123)
-    parser.add_argument("-o", "--output")
-    arguments = parser.parse_args()
+    parser = common.parser(__doc__, "benchmark_tree.json")
+    parser.add_argument("--targets", type=int, default=10_000, help="pairs of poses a robot")
+    parser.add_argument("--robots", nargs="+", default=ROBOTS)
+    given = parser.parse_args()
+    before = common.load_average()
     rows = []
-    print(
-        "robot            joints shared        solved   mean us  median     p99  iterations  restarts (max)  worst error"
-    )
-    for name in ROBOTS:
+    for name in given.robots:
         try:
-            row = measure(name, arguments.n, arguments.seed)
+            rows.append(measure(name, given.targets, given.seed))
         except ik.IKError as error:
             print(f"{name}: left out, {error}")
-            continue
-        rows.append(row)
-        print(
-            "{robot:16s} {joints:6d} {shared:6d} {solved:7d}/{targets} {mean_us:9.1f} {median_us:7.1f} {p99_us:7.0f} "
-            "{iterations:11.1f} {restarts_max:15d} {worst_error:12.1e}".format(**row),
-            flush=True,
-        )
-    if arguments.output:
-        with open(arguments.output, "w", encoding="utf-8") as file:
-            json.dump(
-                {"machine": platform.processor() or platform.machine(), "rows": rows}, file, indent=2, default=float
-            )
+    heads = (
+        "robot",
+        "joints",
+        "right, percent",
+        "median, us",
+        "mean",
+        "p99",
+        "iterations",
+        "restarts",
+        "batch: solved",
+    )
+    table = common.table(
+        [*heads, "batch, targets a second (three runs)"],
+        [
+            [r["robot"], r["joints"], common.percent(r), *(common.short(r[k]) for k in ("median", "mean", "p99")),
+             common.short(r["iterations"]), f"{r['restarts']:.2f}", r["batch_solved"],
+             ", ".join(f"{x:,.0f}" for x in sorted(r["rates"]))]
+            for r in rows
+        ],
+    )  # fmt: skip
+    payload = {"machine": common.machine(), "load_average": [before, common.load_average()], "rows": rows}
+    common.write(given.output, payload, table)
 
 
 if __name__ == "__main__":
