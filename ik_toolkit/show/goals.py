@@ -22,7 +22,7 @@ class Goal:
         orientation = gui.add_dropdown("Orientation", kinds, initial_value=kind)
         listen(orientation, f"kind {tip}", lambda: self.give(orientation.value))
         self.rotation = gui.add_text(self._label(), rotation, visible=self.posed)
-        self.handle: Handle | None = None
+        self.handle: Handle  # from `join` on
 
     @property
     def posed(self) -> bool:
