@@ -1,14 +1,17 @@
 """How parts of a kernel are compiled: numba makes machine code of every function, but parts are never run on their own."""
 
+import inspect
 from typing import Any
 
 from numba import _dynfunc  # pyright: ignore[reportAttributeAccessIssue]
-from numba.core.codegen import JITCodeLibrary
+from numba.core.codegen import CPUCodegen, JITCodeLibrary
 from numba.core.compiler import Compiler, Flags
 
-# What is used of numba beyond its documentation; where it is missing, jit.py does without this module.
+# What is used of numba beyond its documentation; where it is missing or takes other arguments, jit.py does without this module.
 USED = ("_optimize_functions", "_finalize_final_module")
-if "no_compile" not in Flags.options or not all(hasattr(JITCodeLibrary, name) for name in USED):
+KNOWN = "no_compile" in Flags.options and all(hasattr(JITCodeLibrary, name) for name in USED)
+_, *asked = inspect.signature(CPUCodegen._function_pass_manager).parameters.values()
+if not KNOWN or any(one.kind == one.POSITIONAL_OR_KEYWORD and one.default is one.empty for one in asked):  # numba 0.61
     raise ImportError("this numba compiles otherwise")
 
 
