@@ -110,8 +110,8 @@ def pseudo_inverse_step(J, e, rcond, V, dq, m):
                 if abs(g) <= ORTHOGONAL * math.sqrt(a * b) or abs(g) < TINY:
                     continue
                 rotated = True
-                z = (b - a) / (2.0 * g)
-                t = (1.0 if z >= 0.0 else -1.0) / (abs(z) + math.sqrt(1.0 + z * z))
+                d = b - a
+                t = (2.0 * g if d >= 0.0 else -2.0 * g) / (abs(d) + math.sqrt(d * d + 4.0 * g * g))
                 cs = 1.0 / math.sqrt(1.0 + t * t)
                 sn = t * cs
                 for i in range(n):
