@@ -64,7 +64,9 @@ class Tree(Joints):
             upper[place] = np.minimum(upper[place], arm.upper)
             self.velocity_limits[place], middle[place] = arm.velocity_limits, arm.home
             idx_q[place], circle[place] = arm._path.idx_q, arm._path.circle
-            kinds.update(zip(arm.joint_names, arm.joint_kinds, strict=True))
+            for joint, kind in zip(arm.joint_names, arm.joint_kinds, strict=True):
+                if kinds.get(joint, "prismatic") == "prismatic":  # a slide that turns a follower of any arm counts as turning
+                    kinds[joint] = kind
         for joint, low, high in zip(names, lower, upper, strict=True):
             if not low <= high:
                 raise ModelError(f"joint '{joint}' has no legal position: what the tips' paths allow does not overlap")

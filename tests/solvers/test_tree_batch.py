@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import robots
+import trees
 
 import ik_toolkit as ik
 from ik_toolkit.errors import FrameNotFound, InvalidTarget
@@ -182,6 +183,21 @@ def test_follow_bounds_the_move_of_every_joint(tree):
             ik.Status.LIMIT_BLOCKED,
             ik.Status.STALLED,
         )
+
+
+def test_a_slide_that_turns_a_follower_of_one_arm_counts_as_turning():
+    """The lift of `mixed` turns a joint of the right arm only; the left arm comes first."""
+    tree = ik.Tree.load(trees.mixed(), tips=TIPS)
+    lift = tree.joint_names.index("lift")
+    right = tree.arms[1]
+    assert tree.joint_kinds[lift] == right.joint_kinds[right.joint_names.index("lift")] != "prismatic"
+    target = tree.fk(tree.home)["right_tip"].translation + (0.0, 0.0, 9.0)
+    weights = np.zeros(tree.n)
+    weights[lift] = 1.0
+    given = {"q0": tree.home, "follow": 0.05, "joint_weights": weights, "slack": [9.0, 9.0, 0.0, 0.0, 0.0, 0.0]}
+    result = ik.solve(tree, {"right_tip": target}, limits=False, **given)
+    assert result.status == ik.Status.TOO_FAR and "lift has moved the 0.05 rad allowed" in result.message
+    assert abs(result.q[lift] - tree.home[lift]) == pytest.approx(0.05)
 
 
 def test_closest_is_the_nearest_of_what_is_found(tree):
