@@ -22,8 +22,8 @@ ARMS = (
     "locked",
     "two_arms",
 )
-# What the rows that are not for every robot claim of ARMS, written down here: a row that refuses more than that fails, and one
-# that takes more is not told off by silence.
+# What the rows that are not for every robot (beyond what a row itself says: `pose`, `position`, `one_tip`) claim of ARMS, written
+# down here: a row that refuses more than that fails, and one that takes more is not told off by silence.
 CLAIMED = {
     "newton": {
         ("hydrolek_7w", "pose"),
@@ -41,7 +41,9 @@ CLAIMED = {
 
 def claims(row, arm, kind):
     """Whether a row is to solve targets of a kind on an arm."""
-    return (arm, kind) in CLAIMED[row.name] if row.name in CLAIMED else not (row.one_tip and arm == "two_arms")
+    if row.name in CLAIMED:
+        return (arm, kind) in CLAIMED[row.name]
+    return getattr(row, kind) and not (row.one_tip and arm == "two_arms")
 
 
 def pairs(claimed):

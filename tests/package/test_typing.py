@@ -11,9 +11,11 @@ from ik_toolkit.solvers.options import NAMES, AllOptions, BatchOptions, SolveOpt
 from ik_toolkit.solvers.registry import ROWS
 
 
-def test_every_option_and_every_parameter_of_our_solvers_is_told():
+def test_every_option_is_told_and_no_parameter_that_no_solver_has():
+    """A new rule need not be told of here; an editor then takes its parameters on an instance of it."""
     parameters = {field for row in ROWS for field in row.load()._fields}
-    assert set(SolveOptions.__annotations__) == {"tolerance", *NAMES} | parameters
+    told = set(SolveOptions.__annotations__)
+    assert {"tolerance", *NAMES} <= told <= {"tolerance", *NAMES} | parameters
 
 
 @pytest.mark.parametrize(
