@@ -65,7 +65,8 @@ class Tree(Joints):
             self.velocity_limits[place], middle[place] = arm.velocity_limits, arm.home
             idx_q[place], circle[place] = arm._path.idx_q, arm._path.circle
             for joint, kind in zip(arm.joint_names, arm.joint_kinds, strict=True):
-                if kinds.get(joint, "prismatic") == "prismatic":  # a slide that turns a follower of any arm counts as turning
+                # A slide that turns a follower of any arm counts as turning.
+                if kinds.get(joint, "prismatic") == "prismatic":
                     kinds[joint] = kind
         for joint, low, high in zip(names, lower, upper, strict=True):
             if not low <= high:

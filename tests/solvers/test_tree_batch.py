@@ -191,7 +191,7 @@ def test_a_slide_that_turns_a_follower_of_one_arm_counts_as_turning():
     lift = tree.joint_names.index("lift")
     right = tree.arms[1]
     assert tree.joint_kinds[lift] == right.joint_kinds[right.joint_names.index("lift")] != "prismatic"
-    target = tree.fk(tree.home)["right_tip"].translation + (0.0, 0.0, 9.0)
+    target = tree.fk(tree.home)["right_tip"].translation + np.array([0.0, 0.0, 9.0])
     weights = np.zeros(tree.n)
     weights[lift] = 1.0
     given = {"q0": tree.home, "follow": 0.05, "joint_weights": weights, "slack": [9.0, 9.0, 0.0, 0.0, 0.0, 0.0]}
