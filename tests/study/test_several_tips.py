@@ -34,7 +34,7 @@ def test_a_tuned_rule_solves_both_tips(brokk, solver, tmp_path):
     best = score(brokk, found.rule, sets, tolerance=1e-2, max_iterations=200)
     assert best.successes == found.scores[found.kept].successes and best.share > 0.5
     preset = found.save(tmp_path / "mine.toml")
-    if hasattr(type(found.rule), "preset"):
+    if type(found.rule).preset is not None:
         solved = [ik.solve(brokk, list(T), type(found.rule).preset(preset)).success for T in sets[0][:40]]
         assert sum(solved) > 20
 
