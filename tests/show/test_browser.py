@@ -276,7 +276,7 @@ def test_the_panel_by_hand(browser, panel):
 
 def test_names_of_a_robot_do_nothing_in_a_page(browser, tmp_path):
     pytest.importorskip("viser", reason="viser is not installed (extra 'panel')")
-    from test_hostile_names import EVIL, arm
+    from hostile import EVIL, arm
 
     from ik_toolkit.show.panel import Panel
 

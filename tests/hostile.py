@@ -1,0 +1,31 @@
+"""A robot whose names are what a page must not take for anything but text."""
+
+import html
+
+EVIL = (
+    "<img src=x onerror=alert(1)>",
+    "\"'><script>alert(2)</script>",
+    "</script></title></textarea><b onload=alert(3)>",
+    "$\\frac{1$ $x_1$ \\$",
+    "/*@START@*/ @TITLE@ {0} %s",
+    "a/../<object> & &lt;",
+)
+
+
+def arm(names=EVIL):
+    """Text of a URDF with these names for its joints and in those of its links, each a box."""
+    links, joints = "", ""
+    for k in range(len(names) + 1):
+        box = "<visual><geometry><box size='0.1 0.1 0.1'/></geometry></visual>"
+        links += f"<link name={quoted(f'{k} {names[k % len(names)]}')}>{box}</link>"
+    for k, name in enumerate(names):
+        joints += (
+            f"<joint name={quoted(name)} type='revolute'><parent link={quoted(f'{k} {name}')}/>"
+            f"<child link={quoted(f'{k + 1} {names[(k + 1) % len(names)]}')}/><origin xyz='0.2 0.03 0.1'/>"
+            f"<axis xyz='{k % 2} {1 - k % 2} 0.3'/><limit lower='-2' upper='2' effort='1' velocity='1'/></joint>"
+        )
+    return f"<robot name={quoted(' '.join(names))}>{links}{joints}</robot>"
+
+
+def quoted(text):
+    return '"' + html.escape(text, quote=True) + '"'
