@@ -94,9 +94,9 @@ def test_wrong_inputs_of_a_run_are_typed(panda, planar):
     ref = panda_reference(panda, True, 1.0)
     tree = ik.Tree.load("brokk_hydrolek", tips=["left_tip", "right_tip"])
     for robot in (tree, None, "panda"):
-        with pytest.raises(InvalidOption, match="Robot.load"):
+        with pytest.raises(InvalidOption, match=r"Robot\.load"):
             track(robot, ref)
-        with pytest.raises(InvalidOption, match="Robot.load"):
+        with pytest.raises(InvalidOption, match=r"Robot\.load"):
             Tracker(robot)
     for wrong in (np.eye(4), None, "circle", panda):
         with pytest.raises(InvalidTarget, match="follows a Reference"):
