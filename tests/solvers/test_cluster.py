@@ -1,5 +1,8 @@
 """A batch on a Dask cluster of two worker processes: the same bytes as here, also when a worker is lost on the way."""
 
+import gc
+import warnings
+
 import numpy as np
 import pytest
 
@@ -22,6 +25,11 @@ def cluster():
         ) as made,
     ):
         yield made
+    with (
+        warnings.catch_warnings()
+    ):  # distributed leaves a socket to the collector now and then: not in the middle of another test
+        warnings.simplefilter("ignore", ResourceWarning)
+        gc.collect()
 
 
 @pytest.fixture(scope="module")
