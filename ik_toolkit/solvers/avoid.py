@@ -8,6 +8,7 @@ import numpy as np
 from ..errors import InvalidOption
 from ..kernel.records import ANSWER, AT
 from ..robot.collision import CollisionModel
+from .options import PLAIN
 from .status import Status
 
 STARTS = 256  # random starts tried before giving up, unless restarts= says otherwise
@@ -38,8 +39,7 @@ def avoiding(plan: Any, then: tuple[Callable[[Any], Any], ...]) -> Callable[[Any
     steps that improve a free answer; one that makes it touch is taken back.
     """
     model = collision_model(plan.robot, plan.options.avoid_collisions)
-    once = {"closest": False, "objective": None, "history": False, "avoid_collisions": False, "check": False}
-    single = plan.varied(**once, **({} if plan.options.follow else {"restarts": 0}))
+    single = plan.varied(**PLAIN, **({} if plan.options.follow else {"restarts": 0}))
 
     def step(outcome: Any) -> Any:
         if outcome.row[AT.status] != Status.CONVERGED:

@@ -19,10 +19,10 @@ from ..kernel.limits import LARGEST
 from ..kernel.records import ANSWER, AT
 from .batch_result import JUMP, R_MOVE
 from .batch_targets import mended
-from .finish import inside
+from .finish import confirmed
 from .plan import Plan
 from .result import Outcome
-from .task import counted_errors, counts_in_part
+from .task import counts_in_part
 
 AHEAD, REMOTE_AHEAD = 4, 64  # parts waiting per thread, and in all at an executor: an iterator is never read far ahead
 SLICE = 0.05  # s; a thread looks up this often whether it shall stop
@@ -117,8 +117,7 @@ def _confirm(plan: Plan, part: Part, out: np.ndarray, share: float) -> None:
     n = plan.robot.n
     for k in _sampled(part.first, len(out), share):
         if out[k, AT.status] == CONVERGED:
-            errors = counted_errors(plan.robot, out[k, ANSWER : ANSWER + n], part.T[k], part.kinds, plan.options)
-            if not inside(errors, plan.options):
+            if not confirmed(plan, out[k, ANSWER : ANSWER + n], part.T[k], part.kinds):
                 out[k, AT.status] = CHECK_FAILED
 
 

@@ -10,11 +10,11 @@ from ..kernel.records import WEIGHTS
 from ..kernel.task import POSITION
 from .avoid import collision_model
 from .closed_form.finish import listed
-from .finish import inside
+from .finish import confirmed
 from .plan import Plan
 from .search_all import distinct_rows, sample, search
 from .solutions import Solutions, SolutionsBatch
-from .task import POSES, counted_errors, read_target
+from .task import POSES, read_target
 
 
 def find_all(solver: Any, target: Any, q0: Any, starts: int, count: int) -> Any:
@@ -40,10 +40,7 @@ def find_all(solver: Any, target: Any, q0: Any, starts: int, count: int) -> Any:
         found = found.keep(free)
         found.message += f"; {len(free) - free.sum()} of them collide and are left out" * (not free.all())
     if o.check and len(found):
-        good = np.array(
-            [inside(counted_errors(plan.robot, q, T[0], kinds, o), o) for q in found.q],
-            dtype=bool,
-        )
+        good = np.array([confirmed(plan, q, T[0], kinds) for q in found.q], dtype=bool)
         if not good.all():
             found = found.keep(good)
             found.message += f"; {len(good) - good.sum()} are not confirmed by Pinocchio and left out"

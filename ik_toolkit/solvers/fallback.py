@@ -7,11 +7,11 @@ import numpy as np
 
 from ..kernel.checks import BAD_TARGET, CONVERGED, ITERATION_LIMIT, STALLED, UNREACHABLE
 from ..kernel.records import ANSWER, AT, HEAD, ORDER
+from .options import PLAIN
 from .status import SEARCHED
 
 STARTS, STEPS = 64, 24  # of the last search, which is for the tolerances
 COUNTS = [AT.iterations, AT.restarts, AT.evaluations, AT.history]
-PLAIN = {"closest": False, "objective": None, "history": False, "check": False, "avoid_collisions": False}
 
 
 def error_size(rows: np.ndarray, scale: float) -> np.ndarray:
@@ -108,34 +108,22 @@ def continue_with(
     how: kinds of target, and whether the starts are given (see Plan.run). Where evaluations are limited, each row is searched with
     what it has left of them.
     """
-    budget = search.options.max_evaluations
-    if budget is not None:
-        still = np.ones(len(failed), dtype=bool)
-        for i, k in enumerate(failed):
-            left = budget - int(out[k, AT.evaluations])
-            if left > 0:
-                one, q0 = slice(i, i + 1), start if len(start) == 1 else start[i : i + 1]
-                still[i] = _continue(search.varied(max_evaluations=left), T[one], q0, how, failed[one], out, hist)[0]
-            elif out[k, AT.status] == STALLED:
-                out[k, AT.status] = ITERATION_LIMIT
-        return still
-    return _continue(search, T, start, how, failed, out, hist)
-
-
-def _continue(
-    search: Any,
-    T: np.ndarray,
-    start: np.ndarray,
-    how: tuple[tuple, bool],
-    failed: np.ndarray,
-    out: np.ndarray,
-    hist: np.ndarray,
-) -> np.ndarray:
-    """The same for rows that have the search's budget."""
-    found = np.zeros((len(failed), out.shape[1]))
-    search.run(T, how[0], start, how[1], found, hist)
-    merge(out, failed, found, search.robot.chain.scale)
-    return found[:, AT.status] != CONVERGED
+    budget, still = search.options.max_evaluations, np.ones(len(failed), dtype=bool)
+    every = np.arange(len(failed))
+    for some in [every] if budget is None else every[:, None]:
+        plan, rows = search, failed[some]
+        if budget is not None:
+            left = budget - int(out[rows[0], AT.evaluations])
+            if left <= 0:
+                if out[rows[0], AT.status] == STALLED:
+                    out[rows[0], AT.status] = ITERATION_LIMIT
+                continue
+            plan = search.varied(max_evaluations=left)
+        found = np.zeros((len(rows), out.shape[1]))
+        plan.run(T[some], how[0], start if len(start) == 1 else start[some], how[1], found, hist)
+        merge(out, rows, found, search.robot.chain.scale)
+        still[some] = found[:, AT.status] != CONVERGED
+    return still
 
 
 def merge(out: np.ndarray, failed: np.ndarray, found: np.ndarray, scale: float) -> None:

@@ -84,6 +84,11 @@ def confirm(outcome: Any) -> Any:
     return outcome._replace(row=row)
 
 
+def confirmed(plan: Any, q: np.ndarray, T: np.ndarray, kinds: tuple) -> bool:
+    """Whether Pinocchio finds q (n,) inside the tolerances of the target T (4, 4) or (F, 4, 4)."""
+    return inside(counted_errors(plan.robot, q, T, kinds, plan.options), plan.options)
+
+
 def inside(errors: Any, options: Any) -> bool:
     """Whether the errors of every tip are inside their tolerances."""
     p, r = options.position_tolerance, options.orientation_tolerance

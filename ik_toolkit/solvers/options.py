@@ -9,6 +9,10 @@ import numpy as np
 
 from ..errors import InvalidOption, floats, near_match
 
+# Options that choose or finish one answer, left out where a plan is varied to search for more of them.
+PLAIN: dict[str, Any] = {
+    "closest": False, "objective": None, "history": False, "check": False, "avoid_collisions": False
+}  # fmt: skip
 MAX_ITERATIONS = 1_000_000
 FOLLOW = 0.5  # rad (of the reach for slides): what follow=True allows, the move that a chain reports as a flip
 OBJECTIVES = {"mid-range": 1, "reference": 2, "manipulability": 3}  # numbers of kernel/refine.py

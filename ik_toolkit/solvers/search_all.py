@@ -7,6 +7,7 @@ import numpy as np
 from ..kernel.records import ANSWER, AT
 from .closed_form.finish import finished
 from .closed_form.geometry import Family
+from .options import PLAIN
 from .plan import Plan
 from .protocol import Asked
 from .result import SPOKEN
@@ -14,12 +15,7 @@ from .solutions import Solutions
 from .status import Status
 from .task import counted_rows, counts_in_part
 
-# options about one answer, which a list of them leaves out
-PLAIN: dict[str, Any] = {
-    "closest": False, "objective": None, "history": False, "avoid_collisions": False, "check": False, "restarts": 0,
-    "max_evaluations": None, "wrap": None,
-}  # fmt: skip
-
+ONE_ATTEMPT: dict[str, Any] = {**PLAIN, "restarts": 0, "max_evaluations": None, "wrap": None, "follow": 0.0}
 SAME = 1e-3  # largest joint difference [rad, or of the reach] at which two numerical answers are one
 TIGHT = 1e-9  # tolerance of the numerical search: answers to 1e-6 differ too much near singular poses to be merged
 FLAT = 1e-4  # singular value (lengths over the scale) below which a direction may lead along a family
@@ -35,7 +31,7 @@ def search(plan: Plan, T: np.ndarray, kinds: tuple, start: np.ndarray, starts: i
         "position_tolerance": min(TIGHT, o.position_tolerance),
         "orientation_tolerance": min(TIGHT, o.orientation_tolerance),
     }
-    single = (plan.search if plan.row.closed else plan.varied)(**PLAIN, **tight)
+    single = (plan.search if plan.row.closed else plan.varied)(**ONE_ATTEMPT, **tight)
     rng = np.random.default_rng(o.seed)
     Q0 = np.vstack([start, [robot.random_q(rng) for _ in range(starts - 1)]]) if starts > 1 else start
     Q0[:, plan.held] = start[0, plan.held]

@@ -213,3 +213,11 @@ def test_follow_on_the_command_line(capsys):
     assert json.loads(capsys.readouterr().out)["attempt"] == 0
     assert main(["solve", "planar_2r", "--xyz", "0.9", "1.2", "0", "--follow", "1.0"]) == 2
     assert "q0" in capsys.readouterr().err
+
+
+def test_a_solver_that_follows_lists_every_solution_all_the_same():
+    """`all` compares solutions from everywhere; that a single call stays near q0 says nothing of them."""
+    robot = robots.load("hydrolek_7w")
+    target = robot.fk(robot.home + 0.1).translation
+    near = ik.Solver(robot, follow=0.3).all(target, robot.home, starts=60)
+    assert len(near) > 1 and np.array_equal(near.q, ik.Solver(robot).all(target, robot.home, starts=60).q)

@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 from folders import read_data
+from serial_arms import apart
 
 import ik_toolkit as ik
 from ik_toolkit.errors import InvalidOption
@@ -13,12 +14,6 @@ from ik_toolkit.solvers.closed_form import fits, inspection, reach
 
 DATA = read_data("closed_form")
 PI = math.pi
-
-
-def apart(a, b):
-    """Largest joint difference, angles modulo turns (all rows of `a` against all of `b`)."""
-    d = np.abs(np.asarray(a)[:, None] - np.asarray(b)[None])
-    return np.minimum(d, np.abs(2 * PI - d)).max(axis=2)
 
 
 def all_branches(robot, T, lift):

@@ -6,6 +6,7 @@ import math
 import numpy as np
 import pytest
 from folders import read_data
+from serial_arms import apart, urdf
 
 import ik_toolkit as ik
 from ik_toolkit.errors import InvalidOption
@@ -15,36 +16,12 @@ DATA = read_data("closed_form")
 PI = math.pi
 
 
-def apart(a, b):
-    """Largest joint difference, angles modulo turns (all rows of `a` against all of `b`)."""
-    d = np.abs(np.asarray(a)[:, None] - np.asarray(b)[None])
-    return np.minimum(d, np.abs(2 * PI - d)).max(axis=2)
-
-
 @pytest.fixture(scope="module")
 def arm():
     return ik.Robot.load("inspection_7dof")
 
 
 # -------------------------------------------------------------------------------------------------------- recognition
-def urdf(joints, tool):
-    """URDF of a serial chain: joints are (type, xyz, rpy, axis, lower, upper)."""
-    parts, parent = ['<robot name="drawn"><link name="base"/>'], "base"
-    text = lambda v: " ".join(repr(float(x)) for x in v)  # noqa: E731
-    for k, (kind, xyz, rpy, axis, low, high) in enumerate(joints):
-        parts.append(
-            f'<link name="l{k}"/><joint name="j{k}" type="{kind}"><parent link="{parent}"/><child link="l{k}"/>'
-            f'<origin xyz="{text(xyz)}" rpy="{text(rpy)}"/><axis xyz="{text(axis)}"/>'
-            f'<limit lower="{low!r}" upper="{high!r}" effort="1" velocity="1"/></joint>'
-        )
-        parent = f"l{k}"
-    parts.append(
-        f'<link name="tip"/><joint name="end" type="fixed"><parent link="{parent}"/><child link="tip"/>'
-        f'<origin xyz="{text(tool[0])}" rpy="{text(tool[1])}"/></joint></robot>'
-    )
-    return "".join(parts)
-
-
 # ---------------------------------------------------------------------------------------------------------- planar 2R
 @pytest.mark.parametrize("case", DATA["planar_2r"])
 def test_planar_reference(case):

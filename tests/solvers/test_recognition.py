@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from serial_arms import apart, urdf
 
 import ik_toolkit as ik
 from ik_toolkit.errors import InvalidOption, UnknownSolver
@@ -15,33 +16,9 @@ from ik_toolkit.solvers.closed_form import describe, fits, inspection, planar_2r
 PI = math.pi
 
 
-def apart(a, b):
-    """Largest joint difference, angles modulo turns (all rows of `a` against all of `b`)."""
-    d = np.abs(np.asarray(a)[:, None] - np.asarray(b)[None])
-    return np.minimum(d, np.abs(2 * PI - d)).max(axis=2)
-
-
 @pytest.fixture(scope="module")
 def arm():
     return ik.Robot.load("inspection_7dof")
-
-
-def urdf(joints, tool):
-    """URDF of a serial chain: joints are (type, xyz, rpy, axis, lower, upper)."""
-    parts, parent = ['<robot name="drawn"><link name="base"/>'], "base"
-    text = lambda v: " ".join(repr(float(x)) for x in v)  # noqa: E731
-    for k, (kind, xyz, rpy, axis, low, high) in enumerate(joints):
-        parts.append(
-            f'<link name="l{k}"/><joint name="j{k}" type="{kind}"><parent link="{parent}"/><child link="l{k}"/>'
-            f'<origin xyz="{text(xyz)}" rpy="{text(rpy)}"/><axis xyz="{text(axis)}"/>'
-            f'<limit lower="{low!r}" upper="{high!r}" effort="1" velocity="1"/></joint>'
-        )
-        parent = f"l{k}"
-    parts.append(
-        f'<link name="tip"/><joint name="end" type="fixed"><parent link="{parent}"/><child link="tip"/>'
-        f'<origin xyz="{text(tool[0])}" rpy="{text(tool[1])}"/></joint></robot>'
-    )
-    return "".join(parts)
 
 
 angle = st.floats(-3.1, 3.1)
