@@ -37,6 +37,8 @@ _NAMES = {
     "track": "tracking.track",
     "Tracker": "tracking.track",
     "TrackResult": "tracking.result",
+    "PathResult": "paths.result",
+    "PathStatus": "paths.result",
     "Reference": "tracking.reference",
     "line": "tracking.shapes",
     "circle": "tracking.shapes",

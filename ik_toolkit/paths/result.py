@@ -1,0 +1,254 @@
+"""What `solve_path` gives back: a joint motion through the poses, what is proven of it, and where it breaks."""
+
+import csv
+import io
+import json
+from dataclasses import dataclass, field
+from enum import Enum
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from ..errors import InvalidOption, NotSolved
+from ..files import whole_file, write_whole
+from ..text import plain
+
+if TYPE_CHECKING:
+    from ..solvers.options import Options
+    from .timing import Trajectory
+
+
+class PathStatus(Enum):
+    """How a path ended; the first two are successes."""
+
+    FOLLOWED = "every pose, one continuous motion"
+    RECONFIGURES = "every pose, with reconfigurations, no more than allowed"
+    INCOMPLETE = "a pose is not reached, or it takes more reconfigurations than allowed"
+    COLLISION = "every pose, but only with contact"
+
+
+class Reconfiguration(NamedTuple):
+    """Between pose `index` and the next the robot changes to another branch of solutions.
+
+    move (n,): the smallest joint move [rad or m] found from the one side to the other.
+    """
+
+    index: int
+    move: np.ndarray
+
+
+class Unreachable(NamedTuple):
+    """A pose that is not reached, why, and whether that is proven (or merely nothing was found)."""
+
+    index: int
+    reason: str
+    proven: bool
+
+
+class Contact(NamedTuple):
+    """Where the motion touches: place among the poses (3.5: halfway from pose 3 to pose 4), and the names of the pair."""
+
+    place: float
+    pair: tuple[str, str]
+
+
+@dataclass(frozen=True, eq=False)
+class Continuity:
+    """What is proven of a motion that is linear in the joints between the knots of a curve (M, n).
+
+    deviation (M-1,) [m] and turn (M-1,) [rad]: bounds on how far a tip leaves the interpolated pose between two knots, counting
+    what counts; NaN where the motion breaks. clearance [m]: nothing comes nearer than this, anywhere on the way (0: not
+    proven; None: collisions were not asked for). contacts; unproven: places where shapes are too close to tell without contact.
+    """
+
+    deviation: np.ndarray
+    turn: np.ndarray
+    clearance: float | None = None
+    contacts: tuple[Contact, ...] = ()
+    unproven: tuple[float, ...] = ()
+
+    @property
+    def largest(self) -> tuple[float, float]:
+        """Largest deviation [m] and turn [rad]; 0 where nothing moves."""
+        return _largest(self.deviation), _largest(self.turn)
+
+
+def _largest(values: np.ndarray) -> float:
+    return float(np.nanmax(values)) if np.isfinite(values).any() else 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class PathResult:
+    """A joint motion through N poses (read-only).
+
+    q (N, n) [rad or m], a row a pose, NaN where a pose is not reached; status; message (one sentence, with what to try);
+    reconfigurations, and lower_bound, the number of them that no motion can do without (None: not proven); unreachable poses.
+    position_error (N,) [m] and orientation_error (N,) [rad] (None: free): what counts of the errors at the poses, the largest
+    over the tips, by Pinocchio. The motion is linear in the joints between the rows of curve (M, n): q with the poses that
+    were inserted; at (M,) is their place among the poses (3.5: halfway from pose 3 to pose 4). continuity: what is proven of
+    it. robot, targets (N, F, 4, 4) [m] by tip, kinds and options: what was asked for; max_step (rad, m), path_tolerance (m,
+    rad), collision (model or None), seed; elapsed [s].
+    """
+
+    robot: Any
+    targets: np.ndarray
+    kinds: tuple
+    options: "Options"
+    q: np.ndarray
+    status: PathStatus
+    message: str
+    position_error: np.ndarray
+    orientation_error: np.ndarray | None
+    curve: np.ndarray
+    at: np.ndarray
+    continuity: Continuity
+    reconfigurations: tuple[Reconfiguration, ...] = ()
+    lower_bound: int | None = None
+    unreachable: tuple[Unreachable, ...] = ()
+    max_step: tuple[float, float] = (np.radians(7.0), 0.02)
+    path_tolerance: tuple[float, float] = (1e-3, np.radians(1.0))
+    collision: Any = field(default=None, repr=False)
+    seed: int = 0
+    elapsed: float = 0.0
+
+    @property
+    def success(self) -> bool:
+        """Whether every pose is reached, with no more reconfigurations than allowed and without contact."""
+        return self.status in (PathStatus.FOLLOWED, PathStatus.RECONFIGURES)
+
+    @property
+    def deviation(self) -> tuple[float, float]:
+        """Bound on the deviation of a tip [m] and [rad] from the interpolated poses, anywhere between the poses."""
+        return self.continuity.largest
+
+    @property
+    def clearance(self) -> float | None:
+        """Distance [m] that all parts are proven to keep, anywhere on the way; None when collisions were not asked for."""
+        return self.continuity.clearance
+
+    @property
+    def pieces(self) -> list[slice]:
+        """Continuous pieces of the motion, as rows of `curve`: it breaks at reconfigurations and at poses not reached."""
+        return pieces(self.curve, self.at, [one.index for one in self.reconfigurations])
+
+    @property
+    def largest_step(self) -> tuple[float, float]:
+        """Largest move of a joint between neighbouring rows of `curve`, inside the pieces: turning [rad] and sliding [m]."""
+        moves = [np.abs(np.diff(self.curve[piece], axis=0)).max(axis=0, initial=0.0) for piece in self.pieces]
+        return self._apart(np.max(moves, axis=0) if moves else np.zeros(self.robot.n), np.max)
+
+    @property
+    def length(self) -> tuple[float, float]:
+        """Sum of |dq| over neighbouring rows of q: turning joints [rad] and sliding joints [m]."""
+        moves = np.abs(np.diff(self.q, axis=0))
+        return self._apart(np.nansum(moves, axis=0), np.sum)
+
+    def _apart(self, values: np.ndarray, of: Any) -> tuple[float, float]:
+        slides = np.array([kind == "prismatic" for kind in self.robot.joint_kinds])
+        return float(of(values[~slides], initial=0.0)), float(of(values[slides], initial=0.0))
+
+    def raise_for_status(self) -> "PathResult":
+        """Return self, or raise NotSolved with the sentence when the path was not followed."""
+        if not self.success:
+            raise NotSolved(self)
+        return self
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain numbers, strings and lists, ready for JSON; rows of poses that are not reached hold nulls."""
+        return plain(
+            {
+                "success": self.success,
+                "status": self.status.name,
+                "message": self.message,
+                "robot": self.robot.name,
+                "base": self.robot.base,
+                "tips": self.robot.tips,
+                "joint_names": self.robot.joint_names,
+                "poses": len(self.q),
+                "q": self.q,
+                "position_error": self.position_error,
+                "orientation_error": self.orientation_error,
+                "reconfigurations": [{"index": one.index, "move": one.move} for one in self.reconfigurations],
+                "lower_bound": self.lower_bound,
+                "unreachable": [one._asdict() for one in self.unreachable],
+                "curve": self.curve,
+                "at": self.at,
+                "largest_step": dict(zip(("rad", "m"), self.largest_step, strict=True)),
+                "length": dict(zip(("rad", "m"), self.length, strict=True)),
+                "deviation": dict(zip(("m", "rad"), self.deviation, strict=True)),
+                "clearance": self.clearance,
+                "contacts": [one._asdict() for one in self.continuity.contacts],
+                "unproven": self.continuity.unproven,
+                "max_step": dict(zip(("rad", "m"), self.max_step, strict=True)),
+                "path_tolerance": dict(zip(("m", "rad"), self.path_tolerance, strict=True)),
+                "seed": self.seed,
+                "elapsed": self.elapsed,
+            }
+        )
+
+    def save(self, path: str | Path) -> Path:
+        """Write .csv (a row a pose: joints, then errors), .npz (the arrays) or .json (`to_dict`). Raises InvalidOption."""
+        file = Path(path)
+        suffix = file.suffix.lower()
+        if suffix == ".json":
+            write_whole(file, json.dumps(self.to_dict(), indent=2, allow_nan=False) + "\n")
+        elif suffix == ".npz":
+            arrays = {"targets": self.targets, "q": self.q, "position_error": self.position_error}
+            arrays |= {} if self.orientation_error is None else {"orientation_error": self.orientation_error}
+            arrays |= {"curve": self.curve, "at": self.at, "tips": np.array(self.robot.tips)}
+            arrays["reconfigurations"] = np.array([one.index for one in self.reconfigurations], dtype=int)
+            with whole_file(file) as stream:
+                np.savez_compressed(stream, joint_names=np.array(self.robot.joint_names), **arrays)
+        elif suffix == ".csv":
+            head = ["pose", *self.robot.joint_names, "position_error"]
+            columns = [np.arange(len(self.q))[:, None], self.q, self.position_error[:, None]]
+            if self.orientation_error is not None:
+                head.append("orientation_error")
+                columns.append(self.orientation_error[:, None])
+            write_table(file, head, np.hstack(columns), whole=1)
+        else:
+            raise InvalidOption(f"a path is saved as .csv, .npz or .json, not '{file.suffix or file.name}'")
+        return file
+
+    def retime(
+        self, velocity: Any = None, acceleration: Any = None, *, rate: float = 100.0, seed: int = 0
+    ) -> "Trajectory":
+        """The motion in the least time that joint speeds and accelerations allow, see `Trajectory`.
+
+        velocity, acceleration: a number for every joint or one a joint (n,) [rad or m per s, s^2]; velocity defaults to the
+        robot's own limits, accelerations have to be given. rate [1/s] of the samples. At a reconfiguration the robot stops and
+        moves freely from one branch to the other; seed: of the search for that motion. Raises InvalidOption (limits that are
+        missing or not positive, a path that was not followed), MissingExtra.
+        """
+        from .timing import retime
+
+        return retime(self, velocity, acceleration, rate, seed)
+
+    def __repr__(self) -> str:
+        """One line."""
+        turn, slide = self.length
+        parts = [f"{len(self.q)} poses", f"{len(self.reconfigurations)} reconfigurations", f"length {turn:.4g} rad"]
+        return f"PathResult({self.status.name}, {', '.join(parts)}{f' and {slide:.4g} m' if slide else ''})"
+
+
+def pieces(curve: np.ndarray, at: np.ndarray, breaks: list[int]) -> list[slice]:
+    """Runs of rows of a curve (M, n) without NaN and without a break: one lies between pose k and the next for k in breaks."""
+    finite = np.isfinite(curve).all(axis=1)
+    cut = ~(finite[:-1] & finite[1:])  # (M-1,) whether the motion stops between two rows
+    for k in breaks:
+        cut[np.searchsorted(at, k)] = True
+    starts = np.flatnonzero(np.append(True, cut))
+    ends = np.append(starts[1:], len(curve))
+    return [slice(int(a), int(b)) for a, b in zip(starts, ends, strict=True) if finite[a]]
+
+
+def write_table(file: Path, head: list[str], rows: np.ndarray, whole: int = 0) -> None:
+    """Write a CSV file; the first `whole` columns hold whole numbers, NaN is left empty."""
+    text = io.StringIO()
+    writer = csv.writer(text)
+    writer.writerow(head)
+    for row in rows.tolist():
+        numbers = ("" if x != x else repr(x) for x in row[whole:])
+        writer.writerow([*(int(x) for x in row[:whole]), *numbers])
+    write_whole(file, text.getvalue())
