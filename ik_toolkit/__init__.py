@@ -35,7 +35,7 @@ _NAMES = {
     "prepare": "solvers.prepare",
     "benchmark": "study.benchmark",
     "track": "tracking.track",
-    "Tracker": "tracking.track",
+    "Tracker": "tracking.tracker",
     "TrackResult": "tracking.result",
     "PathResult": "paths.result",
     "PathStatus": "paths.result",

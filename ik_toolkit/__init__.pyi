@@ -39,8 +39,8 @@ from .tracking.shapes import line as line
 from .tracking.shapes import lissajous as lissajous
 from .tracking.stability import best_gains as best_gains
 from .tracking.stability import check_gains as check_gains
-from .tracking.track import Tracker as Tracker
 from .tracking.track import track as track
+from .tracking.tracker import Tracker as Tracker
 from .tracking.waypoints import reference_from_file as reference_from_file
 from .tracking.waypoints import waypoints as waypoints
 

@@ -7,7 +7,8 @@ from references import Q0, panda_reference
 import ik_toolkit as ik
 from ik_toolkit.errors import InvalidOption, InvalidTarget
 from ik_toolkit.tracking.methods import make_method
-from ik_toolkit.tracking.track import StepStatus, Tracker, track
+from ik_toolkit.tracking.track import track
+from ik_toolkit.tracking.tracker import StepStatus, Tracker
 
 LIMITED: dict = {}
 

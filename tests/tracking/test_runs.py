@@ -10,7 +10,8 @@ from references import Q0, panda_reference
 import ik_toolkit as ik
 from ik_toolkit.cli import main
 from ik_toolkit.errors import IKError, InvalidConfiguration, InvalidOption, InvalidTarget
-from ik_toolkit.tracking.track import Tracker, track
+from ik_toolkit.tracking.track import track
+from ik_toolkit.tracking.tracker import Tracker
 
 
 def test_solver_rules_as_trackers(panda):
