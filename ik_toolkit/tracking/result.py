@@ -13,11 +13,20 @@ from ..errors import InvalidOption
 from ..files import whole_file, write_whole
 from .stability import GainCheck
 
+ROUNDING = 1e-6  # of a step: a clock that lags by less was not slowed, its sum is rounded
+
 
 class TrackStatus(Enum):
-    """COMPLETED; LOST (a sample outside the tolerances); DIVERGED (joints ran away); NOT_FINITE (no usable step)."""
+    """How a run ended.
+
+    COMPLETED: inside the tolerances at every sample, in the reference's own time. SLOWED: inside, but the clock was slowed.
+    LEFT: outside for a while, inside again at the end. LOST: outside at the end, or ended before the reference did.
+    DIVERGED: joints ran away. NOT_FINITE: no usable step.
+    """
 
     COMPLETED = "completed"
+    SLOWED = "slowed"
+    LEFT = "left"
     LOST = "lost"
     DIVERGED = "diverged"
     NOT_FINITE = "not finite"
@@ -30,8 +39,11 @@ class TrackResult:
     t (N+1,) [s]; q, rate (N+1, n) joint values and the method's joint rates [rad or m (per s)]; xyz, target_xyz (N+1, 3)
     [m], base axes; position_error (N+1,) [m], orientation_error (N+1,) [rad] or None; limited (N, n) bits 1 position,
     2 speed, 4 acceleration limit; damped (N,) whether the pseudo-inverse was damped; between_position, between_orientation
-    (N,) largest error inside each step; figures (see `figures`); elapsed [s] of stepping; gain_check. The verdict:
-    position_tolerance [m] and orientation_tolerance [rad] hold at every sample from settle [s] on (COMPLETED) or not (LOST).
+    (N,) largest error inside each step; figures (see `figures`); elapsed [s] of stepping; gain_check. The verdict reads
+    position_tolerance [m] and orientation_tolerance [rad] at every sample from settle [s] on.
+
+    clock (N+1,) [s]: the reference's time at each t, against which errors are; sigma (N,) its rate in each step, 0 to 1; pace
+    (N,) the joint that held it back, -1 for none. end [s]: reference time that the run was to reach. Without them the clock is t.
     """
 
     robot: str
@@ -55,14 +67,41 @@ class TrackResult:
     position_tolerance: float
     orientation_tolerance: float
     settle: float
+    clock: np.ndarray = None  # type: ignore[assignment]
+    sigma: np.ndarray = None  # type: ignore[assignment]
+    pace: np.ndarray = None  # type: ignore[assignment]
+    end: float = float("nan")
     figures: dict[str, Any] = field(default_factory=dict)
     status: TrackStatus = TrackStatus.COMPLETED
     message: str = ""
 
+    def __post_init__(self) -> None:
+        """Fill in the clock of a run that was not slowed."""
+        steps = len(self.t) - 1
+        self.clock = self.t if self.clock is None else self.clock
+        self.sigma = np.ones(steps) if self.sigma is None else self.sigma
+        self.pace = np.full(steps, -1) if self.pace is None else self.pace
+        self.end = float(self.clock[-1]) if np.isnan(self.end) else self.end
+
     @property
     def success(self) -> bool:
         """Whether the reference was followed to its end, every sample from settle on inside the tolerances."""
-        return self.status is TrackStatus.COMPLETED
+        return self.status in (TrackStatus.COMPLETED, TrackStatus.SLOWED)
+
+    @property
+    def added_time(self) -> float:
+        """How much longer [s] the run took than the stretch of the reference it followed; 0 when the clock was not slowed."""
+        added = float(self.t[-1] - self.clock[-1])
+        return added if added > ROUNDING * self.dt else 0.0
+
+    @property
+    def pace_joint(self) -> str | None:
+        """Name of the joint that held the clock back most, None when none did."""
+        held = self.pace >= 0
+        if not (self.added_time and held.any()):
+            return None
+        lost = np.bincount(self.pace[held], weights=1.0 - self.sigma[held], minlength=len(self.joint_names))
+        return self.joint_names[int(np.argmax(lost))]
 
     def outside(self) -> np.ndarray:
         """Which samples (N+1,) from settle on have an error above a tolerance."""
@@ -87,6 +126,10 @@ class TrackResult:
             "orientation_tolerance": self.orientation_tolerance,
             "settle": self.settle,
             "samples_outside": int(self.outside().sum()),
+            "duration": float(self.t[-1]),
+            "clock": float(self.clock[-1]),
+            "added_time": self.added_time,
+            "pace_joint": self.pace_joint,
             "elapsed": self.elapsed,
             "stability": None
             if check is None
@@ -101,6 +144,7 @@ class TrackResult:
             optional = {"orientation_error": self.orientation_error, "between_orientation": self.between_orientation}
             optional["between_position"] = self.between_position
             names = ("t", "q", "rate", "xyz", "target_xyz", "position_error", "limited", "damped")
+            names += ("clock", "sigma", "pace")
             arrays: dict[str, Any] = {name: getattr(self, name) for name in names}
             arrays |= {name: array for name, array in optional.items() if array is not None}
             with whole_file(file) as stream:
@@ -111,6 +155,8 @@ class TrackResult:
             if self.orientation_error is not None:
                 head.append("orientation_error")
                 parts.append(self.orientation_error[:, None])
+            head.append("clock")
+            parts.append(self.clock[:, None])
             text = io.StringIO()
             writer = csv.writer(text)
             writer.writerow(head)
@@ -127,7 +173,8 @@ def figures(result: TrackResult, jump: np.ndarray) -> dict[str, Any]:
     position (orientation): max, rms, final, settled_max (second half) and between_max (inside steps). Joints, by finite
     differences of the samples: peak_speed, peak_acceleration, peak_jerk (n,) [rad or m per s, s^2, s^3];
     largest_move with its joint and time; jumps, the number of steps with a move above `jump` (n,). time_at_limits [s] (any
-    joint held back), time_at_limits_by_joint; damped_time [s] (near a singularity).
+    joint held back), time_at_limits_by_joint; damped_time [s] (near a singularity); slowed_time [s] (the clock went slower),
+    added_time [s] (how much longer the run took for it), slowest (the least clock rate).
     """
     out: dict[str, Any] = {"position": _errors(result.position_error, result.between_position)}
     if result.orientation_error is not None:
@@ -148,6 +195,9 @@ def figures(result: TrackResult, jump: np.ndarray) -> dict[str, Any]:
         j: float(x) for j, x in zip(result.joint_names, hit.sum(axis=0) * result.dt, strict=True)
     }
     out["damped_time"] = float(result.damped.sum() * result.dt)
+    out["slowed_time"] = float((result.sigma < 1.0 - ROUNDING).sum() * result.dt)
+    out["added_time"] = result.added_time
+    out["slowest"] = float(result.sigma.min(initial=1.0))
     return out
 
 

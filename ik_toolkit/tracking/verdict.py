@@ -1,4 +1,4 @@
-"""Whether a run followed its reference: every sample inside the tolerances, once the arm has had time to get going."""
+"""Whether a run followed its reference, once the arm has had time to get going; and if it did not, how far off, when and why."""
 
 import numpy as np
 
@@ -11,6 +11,7 @@ from .result import TrackResult, TrackStatus
 POSITION_TOLERANCE = 1e-3  # [m] what a path is commonly followed to
 ORIENTATION_TOLERANCE = np.radians(0.1)  # [rad] moves a tool of half a metre by about as much
 SETTLE = 0.5  # [s] given to an arm that has to get going first
+LIMITS = ((motion.POSITION, "position"), (motion.VELOCITY, "speed"), (motion.ACCELERATION, "acceleration"))
 
 
 def settling(settle: float | None, at_rest: bool, duration: float) -> float:
@@ -26,7 +27,7 @@ def settling(settle: float | None, at_rest: bool, duration: float) -> float:
 def verdict(result: TrackResult, stop: int, steps: int) -> tuple[TrackStatus, str]:
     """Status of a whole run and one sentence."""
     done = len(result.t) - 1
-    if stop != motion.FINE:
+    if stop in (motion.RUNAWAY, motion.NOT_FINITE):
         what = "moved joints without bound" if stop == motion.RUNAWAY else "gave a step that is not finite"
         check = result.gain_check
         hint = check.message if check is not None and not check.stable else "Try aad, a smaller dt, or limits=True."
@@ -38,25 +39,69 @@ def verdict(result: TrackResult, stop: int, steps: int) -> tuple[TrackStatus, st
     note = f" A limit held a joint back in {limited} of {done} steps." if limited else ""
     note += _between_samples(result)
     outside = result.outside()
+    if result.clock[-1] < result.end - result.dt:  # the last step may fall short of the end
+        return TrackStatus.LOST, _stopped(result, outside) + note
+    if outside.any():
+        status = TrackStatus.LOST if outside[-1] else TrackStatus.LEFT
+        return status, f"{_away(result, outside)}{_added(result, '; took ')}.{note}"
     judged = result.t >= result.settle
+    worst = _error_words(result.position_error[judged].max(), result.orientation_error, judged)
     after = f" after {result.settle:g} s" if result.settle else ""
-    if not outside.any():
-        worst = _error_words(result.position_error[judged].max(), result.orientation_error, judged)
-        return TrackStatus.COMPLETED, f"followed the reference: at most {worst} off at every sample{after}.{note}"
-    excess = result.position_error / result.position_tolerance
-    if result.orientation_error is not None:
-        excess = np.maximum(excess, result.orientation_error / result.orientation_tolerance)
-    k = int(np.argmax(np.where(judged, excess, -1.0)))
-    here = np.arange(len(result.t)) == k
-    away = _error_words(result.position_error[k], result.orientation_error, here)
+    off = f"at most {worst} off at every sample{after}.{note}"
+    if result.added_time:
+        return TrackStatus.SLOWED, f"followed the reference{_added(result, ', ')}: {off}"
+    return TrackStatus.COMPLETED, f"followed the reference: {off}"
+
+
+def _away(result: TrackResult, outside: np.ndarray) -> str:
+    """How far a run was from its reference, when, what was allowed, and whether it came back."""
+    judged = result.t >= result.settle
+    k = _worst(result, judged)
+    away = _error_words(result.position_error[k], result.orientation_error, np.arange(len(result.t)) == k)
     allowed = length(result.position_tolerance)
     if result.orientation_error is not None:
         allowed += f" and {np.degrees(result.orientation_tolerance):.3g} deg"
+    first, last = result.t[outside][[0, -1]]
+    when = f"from t = {first:.4g} s to " + ("the end" if outside[-1] else f"{last:.4g} s and inside again at the end")
+    after = f" after {result.settle:g} s" if result.settle else ""
     return (
-        TrackStatus.LOST,
         f"{away} from the reference at t = {result.t[k]:.4g} s, where {allowed} are allowed; "
-        f"outside in {outside.sum()} of {judged.sum()} samples{after}.{note}",
+        f"outside in {outside.sum()} of {judged.sum()} samples{after}, {when}"
     )
+
+
+def _worst(result: TrackResult, judged: np.ndarray) -> int:
+    """Sample with the largest error over its tolerance."""
+    excess = result.position_error / result.position_tolerance
+    if result.orientation_error is not None:
+        excess = np.maximum(excess, result.orientation_error / result.orientation_tolerance)
+    return int(np.argmax(np.where(judged, excess, -1.0)))
+
+
+def _stopped(result: TrackResult, outside: np.ndarray) -> str:
+    """Why a run ended before its reference did."""
+    at = f"came to {result.clock[-1]:.4g} of {result.end:.4g} s of the reference in {result.t[-1]:.4g} s"
+    held = result.pace[result.pace >= 0]
+    if len(held):
+        at += f", held back by {_limit(result, int(held[-1]))}"
+    return f"{at}; {_away(result, outside)}." if outside.any() else f"{at}."
+
+
+def _added(result: TrackResult, before: str) -> str:
+    """How much longer a run took than its reference, and which joint set the pace; '' when the clock was not slowed."""
+    if not result.added_time:
+        return ""
+    words = f"{before}{result.added_time:.3g} s longer than its {result.clock[-1]:.4g} s"
+    joint = result.pace_joint
+    return words if joint is None else f"{words}, at the pace of {_limit(result, result.joint_names.index(joint))}"
+
+
+def _limit(result: TrackResult, joint: int) -> str:
+    """Name of a joint, with the limit that held it most often while it held the clock back."""
+    codes = result.limited[result.pace == joint, joint]
+    counts = [int((codes & bit > 0).sum()) for bit, _ in LIMITS]
+    name = result.joint_names[joint]
+    return f"{name} ({LIMITS[int(np.argmax(counts))][1]} limit)" if any(counts) else name
 
 
 def _between_samples(result: TrackResult) -> str:

@@ -36,7 +36,7 @@ def test_saved_files(panda, tmp_path):
         assert np.array_equal(data["q"], run.q) and list(data["joint_names"]) == list(panda.joint_names)
         assert np.array_equal(data["orientation_error"], run.orientation_error)
     rows = run.save(tmp_path / "run.csv").read_text().splitlines()
-    assert len(rows) == 102 and rows[0].startswith("t,q_panda_joint1") and rows[0].endswith("orientation_error")
+    assert len(rows) == 102 and rows[0].startswith("t,q_panda_joint1") and rows[0].endswith("orientation_error,clock")
     assert np.array_equal([float(x) for x in rows[-1].split(",")][1:8], run.q[-1])
     with pytest.raises(InvalidOption, match=r"npz or \.csv"):
         run.save(tmp_path / "run.txt")

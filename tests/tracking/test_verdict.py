@@ -39,7 +39,7 @@ def test_the_verdict_reads_every_sample(planar, panda):
     ref = panda_reference(panda, True, 2.0)
     start = Q0 + 0.01
     run = track(panda, ref, "cv", dt=0.01, q0=start)
-    assert run.status.name == "LOST" and judged(run, panda, ref) > 1.0
+    assert run.status.name == "LEFT" and judged(run, panda, ref) > 1.0
     assert run.outside()[0] and not run.outside()[50:].any()
     assert f"outside in {run.outside().sum()} of 201 samples" in run.message and "t = 0 s" in run.message
     later = track(panda, ref, "cv", dt=0.01, q0=start, settle=0.5)
@@ -64,7 +64,7 @@ def test_an_arm_that_starts_at_rest_has_half_a_second(planar):
     ref = ik.circle(planar.fk(q0).translation, 0.2, duration=4.0)
     run = track(planar, ref, "cv", dt=0.01, q0=q0, acceleration_limits=8.0)
     assert run.settle == 0.5 and run.success and run.position_error.max() > 1e-3
-    assert track(planar, ref, "cv", dt=0.01, q0=q0, acceleration_limits=8.0, settle=0.0).status.name == "LOST"
+    assert track(planar, ref, "cv", dt=0.01, q0=q0, acceleration_limits=8.0, settle=0.0).status.name == "LEFT"
     assert track(planar, ref, "cv", dt=0.01, q0=q0, rate0=np.zeros(2)).settle == 0.5
     moving = track(planar, ref, "cv", dt=0.01, q0=q0)
     assert moving.settle == 0.0 and moving.success and judged(moving, planar, ref) <= 1.0
@@ -84,7 +84,7 @@ def test_the_verdict_of_the_command(capsys):
     words.append("--position-only")
     assert main([*words, "--json"]) == 0 and json.loads(capsys.readouterr().out)["settle"] == 0.5
     assert main([*words, "--settle", "0"]) == 1
-    assert "LOST" in capsys.readouterr().err
+    assert "LEFT" in capsys.readouterr().err
     assert main([*words, "--tolerance-position", "1e-9"]) == 1
     assert "1 nm" in capsys.readouterr().err
     assert main([*words, "--tolerance-orientation", "0"]) == 2
