@@ -141,7 +141,7 @@ def track(
     """Follow a path with the tip and report errors, joint speeds and limits.
 
     Gains that are unstable at the rate are said before the run, with better ones. Exit code 0 when every sample was inside the
-    tolerances (COMPLETED), 1 when one was not (LOST) or the run diverged.
+    tolerances (COMPLETED, SLOWED), 1 when one was not (LEFT, LOST) or the run diverged.
     """
     if not (rate > 0.0 and rate < float("inf")):
         raise InvalidOption(f"--rate must be positive, not {rate}")

@@ -44,11 +44,11 @@ def track(
 
     method: cv, av, ca, aa or aad, options as in `Method` (kappa, kp, kd, reading, gamma, null_damping, damping). q0 (n,):
     default home if the reference starts there, else a solution for the reference's start. rate0, limits and
-    acceleration_limits as in `Tracker`. COMPLETED when no sample from settle [s] on has an error above position_tolerance
-    [m] and orientation_tolerance [rad], else LOST; settle is 0 by default, and 0.5 (half of a run shorter than 1 s) when
-    the arm starts at rest: with acceleration_limits, or with a rate0 of zeros. Warns (UserWarning) before the run when the
-    gains are unstable at dt. A run that diverges ends there, with a status and a sentence; the arrays hold only what was
-    reached. Raises InvalidOption, InvalidTarget, InvalidConfiguration.
+    acceleration_limits as in `Tracker`. COMPLETED or SLOWED when no sample from settle [s] on has an error above
+    position_tolerance [m] and orientation_tolerance [rad], else LEFT or LOST (see `TrackStatus`); settle is 0 by default, and
+    0.5 (half of a run shorter than 1 s) when the arm starts at rest: with acceleration_limits, or with a rate0 of zeros. Warns
+    (UserWarning) before the run when the gains are unstable at dt. A run that diverges ends there, with a status and a
+    sentence; the arrays hold only what was reached. Raises InvalidOption, InvalidTarget, InvalidConfiguration.
     """
     require_one_tip(robot, "tracking")
     if not isinstance(reference, Reference):
