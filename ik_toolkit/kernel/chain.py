@@ -1,5 +1,6 @@
 """The flat arrays a kernel runs on, and how a chain's geometry is packed into them."""
 
+import math
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -262,3 +263,19 @@ def pack(
     seeds = np.random.default_rng(0x5EED7AB1E).uniform(low, high, (SEEDS, n))
     features = table(rows, ends, seeds, evaluate)
     return Chain(rows, ends, seeds, features, unit, lower, upper, turns.astype(float), scale, reach)
+
+
+@cached
+def levers(rows, ends, Q, unit, D) -> None:
+    """Distances D (N, L) [m] of the tip from the axis of each joint on the path at Q (N, n)."""
+    n = Q.shape[1]
+    size, angles = room(rows.shape[0])
+    q, joints, trig = np.empty(n), np.empty(size), np.zeros(angles)
+    for t in range(Q.shape[0]):
+        for i in range(n):
+            q[i] = Q[t, i] / unit[i]
+        now = fk(rows, q, joints, trig)
+        tip = now.point + now.axes.times(at3(ends, 21))
+        for i in range(rows.shape[0]):
+            arm = at3(joints, 6 * i).cross(tip - at3(joints, 6 * i + 3))
+            D[t, i] = math.sqrt(arm.square()) * Ends(ends, n).scale()

@@ -162,17 +162,21 @@ class CollisionModel:
         """Pinocchio's data, the geometry's, and the tree of boxes or None, each the calling thread's own."""
         local = self._local
         if not hasattr(local, "space"):
-            data, geometry_data = self.robot.model.createData(), self.geometry.createData()
-            # Pinocchio's own requests start from the last answer's guess, and then a verdict may depend on the ones before.
-            for k in range(len(geometry_data.collisionRequests)):
-                geometry_data.collisionRequests[k] = coal.CollisionRequest(coal.CollisionRequestFlag.NO_REQUEST, 1)
-            boxes = pin.BroadPhaseManager_DynamicAABBTreeCollisionManager(
-                self.robot.model, self.geometry, geometry_data
-            )
-            # Pinocchio leaves shapes whose box has no volume (a flat mesh) out of the tree: then every pair is tested.
-            flat = any(np.min(_extent(o.geometry)) <= 0.0 for o in self.geometry.geometryObjects)
-            local.space = data, geometry_data, None if flat else boxes
+            local.space = self.workspace(np.zeros(len(self.geometry.collisionPairs)))
         return local.space
+
+    def workspace(self, margins: np.ndarray) -> tuple[Any, Any, Any]:
+        """New workspace (see `_workspace`) in which a pair nearer than its margin [m] (pairs,) counts as touching."""
+        data, geometry_data = self.robot.model.createData(), self.geometry.createData()
+        # Pinocchio's own requests start from the last answer's guess, and then a verdict may depend on the ones before.
+        for k, margin in enumerate(margins.tolist()):
+            request = coal.CollisionRequest(coal.CollisionRequestFlag.NO_REQUEST, 1)
+            request.security_margin = margin
+            geometry_data.collisionRequests[k] = request
+        boxes = pin.BroadPhaseManager_DynamicAABBTreeCollisionManager(self.robot.model, self.geometry, geometry_data)
+        # Pinocchio leaves shapes whose box has no volume (a flat mesh) out of the tree: then every pair is tested.
+        flat = any(np.min(_extent(o.geometry)) <= 0.0 for o in self.geometry.geometryObjects)
+        return data, geometry_data, None if flat else boxes
 
     def collides(self, q: Any) -> bool:
         """Whether anything touches at q (n,) [rad or m]."""

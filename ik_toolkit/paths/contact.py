@@ -1,0 +1,166 @@
+"""Whether anything touches while the joints move linearly from row to row: proven by tests with a margin, not by sampling.
+
+When all pairs are farther apart than their margins at two configurations, nothing touches between them as long as no pair can come
+closer by more than the two margins together. How much closer is bounded by sum_i |dq_i| W_i, with W_i the longest arm of the
+pair's shapes about joint i; joints that move both shapes alike do not count. The margins of all pairs are one number times the
+pair's own longest arm, so that links which are always near each other (and move little against each other) do not spoil it.
+"""
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+import pinocchio as pin
+
+from .result import Contact
+
+LARGEST, FINER = (
+    0.015,
+    4.0,
+)  # [rad] margins tried, the first and its parts: towards 2 cm on a metre, where tests are still cheap
+FLOOR = 1e-4  # [m] margin below which two shapes count as too close to tell
+EACH, AT_LEAST = (
+    30,
+    20_000,
+)  # tests for every row of a curve, and for any curve, after which the rest counts as not proven
+
+
+class Margins:
+    """A collision model tested with margins: the same shapes and pairs, with arms W (n, pairs) [m per rad, or m per m]."""
+
+    def __init__(self, collision: Any, stroke: np.ndarray) -> None:
+        """stroke (n,): the largest |q| on the way, for joints that slide."""
+        self.collision = collision
+        self.arms = _arms(collision, stroke)
+        self.size = np.maximum(self.arms.max(axis=0, initial=0.0), FLOOR)
+        floor = FLOOR / self.size.max(initial=FLOOR)
+        levels = max(1, math.ceil(math.log(LARGEST / floor, FINER)))
+        self.levels = [*(LARGEST / FINER**k for k in range(levels)), floor]
+        self._spaces: dict[float, Any] = {}
+        self.spent = 0
+
+    def approach(self, dq: np.ndarray) -> np.ndarray:
+        """How much margin moves dq (S, n) can use up."""
+        if not self.arms.shape[1]:
+            return np.zeros(len(dq))
+        return (np.abs(dq) @ (self.arms / self.size)).max(axis=1)
+
+    def free(self, q: np.ndarray, margin: float) -> bool:
+        """Whether all pairs are farther apart than the margin times their size at q (n,); 0: whether nothing touches."""
+        self.spent += 1
+        if margin == 0.0:
+            return not self.collision.collides(q)
+        space = self._spaces.get(margin)
+        if space is None:
+            space = self._spaces[margin] = self.collision.workspace(margin * self.size)
+        data, found, boxes = space
+        model, geometry = self.collision.robot.model, self.collision.geometry
+        full = self.collision._full(q)
+        if boxes is None:
+            return not pin.computeCollisions(model, data, geometry, found, full, True)
+        return not pin.computeCollisions(model, data, boxes, full, True)
+
+    def around(self, q: np.ndarray, first: int = 0) -> tuple[float, int]:
+        """Largest margin of the levels from `first` on that q (n,) keeps: with its place; 0 when none, -1 when it touches."""
+        for k in range(first, len(self.levels)):
+            if self.free(q, self.levels[k]):
+                return self.levels[k], k
+        return (0.0 if self.free(q, 0.0) else -1.0), len(self.levels) - 1
+
+
+def _arms(collision: Any, stroke: np.ndarray) -> np.ndarray:
+    """Longest arm (n, pairs) of each pair about each joint [m], 1 for a joint that slides; 0 where it moves both alike."""
+    robot, geometry, model = collision.robot, collision.geometry, collision.robot.model
+    data = model.createData()
+    pin.forwardKinematics(model, data, robot._fill(robot.rest.copy(), robot.home))
+    lead = dict(zip(model.mimicking_joints, model.mimicked_joints, strict=True))
+    place = {int(x): i for i, x in enumerate(robot._path.idx_q)}
+    moved: dict[int, tuple[int, float, float]] = {}  # joint -> coordinate, turn and slide a unit of it
+    for j in range(1, model.njoints):
+        leader = model.joints[lead.get(j, j)]
+        if leader.nv == 1 and leader.idx_q in place:
+            screw = np.asarray(data.joints[j].S).reshape(6)
+            moved[j] = (place[leader.idx_q], float(np.linalg.norm(screw[3:])), float(np.linalg.norm(screw[:3])))
+    own = np.zeros((len(geometry.geometryObjects), robot.n, model.njoints))  # by joint, for what two shapes share
+    for k, shape in enumerate(geometry.geometryObjects):
+        shape.geometry.computeLocalAABB()
+        centre = shape.placement.act(np.asarray(shape.geometry.aabb_center))
+        reach = float(np.linalg.norm(centre)) + shape.geometry.aabb_radius
+        j = shape.parentJoint
+        while j > 0:
+            if j in moved:
+                i, turn, slide = moved[j]
+                own[k, i, j] = turn * reach + slide
+                reach += slide * stroke[i]
+            reach += float(np.linalg.norm(model.jointPlacements[j].translation))
+            j = model.parents[j]
+    arms = np.zeros((robot.n, len(geometry.collisionPairs)))
+    for p, pair in enumerate(geometry.collisionPairs):
+        a, b = own[pair.first], own[pair.second]
+        arms[:, p] = np.where((a > 0.0) & (b > 0.0), 0.0, a + b).sum(axis=1)
+    return arms
+
+
+def find_contacts(
+    collision: Any, curve: np.ndarray, at: np.ndarray, moving: np.ndarray
+) -> tuple[float, tuple[Contact, ...], tuple[float, ...]]:
+    """Clearance [m], contacts and places not proven, over the stretches `moving` (M-1,) between rows of a curve (M, n).
+
+    At most one contact is listed for a stretch. Rows of NaN are left out.
+    """
+    finite = np.isfinite(curve).all(axis=1)
+    stroke = np.abs(curve[finite]).max(axis=0, initial=0.0)
+    margins = Margins(collision, stroke)
+    most = max(AT_LEAST, EACH * len(curve))
+    contacts: list[Contact] = []
+    unproven: list[float] = []
+    kept, level = np.full(len(curve), np.nan), 0
+    for k in np.flatnonzero(finite):
+        kept[k], level = margins.around(curve[k], max(level - 1, 0))
+        if kept[k] < 0.0:
+            contacts.append(Contact(float(at[k]), collision.collisions(curve[k])[0]))
+    left = float(np.nanmin(kept, initial=math.inf))
+    approach = margins.approach(np.diff(curve, axis=0))
+    for k in np.flatnonzero(moving):
+        if min(kept[k], kept[k + 1]) < 0.0:
+            continue
+        found = _between(margins, curve[k], curve[k + 1], kept[k], kept[k + 1], float(approach[k]), most)
+        left = min(left, found.spare)
+        if found.touches >= 0.0:
+            q = curve[k] + found.touches * (curve[k + 1] - curve[k])
+            place = float(at[k] + found.touches * (at[k + 1] - at[k]))
+            contacts.append(Contact(place, collision.collisions(q)[0]))
+        elif not found.proven:
+            unproven.append(float(at[k]))
+    return max(left, 0.0) * float(margins.size.min(initial=math.inf)), tuple(contacts), tuple(unproven)
+
+
+class _Stretch(NamedTuple):
+    """What is found of a stretch: whether it is proven free, margin to spare, and the share of it at which it touches, or -1."""
+
+    proven: bool
+    spare: float
+    touches: float
+
+
+def _between(
+    margins: Margins, a: np.ndarray, b: np.ndarray, before: float, after: float, approach: float, most: int
+) -> _Stretch:
+    """Test the move from a to b (n,), which keep the margins before and after, by halves until they cover the approach."""
+    proven, spare = True, math.inf
+    stack = [(0.0, 1.0, before, after)]
+    while stack:
+        low, high, first, last = stack.pop()
+        needed = approach * (high - low)
+        if needed <= first + last:
+            spare = min(spare, 0.5 * (first + last - needed))
+        elif needed <= margins.levels[-1] or margins.spent >= most:
+            proven = False
+        else:
+            middle = 0.5 * (low + high)
+            enough = max((k for k, level in enumerate(margins.levels) if level >= 0.5 * needed), default=0)
+            kept, _ = margins.around(a + middle * (b - a), enough)
+            if kept < 0.0:
+                return _Stretch(False, 0.0, middle)
+            stack += [(middle, high, kept, last), (low, middle, first, kept)]
+    return _Stretch(proven, spare if proven else 0.0, -1.0)

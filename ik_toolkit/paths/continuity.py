@@ -1,0 +1,244 @@
+"""How far a tip can be from the interpolated pose while the joints move linearly: a bound, and poses inserted until it is small.
+
+Between two knots dq is constant, so p'' = sum_ij dq_i dq_j d2p/dq_i dq_j, and each second derivative is at most the distance of the
+tip from the axis of the outer of the two joints. A curve with |p''| <= c leaves its chord by c / 8 at most. The same holds for a
+rotation with all distances 1, against the geodesic; there a factor for the curvature of the rotations is added.
+"""
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+import pinocchio as pin
+
+from ..kernel.chain import levers
+from ..kernel.smooth import smooth
+from ..kernel.task import FREE, POSITION
+from ..solvers.task import relatives, what_counts
+from .contact import find_contacts
+from .result import Continuity
+
+ROUNDS = (
+    8  # of insertion: the bound falls with the square of the number of pieces, so two or three do where it can be met
+)
+MOST_PIECES = 256  # of one stretch between two poses; where so many do not help the path is not continuous there
+LOG_SLOPE = 1.3  # bound on the derivative of the inverse left Jacobian of a rotation vector up to half a turn
+LOG_GAIN = 0.5 * math.pi  # and on that Jacobian itself
+
+
+class Speeds(NamedTuple):
+    """Bounds over each of S stretches whose length is 1: of a tip's speed, of p'', of the turning speed and of its derivative."""
+
+    speed: np.ndarray
+    bend: np.ndarray
+    turn: np.ndarray
+    twist: np.ndarray
+
+
+def check(
+    plan: Any, kinds: tuple, curve: np.ndarray, at: np.ndarray, T: np.ndarray, cut: np.ndarray, collision: Any = None
+) -> Continuity:
+    """What is proven of the motion along a curve (M, n) whose rows are at places `at` (M,) among the poses T (N, F, 4, 4).
+
+    Every row without NaN is inside the tolerances of its target. cut (M-1,): where the motion breaks. collision: a
+    CollisionModel, or None.
+    """
+    deviation, turn = bounds(plan, kinds, curve, at, T)
+    moving = ~cut & np.isfinite(curve[1:] + curve[:-1]).all(axis=1)
+    deviation[~moving], turn[~moving] = np.nan, np.nan
+    if collision is None:
+        return Continuity(deviation, turn)
+    return Continuity(deviation, turn, *find_contacts(collision, curve, at, moving))
+
+
+def densify(
+    plan: Any,
+    kinds: tuple,
+    q: np.ndarray,
+    T: np.ndarray,
+    breaks: list[int],
+    max_step: tuple[float, float],
+    path_tolerance: tuple[float, float],
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Insert solved poses until no step is longer than max_step (rad, m) and the bounds are below path_tolerance (m, rad).
+
+    q (N, n), rows of NaN where a pose is not reached; breaks: the motion breaks between pose k and the next for k in breaks.
+    Returns the curve (M, n), the places of its rows (M,) and where it is cut (M-1,). Where that cannot be had (no joint motion
+    leads on from the one side to the other) the stretch stays as it was: `check` then says by how much.
+    """
+    robot = plan.robot
+    step = np.where([kind == "prismatic" for kind in robot.joint_kinds], max_step[1], max_step[0])
+    curve, at = q, np.arange(float(len(q)))
+    open_ = np.isfinite(q[1:] + q[:-1]).all(axis=1)
+    open_[list(breaks)] = False
+    given_up = np.zeros(len(q) - 1, dtype=bool)
+    for _ in range(ROUNDS):
+        owner = at[:-1].astype(int)
+        deviation, turn = bounds(plan, kinds, curve, at, T)
+        # The end errors are there whatever is inserted; what the motion adds falls with the square of the number of pieces.
+        excess = [np.sqrt(x / most) for x, most in zip((deviation, turn), path_tolerance, strict=True)]
+        wanted = np.max([*excess, (np.abs(np.diff(curve, axis=0)) / step).max(axis=1)], axis=0)
+        wanted = np.where(open_[owner] & ~given_up[owner] & (wanted > 1.0), np.ceil(wanted * (1.0 + 1e-9)), 1.0)
+        crowded = np.bincount(owner, wanted, len(given_up)) > MOST_PIECES
+        given_up |= crowded
+        wanted = np.where(crowded[owner], 1.0, wanted).astype(int)
+        if not (wanted > 1).any():
+            break
+        first = np.repeat(np.arange(len(wanted)), wanted)  # the stretch of each piece
+        share = (np.arange(len(first)) - np.repeat(np.cumsum(wanted) - wanted, wanted)) / wanted[first]
+        places = np.append(at[first] + share * (at[first + 1] - at[first]), at[-1])
+        rows = np.vstack([curve[first] + share[:, None] * (curve[first + 1] - curve[first]), curve[-1:]])
+        new = np.append(share > 0.0, False)
+        rows[new], good = settle(plan, kinds, rows[new], interpolate(T, places[new], kinds))
+        # A row that is not solved, or is farther from its neighbours than the stretch was long, leads nowhere.
+        given_up[np.unique(places[new][~good].astype(int))] = True
+        keep = ~new | ~given_up[np.minimum(places, len(q) - 2).astype(int)]
+        curve, at = rows[keep], places[keep]
+    whole = ~np.isin(np.floor(at).astype(int), np.flatnonzero(given_up)) | (at == np.round(at))
+    curve, at = curve[whole], at[whole]
+    return curve, at, ~open_[at[:-1].astype(int)]
+
+
+def settle(plan: Any, kinds: tuple, q: np.ndarray, T: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Bring rows q (M, n) onto targets T (M, F, 4, 4) with the least moves; returns them and whether each is solved (M,)."""
+    q, good = q.copy(), np.zeros(len(q), dtype=bool)
+    run_smooth(plan, kinds, q, T, np.zeros(len(q), dtype=bool), (0.0, 0.0, 1.0), np.ones(plan.robot.n), 0, good)
+    return q, good
+
+
+def run_smooth(
+    plan: Any,
+    kinds: tuple,
+    q: np.ndarray,
+    T: np.ndarray,
+    fixed: np.ndarray,
+    cost: tuple[float, float, float],
+    longest: np.ndarray,
+    steps: int,
+    good: np.ndarray,
+) -> tuple[int, float, float]:
+    """Call `kernel.smooth.smooth` for a plan."""
+    targets = T if plan.robot.by_tip else T[:, 0]
+    arrays = (np.ascontiguousarray(targets), q, fixed, plan.orders(kinds, True))
+    return smooth(*plan.chain[:2], *arrays, *cost, longest, steps, good)
+
+
+# --------------------------------------------------------------------------------------------------------- between poses
+def interpolate(T: np.ndarray, at: np.ndarray, kinds: tuple) -> np.ndarray:
+    """Targets (M, F, 4, 4) at places among the poses T (N, F, 4, 4): straight in position, rotations along the geodesic."""
+    k = np.minimum(at.astype(int), max(len(T) - 2, 0))
+    share = at - k
+    made = T[k].copy()
+    if len(T) < 2:
+        return made
+    made[..., :3, 3] += share[:, None, None] * (T[k + 1][..., :3, 3] - T[k][..., :3, 3])
+    for f, kind in enumerate(kinds):
+        if kind in (POSITION, FREE):
+            continue
+        vectors = {j: pin.log3(T[j, f, :3, :3].T @ T[j + 1, f, :3, :3]) for j in np.unique(k[(share > 0.0)]).tolist()}
+        for i in np.flatnonzero(share > 0.0):
+            made[i, f, :3, :3] = T[k[i], f, :3, :3] @ pin.exp3(share[i] * vectors[int(k[i])])
+    return made
+
+
+def bounds(plan: Any, kinds: tuple, curve: np.ndarray, at: np.ndarray, T: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Bounds on the deviation [m] and the turn [rad] of the worst tip, over each stretch between rows of a curve (M, n)."""
+    robot, o = plan.robot, plan.options
+    tips = [
+        _speeds(arm.chain, np.ascontiguousarray(curve[:, place]))
+        for arm, place in zip(robot.arms, robot.places, strict=True)
+    ]
+    poses = [arm.chain.forward(curve[:, place])[0] for arm, place in zip(robot.arms, robot.places, strict=True)]
+    others = relatives(robot, o)
+    deviation, turn = np.zeros(len(curve) - 1), np.zeros(len(curve) - 1)
+    for f, (kind, counts) in enumerate(zip(kinds, what_counts(robot, o), strict=True)):
+        if kind == FREE:
+            continue
+        goal = interpolate(T[:, [f]], at, (kind,))[:, 0]
+        other = None if others[f] < 0 else (tips[others[f]], poses[others[f]])
+        tip = Between(tips[f], poses[f], goal, other, counts.frame)
+        position = o.position_tolerance + tip.position(counts)
+        deviation = np.maximum(deviation, position)
+        if kind != POSITION:
+            axis = counts.free_turn is not None or isinstance(kind, tuple)
+            turn = np.maximum(turn, tip.rotation(counts, axis, o.orientation_tolerance))
+    return deviation, turn
+
+
+def _speeds(chain: Any, q: np.ndarray) -> Speeds:
+    """Bounds of a chain's tip between rows of q (M, n)."""
+    rows, move = chain.rows, np.abs(np.diff(q, axis=0)) / chain.unit
+    D = np.empty((len(q), len(rows)))
+    levers(rows, chain.ends, q, chain.unit, D)
+    owner = rows[:, 8].astype(int)
+    turns = np.abs(rows[:, 4]) * move[:, owner]  # (S, L) [rad], 0 for a joint that slides
+    slides = np.abs(rows[:, 6]) * move[:, owner] * chain.scale
+    speed, bend = np.zeros(len(move)), np.zeros(len(move))
+    turn, twist = np.zeros(len(move)), np.zeros(len(move))
+    for r in range(len(rows) - 1, -1, -1):
+        # The tip moves at most at `speed` in the frame of joint r, and so does its distance from that axis.
+        arm = 0.5 * (D[:-1, r] + D[1:, r] + speed)
+        bend += turns[:, r] * (turns[:, r] * arm + 2.0 * speed)
+        twist += turns[:, r] * turn
+        speed += turns[:, r] * arm + slides[:, r]
+        turn += turns[:, r]
+    return Speeds(speed, bend, turn, twist)
+
+
+class Between:
+    """One tip and its target between knots; `other`: speeds and poses (M, 4, 4) of the tip the target is relative to."""
+
+    def __init__(self, tip: Speeds, poses: np.ndarray, goal: np.ndarray, other: Any, frame: str) -> None:
+        """Bound the second derivatives of the errors in base axes, and how fast the axes of `frame` turn."""
+        chord = np.linalg.norm(goal[1:, :3, :3] - goal[:-1, :3, :3], axis=(1, 2)) / math.sqrt(8.0)
+        self.swing = 2.0 * np.arcsin(np.minimum(chord, 1.0))  # angle between the rotations of two targets
+        self.tip, self.ref_turn, self.ref_twist = tip, self.swing, np.zeros_like(self.swing)
+        self.bend, self.rate, self.twist = tip.bend, tip.turn, tip.twist
+        target = goal
+        if other is not None:
+            carrier, carried = other
+            arm = np.linalg.norm(goal[:, :3, 3], axis=1)
+            arm, step = np.maximum(arm[1:], arm[:-1]), np.linalg.norm(np.diff(goal[:, :3, 3], axis=0), axis=1)
+            self.bend = tip.bend + carrier.bend + 2.0 * carrier.turn * step + (carrier.twist + carrier.turn**2) * arm
+            self.rate = tip.turn + carrier.turn  # of the tip in the frame of the other
+            self.twist = tip.twist + carrier.twist + tip.turn * carrier.turn
+            self.ref_turn = self.swing + carrier.turn
+            self.ref_twist = carrier.twist + carrier.turn * self.swing
+            target = carried @ goal
+        e = target[:, :3, 3] - poses[:, :3, 3]
+        size = np.linalg.norm(e, axis=1)
+        self.drift = np.linalg.norm(np.diff(e, axis=0), axis=1) + 0.5 * self.bend
+        self.away = np.maximum(size[1:], size[:-1]) + 0.125 * self.bend
+        self.axes = {
+            "base": (0.0, 0.0), "tip": (tip.turn, tip.twist), "target": (self.ref_turn, self.ref_twist)
+        }[frame]  # fmt: skip
+
+    def position(self, counts: Any) -> np.ndarray:
+        """What the motion adds to the position error that counts."""
+        if counts.mask is None and counts.slack is None:
+            return 0.125 * self.bend  # a norm is the same in all axes
+        spin, change = self.axes
+        second = self.bend + 2.0 * spin * self.drift + (change + spin * spin) * self.away
+        return max((counts.mask or (1.0,))[:3]) * 0.125 * second
+
+    def rotation(self, counts: Any, axis: bool, tolerance: float) -> np.ndarray:
+        """Bound on the rotation error that counts."""
+        if any(counts.mask or ()) or any((counts.slack or (0.0,))[3:]):
+            return tolerance + max((counts.mask or (1.0,))[-3:]) * 0.125 * self._vector()
+        if axis:  # two curves on the sphere, against their chords
+            chord = 2.0 * math.sin(0.5 * min(tolerance, math.pi)) + 0.125 * (self.rate**2 + self.swing**2)
+            return 2.0 * np.arcsin(np.minimum(0.5 * chord, 1.0))
+        bent = 0.25 * np.maximum(
+            self.rate, self.swing
+        )  # half the angle that the curvature 1/4 of the rotations makes of it
+        secant = np.where(bent < 0.5 * math.pi, 1.0 / np.cos(np.minimum(bent, 1.57)), np.inf)
+        grown = np.where(bent > 1e-4, 2.0 * (secant - 1.0) / np.maximum(bent, 1e-4) ** 2, 1.0)
+        return np.minimum(tolerance * secant + 0.125 * self.twist * grown, math.pi)
+
+    def _vector(self) -> np.ndarray:
+        """Bound on the second derivative of the rotation vector that is left, in the axes of `frame`."""
+        left = self.ref_turn + self.tip.turn
+        change = self.tip.twist + left * self.tip.turn + self.ref_twist
+        second = LOG_GAIN * change + LOG_SLOPE * LOG_GAIN * left**2
+        spin, turned = self.axes
+        return second + 2.0 * spin * LOG_GAIN * left + (turned + spin * spin) * math.pi

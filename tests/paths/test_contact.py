@@ -1,0 +1,142 @@
+"""Contact between the poses, against sampling far finer than the tests that prove it."""
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+import ik_toolkit as ik
+from ik_toolkit.paths.contact import Margins, find_contacts
+
+FINE = 400  # samples of a stretch
+
+ARM = """
+<robot name="arm">
+  <link name="base"><collision><geometry><box size="0.2 0.2 0.1"/></geometry></collision></link>
+  {joints}
+</robot>
+"""
+JOINT = """
+<link name="l{k}"><collision><origin xyz="0 0 0.15"/><geometry><cylinder radius="0.04" length="0.24"/></geometry></collision></link>
+<joint name="j{k}" type="{kind}"><parent link="{parent}"/><child link="l{k}"/><origin xyz="0 0 {up}"/><axis xyz="{axis}"/>
+<limit lower="-2.6" upper="2.6" effort="1" velocity="1"/>{mimic}</joint>
+"""
+
+
+def arm():
+    """Four turning joints, one of which follows, and a slide, with cylinders for links."""
+    axes = ["0 0 1", "0 1 0", "0 1 0", "1 0 0", "0 0 1"]
+    kinds = ["revolute", "revolute", "revolute", "revolute", "prismatic"]
+    mimic = {3: '<mimic joint="j1" multiplier="-0.5" offset="0.2"/>'}
+    joints = "".join(
+        JOINT.format(
+            k=k,
+            kind=kinds[k],
+            parent=f"l{k - 1}" if k else "base",
+            up=0.3 if k else 0.1,
+            axis=axes[k],
+            mimic=mimic.get(k, ""),
+        )
+        for k in range(5)
+    )
+    return ik.Robot.load(ARM.format(joints=joints), tip="l4")
+
+
+def scene(robot, rng, count=4):
+    """Its own links, and boxes and spheres thrown around it."""
+    model = ik.CollisionModel(robot)
+    for _ in range(count):
+        place = rng.normal(size=3)
+        place *= rng.uniform(0.4, 1.1) / np.linalg.norm(place)
+        if rng.random() < 0.5:
+            model.add_box(rng.uniform(0.05, 0.3, 3), place)
+        else:
+            model.add_sphere(rng.uniform(0.03, 0.15), place)
+    return model
+
+
+def path(robot, rng, count=4, size=0.25):
+    """Random joint path (count, n) inside the limits."""
+    start = robot.random_q(rng).clip(-2.0, 2.0)
+    steps = rng.uniform(-size, size, (count - 1, robot.n))
+    steps[:, [kind == "prismatic" for kind in robot.joint_kinds]] *= 0.2
+    return np.clip(np.vstack([start, start + np.cumsum(steps, axis=0)]), robot.lower, robot.upper)
+
+
+def touching(model, a, b):
+    """Shares of the move from a to b at which something touches."""
+    shares = np.linspace(0.0, 1.0, FINE)
+    return shares[[model.collides(a + s * (b - a)) for s in shares]]
+
+
+def test_every_contact_between_poses_is_found_and_none_is_invented():
+    robot = arm()
+    rng = np.random.default_rng(0)
+    found = 0
+    for _ in range(12):
+        model, curve = scene(robot, rng), path(robot, rng)
+        at = np.arange(float(len(curve)))
+        clearance, contacts, unproven = find_contacts(model, curve, at, np.ones(len(curve) - 1, dtype=bool))
+        for contact in contacts:
+            k = min(int(contact.place), len(curve) - 2)
+            q = curve[k] + (contact.place - k) * (curve[k + 1] - curve[k])
+            assert contact.pair in model.collisions(q)
+        for k in range(len(curve) - 1):
+            near = [contact for contact in contacts if k <= contact.place <= k + 1]
+            if len(touching(model, curve[k], curve[k + 1])):
+                assert near or k in unproven
+        found += len(contacts)
+        assert (clearance == 0.0) if contacts else clearance >= 0.0
+    assert found > 5
+
+
+def test_a_bead_between_two_poses_is_found():
+    """Both poses and the halfway point are free of a bead of 2 mm that the arm sweeps over."""
+    robot = arm()
+    a, b = np.array([0.0, 1.2, 0.0, 0.0]), np.array([0.4, 1.2, 0.0, 0.0])
+    inside = robot.fk(a + 0.3 * (b - a)) * pin.SE3(np.eye(3), np.array([0.0, 0.0, 0.15]))
+    model = ik.CollisionModel(robot).add_sphere(0.001, inside.translation, name="bead")
+    assert not any(model.collides(q) for q in (a, 0.5 * (a + b), b))
+    _, contacts, _ = find_contacts(model, np.array([a, b]), np.arange(2.0), np.ones(1, dtype=bool))
+    assert [contact.pair[1] for contact in contacts] == ["bead"]
+    _, contacts, _ = find_contacts(model, np.array([a, b]), np.arange(2.0), np.zeros(1, dtype=bool))
+    assert not contacts  # where the motion breaks, nothing moves from the one row to the next
+
+
+def test_shapes_that_pass_within_a_tenth_of_a_millimetre_are_said_to_be_unproven():
+    """The arm turns about the upright under a plate: the gap stays the same all the way."""
+    robot = arm()
+    curve = np.array([[0.0, 1.2, 0.0, 0.0], [0.1, 1.2, 0.0, 0.0]])
+
+    def under(height):
+        return ik.CollisionModel(robot).add_box((3.0, 3.0, 0.01), (0.0, 0.0, height), name="plate")
+
+    free = under(2.0)
+    data, found, _ = free.workspace(np.zeros(len(free.geometry.collisionPairs)))
+    pin.computeDistances(robot.model, data, free.geometry, found, free._full(curve[0]))
+    gap = min(r.min_distance for r, pair in zip(found.distanceResults, free.pairs, strict=True) if "plate" in pair)
+    for left, proven in ((5e-5, False), (5e-4, True)):
+        clearance, contacts, unproven = find_contacts(
+            under(2.0 - gap + left), curve, np.arange(2.0), np.ones(1, dtype=bool)
+        )
+        assert not contacts and (unproven == ()) == proven and clearance <= left
+
+
+@pytest.mark.parametrize("name", ["arm", "brokk_hydrolek"])
+def test_no_move_brings_a_pair_nearer_than_the_bound(name):
+    """Distances by coal at both ends of random moves differ by no more than the arms say."""
+    rng = np.random.default_rng(1)
+    robot = arm() if name == "arm" else ik.Tree.load(name)
+    model = scene(robot, rng)
+    margins = Margins(
+        model, np.where(np.isfinite(robot.upper), np.maximum(np.abs(robot.lower), np.abs(robot.upper)), 0.0)
+    )
+    data, found, _ = model.workspace(np.zeros(len(model.geometry.collisionPairs)))
+    for _ in range(60):
+        ends = path(robot, rng, 2, 0.5)
+        distances = []
+        for q in ends:
+            pin.computeDistances(robot.model, data, model.geometry, found, model._full(q))
+            distances.append([result.min_distance for result in found.distanceResults])
+        change = np.abs(np.diff(distances, axis=0)[0])
+        apart = np.min(distances, axis=0) > 0.0
+        assert (change[apart] <= (np.abs(ends[1] - ends[0]) @ margins.arms)[apart] + 1e-6).all()
