@@ -10,7 +10,7 @@ import math
 import numpy as np
 
 from .band import band_cholesky, band_solve
-from .jit import cached, inline, inner
+from .jit import cached, inline, inner, spliced
 from .limits import hold
 from .records import HEAD, TASK, Ends, Orders, copy, read
 from .refine import DAMPING, REFERENCE, make_bounds, move
@@ -113,6 +113,72 @@ def held_system(H, g, held, A, x):
         A[r, b] = 1.0 if held[r] else H[r, b]
 
 
+@spliced
+def linearise(p, o, T, now, fixed, H, g):
+    """Add the task at every pose of a path to the system; the path itself is in `now` (N, n)."""
+    s, n, m = p.desk, now.shape[1], p.width()
+    b = 2 * n
+    for k in range(now.shape[0]):
+        if fixed[k]:
+            continue
+        copy(now[k], s.q)
+        p.aim(T[k], o)
+        e = p.evaluate(s.q)
+        p.jacobian(e)
+        p.stack(e)
+        for i in range(n):
+            total = 0.0
+            for c in range(m):
+                total += s.J[i, c] * s.y[c]
+            g[k * n + i] -= TASK_WEIGHT * total
+            for j in range(i + 1):
+                total = 0.0
+                for c in range(m):
+                    total += s.J[i, c] * s.J[j, c]
+                H[k * n + i, b - i + j] += TASK_WEIGHT * total
+
+
+@spliced
+def newton_step(H, g, now, fixed, weights, box, held, A, x):
+    """Solve for the step x (N n,), with the joints held that stand on a limit and would leave it."""
+    N, n = now.shape
+    for k in range(N):
+        for i in range(n):
+            held[k * n + i] = fixed[k] or weights[i] <= 0.0
+    for _ in range(PASSES):
+        held_system(H, g, held, A, x)
+        band_cholesky(A, RIDGE)
+        band_solve(A, x)
+        more = False
+        for k in range(N):
+            for i in range(n):
+                r = k * n + i
+                low = now[k, i] <= box.lower(i) + ON_LIMIT and x[r] < 0.0
+                if not held[r] and (low or (now[k, i] >= box.upper(i) - ON_LIMIT and x[r] > 0.0)):
+                    held[r] = True
+                    more = True
+        if not more:
+            break
+
+
+@spliced
+def moved(p, o, T, now, x, factor, fixed, good, weights, box, trial):
+    """Write to trial (N, n) the path a step further, every pose back on its target; False when one cannot be."""
+    s, n = p.desk, now.shape[1]
+    fine = True
+    for k in range(now.shape[0]):
+        for i in range(n):
+            s.q[i] = min(max(now[k, i] + factor * x[k * n + i], box.lower(i)), box.upper(i))
+        if not fixed[k]:
+            p.aim(T[k], o)
+            fine = bring_back(p, weights, box).good or not good[k]
+            if not fine:
+                break
+        for i in range(n):
+            trial[k, i] = now[k, i] if fixed[k] else s.q[i]
+    return fine
+
+
 @cached
 def smooth(rows, ends, T, Q, fixed, orders, first, second, rounding, longest, steps, good):
     """Shorten and smooth a path Q (N, n) [rad or m] in place; returns the steps taken, and its cost before and after.
@@ -122,96 +188,44 @@ def smooth(rows, ends, T, Q, fixed, orders, first, second, rounding, longest, st
     brought onto their targets. good (N,): whether each is inside its tolerances.
     """
     N, n = Q.shape
-    b = 2 * n
     o = read(Orders, orders)
-    tips = ends.size // ends.shape[-1]
-    begin = HEAD + TASK * tips
+    begin = HEAD + TASK * (ends.size // ends.shape[-1])
     p = problem(rows, ends, orders[HEAD:begin], n, o)
     weights = orders[begin : begin + n]
     full = Ends(ends.reshape(-1), n)
     box = make_bounds(full, REFERENCE, o.limits > 0.0)
-    s = p.desk
-    m = p.width()
     now, trial, step = np.empty((N, n)), np.empty((N, n)), np.empty(n)
+    radius = 0.0
     for i in range(n):
         step[i] = longest[i] / full.unit(i)
+        radius = max(radius, 0.5 * step[i])
+    most = 4.0 * radius
     for k in range(N):
         for i in range(n):
-            s.q[i] = Q[k, i] / full.unit(i)
+            p.desk.q[i] = Q[k, i] / full.unit(i)
         good[k] = True
         if not fixed[k]:
             p.aim(T[k], o)
             good[k] = bring_back(p, weights, box).good
-        for i in range(n):
-            now[k, i] = s.q[i]
+        copy(p.desk.q, now[k])
     before, wide = cost_of(now, first, second, rounding, step)
-    cost, taken = before, 0
+    cost, taken, fresh = before, 0, True
     size = N * n if steps > 0 else 0
-    H, A = np.empty((size, b + 1)), np.empty((size, b + 1))
+    H, A = np.empty((size, 2 * n + 1)), np.empty((size, 2 * n + 1))
     g, x, held = np.empty(size), np.empty(size), np.empty(size, np.bool_)
-    radius = 0.0
-    for i in range(n):
-        radius = max(radius, 0.5 * step[i])
-    most = 4.0 * radius
-    fresh = True
     for _ in range(steps):
         if fresh:
             differences(now, first, second, rounding, H, g)
-            for k in range(N):
-                if fixed[k]:
-                    continue
-                copy(now[k], s.q)
-                p.aim(T[k], o)
-                e = p.evaluate(s.q)
-                p.jacobian(e)
-                p.stack(e)
-                for i in range(n):
-                    r = k * n + i
-                    for j in range(i + 1):
-                        total = 0.0
-                        for c in range(m):
-                            total += s.J[i, c] * s.J[j, c]
-                        H[r, b - i + j] += TASK_WEIGHT * total
-                    total = 0.0
-                    for c in range(m):
-                        total += s.J[i, c] * s.y[c]
-                    g[r] -= TASK_WEIGHT * total
-            for k in range(N):
-                for i in range(n):
-                    held[k * n + i] = fixed[k] or weights[i] <= 0.0
-            for _pass in range(PASSES):
-                held_system(H, g, held, A, x)
-                band_cholesky(A, RIDGE)
-                band_solve(A, x)
-                more = False
-                for k in range(N):
-                    for i in range(n):
-                        r = k * n + i
-                        low = now[k, i] <= box.lower(i) + ON_LIMIT and x[r] < 0.0
-                        if not held[r] and (low or (now[k, i] >= box.upper(i) - ON_LIMIT and x[r] > 0.0)):
-                            held[r] = True
-                            more = True
-                if not more:
-                    break
+            linearise(p, o, T, now, fixed, H, g)
+            newton_step(H, g, now, fixed, weights, box, held, A, x)
         largest = 0.0
         for r in range(size):
             largest = max(largest, abs(x[r]))
         if not SHORTEST < largest < np.inf or radius < SHORTEST:
             break
         factor = min(1.0, radius / largest)
-        fine = True
-        for k in range(N):
-            for i in range(n):
-                s.q[i] = min(max(now[k, i] + factor * x[k * n + i], box.lower(i)), box.upper(i))
-            if not fixed[k]:
-                p.aim(T[k], o)
-                fine = bring_back(p, weights, box).good or not good[k]
-                if not fine:
-                    break
-            for i in range(n):
-                trial[k, i] = s.q[i] if not fixed[k] else now[k, i]
         fresh = False
-        if fine:
+        if moved(p, o, T, now, x, factor, fixed, good, weights, box, trial):
             value, worst = cost_of(trial, first, second, rounding, step)
             if value < cost and worst <= max(wide, 1.0):
                 ended = value > (1.0 - GAIN) * cost and factor >= 1.0
