@@ -2,12 +2,13 @@
 
 import warnings
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from ..errors import InvalidOption, near_match
-from ..text import parameter, vector
+from ..errors import InvalidOption
+from ..text import parameter
 from .arguments import (
     PLOTS,
     Base,
@@ -23,24 +24,33 @@ from .arguments import (
     writes,
 )
 from .output import facts, notice, show, table, turns, write_json
+from .track_path import Asked, advice, asked_path
 
 if TYPE_CHECKING:
     from ..robot.robot import Robot
-    from ..tracking.reference import Reference
     from ..tracking.result import TrackResult
 
-SHAPES = ("circle", "line", "eight")
 PathOption = Annotated[
     str, typer.Option("--path", metavar="SHAPE|FILE", help="circle, line, eight, or a .csv or .npz file.")
 ]
 Method = Annotated[
     str, typer.Option("-m", "--method", metavar="NAME", help="cv av ca aa aad, or a solver (see ik solvers).")
 ]
-Radius = Annotated[float, typer.Option(metavar="M", help="Radius of the circle, half width of the eight [m].")]
-Length = Annotated[float, typer.Option(metavar="M", help="Length of the line [m], along --axis.")]
+Radius = Annotated[
+    float | None,
+    typer.Option(
+        metavar="M", help="Radius of the circle, half width of the eight [m]; default: one the robot can follow."
+    ),
+]
+Length = Annotated[
+    float | None, typer.Option(metavar="M", help="Length of the line [m], along --axis; default: as with --radius.")
+]
 Axis = Annotated[
     str | None,
-    typer.Option(metavar="X Y Z", help="Normal of the circle (default z) or direction of the line (default x)."),
+    typer.Option(
+        metavar="X Y Z",
+        help="Normal of circle and eight (with --radius default z), direction of the line (with --length default x).",
+    ),
 ]
 Start = Annotated[
     str | None, typer.Option(metavar="X Y Z", help="Where the path starts [m]; default: the tip at home or --q0.")
@@ -52,7 +62,10 @@ Turns = Annotated[
     float,
     typer.Option("--turns", metavar="N", help="Turns of circle or eight (default 1); rounds of a line, 0: one way."),
 ]
-Duration = Annotated[float, typer.Option(metavar="S", help="How long the path takes [s].")]
+Duration = Annotated[
+    float | None,
+    typer.Option(metavar="S", help="How long the path takes [s]; default: 10, longer where joints are slow."),
+]
 Rate = Annotated[float, typer.Option(metavar="HZ", help="Samples per second.")]
 Law = Annotated[
     str | None, typer.Option(metavar="NAME", help="constant or minimum-jerk speed; default: minimum-jerk for lines.")
@@ -109,13 +122,13 @@ def track(
     robot: RobotArg,
     path: PathOption = "circle",
     method: Method = "cv",
-    radius: Radius = 0.1,
-    length: Length = 0.2,
+    radius: Radius = None,
+    length: Length = None,
     axis: Axis = None,
     start: Start = None,
     end: End = None,
     turns_: Turns = 0.0,
-    duration: Duration = 10.0,
+    duration: Duration = None,
     rate: Rate = 100.0,
     law: Law = None,
     position_only: Free = False,
@@ -140,9 +153,14 @@ def track(
 ) -> None:
     """Follow a path with the tip and report errors, joint speeds and limits.
 
-    Gains that are unstable at the rate are said before the run, with better ones. Exit code 0 when every sample was inside the
-    tolerances (COMPLETED, SLOWED), 1 when one was not (LEFT, LOST) or the run diverged.
+    Without --radius, --length, --start or --end the path is placed and sized so that the robot can follow it, and the report
+    says how. A path given with one of them is taken as it is; where the robot cannot follow it, the command says how far it
+    gets and what was tried and works. Gains that are unstable at the rate are said, with better ones.
+
+    Exit code 0 when every sample was inside the tolerances (COMPLETED, SLOWED), 1 when one was not (LEFT, LOST) or the run
+    diverged.
     """
+    line = SimpleNamespace(**locals())  # the command line, for what reads parts of it
     if not (rate > 0.0 and rate < float("inf")):
         raise InvalidOption(f"--rate must be positive, not {rate}")
     arm = load_robot(robot, tip, base, lock, package_dir, deg)
@@ -153,17 +171,16 @@ def track(
     from ..tracking.track import track as follow
     from ..tracking.verdict import ORIENTATION_TOLERANCE
 
-    reference = _reference(arm, path, first, start, end, axis, radius, length, turns_, duration, law, position_only)
+    asked = asked_path(arm, line, first)
     with warnings.catch_warnings():
         warnings.simplefilter("always")
         warnings.showwarning = lambda message, *_: notice(f"warning: {message}")
-        begin = arm.home if first is None and start is None and path in SHAPES else first
         result = follow(
             arm,
-            reference,
+            asked.reference,
             method,
             dt=1.0 / rate,
-            q0=begin,
+            q0=asked.q0,
             limits=limits,
             acceleration_limits=acceleration,
             position_tolerance=tolerance_position,
@@ -177,66 +194,20 @@ def track(
         from ..show.tracking import plot_track
 
         notice(f"wrote {plot_track(result, arm, plot)}")
-    write_json({**result.to_dict(), "path": repr(reference), "base": arm.base, "tip": arm.tip}, as_json)
+    tried = advice(arm, line, asked, first, result.reach, limits=limits) if result.reach is not None else []
+    more = {"path_chosen": asked.words} if asked.words else {"works": tried} if result.reach is not None else {}
+    write_json({**result.to_dict(), "path": repr(asked.reference), **more, "base": arm.base, "tip": arm.tip}, as_json)
+    if result.reach is not None:
+        works = f"; works with {' or '.join(tried)}" if tried else ""
+        notice(f"{result.reach.message or 'every pose can be reached, but not at this speed'}{works}")
     if not as_json:
-        _show(result, arm, reference)
+        _show(result, arm, asked)
     if not result.success:
         notice(f"{result.status.name}: {result.message}")
         raise typer.Exit(1)
 
 
-def _reference(
-    arm: "Robot",
-    path: str,
-    q: Any,
-    start: str | None,
-    end: str | None,
-    axis: str | None,
-    radius: float,
-    length: float,
-    turns_: float,
-    duration: float,
-    law: str | None,
-    position_only: bool,
-) -> "Reference":
-    """Reference of the path options; it starts at the tip unless --start says otherwise, and keeps the tip's orientation."""
-    import numpy as np
-
-    from ..tracking import shapes
-    from ..tracking.waypoints import reference_from_file
-
-    if path not in SHAPES:
-        if Path(path).suffix.lower() not in (".csv", ".npz"):
-            raise InvalidOption(f"no path '{path}'.{near_match(path, SHAPES)} Or give a .csv or .npz file.")
-        return reference_from_file(path)
-    T = arm.fk(arm.home if q is None else q).homogeneous
-    if start is not None:
-        T[:3, 3] = vector(start, "--start", 3)
-    at: Any = T[:3, 3].copy() if position_only else T
-    direction = None if axis is None else np.array(vector(axis, "--axis", 3))
-    if path == "circle":
-        normal = (0.0, 0.0, 1.0) if direction is None else direction.tolist()
-        return shapes.circle(at, radius, normal=normal, turns=turns_ or 1.0, duration=duration, law=law or "constant")
-    if path == "eight":
-        cycles = [(turns_ or 1.0) * k for k in (1.0, 2.0, 1.0)]
-        amplitudes = (radius, 0.5 * radius, 0.0)
-        return shapes.lissajous(at, amplitudes, cycles=cycles, duration=duration, law=law or "constant")
-    if end is not None:
-        last = np.array(vector(end, "--end", 3))
-    else:
-        direction = np.array([1.0, 0.0, 0.0]) if direction is None else direction
-        size = float(np.linalg.norm(direction))
-        if not size > 0.0:
-            raise InvalidOption("--axis must not be zero")
-        last = T[:3, 3] + length * direction / size
-    T1 = T.copy()
-    T1[:3, 3] = last
-    return shapes.line(
-        at, last if position_only else T1, duration=duration, law=law or "minimum-jerk", rounds=int(turns_)
-    )
-
-
-def _show(result: "TrackResult", arm: "Robot", reference: "Reference") -> None:
+def _show(result: "TrackResult", arm: "Robot", asked: Asked) -> None:
     figures = result.figures
     gains = ", ".join(f"{name} = {value:.5g}" for name, value in result.options.items())
     check = result.gain_check
@@ -245,7 +216,7 @@ def _show(result: "TrackResult", arm: "Robot", reference: "Reference") -> None:
         facts(
             {
                 "robot": f"{result.robot} ({arm.base} -> {arm.tip})",
-                "path": repr(reference),
+                "path": f"{asked.words} (chosen)" if asked.words else repr(asked.reference),
                 "method": f"{result.method}{', ' + gains if gains else ''}; {steps} steps of {result.dt:.5g} s",
                 "stability": None if check is None else f"{check.verdict} at rest, spectral radius {check.radius:.4g}",
                 "status": f"{result.status.name}: {result.message}",
@@ -253,23 +224,22 @@ def _show(result: "TrackResult", arm: "Robot", reference: "Reference") -> None:
             }
         )
     )
-    errors = table("<error", ">max", ">RMS", ">final", ">second half, max", ">between samples")
+    errors = table("<error", ">max", ">RMS", ">final", ">second half,\nmax", ">between\nsamples")
     for name, unit in (("position", "m"), ("orientation", "rad")):
         if name in figures:
             row = figures[name]
             keys = ("max", "rms", "final", "settled_max", "between_max")
             errors.add_row(f"{name} [{unit}]", *(f"{row[key]:.3g}" if key in row else "-" for key in keys))
-    joints = table("<joint", ">peak speed", ">of limit", ">peak acceleration", ">peak jerk", ">held back")
+    unit = "rad" if all(turns(kind) for kind in arm.joint_kinds) else "unit"
+    peaks = (f">{name}\n[{unit}/{per}]" for name, per in (("speed", "s"), ("accel.", "s2"), ("jerk", "s3")))
+    joints = table("<joint", *peaks, ">of\nlimit", ">held\nback")
     for i, (name, kind) in enumerate(zip(result.joint_names, arm.joint_kinds, strict=True)):
-        unit = "rad" if turns(kind) else "m"
         limit = float(arm.velocity_limits[i])
         speed = figures["peak_speed"][i]
         joints.add_row(
-            name,
-            f"{speed:.3g} {unit}/s",
+            name if unit == "rad" else f"{name} [{'rad' if turns(kind) else 'm'}]",
+            *(f"{figures[key][i]:.3g}" for key in ("peak_speed", "peak_acceleration", "peak_jerk")),
             f"{100 * speed / limit:.0f} %" if 0.0 < limit < float("inf") else "-",
-            f"{figures['peak_acceleration'][i]:.3g} {unit}/s2",
-            f"{figures['peak_jerk'][i]:.3g} {unit}/s3",
             f"{figures['time_at_limits_by_joint'][name]:.3g} s",
         )
     show(errors, joints)

@@ -11,6 +11,7 @@ import numpy as np
 
 from ..errors import InvalidOption
 from ..files import whole_file, write_whole
+from .reachable import Survey
 from .stability import GainCheck
 
 ROUNDING = 1e-6  # of a step: a clock that lags by less was not slowed, its sum is rounded
@@ -44,6 +45,8 @@ class TrackResult:
 
     clock (N+1,) [s]: the reference's time at each t, against which errors are; sigma (N,) its rate in each step, 0 to 1; pace
     (N,) the joint that held it back, -1 for none. end [s]: reference time that the run was to reach. Without them the clock is t.
+
+    reach: of a run that left its reference, where along it the poses can be reached at all (a `Survey`), else None.
     """
 
     robot: str
@@ -74,6 +77,7 @@ class TrackResult:
     figures: dict[str, Any] = field(default_factory=dict)
     status: TrackStatus = TrackStatus.COMPLETED
     message: str = ""
+    reach: Survey | None = None
 
     def __post_init__(self) -> None:
         """Fill in the clock of a run that was not slowed."""
@@ -134,6 +138,7 @@ class TrackResult:
             "stability": None
             if check is None
             else {"verdict": check.verdict, "radius": check.radius, "message": check.message},
+            "reach": None if self.reach is None else self.reach.to_dict(),
             "figures": self.figures,
         }
 

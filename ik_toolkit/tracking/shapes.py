@@ -56,7 +56,7 @@ def circle(
         raise InvalidOption("a circle needs either start= or center=")
     radius = positive(radius, "radius [m]")
     p, R0 = split(start if center is None else center)
-    u, w = _plane(normal)
+    u, w = plane(normal)
     c = p - radius * u if center is None else p
     k = 2 * np.pi * number(turns, "turns")
 
@@ -68,7 +68,7 @@ def circle(
     return on_path(path, law_of(law), duration, R0, "circle")
 
 
-def _plane(normal: Sequence[float]) -> tuple[np.ndarray, np.ndarray]:
+def plane(normal: Sequence[float]) -> tuple[np.ndarray, np.ndarray]:
     """Two unit vectors across `normal`, the first as near to base x as possible (y where x is the normal)."""
     n = check_target(normal)[0]
     if n.shape != (3,) or not np.linalg.norm(n) > 1e-12:

@@ -16,8 +16,9 @@ from ..robot.robot import Robot
 from ..robot.tree import require_one_tip
 from .inputs import positive
 from .methods import Method, interpolate
+from .reachable import explain
 from .reference import Reference, Samples
-from .result import TrackResult, figures
+from .result import TrackResult, TrackStatus, figures
 from .tracker import JUMP, Tracker
 from .verdict import ORIENTATION_TOLERANCE, POSITION_TOLERANCE, settling, verdict
 
@@ -48,7 +49,9 @@ def track(
     position_tolerance [m] and orientation_tolerance [rad], else LEFT or LOST (see `TrackStatus`); settle is 0 by default, and
     0.5 (half of a run shorter than 1 s) when the arm starts at rest: with acceleration_limits, or with a rate0 of zeros. Warns
     (UserWarning) before the run when the gains are unstable at dt. A run that diverges ends there, with a status and a
-    sentence; the arrays hold only what was reached. Raises InvalidOption, InvalidTarget, InvalidConfiguration.
+    sentence; the arrays hold only what was reached. Of a run that leaves its reference `reach` and the message say where along
+    it the poses can be reached at all, and what was tried and would work. Raises InvalidOption, InvalidTarget,
+    InvalidConfiguration.
     """
     require_one_tip(robot, "tracking")
     if not isinstance(reference, Reference):
@@ -81,8 +84,7 @@ def track(
     began = time.perf_counter()
     done = tracker._steps(T, V, A, dt, False, RUNAWAY, Q, R, E, C, D)
     elapsed = time.perf_counter() - began
-    # At a stop, row `done` is the last state reached; it has been evaluated.
-    keep = slice(0, done + 1)
+    keep = slice(0, done + 1)  # at a stop, row `done` is the last state reached; it has been evaluated
     unit = robot.chain.unit
     Q, R, E = Q[keep] * unit, R[keep] * unit, E[keep]
     between = _between(robot, reference, Q, R, engine.gamma, dt) if done else (None, None)
@@ -112,6 +114,9 @@ def track(
     )
     result.figures = figures(result, robot.chain.unit * JUMP)
     result.status, result.message = verdict(result, stop, steps)
+    if result.status in (TrackStatus.LEFT, TrackStatus.LOST):
+        result.reach, words = explain(robot, reference, q0, limits=limits)
+        result.message = f"{result.message} {words}".rstrip()
     return result
 
 

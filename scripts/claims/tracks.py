@@ -41,7 +41,7 @@ def command_track(words: list[str], robot: ik.Robot, reference: ik.Reference) ->
         with contextlib.redirect_stderr(io.StringIO()):
             code = cli.main(["track", *words, "--json", "-o", file])
         with np.load(file) as data:
-            worst = excess(robot, reference, data["t"], data["q"], TOLERANCES)
+            worst = excess(robot, reference, data["clock"], data["q"], TOLERANCES)
     status = json.loads(said.getvalue())["status"]
     followed = status in ("COMPLETED", "SLOWED")
     bad = contradiction(followed, worst) or (code == 0) != followed
@@ -54,7 +54,7 @@ def python_track(
     """Run `ik.track`; its status against every sample."""
     run = ik.track(robot, reference, position_tolerance=limits[0], orientation_tolerance=limits[1], **options)
     late = run.t >= run.settle
-    worst = excess(robot, reference, run.t[late], run.q[late], limits)
+    worst = excess(robot, reference, run.clock[late], run.q[late], limits)
     bad = contradiction(run.success, worst)
     return Outcome(
         1, int(bad), f"{robot.name}, {reference!r}, {options}: {run.status.name}, {worst:.9g}" if bad else ""
@@ -98,7 +98,7 @@ def tracks(count: int, seed: int) -> Outcome:
         robot = ik.Robot.load(name, tip=tip)
         home = robot.fk(robot.home).homogeneous
         words = [name, *(["--tip", tip] if tip else [])]
-        outcomes.append(command_track(words, robot, ik.circle(home, 0.1)))
+        outcomes.append(command_track([*words, "--radius", "0.1"], robot, ik.circle(home, 0.1)))
         if name == "hydrolek_7w":  # of the guide, as the next
             eight = ik.lissajous(home, (0.08, 0.04, 0.0))
             outcomes.append(command_track([*words, "--path", "eight", "--radius", "0.08"], robot, eight))

@@ -1,0 +1,131 @@
+"""The path of `ik track`: as the options say, or placed so that the robot can follow it; and what to try when it cannot."""
+
+from collections.abc import Iterator
+from pathlib import Path
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from ..errors import InvalidOption, near_match
+from ..text import vector
+from .output import number
+
+if TYPE_CHECKING:
+    from ..tracking.reachable import References, Survey
+    from ..tracking.reference import Reference
+
+SHAPES = ("circle", "line", "eight")
+RADIUS, LENGTH, DURATION = 0.1, 0.2, 10.0  # [m, s] where a path is given in part
+SHORTER = (0.95, 0.75, 0.5, 0.35, 0.25, 0.15, 0.1, 0.05)  # of the size asked for: what is tried
+AXES = ("1 0 0", "0 1 0", "0 0 1", "-1 0 0", "0 -1 0", "0 0 -1")
+
+
+class Asked(NamedTuple):
+    """A path to follow: its reference, where the joints start (None: solved for), and how it was chosen, in words or ''."""
+
+    reference: "References"
+    q0: Any
+    words: str
+
+
+def asked_path(arm: Any, line: SimpleNamespace, q: Any) -> Asked:
+    """Path of the options; `q` (n,) is --q0 or None. Raises InvalidOption."""
+    from ..tracking.waypoints import reference_from_file
+
+    if line.path not in SHAPES:
+        if Path(line.path).suffix.lower() not in (".csv", ".npz"):
+            raise InvalidOption(f"no path '{line.path}'.{near_match(line.path, SHAPES)} Or give a .csv or .npz file.")
+        return Asked(reference_from_file(line.path), q, "")
+    if _in_part(line):
+        return Asked(_drawn(arm, line, q), arm.home if q is None and line.start is None else q, "")
+    from ..tracking.placing import place
+
+    placed = place(
+        arm, line.path, q0=q, axis=_axis(line), position_only=line.position_only, duration=line.duration, law=line.law,
+        turns=line.turns_,
+    )  # fmt: skip
+    return Asked(placed.reference, placed.q0, placed.words)
+
+
+def _in_part(line: SimpleNamespace) -> bool:
+    """Whether the options say where the path goes or how large it is: then it is taken as it is given."""
+    return any(given is not None for given in (line.radius, line.length, line.start, line.end))
+
+
+def _axis(line: SimpleNamespace) -> Any:
+    if line.axis is None:
+        return None
+    axis = vector(line.axis, "--axis", 3)
+    if not any(axis):
+        raise InvalidOption("--axis must not be zero")
+    return axis
+
+
+def _drawn(arm: Any, line: SimpleNamespace, q: Any) -> "References":
+    """The path as it is given: from the tip at --q0 or home, or from --start, with the tip's orientation."""
+    if arm.by_tip and (line.start is not None or line.end is not None):
+        raise InvalidOption("--start and --end are for one tip; choose it with --tip")
+    poses = arm.fk(arm.home if q is None else q)
+    each = {tip: _drawn_from(poses[tip].homogeneous, line) for tip in arm.tips} if arm.by_tip else None
+    return each if each is not None else _drawn_from(poses.homogeneous, line)
+
+
+def _drawn_from(T: Any, line: SimpleNamespace) -> "Reference":
+    import numpy as np
+
+    from ..tracking import shapes
+    from ..tracking.placing import draw
+
+    if line.start is not None:
+        T[:3, 3] = vector(line.start, "--start", 3)
+    at: Any = T[:3, 3].copy() if line.position_only else T
+    rest: dict[str, Any] = {"duration": DURATION if line.duration is None else line.duration, "law": line.law}
+    if line.path == "line" and line.end is not None:
+        end = np.array(vector(line.end, "--end", 3))
+        T1 = T.copy()
+        T1[:3, 3] = end
+        rest["law"] = line.law or "minimum-jerk"
+        return shapes.line(at, end if line.position_only else T1, rounds=int(line.turns_), **rest)
+    size = (line.length, LENGTH) if line.path == "line" else (line.radius, RADIUS)
+    return draw(line.path, at, size[1] if size[0] is None else size[0], _axis(line), turns=line.turns_, **rest)
+
+
+def advice(arm: Any, line: SimpleNamespace, asked: Asked, q: Any, found: "Survey", **options: Any) -> list[str]:
+    """Options, tried, with which the robot reaches all of a path that was given in part or in a file."""
+    from ..tracking.reachable import other_start, trace
+
+    if found.whole:
+        share = found.pace[0]
+        seconds = line.duration or DURATION
+        return [f"--duration {float(f'{1.1 * share * seconds:.2g}'):g}"] if share > 1.0 and line.path in SHAPES else []
+    works = [
+        words
+        for words, more in _ways(line, found)
+        if trace(arm, _drawn(arm, SimpleNamespace(**{**vars(line), **more}), q), asked.q0, **options) is not None
+    ]
+    one: dict[str, str] = {}  # the largest of several sizes, the first of several axes
+    for words in works:
+        one.setdefault(words.split()[0], words)
+    elsewhere = other_start(arm, asked.reference, **options)
+    if elsewhere is not None:
+        shown = (number(float(x), kind, line.deg) for x, kind in zip(elsewhere, arm.joint_kinds, strict=True))
+        one["--q0"] = f"--q0 {' '.join(shown)}"
+    return [*one.values()]
+
+
+def _ways(line: SimpleNamespace, found: "Survey") -> Iterator[tuple[str, dict[str, Any]]]:
+    """Other options to try: as words, and as changes of the command line."""
+    if line.path not in SHAPES or not _in_part(line):
+        return
+    if not line.position_only:
+        yield "--position-only", {"position_only": True}
+    name = "length" if line.path == "line" else "radius"
+    size = getattr(line, name) or (LENGTH if line.path == "line" else RADIUS)
+    if line.end is None:
+        whole = float(found.along[-1])
+        first = (SHORTER[0] * found.stop / whole,) if line.path == "line" and whole > 0.0 else ()
+        for factor in (*first, *SHORTER[1:]):
+            shorter = float(f"{factor * size:.2g}")
+            if shorter > 0.0:
+                yield f"--{name} {shorter:g}", {name: shorter}
+        for axis in AXES:
+            yield f"--axis {axis}", {"axis": axis}

@@ -1,0 +1,169 @@
+"""What a robot can reach of a path, what is tried when that is not all, and paths placed so that it is."""
+
+import json
+
+import numpy as np
+import pytest
+from robots import have_data
+
+import ik_toolkit as ik
+from ik_toolkit.cli import main
+from ik_toolkit.errors import InvalidOption
+from ik_toolkit.tracking.placing import draw, eight, place
+from ik_toolkit.tracking.reachable import explain, survey
+
+DATA = pytest.mark.skipif(not have_data(), reason="example-robot-data is not installed (extra 'robots')")
+SHIPPED = ("hydrolek_7w", "planar_3r", "planar_2r", "cartesian_pp", "inspection_7dof")
+
+
+@pytest.fixture(scope="module")
+def arm():
+    return ik.Robot.load("hydrolek_7w")
+
+
+def straight(robot, step, free=False):
+    T = robot.fk(robot.home).homogeneous
+    end = T.copy()
+    end[:3, 3] += step
+    return ik.line(T[:3, 3], end[:3, 3], duration=5.0) if free else ik.line(T, end, duration=5.0)
+
+
+def test_how_far_a_line_can_be_followed_and_which_joint_ends_it(arm):
+    found = survey(arm, straight(arm, (0.2, 0, 0)), arm.home)
+    assert not found.whole and found.joints == ("elbow_pitch",) and 0.08 < found.stop < 0.1
+    assert found.message.startswith("reachable up to 9") and "of 200 mm: elbow_pitch at its limit" in found.message
+    # the edge is where the line itself says it is: a shorter one is reached, a longer one is not
+    for factor, whole in ((0.99, True), (1.02, False)):
+        assert survey(arm, straight(arm, (factor * found.stop, 0, 0)), arm.home).whole is whole
+    assert survey(arm, straight(arm, (0.2, 0, 0), free=True), arm.home).message == ""
+
+
+def test_a_run_that_leaves_says_what_was_tried_and_works(arm):
+    ref = straight(arm, (0.2, 0, 0))
+    run = ik.track(arm, ref, q0=arm.home)
+    assert run.status.name == "LOST" and run.reach is not None and not run.reach.whole
+    assert "elbow_pitch at its limit; it works with the orientation free, or scaled by 0.4" in run.message
+    data = json.loads(json.dumps(run.to_dict()))["reach"]
+    assert data["joints"] == ["elbow_pitch"] and data["length"] == pytest.approx(0.2) and not data["whole"]
+    good = ik.track(arm, straight(arm, (0.05, 0, 0)), q0=arm.home)
+    assert good.success and good.reach is None and good.to_dict()["reach"] is None
+
+
+def test_a_start_out_of_reach_and_a_turn_too_far(arm):
+    far = arm.fk(arm.home).homogeneous
+    far[:3, 3] *= 10.0
+    found, words = explain(arm, ik.line(far, far @ ik.pose((0.1, 0, 0), rpy=(0, 0, 0)), duration=1.0), arm.home)
+    assert found.until == 0 and found.stop == 0.0 and "its start is out of reach" in words
+    T = arm.fk(arm.home).homogeneous
+    turn = survey(arm, ik.line(T, T @ ik.pose((0, 0, 0), rpy=(0, 2.0, 0)), duration=5.0), arm.home)
+    assert turn.turning and "deg of 115 deg" in turn.message
+
+
+def test_another_start_is_found_where_the_elbow_has_to_be_on_the_other_side():
+    robot = ik.Robot.load("planar_2r")
+    q0 = np.array([2.5, -0.8])  # the first joint ends at 2.618
+    p = robot.fk(q0).translation
+    ref = ik.line(p, p + 0.4 * np.cross((0, 0, 1), p / np.linalg.norm(p)), duration=5.0)
+    found, words = explain(robot, ref, q0)
+    assert found.joints == ("joint_1",) and "from q0 = [" in words
+    other = [float(x) for x in words.split("q0 = [")[1].split("]")[0].split(",")]
+    assert other[1] > 0.0 and ik.track(robot, ref, q0=other).success
+
+
+@pytest.mark.parametrize("kind", ["line", "circle", "eight"])
+@pytest.mark.parametrize("name", SHIPPED)
+def test_placed_paths_are_followed(name, kind):
+    robot = ik.Robot.load(name)
+    placed = place(robot, kind)
+    run = ik.track(robot, placed.reference, q0=placed.q0)
+    assert run.success, run.message
+    assert np.ptp(run.target_xyz, axis=0).max() > 0.01  # it is a path
+    again = place(robot, kind)
+    assert again.words == placed.words and np.array_equal(again.q0, placed.q0)
+    assert placed.position_only == (name == "planar_2r")
+    T = robot.fk(placed.q0)
+    assert np.allclose(run.target_xyz[0], T.translation, atol=1e-12)
+    speed = np.array(run.figures["peak_speed"])
+    assert (speed <= 0.8 * robot.velocity_limits).all()
+
+
+def test_several_tips_get_a_path_each():
+    tree = ik.Tree.load("brokk_hydrolek", tips=["left_tip", "right_tip"])
+    placed = place(tree, "line")
+    assert set(placed.reference) == set(tree.tips) and survey(tree, placed.reference, placed.q0).whole
+    assert "for each tip" in placed.words
+
+
+def test_what_is_asked_for_is_kept(arm):
+    placed = place(arm, "line", axis=(0, 0, -1), duration=4.0, position_only=True)
+    T = placed.reference.at(4.0)[0][:3, 3] - placed.reference.at(0.0)[0][:3, 3]
+    assert T[2] == pytest.approx(-placed.size) and np.abs(T[:2]).max() < 1e-12
+    assert placed.reference.position_only and placed.reference.duration == 4.0
+    q0 = arm.home + 0.05
+    assert np.array_equal(place(arm, "circle", q0=q0).q0, q0)
+    with pytest.raises(InvalidOption, match="Did you mean 'circle'"):
+        draw("circel", np.eye(4), 0.1)
+
+
+def test_an_arm_that_cannot_move_holds_still():
+    robot = ik.Robot.load(
+        '<robot name="stiff"><link name="base"/><link name="hand"/><joint name="j" type="revolute"><parent link="base"/>'
+        '<child link="hand"/><origin xyz="1 0 0"/><axis xyz="0 0 1"/><limit lower="0" upper="0" velocity="1" effort="1"/>'
+        "</joint></robot>"
+    )
+    placed = place(robot)
+    assert "it holds still" in placed.words and ik.track(robot, placed.reference, q0=placed.q0).success
+
+
+def test_the_eight_has_the_derivatives_it_says():
+    ref = eight(ik.pose((0.3, 0.2, 0.5), rpy=(0.1, 0.2, 0.3)), 0.07, (0.2, -0.5, 1.0), turns=2.0, duration=3.0)
+    t, h = np.linspace(0.2, 2.8, 7), 1e-5
+    T, V, A = ref.at(t)
+    ahead, behind = ref.at(t + h), ref.at(t - h)
+    assert np.allclose((ahead[0] - behind[0])[:, :3, 3] / (2 * h), V[:, :3], atol=1e-8)
+    assert np.allclose((ahead[1] - behind[1])[:, :3] / (2 * h), A[:, :3], atol=1e-7)
+    n = np.array([0.2, -0.5, 1.0]) / np.linalg.norm([0.2, -0.5, 1.0])
+    assert np.abs((T[:, :3, 3] - (0.3, 0.2, 0.5)) @ n).max() < 1e-12
+
+
+def test_the_command_says_how_far_and_what_works(capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    words = ["track", "hydrolek_7w", "--path", "line", "--length", "0.2"]
+    assert main(words) == 1
+    out, err = capsys.readouterr()
+    assert (
+        "reachable up to 91.4 mm of 200 mm: elbow_pitch at its limit; works with --position-only or --length 0.08"
+        in err
+    )
+    assert max(map(len, out.splitlines())) <= 80
+    tried = json.loads((main([*words, "--json"]), capsys.readouterr().out)[1])["works"]
+    assert len(tried) == 3
+    for option in tried:  # what is said to work does
+        assert main([*words, *option.split()]) == 0, option
+        capsys.readouterr()
+    assert main(["track", "cartesian_pp", "--radius", "0.3", "--duration", "0.2"]) == 1
+    said = capsys.readouterr().err
+    assert "not at this speed; works with --duration" in said
+    assert (
+        main(["track", "cartesian_pp", "--radius", "0.3", "--duration", said.split("--duration ")[1].split()[0]]) == 0
+    )
+
+
+def test_the_command_places_what_is_not_given(capsys):
+    for words in ((), ("--path", "line"), ("--path", "eight", "--axis", "1", "0", "0")):
+        assert main(["track", "hydrolek_7w", *words]) == 0
+        assert "(chosen)" in " ".join(capsys.readouterr().out.split())
+    assert main(["track", "hydrolek_7w", "--json", "--position-only"]) == 0
+    assert "orientation free, from home" in json.loads(capsys.readouterr().out)["path_chosen"]
+    assert main(["track", "hydrolek_7w", "--axis", "0", "0", "0"]) == 2
+    assert "--axis must not be zero" in capsys.readouterr().err
+
+
+@DATA
+@pytest.mark.slow
+def test_every_robot_of_the_list_follows_its_default_path():
+    from ik_toolkit.robot.library import list_robots
+
+    for entry in list_robots():
+        for path in ("circle", "line", "eight"):
+            assert main(["track", entry.name, "--path", path]) == 0, (entry.name, path)
