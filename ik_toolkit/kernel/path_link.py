@@ -1,0 +1,150 @@
+"""The path through tracks of solutions with the fewest reconfigurations, and of these the cheapest: a dynamic program.
+
+A state is a track at a pose. From one pose to the next a path stays on its track, changes to one within reach of a step, or
+reconfigures: to any state at all, from the best of the pose before. So a layer costs the near pairs, not all of them.
+"""
+
+import numpy as np
+
+from .jit import cached, inline, inner
+from .kinematics import TAU
+
+DEAD, UNTESTED, FREE, TOUCHING = range(4)  # what is known of a state
+NONE = -1  # no parent; below that -2 - parent: a reconfiguration
+CONTACT = 1 << 20  # a pose in contact counts as so many reconfigurations: any number of them is better
+
+
+@inline
+def apart(Q, t, a, u, b, endless, i):
+    """Coordinate i of state b of layer u less that of state a of layer t, full turns of endless joints left out."""
+    d = float(Q[u, b, i]) - float(Q[t, a, i])
+    if endless[i] > 0.0:
+        d -= TAU * np.rint(d / TAU)
+    return d
+
+
+@inner
+def step(Q, t, a, u, b, most, endless, price, near):
+    """Cost of moving from state a to b; inf where they are no near ones (near > 0) and a joint moves further than it may."""
+    total, over = 0.0, 0.0
+    for i in range(most.shape[0]):
+        d = abs(apart(Q, t, a, u, b, endless, i))
+        if d > most[i]:
+            if near > 0:
+                return np.inf
+            over = 1.0
+        total += price[0, i] * d + price[1, i] * d * d
+    return total + over * price[2, 0]
+
+
+@inner
+def barred(blocked, low, high, a, b):
+    """Whether the edge from a to b is among blocked[low:high]."""
+    for k in range(low, high):
+        if blocked[k, 1] == a and blocked[k, 2] == b:
+            return True
+    return False
+
+
+@inner
+def window(keys, size, low):
+    """First place in keys[:size], ascending, that is not below `low`."""
+    a, b = 0, size
+    while a < b:
+        m = (a + b) // 2
+        if keys[m] < low:
+            a = m + 1
+        else:
+            b = m
+    return a
+
+
+@cached
+def link(Q, span, state, most, endless, price, begin, toll, blocked, axis, first, counts, costs, parents, prior):
+    """Fill counts (N, K), costs (N, K), parents (N, K) and prior (N,) from layer `first` on; those before stand.
+
+    Q (N, K, n): tracks, whole from span[k, 0] to span[k, 1]; state (N, K): DEAD, UNTESTED, FREE, TOUCHING; most (n,): largest
+    step; endless (n,): 1 where full turns do not count; price (3, n): of a joint's move, of its square, and (first) of a step
+    longer than it may be; begin (2, K): count and cost of starting on a track; toll (N, K): cost of a state; blocked (B, 3): edges
+    (pose they lead to, from, to) that are none, by pose; axis: a joint by which near states are looked up, -1: none. prior[t]
+    is the layer the parents of t are in, -1 where t is the first with states; a layer without states has none.
+    """
+    N, K, _ = Q.shape
+    keys, order = np.empty(K), np.empty(K, np.int64)
+    near = np.empty(K, np.int64)
+    last = -1
+    for t in range(first):
+        for k in range(K):
+            if state[t, k] != DEAD:
+                last = t
+                break
+    bar = 0
+    for t in range(first, N):
+        while bar < blocked.shape[0] and blocked[bar, 0] < t:
+            bar += 1
+        stop = bar
+        while stop < blocked.shape[0] and blocked[stop, 0] == t:
+            stop += 1
+        prior[t] = last
+        size, best = 0, -1
+        if last >= 0:
+            for a in range(K):
+                if parents[last, a] == NONE and prior[last] >= 0:
+                    continue
+                if state[last, a] == DEAD:
+                    continue
+                near[size] = a
+                size += 1
+                if (
+                    best < 0
+                    or counts[last, a] < counts[last, best]
+                    or (counts[last, a] == counts[last, best] and costs[last, a] < costs[last, best])
+                ):
+                    best = a
+            if axis >= 0:
+                for j in range(size):
+                    keys[j] = Q[last, near[j], axis]
+                ranks = np.argsort(keys[:size])
+                for j in range(size):
+                    order[j] = near[ranks[j]]
+                for j in range(size):
+                    keys[j] = Q[last, order[j], axis]
+            else:
+                for j in range(size):
+                    order[j] = near[j]
+        some = False
+        for b in range(K):
+            parents[t, b] = NONE
+            if state[t, b] == DEAD:
+                continue
+            some = True
+            if last < 0:
+                counts[t, b], costs[t, b] = int(begin[0, b]), begin[1, b]
+            else:
+                count, cost, parent = counts[last, best] + 1, costs[last, best] + price[2, 1], -2 - best
+                if last == t - 1:
+                    if state[last, b] != DEAD and span[b, 0] < t <= span[b, 1] and counts[last, b] <= count:
+                        c = costs[last, b] + step(Q, last, b, t, b, most, endless, price, 0)
+                        if counts[last, b] < count or c < cost:
+                            if not barred(blocked, bar, stop, b, b):
+                                count, cost, parent = counts[last, b], c, b
+                    low, high = 0, size
+                    if axis >= 0:
+                        low = window(keys, size, Q[t, b, axis] - most[axis])
+                    for j in range(low, high):
+                        a = order[j]
+                        if axis >= 0 and keys[j] > Q[t, b, axis] + most[axis]:
+                            break
+                        if a == b or counts[last, a] > count or (counts[last, a] == count and costs[last, a] >= cost):
+                            continue
+                        c = costs[last, a] + step(Q, last, a, t, b, most, endless, price, 1)
+                        if c < np.inf and (counts[last, a] < count or c < cost):
+                            if not barred(blocked, bar, stop, a, b):
+                                count, cost, parent = counts[last, a], c, a
+                counts[t, b], costs[t, b], parents[t, b] = count, cost, parent
+            costs[t, b] += toll[t, b]
+            if state[t, b] == TOUCHING:
+                counts[t, b] += CONTACT
+        if some:
+            last = t
+        bar = stop

@@ -1,0 +1,171 @@
+"""The program over tracks, and contact found where the path goes: the best path is tested, what touches is left out, again."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from ..kernel.path_link import CONTACT, DEAD, FREE, NONE, TOUCHING, UNTESTED, link
+
+LONG = 1e3  # cost of a step longer than it may be: more than the length of any path is worth
+LEAP = 1.0  # cost of a reconfiguration beside its count: what it moves is no part of the path
+SUSPECT = 50.0  # toll on a state between two of its track that touch: it is tried last, and tested then
+COARSE = 8  # of a track every eighth pose is tested first
+
+
+class Program:
+    """Tracks Q (N, K, n) in kernel units, whole over span (K, 2), and the best path through them.
+
+    state (N, K): see kernel.path_link; begin, end (2, K): count and cost of a path that begins, ends on a track.
+    """
+
+    def __init__(self, Q: np.ndarray, span: np.ndarray, most: np.ndarray, endless: np.ndarray) -> None:
+        """Nothing is known of contact yet."""
+        N, K, _ = Q.shape
+        self.Q, self.span, self.most, self.endless = Q, span, most, endless.astype(float)
+        t = np.arange(N)[:, None]
+        self.state = np.where((t >= span[:, 0]) & (t <= span[:, 1]), UNTESTED, DEAD).astype(np.int8)
+        self.price = np.zeros((3, Q.shape[2]))
+        self.price[0] = 1.0
+        self.price[1] = 1.0 / most
+        self.price[2, :2] = LONG, LEAP
+        self.begin, self.end = np.zeros((2, K)), np.zeros((2, K))
+        self.toll = np.zeros((N, K), np.float32)
+        self.blocked: set[tuple[int, int, int]] = set()
+        self.counts, self.costs = np.zeros((N, K), np.int32), np.zeros((N, K))
+        self.parents, self.prior = np.full((N, K), NONE, np.int16), np.full(N, -1)
+        self.changed = 0  # first layer that has to be run again
+        spread = np.where(endless > 0, -1.0, np.nanmax(Q, axis=(0, 1)) - np.nanmin(Q, axis=(0, 1))) / most
+        self.axis = int(np.argmax(spread)) if spread.max() > 0 else -1
+
+    def run(self) -> None:
+        """Bring the program up to date."""
+        if self.changed >= len(self.Q):
+            return
+        blocked = np.array(sorted(self.blocked), dtype=np.int64).reshape(-1, 3)
+        link(
+            self.Q, self.span, self.state, self.most, self.endless, self.price, self.begin, self.toll, blocked, self.axis,
+            self.changed, self.counts, self.costs, self.parents, self.prior,
+        )  # fmt: skip
+        self.changed = len(self.Q)
+
+    def mark(self, t: int, k: int, touching: bool) -> None:
+        """Write down a verdict."""
+        self.state[t, k] = TOUCHING if touching else FREE
+        if touching:
+            self.changed = min(self.changed, t)
+
+    def best(self, t: int) -> tuple[int, int]:
+        """Track and count of the best path to layer t; -1 where there is none."""
+        alive = self.state[t] != DEAD
+        if not alive.any():
+            return -1, 0
+        last = t == len(self.Q) - 1
+        counts = self.counts[t] + (self.end[0] if last else 0)
+        costs = self.costs[t] + (self.end[1] if last else 0)
+        k = int(np.lexsort((costs, counts, ~alive))[0])
+        return k, int(counts[k])
+
+    def path(self, t: int) -> tuple[np.ndarray, np.ndarray]:
+        """Tracks (t + 1,) of the best path to layer t, -1 where a layer has none; and where it reconfigures, (t + 1,) bool."""
+        tracks, jumps = np.full(t + 1, -1), np.zeros(t + 1, dtype=bool)
+        while t >= 0 and not (self.state[t] != DEAD).any():
+            t -= 1
+        k = self.best(t)[0] if t >= 0 else -1
+        while t >= 0 and k >= 0:
+            tracks[t] = k
+            parent, t_before = int(self.parents[t, k]), int(self.prior[t])
+            if t_before < 0:
+                break
+            jumps[t] = parent < NONE
+            k, t = (-2 - parent if parent < NONE else parent), t_before
+        return tracks, jumps
+
+
+def middle_first(size: int) -> np.ndarray:
+    """Places 0 ... size - 1, the ends and the middles of what is between first."""
+    if size < 1:
+        return np.empty(0, dtype=int)
+    step, seen, order = 1 << max(0, (size - 1).bit_length()), np.zeros(size, dtype=bool), []
+    while step >= 1:
+        places = np.append(np.arange(0, size, step), size - 1)
+        places = places[~seen[places]]
+        order.extend(dict.fromkeys(places.tolist()))
+        seen[places] = True
+        step //= 2
+    return np.array(order)
+
+
+class Tester:
+    """Contact of states, each tested once; `budget` tests, and then no more."""
+
+    def __init__(self, program: Program, collides: Callable[[Any], bool], unit: np.ndarray, budget: int) -> None:
+        """Test with collides(q) (n,) [rad, m]."""
+        self.program, self.collides, self.unit, self.left = program, collides, unit, budget
+
+    def touches(self, t: int, k: int) -> bool:
+        """Whether state k of layer t touches."""
+        p = self.program
+        if p.state[t, k] == UNTESTED and self.left > 0:
+            self.left -= 1
+            p.mark(t, k, self.collides(p.Q[t, k].astype(float) * self.unit))
+        return p.state[t, k] == TOUCHING
+
+    def grow(self, t: int, k: int) -> None:
+        """After a hit: how far along its track contact reaches, by steps that double, then by halves."""
+        p = self.program
+        for way in (-1, 1):
+            edge = p.span[k, 0 if way < 0 else 1]
+            inside, step = t, 1
+            outside = edge + way
+            while inside != edge:
+                following = inside + way * min(step, abs(edge - inside))
+                if not self.touches(following, k):
+                    outside = following
+                    break
+                inside, step = following, 2 * step
+            while abs(outside - inside) > 1 and outside != edge + way:
+                half = (inside + outside) // 2
+                if self.touches(half, k):
+                    inside = half
+                else:
+                    outside = half
+            low, high = sorted((t, inside))
+            unknown = p.state[low : high + 1, k] == UNTESTED
+            p.toll[low : high + 1, k][unknown] = SUSPECT
+            if unknown.any():
+                p.changed = min(p.changed, low)
+
+
+def look_over(program: Program, tester: Tester) -> None:
+    """Test every COARSE-th state of every track; what lies between two that touch is suspect."""
+    N, K = program.state.shape
+    for k in range(K):
+        low, high = program.span[k]
+        before = -1
+        for t in range(low + (-low) % COARSE, high + 1, COARSE):
+            touching = tester.touches(t, k)
+            if touching and before >= 0:
+                program.toll[before + 1 : t, k] = SUSPECT
+            before = t if touching else -1
+    program.changed = 0
+
+
+def free_path(program: Program, tester: Tester) -> tuple[np.ndarray, np.ndarray]:
+    """Best path whose states are all tested, or the best when the budget ended; see `Program.path`."""
+    N = len(program.Q)
+    order = middle_first(N)
+    while True:
+        program.run()
+        tracks, jumps = program.path(N - 1)
+        hits = 0
+        for t in order:
+            k = tracks[t]
+            if k >= 0 and program.state[t, k] == UNTESTED:
+                if tester.touches(t, k):
+                    tester.grow(t, k)
+                    hits += 1
+                    if hits >= 4:
+                        break
+        if hits == 0 or tester.left <= 0:
+            return tracks, jumps
