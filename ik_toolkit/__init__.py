@@ -15,6 +15,8 @@ _NAMES = {
     "solve": "solvers.solve",
     "Solver": "solvers.solve",
     "solve_batch": "solvers.batch",
+    "solve_path": "paths.solve_path",
+    "PathInterrupted": "paths.solve_path",
     "BatchCheckFailed": "solvers.batch_result",
     "CollisionModel": "robot.collision",
     "Result": "solvers.result",

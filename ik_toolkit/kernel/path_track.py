@@ -80,7 +80,7 @@ def advance(p, o, weights, box, flat, pose, sheet, a, b, most, deviation, old, n
             e = p.evaluate(q)
             p.keep(e, NOW)
             position, rotation = p.left(NOW)
-            fine = position <= deviation and rotation <= deviation
+            fine = position <= deviation[0] and rotation <= deviation[1]
         if fine:
             copy(new, q)
             copy(new, old)
@@ -117,12 +117,12 @@ def centre(p, o, weights, box, pose, most, gain, old, z):
 
 
 @cached
-def extend(rows, ends, T, orders, limits, most, deviation, seeds, at, gains, Q, span):
+def extend(rows, ends, T, orders, limits, most, deviation, seeds, at, gains, columns, Q, span):
     """Carry seeds (M, n), solutions of the poses at (M,), along all poses T (N, 4, 4) or (N, F, 4, 4), both ways.
 
     Kernel units throughout: limits (3, n) lower, upper, whether a posture counts the joint; most (n,): largest step of a joint.
-    deviation [m, rad]: of the tip between poses; gains (M,): how strongly a track is drawn to the middle of the limits (0: least
-    motion). Writes Q (N, M, n) and span (M, 2), the first and the last pose each was carried to; first > last: not even one.
+    deviation (2,) [m], [rad]: of the tip between poses; gains (M,): how strongly a track is drawn to the middle of the limits (0:
+    least motion). Seed m is written to Q[:, columns[m]] (N, K, n), and the first and the last pose it was carried to to span[columns[m]].
     """
     n, N = seeds.shape[1], T.shape[0]
     o = read(Orders, orders)
@@ -136,8 +136,8 @@ def extend(rows, ends, T, orders, limits, most, deviation, seeds, at, gains, Q, 
     old, new, z = np.empty(n), np.empty(n), np.empty(n)
     q = p.desk.q
     for m in range(seeds.shape[0]):
-        start = at[m]
-        span[m, 0], span[m, 1] = start, start
+        start, k = at[m], columns[m]
+        span[k, 0], span[k, 1] = start, start
         for way in (-1, 1):
             copy(seeds[m], q)
             t = start
@@ -150,10 +150,10 @@ def extend(rows, ends, T, orders, limits, most, deviation, seeds, at, gains, Q, 
                     p.aim(pose, o)
                     centre(p, o, weights, box, pose, most, gains[m], old, z)
                 for i in range(n):
-                    Q[t, m, i] = q[i]
-            span[m, 0 if way < 0 else 1] = t
+                    Q[t, k, i] = q[i]
+            span[k, 0 if way < 0 else 1] = t
         for i in range(n):
-            Q[start, m, i] = seeds[m, i]
+            Q[start, k, i] = seeds[m, i]
 
 
 @cached

@@ -97,11 +97,21 @@ def middle_first(size: int) -> np.ndarray:
 
 
 class Tester:
-    """Contact of states, each tested once; `budget` tests, and then no more."""
+    """Contact of the states of a program, each tested once; `left` tests, and then no more."""
 
-    def __init__(self, program: Program, collides: Callable[[Any], bool], unit: np.ndarray, budget: int) -> None:
+    def __init__(self, collides: Callable[[Any], bool], unit: np.ndarray, budget: int) -> None:
         """Test with collides(q) (n,) [rad, m]."""
-        self.program, self.collides, self.unit, self.left = program, collides, unit, budget
+        self.collides, self.unit, self.left = collides, unit, budget
+        self.program: Any = None
+
+    def of(self, program: Program) -> "Tester":
+        """The same for a program whose first tracks are those of the one before: what is known of them stands."""
+        if self.program is not None:
+            K = self.program.state.shape[1]
+            known = self.program.state >= FREE
+            program.state[:, :K][known] = self.program.state[known]
+        self.program = program
+        return self
 
     def touches(self, t: int, k: int) -> bool:
         """Whether state k of layer t touches."""

@@ -4,54 +4,79 @@ from typing import Any
 
 import numpy as np
 
+from ..kernel.kinematics import TAU
+from ..kernel.path_track import settle
 from ..kernel.records import ANSWER, AT
 from ..solvers.batch_parts import lanes_of
 from ..solvers.plan import Plan
+from ..solvers.protocol import Asked
 from ..solvers.search_all import ONE_ATTEMPT
 from ..solvers.status import Status
 
 
 class Problem:
-    """Poses T (N, 4, 4) or (N, F, 4, 4) of `kinds` for a plan, ready for the kernels of a path.
+    """Poses T (N, 4, 4), for a Tree (N, F, 4, 4), of `kinds` for a bound solver, ready for the kernels of a path.
 
-    most (n,): largest step of a joint, in kernel units; deviation [m, rad]: of the tip between poses. single: the plan of one
-    attempt of the general search; arrays: rows, ends; orders: of the kernel; limits (3, n): where continuation keeps the joints.
+    most (n,): largest step of a joint, in kernel units; deviation (2,) [m], [rad]: of a tip between poses. poses (N, F, 4, 4): T by tip. plan: the solver's;
+    single: that of one attempt of the general search, with its arrays (rows, ends) and orders. limits (3, n): lower, upper,
+    whether there are both; room: the same without those of joints whose full turns are added later (`sheets`). redundant:
+    whether joints are left over, so that solutions are not isolated.
     """
 
-    def __init__(self, plan: Plan, T: np.ndarray, kinds: tuple, max_step: tuple[float, float], deviation: float) -> None:
+    def __init__(
+        self, solver: Any, T: np.ndarray, kinds: tuple, max_step: tuple[float, float], deviation: tuple[float, float]
+    ) -> None:
         """Pack what the kernels read."""
-        robot = plan.robot
-        self.robot, self.plan, self.T, self.kinds, self.deviation = robot, plan, T, kinds, deviation
-        self.single = (plan.search if plan.row.closed else plan.varied)(**ONE_ATTEMPT)
+        robot, plan = solver.robot, solver.plan_for(kinds)
+        self.robot, self.plan, self.T, self.kinds = robot, plan, T, kinds
+        self.poses = T if robot.by_tip else T[:, None]
+        self.deviation = np.array(deviation)
+        self.single: Plan = (plan.search if plan.row.closed else plan.varied)(**ONE_ATTEMPT)
         self.rows, self.ends = self.single.chain[:2]
         self.orders = self.single.orders(kinds, True)
         self.unit = robot.chain.unit
         slides = np.array([kind == "prismatic" for kind in robot.joint_kinds])
         self.most = np.where(slides, max_step[1], max_step[0]) / self.unit
-        self.turns = np.asarray(robot.chain.turns)
-        self.endless = (self.turns > 0) & np.isinf(robot.lower) & np.isinf(robot.upper)
-        low, high = robot.lower / self.unit, robot.upper / self.unit
-        if not plan.options.limits:
-            low, high = np.full(robot.n, -np.inf), np.full(robot.n, np.inf)
-        counted = np.isfinite(low) & np.isfinite(high)
-        self.limits = np.array([low, high, counted])
+        self.endless = (np.asarray(robot.chain.turns) > 0) & np.isinf(robot.lower) & np.isinf(robot.upper)
+        free = np.full(robot.n, np.inf)
+        low, high = (robot.lower, robot.upper) if plan.options.limits else (-free, free)
+        self.limits = np.array([low / self.unit, high / self.unit, np.isfinite(low) & np.isfinite(high)])
+        self.turning = np.flatnonzero((np.asarray(robot.chain.turns) > 0) & ~self.endless & plan.options.limits)
+        asked = Asked(robot, kinds, options=plan.options)
+        self.redundant = bool(robot.n - len(plan.held) > asked.rows or plan.options.slack is not None)
+        self.room = self.limits.copy()
+        if not self.redundant:
+            self.room[0, self.turning], self.room[1, self.turning] = -np.inf, np.inf
 
-    @property
-    def redundant(self) -> bool:
-        """Whether joints are left over, so that solutions are not isolated."""
-        from ..solvers.protocol import Asked
+    def solutions(self, t: int, Q0: np.ndarray) -> tuple[np.ndarray, float]:
+        """Solutions (m, n) of pose t, kernel units, that one attempt from each of Q0 (M, n) [rad, m] finds, nearest the middle turn.
 
-        o = self.plan.options
-        return self.robot.n - len(self.plan.held) > Asked(self.robot, self.kinds, options=o).rows
-
-    def solutions(self, t: int, Q0: np.ndarray) -> np.ndarray:
-        """Solutions (m, n) of pose t, kernel units: what one attempt from each of Q0 (M, n) [rad, m] converges to."""
+        And how far the pose is out of reach [m], 0 where that is not proven.
+        """
         single, n = self.single, self.robot.n
-        T = np.repeat(self.T[t : t + 1], len(Q0), axis=0)
-        out = np.zeros((len(Q0), single.width))
+        T, out = np.repeat(self.T[t : t + 1], len(Q0), axis=0), np.zeros((len(Q0), single.width))
         side_by_side = lanes_of(single, self.kinds)
         if side_by_side is not None:
             side_by_side(*single.arrays(self.kinds, Q0), T, Q0, out, self.orders)
         else:
             single.run(T, self.kinds, Q0, True, out)
-        return out[out[:, AT.status] == Status.CONVERGED, ANSWER : ANSWER + n] / self.unit
+        good = out[:, AT.status] == Status.CONVERGED
+        if not good.any():
+            single.run(T[:1], self.kinds, Q0[:1], True, out[:1])
+            return np.empty((0, n)), float(out[0, AT.excess]) if out[0, AT.status] == Status.UNREACHABLE else 0.0
+        return self.turned(out[good, ANSWER : ANSWER + n] / self.unit), 0.0
+
+    def turned(self, Q: np.ndarray) -> np.ndarray:
+        """Q (m, n) with joints that can turn fully on the turn next to the middle of their limits."""
+        Q = Q.copy()
+        for i in np.flatnonzero(np.asarray(self.robot.chain.turns) > 0):
+            low, high = self.limits[:2, i]
+            at = 0.5 * (low + high) if np.isfinite(high - low) else np.clip(0.0, low + np.pi, high - np.pi)
+            Q[:, i] -= TAU * np.rint((Q[:, i] - at) / TAU)
+        return Q
+
+    def settled(self, Q: np.ndarray, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Q (m, n), kernel units, brought onto the poses t (m,); and the errors (m, 2) left [m], [rad]."""
+        Q, errors = np.array(Q, dtype=float), np.empty((len(Q), 2))
+        settle(self.rows, self.ends, np.ascontiguousarray(self.T[t]), self.orders, self.limits, Q, errors)
+        return Q, errors

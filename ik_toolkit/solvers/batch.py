@@ -59,7 +59,7 @@ def solve_parts(
         raise InvalidOption("a chain starts each target from the answer before it; follow takes a q0 for every row")
     if options.get("history"):
         raise InvalidOption("a batch keeps no history; solve the target in question with ik.solve")
-    count = _whole("threads", threads) if threads is not None else _cores()
+    count = _whole("threads", threads) if threads is not None else available_cores()
     if not isinstance(check, int | float | np.floating) or not 0.0 <= check <= 1.0:
         raise InvalidOption(f"check is the fraction of answers to check again, 0 to 1, not {check!r}")
     given = known(targets)
@@ -133,7 +133,7 @@ def _jobs(chunks: Iterator[Block], starts: np.ndarray | None, size: int) -> Iter
             first += len(T)
 
 
-def _cores() -> int:
+def available_cores() -> int:
     """Cores this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 

@@ -70,25 +70,30 @@ NAMES = tuple(field.name for field in fields(Options))
 Numbers = Sequence[float] | np.ndarray
 
 
-class BatchOptions(TypedDict, total=False):
-    """What `solve_batch` takes by keyword, for editors and type checkers: options (see `Options`) and parameters of our solvers."""
+class PathOptions(TypedDict, total=False):
+    """Options (see `Options`) that `solve_path` takes by keyword: tolerances, limits, and what counts of the errors."""
 
     tolerance: float
     position_tolerance: float
     orientation_tolerance: float
-    max_iterations: int | None
-    restarts: int | None
-    max_evaluations: int | None
-    seed: int
     limits: bool
-    wrap: bool | None
-    q0_outside: Literal["clamp", "refuse"]
     mask: Numbers | Mapping[str, Numbers | None] | None
     slack: Numbers | Mapping[str, Numbers | None] | None
     free_turn: Numbers | Mapping[str, Numbers | None] | None
     frame: Literal["base", "tip", "target"] | Mapping[str, Literal["base", "tip", "target"]]
     relative_to: Mapping[str, str] | None
     joint_weights: Numbers | None
+
+
+class BatchOptions(PathOptions, total=False):
+    """What `solve_batch` takes by keyword, for editors and type checkers: options (see `Options`) and parameters of our solvers."""
+
+    max_iterations: int | None
+    restarts: int | None
+    max_evaluations: int | None
+    seed: int
+    wrap: bool | None
+    q0_outside: Literal["clamp", "refuse"]
     closest: bool | Numbers
     objective: Literal["mid-range", "reference", "manipulability"] | None
     avoid_collisions: Any

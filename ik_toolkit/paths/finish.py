@@ -1,0 +1,88 @@
+"""The last steps of a path: exact rows, shortened pieces, and the proof between the poses; what fails it is left out, again."""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from .continuity import check, densify
+from .problem import Problem
+from .refine import smooth
+from .result import Continuity, pieces
+from .search import Found, Search
+
+TRIES = 12  # programs run again without a step that is no continuous motion, or touches
+HELD = 2  # poses kept as the program has them on either side of a place where the shorter motion fails
+SHORTENED = 3  # times a motion is shortened, with more poses held each time
+
+
+class Motion(NamedTuple):
+    """A path as it is handed out: rows q (N, n) [rad or m], the curve through them, and what is proven of it."""
+
+    found: Found
+    q: np.ndarray
+    curve: np.ndarray
+    at: np.ndarray
+    continuity: Continuity
+
+    def failures(self, tolerance: tuple[float, float]) -> list[float]:
+        """Places among the poses where the motion is no continuous one, or touches, or comes too near to tell."""
+        c = self.continuity
+        off = (c.deviation > tolerance[0]) | (c.turn > tolerance[1])
+        return [*self.at[:-1][off].tolist(), *(one.place for one in c.contacts), *c.unproven]
+
+
+def exact(problem: Problem, q: np.ndarray) -> np.ndarray:
+    """Rows (N, n), kernel units, inside the tolerances of their poses; in the units of the robot."""
+    there = np.flatnonzero(np.isfinite(q).all(axis=1))
+    made = q.copy()
+    made[there] = problem.settled(q[there], there)[0]
+    return made * problem.unit
+
+
+def proven(
+    search: Search, found: Found, q: np.ndarray, step: tuple[float, float], tolerance: tuple[float, float], model: Any
+) -> Motion:
+    """The motion through rows q (N, n), with poses inserted where it needs them."""
+    p = search.problem
+    curve, at, cut = densify(p.single, p.kinds, q, p.poses, found.breaks, step, tolerance)
+    return Motion(found, q, curve, at, check(p.single, p.kinds, curve, at, p.poses, cut, model))
+
+
+def shortened(search: Search, found: Found, q: np.ndarray, held: np.ndarray, step: tuple[float, float]) -> np.ndarray:
+    """Each continuous piece of q (N, n) shortened where that touches nothing; held (N,): poses whose rows stay."""
+    p, made = search.problem, q.copy()
+    fixed = held.copy()
+    fixed[0] |= search.fixed[0]
+    fixed[-1] |= search.fixed[1]
+
+    def touching(rows: np.ndarray) -> list[int]:
+        return [t for t, x in enumerate(rows) if search.collides(x)]
+
+    for piece in pieces(q, np.arange(len(q)), found.breaks):
+        rows = (p.single, p.kinds, q[piece], p.poses[piece], step, fixed[piece])
+        made[piece] = smooth(*rows, None if search.collides is None else touching)
+    return made
+
+
+def finished(
+    search: Search, step: tuple[float, float], tolerance: tuple[float, float], model: Any, allowed: float, refine: bool
+) -> Motion:
+    """The best path of a search as a motion that is proven, as far as that can be had."""
+    p = search.problem
+    for _ in range(TRIES):
+        found = search.found if len(search.found.breaks) <= allowed else search.partial(allowed)
+        q = exact(p, found.q)
+        if refine and p.redundant:
+            held = np.zeros(len(q), dtype=bool)
+            for _ in range(SHORTENED):
+                motion = proven(search, found, shortened(search, found, q, held, step), step, tolerance, model)
+                failed = motion.failures(tolerance)
+                if not failed:
+                    return motion
+                for place in failed:
+                    held[max(int(place) - HELD, 0) : int(place) + HELD + 2] = True
+        motion = proven(search, found, q, step, tolerance, model)
+        failed = motion.failures(tolerance)
+        if found.contacts or not search.without(found, sorted({int(place) for place in failed})):
+            return motion
+    return motion

@@ -1,0 +1,251 @@
+"""The search for a path: anchors are solved, their tracks linked, contact tested, and where the program breaks it goes on."""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ..kernel.kinematics import TAU
+from ..kernel.path_link import CONTACT, DEAD
+from .candidates import ISOLATED, MOST, SAME, STARTS, THIN, Tracks, spread
+from .link import Program, Tester, free_path, look_over, middle_first
+from .problem import Problem
+from .result import Unreachable
+
+EVERY = 20  # poses between two anchors of a robot whose solutions are isolated; they cost little, and none may be missed
+ANCHORS = 9  # of a redundant robot at first: tracks reach far, and where they do not the program says so
+SHARE = 40  # tracks an anchor of a redundant robot may add
+TRIED = 3  # contact is tested for so many seeds as an anchor may add: one in two touches beside an obstacle
+ROUNDS = 4  # further anchors where the program breaks, while that helps
+BUDGET = 200  # contact tests a pose of the path; some 15 are used as a rule
+
+
+class Found(NamedTuple):
+    """Best path found: q (N, n) in kernel units, NaN where there is none; tracks (N,), -1 there; breaks: poses after which it reconfigures; contacts."""
+
+    q: np.ndarray
+    tracks: np.ndarray
+    breaks: list[int]
+    contacts: int
+    verified: bool  # whether the state at every pose was tested
+
+
+class Search:
+    """Tracks of a problem and the program over them, refined round by round; `found` is the best path so far."""
+
+    def __init__(
+        self,
+        problem: Problem,
+        collides: Callable[[Any], bool] | None,
+        q0: np.ndarray | None,
+        q_end: np.ndarray | None,
+        threads: int,
+        seed: int,
+    ) -> None:
+        """q0, q_end (n,) in kernel units: where the path begins and ends, or what it begins and ends near."""
+        self.problem, self.collides, self.ends = problem, collides, (q0, q_end)
+        self.tracks = Tracks(problem, MOST if problem.redundant else ISOLATED, threads, seed)
+        self.anchored: dict[int, float] = {}  # how far each anchor is out of reach [m], 0: not proven
+        self.tester = None if collides is None else Tester(collides, problem.unit, BUDGET * len(problem.T))
+        self.program: Program | None = None
+        self.found: Found | None = None
+        self.fixed = [False, False]  # whether the path begins at q0, ends at q_end
+
+    # ---------------------------------------------------------------------------------------------------------- anchors
+    def anchor(self, t: int, count: int) -> int:
+        """Solve pose t from many starts and carry what is new; returns how many tracks were added."""
+        p, tracks = self.problem, self.tracks
+        Q0 = p.robot.random_q(tracks.rng, STARTS)
+        for q in self.ends:
+            if q is not None:
+                Q0[0] = q * p.unit
+        found, beyond = p.solutions(t, Q0)
+        self.anchored[t] = beyond
+        if not len(found):
+            return 0
+        if not p.redundant:
+            seeds = spread(found, tracks.at(t), ISOLATED, SAME)
+        else:
+            seeds = spread(found, tracks.at(t), TRIED * count if self.collides else count, THIN * p.most.min())
+            if self.collides is not None:
+                seeds = self.without_contact(seeds, count)
+        tracks.add(seeds, np.full(len(seeds), t))
+        return len(seeds)
+
+    def without_contact(self, seeds: np.ndarray, count: int) -> np.ndarray:
+        """The first `count` of seeds (m, n) that touch nothing, and where there are none the first as they are."""
+        free = []
+        for q in seeds:
+            if not self.collides(q * self.problem.unit):
+                free.append(q)
+                if len(free) == count:
+                    break
+        return np.array(free) if free else seeds[: max(1, count // 4)]
+
+    def first_anchors(self) -> None:
+        """Solve poses spread over the path; given ends are tracks of their own."""
+        p, N = self.problem, len(self.problem.T)
+        for k, (q, t) in enumerate(zip(self.ends, (0, N - 1), strict=True)):
+            if q is not None and self.solves(q, t):
+                self.fixed[k] = True
+                self.tracks.add(p.settled(q[None], np.array([t]))[0], np.array([t]))
+        if p.redundant:
+            places = np.unique(np.linspace(0, N - 1, min(N, ANCHORS)).astype(int))
+            places = places[middle_first(len(places))]
+        else:
+            places = np.unique(np.append(np.arange(0, N, EVERY), N - 1))
+        for t in places:
+            self.anchor(int(t), SHARE)
+        self.fill()
+
+    def solves(self, q: np.ndarray, t: int) -> bool:
+        """Whether q (n,) brings the tips to pose t."""
+        moved, errors = self.problem.settled(q[None], np.array([t]))
+        o = self.problem.plan.options
+        near = np.abs(moved[0] - q).max() < SAME
+        return bool(near and errors[0, 0] <= o.position_tolerance and errors[0, 1] <= o.orientation_tolerance)
+
+    def fill(self) -> None:
+        """Solve poses that no track passes, from the middle of each gap."""
+        while True:
+            alive = self.tracks.alive()
+            empty = [t for t in np.flatnonzero(alive == 0) if t not in self.anchored]
+            if not empty:
+                return
+            runs = np.split(np.array(empty), np.flatnonzero(np.diff(empty) > 1) + 1)
+            for run in runs:
+                self.anchor(int(run[len(run) // 2]), SHARE)
+
+    # ----------------------------------------------------------------------------------------------------------- linking
+    def sheets(self) -> tuple[np.ndarray, np.ndarray]:
+        """Tracks and spans, those of isolated solutions on every turn that the limits allow."""
+        p, tracks = self.problem, self.tracks
+        Q, span = tracks.Q[:, : tracks.size], tracks.span
+        if p.redundant or not len(p.turning) or not len(span):
+            return Q, span
+        alive = self.inside(Q, span, np.zeros(p.robot.n), limited=False)
+        for i in p.turning:
+            column = np.where(alive, Q[:, :, i], np.nan)
+            low, high = np.nanmin(column, axis=0), np.nanmax(column, axis=0)
+            copies, spans = [], []
+            first = np.ceil((p.limits[0, i] - high) / TAU).astype(int)
+            last = np.floor((p.limits[1, i] - low) / TAU).astype(int)
+            for turn in range(int(first.min()), int(last.max()) + 1):
+                fits = (first <= turn) & (turn <= last)
+                part = Q[:, fits].copy()
+                part[:, :, i] += TAU * turn
+                copies.append(part)
+                spans.append(span[fits])
+            Q, span = np.concatenate(copies, axis=1), np.concatenate(spans)
+            alive = self.inside(Q, span, np.zeros(p.robot.n), limited=False)
+        return Q, span
+
+    def inside(self, Q: np.ndarray, span: np.ndarray, slack: np.ndarray, limited: bool = True) -> np.ndarray:
+        """Which states (N, K) a track has, inside the limits."""
+        t = np.arange(len(Q))[:, None]
+        alive = (span[:, 0] <= t) & (t <= span[:, 1])
+        if limited:
+            low, high = self.problem.limits[:2].astype(np.float32)
+            ROUND = 1e-6  # single precision
+            alive &= ((Q >= low - ROUND) & (Q <= high + ROUND)).all(axis=2)
+        return alive
+
+    def link(self) -> None:
+        """Make the program of the tracks there are and take its best path."""
+        p = self.problem
+        Q, span = self.sheets()
+        program = self.program = Program(Q, span, p.most, p.endless)
+        if len(p.turning) and not p.redundant:
+            program.state[~self.inside(Q, span, np.zeros(p.robot.n))] = DEAD
+        for q, t, terms in zip(self.ends, (0, len(Q) - 1), (program.begin, program.end), strict=True):
+            if q is not None:
+                d = Q[t].astype(float) - q
+                d -= p.endless * TAU * np.rint(d / TAU)
+                terms[1] = np.abs(d).sum(axis=1)
+                if self.fixed[0 if t == 0 else 1]:
+                    terms[0] = (np.abs(d).max(axis=1) > SAME).astype(float)
+        if self.tester is not None:
+            self.tester = self.tester.of(program)
+            look_over(program, self.tester)
+        self.found = self.made(program, *self.best_path(program))
+
+    def best_path(self, program: Program) -> tuple[np.ndarray, np.ndarray, bool]:
+        """Tracks and reconfigurations of the best path, and whether its states are tested."""
+        N, K = program.state.shape
+        if self.tester is None or not K:
+            program.run()
+            return *program.path(N - 1), True
+        tracks, jumps = free_path(program, self.tester)
+        return tracks, jumps, self.tester.left > 0
+
+    def made(self, program: Program, tracks: np.ndarray, jumps: np.ndarray, verified: bool) -> Found:
+        """A path through the program as it is."""
+        p, N = self.problem, len(program.Q)
+        q = np.full((N, p.robot.n), np.nan)
+        on = np.flatnonzero(tracks >= 0)
+        q[on] = program.Q[on, tracks[on]]
+        for a, b in zip(on[:-1], on[1:], strict=True):  # an endless joint goes on where it was
+            d = q[b] - q[a]
+            q[b] -= p.endless * TAU * np.rint(d / TAU)
+        contacts = program.best(N - 1)[1] // CONTACT if len(on) else 0
+        breaks = [int(t) - 1 for t in np.flatnonzero(jumps)]
+        return Found(q, tracks, breaks, int(contacts), verified)
+
+    # -------------------------------------------------------------------------------------------------------------- whole
+    def run(self) -> Found:
+        """Search until the path has no reconfiguration, or further anchors do not help."""
+        self.first_anchors()
+        self.link()
+        for _ in range(ROUNDS):
+            before = self.found
+            worst = self.worth()
+            if worst == 0 or not self.problem.redundant:
+                break
+            places = [t for k in before.breaks for t in (k, k + 1)]
+            if not sum(self.anchor(t, SHARE) for t in places[: 2 * ANCHORS]):
+                break
+            self.link()
+            if self.worth() >= worst:
+                break
+        return self.found
+
+    def worth(self) -> int:
+        """What is wrong with the best path: contacts first, then reconfigurations."""
+        return self.found.contacts * CONTACT + len(self.found.breaks)
+
+    def partial(self, allowed: float) -> Found:
+        """The path to the farthest pose that is reached with so many reconfigurations, without contact where there is one."""
+        program, N = self.program, len(self.problem.T)
+        for t in range(N - 1, -1, -1):
+            k, count = program.best(t)
+            if k >= 0 and count % CONTACT <= allowed:
+                tracks, jumps = program.path(t)
+                rest = np.full(N - 1 - t, -1)
+                return self.made(program, np.append(tracks, rest), np.append(jumps, rest > 0), self.found.verified)
+        return self.found._replace(q=np.full_like(self.found.q, np.nan), tracks=np.full(N, -1), breaks=[])
+
+    def without(self, found: Found, steps: list[int]) -> bool:
+        """Find the best path anew without these steps of a path, from pose k to the next; False when there are none."""
+        program = self.program
+        before = len(program.blocked)
+        for k in steps:
+            a, b = found.tracks[k], found.tracks[k + 1]
+            if a >= 0 and b >= 0:
+                program.blocked.add((k + 1, int(a), int(b)))
+                program.changed = min(program.changed, k + 1)
+        if len(program.blocked) == before:
+            return False
+        self.found = self.made(program, *self.best_path(program))
+        return True
+
+    def unreachable(self) -> list[Unreachable]:
+        """Poses no solution was found for, and why."""
+        missing = np.flatnonzero(~(self.program.state != DEAD).any(axis=1)) if self.tracks.size else range(len(self.problem.T))
+        said = []
+        for t in missing:
+            beyond = self.anchored.get(int(t), 0.0)
+            reason = f"beyond reach by {1000 * beyond:.4g} mm (a bound from the link lengths)"
+            said.append(
+                Unreachable(int(t), reason if beyond > 0.0 else f"no solution found from {STARTS} starts", beyond > 0.0)
+            )
+        return said

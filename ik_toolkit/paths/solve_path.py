@@ -1,0 +1,169 @@
+"""The public call for a whole path: poses in, a joint motion out."""
+
+import math
+from collections.abc import Iterator
+from time import perf_counter
+from typing import Any, Unpack
+
+import numpy as np
+
+from ..errors import InvalidConfiguration, InvalidOption, InvalidTarget, floats
+from ..robot.robot import Robot
+from ..robot.tree import Tree
+from ..solvers.avoid import collision_model
+from ..solvers.batch import available_cores
+from ..solvers.batch_targets import blocks, known, mended
+from ..solvers.options import PathOptions
+from ..solvers.result import SPOKEN
+from ..solvers.solve import Solver, require_robot
+from ..solvers.task import counted_errors
+from ..tracking.reference import Reference
+from .finish import finished
+from .problem import Problem
+from .result import PathResult, PathStatus, Reconfiguration, Unreachable
+from .search import Found, Search
+
+STEP = (math.radians(7.0), 0.02)  # rad, m: CppFlow's
+TOLERANCE = (1e-3, math.radians(1.0))  # m, rad: of the tip between poses
+DT = 0.01  # s, at which a Reference is sampled
+NOT_HERE = ("closest", "objective", "history", "follow", "check", "max_evaluations", "restarts", "max_iterations", "q0_outside")
+
+
+class PathInterrupted(KeyboardInterrupt):
+    """Ctrl-C during a path; `result` is the PathResult of the best path until then."""
+
+    def __init__(self, result: PathResult) -> None:
+        """Keep what was found."""
+        super().__init__(f"interrupted: {result.message}")
+        self.result = result
+
+
+def solve_path(
+    robot: Robot | Tree,
+    poses: Any,
+    *,
+    q0: Any = None,
+    q_end: Any = None,
+    max_step: Any = None,
+    path_tolerance: tuple[float, float] = TOLERANCE,
+    avoid_collisions: Any = None,
+    reconfigurations: str | int = "fewest",
+    seed: int = 0,
+    threads: int | None = None,
+    **options: Unpack[PathOptions],
+) -> PathResult:
+    """Find one joint motion through poses: with the fewest reconfigurations, and of these a short one.
+
+    poses: (N, 4, 4), or (N, 3) with orientation free [m]; for a Tree of F tips (N, F, 4, 4), (N, F, 3) or a dict by tip; or a
+    Reference, sampled every 0.01 s. q0, q_end (n,) [rad or m]: where the path begins and ends, if they reach the first and the
+    last pose, and otherwise what it begins and ends near. max_step: the longest step of a joint between poses, (rad, m) or one
+    number for both; default 7 deg and 20 mm. Where the motion needs more, poses are inserted. path_tolerance (m, rad): how far
+    a tip may leave the interpolated pose between two poses. avoid_collisions: True (the robot's own links) or a CollisionModel.
+    reconfigurations: 'fewest', 'none', or the largest number allowed. seed: of the random starts; threads: default all cores.
+    Options as for `solve`: tolerances, limits, mask, slack, free_turn, frame, relative_to, joint_weights. Ctrl-C raises
+    PathInterrupted, whose `result` is the best path until then. Raises InvalidTarget (naming the pose), InvalidConfiguration,
+    InvalidOption; a path that cannot be followed is a status of the result.
+    """
+    began = perf_counter()
+    require_robot(robot)
+    allowed = _allowed(reconfigurations)
+    for name in NOT_HERE:
+        if name in options:
+            raise InvalidOption(f"solve_path takes no '{name}': a path is searched as a whole, and its answers are checked")
+    solver = Solver(robot, **options)
+    T, kinds = _read(robot, poses)
+    step, tolerance = _pair("max_step", max_step, STEP), _pair("path_tolerance", path_tolerance, TOLERANCE)
+    model = collision_model(robot, avoid_collisions) if avoid_collisions else None
+    problem = Problem(solver, T, kinds, step, tolerance)
+    ends = [None if q is None else robot.check_q(q, name) / problem.unit for name, q in (("q0", q0), ("q_end", q_end))]
+    threads = available_cores() if threads is None else threads
+    search = Search(problem, None if model is None else model.collides, *ends, threads, seed)
+    try:
+        search.run()
+        interrupted = False
+    except KeyboardInterrupt:
+        if search.found is None:
+            raise
+        interrupted = True
+    result = _result(search, allowed, step, tolerance, model, seed, began, refine=not interrupted)
+    if interrupted:
+        raise PathInterrupted(result)
+    return result
+
+
+# --------------------------------------------------------------------------------------------------------------- reading
+def _allowed(value: str | int) -> float:
+    """The largest number of reconfigurations."""
+    if value in ("fewest", "none"):
+        return math.inf if value == "fewest" else 0.0
+    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < 0:
+        raise InvalidOption(f"reconfigurations is 'fewest', 'none' or a whole number of at least 0, not {value!r}")
+    return float(value)
+
+
+def _pair(name: str, value: Any, default: tuple[float, float]) -> tuple[float, float]:
+    """Angle and length of an option, or length and angle. Raises InvalidOption."""
+    if value is None:
+        return default
+    pair = floats(value, f"{name} must be one number, or two", InvalidOption)
+    if pair.shape not in ((), (2,)) or not (np.isfinite(pair) & (pair > 0)).all():
+        raise InvalidOption(f"{name} must be one number, or two, above 0, not {value!r}")
+    first, second = np.broadcast_to(pair, (2,)).tolist()
+    return first, second
+
+
+def _read(robot: Any, poses: Any) -> tuple[np.ndarray, tuple]:
+    """Poses (N, 4, 4), for a Tree (N, F, 4, 4), and their kinds. Raises InvalidTarget naming the pose."""
+    if isinstance(poses, Reference):
+        made = poses.at(poses.times(DT))[0]
+        poses = made[:, :3, 3] if poses.position_only else made
+    given = known(poses)
+    chunks: Iterator[Any] = iter([given]) if given is not None else iter(poses)
+    parts = list(blocks(chunks, robot))
+    if not sum(part.rows for part in parts):
+        raise InvalidTarget("a path needs at least one pose")
+    kinds = parts[0].kinds
+    T = np.concatenate([part.poses(0, part.rows) for part in parts])
+    for t in range(len(T)):
+        T[t] = mended(T[t], kinds, robot.tips, t)
+    return T, kinds
+
+
+# --------------------------------------------------------------------------------------------------------------- results
+def _result(
+    search: Search,
+    allowed: float,
+    step: tuple[float, float],
+    tolerance: tuple[float, float],
+    model: Any,
+    seed: int,
+    began: float,
+    refine: bool,
+) -> PathResult:
+    """The best path of a search, refined and checked."""
+    problem = search.problem
+    motion = finished(search, step, tolerance, model, allowed, refine)
+    found, kept, q = search.found, motion.found, motion.q
+    errors = np.full((len(q), 2), np.nan)
+    for t in np.flatnonzero(np.isfinite(q).all(axis=1)):
+        left = counted_errors(problem.robot, q[t], problem.T[t], problem.kinds, problem.single.options)
+        errors[t] = np.max([(position, angle or 0.0) for position, angle in left], axis=0)
+    missing = tuple(search.unreachable())
+    moves = tuple(Reconfiguration(k, q[k + 1] - q[k]) for k in kept.breaks)
+    if len(found.breaks) > allowed or missing:
+        status = PathStatus.INCOMPLETE
+    elif found.contacts:
+        status = PathStatus.COLLISION
+    else:
+        status = PathStatus.RECONFIGURES if moves else PathStatus.FOLLOWED
+    return PathResult(
+        robot=problem.robot, targets=problem.poses, kinds=problem.kinds, options=problem.single.options, q=q, status=status,
+        message=_sentence(status, found, kept, missing), position_error=errors[:, 0],
+        orientation_error=None if all(kind in SPOKEN for kind in problem.kinds) else errors[:, 1], curve=motion.curve, at=motion.at, continuity=motion.continuity, reconfigurations=moves, lower_bound=None,
+        unreachable=missing, max_step=step, path_tolerance=tolerance, collision=model, seed=seed,
+        elapsed=perf_counter() - began,
+    )  # fmt: skip
+
+
+def _sentence(status: PathStatus, found: Found, kept: Found, missing: tuple[Unreachable, ...]) -> str:
+    return status.value

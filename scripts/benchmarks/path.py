@@ -1,0 +1,149 @@
+"""Whole paths: the problems of CppFlow and TORM with obstacles, true minima by enumeration, memory, cost against length.
+
+python scripts/benchmarks/path.py
+
+Valid is judged here, by Pinocchio and coal, as CppFlow does: every pose within 0.1 mm and 0.1 deg, steps of 7 deg and 2 cm at
+most, limits, no contact at the poses and at three places between two of them. Times begin with robot, collision model and
+kernels loaded and end with the result, its own check and proof of continuity included.
+"""
+
+import json
+import os
+import resource
+import subprocess
+import sys
+from pathlib import Path
+from time import perf_counter
+from typing import Any
+
+import common
+import numpy as np
+import path_truth
+
+import ik_toolkit as ik
+
+DATA = Path(__file__).parent / "data"
+POSITION, ANGLE, TURN, SLIDE = 1e-4, np.radians(0.1), np.radians(7.0), 0.02  # m, rad, rad, m
+BETWEEN = 3
+KNOWN = {"panda__1cube": 8.49, "panda__2cubes": 12.63}  # rad: TORM's lengths
+
+
+def problem(name: str) -> tuple[Any, np.ndarray, Any]:
+    """Robot, poses (N, 4, 4) and collision model of a problem in data/path_problems.json."""
+    given = json.loads((DATA / "path_problems.json").read_text(encoding="utf-8"))["problems"][name]
+    if given["robot"] == "panda":
+        robot = ik.Robot.load("panda", tip="panda_hand")
+    else:
+        robot = ik.Robot.load(DATA / "fetch.urdf", base="base_link", tip="gripper_link", locked={"torso_lift_joint": 0.0})
+    T = np.tile(np.eye(4), (len(given["poses"]), 1, 1))
+    T[:, :3] = given["poses"]
+    model = ik.CollisionModel(robot)
+    for box in given["boxes"]:
+        model.add_box(box["size"], box["xyz"])
+    return robot, T, model
+
+
+def faults(robot: Any, T: np.ndarray, model: Any, q: np.ndarray) -> list[str]:
+    """What is wrong with a path q (N, n)."""
+    if not np.isfinite(q).all():
+        return ["rows without numbers"]
+    found = []
+    errors = np.array([robot.errors(x, one) for x, one in zip(q, T, strict=True)])
+    if errors[:, 0].max() > POSITION or errors[:, 1].max() > ANGLE:
+        found.append(f"off by {1000 * errors[:, 0].max():.3g} mm, {np.degrees(errors[:, 1].max()):.3g} deg")
+    slides = np.array([kind == "prismatic" for kind in robot.joint_kinds])
+    moves = np.abs(np.diff(q, axis=0)).max(axis=0, initial=0.0)
+    if (moves > np.where(slides, SLIDE, TURN)).any():
+        found.append(f"a step of {np.degrees(moves[~slides].max(initial=0.0)):.3g} deg")
+    if (q < robot.lower).any() or (q > robot.upper).any():
+        found.append("outside the limits")
+    shares = np.arange(BETWEEN + 1) / (BETWEEN + 1)
+    dense = np.concatenate([q[:-1, None] + shares[:, None] * np.diff(q, axis=0)[:, None], q[1:, None][:, :0]], axis=1)
+    touching = sum(model.collides(x) for x in [*dense.reshape(-1, robot.n), q[-1]])
+    return [*found, f"{touching} contacts"] if touching else found
+
+
+def solve_problem(name: str, seeds: int) -> dict[str, Any]:
+    """A problem with every seed; the first call, which loads kernels, is apart."""
+    robot, T, model = problem(name)
+    began = perf_counter()
+    ik.solve_path(robot, T, avoid_collisions=model, seed=seeds)
+    cold = perf_counter() - began
+    seconds, processor, lengths, wrong, free = [], [], [], [], []
+    for seed in range(seeds):
+        began, busy = perf_counter(), os.times()
+        made = ik.solve_path(robot, T, avoid_collisions=model, seed=seed)
+        seconds.append(perf_counter() - began)
+        processor.append(sum(os.times()[:2]) - sum(busy[:2]))
+        lengths.append(made.length[0])
+        wrong.append([*faults(robot, T, model, made.q), *([] if made.success else [made.status.name])])
+        began = perf_counter()
+        ik.solve_path(robot, T, seed=seed)
+        free.append(perf_counter() - began)
+    return {
+        "problem": name, "poses": len(T), "valid": sum(not one for one in wrong), "seeds": seeds, "faults": wrong,
+        "seconds": seconds, "processor": processor, "without_obstacles": free, "cold": cold, "lengths": lengths,
+        "known": KNOWN.get(name),
+    }  # fmt: skip
+
+
+def size(count: int) -> dict[str, Any]:
+    """Time and peak memory of a path of so many poses: panda 1cube, drawn out, without obstacles and with."""
+    robot, T, model = problem("panda__1cube")
+    ik.solve_path(robot, T[:20], avoid_collisions=model)
+    given = json.loads((DATA / "path_problems.json").read_text(encoding="utf-8"))["problems"]["panda__1cube"]["poses"]
+    there = np.array(given)[:, :, 3]
+    places = np.linspace(0.0, len(there) - 1.0, count)
+    long = np.tile(T[0], (count, 1, 1))
+    long[:, :3, 3] = np.column_stack([np.interp(places, np.arange(len(there)), there[:, k]) for k in range(3)])
+    found = {"poses": count}
+    for what, options in (("free", {}), ("obstacles", {"avoid_collisions": model})):
+        began = perf_counter()
+        made = ik.solve_path(robot, long, **options)
+        found[what] = {"seconds": perf_counter() - began, "status": made.status.name, "length": made.length[0]}
+    found["memory"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024
+    return found
+
+
+def main() -> None:
+    parser = common.parser(__doc__, "benchmark_path.json")
+    parser.add_argument("--problems", nargs="*", default=["panda__1cube", "panda__2cubes", "fetch_arm__rot_yz"])
+    parser.add_argument("--seeds", type=int, default=10)
+    parser.add_argument("--sizes", nargs="*", type=int, default=[100, 1000, 10_000])
+    parser.add_argument("--paths", type=int, default=100, help="random paths of which the true minimum is enumerated")
+    parser.add_argument("--one", type=int, metavar="POSES", help="(internal) measure one size in this process")
+    given = parser.parse_args()
+    if given.one:
+        print(json.dumps(size(given.one)))
+        return
+    made: dict[str, Any] = {"machine": common.machine(), "problems": [], "sizes": [], "truth": []}
+    print("| problem | valid | seconds, median and most | without obstacles | length, median and most | known |")
+    print("|---|---|---|---|---|---|")
+    for name in given.problems:
+        one = solve_problem(name, given.seeds)
+        made["problems"].append(one)
+        known = "" if one["known"] is None else f"{one['known']}"
+        print(
+            f"| {name} | {one['valid']} of {one['seeds']} | {np.median(one['seconds']):.2f}, {max(one['seconds']):.2f} | "
+            f"{np.median(one['without_obstacles']):.2f} | {np.median(one['lengths']):.2f}, {max(one['lengths']):.2f} | {known} |"
+        )
+        for seed, wrong in enumerate(one["faults"]):
+            if wrong:
+                print(f"  seed {seed}: {', '.join(wrong)}")
+    print("\n| poses | seconds | with obstacles | peak memory [MB] |\n|---|---|---|---|")
+    for count in given.sizes:
+        command = [sys.executable, __file__, "--one", str(count)]
+        one = json.loads(subprocess.run(command, capture_output=True, text=True, check=True).stdout)
+        made["sizes"].append(one)
+        print(f"| {count} | {one['free']['seconds']:.2f} | {one['obstacles']['seconds']:.2f} | {one['memory'] / 1e6:.0f} |")
+    print("\n| paths | as few reconfigurations as there can be | more | fewer than enumerated |\n|---|---|---|---|")
+    for what, compare in path_truth.COMPARED.items():
+        one = {"what": what, **compare(given.paths, given.seed)}
+        made["truth"].append(one)
+        print(f"| {what} | {one['equal']} of {one['paths']} | {one['more']} | {one['fewer']} |")
+    made["load"] = common.load_average()
+    common.write(made, given.output)
+
+
+if __name__ == "__main__":
+    main()
