@@ -121,8 +121,8 @@ def extend(rows, ends, T, orders, limits, most, deviation, seeds, at, gains, col
     """Carry seeds (M, n), solutions of the poses at (M,), along all poses T (N, 4, 4) or (N, F, 4, 4), both ways.
 
     Kernel units throughout: limits (3, n) lower, upper, whether a posture counts the joint; most (n,): largest step of a joint.
-    deviation (2,) [m], [rad]: of the tip between poses; gains (M,): how strongly a track is drawn to the middle of the limits (0:
-    least motion). Seed m is written to Q[:, columns[m]] (N, K, n), and the first and the last pose it was carried to to span[columns[m]].
+    deviation (2,) [m], [rad]: of the tip between poses; gains (M,): how strongly a track is drawn to the middle of the limits
+    (0: least motion). Track m goes to Q[:, columns[m]] (N, K, n), the first and the last pose it reaches to span[columns[m]].
     """
     n, N = seeds.shape[1], T.shape[0]
     o = read(Orders, orders)
@@ -158,7 +158,7 @@ def extend(rows, ends, T, orders, limits, most, deviation, seeds, at, gains, col
 
 @cached
 def settle(rows, ends, T, orders, limits, Q, errors):
-    """Bring each of Q (N, n), kernel units, onto its pose T (N, 4, 4) or (N, F, 4, 4); errors (N, 2) [m], [rad] are what is left."""
+    """Bring each of Q (N, n), kernel units, onto its pose T (N, 4, 4) or (N, F, 4, 4); errors (N, 2) [m], [rad]: what is left."""
     n = Q.shape[1]
     o = read(Orders, orders)
     first = HEAD + TASK * (ends.size // ends.shape[-1])

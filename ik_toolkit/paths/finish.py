@@ -82,7 +82,7 @@ def finished(
                 for place in failed:
                     held[max(int(place) - HELD, 0) : int(place) + HELD + 2] = True
         motion = proven(search, found, q, step, tolerance, model)
-        failed = motion.failures(tolerance)
-        if found.contacts or not search.without(found, sorted({int(place) for place in failed})):
-            return motion
+        failed = sorted({int(place) for place in motion.failures(tolerance)})
+        if found.contacts or not search.without(found, failed):
+            break
     return motion

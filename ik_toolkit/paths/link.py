@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from ..kernel.path_link import CONTACT, DEAD, FREE, NONE, TOUCHING, UNTESTED, link
+from ..kernel.path_link import DEAD, FREE, NONE, TOUCHING, UNTESTED, link
 
 LONG = 1e3  # cost of a step longer than it may be: more than the length of any path is worth
 LEAP = 1.0  # cost of a reconfiguration beside its count: what it moves is no part of the path
@@ -106,7 +106,8 @@ class Tester:
 
     def of(self, program: Program) -> "Tester":
         """The same for a program whose first tracks are those of the one before: what is known of them stands."""
-        if self.program is not None:
+        before = None if self.program is None else self.program.Q
+        if before is not None and np.shares_memory(before, program.Q):  # else the columns are others
             K = self.program.state.shape[1]
             known = self.program.state >= FREE
             program.state[:, :K][known] = self.program.state[known]

@@ -17,10 +17,10 @@ from ..solvers.status import Status
 class Problem:
     """Poses T (N, 4, 4), for a Tree (N, F, 4, 4), of `kinds` for a bound solver, ready for the kernels of a path.
 
-    most (n,): largest step of a joint, in kernel units; deviation (2,) [m], [rad]: of a tip between poses. poses (N, F, 4, 4): T by tip. plan: the solver's;
-    single: that of one attempt of the general search, with its arrays (rows, ends) and orders. limits (3, n): lower, upper,
-    whether there are both; room: the same without those of joints whose full turns are added later (`sheets`). redundant:
-    whether joints are left over, so that solutions are not isolated.
+    most (n,): largest step of a joint, in kernel units; deviation (2,) [m], [rad]: of a tip between poses; poses (N, F, 4, 4): T
+    by tip. plan: the solver's; single: that of one attempt of the general search, with its arrays (rows, ends) and orders.
+    limits (3, n): lower, upper, whether there are both; room: the same without those of joints whose full turns are added
+    later. redundant: whether joints are left over, so that solutions are not isolated.
     """
 
     def __init__(
@@ -49,9 +49,9 @@ class Problem:
             self.room[0, self.turning], self.room[1, self.turning] = -np.inf, np.inf
 
     def solutions(self, t: int, Q0: np.ndarray) -> tuple[np.ndarray, float]:
-        """Solutions (m, n) of pose t, kernel units, that one attempt from each of Q0 (M, n) [rad, m] finds, nearest the middle turn.
+        """Solutions (m, n) of pose t, kernel units, that one attempt from each of Q0 (M, n) [rad, m] finds.
 
-        And how far the pose is out of reach [m], 0 where that is not proven.
+        Joints that turn fully are next to the middle of their limits. And how far the pose is out of reach [m], 0: not proven.
         """
         single, n = self.single, self.robot.n
         T, out = np.repeat(self.T[t : t + 1], len(Q0), axis=0), np.zeros((len(Q0), single.width))

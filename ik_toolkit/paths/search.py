@@ -1,6 +1,7 @@
 """The search for a path: anchors are solved, their tracks linked, contact tested, and where the program breaks it goes on."""
 
 from collections.abc import Callable
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,16 +13,27 @@ from .link import Program, Tester, free_path, look_over, middle_first
 from .problem import Problem
 from .result import Unreachable
 
-EVERY = 20  # poses between two anchors of a robot whose solutions are isolated; they cost little, and none may be missed
+EVERY = (
+    20  # poses between two anchors of a robot whose solutions are isolated; they cost little, and none may be missed
+)
 ANCHORS = 9  # of a redundant robot at first: tracks reach far, and where they do not the program says so
 SHARE = 40  # tracks an anchor of a redundant robot may add
 TRIED = 3  # contact is tested for so many seeds as an anchor may add: one in two touches beside an obstacle
 ROUNDS = 4  # further anchors where the program breaks, while that helps
+PROBES = 9  # poses of a gap that are solved: where its middle and quarters have no solution the rest hardly has
 BUDGET = 200  # contact tests a pose of the path; some 15 are used as a rule
 
 
+def _runs(places: np.ndarray) -> list[np.ndarray]:
+    """Places, ascending, in runs without a gap."""
+    return [run for run in np.split(places, np.flatnonzero(np.diff(places) > 1) + 1) if len(run)]
+
+
 class Found(NamedTuple):
-    """Best path found: q (N, n) in kernel units, NaN where there is none; tracks (N,), -1 there; breaks: poses after which it reconfigures; contacts."""
+    """Best path found: q (N, n) in kernel units, NaN where there is none; tracks (N,), -1 there.
+
+    breaks: poses after which it reconfigures; contacts: poses at which it touches.
+    """
 
     q: np.ndarray
     tracks: np.ndarray
@@ -41,9 +53,10 @@ class Search:
         q_end: np.ndarray | None,
         threads: int,
         seed: int,
+        progress: Callable[[float, str], None],
     ) -> None:
         """q0, q_end (n,) in kernel units: where the path begins and ends, or what it begins and ends near."""
-        self.problem, self.collides, self.ends = problem, collides, (q0, q_end)
+        self.problem, self.collides, self.ends, self.progress = problem, collides, (q0, q_end), progress
         self.tracks = Tracks(problem, MOST if problem.redundant else ISOLATED, threads, seed)
         self.anchored: dict[int, float] = {}  # how far each anchor is out of reach [m], 0: not proven
         self.tester = None if collides is None else Tester(collides, problem.unit, BUDGET * len(problem.T))
@@ -94,8 +107,9 @@ class Search:
             places = places[middle_first(len(places))]
         else:
             places = np.unique(np.append(np.arange(0, N, EVERY), N - 1))
-        for t in places:
+        for k, t in enumerate(places):
             self.anchor(int(t), SHARE)
+            self.progress(0.7 * (k + 1) / len(places), "carrying solutions along the path")
         self.fill()
 
     def solves(self, q: np.ndarray, t: int) -> bool:
@@ -106,15 +120,12 @@ class Search:
         return bool(near and errors[0, 0] <= o.position_tolerance and errors[0, 1] <= o.orientation_tolerance)
 
     def fill(self) -> None:
-        """Solve poses that no track passes, from the middle of each gap."""
-        while True:
-            alive = self.tracks.alive()
-            empty = [t for t in np.flatnonzero(alive == 0) if t not in self.anchored]
-            if not empty:
-                return
-            runs = np.split(np.array(empty), np.flatnonzero(np.diff(empty) > 1) + 1)
-            for run in runs:
-                self.anchor(int(run[len(run) // 2]), SHARE)
+        """Solve poses that no track passes: the ends and the middle of each gap, and of what is left, PROBES a gap."""
+        gaps = _runs(np.flatnonzero(self.tracks.alive() == 0))
+        for gap in gaps:
+            for t in gap[middle_first(len(gap))][:PROBES]:
+                if self.tracks.alive()[t] == 0 and int(t) not in self.anchored:
+                    self.anchor(int(t), SHARE)
 
     # ----------------------------------------------------------------------------------------------------------- linking
     def sheets(self) -> tuple[np.ndarray, np.ndarray]:
@@ -153,6 +164,7 @@ class Search:
     def link(self) -> None:
         """Make the program of the tracks there are and take its best path."""
         p = self.problem
+        self.progress(0.7, "linking them")
         Q, span = self.sheets()
         program = self.program = Program(Q, span, p.most, p.endless)
         if len(p.turning) and not p.redundant:
@@ -184,7 +196,7 @@ class Search:
         q = np.full((N, p.robot.n), np.nan)
         on = np.flatnonzero(tracks >= 0)
         q[on] = program.Q[on, tracks[on]]
-        for a, b in zip(on[:-1], on[1:], strict=True):  # an endless joint goes on where it was
+        for a, b in pairwise(on):  # an endless joint goes on where it was
             d = q[b] - q[a]
             q[b] -= p.endless * TAU * np.rint(d / TAU)
         contacts = program.best(N - 1)[1] // CONTACT if len(on) else 0
@@ -199,10 +211,11 @@ class Search:
         for _ in range(ROUNDS):
             before = self.found
             worst = self.worth()
-            if worst == 0 or not self.problem.redundant:
+            if worst == 0:
                 break
             places = [t for k in before.breaks for t in (k, k + 1)]
-            if not sum(self.anchor(t, SHARE) for t in places[: 2 * ANCHORS]):
+            fresh = [t for t in places if t not in self.anchored or self.problem.redundant][: 2 * ANCHORS]
+            if not sum(self.anchor(t, SHARE) for t in fresh):
                 break
             self.link()
             if self.worth() >= worst:
@@ -240,12 +253,20 @@ class Search:
 
     def unreachable(self) -> list[Unreachable]:
         """Poses no solution was found for, and why."""
-        missing = np.flatnonzero(~(self.program.state != DEAD).any(axis=1)) if self.tracks.size else range(len(self.problem.T))
+        missing = (
+            np.flatnonzero(~(self.program.state != DEAD).any(axis=1))
+            if self.tracks.size
+            else range(len(self.problem.T))
+        )
         said = []
         for t in missing:
-            beyond = self.anchored.get(int(t), 0.0)
-            reason = f"beyond reach by {1000 * beyond:.4g} mm (a bound from the link lengths)"
-            said.append(
-                Unreachable(int(t), reason if beyond > 0.0 else f"no solution found from {STARTS} starts", beyond > 0.0)
-            )
+            beyond = self.anchored.get(int(t))
+            if beyond is None:  # a gap is probed, not solved at every pose
+                beyond = self.problem.solutions(int(t), self.problem.robot.home[None])[1]
+                reason = "none of the solutions found beside it leads there"
+            else:
+                reason = f"no solution found from {STARTS} starts"
+            if beyond > 0.0:
+                reason = f"beyond reach by {1000 * beyond:.4g} mm (a bound from the link lengths)"
+            said.append(Unreachable(int(t), reason, beyond > 0.0))
         return said

@@ -1,13 +1,14 @@
 """The public call for a whole path: poses in, a joint motion out."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from dataclasses import replace
 from time import perf_counter
 from typing import Any, Unpack
 
 import numpy as np
 
-from ..errors import InvalidConfiguration, InvalidOption, InvalidTarget, floats
+from ..errors import InvalidOption, InvalidTarget, floats
 from ..robot.robot import Robot
 from ..robot.tree import Tree
 from ..solvers.avoid import collision_model
@@ -20,13 +21,24 @@ from ..solvers.task import counted_errors
 from ..tracking.reference import Reference
 from .finish import finished
 from .problem import Problem
-from .result import PathResult, PathStatus, Reconfiguration, Unreachable
-from .search import Found, Search
+from .result import PathResult, PathStatus, Reconfiguration
+from .search import Search
+from .verdict import sentence
 
 STEP = (math.radians(7.0), 0.02)  # rad, m: CppFlow's
 TOLERANCE = (1e-3, math.radians(1.0))  # m, rad: of the tip between poses
 DT = 0.01  # s, at which a Reference is sampled
-NOT_HERE = ("closest", "objective", "history", "follow", "check", "max_evaluations", "restarts", "max_iterations", "q0_outside")
+NOT_HERE = (
+    "closest",
+    "objective",
+    "history",
+    "follow",
+    "check",
+    "max_evaluations",
+    "restarts",
+    "max_iterations",
+    "q0_outside",
+)
 
 
 class PathInterrupted(KeyboardInterrupt):
@@ -50,6 +62,7 @@ def solve_path(
     reconfigurations: str | int = "fewest",
     seed: int = 0,
     threads: int | None = None,
+    progress: Callable[[float, str], None] | None = None,
     **options: Unpack[PathOptions],
 ) -> PathResult:
     """Find one joint motion through poses: with the fewest reconfigurations, and of these a short one.
@@ -60,16 +73,18 @@ def solve_path(
     number for both; default 7 deg and 20 mm. Where the motion needs more, poses are inserted. path_tolerance (m, rad): how far
     a tip may leave the interpolated pose between two poses. avoid_collisions: True (the robot's own links) or a CollisionModel.
     reconfigurations: 'fewest', 'none', or the largest number allowed. seed: of the random starts; threads: default all cores.
-    Options as for `solve`: tolerances, limits, mask, slack, free_turn, frame, relative_to, joint_weights. Ctrl-C raises
-    PathInterrupted, whose `result` is the best path until then. Raises InvalidTarget (naming the pose), InvalidConfiguration,
-    InvalidOption; a path that cannot be followed is a status of the result.
+    progress(share, words) is called as the work goes on. Options as for `solve`: tolerances, limits, mask, slack, free_turn,
+    frame, relative_to, joint_weights. Ctrl-C raises PathInterrupted, whose `result` is the best path until then. Raises
+    InvalidTarget (naming the pose), InvalidConfiguration, InvalidOption; a path that cannot be followed is a status.
     """
     began = perf_counter()
     require_robot(robot)
     allowed = _allowed(reconfigurations)
     for name in NOT_HERE:
         if name in options:
-            raise InvalidOption(f"solve_path takes no '{name}': a path is searched as a whole, and its answers are checked")
+            raise InvalidOption(
+                f"solve_path takes no '{name}': a path is searched as a whole, and its answers are checked"
+            )
     solver = Solver(robot, **options)
     T, kinds = _read(robot, poses)
     step, tolerance = _pair("max_step", max_step, STEP), _pair("path_tolerance", path_tolerance, TOLERANCE)
@@ -77,7 +92,7 @@ def solve_path(
     problem = Problem(solver, T, kinds, step, tolerance)
     ends = [None if q is None else robot.check_q(q, name) / problem.unit for name, q in (("q0", q0), ("q_end", q_end))]
     threads = available_cores() if threads is None else threads
-    search = Search(problem, None if model is None else model.collides, *ends, threads, seed)
+    search = Search(problem, None if model is None else model.collides, *ends, threads, seed, progress or _silent)
     try:
         search.run()
         interrupted = False
@@ -89,6 +104,10 @@ def solve_path(
     if interrupted:
         raise PathInterrupted(result)
     return result
+
+
+def _silent(share: float, words: str) -> None:
+    """Nobody watches."""
 
 
 # --------------------------------------------------------------------------------------------------------------- reading
@@ -152,18 +171,16 @@ def _result(
     moves = tuple(Reconfiguration(k, q[k + 1] - q[k]) for k in kept.breaks)
     if len(found.breaks) > allowed or missing:
         status = PathStatus.INCOMPLETE
-    elif found.contacts:
+    elif found.contacts or motion.continuity.contacts:
         status = PathStatus.COLLISION
     else:
         status = PathStatus.RECONFIGURES if moves else PathStatus.FOLLOWED
-    return PathResult(
+    result = PathResult(
         robot=problem.robot, targets=problem.poses, kinds=problem.kinds, options=problem.single.options, q=q, status=status,
-        message=_sentence(status, found, kept, missing), position_error=errors[:, 0],
-        orientation_error=None if all(kind in SPOKEN for kind in problem.kinds) else errors[:, 1], curve=motion.curve, at=motion.at, continuity=motion.continuity, reconfigurations=moves, lower_bound=None,
+        message="", position_error=errors[:, 0],
+        orientation_error=None if all(kind in SPOKEN for kind in problem.kinds) else errors[:, 1], curve=motion.curve,
+        at=motion.at, continuity=motion.continuity, reconfigurations=moves, lower_bound=None if found.breaks else 0,
         unreachable=missing, max_step=step, path_tolerance=tolerance, collision=model, seed=seed,
         elapsed=perf_counter() - began,
     )  # fmt: skip
-
-
-def _sentence(status: PathStatus, found: Found, kept: Found, missing: tuple[Unreachable, ...]) -> str:
-    return status.value
+    return replace(result, message=sentence(result, len(found.breaks), allowed))

@@ -34,7 +34,9 @@ def problem(name: str) -> tuple[Any, np.ndarray, Any]:
     if given["robot"] == "panda":
         robot = ik.Robot.load("panda", tip="panda_hand")
     else:
-        robot = ik.Robot.load(DATA / "fetch.urdf", base="base_link", tip="gripper_link", locked={"torso_lift_joint": 0.0})
+        robot = ik.Robot.load(
+            DATA / "fetch.urdf", base="base_link", tip="gripper_link", locked={"torso_lift_joint": 0.0}
+        )
     T = np.tile(np.eye(4), (len(given["poses"]), 1, 1))
     T[:, :3] = given["poses"]
     model = ik.CollisionModel(robot)
@@ -135,7 +137,9 @@ def main() -> None:
         command = [sys.executable, __file__, "--one", str(count)]
         one = json.loads(subprocess.run(command, capture_output=True, text=True, check=True).stdout)
         made["sizes"].append(one)
-        print(f"| {count} | {one['free']['seconds']:.2f} | {one['obstacles']['seconds']:.2f} | {one['memory'] / 1e6:.0f} |")
+        print(
+            f"| {count} | {one['free']['seconds']:.2f} | {one['obstacles']['seconds']:.2f} | {one['memory'] / 1e6:.0f} |"
+        )
     print("\n| paths | as few reconfigurations as there can be | more | fewer than enumerated |\n|---|---|---|---|")
     for what, compare in path_truth.COMPARED.items():
         one = {"what": what, **compare(given.paths, given.seed)}

@@ -1,0 +1,40 @@
+"""How a path ended, in a sentence, with what to try."""
+
+from .result import PathResult, PathStatus
+
+
+def sentence(path: PathResult, needed: int, allowed: float) -> str:
+    """One sentence; needed: reconfigurations of the best path through all poses that was found, allowed: how many may be."""
+    N = len(path.q)
+    if path.status == PathStatus.INCOMPLETE:
+        if path.unreachable:
+            first, more = path.unreachable[0], len(path.unreachable) - 1
+            others = f" and {more} more" if more else ""
+            return (
+                f"{_poses(N - more - 1)} of {N} are reached; pose {first.index}{others} not: {first.reason}; move the poses, free "
+                "what need not hold (free_turn, slack, mask), or widen the limits"
+            )
+        last = max((k for k in range(N) if path.q[k, 0] == path.q[k, 0]), default=-1)
+        most = f"{allowed:g} reconfiguration{'s' * (allowed != 1)}" if allowed else "no reconfiguration"
+        return (
+            f"with {most} the path found ends at pose {last} of {N}: pose {last + 1} cannot be passed, and the whole path takes "
+            f"{needed}; allow them (reconfigurations='fewest'), or free what need not hold (free_turn, slack, mask)"
+        )
+    turn, slide = path.length
+    length = f"{turn:.3g} rad" + (f" and {slide:.3g} m" if slide else "")
+    if path.status == PathStatus.COLLISION:
+        touching = path.continuity.contacts[:1]
+        where = f" ({' and '.join(touching[0].pair)} touch at pose {touching[0].place:.4g})" if touching else ""
+        return f"{_poses(N)} are followed, but only with contact{where}; move the poses or what is in the way"
+    near = f"; at {len(path.continuity.unproven)} places shapes are too close to prove that nothing touches"
+    close = near if path.continuity.unproven else ""
+    if path.status == PathStatus.FOLLOWED:
+        return f"{_poses(N)} followed in one motion of {length}{close}"
+    breaks = ", ".join(str(one.index) for one in path.reconfigurations[:5])
+    few = "no motion does with fewer" if path.lower_bound == needed else "the fewest found"
+    several = f"{needed} reconfiguration{'s' * (needed != 1)}"
+    return f"{_poses(N)} followed with {several} ({few}), after pose {breaks}{close}"
+
+
+def _poses(count: int) -> str:
+    return f"{count} pose{'s' * (count != 1)}"
