@@ -215,8 +215,10 @@ class Scene:
         """Show a tracking run (TrackResult): the arm moving in real time, its trail and the path asked for."""
         rows = np.unique(np.linspace(0, len(result.t) - 1, min(len(result.t), MAX_FRAMES)).astype(int))
         wide = 0.005 * self._extent()
-        self.trail(result.target_xyz[rows], "path", SLATE, 0.7 * wide, "path asked for")
-        self.trail(result.xyz[rows], "trail", ORANGE, wide, "way of the tip")
+        ways, wanted = (array[rows].reshape(len(rows), -1, 3) for array in (result.xyz, result.target_xyz))
+        for k in range(ways.shape[1]):  # a label once, whichever tip
+            self.trail(wanted[:, k], numbered("path", k), SLATE, 0.7 * wide, "" if k else "path asked for")
+            self.trail(ways[:, k], numbered("trail", k), ORANGE, wide, "" if k else "way of the tip")
         labels = [f"t = {result.t[k]:.2f} s, error {length(result.position_error[k])}" for k in rows]
         span = float(result.t[rows[-1]] - result.t[rows[0]]) or 1.0
         self.animate(result.q[rows], labels, fps=max(1.0, (len(rows) - 1) / span))
@@ -279,7 +281,7 @@ class Scene:
         """
         found = {path: T.copy() for path, T in self.window.transforms.items()}
         for path in self.window.objects:
-            if path.startswith("trail") or path in ("path", "cloud"):
+            if path.startswith(("trail", "path")) or path == "cloud":
                 found[path] = np.eye(4)
         return found
 

@@ -6,13 +6,13 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from ..robot.robot import Robot
+from ..robot.joints import Joints
 from ..style import COLOURS, DASHES, GREY, PALE
 from ..tracking.result import TrackResult
 from .plots import FLOOR, drawing, plain, save
 
 
-def skeleton(robot: Robot, q: np.ndarray) -> np.ndarray:
+def skeleton(robot: Any, q: np.ndarray) -> np.ndarray:
     """Points (k, 3) [m] of base, joints and tip at q, base frame: the arm as a polyline."""
     data = robot.model.createData()
     pin.forwardKinematics(robot.model, data, robot.to_pinocchio(q))
@@ -25,21 +25,28 @@ def skeleton(robot: Robot, q: np.ndarray) -> np.ndarray:
     return np.array([*points, robot.fk(q).translation])
 
 
-def plot_track(result: TrackResult, robot: Robot, file: str | Path) -> Path:
+def plot_track(result: TrackResult, robot: Joints, file: str | Path) -> Path:
     """Draw a run and write it to `file` (.png, .pdf or .svg). Raises MissingExtra without matplotlib, InvalidOption."""
+    slowed = result.added_time > 0.0
     with drawing() as plt:
-        figure = plt.figure(figsize=(10.5, 6.8), layout="constrained")
+        figure = plt.figure(figsize=(10.5, 8.2 if slowed else 6.8), layout="constrained")
         grid = figure.add_gridspec(2, 2, width_ratios=(1.0, 1.15), wspace=0.1)
         _path_panel(figure.add_subplot(grid[:, 0], projection="3d"), result, robot)
-        right = grid[:, 1].subgridspec(3, 1)
+        right = grid[:, 1].subgridspec(3 + slowed, 1, height_ratios=(1.0, 1.0, 1.0, 0.6)[: 3 + slowed])
         axes = [figure.add_subplot(right[0])]
-        axes += [figure.add_subplot(right[i], sharex=axes[0]) for i in (1, 2)]
+        axes += [figure.add_subplot(right[i], sharex=axes[0]) for i in range(1, 3 + slowed)]
         _errors(axes[0], result)
         _positions(axes[1], result, robot)
         _speeds(axes[2], result, robot)
-        for ax in axes[:2]:
+        if slowed:
+            _clock(axes[3], result)
+        for ax in axes[:-1]:
             ax.tick_params(labelbottom=False)
-        axes[2].set_xlabel("time [s]")
+        axes[-1].set_xlabel("time [s]")
+        handles, labels = axes[2].get_legend_handles_labels()
+        axes[-1].legend(
+            handles, labels, fontsize=7.5, ncols=4, loc="upper center", bbox_to_anchor=(0.5, -0.5 if slowed else -0.28)
+        )
         settings = ", ".join(f"{k} {v:.4g}" for k, v in result.options.items())
         figure.suptitle(
             plain(
@@ -53,17 +60,22 @@ def plot_track(result: TrackResult, robot: Robot, file: str | Path) -> Path:
         return save(figure, file)
 
 
-def _path_panel(ax: Any, result: TrackResult, robot: Robot) -> None:
+def _path_panel(ax: Any, result: TrackResult, robot: Joints) -> None:
     from matplotlib.ticker import MaxNLocator
 
     count = len(result.t)
+    arms = [*zip(robot.arms, robot.places, strict=True)]
     for i, shade in ((0, "#C8C8C8"), (count // 2, "#969696"), (count - 1, "#4D4D4D")):
-        points = skeleton(robot, result.q[i])
-        ax.plot(*points.T, color=shade, lw=2.2, marker="o", ms=3.5, zorder=1)
-    ax.plot(*result.target_xyz.T, color=COLOURS[6], lw=0.9, ls="--", label="target", zorder=3)
-    ax.plot(*result.xyz.T, color=COLOURS[1], lw=2.0, label="tip", zorder=2)
-    ax.plot(*result.xyz[:1].T, color=COLOURS[1], marker="s", ms=5, ls="", label="start", zorder=4)
-    corners = np.vstack([skeleton(robot, result.q[0]), result.xyz, result.target_xyz])
+        for arm, place in arms:
+            ax.plot(*skeleton(arm, result.q[i][place]).T, color=shade, lw=2.2, marker="o", ms=3.5, zorder=1)
+    ways, wanted = (array.reshape(count, -1, 3) for array in (result.xyz, result.target_xyz))
+    for k in range(ways.shape[1]):
+        names = ("", "", "") if k else ("target", "tip", "start")
+        ax.plot(*wanted[:, k].T, color=COLOURS[6], lw=0.9, ls="--", label=names[0], zorder=3)
+        ax.plot(*ways[:, k].T, color=COLOURS[1], lw=2.0, label=names[1], zorder=2)
+        ax.plot(*ways[:1, k].T, color=COLOURS[1], marker="s", ms=5, ls="", label=names[2], zorder=4)
+    first = [skeleton(arm, result.q[0][place]) for arm, place in arms]
+    corners = np.vstack([*first, ways.reshape(-1, 3), wanted.reshape(-1, 3)])
     low, high = corners.min(axis=0), corners.max(axis=0)
     half = np.maximum(0.5 * (high - low), 0.25 * (high - low).max())  # a flat arm still gets a box one can read
     for middle, size, name in zip(0.5 * (low + high), half, "xyz", strict=True):
@@ -90,11 +102,26 @@ def _errors(ax: Any, result: TrackResult) -> None:
         ax.fill_between(
             result.t, 0, 1, where=held, transform=ax.get_xaxis_transform(), color=PALE, lw=0, label="at a limit"
         )
-    ax.set_title("error at the samples", loc="left")
-    ax.legend(fontsize=8, ncols=3, loc="upper right", bbox_to_anchor=(1.0, 1.22))
+    ax.axhline(result.position_tolerance, color=COLOURS[0], lw=0.8, ls=":", label="tolerance")
+    if result.orientation_error is not None:
+        ax.axhline(result.orientation_tolerance, color=COLOURS[4], lw=0.8, ls=":")
+    ax.set_title(
+        "error at the samples", loc="left", pad=20
+    )  # the legend has a line of its own between title and curves
+    ax.legend(fontsize=8, ncols=4, loc="lower left", bbox_to_anchor=(-0.02, 1.0), borderaxespad=0.0)
 
 
-def _positions(ax: Any, result: TrackResult, robot: Robot) -> None:
+def _clock(ax: Any, result: TrackResult) -> None:
+    """How fast the reference's time went."""
+    ax.stairs(result.sigma, result.t, fill=True, color=PALE)
+    ax.stairs(result.sigma, result.t, color=COLOURS[0], lw=1.3)
+    ax.set_ylim(0.0, 1.05)
+    joint = result.pace_joint
+    pace = f", at the pace of {plain(joint)}" if joint else ""
+    ax.set_title(f"clock rate: {result.added_time:.3g} s added to {result.clock[-1]:.4g} s{pace}", loc="left")
+
+
+def _positions(ax: Any, result: TrackResult, robot: Joints) -> None:
     middle = np.where(np.isfinite(robot.lower + robot.upper), 0.5 * (robot.lower + robot.upper), 0.0)
     half = np.where(np.isfinite(robot.upper - robot.lower), 0.5 * (robot.upper - robot.lower), np.pi)
     for i, name in enumerate(result.joint_names):
@@ -107,7 +134,7 @@ def _positions(ax: Any, result: TrackResult, robot: Robot) -> None:
     ax.set_title("joint positions between their limits", loc="left")
 
 
-def _speeds(ax: Any, result: TrackResult, robot: Robot) -> None:
+def _speeds(ax: Any, result: TrackResult, robot: Joints) -> None:
     limit = np.where(robot.velocity_limits > 0, robot.velocity_limits, np.inf)
     bounded = bool(np.isfinite(limit).all())
     speed = np.diff(result.q, axis=0) / result.dt
@@ -115,4 +142,3 @@ def _speeds(ax: Any, result: TrackResult, robot: Robot) -> None:
         values = 100 * speed[:, i] / limit[i] if bounded else speed[:, i]
         ax.plot(result.t[1:], values, color=COLOURS[i % 8], lw=1.3, ls=DASHES[i // 8 % 8], label=plain(name))
     ax.set_title("joint speeds" + (" [% of the limit]" if bounded else " [rad/s or m/s]"), loc="left")
-    ax.legend(fontsize=7.5, ncols=4, loc="upper center", bbox_to_anchor=(0.5, -0.28))

@@ -131,3 +131,29 @@ def test_history_says_what_the_result_says():
     for q, error in zip(lost.history["q"], lost.history["position_error"], strict=True):
         assert abs(np.linalg.norm(robot.fk(q).translation - far) - error) < 1e-9
     assert lost.history["position_error"].min() <= lost.position_error + 1e-9
+
+
+@pytest.mark.parametrize("slowed", [False, True])
+def test_the_picture_of_a_run_prints_nothing_over_anything(slowed, tmp_path, monkeypatch):
+    from ik_toolkit.show import tracking
+
+    robot = ik.Robot.load("hydrolek_7w")
+    run = ik.track(robot, ik.circle(robot.fk(robot.home), 0.02, duration=1.0), dt=0.02, q0=robot.home)
+    if slowed:
+        run.sigma = np.linspace(1.0, 0.3, 50)
+        run.clock, run.pace = np.r_[0.0, np.cumsum(run.sigma) * run.dt], np.full(50, 2)
+        run.limited[20:, 2] = 2
+    kept = []
+    monkeypatch.setattr(tracking, "save", lambda figure, file: kept.append(figure) or file)
+    tracking.plot_track(run, robot, tmp_path / "run.png")
+    (figure,) = kept
+    figure.canvas.draw()
+    axes = [ax for ax in figure.axes if ax.name != "3d"]
+    titles = [ax.get_title(loc="left") for ax in axes]
+    assert len(axes) == 3 + slowed and any("clock rate" in title for title in titles) == slowed
+    if slowed:
+        assert "at the pace of elbow_pitch" in titles[-1]
+    boxes = [ax._left_title.get_window_extent() for ax in axes] + [ax.bbox for ax in axes]
+    boxes += [ax.get_legend().get_window_extent() for ax in axes if ax.get_legend()]
+    for i, box in enumerate(boxes):  # one pixel is what rounding leaves
+        assert not [other for other in boxes[:i] if box.padded(-1).overlaps(other)], titles
