@@ -41,6 +41,7 @@ _NAMES = {
     "TrackResult": "tracking.result",
     "PathResult": "paths.result",
     "PathStatus": "paths.result",
+    "Trajectory": "paths.trajectory",
     "Reference": "tracking.reference",
     "line": "tracking.shapes",
     "circle": "tracking.shapes",

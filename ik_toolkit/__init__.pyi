@@ -4,6 +4,7 @@ from .errors import IKError as IKError
 from .errors import NotSolved as NotSolved
 from .paths.result import PathResult as PathResult
 from .paths.result import PathStatus as PathStatus
+from .paths.trajectory import Trajectory as Trajectory
 from .robot.collision import CollisionModel as CollisionModel
 from .robot.pose import pose as pose
 from .robot.robot import Robot as Robot

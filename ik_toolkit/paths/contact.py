@@ -102,11 +102,12 @@ def _arms(collision: Any, stroke: np.ndarray) -> np.ndarray:
 
 
 def find_contacts(
-    collision: Any, curve: np.ndarray, at: np.ndarray, moving: np.ndarray
+    collision: Any, curve: np.ndarray, at: np.ndarray, moving: np.ndarray, sag: np.ndarray | None = None
 ) -> tuple[float, tuple[Contact, ...], tuple[float, ...]]:
     """Clearance [m], contacts and places not proven, over the stretches `moving` (M-1,) between rows of a curve (M, n).
 
-    At most one contact is listed for a stretch. Rows of NaN are left out.
+    sag (M-1, n): by how much each joint leaves the straight line between two rows, at most; default: not at all. At most one
+    contact is listed for a stretch. Rows of NaN are left out.
     """
     finite = np.isfinite(curve).all(axis=1)
     stroke = np.abs(curve[finite]).max(axis=0, initial=0.0)
@@ -121,10 +122,12 @@ def find_contacts(
             contacts.append(Contact(float(at[k]), collision.collisions(curve[k])[0]))
     left = float(np.nanmin(kept, initial=math.inf))
     approach = margins.approach(np.diff(curve, axis=0))
+    aside = np.zeros(len(approach)) if sag is None else 2.0 * margins.approach(sag)
     for k in np.flatnonzero(moving):
         if min(kept[k], kept[k + 1]) < 0.0:
             continue
-        found = _between(margins, curve[k], curve[k + 1], kept[k], kept[k + 1], float(approach[k]), most)
+        ends, moves = (kept[k], kept[k + 1]), (float(approach[k]), float(aside[k]))
+        found = _between(margins, curve[k], curve[k + 1], ends, moves, most)
         left = min(left, found.spare)
         if found.touches >= 0.0:
             q = curve[k] + found.touches * (curve[k + 1] - curve[k])
@@ -144,14 +147,17 @@ class _Stretch(NamedTuple):
 
 
 def _between(
-    margins: Margins, a: np.ndarray, b: np.ndarray, before: float, after: float, approach: float, most: int
+    margins: Margins, a: np.ndarray, b: np.ndarray, ends: tuple[float, float], moves: tuple[float, float], most: int
 ) -> _Stretch:
-    """Test the move from a to b (n,), which keep the margins before and after, by halves until they cover the approach."""
+    """Test the move from a to b (n,), which keep the margins `ends`, by halves until they cover what it can use up.
+
+    moves: what the straight line uses up, which its halves share, and what leaving it does, which they do not.
+    """
     proven, spare = True, math.inf
-    stack = [(0.0, 1.0, before, after)]
+    stack = [(0.0, 1.0, *ends)]
     while stack:
         low, high, first, last = stack.pop()
-        needed = approach * (high - low)
+        needed = moves[0] * (high - low) + moves[1]
         if needed <= first + last:
             spare = min(spare, 0.5 * (first + last - needed))
         elif needed <= margins.levels[-1] or margins.spent >= most:

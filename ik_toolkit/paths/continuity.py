@@ -27,12 +27,17 @@ LOG_GAIN = 0.5 * math.pi  # and on that Jacobian itself
 
 
 class Speeds(NamedTuple):
-    """Bounds over each of S stretches whose length is 1: of a tip's speed, of p'', of the turning speed and of its derivative."""
+    """Bounds over each of S stretches whose length is 1: of a tip's speed, of p'', of the turning speed and of its derivative.
+
+    off [m], off_turn [rad]: by how much the tip moves where the joints leave the straight line, see `bounds`.
+    """
 
     speed: np.ndarray
     bend: np.ndarray
     turn: np.ndarray
     twist: np.ndarray
+    off: np.ndarray
+    off_turn: np.ndarray
 
 
 def check(
@@ -141,14 +146,18 @@ def interpolate(T: np.ndarray, at: np.ndarray, kinds: tuple) -> np.ndarray:
     return made
 
 
-def bounds(plan: Any, kinds: tuple, curve: np.ndarray, at: np.ndarray, T: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Bounds on the deviation [m] and the turn [rad] of the worst tip, over each stretch between rows of a curve (M, n)."""
+def bounds(
+    plan: Any, kinds: tuple, curve: np.ndarray, at: np.ndarray, T: np.ndarray, sag: np.ndarray | None = None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Bounds on the deviation [m] and the turn [rad] of the worst tip, over each stretch between rows of a curve (M, n).
+
+    sag (M-1, n): by how much each joint leaves the straight line between two rows, at most; default: not at all.
+    """
     robot, o = plan.robot, plan.options
-    tips = [
-        _speeds(arm.chain, np.ascontiguousarray(curve[:, place]))
-        for arm, place in zip(robot.arms, robot.places, strict=True)
-    ]
-    poses = [arm.chain.forward(curve[:, place])[0] for arm, place in zip(robot.arms, robot.places, strict=True)]
+    sag = np.zeros((len(curve) - 1, robot.n)) if sag is None else sag
+    arms = list(zip(robot.arms, robot.places, strict=True))
+    tips = [_speeds(arm.chain, np.ascontiguousarray(curve[:, place]), sag[:, place]) for arm, place in arms]
+    poses = [arm.chain.forward(curve[:, place])[0] for arm, place in arms]
     others = relatives(robot, o)
     deviation, turn = np.zeros(len(curve) - 1), np.zeros(len(curve) - 1)
     for f, (kind, counts) in enumerate(zip(kinds, what_counts(robot, o), strict=True)):
@@ -165,16 +174,16 @@ def bounds(plan: Any, kinds: tuple, curve: np.ndarray, at: np.ndarray, T: np.nda
     return deviation, turn
 
 
-def _speeds(chain: Any, q: np.ndarray) -> Speeds:
-    """Bounds of a chain's tip between rows of q (M, n)."""
+def _speeds(chain: Any, q: np.ndarray, sag: np.ndarray) -> Speeds:
+    """Bounds of a chain's tip between rows of q (M, n), with joints that leave the straight line by sag (M-1, n)."""
     rows, move = chain.rows, np.abs(np.diff(q, axis=0)) / chain.unit
     D = np.empty((len(q), len(rows)))
     levers(rows, chain.ends, q, chain.unit, D)
     owner = rows[:, 8].astype(int)
-    turns = np.abs(rows[:, 4]) * move[:, owner]  # (S, L) [rad], 0 for a joint that slides
-    slides = np.abs(rows[:, 6]) * move[:, owner] * chain.scale
-    speed, bend = np.zeros(len(move)), np.zeros(len(move))
-    turn, twist = np.zeros(len(move)), np.zeros(len(move))
+    ratio, stroke = np.abs(rows[:, 4]), np.abs(rows[:, 6]) * chain.scale  # one of them is 0: a joint turns or slides
+    turns, slides = ratio * move[:, owner], stroke * move[:, owner]
+    sag = (sag / chain.unit)[:, owner]
+    speed, bend, turn, twist, off = (np.zeros(len(move)) for _ in range(5))
     for r in range(len(rows) - 1, -1, -1):
         # The tip moves at most at `speed` in the frame of joint r, and so does its distance from that axis.
         arm = 0.5 * (D[:-1, r] + D[1:, r] + speed)
@@ -182,7 +191,8 @@ def _speeds(chain: Any, q: np.ndarray) -> Speeds:
         twist += turns[:, r] * turn
         speed += turns[:, r] * arm + slides[:, r]
         turn += turns[:, r]
-    return Speeds(speed, bend, turn, twist)
+        off += ratio[r] * sag[:, r] * (arm + off) + stroke[r] * sag[:, r]
+    return Speeds(speed, bend, turn, twist, off, sag @ ratio)
 
 
 class Between:
@@ -194,6 +204,7 @@ class Between:
         self.swing = 2.0 * np.arcsin(np.minimum(chord, 1.0))  # angle between the rotations of two targets
         self.tip, self.ref_turn, self.ref_twist = tip, self.swing, np.zeros_like(self.swing)
         self.bend, self.rate, self.twist = tip.bend, tip.turn, tip.twist
+        self.off, self.off_turn = tip.off, tip.off_turn
         target = goal
         if other is not None:
             carrier, carried = other
@@ -202,6 +213,8 @@ class Between:
             self.bend = tip.bend + carrier.bend + 2.0 * carrier.turn * step + (carrier.twist + carrier.turn**2) * arm
             self.rate = tip.turn + carrier.turn  # of the tip in the frame of the other
             self.twist = tip.twist + carrier.twist + tip.turn * carrier.turn
+            self.off = tip.off + carrier.off + carrier.off_turn * arm
+            self.off_turn = tip.off_turn + carrier.off_turn
             self.ref_turn = self.swing + carrier.turn
             self.ref_twist = carrier.twist + carrier.turn * self.swing
             target = carried @ goal
@@ -216,24 +229,26 @@ class Between:
     def position(self, counts: Any) -> np.ndarray:
         """What the motion adds to the position error that counts."""
         if counts.mask is None and counts.slack is None:
-            return 0.125 * self.bend  # a norm is the same in all axes
+            return 0.125 * self.bend + self.off  # a norm is the same in all axes
         spin, change = self.axes
         second = self.bend + 2.0 * spin * self.drift + (change + spin * spin) * self.away
+        second += 8.0 * (self.off + self.off_turn * (self.away + self.off))  # which turns the axes, too
         return max((counts.mask or (1.0,))[:3]) * 0.125 * second
 
     def rotation(self, counts: Any, axis: bool, tolerance: float) -> np.ndarray:
         """Bound on the rotation error that counts."""
         if any(counts.mask or ()) or any((counts.slack or (0.0,))[3:]):
-            return tolerance + max((counts.mask or (1.0,))[-3:]) * 0.125 * self._vector()
+            weight = max((counts.mask or (1.0,))[-3:])
+            return tolerance + weight * (0.125 * self._vector() + (LOG_GAIN + math.pi) * self.off_turn)
         if axis:  # two curves on the sphere, against their chords
             chord = 2.0 * math.sin(0.5 * min(tolerance, math.pi)) + 0.125 * (self.rate**2 + self.swing**2)
-            return 2.0 * np.arcsin(np.minimum(0.5 * chord, 1.0))
+            return 2.0 * np.arcsin(np.minimum(0.5 * chord, 1.0)) + self.off_turn
         bent = 0.25 * np.maximum(
             self.rate, self.swing
         )  # half the angle that the curvature 1/4 of the rotations makes of it
         secant = np.where(bent < 0.5 * math.pi, 1.0 / np.cos(np.minimum(bent, 1.57)), np.inf)
         grown = np.where(bent > 1e-4, 2.0 * (secant - 1.0) / np.maximum(bent, 1e-4) ** 2, 1.0)
-        return np.minimum(tolerance * secant + 0.125 * self.twist * grown, math.pi)
+        return np.minimum(tolerance * secant + 0.125 * self.twist * grown + self.off_turn, math.pi)
 
     def _vector(self) -> np.ndarray:
         """Bound on the second derivative of the rotation vector that is left, in the axes of `frame`."""

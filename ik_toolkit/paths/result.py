@@ -16,7 +16,7 @@ from ..text import plain
 
 if TYPE_CHECKING:
     from ..solvers.options import Options
-    from .timing import Trajectory
+    from .trajectory import Trajectory
 
 
 class PathStatus(Enum):

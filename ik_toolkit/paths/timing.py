@@ -1,0 +1,320 @@
+"""A followed path in the least time: TOPP-RA (Pham and Pham, 2018) along the very curve that is proven.
+
+Joint speeds jump at the corners of a motion that is linear between its rows, so a cubic spline takes its place. It is another
+curve, and so it is proven again: between two knots a joint leaves the straight line by at most h^2 / 8 times its largest second
+derivative, which moves the tip by no more than that times the lever arm. Where that is too much, solved poses are inserted.
+"""
+
+import itertools
+import logging
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ..errors import InvalidOption, MissingExtra, floats
+from ..robot.joints import Joints
+from ..solvers.plan import Plan
+from ..solvers.registry import GENERAL, find_row
+from .contact import find_contacts
+from .continuity import bounds, interpolate, settle
+from .free_motion import connect
+from .result import PathResult
+from .trajectory import Piece, Trajectory, sample
+
+ROUNDS = 12  # of inserting poses: each halves what a corner is cut by
+LEAST = 1e-9  # [rad or m] rows of a curve nearer than this are one
+SCALES = (
+    1.0,
+    10.0,
+    0.1,
+    30.0,
+    0.3,
+    3.0,
+    100.0,
+)  # of lengths: toppra's solver has absolute tolerances, and fails at some curves
+GRID = 200  # points of the time law at least
+FINER = 3  # times the grid is made twice as fine when the limits are passed between its points by more than TOO_FAST
+TOO_FAST = 1.02
+SWINGS = 10  # points between two rows at which the spline is held to the joints' own limits
+ROUNDED = 1e-9  # share by which the time law is slower than it need be, for rounding
+SUBDIVIDED = 4  # straight lines that stand for the spline between two knots where contact is tested
+MOST_SAMPLES = 1e7
+NOWHERE = np.full(2, np.nan)  # places among the poses of a free motion
+
+
+class Proof(NamedTuple):
+    """Bounds [m] and [rad] on how far a tip leaves the poses, the clearance [m], and whether they hold for the smooth curve.
+
+    If not, the motion that is straight between the rows counts, which is proven already.
+    """
+
+    deviation: float
+    turn: float
+    clearance: float
+    smooth: bool
+
+
+def retime(result: PathResult, velocity: Any, acceleration: Any, rate: float, seed: int) -> Trajectory:
+    """See `PathResult.retime`."""
+    robot = result.robot
+    limits = _limits(robot, velocity, acceleration)
+    rate = _positive(rate, "rate [1/s]")
+    result.raise_for_status()
+    row = find_row(GENERAL)
+    plan = Plan(robot, row, row.load()(), result.options)
+    made: list[Piece] = []
+    missing, message = "", ""
+    runs, deviation, turn, clearance = result.pieces, 0.0, 0.0, math.inf
+    for k, run in enumerate(runs):
+        if k:
+            way = connect(robot, result.collision, result.curve[runs[k - 1].stop - 1], result.curve[run.start], seed)
+            if way is None:
+                pose = int(result.at[run.start])
+                missing = f"it ends at pose {pose - 1}: no free motion to the other branch, at pose {pose}, was found"
+                break
+            made += [_straight(a, b, NOWHERE, limits) for a, b in itertools.pairwise(way)]
+        curve, at, found = _proven(plan, result, result.curve[run], result.at[run])
+        deviation, turn = max(deviation, found.deviation), max(turn, found.turn)
+        clearance = min(clearance, found.clearance)
+        smooth = _spline(curve, at, robot, limits) if found.smooth else None
+        if smooth is not None:
+            made.append(smooth)
+        else:
+            run_at = result.at[run]
+            rows = zip(itertools.pairwise(result.curve[run]), itertools.pairwise(run_at), strict=True)
+            made += [_straight(*ends, np.array(places), limits) for ends, places in rows]
+            message = "no smooth curve keeps to the poses and touches nothing, so the robot stops at every row; "
+    pieces = tuple(piece for piece in made if piece.duration > 0.0) or tuple(made[:1])
+    if not pieces:  # one pose alone
+        pieces = (_straight(result.curve[0], result.curve[0], result.at[[0, 0]], limits),)
+    total = sum(piece.duration for piece in pieces)
+    if total * rate > MOST_SAMPLES:
+        raise InvalidOption(
+            f"rate = {rate:g} makes {total * rate:.3g} samples of {total:.4g} s; at most {MOST_SAMPLES:g}"
+        )
+    t = np.append(np.arange(math.ceil(total * rate - 1e-9)) / rate, total)
+    message += missing or f"all {len(result.q)} poses are passed in {total:.4g} s"
+    safe = None if result.collision is None else clearance
+    return Trajectory(robot, t, *sample(pieces, t), not missing, message, *limits, (deviation, turn), safe, pieces)
+
+
+def _positive(value: Any, name: str) -> float:
+    number = floats(value, f"{name} must be a number", InvalidOption)
+    if number.shape != () or not 0.0 < number < math.inf:
+        raise InvalidOption(f"{name} must be a positive number, not {value!r:.60}")
+    return float(number)
+
+
+def _limits(robot: Joints, velocity: Any, acceleration: Any) -> tuple[np.ndarray, np.ndarray]:
+    """Limits (n,) of speeds and accelerations. Raises InvalidOption, naming the joint."""
+    if acceleration is None:
+        raise InvalidOption(
+            "acceleration= has to be given: a number or one a joint [rad/s^2 or m/s^2]; a URDF has none"
+        )
+    made = []
+    for name, given, own in (("velocity", velocity, robot.velocity_limits), ("acceleration", acceleration, None)):
+        values = np.array(own) if given is None else floats(given, f"{name} must be numbers", InvalidOption)
+        if values.shape == ():
+            values = np.full(robot.n, values)
+        if values.shape != (robot.n,):
+            raise InvalidOption(f"{name} must be one number, or {robot.n}, one per joint; not shape {values.shape}")
+        for joint, value in zip(robot.joint_names, values, strict=True):
+            if not 0.0 < value < math.inf:
+                where = (
+                    "the robot has none for this joint, so give velocity=" if given is None else "it must be positive"
+                )
+                raise InvalidOption(f"{name} of joint '{joint}' is {value:g}: {where}")
+        made.append(values)
+    return made[0], made[1]
+
+
+# ------------------------------------------------------------------------------------------------------------ the curve
+def _proven(plan: Plan, result: PathResult, curve: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, np.ndarray, Proof]:
+    """Rows and places of a piece, with poses inserted until the spline through them is proven, and what is proven of it."""
+    robot = plan.robot
+    distinct = np.append(True, np.abs(np.diff(curve, axis=0)).max(axis=1) > LEAST)
+    curve, at = curve[distinct], at[distinct]
+    if len(curve) < 2:
+        return curve, at, Proof(0.0, 0.0, math.inf, False)
+    allowed = np.maximum(result.path_tolerance, result.deviation)
+    for _ in range(ROUNDS):
+        knots = _coordinate(curve, robot.chain.unit)
+        cubics = _cubics(robot, curve, knots)
+        deviation, turn = bounds(plan, result.kinds, curve, at, result.targets, _sag(knots, cubics))
+        broken = (deviation > allowed[0]) | (turn > allowed[1])
+        clearance = 0.0
+        if not broken.any():
+            clearance, broken = _touching(result.collision, knots, cubics, curve)
+        if not broken.any():
+            return curve, at, Proof(float(deviation.max()), float(turn.max()), clearance, True)
+        near = np.flatnonzero(broken | np.append(broken[1:], False) | np.append(False, broken[:-1]))
+        middle = 0.5 * (at[near] + at[near + 1])
+        rows, good = settle(
+            plan, result.kinds, 0.5 * (curve[near] + curve[near + 1]), interpolate(result.targets, middle, result.kinds)
+        )
+        if not good.all():
+            break
+        curve, at = np.insert(curve, near + 1, rows, axis=0), np.insert(at, near + 1, middle)
+    clearance = math.inf if result.clearance is None else result.clearance
+    return curve, at, Proof(*result.deviation, clearance, False)
+
+
+def _coordinate(curve: np.ndarray, unit: np.ndarray) -> np.ndarray:
+    """Length of the way to each row, in joint space."""
+    return np.append(0.0, np.cumsum(np.linalg.norm(np.diff(curve / unit, axis=0), axis=1)))
+
+
+def _cubics(robot: Joints, curve: np.ndarray, knots: np.ndarray) -> np.ndarray:
+    """Coefficients (4, M-1, n) of the natural cubic spline through the rows of a curve (M, n).
+
+    A joint that would swing beyond its limits takes the spline that never leaves the range of two neighbouring rows.
+    """
+    try:
+        from scipy.interpolate import CubicSpline, PchipInterpolator
+    except ImportError:
+        raise MissingExtra("scipy", "paths") from None
+    cubics = CubicSpline(knots, curve, bc_type="natural").c
+    x = np.linspace(0.0, 1.0, SWINGS)[:, None, None] * np.diff(knots)[:, None]
+    a, b, c, d = cubics
+    swing = ((a * x + b) * x + c) * x + d
+    beyond = ((swing > robot.upper + LEAST) | (swing < robot.lower - LEAST)).any(axis=(0, 1))
+    if beyond.any():
+        cubics = np.where(beyond, PchipInterpolator(knots, curve).c, cubics)
+    return cubics
+
+
+def _sag(knots: np.ndarray, cubics: np.ndarray) -> np.ndarray:
+    """By how much (M-1, n) each joint of a spline leaves the straight line between two knots, at most."""
+    h = np.diff(knots)[:, None]
+    bend = np.maximum(np.abs(2.0 * cubics[1]), np.abs(2.0 * cubics[1] + 6.0 * cubics[0] * h))
+    return 0.125 * h * h * bend
+
+
+def _touching(collision: Any, knots: np.ndarray, cubics: np.ndarray, curve: np.ndarray) -> tuple[float, np.ndarray]:
+    """Clearance [m] of a spline and the stretches (M-1,) in which it touches, or in which that is not proven."""
+    touching = np.zeros(len(curve) - 1, dtype=bool)
+    if collision is None:
+        return math.inf, touching
+    share = np.arange(SUBDIVIDED) / SUBDIVIDED
+    x = (share * np.diff(knots)[:, None])[..., None]
+    a, b, c, d = cubics[:, :, None]
+    rows = np.vstack([(((a * x + b) * x + c) * x + d).reshape(-1, curve.shape[1]), curve[-1:]])
+    at = np.append((np.arange(len(touching))[:, None] + share).ravel(), len(touching))
+    sag = np.repeat(_sag(knots, cubics), SUBDIVIDED, axis=0) / SUBDIVIDED**2
+    clearance, contacts, unproven = find_contacts(collision, rows, at, np.ones(len(rows) - 1, dtype=bool), sag)
+    places = np.array([*(contact.place for contact in contacts), *unproven])
+    touching[np.minimum(places.astype(int), len(touching) - 1)] = True
+    return clearance, touching
+
+
+# ------------------------------------------------------------------------------------------------------------- the times
+def _spline(curve: np.ndarray, at: np.ndarray, robot: Joints, limits: tuple[np.ndarray, np.ndarray]) -> Piece | None:
+    """The spline through the rows of a curve in the least time, by TOPP-RA; its limits hold between the grid points, too.
+
+    None when toppra finds no time law.
+    """
+    knots = _coordinate(curve, robot.chain.unit)
+    piece = Piece(knots, _cubics(robot, curve, knots), knots, knots, knots, at)
+    between = max(1, math.ceil(GRID / (len(knots) - 1)))
+    for _ in range(FINER + 1):
+        grid = np.unique(np.concatenate([knots[:-1] + k / between * np.diff(knots) for k in range(between)] + [knots]))
+        speed = _topp(piece, grid, limits)
+        if speed is None:
+            return None
+        times = np.append(0.0, np.cumsum(2.0 * np.diff(grid) / (speed[1:] + speed[:-1])))
+        made = piece._replace(s=grid, speed=speed, t=times)
+        factor = _excess(made, limits)
+        if factor <= TOO_FAST:
+            break
+        between *= 2
+    return made.slower(factor)
+
+
+def _topp(piece: Piece, grid: np.ndarray, limits: tuple[np.ndarray, np.ndarray]) -> np.ndarray | None:
+    """Speeds along a curve (G,) at the points of a grid, as fast as the limits of the joints allow; None: none is found."""
+    try:
+        import toppra
+        import toppra.algorithm
+        import toppra.constraint
+    except ImportError:
+        raise MissingExtra("toppra", "paths") from None
+
+    class Path(toppra.interpolator.AbstractGeometricPath):
+        """The curve as toppra reads it, with lengths times `scale`."""
+
+        dof, waypoints, scale = piece.coefficients.shape[2], None, 1.0
+
+        @property
+        def path_interval(self) -> np.ndarray:
+            return self.scale * piece.knots[[0, -1]]
+
+        def __call__(self, s: Any, order: int = 0) -> np.ndarray:
+            values = piece.curve(np.atleast_1d(s) / self.scale)[order] / self.scale**order
+            return values if np.ndim(s) else values[0]
+
+    velocity, acceleration = (np.stack([-limit, limit], axis=1) for limit in limits)
+    constraints = [
+        toppra.constraint.JointVelocityConstraint(velocity),
+        toppra.constraint.JointAccelerationConstraint(
+            acceleration, discretization_scheme=toppra.constraint.DiscretizationType.Interpolation
+        ),
+    ]
+    logging.getLogger("toppra").setLevel(logging.CRITICAL)  # what it says of a scale that fails is of no use to anybody
+    for scale in SCALES:
+        path = Path()
+        path.scale = scale
+        solver = toppra.algorithm.TOPPRA(constraints, path, gridpoints=scale * grid, solver_wrapper="seidel")
+        speed = solver.compute_parameterization(0.0, 0.0)[1]
+        if speed is not None and np.isfinite(speed).all() and (speed[1:-1] > 0.0).all():
+            return np.asarray(speed) / scale
+    return None
+
+
+def _excess(piece: Piece, limits: tuple[np.ndarray, np.ndarray]) -> float:
+    """By what factor a piece has to be slower for its limits to hold at every instant.
+
+    Between two grid points the square of the path's speed is linear in s and the curve a cubic, so accelerations are quadratic:
+    their extremes, and the instants at which they vanish and a speed is extreme, are known exactly.
+    """
+    k = np.searchsorted(piece.knots, 0.5 * (piece.s[1:] + piece.s[:-1]), side="right") - 1
+    step, squares = np.diff(piece.s), piece.speed**2
+    gain = 0.5 * np.diff(squares) / step
+
+    def motion(share: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Rates and accelerations (G-1, n) at shares (G-1, n) of the intervals."""
+        x = (piece.s[:-1] - piece.knots[k])[:, None] + share * step[:, None]
+        a, b, c, _ = piece.coefficients[:, k]
+        slope, bend = (3.0 * a * x + 2.0 * b) * x + c, 6.0 * a * x + 2.0 * b
+        square = squares[:-1, None] + share * np.diff(squares)[:, None]
+        return slope * np.sqrt(np.maximum(square, 0.0)), bend * square + slope * gain[:, None]
+
+    ends = np.zeros((len(step), piece.coefficients.shape[2]))
+    (dq0, first), (_, middle), (dq1, last) = motion(ends), motion(ends + 0.5), motion(ends + 1.0)
+    a, b = 2.0 * (first - 2.0 * middle + last), 4.0 * middle - 3.0 * first - last
+    with np.errstate(divide="ignore", invalid="ignore"):
+        root = np.sqrt(b * b - 4.0 * a * first)
+        shares = [-0.5 * b / a, 0.5 * (-b - root) / a, 0.5 * (-b + root) / a, -first / b]
+    inside = [motion(np.clip(np.nan_to_num(share), 0.0, 1.0)) for share in shares]
+    speeds = np.abs([dq0, dq1, *(one[0] for one in inside)]) / limits[0]
+    gains = np.abs([first, last, *(one[1] for one in inside)]) / limits[1]
+    return max(1.0, (1.0 + ROUNDED) * max(float(speeds.max()), math.sqrt(float(gains.max()))))
+
+
+def _straight(a: np.ndarray, b: np.ndarray, at: np.ndarray, limits: tuple[np.ndarray, np.ndarray]) -> Piece:
+    """The straight line from a to b (n,) from rest to rest in the least time: full acceleration, full speed, full braking."""
+    way = b - a
+    length = float(np.abs(way).max())
+    if length <= LEAST:
+        still = np.zeros(2)
+        return Piece(np.array([0.0, 1.0]), np.zeros((4, 1, len(a))), still, still, still, at)
+    slope = way / length
+    moving = np.abs(slope) > 0.0
+    top, gain = (float((limit[moving] / np.abs(slope[moving])).min()) for limit in limits)
+    ramp = min(0.5 * length, 0.5 * top * top / gain)
+    peak = math.sqrt(2.0 * gain * ramp)
+    s = np.array([0.0, ramp, length - ramp, length]) if ramp < 0.5 * length else np.array([0.0, ramp, length])
+    speed = np.array([0.0, peak, peak, 0.0]) if len(s) == 4 else np.array([0.0, peak, 0.0])
+    t = np.append(0.0, np.cumsum(2.0 * np.diff(s) / (speed[1:] + speed[:-1])))
+    cubics = np.stack([np.zeros_like(a), np.zeros_like(a), slope, a])[:, None]
+    return Piece(np.array([0.0, length]), cubics, s, speed, t, at)

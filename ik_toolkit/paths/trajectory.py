@@ -1,0 +1,167 @@
+"""A joint motion in time: exact at every instant, sampled at a rate, and written for those who drive the joints."""
+
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ..errors import FrameNotFound, InvalidOption, floats, near_match
+from ..files import write_whole
+from ..tracking.reference import Reference, Samples
+from .result import write_table
+
+DIFFERENCE = 1e-5  # [s] of the central difference of a Jacobian along the motion: its error is the square of it
+
+
+class Piece(NamedTuple):
+    """A curve and its time law: rest to rest.
+
+    knots (M,) and coefficients (4, M-1, n): cubics in s, highest power first, from knot to knot. s, speed, t (G,): path
+    coordinate, its rate and the time [s] at the grid points of the time law; the rate's derivative is constant between them.
+    at (M,): place of each knot among the poses of the path, NaN in a free motion.
+    """
+
+    knots: np.ndarray
+    coefficients: np.ndarray
+    s: np.ndarray
+    speed: np.ndarray
+    t: np.ndarray
+    at: np.ndarray
+
+    @property
+    def duration(self) -> float:
+        """How long it takes [s]."""
+        return float(self.t[-1])
+
+    def slower(self, factor: float) -> "Piece":
+        """The same curve in `factor` times the time."""
+        return self._replace(speed=self.speed / factor, t=self.t * factor)
+
+    def curve(self, s: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Joints (N, n) and their first and second derivatives by s at s (N,)."""
+        k = np.clip(np.searchsorted(self.knots, s, side="right") - 1, 0, len(self.knots) - 2)
+        x = (s - self.knots[k])[:, None]
+        a, b, c, d = self.coefficients[:, k]
+        return ((a * x + b) * x + c) * x + d, (3.0 * a * x + 2.0 * b) * x + c, 6.0 * a * x + 2.0 * b
+
+    def sample(self, t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Joints, rates and accelerations (N, n) at times t (N,) [s] since its start, and the place among the poses (N,)."""
+        t = np.clip(t, 0.0, self.t[-1])
+        k = np.clip(np.searchsorted(self.t, t, side="right") - 1, 0, len(self.t) - 2)
+        gain = np.diff(self.speed)[k] / np.diff(self.t)[k]
+        past = t - self.t[k]
+        s = np.clip(self.s[k] + (self.speed[k] + 0.5 * gain * past) * past, self.s[0], self.s[-1])
+        rate = (self.speed[k] + gain * past)[:, None]
+        q, slope, bend = self.curve(s)
+        return q, slope * rate, bend * rate**2 + slope * gain[:, None], np.interp(s, self.knots, self.at)
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """A motion in time of n joints, sampled at N times (read-only).
+
+    t (N,) [s] from 0, spaced by 1 / rate but for the last; q, dq, ddq (N, n) [rad or m, per s, per s^2]; place (N,) among the
+    poses of the path, NaN while the robot changes from one branch of solutions to another; success, and message: a sentence,
+    which says what stands in the way where the motion ends early. velocity, acceleration (n,): the limits, which hold at every
+    instant, see `at`. deviation (m, rad): bound on how far a tip leaves the interpolated poses; clearance [m] as of a
+    PathResult. pieces: the motion itself, rest to rest. robot: what moves.
+    """
+
+    robot: Any
+    t: np.ndarray
+    q: np.ndarray
+    dq: np.ndarray
+    ddq: np.ndarray
+    place: np.ndarray
+    success: bool
+    message: str
+    velocity: np.ndarray
+    acceleration: np.ndarray
+    deviation: tuple[float, float]
+    clearance: float | None
+    pieces: tuple[Piece, ...]
+
+    @property
+    def duration(self) -> float:
+        """How long it takes [s]."""
+        return float(self.t[-1])
+
+    def at(self, t: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """q, dq, ddq at any t [s]: (n,) for a number, (N, n) for an array (N,); it rests before 0 and after the end."""
+        times = np.atleast_1d(floats(t, "t must be times [s]", InvalidOption))
+        if times.ndim > 1 or not np.isfinite(times).all():
+            raise InvalidOption(f"t must be a finite number or an array (N,) of them [s], not {repr(t)[:60]}")
+        q, dq, ddq, _ = sample(self.pieces, times)
+        return (q, dq, ddq) if np.ndim(t) else (q[0], dq[0], ddq[0])
+
+    def to_csv(self, path: str | Path) -> Path:
+        """Write a row a sample: t, then q_, dq_ and ddq_ of each joint."""
+        file = Path(path)
+        names = self.robot.joint_names
+        head = ["t", *(f"{kind}_{joint}" for kind in ("q", "dq", "ddq") for joint in names)]
+        write_table(file, head, np.hstack([self.t[:, None], self.q, self.dq, self.ddq]))
+        return file
+
+    def to_json(self, path: str | Path) -> Path:
+        """Write the fields of a ROS trajectory_msgs/JointTrajectory, a point a sample."""
+        file = Path(path)
+        whole = np.floor(self.t).astype(int)
+        nanos = np.minimum(np.round((self.t - whole) * 1e9), 999_999_999).astype(int)
+        points = [
+            {
+                "positions": q,
+                "velocities": dq,
+                "accelerations": ddq,
+                "effort": [],
+                "time_from_start": {"sec": sec, "nanosec": nanosec},
+            }
+            for q, dq, ddq, sec, nanosec in zip(
+                self.q.tolist(), self.dq.tolist(), self.ddq.tolist(), whole.tolist(), nanos.tolist(), strict=True
+            )
+        ]
+        header = {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": self.robot.arms[0].base}
+        message = {"header": header, "joint_names": list(self.robot.joint_names), "points": points}
+        write_whole(file, json.dumps(message, allow_nan=False) + "\n")
+        return file
+
+    def to_reference(self, tip: str | None = None) -> Reference:
+        """The motion of a tip as a `Reference`, for `ik.track`. tip: which one of several. Raises FrameNotFound, InvalidOption."""
+        tips = self.robot.tips
+        if tip is None and len(tips) > 1:
+            raise InvalidOption(f"to_reference is for one tip; choose one with tip=: {', '.join(tips)}")
+        if tip is not None and tip not in tips:
+            raise FrameNotFound(f"'{tip}' is not one of the tips.{near_match(tip, tips)}")
+        if not self.duration > 0.0:
+            raise InvalidOption("nothing moves, so there is no reference to follow")
+        f = 0 if tip is None else tips.index(tip)
+        chain, columns = self.robot.arms[f].chain, self.robot.places[f]
+
+        def function(t: np.ndarray) -> Samples:
+            q, dq, ddq, _ = sample(self.pieces, t)
+            q, dq, ddq = q[:, columns], dq[:, columns], ddq[:, columns]
+            T, J = chain.forward(q, jacobian=True)
+            ahead, behind = (chain.forward(q + h * dq, jacobian=True)[1] for h in (DIFFERENCE, -DIFFERENCE))
+            drift = np.einsum("tij,tj->ti", ahead - behind, dq) / (2.0 * DIFFERENCE)
+            return T, np.einsum("tij,tj->ti", J, dq), np.einsum("tij,tj->ti", J, ddq) + drift
+
+        return Reference(function, self.duration, name=f"trajectory of {tips[f]}")
+
+    def __repr__(self) -> str:
+        """One line."""
+        return f"Trajectory({len(self.t)} samples, {self.duration:.4g} s, {self.q.shape[1]} joints)"
+
+
+def sample(pieces: tuple[Piece, ...], t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Joints, rates, accelerations (N, n) and places (N,) of pieces one after the other at t (N,) [s]."""
+    starts = np.cumsum([0.0, *(piece.duration for piece in pieces)])
+    owner = np.clip(np.searchsorted(starts, t, side="right") - 1, 0, len(pieces) - 1)
+    n = pieces[0].coefficients.shape[2]
+    q, dq, ddq, place = np.empty((len(t), n)), np.empty((len(t), n)), np.empty((len(t), n)), np.empty(len(t))
+    for k in np.unique(owner):
+        mine = owner == k
+        q[mine], dq[mine], ddq[mine], place[mine] = pieces[k].sample(t[mine] - starts[k])
+    outside = (t < 0.0) | (t > starts[-1])
+    dq[outside], ddq[outside] = 0.0, 0.0
+    return q, dq, ddq, place

@@ -1,0 +1,53 @@
+"""Followed paths the tests share, made without the search for them."""
+
+import numpy as np
+
+import ik_toolkit as ik
+from ik_toolkit.kernel.task import POSE
+from ik_toolkit.paths.continuity import check, densify
+from ik_toolkit.paths.result import PathResult, PathStatus, Reconfiguration
+from ik_toolkit.solvers.options import make_options
+from ik_toolkit.solvers.plan import Plan
+from ik_toolkit.solvers.registry import find_row
+
+
+def plan_for(robot, **options):
+    """The default solver bound to a robot."""
+    row = find_row("lm")
+    return Plan(robot, row, row.load()(), make_options(options))
+
+
+def tips(robot, q):
+    """Poses (N, F, 4, 4) of the tips at q (N, n)."""
+    return np.array(
+        [[arm.fk(row[at]).homogeneous for arm, at in zip(robot.arms, robot.places, strict=True)] for row in q]
+    )
+
+
+def as_result(robot, q, breaks=(), collision=None, kind=POSE, **options):
+    """PathResult of the motion q (N, n) itself: its poses are those it passes."""
+    plan, kinds, T = plan_for(robot, **options), (kind,) * len(robot.tips), tips(robot, q)
+    step, tolerance = (np.radians(7.0), 0.02), (1e-3, np.radians(1.0))
+    curve, at, cut = densify(plan, kinds, q, T, list(breaks), step, tolerance)
+    proof = check(plan, kinds, curve, at, T, cut, collision)
+    status = PathStatus.RECONFIGURES if len(breaks) else PathStatus.FOLLOWED
+    return PathResult(
+        robot=robot, targets=T, kinds=kinds, options=plan.options, q=q, status=status, message="made for a test",
+        position_error=np.zeros(len(q)), orientation_error=np.zeros(len(q)), curve=curve, at=at, continuity=proof,
+        reconfigurations=tuple(Reconfiguration(k, q[k + 1] - q[k]) for k in breaks), collision=collision,
+    )  # fmt: skip
+
+
+def wave(robot, count=40, size=0.3, seed=0):
+    """Smooth joint motion (N, n) about home, inside the limits."""
+    rng = np.random.default_rng(seed)
+    t = np.linspace(0.0, 1.0, count)[:, None]
+    turns, shift = rng.uniform(0.3, 1.2, robot.n), rng.uniform(0.0, 6.0, robot.n)
+    room = np.minimum(robot.upper - robot.home, robot.home - robot.lower)
+    reach = np.minimum(size * np.where([kind == "prismatic" for kind in robot.joint_kinds], 0.2, 1.0), 0.9 * room)
+    return robot.home + reach * np.sin(turns * 6.0 * t + shift)
+
+
+def load(name):
+    """A shipped robot."""
+    return ik.Robot.load(name)

@@ -1,0 +1,174 @@
+"""Paths in time: limits that hold at every instant, on the curve that is proven, with stops where the branch changes."""
+
+import functools
+import itertools
+import json
+
+import motions
+import numpy as np
+import pytest
+import trees
+
+import ik_toolkit as ik
+from ik_toolkit.errors import InvalidOption, NotSolved
+from ik_toolkit.kernel.task import POSITION
+from ik_toolkit.paths.continuity import interpolate
+from ik_toolkit.paths.free_motion import connect
+from ik_toolkit.paths.result import PathStatus
+
+pytest.importorskip("toppra")
+
+
+@functools.cache
+def retimed(name, count=40, acceleration=2.0):
+    robot = ik.Tree.load(trees.mixed(), tips=["left_tip", "right_tip"]) if name == "two arms" else motions.load(name)
+    result = motions.as_result(robot, motions.wave(robot, count))
+    velocity = np.linspace(0.5, 1.5, robot.n)
+    return result, result.retime(velocity, acceleration)
+
+
+ROBOTS = ["hydrolek_7w", "planar_3r", "inspection_7dof", "two arms"]
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_limits_hold_when_sampled_ten_times_finer(name):
+    result, made = retimed(name)
+    t = np.linspace(0.0, made.duration, 10 * len(made.t))
+    q, dq, ddq = made.at(t)
+    assert (np.abs(dq) <= made.velocity * (1.0 + 1e-9)).all()
+    assert (np.abs(ddq) <= made.acceleration * (1.0 + 1e-9)).all()
+    assert (q >= result.robot.lower - 1e-6).all() and (q <= result.robot.upper + 1e-6).all()
+    # Least time: at nearly every instant one joint is at a limit.
+    busy = np.maximum((np.abs(dq) / made.velocity).max(axis=1), (np.abs(ddq) / made.acceleration).max(axis=1))
+    assert np.median(busy) > 0.9
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_rates_and_accelerations_are_those_of_the_joints(name):
+    _, made = retimed(name)
+    h = 1e-5
+    inside = np.random.default_rng(0).uniform(h, made.duration - h, 200)
+    q, dq, _ = made.at(inside)
+    (before, _, _), (after, _, _) = made.at(inside - h), made.at(inside + h)
+    np.testing.assert_allclose((after - before) / (2.0 * h), dq, atol=2e-5)
+    np.testing.assert_allclose(made.dq[[0, -1]], 0.0, atol=1e-6)
+    assert made.t[0] == 0.0 and np.ptp(np.diff(made.t)[:-1]) < 1e-9 and made.t[-1] == made.duration
+
+
+@pytest.mark.parametrize("name", ["hydrolek_7w", "planar_3r"])
+def test_the_tip_stays_as_near_to_the_poses_as_is_said(name):
+    result, made = retimed(name)
+    assert made.deviation[0] <= result.path_tolerance[0] and made.deviation[1] <= result.path_tolerance[1]
+    # Joints and poses are functions of one parameter, so at a place the tip is where that pose is.
+    for q, place in zip(made.q, made.place, strict=True):
+        position, angle = result.robot.errors(q, interpolate(result.targets, np.array([place]), result.kinds)[0, 0])
+        assert position <= made.deviation[0] and angle <= made.deviation[1]
+
+
+def test_a_corner_is_rounded_within_the_tolerance():
+    """The tip turns by a right angle at a pose: poses are inserted around it until the curve keeps to the path."""
+    robot = motions.load("planar_3r")
+    plan = motions.plan_for(robot)
+    T = np.tile(robot.fk(robot.home).homogeneous, (21, 1, 1, 1))
+    T[:11, 0, 0, 3] -= np.linspace(0.0, 0.2, 11)
+    T[11:, 0, 0, 3] -= 0.2
+    T[11:, 0, 1, 3] += np.linspace(0.02, 0.2, 10)
+    from ik_toolkit.paths.continuity import settle
+
+    q, rows = robot.home[None], []
+    for pose in T:
+        q, good = settle(plan, (POSITION,), q, pose[None])
+        assert good.all()
+        rows.append(q[0])
+    result = motions.as_result(robot, np.array(rows), kind=POSITION)
+    made = result.retime(1.0, 1.0)
+    assert made.success and len(made.pieces) == 1 and made.deviation[0] <= 1e-3
+
+
+def test_the_robot_stops_where_the_branch_changes_and_moves_freely_to_the_other():
+    robot = motions.load("hydrolek_7w")
+    q = motions.wave(robot)
+    result = motions.as_result(robot, q, breaks=[19])
+    made = result.retime(1.0, 2.0)
+    assert made.success and len(made.pieces) == 3
+    free = np.isnan(made.place)
+    assert free.any() and (np.diff(np.flatnonzero(free)) == 1).all()
+    ends = np.cumsum([piece.duration for piece in made.pieces])
+    at, rates, _ = made.at(ends)
+    np.testing.assert_allclose(at, q[[19, 20, -1]], atol=1e-9)
+    np.testing.assert_allclose(rates, 0.0, atol=1e-6)
+
+
+POST = """
+<robot name="boom"><link name="base"/>
+<link name="column"/><joint name="turn" type="revolute"><parent link="base"/><child link="column"/><axis xyz="0 0 1"/>
+<limit lower="-3" upper="3" effort="1" velocity="1"/></joint>
+<link name="boom"><collision><origin xyz="0.4 0 0"/><geometry><box size="0.8 0.05 0.05"/></geometry></collision></link>
+<joint name="lift" type="revolute"><parent link="column"/><child link="boom"/><axis xyz="0 1 0"/>
+<limit lower="-1.5" upper="1.5" effort="1" velocity="1"/></joint>
+<link name="tip"/><joint name="end" type="fixed"><parent link="boom"/><child link="tip"/><origin xyz="0.8 0 0"/></joint></robot>
+"""
+
+
+def test_a_free_motion_goes_around_what_stands_between():
+    robot = ik.Robot.load(POST)
+    model = ik.CollisionModel(robot).add_box((0.1, 0.1, 0.8), (0.6, 0.0, 0.0), name="post")
+    a, b = np.array([-0.5, 0.0]), np.array([0.5, 0.0])
+    way = connect(robot, model, a, b, seed=0)
+    np.testing.assert_array_equal(way[[0, -1]], [a, b])
+    assert len(way) > 2
+    for start, end in itertools.pairwise(way):
+        assert not any(model.collides(start + s * (end - start)) for s in np.linspace(0.0, 1.0, 200))
+    np.testing.assert_array_equal(way, connect(robot, model, a, b, seed=0))
+    q = np.vstack(
+        [a + np.outer(np.linspace(-0.2, 0.0, 5), [1.0, 0.3]), b + np.outer(np.linspace(0.0, 0.2, 5), [1.0, 0.3])]
+    )
+    made = motions.as_result(robot, q, breaks=[4], collision=model, kind=POSITION).retime(1.0, 1.0)
+    assert made.success and made.clearance > 0.0
+    assert not any(model.collides(row) for row in made.q)
+
+
+def test_it_is_said_when_there_is_no_free_motion(monkeypatch):
+    monkeypatch.setattr("ik_toolkit.paths.free_motion.SECONDS", 0.2)
+    robot = ik.Robot.load(POST)
+    model = ik.CollisionModel(robot).add_box((1.0, 0.1, 2.0), (0.5, 0.0, 0.0))
+    q = np.array([[-0.6, 0.0], [-0.5, 0.0], [0.5, 0.0], [0.6, 0.0]])
+    made = motions.as_result(robot, q, breaks=[1], collision=model, kind=POSITION).retime(1.0, 1.0)
+    assert not made.success and "no free motion" in made.message and "pose 2" in made.message
+    np.testing.assert_allclose(made.q[-1], q[1], atol=1e-9)
+
+
+def test_what_is_missing_is_said():
+    result, made = retimed("hydrolek_7w")
+    with pytest.raises(InvalidOption, match="acceleration= has to be given"):
+        result.retime()
+    with pytest.raises(InvalidOption, match="rate"):
+        result.retime(1.0, 1.0, rate=0.0)
+    with pytest.raises(InvalidOption, match="must be positive"):
+        result.retime(1.0, -1.0)
+    with pytest.raises(InvalidOption, match="one per joint"):
+        result.retime([1.0, 2.0], 1.0)
+    failed = type(result)(**{**vars(result), "status": PathStatus.INCOMPLETE})
+    with pytest.raises(NotSolved):
+        failed.retime(1.0, 1.0)
+
+
+def test_files_and_references_say_what_the_arrays_do(tmp_path):
+    result, made = retimed("hydrolek_7w")
+    robot = result.robot
+    rows = np.genfromtxt(made.to_csv(tmp_path / "t.csv"), delimiter=",", skip_header=1)
+    np.testing.assert_array_equal(rows, np.hstack([made.t[:, None], made.q, made.dq, made.ddq]))
+    ros = json.loads(made.to_json(tmp_path / "t.json").read_text())
+    assert ros["joint_names"] == list(robot.joint_names) and len(ros["points"]) == len(made.t)
+    stamp = ros["points"][-1]["time_from_start"]
+    assert stamp["sec"] + 1e-9 * stamp["nanosec"] == pytest.approx(made.duration, abs=1e-9)
+    assert ros["points"][3]["velocities"] == made.dq[3].tolist()
+    reference = made.to_reference()
+    t = np.linspace(0.05, made.duration - 0.05, 30)
+    T, V, A = reference.at(t)
+    h = 1e-5
+    (Tb, Vb, _), (Ta, Va, _) = reference.at(t - h), reference.at(t + h)
+    np.testing.assert_allclose((Ta - Tb)[:, :3, 3] / (2 * h), V[:, :3], atol=1e-4)
+    smooth = np.abs((Va - Vb) / (2 * h) - A).max(axis=1) < 1e-2  # but where the acceleration itself jumps
+    assert smooth.mean() > 0.8
+    np.testing.assert_allclose(T[0], robot.fk(made.at(float(t[0]))[0]).homogeneous, atol=1e-9)
