@@ -3,9 +3,11 @@
 An interruption, a full disk or a mistake found late never costs the file that was there before.
 """
 
+import csv
+import io
 import os
 import uuid
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import BinaryIO
@@ -110,3 +112,12 @@ def write_whole(path: str | Path, data: str | bytes) -> None:
     """Write a file whole, text as UTF-8."""
     with whole_file(path) as stream:
         stream.write(data.encode() if isinstance(data, str) else data)
+
+
+def write_table(path: str | Path, head: list[str], rows: Iterable[Iterable[float]]) -> None:
+    """Write a CSV file of numbers, to the last digit; NaN is left empty."""
+    text = io.StringIO()
+    writer = csv.writer(text)
+    writer.writerow(head)
+    writer.writerows(["" if x != x else repr(x) for x in row] for row in rows)
+    write_whole(path, text.getvalue())

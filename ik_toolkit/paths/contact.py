@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from .result import Contact
+from .proof import Contact
 
 LARGEST, FINER = (
     0.015,

@@ -16,7 +16,7 @@ from ..kernel.smooth import smooth
 from ..kernel.task import FREE, POSITION
 from ..solvers.task import relatives, what_counts
 from .contact import find_contacts
-from .result import Continuity
+from .proof import Continuity
 
 ROUNDS = (
     8  # of insertion: the bound falls with the square of the number of pieces, so two or three do where it can be met
@@ -74,7 +74,7 @@ def densify(
     robot = plan.robot
     step = np.where([kind == "prismatic" for kind in robot.joint_kinds], max_step[1], max_step[0])
     curve, at = q, np.arange(float(len(q)))
-    open_ = np.isfinite(q[1:] + q[:-1]).all(axis=1)
+    open_ = np.asarray(np.isfinite(q[1:] + q[:-1]).all(axis=1))
     open_[list(breaks)] = False
     given_up = np.zeros(len(q) - 1, dtype=bool)
     for _ in range(ROUNDS):

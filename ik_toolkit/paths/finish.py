@@ -6,8 +6,9 @@ import numpy as np
 
 from .continuity import check, densify
 from .problem import Problem
+from .proof import Continuity
 from .refine import smooth
-from .result import Continuity, pieces
+from .result import pieces
 from .search import Found, Search
 
 TRIES = 12  # programs run again without a step that is no continuous motion, or touches

@@ -1,7 +1,5 @@
 """What `solve_path` gives back: a joint motion through the poses, what is proven of it, and where it breaks."""
 
-import csv
-import io
 import json
 from dataclasses import dataclass, field
 from enum import Enum
@@ -11,8 +9,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from ..errors import InvalidOption, NotSolved
-from ..files import whole_file, write_whole
+from ..files import whole_file, write_table, write_whole
 from ..text import plain
+from .proof import Continuity
 
 if TYPE_CHECKING:
     from ..solvers.options import Options
@@ -44,38 +43,6 @@ class Unreachable(NamedTuple):
     index: int
     reason: str
     proven: bool
-
-
-class Contact(NamedTuple):
-    """Where the motion touches: place among the poses (3.5: halfway from pose 3 to pose 4), and the names of the pair."""
-
-    place: float
-    pair: tuple[str, str]
-
-
-@dataclass(frozen=True, eq=False)
-class Continuity:
-    """What is proven of a motion that is linear in the joints between the knots of a curve (M, n).
-
-    deviation (M-1,) [m] and turn (M-1,) [rad]: bounds on how far a tip leaves the interpolated pose between two knots, counting
-    what counts; NaN where the motion breaks. clearance [m]: nothing comes nearer than this, anywhere on the way (0: not
-    proven; None: collisions were not asked for). contacts; unproven: places where shapes are too close to tell without contact.
-    """
-
-    deviation: np.ndarray
-    turn: np.ndarray
-    clearance: float | None = None
-    contacts: tuple[Contact, ...] = ()
-    unproven: tuple[float, ...] = ()
-
-    @property
-    def largest(self) -> tuple[float, float]:
-        """Largest deviation [m] and turn [rad]; 0 where nothing moves."""
-        return _largest(self.deviation), _largest(self.turn)
-
-
-def _largest(values: np.ndarray) -> float:
-    return float(np.nanmax(values)) if np.isfinite(values).any() else 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -194,7 +161,7 @@ class PathResult:
         if suffix == ".json":
             write_whole(file, json.dumps(self.to_dict(), indent=2, allow_nan=False) + "\n")
         elif suffix == ".npz":
-            arrays = {"targets": self.targets, "q": self.q, "position_error": self.position_error}
+            arrays: dict[str, Any] = {"targets": self.targets, "q": self.q, "position_error": self.position_error}
             arrays |= {} if self.orientation_error is None else {"orientation_error": self.orientation_error}
             arrays |= {"curve": self.curve, "at": self.at, "tips": np.array(self.robot.tips)}
             arrays["reconfigurations"] = np.array([one.index for one in self.reconfigurations], dtype=int)
@@ -202,11 +169,11 @@ class PathResult:
                 np.savez_compressed(stream, joint_names=np.array(self.robot.joint_names), **arrays)
         elif suffix == ".csv":
             head = ["pose", *self.robot.joint_names, "position_error"]
-            columns = [np.arange(len(self.q))[:, None], self.q, self.position_error[:, None]]
+            columns = [self.q, self.position_error[:, None]]
             if self.orientation_error is not None:
                 head.append("orientation_error")
                 columns.append(self.orientation_error[:, None])
-            write_table(file, head, np.hstack(columns), whole=1)
+            write_table(file, head, ([k, *row] for k, row in enumerate(np.hstack(columns).tolist())))
         else:
             raise InvalidOption(f"a path is saved as .csv, .npz or .json, not '{file.suffix or file.name}'")
         return file
@@ -234,21 +201,10 @@ class PathResult:
 
 def pieces(curve: np.ndarray, at: np.ndarray, breaks: list[int]) -> list[slice]:
     """Runs of rows of a curve (M, n) without NaN and without a break: one lies between pose k and the next for k in breaks."""
-    finite = np.isfinite(curve).all(axis=1)
+    finite = np.asarray(np.isfinite(curve).all(axis=1))
     cut = ~(finite[:-1] & finite[1:])  # (M-1,) whether the motion stops between two rows
     for k in breaks:
         cut[np.searchsorted(at, k)] = True
     starts = np.flatnonzero(np.append(True, cut))
     ends = np.append(starts[1:], len(curve))
     return [slice(int(a), int(b)) for a, b in zip(starts, ends, strict=True) if finite[a]]
-
-
-def write_table(file: Path, head: list[str], rows: np.ndarray, whole: int = 0) -> None:
-    """Write a CSV file; the first `whole` columns hold whole numbers, NaN is left empty."""
-    text = io.StringIO()
-    writer = csv.writer(text)
-    writer.writerow(head)
-    for row in rows.tolist():
-        numbers = ("" if x != x else repr(x) for x in row[whole:])
-        writer.writerow([*(int(x) for x in row[:whole]), *numbers])
-    write_whole(file, text.getvalue())

@@ -19,7 +19,6 @@ from ..solvers.registry import GENERAL, find_row
 from .contact import find_contacts
 from .continuity import bounds, interpolate, settle
 from .free_motion import connect
-from .result import PathResult
 from .trajectory import Piece, Trajectory, sample
 
 ROUNDS = 12  # of inserting poses: each halves what a corner is cut by
@@ -55,7 +54,7 @@ class Proof(NamedTuple):
     smooth: bool
 
 
-def retime(result: PathResult, velocity: Any, acceleration: Any, rate: float, seed: int) -> Trajectory:
+def retime(result: Any, velocity: Any, acceleration: Any, rate: float, seed: int) -> Trajectory:
     """See `PathResult.retime`."""
     robot = result.robot
     limits = _limits(robot, velocity, acceleration)
@@ -130,7 +129,7 @@ def _limits(robot: Joints, velocity: Any, acceleration: Any) -> tuple[np.ndarray
 
 
 # ------------------------------------------------------------------------------------------------------------ the curve
-def _proven(plan: Plan, result: PathResult, curve: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, np.ndarray, Proof]:
+def _proven(plan: Plan, result: Any, curve: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, np.ndarray, Proof]:
     """Rows and places of a piece, with poses inserted until the spline through them is proven, and what is proven of it."""
     robot = plan.robot
     distinct = np.append(True, np.abs(np.diff(curve, axis=0)).max(axis=1) > LEAST)
@@ -157,7 +156,8 @@ def _proven(plan: Plan, result: PathResult, curve: np.ndarray, at: np.ndarray) -
             break
         curve, at = np.insert(curve, near + 1, rows, axis=0), np.insert(at, near + 1, middle)
     clearance = math.inf if result.clearance is None else result.clearance
-    return curve, at, Proof(*result.deviation, clearance, False)
+    deviation, turn = result.deviation
+    return curve, at, Proof(deviation, turn, clearance, False)
 
 
 def _coordinate(curve: np.ndarray, unit: np.ndarray) -> np.ndarray:
@@ -243,10 +243,11 @@ def _topp(piece: Piece, grid: np.ndarray, limits: tuple[np.ndarray, np.ndarray])
     class Path(toppra.interpolator.AbstractGeometricPath):
         """The curve as toppra reads it, with lengths times `scale`."""
 
-        dof, waypoints, scale = piece.coefficients.shape[2], None, 1.0
+        dof, scale = piece.coefficients.shape[2], 1.0
 
         @property
         def path_interval(self) -> np.ndarray:
+            """Where it begins and ends."""
             return self.scale * piece.knots[[0, -1]]
 
         def __call__(self, s: Any, order: int = 0) -> np.ndarray:

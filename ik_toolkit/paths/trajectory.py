@@ -8,9 +8,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..errors import FrameNotFound, InvalidOption, floats, near_match
-from ..files import write_whole
+from ..files import write_table, write_whole
 from ..tracking.reference import Reference, Samples
-from .result import write_table
 
 DIFFERENCE = 1e-5  # [s] of the central difference of a Jacobian along the motion: its error is the square of it
 
@@ -101,7 +100,7 @@ class Trajectory:
         file = Path(path)
         names = self.robot.joint_names
         head = ["t", *(f"{kind}_{joint}" for kind in ("q", "dq", "ddq") for joint in names)]
-        write_table(file, head, np.hstack([self.t[:, None], self.q, self.dq, self.ddq]))
+        write_table(file, head, np.hstack([self.t[:, None], self.q, self.dq, self.ddq]).tolist())
         return file
 
     def to_json(self, path: str | Path) -> Path:
