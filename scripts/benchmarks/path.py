@@ -146,7 +146,7 @@ def main() -> None:
         made["truth"].append(one)
         print(f"| {what} | {one['equal']} of {one['paths']} | {one['more']} | {one['fewer']} |")
     made["load"] = common.load_average()
-    common.write(made, given.output)
+    common.write(given.output, made)
 
 
 if __name__ == "__main__":
