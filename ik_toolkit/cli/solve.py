@@ -96,7 +96,7 @@ def solve(
 
         solve_file(
             arm, file, output, method, start, options,
-            threads=threads, chain=chain, cluster=cluster, deg=deg, as_json=as_json,
+            threads=threads, cluster=cluster, deg=deg, as_json=as_json,
         )  # fmt: skip
     elif every:
         _solve_all(arm, target, method, start, options, line)

@@ -135,9 +135,7 @@ File = Annotated[
     ),
 ]
 Threads = Annotated[int | None, typer.Option(metavar="N", help="With --targets: threads; default: all cores.")]
-Chain = Annotated[
-    bool, typer.Option("--chain", help="With --targets: waypoints in order, each solved from the answer before it.")
-]
+Chain = Annotated[bool, typer.Option("--chain", hidden=True)]
 Cluster = Annotated[
     str | None, typer.Option(metavar="ADDRESS", help="With --targets: use the Dask scheduler at this address.")
 ]
@@ -161,8 +159,12 @@ def refuse_contradictions(line: SimpleNamespace) -> None:
     kin = [line.xyz, line.rpy, line.quat_xyzw, line.direction, line.tip_axis]
     posed = any(given is not None for given in kin)
     drawn = line.html is not None or line.live
-    if line.file is None and (line.threads is not None or line.chain or line.cluster is not None):
-        raise InvalidOption("--threads, --chain and --cluster go with --targets FILE")
+    if line.chain:
+        raise InvalidOption(
+            "there is no --chain any more: `ik path` (ik.solve_path) follows poses with one joint motion"
+        )
+    if line.file is None and (line.threads is not None or line.cluster is not None):
+        raise InvalidOption("--threads and --cluster go with --targets FILE")
     if line.file is not None:
         if line.targets or line.every or posed:
             raise InvalidOption("--targets FILE says all targets; leave out --xyz and its kin, --target and --all")

@@ -42,13 +42,10 @@ class _Tally:
     def __init__(self) -> None:
         self.done, self.solver = 0, ""
         self.statuses: dict[str, int] = {}
-        self.flips: list[int] = []
 
     def add(self, part: BatchResult) -> None:
         for status, number in part.counts().items():
             self.statuses[status] = self.statuses.get(status, 0) + number
-        if part.flips is not None:
-            self.flips.extend((self.done + part.flips).tolist())
         self.done, self.solver = self.done + len(part), part.solver
 
 
@@ -98,7 +95,6 @@ def solve_file(
     options: dict[str, Any],
     *,
     threads: int | None,
-    chain: bool,
     cluster: str | None,
     deg: bool,
     as_json: bool,
@@ -114,19 +110,18 @@ def solve_file(
     targets: Any = (poses for _, poses in blocks) if path.suffix.lower() == ".csv" else next(blocks).poses
     began = perf_counter()
     with _cluster(cluster) as executor, progress("solving", count) as show_done:
-        asked: dict[str, Any] = {"q0": start, "threads": threads, "chain": chain, "executor": executor, **options}
+        asked: dict[str, Any] = {"q0": start, "threads": threads, "executor": executor, **options}
         tally = _solve_into(output, arm, targets, method, asked, show_done)
-    done, flips = tally.done, tally.flips
+    done = tally.done
     elapsed = perf_counter() - began
     notice(f"wrote {output}")
     solved = tally.statuses.get("CONVERGED", 0)
     payload = {"robot": arm.name, "solver": tally.solver, "targets": done, "solved": solved, "statuses": tally.statuses}
     payload |= {"tips": arm.tips} if arm.by_tip else {}
     payload |= {"joint_names": arm.joint_names, "elapsed": elapsed, "output": output, "seed": options["seed"]}
-    write_json(payload | ({"flips": flips} if chain else {}), as_json)
+    write_json(payload, as_json)
     if not as_json:
         others = ", ".join(f"{number} {status}" for status, number in tally.statuses.items() if status != "CONVERGED")
-        listed = ", ".join(map(str, flips[:10])) + (", ..." if len(flips) > 10 else "")
         rate = f"{elapsed:.3g} s, {done / elapsed:.3g} targets/s with reading and writing"
         facing = {
             "solved": f"{solved} of {done}",
@@ -134,8 +129,6 @@ def solve_file(
             "solver": tally.solver or None,
             "time": rate,
         }
-        if chain:
-            facing["flips"] = f"{len(flips)} (targets {listed}, counted from 0)" if flips else "none"
         show(facts(facing))
     if solved < done:
         raise typer.Exit(1)

@@ -16,8 +16,8 @@ from ..kernel.records import ANSWER, AT
 from ..kernel.task import POSE
 from ..robot.robot import Robot
 from ..robot.tree import Tree
-from .batch_parts import Job, Tables, on_a_chain, on_executor, on_threads
-from .batch_result import R_MOVE, BatchCheckFailed, BatchInterrupted, BatchResult
+from .batch_parts import Job, Tables, on_executor, on_threads
+from .batch_result import BatchCheckFailed, BatchInterrupted, BatchResult
 from .batch_targets import Block, blocks, known
 from .options import BatchOptions
 from .plan import Plan
@@ -41,7 +41,6 @@ def solve_parts(
     q0: Any = None,
     threads: int | None = None,
     executor: Executor | None = None,
-    chain: bool = False,
     check: float = 0.01,
     **options: Unpack[BatchOptions],
 ) -> Iterator[BatchResult]:
@@ -51,12 +50,14 @@ def solve_parts(
     Raises BatchCheckFailed at the part with an answer that Pinocchio does not confirm; its `result` is that part.
     """
     require_robot(robot)
-    if executor is not None and (threads is not None or chain):
-        raise InvalidOption("an executor has its own workers, and a chain runs in one: leave out threads= and chain=")
+    if "chain" in options:
+        raise InvalidOption(
+            "there is no chain= any more: ik.solve_path(robot, poses) follows poses with one joint motion"
+        )
+    if executor is not None and threads is not None:
+        raise InvalidOption("an executor has its own workers: leave out threads=")
     if executor is not None and not hasattr(executor, "submit"):
         raise InvalidOption(f"executor is a pool with a submit method (concurrent.futures), not {executor!r:.80}")
-    if chain and options.get("follow"):
-        raise InvalidOption("a chain starts each target from the answer before it; follow takes a q0 for every row")
     if options.get("history"):
         raise InvalidOption("a batch keeps no history; solve the target in question with ik.solve")
     count = _whole("threads", threads) if threads is not None else available_cores()
@@ -66,7 +67,7 @@ def solve_parts(
     total = None if given is None else _length(given)
     chunks = blocks(iter([given]) if given is not None else targets, robot)
     first = next(chunks, None)
-    starts = _checked_starts(q0, robot.n, 1 if chain else total)
+    starts = _checked_starts(q0, robot.n, total)
     local = Solver(robot, solver, **options)
     if first is None:
         return iter(())
@@ -76,13 +77,11 @@ def solve_parts(
     if executor is None and total is not None:
         size = min(size, max(LEAST_PART, math.ceil(total / count)))
     jobs = _jobs(joined([first], chunks), starts, size)
-    if chain:
-        tables = on_a_chain(plan, jobs, check)
-    elif executor is not None:
+    if executor is not None:
         tables = on_executor(plan, jobs, check, executor)
     else:
         tables = on_threads(plan, jobs, check, count)
-    return _wrapped(tables, first.kinds, plan, chain)
+    return _wrapped(tables, first.kinds, plan)
 
 
 def _length(targets: Any) -> int:
@@ -101,12 +100,12 @@ def _checked_starts(q0: Any, n: int, rows: int | None) -> np.ndarray | None:
     return starts
 
 
-def _wrapped(tables: Tables, kinds: tuple, plan: Plan, chain: bool) -> Iterator[BatchResult]:
+def _wrapped(tables: Tables, kinds: tuple, plan: Plan) -> Iterator[BatchResult]:
     """Parts as results; the first with an answer that Pinocchio does not confirm ends the batch."""
     done = 0
     with closing(tables):
         for table in tables:
-            part = BatchResult(table, kinds, plan, chain)
+            part = BatchResult(table, kinds, plan)
             failed = np.flatnonzero(table[:, AT.status] == CHECK_FAILED)
             if len(failed):
                 table[:, AT.status] = CHECK_FAILED
@@ -146,7 +145,6 @@ def solve_batch(
     q0: Any = None,
     threads: int | None = None,
     executor: Executor | None = None,
-    chain: bool = False,
     check: float = 0.01,
     progress: Callable[[int], None] | None = None,
     **options: Unpack[BatchOptions],
@@ -156,11 +154,10 @@ def solve_batch(
     targets: (N, 4, 4) poses or (N, 3) positions [m], a list of poses, or an iterator of arrays of these shapes; for a Tree of F
     tips (N, F, 4, 4), (N, F, 3), or a dict by tip of (N, 4, 4) or (N, 3), where a tip left out is free. q0: None (home
     and seed table), (n,) for all, or (N, n). threads: default all cores. executor: anything with the concurrent.futures
-    interface (a process pool, a Dask client's `get_executor()`) instead of threads. chain: ordered waypoints, each solved from
-    the answer before it, the nearest of several where that jumps; q0 (n,) is where the first starts. check: fraction of the
-    answers to check again with Pinocchio. progress(done) is called as parts finish. Options and parameters as for `solve`.
+    interface (a process pool, a Dask client's `get_executor()`) instead of threads. check: fraction of the answers to check
+    again with Pinocchio. progress(done) is called as parts finish. Options and parameters as for `solve`.
     A row keeps what `solve` promises: limits, tolerances, what a status means. It may be another solution than `solve` gives for
-    that target; q0 per row says near which one to search. Without chain it depends on its own target and q0 alone: the same
+    that target; q0 per row says near which one to search. It depends on its own target and q0 alone: the same
     bytes for any number of threads, chunks or workers (on one kind of CPU). Ctrl-C raises BatchInterrupted, a KeyboardInterrupt
     whose `result` holds the targets finished. Raises BatchCheckFailed when Pinocchio does not confirm an answer (its `result`
     has every row, none of them a success), InvalidTarget and InvalidConfiguration (naming the target), UnknownSolver and
@@ -174,7 +171,6 @@ def solve_batch(
         q0=q0,
         threads=threads,
         executor=executor,
-        chain=chain,
         check=check,
         **options,
     )
@@ -199,7 +195,7 @@ def solve_batch(
         table.resize((total if total is not None else done + len(part), part.table.shape[1]), refcheck=False)
         table[done:end] = part.table[: end - done]
         table[end:] = 0.0
-        table[end:, [AT.position, AT.rotation, R_MOVE, *range(ANSWER, table.shape[1])]] = np.nan
+        table[end:, [AT.position, AT.rotation, *range(ANSWER, table.shape[1])]] = np.nan
         table[:, AT.status] = CHECK_FAILED
         raise BatchCheckFailed(part.of(table), failure.target, 0) from None
     if part is None:
@@ -208,6 +204,6 @@ def solve_batch(
             (block.kinds for block in blocks(iter([] if given is None else [given]), robot)), (POSE,) * len(robot.tips)
         )
         plan = solver.plan_for(kinds)
-        return BatchResult(np.empty((0, plan.width)), kinds, plan, chain)
+        return BatchResult(np.empty((0, plan.width)), kinds, plan)
     table.resize((done, table.shape[1]), refcheck=False)
     return part.of(table)

@@ -1,4 +1,4 @@
-"""How the rows of a batch are solved: in parts, on threads, on an executor, or each from the answer before it."""
+"""How the rows of a batch are solved: in parts, on threads or on an executor."""
 
 import functools
 import pickle
@@ -17,7 +17,6 @@ from ..kernel.checks import BAD_TARGET, CHECK_FAILED, CONVERGED
 from ..kernel.lanes import LEFT
 from ..kernel.limits import LARGEST
 from ..kernel.records import ANSWER, AT
-from .batch_result import JUMP, R_MOVE
 from .batch_targets import mended
 from .finish import confirmed
 from .plan import Plan
@@ -191,44 +190,3 @@ def _in_order(submit: Callable[[Job], Any], jobs: Iterator[Job], ahead: int) -> 
     finally:
         for future in waiting:
             future.cancel()
-
-
-def on_a_chain(plan: Plan, jobs: Iterator[Job], share: float) -> Tables:
-    """Each target from the answer before it; parts end after SLICE, so that an interrupt loses little.
-
-    Where the answer is far from the one before, the nearest of several is looked for instead.
-    """
-    last: np.ndarray | None = None
-    start, given, n = plan.home, False, plan.robot.n
-    near = None if plan.row.closed or plan.options.closest else plan.varied(closest=True)
-    for job in jobs:
-        out = np.zeros((len(job.T), plan.width))
-        a, began = 0, perf_counter()
-        for k in range(len(out)):
-            if not given and job.q0 is not None:
-                start, given = _starts(plan, job.q0, job.first), True
-            row, part = out[k : k + 1], Part(job.T[k : k + 1], job.kinds, start, given, job.first + k)
-            _solve_rows(plan, part, row)
-            move = _move(plan, row, last)
-            if move > JUMP and near is not None:
-                other = row.copy()
-                _solve_rows(near, part._replace(given=True), other)
-                if _move(plan, other, last) < move:
-                    row[:], move = other, _move(plan, other, last)
-            row[0, R_MOVE] = move
-            if row[0, AT.status] == CONVERGED:
-                last = start = row[:, ANSWER : ANSWER + n].copy()
-                given = True
-            if k + 1 == len(out) or perf_counter() - began > SLICE:
-                done = Part(job.T[a : k + 1], job.kinds, start, given, job.first + a)
-                _confirm(plan, done, out[a : k + 1], share)
-                yield out[a : k + 1]
-                a, began = k + 1, perf_counter()
-
-
-def _move(plan: Plan, row: np.ndarray, last: np.ndarray | None) -> float:
-    """Largest joint move of an answer (1, width) from the one before; NaN when it is none, 0 when it is the first."""
-    if row[0, AT.status] != CONVERGED:
-        return np.nan
-    q = row[:, ANSWER : ANSWER + plan.robot.n]
-    return 0.0 if last is None else float(np.abs((q - last) / plan.robot.chain.unit).max())

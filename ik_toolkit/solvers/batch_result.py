@@ -11,9 +11,6 @@ from .plan import Plan
 from .result import SPOKEN, Outcome, Result
 from .status import Status
 
-R_MOVE = AT.history  # a batch keeps no history; in a chain its slot holds the largest joint move
-JUMP = 0.5  # rad, or of the robot's scale for slides
-
 
 class BatchInterrupted(KeyboardInterrupt):
     """Ctrl-C during a batch; `result` is the BatchResult of the targets finished before it, from the first on."""
@@ -52,21 +49,19 @@ class BatchResult:
 
     q (N, n) [rad or m]; status (N,) numbers of Status; success (N,) bool; position_error (N,) [m]; orientation_error (N,)
     [rad], None where orientation is free; of several tips the largest, and position_errors, orientation_errors by tip;
-    iterations, restarts, fk_evaluations (N,). For a chain: moves (N,) and flips, else None. batch[k] is the Result of target
-    k, with its sentence. table: the rows of the kernel.
+    iterations, restarts, fk_evaluations (N,). batch[k] is the Result of target k, with its sentence. table: the rows of the kernel.
     """
 
-    def __init__(self, table: np.ndarray, kinds: tuple, plan: Plan, chain: bool = False) -> None:
+    def __init__(self, table: np.ndarray, kinds: tuple, plan: Plan) -> None:
         """Wrap the kernel's rows (N, width) of targets of these kinds, one a tip."""
         self.table = table
         self.kinds = kinds
         self.plan = plan
         self.solver = plan.row.name
-        self.chain = chain
 
     def of(self, table: np.ndarray) -> "BatchResult":
         """The same batch with other rows."""
-        return BatchResult(table, self.kinds, self.plan, self.chain)
+        return BatchResult(table, self.kinds, self.plan)
 
     def __len__(self) -> int:
         """Number of targets."""
@@ -114,16 +109,6 @@ class BatchResult:
     restarts = property(lambda self: self.table[:, AT.restarts].astype(np.int64))
     fk_evaluations = property(lambda self: self.table[:, AT.evaluations].astype(np.int64))
 
-    @property
-    def moves(self) -> np.ndarray | None:
-        """Largest joint move (N,) from the answer before [rad, or of the robot's scale]; NaN where there is no answer."""
-        return self.table[:, R_MOVE] if self.chain else None
-
-    @property
-    def flips(self) -> np.ndarray | None:
-        """Rows of a chain whose answer is more than 0.5 rad (or of the robot's scale) away from the one before."""
-        return np.flatnonzero(self.table[:, R_MOVE] > JUMP) if self.chain else None
-
     def counts(self) -> dict[str, int]:
         """How many targets ended with each status."""
         numbers, counts = np.unique(self.table[:, AT.status], return_counts=True)
@@ -132,7 +117,7 @@ class BatchResult:
     def to_dict(self) -> dict[str, Any]:
         """Arrays by name, for np.savez and tables; of several tips also TIP.position_error and TIP.orientation_error."""
         names = ("q", "status", "success", "position_error", "orientation_error", "iterations", "restarts")
-        arrays = {name: getattr(self, name) for name in (*names, "fk_evaluations", "moves")}
+        arrays = {name: getattr(self, name) for name in (*names, "fk_evaluations")}
         if len(self.kinds) > 1:
             for name, errors in (
                 ("position_error", self.position_errors),
@@ -143,5 +128,4 @@ class BatchResult:
 
     def __repr__(self) -> str:
         """One line."""
-        flips = f", {len(self.flips)} flips" if self.flips is not None else ""
-        return f"BatchResult({len(self)} targets, {int(self.success.sum())} solved{flips}, solver='{self.solver}', {self.counts()})"
+        return f"BatchResult({len(self)} targets, {int(self.success.sum())} solved, solver='{self.solver}', {self.counts()})"

@@ -85,20 +85,6 @@ def test_degrees_are_for_the_angles_of_the_file(poses, tmp_path):
     assert np.allclose(solved(tmp_path / "a.csv")[0], solved(tmp_path / "b.csv")[0], atol=1e-9)
 
 
-def test_chains_report_flips(tmp_path, capsys):
-    robot = ik.Robot.load("planar_2r")
-    up, across = robot.fk([0.3, 1.0]).translation, robot.fk([2.0, 1.0]).translation
-    write(tmp_path / "path.csv", "x,y,z", [up, up, across])
-    words = ["solve", "planar_2r", "--targets", str(tmp_path / "path.csv"), "-o", str(tmp_path / "out.csv"), "--chain"]
-    assert main([*words, "--q0", "0.3", "1.0"]) == 0
-    assert "1 (targets 2, counted from 0)" in capsys.readouterr().out
-    with open(tmp_path / "out.csv", newline="") as stream:
-        moves = [float(row["moves"]) for row in csv.DictReader(stream)]
-    assert moves[:2] == [0.0, 0.0] and moves[2] > 1.0
-    assert main([*words, "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["flips"] == [2]
-
-
 def test_unsolved_targets_are_a_status_and_code_1(tmp_path, capsys):
     write(tmp_path / "far.csv", "x,y,z", [[1.0, 0.1, 0.2], [9, 9, 9]])
     assert run("--targets", tmp_path / "far.csv", "-o", tmp_path / "out.csv") == 1
@@ -165,7 +151,7 @@ def test_what_does_not_go_together(tmp_path, capsys):
         (["--targets", tmp_path / "none.csv", "-o", out], "no targets file"),
         (["--targets", tmp_path, "-o", out], "no targets file"),
         (["--targets", good, "-o", out, "--xyz", 1, 2, 3], "--xyz"),
-        (["--xyz", 1, 2, 3, "--chain"], "--targets"),
+        (["--xyz", 1, 2, 3, "--chain"], "ik path"),
         (["--xyz", 1, 2, 3, "--threads", 2], "--targets"),
         (["--targets", good, "-o", out, "--threads", 0], "threads"),
         (["--targets", good, "-o", out, "--mask", 1, 1, 1, 0, 0, 0, "--target", "tool:1,2,3"], "--target"),

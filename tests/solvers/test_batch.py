@@ -1,4 +1,4 @@
-"""Batches: the same bytes whatever the threads, chunks or workers; chains; the check by Pinocchio; what is refused, and how."""
+"""Batches: the same bytes whatever the threads, chunks or workers; the check by Pinocchio; what is refused, and how."""
 
 import concurrent.futures
 import multiprocessing
@@ -6,7 +6,7 @@ import pickle
 
 import numpy as np
 import pytest
-from robots import have_data, load, sample
+from robots import load, sample
 from second_fk import SecondFK, pose_errors
 
 import ik_toolkit as ik
@@ -142,7 +142,7 @@ def test_options_that_do_not_fit_are_refused():
         ({"check": 2}, "fraction"),
         ({"history": True}, "history"),
         ({"tolerence": 1}, "tolerance"),
-        ({"chain": True, "executor": concurrent.futures.ThreadPoolExecutor()}, "chain"),
+        ({"chain": True, "executor": concurrent.futures.ThreadPoolExecutor()}, "solve_path"),
     ):
         with pytest.raises(InvalidOption, match=words):
             ik.solve_batch(robot, xyz, **options)
@@ -196,11 +196,11 @@ def disagreeing(name="hydrolek_7w", row=1300, count=6000):
     return robot, T
 
 
-@pytest.mark.parametrize("how", ["threads", "one thread", "executor", "iterator", "chain"])
+@pytest.mark.parametrize("how", ["threads", "one thread", "executor", "iterator"])
 def test_an_answer_that_is_not_confirmed_ends_the_batch(how, monkeypatch):
-    row, count = (30, 60) if how == "chain" else (1300, 6000)
+    row, count = 1300, 6000
     robot, T = disagreeing(row=row, count=count)
-    options = {"threads": {"threads": 3}, "one thread": {"threads": 1}, "chain": {"chain": True}}.get(how, {})
+    options = {"threads": {"threads": 3}, "one thread": {"threads": 1}}.get(how, {})
     with concurrent.futures.ThreadPoolExecutor(2) as pool:
         if how == "executor":  # a worker has a robot of its own
             wrong, real = robot.errors, ik.Robot.errors
@@ -285,18 +285,17 @@ def test_progress_counts_up_to_all():
     assert seen == sorted(seen) and seen[-1] == 5000 and len(seen) > 1
 
 
-@pytest.mark.parametrize("chain", [False, True])
-def test_an_interrupt_keeps_what_is_finished(chain):
+def test_an_interrupt_keeps_what_is_finished():
     robot = load("planar_3r")
     T = poses(robot, 20000)[:, :3, 3]
-    whole = ik.solve_batch(robot, T, "lm", chain=chain)
+    whole = ik.solve_batch(robot, T, "lm")
 
     def stop(done):
         if done >= 5000:
             raise KeyboardInterrupt
 
     with pytest.raises(BatchInterrupted) as caught:
-        ik.solve_batch(robot, T, "lm", chain=chain, progress=stop)
+        ik.solve_batch(robot, T, "lm", progress=stop)
     kept = caught.value.result
     assert isinstance(caught.value, KeyboardInterrupt) and 5000 <= len(kept) < 20000
     assert np.array_equal(kept.table, whole.table[: len(kept)], equal_nan=True)
@@ -313,41 +312,10 @@ def test_an_iterator_is_not_read_far_ahead():
     assert len(read) <= AHEAD + 1
 
 
-# ---------------------------------------------------------------------------------------------------------------- chains
-def test_a_chain_follows_a_path_without_flips():
-    robot = load("hydrolek_7w")
-    Q = robot.home + np.linspace(0.0, 0.4, 60)[:, None]
-    Q = Q[(robot.lower <= Q).all(axis=1) & (robot.upper >= Q).all(axis=1)]
-    T = np.array([robot.fk(q).homogeneous for q in Q])
-    path = ik.solve_batch(robot, T, chain=True, q0=Q[0])
-    assert path.success.all() and len(path.flips) == 0 and path.moves[0] == 0.0
-    steps = np.abs(np.diff(path.q, axis=0) / robot.chain.unit).max(axis=1)
-    assert np.allclose(path.moves[1:], steps) and steps.max() < 0.1
-    for k in range(1, len(T)):
-        assert path.q[k].tobytes() == ik.solve(robot, T[k], "lm", q0=path.q[k - 1]).q.tobytes()
-
-
-def test_a_chain_reports_flips_and_steps_over_what_it_cannot_solve():
+def test_a_chain_is_a_path_now():
     robot = load("planar_2r")
-    up = robot.fk([0.3, 1.0]).translation
-    across = robot.fk([2.0, 1.0]).translation
-    path = ik.solve_batch(robot, np.array([up, up, [9.0, 0.0, 0.0], up, across]), "lm", chain=True, q0=[0.3, 1.0])
-    assert path.status.tolist() == [0, 0, ik.Status.UNREACHABLE, 0, 0]
-    assert np.isnan(path.moves[2]) and path.moves[3] == 0.0 and path.flips.tolist() == [4]
-    assert ik.solve_batch(robot, up[None]).flips is None
-
-
-@pytest.mark.skipif(not have_data(), reason="example-robot-data is not installed")
-def test_a_chain_that_has_to_jump_takes_the_nearest_of_several():
-    """The arm runs into a limit on this path; the next attempt would end 5 rad away."""
-    robot = load("panda")
-    end = sample(robot, 2)[0][1]
-    T = [robot.fk(q) for q in robot.home + np.linspace(0, 1, 1000)[:, None] * (end - robot.home)]
-    path = ik.solve_batch(robot, T, "lm", chain=True, q0=robot.home)
-    assert path.success.all() and len(path.flips) == 0
-    alone = ik.Solver(robot, "lm")
-    jumps = [np.abs(alone(T[k], path.q[k - 1]).q - path.q[k - 1]).max() for k in range(1, len(T))]
-    assert max(jumps) > 3.0
+    with pytest.raises(InvalidOption, match="solve_path"):
+        ik.solve_batch(robot, np.ones((3, 3)), chain=True)
 
 
 # ------------------------------------------------------------------------------------------------------------- executors

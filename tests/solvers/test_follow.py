@@ -128,8 +128,6 @@ def test_follow_needs_a_start_and_a_rule():
         ik.Solver(robot, "planar-2r", follow=True)((1.0, 1.0, 0.0), robot.home)
     with pytest.raises(ik.IKError, match="follow"):
         ik.Solver(robot, follow=-1.0)
-    with pytest.raises(ik.IKError, match="chain"):
-        ik.solve_batch(robot, np.ones((3, 3)), chain=True, follow=True)
     with pytest.raises(ik.IKError, match="q0"):
         ik.solve_batch(robot, np.ones((3, 3)), follow=True)
 

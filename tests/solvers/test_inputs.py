@@ -36,7 +36,7 @@ def every_way(robot, T):
         "batch of one": lambda: ik.solve_batch(robot, np.asanyarray(T)[None], "lm"),
         "list": lambda: ik.solve_batch(robot, [start, T], "lm"),
         "iterator": lambda: ik.solve_batch(robot, iter([start[None], np.asanyarray(T)[None]]), "lm"),
-        "chain": lambda: ik.solve_batch(robot, np.asanyarray(T)[None], "lm", chain=True),
+        "path": lambda: ik.solve_path(robot, np.asanyarray(T)[None]),
         "tree": lambda: ik.Solver(tree)([T, T]),
         "with_tool": lambda: robot.with_tool(T),
         "AxisTarget": lambda: AxisTarget(T, (0.0, 0.0, 1.0)),
@@ -246,7 +246,7 @@ def test_a_position_has_no_rotation_to_weigh(weights):
         lambda: ik.solve(robot, xyz, mask=weights),
         lambda: ik.Solver(robot, "lm", mask=weights)(xyz),
         lambda: ik.solve_batch(robot, xyz[None], mask=weights),
-        lambda: ik.solve_batch(robot, xyz[None], mask=weights, chain=True),
+        lambda: ik.solve_path(robot, xyz[None], mask=weights),
         lambda: ik.solve_all(robot, xyz, mask=weights),
     ):
         with pytest.raises(InvalidOption, match="a position leaves orientation free"):

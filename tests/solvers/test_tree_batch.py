@@ -73,14 +73,6 @@ def test_none_frees_a_tip_as_it_does_in_a_single_solve(tree):
         assert ik.solve_batch(tree, targets).q.tobytes() == without.q.tobytes()
 
 
-def test_a_chain_goes_from_answer_to_answer(tree):
-    rng = np.random.default_rng(3)
-    q0, way = tree.home, 0.2 * rng.uniform(-1.0, 1.0, tree.n)
-    Q = np.clip(q0 + np.linspace(0.0, 1.0, 50)[:, None] * way, tree.lower, tree.upper)
-    path = ik.solve_batch(tree, tree.chain.forward(Q)[0], chain=True, q0=q0)
-    assert path.success.all() and not len(path.flips) and path.moves.max() < 0.1
-
-
 def test_collisions_and_objective_are_those_of_single_solves(tree):
     T = reachable(tree, 12, seed=4)
     options = {"avoid_collisions": True, "restarts": 16}
