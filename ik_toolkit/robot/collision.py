@@ -13,6 +13,7 @@ import numpy as np
 import pinocchio as pin
 
 from ..errors import InvalidConfiguration, InvalidOption, ModelError, near_match
+from .clearance import Clearance, Near
 from .meshes import Mesh, find_mesh, read_meshes
 from .pose import check_target
 from .robot import Robot
@@ -199,6 +200,16 @@ class CollisionModel:
             if hit.isCollision()
         ]
         return list(dict.fromkeys((self._names[pair.first], self._names[pair.second]) for pair in hits))
+
+    def distances(self, q: Any, within: float = np.inf) -> list[Near]:
+        """Pairs closer than `within` [m] at q (n,) [rad or m], nearest first, with distance, nearest points and normal.
+
+        Measured between the convex hulls of meshes (exact for all other shapes), and between the meshes themselves where the
+        hulls meet, here or at home: a distance is never more than that of the exact shapes, and 0 or less where they touch.
+        """
+        if not hasattr(self._local, "clearance"):
+            self._local.clearance = Clearance(self)
+        return self._local.clearance.near(self.robot.check_q(q), within)
 
     def _full(self, q: Any) -> np.ndarray:
         return self.robot._fill(self.robot.rest.copy(), self.robot.check_q(q))

@@ -1,0 +1,189 @@
+"""How far apart the parts of a robot and its surroundings are, and how fast they can get closer.
+
+Distances are those of convex hulls, which cost a microsecond a pair; the exact shapes, which lie inside their hulls, are measured where hulls meet.
+"""
+
+from typing import Any, NamedTuple
+
+import coal
+import numpy as np
+import pinocchio as pin
+
+THIN = 1e-5  # thickness over size below which a mesh is taken as flat: qhull fails at 1e-9
+
+
+class Near(NamedTuple):
+    """Two parts by name, their distance [m], their nearest points (2, 3) and the unit normal (3,) from first to second.
+
+    Points and normal are in the axes of the model's root.
+    """
+
+    pair: tuple[str, str]
+    distance: float
+    points: np.ndarray
+    normal: np.ndarray
+
+
+def hulls(geometry: pin.GeometryModel) -> pin.GeometryModel:
+    """Copy of a geometry with each mesh replaced by its convex hull; a flat mesh, which has none, stays what it is."""
+    made = geometry.clone()
+    for shape in made.geometryObjects:
+        mesh = shape.geometry
+        if isinstance(mesh, coal.BVHModelBase) and _thick(mesh.vertices()):
+            # `buildConvexRepresentation` would take the points as they are, convex or not.
+            mesh.buildConvexHull(False, "Qt")
+            shape.geometry = mesh.convex
+    return made
+
+
+def _thick(points: np.ndarray) -> bool:
+    """Whether points (N, 3) span a volume that qhull can work with: it crashes on a flat one."""
+    size = np.abs(points).max(initial=0.0)
+    if not size < np.inf or len(points) < 4:
+        return False
+    return bool(np.linalg.svd(points - points.mean(axis=0), compute_uv=False)[2] > THIN * size)
+
+
+class Clearance:
+    """Distances of all tested pairs of a CollisionModel; a workspace for one thread.
+
+    a, b (P,): shapes of each pair; own (P,): both are the robot's; exact (P,): their hulls meet at home, so that they are
+    always measured on the exact shapes; home (P,): distances at home [m]; coordinates (E,): joint of q behind each moving joint.
+    """
+
+    def __init__(self, model: Any) -> None:
+        """Take the hulls of a CollisionModel and the joints that move its shapes."""
+        robot, shapes = model.robot, model.geometry.geometryObjects
+        self.model, self.robot = model, robot
+        self._exact, self._hulls = model.geometry, hulls(model.geometry)
+        self._data, self._exact_data, self._hull_data = (
+            robot.model.createData(),
+            self._exact.createData(),
+            self._hulls.createData(),
+        )
+        pairs = model.geometry.collisionPairs
+        self.a = np.array([pair.first for pair in pairs], dtype=int)
+        self.b = np.array([pair.second for pair in pairs], dtype=int)
+        self.own = (self.a < len(shapes) - len(model.obstacles)) & (self.b < len(shapes) - len(model.obstacles))
+        solid = np.array([isinstance(s.geometry, coal.BVHModelBase) for s in shapes])
+        self._surface = solid[self.a] | solid[self.b]  # exact shapes that differ from their hulls
+        self._joints(shapes)
+        self.exact = np.zeros(len(pairs), dtype=bool)
+        self.place(robot.home)
+        self.exact = np.array([self._surface[k] and self._hull_distance(k) <= 0.0 for k in range(len(pairs))], dtype=bool)
+        self.home = self.distances()
+
+    def _joints(self, shapes: Any) -> None:
+        """Which joint moves which shape, and where each shape lies on its link."""
+        model, names = self.robot.model, self.robot.joint_names
+        lead = dict(zip(model.mimicking_joints, model.mimicked_joints, strict=True))
+        moving = [i for i in range(1, model.njoints) if model.names[lead.get(i, i)] in names]
+        self.coordinates = np.array([names.index(model.names[lead.get(i, i)]) for i in moving])
+        self._columns = np.array([model.idx_vExtendeds[i] for i in moving])
+        self._owner = np.array([shape.parentJoint for shape in shapes])
+        above = [set(model.supports[int(i)]) for i in self._owner]
+        moved = np.array([[i in joints for i in moving] for joints in above])
+        self.by_a, self.by_b = moved[self.a] & ~moved[self.b], moved[self.b] & ~moved[self.a]
+        self._middle, self._size = np.ones((len(shapes), 4)), np.empty(len(shapes))
+        for k, shape in enumerate(shapes):
+            shape.geometry.computeLocalAABB()
+            self._middle[k, :3] = shape.placement.act(np.array(shape.geometry.aabb_center))
+            self._size[k] = shape.geometry.aabb_radius
+        self._radius = np.where(moved.any(axis=1), self._size, 0.0)  # what stands may be an endless plane
+
+    def name(self, k: int) -> tuple[str, str]:
+        """Names of pair k."""
+        return self.model._names[self.a[k]], self.model._names[self.b[k]]
+
+    # ------------------------------------------------------------------------------------------------ distances
+    def place(self, q: np.ndarray) -> None:
+        """Bring every shape where it is at q (n,) [rad or m]."""
+        full = self.robot._fill(self.robot.rest.copy(), q)
+        pin.forwardKinematics(self.robot.model, self._data, full)
+        pin.updateGeometryPlacements(self.robot.model, self._data, self._hulls, self._hull_data)
+        self._placed = False
+
+    def _hull_distance(self, k: int) -> float:
+        return pin.computeDistance(self._hulls, self._hull_data, k).min_distance
+
+    def distance(self, k: int) -> float:
+        """Distance [m] of pair k where it was placed: never more than that of the exact shapes, 0 or less where they touch."""
+        if not self.exact[k]:
+            d = self._hull_distance(k)
+            if d > 0.0 or not self._surface[k]:
+                return d
+        if not self._placed:
+            pin.updateGeometryPlacements(self.robot.model, self._data, self._exact, self._exact_data)
+            self._placed = True
+        return pin.computeDistance(self._exact, self._exact_data, k).min_distance
+
+    def distances(self) -> np.ndarray:
+        """Distances (P,) [m] of all pairs where they were placed."""
+        return np.array([self.distance(k) for k in range(len(self.a))])
+
+    def points(self, k: int) -> tuple[np.ndarray, np.ndarray]:
+        """Nearest points of pair k (root axes), after `distance`."""
+        of_hulls = not self.exact[k] and (not self._surface[k] or self._hull_data.distanceResults[k].min_distance > 0.0)
+        found = (self._hull_data if of_hulls else self._exact_data).distanceResults[k]
+        return found.getNearestPoint1(), found.getNearestPoint2()
+
+    def near(self, q: np.ndarray, within: float) -> list[Near]:
+        """Pairs closer than `within` [m] at q (n,), nearest first."""
+        self.place(q)
+        found = [(self.distance(k), k) for k in self._closer(within)]
+        out = []
+        for d, k in sorted(pair for pair in found if pair[0] < within):
+            first, second = self.points(k)
+            gap = second - first
+            out.append(Near(self.name(k), d, np.array([first, second]), gap / max(np.sqrt(gap @ gap), 1e-300)))
+        return out
+
+    def _closer(self, within: float) -> list[int]:
+        """Pairs whose bounding spheres are closer than `within` where they were placed."""
+        if within == np.inf:
+            return list(range(len(self.a)))
+        self._locate()
+        apart = np.sqrt(((self._at[self.a] - self._at[self.b]) ** 2).sum(1)) - self._size[self.a] - self._size[self.b]
+        return np.flatnonzero(apart < within).tolist()
+
+    def _locate(self) -> None:
+        """Centres of the shapes (root axes)."""
+        at = np.array([M.homogeneous for M in self._data.oMi])
+        self._at = (at[self._owner] @ self._middle[:, :, None])[:, :3, 0]
+
+    # ------------------------------------------------------------------------------------------------ motion
+    def move(self) -> None:
+        """Velocities of everything where it was placed: for `levers` and `approach`."""
+        pin.computeJointJacobians(self.robot.model, self._data)
+        J = self._data.J[:, self._columns]
+        self._v, self._w = J[:3].T, J[3:].T  # (E, 3): of the point at the root's origin, and the turn
+        self._turn = np.sqrt((self._w**2).sum(1))
+        self._locate()
+
+    def levers(self, way: np.ndarray) -> np.ndarray:
+        """How much closer (P, E) a pair can come per unit of each moving joint, as long as joint i moves no further than way (n,)."""
+        d = way[self.coordinates]
+        speed = self._v + np.cross(self._w, self._at[:, None])
+        own = np.sqrt((speed**2).sum(2)) + self._radius[:, None] * self._turn
+        # A joint's lever grows by what the joints after it move the shape; w is in turns per unit, so that a lever of joint e is
+        # own_e + turn_e (sum over k > e of lever_k d_k), solved in closed form with the product of 1 + turn d.
+        growth = np.cumprod(1.0 + self._turn * d)
+        z = own * d * growth / (1.0 + self._turn * d)
+        out = np.zeros(self.by_a.shape)
+        for side, shape in ((self.by_a, self.a), (self.by_b, self.b)):
+            part = z[shape] * side
+            later = part.sum(1)[:, None] - np.cumsum(part, axis=1)
+            out += (own[shape] + self._turn * later / growth) * side
+        return out
+
+    def approach(self, ks: np.ndarray, points: np.ndarray) -> np.ndarray:
+        """Rows (r, n): how fast pairs ks come closer per joint rate, at their nearest points (r, 2, 3)."""
+        normal = points[:, 1] - points[:, 0]
+        normal /= np.maximum(np.sqrt((normal**2).sum(1)), 1e-12)[:, None]
+        along = normal @ self._v.T
+        by_a = along + np.cross(points[:, 0], normal) @ self._w.T
+        by_b = along + np.cross(points[:, 1], normal) @ self._w.T
+        columns = by_a * self.by_a[ks] - by_b * self.by_b[ks]
+        rows = np.zeros((len(ks), self.robot.n))
+        np.add.at(rows.T, self.coordinates, columns.T)
+        return rows

@@ -1,0 +1,224 @@
+"""Obstacles in a tracker's step: rows that slow the arm down before it meets something, and a proof that it can still stop.
+
+The rows are half-planes for the joint rates, made at the nearest points of the pairs that matter most; they guide and may be relaxed.
+What promises that static things are never touched is the proof: the step, and the full brake after it, are followed along the
+way, and distances are measured so often that nothing fits between two measurements. A step without a proof is not taken.
+"""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ..kernel.brake import along, brake
+from ..robot.clearance import Clearance
+
+ROWS = 12  # half-planes a step gets: more than touch a polyhedron's edge at once, and few for the QP
+KEEP = 0.005  # [m] distance the rows keep: above what a controller's lag makes of a slow motion
+INFLUENCE = 0.1  # [m] distance from which the rows speak
+SPEED = 1.0  # [m/s] approach allowed at INFLUENCE; it falls in proportion to the distance left (0.1 s to settle)
+FLAT = 1e-9  # [m per rad or m] a row without an entry above this forbids nothing: the pair does not move
+SHARE = 0.1  # of a row's largest entry, from which on a joint's braking counts
+CONTACT = 1e-5  # [m] nearer than this is a contact: ten times the tolerance of coal's distances
+SAMPLES = 80  # configurations measured to prove one step free, about 1 ms; a step that takes more is not taken
+PIECES = 4000  # pieces of a brake that is followed; one that takes more is not tried
+
+
+class Path(NamedTuple):
+    """A step and its brake: joint values, rates and lengths gone (K + 1, n) between K pieces of h [s] each."""
+
+    q: np.ndarray
+    rate: np.ndarray
+    length: np.ndarray
+    h: float
+
+
+class Guard:
+    """Rows and proofs for one tracker.
+
+    robot; model: its CollisionModel; limits (4, n): lower, upper, speed, acceleration [rad or m, per s, per s^2]; gamma of the
+    motion between samples (see `interpolate`). pairs: names of the pairs behind the last rows. blocked: names of the pair that
+    kept the last step from being proven, or None.
+    """
+
+    def __init__(self, robot: Any, model: Any, limits: np.ndarray, gamma: float) -> None:
+        """Bind; `restart` comes next."""
+        self.robot, self.model, self.limits, self.gamma = robot, model, limits, gamma
+        self.A, self.b = np.zeros((ROWS, robot.n)), np.zeros(ROWS)
+        self.pairs: list[tuple[str, str]] = []
+        self.blocked: tuple[str, str] | None = None
+        self._bind()
+
+    def _bind(self) -> None:
+        """Take the model as it is now."""
+        self._space = space = Clearance(self.model)
+        self._shapes = self.model.geometry.ngeoms
+        # A robot's own parts may be closer to each other than what is kept: then half of that distance is.
+        self._keep = np.where(space.own & (space.home > 0.0), np.minimum(0.5 * space.home, KEEP), KEEP)
+        self._stop = np.zeros(len(self._keep))  # how much closer each pair can come on a brake as long as the last one
+
+    def restart(self, q: np.ndarray) -> tuple[str, str] | None:
+        """Begin at q (n,); returns the names of a pair that touches there, or None."""
+        if self._shapes != self.model.geometry.ngeoms:  # something was added
+            self._bind()
+        self._space.place(q)
+        self._low = self._space.distances()  # never more than the distances (P,) at q
+        self._fresh = np.ones(len(self._low), dtype=bool)  # which of them are measured there
+        self._path: Path | None = None
+        self._done = 0.0  # pieces of the path that are behind
+        touching = np.flatnonzero(self._low <= CONTACT)
+        return self._space.name(int(touching[0])) if len(touching) else None
+
+    # ------------------------------------------------------------------------------------------------ rows
+    def rows(self, q: np.ndarray, rate: np.ndarray, h: float) -> int:
+        """Write A (r, n), b (r,) of A x <= b for the next joint rate x [rad or m per s]; returns r, the number of rows.
+
+        q, rate (n,): now; h [s]: the step. Each row limits how fast a pair comes closer, so that the arm can still brake.
+        """
+        self.pairs = []
+        if self._shapes != self.model.geometry.ngeoms:  # something was added
+            self.restart(q)
+        reach = INFLUENCE + self._stop
+        ks = np.flatnonzero(self._low < reach)
+        if not len(ks):
+            return 0
+        space = self._space
+        space.place(q)
+        self._fresh[ks] = False  # the nearest points are wanted, too
+        self._measure(ks)
+        ks = ks[(self._low[ks] < reach[ks]) & (self._low[ks] > CONTACT)]
+        if not len(ks):
+            return 0
+        space.move()
+        A = space.approach(ks, np.array([space.points(k) for k in ks.tolist()]))
+        size = np.abs(A)
+        largest = size.max(axis=1)
+        gap = self._low[ks] - self._keep[ks]
+        # All joints with a share in the approach brake: the weakest of them says how fast it can end.
+        weakest = np.where(size > SHARE * largest[:, None], size * self.limits[3], np.inf).min(axis=1)
+        b = gap * min(SPEED / (INFLUENCE - KEEP), 0.5 / h)  # half of the distance a step at most, however long it is
+        b = np.minimum(b, np.where(gap > 0.0, np.sqrt(2.0 * weakest * np.maximum(gap, 0.0)), b))
+        order = np.argsort(np.where(largest > FLAT, b - A @ rate, np.inf), kind="stable")[:ROWS]
+        order = order[largest[order] > FLAT]
+        count = len(order)
+        self.A[:count], self.b[:count] = A[order], b[order]
+        self.pairs = [space.name(int(k)) for k in ks[order]]
+        return count
+
+    def _measure(self, ks: np.ndarray) -> None:
+        """Bring the distances of pairs up to date where they were placed (at the start of the step)."""
+        for k in ks[~self._fresh[ks]].tolist():
+            self._low[k] = self._space.distance(k)
+        self._fresh[ks] = True
+
+    # ------------------------------------------------------------------------------------------------ the proof
+    def allows(self, q: np.ndarray, rate: np.ndarray, q1: np.ndarray, rate1: np.ndarray, h: float) -> bool:
+        """Whether nothing touches on the step from (q, rate) to (q1, rate1) in h [s], nor on the full brake after it.
+
+        q must be where the last step ended. A step that is allowed counts as taken; `blocked` names the pair of one that is not.
+        """
+        return self._take(np.array([q, q1]), np.array([rate, rate1]), h)
+
+    def brake(self, q: np.ndarray, rate: np.ndarray, h: float) -> tuple[np.ndarray, np.ndarray]:
+        """Joint values and rates (n,) after h [s] of braking from (q, rate), instead of a step that was not allowed.
+
+        It is the brake that was proven free with the last step, unless the step's length has changed and another is free, too.
+        """
+        blocked, path = self.blocked, self._path
+        if path is None or path.h != h:
+            self._take(q[None], rate[None], h, anyway=path is None)  # without a path it came here by no step of ours
+        self.blocked = blocked
+        if self._path is None:
+            return q.copy(), np.zeros_like(q)
+        return self._go_on(self._done + h / self._path.h)
+
+    def _go_on(self, u: float) -> tuple[np.ndarray, np.ndarray]:
+        """Joint values and rates u pieces along the path, which is where the robot is now."""
+        path, before = self._path, self._done
+        q, q1, way, way1 = (np.empty(self.robot.n) for _ in range(4))
+        u = min(u, len(path.q) - 1.0)
+        along(path.q, path.rate, path.length, self.gamma, path.h, before, q, way)
+        along(path.q, path.rate, path.length, self.gamma, path.h, u, q1, way1)
+        self._moved(way1 - way)
+        self._done = u
+        k = min(int(u), len(path.q) - 2)
+        return q1, path.rate[k] + (u - k) * (path.rate[k + 1] - path.rate[k])
+
+    def _moved(self, way: np.ndarray) -> None:
+        """The joints went so far (n,) along the path."""
+        self._low = self._low - self._levers @ way[self._space.coordinates]
+        self._fresh[:] = False
+
+    def _take(self, Q: np.ndarray, R: np.ndarray, h: float, anyway: bool = False) -> bool:
+        """Prove the motion through states Q, R (1 or 2, n), and the brake after it; if it is free, or anyway, it counts as taken."""
+        path = self._follow(Q, R, h)
+        if path is None:
+            self.blocked = None
+            return False
+        space, way = self._space, path.length[-1]
+        space.place(Q[0])
+        space.move()
+        levers = space.levers(way)
+        self._stop = levers @ way[space.coordinates]
+        doubtful = np.flatnonzero(self._stop >= self._low - CONTACT)
+        if len(doubtful):
+            self._measure(doubtful)
+            self.blocked = self._prove(path, doubtful, levers)
+            if not (self.blocked is None or anyway):
+                return False
+        else:
+            self.blocked = None
+        self._path, self._levers, self._done = path, levers, len(Q) - 1.0
+        if len(Q) > 1:
+            self._moved(path.length[1])
+        return self.blocked is None
+
+    def _follow(self, Q: np.ndarray, R: np.ndarray, h: float) -> Path | None:
+        """States Q, R (1 or 2, n) and the brake after them; None when it does not come to rest."""
+        with np.errstate(invalid="ignore"):  # 0 / inf is 0, inf / inf no brake
+            steps = np.abs(R[-1] / (self.limits[3] * h)).max()
+        if not steps < PIECES:
+            return None
+        size, first = int(steps) + 6, len(Q) - 1
+        path = Path(*(np.empty((size, self.robot.n)) for _ in range(3)), h)
+        path.q[: first + 1], path.rate[: first + 1] = Q, R
+        count = brake(first, self.gamma, h, self.limits, path.q, path.rate, path.length)
+        return None if count < 0 else Path(*(array[: count + 1] for array in path[:3]), h)
+
+    def _prove(self, path: Path, ks: np.ndarray, levers: np.ndarray) -> tuple[str, str] | None:
+        """None when pairs ks, measured at the start, touch nowhere on a path; else the names of one in doubt.
+
+        Two parts d0 and d1 apart at two places, which can come closer by no more than s between them, are nowhere on the
+        way closer than (d0 + d1 - s) / 2.
+        """
+        space, left = self._space, SAMPLES
+        q, way = np.empty(self.robot.n), np.empty(self.robot.n)
+
+        def look(u: float, ks: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            along(path.q, path.rate, path.length, self.gamma, path.h, u, q, way)
+            space.place(q)
+            return np.array([space.distance(k) for k in ks.tolist()]), way[space.coordinates]
+
+        d0, end = self._low[ks], len(path.q) - 1.0
+        if (d0 <= CONTACT).any():
+            return space.name(int(ks[np.argmin(d0)]))
+        doubt = self._stop[ks] >= d0 - CONTACT
+        ks, d0 = ks[doubt], d0[doubt]
+        if not len(ks):
+            return None
+        d1, way1 = look(end, ks)
+        parts = [(0.0, end, ks, d0, d1, np.zeros_like(way1), way1)]
+        while parts:
+            u0, u1, ks, d0, d1, way0, way1 = parts.pop()
+            if (d1 <= CONTACT).any():
+                return space.name(int(ks[np.argmin(d1)]))
+            doubt = levers[ks] @ (way1 - way0) >= d0 + d1 - 2.0 * CONTACT
+            if not doubt.any():
+                continue
+            ks, d0, d1 = ks[doubt], d0[doubt], d1[doubt]
+            left -= 1
+            if left < 0:
+                return space.name(int(ks[np.argmin(np.minimum(d0, d1))]))
+            middle = 0.5 * (u0 + u1)
+            d, half = look(middle, ks)
+            parts += [(middle, u1, ks, d, d1, half, way1), (u0, middle, ks, d0, d, way0, half)]
+        return None
