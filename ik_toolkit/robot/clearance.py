@@ -9,6 +9,8 @@ import coal
 import numpy as np
 import pinocchio as pin
 
+from ..kernel.clearance import levers, rows
+
 THIN = 1e-5  # thickness over size below which a mesh is taken as flat: qhull fails at 1e-9
 
 
@@ -149,41 +151,26 @@ class Clearance:
     def _locate(self) -> None:
         """Centres of the shapes (root axes)."""
         at = np.array([M.homogeneous for M in self._data.oMi])
-        self._at = (at[self._owner] @ self._middle[:, :, None])[:, :3, 0]
+        self._at = np.ascontiguousarray((at[self._owner] @ self._middle[:, :, None])[:, :3, 0])
 
     # ------------------------------------------------------------------------------------------------ motion
     def move(self) -> None:
-        """Velocities of everything where it was placed: for `levers` and `approach`."""
+        """Take how everything moves where it was placed: for `levers` and `rows`."""
         pin.computeJointJacobians(self.robot.model, self._data)
-        J = self._data.J[:, self._columns]
-        self._v, self._w = J[:3].T, J[3:].T  # (E, 3): of the point at the root's origin, and the turn
-        self._turn = np.sqrt((self._w**2).sum(1))
+        self._V = np.ascontiguousarray(self._data.J.T[self._columns])
         self._locate()
 
-    def levers(self, way: np.ndarray) -> np.ndarray:
-        """How much closer (P, E) a pair can come per unit of each moving joint, as long as joint i moves no further than way (n,)."""
-        d = way[self.coordinates]
-        speed = self._v + np.cross(self._w, self._at[:, None])
-        own = np.sqrt((speed**2).sum(2)) + self._radius[:, None] * self._turn
-        # A joint's lever grows by what the joints after it move the shape; w is in turns per unit, so that a lever of joint e is
-        # own_e + turn_e (sum over k > e of lever_k d_k), solved in closed form with the product of 1 + turn d.
-        growth = np.cumprod(1.0 + self._turn * d)
-        z = own * d * growth / (1.0 + self._turn * d)
-        out = np.zeros(self.by_a.shape)
-        for side, shape in ((self.by_a, self.a), (self.by_b, self.b)):
-            part = z[shape] * side
-            later = part.sum(1)[:, None] - np.cumsum(part, axis=1)
-            out += (own[shape] + self._turn * later / growth) * side
-        return out
+    def levers(self, way: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """How much closer (P, E) each pair can come per unit of each moving joint, while joint i goes no further than way (n,).
 
-    def approach(self, ks: np.ndarray, points: np.ndarray) -> np.ndarray:
-        """Rows (r, n): how fast pairs ks come closer per joint rate, at their nearest points (r, 2, 3)."""
-        normal = points[:, 1] - points[:, 0]
-        normal /= np.maximum(np.sqrt((normal**2).sum(1)), 1e-12)[:, None]
-        along = normal @ self._v.T
-        by_a = along + np.cross(points[:, 0], normal) @ self._w.T
-        by_b = along + np.cross(points[:, 1], normal) @ self._w.T
-        columns = by_a * self.by_a[ks] - by_b * self.by_b[ks]
-        rows = np.zeros((len(ks), self.robot.n))
-        np.add.at(rows.T, self.coordinates, columns.T)
-        return rows
+        And the sum (P,) over all of that way [m].
+        """
+        out, spread = np.empty(self.by_a.shape), np.empty(len(self.a))
+        joints = self._V, self.coordinates, self._at, self._radius
+        levers(*joints, self.a, self.b, self.by_a, self.by_b, way, out, spread)
+        return out, spread
+
+    def rows(self, ks: np.ndarray, gap: np.ndarray, rate: np.ndarray, *rest: Any) -> int:
+        """Half-planes of pairs ks (K,), as `kernel.clearance.rows` makes them; their distances are those last measured."""
+        points = np.array([self.points(k) for k in ks.tolist()])
+        return rows(self._V, self.coordinates, self.by_a, self.by_b, ks, points, gap, rate, *rest)

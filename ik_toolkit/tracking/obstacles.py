@@ -43,7 +43,7 @@ class Guard:
     def __init__(self, robot: Any, model: Any, limits: np.ndarray, gamma: float) -> None:
         """Bind; `restart` comes next."""
         self.robot, self.model, self.limits, self.gamma = robot, model, limits, gamma
-        self.A, self.b = np.zeros((ROWS, robot.n)), np.zeros(ROWS)
+        self.A, self.b, self._order = np.zeros((ROWS, robot.n)), np.zeros(ROWS), np.zeros(ROWS, dtype=int)
         self.pairs: list[tuple[str, str]] = []
         self.blocked: tuple[str, str] | None = None
         self._bind()
@@ -63,6 +63,7 @@ class Guard:
         self._space.place(q)
         self._low = self._space.distances()  # never more than the distances (P,) at q
         self._fresh = np.ones(len(self._low), dtype=bool)  # which of them are measured there
+        self._known = False  # whether it is known how everything moves there
         self._path: Path | None = None
         self._done = 0.0  # pieces of the path that are behind
         touching = np.flatnonzero(self._low <= CONTACT)
@@ -83,25 +84,17 @@ class Guard:
             return 0
         space = self._space
         space.place(q)
+        space.move()
+        self._known = True
         self._fresh[ks] = False  # the nearest points are wanted, too
         self._measure(ks)
         ks = ks[(self._low[ks] < reach[ks]) & (self._low[ks] > CONTACT)]
         if not len(ks):
             return 0
-        space.move()
-        A = space.approach(ks, np.array([space.points(k) for k in ks.tolist()]))
-        size = np.abs(A)
-        largest = size.max(axis=1)
         gap = self._low[ks] - self._keep[ks]
-        # All joints with a share in the approach brake: the weakest of them says how fast it can end.
-        weakest = np.where(size > SHARE * largest[:, None], size * self.limits[3], np.inf).min(axis=1)
-        b = gap * min(SPEED / (INFLUENCE - KEEP), 0.5 / h)  # half of the distance a step at most, however long it is
-        b = np.minimum(b, np.where(gap > 0.0, np.sqrt(2.0 * weakest * np.maximum(gap, 0.0)), b))
-        order = np.argsort(np.where(largest > FLAT, b - A @ rate, np.inf), kind="stable")[:ROWS]
-        order = order[largest[order] > FLAT]
-        count = len(order)
-        self.A[:count], self.b[:count] = A[order], b[order]
-        self.pairs = [space.name(int(k)) for k in ks[order]]
+        rules = self.limits[3], SPEED / (INFLUENCE - KEEP), h, SHARE, FLAT
+        count = space.rows(ks, gap, rate, *rules, self.A, self.b, self._order)
+        self.pairs = [space.name(k) for k in ks[self._order[:count]].tolist()]
         return count
 
     def _measure(self, ks: np.ndarray) -> None:
@@ -147,6 +140,7 @@ class Guard:
         """The joints went so far (n,) along the path."""
         self._low = self._low - self._levers @ way[self._space.coordinates]
         self._fresh[:] = False
+        self._known = False
 
     def _take(self, Q: np.ndarray, R: np.ndarray, h: float, anyway: bool = False) -> bool:
         """Prove the motion through states Q, R (1 or 2, n), and the brake after it; if it is free, or anyway, it counts as taken."""
@@ -154,13 +148,15 @@ class Guard:
         if path is None:
             self.blocked = None
             return False
-        space, way = self._space, path.length[-1]
-        space.place(Q[0])
-        space.move()
-        levers = space.levers(way)
-        self._stop = levers @ way[space.coordinates]
+        space = self._space
+        if not self._known:
+            space.place(Q[0])
+            space.move()
+            self._known = True
+        levers, self._stop = space.levers(path.length[-1])
         doubtful = np.flatnonzero(self._stop >= self._low - CONTACT)
         if len(doubtful):
+            space.place(Q[0])
             self._measure(doubtful)
             self.blocked = self._prove(path, doubtful, levers)
             if not (self.blocked is None or anyway):
