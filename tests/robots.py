@@ -84,6 +84,12 @@ SLIDES = urdf(
     dict(kind="revolute", rpy=".4 1 0"),
     name="slides_mix",
 )
+BALLS_MIMIC = MIMIC  # with a ball on each link
+for _k, _radius in enumerate((0.05, 0.05, 0.08, 0.06, 0.05, 0.04, 0.05, 0.04, 0.05)):
+    BALLS_MIMIC = BALLS_MIMIC.replace(
+        f'<link name="l{_k}"/>',
+        f'<link name="l{_k}"><collision><geometry><sphere radius="{_radius}"/></geometry></collision></link>',
+    )
 MADE = {"continuous_mix": CONTINUOUS, "mimic_mix": MIMIC, "slides_mix": SLIDES}
 
 

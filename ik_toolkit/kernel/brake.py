@@ -25,6 +25,13 @@ def speeds(Q, R, k, j, gamma, h):
     return start, 2.0 * (move - start)
 
 
+@jit
+def position(Q, R, L, k, j, gamma, h, f):
+    """Value of joint j a fraction f into piece k, and how far it has gone by then."""
+    start, change = speeds(Q, R, k, j, gamma, h)
+    return Q[k, j] + start * f + 0.5 * change * f * f, L[k, j] + travelled(start, change, f)
+
+
 @cached
 def brake(first, gamma, h, limits, Q, R, L):
     """Continue a motion by the full brake; returns the number of pieces of h [s] (1 or more) until all rests, or -1.
@@ -54,11 +61,8 @@ def brake(first, gamma, h, limits, Q, R, L):
 
 
 @cached
-def along(Q, R, L, gamma, h, u, q, length):
+def along(Q, R, L, gamma, h, u, q, length) -> None:
     """Joint values q (n,) u pieces along a path of `brake`, and how far (n,) each joint has gone by then."""
     k = min(int(u), Q.shape[0] - 2)
-    f = u - k
     for j in range(q.shape[0]):
-        start, change = speeds(Q, R, k, j, gamma, h)
-        q[j] = Q[k, j] + start * f + 0.5 * change * f * f
-        length[j] = L[k, j] + travelled(start, change, f)
+        q[j], length[j] = position(Q, R, L, k, j, gamma, h, u - k)

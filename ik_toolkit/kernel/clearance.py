@@ -9,11 +9,14 @@ import math
 
 import numpy as np
 
-from .algebra import V3, at3
-from .jit import cached, inner
+from .algebra import at3, put3
+from .brake import position, speeds
+from .jit import cached, inline, jit
+
+FINEST = 1.0 / 64.0  # of a piece: what cannot be proven in parts of this size is left to a new measurement
 
 
-@inner
+@inline
 def speed_at(V, e, point):
     """Velocity of a point when joint e moves."""
     return at3(V[e], 0) + at3(V[e], 3).cross(point)
@@ -95,3 +98,72 @@ def rows(V, coordinates, by_a, by_b, ks, points, gap, rate, deceleration, slope,
         A[count], b[count], order[count] = all_rows[best], bounds[best], best
         count += 1
     return count
+
+
+@jit
+def bend(turn, lever, moved, length):
+    """How far a part may be from where its velocities now would take it, after the joints went `length` (second order)."""
+    total, before = 0.0, 0.0
+    for e in range(length.shape[0]):
+        if moved[e]:
+            total += lever[e] * length[e] * (before + 0.5 * turn[e] * length[e])
+            before += turn[e] * length[e]
+    return total
+
+
+@cached
+def free_until(
+    V, coordinates, middle, radius, a, b, by_a, by_b, ks, normals, distances, levers, Q, R, L, gamma, h, start, out
+) -> None:
+    """How far each of pairs ks (K,) is free for sure along a path of `brake`, out (K,) in pieces, seen from `start` pieces.
+
+    distances (K,) [m] they have, and normals (K, 3), from first to second, at the start; V, middle (S, 3) as in `levers`, there,
+    too; levers (P, E) for all of the path. Nothing convex reaches through the plane between two parts before their points have
+    come that much closer along its normal: by the velocities at the start times the moves of the joints, and by the bend of
+    their ways. A normal of zeros stands for parts that are not convex: then only the length of the ways counts.
+    """
+    E, last = V.shape[0], Q.shape[0] - 1
+    first = min(int(start), last - 1)
+    rate, turn, swing = np.empty(E), np.empty(E), np.empty((2, 3 * E))
+    size = np.empty(E)
+    begun, gone, length = np.empty(E), np.empty(E), np.empty(E)
+    for e in range(E):
+        turn[e] = math.sqrt(at3(V[e], 3).square())
+        j = coordinates[e]
+        begun[e], gone[e] = position(Q, R, L, first, j, gamma, h, start - first)
+    for r in range(ks.shape[0]):
+        p = ks[r]
+        normal = at3(normals[r], 0)
+        flat = normal.square() == 0.0
+        for e in range(E):
+            swung = normal.cross(at3(V[e], 3))
+            moved_a, moved_b = 1.0 if by_a[p, e] else 0.0, 1.0 if by_b[p, e] else 0.0
+            rate[e] = moved_a * normal.dot(speed_at(V, e, at3(middle[a[p]], 0)))
+            rate[e] -= moved_b * normal.dot(speed_at(V, e, at3(middle[b[p]], 0)))
+            put3(swing[0], 3 * e, swung * (moved_a * radius[a[p]]))
+            put3(swing[1], 3 * e, swung * (moved_b * radius[b[p]]))
+            spread = moved_a * radius[a[p]] + moved_b * radius[b[p]]
+            size[e] = abs(rate[e]) + spread * math.sqrt(swung.square())
+        k, f0, share, done = first, start - first, 1.0, start
+        before = 0.0  # how much closer at the place reached so far
+        while done < last and share >= FINEST:
+            f = min(1.0, f0 + share)
+            way, curve, closing = 0.0, 0.0, 0.0
+            turned_a, turned_b = normal * 0.0, normal * 0.0
+            for e in range(E):
+                there, by_then = position(Q, R, L, k, coordinates[e], gamma, h, f)
+                move, length[e] = there - begun[e], by_then - gone[e]
+                way += levers[p, e] * length[e]
+                closing += rate[e] * move
+                turned_a = turned_a + at3(swing[0], 3 * e) * move
+                turned_b = turned_b + at3(swing[1], 3 * e) * move
+                # Between two places the motion leaves the straight line by up to an eighth of the speed's change.
+                curve += 0.125 * abs(speeds(Q, R, k, coordinates[e], gamma, h)[1]) * size[e]
+            closing += math.sqrt(turned_a.square()) + math.sqrt(turned_b.square())
+            bent = bend(turn, levers[p], by_a[p], length) + bend(turn, levers[p], by_b[p], length)
+            if way < distances[r] or (not flat and max(closing, before) + curve + bent < distances[r]):
+                before, done = closing, k + f
+                k, f0 = (k + 1, 0.0) if f == 1.0 else (k, f)
+            else:
+                share *= 0.5
+        out[r] = done

@@ -9,7 +9,7 @@ import coal
 import numpy as np
 import pinocchio as pin
 
-from ..kernel.clearance import levers, rows
+from ..kernel.clearance import free_until, levers, rows
 
 THIN = 1e-5  # thickness over size below which a mesh is taken as flat: qhull fails at 1e-9
 
@@ -70,7 +70,7 @@ class Clearance:
         solid = np.array([isinstance(s.geometry, coal.BVHModelBase) for s in shapes])
         self._surface = solid[self.a] | solid[self.b]  # exact shapes that differ from their hulls
         self._joints(shapes)
-        self.exact = np.zeros(len(pairs), dtype=bool)
+        self.exact, self._on_surface = np.zeros((2, len(pairs)), dtype=bool)
         self.place(robot.home)
         self.exact = np.array([self._surface[k] and self._hull_distance(k) <= 0.0 for k in range(len(pairs))], dtype=bool)
         self.home = self.distances()
@@ -113,21 +113,22 @@ class Clearance:
         if not self.exact[k]:
             d = self._hull_distance(k)
             if d > 0.0 or not self._surface[k]:
+                self._on_surface[k] = False
                 return d
         if not self._placed:
             pin.updateGeometryPlacements(self.robot.model, self._data, self._exact, self._exact_data)
             self._placed = True
+        self._on_surface[k] = True
         return pin.computeDistance(self._exact, self._exact_data, k).min_distance
 
     def distances(self) -> np.ndarray:
         """Distances (P,) [m] of all pairs where they were placed."""
         return np.array([self.distance(k) for k in range(len(self.a))])
 
-    def points(self, k: int) -> tuple[np.ndarray, np.ndarray]:
-        """Nearest points of pair k (root axes), after `distance`."""
-        of_hulls = not self.exact[k] and (not self._surface[k] or self._hull_data.distanceResults[k].min_distance > 0.0)
-        found = (self._hull_data if of_hulls else self._exact_data).distanceResults[k]
-        return found.getNearestPoint1(), found.getNearestPoint2()
+    def points(self, ks: np.ndarray) -> np.ndarray:
+        """Nearest points (K, 2, 3) of pairs ks (K,) (root axes), after `distance`."""
+        results = [(self._exact_data if self._on_surface[k] else self._hull_data).distanceResults[k] for k in ks.tolist()]
+        return np.array([(found.getNearestPoint1(), found.getNearestPoint2()) for found in results]).reshape(-1, 2, 3)
 
     def near(self, q: np.ndarray, within: float) -> list[Near]:
         """Pairs closer than `within` [m] at q (n,), nearest first."""
@@ -135,9 +136,9 @@ class Clearance:
         found = [(self.distance(k), k) for k in self._closer(within)]
         out = []
         for d, k in sorted(pair for pair in found if pair[0] < within):
-            first, second = self.points(k)
-            gap = second - first
-            out.append(Near(self.name(k), d, np.array([first, second]), gap / max(np.sqrt(gap @ gap), 1e-300)))
+            points = self.points(np.array([k]))[0]
+            gap = points[1] - points[0]
+            out.append(Near(self.name(k), d, points, gap / max(np.sqrt(gap @ gap), 1e-300)))
         return out
 
     def _closer(self, within: float) -> list[int]:
@@ -172,5 +173,15 @@ class Clearance:
 
     def rows(self, ks: np.ndarray, gap: np.ndarray, rate: np.ndarray, *rest: Any) -> int:
         """Half-planes of pairs ks (K,), as `kernel.clearance.rows` makes them; their distances are those last measured."""
-        points = np.array([self.points(k) for k in ks.tolist()])
-        return rows(self._V, self.coordinates, self.by_a, self.by_b, ks, points, gap, rate, *rest)
+        return rows(self._V, self.coordinates, self.by_a, self.by_b, ks, self.points(ks), gap, rate, *rest)
+
+    def free_until(self, ks: np.ndarray, distances: np.ndarray, *rest: Any) -> np.ndarray:
+        """How far (K,) pairs ks are free for sure, as `kernel.clearance.free_until` says; their distances are those last measured."""
+        gap = self.points(ks)
+        normals = gap[:, 1] - gap[:, 0]
+        normals /= np.maximum(np.sqrt((normals**2).sum(1)), 1e-300)[:, None]
+        normals[self._on_surface[ks]] = 0.0  # what is not convex has no plane between
+        out = np.empty(len(ks))
+        parts = self._at, self._radius, self.a, self.b, self.by_a, self.by_b
+        free_until(self._V, self.coordinates, *parts, ks, normals, distances, *rest, out)
+        return out

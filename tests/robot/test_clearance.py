@@ -1,0 +1,245 @@
+"""Distances between parts: against coal on the exact shapes, bounds of how fast they change, half-planes, and free ways."""
+
+import coal
+import numpy as np
+import pinocchio as pin
+import pytest
+from robots import BALLS_MIMIC, have_data, load
+
+import ik_toolkit as ik
+from ik_toolkit.kernel.brake import along, brake
+from ik_toolkit.kernel.clearance import free_until
+from ik_toolkit.robot.clearance import Clearance
+
+ROBOTS = ["hydrolek_7w", "mimic", "two_arms", *(["panda", "ur5"] if have_data() else [])]
+
+
+def model_of(name):
+    """A robot with shapes, and things around it where it passes."""
+    robot = ik.Robot.load(BALLS_MIMIC) if name == "mimic" else load(name)
+    model, rng = ik.CollisionModel(robot), np.random.default_rng(4)
+    q = robot.random_q(rng)
+    for arm, place in zip(robot.arms, robot.places, strict=True):
+        at = arm.fk(q[place]).translation
+        model.add_box((0.2, 0.3, 0.1), ik.pose(1.3 * at, rpy=(0.3, 0.2, 0.1)))
+        model.add_cylinder(0.1, 0.4, ik.pose(1.2 * at + (0.1, 0.3, 0.1), rpy=(0.5, 0.2, 0.1)))
+        model.add_sphere(0.1, at - (0.3, 0.2, 0.1))
+    return model
+
+
+def exact(model, q):
+    """Smallest distance of each pair of names at q by coal, on the shapes as they were read."""
+    robot, shapes = model.robot, model.geometry
+    found = shapes.createData()
+    pin.computeDistances(robot.model, robot.model.createData(), shapes, found, robot.to_pinocchio(q))
+    out = {}
+    for pair, result in zip(shapes.collisionPairs, found.distanceResults, strict=True):
+        name = (model._names[pair.first], model._names[pair.second])
+        out[name] = min(out.get(name, np.inf), result.min_distance)
+    return out
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_distances_are_those_of_hulls(name):
+    model, rng = model_of(name), np.random.default_rng(1)
+    for q in [model.robot.random_q(rng) for _ in range(4)]:
+        found = model.distances(q)
+        assert [near.distance for near in found] == sorted(near.distance for near in found)
+        least = {}
+        for near in found:
+            least[near.pair] = min(least.get(near.pair, np.inf), near.distance)
+            if near.distance > 1e-3:
+                first, second = near.points
+                assert np.allclose(second - first, near.distance * near.normal, atol=1e-5)
+        expected = exact(model, q)
+        assert least.keys() == expected.keys()
+        for pair, d in least.items():
+            assert d <= expected[pair] + 1e-5 and (d > 0.0) >= (expected[pair] > 1e-5)
+            if name not in ("panda", "ur5"):  # no meshes: nothing is rounded off
+                assert d == pytest.approx(expected[pair], abs=1e-5) or d <= 0.0 >= expected[pair]
+        close = model.distances(q, within=0.2)
+        assert [near.pair for near in close] == [near.pair for near in found if near.distance < 0.2]
+
+
+def trough(width=1.0):
+    """A mesh shaped like a U along y, its floor at z = 0 and its walls at x = -width and width, 1 m high."""
+    x = np.array([-width, -width, width, width, -width - 0.01, -width - 0.01, width + 0.01, width + 0.01])
+    z = np.array([1.0, 0.0, 0.0, 1.0, 1.0, -0.01, -0.01, 1.0])
+    points = [(a, y, b) for y in (-1.0, 1.0) for a, b in zip(x, z, strict=True)]
+    faces = [f for k in (0, 1, 2, 4, 5, 6) for f in ((k, k + 1, k + 8), (k + 1, k + 9, k + 8))]
+    lines = "".join("v {} {} {}\n".format(*p) for p in points)
+    return lines + "".join("f {} {} {}\n".format(*(i + 1 for i in f)) for f in faces)
+
+
+def test_what_stands_in_a_hollow_is_measured_exactly(tmp_path):
+    """Inside the hull of a U-shaped mesh the mesh itself counts; from outside the hull does, which is never further away."""
+    (tmp_path / "u.obj").write_text(trough())
+    robot = load("planar_2r")
+    q = robot.home
+    z = ik.CollisionModel(robot).geometry.geometryObjects[-1].placement.translation[2]
+    tip = robot.fk(q).translation
+    model = ik.CollisionModel(robot).add_mesh(tmp_path / "u.obj", tip - (0.0, 0.0, 0.5), name="trough")
+    assert not model.collides(q)
+    pairs = {near.pair: near.distance for near in model.distances(q)}
+    assert pairs["link_2", "trough"] == pytest.approx(exact(model, q)["link_2", "trough"], abs=1e-6) and z < 0.5
+    over = ik.CollisionModel(robot).add_mesh(tmp_path / "u.obj", tip + (0.0, 0.0, 1.5), name="trough")
+    assert {near.pair: near.distance for near in over.distances(q)}["link_2", "trough"] > 1.0
+
+
+def test_a_flat_mesh_has_no_hull_and_does_no_harm(tmp_path):
+    (tmp_path / "sheet.obj").write_text("v -1 -1 0\nv 1 -1 0\nv 1 1 0\nv -1 1 0\nf 1 2 3\nf 1 3 4\n")
+    robot = load("planar_2r")
+    model = ik.CollisionModel(robot).add_mesh(tmp_path / "sheet.obj", (1.0, 0.0, 0.7), name="sheet")
+    near = next(near for near in model.distances(robot.home) if "sheet" in near.pair)
+    assert near.distance == pytest.approx(exact(model, robot.home)[near.pair], abs=1e-6) and near.distance > 0.1
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_no_pair_comes_closer_than_its_levers_say(name):
+    model, rng = model_of(name), np.random.default_rng(2)
+    robot, space = model.robot, Clearance(model)
+    tight = []
+    for size in (0.03, 0.3, 1.0):
+        for q in [robot.random_q(rng) for _ in range(4)]:
+            end = np.clip(q + rng.uniform(-size, size, robot.n), robot.lower, robot.upper)
+            space.place(q)
+            before = space.distances()
+            space.move()
+            levers, most = space.levers(np.abs(end - q))
+            assert np.allclose(levers @ np.abs(end - q)[space.coordinates], most)
+            for f in (0.3, 0.7, 1.0):
+                space.place(q + f * (end - q))
+                apart = (before > 0.0) & (before < 2.0)
+                lost = (before - space.distances())[apart]
+                assert (lost <= (levers @ (f * np.abs(end - q))[space.coordinates])[apart] + 1e-5).all()
+                tight.append((lost / np.maximum(most[apart], 1e-9)).max())
+    assert max(tight) > 0.2  # a bound that is never approached would prove nothing
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_rows_are_how_distances_change(name):
+    model, rng = model_of(name), np.random.default_rng(3)
+    robot, space = model.robot, Clearance(model)
+    n, checked = robot.n, 0
+    for q in [robot.random_q(rng) for _ in range(6)]:
+        space.place(q)
+        d = space.distances()
+        ks = np.flatnonzero((d > 0.05) & (d < 1.0) & ~space.exact)
+        space.move()
+        A, b, order = np.zeros((len(ks), n)), np.zeros(len(ks)), np.zeros(len(ks), dtype=int)
+        step = 1e-5 * rng.normal(size=n)
+        count = space.rows(ks, d[ks], np.zeros(n), np.full(n, np.inf), 1.0, 0.01, 0.1, 1e-9, A, b, order)
+        assert np.allclose(b[:count], d[ks][order[:count]])
+        space.place(q + step)
+        there = np.array([space.distance(k) for k in ks[order[:count]].tolist()])
+        space.place(q - step)
+        here = np.array([space.distance(k) for k in ks[order[:count]].tolist()])
+        closer = 0.5 * (here - there) / 1e-5
+        off = np.abs(A[:count] @ step / 1e-5 - closer)  # where the nearest point jumps from corner to corner, it may be off
+        assert np.median(off) < 0.02 and np.mean(off < 0.1) > 0.8
+        checked += count
+    assert checked > 20
+
+
+@pytest.mark.parametrize("gamma", [1.0, 0.5])
+@pytest.mark.parametrize("name", ROBOTS)
+def test_a_way_that_is_called_free_is_free(name, gamma):
+    """Looked at from its start, a step and its brake touch nothing as far as is said, and that is not always nowhere."""
+    model, rng = model_of(name), np.random.default_rng(5)
+    robot, space = model.robot, Clearance(model)
+    n, h, far, met = robot.n, 0.02, 0, 0
+    limits = np.array([robot.lower, robot.upper, np.full(n, 3.0), np.full(n, 10.0)])
+    for q in [robot.random_q(rng) for _ in range(20)]:
+        rate = rng.uniform(-3.0, 3.0, n)
+        inside = (q + 0.2 * rate > robot.lower) & (q + 0.2 * rate < robot.upper)
+        rate = np.where(inside, rate, 0.0)
+        Q, R, L = (np.empty((40, n)) for _ in range(3))
+        Q[0], R[0] = q, rate
+        count = brake(0, gamma, h, limits, Q, R, L)
+        assert count > 0 and not R[count].any()
+        path = tuple(x[: count + 1] for x in (Q, R, L))
+        space.place(q)
+        space.move()
+        d = space.distances()
+        ks = np.flatnonzero((d > 1e-3) & (d < 0.3))
+        if not len(ks):
+            continue
+        until = space.free_until(ks, d[ks], space.levers(L[count])[0], *path, gamma, h, 0.0)
+        x, length = np.empty(n), np.empty(n)
+        for u in np.linspace(0.0, count, 60):
+            along(*path, gamma, h, u, x, length)
+            space.place(x)
+            for k, end in zip(ks.tolist(), until, strict=True):
+                touches = space.distance(k) <= -1e-6
+                assert not (touches and u < end)
+                met += touches
+        far += (until == count).sum()
+    assert far > 5 and (met > 0 or name == "mimic")
+
+
+def test_planes_hold_against_every_turn():
+    """No ball comes closer along any direction than is said, on long moves too, where first order alone would be wrong."""
+    robot = ik.Robot.load(BALLS_MIMIC)
+    space, rng, close = Clearance(ik.CollisionModel(robot)), np.random.default_rng(6), 0
+    moved = space.by_a | space.by_b
+    for _ in range(1000):
+        k = rng.integers(len(space.a), size=1)
+        q = robot.random_q(rng)
+        end = np.clip(q + rng.choice([0.05, 0.2, 0.5]) * rng.normal(size=robot.n), robot.lower, robot.upper)
+        # A joint that moves both turns the direction, too: such ones stand still.
+        end = np.where(np.isin(np.arange(robot.n), space.coordinates[~moved[k[0]]]), q, end)
+        Q = np.array([q, end])
+        R, L = np.zeros_like(Q), np.abs(Q - q)
+        space.place(end)
+        space.move()
+        there = space._at.copy()
+        space.place(q)
+        space.move()
+        normal = rng.normal(size=3)
+        normal /= np.linalg.norm(normal)
+        gone = there - space._at
+        closer = normal @ (gone[space.a[k[0]]] - gone[space.b[k[0]]])
+        if closer <= 0.0:
+            continue
+        parts = space._V, space.coordinates, space._at, space._radius, space.a, space.b, space.by_a, space.by_b
+        until = np.empty(1)
+        for margin in (0.999, 1.5):
+            distance = np.array([margin * closer])
+            free_until(*parts, k, normal[None], distance, space.levers(L[1])[0], Q, R, L, 1.0, 0.1, 0.0, until)
+            assert until[0] < 1.0 or margin > 1.0
+        close += closer > 0.02 and until[0] == 1.0
+    assert close > 10  # nor is it far from what happens
+
+
+def test_a_convex_hull_is_one():
+    """A mesh that is not convex, as a link of the robot: the distance is that of its hull."""
+    robot = load("planar_2r")
+    surface = coal.BVHModelOBBRSS()
+    turn = np.linspace(0.0, 1.6 * np.pi, 40)  # a hook: along its edges there is more than one furthest point
+    ring = [r * np.column_stack([np.cos(turn), np.sin(turn), 0 * turn]) + (0, 0, z) for r, z in ((0.3, 0), (0.25, 0), (0.3, 0.1))]
+    points, faces = np.vstack(ring), []
+    for k in range(39):
+        for one, two in ((0, 1), (1, 2), (2, 0)):
+            a, b = 40 * one + k, 40 * two + k
+            faces += [(a, a + 1, b), (a + 1, b + 1, b)]
+    faces = np.array(faces)
+    surface.beginModel(len(faces), len(points))
+    surface.addVertices(points)
+    surface.addTriangles(faces)
+    surface.endModel()
+    geometry = pin.GeometryModel()
+    joint = robot.model.njoints - 1
+    frame = robot.model.getFrameId("link_2")
+    geometry.addGeometryObject(pin.GeometryObject("star", joint, frame, pin.SE3.Identity(), surface))
+    data = robot.model.createData()
+    pin.forwardKinematics(robot.model, data, robot.to_pinocchio(robot.home))
+    tips = points[[0, 39]]
+    out = tips[1] - tips[0]
+    away = np.array([out[1], -out[0], 0.0]) / np.linalg.norm(out)
+    away *= np.sign(away @ (tips[0] + tips[1]))
+    for f in (0.1, 0.5, 0.9):  # in front of the mouth, which only the hull closes
+        one = ik.CollisionModel(robot, geometry=geometry)
+        ball = data.oMi[joint].act(tips[0] + f * out + 0.1 * away)
+        one.add_sphere(0.01, robot.arms[0]._base_inverse.act(ball), "ball")
+        (near,) = one.distances(robot.home)
+        assert near.distance == pytest.approx(0.09, abs=1e-6)

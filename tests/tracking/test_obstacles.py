@@ -1,0 +1,207 @@
+"""Obstacles: whatever rates are asked for, nothing static is touched, and the arm comes to rest inside its limits."""
+
+import numpy as np
+import pytest
+from robots import have_data, load
+
+import ik_toolkit as ik
+from ik_toolkit.kernel.brake import brake
+from ik_toolkit.tracking.obstacles import CONTACT, Guard
+
+SLOW = pytest.param("ur5", marks=pytest.mark.slow)  # its meshes take time to test exactly
+ROBOTS = ["hydrolek_7w", "planar_2r", "two_arms", *(["panda", SLOW] if have_data() else [])]
+
+
+def scene(name):
+    """A robot, boxes where its tips can be, and a start that touches none of them."""
+    robot = load(name)
+    model, rng, size = ik.CollisionModel(robot), np.random.default_rng(8), 0.1 * robot.reach
+    while len(model.obstacles) < 5:
+        q = robot.random_q(rng)
+        for arm, place in zip(robot.arms, robot.places, strict=True):
+            model.add_box((size, 2.0 * size, size), arm.fk(q[place]).translation)
+    start = next(q for q in (robot.random_q(rng) for _ in range(200)) if not model.collides(q))
+    return robot, model, start
+
+
+def limits_of(robot, acceleration):
+    """Speed and acceleration limits; the position limits stay out of the way."""
+    far = np.full(robot.n, 100.0)
+    return np.array([-far, far, np.full(robot.n, 2.0), np.full(robot.n, acceleration)])
+
+
+def step(q, rate, x, gamma, h, limits):
+    """Where a wanted rate leads inside speed and acceleration limits."""
+    w = np.clip(np.clip(x, rate - limits[3] * h, rate + limits[3] * h), -limits[2], limits[2])
+    return q + h * ((1.0 - gamma) * rate + gamma * w), w
+
+
+def inside_rows(x, A, b):
+    """Rates near x that obey the rows, by projecting on one after the other."""
+    for _ in range(20):
+        for row, most in zip(A, b, strict=True):
+            x = x - row * max(row @ x - most, 0.0) / (row @ row)
+    return x
+
+
+def between(q, rate, q1, gamma, h, count=4):
+    """Joint values on the way, as the methods assume it."""
+    begin = q1 - q if gamma == 1.0 else h * rate
+    return [q + begin * f + (q1 - q - begin) * f * f for f in np.arange(1, count + 1) / count]
+
+
+def drive(robot, model, want, steps, h=0.01, gamma=1.0, acceleration=10.0, q=None, obey=True):
+    """Run a guard over rates want(k, q); returns states (N + 1, n), smallest distance and how many steps were not allowed."""
+    limits = limits_of(robot, acceleration)
+    guard = Guard(robot, model, limits, gamma)
+    q, rate = (robot.home if q is None else q).copy(), np.zeros(robot.n)
+    assert guard.restart(q) is None
+    Q, refused = [q], 0
+    for k in range(steps):
+        dt = h if np.isscalar(h) else h[k]
+        count = guard.rows(q, rate, dt)
+        x = want(k, q)
+        x = inside_rows(x, guard.A[:count], guard.b[:count]) if obey else x
+        q1, rate1 = step(q, rate, x, gamma, dt, limits)
+        if not guard.allows(q, rate, q1, rate1, dt):
+            refused += 1
+            q1, rate1 = guard.brake(q, rate, dt)
+        for x in between(q, rate, q1, gamma, dt):
+            assert not model.collides(x)
+        assert (np.abs(rate1 - rate) <= acceleration * dt * (1 + 1e-9) + 1e-12).all() or not np.isscalar(h)
+        q, rate = q1, rate1
+        Q.append(q)
+    return np.array(Q), refused
+
+
+def wanderer(robot, seed, hold=25):
+    """Rates towards one random configuration after the other."""
+    rng, goal = np.random.default_rng(seed), []
+
+    def want(k, q):
+        if k % hold == 0:
+            goal[:] = [robot.random_q(rng)]
+        return np.clip(5.0 * (goal[0] - q), -2.0, 2.0)
+
+    return want
+
+
+@pytest.mark.parametrize("gamma", [1.0, 0.5])
+@pytest.mark.parametrize("name", ROBOTS)
+def test_no_contact_on_random_ways(name, gamma):
+    robot, model, q = scene(name)
+    Q, _ = drive(robot, model, wanderer(robot, 1), 250, gamma=gamma, q=q)
+    assert np.abs(np.diff(Q, axis=0)).sum() > 3.0  # it does move
+    Q, refused = drive(robot, model, wanderer(robot, 2, hold=60), 250, gamma=gamma, q=q, obey=False)
+    assert refused or name in ("ur5", "hydrolek_7w")  # and without the rows, the proof has to hold it back
+
+
+@pytest.mark.parametrize("acceleration", [np.inf, 2.0])
+def test_no_contact_with_any_brake(acceleration):
+    robot, model, q = scene("hydrolek_7w")
+    drive(robot, model, wanderer(robot, 3), 250, acceleration=acceleration, q=q)
+    drive(robot, model, wanderer(robot, 4), 250, acceleration=acceleration, q=q, obey=False)
+
+
+def test_no_contact_when_the_step_changes():
+    robot, model, q = scene("two_arms")
+    h = np.random.default_rng(5).choice([0.001, 0.01, 0.05], 300)
+    for seed in range(3):
+        drive(robot, model, wanderer(robot, seed, hold=40), 300, h=h, q=q, obey=False)
+
+
+def ball_in_the_way(gap):
+    """planar_2r stretched out along x, and a ball beside its second link, gap [m] away."""
+    robot = load("planar_2r")
+    q = np.array([0.0, 0.5])
+    model = ik.CollisionModel(robot)
+    end = robot.fk(q).translation
+    low = 0.0
+    high = 1.0
+    for _ in range(60):  # bisection on where the ball stands
+        y = 0.5 * (low + high)
+        one = ik.CollisionModel(robot).add_sphere(0.1, end + (-0.2, 0.1 + y, 0.0), "ball")
+        d = min(near.distance for near in one.distances(q) if "ball" in near.pair)
+        low, high = (y, high) if d < gap else (low, y)
+    return robot, model.add_sphere(0.1, end + (-0.2, 0.1 + high, 0.0), "ball"), q
+
+
+@pytest.mark.parametrize("gap", [1e-3, 1e-4])
+def test_a_start_a_hair_off_is_no_contact_and_no_prison(gap):
+    robot, model, q = ball_in_the_way(gap)
+    Q, refused = drive(robot, model, lambda k, q: np.array([1.0, 0.0]), 50, q=q)
+    assert model.distances(Q[-1])[0].distance > 0.5 * min(gap, 5e-3)
+    Q, refused = drive(robot, model, lambda k, q: np.array([-1.0, 0.0]), 50, q=q)
+    assert refused == 0 and Q[-1, 0] < -0.3  # away from it, at full speed
+
+
+def test_it_slides_along_and_keeps_its_distance():
+    robot, model, q = ball_in_the_way(0.2)
+    Q, refused = drive(robot, model, lambda k, q: np.array([1.0, 0.0]), 150, q=q)
+    d = [min(near.distance for near in model.distances(x) if "ball" in near.pair) for x in Q]
+    assert refused == 0 and min(d) > 0.0045 and d[-1] < 0.02
+
+
+def test_a_thin_sheet_is_not_jumped_over(tmp_path):
+    """Steps of 50 ms at 2 rad/s move the tip by 0.2 m: any number of samples would miss 0.1 mm."""
+    robot = load("planar_2r")
+    q = np.array([0.0, 0.3])
+    at = robot.fk(q).translation
+    model = ik.CollisionModel(robot).add_box((6.0, 1e-4, 1.0), at + (0.0, 0.4, 0.0), "sheet")
+    for seed in range(10):
+        x = np.random.default_rng(seed).uniform(0.5, 2.0, 2)
+        Q, refused = drive(robot, model, lambda k, q, x=x: x, 30, h=0.05, acceleration=20.0, q=q, obey=False)
+        assert refused and robot.fk(Q[-1]).translation[1] < at[1] + 0.6
+
+
+def test_a_refused_step_ends_at_rest_and_names_the_pair():
+    robot, model, q = ball_in_the_way(0.3)
+    limits = limits_of(robot, 5.0)
+    guard = Guard(robot, model, limits, 1.0)
+    assert guard.restart(q) is None
+    rate, refused = np.zeros(2), 0
+    for _ in range(200):
+        q1, rate1 = step(q, rate, np.array([1.0, 0.0]), 1.0, 0.01, limits)
+        if guard.allows(q, rate, q1, rate1, 0.01):
+            assert guard.blocked is None
+        else:
+            refused += 1
+            assert guard.blocked == ("link_2", "ball")
+            q1, rate1 = guard.brake(q, rate, 0.01)
+            assert (np.abs(rate1) <= np.maximum(np.abs(rate) - 0.05, 0.0) + 1e-12).all()
+        q, rate = q1, rate1
+    assert refused > 10 and np.abs(rate).max() < 0.1 and not model.collides(q)
+
+
+def test_a_touching_start_is_said_and_held():
+    robot, model, q = ball_in_the_way(1e-3)
+    model.add_sphere(0.2, robot.fk(q), "knot")
+    guard = Guard(robot, model, limits_of(robot, 10.0), 1.0)
+    assert guard.restart(q) == ("link_2", "knot")
+    assert not guard.allows(q, np.zeros(2), q + 0.001, np.full(2, 0.1), 0.01)
+    held, still = guard.brake(q, np.zeros(2), 0.01)
+    assert np.array_equal(held, q) and not still.any()
+
+
+def test_what_is_added_later_counts():
+    robot, model, q = ball_in_the_way(0.5)
+    guard = Guard(robot, model, limits_of(robot, 10.0), 1.0)
+    assert guard.restart(q) is None
+    one = np.zeros(2)
+    assert guard.rows(q, one, 0.01) == 0 and guard.allows(q, one, q, one, 0.01)
+    model.add_sphere(0.2, robot.fk(q).translation + (0.0, 0.1, 0.0), "late")
+    assert guard.rows(q, one, 0.01) > 0 and ("link_2", "late") in guard.pairs
+
+
+def test_a_brake_is_that_of_the_limits():
+    """Each joint on its own at its full deceleration, and as far as the methods assume between samples."""
+    limits = np.array([[-9.0, -9.0], [9.0, 9.0], [5.0, 5.0], [2.0, 4.0]])
+    for gamma in (1.0, 0.5, 0.6):
+        Q, R, L = (np.empty((60, 2)) for _ in range(3))
+        Q[0], R[0] = (0.0, 1.0), (0.5, -1.0)
+        count = brake(0, gamma, 0.01, limits, Q, R, L)
+        assert count in (25, 26)  # by rounding
+        assert np.allclose(R[: count + 1, 0], np.maximum(0.5 - 0.02 * np.arange(count + 1), 0.0)) and not R[count].any()
+        assert np.allclose(L[: count + 1], np.abs(Q[: count + 1] - Q[0]), atol=0.001)
+        assert np.allclose(np.diff(Q[:25], axis=0), 0.01 * ((1 - gamma) * R[:24] + gamma * R[1:25]))
+    assert CONTACT > 0.0
