@@ -1,6 +1,7 @@
 """How far apart the parts of a robot and its surroundings are, and how fast they can get closer.
 
-Distances are those of convex hulls, which cost a microsecond a pair; the exact shapes, which lie inside their hulls, are measured where hulls meet.
+Distances are those of convex hulls, which cost a microsecond a pair; the exact shapes, which lie inside their hulls, are measured
+where hulls meet.
 """
 
 from typing import Any, NamedTuple
@@ -72,7 +73,9 @@ class Clearance:
         self._joints(shapes)
         self.exact, self._on_surface = np.zeros((2, len(pairs)), dtype=bool)
         self.place(robot.home)
-        self.exact = np.array([self._surface[k] and self._hull_distance(k) <= 0.0 for k in range(len(pairs))], dtype=bool)
+        self.exact = np.array(
+            [self._surface[k] and self._hull_distance(k) <= 0.0 for k in range(len(pairs))], dtype=bool
+        )
         self.home = self.distances()
 
     def _joints(self, shapes: Any) -> None:
@@ -127,7 +130,9 @@ class Clearance:
 
     def points(self, ks: np.ndarray) -> np.ndarray:
         """Nearest points (K, 2, 3) of pairs ks (K,) (root axes), after `distance`."""
-        results = [(self._exact_data if self._on_surface[k] else self._hull_data).distanceResults[k] for k in ks.tolist()]
+        results = [
+            (self._exact_data if self._on_surface[k] else self._hull_data).distanceResults[k] for k in ks.tolist()
+        ]
         return np.array([(found.getNearestPoint1(), found.getNearestPoint2()) for found in results]).reshape(-1, 2, 3)
 
     def near(self, q: np.ndarray, within: float) -> list[Near]:
@@ -176,7 +181,7 @@ class Clearance:
         return rows(self._V, self.coordinates, self.by_a, self.by_b, ks, self.points(ks), gap, rate, *rest)
 
     def free_until(self, ks: np.ndarray, distances: np.ndarray, *rest: Any) -> np.ndarray:
-        """How far (K,) pairs ks are free for sure, as `kernel.clearance.free_until` says; their distances are those last measured."""
+        """How far (K,) pairs ks are free for sure, as `kernel.clearance.free_until` says, from where they were last measured."""
         gap = self.points(ks)
         normals = gap[:, 1] - gap[:, 0]
         normals /= np.maximum(np.sqrt((normals**2).sum(1)), 1e-300)[:, None]

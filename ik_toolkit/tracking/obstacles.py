@@ -1,8 +1,8 @@
 """Obstacles in a tracker's step: rows that slow the arm down before it meets something, and a proof that it can still stop.
 
-The rows are half-planes for the joint rates, made at the nearest points of the pairs that matter most; they guide and may be relaxed.
-What promises that static things are never touched is the proof: the step, and the full brake after it, are followed along the
-way, and distances are measured so often that nothing fits between two measurements. A step without a proof is not taken.
+The rows are half-planes for the joint rates, made at the nearest points of the pairs that matter most; they guide and may be
+relaxed. What promises that static things are never touched is the proof: the step, and the full brake after it, are followed
+along the way, and distances are measured so often that nothing fits between two measurements. A step without a proof is not taken.
 """
 
 from typing import Any, NamedTuple
@@ -20,7 +20,9 @@ FLAT = 1e-9  # [m per rad or m] a row without an entry above this forbids nothin
 SHARE = 0.1  # of a row's largest entry, from which on a joint's braking counts
 CONTACT = 1e-5  # [m] nearer than this is a contact: ten times the tolerance of coal's distances
 NEAREST = 1e-4  # [m] a way that leads nearer than this is not followed to see whether it touches
-LOOKS = 16  # places where distances are measured to prove one step free, 0.05 ms each; a step that takes more is not taken
+LOOKS = (
+    16  # places where distances are measured to prove one step free, 0.05 ms each; a step that takes more is not taken
+)
 PIECES = 4000  # pieces of a brake that is followed; one that takes more is not tried
 
 
@@ -55,7 +57,6 @@ class Guard:
         self._shapes = self.model.geometry.ngeoms
         # A robot's own parts may be closer to each other than what is kept: then half of that distance is.
         self._keep = np.where(space.own & (space.home > 0.0), np.minimum(0.5 * space.home, KEEP), KEEP)
-        self._stop = np.zeros(len(self._keep))  # how much closer each pair can come on a brake as long as the last one
 
     def restart(self, q: np.ndarray) -> tuple[str, str] | None:
         """Begin at q (n,); returns the names of a pair that touches there, or None."""
@@ -65,6 +66,7 @@ class Guard:
         self._low = self._space.distances()  # never more than the distances (P,) at q
         self._fresh = np.ones(len(self._low), dtype=bool)  # which of them are measured there
         self._known = False  # whether it is known how everything moves there
+        self._stop = np.zeros(len(self._low))  # how much closer each pair can come on a step and brake like the last
         self._path: Path | None = None
         self._done = 0.0  # pieces of the path that are behind
         touching = np.flatnonzero(self._low <= CONTACT)
@@ -123,14 +125,13 @@ class Guard:
         self.blocked = blocked
         if self._path is None:
             return q.copy(), np.zeros_like(q)
-        return self._go_on(self._done + h / self._path.h)
+        return self._go_on(self._path, self._done + h / self._path.h)
 
-    def _go_on(self, u: float) -> tuple[np.ndarray, np.ndarray]:
+    def _go_on(self, path: Path, u: float) -> tuple[np.ndarray, np.ndarray]:
         """Joint values and rates u pieces along the path, which is where the robot is now."""
-        path, before = self._path, self._done
         q, q1, way, way1 = (np.empty(self.robot.n) for _ in range(4))
         u = min(u, len(path.q) - 1.0)
-        along(path.q, path.rate, path.length, self.gamma, path.h, before, q, way)
+        along(path.q, path.rate, path.length, self.gamma, path.h, self._done, q, way)
         along(path.q, path.rate, path.length, self.gamma, path.h, u, q1, way1)
         self._moved(way1 - way)
         self._done = u
@@ -144,7 +145,7 @@ class Guard:
         self._known = False
 
     def _take(self, Q: np.ndarray, R: np.ndarray, h: float, anyway: bool = False) -> bool:
-        """Prove the motion through states Q, R (1 or 2, n), and the brake after it; if it is free, or anyway, it counts as taken."""
+        """Prove the motion through states Q, R (1 or 2, n), and the brake after it; free, or anyway, it counts as taken."""
         path = self._follow(Q, R, h)
         if path is None:
             self.blocked = None
@@ -179,10 +180,10 @@ class Guard:
         if not steps < PIECES:
             return None
         size, first = int(steps) + 6, len(Q) - 1
-        path = Path(*(np.empty((size, self.robot.n)) for _ in range(3)), h)
-        path.q[: first + 1], path.rate[: first + 1] = Q, R
-        count = brake(first, self.gamma, h, self.limits, path.q, path.rate, path.length)
-        return None if count < 0 else Path(*(array[: count + 1] for array in path[:3]), h)
+        all_q, rates, lengths = np.empty((3, size, self.robot.n))
+        all_q[: first + 1], rates[: first + 1] = Q, R
+        end = brake(first, self.gamma, h, self.limits, all_q, rates, lengths) + 1
+        return Path(all_q[:end], rates[:end], lengths[:end], h) if end else None
 
     def _prove(self, path: Path, ks: np.ndarray, levers: np.ndarray) -> tuple[str, str] | None:
         """None when pairs ks, measured at the start, touch nowhere on a path; else the names of one in doubt."""

@@ -22,8 +22,8 @@ def model_of(name):
     for arm, place in zip(robot.arms, robot.places, strict=True):
         at = arm.fk(q[place]).translation
         model.add_box((0.2, 0.3, 0.1), ik.pose(1.3 * at, rpy=(0.3, 0.2, 0.1)))
-        model.add_cylinder(0.1, 0.4, ik.pose(1.2 * at + (0.1, 0.3, 0.1), rpy=(0.5, 0.2, 0.1)))
-        model.add_sphere(0.1, at - (0.3, 0.2, 0.1))
+        model.add_cylinder(0.1, 0.4, ik.pose(1.2 * at + np.array([0.1, 0.3, 0.1]), rpy=(0.5, 0.2, 0.1)))
+        model.add_sphere(0.1, at - np.array([0.3, 0.2, 0.1]))
     return model
 
 
@@ -78,11 +78,11 @@ def test_what_stands_in_a_hollow_is_measured_exactly(tmp_path):
     q = robot.home
     z = ik.CollisionModel(robot).geometry.geometryObjects[-1].placement.translation[2]
     tip = robot.fk(q).translation
-    model = ik.CollisionModel(robot).add_mesh(tmp_path / "u.obj", tip - (0.0, 0.0, 0.5), name="trough")
+    model = ik.CollisionModel(robot).add_mesh(tmp_path / "u.obj", tip - np.array([0.0, 0.0, 0.5]), name="trough")
     assert not model.collides(q)
     pairs = {near.pair: near.distance for near in model.distances(q)}
     assert pairs["link_2", "trough"] == pytest.approx(exact(model, q)["link_2", "trough"], abs=1e-6) and z < 0.5
-    over = ik.CollisionModel(robot).add_mesh(tmp_path / "u.obj", tip + (0.0, 0.0, 1.5), name="trough")
+    over = ik.CollisionModel(robot).add_mesh(tmp_path / "u.obj", tip + np.array([0.0, 0.0, 1.5]), name="trough")
     assert {near.pair: near.distance for near in over.distances(q)}["link_2", "trough"] > 1.0
 
 
@@ -135,7 +135,9 @@ def test_rows_are_how_distances_change(name):
         space.place(q - step)
         here = np.array([space.distance(k) for k in ks[order[:count]].tolist()])
         closer = 0.5 * (here - there) / 1e-5
-        off = np.abs(A[:count] @ step / 1e-5 - closer)  # where the nearest point jumps from corner to corner, it may be off
+        off = np.abs(
+            A[:count] @ step / 1e-5 - closer
+        )  # where the nearest point jumps from corner to corner, it may be off
         assert np.median(off) < 0.02 and np.mean(off < 0.1) > 0.8
         checked += count
     assert checked > 20
@@ -216,7 +218,10 @@ def test_a_convex_hull_is_one():
     robot = load("planar_2r")
     surface = coal.BVHModelOBBRSS()
     turn = np.linspace(0.0, 1.6 * np.pi, 40)  # a hook: along its edges there is more than one furthest point
-    ring = [r * np.column_stack([np.cos(turn), np.sin(turn), 0 * turn]) + (0, 0, z) for r, z in ((0.3, 0), (0.25, 0), (0.3, 0.1))]
+    ring = [
+        r * np.column_stack([np.cos(turn), np.sin(turn), 0 * turn]) + np.array([0, 0, z])
+        for r, z in ((0.3, 0), (0.25, 0), (0.3, 0.1))
+    ]
     points, faces = np.vstack(ring), []
     for k in range(39):
         for one, two in ((0, 1), (1, 2), (2, 0)):

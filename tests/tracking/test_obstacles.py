@@ -120,10 +120,10 @@ def ball_in_the_way(gap):
     high = 1.0
     for _ in range(60):  # bisection on where the ball stands
         y = 0.5 * (low + high)
-        one = ik.CollisionModel(robot).add_sphere(0.1, end + (-0.2, 0.1 + y, 0.0), "ball")
+        one = ik.CollisionModel(robot).add_sphere(0.1, end + np.array([-0.2, 0.1 + y, 0.0]), "ball")
         d = min(near.distance for near in one.distances(q) if "ball" in near.pair)
         low, high = (y, high) if d < gap else (low, y)
-    return robot, model.add_sphere(0.1, end + (-0.2, 0.1 + high, 0.0), "ball"), q
+    return robot, model.add_sphere(0.1, end + np.array([-0.2, 0.1 + high, 0.0]), "ball"), q
 
 
 @pytest.mark.parametrize("gap", [1e-3, 1e-4])
@@ -147,7 +147,7 @@ def test_a_thin_sheet_is_not_jumped_over(tmp_path):
     robot = load("planar_2r")
     q = np.array([0.0, 0.3])
     at = robot.fk(q).translation
-    model = ik.CollisionModel(robot).add_box((6.0, 1e-4, 1.0), at + (0.0, 0.4, 0.0), "sheet")
+    model = ik.CollisionModel(robot).add_box((6.0, 1e-4, 1.0), at + np.array([0.0, 0.4, 0.0]), "sheet")
     for seed in range(10):
         x = np.random.default_rng(seed).uniform(0.5, 2.0, 2)
         Q, refused = drive(robot, model, lambda k, q, x=x: x, 30, h=0.05, acceleration=20.0, q=q, obey=False)
@@ -189,7 +189,7 @@ def test_what_is_added_later_counts():
     assert guard.restart(q) is None
     one = np.zeros(2)
     assert guard.rows(q, one, 0.01) == 0 and guard.allows(q, one, q, one, 0.01)
-    model.add_sphere(0.2, robot.fk(q).translation + (0.0, 0.1, 0.0), "late")
+    model.add_sphere(0.2, robot.fk(q).translation + np.array([0.0, 0.1, 0.0]), "late")
     assert guard.rows(q, one, 0.01) > 0 and ("link_2", "late") in guard.pairs
 
 
