@@ -1,10 +1,12 @@
 """URDF text -> Pinocchio model, mimic joints followed."""
 
 import xml.etree.ElementTree as ET
+from collections.abc import Mapping
 
 import pinocchio as pin
 
-from .read import parse
+from .mimic import MOVING, Followers, followers
+from .read import parse, wrong_scale
 
 ENDLESS = "1e16"  # written as a limit: Robot takes it as none (NO_LIMIT)
 
@@ -12,26 +14,60 @@ ENDLESS = "1e16"  # written as a limit: Robot takes it as none (NO_LIMIT)
 def build_model(text: str) -> pin.Model:
     """Pinocchio's model of a URDF that `safe_read` has passed. Raises what Pinocchio raises.
 
-    A continuous joint that leads or follows another is given to Pinocchio as a revolute joint without limits. As cosine and
-    sine it would forget its turns, and a follower by half a turn per turn would be half a turn off; nor does Pinocchio let a
-    continuous joint lead, or follow, one of another type.
+    What Pinocchio cannot read and what moves nothing is mended in the text it gets: a missing name, shapes with a mesh scale that
+    is none, followers of joints that do not exist or follow another themselves, the order of the joints (see mimic.py).
     """
-    joints = {item.name: item for item in parse(text) if item.tag == "joint"}
-    tied = set()
-    for name, item in joints.items():
-        mimic = item.first("mimic")
-        if mimic is not None:
-            tied |= {name, mimic.get("joint", "")}
-    endless = {name for name in tied & joints.keys() if joints[name].attributes.get("type") == "continuous"}
-    if endless:
-        root = ET.fromstring(text)  # noqa: S314 - the parse above has refused every DOCTYPE and entity
-        for joint in root.findall("joint"):
-            if joint.get("name") in endless:
-                joint.set("type", "revolute")
-                limit = joint.find("limit")
-                if limit is None:
-                    limit = ET.SubElement(joint, "limit", effort=ENDLESS, velocity=ENDLESS)
-                limit.set("lower", f"-{ENDLESS}")
-                limit.set("upper", ENDLESS)
-        text = ET.tostring(root, "unicode")
-    return pin.buildModelFromXML(text, True)
+    items = parse(text)
+    found = followers(text)
+    shapes = any(wrong_scale(attributes) for item in items for tag, attributes in item.inside if tag == "mesh")
+    if not (found.tied or found.loose or shapes or not items[0].name):
+        return pin.buildModelFromXML(text, True)
+    # Depth first by name is how Pinocchio goes through the tree, so names that sort in the wanted order are lent to the joints.
+    lent = {name: f"{place:04d} {name}" for place, name in enumerate(found.order)}
+    model = pin.buildModelFromXML(_mended(text, found, lent, shapes), True)
+    own = {name: joint for joint, name in lent.items()}
+    for j, name in enumerate(model.names):
+        model.names[j] = own.get(name, name)
+    for frame in model.frames:
+        if frame.type in (pin.FrameType.JOINT, pin.FrameType.FIXED_JOINT):
+            frame.name = own.get(frame.name, frame.name)
+    return model
+
+
+def _mended(text: str, found: Followers, lent: Mapping[str, str], shapes: bool) -> str:
+    """URDF text as Pinocchio can read it; lent: joints' names to give them; shapes: leave them out.
+
+    A continuous joint that leads or follows another becomes a revolute joint without limits. As cosine and sine it would forget
+    its turns, and a follower by half a turn per turn would be half a turn off; nor does Pinocchio let a continuous joint lead, or
+    follow, one of another type.
+    """
+    root = ET.fromstring(text)  # noqa: S314 - the parse before has refused every DOCTYPE and entity
+    root.set("name", root.get("name") or "robot")
+    tied = found.tied
+    both = {*tied, *(tie.leader for tie in tied.values())}
+    for joint in root.findall("joint"):
+        name = joint.get("name", "")
+        for mimic in joint.findall("mimic"):
+            joint.remove(mimic)
+        if name in tied and joint.get("type") in MOVING:
+            tie = tied[name]
+            ET.SubElement(
+                joint,
+                "mimic",
+                joint=lent.get(tie.leader, tie.leader),
+                multiplier=repr(tie.ratio),
+                offset=repr(tie.offset),
+            )
+        if name in both and joint.get("type") == "continuous":
+            joint.set("type", "revolute")
+            limit = joint.find("limit")
+            if limit is None:
+                limit = ET.SubElement(joint, "limit", effort=ENDLESS, velocity=ENDLESS)
+            limit.set("lower", f"-{ENDLESS}")
+            limit.set("upper", ENDLESS)
+        joint.set("name", lent.get(name, name))
+    if shapes:
+        for link in root.findall("link"):
+            for shape in (*link.findall("visual"), *link.findall("collision")):
+                link.remove(shape)
+    return ET.tostring(root, "unicode")

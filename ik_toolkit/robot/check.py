@@ -6,15 +6,16 @@ capped, with no DOCTYPE, no entity expanded and nothing fetched.
 """
 
 import math
+import re
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 from ..errors import ModelError, near_match
 from .meshes import find_mesh, mesh_folders
-from .read import NUMBERS, Item, numbers, parse, safe_read
+from .mimic import MOVING, followers
+from .read import NUMBERS, Item, numbers, parse, safe_read, wrong_scale
 
-MOVING = ("revolute", "continuous", "prismatic")
 TYPES = (*MOVING, "fixed", "floating", "planar")
 HINTS = 10  # near matches looked for in one file: each compares a name with every other
 
@@ -46,7 +47,10 @@ def check_urdf(source: str | Path, package_dirs: Iterable[str | Path] = ()) -> l
     is_text = isinstance(source, str) and source.lstrip("\ufeff \t\r\n").startswith("<")
     folders = mesh_folders(None if is_text else Path(source), package_dirs)
     warnings = [finding for item in items for finding in (*_remarks(item), *_meshes(item, folders))]
-    errors = list(_errors(items))
+    warnings += _loose(text, items)
+    found = list(_errors(items))
+    errors = [finding for finding in found if finding.severity == "error"]
+    warnings += [finding for finding in found if finding.severity == "warning"]
     if not errors:
         from .build import build_model
 
@@ -60,28 +64,10 @@ def check_urdf(source: str | Path, package_dirs: Iterable[str | Path] = ()) -> l
 
 def require_loadable(text: str) -> None:
     """Raise ModelError naming the first element when a URDF's kinematics mean nothing (`check_urdf` lists all)."""
-    findings = list(_errors(parse(text)))
+    findings = [finding for finding in _errors(parse(text)) if finding.severity == "error"]
     if findings:
         more = f" (and {len(findings) - 1} more; `ik check` lists them)" if len(findings) > 1 else ""
         raise ModelError(f"the URDF cannot be used: {findings[0]}{more}; {findings[0].advice}")
-
-
-def mimic_limits(text: str) -> dict[str, tuple[str, float, float, float, float]]:
-    """Follower joint -> (leader, multiplier, offset, lower, upper) [rad or m]: q = multiplier q_leader + offset.
-
-    The limits are the follower's own (infinite when it has none); Pinocchio does not keep them.
-    """
-    found = {}
-    for item in parse(text):
-        mimic, limit = item.first("mimic"), item.first("limit")
-        if item.tag != "joint" or mimic is None:
-            continue
-        lower, upper = -math.inf, math.inf
-        if limit is not None and item.attributes.get("type") != "continuous":
-            lower, upper = float(limit.get("lower", 0.0)), float(limit.get("upper", 0.0))
-        ratio, offset = float(mimic.get("multiplier", 1.0)), float(mimic.get("offset", 0.0))
-        found[item.name] = (mimic.get("joint", ""), ratio, offset, lower, upper)
-    return found
 
 
 def _errors(items: list[Item]) -> Iterator[Finding]:
@@ -106,7 +92,6 @@ def _errors(items: list[Item]) -> Iterator[Finding]:
     for joint in joints:
         yield from _joint(joint)
     yield from _tree({link.name for link in links}, joints)
-    yield from _mimics(joints)
 
 
 def _error(element: str, problem: str, advice: str) -> Finding:
@@ -126,7 +111,9 @@ def _numbers(item: Item) -> Iterator[Finding]:
                 continue
             values = numbers(attributes[key])
             shown = f'<{tag} {key}="{attributes[key][:60]}">'
-            if values is None or len(values) != count:
+            if tag == "mesh" and wrong_scale(attributes):
+                yield Finding("warning", str(item), f"{shown} is not 3 numbers", "its shape is left out; correct it")
+            elif values is None or len(values) != count:
                 yield _error(
                     str(item), f"{shown} is not {'a number' if count == 1 else f'{count} numbers'}", "correct it"
                 )
@@ -159,12 +146,6 @@ def _joint(joint: Item) -> Iterator[Finding]:
             yield _error(str(joint), f"its <limit> has no {key}", f"add {key} (Pinocchio refuses the file without)")
         elif (numbers(limit[key]) or [0.0])[0] < 0.0:
             yield _error(str(joint), f"its {key} limit is negative ({limit[key]})", "write a positive number")
-    if kind != "continuous":
-        lower, upper = (numbers(limit.get(end, "0")) for end in ("lower", "upper"))
-        if lower and upper and lower[0] > upper[0]:
-            yield _error(
-                str(joint), f"its lower limit {lower[0]:g} is above its upper limit {upper[0]:g}", "exchange them"
-            )
 
 
 def _tree(links: set[str], joints: list[Item]) -> Iterator[Finding]:
@@ -211,34 +192,13 @@ def _some(names: Iterable[str]) -> str:
     return ", ".join(f"'{name}'" for name in listed[:5]) + (f" and {len(listed) - 5} more" if len(listed) > 5 else "")
 
 
-def _mimics(joints: list[Item]) -> Iterator[Finding]:
-    by_name = {joint.name: joint for joint in joints}
-    leads = {joint.name: mimic.get("joint", "") for joint in joints if (mimic := joint.first("mimic")) is not None}
-    ends: dict[str, str] = {}  # where each follower's chain of leaders ends: '' when it never does
-    for name in leads:
-        walk: dict[str, None] = {}
-        while name in leads and name not in ends and name not in walk:
-            walk[name] = None
-            name = leads[name]
-        ends.update(dict.fromkeys(walk, "" if name in walk else ends.get(name, name)))
-    unknown = 0
-    for name, leader in leads.items():
-        element = f"joint '{name}'"
-        if leader not in by_name:
-            hint = _near(leader, by_name, unknown)
-            yield _error(element, f"it mimics joint '{leader}', which does not exist", f"name a joint{hint}")
-            unknown += 1
-            continue
-        if not ends[name]:
-            yield _error(element, f"it mimics itself through '{leader}'", "let one of these joints move freely")
-        elif ends[name] != leader:
-            yield _error(
-                element, f"it mimics joint '{leader}', itself a follower", f"let it mimic '{ends[name]}' directly"
-            )
-        elif by_name[leader].attributes.get("type") not in MOVING:
-            yield _error(
-                element, f"it mimics joint '{leader}', which does not move", "name a moving joint, or make it fixed"
-            )
+def _loose(text: str, items: list[Item]) -> Iterator[Finding]:
+    """Remarks on followers that stand still because they cannot be tied to their leaders."""
+    names = [item.name for item in items if item.tag == "joint"]
+    for count, (joint, why) in enumerate(followers(text).loose.items()):
+        leader = re.search("'(.*)'", why)
+        hint = _near(leader[1], names, count) if leader and leader[1] not in names else ""
+        yield Finding("warning", f"joint '{joint}'", f"it {why}: it stands still", f"name a joint that moves{hint}")
 
 
 def _remarks(item: Item) -> Iterator[Finding]:
@@ -257,6 +217,13 @@ def _remarks(item: Item) -> Iterator[Finding]:
                     str(item),
                     f"its <limit> has no {' and no '.join(missing)}: read as 0",
                     "write both limits",
+                )
+            if lower and upper and lower[0] > upper[0]:
+                yield Finding(
+                    "warning",
+                    str(item),
+                    f"its lower limit {lower[0]:g} is above its upper limit {upper[0]:g}: no tip can be moved by it",
+                    "exchange them",
                 )
             if lower and lower == upper:
                 yield Finding(

@@ -1,6 +1,7 @@
 """Reading a URDF safely: one streaming parse, capped, that expands no entity and fetches nothing."""
 
 import functools
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -39,7 +40,7 @@ NAMED = {"robot", "link", "joint", "parent", "child", "mimic"}  # elements whose
 
 @dataclass
 class Item:
-    """A link, a joint or a material: its attributes, the elements inside it as (tag, attributes), its line.
+    """The robot, a link, a joint or a material: its attributes, the elements inside it as (tag, attributes), its line.
 
     shapes: for each visual and collision of a link 'role' (its tag), 'name', 'geometry' (tag, attributes), and the attributes of
     'origin', 'material' and 'color', where they are given.
@@ -108,7 +109,7 @@ def _read_file(path: Path) -> str:
 
 @functools.lru_cache(maxsize=4)
 def parse(text: str) -> list[Item]:
-    """Links and joints of a URDF text in order; ModelError when it is not one or is over a cap."""
+    """The robot, its links, joints and materials in the order of a URDF text; ModelError when it is not one or is over a cap."""
     items: list[Item] = []
     stack: list[str] = []
     counts = {"elements": 0, "joint": 0}
@@ -128,13 +129,13 @@ def parse(text: str) -> list[Item]:
             raise ModelError(f"the URDF has a name of more than {MAX_NAME} characters {where}")
         if not stack and tag != "robot":
             raise ModelError(f"the root element is <{tag}>, not <robot>: this is not a URDF")
-        if not stack and not attributes.get("name"):
-            raise ModelError('the <robot> element has no name; write <robot name="...">')
         if tag.startswith("xacro:") or (macros and any("${" in x or "$(" in x for x in attributes.values())):
             raise ModelError(
                 f"line {parser.CurrentLineNumber} has xacro macros; expand it first: xacro IN.xacro > OUT.urdf"
             )
-        if len(stack) == 1 and tag in ("link", "joint", "material"):
+        if not stack:
+            items.append(Item(tag, attributes, parser.CurrentLineNumber))
+        elif len(stack) == 1 and tag in ("link", "joint", "material"):
             if tag == "joint":
                 counts[tag] += 1
                 if counts[tag] > MAX_JOINTS:
@@ -189,6 +190,12 @@ def numbers(text: str) -> list[float] | None:
         return [float(word) for word in text.split()] if "_" not in text else None
     except ValueError:
         return None
+
+
+def wrong_scale(mesh: Mapping[str, str]) -> bool:
+    """Whether a <mesh> has a scale that is not three finite numbers: Pinocchio refuses the whole file for it."""
+    scale = numbers(mesh.get("scale", "1 1 1"))
+    return scale is None or len(scale) != 3 or not all(map(math.isfinite, scale))
 
 
 def _feed(parser: Any, raw: bytes) -> None:

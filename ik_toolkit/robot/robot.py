@@ -17,9 +17,10 @@ from ..errors import FrameNotFound, InvalidConfiguration, InvalidOption, JointNo
 from ..kernel.chain import Chain, evaluate
 from ..kernel.records import POINTS
 from .build import build_model
-from .check import mimic_limits, require_loadable, safe_read
+from .check import require_loadable, safe_read
 from .joints import Joints
 from .library import RobotEntry, find
+from .mimic import followers, mimic_limits
 from .pose import check_target
 from .probe import AGREE, NO_LIMIT, configurations, difference, find_path, limits, probe
 from .probe import Path as JointPath
@@ -160,6 +161,12 @@ class Robot(Joints):
         locked = {model.getJointId(joint) for joint in self.locked_joints}
         path = find_path(model, base_id, tip_id, locked)
         self._path: JointPath = path
+        loose = followers(self.urdf).loose if self.urdf else {}
+        for joint in (model.names[j] for j in path.joints):
+            if joint in loose:
+                raise ModelError(
+                    f"joint '{joint}' between '{self.base}' and '{self.tip}' {loose[joint]}: correct its <mimic>"
+                )
         self.joint_names = tuple(model.names[j] for j in path.leaders)
         self.tips, self.places = (self.tip,), (np.arange(self.n),)
         lower, upper = limits(model, path, mimic_limits(self.urdf) if self.urdf else {})

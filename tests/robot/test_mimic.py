@@ -1,0 +1,92 @@
+"""Followers of mimic joints, however a file orders and names them: kinematics by the second FK, and what cannot be tied."""
+
+import numpy as np
+import pytest
+from robots import joint
+from second_fk import SecondFK, pose_errors
+
+import ik_toolkit as ik
+from ik_toolkit.errors import ModelError
+from ik_toolkit.robot.check import check_urdf
+
+# Two fingers on a turning hand; the thumb leads, and its branch comes after the index finger's in the order of the names.
+HAND = "".join(
+    (
+        '<robot name="hand"><link name="palm0"/>',
+        joint("wrist", "revolute", "palm0", "palm"),
+        joint(
+            "a_index",
+            "revolute",
+            "palm",
+            "index",
+            axis="0 1 0",
+            mimic='<mimic joint="thumb" multiplier="0.5" offset="0.1"/>',
+        ),
+        joint("a_nail", "revolute", "index", "nail", axis="0 1 0", mimic='<mimic joint="a_index" multiplier="-2"/>'),
+        joint("thumb", "revolute", "palm", "thumb_link", axis="1 0 0", xyz="0.1 0 0.2"),
+        joint("thumb_2", "prismatic", "thumb_link", "thumb_end", mimic='<mimic joint="thumb" multiplier="0.03"/>'),
+        "</robot>",
+    )
+)
+
+
+def check_fk(text, tip):
+    robot, judge, rng = ik.Robot.load(text, tip=tip), SecondFK(text, tip=tip), np.random.default_rng(1)
+    Q = np.array([robot.random_q(rng) for _ in range(20)])
+    position, angle = pose_errors(np.array([robot.fk(q).homogeneous for q in Q]), judge.fk(Q, robot.joint_names))
+    assert position.max() < 1e-12 and angle.max() < 1e-12
+    assert ik.solve(robot, robot.fk(Q[0]).translation).success
+    return robot
+
+
+@pytest.mark.parametrize("tip", ["nail", "thumb_end"])
+def test_leaders_may_come_after_their_followers(tip):
+    assert check_fk(HAND, tip).joint_names == ("wrist", "thumb")
+
+
+def test_names_are_those_of_the_file():
+    model = ik.Robot.load(HAND, tip="nail").model
+    assert sorted(model.names[1:]) == ["a_index", "a_nail", "thumb", "thumb_2", "wrist"]
+    assert {"wrist", "thumb"} <= {frame.name for frame in model.frames}
+
+
+def test_two_branches_that_lead_each_other():
+    """No order has both leaders first: one pair is tied, the other's follower stands still, and says so where it matters."""
+    parts = (
+        '<robot name="r"><link name="o"/>',
+        joint("a1", "revolute", "o", "a"), joint("a2", "revolute", "a", "aa", mimic='<mimic joint="b1"/>'),
+        joint("b1", "revolute", "o", "b"), joint("b2", "revolute", "b", "bb", mimic='<mimic joint="a1"/>'),
+        "</robot>",
+    )  # fmt: skip
+    text = "".join(parts)
+    findings = [str(f) for f in check_urdf(text)]
+    assert len(findings) == 1 and "joint 'b2'" in findings[0]
+    check_fk(text, "aa")
+    with pytest.raises(ModelError, match="joint 'b2' between 'o' and 'bb' mimics joint 'a1'"):
+        ik.Robot.load(text, tip="bb")
+    check_fk(text, "b")
+
+
+@pytest.mark.parametrize("leader", ["nobody", "a_nail", "fixed"])
+def test_followers_that_cannot_be_tied_matter_on_the_path_only(leader):
+    text = HAND.replace('<mimic joint="thumb" multiplier="0.5" offset="0.1"/>', f'<mimic joint="{leader}"/>')
+    text = text.replace("</robot>", joint("fixed", "fixed", "palm", "plate") + "</robot>")
+    assert ik.Robot.load(text, tip="thumb_end").joint_names == ("wrist", "thumb")
+    with pytest.raises(ModelError, match=r"joint 'a_index'.*(does not exist|itself|does not move)"):
+        ik.Robot.load(text, tip="nail")
+
+
+def test_limits_the_wrong_way_round_matter_on_the_path_only():
+    text = HAND.replace('name="a_index"', 'name="a_index" ').replace("</robot>", "") + joint(
+        "bent", "revolute", "palm", "bent_link", limits=(1.0, -1.0)
+    )
+    assert ik.Robot.load(text + "</robot>", tip="thumb_end").n == 2
+    with pytest.raises(ModelError, match="joint 'bent' has no legal position"):
+        ik.Robot.load(text + "</robot>", tip="bent_link")
+
+
+def test_a_mesh_scale_that_is_none_and_a_missing_name_do_not_stop_a_robot():
+    shape = '<visual><geometry><mesh filename="a.stl" scale="1 1"/></geometry></visual>'
+    text = HAND.replace('<link name="index"/>', f'<link name="index">{shape}</link>').replace(' name="hand"', "")
+    check_fk(text, "nail")
+    assert any('scale="1 1"' in str(f) for f in check_urdf(text))
