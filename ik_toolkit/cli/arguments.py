@@ -97,7 +97,11 @@ def _same(one: str | Path, other: str | Path) -> bool:
 RobotArg = Annotated[str, typer.Argument(metavar="ROBOT", help="Name (see ik robots) or path of a URDF file.")]
 Tip = Annotated[
     str | None,
-    typer.Option(metavar="FRAME", help="Tip frame; needed when there are several ends.", rich_help_panel="Robot"),
+    typer.Option(
+        metavar="FRAME",
+        help="Tip: a frame, link or joint; default: guessed by its name, and said.",
+        rich_help_panel="Robot",
+    ),
 ]
 Tips = Annotated[
     list[str] | None,
@@ -214,7 +218,7 @@ def load_robot(
             if not several.tips:
                 raise
             ends = FrameNotFound(
-                f"'{source}' has {len(several.tips)} ends; choose with --tip: {', '.join(several.tips)}"
+                str(several).replace("tip=,", "--tip,").partition(", or solve")[0] + "; ik info --list-tips shows all"
             )
             ends.tips = several.tips
             raise ends from None

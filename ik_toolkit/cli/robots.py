@@ -15,6 +15,12 @@ if TYPE_CHECKING:
     from ..robot.robot import Robot
 
 Q = Annotated[str | None, typer.Option("--q", metavar="Q1 Q2 ...", help="Joint values, one per joint; default: home.")]
+ListTips = Annotated[
+    bool,
+    typer.Option(
+        "--list-tips", help="List the frames that may be the tip, the likeliest first.", rich_help_panel="Robot"
+    ),
+]
 
 
 def register(app: typer.Typer) -> None:
@@ -65,15 +71,22 @@ def info(
     base: Base = None,
     lock: Lock = None,
     package_dir: PackageDir = None,
+    list_tips: ListTips = False,
     deg: Deg = False,
     as_json: Json = False,
 ) -> None:
     """Show a robot: joints, limits, home, frames, reach, D-H table, and where it comes from."""
     from ..robot.dh import read_dh_table
     from ..robot.library import find
+    from ..robot.robot import read
+    from ..robot.tips import tip_candidates
     from ..solvers.closed_form import describe as closed_form
 
     entry = find(robot)
+    if list_tips:
+        ends = tip_candidates(read(robot, package_dir or ())[1]["model"])
+        _show_tips(entry, [load_robot(robot, name, base, lock, package_dir, deg) for name in ends], as_json)
+        return
     tips = [tip] if tip or len(entry.tips) < 2 else entry.tips
     try:
         arms = [load_robot(robot, name, base, lock, package_dir, deg) for name in tips]

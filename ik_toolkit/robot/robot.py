@@ -24,10 +24,12 @@ from .mimic import followers, mimic_limits
 from .pose import check_target
 from .probe import AGREE, NO_LIMIT, configurations, difference, find_path, limits, probe
 from .probe import Path as JointPath
+from .tips import only_tip
 
 # Attributes that belong to one object, or to one thread.
 CACHES = ("_local", "_sampling", "_circles", "memo")
 LINKS = (pin.FrameType.BODY, pin.FrameType.OP_FRAME, pin.FrameType.SENSOR)  # what a base or a tip may be
+FRAMES = (*LINKS, pin.FrameType.JOINT, pin.FrameType.FIXED_JOINT)
 SINGULAR = 0.02  # smallest singular value (lengths over reach) below which a configuration is no good as home
 
 
@@ -70,7 +72,7 @@ class Robot(Joints):
         self.path = path
         self.package_dirs = tuple(_folders(package_dirs))
         self.base = self._frame(base) if base is not None else _root(model)
-        self.tip = self._frame(tip) if tip is not None else self._only_tip()
+        self.tip = self._frame(tip) if tip is not None else only_tip(model, self.name)
         self.tool = pin.SE3.Identity()
         self.rest = pin.neutral(model)
         self.locked_joints: dict[str, float] = {}
@@ -115,25 +117,18 @@ class Robot(Joints):
                 "; for several tips use ik.Tree.load(source, tips=[...])" if isinstance(name, list | tuple) else ""
             )
             raise InvalidOption(f"a tip or base is the name of one frame, not {name!r}{several}")
-        bodies = [f.name for f in self.model.frames if f.type in LINKS]
-        if name not in bodies:
-            raise FrameNotFound(f"robot '{self.name}' has no frame '{name}'.{near_match(name, bodies)}")
+        self._frame_id(name)
         return name
 
     def _frame_id(self, name: str) -> int:
-        return next(i for i, f in enumerate(self.model.frames) if f.name == name and f.type in LINKS)
-
-    def _only_tip(self) -> str:
-        tips = path_ends(self.model)
-        if len(tips) == 1:
-            return tips[0]
-        if not tips:
-            raise ModelError(f"robot '{self.name}' has no movable joint: nothing to solve")
-        several = FrameNotFound(
-            f"robot '{self.name}' has {len(tips)} possible tips; choose one with tip=: {', '.join(tips)}"
-        )
-        several.tips = tips
-        raise several
+        """Place of a link, or of the frame of a joint, which is that of the link it moves. Raises FrameNotFound."""
+        found = [
+            (f.type not in LINKS, i) for i, f in enumerate(self.model.frames) if f.name == name and f.type in FRAMES
+        ]
+        if not found:
+            bodies = [f.name for f in self.model.frames if f.type in LINKS]
+            raise FrameNotFound(f"robot '{self.name}' has no frame '{name}'.{near_match(name, bodies)}")
+        return min(found)[1]
 
     def _set_rest(self, joint: str, value: float) -> None:
         names = [
@@ -343,17 +338,6 @@ def read(source: str | Path, package_dirs: Iterable[str | Path]) -> tuple[RobotE
     name = entry.name if entry.path else model.name
     folders = [*_folders(package_dirs), *entry.package_dirs]
     return entry, {"model": model, "name": name, "urdf": text, "path": entry.path, "package_dirs": folders}
-
-
-def path_ends(model: pin.Model) -> tuple[str, ...]:
-    """Names of the frames at the ends of the model's paths that a joint moves: what a tip may well be."""
-    frames = model.frames
-    parents = {
-        f.parentFrame for f in frames if f.type in (pin.FrameType.BODY, pin.FrameType.JOINT, pin.FrameType.FIXED_JOINT)
-    }
-    return tuple(
-        f.name for i, f in enumerate(frames) if f.type == pin.FrameType.BODY and i not in parents and f.parentJoint > 0
-    )
 
 
 def _folders(given: Iterable[str | Path]) -> list[Path]:

@@ -11,7 +11,10 @@ from ..errors import FrameNotFound, InvalidOption, ModelError
 from ..kernel.tree_chain import TreeChain, pack_tree
 from .joints import Joints
 from .probe import Path as JointPath
-from .robot import Robot, path_ends, read
+from .robot import Robot, read
+from .tips import tip_candidates
+
+ENDS = 8  # ends of paths that a message names
 
 
 def union(arms: Sequence[Robot]) -> tuple[str, ...]:
@@ -98,9 +101,11 @@ class Tree(Joints):
         if tips is None:
             tips = entry.tips
             if len(tips) < 2:
-                ends = ", ".join(path_ends(made["model"])) or "none"
+                ends = tip_candidates(made["model"])
+                some = ", ".join(ends[:ENDS]) or "none"
+                more = f" and {len(ends) - ENDS} more (ik info ROBOT --list-tips)" if len(ends) > ENDS else ""
                 raise FrameNotFound(
-                    f"give the tips of robot '{made['name']}' with tips=[...]; its paths end at: {ends}"
+                    f"give the tips of robot '{made['name']}' with tips=[...]; its paths end at: {some}{more}"
                 )
         if not isinstance(tips, list | tuple):
             raise InvalidOption(

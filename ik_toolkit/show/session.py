@@ -11,7 +11,8 @@ from ..errors import FrameNotFound
 from ..kernel.task import POSE, POSITION
 from ..robot.library import find
 from ..robot.pose import length, matrix_quat, matrix_rpy, pose
-from ..robot.robot import Robot, path_ends
+from ..robot.robot import Robot
+from ..robot.tips import path_ends
 from ..robot.tree import Tree
 from ..solvers.registry import find_row, list_rows, make_rule
 from ..solvers.result import Result

@@ -347,7 +347,9 @@ def test_a_robot_without_known_tips_is_asked_for_them_in_the_words_of_a_shell(ru
     )
     file = tmp_path / "fork.urdf"
     file.write_text(f'<robot name="fork"><link name="a"/>{ends}</robot>')
-    assert "has 2 ends; choose with --tip: b, c" in refusal(run, "solve", file, "--xyz", 1, 0, 0)
+    assert "has several likely tips: b, c; choose one with --tip; ik info" in refusal(
+        run, "solve", file, "--xyz", 1, 0, 0
+    )
     code, out, _ = run("solve", file, "--target", "b:1,0,0", "--json")
     assert code == 0 and json.loads(out)["joint_names"] == ["jb"]
     code, out, _ = run("solve", file, "--target", "b:1,0,0", "--tip", "b", "--tip", "c", "--json")

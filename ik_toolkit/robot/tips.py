@@ -1,0 +1,102 @@
+"""Which frame of a robot is its tip, where nobody says: by the names that descriptions of arms commonly use."""
+
+import logging
+import re
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import pinocchio as pin
+
+from ..errors import FrameNotFound, ModelError
+
+LOG = logging.getLogger("ik_toolkit")
+
+# What the words of a frame's name must hold, the strongest convention first: the tool's centre point, then the frames that ROS,
+# MoveIt and the makers of arms put at the end of one, then the hand itself.
+CONVENTIONS: tuple[tuple[str, ...], ...] = (
+    ("tcp",), ("tool0",), ("tool",), ("end", "effector"), ("eef",), ("ee",),
+    ("endeffector",), ("gripper",), ("hand",), ("arm", "tool"), ("flange",),
+)  # fmt: skip
+# Words of parts of a hand, of sensors and of legs: no tool is held there.
+OTHERS = frozenset(
+    "finger fingers fingertip thumb jaw index middle ring little pinky nail inner outer mover moving motor rotor "
+    "ft force torque imu camera optical depth rgb sensor skin accelerometer range laser head neck "
+    "foot feet sole ankle leg toe wheel caster mount contact cover collision shape visual dummy".split()
+)
+SHOWN = 3  # candidates that a message names
+
+
+class Guess(NamedTuple):
+    """Tips that a robot may well have, the likeliest first: one, or several that nothing tells apart. why: what speaks for them."""
+
+    tips: tuple[str, ...]
+    why: str
+
+
+def words(name: str) -> list[str]:
+    """Split a name at punctuation and capitals: 'l_gripperTool0' -> ['l', 'gripper', 'tool0']."""
+    return [word.lower() for word in re.findall(r"[A-Z]+(?![a-z])\d*|[A-Z]?[a-z]+\d*|\d+", name)]
+
+
+def fits(convention: Sequence[str], said: set[str]) -> bool:
+    """Whether a frame with these words follows a convention. The tool frame of an arm is where a hand begins, if it has one."""
+    on_arm = "arm" in said and "tool" in said
+    return set(convention) <= said and not OTHERS & said and on_arm == ("arm" in convention)
+
+
+def path_ends(model: pin.Model) -> tuple[str, ...]:
+    """Names of the frames at the ends of the model's paths that a joint moves: what a tip may well be."""
+    frames = model.frames
+    parents = {
+        f.parentFrame for f in frames if f.type in (pin.FrameType.BODY, pin.FrameType.JOINT, pin.FrameType.FIXED_JOINT)
+    }
+    return tuple(
+        f.name for i, f in enumerate(frames) if f.type == pin.FrameType.BODY and i not in parents and f.parentJoint > 0
+    )
+
+
+def guess_tip(model: pin.Model) -> Guess:
+    """Guess the tip by the conventions of names, else take the ends that the most joints move."""
+    moved = [f for f in model.frames if f.type in (pin.FrameType.BODY, pin.FrameType.OP_FRAME) and f.parentJoint > 0]
+    named = [(f, words(f.name)) for f in moved]
+    for convention in CONVENTIONS:
+        found = [f for f, said in named if fits(convention, set(said))]
+        if found:
+            return Guess(_branches(model, found), "by its name")
+    ends = [f for f in moved if f.name in path_ends(model)]
+    plain = [f for f in ends if not OTHERS & set(words(f.name))] or ends
+    joints = {f.name: len(model.supports[f.parentJoint]) for f in plain}
+    most = max(joints.values(), default=0)
+    longest = {f.parentJoint: f.name for f in reversed(plain) if joints[f.name] == most}  # one frame a joint, the first
+    return Guess(tuple(longest.values())[::-1], "the end of the longest path")
+
+
+def tip_candidates(model: pin.Model) -> tuple[str, ...]:
+    """What may be the tip: the likely ones, then the other ends of the model's paths."""
+    return tuple(dict.fromkeys((*guess_tip(model).tips, *path_ends(model))))
+
+
+def only_tip(model: pin.Model, robot: str) -> str:
+    """The tip to take when none is given. Logs a guess; raises ModelError (nothing moves), FrameNotFound (several as likely)."""
+    tips, why = guess_tip(model)
+    if len(tips) == 1:
+        if path_ends(model) != tips:
+            LOG.warning("robot '%s': tip '%s' taken, %s; another with tip=", robot, tips[0], why)
+        return tips[0]
+    if not tips:
+        raise ModelError(f"robot '{robot}' has no movable joint: nothing to solve")
+    named = ", ".join(tips[:SHOWN]) + (f" or {len(tips) - SHOWN} more" if len(tips) > SHOWN else "")
+    several = FrameNotFound(
+        f"robot '{robot}' has several likely tips: {named}; choose one with tip=, or solve for several with "
+        "ik.Tree.load(source, tips=[...])"
+    )
+    several.tips = tip_candidates(model)
+    raise several
+
+
+def _branches(model: pin.Model, frames: Sequence[pin.Frame]) -> tuple[str, ...]:
+    """One frame for each branch: of those that carry others the joint nearest the base, and its last frame."""
+    lines = [list(model.supports[f.parentJoint]) for f in frames]
+    joints = {f.parentJoint for f in frames}
+    first = [f for f, line in zip(frames, lines, strict=True) if not joints & set(line[:-1])]
+    return tuple({f.parentJoint: f.name for f in first}.values())
