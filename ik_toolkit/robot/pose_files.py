@@ -1,24 +1,26 @@
-"""Poses from files: CSV or NPZ tables of positions, with rotations or without, and with times where they are asked for.
+"""Poses from files: CSV, NPZ or JSON tables of positions, with rotations or without, and with times where they are asked for.
 
 CSV: a first line that names x,y,z [m] and none or all of qx,qy,qz,qw or of roll,pitch,yaw (URDF order), and t [s] where times are
 asked for, in any order; further columns are ignored. NPZ: `xyz` (N, 3) with `quat_xyzw` (N, 4) or none, and `t` (N,); without
-times also `targets` (N, 4, 4) or (N, 3).
+times also `targets` (N, 4, 4) or (N, 3). JSON: an object with lists by these names, or the list of targets alone.
 
-Of several tips: CSV columns TIP.x, TIP.y, ... of the same kinds for each; NPZ with an array TIP (N, 4, 4) or (N, 3) for each, or
+Of several tips: CSV columns TIP.x, TIP.y, ... of the same kinds for each; NPZ (JSON alike) with an array TIP (N, 4, 4) or (N, 3) for each, or
 `targets` (N, F, 4, 4) or (N, F, 3), in the order of an array `tips` of names where there is one. A tip without any is free.
 """
 
 import csv
+import json
 import math
 import zipfile
 from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from itertools import islice
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..errors import InvalidTarget, near_match
+from ..errors import InvalidTarget, floats, near_match
 from .pose import rpy_matrix
 
 LINES = 16384  # read at a time
@@ -45,14 +47,14 @@ def read_poses(
     if not path.is_file():
         raise InvalidTarget(f"there is no {what} file '{path}'")
     try:
-        if path.suffix.lower() == ".npz":
+        if path.suffix.lower() in (".npz", ".json"):
             if tips:
-                poses = _read_npz_by_tip(path, tips)
+                poses = _read_arrays_by_tip(path, tips)
                 return len(next(iter(poses.values()))), iter([Block(None, poses)])
-            block = _read_npz(path, times)
+            block = _read_arrays(path, times)
             return len(block.poses), iter([block])
         if path.suffix.lower() != ".csv":
-            raise InvalidTarget(f"a {what} file is .csv or .npz, not '{path.name}'")
+            raise InvalidTarget(f"a {what} file is .csv, .npz or .json, not '{path.name}'")
         with path.open("rb") as stream:
             count = max(sum(block.count(b"\n") for block in iter(lambda: stream.read(1 << 20), b"")) - 1, 0)
         columns = _tip_columns(path, tips) if tips else {"": _header(path, times)}
@@ -73,16 +75,30 @@ def _short(text: str) -> str:
     return text if len(text) <= 80 else f"{text[:80]}..."
 
 
-def _require_npz(path: Path, names: Sequence[str]) -> None:
-    """Raise InvalidTarget for what is no NPZ file, or one whose arrays of these names are not to be trusted."""
+@contextmanager
+def _arrays(path: Path, names: Sequence[str]) -> Iterator[Any]:
+    """Arrays by name of an NPZ or JSON file, those of these names to be trusted. Raises InvalidTarget."""
+    if path.suffix.lower() == ".json":
+        content = json.loads(path.read_text(encoding="utf-8"))
+        content = content if isinstance(content, dict) else {"targets": content}
+        yield {name: _array(path, name, content[name]) if name in names else None for name in content}
+        return
     if not zipfile.is_zipfile(path):  # numpy would advise to unpickle it
         raise InvalidTarget(f"'{path.name}' is no NPZ file (see numpy.savez)")
     _check_size(path, names)
-
-
-def _read_npz(path: Path, times: bool) -> Block:
-    _require_npz(path, ("targets", "t", "xyz", "quat_xyzw"))
     with np.load(path, allow_pickle=False) as file:
+        yield file
+
+
+def _array(path: Path, name: str, value: Any) -> np.ndarray:
+    """Numbers (or names) out of JSON."""
+    if name == "tips":
+        return np.array(value, dtype=str)
+    return floats(value, f"'{path.name}': {name} must be lists of numbers", InvalidTarget)
+
+
+def _read_arrays(path: Path, times: bool) -> Block:
+    with _arrays(path, ("targets", "t", "xyz", "quat_xyzw")) as file:
         if "targets" in file and not times:
             targets = file["targets"]
             if targets.ndim not in (2, 3):
@@ -101,10 +117,9 @@ def _read_npz(path: Path, times: bool) -> Block:
     return Block(t, xyz if quat is None else _poses(xyz, quat, QUAT, range(len(xyz)), path.name, "row"))
 
 
-def _read_npz_by_tip(path: Path, tips: Sequence[str]) -> dict[str, np.ndarray]:
+def _read_arrays_by_tip(path: Path, tips: Sequence[str]) -> dict[str, np.ndarray]:
     """Targets (N, 4, 4) or (N, 3) by tip."""
-    _require_npz(path, ("targets", "tips", *tips))
-    with np.load(path, allow_pickle=False) as file:
+    with _arrays(path, ("targets", "tips", *tips)) as file:
         named = {tip: file[tip] for tip in tips if tip in file}
         order = file["tips"].tolist() if "tips" in file else list(tips)
         targets = file["targets"] if "targets" in file and not named else None
