@@ -19,6 +19,7 @@ from .streams import Output, on_sigterm, open_standard_streams
 MODULES = (
     "robots",
     "solve",
+    "path",
     "track",
     "reproduce",
     "solvers",

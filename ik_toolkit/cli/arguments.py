@@ -22,11 +22,11 @@ if TYPE_CHECKING:
 # Options that take several numbers: `--q 0.1 -0.2`, `--q 0.1,-0.2` and `--q "0.1 -0.2"` mean the same.
 VECTOR_OPTIONS = frozenset(
     "--q --q0 --xyz --rpy --quat-xyzw --center --axis --start --end --direction --tip-axis --mask --slack --free-turn "
-    "--joint-weights --closest --target".split()
+    "--joint-weights --closest --target --q-end --velocity --acceleration".split()
 )
 
 PLOTS = (".png", ".pdf", ".svg")
-READ = ("file",)  # parameters of commands that are paths and are read; all others are written
+READ = ("file", "poses", "motion")  # parameters of commands that are paths and are read; all others are written
 
 
 def writes(*suffixes: str) -> Callable[[Path | None], Path | None]:

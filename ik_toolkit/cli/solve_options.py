@@ -86,7 +86,9 @@ Slack = Annotated[
 ]
 FreeTurn = Annotated[
     list[str] | None,
-    typer.Option("--free-turn", metavar="[TIP:]X Y Z", help="Axis of the tip about which it may turn freely."),
+    typer.Option(
+        "--free-turn", metavar="[TIP:]X Y Z", help="Axis of the tip about which it may turn freely; also x, y or z."
+    ),
 ]
 Frame = Annotated[
     list[str] | None,
@@ -142,6 +144,7 @@ Cluster = Annotated[
 All = Annotated[
     bool, typer.Option("--all", help="List every distinct solution inside the limits, nearest to q0 (or home) first.")
 ]
+AXES = ("x", "y", "z")
 PASSED_ON = (
     "tolerance",
     "position_tolerance",
@@ -189,14 +192,9 @@ def refuse_contradictions(line: SimpleNamespace) -> None:
 def read_options(line: SimpleNamespace, arm: Any) -> dict[str, Any]:
     """Options of the call, those given only; among them q0 and, of a file of targets, closest as a word. Raises InvalidOption."""
     given = {name: getattr(line, name) for name in PASSED_ON}
-    given["mask"] = by_tip.vectors(line.mask, "--mask", 6)
-    given["slack"] = by_tip.values(line.slack, "--slack", lambda text: _slack(text, line.deg))
-    given["free_turn"] = by_tip.vectors(line.free_turn, "--free-turn", 3)
-    given["frame"] = by_tip.values(line.frame, "--frame", str)
-    given["relative_to"] = by_tip.relations(line.relative)
     if line.joint_weights is not None:
         given["joint_weights"] = tuple(vector(line.joint_weights, "--joint-weights", arm.n))
-    options = {name: value for name, value in given.items() if value is not None}
+    options = {name: value for name, value in given.items() if value is not None} | read_counting(line)
     options |= {"limits": line.limits, "q0_outside": "clamp" if line.clamp_q0 else "refuse"}
     options["q0"] = None if line.q0 is None else joint_vector(arm, line.q0, "--q0", line.deg)
     if line.avoid_collisions or line.obstacle:
@@ -205,6 +203,26 @@ def read_options(line: SimpleNamespace, arm: Any) -> dict[str, Any]:
         nearest = joint_vector(arm, line.closest, "--closest", line.deg)
         options |= {"closest": nearest} if line.file is None else {"q0": nearest, "closest": True}
     return options
+
+
+def read_counting(line: SimpleNamespace) -> dict[str, Any]:
+    """Options that say what of a target counts, those given only. Raises InvalidOption."""
+    given = {
+        "mask": by_tip.vectors(line.mask, "--mask", 6),
+        "slack": by_tip.values(line.slack, "--slack", lambda text: _slack(text, line.deg)),
+        "free_turn": by_tip.values(line.free_turn, "--free-turn", _axis),
+        "frame": by_tip.values(line.frame, "--frame", str),
+        "relative_to": by_tip.relations(line.relative),
+    }
+    return {name: value for name, value in given.items() if value is not None}
+
+
+def _axis(text: str) -> tuple[float, ...]:
+    """An axis of the tip: x, y, z or three numbers."""
+    name = text.strip().lower()
+    if name in AXES:
+        return tuple(float(name == axis) for axis in AXES)
+    return tuple(vector(text, "--free-turn", 3))
 
 
 def _slack(text: str, deg: bool) -> tuple[float, ...]:

@@ -1,5 +1,6 @@
 """`ik view`: a robot, a configuration or a solve in 3-D, in the browser or as one HTML file."""
 
+from pathlib import Path
 from typing import Annotated, Any
 
 import typer
@@ -18,6 +19,14 @@ Quat = Annotated[str | None, typer.Option(metavar="X Y Z W", help="With --xyz: q
 SolverName = Annotated[str, typer.Option("-s", "--solver", metavar="NAME", help="Solver for --xyz; see ik solvers.")]
 Ghosts = Annotated[bool, typer.Option("--all", help="Show every solution found as a ghost.")]
 Start = Annotated[str | None, typer.Option("--q0", metavar="Q1 Q2 ...", help="Where the solve starts; default: home.")]
+MotionFile = Annotated[
+    Path | None,
+    typer.Option(
+        "--motion",
+        metavar="FILE",
+        help="Show a motion that ik path wrote: a path (.csv, .npz, .json) or a trajectory (.csv, .json).",
+    ),
+]
 Port = Annotated[int, typer.Option(metavar="N", help="Port on 127.0.0.1; default: a free one.")]
 Open = Annotated[bool, typer.Option("--open/--no-open", help="Open the address in a browser.")]
 
@@ -38,6 +47,7 @@ def view(
     solver: SolverName = "auto",
     every: Ghosts = False,
     q0: Start = None,
+    motion: MotionFile = None,
     html: Html = None,
     port: Port = 0,
     browse: Open = True,
@@ -47,7 +57,7 @@ def view(
     package_dir: PackageDir = None,
     deg: Deg = False,
 ) -> None:
-    """Show a robot in 3-D: at home, at --q, or solving for --xyz or --target (an animation with a time slider).
+    """Show a robot in 3-D: at home, at --q, along --motion, or solving for --xyz or --target (with a time slider).
 
     Serves on 127.0.0.1 until Ctrl-C, or writes one HTML file that needs no network. A robot with several tips is shown
     whole when --tip is left out. Exit code 1 when the solve asked for did not succeed (it is shown all the same).
@@ -55,6 +65,8 @@ def view(
     solving = xyz is not None or bool(targets)
     if q is not None and (solving or every):
         raise InvalidOption("--q shows a configuration, --xyz and --target solve for one: give one of them")
+    if motion is not None and (solving or every or q is not None):
+        raise InvalidOption("--motion shows what a file holds; leave out --q, --xyz and --target")
     if xyz is None and (rpy is not None or quat_xyzw is not None):
         raise InvalidOption("--rpy and --quat-xyzw belong to --xyz")
     if not solving and (every or q0 is not None):
@@ -74,7 +86,11 @@ def view(
     tips = by_tip.choose_tips(robot, tip, target if targets else None, relative, xyz is not None)
     arm = load_robot(robot, tips, base, lock, package_dir, deg)
     what, solved = arm.home, True
-    if q is not None:
+    if motion is not None:
+        from ..show.motions import from_file
+
+        what = from_file(arm, motion)
+    elif q is not None:
         what = joint_vector(arm, q, "--q", deg)
     elif solving:
         start = None if q0 is None else joint_vector(arm, q0, "--q0", deg)

@@ -4,8 +4,9 @@ CSV: a first line that names x,y,z [m] and none or all of qx,qy,qz,qw or of roll
 asked for, in any order; further columns are ignored. NPZ: `xyz` (N, 3) with `quat_xyzw` (N, 4) or none, and `t` (N,); without
 times also `targets` (N, 4, 4) or (N, 3). JSON: an object with lists by these names, or the list of targets alone.
 
-Of several tips: CSV columns TIP.x, TIP.y, ... of the same kinds for each; NPZ (JSON alike) with an array TIP (N, 4, 4) or (N, 3) for each, or
-`targets` (N, F, 4, 4) or (N, F, 3), in the order of an array `tips` of names where there is one. A tip without any is free.
+Of several tips: CSV columns TIP.x, TIP.y, ... of the same kinds for each; NPZ (JSON alike) with an array TIP (N, 4, 4) or (N, 3)
+for each, or `targets` (N, F, 4, 4) or (N, F, 3), in the order of an array `tips` of names where there is one. A tip without any is
+free.
 """
 
 import csv

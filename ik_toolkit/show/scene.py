@@ -12,6 +12,7 @@ from ..errors import InvalidOption, InvalidTarget
 from ..files import write_whole
 from ..robot.joints import Joints
 from ..robot.pose import AxisTarget, check_target, length
+from .motions import animate, motion_of
 from .parts import Body, Shape, need_trimesh, smooth, tube
 from .window import Window
 
@@ -310,7 +311,7 @@ class Scene:
 
 
 def view(robot: Joints, what: Any = None, *, target: Any = None, cloud: Any = None, title: str | None = None) -> Scene:
-    """Scene of a robot: at home, at q (n,), as a Result, a TrackResult, Solutions, or a list of q or Results (ghosts).
+    """Scene of a robot: at home, at q (n,), as a Result, TrackResult, PathResult, Trajectory, Solutions, or a list of q (ghosts).
 
     target: pose or position [m] to mark (for a Tree: by tip, or in its order). cloud: points (N, 3), or a pair
     (points, success). A Result solved with history=True becomes an animation of the solve. The scene shows itself in a
@@ -318,12 +319,13 @@ def view(robot: Joints, what: Any = None, *, target: Any = None, cloud: Any = No
     InvalidTarget, InvalidOption, MissingExtra.
     """
     scene = Scene(robot, title)
-    run = hasattr(what, "target_xyz")
+    run, motion = hasattr(what, "target_xyz"), motion_of(what)
+    what = what if motion is None else motion
     what = robot.home if what is None else what
     rows = np.atleast_2d(what.q) if hasattr(what, "q") else _rows(robot, what)
     if not len(rows):
         raise InvalidOption("there is nothing to show: no configuration in the list")
-    many = len(rows) > 1 and not run
+    many = len(rows) > 1 and not run and motion is None
     scene.show(rows[0], label="1 (solid)" if many else "")
     back = np.linalg.inv(scene.body.T_world_base)
     tips = scene.body.tips(rows[0])
@@ -335,6 +337,8 @@ def view(robot: Joints, what: Any = None, *, target: Any = None, cloud: Any = No
     if run:
         scene.follow(what)
         scene.say(f"{what.method} at {1 / what.dt:.4g} Hz: {what.message or what.status.value}")
+    elif motion is not None:
+        animate(scene, motion)
     elif many:
         scene.ghosts(rows[1:], [str(k) for k in range(2, len(rows) + 1)])
         more = f" (the first {MAX_GHOSTS + 1} are drawn)" if len(rows) > MAX_GHOSTS + 1 else ""

@@ -1,0 +1,279 @@
+"""`ik path`: one joint motion through the poses of a file, in time where that is asked for."""
+
+import math
+from pathlib import Path
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from ..errors import InvalidOption, InvalidTarget
+from ..text import numbers
+from . import by_tip
+from . import solve_options as asked
+from .arguments import PLOTS, Base, Deg, Json, Lock, PackageDir, RobotArg, Tips, joint_vector, load_robot, writes
+from .obstacles import collision_model
+from .output import facts, notice, partial, progress, show, table, write_json
+from .pictures import Html, Live, present
+
+if TYPE_CHECKING:
+    from ..paths.result import PathResult
+    from ..paths.trajectory import Trajectory
+
+Poses = Annotated[
+    Path,
+    typer.Option(
+        "--poses",
+        metavar="FILE",
+        help="Poses in order, in the base frame: CSV with the header x,y,z or x,y,z,qx,qy,qz,qw or x,y,z,roll,pitch,yaw; NPZ or "
+        "JSON with targets (N, 4, 4) or (N, 3), or xyz and quat_xyzw. Several tips: as for ik solve --targets.",
+    ),
+]
+First = Annotated[
+    str | None, typer.Option("--q0", metavar="Q1 Q2 ...", help="Where the path begins, or what it begins near.")
+]
+Last = Annotated[
+    str | None, typer.Option("--q-end", metavar="Q1 Q2 ...", help="Where the path ends, or what it ends near.")
+]
+StepDeg = Annotated[float, typer.Option("--max-step-deg", metavar="DEG", help="Longest step of a turning joint.")]
+StepMm = Annotated[float, typer.Option("--max-step-mm", metavar="MM", help="Longest step of a sliding joint.")]
+Reconfigurations = Annotated[
+    str,
+    typer.Option("--reconfigurations", metavar="fewest|none|N", help="How many changes of branch are allowed."),
+]
+Retime = Annotated[
+    bool,
+    typer.Option("--retime", help="In the least time that --velocity and --acceleration allow; -o is the trajectory."),
+]
+Velocity = Annotated[
+    str | None,
+    typer.Option(
+        metavar="V [V2 ...]", help="With --retime: speed limits [rad/s, m/s], one or one a joint; default: the robot's."
+    ),
+]
+Acceleration = Annotated[
+    str | None,
+    typer.Option(metavar="A [A2 ...]", help="With --retime: acceleration limits [rad/s^2, m/s^2], one or one a joint."),
+]
+Rate = Annotated[float, typer.Option(metavar="HZ", help="With --retime: samples per second.")]
+Out = Annotated[
+    Path | None,
+    typer.Option(
+        "-o",
+        "--output",
+        metavar="FILE",
+        help="Write the path to .csv, .npz or .json; with --retime the trajectory to .csv, or to .json as a ROS JointTrajectory.",
+        callback=writes(".csv", ".npz", ".json"),
+    ),
+]
+Plot = Annotated[
+    Path | None,
+    typer.Option(metavar="FILE", help="Draw the joints to a .png, .pdf or .svg file.", callback=writes(*PLOTS)),
+]
+LISTED = 5  # poses not reached that are named on the terminal; all are in the file
+
+
+def register(app: typer.Typer) -> None:
+    """Add the command of this module."""
+    app.command()(path)
+
+
+def path(
+    robot: RobotArg,
+    poses: Poses,
+    q0: First = None,
+    q_end: Last = None,
+    max_step_deg: StepDeg = 7.0,
+    max_step_mm: StepMm = 20.0,
+    reconfigurations: Reconfigurations = "fewest",
+    mask: asked.Mask = None,
+    slack: asked.Slack = None,
+    free_turn: asked.FreeTurn = None,
+    frame: asked.Frame = None,
+    relative: asked.Relative = None,
+    avoid_collisions: asked.AvoidCollisions = False,
+    obstacle: asked.Obstacles = None,
+    tolerance: asked.Tolerance = None,
+    position_tolerance: asked.PositionTolerance = None,
+    orientation_tolerance: asked.OrientationTolerance = None,
+    seed: asked.Seed = 0,
+    retime: Retime = False,
+    velocity: Velocity = None,
+    acceleration: Acceleration = None,
+    rate: Rate = 100.0,
+    tip: Tips = None,
+    base: Base = None,
+    lock: Lock = None,
+    package_dir: PackageDir = None,
+    deg: Deg = False,
+    as_json: Json = False,
+    output: Out = None,
+    plot: Plot = None,
+    html: Html = None,
+    live: Live = False,
+) -> None:
+    """Find one joint motion through poses, with the fewest changes of branch, proven between the poses.
+
+    What counts (--free-turn and its kin) may be given by tip. With --retime the motion gets times: least ones, with stops where
+    the branch changes. Ctrl-C keeps the best path so far as FILE.partial.
+
+    Exit code 0 when every pose is followed (FOLLOWED, RECONFIGURES), 1 when not: the status says why, the sentence on stderr
+    what to try.
+    """
+    line = SimpleNamespace(**locals())
+    _refuse_contradictions(line)
+    from ..paths.solve_path import PathInterrupted, solve_path
+    from ..robot.pose_files import read_poses
+
+    arm = load_robot(robot, by_tip.choose_tips(robot, tip, None, None, False), base, lock, package_dir, deg)
+    _, blocks = read_poses(poses, "poses", deg=deg, tips=arm.tips if arm.by_tip else ())
+    targets = _joined([block.poses for block in blocks], poses.name)
+    options = _options(line, arm)
+    try:
+        with progress("searching", 100) as bar:
+            result = solve_path(arm, targets, progress=lambda share, words: bar(100.0 * share, words), **options)
+    except PathInterrupted as stop:
+        if output is not None and not retime:
+            kept = partial(output)
+            stop.result.save(output.with_name(f"{output.stem}.part{output.suffix}")).replace(kept)
+            notice(f"the best path so far, {stop.result.status.name}, is in {kept}")
+        raise
+    made = None
+    if retime and result.success:
+        made = result.retime(
+            _numbers(velocity, "--velocity"), _numbers(acceleration, "--acceleration"), rate=rate, seed=seed
+        )
+    _write(result, made, line)
+    write_json(_payload(result, made), as_json)
+    if not as_json:
+        _show(result, made)
+    if not result.success:
+        notice(f"{result.status.name}: {result.message}")
+    elif made is not None and not made.success:
+        notice(made.message)
+    if not result.success or (made is not None and not made.success):
+        raise typer.Exit(1)
+
+
+def _refuse_contradictions(line: SimpleNamespace) -> None:
+    """Raise InvalidOption for options that do not go together."""
+    if not line.retime and (line.velocity is not None or line.acceleration is not None):
+        raise InvalidOption("--velocity and --acceleration belong to --retime")
+    if line.retime and line.acceleration is None:
+        raise InvalidOption("--retime needs --acceleration: a URDF has no limits of it")
+    if line.retime and line.output is not None and line.output.suffix.lower() == ".npz":
+        raise InvalidOption(f"a trajectory is written as .csv or .json, not '{line.output}'")
+    for name, value in (("--max-step-deg", line.max_step_deg), ("--max-step-mm", line.max_step_mm)):
+        if not 0.0 < value < math.inf:
+            raise InvalidOption(f"{name} must be positive, not {value:g}")
+
+
+def _joined(parts: list[Any], name: str) -> Any:
+    """Poses of the blocks of a file as one array, or a dict of these by tip. Raises InvalidTarget where there are none."""
+    import numpy as np
+
+    if not parts:
+        raise InvalidTarget(f"'{name}' has no pose")
+    if isinstance(parts[0], dict):
+        return {tip: np.concatenate([part[tip] for part in parts]) for tip in parts[0]}
+    return np.concatenate(parts)
+
+
+def _options(line: SimpleNamespace, arm: Any) -> dict[str, Any]:
+    """Options of `solve_path`, those given only."""
+    options = asked.read_counting(line)
+    for name in ("tolerance", "position_tolerance", "orientation_tolerance"):
+        if getattr(line, name) is not None:
+            options[name] = getattr(line, name)
+    for name, text in (("q0", line.q0), ("q_end", line.q_end)):
+        if text is not None:
+            options[name] = joint_vector(arm, text, f"--{name.replace('_', '-')}", line.deg)
+    if line.avoid_collisions or line.obstacle:
+        options["avoid_collisions"] = collision_model(arm, line.obstacle or ())
+    words = line.reconfigurations
+    options["reconfigurations"] = int(words) if words.isdecimal() else words
+    return options | {"max_step": (math.radians(line.max_step_deg), 1e-3 * line.max_step_mm), "seed": line.seed}
+
+
+def _numbers(text: str | None, option: str) -> Any:
+    """One number, or one a joint."""
+    if text is None:
+        return None
+    found = numbers(text)
+    if found is None:
+        raise InvalidOption(f"{option} takes numbers, not '{text}'")
+    return found[0] if len(found) == 1 else found
+
+
+def _write(result: "PathResult", made: "Trajectory | None", line: SimpleNamespace) -> None:
+    """Write the files asked for."""
+    what = result if made is None else made
+    if line.output is not None:
+        if made is not None:
+            save = made.to_json if line.output.suffix.lower() == ".json" else made.to_csv
+            notice(f"wrote {save(line.output)}")
+        elif not line.retime:
+            notice(f"wrote {result.save(line.output)}")
+        else:
+            notice(f"nothing is written to {line.output}: there is no trajectory of a path that is not followed")
+    if line.plot is not None:
+        from ..show.paths import plot_motion
+
+        notice(f"wrote {plot_motion(what, line.plot)}")
+    if line.html is not None or line.live:
+        from ..show.scene import view
+
+        scene = view(result.robot, what)
+        if line.html is not None:
+            present(scene, line.html)
+        if line.live:
+            present(scene, None)
+
+
+def _payload(result: "PathResult", made: "Trajectory | None") -> dict[str, Any]:
+    payload = result.to_dict()
+    if made is not None:
+        payload["trajectory"] = {
+            "success": made.success, "message": made.message, "duration": made.duration, "samples": len(made.t),
+            "deviation": dict(zip(("m", "rad"), made.deviation, strict=True)), "clearance": made.clearance,
+        }  # fmt: skip
+    return payload
+
+
+def _show(result: "PathResult", made: "Trajectory | None") -> None:
+    turn, slide = result.length
+    step, glide = result.largest_step
+    off, tilt = result.deviation
+    slides = "prismatic" in result.robot.joint_kinds
+    clearance = result.clearance
+    bound = result.lower_bound
+    changes = "none" if not result.reconfigurations else str(len(result.reconfigurations))
+    if result.reconfigurations and bound is not None:
+        changes += f" (no motion does with fewer than {bound})" if bound else ""
+    show(
+        facts(
+            {
+                "status": f"{result.status.name}: {result.message}",
+                "poses": f"{len(result.q)}, {len(result.curve) - len(result.q)} more inserted between them",
+                "reconfigurations": changes,
+                "length": f"{turn:.4g} rad" + (f" and {slide:.4g} m" if slides else ""),
+                "largest step": f"{math.degrees(step):.3g} deg" + (f" and {1e3 * glide:.3g} mm" if slides else ""),
+                "between poses": f"off by {1e3 * off:.3g} mm and {math.degrees(tilt):.3g} deg at most (a bound)",
+                "clearance": None if clearance is None else f"at least {1e3 * clearance:.3g} mm",
+                "time": f"{result.elapsed:.3g} s",
+                "trajectory": None if made is None else f"{made.duration:.4g} s, {len(made.t)} samples",
+            }
+        )
+    )
+    if result.reconfigurations:
+        changes = table(">between poses", "<joint that moves most", ">by")
+        for one in result.reconfigurations:
+            i = max(range(len(one.move)), key=lambda k: abs(one.move[k]))
+            turning = result.robot.joint_kinds[i] != "prismatic"
+            by = f"{math.degrees(one.move[i]):.4g} deg" if turning else f"{1e3 * one.move[i]:.4g} mm"
+            changes.add_row(f"{one.index} and {one.index + 1}", result.robot.joint_names[i], by)
+        show(changes)
+    for one in result.unreachable[:LISTED]:
+        notice(f"pose {one.index}: {one.reason}{' (proven)' if one.proven else ''}")
+    if len(result.unreachable) > LISTED:
+        notice(f"... and {len(result.unreachable) - LISTED} further poses")

@@ -1,0 +1,178 @@
+"""A followed path or a trajectory in the scene: the robot along it, the way of the tip coloured by what happens there."""
+
+import csv
+import json
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ..errors import InvalidConfiguration
+from ..robot.joints import Joints
+
+SLATE = (0.30, 0.34, 0.40)  # of the poses, as in the other scenes
+BANDS = (
+    (0.05, 0.03, 0.53), (0.33, 0.01, 0.64), (0.55, 0.04, 0.65), (0.73, 0.20, 0.53), (0.86, 0.37, 0.41), (0.95, 0.53, 0.29),
+    (0.99, 0.75, 0.16),
+)  # fmt: skip
+MAX_FRAMES = 400  # of an animation; a longer motion is thinned
+SECONDS = 12.0  # a motion without times takes as long as this
+
+
+class Motion(NamedTuple):
+    """What is shown of a path or a trajectory: N configurations, and a number for each.
+
+    q (N, n); t (N,) [s] or None; labels (N,); values (N,), NaN where there is none, what they are and their unit; targets
+    (N', F, 3) [m] in base axes, or None; breaks: places after which the motion does not go on; lines for the page.
+    """
+
+    q: np.ndarray
+    t: np.ndarray | None
+    labels: list[str]
+    values: np.ndarray
+    name: str
+    unit: str
+    targets: np.ndarray | None = None
+    breaks: tuple[int, ...] = ()
+    lines: tuple[str, ...] = ()
+
+
+def of_path(result: Any) -> Motion:
+    """Motion of a PathResult, with how far it may be off the poses."""
+    finite = np.flatnonzero(np.isfinite(result.curve).all(axis=1))
+    deviation = np.append(result.continuity.deviation, np.nan)[finite]
+    values = 1e3 * np.fmax(deviation, np.append(np.nan, deviation[:-1]))
+    ends = {piece.stop - 1 for piece in result.pieces[:-1]}
+    labels = [f"pose {place:.1f}{_much(x, 'mm')}" for place, x in zip(result.at[finite], values, strict=True)]
+    return Motion(
+        result.curve[finite], None, labels, values, "off the path, at most", "mm",
+        result.targets[:, :, :3, 3] if result.options.relative_to is None else None,
+        tuple(k for k, row in enumerate(finite.tolist()) if row in ends),
+        (f"{result.status.name}: {result.message}",),
+    )  # fmt: skip
+
+
+def of_trajectory(trajectory: Any) -> Motion:
+    """Motion of a Trajectory, with the speed of the fastest tip."""
+    speeds = []
+    for arm, columns in zip(trajectory.robot.arms, trajectory.robot.places, strict=True):
+        J = arm.chain.forward(trajectory.q[:, columns], jacobian=True)[1]
+        speeds.append(np.linalg.norm(np.einsum("tij,tj->ti", J[:, :3], trajectory.dq[:, columns]), axis=1))
+    values = np.max(speeds, axis=0)
+    labels = [
+        f"t = {t:.2f} s, {f'pose {place:.1f}' if place == place else 'changing to another branch'}{_much(x, 'm/s')}"
+        for t, place, x in zip(trajectory.t, trajectory.place, values, strict=True)
+    ]
+    lines = (trajectory.message,)
+    return Motion(trajectory.q, trajectory.t, labels, values, "speed of the tip", "m/s", lines=lines)
+
+
+def from_file(robot: Joints, file: str | Path) -> Motion:
+    """Motion that `ik path` wrote: a path, or a trajectory, with the speed of the fastest tip between its samples.
+
+    Raises InvalidConfiguration for a file that cannot be read, or whose joints are not the robot's.
+    """
+    t, q = read_motion(robot, file)
+    values = np.full(len(q), np.nan)
+    if t is not None and len(t) > 1:
+        tips = [arm.chain.forward(q[:, at])[0][:, :3, 3] for arm, at in zip(robot.arms, robot.places, strict=True)]
+        moved = np.max([np.linalg.norm(np.diff(tip, axis=0), axis=1) for tip in tips], axis=0)
+        values[1:] = moved / np.maximum(np.diff(t), 1e-9)
+        values[0] = values[1]
+    labels = [f"row {k}" if t is None else f"t = {t[k]:.2f} s{_much(x, 'm/s')}" for k, x in enumerate(values)]
+    return Motion(q, t, labels, values, "speed of the tip", "m/s", lines=(Path(file).name,))
+
+
+def motion_of(what: Any) -> Motion | None:
+    """Motion of a PathResult or a Trajectory; None for anything else."""
+    if isinstance(what, Motion):
+        return what
+    if hasattr(what, "curve") and hasattr(what, "continuity"):
+        return of_path(what)
+    return of_trajectory(what) if hasattr(what, "ddq") else None
+
+
+def _much(value: float, unit: str) -> str:
+    return f", {value:.3g} {unit}" if np.isfinite(value) else ""
+
+
+# ------------------------------------------------------------------------------------------------------------- the scene
+def animate(scene: Any, motion: Motion) -> None:
+    """Let the robot of a Scene go along a motion; the way of each tip is coloured by its numbers."""
+    wide = 0.004 * scene._extent()
+    ways = np.array([scene._tips(q) for q in motion.q])
+    for f in range(len(scene.robot.tips)):
+        number = f"{f + 1 if f else ''}"
+        if motion.targets is not None:
+            scene.trail(motion.targets[:, f], f"path{number}", SLATE, 0.45 * wide, "" if f else "poses")
+        _coloured(scene, ways[:, f], motion.values, f"trail{number}", wide, motion.breaks)
+    if np.isfinite(motion.values).any():
+        low, high = np.nanmin(motion.values), np.nanmax(motion.values)
+        bands = ", ".join("#" + "".join(f"{round(255 * c):02x}" for c in band) for band in BANDS)
+        scene._say(f"linear-gradient(90deg, {bands})", f"{motion.name}: {low:.3g} to {high:.3g} {motion.unit}")
+    count = len(motion.q)
+    rows = np.unique(np.linspace(0, count - 1, min(count, MAX_FRAMES)).astype(int))
+    span = SECONDS if motion.t is None else float(motion.t[-1] - motion.t[0])
+    scene.animate(motion.q[rows], [motion.labels[k] for k in rows], fps=max(1.0, (len(rows) - 1) / (span or 1.0)))
+    scene.say(*motion.lines)
+
+
+def _coloured(
+    scene: Any, points: np.ndarray, values: np.ndarray, name: str, radius: float, breaks: tuple[int, ...]
+) -> None:
+    """A trail in pieces of one colour each, by the values at its points; none is drawn across the breaks."""
+    known = np.isfinite(values)
+    low, high = (values[known].min(), values[known].max()) if known.any() else (0.0, 0.0)
+    share = np.where(known, values - low, 0.0) / (high - low if high > low else 1.0)
+    band = np.minimum((share * len(BANDS)).astype(int), len(BANDS) - 1)
+    first = np.append(True, np.diff(band) != 0)
+    first[[k + 1 for k in breaks]] = True
+    starts = np.flatnonzero(first)
+    for number, (start, stop) in enumerate(zip(starts, [*starts[1:], len(points)], strict=True)):
+        last = stop if stop - 1 in breaks else stop + 1  # up to where the next piece begins
+        scene.trail(points[start:last], f"{name}/{number}", BANDS[band[start]], radius)
+
+
+# ------------------------------------------------------------------------------------------------------------- read back
+def read_motion(robot: Joints, file: str | Path) -> tuple[np.ndarray | None, np.ndarray]:
+    """Times (N,) [s] or None, and joints (N, n), of a file that `ik path` wrote: a path, or a trajectory.
+
+    Raises InvalidConfiguration for a file that cannot be read, or whose joints are not the robot's.
+    """
+    path = Path(file)
+    try:
+        names, values, t = _read(path)
+    except (OSError, ValueError, KeyError, TypeError, IndexError, StopIteration) as error:
+        raise InvalidConfiguration(f"cannot read the motion in '{path.name}': {error}") from None
+    missing = [joint for joint in robot.joint_names if joint not in names]
+    if missing:
+        raise InvalidConfiguration(
+            f"'{path.name}' has no values of joint {', '.join(missing)}; it has {', '.join(names)}"
+        )
+    Q = values[:, [names.index(joint) for joint in robot.joint_names]]
+    keep = np.isfinite(Q).all(axis=1)
+    if not keep.any():
+        raise InvalidConfiguration(f"'{path.name}' has no row in which every joint has a value")
+    return None if t is None else t[keep], Q[keep]
+
+
+def _read(path: Path) -> tuple[list[str], np.ndarray, np.ndarray | None]:
+    suffix = path.suffix.lower()
+    if suffix == ".npz":
+        with np.load(path, allow_pickle=False) as arrays:
+            return arrays["joint_names"].tolist(), arrays["curve"], None
+    if suffix == ".json":
+        content = json.loads(path.read_text(encoding="utf-8"))
+        if "points" not in content:
+            return content["joint_names"], np.array(content["curve"], dtype=float), None
+        stamps = [point["time_from_start"] for point in content["points"]]
+        t = np.array([stamp["sec"] + 1e-9 * stamp["nanosec"] for stamp in stamps])
+        return content["joint_names"], np.array([point["positions"] for point in content["points"]], dtype=float), t
+    if suffix != ".csv":
+        raise ValueError("it is .csv, .npz or .json")
+    with path.open(newline="", encoding="utf-8") as stream:
+        rows = csv.reader(stream)
+        head = next(rows)
+        values = np.array([[float(x) if x else np.nan for x in row] for row in rows]).reshape(-1, len(head))
+    t = values[:, head.index("t")] if head[0] == "t" else None
+    return [name.removeprefix("q_") if t is not None else name for name in head], values, t
