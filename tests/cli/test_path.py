@@ -1,0 +1,131 @@
+"""`ik path ROBOT --poses FILE`: every form of file, exit codes, what is written, and what is kept of a path that is stopped."""
+
+import json
+import re
+
+import motions
+import numpy as np
+import pytest
+
+import ik_toolkit as ik
+from ik_toolkit.robot.pose import matrix_quat
+
+ARM = "hydrolek_7w"
+
+
+@pytest.fixture(scope="module")
+def poses():
+    """Poses (N, 4, 4) along a joint motion of the arm."""
+    robot = motions.load(ARM)
+    return motions.tips(robot, motions.wave(robot, 25, 0.2))[:, 0]
+
+
+@pytest.fixture
+def files(poses, tmp_path):
+    """The same poses as CSV, NPZ and JSON, by suffix."""
+    quat = np.array([matrix_quat(R) for R in poses[:, :3, :3]])
+    rows = np.hstack([poses[:, :3, 3], quat])
+    np.savetxt(tmp_path / "in.csv", rows, delimiter=",", header="x,y,z,qx,qy,qz,qw", comments="", fmt="%.17g")
+    np.savez(tmp_path / "in.npz", targets=poses)
+    (tmp_path / "in.json").write_text(json.dumps({"xyz": poses[:, :3, 3].tolist(), "quat_xyzw": quat.tolist()}))
+    return {suffix: tmp_path / f"in.{suffix}" for suffix in ("csv", "npz", "json")}
+
+
+def test_every_form_of_file_gives_the_same_path(run, files, tmp_path):
+    found = []
+    for suffix, file in files.items():
+        out = tmp_path / f"path.{suffix}"
+        code, text, err = run("path", ARM, "--poses", file, "-o", out)
+        assert code == 0 and "FOLLOWED" in text and f"wrote {out}" in err
+        found.append(out)
+    csv = np.genfromtxt(found[0], delimiter=",", names=True)
+    q = np.stack([csv[name] for name in motions.load(ARM).joint_names], axis=1)
+    with np.load(found[1]) as arrays:
+        np.testing.assert_allclose(arrays["q"], q, atol=1e-6)
+    np.testing.assert_allclose(json.loads(found[2].read_text())["q"], q, atol=1e-6)
+
+
+def test_the_answer_is_that_of_solve_path(run, files, poses):
+    code, text, _ = run("path", ARM, "--poses", files["npz"], "--free-turn", "z", "--max-step-deg", "3", "--json")
+    told = json.loads(text)
+    wanted = ik.solve_path(motions.load(ARM), poses, free_turn=(0.0, 0.0, 1.0), max_step=(np.radians(3.0), 0.02))
+    assert code == 0 and told["success"] and told["status"] == wanted.status.name
+    np.testing.assert_allclose(told["q"], wanted.q, atol=1e-9)
+    assert told["largest_step"]["rad"] <= np.radians(3.0) * (1.0 + 1e-9)
+
+
+def test_a_path_that_is_not_followed_ends_with_1_and_says_why(run, poses, tmp_path):
+    far = poses.copy()
+    far[10:13, 0, 3] += 5.0
+    np.savez(tmp_path / "far.npz", targets=far)
+    code, _, err = run("path", ARM, "--poses", tmp_path / "far.npz", "-o", tmp_path / "part.csv")
+    assert code == 1 and "INCOMPLETE" in err
+    assert re.search(r"pose 10: .*\(proven\)", err)
+    rows = np.genfromtxt(tmp_path / "part.csv", delimiter=",", names=True)
+    missing = np.isnan(rows[motions.load(ARM).joint_names[0]])
+    assert missing[10:13].all() and not missing.all()  # the best partial path is kept
+
+
+def test_a_trajectory_is_written_and_shown(run, files, tmp_path):
+    pytest.importorskip("toppra")
+    timed = ("path", ARM, "--poses", files["csv"], "--retime", "--velocity", "0.5", "--acceleration", "1")
+    for name in ("t.csv", "t.json"):
+        code, text, _ = run(*timed, "-o", tmp_path / name, "--rate", "50")
+        assert code == 0 and "trajectory" in text
+    ros = json.loads((tmp_path / "t.json").read_text())
+    rates = np.array([point["velocities"] for point in ros["points"]])
+    assert np.abs(rates).max() <= 0.5 * (1.0 + 1e-9) and len(ros["points"]) > 20
+    for name in ("t.csv", "t.json"):
+        code, _, _ = run("view", ARM, "--motion", tmp_path / name, "--html", tmp_path / f"{name}.html")
+        assert code == 0 and (tmp_path / f"{name}.html").stat().st_size > 1000
+
+
+def test_pictures_are_drawn(run, files, tmp_path):
+    code, _, err = run(
+        "path", ARM, "--poses", files["csv"], "--plot", tmp_path / "p.svg", "--html", tmp_path / "p.html"
+    )
+    assert code == 0 and "p.svg" in err and "p.html" in err
+    assert "wrist_roll" in (tmp_path / "p.svg").read_text()
+
+
+@pytest.mark.parametrize(
+    "words, said",
+    [
+        (["--velocity", "1"], "belong to --retime"),
+        (["--retime"], "--retime needs --acceleration"),
+        (["--retime", "--acceleration", "1", "-o", "x.npz"], r"\.csv or \.json"),
+        (["--max-step-deg", "0"], "--max-step-deg must be positive"),
+        (["--free-turn", "w"], "--free-turn takes"),
+        (["--reconfigurations", "many"], "reconfigurations is 'fewest'"),
+        (["--plot", "x.txt"], r"must end in"),
+    ],
+)
+def test_mistakes_are_said_before_the_search(run, files, words, said):
+    code, _, err = run("path", ARM, "--poses", files["csv"], *words)
+    assert code == 2 and re.search(said, err) and "Traceback" not in err
+
+
+def test_files_that_hold_no_poses_are_named(run, tmp_path):
+    for text, said in (
+        ("{", "cannot read"),
+        ('{"xyz": [["a", 1, 2]]}', "xyz must be lists of numbers"),
+        ("[]", "targets"),
+    ):
+        (tmp_path / "in.json").write_text(text)
+        code, _, err = run("path", ARM, "--poses", tmp_path / "in.json")
+        assert code == 2 and said in err and "in.json" in err
+    (tmp_path / "in.csv").write_text("x,y,z\n")
+    code, _, err = run("path", ARM, "--poses", tmp_path / "in.csv")
+    assert code == 2 and "no pose" in err
+
+
+def test_the_best_path_so_far_is_kept_when_it_is_stopped(run, files, tmp_path, monkeypatch):
+    from ik_toolkit.paths import solve_path as module
+
+    def stopped(arm, targets, **options):
+        raise module.PathInterrupted(motions.as_result(arm, motions.wave(arm, 25, 0.2)))
+
+    monkeypatch.setattr(module, "solve_path", stopped)
+    code, _, err = run("path", ARM, "--poses", files["csv"], "-o", tmp_path / "out.csv")
+    assert code == 130 and "out.csv.partial" in err and not (tmp_path / "out.csv").exists()
+    assert (tmp_path / "out.csv.partial").read_text().startswith("pose,")

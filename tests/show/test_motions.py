@@ -1,0 +1,66 @@
+"""Scenes of paths and trajectories: the way of the tip in colours, the frames of the animation, files read back."""
+
+import motions
+import numpy as np
+import pytest
+
+import ik_toolkit as ik
+from ik_toolkit.errors import InvalidConfiguration
+from ik_toolkit.kernel.task import POSITION
+
+pytest.importorskip("meshcat")
+from ik_toolkit.show.motions import from_file, motion_of
+
+
+def result(breaks=()):
+    robot = motions.load("planar_3r")
+    return motions.as_result(robot, motions.wave(robot, 30), breaks=breaks, kind=POSITION)
+
+
+def test_a_path_is_shown_with_its_poses_and_its_bound():
+    made = result()
+    scene = ik.view(made.robot, made)
+    told = scene.window.about["animation"]
+    assert told["count"] == len(made.curve) and told["labels"][0].startswith("pose 0.0")
+    assert "path" in scene.drawn() and any(path.startswith("trail/") for path in scene.drawn())
+    assert any("off the path" in label for _, label in scene.window.about["legend"])
+
+
+def test_nothing_is_drawn_across_a_change_of_branch():
+    whole, broken = (motion_of(result(breaks)) for breaks in ((), (14,)))
+    assert whole.breaks == () and len(broken.breaks) == 1
+    np.testing.assert_array_equal(broken.q[broken.breaks[0]], result().q[14])
+
+
+def test_trajectories_are_shown_in_real_time_and_read_back(tmp_path):
+    pytest.importorskip("toppra")
+    made = result().retime(1.0, 2.0, rate=50.0)
+    scene = ik.view(made.robot, made)
+    told = scene.window.about["animation"]
+    assert told["count"] / told["fps"] == pytest.approx(made.duration, rel=0.1)
+    shown = motion_of(made)
+    for file in (made.to_csv(tmp_path / "t.csv"), made.to_json(tmp_path / "t.json")):
+        read = from_file(made.robot, file)
+        np.testing.assert_allclose(read.q, made.q)
+        np.testing.assert_allclose(read.t, made.t, atol=1e-9)
+        assert np.abs(read.values - shown.values).max() < 0.1 * shown.values.max()
+
+
+def test_paths_are_read_back_without_the_poses_not_reached(tmp_path):
+    made = result()
+    q, curve = made.q.copy(), made.curve.copy()
+    q[3], curve[made.at == 3.0] = np.nan, np.nan
+    part = type(made)(**{**vars(made), "q": q, "curve": curve})
+    for name, rows in (("p.csv", q), ("p.npz", curve), ("p.json", curve)):
+        read = from_file(made.robot, part.save(tmp_path / name))
+        np.testing.assert_allclose(read.q, rows[np.isfinite(rows).all(axis=1)])
+
+
+def test_files_of_another_robot_are_refused(tmp_path):
+    made = result()
+    file = made.save(tmp_path / "p.csv")
+    with pytest.raises(InvalidConfiguration, match="no values of joint azimuth_yaw"):
+        from_file(motions.load("hydrolek_7w"), file)
+    (tmp_path / "bad.json").write_text("{}")
+    with pytest.raises(InvalidConfiguration, match=r"cannot read the motion in 'bad\.json'"):
+        from_file(made.robot, tmp_path / "bad.json")
