@@ -95,7 +95,9 @@ def retime(result: Any, velocity: Any, acceleration: Any, rate: float, seed: int
     t = np.append(np.arange(math.ceil(total * rate - 1e-9)) / rate, total)
     message += missing or f"all {len(result.q)} poses are passed in {total:.4g} s"
     safe = None if result.collision is None else clearance
-    return Trajectory(robot, t, *sample(pieces, t), not missing, message, *limits, (deviation, turn), safe, pieces)
+    return Trajectory(
+        robot, t, *sample(pieces, t), not missing, message, *limits, (deviation, turn), safe, pieces, result.collision
+    )
 
 
 def _positive(value: Any, name: str) -> float:

@@ -1,7 +1,7 @@
 """A joint motion in time: exact at every instant, sampled at a rate, and written for those who drive the joints."""
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -65,7 +65,8 @@ class Trajectory:
     poses of the path, NaN while the robot changes from one branch of solutions to another; success, and message: a sentence,
     which says what stands in the way where the motion ends early. velocity, acceleration (n,): the limits, which hold at every
     instant, see `at`. deviation (m, rad): bound on how far a tip leaves the interpolated poses; clearance [m] as of a
-    PathResult. pieces: the motion itself, rest to rest. robot: what moves.
+    PathResult. pieces: the motion itself, rest to rest. robot: what moves; collision: the
+    CollisionModel it keeps clear of, or None.
     """
 
     robot: Any
@@ -81,6 +82,7 @@ class Trajectory:
     deviation: tuple[float, float]
     clearance: float | None
     pieces: tuple[Piece, ...]
+    collision: Any = field(default=None, repr=False)
 
     @property
     def duration(self) -> float:

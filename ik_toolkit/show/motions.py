@@ -9,7 +9,9 @@ import numpy as np
 
 from ..errors import InvalidConfiguration
 from ..robot.joints import Joints
+from .parts import Shape, need_trimesh, smooth
 
+OBSTACLE = (0.55, 0.58, 0.62)
 SLATE = (0.30, 0.34, 0.40)  # of the poses, as in the other scenes
 BANDS = (
     (0.05, 0.03, 0.53), (0.33, 0.01, 0.64), (0.55, 0.04, 0.65), (0.73, 0.20, 0.53), (0.86, 0.37, 0.41), (0.95, 0.53, 0.29),
@@ -23,7 +25,8 @@ class Motion(NamedTuple):
     """What is shown of a path or a trajectory: N configurations, and a number for each.
 
     q (N, n); t (N,) [s] or None; labels (N,); values (N,), NaN where there is none, what they are and their unit; targets
-    (N', F, 3) [m] in base axes, or None; breaks: places after which the motion does not go on; lines for the page.
+    (N', F, 3) [m] in base axes, or None; breaks: places after which the motion does not go on; lines for the page; collision:
+    the CollisionModel whose obstacles are drawn, or None.
     """
 
     q: np.ndarray
@@ -35,6 +38,7 @@ class Motion(NamedTuple):
     targets: np.ndarray | None = None
     breaks: tuple[int, ...] = ()
     lines: tuple[str, ...] = ()
+    collision: Any = None
 
 
 def of_path(result: Any) -> Motion:
@@ -48,7 +52,7 @@ def of_path(result: Any) -> Motion:
         result.curve[finite], None, labels, values, "off the path, at most", "mm",
         result.targets[:, :, :3, 3] if result.options.relative_to is None else None,
         tuple(k for k, row in enumerate(finite.tolist()) if row in ends),
-        (f"{result.status.name}: {result.message}",),
+        (f"{result.status.name}: {result.message}",), result.collision,
     )  # fmt: skip
 
 
@@ -64,7 +68,16 @@ def of_trajectory(trajectory: Any) -> Motion:
         for t, place, x in zip(trajectory.t, trajectory.place, values, strict=True)
     ]
     lines = (trajectory.message,)
-    return Motion(trajectory.q, trajectory.t, labels, values, "speed of the tip", "m/s", lines=lines)
+    return Motion(
+        trajectory.q,
+        trajectory.t,
+        labels,
+        values,
+        "speed of the tip",
+        "m/s",
+        lines=lines,
+        collision=trajectory.collision,
+    )
 
 
 def from_file(robot: Joints, file: str | Path) -> Motion:
@@ -97,8 +110,26 @@ def _much(value: float, unit: str) -> str:
 
 
 # ------------------------------------------------------------------------------------------------------------- the scene
+def draw_obstacles(scene: Any, model: Any) -> None:
+    """Draw the boxes, spheres and cylinders of a CollisionModel."""
+    trimesh = need_trimesh()
+    make = {
+        "box": lambda x, y, z: trimesh.creation.box((x, y, z)),
+        "sphere": lambda radius: trimesh.creation.uv_sphere(radius, count=(24, 24)),
+        "cylinder": lambda radius, length: trimesh.creation.cylinder(radius, length, sections=40),
+    }
+    for name, kind, sizes, T in model._shapes:
+        if kind in make:
+            scene.window.shape(f"obstacle/{name}", Shape(*smooth(make[kind](*sizes), 1.0), OBSTACLE, 0.75))
+            scene.window.place(f"obstacle/{name}", scene.body.T_world_base @ T)
+            corner = (scene.body.T_world_base @ T)[:3, 3]
+            scene._corners.append(np.array([corner, corner]))
+
+
 def animate(scene: Any, motion: Motion) -> None:
     """Let the robot of a Scene go along a motion; the way of each tip is coloured by its numbers."""
+    if motion.collision is not None:
+        draw_obstacles(scene, motion.collision)
     wide = 0.004 * scene._extent()
     ways = np.array([scene._tips(q) for q in motion.q])
     for f in range(len(scene.robot.tips)):

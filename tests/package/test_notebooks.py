@@ -11,8 +11,8 @@ NOTEBOOKS = sorted(FOLDER.glob("*.ipynb"))
 LARGEST = 200_000  # bytes
 
 
-def test_numbered_from_00_to_05():
-    assert [path.name[:3] for path in NOTEBOOKS] == [f"0{k}_" for k in range(6)]
+def test_numbered_from_00_to_06():
+    assert [path.name[:3] for path in NOTEBOOKS] == [f"0{k}_" for k in range(7)]
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
