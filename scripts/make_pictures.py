@@ -1,6 +1,6 @@
 """Make the pictures of the README and the gallery: scenes drawn by `ik.view`, photographed in headless Chromium.
 
-Run: python scripts/make_pictures.py [NAME ...]   (needs the extras view and robots, and chromium; `panel` also the extra
+Run: python scripts/make_pictures.py [NAME ...]   (needs the extras view, robots and paths, and chromium; `panel` also the extra
 panel and playwright)
 """
 
@@ -62,6 +62,19 @@ def tracking() -> Any:
     return aim(ik.view(robot, ik.track(robot, path, "cv", dt=0.02)), (0.27, 0.0, 0.38), (0.95, -0.55, 0.72))
 
 
+def path() -> Any:
+    """A saw blade on the HydroLek goes round a pipe; the colours of its way are its speed."""
+    robot = ik.Robot.load("hydrolek_7w")
+    angle = np.linspace(0.0, 2.0 * np.pi, 121)
+    poses = np.tile(ik.pose(xyz=(1.01, -0.13, 0.10), direction=(1, 0, 0)).T_base_tip, (121, 1, 1))
+    poses[:, 1, 3] += 0.12 * np.cos(angle)
+    poses[:, 2, 3] += 0.12 * np.sin(angle)
+    along_x = ik.pose(xyz=(1.26, -0.13, 0.10), rpy=(0, np.pi / 2, 0))
+    pipe = ik.CollisionModel(robot).add_cylinder(0.05, 0.6, along_x, name="pipe")
+    result = ik.solve_path(robot, poses, free_turn=(0, 0, 1), avoid_collisions=pipe)
+    return aim(ik.view(robot, result.retime(acceleration=1.0)), (0.75, -0.1, 0.1), (0.95, -1.0, 0.5))
+
+
 def limits() -> Any:
     """Which points of the plane y = 0 the HydroLek's tip reaches inside its joint limits."""
     robot = ik.Robot.load("hydrolek_7w")
@@ -71,8 +84,15 @@ def limits() -> Any:
     return aim(ik.view(robot, cloud=(points, many.success)), (0.55, 0.0, 0.1), (0.72, -1.55, 0.3))
 
 
-SCENES = {"solve": solve, "two_arms": two_arms, "branches": branches, "tracking": tracking, "limits": limits}
-SHIPPED = ("solve", "two_arms", "limits")  # robots that need no extra
+SCENES = {
+    "solve": solve,
+    "two_arms": two_arms,
+    "branches": branches,
+    "tracking": tracking,
+    "path": path,
+    "limits": limits,
+}
+SHIPPED = ("solve", "two_arms", "path", "limits")  # robots that need no extra
 
 
 def find_chromium() -> str:
