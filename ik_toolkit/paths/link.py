@@ -10,7 +10,7 @@ from ..kernel.path_link import DEAD, FREE, NONE, TOUCHING, UNTESTED, link
 LONG = 1e3  # cost of a step longer than it may be: more than the length of any path is worth
 LEAP = 1.0  # cost of a reconfiguration beside its count: what it moves is no part of the path
 SUSPECT = 50.0  # toll on a state between two of its track that touch: it is tried last, and tested then
-COARSE = 8  # of a track every eighth pose is tested first
+COARSE = 16  # of a track every so many poses are tested first
 
 
 class Program:

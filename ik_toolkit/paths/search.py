@@ -9,6 +9,7 @@ import numpy as np
 from ..kernel.kinematics import TAU
 from ..kernel.path_link import CONTACT, DEAD
 from .candidates import ISOLATED, MOST, SAME, STARTS, THIN, Tracks, spread
+from .contact import Margins
 from .link import Program, Tester, free_path, look_over, middle_first
 from .problem import Problem
 from .result import Unreachable
@@ -19,7 +20,8 @@ EVERY = (
 ANCHORS = 9  # of a redundant robot at first: tracks reach far, and where they do not the program says so
 SHARE = 40  # tracks an anchor of a redundant robot may add
 TRIED = 3  # contact is tested for so many seeds as an anchor may add: one in two touches beside an obstacle
-ROUNDS = 4  # further anchors where the program breaks, while that helps
+PATIENCE = 2  # rounds of further anchors, where the program breaks, that may fail to help
+NEAR = 0.003  # [rad] what counts as contact at first, times the pair's longest arm: 3 mm on a metre, cheap to prove free between
 PROBES = 9  # poses of a gap that are solved: where its middle and quarters have no solution the rest hardly has
 BUDGET = 200  # contact tests a pose of the path; some 15 are used as a rule
 
@@ -27,6 +29,12 @@ BUDGET = 200  # contact tests a pose of the path; some 15 are used as a rule
 def _runs(places: np.ndarray) -> list[np.ndarray]:
     """Places, ascending, in runs without a gap."""
     return [run for run in np.split(places, np.flatnonzero(np.diff(places) > 1) + 1) if len(run)]
+
+
+def model_near(model: Any, limits: np.ndarray) -> Callable[[Any], bool]:
+    """Test of a CollisionModel for shapes that are nearer than NEAR; limits (2, n) [rad, m]."""
+    margins = Margins(model, np.where(np.isfinite(limits), np.abs(limits), 0.0).max(axis=0))
+    return lambda q: not margins.free(q, NEAR)
 
 
 class Found(NamedTuple):
@@ -48,21 +56,29 @@ class Search:
     def __init__(
         self,
         problem: Problem,
-        collides: Callable[[Any], bool] | None,
+        model: Any,
         q0: np.ndarray | None,
         q_end: np.ndarray | None,
         threads: int,
         seed: int,
         progress: Callable[[float, str], None],
     ) -> None:
-        """q0, q_end (n,) in kernel units: where the path begins and ends, or what it begins and ends near."""
-        self.problem, self.collides, self.ends, self.progress = problem, collides, (q0, q_end), progress
+        """q0, q_end (n,) in kernel units: where the path begins and ends, or what it begins and ends near. model: of contact."""
+        self.problem, self.model, self.ends, self.progress = problem, model, (q0, q_end), progress
+        self.collides: Callable[[Any], bool] | None = None
+        self.tester: Tester | None = None
+        if model is not None:
+            self.keep_away(model_near(model, problem.limits[:2] * problem.unit))
         self.tracks = Tracks(problem, MOST if problem.redundant else ISOLATED, threads, seed)
         self.anchored: dict[int, float] = {}  # how far each anchor is out of reach [m], 0: not proven
-        self.tester = None if collides is None else Tester(collides, problem.unit, BUDGET * len(problem.T))
         self.program: Program | None = None
         self.found: Found | None = None
         self.fixed = [False, False]  # whether the path begins at q0, ends at q_end
+
+    def keep_away(self, collides: Callable[[Any], bool]) -> None:
+        """Test contact with collides(q) (n,) [rad, m] from now on; nothing is known yet."""
+        self.collides = collides
+        self.tester = Tester(collides, self.problem.unit, BUDGET * len(self.problem.T))
 
     # ---------------------------------------------------------------------------------------------------------- anchors
     def anchor(self, t: int, count: int) -> int:
@@ -208,18 +224,20 @@ class Search:
         """Search until the path has no reconfiguration, or further anchors do not help."""
         self.first_anchors()
         self.link()
-        for _ in range(ROUNDS):
-            before = self.found
+        if (
+            self.worth() and self.model is not None
+        ):  # closer, then: there may be a way between things that leaves no room
+            self.keep_away(self.model.collides)
+            self.link()
+        left = PATIENCE
+        while self.worth() and left:
             worst = self.worth()
-            if worst == 0:
-                break
-            places = [t for k in before.breaks for t in (k, k + 1)]
+            places = [t for k in self.found.breaks for t in (k, k + 1)]
             fresh = [t for t in places if t not in self.anchored or self.problem.redundant][: 2 * ANCHORS]
             if not sum(self.anchor(t, SHARE) for t in fresh):
                 break
             self.link()
-            if self.worth() >= worst:
-                break
+            left = PATIENCE if self.worth() < worst else left - 1
         return self.found
 
     def worth(self) -> int:

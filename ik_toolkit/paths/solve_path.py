@@ -92,7 +92,7 @@ def solve_path(
     problem = Problem(solver, T, kinds, step, tolerance)
     ends = [None if q is None else robot.check_q(q, name) / problem.unit for name, q in (("q0", q0), ("q_end", q_end))]
     threads = available_cores() if threads is None else threads
-    search = Search(problem, None if model is None else model.collides, *ends, threads, seed, progress or _silent)
+    search = Search(problem, model, *ends, threads, seed, progress or _silent)
     try:
         search.run()
         interrupted = False
