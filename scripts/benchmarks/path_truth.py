@@ -12,6 +12,7 @@ STEP = np.radians(7.0)
 FINER = 10  # poses enumerated for each that the toolkit is given: near a fold a branch moves far from pose to pose
 GRID = np.radians(0.5)
 TURN = 2.0 * np.pi
+REACH = 2.0  # rad, how far the ends of a line lie apart in each joint: few lines between any two poses stay in reach
 Solutions = Callable[[np.ndarray], np.ndarray]
 
 
@@ -21,9 +22,11 @@ def fewest(layers: list[np.ndarray], step: float = STEP) -> int | None:
         return None
     counts = np.zeros(len(layers[0]), dtype=int)
     for before, layer in pairwise(layers):
-        near = (np.abs(layer[:, None] - before[None]) <= step).all(axis=2)
-        reached = np.where(near, counts[None], np.iinfo(int).max).min(axis=1)
-        counts = np.minimum(reached, counts.min() + 1)
+        to, of = np.nonzero(np.abs(layer[:, None, 0] - before[None, :, 0]) <= step)
+        near = (np.abs(layer[to] - before[of]) <= step).all(axis=1)
+        reached = np.full(len(layer), counts.min() + 1)
+        np.minimum.at(reached, to[near], counts[of[near]])
+        counts = reached
     return int(counts.min())
 
 
@@ -36,19 +39,17 @@ def planar(robot: Any) -> tuple[np.ndarray, Solutions, Callable[[np.ndarray], np
     l1, l2, l3 = np.diff([*joints, reach])
 
     def solve(target: np.ndarray) -> np.ndarray:
-        x, y, angle = target
+        """Legal solutions (K, 3) of targets (x, y, angle), one (3,) or many (M, 3)."""
+        x, y, angle = np.atleast_2d(target).T
         x, y = x - joints[0] - l3 * np.cos(angle), y - l3 * np.sin(angle)
-        cosine = (x * x + y * y - l1 * l1 - l2 * l2) / (2.0 * l1 * l2)
-        if abs(cosine) > 1.0:
-            return np.empty((0, 3))
-        found = []
-        for elbow in (np.arccos(cosine), -np.arccos(cosine)):
+        with np.errstate(invalid="ignore"):
+            elbow = np.arccos((x * x + y * y - l1 * l1 - l2 * l2) / (2.0 * l1 * l2))
+            elbow = np.concatenate([elbow, -elbow])
+            x, y, angle = np.tile(x, 2), np.tile(y, 2), np.tile(angle, 2)
             shoulder = np.arctan2(y, x) - np.arctan2(l2 * np.sin(elbow), l1 + l2 * np.cos(elbow))
-            q = np.array([shoulder, elbow, angle - shoulder - elbow])
+            q = np.column_stack([shoulder, elbow, angle - shoulder - elbow])
             q -= TURN * np.rint(q / TURN)
-            if (q >= robot.lower).all() and (q <= robot.upper).all():
-                found.append(q)
-        return np.array(found).reshape(-1, 3)
+            return q[(q >= robot.lower).all(axis=1) & (q <= robot.upper).all(axis=1)]
 
     def pose(target: np.ndarray) -> np.ndarray:
         T = robot.fk(np.zeros(3)).homogeneous
@@ -76,8 +77,10 @@ def compare_planar_poses(paths: int, seed: int) -> dict[str, Any]:
     pairs = []
     while len(pairs) < paths:
         targets = planar_targets(robot, rng, 100 * FINER + 1)
+        if not all(len(solve(target)) for target in targets[::50]):
+            continue
         least = fewest([solve(target) for target in targets])
-        if least is not None and (least > 0 or 2 * len(pairs) < paths):  # half of them at least need one
+        if least is not None:
             made = ik.solve_path(robot, np.array([pose(target) for target in targets[::FINER]]), seed=len(pairs))
             pairs.append((least, len(made.reconfigurations) if made.success else None))
     return summary(pairs)
@@ -92,7 +95,8 @@ def compare_planar_positions(paths: int, seed: int) -> dict[str, Any]:
     pairs = []
     while len(pairs) < paths:
         targets = planar_targets(robot, rng, 100)
-        layers = [np.concatenate([solve(np.array([x, y, angle])) for angle in angles]) for x, y, _ in targets]
+        ones = np.ones_like(angles)
+        layers = [solve(np.column_stack([x * ones, y * ones, angles])) for x, y, _ in targets]
         least = fewest(layers)
         if least is not None:
             points = np.column_stack([targets[:, :2], np.full(len(targets), robot.fk(np.zeros(3)).translation[2])])
@@ -186,7 +190,8 @@ def compare_ur5(paths: int, seed: int) -> dict[str, Any]:
     rng = np.random.default_rng(seed)
     pairs = []
     while len(pairs) < paths:
-        a, b = (robot.fk(robot.random_q(rng)) for _ in range(2))
+        q = robot.random_q(rng)
+        a, b = robot.fk(q), robot.fk(np.clip(q + rng.uniform(-REACH, REACH, 6), robot.lower, robot.upper))
         poses = np.array([pin.SE3.Interpolate(a, b, float(s)).homogeneous for s in np.linspace(0.0, 1.0, 1501)])
         if not all(len(solve(T)) for T in poses[::50]):
             continue
