@@ -14,12 +14,11 @@ from .algebra import V3
 from .jit import cached, inline, inner, spliced
 from .problem import NOW
 from .records import HEAD, TASK, Orders, copy, read
-from .refine import Bounds, correct, direction, move
+from .refine import Bounds, correct
 from .search import problem
 
 SHORTEST = 1.0 / 64  # share of the way between two poses below which a step is not halved again
 TURNED = 1e-12  # sine of an angle between two poses below which there is nothing to turn
-CENTRING = 0.25  # share of the largest step that a posture may use of it
 
 
 @inner
@@ -94,35 +93,13 @@ def advance(p, o, weights, box, flat, pose, sheet, a, b, most, deviation, old, n
     return True
 
 
-@spliced
-def centre(p, o, weights, box, pose, most, gain, old, z):
-    """Move p.desk.q, a solution of the pose aimed at last, towards the middle of the limits, as far as the task leaves it free."""
-    q, dq, n = p.desk.q, p.desk.dq, p.desk.q.shape[0]
-    copy(q, old)
-    e = p.evaluate(q)
-    p.jacobian(e)
-    for i in range(n):
-        z[i] = 0.0
-        if box.counted(i) > 0.0:
-            z[i] = gain * (0.5 * (box.lower(i) + box.upper(i)) - q[i])
-    copy(weights, p.desk.w)
-    direction(p, z, box)
-    size = CENTRING
-    for i in range(n):
-        size = max(size, abs(dq[i]) / most[i])
-    move(q, dq, CENTRING / size, box)
-    e = correct(p, weights, box)
-    if not (e.good and within(q, old, most)):
-        copy(old, q)
-
-
 @cached
-def extend(rows, ends, T, orders, limits, most, deviation, seeds, at, gains, columns, Q, span):
+def extend(rows, ends, T, orders, limits, most, deviation, seeds, at, columns, Q, span):
     """Carry seeds (M, n), solutions of the poses at (M,), along all poses T (N, 4, 4) or (N, F, 4, 4), both ways.
 
-    Kernel units throughout: limits (3, n) lower, upper, whether a posture counts the joint; most (n,): largest step of a joint.
-    deviation (2,) [m], [rad]: of the tip between poses; gains (M,): how strongly a track is drawn to the middle of the limits
-    (0: least motion). Track m goes to Q[:, columns[m]] (N, K, n), the first and the last pose it reaches to span[columns[m]].
+    Kernel units throughout: limits (3, n) lower, upper, whether there are both; most (n,): largest step of a joint.
+    deviation (2,) [m], [rad]: of the tip between poses. Track m goes to Q[:, columns[m]] (N, K, n), the first and the last pose
+    it reaches to span[columns[m]].
     """
     n, N = seeds.shape[1], T.shape[0]
     o = read(Orders, orders)
@@ -133,7 +110,7 @@ def extend(rows, ends, T, orders, limits, most, deviation, seeds, at, gains, col
     flat = T.reshape(N, T[0].size // 16, 16)
     pose = np.empty_like(T[0])
     sheet = pose.reshape(T[0].size // 16, 16)
-    old, new, z = np.empty(n), np.empty(n), np.empty(n)
+    old, new = np.empty(n), np.empty(n)
     q = p.desk.q
     for m in range(seeds.shape[0]):
         start, k = at[m], columns[m]
@@ -145,10 +122,6 @@ def extend(rows, ends, T, orders, limits, most, deviation, seeds, at, gains, col
                 if not advance(p, o, weights, box, flat, pose, sheet, t, t + way, most, deviation, old, new):
                     break
                 t += way
-                if gains[m] > 0.0:
-                    blend(flat, t, t, 0.0, sheet)
-                    p.aim(pose, o)
-                    centre(p, o, weights, box, pose, most, gains[m], old, z)
                 for i in range(n):
                     Q[t, k, i] = q[i]
             span[k, 0 if way < 0 else 1] = t

@@ -56,20 +56,20 @@ class Tracks:
         np.add.at(steps, self.span[:, 1] + 1, -1)
         return np.cumsum(steps)[:-1]
 
-    def add(self, seeds: np.ndarray, at: np.ndarray, gain: float = 0.0) -> np.ndarray:
-        """Carry seeds (M, n), solutions of the poses at (M,), both ways; returns the columns (M,) of their tracks."""
+    def add(self, seeds: np.ndarray, at: np.ndarray) -> None:
+        """Carry seeds (M, n), solutions of the poses at (M,), both ways, as far as there is room for tracks."""
         seeds = np.ascontiguousarray(seeds[: self.most - self.size], dtype=float)
         columns = np.arange(self.size, self.size + len(seeds))
         if self.size + len(seeds) > self._Q.shape[1]:
             more = min(self.most, max(2 * self._Q.shape[1], self.size + len(seeds))) - self._Q.shape[1]
             self._Q = np.concatenate([self._Q, np.zeros((len(self._Q), more, self._Q.shape[2]), np.float32)], axis=1)
         self.size += len(seeds)
-        p, gains, at = self.problem, np.full(len(seeds), gain), np.asarray(at, dtype=np.int64)
+        p, at = self.problem, np.asarray(at, dtype=np.int64)
 
         def carry(a: int) -> None:
             part = slice(a, a + CHUNK)
             extend(
-                p.rows, p.ends, p.T, p.orders, p.room, p.most, p.deviation, seeds[part], at[part], gains[part],
+                p.rows, p.ends, p.T, p.orders, p.room, p.most, p.deviation, seeds[part], at[part],
                 columns[part], self._Q, self._span,
             )  # fmt: skip
 
@@ -80,4 +80,3 @@ class Tracks:
         else:
             for a in starts:
                 carry(a)
-        return columns

@@ -71,7 +71,7 @@ def finished(
     """The best path of a search as a motion that is proven, as far as that can be had."""
     p = search.problem
     for _ in range(TRIES):
-        found = search.found if len(search.found.breaks) <= allowed else search.partial(allowed)
+        found = search.found if len(search.found.breaks) <= allowed else search.best(allowed)
         q = exact(p, found.q)
         if refine and p.redundant:
             held = np.zeros(len(q), dtype=bool)

@@ -1,7 +1,6 @@
 """The search for a path: anchors are solved, their tracks linked, contact tested, and where the program breaks it goes on."""
 
 from collections.abc import Callable
-from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,6 +12,7 @@ from .contact import Margins
 from .link import Program, Tester, free_path, look_over, middle_first
 from .problem import Problem
 from .result import Unreachable
+from .turns import alive, copies, unwound
 
 EVERY = (
     20  # poses between two anchors of a robot whose solutions are isolated; they cost little, and none may be missed
@@ -35,6 +35,11 @@ def model_near(model: Any, limits: np.ndarray) -> Callable[[Any], bool]:
     """Test of a CollisionModel for shapes that are nearer than NEAR; limits (2, n) [rad, m]."""
     margins = Margins(model, np.where(np.isfinite(limits), np.abs(limits), 0.0).max(axis=0))
     return lambda q: not margins.free(q, NEAR)
+
+
+def _within(best: tuple[int, int], allowed: float) -> bool:
+    """Whether there is a path, with so many reconfigurations at most."""
+    return best[0] >= 0 and best[1] % CONTACT <= allowed
 
 
 class Found(NamedTuple):
@@ -73,6 +78,8 @@ class Search:
         self.anchored: dict[int, float] = {}  # how far each anchor is out of reach [m], 0: not proven
         self.program: Program | None = None
         self.found: Found | None = None
+        self.copied: set[int] = set()  # joints that turn fully and whose turns have to be told apart
+        self.wound = problem.endless
         self.fixed = [False, False]  # whether the path begins at q0, ends at q_end
 
     def keep_away(self, collides: Callable[[Any], bool]) -> None:
@@ -144,80 +151,68 @@ class Search:
                     self.anchor(int(t), SHARE)
 
     # ----------------------------------------------------------------------------------------------------------- linking
-    def sheets(self) -> tuple[np.ndarray, np.ndarray]:
-        """Tracks and spans, those of isolated solutions on every turn that the limits allow."""
-        p, tracks = self.problem, self.tracks
-        Q, span = tracks.Q[:, : tracks.size], tracks.span
-        if p.redundant or not len(p.turning) or not len(span):
-            return Q, span
-        alive = self.inside(Q, span, np.zeros(p.robot.n), limited=False)
-        for i in p.turning:
-            column = np.where(alive, Q[:, :, i], np.nan)
-            low, high = np.nanmin(column, axis=0), np.nanmax(column, axis=0)
-            copies, spans = [], []
-            first = np.ceil((p.limits[0, i] - high) / TAU).astype(int)
-            last = np.floor((p.limits[1, i] - low) / TAU).astype(int)
-            for turn in range(int(first.min()), int(last.max()) + 1):
-                fits = (first <= turn) & (turn <= last)
-                part = Q[:, fits].copy()
-                part[:, :, i] += TAU * turn
-                copies.append(part)
-                spans.append(span[fits])
-            Q, span = np.concatenate(copies, axis=1), np.concatenate(spans)
-            alive = self.inside(Q, span, np.zeros(p.robot.n), limited=False)
-        return Q, span
-
-    def inside(self, Q: np.ndarray, span: np.ndarray, slack: np.ndarray, limited: bool = True) -> np.ndarray:
-        """Which states (N, K) a track has, inside the limits."""
-        t = np.arange(len(Q))[:, None]
-        alive = (span[:, 0] <= t) & (t <= span[:, 1])
-        if limited:
-            low, high = self.problem.limits[:2].astype(np.float32)
-            ROUND = 1e-6  # single precision
-            alive &= ((Q >= low - ROUND) & (Q <= high + ROUND)).all(axis=2)
-        return alive
-
     def link(self) -> None:
         """Make the program of the tracks there are and take its best path."""
-        p = self.problem
         self.progress(0.7, "linking them")
-        Q, span = self.sheets()
-        program = self.program = Program(Q, span, p.most, p.endless)
-        if len(p.turning) and not p.redundant:
-            program.state[~self.inside(Q, span, np.zeros(p.robot.n))] = DEAD
-        for q, t, terms in zip(self.ends, (0, len(Q) - 1), (program.begin, program.end), strict=True):
+        self.build()
+        self.found = self.best()
+
+    def build(self) -> None:
+        """Make the program, with tracks on all turns of the joints whose turns have to be told apart."""
+        p, tracks = self.problem, self.tracks
+        Q, span = tracks.Q[:, : tracks.size], tracks.span
+        self.wound = p.endless.copy()  # joints whose full turns do not count in the program
+        if not p.redundant and len(span):
+            self.wound[[i for i in p.turning if i not in self.copied]] = True
+            for i in self.copied:
+                Q, span = copies(Q, span, i, *p.limits[:2, i])
+        program = self.program = Program(Q, span, p.most, self.wound)
+        program.state[~alive(Q, span, p.limits, ~self.wound)] = DEAD
+        for k, (q, t, terms) in enumerate(zip(self.ends, (0, len(Q) - 1), (program.begin, program.end), strict=True)):
             if q is not None:
                 d = Q[t].astype(float) - q
-                d -= p.endless * TAU * np.rint(d / TAU)
+                d -= self.wound * TAU * np.rint(d / TAU)
                 terms[1] = np.abs(d).sum(axis=1)
-                if self.fixed[0 if t == 0 else 1]:
+                if self.fixed[k]:
                     terms[0] = (np.abs(d).max(axis=1) > SAME).astype(float)
         if self.tester is not None:
             self.tester = self.tester.of(program)
             look_over(program, self.tester)
-        self.found = self.made(program, *self.best_path(program))
 
-    def best_path(self, program: Program) -> tuple[np.ndarray, np.ndarray, bool]:
-        """Tracks and reconfigurations of the best path, and whether its states are tested."""
+    def best(self, allowed: float | None = None) -> Found:
+        """The best path there is, to the last pose, or to the farthest with so many reconfigurations."""
+        while True:
+            found, unfit = self.made(allowed)
+            if not unfit:
+                return found
+            self.copied |= unfit
+            self.build()
+
+    def made(self, allowed: float | None) -> tuple[Found, set[int]]:
+        """Best path through the program as it is, and the joints whose turns do not fit the limits."""
+        p, program = self.problem, self.program
         N, K = program.state.shape
+        last, verified = N - 1, True
         if self.tester is None or not K:
             program.run()
-            return *program.path(N - 1), True
-        tracks, jumps = free_path(program, self.tester)
-        return tracks, jumps, self.tester.left > 0
-
-    def made(self, program: Program, tracks: np.ndarray, jumps: np.ndarray, verified: bool) -> Found:
-        """A path through the program as it is."""
-        p, N = self.problem, len(program.Q)
+        else:
+            free_path(program, self.tester)
+            verified = self.tester.left > 0
+        if allowed is not None:
+            reached = (t for t in range(N - 1, -1, -1) if _within(program.best(t), allowed))
+            last = next(reached, -1)
+        tracks, jumps = np.full(N, -1), np.zeros(N, dtype=bool)
+        if last >= 0:
+            tracks[: last + 1], jumps[: last + 1] = program.path(last)
         q = np.full((N, p.robot.n), np.nan)
         on = np.flatnonzero(tracks >= 0)
         q[on] = program.Q[on, tracks[on]]
-        for a, b in pairwise(on):  # an endless joint goes on where it was
-            d = q[b] - q[a]
-            q[b] -= p.endless * TAU * np.rint(d / TAU)
-        contacts = program.best(N - 1)[1] // CONTACT if len(on) else 0
         breaks = [int(t) - 1 for t in np.flatnonzero(jumps)]
-        return Found(q, tracks, breaks, int(contacts), verified)
+        limits = np.where(p.endless, [[-np.inf], [np.inf]], p.limits[:2])
+        fixed = [self.fixed[0], self.fixed[1] and last == N - 1]
+        unfit = unwound(q, breaks, self.wound, limits, self.ends, fixed)
+        contacts = program.best(last)[1] // CONTACT if len(on) else 0
+        return Found(q, tracks, breaks, int(contacts), verified), unfit
 
     # -------------------------------------------------------------------------------------------------------------- whole
     def run(self) -> Found:
@@ -244,17 +239,6 @@ class Search:
         """What is wrong with the best path: contacts first, then reconfigurations."""
         return self.found.contacts * CONTACT + len(self.found.breaks)
 
-    def partial(self, allowed: float) -> Found:
-        """The path to the farthest pose that is reached with so many reconfigurations, without contact where there is one."""
-        program, N = self.program, len(self.problem.T)
-        for t in range(N - 1, -1, -1):
-            k, count = program.best(t)
-            if k >= 0 and count % CONTACT <= allowed:
-                tracks, jumps = program.path(t)
-                rest = np.full(N - 1 - t, -1)
-                return self.made(program, np.append(tracks, rest), np.append(jumps, rest > 0), self.found.verified)
-        return self.found._replace(q=np.full_like(self.found.q, np.nan), tracks=np.full(N, -1), breaks=[])
-
     def without(self, found: Found, steps: list[int]) -> bool:
         """Find the best path anew without these steps of a path, from pose k to the next; False when there are none."""
         program = self.program
@@ -266,7 +250,7 @@ class Search:
                 program.changed = min(program.changed, k + 1)
         if len(program.blocked) == before:
             return False
-        self.found = self.made(program, *self.best_path(program))
+        self.found = self.best()
         return True
 
     def unreachable(self) -> list[Unreachable]:
