@@ -1,7 +1,7 @@
 """One step of joint rates inside a box and half-planes: the task first, then closeness to a rate that is wanted.
 
 Pure linear algebra; what the box and the half-planes come from is the caller's. Unknowns are divided by `scale`, a speed for each
-joint. Never a weighted sum of the two objectives: see priority.py.
+joint. Never a weighted sum of the two objectives: see qp.py.
 
 LEAVE keeps the clock and leaves the task as little as possible. SLOW lets the reference's clock slow down: the task rate is
 feedback + rate * forward with 0 <= rate <= cap, the task error first, then the clock as fast as it can be. DIRECT finds the largest
@@ -31,17 +31,17 @@ from .levels import (
     dot,
     make_levels,
 )  # fmt: skip
-from .linalg import ORTHOGONAL, SWEEPS, cholesky
-from .priority import CONTRADICTION, DONE, solve_levels
+from .qp import CONTRADICTION, DONE, solve_levels
 from .records import Array
+from .singular import damp, regular, rotate
 
 LEAVE, SLOW, DIRECT = range(3)
 WANTED, MET, SHORT, RELAXED, INEXACT = range(5)
+FULL, CLOCK, ASIDE, SLACK = range(4)  # problems to solve
 SAME_TASK = 1e-9  # share of the task rate by which a rate may miss it and still count as doing it
-FLAT = 1e-9  # share of the largest singular value below which a direction does not exist
-CLOCK = 1e-4  # size of the clock's column beside the task's largest row: the share its square has against the joints' is 1e-8
-CLOCK_FULL = 1e-6  # share of cap from which on a full clock is tried
-ASIDE = 100.0  # weight of leaving the direction against falling behind along it, where nothing is blocked
+SMALL = 1e-4  # size of the clock's column beside the task's largest row: the share its square has against the joints' is 1e-8
+FULL_CLOCK = 1e-6  # share of cap from which on a full clock is tried
+DIRECTION = 100.0  # weight of leaving the direction against falling behind along it, where nothing is blocked
 LOOSE = 1e-9  # by how much more than the least slack half-planes are loosened: what is left between them is wider than rounding
 CUT_AT = 0.1  # of a joint's speed: where the rate wanted is so far outside the box, the feed-forward is cut in full
 
@@ -51,14 +51,13 @@ class Room(NamedTuple):
     """Scratch of `constrain`."""
 
     levels: Levels
-    task: Array  # (3, m) feedback, forward, and both, as far as they count
-    loose: Array  # (1,) slack of the half-planes
+    task: Array  # (2, K) feedback and forward of each row
 
 
 @build
 def make_room(n, m, rows):
     """Room for n joints, a task of m and so many half-planes."""
-    return Room(make_levels(n + 1, rows + m + 1), np.zeros((3, rows + m + 1)), np.zeros(1))
+    return Room(make_levels(n + 1, rows + m + 1), np.zeros((2, rows + m + 1)))
 
 
 @inner
@@ -125,101 +124,19 @@ def load(J, weight, feedback, forward, want, scale, low, high, A, b, count, cap,
 
 
 @inner
-def regular(P, L, first, r, n, least):
-    """Whether all singular values of the task's rows are certainly above `least` (by the trace of the inverse of P P')."""
-    for k in range(r):
-        for c in range(k + 1):
-            L[k, c] = dot(P, first + k, P, first + c, n)
-    cholesky(L, r, 0.0)
-    trace = 0.0
-    for c in range(r):  # columns of the inverse of the factor, kept above the diagonal
-        for k in range(c, r):
-            s = 1.0 if k == c else 0.0
-            for j in range(c, k):
-                s -= L[k, j] * L[c, j + 1]
-            s /= L[k, k]
-            L[c, k + 1] = s
-            trace += s * s
-    return trace * least * least < 1.0
-
-
-@inner
-def rotate(P, task, first, r, n):
-    """Turn the task's rows, and what is asked, so that the rows are orthogonal (Hestenes): singular values times directions."""
-    for _ in range(SWEEPS):
-        rotated = False
-        for a in range(first, first + r - 1):
-            for c in range(a + 1, first + r):
-                p, q, g = dot(P, a, P, a, n), dot(P, c, P, c, n), dot(P, a, P, c, n)
-                if not abs(g) > ORTHOGONAL * math.sqrt(p * q):
-                    continue
-                rotated = True
-                d = q - p
-                t = (2.0 * g if d >= 0.0 else -2.0 * g) / (abs(d) + math.sqrt(d * d + 4.0 * g * g))
-                cs = 1.0 / math.sqrt(1.0 + t * t)
-                sn = t * cs
-                turn(P, a, c, cs, sn, n)
-                for k in range(2):
-                    u, v = task[k, a], task[k, c]
-                    task[k, a] = cs * u - sn * v
-                    task[k, c] = sn * u + cs * v
-        if not rotated:
-            break
-
-
-@inner
-def turn(P, a, c, cs, sn, n):
-    """Rotate two rows into each other."""
-    for i in range(n):
-        u, v = P[a, i], P[c, i]
-        P[a, i] = cs * u - sn * v
-        P[c, i] = sn * u + cs * v
-
-
-@inner
-def damp(P, V, S, task, first, r, n, singular, damping, cap, cut):
-    """Damp each singular direction towards the wanted rate, inside the box, and cut the feed-forward along it. Rows left.
-
-    s^2 (u'y - d / s)^2 + l^2 (u'y - w)^2 is one row again: of length sqrt(s^2 + l^2), asked (s d + l^2 w) / sqrt(s^2 + l^2).
-    """
-    top = 0.0
-    for k in range(first, first + r):
-        top = max(top, dot(P, k, P, k, n))
-    kept = first
-    for k in range(first, first + r):
-        size = math.sqrt(dot(P, k, P, k, n))
-        if not size > FLAT * math.sqrt(top):
-            continue
-        fade = 1.0 - (size / singular) ** 2 if size < singular else 0.0
-        extra = (damping * fade) ** 2
-        length = math.sqrt(size * size + extra)
-        wanted = 0.0
-        for i in range(n):
-            wanted += P[k, i] * min(max(V[WANT, i], V[LOW, i]), V[HIGH, i])
-        wanted /= size
-        for i in range(n):
-            P[kept, i] = P[k, i] * (length / size)
-        task[0, kept] = (size * task[0, k] + extra * wanted) / length
-        task[1, kept] = size * task[1, k] * (1.0 - cut * fade) / length
-        S[RHS, kept] = task[0, kept] + cap * task[1, kept]
-        kept += 1
-    return kept - first
-
-
-@inner
-def add_clock(P, V, S, ahead, first, r, n, cap):
+def add_clock(P, V, S, task, first, r, n, cap):
     """Let the clock be unknown number n: by how much it is below cap, in units returned. 0: nothing depends on it."""
     size, top = 0.0, 0.0
     for k in range(first, first + r):
-        size += ahead[k] * ahead[k]
+        size += task[1, k] * task[1, k]
         top = max(top, dot(P, k, P, k, n))
     if not size > 0.0:
         return 0.0
-    unit = CLOCK * math.sqrt(top / size)
+    unit = SMALL * math.sqrt(top / size)
     for k in range(first):
         P[k, n] = 0.0
     for k in range(first, first + r):
-        P[k, n] = unit * ahead[k]
+        P[k, n] = unit * task[1, k]
     V[WANT, n] = 0.0
     V[LOW, n] = 0.0
     V[HIGH, n] = cap / unit
@@ -239,11 +156,11 @@ def met(P, V, S, first, r, n):
 
 @inner
 def aside(P, S, first, r, n, alpha):
-    """Weight what leaves the asked direction: ASIDE in full reach, 1 where nothing can be done along it."""
+    """Weight what leaves the asked direction: DIRECTION in full reach, 1 where nothing can be done along it."""
     size = 0.0
     for k in range(first, first + r):
         size += S[RHS, k] * S[RHS, k]
-    weight = 1.0 + (ASIDE - 1.0) * alpha
+    weight = 1.0 + (DIRECTION - 1.0) * alpha
     for i in range(n):
         s = 0.0
         for k in range(first, first + r):
@@ -254,8 +171,8 @@ def aside(P, S, first, r, n, alpha):
 
 
 @inner
-def least_slack(P, W, L, U, V, S, state, order, n, count):
-    """The least by which half-planes have to be loosened to have a point in the box: unknown n, the only task."""
+def slack(P, V, S, state, n, count):
+    """The problem of the least slack of the half-planes that leaves a point in the box: unknown n, the only task."""
     for i in range(n):
         V[WANT, i] = min(max(V[WANT, i], V[LOW, i]), V[HIGH, i])
         P[count, i] = 0.0
@@ -268,45 +185,49 @@ def least_slack(P, W, L, U, V, S, state, order, n, count):
     V[WANT, n] = 0.0
     V[LOW, n] = 0.0
     V[HIGH, n] = np.inf
-    state[n] = 0
-    solve_levels(P, W, L, U, V, S, state, order, n + 1, count, 1)
-    state[n] = 0
-    return V[Y, n] * (1.0 + LOOSE) + LOOSE
-
-
-@inline
-def solve_in(room, N, count, r):
-    """Solve what `room` holds."""
-    s = room.levels
-    return solve_levels(s.P, s.W, s.L, s.U, s.V, s.S, s.state, s.order, N, count, r)
-
-
-@inline
-def with_clock(room, ahead, n, count, r, cap, guess):
-    """Solve with the clock as an unknown, full where it can be: outcome, rate, whether the task is done at that rate."""
-    s = room.levels
-    rate = cap
-    unit = 0.0
-    if guess == 0:  # the clock was full
-        s.state[n] = 0
-        end = solve_in(room, n, count, r)
-        if end != DONE or met(s.P, s.V, s.S, count, r, n):
-            return end, rate, end == DONE
-    unit = add_clock(s.P, s.V, s.S, ahead, count, r, n, cap)
-    if unit == 0.0:
-        end = solve_in(room, n, count, r)
-        return end, rate, end == DONE and met(s.P, s.V, s.S, count, r, n)
-    end = solve_in(room, n + 1, count, r)
-    rate = min(max(cap - unit * s.V[Y, n], 0.0), cap)
-    done = end == DONE and met(s.P, s.V, s.S, count, r, n + 1)
-    s.state[n] = 0
-    if end == DONE and rate >= cap * (1.0 - CLOCK_FULL):
-        end = solve_in(room, n, count, r)
-        return end, cap, end == DONE and met(s.P, s.V, s.S, count, r, n)
-    return end, rate, done
 
 
 @inner
+def prepare(
+    J, weight, feedback, forward, want, scale, low, high, A, b, count, mode, cap, singular, damping, cut, loose,
+    P, L, V, S, task,
+):  # fmt: skip
+    """Write the problem with the clock full: the number of the task's rows."""
+    n = J.shape[0]
+    r = load(J, weight, feedback, forward, want, scale, low, high, A, b, count, cap, loose, P, V, S, task)
+    if not regular(P, L, count, r, n, singular):
+        rotate(P, task, count, r, n)
+        r = damp(P, V, S, task, count, r, n, singular, damping, cap, cut)
+    if mode == DIRECT:
+        for k in range(count, count + r):
+            task[1, k] = S[RHS, k]
+    return r
+
+
+@inner
+def answer(scale, low, high, A, count, V, S, state, x, active, kept, multiplier):
+    """Write what was found in the caller's units."""
+    n = x.shape[0]
+    for i in range(n):
+        active[i] = state[i]
+        if state[i] == 0:
+            x[i] = min(max(V[Y, i] * scale[i], low[i]), high[i])
+            multiplier[i] = 0.0
+        else:
+            x[i] = high[i] if state[i] > 0 else low[i]
+            multiplier[i] = (V[ONE, i] if V[ONE, i] != 0.0 else V[TWO, i]) / scale[i]
+    for k in range(multiplier.shape[0] - n):
+        kept[k] = 0
+        multiplier[n + k] = 0.0
+        if k < count and state[V.shape[1] + k] != 0:
+            kept[k] = 1
+            multiplier[n + k] = S[ROW_ONE, k] if S[ROW_ONE, k] != 0.0 else S[ROW_TWO, k]
+            for i in range(n):
+                if active[i] == 0 and A[k, i] != 0.0:
+                    active[i] = 2
+
+
+@inline
 def constrain(
     J, weight, feedback, forward, want, scale, low, high, A, b, count, mode, cap, singular, damping, room,
     x, active, kept, multiplier,
@@ -321,72 +242,92 @@ def constrain(
     active (n,), kept (R + 1,) int8 carry what held on to the next step: -1 low, 1 high, 2 in a half-plane that holds. Status
     WANTED: x is `want`, bit for bit, which lies inside and does the task. MET: the task is done at the rate returned (SLOW: of
     the clock, DIRECT: alpha). SHORT: not all of it can be. RELAXED: the half-planes contradict each other or the box and were
-    loosened by the least slack. INEXACT: no optimum was found in the iterations allowed. multiplier (n + R,): of the bounds,
-    positive at high, then of the half-planes: of the task error, or where that has none, of the closeness to `want`.
+    loosened by the least slack. INEXACT: no optimum was found in the iterations allowed, x is only inside the box. multiplier
+    (n + R,): of the bounds, positive at high, then of the half-planes: of the task error, or where that has none, of the
+    closeness to `want`.
     """
-    n = J.shape[0]
     s = room.levels
-    task = room.task
+    return step(
+        J, weight, feedback, forward, want, scale, low, high, A, b, count, mode, cap, singular, damping,
+        x, active, kept, multiplier, s.P, s.W, s.L, s.U, s.V, s.S, s.state, s.order, room.task,
+    )  # fmt: skip
+
+
+@inner
+def step(
+    J, weight, feedback, forward, want, scale, low, high, A, b, count, mode, cap, singular, damping,
+    x, active, kept, multiplier, P, W, L, U, V, S, state, order, task,
+):  # fmt: skip
+    """Do what `constrain` says: one loop over the problems to solve, as each is large code."""
+    n = J.shape[0]
     last = kept.shape[0] - 1
-    for i in range(multiplier.shape[0]):
-        multiplier[i] = 0.0
+    top = cap if mode == SLOW else 1.0
     far = outside(want, scale, low, high, A, b, count)
-    miss, size = task_error(J, weight, feedback, forward, cap, want)
+    miss, size = task_error(J, weight, feedback, forward, top, want)
     if far == 0.0 and miss <= SAME_TASK * SAME_TASK * size:
         for i in range(n):
             x[i] = want[i]
             active[i] = 0
         for k in range(last + 1):
             kept[k] = 0
-        return WANTED, cap if mode == SLOW else 1.0
-    top = cap if mode == SLOW else 1.0
+        for k in range(multiplier.shape[0]):
+            multiplier[k] = 0.0
+        return WANTED, top
     cut = min(1.0, max(far / CUT_AT, math.sqrt(miss / size) if size > 0.0 else 0.0))
     for i in range(n):
-        s.state[i] = active[i] if active[i] < 2 else 0
+        state[i] = active[i] if active[i] < 2 else 0
     for k in range(count):
-        s.state[n + 1 + k] = kept[k]
-    room.loose[0] = 0.0
-    status, rate = MET, top
-    for attempt in range(2):
-        r = load(
-            J, weight, feedback, forward, want, scale, low, high, A, b, count, top, room.loose[0], s.P, s.V, s.S, task
-        )
-        if singular > 0.0 and not regular(s.P, s.L, count, r, n, singular):
-            rotate(s.P, task, count, r, n)
-            r = damp(s.P, s.V, s.S, task, count, r, n, singular, damping, top, cut)
-        if mode == DIRECT:
-            for k in range(count, count + r):
-                task[1, k] = s.S[RHS, k]
-        end = DONE
-        if mode == LEAVE:
-            end = solve_in(room, n, count, r)
-            done = end == DONE and met(s.P, s.V, s.S, count, r, n)
-        else:
-            end, rate, done = with_clock(room, task[1], n, count, r, top, kept[last])
-        if mode == DIRECT and end == DONE and rate < 1.0:
-            aside(s.P, s.S, count, r, n, rate)
-            end = solve_in(room, n, count, r)
-            done = False
-        if end != CONTRADICTION or attempt > 0:
+        state[n + 1 + k] = kept[k]
+    state[n] = 0
+    stage = CLOCK if mode != LEAVE and kept[last] != 0 else FULL
+    clock_tried, fresh, done = False, True, False
+    loose, unit, rate = 0.0, 0.0, top
+    r = 0
+    while True:
+        if fresh:
+            r = prepare(
+                J, weight, feedback, forward, want, scale, low, high, A, b, count, mode, top, singular, damping, cut,
+                loose, P, L, V, S, task,
+            )  # fmt: skip
+            fresh = False
+        N, rows = n, r
+        if stage == CLOCK:
+            clock_tried = True
+            unit = add_clock(P, V, S, task, count, r, n, top)
+            N = n + 1 if unit > 0.0 else n
+        elif stage == ASIDE:
+            aside(P, S, count, r, n, rate)
+        elif stage == SLACK:
+            slack(P, V, S, state, n, count)
+            N, rows = n + 1, 1
+        end = solve_levels(P, W, L, U, V, S, state, order, N, count, rows)
+        state[n] = 0
+        if stage == SLACK:
+            loose = V[Y, n] * (1.0 + LOOSE) + LOOSE
+            stage, fresh = FULL, True
+            continue
+        if end == CONTRADICTION and loose == 0.0:
+            stage = SLACK
+            continue
+        done = end == DONE and met(P, V, S, count, r, N)
+        if end != DONE or mode == LEAVE or stage == ASIDE:
             break
-        room.loose[0] = least_slack(s.P, s.W, s.L, s.U, s.V, s.S, s.state, s.order, n, count)
-    status = INEXACT if end != DONE else RELAXED if room.loose[0] > 0.0 else MET if done else SHORT
+        if stage == CLOCK:
+            rate = top - unit * V[Y, n] if N > n else top
+            if rate >= top * (1.0 - FULL_CLOCK):
+                rate = top
+                stage = FULL
+                continue
+            rate = max(rate, 0.0)
+        elif done:
+            rate = top
+            break
+        elif not clock_tried:
+            stage = CLOCK
+            continue
+        if mode == SLOW:
+            break
+        stage = ASIDE
     kept[last] = 1 if rate < top else 0
-    for i in range(n):
-        active[i] = s.state[i] if low[i] < high[i] else 1
-        if s.state[i] == 0:
-            y = s.V[Y, i] * scale[i]
-            x[i] = min(max(y, low[i]), high[i])
-        else:
-            x[i] = high[i] if s.state[i] > 0 else low[i]
-            multiplier[i] = (s.V[ONE, i] if s.V[ONE, i] != 0.0 else s.V[TWO, i]) / scale[i]
-    for k in range(last):
-        kept[k] = 0
-    for k in range(count):
-        if s.state[n + 1 + k] != 0:
-            kept[k] = 1
-            multiplier[n + k] = s.S[ROW_ONE, k] if s.S[ROW_ONE, k] != 0.0 else s.S[ROW_TWO, k]
-            for i in range(n):
-                if active[i] == 0 and A[k, i] != 0.0:
-                    active[i] = 2
-    return status, rate
+    answer(scale, low, high, A, count, V, S, state, x, active, kept, multiplier)
+    return INEXACT if end != DONE else RELAXED if loose > 0.0 else MET if done else SHORT, rate

@@ -1,4 +1,4 @@
-"""Two objectives, the second subject to the first, where what holds holds as an equality: one iteration of priority.py.
+"""Two objectives, the second subject to the first, where what holds holds as an equality: one iteration of qp.py.
 
 Solved from scratch each time, by Gram-Schmidt with pivots and a second pass, at a cost of N r^2: errors do not add up.
 
@@ -17,7 +17,7 @@ Y, WANT, LOW, HIGH, ONE, TWO, NEXT_ONE, NEXT_TWO = range(8)  # rows of V
 RHS, REST, SIZE, Z, H, NORM, ROW_ONE, ROW_TWO, AFTER_ONE, AFTER_TWO, TASK_ONE, TASK_TWO = range(12)  # rows of S
 NONE = -1
 SAME = 1e-10  # share of its length left of a row after taking out the others, below which it depends on them
-ROUNDING = 1e-12  # share of its terms below which a sum is rounding
+ROUNDING = 1e-13  # share of its terms below which a sum is rounding
 
 
 @compiled
@@ -173,6 +173,7 @@ def equality(P, W, L, U, V, S, state, order, N, count, r, last):
             for j in range(q):
                 s += S[H, j] * W[order[j], i]
             V[Y, i] = s
+    noise = 0.0
     if full:
         back(L, order, S, planes, q, H, NONE, TASK_TWO, count, r, False)
     else:
@@ -187,7 +188,7 @@ def equality(P, W, L, U, V, S, state, order, N, count, r, last):
             for j in range(rank):
                 s += U[j, k] * S[Z, j]
             S[TASK_TWO, count + k] = s
-        residual(P, V, S, N, count, r)
+        noise = residual(P, V, S, N, count, r)
         back(L, order, S, 0, planes, NONE, TASK_ONE, AFTER_ONE, count, r, True)
     back(L, order, S, 0, planes, H, TASK_TWO, AFTER_TWO, count, r, True)
     for i in range(N):
@@ -198,17 +199,13 @@ def equality(P, W, L, U, V, S, state, order, N, count, r, last):
         for i in range(N):
             V[NEXT_ONE, i] -= P[k, i] * one
             V[NEXT_TWO, i] -= P[k, i] * two
-    rounding = 0.0
-    if not full:
-        for k in range(K):
-            rounding += (abs(S[AFTER_ONE, k]) + abs(S[TASK_ONE, k])) * S[NORM, k]
     for i in range(N):
         if state[i] == 0:
             V[NEXT_TWO, i] = 0.0
-        if state[i] == 0 or abs(V[NEXT_ONE, i]) <= ROUNDING * rounding:
+        if state[i] == 0 or abs(V[NEXT_ONE, i]) <= noise:
             V[NEXT_ONE, i] = 0.0
     for k in range(count):
-        if abs(S[AFTER_ONE, k]) <= ROUNDING * rounding:
+        if abs(S[AFTER_ONE, k]) <= noise:
             S[AFTER_ONE, k] = 0.0
     return NONE
 
@@ -249,8 +246,8 @@ def least_squares(L, U, S, count, r, planes, q):
 
 @inner
 def residual(P, V, S, N, count, r):
-    """S[TASK_ONE] = C y - d, zero where that is rounding."""
-    size, terms = 0.0, 0.0
+    """S[TASK_ONE] = C y - d, zero where that is rounding; what of its products with columns of C is rounding."""
+    size, terms, noise = 0.0, 0.0, 0.0
     for k in range(count, count + r):
         s, t = -S[RHS, k], abs(S[RHS, k])
         for i in range(N):
@@ -259,6 +256,8 @@ def residual(P, V, S, N, count, r):
         S[TASK_ONE, k] = s
         size = max(size, abs(s))
         terms = max(terms, t)
+        noise += ROUNDING * t * S[NORM, k]
     if size <= ROUNDING * terms:
         for k in range(count, count + r):
             S[TASK_ONE, k] = 0.0
+    return noise

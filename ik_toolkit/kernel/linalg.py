@@ -89,6 +89,15 @@ def damped_stack(J, moves, w, dq, e, damping, A, y):
 
 
 @inline
+def jacobi(a, b, g):
+    """Cosine and sine of the rotation that makes two columns orthogonal: a, b their squares, g their product."""
+    d = b - a
+    t = (2.0 * g if d >= 0.0 else -2.0 * g) / (abs(d) + math.sqrt(d * d + 4.0 * g * g))
+    cosine = 1.0 / math.sqrt(1.0 + t * t)
+    return cosine, t * cosine
+
+
+@inline
 def pseudo_inverse_step(J, e, rcond, V, dq, m):
     """dq = pinv(J') e by one-sided Jacobi (Hestenes): singular values below rcond * the largest count as zero.
 
@@ -110,10 +119,7 @@ def pseudo_inverse_step(J, e, rcond, V, dq, m):
                 if abs(g) <= ORTHOGONAL * math.sqrt(a * b) or abs(g) < TINY:
                     continue
                 rotated = True
-                d = b - a
-                t = (2.0 * g if d >= 0.0 else -2.0 * g) / (abs(d) + math.sqrt(d * d + 4.0 * g * g))
-                cs = 1.0 / math.sqrt(1.0 + t * t)
-                sn = t * cs
+                cs, sn = jacobi(a, b, g)
                 for i in range(n):
                     u, v = J[i, r], J[i, c]
                     J[i, r] = cs * u - sn * v

@@ -35,7 +35,7 @@ from .levels import (
 )  # fmt: skip
 
 DONE, STUCK, CONTRADICTION = range(3)
-OUT = 1e-11  # by how much a bound or half-plane may be broken; speeds are of order 1, and the caller clips to bounds
+OUT = 1e-12  # by how much a bound or half-plane may be broken; speeds are of order 1, and the caller clips to bounds
 WRONG = 1e-11  # by how much a multiplier of the second objective may have the wrong sign
 PER = 10  # iterations allowed for each unknown and half-plane
 
@@ -67,71 +67,73 @@ def violated(P, V, S, state, N, count):
 
 
 @inner
-def warm(P, W, L, U, V, S, state, order, N, count, r):
-    """Drop members of a given active set until none has a multiplier of the wrong sign, the worst first."""
-    rows = P.shape[1]
-    while True:
-        dependent = equality(P, W, L, U, V, S, state, order, N, count, r, NONE)
-        if dependent != NONE:
-            state[rows + dependent] = 0
-            continue
-        worst, place = 0.0, NONE
-        for i in range(N):
-            if state[i] != 0 and V[LOW, i] < V[HIGH, i]:
-                w = wrong(V[NEXT_ONE, i], V[NEXT_TWO, i], state[i])
-                if w > worst:
-                    worst, place = w, i
-        for k in range(count):
-            if state[rows + k] != 0:
-                w = wrong(S[AFTER_ONE, k], S[AFTER_TWO, k], 1)
-                if w > worst:
-                    worst, place = w, rows + k
-        if place == NONE:
-            return
-        state[place] = 0
+def wrong_most(V, S, state, rows, N, count):
+    """What holds with the multiplier whose sign is most wrong, as its place in `state`; NONE."""
+    worst, place = 0.0, NONE
+    for i in range(N):
+        if state[i] != 0 and V[LOW, i] < V[HIGH, i]:
+            w = wrong(V[NEXT_ONE, i], V[NEXT_TWO, i], state[i])
+            if w > worst:
+                worst, place = w, i
+    for k in range(count):
+        if state[rows + k] != 0:
+            w = wrong(S[AFTER_ONE, k], S[AFTER_TWO, k], state[rows + k])
+            if w > worst:
+                worst, place = w, rows + k
+    return place
+
+
+@inner
+def begin(P, V, S, state, N, count, r, cold):
+    """Lengths of the rows, and where to start: what held last time, or nothing; joints that cannot move are held."""
+    for k in range(count + r):
+        S[NORM, k] = math.sqrt(dot(P, k, P, k, N))
+    for i in range(N):
+        if V[LOW, i] >= V[HIGH, i]:
+            state[i] = 1
+        elif cold or (V[LOW, i] if state[i] < 0 else V[HIGH, i] if state[i] > 0 else 0.0) in (-np.inf, np.inf):
+            state[i] = 0
+    for k in range(count):
+        if cold:
+            state[P.shape[1] + k] = 0
 
 
 @inner
 def solve_levels(P, W, L, U, V, S, state, order, N, count, r):
     """Solve; `state` is where to start and what holds in the end. Returns DONE, STUCK or CONTRADICTION (of A y <= b)."""
     rows = P.shape[1]
-    for i in range(N):
-        if V[LOW, i] >= V[HIGH, i]:
-            state[i] = 1
-        elif (state[i] < 0 and V[LOW, i] == -np.inf) or (state[i] > 0 and V[HIGH, i] == np.inf):
-            state[i] = 0
-    for k in range(count + r):
-        S[NORM, k] = math.sqrt(dot(P, k, P, k, N))
-    warm(P, W, L, U, V, S, state, order, N, count, r)
-    keep(V, S, N, count)
-    left = PER * (N + count)
-    while left > 0:
-        new, side = violated(P, V, S, state, N, count)
-        if new == NONE:
-            return DONE
-        last = new - N if new >= N else NONE
-        place = new if new < N else rows + last
-        state[place] = side
-        if new < N:
-            V[ONE, new] = 0.0
-            V[TWO, new] = 0.0
-        else:
-            S[ROW_ONE, last] = 0.0
-            S[ROW_TWO, last] = 0.0
-        while left > 0:
-            left -= 1
+    for attempt in range(2):  # from what held last time, then from nothing
+        begin(P, V, S, state, N, count, r, attempt > 0)
+        new, side, last, place = NONE, 0, NONE, NONE
+        adding = False  # first members of the start whose multipliers have the wrong sign are dropped
+        for _ in range(PER * (N + count)):
             dependent = equality(P, W, L, U, V, S, state, order, N, count, r, last)
-            if dependent == NONE:
-                blocking = forward(V, S, state, rows, N, count, new)
-                if blocking == NONE:
-                    keep(V, S, N, count)
-                    break
+            if not adding:
+                drop = rows + dependent if dependent != NONE else wrong_most(V, S, state, rows, N, count)
+            elif dependent == NONE:
+                drop = forward(V, S, state, rows, N, count, new)
             else:
-                blocking = exchange(P, L, V, S, state, order, N, count, dependent, new, side)
-                if blocking == NONE:
+                drop = exchange(P, L, V, S, state, order, N, count, dependent, new, side)
+                if drop == NONE:
                     state[place] = 0
                     return CONTRADICTION
-            state[blocking] = 0
+            if drop != NONE:
+                state[drop] = 0
+                continue
+            keep(V, S, N, count)
+            adding = True
+            new, side = violated(P, V, S, state, N, count)
+            if new == NONE:
+                return DONE
+            last = new - N if new >= N else NONE
+            place = new if new < N else rows + last
+            state[place] = side
+            if new < N:
+                V[ONE, new] = 0.0
+                V[TWO, new] = 0.0
+            else:
+                S[ROW_ONE, last] = 0.0
+                S[ROW_TWO, last] = 0.0
     return STUCK
 
 
