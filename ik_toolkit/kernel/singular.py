@@ -4,7 +4,7 @@ import math
 
 from .jit import inner
 from .levels import HIGH, LOW, RHS, WANT, dot
-from .linalg import ORTHOGONAL, SWEEPS, TINY, cholesky, jacobi
+from .linalg import ORTHOGONAL, SWEEPS, cholesky, jacobi
 
 FLAT = 1e-9  # share of the largest singular value below which a direction does not exist
 DEPENDENT = 1e-12  # and from which on rows are rotated to see, squared: P P' says nothing below the root of rounding
@@ -21,7 +21,7 @@ def regular(P, L, first, r, n, least):
         for c in range(k + 1):
             L[k, c] = dot(P, first + k, P, first + c, n)
         top = max(top, L[k, k])
-    cholesky(L, r, TINY)
+    cholesky(L, r, 0.5 * DEPENDENT * top)  # a pivot lifted to this answers the question
     trace = 0.0
     for c in range(r):  # columns of the inverse of the factor, kept above the diagonal
         for k in range(c, r):

@@ -120,7 +120,7 @@ def test_strictly_convex_problems(seed, problems):
 
 
 def library(H, g, low, high, A, b):
-    """Answer of quadprog, by how much it is outside, its largest error of the gradient and of complementarity; None where it gives up."""
+    """Answer of quadprog, by how much it is outside, its errors of gradient and complementarity; None where it gives up."""
     n, fixed = len(g), low == high
     low, high = np.maximum(low, -1e9), np.minimum(high, 1e9)
     rows = np.vstack([np.eye(n)[fixed], np.eye(n)[~fixed], -np.eye(n)[~fixed], -A])
