@@ -50,10 +50,11 @@ DISTRIBUTIONS = {"rtb": "roboticstoolbox-python", "eaik": "eaik", "cartan": "car
 DISTRIBUTIONS |= {"pink": "pin-pink"}
 
 
-def python_of(peer: Peer, venvs: Path) -> tuple[Path, str]:
+def python_of(peer: Peer, venvs: Path | None) -> tuple[Path, str]:
     """Python of the peer's environment, made and filled when it does not exist; and the peer's version."""
     if not peer.packages:
         return Path(sys.executable), ""
+    assert venvs is not None
     folder = venvs / peer.name
     python = folder / "bin" / "python"
     done = folder / "installed"
@@ -75,17 +76,18 @@ def python_of(peer: Peer, venvs: Path) -> tuple[Path, str]:
 class Process:
     """A running worker."""
 
-    def __init__(self, peer: Peer, venvs: Path, folder: Path) -> None:
+    def __init__(self, peer: Peer, venvs: Path | None, folder: Path, worker: Path = WORKER) -> None:
         """Start it. Its prose goes to a log file in `folder`."""
         self.peer = peer
         self.folder = folder
         python, self.version = python_of(peer, venvs)
         with (folder / f"{peer.name}.log").open("w") as log:
             self._process = subprocess.Popen(
-                [str(python), str(WORKER)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=log, text=True
+                [str(python), str(worker)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=log, text=True
             )
 
-    def _ask(self, message: dict[str, Any]) -> dict[str, Any]:
+    def ask(self, message: dict[str, Any]) -> dict[str, Any]:
+        """Answer to one message. Raises RuntimeError with the worker's words."""
         assert self._process.stdin and self._process.stdout
         try:
             self._process.stdin.write(json.dumps(message) + "\n")
@@ -103,13 +105,13 @@ class Process:
 
     def build(self, description: dict[str, Any]) -> float:
         """Make the solver for a robot and tolerances; seconds it took. Raises RuntimeError with the peer's words."""
-        return self._ask({"do": "build", "adapter": self.peer.adapter, **description})["seconds"]
+        return self.ask({"do": "build", "adapter": self.peer.adapter, **description})["seconds"]
 
     def solve(self, T: np.ndarray, Q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Seconds (2, N), wall and processor, and answers (N, k, n), NaN where there is none."""
         source, destination = self.folder / f"{self.peer.name}_in.npz", self.folder / f"{self.peer.name}_out.npz"
         np.savez(source, T=T, Q=Q)
-        self._ask({"do": "solve", "input": str(source), "output": str(destination)})
+        self.ask({"do": "solve", "input": str(source), "output": str(destination)})
         with np.load(destination) as data:
             return np.array([data["seconds"], data["processor"]]), data["answers"]
 

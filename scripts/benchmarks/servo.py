@@ -1,0 +1,180 @@
+"""Following a moving target, scenario by scenario: our tracker and the peers on the same streams, judged alike.
+
+python scripts/benchmarks/servo.py --venvs ~/.cache/ik_toolkit_peers -o docs/data/benchmark_servo.json
+
+Virtual time, one sample every 10 ms: no method gets more time than another. Every method gets the same targets, start, and
+limits of position, speed and acceleration, has a process of its own, and is judged by its joint values alone
+(servo_judge.py) against the best achievable (servo_best.py). The scenarios are in servo_scenarios.py, the methods in
+servo_worker.py. --plain leaves the peers out and needs no environments.
+"""
+
+import sys
+import tempfile
+from itertools import groupby
+from pathlib import Path
+from typing import Any
+
+import common
+
+common.one_thread()
+
+import numpy as np  # noqa: E402
+from peers import Peer, Process  # noqa: E402
+from servo_best import best  # noqa: E402
+from servo_judge import achievable, judge, missed  # noqa: E402
+from servo_scenarios import DT, MAKERS, Scenario, make  # noqa: E402
+from servo_worker import around  # noqa: E402
+
+import ik_toolkit as ik  # noqa: E402
+from ik_toolkit.robot.library import find  # noqa: E402
+
+ROBOTS = ("panda", "hydrolek_7w", "brokk_hydrolek")
+WORKER = Path(__file__).with_name("servo_worker.py")
+METHODS = {
+    "ik": ("ours", "cv", Peer("ik", "ours", (), "`ik.Tracker`, method `cv`")),
+    "ik aad": ("ours", "aad", Peer("ik aad", "ours", (), "`ik.Tracker`, method `aad`")),
+    "dls": ("dls", "", Peer("dls", "dls", (), "damped least squares, 0.05, each joint clipped")),
+    "pink": (
+        "pink", "", Peer("pink", "pink", ("pin-pink", "qpsolvers[daqp]"), "QP with limits of position, speed, acceleration"),
+    ),
+    "mink": ("mink", "", Peer("mink", "mink", ("mink", "qpsolvers[daqp]"), "QP, no acceleration limit")),
+    "rtb": (
+        "rtb", "", Peer("rtb", "rtb", ("roboticstoolbox-python",), "resolved rate, damped 0.05, each joint clipped"),
+    ),
+}  # fmt: skip
+
+
+def load(name: str) -> Any:
+    """A robot, or a tree where the name stands for several tips."""
+    tips = find(name).tips
+    return ik.Tree.load(name, tips=list(tips)) if len(tips) > 1 else ik.Robot.load(name)
+
+
+def description(s: Scenario, source: str, folder: Path) -> dict[str, Any]:
+    """What a worker needs to know; the arrays go to a file."""
+    robot = s.robot
+    path = folder / f"{robot.name}.urdf"
+    path.write_text(common.serial_urdf(robot) if len(robot.tips) == 1 else robot.urdf, encoding="utf-8")
+    arrays = {
+        "targets": s.targets, "q0": s.q0, "lower": robot.lower, "upper": robot.upper, "speed": s.speed,
+        "acceleration": s.acceleration, "rest": robot.rest,
+    }  # fmt: skip
+    np.savez(folder / "stream.npz", **arrays)
+    joint, at = s.lock or (0, -1)
+    return {
+        "do": "follow", "robot": source, "path": str(path), "tips": list(robot.tips), "joints": list(robot.joint_names),
+        "dt": DT, "delay": s.delay, "measured": s.measured, "noise": s.noise, "lock_joint": joint, "lock_at": at,
+        "posture": s.posture, "obstacles": s.obstacles, "seed": s.seed, "input": str(folder / "stream.npz"),
+    }  # fmt: skip
+
+
+def run(s: Scenario, source: str, processes: dict[str, Process], folder: Path) -> dict[str, Any]:
+    """One scenario on one robot: every method's figures."""
+    message = description(s, source, folder)
+    collision = around(ik, s.robot, s) if s.obstacles else None
+    shared, rows, refused = None if s.lock else best(s.robot, s.targets, s.q0, s.robot.lower, s.robot.upper), {}, {}
+    for key, process in processes.items():
+        adapter, method, _ = METHODS[key]
+        output = folder / "answer.npz"
+        try:
+            reply = process.ask({**message, "adapter": adapter, "method": method, "output": str(output)})
+        except RuntimeError as error:
+            refused[key] = str(error)
+            print(f"  {key}: {error}", file=sys.stderr)
+            continue
+        with np.load(output) as data:
+            Q, R, seconds = data["Q"], data["R"], data["seconds"]
+        found = judge(s, Q, R, reply["gamma"], achievable(s, Q, shared), collision)
+        found |= {"microseconds": common.microseconds(seconds[5:]), "failed": reply["failed"], "words": reply["words"]}
+        found["missed"] = missed(s, found) + ([f"{reply['failed']} steps failed"] if reply["failed"] else [])
+        rows[key] = found
+        print(f"  {key}: {'; '.join(found['missed']) or 'all aims'}", file=sys.stderr)
+    return {"robot": source, "scenario": s.name, "expected": s.expected, "samples": len(s.targets), "rows": rows,
+            "refused": refused, "seed": s.seed}  # fmt: skip
+
+
+# ------------------------------------------------------------------------------------------------------------ tables
+def tables(results: list[dict[str, Any]]) -> list[str]:
+    """Markdown: the sums of a method over all scenarios, then a table a robot."""
+    keys = [key for key in METHODS if any(key in r["rows"] for r in results)]
+    head = ["method", "streams", "freezes", "jumps", "limit breaks", "contacts", "chatter", "not back", "median, us", "p99"]
+    parts = ["### All scenarios together", common.table(head, [total(key, results) for key in keys])]
+    for robot, group in groupby(results, key=lambda r: r["robot"]):
+        rows = [line(r, key) for r in group for key in keys if key in r["rows"]]
+        head = ["scenario", "method", "freezes", "jumps", "breaks", "contacts", "chatter", "RMS (best), mm", "peak (best), mm",
+                "excess jerk (of best)", "back, s (bound)"]  # fmt: skip
+        parts += [f"### {robot}", common.table(head, rows).replace("---:", "---", 1)]
+    return parts
+
+
+def total(key: str, results: list[dict[str, Any]]) -> list[Any]:
+    """One method over everything."""
+    rows = [r["rows"][key] for r in results if key in r["rows"]]
+    count = lambda name: sum(row[name] or 0 for row in rows)  # noqa: E731
+    lost = sum(back["seconds"] is None for row in rows for back in row["returns"])
+    us = [f"{np.median([row['microseconds'][part] for row in rows]):.0f}" for part in ("median", "p99")]
+    frozen = sum(len(row["freezes"]) for row in rows)
+    broken = f"{count('breaks')} + {count('breaks_between')}"
+    return [f"`{key}`", len(rows), frozen, count("jumps"), broken, count("contacts"), count("chatter"), lost, *us]
+
+
+def line(r: dict[str, Any], key: str) -> list[Any]:
+    """One method in one scenario."""
+    row = r["rows"][key]
+    blank = lambda x: "" if x is None else x  # noqa: E731
+    pair = lambda a, b: f"{1e3 * row[a]:.3g} ({1e3 * row[b]:.3g})"  # noqa: E731
+    if "rms_best" in row:
+        error = [pair("rms_compared", "rms_best"), pair("peak_compared", "peak_best")]
+        jerk = f"{row['excess_jerk']:.3g} ({row['best_jerk']:.3g})"
+    else:
+        error, jerk = [f"{1e3 * row['rms']:.3g}", f"{1e3 * row['peak']:.3g}"], ""
+    back = ", ".join("no" if b["seconds"] is None else f"{b['seconds']:.2f} ({b['bound']:.2f})" for b in row["returns"])
+    broken = f"{row['breaks']} + {row['breaks_between']}"
+    return [f"{r['scenario']} ({r['expected']})", f"`{key}`", len(row["freezes"]), row["jumps"], broken,
+            blank(row["contacts"]), blank(row["chatter"]), *error, jerk, back]  # fmt: skip
+
+
+def main() -> None:
+    parser = common.parser(__doc__, "benchmark_servo.json")
+    parser.add_argument("--venvs", type=Path, help="folder for the peers' virtual environments")
+    parser.add_argument("--plain", action="store_true", help="ours and the plain damped step only")
+    parser.add_argument("--robots", nargs="+", default=ROBOTS)
+    parser.add_argument("--scenarios", nargs="+", default=list(MAKERS), choices=list(MAKERS))
+    parser.add_argument("--methods", nargs="+", default=list(METHODS), choices=list(METHODS))
+    given = parser.parse_args()
+    if given.venvs is None and not given.plain:
+        raise SystemExit("give --venvs, a folder for the peers' environments, or --plain")
+    before = common.load_average()
+    keys = [key for key in given.methods if not (given.plain and METHODS[key][2].packages)]
+    results = []
+    with tempfile.TemporaryDirectory() as name:
+        folder, processes = Path(name), {}
+        for key in keys:
+            try:
+                processes[key] = Process(METHODS[key][2], given.venvs, folder, WORKER)
+            except RuntimeError as error:
+                print(f"{key}: {error}", file=sys.stderr)
+        try:
+            for robot in given.robots:
+                loaded = load(robot)
+                for scenario in given.scenarios:
+                    try:
+                        s = make(scenario, loaded, given.seed)
+                    except (ik.IKError, ValueError) as error:
+                        print(f"{robot}, {scenario}: left out, {error}", file=sys.stderr)
+                        continue
+                    print(f"{robot}, {s.name}: {len(s.targets)} samples", file=sys.stderr)
+                    results.append(run(s, robot, processes, folder))
+        finally:
+            for process in processes.values():
+                process.close()
+        versions = {key: process.version for key, process in processes.items() if process.version}
+    payload = {
+        "machine": common.machine(), "load_average": [before, common.load_average()], "seed": given.seed, "dt": DT,
+        "peers": {key: METHODS[key][2].about for key in processes}, "versions": versions, "runs": results,
+    }  # fmt: skip
+    common.write(given.output, payload, *tables(results))
+
+
+if __name__ == "__main__":
+    main()
