@@ -8,16 +8,24 @@ only: k = kappa h for `cv`, d = kp-and-kd pair (p, d) = (kp h^2, kd h) for `ca`.
     ca  stable  <=>  0 < d < 1  and  0 < p < (d + sqrt(d (9 d + 16))) / 2
 
 The matrices describe rest. Along a fast path kappa I becomes kappa I + J^-1 dJ/dt, so gains within a few percent of the
-border can still diverge in motion.
+border can still diverge in motion: `check_gains(..., robot=, path=)` multiplies the matrices along it (along.py).
+
+Where joint values are measured, the error comes late and with noise, while rates and earlier commands stay the tracker's own:
+`delayed_matrix` holds the earlier samples beside the state.
 """
 
+import functools
 import math
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from ..errors import InvalidOption, near_match
 from .inputs import number, one_of, positive
+
+if TYPE_CHECKING:
+    from .along import Growth
 
 GAINS = {"cv": ("kappa",), "av": (), "ca": ("kp", "kd"), "aa": (), "aad": ("gamma",)}  # of each method
 METHODS = tuple(GAINS)
@@ -30,6 +38,8 @@ BEST_CV = 2.0 / 3.0
 TRIPLE = (1.0 - 4.0 ** (1.0 / 3.0)) / 3.0
 BEST_CA = (4.0 / 3.0 - 2.0 * TRIPLE + 2.0 * TRIPLE**3, 2.0 / 3.0 - TRIPLE - TRIPLE**3)  # (kp h^2, kd h)
 BEST_CA_RADIUS = -TRIPLE
+MOST_DELAY = 200.0  # samples; the matrix has as many rows
+GRID = 25  # points a side of a grid in the search for the best gains under a delay; four grids, each a quarter as wide
 
 
 def mapping_matrix(
@@ -83,6 +93,62 @@ def spectral_radius(A: np.ndarray) -> float:
     return float(np.abs(np.linalg.eigvals(A)).max())
 
 
+def delayed_matrix(method: str, h: float, delay: float = 0.0, **gains: Any) -> np.ndarray:
+    """Matrix (k, k) of one joint over one sample when the measured position is `delay` samples old (1.5: between two).
+
+    State: that of `mapping_matrix`, then the positions one, two, ... samples ago. Only the position that the error is taken from
+    is late: rates and earlier commands are the tracker's own. Between samples the joint is taken to move straight.
+    """
+    A = mapping_matrix(method, h, **gains)
+    delay = _samples(delay)
+    whole, part = math.floor(delay), delay - math.floor(delay)
+    late = whole + (part > 0.0)
+    n = len(A)
+    M = np.zeros((n + late, n + late))
+    M[:n, :n] = A
+    feedback = feedback_column(A)
+    M[:n, 0] -= feedback
+    for samples, share in ((whole, 1.0 - part), (whole + 1, part)):
+        if share:
+            M[:n, 0 if samples == 0 else n + samples - 1] += share * feedback
+    for k in range(late):
+        M[n + k, 0 if k == 0 else n + k - 1] = 1.0
+    return M
+
+
+def feedback_column(A: np.ndarray) -> np.ndarray:
+    """What a mapping matrix does with the measured position; the rest of its first column keeps the position itself."""
+    return A[:, 0] - np.eye(len(A))[0]
+
+
+def _samples(delay: Any) -> float:
+    """Delay as a number of samples. Raises InvalidOption."""
+    found = number(delay, "delay [samples]")
+    if not 0.0 <= found <= MOST_DELAY:
+        raise InvalidOption(f"delay is a number of samples from 0 to {MOST_DELAY:g}, not {found:g}")
+    return found
+
+
+def noise_gains(method: str, h: float, delay: float = 0.0, **gains: Any) -> tuple[float, float]:
+    """RMS of a joint's position, and of its rate times h, over the RMS of white noise on its measured position at rest.
+
+    H2 norms of the map from noise to both; infinite where the gains are not stable.
+    """
+    M = delayed_matrix(method, h, delay, **gains)
+    if spectral_radius(M) >= 1.0 - BORDER:
+        return math.inf, math.inf
+    B = np.zeros(len(M))
+    column = feedback_column(mapping_matrix(method, h, **gains))
+    B[: len(column)] = column
+    # Covariance P = M P M' + B B' by doubling: P_2k = P_k + M^k P_k M^k'.
+    P, power = np.outer(B, B), M
+    while np.abs(power).max() > 1e-20:
+        P = P + power @ P @ power.T
+        power = power @ power
+    move = M[0] - np.eye(len(M))[0]  # from this sample to the next, beside the noise's own share
+    return math.sqrt(P[0, 0]), math.sqrt(move @ P @ move + B[0] ** 2)
+
+
 def p_limit(d):
     """Upper border of p = kp h^2 for d = kd h (number or array)."""
     return 0.5 * (d + np.sqrt(d * (9.0 * d + 16.0)))
@@ -99,13 +165,18 @@ def ca_stable(p, d):
     return inside & (p > 0.0) & (p < p_limit(np.where(inside, d, 0.5)))
 
 
-def best_gains(method: str, h: float) -> dict[str, float]:
+def best_gains(method: str, h: float, delay: float = 0.0) -> dict[str, float]:
     """Gains with the smallest spectral radius at sample time h [s]: cv 0.577 (1/sqrt 3), ca 0.196, aad 0.667; av has none.
 
-    cv: kappa h = 2/3. ca: kp h^2 = 1.7099, kd h = 0.8700, where all three eigenvalues meet.
+    cv: kappa h = 2/3. ca: kp h^2 = 1.7099, kd h = 0.8700, where all three eigenvalues meet. With a measured position `delay`
+    samples old (cv, ca) they are searched for.
     """
     one_of(method, METHODS, "tracking method")
     h = positive(h, "the sample time [s]")
+    if _samples(delay) and method in ("cv", "ca"):
+        units = {"kappa": h, "kp": h * h, "kd": h}
+        best = zip(GAINS[method], _best_delayed(method, float(delay)), strict=True)
+        return {name: value / units[name] for name, value in best}
     if method == "cv":
         return {"kappa": BEST_CV / h}
     if method == "ca":
@@ -113,8 +184,33 @@ def best_gains(method: str, h: float) -> dict[str, float]:
     return {"gamma": GAMMA} if method == "aad" else {}
 
 
-def longest_step(method: str, **gains: float) -> float:
-    """Longest sample time [s] at which the gains (kappa; kp and kd) are stable; inf where the method has no gains."""
+@functools.cache
+def _best_delayed(method: str, delay: float) -> tuple[float, ...]:
+    """Best gains times h (kp: h^2) under a delay: grids in log scale, each about the best point of the one before."""
+    names = GAINS[method]
+    middle, width = np.log([BEST_CV] if method == "cv" else BEST_CA) - math.log(1.0 + delay), 3.0
+    for _ in range(4):
+        axes = np.meshgrid(*([np.linspace(-width, width, GRID)] * len(names)), indexing="ij")
+        points = middle + np.stack([axis.ravel() for axis in axes], axis=1)
+        tried = (dict(zip(names, np.exp(point).tolist(), strict=True)) for point in points)
+        matrices = np.array([delayed_matrix(method, 1.0, delay, **gains) for gains in tried])
+        middle = points[int(np.argmin(np.abs(np.linalg.eigvals(matrices)).max(axis=1)))]
+        width /= 4.0
+    return tuple(np.exp(middle).tolist())
+
+
+def longest_step(method: str, delay: float = 0.0, **gains: float) -> float:
+    """Longest sample time [s] at which the gains (kappa; kp and kd) are stable; inf where the method has no gains.
+
+    delay: of the measured position, in samples, whatever their length.
+    """
+    if delay and method in ("cv", "ca"):
+        low, high = 0.0, longest_step(method, **gains)  # a delay only takes away
+        for _ in range(50 if high > 0.0 else 0):
+            middle = 0.5 * (low + high)
+            stable = spectral_radius(delayed_matrix(method, middle, delay, **gains)) < 1.0
+            low, high = (middle, high) if stable else (low, middle)
+        return low
     if method == "cv":
         return 1.0 / gains["kappa"] if gains["kappa"] > 0.0 else 0.0
     if method != "ca":
@@ -132,9 +228,11 @@ def longest_step(method: str, **gains: float) -> float:
 class GainCheck:
     """What `check_gains` found.
 
-    verdict is "stable", "marginal" or "unstable"; radius the spectral radius of the mapping matrix (growth of the error
-    per sample); message one sentence for people; suggestion the best gains at this sample time; longest_step [s] the
-    slowest sampling at which the same gains are stable.
+    verdict is "stable", "marginal" or "unstable", over all that was asked; radius the spectral radius of the mapping matrix
+    (growth of the error per sample, at rest); message one sentence for people, more where more was asked; suggestion the best
+    gains at this sample time and delay; longest_step [s] the slowest sampling at which the same gains are stable. delay
+    [samples] as given; noise_gain: RMS of a joint over the RMS of the noise on its measured position; along: growth on the path
+    (factor, per_step, closed), or None.
     """
 
     method: str
@@ -144,6 +242,9 @@ class GainCheck:
     message: str
     suggestion: dict[str, float]
     longest_step: float
+    delay: float = 0.0
+    noise_gain: float = 0.0
+    along: "Growth | None" = None
 
     @property
     def stable(self) -> bool:
@@ -151,44 +252,92 @@ class GainCheck:
         return self.verdict == "stable"
 
 
-def check_gains(method: str, h: float, **gains: float) -> GainCheck:
+def check_gains(
+    method: str,
+    h: float,
+    *,
+    delay: float = 0.0,
+    noise: float | None = None,
+    robot: Any = None,
+    path: Any = None,
+    null_damping: float = 0.0,
+    **gains: float,
+) -> GainCheck:
     """Judge a method's gains (cv: kappa; ca: kp, kd; aad: gamma) at sample time h [s], with a sentence and a suggestion.
 
-    The verdict comes from the closed-form region, the radius from the eigenvalues. Raises InvalidOption on a gain the
-    method does not have or lacks.
+    At rest the verdict comes from the closed-form region, the radius from the eigenvalues. delay: age of the measured joint
+    positions in samples (20 ms at h = 0.01 s: 2; parts count), as `Tracker.update(q=...)` gets them; then the eigenvalues
+    decide. noise: RMS on a measured position [rad or m]; the message says what it becomes. robot and path (a Reference, as
+    ik.circle): also along that path, where the gains are judged by the growth of a small error over it, a lap when it is closed
+    (null_damping [1/s] as in `Method`). Raises InvalidOption on a gain the method does not have or lacks, InvalidTarget where
+    the path cannot be followed.
     """
     one_of(method, METHODS, "tracking method")
     for name in gains:
         if name not in GAINS[method]:
             raise InvalidOption(f"{method} has no gain '{name}'.{near_match(name, GAINS[method])}")
-    radius = spectral_radius(mapping_matrix(method, h, dof=1, **gains))
-    best = best_gains(method, h)
-    longest = longest_step(method, **gains)
-    if method == "cv":
-        k = gains["kappa"] * h
-        margin = min(k, 1.0 - k)
-        where = f"kappa h = {k:.4g}, stable between 0 and 1"
-    elif method == "ca":
-        p, d = gains["kp"] * h * h, gains["kd"] * h
-        top = float(p_limit(d)) if d > 0.0 else 0.0
-        margin = min(d, 1.0 - d, p, (top - p) / max(top, 1e-300))
-        where = f"kd h = {d:.4g} (stable between 0 and 1), kp h^2 = {p:.4g} (stable between 0 and {top:.4g})"
-    elif method == "aa":
-        margin = 0.0
-        where = "eigenvalue -1 whatever the gains: the joint velocity may zigzag for ever"
-        best = {}
-    elif method == "aad":
-        gamma = gains.get("gamma", GAMMA)
-        margin = gamma - 0.5
-        where = f"gamma = {gamma:.4g}, stable above 0.5"
-    else:
-        margin, where = 1.0, "eigenvalue 0: no gains to choose"
+    delay = _samples(delay)
+    if (robot is None) != (path is None):
+        raise InvalidOption("gains are judged along a path with both robot= and path=")
+    radius = spectral_radius(delayed_matrix(method, h, delay, **gains))
+    best = best_gains(method, h, delay)
+    longest = longest_step(method, delay, **gains)
+    margin, where, best = _region(method, h, best, **gains)
+    if delay:
+        margin, where = 1.0 - radius, f"positions measured {delay:g} samples ago"
     verdict = "marginal" if abs(margin) <= BORDER else "stable" if margin > 0.0 else "unstable"
     message = f"{method} at h = {h:.4g} s is {verdict} at rest: {where}; spectral radius {radius:.4g}."
+    gain = noise_gains(method, h, delay, **gains)
+    if noise is not None:
+        rms = positive(noise, "noise")
+        message += (
+            f" Noise of {rms:.3g} on a measured position becomes {rms * gain[0]:.3g} in the joint and {rms * gain[1] / h:.3g} "
+            "per second in its rate."
+            if math.isfinite(gain[0])
+            else " Noise on the measured positions grows without bound."
+        )
+    found = None
+    if path is not None:
+        from .along import growth
+
+        complete = {"gamma": GAMMA, **gains} if method == "aad" else gains
+        found = growth(robot, path, method, h, complete, null_damping=null_damping)
+        message += (
+            f" Along the path a small error changes by {found.factor:.3g} {'a lap' if found.closed else 'in all'}"
+        )
+        message += f" ({found.per_step:.5g} a sample)."
+        if verdict == "stable" and not found.factor < 1.0:
+            verdict = "unstable"
     if verdict != "stable":
-        if best:
-            message += " Try " + ", ".join(f"{name} = {value:.5g}" for name, value in best.items())
-            message += f", or a rate above {1.0 / longest:.4g} Hz." if math.isfinite(longest) and longest > 0.0 else "."
-        elif method == "aa":
-            message += " aad removes that eigenvalue at the same accuracy."
-    return GainCheck(method, h, verdict, radius, message, best, longest)
+        message += _way_out(method, best, longest, delay)
+    return GainCheck(method, h, verdict, radius, message, best, longest, delay, gain[0], found)
+
+
+def _way_out(method: str, best: dict[str, float], longest: float, delay: float) -> str:
+    """Sentence on gains or a sample time that would do."""
+    if delay and method not in ("cv", "ca"):
+        return " A method that takes the whole error away in one step bears no delay: cv and ca with low gains do."
+    if method == "aa":
+        return " aad removes that eigenvalue at the same accuracy."
+    if not best:
+        return ""
+    words = " Try " + ", ".join(f"{name} = {value:.5g}" for name, value in best.items())
+    return words + (f", or a rate above {1.0 / longest:.4g} Hz." if math.isfinite(longest) and longest > 0.0 else ".")
+
+
+def _region(method: str, h: float, best: dict[str, float], **gains: float) -> tuple[float, str, dict[str, float]]:
+    """Distance to the border of the closed-form region (negative outside), words for it, and the suggestion."""
+    if method == "cv":
+        k = gains["kappa"] * h
+        return min(k, 1.0 - k), f"kappa h = {k:.4g}, stable between 0 and 1", best
+    if method == "ca":
+        p, d = gains["kp"] * h * h, gains["kd"] * h
+        top = float(p_limit(d)) if d > 0.0 else 0.0
+        where = f"kd h = {d:.4g} (stable between 0 and 1), kp h^2 = {p:.4g} (stable between 0 and {top:.4g})"
+        return min(d, 1.0 - d, p, (top - p) / max(top, 1e-300)), where, best
+    if method == "aa":
+        return 0.0, "eigenvalue -1 whatever the gains: the joint velocity may zigzag for ever", {}
+    if method == "aad":
+        gamma = gains.get("gamma", GAMMA)
+        return gamma - 0.5, f"gamma = {gamma:.4g}, stable above 0.5", best
+    return 1.0, "eigenvalue 0: no gains to choose", best

@@ -3,7 +3,7 @@
 python scripts/benchmarks/page.py docs/data -o docs/benchmarks.md --readme README.md
 
 Reads benchmark_solve.json, benchmark_success.json, benchmark_batch.json, benchmark_kernel.json, benchmark_joints.json,
-benchmark_tree.json and benchmark_against.json from the folder given; those that are missing are left out.
+benchmark_tree.json, benchmark_servo.json and benchmark_against.json from the folder given; those that are missing are left out.
 """
 
 import argparse
@@ -30,6 +30,15 @@ count. An answer counts when Pinocchio finds it inside the limits and both toler
 analytic solver's answers one has to be right. All robots are given as a serial URDF with continuous joints limited to two
 turns either way. Slow solvers get the first few targets only; their ratio is taken on these. Everything is done three times with
 other targets: times and ratios are medians over these rounds, successes are added up.
+"""
+SERVO = """\
+Virtual time, 100 samples a second; every method gets the same stream of targets (no velocities with them), start and limits of
+position, speed and acceleration; mink has none of acceleration. Best is what a search finds that goes on from sample to sample
+without a limit of speed; errors and jerk are compared where it stays inside 0.8 of the limits. Freeze: still for 100 ms, over
+1 mm off, and neither a limit nor a contact in the way. Jump: a joint moved or sped up more than its limits allow. Breaks: samples
+outside the joints' ranges + steps whose reported motion is outside a limit between samples. Chatter: over 3 changes of
+direction in 100 ms. Back: time until the error stays below 1 mm after a leap or the end of a figure, and the least time the
+joints' limits allow. Errors count one radian as 0.2 m.
 """
 AGAINST = """\
 Before is commit {old}. Each version has a process, a cache and the same targets; the rounds alternate. CPU time; of the ratios
@@ -188,7 +197,7 @@ def main() -> None:
     parser.add_argument("--readme", type=Path, help="also put the summary between the benchmark marks of this file")
     given = parser.parse_args()
     found = {}
-    for name in ("solve", "success", "batch", "kernel", "joints", "tree", "against"):
+    for name in ("solve", "success", "batch", "kernel", "joints", "tree", "servo", "against"):
         path = given.folder / f"benchmark_{name}.json"
         if path.exists():
             found[name] = json.loads(path.read_text(encoding="utf-8"))
@@ -207,6 +216,7 @@ def main() -> None:
     parts += section("Building blocks", found.get("kernel"))
     parts += section("Number of joints", found.get("joints"))
     parts += section("Several tips", found.get("tree"))
+    parts += section("Following a moving target", found.get("servo"), SERVO)
     parts += section(
         "Against the version before", found.get("against"), AGAINST.format(old=found.get("against", {}).get("old"))
     )

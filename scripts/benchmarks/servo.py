@@ -8,6 +8,7 @@ limits of position, speed and acceleration, has a process of its own, and is jud
 servo_worker.py. --plain leaves the peers out and needs no environments.
 """
 
+import hashlib
 import sys
 import tempfile
 from itertools import groupby
@@ -68,11 +69,23 @@ def description(s: Scenario, source: str, folder: Path) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def run(s: Scenario, source: str, processes: dict[str, Process], folder: Path) -> dict[str, Any]:
+def ideal_of(s: Scenario, keep: Path | None) -> np.ndarray:
+    """Best achievable motion of a stream, from the folder `keep` where an earlier run left it."""
+    if keep is None:
+        return best(s.robot, s.targets, s.q0, s.robot.lower, s.robot.upper)
+    mark = hashlib.sha256(s.targets.tobytes() + s.q0.tobytes() + s.robot.lower.tobytes()).hexdigest()[:16]
+    path = keep / f"{s.robot.name}_{mark}.npy"
+    if not path.exists():
+        keep.mkdir(parents=True, exist_ok=True)
+        np.save(path, best(s.robot, s.targets, s.q0, s.robot.lower, s.robot.upper))
+    return np.load(path)
+
+
+def run(s: Scenario, source: str, processes: dict[str, Process], folder: Path, keep: Path | None) -> dict[str, Any]:
     """One scenario on one robot: every method's figures."""
     message = description(s, source, folder)
     collision = around(ik, s.robot, s) if s.obstacles else None
-    shared, rows, refused = None if s.lock else best(s.robot, s.targets, s.q0, s.robot.lower, s.robot.upper), {}, {}
+    shared, rows, refused = ideal_of(s, keep), {}, {}
     for key, process in processes.items():
         adapter, method, _ = METHODS[key]
         output = folder / "answer.npz"
@@ -97,7 +110,18 @@ def run(s: Scenario, source: str, processes: dict[str, Process], folder: Path) -
 def tables(results: list[dict[str, Any]]) -> list[str]:
     """Markdown: the sums of a method over all scenarios, then a table a robot."""
     keys = [key for key in METHODS if any(key in r["rows"] for r in results)]
-    head = ["method", "streams", "freezes", "jumps", "limit breaks", "contacts", "chatter", "not back", "median, us", "p99"]
+    head = [
+        "method",
+        "streams",
+        "freezes",
+        "jumps",
+        "limit breaks",
+        "contacts",
+        "chatter",
+        "not back",
+        "median, us",
+        "p99",
+    ]
     parts = ["### All scenarios together", common.table(head, [total(key, results) for key in keys])]
     for robot, group in groupby(results, key=lambda r: r["robot"]):
         rows = [line(r, key) for r in group for key in keys if key in r["rows"]]
@@ -138,6 +162,7 @@ def main() -> None:
     parser = common.parser(__doc__, "benchmark_servo.json")
     parser.add_argument("--venvs", type=Path, help="folder for the peers' virtual environments")
     parser.add_argument("--plain", action="store_true", help="ours and the plain damped step only")
+    parser.add_argument("--keep", type=Path, help="folder where best achievable motions are kept for another run")
     parser.add_argument("--robots", nargs="+", default=ROBOTS)
     parser.add_argument("--scenarios", nargs="+", default=list(MAKERS), choices=list(MAKERS))
     parser.add_argument("--methods", nargs="+", default=list(METHODS), choices=list(METHODS))
@@ -164,7 +189,7 @@ def main() -> None:
                         print(f"{robot}, {scenario}: left out, {error}", file=sys.stderr)
                         continue
                     print(f"{robot}, {s.name}: {len(s.targets)} samples", file=sys.stderr)
-                    results.append(run(s, robot, processes, folder))
+                    results.append(run(s, robot, processes, folder, given.keep))
         finally:
             for process in processes.values():
                 process.close()

@@ -8,9 +8,12 @@ as RADIUS metres.
 import numpy as np
 
 RADIUS = 0.2  # m
-ITERATIONS = 200  # at the edge of reach the search converges linearly, by about a half a step
+ITERATIONS = 40  # at the edge of reach the search converges linearly; the next sample goes on from here
+GAIN = 1e-9  # share of the squared error below which an iteration gains nothing worth having
 SMALL = 1e-10  # m (rad): a step, or an error, that ends the search
-BENT = 0.05  # share of the way back to the last configuration that reached, tried where the arm may be stuck stretched out
+BENT = (
+    0.05  # share of the way back to the last configuration that reached, tried where the arm may be stuck stretched out
+)
 
 
 def as_tips(T: np.ndarray) -> np.ndarray:
@@ -20,9 +23,7 @@ def as_tips(T: np.ndarray) -> np.ndarray:
 
 def rotation_vectors(R: np.ndarray) -> np.ndarray:
     """Rotation vectors (..., 3) of rotations (..., 3, 3), also near half a turn."""
-    s = 0.5 * np.stack(
-        [R[..., 2, 1] - R[..., 1, 2], R[..., 0, 2] - R[..., 2, 0], R[..., 1, 0] - R[..., 0, 1]], axis=-1
-    )
+    s = 0.5 * np.stack([R[..., 2, 1] - R[..., 1, 2], R[..., 0, 2] - R[..., 2, 0], R[..., 1, 0] - R[..., 0, 1]], axis=-1)
     sine = np.linalg.norm(s, axis=-1)
     angle = np.arctan2(sine, 0.5 * (np.trace(R, axis1=-2, axis2=-1) - 1.0))
     out = s * np.where(sine > 1e-9, angle / np.maximum(sine, 1e-9), 1.0)[..., None]
@@ -66,13 +67,16 @@ def closest(robot, q: np.ndarray, target: np.ndarray, lower: np.ndarray, upper: 
             break
         step = np.zeros(len(q))
         step[free] = K.T @ np.linalg.solve(K @ K.T + damping * np.eye(len(e)), e)
-        step *= min(1.0, 0.3 / np.abs(step).max())  # the neighbourhood: a continuation does not leap
+        step *= 0.3 / max(0.3, np.abs(step).max())  # the neighbourhood: a continuation does not leap
         new = np.clip(q + step, lower, upper)
         moved = np.abs(new - q).max()
         tried, K = linearised(robot, new, target)
-        if tried @ tried < cost:
+        gained = cost - tried @ tried
+        if gained > 0.0:
             q, e, J, cost = new, tried, K, tried @ tried
             damping = max(0.2 * damping, 1e-12)
+            if gained < GAIN * cost:
+                break
         else:
             damping *= 5.0
         if moved < SMALL:

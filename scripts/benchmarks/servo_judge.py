@@ -7,6 +7,7 @@ acceleration limit. Break: a position, or what the reported motion does between 
 changes of sign of a joint's speed in 100 ms, beyond 5 % of its limit.
 """
 
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -39,17 +40,14 @@ def limits_of(s: Scenario, Q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return lower, upper
 
 
-def achievable(s: Scenario, Q: np.ndarray, shared: np.ndarray | None) -> np.ndarray:
+def achievable(s: Scenario, Q: np.ndarray, shared: np.ndarray) -> np.ndarray:
     """Best achievable motion; the same for all methods, unless a joint locks where this one has it."""
-    if shared is not None and not s.lock:
+    if not s.lock:
         return shared
     lower, upper = limits_of(s, Q)
-    if not s.lock:
-        return best(s.robot, s.targets, s.q0, lower[0], upper[0])
     at = s.lock[1]
-    first = best(s.robot, s.targets[:at], s.q0, lower[0], upper[0]) if shared is None else shared[: at + 1]
     rest = best(s.robot, s.targets[at:], Q[at], lower[-1], upper[-1])
-    return np.concatenate([first, rest[1:]])
+    return np.concatenate([shared[: at + 1], rest[1:]])
 
 
 # ----------------------------------------------------------------------------------------------------------- freezes
@@ -161,7 +159,7 @@ def chatter(s: Scenario, Q: np.ndarray) -> int:
 
 def touched(s: Scenario, Q: np.ndarray, collision: Any) -> int:
     """Times the arm comes into contact, on the exact shapes, between samples too."""
-    fine = np.concatenate([Q[:1], *([0.5 * (a + b), b] for a, b in zip(Q[:-1], Q[1:], strict=True))])
+    fine = np.concatenate([Q[:1], *([0.5 * (a + b), b] for a, b in pairwise(Q))])
     return len(runs(np.array([collision.collides(q) for q in fine])))
 
 
@@ -169,16 +167,24 @@ def touched(s: Scenario, Q: np.ndarray, collision: Any) -> int:
 def returns(s: Scenario, Q: np.ndarray, error: np.ndarray) -> list[dict[str, float | None]]:
     """After each event: time until the error stays under 1 mm, and the least time the joints' speeds allow for that."""
     out = []
-    ends = [*s.events[1:], len(error) - 1]
+    ends = [*s.events[1:], len(error) - 1][: len(s.events)]
     for begin, end in zip(s.events, ends, strict=True):
         outside = np.flatnonzero(error[begin + 1 : end + 1] > FINE)
         back = begin + 1 + (int(outside[-1]) + 1 if len(outside) else 0)
         if back > end:
             out.append({"seconds": None, "bound": None, "error": float(error[end])})
             continue
-        bound = float((np.abs(Q[back] - Q[begin]) / usual(s.robot)).max())
+        bound = least_time(s, np.abs(Q[back] - Q[begin]))
         out.append({"seconds": (back - begin) * DT, "bound": bound, "error": float(error[end])})
     return out
+
+
+def least_time(s: Scenario, way: np.ndarray) -> float:
+    """Least time [s] for joint moves (n,) at the speed limits, from rest to rest where accelerations are limited."""
+    v, a = usual(s.robot), s.acceleration
+    if not s.accelerate:
+        return float((way / v).max())
+    return float(np.where(way > v * v / a, way / v + v / a, 2.0 * np.sqrt(way / a)).max())
 
 
 def compared(s: Scenario, ideal: np.ndarray) -> np.ndarray:
@@ -252,14 +258,18 @@ def missed(s: Scenario, found: dict[str, Any]) -> list[str]:
     out = [f"{found[k]} {k}" for k in ("jumps", "breaks", "breaks_between", "contacts", "chatter") if found[k]]
     if found["freezes"]:
         first = found["freezes"][0]
-        out.append(f"{len(found['freezes'])} freezes, first at {first['from']:.2f} s, {1e3 * first['error']:.0f} mm off")
+        out.append(
+            f"{len(found['freezes'])} freezes, first at {first['from']:.2f} s, {1e3 * first['error']:.0f} mm off"
+        )
     if "rms_best" in found and found["rms_compared"] > 1.1 * found["rms_best"] + 5e-4:
         out.append(f"RMS {1e3 * found['rms_compared']:.2f} mm, best {1e3 * found['rms_best']:.2f}")
     for back in found["returns"]:
         if back["seconds"] is None:
             out.append(f"not back: {1e3 * back['error']:.1f} mm")
         elif back["seconds"] > 1.3 * back["bound"] + DT:
-            out.append(f"back after {back['seconds']:.2f} s, {back['seconds'] / max(back['bound'], DT):.2f} of the bound")
+            out.append(
+                f"back after {back['seconds']:.2f} s, {back['seconds'] / max(back['bound'], DT):.2f} of the bound"
+            )
     if found.get("elbow", 1.0) <= 0.0:
         out.append("elbow below the line")
     if found.get("delay_ratio", 0.0) > 1.2:

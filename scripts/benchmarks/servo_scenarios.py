@@ -231,10 +231,10 @@ def radial(robot, q0: np.ndarray, direction: np.ndarray, way: np.ndarray) -> np.
 
 
 def out_and_back(robot, q0, past: float, rounds: int, hold: float) -> np.ndarray:
-    """Targets to `past` [m] beyond the edge of reach and back, at half of what the speed limits allow nine tenths out."""
+    """Targets to `past` [m] beyond the edge of reach and back, at what the speed limits allow nine tenths out."""
     direction, way, Q = outwards(robot, q0)
     inside = Q[: max(3, int(0.9 * len(Q)))]
-    fastest = 0.5 / np.abs(np.diff(inside, axis=0) / 0.005 / usual(robot)).max()  # m/s
+    fastest = 0.9 / np.abs(np.diff(inside, axis=0) / 0.005 / usual(robot)).max()  # m/s
     seconds = np.pi * (way + past) / 2.0 / fastest
     x = np.arange(1, round(seconds / DT) + 1) / round(seconds / DT)
     there = 0.5 * (1.0 - np.cos(np.pi * x)) * (way + past)
@@ -304,13 +304,13 @@ def leaps(robot, q0, rng, accelerate: bool) -> Scenario:
 
 def turned(robot, q0, rng) -> Scenario:
     """Two full turns about the tool's axis, then still."""
-    unit = 0.5 * usual(robot).min()
+    unit = 0.4 * usual(robot)[robot.places[0][-1]]
     angle = 4.0 * np.pi * ramp(np.arange(1, round(4.0 * np.pi / unit * 1.9 / DT) + 1) * DT * unit / (4.0 * np.pi * 1.9))
     T0 = tip_poses(robot, q0)
     T = np.repeat(T0[None], len(angle), axis=0)
     T[:, 0, :3, :3] = T0[0, :3, :3] @ exp(np.outer(angle, [0.0, 0.0, 1.0]))
     return Scenario(
-        "720 deg about the tool", robot, q0, standing(T, 2.0 + 5.0 / unit), "LIMITED", events=(len(T),), compared=False
+        "720 deg about the tool", robot, q0, standing(T, 2.0 + 2.0 / unit), "LIMITED", events=(len(T),), compared=False
     )
 
 

@@ -9,6 +9,7 @@ limits of position, speed and acceleration. None gets the target's velocity. The
 A stepper has `step(target, measured)`, which returns the next command (n,) and is what is timed. `measured` is None or where
 the joints are. `lock(joint)`: from now on this joint stands still.
 """
+# ruff: noqa: D102  (what step and lock do is said above)
 
 import json
 import os
@@ -197,7 +198,7 @@ class Ours:
         import ik_toolkit as ik
 
         robot = load(ik, s)
-        options = {"collision": around(ik, robot, s)} if s.obstacles else {}
+        options = {"avoid_collisions": around(ik, robot, s)} if s.obstacles else {}
         limit = s.acceleration if np.isfinite(s.acceleration).any() else None
         self.tracker = ik.Tracker(
             robot, s.method, q0=s.q0, rate0=np.zeros(robot.n), acceleration_limits=limit, **options
@@ -207,7 +208,7 @@ class Ours:
         self.rate = np.zeros(robot.n)
 
     def lock(self, joint):
-        self.tracker.lock(self.names[joint])
+        self.tracker.change_limits(speed={self.names[joint]: 0.0})
 
     def step(self, target, measured):
         target = target[0] if self.one else target

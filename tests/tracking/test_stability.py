@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from folders import read_data
 
-from ik_toolkit.errors import InvalidOption
+import ik_toolkit as ik
+from ik_toolkit.errors import InvalidOption, InvalidTarget
 from ik_toolkit.tracking import stability as st
 
 ORACLE = read_data("tracking")["stability"]
@@ -116,3 +117,112 @@ def test_mistakes_are_typed():
         st.check_gains("cv", 0.1, kapa=1.0)
     with pytest.raises(InvalidOption, match="sample time"):
         st.check_gains("cv", 0.0, kappa=1.0)
+
+
+# ------------------------------------------------------------------------------------------- delay, noise, a path
+METHOD_GAINS = {"cv": {"kappa": 30.0}, "ca": {"kp": 1200.0, "kd": 50.0}, "av": {}, "aad": {"gamma": 0.7}}
+
+
+def late_joint(method, h, gains, delay, steps, noise=None):
+    """Positions of a joint held at 0 from 1, its error measured `delay` samples late: the published steps, written out."""
+    q, rate, before = 1.0, 0.0, None
+    seen = [q]
+    for i in range(steps):
+        at = max(i - delay, 0)
+        k = math.floor(at)
+        e = -(seen[k] + (at - k) * (seen[min(k + 1, i)] - seen[k])) - (0.0 if noise is None else noise[i])
+        if method == "cv":
+            u = gains["kappa"] * e
+            q, rate, before = q + h * (3.0 * u - (u if before is None else before)) / 2.0, 0.0, u
+        elif method == "ca":
+            a = gains["kp"] * e - gains["kd"] * rate
+            faster = rate + h * (3.0 * a - (a if before is None else before)) / 2.0
+            q, rate, before = q + h * (rate + faster) / 2.0, faster, a
+        elif method == "av":
+            q = q + e
+        else:
+            a = (e / h - rate) / (gains["gamma"] * h)
+            q, rate = q + h * rate + gains["gamma"] * h * h * a, rate + h * a
+        seen.append(q)
+    return np.array(seen)
+
+
+@pytest.mark.parametrize("delay", [0, 1, 2.5, 6])
+@pytest.mark.parametrize("method", METHOD_GAINS)
+def test_a_delay_grows_or_shrinks_as_simulated(method, delay):
+    h, gains = 0.01, METHOD_GAINS[method]
+    found = st.check_gains(method, h, delay=delay, **gains)
+    q = np.abs(late_joint(method, h, gains, delay, 1200))
+    # the envelope, for a complex pair swings
+    early, late = q[100:600].max(), q[600:].max()
+    if found.radius > 1.0 + 1e-3:
+        assert not found.stable and late > 2.0 * early
+        assert math.log(q[1100:].max() / q[600:701].max()) / 500 == pytest.approx(math.log(found.radius), rel=0.05)
+    elif found.radius < 1.0 - 1e-3:
+        assert found.stable and late < max(early, 1e-12)
+    assert st.check_gains(method, h, delay=0.0, **gains).radius == pytest.approx(
+        st.spectral_radius(st.mapping_matrix(method, h, **gains)), abs=1e-12
+    )
+
+
+def test_gains_for_a_delay_are_stable_and_the_least_that_a_search_finds():
+    rng = np.random.default_rng(4)
+    for method, delay in (("cv", 2), ("ca", 2), ("cv", 8), ("ca", 5.5)):
+        usual = st.check_gains(method, 0.01, delay=delay, **st.best_gains(method, 0.01))
+        assert not usual.stable and "samples ago" in usual.message and "Try" in usual.message
+        best = st.check_gains(method, 0.01, delay=delay, **usual.suggestion)
+        assert best.stable and best.radius < 0.97
+        for factors in rng.uniform(0.7, 1.4, (100, 2)):
+            other = {k: v * f for (k, v), f in zip(usual.suggestion.items(), factors, strict=False)}
+            assert st.check_gains(method, 0.01, delay=delay, **other).radius > best.radius - 0.01
+        gains = best.suggestion
+        longest = st.check_gains(method, 0.01, delay=delay, **gains).longest_step
+        assert st.check_gains(method, 0.999 * longest, delay=delay, **gains).stable
+        assert not st.check_gains(method, 1.001 * longest, delay=delay, **gains).stable
+
+
+@pytest.mark.parametrize("delay", [0, 2])
+@pytest.mark.parametrize("method", ["cv", "ca"])
+def test_noise_gain_is_what_a_simulation_shows(method, delay):
+    h = 0.01
+    gains = st.best_gains(method, h, delay)
+    noise = 1e-3 * np.random.default_rng(2).standard_normal(200_000)
+    q = late_joint(method, h, gains, delay, len(noise), noise)[1000:]
+    found = st.check_gains(method, h, delay=delay, noise=1e-3, **gains)
+    rate = np.sqrt((np.diff(q) ** 2).mean())
+    assert np.sqrt((q**2).mean()) == pytest.approx(1e-3 * found.noise_gain, rel=0.02)
+    assert rate == pytest.approx(1e-3 * st.noise_gains(method, h, delay, **gains)[1], rel=0.02)
+    assert "Noise of 0.001" in found.message
+    assert st.noise_gains("av", h)[0] == pytest.approx(1.0)  # av does what the noise says
+    assert st.check_gains("av", h, delay=2, noise=1e-3).noise_gain == math.inf
+
+
+def test_growth_along_a_path_is_the_papers_lap():
+    """The set of the RR arm that is inside the region at rest and yet diverges on its circle, as measured by disturbing a run."""
+    robot = ik.Robot.load("planar_2r")
+    circle = ik.circle(center=[1.0, 0.6, 0.0], radius=0.35, duration=4.0 * np.pi)
+    h = 4.0 * np.pi / 63
+    gains = {"kp": 61.0, "kd": 3.8}
+    ca = st.check_gains("ca", h, robot=robot, path=circle, **gains)
+    assert st.check_gains("ca", h, **gains).stable and not ca.stable
+    assert ca.along.closed and ca.along.factor == pytest.approx(17.57, rel=0.02)  # per_step 1.0465 in the seed's notes
+    cv = st.check_gains("cv", h, kappa=5.0, robot=robot, path=circle)
+    assert cv.along.factor == pytest.approx(3.216, rel=0.02) and "a lap" in cv.message
+    good = st.check_gains("ca", h, kp=40.0, kd=4.0, robot=robot, path=circle)
+    assert good.stable and good.along.factor < 1e-6
+    assert st.check_gains("aa", h, robot=robot, path=circle).along.factor == pytest.approx(10.7, rel=0.05)
+    assert st.check_gains("aad", h, robot=robot, path=circle).stable
+
+
+def test_mistakes_about_delay_and_path_are_typed():
+    robot = ik.Robot.load("planar_2r")
+    with pytest.raises(InvalidOption, match="number of samples"):
+        st.check_gains("cv", 0.01, kappa=10.0, delay=-1)
+    with pytest.raises(InvalidOption, match="both robot= and path="):
+        st.check_gains("cv", 0.01, kappa=10.0, robot=robot)
+    with pytest.raises(InvalidOption, match="a Reference"):
+        st.check_gains("cv", 0.01, kappa=10.0, robot=robot, path=[1, 2])
+    with pytest.raises(InvalidTarget, match="cannot be followed"):
+        st.check_gains(
+            "cv", 0.01, kappa=10.0, robot=robot, path=ik.line([1.0, 0.0, 0.0], [3.0, 0.0, 0.0], duration=1.0)
+        )
