@@ -38,10 +38,11 @@ class TrackResult:
     """A tracking run of N steps.
 
     t (N+1,) [s]; q, rate (N+1, n) joint values and the method's joint rates [rad or m (per s)]; xyz, target_xyz (N+1, 3)
-    [m], base axes; position_error (N+1,) [m], orientation_error (N+1,) [rad] or None; limited (N, n) bits 1 position,
-    2 speed, 4 acceleration limit; damped (N,) whether the pseudo-inverse was damped; between_position, between_orientation
-    (N,) largest error inside each step; figures (see `figures`); elapsed [s] of stepping; gain_check. The verdict reads
-    position_tolerance [m] and orientation_tolerance [rad] at every sample from settle [s] on.
+    [m], base axes, of several `tips` (N+1, tips, 3); position_error (N+1,) [m], orientation_error (N+1,) [rad] or None, of
+    several tips the largest; limited (N, n) bits 1 position, 2 speed, 4 acceleration limit; damped (N,) whether the
+    pseudo-inverse was damped; between_position, between_orientation (N,) largest error inside each step; figures (see
+    `figures`); elapsed [s] of stepping; gain_check. The verdict reads position_tolerance [m] and orientation_tolerance [rad] at
+    every sample from settle [s] on.
 
     clock (N+1,) [s]: the reference's time at each t, against which errors are; sigma (N,) its rate in each step, 0 to 1; pace
     (N,) the joint that held it back, -1 for none. end [s]: reference time that the run was to reach. Without them the clock is t.
@@ -78,6 +79,7 @@ class TrackResult:
     status: TrackStatus = TrackStatus.COMPLETED
     message: str = ""
     reach: Survey | None = None
+    tips: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         """Fill in the clock of a run that was not slowed."""
@@ -155,8 +157,9 @@ class TrackResult:
             with whole_file(file) as stream:
                 np.savez_compressed(stream, joint_names=np.array(self.joint_names), **arrays)
         elif file.suffix.lower() == ".csv":
-            head = ["t", *(f"q_{j}" for j in self.joint_names), "x", "y", "z", "position_error"]
-            parts = [self.t[:, None], self.q, self.xyz, self.position_error[:, None]]
+            places = "xyz" if len(self.tips) < 2 else [f"{tip}.{axis}" for tip in self.tips for axis in "xyz"]
+            head = ["t", *(f"q_{j}" for j in self.joint_names), *places, "position_error"]
+            parts = [self.t[:, None], self.q, self.xyz.reshape(len(self.t), -1), self.position_error[:, None]]
             if self.orientation_error is not None:
                 head.append("orientation_error")
                 parts.append(self.orientation_error[:, None])
