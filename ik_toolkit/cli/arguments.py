@@ -94,7 +94,9 @@ def _same(one: str | Path, other: str | Path) -> bool:
     return os.path.realpath(one) == os.path.realpath(other)
 
 
-RobotArg = Annotated[str, typer.Argument(metavar="ROBOT", help="Name (see ik robots) or path of a URDF file.")]
+RobotArg = Annotated[
+    str, typer.Argument(metavar="ROBOT", help="Name (see ik robots), or path of a URDF or xacro file.")
+]
 Tip = Annotated[
     str | None,
     typer.Option(
@@ -122,6 +124,12 @@ Lock = Annotated[
 PackageDir = Annotated[
     list[str] | None,
     typer.Option(metavar="DIR", help="Folder in which package:// names are looked up.", rich_help_panel="Robot"),
+]
+XacroArg = Annotated[
+    list[str] | None,
+    typer.Option(
+        metavar="NAME:=VALUE", help="Value of a xacro file's argument; may be repeated.", rich_help_panel="Robot"
+    ),
 ]
 Deg = Annotated[
     bool,
@@ -177,13 +185,13 @@ def joint_vector(robot: "Joints", text: str, option: str, deg: bool) -> "np.ndar
     return robot.check_q([math.radians(x) if deg and turns(kind) else x for x, kind in pairs], option)
 
 
-def assignments(pairs: Sequence[str] | None, option: str) -> dict[str, str]:
-    """Split KEY=VALUE arguments; InvalidOption when one has no '='."""
+def assignments(pairs: Sequence[str] | None, option: str, mark: str = "=") -> dict[str, str]:
+    """Split NAME=VALUE arguments; InvalidOption when one has no '=', or what else marks the value."""
     split = {}
     for pair in pairs or ():
-        key, equals, value = pair.partition("=")
+        key, equals, value = pair.partition(mark)
         if not (key and equals and value):
-            raise InvalidOption(f"{option} takes NAME=VALUE, not '{pair}'")
+            raise InvalidOption(f"{option} takes NAME{mark}VALUE, not '{pair}'")
         split[key.strip()] = value.strip()
     return split
 
@@ -196,6 +204,7 @@ def load_robot(
     lock: Sequence[str] | None = None,
     package_dir: Sequence[str] | None = None,
     deg: bool = False,
+    xacro_arg: Sequence[str] | None = None,
 ) -> Any:
     """Load the Robot (for a list of tips: the Tree) that the shared options describe.
 
@@ -205,15 +214,16 @@ def load_robot(
     from ..robot.robot import Robot
     from ..robot.tree import Tree
 
+    xacro_args = assignments(xacro_arg, "--xacro-arg", ":=") or None
     tips = find(source).tips
     if tip is None and len(tips) > 1:
         raise FrameNotFound(f"robot '{source}' has {len(tips)} tips; choose one with --tip: {', '.join(tips)}")
     robot: Robot | Tree
     if isinstance(tip, list):
-        robot = Tree.load(source, tips=tip, base=base, package_dirs=package_dir or ())
+        robot = Tree.load(source, tips=tip, base=base, package_dirs=package_dir or (), xacro_args=xacro_args)
     else:
         try:
-            robot = Robot.load(source, tip=tip, base=base, package_dirs=package_dir or ())
+            robot = Robot.load(source, tip=tip, base=base, package_dirs=package_dir or (), xacro_args=xacro_args)
         except FrameNotFound as several:
             if not several.tips:
                 raise

@@ -11,7 +11,20 @@ from ..errors import InvalidOption, InvalidTarget
 from ..text import numbers
 from . import by_tip
 from . import solve_options as asked
-from .arguments import PLOTS, Base, Deg, Json, Lock, PackageDir, RobotArg, Tips, joint_vector, load_robot, writes
+from .arguments import (
+    PLOTS,
+    Base,
+    Deg,
+    Json,
+    Lock,
+    PackageDir,
+    RobotArg,
+    Tips,
+    XacroArg,
+    joint_vector,
+    load_robot,
+    writes,
+)
 from .obstacles import collision_model
 from .output import facts, notice, partial, progress, show, table, write_json
 from .pictures import Html, Live, present
@@ -105,6 +118,7 @@ def path(
     base: Base = None,
     lock: Lock = None,
     package_dir: PackageDir = None,
+    xacro_arg: XacroArg = None,
     deg: Deg = False,
     as_json: Json = False,
     output: Out = None,
@@ -125,7 +139,7 @@ def path(
     from ..paths.solve_path import PathInterrupted, solve_path
     from ..robot.pose_files import read_poses
 
-    arm = load_robot(robot, by_tip.choose_tips(robot, tip, None, None, False), base, lock, package_dir, deg)
+    arm = load_robot(robot, by_tip.choose_tips(robot, tip, None, None, False), base, lock, package_dir, deg, xacro_arg)
     _, blocks = read_poses(poses, "poses", deg=deg, tips=arm.tips if arm.by_tip else ())
     targets = _joined([block.poses for block in blocks], poses.name)
     options = _options(line, arm)

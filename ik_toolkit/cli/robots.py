@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ..errors import FrameNotFound
-from .arguments import Base, Deg, Json, Lock, PackageDir, RobotArg, Tip, joint_vector, load_robot, slides
+from .arguments import Base, Deg, Json, Lock, PackageDir, RobotArg, Tip, XacroArg, joint_vector, load_robot, slides
 from .output import facts, fixed, heading, notice, number, show, table, turns, unit, write_json
 
 if TYPE_CHECKING:
@@ -71,6 +71,7 @@ def info(
     base: Base = None,
     lock: Lock = None,
     package_dir: PackageDir = None,
+    xacro_arg: XacroArg = None,
     list_tips: ListTips = False,
     deg: Deg = False,
     as_json: Json = False,
@@ -85,15 +86,17 @@ def info(
     entry = find(robot)
     if list_tips:
         ends = tip_candidates(read(robot, package_dir or ())[1]["model"])
-        _show_tips(entry, [load_robot(robot, name, base, lock, package_dir, deg) for name in ends], as_json)
+        _show_tips(entry, [load_robot(robot, name, base, lock, package_dir, deg, xacro_arg) for name in ends], as_json)
         return
     tips = [tip] if tip or len(entry.tips) < 2 else entry.tips
     try:
-        arms = [load_robot(robot, name, base, lock, package_dir, deg) for name in tips]
+        arms = [load_robot(robot, name, base, lock, package_dir, deg, xacro_arg) for name in tips]
     except FrameNotFound as several:
         if not several.tips:
             raise
-        _show_tips(entry, [load_robot(robot, name, base, lock, package_dir, deg) for name in several.tips], as_json)
+        _show_tips(
+            entry, [load_robot(robot, name, base, lock, package_dir, deg, xacro_arg) for name in several.tips], as_json
+        )
         return
     dh = read_dh_table(entry.dh_file) if entry.dh_file else None
     rows = [{**describe(arm), "package_dirs": arm.package_dirs} for arm in arms]
@@ -203,13 +206,14 @@ def fk(
     base: Base = None,
     lock: Lock = None,
     package_dir: PackageDir = None,
+    xacro_arg: XacroArg = None,
     deg: Deg = False,
     as_json: Json = False,
 ) -> None:
     """Show where the tip stands for given joint values (pose in the robot's base frame)."""
     from ..robot.pose import matrix_quat, matrix_rpy
 
-    arm = load_robot(robot, tip, base, lock, package_dir, deg)
+    arm = load_robot(robot, tip, base, lock, package_dir, deg, xacro_arg)
     values = arm.home if q is None else joint_vector(arm, q, "--q", deg)
     outside = arm.outside(values)
     if outside:

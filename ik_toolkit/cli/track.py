@@ -18,6 +18,7 @@ from .arguments import (
     PackageDir,
     RobotArg,
     Tip,
+    XacroArg,
     assignments,
     joint_vector,
     load_robot,
@@ -146,6 +147,7 @@ def track(
     base: Base = None,
     lock: Lock = None,
     package_dir: PackageDir = None,
+    xacro_arg: XacroArg = None,
     deg: Deg = False,
     as_json: Json = False,
     output: Out = None,
@@ -163,7 +165,7 @@ def track(
     line = SimpleNamespace(**locals())  # the command line, for what reads parts of it
     if not (rate > 0.0 and rate < float("inf")):
         raise InvalidOption(f"--rate must be positive, not {rate}")
-    arm = load_robot(robot, tip, base, lock, package_dir, deg)
+    arm = load_robot(robot, tip, base, lock, package_dir, deg, xacro_arg)
     options = {name: value for name, value in (("kappa", kappa), ("kp", kp), ("kd", kd)) if value is not None}
     options |= {name: parameter(name, text) for name, text in assignments(param, "-p").items()}
     first = None if q0 is None else joint_vector(arm, q0, "--q0", deg)

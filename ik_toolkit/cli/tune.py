@@ -8,7 +8,20 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ..errors import InvalidOption
-from .arguments import PLOTS, Base, Deg, Json, Lock, PackageDir, RobotArg, Tips, load_robot, one_or_several, writes
+from .arguments import (
+    PLOTS,
+    Base,
+    Deg,
+    Json,
+    Lock,
+    PackageDir,
+    RobotArg,
+    Tips,
+    XacroArg,
+    load_robot,
+    one_or_several,
+    writes,
+)
 from .output import facts, notice, partial, progress, show, write_json
 
 if TYPE_CHECKING:
@@ -73,6 +86,7 @@ def tune(
     base: Base = None,
     lock: Lock = None,
     package_dir: PackageDir = None,
+    xacro_arg: XacroArg = None,
     deg: Deg = False,
     as_json: Json = False,
     output: Out = None,
@@ -83,7 +97,7 @@ def tune(
 
     The result is a preset for ik solve --preset FILE. Ctrl-C keeps the best so far as FILE.partial; --resume goes on from there.
     """
-    arm = load_robot(robot, one_or_several(tip), base, lock, package_dir, deg)
+    arm = load_robot(robot, one_or_several(tip), base, lock, package_dir, deg, xacro_arg)
 
     from ..solvers.presets import from_preset
     from ..solvers.registry import find_row

@@ -7,7 +7,7 @@ import typer
 
 from ..errors import InvalidOption
 from . import by_tip
-from .arguments import Base, Deg, Lock, PackageDir, RobotArg, Tips, joint_vector, load_robot
+from .arguments import Base, Deg, Lock, PackageDir, RobotArg, Tips, XacroArg, joint_vector, load_robot
 from .output import notice
 from .pictures import Html, present
 from .solve_options import Relative, Targets, make_target
@@ -55,6 +55,7 @@ def view(
     base: Base = None,
     lock: Lock = None,
     package_dir: PackageDir = None,
+    xacro_arg: XacroArg = None,
     deg: Deg = False,
 ) -> None:
     """Show a robot in 3-D: at home, at --q, along --motion, or solving for --xyz or --target (with a time slider).
@@ -84,7 +85,7 @@ def view(
     if solving:
         target = by_tip.targets(targets, deg) if targets else make_target(xyz or "", rpy, quat_xyzw, deg)
     tips = by_tip.choose_tips(robot, tip, target if targets else None, relative, xyz is not None)
-    arm = load_robot(robot, tips, base, lock, package_dir, deg)
+    arm = load_robot(robot, tips, base, lock, package_dir, deg, xacro_arg)
     what, solved = arm.home, True
     if motion is not None:
         from ..show.motions import from_file

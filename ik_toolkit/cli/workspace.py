@@ -18,6 +18,7 @@ from .arguments import (
     PackageDir,
     RobotArg,
     Tips,
+    XacroArg,
     joint_vector,
     load_robot,
     one_or_several,
@@ -83,6 +84,7 @@ def workspace(
     base: Base = None,
     lock: Lock = None,
     package_dir: PackageDir = None,
+    xacro_arg: XacroArg = None,
     deg: Deg = False,
     as_json: Json = False,
     output: Out = None,
@@ -101,7 +103,7 @@ def workspace(
         raise InvalidOption(f"--targets must be at least 1, not {targets}")
     if workers is not None and workers < 1:
         raise InvalidOption(f"--workers must be at least 1, not {workers}")
-    arm = load_robot(robot, one_or_several(tip), base, lock, package_dir, deg)
+    arm = load_robot(robot, one_or_several(tip), base, lock, package_dir, deg, xacro_arg)
 
     from ..study.workspace import WorkspaceInterrupted
     from ..study.workspace import workspace as study

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ..errors import ModelError, near_match
-from .meshes import find_mesh, mesh_folders
+from .meshes import find_mesh, mesh_folders, mesh_packages
 from .mimic import MOVING, followers
 from .read import NUMBERS, Item, numbers, parse, safe_read, wrong_scale
 
@@ -45,8 +45,10 @@ def check_urdf(source: str | Path, package_dirs: Iterable[str | Path] = ()) -> l
         return [Finding("error", "file", str(error), "give a plain URDF file")]
     items = parse(text)
     is_text = isinstance(source, str) and source.lstrip("\ufeff \t\r\n").startswith("<")
-    folders = mesh_folders(None if is_text else Path(source), package_dirs)
-    warnings = [finding for item in items for finding in (*_remarks(item), *_meshes(item, folders))]
+    file = None if is_text else Path(source)
+    names = [attributes.get("filename", "") for item in items for tag, attributes in item.inside if tag == "mesh"]
+    packages, folders = mesh_packages(names, file, package_dirs), mesh_folders(file, package_dirs)
+    warnings = [finding for item in items for finding in (*_remarks(item), *_meshes(item, folders, packages))]
     warnings += _loose(text, items)
     found = list(_errors(items))
     errors = [finding for finding in found if finding.severity == "error"]
@@ -252,13 +254,13 @@ def _remarks(item: Item) -> Iterator[Finding]:
             )
 
 
-def _meshes(item: Item, folders: list[Path]) -> Iterator[Finding]:
+def _meshes(item: Item, folders: list[Path], packages: dict[str, Path]) -> Iterator[Finding]:
     for tag, attributes in item.inside:
         if tag != "mesh":
             continue
         name = attributes.get("filename", "")
         try:
-            find_mesh(name, folders)
+            find_mesh(name, folders, packages)
         except ModelError as error:
             advice = "only pictures and collision need it; see package_dirs"
             yield Finding("warning", str(item), f"mesh '{name[:200]}' {error}", advice)

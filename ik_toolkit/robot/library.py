@@ -3,7 +3,8 @@
 import functools
 import importlib.metadata
 import tomllib
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from ..errors import RobotNotFound, near_match
@@ -19,7 +20,7 @@ class RobotEntry:
     tip is None when several exist or nothing is known); tips (all the known ones); home (n,) [rad or m] in the order of
     the joints from base to tip (union of the paths, in the order of `tips`, where there are several), or None;
     package_dirs (folders in which package:// names are looked up); paper, table and description (where the numbers come
-    from); dh_file.
+    from); dh_file; xacro_args (values of a xacro file's arguments).
     """
 
     name: str
@@ -33,6 +34,7 @@ class RobotEntry:
     paper: str = ""
     table: str = ""
     dh_file: Path | None = None
+    xacro_args: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def tip(self) -> str | None:

@@ -1,8 +1,9 @@
 """Mesh files: where they may lie, and their triangles, read by a process of its own.
 
 One rule for `ik check`, pictures, panel and collisions: a mesh is read from the URDF's folder, the ROS package the URDF lies in
-(the nearest folder above with a package.xml) and `package_dirs`, and from nowhere else: links that lead outside are refused, and
-so are the files a mesh refers to. Readers of mesh files crash on broken ones, so they run in a subprocess with limits.
+(the nearest folder above with a package.xml), `package_dirs` and the packages it names, and from nowhere else: links that lead
+outside are refused, and so are the files a mesh refers to. Readers of mesh files crash on broken ones, so they run in a
+subprocess with limits.
 """
 
 import json
@@ -11,7 +12,7 @@ import os
 import subprocess
 import sys
 import tempfile
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -19,11 +20,13 @@ from typing import NamedTuple
 import numpy as np
 
 from ..errors import ModelError
+from .packages import find_package
 
 FORMATS = (".stl", ".dae", ".obj", ".ply", ".off", ".glb", ".gltf")
 MAX_MESH_BYTES = 100_000_000  # the largest of example-robot-data has 29 MB
 MAX_TRIANGLES = 2_000_000  # of one file; that one has 351,394
 MAX_MESHES = 1_000  # different files of one robot
+MAX_PACKAGES = 50  # different packages of one robot
 MEMORY = 2_000_000_000  # bytes of the reading process; that file takes 0.5 GB
 SECONDS, SECONDS_PER_MB = 20.0, 2.0  # of processor time for one file; that file takes 1.6 s in all
 MAX_CRASHES = 5  # reading processes one robot may cost
@@ -61,8 +64,21 @@ def mesh_folders(path: Path | None, package_dirs: Iterable[str | Path]) -> list[
     return list(dict.fromkeys(folder.resolve() for folder in folders))
 
 
-def find_mesh(name: str, folders: Sequence[Path]) -> Path:
-    """Real path of a mesh named in a URDF (package://, model://, file:// or a path); ModelError, the end of a sentence."""
+def mesh_packages(names: Iterable[str], path: Path | None, package_dirs: Iterable[str | Path]) -> dict[str, Path]:
+    """Folders of the packages that names of meshes speak of (package://NAME/...), those that are found."""
+    spoken = dict.fromkeys(
+        name.partition("://")[2].partition("/")[0] for name in names if name.startswith("package://")
+    )
+    found = {package: find_package(package, path, package_dirs) for package in [*spoken][:MAX_PACKAGES]}
+    return {package: folder for package, folder in found.items() if folder}
+
+
+def find_mesh(name: str, folders: Sequence[Path], packages: Mapping[str, Path] | None = None) -> Path:
+    """Real path of a mesh named in a URDF (package://, model://, file:// or a path); ModelError, the end of a sentence.
+
+    folders: what `mesh_folders` gives; packages: what `mesh_packages` gives.
+    """
+    folders = [*folders, *(packages or {}).values()]
     scheme, separator, rest = name.partition("://")
     if not name or "\0" in name:
         raise ModelError("has no usable file name")
@@ -71,7 +87,12 @@ def find_mesh(name: str, folders: Sequence[Path]) -> Path:
     if separator and scheme != "file":
         package, _, inner = rest.partition("/")
         places = [os.path.join(folder, rest.lstrip("/")) for folder in folders]
-        places += [os.path.join(folder, inner.lstrip("/")) for folder in folders if folder.name == package]
+        own = [(packages or {})[package]] if package in (packages or {}) else []
+        places += [
+            os.path.join(folder, inner.lstrip("/"))
+            for folder in (*folders, *own)
+            if folder.name == package or folder in own
+        ]
     else:
         places = [os.path.join(folder, rest if separator else name) for folder in folders]
     inside = [place for place in places if _inside(Path(os.path.normpath(place)), folders)]

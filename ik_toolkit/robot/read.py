@@ -66,6 +66,10 @@ class Item:
         return next((attributes for name, attributes in self.inside if name == tag), None)
 
 
+class HasMacros(ModelError):
+    """A description that xacro has to expand first."""
+
+
 def safe_read(source: str | Path) -> str:
     """URDF text of a file, or URDF text given as a string, after a parse that expands and fetches nothing.
 
@@ -130,7 +134,7 @@ def parse(text: str) -> list[Item]:
         if not stack and tag != "robot":
             raise ModelError(f"the root element is <{tag}>, not <robot>: this is not a URDF")
         if tag.startswith("xacro:") or (macros and any("${" in x or "$(" in x for x in attributes.values())):
-            raise ModelError(
+            raise HasMacros(
                 f"line {parser.CurrentLineNumber} has xacro macros; expand it first: xacro IN.xacro > OUT.urdf"
             )
         if not stack:

@@ -24,7 +24,9 @@ from .mimic import followers, mimic_limits
 from .pose import check_target
 from .probe import AGREE, NO_LIMIT, configurations, difference, find_path, limits, probe
 from .probe import Path as JointPath
+from .read import HasMacros
 from .tips import only_tip
+from .xacro import expand
 
 # Attributes that belong to one object, or to one thread.
 CACHES = ("_local", "_sampling", "_circles", "memo")
@@ -89,13 +91,15 @@ class Robot(Joints):
         base: str | None = None,
         package_dirs: Iterable[str | Path] = (),
         locked: Mapping[str, float] | None = None,
+        xacro_args: Mapping[str, Any] | None = None,
     ) -> "Robot":
-        """Load a robot by shipped name, `.urdf` path, URDF text, or example-robot-data name.
+        """Load a robot by shipped name, path of a URDF or xacro file, URDF text, or example-robot-data name.
 
-        tip: one frame; for several solved together see `Tree.load`. Meshes are never read. Raises RobotNotFound, ModelError
-        (broken or hostile file, in one sentence), FrameNotFound (lists the frames), JointNotFound, InvalidOption (a list of tips).
+        tip: one frame, link or joint (default: guessed by its name, and said); for several solved together see `Tree.load`.
+        xacro_args: values of a xacro file's arguments by name. Meshes are never read. Raises RobotNotFound, ModelError (broken or
+        hostile file, in one sentence), FrameNotFound (lists the frames), JointNotFound, InvalidOption, MissingExtra (xacro).
         """
-        entry, made = read(source, package_dirs)
+        entry, made = read(source, package_dirs, xacro_args)
         if tip is None and len(entry.tips) > 1:
             raise FrameNotFound(
                 f"robot '{entry.name}' has {len(entry.tips)} tips; choose one with tip=, or solve for several with "
@@ -326,17 +330,26 @@ class Robot(Joints):
         return f"{self.base} &rarr; {self.tip}, reach {self.reach:.3g} m"
 
 
-def read(source: str | Path, package_dirs: Iterable[str | Path]) -> tuple[RobotEntry, dict[str, Any]]:
+def read(
+    source: str | Path, package_dirs: Iterable[str | Path], xacro_args: Mapping[str, Any] | None = None
+) -> tuple[RobotEntry, dict[str, Any]]:
     """What a source names, and what `Robot` takes of it: its model, name, text and folders. Raises as `Robot.load` does."""
     entry = find(source)
-    text = safe_read(entry.source)
+    folders = [*_folders(package_dirs), *entry.package_dirs]
+    try:
+        text = safe_read(entry.source)
+        if xacro_args:
+            raise InvalidOption(f"xacro_args are for xacro files, and {entry.name} is a plain URDF")
+    except HasMacros:
+        if entry.path is None:
+            raise
+        text = safe_read(expand(entry.path, folders, {**entry.xacro_args, **(xacro_args or {})}))
     require_loadable(text)
     try:
         model = build_model(text)
     except Exception as error:
         raise ModelError(f"Pinocchio cannot read {entry.name}: {str(error).strip().splitlines()[0]}") from None
     name = entry.name if entry.path else model.name
-    folders = [*_folders(package_dirs), *entry.package_dirs]
     return entry, {"model": model, "name": name, "urdf": text, "path": entry.path, "package_dirs": folders}
 
 

@@ -12,7 +12,7 @@ import numpy as np
 import pinocchio as pin
 
 from ..errors import ModelError
-from .meshes import Mesh, find_mesh, mesh_folders, read_meshes
+from .meshes import Mesh, find_mesh, mesh_folders, mesh_packages, read_meshes
 from .pose import rpy_matrix
 from .read import Item, numbers, parse
 
@@ -58,7 +58,9 @@ def link_shapes(robot: Any, kind: str, most: int) -> tuple[list[LinkShape], Prob
     count = sum(given["role"] == role for item in items for given in item.shapes)
     if count > most:
         raise ModelError(f"robot '{robot.name}' has {count:,} {role} shapes; at most {most:,} are read")
-    folders, colors = mesh_folders(robot.path, robot.package_dirs), _colors(items)
+    names = [attributes.get("filename", "") for item in items for tag, attributes in item.inside if tag == "mesh"]
+    packages = mesh_packages(names, robot.path, robot.package_dirs)
+    folders, colors = [*mesh_folders(robot.path, robot.package_dirs), *packages.values()], _colors(items)
     shapes: list[LinkShape] = []
     problems: Problems = []
     files = {}
@@ -70,7 +72,7 @@ def link_shapes(robot: Any, kind: str, most: int) -> tuple[list[LinkShape], Prob
                 shape = _shape(item, k, given, asked, colors)
                 if shape.file and shape.file not in files:
                     try:
-                        files[shape.file] = find_mesh(shape.file, folders)
+                        files[shape.file] = find_mesh(shape.file, folders, packages)
                     except ModelError as error:
                         raise ModelError(f"mesh '{shape.file[:200]}' {error}") from None
                 shapes.append(shape)

@@ -91,13 +91,14 @@ class Tree(Joints):
         base: str | None = None,
         package_dirs: Iterable[str | Path] = (),
         locked: Mapping[str, float] | None = None,
+        xacro_args: Mapping[str, Any] | None = None,
     ) -> "Tree":
-        """Load several tips of a robot by shipped name, `.urdf` path, URDF text, or example-robot-data name.
+        """Load several tips of a robot by shipped name, path of a URDF or xacro file, URDF text, or example-robot-data name.
 
         tips: frame names; default those that a known name stands for (see `ik robots`), where it has several. A known home is
         used joint by joint. Raises what Robot.load does; FrameNotFound without tips lists the ends of the paths.
         """
-        entry, made = read(source, package_dirs)
+        entry, made = read(source, package_dirs, xacro_args)
         if tips is None:
             tips = entry.tips
             if len(tips) < 2:

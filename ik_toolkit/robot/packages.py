@@ -1,0 +1,73 @@
+"""Where a ROS package lies: beside the file, in the folders given, where ROS looks, and in installed data packages.
+
+It imports nothing of the toolkit: the process that expands xacro loads it too.
+"""
+
+import importlib.metadata
+import os
+import re
+from collections.abc import Iterable, Iterator, Mapping
+from pathlib import Path
+
+MANIFESTS = ("package.xml", "manifest.xml")  # a folder with one of these is a ROS package
+NAME = re.compile(r"[A-Za-z0-9_.-]{1,255}")
+LEVELS = 8  # folders above a file in which its sisters are looked for
+DATA = {  # distribution -> folders inside it that hold packages
+    "example-robot-data": ("cmeel.prefix/share/example-robot-data/robots", "cmeel.prefix/share"),
+    "rtb-data": ("rtbdata/xacro",),
+}
+
+
+def find_package(
+    name: str,
+    start: Path | None = None,
+    package_dirs: Iterable[str | Path] = (),
+    environment: Mapping[str, str] = os.environ,
+) -> Path | None:
+    """Folder of a ROS package, without links, or None.
+
+    package_dirs: folders that are packages or hold some; start: the file that asks (its folder and those above are looked in, and
+    beside them folders that are packages); then ROS_PACKAGE_PATH, AMENT_PREFIX_PATH and data packages that pip installed.
+    """
+    if not NAME.fullmatch(name) or set(name) == {"."}:
+        return None
+    for folder, trusted in _places(name, start, package_dirs, environment):
+        if folder.is_dir() and (trusted or any((folder / manifest).is_file() for manifest in MANIFESTS)):
+            return folder.resolve()
+    return None
+
+
+def _places(
+    name: str, start: Path | None, package_dirs: Iterable[str | Path], environment: Mapping[str, str]
+) -> Iterator[tuple[Path, bool]]:
+    """Folders in question, the first found counts; whether one needs no manifest to be a package."""
+    for given in package_dirs:
+        folder = Path(given).expanduser()
+        yield folder / name, True
+        if folder.name == name:
+            yield folder, True
+    if start is not None:
+        for above in [*start.expanduser().resolve().parents][:LEVELS]:
+            if above.name == name or _named(above, name):
+                yield above, above.name != name
+            yield above / name, False
+    for variable, inner in (("ROS_PACKAGE_PATH", ""), ("AMENT_PREFIX_PATH", "share")):
+        for word in filter(None, environment.get(variable, "").split(os.pathsep)):
+            root = Path(word) / inner
+            yield root / name, False
+            yield from ((found, False) for found in sorted(root.glob(f"*/{name}")))
+    for distribution, folders in DATA.items():
+        try:
+            found = importlib.metadata.distribution(distribution)
+        except importlib.metadata.PackageNotFoundError:
+            continue
+        yield from ((Path(str(found.locate_file(folder))) / name, True) for folder in folders)
+
+
+def _named(folder: Path, name: str) -> bool:
+    """Whether the manifest of a folder gives it this name."""
+    try:
+        with (folder / MANIFESTS[0]).open(encoding="utf-8", errors="replace") as file:
+            return re.search(rf"<name>\s*{re.escape(name)}\s*</name>", file.read(65_536)) is not None
+    except OSError:
+        return False

@@ -1,0 +1,116 @@
+"""The process that expands xacro for `xacro.py`: macros are a programming language, so they run apart and confined.
+
+It imports nothing of the toolkit but packages.py. Job (JSON on stdin): file, arguments (name -> value), package_dirs, folders
+(files are read only from these and from packages that are found), environment (variables that ROS keeps packages in), memory
+[bytes], seconds. It prints one line of JSON: {"urdf": text} or {"error": sentence}.
+"""
+
+import contextlib
+import importlib.util
+import io
+import json
+import os
+import sys
+from pathlib import Path
+
+WRITES = os.O_WRONLY | os.O_RDWR | os.O_CREAT | os.O_TRUNC | os.O_APPEND
+CALLS = (  # beginnings of audit events
+    "subprocess.", "os.system", "os.exec", "os.spawn", "os.posix_spawn", "os.fork", "pty.", "socket.", "ctypes.", "shutil.",
+    "os.remove", "os.rename", "os.mkdir", "os.link", "os.symlink",
+)  # fmt: skip
+
+
+def limit(what: str, value: int) -> None:
+    """Cap a resource of this process where the system can."""
+    with contextlib.suppress(ImportError, AttributeError, ValueError, OSError):
+        import resource
+
+        number = getattr(resource, f"RLIMIT_{what}")
+        hard = resource.getrlimit(number)[1]
+        resource.setrlimit(number, (value if hard < 0 else min(value, hard), hard))
+
+
+class NotAllowed(Exception):
+    """What a description must not do; no OSError, which xacro would rewrite."""
+
+
+class Walls:
+    """From `build` on this process reads files of some folders and Python's own, writes none, starts and connects to nothing."""
+
+    def __init__(self, folders: list[str]) -> None:
+        self.folders = [
+            os.path.realpath(folder) for folder in (*folders, sys.prefix, sys.base_prefix, os.path.dirname(os.__file__))
+        ]
+        self.open = False
+
+    def build(self) -> None:
+        """Put them up."""
+        sys.addaudithook(self.watch)
+
+    def watch(self, event: str, arguments: tuple) -> None:
+        """Audit hook: raise for what is not allowed."""
+        if event == "open" and isinstance(arguments[0], str | bytes):
+            path, mode, flags = arguments
+            real = os.path.realpath(os.fsdecode(path))
+            writes = (flags or 0) & WRITES or any(letter in (mode or "") for letter in "wax+")
+            inside = self.open or any(real == root or real.startswith(root + os.sep) for root in self.folders)
+            if writes or not inside:
+                what = "writes" if writes else "reads"
+                raise NotAllowed(f"it {what} '{os.fsdecode(path)[:200]}', which is not allowed")
+        elif event.startswith(CALLS):
+            raise NotAllowed(f"it calls {event}, which is not allowed")
+
+
+def expand(job: dict) -> dict:
+    """Answer of a job."""
+    import xacro
+    import xacro.substitution_args as substitution
+    import yaml  # noqa: F401 - xacro loads it late
+
+    spec = importlib.util.spec_from_file_location("packages", Path(__file__).with_name("packages.py"))
+    packages = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(packages)
+    walls = Walls(job["folders"])
+    known: dict[str, str] = {}
+
+    def find(name: str) -> str:
+        if name not in known:
+            walls.open = True
+            found = packages.find_package(name, Path(job["file"]), job["package_dirs"], job["environment"])
+            walls.open = False
+            if found is None:
+                raise LookupError(f"there is no package '{name[:100]}'; name its folder with package_dirs")
+            known[name] = str(found)
+            walls.folders.append(str(found))
+        return known[name]
+
+    def env(name: str, *_: object, **__: object) -> str:
+        raise NotAllowed(
+            f"it reads the environment, $(env {name[:100]}), which is not allowed; pass values as arguments"
+        )
+
+    substitution._eval_find, substitution._eval_env, substitution._eval_optenv = find, env, env
+    substitution._eval_dict.update(find=find, env=env, optenv=env)
+    os.environ.clear()
+    walls.build()
+    try:
+        with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
+            document = xacro.process_file(job["file"], mappings=job["arguments"])
+        return {"urdf": document.toprettyxml(indent="  ")}
+    except BaseException as error:  # whatever the macros do is one more way to be broken
+        stack = [os.path.basename(name) for name in (xacro.filestack or []) if name]
+        said = " ".join(str(getattr(error, "exc", None) or error).split())[:300] or type(error).__name__
+        return {"error": f"{said} (in '{stack[-1]}')" if stack else said}
+
+
+def main() -> None:
+    """Read the job from stdin, write the answer to stdout."""
+    job = json.load(sys.stdin)
+    limit("CORE", 0)
+    limit("AS", job["memory"])
+    limit("CPU", job["seconds"])
+    print(json.dumps(expand(job)))
+
+
+if __name__ == "__main__":
+    main()
