@@ -4,6 +4,8 @@ from .errors import IKError as IKError
 from .errors import NotSolved as NotSolved
 from .paths.result import PathResult as PathResult
 from .paths.result import PathStatus as PathStatus
+from .paths.solve_path import PathInterrupted as PathInterrupted
+from .paths.solve_path import solve_path as solve_path
 from .paths.trajectory import Trajectory as Trajectory
 from .robot.collision import CollisionModel as CollisionModel
 from .robot.pose import pose as pose
