@@ -35,7 +35,8 @@ class Program:
         self.counts, self.costs = np.zeros((N, K), np.int32), np.zeros((N, K))
         self.parents, self.prior = np.full((N, K), NONE, np.int16), np.full(N, -1)
         self.changed = 0  # first layer that has to be run again
-        spread = np.where(endless > 0, -1.0, np.nanmax(Q, axis=(0, 1)) - np.nanmin(Q, axis=(0, 1))) / most
+        wide = np.ptp(Q, axis=(0, 1)) if K else np.zeros(Q.shape[2])  # states a track does not have are 0
+        spread = np.where(endless > 0, -1.0, wide) / most
         self.axis = int(np.argmax(spread)) if spread.max() > 0 else -1
 
     def run(self) -> None:

@@ -7,12 +7,15 @@ import numpy as np
 
 from ..kernel.kinematics import TAU
 from ..kernel.path_link import CONTACT, DEAD
+from ..kernel.task import POSE
+from ..solvers.task import counts_in_part
 from .candidates import ISOLATED, MOST, SAME, STARTS, THIN, Tracks, spread
+from .complete import solutions
 from .contact import Margins
 from .link import Program, Tester, free_path, look_over, middle_first
 from .problem import Problem
 from .result import Unreachable
-from .turns import alive, copies, unwound
+from .turns import ROUNDING, alive, copies, unwound
 
 EVERY = (
     20  # poses between two anchors of a robot whose solutions are isolated; they cost little, and none may be missed
@@ -23,7 +26,7 @@ TRIED = 3  # contact is tested for so many seeds as an anchor may add: one in tw
 PATIENCE = 2  # rounds of further anchors, where the program breaks, that may fail to help
 NEAR = 0.003  # [rad] what counts as contact at first, times the pair's longest arm: 3 mm on a metre, cheap to prove free between
 PROBES = 9  # poses of a gap that are solved: where its middle and quarters have no solution the rest hardly has
-BUDGET = 200  # contact tests a pose of the path; some 15 are used as a rule
+LEAST, BUDGET = 20_000, 200  # contact tests of any path, and of each pose; some 15 a pose are used as a rule
 
 
 def _runs(places: np.ndarray) -> list[np.ndarray]:
@@ -78,6 +81,9 @@ class Search:
         self.anchored: dict[int, float] = {}  # how far each anchor is out of reach [m], 0: not proven
         self.program: Program | None = None
         self.found: Found | None = None
+        self.lower_bound: int | None = None
+        self.sure: np.ndarray | None = None  # poses (N,) of which all solutions are known ...
+        self.legal = np.empty((0, 0), dtype=bool)  # ... and which of those (N, K) the limits allow
         self.copied: set[int] = set()  # joints that turn fully and whose turns have to be told apart
         self.wound = problem.endless
         self.fixed = [False, False]  # whether the path begins at q0, ends at q_end
@@ -85,7 +91,7 @@ class Search:
     def keep_away(self, collides: Callable[[Any], bool]) -> None:
         """Test contact with collides(q) (n,) [rad, m] from now on; nothing is known yet."""
         self.collides = collides
-        self.tester = Tester(collides, self.problem.unit, BUDGET * len(self.problem.T))
+        self.tester = Tester(collides, self.problem.unit, max(BUDGET * len(self.problem.T), LEAST))
 
     # ---------------------------------------------------------------------------------------------------------- anchors
     def anchor(self, t: int, count: int) -> int:
@@ -207,7 +213,7 @@ class Search:
         q = np.full((N, p.robot.n), np.nan)
         on = np.flatnonzero(tracks >= 0)
         q[on] = program.Q[on, tracks[on]]
-        breaks = [int(t) - 1 for t in np.flatnonzero(jumps)]
+        breaks = [int(t) - 1 for t in np.flatnonzero(jumps) if tracks[t - 1] >= 0]  # from pose to pose, not over a gap
         limits = np.where(p.endless, [[-np.inf], [np.inf]], p.limits[:2])
         fixed = [self.fixed[0], self.fixed[1] and last == N - 1]
         unfit = unwound(q, breaks, self.wound, limits, self.ends, fixed)
@@ -233,7 +239,51 @@ class Search:
                 break
             self.link()
             left = PATIENCE if self.worth() < worst else left - 1
+        self.prove()
         return self.found
+
+    # ------------------------------------------------------------------------------------------------------------- proof
+    def prove(self) -> None:
+        """Find out whether fewer reconfigurations are impossible: where every solution of every pose is a state."""
+        p = self.problem
+        if not self.found.breaks and self.tracks.size and self.tracks.alive().all():
+            self.lower_bound = 0
+            return
+        if p.kinds != (POSE,) or counts_in_part(p.kinds, p.plan.options) or len(p.plan.held):
+            return
+        listed = solutions(p.robot, p.T)
+        if listed is None:
+            return
+        Q, self.sure = listed
+        Q = Q / p.unit
+        low, high = p.limits[:2] + np.array([[-ROUNDING], [ROUNDING]])
+        turn = np.isin(np.arange(p.robot.n), np.append(p.turning, np.flatnonzero(p.endless)))
+        nearest = Q + np.where(turn, TAU * np.ceil((low - Q) / TAU), 0.0) if turn.any() else Q
+        nearest = np.where(np.isfinite(low), nearest, Q)
+        self.legal = ((nearest >= low) & (nearest <= high)).all(axis=2)
+        for _ in range(PATIENCE):
+            missing = self.legal & ~self.known(Q)
+            if not missing.any():
+                break
+            for j in range(Q.shape[1]):
+                places = np.array([run[len(run) // 2] for run in _runs(np.flatnonzero(missing[:, j]))], dtype=int)
+                self.tracks.add(p.turned(Q[places, j]), places)
+            self.link()
+        if self.sure.all() and not (self.legal & ~self.known(Q)).any():
+            self.lower_bound = len(self.found.breaks)
+
+    def known(self, Q: np.ndarray) -> np.ndarray:
+        """Which solutions Q (N, K, n) some track passes, full turns left out (N, K)."""
+        tracks, there = self.tracks, np.zeros(Q.shape[:2], dtype=bool)
+        t = np.arange(len(Q))
+        for k in range(tracks.size):
+            d = tracks.Q[:, k, None] - Q
+            d -= TAU * np.rint(d / TAU)
+            passes = (tracks.span[k, 0] <= t) & (t <= tracks.span[k, 1])
+            there |= (np.abs(d).max(axis=2) < SAME) & passes[:, None]
+        return there
+
+    # ------------------------------------------------------------------------------------------------------------- words
 
     def worth(self) -> int:
         """What is wrong with the best path: contacts first, then reconfigurations."""
@@ -270,5 +320,7 @@ class Search:
                 reason = f"no solution found from {STARTS} starts"
             if beyond > 0.0:
                 reason = f"beyond reach by {1000 * beyond:.4g} mm (a bound from the link lengths)"
+            elif self.sure is not None and self.sure[t] and not self.legal[t].any():
+                reason, beyond = "every solution of it breaks a joint limit, or it has none", np.inf
             said.append(Unreachable(int(t), reason, beyond > 0.0))
         return said

@@ -95,15 +95,12 @@ def solve_path(
     search = Search(problem, model, *ends, threads, seed, progress or _silent)
     try:
         search.run()
-        interrupted = False
+        search.progress(0.9, "shortening and proving it")
+        return _result(search, allowed, step, tolerance, model, seed, began)
     except KeyboardInterrupt:
         if search.found is None:
             raise
-        interrupted = True
-    result = _result(search, allowed, step, tolerance, model, seed, began, refine=not interrupted)
-    if interrupted:
-        raise PathInterrupted(result)
-    return result
+        raise PathInterrupted(_result(search, allowed, step, tolerance, model, seed, began, refine=False)) from None
 
 
 def _silent(share: float, words: str) -> None:
@@ -157,7 +154,7 @@ def _result(
     model: Any,
     seed: int,
     began: float,
-    refine: bool,
+    refine: bool = True,
 ) -> PathResult:
     """The best path of a search, refined and checked."""
     problem = search.problem
@@ -179,7 +176,7 @@ def _result(
         robot=problem.robot, targets=problem.poses, kinds=problem.kinds, options=problem.single.options, q=q, status=status,
         message="", position_error=errors[:, 0],
         orientation_error=None if all(kind in SPOKEN for kind in problem.kinds) else errors[:, 1], curve=motion.curve,
-        at=motion.at, continuity=motion.continuity, reconfigurations=moves, lower_bound=None if found.breaks else 0,
+        at=motion.at, continuity=motion.continuity, reconfigurations=moves, lower_bound=search.lower_bound,
         unreachable=missing, max_step=step, path_tolerance=tolerance, collision=model, seed=seed,
         elapsed=perf_counter() - began,
     )  # fmt: skip

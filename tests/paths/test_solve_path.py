@@ -1,10 +1,15 @@
 """Whole paths: every pose reached by one motion where there is one, and what is said where there is none."""
 
+from itertools import pairwise
+
 import numpy as np
+import pinocchio as pin
 import pytest
+from robots import have_data
 
 import ik_toolkit as ik
 from ik_toolkit.errors import InvalidConfiguration, InvalidOption, InvalidTarget
+from ik_toolkit.paths.complete import solutions
 from ik_toolkit.paths.result import PathStatus
 
 
@@ -54,6 +59,7 @@ def test_fewest_reconfigurations_of_a_branch_that_ends(flat):
     assert made.status == PathStatus.RECONFIGURES and len(made.reconfigurations) == 1
     at = made.reconfigurations[0].index
     assert np.sign(made.q[at, 1]) != np.sign(made.q[at + 1, 1])
+    assert made.lower_bound == 1 and "no motion does with fewer" in made.message
     none = ik.solve_path(flat, T, reconfigurations="none")
     assert none.status == PathStatus.INCOMPLETE and not none.success
     ends = int(np.flatnonzero(np.isfinite(none.q[:, 0]))[-1])
@@ -94,3 +100,124 @@ def test_mistakes_are_named(arm):
     T[3, :3, :3] *= 2.0
     with pytest.raises(InvalidTarget, match="target 3"):
         ik.solve_path(arm, T)
+
+
+# ------------------------------------------------------------------------------------------------------------- redundant
+LINK = """
+<link name="l{k}"><collision><origin xyz="0.15 0 0"/><geometry><box size="0.26 0.05 0.05"/></geometry></collision></link>
+<joint name="j{k}" type="revolute"><parent link="{parent}"/><child link="l{k}"/><origin xyz="{x} 0 0"/><axis xyz="0 0 1"/>
+<limit lower="-2.4" upper="2.4" effort="1" velocity="1"/></joint>"""
+
+
+@pytest.fixture(scope="module")
+def snake():
+    """Five turning joints in a plane, links with collision shapes."""
+    links = "".join(LINK.format(k=k, parent=f"l{k - 1}" if k else "base", x=0.3 * (k > 0)) for k in range(5))
+    tip = '<link name="tip"/><joint name="t" type="fixed"><parent link="l4"/><child link="tip"/><origin xyz="0.3 0 0"/></joint>'
+    return ik.Robot.load(f'<robot name="snake"><link name="base"/>{links}{tip}</robot>', tip="tip")
+
+
+def touches(model, q, between=8):
+    """Whether a path q (N, n) touches anything, at its rows or at places between two of them."""
+    dense = [a + s * (b - a) for a, b in pairwise(q) for s in np.arange(between) / between]
+    return any(model.collides(x) for x in [*dense, q[-1]])
+
+
+def test_a_redundant_arm_goes_round_an_obstacle(snake):
+    points = np.column_stack([np.full(60, 0.7), np.linspace(-0.5, 0.5, 60), np.zeros(60)])
+    free = ik.solve_path(snake, points)
+    data = snake.model.createData()
+    pin.framesForwardKinematics(snake.model, data, free.q[30])
+    model = ik.CollisionModel(snake).add_box([0.1, 0.1, 0.5], data.oMf[snake.model.getFrameId("l2")].translation)
+    assert touches(model, free.curve), "otherwise the box is in nobody's way"
+    made = ik.solve_path(snake, points, avoid_collisions=model)
+    assert made.status == PathStatus.FOLLOWED
+    assert not touches(model, made.curve) and made.clearance > 0.0 and not made.continuity.unproven
+    assert free.length[0] <= made.length[0] + 1e-6
+
+
+def test_contact_is_said_where_nothing_else_is_found(snake):
+    points = np.column_stack([np.linspace(0.5, 0.9, 20), np.zeros(20), np.zeros(20)])
+    model = ik.CollisionModel(snake).add_box([0.1, 0.1, 0.1], [0.7, 0.0, 0.0])
+    made = ik.solve_path(snake, points, avoid_collisions=model)
+    assert made.status == PathStatus.COLLISION and not made.success and np.isfinite(made.q).all()
+    assert "only with contact" in made.message and "box" in made.message
+
+
+def test_refined_motions_are_no_longer_than_tracks_and_exact(snake):
+    points = np.column_stack([np.linspace(0.4, 0.9, 40), 0.3 * np.sin(np.linspace(0, 6, 40)), np.zeros(40)])
+    made = ik.solve_path(snake, points, seed=2)
+    assert made.success and made.position_error.max() <= 1e-6 and made.orientation_error is None
+    assert made.length[0] < 8.0  # a track of least motion alone takes some 9 rad
+    assert made.deviation[0] <= made.path_tolerance[0]
+
+
+def test_ctrl_c_keeps_the_best_path(snake):
+    points = np.column_stack([np.full(30, 0.8), np.linspace(-0.3, 0.3, 30), np.zeros(30)])
+
+    def stop(share, words):
+        if share >= 0.9:
+            raise KeyboardInterrupt
+
+    with pytest.raises(ik.PathInterrupted) as caught:
+        ik.solve_path(snake, points, progress=stop)
+    assert isinstance(caught.value, KeyboardInterrupt) and caught.value.result.success
+
+
+# ---------------------------------------------------------------------------------------------------------------- turns
+def test_a_joint_is_wound_up_no_further_than_its_limits(flat):
+    """The tip turns on the spot by 500 degrees; the last joint has 720, so where it starts decides."""
+    text = '<robot name="r"><link name="b"/>'
+    for k, low in enumerate((-1.0, -1.0, -2.0 * np.pi)):
+        above, x = f"b{k - 1}" if k else "b", 1.0 if k else 0.0
+        text += f'<link name="b{k}"/><joint name="j{k}" type="revolute"><parent link="{above}"/><child link="b{k}"/>'
+        text += f'<axis xyz="0 0 1"/><origin xyz="{x} 0 0"/><limit lower="{low}" upper="{-low}" effort="1" velocity="1"/></joint>'
+    robot = ik.Robot.load(text + "</robot>", tip="b2")
+    for total, count in ((500.0, 0), (900.0, 1)):
+        T = np.array([planar_pose(1.8, 0.1, x) for x in np.radians(np.linspace(0.0, total, 200))])
+        made = ik.solve_path(robot, T)
+        assert made.success and len(made.reconfigurations) == count == made.lower_bound
+        assert (made.q >= robot.lower).all() and (made.q <= robot.upper).all()
+
+
+@pytest.mark.skipif(not have_data(), reason="example-robot-data is not installed")
+def test_every_solution_of_a_ur_is_known(request):
+    robot = ik.Robot.load("ur5")
+    q = robot.random_q(np.random.default_rng(0), 200)
+    T = robot.chain.forward(q)[0]
+    Q, sure = solutions(robot, T)
+    d = Q - q[:, None]
+    d -= 2 * np.pi * np.rint(d / (2 * np.pi))
+    assert (np.nanmin(np.abs(d).max(axis=2), axis=1) < 1e-6).all() and sure.mean() > 0.98
+    for k in range(0, 200, 40):
+        found = ik.solve_all(robot, T[k], "lm")
+        assert len(found) == np.isfinite(Q[k, :, 0]).sum()
+    assert solutions(ik.Robot.load("hydrolek_7w"), T) is None
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not have_data(), reason="example-robot-data is not installed")
+def test_a_tool_that_spins_takes_as_few_changes_as_there_can_be():
+    robot = ik.Robot.load("ur5")
+    start = robot.fk([0.4, -1.2, 1.5, -0.6, 1.1, 0.0])
+    for total, least in ((600.0, 0), (900.0, 1), (1500.0, 2)):
+        spun = [
+            start * pin.SE3(pin.exp3(np.array([0.0, 0.0, x])), np.zeros(3))
+            for x in np.radians(np.linspace(0, total, 300))
+        ]
+        made = ik.solve_path(robot, np.array([T.homogeneous for T in spun]))
+        assert made.success and len(made.reconfigurations) == least == made.lower_bound
+
+
+# ---------------------------------------------------------------------------------------------------------------- trees
+def test_both_tips_of_a_tree_follow_their_own_paths():
+    tree = ik.Tree.load("brokk_hydrolek")
+    rng = np.random.default_rng(3)
+    a = tree.random_q(rng)
+    Q = np.linspace(a, a + 0.2 * (tree.random_q(rng) - a), 40)
+    poses = {tip: np.array([tree.fk(q)[tip].homogeneous for q in Q]) for tip in tree.tips}
+    made = ik.solve_path(tree, poses)
+    assert made.status == PathStatus.FOLLOWED
+    for q, k in zip(made.q, range(40), strict=True):
+        for tip, T in tree.fk(q).items():
+            assert np.abs(T.homogeneous - poses[tip][k]).max() < 5e-6
