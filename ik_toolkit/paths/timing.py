@@ -35,7 +35,6 @@ SCALES = (
 GRID = 200  # points of the time law at least
 FINER = 3  # times the grid is made twice as fine when the limits are passed between its points by more than TOO_FAST
 TOO_FAST = 1.02
-SWINGS = 10  # points between two rows at which the spline is held to the joints' own limits
 ROUNDED = 1e-9  # share by which the time law is slower than it need be, for rounding
 SUBDIVIDED = 4  # straight lines that stand for the spline between two knots where contact is tested
 MOST_SAMPLES = 1e7
@@ -79,7 +78,7 @@ def retime(result: Any, velocity: Any, acceleration: Any, rate: float, seed: int
         smooth = _spline(curve, at, robot, limits) if found.smooth else None
         if smooth is not None:
             made.append(smooth)
-        else:
+        elif len(curve) > 1:
             run_at = result.at[run]
             rows = zip(itertools.pairwise(result.curve[run]), itertools.pairwise(run_at), strict=True)
             made += [_straight(*ends, np.array(places), limits) for ends, places in rows]
@@ -134,8 +133,7 @@ def _limits(robot: Joints, velocity: Any, acceleration: Any) -> tuple[np.ndarray
 def _proven(plan: Plan, result: Any, curve: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, np.ndarray, Proof]:
     """Rows and places of a piece, with poses inserted until the spline through them is proven, and what is proven of it."""
     robot = plan.robot
-    distinct = np.append(True, np.abs(np.diff(curve, axis=0)).max(axis=1) > LEAST)
-    curve, at = curve[distinct], at[distinct]
+    curve, at, since = _distinct(curve, at, np.append(at[0], at[:-1]))
     if len(curve) < 2:
         return curve, at, Proof(0.0, 0.0, math.inf, False)
     allowed = np.maximum(result.path_tolerance, result.deviation)
@@ -150,16 +148,24 @@ def _proven(plan: Plan, result: Any, curve: np.ndarray, at: np.ndarray) -> tuple
         if not broken.any():
             return curve, at, Proof(float(deviation.max()), float(turn.max()), clearance, True)
         near = np.flatnonzero(broken | np.append(broken[1:], False) | np.append(False, broken[:-1]))
-        middle = 0.5 * (at[near] + at[near + 1])
+        middle = 0.5 * (since[near + 1] + at[near + 1])
         rows, good = settle(
             plan, result.kinds, 0.5 * (curve[near] + curve[near + 1]), interpolate(result.targets, middle, result.kinds)
         )
         if not good.all():
             break
-        curve, at = np.insert(curve, near + 1, rows, axis=0), np.insert(at, near + 1, middle)
+        since = np.insert(since, near + 1, since[near + 1])
+        since[near + 1 + np.arange(1, len(near) + 1)] = middle
+        curve, at, since = _distinct(np.insert(curve, near + 1, rows, axis=0), np.insert(at, near + 1, middle), since)
     clearance = math.inf if result.clearance is None else result.clearance
     deviation, turn = result.deviation
     return curve, at, Proof(deviation, turn, clearance, False)
+
+
+def _distinct(curve: np.ndarray, at: np.ndarray, since: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Rows, their places, and those since which the joints move to them, without the rows that stay where the row before is."""
+    moved = np.append(True, np.abs(np.diff(curve, axis=0)).max(axis=1) > LEAST)
+    return curve[moved], at[moved], since[moved]
 
 
 def _coordinate(curve: np.ndarray, unit: np.ndarray) -> np.ndarray:
@@ -177,8 +183,11 @@ def _cubics(robot: Joints, curve: np.ndarray, knots: np.ndarray) -> np.ndarray:
     except ImportError:
         raise MissingExtra("scipy", "paths") from None
     cubics = CubicSpline(knots, curve, bc_type="natural").c
-    x = np.linspace(0.0, 1.0, SWINGS)[:, None, None] * np.diff(knots)[:, None]
     a, b, c, d = cubics
+    with np.errstate(divide="ignore", invalid="ignore"):  # where it turns: the roots of 3 a x^2 + 2 b x + c
+        root = np.sqrt(b * b - 3.0 * a * c)
+        turning = np.nan_to_num([(-b - root) / (3.0 * a), (-b + root) / (3.0 * a), -0.5 * c / b])
+    x = np.clip(turning, 0.0, np.diff(knots)[:, None])
     swing = ((a * x + b) * x + c) * x + d
     beyond = ((swing > robot.upper + LEAST) | (swing < robot.lower - LEAST)).any(axis=(0, 1))
     if beyond.any():
