@@ -287,7 +287,7 @@ def _show(result: "PathResult", made: "Trajectory | None") -> None:
             by = f"{math.degrees(one.move[i]):.4g} deg" if turning else f"{1e3 * one.move[i]:.4g} mm"
             changes.add_row(f"{one.index} and {one.index + 1}", result.robot.joint_names[i], by)
         show(changes)
-    for one in result.unreachable[:LISTED]:
-        notice(f"pose {one.index}: {one.reason}{' (proven)' if one.proven else ''}")
+    for missing in result.unreachable[:LISTED]:
+        notice(f"pose {missing.index}: {missing.reason}{' (proven)' if missing.proven else ''}")
     if len(result.unreachable) > LISTED:
         notice(f"... and {len(result.unreachable) - LISTED} further poses")

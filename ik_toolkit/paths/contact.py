@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import pinocchio as pin
 
+from ..robot.clearance import Clearance
 from .proof import Contact
 
 LARGEST, FINER = (
@@ -135,7 +136,33 @@ def find_contacts(
             contacts.append(Contact(place, collision.collisions(q)[0]))
         elif not found.proven:
             unproven.append(float(at[k]))
-    return max(left, 0.0) * float(margins.size.min(initial=math.inf)), tuple(contacts), tuple(unproven)
+    clearance = max(left, 0.0) * float(margins.size.min(initial=math.inf))
+    if not contacts and not unproven:
+        clearance = max(clearance, _distance_kept(margins, curve, moving, sag))
+    return clearance, tuple(contacts), tuple(unproven)
+
+
+def _distance_kept(margins: Margins, curve: np.ndarray, moving: np.ndarray, sag: np.ndarray | None) -> float:
+    """Distance [m] that no pair falls below on the way, from distances measured at the rows and what a move can take off.
+
+    A pair is measured only where it could be the nearest one.
+    """
+    space = Clearance(margins.collision)
+    used = np.abs(np.diff(curve, axis=0)) @ margins.arms
+    aside = np.zeros_like(used) if sag is None else 2.0 * sag @ margins.arms
+    least, known = math.inf, np.full(len(space.a), -math.inf)
+    for k in np.flatnonzero(np.isfinite(curve).all(axis=1)):
+        on = k > 0 and moving[k - 1]
+        before = known if on else np.full(len(known), math.inf)
+        known = before - used[k - 1] if on else np.full(len(known), -math.inf)
+        near = np.flatnonzero(known - (aside[k - 1] if on else 0.0) < least)
+        if len(near):
+            space.place(curve[k])
+            known[near] = [space.distance(i) for i in near.tolist()]
+        least = min(least, float(known.min(initial=math.inf)))
+        if on:
+            least = min(least, float((0.5 * (before + known - used[k - 1] - aside[k - 1])).min(initial=math.inf)))
+    return max(least, 0.0)
 
 
 class _Stretch(NamedTuple):

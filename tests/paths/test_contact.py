@@ -140,3 +140,18 @@ def test_no_move_brings_a_pair_nearer_than_the_bound(name):
         change = np.abs(np.diff(distances, axis=0)[0])
         apart = np.min(distances, axis=0) > 0.0
         assert (change[apart] <= (np.abs(ends[1] - ends[0]) @ margins.arms)[apart] + 1e-6).all()
+
+
+def test_the_clearance_is_kept_and_near_what_is_found():
+    robot, rng = arm(), np.random.default_rng(3)
+    seen = 0
+    while seen < 5:
+        model, ends = scene(robot, rng), path(robot, rng, 2, 0.3)
+        curve = ends[0] + np.linspace(0.0, 1.0, 30)[:, None] * (ends[1] - ends[0])
+        clearance, contacts, _ = find_contacts(model, curve, np.arange(30.0), np.ones(29, dtype=bool))
+        if contacts:
+            continue
+        seen += 1
+        fine = ends[0] + np.linspace(0.0, 1.0, 500)[:, None] * (ends[1] - ends[0])
+        found = min(near.distance for q in fine for near in model.distances(q))
+        assert 0.8 * found - 0.01 <= clearance <= found + 1e-9
