@@ -15,6 +15,10 @@ if TYPE_CHECKING:
     from ..robot.robot import Robot
 
 Q = Annotated[str | None, typer.Option("--q", metavar="Q1 Q2 ...", help="Joint values, one per joint; default: home.")]
+Everything = Annotated[
+    bool,
+    typer.Option("--all", help="Also the legs, hands and humanoids of example-robot-data, whose tips are guessed."),
+]
 ListTips = Annotated[
     bool,
     typer.Option(
@@ -30,11 +34,11 @@ def register(app: typer.Typer) -> None:
     app.command()(fk)
 
 
-def robots(as_json: Json = False) -> None:
+def robots(everything: Everything = False, as_json: Json = False) -> None:
     """List the robots that can be given by name."""
     from ..robot.library import list_robots, shipped_robots
 
-    entries = list_robots()
+    entries = list_robots(everything)
     shipped = shipped_robots()
     rows = [
         {
@@ -61,6 +65,8 @@ def robots(as_json: Json = False) -> None:
     show(heading("Shipped"), ours)
     if theirs.row_count:
         show(heading("From example-robot-data"), theirs)
+        hint = "" if everything else "; --all lists its other robots"
+        notice(f"also: any URDF or xacro file, and robot_descriptions:NAME{hint}")
     else:
         notice("more arms by name (panda, ur5, ...): pip install example-robot-data; or give the path of a URDF file")
 

@@ -1,15 +1,20 @@
-"""Names -> robot descriptions: the robots we ship, files, URDF text, and the arms of example-robot-data."""
+"""Names -> robot descriptions: the robots we ship, files, URDF text, example-robot-data and robot_descriptions."""
 
+import contextlib
 import functools
+import importlib
 import importlib.metadata
+import importlib.util
+import io
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from ..errors import RobotNotFound, near_match
+from ..errors import MissingExtra, ModelError, RobotNotFound, near_match
 
 DATA_PACKAGE = "example-robot-data"
+DESCRIBED = "robot_descriptions:"  # before names of that package
 
 
 @dataclass(frozen=True)
@@ -129,10 +134,62 @@ def example_robot_data(name: str) -> tuple[Path, tuple[Path, ...]]:
     return path, (root.parent,)
 
 
-def list_robots() -> list[RobotEntry]:
-    """List the shipped robots, then the arms of example-robot-data when that is installed."""
-    data = [find(name) for name in DATA_ROBOTS] if _data_root() else []
+@functools.cache
+def data_files() -> dict[str, Path]:
+    """Name -> file of what example-robot-data holds beside DATA_ROBOTS: the file's name, with its folder's where that is taken."""
+    root = _data_root()
+    if root is None:
+        return {}
+    known = {file for file, _ in DATA_ROBOTS.values()}
+    found: dict[str, Path] = {}
+    for path in sorted((root / "robots").glob("*/**/*.urdf")):
+        inside = path.relative_to(root / "robots")
+        name = path.stem
+        if name in found or name in DATA_ROBOTS:
+            name = f"{inside.parts[0].removesuffix('_description').removesuffix('_data')}_{name}"
+        if inside.as_posix() not in known:
+            found[name] = path
+    return found
+
+
+def list_robots(everything: bool = False) -> list[RobotEntry]:
+    """List the shipped robots, then the arms of example-robot-data when that is installed; everything: all of its files."""
+    data = [find(name) for name in (*DATA_ROBOTS, *(data_files() if everything else ()))] if _data_root() else []
     return [*shipped_robots().values(), *data]
+
+
+def _described(name: str) -> RobotEntry:
+    """Entry of a description of the robot_descriptions package, from its cache. Raises RobotNotFound, MissingExtra, ModelError."""
+    if importlib.util.find_spec("robot_descriptions") is None:
+        raise MissingExtra("robot_descriptions", "robots")
+    from robot_descriptions import DESCRIPTIONS
+
+    if name not in DESCRIPTIONS:
+        near = [known for known in DESCRIPTIONS if known.startswith(name)]
+        raise RobotNotFound(f"robot_descriptions has no '{name}'.{near_match(name, near or DESCRIPTIONS)}")
+    if not DESCRIPTIONS[name].has_urdf:
+        raise ModelError(
+            f"robot_descriptions has '{name}' as MJCF only, which is not read; look for a URDF or xacro of it"
+        )
+    try:
+        with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):  # of a download
+            module = importlib.import_module(f"robot_descriptions.{name}")
+    except Exception as error:  # whatever git raises
+        said = (
+            (str(error).strip().splitlines() or [type(error).__name__])[-1]
+            .strip()
+            .removeprefix("stderr: ")
+            .strip("'")[:200]
+        )
+        raise RobotNotFound(
+            f"'{name}' is not in the cache of robot_descriptions, and it could not be fetched ({said}); with a network, run: "
+            f"python -m robot_descriptions pull {name}"
+        ) from None
+    path = Path(getattr(module, "URDF_PATH", None) or module.XACRO_PATH)
+    folders = (Path(module.PACKAGE_PATH), Path(module.REPOSITORY_PATH))
+    arguments = {key: str(value) for key, value in getattr(module, "XACRO_ARGS", {}).items()}
+    described = f"robot_descriptions: {name}"
+    return RobotEntry(name, path, path, package_dirs=folders, description=described, xacro_args=arguments)
 
 
 def find(source: str | Path) -> RobotEntry:
@@ -147,6 +204,8 @@ def find(source: str | Path) -> RobotEntry:
             return RobotEntry(name="URDF text", source=source)
         if source in shipped_robots():
             return shipped_robots()[source]
+        if source.startswith(DESCRIBED):
+            return _described(source.removeprefix(DESCRIBED))
     path = _file(source)
     if path is not None:
         return RobotEntry(name=path.stem, source=path, path=path, package_dirs=(path.parent,))
@@ -161,13 +220,19 @@ def find(source: str | Path) -> RobotEntry:
             package_dirs=folders,
             description=f"{DATA_PACKAGE}: {DATA_ROBOTS[name][0]}",
         )
+    if name in data_files():
+        path = data_files()[name]
+        inside = path.relative_to(path.parents[2]).as_posix()
+        return RobotEntry(
+            name, path, path, package_dirs=example_robot_data("panda")[1], description=f"{DATA_PACKAGE}: {inside}"
+        )
     shown = name if len(name) <= 200 else f"{name[:200]}..."
     if name and Path(shown).is_dir():
         raise RobotNotFound(f"'{shown}' is a folder, not a URDF file")
     if "/" in name or "\\" in name or name.lower().endswith((".urdf", ".xml", ".xacro")):
         raise RobotNotFound(f"there is no file '{shown}'")
     raise RobotNotFound(
-        f"there is no robot and no file '{shown}'.{near_match(shown, [*shipped_robots(), *DATA_ROBOTS])}"
+        f"there is no robot and no file '{shown}'.{near_match(shown, [*shipped_robots(), *DATA_ROBOTS, *data_files()])}"
     )
 
 

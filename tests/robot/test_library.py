@@ -1,17 +1,22 @@
 """Names, paths and text find their robot; the shipped files are those the script writes."""
 
+import importlib.machinery
 import importlib.util
+import sys
 import tomllib
+import types
 
 import numpy as np
 import pinocchio as pin
 import pytest
 from folders import SCRIPTS, TESTS
-from robots import have_data
+from robots import have_data, urdf
 
-from ik_toolkit.errors import RobotNotFound
+import ik_toolkit as ik
+from ik_toolkit.errors import ModelError, RobotNotFound
 from ik_toolkit.robot import library
 from ik_toolkit.robot.library import DATA_ROBOTS, example_robot_data, find, list_robots, shipped_robots
+from ik_toolkit.robot.robot import read
 
 SCRIPT = SCRIPTS / "make_urdfs.py"
 PAPERS = {"hydrolek_7w", "brokk_hydrolek", "planar_3r", "planar_2r", "cartesian_pp", "inspection_7dof"}
@@ -139,3 +144,42 @@ def test_data_robots_are_listed():
         assert [entry.name for entry in list_robots()] == [*NAMES, *DATA_ROBOTS]
     with pytest.raises(RobotNotFound, match="Did you mean 'panda'"):
         example_robot_data("pandaa")
+
+
+@pytest.mark.skipif(not have_data(), reason="example-robot-data is not installed")
+def test_every_file_of_example_robot_data_has_a_name():
+    """All of them load but one, which holds nothing; those without known tips are guessed or asked for."""
+    names = [entry.name for entry in list_robots(everything=True)]
+    assert len(names) == len(set(names)) > 60
+    refused = []
+    for name in names:
+        try:
+            read(name, ())
+        except ModelError:
+            refused.append(name)
+    assert refused == ["ur_ur3"]
+
+
+def test_robot_descriptions_from_its_cache(tmp_path, monkeypatch):
+    """The package is stood in for: it fetches from the network what it does not have."""
+    (tmp_path / "arm.urdf").write_text(urdf(dict(kind="revolute")))
+    known = types.SimpleNamespace(has_urdf=True)
+    stand_in = types.ModuleType("robot_descriptions")
+    stand_in.DESCRIPTIONS = {
+        "arm_description": known,
+        "gone_description": known,
+        "mj": types.SimpleNamespace(has_urdf=False),
+    }
+    stand_in.__spec__ = importlib.machinery.ModuleSpec("robot_descriptions", None)
+    stand_in.__path__ = []
+    arm = types.ModuleType("robot_descriptions.arm_description")
+    arm.URDF_PATH, arm.PACKAGE_PATH, arm.REPOSITORY_PATH = str(tmp_path / "arm.urdf"), str(tmp_path), str(tmp_path)
+    monkeypatch.setitem(sys.modules, "robot_descriptions", stand_in)
+    monkeypatch.setitem(sys.modules, "robot_descriptions.arm_description", arm)
+    assert ik.Robot.load("robot_descriptions:arm_description").n == 1
+    with pytest.raises(RobotNotFound, match="python -m robot_descriptions pull gone_description"):
+        find("robot_descriptions:gone_description")
+    with pytest.raises(RobotNotFound, match="robot_descriptions has no 'arn'"):
+        find("robot_descriptions:arn")
+    with pytest.raises(ModelError, match="as MJCF only"):
+        find("robot_descriptions:mj")
