@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .jit import build, compiled, inline, inner
+from .jit import build, compiled, inner, spliced
 from .levels import (
     HIGH,
     LOW,
@@ -227,7 +227,7 @@ def answer(scale, low, high, A, count, V, S, state, x, active, kept, multiplier)
                     active[i] = 2
 
 
-@inline
+@spliced
 def constrain(
     J, weight, feedback, forward, want, scale, low, high, A, b, count, mode, cap, singular, damping, room,
     x, active, kept, multiplier,

@@ -104,16 +104,18 @@ def solve_levels(P, W, L, U, V, S, state, order, N, count, r):
     rows = P.shape[1]
     for attempt in range(2):  # from what held last time, then from nothing
         begin(P, V, S, state, N, count, r, attempt > 0)
-        new, side, last, place = NONE, 0, NONE, NONE
+        new = NONE
         adding = False  # first members of the start whose multipliers have the wrong sign are dropped
         for _ in range(PER * (N + count)):
+            last = new - N  # below 0: no half-plane
+            place = new if last < 0 else rows + last
             dependent = equality(P, W, L, U, V, S, state, order, N, count, r, last)
             if not adding:
                 drop = rows + dependent if dependent != NONE else wrong_most(V, S, state, rows, N, count)
             elif dependent == NONE:
-                drop = forward(V, S, state, rows, N, count, new)
+                drop = forward(V, S, state, rows, N, count, last)
             else:
-                drop = exchange(P, L, V, S, state, order, N, count, dependent, new, side)
+                drop = exchange(P, L, V, S, state, order, N, count, dependent, last)
                 if drop == NONE:
                     state[place] = 0
                     return CONTRADICTION
@@ -125,15 +127,14 @@ def solve_levels(P, W, L, U, V, S, state, order, N, count, r):
             new, side = violated(P, V, S, state, N, count)
             if new == NONE:
                 return DONE
-            last = new - N if new >= N else NONE
-            place = new if new < N else rows + last
-            state[place] = side
             if new < N:
+                state[new] = side
                 V[ONE, new] = 0.0
                 V[TWO, new] = 0.0
             else:
-                S[ROW_ONE, last] = 0.0
-                S[ROW_TWO, last] = 0.0
+                state[rows + new - N] = 1
+                S[ROW_ONE, new - N] = 0.0
+                S[ROW_TWO, new - N] = 0.0
     return STUCK
 
 
@@ -160,16 +161,16 @@ def share(one, two, next_one, next_two, side):
 
 
 @inner
-def forward(V, S, state, rows, N, count, new):
-    """Move the multipliers towards those just found until one becomes zero; that one, or NONE."""
+def forward(V, S, state, rows, N, count, last):
+    """Move the multipliers towards those just found until one becomes zero; that one, or NONE. last: what is new, minus N."""
     t, dt, blocking = 2.0, 0.0, NONE
     for i in range(N):
-        if state[i] != 0 and i != new and V[LOW, i] < V[HIGH, i]:
+        if state[i] != 0 and i != last + N and V[LOW, i] < V[HIGH, i]:
             a, da = share(V[ONE, i], V[TWO, i], V[NEXT_ONE, i], V[NEXT_TWO, i], state[i])
             if a < t or (a == t and da < dt):
                 t, dt, blocking = a, da, i
     for k in range(count):
-        if state[rows + k] != 0 and k != new - N:
+        if state[rows + k] != 0 and k != last:
             a, da = share(S[ROW_ONE, k], S[ROW_TWO, k], S[AFTER_ONE, k], S[AFTER_TWO, k], 1)
             if a < t or (a == t and da < dt):
                 t, dt, blocking = a, da, rows + k
@@ -186,7 +187,7 @@ def forward(V, S, state, rows, N, count, new):
 
 
 @inner
-def exchange(P, L, V, S, state, order, N, count, dependent, new, side):
+def exchange(P, L, V, S, state, order, N, count, dependent, last):
     """What is new is a sum of what holds: whose place it takes, after moving the multipliers; NONE: it contradicts them.
 
     A half-plane that depends on the rest gives the sum, in which the new one, a bound or that half-plane, has its part.
@@ -209,7 +210,8 @@ def exchange(P, L, V, S, state, order, N, count, dependent, new, side):
             for k in range(count):
                 s -= P[k, i] * S[AFTER_ONE, k]
         V[NEXT_ONE, i] = s
-    part = V[NEXT_ONE, new] if new < N else S[AFTER_ONE, new - N]
+    side = state[last + N] if last < 0 else 1
+    part = V[NEXT_ONE, last + N] if last < 0 else S[AFTER_ONE, last]
     if not abs(part) > SAME:  # it has none: by rounding alone the half-plane had seemed to be independent
         return rows + dependent
     for i in range(N):
@@ -219,13 +221,13 @@ def exchange(P, L, V, S, state, order, N, count, dependent, new, side):
     one, two, blocking = np.inf, np.inf, NONE
     for i in range(N):
         part = V[NEXT_ONE, i] * state[i]
-        if part > SAME and i != new and V[LOW, i] < V[HIGH, i]:
+        if part > SAME and i != last + N and V[LOW, i] < V[HIGH, i]:
             a, c = V[ONE, i] * state[i] / part, V[TWO, i] * state[i] / part
             if a < one or (a == one and c < two):
                 one, two, blocking = a, c, i
     for k in range(count):
         part = S[AFTER_ONE, k]
-        if part > SAME and k != new - N:
+        if part > SAME and k != last:
             a, c = S[ROW_ONE, k] / part, S[ROW_TWO, k] / part
             if a < one or (a == one and c < two):
                 one, two, blocking = a, c, rows + k
