@@ -31,14 +31,13 @@ from .levels import (
     dot,
     make_levels,
 )  # fmt: skip
-from .qp import CONTRADICTION, DONE, solve_levels
+from .qp import CONTRADICTION, DONE, SAME_TASK, UNMET, solve_levels, unmet
 from .records import Array
 from .singular import damp, regular, rotate
 
 LEAVE, SLOW, DIRECT = range(3)
 WANTED, MET, SHORT, RELAXED, INEXACT = range(5)
 FULL, CLOCK, ASIDE, SLACK = range(4)  # problems to solve
-SAME_TASK = 1e-9  # share of the task rate by which a rate may miss it and still count as doing it
 SMALL = 1e-4  # size of the clock's column beside the task's largest row: the share its square has against the joints' is 1e-8
 FULL_CLOCK = 1e-6  # share of cap from which on a full clock is tried
 DIRECTION = 100.0  # weight of leaving the direction against falling behind along it, where nothing is blocked
@@ -141,17 +140,6 @@ def add_clock(P, V, S, task, first, r, n, cap):
     V[LOW, n] = 0.0
     V[HIGH, n] = cap / unit
     return unit
-
-
-@inner
-def met(P, V, S, first, r, n):
-    """Whether what was found does what is asked."""
-    miss, size = 0.0, 0.0
-    for k in range(first, first + r):
-        s = dot(P, k, V, Y, n) - S[RHS, k]
-        miss += s * s
-        size += S[RHS, k] * S[RHS, k]
-    return miss <= SAME_TASK * SAME_TASK * size
 
 
 @inner
@@ -300,16 +288,20 @@ def step(
         elif stage == SLACK:
             slack(P, V, S, state, n, count)
             N, rows = n + 1, 1
-        end = solve_levels(P, W, L, U, V, S, state, order, N, count, rows)
+        only_whole = mode != LEAVE and stage == FULL and not clock_tried
+        end = solve_levels(P, W, L, U, V, S, state, order, N, count, rows, only_whole)
         state[n] = 0
         if stage == SLACK:
             loose = V[Y, n] * (1.0 + LOOSE) + LOOSE
-            stage, fresh = FULL, True
+            stage, fresh, clock_tried = FULL, True, False
             continue
         if end == CONTRADICTION and loose == 0.0:
             stage = SLACK
             continue
-        done = end == DONE and met(P, V, S, count, r, N)
+        if end == UNMET:
+            stage = CLOCK
+            continue
+        done = end == DONE and not unmet(S, count, r)
         if end != DONE or mode == LEAVE or stage == ASIDE:
             break
         if stage == CLOCK:
@@ -322,9 +314,6 @@ def step(
         elif done:
             rate = top
             break
-        elif not clock_tried:
-            stage = CLOCK
-            continue
         if mode == SLOW:
             break
         stage = ASIDE

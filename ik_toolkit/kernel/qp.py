@@ -28,15 +28,17 @@ from .levels import (
     ROW_ONE,
     ROW_TWO,
     SAME,
+    TASK_ONE,
     TWO,
     Y,
     dot,
     equality,
 )  # fmt: skip
 
-DONE, STUCK, CONTRADICTION = range(3)
+DONE, STUCK, CONTRADICTION, UNMET = range(4)
 OUT = 1e-12  # by how much a bound or half-plane may be broken; speeds are of order 1, and the caller clips to bounds
 WRONG = 1e-11  # by how much a multiplier of the second objective may have the wrong sign
+SAME_TASK = 1e-9  # share of the task by which it may be missed and still count as met
 PER = 10  # iterations allowed for each unknown and half-plane
 
 
@@ -84,6 +86,16 @@ def wrong_most(V, S, state, rows, N, count):
 
 
 @inner
+def unmet(S, count, r):
+    """Whether the last answer misses the task by more than rounding."""
+    miss, size = 0.0, 0.0
+    for k in range(count, count + r):
+        miss += S[TASK_ONE, k] * S[TASK_ONE, k]
+        size += S[RHS, k] * S[RHS, k]
+    return miss > SAME_TASK * SAME_TASK * size
+
+
+@inner
 def begin(P, V, S, state, N, count, r, cold):
     """Lengths of the rows, and where to start: what held last time, or nothing; joints that cannot move are held."""
     for k in range(count + r):
@@ -99,8 +111,11 @@ def begin(P, V, S, state, N, count, r, cold):
 
 
 @inner
-def solve_levels(P, W, L, U, V, S, state, order, N, count, r):
-    """Solve; `state` is where to start and what holds in the end. Returns DONE, STUCK or CONTRADICTION (of A y <= b)."""
+def solve_levels(P, W, L, U, V, S, state, order, N, count, r, only_whole):
+    """Solve; `state` is where to start and what holds in the end. Returns DONE, STUCK or CONTRADICTION (of A y <= b).
+
+    only_whole: return UNMET as soon as it is clear that |C y - d| cannot be 0: from iteration to iteration it only grows.
+    """
     rows = P.shape[1]
     for attempt in range(2):  # from what held last time, then from nothing
         begin(P, V, S, state, N, count, r, attempt > 0)
@@ -124,6 +139,8 @@ def solve_levels(P, W, L, U, V, S, state, order, N, count, r):
                 continue
             keep(V, S, N, count)
             adding = True
+            if only_whole and unmet(S, count, r):
+                return UNMET
             new, side = violated(P, V, S, state, N, count)
             if new == NONE:
                 return DONE

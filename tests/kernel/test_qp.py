@@ -28,7 +28,7 @@ def kernel(C, d, want, low, high, A, b, state, y, multipliers):
         s.S[levels.RHS, k] = b[k] if k < count else d[k - count]
     for k in range(count):
         s.state[n + k] = state[n + k]
-    end = solve_levels(s.P, s.W, s.L, s.U, s.V, s.S, s.state, s.order, n, count, r)
+    end = solve_levels(s.P, s.W, s.L, s.U, s.V, s.S, s.state, s.order, n, count, r, False)
     for i in range(n):
         y[i] = s.V[levels.Y, i]
         multipliers[0, i], multipliers[1, i] = s.V[levels.ONE, i], s.V[levels.TWO, i]

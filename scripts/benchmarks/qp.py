@@ -1,0 +1,102 @@
+"""Cost of the constrained step alone, by joints and by how much binds: median, p99 and worst, in microseconds.
+
+python scripts/benchmarks/qp.py [-o qp.json]
+"""
+
+import common
+
+common.one_thread()
+
+import argparse  # noqa: E402
+import json  # noqa: E402
+from pathlib import Path  # noqa: E402
+from time import perf_counter  # noqa: E402
+
+import numpy as np  # noqa: E402
+
+from ik_toolkit.kernel.constrain import DIRECT, LEAVE, SLOW, constrain, make_room  # noqa: E402
+from ik_toolkit.kernel.jit import cached  # noqa: E402
+
+ROWS = 12
+SAMPLES = 40  # problems in a row, each a little off the one before, as a run's steps are
+INNER = 50  # steps in one timing: a call from Python costs some microseconds
+REPEATS = 15  # the least of these is a step's own time: what else the machine does only adds
+# By which share of what the task needs the joints' speeds fall short, and half-planes in the way.
+CASES = {
+    "x_want fits": (LEAVE, 0.0, 0.0, 0),
+    "nothing binds": (LEAVE, 10.0, 0.0, 0),
+    "leave": (LEAVE, 0.3, 0.0, 0),
+    "slow": (SLOW, 0.3, 0.0, 0),
+    "direct": (DIRECT, 0.3, 0.0, 0),
+    "singular": (LEAVE, 0.3, 10.0, 0),
+    "leave, 12 half-planes": (LEAVE, 0.3, 0.0, ROWS),
+    "slow, 12 half-planes": (SLOW, 0.3, 0.0, ROWS),
+    "nearly everything binds": (SLOW, 0.03, 0.0, ROWS),
+}
+
+
+@cached
+def run(J, v, want, low, high, A, b, count, mode, singular, repeats, active, kept):
+    """Steps of a run, `repeats` times from the same start, and the sum of their clock rates."""
+    n, m = J.shape[1], J.shape[2]
+    room = make_room(n, m, A.shape[0])
+    weight, scale, back = np.ones(m), np.ones(n), np.zeros(m)
+    x, push = np.empty(n), np.empty(n + A.shape[0])
+    before, held = active.copy(), kept.copy()
+    total = 0.0
+    for _ in range(repeats):
+        active[:] = before
+        kept[:] = held
+        for i in range(J.shape[0]):
+            status, rate = constrain(
+                J[i], weight, back, v[i], want[i], scale, low, high, A, b, count, mode, 1.0, singular, singular, room,
+                x, active, kept, push,
+            )  # fmt: skip
+            total += rate + status
+    return total
+
+
+def measure(n: int, case: tuple, runs: int, rng: np.random.Generator) -> np.ndarray:
+    """Microseconds of each step, the least of REPEATS."""
+    mode, tight, singular, count = case
+    times = []
+    for _ in range(runs):
+        J = rng.normal(size=(n, 6)) + np.cumsum(0.02 * rng.normal(size=(SAMPLES, n, 6)), axis=0)
+        x = rng.normal(size=n) + np.cumsum(0.02 * rng.normal(size=(SAMPLES, n)), axis=0)
+        v = np.einsum("tij,ti->tj", J, x)
+        want = x if tight == 0.0 else np.zeros_like(x)
+        reach = 10.0 if tight == 0.0 else 3.0 * tight * np.sqrt(6.0 / n)
+        low, high = -reach * rng.uniform(0.3, 1.0, n), reach * rng.uniform(0.3, 1.0, n)
+        A, b = rng.normal(size=(ROWS, n)), reach * rng.uniform(0.0, 0.3, ROWS)
+        active, kept = np.zeros(n, np.int8), np.zeros(ROWS + 1, np.int8)
+        for i in range(SAMPLES):
+            one = [J[i : i + 1], v[i : i + 1], want[i : i + 1], low, high, A, b, count, mode, singular]
+            spent, started = [], (active.copy(), kept.copy())
+            for _ in range(REPEATS):
+                active[:], kept[:] = started
+                start = perf_counter()
+                run(*one, INNER, active, kept)
+                spent.append((perf_counter() - start) / INNER)
+            times.append(min(spent) * 1e6)
+    return np.array(times)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--runs", type=int, default=10)
+    parser.add_argument("-o", "--output", type=Path)
+    options = parser.parse_args()
+    found = {}
+    print("| joints | case | median | p99 | worst |\n|---|---|---|---|---|")
+    for n in (7, 16, 30):
+        for name, case in CASES.items():
+            times = measure(n, case, options.runs, np.random.default_rng(n))
+            row = {"median": np.median(times), "p99": np.percentile(times, 99), "worst": times.max()}
+            found[f"{n}, {name}"] = row
+            print(f"| {n} | {name} | " + " | ".join(f"{value:.2f}" for value in row.values()) + " |", flush=True)
+    if options.output:
+        options.output.write_text(json.dumps({"machine": common.machine(), "microseconds": found}, indent=1))
+
+
+if __name__ == "__main__":
+    main()
