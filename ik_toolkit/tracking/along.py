@@ -81,11 +81,11 @@ def growth(
 
 def exact_motion(robot: Robot, reference: Reference, times: np.ndarray) -> Motion:
     """Joint motion that keeps the tip on the reference, without null motion, and the derivatives of J along it."""
-    from .track import _start
+    from ..solvers.solve import solve
 
     T, V, A = reference.at(times)
     m = 3 if reference.position_only else 6
-    q, chain = np.array(_start(robot, reference), dtype=float), robot.chain
+    q, chain = solve(robot, reference.target(0.0), q0=robot.home).q, robot.chain
     Q = np.empty((len(times), robot.n))
     for k, goal in enumerate(T):
         for _ in range(ITERATIONS):
