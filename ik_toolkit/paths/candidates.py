@@ -10,6 +10,7 @@ from .problem import Problem
 MOST = 300  # tracks of a redundant robot: a state each and pose
 ISOLATED = 4096  # and of one whose solutions are isolated: all of them, full turns too
 STARTS = 1000  # random starts at a pose that is solved
+POOL = 400  # solutions found there, of a redundant robot, among which those far from one another are chosen
 SAME = 1e-3  # rad, or kernel unit: isolated solutions closer than this are one
 THIN = 0.25  # of a step: tracks of a redundant robot closer than this are not worth two
 CHUNK = 8  # tracks a thread carries at a time

@@ -9,7 +9,7 @@ from ..kernel.kinematics import TAU
 from ..kernel.path_link import CONTACT, DEAD
 from ..kernel.task import POSE
 from ..solvers.task import counts_in_part
-from .candidates import ISOLATED, MOST, SAME, STARTS, THIN, Tracks, spread
+from .candidates import ISOLATED, MOST, POOL, SAME, STARTS, THIN, Tracks, spread
 from .complete import solutions
 from .contact import Margins
 from .link import Program, Tester, free_path, look_over, middle_first
@@ -108,7 +108,7 @@ class Search:
         if not p.redundant:
             seeds = spread(found, tracks.at(t), ISOLATED, SAME)
         else:
-            seeds = spread(found, tracks.at(t), TRIED * count if self.collides else count, THIN * p.most.min())
+            seeds = spread(found[:POOL], tracks.at(t), TRIED * count if self.collides else count, THIN * p.most.min())
             if self.collides is not None:
                 seeds = self.without_contact(seeds, count)
         tracks.add(seeds, np.full(len(seeds), t))
