@@ -36,7 +36,8 @@ def exact(problem: Problem, q: np.ndarray) -> np.ndarray:
     """Rows (N, n), kernel units, inside the tolerances of their poses; in the units of the robot."""
     there = np.flatnonzero(np.isfinite(q).all(axis=1))
     made = q.copy()
-    made[there] = problem.settled(q[there], there)[0]
+    made[np.ix_(there, problem.plan.held)] = problem.stand[problem.plan.held]  # tracks are kept in single precision
+    made[there] = problem.settled(made[there], there)[0]
     return made * problem.unit
 
 

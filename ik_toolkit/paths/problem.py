@@ -18,13 +18,19 @@ class Problem:
     """Poses T (N, 4, 4), for a Tree (N, F, 4, 4), of `kinds` for a bound solver, ready for the kernels of a path.
 
     most (n,): largest step of a joint, in kernel units; deviation (2,) [m], [rad]: of a tip between poses; poses (N, F, 4, 4): T
-    by tip. plan: the solver's; single: that of one attempt of the general search, with its arrays (rows, ends) and orders.
-    limits (3, n): lower, upper, whether there are both; room: the same without those of joints whose full turns are added
+    by tip; stand (n,): where joints of weight 0 stay, q0 or home. plan: the solver's; single: that of one attempt of the
+    general search, with its arrays (rows, ends) and orders. limits (3, n): lower, upper, whether there are both; room: the same without those of joints whose full turns are added
     later. redundant: whether joints are left over, so that solutions are not isolated.
     """
 
     def __init__(
-        self, solver: Any, T: np.ndarray, kinds: tuple, max_step: tuple[float, float], deviation: tuple[float, float]
+        self,
+        solver: Any,
+        T: np.ndarray,
+        kinds: tuple,
+        max_step: tuple[float, float],
+        deviation: tuple[float, float],
+        q0: np.ndarray | None = None,
     ) -> None:
         """Pack what the kernels read."""
         robot, plan = solver.robot, solver.plan_for(kinds)
@@ -35,6 +41,7 @@ class Problem:
         self.rows, self.ends = self.single.chain[:2]
         self.orders = self.single.orders(kinds, True)
         self.unit = robot.chain.unit
+        self.stand = (robot.home if q0 is None else q0) / self.unit
         slides = np.array([kind == "prismatic" for kind in robot.joint_kinds])
         self.most = np.where(slides, max_step[1], max_step[0]) / self.unit
         self.endless = (np.asarray(robot.chain.turns) > 0) & np.isinf(robot.lower) & np.isinf(robot.upper)
@@ -69,7 +76,9 @@ class Problem:
     def turned(self, Q: np.ndarray) -> np.ndarray:
         """Q (m, n) with joints that can turn fully on the turn next to the middle of their limits."""
         Q = Q.copy()
-        for i in np.flatnonzero(np.asarray(self.robot.chain.turns) > 0):
+        turning = np.asarray(self.robot.chain.turns) > 0
+        turning[self.plan.held] = False
+        for i in np.flatnonzero(turning):
             low, high = self.limits[:2, i]
             at = 0.5 * (low + high) if np.isfinite(high - low) else np.clip(0.0, low + np.pi, high - np.pi)
             Q[:, i] -= TAU * np.rint((Q[:, i] - at) / TAU)

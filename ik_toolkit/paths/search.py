@@ -101,6 +101,7 @@ class Search:
         for q in self.ends:
             if q is not None:
                 Q0[0] = q * p.unit
+        Q0[:, p.plan.held] = (p.stand * p.unit)[p.plan.held]
         found, beyond = p.solutions(t, Q0)
         self.anchored[t] = beyond
         if not len(found):

@@ -89,8 +89,9 @@ def solve_path(
     T, kinds = _read(robot, poses)
     step, tolerance = _pair("max_step", max_step, STEP), _pair("path_tolerance", path_tolerance, TOLERANCE)
     model = collision_model(robot, avoid_collisions) if avoid_collisions else None
-    problem = Problem(solver, T, kinds, step, tolerance)
-    ends = [None if q is None else robot.check_q(q, name) / problem.unit for name, q in (("q0", q0), ("q_end", q_end))]
+    q0, q_end = (None if q is None else robot.check_q(q, name) for name, q in (("q0", q0), ("q_end", q_end)))
+    problem = Problem(solver, T, kinds, step, tolerance, q0)
+    ends = [None if q is None else q / problem.unit for q in (q0, q_end)]
     threads = available_cores() if threads is None else threads
     search = Search(problem, model, *ends, threads, seed, progress or _silent)
     try:

@@ -85,6 +85,13 @@ def test_a_path_begins_and_ends_where_it_is_asked_to(arm):
     assert np.abs(made.q[0] - a).max() < 1e-5 and np.abs(made.q[-1] - b).max() < 1e-5
 
 
+def test_a_held_joint_stays(arm):
+    q0 = arm.home + 0.1
+    Q = np.linspace(q0, q0 + np.array([0.3, 0.2, -0.2, 0.1, 0.3, 0.0]), 30)
+    made = ik.solve_path(arm, between(arm, Q[0], Q[-1], 30), q0=q0, joint_weights=(1, 1, 1, 1, 1, 0))
+    assert made.success and np.abs(made.q[:, 5] - q0[5]).max() < 1e-9
+
+
 def test_mistakes_are_named(arm):
     T = between(arm, arm.home, arm.home + 0.1, 5)
     with pytest.raises(InvalidOption, match="reconfigurations is 'fewest'"):
