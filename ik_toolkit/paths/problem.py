@@ -19,8 +19,9 @@ class Problem:
 
     most (n,): largest step of a joint, in kernel units; deviation (2,) [m], [rad]: of a tip between poses; poses (N, F, 4, 4): T
     by tip; stand (n,): where joints of weight 0 stay, q0 or home. plan: the solver's; single: that of one attempt of the
-    general search, with its arrays (rows, ends) and orders. limits (3, n): lower, upper, whether there are both; room: the same without those of joints whose full turns are added
-    later. redundant: whether joints are left over, so that solutions are not isolated.
+    general search, with its arrays (rows, ends) and orders. limits (3, n): lower, upper, whether there are both; room: the same
+    without those of joints whose full turns are added later. redundant: whether joints are left over, so that solutions are not
+    isolated.
     """
 
     def __init__(
