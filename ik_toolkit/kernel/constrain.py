@@ -24,6 +24,7 @@ from .levels import (
     RHS,
     ROW_ONE,
     ROW_TWO,
+    TASK_ONE,
     TWO,
     WANT,
     Levels,
@@ -37,7 +38,7 @@ from .singular import damp, regular, rotate
 
 LEAVE, SLOW, DIRECT = range(3)
 WANTED, MET, SHORT, RELAXED, INEXACT = range(5)
-FULL, CLOCK, ASIDE, SLACK = range(4)  # problems to solve
+FULL, CLOCK, ASIDE, SLACK, EASED = range(5)  # problems to solve
 SMALL = 1e-4  # size of the clock's column beside the task's largest row: the share its square has against the joints' is 1e-8
 FULL_CLOCK = 1e-6  # share of cap from which on a full clock is tried
 DIRECTION = 100.0  # weight of leaving the direction against falling behind along it, where nothing is blocked
@@ -56,7 +57,7 @@ class Room(NamedTuple):
 @build
 def make_room(n, m, rows):
     """Room for n joints, a task of m and so many half-planes."""
-    return Room(make_levels(n + 1, rows + m + 1), np.zeros((2, rows + m + 1)))
+    return Room(make_levels(n + m + 1, rows + m + 1), np.zeros((2, rows + m + 1)))
 
 
 @inner
@@ -159,6 +160,35 @@ def aside(P, S, first, r, n, alpha):
 
 
 @inner
+def ease(P, V, S, task, weight, scale, first, r, n, rate, step):
+    """Let the residual be unknowns from n on, each l of its unit, and be as dear as the joints' motion: l^2, or 0.
+
+    rate: of the clock; below 0: what is asked stays. |C y - d|^2 + l^2 |y - want|^2 is then the second objective, under a task
+    that can always be met. The damping is that of Levenberg and Marquardt: the curvature that C leaves out, at most that of a
+    circle of one kernel unit, times the residual.
+    """
+    size, heavy, fast = 0.0, 0.0, 0.0
+    for k in range(first, first + r):
+        size += S[TASK_ONE, k] * S[TASK_ONE, k]
+        if rate >= 0.0:
+            S[RHS, k] = task[0, k] + rate * task[1, k]
+    for k in range(weight.shape[0]):
+        heavy = max(heavy, weight[k])
+    for i in range(n):
+        fast = max(fast, scale[i])
+    square = step * math.sqrt(size) * heavy * fast * fast
+    unit = math.sqrt(square)
+    for k in range(first + r):
+        for j in range(r):
+            P[k, n + j] = unit if k == first + j else 0.0
+    for j in range(n, n + r):
+        V[WANT, j] = 0.0
+        V[LOW, j] = -np.inf
+        V[HIGH, j] = np.inf
+    return square
+
+
+@inner
 def slack(P, V, S, state, n, count):
     """The problem of the least slack of the half-planes that leaves a point in the box: unknown n, the only task."""
     for i in range(n):
@@ -193,8 +223,20 @@ def prepare(
 
 
 @inner
-def answer(scale, low, high, A, count, V, S, state, x, active, kept, multiplier):
-    """Write what was found in the caller's units."""
+def as_wanted(want, x, active, kept, multiplier):
+    """The rate wanted, bit for bit; nothing holds."""
+    for i in range(x.shape[0]):
+        x[i] = want[i]
+        active[i] = 0
+    for k in range(kept.shape[0]):
+        kept[k] = 0
+    for k in range(multiplier.shape[0]):
+        multiplier[k] = 0.0
+
+
+@inner
+def answer(scale, low, high, A, count, unit, V, S, state, x, active, kept, multiplier):
+    """Write what was found in the caller's units; unit: of the second objective's multipliers."""
     n = x.shape[0]
     for i in range(n):
         active[i] = state[i]
@@ -203,13 +245,13 @@ def answer(scale, low, high, A, count, V, S, state, x, active, kept, multiplier)
             multiplier[i] = 0.0
         else:
             x[i] = high[i] if state[i] > 0 else low[i]
-            multiplier[i] = (V[ONE, i] if V[ONE, i] != 0.0 else V[TWO, i]) / scale[i]
+            multiplier[i] = (V[ONE, i] if V[ONE, i] != 0.0 else unit * V[TWO, i]) / scale[i]
     for k in range(multiplier.shape[0] - n):
         kept[k] = 0
         multiplier[n + k] = 0.0
         if k < count and state[V.shape[1] + k] != 0:
             kept[k] = 1
-            multiplier[n + k] = S[ROW_ONE, k] if S[ROW_ONE, k] != 0.0 else S[ROW_TWO, k]
+            multiplier[n + k] = S[ROW_ONE, k] if S[ROW_ONE, k] != 0.0 else unit * S[ROW_TWO, k]
             for i in range(n):
                 if active[i] == 0 and A[k, i] != 0.0:
                     active[i] = 2
@@ -218,14 +260,15 @@ def answer(scale, low, high, A, count, V, S, state, x, active, kept, multiplier)
 @spliced
 def constrain(
     J, weight, feedback, forward, want, scale, low, high, A, b, count, mode, cap, singular, damping, room,
-    x, active, kept, multiplier,
+    x, active, kept, multiplier, step=0.0,
 ):  # fmt: skip
     """Write to x (n,) the rate that does the task as well as possible, then is nearest to `want`; return status and clock rate.
 
     J (n, m), one joint a row; weight (m,) of what counts, 0 where it does not; feedback, forward (m,): the task rate asked is
     feedback + rate * forward. want (n,): the rate wanted at rate = cap. scale (n,): a speed for each joint, in which its motion
     and the singular values are measured. low <= high (n,); A[:count] x <= b[:count]. mode: LEAVE, SLOW, DIRECT. singular,
-    damping: the singular value below which a direction is damped, and the largest damping.
+    damping: the singular value below which a direction is damped, and the largest damping. step [s]: where the task cannot be
+    met, motion is damped by the residual in this time (see `ease`), so that the joints come to rest where it is least; 0: not.
 
     active (n,), kept (R + 1,) int8 carry what held on to the next step: -1 low, 1 high, 2 in a half-plane that holds. Status
     WANTED: x is `want`, bit for bit, which lies inside and does the task. MET: the task is done at the rate returned (SLOW: of
@@ -235,15 +278,15 @@ def constrain(
     closeness to `want`.
     """
     s = room.levels
-    return step(
-        J, weight, feedback, forward, want, scale, low, high, A, b, count, mode, cap, singular, damping,
+    return solve_step(
+        J, weight, feedback, forward, want, scale, low, high, A, b, count, mode, cap, singular, damping, step,
         x, active, kept, multiplier, s.P, s.W, s.L, s.U, s.V, s.S, s.state, s.order, room.task,
     )  # fmt: skip
 
 
 @inner
-def step(
-    J, weight, feedback, forward, want, scale, low, high, A, b, count, mode, cap, singular, damping,
+def solve_step(
+    J, weight, feedback, forward, want, scale, low, high, A, b, count, mode, cap, singular, damping, step,
     x, active, kept, multiplier, P, W, L, U, V, S, state, order, task,
 ):  # fmt: skip
     """Do what `constrain` says: one loop over the problems to solve, as each is large code."""
@@ -253,23 +296,17 @@ def step(
     far = outside(want, scale, low, high, A, b, count)
     miss, size = task_error(J, weight, feedback, forward, top, want)
     if far == 0.0 and miss <= SAME_TASK * SAME_TASK * size:
-        for i in range(n):
-            x[i] = want[i]
-            active[i] = 0
-        for k in range(last + 1):
-            kept[k] = 0
-        for k in range(multiplier.shape[0]):
-            multiplier[k] = 0.0
+        as_wanted(want, x, active, kept, multiplier)
         return WANTED, top
     cut = min(1.0, max(far / CUT_AT, math.sqrt(miss / size) if size > 0.0 else 0.0))
     for i in range(n):
         state[i] = active[i] if active[i] < 2 else 0
     for k in range(count):
-        state[n + 1 + k] = kept[k]
+        state[P.shape[1] + k] = kept[k]
     state[n] = 0
     stage = CLOCK if mode != LEAVE and kept[last] != 0 else FULL
     clock_tried, fresh, done = False, True, False
-    loose, unit, rate = 0.0, 0.0, top
+    loose, unit, rate, damped = 0.0, 0.0, top, 1.0
     r = 0
     while True:
         if fresh:
@@ -279,7 +316,12 @@ def step(
             )  # fmt: skip
             fresh = False
         N, rows = n, r
-        if stage == CLOCK:
+        if stage == EASED:
+            damped = ease(P, V, S, task, weight, scale, count, r, n, -1.0 if mode == DIRECT else rate, step)
+            for j in range(n, n + r):
+                state[j] = 0
+            N = n + r
+        elif stage == CLOCK:
             clock_tried = True
             unit = add_clock(P, V, S, task, count, r, n, top)
             N = n + 1 if unit > 0.0 else n
@@ -301,9 +343,9 @@ def step(
         if end == UNMET:
             stage = CLOCK
             continue
-        done = end == DONE and not unmet(S, count, r)
-        if end != DONE or mode == LEAVE or stage == ASIDE:
+        if end != DONE or stage == EASED:
             break
+        done = not unmet(S, count, r)
         if stage == CLOCK:
             rate = top - unit * V[Y, n] if N > n else top
             if rate >= top * (1.0 - FULL_CLOCK):
@@ -311,12 +353,12 @@ def step(
                 stage = FULL
                 continue
             rate = max(rate, 0.0)
-        elif done:
-            rate = top
+        if mode == DIRECT and stage != ASIDE and not (stage == FULL and done):
+            stage = ASIDE
+        elif step > 0.0 and not done:
+            stage = EASED
+        else:
             break
-        if mode == SLOW:
-            break
-        stage = ASIDE
     kept[last] = 1 if rate < top else 0
-    answer(scale, low, high, A, count, V, S, state, x, active, kept, multiplier)
+    answer(scale, low, high, A, count, damped, V, S, state, x, active, kept, multiplier)
     return INEXACT if end != DONE else RELAXED if loose > 0.0 else MET if done else SHORT, rate

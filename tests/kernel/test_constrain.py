@@ -13,12 +13,12 @@ pytestmark = pytest.mark.skipif(config.DISABLE_JIT, reason="thousands of steps: 
 
 @cached
 def kernel(
-    J, weight, feedback, forward, want, scale, low, high, A, b, count, mode, cap, singular, damping, x, active, kept, push
+    J, weight, feedback, forward, want, scale, low, high, A, b, count, mode, cap, singular, damping, x, active, kept, push, step
 ):  # fmt: skip
     room = make_room(J.shape[0], J.shape[1], A.shape[0])
     return constrain(
         J, weight, feedback, forward, want, scale, low, high, A, b, count, mode, cap, singular, damping, room,
-        x, active, kept, push,
+        x, active, kept, push, step,
     )  # fmt: skip
 
 
@@ -26,11 +26,11 @@ class Step:
     """A problem, and what holds from one solution to the next."""
 
     def __init__(
-        self, J, low, high, rows=None, mode=LEAVE, cap=1.0, singular=0.0, damping=0.0, weight=None, scale=None
+        self, J, low, high, rows=None, mode=LEAVE, cap=1.0, singular=0.0, damping=0.0, weight=None, scale=None, step=0.0
     ):
         n, m = J.shape
         self.J, self.low, self.high, self.mode, self.cap = J, low, high, mode, cap
-        self.singular, self.damping = singular, damping
+        self.singular, self.damping, self.step = singular, damping, step
         self.A, self.b = (np.empty((1, n)), np.empty(1)) if rows is None else rows
         self.count = 0 if rows is None else len(self.b)
         self.weight = np.ones(m) if weight is None else weight
@@ -41,7 +41,7 @@ class Step:
     def __call__(self, feedback, forward, want):
         self.status, self.rate = kernel(
             self.J, self.weight, feedback, forward, want, self.scale, self.low, self.high, self.A, self.b, self.count,
-            self.mode, self.cap, self.singular, self.damping, self.x, self.active, self.kept, self.push,
+            self.mode, self.cap, self.singular, self.damping, self.x, self.active, self.kept, self.push, self.step,
         )  # fmt: skip
         return self.x.copy()
 
@@ -275,3 +275,42 @@ def test_columns_that_do_not_count():
     one = Step(J, low, high, weight=weight)(0.1 * v, np.zeros(6), np.zeros(7))
     two = Step(np.ascontiguousarray(J[:, :3]), low, high)(0.1 * v[:3], np.zeros(3), np.zeros(7))
     np.testing.assert_allclose(one, two, atol=1e-12)
+
+
+def test_a_residual_damps_the_motion():
+    rng = np.random.default_rng(10)
+    for _ in range(100):
+        J, v, low, high = problem(rng, 7)
+        strict = Step(J, low, high)
+        strict(3.0 * v, np.zeros(6), np.zeros(7))
+        eased = Step(J, low, high, step=0.01)
+        x = eased(3.0 * v, np.zeros(6), np.zeros(7))
+        assert eased.status == strict.status
+        miss = 3.0 * v - J.T @ strict.x
+        U = np.linalg.svd(J.T)[0][:, : np.linalg.matrix_rank(J, 1e-9)]
+        square = 0.01 * np.linalg.norm(U.T @ miss) if strict.status == SHORT else 0.0
+        C, d = np.vstack([J.T, np.sqrt(square) * np.eye(7)]), np.append(3.0 * v, np.zeros(7))
+        best = lsq_linear(C, d, (low, high), method="bvls", tol=1e-15)
+        np.testing.assert_allclose(np.sum((C @ x - d) ** 2), 2.0 * best.cost, rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize("mode", [LEAVE, SLOW, DIRECT])
+def test_the_arm_comes_to_rest_at_the_edge_of_its_ranges(mode):
+    """Three links, joints at their limits, a target far out: the closest pose is reached, and then nothing moves."""
+    h, gain = 0.01, 20.0
+    lower, upper = np.array([-1.0, 0.3, -0.2]), np.array([1.0, 1.5, 2.0])
+    rng = np.random.default_rng(11)
+    for _ in range(10):
+        q, target = rng.uniform(lower, upper), rng.uniform(-4.0, 4.0, 2)
+        step, rates = Step(np.zeros((3, 2)), np.zeros(3), np.zeros(3), mode=mode, step=h), []
+        for _ in range(1500):
+            a = np.cumsum(q)
+            e = target - [np.cos(a).sum(), np.sin(a).sum()]
+            step.J[:] = planar(q)
+            step.low[:], step.high[:] = np.maximum(-2.0, (lower - q) / h), np.minimum(2.0, (upper - q) / h)
+            rates.append(step(gain * e, np.zeros(2), np.zeros(3)))
+            q = np.clip(q + h * rates[-1], lower, upper)
+        slope = planar(q) @ e
+        uphill = np.where(q <= lower, np.minimum(slope, 0.0), np.where(q >= upper, np.maximum(slope, 0.0), 0.0))
+        assert np.abs(np.array(rates[-100:])).max() < 1e-2
+        assert np.abs(slope - uphill).max() < 1e-2 * (1.0 + np.linalg.norm(e))
