@@ -50,6 +50,7 @@ class Plan:
         self.chain = (chain.rows, self._ends(), chain.seeds, chain.features)
         self.width = ANSWER + robot.n + (MISS * len(robot.tips) if robot.by_tip else 0)
         self.home = robot.home.reshape(1, -1).copy()
+        self._single = (1, self.width)
         self.silent = np.empty((0, 2 + robot.n))
         self._plain = not len(self.held)
         self.memo: dict[Any, Any] = {}  # of whoever keeps something with the plan
@@ -98,7 +99,7 @@ class Plan:
             if self._plain:
                 self._ready[kinds, given] = ready
         rows, ends, seeds, features, orders = ready
-        out = np.empty((1, self.width))
+        out = np.empty(self._single)
         self.kernel(rows, ends, seeds, features, T, start, out, orders, self.silent)
         return out[0]
 

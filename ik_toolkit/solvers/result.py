@@ -1,6 +1,7 @@
 """What a solve returns."""
 
 import html
+from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -51,6 +52,9 @@ class Outcome(NamedTuple):
 
     def _misses(self) -> np.ndarray:
         return self.row[ANSWER + self.plan.robot.n :].reshape(-1, MISS)
+
+
+make_outcome = partial(tuple.__new__, Outcome)  # of all its fields: a fifth of a microsecond less than Outcome(...)
 
 
 class Result:

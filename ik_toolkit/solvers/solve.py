@@ -20,7 +20,7 @@ from .closed_form import fits
 from .options import NAMES, Options, SolveOptions, make_options
 from .plan import Plan
 from .registry import GENERAL, find_row, make_rule
-from .result import Outcome, Result
+from .result import Result, make_outcome
 from .task import POSES, read_target
 
 FLOAT = np.dtype(np.float64)  # one object in a process, so `is` tells; other kinds of float take the long way
@@ -84,7 +84,7 @@ class Solver:
             T, kinds = target[None], self._kinds
         else:
             T, kinds, notice = read_target(self.robot, target)
-        plan = self._plans.get(kinds, self.plan)
+        plan = self._plans.get(kinds, self.plan) if self._plans else self.plan
         given = q0 is not None
         if not given:
             start = plan.home
@@ -101,7 +101,7 @@ class Solver:
                 start, note = plan.check_start(q0)
                 notice = notice or note
             row = plan.solve(T, kinds, start, given)
-        outcome = Outcome(plan, T, kinds, start, given, row, perf_counter() - started, notice)
+        outcome = make_outcome((plan, T, kinds, start, given, row, perf_counter() - started, notice, None, None, None))
         if plan.steps:
             for step in plan.steps:
                 outcome = step(outcome)

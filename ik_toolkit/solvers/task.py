@@ -161,11 +161,11 @@ def read_target(robot: Any, target: Any) -> tuple[np.ndarray, tuple, str]:
     the order of `robot.tips`. A kind is POSE, POSITION, (AXIS, axis), or FREE for a tip left out of a dict. Raises
     FrameNotFound (unknown tip) and InvalidTarget (which names the tip).
     """
-    tips = robot.tips
     several = robot.by_tip
-    if not (several or isinstance(target, Mapping)):
+    if not several and (isinstance(target, AxisTarget) or not isinstance(target, Mapping)):
         T, kind, notice = read_one(target)
         return T[None], (kind,), notice
+    tips = robot.tips
     made = [_read_tip(tip, one) for tip, one in zip(tips, _by_tip(robot, target), strict=True)]
     T = np.array([one[0] for one in made])
     kinds = tuple(one[1] for one in made)
