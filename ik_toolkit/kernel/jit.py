@@ -15,11 +15,11 @@ from numba.extending import overload, overload_method
 from .cache import make_cache
 
 try:
-    from .parts import PartPipeline
+    from .parts import PartPipeline, WholePipeline
 except ImportError:  # another numba: it compiles parts its own way, which takes longer
-    PARTS = {}
+    PARTS, WHOLE = {}, {}
 else:
-    PARTS = {"pipeline_class": PartPipeline}
+    PARTS, WHOLE = {"pipeline_class": PartPipeline}, {"pipeline_class": WholePipeline}
 
 # No nnan/ninf: a NaN has to fail every test instead of being assumed away.
 OPTIONS: dict[str, Any] = {"fastmath": {"nsz", "arcp", "contract", "afn", "reassoc"}, "error_model": "numpy"}
@@ -34,6 +34,7 @@ BARE: dict[str, Any] = dict(OPTIONS, no_cpython_wrapper=True, no_cfunc_wrapper=T
 inner = njit(**BARE, _nrt=False)  # one copy, called: for what is cold, or large and used at several places
 inline = njit(**INLINE)  # into every caller; also what takes or returns records, which are expensive to pass
 build = njit(**BUILD)
+whole = njit(**{**INLINE, **WHOLE})  # for nearly all of a kernel, which calls it once and is the one to optimise it
 spliced = njit(inline="always", _nrt=False, **BARE)  # for a large part called once: no second copy is optimised
 
 

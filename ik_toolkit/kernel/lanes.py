@@ -17,14 +17,15 @@ import numpy as np
 
 from .algebra import at, at3, diagonal, put, put3, rotation_at, rotation_left
 from .checks import CONVERGED
-from .jit import build, cached, compiled, inline, spliced
+from .jit import cached, compiled, spliced, whole
 from .kinematics import TAU, column, fk, rotation_angle
 from .limits import face, legal, middle
 from .problem import BEST_OF_ALL
 from .records import ANSWER, HEAD, TASK, WHAT, Answer, Array, Ends, Orders, copy, read, write
+from .scratch import cut, space
 from .search import ROUNDING, make_table
 from .seeds import BEST, rnd, sow
-from .serial import make_serial
+from .serial import serial_on
 from .task import POSITION
 from .vector import WIDTH, bits, choose, full
 
@@ -54,15 +55,24 @@ class Lanes(NamedTuple):
     state: Array  # (8, 1) of the random sequences
 
 
-@build
-def make_lanes(n):
+@spliced
+def make_lanes(block, n):
     """No target in any lane."""
     W = WIDTH
-    return Lanes(
-        np.zeros((n, W)), np.zeros((6 * n, W)), np.zeros((3 * n, W)), np.zeros((12, W)), np.full((1, W), np.inf),
-        np.ones((1, W)), np.zeros((1, W)), np.zeros((1, W)), np.empty((1, W)), np.empty((1, W)), np.full(W, -1, np.int64),
-        np.zeros(W, np.int64), np.empty((W, BEST), np.int64), np.empty((W, 1), np.uint64),
-    )  # fmt: skip
+    Q, joints, trig, goals, ceiling, decay, age, spent, pp, rr = cut(
+        block, np.float64, ((n, W), (6 * n, W), (3 * n, W), (12, W), (1, W), (1, W), (1, W), (1, W), (1, W), (1, W))
+    )
+    which, tries, starts = cut(block, np.int64, (W, W, (W, BEST)))
+    (state,) = cut(block, np.uint64, ((W, 1),))
+    s = Lanes(Q, joints, trig, goals, ceiling, decay, age, spent, pp, rr, which, tries, starts, state)
+    for lane in range(W):  # a lane without a target is computed like the others, so it needs numbers
+        for i in range(n):
+            Q[i, lane] = 0.0
+        for i in range(12):
+            goals[i, lane] = 0.0
+        ceiling[0, lane], decay[0, lane], age[0, lane], spent[0, lane] = np.inf, 1.0, 0.0, 0.0
+        which[lane], tries[lane] = -1, 0
+    return s
 
 
 @spliced
@@ -170,11 +180,18 @@ def hand_in(p, o, ends, s, lane, wanted, Q0, out):
         out[t, ANSWER + i] = q[i] * ends.unit(i)
 
 
-@inline
-def run(p, o, ends, table, s, wanted, damping, T, Q0, out):
-    """Until every target is done or left."""
+@whole
+def run(rows, chain, seeds, features, T, Q0, out, orders, block):
+    """Until every target is done or left: arguments as of `lanes`; counts no references."""
+    n = seeds.shape[1]
+    o, ends = read(Orders, orders), Ends(chain, n)
+    block[0] = 0.0
+    p = serial_on(block, rows, chain, orders[HEAD:], n, o)
+    table, s = make_table(block, seeds, features, 1), make_lanes(block, n)
+    (wanted,) = cut(block, np.float64, (n,))
+    damping = orders[HEAD + TASK + n]
     W, N = WIDTH, T.shape[0]
-    rows, tip = p.rows, at3(ends.flat, 21)
+    tip = at3(ends.flat, 21)
     turning = 0.0 if int(p.task[WHAT.kind]) == POSITION else 1.0
     attempts = min(int(o.attempts), ATTEMPTS)
     following, live, renew = 0, 0, ALL
@@ -228,10 +245,8 @@ def lanes() -> Callable:
     """
 
     def solve(rows, ends, seeds, features, T, Q0, out, orders):
-        n = seeds.shape[1]
-        o = read(Orders, orders)
-        p = make_serial(rows, ends, orders[HEAD:], n, o)
-        damping = orders[HEAD + TASK + n]
-        run(p, o, Ends(ends, n), make_table(seeds, features, 1), make_lanes(n), np.empty(n), damping, T, Q0, out)
+        L, N = rows.shape[0], seeds.shape[0]
+        lanes_take = WIDTH * (10 * L + 64)  # see make_lanes
+        run(rows, ends, seeds, features, T, Q0, out, orders, np.empty(space(seeds.shape[1], 6, L, N) + lanes_take))
 
     return cached(solve)

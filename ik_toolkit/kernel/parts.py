@@ -34,6 +34,16 @@ class PartLibrary(JITCodeLibrary):
         self._finalized = True
 
 
+class WholeLibrary(PartLibrary):
+    """Code of a part that is nearly all of what it is inlined into, and is optimised there."""
+
+    def _optimize_functions(self, ll_module: Any) -> None:
+        pass
+
+    def _optimize_final_module(self) -> None:
+        pass
+
+
 class Quick(Flags):
     """Options of a compilation, compared by those that were set.
 
@@ -62,6 +72,8 @@ UNNEEDED = {
 class PartPipeline(Compiler):
     """numba's pipeline into a PartLibrary."""
 
+    library = PartLibrary
+
     def define_pipelines(self) -> list:
         """numba's, without the passes that find nothing in a kernel."""
         (manager,) = super().define_pipelines()
@@ -72,7 +84,7 @@ class PartPipeline(Compiler):
     def compile_extra(self, func: Any) -> Any:
         """Compile a function; what would call it from Python is empty."""
         state = self.state
-        state.library = PartLibrary(state.targetctx.codegen(), func.__qualname__)
+        state.library = self.library(state.targetctx.codegen(), func.__qualname__)
         state.flags = Quick(state.flags)
         state.flags.no_compile = True  # pyright: ignore[reportAttributeAccessIssue]
         result = super().compile_extra(func)
@@ -82,3 +94,9 @@ class PartPipeline(Compiler):
         )  # fmt: skip
         state.targetctx.insert_user_function(entry, description, [library])
         return result._replace(entry_point=entry)
+
+
+class WholePipeline(PartPipeline):
+    """The same into a WholeLibrary."""
+
+    library = WholeLibrary

@@ -22,9 +22,10 @@ import numpy as np
 
 from .algebra import V3, at3, chord, put3
 from .checks import beyond, edge, rigid
-from .jit import build, compiled, inline
+from .jit import compiled, inline, spliced
 from .kinematics import aim, column, fk, own_coordinates, pose_error
 from .records import WHAT, Array
+from .scratch import cut
 from .task import FREE, PART, POSE, POSITION, count_column, shape
 
 GOAL = 15  # numbers of a goal: pose (12), and its point again where the search aims at the edge of the reach instead
@@ -52,13 +53,15 @@ class Desk(NamedTuple):
         return self.spent[0] + evaluations < self.spent[1]
 
 
-@build
-def make_desk(n, m):
-    """Scratch for n coordinates and m errors."""
-    return Desk(
-        np.empty(n), np.empty(n), np.empty(n), np.empty(n), np.empty(4 * n + 8), np.zeros((n, m)), np.empty((m, m)), np.empty(m),
-        np.empty(m), np.zeros(2), np.empty((3, m // 6, 2)),
-    )  # fmt: skip
+@spliced
+def make_desk(block, n, m):
+    """Scratch for n coordinates and m errors, cut from a block."""
+    s = Desk(*cut(block, np.float64, (n, n, n, n, 4 * n + 8, (n, m), (m, m), m, m, 2, (3, m // 6, 2))))
+    for i in range(n):
+        for k in range(m):
+            s.J[i, k] = 0.0
+    s.spent[0], s.spent[1] = 0.0, 0.0
+    return s
 
 
 @inline

@@ -12,7 +12,7 @@ import numpy as np
 from numba.extending import overload
 from numba.np.unsafe.ndarray import to_fixed_tuple
 
-from .jit import BUILD, compiled, inline
+from .jit import BUILD, INLINE, compiled, inline
 
 Array = np.ndarray
 
@@ -155,13 +155,21 @@ def read(cls: type, array: Array, start: int = 0) -> Any:
     return cls(*array[start : start + len(cls._fields)])  # type: ignore[attr-defined]
 
 
-@overload(read, jit_options=BUILD)
-def _read(cls, array, start=0):
+@overload(read, jit_options=INLINE)
+def _read_numbers(cls, array, start=0):
     make = cls.instance_class
+    if list(make.__annotations__.values()) == [Array]:
+        return None
     size = len(make._fields)
-    if list(make.__annotations__.values()) == [Array]:  # a rule of many numbers takes them as they are
-        return lambda cls, array, start=0: make(array[start:])
     return lambda cls, array, start=0: make(*to_fixed_tuple(array[start:], size))
+
+
+@overload(read, jit_options=BUILD)  # it returns an array, so it counts, and so has to what calls it
+def _read_array(cls, array, start=0):
+    make = cls.instance_class
+    if list(make.__annotations__.values()) != [Array]:
+        return None
+    return lambda cls, array, start=0: make(array[start:])  # a rule of many numbers takes them as they are
 
 
 @inline

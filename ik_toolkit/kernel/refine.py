@@ -8,11 +8,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .jit import build, cached, compiled, inline, spliced
+from .jit import cached, compiled, inline, spliced, whole
 from .limits import hold
 from .linalg import cholesky
 from .problem import BEST_OF_ALL
 from .records import ANSWER, AT, HEAD, TASK, Array, Ends, Orders, copy, read
+from .scratch import cut, space
 from .search import problem
 
 MID_RANGE, REFERENCE, MANIPULABILITY = 1, 2, 3
@@ -41,10 +42,10 @@ class Bounds(NamedTuple):
         return self.limits[2, i]
 
 
-@build
-def make_bounds(ends, what, limits):
+@spliced
+def make_bounds(block, ends, what, limits):
     """Bounds of a chain for an objective."""
-    box = Bounds(np.empty((3, ends.n)))
+    box = Bounds(*cut(block, np.float64, ((3, ends.n),)))
     for i in range(ends.n):
         free = ends.turns(i) > 1.5 or not limits
         box.limits[0, i] = -np.inf if free else ends.lower(i)
@@ -176,23 +177,19 @@ def secant(old, before, way, dq, gain):
     return min(max(ss / sy, 1e-3), 1e3) if sy > 1e-12 * ss else gain
 
 
-@cached
-def refine(rows, ends, T, row, ref, orders, what, steps):
-    """Improve the solution in `row` for the objective `what` without leaving the tolerances of the target.
-
-    rows, ends, T (1, ...), row and orders as of `search.entry`; ref (n,): where REFERENCE wants the joints. MID_RANGE and
-    REFERENCE lower half the squared distance, in ranges (an endless joint has no middle); MANIPULABILITY minus the log of the
-    manipulability. q and its errors are replaced when some step of at most `steps` was taken.
-    """
+@whole
+def improve(rows, ends, T, row, ref, orders, what, steps, block):
+    """`refine` with its scratch: counts no references."""
     n = ref.shape[0]
     o = read(Orders, orders)
     first = HEAD + TASK * (ends.size // ends.shape[-1])
-    p = problem(rows, ends, orders[HEAD:first], n, o)
+    block[0] = 0.0
+    p = problem(block, rows, ends, orders[HEAD:first], n, o)
     weights = orders[first : first + n]
     full = Ends(ends.reshape(-1), n)  # what belongs to the coordinates is the same for every tip, and stands first
-    box = make_bounds(full, what, o.limits > 0.0)
+    box = make_bounds(block, full, what, o.limits > 0.0)
     q, dq, w = p.desk.q, p.desk.dq, p.desk.w
-    old, z, before, way = np.empty(n), np.empty(n), np.zeros(n), np.zeros(n)
+    old, z, before, way = cut(block, np.float64, (n, n, n, n))
     p.aim(T[0], o)
     for i in range(n):
         q[i] = row[ANSWER + i] / full.unit(i)
@@ -235,3 +232,15 @@ def refine(rows, ends, T, row, ref, orders, what, steps):
         p.report(BEST_OF_ALL, row)
         for i in range(n):
             row[ANSWER + i] = old[i] * full.unit(i)
+
+
+@cached
+def refine(rows, ends, T, row, ref, orders, what, steps):
+    """Improve the solution in `row` for the objective `what` without leaving the tolerances of the target.
+
+    rows, ends, T (1, ...), row and orders as of `search.entry`; ref (n,): where REFERENCE wants the joints. MID_RANGE and
+    REFERENCE lower half the squared distance, in ranges (an endless joint has no middle); MANIPULABILITY minus the log of the
+    manipulability. q and its errors are replaced when some step of at most `steps` was taken.
+    """
+    n, tips = ref.shape[0], ends.size // ends.shape[-1]
+    improve(rows, ends, T, row, ref, orders, what, steps, np.empty(space(n, 6 * tips, rows.shape[0], 0)))

@@ -29,13 +29,14 @@ from .checks import (
     UNREACHABLE,
     standstill,
 )
-from .jit import BUILD, build, cached, compiled, inline, spliced
+from .jit import INLINE, cached, compiled, inline, spliced, whole
 from .limits import distance, face, held_back, hold, integrate, legal, neighbourhood, other_end
 from .problem import BEST_OF_ALL, NEAREST, NOW
-from .records import ANSWER, HEAD, TASK, Answer, Array, Ends, Orders, copy, read, write
+from .records import ANSWER, HEAD, ORDER, TASK, Answer, Array, Ends, Orders, copy, read, write
+from .scratch import cut, space
 from .seeds import BEST, sow
-from .serial import make_serial
-from .tree import make_tree
+from .serial import serial_on
+from .tree import tree_on
 
 SINGULAR_STEP, WAITING = -1, -2  # what step may return instead of 0: no step exists; a step of zero that is no stall
 GOING, STILL = -1, -2  # of an attempt that goes on, or stands still; the search says why
@@ -48,16 +49,16 @@ ROUNDING = 1e-9  # squared error below which no attempt is given up: what is lef
 OVERFLOW, FAR_OFF = 1e300, 1e6  # a squared error, and a coordinate, from which on no number can be trusted
 
 
-def problem(rows, ends, tasks, n, orders):
-    """Serial or Tree, by the shape of `ends`."""
-    return (make_serial if ends.ndim == 1 else make_tree)(rows, ends, tasks, n, orders)
+def problem(block, rows, ends, tasks, n, orders):
+    """Serial or Tree, by the shape of `ends`, with its scratch cut from a block."""
+    return (serial_on if ends.ndim == 1 else tree_on)(block, rows, ends, tasks, n, orders)
 
 
-@overload(problem, jit_options=BUILD)
-def _problem(rows, ends, tasks, n, orders):
+@overload(problem, jit_options=INLINE)
+def _problem(block, rows, ends, tasks, n, orders):
     if ends.ndim == 1:
-        return lambda rows, ends, tasks, n, orders: make_serial(rows, ends, tasks, n, orders)
-    return lambda rows, ends, tasks, n, orders: make_tree(rows, ends, tasks, n, orders)
+        return lambda block, rows, ends, tasks, n, orders: serial_on(block, rows, ends, tasks, n, orders)
+    return lambda block, rows, ends, tasks, n, orders: tree_on(block, rows, ends, tasks, n, orders)
 
 
 @compiled
@@ -74,13 +75,14 @@ class Table(NamedTuple):
     state: Array  # of the random sequence
 
 
-@build
-def make_table(seeds, features, tips):
-    """Table with its scratch."""
-    return Table(
-        seeds, features, np.empty(seeds.shape[0], np.float32), np.empty(BEST, np.float32), np.empty(BEST, np.int64),
-        np.empty((BEST, tips), np.int64), np.empty(BEST), np.empty(1, np.uint64),
-    )  # fmt: skip
+@inline
+def make_table(block, seeds, features, tips):
+    """Table with its scratch cut from a block."""
+    score, val = cut(block, np.float32, (seeds.shape[0], BEST))
+    best, choice = cut(block, np.int64, (BEST, (BEST, tips)))
+    (total,) = cut(block, np.float64, (BEST,))
+    (state,) = cut(block, np.uint64, (1,))
+    return Table(seeds, features, score, val, best, choice, total, state)
 
 
 @compiled
@@ -169,7 +171,7 @@ def make_attempt(rule, p, o, near, weights, most, c, rho, spent, least, best, ne
     return status, e, least, Spent(count, steps, noted)
 
 
-@inline
+@spliced
 def search(rule, p, o, near, ends, weights, table, best, found, start, needs_jacobian, excess, history):
     """Attempts until one converges (or `closest` have), then the answer in p.desk.q. Returns the head of its row.
 
@@ -273,6 +275,46 @@ def start_attempt(p, o, table, k, start):
     return most, c, rho
 
 
+@whole
+def run(rule, needs_jacobian, rows, ends, seeds, features, T, Q0, out, orders, history, block, near_ends):
+    """The search of a rule for all targets, arguments as of `entry`: counts no references, so everything it makes it cuts."""
+    n = seeds.shape[1]
+    o = read(Orders, orders)
+    tips = ends.size // ends.shape[-1]
+    first = HEAD + TASK * tips
+    weights = orders[first : first + n]
+    limits, following = o.limits > 0.0, o.follow > 0.0
+    block[0] = 0.0
+    p = problem(block, rows, near_ends, orders[HEAD:first], n, o)
+    # What belongs to the coordinates is the same for every tip, and stands first.
+    box, near = Ends(ends.reshape(-1), n), Ends(near_ends.reshape(-1), n)
+    table = make_table(block, seeds, features, tips)
+    best, found = cut(block, np.float64, (n, n))
+    start = p.desk.start
+    from_q0 = o.given > 0.0 or o.closest > 0.0
+    for t in range(T.shape[0]):
+        q0 = Q0[t if Q0.shape[0] > 1 else 0]
+        excess = p.aim(T[t], o)
+        if excess < 0.0:
+            out[t, 0] = BAD_TARGET
+            continue
+        if from_q0 and not legal(q0, box, limits):
+            out[t, 0] = BAD_START
+            continue
+        for i in range(n):
+            start[i] = q0[i] / box.unit(i) if from_q0 else box.home(i)
+        if following:
+            neighbourhood(q0, rows, o.follow, o.follow_slide, limits, box, near)
+        sow(table.state, o.seed)
+        answer, place = search(
+            rule, p, o, near, box, weights, table, best, found, start, needs_jacobian, excess, history
+        )
+        write(out[t], 0, answer)
+        for i in range(n):
+            out[t, ANSWER + i] = p.desk.q[i] * box.unit(i)
+        p.report(place, out[t])
+
+
 ENTRIES: dict[type, Callable] = {}
 
 
@@ -295,41 +337,11 @@ def entry(cls: type) -> Callable:
     needs_jacobian = getattr(step, "JACOBIAN", True)
 
     def solve(rows, ends, seeds, features, T, Q0, out, orders, history):
-        n = seeds.shape[1]
-        o = read(Orders, orders)
-        tips = ends.size // ends.shape[-1]
-        first = HEAD + TASK * tips
-        weights = orders[first : first + n]
-        rule = read(step, orders, first + n)
-        limits, following = o.limits > 0.0, o.follow > 0.0
-        near_ends = ends.copy() if following else ends
-        p = problem(rows, near_ends, orders[HEAD:first], n, o)
-        # What belongs to the coordinates is the same for every tip, and stands first.
-        box, near = Ends(ends.reshape(-1), n), Ends(near_ends.reshape(-1), n)
-        table = make_table(seeds, features, tips)
-        best, found, start = np.empty(n), np.empty(n), p.desk.start
-        from_q0 = o.given > 0.0 or o.closest > 0.0
-        for t in range(T.shape[0]):
-            q0 = Q0[t if Q0.shape[0] > 1 else 0]
-            excess = p.aim(T[t], o)
-            if excess < 0.0:
-                out[t, 0] = BAD_TARGET
-                continue
-            if from_q0 and not legal(q0, box, limits):
-                out[t, 0] = BAD_START
-                continue
-            for i in range(n):
-                start[i] = q0[i] / box.unit(i) if from_q0 else box.home(i)
-            if following:
-                neighbourhood(q0, rows, o.follow, o.follow_slide, limits, box, near)
-            sow(table.state, o.seed)
-            answer, place = search(
-                rule, p, o, near, box, weights, table, best, found, start, needs_jacobian, excess, history
-            )
-            write(out[t], 0, answer)
-            for i in range(n):
-                out[t, ANSWER + i] = p.desk.q[i] * box.unit(i)
-            p.report(place, out[t])
+        n, tips = seeds.shape[1], ends.size // ends.shape[-1]
+        rule = read(step, orders, HEAD + TASK * tips + n)
+        block = np.empty(space(n, 6 * tips, rows.shape[0], seeds.shape[0]))
+        near = ends.copy() if orders[ORDER.follow] > 0.0 else ends
+        run(rule, needs_jacobian, rows, ends, seeds, features, T, Q0, out, orders, history, block, near)
 
     ENTRIES[cls] = cached(solve, cls, step.step)
     return ENTRIES[cls]

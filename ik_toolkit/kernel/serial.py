@@ -6,11 +6,12 @@ from typing import NamedTuple
 import numpy as np
 
 from .algebra import V3, at3
-from .jit import build, compiled
+from .jit import build, compiled, spliced
 from .kinematics import column, own_coordinates, room
 from .linalg import damped, pseudo_inverse_step
 from .problem import GOAL, Desk, counted, errors_at, fill, from_target, make_desk, take, tip_at, tolerances
 from .records import TASK, WHAT, Array, Ends
+from .scratch import cut, space
 from .seeds import nearest, rnd
 from .task import KEPT, POSITION, angle_left, counts, vector_ratio
 
@@ -145,13 +146,22 @@ class Serial(NamedTuple):
         """Nothing beyond the head of the row."""
 
 
+@spliced
+def serial_on(block, rows, ends, tasks, n, orders):
+    """Serial with its scratch cut from a block."""
+    box = Ends(ends, n)
+    size, angles = room(rows.shape[0])
+    tp, tr = tolerances(orders, int(tasks[WHAT.kind]), box.scale())
+    goal, kept, joints, trig = cut(block, np.float64, (GOAL, KEPT, size, angles))
+    for i in range(angles):  # what pads it is read, too
+        trig[i] = 0.0
+    boxed = orders.limits > 0.0 or orders.follow > 0.0
+    return Serial(make_desk(block, n, 6), rows, box, tasks[:TASK], goal, kept, joints, trig, tp, tr, boxed)
+
+
 @build
 def make_serial(rows, ends, tasks, n, orders):
-    """Serial with its scratch."""
-    box = Ends(ends, n)
-    joints, angles = room(rows.shape[0])
-    tp, tr = tolerances(orders, int(tasks[WHAT.kind]), box.scale())
-    return Serial(
-        make_desk(n, 6), rows, box, tasks[:TASK], np.empty(GOAL), np.empty(KEPT), np.empty(joints), np.zeros(angles), tp, tr,
-        orders.limits > 0.0 or orders.follow > 0.0,
-    )  # fmt: skip
+    """The same with a block of its own, for what counts references."""
+    block = np.empty(space(n, 6, rows.shape[0], 0))
+    block[0] = 0.0
+    return serial_on(block, rows, ends, tasks, n, orders)

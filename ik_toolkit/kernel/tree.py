@@ -11,11 +11,12 @@ import numpy as np
 
 from .algebra import M3, V3, at3, put3, rotation_at
 from .checks import rigid
-from .jit import build, compiled, inline, inner
+from .jit import compiled, inline, inner, spliced
 from .kinematics import column, room
 from .linalg import damped_stack, pseudo_inverse_step
 from .problem import GOAL, Desk, add_column, errors_at, fill, from_target, make_desk, take, tip_at, tolerances
 from .records import MISS, TASK, WHAT, Array, Ends, Miss, Orders, copy, write
+from .scratch import cut
 from .seeds import BEST, nearest, rnd
 from .task import FREE, KEPT, POSE, POSITION, angle_left, count_goal_column, counts, vector_ratio
 
@@ -99,7 +100,7 @@ class Tree(NamedTuple):
     rows: Array
     ends: Array  # (F, ...)
     tasks: Array  # (F, TASK)
-    cut: Array  # (F + 1,) chain f in rows[cut[f] : cut[f + 1]]
+    first: Array  # (F + 1,) chain f in rows[first[f] : first[f + 1]]
     moves: Array  # (F, n) 1 where a coordinate moves what counts at a tip
     choosers: Array  # (2, n) the tip whose start a coordinate takes, -1: none, and how many tips it moves
     goals: Array  # (F, GOAL)
@@ -136,10 +137,10 @@ class Tree(NamedTuple):
 
     def place(self, f, q):
         """Find axes and tip of chain f at q."""
-        rows = self.rows[self.cut[f] : self.cut[f + 1]]
+        rows = self.rows[self.first[f] : self.first[f + 1]]
         angles = room(rows.shape[0])[1]
         axes, tip = tip_at(
-            rows, Ends(self.ends[f], self.desk.q.shape[0]), q, self.joints[6 * self.cut[f] :], self.trig[:angles]
+            rows, Ends(self.ends[f], self.desk.q.shape[0]), q, self.joints[6 * self.first[f] :], self.trig[:angles]
         )
         put_axes(self.poses[f], 0, axes)
         put3(self.poses[f], 9, tip)
@@ -169,13 +170,13 @@ class Tree(NamedTuple):
         return Looks(total, good)
 
     def jacobian(self, look):
-        cut, J = self.cut, self.desk.J
+        first, J = self.first, self.desk.J
         for f in range(self.tasks.shape[0]):
-            task, kept, joints = self.tasks[f], self.kept[f], self.joints[6 * cut[f] :]
-            fill(self.rows[cut[f] : cut[f + 1]], task, kept, joints, at3(self.poses[f], 9), J, 6 * f)
+            task, kept, joints = self.tasks[f], self.kept[f], self.joints[6 * first[f] :]
+            fill(self.rows[first[f] : first[f + 1]], task, kept, joints, at3(self.poses[f], 9), J, 6 * f)
             other = int(task[WHAT.other])
             if other >= 0:
-                rows, joints = self.rows[cut[other] : cut[other + 1]], self.joints[6 * cut[other] :]
+                rows, joints = self.rows[first[other] : first[other + 1]], self.joints[6 * first[other] :]
                 fill_goal(rows, task, kept, joints, self.poses[other], self.links[f], J, 6 * f)
 
     def damped(self, look, damping):
@@ -324,20 +325,24 @@ class Tree(NamedTuple):
             write(row, row.shape[0] - MISS * (self.tasks.shape[0] - f), Miss(p, r, excess))
 
 
-@build
-def make_moves(ends, tasks, n):
-    """`moves` and `choosers` of a Tree: joints that move a free tip alone move nothing that counts, and choose no start."""
+@inner
+def choose_moves(ends, tasks, n, asked, moves, choosers):
+    """Fill `moves` and `choosers` of a Tree: joints that move a free tip alone move nothing that counts, and choose no start.
+
+    asked (F,): scratch for whether a tip has a say; its target counts, or another's is relative to it.
+    """
     F = ends.shape[0]
     own = ends[:, ends.shape[1] - n :]
-    moves, choosers = np.zeros((F, n)), np.zeros((2, n))
-    asked = np.zeros(F)  # whether a tip has a say: its target counts, or another's is relative to it
+    for f in range(F):
+        asked[f] = 0.0
     for f in range(F):
         asked[f] = 1.0 if int(tasks[f, WHAT.kind]) != FREE else asked[f]
         if int(tasks[f, WHAT.other]) >= 0:
             asked[int(tasks[f, WHAT.other])] = 1.0
     for i in range(n):
-        choosers[0, i] = -1.0
+        choosers[0, i], choosers[1, i] = -1.0, 0.0
         for f in range(F):
+            moves[f, i] = 0.0
             other = int(tasks[f, WHAT.other])
             if int(tasks[f, WHAT.kind]) != FREE and (own[f, i] > 0.0 or (other >= 0 and own[other, i] > 0.0)):
                 moves[f, i] = 1.0
@@ -347,21 +352,30 @@ def make_moves(ends, tasks, n):
                     int(tasks[int(choosers[0, i]), WHAT.kind]) == FREE and int(tasks[f, WHAT.kind]) != FREE
                 ):
                     choosers[0, i] = f
-    return moves, choosers
 
 
-@build
-def make_tree(rows, ends, tasks, n, orders):
-    """Tree with its scratch; the ends of a tip end with the number of its rows and which coordinates move it (n)."""
+@spliced
+def tree_on(block, rows, ends, tasks, n, orders):
+    """Tree with its scratch cut from a block.
+
+    The ends of a tip end with the number of its rows and which coordinates move it (n).
+    """
     F = ends.shape[0]
-    cut = np.zeros(F + 1, np.int64)
-    for f in range(F):
-        cut[f + 1] = cut[f] + int(ends[f, ends.shape[1] - n - 1])
-    joints, angles = room(rows.shape[0])
+    size, angles = room(rows.shape[0])
     each = tasks[: TASK * F].reshape(F, TASK)
-    moves, choosers = make_moves(ends, each, n)
+    (first,) = cut(block, np.int64, (F + 1,))
+    moves, choosers, goals, links, kept, poses, joints, trig, tips, asked = cut(
+        block, np.float64, ((F, n), (2, n), (F, GOAL), (F, LINK), (F, KEPT), (F, GOAL), size, angles, (F, 2), F)
+    )
+    first[0] = 0
+    for f in range(F):
+        first[f + 1] = first[f] + int(ends[f, ends.shape[1] - n - 1])
+        tips[f, 0], tips[f, 1] = np.inf, np.inf
+    for i in range(angles):  # what pads it is read, too
+        trig[i] = 0.0
+    choose_moves(ends, each, n, asked, moves, choosers)
+    boxed = orders.limits > 0.0 or orders.follow > 0.0
     return Tree(
-        make_desk(n, 6 * F), rows, ends, each, cut, moves, choosers, np.empty((F, GOAL)), np.empty((F, LINK)),
-        np.empty((F, KEPT)), np.empty((F, GOAL)), np.empty(joints), np.zeros(angles), np.full((F, 2), np.inf), orders,
-        orders.limits > 0.0 or orders.follow > 0.0,
+        make_desk(block, n, 6 * F), rows, ends, each, first, moves, choosers, goals, links, kept, poses, joints, trig, tips,
+        orders, boxed,
     )  # fmt: skip
