@@ -22,12 +22,12 @@ from .kinematics import TAU, column, fk, rotation_angle
 from .limits import face, legal, middle
 from .problem import BEST_OF_ALL
 from .records import ANSWER, HEAD, TASK, WHAT, Answer, Array, Ends, Orders, copy, read, write
-from .scratch import cut, space
 from .search import ROUNDING, make_table
 from .seeds import BEST, rnd, sow
 from .serial import serial_on
 from .task import POSITION
 from .vector import WIDTH, bits, choose, full
+from .view import cut, space, view
 
 LEFT = -1  # status of a target left to the search
 HALF_TURN = 5e-4  # 1 + cos below which a attempt is given up: the axis cannot be told
@@ -182,7 +182,7 @@ def hand_in(p, o, ends, s, lane, wanted, Q0, out):
 
 @whole
 def run(rows, chain, seeds, features, T, Q0, out, orders, block):
-    """Until every target is done or left: arguments as of `lanes`; counts no references."""
+    """Until every target is done or left: arguments as of `lanes`, as views."""
     n = seeds.shape[1]
     o, ends = read(Orders, orders), Ends(chain, n)
     block[0] = 0.0
@@ -247,6 +247,9 @@ def lanes() -> Callable:
     def solve(rows, ends, seeds, features, T, Q0, out, orders):
         L, N = rows.shape[0], seeds.shape[0]
         lanes_take = WIDTH * (10 * L + 64)  # see make_lanes
-        run(rows, ends, seeds, features, T, Q0, out, orders, np.empty(space(seeds.shape[1], 6, L, N) + lanes_take))
+        block = np.empty(space(seeds.shape[1], 6, L, N) + lanes_take)
+        run(
+            view(rows), view(ends), view(seeds), view(features), view(T), view(Q0), view(out), view(orders), view(block)
+        )  # fmt: skip
 
     return cached(solve)

@@ -25,8 +25,8 @@ from .checks import beyond, edge, rigid
 from .jit import compiled, inline, spliced
 from .kinematics import aim, column, fk, own_coordinates, pose_error
 from .records import WHAT, Array
-from .scratch import cut
 from .task import FREE, PART, POSE, POSITION, count_column, shape
+from .view import cut
 
 GOAL = 15  # numbers of a goal: pose (12), and its point again where the search aims at the edge of the reach instead
 BEST_OF_ALL, NEAREST, NOW = 0, 1, 2  # places to keep errors: the least, those of the answer nearest q0, any others

@@ -10,9 +10,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numba.extending import overload
-from numba.np.unsafe.ndarray import to_fixed_tuple
 
 from .jit import BUILD, INLINE, compiled, inline
+from .view import View, numbers, put_numbers
 
 Array = np.ndarray
 
@@ -156,27 +156,30 @@ def read(cls: type, array: Array, start: int = 0) -> Any:
 
 
 @overload(read, jit_options=INLINE)
-def _read_numbers(cls, array, start=0):
+def _read(cls, array, start=0):
     make = cls.instance_class
     if list(make.__annotations__.values()) == [Array]:
-        return None
+        return (lambda cls, array, start=0: make(array[start:])) if isinstance(array, View) else None
     size = len(make._fields)
-    return lambda cls, array, start=0: make(*to_fixed_tuple(array[start:], size))
+    return lambda cls, array, start=0: make(*numbers(array, start, size))
 
 
-@overload(read, jit_options=BUILD)  # it returns an array, so it counts, and so has to what calls it
+@overload(read, jit_options=BUILD)  # it returns an array, so it counts references, as what calls it has to
 def _read_array(cls, array, start=0):
     make = cls.instance_class
-    if list(make.__annotations__.values()) != [Array]:
+    if list(make.__annotations__.values()) != [Array] or isinstance(array, View):
         return None
     return lambda cls, array, start=0: make(array[start:])  # a rule of many numbers takes them as they are
 
 
-@inline
 def write(array, start, record):
     """Write a record of numbers to array[start:]."""
-    for i in range(len(record)):
-        array[start + i] = record[i]
+    array[start : start + len(record)] = record
+
+
+@overload(write, jit_options=INLINE)
+def _write(array, start, record):
+    return lambda array, start, record: put_numbers(array, start, record)
 
 
 @inline

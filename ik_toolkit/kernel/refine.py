@@ -13,8 +13,8 @@ from .limits import hold
 from .linalg import cholesky
 from .problem import BEST_OF_ALL
 from .records import ANSWER, AT, HEAD, TASK, Array, Ends, Orders, copy, read
-from .scratch import cut, space
 from .search import problem
+from .view import cut, flat, space, view
 
 MID_RANGE, REFERENCE, MANIPULABILITY = 1, 2, 3
 COUNTED = 1e-18  # squared norm from which on a row of the Jacobian is one the joints can move
@@ -179,14 +179,14 @@ def secant(old, before, way, dq, gain):
 
 @whole
 def improve(rows, ends, T, row, ref, orders, what, steps, block):
-    """`refine` with its scratch: counts no references."""
+    """`refine` on views, with its scratch."""
     n = ref.shape[0]
     o = read(Orders, orders)
-    first = HEAD + TASK * (ends.size // ends.shape[-1])
+    first = HEAD + TASK * (flat(ends).shape[0] // ends.shape[-1])
     block[0] = 0.0
     p = problem(block, rows, ends, orders[HEAD:first], n, o)
     weights = orders[first : first + n]
-    full = Ends(ends.reshape(-1), n)  # what belongs to the coordinates is the same for every tip, and stands first
+    full = Ends(flat(ends), n)  # what belongs to the coordinates is the same for every tip, and stands first
     box = make_bounds(block, full, what, o.limits > 0.0)
     q, dq, w = p.desk.q, p.desk.dq, p.desk.w
     old, z, before, way = cut(block, np.float64, (n, n, n, n))
@@ -243,4 +243,5 @@ def refine(rows, ends, T, row, ref, orders, what, steps):
     manipulability. q and its errors are replaced when some step of at most `steps` was taken.
     """
     n, tips = ref.shape[0], ends.size // ends.shape[-1]
-    improve(rows, ends, T, row, ref, orders, what, steps, np.empty(space(n, 6 * tips, rows.shape[0], 0)))
+    block = np.empty(space(n, 6 * tips, rows.shape[0], 0))
+    improve(view(rows), view(ends), view(T), view(row), view(ref), view(orders), what, steps, view(block))

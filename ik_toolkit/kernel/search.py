@@ -33,10 +33,10 @@ from .jit import INLINE, cached, compiled, inline, spliced, whole
 from .limits import distance, face, held_back, hold, integrate, legal, neighbourhood, other_end
 from .problem import BEST_OF_ALL, NEAREST, NOW
 from .records import ANSWER, HEAD, ORDER, TASK, Answer, Array, Ends, Orders, copy, read, write
-from .scratch import cut, space
 from .seeds import BEST, sow
 from .serial import serial_on
 from .tree import tree_on
+from .view import cut, flat, space, view
 
 SINGULAR_STEP, WAITING = -1, -2  # what step may return instead of 0: no step exists; a step of zero that is no stall
 GOING, STILL = -1, -2  # of an attempt that goes on, or stands still; the search says why
@@ -276,18 +276,19 @@ def start_attempt(p, o, table, k, start):
 
 
 @whole
-def run(rule, needs_jacobian, rows, ends, seeds, features, T, Q0, out, orders, history, block, near_ends):
-    """The search of a rule for all targets, arguments as of `entry`: counts no references, so everything it makes it cuts."""
+def run(step, needs_jacobian, rows, ends, seeds, features, T, Q0, out, orders, history, block, near_ends):
+    """The search of a rule for all targets, on views: arguments as of `entry`, and what it may write."""
     n = seeds.shape[1]
     o = read(Orders, orders)
-    tips = ends.size // ends.shape[-1]
+    tips = flat(ends).shape[0] // ends.shape[-1]
     first = HEAD + TASK * tips
     weights = orders[first : first + n]
+    rule = read(step, orders, first + n)
     limits, following = o.limits > 0.0, o.follow > 0.0
     block[0] = 0.0
     p = problem(block, rows, near_ends, orders[HEAD:first], n, o)
     # What belongs to the coordinates is the same for every tip, and stands first.
-    box, near = Ends(ends.reshape(-1), n), Ends(near_ends.reshape(-1), n)
+    box, near = Ends(flat(ends), n), Ends(flat(near_ends), n)
     table = make_table(block, seeds, features, tips)
     best, found = cut(block, np.float64, (n, n))
     start = p.desk.start
@@ -338,10 +339,12 @@ def entry(cls: type) -> Callable:
 
     def solve(rows, ends, seeds, features, T, Q0, out, orders, history):
         n, tips = seeds.shape[1], ends.size // ends.shape[-1]
-        rule = read(step, orders, HEAD + TASK * tips + n)
         block = np.empty(space(n, 6 * tips, rows.shape[0], seeds.shape[0]))
         near = ends.copy() if orders[ORDER.follow] > 0.0 else ends
-        run(rule, needs_jacobian, rows, ends, seeds, features, T, Q0, out, orders, history, block, near)
+        run(
+            step, needs_jacobian, view(rows), view(ends), view(seeds), view(features), view(T), view(Q0), view(out),
+            view(orders), view(history), view(block), view(near),
+        )  # fmt: skip
 
     ENTRIES[cls] = cached(solve, cls, step.step)
     return ENTRIES[cls]

@@ -11,9 +11,9 @@ from .kinematics import column, own_coordinates, room
 from .linalg import damped, pseudo_inverse_step
 from .problem import GOAL, Desk, counted, errors_at, fill, from_target, make_desk, take, tip_at, tolerances
 from .records import TASK, WHAT, Array, Ends
-from .scratch import cut, space
 from .seeds import nearest, rnd
 from .task import KEPT, POSITION, angle_left, counts, vector_ratio
+from .view import cut, space
 
 
 @compiled

@@ -16,9 +16,9 @@ from .kinematics import column, room
 from .linalg import damped_stack, pseudo_inverse_step
 from .problem import GOAL, Desk, add_column, errors_at, fill, from_target, make_desk, take, tip_at, tolerances
 from .records import MISS, TASK, WHAT, Array, Ends, Miss, Orders, copy, write
-from .scratch import cut
 from .seeds import BEST, nearest, rnd
 from .task import FREE, KEPT, POSE, POSITION, angle_left, count_goal_column, counts, vector_ratio
+from .view import cut, fold
 
 ARRIVED = 1e-4  # squared error (lengths over reach) below which a tip is at its target, near enough to keep its joints
 
@@ -331,8 +331,7 @@ def choose_moves(ends, tasks, n, asked, moves, choosers):
 
     asked (F,): scratch for whether a tip has a say; its target counts, or another's is relative to it.
     """
-    F = ends.shape[0]
-    own = ends[:, ends.shape[1] - n :]
+    F, own = ends.shape[0], ends.shape[1] - n  # where the coordinates that move a tip are
     for f in range(F):
         asked[f] = 0.0
     for f in range(F):
@@ -344,9 +343,11 @@ def choose_moves(ends, tasks, n, asked, moves, choosers):
         for f in range(F):
             moves[f, i] = 0.0
             other = int(tasks[f, WHAT.other])
-            if int(tasks[f, WHAT.kind]) != FREE and (own[f, i] > 0.0 or (other >= 0 and own[other, i] > 0.0)):
+            if int(tasks[f, WHAT.kind]) != FREE and (
+                ends[f, own + i] > 0.0 or (other >= 0 and ends[other, own + i] > 0.0)
+            ):
                 moves[f, i] = 1.0
-            if asked[f] > 0.0 and own[f, i] > 0.0:
+            if asked[f] > 0.0 and ends[f, own + i] > 0.0:
                 choosers[1, i] += 1.0
                 if choosers[0, i] < 0.0 or (
                     int(tasks[int(choosers[0, i]), WHAT.kind]) == FREE and int(tasks[f, WHAT.kind]) != FREE
@@ -362,7 +363,7 @@ def tree_on(block, rows, ends, tasks, n, orders):
     """
     F = ends.shape[0]
     size, angles = room(rows.shape[0])
-    each = tasks[: TASK * F].reshape(F, TASK)
+    each = fold(tasks, F, TASK)
     (first,) = cut(block, np.int64, (F + 1,))
     moves, choosers, goals, links, kept, poses, joints, trig, tips, asked = cut(
         block, np.float64, ((F, n), (2, n), (F, GOAL), (F, LINK), (F, KEPT), (F, GOAL), size, angles, (F, 2), F)

@@ -18,6 +18,8 @@ from numba.core import cgutils
 from numba.core.typing.templates import AbstractTemplate, infer_global, signature
 from numba.extending import intrinsic, lower_builtin, models, overload, register_model
 
+from .view import parts_of
+
 WIDTH = (
     8  # two registers of AVX2, one of AVX-512: with four the chain of dependent operations is as long for half the work
 )
@@ -137,7 +139,7 @@ _function(abs, "llvm.fabs")
 
 
 def _pointer(context: Any, builder: Any, kind: Any, array: Any, start: Any) -> Any:
-    data = context.make_array(kind)(context, builder, array).data
+    data, _ = parts_of(context, builder, kind, array)
     return builder.bitcast(builder.gep(data, [start]), ir.PointerType(_DATA))
 
 
