@@ -3,7 +3,7 @@
 import math
 
 from .algebra import V3, at3, put3, rotation_at
-from .jit import inner, jit, spliced
+from .jit import inner, jit
 from .records import WHAT
 from .task import allowance
 
@@ -80,7 +80,7 @@ def rigid(T):
     return det > 0.0 and total < FAR and last < LAST_ROW
 
 
-@spliced
+@inner
 def standstill(p, look, near, boxed):
     """Why an attempt stands still, after p.jacobian: blocked by limits, singular (no joint sees the error), or stalled."""
     q, J = p.desk.q, p.desk.J

@@ -15,11 +15,11 @@ from numba.extending import overload, overload_method
 from .cache import make_cache
 
 try:
-    from .parts import PartPipeline, WholePipeline
+    from .parts import CalledPipeline, PartPipeline, WholePipeline
 except ImportError:  # another numba: it compiles parts its own way, which takes longer
-    PARTS, WHOLE = {}, {}
+    PARTS, CALLED, WHOLE = {}, {}, {}
 else:
-    PARTS, WHOLE = {"pipeline_class": PartPipeline}, {"pipeline_class": WholePipeline}
+    PARTS, CALLED, WHOLE = ({"pipeline_class": one} for one in (PartPipeline, CalledPipeline, WholePipeline))
 
 # No nnan/ninf: a NaN has to fail every test instead of being assumed away.
 OPTIONS: dict[str, Any] = {"fastmath": {"nsz", "arcp", "contract", "afn", "reassoc"}, "error_model": "numpy"}
@@ -31,7 +31,9 @@ jit = njit(**OPTIONS)  # may be called from Python, too; compiled into its calle
 BUILD: dict[str, Any] = dict(OPTIONS, no_cpython_wrapper=True, no_cfunc_wrapper=True, forceinline=True)
 INLINE: dict[str, Any] = dict(BUILD, _nrt=False, **PARTS)
 BARE: dict[str, Any] = dict(OPTIONS, no_cpython_wrapper=True, no_cfunc_wrapper=True, **PARTS)
-inner = njit(**BARE, _nrt=False)  # one copy, called: for what is cold, or large and used at several places
+inner = njit(
+    **{**BARE, **CALLED}, _nrt=False
+)  # one copy, called: for what is cold, or large and used at several places
 inline = njit(**INLINE)  # into every caller; also what takes or returns records, which are expensive to pass
 build = njit(**BUILD)
 whole = njit(**{**INLINE, **WHOLE})  # for nearly all of a kernel, which calls it once and is the one to optimise it

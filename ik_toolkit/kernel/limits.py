@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from .jit import inline, inner, spliced
+from .jit import inline, inner
 from .kinematics import TAU
 
 LARGEST = 1e9  # coordinates from which on a start is refused: an angle there has seven digits after the point
@@ -45,7 +45,7 @@ def neighbourhood(q0, rows, follow, slide, limits, ends, near):
         near.confine(i, low, a + width if free else min(a + width, ends.upper(i)))
 
 
-@spliced
+@inner
 def held_back(p, look, near, ends, limits):
     """Joint that the neighbourhood of the start (not a limit) keeps most from lowering the error, -1 when there is none."""
     q = p.desk.q

@@ -34,6 +34,16 @@ class PartLibrary(JITCodeLibrary):
         self._finalized = True
 
 
+class CalledLibrary(PartLibrary):
+    """The same of a part that stays one copy: LLVM would inline what is called at one place, however long and seldom."""
+
+    def _optimize_functions(self, ll_module: Any) -> None:
+        for function in ll_module.functions:
+            if not function.is_declaration:
+                function.add_function_attribute("noinline")
+        super()._optimize_functions(ll_module)
+
+
 class WholeLibrary(PartLibrary):
     """Code of a part that is nearly all of what it is inlined into, and is optimised there."""
 
@@ -94,6 +104,12 @@ class PartPipeline(Compiler):
         )  # fmt: skip
         state.targetctx.insert_user_function(entry, description, [library])
         return result._replace(entry_point=entry)
+
+
+class CalledPipeline(PartPipeline):
+    """The same into a CalledLibrary."""
+
+    library = CalledLibrary
 
 
 class WholePipeline(PartPipeline):

@@ -29,7 +29,7 @@ from .checks import (
     UNREACHABLE,
     standstill,
 )
-from .jit import INLINE, cached, compiled, inline, spliced, whole
+from .jit import INLINE, cached, compiled, inline, inner, whole
 from .limits import distance, face, held_back, hold, integrate, legal, neighbourhood, other_end
 from .problem import BEST_OF_ALL, NEAREST, NOW
 from .records import ANSWER, HEAD, ORDER, TASK, Answer, Array, Ends, Orders, copy, read, write
@@ -108,7 +108,7 @@ def verdict(e, k, most, count, c, o):
     return GOING
 
 
-@spliced
+@inner
 def note(p, e, ends, history, row):
     """Write a row of history: position error, rotation error, q."""
     p.keep(e, NOW)
@@ -117,7 +117,7 @@ def note(p, e, ends, history, row):
         history[row, 2 + i] = p.desk.q[i] * ends.unit(i)
 
 
-@spliced
+@whole
 def make_attempt(rule, p, o, near, weights, most, c, rho, spent, least, best, needs_jacobian, history):
     """One attempt from p.desk.q; best (n,) and p keep the q of the least error and its errors.
 
@@ -171,7 +171,7 @@ def make_attempt(rule, p, o, near, weights, most, c, rho, spent, least, best, ne
     return status, e, least, Spent(count, steps, noted)
 
 
-@spliced
+@whole
 def search(rule, p, o, near, ends, weights, table, best, found, start, needs_jacobian, excess, history):
     """Attempts until one converges (or `closest` have), then the answer in p.desk.q. Returns the head of its row.
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from .jit import inline, jit
+from .jit import inline, inner, jit
 
 SEEDS = 256  # table size: larger tables cost more to scan than they save in iterations
 BEST = 8  # restarts taken from the table before random ones
@@ -28,7 +28,7 @@ def sow(state, seed):
     state[0] = np.uint64(88172645463325252) ^ product(np.uint64(seed), np.uint64(0x9E3779B97F4A7C15))
 
 
-@inline
+@inner
 def nearest(feat, goal, wp, wr, score, val, best):
     """Fill `best` (BEST,) with the nearest seed of each interleaved group, nearest first.
 

@@ -114,26 +114,7 @@ class Tree(NamedTuple):
     boxed: bool
 
     def aim(self, T, orders):
-        worst = 0.0
-        for f in range(self.tasks.shape[0]):
-            other = int(self.tasks[f, WHAT.other])
-            if other >= 0:  # it moves, so nothing is proven about it
-                if not rigid(T[f]):
-                    return -1.0
-                link_to(
-                    T[f],
-                    Ends(self.ends[f], self.desk.q.shape[0]),
-                    Ends(self.ends[other], self.desk.q.shape[0]),
-                    self.links[f],
-                )
-                excess = 0.0
-            else:
-                excess = take(T[f], Ends(self.ends[f], self.desk.q.shape[0]), self.tasks[f], self.goals[f], orders)
-            if excess < 0.0:
-                return -1.0
-            self.tips[f, 0] = excess
-            worst = max(worst, excess)
-        return worst
+        return aim_tips(self, T, orders)
 
     def place(self, f, q):
         """Find axes and tip of chain f at q."""
@@ -238,64 +219,16 @@ class Tree(NamedTuple):
         self.try_out(self.desk.q)
 
     def rank(self, table):
-        """Best row of each tip in each interleaved group of rows, the groups in order of the sum of their scores.
-
-        A target relative to another tip is looked for where that tip's own target has it, or where that tip starts.
-        """
-        F = self.tasks.shape[0]
-        for f in range(F):
-            if int(self.tasks[f, WHAT.kind]) == FREE and int(self.tasks[f, WHAT.other]) < 0:
-                self.place(f, self.desk.start)
-                copy(self.poses[f], self.goals[f])
-        for _ in range(F):  # a chain of them is no longer than that
-            for f in range(F):
-                other = int(self.tasks[f, WHAT.other])
-                if other >= 0:
-                    copy(self.goals[other], self.poses[other])
-                    carry(self.poses[other], self.links[f], self.goals[f])
-        for g in range(BEST):
-            table.total[g] = 0.0
-        for f in range(F):
-            wp, wr = counts(self.tasks[f])
-            nearest(table.features[f], self.goals[f], wp, wr, table.score, table.val, table.best)
-            for k in range(BEST):
-                g = table.best[k] % BEST
-                table.choice[g, f] = table.best[k]
-                table.total[g] += table.val[k]
-        for k in range(BEST):  # table.best: the groups, best first
-            first = 0
-            for g in range(BEST):
-                if table.total[g] < table.total[first]:
-                    first = g
-            table.best[k] = first
-            table.total[first] = np.inf
+        rank_groups(self, table)
 
     def begin(self, table, k, q):
-        """Each coordinate as its tip chose it; one without a target of its tip's stays where the search starts."""
-        for i in range(q.shape[0]):
-            f = int(self.choosers[0, i])
-            if f < 0 or int(self.tasks[f, WHAT.kind]) == FREE:
-                q[i] = self.desk.start[i]
-            else:
-                q[i] = table.seeds[table.choice[table.best[k], f], i]
+        begin_by_tips(self, table, k, q)
 
     def arrived(self, f):
         return int(self.tasks[f, WHAT.kind]) != FREE and self.tips[f, 1] < ARRIVED
 
     def draw(self, table, k, q):
-        """Mostly keep the tips that arrived and the shared joints: by chance all at once seldom start well."""
-        some = False
-        for f in range(self.tasks.shape[0]):
-            some = some or self.arrived(f)
-        some = some and k % 4 > 0  # every fourth start is all new
-        ends = Ends(self.ends[0], self.desk.q.shape[0])
-        for i in range(q.shape[0]):
-            a = ends.low(i) + ends.span(i) * rnd(table.state)
-            f = int(self.choosers[0, i])
-            if f < 0:
-                q[i] = self.desk.start[i]
-            elif not (some and (self.choosers[1, i] > 1.0 or self.arrived(f))):
-                q[i] = a
+        draw_some(self, table, k, q)
 
     def keep(self, look, place):
         e, errors = self.desk.e, self.desk.errors
@@ -311,18 +244,118 @@ class Tree(NamedTuple):
         return position, angle_left(int(self.tasks[f, WHAT.kind]), errors[place, f, 1])
 
     def left(self, place):
-        position, rotation = 0.0, 0.0
-        for f in range(self.tasks.shape[0]):
-            p, r = self.left_at(place, f)
-            position, rotation = max(position, p), max(rotation, r)
-        return position, rotation
+        return left_of_all(self, place)
 
     def report(self, place, row):
-        """Append what is left at each tip."""
-        for f in range(self.tasks.shape[0]):
-            p, r = self.left_at(place, f)
-            excess = self.tips[f, 0] * Ends(self.ends[f], self.desk.q.shape[0]).scale()
-            write(row, row.shape[0] - MISS * (self.tasks.shape[0] - f), Miss(p, r, excess))
+        report_tips(self, place, row)
+
+
+# -------------------------------------------------------------------- what a search does once a target or attempt, one copy each
+@inner
+def aim_tips(p, T, orders):
+    """Take a target of each tip."""
+    worst = 0.0
+    for f in range(p.tasks.shape[0]):
+        other = int(p.tasks[f, WHAT.other])
+        if other >= 0:  # it moves, so nothing is proven about it
+            if not rigid(T[f]):
+                return -1.0
+            link_to(
+                T[f],
+                Ends(p.ends[f], p.desk.q.shape[0]),
+                Ends(p.ends[other], p.desk.q.shape[0]),
+                p.links[f],
+            )
+            excess = 0.0
+        else:
+            excess = take(T[f], Ends(p.ends[f], p.desk.q.shape[0]), p.tasks[f], p.goals[f], orders)
+        if excess < 0.0:
+            return -1.0
+        p.tips[f, 0] = excess
+        worst = max(worst, excess)
+    return worst
+
+
+@inner
+def rank_groups(p, table):
+    """Best row of each tip in each interleaved group of rows, the groups in order of the sum of their scores.
+
+    A target relative to another tip is looked for where that tip's own target has it, or where that tip starts.
+    """
+    F = p.tasks.shape[0]
+    for f in range(F):
+        if int(p.tasks[f, WHAT.kind]) == FREE and int(p.tasks[f, WHAT.other]) < 0:
+            p.place(f, p.desk.start)
+            copy(p.poses[f], p.goals[f])
+    for _ in range(F):  # a chain of them is no longer than that
+        for f in range(F):
+            other = int(p.tasks[f, WHAT.other])
+            if other >= 0:
+                copy(p.goals[other], p.poses[other])
+                carry(p.poses[other], p.links[f], p.goals[f])
+    for g in range(BEST):
+        table.total[g] = 0.0
+    for f in range(F):
+        wp, wr = counts(p.tasks[f])
+        nearest(table.features[f], p.goals[f], wp, wr, table.score, table.val, table.best)
+        for k in range(BEST):
+            g = table.best[k] % BEST
+            table.choice[g, f] = table.best[k]
+            table.total[g] += table.val[k]
+    for k in range(BEST):  # table.best: the groups, best first
+        first = 0
+        for g in range(BEST):
+            if table.total[g] < table.total[first]:
+                first = g
+        table.best[k] = first
+        table.total[first] = np.inf
+
+
+@inner
+def begin_by_tips(p, table, k, q):
+    """Each coordinate as its tip chose it; one without a target of its tip's stays where the search starts."""
+    for i in range(q.shape[0]):
+        f = int(p.choosers[0, i])
+        if f < 0 or int(p.tasks[f, WHAT.kind]) == FREE:
+            q[i] = p.desk.start[i]
+        else:
+            q[i] = table.seeds[table.choice[table.best[k], f], i]
+
+
+@inner
+def draw_some(p, table, k, q):
+    """Mostly keep the tips that arrived and the shared joints: by chance all at once seldom start well."""
+    some = False
+    for f in range(p.tasks.shape[0]):
+        some = some or p.arrived(f)
+    some = some and k % 4 > 0  # every fourth start is all new
+    ends = Ends(p.ends[0], p.desk.q.shape[0])
+    for i in range(q.shape[0]):
+        a = ends.low(i) + ends.span(i) * rnd(table.state)
+        f = int(p.choosers[0, i])
+        if f < 0:
+            q[i] = p.desk.start[i]
+        elif not (some and (p.choosers[1, i] > 1.0 or p.arrived(f))):
+            q[i] = a
+
+
+@inner
+def left_of_all(p, place):
+    """Largest errors kept at a place."""
+    position, rotation = 0.0, 0.0
+    for f in range(p.tasks.shape[0]):
+        linear, angle = p.left_at(place, f)
+        position, rotation = max(position, linear), max(rotation, angle)
+    return position, rotation
+
+
+@inner
+def report_tips(p, place, row):
+    """Append what is left at each tip."""
+    for f in range(p.tasks.shape[0]):
+        position, rotation = p.left_at(place, f)
+        excess = p.tips[f, 0] * Ends(p.ends[f], p.desk.q.shape[0]).scale()
+        write(row, row.shape[0] - MISS * (p.tasks.shape[0] - f), Miss(position, rotation, excess))
 
 
 @inner
