@@ -3,7 +3,7 @@
 import math
 
 from .algebra import V3, at3, put3, rotation_at
-from .jit import inner, jit
+from .jit import cached, inner
 from .records import WHAT
 from .task import allowance
 
@@ -63,7 +63,7 @@ def edge(goal, ends, excess):
     put3(goal, 9, centre + out * (1.0 - excess / d if d > 0.5 * ends.bound(0) else 1.0 + excess / max(d, 1e-300)))
 
 
-@jit
+@inner
 def rigid(T):
     """Whether T (4, 4) is finite, its rotation orthonormal to 1e-6 and right-handed, its last row 0 0 0 1 (NaN fails)."""
     total = 0.0
@@ -78,6 +78,12 @@ def rigid(T):
     det = T[0, 0] * (T[1, 1] * T[2, 2] - T[1, 2] * T[2, 1]) - T[0, 1] * (T[1, 0] * T[2, 2] - T[1, 2] * T[2, 0])
     det += T[0, 2] * (T[1, 0] * T[2, 1] - T[1, 1] * T[2, 0])
     return det > 0.0 and total < FAR and last < LAST_ROW
+
+
+@cached
+def is_rigid(T):
+    """`rigid` for calls from Python."""
+    return rigid(T)
 
 
 @inner

@@ -30,14 +30,13 @@ jit = njit(**OPTIONS)  # may be called from Python, too; compiled into its calle
 # What makes arrays is compiled by plain numba: as a part, its references are counted in full, 5 microseconds a call.
 BUILD: dict[str, Any] = dict(OPTIONS, no_cpython_wrapper=True, no_cfunc_wrapper=True, forceinline=True)
 INLINE: dict[str, Any] = dict(BUILD, _nrt=False, **PARTS)
-BARE: dict[str, Any] = dict(OPTIONS, no_cpython_wrapper=True, no_cfunc_wrapper=True, **PARTS)
-inner = njit(
-    **{**BARE, **CALLED}, _nrt=False
-)  # one copy, called: for what is cold, or large and used at several places
+# numba hands the wish to be inlined on to all that is called, unless it is refused.
+BARE: dict[str, Any] = dict(INLINE, forceinline=False)
+inner = njit(**{**BARE, **CALLED})  # one copy, called: for what is cold, or large and used at several places
 inline = njit(**INLINE)  # into every caller; also what takes or returns records, which are expensive to pass
 build = njit(**BUILD)
 whole = njit(**{**INLINE, **WHOLE})  # for nearly all of a kernel, which calls it once and is the one to optimise it
-spliced = njit(inline="always", _nrt=False, **BARE)  # for a large part called once: no second copy is optimised
+spliced = njit(inline="always", **BARE)  # for a large part called once: no second copy is optimised
 
 
 # ------------------------------------------------------------------------------------------------- classes in the kernel

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import InvalidOption
-from ..kernel.checks import rigid
+from ..kernel.checks import is_rigid
 from ..kernel.records import WEIGHTS
 from ..kernel.task import POSITION
 from .avoid import collision_model
@@ -57,7 +57,7 @@ def find_all(solver: Any, target: Any, q0: Any, starts: int, count: int) -> Any:
 def _read(robot: Any, target: Any) -> tuple[np.ndarray, Any, str]:
     """Any target -> (1, ...), kinds and notice; a plain pose that is one costs next to nothing."""
     if type(target) is np.ndarray and target.dtype == np.float64 and target.shape == (4, 4) and target.flags.carray:
-        if not robot.by_tip and rigid(target):
+        if not robot.by_tip and is_rigid(target):
             return target[None], POSES, ""
     return read_target(robot, target)
 

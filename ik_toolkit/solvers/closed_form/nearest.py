@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from ...kernel.checks import BAD_START, BAD_TARGET, rigid
+from ...kernel.checks import BAD_START, BAD_TARGET, is_rigid
 from ...kernel.jit import cached
 from ...kernel.kinematics import room
 from ...kernel.limits import LIGHTEST
@@ -27,7 +27,7 @@ def nearest_of(form: Any, robot: Any) -> Callable:
         lower, upper = (robot.lower, robot.upper) if opt[ORDER.limits] else (-free, free)
         for t in range(len(T)):
             q0 = Q0[t if len(Q0) > 1 else 0]
-            if not rigid(T[t]):
+            if not is_rigid(T[t]):
                 out[t, AT.status] = BAD_TARGET
                 continue
             near = q0 if opt[ORDER.given] else robot.home
