@@ -15,11 +15,11 @@ from numba.extending import overload, overload_method
 from .cache import make_cache
 
 try:
-    from .parts import CalledPipeline, PartPipeline, WholePipeline
+    from .parts import CalledPipeline, PartPipeline
 except ImportError:  # another numba: it compiles parts its own way, which takes longer
-    PARTS, CALLED, WHOLE = {}, {}, {}
+    PARTS, CALLED = {}, {}
 else:
-    PARTS, CALLED, WHOLE = ({"pipeline_class": one} for one in (PartPipeline, CalledPipeline, WholePipeline))
+    PARTS, CALLED = {"pipeline_class": PartPipeline}, {"pipeline_class": CalledPipeline}
 
 # No nnan/ninf: a NaN has to fail every test instead of being assumed away.
 OPTIONS: dict[str, Any] = {"fastmath": {"nsz", "arcp", "contract", "afn", "reassoc"}, "error_model": "numpy"}
@@ -35,7 +35,6 @@ BARE: dict[str, Any] = dict(INLINE, forceinline=False)
 inner = njit(**{**BARE, **CALLED})  # one copy, called: for what is cold, or large and used at several places
 inline = njit(**INLINE)  # into every caller; also what takes or returns records, which are expensive to pass
 build = njit(**BUILD)
-whole = njit(**{**INLINE, **WHOLE})  # for nearly all of a kernel, which calls it once and is the one to optimise it
 spliced = njit(inline="always", **BARE)  # for a large part called once: no second copy is optimised
 
 

@@ -17,7 +17,7 @@ import numpy as np
 
 from .algebra import at, at3, diagonal, put, put3, rotation_at, rotation_left
 from .checks import CONVERGED
-from .jit import cached, compiled, spliced, whole
+from .jit import cached, compiled, inline, spliced
 from .kinematics import TAU, column, fk, rotation_angle
 from .limits import face, legal, middle
 from .problem import BEST_OF_ALL
@@ -180,7 +180,7 @@ def hand_in(p, o, ends, s, lane, wanted, Q0, out):
         out[t, ANSWER + i] = q[i] * ends.unit(i)
 
 
-@whole
+@inline
 def run(rows, chain, seeds, features, T, Q0, out, orders, block):
     """Until every target is done or left: arguments as of `lanes`, as views."""
     n = seeds.shape[1]

@@ -8,7 +8,7 @@ from numba.core.codegen import CPUCodegen, JITCodeLibrary
 from numba.core.compiler import Compiler, Flags
 
 # What is used of numba beyond its documentation; where it is missing or takes other arguments, jit.py does without this module.
-USED = ("_optimize_functions", "_finalize_final_module")
+USED = ("_optimize_functions", "_optimize_final_module", "_finalize_final_module")
 KNOWN = "no_compile" in Flags.options and all(hasattr(JITCodeLibrary, name) for name in USED)
 _, *asked = inspect.signature(CPUCodegen._function_pass_manager).parameters.values()
 if not KNOWN or any(one.kind == one.POSITIONAL_OR_KEYWORD and one.default is one.empty for one in asked):  # numba 0.61
@@ -16,10 +16,9 @@ if not KNOWN or any(one.kind == one.POSITIONAL_OR_KEYWORD and one.default is one
 
 
 class PartLibrary(JITCodeLibrary):
-    """Code of a part and of what it calls, optimised, but no machine code of it.
+    """Code of a part, simplified, but no machine code of it, and none of what it calls is optimised once more.
 
-    It is optimised before it is inlined: inlined first and optimised once, all takes a second less to compile, and dls runs
-    a quarter slower.
+    All of a kernel is optimised once, when everything is in it. To simplify each function before is worth it: it is short then.
     """
 
     def _optimize_functions(self, ll_module: Any) -> None:
@@ -29,6 +28,9 @@ class PartLibrary(JITCodeLibrary):
         for function in ll_module.functions:
             if not function.is_declaration:
                 passes.run(function, builder)
+
+    def _optimize_final_module(self) -> None:
+        pass
 
     def _finalize_final_module(self) -> None:
         self._finalized = True
@@ -42,16 +44,6 @@ class CalledLibrary(PartLibrary):
             if not function.is_declaration:
                 function.add_function_attribute("noinline")
         super()._optimize_functions(ll_module)
-
-
-class WholeLibrary(PartLibrary):
-    """Code of a part that is nearly all of what it is inlined into, and is optimised there."""
-
-    def _optimize_functions(self, ll_module: Any) -> None:
-        pass
-
-    def _optimize_final_module(self) -> None:
-        pass
 
 
 class Quick(Flags):
@@ -110,9 +102,3 @@ class CalledPipeline(PartPipeline):
     """The same into a CalledLibrary."""
 
     library = CalledLibrary
-
-
-class WholePipeline(PartPipeline):
-    """The same into a WholeLibrary."""
-
-    library = WholeLibrary

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .jit import cached, compiled, inline, spliced, whole
+from .jit import cached, compiled, inline, spliced
 from .limits import hold
 from .linalg import cholesky
 from .problem import BEST_OF_ALL
@@ -177,7 +177,7 @@ def secant(old, before, way, dq, gain):
     return min(max(ss / sy, 1e-3), 1e3) if sy > 1e-12 * ss else gain
 
 
-@whole
+@inline
 def improve(rows, ends, T, row, ref, orders, what, steps, block):
     """`refine` on views, with its scratch."""
     n = ref.shape[0]

@@ -29,7 +29,7 @@ from .checks import (
     UNREACHABLE,
     standstill,
 )
-from .jit import INLINE, cached, compiled, inline, inner, whole
+from .jit import INLINE, cached, compiled, inline, inner
 from .limits import distance, face, held_back, hold, integrate, legal, neighbourhood, other_end
 from .problem import BEST_OF_ALL, NEAREST, NOW
 from .records import ANSWER, HEAD, ORDER, TASK, Answer, Array, Ends, Orders, copy, read, write
@@ -117,7 +117,7 @@ def note(p, e, ends, history, row):
         history[row, 2 + i] = p.desk.q[i] * ends.unit(i)
 
 
-@whole
+@inline
 def make_attempt(rule, p, o, near, weights, most, c, rho, spent, least, best, needs_jacobian, history):
     """One attempt from p.desk.q; best (n,) and p keep the q of the least error and its errors.
 
@@ -171,7 +171,7 @@ def make_attempt(rule, p, o, near, weights, most, c, rho, spent, least, best, ne
     return status, e, least, Spent(count, steps, noted)
 
 
-@whole
+@inline
 def search(rule, p, o, near, ends, weights, table, best, found, start, needs_jacobian, excess, history):
     """Attempts until one converges (or `closest` have), then the answer in p.desk.q. Returns the head of its row.
 
@@ -275,7 +275,7 @@ def start_attempt(p, o, table, k, start):
     return most, c, rho
 
 
-@whole
+@inline
 def run(step, needs_jacobian, rows, ends, seeds, features, T, Q0, out, orders, history, block, near_ends):
     """The search of a rule for all targets, on views: arguments as of `entry`, and what it may write."""
     n = seeds.shape[1]
