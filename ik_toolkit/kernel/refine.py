@@ -13,7 +13,7 @@ from .limits import hold
 from .linalg import cholesky
 from .problem import BEST_OF_ALL
 from .records import ANSWER, AT, HEAD, TASK, Array, Ends, Orders, copy, read
-from .search import problem
+from .search import problem_on
 from .view import cut, flat, space, view
 
 MID_RANGE, REFERENCE, MANIPULABILITY = 1, 2, 3
@@ -184,7 +184,7 @@ def improve(rows, ends, T, row, ref, orders, what, steps, block):
     o = read(Orders, orders)
     first = HEAD + TASK * (flat(ends).shape[0] // ends.shape[-1])
     block[0] = 0.0
-    p = problem(block, rows, ends, orders[HEAD:first], n, o)
+    p = problem_on(block, rows, ends, orders[HEAD:first], n, o)
     weights = orders[first : first + n]
     full = Ends(flat(ends), n)  # what belongs to the coordinates is the same for every tip, and stands first
     box = make_bounds(block, full, what, o.limits > 0.0)

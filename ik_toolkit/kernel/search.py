@@ -29,13 +29,13 @@ from .checks import (
     UNREACHABLE,
     standstill,
 )
-from .jit import INLINE, cached, compiled, inline, inner
+from .jit import BUILD, INLINE, cached, compiled, inline, inner
 from .limits import distance, face, held_back, hold, integrate, legal, neighbourhood, other_end
 from .problem import BEST_OF_ALL, NEAREST, NOW
 from .records import ANSWER, HEAD, ORDER, TASK, Answer, Array, Ends, Orders, copy, read, write
 from .seeds import BEST, sow
-from .serial import serial_on
-from .tree import tree_on
+from .serial import make_serial, serial_on
+from .tree import make_tree, tree_on
 from .view import cut, flat, space, view
 
 SINGULAR_STEP, WAITING = -1, -2  # what step may return instead of 0: no step exists; a step of zero that is no stall
@@ -49,16 +49,28 @@ ROUNDING = 1e-9  # squared error below which no attempt is given up: what is lef
 OVERFLOW, FAR_OFF = 1e300, 1e6  # a squared error, and a coordinate, from which on no number can be trusted
 
 
-def problem(block, rows, ends, tasks, n, orders):
+def problem_on(block, rows, ends, tasks, n, orders):
     """Serial or Tree, by the shape of `ends`, with its scratch cut from a block."""
     return (serial_on if ends.ndim == 1 else tree_on)(block, rows, ends, tasks, n, orders)
 
 
-@overload(problem, jit_options=INLINE)
-def _problem(block, rows, ends, tasks, n, orders):
+@overload(problem_on, jit_options=INLINE)
+def _problem_on(block, rows, ends, tasks, n, orders):
     if ends.ndim == 1:
         return lambda block, rows, ends, tasks, n, orders: serial_on(block, rows, ends, tasks, n, orders)
     return lambda block, rows, ends, tasks, n, orders: tree_on(block, rows, ends, tasks, n, orders)
+
+
+def problem(rows, ends, tasks, n, orders):
+    """The same with a block of its own, for what runs on arrays and counts references."""
+    return (make_serial if ends.ndim == 1 else make_tree)(rows, ends, tasks, n, orders)
+
+
+@overload(problem, jit_options=BUILD)
+def _problem(rows, ends, tasks, n, orders):
+    if ends.ndim == 1:
+        return lambda rows, ends, tasks, n, orders: make_serial(rows, ends, tasks, n, orders)
+    return lambda rows, ends, tasks, n, orders: make_tree(rows, ends, tasks, n, orders)
 
 
 @compiled
@@ -286,7 +298,7 @@ def run(step, needs_jacobian, rows, ends, seeds, features, T, Q0, out, orders, h
     rule = read(step, orders, first + n)
     limits, following = o.limits > 0.0, o.follow > 0.0
     block[0] = 0.0
-    p = problem(block, rows, near_ends, orders[HEAD:first], n, o)
+    p = problem_on(block, rows, near_ends, orders[HEAD:first], n, o)
     # What belongs to the coordinates is the same for every tip, and stands first.
     box, near = Ends(flat(ends), n), Ends(flat(near_ends), n)
     table = make_table(block, seeds, features, tips)

@@ -9,79 +9,19 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .algebra import M3, V3, at3, put3, rotation_at
+from .algebra import at3, put3, rotation_at
 from .checks import rigid
-from .jit import compiled, inline, inner, spliced
-from .kinematics import column, room
+from .jit import build, compiled, inner, spliced
+from .kinematics import room
 from .linalg import damped_stack, pseudo_inverse_step
-from .problem import GOAL, Desk, add_column, errors_at, fill, from_target, make_desk, take, tip_at, tolerances
-from .records import MISS, TASK, WHAT, Array, Ends, Miss, Orders, copy, write
-from .seeds import BEST, nearest, rnd
-from .task import FREE, KEPT, POSE, POSITION, angle_left, count_goal_column, counts, vector_ratio
-from .view import cut, fold
+from .problem import GOAL, Desk, errors_at, fill, from_target, make_desk, take, tip_at, tolerances
+from .records import MISS, TASK, WHAT, Array, Ends, Miss, Orders, write
+from .relative import LINK, carry, fill_goal, link_to, put_axes
+from .task import FREE, KEPT, angle_left, vector_ratio
+from .tree_starts import begin_by_tips, choose_moves, draw_some, rank_groups
+from .view import cut, fold, space
 
 ARRIVED = 1e-4  # squared error (lengths over reach) below which a tip is at its target, near enough to keep its joints
-
-
-# Of a target given relative to another tip, by place: what brings that tip's axes to the target's (9), the target's point in
-# that tip's axes (3), and the pose of that chain's first joint in this chain's (12).
-TURN, POINT, FRAME, LINK = 0, 9, 12, 24
-
-
-@inline
-def put_axes(A, i, m):
-    """Write a matrix to nine places, by rows."""
-    put3(A, i, V3(m.x.x, m.y.x, m.z.x))
-    put3(A, i + 3, V3(m.x.y, m.y.y, m.z.y))
-    put3(A, i + 6, V3(m.x.z, m.y.z, m.z.z))
-
-
-@inline
-def product(a, b):
-    """a b."""
-    return M3(a.times(b.x), a.times(b.y), a.times(b.z))
-
-
-@inline
-def transposed(m):
-    """The transpose of a matrix."""
-    return M3(V3(m.x.x, m.y.x, m.z.x), V3(m.x.y, m.y.y, m.z.y), V3(m.x.z, m.y.z, m.z.z))
-
-
-@inner
-def link_to(T, ends, other, link):
-    """Read a target T (4, 4) [m] in the frame of another tip: link (LINK,). ends, other: of the two chains."""
-    tool = rotation_at(other.flat, 12)
-    turn = M3(V3(T[0, 0], T[1, 0], T[2, 0]), V3(T[0, 1], T[1, 1], T[2, 1]), V3(T[0, 2], T[1, 2], T[2, 2]))
-    put_axes(link, TURN, product(tool, product(turn, transposed(rotation_at(ends.flat, 12)))))
-    put3(link, POINT, tool.times(V3(T[0, 3], T[1, 3], T[2, 3]) * (1.0 / ends.scale())))
-    base = transposed(rotation_at(ends.flat, 0))
-    put_axes(link, FRAME, product(base, rotation_at(other.flat, 0)))
-    put3(link, FRAME + 9, base.times(at3(other.flat, 9) - at3(ends.flat, 9)))
-
-
-@inner
-def carry(pose, link, goal):
-    """Write where the target is, to goal (GOAL,), when the other tip is at a pose: axes of its last joint (9), its point."""
-    frame, axes = rotation_at(link, FRAME), rotation_at(pose, 0)
-    put_axes(goal, 0, product(frame, product(axes, rotation_at(link, TURN))))
-    put3(goal, 9, frame.times(at3(pose, 9) + axes.times(at3(link, POINT))) + at3(link, FRAME + 9))
-    put3(goal, 12, at3(goal, 9))
-
-
-@inner
-def fill_goal(rows, task, kept, joints, pose, link, J, first):
-    """Subtract how the target of a tip moves with the other tip, whose rows, joints and pose these are."""
-    point = at3(pose, 9) + rotation_at(pose, 0).times(at3(link, POINT))
-    frame, kind = rotation_at(link, FRAME), int(task[WHAT.kind])
-    for i in range(rows.shape[0]):
-        u, v = column(rows, joints, i, point)
-        u, v = frame.times(u), frame.times(v)
-        if kind == POSITION:
-            v = v * 0.0
-        elif kind != POSE:
-            u, v = count_goal_column(kept, u, v)
-        add_column(J, int(rows[i, 8]), first, -(rows[i, 4] + rows[i, 6]), u, v)
 
 
 @compiled
@@ -100,7 +40,7 @@ class Tree(NamedTuple):
     rows: Array
     ends: Array  # (F, ...)
     tasks: Array  # (F, TASK)
-    first: Array  # (F + 1,) chain f in rows[first[f] : first[f + 1]]
+    cut: Array  # (F + 1,) chain f in rows[cut[f] : cut[f + 1]]
     moves: Array  # (F, n) 1 where a coordinate moves what counts at a tip
     choosers: Array  # (2, n) the tip whose start a coordinate takes, -1: none, and how many tips it moves
     goals: Array  # (F, GOAL)
@@ -118,10 +58,10 @@ class Tree(NamedTuple):
 
     def place(self, f, q):
         """Find axes and tip of chain f at q."""
-        rows = self.rows[self.first[f] : self.first[f + 1]]
+        rows = self.rows[self.cut[f] : self.cut[f + 1]]
         angles = room(rows.shape[0])[1]
         axes, tip = tip_at(
-            rows, Ends(self.ends[f], self.desk.q.shape[0]), q, self.joints[6 * self.first[f] :], self.trig[:angles]
+            rows, Ends(self.ends[f], self.desk.q.shape[0]), q, self.joints[6 * self.cut[f] :], self.trig[:angles]
         )
         put_axes(self.poses[f], 0, axes)
         put3(self.poses[f], 9, tip)
@@ -151,13 +91,13 @@ class Tree(NamedTuple):
         return Looks(total, good)
 
     def jacobian(self, look):
-        first, J = self.first, self.desk.J
+        cut, J = self.cut, self.desk.J
         for f in range(self.tasks.shape[0]):
-            task, kept, joints = self.tasks[f], self.kept[f], self.joints[6 * first[f] :]
-            fill(self.rows[first[f] : first[f + 1]], task, kept, joints, at3(self.poses[f], 9), J, 6 * f)
+            task, kept, joints = self.tasks[f], self.kept[f], self.joints[6 * cut[f] :]
+            fill(self.rows[cut[f] : cut[f + 1]], task, kept, joints, at3(self.poses[f], 9), J, 6 * f)
             other = int(task[WHAT.other])
             if other >= 0:
-                rows, joints = self.rows[first[other] : first[other + 1]], self.joints[6 * first[other] :]
+                rows, joints = self.rows[cut[other] : cut[other + 1]], self.joints[6 * cut[other] :]
                 fill_goal(rows, task, kept, joints, self.poses[other], self.links[f], J, 6 * f)
 
     def damped(self, look, damping):
@@ -251,6 +191,9 @@ class Tree(NamedTuple):
 
 
 # -------------------------------------------------------------------- what a search does once a target or attempt, one copy each
+
+
+# ------------------------------------------------------------------------------------ once a target: one copy each, called
 @inner
 def aim_tips(p, T, orders):
     """Take a target of each tip."""
@@ -277,69 +220,6 @@ def aim_tips(p, T, orders):
 
 
 @inner
-def rank_groups(p, table):
-    """Best row of each tip in each interleaved group of rows, the groups in order of the sum of their scores.
-
-    A target relative to another tip is looked for where that tip's own target has it, or where that tip starts.
-    """
-    F = p.tasks.shape[0]
-    for f in range(F):
-        if int(p.tasks[f, WHAT.kind]) == FREE and int(p.tasks[f, WHAT.other]) < 0:
-            p.place(f, p.desk.start)
-            copy(p.poses[f], p.goals[f])
-    for _ in range(F):  # a chain of them is no longer than that
-        for f in range(F):
-            other = int(p.tasks[f, WHAT.other])
-            if other >= 0:
-                copy(p.goals[other], p.poses[other])
-                carry(p.poses[other], p.links[f], p.goals[f])
-    for g in range(BEST):
-        table.total[g] = 0.0
-    for f in range(F):
-        wp, wr = counts(p.tasks[f])
-        nearest(table.features[f], p.goals[f], wp, wr, table.score, table.val, table.best)
-        for k in range(BEST):
-            g = table.best[k] % BEST
-            table.choice[g, f] = table.best[k]
-            table.total[g] += table.val[k]
-    for k in range(BEST):  # table.best: the groups, best first
-        first = 0
-        for g in range(BEST):
-            if table.total[g] < table.total[first]:
-                first = g
-        table.best[k] = first
-        table.total[first] = np.inf
-
-
-@inner
-def begin_by_tips(p, table, k, q):
-    """Each coordinate as its tip chose it; one without a target of its tip's stays where the search starts."""
-    for i in range(q.shape[0]):
-        f = int(p.choosers[0, i])
-        if f < 0 or int(p.tasks[f, WHAT.kind]) == FREE:
-            q[i] = p.desk.start[i]
-        else:
-            q[i] = table.seeds[table.choice[table.best[k], f], i]
-
-
-@inner
-def draw_some(p, table, k, q):
-    """Mostly keep the tips that arrived and the shared joints: by chance all at once seldom start well."""
-    some = False
-    for f in range(p.tasks.shape[0]):
-        some = some or p.arrived(f)
-    some = some and k % 4 > 0  # every fourth start is all new
-    ends = Ends(p.ends[0], p.desk.q.shape[0])
-    for i in range(q.shape[0]):
-        a = ends.low(i) + ends.span(i) * rnd(table.state)
-        f = int(p.choosers[0, i])
-        if f < 0:
-            q[i] = p.desk.start[i]
-        elif not (some and (p.choosers[1, i] > 1.0 or p.arrived(f))):
-            q[i] = a
-
-
-@inner
 def left_of_all(p, place):
     """Largest errors kept at a place."""
     position, rotation = 0.0, 0.0
@@ -356,36 +236,6 @@ def report_tips(p, place, row):
         position, rotation = p.left_at(place, f)
         excess = p.tips[f, 0] * Ends(p.ends[f], p.desk.q.shape[0]).scale()
         write(row, row.shape[0] - MISS * (p.tasks.shape[0] - f), Miss(position, rotation, excess))
-
-
-@inner
-def choose_moves(ends, tasks, n, asked, moves, choosers):
-    """Fill `moves` and `choosers` of a Tree: joints that move a free tip alone move nothing that counts, and choose no start.
-
-    asked (F,): scratch for whether a tip has a say; its target counts, or another's is relative to it.
-    """
-    F, own = ends.shape[0], ends.shape[1] - n  # where the coordinates that move a tip are
-    for f in range(F):
-        asked[f] = 0.0
-    for f in range(F):
-        asked[f] = 1.0 if int(tasks[f, WHAT.kind]) != FREE else asked[f]
-        if int(tasks[f, WHAT.other]) >= 0:
-            asked[int(tasks[f, WHAT.other])] = 1.0
-    for i in range(n):
-        choosers[0, i], choosers[1, i] = -1.0, 0.0
-        for f in range(F):
-            moves[f, i] = 0.0
-            other = int(tasks[f, WHAT.other])
-            if int(tasks[f, WHAT.kind]) != FREE and (
-                ends[f, own + i] > 0.0 or (other >= 0 and ends[other, own + i] > 0.0)
-            ):
-                moves[f, i] = 1.0
-            if asked[f] > 0.0 and ends[f, own + i] > 0.0:
-                choosers[1, i] += 1.0
-                if choosers[0, i] < 0.0 or (
-                    int(tasks[int(choosers[0, i]), WHAT.kind]) == FREE and int(tasks[f, WHAT.kind]) != FREE
-                ):
-                    choosers[0, i] = f
 
 
 @spliced
@@ -413,3 +263,11 @@ def tree_on(block, rows, ends, tasks, n, orders):
         make_desk(block, n, 6 * F), rows, ends, each, first, moves, choosers, goals, links, kept, poses, joints, trig, tips,
         orders, boxed,
     )  # fmt: skip
+
+
+@build
+def make_tree(rows, ends, tasks, n, orders):
+    """The same with a block of its own, for what runs on arrays and counts references."""
+    block = np.empty(space(n, 6 * ends.shape[0], rows.shape[0], 0))
+    block[0] = 0.0
+    return tree_on(block, rows, ends, tasks, n, orders)

@@ -1,0 +1,68 @@
+"""A target given relative to another tip: where it is, and how it moves with that tip."""
+
+from .algebra import M3, V3, at3, put3, rotation_at
+from .jit import inline, inner
+from .kinematics import column
+from .problem import add_column
+from .records import WHAT
+from .task import POSE, POSITION, count_goal_column
+
+# Of a target given relative to another tip, by place: what brings that tip's axes to the target's (9), the target's point in
+# that tip's axes (3), and the pose of that chain's first joint in this chain's (12).
+TURN, POINT, FRAME, LINK = 0, 9, 12, 24
+
+
+@inline
+def put_axes(A, i, m):
+    """Write a matrix to nine places, by rows."""
+    put3(A, i, V3(m.x.x, m.y.x, m.z.x))
+    put3(A, i + 3, V3(m.x.y, m.y.y, m.z.y))
+    put3(A, i + 6, V3(m.x.z, m.y.z, m.z.z))
+
+
+@inline
+def product(a, b):
+    """a b."""
+    return M3(a.times(b.x), a.times(b.y), a.times(b.z))
+
+
+@inline
+def transposed(m):
+    """The transpose of a matrix."""
+    return M3(V3(m.x.x, m.y.x, m.z.x), V3(m.x.y, m.y.y, m.z.y), V3(m.x.z, m.y.z, m.z.z))
+
+
+@inner
+def link_to(T, ends, other, link):
+    """Read a target T (4, 4) [m] in the frame of another tip: link (LINK,). ends, other: of the two chains."""
+    tool = rotation_at(other.flat, 12)
+    turn = M3(V3(T[0, 0], T[1, 0], T[2, 0]), V3(T[0, 1], T[1, 1], T[2, 1]), V3(T[0, 2], T[1, 2], T[2, 2]))
+    put_axes(link, TURN, product(tool, product(turn, transposed(rotation_at(ends.flat, 12)))))
+    put3(link, POINT, tool.times(V3(T[0, 3], T[1, 3], T[2, 3]) * (1.0 / ends.scale())))
+    base = transposed(rotation_at(ends.flat, 0))
+    put_axes(link, FRAME, product(base, rotation_at(other.flat, 0)))
+    put3(link, FRAME + 9, base.times(at3(other.flat, 9) - at3(ends.flat, 9)))
+
+
+@inner
+def carry(pose, link, goal):
+    """Write where the target is, to goal (GOAL,), when the other tip is at a pose: axes of its last joint (9), its point."""
+    frame, axes = rotation_at(link, FRAME), rotation_at(pose, 0)
+    put_axes(goal, 0, product(frame, product(axes, rotation_at(link, TURN))))
+    put3(goal, 9, frame.times(at3(pose, 9) + axes.times(at3(link, POINT))) + at3(link, FRAME + 9))
+    put3(goal, 12, at3(goal, 9))
+
+
+@inner
+def fill_goal(rows, task, kept, joints, pose, link, J, first):
+    """Subtract how the target of a tip moves with the other tip, whose rows, joints and pose these are."""
+    point = at3(pose, 9) + rotation_at(pose, 0).times(at3(link, POINT))
+    frame, kind = rotation_at(link, FRAME), int(task[WHAT.kind])
+    for i in range(rows.shape[0]):
+        u, v = column(rows, joints, i, point)
+        u, v = frame.times(u), frame.times(v)
+        if kind == POSITION:
+            v = v * 0.0
+        elif kind != POSE:
+            u, v = count_goal_column(kept, u, v)
+        add_column(J, int(rows[i, 8]), first, -(rows[i, 4] + rows[i, 6]), u, v)
