@@ -23,7 +23,7 @@ from numba.core.typing.templates import AbstractTemplate, AttributeTemplate, inf
 from numba.extending import intrinsic, lower_builtin, lower_getattr, models, overload, register_model
 from numba.np.arrayobj import populate_array
 
-from .jit import INLINE, inline
+from .jit import BUILD, INLINE, inline
 
 LINE = 8  # an array begins at a multiple of so many numbers of eight bytes: a cache line, and the widest register
 WORD = ir.IntType(64)
@@ -235,8 +235,13 @@ def cut(block, kind, shapes):
 
 
 @overload(cut, jit_options=INLINE)
-def _cut(block, kind, shapes):
-    return lambda block, kind, shapes: _pieces(block, kind, shapes)
+def _cut_views(block, kind, shapes):
+    return (lambda block, kind, shapes: _pieces(block, kind, shapes)) if isinstance(block, View) else None
+
+
+@overload(cut, jit_options=BUILD)  # arrays that share the block: their references are counted
+def _cut_arrays(block, kind, shapes):
+    return None if isinstance(block, View) else lambda block, kind, shapes: _pieces(block, kind, shapes)
 
 
 @intrinsic
