@@ -43,9 +43,9 @@ class Bounds(NamedTuple):
 
 
 @spliced
-def make_bounds(block, ends, what, limits):
-    """Bounds of a chain for an objective."""
-    box = Bounds(*cut(block, np.float64, ((3, ends.n),)))
+def make_bounds(places, ends, what, limits):
+    """Bounds of a chain for an objective, written to `places` (3, n)."""
+    box = Bounds(places)
     for i in range(ends.n):
         free = ends.turns(i) > 1.5 or not limits
         box.limits[0, i] = -np.inf if free else ends.lower(i)
@@ -187,7 +187,8 @@ def improve(rows, ends, T, row, ref, orders, what, steps, block):
     p = problem_on(block, rows, ends, orders[HEAD:first], n, o)
     weights = orders[first : first + n]
     full = Ends(flat(ends), n)  # what belongs to the coordinates is the same for every tip, and stands first
-    box = make_bounds(block, full, what, o.limits > 0.0)
+    (places,) = cut(block, np.float64, ((3, n),))
+    box = make_bounds(places, full, what, o.limits > 0.0)
     q, dq, w = p.desk.q, p.desk.dq, p.desk.w
     old, z, before, way = cut(block, np.float64, (n, n, n, n))
     p.aim(T[0], o)

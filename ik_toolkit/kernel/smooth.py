@@ -193,7 +193,7 @@ def smooth(rows, ends, T, Q, fixed, orders, first, second, rounding, longest, st
     p = problem(rows, ends, orders[HEAD:begin], n, o)
     weights = orders[begin : begin + n]
     full = Ends(ends.reshape(-1), n)
-    box = make_bounds(full, REFERENCE, o.limits > 0.0)
+    box = make_bounds(np.empty((3, n)), full, REFERENCE, o.limits > 0.0)
     now, trial, step = np.empty((N, n)), np.empty((N, n)), np.empty(n)
     radius = 0.0
     for i in range(n):
