@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .jit import build, compiled, inner
+from .jit import build, compiled, inline, inner
 from .records import Array
 
 Y, WANT, LOW, HIGH, ONE, TWO, NEXT_ONE, NEXT_TWO = range(8)  # rows of V
@@ -43,7 +43,7 @@ def make_levels(N, K):
     )  # fmt: skip
 
 
-@inner
+@inline
 def dot(A, i, B, j, n):
     """Product of row i of A and row j of B, over their first n places."""
     s = 0.0
@@ -52,7 +52,7 @@ def dot(A, i, B, j, n):
     return s
 
 
-@inner
+@inline
 def take_out(W, L, order, row, j, N):
     """Subtract from row `row` of W its part along basis vector j, and add that to L."""
     base = order[j]

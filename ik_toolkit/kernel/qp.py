@@ -13,7 +13,7 @@ import math
 
 import numpy as np
 
-from .jit import inner
+from .jit import inline, inner
 from .levels import (
     AFTER_ONE,
     AFTER_TWO,
@@ -42,7 +42,7 @@ SAME_TASK = 1e-9  # share of the task by which it may be missed and still count 
 PER = 10  # iterations allowed for each unknown and half-plane
 
 
-@inner
+@inline
 def wrong(one, two, side):
     """How wrong the sign of a multiplier is: a pair compared as one number with an infinitesimal; 0: right."""
     if one * side != 0.0:
@@ -166,7 +166,7 @@ def keep(V, S, N, count):
         S[ROW_TWO, k] = S[AFTER_TWO, k]
 
 
-@inner
+@inline
 def share(one, two, next_one, next_two, side):
     """How far a multiplier can go from (one, two) to (next_one, next_two) before its sign turns: t + dt eps; t > 1: all the way."""
     if wrong(next_one, next_two, side) == 0.0:

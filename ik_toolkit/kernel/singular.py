@@ -2,7 +2,7 @@
 
 import math
 
-from .jit import inner
+from .jit import inline, inner
 from .levels import HIGH, LOW, RHS, WANT, dot
 from .linalg import ORTHOGONAL, SWEEPS, cholesky, jacobi
 
@@ -55,7 +55,7 @@ def rotate(P, task, first, r, n):
             break
 
 
-@inner
+@inline
 def turn(P, a, c, cs, sn, n):
     """Rotate two rows into each other."""
     for i in range(n):
