@@ -34,7 +34,7 @@ other targets: times and ratios are medians over these rounds, successes are add
 SERVO = """\
 Virtual time, 100 samples a second; every method gets the same stream of targets (no velocities with them), start and limits of
 position, speed and acceleration; mink has none of acceleration. Best is what a search finds that goes on from sample to sample
-without a limit of speed; errors and jerk are compared where it stays inside 0.8 of the limits. Freeze: still for 100 ms, over
+inside positions and speeds; errors and jerk are compared where it stays inside 0.8 of the limits. Freeze: still for 100 ms, over
 1 mm off, and neither a limit nor a contact in the way. Jump: a joint moved or sped up more than its limits allow. Breaks: samples
 outside the joints' ranges + steps whose reported motion is outside a limit between samples. Chatter: over 3 changes of
 direction in 100 ms. Back: time until the error stays below 1 mm after a leap or the end of a figure, and the least time the

@@ -72,12 +72,12 @@ def description(s: Scenario, source: str, folder: Path) -> dict[str, Any]:
 def ideal_of(s: Scenario, keep: Path | None) -> np.ndarray:
     """Best achievable motion of a stream, from the folder `keep` where an earlier run left it."""
     if keep is None:
-        return best(s.robot, s.targets, s.q0, s.robot.lower, s.robot.upper)
+        return best(s.robot, s.targets, s.q0, s.robot.lower, s.robot.upper, s.speed * DT)
     mark = hashlib.sha256(s.targets.tobytes() + s.q0.tobytes() + s.robot.lower.tobytes()).hexdigest()[:16]
     path = keep / f"{s.robot.name}_{mark}.npy"
     if not path.exists():
         keep.mkdir(parents=True, exist_ok=True)
-        np.save(path, best(s.robot, s.targets, s.q0, s.robot.lower, s.robot.upper))
+        np.save(path, best(s.robot, s.targets, s.q0, s.robot.lower, s.robot.upper, s.speed * DT))
     return np.load(path)
 
 

@@ -84,17 +84,21 @@ def closest(robot, q: np.ndarray, target: np.ndarray, lower: np.ndarray, upper: 
     return q, float(np.sqrt(cost))
 
 
-def best(robot, targets: np.ndarray, q0: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
-    """Best achievable configurations (N + 1, n) along targets (N, F, 4, 4), from q0 at sample 0."""
+def best(robot, targets: np.ndarray, q0: np.ndarray, lower: np.ndarray, upper: np.ndarray, move=np.inf) -> np.ndarray:
+    """Best achievable configurations (N + 1, n) along targets (N, F, 4, 4), from q0 at sample 0.
+
+    move (n,): how far a joint may go in a sample.
+    """
     Q = np.empty((len(targets) + 1, len(q0)))
     Q[0] = q = reached = np.clip(q0, lower, upper)
     for k, target in enumerate(targets):
-        q, error = closest(robot, q, target, lower, upper)
+        low, high = np.maximum(lower, q - move), np.minimum(upper, q + move)
+        q, error = closest(robot, q, target, low, high)
         if error < 1e-6:
             reached = q
         else:
             # A straight elbow feels no pull: what bent it before may do better.
-            other, less = closest(robot, q + BENT * (reached - q), target, lower, upper)
+            other, less = closest(robot, np.clip(q + BENT * (reached - q), low, high), target, low, high)
             if less < error - 1e-7:
                 q = other
         Q[k + 1] = q

@@ -35,9 +35,14 @@ def limits_of(s: Scenario, Q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Lower and upper limits (N + 1, n) at each sample; a locked joint's are where it was locked."""
     lower, upper = (np.repeat(x[None], len(Q), axis=0) for x in (s.robot.lower, s.robot.upper))
     if s.lock:
-        joint, at = s.lock
+        joint, at = s.lock[0], locked_at(s)
         lower[at + 1 :, joint] = upper[at + 1 :, joint] = Q[at, joint]
     return lower, upper
+
+
+def locked_at(s: Scenario) -> int:
+    """Sample from which a joint that locks has to stand: it may brake first."""
+    return s.lock[1] + round(SETTLE / DT)
 
 
 def achievable(s: Scenario, Q: np.ndarray, shared: np.ndarray) -> np.ndarray:
@@ -45,8 +50,8 @@ def achievable(s: Scenario, Q: np.ndarray, shared: np.ndarray) -> np.ndarray:
     if not s.lock:
         return shared
     lower, upper = limits_of(s, Q)
-    at = s.lock[1]
-    rest = best(s.robot, s.targets[at:], Q[at], lower[-1], upper[-1])
+    at = locked_at(s)
+    rest = best(s.robot, s.targets[at:], Q[at], lower[-1], upper[-1], s.speed * DT)
     return np.concatenate([shared[: at + 1], rest[1:]])
 
 
