@@ -2,8 +2,8 @@
 
 import numpy as np
 
+from .box import advance
 from .jit import cached, jit
-from .motion import advance
 
 
 @jit
@@ -56,7 +56,7 @@ def brake(first, gamma, h, limits, Q, R, L):
             if k > 0 and not moving:
                 return k
             x[:] = 0.0
-            advance(now, speed, x, gamma, h, limits, code)
+            advance(now, speed, x, gamma, h, h, limits, code)
     return -1
 
 

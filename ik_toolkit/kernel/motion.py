@@ -1,31 +1,29 @@
 """Following a moving target, one step: rate of the Jacobian, pseudo-inverse, the published commands, limits.
 
 All pure: `factor` inverts the Jacobian, `prepare` says at which joint velocities dJ/dt is wanted, `command` turns errors
-into the next joint rate, `advance` moves the joints, inside limits when there are any. The compiled loop (follow.py) and
-the paper's cases that are no robots (tracking/methods.py) call the same functions.
+into the next joint rate; box.py says which rates the limits allow. The compiled loop (servo.py) and the paper's cases that
+are no robots (tracking/methods.py) call the same functions.
 
 All methods share one form: rate' = rate + h a and q' = q + h ((1 - gamma) rate + gamma rate'). gamma is 1 at velocity
-level, 1/2 for the paper's acceleration level and free for `aad`. Speed and acceleration of the sampled motion are convex
-combinations of rates and accelerations, so limits put on these hold for the samples.
+level, 1/2 for the paper's acceleration level and free for `aad`.
 
 Sign: e = target - actual (Patko and Zelei, 2019, use the opposite). J is (n, m), one joint a row.
 """
 
-import math
 from typing import NamedTuple
 
 import numpy as np
 
-from .algebra import V3, at3, put3, rotation_at
+from .algebra import V3, at3, put3
+from .box import approach
 from .jit import compiled, inner, jit
-from .linalg import cholesky, cholesky_solve
+from .linalg import TINY, cholesky, cholesky_solve
 
 CV, AV, CA, AA = range(4)
+CLIP = 3  # beside LEAVE, SLOW and DIRECT of constrain.py: each joint clipped on its own
 AT_RATE, AT_RATE_AND_STEP, AT_STEP = range(3)  # where aa takes dJ/dt: readings 1, 2, 3 of eq (25)
-MOVING, GIVEN, RUNNING = range(3)  # start with the reference's rate, with the rate given, or go on
+MOVING, GIVEN, RUNNING, READY = range(4)  # start with the reference's rate, with the rate given; go on; all is known
 FINE, NOT_FINITE, RUNAWAY = range(3)
-# Bits of `code`: why a joint did not move as commanded.
-POSITION, VELOCITY, ACCELERATION, HELD = 1, 2, 4, 8
 SINGLE = 1e-24  # share of the largest diagonal entry of JJ' below which a row is one the joints cannot move
 REGION = 2.0  # damping fades in where the smallest singular value falls below REGION * damping
 
@@ -36,9 +34,16 @@ class State(NamedTuple):
     start: int  # how the next step begins: MOVING, GIVEN, RUNNING
     period: int  # length of the last step [s]
     stop: int  # why the loop ended: FINE, NOT_FINITE, RUNAWAY
+    clock: int  # [samples] of the reference
+    sigma: int  # rate of the clock in the last step
+    waiting: int  # 1: the error was above the tolerance, and not yet below half of it
+    leaving: int  # 1: waiting has not helped, so the run goes on without the path
+    idle: int  # [s] for which it has stood still
+    least: int  # least error over tolerance in that time
+    near: int  # 1: near a singular pose in the last step
 
 
-STATE = State._make(range(3))  # places in the array
+STATE = State._make(range(len(State._fields)))  # places in the array
 
 
 @compiled
@@ -55,6 +60,13 @@ class Law(NamedTuple):
     reading: float  # AT_RATE, AT_RATE_AND_STEP, AT_STEP
     runaway: float  # largest mean move of a joint in a step; inf: hold still instead of stopping
     brake: float  # 1: come to rest
+    late: float  # longest step that may follow [s]
+    mode: float  # LEAVE, SLOW, DIRECT, CLIP
+    clocked: float  # 1: the rows are samples of a reference with a clock, 0: one a step
+    tol_p: float  # [m] error above which the clock waits ...
+    tol_r: float  # ... or [rad]
+    avoid: float  # [1/s] how strongly joints are led away from their limits
+    rows: float  # half-planes that hold
 
 
 PLACE = Law._make(range(len(Law._fields)))  # in the array that Python hands over
@@ -113,7 +125,7 @@ def gram(J, m, wide, extra, G):
 @jit
 def invert(G, k, y):
     """Factor G in place; return 1 / trace(inverse), a lower bound of the smallest eigenvalue (0 or NaN: singular)."""
-    cholesky(G, k, 0.0)
+    cholesky(G, k, TINY)
     trace = 0.0
     for c in range(k):
         for r in range(c, k):
@@ -244,65 +256,11 @@ def command(p, J, m, e, v, a, bias, rate, prev, h, ratio, G, y, t, move, null, x
 
 
 @jit
-def fastest(distance, v, gamma, h, a):
-    """Highest next rate from which braking with at most `a` in steps of h ends within `distance` (now moving at v)."""
-    if distance == np.inf:
-        return np.inf
-    room = distance - h * (1.0 - gamma) * v
-    if room < 0.0:
-        return room / (gamma * h)
-    if a == np.inf:
-        return room / h
-    # Braking in m + 1 steps covers h (m + 1) (x - a h m / 2), the last step being the gentlest.
-    steps = room / (a * h * h)
-    m = math.floor(0.5 * (math.sqrt(1.0 + 8.0 * steps) - 1.0))
-    return a * h * (steps / (m + 1.0) + 0.5 * m)
-
-
-@jit
-def advance(q, rate, x, gamma, h, limits, code):
-    """Move q and rate (in place) towards the wanted rate x, inside limits (4, n): lower, upper, speed, acceleration.
-
-    Every state this leaves can still brake before its position limit (viability), so no later step has to break one
-    limit to keep another. code (n,) receives the limit that held each joint back. True when any did.
-    """
-    any_hit = False
-    for i in range(q.shape[0]):
-        v = rate[i]
-        lower, upper, speed = limits[0, i], limits[1, i], limits[2, i]
-        a = limits[3, i]
-        rise = v + a * h
-        fall = v - a * h
-        top_p = fastest(upper - q[i], v, gamma, h, a)
-        low_p = -fastest(q[i] - lower, -v, gamma, h, a)
-        top = min(top_p, speed, rise)
-        low = max(low_p, -speed, fall)
-        w = x[i]
-        hit = 0
-        if low > top:  # only from a start that could not brake in time: brake as hard as allowed
-            w = min(max(0.0, fall), rise)
-            hit = POSITION | ACCELERATION
-        elif w > top:
-            hit = POSITION if top == top_p else VELOCITY if top == speed else ACCELERATION
-            w = top
-        elif w < low:
-            hit = POSITION if low == low_p else VELOCITY if low == -speed else ACCELERATION
-            w = low
-        code[i] = hit
-        any_hit = any_hit or hit > 0
-        s = q[i] + h * ((1.0 - gamma) * v + gamma * w)
-        q[i] = min(max(s, lower), upper)  # rounding only
-        rate[i] = w
-        x[i] = w
-    return any_hit
-
-
-@jit
-def ease(p, J, m, e, ahead, h, limits, G, y, c):
+def ease(p, J, m, e, ahead, h, limits, fast, quick, G, y, c):
     """Shrink the error fed back (e and ahead, in place) until the joints could brake before it is gone.
 
     A method that removes a large error in one step asks for far more acceleration than there is; clipped, it overshoots
-    and swings for ever. Half of each joint's acceleration and speed is left to the correction, the rest to the path.
+    and swings for ever. The shares `fast` of each joint's speed and `quick` of its acceleration are left to the correction.
     """
     code = int(p.code)
     natural = p.kappa if code == CV else p.kp / p.kd if code == CA else 1.0 / h
@@ -310,8 +268,10 @@ def ease(p, J, m, e, ahead, h, limits, G, y, c):
     f = 1.0
     for i in range(c.shape[0]):
         size = abs(c[i])
-        cap = min(fastest(size, 0.0, 1.0, h, 0.5 * limits[3, i]), 0.5 * limits[2, i])
-        if natural * size > cap:
+        cap = fast * limits[2, i]
+        if limits[3, i] < np.inf:
+            cap = min(cap, approach(size, 0.0, 1.0, h, quick * limits[3, i], h))
+        if natural * size > cap > 0.0:  # a locked joint has no say: the others close the error
             f = min(f, cap / (natural * size))
     if f < 1.0:
         for k in range(m):
@@ -328,9 +288,9 @@ def settle(p, h, rate_before, x, code, prev):
                 prev[i] = x[i] if p.code == CV else (x[i] - rate_before[i]) / h
 
 
-@inner
-def to_local(ends, V, out):
-    """Twist or acceleration (6,) in base axes [m, rad] -> first joint's axes, kernel units."""
-    base = rotation_at(ends.flat, 0)
-    put3(out, 0, base.across(at3(V, 0)) * (1.0 / ends.scale()))
-    put3(out, 3, base.across(at3(V, 3)))
+@jit
+def own_up(p, h, ratio, wanted, x, prev):
+    """The same where all joints were changed: the earlier command becomes the one that the rates taken would have come from."""
+    if p.code == CV or p.code == CA:
+        for i in range(x.shape[0]):
+            prev[i] += (x[i] - wanted[i]) / ((1.0 + 0.5 * ratio) * (1.0 if p.code == CV else h))

@@ -11,6 +11,12 @@
     slope(look, i)     J_i e
     norm, inside, best_move, try_out, undo    for rules that move one joint after the other
     rank, begin, draw  starts
+    head_for(T)        take a target of a tracker, T (F, 4, 4), as it is
+    plain()            whether whole poses and positions in the base's axes are all that counts
+    base_axes(y, out)  errors y (m,) of `stack` in base axes, lengths in m (where a part counts: along its own axes)
+    moving(V, out)     a twist, or acceleration, of the targets V (m,) [base axes, m] as it counts, in kernel units
+    mirrors(out)       (F, 3) for tips that may turn about an axis: the normal of the mirror that lays the free row last
+    bending(look, J, x, y, out)  (dJ/dt along x) y, where `plain`
     keep, left, report errors of the answer
 
 A record holds views of the flat arrays and scratch; it is made once a call and never leaves inlined code.
@@ -20,7 +26,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .algebra import V3, at3, chord, put3
+from .algebra import V3, at3, chord, put3, rotation_at
 from .checks import beyond, edge, rigid
 from .jit import compiled, inline, spliced
 from .kinematics import aim, column, fk, own_coordinates, pose_error
@@ -147,3 +153,25 @@ def add_column(J, i, first, ratio, u, v):
     J[i, first + 3] += ratio * v.x
     J[i, first + 4] += ratio * v.y
     J[i, first + 5] += ratio * v.z
+
+
+# ------------------------------------------------------------------------------------------------------- for the tracker
+@inline
+def to_base(ends, task, y, out):
+    """Errors y (6,) of `stack` as they are reported: base axes and metres; where a part counts, its own axes."""
+    linear, angular = at3(y, 0) * ends.scale(), at3(y, 3)
+    if int(task[WHAT.kind]) < FREE:
+        base = rotation_at(ends.flat, 0)
+        linear, angular = base.times(linear), base.times(angular)
+    put3(out, 0, linear)
+    put3(out, 3, angular)
+
+
+@inline
+def local_motion(ends, task, kept, V, out):
+    """Twist or acceleration V (6,) of a target, base axes [m, rad], as it counts: first joint's axes, kernel units."""
+    base = rotation_at(ends.flat, 0)
+    u, v = base.across(at3(V, 0)) * (1.0 / ends.scale()), base.across(at3(V, 3))
+    u, v = counted(int(task[WHAT.kind]), kept, u, v)
+    put3(out, 0, u)
+    put3(out, 3, v)

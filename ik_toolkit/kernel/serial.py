@@ -5,14 +5,28 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .algebra import V3, at3
+from .algebra import V3, at3, put3
 from .jit import build, compiled, spliced
-from .kinematics import column, own_coordinates, room
+from .kinematics import aim, column, own_coordinates, room
 from .linalg import damped, pseudo_inverse_step
-from .problem import GOAL, Desk, counted, errors_at, fill, from_target, make_desk, take, tip_at, tolerances
+from .motion import jacobian_rate
+from .problem import (
+    GOAL,
+    Desk,
+    counted,
+    errors_at,
+    fill,
+    from_target,
+    local_motion,
+    make_desk,
+    take,
+    tip_at,
+    to_base,
+    tolerances,
+)  # fmt: skip
 from .records import TASK, WHAT, Array, Ends
 from .seeds import nearest, rnd
-from .task import KEPT, POSITION, angle_left, counts, vector_ratio
+from .task import FREE, KEPT, POSITION, angle_left, counts, turn_axis, vector_ratio
 from .view import cut, space
 
 
@@ -117,6 +131,27 @@ class Serial(NamedTuple):
         """After a trial was taken back: the joints before the one moved are as they were, only what `shape` keeps may differ."""
         if int(self.task[WHAT.kind]) > POSITION:
             self.try_out(self.desk.q)
+
+    def head_for(self, T):
+        aim(self.ends, T[0], self.goal)
+        put3(self.goal, 12, at3(self.goal, 9))
+
+    def plain(self):
+        return int(self.task[WHAT.kind]) < FREE
+
+    def base_axes(self, y, out):
+        to_base(self.ends, self.task, y, out)
+
+    def moving(self, V, out):
+        local_motion(self.ends, self.task, self.kept, V, out)
+
+    def mirrors(self, out):
+        turn_axis(self.task, self.kept, out[0])
+
+    def bending(self, look, J, x, y, out):
+        jacobian_rate(self.rows, self.joints, J, look.point, x, y, out)
+        if int(self.task[WHAT.kind]) == POSITION:
+            put3(out, 3, V3(0.0, 0.0, 0.0))
 
     def rank(self, table):
         wp, wr = counts(self.task)

@@ -94,11 +94,11 @@ def shape(task, ends, goal, now, linear, angular, kept):
         e, w, s = axis.dot(linear), task[WHAT.w0 + i], task[WHAT.s0 + i]
         e = e - min(max(e, -s), s)
         kept[ERROR + i] = w * e
-        put3(kept, L + 3 * i, axis * (w if e != 0.0 else 0.0))
+        put3(kept, L + 3 * i, axis * (w if e != 0.0 or s == 0.0 else 0.0))
         e, w, s = axis.dot(r), task[WHAT.w3 + i], task[WHAT.s3 + i]
         e = e - min(max(e, -s), s)
         kept[ERROR + 3 + i] = w * e
-        w = w if e != 0.0 else 0.0
+        w = w if e != 0.0 or s == 0.0 else 0.0
         put3(kept, A + 3 * i, own * w)
         if task[WHAT.other] >= 0.0:  # and G times it
             others = b.cross(axis.cross(a)) * f - bend if turns else bend + across * 0.5
@@ -126,6 +126,35 @@ def count_goal_column(kept, linear, angular):
     """The same of a target that moves with another tip: how the error grows."""
     linear = linear + angular.cross(at3(kept, ARM_GOAL))
     return rows_at(kept, L).across(linear), rows_at(kept, B).across(angular)
+
+
+@inner
+def turn_axis(task, kept, out):
+    """Normal (3,) of the mirror that lays the rotation about a free axis last, where it is 0; zeros where none is free.
+
+    The three errors of a rotation whose turn is free have one dependence, c' r = 0; H = 1 - 2 n n' brings c to the z axis.
+    """
+    for k in range(3):
+        out[k] = 0.0
+    if (
+        int(task[WHAT.kind]) != PART
+        or task[WHAT.free] == 0.0
+        or min(task[WHAT.w3], task[WHAT.w4], task[WHAT.w5]) == 0.0
+    ):
+        return
+    m = rows_at(kept, A)
+    x, y, z = V3(m.x.x, m.y.x, m.z.x), V3(m.x.y, m.y.y, m.z.y), V3(m.x.z, m.y.z, m.z.z)
+    a, b, c = x.cross(y), y.cross(z), z.cross(x)
+    if b.square() > a.square():
+        a = b
+    if c.square() > a.square():
+        a = c
+    size = math.sqrt(a.square())
+    if size > STRAIGHT:
+        a = a * (1.0 / size)
+        a = a + V3(0.0, 0.0, 1.0 if a.z >= 0.0 else -1.0)
+        a = a * (1.0 / math.sqrt(a.square()))
+        out[0], out[1], out[2] = a.x, a.y, a.z
 
 
 # ----------------------------------------------------------------------------------------------------------------- measure

@@ -9,15 +9,29 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .algebra import at3, put3, rotation_at
+from .algebra import V3, at3, put3, rotation_at
 from .checks import rigid
 from .jit import build, compiled, inner, spliced
-from .kinematics import room
+from .kinematics import aim, room
 from .linalg import damped_stack, pseudo_inverse_step
-from .problem import GOAL, Desk, errors_at, fill, from_target, make_desk, take, tip_at, tolerances
+from .motion import jacobian_rate
+from .problem import (
+    GOAL,
+    Desk,
+    counted,
+    errors_at,
+    fill,
+    from_target,
+    local_motion,
+    make_desk,
+    take,
+    tip_at,
+    to_base,
+    tolerances,
+)  # fmt: skip
 from .records import MISS, TASK, WHAT, Array, Ends, Miss, Orders, write
-from .relative import LINK, carry, fill_goal, link_to, put_axes
-from .task import FREE, KEPT, angle_left, vector_ratio
+from .relative import FRAME, LINK, carry, fill_goal, link_to, product, put_axes
+from .task import FREE, KEPT, PART, POSE, angle_left, turn_axis, vector_ratio
 from .tree_starts import begin_by_tips, choose_moves, draw_some, rank_groups
 from .view import cut, fold, space
 
@@ -157,6 +171,55 @@ class Tree(NamedTuple):
 
     def undo(self, look):
         self.try_out(self.desk.q)
+
+    def head_for(self, T):
+        n = self.desk.q.shape[0]
+        for f in range(self.tasks.shape[0]):
+            other = int(self.tasks[f, WHAT.other])
+            if other >= 0:
+                link_to(T[f], Ends(self.ends[f], n), Ends(self.ends[other], n), self.links[f])
+            else:
+                aim(Ends(self.ends[f], n), T[f], self.goals[f])
+                put3(self.goals[f], 12, at3(self.goals[f], 9))
+
+    def plain(self):
+        result = True
+        for f in range(self.tasks.shape[0]):
+            result = result and int(self.tasks[f, WHAT.kind]) < PART and self.tasks[f, WHAT.other] < 0.0
+        return result
+
+    def base_axes(self, y, out):
+        for f in range(self.tasks.shape[0]):
+            to_base(Ends(self.ends[f], self.desk.q.shape[0]), self.tasks[f], y[6 * f :], out[6 * f :])
+
+    def moving(self, V, out):
+        for f in range(self.tasks.shape[0]):
+            ends = Ends(self.ends[f], self.desk.q.shape[0])
+            other = int(self.tasks[f, WHAT.other])
+            if other >= 0:  # given in the axes of the other tip
+                tool = rotation_at(self.ends[other], 12)
+                axes = product(rotation_at(self.links[f], FRAME), product(rotation_at(self.poses[other], 0), tool))
+                u, v = axes.times(at3(V, 6 * f)) * (1.0 / ends.scale()), axes.times(at3(V, 6 * f + 3))
+                u, v = counted(int(self.tasks[f, WHAT.kind]), self.kept[f], u, v)
+                put3(out, 6 * f, u)
+                put3(out, 6 * f + 3, v)
+            else:
+                local_motion(ends, self.tasks[f], self.kept[f], V[6 * f :], out[6 * f :])
+
+    def mirrors(self, out):
+        for f in range(self.tasks.shape[0]):
+            turn_axis(self.tasks[f], self.kept[f], out[f])
+
+    def bending(self, look, J, x, y, out):
+        cut = self.cut
+        for f in range(self.tasks.shape[0]):
+            rows, joints, tip = self.rows[cut[f] : cut[f + 1]], self.joints[6 * cut[f] :], at3(self.poses[f], 9)
+            jacobian_rate(rows, joints, J[:, 6 * f : 6 * f + 6], tip, x, y, out[6 * f :])
+            kind = int(self.tasks[f, WHAT.kind])
+            if kind == FREE:
+                put3(out, 6 * f, V3(0.0, 0.0, 0.0))
+            if kind != POSE:
+                put3(out, 6 * f + 3, V3(0.0, 0.0, 0.0))
 
     def rank(self, table):
         rank_groups(self, table)

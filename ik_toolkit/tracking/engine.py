@@ -3,31 +3,40 @@
 Both have the same face, so that `Tracker` and `track` need not know which they drive.
 """
 
+import math
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
 from ..errors import InvalidOption, near_match
 from ..kernel import motion
-from ..kernel.follow import rule_tracker, tracker
+from ..kernel.records import HEAD, Task
+from ..kernel.servo import servo
+from ..kernel.task import PART
 from ..robot.robot import Robot
+from ..robot.tree import Tree
+from ..solvers.options import COUNTING, Options, make_options
 from ..solvers.registry import list_rows
-from .methods import METHODS, Method, make_method
+from ..solvers.task import kernel_tasks
+from .methods import DAMPING, METHODS, Method, make_method
 from .stability import GainCheck, check_gains
+
+LEVER = 0.2  # [m] by which an angle is weighed against a length: about a hand
 
 
 class Published:
     """A method of tracking/methods.py on a robot."""
 
-    def __init__(self, robot: Robot, method: Method) -> None:
+    def __init__(self, robot: Robot | Tree, method: Method, counting: Mapping[str, Any]) -> None:
         """Bind; nothing is compiled yet."""
-        self.chain = robot.chain
+        self.robot = robot
         self.method = method
         self.name = method.name
         self.gamma = method.rate_weight
-        self.previous = np.zeros(robot.n)
-        self._p = np.zeros(0)
-        self._key: tuple[float, float] | None = None
+        self.memory = np.zeros(robot.n)
+        self.loop = servo()
+        self.options: Options = make_options(dict(counting))
 
     def settings(self, h: float) -> dict[str, float]:
         """Gains and options used at sample time h."""
@@ -37,17 +46,25 @@ class Published:
         """Judgement of the gains at sample time h."""
         return check_gains(self.name, h, **self.method.gains(h))
 
-    def run(self, T, V, A, h, m, brake, runaway, limits, q, rate, state, Q, R, E, C, D) -> int:
-        """Take len(T) - 1 steps; see kernel/follow.py."""
-        if self._key != (h, runaway):
-            self._p, self._key = self.method.pack(h, runaway), (h, runaway)
-        self._p[motion.PLACE.brake] = brake
-        rows, ends = self.chain.rows, self.chain.ends
-        return tracker()(rows, ends, T, V, A, h, m, self._p, limits, q, rate, self.previous, state, Q, R, E, C, D)
+    def law(self, h: float) -> np.ndarray:
+        """Parameters of the loop at sample time h."""
+        return self.method.pack(h)
 
-    def forget(self) -> None:
-        """Start anew."""
-        self.previous[:] = 0.0
+    def orders(self, kinds: tuple) -> tuple[np.ndarray, np.ndarray]:
+        """What the loop takes for kinds of target: orders, and weights and slack of the errors (3, m), see kernel/servo.py."""
+        scale, n = self.robot.chain.scale, self.robot.n
+        tasks, counts = [], []
+        unit = np.array([scale] * 3 + [1.0] * 3)
+        for task in kernel_tasks(self.robot, kinds, self.options):
+            weights, slack = np.array(task[-12:-6]), np.array(task[-6:])
+            weights[slack >= (*(math.inf,) * 3, *(math.pi,) * 3)] = 0.0
+            slack[weights == 0.0] = 0.0
+            if task.kind == PART:
+                task = Task(*task[:-12], *(weights > 0.0), *np.zeros(6))
+            tasks.append(task)
+            counts.append([weights * (scale, scale, scale, LEVER, LEVER, LEVER), slack, slack * unit])
+        orders = np.concatenate([np.zeros(HEAD), *tasks, np.ones(n), [0.0]])
+        return orders, np.ascontiguousarray(np.concatenate(counts, axis=1))
 
 
 class RuleSteps:
@@ -55,15 +72,16 @@ class RuleSteps:
 
     gamma = 1.0
 
-    def __init__(self, robot: Robot, rule: Any, limits: bool, options: dict[str, Any]) -> None:
+    def __init__(self, robot: Robot | Tree, rule: Any, limits: bool, options: dict[str, Any]) -> None:
         """Bind the rule with its parameters (raises what `ik.Solver` raises)."""
         from ..solvers.solve import Solver
 
-        self.chain = robot.chain
+        self.robot = robot
         self.solver = Solver(robot, rule, **({"tolerance": 1e-9, "limits": limits} | options))
         self.name = self.solver.name
-        self.previous = np.zeros(4 * robot.n + 8)
-        self._p = np.zeros(len(motion.Law._fields))
+        self.memory = np.zeros(4 * robot.n + 8)
+        self.loop = servo(type(self.solver.rule))
+        self.options = self.solver.options
 
     def settings(self, h: float) -> dict[str, float]:
         """Parameters of the rule that are plain numbers."""
@@ -73,25 +91,27 @@ class RuleSteps:
         """No closed form for rules."""
         return None
 
-    def run(self, T, V, A, h, m, brake, runaway, limits, q, rate, state, Q, R, E, C, D) -> int:
-        """Take len(T) - 1 steps; V and A are not used."""
-        from ..kernel.task import POSE, POSITION
+    def law(self, h: float) -> np.ndarray:
+        """Parameters of the loop at sample time h; the rule has its own."""
+        law = np.zeros(len(motion.Law._fields))
+        law[motion.PLACE.gamma], law[motion.PLACE.damping] = 1.0, DAMPING
+        return law
 
-        self._p[motion.PLACE.runaway], self._p[motion.PLACE.brake] = runaway, brake
-        opt = self.solver.plan.orders((POSITION if m == 3 else POSE,), True)
-        follow = rule_tracker(type(self.solver.rule))
-        rows, ends = self.chain.rows, self.chain.ends
-        return follow(rows, ends, T, h, opt, self._p, limits, q, rate, self.previous, state, Q, R, E, C)
-
-    def forget(self) -> None:
-        """Start anew."""
-        self.previous[:] = 0.0
+    def orders(self, kinds: tuple) -> tuple[np.ndarray, np.ndarray]:
+        """What the loop takes; weights and slack are the rule's own."""
+        scale = self.robot.chain.scale
+        counts = np.zeros((3, 6 * len(kinds)))
+        counts[0] = [scale, scale, scale, LEVER, LEVER, LEVER] * len(kinds)
+        return self.solver.plan.orders(kinds, True), counts
 
 
-def bind(robot: Robot, method: Any, limits: bool, options: dict[str, Any]) -> Published | RuleSteps:
+def bind(robot: Robot | Tree, method: Any, limits: bool, options: dict[str, Any]) -> Published | RuleSteps:
     """Return the engine of a method name, a Method, a solver name or a rule. Raises InvalidOption for none of these."""
     if isinstance(method, Method) or (isinstance(method, str) and method in METHODS):
-        return Published(robot, make_method(method, **options))
+        words = (*COUNTING, "relative_to")
+        counting = {name: options[name] for name in words if name in options}
+        others = {name: value for name, value in options.items() if name not in words}
+        return Published(robot, make_method(method, **others), counting)
     if method is None or isinstance(method, str):
         rules = [row.name for row in list_rows() if row.tracks]
         if method not in rules:

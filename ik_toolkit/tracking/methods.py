@@ -24,7 +24,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..errors import InvalidOption, near_match
-from ..kernel import motion
+from ..kernel import box, motion
 from .inputs import number, one_of
 from .stability import GAMMA, best_gains
 
@@ -89,10 +89,12 @@ class Method:
         """Return gamma of q' = q + h ((1 - gamma) rate + gamma rate')."""
         return 1.0 if self.velocity_level else self.gamma if self.name == "aad" else 0.5
 
-    def pack(self, h: float, runaway: float) -> np.ndarray:
-        """Parameters as the kernel reads them; runaway: mean joint move in one step that ends a run."""
+    def pack(self, h: float) -> np.ndarray:
+        """Parameters as the kernel reads them (a `motion.Law`); what belongs to a run is 0."""
         gains = self.gains(h)
         law = motion.Law(
+            *np.zeros(len(motion.Law._fields)),
+        )._replace(
             code=METHODS[self.name][0],
             kappa=gains.get("kappa", 0.0),
             kp=gains.get("kp", 0.0),
@@ -101,8 +103,6 @@ class Method:
             null=min(self.null_damping, 1.0 / h),
             damping=self.damping,
             reading=motion.AT_STEP if self.name == "aad" else self.reading - 1,
-            runaway=runaway,
-            brake=0.0,
         )
         return np.array(law, dtype=float)
 
@@ -179,14 +179,13 @@ def simulate(
     the exact inverse.
     """
     made = make_method(method, **{"damping": 0.0, **options})
-    p = motion.Law._make(made.pack(h, runaway).tolist())
+    p = motion.Law._make(made.pack(h).tolist())
     q = np.array(q0, dtype=float)
     n, m = len(q), len(system.position(q))
     k = max(n, m)
     G, y, t_, bias = np.empty((k, k)), np.empty(k), np.empty(k), np.zeros(m)
     move, null, x1, x2, x = (np.empty(n) for _ in range(5))
-    prev, code = np.zeros(n) if command0 is None else np.array(command0, dtype=float), np.zeros(n, np.uint8)
-    limits = np.array([np.full(n, -np.inf), *(np.full(n, np.inf) for _ in range(3))])
+    prev = np.zeros(n) if command0 is None else np.array(command0, dtype=float)
     target, v, a = path(0.0)
     rate = np.zeros(n) if rate0 is None else np.array(rate0, dtype=float)
     if rate0 is None:
@@ -207,7 +206,7 @@ def simulate(
         if not (np.isfinite(x).all() and np.abs(x).max() * h <= runaway):
             stopped = f"the step at t = {i * h:.6g} s is not finite or moves a joint by more than {runaway:g}"
             break
-        motion.advance(q, rate, x, p.gamma, h, limits, code)
+        box.move(q, rate, x, p.gamma, h)
         target, v, a = following
         error = target - system.position(q)
         if not np.isfinite(error).all():

@@ -1,34 +1,42 @@
 """`track`: follow a whole reference, one step each sample, with the steps of `Tracker`.
 
-Both run the same compiled step (kernel/motion.py), so a run of `track` equals the same targets fed to `Tracker.update`.
+Both run the same compiled loop (kernel/servo.py), so a run of `track` with on_limit="leave" equals the same targets fed to a
+`Tracker` of that mode.
 """
 
 import time
 import warnings
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
-from ..errors import InvalidOption, InvalidTarget
+from ..errors import InvalidConfiguration, InvalidOption, InvalidTarget
 from ..kernel import motion
+from ..kernel.clock import look_ahead
+from ..kernel.constrain import LEAVE, SLOW
+from ..kernel.motion import CLIP
+from ..kernel.task import POSE, POSITION
 from ..robot.pose import PROJECT_WITHIN
 from ..robot.robot import Robot
-from ..robot.tree import require_one_tip
-from .inputs import positive
+from ..robot.tree import Tree
+from .inputs import number, positive
 from .methods import Method, interpolate
 from .reachable import explain
 from .reference import Reference, Samples
 from .result import TrackResult, TrackStatus, figures
-from .tracker import JUMP, Tracker
+from .tracker import JUMP, LATE, Tracker, read_mode
 from .verdict import ORIENTATION_TOLERANCE, POSITION_TOLERANCE, settling, verdict
 
+MODES = {"slow": SLOW, "leave": LEAVE, "clip": CLIP}
+MAX_STRETCH = 10.0  # how much longer than its reference a run may take by default
 RUNAWAY = 100.0  # mean joint move [rad, or reaches] in one step beyond which a run has diverged
 FRACTIONS = (0.25, 0.5, 0.75)  # where between two samples the error is looked at
 
 
 def track(
-    robot: Robot,
-    reference: Reference,
+    robot: Robot | Tree,
+    reference: Reference | Mapping[str, Reference],
     method: str | Method = "cv",
     *,
     dt: float = 0.01,
@@ -36,6 +44,8 @@ def track(
     rate0: Any = None,
     limits: bool = True,
     acceleration_limits: Any = None,
+    on_limit: str = "slow",
+    max_stretch: float = MAX_STRETCH,
     position_tolerance: float = POSITION_TOLERANCE,
     orientation_tolerance: float = ORIENTATION_TOLERANCE,
     settle: float | None = None,
@@ -43,81 +53,202 @@ def track(
 ) -> TrackResult:
     """Follow a reference with a method, one step each dt [s]; returns a TrackResult with arrays and figures.
 
-    method: cv, av, ca, aa or aad, options as in `Method` (kappa, kp, kd, reading, gamma, null_damping, damping). q0 (n,):
-    default home if the reference starts there, else a solution for the reference's start. rate0, limits and
-    acceleration_limits as in `Tracker`. COMPLETED or SLOWED when no sample from settle [s] on has an error above
-    position_tolerance [m] and orientation_tolerance [rad], else LEFT or LOST (see `TrackStatus`); settle is 0 by default, and
-    0.5 (half of a run shorter than 1 s) when the arm starts at rest: with acceleration_limits, or with a rate0 of zeros. Warns
-    (UserWarning) before the run when the gains are unstable at dt. A run that diverges ends there, with a status and a
-    sentence; the arrays hold only what was reached. Of a run that leaves its reference `reach` and the message say where along
-    it the poses can be reached at all, and what was tried and would work. Raises InvalidOption, InvalidTarget,
-    InvalidConfiguration.
+    reference: of a Tree a dict by tip. method: cv, av, ca, aa or aad, options as in `Method` (kappa, kp, kd, reading, gamma,
+    null_damping, damping), and those of `Tracker`. q0 (n,): default home if the reference starts there, else a solution for the
+    reference's start. rate0, limits and acceleration_limits as in `Tracker`.
+
+    on_limit: "slow": where limits bind, or the error is above a tolerance, the reference's clock runs slower than time, so
+    that the tip stays on its path; the run ends when the clock is through, or after max_stretch times the reference's duration.
+    "leave": keep time, with the least error possible; "clip": the published form, each joint clipped on its own, as it is without
+    limits.
+
+    COMPLETED or SLOWED when no sample from settle [s] on has an error above position_tolerance [m] and orientation_tolerance
+    [rad], else LEFT or LOST (see `TrackStatus`); settle is 0 by default, and 0.5 (half of a run shorter than 1 s) when the arm
+    starts at rest: with acceleration_limits, or with a rate0 of zeros. Warns (UserWarning) before the run when the gains are
+    unstable at dt. A run that diverges ends there, with a status and a sentence; the arrays hold only what was reached. Of a
+    run that leaves its reference `reach` and the message say where along it the poses can be reached at all, and what was tried
+    and would work. Raises InvalidOption, InvalidTarget, InvalidConfiguration.
     """
-    require_one_tip(robot, "tracking")
-    if not isinstance(reference, Reference):
-        raise InvalidTarget(f"track follows a Reference (ik.circle, ik.line, ...), not {type(reference).__name__}")
+    references = _references(robot, reference)
     dt = positive(dt, "dt [s]")
-    times = reference.times(dt)
+    duration = references[0].duration
+    times = references[0].times(dt)
     if len(times) < 2:
-        raise InvalidOption(f"dt = {dt:g} s is longer than the reference ({reference.duration:g} s)")
+        raise InvalidOption(f"dt = {dt:g} s is longer than the reference ({duration:g} s)")
     tolerances = (
         positive(position_tolerance, "position_tolerance [m]"),
         positive(orientation_tolerance, "orientation_tolerance [rad]"),
     )
-    T, V, A = _samples(reference, times)
-    q0 = _start(robot, reference) if q0 is None else q0
+    mode = read_mode(on_limit, MODES)
+    if limits is False:  # nothing binds
+        mode = CLIP
+    stretch = number(max_stretch, "max_stretch")
+    if stretch < 1.0:
+        raise InvalidOption(f"max_stretch must be at least 1, not {stretch:g}")
+    made = [_samples(one, times) for one in references]
+    T = np.ascontiguousarray(np.stack([one[0] for one in made], axis=1))
+    V, A = (np.ascontiguousarray(np.concatenate([one[k] for one in made], axis=1)) for k in (1, 2))
+    q0 = _start(robot, references) if q0 is None else q0
     tracker = Tracker(
-        robot, method, q0=q0, rate0=rate0, limits=limits, acceleration_limits=acceleration_limits, **options
-    )
+        robot, method, q0=q0, rate0=rate0, limits=limits, acceleration_limits=acceleration_limits,
+        on_limit="clip" if mode == CLIP else "leave", **options,
+    )  # fmt: skip
+    outside = robot.outside(tracker.q) if limits else []
+    if outside:
+        raise InvalidConfiguration(
+            f"q0 is outside the limits of {', '.join(outside)}; move it inside or use limits=False"
+        )
     engine = tracker.engine
     check = engine.check(dt)
     if check is not None and check.verdict == "unstable":
         warnings.warn(check.message, stacklevel=2)
-    tracker._m = 3 if reference.position_only else 6
     at_rest = tracker._state[motion.STATE.start] == motion.GIVEN and not tracker._rate.any()
     settle = settling(settle, at_rest, times[-1])
-    n, steps = robot.n, len(times) - 1
-    Q, R, E = np.zeros((steps + 1, n)), np.zeros((steps + 1, n)), np.zeros((steps + 1, 6))
-    C, D = np.zeros((steps, n), np.uint8), np.zeros(steps)
-    # No step yet: this compiles (or loads) the loop, so that the time reported is that of tracking.
-    tracker._steps(T[:1], V[:1], A[:1], dt, False, RUNAWAY, Q, R, E, C, D)
-    began = time.perf_counter()
-    done = tracker._steps(T, V, A, dt, False, RUNAWAY, Q, R, E, C, D)
-    elapsed = time.perf_counter() - began
-    keep = slice(0, done + 1)  # at a stop, row `done` is the last state reached; it has been evaluated
-    unit = robot.chain.unit
-    Q, R, E = Q[keep] * unit, R[keep] * unit, E[keep]
-    between = _between(robot, reference, Q, R, engine.gamma, dt) if done else (None, None)
-    stop = int(tracker._state[motion.STATE.stop])
-    result = TrackResult(
-        robot=robot.name,
-        method=engine.name,
-        options=engine.settings(dt),
-        dt=float(dt),
-        joint_names=robot.joint_names,
-        t=times[keep],
-        q=Q,
-        rate=R,
-        xyz=T[keep, :3, 3] - E[:, :3],
-        target_xyz=T[keep, :3, 3],
-        position_error=np.linalg.norm(E[:, :3], axis=1),
-        orientation_error=None if reference.position_only else np.linalg.norm(E[:, 3:], axis=1),
-        limited=C[:done],
-        damped=D[:done] > 0.0,
-        between_position=between[0],
-        between_orientation=between[1],
-        elapsed=elapsed,
-        gain_check=check,
-        position_tolerance=tolerances[0],
-        orientation_tolerance=tolerances[1],
-        settle=settle,
-    )
+    tracker.prepare(tuple(POSITION if one.position_only else POSE for one in references))
+    run = _Run(tracker, T, V, A, dt, mode, tolerances, stretch)
+    run.go()
+    result = run.result(robot, references, times, check, settle)
     result.figures = figures(result, robot.chain.unit * JUMP)
-    result.status, result.message = verdict(result, stop, steps)
-    if result.status in (TrackStatus.LEFT, TrackStatus.LOST):
+    result.status, result.message = verdict(result, int(tracker._state[motion.STATE.stop]), len(times) - 1)
+    if result.status in (TrackStatus.LEFT, TrackStatus.LOST) and not robot.by_tip:
         result.reach, words = explain(robot, reference, q0, limits=limits)
         result.message = f"{result.message} {words}".rstrip()
     return result
+
+
+class _Run:
+    """The steps of a run, in stretches as long as the reference: it takes one where the clock is not slowed."""
+
+    def __init__(self, tracker, T, V, A, dt, mode, tolerances, stretch) -> None:
+        """Look ahead where the clock may be slowed."""
+        self.tracker, self.samples, self.dt, self.mode, self.tolerances = tracker, (T, V, A), dt, mode, tolerances
+        self.most = int(np.ceil(stretch * (len(T) - 1))) if mode == SLOW else len(T) - 1
+        self.clock = tolerances
+        self.caps = np.ones((2, len(T)))
+        self.caps[1] = -1.0
+        tracker._late = LATE * dt
+        self.elapsed = 0.0
+
+    def _arrays(self, steps: int) -> list[np.ndarray]:
+        n, m = self.tracker.robot.n, self.samples[1].shape[1]
+        shapes = ((steps + 1, n), (steps + 1, n), (steps + 1, m), (steps, n), (steps + 1, 4))
+        return [np.zeros(shape, np.uint8 if k == 3 else float) for k, shape in enumerate(shapes)]
+
+    def look_ahead(self) -> None:
+        """Follow the path without limits on speed first, to see how fast the clock may run."""
+        tracker = self.tracker
+        kept = [one.copy() for one in tracker.carried()]
+        free = tracker._limits.copy()
+        free[2:] = np.inf
+        if tracker._state[motion.STATE.start] == motion.GIVEN:
+            tracker._state[motion.STATE.start] = motion.MOVING
+        arrays = self._arrays(len(self.samples[0]) - 1)
+        done = tracker.run(*self.samples, self.dt, *arrays, mode=LEAVE, limits=free, runaway=RUNAWAY)
+        tracker.put_back(kept)
+        if done > 1:
+            look_ahead(arrays[0][: done + 1], tracker._limits, self.dt, self.caps[0], self.caps[1])
+
+    def result(self, robot, references, times, check, settle) -> TrackResult:
+        """What was run, in the caller's units."""
+        unit = robot.chain.unit
+        Q, R, E = self.Q * unit, self.R * unit, self.E
+        done = len(Q) - 1
+        clock = times[-1] * np.minimum(self.S[:, 0] / (len(times) - 1), 1.0) if self.mode == SLOW else times[: done + 1]
+        whole = self.S[:, 0] == np.rint(self.S[:, 0])
+        clock = np.where(whole[: done + 1], times[np.minimum(np.rint(self.S[:, 0]).astype(int), len(times) - 1)], clock)
+        targets = np.stack([one.at(clock)[0] for one in references], axis=1)
+        tips = _forward(robot, Q)
+        errors = E.reshape(done + 1, -1, 6)
+        posed = [tip for tip, one in enumerate(self.tracker._posed) if one]
+        by_tip = robot.by_tip
+        between = (
+            _between(robot, references[0], Q, R, self.tracker.engine, self.dt, clock)
+            if done and not by_tip
+            else (None, None)
+        )
+        return TrackResult(
+            robot=robot.name,
+            method=self.tracker.engine.name,
+            options=self.tracker.engine.settings(self.dt),
+            dt=float(self.dt),
+            joint_names=robot.joint_names,
+            t=np.arange(done + 1) * self.dt,
+            q=Q,
+            rate=R,
+            xyz=tips if by_tip else tips[:, 0],
+            target_xyz=targets[:, :, :3, 3] if by_tip else targets[:, 0, :3, 3],
+            position_error=np.linalg.norm(errors[:, :, :3], axis=2).max(axis=1),
+            orientation_error=np.linalg.norm(errors[:, posed, 3:], axis=2).max(axis=1) if posed else None,
+            limited=self.C[:done],
+            damped=self.S[:done, 3] > 0.0,
+            between_position=between[0],
+            between_orientation=between[1],
+            elapsed=self.elapsed,
+            gain_check=check,
+            position_tolerance=self.tolerances[0],
+            orientation_tolerance=self.tolerances[1],
+            settle=settle,
+            clock=clock,
+            sigma=self.S[:done, 1].copy(),
+            pace=self.S[:done, 2].astype(int),
+            end=float(times[-1]),
+        )
+
+    def go(self) -> None:
+        """Run to the end."""
+        tracker, count = self.tracker, len(self.samples[0]) - 1
+        # No step yet: this compiles (or loads) the loop, so that the time reported is that of tracking.
+        kept = [one.copy() for one in tracker.carried()]
+        first = [one[:1] for one in self.samples]
+        tracker.run(*first, self.dt, *self._arrays(0), mode=self.mode, clock=self.clock, runaway=RUNAWAY)
+        tracker.put_back(kept)
+        began = time.perf_counter()
+        if self.mode == SLOW and np.isfinite(tracker._limits[2:]).any():
+            self.look_ahead()
+        made, left = [], self.most
+        while True:
+            steps = 1 if tracker.secondary.each_step else min(count, left)
+            arrays = self._arrays(steps)
+            done = tracker.run(
+                *self.samples, self.dt, *arrays, mode=self.mode, clock=self.clock, caps=self.caps, runaway=RUNAWAY
+            )
+            left -= done
+            ended = left <= 0 or tracker._state[motion.STATE.stop] != motion.FINE
+            ended = ended or tracker._state[motion.STATE.clock] >= count
+            rows = done + 1 if ended else done
+            made.append([one[: done if k == 3 else rows] for k, one in enumerate(arrays)])
+            if ended:
+                break
+        self.elapsed = time.perf_counter() - began
+        self.Q, self.R, self.E, self.C, self.S = (np.concatenate(part) for part in zip(*made, strict=True))
+
+
+def _references(robot: Any, reference: Any) -> list[Reference]:
+    """One reference a tip. Raises InvalidOption (no robot), InvalidTarget."""
+    if not isinstance(robot, Robot | Tree):
+        raise InvalidOption(f"tracking takes a Robot (see Robot.load) or a Tree, not {type(robot).__name__}")
+    if not robot.by_tip:
+        if not isinstance(reference, Reference):
+            raise InvalidTarget(f"track follows a Reference (ik.circle, ik.line, ...), not {type(reference).__name__}")
+        return [reference]
+    wanted = f"track follows a dict of References, one for each of {', '.join(robot.tips)}"
+    if not isinstance(reference, Mapping):
+        raise InvalidTarget(f"{wanted}, not {type(reference).__name__}")
+    robot.check_tips(reference)
+    found = [one for one in (reference.get(tip) for tip in robot.tips) if isinstance(one, Reference)]
+    if len(found) < len(robot.tips):
+        raise InvalidTarget(wanted)
+    if len({one.duration for one in found}) > 1:
+        raise InvalidTarget(
+            f"the references of the tips must last equally long, not {[one.duration for one in found]} s"
+        )
+    return found
+
+
+def _forward(robot: Any, Q: np.ndarray) -> np.ndarray:
+    """Positions of the tips (N, F, 3) [m] at Q (N, n)."""
+    arms = zip(robot.arms, robot.places, strict=True)
+    return np.stack([arm.chain.forward(np.ascontiguousarray(Q[:, at]))[0][:, :3, 3] for arm, at in arms], axis=1)
 
 
 def _samples(reference: Reference, times: np.ndarray) -> Samples:
@@ -137,26 +268,27 @@ def _samples(reference: Reference, times: np.ndarray) -> Samples:
     return T, V, A
 
 
-def _start(robot: Robot, reference: Reference) -> np.ndarray:
-    """Home if the tip is then at the reference's start, else a solution of it (the best one found, if none)."""
-    target = reference.target(0.0)
-    position, orientation = robot.errors(robot.home, target)
-    if position < 1e-9 and (orientation or 0.0) < 1e-9:
+def _start(robot: Any, references: list[Reference]) -> np.ndarray:
+    """Home if the tips are then at the reference's start, else a solution of it (the best one found, if none)."""
+    targets = [one.target(0.0) for one in references]
+    errors = robot.errors(robot.home, targets) if robot.by_tip else [robot.errors(robot.home, targets[0])]
+    if all(position < 1e-9 and (orientation or 0.0) < 1e-9 for position, orientation in errors):
         return robot.home
     from ..solvers.solve import solve
 
-    return solve(robot, target, q0=robot.home).q
+    return solve(robot, targets if robot.by_tip else targets[0], q0=robot.home).q
 
 
 def _between(
-    robot: Robot, reference: Reference, Q: np.ndarray, R: np.ndarray, gamma: float, dt: float
-) -> tuple[np.ndarray, np.ndarray | None]:
+    robot: Any, reference: Reference, Q: np.ndarray, R: np.ndarray, engine: Any, dt: float, clock: np.ndarray
+) -> tuple[np.ndarray | None, np.ndarray | None]:
     """Largest position and orientation error (N,) inside each step, on the motion the method itself assumes."""
+    if any(one is not None for one in (engine.options.mask, engine.options.slack, engine.options.free_turn)):
+        return None, None  # what counts of the error is the kernel's to say
     worst_p, worst_o = np.zeros(len(Q) - 1), np.zeros(len(Q) - 1)
-    start = np.arange(len(Q) - 1) * dt
     for f in FRACTIONS:
-        T = robot.chain.forward(interpolate(Q, R, gamma, dt, f))[0]
-        wanted = reference.at(start + f * dt)[0]
+        T = robot.chain.forward(interpolate(Q, R, engine.gamma, dt, f))[0]
+        wanted = reference.at(clock[:-1] + f * np.diff(clock))[0]
         worst_p = np.maximum(worst_p, np.linalg.norm(T[:, :3, 3] - wanted[:, :3, 3], axis=1))
         chord = np.linalg.norm(T[:, :3, :3] - wanted[:, :3, :3], axis=(1, 2)) / np.sqrt(8.0)
         worst_o = np.maximum(worst_o, 2.0 * np.arcsin(np.minimum(chord, 1.0)))

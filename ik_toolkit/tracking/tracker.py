@@ -1,111 +1,101 @@
 """`Tracker`: follow targets that arrive one by one, for somebody's control loop."""
 
-from enum import Enum
+import math
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-from ..errors import InvalidConfiguration, InvalidOption, InvalidTarget, floats
+from ..errors import InvalidOption, floats, near_match
 from ..kernel import motion
-from ..robot.pose import AxisTarget, check_target
+from ..kernel.constrain import DIRECT, LEAVE
+from ..kernel.motion import CLIP
+from ..kernel.task import POSITION
 from ..robot.robot import Robot
-from ..robot.tree import require_one_tip
+from ..robot.tree import Tree
 from .engine import bind
-from .inputs import positive
+from .inputs import one_of, positive
 from .methods import Method
-from .reference import log
+from .secondary import Secondary, read_secondary
+from .step import Outcome, Step
+from .stream import Stream
 
 JUMP = 0.5  # joint move [rad, or reaches] in one step that is reported as a jump
-
-
-class StepStatus(Enum):
-    """How one step went: OK; LIMITED (a limit held a joint back); JUMPED (a joint moved far); HELD (no usable command)."""
-
-    OK = "ok"
-    LIMITED = "limited"
-    JUMPED = "jumped"
-    HELD = "held"
-
-
-class Step:
-    """One step of a tracker.
-
-    q (n,) [rad or m] and rate (n,) to command now; status; reason, a sentence ('' when OK); position_error [m] and
-    orientation_error [rad] (None for positions) left to this step's target.
-    """
-
-    __slots__ = ("_info", "orientation_error", "position_error", "q", "rate", "status")
-
-    def __init__(self, q, rate, status, position_error, orientation_error, info) -> None:
-        """Keep what the sentence needs; it is made only when asked for."""
-        self.q, self.rate, self.status = q, rate, status
-        self.position_error, self.orientation_error = position_error, orientation_error
-        self._info = info
-
-    @property
-    def reason(self) -> str:
-        """Why the status is not OK."""
-        robot, code, before, finite = self._info
-        if self.status is StepStatus.OK:
-            return ""
-        if self.status is StepStatus.HELD:
-            return ("the step is not finite" if finite else "the target is not finite") + ": braking and holding"
-        parts = []
-        move = np.abs(self.q - before) / robot.chain.unit
-        if self.status is StepStatus.JUMPED:
-            i = int(np.argmax(move))
-            parts.append(f"joint {robot.joint_names[i]} moved {self.q[i] - before[i]:.3g} in one step")
-        for bit, name in (
-            (motion.POSITION, "position"),
-            (motion.VELOCITY, "speed"),
-            (motion.ACCELERATION, "acceleration"),
-        ):
-            held = [j for j, c in zip(robot.joint_names, code, strict=True) if c & bit]
-            if held:
-                parts.append(f"{name} limit held back {', '.join(held)}")
-        return "; ".join(parts)
-
-    def __repr__(self) -> str:
-        """Status, error and reason."""
-        return f"Step({self.status.name}, {self.position_error:.3g} m{', ' + self.reason if self.reason else ''})"
+RESYNC = 0.1  # [rad, or reaches] between joints measured and commanded beyond which a tracker starts anew
+LATE = 5.0  # longest step, over the first one, after which limits are still kept; a longer one is taken in parts
+MODES = {"direct": DIRECT, "leave": LEAVE, "clip": CLIP}
+LAWS_KEPT = 64  # lengths of a step for which the numbers of a method are kept
+ROWS = 12  # half-planes that what is in the way may put up at a time
+LIMIT_NAMES = ("lower", "upper", "speed", "acceleration")
 
 
 class Tracker:
     """Follow targets that arrive one by one.
 
-    method: cv, av, ca, aa, aad with its options, see `Method`. q0 (n,): start, default home. rate0 (n,): joint rate at the
-    start, default the target's (at rest when acceleration limits are given). limits: keep joint positions and speeds of
-    the robot, and accelerations [rad/s^2 or m/s^2] when acceleration_limits gives them (number or (n,)); position, speed
-    and acceleration hold at every sample. jump: joint move [rad, or reaches] in one step reported as JUMPED. Raises
+    robot: a Robot, or a Tree (several tips). method: cv, av, ca, aa, aad with its options, see `Method`, or a solver that
+    tracks. q0 (n,): start, default home. rate0 (n,): joint rate at the start, default the target's (at rest when acceleration
+    limits are given). limits: keep joint positions and speeds of the robot, and accelerations [rad/s^2 or m/s^2] when
+    acceleration_limits gives them (number or (n,)): at every sample and in between, for any dt up to dt_max [s] (default five
+    times the first; a longer step is taken in parts). A joint outside its limits is brought back.
+
+    on_limit: what gives way where limits bind. "direct": the tip falls behind, but towards its target (for an operator);
+    "leave": the error is the least possible now; "clip": the published form, each joint clipped on its own.
+
+    What counts: mask, slack, free_turn, frame, relative_to as in `ik.solve`. Beside the task, in its null space: avoid_limits
+    (True, False or a rate [1/s]): lead joints away from near limits; posture (n,) [rad or m] to keep, or (posture, rate);
+    elbow {joint: 1 or -1}: the side of its zero on which a joint stays; manipulability [1/s]: how strongly it is raised;
+    cost: a function of q (n,) [rad or m] to lower, which returns a number or its slope (n,).
+
+    jump: joint move [rad, or reaches] in one step reported as JUMPED; resync [rad, or reaches]: see `update`. Raises
     InvalidOption, InvalidConfiguration.
     """
 
     def __init__(
         self,
-        robot: Robot,
+        robot: Robot | Tree,
         method: str | Method = "cv",
         *,
         q0: Any = None,
         rate0: Any = None,
         limits: bool = True,
         acceleration_limits: Any = None,
+        on_limit: str = "direct",
+        dt_max: float | None = None,
         jump: float = JUMP,
+        resync: float = RESYNC,
+        avoid_limits: Any = True,
+        posture: Any = None,
+        elbow: Any = None,
+        manipulability: float = 0.0,
+        cost: Any = None,
         **options: Any,
     ) -> None:
         """Bind a robot and a method."""
-        require_one_tip(robot, "tracking")
+        if not isinstance(robot, Robot | Tree):
+            raise InvalidOption(f"tracking takes a Robot (see Robot.load) or a Tree, not {type(robot).__name__}")
         self.robot = robot
         self.engine = bind(robot, method, limits, options)
-        self.jump = positive(jump, "jump")
+        self._mode = read_mode(on_limit, MODES)
+        self.jump, self.resync = positive(jump, "jump"), positive(resync, "resync")
         self._limits = limit_rows(robot, limits, acceleration_limits)
+        self._speed = np.where(np.isfinite(self._limits[2]), self._limits[2], 1.0) * robot.chain.unit
+        self._longest = 0.0 if dt_max is None else positive(dt_max, "dt_max [s]")
         self._at_rest = acceleration_limits is not None
+        self.secondary: Secondary = read_secondary(robot, avoid_limits, posture, elbow, manipulability, cost)
+        self.secondary.confine(self._limits)
         n = robot.n
-        self._q, self._rate = np.zeros(n), np.zeros(n)
+        self.stream = Stream(robot)
+        m = 6 * self.stream.tips
+        self._q, self._rate, self._away = np.zeros(n), np.zeros(n), np.zeros(n)
         self._state = np.zeros(len(motion.STATE))
-        self._T, self._V, self._A = np.zeros((2, 4, 4)), np.zeros((2, 6)), np.zeros((2, 6))
-        self._T[:] = np.eye(4)
-        self._Q, self._R, self._E = np.zeros((2, n)), np.zeros((2, n)), np.zeros((2, 6))
-        self._code, self._D = np.zeros((1, n), np.uint8), np.zeros(1)
+        self._lines, self._level, self.rows = np.zeros((ROWS, n)), np.zeros(ROWS), 0
+        self._active = np.zeros(n, np.int8)
+        self._kept = np.zeros(1, np.int8)
+        self._caps, self._unmeasured = np.ones((2, 2)), np.zeros(0)
+        self._Q, self._R, self._E = np.zeros((2, n)), np.zeros((2, n)), np.zeros((2, m))
+        self._C, self._S = np.zeros((1, n), np.uint8), np.zeros((2, 4))
+        self._laws: dict[float, np.ndarray] = {}
+        self._kinds: tuple | None = None
         self.reset(q0, rate0=rate0)
 
     def reset(
@@ -113,117 +103,163 @@ class Tracker:
     ) -> None:
         """Start again from q0 (default home), with the target's pose and motion at this moment if they are known."""
         q = self.robot.check_q(self.robot.home if q0 is None else q0, "q0")
-        if self._limits[0].max() > -np.inf or self._limits[1].min() < np.inf:
-            outside = self.robot.outside(q)
-            if outside:
-                raise InvalidConfiguration(
-                    f"q0 is outside the limits of {', '.join(outside)}; move it inside or use limits=False"
-                )
-        self._q[:] = q / self.robot.chain.unit
-        self._rate[:] = 0.0
-        self.engine.forget()
-        self._state[:] = motion.MOVING, 0.0, 0.0
-        if rate0 is not None:
-            self._rate[:] = self.robot.check_q(rate0, "rate0") / self.robot.chain.unit
-        if rate0 is not None or self._at_rest:
-            self._state[motion.STATE.start] = motion.GIVEN
-        self._m = 0
+        self._begin(q, None if rate0 is None else self.robot.check_q(rate0, "rate0"))
+        self._late = self._longest
+        self.stream.forget()
         if target is not None:
-            self._take(0, target, twist, acceleration)
+            self.stream.take(0, target, twist, acceleration)
+
+    def _begin(self, q: np.ndarray, rate: np.ndarray | None) -> None:
+        """Stand at q, and forget what was done before."""
+        unit = self.robot.chain.unit
+        self._q[:] = q / unit
+        self._rate[:] = 0.0 if rate is None else rate / unit
+        self.engine.memory[:] = 0.0
+        self._state[:] = 0.0
+        given = rate is not None or self._at_rest
+        self._state[motion.STATE.start] = motion.GIVEN if given else motion.MOVING
+        self._active[:], self._kept[:] = 0, 0
+        self.secondary.side(self._away)
 
     @property
     def q(self) -> np.ndarray:
-        """Present joint values (n,)."""
+        """Present joint values (n,), as commanded."""
         return self._q * self.robot.chain.unit
 
-    def update(self, target: Any, dt: float, twist: Any = None, acceleration: Any = None) -> Step:
+    def change_limits(
+        self, *, lower: Any = None, upper: Any = None, speed: Any = None, acceleration: Any = None
+    ) -> None:
+        """Replace limits from now on: numbers, (n,), or a dict by joint name [rad or m, per s, per s^2].
+
+        What is beyond a new limit is brought back, as fast as the others allow (RECOVERING): a joint of speed 0 brakes and
+        stays. Raises InvalidOption.
+        """
+        for row, name, value in zip(self._limits, LIMIT_NAMES, (lower, upper, speed, acceleration), strict=True):
+            if value is None:
+                continue
+            new = row * self.robot.chain.unit
+            if isinstance(value, Mapping):
+                for joint, one in value.items():
+                    if joint not in self.robot.joint_names:
+                        raise InvalidOption(f"{name}: no joint '{joint}'.{near_match(joint, self.robot.joint_names)}")
+                    new[self.robot.joint_names.index(joint)] = floats(one, f"{name} of {joint}", InvalidOption)
+            else:
+                given = floats(value, f"{name} must be a number or {self.robot.n} numbers", InvalidOption)
+                if given.shape not in ((), new.shape):
+                    raise InvalidOption(f"{name} must be a number or {self.robot.n} numbers, not {value!r:.60}")
+                new[:] = given
+            least = -np.inf if name in ("lower", "upper") else 0.0
+            if np.isnan(new).any() or (new < least).any():
+                raise InvalidOption(f"{name} must be numbers of at least 0, not {value!r:.60}")
+            row[:] = new / self.robot.chain.unit
+        if (self._limits[0] > self._limits[1]).any():
+            raise InvalidOption("lower limits must not be above the upper ones")
+
+    def update(self, target: Any, dt: float, twist: Any = None, acceleration: Any = None, *, q: Any = None) -> Step:
         """Step to where the tip should be dt [s] from now; returns a Step.
 
-        target: T_base_tip (4, 4), pin.SE3 or position (3,), the same kind every time. twist, acceleration (6,) or (3,): of
-        the target at that moment, base axes; without twist the last two targets give it, without acceleration it is 0. A
-        target that is not finite is held against (HELD), not raised. Raises InvalidTarget for a wrong shape, InvalidOption
-        for a dt that is not positive.
+        target: T_base_tip (4, 4), pin.SE3, position (3,) or an AxisTarget, of several tips as `ik.Solver` takes them, the same
+        kind every time. twist, acceleration (6,) or (3,), of several tips (F, 6) or a dict by tip: of the target at that moment,
+        base axes; without twist the last two targets give it, without acceleration it is 0. q (n,): the joints as measured now;
+        error and Jacobian are taken there, while limits and the next command go on from the last command. Beyond resync from it
+        the tracker starts anew from q, at rest (JUMPED). A target that is not finite is held against (HELD), not raised. Raises
+        InvalidTarget for a wrong shape, InvalidOption for a dt that is not positive, InvalidConfiguration for a wrong q.
         """
         dt = positive(dt, "dt [s]")
-        finite = self._take(1, target, twist, acceleration, dt)
-        before = self.q
-        self._steps(self._T, self._V, self._A, dt, not finite, np.inf, self._Q, self._R, self._E, self._code, self._D)
+        robot, stream, unit = self.robot, self.stream, self.robot.chain.unit
+        finite = stream.take(1, target, twist, acceleration, dt)
+        measured, lag, resynced = self._unmeasured, 0.0, False
+        before = self._q * unit
+        if q is not None:
+            found = robot.check_q(q, "q")
+            measured = found / unit
+            lag = float(np.abs(measured - self._q).max()) / self.resync
+            resynced = lag > 1.0
+            if resynced:
+                self._begin(found, np.zeros(robot.n))
+        self._late = self._late or LATE * dt
+        parts = 1 if dt <= self._late else math.ceil(dt / self._late)
+        self._step(dt, parts, not finite, measured)
         if finite:
-            self._T[0], self._V[0], self._A[0] = self._T[1], self._V[1], self._A[1]
-        code, e, unit = self._code[0], self._E[1], self.robot.chain.unit
-        q = self._q * unit
-        if code.any() and code[0] & motion.HELD:
-            status = StepStatus.HELD
-        elif (np.abs(q - before) > self.jump * unit).any():
-            status = StepStatus.JUMPED
-        else:
-            status = StepStatus.LIMITED if code.any() else StepStatus.OK
-        orientation = float(np.sqrt(e[3:] @ e[3:])) if self._m == 6 else None
-        info = (self.robot, code.copy(), before, finite)
-        return Step(q, self._rate * unit, status, float(np.sqrt(e[:3] @ e[:3])), orientation, info)
+            stream.step_on()
+        out = Outcome(
+            robot, self._C[0].copy(), before, self._E[1].copy(), self._posed, self._S[0, 3], finite, self.jump, self._speed,
+            lag, resynced,
+        )  # fmt: skip
+        return Step(self._q * unit, self._rate * unit, out)
 
-    def _steps(self, T, V, A, dt, brake, runaway, Q, R, E, C, D) -> int:
-        """Take len(T) - 1 steps from the present state; return how many were taken."""
-        fixed = (float(brake), runaway, self._limits, self._q, self._rate, self._state)
-        return self.engine.run(T, V, A, dt, self._m, *fixed, Q, R, E, C, D)
+    def _step(self, dt: float, parts: int, brake: bool, measured: np.ndarray) -> None:
+        """Take one step, in equal parts where it is too long."""
+        stream = self.stream
+        self.prepare(stream.kinds or (POSITION,) * stream.tips)
+        T, V, A = stream.T, stream.V, stream.A
+        if parts > 1:
+            T, V, A = stream.divided(parts)
+        for k in range(parts):
+            part = slice(k, k + 2)
+            self.run(
+                T[part], V[part], A[part], dt / parts, self._Q, self._R, self._E, self._C, self._S, brake=brake,
+                measured=measured,
+            )  # fmt: skip
 
-    def _take(self, slot: int, target: Any, twist: Any, acceleration: Any, dt: float = 0.0) -> bool:
-        """Write a target into slot 0 (now) or 1 (end of step); False when it is not finite (the last one stays)."""
-        if isinstance(target, AxisTarget):
-            raise InvalidTarget(
-                "a tracker takes no axis target: give a pose (4, 4), or a position to leave every turn free"
-            )
-        raw = floats(getattr(target, "homogeneous", target), "a tracker takes a 4x4 pose or a position", InvalidTarget)
-        m = {(3,): 3, (4, 4): 6}.get(raw.shape)
-        if m is None or self._m not in (0, m):
-            wanted = "a 4x4 pose or a position of 3 numbers" if m is None else "targets of one kind, poses or positions"
-            raise InvalidTarget(f"a tracker takes {wanted}, not shape {raw.shape}")
-        first = self._m == 0
-        motion_given = [np.zeros(6), np.zeros(6)]
-        for given, value, name in zip(motion_given, (twist, acceleration), ("twist", "acceleration"), strict=True):
-            if value is not None:
-                array = floats(value, f"{name} must have {m} values", InvalidTarget)
-                if array.shape not in ((m,), (6,)):
-                    raise InvalidTarget(f"{name} must have {m} values, not shape {array.shape}")
-                given[: len(array)] = array
-        if not (np.isfinite(raw).all() and np.isfinite(motion_given).all()):
-            if first:
-                self._m = m
-                self._T[0] = self._T[1] = self._here(m)
-                self._m = 0 if slot == 0 else m
-            self._T[1], self._V[1], self._A[1] = self._T[0], 0.0, 0.0
-            return False
-        self._m = m
-        if m == 3:
-            self._T[slot, :3, 3] = raw
-        else:
-            self._T[slot] = raw if _rigid(raw) else check_target(raw)[0]
-        if first and slot == 1:
-            self._T[0] = self._T[1]
-            self._V[0], self._A[0] = motion_given
-        if slot == 1 and twist is None:
-            motion_given[0][:3] = (self._T[1, :3, 3] - self._T[0, :3, 3]) / dt
-            if m == 6:
-                motion_given[0][3:] = log(self._T[1, :3, :3] @ self._T[0, :3, :3].T) / dt
-        self._V[slot], self._A[slot] = motion_given
-        return True
+    def prepare(self, kinds: tuple) -> None:
+        """Pack what depends on the kinds of target."""
+        if self._kinds == kinds:
+            return
+        self._orders, self._counts = self.engine.orders(kinds)
+        rows = ROWS + 2 * int((self._counts[1] > 0.0).sum())
+        if self._mode == CLIP and rows > ROWS:
+            raise InvalidOption("slack is kept by the constrained step, so on_limit cannot be 'clip'")
+        self._kept = np.zeros(rows + 1, np.int8)
+        self._posed = tuple(bool(self._counts[0, 6 * f + 3 : 6 * f + 6].any()) for f in range(len(kinds)))
+        self._kinds = kinds
 
-    def _here(self, m: int) -> np.ndarray:
-        T = self.robot.chain.forward(self.q)[0][0]
-        return T if m == 6 else np.vstack([np.hstack([np.eye(3), T[:3, 3:]]), T[3:]])
+    def carried(self) -> tuple[np.ndarray, ...]:
+        """What is carried from step to step."""
+        return self._q, self._rate, self.engine.memory, self._away, self._active, self._kept, self._state
 
+    def put_back(self, kept: Sequence[np.ndarray]) -> None:
+        """Be as before: copies of `carried`."""
+        for one, before in zip(self.carried(), kept, strict=True):
+            one[:] = before
 
-def _rigid(T: np.ndarray) -> bool:
-    """Whether (4, 4) numbers are a pose: the long look of `check_target`, which mends or refuses, costs ten times as much."""
-    (a, b, c, _), (d, e, f, _), (g, h, i, _), last = T.tolist()
-    off = (
-        a * a + b * b + c * c - 1.0, d * d + e * e + f * f - 1.0, a * d + b * e + c * f,
-        b * f - c * e - g, c * d - a * f - h, a * e - b * d - i,
-    )  # fmt: skip
-    return last == [0.0, 0.0, 0.0, 1.0] and max(map(abs, off)) < 1e-9
+    def run(
+        self, T, V, A, h, Q, R, E, C, S, *, brake=False, measured=None, runaway=np.inf, mode=None, clock=None, caps=None,
+        limits=None,
+    ) -> int:  # fmt: skip
+        """Take len(E) - 1 steps from the present state (see kernel/servo.py); returns how many were taken.
+
+        clock: tolerances (position [m], orientation [rad]) of a reference that has one; limits: others than the tracker's.
+        """
+        law = self._laws.get(h)
+        if law is None:
+            if len(self._laws) >= LAWS_KEPT:
+                self._laws.clear()
+            law = self._laws[h] = self.engine.law(h)
+        at, state = motion.PLACE, self._state
+        law[at.brake], law[at.runaway], law[at.late], law[at.rows] = brake, runaway, max(self._late, h), self.rows
+        law[at.mode] = self._mode if mode is None else mode
+        law[at.avoid] = self.secondary.avoid
+        law[at.clocked] = clock is not None
+        if clock is not None:
+            law[at.tol_p], law[at.tol_r] = clock
+        if self.secondary.each_step:
+            self.secondary.look(self._q)
+        chain = self.robot.chain
+        return self.engine.loop(
+            chain.rows, chain.ends, self._orders, T, V, A, h, law, self._counts, self._limits if limits is None else limits,
+            self.secondary.wish, self._caps if caps is None else caps, self._q, self._rate, self.engine.memory, self._away,
+            self._active, self._kept, state, self._unmeasured if measured is None else measured, self._lines, self._level, Q, R,
+            E, C, S,
+        )  # fmt: skip
 
 
-def limit_rows(robot: Robot, limits: bool, acceleration_limits: Any) -> np.ndarray:
+def read_mode(on_limit: Any, modes: Mapping[str, int]) -> int:
+    """Number of a way to treat limits. Raises InvalidOption."""
+    return modes[one_of(on_limit, modes, "on_limit")]
+
+
+def limit_rows(robot: Robot | Tree, limits: bool, acceleration_limits: Any) -> np.ndarray:
     """Rows lower, upper, speed, acceleration (4, n) in kernel units; infinite where there is none."""
     n, unit = robot.n, robot.chain.unit
     rows = np.full((4, n), np.inf)

@@ -3,7 +3,7 @@
 import numpy as np
 
 from ..errors import InvalidOption
-from ..kernel import motion
+from ..kernel import box, motion
 from ..robot.pose import length
 from .inputs import number
 from .result import TrackResult, TrackStatus
@@ -11,7 +11,7 @@ from .result import TrackResult, TrackStatus
 POSITION_TOLERANCE = 1e-3  # [m] what a path is commonly followed to
 ORIENTATION_TOLERANCE = np.radians(0.1)  # [rad] moves a tool of half a metre by about as much
 SETTLE = 0.5  # [s] given to an arm that has to get going first
-LIMITS = ((motion.POSITION, "position"), (motion.VELOCITY, "speed"), (motion.ACCELERATION, "acceleration"))
+LIMITS = ((box.POSITION, "position"), (box.VELOCITY, "speed"), (box.ACCELERATION, "acceleration"))
 
 
 def settling(settle: float | None, at_rest: bool, duration: float) -> float:

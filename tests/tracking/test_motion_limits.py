@@ -9,32 +9,105 @@ from references import MIMIC, Q0, panda_reference
 
 import ik_toolkit as ik
 from ik_toolkit.errors import InvalidConfiguration, InvalidOption
-from ik_toolkit.kernel import motion
+from ik_toolkit.kernel import box
 from ik_toolkit.robot.robot import Robot
 from ik_toolkit.tracking.track import track
+
+
+def motions(count, steps, seed):
+    """Joints driven at random, in steps of any length, against every kind of limit: q, rate, next q, next rate, h, gamma.
+
+    What they are told to do is the worst for some of the time: as fast as allowed, this way and that.
+    """
+    rng = np.random.default_rng(seed)
+    for gamma in (1.0, 0.5, 0.6, 0.55, 0.8, 0.3):
+        late = 10.0 ** rng.uniform(-3.0, -0.5)
+        limits = np.empty((4, count))
+        limits[0] = rng.uniform(-3.0, 1.0, count)
+        limits[1] = limits[0] + rng.choice([1e-3, 0.1, 1.0, 5.0], count)
+        limits[2] = rng.choice([0.1, 1.0, 3.0, 20.0, np.inf], count)
+        limits[3] = rng.choice([0.1, 1.0, 10.0, 100.0, np.inf], count)
+        q, rate, code = rng.uniform(limits[0], limits[1]), np.zeros(count), np.zeros(count, np.uint8)
+        side = np.ones(count)
+        for _ in range(steps):
+            h = late * rng.choice([0.01, 0.04, 0.2, 0.5, 1.0, rng.uniform(0.01, 1.0)])
+            side[rng.random(count) < 0.05] *= -1.0
+            x = np.where(rng.random(count) < 0.7, side * 1e9, rng.normal(size=count))
+            before = q.copy(), rate.copy()
+            box.advance(q, rate, x, gamma, h, late, limits, code)
+            assert not (code & box.RECOVERING).any()
+            yield limits, *before, q, rate, h, gamma
+
+
+def extremes(q, v, after, h, gamma):
+    """Lowest and highest place, highest speed and acceleration [per the change of the rate] on the way of a step."""
+    d = after - q
+    if gamma == 1.0:
+        return np.minimum(q, after), np.maximum(q, after), np.abs(d / h)
+    bend = d - h * v
+    with np.errstate(divide="ignore", invalid="ignore"):
+        f = np.where(bend != 0.0, -h * v / (2.0 * bend), 0.0)
+    turn = q + np.where((f > 0.0) & (f < 1.0), f * (h * v + f * bend), 0.0)
+    return np.minimum(np.minimum(q, after), turn), np.maximum(np.maximum(q, after), turn), np.abs(2.0 * d / h - v)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_limits_hold_in_steps_of_any_length_and_between_them(seed):
+    """With dt drawn anew each time, position and speed along the polynomial that is executed, and its acceleration."""
+    for limits, q, v, after, w, h, gamma in motions(300, 60, seed):
+        low, high, speed = extremes(q, v, after, h, gamma)
+        assert (after >= limits[0]).all() and (after <= limits[1]).all()
+        assert (low >= limits[0] - 1e-12).all() and (high <= limits[1] + 1e-12).all()
+        assert (speed <= limits[2] * (1.0 + 1e-9)).all()
+        bend = (after - q - h * v) * 2.0 / h if gamma != 1.0 else w - v
+        assert (np.abs(bend) <= limits[3] * h * (1.0 + 1e-9) + 1e-14 / h).all()  # rounding of q
 
 
 @settings(max_examples=300, deadline=None, derandomize=True)
 @given(
     distance=some.floats(1e-9, 10.0),
-    v=some.floats(-5.0, 5.0),
+    share=some.floats(-1.0, 1.0),
     gamma=some.sampled_from([0.5, 0.6, 1.0]),
     h=some.floats(1e-4, 0.1),
     a=some.floats(0.01, 500.0),
 )
-def test_fastest_rate_can_brake_in_time_and_is_the_fastest(distance, v, gamma, h, a):
-    rate = motion.fastest(distance, v, gamma, h, a)
-
-    def furthest(x):
-        place, now = h * ((1 - gamma) * v + gamma * x), x
+def test_the_approach_can_brake_in_time_and_is_the_fastest_that_can(distance, share, gamma, h, a):
+    """With later steps of h the way to rest ends inside; with steps of the worst length it ends at the distance itself."""
+    v = share * box.approach(distance, 0.0, gamma, 0.0, a, h)  # one that can stop
+    rate = box.approach(distance, v, gamma, h, a, h)
+    if rate < 0.0:
+        return  # it has to brake at once
+    way = h * ((1.0 - gamma) * v + gamma * rate)
+    assert way + box.stopping(rate, gamma, a, h) == pytest.approx(distance, rel=1e-9)
+    if rate / (a * h) < 5000:
+        now = rate
         while now > 0.0:
             after = max(now - a * h, 0.0)
-            place, now = place + h * ((1 - gamma) * now + gamma * after), after
-        return place
+            way, now = way + h * ((1 - gamma) * now + gamma * after), after
+        assert way <= distance * (1.0 + 1e-9)
 
-    if rate / (a * h) < 5000:
-        assert furthest(rate) <= distance + 1e-9 * max(1.0, abs(v))
-        assert furthest(rate + 1e-4 * (abs(rate) + a * h)) > distance
+
+def test_a_joint_outside_its_limits_comes_back_without_turning_round():
+    limits = np.array([[-1.0] * 4, [1.0] * 4, [2.0] * 4, [np.inf, 5.0, 5.0, np.inf]])
+    for gamma in (1.0, 0.5, 0.6):
+        q, rate, code = np.array([1.3, 1.3, -1.2, 1.0 + 1e-9]), np.zeros(4), np.zeros(4, np.uint8)
+        outside = [np.abs(q)]
+        for _ in range(600):
+            box.advance(q, rate, np.array([9.0, 9.0, -9.0, 9.0]), gamma, 0.01, 0.05, limits, code)
+            assert ((code & box.RECOVERING) > 0)[outside[-1] > 1.0 + 1e-12].all()
+            outside.append(np.abs(q))
+        excess = np.maximum(np.array(outside) - 1.0, 0.0)
+        assert (np.diff(excess, axis=0) <= 0.0).all() and (excess[-1] <= 1e-12).all()
+        assert (np.abs(rate) <= 0.2).all() and not (code & box.RECOVERING).any()
+
+
+def test_a_limit_that_falls_below_the_speed_is_met_with_full_deceleration():
+    limits = np.array([[-9.0], [9.0], [1.0], [4.0]])
+    q, rate, code = np.zeros(1), np.array([2.0]), np.zeros(1, np.uint8)
+    for k in range(30):
+        box.advance(q, rate, np.array([9.0]), 1.0, 0.01, 0.05, limits, code)
+        assert rate[0] == pytest.approx(max(2.0 - 0.04 * (k + 1), 1.0), abs=1e-12)
+        assert bool(code[0] & box.RECOVERING) == (k < 24)
 
 
 @settings(max_examples=80, deadline=None, derandomize=True)
@@ -63,7 +136,7 @@ def test_limits_hold_at_every_sample(name, method, dt, acceleration, pose, seed)
     assert (np.abs(speed) <= top * (1 + 1e-9)).all()
     change = np.diff(np.vstack([np.zeros(robot.n), speed]), axis=0) / dt  # from rest
     assert np.abs(change).max() <= acceleration * (1 + 1e-6)
-    assert run.status.name in ("COMPLETED", "LOST")
+    assert run.status.name in ("COMPLETED", "SLOWED", "LEFT", "LOST")
 
 
 LIMITED: dict = {}
@@ -74,7 +147,8 @@ def test_a_large_error_is_closed_without_swinging(panda):
     start = Q0 + 3 * np.array([0.05, -0.05, 0.05, 0.05, -0.05, 0.05, 0.05])
     a = [15, 7.5, 10, 12.5, 15, 20, 20]
     for method in ("cv", "av", "ca", "aad"):
-        run = track(panda, panda_reference(panda, True, 3.0), method, dt=0.001, q0=start, acceleration_limits=a)
+        ref = panda_reference(panda, True, 3.0)
+        run = track(panda, ref, method, dt=0.001, q0=start, acceleration_limits=a, on_limit="leave")
         assert run.position_error[0] > 0.16
         assert run.position_error[600:].max() < 1e-6
 

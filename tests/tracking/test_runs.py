@@ -94,7 +94,9 @@ def test_command_warns_and_refuses(capsys):
 def test_wrong_inputs_of_a_run_are_typed(panda, planar):
     ref = panda_reference(panda, True, 1.0)
     tree = ik.Tree.load("brokk_hydrolek", tips=["left_tip", "right_tip"])
-    for robot in (tree, None, "panda"):
+    with pytest.raises(InvalidTarget, match="a dict of References, one for each of left_tip, right_tip"):
+        track(tree, ref)
+    for robot in (None, "panda"):
         with pytest.raises(InvalidOption, match=r"Robot\.load"):
             track(robot, ref)
         with pytest.raises(InvalidOption, match=r"Robot\.load"):

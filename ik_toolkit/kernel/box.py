@@ -1,0 +1,154 @@
+"""Which joint rates the limits allow now, so that every state left behind can still brake before a limit (viability).
+
+A joint at q moves at rate v. A step of h takes it to the rate w and to q + h ((1 - gamma) v + gamma w). In between it moves
+straight where gamma is 1 (velocity level), else along the parabola through both ends that begins with v; the bounds below
+hold for that motion, not for its samples alone. Braking is w = max(0, v - a h) in every step. Whatever lengths up to `late`
+later steps have, it covers at most (`stopping`)
+
+    gamma = 1    v^2 / 2a
+    else         v^2 / 2a + a late^2 / 8   for v above a late / 2, below that v late / 2   (gamma < 1/2: + (1/2 - gamma) v late)
+
+since a step h from v to w covers no more than the difference of the two. (At velocity level the sum over steps is a lower sum
+of the integral. Else a step is a trapezoid, and its last one, to rest, the longer the worse.) A state is viable when this is
+no more than the way left to the limit, and `box` lets only such states follow: no later step has to break one limit to keep
+another.
+"""
+
+import math
+
+import numpy as np
+
+from .jit import jit
+
+# Bits of `code`: why a joint did not move as commanded.
+POSITION, VELOCITY, ACCELERATION, HELD, RECOVERING, ROW = 1, 2, 4, 8, 16, 32
+ROUNDING = 4e-16  # of the numbers added up in a step, kept free before a limit: half a unit in the last place for each
+SPARE = 1e-13  # share of the way left kept free: a brake of some hundred steps sums up so many roundings
+NOISE = 1e-12  # [rad, or reaches] by which a state may miss viability before it is one that recovers
+SHARE = 0.1  # of the speed limit (or of 1 rad/s, 1 reach/s) at which a joint outside its limits comes back
+
+
+@jit
+def stopping(v, gamma, a, late):
+    """Longest way to rest from the rate v >= 0 with at most `a`, in steps of any lengths up to `late`."""
+    if gamma == 1.0:
+        return v * v / (2.0 * a)
+    way = 0.5 * v * late if v <= 0.5 * a * late else v * v / (2.0 * a) + 0.125 * a * late * late
+    return way + max(0.5 - gamma, 0.0) * v * late
+
+
+@jit
+def approach(distance, v, gamma, h, a, late):
+    """Highest next rate after which the joint can stop within `distance`; below 0 when it cannot even now (moving at v)."""
+    if distance == np.inf:
+        return np.inf
+    room = distance - h * (1.0 - gamma) * v
+    if room <= 0.0:
+        return room / (gamma * h) if h > 0.0 else 0.0
+    if gamma == 1.0:
+        return 2.0 * room / (h + math.sqrt(h * h + 2.0 * room / a))
+    slope = gamma * h + max(0.5 - gamma, 0.0) * late
+    slow = room / (slope + 0.5 * late)
+    if slow <= 0.5 * a * late:
+        return slow
+    room -= 0.125 * a * late * late
+    return 2.0 * room / (slope + math.sqrt(slope * slope + 2.0 * room / a))
+
+
+@jit
+def way_to(limit, q, sign):
+    """Way left to a limit (sign 1: upper, -1: lower), below 0 outside; rounding is kept free."""
+    if abs(limit) == np.inf:
+        return np.inf
+    way = sign * (limit - q)
+    if way < -NOISE:
+        return way
+    return max(way * (1.0 - SPARE) - ROUNDING * (abs(limit) + abs(q)), 0.0)
+
+
+@jit
+def towards(way, v, speed, gamma, h, a, late):
+    """Highest next rate towards a limit `way` ahead; outside (way < 0) it is the one that brings the joint back."""
+    if way >= 0.0:
+        return approach(way, v, gamma, h, a, late)
+    back = approach(-way, -v, gamma, h, a, late)
+    return -min(max(back, 0.0), SHARE * min(speed, 1.0))
+
+
+@jit
+def box(q, v, lower, upper, speed, a, gamma, h, late):
+    """Lowest and highest next rate of a joint, and the bits of the limits that set them.
+
+    Always an interval: where the limits contradict each other (a start outside of them, limits that changed) a single rate,
+    which keeps the acceleration, then the speed, then goes back inside; its bits have RECOVERING.
+    """
+    bend = 2.0 * gamma if 0.5 < gamma < 1.0 else 1.0  # the parabola accelerates by that more than the rates say ...
+    a = a / bend
+    rise, fall = v + a * h, v - a * h
+    fast, slow = speed, -speed
+    if bend > 1.0:  # ... and ends beyond w
+        fast, slow = min(fast, (speed + (bend - 1.0) * v) / bend), max(slow, ((bend - 1.0) * v - speed) / bend)
+    ahead, behind = way_to(upper, q, 1.0), way_to(lower, q, -1.0)
+    top_p = towards(ahead, v, speed, gamma, h, a, late)
+    low_p = -towards(behind, -v, speed, gamma, h, a, late)
+    top, low = min(top_p, fast, rise), max(low_p, slow, fall)
+    why_top = ACCELERATION if top == rise else VELOCITY if top == fast else POSITION
+    why_low = ACCELERATION if low == fall else VELOCITY if low == slow else POSITION
+    if ahead < 0.0 or behind < 0.0:
+        why_top, why_low = why_top | RECOVERING, why_low | RECOVERING
+    if low > top:
+        miss = low - top
+        top, low = min(fast, rise), max(slow, fall)
+        if low > top:
+            w = fall if fall > fast else rise
+        else:
+            w = low if top_p < low else top if low_p > top else min(max(0.0, low), top)
+        # What rounding leaves: the interval is a point, and contains what it should.
+        why = POSITION | ACCELERATION | (RECOVERING if miss * h > NOISE else 0)
+        return w, w, why, why
+    return low, top, why_low, why_top
+
+
+@jit
+def boxes(q, rate, limits, gamma, h, late, low, top, why_low, why_top):
+    """`box` of every joint; limits (4, n): lower, upper, speed, acceleration. True when one of them recovers."""
+    recovering = False
+    for i in range(q.shape[0]):
+        low[i], top[i], why_low[i], why_top[i] = box(
+            q[i], rate[i], limits[0, i], limits[1, i], limits[2, i], limits[3, i], gamma, h, late
+        )
+        recovering = recovering or (why_top[i] & RECOVERING) > 0
+    return recovering
+
+
+@jit
+def clip(x, low, top, why_low, why_top, code):
+    """Put the wanted rates x (in place) into their box, each on its own; code (n,) receives what held a joint back."""
+    hit = False
+    for i in range(x.shape[0]):
+        code[i] = why_top[i] & RECOVERING
+        if x[i] > top[i]:
+            x[i], code[i] = top[i], why_top[i]
+        elif x[i] < low[i]:
+            x[i], code[i] = low[i], why_low[i]
+        hit = hit or code[i] > 0
+    return hit
+
+
+@jit
+def move(q, rate, x, gamma, h):
+    """Take the step: q and rate (in place) to the next rate x."""
+    for i in range(q.shape[0]):
+        q[i] += h * x[i] if gamma == 1.0 else h * ((1.0 - gamma) * rate[i] + gamma * x[i])
+        rate[i] = x[i]
+
+
+@jit
+def advance(q, rate, x, gamma, h, late, limits, code):
+    """Step towards the wanted rates x with every joint clipped on its own (x = 0: brake); True when a limit held one back."""
+    n = q.shape[0]
+    ends, why = np.empty((2, n)), np.empty((2, n), np.uint8)
+    boxes(q, rate, limits, gamma, h, late, ends[0], ends[1], why[0], why[1])
+    hit = clip(x, ends[0], ends[1], why[0], why[1], code)
+    move(q, rate, x, gamma, h)
+    return hit

@@ -1,0 +1,131 @@
+"""Which joint rates the limits allow, near those wanted."""
+
+# numba's own types know neither options in a dict nor that overloads and intrinsics are called by numba.
+# pyright: reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
+import numpy as np
+from numba.extending import overload
+
+from .box import RECOVERING, ROW, clip
+from .clock import QUICK, WHOLE
+from .constrain import LEAVE, SLOW, WANTED, constrain
+from .jit import BUILD, inline
+from .modes import along_lost
+from .motion import CA, CLIP, NOT_FINITE, RUNAWAY, STATE
+from .records import copy
+from .wanted import Published
+from .wishes import away_from_limits, clip_wish, into_null_space
+
+LARGEST = 1e300  # a sum of joint speeds from which on it is no number to follow
+SINGULAR, DAMPING = 1e-6, 1e-6  # of `constrain`: lost directions are taken out of the task before it sees them
+
+
+@inline
+def judge(wanted, h, p, state):
+    """Make the joint speeds `wanted` zero where they cannot be followed or the arm brakes; whether to stop, to hold still."""
+    largest = 0.0
+    for k in range(wanted.shape[0]):
+        largest += abs(wanted[k])
+    bad = not largest < LARGEST
+    still = p.brake > 0.0 or (bad and p.runaway == np.inf)
+    if still:
+        for k in range(wanted.shape[0]):
+            wanted[k] = 0.0
+    elif bad or (p.mode == CLIP and largest * h > p.runaway * wanted.shape[0]):  # else the box has the last word
+        state[STATE.stop] = NOT_FINITE if bad else RUNAWAY
+        return True, still
+    return False, still
+
+
+@inline
+def add_wishes(law, s, limits, wish, h):
+    """Add to s.x what the joints are to do beside the task: to keep off their limits, a posture, a cost of the caller's."""
+    n, m = s.J.shape
+    some = False
+    for i in range(n):
+        s.g[i] += wish[1, i] * (wish[0, i] - s.at[i]) + wish[2, i]
+    if law.avoid > 0.0:
+        away_from_limits(s.at, limits, law.avoid, s.g)
+    for i in range(n):
+        some = some or s.g[i] != 0.0
+    if not some:
+        return
+    into_null_space(s.J, m, s.G, s.y, s.t, s.g, s.v)
+    along_lost(s.V, s.lost, s.xk, s.g, 0.0)
+    clip_wish(s.g, s.x, s.floor, s.roof)
+    share = min(h * law.null, 1.0) if law.code >= CA else 1.0
+    for i in range(n):
+        s.x[i] += share * s.g[i]
+
+
+@inline
+def by_constraints(law, s, weight, planes, edges, count, sigma, h, state, work, active, kept, code):
+    """Rates that the limits allow, to s.x: the clock's rate then, and whether anything was in the way of those wanted."""
+    n, m = s.J.shape
+    mode = LEAVE if state[STATE.leaving] > 0.0 and law.mode == SLOW else int(law.mode)
+    for k in range(m):
+        s.ask[k] = -s.f[k]
+        for i in range(n):
+            s.ask[k] += s.J[i, k] * s.x[i]
+    copy(s.x, s.w)
+    least = min(state[STATE.sigma] - QUICK * h, sigma)  # the last step ends with the reference
+    status, share, part = WANTED, 1.0, 1.0
+    for _ in range(2):
+        status, part = constrain(
+            s.J, weight, s.ask, s.f, s.w, s.size, s.floor, s.roof, planes, edges, count, mode, 1.0, SINGULAR, DAMPING, work, s.x,
+            active, kept, s.multiplier,
+        )  # fmt: skip
+        share *= part
+        if mode != SLOW or share * sigma >= least - WHOLE:
+            break
+        share, mode = least / sigma, LEAVE  # the clock cannot stop so fast: the path is left for a moment
+        for k in range(m):
+            s.ask[k] += share * s.f[k]
+            s.f[k] = 0.0
+    for i in range(n):
+        code[i] = (s.why_low[i] | s.why_top[i]) & RECOVERING
+        if status != WANTED and active[i] == 1:
+            code[i] = s.why_top[i]
+        elif status != WANTED and active[i] == -1:
+            code[i] = s.why_low[i]
+    for k in range(int(law.rows)):
+        if status != WANTED and kept[k] != 0:
+            most = 0
+            for i in range(n):
+                if abs(planes[k, i]) > abs(planes[k, most]):
+                    most = i
+            code[most] = code[most] | ROW
+    return sigma * share if law.mode == SLOW else sigma, status != WANTED
+
+
+@inline
+def by_clipping(law, s, weight, planes, edges, count, sigma, h, state, work, active, kept, code):
+    """The same for a solver's rule: each joint on its own. (`constrain` in each rule's loop would take a minute to compile.)"""
+    clip(s.x, s.floor, s.roof, s.why_low, s.why_top, code)
+    return sigma, False
+
+
+def obey(rule, law, s, weight, planes, edges, count, sigma, h, state, work, active, kept, code):
+    """Rates that the limits allow, see `by_constraints`."""
+    how = by_constraints if isinstance(rule, Published) else by_clipping
+    return how(law, s, weight, planes, edges, count, sigma, h, state, work, active, kept, code)
+
+
+@overload(obey, jit_options=BUILD)
+def _obey(rule, law, s, weight, planes, edges, count, sigma, h, state, work, active, kept, code):
+    how = by_constraints if rule.instance_class is Published else by_clipping
+    return lambda rule, law, s, weight, planes, edges, count, sigma, h, state, work, active, kept, code: how(
+        law, s, weight, planes, edges, count, sigma, h, state, work, active, kept, code
+    )
+
+
+@inline
+def pacing(s, active, done, sigma, ahead):
+    """Joint that sets the clock's rate, -1: none."""
+    joint, most = -1.0, 0.0
+    if done < sigma:
+        for i in range(active.shape[0]):
+            if (active[i] == 1 or active[i] == -1) and abs(s.multiplier[i]) * s.size[i] > most:
+                joint, most = float(i), abs(s.multiplier[i]) * s.size[i]
+    if joint < 0.0 and done < 1.0:
+        joint = ahead
+    return joint

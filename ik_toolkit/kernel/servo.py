@@ -1,0 +1,224 @@
+"""The compiled tracker loop: from where the target is to the next joint rates, inside every limit, one sample after the other.
+
+A method (a published law, or a solver's rule taken one step a sample) says which joint rates it wants. Their part along
+directions in which the tip can hardly move is replaced (modes.py), secondary wishes are added in the null space, and where
+limits or half-planes forbid the outcome `constrain` finds the best that they allow. Where nothing forbids it, the rates wanted
+are taken as they are, so a published form stays one. CLIP is the published form whole: damped as a whole near singular poses,
+each joint clipped on its own.
+
+The reference's clock s counts samples. SLOW lets it run slower than time: by the look-ahead, by `constrain`, and while the error
+is above the tolerance (clock.py).
+"""
+
+import functools
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from .bench import make_bench
+from .box import HELD, approach, boxes, clip, move, way_to
+from .clock import WHOLE, next_rate, reference, too_far
+from .constrain import SLOW, make_room
+from .jit import cached, inline, inner
+from .motion import CLIP, GIVEN, MOVING, READY, RUNNING, STATE, Law, apply, factor, own_up, settle
+from .obey import add_wishes, judge, obey, pacing
+from .records import HEAD, TASK, Orders, copy, read
+from .search import problem, step_class
+from .wanted import Published, copy_rows, wanted
+from .wishes import lay_aside, reflect, slack_rows
+
+UNLIMITED = 1.0  # speed of a joint without a limit [rad/s, or reaches/s], as a measure beside the others'
+
+
+@inner
+def set_out(law, J, f, G, y, limits, cap, q, rate, state):
+    """Rate at the start: the target's where none was given, as far as the joints could still brake; and the clock's."""
+    m = J.shape[1]
+    asked, given = 0.0, 0.0
+    for k in range(m):
+        own = 0.0
+        for i in range(q.shape[0]):
+            own += J[i, k] * rate[i]
+        asked += f[k] * f[k]
+        given += f[k] * own
+    slow = False
+    for i in range(q.shape[0]):
+        slow = slow or limits[3, i] < np.inf
+    if state[STATE.start] == MOVING:
+        factor(J, m, law.damping, G, y)
+        apply(J, m, G, f, y, rate)
+        for i in range(q.shape[0]):
+            up = rate[i] > 0.0
+            gap = max(way_to(limits[1 if up else 0, i], q[i], 1.0 if up else -1.0), 0.0)
+            top = min(limits[2, i], approach(gap, 0.0, law.gamma, 0.0, limits[3, i], law.late))
+            rate[i] = min(max(rate[i], -top), top)
+        state[STATE.sigma] = 1.0
+        if law.mode == SLOW and cap < 1.0:  # no faster than the look-ahead allows
+            state[STATE.sigma] = cap
+            for i in range(q.shape[0]):
+                rate[i] *= cap
+    else:
+        state[STATE.sigma] = min(max(given / asked, 0.0), cap) if slow and asked > 0.0 else cap
+    state[STATE.start] = READY
+
+
+@inline
+def take_stock(task, look, s, counts, E):
+    """Error, Jacobian and the target's motion as they count, to the bench; what is reported of the error to E (m,)."""
+    copy(task.desk.y, s.e)
+    task.jacobian(look)
+    copy_rows(task.desk.J, s.J)
+    task.moving(s.Vs, s.f)
+    task.moving(s.As, s.a)
+    task.mirrors(s.flip)
+    task.base_axes(s.e, E)
+    for k in range(E.shape[0]):
+        E[k] -= min(max(E[k], -counts[2, k]), counts[2, k])
+    lay_aside(s.flip, s.J, s.e)
+    reflect(s.flip, s.f)
+    reflect(s.flip, s.a)
+
+
+@inner
+def wind(state, law, a, f, E, cap, left, h):
+    """Rate at which the clock is to run in this step; the target's acceleration a (m,) becomes what it then is."""
+    if law.mode != SLOW:
+        return 1.0
+    sigma = min(next_rate(state, too_far(E, law.tol_p, law.tol_r), cap, h), left)
+    change = (sigma - state[STATE.sigma]) / h if state[STATE.start] == RUNNING else 0.0
+    for k in range(a.shape[0]):
+        a[k] = sigma * sigma * a[k] + change * f[k]
+    return sigma
+
+
+@inner
+def tick(state, law, clock, done):
+    """Move the clock on."""
+    if law.mode != SLOW:
+        state[STATE.clock] = clock + 1.0
+        return
+    state[STATE.sigma] = done
+    clock += done
+    near = np.rint(clock)
+    state[STATE.clock] = near if abs(clock - near) < WHOLE else clock
+
+
+@inner
+def gather(law, lines, level, planes, edges):
+    """Copy the half-planes that hold to where those of slacks are added."""
+    for k in range(int(law.rows)):
+        copy(lines[k], planes[k])
+        edges[k] = level[k]
+    return int(law.rows)
+
+
+@inline
+def clip_rates(law, s, still, h, memory, code):
+    """Rates clipped joint by joint, to s.x: the published form, and the brake."""
+    clip(s.x, s.floor, s.roof, s.why_low, s.why_top, code)
+    if not still:
+        settle(law, h, s.before, s.x, code, memory)
+        return
+    for k in range(code.shape[0]):
+        code[k] = code[k] | HELD
+    for k in range(memory.shape[0]):
+        memory[k] = 0.0
+
+
+# --------------------------------------------------------------------------------------------------------------------- the loop
+@functools.cache
+def servo(cls: type | None = None) -> Callable:
+    """Return the compiled loop of the published laws, or of a solver's rule; it takes most len(E) - 1 steps, and says how many.
+
+    follow(rows, ends, orders, T, V, A, h, p, counts, limits, wish, caps, q, rate, memory, away, active, kept, state, measured,
+    lines, level, Q, R, E, C, S)
+
+    rows, ends: of the chain (several tips: ends (F, ...)); orders: HEAD, a Task a tip (weights 1 or 0, no slack), joint weights
+    (n,), parameters of the rule. T (N + 1, F, 4, 4) [m], V, A (N + 1, m): pose, twist and acceleration of the targets at samples
+    of h [s]. p: a `Law`. counts (3, m): weights, slack, slack in m and rad; limits (4, n), see `box`; wish (3, n): posture,
+    gain, speed asked for; caps (2, N + 1): highest clock rate, joint that sets it. Carried on: q, rate (n,), memory,
+    away (n,), active (n,) and kept (int8) of `constrain`, state. measured (n,) where the joints are, or (0,). lines (12, n) x <=
+    level (12,): the first p.rows hold. Out: Q, R (M + 1, n), E (M + 1, m) error [m, rad], C (M, n) bits of limits, S (M + 1, 4)
+    clock, its rate, joint that sets it (-1: none), lost directions. Kernel units, but for h, V, A, T, E and the tolerances.
+    """
+    step: Any = Published if cls is None else step_class(cls)
+
+    def follow(
+        rows, ends, orders, T, V, A, h, p, counts, limits, wish, caps, q, rate, memory, away, active, kept, state, measured,
+        lines, level, Q, R, E, C, S
+    ):  # fmt: skip
+        n, m = q.shape[0], V.shape[1]
+        law, o = read(Law, p), read(Orders, orders)
+        first = HEAD + TASK * (m // 6)
+        task = problem(rows, ends, orders[HEAD:first], n, o)
+        weights, rule = orders[first : first + n], read(step, orders, first + n)
+        room = kept.shape[0] - 1
+        s = make_bench(n, m, room)
+        planes, edges = np.zeros((room, n)), np.zeros(room)
+        work = make_room(n, m, room)
+        last = T.shape[0] - 1
+        for i in range(n):
+            s.size[i] = limits[2, i] if limits[2, i] < np.inf and limits[2, i] > 0.0 else UNLIMITED
+        for i in range(E.shape[0]):
+            clock = state[STATE.clock] if law.clocked > 0.0 else float(i)
+            copy(measured if measured.shape[0] > 0 else q, s.at)
+            j = min(int(clock), last)
+            sigma, cap, stop = (
+                0.0,
+                min(caps[0, min(j, caps.shape[1] - 1)], caps[0, min(j + 1, caps.shape[1] - 1)]),
+                False,
+            )
+            for stage in range(2):  # where the target is now, then where it will be
+                reference(T, V, A, clock + sigma, h, s.Ts, s.Vs, s.As)
+                task.head_for(s.Ts)
+                look = task.evaluate(s.at)
+                task.stack(look)
+                if stage == 1:
+                    copy(task.desk.y, s.ahead)
+                    reflect(s.flip, s.ahead)
+                    break
+                take_stock(task, look, s, counts, E[i])
+                if state[STATE.start] == MOVING or state[STATE.start] == GIVEN:
+                    set_out(law, s.J, s.f, s.G, s.y, limits, cap, q, rate, state)
+                copy(q, Q[i])
+                copy(rate, R[i])
+                S[i, 0], S[i, 1], S[i, 2], S[i, 3] = clock, 1.0, -1.0, 0.0
+                if i == E.shape[0] - 1 or (law.clocked > 0.0 and clock >= last):
+                    stop = True
+                    break
+                sigma = wind(state, law, s.a, s.f, E[i], cap, last - clock, h)
+            if stop:
+                return i
+            count = gather(law, lines, level, planes, edges)
+            count = slack_rows(counts[1], s.J, s.e, s.f, s.ahead, s.a, h, planes, edges, count)
+            for k in range(m):
+                s.f[k] *= sigma
+            ratio = h / state[STATE.period] if state[STATE.start] == RUNNING else 0.0
+            S[i, 3] = wanted(law, rule, task, look, weights, s, counts[1], limits, h, rate, memory, away, state)
+            boxes(q, rate, limits, law.gamma, h, law.late, s.floor, s.roof, s.why_low, s.why_top)
+            if law.mode != CLIP:
+                add_wishes(law, s, limits, wish, h)
+            copy(rate, s.before)
+            stop, still = judge(s.x, h, law, state)
+            if stop:
+                return i
+            done = sigma
+            if still or law.mode == CLIP:
+                clip_rates(law, s, still, h, memory, C[i])
+            else:
+                done, held = obey(
+                    rule, law, s, counts[0], planes, edges, count, sigma, h, state, work, active, kept, C[i]
+                )
+                if held:
+                    own_up(law, h, ratio, s.w, s.x, memory)
+            if law.mode == SLOW:
+                S[i, 1] = done
+                S[i, 2] = pacing(s, active, done, sigma, caps[1, j] if caps[1, j] >= 0.0 or i == 0 else S[i - 1, 2])
+            tick(state, law, clock, done)
+            move(q, rate, s.x, law.gamma, h)
+            state[STATE.start] = RUNNING
+            state[STATE.period] = h
+        return 0
+
+    return cached(follow) if cls is None else cached(follow, cls, step.step)

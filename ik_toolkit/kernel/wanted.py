@@ -1,0 +1,175 @@
+"""Which joint rates a method wants: a published law, or a solver's rule taken one step a sample."""
+
+# numba's own types know neither options in a dict nor that overloads and intrinsics are called by numba.
+# pyright: reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
+from typing import NamedTuple
+
+import numpy as np
+from numba.extending import overload
+
+from .jit import BUILD, inline, inner
+from .modes import SIDE, along_lost, mode_asked, mode_direction, mode_speed, modes, take_out
+from .motion import (
+    AA,
+    AV,
+    CA,
+    CLIP,
+    CV,
+    REGION,
+    RUNNING,
+    STATE,
+    command,
+    ease,
+    factor,
+    gram,
+    invert,
+    prepare,
+)  # fmt: skip
+from .records import copy
+from .search import SINGULAR_STEP
+from .wishes import STEP, reflect
+
+GAIN = 2.0 / 3.0  # share of an error fed back in a sample where the method has no gain of its own: the best of `cv`
+FAST, BRISK = (
+    1.0,
+    0.5,
+)  # shares of speed and acceleration with which an error is closed: what braking on the path needs is left
+
+
+class Published(NamedTuple):
+    """In the place of a rule: the laws of motion.py, all in one loop."""
+
+    unused: float
+
+
+@inline
+def by_law(law, rule, task, look, weights, s, slack, limits, h, rate, memory, away, state):
+    """Rates that a published law wants, to s.x. Returns how much of the task was lost, or the damping (CLIP)."""
+    m = s.J.shape[1]
+    wide = s.J.shape[0] >= m
+    gain = law.kappa if law.code == CV else GAIN / h
+    border = REGION * law.damping
+    damped, count, limited = 0.0, 0, False
+    for r in range(m):
+        s.lost[r] = 0.0
+    for i in range(rate.shape[0]):
+        limited = limited or limits[3, i] < np.inf
+    if law.mode == CLIP:
+        damped = factor(s.J, m, law.damping, s.G, s.y)
+    else:
+        gram(s.J, m, wide, 0.0, s.G)
+        low = invert(s.G, m if wide else s.J.shape[0], s.y)
+        if law.damping > 0.0 and not low >= border * border:
+            count = m
+            modes(s.J, s.W, s.U, s.sv)
+    left, asked, share = 0.0, 0.0, min(h / SIDE, 1.0) if state[STATE.near] > 0.0 else 1.0
+    for r in range(m - count, m + 1):  # the modes with small singular values, if any, then the law
+        if r < m:
+            if s.sv[r] >= border:
+                continue
+            left, asked = mode_asked(s.U, r, s.e, s.f, gain)
+            if not mode_direction(s.W, s.sv, r, away, asked, h, s.x1):
+                s.lost[r], s.xk[r] = 1.0, 0.0
+                copy_column(s.x1, s.V, r)
+                continue
+            copy(s.x1, s.x2)
+        else:
+            if count > 0:
+                damped = 1.0 * take_out(s.J, s.W, s.U, s.V, s.lost, s.f, s.G)
+            if limited or (
+                law.mode != CLIP and law.code >= CA
+            ):  # the second order of a step no joint can make means nothing
+                fast, quick = (0.5, 0.5) if law.mode == CLIP else (FAST, BRISK)
+                ease(law, s.J, m, s.e, s.ahead, h, limits, fast, quick, s.G, s.y, s.x)
+            prepare(law, s.J, m, s.ahead, rate, h, s.G, s.y, s.t, s.move, s.null, s.x1, s.x2)
+            if law.code < CA:
+                continue
+        if task.plain():
+            task.bending(look, task.desk.J, s.x1, s.x2, s.bias)
+        else:
+            by_difference(task, s, slack)
+        if r < m:
+            mode_speed(
+                s.W, s.U, s.V, s.sv, s.lost, s.xk, r, s.bias, s.x1, left, asked, gain, h, border, limits, rate,
+                share, away,
+            )  # fmt: skip
+    state[STATE.near] = 1.0 if count > 0 else 0.0
+    ratio = h / state[STATE.period] if state[STATE.start] == RUNNING else 0.0
+    command(law, s.J, m, s.e, s.f, s.a, s.bias, rate, memory, h, ratio, s.G, s.y, s.t, s.move, s.null, s.x)
+    if damped > 0.0 and law.mode != CLIP:
+        along_lost(s.V, s.lost, s.xk, s.x, 1.0)
+    extrapolated = 1.0 + 0.5 * ratio
+    gear = extrapolated if law.code == CV else 1.0 if law.code == AV else extrapolated * (1.0 + law.kd * h)
+    if law.code == AA:
+        gear = 1.0 / law.gamma
+    for k in range(m):  # how the rate wanted changes with the clock's, which is part of what the laws extrapolate
+        s.f[k] *= gear
+    return damped
+
+
+@inline
+def by_difference(task, s, slack):
+    """s.bias = (dJ/dt along s.x1) s.x2 by differences, where only a part of a pose counts or its target moves."""
+    size = 0.0
+    for i in range(s.x1.shape[0]):
+        size = max(size, abs(s.x1[i]))
+    for k in range(s.bias.shape[0]):
+        s.bias[k] = 0.0
+    if size > 0.0:
+        for sign in (1.0, -1.0):
+            for i in range(s.x1.shape[0]):
+                s.probe[i] = s.at[i] + sign * STEP / size * s.x1[i]
+            task.jacobian(task.evaluate(s.probe))
+            for k in range(s.bias.shape[0]):
+                for i in range(s.x1.shape[0]):
+                    s.bias[k] += sign * 0.5 * size / STEP * task.desk.J[i, k] * s.x2[i]
+    reflect(s.flip, s.bias)
+    for k in range(s.bias.shape[0]):
+        if slack[k] > 0.0:
+            s.bias[k] = 0.0
+
+
+@inline
+def by_rule(law, rule, task, look, weights, s, slack, limits, h, rate, memory, away, state):
+    """Rates that a solver's rule wants, to s.x: its step to where the target will be."""
+    d = task.desk
+    task.jacobian(look)
+    copy_rows(d.J, s.J)
+    copy(weights, d.w)
+    copy(s.at, d.q)
+    copy(memory, d.x)
+    d.spent[0], d.spent[1] = 0.0, np.inf
+    code = rule.step(task, look)
+    copy(d.x, memory)
+    factor(s.J, s.J.shape[1], law.damping, s.G, s.y)
+    for i in range(s.x.shape[0]):
+        s.x[i] = d.dq[i] / h if code != SINGULAR_STEP else 0.0
+    return 0.0
+
+
+@inner
+def copy_column(source, target, k):
+    """target[:, k] = source."""
+    for i in range(source.shape[0]):
+        target[i, k] = source[i]
+
+
+@inner
+def copy_rows(source, target):
+    """target[:] = source."""
+    for i in range(source.shape[0]):
+        copy(source[i], target[i])
+
+
+def wanted(law, rule, task, look, weights, s, slack, limits, h, rate, memory, away, state):
+    """Rates that the law or the rule wants."""
+    how = by_law if isinstance(rule, Published) else by_rule
+    return how(law, rule, task, look, weights, s, slack, limits, h, rate, memory, away, state)
+
+
+@overload(wanted, jit_options=BUILD)
+def _wanted(law, rule, task, look, weights, s, slack, limits, h, rate, memory, away, state):
+    how = by_law if rule.instance_class is Published else by_rule
+    return lambda law, rule, task, look, weights, s, slack, limits, h, rate, memory, away, state: how(
+        law, rule, task, look, weights, s, slack, limits, h, rate, memory, away, state
+    )

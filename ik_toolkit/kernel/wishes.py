@@ -1,0 +1,98 @@
+"""What a tracker does beside its task: errors with slack as half-planes, wishes in the null space, free turns laid aside."""
+
+import numpy as np
+
+from .jit import inline, inner
+from .motion import apply
+
+FADING = 0.15  # share of its range, next to a limit, in which a joint is led away from it
+STEP = 1e-5  # of a difference [rad, or reaches]: squared it is the error, and what rounding leaves is 1e-16 over it
+NEARLY = 0.5  # share of an error's slack that may be used up in a sample
+
+
+@inline
+def reflect(flip, y):
+    """Mirror the rotations in y (m,), three a tip, so that the turn that is free comes last."""
+    for f in range(flip.shape[0]):
+        k = 6 * f + 3
+        s = 2.0 * (flip[f, 0] * y[k] + flip[f, 1] * y[k + 1] + flip[f, 2] * y[k + 2])
+        if s != 0.0:
+            for c in range(3):
+                y[k + c] -= s * flip[f, c]
+
+
+@inner
+def lay_aside(flip, J, e):
+    """`reflect` the rows of J (n, m) and the error; the free ones become zero, as they are but for rounding."""
+    reflect(flip, e)
+    for f in range(flip.shape[0]):
+        if flip[f, 0] != 0.0 or flip[f, 1] != 0.0 or flip[f, 2] != 0.0:
+            e[6 * f + 5] = 0.0
+    for i in range(J.shape[0]):
+        reflect(flip, J[i])
+        for f in range(flip.shape[0]):
+            if flip[f, 0] != 0.0 or flip[f, 1] != 0.0 or flip[f, 2] != 0.0:
+                J[i, 6 * f + 5] = 0.0
+
+
+@inner
+def slack_rows(slack, J, e, f, ahead, a, h, A, b, count):
+    """Turn errors with slack into half-planes A x <= b from row `count` on, and take them out of the task; returns the count.
+
+    An error inside its slack may not come closer to its end than NEARLY of the way in a sample; outside it is brought back.
+    """
+    n, m = J.shape
+    for k in range(m):
+        if slack[k] > 0.0:
+            for sign in (1.0, -1.0):
+                for i in range(n):
+                    A[count, i] = -sign * J[i, k]
+                b[count] = NEARLY * (slack[k] - sign * e[k]) / h - sign * f[k]
+                count += 1
+            for i in range(n):
+                J[i, k] = 0.0
+            e[k], f[k], ahead[k], a[k] = 0.0, 0.0, 0.0, 0.0
+    return count
+
+
+@inner
+def away_from_limits(q, limits, gain, g):
+    """Add to g (n,) a speed away from near limits: smooth, and 0 in the middle of the range."""
+    for i in range(q.shape[0]):
+        lower, upper = limits[0, i], limits[1, i]
+        wide = upper - lower
+        if not (wide < np.inf and wide > 0.0):
+            continue
+        for sign in (1.0, -1.0):
+            left = (upper - q[i]) if sign > 0.0 else (q[i] - lower)
+            t = 1.0 - left / (FADING * wide)
+            if t > 0.0:
+                g[i] -= sign * gain * FADING * wide * t * t
+
+
+@inner
+def clip_wish(g, x, low, top):
+    """Scale the wish g so that x + g keeps half of the room that x leaves in the box."""
+    scale = 1.0
+    for i in range(x.shape[0]):
+        if g[i] > 0.0:
+            room = 0.5 * max(top[i] - x[i], 0.0)
+        else:
+            room = 0.5 * max(x[i] - low[i], 0.0)
+        if abs(g[i]) > room:
+            scale = min(scale, room / abs(g[i]))
+    for i in range(x.shape[0]):
+        g[i] *= scale
+
+
+@inner
+def into_null_space(J, m, G, y, t, g, part):
+    """g -= J^+ J g, after `factor`."""
+    for k in range(m):
+        s = 0.0
+        for i in range(g.shape[0]):
+            s += J[i, k] * g[i]
+        t[k] = s
+    apply(J, m, G, t, y, part)
+    for i in range(g.shape[0]):
+        g[i] -= part[i]

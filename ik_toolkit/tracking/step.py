@@ -1,0 +1,138 @@
+"""One step of a tracker, as it is handed back: numbers at once, the status and the sentence when they are read."""
+
+from enum import Enum
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ..kernel import box
+
+NEAR = (
+    1e-3,
+    5e-3,
+)  # [m, rad] error above which a joint at its limit, or the edge of the reach, is what keeps the tip away
+AT_REST = 1e-3  # share of a joint's speed limit (of 1 rad/s, 1 reach/s without one) below which it stands still
+
+
+class StepStatus(Enum):
+    """How one step went.
+
+    OK. LIMITED: a limit held a joint back. AT_LIMIT: the arm stands as near as a joint's limit, or its reach, allows. BLOCKED: as
+    near as what is in the way allows. RECOVERING: a joint outside its limits comes back, or brakes. FOLLOWING_ERROR: the joints
+    measured are far from those commanded. JUMPED: a joint moved far, or the tracker started anew from the joints measured. HELD:
+    no usable command.
+    """
+
+    OK = "ok"
+    LIMITED = "limited"
+    AT_LIMIT = "at limit"
+    BLOCKED = "blocked"
+    RECOVERING = "recovering"
+    FOLLOWING_ERROR = "following error"
+    JUMPED = "jumped"
+    HELD = "held"
+
+
+class Outcome(NamedTuple):
+    """What a step leaves for its status to be read from: copies."""
+
+    robot: Any
+    code: np.ndarray  # (n,) bits of limits
+    before: np.ndarray  # (n,) the command before
+    error: np.ndarray  # (m,) left [m, rad]
+    posed: tuple[bool, ...]  # whether the orientation of a tip counts
+    lost: float  # directions in which the tip can hardly move
+    finite: bool
+    jump: float
+    speed: np.ndarray  # (n,) limits
+    lag: float  # of the joints measured, over what is allowed
+    resynced: bool
+
+
+class Step:
+    """One step of a tracker.
+
+    q (n,) [rad or m] and rate (n,) to command now; position_error [m] and orientation_error [rad] (None for positions) left to
+    this step's target, of several tips the largest; status; reason, a sentence ('' when OK).
+    """
+
+    __slots__ = ("_outcome", "q", "rate")
+
+    def __init__(self, q: np.ndarray, rate: np.ndarray, outcome: Outcome) -> None:
+        """Keep what the status needs."""
+        self.q, self.rate, self._outcome = q, rate, outcome
+
+    @property
+    def position_error(self) -> float:
+        """Distance [m] left to the target."""
+        e = self._outcome.error.reshape(-1, 6)[:, :3]
+        return float(np.sqrt((e * e).sum(axis=1).max()))
+
+    @property
+    def orientation_error(self) -> float | None:
+        """Angle [rad] left to the target; None where no orientation counts."""
+        o = self._outcome
+        if not any(o.posed):
+            return None
+        e = o.error.reshape(-1, 6)[list(o.posed), 3:]
+        return float(np.sqrt((e * e).sum(axis=1).max()))
+
+    @property
+    def status(self) -> StepStatus:
+        """How it went."""
+        o = self._outcome
+        if o.code[0] & box.HELD:
+            return StepStatus.HELD
+        if o.resynced or (np.abs(self.q - o.before) > o.jump * o.robot.chain.unit).any():
+            return StepStatus.JUMPED
+        held = int(np.bitwise_or.reduce(o.code))
+        if held & box.RECOVERING:
+            return StepStatus.RECOVERING
+        if o.lag > 0.5:
+            return StepStatus.FOLLOWING_ERROR
+        if (held or o.lost) and self._stands() and self._away():
+            return StepStatus.BLOCKED if held & box.ROW else StepStatus.AT_LIMIT
+        return StepStatus.LIMITED if held else StepStatus.OK
+
+    def _stands(self) -> bool:
+        return bool((np.abs(self.rate) <= AT_REST * self._outcome.speed).all())
+
+    def _away(self) -> bool:
+        return self.position_error > NEAR[0] or (self.orientation_error or 0.0) > NEAR[1]
+
+    @property
+    def reason(self) -> str:
+        """Why the status is not OK."""
+        o, status = self._outcome, self.status
+        if status is StepStatus.OK:
+            return ""
+        if status is StepStatus.HELD:
+            return ("the step is not finite" if o.finite else "the target is not finite") + ": braking and holding"
+        parts = []
+        if status is StepStatus.JUMPED:
+            move = np.abs(self.q - o.before) / o.robot.chain.unit
+            i = int(np.argmax(move))
+            parts.append(f"joint {o.robot.joint_names[i]} moved {self.q[i] - o.before[i]:.3g} in one step")
+        if o.resynced:
+            parts = ["the joints measured were too far from those commanded: started anew from there"]
+        if status is StepStatus.FOLLOWING_ERROR:
+            parts.append("the joints measured are far from those commanded")
+        if status is StepStatus.AT_LIMIT:
+            parts.append("as near as the arm gets" if o.lost else "as near as the limits allow")
+        words = (
+            (box.RECOVERING, "outside its limits, on the way back:"),
+            (box.POSITION, "position limit held back"),
+            (box.VELOCITY, "speed limit held back"),
+            (box.ACCELERATION, "acceleration limit held back"),
+            (box.ROW, "what is in the way held back"),
+        )
+        for bit, name in words:
+            held = [j for j, c in zip(o.robot.joint_names, o.code, strict=True) if c & bit]
+            if held:
+                parts.append(f"{name} {', '.join(held)}")
+        return "; ".join(parts)
+
+    def __repr__(self) -> str:
+        """Status, error and reason."""
+        reason = self.reason
+        return f"Step({self.status.name}, {self.position_error:.3g} m{', ' + reason if reason else ''})"

@@ -1,0 +1,244 @@
+"""The constrained step in a control loop and along a path: what gives way where limits bind, and what is left as published."""
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from references import Q0, panda_reference
+
+import ik_toolkit as ik
+from ik_toolkit.errors import InvalidConfiguration, InvalidOption
+from ik_toolkit.kernel import box
+from ik_toolkit.tracking.step import StepStatus
+from ik_toolkit.tracking.track import track
+from ik_toolkit.tracking.tracker import Tracker
+
+
+def sign_changes(run, amplitude=0.05):
+    """Most sign changes of a joint's speed in 100 ms, as far as it is faster than `amplitude` [rad/s]."""
+    speed = np.diff(run.q, axis=0) / run.dt
+    window, most = round(0.1 / run.dt), 0
+    for v in speed.T:
+        sign = np.sign(v) * (np.abs(v) > amplitude)
+        for k in range(len(sign) - window):
+            part = sign[k : k + window]
+            most = max(most, int((np.diff(part[part != 0.0]) != 0.0).sum()))
+    return most
+
+
+@pytest.mark.parametrize("method", ["cv", "av", "ca", "aa", "aad"])
+def test_published_forms_are_themselves_where_nothing_binds(panda, method):
+    ref = panda_reference(panda, True, 1.0)
+    wanted = track(panda, ref, method, q0=Q0, on_limit="clip")
+    for on_limit in ("slow", "leave"):
+        run = track(panda, ref, method, q0=Q0, on_limit=on_limit)
+        assert np.array_equal(run.q, wanted.q) and np.array_equal(run.rate, wanted.rate)
+        assert np.array_equal(run.clock, run.t) and (run.sigma == 1.0).all() and (run.pace == -1).all()
+        assert run.status.name == "COMPLETED"
+
+
+def line_of(robot, q, way, duration):
+    """Straight line from the tip at q, its orientation kept."""
+    start = robot.fk(q).homogeneous
+    end = start.copy()
+    end[:3, 3] += way
+    return ik.line(start, end, duration=duration, law="minimum-jerk")
+
+
+@pytest.mark.parametrize("method", ["cv", "aad"])
+@pytest.mark.parametrize("acceleration", [None, 15.0])
+def test_time_gives_way_before_the_path(panda, method, acceleration):
+    """A line driven four times too fast: slower on the line, by default; in time beside it when told to."""
+    ref = line_of(panda, Q0, (0.0, 0.5, 0.0), 0.25)
+    run = track(panda, ref, method, dt=0.005, q0=Q0, acceleration_limits=acceleration, settle=0.0)
+    assert run.status.name == "SLOWED" and run.success, run.message
+    assert run.position_error.max() < 1e-3 and run.clock[-1] == pytest.approx(0.25)
+    across = run.xyz - run.xyz[0]
+    assert np.abs(across[:, [0, 2]]).max() < 1e-3
+    assert (np.diff(run.clock) >= 0.0).all() and (run.sigma >= 0.0).all() and (run.sigma <= 1.0).all()
+    assert run.pace_joint in run.message and (run.pace[run.sigma < 0.9] >= 0).mean() > 0.9
+    speed = np.abs(np.diff(run.q, axis=0)) / run.dt
+    assert (speed <= panda.velocity_limits * (1.0 + 1e-9)).all()
+    leaving = track(panda, ref, method, dt=0.005, q0=Q0, acceleration_limits=acceleration, on_limit="leave")
+    assert leaving.t[-1] == pytest.approx(0.25) and leaving.position_error.max() > 0.01
+    assert (leaving.sigma == 1.0).all()
+
+
+def test_a_run_ends_after_the_stretch_it_is_allowed(panda):
+    ref = line_of(panda, Q0, (0.0, 0.5, 0.0), 0.1)
+    run = track(panda, ref, dt=0.005, q0=Q0, max_stretch=1.5)
+    assert run.t[-1] == pytest.approx(0.15) and run.clock[-1] < 0.1
+    assert run.status.name == "LOST" and "panda_joint" in run.message
+    for wrong in (0.5, "long", np.nan):
+        with pytest.raises(InvalidOption, match="max_stretch"):
+            track(panda, ref, max_stretch=wrong)
+    with pytest.raises(InvalidOption, match=r"on_limit.*slow"):
+        track(panda, ref, on_limit="slwo")
+
+
+@pytest.mark.parametrize("method", ["cv", "av", "ca", "aad"])
+def test_beyond_the_reach_the_arm_waits_at_its_edge(planar, method):
+    """No error beyond the least there is, no chatter, and the elbow comes back on its side."""
+    ref = ik.line((1.2, 0, 0), (2.1, 0, 0), duration=12.6, rounds=1)
+    run = track(planar, ref, method, dt=0.02, on_limit="leave")
+    least = np.maximum(np.linalg.norm(run.target_xyz, axis=1) - 2.0, 0.0)
+    assert (run.position_error <= least + 8e-3).all()  # at its speed limit the elbow takes that long to leave the edge
+    assert sign_changes(run) <= 3
+    assert np.sign(run.q[0, 1]) == np.sign(run.q[-1, 1]) and run.position_error[-20:].max() < 1e-3
+
+
+def test_a_path_out_of_reach_is_left_as_little_as_possible(panda):
+    """The line that made three joints flip between their speed limits every sample."""
+    ref = line_of(panda, Q0, (0.4, 0.0, 0.3), 4.0)
+    run = track(panda, ref, q0=Q0, on_limit="leave")
+    run.q = run.q[-150:]  # all beyond the reach
+    assert sign_changes(run) == 0
+
+
+def test_a_measured_arm_is_followed_from_where_it_is(panda):
+    """Error and Jacobian at q, the command from the last command; too far from it the tracker starts anew."""
+    T = panda.fk(Q0).homogeneous
+    tracker = Tracker(panda, "cv", q0=Q0)
+    off = Q0 + 0.02
+    goal = panda.fk(Q0).homogeneous
+    step = tracker.update(goal, 0.01, q=off)
+    assert np.linalg.norm(panda.fk(off + step.q - Q0).translation - T[:3, 3]) < 0.6 * np.linalg.norm(
+        panda.fk(off).translation - T[:3, 3]
+    )
+    step = tracker.update(goal, 0.01, q=step.q + 0.06)
+    assert step.status is StepStatus.FOLLOWING_ERROR and "measured" in step.reason
+    there = step.q + 0.3
+    step = tracker.update(goal, 0.01, q=there)
+    assert step.status is StepStatus.JUMPED and "anew" in step.reason
+    assert (np.abs(step.q - there) <= panda.velocity_limits * 0.01 * (1 + 1e-9)).all()
+    with pytest.raises(InvalidConfiguration, match="q"):
+        tracker.update(goal, 0.01, q=np.zeros(3))
+
+
+def test_a_joint_outside_its_limits_comes_back(panda):
+    q = Q0.copy()
+    q[3] = 0.1  # upper limit -0.07
+    tracker = Tracker(panda, "cv", q0=q)
+    goal = panda.fk(q).homogeneous
+    places = [q[3]]
+    for _ in range(200):
+        step = tracker.update(goal, 0.01)
+        places.append(step.q[3])
+    assert (np.diff(places) <= 0.0).all() and places[-1] <= panda.upper[3]
+    tracker.reset(q)
+    step = tracker.update(goal, 0.01)
+    assert step.status is StepStatus.RECOVERING and "panda_joint4" in step.reason
+
+
+def test_a_joint_locked_on_the_way_stays(panda):
+    tracker = Tracker(panda, "cv", q0=Q0, acceleration_limits=10.0)
+    ref = panda_reference(panda, False, 3.0)
+    for k in range(100):
+        step = tracker.update(ref.target(0.01 * (k + 1)), 0.01)
+    tracker.change_limits(speed={"panda_joint4": 0.0})
+    before = step.rate[3]
+    seen = []
+    for k in range(100, 240):
+        step = tracker.update(ref.target(0.01 * (k + 1)), 0.01)
+        seen.append(step.q[3])
+        assert abs(step.rate[3]) <= max(abs(before) - 0.1 * (k - 99), 0.0) + 1e-12
+    assert np.ptp(seen[50:]) == 0.0 and step.position_error < 1e-4  # six joints are enough for a position
+    for wrong in ({"speed": -1.0}, {"upper": {"elbow": 1.0}}, {"lower": 9.0}, {"acceleration": "high"}):
+        with pytest.raises(InvalidOption):
+            tracker.change_limits(**wrong)
+
+
+def test_a_long_step_is_taken_in_parts(panda):
+    """After steps of 1 ms one of 50 ms: limits hold, and the tip gets as far as fifty short ones bring it."""
+    ref = panda_reference(panda, True, 3.0)
+    tracker = Tracker(panda, "aad", q0=Q0, acceleration_limits=10.0)
+    for k in range(20):
+        tracker.update(ref.target(0.001 * (k + 1)), 0.001)
+    before = tracker.q
+    step = tracker.update(ref.target(0.07), 0.05)
+    assert (np.abs(step.q - before) <= panda.velocity_limits * 0.05).all()
+    assert step.position_error < 2e-3 and np.abs(step.rate).max() <= 10.0 * 0.07 + 1e-9
+
+
+def test_joints_keep_off_their_limits_in_the_null_space(panda):
+    """The tip does as before, and a joint near its limit leaves it."""
+    q = Q0.copy()
+    q[0] = panda.upper[0] - 0.1
+    goal = panda.fk(q).homogeneous
+    stay, go = (Tracker(panda, "cv", q0=q, avoid_limits=avoid) for avoid in (False, True))
+    for _ in range(200):
+        step = go.update(goal, 0.01)
+        assert step.position_error < 1e-5
+        stay.update(goal, 0.01)
+    assert np.abs(stay.q - q).max() < 1e-9
+    assert panda.upper[0] - go.q[0] > 0.15
+
+
+def test_wishes_beside_the_task(panda):
+    goal = panda.fk(Q0).homogeneous
+    wanted = Q0 + 0.2
+    for option in ({"posture": wanted}, {"cost": lambda q: 0.5 * float((q - wanted) @ (q - wanted))}):
+        tracker = Tracker(panda, "cv", q0=Q0, avoid_limits=False, **option)
+        for _ in range(300):
+            step = tracker.update(goal, 0.01)
+            assert step.position_error < 1e-5
+        J = panda.jacobian(tracker.q)
+        rest = (np.eye(7) - np.linalg.pinv(J) @ J) @ (wanted - tracker.q)
+        assert np.linalg.norm(rest) < 0.05 * np.linalg.norm((np.eye(7) - np.linalg.pinv(J) @ J) @ (wanted - Q0))
+    low = Tracker(panda, "cv", q0=Q0, avoid_limits=False, manipulability=1.0)
+    for _ in range(100):
+        low.update(goal, 0.01)
+
+    def volume(q):
+        return np.prod(np.linalg.svd(panda.jacobian(q), compute_uv=False))
+
+    assert volume(low.q) > volume(Q0)
+    for wrong in ({"posture": np.zeros(3)}, {"elbow": {"elbow": 1}}, {"elbow": 1}, {"cost": 3}, {"avoid_limits": -1.0}):
+        with pytest.raises((InvalidOption, InvalidConfiguration)):
+            Tracker(panda, **wrong)
+
+
+FORMS = {
+    "position": {},
+    "mask": {"mask": [1, 1, 1, 1, 0, 0]},
+    "mask of the tip": {"mask": [1, 1, 1, 1, 0, 0], "frame": "tip"},
+    "slack": {"slack": [0.02, 0, 0, 0, 0, 0.1]},
+    "free turn": {"free_turn": [0, 0.6, 0.8]},
+    "axis": {},
+}
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_what_counts(panda, form):
+    goal = panda.fk(Q0).homogeneous
+    goal[:3, 3] += (0.05, 0.03, -0.04)
+    goal[:3, :3] = pin.exp3(np.array([0.1, 0.2, -0.1])) @ goal[:3, :3]
+    target = {"position": goal[:3, 3], "axis": ik.pose(goal[:3, 3], direction=(0, 0, -1))}.get(form, goal)
+    tracker = Tracker(panda, "cv", q0=Q0, **FORMS[form])
+    for _ in range(80):
+        step = tracker.update(target, 0.01)
+    assert step.position_error < 1e-5 and (step.orientation_error or 0.0) < 1e-5
+    check = ik.solve(panda, target, q0=tracker.q, tolerance=1e-4, follow=0.01, **FORMS[form])
+    assert check.success and np.abs(check.q - tracker.q).max() < 1e-3
+
+
+def test_several_tips():
+    tree = ik.Tree.load("brokk_hydrolek", tips=["left_tip", "right_tip"])
+    left, right = (tree.fk(tree.home)[tip].homogeneous for tip in tree.tips)
+    refs = {}
+    for tip, T in zip(tree.tips, (left, right), strict=True):
+        end = T.copy()
+        end[:3, 3] += (0.0, 0.0, -0.05)
+        refs[tip] = ik.line(T, end, duration=2.0, law="minimum-jerk")
+    run = track(tree, refs, "cv")
+    assert run.success and run.xyz.shape == (201, 2, 3)
+    at = tree.fk(run.q[-1])
+    for tip in tree.tips:
+        assert np.abs(at[tip].homogeneous - refs[tip].target(2.0)).max() < 1e-4
+    between = np.linalg.inv(left) @ right
+    tracker = Tracker(tree, "cv", relative_to={"right_tip": "left_tip"})
+    for k in range(100):
+        step = tracker.update({"left_tip": refs["left_tip"].target(0.02 * (k + 1)), "right_tip": between}, 0.02)
+    at = tree.fk(step.q)
+    held = np.linalg.inv(at["left_tip"].homogeneous) @ at["right_tip"].homogeneous
+    assert np.abs(held - between).max() < 1e-3 and step.status is StepStatus.OK
+    assert not (box.HELD & step._outcome.code).any()
