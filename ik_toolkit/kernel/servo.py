@@ -154,9 +154,8 @@ def servo(cls: type | None = None) -> Callable:
         task = problem(rows, ends, orders[HEAD:first], n, o)
         weights, rule = orders[first : first + n], read(step, orders, first + n)
         room = kept.shape[0] - 1
-        s = make_bench(n, m, room)
+        s, work = make_bench(n, m, room), make_room(n, m, room)
         planes, edges = np.zeros((room, n)), np.zeros(room)
-        work = make_room(n, m, room)
         last = T.shape[0] - 1
         for i in range(n):
             s.size[i] = limits[2, i] if limits[2, i] < np.inf and limits[2, i] > 0.0 else UNLIMITED
