@@ -75,6 +75,16 @@ def path() -> Any:
     return aim(ik.view(robot, result.retime(acceleration=1.0)), (0.75, -0.1, 0.1), (0.95, -1.0, 0.5))
 
 
+def stretched() -> Any:
+    """The HydroLek's tip on a line that leaves its reach and comes back, as little away from it as possible."""
+    robot = ik.Robot.load("hydrolek_7w")
+    T = robot.fk(robot.home).homogeneous
+    end = T.copy()
+    end[:3, 3] += (0.35, 0.15, 0.1)
+    run = ik.track(robot, ik.line(T, end, duration=8.0, rounds=1), "cv", dt=0.01, q0=robot.home, on_limit="leave")
+    return aim(ik.view(robot, run), (0.55, 0.12, 0.15), (1.15, -0.85, 0.6))
+
+
 def limits() -> Any:
     """Which points of the plane y = 0 the HydroLek's tip reaches inside its joint limits."""
     robot = ik.Robot.load("hydrolek_7w")
@@ -91,8 +101,9 @@ SCENES = {
     "tracking": tracking,
     "path": path,
     "limits": limits,
+    "stretched": stretched,
 }
-SHIPPED = ("solve", "two_arms", "path", "limits")  # robots that need no extra
+SHIPPED = ("solve", "two_arms", "path", "limits", "stretched")  # robots that need no extra
 
 
 def find_chromium() -> str:

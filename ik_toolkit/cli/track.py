@@ -9,6 +9,7 @@ import typer
 
 from ..errors import InvalidOption
 from ..text import parameter
+from . import solve_options as shared
 from .arguments import (
     PLOTS,
     Base,
@@ -17,13 +18,15 @@ from .arguments import (
     Lock,
     PackageDir,
     RobotArg,
-    Tip,
+    Tips,
     XacroArg,
     assignments,
     joint_vector,
     load_robot,
     writes,
 )
+from .by_tip import choose_tips
+from .obstacles import collision_model
 from .output import facts, notice, show, table, turns, write_json
 from .track_path import Asked, advice, asked_path
 
@@ -98,9 +101,35 @@ OrientationTolerance = Annotated[
     float | None,
     typer.Option("--tolerance-orientation", metavar="RAD", help="The same of the orientation; default: 0.1 degrees."),
 ]
+Relative = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--relative", metavar="TIP:OTHER", help="TIP keeps its pose in the frame of the tip OTHER; may be repeated."
+    ),
+]
+AvoidCollisions = Annotated[
+    bool, typer.Option("--avoid-collisions", help="Slow down and slide along where links of the robot would touch.")
+]
+Obstacles = Annotated[
+    list[str] | None,
+    typer.Option("--obstacle", metavar="KIND:...", help="Shape to keep clear of, as in ik solve; may be repeated."),
+]
 Settle = Annotated[
     float | None,
     typer.Option(metavar="S", help="Time before errors count; default: 0, with --acceleration (a start at rest) 0.5."),
+]
+OnLimit = Annotated[
+    str,
+    typer.Option(
+        "--on-limit",
+        metavar="NAME",
+        help="slow: the reference's clock slows, so that the tip stays on the path; leave: it keeps time and leaves the path as "
+        "little as possible; clip: each joint is cut off on its own, as in the papers.",
+    ),
+]
+MaxStretch = Annotated[
+    float,
+    typer.Option("--max-stretch", metavar="X", help="With slow: times the duration after which a run is given up."),
 ]
 Out = Annotated[
     Path | None,
@@ -140,10 +169,19 @@ def track(
     q0: Q0 = None,
     limits: Limits = True,
     acceleration: Acceleration = None,
+    on_limit: OnLimit = "slow",
+    max_stretch: MaxStretch = 10.0,
+    mask: shared.Mask = None,
+    slack: shared.Slack = None,
+    free_turn: shared.FreeTurn = None,
+    frame: shared.Frame = None,
+    relative: Relative = None,
+    avoid_collisions: AvoidCollisions = False,
+    obstacle: Obstacles = None,
     tolerance_position: PositionTolerance = 1e-3,
     tolerance_orientation: OrientationTolerance = None,
     settle: Settle = None,
-    tip: Tip = None,
+    tip: Tips = None,
     base: Base = None,
     lock: Lock = None,
     package_dir: PackageDir = None,
@@ -155,6 +193,8 @@ def track(
 ) -> None:
     """Follow a path with the tip and report errors, joint speeds and limits.
 
+    Several tips of one robot (those of --tip, or the robot's own) have a path of their own each and are tracked together.
+
     Without --radius, --length, --start or --end the path is placed and sized so that the robot can follow it, and the report
     says how. A path given with one of them is taken as it is; where the robot cannot follow it, the command says how far it
     gets and what was tried and works. Gains that are unstable at the rate are said, with better ones.
@@ -165,7 +205,9 @@ def track(
     line = SimpleNamespace(**locals())  # the command line, for what reads parts of it
     if not (rate > 0.0 and rate < float("inf")):
         raise InvalidOption(f"--rate must be positive, not {rate}")
-    arm = load_robot(robot, tip, base, lock, package_dir, deg, xacro_arg)
+    counts = shared.read_counting(line)
+    tips = choose_tips(robot, tip, None, relative, False)
+    arm = load_robot(robot, tips, base, lock, package_dir, deg, xacro_arg)
     options = {name: value for name, value in (("kappa", kappa), ("kp", kp), ("kd", kd)) if value is not None}
     options |= {name: parameter(name, text) for name, text in assignments(param, "-p").items()}
     first = None if q0 is None else joint_vector(arm, q0, "--q0", deg)
@@ -173,7 +215,9 @@ def track(
     from ..tracking.track import track as follow
     from ..tracking.verdict import ORIENTATION_TOLERANCE
 
-    asked = asked_path(arm, line, first)
+    if avoid_collisions or obstacle:
+        options["avoid_collisions"] = collision_model(arm, obstacle or ())
+    asked = asked_path(arm, line, first, counts)
     with warnings.catch_warnings():
         warnings.simplefilter("always")
         warnings.showwarning = lambda message, *_: notice(f"warning: {message}")
@@ -188,6 +232,9 @@ def track(
             position_tolerance=tolerance_position,
             orientation_tolerance=ORIENTATION_TOLERANCE if tolerance_orientation is None else tolerance_orientation,
             settle=settle,
+            on_limit=on_limit,
+            max_stretch=max_stretch,
+            **counts,
             **options,
         )
     if output is not None:
@@ -196,9 +243,10 @@ def track(
         from ..show.tracking import plot_track
 
         notice(f"wrote {plot_track(result, arm, plot)}")
-    tried = advice(arm, line, asked, first, result.reach, limits=limits) if result.reach is not None else []
+    tried = advice(arm, line, asked, first, result.reach, limits=limits, **counts) if result.reach is not None else []
     more = {"path_chosen": asked.words} if asked.words else {"works": tried} if result.reach is not None else {}
-    write_json({**result.to_dict(), "path": repr(asked.reference), **more, "base": arm.base, "tip": arm.tip}, as_json)
+    tips_of = {"tips": [*arm.tips]} if arm.by_tip else {"tip": arm.tip}
+    write_json({**result.to_dict(), "path": asked.shown, **more, "base": arm.base, **tips_of}, as_json)
     if result.reach is not None:
         works = f"; works with {' or '.join(tried)}" if tried else ""
         notice(f"{result.reach.message or 'every pose can be reached, but not at this speed'}{works}")
@@ -217,8 +265,8 @@ def _show(result: "TrackResult", arm: "Robot", asked: Asked) -> None:
     show(
         facts(
             {
-                "robot": f"{result.robot} ({arm.base} -> {arm.tip})",
-                "path": f"{asked.words} (chosen)" if asked.words else repr(asked.reference),
+                "robot": f"{result.robot} ({arm.base} -> {' and '.join(arm.tips)})",
+                "path": f"{asked.words} (chosen)" if asked.words else asked.shown,
                 "method": f"{result.method}{', ' + gains if gains else ''}; {steps} steps of {result.dt:.5g} s",
                 "stability": None if check is None else f"{check.verdict} at rest, spectral radius {check.radius:.4g}",
                 "status": f"{result.status.name}: {result.message}",

@@ -26,9 +26,16 @@ class Asked(NamedTuple):
     q0: Any
     words: str
 
+    @property
+    def shown(self) -> str:
+        """The reference in a line, of several tips each."""
+        if not isinstance(self.reference, dict):
+            return repr(self.reference)
+        return "; ".join(f"{tip}: {one!r}" for tip, one in self.reference.items())
 
-def asked_path(arm: Any, line: SimpleNamespace, q: Any) -> Asked:
-    """Path of the options; `q` (n,) is --q0 or None. Raises InvalidOption."""
+
+def asked_path(arm: Any, line: SimpleNamespace, q: Any, counts: dict[str, Any]) -> Asked:
+    """Path of the options; `q` (n,) is --q0 or None, `counts` what counts of the targets. Raises InvalidOption."""
     from ..tracking.waypoints import reference_from_file
 
     if line.path not in SHAPES:
@@ -36,12 +43,12 @@ def asked_path(arm: Any, line: SimpleNamespace, q: Any) -> Asked:
             raise InvalidOption(f"no path '{line.path}'.{near_match(line.path, SHAPES)} Or give a .csv or .npz file.")
         return Asked(reference_from_file(line.path), q, "")
     if _in_part(line):
-        return Asked(_drawn(arm, line, q), arm.home if q is None and line.start is None else q, "")
+        return Asked(_drawn(arm, line, q, counts), arm.home if q is None and line.start is None else q, "")
     from ..tracking.placing import place
 
     placed = place(
         arm, line.path, q0=q, axis=_axis(line), position_only=line.position_only, duration=line.duration, law=line.law,
-        turns=line.turns_,
+        turns=line.turns_, **counts,
     )  # fmt: skip
     return Asked(placed.reference, placed.q0, placed.words)
 
@@ -60,16 +67,35 @@ def _axis(line: SimpleNamespace) -> Any:
     return axis
 
 
-def _drawn(arm: Any, line: SimpleNamespace, q: Any) -> "References":
+def _drawn(arm: Any, line: SimpleNamespace, q: Any, counts: dict[str, Any]) -> "References":
     """The path as it is given: from the tip at --q0 or home, or from --start, with the tip's orientation."""
-    if arm.by_tip and (line.start is not None or line.end is not None):
-        raise InvalidOption("--start and --end are for one tip; choose it with --tip")
-    poses = arm.fk(arm.home if q is None else q)
-    each = {tip: _drawn_from(poses[tip].homogeneous, line) for tip in arm.tips} if arm.by_tip else None
-    return each if each is not None else _drawn_from(poses.homogeneous, line)
+    from ..tracking.placing import paths
+
+    if line.start is not None or (line.path == "line" and line.end is not None):
+        if arm.by_tip:
+            raise InvalidOption("--start and --end are for one tip; choose it with --tip")
+        return _from_to(arm.fk(arm.home if q is None else q).homogeneous, line)
+    relative = counts.get("relative_to") or {}
+    start = arm.home if q is None else q
+    return paths(arm, start, line.path, _size(line), _axis(line), line.position_only, relative, **_rest(line))
 
 
-def _drawn_from(T: Any, line: SimpleNamespace) -> "Reference":
+def _size(line: SimpleNamespace) -> float:
+    """Length of the line, or radius, as asked or by default [m]."""
+    given, usual = (line.length, LENGTH) if line.path == "line" else (line.radius, RADIUS)
+    return usual if given is None else given
+
+
+def _rest(line: SimpleNamespace) -> dict[str, Any]:
+    return {
+        "duration": DURATION if line.duration is None else line.duration,
+        "law": line.law,
+        "turns": line.turns_,
+    }
+
+
+def _from_to(T: Any, line: SimpleNamespace) -> "Reference":
+    """The path from --start, or to --end, of a tip that stands at T."""
     import numpy as np
 
     from ..tracking import shapes
@@ -78,15 +104,13 @@ def _drawn_from(T: Any, line: SimpleNamespace) -> "Reference":
     if line.start is not None:
         T[:3, 3] = vector(line.start, "--start", 3)
     at: Any = T[:3, 3].copy() if line.position_only else T
-    rest: dict[str, Any] = {"duration": DURATION if line.duration is None else line.duration, "law": line.law}
-    if line.path == "line" and line.end is not None:
-        end = np.array(vector(line.end, "--end", 3))
-        T1 = T.copy()
-        T1[:3, 3] = end
-        rest["law"] = line.law or "minimum-jerk"
-        return shapes.line(at, end if line.position_only else T1, rounds=int(line.turns_), **rest)
-    size = (line.length, LENGTH) if line.path == "line" else (line.radius, RADIUS)
-    return draw(line.path, at, size[1] if size[0] is None else size[0], _axis(line), turns=line.turns_, **rest)
+    if line.path != "line" or line.end is None:
+        return draw(line.path, at, _size(line), _axis(line), **_rest(line))
+    end = np.array(vector(line.end, "--end", 3))
+    T1 = T.copy()
+    T1[:3, 3] = end
+    seconds, law = _rest(line)["duration"], line.law or "minimum-jerk"
+    return shapes.line(at, end if line.position_only else T1, duration=seconds, law=law, rounds=int(line.turns_))
 
 
 def advice(arm: Any, line: SimpleNamespace, asked: Asked, q: Any, found: "Survey", **options: Any) -> list[str]:
@@ -100,7 +124,8 @@ def advice(arm: Any, line: SimpleNamespace, asked: Asked, q: Any, found: "Survey
     works = [
         words
         for words, more in _ways(line, found)
-        if trace(arm, _drawn(arm, SimpleNamespace(**{**vars(line), **more}), q), asked.q0, **options) is not None
+        if trace(arm, _drawn(arm, SimpleNamespace(**{**vars(line), **more}), q, options), asked.q0, **options)
+        is not None
     ]
     one: dict[str, str] = {}  # the largest of several sizes, the first of several axes
     for words in works:
@@ -119,7 +144,7 @@ def _ways(line: SimpleNamespace, found: "Survey") -> Iterator[tuple[str, dict[st
     if not line.position_only:
         yield "--position-only", {"position_only": True}
     name = "length" if line.path == "line" else "radius"
-    size = getattr(line, name) or (LENGTH if line.path == "line" else RADIUS)
+    size = _size(line)
     if line.end is None:
         whole = float(found.along[-1])
         first = (SHORTER[0] * found.stop / whole,) if line.path == "line" and whole > 0.0 else ()

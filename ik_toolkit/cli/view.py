@@ -9,7 +9,7 @@ from ..errors import InvalidOption
 from . import by_tip
 from .arguments import Base, Deg, Lock, PackageDir, RobotArg, Tips, XacroArg, joint_vector, load_robot
 from .output import notice
-from .pictures import Html, present
+from .pictures import Html, present, wait
 from .solve_options import Relative, Targets, make_target
 
 Q = Annotated[str | None, typer.Option("--q", metavar="Q1 Q2 ...", help="Joint values to show; default: home.")]
@@ -26,6 +26,9 @@ MotionFile = Annotated[
         metavar="FILE",
         help="Show a motion that ik path wrote: a path (.csv, .npz, .json) or a trajectory (.csv, .json).",
     ),
+]
+Follow = Annotated[
+    bool, typer.Option("--follow", help="A target to drag: the arm follows it as far as it gets (extra 'panel').")
 ]
 Port = Annotated[int, typer.Option(metavar="N", help="Port on 127.0.0.1; default: a free one.")]
 Open = Annotated[bool, typer.Option("--open/--no-open", help="Open the address in a browser.")]
@@ -48,6 +51,7 @@ def view(
     every: Ghosts = False,
     q0: Start = None,
     motion: MotionFile = None,
+    follow: Follow = False,
     html: Html = None,
     port: Port = 0,
     browse: Open = True,
@@ -61,7 +65,9 @@ def view(
     """Show a robot in 3-D: at home, at --q, along --motion, or solving for --xyz or --target (with a time slider).
 
     Serves on 127.0.0.1 until Ctrl-C, or writes one HTML file that needs no network. A robot with several tips is shown
-    whole when --tip is left out. Exit code 1 when the solve asked for did not succeed (it is shown all the same).
+    whole when --tip is left out. With --follow the page has a target to drag, and the arm goes after it with the steps of
+    the tracker, at the edge of its reach to the closest pose. Exit code 1 when the solve asked for did not succeed (it is
+    shown all the same).
     """
     solving = xyz is not None or bool(targets)
     if q is not None and (solving or every):
@@ -78,6 +84,22 @@ def view(
         raise InvalidOption("--relative is for several tips, with a --target for each")
     if not 0 <= port < 65536:
         raise InvalidOption(f"--port is between 0 and 65535, not {port}")
+
+    if follow:
+        fixed = {
+            "--html": html,
+            "--base": base,
+            "--lock": lock,
+            "--package-dir": package_dir,
+            "--q": q,
+            "--motion": motion,
+            "--xacro-arg": xacro_arg,
+        }
+        given = [name for name, value in fixed.items() if value]
+        if given or solving:
+            raise InvalidOption(f"--follow goes without {' and '.join(given or ['--xyz and --target'])}")
+        _follow(robot, tip, port, browse)
+        return
 
     from ..show.scene import view as make
 
@@ -102,6 +124,16 @@ def view(
     present(make(arm, what, target=target), html, port, browse)
     if not solved:
         raise typer.Exit(1)
+
+
+def _follow(robot: str, tips: Any, port: int, browse: bool) -> None:
+    """Serve a page with a target to drag until Ctrl-C."""
+    from ..show.follower import Follower
+    from ..show.panel import Panel
+
+    served = Panel(robot, tips, port=port, desk=Follower)
+    wait(f"the robot is at {served.url}", served.url, browse)
+    served.close()
 
 
 def _solve(arm: Any, target: Any, solver: str, start: Any, every: bool, options: dict[str, Any]) -> tuple[Any, bool]:

@@ -22,6 +22,7 @@ QUIET = (71, 85, 105)  # of the buttons beside the main one
 STEPS = 500  # of a slider, at least
 LONGEST = 600  # characters said
 MOST_TIPS = 4  # chosen in the page
+PATIENCE = 20  # seconds of its own time that an arm may go on towards a target that is not moved any more
 
 
 class Desk:
@@ -218,6 +219,7 @@ class Desk:
         s = self.session
         with self.client.atomic():
             self.stage.show(s.q)
+            self.stage.gaps({})
             for i, slider in enumerate(self.sliders):
                 slider.value = self.shown[i] = float(np.clip(round(s.scale(i) * s.q[i], 4), slider.min, slider.max))
         self.pose.content = "".join(pose_html(T, s, tip) for tip, T in s.poses().items())
@@ -327,11 +329,18 @@ class Desk:
         self.outcome.content += table_html(self.session.figures())
         self.outcome.visible = True
 
-    def _dragged(self) -> None:
+    def _dragged(self, patience: int = PATIENCE) -> None:
+        """Go towards the targets where they have been dragged to; what is left is done next, if nothing newer is asked."""
         targets = {goal.tip: goal.dragged() for goal in self.goals}
-        if self.live:
-            self.session.follow(self._joined(targets))
-            self._verdict()
+        if not self.live:
+            return
+        found = self.session.follow(self._joined(targets))
+        self.show()
+        self.stage.gaps({} if found.success else targets)
+        self.say(sentence(found.message), GOOD if found.success else PLAIN)
+        self.outcome.content, self.outcome.visible = table_html(self.session.figures()), True
+        if not found.settled and patience:
+            self.worker.post("drag", self._guard(lambda: self._dragged(patience - 1)))
 
     def _put(self, poses: dict[str, np.ndarray]) -> None:
         """Put the targets at poses by tip."""

@@ -32,9 +32,17 @@ class Panel:
     """The panel's server. url: where it is, with the token that lets in; `close()` ends it. Several browsers may be open."""
 
     def __init__(
-        self, source: str, tips: str | Sequence[str] | None = None, *, host: str = "127.0.0.1", port: int = 0
+        self,
+        source: str,
+        tips: str | Sequence[str] | None = None,
+        *,
+        host: str = "127.0.0.1",
+        port: int = 0,
+        desk: type[Desk] = Desk,
     ) -> None:
         """Serve a robot by name or path. tips: one or several, default all that are known. port 0: a free one.
+
+        desk: what each visitor sees.
 
         Raises MissingExtra, InvalidOption, RobotNotFound, ...
         """
@@ -45,9 +53,9 @@ class Panel:
         _check_address(host, port)
         warnings.filterwarnings("ignore", "Queued a .* on a closed connection")  # a visitor may leave at any time
         session = Session(source, tips)  # says now what is wrong with it
-        session.solve(
-            session.joined(session.poses())
-        )  # and compiles, where that has not been done: no visitor waits for it
+        here = session.joined(session.poses())
+        session.solve(here)  # and compiles, where that has not been done: no visitor waits for it
+        session.follow(here)
         token = new_token()
         with guarded(host, token), contextlib.redirect_stdout(io.StringIO()):  # viser prints a banner
             self.server = viser.ViserServer(host=host, port=port, verbose=False)
@@ -60,6 +68,7 @@ class Panel:
         self._check_guard()
         _hear_only(self.server.gui._websock_interface, ())  # all that is heard is heard by a visitor's desk
         self.desks: dict[int, Desk] = {}
+        self._desk = desk
         self.server.gui.set_panel_label("ik panel")
         local = is_loopback(host)
         self.server.on_client_connect(lambda client: self._welcome(client, source, tips, local))
@@ -67,7 +76,7 @@ class Panel:
 
     def _welcome(self, client: Any, source: str, tips: str | Sequence[str] | None, local: bool) -> None:
         _hear_only(client.gui._websock_interface, HEARD)
-        self.desks[client.client_id] = Desk(client, source, tips, files=local)
+        self.desks[client.client_id] = self._desk(client, source, tips, files=local)
         if client.client_id not in self.server.get_clients():  # gone before it was let in
             self._goodbye(client)
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import FrameNotFound
+from ..errors import FrameNotFound, InvalidTarget
 from ..kernel.task import POSE, POSITION
 from ..robot.library import find
 from ..robot.pose import length, matrix_quat, matrix_rpy, pose
@@ -16,14 +16,14 @@ from ..robot.tips import path_ends
 from ..robot.tree import Tree
 from ..solvers.registry import find_row, list_rows, make_rule
 from ..solvers.result import Result
-from ..solvers.solve import bound, is_auto, solve
+from ..solvers.solve import solve
 from ..solvers.solve_all import solve_all
 from ..text import parameter, plain, vector
+from .hand import Followed, follow
 
 KINDS = ("roll pitch yaw", "quaternion", "free")  # how the orientation of a typed target is given
 NONE = "no target"  # of one of several tips
 SHOWN = 16  # solutions listed
-DRAG_RESTARTS = 8  # a dragged target is near: a long search would only make the drag stutter
 
 
 class Session:
@@ -62,6 +62,7 @@ class Session:
         self.q = robot.home.copy()
         self.target: Any = None
         self.result: Result | None = None
+        self.followed: Followed | None = None
         self.solutions: list[np.ndarray] = []
         self.distances: list[float] = []
 
@@ -150,23 +151,20 @@ class Session:
 
     def solve(self, target: Any) -> Result:
         """Solve from q, keep the way there; q moves only when it succeeds. Raises what `ik.solve` raises."""
-        self.target = _copy(target)
+        self.target, self.followed = _copy(target), None
         self.result = solve(self.robot, self.target, self.rule(), q0=self.q, history=True, tolerance=self.tolerance)
         if self.result.success:
             self.q = self.result.q.copy()
         return self.result
 
-    def follow(self, target: Any) -> Result:
-        """Solve as `solve` does, without keeping the way there: for a target that is being dragged."""
-        self.target = _copy(target)
-        rule = self.rule()
-        options: dict[str, Any] = {"check": True, "tolerance": self.tolerance}
-        if is_auto(rule) or find_row(rule).length().attempts > 1:
-            options["restarts"] = DRAG_RESTARTS
-        self.result = bound(self.robot, rule, options)(self.target, self.q)
-        if self.result.success:
-            self.q = self.result.q.copy()
-        return self.result
+    def follow(self, target: Any) -> Followed:
+        """Step towards a target that is being dragged, as far as the arm gets in a second. Raises what `Tracker` raises."""
+        if self.robot.by_tip and not target:
+            raise InvalidTarget(f"give a target for at least one of {', '.join(self.robot.tips)}")
+        self.target, self.result = _copy(target), None
+        self.followed = follow(self.robot, self.q, self.target, self.tolerance)
+        self.q = self.followed.q.copy()
+        return self.followed
 
     def solve_all(self, target: Any) -> str:
         """Find solutions (the nearest 16 are kept) and say how many there are. Raises what `ik.solve_all` raises."""
@@ -178,7 +176,10 @@ class Session:
 
     # ---------------------------------------------------------------------------------------------------- for people
     def figures(self) -> list[tuple[str, str]]:
-        """Rows (name, value) on the last solve."""
+        """Rows (name, value) on the last solve, or on where a drag has got to."""
+        if self.followed is not None:
+            rows = ((tip, *left) for tip, left in self.followed.errors.items())
+            return [(tip, f"{length(position)}, {_angle(angle)}") for tip, position, angle in rows]
         r = self.result
         if r is None:
             return []
@@ -240,6 +241,7 @@ class Session:
             "q": self.q.tolist(),
             "target": plain(self.target),
             "result": None if self.result is None else self.result.to_dict(),
+            "dragged": None if self.followed is None else self.followed.message,
         }
 
     def to_json(self) -> str:

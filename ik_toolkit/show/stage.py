@@ -9,6 +9,8 @@ import pinocchio as pin
 from ..errors import InvalidTarget
 from .parts import Body
 
+RED = (204, 51, 38)  # of the line to a target that is not met
+
 
 class Handle:
     """Arrows and rings of one tip's target. target: T_base_target (4, 4)."""
@@ -99,6 +101,7 @@ class Stage:
         self.handles = [
             Handle(self, k, tip if len(targets) > 1 else "", T, dragged) for k, (tip, T) in enumerate(targets.items())
         ]
+        self.gap: Any = None
         self.aim(q)
 
     def show(self, q: np.ndarray) -> None:
@@ -110,6 +113,21 @@ class Stage:
             _place(handle, T)
         for handle, joint in zip(self.axes, self.robot.joint_names, strict=True):
             _place(handle, body.data.oMi[model.getJointId(joint)].homogeneous)
+
+    def gaps(self, targets: dict[str, np.ndarray | None]) -> None:
+        """Draw a line from each tip, as it stands, to its target: a pose (4, 4) or position (3,); {} draws none."""
+        ends = [T for T in targets.values() if T is not None]
+        if not ends:
+            if self.gap is not None:
+                self.gap.visible = False
+            return
+        base = self.body.T_world_base
+        goals = [base[:3, :3] @ (T if T.ndim == 1 else T[:3, 3]) + base[:3, 3] for T in ends]
+        tips = [tip.position for tip, T in zip(self.tips, targets.values(), strict=True) if T is not None]
+        points = np.array([*zip(tips, goals, strict=True)], dtype=np.float32)
+        if self.gap is not None:
+            self.gap.remove()
+        self.gap = self.client.scene.add_line_segments("/gap", points, RED, thickness=0.004 * self.size)
 
     def show_frames(self, visible: bool) -> None:
         """Show or hide the joints' axes."""

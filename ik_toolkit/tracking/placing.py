@@ -1,6 +1,6 @@
 """A path that a robot can follow: where it starts, how large it is and which way it goes, found by trying."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -96,15 +96,19 @@ def place(
     duration: float | None = None,
     law: str | None = None,
     turns: float = 0.0,
+    **counts: Any,
 ) -> Placed:
     """Path of a kind that the robot can follow, each tip its own, at half of the joints' speed limits at most.
 
     Of what is not given the first that works is taken: the orientation kept, from home, large, along or about a base axis.
-    Where nothing works (no joint can move) the path is a line without length.
+    Where nothing works (no joint can move) the path is a line without length. counts: what counts, as for `ik.solve`; a tip
+    that is given relative to another keeps its pose in that one's frame.
     """
+    relative = counts.get("relative_to") or {}
     starts = [*_starts(robot)] if q0 is None else [robot.check_q(q0, "q0")]
     for with_ease, free, start, size, way in _candidates(robot, kind, starts, axis, position_only):
-        way_there = trace(robot, _each(robot, start, kind, SPARE * size, way, free), start, fewest=COARSE)
+        trial = paths(robot, start, kind, SPARE * size, way, free, relative)
+        way_there = trace(robot, trial, start, fewest=COARSE, **counts)
         if way_there is not None and (not with_ease or _is_easy(robot, *way_there)):
             break
     else:
@@ -112,10 +116,10 @@ def place(
     rest: dict[str, Any] = {"law": law, "turns": turns}
     seconds = duration
     if seconds is None:
-        way_there = trace(robot, _each(robot, start, kind, size, way, free, **rest), start)
+        way_there = trace(robot, paths(robot, start, kind, size, way, free, relative, **rest), start, **counts)
         share = 0.0 if way_there is None else pace(robot, *way_there)[0]
         seconds = max(DURATION, float(np.ceil(DURATION * share / SPEED)))
-    reference = _each(robot, start, kind, size, way, free, duration=seconds, **rest)
+    reference = paths(robot, start, kind, size, way, free, relative, duration=seconds, **rest)
     return Placed(reference, start, size, way, free, _words(robot, kind, size, way, free, seconds, start))
 
 
@@ -149,12 +153,23 @@ def _is_easy(robot: Joints, t: np.ndarray, q: np.ndarray) -> bool:
     return bool(gaps.min(initial=1.0) >= ROOM and (turned <= EVEN * moved).all())
 
 
-def _each(robot: Joints, q: np.ndarray, kind: str, size: float, axis: Any, free: bool, **rest: Any) -> References:
-    """The path from where the tips stand at q, by tip for a tree."""
+def paths(
+    robot: Joints, q: Any, kind: str, size: float, axis: Any, free: bool, relative: Mapping[str, str], **rest: Any
+) -> References:
+    """The path from where the tips stand at q, by tip for a tree; a tip relative to another keeps its pose in its frame."""
     T: Any = robot.fk(q)
-    each = {tip: (T[tip] if robot.by_tip else T).homogeneous for tip in robot.tips}
-    made = {tip: draw(kind, at[:3, 3].copy() if free else at, size, axis, **rest) for tip, at in each.items()}
-    return made if robot.by_tip else made[robot.tips[0]]
+    if not robot.by_tip:
+        return _drawn(T.homogeneous, kind, size, axis, free, rest)
+    made = {}
+    for tip in robot.tips:
+        held = tip in relative and relative[tip] in T
+        at = T[relative[tip]].actInv(T[tip]) if held else T[tip]
+        made[tip] = _drawn(at.homogeneous, "line" if held else kind, 0.0 if held else size, axis, free, rest)
+    return made
+
+
+def _drawn(at: np.ndarray, kind: str, size: float, axis: Any, free: bool, rest: Mapping[str, Any]) -> Reference:
+    return draw(kind, at[:3, 3].copy() if free else at, size, axis, **rest)
 
 
 def _candidates(

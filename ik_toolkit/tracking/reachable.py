@@ -97,7 +97,7 @@ def survey(robot: Joints, reference: References, q0: Any, *, fewest: int = FEWES
         if not found.success and until is None:
             until = k
             stop = _edge(then, reference, t, along, q, k)
-            joints = _at_limits(robot, found.q)
+            joints = near_limits(robot, found.q)
         last = q[k]
     posed = not all(one.position_only for one in _each(reference))
     return Survey(robot, t, q, along, turning, posed, until, stop, joints, pace(robot, t, q))
@@ -108,13 +108,13 @@ def trace(
 ) -> tuple[np.ndarray, np.ndarray] | None:
     """Times (K,) and joint values (K, n) along a reference as `survey` has them, None when a pose is out of reach."""
     t, _, _ = _samples(robot, reference, fewest)
-    q, solver, last = np.empty((len(t), robot.n)), _solver(robot, restarts=0, **options), q0
+    first, then = _solver(robot, restarts=0, **options), _solver(robot, follow=True, **options)
+    q, last = np.empty((len(t), robot.n)), q0
     for k, target in enumerate(_targets(reference, t)):
-        found = solver(target, last)
+        found = (then if k else first)(target, last)
         if not found.success:
             return None
         q[k] = last = found.q
-        solver = _solver(robot, follow=True, **options)
     return t, q
 
 
@@ -231,7 +231,8 @@ def _edge(then: Any, reference: References, t: np.ndarray, along: np.ndarray, q:
     return float(along[k - 1] + low * (along[k] - along[k - 1]))
 
 
-def _at_limits(robot: Joints, q: np.ndarray) -> tuple[str, ...]:
+def near_limits(robot: Joints, q: np.ndarray) -> tuple[str, ...]:
+    """Names of the joints within a thousandth of their range of a limit."""
     span = np.where(np.isfinite(robot.upper - robot.lower), robot.upper - robot.lower, 1.0)
     near = np.minimum(q - robot.lower, robot.upper - q) <= BOUNDARY * span
     return tuple(name for name, hit in zip(robot.joint_names, near, strict=True) if hit)

@@ -182,10 +182,29 @@ def test_what_does_not_go_together_is_refused_in_a_sentence(run, arguments, said
     assert said in refusal(run, "solve", BROKK, *arguments)
 
 
-@pytest.mark.parametrize("command", ["fk", "track"])
-def test_a_command_for_one_tip_takes_no_two(run, command):
-    extra = ["--line", "0.1", "0", "0"] if command == "track" else []
-    assert "takes one tip and --tip names 2" in refusal(run, command, BROKK, "--tip", LEFT, f"--tip={RIGHT}", *extra)
+def test_a_command_for_one_tip_takes_no_two(run):
+    assert "takes one tip and --tip names 2" in refusal(run, "fk", BROKK, "--tip", LEFT, f"--tip={RIGHT}")
+
+
+def test_tips_are_tracked_together(run, monkeypatch, tmp_path):
+    monkeypatch.setenv("COLUMNS", "80")
+    code, out, _ = run("track", BROKK, "--path", "line", "--duration", "4")
+    said = " ".join(out.split())
+    assert code == 0 and "for each tip, orientation kept, from home" in said and "left_tip and right_tip" in said
+    assert max(map(len, out.splitlines())) <= 80
+    file = tmp_path / "run.csv"
+    words = ["track", BROKK, "--length", "0.05", "--path", "line", "--duration", "2", "--relative", f"{RIGHT}:{LEFT}"]
+    code, out, _ = run(*words, "--json", "-o", str(file))
+    found = json.loads(out)
+    assert code == 0 and found["tips"] == [LEFT, RIGHT] and found["status"] in ("COMPLETED", "SLOWED")
+    head, *rows = file.read_text().splitlines()
+    assert "left_tip.x" in head and "right_tip.z" in head and len(rows) == 201
+    q = np.array([[float(x) for x in row.split(",")][1:14] for row in rows])
+    tree = ik.Tree.load(BROKK, tips=[LEFT, RIGHT])
+    held = [T[LEFT].actInv(T[RIGHT]).homogeneous for T in (tree.fk(one) for one in q[:: len(q) - 1])]
+    assert np.allclose(held[0], held[1], atol=1e-3)
+    assert np.linalg.norm(tree.fk(q[-1])[LEFT].translation - tree.fk(q[0])[LEFT].translation) > 0.049
+    assert "--start and --end are for one tip" in refusal(run, "track", BROKK, "--start", "1", "0", "1")
 
 
 def test_one_tip_is_asked_as_before(run):
