@@ -44,7 +44,7 @@ def box() -> None:
         ax.plot(q, -top[::-1], color=GREY, lw=1.0)
         for k, start in enumerate((-0.9, -0.4, 0.1, 0.6)):
             tracker = ik.Tracker(robot, q0=[start], rate0=[0.0], acceleration_limits=ACCELERATION, on_limit="leave")
-            beyond = robot.fk([edge + 1.5]).translation
+            beyond = robot.fk([edge + 0.5]).translation
             steps = [tracker.update(beyond, DT) for _ in range(200)]
             place = [start, *(float(step.q[0]) for step in steps)]
             rate = [0.0, *(float(step.rate[0]) for step in steps)]
@@ -92,7 +92,8 @@ def scenarios() -> None:
             ax.set_ylabel("error [mm]")
         for ax in axes[-1]:
             ax.set_xlabel("time [s]")
-        axes.flat[0].legend(fontsize=8, loc="lower right")
+        handles, labels = axes.flat[0].get_legend_handles_labels()
+        figure.legend(handles, labels, fontsize=8, loc="outside lower center", ncols=2)
         print(save(figure, FOLDER / "servo_scenarios.png"))
 
 
