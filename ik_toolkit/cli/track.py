@@ -3,7 +3,7 @@
 import warnings
 from pathlib import Path
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -206,37 +206,10 @@ def track(
     if not (rate > 0.0 and rate < float("inf")):
         raise InvalidOption(f"--rate must be positive, not {rate}")
     counts = shared.read_counting(line)
-    tips = choose_tips(robot, tip, None, relative, False)
-    arm = load_robot(robot, tips, base, lock, package_dir, deg, xacro_arg)
-    options = {name: value for name, value in (("kappa", kappa), ("kp", kp), ("kd", kd)) if value is not None}
-    options |= {name: parameter(name, text) for name, text in assignments(param, "-p").items()}
+    arm = load_robot(robot, choose_tips(robot, tip, None, relative, False), base, lock, package_dir, deg, xacro_arg)
     first = None if q0 is None else joint_vector(arm, q0, "--q0", deg)
-
-    from ..tracking.track import track as follow
-    from ..tracking.verdict import ORIENTATION_TOLERANCE
-
-    if avoid_collisions or obstacle:
-        options["avoid_collisions"] = collision_model(arm, obstacle or ())
     asked = asked_path(arm, line, first, counts)
-    with warnings.catch_warnings():
-        warnings.simplefilter("always")
-        warnings.showwarning = lambda message, *_: notice(f"warning: {message}")
-        result = follow(
-            arm,
-            asked.reference,
-            method,
-            dt=1.0 / rate,
-            q0=asked.q0,
-            limits=limits,
-            acceleration_limits=acceleration,
-            position_tolerance=tolerance_position,
-            orientation_tolerance=ORIENTATION_TOLERANCE if tolerance_orientation is None else tolerance_orientation,
-            settle=settle,
-            on_limit=on_limit,
-            max_stretch=max_stretch,
-            **counts,
-            **options,
-        )
+    result = _run(arm, line, asked, counts)
     if output is not None:
         notice(f"wrote {result.save(output)}")
     if plot is not None:
@@ -247,7 +220,7 @@ def track(
     more = {"path_chosen": asked.words} if asked.words else {"works": tried} if result.reach is not None else {}
     tips_of = {"tips": [*arm.tips]} if arm.by_tip else {"tip": arm.tip}
     write_json({**result.to_dict(), "path": asked.shown, **more, "base": arm.base, **tips_of}, as_json)
-    if result.reach is not None:
+    if result.reach is not None and (tried or not result.reach.whole):
         works = f"; works with {' or '.join(tried)}" if tried else ""
         notice(f"{result.reach.message or 'every pose can be reached, but not at this speed'}{works}")
     if not as_json:
@@ -255,6 +228,37 @@ def track(
     if not result.success:
         notice(f"{result.status.name}: {result.message}")
         raise typer.Exit(1)
+
+
+def _run(arm: Any, line: SimpleNamespace, asked: Asked, counts: dict[str, Any]) -> "TrackResult":
+    """Follow the path; warnings are shown as notices."""
+    from ..tracking.track import track as follow
+    from ..tracking.verdict import ORIENTATION_TOLERANCE
+
+    options = {name: getattr(line, name) for name in ("kappa", "kp", "kd") if getattr(line, name) is not None}
+    options |= {name: parameter(name, text) for name, text in assignments(line.param, "-p").items()}
+    if line.avoid_collisions or line.obstacle:
+        options["avoid_collisions"] = collision_model(arm, line.obstacle or ())
+    angle = ORIENTATION_TOLERANCE if line.tolerance_orientation is None else line.tolerance_orientation
+    with warnings.catch_warnings():
+        warnings.simplefilter("always")
+        warnings.showwarning = lambda message, *_: notice(f"warning: {message}")
+        return follow(
+            arm,
+            asked.reference,
+            line.method,
+            dt=1.0 / line.rate,
+            q0=asked.q0,
+            limits=line.limits,
+            acceleration_limits=line.acceleration,
+            position_tolerance=line.tolerance_position,
+            orientation_tolerance=angle,
+            settle=line.settle,
+            on_limit=line.on_limit,
+            max_stretch=line.max_stretch,
+            **counts,
+            **options,
+        )
 
 
 def _show(result: "TrackResult", arm: "Robot", asked: Asked) -> None:

@@ -62,36 +62,6 @@ def test_a_solve_moves_the_robot_and_a_failure_does_not():
     assert dict(session.figures())["status"] == "UNREACHABLE"
 
 
-@pytest.mark.parametrize("robot", ["hydrolek_7w", "planar_2r", "inspection_7dof"])
-def test_a_dragged_target_out_of_reach_is_followed_to_the_closest_pose(robot):
-    """A position pulled away step by step: the arm keeps coming as near as it can, and is back with the target."""
-    session = Session(robot)
-    arm, start = session.robot, session.robot.fk(session.q).translation.copy()
-    way = np.array([1.0, 0.4, 0.0]) / np.hypot(1.0, 0.4)
-    for far in (0.05, 0.3, 0.6, 1.5, 3.0):
-        target = start + far * arm.reach * way
-        assert any(session.follow(target).settled for _ in range(60)), far
-        best = min(ik.solve(arm, target, q0=q).position_error for q in (session.q, arm.home))
-        assert session.poses()[arm.tip].shape == (4, 4)
-        left = session.followed.errors[arm.tip][0]
-        assert left < 1.02 * best + 1e-5, (far, left, best)
-        assert session.followed.success == (left < 1e-6)
-    assert "the closest pose is" in session.followed.message
-    assert any(session.follow(start).settled for _ in range(60))
-    assert session.followed.success and "converged" in session.followed.message
-    with pytest.raises(InvalidTarget, match="1000 times the reach"):
-        session.follow(start + 1e200)
-
-
-def test_a_drag_is_told_apart_from_a_solve():
-    session = Session("hydrolek_7w")
-    goal = session.poses()["tool"]
-    goal[2, 3] += 0.02
-    assert session.follow(goal).success and session.result is None
-    assert list(dict(session.figures())) == ["tool"] and "converged" in json.loads(session.to_json())["dragged"]
-    assert session.solve(goal).success and session.followed is None
-
-
 def test_parameters_go_to_the_solver():
     session = Session("hydrolek_7w")
     session.solver = "dls"
@@ -323,71 +293,6 @@ def test_solving_a_typed_pose(desk):
     desk.goals[0].xyz.value, desk.tolerance.value = "0.9 0 0", "much"
     desk._guard(desk._solve)()
     assert "the tolerance is a number" in desk.status.content
-
-
-def test_dragging_follows(desk):
-    q = np.clip(desk.session.q + 0.05, desk.session.robot.lower, desk.session.robot.upper)
-    T = desk.session.robot.fk(q).homogeneous
-    desk.stage.handles[0].put(T)
-    desk._dragged()
-    assert np.allclose(desk.stage.tips[0].position, T[:3, 3], atol=1e-5)
-    assert np.allclose([float(x) for x in desk.goals[0].xyz.value.split()], T[:3, 3], atol=1e-5)
-    desk.live = False
-    kept = np.array(desk.stage.tips[0].position)
-    desk.stage.handles[0].gizmo.position = (0.7, 0.1, 0.1)
-    desk._dragged()
-    assert np.array_equal(desk.stage.tips[0].position, kept) and desk.goals[0].xyz.value.startswith("0.7")
-
-
-def test_a_target_dragged_out_of_reach_is_joined_to_the_tip_by_a_line(desk):
-    T = desk.session.poses()["tool"]
-    T[:3, 3] += (0.6, 0.2, 0.1)
-    desk.goals[0].give("free")
-    desk.stage.handles[0].put(T)
-    before = desk.session.q.copy()
-    desk._dragged(0)
-    assert desk.worker.idle() and np.abs(desk.session.q - before).max() > 0.05
-    points = desk.stage.gap.points[0]
-    assert desk.stage.gap.visible and np.allclose(points[1], T[:3, 3], atol=1e-5)
-    assert np.allclose(points[0], desk.stage.tips[0].position, atol=1e-5)
-    for _ in range(20):
-        desk._dragged(0)
-    assert "The closest pose is" in desk.status.content and "tool" in desk.outcome.content
-    desk._home()
-    assert not desk.stage.gap.visible
-    desk._dragged(0)
-    assert "Converged" in desk.status.content
-
-
-def test_the_page_of_view_follow_has_a_target_to_drag(panel):
-    from ik_toolkit.show.follower import Follower
-
-    made = Follower(panel.server, "hydrolek_7w")
-    assert made.worker.idle()
-    try:
-        T = made.session.poses()["tool"]
-        T[2, 3] += 0.05
-        made.stage.handles[0].put(T)
-        made._dragged()
-        assert "Converged" in made.status.content and np.allclose(made.stage.tips[0].position, T[:3, 3], atol=1e-5)
-        assert np.allclose([float(x) for x in made.goals[0].xyz.value.split()], T[:3, 3], atol=1e-5)
-        made._home()
-        assert np.array_equal(made.session.q, made.session.robot.home)
-    finally:
-        made.close()
-
-
-def test_view_follow_serves_that_page_and_refuses_what_it_cannot_show(monkeypatch, capsys):
-    from ik_toolkit.cli import main, view
-    from ik_toolkit.show.follower import Follower
-
-    served = []
-    monkeypatch.setattr(view, "wait", lambda words, url, browse: served.append((words, url)))
-    assert main(["view", "planar_2r", "--follow", "--no-open"]) == 0
-    assert served[0][0].startswith("the robot is at http") and Follower.__mro__[1].__name__ == "Desk"
-    for more in (["--html", "x.html"], ["--xyz", "1", "1", "0"], ["--q", "0", "0"]):
-        assert main(["view", "planar_2r", "--follow", *more]) == 2
-        assert "--follow goes without" in capsys.readouterr().err
 
 
 def test_all_solutions_can_be_picked(desk):
