@@ -29,6 +29,7 @@ from .tracker import JUMP, LATE, Tracker, read_mode
 from .verdict import ORIENTATION_TOLERANCE, POSITION_TOLERANCE, settling, verdict
 
 MODES = {"slow": SLOW, "leave": LEAVE, "clip": CLIP}
+COUNTS = ("mask", "slack", "free_turn", "frame", "relative_to")  # options that say what counts
 MAX_STRETCH = 10.0  # how much longer than its reference a run may take by default
 RUNAWAY = 100.0  # mean joint move [rad, or reaches] in one step beyond which a run has diverged
 FRACTIONS = (0.25, 0.5, 0.75)  # where between two samples the error is looked at
@@ -110,8 +111,9 @@ def track(
     result = run.result(robot, references, times, check, settle)
     result.figures = figures(result, robot.chain.unit * JUMP)
     result.status, result.message = verdict(result, int(tracker._state[motion.STATE.stop]), len(times) - 1)
-    if result.status in (TrackStatus.LEFT, TrackStatus.LOST) and not robot.by_tip:
-        result.reach, words = explain(robot, reference, q0, limits=limits)
+    if result.status in (TrackStatus.LEFT, TrackStatus.LOST):
+        counts = {name: value for name, value in options.items() if name in COUNTS}
+        result.reach, words = explain(robot, reference, q0, limits=limits, **counts)
         result.message = f"{result.message} {words}".rstrip()
     return result
 
@@ -192,6 +194,7 @@ class _Run:
             sigma=self.S[:done, 1].copy(),
             pace=self.S[:done, 2].astype(int),
             end=float(times[-1]),
+            tips=robot.tips,
         )
 
     def go(self) -> None:
