@@ -37,7 +37,7 @@ def exact(problem: Problem, q: np.ndarray) -> np.ndarray:
     there = np.flatnonzero(np.isfinite(q).all(axis=1))
     made = q.copy()
     made[np.ix_(there, problem.plan.held)] = problem.stand[problem.plan.held]  # tracks are kept in single precision
-    made[there] = problem.settled(made[there], there)[0]
+    made[there] = problem.settled(np.clip(made[there], *problem.limits[:2]), there)[0]
     return made * problem.unit
 
 
@@ -46,7 +46,9 @@ def proven(
 ) -> Motion:
     """The motion through rows q (N, n), with poses inserted where it needs them."""
     p = search.problem
+    q = p.inside(q)
     curve, at, cut = densify(p.single, p.kinds, q, p.poses, found.breaks, step, tolerance)
+    curve = p.inside(curve)
     return Motion(found, q, curve, at, check(p.single, p.kinds, curve, at, p.poses, cut, model))
 
 

@@ -85,6 +85,10 @@ class Problem:
             Q[:, i] -= TAU * np.rint((Q[:, i] - at) / TAU)
         return Q
 
+    def inside(self, q: np.ndarray) -> np.ndarray:
+        """Rows q (M, n) [rad or m] without what rounding in the units of the kernel puts beyond a limit."""
+        return np.clip(q, self.robot.lower, self.robot.upper) if self.plan.options.limits else q
+
     def settled(self, Q: np.ndarray, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Q (m, n), kernel units, brought onto the poses t (m,); and the errors (m, 2) left [m], [rad]."""
         Q, errors = np.array(Q, dtype=float), np.empty((len(Q), 2))

@@ -12,9 +12,9 @@ from ..errors import InvalidOption, InvalidTarget, floats
 from ..robot.robot import Robot
 from ..robot.tree import Tree
 from ..solvers.avoid import collision_model
-from ..solvers.batch import available_cores
+from ..solvers.batch import available_cores, whole
 from ..solvers.batch_targets import blocks, known, mended
-from ..solvers.options import PathOptions
+from ..solvers.options import Options, PathOptions
 from ..solvers.result import SPOKEN
 from ..solvers.solve import Solver, require_robot
 from ..solvers.task import counted_errors
@@ -57,7 +57,7 @@ def solve_path(
     q0: Any = None,
     q_end: Any = None,
     max_step: Any = None,
-    path_tolerance: tuple[float, float] = TOLERANCE,
+    path_tolerance: Any = None,
     avoid_collisions: Any = None,
     reconfigurations: str | int = "fewest",
     seed: int = 0,
@@ -71,7 +71,8 @@ def solve_path(
     Reference, sampled every 0.01 s. q0, q_end (n,) [rad or m]: where the path begins and ends, if they reach the first and the
     last pose, and otherwise what it begins and ends near. max_step: the longest step of a joint between poses, (rad, m) or one
     number for both; default 7 deg and 20 mm. Where the motion needs more, poses are inserted. path_tolerance (m, rad): how far
-    a tip may leave the interpolated pose between two poses. avoid_collisions: True (the robot's own links) or a CollisionModel.
+    a tip may leave the interpolated pose between two poses; default 1 mm and 1 deg, or twice the tolerances at the poses.
+    avoid_collisions: True (the robot's own links) or a CollisionModel.
     reconfigurations: 'fewest', 'none', or the largest number allowed. seed: of the random starts; threads: default all cores.
     progress(share, words) is called as the work goes on. Options as for `solve`: tolerances, limits, mask, slack, free_turn,
     frame, relative_to, joint_weights. Ctrl-C raises PathInterrupted, whose `result` is the best path until then. Raises
@@ -85,14 +86,14 @@ def solve_path(
             raise InvalidOption(
                 f"solve_path takes no '{name}': a path is searched as a whole, and its answers are checked"
             )
-    solver = Solver(robot, **options)
+    solver = Solver(robot, seed=seed, **options)
     T, kinds = _read(robot, poses)
-    step, tolerance = _pair("max_step", max_step, STEP), _pair("path_tolerance", path_tolerance, TOLERANCE)
+    step, tolerance = _pair("max_step", max_step, STEP), _between(path_tolerance, solver.options)
     model = collision_model(robot, avoid_collisions) if avoid_collisions else None
     q0, q_end = (None if q is None else robot.check_q(q, name) for name, q in (("q0", q0), ("q_end", q_end)))
     problem = Problem(solver, T, kinds, step, tolerance, q0)
     ends = [None if q is None else q / problem.unit for q in (q0, q_end)]
-    threads = available_cores() if threads is None else threads
+    threads = available_cores() if threads is None else whole("threads", threads)
     search = Search(problem, model, *ends, threads, seed, progress or _silent)
     try:
         search.run()
@@ -127,6 +128,18 @@ def _pair(name: str, value: Any, default: tuple[float, float]) -> tuple[float, f
         raise InvalidOption(f"{name} must be one number, or two, above 0, not {value!r}")
     first, second = np.broadcast_to(pair, (2,)).tolist()
     return first, second
+
+
+def _between(value: Any, options: Options) -> tuple[float, float]:
+    """Tolerance [m] and [rad] between the poses: above those at the poses, which the motion starts with. Raises InvalidOption."""
+    at = (options.position_tolerance, options.orientation_tolerance)
+    pair = _pair("path_tolerance", value, (max(TOLERANCE[0], 2.0 * at[0]), max(TOLERANCE[1], 2.0 * at[1])))
+    for k, (name, unit) in enumerate((("position", "m"), ("orientation", "rad"))):
+        if not pair[k] > at[k]:
+            raise InvalidOption(
+                f"path_tolerance must be above {name}_tolerance, {at[k]:g} {unit}, which poses are reached to; not {pair[k]:g}"
+            )
+    return pair
 
 
 def _read(robot: Any, poses: Any) -> tuple[np.ndarray, tuple]:

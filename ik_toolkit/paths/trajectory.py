@@ -49,7 +49,8 @@ class Piece(NamedTuple):
         """Joints, rates and accelerations (N, n) at times t (N,) [s] since its start, and the place among the poses (N,)."""
         t = np.clip(t, 0.0, self.t[-1])
         k = np.clip(np.searchsorted(self.t, t, side="right") - 1, 0, len(self.t) - 2)
-        gain = np.diff(self.speed)[k] / np.diff(self.t)[k]
+        steps = np.diff(self.t)
+        gain = np.divide(np.diff(self.speed), steps, out=np.zeros_like(steps), where=steps > 0.0)[k]  # 0: nothing moves
         past = t - self.t[k]
         s = np.clip(self.s[k] + (self.speed[k] + 0.5 * gain * past) * past, self.s[0], self.s[-1])
         rate = (self.speed[k] + gain * past)[:, None]

@@ -11,7 +11,7 @@ def sentence(path: PathResult, needed: int, allowed: float) -> str:
             first, more = path.unreachable[0], len(path.unreachable) - 1
             others = f" and {more} more" if more else ""
             return (
-                f"{_poses(N - more - 1)} of {N} are reached; pose {first.index}{others} not: {first.reason}; move the poses, free "
+                f"{N - more - 1} of {_poses(N)} are reached; pose {first.index}{others} not: {first.reason}; move the poses, free "
                 "what need not hold (free_turn, slack, mask), or widen the limits"
             )
         last = max((k for k in range(N) if path.q[k, 0] == path.q[k, 0]), default=-1)

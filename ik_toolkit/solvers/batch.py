@@ -27,7 +27,8 @@ PART, REMOTE_PART = 2048, 4096  # most rows handed to a thread, and rows handed 
 LEAST_PART = 128  # smaller batches are shared out evenly over the threads, but not in smaller parts than this
 
 
-def _whole(name: str, value: Any) -> int:
+def whole(name: str, value: Any) -> int:
+    """Value of an option that counts. Raises InvalidOption, naming it."""
     if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < 1:
         raise InvalidOption(f"{name} must be a whole number of at least 1, not {value!r}")
     return int(value)
@@ -60,7 +61,7 @@ def solve_parts(
         raise InvalidOption(f"executor is a pool with a submit method (concurrent.futures), not {executor!r:.80}")
     if options.get("history"):
         raise InvalidOption("a batch keeps no history; solve the target in question with ik.solve")
-    count = _whole("threads", threads) if threads is not None else available_cores()
+    count = whole("threads", threads) if threads is not None else available_cores()
     if not isinstance(check, int | float | np.floating) or not 0.0 <= check <= 1.0:
         raise InvalidOption(f"check is the fraction of answers to check again, 0 to 1, not {check!r}")
     given = known(targets)

@@ -85,6 +85,13 @@ def test_a_path_begins_and_ends_where_it_is_asked_to(arm):
     assert np.abs(made.q[0] - a).max() < 1e-5 and np.abs(made.q[-1] - b).max() < 1e-5
 
 
+def test_poses_that_are_reached_roughly_are_still_one_motion(arm):
+    """What is asked of the tip between poses is never more than what is asked at them."""
+    made = ik.solve_path(arm, between(arm, arm.home, arm.home + 0.2, 20), position_tolerance=2e-3)
+    assert made.status == PathStatus.FOLLOWED
+    assert made.path_tolerance == (4e-3, np.radians(1.0)) and made.deviation[0] <= 4e-3
+
+
 def test_a_held_joint_stays(arm):
     q0 = arm.home + 0.1
     Q = np.linspace(q0, q0 + np.array([0.3, 0.2, -0.2, 0.1, 0.3, 0.0]), 30)
@@ -104,6 +111,11 @@ def test_mistakes_are_named(arm):
         ik.solve_path(arm, T[:0])
     with pytest.raises(InvalidConfiguration, match="q0"):
         ik.solve_path(arm, T, q0=[1.0])
+    for name, value in (("seed", -1), ("seed", 1.5), ("threads", 0), ("threads", "two")):
+        with pytest.raises(InvalidOption, match=f"{name} must be"):
+            ik.solve_path(arm, T, **{name: value})
+    with pytest.raises(InvalidOption, match=r"path_tolerance must be above position_tolerance, 1e-06 m"):
+        ik.solve_path(arm, T, path_tolerance=1e-7)
     T[3, :3, :3] *= 2.0
     with pytest.raises(InvalidTarget, match="target 3"):
         ik.solve_path(arm, T)
@@ -116,12 +128,30 @@ LINK = """
 <limit lower="-2.4" upper="2.4" effort="1" velocity="1"/></joint>"""
 
 
+def chained(count):
+    """`count` turning joints in a plane, links with collision shapes."""
+    links = "".join(LINK.format(k=k, parent=f"l{k - 1}" if k else "base", x=0.3 * (k > 0)) for k in range(count))
+    tip = f'<link name="tip"/><joint name="t" type="fixed"><parent link="l{count - 1}"/><child link="tip"/>'
+    tip += '<origin xyz="0.3 0 0"/></joint>'
+    return ik.Robot.load(f'<robot name="snake"><link name="base"/>{links}{tip}</robot>', tip="tip")
+
+
 @pytest.fixture(scope="module")
 def snake():
-    """Five turning joints in a plane, links with collision shapes."""
-    links = "".join(LINK.format(k=k, parent=f"l{k - 1}" if k else "base", x=0.3 * (k > 0)) for k in range(5))
-    tip = '<link name="tip"/><joint name="t" type="fixed"><parent link="l4"/><child link="tip"/><origin xyz="0.3 0 0"/></joint>'
-    return ik.Robot.load(f'<robot name="snake"><link name="base"/>{links}{tip}</robot>', tip="tip")
+    return chained(5)
+
+
+@pytest.mark.parametrize("count", [2, 5])
+def test_limits_hold_to_the_last_bit(count):
+    """A joint runs along its limit, and solutions are carried in single precision, in which 2.4 is more than 2.4."""
+    robot = chained(count)
+    a, b = np.full(count, 0.5), np.full(count, 1.0)
+    a[0] = b[0] = robot.upper[0]
+    points = between(robot, a, b, 30)[:, :3, 3]
+    made = ik.solve_path(robot, points, q0=a, q_end=b)
+    assert made.success and made.position_error.max() <= 1e-6
+    for rows in (made.q, made.curve):
+        assert (rows >= robot.lower).all() and (rows <= robot.upper).all()
 
 
 def touches(model, q, between=8):

@@ -185,3 +185,13 @@ def test_poses_that_repeat_and_joints_at_their_limits_need_no_stop(name):
     assert (made.at(np.linspace(0.0, made.duration, 5000))[0] <= robot.upper + 1e-9).all()
     alone = motions.as_result(robot, q, breaks=[0], kind=POSITION).retime(1.0, 2.0)
     assert "stops" not in alone.message  # the first pose alone is a piece of its own, in which nothing moves
+
+
+def test_a_motion_that_stays_where_it_is_takes_no_time_and_has_no_rates():
+    result, _ = retimed("planar_3r")
+    T = np.repeat(result.targets[:1, 0], 3, axis=0)
+    for poses in (T[:1], T):
+        made = ik.solve_path(result.robot, poses, q0=result.q[0]).retime(1.0, acceleration=1.0)
+        assert made.success and made.duration == 0.0
+        for values in (made.dq, made.ddq, *made.at([-1.0, 0.0, 1.0])[1:]):
+            assert (values == 0.0).all()
