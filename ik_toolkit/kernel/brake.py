@@ -33,11 +33,12 @@ def position(Q, R, L, k, j, gamma, h, f):
 
 
 @cached
-def brake(first, gamma, h, limits, Q, R, L):
+def brake(first, gamma, h, late, limits, Q, R, L):
     """Continue a motion by the full brake; returns the number of pieces of h [s] (1 or more) until all rests, or -1.
 
     Rows of Q, R (K, n): joint values and rates between the pieces, given up to row `first`; of L (K, n): how far each joint
-    has gone by then. Each joint brakes as `advance` brakes it when no rate is wanted, inside limits (4, n). One unit a joint.
+    has gone by then. Each joint brakes as `advance` brakes it when no rate is wanted, inside limits (4, n),
+    with later steps of up to `late` [s]. One unit a joint.
     """
     n = Q.shape[1]
     x, code, now, speed = np.empty(n), np.empty(n, np.uint8), Q[first].copy(), R[first].copy()
@@ -56,7 +57,7 @@ def brake(first, gamma, h, limits, Q, R, L):
             if k > 0 and not moving:
                 return k
             x[:] = 0.0
-            advance(now, speed, x, gamma, h, h, limits, code)
+            advance(now, speed, x, gamma, h, late, limits, code)
     return -1
 
 

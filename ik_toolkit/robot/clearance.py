@@ -4,6 +4,7 @@ Distances are those of convex hulls, which cost a microsecond a pair; the exact 
 where hulls meet.
 """
 
+import threading
 from typing import Any, NamedTuple
 
 import coal
@@ -12,6 +13,7 @@ import pinocchio as pin
 
 from ..kernel.clearance import free_until, levers, rows
 
+BUILDING = threading.Lock()  # a hull is kept on its mesh, which other threads may be using
 THIN = 1e-5  # thickness over size below which a mesh is taken as flat: qhull fails at 1e-9
 
 
@@ -34,8 +36,9 @@ def hulls(geometry: pin.GeometryModel) -> pin.GeometryModel:
         mesh = shape.geometry
         if isinstance(mesh, coal.BVHModelBase) and _thick(mesh.vertices()):
             # `buildConvexRepresentation` would take the points as they are, convex or not.
-            mesh.buildConvexHull(False, "Qt")
-            shape.geometry = mesh.convex
+            with BUILDING:
+                mesh.buildConvexHull(False, "Qt")
+                shape.geometry = mesh.convex
     return made
 
 

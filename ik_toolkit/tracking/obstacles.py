@@ -20,10 +20,10 @@ FLAT = 1e-9  # [m per rad or m] a row without an entry above this forbids nothin
 SHARE = 0.1  # of a row's largest entry, from which on a joint's braking counts
 CONTACT = 1e-5  # [m] nearer than this is a contact: ten times the tolerance of coal's distances
 NEAREST = 1e-4  # [m] a way that leads nearer than this is not followed to see whether it touches
-LOOKS = (
-    16  # places where distances are measured to prove one step free, 0.05 ms each; a step that takes more is not taken
-)
-PIECES = 4000  # pieces of a brake that is followed; one that takes more is not tried
+# Places where distances are measured to prove one step free, 0.05 ms each; a step that takes more is not taken.
+LOOKS = 12
+PARTS = (1 / 4, 1 / 16, 1 / 64)  # of a step that are tried from rest where the whole is not allowed
+PIECES = 20_000  # of a brake that is followed, some milliseconds; one that takes more is not tried
 
 
 class Path(NamedTuple):
@@ -49,6 +49,7 @@ class Guard:
         self.A, self.b, self._order = np.zeros((ROWS, robot.n)), np.zeros(ROWS), np.zeros(ROWS, dtype=int)
         self.pairs: list[tuple[str, str]] = []
         self.blocked: tuple[str, str] | None = None
+        self.late = 0.0  # longest step [s] that may follow
         self._bind()
 
     def _bind(self) -> None:
@@ -114,6 +115,21 @@ class Guard:
         """
         return self._take(np.array([q, q1]), np.array([rate, rate1]), h)
 
+    def instead(self, q: np.ndarray, rate: np.ndarray, rate1: np.ndarray, h: float) -> tuple[np.ndarray, np.ndarray]:
+        """Joint values and rates (n,) after h [s] instead of a step from (q, rate) to rate1 that was not allowed.
+
+        The arm brakes; from rest it takes a small part of the step, if that is free: else it could stand for ever.
+        """
+        blocked = self.blocked
+        for part in PARTS if not rate.any() else ():
+            small = part * rate1
+            q1 = q + h * self.gamma * small
+            if self._take(np.array([q, q1]), np.array([rate, small]), h):
+                self.blocked = blocked
+                return q1, small
+        self.blocked = blocked
+        return self.brake(q, rate, h)
+
     def brake(self, q: np.ndarray, rate: np.ndarray, h: float) -> tuple[np.ndarray, np.ndarray]:
         """Joint values and rates (n,) after h [s] of braking from (q, rate), instead of a step that was not allowed.
 
@@ -175,14 +191,18 @@ class Guard:
 
     def _follow(self, Q: np.ndarray, R: np.ndarray, h: float) -> Path | None:
         """States Q, R (1 or 2, n) and the brake after them; None when it does not come to rest."""
-        with np.errstate(invalid="ignore"):  # 0 / inf is 0, inf / inf no brake
-            steps = np.abs(R[-1] / (self.limits[3] * h)).max()
+        moving = R[-1] != 0.0
+        with np.errstate(divide="ignore"):
+            steps = max(2.0 * self.gamma, 1.0) * np.max(np.abs(R[-1] / (self.limits[3] * h)), where=moving, initial=0.0)
         if not steps < PIECES:
             return None
-        size, first = int(steps) + 6, len(Q) - 1
+        back = (
+            (Q[-1] < self.limits[0]) | (Q[-1] > self.limits[1])
+        ).any()  # it comes inside first, however long it takes
+        size, first = PIECES if back else int(steps) + 6, len(Q) - 1
         all_q, rates, lengths = np.empty((3, size, self.robot.n))
         all_q[: first + 1], rates[: first + 1] = Q, R
-        end = brake(first, self.gamma, h, self.limits, all_q, rates, lengths) + 1
+        end = brake(first, self.gamma, h, max(self.late, h), self.limits, all_q, rates, lengths) + 1
         return Path(all_q[:end], rates[:end], lengths[:end], h) if end else None
 
     def _prove(self, path: Path, ks: np.ndarray, levers: np.ndarray) -> tuple[str, str] | None:

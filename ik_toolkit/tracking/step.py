@@ -47,6 +47,7 @@ class Outcome(NamedTuple):
     speed: np.ndarray  # (n,) limits
     lag: float  # of the joints measured, over what is allowed
     resynced: bool
+    between: tuple[str, str] | None = None  # names of what would touch, had the step gone on
 
 
 class Step:
@@ -124,7 +125,10 @@ class Step:
             (box.POSITION, "position limit held back"),
             (box.VELOCITY, "speed limit held back"),
             (box.ACCELERATION, "acceleration limit held back"),
-            (box.ROW, "what is in the way held back"),
+            (
+                box.ROW,
+                f"{' and '.join(o.between)} would touch: held back" if o.between else "what is in the way held back",
+            ),
         )
         for bit, name in words:
             held = [j for j, c in zip(o.robot.joint_names, o.code, strict=True) if c & bit]

@@ -20,6 +20,7 @@ from ..kernel.task import POSE, POSITION
 from ..robot.pose import PROJECT_WITHIN
 from ..robot.robot import Robot
 from ..robot.tree import Tree
+from ..solvers.avoid import collision_model
 from .inputs import number, positive
 from .methods import Method, interpolate
 from .reachable import explain
@@ -89,7 +90,7 @@ def track(
     made = [_samples(one, times) for one in references]
     T = np.ascontiguousarray(np.stack([one[0] for one in made], axis=1))
     V, A = (np.ascontiguousarray(np.concatenate([one[k] for one in made], axis=1)) for k in (1, 2))
-    q0 = _start(robot, references) if q0 is None else q0
+    q0 = _start(robot, references, options.get("avoid_collisions", False)) if q0 is None else q0
     tracker = Tracker(
         robot, method, q0=q0, rate0=rate0, limits=limits, acceleration_limits=acceleration_limits,
         on_limit="clip" if mode == CLIP else "leave", **options,
@@ -210,9 +211,9 @@ class _Run:
             self.look_ahead()
         made, left = [], self.most
         while True:
-            steps = 1 if tracker.secondary.each_step else min(count, left)
+            steps = 1 if tracker.one_by_one else min(count, left)
             arrays = self._arrays(steps)
-            done = tracker.run(
+            done = tracker.take(
                 *self.samples, self.dt, *arrays, mode=self.mode, clock=self.clock, caps=self.caps, runaway=RUNAWAY
             )
             left -= done
@@ -271,15 +272,19 @@ def _samples(reference: Reference, times: np.ndarray) -> Samples:
     return T, V, A
 
 
-def _start(robot: Any, references: list[Reference]) -> np.ndarray:
-    """Home if the tips are then at the reference's start, else a solution of it (the best one found, if none)."""
+def _start(robot: Any, references: list[Reference], avoid: Any) -> np.ndarray:
+    """Home if the tips are then at the reference's start, else a solution of it (the best one found, if none).
+
+    avoid: see `avoid_collisions`; where something touches at home, another start is sought.
+    """
     targets = [one.target(0.0) for one in references]
     errors = robot.errors(robot.home, targets) if robot.by_tip else [robot.errors(robot.home, targets[0])]
-    if all(position < 1e-9 and (orientation or 0.0) < 1e-9 for position, orientation in errors):
+    touches = avoid is not False and collision_model(robot, avoid).collides(robot.home)
+    if not touches and all(position < 1e-9 and (orientation or 0.0) < 1e-9 for position, orientation in errors):
         return robot.home
     from ..solvers.solve import solve
 
-    return solve(robot, targets if robot.by_tip else targets[0], q0=robot.home).q
+    return solve(robot, targets if robot.by_tip else targets[0], q0=robot.home, avoid_collisions=avoid).q
 
 
 def _between(

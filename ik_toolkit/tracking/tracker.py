@@ -6,16 +6,19 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import InvalidOption, floats, near_match
-from ..kernel import motion
+from ..errors import InvalidConfiguration, InvalidOption, floats, near_match
+from ..kernel import box, motion
+from ..kernel.clock import QUICK
 from ..kernel.constrain import DIRECT, LEAVE
 from ..kernel.motion import CLIP
 from ..kernel.task import POSITION
 from ..robot.robot import Robot
 from ..robot.tree import Tree
+from ..solvers.avoid import collision_model
 from .engine import bind
 from .inputs import one_of, positive
 from .methods import Method
+from .obstacles import ROWS, Guard
 from .secondary import Secondary, read_secondary
 from .step import Outcome, Step
 from .stream import Stream
@@ -25,7 +28,6 @@ RESYNC = 0.1  # [rad, or reaches] between joints measured and commanded beyond w
 LATE = 5.0  # longest step, over the first one, after which limits are still kept; a longer one is taken in parts
 MODES = {"direct": DIRECT, "leave": LEAVE, "clip": CLIP}
 LAWS_KEPT = 64  # lengths of a step for which the numbers of a method are kept
-ROWS = 12  # half-planes that what is in the way may put up at a time
 LIMIT_NAMES = ("lower", "upper", "speed", "acceleration")
 
 
@@ -45,6 +47,9 @@ class Tracker:
     (True, False or a rate [1/s]): lead joints away from near limits; posture (n,) [rad or m] to keep, or (posture, rate);
     elbow {joint: 1 or -1}: the side of its zero on which a joint stays; manipulability [1/s]: how strongly it is raised;
     cost: a function of q (n,) [rad or m] to lower, which returns a number or its slope (n,).
+
+    avoid_collisions: True (the robot's own links) or a CollisionModel: the arm slows down before what is in its way and slides
+    along it, and takes no step after which it could not stop without a contact (BLOCKED); for things that stand still.
 
     jump: joint move [rad, or reaches] in one step reported as JUMPED; resync [rad, or reaches]: see `update`. Raises
     InvalidOption, InvalidConfiguration.
@@ -68,6 +73,7 @@ class Tracker:
         elbow: Any = None,
         manipulability: float = 0.0,
         cost: Any = None,
+        avoid_collisions: Any = False,
         **options: Any,
     ) -> None:
         """Bind a robot and a method."""
@@ -85,6 +91,10 @@ class Tracker:
         self.secondary.confine(self._limits)
         n = robot.n
         self.stream = Stream(robot)
+        self._guard: Guard | None = None
+        if avoid_collisions is not False:
+            model = collision_model(robot, avoid_collisions)
+            self._guard = Guard(robot, model, self._limits * robot.chain.unit, self.engine.gamma)
         m = 6 * self.stream.tips
         self._q, self._rate, self._away = np.zeros(n), np.zeros(n), np.zeros(n)
         self._state = np.zeros(len(motion.STATE))
@@ -104,6 +114,10 @@ class Tracker:
         """Start again from q0 (default home), with the target's pose and motion at this moment if they are known."""
         q = self.robot.check_q(self.robot.home if q0 is None else q0, "q0")
         self._begin(q, None if rate0 is None else self.robot.check_q(rate0, "rate0"))
+        if self._touching:
+            raise InvalidConfiguration(
+                f"at q0 '{self._touching[0]}' touches '{self._touching[1]}'; start where nothing touches"
+            )
         self._late = self._longest
         self.stream.forget()
         if target is not None:
@@ -120,6 +134,8 @@ class Tracker:
         self._state[motion.STATE.start] = motion.GIVEN if given else motion.MOVING
         self._active[:], self._kept[:] = 0, 0
         self.secondary.side(self._away)
+        self._between: tuple[str, str] | None = None  # what kept the last step from going on
+        self._touching = self._guard.restart(q) if self._guard else None
 
     @property
     def q(self) -> np.ndarray:
@@ -154,6 +170,8 @@ class Tracker:
             row[:] = new / self.robot.chain.unit
         if (self._limits[0] > self._limits[1]).any():
             raise InvalidOption("lower limits must not be above the upper ones")
+        if self._guard:
+            self._guard.limits = self._limits * self.robot.chain.unit
 
     def update(self, target: Any, dt: float, twist: Any = None, acceleration: Any = None, *, q: Any = None) -> Step:
         """Step to where the tip should be dt [s] from now; returns a Step.
@@ -184,7 +202,7 @@ class Tracker:
             stream.step_on()
         out = Outcome(
             robot, self._C[0].copy(), before, self._E[1].copy(), self._posed, self._S[0, 3], finite, self.jump, self._speed,
-            lag, resynced,
+            lag, resynced, self._between,
         )  # fmt: skip
         return Step(self._q * unit, self._rate * unit, out)
 
@@ -197,7 +215,7 @@ class Tracker:
             T, V, A = stream.divided(parts)
         for k in range(parts):
             part = slice(k, k + 2)
-            self.run(
+            self.take(
                 T[part], V[part], A[part], dt / parts, self._Q, self._R, self._E, self._C, self._S, brake=brake,
                 measured=measured,
             )  # fmt: skip
@@ -252,6 +270,43 @@ class Tracker:
             self._active, self._kept, state, self._unmeasured if measured is None else measured, self._lines, self._level, Q, R,
             E, C, S,
         )  # fmt: skip
+
+    @property
+    def one_by_one(self) -> bool:
+        """Whether something has to be looked at before every step, so that the loop cannot take several."""
+        return self.secondary.each_step or self._guard is not None
+
+    def take(self, T, V, A, h, Q, R, E, C, S, *, brake=False, clock=None, **how) -> int:
+        """Take a step as `run` does, or brake where it could end in a contact."""
+        guard, unit = self._guard, self.robot.chain.unit
+        if guard is None:
+            return self.run(T, V, A, h, Q, R, E, C, S, brake=brake, clock=clock, **how)
+        guard.late = max(self._late, h)
+        q, rate = self._q * unit, self._rate * unit
+        self.rows = guard.rows(q, rate, h)
+        self._lines[: self.rows], self._level[: self.rows] = guard.A[: self.rows] * unit, guard.b[: self.rows]
+        before = [one.copy() for one in self.carried()]
+        done = self.run(T, V, A, h, Q, R, E, C, S, brake=brake, clock=clock, **how)
+        held = np.flatnonzero(self._kept[: self.rows])
+        self._between = guard.pairs[held[0]] if len(held) and C[0].any() else None
+        if not done or guard.allows(q, R[0] * unit, self._q * unit, self._rate * unit, h):
+            return done
+        wanted = self._rate * unit
+        for one, was in zip(self.carried(), before, strict=True):
+            one[:] = was
+        q, rate = guard.instead(q, rate, wanted, h)
+        self._q[:], self._rate[:] = q / unit, rate / unit
+        self.engine.memory[:] = 0.0
+        self._state[motion.STATE.start] = motion.READY
+        self._state[motion.STATE.sigma] = max(self._state[motion.STATE.sigma] - QUICK * h, 0.0)
+        self._between = guard.blocked
+        S[0, 1:3] = 0.0, -1.0  # the clock stood still
+        there = slice(1 if clock is None else 0, None)
+        self.run(
+            T[there], V[there], A[there], h, Q[1:], R[1:], E[1:], C[:0], S[1:], clock=clock, **how
+        )  # no step: what is left
+        C[0] = np.where(self._rate == 0.0, box.ROW, box.ROW | box.ACCELERATION) | (box.HELD if brake else 0)
+        return 1
 
 
 def read_mode(on_limit: Any, modes: Mapping[str, int]) -> int:

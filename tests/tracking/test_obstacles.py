@@ -1,12 +1,17 @@
 """Obstacles: whatever rates are asked for, nothing static is touched, and the arm comes to rest inside its limits."""
 
+import re
+
 import numpy as np
 import pytest
 from robots import have_data, load
 
 import ik_toolkit as ik
+from ik_toolkit.errors import InvalidConfiguration, InvalidOption
+from ik_toolkit.kernel import box
 from ik_toolkit.kernel.brake import brake
 from ik_toolkit.tracking.obstacles import CONTACT, Guard
+from ik_toolkit.tracking.step import StepStatus
 
 SLOW = pytest.param("ur5", marks=pytest.mark.slow)  # its meshes take time to test exactly
 ROBOTS = ["hydrolek_7w", "planar_2r", "two_arms", *(["panda", SLOW] if have_data() else [])]
@@ -199,9 +204,122 @@ def test_a_brake_is_that_of_the_limits():
     for gamma in (1.0, 0.5, 0.6):
         Q, R, L = (np.empty((60, 2)) for _ in range(3))
         Q[0], R[0] = (0.0, 1.0), (0.5, -1.0)
-        count = brake(0, gamma, 0.01, limits, Q, R, L)
-        assert count in (25, 26)  # by rounding
-        assert np.allclose(R[: count + 1, 0], np.maximum(0.5 - 0.02 * np.arange(count + 1), 0.0)) and not R[count].any()
+        count = brake(0, gamma, 0.01, 0.01, limits, Q, R, L)
+        fall = 0.02 / max(
+            2.0 * gamma if gamma < 1.0 else 1.0, 1.0
+        )  # between samples it brakes harder then, see kernel/box.py
+        assert count in (round(0.5 / fall), round(0.5 / fall) + 1)  # by rounding
+        assert np.allclose(R[: count + 1, 0], np.maximum(0.5 - fall * np.arange(count + 1), 0.0)) and not R[count].any()
         assert np.allclose(L[: count + 1], np.abs(Q[: count + 1] - Q[0]), atol=0.001)
         assert np.allclose(np.diff(Q[:25], axis=0), 0.01 * ((1 - gamma) * R[:24] + gamma * R[1:25]))
     assert CONTACT > 0.0
+
+
+# ----------------------------------------------------------------------------------------------------------- in a tracker
+def dragged(robot, model, q, targets, dt=0.02, **options):
+    """Steps of a tracker along targets; every way between two of them is free, and its limits hold."""
+    tracker = ik.Tracker(robot, q0=q, acceleration_limits=10.0, avoid_collisions=model, **options)
+    steps, before, rate = [], q, np.zeros(robot.n)
+    for target in targets:
+        steps.append(one := tracker.update(target, dt))
+        for x in between(before, rate, one.q, tracker.engine.gamma, dt):
+            assert not model.collides(x) and not robot.outside(x)
+        assert (np.abs(one.rate - rate) <= 10.0 * dt * (1 + 1e-9) + 1e-12).all()
+        assert (np.abs(one.rate) <= robot.velocity_limits * (1 + 1e-9)).all()
+        before, rate = one.q, one.rate
+    return steps
+
+
+def box_beside(robot):
+    """A box where the tip comes when the first joint turns, and targets from home into its middle, and a while there."""
+    T, aside, home = robot.fk(robot.home), robot.home.copy(), robot.home
+    up, down = robot.upper[0] - home[0], home[0] - robot.lower[0]
+    aside[0] += min(0.8 * up, 0.8) if up > down else -min(0.8 * down, 0.8)
+    goal, size = robot.fk(aside).translation, 0.2 * robot.reach
+    model = ik.CollisionModel(robot).add_box((size, size, size), goal, "box")
+    assert not model.collides(robot.home)
+    targets = [T.translation + min((k + 1) / 60, 1.0) * (goal - T.translation) for k in range(120)]
+    return T, model, targets
+
+
+@pytest.mark.parametrize("method", ["cv", "aad"])
+@pytest.mark.parametrize("name", ["hydrolek_7w", *(["panda"] if have_data() else [])])
+def test_a_target_in_a_box_is_not_reached(name, method):
+    robot = load(name)
+    q = robot.home
+    T, model, targets = box_beside(robot)
+    steps = dragged(robot, model, q, targets, method=method)
+    assert steps[-1].status is StepStatus.BLOCKED and "box" in steps[-1].reason
+    assert steps[-1].position_error > 0.01
+    left = model.distances(steps[-1].q, 0.1)
+    assert min(near.distance for near in left if "box" in near.pair) < 0.03  # it went as near as is kept
+    away = dragged(robot, model, steps[-1].q, [T.translation] * 80, method=method)
+    assert away[-1].position_error < 1e-3
+
+
+def test_arms_of_a_tree_stay_off_each_other():
+    tree = load("two_arms")
+    model, q = ik.CollisionModel(tree), tree.home
+    at = {tip: T.translation for tip, T in tree.fk(q).items()}
+    one, two = tree.tips
+    across = {one: at[two], two: at[one]}
+    targets = [{tip: p + min(k / 60, 1.0) * (across[tip] - p) for tip, p in at.items()} for k in range(100)]
+    steps = dragged(tree, model, q, targets)
+    assert steps[-1].position_error > 0.01 and steps[-1].status is StepStatus.BLOCKED
+    sides = {name.split("_")[0] for name in re.search(r"(\w+) and (\w+) would", steps[-1].reason).groups()}
+    assert sides == {"left", "right"}
+
+
+def test_what_is_far_changes_nothing():
+    robot = load("hydrolek_7w")
+    reference = ik.circle(robot.fk(robot.home), 0.05, duration=1.0)
+    plain = ik.track(robot, reference, dt=0.02)
+    careful = ik.track(robot, reference, dt=0.02, avoid_collisions=ik.CollisionModel(robot).add_sphere(0.1, (9, 9, 9)))
+    assert np.array_equal(plain.q, careful.q) and plain.status is careful.status
+
+
+@pytest.mark.parametrize("on_limit", ["slow", "leave", "clip"])
+def test_a_run_stops_before_what_is_in_its_way(on_limit):
+    robot = load("hydrolek_7w")
+    T, model, targets = box_beside(robot)
+    line = ik.line(T.translation, targets[-1], duration=2.0)
+    result = ik.track(robot, line, dt=0.02, on_limit=on_limit, max_stretch=2, avoid_collisions=model)
+    assert not result.success and (result.limited & box.ROW).any()
+    assert not any(model.collides(q) for q in result.q)
+
+
+def test_what_may_be_asked_of_a_tracker():
+    robot, model, q = ball_in_the_way(0.3)
+    for asked, message in (("yes", "avoid_collisions"), (ik.CollisionModel(load("hydrolek_7w")), "another Robot")):
+        with pytest.raises(InvalidOption, match=message):
+            ik.Tracker(robot, q0=q, avoid_collisions=asked)
+    model.add_sphere(0.2, robot.fk(q), "knot")
+    with pytest.raises(InvalidConfiguration, match="'link_2' touches 'knot'"):
+        ik.Tracker(robot, q0=q, avoid_collisions=model)
+    ik.Tracker(robot, q0=-q, avoid_collisions=True)
+
+
+def test_measured_into_a_contact_it_holds():
+    robot, model, q = ball_in_the_way(0.3)
+    tracker = ik.Tracker(robot, q0=q, avoid_collisions=model)
+    there = next(x for a in np.linspace(0.2, 1.5, 30) if model.collides(x := q + np.array([a, 0.0])))
+    one = tracker.update(robot.fk(q).translation, 0.01, q=there)
+    assert one.status is StepStatus.JUMPED and np.array_equal(one.q, there) and not one.rate.any()
+    two = tracker.update(robot.fk(q).translation, 0.01, q=there)
+    assert two.status is StepStatus.BLOCKED and "ball" in two.reason and np.array_equal(two.q, there)
+
+
+def test_no_target_and_limits_that_change():
+    """A tracker that holds, or whose limits are changed, still touches nothing."""
+    robot, model, q = ball_in_the_way(0.1)
+    tracker = ik.Tracker(robot, q0=q, acceleration_limits=5.0, avoid_collisions=model)
+    p = robot.fk(q).translation
+    for k in range(120):
+        if k == 40:
+            tracker.change_limits(speed={"joint_1": 0.0})
+        if k == 80:
+            tracker.change_limits(speed=2.0, upper={"joint_1": q[0] - 0.05})
+        one = tracker.update(p * np.nan if k % 30 > 24 else p + np.array([-0.2, 0.01 * k, 0.0]), 0.01)
+        assert not model.collides(one.q)
+        assert (one.status is StepStatus.HELD) == (k % 30 > 24)
+    assert one.q[0] <= q[0] + 0.2
