@@ -72,7 +72,7 @@ def by_constraints(law, s, weight, planes, edges, count, sigma, h, state, work, 
     for _ in range(2):
         status, part = constrain(
             s.J, weight, s.ask, s.f, s.w, s.size, s.floor, s.roof, planes, edges, count, mode, 1.0, SINGULAR, DAMPING, work, s.x,
-            active, kept, s.multiplier,
+            active, kept, s.multiplier, h,
         )  # fmt: skip
         share *= part
         if mode != SLOW or share * sigma >= least - WHOLE:
