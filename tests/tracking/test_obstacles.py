@@ -1,7 +1,5 @@
 """Obstacles: whatever rates are asked for, nothing static is touched, and the arm comes to rest inside its limits."""
 
-import re
-
 import numpy as np
 import pytest
 from robots import have_data, load
