@@ -23,6 +23,7 @@ from .motion import gram
 
 ZERO = 1e-9  # singular value (lengths over reach) below which a direction is not moved at all to first order
 LEAST = 1e-3  # lambda at sigma_k = 0: what is lost of a motion through a singular pose is of the order of its square
+NOTHING = 1e-12  # added to the squares of singular values, which are above LOST^2 here: no more than rounding
 KNOWN = 0.1  # of a unit vector along a direction, from which on it is clear to which side it leads
 LOST = 5e-3  # singular value below which a direction is taken out of the task
 BENT = 2.0  # or H_k over sigma_k^2 above which it is
@@ -191,6 +192,9 @@ def take_out(J, W, U, V, lost, f, G):
             for c in range(k):
                 for d in range(c + 1):
                     G[c, d] += U[c, r] * U[d, r] if wide else V[c, r] * V[d, r]
+    if not wide:  # joints that move nothing at all leave their rows empty
+        for c in range(k):
+            G[c, c] += NOTHING
     cholesky(G, k, 0.0)
     return count
 

@@ -85,7 +85,9 @@ def wind(state, law, a, f, E, cap, left, h):
     """Rate at which the clock is to run in this step; the target's acceleration a (m,) becomes what it then is."""
     if law.mode != SLOW:
         return 1.0
-    sigma = min(next_rate(state, too_far(E, law.tol_p, law.tol_r), cap, h), left)
+    sigma = next_rate(state, too_far(E, law.tol_p, law.tol_r), cap, h)
+    if sigma > 0.0:  # in whole steps to the end: a short last one would be a jump
+        sigma = min(sigma, left / max(np.ceil(left / sigma - WHOLE), 1.0))
     change = (sigma - state[STATE.sigma]) / h if state[STATE.start] == RUNNING else 0.0
     for k in range(a.shape[0]):
         a[k] = sigma * sigma * a[k] + change * f[k]
