@@ -178,8 +178,9 @@ class Session:
     def figures(self) -> list[tuple[str, str]]:
         """Rows (name, value) on the last solve, or on where a drag has got to."""
         if self.followed is not None:
-            rows = ((tip, *left) for tip, left in self.followed.errors.items())
-            return [(tip, f"{length(position)}, {_angle(angle)}") for tip, position, angle in rows]
+            left = self.followed.errors
+            words = {tip: f"{length(position)}, {_angle(angle)}" for tip, (position, angle) in left.items()}
+            return [(tip, words.get(tip, NONE)) for tip in self.robot.tips]
         r = self.result
         if r is None:
             return []
