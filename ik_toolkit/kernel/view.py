@@ -6,6 +6,8 @@ of: the functions that Python calls keep the arrays, and what they call gets vie
 written by whole numbers that are not negative; A[i] of a table is a row, A[i:k] are rows. Uncompiled it is the array itself.
 """
 
+# pyright: reportOptionalCall=false
+
 # numba itself gives an intrinsic its first argument, which type checkers cannot know.
 # pyright: reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
 import functools

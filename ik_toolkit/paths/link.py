@@ -107,8 +107,7 @@ class Tester:
 
     def of(self, program: Program) -> "Tester":
         """The same for a program whose first tracks are those of the one before: what is known of them stands."""
-        before = None if self.program is None else self.program.Q
-        if before is not None and np.shares_memory(before, program.Q):  # else the columns are others
+        if self.program is not None and np.shares_memory(self.program.Q, program.Q):  # else the columns are others
             K = self.program.state.shape[1]
             known = self.program.state >= FREE
             program.state[:, :K][known] = self.program.state[known]
@@ -172,7 +171,7 @@ def free_path(program: Program, tester: Tester) -> tuple[np.ndarray, np.ndarray]
         tracks, jumps = program.path(N - 1)
         hits = 0
         for t in order:
-            k = tracks[t]
+            k = int(tracks[t])
             if k >= 0 and program.state[t, k] == UNTESTED:
                 if tester.touches(t, k):
                     tester.grow(t, k)

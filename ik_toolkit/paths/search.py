@@ -73,14 +73,14 @@ class Search:
     ) -> None:
         """q0, q_end (n,) in kernel units: where the path begins and ends, or what it begins and ends near. model: of contact."""
         self.problem, self.model, self.ends, self.progress = problem, model, (q0, q_end), progress
-        self.collides: Callable[[Any], bool] | None = None
-        self.tester: Tester | None = None
+        self.collides: Any = None
+        self.tester: Any = None
         if model is not None:
             self.keep_away(model_near(model, problem.limits[:2] * problem.unit))
         self.tracks = Tracks(problem, MOST if problem.redundant else ISOLATED, threads, seed)
         self.anchored: dict[int, float] = {}  # how far each anchor is out of reach [m], 0: not proven
-        self.program: Program | None = None
-        self.found: Found | None = None
+        self.program: Any = None
+        self.found: Any = None
         self.lower_bound: int | None = None
         self.sure: np.ndarray | None = None  # poses (N,) of which all solutions are known ...
         self.legal = np.empty((0, 0), dtype=bool)  # ... and which of those (N, K) the limits allow

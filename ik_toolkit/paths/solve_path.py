@@ -94,7 +94,7 @@ def solve_path(
     problem = Problem(solver, T, kinds, step, tolerance, q0)
     ends = [None if q is None else q / problem.unit for q in (q0, q_end)]
     threads = available_cores() if threads is None else whole("threads", threads)
-    search = Search(problem, model, *ends, threads, seed, progress or _silent)
+    search = Search(problem, model, ends[0], ends[1], threads, seed, progress or _silent)
     try:
         search.run()
         search.progress(0.9, "shortening and proving it")

@@ -12,6 +12,7 @@ import json
 import os
 import sys
 from pathlib import Path
+from typing import Any
 
 WRITES = os.O_WRONLY | os.O_RDWR | os.O_CREAT | os.O_TRUNC | os.O_APPEND
 CALLS = (  # beginnings of audit events
@@ -68,6 +69,7 @@ def expand(job: dict) -> dict:
     import yaml  # noqa: F401 - xacro loads it late
 
     spec = importlib.util.spec_from_file_location("packages", Path(__file__).with_name("packages.py"))
+    assert spec is not None and spec.loader is not None
     packages = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(packages)
     walls = Walls(job["folders"])
@@ -95,7 +97,7 @@ def expand(job: dict) -> dict:
     walls.build()
     try:
         with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
-            document = xacro.process_file(job["file"], mappings=job["arguments"])
+            document: Any = xacro.process_file(job["file"], mappings=job["arguments"])
         return {"urdf": document.toprettyxml(indent="  ")}
     except BaseException as error:  # whatever the macros do is one more way to be broken
         stack = [os.path.basename(name) for name in (xacro.filestack or []) if name]

@@ -139,7 +139,7 @@ def _words(robot: Joints, kind: str, size: float, way: np.ndarray, free: bool, s
     return f"{what}{' for each tip' * robot.by_tip}, {turn}, from {where}, in {seconds:g} s"
 
 
-def _is_easy(robot: Joints, t: np.ndarray, q: np.ndarray) -> bool:
+def _is_easy(robot: Any, t: np.ndarray, q: np.ndarray) -> bool:
     """Whether the way keeps clear of limits and of singular configurations."""
     span = robot.upper - robot.lower
     bounded = np.isfinite(span) & (span > 0.0)
@@ -154,7 +154,7 @@ def _is_easy(robot: Joints, t: np.ndarray, q: np.ndarray) -> bool:
 
 
 def paths(
-    robot: Joints, q: Any, kind: str, size: float, axis: Any, free: bool, relative: Mapping[str, str], **rest: Any
+    robot: Any, q: Any, kind: str, size: float, axis: Any, free: bool, relative: Mapping[str, str], **rest: Any
 ) -> References:
     """The path from where the tips stand at q, by tip for a tree; a tip relative to another keeps its pose in its frame."""
     T: Any = robot.fk(q)
