@@ -8,6 +8,7 @@ rounds, two for each N, on a machine that does nothing else.
 """
 
 import argparse
+import inspect
 import json
 import os
 import shutil
@@ -52,7 +53,10 @@ def make_item(name: str, robot_name: str):
         T0 = robot.fk(robot.home + 0.3).homogeneous
         reference = ik.circle(T0, 0.05, duration=2.0)
         q0 = robot.home + 0.3
-        return lambda: ik.track(robot, reference, name.split()[1], dt=1e-3, q0=q0), 2000, lambda: (0, 0)
+        clip = (
+            {"on_limit": "clip"} if "on_limit" in inspect.signature(ik.track).parameters else {}
+        )  # what the older one did
+        return lambda: ik.track(robot, reference, name.split()[1], dt=1e-3, q0=q0, **clip), 2000, lambda: (0, 0)
     T = np.array([robot.fk(robot.random_q(rng)).homogeneous for _ in range(count)])
     solver = ik.Solver(robot, "lm" if name in ("lanes", "python") else name)
     kernel, arrays, orders, home, silent, width = parts_of(solver, POSE)

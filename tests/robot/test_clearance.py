@@ -157,7 +157,7 @@ def test_a_way_that_is_called_free_is_free(name, gamma):
         rate = np.where(inside, rate, 0.0)
         Q, R, L = (np.empty((40, n)) for _ in range(3))
         Q[0], R[0] = q, rate
-        count = brake(0, gamma, h, limits, Q, R, L)
+        count = brake(0, gamma, h, h, limits, Q, R, L)
         assert count > 0 and not R[count].any()
         path = tuple(x[: count + 1] for x in (Q, R, L))
         space.place(q)

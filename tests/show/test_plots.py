@@ -138,7 +138,7 @@ def test_the_picture_of_a_run_prints_nothing_over_anything(slowed, tmp_path, mon
     from ik_toolkit.show import tracking
 
     robot = ik.Robot.load("hydrolek_7w")
-    run = ik.track(robot, ik.circle(robot.fk(robot.home), 0.02, duration=1.0), dt=0.02, q0=robot.home)
+    run = ik.track(robot, ik.circle(robot.fk(robot.home), 0.02, duration=2.0), dt=0.04, q0=robot.home)
     if slowed:
         run.sigma = np.linspace(1.0, 0.3, 50)
         run.clock, run.pace = np.r_[0.0, np.cumsum(run.sigma) * run.dt], np.full(50, 2)

@@ -301,7 +301,7 @@ def test_what_several_tips_cannot_do_is_said(brokk):
     for rule in ("newton", "state-space"):
         with pytest.raises(errors.UnknownSolver, match="one tip; for several use 'lm'"):
             ik.solve(brokk, T, rule)
-    with pytest.raises(errors.InvalidOption, match="one tip"):
+    with pytest.raises(errors.InvalidTarget, match="a dict of References, one for each of left_tip, right_tip"):
         ik.track(brokk, ik.line([0, 0, 0], [1, 0, 0], duration=1.0))
 
 

@@ -141,7 +141,7 @@ def test_the_command_says_how_far_and_what_works(capsys, monkeypatch):
     for option in tried:  # what is said to work does
         assert main([*words, *option.split()]) == 0, option
         capsys.readouterr()
-    assert main(["track", "cartesian_pp", "--radius", "0.3", "--duration", "0.2"]) == 1
+    assert main(["track", "cartesian_pp", "--radius", "0.3", "--duration", "0.05"]) == 1
     said = capsys.readouterr().err
     assert "not at this speed; works with --duration" in said
     assert (
