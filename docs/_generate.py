@@ -13,6 +13,7 @@ ROOMS = {  # how the public names are grouped in the API page, by the module the
     "Solving": ("solvers.solve", "solvers.prepare", "solvers.batch", "solvers.result", "solvers.status"),
     "Solvers and their parameters": ("solvers.protocol", "solvers.rules.", "solvers.closed_form."),
     "Tracking": ("tracking.",),
+    "Paths": ("paths.",),
     "Studies": ("study.", "papers."),
     "Pictures": ("show.",),
     "Errors": ("errors",),

@@ -103,7 +103,14 @@ class Desk:
             for goal, handle in zip(self.goals, self.stage.handles, strict=True):
                 goal.join(handle)
         self.show()
-        self.say(body.notice or f"{s.robot.name}: {s.robot.base} to {' and '.join(s.robot.tips)}, {s.robot.n} joints")
+        words = body.notice or f"{s.robot.name}: {s.robot.base} to {' and '.join(s.robot.tips)}, {s.robot.n} joints"
+        self.say(f"{words}. Loading the tracker; the first time it compiles for about a minute.")
+        self.worker.post("prepare", self._guard(lambda: self._prepare(words)))
+
+    def _prepare(self, words: str) -> None:
+        """What a drag needs is loaded before the first one."""
+        self.session.prepare()
+        self.say(words)
 
     def _build_controls(self) -> None:
         s, gui = self.session, self.gui

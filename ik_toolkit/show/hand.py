@@ -52,6 +52,11 @@ def follow(robot: Any, q: np.ndarray, target: Any, tolerance: float) -> Followed
     return Followed(at, met, settled or met, errors, _words(robot, at, errors, met, settled))
 
 
+def prepare(robot: Any, q: np.ndarray, target: Any) -> None:
+    """Compile (or load) what `follow` runs, with one step that is thrown away: before a hand drags, not while it does."""
+    Tracker(robot, "cv", q0=q, rate0=np.zeros(robot.n), on_limit="direct").update(target, STEP)
+
+
 def _errors(robot: Any, q: np.ndarray, target: Any) -> dict[str, tuple[float, float | None]]:
     """Errors left at q by tip, of the tips that have a target."""
     each = target if robot.by_tip else {robot.tips[0]: target}

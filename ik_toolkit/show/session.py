@@ -19,7 +19,7 @@ from ..solvers.result import Result
 from ..solvers.solve import solve
 from ..solvers.solve_all import solve_all
 from ..text import parameter, plain, vector
-from .hand import Followed, follow
+from .hand import Followed, follow, prepare
 
 KINDS = ("roll pitch yaw", "quaternion", "free")  # how the orientation of a typed target is given
 NONE = "no target"  # of one of several tips
@@ -165,6 +165,10 @@ class Session:
         self.followed = follow(self.robot, self.q, self.target, self.tolerance)
         self.q = self.followed.q.copy()
         return self.followed
+
+    def prepare(self) -> None:
+        """Get ready for `follow`; nothing moves."""
+        prepare(self.robot, self.q, self.joined(self.poses()))
 
     def solve_all(self, target: Any) -> str:
         """Find solutions (the nearest 16 are kept) and say how many there are. Raises what `ik.solve_all` raises."""

@@ -22,6 +22,7 @@ FLAGS = (
     "--no-sandbox --disable-quic --no-first-run --disable-background-networking --disable-component-update --disable-sync "
     "--use-gl=angle --use-angle=swiftshader --enable-unsafe-swiftshader --ignore-gpu-blocklist"
 ).split()
+READY = 300.0  # s; the tracker may have to be compiled first
 PATIENCE = 60_000  # ms; a software renderer on a busy machine is slow
 
 
@@ -198,6 +199,7 @@ def test_dragging_the_target_moves_the_robot(browser, panel):
         hand = PanelPage(page, panel.url)
         page.wait_for_timeout(1500)  # the first picture is drawn, and the camera told
         (desk,) = panel.desks.values()
+        assert desk.worker.idle(READY)
         drag(page, desk, 0, 0.4)
         hand.wait_for("Converged")
         hand.wait_for_pose(desk.stage.handles[0].target)
@@ -212,6 +214,7 @@ def test_each_of_two_targets_can_be_dragged(browser):
         hand = PanelPage(page, panel.url)
         page.wait_for_timeout(1500)
         (desk,) = panel.desks.values()
+        assert desk.worker.idle(READY)
         for k, other in ((1, 0), (0, 1)):
             still = desk.session.poses()[desk.session.robot.tips[other]]
             drag(page, desk, k, 0.2)
