@@ -105,12 +105,8 @@ class Desk:
         self.show()
         words = body.notice or f"{s.robot.name}: {s.robot.base} to {' and '.join(s.robot.tips)}, {s.robot.n} joints"
         self.say(f"{words}. Loading the tracker; the first time it compiles for about a minute.")
-        self.worker.post("prepare", self._guard(lambda: self._prepare(words)))
-
-    def _prepare(self, words: str) -> None:
-        """What a drag needs is loaded before the first one."""
-        self.session.prepare()
-        self.say(words)
+        self.worker.post("prepare", self._guard(self.session.prepare))
+        self.worker.post("ready", self._guard(lambda: self.say(words)))
 
     def _build_controls(self) -> None:
         s, gui = self.session, self.gui
@@ -374,8 +370,7 @@ class Desk:
         with self.found:
             for k, q in enumerate(s.solutions):
                 values = ", ".join(f"{s.scale(i) * x:.4g}" for i, x in enumerate(q))
-                if s.robot.by_tip:  # too many for a button
-                    values = f"distance {s.distances[k]:.3f}"
+                values = f"distance {s.distances[k]:.3f}" if s.robot.by_tip else values  # too many for a button
                 button = self.gui.add_button(f"{k + 1}: {values}", color=QUIET)
                 self._on(button, "joints", lambda q=q, k=k: self._pick(k, q))
         self.found.visible = bool(s.solutions)
