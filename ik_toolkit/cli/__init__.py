@@ -27,6 +27,7 @@ MODULES = (
     "tune",
     "workspace",
     "files",
+    "convert",
     "view",
     "panel",
     "doctor",

@@ -21,10 +21,11 @@ if TYPE_CHECKING:
 
 # Options that take several numbers: `--q 0.1 -0.2`, `--q 0.1,-0.2` and `--q "0.1 -0.2"` mean the same.
 VECTOR_OPTIONS = frozenset(
-    "--q --q0 --xyz --rpy --quat-xyzw --center --axis --start --end --direction --tip-axis --mask --slack --free-turn "
-    "--joint-weights --closest --target --q-end --velocity --acceleration".split()
+    "--q --q0 --xyz --rpy --quat-xyzw --quat-wxyz --matrix --center --axis --start --end --direction --tip-axis --mask --slack "
+    "--free-turn --joint-weights --closest --target --q-end --velocity --acceleration".split()
 )
 
+TIP = ("--tip", "--ee")  # two words for one option
 PLOTS = (".png", ".pdf", ".svg")
 READ = ("file", "poses", "motion")  # parameters of commands that are paths and are read; all others are written
 
@@ -63,11 +64,13 @@ class Command(typer.core.TyperCommand):
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Read the arguments. Raises InvalidOption."""
-        tips = sum(word == "--tip" or word.startswith("--tip=") for word in args)
+        tips = sum(word.partition("=")[0] in TIP for word in args)
         if tips > 1 and any(
             option.name == "tip" and not option.multiple for option in self.params
         ):  # the last would count
-            raise InvalidOption(f"{ctx.command_path} takes one tip and --tip names {tips}; choose one of them")
+            raise InvalidOption(
+                f"{ctx.command_path} takes one tip and {' or '.join(TIP)} names {tips}; choose one of them"
+            )
         return super().parse_args(ctx, args)
 
     def invoke(self, ctx: Any) -> Any:
@@ -100,6 +103,7 @@ RobotArg = Annotated[
 Tip = Annotated[
     str | None,
     typer.Option(
+        *TIP,
         metavar="FRAME",
         help="Tip: a frame, link or joint; default: guessed by its name, and said.",
         rich_help_panel="Robot",
@@ -108,7 +112,7 @@ Tip = Annotated[
 Tips = Annotated[
     list[str] | None,
     typer.Option(
-        "--tip", metavar="FRAME", help="Tip frame; may be repeated: several tips together.", rich_help_panel="Robot"
+        *TIP, metavar="FRAME", help="Tip frame; may be repeated: several tips together.", rich_help_panel="Robot"
     ),
 ]
 Base = Annotated[

@@ -7,7 +7,10 @@ from typing import Any
 from ..errors import InvalidOption, InvalidTarget
 from ..text import numbers, vector
 
-FORMS = "TIP:X,Y,Z, TIP:X,Y,Z,ROLL,PITCH,YAW or TIP:X,Y,Z,QX,QY,QZ,QW"
+FORMS = (
+    "TIP:X,Y,Z, TIP:X,Y,Z,ROLL,PITCH,YAW, TIP:X,Y,Z,QX,QY,QZ,QW, or TIP: and 12 or 16 numbers of a matrix row by row"
+)
+MATRIX = (12, 16)  # numbers of a pose's matrix (3, 4) or (4, 4)
 
 Z = (0.0, 0.0, 1.0)  # axis of the tip that --direction turns, unless --tip-axis says another
 
@@ -65,12 +68,19 @@ def targets(
     for text in texts:
         tip, _, rest = text.rpartition(":")
         x = numbers(rest) or []
-        if not tip or len(x) not in (3, 6, 7):
+        if not tip or len(x) not in (3, 6, 7, *MATRIX):
             raise InvalidTarget(f"--target takes {FORMS}, not '{text}'")
         if tip in made:
             raise InvalidTarget(f"--target gives '{tip}' twice")
         rpy = [math.radians(a) if deg else a for a in x[3:]] if len(x) == 6 else None
         towards, axis = (one.get(tip) if isinstance(one, dict) else one for one in (ways, axes))
+        if len(x) in MATRIX:
+            if towards:
+                raise InvalidTarget(
+                    f"--target {tip} is a whole pose, and --direction would turn it; give its x,y,z alone"
+                )
+            made[tip] = matrix(x)
+            continue
         made[tip] = pose(x[:3], rpy=rpy, quat_xyzw=x[3:] if len(x) == 7 else None, axis=axis or Z, direction=towards)
     for option, given, others in (("--direction", ways, made), ("--tip-axis", axes, ways)):
         for tip in given if isinstance(given, dict) else ():
@@ -79,6 +89,15 @@ def targets(
                     f"{option} {tip}:... needs a {'--target' if tip not in made else '--direction'} of {tip}"
                 )
     return made
+
+
+def matrix(x: Sequence[float]) -> Any:
+    """Pose (4, 4) of the numbers of its matrix (see MATRIX), row by row. Raises InvalidTarget."""
+    import numpy as np
+
+    from ..robot.pose import LAST, check_target
+
+    return check_target(np.reshape([*x, *(LAST if len(x) == MATRIX[0] else ())], (4, 4)))[0]
 
 
 def choose_tips(

@@ -85,7 +85,7 @@ def info(
     """Show a robot: joints, limits, home, frames, reach, D-H table, and where it comes from."""
     from ..robot.dh import read_dh_table
     from ..robot.library import find
-    from ..robot.robot import read
+    from ..robot.load import read
     from ..robot.tips import tip_candidates
     from ..solvers.closed_form import describe as closed_form
 

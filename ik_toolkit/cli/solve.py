@@ -30,6 +30,8 @@ def solve(
     xyz: asked.Xyz = None,
     rpy: asked.Rpy = None,
     quat_xyzw: asked.Quat = None,
+    quat_wxyz: asked.QuatWxyz = None,
+    matrix: asked.Matrix = None,
     targets: asked.Targets = None,
     relative: asked.Relative = None,
     solver: asked.SolverName = "auto",
@@ -73,7 +75,7 @@ def solve(
     html: Html = None,
     live: Live = False,
 ) -> None:
-    """Find joint values that bring the tip to a position, or a pose when --rpy or --quat-xyzw is given.
+    """Find joint values that bring the tip to a position, or a pose when --rpy or a quaternion is given, or --matrix.
 
     Several tips of one robot are solved together, shared joints included, with a --target for each. They are those of
     --tip, or the robot's own; one without a target is free. What counts, directions and frames may be given by tip.
@@ -88,7 +90,7 @@ def solve(
     asked.refuse_contradictions(line)
     target = asked.read_target(line)
     method = asked.choose_solver(solver, param, preset)
-    tips = choose_tips(robot, tip, target if targets else None, relative, xyz is not None)
+    tips = choose_tips(robot, tip, target if targets else None, relative, asked.is_posed(line))
     arm = load_robot(robot, tips, base, lock, package_dir, deg, xacro_arg)
     options = asked.read_options(line, arm)
     start = options.pop("q0")

@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from ..errors import InvalidOption
+from ..errors import InvalidOption, InvalidTarget
 from ..text import parameter, vector
 from . import by_tip
 from .arguments import assignments, joint_vector, solver_named
@@ -20,13 +20,25 @@ Rpy = Annotated[str | None, typer.Option("--rpy", metavar="R P Y", help="Roll, p
 Quat = Annotated[
     str | None, typer.Option("--quat-xyzw", metavar="X Y Z W", help="Rotation of the tip as a quaternion.")
 ]
+QuatWxyz = Annotated[
+    str | None, typer.Option("--quat-wxyz", metavar="W X Y Z", help="The same with the real part first.")
+]
+Matrix = Annotated[
+    str | None,
+    typer.Option(
+        "--matrix",
+        metavar="M11 M12 ...",
+        help="Instead of --xyz: the pose as the 12 or 16 numbers of its matrix, row by row.",
+    ),
+]
 Targets = Annotated[
     list[str] | None,
     typer.Option(
         "--target",
         metavar="TIP:X,Y,Z[,...]",
         help="Instead of --xyz: target of one of several tips, solved together; repeat for each. A position, or with "
-        "roll, pitch, yaw or a quaternion x y z w behind it a pose. A tip without a target is free.",
+        "roll, pitch, yaw or a quaternion x y z w behind it a pose; or 12 or 16 numbers of a matrix. A tip without a target is "
+        "free.",
     ),
 ]
 Relative = Annotated[
@@ -132,8 +144,8 @@ File = Annotated[
         "--targets",
         metavar="FILE",
         help="Instead of --xyz: many targets, solved on all cores; -o names the solutions' file. CSV with the header "
-        "x,y,z or x,y,z,qx,qy,qz,qw or x,y,z,roll,pitch,yaw, or NPZ with targets, or xyz and quat_xyzw. Several tips: CSV "
-        "columns TIP.x, TIP.y, ..., or NPZ with an array TIP (N, 4, 4) or (N, 3) for each, or targets (N, tips, 4, 4).",
+        "x,y,z or x,y,z,qx,qy,qz,qw or x,y,z,roll,pitch,yaw, or NPZ with targets, or xyz and quat_xyzw (quat_wxyz). Several tips: "
+        "CSV columns TIP.x, TIP.y, ..., or NPZ with an array TIP (N, 4, 4) or (N, 3) for each, or targets (N, tips, 4, 4).",
     ),
 ]
 Threads = Annotated[int | None, typer.Option(metavar="N", help="With --targets: threads; default: all cores.")]
@@ -159,8 +171,7 @@ PASSED_ON = (
 
 def refuse_contradictions(line: SimpleNamespace) -> None:
     """Raise InvalidOption for options of `ik solve` that do not go together, or a target that is missing."""
-    kin = [line.xyz, line.rpy, line.quat_xyzw, line.direction, line.tip_axis]
-    posed = any(given is not None for given in kin)
+    posed = is_posed(line) or line.direction is not None or line.tip_axis is not None
     drawn = line.html is not None or line.live
     if line.chain:
         raise InvalidOption(
@@ -176,12 +187,14 @@ def refuse_contradictions(line: SimpleNamespace) -> None:
         if line.closest is not None and line.q0 is not None:
             raise InvalidOption("give --closest or --q0, not both: the search starts there")
     elif line.targets:
-        if any(given is not None for given in kin[:3]):
+        if is_posed(line):
             raise InvalidOption("--target says tip and pose together; leave out --xyz and its rotation options")
     elif line.relative:
         raise InvalidOption("--relative is for several tips, with a --target for each")
-    elif line.xyz is None:
-        raise InvalidOption("Missing option '--xyz' (or '--targets FILE' for many, '--target' for several tips)")
+    elif line.xyz is None and line.matrix is None:
+        raise InvalidOption(
+            "Missing option '--xyz' (or '--matrix', '--targets FILE' for many, '--target' for several tips)"
+        )
     if line.every:
         if line.plot is not None:
             raise InvalidOption("--plot draws one solve, and --all asks for many")
@@ -231,26 +244,41 @@ def _slack(text: str, deg: bool) -> tuple[float, ...]:
     return (*widths[:3], *(math.radians(x) if deg else x for x in widths[3:]))
 
 
-def make_target(
-    xyz: str,
-    rpy: str | None,
-    quat_xyzw: str | None,
-    deg: bool,
-    direction: list[str] | None = None,
-    tip_axis: list[str] | None = None,
-) -> Any:
-    """Target of the pose options: (3,) when the orientation is free, (4, 4), or an AxisTarget; rpy in degrees when `deg`."""
+def is_posed(line: SimpleNamespace) -> bool:
+    """Whether any of the pose options is given that say one target."""
+    return any(given is not None for given in (line.xyz, line.matrix, line.rpy, line.quat_xyzw, line.quat_wxyz))
+
+
+def make_target(line: SimpleNamespace, direction: list[str] | None = None, tip_axis: list[str] | None = None) -> Any:
+    """Target of the pose options: (3,) when the orientation is free, (4, 4), or an AxisTarget; rpy in degrees when `line.deg`."""
     from ..robot.pose import pose
 
-    angles = vector(rpy, "--rpy", 3) if rpy is not None else None
-    if angles is not None and deg:
+    if line.matrix is not None:
+        if any(
+            given is not None for given in (line.xyz, line.rpy, line.quat_xyzw, line.quat_wxyz, direction, tip_axis)
+        ):
+            raise InvalidOption("--matrix says the whole pose; leave out --xyz, its rotation options and --direction")
+        x = vector(line.matrix, "--matrix")
+        if len(x) not in by_tip.MATRIX:
+            raise InvalidTarget(f"--matrix takes 12 or 16 numbers, row by row; got {len(x)}")
+        return by_tip.matrix(x)
+    angles = vector(line.rpy, "--rpy", 3) if line.rpy is not None else None
+    if angles is not None and line.deg:
         angles = [math.radians(x) for x in angles]
-    quat = vector(quat_xyzw, "--quat-xyzw", 4) if quat_xyzw is not None else None
+    xyzw = vector(line.quat_xyzw, "--quat-xyzw", 4) if line.quat_xyzw is not None else None
+    wxyz = vector(line.quat_wxyz, "--quat-wxyz", 4) if line.quat_wxyz is not None else None
     towards, axis = by_tip.directions(direction, tip_axis)
     for option, one in (("--direction", towards), ("--tip-axis", axis)):
         if isinstance(one, dict):
             raise InvalidOption(f"{option} TIP:... goes with --target; for --xyz leave out the tip")
-    return pose(vector(xyz, "--xyz", 3), rpy=angles, quat_xyzw=quat, axis=axis or by_tip.Z, direction=towards)
+    return pose(
+        vector(line.xyz or "", "--xyz", 3),
+        rpy=angles,
+        quat_xyzw=xyzw,
+        quat_wxyz=wxyz,
+        axis=axis or by_tip.Z,
+        direction=towards,
+    )
 
 
 def read_target(line: SimpleNamespace) -> Any:
@@ -259,7 +287,7 @@ def read_target(line: SimpleNamespace) -> Any:
         return by_tip.targets(line.targets, line.deg, line.direction, line.tip_axis)
     if line.file is not None:
         return None
-    return make_target(line.xyz, line.rpy, line.quat_xyzw, line.deg, line.direction, line.tip_axis)
+    return make_target(line, line.direction, line.tip_axis)
 
 
 def choose_solver(name: str, params: list[str] | None, preset: str | None) -> Any:

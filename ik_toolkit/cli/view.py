@@ -1,6 +1,7 @@
 """`ik view`: a robot, a configuration or a solve in 3-D, in the browser or as one HTML file."""
 
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Annotated, Any
 
 import typer
@@ -10,12 +11,13 @@ from . import by_tip
 from .arguments import Base, Deg, Lock, PackageDir, RobotArg, Tips, XacroArg, joint_vector, load_robot
 from .output import notice
 from .pictures import Html, present, wait
-from .solve_options import Relative, Targets, make_target
+from .solve_options import Matrix, Relative, Targets, is_posed, make_target
 
 Q = Annotated[str | None, typer.Option("--q", metavar="Q1 Q2 ...", help="Joint values to show; default: home.")]
 Xyz = Annotated[str | None, typer.Option(metavar="X Y Z", help="Solve for this position [m] and show how it went.")]
 Rpy = Annotated[str | None, typer.Option(metavar="R P Y", help="With --xyz: roll, pitch, yaw [rad].")]
 Quat = Annotated[str | None, typer.Option(metavar="X Y Z W", help="With --xyz: quaternion.")]
+QuatWxyz = Annotated[str | None, typer.Option(metavar="W X Y Z", help="With --xyz: quaternion, the real part first.")]
 SolverName = Annotated[str, typer.Option("-s", "--solver", metavar="NAME", help="Solver for --xyz; see ik solvers.")]
 Ghosts = Annotated[bool, typer.Option("--all", help="Show every solution found as a ghost.")]
 Start = Annotated[str | None, typer.Option("--q0", metavar="Q1 Q2 ...", help="Where the solve starts; default: home.")]
@@ -45,6 +47,8 @@ def view(
     xyz: Xyz = None,
     rpy: Rpy = None,
     quat_xyzw: Quat = None,
+    quat_wxyz: QuatWxyz = None,
+    matrix: Matrix = None,
     targets: Targets = None,
     relative: Relative = None,
     solver: SolverName = "auto",
@@ -69,22 +73,9 @@ def view(
     the tracker, at the edge of its reach to the closest pose. Exit code 1 when the solve asked for did not succeed (it is
     shown all the same).
     """
-    solving = xyz is not None or bool(targets)
-    if q is not None and (solving or every):
-        raise InvalidOption("--q shows a configuration, --xyz and --target solve for one: give one of them")
-    if motion is not None and (solving or every or q is not None):
-        raise InvalidOption("--motion shows what a file holds; leave out --q, --xyz and --target")
-    if xyz is None and (rpy is not None or quat_xyzw is not None):
-        raise InvalidOption("--rpy and --quat-xyzw belong to --xyz")
-    if not solving and (every or q0 is not None):
-        raise InvalidOption("--q0 and --all belong to --xyz or --target")
-    if xyz is not None and targets:
-        raise InvalidOption("--target says tip and pose together; leave out --xyz and its rotation options")
-    if relative and not targets:
-        raise InvalidOption("--relative is for several tips, with a --target for each")
-    if not 0 <= port < 65536:
-        raise InvalidOption(f"--port is between 0 and 65535, not {port}")
-
+    line = SimpleNamespace(**locals())
+    solving = xyz is not None or matrix is not None or bool(targets)
+    _refuse_contradictions(line, solving)
     if follow:
         fixed = {
             "--html": html,
@@ -105,8 +96,8 @@ def view(
 
     target: Any = None
     if solving:
-        target = by_tip.targets(targets, deg) if targets else make_target(xyz or "", rpy, quat_xyzw, deg)
-    tips = by_tip.choose_tips(robot, tip, target if targets else None, relative, xyz is not None)
+        target = by_tip.targets(targets, deg) if targets else make_target(line)
+    tips = by_tip.choose_tips(robot, tip, target if targets else None, relative, is_posed(line))
     arm = load_robot(robot, tips, base, lock, package_dir, deg, xacro_arg)
     what, solved = arm.home, True
     if motion is not None:
@@ -124,6 +115,24 @@ def view(
     present(make(arm, what, target=target), html, port, browse)
     if not solved:
         raise typer.Exit(1)
+
+
+def _refuse_contradictions(line: SimpleNamespace, solving: bool) -> None:
+    """Raise InvalidOption for options of `ik view` that do not go together."""
+    if line.q is not None and (solving or line.every):
+        raise InvalidOption("--q shows a configuration, --xyz and --target solve for one: give one of them")
+    if line.motion is not None and (solving or line.every or line.q is not None):
+        raise InvalidOption("--motion shows what a file holds; leave out --q, --xyz and --target")
+    if is_posed(line) and line.xyz is None and line.matrix is None:
+        raise InvalidOption("--rpy and the quaternions belong to --xyz")
+    if not solving and (line.every or line.q0 is not None):
+        raise InvalidOption("--q0 and --all belong to --xyz or --target")
+    if is_posed(line) and line.targets:
+        raise InvalidOption("--target says tip and pose together; leave out --xyz and its rotation options")
+    if line.relative and not line.targets:
+        raise InvalidOption("--relative is for several tips, with a --target for each")
+    if not 0 <= line.port < 65536:
+        raise InvalidOption(f"--port is between 0 and 65535, not {line.port}")
 
 
 def _follow(robot: str, tips: Any, port: int, browse: bool) -> None:

@@ -14,7 +14,7 @@ from pathlib import Path
 from ..errors import ModelError, near_match
 from .meshes import find_mesh, mesh_folders, mesh_packages
 from .mimic import MOVING, followers
-from .read import NUMBERS, Item, numbers, parse, safe_read, wrong_scale
+from .read import NUMBERS, Item, is_text, numbers, parse, safe_read, wrong_scale
 
 TYPES = (*MOVING, "fixed", "floating", "planar")
 HINTS = 10  # near matches looked for in one file: each compares a name with every other
@@ -44,8 +44,7 @@ def check_urdf(source: str | Path, package_dirs: Iterable[str | Path] = ()) -> l
     except ModelError as error:
         return [Finding("error", "file", str(error), "give a plain URDF file")]
     items = parse(text)
-    is_text = isinstance(source, str) and source.lstrip("\ufeff \t\r\n").startswith("<")
-    file = None if is_text else Path(source)
+    file = None if is_text(source) else Path(source)
     names = [attributes.get("filename", "") for item in items for tag, attributes in item.inside if tag == "mesh"]
     packages, folders = mesh_packages(names, file, package_dirs), mesh_folders(file, package_dirs)
     warnings = [finding for item in items for finding in (*_remarks(item), *_meshes(item, folders, packages))]

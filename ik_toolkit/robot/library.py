@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from ..errors import MissingExtra, ModelError, RobotNotFound, near_match
+from .read import is_text
 
 DATA_PACKAGE = "example-robot-data"
 DESCRIBED = "robot_descriptions:"  # before names of that package
@@ -199,9 +200,9 @@ def find(source: str | Path) -> RobotEntry:
     """
     if not isinstance(source, str | Path):
         raise RobotNotFound(f"a robot is a name, a path or URDF text, not {type(source).__name__}")
+    if is_text(source):
+        return RobotEntry(name="URDF text", source=source)
     if isinstance(source, str):
-        if source.lstrip("\ufeff \t\r\n").startswith("<"):
-            return RobotEntry(name="URDF text", source=source)
         if source in shipped_robots():
             return shipped_robots()[source]
         if source.startswith(DESCRIBED):

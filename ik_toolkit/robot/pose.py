@@ -92,13 +92,13 @@ def matrix_rpy(R: np.ndarray) -> np.ndarray:
     return np.array([roll, math.atan2(-R[2, 0], cos_pitch), yaw])
 
 
-def quat_matrix(quat_xyzw: Sequence[float] | np.ndarray) -> np.ndarray:
-    """Rotation (3, 3) of a quaternion x, y, z, w (normalised here)."""
-    q = _numbers(quat_xyzw, 4, "quat_xyzw")
+def quat_matrix(quat: Sequence[float] | np.ndarray, order: Literal["xyzw", "wxyz"] = "xyzw") -> np.ndarray:
+    """Rotation (3, 3) of a quaternion (4,) whose parts come in this order (normalised here)."""
+    q = _numbers(quat, 4, f"quat_{order}")
     length = math.sqrt(float(q @ q))
     if not length > 1e-6:
-        raise InvalidTarget(f"quat_xyzw has length {length:.3g}: not a rotation")
-    x, y, z, w = (q / length).tolist()
+        raise InvalidTarget(f"quat_{order} has length {length:.3g}: not a rotation")
+    x, y, z, w = np.roll(q / length, -1 if order == "wxyz" else 0).tolist()
     return np.array(
         [
             [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
@@ -134,6 +134,8 @@ def pose(xyz: Numbers | None = None, *, rpy: Numbers) -> Matrix: ...
 @overload
 def pose(xyz: Numbers | None = None, *, quat_xyzw: Numbers) -> Matrix: ...
 @overload
+def pose(xyz: Numbers | None = None, *, quat_wxyz: Numbers) -> Matrix: ...
+@overload
 def pose(xyz: Numbers | None = None, *, rotation: Any) -> Matrix: ...
 @overload
 def pose(xyz: Numbers | None = None) -> Position: ...
@@ -143,6 +145,7 @@ def pose(
     *,
     rpy: Numbers | None = None,
     quat_xyzw: Numbers | None = None,
+    quat_wxyz: Numbers | None = None,
     rotation: Any = None,
     axis: Numbers = ...,
     direction: Numbers | None = None,
@@ -152,28 +155,30 @@ def pose(
     *,
     rpy: Numbers | None = None,
     quat_xyzw: Numbers | None = None,
+    quat_wxyz: Numbers | None = None,
     rotation: Any = None,
     axis: Numbers = (0.0, 0.0, 1.0),
     direction: Numbers | None = None,
 ) -> AxisTarget | np.ndarray:
     """Return a target: T_base_tip (4, 4), or a position (3,) when no rotation is given (orientation free).
 
-    xyz [m]; one of rpy [rad] (URDF order: Rz(yaw) Ry(pitch) Rx(roll)), quat_xyzw, or rotation (3, 3). With a direction (3,) in
-    the base frame it is an AxisTarget: the tip's axis (3,) (default its z) points along it, the turn about it is free. Raises
-    InvalidTarget for anything that is not finite, of the wrong size or not a rotation.
+    xyz [m]; one of rpy [rad] (URDF order: Rz(yaw) Ry(pitch) Rx(roll)), quat_xyzw, quat_wxyz, or rotation (3, 3). With a
+    direction (3,) in the base frame it is an AxisTarget: the tip's axis (3,) (default its z) points along it, the turn about it
+    is free. Raises InvalidTarget for anything that is not finite, of the wrong size or not a rotation.
     """
+    turned = sum(part is not None for part in (rpy, quat_xyzw, quat_wxyz, rotation))
     if direction is not None:
-        if any(part is not None for part in (rpy, quat_xyzw, rotation)):
+        if turned:
             raise InvalidTarget(
-                "a direction leaves the turn about it free, so it goes with no rpy, quat_xyzw or rotation"
+                "a direction leaves the turn about it free, so it goes with no rpy, quaternion or rotation"
             )
         tip_axis = _unit(axis, "axis")
         T = np.eye(4)
         T[:3, :3] = turn_onto(tip_axis, _unit(direction, "direction"))
         T[:3, 3] = _numbers((0.0, 0.0, 0.0) if xyz is None else xyz, 3, "xyz")
         return AxisTarget(T, tuple(tip_axis.tolist()))
-    if sum(part is not None for part in (rpy, quat_xyzw, rotation)) > 1:
-        raise InvalidTarget("give one of rpy, quat_xyzw and rotation, not several")
+    if turned > 1:
+        raise InvalidTarget("give one of rpy, quat_xyzw, quat_wxyz and rotation, not several")
     position = _numbers((0.0, 0.0, 0.0) if xyz is None else xyz, 3, "xyz")
     if rpy is not None:
         angles = _numbers(rpy, 3, "rpy")
@@ -182,6 +187,8 @@ def pose(
         R = rpy_matrix(angles)
     elif quat_xyzw is not None:
         R = quat_matrix(quat_xyzw)
+    elif quat_wxyz is not None:
+        R = quat_matrix(quat_wxyz, "wxyz")
     elif rotation is not None:
         R = floats(rotation, "rotation must be 3x3 numbers", InvalidTarget)
         if R.shape != (3, 3):

@@ -1,8 +1,8 @@
 """Poses from files: CSV, NPZ or JSON tables of positions, with rotations or without, and with times where they are asked for.
 
 CSV: a first line that names x,y,z [m] and none or all of qx,qy,qz,qw or of roll,pitch,yaw (URDF order), and t [s] where times are
-asked for, in any order; further columns are ignored. NPZ: `xyz` (N, 3) with `quat_xyzw` (N, 4) or none, and `t` (N,); without
-times also `targets` (N, 4, 4) or (N, 3). JSON: an object with lists by these names, or the list of targets alone.
+asked for, in any order; further columns are ignored. NPZ: `xyz` (N, 3) with `quat_xyzw` or `quat_wxyz` (N, 4) or none, and `t`
+(N,); without times also `targets` (N, 4, 4) or (N, 3). JSON: an object with lists by these names, or the list of targets alone.
 
 Of several tips: CSV columns TIP.x, TIP.y, ... of the same kinds for each; NPZ (JSON alike) with an array TIP (N, 4, 4) or (N, 3)
 for each, or `targets` (N, F, 4, 4) or (N, F, 3), in the order of an array `tips` of names where there is one. A tip without any is
@@ -26,6 +26,7 @@ from .pose import rpy_matrix
 
 LINES = 16384  # read at a time
 POSITION, QUAT, RPY = ("x", "y", "z"), ("qx", "qy", "qz", "qw"), ("roll", "pitch", "yaw")
+ORDERS = {"quat_xyzw": [0, 1, 2, 3], "quat_wxyz": [1, 2, 3, 0]}  # where x, y, z and w stand
 UNPACKED, EXPANSION = 2**30, 20  # bytes of an array, or so many times the file: poses pack to a fifth at best
 
 
@@ -99,7 +100,7 @@ def _array(path: Path, name: str, value: Any) -> np.ndarray:
 
 
 def _read_arrays(path: Path, times: bool) -> Block:
-    with _arrays(path, ("targets", "t", "xyz", "quat_xyzw")) as file:
+    with _arrays(path, ("targets", "t", "xyz", *ORDERS)) as file:
         if "targets" in file and not times:
             targets = file["targets"]
             if targets.ndim not in (2, 3):
@@ -112,9 +113,14 @@ def _read_arrays(path: Path, times: bool) -> Block:
                 raise InvalidTarget(f"'{path.name}' has no array {wanted}, only {names}.{near_match(name, list(file))}")
         t = np.asarray(file["t"], dtype=float) if times else None
         xyz = np.asarray(file["xyz"], dtype=float)
-        quat = np.asarray(file["quat_xyzw"], dtype=float) if "quat_xyzw" in file else None
+        given = [name for name in ORDERS if name in file]
+        if len(given) > 1:
+            raise InvalidTarget(f"'{path.name}' has {' and '.join(given)}; one of them says the rotations")
+        quat = np.asarray(file[given[0]], dtype=float) if given else None
     if xyz.ndim != 2 or xyz.shape[1] != 3 or (quat is not None and quat.shape != (len(xyz), 4)):
-        raise InvalidTarget(f"'{path.name}': xyz has the shape (N, 3) and quat_xyzw (N, 4)")
+        raise InvalidTarget(f"'{path.name}': xyz has the shape (N, 3) and {' or '.join(given or ORDERS)} (N, 4)")
+    if quat is not None:
+        quat = quat[:, ORDERS[given[0]]]
     return Block(t, xyz if quat is None else _poses(xyz, quat, QUAT, range(len(xyz)), path.name, "row"))
 
 

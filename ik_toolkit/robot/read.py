@@ -19,6 +19,7 @@ MAX_ATTRIBUTES = 64  # of one element; Pinocchio's parser takes time in their sq
 MAX_NAME = 255  # characters, as of a file's name; messages repeat names
 MAX_TAG = 1_000_000  # bytes of one tag or comment, which the parser holds in memory whole
 CHUNK = 65_536
+BLANK = "\ufeff \t\r\n"  # what may stand before XML
 FREEDOM = {"revolute": 1, "continuous": 1, "prismatic": 1, "planar": 3, "floating": 6}  # coordinates by type of joint
 NUMBERS = {  # element -> attribute -> how many numbers
     "origin": {"xyz": 3, "rpy": 3},
@@ -70,6 +71,11 @@ class HasMacros(ModelError):
     """A description that xacro has to expand first."""
 
 
+def is_text(source: object) -> bool:
+    """Whether a source is XML itself, not the path or name of some."""
+    return isinstance(source, str) and source.lstrip(BLANK).startswith("<")
+
+
 def safe_read(source: str | Path) -> str:
     """URDF text of a file, or URDF text given as a string, after a parse that expands and fetches nothing.
 
@@ -77,10 +83,11 @@ def safe_read(source: str | Path) -> str:
     xacro, has a DOCTYPE or entities, is nested too deep, has too many elements, over 1,000 joints or 128 degrees of freedom,
     too long a name or tag, or no root <robot>.
     """
-    if isinstance(source, str) and source.lstrip("\ufeff \t\r\n").startswith("<"):
+    if is_text(source):
+        assert isinstance(source, str)
         if len(source) > MAX_BYTES:
             raise ModelError(f"the URDF text is larger than {MAX_BYTES // 1_000_000} MB")
-        text = source.lstrip("\ufeff \t\r\n")
+        text = source.lstrip(BLANK)
     else:
         text = _read_file(Path(source).expanduser())
     parse(text)

@@ -13,20 +13,27 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from ..errors import FrameNotFound, InvalidConfiguration, InvalidOption, JointNotFound, ModelError, floats, near_match
+from ..errors import (
+    FrameNotFound,
+    InvalidConfiguration,
+    InvalidOption,
+    JointNotFound,
+    ModelError,
+    RobotNotFound,
+    floats,
+    near_match,
+)
 from ..kernel.chain import Chain, evaluate
 from ..kernel.records import POINTS
 from .build import build_model
-from .check import require_loadable, safe_read
 from .joints import Joints
-from .library import RobotEntry, find
+from .load import folders_of, read
 from .mimic import followers, mimic_limits
 from .pose import check_target
 from .probe import AGREE, NO_LIMIT, configurations, difference, find_path, limits, probe
 from .probe import Path as JointPath
-from .read import HasMacros
+from .read import is_text
 from .tips import only_tip
-from .xacro import expand
 
 # Attributes that belong to one object, or to one thread.
 CACHES = ("_local", "_sampling", "_circles", "memo")
@@ -50,6 +57,7 @@ class Robot(Joints):
         model: pin.Model,
         *,
         tip: str | None = None,
+        ee_link: str | None = None,
         base: str | None = None,
         home: Sequence[float] | None = None,
         name: str | None = None,
@@ -60,10 +68,11 @@ class Robot(Joints):
     ) -> None:
         """Wrap an existing model.
 
-        tip, base: frame names (base default: the root; tip may be omitted when only one candidate exists). home (n,):
-        a good non-singular start; default mid-range. locked: joint name -> value [rad or m], held constant and left out of
-        q. Raises FrameNotFound, JointNotFound, ModelError, InvalidConfiguration.
+        tip (or ee_link, another word for it), base: frame names (base default: the root; tip may be omitted when only one
+        candidate exists). home (n,): a good non-singular start; default mid-range. locked: joint name -> value [rad or m], held
+        constant and left out of q. Raises FrameNotFound, JointNotFound, ModelError, InvalidConfiguration.
         """
+        tip = _one_tip(tip, ee_link)
         if not isinstance(model, pin.Model):
             raise ModelError(
                 f"a pin.Model is expected, not {type(model).__name__}; Robot.load reads names, paths and URDF text"
@@ -72,7 +81,7 @@ class Robot(Joints):
         self.name = name or model.name
         self.urdf = urdf
         self.path = path
-        self.package_dirs = tuple(_folders(package_dirs))
+        self.package_dirs = tuple(folders_of(package_dirs))
         self.base = self._frame(base) if base is not None else _root(model)
         self.tip = self._frame(tip) if tip is not None else only_tip(model, self.name)
         self.tool = pin.SE3.Identity()
@@ -88,6 +97,7 @@ class Robot(Joints):
         source: str | Path,
         *,
         tip: str | None = None,
+        ee_link: str | None = None,
         base: str | None = None,
         package_dirs: Iterable[str | Path] = (),
         locked: Mapping[str, float] | None = None,
@@ -95,10 +105,11 @@ class Robot(Joints):
     ) -> "Robot":
         """Load a robot by shipped name, path of a URDF or xacro file, URDF text, or example-robot-data name.
 
-        tip: one frame, link or joint (default: guessed by its name, and said); for several solved together see `Tree.load`.
+        tip, or ee_link: one frame, link or joint (default: guessed by its name, and said); for several see `Tree.load`.
         xacro_args: values of a xacro file's arguments by name. Meshes are never read. Raises RobotNotFound, ModelError (broken or
         hostile file, in one sentence), FrameNotFound (lists the frames), JointNotFound, InvalidOption, MissingExtra (xacro).
         """
+        tip = _one_tip(tip, ee_link)
         entry, made = read(source, package_dirs, xacro_args)
         if tip is None and len(entry.tips) > 1:
             raise FrameNotFound(
@@ -113,6 +124,13 @@ class Robot(Joints):
             home=entry.home if known else None,
         )
         return robot.locked(locked) if locked else robot
+
+    @classmethod
+    def from_urdf(cls, source: str | Path, **options: Any) -> "Robot":
+        """Load a URDF or xacro file, or URDF text; options and errors are those of `load`, which takes names and MJCF too."""
+        if not is_text(source) and not Path(source).expanduser().is_file():
+            raise RobotNotFound(f"there is no file '{str(source)[:200]}'; Robot.load takes names of robots")
+        return cls.load(source, **options)
 
     # ------------------------------------------------------------------------------------------------ construction
     def _frame(self, name: str) -> str:
@@ -330,32 +348,13 @@ class Robot(Joints):
         return f"{self.base} &rarr; {self.tip}, reach {self.reach:.3g} m"
 
 
-def read(
-    source: str | Path, package_dirs: Iterable[str | Path], xacro_args: Mapping[str, Any] | None = None
-) -> tuple[RobotEntry, dict[str, Any]]:
-    """What a source names, and what `Robot` takes of it: its model, name, text and folders. Raises as `Robot.load` does."""
-    entry = find(source)
-    folders = [*_folders(package_dirs), *entry.package_dirs]
-    try:
-        text = safe_read(entry.source)
-        if xacro_args:
-            raise InvalidOption(f"xacro_args are for xacro files, and {entry.name} is a plain URDF")
-    except HasMacros:
-        if entry.path is None:
-            raise
-        text = safe_read(expand(entry.path, folders, {**entry.xacro_args, **(xacro_args or {})}))
-    require_loadable(text)
-    try:
-        model = build_model(text)
-    except Exception as error:
-        raise ModelError(f"Pinocchio cannot read {entry.name}: {str(error).strip().splitlines()[0]}") from None
-    name = entry.name if entry.path else model.name
-    return entry, {"model": model, "name": name, "urdf": text, "path": entry.path, "package_dirs": folders}
-
-
-def _folders(given: Iterable[str | Path]) -> list[Path]:
-    """Folders of a list, or of a single name (which would be read letter by letter)."""
-    return [Path(folder) for folder in ([given] if isinstance(given, str | Path) else given)]
+def _one_tip(tip: str | None, ee_link: str | None) -> str | None:
+    """The tip, by whichever of its two words it is given. Raises InvalidOption."""
+    if tip is not None and ee_link is not None and tip != ee_link:
+        raise InvalidOption(
+            f"tip and ee_link are two words for one frame, not {tip!r} and {ee_link!r}; give one of them"
+        )
+    return ee_link if tip is None else tip
 
 
 def _root(model: pin.Model) -> str:

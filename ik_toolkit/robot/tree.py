@@ -10,8 +10,9 @@ import pinocchio as pin
 from ..errors import FrameNotFound, InvalidOption, ModelError
 from ..kernel.tree_chain import TreeChain, pack_tree
 from .joints import Joints
+from .load import read
 from .probe import Path as JointPath
-from .robot import Robot, read
+from .robot import Robot
 from .tips import tip_candidates
 
 ENDS = 8  # ends of paths that a message names

@@ -4,6 +4,7 @@ import json
 import math
 
 import numpy as np
+import pinocchio as pin
 import pytest
 
 import ik_toolkit as ik
@@ -69,6 +70,23 @@ def test_solve_table_shows_joints_errors_counts_and_time(run):
     assert code == 0 and all(name in out for name in robot.joint_names)
     for word in ("rad", "CONVERGED, solver lm", "position error", "orientation error  free", "restarts", "time"):
         assert word in out
+
+
+@pytest.mark.parametrize("form", ["--matrix 12", "--matrix 16", "--quat-wxyz", "--target", "--ee"])
+def test_solve_a_pose_by_its_other_words(run, form):
+    wanted = ik.Robot.load("hydrolek_7w").fk([0.1, 0.2, 0.3, 0.4, 0.5, 0.6])
+    matrix, quat = wanted.homogeneous, pin.Quaternion(wanted.rotation)
+    words = {
+        "--matrix 12": ["--matrix", *matrix[:3].ravel()],
+        "--matrix 16": ["--matrix", ", ".join(map(repr, matrix.ravel().tolist()))],
+        "--quat-wxyz": ["--xyz", *wanted.translation, "--quat-wxyz", quat.w, quat.x, quat.y, quat.z],
+        "--target": ["--target", "tool:" + ",".join(map(str, matrix[:3].ravel()))],
+        "--ee": ["--ee", "tool", "--matrix", *matrix[:3].ravel()],
+    }[form]
+    code, out, _ = run("solve", "hydrolek_7w", *words, "--json")
+    answer = json.loads(out)
+    target = answer["target"]["tool"] if form == "--target" else answer["target"]
+    assert code == 0 and answer["success"] and np.allclose(target, matrix, atol=1e-12)
 
 
 def test_solve_a_pose_in_degrees(run):

@@ -47,9 +47,11 @@ def files(poses, tmp_path):
     mixed = [[*a, *p, "n"] for a, p in zip(rpy[:, ::-1], xyz[:, ::-1], strict=True)]
     np.savez(tmp_path / "targets.npz", targets=poses)
     np.savez(tmp_path / "quat.npz", xyz=xyz, quat_xyzw=quat)
+    np.savez(tmp_path / "wxyz.npz", xyz=xyz, quat_wxyz=quat[:, [3, 0, 1, 2]])
     return {
         "targets.npz": poses,
         "quat.npz": poses,
+        "wxyz.npz": poses,
         write(tmp_path / "quat.csv", "x,y,z,qx,qy,qz,qw", np.c_[xyz, quat]): poses,
         write(tmp_path / "rpy.csv", "Yaw, Pitch ,roll,z,y,x,note", mixed): poses,
         write(tmp_path / "xyz.csv", "x,y,z", xyz): xyz,
@@ -129,6 +131,7 @@ def test_bad_arrays_are_named(tmp_path, capsys):
         ({"targets": np.zeros((2, 5))}, "shape (2, 5)"),
         ({"xyz": np.zeros((2, 3)), "quat_xyzw": np.zeros((3, 4))}, "shape (N, 3)"),
         ({"xyz": np.zeros((2, 3)), "quat_xyzw": np.ones((2, 4))}, "row 0: the quaternion"),
+        ({"xyz": np.zeros((1, 3)), "quat_xyzw": np.ones((1, 4)), "quat_wxyz": np.ones((1, 4))}, "one of them says"),
         ({"targets": np.full((2, 3), np.inf)}, "target 0"),
         ({"targets": np.array([None, None])}, "cannot read"),
     ):

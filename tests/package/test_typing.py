@@ -36,7 +36,7 @@ def test_the_calls_take_what_is_told(call, told):
 def test_the_type_of_a_pose_goes_by_what_is_given():
     told = {tuple(o.__annotations__): o.__annotations__["return"] for o in typing.get_overloads(ik.pose)}
     assert told["xyz", "return"] is Position and told["xyz", "direction", "axis", "return"] is AxisTarget
-    given = {"rpy": (0, 0, 0), "quat_xyzw": (0, 0, 0, 1), "rotation": np.eye(3)}
+    given = {"rpy": (0, 0, 0), "quat_xyzw": (0, 0, 0, 1), "quat_wxyz": (1, 0, 0, 0), "rotation": np.eye(3)}
     for name, value in given.items():
         assert told["xyz", name, "return"] is Matrix and ik.pose((1, 0, 0), **{name: value}).shape == (4, 4)
     assert ik.pose((1, 0, 0)).shape == (3,) and isinstance(ik.pose(direction=(0, 0, 1)), AxisTarget)

@@ -16,7 +16,7 @@ import ik_toolkit as ik
 from ik_toolkit.errors import ModelError, RobotNotFound
 from ik_toolkit.robot import library
 from ik_toolkit.robot.library import DATA_ROBOTS, example_robot_data, find, list_robots, shipped_robots
-from ik_toolkit.robot.robot import read
+from ik_toolkit.robot.load import read
 
 SCRIPT = SCRIPTS / "make_urdfs.py"
 PAPERS = {"hydrolek_7w", "brokk_hydrolek", "planar_3r", "planar_2r", "cartesian_pp", "inspection_7dof"}

@@ -45,6 +45,7 @@ def test_quaternion_order_is_xyzw(quat):
     q = np.array(quat) / np.linalg.norm(quat)
     R = quat_matrix(q)
     assert np.allclose(R, pin.Quaternion(q[3], q[0], q[1], q[2]).matrix(), atol=1e-12)
+    assert np.allclose(quat_matrix(q[[3, 0, 1, 2]], "wxyz"), R, atol=1e-15)
     back = matrix_quat(R)
     assert back[3] >= 0.0
     assert np.allclose(quat_matrix(back), R, atol=1e-9)
@@ -55,8 +56,15 @@ def test_pose_builds_positions_and_poses():
     T = ik.pose((1, 2, 3), rpy=(0.1, 0.2, 0.3))
     assert T.shape == (4, 4) and np.allclose(T[:3, 3], (1, 2, 3))
     assert np.allclose(ik.pose((1, 2, 3), rotation=T[:3, :3]), T)
-    with pytest.raises(InvalidTarget, match="one of"):
-        ik.pose((0, 0, 0), rpy=(0, 0, 0), quat_xyzw=(0, 0, 0, 1))
+    quat = matrix_quat(T[:3, :3])
+    assert np.allclose(ik.pose((1, 2, 3), quat_wxyz=quat[[3, 0, 1, 2]]), T)
+    for other in ({"rpy": (0, 0, 0)}, {"quat_xyzw": quat}):
+        with pytest.raises(InvalidTarget, match="give one of rpy, quat_xyzw, quat_wxyz and rotation"):
+            ik.pose((0, 0, 0), quat_wxyz=quat, **other)
+    with pytest.raises(InvalidTarget, match="quat_wxyz has length 0"):
+        ik.pose((0, 0, 0), quat_wxyz=(0, 0, 0, 0))
+    with pytest.raises(InvalidTarget, match="no rpy, quaternion or rotation"):
+        ik.pose((0, 0, 0), quat_wxyz=quat, direction=(0, 0, 1))
 
 
 @pytest.mark.parametrize(

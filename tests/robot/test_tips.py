@@ -8,7 +8,7 @@ from robots import joint
 import ik_toolkit as ik
 from ik_toolkit.errors import FrameNotFound
 from ik_toolkit.robot.library import DATA_ROBOTS, find
-from ik_toolkit.robot.robot import read
+from ik_toolkit.robot.load import read
 from ik_toolkit.robot.tips import guess_tip, words
 
 

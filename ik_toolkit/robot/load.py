@@ -1,0 +1,40 @@
+"""Whatever a person names as a robot -> its URDF text and Pinocchio model."""
+
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+from ..errors import InvalidOption, ModelError
+from .build import build_model
+from .check import require_loadable
+from .library import RobotEntry, find
+from .read import HasMacros, safe_read
+from .xacro import expand
+
+
+def read(
+    source: str | Path, package_dirs: Iterable[str | Path], xacro_args: Mapping[str, Any] | None = None
+) -> tuple[RobotEntry, dict[str, Any]]:
+    """What a source names, and what `Robot` takes of it: its model, name, text and folders. Raises as `Robot.load` does."""
+    entry = find(source)
+    folders = [*folders_of(package_dirs), *entry.package_dirs]
+    try:
+        text = safe_read(entry.source)
+        if xacro_args:
+            raise InvalidOption(f"xacro_args are for xacro files, and {entry.name} is a plain URDF")
+    except HasMacros:
+        if entry.path is None:
+            raise
+        text = safe_read(expand(entry.path, folders, {**entry.xacro_args, **(xacro_args or {})}))
+    require_loadable(text)
+    try:
+        model = build_model(text)
+    except Exception as error:
+        raise ModelError(f"Pinocchio cannot read {entry.name}: {str(error).strip().splitlines()[0]}") from None
+    name = entry.name if entry.path else model.name
+    return entry, {"model": model, "name": name, "urdf": text, "path": entry.path, "package_dirs": folders}
+
+
+def folders_of(given: Iterable[str | Path]) -> list[Path]:
+    """Folders of a list, or of a single name (which would be read letter by letter)."""
+    return [Path(folder) for folder in ([given] if isinstance(given, str | Path) else given)]

@@ -1,0 +1,79 @@
+"""One plain URDF out of any description: macros expanded, meshes named by where they lie."""
+
+import json
+
+import numpy as np
+import pytest
+from folders import DATA
+
+import ik_toolkit as ik
+from ik_toolkit import cli
+from ik_toolkit.errors import InvalidOption, ModelError, RobotNotFound
+from ik_toolkit.robot.convert import convert
+
+TRIANGLE = (DATA / "bad_urdf" / "triangle.stl").read_bytes()
+MESHES = ("package://my_arm/meshes/a.stl", "../meshes/a.stl", "package://nowhere/b.stl", "/etc/passwd.stl")
+SHAPES = "".join(f'<visual><geometry><mesh filename="{name}"/></geometry></visual>' for name in MESHES)
+ARM = f"""<robot name="arm"><!-- kept --><link name="a">{SHAPES}</link><link name="tool0"/>
+<joint name="j" type="revolute"><parent link="a"/><child link="tool0"/><origin xyz="0.1 0.2 0.3" rpy="0.1 0 0"/><axis xyz="0 1 0"/>
+<limit lower="-1" upper="1" effort="1" velocity="1"/></joint></robot>"""
+
+
+@pytest.fixture
+def package(tmp_path):
+    """A ROS package with a mesh."""
+    root = tmp_path / "my_arm"
+    for folder in ("urdf", "meshes"):
+        (root / folder).mkdir(parents=True)
+    (root / "package.xml").write_text("<package><name>my_arm</name></package>")
+    (root / "meshes" / "a.stl").write_bytes(TRIANGLE)
+    (root / "urdf" / "arm.urdf").write_text(ARM)
+    return root
+
+
+def test_meshes_are_relative_below_the_new_file_and_absolute_elsewhere(package, tmp_path):
+    file, mesh = package / "urdf" / "arm.urdf", str(package / "meshes" / "a.stl")
+    beside, elsewhere = convert(file, package), convert(file, tmp_path / "other")
+    assert beside.meshes == dict.fromkeys(MESHES[:2], "meshes/a.stl")
+    assert elsewhere.meshes == convert(file).meshes == dict.fromkeys(MESHES[:2], mesh)
+    assert set(beside.lost) == set(MESHES[2:]) and all(name in beside.text for name in MESHES[2:])
+    assert "kept" in beside.text
+    robot, again = ik.Robot.load(file), ik.Robot.load(beside.text)
+    assert again.name == "arm" and np.array_equal(again.fk([0.3]).homogeneous, robot.fk([0.3]).homogeneous)
+
+
+def test_xacro_becomes_plain_urdf_in_a_shell(package, tmp_path, capsys):
+    pytest.importorskip("xacro")
+    file, out = package / "urdf" / "arm.urdf.xacro", tmp_path / "out.urdf"
+    macros = '<robot xmlns:xacro="http://www.ros.org/wiki/xacro" name="arm"><xacro:arg name="x" default="0.1"/>'
+    file.write_text(ARM.replace('<robot name="arm">', macros).replace('xyz="0.1 ', 'xyz="$(arg x) '))
+    assert cli.main(["convert", str(file), "-o", str(out), "--xacro-arg", "x:=0.7"]) == 0
+    said = capsys.readouterr()
+    assert not said.out and f"wrote {out}: arm" in said.err and "'package://nowhere/b.stl'" in said.err
+    assert "xacro" not in out.read_text() and 'filename="my_arm/meshes/a.stl"' in out.read_text()
+    assert ik.Robot.load(out).fk([0.0]).translation[0] == pytest.approx(0.7)
+    assert cli.main(["convert", str(file), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["meshes"][MESHES[0]] == str(package / "meshes" / "a.stl")
+
+
+def test_what_is_not_converted(package, tmp_path, capsys):
+    file = package / "urdf" / "arm.urdf"
+    assert cli.main(["convert", str(file), "-o", str(file)]) == 2
+    assert "would overwrite" in capsys.readouterr().err
+    bad = tmp_path / "bomb.urdf"
+    bad.write_text('<!DOCTYPE robot [<!ENTITY a "a">]><robot name="x"/>')
+    assert cli.main(["convert", str(bad), "-o", str(tmp_path / "out.urdf")]) == 2
+    assert "DOCTYPE" in capsys.readouterr().err and not (tmp_path / "out.urdf").exists()
+
+
+def test_other_words(package, tmp_path):
+    file = package / "urdf" / "arm.urdf"
+    for robot in (ik.Robot.load(file, ee_link="tool0"), ik.Robot.from_urdf(file), ik.Robot.from_urdf(ARM, ee_link="j")):
+        assert robot.tip in ("tool0", "j") and robot.n == 1
+    assert ik.Robot(ik.Robot.load(file).model, ee_link="tool0").tip == "tool0"
+    with pytest.raises(InvalidOption, match="two words for one frame, not 'tool0' and 'a'"):
+        ik.Robot.load(file, tip="tool0", ee_link="a")
+    with pytest.raises(RobotNotFound, match="there is no file 'panda'; Robot"):
+        ik.Robot.from_urdf("panda")
+    with pytest.raises(ModelError, match="no movable joint"):
+        ik.Robot.from_urdf('<robot name="r"><link name="a"/></robot>')
