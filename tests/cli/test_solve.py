@@ -74,7 +74,8 @@ def test_solve_table_shows_joints_errors_counts_and_time(run):
 
 @pytest.mark.parametrize("form", ["--matrix 12", "--matrix 16", "--quat-wxyz", "--target", "--ee"])
 def test_solve_a_pose_by_its_other_words(run, form):
-    wanted = ik.Robot.load("hydrolek_7w").fk([0.1, 0.2, 0.3, 0.4, 0.5, 0.6])
+    robot = ik.Robot.load("hydrolek_7w")
+    wanted = robot.fk(robot.random_q(np.random.default_rng(1)))
     matrix, quat = wanted.homogeneous, pin.Quaternion(wanted.rotation)
     words = {
         "--matrix 12": ["--matrix", *matrix[:3].ravel()],
