@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from ..errors import FEW_TURNS, FrameNotFound, InvalidConfiguration, doubt_angle, floats, near_match
+from ..errors import FEW_TURNS, FrameNotFound, InvalidConfiguration, InvalidOption, doubt_angle, floats, near_match
 from ..kernel.records import POINTS
 from .probe import Path
 
@@ -101,7 +101,13 @@ class Joints:
         return ends[4 * n : 5 * n] * self.chain.unit, ends[5 * n : 6 * n] * self.chain.unit
 
     def random_q(self, rng: np.random.Generator, count: int | None = None) -> np.ndarray:
-        """Uniform random q (n,), or (count, n), inside the limits (one turn, or one reach, where there are none)."""
+        """Uniform random q (n,), or (count, n), inside the limits (one turn, or one reach, where there are none).
+
+        Raises InvalidOption: a count that is no whole number, or below 0.
+        """
+        whole = isinstance(count, int | np.integer) and not isinstance(count, bool)
+        if count is not None and not (whole and count >= 0):
+            raise InvalidOption(f"count must be a whole number of at least 0, not {count!r}")
         low, span = self._sampling
         return (low + span * rng.random(self.n if count is None else (count, self.n))).clip(self.lower, self.upper)
 

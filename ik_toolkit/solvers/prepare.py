@@ -3,6 +3,8 @@
 from collections.abc import Callable
 from typing import Any
 
+import numpy as np
+
 from ..errors import InvalidOption, UnknownSolver
 from ..robot.library import shipped_robots
 from ..robot.robot import Robot
@@ -32,13 +34,11 @@ def prepare(*solvers: str, progress: Callable[[str], None] | None = None) -> Non
 def _call(robot: Any, name: str) -> bool:
     """Call a solver for a pose and for a position, alone and in a batch; False when it fits neither."""
     at_home, fits = robot.fk(robot.home), False
-    calls: list[Callable[[], Any]]
-    if isinstance(robot, Tree):
-        calls = [lambda: Solver(robot, name)(at_home)]  # pyright: ignore[reportArgumentType]
-    else:
-        poses = [at_home.homogeneous[None], at_home.translation[None]]
-        calls = [lambda T=T: Solver(robot, name)(T[0]) for T in poses]
-        calls += [lambda T=T: solve_batch(robot, T, name) for T in poses]
+    T = np.array([pose.homogeneous for pose in (at_home.values() if robot.by_tip else [at_home])])
+    calls: list[Callable[[], Any]] = []
+    for target in (T, T[:, :3, 3].copy()):
+        one = target if robot.by_tip else target[0]
+        calls += [lambda one=one: Solver(robot, name)(one), lambda one=one: solve_batch(robot, one[None], name)]
     for call in calls:
         try:
             call()

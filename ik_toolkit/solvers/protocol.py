@@ -17,7 +17,7 @@ from ..errors import IKError, InvalidOption, UnknownSolver
 from ..kernel.jit import compiled
 from ..kernel.search import entry
 from ..kernel.task import POSE, POSITION
-from .options import Options
+from .options import NAMES, Options
 from .registry import GENERAL, Row, find_row
 from .task import counted_rows, counts_in_part
 
@@ -144,7 +144,7 @@ def rule(cls: Any = None, *, step: Any = None) -> Any:
     """Class decorator: make a NamedTuple class with a `step` a rule.
 
     step: the `@compiled` class that has the step, where that is another one: `pack` makes it of the parameters. Raises
-    TypeError where there is no step, or nothing for numba to pass (a record without fields).
+    TypeError where there is no step, nothing for numba to pass (a record without fields), or a field named like an option.
     """
 
     def mark(cls: Any) -> Any:
@@ -170,6 +170,9 @@ def closed_form(cls: Class) -> Class:
 
 
 def _filled(cls: Any, protocol: Any) -> Any:
+    for name in cls._fields:
+        if name in NAMES:  # `solve` takes both as keywords, and one would hide the other
+            raise TypeError(f"{cls.__name__}: '{name}' is an option of every solver; give the parameter another name")
     if hasattr(cls, "pack") and len(inspect.signature(cls.pack).parameters) < 3:
         raise TypeError(f"{cls.__name__}: pack takes (self, robot, asked)")
     for name, value in vars(protocol).items():

@@ -217,7 +217,7 @@ class Result:
         return self
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain numbers, strings and lists, ready for JSON; of several tips the errors by tip under `tips`."""
+        """Plain numbers, strings and lists, ready for JSON; of several tips the errors by tip under `tips`, None at a free one."""
         plain = {
             "success": self.success,
             "status": self.status.name,
@@ -238,8 +238,10 @@ class Result:
             "notice": self.notice,
             "collision": self.collision,
         }
-        each = zip(self.robot.tips, self._of.left(), strict=True)
-        tips = {tip: {"position_error": p, "orientation_error": r} for tip, (p, r) in each}
+        each = zip(self.robot.tips, self._of.kinds, self._of.left(), strict=True)
+        tips = {
+            tip: {"position_error": None if kind == FREE else p, "orientation_error": r} for tip, kind, (p, r) in each
+        }
         return {**plain, "tips": tips} if len(tips) > 1 else plain
 
     def __repr__(self) -> str:

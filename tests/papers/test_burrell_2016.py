@@ -51,12 +51,12 @@ def test_counts(name, rule):
     "change",
     [
         lambda rule: paper.undelayed(rule),
-        lambda rule: rule._replace(frame=None),
-        lambda rule: rule._replace(frame=np.asarray(rule.frame).T),
+        lambda rule: rule._replace(axes=None),
+        lambda rule: rule._replace(axes=np.asarray(rule.axes).T),
     ],
-    ids=["delay", "frame", "transposed frame"],
+    ids=["delay", "axes", "transposed axes"],
 )
-def test_delay_and_frame_matter(change):
+def test_delay_and_axes_matter(change):
     robot = robots.load("hydrolek_7w")
     rule = change(ik.StateSpace.preset("burrell-2016"))
     ours = paper.counts(robot, rule, start("mid_range"), SEEDS[:1])[0]

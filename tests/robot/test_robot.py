@@ -157,6 +157,12 @@ def test_wrong_configurations_are_refused():
             robot.fk(bad)
 
 
+@pytest.mark.parametrize("count", [-1, 1.5, True, "two"])
+def test_random_configurations_are_counted_by_whole_numbers(count):
+    with pytest.raises(errors.InvalidOption, match="count must be a whole number"):
+        robots.load("hydrolek_7w").random_q(np.random.default_rng(0), count)
+
+
 def test_wraps_an_existing_model():
     model = pin.buildModelFromXML(robots.SLIDES)
     robot = ik.Robot(model, tip="l8")

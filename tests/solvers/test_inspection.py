@@ -1,6 +1,8 @@
 """The closed form of the inspection arm: oracle cases, completeness of the branches, choices of the lift."""
 
 import math
+import subprocess
+import sys
 
 import numpy as np
 import pytest
@@ -259,3 +261,22 @@ def test_locked_lift_is_complete_and_agrees_with_restarts(arm):
     search = ik.solve_all(held, T, "lm", limits=False)
     assert exact.complete and not search.complete and len(exact) == len(search) == 8
     assert apart(exact.q, search.q).min(axis=0).max() < 1e-6
+
+
+LISTING = """
+import numpy as np
+from numba.core import event
+import ik_toolkit as ik
+
+with event.install_recorder("numba:compile") as compiled:
+    arm = ik.Robot.load("inspection_7dof")
+    T = arm.fk(arm.random_q(np.random.default_rng(0))).homogeneous
+    ik.solve_all(arm, T), ik.solve_all(arm, T, "inspection")
+print(len(compiled.buffer))
+"""
+
+
+def test_listing_compiles_nothing_in_a_second_process():
+    for _ in range(2):
+        done = subprocess.run([sys.executable, "-c", LISTING], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["0"], done.stdout

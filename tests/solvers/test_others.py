@@ -178,6 +178,15 @@ def test_what_cannot_be_a_rule_is_refused_where_it_is_written():
             def step(self, p, e):
                 return 0
 
+    with pytest.raises(TypeError, match="Framed: 'frame' is an option of every solver"):
+
+        @ik.rule
+        class Framed(NamedTuple):
+            frame: float = 1.0
+
+            def step(self, p, e):
+                return 0
+
     with pytest.raises(TypeError, match="`recognise` and `every`"):
 
         @ik.closed_form

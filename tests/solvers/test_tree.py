@@ -79,6 +79,7 @@ def test_a_tip_left_out_misses_nothing(brokk):
             for target in T[:, f]:
                 result = ik.Solver(brokk, check=check)({tip: target})
                 assert result.position_errors[other] == 0.0 and result.orientation_errors[other] is None
+                assert result.to_dict()["tips"][other] == {"position_error": None, "orientation_error": None}
                 assert result.success and result.position_error <= 1e-6
 
 

@@ -74,7 +74,7 @@ class Screws(NamedTuple):
 
 def read_screws(chain: Chain) -> Screws | str:
     """Return the joint screws at q = 0, or a sentence when a coordinate drives several joints (mimic)."""
-    if not chain.rows[0, 0] > 0.0:
+    if not chain.plain:
         return "it has mimic joints"
     T, J = evaluate(chain.rows, chain.ends, np.zeros((1, chain.n)), chain.unit, jacobian=True)  # compiles nothing
     linear, angular = J[0, :3].T, J[0, 3:].T

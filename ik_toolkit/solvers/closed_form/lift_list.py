@@ -130,23 +130,36 @@ def level_family(p, T, box, d, free, samples, spans, out, broken):
     return count
 
 
+@cached
+def reaching(p, T, low, high, spans):
+    """Fill spans (2, 2) with the intervals of the lift, along the shoulder's axis, from which T (4, 4) is reached; how many."""
+    P = np.empty(12)
+    wrist_pose(p, T, P)
+    return lift_intervals(P, p[A4], p[A6], low, high, spans)
+
+
+@cached
+def shortened(p, T, lift, P, before):
+    """Write the wrist pose (12,) of T (4, 4), its point (3,) to `before`, and bring it into reach at a lift; tell how far."""
+    wrist_pose(p, T, P)
+    before[:] = P[9:]
+    return inspection_nearest(P, lift, p[A4], p[A6])
+
+
 def feasible_lifts(
     p: np.ndarray, T: np.ndarray, low: float = -math.inf, high: float = math.inf
 ) -> list[tuple[float, float]]:
     """Intervals of the lift joint's value [m], inside [low, high], from which the pose T (4, 4) is reachable (0 to 2)."""
-    P, spans, sign = np.empty(12), np.empty((2, 2)), p[LIFT + 1]
-    wrist_pose(p, np.asarray(T, dtype=float), P)
+    spans, sign = np.empty((2, 2)), p[LIFT + 1]
     ends = sorted((sign * low, sign * high))
-    count = lift_intervals(P, p[A4], p[A6], ends[0], ends[1], spans)
+    count = reaching(p, np.ascontiguousarray(T, dtype=float), float(ends[0]), float(ends[1]), spans)
     return sorted(tuple(sorted(sign * float(x) for x in span)) for span in spans[:count])
 
 
 def nearest_pose(p: np.ndarray, T: np.ndarray, lift: float) -> tuple[np.ndarray, float]:
     """Nearest pose to T (4, 4) reachable at a value of the lift joint [m] with the orientation kept, and how far [m] it is."""
-    P, near = np.empty(12), np.array(T, dtype=float)
-    wrist_pose(p, near, P)
-    before = P[9:].copy()
-    gap = inspection_nearest(P, p[LIFT + 1] * lift, p[A4], p[A6])
+    P, before, near = np.empty(12), np.empty(3), np.array(T, dtype=float)
+    gap = shortened(p, near, p[LIFT + 1] * lift, P, before)
     near[:3, 3] += p[:9].reshape(3, 3).T @ (P[9:] - before)
     return near, gap
 

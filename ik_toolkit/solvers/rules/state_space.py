@@ -109,7 +109,7 @@ class StateSpace(NamedTuple):
     (M, n) [rad, m]: without q0 the start whose tip is nearest the target is taken (restarts take the next nearest); B and D may
     then hold M maps, (M, m, 3) or (M, n, 3), and the start chosen selects its map; from a q0 the map of the nearest start is
     chosen in every step. Without any of them: 128 starts spread over the workspace, and for each D = kappa pinv(mean Jacobian
-    around it), damped. frame: rotation (3, 3) from base axes to the axes B and D are meant in. units: "si", or "mm-deg" for
+    around it), damped. axes: rotation (3, 3) from base axes to the axes B and D are meant in. units: "si", or "mm-deg" for
     the paper's (e in mm, increments in degrees; starts stay in rad). tuned: options a preset brings along. Source: Burrell et
     al. (2016), eqs. (14)-(15); several maps, feedthrough and design are ours.
     """
@@ -120,7 +120,7 @@ class StateSpace(NamedTuple):
     D: Any = None
     starts: Any = None
     units: str = "si"
-    frame: Any = None
+    axes: Any = None
     tuned: Any = None
 
     @classmethod
@@ -194,8 +194,8 @@ class StateSpace(NamedTuple):
             raise InvalidOption("state-space: A, B, C, D and starts must be finite")
         per_metre, increment = UNITS[made.units]
         axes = np.asarray(chain.ends[:9]).reshape(3, 3)
-        if made.frame is not None:
-            axes = np.asarray(made.frame, dtype=float) @ axes
+        if made.axes is not None:
+            axes = np.asarray(made.axes, dtype=float) @ axes
         to_kernel = increment / chain.unit[:, None]
 
         def full(maps: np.ndarray) -> np.ndarray:
@@ -323,8 +323,8 @@ def _plain(rule: StateSpace, n: int) -> tuple[float, np.ndarray]:
     if not (np.allclose(A, a * np.eye(n)) and np.allclose(C, c * np.eye(n)) and c != 0.0):
         raise InvalidOption("the search can start from a rule with A = a I and C = c I only")
     per_metre, increment = UNITS[rule.units]
-    frame = np.eye(3) if rule.frame is None else np.asarray(rule.frame, dtype=float)
-    B = np.concatenate([B[:, :3] @ frame * per_metre, B[:, 3:] @ frame if B.shape[1] == 6 else B[:, 3:]], axis=1)
+    axes = np.eye(3) if rule.axes is None else np.asarray(rule.axes, dtype=float)
+    B = np.concatenate([B[:, :3] @ axes * per_metre, B[:, 3:] @ axes if B.shape[1] == 6 else B[:, 3:]], axis=1)
     return float(a), B * (c * increment / C_FIXED)
 
 
