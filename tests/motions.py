@@ -44,7 +44,7 @@ def wave(robot, count=40, size=0.3, seed=0):
     t = np.linspace(0.0, 1.0, count)[:, None]
     turns, shift = rng.uniform(0.3, 1.2, robot.n), rng.uniform(0.0, 6.0, robot.n)
     room = np.minimum(robot.upper - robot.home, robot.home - robot.lower)
-    reach = np.minimum(size * np.where([kind == "prismatic" for kind in robot.joint_kinds], 0.2, 1.0), 0.9 * room)
+    reach = np.minimum(size * np.where(robot.slides, 0.2, 1.0), 0.9 * room)
     return robot.home + reach * np.sin(turns * 6.0 * t + shift)
 
 

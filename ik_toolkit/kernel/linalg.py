@@ -98,12 +98,12 @@ def jacobi(a, b, g):
 
 
 @inline
-def pseudo_inverse_step(J, e, rcond, V, dq, m):
-    """dq = pinv(J') e by one-sided Jacobi (Hestenes): singular values below rcond * the largest count as zero.
+def make_orthogonal(A, V, m):
+    """Replace A (n, m) by A V with orthogonal columns, and V (m, m) by that rotation: one-sided Jacobi (Hestenes).
 
-    J (n, m), one joint a row, is overwritten by U S; V (m, m) is scratch, e (m,) the error. m: a constant is faster.
+    m: a constant is faster.
     """
-    n = J.shape[0]
+    n = A.shape[0]
     for r in range(m):
         for c in range(m):
             V[r, c] = 1.0 if r == c else 0.0
@@ -113,23 +113,33 @@ def pseudo_inverse_step(J, e, rcond, V, dq, m):
             for c in range(r + 1, m):
                 a, b, g = 0.0, 0.0, 0.0
                 for i in range(n):
-                    a += J[i, r] * J[i, r]
-                    b += J[i, c] * J[i, c]
-                    g += J[i, r] * J[i, c]
+                    a += A[i, r] * A[i, r]
+                    b += A[i, c] * A[i, c]
+                    g += A[i, r] * A[i, c]
                 if abs(g) <= ORTHOGONAL * math.sqrt(a * b) or abs(g) < TINY:
                     continue
                 rotated = True
                 cs, sn = jacobi(a, b, g)
                 for i in range(n):
-                    u, v = J[i, r], J[i, c]
-                    J[i, r] = cs * u - sn * v
-                    J[i, c] = sn * u + cs * v
+                    u, v = A[i, r], A[i, c]
+                    A[i, r] = cs * u - sn * v
+                    A[i, c] = sn * u + cs * v
                 for k in range(m):
                     u, v = V[k, r], V[k, c]
                     V[k, r] = cs * u - sn * v
                     V[k, c] = sn * u + cs * v
         if not rotated:
             break
+
+
+@inline
+def pseudo_inverse_step(J, e, rcond, V, dq, m):
+    """dq = pinv(J') e: singular values below rcond * the largest count as zero.
+
+    J (n, m), one joint a row, is overwritten by U S; V (m, m) is scratch, e (m,) the error. m: a constant is faster.
+    """
+    n = J.shape[0]
+    make_orthogonal(J, V, m)
     top = 0.0
     for r in range(m):
         a = 0.0

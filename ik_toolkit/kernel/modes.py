@@ -18,7 +18,7 @@ import numpy as np
 
 from .box import approach
 from .jit import inner
-from .linalg import ORTHOGONAL, SWEEPS, TINY, cholesky, jacobi
+from .linalg import cholesky, make_orthogonal
 from .motion import gram
 
 ZERO = 1e-9  # singular value (lengths over reach) below which a direction is not moved at all to first order
@@ -41,29 +41,7 @@ def modes(J, W, U, sigma):
     for r in range(m):
         for i in range(n):
             W[i, r] = J[i, r]
-        for c in range(m):
-            U[r, c] = 1.0 if r == c else 0.0
-    for _ in range(SWEEPS):
-        rotated = False
-        for r in range(m - 1):
-            for c in range(r + 1, m):
-                a, b, g = 0.0, 0.0, 0.0
-                for i in range(n):
-                    a += W[i, r] * W[i, r]
-                    b += W[i, c] * W[i, c]
-                    g += W[i, r] * W[i, c]
-                if abs(g) <= ORTHOGONAL * math.sqrt(a * b) or abs(g) < TINY:
-                    continue
-                rotated = True
-                cs, sn = jacobi(a, b, g)
-                for i in range(n):
-                    u, v = W[i, r], W[i, c]
-                    W[i, r], W[i, c] = cs * u - sn * v, sn * u + cs * v
-                for k in range(m):
-                    u, v = U[k, r], U[k, c]
-                    U[k, r], U[k, c] = cs * u - sn * v, sn * u + cs * v
-        if not rotated:
-            break
+    make_orthogonal(W, U, m)
     for r in range(m):
         a = 0.0
         for i in range(n):

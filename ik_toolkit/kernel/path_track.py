@@ -127,21 +127,3 @@ def extend(rows, ends, T, orders, limits, most, deviation, seeds, at, columns, Q
             span[k, 0 if way < 0 else 1] = t
         for i in range(n):
             Q[start, k, i] = seeds[m, i]
-
-
-@cached
-def settle(rows, ends, T, orders, limits, Q, errors):
-    """Bring each of Q (N, n), kernel units, onto its pose T (N, 4, 4) or (N, F, 4, 4); errors (N, 2) [m], [rad]: what is left."""
-    n = Q.shape[1]
-    o = read(Orders, orders)
-    first = HEAD + TASK * (ends.size // ends.shape[-1])
-    p = problem(rows, ends, orders[HEAD:first], n, o)
-    weights = orders[first : first + n]
-    box = Bounds(limits)
-    for t in range(Q.shape[0]):
-        copy(Q[t], p.desk.q)
-        p.aim(T[t], o)
-        e = correct(p, weights, box)
-        copy(p.desk.q, Q[t])
-        p.keep(e, NOW)
-        errors[t, 0], errors[t, 1] = p.left(NOW)

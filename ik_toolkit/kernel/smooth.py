@@ -184,8 +184,8 @@ def smooth(rows, ends, T, Q, fixed, orders, first, second, rounding, longest, st
     """Shorten and smooth a path Q (N, n) [rad or m] in place; returns the steps taken, and its cost before and after.
 
     rows, ends, orders as of `search.entry`; T (N, ...): the targets. fixed (N,): poses whose joints stay. first, second,
-    rounding: see `cost_of`; longest (n,) [rad or m]: no step between neighbours grows beyond it. With steps = 0 the poses are only
-    brought onto their targets. good (N,): whether each is inside its tolerances.
+    rounding: see `cost_of`; longest (n,) [rad or m]: no step between neighbours grows beyond it. good (N,): whether each is
+    inside its tolerances.
     """
     N, n = Q.shape
     o = read(Orders, orders)
@@ -210,7 +210,7 @@ def smooth(rows, ends, T, Q, fixed, orders, first, second, rounding, longest, st
         copy(p.desk.q, now[k])
     before, wide = cost_of(now, first, second, rounding, step)
     cost, taken, fresh = before, 0, True
-    size = N * n if steps > 0 else 0
+    size = N * n
     H, A = np.empty((size, 2 * n + 1)), np.empty((size, 2 * n + 1))
     g, x, held = np.empty(size), np.empty(size), np.empty(size, np.bool_)
     for _ in range(steps):
@@ -240,3 +240,21 @@ def smooth(rows, ends, T, Q, fixed, orders, first, second, rounding, longest, st
         for i in range(n):
             Q[k, i] = now[k, i] * full.unit(i)
     return taken, before, cost
+
+
+@cached
+def settle(rows, ends, T, Q, orders, good):
+    """Bring each of Q (N, n) [rad or m] onto its target, in place; rows, ends, T, orders, good as of `smooth`."""
+    N, n = Q.shape
+    o = read(Orders, orders)
+    begin = HEAD + TASK * (ends.size // ends.shape[-1])
+    p = problem(rows, ends, orders[HEAD:begin], n, o)
+    full = Ends(ends.reshape(-1), n)
+    box = make_bounds(np.empty((3, n)), full, REFERENCE, o.limits > 0.0)
+    for k in range(N):
+        for i in range(n):
+            p.desk.q[i] = Q[k, i] / full.unit(i)
+        p.aim(T[k], o)
+        good[k] = bring_back(p, orders[begin : begin + n], box).good
+        for i in range(n):
+            Q[k, i] = p.desk.q[i] * full.unit(i)

@@ -12,7 +12,7 @@ import numpy as np
 import pinocchio as pin
 
 from ..kernel.chain import levers
-from ..kernel.smooth import smooth
+from ..kernel.smooth import settle as settle_rows
 from ..kernel.task import FREE, POSITION
 from ..solvers.task import relatives, what_counts
 from .contact import find_contacts
@@ -72,7 +72,7 @@ def densify(
     leads on from the one side to the other) the stretch stays as it was: `check` then says by how much.
     """
     robot = plan.robot
-    step = np.where([kind == "prismatic" for kind in robot.joint_kinds], max_step[1], max_step[0])
+    step = np.where(robot.slides, max_step[1], max_step[0])
     curve, at = q, np.arange(float(len(q)))
     open_ = np.asarray(np.isfinite(q[1:] + q[:-1]).all(axis=1))
     open_[list(breaks)] = False
@@ -106,26 +106,14 @@ def densify(
 
 def settle(plan: Any, kinds: tuple, q: np.ndarray, T: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Bring rows q (M, n) onto targets T (M, F, 4, 4) with the least moves; returns them and whether each is solved (M,)."""
-    q, good = q.copy(), np.zeros(len(q), dtype=bool)
-    run_smooth(plan, kinds, q, T, np.zeros(len(q), dtype=bool), (0.0, 0.0, 1.0), np.ones(plan.robot.n), 0, good)
+    q, good = np.array(q, dtype=float), np.zeros(len(q), dtype=bool)
+    settle_rows(*plan.chain[:2], targets(plan.robot, T), q, plan.orders(kinds, True), good)
     return q, good
 
 
-def run_smooth(
-    plan: Any,
-    kinds: tuple,
-    q: np.ndarray,
-    T: np.ndarray,
-    fixed: np.ndarray,
-    cost: tuple[float, float, float],
-    longest: np.ndarray,
-    steps: int,
-    good: np.ndarray,
-) -> tuple[int, float, float]:
-    """Call `kernel.smooth.smooth` for a plan."""
-    targets = T if plan.robot.by_tip else T[:, 0]
-    arrays = (np.ascontiguousarray(targets), q, fixed, plan.orders(kinds, True))
-    return smooth(*plan.chain[:2], *arrays, *cost, longest, steps, good)
+def targets(robot: Any, T: np.ndarray) -> np.ndarray:
+    """Targets T (M, F, 4, 4) as the kernel reads them: those of one tip without their F."""
+    return np.ascontiguousarray(T if robot.by_tip else T[:, 0])
 
 
 # --------------------------------------------------------------------------------------------------------- between poses

@@ -46,7 +46,7 @@ def connect(robot: Joints, collision: Any, a: np.ndarray, b: np.ndarray, seed: i
 
 def _box(robot: Joints, a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Where random points are drawn: the limits, and half a turn (or half the reach) around where there are none."""
-    around = np.pi * np.where([kind == "prismatic" for kind in robot.joint_kinds], robot.reach / 6.0, 1.0)
+    around = np.pi * np.where(robot.slides, robot.reach / 6.0, 1.0)
     low = np.where(np.isfinite(robot.lower), robot.lower, np.minimum(a, b) - around)
     return low, np.where(np.isfinite(robot.upper), robot.upper, np.maximum(a, b) + around)
 

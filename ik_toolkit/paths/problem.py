@@ -5,13 +5,13 @@ from typing import Any
 import numpy as np
 
 from ..kernel.kinematics import TAU
-from ..kernel.path_track import settle
 from ..kernel.records import ANSWER, AT
 from ..solvers.batch_parts import lanes_of
 from ..solvers.plan import Plan
 from ..solvers.protocol import Asked
 from ..solvers.search_all import ONE_ATTEMPT
 from ..solvers.status import Status
+from .continuity import settle
 
 
 class Problem:
@@ -43,8 +43,7 @@ class Problem:
         self.orders = self.single.orders(kinds, True)
         self.unit = robot.chain.unit
         self.stand = (robot.home if q0 is None else q0) / self.unit
-        slides = np.array([kind == "prismatic" for kind in robot.joint_kinds])
-        self.most = np.where(slides, max_step[1], max_step[0]) / self.unit
+        self.most = np.where(robot.slides, max_step[1], max_step[0]) / self.unit
         self.endless = (np.asarray(robot.chain.turns) > 0) & np.isinf(robot.lower) & np.isinf(robot.upper)
         free = np.full(robot.n, np.inf)
         low, high = (robot.lower, robot.upper) if plan.options.limits else (-free, free)
@@ -90,7 +89,6 @@ class Problem:
         return np.clip(q, self.robot.lower, self.robot.upper) if self.plan.options.limits else q
 
     def settled(self, Q: np.ndarray, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Q (m, n), kernel units, brought onto the poses t (m,); and the errors (m, 2) left [m], [rad]."""
-        Q, errors = np.array(Q, dtype=float), np.empty((len(Q), 2))
-        settle(self.rows, self.ends, np.ascontiguousarray(self.T[t]), self.orders, self.limits, Q, errors)
-        return Q, errors
+        """Q (m, n), kernel units, brought onto the poses t (m,); and whether each is there (m,)."""
+        rows, good = settle(self.single, self.kinds, Q * self.unit, self.poses[t])
+        return rows / self.unit, good

@@ -5,7 +5,8 @@ from typing import Any
 
 import numpy as np
 
-from .continuity import run_smooth
+from ..kernel.smooth import smooth as smooth_rows
+from .continuity import targets
 
 STEPS = 40  # of Gauss-Newton; a path is usually done in ten
 ROUNDING = 0.5  # of the mean step: below it a step counts by its square, so that no joint moves by stops and starts
@@ -38,11 +39,12 @@ def smooth(
         return q
     mean = float(moves.mean())
     cost = (1.0, SMOOTHNESS / mean, ROUNDING * mean)
-    step = np.where([kind == "prismatic" for kind in robot.joint_kinds], max_step[1], max_step[0])
+    step = np.where(robot.slides, max_step[1], max_step[0])
     window = WINDOW
     for _ in range(ROUNDS):
         made, good = q.copy(), np.zeros(len(q), dtype=bool)
-        taken, _, _ = run_smooth(plan, kinds, made, T, held, cost, step, STEPS, good)
+        arrays = (targets(robot, T), made, held, plan.orders(kinds, True))
+        taken, _, _ = smooth_rows(*plan.chain[:2], *arrays, *cost, step, STEPS, good)
         if not taken or not good.all():
             return q
         worst = np.asarray(() if bad is None else bad(made), dtype=int)

@@ -112,7 +112,7 @@ class PathResult:
         return self._apart(np.nansum(moves, axis=0), np.sum)
 
     def _apart(self, values: np.ndarray, of: Any) -> tuple[float, float]:
-        slides = np.array([kind == "prismatic" for kind in self.robot.joint_kinds])
+        slides = self.robot.slides
         return float(of(values[~slides], initial=0.0)), float(of(values[slides], initial=0.0))
 
     def raise_for_status(self) -> "PathResult":

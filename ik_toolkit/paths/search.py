@@ -144,10 +144,8 @@ class Search:
 
     def solves(self, q: np.ndarray, t: int) -> bool:
         """Whether q (n,) brings the tips to pose t."""
-        moved, errors = self.problem.settled(q[None], np.array([t]))
-        o = self.problem.plan.options
-        near = np.abs(moved[0] - q).max() < SAME
-        return bool(near and errors[0, 0] <= o.position_tolerance and errors[0, 1] <= o.orientation_tolerance)
+        moved, good = self.problem.settled(q[None], np.array([t]))
+        return bool(good[0] and np.abs(moved[0] - q).max() < SAME)
 
     def fill(self) -> None:
         """Solve poses that no track passes: the ends and the middle of each gap, and of what is left, PROBES a gap."""

@@ -16,6 +16,7 @@ from ..errors import InvalidOption, MissingExtra, floats
 from ..robot.joints import Joints
 from ..solvers.plan import Plan
 from ..solvers.registry import GENERAL, find_row
+from ..tracking.inputs import positive
 from .contact import find_contacts
 from .continuity import bounds, interpolate, settle
 from .free_motion import connect
@@ -57,7 +58,7 @@ def retime(result: Any, velocity: Any, acceleration: Any, rate: float, seed: int
     """See `PathResult.retime`."""
     robot = result.robot
     limits = _limits(robot, velocity, acceleration)
-    rate = _positive(rate, "rate [1/s]")
+    rate = positive(rate, "rate [1/s]")
     result.raise_for_status()
     row = find_row(GENERAL)
     plan = Plan(robot, row, row.load()(), result.options)
@@ -97,13 +98,6 @@ def retime(result: Any, velocity: Any, acceleration: Any, rate: float, seed: int
     return Trajectory(
         robot, t, *sample(pieces, t), not missing, message, *limits, (deviation, turn), safe, pieces, result.collision
     )
-
-
-def _positive(value: Any, name: str) -> float:
-    number = floats(value, f"{name} must be a number", InvalidOption)
-    if number.shape != () or not 0.0 < number < math.inf:
-        raise InvalidOption(f"{name} must be a positive number, not {value!r:.60}")
-    return float(number)
 
 
 def _limits(robot: Joints, velocity: Any, acceleration: Any) -> tuple[np.ndarray, np.ndarray]:

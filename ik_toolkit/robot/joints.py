@@ -52,6 +52,11 @@ class Joints:
         """Longest distance [m] of a tip from its first joint: path offsets plus finite strokes (1 m where unbounded)."""
         return max(arm.chain.reach for arm in self.arms)
 
+    @property
+    def slides(self) -> np.ndarray:
+        """Which joints slide (n,)."""
+        return np.array([kind == "prismatic" for kind in self.joint_kinds], dtype=bool)
+
     def check_tips(self, names: Iterable[Any]) -> None:
         """Raise FrameNotFound for a name that is not one of the tips."""
         for tip in names:

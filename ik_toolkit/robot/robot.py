@@ -220,7 +220,7 @@ class Robot(Joints):
 
     def _compare(self) -> None:
         """Refuse a robot whose chain is not what Pinocchio computes: its answers would be wrong and nothing would say so."""
-        Q = configurations(self.chain, np.array([kind == "prismatic" for kind in self.joint_kinds]))
+        Q = configurations(self.chain, self.slides)
         poses, jacobians = zip(*(self._kinematics(q) for q in Q), strict=True)
         off = difference(self.chain, Q, np.array([T.homogeneous for T in poses]), np.array(jacobians))
         if not off <= AGREE:  # NaN is refused too

@@ -1,8 +1,8 @@
 """The process that expands xacro for `xacro.py`: macros are a programming language, so they run apart and confined.
 
-It imports nothing of the toolkit but packages.py. Job (JSON on stdin): file, arguments (name -> value), package_dirs, folders
-(files are read only from these and from packages that are found), environment (variables that ROS keeps packages in), memory
-[bytes], seconds. It prints one line of JSON: {"urdf": text} or {"error": sentence}.
+It imports nothing of the toolkit but packages.py and mesh_worker.py. Job (JSON on stdin): file, arguments (name -> value),
+package_dirs, folders (files are read only from these and from packages that are found), environment (variables that ROS keeps
+packages in), memory [bytes], seconds. It prints one line of JSON: {"urdf": text} or {"error": sentence}.
 """
 
 import contextlib
@@ -12,6 +12,7 @@ import json
 import os
 import sys
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 WRITES = os.O_WRONLY | os.O_RDWR | os.O_CREAT | os.O_TRUNC | os.O_APPEND
@@ -21,14 +22,13 @@ CALLS = (  # beginnings of audit events
 )  # fmt: skip
 
 
-def limit(what: str, value: int) -> None:
-    """Cap a resource of this process where the system can."""
-    with contextlib.suppress(ImportError, AttributeError, ValueError, OSError):
-        import resource
-
-        number = getattr(resource, f"RLIMIT_{what}")
-        hard = resource.getrlimit(number)[1]
-        resource.setrlimit(number, (value if hard < 0 else min(value, hard), hard))
+def beside(name: str) -> ModuleType:
+    """The module of this name in this folder, which is no package to a script."""
+    spec = importlib.util.spec_from_file_location(name, Path(__file__).with_name(f"{name}.py"))
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
 
 
 class NotAllowed(Exception):
@@ -68,10 +68,7 @@ def expand(job: dict) -> dict:
     import xacro.substitution_args as substitution
     import yaml  # noqa: F401 - xacro loads it late
 
-    spec = importlib.util.spec_from_file_location("packages", Path(__file__).with_name("packages.py"))
-    assert spec is not None and spec.loader is not None
-    packages = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(packages)
+    packages = beside("packages")
     walls = Walls(job["folders"])
     known: dict[str, str] = {}
 
@@ -108,6 +105,7 @@ def expand(job: dict) -> dict:
 def main() -> None:
     """Read the job from stdin, write the answer to stdout."""
     job = json.load(sys.stdin)
+    limit = beside("mesh_worker").limit
     limit("CORE", 0)
     limit("AS", job["memory"])
     limit("CPU", job["seconds"])

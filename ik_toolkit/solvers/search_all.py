@@ -156,7 +156,7 @@ def turning_joints(plan: Plan) -> tuple[np.ndarray, bool]:
     """Which joints (n,) may be moved by full turns, and whether inside limits."""
     robot = plan.robot
     if not plan.options.limits and robot.chain.plain:  # no limits, no mimic joints: every angle may be turned over
-        return np.array([kind != "prismatic" for kind in robot.joint_kinds]), False
+        return ~robot.slides, False
     return robot.chain.turns > 0, plan.options.limits
 
 

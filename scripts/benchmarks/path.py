@@ -53,10 +53,9 @@ def faults(robot: Any, T: np.ndarray, model: Any, q: np.ndarray) -> list[str]:
     errors = np.array([robot.errors(x, one) for x, one in zip(q, T, strict=True)])
     if errors[:, 0].max() > POSITION or errors[:, 1].max() > ANGLE:
         found.append(f"off by {1000 * errors[:, 0].max():.3g} mm, {np.degrees(errors[:, 1].max()):.3g} deg")
-    slides = np.array([kind == "prismatic" for kind in robot.joint_kinds])
     moves = np.abs(np.diff(q, axis=0)).max(axis=0, initial=0.0)
-    if (moves > np.where(slides, SLIDE, TURN)).any():
-        found.append(f"a step of {np.degrees(moves[~slides].max(initial=0.0)):.3g} deg")
+    if (moves > np.where(robot.slides, SLIDE, TURN)).any():
+        found.append(f"a step of {np.degrees(moves[~robot.slides].max(initial=0.0)):.3g} deg")
     if (q < robot.lower).any() or (q > robot.upper).any():
         found.append("outside the limits")
     shares = np.arange(BETWEEN + 1) / (BETWEEN + 1)

@@ -58,7 +58,7 @@ def path(robot, rng, count=4, size=0.25):
     """Random joint path (count, n) inside the limits."""
     start = robot.random_q(rng).clip(-2.0, 2.0)
     steps = rng.uniform(-size, size, (count - 1, robot.n))
-    steps[:, [kind == "prismatic" for kind in robot.joint_kinds]] *= 0.2
+    steps[:, robot.slides] *= 0.2
     return np.clip(np.vstack([start, start + np.cumsum(steps, axis=0)]), robot.lower, robot.upper)
 
 

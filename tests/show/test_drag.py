@@ -1,6 +1,5 @@
 """Targets dragged in the panel and in `ik view --follow`: the arm goes after them as far as it gets."""
 
-import contextlib
 import json
 
 import numpy as np
@@ -9,6 +8,8 @@ import pytest
 import ik_toolkit as ik
 from ik_toolkit.errors import InvalidTarget
 from ik_toolkit.show.session import Session
+
+ROBOT = "hydrolek_7w"  # of the panel, see conftest.py
 
 
 @pytest.mark.parametrize("robot", ["hydrolek_7w", "planar_2r", "inspection_7dof"])
@@ -44,25 +45,6 @@ def test_a_drag_is_told_apart_from_a_solve():
 # --------------------------------------------------------------------------------------------------------------- desk
 pytest.importorskip("viser", reason="viser is not installed (extra 'panel')")
 pytest.importorskip("trimesh", reason="trimesh is not installed (extra 'view')")
-
-
-@pytest.fixture(scope="module")
-def panel():
-    from ik_toolkit.show.panel import Panel
-
-    with contextlib.closing(Panel("hydrolek_7w")) as made:
-        yield made
-
-
-@pytest.fixture
-def desk(panel):
-    """A visitor's desk on the server itself: the same controls as a browser's, without one."""
-    from ik_toolkit.show.desk import Desk
-
-    made = Desk(panel.server, "hydrolek_7w")
-    assert made.worker.idle()
-    yield made
-    made.close()
 
 
 def test_dragging_follows(desk):

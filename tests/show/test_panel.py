@@ -17,6 +17,7 @@ import ik_toolkit as ik
 from ik_toolkit.errors import InvalidOption, InvalidTarget, RobotNotFound
 from ik_toolkit.show.session import Session
 
+ROBOT = "hydrolek_7w"  # of the panel, see conftest.py
 DATA = pytest.mark.skipif(not have_data(), reason="example-robot-data is not installed (extra 'robots')")
 
 
@@ -157,14 +158,6 @@ viser = pytest.importorskip("viser", reason="viser is not installed (extra 'pane
 pytest.importorskip("trimesh", reason="trimesh is not installed (extra 'view')")
 
 
-@pytest.fixture(scope="module")
-def panel():
-    from ik_toolkit.show.panel import Panel
-
-    with contextlib.closing(Panel("hydrolek_7w")) as made:
-        yield made
-
-
 def asked(panel, path=None, **headers):
     at = urlsplit(panel.url)
     with contextlib.closing(http.client.HTTPConnection(at.hostname, panel.port, timeout=10)) as client:
@@ -249,17 +242,6 @@ def test_other_addresses(monkeypatch, capsys):
     assert "everybody who knows the address" in said.err and "http://127.0.0.1:" in said.out
     assert main(["panel", "planar_2r", "--no-open"]) == 0
     assert "everybody" not in capsys.readouterr().err
-
-
-@pytest.fixture
-def desk(panel):
-    """A visitor's desk on the server itself: the same controls as a browser's, without one."""
-    from ik_toolkit.show.desk import Desk
-
-    made = Desk(panel.server, "hydrolek_7w")
-    assert made.worker.idle()
-    yield made
-    made.close()
 
 
 def test_moving_a_slider_moves_what_is_drawn(desk):

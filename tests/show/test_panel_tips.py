@@ -1,6 +1,5 @@
 """The panel with several tips: a target to drag for each, solved for together."""
 
-import contextlib
 import json
 
 import numpy as np
@@ -9,6 +8,7 @@ import pytest
 from ik_toolkit.errors import InvalidTarget
 from ik_toolkit.show.session import NONE, Session
 
+ROBOT = "brokk_hydrolek"  # of the panel, see conftest.py
 LEFT, RIGHT = "left_tip", "right_tip"
 
 
@@ -52,24 +52,6 @@ def test_tips_are_chosen_one_or_several():
 # --------------------------------------------------------------------------------------------------------------- desk
 pytest.importorskip("viser", reason="viser is not installed (extra 'panel')")
 pytest.importorskip("trimesh", reason="trimesh is not installed (extra 'view')")
-
-
-@pytest.fixture(scope="module")
-def panel():
-    from ik_toolkit.show.panel import Panel
-
-    with contextlib.closing(Panel("brokk_hydrolek")) as made:
-        yield made
-
-
-@pytest.fixture
-def desk(panel):
-    from ik_toolkit.show.desk import Desk
-
-    made = Desk(panel.server, "brokk_hydrolek")
-    assert made.worker.idle()
-    yield made
-    made.close()
 
 
 def test_dragging_one_target_keeps_the_others(desk):

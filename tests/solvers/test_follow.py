@@ -20,8 +20,7 @@ def turned(T, angle, axis=(0.0, 0.0, 1.0)):
 
 def size_of_moves(robot, q, q0):
     """Moves (n,) as `follow` measures them: rad, slides over the reach."""
-    slides = np.array([kind == "prismatic" for kind in robot.joint_kinds])
-    return np.abs(q - q0) / np.where(slides, robot.reach, 1.0)
+    return np.abs(q - q0) / np.where(robot.slides, robot.reach, 1.0)
 
 
 def test_a_turning_tool_never_makes_a_joint_jump():

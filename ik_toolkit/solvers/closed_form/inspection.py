@@ -236,7 +236,7 @@ class Inspection(NamedTuple):
 
     def held(self, robot: Any) -> dict[int, float]:
         """Joints (place in q) that have a given value: the lift, where it is a number [m]."""
-        place = np.flatnonzero([kind == "prismatic" for kind in robot.joint_kinds])
+        place = np.flatnonzero(robot.slides)
         return {} if self.lift in CHOICES or not len(place) else {int(place[0]): float(self.lift)}
 
     def loop(self, robot: Any) -> Callable:
