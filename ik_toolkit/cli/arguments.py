@@ -21,8 +21,8 @@ if TYPE_CHECKING:
 
 # Options that take several numbers: `--q 0.1 -0.2`, `--q 0.1,-0.2` and `--q "0.1 -0.2"` mean the same.
 VECTOR_OPTIONS = frozenset(
-    "--q --q0 --xyz --rpy --quat-xyzw --quat-wxyz --matrix --center --axis --start --end --direction --tip-axis --mask --slack "
-    "--free-turn --joint-weights --closest --target --q-end --velocity --acceleration".split()
+    "--q --q0 --xyz --rpy --quat-xyzw --quat-wxyz --matrix --base-xyz --base-rpy --center --axis --start --end "
+    "--direction --tip-axis --mask --slack --free-turn --joint-weights --closest --target --q-end --velocity --acceleration".split()
 )
 
 TIP = ("--tip", "--ee")  # two words for one option
@@ -121,6 +121,18 @@ Base = Annotated[
         metavar="FRAME", help="Base frame of targets and poses; default: the root link.", rich_help_panel="Robot"
     ),
 ]
+BaseXyz = Annotated[
+    str | None,
+    typer.Option(
+        metavar="X Y Z",
+        help="Where the robot's root stands in the world [m]; targets and poses are then given in the world.",
+        rich_help_panel="Robot",
+    ),
+]
+BaseRpy = Annotated[
+    str | None,
+    typer.Option(metavar="R P Y", help="How it stands there: roll, pitch, yaw [rad].", rich_help_panel="Robot"),
+]
 Lock = Annotated[
     list[str] | None,
     typer.Option(metavar="JOINT=VALUE", help="Hold a joint at a value; may be repeated.", rich_help_panel="Robot"),
@@ -209,25 +221,34 @@ def load_robot(
     package_dir: Sequence[str] | None = None,
     deg: bool = False,
     xacro_arg: Sequence[str] | None = None,
+    base_xyz: str | None = None,
+    base_rpy: str | None = None,
 ) -> Any:
     """Load the Robot (for a list of tips: the Tree) that the shared options describe.
 
-    Values of --lock are degrees for turning joints when `deg`.
+    Values of --lock are degrees for turning joints when `deg`, and so is --base-rpy.
     """
     from ..robot.library import find
     from ..robot.robot import Robot
     from ..robot.tree import Tree
 
-    xacro_args = assignments(xacro_arg, "--xacro-arg", ":=") or None
+    options: dict[str, Any] = {"base": base, "package_dirs": package_dir or ()}
+    options["xacro_args"] = assignments(xacro_arg, "--xacro-arg", ":=") or None
+    if base_xyz is not None or base_rpy is not None:
+        from ..robot.pose import pose
+
+        angles = vector(base_rpy or "0 0 0", "--base-rpy", 3)
+        place = vector(base_xyz or "0 0 0", "--base-xyz", 3)
+        options["on_base"] = pose(place, rpy=[math.radians(x) for x in angles] if deg else angles)
     tips = find(source).tips
     if tip is None and len(tips) > 1:
         raise FrameNotFound(f"robot '{source}' has {len(tips)} tips; choose one with --tip: {', '.join(tips)}")
     robot: Robot | Tree
     if isinstance(tip, list):
-        robot = Tree.load(source, tips=tip, base=base, package_dirs=package_dir or (), xacro_args=xacro_args)
+        robot = Tree.load(source, tips=tip, **options)
     else:
         try:
-            robot = Robot.load(source, tip=tip, base=base, package_dirs=package_dir or (), xacro_args=xacro_args)
+            robot = Robot.load(source, tip=tip, **options)
         except FrameNotFound as several:
             if not several.tips:
                 raise

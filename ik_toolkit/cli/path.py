@@ -14,6 +14,8 @@ from . import solve_options as asked
 from .arguments import (
     PLOTS,
     Base,
+    BaseRpy,
+    BaseXyz,
     Deg,
     Json,
     Lock,
@@ -116,6 +118,8 @@ def path(
     rate: Rate = 100.0,
     tip: Tips = None,
     base: Base = None,
+    base_xyz: BaseXyz = None,
+    base_rpy: BaseRpy = None,
     lock: Lock = None,
     package_dir: PackageDir = None,
     xacro_arg: XacroArg = None,
@@ -139,7 +143,8 @@ def path(
     from ..paths.solve_path import PathInterrupted, solve_path
     from ..robot.pose_files import read_poses
 
-    arm = load_robot(robot, by_tip.choose_tips(robot, tip, None, None, False), base, lock, package_dir, deg, xacro_arg)
+    tips = by_tip.choose_tips(robot, tip, None, None, False)
+    arm = load_robot(robot, tips, base, lock, package_dir, deg, xacro_arg, base_xyz, base_rpy)
     _, blocks = read_poses(poses, "poses", deg=deg, tips=arm.tips if arm.by_tip else ())
     targets = _joined([block.poses for block in blocks], poses.name)
     options = _options(line, arm)

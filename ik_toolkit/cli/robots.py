@@ -6,7 +6,22 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ..errors import FrameNotFound
-from .arguments import Base, Deg, Json, Lock, PackageDir, RobotArg, Tip, XacroArg, joint_vector, load_robot, slides
+from .arguments import (
+    Base,
+    BaseRpy,
+    BaseXyz,
+    Deg,
+    Json,
+    Lock,
+    PackageDir,
+    RobotArg,
+    Tip,
+    XacroArg,
+    assignments,
+    joint_vector,
+    load_robot,
+    slides,
+)
 from .output import facts, fixed, heading, notice, number, show, table, turns, unit, write_json
 
 if TYPE_CHECKING:
@@ -75,6 +90,8 @@ def info(
     robot: RobotArg,
     tip: Tip = None,
     base: Base = None,
+    base_xyz: BaseXyz = None,
+    base_rpy: BaseRpy = None,
     lock: Lock = None,
     package_dir: PackageDir = None,
     xacro_arg: XacroArg = None,
@@ -89,20 +106,20 @@ def info(
     from ..robot.tips import tip_candidates
     from ..solvers.closed_form import describe as closed_form
 
+    def load(name: str | None) -> Any:
+        return load_robot(robot, name, base, lock, package_dir, deg, xacro_arg, base_xyz, base_rpy)
+
     entry = find(robot)
     if list_tips:
-        ends = tip_candidates(read(robot, package_dir or ())[1]["model"])
-        _show_tips(entry, [load_robot(robot, name, base, lock, package_dir, deg, xacro_arg) for name in ends], as_json)
+        ends = tip_candidates(read(robot, package_dir or (), assignments(xacro_arg, "--xacro-arg", ":="))[1]["model"])
+        _show_tips(entry, [load(name) for name in ends], as_json)
         return
-    tips = [tip] if tip or len(entry.tips) < 2 else entry.tips
     try:
-        arms = [load_robot(robot, name, base, lock, package_dir, deg, xacro_arg) for name in tips]
+        arms = [load(name) for name in ([tip] if tip or len(entry.tips) < 2 else entry.tips)]
     except FrameNotFound as several:
         if not several.tips:
             raise
-        _show_tips(
-            entry, [load_robot(robot, name, base, lock, package_dir, deg, xacro_arg) for name in several.tips], as_json
-        )
+        _show_tips(entry, [load(name) for name in several.tips], as_json)
         return
     dh = read_dh_table(entry.dh_file) if entry.dh_file else None
     rows = [{**describe(arm), "package_dirs": arm.package_dirs} for arm in arms]
@@ -210,6 +227,8 @@ def fk(
     q: Q = None,
     tip: Tip = None,
     base: Base = None,
+    base_xyz: BaseXyz = None,
+    base_rpy: BaseRpy = None,
     lock: Lock = None,
     package_dir: PackageDir = None,
     xacro_arg: XacroArg = None,
@@ -219,7 +238,7 @@ def fk(
     """Show where the tip stands for given joint values (pose in the robot's base frame)."""
     from ..robot.pose import matrix_quat, matrix_rpy
 
-    arm = load_robot(robot, tip, base, lock, package_dir, deg, xacro_arg)
+    arm = load_robot(robot, tip, base, lock, package_dir, deg, xacro_arg, base_xyz, base_rpy)
     values = arm.home if q is None else joint_vector(arm, q, "--q", deg)
     outside = arm.outside(values)
     if outside:

@@ -9,7 +9,7 @@ import typer
 
 from . import first_use
 from . import solve_options as asked
-from .arguments import Base, Deg, Json, Lock, Out, PackageDir, RobotArg, Tips, XacroArg, load_robot
+from .arguments import Base, BaseRpy, BaseXyz, Deg, Json, Lock, Out, PackageDir, RobotArg, Tips, XacroArg, load_robot
 from .by_tip import choose_tips, in_base
 from .output import facts, notice, number, show, table, unit, write_json
 from .pictures import Chart, Html, Live, draw
@@ -65,6 +65,8 @@ def solve(
     cluster: asked.Cluster = None,
     tip: Tips = None,
     base: Base = None,
+    base_xyz: BaseXyz = None,
+    base_rpy: BaseRpy = None,
     lock: Lock = None,
     package_dir: PackageDir = None,
     xacro_arg: XacroArg = None,
@@ -91,7 +93,7 @@ def solve(
     target = asked.read_target(line)
     method = asked.choose_solver(solver, param, preset)
     tips = choose_tips(robot, tip, target if targets else None, relative, asked.is_posed(line))
-    arm = load_robot(robot, tips, base, lock, package_dir, deg, xacro_arg)
+    arm = load_robot(robot, tips, base, lock, package_dir, deg, xacro_arg, base_xyz, base_rpy)
     options = asked.read_options(line, arm)
     start = options.pop("q0")
     if file is not None:

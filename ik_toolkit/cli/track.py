@@ -13,6 +13,8 @@ from . import solve_options as shared
 from .arguments import (
     PLOTS,
     Base,
+    BaseRpy,
+    BaseXyz,
     Deg,
     Json,
     Lock,
@@ -183,6 +185,8 @@ def track(
     settle: Settle = None,
     tip: Tips = None,
     base: Base = None,
+    base_xyz: BaseXyz = None,
+    base_rpy: BaseRpy = None,
     lock: Lock = None,
     package_dir: PackageDir = None,
     xacro_arg: XacroArg = None,
@@ -206,7 +210,8 @@ def track(
     if not (rate > 0.0 and rate < float("inf")):
         raise InvalidOption(f"--rate must be positive, not {rate}")
     counts = shared.read_counting(line)
-    arm = load_robot(robot, choose_tips(robot, tip, None, relative, False), base, lock, package_dir, deg, xacro_arg)
+    tips = choose_tips(robot, tip, None, relative, False)
+    arm = load_robot(robot, tips, base, lock, package_dir, deg, xacro_arg, base_xyz, base_rpy)
     first = None if q0 is None else joint_vector(arm, q0, "--q0", deg)
     asked = asked_path(arm, line, first, counts)
     result = _run(arm, line, asked, counts)

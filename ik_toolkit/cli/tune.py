@@ -11,6 +11,8 @@ from ..errors import InvalidOption
 from .arguments import (
     PLOTS,
     Base,
+    BaseRpy,
+    BaseXyz,
     Deg,
     Json,
     Lock,
@@ -84,6 +86,8 @@ def tune(
     how: How = "joints",
     tip: Tips = None,
     base: Base = None,
+    base_xyz: BaseXyz = None,
+    base_rpy: BaseRpy = None,
     lock: Lock = None,
     package_dir: PackageDir = None,
     xacro_arg: XacroArg = None,
@@ -97,7 +101,7 @@ def tune(
 
     The result is a preset for ik solve --preset FILE. Ctrl-C keeps the best so far as FILE.partial; --resume goes on from there.
     """
-    arm = load_robot(robot, one_or_several(tip), base, lock, package_dir, deg, xacro_arg)
+    arm = load_robot(robot, one_or_several(tip), base, lock, package_dir, deg, xacro_arg, base_xyz, base_rpy)
 
     from ..solvers.presets import from_preset
     from ..solvers.registry import find_row

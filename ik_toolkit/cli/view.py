@@ -8,7 +8,7 @@ import typer
 
 from ..errors import InvalidOption
 from . import by_tip
-from .arguments import Base, Deg, Lock, PackageDir, RobotArg, Tips, XacroArg, joint_vector, load_robot
+from .arguments import Base, BaseRpy, BaseXyz, Deg, Lock, PackageDir, RobotArg, Tips, XacroArg, joint_vector, load_robot
 from .output import notice
 from .pictures import Html, present, wait
 from .solve_options import Matrix, Relative, Targets, is_posed, make_target
@@ -61,6 +61,8 @@ def view(
     browse: Open = True,
     tip: Tips = None,
     base: Base = None,
+    base_xyz: BaseXyz = None,
+    base_rpy: BaseRpy = None,
     lock: Lock = None,
     package_dir: PackageDir = None,
     xacro_arg: XacroArg = None,
@@ -98,7 +100,7 @@ def view(
     if solving:
         target = by_tip.targets(targets, deg) if targets else make_target(line)
     tips = by_tip.choose_tips(robot, tip, target if targets else None, relative, is_posed(line))
-    arm = load_robot(robot, tips, base, lock, package_dir, deg, xacro_arg)
+    arm = load_robot(robot, tips, base, lock, package_dir, deg, xacro_arg, base_xyz, base_rpy)
     what, solved = arm.home, True
     if motion is not None:
         from ..show.motions import from_file

@@ -11,6 +11,8 @@ from ..errors import InvalidOption
 from .arguments import (
     PLOTS,
     Base,
+    BaseRpy,
+    BaseXyz,
     Deg,
     Json,
     Lock,
@@ -82,6 +84,8 @@ def workspace(
     restarts: Restarts = None,
     tip: Tips = None,
     base: Base = None,
+    base_xyz: BaseXyz = None,
+    base_rpy: BaseRpy = None,
     lock: Lock = None,
     package_dir: PackageDir = None,
     xacro_arg: XacroArg = None,
@@ -103,7 +107,7 @@ def workspace(
         raise InvalidOption(f"--targets must be at least 1, not {targets}")
     if workers is not None and workers < 1:
         raise InvalidOption(f"--workers must be at least 1, not {workers}")
-    arm = load_robot(robot, one_or_several(tip), base, lock, package_dir, deg, xacro_arg)
+    arm = load_robot(robot, one_or_several(tip), base, lock, package_dir, deg, xacro_arg, base_xyz, base_rpy)
 
     from ..study.workspace import WorkspaceInterrupted
     from ..study.workspace import workspace as study

@@ -10,6 +10,7 @@ import pinocchio as pin
 
 from ..errors import FEW_TURNS, FrameNotFound, InvalidConfiguration, InvalidOption, doubt_angle, floats, near_match
 from ..kernel.records import POINTS
+from .base import Given
 from .probe import Path
 
 
@@ -37,6 +38,7 @@ class Joints:
     memo: dict[Any, Any]
     by_tip = False  # whether targets come by tip, as a tree's do, also when it has one
     _path: Path
+    _given: Given | None
 
     def _route(self) -> str:
         """Where the joints lead, for people."""
@@ -117,11 +119,23 @@ class Joints:
         return (low + span * rng.random(self.n if count is None else (count, self.n))).clip(self.lower, self.upper)
 
     def to_pinocchio(self, q: Any, rest: np.ndarray | None = None) -> np.ndarray:
-        """Full configuration (nq,) of the model for q (n,); joints off the path keep `rest` (default: the robot's)."""
-        full = floats(self.rest if rest is None else rest, "rest must be numbers", InvalidConfiguration)
-        if full.shape != (self.model.nq,):
-            raise InvalidConfiguration(f"rest must have {self.model.nq} values for this model, not shape {full.shape}")
-        return self._fill(full, self.check_q(q))
+        """Full configuration (nq,) of the model for q (n,); joints off the path keep `rest` (default: the robot's).
+
+        Of a model that was given with a free-flyer, a ball or a plane it is that model's own form, with quaternions.
+        """
+        given = self._given
+        full = self.rest.copy() if rest is None else self._full(rest, "rest")
+        full = self._fill(full, self.check_q(q))
+        return full if given is None else given.form(self.model, full)
+
+    def _full(self, values: Any, what: str) -> np.ndarray:
+        """Configuration of `model` for one in the form of the model that was given. Raises InvalidConfiguration."""
+        given = self._given
+        full = floats(values, f"{what} must be numbers", InvalidConfiguration)
+        nq = self.model.nq if given is None else given.model.nq
+        if full.shape != (nq,):
+            raise InvalidConfiguration(f"{what} must have {nq} values for this model, not shape {full.shape}")
+        return full if given is None else given.back(self.model, full)
 
     @functools.cached_property
     def _circles(self) -> np.ndarray:
@@ -138,11 +152,7 @@ class Joints:
 
     def from_pinocchio(self, q_full: np.ndarray) -> np.ndarray:
         """Return q (n,) of a full configuration (nq,); continuous joints come back as angles in -pi..pi."""
-        full = floats(q_full, "a full configuration must be numbers", InvalidConfiguration)
-        if full.shape != (self.model.nq,):
-            raise InvalidConfiguration(
-                f"a full configuration of this model has {self.model.nq} values, not shape {full.shape}"
-            )
+        full = self._full(q_full, "a full configuration")
         idx, circle = self._path.idx_q, self._path.circle
         q = full[idx].copy()
         q[circle] = np.arctan2(full[idx[circle] + 1], full[idx[circle]])

@@ -1,15 +1,21 @@
 """Whatever a person names as a robot -> its URDF text and Pinocchio model."""
 
+import logging
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
+import pinocchio as pin
+
 from ..errors import InvalidOption, ModelError
+from .base import carried
 from .build import build_model
 from .check import require_loadable
 from .library import RobotEntry, find
 from .read import HasMacros, safe_read
 from .xacro import expand
+
+LOG = logging.getLogger("ik_toolkit")
 
 
 def read(
@@ -33,6 +39,16 @@ def read(
         raise ModelError(f"Pinocchio cannot read {entry.name}: {str(error).strip().splitlines()[0]}") from None
     name = entry.name if entry.path else model.name
     return entry, {"model": model, "name": name, "urdf": text, "path": entry.path, "package_dirs": folders}
+
+
+def default_base(entry: RobotEntry, model: pin.Model, base: str | None, on_base: Any, base_limits: Any) -> str | None:
+    """Base frame to take: the one given, what is known, or the link that a free-flyer carries which nobody gave limits."""
+    if base is not None or on_base is not None:
+        return base
+    link = carried(model) if base_limits is None else None
+    if link is not None:
+        LOG.warning("%s: the joint that moves '%s' freely is held still; base_limits= lets it move", entry.name, link)
+    return entry.base or link
 
 
 def folders_of(given: Iterable[str | Path]) -> list[Path]:

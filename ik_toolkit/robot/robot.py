@@ -25,9 +25,10 @@ from ..errors import (
 )
 from ..kernel.chain import Chain, evaluate
 from ..kernel.records import POINTS
+from .base import settle
 from .build import build_model
 from .joints import Joints
-from .load import folders_of, read
+from .load import default_base, folders_of, read
 from .mimic import followers, mimic_limits
 from .pose import check_target
 from .probe import AGREE, NO_LIMIT, configurations, difference, find_path, limits, probe
@@ -49,7 +50,7 @@ class Robot(Joints):
     joint of the path base -> tip; joint_kinds (n,) 'revolute', 'continuous' or 'prismatic'; lower, upper, home (n,) [rad or
     m], infinite limits for continuous joints; velocity_limits (n,) [rad/s or m/s]; chain (kernel arrays); rest (nq,) values
     of the joints off the path; locked_joints (name -> value held); tool (pin.SE3, T_tip_tool); urdf (text or None), path (file
-    or None), package_dirs; tips, arms, places and reach, as a Tree has them; memo (see Joints).
+    or None), package_dirs; on_base, base_limits; tips, arms, places and reach, as a Tree has them; memo (see Joints).
     """
 
     def __init__(
@@ -65,27 +66,35 @@ class Robot(Joints):
         urdf: str | None = None,
         path: Path | None = None,
         package_dirs: Iterable[str | Path] = (),
+        on_base: Any = None,
+        base_limits: Any = None,
     ) -> None:
         """Wrap an existing model.
 
         tip (or ee_link, another word for it), base: frame names (base default: the root; tip may be omitted when only one
         candidate exists). home (n,): a good non-singular start; default mid-range. locked: joint name -> value [rad or m], held
-        constant and left out of q. Raises FrameNotFound, JointNotFound, ModelError, InvalidConfiguration.
+        constant and left out of q. on_base, base_limits: see `load`; a free-flyer of the model is solved for as a floating base
+        is, and needs base_limits. Raises FrameNotFound, JointNotFound, ModelError, InvalidConfiguration, InvalidOption.
         """
         tip = _one_tip(tip, ee_link)
         if not isinstance(model, pin.Model):
             raise ModelError(
                 f"a pin.Model is expected, not {type(model).__name__}; Robot.load reads names, paths and URDF text"
             )
-        self.model = model
+        if on_base is not None and base is not None:
+            raise InvalidOption(
+                "on_base says where the robot stands in the world, and poses are given there; leave out base"
+            )
+        self.on_base, self.base_limits = on_base, base_limits
+        self._settle(model)
         self.name = name or model.name
         self.urdf = urdf
         self.path = path
         self.package_dirs = tuple(folders_of(package_dirs))
-        self.base = self._frame(base) if base is not None else _root(model)
-        self.tip = self._frame(tip) if tip is not None else only_tip(model, self.name)
+        self.base = self._frame(base) if base is not None else "universe" if on_base is not None else _root(self.model)
+        self.tip = self._frame(tip) if tip is not None else only_tip(self.model, self.name)
         self.tool = pin.SE3.Identity()
-        self.rest = pin.neutral(model)
+        self.rest = pin.neutral(self.model)
         self.locked_joints: dict[str, float] = {}
         for joint, value in (locked or {}).items():
             self._set_rest(joint, value)
@@ -102,12 +111,18 @@ class Robot(Joints):
         package_dirs: Iterable[str | Path] = (),
         locked: Mapping[str, float] | None = None,
         xacro_args: Mapping[str, Any] | None = None,
+        on_base: Any = None,
+        base_limits: Any = None,
     ) -> "Robot":
         """Load a robot by shipped name, path of a URDF or xacro file, URDF text, or example-robot-data name.
 
         tip, or ee_link: one frame, link or joint (default: guessed by its name, and said); for several see `Tree.load`.
-        xacro_args: values of a xacro file's arguments by name. Meshes are never read. Raises RobotNotFound, ModelError (broken or
-        hostile file, in one sentence), FrameNotFound (lists the frames), JointNotFound, InvalidOption, MissingExtra (xacro).
+        xacro_args: values of a xacro file's arguments by name. on_base: a pose (4, 4) of the robot's root in the world, in which
+        poses are then given; 'planar' puts base_x, base_y, base_yaw before q, 'floating' base_x, base_y, base_z, base_yaw,
+        base_pitch, base_roll (Rz Ry Rx). base_limits: (lower, upper) [m] of the slides among them, one pair or one each, or a
+        dict by name; turns are endless but for the pitch (85 degrees either way) where it has none. Meshes are never read. Raises
+        RobotNotFound, ModelError (broken or hostile file, in one sentence), FrameNotFound (lists the frames), JointNotFound,
+        InvalidOption, MissingExtra (xacro).
         """
         tip = _one_tip(tip, ee_link)
         entry, made = read(source, package_dirs, xacro_args)
@@ -120,8 +135,10 @@ class Robot(Joints):
         robot = cls(
             **made,
             tip=tip if tip is not None else entry.tip,
-            base=base if base is not None else entry.base,
+            base=default_base(entry, made["model"], base, on_base, base_limits),
             home=entry.home if known else None,
+            on_base=on_base,
+            base_limits=base_limits,
         )
         return robot.locked(locked) if locked else robot
 
@@ -171,6 +188,14 @@ class Robot(Joints):
         self.rest[j.idx_q : j.idx_q + j.nq] = (np.cos(value), np.sin(value)) if j.nq == 2 else value
         self.locked_joints[joint] = value
 
+    def _settle(self, model: pin.Model) -> None:
+        """Take a model, put on its base."""
+        self.model, self._given, self._of_base, self._slides = settle(model, self.on_base, self.base_limits)
+
+    def _endless(self, joint: str) -> bool:
+        """Whether a joint has no limits."""
+        return self.model.upperPositionLimit[self.model.joints[self.model.getJointId(joint)].idx_q] > NO_LIMIT
+
     def _build(self, home: Sequence[float] | np.ndarray | None) -> None:
         self.memo: dict[Any, Any] = {}
         model = self.model
@@ -195,7 +220,11 @@ class Robot(Joints):
         self.lower, self.upper = lower, upper
         speeds = np.asarray(model.upperVelocityLimit)[[model.joints[j].idx_v for j in path.leaders]]
         self.velocity_limits = np.where(speeds > NO_LIMIT, np.inf, speeds)
-        bounded = np.isfinite(lower) & np.isfinite(upper)
+        free = [joint for joint in self._slides if joint in self.joint_names and self._endless(joint)]
+        if free:
+            raise InvalidOption(f"base_limits= is needed: the lower and upper limits [m] of {', '.join(free)}")
+        based = np.array([joint in self._of_base for joint in self.joint_names])
+        bounded = np.isfinite(lower) & np.isfinite(upper) & ~based
         middle = np.clip(0.0, lower, upper)
         middle[bounded] = lower[bounded] + 0.5 * (upper - lower)[bounded]
         self.home = middle
@@ -212,7 +241,9 @@ class Robot(Joints):
         )
         self._local = threading.local()
         self._compare()
-        self.home = self.check_home(home) if home is not None else self._good_start(middle)
+        if home is not None and len(home) == self.n - based.sum():  # a robot's own, put on a base
+            home = np.concatenate([middle[based], home])
+        self.home = self.check_home(home) if home is not None else self._good_start(middle, ~based)
         start = POINTS + 6 * self.n
         self.chain.ends[start : start + self.n] = self.home / self.chain.unit
         for array in (self.lower, self.upper, self.home, self.velocity_limits, self.rest):
@@ -229,10 +260,10 @@ class Robot(Joints):
                 f"Pinocchio's by {off:.2g}, so answers would be wrong; please report this with its URDF"
             )
 
-    def _good_start(self, middle: np.ndarray) -> np.ndarray:
-        """Mid-range, moved off a singular pose by the first of a fixed sequence of offsets that is well conditioned."""
+    def _good_start(self, middle: np.ndarray, moves: np.ndarray) -> np.ndarray:
+        """Mid-range, moved (some joints) off a singular pose by the first of fixed offsets that is well conditioned."""
         span = np.where(np.isfinite(self.upper - self.lower), self.upper - self.lower, 2.0)
-        offsets = np.random.default_rng(0).uniform(-0.25, 0.25, (64, self.n)) * np.minimum(span, 2.0)
+        offsets = np.random.default_rng(0).uniform(-0.25, 0.25, (64, self.n)) * np.minimum(span, 2.0) * moves
         tries = np.clip(np.vstack([np.zeros(self.n), offsets]) + middle, self.lower, self.upper)
         chain = self.chain
         J = evaluate(chain.rows, chain.ends, tries, chain.unit, jacobian=True)[1] * chain.unit
@@ -326,7 +357,7 @@ class Robot(Joints):
         """Leave out what belongs to a thread; the model travels as its URDF (pickled mimic joints crash Pinocchio 4.1)."""
         state = {key: value for key, value in self.__dict__.items() if key not in CACHES}
         if self.urdf is not None:
-            state["model"] = None
+            state["model"] = state["_given"] = None
         elif len(self.model.mimicking_joints):
             raise ModelError(
                 f"robot '{self.name}' has mimic joints and was not made from a URDF, so it cannot be pickled"
@@ -337,7 +368,7 @@ class Robot(Joints):
         """Restore, with fresh thread-local workspace."""
         self.__dict__.update(state)
         if self.model is None and self.urdf is not None:
-            self.model = build_model(self.urdf)
+            self._settle(build_model(self.urdf))
         self._local, self.memo = threading.local(), {}
 
     def __repr__(self) -> str:

@@ -10,7 +10,7 @@ import pinocchio as pin
 from ..errors import FrameNotFound, InvalidOption, ModelError
 from ..kernel.tree_chain import TreeChain, pack_tree
 from .joints import Joints
-from .load import read
+from .load import default_base, read
 from .probe import Path as JointPath
 from .robot import Robot
 from .tips import tip_candidates
@@ -51,6 +51,7 @@ class Tree(Joints):
                     f"'{arm.tip}' and '{first.tip}' must be tips of one model with the same base and the same resting joints"
                 )
         self.name, self.model, self.base, self.rest = first.name, first.model, first.base, first.rest
+        self._given, self.on_base, self.base_limits = first._given, first.on_base, first.base_limits
         self.urdf, self.path, self.package_dirs = first.urdf, first.path, first.package_dirs
         self.joint_names = names = union(arms)
         self.locked_joints = {joint: x for arm in arms for joint, x in arm.locked_joints.items()}
@@ -93,11 +94,14 @@ class Tree(Joints):
         package_dirs: Iterable[str | Path] = (),
         locked: Mapping[str, float] | None = None,
         xacro_args: Mapping[str, Any] | None = None,
+        on_base: Any = None,
+        base_limits: Any = None,
     ) -> "Tree":
         """Load several tips of a robot by shipped name, path of a URDF or xacro file, URDF text, or example-robot-data name.
 
         tips: frame names; default those that a known name stands for (see `ik robots`), where it has several. A known home is
-        used joint by joint. Raises what Robot.load does; FrameNotFound without tips lists the ends of the paths.
+        used joint by joint. on_base, base_limits: see Robot.load; the base is shared. Raises what Robot.load
+        does; FrameNotFound without tips lists the ends of the paths.
         """
         entry, made = read(source, package_dirs, xacro_args)
         if tips is None:
@@ -115,15 +119,16 @@ class Tree(Joints):
             )
         if not tips:
             raise FrameNotFound("tips=[] names no tip; give at least one")
-        base = entry.base if base is None else base
-        arms = [Robot(**made, tip=tip, base=base) for tip in tips]
+        known = base in (None, entry.base)
+        made["base"] = default_base(entry, made["model"], base, on_base, base_limits)
+        made |= {"on_base": on_base, "base_limits": base_limits}
+        arms = [Robot(**made, tip=tip) for tip in tips]
         tree = cls(arms)
-        if entry.home is not None and base == entry.base:
-            known_arms = (
-                arms if tuple(tips) == entry.tips else [Robot(**made, tip=tip, base=base) for tip in entry.tips]
-            )
+        if entry.home is not None and known:
+            known_arms = arms if tuple(tips) == entry.tips else [Robot(**made, tip=tip) for tip in entry.tips]
             home = dict(zip(tree.joint_names, tree.home.tolist(), strict=True))
-            home.update(zip(union(known_arms), entry.home, strict=True))
+            own = [joint for joint in union(known_arms) if joint not in arms[0]._of_base]
+            home.update(zip(own, entry.home, strict=True))
             tree = cls(arms, [home[joint] for joint in tree.joint_names])
         return tree.locked(locked) if locked else tree
 

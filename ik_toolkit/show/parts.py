@@ -71,7 +71,7 @@ class Body:
 
     def placements(self, q: Any) -> np.ndarray:
         """Poses (P, 4, 4) [m] of the parts in the world for joint values q (n,)."""
-        pin.forwardKinematics(self.model, self.data, self.robot.to_pinocchio(q))
+        pin.forwardKinematics(self.model, self.data, self.robot._fill(self.robot.rest.copy(), q))
         pin.updateGeometryPlacements(self.model, self.data, self.geometry, self.geometry_data)
         return np.array([M.homogeneous for M in self.geometry_data.oMg])
 

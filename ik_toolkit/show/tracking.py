@@ -15,7 +15,7 @@ from .plots import FLOOR, drawing, plain, save
 def skeleton(robot: Any, q: np.ndarray) -> np.ndarray:
     """Points (k, 3) [m] of base, joints and tip at q, base frame: the arm as a polyline."""
     data = robot.model.createData()
-    pin.forwardKinematics(robot.model, data, robot.to_pinocchio(q))
+    pin.forwardKinematics(robot.model, data, robot._fill(robot.rest.copy(), q))
     pin.updateFramePlacements(robot.model, data)
     frames = {f.name: i for i, f in enumerate(robot.model.frames) if f.type != pin.FrameType.JOINT}
     base = data.oMf[frames[robot.base]].inverse()

@@ -1,0 +1,299 @@
+"""What a robot stands on, and joints of several freedoms: both become ordinary joints of one coordinate each.
+
+A floating base is three slides and three turns, Rz(yaw) Ry(pitch) Rx(roll), so that limits, solvers, batches, paths and tracking
+need to know nothing of it. Where a model had a free-flyer or a ball, `Given` takes configurations to its own form and back.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import pinocchio as pin
+
+from ..errors import InvalidOption, ModelError, floats, near_match
+from .pose import check_target, matrix_quat, matrix_rpy, quat_matrix, rpy_matrix
+
+PITCH = math.radians(85.0)  # of a floating base, either way: at 90 degrees yaw and roll turn about one axis
+BALL_PITCH = math.pi / 2  # of a ball: every rotation can be reached
+ENDLESS = 1e16  # a limit that is none (see NO_LIMIT in probe.py)
+AXES = {
+    "x": pin.JointModelPX, "y": pin.JointModelPY, "z": pin.JointModelPZ,
+    "yaw": pin.JointModelRZ, "pitch": pin.JointModelRY, "roll": pin.JointModelRX,
+}  # fmt: skip
+SLIDES, TURNS = ("x", "y", "z"), ("yaw", "pitch", "roll")
+BASES = {"planar": ("x", "y", "yaw"), "floating": (*SLIDES, *TURNS)}
+PARTS = {  # Pinocchio's joints of several freedoms -> the coordinates that stand for them
+    "JointModelFreeFlyer": BASES["floating"],
+    "JointModelPlanar": BASES["planar"],
+    "JointModelTranslation": SLIDES,
+    "JointModelSpherical": TURNS,
+    "JointModelSphericalZYX": TURNS,
+}
+ROAMS = ("JointModelFreeFlyer", "JointModelPlanar")
+ROOT = "base"  # what coordinates of the base are called: base_x, ..., base_roll
+
+
+class Block(NamedTuple):
+    """A joint of several freedoms in the model that was given: its kind, place there, and the joints that stand for it."""
+
+    kind: str
+    idx_q: int
+    names: tuple[str, ...]
+
+
+class Given(NamedTuple):
+    """A model as it was given, and its blocks."""
+
+    model: pin.Model
+    blocks: tuple[Block, ...]
+
+    def form(self, model: pin.Model, full: np.ndarray) -> np.ndarray:
+        """Configuration of the given model for one of `model`, which has an ordinary joint for each coordinate."""
+        q = pin.neutral(self.model)
+        for own, other, size in self._same(model):
+            q[own : own + size] = full[other : other + size]
+        for block in self.blocks:
+            x = np.array([full[model.joints[model.getJointId(name)].idx_q] for name in block.names])
+            q[block.idx_q : block.idx_q + _size(block)] = _packed(block.kind, x)
+        return q
+
+    def back(self, model: pin.Model, q: np.ndarray) -> np.ndarray:
+        """Configuration of `model` for one of the given model."""
+        full = pin.neutral(model)
+        for own, other, size in self._same(model):
+            full[other : other + size] = q[own : own + size]
+        for block in self.blocks:
+            values = _unpacked(block.kind, q[block.idx_q : block.idx_q + _size(block)])
+            for name, x in zip(block.names, values, strict=True):
+                full[model.joints[model.getJointId(name)].idx_q] = x
+        return full
+
+    def _same(self, model: pin.Model) -> list[tuple[int, int, int]]:
+        """Places in the given model and in `model` of the joints that both have, and how many numbers each has."""
+        pairs = [
+            (self.model.joints[j], model.joints[model.getJointId(name)])
+            for j, name in enumerate(self.model.names)
+            if j and self.model.joints[j].nq in (1, 2) and model.existJointName(name)
+        ]
+        return [(own.idx_q, other.idx_q, own.nq) for own, other in pairs]
+
+
+def _size(block: Block) -> int:
+    return {"JointModelFreeFlyer": 7, "JointModelPlanar": 4, "JointModelSpherical": 4}.get(block.kind, 3)
+
+
+def _packed(kind: str, x: np.ndarray) -> np.ndarray:
+    """Pinocchio's numbers of a joint for its coordinates."""
+    if kind == "JointModelPlanar":
+        return np.array([x[0], x[1], math.cos(x[2]), math.sin(x[2])])
+    if kind in ("JointModelFreeFlyer", "JointModelSpherical"):
+        return np.concatenate([x[:-3], matrix_quat(rpy_matrix(x[:-4:-1]))])
+    return x
+
+
+def _unpacked(kind: str, q: np.ndarray) -> np.ndarray:
+    """Coordinates of a joint for Pinocchio's numbers."""
+    if kind == "JointModelPlanar":
+        return np.array([q[0], q[1], math.atan2(q[3], q[2])])
+    if kind in ("JointModelFreeFlyer", "JointModelSpherical"):
+        return np.concatenate([q[:-4], matrix_rpy(quat_matrix(q[-4:]))[::-1]])
+    return q
+
+
+# ------------------------------------------------------------------------------------------------------------- models
+def _add(model: pin.Model, parent: int, prefix: str, part: str, placement: pin.SE3, pitch: float) -> int:
+    """Append a joint PREFIX_PART of one coordinate; its place."""
+    name = f"{prefix}_{part}"
+    if model.existJointName(name):
+        raise ModelError(
+            f"the robot has a joint '{name}' of its own, the name that a coordinate of its base would have"
+        )
+    far = np.array([pitch if part == "pitch" else ENDLESS])
+    none = np.array([ENDLESS])
+    joint = model.addJoint(parent, AXES[part](), placement, name, none, none, -far, far)
+    model.addJointFrame(joint)
+    return joint
+
+
+def _several(model: pin.Model) -> list[int]:
+    return [j for j in range(1, model.njoints) if model.joints[j].shortname() in PARTS]
+
+
+def root_joint(model: pin.Model) -> int:
+    """The free-flyer or plane that carries the whole model, or 0."""
+    first = [j for j in range(1, model.njoints) if model.parents[j] == 0]
+    return first[0] if len(first) == 1 and model.joints[first[0]].shortname() in ROAMS else 0
+
+
+def carried(model: pin.Model) -> str | None:
+    """Name of the link that a free-flyer or a plane at the root carries, if there is one."""
+    root = root_joint(model)
+    links = (frame.name for frame in model.frames if frame.type == pin.FrameType.BODY and frame.parentJoint == root)
+    return next(links, None) if root else None
+
+
+def unfold(model: pin.Model) -> tuple[pin.Model, Given | None]:
+    """The model with a joint for each coordinate of its free-flyers, balls and planes, and how to get back; None: it has none.
+
+    Frames keep their names. A model with mimic joints, which Pinocchio does not let be copied, is unfolded at its root only.
+    """
+    several = _several(model)
+    root = root_joint(model)
+    if not several or (len(model.mimicking_joints) and several != [root]):
+        return model, None
+    prefix = {j: ROOT if j == root else model.names[j] for j in several}
+    blocks = tuple(
+        Block(
+            model.joints[j].shortname(),
+            model.joints[j].idx_q,
+            tuple(f"{prefix[j]}_{part}" for part in PARTS[model.joints[j].shortname()]),
+        )
+        for j in several
+    )
+    if len(model.mimicking_joints):
+        base, last = pin.Model(), 0
+        for k, part in enumerate(PARTS[model.joints[root].shortname()]):
+            placement = model.jointPlacements[root] if k == 0 else pin.SE3.Identity()
+            last = _add(base, last, ROOT, part, placement, PITCH)
+        held = pin.buildReducedModel(model, [root], pin.neutral(model))
+        made = pin.appendModel(base, held, base.nframes - 1, model.jointPlacements[root].inverse())
+    else:
+        made = _copied(model, prefix)
+    made.name = model.name
+    _take_limits(model, made, blocks)
+    return made, Given(model, blocks)
+
+
+def _take_limits(model: pin.Model, made: pin.Model, blocks: Sequence[Block]) -> None:
+    """Give slides the limits [m] that the model given has for them, if it has any."""
+    lower, upper = np.array(made.lowerPositionLimit), np.array(made.upperPositionLimit)
+    for block in blocks:
+        for k, name in enumerate(block.names):
+            low, high = model.lowerPositionLimit[block.idx_q + k], model.upperPositionLimit[block.idx_q + k]
+            if name.rpartition("_")[2] in SLIDES and -ENDLESS < low < high < ENDLESS:
+                place = made.joints[made.getJointId(name)].idx_q
+                lower[place], upper[place] = low, high
+    made.lowerPositionLimit, made.upperPositionLimit = lower, upper
+
+
+def _copied(model: pin.Model, prefix: Mapping[int, str]) -> pin.Model:
+    """A copy whose joints of several freedoms, those with a prefix, are replaced."""
+    made = pin.Model()
+    joints, frames = {0: 0}, {0: 0}
+    for j in range(1, model.njoints):
+        parent, placement, joint = joints[model.parents[j]], model.jointPlacements[j], model.joints[j]
+        if j in prefix:
+            pitch = PITCH if joint.shortname() == "JointModelFreeFlyer" else BALL_PITCH
+            for part in PARTS[joint.shortname()]:
+                parent = _add(made, parent, prefix[j], part, placement, pitch)
+                placement = pin.SE3.Identity()
+            joints[j] = parent
+        else:
+            q, v = (slice(i, i + n) for i, n in ((joint.idx_q, joint.nq), (joint.idx_v, joint.nv)))
+            joints[j] = made.addJoint(
+                parent,
+                joint,
+                placement,
+                model.names[j],
+                np.asarray(model.upperEffortLimit)[v],
+                np.asarray(model.upperVelocityLimit)[v],
+                np.asarray(model.lowerPositionLimit)[q],
+                np.asarray(model.upperPositionLimit)[q],
+            )
+        made.appendBodyToJoint(joints[j], model.inertias[j], pin.SE3.Identity())
+    for k, frame in enumerate(model.frames):
+        if k:
+            own = pin.Frame(
+                frame.name, joints[frame.parentJoint], frames[frame.parentFrame], frame.placement, frame.type
+            )
+            frames[k] = made.addFrame(own, False)
+    return made
+
+
+def stand(model: pin.Model, on_base: Any) -> pin.Model:
+    """The model on a base: 'planar', 'floating' or a pose (4, 4) of its root in the world. Raises InvalidOption, InvalidTarget."""
+    made, last, T = pin.Model(), 0, pin.SE3.Identity()
+    if isinstance(on_base, str):
+        if on_base not in BASES:
+            raise InvalidOption(
+                f"on_base is 'planar', 'floating' or a pose, not '{on_base}'.{near_match(on_base, BASES)}"
+            )
+        for part in BASES[on_base]:
+            last = _add(made, last, ROOT, part, pin.SE3.Identity(), PITCH)
+            if model.existJointName(f"{ROOT}_{part}"):
+                raise InvalidOption(
+                    f"the robot has a joint '{ROOT}_{part}' of its own, the name that a coordinate of its base would have"
+                )
+    else:
+        pose, _ = check_target(on_base)
+        T = pin.SE3(pose) if pose.ndim == 2 else pin.SE3(np.eye(3), pose)
+    made = pin.appendModel(made, model, made.nframes - 1, T)
+    made.name = model.name
+    return made
+
+
+class Footing(NamedTuple):
+    """A model whose joints have one coordinate each, how to get back to the one given, and the coordinates of its base."""
+
+    model: pin.Model
+    given: Given | None
+    names: tuple[str, ...]
+    slides: tuple[str, ...]
+
+
+def settle(model: pin.Model, on_base: Any = None, base_limits: Any = None) -> Footing:
+    """Unfold a model, put it on a base and limit that. Raises InvalidOption, InvalidTarget, ModelError."""
+    made, given = unfold(model)
+    names = [name for block in (given.blocks if given else ()) for name in block.names]
+    if isinstance(on_base, str) and root_joint(model):
+        raise InvalidOption("the model moves freely already, so on_base takes a pose only")
+    if on_base is not None:
+        made = stand(made, on_base)
+        names += [f"{ROOT}_{part}" for part in BASES[on_base]] if isinstance(on_base, str) else []
+    slides = tuple(name for name in names if name.rpartition("_")[2] in SLIDES)
+    if base_limits is not None:
+        if not slides:
+            raise InvalidOption(
+                "base_limits are for a base that moves: on_base='planar' or 'floating', or a free-flyer"
+            )
+        limit(made, base_limits, slides, [name for name in names if name not in slides])
+    return Footing(made, given, tuple(names), slides)
+
+
+def limit(model: pin.Model, base_limits: Any, slides: Sequence[str], turns: Sequence[str]) -> None:
+    """Write limits of a base into a model. slides, turns: names of its coordinates. Raises InvalidOption.
+
+    base_limits: (lower, upper) [m] for every slide; such a pair for each slide, or for each coordinate; or a dict of pairs by
+    name ('base_x' or 'x').
+    """
+    names = [*slides, *turns]
+    if isinstance(base_limits, Mapping):
+        short = {name.removeprefix(f"{ROOT}_"): name for name in names}
+        pairs = {}
+        for key, pair in base_limits.items():
+            name = short.get(key, key)
+            if name not in names:
+                raise InvalidOption(f"base_limits: the base has no coordinate '{key}'.{near_match(str(key), names)}")
+            pairs[name] = _pair(name, pair)
+    else:
+        what = "base_limits are (lower, upper) [m] for the slides of the base, or a pair for each"
+        values = floats(base_limits, what, InvalidOption)
+        if values.shape == (2,):
+            values = np.tile(values, (len(slides), 1))
+        if values.shape not in ((len(slides), 2), (len(names), 2)):
+            raise InvalidOption(f"{what} of {', '.join(slides)}, not an array of shape {values.shape}")
+        pairs = {name: _pair(name, pair) for name, pair in zip(names, values, strict=False)}
+    lower, upper = np.array(model.lowerPositionLimit), np.array(model.upperPositionLimit)
+    for name, (low, high) in pairs.items():
+        place = model.joints[model.getJointId(name)].idx_q
+        lower[place], upper[place] = low, high
+    model.lowerPositionLimit, model.upperPositionLimit = lower, upper
+
+
+def _pair(name: str, pair: Any) -> tuple[float, float]:
+    what = f"base_limits of '{name}' are two finite numbers, lower and upper"
+    values = floats(pair, what, InvalidOption)
+    if values.shape != (2,) or not np.isfinite(values).all() or values[0] > values[1]:
+        raise InvalidOption(f"{what}, not {np.asarray(pair).tolist()}")
+    return float(values[0]), float(values[1])
