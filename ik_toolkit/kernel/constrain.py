@@ -24,6 +24,7 @@ from .levels import (
     RHS,
     ROW_ONE,
     ROW_TWO,
+    SIZE,
     TASK_ONE,
     TWO,
     WANT,
@@ -160,23 +161,34 @@ def aside(P, S, first, r, n, alpha):
 
 
 @inner
-def ease(P, V, S, task, weight, scale, first, r, n, rate, step):
+def ease(P, W, V, S, state, task, weight, beside, scale, first, r, n, rate, step):
     """Let the residual be unknowns from n on, each l of its unit, and be as dear as the joints' motion: l^2, or 0.
 
-    rate: of the clock; below 0: what is asked stays. |C y - d|^2 + l^2 |y - want|^2 is then the second objective, under a task
+    rate: of the clock; below 0: what is asked stays. |C y - d|^2 + l^2 |y - c|^2 is then the second objective, under a task
     that can always be met. The damping is that of Levenberg and Marquardt: the curvature that C leaves out, at most that of a
-    circle of one kernel unit, times the residual.
+    circle of one kernel unit, times the residual. The centre c must not move the tip, or the arm would rest beside the closest
+    pose: it is what `beside` asks of the free joints, and as much of the rate wanted as of the task is met.
     """
-    size, heavy, fast = 0.0, 0.0, 0.0
+    miss, asked, heavy, fast = 0.0, 0.0, 0.0, 0.0
     for k in range(first, first + r):
-        size += S[TASK_ONE, k] * S[TASK_ONE, k]
+        miss += S[TASK_ONE, k] * S[TASK_ONE, k]
         if rate >= 0.0:
             S[RHS, k] = task[0, k] + rate * task[1, k]
+        asked += S[RHS, k] * S[RHS, k]
     for k in range(weight.shape[0]):
         heavy = max(heavy, weight[k])
+    unmet = min(math.sqrt(miss / asked), 1.0) if asked > 0.0 else 1.0
     for i in range(n):
         fast = max(fast, scale[i])
-    square = step * math.sqrt(size) * heavy * fast * fast
+        V[WANT, i] *= 1.0 - unmet
+        if state[i] == 0:
+            V[WANT, i] += unmet * beside[i] / scale[i]
+    for k in range(first, first + r):
+        if S[SIZE, k] < 0.0:  # a vector of the basis that `span` found last
+            along = dot(W, k, V, WANT, n)
+            for i in range(n):
+                V[WANT, i] -= along * W[k, i]
+    square = step * math.sqrt(miss) * heavy * fast * fast
     unit = math.sqrt(square)
     for k in range(first + r):
         for j in range(r):
@@ -259,13 +271,13 @@ def answer(scale, low, high, A, count, unit, V, S, state, x, active, kept, multi
 
 @spliced
 def constrain(
-    J, weight, feedback, forward, want, scale, low, high, A, b, count, mode, cap, singular, damping, room,
+    J, weight, feedback, forward, want, beside, scale, low, high, A, b, count, mode, cap, singular, damping, room,
     x, active, kept, multiplier, step=0.0,
 ):  # fmt: skip
     """Write to x (n,) the rate that does the task as well as possible, then is nearest to `want`; return status and clock rate.
 
     J (n, m), one joint a row; weight (m,) of what counts, 0 where it does not; feedback, forward (m,): the task rate asked is
-    feedback + rate * forward. want (n,): the rate wanted at rate = cap. scale (n,): a speed for each joint, in which its motion
+    feedback + rate * forward. want (n,): the rate wanted at rate = cap; beside (n,): the part of it that is none of the task. scale (n,): a speed for each joint, in which its motion
     and the singular values are measured. low <= high (n,); A[:count] x <= b[:count]. mode: LEAVE, SLOW, DIRECT. singular,
     damping: the singular value below which a direction is damped, and the largest damping. step [s]: where the task cannot be
     met, motion is damped by the residual in this time (see `ease`), so that the joints come to rest where it is least; 0: not.
@@ -279,14 +291,14 @@ def constrain(
     """
     s = room.levels
     return solve_step(
-        J, weight, feedback, forward, want, scale, low, high, A, b, count, mode, cap, singular, damping, step,
+        J, weight, feedback, forward, want, beside, scale, low, high, A, b, count, mode, cap, singular, damping, step,
         x, active, kept, multiplier, s.P, s.W, s.L, s.U, s.V, s.S, s.state, s.order, room.task,
     )  # fmt: skip
 
 
 @inner
 def solve_step(
-    J, weight, feedback, forward, want, scale, low, high, A, b, count, mode, cap, singular, damping, step,
+    J, weight, feedback, forward, want, beside, scale, low, high, A, b, count, mode, cap, singular, damping, step,
     x, active, kept, multiplier, P, W, L, U, V, S, state, order, task,
 ):  # fmt: skip
     """Do what `constrain` says: one loop over the problems to solve, as each is large code."""
@@ -317,7 +329,8 @@ def solve_step(
             fresh = False
         N, rows = n, r
         if stage == EASED:
-            damped = ease(P, V, S, task, weight, scale, count, r, n, -1.0 if mode == DIRECT else rate, step)
+            move = -1.0 if mode == DIRECT else rate
+            damped = ease(P, W, V, S, state, task, weight, beside, scale, count, r, n, move, step)
             for j in range(n, n + r):
                 state[j] = 0
             N = n + r

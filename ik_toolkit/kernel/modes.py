@@ -133,7 +133,7 @@ def mode_speed(W, U, V, sv, lost, xk, r, bias, v, e, asked, gain, h, border, lim
     x, H = along(sigma, border, e, b, asked, own, h, back, cap)
     grows = np.sign(b)  # the way along v in which sigma does: the side on which the joints are
     edge = H > BENT * sigma * sigma
-    if edge and sigma > ZERO and grows * back < 0.0:  # carried to the other side: back across
+    if edge and sigma > LOST and grows * back < 0.0:  # carried far to the other side: back across
         x = -grows * min((sigma / abs(b) + LOST) * gain, cap)
     if a < np.inf:  # so that it can brake before the error is gone, see `ease`
         most = approach(abs(x) / gain, 0.0, 1.0, h, 0.5 * a, h)

@@ -10,7 +10,7 @@ from .clock import QUICK, WHOLE
 from .constrain import LEAVE, SLOW, WANTED, constrain
 from .jit import BUILD, inline
 from .modes import along_lost
-from .motion import CA, CLIP, NOT_FINITE, RUNAWAY, STATE
+from .motion import CA, CLIP, NOT_FINITE, RUNAWAY, STATE, apply
 from .records import copy
 from .wanted import Published
 from .wishes import away_from_limits, clip_wish, into_null_space
@@ -66,12 +66,16 @@ def by_constraints(law, s, weight, planes, edges, count, sigma, h, state, work, 
         s.ask[k] = -s.f[k]
         for i in range(n):
             s.ask[k] += s.J[i, k] * s.x[i]
+        s.t[k] = s.ask[k] + s.f[k]
+    apply(s.J, m, s.G, s.t, s.y, s.v)
+    for i in range(n):
+        s.v[i] = s.x[i] - s.v[i]
     copy(s.x, s.w)
     least = min(state[STATE.sigma] - QUICK * h, sigma)  # the last step ends with the reference
     status, share, part = WANTED, 1.0, 1.0
     for _ in range(2):
         status, part = constrain(
-            s.J, weight, s.ask, s.f, s.w, s.size, s.floor, s.roof, planes, edges, count, mode, 1.0, SINGULAR, DAMPING, work, s.x,
+            s.J, weight, s.ask, s.f, s.w, s.v, s.size, s.floor, s.roof, planes, edges, count, mode, 1.0, SINGULAR, DAMPING, work, s.x,
             active, kept, s.multiplier, h,
         )  # fmt: skip
         share *= part

@@ -17,7 +17,7 @@ def kernel(
 ):  # fmt: skip
     room = make_room(J.shape[0], J.shape[1], A.shape[0])
     return constrain(
-        J, weight, feedback, forward, want, scale, low, high, A, b, count, mode, cap, singular, damping, room,
+        J, weight, feedback, forward, want, want, scale, low, high, A, b, count, mode, cap, singular, damping, room,
         x, active, kept, push, step,
     )  # fmt: skip
 
