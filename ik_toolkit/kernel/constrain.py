@@ -277,10 +277,11 @@ def constrain(
     """Write to x (n,) the rate that does the task as well as possible, then is nearest to `want`; return status and clock rate.
 
     J (n, m), one joint a row; weight (m,) of what counts, 0 where it does not; feedback, forward (m,): the task rate asked is
-    feedback + rate * forward. want (n,): the rate wanted at rate = cap; beside (n,): the part of it that is none of the task. scale (n,): a speed for each joint, in which its motion
-    and the singular values are measured. low <= high (n,); A[:count] x <= b[:count]. mode: LEAVE, SLOW, DIRECT. singular,
-    damping: the singular value below which a direction is damped, and the largest damping. step [s]: where the task cannot be
-    met, motion is damped by the residual in this time (see `ease`), so that the joints come to rest where it is least; 0: not.
+    feedback + rate * forward. want (n,): the rate wanted at rate = cap; beside (n,): the part of it that is none of the task.
+    scale (n,): a speed for each joint, in which its motion and the singular values are measured. low <= high (n,);
+    A[:count] x <= b[:count]. mode: LEAVE, SLOW, DIRECT. singular, damping: the singular value below which a direction is
+    damped, and the largest damping. step [s]: where the task cannot be met, motion is damped by the residual in this time (see
+    `ease`), so that the joints come to rest where it is least; 0: not.
 
     active (n,), kept (R + 1,) int8 carry what held on to the next step: -1 low, 1 high, 2 in a half-plane that holds. Status
     WANTED: x is `want`, bit for bit, which lies inside and does the task. MET: the task is done at the rate returned (SLOW: of

@@ -9,11 +9,9 @@ from .box import RECOVERING, ROW, clip
 from .clock import QUICK, WHOLE
 from .constrain import LEAVE, SLOW, WANTED, constrain
 from .jit import BUILD, inline
-from .modes import along_lost
-from .motion import CA, CLIP, NOT_FINITE, RUNAWAY, STATE, apply
+from .motion import CLIP, NOT_FINITE, RUNAWAY, STATE, apply
 from .records import copy
 from .wanted import Published
-from .wishes import away_from_limits, clip_wish, into_null_space
 
 LARGEST = 1e300  # a sum of joint speeds from which on it is no number to follow
 SINGULAR, DAMPING = 1e-6, 1e-6  # of `constrain`: lost directions are taken out of the task before it sees them
@@ -37,27 +35,6 @@ def judge(wanted, h, p, state):
 
 
 @inline
-def add_wishes(law, s, limits, wish, h):
-    """Add to s.x what the joints are to do beside the task: to keep off their limits, a posture, a cost of the caller's."""
-    n, m = s.J.shape
-    some = False
-    for i in range(n):
-        s.g[i] += wish[1, i] * (wish[0, i] - s.at[i]) + wish[2, i]
-    if law.avoid > 0.0:
-        away_from_limits(s.at, limits, law.avoid, s.g)
-    for i in range(n):
-        some = some or s.g[i] != 0.0
-    if not some:
-        return
-    into_null_space(s.J, m, s.G, s.y, s.t, s.g, s.v)
-    along_lost(s.V, s.lost, s.xk, s.g, 0.0)
-    clip_wish(s.g, s.x, s.floor, s.roof)
-    share = min(h * law.null, 1.0) if law.code >= CA else 1.0
-    for i in range(n):
-        s.x[i] += share * s.g[i]
-
-
-@inline
 def by_constraints(law, s, weight, planes, edges, count, sigma, h, state, work, active, kept, code):
     """Rates that the limits allow, to s.x: the clock's rate then, and whether anything was in the way of those wanted."""
     n, m = s.J.shape
@@ -75,8 +52,8 @@ def by_constraints(law, s, weight, planes, edges, count, sigma, h, state, work, 
     status, share, part = WANTED, 1.0, 1.0
     for _ in range(2):
         status, part = constrain(
-            s.J, weight, s.ask, s.f, s.w, s.v, s.size, s.floor, s.roof, planes, edges, count, mode, 1.0, SINGULAR, DAMPING, work, s.x,
-            active, kept, s.multiplier, h,
+            s.J, weight, s.ask, s.f, s.w, s.v, s.size, s.floor, s.roof, planes, edges, count, mode, 1.0, SINGULAR, DAMPING, work,
+            s.x, active, kept, s.multiplier, h,
         )  # fmt: skip
         share *= part
         if mode != SLOW or share * sigma >= least - WHOLE:

@@ -22,10 +22,10 @@ from .clock import WHOLE, next_rate, reference, too_far
 from .constrain import SLOW, make_room
 from .jit import cached, inline, inner
 from .motion import CLIP, GIVEN, MOVING, READY, RUNNING, STATE, Law, apply, factor, own_up, settle
-from .obey import add_wishes, judge, obey, pacing
+from .obey import judge, obey, pacing
 from .records import HEAD, TASK, Orders, copy, read
 from .search import problem, step_class
-from .wanted import Published, copy_rows, wanted
+from .wanted import Published, copy_rows, lean, wanted
 from .wishes import lay_aside, reflect, slack_rows
 
 UNLIMITED = 1.0  # speed of a joint without a limit [rad/s, or reaches/s], as a measure beside the others'
@@ -189,6 +189,8 @@ def servo(cls: type | None = None) -> Callable:
                     stop = True
                     break
                 sigma = wind(state, law, s.a, s.f, E[i], cap, last - clock, h)
+                boxes(q, rate, limits, law.gamma, h, law.late, s.floor, s.roof, s.why_low, s.why_top)
+                lean(law, rule, s, limits, wish, rate, h)
             if stop:
                 return i
             count = gather(law, lines, level, planes, edges)
@@ -196,10 +198,7 @@ def servo(cls: type | None = None) -> Callable:
             for k in range(m):
                 s.f[k] *= sigma
             ratio = h / state[STATE.period] if state[STATE.start] == RUNNING else 0.0
-            S[i, 3] = wanted(law, rule, task, look, weights, s, counts[1], limits, h, rate, memory, away, state)
-            boxes(q, rate, limits, law.gamma, h, law.late, s.floor, s.roof, s.why_low, s.why_top)
-            if law.mode != CLIP:
-                add_wishes(law, s, limits, wish, h)
+            S[i, 3] = wanted(law, rule, task, look, weights, s, counts[1], limits, wish, h, rate, memory, away, state)
             copy(rate, s.before)
             stop, still = judge(s.x, h, law, state)
             if stop:

@@ -27,7 +27,7 @@ from .motion import (
 )  # fmt: skip
 from .records import copy
 from .search import SINGULAR_STEP
-from .wishes import STEP, reflect
+from .wishes import STEP, away_from_limits, clip_wish, into_null_space, reflect
 
 GAIN = 2.0 / 3.0  # share of an error fed back in a sample where the method has no gain of its own: the best of `cv`
 FAST, BRISK = (
@@ -43,7 +43,46 @@ class Published(NamedTuple):
 
 
 @inline
-def by_law(law, rule, task, look, weights, s, slack, limits, h, rate, memory, away, state):
+def find_wishes(law, s, limits, wish, base):
+    """Write to s.g what the joints are to do beside the task: to keep off their limits, a posture, a cost of the caller's.
+
+    It is what the null space has of it, within half of the room that the rates `base` leave in the box. False: nothing.
+    """
+    n, m = s.J.shape
+    some = False
+    for i in range(n):
+        s.g[i] = wish[1, i] * (wish[0, i] - s.at[i]) + wish[2, i]
+    if law.avoid > 0.0:
+        away_from_limits(s.at, limits, law.avoid, s.g)
+    for i in range(n):
+        some = some or s.g[i] != 0.0
+    if some and law.mode != CLIP:
+        into_null_space(s.J, m, s.G, s.y, s.t, s.g, s.v)
+        along_lost(s.V, s.lost, s.xk, s.g, 0.0)
+        clip_wish(s.g, base, s.floor, s.roof)
+        return True
+    return False
+
+
+@inline
+def lean_not(law, rule, s, limits, wish, rate, h):
+    """The published laws look ahead from where the joints are."""
+
+
+@inline
+def lean_over(law, rule, s, limits, wish, rate, h):
+    """Move s.at by what the joints are to do beside the task, so that a rule's step takes away what that does to the tip."""
+    factor(s.J, s.J.shape[1], law.damping, s.G, s.y)
+    if find_wishes(law, s, limits, wish, rate):
+        for i in range(rate.shape[0]):
+            s.at[i] += h * s.g[i]
+    else:
+        for i in range(rate.shape[0]):
+            s.g[i] = 0.0
+
+
+@inline
+def by_law(law, rule, task, look, weights, s, slack, limits, wish, h, rate, memory, away, state):
     """Rates that a published law wants, to s.x. Returns how much of the task was lost, or the damping (CLIP)."""
     m = s.J.shape[1]
     wide = s.J.shape[0] >= m
@@ -99,6 +138,15 @@ def by_law(law, rule, task, look, weights, s, slack, limits, h, rate, memory, aw
     if damped > 0.0 and law.mode != CLIP:
         along_lost(s.V, s.lost, s.xk, s.x, 1.0)
     extrapolated = 1.0 + 0.5 * ratio
+    if find_wishes(law, s, limits, wish, s.x):
+        # As part of what is extrapolated, or the tip would leave its path by the square of a step.
+        kept, share = 0.0, min(h * law.null, 1.0) if law.code >= CA else 1.0
+        if law.code == CV or law.code == CA:
+            kept = share / h if law.code == CA else share
+            share *= extrapolated
+        for i in range(rate.shape[0]):
+            s.x[i] += share * s.g[i]
+            memory[i] += kept * s.g[i]
     gear = extrapolated if law.code == CV else 1.0 if law.code == AV else extrapolated * (1.0 + law.kd * h)
     if law.code == AA:
         gear = 1.0 / law.gamma
@@ -130,7 +178,7 @@ def by_difference(task, s, slack):
 
 
 @inline
-def by_rule(law, rule, task, look, weights, s, slack, limits, h, rate, memory, away, state):
+def by_rule(law, rule, task, look, weights, s, slack, limits, wish, h, rate, memory, away, state):
     """Rates that a solver's rule wants, to s.x: its step to where the target will be."""
     d = task.desk
     task.jacobian(look)
@@ -141,9 +189,8 @@ def by_rule(law, rule, task, look, weights, s, slack, limits, h, rate, memory, a
     d.spent[0], d.spent[1] = 0.0, np.inf
     code = rule.step(task, look)
     copy(d.x, memory)
-    factor(s.J, s.J.shape[1], law.damping, s.G, s.y)
     for i in range(s.x.shape[0]):
-        s.x[i] = d.dq[i] / h if code != SINGULAR_STEP else 0.0
+        s.x[i] = s.g[i] + (d.dq[i] / h if code != SINGULAR_STEP else 0.0)
     return 0.0
 
 
@@ -161,15 +208,27 @@ def copy_rows(source, target):
         copy(source[i], target[i])
 
 
-def wanted(law, rule, task, look, weights, s, slack, limits, h, rate, memory, away, state):
+def wanted(law, rule, task, look, weights, s, slack, limits, wish, h, rate, memory, away, state):
     """Rates that the law or the rule wants."""
     how = by_law if isinstance(rule, Published) else by_rule
-    return how(law, rule, task, look, weights, s, slack, limits, h, rate, memory, away, state)
+    return how(law, rule, task, look, weights, s, slack, limits, wish, h, rate, memory, away, state)
 
 
 @overload(wanted, jit_options=BUILD)
-def _wanted(law, rule, task, look, weights, s, slack, limits, h, rate, memory, away, state):
+def _wanted(law, rule, task, look, weights, s, slack, limits, wish, h, rate, memory, away, state):
     how = by_law if rule.instance_class is Published else by_rule
-    return lambda law, rule, task, look, weights, s, slack, limits, h, rate, memory, away, state: how(
-        law, rule, task, look, weights, s, slack, limits, h, rate, memory, away, state
+    return lambda law, rule, task, look, weights, s, slack, limits, wish, h, rate, memory, away, state: how(
+        law, rule, task, look, weights, s, slack, limits, wish, h, rate, memory, away, state
     )
+
+
+def lean(law, rule, s, limits, wish, rate, h):
+    """What comes before a step is asked for, see `lean_over`."""
+    how = lean_not if isinstance(rule, Published) else lean_over
+    return how(law, rule, s, limits, wish, rate, h)
+
+
+@overload(lean, jit_options=BUILD)
+def _lean(law, rule, s, limits, wish, rate, h):
+    how = lean_not if rule.instance_class is Published else lean_over
+    return lambda law, rule, s, limits, wish, rate, h: how(law, rule, s, limits, wish, rate, h)

@@ -28,6 +28,8 @@ LEVER = 0.2  # [m] by which an angle is weighed against a length: about a hand
 class Published:
     """A method of tracking/methods.py on a robot."""
 
+    waits = True  # a reference's clock stands still while the error is above its tolerance
+
     def __init__(self, robot: Robot | Tree, method: Method, counting: Mapping[str, Any]) -> None:
         """Bind; nothing is compiled yet."""
         self.robot = robot
@@ -71,6 +73,7 @@ class RuleSteps:
     """A solver's rule on a robot; its state is kept from sample to sample."""
 
     gamma = 1.0
+    waits = False  # a rule lags behind what moves, limits or not
 
     def __init__(self, robot: Robot | Tree, rule: Any, limits: bool, options: dict[str, Any]) -> None:
         """Bind the rule with its parameters (raises what `ik.Solver` raises)."""

@@ -61,8 +61,8 @@ def track(
 
     on_limit: "slow": where limits bind, or the error is above a tolerance, the reference's clock runs slower than time, so
     that the tip stays on its path; the run ends when the clock is through, or after max_stretch times the reference's duration.
-    "leave": keep time, with the least error possible; "clip": the published form, each joint clipped on its own, as it is without
-    limits.
+    (A solver lags behind whatever moves: for one the clock waits for limits only.) "leave": keep time, with the least error
+    possible; "clip": the published form, each joint clipped on its own, as it is without limits.
 
     COMPLETED or SLOWED when no sample from settle [s] on has an error above position_tolerance [m] and orientation_tolerance
     [rad], else LEFT or LOST (see `TrackStatus`); settle is 0 by default, and 0.5 (half of a run shorter than 1 s) when the arm
@@ -126,7 +126,7 @@ class _Run:
         """Look ahead where the clock may be slowed."""
         self.tracker, self.samples, self.dt, self.mode, self.tolerances = tracker, (T, V, A), dt, mode, tolerances
         self.most = int(np.ceil(stretch * (len(T) - 1))) if mode == SLOW else len(T) - 1
-        self.clock = tolerances
+        self.clock = tolerances if tracker.engine.waits else (np.inf, np.inf)
         self.caps = np.ones((2, len(T)))
         self.caps[1] = -1.0
         tracker._late = LATE * dt

@@ -49,8 +49,8 @@ def run(J, v, want, low, high, A, b, count, mode, singular, repeats, active, kep
         kept[:] = held
         for i in range(J.shape[0]):
             status, rate = constrain(
-                J[i], weight, back, v[i], want[i], want[i], scale, low, high, A, b, count, mode, 1.0, singular, singular, room,
-                x, active, kept, push,
+                J[i], weight, back, v[i], want[i], want[i], scale, low, high, A, b, count, mode, 1.0, singular, singular,
+                room, x, active, kept, push,
             )  # fmt: skip
             total += rate + status
     return total
