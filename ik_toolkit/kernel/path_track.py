@@ -17,7 +17,7 @@ from .records import HEAD, TASK, Orders, copy, read
 from .refine import Bounds, correct
 from .search import problem
 
-SHORTEST = 1.0 / 64  # share of the way between two poses below which a step is not halved again
+SHORTEST = 1.0 / 256  # share of the way between two poses below which a step is not halved again
 TURNED = 1e-12  # sine of an angle between two poses below which there is nothing to turn
 
 

@@ -11,10 +11,12 @@ from typing import Any, NamedTuple
 import numpy as np
 import pinocchio as pin
 
+from ..errors import InvalidOption
 from ..kernel.chain import levers
 from ..kernel.smooth import settle as settle_rows
 from ..kernel.task import FREE, POSITION
 from ..solvers.task import relatives, what_counts
+from ..tracking.reference import exp
 from .contact import find_contacts
 from .proof import Continuity
 
@@ -22,6 +24,7 @@ ROUNDS = (
     8  # of insertion: the bound falls with the square of the number of pieces, so two or three do where it can be met
 )
 MOST_PIECES = 256  # of one stretch between two poses; where so many do not help the path is not continuous there
+MOST_ROWS = 200_000  # of a curve: twenty for each of ten thousand poses
 LOG_SLOPE = 1.3  # bound on the derivative of the inverse left Jacobian of a rotation vector up to half a turn
 LOG_GAIN = 0.5 * math.pi  # and on that Jacobian itself
 
@@ -69,7 +72,8 @@ def densify(
 
     q (N, n), rows of NaN where a pose is not reached; breaks: the motion breaks between pose k and the next for k in breaks.
     Returns the curve (M, n), the places of its rows (M,) and where it is cut (M-1,). Where that cannot be had (no joint motion
-    leads on from the one side to the other) the stretch stays as it was: `check` then says by how much.
+    leads on from the one side to the other) the stretch stays as it was: `check` then says by how much. Raises InvalidOption for
+    a max_step that is far too small.
     """
     robot = plan.robot
     step = np.where(robot.slides, max_step[1], max_step[0])
@@ -77,6 +81,13 @@ def densify(
     open_ = np.asarray(np.isfinite(q[1:] + q[:-1]).all(axis=1))
     open_[list(breaks)] = False
     given_up = np.zeros(len(q) - 1, dtype=bool)
+    strides = np.where(open_[:, None], np.abs(np.diff(q, axis=0)) / step, 0.0).max(axis=1, initial=1.0)
+    if strides.sum() > MOST_ROWS:
+        raise InvalidOption(
+            f"max_step = ({max_step[0]:.3g} rad, {max_step[1]:.3g} m) is too small: steps between {len(q)} poses are up to "
+            f"{strides.max():.3g} times as long, and {strides.sum():.3g} rows are more than {MOST_ROWS:,}"
+        )
+    most = MOST_PIECES * strides
     for _ in range(ROUNDS):
         owner = at[:-1].astype(int)
         deviation, turn = bounds(plan, kinds, curve, at, T)
@@ -84,7 +95,7 @@ def densify(
         excess = [np.sqrt(x / most) for x, most in zip((deviation, turn), path_tolerance, strict=True)]
         wanted = np.max([*excess, (np.abs(np.diff(curve, axis=0)) / step).max(axis=1)], axis=0)
         wanted = np.where(open_[owner] & ~given_up[owner] & (wanted > 1.0), np.ceil(wanted * (1.0 + 1e-9)), 1.0)
-        crowded = np.bincount(owner, wanted, len(given_up)) > MOST_PIECES
+        crowded = np.bincount(owner, wanted, len(given_up)) > most
         given_up |= crowded
         wanted = np.where(crowded[owner], 1.0, wanted).astype(int)
         if not (wanted > 1).any():
@@ -128,9 +139,10 @@ def interpolate(T: np.ndarray, at: np.ndarray, kinds: tuple) -> np.ndarray:
     for f, kind in enumerate(kinds):
         if kind in (POSITION, FREE):
             continue
-        vectors = {j: pin.log3(T[j, f, :3, :3].T @ T[j + 1, f, :3, :3]) for j in np.unique(k[(share > 0.0)]).tolist()}
-        for i in np.flatnonzero(share > 0.0):
-            made[i, f, :3, :3] = T[k[i], f, :3, :3] @ pin.exp3(share[i] * vectors[int(k[i])])
+        between = np.flatnonzero(share > 0.0)
+        gaps, which = np.unique(k[between], return_inverse=True)
+        turns = np.array([pin.log3(T[j, f, :3, :3].T @ T[j + 1, f, :3, :3]) for j in gaps.tolist()]).reshape(-1, 3)
+        made[between, f, :3, :3] = T[k[between], f, :3, :3] @ exp(share[between, None] * turns[which])
     return made
 
 

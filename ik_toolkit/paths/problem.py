@@ -13,11 +13,17 @@ from ..solvers.search_all import ONE_ATTEMPT
 from ..solvers.status import Status
 from .continuity import settle
 
+STEP = (
+    np.radians(7.0),
+    0.02,
+)  # rad, m: CppFlow's, and the shortest in which tracks are followed: shorter ones prove nothing
+
 
 class Problem:
     """Poses T (N, 4, 4), for a Tree (N, F, 4, 4), of `kinds` for a bound solver, ready for the kernels of a path.
 
-    most (n,): largest step of a joint, in kernel units; deviation (2,) [m], [rad]: of a tip between poses; poses (N, F, 4, 4): T
+    most (n,): largest step of a joint, in kernel units, or STEP where that is longer (the rows that max_step wants are inserted
+    in the end); deviation (2,) [m], [rad]: of a tip between poses; poses (N, F, 4, 4): T
     by tip; stand (n,): where joints of weight 0 stay, q0 or home. plan: the solver's; single: that of one attempt of the
     general search, with its arrays (rows, ends) and orders. limits (3, n): lower, upper, whether there are both; room: the same
     without those of joints whose full turns are added later. redundant: whether joints are left over, so that solutions are not
@@ -43,7 +49,8 @@ class Problem:
         self.orders = self.single.orders(kinds, True)
         self.unit = robot.chain.unit
         self.stand = (robot.home if q0 is None else q0) / self.unit
-        self.most = np.where(robot.slides, max_step[1], max_step[0]) / self.unit
+        turn, slide = np.maximum(max_step, STEP)
+        self.most = np.where(robot.slides, slide, turn) / self.unit
         self.endless = (np.asarray(robot.chain.turns) > 0) & np.isinf(robot.lower) & np.isinf(robot.upper)
         free = np.full(robot.n, np.inf)
         low, high = (robot.lower, robot.upper) if plan.options.limits else (-free, free)

@@ -20,13 +20,14 @@ from ..solvers.solve import Solver, require_robot
 from ..solvers.task import counted_errors
 from ..tracking.reference import Reference
 from .finish import finished
-from .problem import Problem
+from .half_turns import HalfTurns
+from .problem import STEP, Problem
 from .result import PathResult, PathStatus, Reconfiguration
 from .search import Search
 from .verdict import sentence
 
-STEP = (math.radians(7.0), 0.02)  # rad, m: CppFlow's
 TOLERANCE = (1e-3, math.radians(1.0))  # m, rad: of the tip between poses
+OTHER_WAYS = 4  # searches with other ways between poses half a turn apart, where the path breaks there
 DT = 0.01  # s, at which a Reference is sampled
 NOT_HERE = (
     "closest",
@@ -70,8 +71,9 @@ def solve_path(
     poses: (N, 4, 4), or (N, 3) with orientation free [m]; for a Tree of F tips (N, F, 4, 4), (N, F, 3) or a dict by tip; or a
     Reference, sampled every 0.01 s. q0, q_end (n,) [rad or m]: where the path begins and ends, if they reach the first and the
     last pose, and otherwise what it begins and ends near. max_step: the longest step of a joint between poses, (rad, m) or one
-    number for both; default 7 deg and 20 mm. Where the motion needs more, poses are inserted. path_tolerance (m, rad): how far
-    a tip may leave the interpolated pose between two poses; default 1 mm and 1 deg, or twice the tolerances at the poses.
+    number for both; default 7 deg and 20 mm. Where the motion needs more, poses are inserted, 200,000 at most. path_tolerance
+    (m, rad): how far a tip may leave the interpolated pose between two poses; default 1 mm and 1 deg, or twice the tolerances at
+    the poses.
     avoid_collisions: True (the robot's own links) or a CollisionModel.
     reconfigurations: 'fewest', 'none', or the largest number allowed. seed: of the random starts; threads: default all cores.
     progress(share, words) is called as the work goes on. Options as for `solve`: tolerances, limits, mask, slack, free_turn,
@@ -86,17 +88,37 @@ def solve_path(
             raise InvalidOption(
                 f"solve_path takes no '{name}': a path is searched as a whole, and its answers are checked"
             )
+    if progress is not None and not callable(progress):
+        raise InvalidOption(
+            f"progress is called with a share and words, so it must be a function, not {progress!r:.60}"
+        )
     solver = Solver(robot, seed=seed, **options)
     T, kinds = _read(robot, poses)
     step, tolerance = _pair("max_step", max_step, STEP), _between(path_tolerance, solver.options)
     model = collision_model(robot, avoid_collisions) if avoid_collisions else None
     q0, q_end = (None if q is None else robot.check_q(q, name) for name, q in (("q0", q0), ("q_end", q_end)))
-    problem = Problem(solver, T, kinds, step, tolerance, q0)
-    ends = [None if q is None else q / problem.unit for q in (q0, q_end)]
+    turns = HalfTurns(T if robot.by_tip else T[:, None], kinds, solver.options.orientation_tolerance)
     threads = available_cores() if threads is None else whole("threads", threads)
-    search = Search(problem, model, ends[0], ends[1], threads, seed, progress or _silent)
+
+    def fresh() -> Search:
+        poses = turns.poses()
+        problem = Problem(solver, poses if robot.by_tip else poses[:, 0], kinds, step, tolerance, q0)
+        ends = [None if q is None else q / problem.unit for q in (q0, q_end)]
+        return Search(problem, model, ends[0], ends[1], threads, seed, progress or _silent)
+
+    search = fresh()
     try:
         search.run()
+        for _ in range(OTHER_WAYS):
+            if not turns.turn_round(search.found.breaks):
+                break
+            other = fresh()
+            other.run()
+            if other.worth() >= search.worth():
+                break
+            search = other
+        if search.found.breaks and len(turns.gaps):
+            search.lower_bound = None  # not every choice of ways was tried
         search.progress(0.9, "shortening and proving it")
         return _result(search, allowed, step, tolerance, model, seed, began)
     except KeyboardInterrupt:

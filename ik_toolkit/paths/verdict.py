@@ -1,5 +1,7 @@
 """How a path ended, in a sentence, with what to try."""
 
+import numpy as np
+
 from .result import PathResult, PathStatus
 
 
@@ -7,18 +9,21 @@ def sentence(path: PathResult, needed: int, allowed: float) -> str:
     """One sentence; needed: reconfigurations of the best path through all poses that was found, allowed: how many may be."""
     N = len(path.q)
     if path.status == PathStatus.INCOMPLETE:
+        reached = np.flatnonzero(np.isfinite(path.q[:, 0]))
+        last = int(reached[-1]) if len(reached) else -1
+        most = f"{allowed:g} reconfiguration{'s' * (allowed != 1)}" if allowed else "no reconfiguration"
+        ends = f"with {most} the path found ends at pose {last} of {N}"
         if path.unreachable:
             first, more = path.unreachable[0], len(path.unreachable) - 1
             others = f" and {more} more" if more else ""
+            cut = f"; {ends}, and all of them take {needed}" if needed > allowed else ""
             return (
-                f"{N - more - 1} of {_poses(N)} are reached; pose {first.index}{others} not: {first.reason}; move the poses, free "
-                "what need not hold (free_turn, slack, mask), or widen the limits"
+                f"{len(reached)} of {_poses(N)} are reached; pose {first.index}{others} not: {first.reason}{cut}; move the poses, "
+                "free what need not hold (free_turn, slack, mask), or widen the limits"
             )
-        last = max((k for k in range(N) if path.q[k, 0] == path.q[k, 0]), default=-1)
-        most = f"{allowed:g} reconfiguration{'s' * (allowed != 1)}" if allowed else "no reconfiguration"
         return (
-            f"with {most} the path found ends at pose {last} of {N}: pose {last + 1} cannot be passed, and the whole path takes "
-            f"{needed}; allow them (reconfigurations='fewest'), or free what need not hold (free_turn, slack, mask)"
+            f"{ends}: pose {last + 1} cannot be passed, and the whole path takes {needed}; allow them "
+            "(reconfigurations='fewest'), or free what need not hold (free_turn, slack, mask)"
         )
     turn, slide = path.length
     length = f"{turn:.3g} rad" + (f" and {slide:.3g} m" if slide else "")

@@ -2,6 +2,8 @@
 
 import json
 import re
+import subprocess
+import sys
 
 import motions
 import numpy as np
@@ -129,3 +131,29 @@ def test_the_best_path_so_far_is_kept_when_it_is_stopped(run, files, tmp_path, m
     code, _, err = run("path", ARM, "--poses", files["csv"], "-o", tmp_path / "out.csv")
     assert code == 130 and "out.csv.partial" in err and not (tmp_path / "out.csv").exists()
     assert (tmp_path / "out.csv.partial").read_text().startswith("pose,")
+
+
+STOPPED = """
+import signal, sys
+from ik_toolkit.cli import main
+from ik_toolkit.paths import finish
+
+def stopping(*what):  # Ctrl-C when the best path is known, and is being proven for the first time
+    finish.proven = proven
+    signal.raise_signal(signal.SIGINT)
+
+proven, finish.proven = finish.proven, stopping
+sys.exit(main(sys.argv[1:]))
+"""
+
+
+def test_a_signal_keeps_the_best_path_and_ends_with_130(files, poses, tmp_path):
+    out = tmp_path / "out.csv"
+    command = [sys.executable, "-c", STOPPED, "path", ARM, "--poses", files["csv"], "-o", out]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 130 and "Traceback" not in done.stderr
+    assert "the best path so far, FOLLOWED, is in" in done.stderr and not out.exists()
+    rows = np.genfromtxt(f"{out}.partial", delimiter=",", names=True)
+    arm = motions.load(ARM)
+    q = np.stack([rows[name] for name in arm.joint_names], axis=1)
+    assert max(arm.errors(x, T)[0] for x, T in zip(q, poses, strict=True)) < 1e-6

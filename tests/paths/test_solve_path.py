@@ -5,7 +5,8 @@ from itertools import pairwise
 import numpy as np
 import pinocchio as pin
 import pytest
-from robots import have_data
+from robots import MIMIC, have_data
+from serial_arms import urdf
 
 import ik_toolkit as ik
 from ik_toolkit.errors import InvalidConfiguration, InvalidOption, InvalidTarget
@@ -76,6 +77,55 @@ def test_poses_out_of_reach_are_named(flat):
     assert np.isfinite(made.q[:21]).all() and np.isnan(made.q[21:]).all()
 
 
+def test_what_is_reached_without_a_reconfiguration_is_counted(flat):
+    """A branch ends on the way, and the last poses are out of reach: both are said, and only rows that are there count."""
+    s = np.linspace(0.0, 1.0, 101)[:, None]
+    curve = (1 - s) ** 2 * [5.06, -0.36, -0.82] + 2 * s * (1 - s) * [5.78, -1.06, -0.45] + s * s * [5.02, -1.58, 0.28]
+    T = np.array([planar_pose(*one) for one in curve])
+    T[98:, 0, 3] += 9.0
+    made = ik.solve_path(flat, T, reconfigurations="none")
+    there = np.isfinite(made.q[:, 0])
+    assert made.status == PathStatus.INCOMPLETE and not there[97]
+    assert made.message.startswith(f"{there.sum()} of 101 poses are reached; pose 98 and 2 more not: beyond reach")
+    assert f"with no reconfiguration the path found ends at pose {np.flatnonzero(there)[-1]} of 101" in made.message
+
+
+# ------------------------------------------------------------------------------------------- poses that are far apart
+@pytest.mark.parametrize("last", [(-0.6, 3.6), (-3.6, 0.6)])
+@pytest.mark.parametrize("degrees", [(0, 180), (0, 180, 0), (0, 180.000001), (0, 180, 0, 180)])
+def test_half_a_turn_is_made_the_way_that_limits_allow(last, degrees):
+    joints = [((0, 0, 0), (-1.0, 1.0)), ((1, 0, 0), (-1.0, 1.0)), ((1, 0, 0), last)]
+    text = urdf([("revolute", at, (0, 0, 0), (0, 0, 1), *limits) for at, limits in joints], ((0, 0, 0), (0, 0, 0)))
+    robot = ik.Robot.load(text, tip="tip")
+    made = ik.solve_path(robot, np.array([planar_pose(1.8, 0.1, np.radians(x)) for x in degrees]))
+    assert made.status == PathStatus.FOLLOWED and made.deviation[0] <= made.path_tolerance[0]
+    assert made.position_error.max() <= 1e-6 and made.orientation_error.max() <= 1e-6
+    assert made.length[0] < 3.2 * (len(degrees) - 1)
+
+
+def test_both_tips_of_a_tree_make_half_a_turn():
+    tree = ik.Tree.load("brokk_hydrolek")
+    q = np.linspace(tree.home, tree.home, 2)
+    spun = [tree.joint_names.index(name) for name in tree.joint_names if name.endswith("wrist_roll")]
+    q[1, spun] += np.pi
+    made = ik.solve_path(tree, {tip: np.array([tree.fk(x)[tip].homogeneous for x in q]) for tip in tree.tips})
+    assert len(spun) == 2 and made.status == PathStatus.FOLLOWED
+
+
+@pytest.mark.parametrize("step", [0.1, 0.02])
+def test_a_short_max_step_inserts_more_poses(arm, step):
+    rng = np.random.default_rng(4)
+    a, b = arm.random_q(rng), arm.random_q(rng)
+    made = ik.solve_path(arm, between(arm, a, a + 0.4 * (b - a), 3), max_step=np.radians(step))
+    assert made.status == PathStatus.FOLLOWED
+    assert made.largest_step[0] <= np.radians(step) * (1.0 + 1e-9) and made.largest_step[1] <= np.radians(step)
+
+
+def test_a_max_step_that_is_far_too_small_is_refused(arm):
+    with pytest.raises(InvalidOption, match=r"max_step = \(1e-08 rad, 1e-08 m\) is too small: steps between 5 poses"):
+        ik.solve_path(arm, between(arm, arm.home, arm.home + 0.1, 5), max_step=1e-8)
+
+
 def test_a_path_begins_and_ends_where_it_is_asked_to(arm):
     rng = np.random.default_rng(11)
     a, b = arm.random_q(rng), arm.random_q(rng)
@@ -107,6 +157,8 @@ def test_mistakes_are_named(arm):
         ik.solve_path(arm, T, max_step=(0.1, -1.0))
     with pytest.raises(InvalidOption, match="takes no 'closest'"):
         ik.solve_path(arm, T, closest=True)
+    with pytest.raises(InvalidOption, match="progress is called with a share and words"):
+        ik.solve_path(arm, T, progress=3)
     with pytest.raises(InvalidTarget, match="at least one pose"):
         ik.solve_path(arm, T[:0])
     with pytest.raises(InvalidConfiguration, match="q0"):
@@ -258,3 +310,31 @@ def test_both_tips_of_a_tree_follow_their_own_paths():
     for q, k in zip(made.q, range(40), strict=True):
         for tip, T in tree.fk(q).items():
             assert np.abs(T.homogeneous - poses[tip][k]).max() < 5e-6
+
+
+def test_a_tip_follows_another_that_follows_its_path():
+    """What is relative to a moving tip is reached in that one's frame, and between the poses, too."""
+    tree = ik.Tree.load("brokk_hydrolek")
+    rng = np.random.default_rng(5)
+    a = tree.random_q(rng)
+    left, right = tree.tips
+    tips = [tree.fk(q) for q in np.linspace(a, a + 0.2 * (tree.random_q(rng) - a), 30)]
+    poses = {left: [T[left] for T in tips], right: [T[left].actInv(T[right]) for T in tips]}
+    poses = {tip: np.array([T.homogeneous for T in of]) for tip, of in poses.items()}
+    made = ik.solve_path(tree, poses, relative_to={right: left})
+    assert made.status == PathStatus.FOLLOWED
+    for q, k in zip(made.curve, made.at, strict=True):
+        if k == int(k):
+            T = tree.fk(q)
+            assert np.abs(T[left].homogeneous - poses[left][int(k)]).max() < 5e-6
+            assert np.abs(T[left].actInv(T[right]).homogeneous - poses[right][int(k)]).max() < 5e-6
+
+
+def test_joints_that_mimic_others_move_with_them():
+    robot = ik.Robot.load(MIMIC, tip="l8")
+    rng = np.random.default_rng(1)
+    a = robot.random_q(rng)
+    T = between(robot, a, a + 0.5 * (robot.random_q(rng) - a), 30)
+    made = ik.solve_path(robot, T)
+    assert made.status == PathStatus.FOLLOWED
+    assert max(robot.errors(q, one)[0] for q, one in zip(made.q, T, strict=True)) < 1e-6
