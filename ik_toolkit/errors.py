@@ -54,6 +54,10 @@ class JointNotFound(IKError, KeyError):
     """The model has no moving joint of that name."""
 
 
+class ConfigurationNotFound(IKError, KeyError):
+    """The robot has no named configuration of that name."""
+
+
 class InvalidTarget(IKError, ValueError):
     """A target that is not a finite position or rigid pose."""
 

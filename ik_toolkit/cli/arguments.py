@@ -64,6 +64,9 @@ class Command(typer.core.TyperCommand):
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Read the arguments. Raises InvalidOption."""
+        given = {word.partition("=")[0] for word in args}
+        if "--group" in given and given.intersection(TIP):
+            raise InvalidOption(f"--group has tips of its own; leave out {' and '.join(given.intersection(TIP))}")
         tips = sum(word.partition("=")[0] in TIP for word in args)
         if tips > 1 and any(
             option.name == "tip" and not option.multiple for option in self.params
@@ -147,6 +150,19 @@ XacroArg = Annotated[
         metavar="NAME:=VALUE", help="Value of a xacro file's argument; may be repeated.", rich_help_panel="Robot"
     ),
 ]
+SrdfFile = Annotated[
+    str | None,
+    typer.Option(
+        "--srdf",
+        metavar="FILE",
+        help="SRDF of the robot; default: the one beside its file, see ik info.",
+        rich_help_panel="Robot",
+    ),
+]
+Group = Annotated[
+    str | None,
+    typer.Option(metavar="NAME", help="Group of the SRDF: its base and tips are taken.", rich_help_panel="Robot"),
+]
 Deg = Annotated[
     bool,
     typer.Option(
@@ -191,7 +207,12 @@ def join_vectors(argv: Sequence[str]) -> list[str]:
 
 
 def joint_vector(robot: "Joints", text: str, option: str, deg: bool) -> "np.ndarray":
-    """Joint values (n,) [rad or m] of a vector option; turning joints are read in degrees when `deg`."""
+    """Joint values (n,) [rad or m] of a vector option, or of the configuration it names; turning joints in degrees when `deg`."""
+    name = text.strip()
+    if name in robot.named or (
+        name[:1].isalpha() and len(name.replace(",", " ").split()) == 1 and numbers(name) is None
+    ):
+        return robot.named[name]
     values = vector(text, option)
     if len(values) != robot.n:
         raise InvalidConfiguration(
@@ -223,8 +244,10 @@ def load_robot(
     xacro_arg: Sequence[str] | None = None,
     base_xyz: str | None = None,
     base_rpy: str | None = None,
+    srdf: str | None = None,
+    group: str | None = None,
 ) -> Any:
-    """Load the Robot (for a list of tips: the Tree) that the shared options describe.
+    """Load the Robot (for a list of tips, or a group with several: the Tree) that the shared options describe.
 
     Values of --lock are degrees for turning joints when `deg`, and so is --base-rpy.
     """
@@ -232,7 +255,7 @@ def load_robot(
     from ..robot.robot import Robot
     from ..robot.tree import Tree
 
-    options: dict[str, Any] = {"base": base, "package_dirs": package_dir or ()}
+    options: dict[str, Any] = {"base": base, "package_dirs": package_dir or (), "srdf": srdf}
     options["xacro_args"] = assignments(xacro_arg, "--xacro-arg", ":=") or None
     if base_xyz is not None or base_rpy is not None:
         from ..robot.pose import pose
@@ -241,10 +264,13 @@ def load_robot(
         place = vector(base_xyz or "0 0 0", "--base-xyz", 3)
         options["on_base"] = pose(place, rpy=[math.radians(x) for x in angles] if deg else angles)
     tips = find(source).tips
-    if tip is None and len(tips) > 1:
+    if group is None and tip is None and len(tips) > 1:
         raise FrameNotFound(f"robot '{source}' has {len(tips)} tips; choose one with --tip: {', '.join(tips)}")
     robot: Robot | Tree
-    if isinstance(tip, list):
+    if group is not None:
+        whole = Tree.load(source, group=group, **options)
+        robot = whole if isinstance(tip, list) or len(whole.tips) > 1 else whole.arms[0]
+    elif isinstance(tip, list):
         robot = Tree.load(source, tips=tip, **options)
     else:
         try:

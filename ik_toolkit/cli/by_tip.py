@@ -101,12 +101,20 @@ def matrix(x: Sequence[float]) -> Any:
 
 
 def choose_tips(
-    source: str, tips: Sequence[str] | None, given: dict[str, Any] | None, relative: Sequence[str] | None, one: bool
+    source: str,
+    tips: Sequence[str] | None,
+    given: dict[str, Any] | None,
+    relative: Sequence[str] | None,
+    one: bool,
+    group: str | None = None,
 ) -> str | list[str] | None:
     """Tip of a Robot, or the tips of a Tree: those of --tip, else the robot's own, else those with a target.
 
-    given: targets by tip, None where there is no --target; one: whether one target without a tip is given. Raises InvalidOption.
+    given: targets by tip, None where there is no --target; one: whether one target without a tip is given; group: --group, whose
+    tips `load_robot` takes: of a Robot where None is returned and there is one. Raises InvalidOption.
     """
+    if group is not None:
+        return None if given is None else []
     from ..robot.library import find
 
     known, named = find(source).tips, list(tips or ())

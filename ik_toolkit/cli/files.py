@@ -6,16 +6,32 @@ from typing import Annotated, Any
 
 import typer
 
-from ..errors import CONTROLS, IKError
+from ..errors import CONTROLS, FrameNotFound, IKError, InvalidOption
 from ..files import write_whole
 from .arguments import Json, PackageDir, writes
-from .output import notice, show, table, write_json
+from .output import notice, progress, show, table, write_json
 
 TableArg = Annotated[str, typer.Argument(metavar="TABLE", help="D-H table, a .toml or .csv file.")]
 UrdfOut = Annotated[
     Path | None,
     typer.Option("-o", "--output", metavar="FILE", help="Write the URDF here, not on stdout.", callback=writes()),
 ]
+SrdfOut = Annotated[
+    Path | None,
+    typer.Option(
+        "-o",
+        "--output",
+        metavar="FILE.srdf",
+        help="With --self-collision: write the pairs that need no test.",
+        callback=writes(".srdf"),
+    ),
+]
+Sampled = Annotated[
+    bool,
+    typer.Option("--self-collision", help="Sample which links always or never touch, and need no test for collisions."),
+]
+Samples = Annotated[int | None, typer.Option(metavar="N", help="Configurations to sample; default 10000.")]
+Seed = Annotated[int, typer.Option(metavar="N", help="Seed of the samples.")]
 UrdfArg = Annotated[str, typer.Argument(metavar="URDF", help="Path of a URDF file, or a robot's name.")]
 
 
@@ -43,11 +59,24 @@ def dh(table_file: TableArg, output: UrdfOut = None, as_json: Json = False) -> N
         print(CONTROLS.sub(lambda found: f"&#{ord(found[0])};", text), end="")  # the same XML, for a terminal
 
 
-def check(urdf: UrdfArg, package_dir: PackageDir = None, as_json: Json = False) -> None:
+def check(
+    urdf: UrdfArg,
+    sampled: Sampled = False,
+    samples: Samples = None,
+    seed: Seed = 0,
+    output: SrdfOut = None,
+    package_dir: PackageDir = None,
+    as_json: Json = False,
+) -> None:
     """Say what is wrong with a URDF, element by element.
+
+    With --self-collision also which pairs of links need no test: joined by a joint, touching always or by construction, or never
+    nearer than 1 cm in random configurations of all joints. -o writes them as an SRDF, for --srdf or to lie beside the URDF.
 
     Exit code 0 when it can be loaded (warnings may remain), 1 when it has errors.
     """
+    if not sampled and (samples is not None or output is not None):
+        raise InvalidOption("--samples and -o belong to --self-collision")
     from rich.text import Text
 
     from ..robot.check import check_urdf
@@ -59,6 +88,10 @@ def check(urdf: UrdfArg, package_dir: PackageDir = None, as_json: Json = False) 
     rows = [asdict(finding) for finding in findings]
     forms = {} if errors else _closed_forms(entry, package_dir or ())
     payload = {"urdf": urdf, "loadable": not errors, "errors": len(errors), "findings": rows, "closed_forms": forms}
+    found = _self_collision(entry, package_dir or (), samples, seed) if sampled and not errors else None
+    if found is not None:
+        pairs = [{"links": pair, "reason": reason} for pair, reason in found.reasons.items()]
+        payload["self_collision"] = {**asdict(found), "reasons": pairs, "counts": found.counts()}
     write_json(payload, as_json)
     if not as_json:
         made = table("<severity", "element", "problem", "what to do")
@@ -72,8 +105,33 @@ def check(urdf: UrdfArg, package_dir: PackageDir = None, as_json: Json = False) 
         show(f"{entry.name}: {counts if findings else 'nothing wrong found'}")
         for tip, words in forms.items():
             show(f"closed form up to {tip}: {words}")
+        if found is not None:
+            counts = ", ".join(f"{count} {reason.lower()}" for reason, count in found.counts().items())
+            show(f"pairs of links: {counts}, {len(found.tested)} to be tested ({found.samples} configurations)")
+            show(
+                f"something touches in {100 * found.before:.3g} % of them, of the pairs to be tested in {100 * found.after:.3g} %"
+            )
+    if found is not None and output is not None:
+        write_whole(output, found.to_srdf())
+        notice(f"wrote {output}: {len(found.reasons)} pairs of links that need no test")
     if errors:
         raise typer.Exit(1)
+
+
+def _self_collision(entry: Any, package_dirs: Any, samples: int | None, seed: int) -> Any:
+    """Pairs of links that need no test, of whatever tip: all joints of the model move."""
+    from ..robot.robot import Robot
+    from ..robot.self_collision import SAMPLES, self_collision
+
+    folders, count = [*package_dirs, *entry.package_dirs], SAMPLES if samples is None else samples
+    try:
+        robot = Robot.load(entry.source, tip=(entry.tips or (None,))[0], package_dirs=folders, srdf=False)
+    except FrameNotFound as several:
+        if not several.tips:
+            raise
+        robot = Robot.load(entry.source, tip=several.tips[0], package_dirs=folders, srdf=False)
+    with progress("sampling", count) as step:
+        return self_collision(robot, count, seed, step)
 
 
 def _closed_forms(entry: Any, package_dirs: Any) -> dict[str, str]:

@@ -17,10 +17,12 @@ from .arguments import (
     BaseRpy,
     BaseXyz,
     Deg,
+    Group,
     Json,
     Lock,
     PackageDir,
     RobotArg,
+    SrdfFile,
     Tips,
     XacroArg,
     joint_vector,
@@ -123,6 +125,8 @@ def path(
     lock: Lock = None,
     package_dir: PackageDir = None,
     xacro_arg: XacroArg = None,
+    srdf: SrdfFile = None,
+    group: Group = None,
     deg: Deg = False,
     as_json: Json = False,
     output: Out = None,
@@ -143,8 +147,8 @@ def path(
     from ..paths.solve_path import PathInterrupted, solve_path
     from ..robot.pose_files import read_poses
 
-    tips = by_tip.choose_tips(robot, tip, None, None, False)
-    arm = load_robot(robot, tips, base, lock, package_dir, deg, xacro_arg, base_xyz, base_rpy)
+    tips = by_tip.choose_tips(robot, tip, None, None, False, group)
+    arm = load_robot(robot, tips, base, lock, package_dir, deg, xacro_arg, base_xyz, base_rpy, srdf, group)
     _, blocks = read_poses(poses, "poses", deg=deg, tips=arm.tips if arm.by_tip else ())
     targets = _joined([block.poses for block in blocks], poses.name)
     options = _options(line, arm)

@@ -1,20 +1,24 @@
 """`ik robots`, `ik info`, `ik fk`: which robots there are, what one is like, where its tip stands."""
 
+import contextlib
 import math
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from ..errors import FrameNotFound
+from ..errors import FrameNotFound, InvalidOption
 from .arguments import (
     Base,
     BaseRpy,
     BaseXyz,
     Deg,
+    Group,
     Json,
     Lock,
     PackageDir,
     RobotArg,
+    SrdfFile,
     Tip,
     XacroArg,
     assignments,
@@ -95,6 +99,8 @@ def info(
     lock: Lock = None,
     package_dir: PackageDir = None,
     xacro_arg: XacroArg = None,
+    srdf: SrdfFile = None,
+    group: Group = None,
     list_tips: ListTips = False,
     deg: Deg = False,
     as_json: Json = False,
@@ -107,7 +113,7 @@ def info(
     from ..solvers.closed_form import describe as closed_form
 
     def load(name: str | None) -> Any:
-        return load_robot(robot, name, base, lock, package_dir, deg, xacro_arg, base_xyz, base_rpy)
+        return load_robot(robot, name, base, lock, package_dir, deg, xacro_arg, base_xyz, base_rpy, srdf, group)
 
     entry = find(robot)
     if list_tips:
@@ -115,7 +121,8 @@ def info(
         _show_tips(entry, [load(name) for name in ends], as_json)
         return
     try:
-        arms = [load(name) for name in ([tip] if tip or len(entry.tips) < 2 else entry.tips)]
+        loaded = [load(name) for name in ([tip] if tip or group or len(entry.tips) < 2 else entry.tips)]
+        arms = [arm for one in loaded for arm in one.arms]
     except FrameNotFound as several:
         if not several.tips:
             raise
@@ -124,7 +131,7 @@ def info(
     dh = read_dh_table(entry.dh_file) if entry.dh_file else None
     rows = [{**describe(arm), "package_dirs": arm.package_dirs} for arm in arms]
     source = {"description": entry.description, "paper": entry.paper, "table": entry.table, "path": entry.path}
-    payload = {**rows[0], **source, "dh": _dh_dict(dh) if dh else None}
+    payload = {**rows[0], **source, "dh": _dh_dict(dh) if dh else None, "srdf": _srdf_dict(arms[0])}
     if len(rows) > 1:
         payload["arms"] = rows
     write_json(payload, as_json)
@@ -132,6 +139,7 @@ def info(
         return
     show(heading(entry.name))
     show(facts({"robot": entry.description or None, "source": _source(entry.paper, entry.table), "file": entry.path}))
+    show(facts(_srdf_facts(arms[0])))
     for arm in arms:
         reach = f"{arm.reach:.4g} m (longest distance of the tip from the first joint)"
         kinds = {joint: "prismatic" if slides(arm, joint) else "revolute" for joint in arm.locked_joints}
@@ -147,6 +155,7 @@ def info(
                     "joints": arm.n,
                     "reach": reach,
                     "locked": locked or None,
+                    "configurations": ", ".join(arm.named),
                     "closed form": closed_form(arm) or None,
                 }
             ),
@@ -187,7 +196,44 @@ def describe(robot: "Robot") -> dict[str, Any]:
         "reach": robot.reach,
         "joints": [dict(zip(names, joint, strict=True)) for joint in joints],
         "locked": robot.locked_joints,
+        "named": robot.named,
         "closed_form": closed_form(robot) or None,
+    }
+
+
+def _srdf_dict(robot: "Robot") -> dict[str, Any] | None:
+    """What the robot's SRDF says, as plain data; None where there is none."""
+    said = robot.srdf
+    if said.path is None and not said.remarks:
+        return None
+    groups = {}
+    for name in said.groups:
+        with contextlib.suppress(InvalidOption):  # of what this robot does not have
+            groups[name] = dict(zip(("base", "tips"), said.ends(name, robot.model), strict=True))
+    return {
+        "path": said.path,
+        "groups": groups,
+        "end_effectors": {name: asdict(one) for name, one in said.end_effectors.items()},
+        "passive_joints": said.passive_joints,
+        "may_touch": len(said.may_touch([frame.name for frame in robot.model.frames])),
+        "remarks": said.against(robot.model),
+    }
+
+
+def _srdf_facts(robot: "Robot") -> dict[str, str | None]:
+    """The same in words."""
+    said = _srdf_dict(robot)
+    if said is None:
+        return {}
+    groups = [f"{name} ({one['base'] or 'root'} -> {', '.join(one['tips'])})" for name, one in said["groups"].items()]
+    ends = [f"{name} (on {one['parent_link']})" for name, one in said["end_effectors"].items()]
+    return {
+        "SRDF": str(said["path"]) if said["path"] else "none",
+        "groups": "; ".join(groups) or None,
+        "end effectors": "; ".join(ends) or None,
+        "passive joints": ", ".join(said["passive_joints"]) or None,
+        "may touch": f"{said['may_touch']} pairs of links" if said["path"] else None,
+        "SRDF, not used": "; ".join(said["remarks"]) or None,
     }
 
 
@@ -232,13 +278,15 @@ def fk(
     lock: Lock = None,
     package_dir: PackageDir = None,
     xacro_arg: XacroArg = None,
+    srdf: SrdfFile = None,
+    group: Group = None,
     deg: Deg = False,
     as_json: Json = False,
 ) -> None:
     """Show where the tip stands for given joint values (pose in the robot's base frame)."""
     from ..robot.pose import matrix_quat, matrix_rpy
 
-    arm = load_robot(robot, tip, base, lock, package_dir, deg, xacro_arg, base_xyz, base_rpy)
+    arm = load_robot(robot, tip, base, lock, package_dir, deg, xacro_arg, base_xyz, base_rpy, srdf, group)
     values = arm.home if q is None else joint_vector(arm, q, "--q", deg)
     outside = arm.outside(values)
     if outside:

@@ -9,7 +9,22 @@ import typer
 
 from . import first_use
 from . import solve_options as asked
-from .arguments import Base, BaseRpy, BaseXyz, Deg, Json, Lock, Out, PackageDir, RobotArg, Tips, XacroArg, load_robot
+from .arguments import (
+    Base,
+    BaseRpy,
+    BaseXyz,
+    Deg,
+    Group,
+    Json,
+    Lock,
+    Out,
+    PackageDir,
+    RobotArg,
+    SrdfFile,
+    Tips,
+    XacroArg,
+    load_robot,
+)
 from .by_tip import choose_tips, in_base
 from .output import facts, notice, number, show, table, unit, write_json
 from .pictures import Chart, Html, Live, draw
@@ -70,6 +85,8 @@ def solve(
     lock: Lock = None,
     package_dir: PackageDir = None,
     xacro_arg: XacroArg = None,
+    srdf: SrdfFile = None,
+    group: Group = None,
     deg: Deg = False,
     as_json: Json = False,
     output: Out = None,
@@ -92,8 +109,8 @@ def solve(
     asked.refuse_contradictions(line)
     target = asked.read_target(line)
     method = asked.choose_solver(solver, param, preset)
-    tips = choose_tips(robot, tip, target if targets else None, relative, asked.is_posed(line))
-    arm = load_robot(robot, tips, base, lock, package_dir, deg, xacro_arg, base_xyz, base_rpy)
+    tips = choose_tips(robot, tip, target if targets else None, relative, asked.is_posed(line), group)
+    arm = load_robot(robot, tips, base, lock, package_dir, deg, xacro_arg, base_xyz, base_rpy, srdf, group)
     options = asked.read_options(line, arm)
     start = options.pop("q0")
     if file is not None:

@@ -16,10 +16,12 @@ from .arguments import (
     BaseRpy,
     BaseXyz,
     Deg,
+    Group,
     Json,
     Lock,
     PackageDir,
     RobotArg,
+    SrdfFile,
     Tips,
     XacroArg,
     assignments,
@@ -190,6 +192,8 @@ def track(
     lock: Lock = None,
     package_dir: PackageDir = None,
     xacro_arg: XacroArg = None,
+    srdf: SrdfFile = None,
+    group: Group = None,
     deg: Deg = False,
     as_json: Json = False,
     output: Out = None,
@@ -210,8 +214,8 @@ def track(
     if not (rate > 0.0 and rate < float("inf")):
         raise InvalidOption(f"--rate must be positive, not {rate}")
     counts = shared.read_counting(line)
-    tips = choose_tips(robot, tip, None, relative, False)
-    arm = load_robot(robot, tips, base, lock, package_dir, deg, xacro_arg, base_xyz, base_rpy)
+    tips = choose_tips(robot, tip, None, relative, False, group)
+    arm = load_robot(robot, tips, base, lock, package_dir, deg, xacro_arg, base_xyz, base_rpy, srdf, group)
     first = None if q0 is None else joint_vector(arm, q0, "--q0", deg)
     asked = asked_path(arm, line, first, counts)
     result = _run(arm, line, asked, counts)

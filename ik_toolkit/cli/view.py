@@ -8,7 +8,21 @@ import typer
 
 from ..errors import InvalidOption
 from . import by_tip
-from .arguments import Base, BaseRpy, BaseXyz, Deg, Lock, PackageDir, RobotArg, Tips, XacroArg, joint_vector, load_robot
+from .arguments import (
+    Base,
+    BaseRpy,
+    BaseXyz,
+    Deg,
+    Group,
+    Lock,
+    PackageDir,
+    RobotArg,
+    SrdfFile,
+    Tips,
+    XacroArg,
+    joint_vector,
+    load_robot,
+)
 from .output import notice
 from .pictures import Html, present, wait
 from .solve_options import Matrix, Relative, Targets, is_posed, make_target
@@ -66,6 +80,8 @@ def view(
     lock: Lock = None,
     package_dir: PackageDir = None,
     xacro_arg: XacroArg = None,
+    srdf: SrdfFile = None,
+    group: Group = None,
     deg: Deg = False,
 ) -> None:
     """Show a robot in 3-D: at home, at --q, along --motion, or solving for --xyz or --target (with a time slider).
@@ -87,6 +103,8 @@ def view(
             "--q": q,
             "--motion": motion,
             "--xacro-arg": xacro_arg,
+            "--srdf": srdf,
+            "--group": group,
         }
         given = [name for name, value in fixed.items() if value]
         if given or solving:
@@ -99,8 +117,8 @@ def view(
     target: Any = None
     if solving:
         target = by_tip.targets(targets, deg) if targets else make_target(line)
-    tips = by_tip.choose_tips(robot, tip, target if targets else None, relative, is_posed(line))
-    arm = load_robot(robot, tips, base, lock, package_dir, deg, xacro_arg, base_xyz, base_rpy)
+    tips = by_tip.choose_tips(robot, tip, target if targets else None, relative, is_posed(line), group)
+    arm = load_robot(robot, tips, base, lock, package_dir, deg, xacro_arg, base_xyz, base_rpy, srdf, group)
     what, solved = arm.home, True
     if motion is not None:
         from ..show.motions import from_file

@@ -14,11 +14,13 @@ from .arguments import (
     BaseRpy,
     BaseXyz,
     Deg,
+    Group,
     Json,
     Lock,
     Out,
     PackageDir,
     RobotArg,
+    SrdfFile,
     Tips,
     XacroArg,
     joint_vector,
@@ -89,6 +91,8 @@ def workspace(
     lock: Lock = None,
     package_dir: PackageDir = None,
     xacro_arg: XacroArg = None,
+    srdf: SrdfFile = None,
+    group: Group = None,
     deg: Deg = False,
     as_json: Json = False,
     output: Out = None,
@@ -107,7 +111,9 @@ def workspace(
         raise InvalidOption(f"--targets must be at least 1, not {targets}")
     if workers is not None and workers < 1:
         raise InvalidOption(f"--workers must be at least 1, not {workers}")
-    arm = load_robot(robot, one_or_several(tip), base, lock, package_dir, deg, xacro_arg, base_xyz, base_rpy)
+    arm = load_robot(
+        robot, one_or_several(tip), base, lock, package_dir, deg, xacro_arg, base_xyz, base_rpy, srdf, group
+    )
 
     from ..study.workspace import WorkspaceInterrupted
     from ..study.workspace import workspace as study

@@ -29,9 +29,10 @@ class CollisionModel:
 
     robot: the Robot or Tree (its arms against each other, too) whose collision shapes are read from its URDF (meshes from the
     URDF's folder, its ROS package and package_dirs, from nowhere else), or from `geometry`, a pin.GeometryModel. ignore: pairs of
-    link names that may touch. Never tested: links joined by one joint, links that cannot move against each other, and pairs
-    that touch both at home and at zero (if legal), which are listed in `excluded`. Attributes: links, obstacles (names), pairs
-    (tested, by name), excluded (pairs of link names). Raises ModelError (no collision shapes, over 300, one without extent, or
+    link names that may touch. Never tested: links joined by one joint, links that cannot move against each other, pairs that the
+    robot's SRDF allows to touch, and pairs that touch both at home and at zero (if legal), which are listed in `excluded`.
+    Attributes: links, obstacles (names), pairs (tested, by name), excluded (pairs of link names), allowed (pairs of link names
+    in the SRDF -> reason). Raises ModelError (no collision shapes, over 300, one without extent, or
     a mesh that cannot be read), InvalidOption.
     """
 
@@ -43,7 +44,7 @@ class CollisionModel:
             raise InvalidOption(f"collisions are tested for a Robot or a Tree, not for a {type(robot).__name__}")
         self.robot = robot
         self.ignore = [tuple(pair) for pair in ignore]
-        self.geometry = _read(robot) if geometry is None else geometry.clone()
+        self.geometry = read_shapes(robot) if geometry is None else geometry.clone()
         self.geometry.removeAllCollisionPairs()
         frames = robot.model.frames
         self._names = [frames[o.parentFrame].name for o in self.geometry.geometryObjects]
@@ -70,7 +71,7 @@ class CollisionModel:
         owners = [o.parentJoint for o in geometry.geometryObjects]
         placements = self._sample(owners)
         joints = list(placements)
-        above = {j: _owner_above(model, j, set(joints)) for j in joints}
+        above = {j: owner_above(model, j, set(joints)) for j in joints}
         self._moving = [np.ptp(placements[j], axis=0).max() > 1e-9 for j in owners]
         against = np.zeros((len(joints), len(joints)), dtype=bool)  # whether two joints' shapes move against each other
         for b, jb in enumerate(joints):
@@ -89,7 +90,8 @@ class CollisionModel:
             geometry.setCollisionPairs(tested)
             self._local = threading.local()
 
-        leave_out(self.ignore)
+        self.allowed = robot.srdf.may_touch(self.links)
+        leave_out([*self.ignore, *self.allowed])
         zero = np.zeros(robot.n)
         touching = dict.fromkeys(self.collisions(robot.home))
         if not robot.outside(zero):  # touching at one of them may be a real collision: a folded arm's
@@ -171,9 +173,7 @@ class CollisionModel:
         data, geometry_data = self.robot.model.createData(), self.geometry.createData()
         # Pinocchio's own requests start from the last answer's guess, and then a verdict may depend on the ones before.
         for k, margin in enumerate(margins.tolist()):
-            request = coal.CollisionRequest(coal.CollisionRequestFlag.NO_REQUEST, 1)
-            request.security_margin = margin
-            geometry_data.collisionRequests[k] = request
+            geometry_data.collisionRequests[k] = request(margin)
         boxes = pin.BroadPhaseManager_DynamicAABBTreeCollisionManager(self.robot.model, self.geometry, geometry_data)
         # Pinocchio leaves shapes whose box has no volume (a flat mesh) out of the tree: then every pair is tested.
         flat = any(np.min(_extent(o.geometry)) <= 0.0 for o in self.geometry.geometryObjects)
@@ -235,7 +235,7 @@ class CollisionModel:
         return f"CollisionModel('{self.robot.name}', {len(self.pairs)} pairs tested, {len(self.excluded)} excluded{around})"
 
 
-def _read(robot: Robot | Tree) -> pin.GeometryModel:
+def read_shapes(robot: Any) -> pin.GeometryModel:
     """Collision shapes of the robot's URDF, placed on its model."""
     if robot.urdf is None:
         raise ModelError(f"robot '{robot.name}' was not made from a URDF; pass its collision shapes as geometry=")
@@ -245,6 +245,13 @@ def _read(robot: Robot | Tree) -> pin.GeometryModel:
         hint = where if any(problem.startswith("mesh ") for _, problem in problems) else ""
         raise ModelError(f"the collision shapes of robot '{robot.name}' cannot be used: {said(problems)}{hint}")
     return geometry_model(robot.model, shapes, [_form(shape) for shape in shapes])
+
+
+def request(margin: float) -> coal.CollisionRequest:
+    """Question whether two shapes are nearer than a margin [m]."""
+    made = coal.CollisionRequest(coal.CollisionRequestFlag.NO_REQUEST, 1)
+    made.security_margin = margin
+    return made
 
 
 def _form(shape: LinkShape) -> Any:
@@ -275,7 +282,7 @@ def _extent(shape: Any) -> np.ndarray:
     return shape.aabb_local.max_ - shape.aabb_local.min_
 
 
-def _owner_above(model: pin.Model, joint: int, owners: set[int]) -> int:
+def owner_above(model: pin.Model, joint: int, owners: set[int]) -> int:
     """Nearest joint above that carries shapes (-1: none): links with nothing but bare joints between them are adjacent."""
     while joint > 0:
         joint = model.parents[joint]

@@ -8,10 +8,30 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from ..errors import FEW_TURNS, FrameNotFound, InvalidConfiguration, InvalidOption, doubt_angle, floats, near_match
+from ..errors import (
+    FEW_TURNS,
+    ConfigurationNotFound,
+    FrameNotFound,
+    InvalidConfiguration,
+    InvalidOption,
+    doubt_angle,
+    floats,
+    near_match,
+)
 from ..kernel.records import POINTS
 from .base import Given
 from .probe import Path
+from .srdf import Srdf
+
+
+class Named(dict[str, np.ndarray]):
+    """Configurations q (n,) [rad or m] by name; a name that is none raises ConfigurationNotFound."""
+
+    def __missing__(self, name: str) -> np.ndarray:
+        """Refuse a name."""
+        raise ConfigurationNotFound(
+            f"the robot has no configuration named '{str(name)[:200]}'.{near_match(name, self)}"
+        )
 
 
 class Joints:
@@ -36,6 +56,7 @@ class Joints:
     arms: tuple[Any, ...]
     places: tuple[np.ndarray, ...]
     memo: dict[Any, Any]
+    srdf: Srdf
     by_tip = False  # whether targets come by tip, as a tree's do, also when it has one
     _path: Path
     _given: Given | None
@@ -58,6 +79,17 @@ class Joints:
     def slides(self) -> np.ndarray:
         """Which joints slide (n,)."""
         return np.array([kind == "prismatic" for kind in self.joint_kinds], dtype=bool)
+
+    @property
+    def named(self) -> Named:
+        """Configurations by name: those of the SRDF that set a joint of q (the others stay at home), and "home" in any case."""
+        found = Named()
+        for state, values in {"home": {}, **self.srdf.states}.items():
+            given = {i: values[joint][0] for i, joint in enumerate(self.joint_names) if len(values.get(joint, ())) == 1}
+            if given or state == "home":
+                found[state] = self.home.copy()
+                found[state][list(given)] = list(given.values())
+        return found
 
     def check_tips(self, names: Iterable[Any]) -> None:
         """Raise FrameNotFound for a name that is not one of the tips."""

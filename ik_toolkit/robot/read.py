@@ -2,7 +2,7 @@
 
 import functools
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NoReturn
@@ -83,15 +83,19 @@ def safe_read(source: str | Path) -> str:
     xacro, has a DOCTYPE or entities, is nested too deep, has too many elements, over 1,000 joints or 128 degrees of freedom,
     too long a name or tag, or no root <robot>.
     """
+    text = source_text(source, "URDF")
+    parse(text)
+    return text
+
+
+def source_text(source: str | Path, what: str) -> str:
+    """Text of a file, or text given as a string; ModelError when it is missing, empty, over 20 MB or not UTF-8."""
     if is_text(source):
         assert isinstance(source, str)
         if len(source) > MAX_BYTES:
-            raise ModelError(f"the URDF text is larger than {MAX_BYTES // 1_000_000} MB")
-        text = source.lstrip(BLANK)
-    else:
-        text = _read_file(Path(source).expanduser())
-    parse(text)
-    return text
+            raise ModelError(f"the {what} text is larger than {MAX_BYTES // 1_000_000} MB")
+        return source.lstrip(BLANK)
+    return _read_file(Path(source).expanduser())
 
 
 def _read_file(path: Path) -> str:
@@ -122,59 +126,32 @@ def _read_file(path: Path) -> str:
 def parse(text: str) -> list[Item]:
     """The robot, its links, joints and materials in the order of a URDF text; ModelError when it is not one or is over a cap."""
     items: list[Item] = []
-    stack: list[str] = []
-    counts = {"elements": 0, "joint": 0}
-    parser = expat.ParserCreate("utf-8")  # what a string is encoded in below, whatever its first line declares
+    joints = 0
     macros = "${" in text or "$(" in text
 
-    def start(tag: str, attributes: dict[str, str]) -> None:
-        counts["elements"] += 1
-        if counts["elements"] > MAX_ELEMENTS:
-            raise ModelError(f"the URDF has more than {MAX_ELEMENTS:,} elements; it is not read")
-        where = f"in line {parser.CurrentLineNumber}; it is not read"
-        if len(stack) >= MAX_DEPTH:
-            raise ModelError(f"the URDF is nested more than {MAX_DEPTH} deep {where}")
-        if len(attributes) > MAX_ATTRIBUTES:
-            raise ModelError(f"the URDF has an element with {len(attributes):,} attributes {where}")
-        if tag in NAMED and any(len(value) > MAX_NAME for value in attributes.values()):
-            raise ModelError(f"the URDF has a name of more than {MAX_NAME} characters {where}")
-        if not stack and tag != "robot":
+    def start(tag: str, attributes: dict[str, str], above: Sequence[str], line: int) -> None:
+        nonlocal joints
+        if tag in NAMED:
+            check_names(attributes, "URDF", line)
+        if not above and tag != "robot":
             raise ModelError(f"the root element is <{tag}>, not <robot>: this is not a URDF")
         if tag.startswith("xacro:") or (macros and any("${" in x or "$(" in x for x in attributes.values())):
-            raise HasMacros(
-                f"line {parser.CurrentLineNumber} has xacro macros; expand it first: xacro IN.xacro > OUT.urdf"
-            )
-        if not stack:
-            items.append(Item(tag, attributes, parser.CurrentLineNumber))
-        elif len(stack) == 1 and tag in ("link", "joint", "material"):
+            raise HasMacros(f"line {line} has xacro macros; expand it first: xacro IN.xacro > OUT.urdf")
+        if not above:
+            items.append(Item(tag, attributes, line))
+        elif len(above) == 1 and tag in ("link", "joint", "material"):
             if tag == "joint":
-                counts[tag] += 1
-                if counts[tag] > MAX_JOINTS:
+                joints += 1
+                if joints > MAX_JOINTS:
                     raise ModelError(f"the URDF has more than {MAX_JOINTS:,} joints; it is not read")
-            items.append(Item(tag, attributes, parser.CurrentLineNumber))
-        elif len(stack) > 1 and stack[1] in ("link", "joint", "material"):
+            items.append(Item(tag, attributes, line))
+        elif len(above) > 1 and above[1] in ("link", "joint", "material"):
             if tag in READ:
                 items[-1].inside.append((tag, attributes))
-            if stack[1] == "link" and (len(stack) > 2 or tag in SHAPES):
-                _shape(items[-1].shapes, stack[2:], tag, attributes)
-        stack.append(tag)
+            if above[1] == "link" and (len(above) > 2 or tag in SHAPES):
+                _shape(items[-1].shapes, above[2:], tag, attributes)
 
-    def end(tag: str) -> None:
-        stack.pop()
-
-    def refuse(*_: object) -> NoReturn:
-        raise ModelError("the URDF has a DOCTYPE or entity declarations; these are refused, never expanded or fetched")
-
-    parser.StartElementHandler, parser.EndElementHandler = start, end
-    parser.StartDoctypeDeclHandler = parser.EntityDeclHandler = refuse
-    parser.ExternalEntityRefHandler = refuse
-    try:
-        _feed(parser, text.encode())
-    except expat.ExpatError as error:
-        reason = expat.ErrorString(error.code) or "syntax error"
-        raise ModelError(f"the URDF is not well-formed XML: {reason} in line {error.lineno}") from None
-    except UnicodeEncodeError:
-        raise ModelError("the URDF text has characters that UTF-8 cannot hold (lone surrogates)") from None
+    walk(text, "URDF", start)
     freedom = sum(FREEDOM.get(item.attributes.get("type", ""), 0) for item in items if item.first("mimic") is None)
     if freedom > MAX_FREEDOM:
         raise ModelError(
@@ -184,7 +161,58 @@ def parse(text: str) -> list[Item]:
     return items
 
 
-def _shape(shapes: list[dict[str, Any]], above: list[str], tag: str, attributes: Mapping[str, str]) -> None:
+def check_names(attributes: Mapping[str, str], what: str, line: int) -> None:
+    """Raise ModelError when an attribute that is a name is too long."""
+    if any(len(value) > MAX_NAME for value in attributes.values()):
+        raise ModelError(f"the {what} has a name of more than {MAX_NAME} characters in line {line}; it is not read")
+
+
+def walk(text: str, what: str, start: Callable[[str, dict[str, str], Sequence[str], int], None]) -> None:
+    """Parse XML text and call `start` with every element's tag, attributes, tags above it and line; caps hold for any kind of file.
+
+    what: the kind ('URDF'), for messages. Raises ModelError: not well-formed, a DOCTYPE or entities, nested too deep, too many
+    elements, attributes, or too long a tag.
+    """
+    stack: list[str] = []
+    elements = 0
+    parser = expat.ParserCreate("utf-8")  # what a string is encoded in below, whatever its first line declares
+
+    def begin(tag: str, attributes: dict[str, str]) -> None:
+        nonlocal elements
+        elements += 1
+        if elements > MAX_ELEMENTS:
+            raise ModelError(f"the {what} has more than {MAX_ELEMENTS:,} elements; it is not read")
+        line = parser.CurrentLineNumber
+        if len(stack) >= MAX_DEPTH:
+            raise ModelError(f"the {what} is nested more than {MAX_DEPTH} deep in line {line}; it is not read")
+        if len(attributes) > MAX_ATTRIBUTES:
+            raise ModelError(
+                f"the {what} has an element with {len(attributes):,} attributes in line {line}; it is not read"
+            )
+        start(tag, attributes, stack, line)
+        stack.append(tag)
+
+    def end(tag: str) -> None:
+        stack.pop()
+
+    def refuse(*_: object) -> NoReturn:
+        raise ModelError(
+            f"the {what} has a DOCTYPE or entity declarations; these are refused, never expanded or fetched"
+        )
+
+    parser.StartElementHandler, parser.EndElementHandler = begin, end
+    parser.StartDoctypeDeclHandler = parser.EntityDeclHandler = refuse
+    parser.ExternalEntityRefHandler = refuse
+    try:
+        _feed(parser, text.encode(), what)
+    except expat.ExpatError as error:
+        reason = expat.ErrorString(error.code) or "syntax error"
+        raise ModelError(f"the {what} is not well-formed XML: {reason} in line {error.lineno}") from None
+    except UnicodeEncodeError:
+        raise ModelError(f"the {what} text has characters that UTF-8 cannot hold (lone surrogates)") from None
+
+
+def _shape(shapes: list[dict[str, Any]], above: Sequence[str], tag: str, attributes: Mapping[str, str]) -> None:
     """Take in an element of a link below `above`; of several where one belongs the first counts, as in Pinocchio's parser."""
     if not above:
         shapes.append({"role": tag, "name": attributes.get("name", "")})
@@ -209,13 +237,13 @@ def wrong_scale(mesh: Mapping[str, str]) -> bool:
     return scale is None or len(scale) != 3 or not all(map(math.isfinite, scale))
 
 
-def _feed(parser: Any, raw: bytes) -> None:
+def _feed(parser: Any, raw: bytes, what: str) -> None:
     """Parse piece by piece, so that a tag or comment without end is refused before it fills the memory."""
     for start in range(0, len(raw), CHUNK):
         parser.Parse(raw[start : start + CHUNK], False)
         if start + CHUNK - parser.CurrentByteIndex > MAX_TAG + CHUNK:
             raise ModelError(
-                f"the URDF has a tag or comment of more than {MAX_TAG // 1_000_000} MB in line "
+                f"the {what} has a tag or comment of more than {MAX_TAG // 1_000_000} MB in line "
                 f"{parser.CurrentLineNumber}; it is not read"
             )
     parser.Parse(b"", True)

@@ -34,6 +34,7 @@ from .pose import check_target
 from .probe import AGREE, NO_LIMIT, configurations, difference, find_path, limits, probe
 from .probe import Path as JointPath
 from .read import is_text
+from .srdf import Srdf, read_srdf, srdf_of
 from .tips import only_tip
 
 # Attributes that belong to one object, or to one thread.
@@ -50,7 +51,8 @@ class Robot(Joints):
     joint of the path base -> tip; joint_kinds (n,) 'revolute', 'continuous' or 'prismatic'; lower, upper, home (n,) [rad or
     m], infinite limits for continuous joints; velocity_limits (n,) [rad/s or m/s]; chain (kernel arrays); rest (nq,) values
     of the joints off the path; locked_joints (name -> value held); tool (pin.SE3, T_tip_tool); urdf (text or None), path (file
-    or None), package_dirs; on_base, base_limits; tips, arms, places and reach, as a Tree has them; memo (see Joints).
+    or None), package_dirs; on_base, base_limits; srdf (what its SRDF says); tips, arms, places and reach, as a Tree has them;
+    memo and named (see Joints).
     """
 
     def __init__(
@@ -68,13 +70,15 @@ class Robot(Joints):
         package_dirs: Iterable[str | Path] = (),
         on_base: Any = None,
         base_limits: Any = None,
+        srdf: str | Path | Srdf | None = None,
     ) -> None:
         """Wrap an existing model.
 
         tip (or ee_link, another word for it), base: frame names (base default: the root; tip may be omitted when only one
         candidate exists). home (n,): a good non-singular start; default mid-range. locked: joint name -> value [rad or m], held
         constant and left out of q. on_base, base_limits: see `load`; a free-flyer of the model is solved for as a floating base
-        is, and needs base_limits. Raises FrameNotFound, JointNotFound, ModelError, InvalidConfiguration, InvalidOption.
+        is, and needs base_limits. srdf: a file or text of SRDF; its passive joints are held, too. Raises FrameNotFound,
+        JointNotFound, ModelError, InvalidConfiguration, InvalidOption.
         """
         tip = _one_tip(tip, ee_link)
         if not isinstance(model, pin.Model):
@@ -96,6 +100,8 @@ class Robot(Joints):
         self.tool = pin.SE3.Identity()
         self.rest = pin.neutral(self.model)
         self.locked_joints: dict[str, float] = {}
+        self.srdf = read_srdf(srdf) if srdf is not None else Srdf()
+        self._hold_passive(locked or {})
         for joint, value in (locked or {}).items():
             self._set_rest(joint, value)
         self._build(home)
@@ -113,6 +119,8 @@ class Robot(Joints):
         xacro_args: Mapping[str, Any] | None = None,
         on_base: Any = None,
         base_limits: Any = None,
+        srdf: str | Path | Srdf | bool | None = None,
+        group: str | None = None,
     ) -> "Robot":
         """Load a robot by shipped name, path of a URDF or xacro file, URDF text, or example-robot-data name.
 
@@ -120,12 +128,22 @@ class Robot(Joints):
         xacro_args: values of a xacro file's arguments by name. on_base: a pose (4, 4) of the robot's root in the world, in which
         poses are then given; 'planar' puts base_x, base_y, base_yaw before q, 'floating' base_x, base_y, base_z, base_yaw,
         base_pitch, base_roll (Rz Ry Rx). base_limits: (lower, upper) [m] of the slides among them, one pair or one each, or a
-        dict by name; turns are endless but for the pitch (85 degrees either way) where it has none. Meshes are never read. Raises
-        RobotNotFound, ModelError (broken or hostile file, in one sentence), FrameNotFound (lists the frames), JointNotFound,
-        InvalidOption, MissingExtra (xacro).
+        dict by name; turns are endless but for the pitch (85 degrees either way) where it has none. srdf: an SRDF (file or text;
+        default: the one beside the file, see `srdf_beside`; False: none). group: a group of it, whose base and tip are taken (with
+        on_base its tip). Meshes are never read. Raises RobotNotFound, ModelError (broken or hostile file, in one sentence),
+        FrameNotFound (lists the frames), JointNotFound, InvalidOption, MissingExtra (xacro).
         """
         tip = _one_tip(tip, ee_link)
         entry, made = read(source, package_dirs, xacro_args)
+        made["srdf"] = srdf_of(srdf, made["model"], entry.path)
+        if group is not None:
+            start, (end, *more) = made["srdf"].ends(group, made["model"])
+            if tip is None and more:
+                raise FrameNotFound(
+                    f"group '{group}' has {1 + len(more)} tips; choose one with tip=, or solve for several with "
+                    f"ik.Tree.load(source, group='{group}'): {', '.join([end, *more])}"
+                )
+            tip, base = tip or end, base if base or on_base is not None else start
         if tip is None and len(entry.tips) > 1:
             raise FrameNotFound(
                 f"robot '{entry.name}' has {len(entry.tips)} tips; choose one with tip=, or solve for several with "
@@ -195,6 +213,24 @@ class Robot(Joints):
     def _endless(self, joint: str) -> bool:
         """Whether a joint has no limits."""
         return self.model.upperPositionLimit[self.model.joints[self.model.getJointId(joint)].idx_q] > NO_LIMIT
+
+    def _hold_passive(self, locked: Mapping[str, float]) -> None:
+        """Hold the joints that the SRDF calls passive: no motor moves them. A path of passive joints only keeps them."""
+        model = self.model
+        passive = [name for name in self.srdf.passive_joints if model.existJointName(name) and name not in locked]
+        joints = [j for name in passive if model.joints[j := model.getJointId(name)].nv == 1]
+        if not joints:
+            return
+        held = {model.getJointId(joint) for joint in locked if model.existJointName(joint)}
+        path = find_path(model, self._frame_id(self.base), self._frame_id(self.tip), held)
+        if not set(path.leaders) - set(joints):
+            return
+        for j in joints:
+            joint = model.joints[j]
+            low, high = (limit[joint.idx_q] for limit in (model.lowerPositionLimit, model.upperPositionLimit))
+            self._set_rest(model.names[j], 0.0 if joint.nq == 2 or not low <= high else float(np.clip(0.0, low, high)))
+            if j not in path.leaders:
+                del self.locked_joints[model.names[j]]
 
     def _build(self, home: Sequence[float] | np.ndarray | None) -> None:
         self.memo: dict[Any, Any] = {}

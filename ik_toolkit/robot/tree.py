@@ -13,6 +13,7 @@ from .joints import Joints
 from .load import default_base, read
 from .probe import Path as JointPath
 from .robot import Robot
+from .srdf import Srdf, srdf_of
 from .tips import tip_candidates
 
 ENDS = 8  # ends of paths that a message names
@@ -29,8 +30,8 @@ class Tree(Joints):
     q (n,) holds every joint of the paths once: those of the first tip's path, base to tip, then what the next tip's path
     adds, and so on. Attributes: arms (a Robot for each tip); tips, base (frame names); places (for each tip, the indices in q
     of its arm's joints); name, model, joint_names, joint_kinds, lower, upper, home, velocity_limits, rest, locked_joints, urdf,
-    path, package_dirs as in Robot; chain (kernel arrays); reach [m], the largest of the arms'; memo (see Joints). The arms
-    share model, base and resting joints (else ModelError); each may have a tool of its own.
+    path, package_dirs, srdf, named as in Robot; chain (kernel arrays); reach [m], the largest of the arms'; memo (see Joints).
+    The arms share model, base and resting joints (else ModelError); each may have a tool of its own.
     """
 
     by_tip = True
@@ -53,6 +54,7 @@ class Tree(Joints):
         self.name, self.model, self.base, self.rest = first.name, first.model, first.base, first.rest
         self._given, self.on_base, self.base_limits = first._given, first.on_base, first.base_limits
         self.urdf, self.path, self.package_dirs = first.urdf, first.path, first.package_dirs
+        self.srdf = first.srdf
         self.joint_names = names = union(arms)
         self.locked_joints = {joint: x for arm in arms for joint, x in arm.locked_joints.items()}
         for joint in names:
@@ -96,14 +98,20 @@ class Tree(Joints):
         xacro_args: Mapping[str, Any] | None = None,
         on_base: Any = None,
         base_limits: Any = None,
+        srdf: str | Path | Srdf | bool | None = None,
+        group: str | None = None,
     ) -> "Tree":
         """Load several tips of a robot by shipped name, path of a URDF or xacro file, URDF text, or example-robot-data name.
 
         tips: frame names; default those that a known name stands for (see `ik robots`), where it has several. A known home is
-        used joint by joint. on_base, base_limits: see Robot.load; the base is shared. Raises what Robot.load
-        does; FrameNotFound without tips lists the ends of the paths.
+        used joint by joint. on_base, base_limits: see Robot.load; the base is shared. srdf: as in Robot.load; group:
+        one of it, whose base and tips are taken. Raises what Robot.load does; FrameNotFound without tips lists the ends of paths.
         """
         entry, made = read(source, package_dirs, xacro_args)
+        made["srdf"] = srdf_of(srdf, made["model"], entry.path)
+        if group is not None:
+            start, ends = made["srdf"].ends(group, made["model"])
+            tips, base = tips or list(ends), base if base or on_base is not None else start
         if tips is None:
             tips = entry.tips
             if len(tips) < 2:

@@ -1,0 +1,339 @@
+"""SRDF: what is said of a robot beside its URDF: pairs that may touch, groups, end effectors, named and passive joints.
+
+It is read as a URDF is: one streaming parse with caps, no entity, nothing fetched. Names that the robot does not have are no
+error, for one SRDF often serves several URDFs; `Srdf.remarks` says them.
+"""
+
+import functools
+import logging
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+from ..errors import InvalidOption, ModelError, near_match
+from .read import HasMacros, check_names, numbers, source_text, walk
+
+LOG = logging.getLogger("ik_toolkit")
+BESIDE = ("", "../srdf")  # folders, from the URDF's own, in which its SRDF may lie
+MOST = 64  # SRDF files looked at there
+MEMBERS = ("link", "joint", "chain", "group")  # elements of a <group>
+FACTS = ("group", "end_effector", "group_state", "passive_joint", "disable_collisions")
+FACTS += ("disable_default_collisions", "enable_collisions")
+NEEDED = {  # element -> attributes without which it says nothing
+    "chain": ("base_link", "tip_link"),
+    "link": ("name",),
+    "joint": ("name",),
+    "group": ("name",),
+    "end_effector": ("name", "parent_link"),
+    "group_state": ("name",),
+    "passive_joint": ("name",),
+    "disable_collisions": ("link1", "link2"),
+    "enable_collisions": ("link1", "link2"),
+    "disable_default_collisions": ("link",),
+}
+SHOWN = 3  # names that one remark lists
+
+
+@dataclass(frozen=True)
+class Group:
+    """A group of the robot's parts: names of links, of joints, chains as (base link, tip link), and names of groups in it."""
+
+    name: str
+    links: tuple[str, ...] = ()
+    joints: tuple[str, ...] = ()
+    chains: tuple[tuple[str, str], ...] = ()
+    groups: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class EndEffector:
+    """An end effector: the link it is mounted on, the group of its own parts, and the group that carries it ('' where not said)."""
+
+    name: str
+    parent_link: str
+    group: str = ""
+    parent_group: str = ""
+
+
+@dataclass(frozen=True)
+class Srdf:
+    """What an SRDF says.
+
+    name (of the robot); path (None: text); groups and end_effectors by name; states: values [rad or m] of joints by name of the
+    configuration, those of groups that share a name together; passive_joints; disabled: pairs of links that may touch -> reason;
+    quiet: links that may touch anything, but for the pairs in `enabled`; remarks: sentences on what cannot be used.
+    """
+
+    name: str = ""
+    path: Path | None = None
+    groups: Mapping[str, Group] = field(default_factory=dict)
+    end_effectors: Mapping[str, EndEffector] = field(default_factory=dict)
+    states: Mapping[str, Mapping[str, tuple[float, ...]]] = field(default_factory=dict)
+    passive_joints: tuple[str, ...] = ()
+    disabled: Mapping[tuple[str, str], str] = field(default_factory=dict)
+    quiet: tuple[str, ...] = ()
+    enabled: tuple[tuple[str, str], ...] = ()
+    remarks: tuple[str, ...] = ()
+
+    def may_touch(self, links: Sequence[str]) -> dict[tuple[str, str], str]:
+        """Pairs of these links that need no test, by their reason."""
+        known, out = set(links), dict[tuple[str, str], str]()
+        on = {frozenset(pair) for pair in self.enabled}
+        for link in known.intersection(self.quiet):
+            out |= {(link, other): "Default" for other in links if other != link}
+        out |= {pair: reason for pair, reason in self.disabled.items() if known.issuperset(pair)}
+        return {pair: reason for pair, reason in out.items() if frozenset(pair) not in on}
+
+    def ends(self, group: str, model: Any) -> tuple[str | None, tuple[str, ...]]:
+        """Base frame (None: the root) and tips of a group on a model. Raises InvalidOption: no such group, or no tip in it."""
+        found = self._members(group)
+        chains = [chain for chain in found.chains if all(model.existFrame(link) for link in chain)]
+        bases, tips = ([*dict.fromkeys(chain[k] for chain in chains)] for k in (0, 1))
+        if chains:  # one that ends where others begin carries them
+            inner = [tip for tip in tips if tip in bases]
+            bases, tips = [b for b in bases if b not in tips] or bases, [t for t in tips if t not in inner] or tips
+        else:
+            bases, tips = _ends_of_joints(found, model)
+            mounted = [e for e in self.end_effectors.values() if group in (e.parent_group, e.group)]
+            carried = [e.parent_link for e in mounted if model.existFrame(e.parent_link)]
+            if len(tips) == 1 and len(carried) == 1 and _above(model, tips[0], carried[0]):
+                tips = carried
+        if not tips:
+            raise InvalidOption(f"group '{group}' of the SRDF has no chain and no moving joint that the robot has")
+        return (bases[0] if len(bases) == 1 else None), tuple(tips)
+
+    def _members(self, name: str) -> Group:
+        """A group with everything that groups in it hold. Raises InvalidOption."""
+        if name not in self.groups:
+            raise InvalidOption(f"the SRDF has no group '{name}'.{near_match(name, self.groups)}")
+        waiting, seen, found = [name], set[str](), Group(name)
+        while waiting:
+            group = self.groups.get(waiting.pop(0))
+            if group is None or group.name in seen:
+                continue
+            seen.add(group.name)
+            waiting += group.groups
+            found = replace(
+                found,
+                links=found.links + group.links,
+                joints=found.joints + group.joints,
+                chains=found.chains + group.chains,
+            )
+        return found
+
+    def against(self, model: Any) -> tuple[str, ...]:
+        """Remarks, with those on names and numbers of values that a model does not have."""
+        out, links = list(self.remarks), {frame.name for frame in model.frames}
+        strange = {link for pair in self.disabled for link in pair if link not in links}
+        if strange:
+            out.append(f"pairs that may touch: {_some(strange, 'link')} {_is(strange)} not in the robot")
+        for what, names in (
+            ("ends of chains", {link for group in self.groups.values() for chain in group.chains for link in chain}),
+            ("end effectors", {e.parent_link for e in self.end_effectors.values()}),
+        ):
+            if names - links:
+                out.append(f"{what}: {_some(names - links, 'link')} {_is(names - links)} not in the robot")
+        for state, values in self.states.items():
+            missing = {joint for joint in values if not model.existJointName(joint) and joint not in links}
+            other = {joint for joint, x in values.items() if joint not in missing and len(x) != 1}
+            if missing:
+                out.append(f"configuration '{state}': {_some(missing, 'joint')} {_is(missing)} not in the robot")
+            if other:
+                out.append(
+                    f"configuration '{state}': {_some(other, 'joint')} with several values {_is(other)} left out"
+                )
+        return tuple(out)
+
+
+def read_srdf(source: "str | Path | Srdf") -> Srdf:
+    """Return an Srdf of a file, or of text; ModelError in one sentence, with the line, when it is broken or over a cap."""
+    if isinstance(source, Srdf):
+        return source
+    if not isinstance(source, str | Path):
+        raise InvalidOption(f"srdf= takes a file, SRDF text or False, not {source!r:.60}")
+    text = source_text(source, "SRDF")
+    is_text = isinstance(source, str) and source.lstrip("\ufeff \t\r\n").startswith("<")
+    return _parse(text, None if is_text else Path(source).expanduser().absolute())
+
+
+def srdf_of(given: Any, model: Any, path: Path | None) -> Srdf:
+    """Srdf of a model read from `path`: the one given, None: the one beside the file, if any (see `srdf_beside`); False: none.
+
+    Of a given one, what cannot be used is logged; one beside the file that is broken is logged and left out.
+    """
+    if given is None or given is True:
+        beside = srdf_beside(path, model.name) if path is not None else None
+        if beside is None:
+            return Srdf()
+        try:
+            return read_srdf(beside)
+        except ModelError as error:
+            LOG.warning("'%s', which lies beside the robot, is not used: %s", beside.name, error)
+            return Srdf(remarks=(f"'{beside.name}' is not used: {error}",))
+    if given is False:
+        return Srdf()
+    found = read_srdf(given)
+    for remark in found.against(model):
+        LOG.warning("SRDF: %s", remark)
+    return found
+
+
+def srdf_beside(file: Path, name: str) -> Path | None:
+    """SRDF of a URDF file of a robot called `name`: of the same name in the same folder or in ../srdf, else the nearest there.
+
+    Nearest: the file's name begins the URDF's ('ur5.srdf' for 'ur5_robot.urdf'), or it is the only one whose robot has this
+    name. Links that lead out of these folders are not followed.
+    """
+    home = file.expanduser().resolve().parent
+    found: list[Path] = []
+    for inner in BESIDE:
+        folder = (home / inner).resolve()
+        files = sorted(folder.glob("*.srdf"))[:MOST] if folder.is_dir() else []
+        found += [path for path in files if path.resolve().parent == folder and path.is_file()]
+    stem = file.name.removesuffix(".xacro").removesuffix(".urdf")
+    begins = [path for path in found if stem == path.stem or stem.startswith((f"{path.stem}_", f"{path.stem}."))]
+    begins += [path for path in found if stem.startswith(f"{path.stem}-")]
+    if begins:
+        return max(begins, key=lambda path: len(path.stem))
+    same = [path for path in found if name and _name(path).lower() == name.lower()]
+    return same[0] if len(same) == 1 else None
+
+
+def _name(path: Path) -> str:
+    """Name of the robot of an SRDF file, '' when it cannot be read."""
+    try:
+        return read_srdf(path).name
+    except ModelError:
+        return ""
+
+
+@functools.lru_cache(maxsize=16)
+def _parse(text: str, path: Path | None) -> Srdf:
+    """SRDF text -> Srdf."""
+    name = ""
+    groups: dict[str, dict[str, list]] = {}
+    ends: dict[str, EndEffector] = {}
+    states: dict[str, dict[str, tuple[float, ...]]] = {}
+    passive: list[str] = []
+    disabled: dict[tuple[str, str], str] = {}
+    quiet: list[str] = []
+    enabled: list[tuple[str, str]] = []
+    remarks: list[str] = []
+    inside: list[str] = []  # name of the group or state that is open
+
+    def start(tag: str, given: dict[str, str], above: Sequence[str], line: int) -> None:
+        nonlocal name
+        if not above:
+            if tag != "robot":
+                raise ModelError(f"the root element is <{tag}>, not <robot>: this is not an SRDF")
+            check_names(given, "SRDF", line)
+            name = given.get("name", "")
+            return
+        if tag.startswith("xacro:"):
+            raise HasMacros(f"line {line} of the SRDF has xacro macros; expand it first: xacro IN.xacro > OUT.srdf")
+        of_state = list(above[1:]) == ["group_state"] and tag == "joint"
+        of_group = list(above[1:]) == ["group"] and tag in MEMBERS
+        if not (of_state or of_group or (len(above) == 1 and tag in FACTS)):
+            return
+        check_names({key: text for key, text in given.items() if key != "value"}, "SRDF", line)
+        missing = [key for key in NEEDED[tag] if not given.get(key)]
+        if missing:
+            raise ModelError(f"<{tag}> in line {line} of the SRDF has no {missing[0]}")
+        if of_group:
+            member = (given["base_link"], given["tip_link"]) if tag == "chain" else given["name"]
+            groups[inside[0]][tag].append(member)
+        elif of_state:
+            values = numbers(given.get("value", "")) or []
+            if not values or not all(map(math.isfinite, values)):
+                shown = given.get("value", "")[:60]
+                raise ModelError(
+                    f"joint '{given['name']}' in line {line} of the SRDF: value \"{shown}\" is no finite number"
+                )
+            known = states[inside[0]].setdefault(given["name"], tuple(values))
+            if known != tuple(values):
+                remarks.append(
+                    f"configuration '{inside[0]}' gives joint '{given['name']}' twice; the first value counts"
+                )
+        elif tag in ("group", "group_state"):
+            inside[:] = [given["name"]]
+            if tag == "group_state":
+                states.setdefault(given["name"], {})
+            elif given["name"] in groups:
+                raise ModelError(f"group '{given['name']}' stands twice in the SRDF, again in line {line}")
+            else:
+                groups[given["name"]] = {kind: [] for kind in MEMBERS}
+        elif tag == "end_effector":
+            links = (given.get(key, "") for key in ("parent_link", "group", "parent_group"))
+            ends[given["name"]] = EndEffector(given["name"], *links)
+        elif tag == "passive_joint":
+            passive.append(given["name"])
+        elif tag == "disable_collisions":
+            if given["link1"] != given["link2"]:
+                disabled[given["link1"], given["link2"]] = given.get("reason", "")
+        elif tag == "enable_collisions":
+            enabled.append((given["link1"], given["link2"]))
+        elif tag == "disable_default_collisions":
+            quiet.append(given["link"])
+
+    walk(text, "SRDF", start)
+    made = {key: Group(key, *(tuple(parts[kind]) for kind in MEMBERS)) for key, parts in groups.items()}
+    for group in made.values():
+        unknown = [inner for inner in group.groups if inner not in made]
+        if unknown:
+            remarks.append(f"group '{group.name}' holds the group '{unknown[0]}', which does not exist")
+    return Srdf(
+        name,
+        path,
+        made,
+        ends,
+        states,
+        tuple(dict.fromkeys(passive)),
+        disabled,
+        tuple(quiet),
+        tuple(enabled),
+        tuple(remarks),
+    )
+
+
+def _ends_of_joints(group: Group, model: Any) -> tuple[list[str], list[str]]:
+    """Links before the first and behind the last joints of a group that lists joints, or links (for the joints to them)."""
+    frames = model.frames
+    ids = {frame.name: i for i, frame in enumerate(frames)}
+    bodies = {frame.parentFrame: i for i, frame in enumerate(frames) if str(frame.type) == "BODY"}
+    joints = [ids[joint] for joint in group.joints if joint in ids and ids[joint] in bodies]
+    joints += [frames[ids[link]].parentFrame for link in group.links if link in ids]
+    joints = [j for j in dict.fromkeys(joints) if j in bodies]
+    if not any(frames[j].name in model.names for j in joints):
+        return [], []
+    lines = {j: _line(model, frames[j].parentFrame) for j in joints}
+    last = [j for j in joints if not any(j in line for line in lines.values())]
+    first = [j for j in joints if not lines[j] & set(joints)]
+    return [*dict.fromkeys(frames[frames[j].parentFrame].name for j in first)], [frames[bodies[j]].name for j in last]
+
+
+def _line(model: Any, frame: int) -> set[int]:
+    """A frame and all those above it."""
+    seen = set[int]()
+    while frame not in seen:
+        seen.add(frame)
+        frame = model.frames[frame].parentFrame
+    return seen
+
+
+def _above(model: Any, link: str, other: str) -> bool:
+    """Whether `other` hangs on `link`, or is it."""
+    return model.getFrameId(link) in _line(model, model.getFrameId(other))
+
+
+def _some(names: Iterable[str], what: str) -> str:
+    some = sorted(names)
+    listed = ", ".join(f"'{name}'" for name in some[:SHOWN]) + (
+        f" and {len(some) - SHOWN} more" if len(some) > SHOWN else ""
+    )
+    return f"{what}{'s' * (len(some) > 1)} {listed}"
+
+
+def _is(names: Sequence[str] | set[str]) -> str:
+    return "are" if len(names) > 1 else "is"

@@ -1,0 +1,36 @@
+"""SRDF in a shell: `--srdf`, `--group`, named configurations, `ik check --self-collision`."""
+
+import json
+
+from srdf_arm import ARM, SAMPLED, SRDF
+
+
+def test_in_a_shell(run, tmp_path):
+    (tmp_path / "arm.urdf").write_text(SAMPLED)
+    words = ["check", tmp_path / "arm.urdf", "--self-collision", "--samples", 100]
+    code, out, err = run(*words, "-o", tmp_path / "arm.srdf")
+    assert code == 0 and "4 adjacent, 1 always" in out and "wrote" in err
+    told = json.loads(run(*words, "--json")[1])["self_collision"]
+    assert told["counts"]["Adjacent"] == 4 and told["samples"] == 100
+    info = json.loads(run("info", tmp_path / "arm.urdf", "--json")[1])
+    assert info["srdf"]["may_touch"] == sum(told["counts"].values())
+    assert run("check", tmp_path / "arm.urdf", "-o", tmp_path / "x.srdf")[0] == 2
+
+
+def test_names_in_a_shell(run, tmp_path):
+    (tmp_path / "arm.urdf").write_text(ARM)
+    (tmp_path / "other.txt").write_text(SRDF)
+    given = [tmp_path / "arm.urdf", "--srdf", tmp_path / "other.txt"]
+    code, out, _ = run("info", *given)
+    assert (
+        code == 0
+        and "upper (l1 -> l4)" in out
+        and "hand (on l5)" in out
+        and "home, up" in out.replace("up, home", "home, up")
+    )
+    found = json.loads(run("fk", *given, "--q", "up", "--json")[1])
+    assert found["q"][:3] == [0.1, 0.2, 0.3]
+    code, _, err = run("fk", *given, "--q", "hme")
+    assert code == 2 and "Did you mean 'home'" in err
+    assert json.loads(run("fk", *given, "--group", "upper", "--json")[1])["tip"] == "l4"
+    assert run("fk", *given, "--group", "upper", "--tip", "l2")[0] == 2

@@ -1,0 +1,224 @@
+"""SRDF: what it says of a robot, where it is found, and files that are broken or hostile."""
+
+import pickle
+
+import numpy as np
+import pytest
+from folders import DATA
+from robots import have_data
+from srdf_arm import ARM, SAMPLED, SRDF
+
+import ik_toolkit as ik
+from ik_toolkit.errors import ConfigurationNotFound, FrameNotFound, InvalidOption, ModelError
+from ik_toolkit.robot.self_collision import self_collision
+from ik_toolkit.robot.srdf import read_srdf
+
+BAD = DATA / "bad_urdf"
+
+
+def robot(inside, **options):
+    return ik.Robot.load(ARM, srdf=f'<robot name="arm">\n{inside}\n</robot>', **options)
+
+
+@pytest.fixture
+def arm():
+    return ik.Robot.load(ARM, srdf=SRDF)
+
+
+def test_named_configurations(arm):
+    assert arm.joint_names == ("j0", "j1", "j2", "j3") and arm.locked_joints == {"j4": 0.0}  # j4 is passive
+    assert set(arm.named) == {"up", "home"}  # no joint of this robot is in "far"
+    assert arm.named["up"].tolist() == [0.1, 0.2, 0.3, arm.home[3]] and np.array_equal(arm.named["home"], arm.home)
+    with pytest.raises(ConfigurationNotFound, match="Did you mean 'home'"):
+        arm.named["hme"]
+    arm.named["up"][0] = 9.0  # a copy
+    assert arm.named["up"][0] == 0.1 and pickle.loads(pickle.dumps(arm)).named["up"][0] == 0.1
+    assert arm.locked({"j1": 0.5}).named["up"].tolist() == [0.1, 0.3, arm.home[3]]
+    tree = ik.Tree.load(ARM, tips=["l3", "l4"], srdf=SRDF)
+    assert tree.named["up"][:3].tolist() == [0.1, 0.2, 0.3] and tree.srdf == arm.srdf
+
+
+def test_a_robot_without_one_has_its_home():
+    arm = ik.Robot.load(ARM)
+    assert set(arm.named) == {"home"} and not arm.srdf.groups
+    assert robot('<group_state name="home"><joint name="j2" value="1"/></group_state>').named["home"][2] == 1.0
+
+
+def test_remarks_say_what_is_not_in_the_robot(arm, caplog):
+    said = " ".join(arm.srdf.against(arm.model))
+    for word in ("'root_joint'", "'elsewhere'", "'strange'", "configuration 'far'"):
+        assert word in said
+    ik.Robot.load(ARM, srdf=SRDF)
+    assert "'strange'" in caplog.text  # of one that was asked for
+    several = '<group_state name="s"><joint name="j1" value="1 2"/><joint name="j2" value="0.5"/></group_state>'
+    found = robot(several)
+    assert found.named["s"][1] == found.home[1] and found.named["s"][2] == 0.5
+    assert "joint 'j1' with several values is left out" in found.srdf.against(found.model)[0]
+
+
+def test_pairs_that_may_touch(arm):
+    free, model = ik.CollisionModel(ik.Robot.load(ARM)), ik.CollisionModel(arm)
+    assert ("l0", "l3") in free.pairs and ("l0", "l3") not in model.pairs and ("l0", "l2") in model.pairs
+    assert model.allowed == {("l3", "l0"): "Never"}
+    assert ("l0", "l3") not in pickle.loads(pickle.dumps(model)).pairs
+    quiet = ik.CollisionModel(
+        robot('<disable_default_collisions link="l0"/><enable_collisions link1="l4" link2="l0"/>')
+    )
+    assert [pair for pair in quiet.pairs if "l0" in pair] == [("l0", "l4")]
+
+
+def test_groups_are_bases_and_tips():
+    upper = ik.Robot.load(ARM, srdf=SRDF, group="upper")
+    assert (upper.base, upper.tip, upper.joint_names) == ("l1", "l4", ("j1", "j2", "j3"))
+    listed = ik.Robot.load(ARM, srdf=SRDF, group="listed")  # the end effector is mounted behind its last joint
+    assert (listed.base, listed.tip) == ("l0", "l5")
+    plain = SRDF.replace('parent_group="listed"', "")
+    assert ik.Robot.load(ARM, srdf=plain, group="listed").tip == "l3"
+    links = '<group name="g"><link name="l2"/><link name="l3"/></group>'
+    assert robot(links, group="g").joint_names == ("j1", "j2")
+    assert ik.Robot.load(ARM, srdf=SRDF, group="listed", tip="l2").n == 2
+    with pytest.raises(InvalidOption, match=r"no group 'uper'\. Did you mean 'upper'"):
+        ik.Robot.load(ARM, srdf=SRDF, group="uper")
+    with pytest.raises(InvalidOption, match="no chain and no moving joint"):
+        robot('<group name="g"><group name="h"/></group><group name="h"><group name="g"/></group>', group="g")
+    both = '<group name="g"><chain base_link="l0" tip_link="l4"/><chain base_link="l0" tip_link="l5"/></group>'
+    with pytest.raises(FrameNotFound, match=r"Tree.load\(source, group='g'\): l4, l5"):
+        robot(both, group="g")
+    assert ik.Tree.load(ARM, srdf=f"<robot>{both}</robot>", group="g").tips == ("l4", "l5")
+
+
+def test_passive_joints_are_held():
+    limits = ARM.replace('lower="-1.5"', 'lower="0.4"')
+    held = ik.Robot.load(limits, srdf=SRDF)
+    assert held.locked_joints == {"j4": 0.4}  # the legal value nearest to zero
+    assert ik.Robot.load(ARM, srdf=SRDF, locked={"j4": 0.2}).locked_joints == {"j4": 0.2}
+    every = "".join(f'<passive_joint name="j{k}"/>' for k in range(5))
+    assert robot(every).n == 5  # nothing would be left to solve for
+
+
+# ----------------------------------------------------------------------------------------------------------- where it lies
+def test_it_is_found_beside_the_file(tmp_path):
+    (tmp_path / "urdf").mkdir()
+    file = tmp_path / "urdf" / "my_arm.urdf"
+    file.write_text(ARM)
+
+    def found():
+        path = ik.Robot.load(file).srdf.path
+        return path and str(path.relative_to(tmp_path))
+
+    assert found() is None
+    (tmp_path / "srdf").mkdir()
+    for place in (
+        "srdf/other.srdf",
+        "srdf/my.srdf",
+        "urdf/my_arm.srdf",
+    ):  # by the robot's name, the file's beginning, its name
+        (tmp_path / place).write_text(SRDF)
+        assert found() == place
+    assert ik.Robot.load(file, srdf=False).srdf.path is None
+    assert ik.Robot.load(file, srdf=tmp_path / "srdf" / "my.srdf").srdf.path.name == "my.srdf"
+    for k in range(2):  # two of the robot's name: neither
+        (tmp_path / f"{k}").mkdir()
+    for place in ("urdf/my_arm.srdf", "srdf/my.srdf"):
+        (tmp_path / place).unlink()
+    (tmp_path / "srdf" / "more.srdf").write_text(SRDF)
+    assert found() is None
+
+
+def test_one_beside_the_file_never_breaks_loading(tmp_path, caplog):
+    (tmp_path / "arm.urdf").write_text(ARM)
+    (tmp_path / "arm.srdf").write_text(
+        "<robot><group_state name='x'><joint name='j0' value='a'/></group_state></robot>"
+    )
+    arm = ik.Robot.load(tmp_path / "arm.urdf")
+    assert arm.n == 5 and "is not used: joint 'j0' in line 1" in caplog.text and arm.srdf.remarks
+    with pytest.raises(ModelError, match="line 1"):
+        ik.Robot.load(tmp_path / "arm.urdf", srdf=tmp_path / "arm.srdf")
+    (tmp_path / "arm.srdf").unlink()
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "a.srdf").write_text(SRDF)
+    (tmp_path / "arm.srdf").symlink_to(tmp_path / "out" / "a.srdf")  # a link out of the folder
+    assert ik.Robot.load(tmp_path / "arm.urdf").srdf.path is None
+    (tmp_path / "arm.srdf").unlink()
+    (tmp_path / "arm.srdf").mkdir()
+    assert ik.Robot.load(tmp_path / "arm.urdf").n == 5
+
+
+@pytest.mark.skipif(not have_data(), reason="example-robot-data is not installed")
+def test_those_of_example_robot_data():
+    panda = ik.Robot.load("panda")
+    assert panda.srdf.path.name == "panda.srdf" and panda.named["default"][3] == -2.35619
+    assert ik.Robot.load("panda", group="arm").tip == "panda_hand_tcp"
+    assert ik.Robot.load("ur5").srdf.path.name == "ur5.srdf" and ik.Robot.load("ur10").srdf.path is None
+    talos = ik.Tree.load("talos")
+    model, Q = ik.CollisionModel(talos), talos.random_q(np.random.default_rng(0), 60)
+    assert np.mean([model.collides(q) for q in Q]) < 0.4
+    assert np.mean([ik.CollisionModel(ik.Tree.load("talos", srdf=False)).collides(q) for q in Q[:20]]) > 0.6
+    arms = ik.Tree.load("talos", group="all_arms_torso")
+    assert (arms.base, arms.tips) == ("base_link", ("wrist_left_ft_tool_link", "wrist_right_ft_tool_link"))
+
+
+# ------------------------------------------------------------------------------------------------------- broken and hostile
+@pytest.mark.parametrize("file", sorted(BAD.glob("*.urdf")), ids=lambda file: file.stem)
+def test_the_corpus_of_broken_urdfs(file):
+    """What is no XML, no robot or hostile is refused in one sentence; what else is wrong with a URDF is none of an SRDF's."""
+    text, said = file.read_bytes(), ""
+    try:
+        read_srdf(file)
+    except ModelError as error:
+        said = str(error)
+        assert "\n" not in said and len(said) < 400
+    hostile = any(word in text for word in (b"<!DOCTYPE", b"<!ENTITY", b"\0")) or file.stem in (
+        "truncated", "mismatched_tag", "not_xml", "html", "sdf", "empty", "latin1", "two_documents", "undefined_entity"
+    )  # fmt: skip
+    assert bool(said) or not hostile
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ('<!DOCTYPE r [<!ENTITY a "b">]><robot/>', "DOCTYPE or entity"),
+        ("<robot>" + "<a>" * 100, "nested more than 64 deep in line 1"),
+        ("<robot>" + "<a/>" * 300_000, "more than 200,000 elements"),
+        (f'<robot><group name="{"n" * 300}"/></robot>', "name of more than 255 characters in line 1"),
+        ('<robot><group_state name="a">\n<joint name="j" value="1e999"/></group_state></robot>', "joint 'j' in line 2"),
+        ('<robot><group_state name="a"><joint name="j"/></group_state></robot>', 'value "" is no finite number'),
+        ('<robot>\n<disable_collisions link1="a"/></robot>', "<disable_collisions> in line 2 of the SRDF has no link2"),
+        ('<robot>\n\n<group><link name="a"/></group></robot>', "<group> in line 3 of the SRDF has no name"),
+        ('<robot><group name="a"/>\n<group name="a"/></robot>', "group 'a' stands twice in the SRDF, again in line 2"),
+        ("<sdf/>", "not an SRDF"),
+        ("<robot><xacro:include/></robot>", "not well-formed|xacro macros"),
+        ("<robot>", "not well-formed XML: no element found in line 1"),
+        ("/nowhere/x.srdf", "there is no file"),
+    ],
+)
+def test_refused_in_one_sentence(text, said):
+    with pytest.raises(ModelError, match=said) as caught:
+        ik.Robot.load(ARM, srdf=text)
+    assert "\n" not in str(caught.value) and len(str(caught.value)) < 400
+    if text.startswith("/"):
+        with pytest.raises(InvalidOption, match="srdf= takes"):
+            ik.Robot.load(ARM, srdf=3)
+
+
+# ------------------------------------------------------------------------------------------------------------- made here
+
+
+def test_pairs_are_sampled():
+    arm = ik.Robot.load(SAMPLED)
+    found = self_collision(arm, samples=300, seed=3)
+    assert found.reasons["l0", "l1"] == found.reasons["l3", "l4"] == "Adjacent"
+    assert found.reasons["l2", "l4"] == "Always"  # balls of 0.4 and 0.32 m, at most 0.6 m apart
+    assert found.tested == (("l0", "l2"), ("l0", "l3"), ("l0", "l4"), ("l1", "l4"))
+    assert found.reasons["l1", "l3"] == "Never"  # 0.6 cos(1.25) = 0.19 m apart at least
+    assert found.counts() == {"Adjacent": 4, "Always": 1, "Default": 0, "Never": 1}
+    assert found.before == 1.0 and 0.0 < found.after < 1.0
+    again = self_collision(arm, samples=300, seed=3)
+    assert again == found and self_collision(arm, samples=300, seed=4).after != found.after
+    made = ik.Robot.load(SAMPLED, srdf=found.to_srdf())
+    assert made.srdf.disabled == found.reasons and made.srdf.name == "balls & <sticks>"
+    assert set(ik.CollisionModel(made).pairs) == set(found.tested)
+    with pytest.raises(ModelError, match="fewer than two links"):
+        self_collision(
+            ik.Robot.load(SAMPLED.replace("<collision>", "<visual>", 4).replace("</collision>", "</visual>", 4)), 1
+        )
