@@ -150,7 +150,7 @@ WIDE = ["panda_description/urdf/panda_collision.urdf", *(DATA_ROBOTS[name][0] fo
 def test_what_touches_by_construction_is_not_tested(file):
     path = example_robot_data("panda")[0].parents[2] / file
     tip = {"centauro": "arm1_8", "tiago": "hand_index_flex_3_link"}.get(path.stem, "panda_leftfinger")
-    model = ik.CollisionModel(ik.Robot.load(path, tip=tip, package_dirs=[path.parents[4]]))
+    model = ik.CollisionModel(ik.Robot.load(path, tip=tip, package_dirs=[path.parents[4]], srdf=False))
     assert model.excluded and not set(model.pairs) & set(model.excluded)
     assert model.collisions(model.robot.home) == []
 
