@@ -14,12 +14,10 @@ from .arguments import (
     BaseRpy,
     BaseXyz,
     Deg,
-    Group,
     Json,
     Lock,
     PackageDir,
     RobotArg,
-    SrdfFile,
     Tips,
     XacroArg,
     load_robot,
@@ -93,8 +91,6 @@ def tune(
     lock: Lock = None,
     package_dir: PackageDir = None,
     xacro_arg: XacroArg = None,
-    srdf: SrdfFile = None,
-    group: Group = None,
     deg: Deg = False,
     as_json: Json = False,
     output: Out = None,
@@ -105,9 +101,7 @@ def tune(
 
     The result is a preset for ik solve --preset FILE. Ctrl-C keeps the best so far as FILE.partial; --resume goes on from there.
     """
-    arm = load_robot(
-        robot, one_or_several(tip), base, lock, package_dir, deg, xacro_arg, base_xyz, base_rpy, srdf, group
-    )
+    arm = load_robot(robot, one_or_several(tip), base, lock, package_dir, deg, xacro_arg, base_xyz, base_rpy)
 
     from ..solvers.presets import from_preset
     from ..solvers.registry import find_row

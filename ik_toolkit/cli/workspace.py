@@ -111,9 +111,8 @@ def workspace(
         raise InvalidOption(f"--targets must be at least 1, not {targets}")
     if workers is not None and workers < 1:
         raise InvalidOption(f"--workers must be at least 1, not {workers}")
-    arm = load_robot(
-        robot, one_or_several(tip), base, lock, package_dir, deg, xacro_arg, base_xyz, base_rpy, srdf, group
-    )
+    tips = one_or_several(tip)
+    arm = load_robot(robot, tips, base, lock, package_dir, deg, xacro_arg, base_xyz, base_rpy, srdf, group)
 
     from ..study.workspace import WorkspaceInterrupted
     from ..study.workspace import workspace as study
@@ -150,9 +149,8 @@ def workspace(
         from ..show.scene import view
 
         first = next(iter(found.solved))
-        view(arm, cloud=(found.points, found.solved[first]), title=f"{arm.name}: targets of {found.tip}, {first}").save(
-            html
-        )
+        title = f"{arm.name}: targets of {found.tip}, {first}"
+        view(arm, cloud=(found.points, found.solved[first]), title=title).save(html)
     if stopped and csv is not None:
         notice(f"the targets finished are in {partial(csv)}")
     write_json(found.to_dict(), as_json, partial(output) if stopped and output else output)

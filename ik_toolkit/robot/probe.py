@@ -23,6 +23,7 @@ HELD = 2.5e-16  # of an angle [rad] of many turns: half its last digit, and as m
 NO_LIMIT = 1e15  # a limit beyond this [m, rad/s or m/s] is none
 NO_TURN_LIMIT = 1e6  # nor is one beyond this [rad]: towards 1e7 rad the last digit of an angle is worth AGREE
 PARALLEL = 1e-14  # sine between two axes that are parallel but for the rounding of a few matrix products
+SINGULAR = 0.02  # smallest singular value (lengths over reach) below which a configuration is no good as home
 
 
 class Path(NamedTuple):
@@ -231,3 +232,16 @@ def difference(chain: Chain, Q: np.ndarray, T: np.ndarray, J: np.ndarray) -> flo
     off_J[:, :3] /= size
     angles = rows[:, 4] * (Q / chain.unit)[:, rows[:, 8].astype(int)]
     return float(max(np.abs(off_T).max(), np.abs(off_J).max(), HELD * np.abs(angles).max()))
+
+
+def good_start(chain: Chain, lower: np.ndarray, upper: np.ndarray, middle: np.ndarray, moves: np.ndarray) -> np.ndarray:
+    """Mid-range (n,), moved (some joints) off a singular pose by the first of fixed offsets that is well conditioned."""
+    span = np.where(np.isfinite(upper - lower), upper - lower, 2.0)
+    offsets = np.random.default_rng(0).uniform(-0.25, 0.25, (64, len(middle))) * np.minimum(span, 2.0) * moves
+    tries = np.clip(np.vstack([np.zeros(len(middle)), offsets]) + middle, lower, upper)
+    J = evaluate(chain.rows, chain.ends, tries, chain.unit, jacobian=True)[1] * chain.unit
+    J[:, :3] /= chain.scale
+    rank = np.linalg.matrix_rank(J, tol=1e-9).max()
+    smallest = np.linalg.svd(J, compute_uv=False)[:, max(rank, 1) - 1]
+    good = np.flatnonzero(smallest > SINGULAR)
+    return tries[good[0] if len(good) else int(np.argmax(smallest))]

@@ -23,7 +23,7 @@ from ..errors import (
     floats,
     near_match,
 )
-from ..kernel.chain import Chain, evaluate
+from ..kernel.chain import Chain
 from ..kernel.records import POINTS
 from .base import settle
 from .build import build_model
@@ -31,17 +31,16 @@ from .joints import Joints
 from .load import default_base, folders_of, read
 from .mimic import followers, mimic_limits
 from .pose import check_target
-from .probe import AGREE, NO_LIMIT, configurations, difference, find_path, limits, probe
+from .probe import AGREE, NO_LIMIT, configurations, difference, find_path, good_start, limits, probe
 from .probe import Path as JointPath
 from .read import is_text
-from .srdf import Srdf, read_srdf, srdf_of
+from .srdf import Srdf, one_tip, passive_joints, read_srdf, srdf_of
 from .tips import only_tip
 
 # Attributes that belong to one object, or to one thread.
 CACHES = ("_local", "_sampling", "_circles", "memo")
 LINKS = (pin.FrameType.BODY, pin.FrameType.OP_FRAME, pin.FrameType.SENSOR)  # what a base or a tip may be
 FRAMES = (*LINKS, pin.FrameType.JOINT, pin.FrameType.FIXED_JOINT)
-SINGULAR = 0.02  # smallest singular value (lengths over reach) below which a configuration is no good as home
 
 
 class Robot(Joints):
@@ -101,7 +100,11 @@ class Robot(Joints):
         self.rest = pin.neutral(self.model)
         self.locked_joints: dict[str, float] = {}
         self.srdf = read_srdf(srdf) if srdf is not None else Srdf()
-        self._hold_passive(locked or {})
+        held = passive_joints(self.srdf, self.model, self._frame_id(self.base), self._frame_id(self.tip), locked or {})
+        for joint, (value, on_path) in held.items():
+            self._set_rest(joint, value)
+            if not on_path:
+                del self.locked_joints[joint]
         for joint, value in (locked or {}).items():
             self._set_rest(joint, value)
         self._build(home)
@@ -137,13 +140,8 @@ class Robot(Joints):
         entry, made = read(source, package_dirs, xacro_args)
         made["srdf"] = srdf_of(srdf, made["model"], entry.path)
         if group is not None:
-            start, (end, *more) = made["srdf"].ends(group, made["model"])
-            if tip is None and more:
-                raise FrameNotFound(
-                    f"group '{group}' has {1 + len(more)} tips; choose one with tip=, or solve for several with "
-                    f"ik.Tree.load(source, group='{group}'): {', '.join([end, *more])}"
-                )
-            tip, base = tip or end, base if base or on_base is not None else start
+            start, end = one_tip(made["srdf"], group, made["model"], tip)
+            tip, base = end, base if base or on_base is not None else start
         if tip is None and len(entry.tips) > 1:
             raise FrameNotFound(
                 f"robot '{entry.name}' has {len(entry.tips)} tips; choose one with tip=, or solve for several with "
@@ -214,24 +212,6 @@ class Robot(Joints):
         """Whether a joint has no limits."""
         return self.model.upperPositionLimit[self.model.joints[self.model.getJointId(joint)].idx_q] > NO_LIMIT
 
-    def _hold_passive(self, locked: Mapping[str, float]) -> None:
-        """Hold the joints that the SRDF calls passive: no motor moves them. A path of passive joints only keeps them."""
-        model = self.model
-        passive = [name for name in self.srdf.passive_joints if model.existJointName(name) and name not in locked]
-        joints = [j for name in passive if model.joints[j := model.getJointId(name)].nv == 1]
-        if not joints:
-            return
-        held = {model.getJointId(joint) for joint in locked if model.existJointName(joint)}
-        path = find_path(model, self._frame_id(self.base), self._frame_id(self.tip), held)
-        if not set(path.leaders) - set(joints):
-            return
-        for j in joints:
-            joint = model.joints[j]
-            low, high = (limit[joint.idx_q] for limit in (model.lowerPositionLimit, model.upperPositionLimit))
-            self._set_rest(model.names[j], 0.0 if joint.nq == 2 or not low <= high else float(np.clip(0.0, low, high)))
-            if j not in path.leaders:
-                del self.locked_joints[model.names[j]]
-
     def _build(self, home: Sequence[float] | np.ndarray | None) -> None:
         self.memo: dict[Any, Any] = {}
         model = self.model
@@ -279,7 +259,7 @@ class Robot(Joints):
         self._compare()
         if home is not None and len(home) == self.n - based.sum():  # a robot's own, put on a base
             home = np.concatenate([middle[based], home])
-        self.home = self.check_home(home) if home is not None else self._good_start(middle, ~based)
+        self.home = self.check_home(home) if home is not None else good_start(self.chain, lower, upper, middle, ~based)
         start = POINTS + 6 * self.n
         self.chain.ends[start : start + self.n] = self.home / self.chain.unit
         for array in (self.lower, self.upper, self.home, self.velocity_limits, self.rest):
@@ -295,19 +275,6 @@ class Robot(Joints):
                 f"robot '{self.name}' from '{self.base}' to '{self.tip}' is refused: the kinematics read from it differ from "
                 f"Pinocchio's by {off:.2g}, so answers would be wrong; please report this with its URDF"
             )
-
-    def _good_start(self, middle: np.ndarray, moves: np.ndarray) -> np.ndarray:
-        """Mid-range, moved (some joints) off a singular pose by the first of fixed offsets that is well conditioned."""
-        span = np.where(np.isfinite(self.upper - self.lower), self.upper - self.lower, 2.0)
-        offsets = np.random.default_rng(0).uniform(-0.25, 0.25, (64, self.n)) * np.minimum(span, 2.0) * moves
-        tries = np.clip(np.vstack([np.zeros(self.n), offsets]) + middle, self.lower, self.upper)
-        chain = self.chain
-        J = evaluate(chain.rows, chain.ends, tries, chain.unit, jacobian=True)[1] * chain.unit
-        J[:, :3] /= chain.scale
-        rank = np.linalg.matrix_rank(J, tol=1e-9).max()
-        smallest = np.linalg.svd(J, compute_uv=False)[:, max(rank, 1) - 1]
-        good = np.flatnonzero(smallest > SINGULAR)
-        return tries[good[0] if len(good) else int(np.argmax(smallest))]
 
     @property
     def arms(self) -> tuple["Robot"]:  # pyright: ignore[reportIncompatibleVariableOverride]

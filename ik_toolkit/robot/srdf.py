@@ -12,7 +12,11 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from ..errors import InvalidOption, ModelError, near_match
+import numpy as np
+import pinocchio as pin
+
+from ..errors import FrameNotFound, InvalidOption, ModelError, near_match
+from .probe import find_path
 from .read import HasMacros, check_names, numbers, source_text, walk
 
 LOG = logging.getLogger("ik_toolkit")
@@ -86,7 +90,7 @@ class Srdf:
         out |= {pair: reason for pair, reason in self.disabled.items() if known.issuperset(pair)}
         return {pair: reason for pair, reason in out.items() if frozenset(pair) not in on}
 
-    def ends(self, group: str, model: Any) -> tuple[str | None, tuple[str, ...]]:
+    def ends(self, group: str, model: pin.Model) -> tuple[str | None, tuple[str, ...]]:
         """Base frame (None: the root) and tips of a group on a model. Raises InvalidOption: no such group, or no tip in it."""
         found = self._members(group)
         chains = [chain for chain in found.chains if all(model.existFrame(link) for link in chain)]
@@ -123,7 +127,7 @@ class Srdf:
             )
         return found
 
-    def against(self, model: Any) -> tuple[str, ...]:
+    def against(self, model: pin.Model) -> tuple[str, ...]:
         """Remarks, with those on names and numbers of values that a model does not have."""
         out, links = list(self.remarks), {frame.name for frame in model.frames}
         strange = {link for pair in self.disabled for link in pair if link not in links}
@@ -158,7 +162,7 @@ def read_srdf(source: "str | Path | Srdf") -> Srdf:
     return _parse(text, None if is_text else Path(source).expanduser().absolute())
 
 
-def srdf_of(given: Any, model: Any, path: Path | None) -> Srdf:
+def srdf_of(given: Any, model: pin.Model, path: Path | None) -> Srdf:
     """Srdf of a model read from `path`: the one given, None: the one beside the file, if any (see `srdf_beside`); False: none.
 
     Of a given one, what cannot be used is logged; one beside the file that is broken is logged and left out.
@@ -178,6 +182,41 @@ def srdf_of(given: Any, model: Any, path: Path | None) -> Srdf:
     for remark in found.against(model):
         LOG.warning("SRDF: %s", remark)
     return found
+
+
+def one_tip(srdf: Srdf, group: str, model: pin.Model, tip: str | None) -> tuple[str | None, str]:
+    """Base (None: the root) and tip of a group for a Robot; tip: the one chosen. Raises InvalidOption, FrameNotFound."""
+    base, (end, *more) = srdf.ends(group, model)
+    if tip is None and more:
+        raise FrameNotFound(
+            f"group '{group}' has {1 + len(more)} tips; choose one with tip=, or solve for several with "
+            f"ik.Tree.load(source, group='{group}'): {', '.join([end, *more])}"
+        )
+    return base, tip or end
+
+
+def passive_joints(
+    srdf: Srdf, model: pin.Model, base: int, tip: int, locked: Mapping[str, float]
+) -> dict[str, tuple[float, bool]]:
+    """Value [rad or m] that each passive joint is held at, and whether it is on the path from base to tip (frames).
+
+    A path with no other joint than passive and locked ones keeps them: then nothing is held.
+    """
+    passive = [name for name in srdf.passive_joints if model.existJointName(name) and name not in locked]
+    joints = [j for name in passive if model.joints[j := model.getJointId(name)].nv == 1]
+    if not joints:
+        return {}
+    path = find_path(model, base, tip, {model.getJointId(name) for name in locked if model.existJointName(name)})
+    if not set(path.leaders) - set(joints):
+        return {}
+    held = {}
+    for j in joints:
+        joint, value = model.joints[j], 0.0
+        low, high = (limit[joint.idx_q] for limit in (model.lowerPositionLimit, model.upperPositionLimit))
+        if joint.nq == 1 and low <= high:
+            value = float(np.clip(0.0, low, high))
+        held[model.names[j]] = value, j in path.leaders
+    return held
 
 
 def srdf_beside(file: Path, name: str) -> Path | None:
@@ -278,11 +317,7 @@ def _parse(text: str, path: Path | None) -> Srdf:
             quiet.append(given["link"])
 
     walk(text, "SRDF", start)
-    made = {key: Group(key, *(tuple(parts[kind]) for kind in MEMBERS)) for key, parts in groups.items()}
-    for group in made.values():
-        unknown = [inner for inner in group.groups if inner not in made]
-        if unknown:
-            remarks.append(f"group '{group.name}' holds the group '{unknown[0]}', which does not exist")
+    made = _groups(groups, remarks)
     return Srdf(
         name,
         path,
@@ -297,11 +332,21 @@ def _parse(text: str, path: Path | None) -> Srdf:
     )
 
 
-def _ends_of_joints(group: Group, model: Any) -> tuple[list[str], list[str]]:
+def _groups(found: Mapping[str, Mapping[str, list]], remarks: list[str]) -> dict[str, Group]:
+    """Groups of what was found inside them; remarks grows by groups in groups that do not exist."""
+    made = {name: Group(name, *(tuple(parts[kind]) for kind in MEMBERS)) for name, parts in found.items()}
+    for group in made.values():
+        unknown = [inner for inner in group.groups if inner not in made]
+        if unknown:
+            remarks.append(f"group '{group.name}' holds the group '{unknown[0]}', which does not exist")
+    return made
+
+
+def _ends_of_joints(group: Group, model: pin.Model) -> tuple[list[str], list[str]]:
     """Links before the first and behind the last joints of a group that lists joints, or links (for the joints to them)."""
     frames = model.frames
     ids = {frame.name: i for i, frame in enumerate(frames)}
-    bodies = {frame.parentFrame: i for i, frame in enumerate(frames) if str(frame.type) == "BODY"}
+    bodies = {frame.parentFrame: i for i, frame in enumerate(frames) if frame.type == pin.FrameType.BODY}
     joints = [ids[joint] for joint in group.joints if joint in ids and ids[joint] in bodies]
     joints += [frames[ids[link]].parentFrame for link in group.links if link in ids]
     joints = [j for j in dict.fromkeys(joints) if j in bodies]
@@ -313,7 +358,7 @@ def _ends_of_joints(group: Group, model: Any) -> tuple[list[str], list[str]]:
     return [*dict.fromkeys(frames[frames[j].parentFrame].name for j in first)], [frames[bodies[j]].name for j in last]
 
 
-def _line(model: Any, frame: int) -> set[int]:
+def _line(model: pin.Model, frame: int) -> set[int]:
     """A frame and all those above it."""
     seen = set[int]()
     while frame not in seen:
@@ -322,7 +367,7 @@ def _line(model: Any, frame: int) -> set[int]:
     return seen
 
 
-def _above(model: Any, link: str, other: str) -> bool:
+def _above(model: pin.Model, link: str, other: str) -> bool:
     """Whether `other` hangs on `link`, or is it."""
     return model.getFrameId(link) in _line(model, model.getFrameId(other))
 
