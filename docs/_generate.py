@@ -144,7 +144,7 @@ MEANINGS = {
     "LIMIT_BLOCKED": "joint limits stand in the way; the message names the joints",
     "UNREACHABLE": "proven out of reach, by a bound from the link lengths or by a closed form; the message says by how much",
     "SINGULAR": "no joint motion reduces the error to first order",
-    "NOT_FINITE": "the iteration left the finite numbers, usually because of gains that are too high",
+    "NOT_FINITE": "the solver diverged, usually because the gains are too high",
     "CHECK_FAILED": "the kernel reported success and Pinocchio did not confirm it: a bug",
     "COLLISION": "the target was met, but every answer found touches something (only with avoid_collisions)",
     "TOO_FAR": "the answer, if there is one, is further from q0 than follow allows a joint to move",

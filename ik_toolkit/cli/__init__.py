@@ -49,12 +49,12 @@ def _options(
     ] = False,
     debug: Annotated[bool, typer.Option("--debug", help="Show the traceback of an error.")] = False,
 ) -> None:
-    """Inverse kinematics for URDF arms.
+    """Inverse kinematics for any robot description.
 
     Metres and radians unless --deg. Results go to stdout, notices to stderr; --json prints one object.
 
-    Exit codes: 0 solved or done, 1 not solved or found wrong, 2 bad input, 3 an extra is missing, 130 Ctrl-C, 143 SIGTERM.
-    Files are written whole or not at all; what is finished when a long command is stopped is kept as FILE.partial.
+    Exit codes: 0 solved or done, 1 not solved or invalid, 2 invalid input, 3 missing extra, 130 Ctrl-C, 143 SIGTERM.
+    Files are written whole or not at all; a long command that is stopped keeps its finished part as FILE.partial.
     """
 
 

@@ -41,7 +41,7 @@ def writes(*suffixes: str) -> Callable[[Path | None], Path | None]:
         if suffixes == PLOTS and importlib.util.find_spec("matplotlib") is None:
             raise MissingExtra("matplotlib", "plots")
         if file.is_dir():
-            raise InvalidOption(f"'{file}' is a folder, and a file is to be written there")
+            raise InvalidOption(f"'{file}' is a folder, not a file")
         if not file.parent.is_dir():
             raise InvalidOption(f"cannot write '{file}': there is no folder '{file.parent}'")
         for place in (file, Path(os.path.realpath(file)).parent):  # it is written beside and renamed
@@ -101,21 +101,24 @@ def _same(one: str | Path, other: str | Path) -> bool:
 
 
 RobotArg = Annotated[
-    str, typer.Argument(metavar="ROBOT", help="Name (see ik robots), or path of a URDF or xacro file.")
+    str, typer.Argument(metavar="ROBOT", help="Robot name (see ik robots), or path of a URDF or xacro file.")
 ]
 Tip = Annotated[
     str | None,
     typer.Option(
         *TIP,
         metavar="FRAME",
-        help="Tip: a frame, link or joint; default: guessed by its name, and said.",
+        help="Tip: a frame, link or joint; default: guessed from its name and reported.",
         rich_help_panel="Robot",
     ),
 ]
 Tips = Annotated[
     list[str] | None,
     typer.Option(
-        *TIP, metavar="FRAME", help="Tip frame; may be repeated: several tips together.", rich_help_panel="Robot"
+        *TIP,
+        metavar="FRAME",
+        help="Tip: a frame, link or joint; repeat to solve for several tips together.",
+        rich_help_panel="Robot",
     ),
 ]
 Base = Annotated[
@@ -142,7 +145,7 @@ Lock = Annotated[
 ]
 PackageDir = Annotated[
     list[str] | None,
-    typer.Option(metavar="DIR", help="Folder in which package:// names are looked up.", rich_help_panel="Robot"),
+    typer.Option(metavar="DIR", help="Folder to search for package:// names.", rich_help_panel="Robot"),
 ]
 XacroArg = Annotated[
     list[str] | None,
@@ -155,19 +158,17 @@ SrdfFile = Annotated[
     typer.Option(
         "--srdf",
         metavar="FILE",
-        help="SRDF of the robot; default: the one beside its file, see ik info.",
+        help="SRDF of the robot; default: the one next to its file (see ik info).",
         rich_help_panel="Robot",
     ),
 ]
 Group = Annotated[
     str | None,
-    typer.Option(metavar="NAME", help="Group of the SRDF: its base and tips are taken.", rich_help_panel="Robot"),
+    typer.Option(metavar="NAME", help="Group of the SRDF, which sets base and tips.", rich_help_panel="Robot"),
 ]
 Deg = Annotated[
     bool,
-    typer.Option(
-        "--deg", help="Turning joints and rpy in degrees; sliding joints stay in metres.", rich_help_panel="Output"
-    ),
+    typer.Option("--deg", help="Angles in degrees; lengths stay in metres.", rich_help_panel="Output"),
 ]
 Json = Annotated[
     bool,
@@ -207,7 +208,7 @@ def join_vectors(argv: Sequence[str]) -> list[str]:
 
 
 def joint_vector(robot: "Joints", text: str, option: str, deg: bool) -> "np.ndarray":
-    """Joint values (n,) [rad or m] of a vector option, or of the configuration it names; turning joints in degrees when `deg`."""
+    """Joint values (n,) [rad or m] of a vector option, or of the configuration it names; revolute joints in degrees when `deg`."""
     name = text.strip()
     if name in robot.named or (
         name[:1].isalpha() and len(name.replace(",", " ").split()) == 1 and numbers(name) is None
@@ -249,7 +250,7 @@ def load_robot(
 ) -> Any:
     """Load the Robot (for a list of tips, or a group with several: the Tree) that the shared options describe.
 
-    Values of --lock are degrees for turning joints when `deg`, and so is --base-rpy.
+    Values of --lock are degrees for revolute joints when `deg`, and so is --base-rpy.
     """
     from ..robot.library import find
     from ..robot.robot import Robot

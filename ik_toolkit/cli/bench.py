@@ -22,19 +22,21 @@ Solvers = Annotated[
         "--solvers",
         "--solver",
         metavar="NAME,NAME",
-        help="Solvers to compare, or FILE.py:CLASS for one of your own; may be repeated; default: all that apply.",
+        help="Solvers to compare, or FILE.py:CLASS for your own; may be repeated; default: all that apply.",
     ),
 ]
-Targets = Annotated[int, typer.Option("--targets", "-n", metavar="N", help="Random reachable targets a robot.")]
+Targets = Annotated[
+    int, typer.Option("--targets", "-n", metavar="N", help="Number of random reachable targets per robot.")
+]
 Start = Annotated[
     str, typer.Option(metavar="KIND", help="none (each solver's own), home, random, or near (within 0.1 rad).")
 ]
-Task = Annotated[
-    str | None, typer.Option(metavar="KIND", help="pose or position; default: poses for 6 joints and more.")
-]
+Task = Annotated[str | None, typer.Option(metavar="KIND", help="pose or position; default: pose for 6 or more joints.")]
 Tolerance = Annotated[float, typer.Option(metavar="T", help="Position [m] and orientation [rad] tolerance.")]
 Seed = Annotated[int, typer.Option(metavar="N", help="Seed of targets, starts and restarts.")]
-Iterations = Annotated[int | None, typer.Option(metavar="N", help="Steps an attempt; default: the solver's own.")]
+Iterations = Annotated[
+    int | None, typer.Option(metavar="N", help="Maximum iterations per attempt; default: the solver's own.")
+]
 Restarts = Annotated[
     int | None, typer.Option(metavar="N", help="Restarts of every solver in the second columns; default 99.")
 ]
@@ -72,9 +74,9 @@ def bench(
 ) -> None:
     """Compare the solvers on a robot: success, time, iterations.
 
-    Random reachable targets, one thread, every call timed from Python, failures included. Every solver meets them twice:
-    with one attempt, and with the same number of restarts. 95 %: Wilson interval; us: median time of a call. With several
-    --tip all of them are solved for together.
+    Random reachable targets, one thread, every call timed from Python, failures included. Every solver solves them twice:
+    with one attempt, and with the same number of restarts. Success is given with its 95 % Wilson interval, time as the median
+    of a call. With several --tip all of them are solved together.
     """
     from ..study.benchmark import BenchmarkInterrupted, benchmark
 

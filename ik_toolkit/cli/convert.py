@@ -12,7 +12,9 @@ from .output import notice, write_json
 
 UrdfOut = Annotated[
     Path | None,
-    typer.Option("-o", "--output", metavar="FILE", help="Write the URDF here, not on stdout.", callback=writes()),
+    typer.Option(
+        "-o", "--output", metavar="FILE", help="Write the URDF to a file instead of stdout.", callback=writes()
+    ),
 ]
 SHOWN = 3  # meshes that are not found and named
 

@@ -14,7 +14,9 @@ from .output import notice, progress, show, table, write_json
 TableArg = Annotated[str, typer.Argument(metavar="TABLE", help="D-H table, a .toml or .csv file.")]
 UrdfOut = Annotated[
     Path | None,
-    typer.Option("-o", "--output", metavar="FILE", help="Write the URDF here, not on stdout.", callback=writes()),
+    typer.Option(
+        "-o", "--output", metavar="FILE", help="Write the URDF to a file instead of stdout.", callback=writes()
+    ),
 ]
 SrdfOut = Annotated[
     Path | None,
@@ -22,13 +24,13 @@ SrdfOut = Annotated[
         "-o",
         "--output",
         metavar="FILE.srdf",
-        help="With --self-collision: write the pairs that need no test.",
+        help="With --self-collision: write these pairs.",
         callback=writes(".srdf"),
     ),
 ]
 Sampled = Annotated[
     bool,
-    typer.Option("--self-collision", help="Sample which links always or never touch, and need no test for collisions."),
+    typer.Option("--self-collision", help="Find the pairs of links that always or never touch and need no collision test."),
 ]
 Samples = Annotated[int | None, typer.Option(metavar="N", help="Configurations to sample; default 10000.")]
 Seed = Annotated[int, typer.Option(metavar="N", help="Seed of the samples.")]
@@ -68,10 +70,10 @@ def check(
     package_dir: PackageDir = None,
     as_json: Json = False,
 ) -> None:
-    """Say what is wrong with a URDF, element by element.
+    """Validate a URDF, element by element.
 
-    With --self-collision also which pairs of links need no test: joined by a joint, touching always or by construction, or never
-    nearer than 1 cm in random configurations of all joints. -o writes them as an SRDF, for --srdf or to lie beside the URDF.
+    --self-collision also finds the pairs of links that need no collision test: adjacent, always touching or touching by construction, or
+    never closer than 1 cm in random configurations of all joints. -o writes them as an SRDF, for --srdf or next to the URDF.
 
     Exit code 0 when it can be loaded (warnings may remain), 1 when it has errors.
     """

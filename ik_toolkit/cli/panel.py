@@ -8,7 +8,7 @@ from ..errors import InvalidOption
 from .arguments import RobotArg, Tips
 from .output import notice
 
-Host = Annotated[str, typer.Option(metavar="ADDRESS", help="Address to listen at; the default is this machine only.")]
+Host = Annotated[str, typer.Option(metavar="ADDRESS", help="Address to listen on; default: this machine only.")]
 Port = Annotated[int, typer.Option(metavar="N", help="Port; default: a free one.")]
 Open = Annotated[bool, typer.Option("--open/--no-open", help="Open the address in a browser.")]
 

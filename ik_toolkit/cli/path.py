@@ -47,30 +47,35 @@ Poses = Annotated[
     ),
 ]
 First = Annotated[
-    str | None, typer.Option("--q0", metavar="Q1 Q2 ...", help="Where the path begins, or what it begins near.")
+    str | None, typer.Option("--q0", metavar="Q1 Q2 ...", help="Start of the path, or a configuration to start near.")
 ]
 Last = Annotated[
-    str | None, typer.Option("--q-end", metavar="Q1 Q2 ...", help="Where the path ends, or what it ends near.")
+    str | None, typer.Option("--q-end", metavar="Q1 Q2 ...", help="End of the path, or a configuration to end near.")
 ]
-StepDeg = Annotated[float, typer.Option("--max-step-deg", metavar="DEG", help="Longest step of a turning joint.")]
-StepMm = Annotated[float, typer.Option("--max-step-mm", metavar="MM", help="Longest step of a sliding joint.")]
+StepDeg = Annotated[float, typer.Option("--max-step-deg", metavar="DEG", help="Largest step of a revolute joint.")]
+StepMm = Annotated[float, typer.Option("--max-step-mm", metavar="MM", help="Largest step of a prismatic joint.")]
 Reconfigurations = Annotated[
     str,
-    typer.Option("--reconfigurations", metavar="fewest|none|N", help="How many changes of branch are allowed."),
+    typer.Option("--reconfigurations", metavar="fewest|none|N", help="Allowed changes of branch."),
 ]
 Retime = Annotated[
     bool,
-    typer.Option("--retime", help="In the least time that --velocity and --acceleration allow; -o is the trajectory."),
+    typer.Option(
+        "--retime", help="Time the path optimally within --velocity and --acceleration; -o writes the trajectory."
+    ),
 ]
 Velocity = Annotated[
     str | None,
     typer.Option(
-        metavar="V [V2 ...]", help="With --retime: speed limits [rad/s, m/s], one or one a joint; default: the robot's."
+        metavar="V [V2 ...]",
+        help="With --retime: speed limits [rad/s, m/s], one, or one per joint; default: the robot's.",
     ),
 ]
 Acceleration = Annotated[
     str | None,
-    typer.Option(metavar="A [A2 ...]", help="With --retime: acceleration limits [rad/s^2, m/s^2], one or one a joint."),
+    typer.Option(
+        metavar="A [A2 ...]", help="With --retime: acceleration limits [rad/s^2, m/s^2], one, or one per joint."
+    ),
 ]
 Rate = Annotated[float, typer.Option(metavar="HZ", help="With --retime: samples per second.")]
 Out = Annotated[
@@ -134,13 +139,13 @@ def path(
     html: Html = None,
     live: Live = False,
 ) -> None:
-    """Find one joint motion through poses, with the fewest changes of branch, proven between the poses.
+    """Find one joint motion through poses, with the fewest changes of branch, verified between the poses.
 
-    What counts (--free-turn and its kin) may be given by tip. With --retime the motion gets times: least ones, with stops where
+    --mask, --slack, --free-turn and --frame select what counts, also by tip. --retime times the motion optimally, with stops where
     the branch changes. Ctrl-C keeps the best path so far as FILE.partial.
 
-    Exit code 0 when every pose is followed (FOLLOWED, RECONFIGURES), 1 when not: the status says why, the sentence on stderr
-    what to try.
+    Exit code 0 when every pose is followed (FOLLOWED, RECONFIGURES), otherwise 1: the status says why, and a message on stderr
+    says what to try.
     """
     line = SimpleNamespace(**locals())
     _refuse_contradictions(line)
@@ -183,7 +188,7 @@ def _refuse_contradictions(line: SimpleNamespace) -> None:
     if not line.retime and (line.velocity is not None or line.acceleration is not None):
         raise InvalidOption("--velocity and --acceleration belong to --retime")
     if line.retime and line.acceleration is None:
-        raise InvalidOption("--retime needs --acceleration: a URDF has no limits of it")
+        raise InvalidOption("--retime needs --acceleration: a URDF defines no acceleration limits")
     if line.retime and line.output is not None and line.output.suffix.lower() == ".npz":
         raise InvalidOption(f"a trajectory is written as .csv or .json, not '{line.output}'")
     for name, value in (("--max-step-deg", line.max_step_deg), ("--max-step-mm", line.max_step_mm)):
@@ -238,7 +243,7 @@ def _write(result: "PathResult", made: "Trajectory | None", line: SimpleNamespac
         elif not line.retime:
             notice(f"wrote {result.save(line.output)}")
         else:
-            notice(f"nothing is written to {line.output}: there is no trajectory of a path that is not followed")
+            notice(f"nothing written to {line.output}: the path is not followed, so there is no trajectory")
     if line.plot is not None:
         from ..show.paths import plot_motion
 
@@ -272,7 +277,7 @@ def _show(result: "PathResult", made: "Trajectory | None") -> None:
     bound = result.lower_bound
     changes = "none" if not result.reconfigurations else str(len(result.reconfigurations))
     if result.reconfigurations and bound is not None:
-        changes += f" (no motion does with fewer than {bound})" if bound else ""
+        changes += f" (at least {bound} are necessary)" if bound else ""
     show(
         facts(
             {
@@ -289,7 +294,7 @@ def _show(result: "PathResult", made: "Trajectory | None") -> None:
         )
     )
     if result.reconfigurations:
-        changes = table(">between poses", "<joint that moves most", ">by")
+        changes = table(">between poses", "<joint moving most", ">by")
         for one in result.reconfigurations:
             i = max(range(len(one.move)), key=lambda k: abs(one.move[k]))
             turning = result.robot.joint_kinds[i] != "prismatic"

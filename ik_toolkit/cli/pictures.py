@@ -19,7 +19,7 @@ Html = Annotated[
     typer.Option(
         "--html",
         metavar="FILE",
-        help="Write the scene as one page that needs no network.",
+        help="Write the scene as one HTML file that needs no network.",
         callback=writes(".html", ".htm"),
     ),
 ]
@@ -28,11 +28,11 @@ Chart = Annotated[
     typer.Option(
         "--plot",
         metavar="FILE",
-        help="Draw the error at every step to a .png, .pdf or .svg file.",
+        help="Draw the error per iteration to a .png, .pdf or .svg file.",
         callback=writes(*PLOTS),
     ),
 ]
-Live = Annotated[bool, typer.Option("--view", help="Show it in 3-D in the browser, until Ctrl-C.")]
+Live = Annotated[bool, typer.Option("--view", help="Show the robot in 3-D in the browser, until Ctrl-C.")]
 
 
 def draw(arm: Any, what: Any, target: Any, plot: Path | None, html: Path | None, live: bool) -> None:

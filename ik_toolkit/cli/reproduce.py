@@ -12,12 +12,10 @@ from ..errors import InvalidOption, near_match
 from .arguments import Json
 from .output import facts, notice, show, table, write_json
 
-PaperArg = Annotated[
-    str | None, typer.Argument(metavar="[PAPER]", help="Name of a paper; without one they are listed.")
-]
+PaperArg = Annotated[str | None, typer.Argument(metavar="[PAPER]", help="Name of a paper; omit to list them.")]
 Folder = Annotated[
     Path | None,
-    typer.Option("-o", "--output", metavar="DIR", help="Where the report goes; default: ./reproduce-PAPER."),
+    typer.Option("-o", "--output", metavar="DIR", help="Folder of the report; default: ./reproduce-PAPER."),
 ]
 
 
@@ -27,7 +25,7 @@ def register(app: typer.Typer) -> None:
 
 
 def reproduce(paper: PaperArg = None, output: Folder = None, as_json: Json = False) -> None:
-    """Recompute a paper: a report with tables and pictures, every published number beside ours.
+    """Recompute a paper: a report with tables and pictures, with every published number next to ours.
 
     Writes report.md, report.json and the pictures (PNG, with matplotlib). Nothing in it is typed in but the published
     numbers; times are of this run.

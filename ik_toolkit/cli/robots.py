@@ -36,13 +36,13 @@ if TYPE_CHECKING:
 Q = Annotated[str | None, typer.Option("--q", metavar="Q1 Q2 ...", help="Joint values, one per joint; default: home.")]
 Everything = Annotated[
     bool,
-    typer.Option("--all", help="Also the legs, hands and humanoids of example-robot-data, whose tips are guessed."),
+    typer.Option(
+        "--all", help="Also list the legs, hands and humanoids of example-robot-data, whose tips are guessed."
+    ),
 ]
 ListTips = Annotated[
     bool,
-    typer.Option(
-        "--list-tips", help="List the frames that may be the tip, the likeliest first.", rich_help_panel="Robot"
-    ),
+    typer.Option("--list-tips", help="List the possible tip frames, most likely first.", rich_help_panel="Robot"),
 ]
 
 

@@ -94,16 +94,16 @@ def solve(
     html: Html = None,
     live: Live = False,
 ) -> None:
-    """Find joint values that bring the tip to a position, or a pose when --rpy or a quaternion is given, or --matrix.
+    """Find joint values that bring the tip to a position, or to a pose when --rpy, a quaternion or --matrix is given.
 
     Several tips of one robot are solved together, shared joints included, with a --target for each. They are those of
-    --tip, or the robot's own; one without a target is free. What counts, directions and frames may be given by tip.
+    --tip, or the robot's own; one without a target is free. Masks, directions and frames may be given by tip.
 
-    With --targets many are solved at once and written to the file that -o names: CSV, NPZ or Parquet by its ending.
+    --targets solves many targets at once and writes them to the file named by -o: CSV, NPZ or Parquet.
 
-    --plot draws the way the error went; --view and --html show the robot in 3-D, the solve as an animation.
+    --plot draws the error per iteration; --view and --html show the robot in 3-D, with the solve as an animation.
 
-    Exit code 0 when solved, 1 when not: the status says how it ended, and the sentence on stderr what to try.
+    Exit code 0 when solved, otherwise 1: the status says how it ended, and a message on stderr says what to try.
     """
     line = SimpleNamespace(**locals())  # the command line, for what reads parts of it
     asked.refuse_contradictions(line)

@@ -13,22 +13,22 @@ from . import by_tip
 from .arguments import assignments, joint_vector, solver_named
 from .obstacles import collision_model
 
-Xyz = Annotated[
-    str | None, typer.Option("--xyz", metavar="X Y Z", help="Where the tip shall be, in the base frame [m].")
-]
-Rpy = Annotated[str | None, typer.Option("--rpy", metavar="R P Y", help="Roll, pitch, yaw of the tip [rad]: Rz Ry Rx.")]
+Xyz = Annotated[str | None, typer.Option("--xyz", metavar="X Y Z", help="Target tip position in the base frame [m].")]
+Rpy = Annotated[str | None, typer.Option("--rpy", metavar="R P Y", help="Target roll, pitch, yaw [rad] (Rz Ry Rx).")]
 Quat = Annotated[
-    str | None, typer.Option("--quat-xyzw", metavar="X Y Z W", help="Rotation of the tip as a quaternion.")
+    str | None,
+    typer.Option("--quat-xyzw", metavar="X Y Z W", help="Target orientation as a quaternion, real part last."),
 ]
 QuatWxyz = Annotated[
-    str | None, typer.Option("--quat-wxyz", metavar="W X Y Z", help="The same with the real part first.")
+    str | None,
+    typer.Option("--quat-wxyz", metavar="W X Y Z", help="Target orientation as a quaternion, real part first."),
 ]
 Matrix = Annotated[
     str | None,
     typer.Option(
         "--matrix",
         metavar="M11 M12 ...",
-        help="Instead of --xyz: the pose as the 12 or 16 numbers of its matrix, row by row.",
+        help="Target pose as the 12 or 16 numbers of its matrix, row by row; replaces --xyz.",
     ),
 ]
 Targets = Annotated[
@@ -36,9 +36,8 @@ Targets = Annotated[
     typer.Option(
         "--target",
         metavar="TIP:X,Y,Z[,...]",
-        help="Instead of --xyz: target of one of several tips, solved together; repeat for each. A position, or with "
-        "roll, pitch, yaw or a quaternion x y z w behind it a pose; or 12 or 16 numbers of a matrix. A tip without a target is "
-        "free.",
+        help="Target of one of several tips solved together; repeat for each; replaces --xyz. A position, or a pose when "
+        "roll, pitch, yaw or a quaternion x y z w follow, or 12 or 16 numbers of a matrix. A tip without a target is free.",
     ),
 ]
 Relative = Annotated[
@@ -46,46 +45,57 @@ Relative = Annotated[
     typer.Option(
         "--relative",
         metavar="TIP:OTHER",
-        help="The target of TIP is given in the frame of the tip OTHER, wherever that goes; may be repeated.",
+        help="Read the target of TIP in the moving frame of the tip OTHER; may be repeated.",
     ),
 ]
-SolverName = Annotated[str, typer.Option("-s", "--solver", metavar="NAME", help="See ik solvers; auto picks for you.")]
+SolverName = Annotated[
+    str,
+    typer.Option(
+        "-s", "--solver", metavar="NAME", help="Solver; see ik solvers. auto chooses one for the robot and target."
+    ),
+]
 Params = Annotated[
     list[str] | None,
-    typer.Option("-p", "--param", metavar="NAME=VALUE", help="Parameter of the solver; may be repeated."),
+    typer.Option("-p", "--param", metavar="NAME=VALUE", help="Set a parameter of the solver; may be repeated."),
 ]
 Preset = Annotated[str | None, typer.Option(metavar="NAME", help="Published or tuned parameters, by name.")]
-Start = Annotated[str | None, typer.Option("--q0", metavar="Q1 Q2 ...", help="Where to start; default: home.")]
-Tolerance = Annotated[float | None, typer.Option(metavar="TOL", help="Both tolerances, in m and rad; default 1e-6.")]
+Start = Annotated[
+    str | None,
+    typer.Option("--q0", metavar="Q1 Q2 ...", help="Start configuration; default: chosen by the solver, or home."),
+]
+Tolerance = Annotated[
+    float | None, typer.Option(metavar="TOL", help="Position [m] and orientation [rad] tolerance; default 1e-6.")
+]
 PositionTolerance = Annotated[float | None, typer.Option(metavar="M", help="Position tolerance [m].")]
 OrientationTolerance = Annotated[float | None, typer.Option(metavar="RAD", help="Orientation tolerance [rad].")]
-MaxIterations = Annotated[int | None, typer.Option(metavar="N", help="Steps an attempt; default: the solver's own.")]
+MaxIterations = Annotated[
+    int | None, typer.Option(metavar="N", help="Maximum iterations per attempt; default: the solver's own.")
+]
 Restarts = Annotated[
-    int | None, typer.Option(metavar="N", help="Further attempts, from other starts; default: the solver's own.")
+    int | None, typer.Option(metavar="N", help="Additional attempts from other starts; default: the solver's own.")
 ]
 Seed = Annotated[int, typer.Option(metavar="N", help="Seed of the random restarts.")]
-Limits = Annotated[bool, typer.Option("--limits/--no-limits", help="Keep the joints inside their limits.")]
+Limits = Annotated[bool, typer.Option("--limits/--no-limits", help="Enforce joint limits.")]
 ClampQ0 = Annotated[
-    bool, typer.Option("--clamp-q0/--refuse-q0", help="What to do with a start outside the limits: clamp it, or stop.")
+    bool, typer.Option("--clamp-q0/--refuse-q0", help="Clamp a start outside the limits, or reject it.")
 ]
 
 Direction = Annotated[
     list[str] | None,
     typer.Option(
-        "--direction", metavar="[TIP:]X Y Z", help="Point --tip-axis along this; the turn about it stays free."
+        "--direction", metavar="[TIP:]X Y Z", help="Point --tip-axis in this direction; rotation about it is free."
     ),
 ]
 TipAxis = Annotated[
     list[str] | None,
-    typer.Option("--tip-axis", metavar="[TIP:]X Y Z", help="Axis of the tip for --direction; default its z."),
+    typer.Option("--tip-axis", metavar="[TIP:]X Y Z", help="Axis of the tip for --direction; default z."),
 ]
 Mask = Annotated[
     list[str] | None,
     typer.Option(
         "--mask",
         metavar="[TIP:]X Y Z RX RY RZ",
-        help="Six weights of what counts; 0 leaves it free. Like the next "
-        "three: for all tips, or as TIP:... for one of several; may be repeated.",
+        help="Six error weights; 0 frees a coordinate. For all tips, or as TIP:... for one; may be repeated.",
     ),
 ]
 Slack = Annotated[
@@ -93,48 +103,52 @@ Slack = Annotated[
     typer.Option(
         "--slack",
         metavar="[TIP:]X Y Z RX RY RZ",
-        help="Six half widths inside which there is no error, m and rad (with --deg, degrees); inf frees one.",
+        help="Six half widths within which the error is zero [m, rad; degrees with --deg]; inf frees a coordinate.",
     ),
 ]
 FreeTurn = Annotated[
     list[str] | None,
     typer.Option(
-        "--free-turn", metavar="[TIP:]X Y Z", help="Axis of the tip about which it may turn freely; also x, y or z."
+        "--free-turn",
+        metavar="[TIP:]X Y Z",
+        help="Axis of the tip about which it may rotate freely: x, y, z or a vector.",
     ),
 ]
 Frame = Annotated[
     list[str] | None,
-    typer.Option("--frame", metavar="[TIP:]base|tip|target", help="Whose axes --mask and --slack are along."),
+    typer.Option("--frame", metavar="[TIP:]base|tip|target", help="Axes of --mask and --slack."),
 ]
 Weights = Annotated[
-    str | None, typer.Option("--joint-weights", metavar="W1 W2 ...", help="How freely each joint moves; 0: not at all.")
+    str | None, typer.Option("--joint-weights", metavar="W1 W2 ...", help="How freely each joint moves; 0 holds it.")
 ]
 Closest = Annotated[
-    str | None, typer.Option("--closest", metavar="Q1 Q2 ...", help="Of several solutions the one nearest this.")
+    str | None, typer.Option("--closest", metavar="Q1 Q2 ...", help="Return the solution nearest this configuration.")
 ]
 Follow = Annotated[
     float | None,
     typer.Option(
         "--follow",
         metavar="RAD",
-        help="One attempt that moves no joint further than this from --q0 (slides: times reach).",
+        help="Single attempt that moves no joint further than this from --q0 (prismatic joints: times reach).",
     ),
 ]
 Objective = Annotated[
     str | None,
     typer.Option(
-        "--objective", metavar="NAME", help="For redundant arms: mid-range, reference (near q0) or manipulability."
+        "--objective",
+        metavar="NAME",
+        help="Secondary objective for redundant robots: mid-range, reference (near q0) or manipulability.",
     ),
 ]
 AvoidCollisions = Annotated[
-    bool, typer.Option("--avoid-collisions", help="Only solutions in which the robot's links do not touch.")
+    bool, typer.Option("--avoid-collisions", help="Accept only solutions without self-collision.")
 ]
 Obstacles = Annotated[
     list[str] | None,
     typer.Option(
         "--obstacle",
         metavar="KIND:...",
-        help="Shape not to touch, in the base frame; may be repeated. box:x,y,z,sx,sy,sz sphere:x,y,z,r "
+        help="Obstacle to avoid, in the base frame; may be repeated. box:x,y,z,sx,sy,sz sphere:x,y,z,r "
         "cylinder:x,y,z,r,length; boxes and cylinders also with ,roll,pitch,yaw. Implies --avoid-collisions.",
     ),
 ]
@@ -143,8 +157,8 @@ File = Annotated[
     typer.Option(
         "--targets",
         metavar="FILE",
-        help="Instead of --xyz: many targets, solved on all cores; -o names the solutions' file. CSV with the header "
-        "x,y,z or x,y,z,qx,qy,qz,qw or x,y,z,roll,pitch,yaw, or NPZ with targets, or xyz and quat_xyzw (quat_wxyz). Several tips: "
+        help="Many targets from a file, solved on all cores and written to -o; replaces --xyz. CSV with the header "
+        "x,y,z or x,y,z,qx,qy,qz,qw or x,y,z,roll,pitch,yaw; NPZ with targets, or xyz and quat_xyzw (quat_wxyz). Several tips: "
         "CSV columns TIP.x, TIP.y, ..., or NPZ with an array TIP (N, 4, 4) or (N, 3) for each, or targets (N, tips, 4, 4).",
     ),
 ]
@@ -154,7 +168,7 @@ Cluster = Annotated[
     str | None, typer.Option(metavar="ADDRESS", help="With --targets: use the Dask scheduler at this address.")
 ]
 All = Annotated[
-    bool, typer.Option("--all", help="List every distinct solution inside the limits, nearest to q0 (or home) first.")
+    bool, typer.Option("--all", help="List every distinct solution within limits, nearest to q0 (or home) first.")
 ]
 AXES = ("x", "y", "z")
 PASSED_ON = (
@@ -174,21 +188,23 @@ def refuse_contradictions(line: SimpleNamespace) -> None:
     posed = is_posed(line) or line.direction is not None or line.tip_axis is not None
     drawn = line.html is not None or line.live
     if line.chain:
-        raise InvalidOption(
-            "there is no --chain any more: `ik path` (ik.solve_path) follows poses with one joint motion"
-        )
+        raise InvalidOption("--chain has been removed; `ik path` (ik.solve_path) follows poses in one joint motion")
     if line.file is None and (line.threads is not None or line.cluster is not None):
         raise InvalidOption("--threads and --cluster go with --targets FILE")
     if line.file is not None:
         if line.targets or line.every or posed:
-            raise InvalidOption("--targets FILE says all targets; leave out --xyz and its kin, --target and --all")
+            raise InvalidOption(
+                "--targets FILE replaces --xyz and the other pose options, --target and --all; omit them"
+            )
         if line.plot is not None or drawn:
-            raise InvalidOption("--plot, --html and --view show one solve, not the many of --targets FILE")
+            raise InvalidOption(
+                "--plot, --html and --view show a single solve and cannot be combined with --targets FILE"
+            )
         if line.closest is not None and line.q0 is not None:
             raise InvalidOption("give --closest or --q0, not both: the search starts there")
     elif line.targets:
         if is_posed(line):
-            raise InvalidOption("--target says tip and pose together; leave out --xyz and its rotation options")
+            raise InvalidOption("--target gives tip and pose together; omit --xyz and the rotation options")
     elif line.relative:
         raise InvalidOption("--relative is for several tips, with a --target for each")
     elif line.xyz is None and line.matrix is None:
@@ -197,7 +213,7 @@ def refuse_contradictions(line: SimpleNamespace) -> None:
         )
     if line.every:
         if line.plot is not None:
-            raise InvalidOption("--plot draws one solve, and --all asks for many")
+            raise InvalidOption("--plot draws a single solve and cannot be combined with --all")
         if line.closest is not None:
             raise InvalidOption("--all lists the solutions nearest to --q0 first; give that instead of --closest")
 
@@ -257,7 +273,7 @@ def make_target(line: SimpleNamespace, direction: list[str] | None = None, tip_a
         if any(
             given is not None for given in (line.xyz, line.rpy, line.quat_xyzw, line.quat_wxyz, direction, tip_axis)
         ):
-            raise InvalidOption("--matrix says the whole pose; leave out --xyz, its rotation options and --direction")
+            raise InvalidOption("--matrix gives the whole pose; omit --xyz, the rotation options and --direction")
         x = vector(line.matrix, "--matrix")
         if len(x) not in by_tip.MATRIX:
             raise InvalidTarget(f"--matrix takes 12 or 16 numbers, row by row; got {len(x)}")

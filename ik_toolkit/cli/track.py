@@ -42,12 +42,12 @@ PathOption = Annotated[
     str, typer.Option("--path", metavar="SHAPE|FILE", help="circle, line, eight, or a .csv or .npz file.")
 ]
 Method = Annotated[
-    str, typer.Option("-m", "--method", metavar="NAME", help="cv av ca aa aad, or a solver (see ik solvers).")
+    str, typer.Option("-m", "--method", metavar="NAME", help="cv, av, ca, aa, aad, or a solver (see ik solvers).")
 ]
 Radius = Annotated[
     float | None,
     typer.Option(
-        metavar="M", help="Radius of the circle, half width of the eight [m]; default: one the robot can follow."
+        metavar="M", help="Radius of the circle, half width of the eight [m]; default: as the robot can follow."
     ),
 ]
 Length = Annotated[
@@ -61,79 +61,75 @@ Axis = Annotated[
     ),
 ]
 Start = Annotated[
-    str | None, typer.Option(metavar="X Y Z", help="Where the path starts [m]; default: the tip at home or --q0.")
+    str | None, typer.Option(metavar="X Y Z", help="Start of the path [m]; default: the tip at home or --q0.")
 ]
-End = Annotated[
-    str | None, typer.Option(metavar="X Y Z", help="Where the line ends [m]; default: --length along --axis.")
-]
+End = Annotated[str | None, typer.Option(metavar="X Y Z", help="End of the line [m]; default: --length along --axis.")]
 Turns = Annotated[
     float,
     typer.Option("--turns", metavar="N", help="Turns of circle or eight (default 1); rounds of a line, 0: one way."),
 ]
 Duration = Annotated[
     float | None,
-    typer.Option(metavar="S", help="How long the path takes [s]; default: 10, longer where joints are slow."),
+    typer.Option(metavar="S", help="Duration of the path [s]; default: 10, or longer if joints are slow."),
 ]
 Rate = Annotated[float, typer.Option(metavar="HZ", help="Samples per second.")]
 Law = Annotated[
     str | None, typer.Option(metavar="NAME", help="constant or minimum-jerk speed; default: minimum-jerk for lines.")
 ]
 Free = Annotated[bool, typer.Option("--position-only", help="Leave the orientation free.")]
-Gain = Annotated[float | None, typer.Option(help="Gain of cv [1/s]; default: the best for the rate.")]
-GainP = Annotated[float | None, typer.Option(help="Gain of ca on the error [1/s^2]; default: the best for the rate.")]
-GainD = Annotated[
-    float | None, typer.Option(help="Gain of ca on the error's rate [1/s]; default: the best for the rate.")
-]
+Gain = Annotated[float | None, typer.Option(help="Gain of cv [1/s]; default: best for the rate.")]
+GainP = Annotated[float | None, typer.Option(help="Gain of ca on the error [1/s^2]; default: best for the rate.")]
+GainD = Annotated[float | None, typer.Option(help="Gain of ca on the error rate [1/s]; default: best for the rate.")]
 Params = Annotated[
     list[str] | None,
     typer.Option("-p", "--param", metavar="NAME=VALUE", help="Other options: gamma, reading, null_damping, damping."),
 ]
 Q0 = Annotated[
-    str | None, typer.Option("--q0", metavar="Q1 Q2 ...", help="Where the joints start; default: home, or solved.")
+    str | None, typer.Option("--q0", metavar="Q1 Q2 ...", help="Start configuration; default: home, or solved for.")
 ]
-Limits = Annotated[
-    bool, typer.Option("--limits/--no-limits", help="Keep joint positions and speeds inside their limits.")
-]
+Limits = Annotated[bool, typer.Option("--limits/--no-limits", help="Enforce joint position and speed limits.")]
 Acceleration = Annotated[
     float | None, typer.Option(metavar="A", help="Acceleration limit of every joint [rad/s^2, m/s^2].")
 ]
 PositionTolerance = Annotated[
     float,
-    typer.Option("--tolerance-position", metavar="M", help="Largest position error of a run that counts as followed."),
+    typer.Option("--tolerance-position", metavar="M", help="Position tolerance of a followed run [m]."),
 ]
 OrientationTolerance = Annotated[
     float | None,
-    typer.Option("--tolerance-orientation", metavar="RAD", help="The same of the orientation; default: 0.1 degrees."),
+    typer.Option(
+        "--tolerance-orientation", metavar="RAD", help="Orientation tolerance of a followed run; default: 0.1 degrees."
+    ),
 ]
 Relative = Annotated[
     list[str] | None,
     typer.Option(
-        "--relative", metavar="TIP:OTHER", help="TIP keeps its pose in the frame of the tip OTHER; may be repeated."
+        "--relative", metavar="TIP:OTHER", help="Keep the pose of TIP in the frame of the tip OTHER; may be repeated."
     ),
 ]
 AvoidCollisions = Annotated[
-    bool, typer.Option("--avoid-collisions", help="Slow down and slide along where links of the robot would touch.")
+    bool, typer.Option("--avoid-collisions", help="Slow down and slide along instead of colliding.")
 ]
 Obstacles = Annotated[
     list[str] | None,
-    typer.Option("--obstacle", metavar="KIND:...", help="Shape to keep clear of, as in ik solve; may be repeated."),
+    typer.Option("--obstacle", metavar="KIND:...", help="Obstacle to avoid, as in ik solve; may be repeated."),
 ]
 Settle = Annotated[
     float | None,
-    typer.Option(metavar="S", help="Time before errors count; default: 0, with --acceleration (a start at rest) 0.5."),
+    typer.Option(metavar="S", help="Time before errors count; default: 0, or 0.5 with --acceleration (start at rest)."),
 ]
 OnLimit = Annotated[
     str,
     typer.Option(
         "--on-limit",
         metavar="NAME",
-        help="slow: the reference's clock slows, so that the tip stays on the path; leave: it keeps time and leaves the path as "
-        "little as possible; clip: each joint is cut off on its own, as in the papers.",
+        help="slow: slow the reference down to stay on the path; leave: stay on time and leave the path as little as possible; "
+        "clip: clip each joint on its own, as in the papers.",
     ),
 ]
 MaxStretch = Annotated[
     float,
-    typer.Option("--max-stretch", metavar="X", help="With slow: times the duration after which a run is given up."),
+    typer.Option("--max-stretch", metavar="X", help="With slow: abandon a run after this many times its duration."),
 ]
 Out = Annotated[
     Path | None,
@@ -201,13 +197,13 @@ def track(
 ) -> None:
     """Follow a path with the tip and report errors, joint speeds and limits.
 
-    Several tips of one robot (those of --tip, or the robot's own) have a path of their own each and are tracked together.
+    Several tips of one robot (those of --tip, or the robot's own) each follow a path of their own and are tracked together.
 
-    Without --radius, --length, --start or --end the path is placed and sized so that the robot can follow it, and the report
-    says how. A path given with one of them is taken as it is; where the robot cannot follow it, the command says how far it
-    gets and what was tried and works. Gains that are unstable at the rate are said, with better ones.
+    Without --radius, --length, --start or --end the command chooses a path that the robot can follow and reports it. A path
+    given with any of them is used as it is; if the robot cannot follow it, the command says how far it gets and which changes
+    work. Gains that are unstable at the given rate are reported, with better ones.
 
-    Exit code 0 when every sample was inside the tolerances (COMPLETED, SLOWED), 1 when one was not (LEFT, LOST) or the run
+    Exit code 0 when every sample was within tolerance (COMPLETED, SLOWED), 1 when one was not (LEFT, LOST) or the run
     diverged.
     """
     line = SimpleNamespace(**locals())  # the command line, for what reads parts of it

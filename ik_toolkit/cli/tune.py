@@ -30,25 +30,29 @@ if TYPE_CHECKING:
     from ..study.tune import TuneResult
 
 SolverArg = Annotated[
-    str, typer.Argument(metavar="SOLVER", help="One with presets, a gain or a damping; see ik solvers.")
+    str, typer.Argument(metavar="SOLVER", help="Solver with presets, a gain or a damping; see ik solvers.")
 ]
 Method = Annotated[str, typer.Option("-m", "--method", metavar="cma|pso", help="CMA-ES or a particle swarm.")]
 Pose = Annotated[bool, typer.Option("--pose", help="Targets are poses; default: positions.")]
 Maps = Annotated[
     int | None,
     typer.Option(
-        metavar="K", help="Of a solver with maps: K starts, each with its map; 1: as published. Default: its own."
+        metavar="K", help="For a solver with maps: K starts, each with its map; 1: as published. Default: its own."
     ),
 ]
 From = Annotated[str | None, typer.Option("--from", metavar="PRESET", help="Preset the search starts from.")]
 Targets = Annotated[int, typer.Option(metavar="N", help="Training targets.")]
-HeldOut = Annotated[int, typer.Option(metavar="N", help="Sets of 1000 fresh targets that judge the result.")]
-Generations = Annotated[int, typer.Option(metavar="N", help="Generations at most.")]
-Population = Annotated[int | None, typer.Option(metavar="N", help="Candidates a generation; default: by size.")]
-Seconds = Annotated[float | None, typer.Option(metavar="S", help="Stop the search after so long.")]
-Seed = Annotated[int, typer.Option(metavar="N", help="Seed of the search and of all targets.")]
+HeldOut = Annotated[
+    int, typer.Option(metavar="N", help="Number of held-out sets of 1000 targets that evaluate the result.")
+]
+Generations = Annotated[int, typer.Option(metavar="N", help="Maximum number of generations.")]
+Population = Annotated[
+    int | None, typer.Option(metavar="N", help="Candidates per generation; default: by problem size.")
+]
+Seconds = Annotated[float | None, typer.Option(metavar="S", help="Stop the search after this time.")]
+Seed = Annotated[int, typer.Option(metavar="N", help="Seed of the search and of the targets.")]
 Tolerance = Annotated[float, typer.Option(metavar="TOL", help="Both tolerances, in m and rad.")]
-MaxIterations = Annotated[int, typer.Option(metavar="N", help="Steps a solve.")]
+MaxIterations = Annotated[int, typer.Option(metavar="N", help="Maximum iterations per solve.")]
 How = Annotated[str, typer.Option("--sample", metavar="joints|volume", help="Targets uniform in joints or in volume.")]
 Out = Annotated[
     Path | None,
@@ -56,7 +60,7 @@ Out = Annotated[
         "-o", "--output", metavar="FILE", help="Preset; default: ROBOT-SOLVER.toml.", callback=writes(".toml")
     ),
 ]
-Resume = Annotated[bool, typer.Option("--resume", help="Go on from FILE.npz, which every run writes beside FILE.")]
+Resume = Annotated[bool, typer.Option("--resume", help="Continue from FILE.npz, which every run writes beside FILE.")]
 Plot = Annotated[
     Path | None,
     typer.Option(metavar="FILE", help="Draw the convergence to a .png, .pdf or .svg file.", callback=writes(*PLOTS)),
@@ -97,9 +101,9 @@ def tune(
     resume: Resume = False,
     plot: Plot = None,
 ) -> None:
-    """Search gains and start configurations of a solver for a robot, and judge them on targets of fresh seeds.
+    """Tune a solver's gains and starts for a robot, and evaluate them on held-out targets.
 
-    The result is a preset for ik solve --preset FILE. Ctrl-C keeps the best so far as FILE.partial; --resume goes on from there.
+    The result is a preset for ik solve --preset FILE. Ctrl-C keeps the best so far as FILE.partial; --resume continues from there.
     """
     arm = load_robot(robot, one_or_several(tip), base, lock, package_dir, deg, xacro_arg, base_xyz, base_rpy)
 
@@ -150,13 +154,13 @@ def tune(
     if not as_json:
         _show(result, preset)
     if result.interrupted:
-        notice(f"the best so far is in {preset}, judged on one set; --resume goes on from {record}")
+        notice(f"the best so far is in {preset}, judged on one set; --resume continues from {record}")
         raise KeyboardInterrupt
 
 
 @contextmanager
 def _record(file: Path, resume: bool) -> Iterator[None]:
-    """Keep the record of an earlier search beside `file` until this one has begun its own; --resume goes on from it."""
+    """Keep the record of an earlier search beside `file` until this one has begun its own; --resume continues from it."""
     from ..study.tune import check_record
 
     if resume and not file.exists():

@@ -28,7 +28,7 @@ from .pictures import Html, present, wait
 from .solve_options import Matrix, Relative, Targets, is_posed, make_target
 
 Q = Annotated[str | None, typer.Option("--q", metavar="Q1 Q2 ...", help="Joint values to show; default: home.")]
-Xyz = Annotated[str | None, typer.Option(metavar="X Y Z", help="Solve for this position [m] and show how it went.")]
+Xyz = Annotated[str | None, typer.Option(metavar="X Y Z", help="Solve for this position [m] and show the iterations.")]
 Rpy = Annotated[str | None, typer.Option(metavar="R P Y", help="With --xyz: roll, pitch, yaw [rad].")]
 Quat = Annotated[str | None, typer.Option(metavar="X Y Z W", help="With --xyz: quaternion.")]
 QuatWxyz = Annotated[str | None, typer.Option(metavar="W X Y Z", help="With --xyz: quaternion, the real part first.")]
@@ -40,11 +40,11 @@ MotionFile = Annotated[
     typer.Option(
         "--motion",
         metavar="FILE",
-        help="Show a motion that ik path wrote: a path (.csv, .npz, .json) or a trajectory (.csv, .json).",
+        help="Show a motion written by ik path: a path (.csv, .npz, .json) or a trajectory (.csv, .json).",
     ),
 ]
 Follow = Annotated[
-    bool, typer.Option("--follow", help="A target to drag: the arm follows it as far as it gets (extra 'panel').")
+    bool, typer.Option("--follow", help="Show a target to drag, which the robot follows (extra 'panel').")
 ]
 Port = Annotated[int, typer.Option(metavar="N", help="Port on 127.0.0.1; default: a free one.")]
 Open = Annotated[bool, typer.Option("--open/--no-open", help="Open the address in a browser.")]
@@ -148,7 +148,7 @@ def _refuse_contradictions(line: SimpleNamespace, solving: bool) -> None:
     if not solving and (line.every or line.q0 is not None):
         raise InvalidOption("--q0 and --all belong to --xyz or --target")
     if is_posed(line) and line.targets:
-        raise InvalidOption("--target says tip and pose together; leave out --xyz and its rotation options")
+        raise InvalidOption("--target gives tip and pose together; omit --xyz and the rotation options")
     if line.relative and not line.targets:
         raise InvalidOption("--relative is for several tips, with a --target for each")
     if not 0 <= line.port < 65536:

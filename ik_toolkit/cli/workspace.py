@@ -45,10 +45,10 @@ Targets = Annotated[int, typer.Option("-n", "--targets", metavar="N", help="Numb
 How = Annotated[str, typer.Option("--sample", metavar="joints|volume", help="Targets uniform in joints or in volume.")]
 Pose = Annotated[bool, typer.Option("--pose", help="Targets are poses; default: positions.")]
 Seed = Annotated[int, typer.Option(metavar="N", help="Seed of the targets.")]
-Start = Annotated[str | None, typer.Option("--q0", metavar="Q1 Q2 ...", help="Where every solve starts.")]
+Start = Annotated[str | None, typer.Option("--q0", metavar="Q1 Q2 ...", help="Start of every solve.")]
 Tolerance = Annotated[float, typer.Option(metavar="TOL", help="Both tolerances, in m and rad.")]
-MaxIterations = Annotated[int | None, typer.Option(metavar="N", help="Steps an attempt.")]
-Restarts = Annotated[int | None, typer.Option(metavar="N", help="Further attempts, from other starts.")]
+MaxIterations = Annotated[int | None, typer.Option(metavar="N", help="Maximum iterations per attempt.")]
+Restarts = Annotated[int | None, typer.Option(metavar="N", help="Additional attempts from other starts.")]
 Csv = Annotated[
     Path | None,
     typer.Option(
@@ -62,7 +62,9 @@ Plot = Annotated[
 ]
 Html = Annotated[
     Path | None,
-    typer.Option("--html", metavar="FILE", help="Robot and targets as a 3D page, one file.", callback=writes(".html")),
+    typer.Option(
+        "--html", metavar="FILE", help="Write robot and targets as one 3-D HTML page.", callback=writes(".html")
+    ),
 ]
 LISTED = 10
 
@@ -103,9 +105,9 @@ def workspace(
 ) -> None:
     """Sample targets over the workspace and report, for each solver, successes, iterations, errors and failures.
 
-    With several --tip the first is the one whose workspace it is; the others are free.
+    With several --tip the workspace is that of the first; the others are free.
 
-    Ctrl-C reports what is finished and keeps it in files called NAME.partial (no pictures).
+    Ctrl-C reports the finished targets and keeps them in NAME.partial (without pictures).
     """
     if targets < 1:
         raise InvalidOption(f"--targets must be at least 1, not {targets}")

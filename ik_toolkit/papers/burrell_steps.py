@@ -155,6 +155,6 @@ class Interpreted:
 
 
 def jacobian(frames: list[np.ndarray]) -> np.ndarray:
-    """Position Jacobian (3, n) from the frames of a chain of turning joints."""
+    """Position Jacobian (3, n) from the frames of a chain of revolute joints."""
     tip = frames[-1][:3, 3]
     return np.array([np.cross(T[:3, 2], tip - T[:3, 3]) for T in frames[:-1]]).T

@@ -107,7 +107,7 @@ class PathResult:
 
     @property
     def length(self) -> tuple[float, float]:
-        """Sum of |dq| over neighbouring rows of q: turning joints [rad] and sliding joints [m]."""
+        """Sum of |dq| over neighbouring rows of q: revolute joints [rad] and prismatic joints [m]."""
         moves = np.abs(np.diff(self.q, axis=0))
         return self._apart(np.nansum(moves, axis=0), np.sum)
 

@@ -139,7 +139,7 @@ class Search:
             places = np.unique(np.append(np.arange(0, N, EVERY), N - 1))
         for k, t in enumerate(places):
             self.anchor(int(t), SHARE)
-            self.progress(0.7 * (k + 1) / len(places), "carrying solutions along the path")
+            self.progress(0.7 * (k + 1) / len(places), "extending solutions along the path")
         self.fill()
 
     def solves(self, q: np.ndarray, t: int) -> bool:
@@ -314,12 +314,12 @@ class Search:
             beyond = self.anchored.get(int(t))
             if beyond is None:  # a gap is probed, not solved at every pose
                 beyond = self.problem.solutions(int(t), self.problem.robot.home[None])[1]
-                reason = "none of the solutions found beside it leads there"
+                reason = "no solution at a neighbouring pose leads to it"
             else:
                 reason = f"no solution found from {STARTS} starts"
             if beyond > 0.0:
                 reason = f"beyond reach by {1000 * beyond:.4g} mm (a bound from the link lengths)"
             elif self.sure is not None and self.sure[t] and not self.legal[t].any():
-                reason, beyond = "every solution of it breaks a joint limit, or it has none", np.inf
+                reason, beyond = "every solution violates a joint limit, or none exists", np.inf
             said.append(Unreachable(int(t), reason, beyond > 0.0))
         return said

@@ -119,7 +119,7 @@ def solve_path(
             search = other
         if search.found.breaks and len(turns.gaps):
             search.lower_bound = None  # not every choice of ways was tried
-        search.progress(0.9, "shortening and proving it")
+        search.progress(0.9, "shortening and verifying the path")
         return _result(search, allowed, step, tolerance, model, seed, began)
     except KeyboardInterrupt:
         if search.found is None:

@@ -104,7 +104,7 @@ def _limits(robot: Joints, velocity: Any, acceleration: Any) -> tuple[np.ndarray
     """Limits (n,) of speeds and accelerations. Raises InvalidOption, naming the joint."""
     if acceleration is None:
         raise InvalidOption(
-            "acceleration= has to be given: a number or one a joint [rad/s^2 or m/s^2]; a URDF has none"
+            "acceleration= is required: one number, or one per joint [rad/s^2 or m/s^2]; a URDF does not define it"
         )
     made = []
     for name, given, own in (("velocity", velocity, robot.velocity_limits), ("acceleration", acceleration, None)):
@@ -116,7 +116,7 @@ def _limits(robot: Joints, velocity: Any, acceleration: Any) -> tuple[np.ndarray
         for joint, value in zip(robot.joint_names, values, strict=True):
             if not 0.0 < value < math.inf:
                 where = (
-                    "the robot has none for this joint, so give velocity=" if given is None else "it must be positive"
+                    "the robot defines none for this joint; pass velocity=" if given is None else "it must be positive"
                 )
                 raise InvalidOption(f"{name} of joint '{joint}' is {value:g}: {where}")
         made.append(values)

@@ -18,25 +18,25 @@ def sentence(path: PathResult, needed: int, allowed: float) -> str:
             others = f" and {more} more" if more else ""
             cut = f"; {ends}, and all of them take {needed}" if needed > allowed else ""
             return (
-                f"{len(reached)} of {_poses(N)} are reached; pose {first.index}{others} not: {first.reason}{cut}; move the poses, "
-                "free what need not hold (free_turn, slack, mask), or widen the limits"
+                f"{len(reached)} of {_poses(N)} reached; not pose {first.index}{others}: {first.reason}{cut}; move the poses, "
+                "relax the targets (free_turn, slack, mask), or widen the limits"
             )
         return (
-            f"{ends}: pose {last + 1} cannot be passed, and the whole path takes {needed}; allow them "
-            "(reconfigurations='fewest'), or free what need not hold (free_turn, slack, mask)"
+            f"{ends}: pose {last + 1} cannot be passed, and the whole path needs {needed}; allow them "
+            "(reconfigurations='fewest'), or relax the targets (free_turn, slack, mask)"
         )
     turn, slide = path.length
     length = f"{turn:.3g} rad" + (f" and {slide:.3g} m" if slide else "")
     if path.status == PathStatus.COLLISION:
         touching = path.continuity.contacts[:1]
         where = f" ({' and '.join(touching[0].pair)} touch at pose {touching[0].place:.4g})" if touching else ""
-        return f"{_poses(N)} are followed, but only with contact{where}; move the poses or what is in the way"
-    near = f"; at {len(path.continuity.unproven)} places shapes are too close to prove that nothing touches"
+        return f"{_poses(N)} followed, but only in collision{where}; move the poses or the obstacle"
+    near = f"; at {len(path.continuity.unproven)} places shapes are too close to rule out contact"
     close = near if path.continuity.unproven else ""
     if path.status == PathStatus.FOLLOWED:
         return f"{_poses(N)} followed in one motion of {length}{close}"
     breaks = ", ".join(str(one.index) for one in path.reconfigurations[:5])
-    few = "no motion does with fewer" if path.lower_bound == needed else "the fewest found"
+    few = "provably the fewest" if path.lower_bound == needed else "the fewest found"
     several = f"{needed} reconfiguration{'s' * (needed != 1)}"
     return f"{_poses(N)} followed with {several} ({few}), after pose {breaks}{close}"
 

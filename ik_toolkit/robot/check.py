@@ -113,7 +113,7 @@ def _numbers(item: Item) -> Iterator[Finding]:
             values = numbers(attributes[key])
             shown = f'<{tag} {key}="{attributes[key][:60]}">'
             if tag == "mesh" and wrong_scale(attributes):
-                yield Finding("warning", str(item), f"{shown} is not 3 numbers", "its shape is left out; correct it")
+                yield Finding("warning", str(item), f"{shown} is not 3 numbers", "the shape is ignored; correct it")
             elif values is None or len(values) != count:
                 yield _error(
                     str(item), f"{shown} is not {'a number' if count == 1 else f'{count} numbers'}", "correct it"
@@ -223,8 +223,8 @@ def _remarks(item: Item) -> Iterator[Finding]:
                 yield Finding(
                     "warning",
                     str(item),
-                    f"its lower limit {lower[0]:g} is above its upper limit {upper[0]:g}: no tip can be moved by it",
-                    "exchange them",
+                    f"its lower limit {lower[0]:g} is above its upper limit {upper[0]:g}: no tip can use it",
+                    "swap them",
                 )
             if lower and lower == upper:
                 yield Finding(
@@ -261,5 +261,5 @@ def _meshes(item: Item, folders: list[Path], packages: dict[str, Path]) -> Itera
         try:
             find_mesh(name, folders, packages)
         except ModelError as error:
-            advice = "only pictures and collision need it; see package_dirs"
+            advice = "needed only for display and collision checking; see package_dirs"
             yield Finding("warning", str(item), f"mesh '{name[:200]}' {error}", advice)

@@ -1,7 +1,7 @@
 """Denavit-Hartenberg tables: read them (TOML or CSV), write them as URDF with primitive shapes, multiply them out.
 
 Classic rows (Denavit, Hartenberg 1955): T_i = Rz(theta) Tz(d) Tx(a) Rx(alpha). Modified rows (Craig 1986):
-T_i = Rx(alpha) Tx(a) Rz(theta) Tz(d), with a and alpha of the row itself. A turning joint adds q to theta, a sliding
+T_i = Rx(alpha) Tx(a) Rz(theta) Tz(d), with a and alpha of the row itself. A revolute joint adds q to theta, a sliding
 joint adds q to d. T_base_tool = base T_1 ... T_n tool.
 """
 

@@ -170,7 +170,7 @@ def pose(
     if direction is not None:
         if turned:
             raise InvalidTarget(
-                "a direction leaves the turn about it free, so it goes with no rpy, quaternion or rotation"
+                "a direction leaves the rotation about it free; do not also give rpy, a quaternion or rotation"
             )
         tip_axis = _unit(axis, "axis")
         T = np.eye(4)

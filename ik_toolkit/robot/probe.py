@@ -65,7 +65,7 @@ def find_path(model: pin.Model, base: int, tip: int, locked: set[int]) -> Path:
         if model.joints[leader].nv != 1:
             raise ModelError(
                 f"joint '{model.names[j]}' on the path to '{model.frames[tip].name}' is a {model.joints[j].shortname()} "
-                "with more than one degree of freedom; only revolute, continuous, prismatic and mimic joints are handled"
+                "with more than one degree of freedom; only revolute, continuous, prismatic and mimic joints are supported"
             )
         if leader not in leaders:
             leaders.append(leader)
@@ -140,7 +140,7 @@ def _screw(model: pin.Model, data: pin.Data, j: int) -> tuple[bool, float, np.nd
     screw = np.asarray(data.joints[j].S).reshape(6)
     slides, turns = screw[:3].any(), screw[3:].any()
     if slides and turns:
-        raise ModelError(f"joint '{model.names[j]}' moves along a helix; only turning or sliding joints are handled")
+        raise ModelError(f"joint '{model.names[j]}' moves along a helix; only turning or prismatic joints are handled")
     if not (slides or turns):
         raise ModelError(f"joint '{model.names[j]}' does not move: its axis is zero")
     vector = screw[3:] if turns else screw[:3]

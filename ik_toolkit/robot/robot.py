@@ -272,8 +272,8 @@ class Robot(Joints):
         off = difference(self.chain, Q, np.array([T.homogeneous for T in poses]), np.array(jacobians))
         if not off <= AGREE:  # NaN is refused too
             raise ModelError(
-                f"robot '{self.name}' from '{self.base}' to '{self.tip}' is refused: the kinematics read from it differ from "
-                f"Pinocchio's by {off:.2g}, so answers would be wrong; please report this with its URDF"
+                f"robot '{self.name}' from '{self.base}' to '{self.tip}' is rejected: its kinematics differ from "
+                f"Pinocchio's by {off:.2g}, so results would be wrong; please report this with its URDF"
             )
 
     @property

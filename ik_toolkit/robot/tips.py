@@ -62,7 +62,7 @@ def guess_tip(model: pin.Model) -> Guess:
     for convention in CONVENTIONS:
         found = [f for f, said in named if fits(convention, set(said))]
         if found:
-            return Guess(_branches(model, found), "by its name")
+            return Guess(_branches(model, found), "guessed by its name")
     ends = [f for f in moved if f.name in path_ends(model)]
     plain = [f for f in ends if not OTHERS & set(words(f.name))] or ends
     joints = {f.name: len(model.supports[f.parentJoint]) for f in plain}
@@ -81,7 +81,7 @@ def only_tip(model: pin.Model, robot: str) -> str:
     tips, why = guess_tip(model)
     if len(tips) == 1:
         if path_ends(model) != tips:
-            LOG.warning("robot '%s': tip '%s' taken, %s; another with tip=", robot, tips[0], why)
+            LOG.warning("robot '%s': using tip '%s' (%s); choose another with tip=", robot, tips[0], why)
         return tips[0]
     if not tips:
         raise ModelError(f"robot '{robot}' has no movable joint: nothing to solve")

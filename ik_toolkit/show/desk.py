@@ -193,7 +193,7 @@ class Desk:
                     {"label": "position, 10^x m", "stroke": COLOURS[0], "width": 2},
                     {"label": "orientation, 10^x rad", "stroke": COLOURS[1], "width": 2, "dash": (6, 4)},
                 ),
-                title="error left, powers of ten",
+                title="error per iteration (log scale)",
                 scales={"x": {"time": False}},
                 height=200,
                 visible=False,

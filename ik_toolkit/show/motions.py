@@ -1,4 +1,4 @@
-"""A followed path or a trajectory in the scene: the robot along it, the way of the tip coloured by what happens there."""
+"""A followed path or a trajectory in the scene: the robot along it, the tip path coloured by what happens there."""
 
 import csv
 import json

@@ -59,7 +59,7 @@ class Scene:
         opacity: float = 1.0,
         label: str = "",
     ) -> None:
-        """Draw the robot at q (n,), or move it there; a colour makes it a see-through copy under another name."""
+        """Draw the robot at q (n,), or move it there; a colour makes it a translucent copy under another name."""
         poses = self.body.placements(q)
         if not any(path.startswith(f"{name}/") for path in self.window.transforms):
             if color is None:
@@ -80,7 +80,7 @@ class Scene:
             self._say(css(color or SLATE), label)
 
     def ghosts(self, Q: Any, labels: Iterable[str] = ()) -> None:
-        """Draw the robot see-through at every row of Q (N, n), the first 12 of them; eight colours, in turn."""
+        """Draw the robot translucent at every row of Q (N, n), the first 12 of them; eight colours, in turn."""
         names = [*labels]
         for k, q in enumerate(np.atleast_2d(Q)[:MAX_GHOSTS]):
             label = names[k] if k < len(names) else ""
@@ -139,7 +139,7 @@ class Scene:
         radius: float | None = None,
         label: str = "",
     ) -> None:
-        """Draw the way of the tip: points (N, 3) [m]."""
+        """Draw the tip path: points (N, 3) [m]."""
         P = self._world(points)
         self.window.delete(name)
         self.window.shape(name, tube(P, radius or 0.005 * self._extent(), color))
@@ -187,7 +187,7 @@ class Scene:
         )
 
     def converge(self, history: dict[str, np.ndarray]) -> None:
-        """Show how a solve went: its iterates as an animation, the way of the tip, a ghost where it began.
+        """Show how a solve went: its iterates as an animation, the tip path, a ghost where it began.
 
         history: `Result.history` (arrays q, position_error [m], orientation_error [rad], one row an evaluation).
         """
@@ -208,18 +208,18 @@ class Scene:
         ways = np.array([self._tips(q) for q in Q[rows]])
         several = len(self.robot.tips) > 1
         for k, tip in enumerate(self.robot.tips):
-            label = f"way of {tip}" if several else "way of the tip"
+            label = f"way of {tip}" if several else "tip path"
             self.trail(ways[:, k], numbered("trail", k), TRAILS[k % len(TRAILS)], label=label)
         self.animate(frames, labels, fps=max(12.0, len(frames) / 12.0), first=len(frames) - 1)
 
     def follow(self, result: Any) -> None:
-        """Show a tracking run (TrackResult): the arm moving in real time, its trail and the path asked for."""
+        """Show a tracking run (TrackResult): the arm moving in real time, its trail and the requested path."""
         rows = np.unique(np.linspace(0, len(result.t) - 1, min(len(result.t), MAX_FRAMES)).astype(int))
         wide = 0.005 * self._extent()
         ways, wanted = (array[rows].reshape(len(rows), -1, 3) for array in (result.xyz, result.target_xyz))
         for k in range(ways.shape[1]):  # a label once, whichever tip
-            self.trail(wanted[:, k], numbered("path", k), SLATE, 0.7 * wide, "" if k else "path asked for")
-            self.trail(ways[:, k], numbered("trail", k), ORANGE, wide, "" if k else "way of the tip")
+            self.trail(wanted[:, k], numbered("path", k), SLATE, 0.7 * wide, "" if k else "requested path")
+            self.trail(ways[:, k], numbered("trail", k), ORANGE, wide, "" if k else "tip path")
         labels = [f"t = {result.t[k]:.2f} s, error {length(result.position_error[k])}" for k in rows]
         span = float(result.t[rows[-1]] - result.t[rows[0]]) or 1.0
         self.animate(result.q[rows], labels, fps=max(1.0, (len(rows) - 1) / span))

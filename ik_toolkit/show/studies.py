@@ -50,7 +50,7 @@ def plot_tuning(result: TuneResult, file: str | Path) -> Path:
         axis.semilogy(generation, result.history[:, 2], color=GREY, lw=1, label="median of the generation")
         axis.semilogy(generation, result.history[:, 1], color=COLOURS[1], lw=1, label="best of the generation")
         axis.semilogy(generation, result.history[:, 0], color=COLOURS[0], lw=2, label="best so far")
-        axis.set(xlabel="generation", ylabel="cost (1 = everything lost)")
+        axis.set(xlabel="generation", ylabel="cost (1 = all targets fail)")
         low, high = result.held_out.interval
         axis.set_title(
             plain(f"{result.solver} on {result.robot}, {result.method}: {1000 * result.before.share:.1f} before,\n")

@@ -117,7 +117,7 @@ def _clock(ax: Any, result: TrackResult) -> None:
     ax.stairs(result.sigma, result.t, color=COLOURS[0], lw=1.3)
     ax.set_ylim(0.0, 1.05)
     joint = result.pace_joint
-    pace = f", at the pace of {plain(joint)}" if joint else ""
+    pace = f", limited by {plain(joint)}" if joint else ""
     ax.set_title(f"clock rate: {result.added_time:.3g} s added to {result.clock[-1]:.4g} s{pace}", loc="left")
 
 

@@ -52,11 +52,9 @@ def solve_parts(
     """
     require_robot(robot)
     if "chain" in options:
-        raise InvalidOption(
-            "there is no chain= any more: ik.solve_path(robot, poses) follows poses with one joint motion"
-        )
+        raise InvalidOption("chain= has been removed; ik.solve_path(robot, poses) follows poses in one joint motion")
     if executor is not None and threads is not None:
-        raise InvalidOption("an executor has its own workers: leave out threads=")
+        raise InvalidOption("an executor has its own workers; omit threads=")
     if executor is not None and not hasattr(executor, "submit"):
         raise InvalidOption(f"executor is a pool with a submit method (concurrent.futures), not {executor!r:.80}")
     if options.get("history"):

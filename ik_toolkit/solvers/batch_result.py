@@ -30,9 +30,9 @@ class BatchCheckFailed(IKError):
 
     def __init__(self, result: "BatchResult", target: int, before: int) -> None:
         """Keep the rows; `before` counts those already handed out."""
-        doubt = f" The {before} answers handed out before it are in doubt too." if before else ""
+        doubt = f" The {before} results already returned are in doubt too." if before else ""
         super().__init__(
-            f"Pinocchio does not confirm the answer to target {target}, so no answer of this batch can be trusted.{doubt}"
+            f"Pinocchio does not confirm the result for target {target}, so no result of this batch can be trusted.{doubt}"
             " Please report this with the robot and the target."
         )
         self.result = result

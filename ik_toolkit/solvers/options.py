@@ -178,7 +178,9 @@ def make_options(given: dict[str, Any]) -> Options:
             values[name] = _weights(name, value)
     refused = [name for name in ("closest", "restarts", "objective") if values.get("follow") and values.get(name)]
     if refused:
-        raise InvalidOption(f"follow makes one attempt that stays near q0, so it goes without {' and '.join(refused)}")
+        raise InvalidOption(
+            f"follow makes one attempt that stays near q0, so it cannot be combined with {' and '.join(refused)}"
+        )
     return Options(**values)
 
 

@@ -95,7 +95,7 @@ ROWS: tuple[Row, ...] = (
     Row(
         "lm",
         _RULES + "jacobian:LM",
-        "Levenberg-Marquardt, damping from the error, limits held, restarts from a seed table (default)",
+        "Levenberg-Marquardt: error-based damping, joint limits enforced, restarts from a seed table (default)",
         "any robot; position, pose, masks",
         "Sugihara 2011",
         # Give-up: a broad optimum measured on six arms (C 10-100 and rho 0.12-0.35 cost under 4 %, none at all up to twice the
@@ -146,7 +146,7 @@ ROWS: tuple[Row, ...] = (
     Row(
         "pid",
         _RULES + "pid:PID",
-        "IK-PID: each joint's step from a PID law on the error, its sign by trial",
+        "IK-PID: each joint's step from a PID law on the error, its sign found by trial",
         "any robot; position, pose with scaled orientation",
         "Burrell 2016, Algorithm I",
     ),
@@ -161,8 +161,8 @@ ROWS: tuple[Row, ...] = (
     Row(
         "planar-2r",
         _CLOSED + "planar_2r:Planar2R",
-        "Closed form of a planar two-link arm: both elbow branches, the legal one nearest q0",
-        "two turning joints with parallel axes (recognised by geometry); position",
+        "Closed form of a planar two-link arm: both elbow branches; returns the one within limits nearest q0",
+        "two revolute joints with parallel axes (recognised by geometry); position",
         "Chinyai eq. 1-5, corrected",
         **_CLOSED_FORM,
         pose=False,
@@ -171,8 +171,8 @@ ROWS: tuple[Row, ...] = (
     Row(
         "inspection",
         _CLOSED + "inspection:Inspection",
-        "Closed form of a spherical shoulder on a lift: 8 branches at each lift, the legal one nearest q0",
-        "a lift and six turning joints of the inspection robot's structure (recognised by geometry); pose",
+        "Closed form of a spherical shoulder on a lift: 8 branches at each lift; returns the one within limits nearest q0",
+        "a lift and six revolute joints of the inspection robot's structure (recognised by geometry); pose",
         "Shanmugasundar 2012 eq. 7-13, completed",
         **_CLOSED_FORM,
         position=False,
@@ -181,8 +181,8 @@ ROWS: tuple[Row, ...] = (
     Row(
         "eaik",
         _CLOSED + "eaik:EAIK",
-        "All answers of the EAIK package, evaluated again; the legal one nearest q0",
-        "six turning joints of a structure EAIK decomposes (extra `analytic`); pose",
+        "All solutions of the EAIK package, re-evaluated; returns the one within limits nearest q0",
+        "six revolute joints of a structure EAIK decomposes (extra `analytic`); pose",
         "Ostermeier, Kuelz, Althoff 2025",
         **_CLOSED_FORM,
         position=False,

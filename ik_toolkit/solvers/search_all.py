@@ -58,10 +58,9 @@ def search(plan: Plan, T: np.ndarray, kinds: tuple, start: np.ndarray, starts: i
     distinct = len(found)
     if (redundant or found.families) and distinct > count:
         found = sample(found, count)
-    words = "a sample of infinitely many" if redundant or found.families else "distinct ones"
-    found.message = (
-        f"{len(found)} solution{'s' * (len(found) != 1)} ({words}) from {starts} starts, {len(out)} of which converged"
-    )
+    plural = "s" * (len(found) != 1)
+    words = f"solution{plural} of infinitely many" if redundant or found.families else f"distinct solution{plural}"
+    found.message = f"{len(found)} {words} ({len(out)} of {starts} starts converged)"
     if found.families:
         found.message += f"; {found.families[0].message}"
     return found
@@ -146,7 +145,7 @@ def distinct_rows(found: Solutions, plan: Plan) -> Solutions:
 
 
 def _apart(Q: np.ndarray, q: np.ndarray, unit: np.ndarray, turning: np.ndarray) -> np.ndarray:
-    """Largest joint difference (K,) [rad, or of the scale] of Q (K, n) from q, full turns of turning joints left out."""
+    """Largest joint difference (K,) [rad, or of the scale] of Q (K, n) from q, full turns of revolute joints left out."""
     apart = np.abs(Q - q) / unit
     apart[:, turning] = np.minimum(apart[:, turning], np.abs(2 * np.pi - apart[:, turning]))
     return apart.max(axis=1)

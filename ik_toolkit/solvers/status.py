@@ -38,18 +38,18 @@ ADVICE = {
     Status.NOT_FINITE: "lower the gains",
     Status.CHECK_FAILED: "please report this with the robot and the target",
     Status.TOO_FAR: "move the target in smaller steps, or allow larger moves (follow)",
-    Status.COLLISION: "try more restarts, another q0, or move the target or what is in the way",
+    Status.COLLISION: "try more restarts, another q0, or move the target or the obstacle",
 }
 # The configuration returned with a failure is the best that the closed form or the search after it found.
 CLOSED_FORM_SAYS = {
-    Status.CONVERGED: "closed form, the legal branch nearest q0; evaluated to {left}",
-    Status.UNREACHABLE: "the target is out of reach by about {beyond}{kept}; the best configuration found is {left} away{at}",
+    Status.CONVERGED: "closed form: the branch within limits nearest q0; residual {left}",
+    Status.UNREACHABLE: "the target is out of reach by about {beyond}{kept}; the closest configuration found is {left} away{at}",
     Status.LIMIT_BLOCKED: (
-        "the target is in reach but {why}; the best configuration found inside the limits is "
+        "the target is in reach but {why}; the closest configuration found within limits is "
         "{left} away{at}; widen the limits or move the target"
     ),
 }
-BROKEN = "every branch breaks a joint limit"
+BROKEN = "every branch violates a joint limit"
 
 
 def sentence(result: "Result") -> str:
@@ -58,7 +58,7 @@ def sentence(result: "Result") -> str:
     left, starts = _left(result), result.restarts + 1
     if result.collision is not None:
         touching = " and ".join(result.collision)
-        text = f"every solution found in {_starts(starts)} collides; in this one {touching} touch"
+        text = f"every solution found from {_starts(starts)} is in collision; here {touching} touch"
         return f"{text}; {ADVICE[status]}"
     if plan.row.closed and status in CLOSED_FORM_SAYS and row[AT.excess] != SEARCHED:
         return _closed_form_says(result, left)
@@ -67,8 +67,8 @@ def sentence(result: "Result") -> str:
         return f"{text} after {result.restarts} restarts" if result.restarts else text
     budget = plan.options.max_evaluations
     if budget and row[AT.evaluations] >= budget and status == Status.ITERATION_LIMIT:
-        text = f"the {budget} evaluations allowed were used up in {_starts(starts)}; closest {left}"
-        text = f"{text}; allow more (max_evaluations)"
+        text = f"the limit of {budget} evaluations was reached after {_starts(starts)}; closest {left}"
+        text = f"{text}; raise max_evaluations"
     elif status == Status.ITERATION_LIMIT and plan.options.follow:
         text = f"{left} away after {result.iterations} iterations; move the target in smaller steps, or use the tracker"
     else:
@@ -99,7 +99,7 @@ def _at_each_tip(result: "Result") -> str:
             continue
         angle = result.orientation_errors[tip]
         left.append(f"{tip} {1000 * position:.3g} mm" + ("" if angle is None else f" {np.degrees(angle):.3g} deg"))
-    return f"; left at each tip: {', '.join(left)}"
+    return f"; remaining error at each tip: {', '.join(left)}"
 
 
 def _closed_form_says(result: "Result", left: str) -> str:
@@ -130,18 +130,18 @@ def _failure(result: "Result", left: str, starts: int) -> str:
     if status == Status.TOO_FAR:
         joint, far = int(row[AT.held]), result._of.plan.options.follow
         most = f"{far * robot.reach:.3g} m" if robot.joint_kinds[joint] == "prismatic" else f"{far:.3g} rad"
-        return f"{left} away where joint {robot.joint_names[joint]} has moved the {most} allowed from q0"
+        return f"{left} away when joint {robot.joint_names[joint]} reached the {most} it may move from q0"
     if status == Status.STALLED and starts > 1:
         return f"closest {left} after {starts} starts; the target may be unreachable"
     if status == Status.STALLED:
-        return f"no further progress at {left}: a local minimum of the error"
+        return f"no further progress at {left} from the target: a local minimum of the error"
     if status == Status.LIMIT_BLOCKED:
         joints = ", ".join(result.limited_joints)
-        return f"joint limits ({joints}) seem to block the way to the target; closest {left} after {_starts(starts)}"
+        return f"joint limits ({joints}) appear to block the target; closest {left} after {_starts(starts)}"
     if status == Status.ITERATION_LIMIT:
         return f"{left} away after {result.iterations} iterations"
     if status == Status.SINGULAR:
         return f"singular: no joint motion reduces the error to first order (J'e = 0, or J has no inverse); {left} away"
     if status == Status.NOT_FINITE:
-        return "the iteration left the finite numbers; best configuration returned"
-    return "the kernel reports success but Pinocchio's own kinematics do not confirm it"
+        return "the solver diverged; best configuration returned"
+    return "the kernel reports success but Pinocchio does not confirm it"

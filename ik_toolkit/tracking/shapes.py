@@ -33,7 +33,7 @@ def line(start: Any, end: Any, *, duration: float, law: str = "constant", rounds
 
     times = number(rounds, "rounds")
     if times < 0 or not times.is_integer():
-        raise InvalidOption(f"rounds must be 0 or a whole number above, not {times:g}")
+        raise InvalidOption(f"rounds must be a whole number of at least 0, not {times:g}")
     return on_path(path, there_and_back if rounds else law_of(law), duration, R0, "line", turn)
 
 

@@ -115,19 +115,19 @@ class Step:
             i = int(np.argmax(move))
             parts.append(f"joint {o.robot.joint_names[i]} moved {self.q[i] - o.before[i]:.3g} in one step")
         if o.resynced:
-            parts = ["the joints measured were too far from those commanded: started anew from there"]
+            parts = ["the measured joints were too far from the commanded ones: restarted from the measurement"]
         if status is StepStatus.FOLLOWING_ERROR:
-            parts.append("the joints measured are far from those commanded")
+            parts.append("the measured joints are far from the commanded ones")
         if status is StepStatus.AT_LIMIT:
-            parts.append("as near as the arm gets" if o.lost else "as near as the limits allow")
+            parts.append("at the closest reachable pose" if o.lost else "as close as the limits allow")
         words = (
-            (box.RECOVERING, "outside its limits, on the way back:"),
-            (box.POSITION, "position limit held back"),
-            (box.VELOCITY, "speed limit held back"),
-            (box.ACCELERATION, "acceleration limit held back"),
+            (box.RECOVERING, "outside its limits, moving back:"),
+            (box.POSITION, "position limit on"),
+            (box.VELOCITY, "speed limit on"),
+            (box.ACCELERATION, "acceleration limit on"),
             (
                 box.ROW,
-                f"{' and '.join(o.between)} would touch: held back" if o.between else "what is in the way held back",
+                f"{' and '.join(o.between)} would touch: slowing" if o.between else "an obstacle slows",
             ),
         )
         for bit, name in words:

@@ -28,7 +28,7 @@ def verdict(result: TrackResult, stop: int, steps: int) -> tuple[TrackStatus, st
     """Status of a whole run and one sentence."""
     done = len(result.t) - 1
     if stop in (motion.RUNAWAY, motion.NOT_FINITE):
-        what = "moved joints without bound" if stop == motion.RUNAWAY else "gave a step that is not finite"
+        what = "moved joints without bound" if stop == motion.RUNAWAY else "produced a step that is not finite"
         check = result.gain_check
         hint = check.message if check is not None and not check.stable else "Try aad, a smaller dt, or limits=True."
         return (
@@ -36,7 +36,7 @@ def verdict(result: TrackResult, stop: int, steps: int) -> tuple[TrackStatus, st
             f"{result.method} {what} after {done} of {steps} steps (t = {result.t[-1]:.4g} s). {hint}",
         )
     limited = int(result.limited.any(axis=1).sum())
-    note = f" A limit held a joint back in {limited} of {done} steps." if limited else ""
+    note = f" A joint limit was active in {limited} of {done} steps." if limited else ""
     note += _between_samples(result)
     outside = result.outside()
     if result.clock[-1] < result.end - result.dt:  # the last step may fall short of the end
@@ -47,7 +47,7 @@ def verdict(result: TrackResult, stop: int, steps: int) -> tuple[TrackStatus, st
     judged = result.t >= result.settle
     worst = _error_words(result.position_error[judged].max(), result.orientation_error, judged)
     after = f" after {result.settle:g} s" if result.settle else ""
-    off = f"at most {worst} off at every sample{after}.{note}"
+    off = f"error at most {worst} at every sample{after}.{note}"
     if result.added_time:
         return TrackStatus.SLOWED, f"followed the reference{_added(result, ', ')}: {off}"
     return TrackStatus.COMPLETED, f"followed the reference: {off}"
@@ -62,11 +62,11 @@ def _away(result: TrackResult, outside: np.ndarray) -> str:
     if result.orientation_error is not None:
         allowed += f" and {np.degrees(result.orientation_tolerance):.3g} deg"
     first, last = result.t[outside][[0, -1]]
-    when = f"from t = {first:.4g} s to " + ("the end" if outside[-1] else f"{last:.4g} s and inside again at the end")
+    when = f"from t = {first:.4g} s to " + ("the end" if outside[-1] else f"{last:.4g} s, within it again at the end")
     after = f" after {result.settle:g} s" if result.settle else ""
     return (
-        f"{away} from the reference at t = {result.t[k]:.4g} s, where {allowed} are allowed; "
-        f"outside in {outside.sum()} of {judged.sum()} samples{after}, {when}"
+        f"{away} from the reference at t = {result.t[k]:.4g} s (tolerance {allowed}); "
+        f"out of tolerance in {outside.sum()} of {judged.sum()} samples{after}, {when}"
     )
 
 
@@ -80,10 +80,10 @@ def _worst(result: TrackResult, judged: np.ndarray) -> int:
 
 def _stopped(result: TrackResult, outside: np.ndarray) -> str:
     """Why a run ended before its reference did."""
-    at = f"came to {result.clock[-1]:.4g} of {result.end:.4g} s of the reference in {result.t[-1]:.4g} s"
+    at = f"reached {result.clock[-1]:.4g} of {result.end:.4g} s of the reference in {result.t[-1]:.4g} s"
     held = result.pace[result.pace >= 0]
     if len(held):
-        at += f", held back by {_limit(result, int(held[-1]))}"
+        at += f", limited by {_limit(result, int(held[-1]))}"
     return f"{at}; {_away(result, outside)}." if outside.any() else f"{at}."
 
 
@@ -93,7 +93,7 @@ def _added(result: TrackResult, before: str) -> str:
         return ""
     words = f"{before}{result.added_time:.3g} s longer than its {result.clock[-1]:.4g} s"
     joint = result.pace_joint
-    return words if joint is None else f"{words}, at the pace of {_limit(result, result.joint_names.index(joint))}"
+    return words if joint is None else f"{words}, limited by {_limit(result, result.joint_names.index(joint))}"
 
 
 def _limit(result: TrackResult, joint: int) -> str:

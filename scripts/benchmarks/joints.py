@@ -1,4 +1,4 @@
-"""Cost against the number of joints, 3 to 40: generated chains of turning joints.
+"""Cost against the number of joints, 3 to 40: generated chains of revolute joints.
 
 python scripts/benchmarks/joints.py
 

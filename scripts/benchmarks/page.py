@@ -182,8 +182,8 @@ def summary(found: dict[str, dict[str, Any]]) -> str:
     return "\n\n".join(
         [
             f"Random poses of the Panda to 1e-6 m and rad, one call from Python, one thread, {machine}, medians of"
-            f" {found['solve']['rounds']} interleaved rounds; right is what Pinocchio finds inside the limits and tolerances:",
-            common.table(["", "median, us", "99th percentile, us", "right, %"], rows),
+            f" {found['solve']['rounds']} interleaved rounds. Success: within limits and tolerances, verified by Pinocchio.",
+            common.table(["", "median, us", "99th percentile, us", "success, %"], rows),
             f"`ik.solve_batch` on two cores: {round(batch['per_second'], -4):,.0f} such poses a second. Other robots, tolerances"
             " and starts, versions and commands: [benchmarks](docs/benchmarks.md).",
         ]

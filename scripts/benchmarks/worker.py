@@ -231,7 +231,7 @@ def quaternion_xyzw(T):
 
 
 def wrapped(q, lower, upper):
-    """Move turning joints that are past a limit by full turns, inside where that is possible."""
+    """Move revolute joints that are past a limit by full turns, inside where that is possible."""
     turn = 2 * np.pi
     q = q - turn * np.ceil(np.maximum(q - upper - EDGE, 0.0) / turn)
     return q + turn * np.ceil(np.maximum(lower - q - EDGE, 0.0) / turn)

@@ -23,7 +23,7 @@ JOINT = """
 
 
 def arm():
-    """Four turning joints, one of which follows, and a slide, with cylinders for links."""
+    """Four revolute joints, one of which follows, and a slide, with cylinders for links."""
     axes = ["0 0 1", "0 1 0", "0 1 0", "1 0 0", "0 0 1"]
     kinds = ["revolute", "revolute", "revolute", "revolute", "prismatic"]
     mimic = {3: '<mimic joint="j1" multiplier="-0.5" offset="0.2"/>'}

@@ -60,7 +60,7 @@ def test_fewest_reconfigurations_of_a_branch_that_ends(flat):
     assert made.status == PathStatus.RECONFIGURES and len(made.reconfigurations) == 1
     at = made.reconfigurations[0].index
     assert np.sign(made.q[at, 1]) != np.sign(made.q[at + 1, 1])
-    assert made.lower_bound == 1 and "no motion does with fewer" in made.message
+    assert made.lower_bound == 1 and "provably the fewest" in made.message
     none = ik.solve_path(flat, T, reconfigurations="none")
     assert none.status == PathStatus.INCOMPLETE and not none.success
     ends = int(np.flatnonzero(np.isfinite(none.q[:, 0]))[-1])
@@ -181,7 +181,7 @@ LINK = """
 
 
 def chained(count):
-    """`count` turning joints in a plane, links with collision shapes."""
+    """`count` revolute joints in a plane, links with collision shapes."""
     links = "".join(LINK.format(k=k, parent=f"l{k - 1}" if k else "base", x=0.3 * (k > 0)) for k in range(count))
     tip = f'<link name="tip"/><joint name="t" type="fixed"><parent link="l{count - 1}"/><child link="tip"/>'
     tip += '<origin xyz="0.3 0 0"/></joint>'

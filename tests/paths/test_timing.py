@@ -140,7 +140,7 @@ def test_it_is_said_when_there_is_no_free_motion(monkeypatch):
 
 def test_what_is_missing_is_said():
     result, made = retimed("hydrolek_7w")
-    with pytest.raises(InvalidOption, match="acceleration= has to be given"):
+    with pytest.raises(InvalidOption, match="acceleration= is required"):
         result.retime()
     with pytest.raises(InvalidOption, match="rate"):
         result.retime(1.0, 1.0, rate=0.0)

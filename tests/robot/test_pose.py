@@ -63,7 +63,7 @@ def test_pose_builds_positions_and_poses():
             ik.pose((0, 0, 0), quat_wxyz=quat, **other)
     with pytest.raises(InvalidTarget, match="quat_wxyz has length 0"):
         ik.pose((0, 0, 0), quat_wxyz=(0, 0, 0, 0))
-    with pytest.raises(InvalidTarget, match="no rpy, quaternion or rotation"):
+    with pytest.raises(InvalidTarget, match="do not also give rpy, a quaternion or rotation"):
         ik.pose((0, 0, 0), quat_wxyz=quat, direction=(0, 0, 1))
 
 

@@ -43,7 +43,7 @@ def arm(*ends):
 def test_conventions(ends, tip, caplog):
     with caplog.at_level(logging.WARNING, logger="ik_toolkit"):
         assert ik.Robot.load(arm(*ends)).tip == tip
-    assert (f"tip '{tip}' taken" in caplog.text) == (len(ends) > 1)
+    assert (f"using tip '{tip}'" in caplog.text) == (len(ends) > 1)
 
 
 def test_equal_ends_are_not_guessed_between():

@@ -1,4 +1,4 @@
-"""Scenes of paths and trajectories: the way of the tip in colours, the frames of the animation, files read back."""
+"""Scenes of paths and trajectories: the tip path in colours, the frames of the animation, files read back."""
 
 import motions
 import numpy as np

@@ -152,7 +152,7 @@ def test_the_picture_of_a_run_prints_nothing_over_anything(slowed, tmp_path, mon
     titles = [ax.get_title(loc="left") for ax in axes]
     assert len(axes) == 3 + slowed and any("clock rate" in title for title in titles) == slowed
     if slowed:
-        assert "at the pace of elbow_pitch" in titles[-1]
+        assert "limited by elbow_pitch" in titles[-1]
     boxes = [ax._left_title.get_window_extent() for ax in axes] + [ax.bbox for ax in axes]
     boxes += [ax.get_legend().get_window_extent() for ax in axes if ax.get_legend()]
     for i, box in enumerate(boxes):  # one pixel is what rounding leaves

@@ -234,7 +234,7 @@ def test_the_rows_that_are_left_are_the_same_for_any_number_of_threads():
 def test_parts_end_where_an_answer_is_not_confirmed():
     robot, T = disagreeing(row=4500)
     given = []
-    with pytest.raises(ik.BatchCheckFailed, match="The 4096 answers handed out before it are in doubt too") as caught:
+    with pytest.raises(ik.BatchCheckFailed, match="The 4096 results already returned are in doubt too") as caught:
         for part in solve_parts(robot, iter([T]), "lm", check=1.0):
             given.append(part)
     assert [len(part) for part in given] == [2048, 2048] and all(part.success.all() for part in given)

@@ -41,6 +41,6 @@ def test_a_used_up_budget_is_said():
         result = ik.solve(arm, T, "inspection", max_evaluations=5)
         said.add(result.status.name)
         if result.status == ik.Status.ITERATION_LIMIT:
-            assert "5 evaluations allowed were used up" in result.message
+            assert "limit of 5 evaluations was reached" in result.message
         assert result.fk_evaluations <= 5
     assert said <= {"CONVERGED", "UNREACHABLE", "LIMIT_BLOCKED", "ITERATION_LIMIT"}

@@ -161,7 +161,7 @@ def test_a_used_up_budget_is_called_that(solver):
     target = robot.fk(robot.lower * 0.3 + robot.upper * 0.7)
     spent = ik.solve(robot, target, solver, max_evaluations=3)
     assert spent.status == ik.Status.ITERATION_LIMIT
-    assert "the 3 evaluations allowed were used up in 1 start;" in spent.message
+    assert "the limit of 3 evaluations was reached after 1 start;" in spent.message
     assert "minimum" not in spent.message and "max_evaluations" in spent.message
     assert "allowed" not in ik.solve(robot, target, solver, max_evaluations=1000).message
 

@@ -35,7 +35,7 @@ def test_step_statuses(panda):
     far[:3, 3] += (0.1, 0.1, 0.0)
     tracker.update(far, 0.01)
     step = tracker.update(far, 0.01)
-    assert step.status is StepStatus.LIMITED and "acceleration limit held back panda_joint" in step.reason
+    assert step.status is StepStatus.LIMITED and "acceleration limit on panda_joint" in step.reason
     broken = T.copy()
     broken[0, 3] = np.nan
     speeds = []

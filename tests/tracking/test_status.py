@@ -37,7 +37,7 @@ def made(error, *, turn=None, sigma=None, pace=None, limited=None, end=None, dt=
 
 def test_completed_is_inside_all_the_time_and_on_time():
     run = made([0.0, 9e-4, 1e-3, 0.0])
-    assert run.status.name == "COMPLETED" and run.success and "at most 1 mm off at every sample" in run.message
+    assert run.status.name == "COMPLETED" and run.success and "error at most 1 mm at every sample" in run.message
     assert run.added_time == 0.0 and run.pace_joint is None and np.array_equal(run.clock, run.t)
     exact = made([0.0] * 11, sigma=[1.0] * 10, pace=[-1] * 10)  # a sum of 0.1 s is not the product
     assert exact.status.name == "COMPLETED" and exact.to_dict()["added_time"] == 0.0
@@ -48,7 +48,7 @@ def test_slowed_says_how_much_longer_and_which_joint_set_the_pace():
     limited[2:4, 1] = box.VELOCITY
     run = made([1e-4] * 7, sigma=[1, 0.9, 0.25, 0.25, 0.6, 1], pace=[-1, 0, 1, 1, 0, -1], limited=limited)
     assert run.status.name == "SLOWED" and run.success
-    assert "0.2 s longer than its 0.4 s, at the pace of elbow (speed limit)" in run.message
+    assert "0.2 s longer than its 0.4 s, limited by elbow (speed limit)" in run.message
     assert run.figures["slowed_time"] == pytest.approx(0.4) and run.figures["slowest"] == 0.25
     assert run.figures["added_time"] == pytest.approx(0.2)
     data = json.loads(json.dumps(run.to_dict()))
@@ -59,8 +59,8 @@ def test_slowed_says_how_much_longer_and_which_joint_set_the_pace():
 def test_left_says_how_far_and_when():
     run = made([0.0, 0.0, 0.012, 0.03, 0.002, 0.0, 1e-4])
     assert run.status.name == "LEFT" and not run.success
-    assert "30 mm from the reference at t = 0.3 s, where 1 mm are allowed" in run.message
-    assert "outside in 3 of 7 samples, from t = 0.2 s to 0.4 s and inside again at the end" in run.message
+    assert "30 mm from the reference at t = 0.3 s (tolerance 1 mm)" in run.message
+    assert "out of tolerance in 3 of 7 samples, from t = 0.2 s to 0.4 s, within it again at the end" in run.message
     slowly = made([0.0, 0.01, 0.0], sigma=[0.5, 1.0], pace=[0, -1])
     assert slowly.status.name == "LEFT" and "took 0.05 s longer" in slowly.message and "shoulder" in slowly.message
 
@@ -80,11 +80,9 @@ def test_a_run_that_does_not_reach_the_end_is_lost_and_names_the_joint():
     limited[2:, 0] = box.POSITION
     run = made([1e-4] * 6, sigma=[1, 1, 0, 0, 0], pace=[-1, -1, 0, 0, 0], limited=limited, end=0.5)
     assert run.status.name == "LOST" and not run.success
-    assert "came to 0.2 of 0.5 s of the reference in 0.5 s, held back by shoulder (position limit)" in run.message
+    assert "reached 0.2 of 0.5 s of the reference in 0.5 s, limited by shoulder (position limit)" in run.message
     off = made([0.0, 0.0, 0.01, 0.01], sigma=[1, 1, 0], pace=[-1, -1, 1], end=1.0)
-    assert (
-        off.status.name == "LOST" and "held back by elbow" in off.message and "10 mm from the reference" in off.message
-    )
+    assert off.status.name == "LOST" and "limited by elbow" in off.message and "10 mm from the reference" in off.message
     # the reference need not be a whole number of steps
     assert made([0.0] * 4, sigma=[1, 1, 1], end=0.35).status.name == "COMPLETED"
 

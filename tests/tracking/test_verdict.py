@@ -41,7 +41,7 @@ def test_the_verdict_reads_every_sample(planar, panda):
     run = track(panda, ref, "cv", dt=0.01, q0=start, on_limit="leave")
     assert run.status.name == "LEFT" and judged(run, panda, ref) > 1.0
     assert run.outside()[0] and not run.outside()[50:].any()
-    assert f"outside in {run.outside().sum()} of 201 samples" in run.message and "t = 0 s" in run.message
+    assert f"out of tolerance in {run.outside().sum()} of 201 samples" in run.message and "t = 0 s" in run.message
     later = track(panda, ref, "cv", dt=0.01, q0=start, settle=0.5, on_limit="leave")
     assert later.success and judged(later, panda, ref, settle=0.5) <= 1.0 and "after 0.5 s" in later.message
     assert later.to_dict()["settle"] == 0.5 and later.to_dict()["samples_outside"] == 0

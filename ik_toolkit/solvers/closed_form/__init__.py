@@ -31,8 +31,8 @@ def describe(robot: Any) -> str:
             if off <= FIT:
                 return f"'{name}' fits exactly"
             return (
-                f"'{name}' fits nearly: the axes are off its structure by {off:.2g} (rad, or of the reach); answers are "
-                "finished on the real chain and prove nothing"
+                f"'{name}' fits approximately: the axes deviate from its structure by {off:.2g} (rad, or of the reach); "
+                "results are refined on the actual chain and prove nothing"
             )
     return ""
 

@@ -1,4 +1,4 @@
-"""Six turning joints of a structure that the EAIK package knows: all its answers, through the call of every other solver."""
+"""Six revolute joints of a structure that the EAIK package knows: all its answers, through the call of every other solver."""
 
 import functools
 from typing import Any, NamedTuple
@@ -75,7 +75,7 @@ def every_branch(Q, box, out, broken):
 
 @closed_form
 class EAIK(NamedTuple):
-    """Analytic answers of the EAIK package for six turning joints, for poses; the legal one nearest q0 is returned.
+    """Analytic answers of the EAIK package for six revolute joints, for poses; the legal one nearest q0 is returned.
 
     Needs the extra 'analytic'. The axes are read off the robot at q = 0; limits, turns and the choice are ours, and every
     answer is evaluated again. Source: Ostermeier, Kuelz, Althoff (2025), "Automatic geometric decomposition for analytical

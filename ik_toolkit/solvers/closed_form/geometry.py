@@ -68,7 +68,7 @@ class Screws(NamedTuple):
 
     turns: np.ndarray  # (n,) True where the joint turns
     axis: np.ndarray  # (n, 3) unit direction
-    point: np.ndarray  # (n, 3) the axis' point nearest the tip (turning joints)
+    point: np.ndarray  # (n, 3) the axis' point nearest the tip (revolute joints)
     T: np.ndarray  # (4, 4) T_base_tip
 
 

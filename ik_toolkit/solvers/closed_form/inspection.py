@@ -63,13 +63,13 @@ CHOICES: dict[Any, int] = {"nearest": NEAREST, "mid": MIDDLE}
 def recognise(chain: Chain) -> Fit:
     """Read the arm off its joint axes."""
     if chain.n not in (6, 7):
-        return no_fit(f"it has {chain.n} joints on the path, not a lift and 6 turning joints (or these 6)")
+        return no_fit(f"it has {chain.n} joints on the path, not a lift and 6 revolute joints (or these 6)")
     screws = read_screws(chain)
     if isinstance(screws, str):
         return no_fit(screws)
     slides = np.flatnonzero(~screws.turns)
     if len(slides) != chain.n - 6 or (len(slides) and slides[0] > 1):
-        return no_fit("its only sliding joint must be the lift, first or second on the path")
+        return no_fit("its only prismatic joint must be the lift, first or second on the path")
     order = np.flatnonzero(screws.turns)
     z1, z3, z4, z5, z6, z7 = screws.axis[order]
     c1, c3, c4, c5, c6, c7 = screws.point[order]
@@ -77,11 +77,11 @@ def recognise(chain: Chain) -> Fit:
     if len(slides):
         turned = np.linalg.norm(np.cross(z1, screws.axis[slides[0]]))
         off.append((turned, "its lift does not slide along the first turning axis"))
-    # Sentences count turning joints from the base, so that they read the same with and without a lift.
+    # Sentences count revolute joints from the base, so that they read the same with and without a lift.
     for pair, a, b in (("1 and 2", z1, z3), ("2 and 3", z3, z4), ("4 and 5", z5, z6)):
-        off.append((abs(a @ b), f"its turning joints {pair} are not at right angles (cosine {a @ b:.2g})"))
+        off.append((abs(a @ b), f"its revolute joints {pair} are not at right angles (cosine {a @ b:.2g})"))
     for pair, a, b in (("3 and 4", z4, z5), ("5 and 6", z6, z7)):
-        off.append((np.linalg.norm(np.cross(a, b)), f"its turning joints {pair} are not parallel"))
+        off.append((np.linalg.norm(np.cross(a, b)), f"its revolute joints {pair} are not parallel"))
     # The shoulder: the foot on axis 1 of joint 3's axis; axes 3 and 4 must pass through it.
     shoulder = c1 + z1 * (z1 @ (c3 - c1))
     for place, z, c in (("second", z3, c3), ("third", z4, c4)):

@@ -17,7 +17,7 @@ from .reach import (
     nearest_lift,
 )
 
-# Slots of the parameters: base -> shoulder axes (12), tip -> wrist axes (12), then these. Of each turning joint: its place
+# Slots of the parameters: base -> shoulder axes (12), tip -> wrist axes (12), then these. Of each revolute joint: its place
 # in q, sign and offset (theta = sign q + offset); of the lift: its place (-1: none), sign, choice, given value; then
 # whether the arm only nearly has the structure.
 A4, A6, JOINTS, LIFT, NEARLY = 24, 25, 26, 44, 48

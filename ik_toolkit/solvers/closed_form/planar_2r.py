@@ -1,4 +1,4 @@
-"""Two turning joints with parallel axes, asked for a position: both elbow branches in closed form."""
+"""Two revolute joints with parallel axes, asked for a position: both elbow branches in closed form."""
 
 import math
 from collections.abc import Callable
@@ -190,7 +190,7 @@ def every_branch(p, T, box, out, broken, marks):
 
 @closed_form
 class Planar2R(NamedTuple):
-    """Both elbow branches of two turning joints with parallel axes, for positions; the legal one nearest q0 is returned.
+    """Both elbow branches of two revolute joints with parallel axes, for positions; the legal one nearest q0 is returned.
 
     Any link lengths, base pose, axis signs, angle and height offsets. Source: Chinyai, eqs. (1)-(5), with the second branch,
     the signs and the quadrants corrected.

@@ -78,7 +78,7 @@ class PID(NamedTuple):
     """IK-PID, Algorithm I: for each joint, tip first, try q + d and q - d with d = kp |e| + ki sum|e| + kd (change of |e|).
 
     Trials are clamped to the limits; the lowest error wins, not moving wins ties; a sweep with no movement ends the attempt.
-    kp, ki, kd: gains K_p, K_i, K_d in rad per m of error (a sliding joint moves gain times the chain's length scale).
+    kp, ki, kd: gains K_p, K_i, K_d in rad per m of error (a prismatic joint moves gain times the chain's length scale).
     Without kp: kp = 0.25 over the length scale, times the median joint range where that is under 1 rad (or scale), and kd = 3 kp
     unless given: a joint whose lever is no longer than the scale then changes the error by a quarter of it at most, far from
     the 2 |e| beyond which no trial helps. orientation_scale: metres per radian by which the orientation error is scaled before
