@@ -72,7 +72,7 @@ def test_lost_is_outside_at_the_end(error, turn):
     run = made(error, turn=turn)
     assert run.status.name == "LOST" and not run.success and "to the end" in run.message
     if turn is not None:
-        assert "0.1 deg are allowed" in run.message
+        assert "and 0.1 deg)" in run.message
 
 
 def test_a_run_that_does_not_reach_the_end_is_lost_and_names_the_joint():
