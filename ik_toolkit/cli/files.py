@@ -30,7 +30,9 @@ SrdfOut = Annotated[
 ]
 Sampled = Annotated[
     bool,
-    typer.Option("--self-collision", help="Find the pairs of links that always or never touch and need no collision test."),
+    typer.Option(
+        "--self-collision", help="Find the pairs of links that always or never touch and need no collision test."
+    ),
 ]
 Samples = Annotated[int | None, typer.Option(metavar="N", help="Configurations to sample; default 10000.")]
 Seed = Annotated[int, typer.Option(metavar="N", help="Seed of the samples.")]

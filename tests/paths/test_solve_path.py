@@ -86,7 +86,7 @@ def test_what_is_reached_without_a_reconfiguration_is_counted(flat):
     made = ik.solve_path(flat, T, reconfigurations="none")
     there = np.isfinite(made.q[:, 0])
     assert made.status == PathStatus.INCOMPLETE and not there[97]
-    assert made.message.startswith(f"{there.sum()} of 101 poses are reached; pose 98 and 2 more not: beyond reach")
+    assert made.message.startswith(f"{there.sum()} of 101 poses reached; not pose 98 and 2 more: beyond reach")
     assert f"with no reconfiguration the path found ends at pose {np.flatnonzero(there)[-1]} of 101" in made.message
 
 
