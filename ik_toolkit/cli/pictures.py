@@ -57,7 +57,7 @@ def draw(arm: Any, what: Any, target: Any, plot: Path | None, html: Path | None,
 def present(scene: "Scene", html: Path | None, port: int = 0, browse: bool = True) -> None:
     """Write the page, or serve it until Ctrl-C or SIGTERM."""
     if html is not None:
-        notice(f"wrote {scene.save(html)} ({html.stat().st_size / 1e6:.1f} MB, opens without a network)")
+        written(scene.save(html))
         return
     try:
         url = scene.serve(port)
@@ -65,6 +65,11 @@ def present(scene: "Scene", html: Path | None, port: int = 0, browse: bool = Tru
         raise InvalidOption(f"port {port} cannot be used: {error.strerror or error}") from None
     wait(f"the scene is at {url}", url, browse)
     scene.close()
+
+
+def written(page: Path) -> None:
+    """Say that a page was written, and how large it is."""
+    notice(f"wrote {page} ({page.stat().st_size / 1e6:.1f} MB, opens without a network)")
 
 
 def wait(announcement: str, url: str, browse: bool) -> None:

@@ -22,9 +22,10 @@ from .arguments import (
     XacroArg,
     joint_vector,
     load_robot,
+    writes,
 )
 from .output import notice
-from .pictures import Html, present, wait
+from .pictures import Html, present, wait, written
 from .solve_options import Matrix, Relative, Targets, is_posed, make_target
 
 Q = Annotated[str | None, typer.Option("--q", metavar="Q1 Q2 ...", help="Joint values to show; default: home.")]
@@ -45,6 +46,16 @@ MotionFile = Annotated[
 ]
 Follow = Annotated[
     bool, typer.Option("--follow", help="Show a target to drag, which the robot follows (extra 'panel').")
+]
+Page = Annotated[
+    Path | None,
+    typer.Option(
+        "--page",
+        metavar="FILE",
+        help="Write a live page: the robot with its solvers and a target to drag in one .html file, which needs neither "
+        "Python nor a network.",
+        callback=writes(".html", ".htm"),
+    ),
 ]
 Port = Annotated[int, typer.Option(metavar="N", help="Port on 127.0.0.1; default: a free one.")]
 Open = Annotated[bool, typer.Option("--open/--no-open", help="Open the address in a browser.")]
@@ -71,6 +82,7 @@ def view(
     motion: MotionFile = None,
     follow: Follow = False,
     html: Html = None,
+    page: Page = None,
     port: Port = 0,
     browse: Open = True,
     tip: Tips = None,
@@ -88,29 +100,21 @@ def view(
 
     Serves on 127.0.0.1 until Ctrl-C, or writes one HTML file that needs no network. A robot with several tips is shown
     whole when --tip is left out. With --follow the page has a target to drag, and the arm goes after it with the steps of
-    the tracker, at the edge of its reach to the closest pose. Exit code 1 when the solve asked for did not succeed (it is
+    the tracker, at the edge of its reach to the closest pose; with --page FILE that is a file, whose solvers run in the
+    browser. Exit code 1 when the solve asked for did not succeed (it is
     shown all the same).
     """
     line = SimpleNamespace(**locals())
     solving = xyz is not None or matrix is not None or bool(targets)
     _refuse_contradictions(line, solving)
+    shown = {"--html": html, "--q": q, "--motion": motion, "--xyz and --target": solving}
     if follow:
-        fixed = {
-            "--html": html,
-            "--base": base,
-            "--lock": lock,
-            "--package-dir": package_dir,
-            "--q": q,
-            "--motion": motion,
-            "--xacro-arg": xacro_arg,
-            "--srdf": srdf,
-            "--group": group,
-        }
-        given = [name for name, value in fixed.items() if value]
-        if given or solving:
-            raise InvalidOption(f"--follow goes without {' and '.join(given or ['--xyz and --target'])}")
+        read = {"--page": page, "--base": base, "--lock": lock, "--package-dir": package_dir, "--xacro-arg": xacro_arg}
+        _alone("--follow", read | {"--srdf": srdf, "--group": group} | shown)
         _follow(robot, tip, port, browse)
         return
+    if page is not None:
+        _alone("--page", shown)
 
     from ..show.scene import view as make
 
@@ -119,6 +123,9 @@ def view(
         target = by_tip.targets(targets, deg) if targets else make_target(line)
     tips = by_tip.choose_tips(robot, tip, target if targets else None, relative, is_posed(line), group)
     arm = load_robot(robot, tips, base, lock, package_dir, deg, xacro_arg, base_xyz, base_rpy, srdf, group)
+    if page is not None:
+        written(make(arm).page(page))
+        return
     what, solved = arm.home, True
     if motion is not None:
         from ..show.motions import from_file
@@ -153,6 +160,13 @@ def _refuse_contradictions(line: SimpleNamespace, solving: bool) -> None:
         raise InvalidOption("--relative is for several tips, with a --target for each")
     if not 0 <= line.port < 65536:
         raise InvalidOption(f"--port is between 0 and 65535, not {line.port}")
+
+
+def _alone(option: str, others: dict[str, Any]) -> None:
+    """Raise InvalidOption when an option that shows a robot to be dragged is given with others that say what is shown."""
+    given = [name for name, value in others.items() if value]
+    if given:
+        raise InvalidOption(f"{option} goes without {' and '.join(given)}")
 
 
 def _follow(robot: str, tips: Any, port: int, browse: bool) -> None:

@@ -135,7 +135,7 @@ def _turn(axis: int, angle: float) -> np.ndarray:
     return pin.AngleAxis(angle, np.eye(3)[axis]).matrix()
 
 
-def _screw(model: pin.Model, data: pin.Data, j: int) -> tuple[bool, float, np.ndarray]:
+def screw(model: pin.Model, data: pin.Data, j: int) -> tuple[bool, float, np.ndarray]:
     """Whether a joint turns (else it slides), how far per unit of its coordinate [rad or m], and its axis in its own frame."""
     screw = np.asarray(data.joints[j].S).reshape(6)
     slides, turns = screw[:3].any(), screw[3:].any()
@@ -175,7 +175,7 @@ def probe(
         if j not in path.owner:
             before = before * (data.liMi[j].inverse() if upwards else data.liMi[j])
             continue
-        turns, ratio, axis = _screw(model, data, j)
+        turns, ratio, axis = screw(model, data, j)
         # Upwards a joint is passed the other way: exp(-S q), then its pose at 0 undone.
         z = pin.SE3(turn_onto(np.array([0.0, 0.0, 1.0]), -axis if upwards else axis), np.zeros(3))
         places.append(before * z if upwards else before * data.liMi[j] * z)

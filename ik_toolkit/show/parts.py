@@ -228,6 +228,12 @@ def _sticks(robot: Joints, arms: Any) -> tuple[pin.GeometryModel, list[Part]]:
     return geometry, parts
 
 
+def grid_cell(radius: float) -> float:
+    """Width [m] of a grid's cells, 1, 2 or 5 times a power of ten: about four to a radius."""
+    unit = 10.0 ** np.floor(np.log10(radius / 4.0))
+    return float(unit * max(n for n in (1, 2, 5) if n * unit <= radius / 4.0))
+
+
 def tube(points: np.ndarray, radius: float, color: tuple[float, float, float], opacity: float = 1.0) -> Shape:
     """A round line (WebGL draws lines one pixel wide) through points (N, 3) [m]."""
     P = np.asarray(points, dtype=float)

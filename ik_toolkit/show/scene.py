@@ -9,12 +9,11 @@ from typing import Any
 import numpy as np
 
 from ..errors import InvalidOption, InvalidTarget
-from ..files import write_whole
 from ..robot.joints import Joints
 from ..robot.pose import AxisTarget, check_target, length
 from .motions import animate, motion_of
-from .parts import Body, Shape, need_trimesh, smooth, tube
-from .window import Window
+from .parts import Body, Shape, grid_cell, need_trimesh, smooth, tube
+from .window import Window, write_page
 
 # Okabe and Ito (2008), as in the plots.
 BLUE, ORANGE, GREEN, PURPLE = (0.0, 0.447, 0.698), (0.835, 0.369, 0.0), (0.0, 0.62, 0.451), (0.8, 0.475, 0.655)
@@ -240,9 +239,8 @@ class Scene:
             if eye is None
             else np.asarray(eye, dtype=float)
         )
-        unit = 10.0 ** np.floor(np.log10(max(radius, 1e-3) / 4.0))  # about four cells to a radius
-        cell = unit * max(n for n in (1, 2, 5) if n * unit <= max(radius, 1e-3) / 4.0)
-        self.window.say(camera=[at.tolist(), to.tolist(), 2.0 * float(cell), float(min(box[0, 2], 0.0))])
+        cell = grid_cell(max(radius, 1e-3))
+        self.window.say(camera=[at.tolist(), to.tolist(), 2.0 * cell, float(min(box[0, 2], 0.0))])
         grid = ("#b9c2cc", f"grid {1000 * cell:g} mm" if cell < 1.0 else f"grid {cell:g} m")
         self.window.say(legend=[*self._legend, grid])
 
@@ -254,11 +252,17 @@ class Scene:
 
     def save(self, path: str | Path) -> Path:
         """Write the self-contained page. Raises InvalidOption when the name does not end in .html."""
-        file = Path(path)
-        if file.suffix.lower() not in (".html", ".htm"):
-            raise InvalidOption(f"a scene is written as .html, not '{file.suffix or file.name}'")
-        write_whole(file, self.html())
-        return file
+        return write_page(path, "a scene", self.html)
+
+    def page(self, path: str | Path) -> Path:
+        """Write the live page: the robot with its solvers and a target to drag, in one file without Python and network.
+
+        What else the scene shows (a result, ghosts, a cloud) is not on it. Raises InvalidOption when the name does not end in
+        .html.
+        """
+        from .live_page import page_html
+
+        return write_page(path, "a live page", lambda: page_html(self.robot, self.body, self.window.about["title"]))
 
     def serve(self, port: int = 0) -> str:
         """Serve the scene live on 127.0.0.1 until `close()` or the end of the program; return the address."""
@@ -315,7 +319,8 @@ def view(robot: Joints, what: Any = None, *, target: Any = None, cloud: Any = No
 
     target: pose or position [m] to mark (for a Tree: by tip, or in its order). cloud: points (N, 3), or a pair
     (points, success). A Result solved with history=True becomes an animation of the solve. The scene shows itself in a
-    notebook cell; `.save("x.html")` writes one file, `.serve()` opens it to a browser. Raises InvalidConfiguration,
+    notebook cell; `.save("x.html")` writes one file, `.page("x.html")` a page with the solvers in it, `.serve()` opens it to a
+    browser. Raises InvalidConfiguration,
     InvalidTarget, InvalidOption, MissingExtra.
     """
     scene = Scene(robot, title)

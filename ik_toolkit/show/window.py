@@ -16,11 +16,13 @@ import socket
 import threading
 import warnings
 from collections.abc import Callable, Container
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from ..errors import MissingExtra
+from ..errors import InvalidOption, MissingExtra
+from ..files import write_whole
 from .gate import below, new_token, refusal
 from .parts import Shape
 
@@ -177,6 +179,15 @@ class Window:
         if self.server is not None:
             self.server.stop()
             self.server = None
+
+
+def write_page(path: str | Path, what: str, html: Callable[[], str]) -> Path:
+    """Write what `html` makes to a file, and return its path. Raises InvalidOption when the name does not end in .html."""
+    file = Path(path)
+    if file.suffix.lower() not in (".html", ".htm"):
+        raise InvalidOption(f"{what} is written as .html, not '{file.suffix or file.name}'")
+    write_whole(file, html())
+    return file
 
 
 def viewer_script() -> bytes:

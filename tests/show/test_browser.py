@@ -1,55 +1,25 @@
 """The panel and an exported scene in a real browser (Playwright driving Chromium). Skipped where either is missing."""
 
 import contextlib
-import os
-import shutil
 import time
 
 import numpy as np
 import pinocchio as pin
 import pytest
+from chromium import NEEDED, PATIENCE, api, fresh_page, started
 
 import ik_toolkit as ik
 
-api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed (pip install playwright)")
-CHROMIUM = os.environ.get("CHROMIUM") or shutil.which("chromium") or shutil.which("google-chrome")
-pytestmark = pytest.mark.skipif(
-    CHROMIUM is None, reason="no chromium found (apt-get install chromium, or set CHROMIUM)"
-)
+pytestmark = NEEDED
 pytest.importorskip("meshcat", reason="meshcat is not installed (extra 'view')")
 
-FLAGS = (
-    "--no-sandbox --disable-quic --no-first-run --disable-background-networking --disable-component-update --disable-sync "
-    "--use-gl=angle --use-angle=swiftshader --enable-unsafe-swiftshader --ignore-gpu-blocklist"
-).split()
 READY = 300.0  # s; the tracker may have to be compiled first
-PATIENCE = 60_000  # ms; a software renderer on a busy machine is slow
 
 
 @pytest.fixture(scope="module")
 def browser():
-    with (
-        api.sync_playwright() as play,
-        play.chromium.launch(executable_path=CHROMIUM, headless=True, args=FLAGS) as made,
-    ):
+    with started() as made:
         yield made
-
-
-@contextlib.contextmanager
-def fresh_page(browser, *, offline=False):
-    """A page without a past that notes what it asks outside this machine, and what goes wrong in it."""
-    with browser.new_context(viewport={"width": 800, "height": 520}, offline=offline) as context:
-        page = context.new_page()
-        page.set_default_timeout(PATIENCE)
-        page.outside, page.errors = [], []
-
-        def note(request):
-            if not request.url.startswith(("http://127.0.0.1", "ws://127.0.0.1", "data:", "blob:", "file:")):
-                page.outside.append(request.url)
-
-        page.on("request", note)
-        page.on("pageerror", lambda error: page.errors.append(str(error)))
-        yield page
 
 
 def picture(page):
@@ -288,7 +258,6 @@ def test_names_of_a_robot_do_nothing_in_a_page(browser, tmp_path):
     robot = ik.Robot.load(str(file))
     scene = ik.view(robot)
     with contextlib.closing(scene), contextlib.closing(Panel(str(file))) as panel, fresh_page(browser) as page:
-        page.on("dialog", lambda dialog: page.errors.append(dialog.message))  # what the names would open
         for url in (scene.save(tmp_path / "scene.html").as_uri(), scene.serve()):
             page.goto(url)
             page.wait_for_selector("body[data-ready]")

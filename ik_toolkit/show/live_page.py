@@ -1,0 +1,225 @@
+"""The live page: a robot with its solvers in one HTML file that needs no Python, no server and no network.
+
+The page's modules (folder `page`) are joined into one script. Numbers of the robot come from Pinocchio's model, as the screws its
+joints move along; what is drawn is thinned, so that a page can be mailed. Names reach the page as text only: the data
+hold no `<`, and the page's own policy lets no script run but this one.
+"""
+
+import base64
+import gzip
+import hashlib
+import html
+import importlib.resources
+import json
+import re
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from ..robot.joints import Joints
+from ..robot.probe import screw
+from ..text import plain
+from .parts import THINNEST, Body, Shape, grid_cell, need_trimesh, smooth
+
+Mesh = tuple[np.ndarray, np.ndarray, np.ndarray]  # vertices (N, 3) [m], normals (N, 3), faces (M, 3)
+
+MODULES = ("robot", "solve", "draw", "hand", "main")  # in the order in which they need each other
+MOST_FACES = (
+    40_000  # triangles of a page: a robot of full meshes has 100 times as many, and looks the same at this size
+)
+FINEST = 1 / 250  # of the robot's size: cell in which vertices become one, made larger until the faces are few enough
+GROW = 1.1
+STEPS = 65_535  # of a coordinate over its shape: 16 bits
+
+
+def page_html(robot: Joints, body: Body, title: str) -> str:
+    """Page of a robot whose drawn parts are `body`; asks nothing of any network."""
+    data, blob = describe(robot, body)
+    files = importlib.resources.files("ik_toolkit.show") / "page"
+    code = "\n".join(joined((files / f"{name}.js").read_text(encoding="utf-8")) for name in MODULES)
+    digest = base64.b64encode(hashlib.sha256(f"\n{code}\n".encode()).digest()).decode()
+    filled = {
+        "TITLE": html.escape(title),
+        "DIGEST": digest,
+        "DATA": json.dumps(data, allow_nan=False).replace("<", "\\u003c"),
+        "SHAPES": base64.b64encode(gzip.compress(blob, 9, mtime=0)).decode(),
+        "VERTEX": (files / "vertex.glsl").read_text(encoding="utf-8"),
+        "FRAGMENT": (files / "fragment.glsl").read_text(encoding="utf-8"),
+        "NOTICE": html.escape(f"{body.notice[0].upper()}{body.notice[1:]}. " if body.notice else ""),
+        "CODE": code,
+    }
+    page = (files / "page.html").read_text(encoding="utf-8")
+    return re.sub("@([A-Z]+)@", lambda found: filled[found[1]], page)  # once: what is filled in is not looked at again
+
+
+def joined(module: str) -> str:
+    """Text of a module as a part of one script: without its imports, and its names not exported."""
+    return re.sub(r"^export ", "", re.sub(r"^import [^;]*;\n", "", module, flags=re.M), flags=re.M)
+
+
+def describe(robot: Joints, body: Body) -> tuple[dict[str, Any], bytes]:
+    """What the page's modules read: joints, moving nodes, tips and parts; and all triangles."""
+    nodes, places = moving_nodes(robot)
+    frames, arms, bounds = robot.model.frames, robot.arms, body.bounds(robot.home)
+
+    def at(joint: int, T: pin.SE3) -> dict[str, Any]:
+        node, offset = places[joint]
+        return {"node": node, "T": flat(offset * T)}
+
+    shapes, tools = [shape for part in body.parts for shape in part.shapes], handles()
+    meshes = thin(shapes, float(np.linalg.norm(bounds[1] - bounds[0])))
+    told, blob = packed([*shapes, *tools.values()], [*meshes, *thin([*tools.values()], 1.0)])
+    rest = iter(told)
+    base = frames[arms[0]._ids[0]]
+    columns = zip(
+        robot.joint_names, robot.joint_kinds, robot.lower, robot.upper, *robot._sampling, robot.home, strict=True
+    )
+    keys = ("name", "kind", "lower", "upper", "low", "span", "home")
+    return (
+        {
+            "reach": robot.reach,
+            "room": room(bounds),
+            "joints": [
+                plain(dict(zip(keys, column, strict=True))) for column in columns
+            ],  # a limit that is none is null
+            "nodes": nodes,
+            "base": at(base.parentJoint, base.placement),
+            "tips": [
+                at(frames[tip].parentJoint, frames[tip].placement * arm.tool) for arm in arms for tip in arm._ids[1:]
+            ],
+            "parts": [
+                at(place.parentJoint, place.placement) | {"shapes": [next(rest) for _ in part.shapes]}
+                for part, place in zip(body.parts, body.geometry.geometryObjects, strict=True)
+            ],
+            "handles": dict(zip(tools, rest, strict=True)),
+        },
+        blob,
+    )
+
+
+def room(bounds: np.ndarray) -> dict[str, Any]:
+    """Size and centre [m] of a box (2, 3), and the floor under it: height, cell of the grid, where the grid ends."""
+    size, centre = float(np.linalg.norm(bounds[1] - bounds[0])), bounds.mean(axis=0)
+    floor = {"z": float(min(bounds[0, 2], 0.0)), "cell": grid_cell(size), "wide": 2.5 * size}
+    return {"size": size, "centre": centre.tolist(), "floor": floor}
+
+
+def moving_nodes(robot: Joints) -> tuple[list[dict[str, Any]], list[tuple[int, pin.SE3]]]:
+    """Joints that move with q, parents first, and for each joint of the model the node that carries it and its place there.
+
+    A joint's pose in its parent is its pose at 0 times the exponential of its screw (see `probe`); joints that stand still
+    are part of the placements.
+    """
+    model = robot.model
+    data, zero = model.createData(), robot.to_pinocchio(np.zeros(robot.n))
+    pin.forwardKinematics(model, data, zero)
+    lead = dict(zip(model.mimicking_joints, model.mimicked_joints, strict=True))
+    owner = {model.getJointId(name): k for k, name in enumerate(robot.joint_names)}
+    nodes: list[dict[str, Any]] = []
+    places = [(-1, pin.SE3.Identity())]
+    for joint in range(1, model.njoints):
+        parent, offset = places[model.parents[joint]]
+        T = offset * data.liMi[joint]
+        coordinate = owner.get(lead.get(joint, joint))
+        if coordinate is None or not np.asarray(data.joints[joint].S).any():
+            places.append((parent, T))
+            continue
+        turns, ratio, axis = screw(model, data, joint)
+        nodes.append(
+            {
+                "parent": parent,
+                "T": flat(T),
+                "axis": axis.tolist(),
+                "ratio": ratio,
+                "turns": turns,
+                "joint": coordinate,
+            }
+        )
+        places.append((len(nodes) - 1, pin.SE3.Identity()))
+    return nodes, places
+
+
+def flat(T: pin.SE3) -> list[float]:
+    """Rows of [R | p]."""
+    return T.homogeneous[:3].ravel().tolist()
+
+
+def handles() -> dict[str, Shape]:
+    """Shapes that targets and the floor are drawn with: one high, one in radius, upright at the origin."""
+    make = need_trimesh().creation
+    bar = make.cylinder(1.0, segment=((0.0, 0.0, 0.0), (0.0, 0.0, 1.0)), sections=24)
+    meshes = {
+        "ball": make.icosphere(subdivisions=3),
+        "bar": bar,
+        "cone": make.cone(1.0, 1.0, sections=32),
+        "ring": make.torus(1.0, 0.018, major_sections=64, minor_sections=10),
+    }
+    floor = np.array([(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)], dtype=np.float32)
+    white = (1.0, 1.0, 1.0)
+    shapes = {name: Shape(*smooth(mesh), white) for name, mesh in meshes.items()}
+    return shapes | {"floor": Shape(floor, np.array([(0, 1, 2), (0, 2, 3)]), white)}
+
+
+def thin(shapes: Sequence[Shape], size: float) -> list[Mesh]:
+    """Vertices, normals and faces of the shapes of a robot of some size [m], at most MOST_FACES in all."""
+    meshes = whole = [(shape.vertices, normals(shape), shape.faces) for shape in shapes]
+    cell = FINEST * size
+    while (count := sum(len(faces) for _, _, faces in meshes)) > MOST_FACES:
+        if meshes is not whole:
+            cell *= max(GROW, np.sqrt(count / MOST_FACES))  # faces go with the square of a cell's side
+        meshes = [merged(*mesh, cell) for mesh in whole]
+    return meshes
+
+
+def packed(shapes: Sequence[Shape], meshes: Sequence[Mesh]) -> tuple[list[dict[str, Any]], bytes]:
+    """What a page says of shapes, and their triangles: 16-bit coordinates, 8-bit normals, indices (uint32), one by one."""
+    told, blob = [], []
+    for shape, (vertices, normal, faces) in zip(shapes, meshes, strict=True):
+        low = vertices.min(axis=0) if len(vertices) else np.zeros(3)
+        size = np.maximum(np.ptp(vertices, axis=0), THINNEST) if len(vertices) else np.ones(3)
+        blob += [
+            np.round((vertices - low) / size * STEPS).astype("<u2").tobytes(),
+            np.round(127 * normal).astype("i1").tobytes(),
+            faces.astype("<u4").tobytes(),
+        ]
+        told.append(
+            {
+                "color": [float(c) for c in shape.color],
+                "opacity": float(shape.opacity),
+                "low": low.tolist(),
+                "size": size.tolist(),
+                "vertices": len(vertices),
+                "faces": len(faces),
+            }
+        )
+    return told, b"".join(blob)
+
+
+def normals(shape: Shape) -> np.ndarray:
+    """Normals (N, 3) of the vertices, by the areas of the faces around them."""
+    a, b, c = (shape.vertices[shape.faces[:, k]].astype(float) for k in range(3))
+    face = np.cross(b - a, c - a)
+    total = np.zeros((len(shape.vertices), 3))
+    for k in range(3):
+        np.add.at(total, shape.faces[:, k], face)
+    return total / np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-300)
+
+
+def merged(vertices: np.ndarray, normal: np.ndarray, faces: np.ndarray, cell: float) -> Mesh:
+    """Mesh whose vertices in one cell [m] are one, where they look the same way (so that edges stay edges)."""
+    place = np.floor((vertices - vertices.min(axis=0)) / cell).astype(np.int64)
+    side = place.max(axis=0) + 1
+    _, box = np.unique((place[:, 0] * side[1] + place[:, 1]) * side[2] + place[:, 2], return_inverse=True)
+    looks_to = (np.round(normal).astype(np.int64) + 1) @ (1, 3, 9)
+    _, first, group = np.unique(27 * box + looks_to, return_index=True, return_inverse=True)
+    count = np.bincount(box)
+    mean = np.column_stack([np.bincount(box, vertices[:, k]) / count for k in range(3)])
+    looks = np.column_stack([np.bincount(group, normal[:, k]) for k in range(3)])
+    looks /= np.maximum(np.linalg.norm(looks, axis=1, keepdims=True), 1e-300)
+    corner = box[faces]
+    whole = (corner[:, 0] != corner[:, 1]) & (corner[:, 1] != corner[:, 2]) & (corner[:, 2] != corner[:, 0])
+    faces = group[faces[whole]]
+    used, faces = np.unique(faces, return_inverse=True)
+    return mean[box[first[used]]], looks[used], faces.reshape(-1, 3)

@@ -1,0 +1,105 @@
+// A small WebGL 2 renderer: lit meshes, see-through copies, a floor with grid and shadow, and handles over everything.
+import { cross, plus, times, unit } from "./robot.js";
+
+const LIT = 0, HANDLE = 0.4, FLAT = 1, GRID = 2; // how a shape is shaded: see fragment.glsl
+const SUN = [0.35, -0.2]; // how far a shadow falls sideways per metre of height
+const matrix = (T) => new Float32Array([T[0], T[4], T[8], 0, T[1], T[5], T[9], 0, T[2], T[6], T[10], 0, T[3], T[7], T[11], 1]);
+
+// Placement of a shape one high that is to stand from one point to another, `thick` across.
+export function standing(from, to, thick) {
+  const z = plus(to, from, -1), x = unit(cross(z, Math.abs(unit(z)[2]) > 0.9 ? [1, 0, 0] : [0, 0, 1])), y = cross(unit(z), x);
+  return [0, 1, 2].flatMap((r) => [thick * x[r], thick * y[r], z[r], from[r]]);
+}
+
+export class Renderer {
+  // data: parts, each with its shapes, and the shapes of handles by name; blob: their triangles, one after the other.
+  constructor(canvas, shaders, { parts, handles }, blob) {
+    const gl = canvas.getContext("webgl2", { alpha: false, stencil: true, preserveDrawingBuffer: true });
+    if (!gl) throw new Error("This page needs a browser with WebGL 2.");
+    Object.assign(this, { canvas, gl, blob, read: 0, program: gl.createProgram(), at: {} });
+    for (const [kind, text] of [[gl.VERTEX_SHADER, shaders.vertex], [gl.FRAGMENT_SHADER, shaders.fragment]]) {
+      const shader = gl.createShader(kind);
+      gl.shaderSource(shader, text);
+      gl.compileShader(shader);
+      gl.attachShader(this.program, shader);
+    }
+    ["position", "normal"].forEach((name, k) => gl.bindAttribLocation(this.program, k, name));
+    gl.linkProgram(this.program);
+    gl.useProgram(this.program);
+    const names = ["model", "view", "lens", "color", "up", "kind", "cell", "wide"];
+    for (const name of names) this.at[name] = gl.getUniformLocation(this.program, name);
+    for (const what of [gl.DEPTH_TEST, gl.BLEND]) gl.enable(what);
+    gl.blendFunc(gl.SRC_ALPHA, gl.ONE_MINUS_SRC_ALPHA);
+    gl.stencilOp(gl.KEEP, gl.KEEP, gl.INCR);
+    this.parts = parts.map((part) => ({ ...part, shapes: part.shapes.map((shape) => this.load(shape)) }));
+    this.handles = Object.fromEntries(Object.entries(handles).map(([name, shape]) => [name, this.load(shape)]));
+  }
+
+  load({ color, opacity, low, size, vertices, faces }) {
+    const { gl } = this, array = gl.createVertexArray();
+    const take = (Kind, count) => { // a copy: what one array begins with need not stand on its boundary
+      this.read += 3 * count * Kind.BYTES_PER_ELEMENT;
+      return new Kind(this.blob.slice(this.read - 3 * count * Kind.BYTES_PER_ELEMENT, this.read));
+    };
+    const positions = Float32Array.from(take(Uint16Array, vertices), (x, i) => low[i % 3] + (x / 65535) * size[i % 3]);
+    gl.bindVertexArray(array);
+    [[positions, gl.FLOAT, false], [take(Int8Array, vertices), gl.BYTE, true]].forEach(([values, kind, whole], k) => {
+      gl.bindBuffer(gl.ARRAY_BUFFER, gl.createBuffer());
+      gl.bufferData(gl.ARRAY_BUFFER, values, gl.STATIC_DRAW);
+      gl.enableVertexAttribArray(k);
+      gl.vertexAttribPointer(k, 3, kind, whole, 0, 0);
+    });
+    gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, gl.createBuffer());
+    gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, take(Uint32Array, faces), gl.STATIC_DRAW);
+    return { color, opacity, array, count: 3 * faces };
+  }
+
+  one(shape, T, kind, color = shape.color, alpha = shape.opacity) {
+    const { gl, at } = this;
+    gl.uniformMatrix4fv(at.model, false, matrix(T));
+    gl.uniform4f(at.color, ...color, alpha);
+    gl.uniform1f(at.kind, kind);
+    gl.bindVertexArray(shape.array);
+    gl.drawElements(gl.TRIANGLES, shape.count, gl.UNSIGNED_INT, 0);
+  }
+
+  // The robot's parts, `frames` the nodes' placements in the world; with a colour, all in it.
+  robot(frames, kind, color, alpha) {
+    for (const { node, T, shapes } of this.parts) {
+      for (const shape of shapes) this.one(shape, node < 0 ? T : times(frames[node], T), kind, color, alpha);
+    }
+  }
+
+  // A picture: camera {view, lens}, colours {back, line, dark}, floor {z, cell, wide}, robots (frames; with a color see-through)
+  // and handles (shape, T, color, alpha), drawn over everything.
+  draw(camera, { back, line, dark }, { z, cell, wide }, robots, handles) {
+    const { gl, at, canvas } = this, [x, y] = SUN, view = (T) => gl.uniformMatrix4fv(at.view, false, matrix(T));
+    gl.viewport(0, 0, canvas.width, canvas.height);
+    gl.clearColor(...back, 1);
+    gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT | gl.STENCIL_BUFFER_BIT);
+    gl.uniformMatrix4fv(at.lens, false, camera.lens);
+    gl.uniform3f(at.up, camera.view[2], camera.view[6], camera.view[10]);
+    for (const [name, x] of Object.entries({ cell, wide })) gl.uniform1f(at[name], x);
+    view(camera.view);
+    for (const { frames, color } of robots) { // of a see-through one only its own front is seen: its depth comes first
+      if (color) gl.clear(gl.DEPTH_BUFFER_BIT);
+      gl.depthFunc(gl.LESS);
+      gl.colorMask(!color, !color, !color, !color);
+      this.robot(frames, LIT);
+      gl.colorMask(true, true, true, true);
+      gl.depthFunc(gl.LEQUAL);
+      if (color) this.robot(frames, LIT, color, 0.4);
+    }
+    gl.depthMask(false);
+    this.one(this.handles.floor, standing([0, 0, z], [0, 0, z + 1], wide), GRID, line, 0.7);
+    gl.enable(gl.STENCIL_TEST); // each pixel is shaded once, however many parts lie over it
+    gl.stencilFunc(gl.EQUAL, 0, 1);
+    view(times(camera.view, [1, 0, x, -x * z, 0, 1, y, -y * z, 0, 0, 0, z]));
+    for (const { frames } of robots) this.robot(frames, FLAT, dark, 0.17);
+    view(camera.view);
+    gl.disable(gl.STENCIL_TEST);
+    gl.depthMask(true);
+    gl.clear(gl.DEPTH_BUFFER_BIT);
+    for (const { shape, T, color, alpha } of handles) this.one(this.handles[shape], T, HANDLE, color, alpha);
+  }
+}

@@ -1,0 +1,179 @@
+// The page: its state, the panel beside the picture, and what happens when something is moved.
+import { Robot, inverse, length, moved, plus, point, times } from "./robot.js";
+import { SOLVERS, attempt, glide, look, randoms, solve } from "./solve.js";
+import { Renderer, standing } from "./draw.js";
+import { Camera, dragged, handles, under } from "./hand.js";
+
+const FLIGHT = 350, PACE = 60, SEEN = 100; // [ms] to another posture, [ms] of an iteration in a race, iterations seen
+const $ = (id) => document.getElementById(id);
+const data = JSON.parse($("data").textContent), robot = new Robot(data), canvas = $("picture"), random = randoms(1);
+const { size, centre, floor } = data.room, camera = new Camera(canvas, centre, size);
+let q = robot.home, shown = robot.fk(q), result = null, race = null, chosen = 0, held = null, motion = 0, seed = 1, renderer = null;
+let along = q.map((_, k) => Math.cos(k)); // in the null space: hardly at right angles to any arm's
+const targets = shown.tips.map((T) => ({ T, turn: robot.n >= 6 * robot.tips.length }));
+const follow = (tips) => tips.forEach((T, tip) => { targets[tip].T = T; });
+const apart = (a, b) => Math.max(...plus(a, b, -1).map(Math.abs));
+const grip = ({ T, turn }, tip) => ({ T: times(shown.base, T), turn, size: 0.16 * robot.reach, chosen: tip === chosen });
+
+function paint() {
+  const sharp = Math.min(2, window.devicePixelRatio || 1), style = getComputedStyle(document.body);
+  const color = (name) => [1, 3, 5].map((i) => parseInt(style.getPropertyValue(`--${name}`).trim().slice(i, i + 2), 16) / 255);
+  const [width, height] = [canvas.clientWidth, canvas.clientHeight].map((x) => Math.round(x * sharp));
+  if (canvas.width !== width || canvas.height !== height) Object.assign(canvas, { width, height });
+  camera.update();
+  const drawn = targets.map(grip).flatMap((at, tip) => {
+    const from = moved(shown.base, point(shown.tips[tip])), gap = !race && apart(point(at.T), from) > 1e-3 * size;
+    const line = { shape: "bar", T: standing(from, point(at.T), 0.004 * size), color: color("bad") };
+    const shades = handles(at, color(result && !result.good ? "bad" : "good"), held?.tip === tip ? held.what : null);
+    return gap ? [line, ...shades] : shades;
+  });
+  const robots = (race ?? [{ now: shown }]).map(({ name, now }) =>
+    ({ frames: now.frames.map((T) => times(now.base, T)), color: name && color(name) }));
+  renderer.draw(camera, { back: color("sky"), line: color("grid"), dark: color("shade") }, floor, robots, drawn);
+}
+
+const metres = (x) => (x < 1e-3 ? `${(1e6 * x).toPrecision(3)} \u00b5m` : `${(1e3 * x).toFixed(1)} mm`);
+const degrees = (x) => `${((180 * x) / Math.PI).toFixed(1)}\u00b0`;
+const bars = data.joints.map((joint, k) => { // a slider a joint: what fills it
+  const row = $("bar").content.cloneNode(true).firstElementChild, [name, input, value] = row.children;
+  const [min, max] = [Math.max(robot.lower[k], joint.low), Math.min(robot.upper[k], joint.low + joint.span)];
+  Object.assign(input, { min, max, disabled: min >= max, oninput: () => play(() => show(q.with(k, Number(input.value)))) });
+  name.textContent = name.title = joint.name;
+  $("joints").append(row);
+  return () => {
+    input.value = q[k];
+    value.textContent = joint.kind === "prismatic" ? `${(1e3 * q[k]).toFixed(0)} mm` : degrees(q[k]);
+    row.className = Math.min(q[k] - robot.lower[k], robot.upper[k] - q[k]) < 1e-6 ? "edge" : "";
+  };
+});
+
+function tell() { // curves, table and status line
+  const runs = race ?? (result ? [result] : []), most = Math.min(SEEN, Math.max(1, ...runs.map((one) => one.iterations)));
+  const spot = ({ error }, k) => `${40 + (k / most) * 255},${8 - 12 * Math.max(-9.5, Math.log10(error + 1e-12))}`; // a decade: 12
+  for (const name of Object.keys(SOLVERS)) {
+    const run = runs.find((one) => one.name === name), row = $(`row-${name}`);
+    $(`curve-${name}`).setAttribute("points", (run?.history ?? []).slice(0, SEEN + 1).map(spot).join(" "));
+    Object.assign(row, { hidden: !race, className: run?.good ? "good" : "bad" });
+    const words = race ? [run.iterations, `${run.ms.toFixed(1)} ms`, run.good ? "reached" : metres(run.position)] : [];
+    words.forEach((x, k) => { row.cells[k + 1].textContent = x; });
+  }
+  $("most").textContent = runs.length ? `${most} iterations` : "";
+  const { good, position, angle, iterations, attempt: which, attempts, ms } = result ?? {};
+  const off = result && `Off by ${metres(position)}${angle > 1e-3 ? ` and ${degrees(angle)}` : ""}`;
+  $("status").className = race || !result ? "" : good ? "good" : "bad";
+  $("status").textContent = race ? "All solvers from home, without restarts" : !result ? "Drag the target, or move a joint"
+    : good ? `Reached: ${iterations} iterations${which > 1 ? ` in attempt ${which}` : ""}, ${ms.toFixed(1)} ms`
+      : `${off}: closest pose ${attempts > 1 ? `of ${attempts} attempts` : "from here"}`;
+}
+
+// The arm at `to`, as the solve `found` left it; without one it was moved by hand, and the targets go along.
+function show(to, found = null) {
+  [q, result, race, shown] = [to, found, null, robot.fk(to)];
+  if (!found) follow(shown.tips);
+  $("turn").checked = targets[chosen].turn;
+  $("null").disabled = look(robot, q, targets).e.length >= robot.n;
+  for (const step of [...bars, tell, paint]) step();
+  return true;
+}
+
+// Call `step` with the time [ms] at every picture until it says that it has ended, or something else moves.
+function play(step) {
+  const mine = ++motion, start = performance.now();
+  const tick = (now) => {
+    if (mine !== motion) return;
+    document.body.dataset.still = step(Math.max(0, now - start)) ? "1" : "";
+    if (!document.body.dataset.still) requestAnimationFrame(tick);
+  };
+  tick(start);
+}
+
+function go(to, found) {
+  const from = q, span = apart(from, to) < 0.3 ? 0 : FLIGHT;
+  play((ms) => {
+    const t = Math.min(1, ms / span);
+    return t < 1 ? !show(plus(from, plus(to, from, -1), t * t * (3 - 2 * t)), found) : show(to, found);
+  });
+}
+
+const timed = (work, start = performance.now()) => ({ ...work(), ms: performance.now() - start });
+// Go to the targets: by one attempt from here while one is dragged, otherwise by as many as it takes.
+function reach(options = {}) {
+  const found = timed(() => solve(robot, $("solver").value, q, targets, options));
+  if (options.attempts === 1) play(() => show(found.q, found));
+  else if (found.good || !options.other) go(found.q, found);
+  else play(() => show(q, result) && ($("status").textContent = "No other posture found"));
+}
+
+function run() { // all solvers from home, side by side
+  if (look(robot, robot.home, targets).good) follow(robot.fk(robot.random(random)).tips);
+  const runs = Object.keys(SOLVERS).map((name) => timed(() => attempt(robot, name, robot.home, targets)));
+  for (const one of runs) if (one.name === $("solver").value) show(one.q, one); // where the race leaves the arm
+  play((ms) => {
+    race = runs.map((one) => ({ ...one, now: robot.fk(one.history[Math.min(one.iterations, Math.floor(ms / PACE))].q) }));
+    for (const step of [tell, paint]) step();
+    return ms / PACE > Math.min(SEEN, Math.max(...runs.map((one) => one.iterations)));
+  });
+}
+
+function slide() { // through the null space, as fast as the slider is pushed
+  const push = Number($("null").value), way = (a) => a.map((x) => x * Math.sign(push));
+  const next = glide(robot, q, targets, way(along), 0.04 * Math.abs(push));
+  if (push) along = way(next.along);
+  if (push) show(next.q, { ...look(robot, next.q, targets), history: [], iterations: 0, ms: 0 });
+  return !push;
+}
+
+const pointers = new Map();
+canvas.onpointerdown = ({ pointerId, offsetX, offsetY, pointerType }) => {
+  canvas.setPointerCapture(pointerId);
+  pointers.set(pointerId, [offsetX, offsetY]);
+  held = pointers.size === 1 ? under(camera, targets.map(grip), [offsetX, offsetY], pointerType) : null;
+  chosen = held?.tip ?? chosen;
+  if (held) play(() => show(q, result));
+};
+canvas.onpointermove = ({ pointerId, offsetX, offsetY, pointerType, shiftKey }) => {
+  const before = pointers.get(pointerId), now = [offsetX, offsetY];
+  const other = [...pointers].find(([id]) => id !== pointerId)?.[1];
+  if (!before) { canvas.style.cursor = under(camera, targets.map(grip), now, pointerType) ? "grab" : ""; return; }
+  const by = plus(now, before, -1);
+  pointers.set(pointerId, now);
+  if (held) {
+    targets[held.tip].T = times(inverse(shown.base), dragged(camera, times(shown.base, targets[held.tip].T), held, by));
+    reach({ attempts: 1 });
+  } else {
+    if (other) camera.zoom(length(plus(before, other, -1)) / Math.max(1, length(plus(now, other, -1))));
+    if (other || shiftKey) camera.pan(by.map((x) => x / pointers.size));
+    else camera.orbit(by);
+    paint();
+  }
+};
+canvas.onpointerup = canvas.onpointercancel = ({ pointerId }) => {
+  const dropped = held;
+  pointers.delete(pointerId);
+  held = null;
+  if (dropped && result && !result.good) reach();
+  else paint();
+};
+canvas.onwheel = (event) => { event.preventDefault(); camera.zoom(Math.exp(0.001 * event.deltaY)); paint(); };
+$("solver").onchange = () => reach();
+$("turn").onchange = () => { targets[chosen].turn = $("turn").checked; reach(); };
+$("home").onclick = () => go(robot.home, null);
+$("random").onclick = () => { follow(robot.fk(robot.random(random)).tips); reach(); };
+$("other").onclick = () => reach({ seed: ++seed, other: (there) => apart(there, q) < 0.2 });
+$("race").onclick = run;
+$("null").oninput = () => document.body.dataset.still && play(slide);
+$("null").onchange = $("null").onpointerup = () => { $("null").value = 0; };
+try {
+  const bytes = Uint8Array.from(atob($("shapes").textContent), (c) => c.charCodeAt(0));
+  const blob = await new Response(new Blob([bytes]).stream().pipeThrough(new DecompressionStream("gzip"))).arrayBuffer();
+  const [vertex, fragment] = ["vertex", "fragment"].map((name) => $(name).textContent.trim());
+  renderer = new Renderer(canvas, { vertex, fragment }, data, blob);
+  new ResizeObserver(paint).observe(canvas);
+  matchMedia("(prefers-color-scheme: dark)").onchange = paint;
+  const pixels = (p) => camera.screen(moved(shown.base, p));
+  const state = () => ({ q, result, race, at: targets.map(({ T }) => pixels(point(T))) });
+  window.arm = { robot, look, solve, attempt, targets, state, pixels }; // for who embeds the page
+  play(() => show(q));
+} catch (error) {
+  Object.assign($("status"), { className: "bad", textContent: error.message });
+}

@@ -1,0 +1,334 @@
+"""The live page in a real browser, held to Python: kinematics, solves, what is dragged, and names that stay text."""
+
+import contextlib
+import json
+import re
+
+import numpy as np
+import pytest
+from folders import ROOT
+from hostile import EVIL, arm
+from robots import have_data, load, sample
+from trees import mixed
+
+import ik_toolkit as ik
+from ik_toolkit.errors import InvalidOption
+
+pytest.importorskip("meshcat", reason="meshcat is not installed (extra 'view')")
+pytest.importorskip("trimesh", reason="trimesh is not installed (extra 'view')")
+
+MODULES = sorted((ROOT / "ik_toolkit" / "show" / "page").glob("*.js"))
+SIX = ("panda", "ur5", "xarm7", "kinova", "z1", "hydrolek_7w")
+TOLERANCE = 1e-6  # [m] and [rad] of the page, as of the toolkit
+SOLVE = """([data, name, home, goals]) => {
+  const robot = new arm.robot.constructor(data);
+  return goals.map((tips) => {
+    const { q, good, attempts } = arm.solve(robot, name, home, tips.map((T) => ({ T, turn: true })));
+    return { q, good, attempts };
+  });
+}"""
+KINEMATICS = """([data, Q]) => {
+  const robot = new arm.robot.constructor(data);
+  return Q.map((q) => {
+    const now = robot.fk(q);
+    return [now.tips, now.tips.map((_, tip) => robot.jacobian(now, tip))];
+  });
+}"""
+
+
+@pytest.fixture(scope="module")
+def browser():
+    chromium = pytest.importorskip("chromium")
+    if chromium.CHROMIUM is None:
+        pytest.skip("no chromium found (apt-get install chromium, or set CHROMIUM)")
+    with chromium.started() as made:
+        yield made
+
+
+@contextlib.contextmanager
+def opened(browser, file, **context):
+    """A live page, ready, with the network off; afterwards it has asked for nothing and nothing went wrong in it."""
+    from chromium import fresh_page
+
+    size = {"width": 800, "height": 300}  # few pixels: a software renderer draws them
+    with fresh_page(browser, offline=True, **{"viewport": size, **context}) as page:
+        page.goto(file.as_uri())
+        still(page)
+        yield page
+        assert page.outside == [] and page.errors == []
+
+
+def still(page):
+    """Wait until nothing moves."""
+    page.wait_for_selector("body[data-still='1']")
+
+
+@pytest.fixture(scope="module")
+def hydrolek(browser, tmp_path_factory):
+    """A page of the HydroLek, for what needs no page of its own."""
+    file = ik.view(load("hydrolek_7w")).page(tmp_path_factory.mktemp("page") / "hydrolek.html")
+    with opened(browser, file) as page:
+        yield page
+
+
+def data_of(robot, tmp_path):
+    """What a robot's page holds of it."""
+    text = ik.view(robot).page(tmp_path / "page.html").read_text()
+    return json.loads(re.search(r'id="data">(.*?)</script>', text, re.S)[1])
+
+
+def rows(T):
+    """Rows of [R | p] of poses (N, 4, 4), as the page has them."""
+    return np.asarray(T)[..., :3, :].reshape(*np.shape(T)[:-2], 12).tolist()
+
+
+def robot_of(name):
+    if name == "mixed":
+        return ik.Tree.load(mixed(), tips=["left_tip", "right_tip"])
+    if name == "mixed, from the left":  # the base moves against the world, and joints are passed upwards
+        return ik.Robot.load(mixed(), tip="right_tip", base="left2_link")
+    return load(name)
+
+
+@pytest.mark.parametrize("name", ["continuous_mix", "mimic_mix", "mixed", "mixed, from the left", "locked", "tool"])
+def test_kinematics_are_pinocchios(hydrolek, tmp_path, name):
+    robot = robot_of(name)
+    rng = np.random.default_rng(5)
+    Q = robot.random_q(rng, 20)
+    found = hydrolek.evaluate(KINEMATICS, [data_of(robot, tmp_path), Q.tolist()])
+    for q, (tips, columns) in zip(Q, found, strict=True):
+        T = robot.fk(q)
+        wanted = [one.homogeneous for one in (T.values() if robot.by_tip else [T])]
+        assert np.allclose(tips, rows(wanted), rtol=0, atol=1e-12)
+        assert np.allclose(np.swapaxes(columns, 1, 2).reshape(-1, robot.n), robot.jacobian(q), rtol=0, atol=1e-12)
+
+
+def solved(page, robot, data, poses, solver="lm"):
+    """How many poses (N, tips, 4, 4) the page solves from home, as Pinocchio judges it; and the most attempts it took."""
+    answers = page.evaluate(SOLVE, [data, solver, robot.home.tolist(), rows(poses)])
+    right = 0
+    for answer, targets in zip(answers, poses, strict=True):
+        q = np.array(answer["q"])
+        pairs = robot.errors(q, targets) if robot.by_tip else [robot.errors(q, targets[0])]
+        good = not robot.outside(q) and np.max(pairs) <= 1.001 * TOLERANCE
+        assert good == answer["good"]
+        right += good
+    return right, max(answer["attempts"] for answer in answers)
+
+
+@pytest.mark.parametrize("name", ["hydrolek_7w", "mimic_mix", "mixed"])
+def test_reachable_poses_are_reached(hydrolek, tmp_path, name):
+    robot = robot_of(name)
+    poses = np.array(
+        [
+            [T.homogeneous for T in (robot.fk(q).values() if robot.by_tip else [robot.fk(q)])]
+            for q in robot.random_q(np.random.default_rng(8), 40)
+        ]
+    )
+    assert solved(hydrolek, robot, data_of(robot, tmp_path), poses)[0] == 40
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not have_data(), reason="example-robot-data is not installed (extra 'robots')")
+@pytest.mark.parametrize("name", SIX)
+def test_six_robots(browser, tmp_path, name):
+    robot = load(name)
+    Q, poses = sample(robot, 300, seed=17)
+    file = ik.view(robot).page(tmp_path / "page.html")
+    assert file.stat().st_size < 1e6  # small enough to be mailed, meshes and all
+    with opened(browser, file) as page:
+        data = data_of(robot, tmp_path)
+        found = page.evaluate(KINEMATICS, [data, Q.tolist()])
+        assert np.allclose([tips for tips, _ in found], rows(poses[:, None]), rtol=0, atol=1e-12)
+        assert solved(page, robot, data, poses[:, None])[0] >= 0.995 * 300
+
+
+@pytest.mark.parametrize(("solver", "share"), [("lm", 1e-4), ("dls", 0.01), ("ccd", 0.01)])
+def test_out_of_reach_the_closest_pose(hydrolek, tmp_path, solver, share):
+    robot = load("planar_3r")
+    data = data_of(robot, tmp_path)
+    closest = """([data, name, p]) => {
+      const robot = new arm.robot.constructor(data), T = [1, 0, 0, p[0], 0, 1, 0, p[1], 0, 0, 1, 0];
+      return arm.solve(robot, name, robot.home, [{ T, turn: false }], { attempts: 5 });
+    }"""
+    p = 1.5 * robot.reach * np.array([np.cos(0.4), np.sin(0.4)])
+    found = hydrolek.evaluate(closest, [data, solver, p.tolist()])
+    assert not found["good"]
+    assert found["position"] == pytest.approx(0.5 * robot.reach, rel=share)
+    assert robot.outside(np.array(found["q"])) == []
+
+
+def state(page):
+    return page.evaluate("arm.state()")
+
+
+def drag(page, start, way, steps=4):
+    """Press at pixels `start` and move by `way`."""
+    page.mouse.move(*start)
+    page.mouse.down()
+    page.mouse.move(start[0] + way[0], start[1] + way[1], steps=steps)
+
+
+def target(page):
+    return np.array(page.evaluate("arm.targets[0].T")).reshape(3, 4)
+
+
+def test_the_arm_follows_a_dragged_target(browser, tmp_path):
+    robot = load("hydrolek_7w")
+    file = ik.view(robot).page(tmp_path / "page.html")
+    with opened(browser, file) as page:
+        before, T = state(page), target(page)
+        assert np.allclose(T, robot.fk(robot.home).homogeneous[:3], atol=1e-12)
+        drag(page, before["at"][0], (-20, -15))
+        now = state(page)
+        assert np.linalg.norm(target(page)[:, 3] - T[:, 3]) > 0.02 and np.array_equal(target(page)[:, :3], T[:, :3])
+        assert np.allclose(robot.fk(now["q"]).homogeneous[:3], target(page), atol=1e-5)
+        assert now["at"][0] == pytest.approx(np.add(before["at"][0], (-20, -15)), abs=1.0)
+        assert page.inner_text("#status").startswith("Reached: ")
+        page.mouse.move(now["at"][0][0] + 900, now["at"][0][1], steps=4)  # far beyond the edge of reach
+        far = state(page)
+        assert far["result"]["position"] > 0.1 and robot.outside(np.array(far["q"])) == []
+        assert page.inner_text("#status").startswith("Off by ")
+        page.mouse.up()
+        still(page)
+        assert "attempts" in page.inner_text("#status")
+        wanted = np.vstack([target(page), [0, 0, 0, 1]])
+        assert robot.errors(np.array(state(page)["q"]), wanted)[0] == pytest.approx(
+            state(page)["result"]["position"], rel=1e-9
+        )
+
+
+def test_rings_turn_and_arrows_move_along_their_axis(hydrolek):
+    page = hydrolek
+    spot = """([what, k, at]) => { // pixels of a point on a handle
+      const { robot } = arm, T = arm.targets[0].T, size = 0.16 * robot.reach, axis = (k) => [T[k], T[4 + k], T[8 + k]];
+      const p = [T[3], T[7], T[11]].map((x, i) => x + (what === "move" ? at * axis(k)[i]
+        : 0.72 * (Math.cos(at) * axis((k + 1) % 3)[i] + Math.sin(at) * axis((k + 2) % 3)[i])) * size);
+      return arm.pixels(p);
+    }"""
+    page.click("#home")
+    still(page)
+    T = target(page)
+    drag(page, page.evaluate(spot, ["move", 2, 0.7]), (25, 5))
+    page.mouse.up()
+    still(page)
+    moved = target(page)[:, 3] - T[:, 3]
+    assert abs(moved @ T[:, 2]) > 0.005 and np.linalg.norm(np.cross(moved, T[:, 2])) < 1e-12
+    T = target(page)
+    drag(page, page.evaluate(spot, ["turn", 0, 0.9]), (12, 25))
+    page.mouse.up()
+    still(page)
+    turn = T[:, :3].T @ target(page)[:, :3]
+    assert np.allclose(turn[0], (1, 0, 0), atol=1e-12) and turn[1, 1] < 0.999
+    assert np.allclose(target(page)[:, 3], T[:, 3], atol=1e-12)
+
+
+def test_panel(hydrolek):
+    page, robot = hydrolek, load("hydrolek_7w")
+    page.click("#home")
+    still(page)
+    assert np.allclose(state(page)["q"], robot.home)
+    page.locator("#joints input").nth(1).fill("0.3")
+    q = np.array(state(page)["q"])
+    assert q[1] == pytest.approx(0.3) and np.allclose(target(page), robot.fk(q).homogeneous[:3], atol=1e-12)
+    page.click("#random")
+    still(page)
+    assert state(page)["result"]["good"] and page.inner_text("#status").startswith("Reached: ")
+    page.click("#race")
+    page.wait_for_selector("#row-pid td:has-text('ms')")
+    assert [run["name"] for run in state(page)["race"]] == ["lm", "dls", "transpose", "ccd", "pid"]
+    assert page.locator("tr:visible").count() == 5 and len(page.get_attribute("#curve-lm", "points").split()) > 2
+    T = target(page)
+    page.click("#other")
+    still(page)
+    assert np.array_equal(target(page), T)
+    assert state(page)["race"] is None and page.locator("tr:visible").count() == 0
+    assert page.locator("#null").is_disabled()  # six joints, six rows
+    page.uncheck("#turn")
+    still(page)
+    assert page.locator("#null").is_enabled()
+    before = np.array(state(page)["q"])
+    page.evaluate("document.getElementById('null').value = 0.8; document.getElementById('null').oninput()")
+    page.wait_for_timeout(400)
+    page.evaluate("document.getElementById('null').value = 0")
+    still(page)
+    after = np.array(state(page)["q"])
+    assert np.abs(after - before).max() > 0.05
+    assert np.allclose(robot.fk(after).translation, T[:, 3], atol=2e-6)
+    page.check("#turn")
+
+
+def test_two_fingers_zoom_and_the_wheel_too(hydrolek):
+    page = hydrolek
+    fingers = """(gap) => { // a second finger that is put down or moved this far from the first
+      const canvas = document.getElementById("picture");
+      const send = (type, pointerId, offsetX) => canvas[`on${type}`]({ pointerId, offsetX, offsetY: 60, pointerType: "touch" });
+      canvas.setPointerCapture = () => {};
+      if (!gap) { send("pointerup", 1, 0); send("pointerup", 2, 0); return; }
+      if (gap === 40) { send("pointerdown", 1, 30); send("pointerdown", 2, 70); }
+      send("pointermove", 2, 30 + gap);
+    }"""
+    apart = "Math.hypot(...arm.pixels([0, 0, 0.5]).map((x, k) => x - arm.pixels([0, 0, 0])[k]))"
+    before = page.evaluate(apart)
+    page.evaluate(fingers, 40)
+    page.evaluate(fingers, 60)
+    page.evaluate(fingers, 0)
+    wide = page.evaluate(apart)
+    assert wide > 1.2 * before
+    page.mouse.move(100, 100)
+    page.mouse.wheel(0, 300)
+    page.wait_for_timeout(100)
+    assert page.evaluate(apart) < wide
+
+
+def test_several_tips_each_have_a_target(browser, tmp_path):
+    robot = load("two_arms")
+    file = ik.view(robot).page(tmp_path / "page.html")
+    with opened(browser, file, viewport={"width": 420, "height": 500}, has_touch=True) as page:
+        before = state(page)
+        still_there = robot.fk(robot.home)[robot.tips[0]].homogeneous
+        drag(page, before["at"][1], (4, -8))
+        page.mouse.up()
+        still(page)
+        now = robot.fk(state(page)["q"])
+        assert state(page)["result"]["good"]
+        assert np.allclose(now[robot.tips[0]].homogeneous, still_there, atol=1e-5)
+        assert np.linalg.norm(now[robot.tips[1]].translation - robot.fk(robot.home)[robot.tips[1]].translation) > 0.01
+        assert page.evaluate("document.documentElement.scrollWidth") <= 420
+
+
+def test_names_stay_text(browser, tmp_path):
+    robot = ik.Robot.load(arm())
+    file = ik.view(robot).page(tmp_path / "page.html")
+    text = file.read_text()
+    plain = ik.view(load("planar_2r")).page(tmp_path / "plain.html").read_text()
+    assert re.findall(r"<\w+", text) == re.findall(r"<\w+", plain)  # no element but the page's own
+    with opened(browser, file) as page:
+        assert page.title() == robot.name
+        assert page.locator("#joints span").all_inner_texts() == list(EVIL)
+        assert page.locator("img, object, b").count() == 0
+
+
+def test_what_is_refused(tmp_path, capsys):
+    from ik_toolkit.cli import main
+
+    scene = ik.view(load("planar_2r"))
+    with pytest.raises(InvalidOption, match=r"a live page is written as \.html, not '\.png'"):
+        scene.page(tmp_path / "page.png")
+    assert main(["view", "planar_2r", "--page", str(tmp_path / "page.html")]) == 0
+    assert "opens without a network" in capsys.readouterr().err
+    for words, said in (
+        (["--q", "0", "0", "--html", str(tmp_path / "a.html")], "--page goes without --html and --q"),
+        (["--xyz", "1", "0", "0"], "--page goes without --xyz and --target"),
+        (["--follow"], "--follow goes without --page"),
+    ):
+        assert main(["view", "planar_2r", "--page", str(tmp_path / "b.html"), *words]) == 2
+        assert said in capsys.readouterr().err
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["page.html"]
+
+
+def test_modules_are_few_lines_that_stand_alone():
+    assert [file.stem for file in MODULES] == ["draw", "hand", "main", "robot", "solve"]
+    texts = [file.read_text() for file in MODULES]
+    assert sum(len(text.splitlines()) for text in texts) < 600
+    assert not re.search(r"</script|https?:|import\(|eval\(|innerHTML", "".join(texts))
