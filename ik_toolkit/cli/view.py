@@ -100,9 +100,8 @@ def view(
 
     Serves on 127.0.0.1 until Ctrl-C, or writes one HTML file that needs no network. A robot with several tips is shown
     whole when --tip is left out. With --follow the page has a target to drag, and the arm goes after it with the steps of
-    the tracker, at the edge of its reach to the closest pose; with --page FILE that is a file, whose solvers run in the
-    browser. Exit code 1 when the solve asked for did not succeed (it is
-    shown all the same).
+    the tracker, at the edge of its reach to the closest pose; with --page that page is a file, and its solvers run in the
+    browser. Exit code 1 when the solve asked for did not succeed (it is shown all the same).
     """
     line = SimpleNamespace(**locals())
     solving = xyz is not None or matrix is not None or bool(targets)
