@@ -157,6 +157,7 @@ def info(
                     "locked": locked or None,
                     "configurations": ", ".join(arm.named),
                     "closed form": closed_form(arm) or None,
+                    "read as": "; ".join(arm.notes) or None,
                 }
             ),
         )
@@ -198,6 +199,7 @@ def describe(robot: "Robot") -> dict[str, Any]:
         "locked": robot.locked_joints,
         "named": robot.named,
         "closed_form": closed_form(robot) or None,
+        "notes": robot.notes,
     }
 
 

@@ -126,11 +126,15 @@ def root_joint(model: pin.Model) -> int:
     return first[0] if len(first) == 1 and model.joints[first[0]].shortname() in ROAMS else 0
 
 
-def carried(model: pin.Model) -> str | None:
-    """Name of the link that a free-flyer or a plane at the root carries, if there is one."""
-    root = root_joint(model)
-    links = (frame.name for frame in model.frames if frame.type == pin.FrameType.BODY and frame.parentJoint == root)
-    return next(links, None) if root else None
+def carried(model: pin.Model, tip: str) -> str | None:
+    """Name of the link that the last free-flyer or plane above a tip carries, if there is one."""
+    joint = next((frame.parentJoint for frame in model.frames if frame.name == tip), 0)
+    above = model.supports[joint]
+    roams = [j for j in above if j and model.joints[j].shortname() in ROAMS]
+    links = (
+        frame.name for frame in model.frames if frame.type == pin.FrameType.BODY and frame.parentJoint in roams[-1:]
+    )
+    return next(links, None)
 
 
 def unfold(model: pin.Model) -> tuple[pin.Model, Given | None]:

@@ -15,11 +15,16 @@ def build_model(text: str) -> pin.Model:
     """Pinocchio's model of a URDF that `safe_read` has passed. Raises what Pinocchio raises.
 
     What Pinocchio cannot read and what moves nothing is mended in the text it gets: a missing name, shapes with a mesh scale that
-    is none, followers of joints that do not exist or follow another themselves, the order of the joints (see mimic.py).
+    is none and capsules (which its parser complains of), followers of joints that do not exist or follow another themselves, the
+    order of the joints (see mimic.py).
     """
     items = parse(text)
     found = followers(text)
-    shapes = any(wrong_scale(attributes) for item in items for tag, attributes in item.inside if tag == "mesh")
+    shapes = any(
+        tag == "capsule" or (tag == "mesh" and wrong_scale(attributes))
+        for item in items
+        for tag, attributes in item.inside
+    )
     if not (found.tied or found.loose or shapes or not items[0].name):
         return pin.buildModelFromXML(text, True)
     # Depth first by name is how Pinocchio goes through the tree, so names that sort in the wanted order are lent to the joints.

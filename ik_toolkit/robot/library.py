@@ -6,16 +6,20 @@ import importlib
 import importlib.metadata
 import importlib.util
 import io
+import os
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from ..errors import MissingExtra, ModelError, RobotNotFound, near_match
+from ..errors import MissingExtra, RobotNotFound, near_match
+from .packages import MANIFESTS
 from .read import is_text
 
 DATA_PACKAGE = "example-robot-data"
 DESCRIBED = "robot_descriptions:"  # before names of that package
+MENAGERIE = "mujoco-menagerie:"  # before names of folders of MuJoCo's menagerie
+MENAGERIE_ROOT = "MENAGERIE_ROOT"  # environment variable that names a copy of it, as the package of that name reads it
 
 
 @dataclass(frozen=True)
@@ -168,10 +172,6 @@ def _described(name: str) -> RobotEntry:
     if name not in DESCRIPTIONS:
         near = [known for known in DESCRIPTIONS if known.startswith(name)]
         raise RobotNotFound(f"robot_descriptions has no '{name}'.{near_match(name, near or DESCRIPTIONS)}")
-    if not DESCRIPTIONS[name].has_urdf:
-        raise ModelError(
-            f"robot_descriptions has '{name}' as MJCF only, which is not read; look for a URDF or xacro of it"
-        )
     try:
         with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):  # of a download
             module = importlib.import_module(f"robot_descriptions.{name}")
@@ -186,11 +186,61 @@ def _described(name: str) -> RobotEntry:
             f"'{name}' is not in the cache of robot_descriptions, and it could not be fetched ({said}); with a network, run: "
             f"python -m robot_descriptions pull {name}"
         ) from None
-    path = Path(getattr(module, "URDF_PATH", None) or module.XACRO_PATH)
+    path = Path(
+        next(getattr(module, key) for key in ("URDF_PATH", "XACRO_PATH", "MJCF_PATH") if getattr(module, key, None))
+    )
     folders = (Path(module.PACKAGE_PATH), Path(module.REPOSITORY_PATH))
     arguments = {key: str(value) for key, value in getattr(module, "XACRO_ARGS", {}).items()}
     described = f"robot_descriptions: {name}"
     return RobotEntry(name, path, path, package_dirs=folders, description=described, xacro_args=arguments)
+
+
+def _menagerie(name: str) -> Path:
+    """Model of MuJoCo's menagerie, out of a copy on disk or out of what its package keeps. Raises RobotNotFound."""
+    advice = "pip install mujoco-menagerie, or name a copy of the repository with MENAGERIE_ROOT"
+    root = os.environ.get(MENAGERIE_ROOT)
+    if root:
+        folders = sorted(path.name for path in Path(root).glob("*/") if any(path.glob("*.xml")))
+        if name not in folders:
+            raise RobotNotFound(f"'{root}' has no robot '{name[:200]}'.{near_match(name, folders)}")
+        return Path(root) / name
+    try:
+        package = importlib.import_module("mujoco_menagerie")
+    except ImportError:
+        raise RobotNotFound(f"MuJoCo's menagerie is not here; {advice}") from None
+    names = package.names()
+    if name not in names:
+        raise RobotNotFound(f"MuJoCo's menagerie has no '{name[:200]}'.{near_match(name, names)}")
+    try:
+        with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):  # of a download
+            return Path(package.get(name).xml(package.get(name).default_model))
+    except Exception as error:  # whatever a download raises
+        said = (str(error).strip().splitlines() or [type(error).__name__])[-1][:200]
+        raise RobotNotFound(
+            f"'{name}' is not in the cache of mujoco-menagerie, and it could not be fetched ({said}); with a network, run: "
+            f"python -c 'import mujoco_menagerie as m; m.prefetch([\"{name}\"])'; or {advice}"
+        ) from None
+
+
+def _only_model(source: str | Path) -> Path | None:
+    """The one description in a folder, or the one named like it; scenes, which put a robot on a floor, do not count."""
+    try:
+        folder = Path(source).expanduser()
+        if not str(source) or not folder.is_dir():
+            return None
+        files = [path for kind in ("*.urdf", "*.xml") for path in sorted(folder.glob(kind)) if path.is_file()]
+    except (OSError, ValueError, RuntimeError):
+        return None
+    models = [path for path in files if not path.stem.startswith("scene") and path.name not in MANIFESTS]
+    named = [path for path in models if path.stem == folder.resolve().name]
+    if len(models) == 1 or named:
+        return (named or models)[0].absolute()
+    if models:
+        names = ", ".join(path.name for path in models[:5]) + (
+            f" and {len(models) - 5} more" if len(models) > 5 else ""
+        )
+        raise RobotNotFound(f"'{str(source)[:200]}' is a folder with several descriptions; give one of them: {names}")
+    return None
 
 
 def find(source: str | Path) -> RobotEntry:
@@ -207,7 +257,9 @@ def find(source: str | Path) -> RobotEntry:
             return shipped_robots()[source]
         if source.startswith(DESCRIBED):
             return _described(source.removeprefix(DESCRIBED))
-    path = _file(source)
+        if source.startswith(MENAGERIE):
+            source = _menagerie(source.removeprefix(MENAGERIE))
+    path = _file(source) or _only_model(source)
     if path is not None:
         return RobotEntry(name=path.stem, source=path, path=path, package_dirs=(path.parent,))
     name = str(source)
@@ -229,7 +281,7 @@ def find(source: str | Path) -> RobotEntry:
         )
     shown = name if len(name) <= 200 else f"{name[:200]}..."
     if name and Path(shown).is_dir():
-        raise RobotNotFound(f"'{shown}' is a folder, not a URDF file")
+        raise RobotNotFound(f"'{shown}' is a folder without a description of a robot")
     if "/" in name or "\\" in name or name.lower().endswith((".urdf", ".xml", ".xacro")):
         raise RobotNotFound(f"there is no file '{shown}'")
     raise RobotNotFound(

@@ -12,7 +12,9 @@ from .base import carried
 from .build import build_model
 from .check import require_loadable
 from .library import RobotEntry, find
-from .read import HasMacros, safe_read
+from .mjcf import to_urdf
+from .read import HasMacros, IsMjcf, safe_read, source_text
+from .tips import guess_tip
 from .xacro import expand
 
 LOG = logging.getLogger("ik_toolkit")
@@ -24,6 +26,8 @@ def read(
     """What a source names, and what `Robot` takes of it: its model, name, text and folders. Raises as `Robot.load` does."""
     entry = find(source)
     folders = [*folders_of(package_dirs), *entry.package_dirs]
+    notes: tuple[str, ...] = ()
+    states: dict[str, dict[str, tuple[float, ...]]] = {}
     try:
         text = safe_read(entry.source)
         if xacro_args:
@@ -32,20 +36,31 @@ def read(
         if entry.path is None:
             raise
         text = safe_read(expand(entry.path, folders, {**entry.xacro_args, **(xacro_args or {})}))
+    except IsMjcf:
+        if xacro_args:
+            raise InvalidOption(f"xacro_args are for xacro files, and {entry.name} is MJCF") from None
+        flat = to_urdf(source_text(entry.source, "MJCF"), entry.path, folders)
+        text, notes, states = safe_read(flat.urdf), tuple(flat.notes), flat.states
     require_loadable(text)
     try:
         model = build_model(text)
     except Exception as error:
         raise ModelError(f"Pinocchio cannot read {entry.name}: {str(error).strip().splitlines()[0]}") from None
     name = entry.name if entry.path else model.name
-    return entry, {"model": model, "name": name, "urdf": text, "path": entry.path, "package_dirs": folders}
+    for note in notes:
+        LOG.warning("%s: %s", entry.name, note)
+    made = {"model": model, "name": name, "urdf": text, "path": entry.path, "package_dirs": folders}
+    return entry, made | {"notes": notes, "states": states}
 
 
-def default_base(entry: RobotEntry, model: pin.Model, base: str | None, on_base: Any, base_limits: Any) -> str | None:
-    """Base frame to take: the one given, what is known, or the link that a free-flyer carries which nobody gave limits."""
+def default_base(
+    entry: RobotEntry, model: pin.Model, base: str | None, tip: str | None, on_base: Any, base_limits: Any
+) -> str | None:
+    """Base frame to take: the one given, what is known, or the link above the tip that moves freely without limits."""
     if base is not None or on_base is not None:
         return base
-    link = carried(model) if base_limits is None else None
+    tip = tip or next(iter(entry.tips or guess_tip(model).tips), None)
+    link = carried(model, tip) if base_limits is None and tip else None
     if link is not None:
         LOG.warning("%s: the joint that moves '%s' freely is held still; base_limits= lets it move", entry.name, link)
     return entry.base or link

@@ -71,6 +71,10 @@ class HasMacros(ModelError):
     """A description that xacro has to expand first."""
 
 
+class IsMjcf(ModelError):
+    """A description that MuJoCo has to compile first."""
+
+
 def is_text(source: object) -> bool:
     """Whether a source is XML itself, not the path or name of some."""
     return isinstance(source, str) and source.lstrip(BLANK).startswith("<")
@@ -133,6 +137,8 @@ def parse(text: str) -> list[Item]:
         nonlocal joints
         if tag in NAMED:
             check_names(attributes, "URDF", line)
+        if not above and tag == "mujoco":
+            raise IsMjcf("this is MJCF, not a URDF")
         if not above and tag != "robot":
             raise ModelError(f"the root element is <{tag}>, not <robot>: this is not a URDF")
         if tag.startswith("xacro:") or (macros and any("${" in x or "$(" in x for x in attributes.values())):

@@ -35,7 +35,7 @@ from .probe import AGREE, NO_LIMIT, configurations, difference, find_path, good_
 from .probe import Path as JointPath
 from .read import is_text
 from .srdf import Srdf, one_tip, passive_joints, read_srdf, srdf_of
-from .tips import only_tip
+from .tips import one_word, only_tip, root_link
 
 # Attributes that belong to one object, or to one thread.
 CACHES = ("_local", "_sampling", "_circles", "memo")
@@ -50,8 +50,8 @@ class Robot(Joints):
     joint of the path base -> tip; joint_kinds (n,) 'revolute', 'continuous' or 'prismatic'; lower, upper, home (n,) [rad or
     m], infinite limits for continuous joints; velocity_limits (n,) [rad/s or m/s]; chain (kernel arrays); rest (nq,) values
     of the joints off the path; locked_joints (name -> value held); tool (pin.SE3, T_tip_tool); urdf (text or None), path (file
-    or None), package_dirs; on_base, base_limits; srdf (what its SRDF says); tips, arms, places and reach, as a Tree has them;
-    memo and named (see Joints).
+    or None), package_dirs; on_base, base_limits; srdf (what its SRDF says); notes (what of the description was changed or left
+    out); tips, arms, places and reach, as a Tree has them; memo and named (see Joints).
     """
 
     def __init__(
@@ -70,6 +70,7 @@ class Robot(Joints):
         on_base: Any = None,
         base_limits: Any = None,
         srdf: str | Path | Srdf | None = None,
+        notes: Sequence[str] = (),
     ) -> None:
         """Wrap an existing model.
 
@@ -79,7 +80,7 @@ class Robot(Joints):
         is, and needs base_limits. srdf: a file or text of SRDF; its passive joints are held, too. Raises FrameNotFound,
         JointNotFound, ModelError, InvalidConfiguration, InvalidOption.
         """
-        tip = _one_tip(tip, ee_link)
+        tip = one_word(tip, ee_link)
         if not isinstance(model, pin.Model):
             raise ModelError(
                 f"a pin.Model is expected, not {type(model).__name__}; Robot.load reads names, paths and URDF text"
@@ -89,12 +90,15 @@ class Robot(Joints):
                 "on_base says where the robot stands in the world, and poses are given there; leave out base"
             )
         self.on_base, self.base_limits = on_base, base_limits
+        self.notes = tuple(notes)
         self._settle(model)
         self.name = name or model.name
         self.urdf = urdf
         self.path = path
         self.package_dirs = tuple(folders_of(package_dirs))
-        self.base = self._frame(base) if base is not None else "universe" if on_base is not None else _root(self.model)
+        self.base = (
+            self._frame(base) if base is not None else "universe" if on_base is not None else root_link(self.model)
+        )
         self.tip = self._frame(tip) if tip is not None else only_tip(self.model, self.name)
         self.tool = pin.SE3.Identity()
         self.rest = pin.neutral(self.model)
@@ -136,9 +140,9 @@ class Robot(Joints):
         on_base its tip). Meshes are never read. Raises RobotNotFound, ModelError (broken or hostile file, in one sentence),
         FrameNotFound (lists the frames), JointNotFound, InvalidOption, MissingExtra (xacro).
         """
-        tip = _one_tip(tip, ee_link)
+        tip = one_word(tip, ee_link)
         entry, made = read(source, package_dirs, xacro_args)
-        made["srdf"] = srdf_of(srdf, made["model"], entry.path)
+        made["srdf"] = srdf_of(srdf, made["model"], entry.path, made.pop("states"))
         if group is not None:
             start, end = one_tip(made["srdf"], group, made["model"], tip)
             tip, base = end, base if base or on_base is not None else start
@@ -151,12 +155,17 @@ class Robot(Joints):
         robot = cls(
             **made,
             tip=tip if tip is not None else entry.tip,
-            base=default_base(entry, made["model"], base, on_base, base_limits),
+            base=default_base(entry, made["model"], base, tip, on_base, base_limits),
             home=entry.home if known else None,
             on_base=on_base,
             base_limits=base_limits,
         )
         return robot.locked(locked) if locked else robot
+
+    @classmethod
+    def from_mjcf(cls, source: str | Path, **options: Any) -> "Robot":
+        """Load an MJCF file or text (needs the extra `formats`); options and errors are those of `load`."""
+        return cls.from_urdf(source, **options)
 
     @classmethod
     def from_urdf(cls, source: str | Path, **options: Any) -> "Robot":
@@ -380,20 +389,3 @@ class Robot(Joints):
 
     def _route(self) -> str:
         return f"{self.base} &rarr; {self.tip}, reach {self.reach:.3g} m"
-
-
-def _one_tip(tip: str | None, ee_link: str | None) -> str | None:
-    """The tip, by whichever of its two words it is given. Raises InvalidOption."""
-    if tip is not None and ee_link is not None and tip != ee_link:
-        raise InvalidOption(
-            f"tip and ee_link are two words for one frame, not {tip!r} and {ee_link!r}; give one of them"
-        )
-    return ee_link if tip is None else tip
-
-
-def _root(model: pin.Model) -> str:
-    """Name of the root link (the first body frame of the tree)."""
-    for frame in model.frames:
-        if frame.type == pin.FrameType.BODY and frame.parentJoint == 0:
-            return frame.name
-    return "universe"

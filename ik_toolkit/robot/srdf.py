@@ -162,8 +162,19 @@ def read_srdf(source: "str | Path | Srdf") -> Srdf:
     return _parse(text, None if is_text else Path(source).expanduser().absolute())
 
 
-def srdf_of(given: Any, model: pin.Model, path: Path | None) -> Srdf:
+def srdf_of(
+    given: Any, model: pin.Model, path: Path | None, states: Mapping[str, Mapping[str, tuple[float, ...]]]
+) -> Srdf:
     """Srdf of a model read from `path`: the one given, None: the one beside the file, if any (see `srdf_beside`); False: none.
+
+    states: named configurations that the description itself has; those of the SRDF come before them.
+    """
+    found = _srdf_of(given, model, path)
+    return replace(found, states={**states, **found.states}) if states else found
+
+
+def _srdf_of(given: Any, model: pin.Model, path: Path | None) -> Srdf:
+    """Srdf that is given or found.
 
     Of a given one, what cannot be used is logged; one beside the file that is broken is logged and left out.
     """

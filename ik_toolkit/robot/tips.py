@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import pinocchio as pin
 
-from ..errors import FrameNotFound, ModelError
+from ..errors import FrameNotFound, InvalidOption, ModelError
 
 LOG = logging.getLogger("ik_toolkit")
 
@@ -100,3 +100,20 @@ def _branches(model: pin.Model, frames: Sequence[pin.Frame]) -> tuple[str, ...]:
     joints = {f.parentJoint for f in frames}
     first = [f for f, line in zip(frames, lines, strict=True) if not joints & set(line[:-1])]
     return tuple({f.parentJoint: f.name for f in first}.values())
+
+
+def one_word(tip: str | None, ee_link: str | None) -> str | None:
+    """The tip, by whichever of its two words it is given. Raises InvalidOption."""
+    if tip is not None and ee_link is not None and tip != ee_link:
+        raise InvalidOption(
+            f"tip and ee_link are two words for one frame, not {tip!r} and {ee_link!r}; give one of them"
+        )
+    return ee_link if tip is None else tip
+
+
+def root_link(model: pin.Model) -> str:
+    """Name of the root link (the first body frame of the tree)."""
+    for frame in model.frames:
+        if frame.type == pin.FrameType.BODY and frame.parentJoint == 0:
+            return frame.name
+    return "universe"

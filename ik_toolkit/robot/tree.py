@@ -108,7 +108,7 @@ class Tree(Joints):
         one of it, whose base and tips are taken. Raises what Robot.load does; FrameNotFound without tips lists the ends of paths.
         """
         entry, made = read(source, package_dirs, xacro_args)
-        made["srdf"] = srdf_of(srdf, made["model"], entry.path)
+        made["srdf"] = srdf_of(srdf, made["model"], entry.path, made.pop("states"))
         if group is not None:
             start, ends = made["srdf"].ends(group, made["model"])
             tips, base = tips or list(ends), base if base or on_base is not None else start
@@ -128,7 +128,7 @@ class Tree(Joints):
         if not tips:
             raise FrameNotFound("tips=[] names no tip; give at least one")
         known = base in (None, entry.base)
-        made["base"] = default_base(entry, made["model"], base, on_base, base_limits)
+        made["base"] = default_base(entry, made["model"], base, tips[0], on_base, base_limits)
         made |= {"on_base": on_base, "base_limits": base_limits}
         arms = [Robot(**made, tip=tip) for tip in tips]
         tree = cls(arms)

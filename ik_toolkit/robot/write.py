@@ -43,7 +43,7 @@ def add_joint(
     limit: lower, upper [rad or m] (none for a continuous joint), effort, velocity (Pinocchio refuses a file without).
     """
     joint = ET.SubElement(robot, "joint", name=name, type=kind)
-    _origin(joint, T)
+    origin(joint, T)
     ET.SubElement(joint, "parent", link=parent)
     ET.SubElement(joint, "child", link=child)
     if limit is not None:
@@ -59,10 +59,10 @@ def add_shape(
         return  # a slide without a stroke has no tube to draw
     for tag in ("visual", "collision") if solid else ("visual",):
         part = ET.SubElement(link, tag)
-        _origin(part, T)
+        origin(part, T)
         geometry = ET.SubElement(part, "geometry")
         if shape == "box":
-            ET.SubElement(geometry, "box", size=_texts(size))
+            ET.SubElement(geometry, "box", size=numbers_text(size))
         else:
             ET.SubElement(geometry, "cylinder", radius=_text(size[0]), length=_text(size[1]))
         if tag == "visual":
@@ -85,7 +85,7 @@ def add_bar(link: ET.Element, a: np.ndarray, b: np.ndarray, r: float) -> None:
 
 def _solid(T: np.ndarray, radius: float, length: float) -> ET.Element:
     part = ET.Element("collision")
-    _origin(part, T)
+    origin(part, T)
     ET.SubElement(ET.SubElement(part, "geometry"), "cylinder", radius=_text(radius), length=_text(length))
     return part
 
@@ -121,11 +121,13 @@ def _along(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 # ------------------------------------------------------------------------------------------------------------- text
-def _origin(parent: ET.Element, T: np.ndarray) -> None:
-    ET.SubElement(parent, "origin", xyz=_texts(T[:3, 3]), rpy=_texts(matrix_rpy(T[:3, :3])))
+def origin(parent: ET.Element, T: np.ndarray) -> None:
+    """Append an <origin> for a pose T (4, 4)."""
+    ET.SubElement(parent, "origin", xyz=numbers_text(T[:3, 3]), rpy=numbers_text(matrix_rpy(T[:3, :3])))
 
 
-def _texts(values: Sequence[float] | np.ndarray) -> str:
+def numbers_text(values: Sequence[float] | np.ndarray) -> str:
+    """Numbers of an attribute, that read back as the same."""
     return " ".join(_text(value) for value in values)
 
 

@@ -1,0 +1,296 @@
+"""MJCF -> URDF text: MuJoCo compiles it (defaults, includes, frames, angles), what comes out is written link by link.
+
+So MJCF has the same caps, the same meshes, collisions and pictures as a URDF. What a URDF cannot hold is said: balls become three
+revolute joints, loops stay open, shapes of other kinds are left out. Keyframes become named configurations, sites links.
+"""
+
+import importlib.util
+import json
+import math
+import subprocess
+import sys
+import tempfile
+import xml.etree.ElementTree as ET
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ..errors import MissingExtra, ModelError
+from .meshes import mesh_folders
+from .mjcf_text import flatten
+from .pose import matrix_rpy, quat_matrix
+from .write import numbers_text, origin, to_text
+
+WORKER = Path(__file__).with_name("mjcf_worker.py")
+MEMORY = 2_000_000_000  # bytes; a humanoid takes 0.2 GB, MuJoCo itself most of it
+SECONDS = 20  # of processor time; large robots take 1 s
+ENDLESS = "1e16"  # a limit that is none (see NO_LIMIT in probe.py)
+HIDDEN = 3  # groups of shapes from here on are not drawn, as in MuJoCo's viewer
+TURNS = ("yaw", "pitch", "roll")
+BALL_AXES = ((0, 0, 1), (0, 1, 0), (1, 0, 0))
+
+
+class Read(NamedTuple):
+    """URDF text of an MJCF model; states: keyframes (name -> {joint: (value,)}, as an SRDF's); notes: what a URDF does not hold."""
+
+    urdf: str
+    states: dict[str, dict[str, tuple[float, ...]]]
+    notes: list[str]
+
+
+def to_urdf(text: str, path: Path | None, package_dirs: Iterable[str | Path] = ()) -> Read:
+    """URDF text of an MJCF text (path: its file). Raises MissingExtra (mujoco), ModelError."""
+    if importlib.util.find_spec("mujoco") is None:
+        raise MissingExtra("mujoco", "formats")
+    name = path.name if path else "MJCF text"
+    flat = flatten(text, path, mesh_folders(path, package_dirs))
+    model = _compile(flat.xml, name)
+    return _Writer(model, path.stem if path else "", flat.meshes, flat.notes).read()
+
+
+def _compile(xml: str, name: str) -> dict[str, Any]:
+    """What MuJoCo makes of MJCF text, in a process of its own."""
+    job = {"xml": xml, "memory": MEMORY, "seconds": SECONDS}
+    try:
+        with tempfile.TemporaryDirectory(prefix="ik_mjcf_") as folder:  # MuJoCo leaves its log where it runs
+            done = subprocess.run(
+                [sys.executable, "-P", str(WORKER)],
+                input=json.dumps(job),
+                stdout=subprocess.PIPE,
+                stderr=subprocess.DEVNULL,
+                text=True,
+                cwd=folder,
+                timeout=6.0 * SECONDS,  # of wall time: a busy machine
+                check=False,
+            )
+        answer = json.loads((done.stdout.strip().splitlines() or [""])[-1])
+    except (subprocess.TimeoutExpired, ValueError):
+        answer = {"error": "it crashed MuJoCo, or took too much time or memory"}
+    except OSError as error:
+        raise ModelError(f"the process that reads MJCF cannot be started: {error.strerror}") from None
+    if "error" in answer:
+        raise ModelError(f"MuJoCo cannot read '{name}': {answer['error']}")
+    return answer
+
+
+def _matrix(pos: Sequence[float], quat: Sequence[float]) -> np.ndarray:
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = quat_matrix(quat, "wxyz"), pos
+    return T
+
+
+def _shift(pos: Sequence[float] | np.ndarray) -> np.ndarray:
+    T = np.eye(4)
+    T[:3, 3] = pos
+    return T
+
+
+def _free(name: str, taken: set[str]) -> str:
+    """Return the name, or one like it that is not taken; it is taken then."""
+    k, free = 1, name
+    while free in taken:
+        k += 1
+        free = f"{name}_{k}"
+    taken.add(free)
+    return free
+
+
+class _Writer:
+    """Writes one model."""
+
+    def __init__(self, model: dict[str, Any], name: str, meshes: dict[str, str], notes: list[str]) -> None:
+        self.model, self.meshes, self.notes = model, meshes, list(notes)
+        self.robot = ET.Element("robot", name=model["name"] or name or "robot")
+        self.links: set[str] = set()
+        self.names: set[str] = set()
+        self.values: list[Any] = []  # keyframe -> {joint: value}, one function a joint
+        self.left_out: set[str] = set()
+
+    def read(self) -> Read:
+        """All of it."""
+        model = self.model
+        bodies = [self._link(body["name"] or (f"body{i}" if i else "world")) for i, body in enumerate(model["bodies"])]
+        self._shapes(bodies)
+        joints = [_free(joint["name"] or f"{bodies[joint['body']]}_joint", self.names) for joint in model["joints"]]
+        leaders = self._equalities(joints)
+        for i, body in enumerate(model["bodies"][1:], 1):
+            own = [j for j, joint in enumerate(model["joints"]) if joint["body"] == i]
+            self._body(body, bodies[i], bodies[body["parent"]], [(joints[j], model["joints"][j]) for j in own], leaders)
+        for site in model["sites"]:
+            if site["name"]:
+                link = self._link(site["name"] if site["name"] not in self.links else f"{site['name']}_site")
+                self._joint(
+                    _free(link, self.names), "fixed", bodies[site["body"]], link, _matrix(site["pos"], site["quat"])
+                )
+        if self.left_out:
+            self.notes.append(f"shapes that a URDF cannot hold are left out: {', '.join(sorted(self.left_out))}")
+        states = {
+            key["name"] or f"key{k}": {name: (x,) for one in self.values for name, x in one(key["qpos"])}
+            for k, key in enumerate(model["keys"])
+        }
+        return Read(to_text(self.robot), states, self.notes)
+
+    # ------------------------------------------------------------------------------------------------ elements
+    def _link(self, name: str) -> str:
+        """Append a link of this name, or of one like it where that is taken."""
+        name = _free(name, self.links)
+        ET.SubElement(self.robot, "link", name=name)
+        return name
+
+    def _joint(
+        self,
+        name: str,
+        kind: str,
+        parent: str,
+        child: str,
+        T: np.ndarray,
+        axis: Sequence[float] | None = None,
+        limits: Sequence[float] | None = None,
+    ) -> ET.Element:
+        joint = ET.SubElement(self.robot, "joint", name=name, type=kind)
+        origin(joint, T)
+        ET.SubElement(joint, "parent", link=parent)
+        ET.SubElement(joint, "child", link=child)
+        if axis is not None:
+            ET.SubElement(joint, "axis", xyz=numbers_text(axis))
+            limit = ET.SubElement(joint, "limit", effort=ENDLESS, velocity=ENDLESS)
+            if limits is not None:
+                limit.set("lower", repr(float(limits[0])))
+                limit.set("upper", repr(float(limits[1])))
+        return joint
+
+    def _equalities(self, joints: Sequence[str]) -> dict[str, tuple[str, float, float]]:
+        """Follower -> (leader, ratio, offset) of the equalities that say so; the others are named in a note."""
+        found: dict[str, tuple[str, float, float]] = {}
+        loops = curved = 0
+        for equality in self.model["equalities"]:
+            if not equality["active"]:
+                continue
+            if equality["type"] in ("connect", "weld"):
+                loops += 1
+            if equality["type"] != "joint" or equality["second"] < 0:
+                continue
+            first, second = equality["first"], equality["second"]
+            a, b = self.model["joints"][first], self.model["joints"][second]
+            constant, ratio, *higher = equality["data"]
+            name = joints[first]
+            if (
+                any(higher)
+                or ratio == 0.0
+                or name in found
+                or joints[second] in found
+                or not {a["type"], b["type"]} <= {"hinge", "slide"}
+            ):
+                curved += 1
+                continue
+            found[name] = (joints[second], ratio, constant + a["ref"] - ratio * b["ref"])
+        if loops:
+            self.notes.append(f"{loops} loop{'s' * (loops > 1)} (connect, weld) left open")
+        if curved:
+            self.notes.append(f"{curved} equalities of joints are no straight lines and left out")
+        return found
+
+    def _body(
+        self,
+        body: dict[str, Any],
+        link: str,
+        parent: str,
+        joints: Sequence[tuple[str, dict[str, Any]]],
+        leaders: dict[str, tuple[str, float, float]],
+    ) -> None:
+        """Write the joints between a body and its parent; with several, or off its origin, by way of links without shapes."""
+        T = _matrix(body["pos"], body["quat"])
+        if not joints:
+            self._joint(_free(f"{link}_fixed", self.names), "fixed", parent, link, T)
+            return
+        if joints[0][1]["type"] == "free":
+            name, joint = joints[0]
+            self._joint(name, "floating", parent, link, np.eye(4))  # MuJoCo's numbers are the pose in the world
+            return
+        steps: list[tuple[str, str, np.ndarray, Sequence[float], Sequence[float] | None]] = []
+        for name, joint in joints:
+            T = T @ _shift(joint["pos"])
+            if joint["type"] == "ball":
+                self._ball(name, joint, steps, T)
+            else:
+                steps.append(self._single(name, joint, T))
+            T = _shift(-np.array(joint["pos"]))
+        off = bool(np.abs(T[:3, 3]).max() > 0.0)
+        for k, (name, kind, at, axis, limits) in enumerate(steps):
+            child = link if k == len(steps) - 1 and not off else self._link(f"{link}_at_{name}")
+            made = self._joint(name, kind, parent, child, at, axis, limits)
+            if name in leaders:
+                leader, ratio, offset = leaders[name]
+                ET.SubElement(made, "mimic", joint=leader, multiplier=repr(ratio), offset=repr(offset))
+            parent = child
+        if off:
+            self._joint(_free(f"{link}_fixed", self.names), "fixed", parent, link, T)
+
+    def _single(self, name: str, joint: dict[str, Any], T: np.ndarray) -> tuple:
+        """A hinge or a slide; its value counts from MuJoCo's `ref`."""
+        axis, place = np.array(joint["axis"]), joint["place"]
+        self.values.append(lambda qpos: [(name, qpos[place])])
+        if joint["type"] == "slide":
+            return name, "prismatic", T @ _shift(-joint["ref"] * axis), axis, joint["range"] or (-1e16, 1e16)
+        half = 0.5 * joint["ref"]
+        T = T @ _matrix((0, 0, 0), (math.cos(half), *(-math.sin(half) * axis)))
+        return name, "revolute" if joint["range"] else "continuous", T, axis, joint["range"]
+
+    def _ball(self, name: str, joint: dict[str, Any], steps: list, T: np.ndarray) -> None:
+        """Three revolute joints Rz Ry Rx; a limit of the angle holds for each of them."""
+        most = joint["range"][1] if joint["range"] else math.inf
+        place = joint["place"]
+        names = [_free(f"{name}_{turn}", self.names) for turn in TURNS]
+
+        def values(qpos: Sequence[float]) -> list[tuple[str, float]]:
+            return list(
+                zip(names, matrix_rpy(quat_matrix(qpos[place : place + 4], "wxyz"))[::-1].tolist(), strict=True)
+            )
+
+        self.values.append(values)
+        for part, axis in zip(names, BALL_AXES, strict=True):
+            reach = min(most, math.pi / 2 if axis == BALL_AXES[1] else math.inf)
+            limits = (-reach, reach) if math.isfinite(reach) else None
+            steps.append((part, "revolute" if limits else "continuous", T, axis, limits))
+            T = np.eye(4)
+        self.notes.append(f"ball joint '{name}' is three revolute joints: {', '.join(names)}")
+
+    # ------------------------------------------------------------------------------------------------ shapes
+    def _shapes(self, bodies: Sequence[str]) -> None:
+        by_name = {link.get("name"): link for link in self.robot.iter("link")}
+        for geom in self.model["geoms"]:
+            roles = ["visual"] * (geom["group"] < HIDDEN) + ["collision"] * geom["touches"]
+            made = self._geometry(geom) if roles else None
+            if made is None:
+                continue
+            element, T = made
+            for role in roles:
+                part = ET.SubElement(by_name[bodies[geom["body"]]], role)
+                origin(part, T)
+                ET.SubElement(part, "geometry").append(element)
+                if role == "visual":
+                    colour = ET.SubElement(part, "material", name=" ".join(f"{x:.3g}" for x in geom["rgba"]))
+                    ET.SubElement(colour, "color", rgba=numbers_text(geom["rgba"]))
+
+    def _geometry(self, geom: dict[str, Any]) -> tuple[ET.Element, np.ndarray] | None:
+        """Element of a shape and its place, or None for what a URDF does not hold."""
+        size, kind, T = geom["size"], geom["type"], _matrix(geom["pos"], geom["quat"])
+        if kind == "mesh":
+            mesh = self.model["meshes"][geom["mesh"]]
+            file = self.meshes.get(mesh["name"])
+            if file is None:
+                self.left_out.add("meshes written out")
+                return None
+            T = T @ np.linalg.inv(_matrix(mesh["pos"], mesh["quat"]))
+            return ET.Element("mesh", filename=file, scale=numbers_text(mesh["scale"])), T
+        if kind == "box":
+            return ET.Element("box", size=numbers_text([2.0 * x for x in size])), T
+        if kind == "sphere" or (kind == "ellipsoid" and len(set(size)) == 1):
+            return ET.Element("sphere", radius=repr(size[0])), T
+        if kind in ("cylinder", "capsule"):
+            return ET.Element(kind, radius=repr(size[0]), length=repr(2.0 * size[1])), T
+        if kind != "plane":  # the floor of a scene is no part of a robot
+            self.left_out.add(kind)
+        return None

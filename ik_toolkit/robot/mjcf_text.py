@@ -1,0 +1,159 @@
+"""MJCF text made harmless before MuJoCo sees it: includes put in from the model's folders, all else that names a file left out."""
+
+import xml.etree.ElementTree as ET
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from ..errors import ModelError
+from .read import MAX_BYTES, check_names, source_text, walk
+
+MAX_INCLUDES = 200  # files; the largest of MuJoCo's menagerie has 5
+KEPT = ("compiler", "default", "asset", "worldbody", "equality", "keyframe")
+SHAPED = {"mesh": ("name", "class", "scale"), "material": ("name", "class", "rgba"), "hfield": ("name",)}
+NO_BODY = ("attach", "plugin", "composite", "flexcomp", "flex", "skin", "model", "light", "camera")
+# A stand-in for every mesh: a tetrahedron. MuJoCo moves a mesh to its centre of mass, and says by how much.
+TETRAHEDRON = "0 0 0 1 0 0 0 1 0 0 0 1"
+
+
+@dataclass
+class Flat:
+    """MJCF text without files, and which file each mesh stands for (name -> path as written, below the model's folder)."""
+
+    xml: str
+    meshes: dict[str, str] = field(default_factory=dict)
+    notes: list[str] = field(default_factory=list)
+
+
+def tree(text: str) -> ET.Element:
+    """Elements of an MJCF text, read with the caps of a URDF. Raises ModelError."""
+    nodes: list[ET.Element] = []
+    roots: list[ET.Element] = []
+
+    def start(tag: str, attributes: dict[str, str], above: Sequence[str], line: int) -> None:
+        check_names({"name": attributes.get("name", "")}, "MJCF", line)
+        element = ET.Element(tag, attributes)
+        del nodes[len(above) :]
+        (nodes[-1].append if nodes else roots.append)(element)
+        nodes.append(element)
+
+    walk(text, "MJCF", start)
+    return roots[0]
+
+
+class Flattener:
+    """Reads a file and those it includes, all of them inside the folders."""
+
+    def __init__(self, path: Path | None, folders: list[Path]) -> None:
+        self.home = path.resolve().parent if path else None
+        self.folders, self.bytes = folders, MAX_BYTES
+        self.included: list[Path] = []
+
+    def find(self, name: str, beside: Path | None) -> Path:
+        """Real path of an included file. Raises ModelError."""
+        if not name or "\0" in name or self.home is None:
+            raise ModelError(f"<include file='{name[:100]}'> cannot be found without a folder")
+        places = [folder / name for folder in dict.fromkeys((self.home, beside or self.home))]
+        try:
+            real = [place.resolve() for place in places]
+            found = [place for place in real if any(place.is_relative_to(folder) for folder in self.folders)]
+            there = next((place for place in found if place.is_file()), None)
+        except (OSError, ValueError, RuntimeError):
+            raise ModelError(f"<include file='{name[:100]}'> cannot be read") from None
+        if not found:
+            raise ModelError(f"<include file='{name[:100]}'> lies outside the folder of the model and is not read")
+        if there is None:
+            raise ModelError(f"<include file='{name[:100]}'>: there is no such file")
+        return there
+
+    def put_in(self, element: ET.Element, beside: Path | None, above: tuple[Path, ...]) -> None:
+        """Replace the includes below an element by what they include."""
+        children: list[ET.Element] = []
+        for child in element:
+            if child.tag != "include":
+                self.put_in(child, beside, above)
+                children.append(child)
+                continue
+            file = self.find(child.get("file", ""), beside)
+            if file in above:
+                raise ModelError(f"'{file.name}' includes itself")
+            self.included.append(file)
+            if len(self.included) > MAX_INCLUDES:
+                raise ModelError(f"the model includes more than {MAX_INCLUDES} files; it is not read")
+            text = source_text(file, "MJCF")
+            self.bytes -= len(text)
+            if self.bytes < 0:
+                raise ModelError(f"the model and what it includes are larger than {MAX_BYTES // 1_000_000} MB")
+            inner = tree(text)
+            self.put_in(inner, file.parent, (*above, file))
+            children += list(inner)
+        element[:] = children
+
+
+def flatten(text: str, path: Path | None, folders: list[Path]) -> Flat:
+    """MJCF text as one harmless text. Raises ModelError."""
+    flattener = Flattener(path, folders)
+    root = tree(text)
+    flattener.put_in(root, flattener.home, (path.resolve(),) if path else ())
+    flat = Flat("")
+    folders_of = _directories(root)
+    for section in list(root):
+        if section.tag not in KEPT:
+            root.remove(section)
+    _strip(root, flat, folders_of)
+    for section in root:
+        if section.tag == "keyframe":
+            for key in section:
+                for attribute in set(key.attrib) - {"name", "qpos", "time"}:
+                    del key.attrib[attribute]
+    flat.xml = ET.tostring(root, "unicode")
+    return flat
+
+
+def _directories(root: ET.Element) -> Mapping[str, str]:
+    """Where meshes lie, as the compiler is told: folder, and whether paths are stripped."""
+    found = {"folder": "", "strip": ""}
+    for compiler in root.iter("compiler"):
+        found["folder"] = compiler.get("meshdir", compiler.get("assetdir", found["folder"]))
+        found["strip"] = "1" if compiler.get("strippath", "false") == "true" else found["strip"]
+        for attribute in ("meshdir", "texturedir", "assetdir", "strippath"):
+            compiler.attrib.pop(attribute, None)
+    return found
+
+
+def _strip(element: ET.Element, flat: Flat, where: Mapping[str, str], asset: bool = False) -> None:
+    """Leave out what names files, and what has no part in a robot's shape or motion."""
+    for child in list(element):
+        if child.tag in NO_BODY or (asset and child.tag not in SHAPED):
+            element.remove(child)
+            if child.tag in ("attach", "composite", "flexcomp"):
+                flat.notes.append(f"<{child.tag}> is not read")
+            continue
+        if element.tag == "equality" and child.tag not in ("joint", "connect", "weld"):
+            element.remove(child)
+            continue
+        if asset:
+            _asset(child, flat, where)
+        for attribute in ("file", "fileright", "fileleft", "fileup", "filedown", "filefront", "fileback"):
+            child.attrib.pop(attribute, None)
+        _strip(child, flat, where, child.tag == "asset")
+
+
+def _asset(child: ET.Element, flat: Flat, where: Mapping[str, str]) -> None:
+    """Make a mesh a stand-in, a field of heights flat, a material plain."""
+    file = child.get("file", "").replace("\\", "/")
+    given = {key: child.get(key, "") for key in SHAPED[child.tag] if child.get(key) is not None}
+    if child.tag in ("mesh", "hfield") and "name" not in given and file:
+        given["name"] = Path(file).stem
+    if child.tag == "mesh":
+        inline = child.get("vertex") is not None or child.get("builtin") is not None
+        if file and not inline:
+            file = Path(file).name if where["strip"] else file
+            folder = where["folder"].rstrip("/")
+            flat.meshes[given["name"]] = f"{folder}/{file}" if folder and not file.startswith("/") else file
+        given["vertex"] = TETRAHEDRON
+    elif child.tag == "hfield":
+        given |= {"nrow": "2", "ncol": "2", "size": "1 1 1 1"}
+    child.attrib.clear()
+    child.attrib.update(given)
+    child[:] = []

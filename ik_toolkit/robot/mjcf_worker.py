@@ -1,0 +1,125 @@
+"""The process that compiles MJCF for `mjcf.py`: MuJoCo applies defaults, frames, replication and angles, and may crash alone.
+
+It imports nothing of the toolkit. Job (JSON on stdin): xml (names no file any more), memory [bytes], seconds. It prints one line of
+JSON: what the model consists of, or {"error": sentence}. Lengths in metres, angles in radians, quaternions w x y z.
+"""
+
+import json
+import sys
+import warnings
+from collections.abc import Callable
+from typing import Any
+
+JOINTS = ("free", "ball", "slide", "hinge")
+GEOMS = ("plane", "hfield", "sphere", "capsule", "ellipsoid", "cylinder", "box", "mesh")
+MOST = 20_000  # bodies, joints, geoms or sites that are told
+
+
+def limit(what: str, value: int) -> None:
+    """Cap a resource of this process where the system can."""
+    try:
+        import resource
+
+        number = getattr(resource, f"RLIMIT_{what}")
+        hard = resource.getrlimit(number)[1]
+        resource.setrlimit(number, (value if hard < 0 else min(value, hard), hard))
+    except (ImportError, AttributeError, ValueError, OSError):
+        pass
+
+
+def describe(m: Any) -> dict:
+    """Bodies, joints, shapes, sites, equalities and keyframes of a compiled model."""
+    if max(m.nbody, m.njnt, m.ngeom, m.nsite) > MOST:
+        return {"error": f"it has more than {MOST:,} bodies, joints, geoms or sites"}
+
+    def listed(count: int, one: Callable[[int], dict]) -> list[dict]:
+        return [one(i) for i in range(count)]
+
+    return {
+        "name": m.names[: m.names.index(b"\0")].decode(errors="replace"),
+        "bodies": listed(
+            m.nbody,
+            lambda i: {
+                "name": m.body(i).name,
+                "parent": int(m.body_parentid[i]),
+                "pos": m.body_pos[i].tolist(),
+                "quat": m.body_quat[i].tolist(),
+            },
+        ),
+        "joints": listed(
+            m.njnt,
+            lambda i: {
+                "name": m.joint(i).name,
+                "type": JOINTS[m.jnt_type[i]],
+                "body": int(m.jnt_bodyid[i]),
+                "pos": m.jnt_pos[i].tolist(),
+                "axis": m.jnt_axis[i].tolist(),
+                "range": m.jnt_range[i].tolist() if m.jnt_limited[i] else None,
+                "ref": float(m.qpos0[m.jnt_qposadr[i]]),
+                "place": int(m.jnt_qposadr[i]),
+            },
+        ),
+        "geoms": listed(
+            m.ngeom,
+            lambda i: {
+                "type": GEOMS[m.geom_type[i]] if m.geom_type[i] < len(GEOMS) else "other",
+                "body": int(m.geom_bodyid[i]),
+                "pos": m.geom_pos[i].tolist(),
+                "quat": m.geom_quat[i].tolist(),
+                "size": m.geom_size[i].tolist(),
+                "touches": bool(m.geom_contype[i] or m.geom_conaffinity[i]),
+                "group": int(m.geom_group[i]),
+                "rgba": (m.mat_rgba[m.geom_matid[i]] if m.geom_matid[i] >= 0 else m.geom_rgba[i]).tolist(),
+                "mesh": int(m.geom_dataid[i]),
+            },
+        ),
+        "meshes": listed(
+            m.nmesh,
+            lambda i: {
+                "name": m.mesh(i).name,
+                "pos": m.mesh_pos[i].tolist(),
+                "quat": m.mesh_quat[i].tolist(),
+                "scale": m.mesh_scale[i].tolist(),
+            },
+        ),
+        "sites": listed(
+            m.nsite,
+            lambda i: {
+                "name": m.site(i).name,
+                "body": int(m.site_bodyid[i]),
+                "pos": m.site_pos[i].tolist(),
+                "quat": m.site_quat[i].tolist(),
+            },
+        ),
+        "equalities": listed(
+            m.neq,
+            lambda i: {
+                "type": ("connect", "weld", "joint")[m.eq_type[i]] if m.eq_type[i] < 3 else "other",
+                "active": bool(m.eq_active0[i]),
+                "first": int(m.eq_obj1id[i]),
+                "second": int(m.eq_obj2id[i]),
+                "data": m.eq_data[i][:5].tolist(),
+            },
+        ),
+        "keys": listed(m.nkey, lambda i: {"name": m.key(i).name, "qpos": m.key_qpos[i].tolist()}),
+    }
+
+
+def main() -> None:
+    """Read the job from stdin, write the answer to stdout."""
+    job = json.load(sys.stdin)
+    warnings.simplefilter("ignore")
+    import mujoco
+
+    limit("CORE", 0)
+    limit("AS", job["memory"])
+    limit("CPU", job["seconds"])
+    try:
+        answer = describe(mujoco.MjModel.from_xml_string(job["xml"]))
+    except Exception as error:  # whatever MuJoCo finds wrong
+        answer = {"error": " ".join(str(error).split())[:300] or type(error).__name__}
+    print("\n" + json.dumps(answer))
+
+
+if __name__ == "__main__":
+    main()

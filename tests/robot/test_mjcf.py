@@ -1,0 +1,214 @@
+"""MJCF: what MuJoCo makes of a file is what is solved for; and files that would do what a description must not."""
+
+import pickle
+
+import numpy as np
+import pytest
+from folders import DATA
+
+import ik_toolkit as ik
+from ik_toolkit import cli
+from ik_toolkit.errors import InvalidOption, ModelError, RobotNotFound
+from ik_toolkit.robot.library import find
+
+mujoco = pytest.importorskip("mujoco")
+
+PARTS = """<mujoco><default><default class="elbow"><joint axis="0 1 0" range="-100 100"/></default></default>
+<asset><mesh name="tri" file="triangle.stl" scale="2 2 2"/></asset></mujoco>"""
+ARM = """<mujoco model="arm"><compiler meshdir="meshes" eulerseq="zyx"/><include file="parts/parts.xml"/>
+<worldbody><light pos="0 0 3"/><geom type="plane" size="1 1 1"/>
+ <body name="column" pos="0.1 0 0.2" euler="30 20 10">
+  <joint name="lift" type="slide" axis="0 0 1" range="0 0.4" ref="0.1"/>
+  <joint name="turn" axis="0 0 1" pos="0.05 0.02 0" range="-170 170" ref="20"/>
+  <geom type="capsule" fromto="0 0 0 0 0 0.3" size="0.02"/>
+  <body name="upper" pos="0 0 0.3"><joint name="shoulder" type="ball" pos="0 0 0.01"/>
+   <geom type="mesh" mesh="tri" pos="0.1 0.2 0.3" axisangle="1 0 0 40" contype="0" conaffinity="0"/>
+   <geom type="ellipsoid" size="0.01 0.02 0.03"/>
+   <frame pos="0.3 0 0" euler="0 10 0"><body name="lower"><joint name="elbow" class="elbow"/><joint name="twist" axis="1 0 0"/>
+    <geom type="box" size="0.1 0.02 0.02" pos="0.1 0 0" group="3"/>
+    <site name="tool" pos="0.2 0 0.01" quat="0.6 0.8 0 0"/>
+    <body name="finger" pos="0.2 0 0"><joint name="slider" type="slide" axis="0 1 0" range="0 1"/><geom size="0.01"/></body>
+   </body></frame></body></body></worldbody>
+<equality><joint joint1="slider" joint2="elbow" polycoef="0.1 0.2 0 0 0"/>
+<connect body1="lower" body2="column" anchor="0 0 0"/></equality>
+<actuator><motor joint="elbow"/></actuator>
+<keyframe><key name="folded" qpos="0.3 0.5 1 0 0 0 -1.2 0.25 0" ctrl="0"/></keyframe></mujoco>"""
+JOINTS = ("lift", "turn", "shoulder_yaw", "shoulder_pitch", "shoulder_roll", "elbow", "twist")
+BARE = '<mujoco><worldbody><body name="a"><joint name="j"/><geom size=".1"/>{}</body></worldbody></mujoco>'
+
+
+@pytest.fixture
+def arm(tmp_path):
+    """File of an arm, one that it includes, and its mesh."""
+    for folder in ("parts", "meshes"):
+        (tmp_path / folder).mkdir()
+    (tmp_path / "parts" / "parts.xml").write_text(PARTS)
+    (tmp_path / "meshes" / "triangle.stl").write_bytes((DATA / "bad_urdf" / "triangle.stl").read_bytes())
+    file = tmp_path / "arm.xml"
+    file.write_text(ARM)
+    return file
+
+
+def plain(text):
+    """The text without its mesh, which MuJoCo itself finds too flat."""
+    return text.replace(
+        '<include file="parts/parts.xml"/>', PARTS.partition("<asset>")[0].removeprefix("<mujoco>")
+    ).replace('type="mesh" mesh="tri"', 'size="0.01"')
+
+
+def test_kinematics_are_those_of_mujoco(arm, capfd):
+    robot = ik.Robot.from_mjcf(arm, tip="tool")
+    assert robot.joint_names == JOINTS and robot.base == "world" and robot.name == "arm"
+    assert robot.upper[0] == 0.4 and robot.upper[5] == pytest.approx(np.radians(100)) and np.isinf(robot.upper[6])
+    model = mujoco.MjModel.from_xml_string(plain(ARM))
+    data, rng = mujoco.MjData(model), np.random.default_rng(0)
+    for q in robot.random_q(rng, 20):
+        ball = np.zeros(4)
+        mujoco.mju_mat2Quat(ball, ik.pose((0, 0, 0), rpy=q[[4, 3, 2]])[:3, :3].ravel())
+        data.qpos[:8] = [*q[:2], *ball, *q[5:]]
+        mujoco.mj_kinematics(model, data)
+        T = robot.fk(q)
+        assert np.abs(T.translation - data.site("tool").xpos).max() < 1e-12
+        assert np.abs(T.rotation.ravel() - data.site("tool").xmat).max() < 1e-12
+    Q = robot.random_q(rng, 50)
+    assert ik.solve_batch(robot, np.array([robot.fk(q).homogeneous for q in Q])).success.all()
+    again = pickle.loads(pickle.dumps(robot))
+    assert np.array_equal(again.fk(Q[0]).homogeneous, robot.fk(Q[0]).homogeneous) and again.notes == robot.notes
+    said = capfd.readouterr()
+    assert not said.out and not said.err and not list(arm.parent.glob("*.TXT"))
+
+
+def test_followers_of_equalities(arm):
+    finger = ik.Robot.load(arm, tip="finger")
+    assert finger.joint_names == JOINTS
+    slid = [(finger.fk(x).inverse() * ik.Robot.load(arm, tip="lower").fk(x)).translation for x in np.eye(7)[[0, 5]]]
+    assert slid[0][1] == pytest.approx(-0.1) and slid[1][1] == pytest.approx(-0.3)
+
+
+def test_what_a_urdf_does_not_hold_is_said(arm, caplog, capsys):
+    robot = ik.Robot.load(arm, tip="tool")
+    assert "1 loop (connect, weld) left open" in caplog.text
+    said = "ball joint 'shoulder' is three revolute joints: shoulder_yaw, shoulder_pitch, shoulder_roll"
+    assert said in robot.notes and "shapes that a URDF cannot hold are left out: ellipsoid" in robot.notes
+    assert cli.main(["info", str(arm), "--tip", "tool"]) == 0
+    assert "three revolute joints" in " ".join(capsys.readouterr().out.split())
+
+
+def test_shapes_are_for_collisions_and_pictures(arm):
+    robot = ik.Robot.load(arm, tip="tool")
+    model = ik.CollisionModel(robot)
+    assert set(model.links) == {"column", "lower", "finger"}
+    kinds = [line.strip().partition(" ")[0] for line in robot.urdf.splitlines() if "<mesh" in line]
+    assert kinds == ["<mesh"] and 'filename="meshes/triangle.stl" scale="2 2 2"' in robot.urdf
+    text = robot.urdf[: robot.urdf.index("<mesh")]
+    xyz = text[text.rindex("<origin") :].partition('xyz="')[2].partition('"')[0]
+    assert np.allclose([float(x) for x in xyz.split()], (0.1, 0.2, 0.3), atol=1e-12)  # the file's own origin
+
+
+def test_keyframes_are_named_configurations(arm):
+    robot = ik.Robot.load(arm, tip="tool")
+    assert np.allclose(robot.named["folded"], [0.3, 0.5, 0, 0, 0, -1.2, 0.25])
+
+
+def test_converted(arm, tmp_path, capsys):
+    out = tmp_path / "out.urdf"
+    assert cli.main(["convert", str(arm), "-o", str(out)]) == 0
+    q = np.full(7, 0.1)
+    again = ik.Robot.load(out, tip="tool")
+    assert np.array_equal(again.fk(q).homogeneous, ik.Robot.load(arm, tip="tool").fk(q).homogeneous)
+
+
+def test_a_free_joint_is_held_unless_it_has_limits(caplog):
+    text = (
+        BARE.format('<freejoint name="f"/>')
+        .replace('<joint name="j"/>', "")
+        .replace(
+            "</body>", '<body name="b" pos="0 0 1"><joint name="j" range="-90 90"/><geom size=".1"/></body></body>'
+        )
+    )
+    assert ik.Robot.load(text, tip="b").base == "a" and "held still" in caplog.text
+    assert ik.Robot.load(text, tip="b", base_limits=(-1, 1)).joint_names[:4] == (
+        "base_x",
+        "base_y",
+        "base_z",
+        "base_yaw",
+    )
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ('<!DOCTYPE mujoco [<!ENTITY a "a">]>' + BARE.format(""), "DOCTYPE or entity"),
+        (BARE.format('<include file="../secret.xml"/>'), "lies outside the folder"),
+        (BARE.format('<include file="/etc/passwd"/>'), "lies outside the folder"),
+        (BARE.format('<include file="link.xml"/>'), "lies outside the folder"),
+        (BARE.format('<include file="arm.xml"/>'), "includes itself"),
+        (BARE.format('<include file="none.xml"/>'), "there is no such file"),
+        (BARE.format('<include file=""/>'), "cannot be found"),
+        (BARE.format("<body>" * 80 + "</body>" * 80), "nested too deep"),
+        (
+            BARE.format('<replicate count="100000000" offset="1 0 0"><geom size=".1"/></replicate>'),
+            "cannot read 'arm.xml'",
+        ),
+        (BARE.format('<geom type="mesh" mesh="none"/>'), "cannot read 'arm.xml': Error"),
+        (BARE.format("</geom>"), "well-formed"),
+        (BARE.format('<joint name="j"/>'), "repeated name"),
+        ("<mujoco/>", "no movable joint"),
+    ],
+    ids=lambda value: value[:60] if value.startswith("<") else None,
+)
+def test_hostile_files_are_harmless(tmp_path, text, said):
+    (tmp_path / "secret.xml").write_text('<mujoco><worldbody><body name="secret"/></worldbody></mujoco>')
+    (tmp_path / "a").mkdir()
+    (tmp_path / "a" / "link.xml").symlink_to(tmp_path / "secret.xml")
+    file = tmp_path / "a" / "arm.xml"
+    file.write_text(text)
+    with pytest.raises(ModelError) as caught:
+        ik.Robot.load(file)
+    assert said in str(caught.value) and len(str(caught.value)) < 500
+
+
+def test_files_outside_are_not_read(tmp_path):
+    """Neither by us nor by MuJoCo: what names a file is gone when it sees the text."""
+    asset = '<asset><mesh name="m" file="../../secret.stl"/><texture name="t" type="2d" file="/etc/passwd"/>'
+    asset += '<material name="c" texture="t"/>'
+    text = BARE.format('<geom type="mesh" mesh="m" material="c"/>').replace(
+        "<worldbody>", f"{asset}</asset><worldbody>"
+    )
+    (tmp_path / "secret.stl").write_bytes((DATA / "bad_urdf" / "triangle.stl").read_bytes())
+    file = tmp_path / "a" / "b" / "arm.xml"
+    file.parent.mkdir(parents=True)
+    file.write_text(text)
+    robot = ik.Robot.load(file)
+    with pytest.raises(ModelError, match="lies outside the named folders"):
+        ik.CollisionModel(robot)
+
+
+def test_mistakes(arm, tmp_path, monkeypatch):
+    with pytest.raises(InvalidOption, match="arm is MJCF"):
+        ik.Robot.load(arm, xacro_args={"a": 1})
+    with pytest.raises(RobotNotFound, match="there is no file"):
+        ik.Robot.from_mjcf(tmp_path / "none.xml")
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
+    with pytest.raises(ik.IKError, match="mujoco is not installed"):
+        ik.Robot.load(arm)
+
+
+def test_folders_and_the_menagerie(arm, tmp_path, monkeypatch):
+    root = tmp_path / "menagerie"
+    root.mkdir()
+    for name in ("arm", "hand"):
+        (root / name).mkdir()
+        (root / name / "scene.xml").write_text(ARM)
+        (root / name / f"{name}.xml").write_text(plain(ARM))
+    assert find(root / "arm").path == root / "arm" / "arm.xml"
+    assert ik.Robot.load(str(root / "arm"), tip="tool").n == 7
+    monkeypatch.setenv("MENAGERIE_ROOT", str(root))
+    assert find("mujoco-menagerie:hand").path == root / "hand" / "hand.xml"
+    with pytest.raises(RobotNotFound, match="Did you mean 'hand'"):
+        find("mujoco-menagerie:hant")
+    (root / "arm" / "left.xml").write_text(plain(ARM))
+    assert find(root / "arm").path == root / "arm" / "arm.xml"
+    (root / "arm" / "arm.xml").rename(root / "arm" / "right.xml")
+    with pytest.raises(RobotNotFound, match=r"several descriptions; give one of them: left\.xml, right\.xml"):
+        find(root / "arm")
