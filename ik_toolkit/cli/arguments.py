@@ -101,7 +101,7 @@ def _same(one: str | Path, other: str | Path) -> bool:
 
 
 RobotArg = Annotated[
-    str, typer.Argument(metavar="ROBOT", help="Robot name (see ik robots), or path of a URDF or xacro file.")
+    str, typer.Argument(metavar="ROBOT", help="Robot name (see ik robots), or path of a URDF, xacro or MJCF file.")
 ]
 Tip = Annotated[
     str | None,

@@ -168,7 +168,6 @@ def test_robot_descriptions_from_its_cache(tmp_path, monkeypatch):
     stand_in.DESCRIPTIONS = {
         "arm_description": known,
         "gone_description": known,
-        "mj": types.SimpleNamespace(has_urdf=False),
     }
     stand_in.__spec__ = importlib.machinery.ModuleSpec("robot_descriptions", None)
     stand_in.__path__ = []
@@ -181,5 +180,6 @@ def test_robot_descriptions_from_its_cache(tmp_path, monkeypatch):
         find("robot_descriptions:gone_description")
     with pytest.raises(RobotNotFound, match="robot_descriptions has no 'arn'"):
         find("robot_descriptions:arn")
-    with pytest.raises(ModelError, match="as MJCF only"):
-        find("robot_descriptions:mj")
+    arm.URDF_PATH, arm.MJCF_PATH = None, str(tmp_path / "arm.xml")
+    (tmp_path / "arm.xml").write_text("<mujoco/>")
+    assert find("robot_descriptions:arm_description").path == tmp_path / "arm.xml"
