@@ -238,9 +238,13 @@ def stand(model: pin.Model, on_base: Any) -> pin.Model:
 
 
 class Footing(NamedTuple):
-    """A model whose joints have one coordinate each, how to get back to the one given, and the coordinates of its base."""
+    """A model whose joints have one coordinate each, how to get back to the one given, and the coordinates of its base.
+
+    original: the model given, where that is another one.
+    """
 
     model: pin.Model
+    original: pin.Model | None
     given: Given | None
     names: tuple[str, ...]
     slides: tuple[str, ...]
@@ -262,7 +266,17 @@ def settle(model: pin.Model, on_base: Any = None, base_limits: Any = None) -> Fo
                 "base_limits are for a base that moves: on_base='planar' or 'floating', or a free-flyer"
             )
         limit(made, base_limits, slides, [name for name in names if name not in slides])
-    return Footing(made, given, tuple(names), slides)
+    return Footing(made, None if made is model else model, given, tuple(names), slides)
+
+
+def put_on(geometry: pin.GeometryModel, original: pin.Model, model: pin.Model) -> None:
+    """Let shapes that were placed on the original model lie on the links of the other one."""
+    for shape in geometry.geometryObjects:
+        old = original.frames[shape.parentFrame]
+        k = model.getFrameId(old.name, old.type)
+        new = model.frames[k]
+        shape.placement = new.placement * old.placement.inverse() * shape.placement
+        shape.parentFrame, shape.parentJoint = k, new.parentJoint
 
 
 def limit(model: pin.Model, base_limits: Any, slides: Sequence[str], turns: Sequence[str]) -> None:

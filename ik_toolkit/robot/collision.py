@@ -13,6 +13,7 @@ import numpy as np
 import pinocchio as pin
 
 from ..errors import InvalidConfiguration, InvalidOption, ModelError, near_match
+from .base import put_on
 from .clearance import Clearance, Near
 from .meshes import Mesh, find_mesh, read_meshes
 from .pose import check_target
@@ -46,9 +47,11 @@ class CollisionModel:
         self.ignore = [tuple(pair) for pair in ignore]
         self.geometry = read_shapes(robot) if geometry is None else geometry.clone()
         self.geometry.removeAllCollisionPairs()
+        if geometry is not None and robot._original is not None:
+            put_on(self.geometry, robot._original, robot.model)
         frames = robot.model.frames
         self._names = [frames[o.parentFrame].name for o in self.geometry.geometryObjects]
-        self._given = geometry is not None
+        self._given = None if geometry is None else geometry.clone()
         self._shapes: list[tuple[str, str, tuple, np.ndarray]] = []
         if not self._names:
             raise ModelError(
@@ -216,12 +219,7 @@ class CollisionModel:
 
     def __getstate__(self) -> dict[str, Any]:
         """Keep what was asked for; the shapes are read again (a given geometry travels whole)."""
-        geometry = None
-        if self._given:
-            geometry = self.geometry.clone()
-            for name in self.obstacles:
-                geometry.removeGeometryObject(name)
-        return {"robot": self.robot, "ignore": self.ignore, "geometry": geometry, "shapes": self._shapes}
+        return {"robot": self.robot, "ignore": self.ignore, "geometry": self._given, "shapes": self._shapes}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Build it again."""

@@ -60,6 +60,7 @@ class Joints:
     by_tip = False  # whether targets come by tip, as a tree's do, also when it has one
     _path: Path
     _given: Given | None
+    _original: pin.Model | None
 
     def _route(self) -> str:
         """Where the joints lead, for people."""

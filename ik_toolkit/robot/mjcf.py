@@ -172,7 +172,7 @@ class _Writer:
                 loops += 1
             if equality["type"] != "joint" or equality["second"] < 0:
                 continue
-            first, second = equality["first"], equality["second"]
+            first, second = int(equality["first"]), int(equality["second"])
             a, b = self.model["joints"][first], self.model["joints"][second]
             constant, ratio, *higher = equality["data"]
             name = joints[first]
@@ -267,7 +267,7 @@ class _Writer:
                 continue
             element, T = made
             for role in roles:
-                part = ET.SubElement(by_name[bodies[geom["body"]]], role)
+                part = ET.SubElement(by_name[bodies[int(geom["body"])]], role)
                 origin(part, T)
                 ET.SubElement(part, "geometry").append(element)
                 if role == "visual":

@@ -4,6 +4,7 @@ It imports nothing of the toolkit. Job (JSON on stdin): xml (names no file any m
 JSON: what the model consists of, or {"error": sentence}. Lengths in metres, angles in radians, quaternions w x y z.
 """
 
+import importlib
 import json
 import sys
 import warnings
@@ -109,7 +110,7 @@ def main() -> None:
     """Read the job from stdin, write the answer to stdout."""
     job = json.load(sys.stdin)
     warnings.simplefilter("ignore")
-    import mujoco
+    mujoco: Any = importlib.import_module("mujoco")
 
     limit("CORE", 0)
     limit("AS", job["memory"])

@@ -215,7 +215,9 @@ class Robot(Joints):
 
     def _settle(self, model: pin.Model) -> None:
         """Take a model, put on its base."""
-        self.model, self._given, self._of_base, self._slides = settle(model, self.on_base, self.base_limits)
+        self.model, self._original, self._given, self._of_base, self._slides = settle(
+            model, self.on_base, self.base_limits
+        )
 
     def _endless(self, joint: str) -> bool:
         """Whether a joint has no limits."""
@@ -369,7 +371,7 @@ class Robot(Joints):
         """Leave out what belongs to a thread; the model travels as its URDF (pickled mimic joints crash Pinocchio 4.1)."""
         state = {key: value for key, value in self.__dict__.items() if key not in CACHES}
         if self.urdf is not None:
-            state["model"] = state["_given"] = None
+            state["model"] = state["_original"] = state["_given"] = None
         elif len(self.model.mimicking_joints):
             raise ModelError(
                 f"robot '{self.name}' has mimic joints and was not made from a URDF, so it cannot be pickled"

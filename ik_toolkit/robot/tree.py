@@ -52,7 +52,8 @@ class Tree(Joints):
                     f"'{arm.tip}' and '{first.tip}' must be tips of one model with the same base and the same resting joints"
                 )
         self.name, self.model, self.base, self.rest = first.name, first.model, first.base, first.rest
-        self._given, self.on_base, self.base_limits = first._given, first.on_base, first.base_limits
+        self._original, self._given = first._original, first._given
+        self.on_base, self.base_limits, self.notes = first.on_base, first.base_limits, first.notes
         self.urdf, self.path, self.package_dirs = first.urdf, first.path, first.package_dirs
         self.srdf = first.srdf
         self.joint_names = names = union(arms)

@@ -168,6 +168,31 @@ def test_legs_together_with_a_floating_base():
     assert given.to_pinocchio(given.home).shape == (model.nq,)
 
 
+def test_shapes_given_for_the_model_lie_on_its_links():
+    box = '<collision><geometry><box size="0.05 0.05 0.05"/></geometry></collision>'
+    text = BODY.replace('<link name="left_shank"/>', f'<link name="left_shank">{box}</link>')
+    text = text.replace('<link name="body"/>', f'<link name="body">{box}</link>')
+    model = pin.buildModelFromXML(text, pin.JointModelFreeFlyer())
+    shapes = pin.buildGeomFromUrdfString(model, text, pin.GeometryType.COLLISION)
+    robot = ik.Robot(model, tip="left_foot", base_limits=(-1, 1))
+    mine = ik.CollisionModel(robot, geometry=shapes).add_sphere(0.1, (5, 0, 0))
+    again = pickle.loads(pickle.dumps(mine))
+    q = robot.random_q(np.random.default_rng(3))
+    pin.updateGeometryPlacements(model, model.createData(), shapes, there := shapes.createData(), robot.to_pinocchio(q))
+    for found in (mine, again):
+        here = found.geometry.createData()
+        pin.updateGeometryPlacements(robot.model, robot.model.createData(), found.geometry, here, q_all(robot, q))
+        for k, shape in enumerate(shapes.geometryObjects):
+            name = found.geometry.getGeometryId(shape.name)
+            assert np.allclose(here.oMg[name].homogeneous, there.oMg[k].homogeneous, atol=1e-12)
+        assert found.links == ("body", "left_shank") and found.obstacles == mine.obstacles
+
+
+def q_all(robot, q):
+    """Configuration of the whole model that is solved for."""
+    return np.r_[q, np.zeros(robot.model.nq - robot.n)]
+
+
 def test_limits_of_the_given_model_count():
     model = pin.buildModelFromXML(BODY, pin.JointModelFreeFlyer())
     model.lowerPositionLimit = np.r_[[-1.0, -2.0, 0.0], model.lowerPositionLimit[3:]]
