@@ -70,6 +70,7 @@ def cli_page() -> str:
     import typer
 
     from ik_toolkit.cli import application
+    from ik_toolkit.cli.usage import placeholder
 
     root = typer.main.get_command(application())
     parts = [
@@ -81,18 +82,19 @@ def cli_page() -> str:
         if command.hidden:
             continue
         arguments = [p for p in command.params if not p.opts[0].startswith("-")]
-        usage = "".join(f"{_metavar(p)} " if p.required else f"[{_metavar(p)}] " for p in arguments)
+        usage = "".join(f"{placeholder(p)} " for p in arguments)
         parts.append(f"## ik {name}\n\n```text\nik {name} {usage}[OPTIONS]\n```\n\n{_plain(command.help or '')}")
         rows = []
         for p in command.params:
             flag = getattr(p, "is_flag", False)
-            shown = _metavar(p)
+            shown = placeholder(p) if p in arguments else ""
             if p not in arguments:
                 shown = ", ".join([*p.opts, *p.secondary_opts]) + ("" if flag else f" {_metavar(p)}")
             default = "" if flag or p.default in (None, [], ()) or callable(p.default) else f" Default: {p.default}."
             rows.append([f"`{shown}`", _escape_md((p.help or "") + default)])
         if rows:
             parts.append(table(["option", "meaning"], rows))
+        parts.append(f"```text\n{command.epilog.strip()}\n```")
     return "\n\n".join(parts)
 
 

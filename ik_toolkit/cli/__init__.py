@@ -13,8 +13,10 @@ from .. import __version__
 from ..errors import IKError, MissingExtra
 from . import first_use
 from .arguments import Command, join_vectors
+from .examples import EXAMPLES
 from .output import LogNotices, notice
 from .streams import Output, on_sigterm, open_standard_streams
+from .usage import Group
 
 MODULES = (
     "robots",
@@ -60,12 +62,13 @@ def _options(
 
 def application() -> typer.Typer:
     """Build the command line from its modules."""
-    app = typer.Typer(name="ik", pretty_exceptions_enable=False, rich_markup_mode="markdown")
+    app = typer.Typer(name="ik", cls=Group, pretty_exceptions_enable=False, rich_markup_mode=None)
     app.callback()(_options)
     for module in MODULES:
         importlib.import_module(f".{module}", __name__).register(app)
     for info in app.registered_commands:
         info.cls = Command
+        info.epilog = EXAMPLES[info.callback.__name__]  # type: ignore[union-attr]
     return app
 
 

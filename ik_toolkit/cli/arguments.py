@@ -13,6 +13,7 @@ import typer.core
 from ..errors import FrameNotFound, InvalidConfiguration, InvalidOption, MissingExtra
 from ..text import numbers, vector
 from .output import turns
+from .usage import help_text
 
 if TYPE_CHECKING:
     import numpy as np
@@ -75,6 +76,10 @@ class Command(typer.core.TyperCommand):
                 f"{ctx.command_path} takes one tip and {' or '.join(TIP)} names {tips}; choose one of them"
             )
         return super().parse_args(ctx, args)
+
+    def format_help(self, ctx: Any, formatter: Any) -> None:
+        """Write the help."""
+        formatter.write(help_text(self, ctx))
 
     def invoke(self, ctx: Any) -> Any:
         """Run the command. Raises InvalidOption."""

@@ -12,9 +12,7 @@ from .output import notice, partial, progress, show, table, write_json
 if TYPE_CHECKING:
     from ..study.benchmark import Benchmark
 
-Robots = Annotated[
-    list[str] | None, typer.Argument(metavar="[ROBOT...]", help="Names or URDF files; default hydrolek_7w.")
-]
+Robots = Annotated[list[str] | None, typer.Argument(metavar="ROBOT", help="Names or URDF files; default hydrolek_7w.")]
 Solvers = Annotated[
     list[str] | None,
     typer.Option(

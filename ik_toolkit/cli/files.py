@@ -74,8 +74,9 @@ def check(
 ) -> None:
     """Validate a URDF, element by element.
 
-    --self-collision also finds the pairs of links that need no collision test: adjacent, always touching or touching by construction, or
-    never closer than 1 cm in random configurations of all joints. -o writes them as an SRDF, for --srdf or next to the URDF.
+    --self-collision also finds the pairs of links that need no collision test: adjacent, always touching, touching by
+    construction, or never closer than 1 cm in random configurations of all joints. -o writes them as an SRDF, for --srdf
+    or next to the URDF.
 
     Exit code 0 when it can be loaded (warnings may remain), 1 when it has errors.
     """

@@ -20,6 +20,7 @@ Html = Annotated[
         "--html",
         metavar="FILE",
         help="Write the scene as one HTML file that needs no network.",
+        rich_help_panel="Output",
         callback=writes(".html", ".htm"),
     ),
 ]
@@ -29,10 +30,14 @@ Chart = Annotated[
         "--plot",
         metavar="FILE",
         help="Draw the error per iteration to a .png, .pdf or .svg file.",
+        rich_help_panel="Output",
         callback=writes(*PLOTS),
     ),
 ]
-Live = Annotated[bool, typer.Option("--view", help="Show the robot in 3-D in the browser, until Ctrl-C.")]
+Live = Annotated[
+    bool,
+    typer.Option("--view", help="Show the robot in 3-D in the browser, until Ctrl-C.", rich_help_panel="Output"),
+]
 
 
 def draw(arm: Any, what: Any, target: Any, plot: Path | None, html: Path | None, live: bool) -> None:

@@ -77,9 +77,13 @@ Law = Annotated[
     str | None, typer.Option(metavar="NAME", help="constant or minimum-jerk speed; default: minimum-jerk for lines.")
 ]
 Free = Annotated[bool, typer.Option("--position-only", help="Leave the orientation free.")]
-Gain = Annotated[float | None, typer.Option(help="Gain of cv [1/s]; default: best for the rate.")]
-GainP = Annotated[float | None, typer.Option(help="Gain of ca on the error [1/s^2]; default: best for the rate.")]
-GainD = Annotated[float | None, typer.Option(help="Gain of ca on the error rate [1/s]; default: best for the rate.")]
+Gain = Annotated[float | None, typer.Option(metavar="K", help="Gain of cv [1/s]; default: best for the rate.")]
+GainP = Annotated[
+    float | None, typer.Option(metavar="K", help="Gain of ca on the error [1/s^2]; default: best for the rate.")
+]
+GainD = Annotated[
+    float | None, typer.Option(metavar="K", help="Gain of ca on the error rate [1/s]; default: best for the rate.")
+]
 Params = Annotated[
     list[str] | None,
     typer.Option("-p", "--param", metavar="NAME=VALUE", help="Other options: gamma, reading, null_damping, damping."),

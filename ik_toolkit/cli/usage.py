@@ -1,0 +1,82 @@
+"""What `--help` prints: options in groups, names whole whatever the terminal's width, examples last."""
+
+import shutil
+import textwrap
+from typing import Any
+
+import typer.core
+
+WIDEST = 100  # columns; longer lines are hard to read
+COLUMN = 30  # where the explanations begin
+LAST = ("Robot", "Output", "Other")  # groups; the others stand before them, as declared
+OTHER = frozenset(("--help", "--version", "--debug", "--install-completion", "--show-completion"))
+
+
+def help_text(command: Any, ctx: Any) -> str:
+    """Help of a command or of the whole program."""
+    width = min(shutil.get_terminal_size().columns, WIDEST)
+    arguments = [p for p in command.get_params(ctx) if p.param_type_name == "argument"]
+    options = [p for p in command.get_params(ctx) if p.param_type_name == "option" and not p.hidden]
+    commands = [command.get_command(ctx, name) for name in getattr(command, "commands", ())]
+    usage = " ".join(
+        ["Usage:", ctx.command_path, *(["COMMAND"] if commands else map(placeholder, arguments)), "[OPTIONS]"]
+    )
+    paragraphs = (" ".join(one.split()) for one in (command.help or "").split("\n\n"))
+    parts = [usage, *(textwrap.fill(one, width, break_on_hyphens=False) for one in paragraphs)]
+    groups: dict[str, list[tuple[str, str]]] = {}
+    if commands:
+        groups["Commands"] = [(one.name, one.get_short_help_str(10 * WIDEST)) for one in commands if not one.hidden]
+    for one in arguments:
+        groups.setdefault("Arguments", []).append((placeholder(one), one.help or ""))
+    for one in options:
+        group = "Other" if OTHER & set(one.opts) else getattr(one, "rich_help_panel", None) or "Options"
+        groups.setdefault(group, []).append((_names(one), _explained(one)))
+    order = sorted(groups, key=lambda name: LAST.index(name) if name in LAST else -1)
+    for name in order:
+        column = min(COLUMN, max(len(left) for left, _ in groups[name]) + 4)
+        parts.append("\n".join([f"{name}:", *(_row(*row, column, width) for row in groups[name])]))
+    if command.epilog:
+        parts.append("Examples:\n" + textwrap.indent(command.epilog.strip(), "  "))
+    return "\n\n".join(parts) + "\n"
+
+
+def placeholder(argument: Any) -> str:
+    """Word that stands for an argument: ROBOT, [ROBOT] where it may be left out, [ROBOT ...] where several may be given."""
+    name = (argument.metavar or argument.name).strip("[].").upper()
+    several = name + (" ..." if argument.nargs == -1 else "")
+    return several if argument.required else f"[{several}]"
+
+
+def _names(option: Any) -> str:
+    """Names of an option, the short one first, and what it takes."""
+    names = sorted(option.opts, key=lambda name: name.startswith("--"))
+    if option.is_flag:
+        return " / ".join([", ".join(names), *option.secondary_opts])
+    return f"{', '.join(names)} {option.metavar or option.name.upper()}"
+
+
+def _explained(option: Any) -> str:
+    """What an option does, with its default where it has one and does not say so itself."""
+    said, default = option.help or "", option.default
+    if default in (None, (), [], "") or callable(default) or "default" in said.lower():
+        return said
+    if option.is_flag:
+        if not option.secondary_opts:
+            return said
+        default = (option.opts if default else option.secondary_opts)[0]
+    return f"{said} [default: {default}]"
+
+
+def _row(left: str, right: str, column: int, width: int) -> str:
+    """Name and explanation beside each other, below each other where the name is long."""
+    lines = textwrap.wrap(right, max(width - column, 20), break_on_hyphens=False) or [""]
+    first = f"  {left}".ljust(column) + lines.pop(0) if len(left) + 4 <= column else f"  {left}"
+    return "\n".join([first.rstrip(), *(" " * column + line for line in lines)])
+
+
+class Group(typer.core.TyperGroup):
+    """The program `ik`, with this help."""
+
+    def format_help(self, ctx: Any, formatter: Any) -> None:
+        """Write the help."""
+        formatter.write(help_text(self, ctx))

@@ -1,0 +1,45 @@
+"""`--help`: whole names, no placeholders of the parser, nothing wider than the terminal, examples that are commands."""
+
+import re
+import shlex
+
+import pytest
+import typer
+
+from ik_toolkit.cli import application, main
+from ik_toolkit.cli.arguments import join_vectors
+
+ROOT = typer.main.get_command(application())
+NAMES = [name for name, command in ROOT.commands.items() if not command.hidden]
+
+
+@pytest.mark.parametrize("width", [60, 80, 140])
+@pytest.mark.parametrize("name", ["", *NAMES])
+def test_help_is_whole(name, width, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", str(width))
+    assert main([*([name] if name else []), "--help"]) == 0
+    said = capsys.readouterr().out
+    assert "…" not in said and "<bool>" not in said and "[[" not in said and "{" not in said
+    options = said.partition("Examples:")[0]
+    assert max(map(len, options.splitlines())) <= width
+    for one in ROOT.commands[name].params if name else ():
+        if not getattr(one, "hidden", False):
+            assert all(part in options.split() or f"{part}," in options.split() for part in one.opts if part[:1] == "-")
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_help_ends_with_examples_that_are_commands(name, capsys):
+    assert main([name, "--help"]) == 0
+    examples = capsys.readouterr().out.partition("Examples:\n")[2].strip().splitlines()
+    assert examples and shlex.split(examples[0])[:2] == ["ik", name]
+    for line in examples:
+        _, command, *arguments = shlex.split(line)
+        ROOT.commands[command].make_context(command, join_vectors(arguments))
+
+
+def test_options_of_solve_stand_in_groups(capsys):
+    assert main(["solve", "--help"]) == 0
+    said = capsys.readouterr().out
+    groups = re.findall(r"^(\w[\w ]*):$", said, re.MULTILINE)
+    assert groups[:2] == ["Arguments", "Target"] and groups[-3:] == ["Output", "Other", "Examples"]
+    assert {"Solver", "Tolerances", "Collisions", "Robot"} <= set(groups) and "Options" not in groups
