@@ -20,6 +20,9 @@ if TYPE_CHECKING:
     from rich.text import Text
 
 
+WRAPPED = 12  # columns that a name or a sentence gets at least
+
+
 def notice(text: str) -> None:
     """Print one line of prose on stderr, if anybody is there to read it."""
     try:
@@ -72,8 +75,10 @@ def table(*columns: str) -> "Table":
 
 
 def show(*things: Any) -> None:
-    """Print tables and lines on stdout: as wide as the terminal, 100 columns where there is none."""
-    from rich.cells import cell_len
+    """Print tables and lines on stdout: as wide as the terminal, 100 columns where there is none.
+
+    A table too wide for that is set closer, and then its names wrap; numbers never do.
+    """
     from rich.console import Console
     from rich.segment import Segment, Segments
 
@@ -81,13 +86,25 @@ def show(*things: Any) -> None:
     console = Console(width=width, highlight=False, markup=False)
     room = console.width
     for thing in things:
-        least = 0  # in a narrow terminal a long line is better than numbers cut short
-        for column in getattr(thing, "columns", ()):
-            lines = [line for cell in (column.header, *column.cells) for line in str(cell).split("\n")]
-            least += 3 + (max(map(cell_len, lines)) if column.no_wrap else 12)
-        console.width = max(room, least)
+        if _least(thing) > room:
+            thing.padding = 0
+        if _least(thing) > room:
+            for column in thing.columns:
+                column.no_wrap = column.no_wrap and column.justify == "right"
+        console.width = max(room, _least(thing))  # in a narrow terminal a long line is better than numbers cut short
         drawn = console.render(console.render_str(clean(thing)) if isinstance(thing, str) else thing)
         console.print(Segments(Segment(clean(part.text), part.style, part.control) for part in drawn), end="")
+
+
+def _least(thing: Any) -> int:
+    """Columns that a table needs at least; 0 for what is no table."""
+    from rich.cells import cell_len
+
+    least = 0
+    for column in getattr(thing, "columns", ()):
+        lines = [line for cell in (column.header, *column.cells) for line in str(cell).split("\n")]
+        least += thing.padding[1] + thing.padding[3] + 1 + (max(map(cell_len, lines)) if column.no_wrap else WRAPPED)
+    return least
 
 
 def heading(text: str) -> "Text":

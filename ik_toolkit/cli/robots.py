@@ -240,7 +240,7 @@ def _srdf_facts(robot: "Robot") -> dict[str, str | None]:
 
 
 def _joint_table(robot: "Robot", deg: bool) -> "Table":
-    made = table(">#", "<joint", "<kind", ">lower", ">upper", ">home", ">speed per s", "<unit")
+    made = table(">#", "<joint", "<kind", ">lower", ">upper", ">home", ">max speed", "<unit")
     for i, (name, kind) in enumerate(zip(robot.joint_names, robot.joint_kinds, strict=True)):
         columns = (robot.lower, robot.upper, robot.home, robot.velocity_limits)
         made.add_row(str(i + 1), name, kind, *(number(float(x[i]), kind, deg) for x in columns), unit(kind, deg))

@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     from ..solvers.result import Result
 
 ABREAST = 4  # solutions of several tips beside each other: what 80 columns hold
+ACROSS = 6  # joints whose values fit side by side into 80 columns
 
 
 def register(app: typer.Typer) -> None:
@@ -197,16 +198,17 @@ def _solve_all(arm: Any, target: Any, method: Any, start: Any, options: dict[str
 
 
 def _solutions(found: Any, deg: bool) -> list[Any]:
-    """Tables of solutions: a row each where the joints of one arm are columns, otherwise a column each, a few in a table."""
+    """Tables of solutions: a row each where a few joints are the columns, otherwise a column each, a few in a table."""
     arm, made = found.robot, []
     kinds = arm.joint_kinds
-    if not arm.by_tip and len(found):
+    in_rows = arm.n <= ACROSS
+    if in_rows and len(found):
         made.append(table(">#", *(">" + name.replace("_", "_\n") for name in arm.joint_names), ">distance"))
         made[0].add_row("", *(unit(kind, deg) for kind in kinds), "", style="dim")
         for k, (q, distance) in enumerate(zip(found, found.distance, strict=True), 1):
             values = (number(float(x), kind, deg) for x, kind in zip(q, kinds, strict=True))
             made[0].add_row(str(k), *values, f"{distance:.3g}")
-    for first in range(0, len(found) if arm.by_tip else 0, ABREAST):
+    for first in range(0, 0 if in_rows else len(found), ABREAST):
         rows = range(first, min(first + ABREAST, len(found)))
         made.append(table("<joint", "<unit", *(f">{k + 1}" for k in rows)))
         for i, (name, kind) in enumerate(zip(arm.joint_names, kinds, strict=True)):

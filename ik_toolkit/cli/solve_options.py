@@ -15,29 +15,19 @@ from .obstacles import collision_model
 
 Xyz = Annotated[
     str | None,
-    typer.Option("--xyz", metavar="X Y Z", help="Target tip position in the base frame [m].", rich_help_panel="Target"),
+    typer.Option("--xyz", metavar="X Y Z", help="Target tip position in the base frame [m]."),
 ]
 Rpy = Annotated[
     str | None,
-    typer.Option("--rpy", metavar="R P Y", help="Target roll, pitch, yaw [rad] (Rz Ry Rx).", rich_help_panel="Target"),
+    typer.Option("--rpy", metavar="R P Y", help="Target roll, pitch, yaw [rad] (Rz Ry Rx)."),
 ]
 Quat = Annotated[
     str | None,
-    typer.Option(
-        "--quat-xyzw",
-        metavar="X Y Z W",
-        help="Target orientation as a quaternion, real part last.",
-        rich_help_panel="Target",
-    ),
+    typer.Option("--quat-xyzw", metavar="X Y Z W", help="Target orientation as a quaternion, real part last."),
 ]
 QuatWxyz = Annotated[
     str | None,
-    typer.Option(
-        "--quat-wxyz",
-        metavar="W X Y Z",
-        help="Target orientation as a quaternion, real part first.",
-        rich_help_panel="Target",
-    ),
+    typer.Option("--quat-wxyz", metavar="W X Y Z", help="Target orientation as a quaternion, real part first."),
 ]
 Matrix = Annotated[
     str | None,
@@ -45,7 +35,6 @@ Matrix = Annotated[
         "--matrix",
         metavar="M11 M12 ...",
         help="Target pose as the 12 or 16 numbers of its matrix, row by row; replaces --xyz.",
-        rich_help_panel="Target",
     ),
 ]
 Targets = Annotated[
@@ -55,7 +44,6 @@ Targets = Annotated[
         metavar="TIP:X,Y,Z[,...]",
         help="Target of one of several tips solved together; repeat for each; replaces --xyz. A position, or a pose when "
         "roll, pitch, yaw or a quaternion x y z w follow, or 12 or 16 numbers of a matrix. A tip without a target is free.",
-        rich_help_panel="Target",
     ),
 ]
 Relative = Annotated[
@@ -64,93 +52,53 @@ Relative = Annotated[
         "--relative",
         metavar="TIP:OTHER",
         help="Read the target of TIP in the moving frame of the tip OTHER; may be repeated.",
-        rich_help_panel="Target",
     ),
 ]
 SolverName = Annotated[
     str,
     typer.Option(
-        "-s",
-        "--solver",
-        metavar="NAME",
-        help="Solver; see ik solvers. auto chooses one for the robot and target.",
-        rich_help_panel="Solver",
+        "-s", "--solver", metavar="NAME", help="Solver; see ik solvers. auto chooses one for the robot and target."
     ),
 ]
 Params = Annotated[
     list[str] | None,
-    typer.Option(
-        "-p",
-        "--param",
-        metavar="NAME=VALUE",
-        help="Set a parameter of the solver; may be repeated.",
-        rich_help_panel="Solver",
-    ),
+    typer.Option("-p", "--param", metavar="NAME=VALUE", help="Set a parameter of the solver; may be repeated."),
 ]
-Preset = Annotated[
-    str | None, typer.Option(metavar="NAME", help="Published or tuned parameters, by name.", rich_help_panel="Solver")
-]
+Preset = Annotated[str | None, typer.Option(metavar="NAME", help="Published or tuned parameters, by name.")]
 Start = Annotated[
     str | None,
-    typer.Option(
-        "--q0",
-        metavar="Q1 Q2 ...",
-        help="Start configuration; default: chosen by the solver, or home.",
-        rich_help_panel="Start and preferences",
-    ),
+    typer.Option("--q0", metavar="Q1 Q2 ...", help="Start configuration; default: chosen by the solver, or home."),
 ]
 Tolerance = Annotated[
     float | None,
-    typer.Option(
-        metavar="TOL", help="Position [m] and orientation [rad] tolerance; default 1e-6.", rich_help_panel="Tolerances"
-    ),
+    typer.Option(metavar="TOL", help="Position [m] and orientation [rad] tolerance; default 1e-6."),
 ]
-PositionTolerance = Annotated[
-    float | None, typer.Option(metavar="M", help="Position tolerance [m].", rich_help_panel="Tolerances")
-]
-OrientationTolerance = Annotated[
-    float | None, typer.Option(metavar="RAD", help="Orientation tolerance [rad].", rich_help_panel="Tolerances")
-]
+PositionTolerance = Annotated[float | None, typer.Option(metavar="M", help="Position tolerance [m].")]
+OrientationTolerance = Annotated[float | None, typer.Option(metavar="RAD", help="Orientation tolerance [rad].")]
 MaxIterations = Annotated[
     int | None,
-    typer.Option(
-        metavar="N", help="Maximum iterations per attempt; default: the solver's own.", rich_help_panel="Solver"
-    ),
+    typer.Option(metavar="N", help="Maximum iterations per attempt; default: the solver's own."),
 ]
 Restarts = Annotated[
     int | None,
-    typer.Option(
-        metavar="N", help="Additional attempts from other starts; default: the solver's own.", rich_help_panel="Solver"
-    ),
+    typer.Option(metavar="N", help="Additional attempts from other starts; default: the solver's own."),
 ]
-Seed = Annotated[int, typer.Option(metavar="N", help="Seed of the random restarts.", rich_help_panel="Solver")]
-Limits = Annotated[bool, typer.Option("--limits/--no-limits", help="Enforce joint limits.", rich_help_panel="Solver")]
+Seed = Annotated[int, typer.Option(metavar="N", help="Seed of the random restarts.")]
+Limits = Annotated[bool, typer.Option("--limits/--no-limits", help="Enforce joint limits.")]
 ClampQ0 = Annotated[
     bool,
-    typer.Option(
-        "--clamp-q0/--refuse-q0",
-        help="Clamp a start outside the limits, or reject it.",
-        rich_help_panel="Start and preferences",
-    ),
+    typer.Option("--clamp-q0/--refuse-q0", help="Clamp a start outside the limits, or reject it."),
 ]
 
 Direction = Annotated[
     list[str] | None,
     typer.Option(
-        "--direction",
-        metavar="[TIP:]X Y Z",
-        help="Point --tip-axis in this direction; rotation about it is free.",
-        rich_help_panel="Target",
+        "--direction", metavar="[TIP:]X Y Z", help="Point --tip-axis in this direction; rotation about it is free."
     ),
 ]
 TipAxis = Annotated[
     list[str] | None,
-    typer.Option(
-        "--tip-axis",
-        metavar="[TIP:]X Y Z",
-        help="Axis of the tip for --direction; default z.",
-        rich_help_panel="Target",
-    ),
+    typer.Option("--tip-axis", metavar="[TIP:]X Y Z", help="Axis of the tip for --direction; default z."),
 ]
 Mask = Annotated[
     list[str] | None,
@@ -158,7 +106,6 @@ Mask = Annotated[
         "--mask",
         metavar="[TIP:]X Y Z RX RY RZ",
         help="Six error weights; 0 frees a coordinate. For all tips, or as TIP:... for one; may be repeated.",
-        rich_help_panel="What counts",
     ),
 ]
 Slack = Annotated[
@@ -167,7 +114,6 @@ Slack = Annotated[
         "--slack",
         metavar="[TIP:]X Y Z RX RY RZ",
         help="Six half widths within which the error is zero [m, rad; degrees with --deg]; inf frees a coordinate.",
-        rich_help_panel="What counts",
     ),
 ]
 FreeTurn = Annotated[
@@ -176,32 +122,19 @@ FreeTurn = Annotated[
         "--free-turn",
         metavar="[TIP:]X Y Z",
         help="Axis of the tip about which it may rotate freely: x, y, z or a vector.",
-        rich_help_panel="What counts",
     ),
 ]
 Frame = Annotated[
     list[str] | None,
-    typer.Option(
-        "--frame", metavar="[TIP:]base|tip|target", help="Axes of --mask and --slack.", rich_help_panel="What counts"
-    ),
+    typer.Option("--frame", metavar="[TIP:]base|tip|target", help="Axes of --mask and --slack."),
 ]
 Weights = Annotated[
     str | None,
-    typer.Option(
-        "--joint-weights",
-        metavar="W1 W2 ...",
-        help="How freely each joint moves; 0 holds it.",
-        rich_help_panel="Start and preferences",
-    ),
+    typer.Option("--joint-weights", metavar="W1 W2 ...", help="How freely each joint moves; 0 holds it."),
 ]
 Closest = Annotated[
     str | None,
-    typer.Option(
-        "--closest",
-        metavar="Q1 Q2 ...",
-        help="Return the solution nearest this configuration.",
-        rich_help_panel="Start and preferences",
-    ),
+    typer.Option("--closest", metavar="Q1 Q2 ...", help="Return the solution nearest this configuration."),
 ]
 Follow = Annotated[
     float | None,
@@ -209,7 +142,6 @@ Follow = Annotated[
         "--follow",
         metavar="RAD",
         help="Single attempt that moves no joint further than this from --q0 (prismatic joints: times reach).",
-        rich_help_panel="Start and preferences",
     ),
 ]
 Objective = Annotated[
@@ -218,14 +150,11 @@ Objective = Annotated[
         "--objective",
         metavar="NAME",
         help="Secondary objective for redundant robots: mid-range, reference (near q0) or manipulability.",
-        rich_help_panel="Start and preferences",
     ),
 ]
 AvoidCollisions = Annotated[
     bool,
-    typer.Option(
-        "--avoid-collisions", help="Accept only solutions without self-collision.", rich_help_panel="Collisions"
-    ),
+    typer.Option("--avoid-collisions", help="Accept only solutions without self-collision."),
 ]
 Obstacles = Annotated[
     list[str] | None,
@@ -234,7 +163,6 @@ Obstacles = Annotated[
         metavar="KIND:...",
         help="Obstacle to avoid, in the base frame; may be repeated. box:x,y,z,sx,sy,sz sphere:x,y,z,r "
         "cylinder:x,y,z,r,length; boxes and cylinders also with ,roll,pitch,yaw. Implies --avoid-collisions.",
-        rich_help_panel="Collisions",
     ),
 ]
 File = Annotated[
@@ -245,29 +173,20 @@ File = Annotated[
         help="Many targets from a file, solved on all cores and written to -o; replaces --xyz. CSV with the header "
         "x,y,z or x,y,z,qx,qy,qz,qw or x,y,z,roll,pitch,yaw; NPZ with targets, or xyz and quat_xyzw (quat_wxyz). Several tips: "
         "CSV columns TIP.x, TIP.y, ..., or NPZ with an array TIP (N, 4, 4) or (N, 3) for each, or targets (N, tips, 4, 4).",
-        rich_help_panel="Many targets",
     ),
 ]
 Threads = Annotated[
     int | None,
-    typer.Option(metavar="N", help="With --targets: threads; default: all cores.", rich_help_panel="Many targets"),
+    typer.Option(metavar="N", help="With --targets: threads; default: all cores."),
 ]
 Chain = Annotated[bool, typer.Option("--chain", hidden=True)]
 Cluster = Annotated[
     str | None,
-    typer.Option(
-        metavar="ADDRESS",
-        help="With --targets: use the Dask scheduler at this address.",
-        rich_help_panel="Many targets",
-    ),
+    typer.Option(metavar="ADDRESS", help="With --targets: use the Dask scheduler at this address."),
 ]
 All = Annotated[
     bool,
-    typer.Option(
-        "--all",
-        help="List every distinct solution within limits, nearest to q0 (or home) first.",
-        rich_help_panel="Start and preferences",
-    ),
+    typer.Option("--all", help="List every distinct solution within limits, nearest to q0 (or home) first."),
 ]
 AXES = ("x", "y", "z")
 PASSED_ON = (

@@ -287,7 +287,7 @@ def _show(result: "TrackResult", arm: "Robot", asked: Asked) -> None:
             }
         )
     )
-    errors = table("<error", ">max", ">RMS", ">final", ">second half,\nmax", ">between\nsamples")
+    errors = table("<error", ">max", ">RMS", ">final", ">max,\n2nd half", ">between\nsamples")
     for name, unit in (("position", "m"), ("orientation", "rad")):
         if name in figures:
             row = figures[name]
@@ -295,7 +295,7 @@ def _show(result: "TrackResult", arm: "Robot", asked: Asked) -> None:
             errors.add_row(f"{name} [{unit}]", *(f"{row[key]:.3g}" if key in row else "-" for key in keys))
     unit = "rad" if all(turns(kind) for kind in arm.joint_kinds) else "unit"
     peaks = (f">{name}\n[{unit}/{per}]" for name, per in (("speed", "s"), ("accel.", "s2"), ("jerk", "s3")))
-    joints = table("<joint", *peaks, ">of\nlimit", ">held\nback")
+    joints = table("<joint", *peaks, ">of\nlimit", ">at\nlimit")
     for i, (name, kind) in enumerate(zip(result.joint_names, arm.joint_kinds, strict=True)):
         limit = float(arm.velocity_limits[i])
         speed = figures["peak_speed"][i]

@@ -30,8 +30,13 @@ class Asked(NamedTuple):
     def shown(self) -> str:
         """The reference in a line, of several tips each."""
         if not isinstance(self.reference, dict):
-            return repr(self.reference)
-        return "; ".join(f"{tip}: {one!r}" for tip, one in self.reference.items())
+            return _line(self.reference)
+        return "; ".join(f"{tip}: {_line(one)}" for tip, one in self.reference.items())
+
+
+def _line(reference: "Reference") -> str:
+    """A reference in a line."""
+    return f"{reference.name} in {reference.duration:g} s{', orientation free' if reference.position_only else ''}"
 
 
 def asked_path(arm: Any, line: SimpleNamespace, q: Any, counts: dict[str, Any]) -> Asked:

@@ -9,7 +9,17 @@ import typer.core
 WIDEST = 100  # columns; longer lines are hard to read
 COLUMN = 30  # where the explanations begin
 LAST = ("Robot", "Output", "Other")  # groups; the others stand before them, as declared
-OTHER = frozenset(("--help", "--version", "--debug", "--install-completion", "--show-completion"))
+GROUPS = {  # of the options that several commands share
+    "Target": "--xyz --rpy --quat-xyzw --quat-wxyz --matrix --target --relative --direction --tip-axis",
+    "What counts": "--mask --slack --free-turn --frame",
+    "Tolerances": "--tolerance --position-tolerance --orientation-tolerance --tolerance-position --tolerance-orientation",
+    "Solver": "--solver --param --preset --max-iterations --restarts --seed --limits --timeout",
+    "Start and preferences": "--q0 --clamp-q0 --joint-weights --closest --follow --objective --all",
+    "Collisions": "--avoid-collisions --obstacle",
+    "Many targets": "--targets --threads --cluster",
+    "Other": "--help --version --debug --install-completion --show-completion",
+}
+GROUP = {name: group for group, names in GROUPS.items() for name in names.split()}
 
 
 def help_text(command: Any, ctx: Any) -> str:
@@ -29,7 +39,8 @@ def help_text(command: Any, ctx: Any) -> str:
     for one in arguments:
         groups.setdefault("Arguments", []).append((placeholder(one), one.help or ""))
     for one in options:
-        group = "Other" if OTHER & set(one.opts) else getattr(one, "rich_help_panel", None) or "Options"
+        shared = next((GROUP[name] for name in one.opts if name in GROUP), "Options")
+        group = getattr(one, "rich_help_panel", None) or shared
         groups.setdefault(group, []).append((_names(one), _explained(one)))
     order = sorted(groups, key=lambda name: LAST.index(name) if name in LAST else -1)
     for name in order:

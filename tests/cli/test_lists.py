@@ -7,8 +7,11 @@ import re
 import numpy as np
 import pytest
 from folders import ROOT
+from rich.cells import cell_len
 
 import ik_toolkit as ik
+from ik_toolkit.cli import main
+from ik_toolkit.cli.output import show, table
 
 DH = str(ROOT / "urdf" / "dh" / "inspection_7dof.toml")
 
@@ -144,3 +147,36 @@ def test_info_of_a_file_with_several_tips_lists_them(run, tmp_path):
     assert told["tips"] == ["a", "b"] and [arm["joints"][0]["name"] for arm in told["arms"]] == ["ja", "jb"]
     assert json.loads(run("info", tmp_path / "two.urdf", "--tip", "b", "--json")[1])["tip"] == "b"
     assert run("info", tmp_path / "two.urdf", "--tip", "c")[0] == 2
+
+
+@pytest.mark.parametrize(
+    "command",
+    [
+        "robots --all",
+        "info brokk_hydrolek",
+        "solvers",
+        "solvers state-space",
+        "fk inspection_7dof",
+        "check hydrolek_7w",
+    ],
+)
+def test_no_table_is_wider_than_80_columns(command, capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    assert main(command.split()) == 0
+    said = capsys.readouterr().out
+    assert max(map(cell_len, said.splitlines())) <= 80 and "…" not in said
+
+
+def test_a_table_too_wide_is_set_closer_before_its_names_wrap_and_numbers_never_do(capsys, monkeypatch):
+    def shown(width):
+        monkeypatch.setenv("COLUMNS", str(width))
+        made = table("<name", ">one", ">two")
+        made.add_row("a_name_of_twenty_four_ch", "-1.234567", "-2.345678")
+        show(made)
+        return capsys.readouterr().out
+
+    assert "a_name_of_twenty_four_ch   -1.234567   -2.345678" in shown(60)
+    assert "a_name_of_twenty_four_ch -1.234567 -2.345678" in shown(48)
+    for width in (38, 20):
+        narrow = shown(width)
+        assert "a_name_of_twenty_four_ch" not in narrow and "-1.234567 -2.345678" in narrow

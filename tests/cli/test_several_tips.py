@@ -183,7 +183,7 @@ def test_what_does_not_go_together_is_refused_in_a_sentence(run, arguments, said
 
 
 def test_a_command_for_one_tip_takes_no_two(run):
-    assert "takes one tip and --tip names 2" in refusal(run, "fk", BROKK, "--tip", LEFT, f"--tip={RIGHT}")
+    assert "takes one tip and --tip or --ee names 2" in refusal(run, "fk", BROKK, "--tip", LEFT, f"--tip={RIGHT}")
 
 
 def test_tips_are_tracked_together(run, monkeypatch, tmp_path):
