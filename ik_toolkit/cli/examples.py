@@ -50,7 +50,8 @@ ik convert arm.urdf.xacro -o arm.urdf""",
     "view": """
 ik view hydrolek_7w
 ik view hydrolek_7w --xyz 1.0 0.1 0.2 --html solve.html
-ik view hydrolek_7w --follow""",
+ik view hydrolek_7w --follow
+ik view hydrolek_7w --page hydrolek.html""",
     "panel": """
 ik panel hydrolek_7w""",
     "doctor": """

@@ -170,6 +170,7 @@ File = Annotated[
     typer.Option(
         "--targets",
         metavar="FILE",
+        rich_help_panel="Many targets",
         help="Many targets from a file, solved on all cores and written to -o; replaces --xyz. CSV with the header "
         "x,y,z or x,y,z,qx,qy,qz,qw or x,y,z,roll,pitch,yaw; NPZ with targets, or xyz and quat_xyzw (quat_wxyz). Several tips: "
         "CSV columns TIP.x, TIP.y, ..., or NPZ with an array TIP (N, 4, 4) or (N, 3) for each, or targets (N, tips, 4, 4).",

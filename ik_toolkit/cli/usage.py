@@ -16,7 +16,7 @@ GROUPS = {  # of the options that several commands share
     "Solver": "--solver --param --preset --max-iterations --restarts --seed --limits --timeout",
     "Start and preferences": "--q0 --clamp-q0 --joint-weights --closest --follow --objective --all",
     "Collisions": "--avoid-collisions --obstacle",
-    "Many targets": "--targets --threads --cluster",
+    "Many targets": "--threads --cluster",
     "Other": "--help --version --debug --install-completion --show-completion",
 }
 GROUP = {name: group for group, names in GROUPS.items() for name in names.split()}
