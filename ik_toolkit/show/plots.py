@@ -14,6 +14,7 @@ from ..errors import InvalidOption, MissingExtra
 from ..files import whole_file
 from ..robot.joints import Joints
 from ..style import COLOURS, DASHES, GREY, PALE, STYLE
+from .attempts import attempts
 
 FLOOR = 1e-12  # [m, rad] what is smaller is drawn here: a logarithmic axis has no zero
 SUFFIXES = (".png", ".pdf", ".svg")
@@ -53,9 +54,10 @@ def save(figure: Any, path: str | Path) -> Path:
 def convergence(runs: Any, *, tolerance: float | None = None, title: str = "") -> Any:
     """Error at every evaluation of a solve, several solvers side by side, on one logarithmic scale.
 
-    runs: a Result with history, its history, or a dict label -> either. Position [m] as a full line, orientation [rad]
-    dashed. Labels and title are drawn as they stand, never as formulas. tolerance [m, rad]: drawn as a line. Raises
-    InvalidOption for a result without history.
+    runs: a Result with history, its history, or a dict label -> either. Drawn is the attempt that found the answer, up to it:
+    position [m] as a full line, orientation [rad] dashed; the other attempts thin and grey, each from its own beginning.
+    Labels and title are drawn as they stand, never as formulas. tolerance [m, rad]: drawn as a line. Raises InvalidOption for a
+    result without history.
     """
     named = _named(runs)
     with drawing() as plt:
@@ -63,13 +65,18 @@ def convergence(runs: Any, *, tolerance: float | None = None, title: str = "") -
         figure, axes = plt.subplots(
             1, len(named), figsize=(width, 3.3), sharey=True, squeeze=False, layout="constrained"
         )
-        for k, (axis, (label, history)) in enumerate(zip(axes[0], named.items(), strict=True)):
-            position = np.maximum(np.asarray(history["position_error"], dtype=float), FLOOR)
+        for k, (axis, (label, (history, q))) in enumerate(zip(axes[0], named.items(), strict=True)):
+            won, others = attempts(history, q)
+            drawn = np.maximum(np.asarray(history["position_error"], dtype=float), FLOOR)
+            for other in others:
+                name = None if k or other is not others[0] else "other attempts [m]"
+                axis.semilogy(drawn[other], color=COLOURS[7], alpha=0.5, lw=0.7, label=name)
+            position = drawn[won]
             few = "o" if len(position) < 40 else None
             axis.semilogy(position, color=COLOURS[0], marker=few, ms=3, label="position [m]")
             angle = history.get("orientation_error")
             if angle is not None and np.isfinite(np.asarray(angle, dtype=float)).any():
-                shown = np.maximum(np.asarray(angle, dtype=float), FLOOR)
+                shown = np.maximum(np.asarray(angle, dtype=float)[won], FLOOR)
                 axis.semilogy(shown, color=COLOURS[1], ls="--", marker=few, ms=3, label="orientation [rad]")
             if tolerance is not None:
                 axis.axhline(tolerance, color=GREY, lw=0.9, ls=":", label="tolerance" if not k else None)
@@ -254,16 +261,16 @@ def _matrix(values: Any, columns: int) -> np.ndarray:
     return array
 
 
-def _named(runs: Any) -> dict[str, Any]:
-    """Label -> history of what `convergence` accepts."""
+def _named(runs: Any) -> dict[str, tuple[Any, Any]]:
+    """Label -> history and answer (None where it is not known) of what `convergence` accepts."""
     single = not isinstance(runs, Mapping) or "position_error" in runs
     named = {getattr(runs, "solver", ""): runs} if single else dict(runs)
     if not named:
         raise InvalidOption("there is nothing to draw: no runs")
     found = {}
     for label, run in named.items():
-        history = run if isinstance(run, Mapping) else run.history
+        history, q = (run, None) if isinstance(run, Mapping) else (run.history, run.q)
         if history is None:
             raise InvalidOption(f"the result {label!r} has no history: solve with history=True")
-        found[label] = history
+        found[label] = history, q
     return found

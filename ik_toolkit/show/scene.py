@@ -11,8 +11,9 @@ import numpy as np
 from ..errors import InvalidOption, InvalidTarget
 from ..robot.joints import Joints
 from ..robot.pose import AxisTarget, check_target, length
+from .attempts import iterates
 from .motions import animate, motion_of
-from .parts import Body, Shape, grid_cell, need_trimesh, smooth, tube
+from .parts import GREY, Body, Shape, grid_cell, need_trimesh, smooth, tube
 from .window import Window, write_page
 
 # Okabe and Ito (2008), as in the plots.
@@ -185,25 +186,30 @@ class Scene:
             }
         )
 
-    def converge(self, history: dict[str, np.ndarray]) -> None:
-        """Show how a solve went: its iterates as an animation, the tip path, a ghost where it began.
+    def converge(self, result: Any) -> None:
+        """Animate a solve: the iterates of the attempt that found its answer, ending there.
 
-        history: `Result.history` (arrays q, position_error [m], orientation_error [rad], one row an evaluation).
+        With the tip path, a ghost where the attempt began, and the tip paths of the other attempts, thin and grey. result: one
+        with history.
         """
-        Q = np.asarray(history["q"])
-        position, angle = np.asarray(history["position_error"]), history.get("orientation_error")
+        Q, position, angle, others = iterates(result)
         rows = np.unique(np.linspace(0, len(Q) - 1, min(len(Q), MAX_FRAMES)).astype(int))
         between = max(1, min(BETWEEN, MAX_FRAMES // len(rows)))
         frames, labels = [], []
         for k, row in enumerate(rows):
             text = f"evaluation {row}: {length(float(position[row]))}"
-            if angle is not None and np.isfinite(angle[row]):
+            if np.isfinite(angle[row]):
                 text += f", {np.degrees(angle[row]):.3g} deg"
             last = k + 1 == len(rows)
             for step in range(1 if last else between):
                 frames.append(Q[row] if last else Q[row] + (step / between) * (Q[rows[k + 1]] - Q[row]))
                 labels.append(text)
         self.show(Q[0], "start", SLATE, 0.22, "start")
+        for number, other in enumerate(others):
+            ways = np.array([self._tips(q) for q in result.history["q"][other]])
+            for k in range(ways.shape[1]):
+                label = "" if number or k else "other attempts"
+                self.trail(ways[:, k], f"trail_of_{number}_{k}", GREY, 0.0015 * self._extent(), label)
         ways = np.array([self._tips(q) for q in Q[rows]])
         several = len(self.robot.tips) > 1
         for k, tip in enumerate(self.robot.tips):
@@ -350,7 +356,7 @@ def view(robot: Joints, what: Any = None, *, target: Any = None, cloud: Any = No
         scene.say(f"{len(rows)} configurations{more}")
     elif hasattr(what, "history"):
         if what.history is not None:
-            scene.converge(what.history)
+            scene.converge(what)
         scene.say(f"{what.solver}: {what.status.name}", what.message)
     if target is not None:
         size = 0.14 * scene._extent()

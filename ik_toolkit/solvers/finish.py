@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ..kernel.records import ANSWER, AT
+from ..kernel.records import ANSWER, AT, ORDER
 from ..robot.pose import check_target
 from .options import OBJECTIVES
 from .status import Status
@@ -31,6 +31,9 @@ def finishing(plan: Any) -> tuple[tuple[Step, ...], tuple[Step, ...]]:
     return tuple(steps), improving
 
 
+TOLD_APART = 12  # attempts whose rows are known in a history, besides the one that won: as many as a picture shows
+
+
 def record(outcome: Any) -> Any:
     """Run once more with room for the history; the counts of the first run say how much.
 
@@ -47,7 +50,32 @@ def record(outcome: Any) -> Any:
     if all(angle is None for _, angle in outcome.left()):
         history[:, 1] = np.nan
     columns = {"position_error": history[:, 0], "orientation_error": history[:, 1], "q": history[:, 2:]}
-    return outcome._replace(history=columns)
+    return outcome._replace(history=columns | {"attempt": _attempts(outcome, out[0], len(history))})
+
+
+def _attempts(outcome: Any, row: np.ndarray, rows: int) -> np.ndarray:
+    """Number of the attempt (rows,) that each row of a history is of; -1 in attempts too late to be told apart.
+
+    A search with fewer attempts is the beginning of one with more: how many rows it writes says where its last attempt ends.
+    """
+    plan, made, won, noted = outcome.plan, int(row[AT.restarts]) + 1, int(row[AT.attempt]), int(row[AT.history])
+    number = np.zeros(rows, dtype=int)
+    if made == 1 or plan.row.closed:
+        return number
+    number[:] = -1
+    orders = plan.orders(outcome.kinds, outcome.given).copy()
+    arrays = plan.arrays(outcome.kinds, outcome.start)
+    scratch, out = np.empty((noted, 2 + plan.robot.n)), np.empty((1, plan.width))
+    ends = {0: 0, made: noted}
+    for count in {*range(1, min(made, TOLD_APART + 1)), won, won + 1} - {0, made}:
+        orders[ORDER.attempts] = count
+        plan.kernel(*arrays, outcome.T, outcome.start, out, orders, scratch)
+        ends[count] = int(out[0, AT.history])
+    for count in ends:
+        if count + 1 in ends:
+            number[ends[count] : ends[count + 1]] = count
+    number[noted:] = won
+    return number
 
 
 def improve(outcome: Any) -> Any:

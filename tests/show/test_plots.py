@@ -7,6 +7,7 @@ from robots import load
 import ik_toolkit as ik
 from ik_toolkit.errors import InvalidOption
 from ik_toolkit.show import plots
+from ik_toolkit.show.attempts import attempts
 
 pytest.importorskip("matplotlib", reason="matplotlib is not installed (extra 'plots')")
 
@@ -41,6 +42,41 @@ def test_convergence_draws_the_history(solved):
     assert plots.convergence(solved["lm"]).axes[0].get_title(loc="left").startswith("lm: ")
     bare = {"position_error": [1.0, 0.1], "orientation_error": None}
     assert "orientation [rad]" not in lines(plots.convergence({"mine": bare}).axes[0])
+
+
+def test_a_failed_solve_shows_the_attempt_of_its_answer():
+    robot = load("hydrolek_7w")
+    for target, rpy in (
+        ((3.0, 0.0, 0.0), (0.3, 0.2, 0.1)),
+        ((0.8, 0.2, 0.3), (0.0, 0.0, 0.0)),
+    ):  # proven out of reach in three attempts; 250 attempts fail
+        result = ik.solve(robot, ik.pose(target, rpy=rpy), history=True)
+        assert not result.success and result.attempt > 0
+        won, others = attempts(result.history, result.q)
+        assert np.array_equal(result.history["q"][won[-1]], result.q)
+        assert set(result.history["attempt"][won]) == {result.attempt} and np.array_equal(
+            np.diff(won), np.ones(len(won) - 1)
+        )
+        assert not set(np.concatenate(others)) & set(won)
+        drawn = plots.convergence(result).axes[0].get_lines()
+        (line,) = [line for line in drawn if line.get_label() == "position [m]"]
+        assert line.get_ydata()[-1] == pytest.approx(result.position_error, rel=1e-9) and len(line.get_ydata()) == len(
+            won
+        )
+        grey = [line for line in drawn if line.get_color() == plots.COLOURS[7]]
+        assert len(grey) == len(others) and all(line.get_linewidth() < 1 for line in grey)
+
+
+def test_rows_of_a_history_are_told_apart_by_attempts():
+    robot = load("hydrolek_7w")
+    target = ik.pose((0.8, 0.2, 0.3), rpy=(0.0, 0.0, 0.0))
+    whole = ik.solve(robot, target, history=True).history
+    for restarts in (1, 4):
+        alone = ik.solve(robot, target, history=True, restarts=restarts).history
+        rows = np.isin(whole["attempt"], range(restarts + 1))
+        for key in ("q", "position_error", "attempt"):
+            same = whole[key][rows][: len(alone[key])]
+            assert np.array_equal(same, alone[key][: len(same)]) and len(alone[key]) - rows.sum() in (0, 1)
 
 
 def test_joint_paths_have_their_limits_in_degrees():

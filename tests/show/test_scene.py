@@ -106,6 +106,21 @@ def test_a_solve_becomes_an_animation_of_its_iterates():
     assert scene.window.about["lines"][0] == "dls: CONVERGED"
 
 
+def test_a_failed_solve_ends_on_its_answer():
+    robot = load("hydrolek_7w")
+    result = ik.solve(robot, (3.0, 0.0, 0.0), history=True)
+    assert result.attempt > 0  # not the first of its three attempts
+    scene = view(robot, result, target=(3.0, 0.0, 0.0))
+    made, poses = frames(scene)
+    tip = made["paths"].index("/meshcat/tip")
+    assert np.allclose(poses[-1, tip], robot.fk(result.q).homogeneous[:3], atol=1e-6)
+    first = result.history["q"][np.flatnonzero(result.history["attempt"] == result.attempt)[0]]
+    assert np.allclose(poses[0, tip], robot.fk(first).homogeneous[:3], atol=1e-6)
+    assert made["labels"][-1].endswith(f": {result.position_error:.2f} m")
+    assert {"trail", "trail_of_0_0", "trail_of_1_0"} <= set(scene.drawn())
+    assert [text for _, text in scene.window.about["legend"]].count("other attempts") == 1
+
+
 def test_a_tracking_run_becomes_an_animation_in_real_time():
     robot = load("hydrolek_7w")
     run = ik.track(robot, ik.circle(robot.fk(robot.home), 0.05, duration=2.0), "cv", dt=0.01, q0=robot.home)
@@ -242,7 +257,7 @@ def test_a_solve_is_drawn(tmp_path, capsys):
     assert main(["solve", "planar_2r", "--xyz", "1", "1", "0", "--all", "--html", str(page)]) == 0 and page.exists()
     assert main(["solve", "planar_2r", "--xyz", "1", "1", "0", "--all", *pictures]) == 2
     assert main(["solve", "planar_2r", "--targets", "x.csv", "--html", str(page)]) == 2
-    assert "--plot, --html and --view show one solve" in capsys.readouterr().err
+    assert "--plot, --html and --view show a single solve" in capsys.readouterr().err
 
 
 def test_a_target_far_away_does_not_shrink_the_picture():
