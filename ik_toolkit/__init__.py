@@ -19,6 +19,7 @@ _NAMES = {
     "PathInterrupted": "paths.solve_path",
     "BatchCheckFailed": "solvers.batch_result",
     "CollisionModel": "robot.collision",
+    "Shape": "robot.shape",
     "Result": "solvers.result",
     "Status": "solvers.status",
     "rule": "solvers.protocol",

@@ -10,6 +10,7 @@ from .paths.trajectory import Trajectory as Trajectory
 from .robot.collision import CollisionModel as CollisionModel
 from .robot.pose import pose as pose
 from .robot.robot import Robot as Robot
+from .robot.shape import Shape as Shape
 from .robot.tree import Tree as Tree
 from .show.scene import view as view
 from .solvers.batch import solve_batch as solve_batch

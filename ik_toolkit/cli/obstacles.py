@@ -13,14 +13,14 @@ FORMS = {
 }
 
 
-def collision_model(arm: Any, texts: Sequence[str]) -> Any:
-    """Value of `avoid_collisions`: True, or a model with the obstacles [m, rad] placed in the base frame."""
-    if not texts:
+def collision_model(arm: Any, texts: Sequence[str], margin: float | None) -> Any:
+    """Value of `avoid_collisions`: True, or a model with the obstacles [m, rad] placed in the base frame, and a margin [m]."""
+    if not texts and margin is None:
         return True
     from ..robot.collision import CollisionModel
     from ..robot.pose import pose
 
-    model = CollisionModel(arm)
+    model = CollisionModel(arm, margin=margin or 0.0)
     for text in texts:
         kind, _, rest = text.partition(":")
         if kind not in FORMS:

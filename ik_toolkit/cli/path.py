@@ -115,6 +115,7 @@ def path(
     relative: asked.Relative = None,
     avoid_collisions: asked.AvoidCollisions = False,
     obstacle: asked.Obstacles = None,
+    margin: asked.Margin = None,
     tolerance: asked.Tolerance = None,
     position_tolerance: asked.PositionTolerance = None,
     orientation_tolerance: asked.OrientationTolerance = None,
@@ -216,8 +217,8 @@ def _options(line: SimpleNamespace, arm: Any) -> dict[str, Any]:
     for name, text in (("q0", line.q0), ("q_end", line.q_end)):
         if text is not None:
             options[name] = joint_vector(arm, text, f"--{name.replace('_', '-')}", line.deg)
-    if line.avoid_collisions or line.obstacle:
-        options["avoid_collisions"] = collision_model(arm, line.obstacle or ())
+    if line.avoid_collisions or line.obstacle or line.margin is not None:
+        options["avoid_collisions"] = collision_model(arm, line.obstacle or (), line.margin)
     words = line.reconfigurations
     options["reconfigurations"] = int(words) if words.isdecimal() else words
     return options | {"max_step": (math.radians(line.max_step_deg), 1e-3 * line.max_step_mm), "seed": line.seed}

@@ -74,6 +74,7 @@ def solve(
     objective: asked.Objective = None,
     avoid_collisions: asked.AvoidCollisions = False,
     obstacle: asked.Obstacles = None,
+    margin: asked.Margin = None,
     every: asked.All = False,
     file: asked.File = None,
     threads: asked.Threads = None,

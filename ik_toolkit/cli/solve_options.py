@@ -152,6 +152,9 @@ Objective = Annotated[
         help="Secondary objective for redundant robots: mid-range, reference (near q0) or manipulability.",
     ),
 ]
+Margin = Annotated[
+    float | None, typer.Option(metavar="M", help="Distance [m] below which two parts count as touching; default: 0.")
+]
 AvoidCollisions = Annotated[
     bool,
     typer.Option("--avoid-collisions", help="Accept only solutions without self-collision."),
@@ -245,8 +248,8 @@ def read_options(line: SimpleNamespace, arm: Any) -> dict[str, Any]:
     options = {name: value for name, value in given.items() if value is not None} | read_counting(line)
     options |= {"limits": line.limits, "q0_outside": "clamp" if line.clamp_q0 else "refuse"}
     options["q0"] = None if line.q0 is None else joint_vector(arm, line.q0, "--q0", line.deg)
-    if line.avoid_collisions or line.obstacle:
-        options["avoid_collisions"] = collision_model(arm, line.obstacle or ())
+    if line.avoid_collisions or line.obstacle or line.margin is not None:
+        options["avoid_collisions"] = collision_model(arm, line.obstacle or (), line.margin)
     if line.closest is not None:
         nearest = joint_vector(arm, line.closest, "--closest", line.deg)
         options |= {"closest": nearest} if line.file is None else {"q0": nearest, "closest": True}

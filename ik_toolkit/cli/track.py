@@ -182,6 +182,7 @@ def track(
     relative: Relative = None,
     avoid_collisions: AvoidCollisions = False,
     obstacle: Obstacles = None,
+    margin: shared.Margin = None,
     tolerance_position: PositionTolerance = 1e-3,
     tolerance_orientation: OrientationTolerance = None,
     settle: Settle = None,
@@ -246,8 +247,8 @@ def _run(arm: Any, line: SimpleNamespace, asked: Asked, counts: dict[str, Any]) 
 
     options = {name: getattr(line, name) for name in ("kappa", "kp", "kd") if getattr(line, name) is not None}
     options |= {name: parameter(name, text) for name, text in assignments(line.param, "-p").items()}
-    if line.avoid_collisions or line.obstacle:
-        options["avoid_collisions"] = collision_model(arm, line.obstacle or ())
+    if line.avoid_collisions or line.obstacle or line.margin is not None:
+        options["avoid_collisions"] = collision_model(arm, line.obstacle or (), line.margin)
     angle = ORIENTATION_TOLERANCE if line.tolerance_orientation is None else line.tolerance_orientation
     with warnings.catch_warnings():
         warnings.simplefilter("always")

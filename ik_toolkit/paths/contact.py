@@ -137,6 +137,8 @@ def find_contacts(
         elif not found.proven:
             unproven.append(float(at[k]))
     clearance = max(left, 0.0) * float(margins.size.min(initial=math.inf))
+    if left >= 0.0:
+        clearance += float(collision.margins.min(initial=math.inf))
     if not contacts and not unproven:
         clearance = max(clearance, _distance_kept(margins, curve, moving, sag))
     return clearance, tuple(contacts), tuple(unproven)

@@ -5,6 +5,7 @@ where hulls meet.
 """
 
 import threading
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import coal
@@ -29,16 +30,21 @@ class Near(NamedTuple):
     normal: np.ndarray
 
 
-def hulls(geometry: pin.GeometryModel) -> pin.GeometryModel:
-    """Copy of a geometry with each mesh replaced by its convex hull; a flat mesh, which has none, stays what it is."""
-    made = geometry.clone()
-    for shape in made.geometryObjects:
-        mesh = shape.geometry
+def hulls(geometry: pin.GeometryModel, names: Sequence[str], known: dict[Any, Any]) -> pin.GeometryModel:
+    """Copy of a geometry with each mesh replaced by its convex hull; a flat mesh, which has none, stays what it is.
+
+    names: of what was added to the robot, last in the geometry; known: hulls by place, or by such a name; those made are added.
+    """
+    made, own = geometry.copy(), len(geometry.geometryObjects) - len(names)
+    for k, shape in enumerate(made.geometryObjects):
+        mesh, key = shape.geometry, k if k < own else names[k - own]
         if isinstance(mesh, coal.BVHModelBase) and _thick(mesh.vertices()):
-            # `buildConvexRepresentation` would take the points as they are, convex or not.
             with BUILDING:
-                mesh.buildConvexHull(False, "Qt")
-                shape.geometry = mesh.convex
+                if key not in known:
+                    # `buildConvexRepresentation` would take the points as they are, convex or not.
+                    mesh.buildConvexHull(False, "Qt")
+                    known[key] = mesh.convex
+                shape.geometry = known[key]
     return made
 
 
@@ -59,25 +65,28 @@ class Clearance:
 
     def __init__(self, model: Any) -> None:
         """Take the hulls of a CollisionModel and the joints that move its shapes."""
-        robot, shapes = model.robot, model.geometry.geometryObjects
-        self.model, self.robot = model, robot
-        self._exact, self._hulls = model.geometry, hulls(model.geometry)
+        self.robot = robot = model.robot
+        self._exact, self.margins = model._state
+        added = [*model._placed]
+        self._names = [*model._links, *added]
+        self._hulls = hulls(self._exact, added, model._hulls)
         self._data, self._exact_data, self._hull_data = (
             robot.model.createData(),
             self._exact.createData(),
             self._hulls.createData(),
         )
-        pairs = model.geometry.collisionPairs
+        shapes, pairs = self._exact.geometryObjects, self._exact.collisionPairs
         self.a = np.array([pair.first for pair in pairs], dtype=int)
         self.b = np.array([pair.second for pair in pairs], dtype=int)
-        self.own = (self.a < len(shapes) - len(model.obstacles)) & (self.b < len(shapes) - len(model.obstacles))
+        robots = np.array([name not in model.obstacles for name in self._names])
+        self.own = robots[self.a] & robots[self.b]
         solid = np.array([isinstance(s.geometry, coal.BVHModelBase) for s in shapes])
         self._surface = solid[self.a] | solid[self.b]  # exact shapes that differ from their hulls
         self._joints(shapes)
         self.exact, self._on_surface = np.zeros((2, len(pairs)), dtype=bool)
         self.place(robot.home)
         self.exact = np.array(
-            [self._surface[k] and self._hull_distance(k) <= 0.0 for k in range(len(pairs))], dtype=bool
+            [self._surface[k] and self._hull_distance(k) <= self.margins[k] for k in range(len(pairs))], dtype=bool
         )
         self.home = self.distances()
 
@@ -101,7 +110,7 @@ class Clearance:
 
     def name(self, k: int) -> tuple[str, str]:
         """Names of pair k."""
-        return self.model._names[self.a[k]], self.model._names[self.b[k]]
+        return self._names[self.a[k]], self._names[self.b[k]]
 
     # ------------------------------------------------------------------------------------------------ distances
     def place(self, q: np.ndarray) -> None:
@@ -118,7 +127,7 @@ class Clearance:
         """Distance [m] of pair k where it was placed: never more than that of the exact shapes, 0 or less where they touch."""
         if not self.exact[k]:
             d = self._hull_distance(k)
-            if d > 0.0 or not self._surface[k]:
+            if d > self.margins[k] or not self._surface[k]:
                 self._on_surface[k] = False
                 return d
         if not self._placed:
@@ -131,6 +140,10 @@ class Clearance:
         """Distances (P,) [m] of all pairs where they were placed."""
         return np.array([self.distance(k) for k in range(len(self.a))])
 
+    def gap(self, k: int) -> float:
+        """Distance [m] that pair k may lose before it touches: that of `distance` without its margin."""
+        return self.distance(k) - self.margins[k]
+
     def points(self, ks: np.ndarray) -> np.ndarray:
         """Nearest points (K, 2, 3) of pairs ks (K,) (root axes), after `distance`."""
         results = [
@@ -138,24 +151,36 @@ class Clearance:
         ]
         return np.array([(found.getNearestPoint1(), found.getNearestPoint2()) for found in results]).reshape(-1, 2, 3)
 
-    def near(self, q: np.ndarray, within: float) -> list[Near]:
-        """Pairs closer than `within` [m] at q (n,), nearest first."""
+    def near(self, q: np.ndarray, within: float) -> list[tuple[tuple[int, int], Near]]:
+        """Pairs closer than `within` [m] at q (n,), nearest first, with the places of their shapes."""
         self.place(q)
-        found = [(self.distance(k), k) for k in self._closer(within)]
-        out = []
-        for d, k in sorted(pair for pair in found if pair[0] < within):
-            points = self.points(np.array([k]))[0]
-            gap = points[1] - points[0]
-            out.append(Near(self.name(k), d, points, gap / max(np.sqrt(gap @ gap), 1e-300)))
-        return out
+        found = [(self.distance(k), k) for k in np.flatnonzero(self._apart() < within).tolist()]
+        close = sorted(pair for pair in found if pair[0] < within)
+        return [((int(self.a[k]), int(self.b[k])), self._near(d, k)) for d, k in close]
 
-    def _closer(self, within: float) -> list[int]:
-        """Pairs whose bounding spheres are closer than `within` where they were placed."""
-        if within == np.inf:
-            return list(range(len(self.a)))
+    def nearest(self, q: np.ndarray) -> Near | None:
+        """The nearest pair at q (n,); None when there is none."""
+        self.place(q)
+        apart, least, found = self._apart(), np.inf, -1
+        for k in np.argsort(apart, kind="stable").tolist():
+            if not apart[k] < least:
+                break
+            d = self.distance(k)
+            least, found = (d, k) if d < least else (least, found)
+        return None if found < 0 else self._near(least, found)
+
+    def _near(self, distance: float, k: int) -> Near:
+        """Pair k, whose distance was measured last where it was placed."""
+        points = self.points(np.array([k]))[0]
+        gap = points[1] - points[0]
+        return Near(self.name(k), distance, points, gap / max(np.sqrt(gap @ gap), 1e-300))
+
+    def _apart(self) -> np.ndarray:
+        """Distances (P,) of the bounding spheres of all pairs where they were placed; -inf of what is endless."""
         self._locate()
-        apart = np.sqrt(((self._at[self.a] - self._at[self.b]) ** 2).sum(1)) - self._size[self.a] - self._size[self.b]
-        return np.flatnonzero(apart < within).tolist()
+        middles = np.sqrt(((self._at[self.a] - self._at[self.b]) ** 2).sum(1))
+        size = self._size[self.a] + self._size[self.b]
+        return np.where(np.isfinite(size) & np.isfinite(middles), middles - size, -np.inf)
 
     def _locate(self) -> None:
         """Centres of the shapes (root axes)."""

@@ -266,6 +266,16 @@ def _near(position: np.ndarray) -> np.ndarray:
     return position
 
 
+def as_matrix(pose: Any) -> np.ndarray:
+    """Pose (4, 4) of one given as (4, 4), pin.SE3 or a position (3,), which turns nothing. Raises InvalidTarget."""
+    T = check_target(pose)[0]
+    if T.ndim == 2:
+        return T
+    made = np.eye(4)
+    made[:3, 3] = T
+    return made
+
+
 def check_target(target: Any) -> tuple[np.ndarray, str]:
     """Validate a target; return it as float64 (4, 4) or (3,), and a notice ('' or what was corrected).
 

@@ -30,11 +30,12 @@ from .build import build_model
 from .joints import Joints
 from .load import default_base, folders_of, read
 from .mimic import followers, mimic_limits
-from .pose import check_target
+from .pose import as_matrix
 from .probe import AGREE, NO_LIMIT, configurations, difference, find_path, good_start, limits, probe
 from .probe import Path as JointPath
 from .read import is_text
-from .srdf import Srdf, one_tip, passive_joints, read_srdf, srdf_of
+from .shape import Shape, is_shape
+from .srdf import Srdf, held_joints, one_tip, read_srdf, srdf_of
 from .tips import one_word, only_tip, root_link
 
 # Attributes that belong to one object, or to one thread.
@@ -101,16 +102,13 @@ class Robot(Joints):
         )
         self.tip = self._frame(tip) if tip is not None else only_tip(self.model, self.name)
         self.tool = pin.SE3.Identity()
+        self.tool_shapes: tuple[tuple[Shape, pin.SE3], ...] = ()  # with their poses from the tip frame
         self.rest = pin.neutral(self.model)
         self.locked_joints: dict[str, float] = {}
         self.srdf = read_srdf(srdf) if srdf is not None else Srdf()
-        held = passive_joints(self.srdf, self.model, self._frame_id(self.base), self._frame_id(self.tip), locked or {})
-        for joint, (value, on_path) in held.items():
-            self._set_rest(joint, value)
-            if not on_path:
-                del self.locked_joints[joint]
-        for joint, value in (locked or {}).items():
-            self._set_rest(joint, value)
+        held = held_joints(self.srdf, self.model, self._frame_id(self.base), self._frame_id(self.tip), locked or {})
+        for joint, (value, counts) in held.items():
+            self._set_rest(joint, value, counts)
         self._build(home)
 
     @classmethod
@@ -194,7 +192,7 @@ class Robot(Joints):
             raise FrameNotFound(f"robot '{self.name}' has no frame '{name}'.{near_match(name, bodies)}")
         return min(found)[1]
 
-    def _set_rest(self, joint: str, value: float) -> None:
+    def _set_rest(self, joint: str, value: float, counts: bool = True) -> None:
         names = [
             n
             for j, n in enumerate(self.model.names)
@@ -211,7 +209,8 @@ class Robot(Joints):
         value = float(number)
         j = self.model.joints[self.model.getJointId(joint)]
         self.rest[j.idx_q : j.idx_q + j.nq] = (np.cos(value), np.sin(value)) if j.nq == 2 else value
-        self.locked_joints[joint] = value
+        if counts:
+            self.locked_joints[joint] = value
 
     def _settle(self, model: pin.Model) -> None:
         """Take a model, put on its base."""
@@ -357,13 +356,17 @@ class Robot(Joints):
         other._build(home if keep else None)
         return other
 
-    def with_tool(self, T_tip_tool: Any) -> "Robot":
-        """Return a copy whose tip is moved by T_tip_tool (4x4 or pin.SE3): targets, fk and errors are of the tool's point."""
-        T, _ = check_target(T_tip_tool)
-        if T.ndim == 1:
-            T = pin.SE3(np.eye(3), T).homogeneous
+    def with_tool(self, T_tip_tool: Any, shape: Shape | None = None, T_tip_shape: Any = None) -> "Robot":
+        """Return a copy whose tip is moved by T_tip_tool (4x4 or pin.SE3): targets, fk and errors are of the tool's point.
+
+        shape: what collisions are tested for; its pose is T_tip_shape (4, 4), from the tip before, or T_tip_tool without it.
+        """
+        T = as_matrix(T_tip_tool)
         other = self._variant()
         other.tool = self.tool * pin.SE3(T)
+        if shape is not None:
+            place = self.tool * pin.SE3(T if T_tip_shape is None else as_matrix(T_tip_shape))
+            other.tool_shapes = (*self.tool_shapes, (is_shape(shape), place))
         other._build(self.home)
         return other
 

@@ -12,7 +12,7 @@ import numpy as np
 import pinocchio as pin
 
 from ..errors import InvalidOption, ModelError
-from .collision import owner_above, read_shapes, request
+from .forms import owner_above, read_shapes, request
 from .joints import Joints
 from .probe import NO_LIMIT
 

@@ -206,28 +206,28 @@ def one_tip(srdf: Srdf, group: str, model: pin.Model, tip: str | None) -> tuple[
     return base, tip or end
 
 
-def passive_joints(
+def held_joints(
     srdf: Srdf, model: pin.Model, base: int, tip: int, locked: Mapping[str, float]
 ) -> dict[str, tuple[float, bool]]:
-    """Value [rad or m] that each passive joint is held at, and whether it is on the path from base to tip (frames).
+    """Value [rad or m] that each locked and passive joint is held at, and whether that counts as locked.
 
-    A path with no other joint than passive and locked ones keeps them: then nothing is held.
+    Passive ones do where they are on the path from base to tip (frames); if no other joint is there they are not held.
     """
+    given = {joint: (value, True) for joint, value in locked.items()}
     passive = [name for name in srdf.passive_joints if model.existJointName(name) and name not in locked]
     joints = [j for name in passive if model.joints[j := model.getJointId(name)].nv == 1]
     if not joints:
-        return {}
+        return given
     path = find_path(model, base, tip, {model.getJointId(name) for name in locked if model.existJointName(name)})
     if not set(path.leaders) - set(joints):
-        return {}
-    held = {}
+        return given
     for j in joints:
         joint, value = model.joints[j], 0.0
         low, high = (limit[joint.idx_q] for limit in (model.lowerPositionLimit, model.upperPositionLimit))
         if joint.nq == 1 and low <= high:
             value = float(np.clip(0.0, low, high))
-        held[model.names[j]] = value, j in path.leaders
-    return held
+        given[model.names[j]] = value, j in path.leaders
+    return given
 
 
 def srdf_beside(file: Path, name: str) -> Path | None:

@@ -164,14 +164,17 @@ class Tree(Joints):
         home = {joint: x for joint, x in zip(self.joint_names, self.home, strict=True) if joint not in joints}
         return Tree(arms, list(home.values()))
 
-    def with_tool(self, T_tip_tool: Any) -> "Tree":
+    def with_tool(self, T_tip_tool: Any, shape: Any = None, T_tip_shape: Any = None) -> "Tree":
         """Return a copy whose tips are moved by T_tip_tool (4x4 or pin.SE3): one for all of them, or a dict by tip.
 
-        Raises FrameNotFound (unknown tip), InvalidTarget.
+        shape, T_tip_shape: as in Robot.with_tool, likewise. Raises FrameNotFound (unknown tip), InvalidTarget, InvalidOption.
         """
-        tools = T_tip_tool if isinstance(T_tip_tool, Mapping) else dict.fromkeys(self.tips, T_tip_tool)
-        self.check_tips(tools)
-        return Tree([arm.with_tool(tools[arm.tip]) if arm.tip in tools else arm for arm in self.arms], self.home)
+        given = [x if isinstance(x, Mapping) else dict.fromkeys(self.tips, x) for x in (T_tip_tool, shape, T_tip_shape)]
+        for one in given:
+            self.check_tips(one)
+        tools = given[0]
+        made = [arm.with_tool(*(one.get(arm.tip) for one in given)) if arm.tip in tools else arm for arm in self.arms]
+        return Tree(made, self.home)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle the arms."""

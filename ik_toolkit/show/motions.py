@@ -111,16 +111,17 @@ def _much(value: float, unit: str) -> str:
 
 # ------------------------------------------------------------------------------------------------------------- the scene
 def draw_obstacles(scene: Any, model: Any) -> None:
-    """Draw the boxes, spheres and cylinders of a CollisionModel."""
+    """Draw the boxes, spheres, cylinders and capsules of a CollisionModel."""
     trimesh = need_trimesh()
     make = {
         "box": lambda x, y, z: trimesh.creation.box((x, y, z)),
         "sphere": lambda radius: trimesh.creation.uv_sphere(radius, count=(24, 24)),
+        "capsule": lambda radius, length: trimesh.creation.capsule(length, radius),
         "cylinder": lambda radius, length: trimesh.creation.cylinder(radius, length, sections=40),
     }
-    for name, kind, sizes, T in model._shapes:
-        if kind in make:
-            scene.window.shape(f"obstacle/{name}", Shape(*smooth(make[kind](*sizes), 1.0), OBSTACLE, 0.75))
+    for name, shape, T in model.placed():
+        if shape.kind in make:
+            scene.window.shape(f"obstacle/{name}", Shape(*smooth(make[shape.kind](*shape.sizes), 1.0), OBSTACLE, 0.75))
             scene.window.place(f"obstacle/{name}", scene.body.T_world_base @ T)
             corner = (scene.body.T_world_base @ T)[:3, 3]
             scene._corners.append(np.array([corner, corner]))

@@ -17,18 +17,19 @@ COUNTS = [AT.iterations, AT.restarts, AT.evaluations]
 
 
 def collision_model(robot: Any, asked: Any) -> CollisionModel:
-    """What `avoid_collisions` stands for: a model made for this robot, or for True one with its own links only."""
+    """What `avoid_collisions` stands for: a model made for this robot, for True (or a margin [m]) one with its own links only."""
     if isinstance(asked, CollisionModel):
         if asked.robot is not robot:
             raise InvalidOption(
                 f"the CollisionModel was made for another Robot object ('{asked.robot.name}'); make one with this robot"
             )
         return asked
-    if asked is not True:
-        raise InvalidOption(f"avoid_collisions is True or a CollisionModel, not {asked!r}")
-    if "collision model" not in robot.memo:
-        robot.memo["collision model"] = CollisionModel(robot)
-    return robot.memo["collision model"]
+    if not isinstance(asked, bool | int | float | np.floating) or asked is False:
+        raise InvalidOption(f"avoid_collisions is True, a margin [m] or a CollisionModel, not {asked!r}")
+    key = "collision model", 0.0 if asked is True else float(asked)
+    if key not in robot.memo:
+        robot.memo[key] = CollisionModel(robot, margin=key[1])
+    return robot.memo[key]
 
 
 def avoiding(plan: Any, then: tuple[Callable[[Any], Any], ...]) -> Callable[[Any], Any]:

@@ -72,7 +72,8 @@ class BatchResult:
         row = self.table[k]
         touching = None
         if row[AT.status] == Status.COLLISION:
-            touching = collision_model(self.plan.robot, self.plan.options.avoid_collisions).collisions(self.q[k])[0]
+            model = collision_model(self.plan.robot, self.plan.options.avoid_collisions)
+            touching = next(iter(model.collisions(self.q[k])), None)  # None: what touched has been moved away
         nothing = np.empty(0)  # a batch keeps neither targets nor starts
         return Result(Outcome(self.plan, nothing, self.kinds, nothing, False, row, 0.0, collision=touching))
 

@@ -202,6 +202,18 @@ class Result:
         return self._of.collision
 
     @property
+    def clearance(self) -> float | None:
+        """Distance [m] of the nearest two parts at q, when collisions are avoided, with all obstacles where they are now.
+
+        Measured when it is asked for, as `CollisionModel.distance` does; None without collisions to avoid, or pairs to test.
+        """
+        from .avoid import collision_model  # which reads this file
+
+        asked = self._of.plan.options.avoid_collisions
+        near = collision_model(self.robot, asked).distance(self.q) if asked else None
+        return None if near is None else near.distance
+
+    @property
     def history(self) -> dict[str, np.ndarray] | None:
         """Errors and q of every evaluation, when `history=True` was asked for."""
         return self._of.history
@@ -238,6 +250,7 @@ class Result:
             "seed": self.seed,
             "notice": self.notice,
             "collision": self.collision,
+            "clearance": self.clearance,
         }
         each = zip(self.robot.tips, self._of.kinds, self._of.left(), strict=True)
         tips = {

@@ -55,16 +55,17 @@ class Guard:
     def _bind(self) -> None:
         """Take the model as it is now."""
         self._space = space = Clearance(self.model)
-        self._shapes = self.model.geometry.ngeoms
+        self._version = self.model.version
         # A robot's own parts may be closer to each other than what is kept: then half of that distance is.
-        self._keep = np.where(space.own & (space.home > 0.0), np.minimum(0.5 * space.home, KEEP), KEEP)
+        home = space.home - space.margins
+        self._keep = np.where(space.own & (home > 0.0), np.minimum(0.5 * home, KEEP), KEEP)
 
     def restart(self, q: np.ndarray) -> tuple[str, str] | None:
         """Begin at q (n,); returns the names of a pair that touches there, or None."""
-        if self._shapes != self.model.geometry.ngeoms:  # something was added
+        if self._version != self.model.version:  # something was added, moved or removed
             self._bind()
         self._space.place(q)
-        self._low = self._space.distances()  # never more than the distances (P,) at q
+        self._low = self._space.distances() - self._space.margins  # never more than the gaps (P,) at q
         self._fresh = np.ones(len(self._low), dtype=bool)  # which of them are measured there
         self._known = False  # whether it is known how everything moves there
         self._stop = np.zeros(len(self._low))  # how much closer each pair can come on a step and brake like the last
@@ -80,7 +81,7 @@ class Guard:
         q, rate (n,): now; h [s]: the step. Each row limits how fast a pair comes closer, so that the arm can still brake.
         """
         self.pairs = []
-        if self._shapes != self.model.geometry.ngeoms:  # something was added
+        if self._version != self.model.version:  # something was added, moved or removed
             self.restart(q)
         reach = INFLUENCE + self._stop
         ks = np.flatnonzero(self._low < reach)
@@ -104,7 +105,7 @@ class Guard:
     def _measure(self, ks: np.ndarray) -> None:
         """Bring the distances of pairs up to date where they were placed (at the start of the step)."""
         for k in ks[~self._fresh[ks]].tolist():
-            self._low[k] = self._space.distance(k)
+            self._low[k] = self._space.gap(k)
         self._fresh[ks] = True
 
     # ------------------------------------------------------------------------------------------------ the proof
@@ -226,5 +227,5 @@ class Guard:
             along(*way, u, q, gone)
             space.place(q)
             space.move()
-            distances = np.array([space.distance(k) for k in ks.tolist()])
+            distances = np.array([space.gap(k) for k in ks.tolist()])
         return space.name(int(ks[np.argmin(distances)]))

@@ -1,0 +1,97 @@
+"""Shapes for collisions: boxes, spheres, cylinders, capsules and meshes, in the workspace, on a tool or in a hand."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import coal
+import numpy as np
+
+from ..errors import InvalidConfiguration, InvalidOption, ModelError
+from .meshes import Mesh, find_mesh, read_meshes
+
+
+@dataclass(frozen=True)
+class Shape:
+    """A shape about its own frame: Shape.box(size), .sphere(radius), .cylinder(radius, length), .capsule(...), .mesh(file).
+
+    kind: 'box', 'sphere', 'cylinder', 'capsule' or 'mesh'; sizes: (x, y, z), (radius,) or (radius, length) [m], of a mesh (file,
+    scale).
+    """
+
+    kind: str
+    sizes: tuple
+
+    @classmethod
+    def box(cls, size: Sequence[float]) -> "Shape":
+        """Return a box of size (x, y, z) [m] about its centre. Raises InvalidOption."""
+        return cls("box", _positive("size of a box", size, 3))
+
+    @classmethod
+    def sphere(cls, radius: float) -> "Shape":
+        """Return a sphere of a radius [m] about its centre. Raises InvalidOption."""
+        return cls("sphere", _positive("radius of a sphere", [radius], 1))
+
+    @classmethod
+    def cylinder(cls, radius: float, length: float) -> "Shape":
+        """Return a cylinder [m] along z, about its centre. Raises InvalidOption."""
+        return cls("cylinder", _positive("radius and length of a cylinder", [radius, length], 2))
+
+    @classmethod
+    def capsule(cls, radius: float, length: float) -> "Shape":
+        """Return a capsule [m] along z, about its centre: a cylinder with half a ball at each end. Raises InvalidOption."""
+        return cls("capsule", _positive("radius and length of a capsule", [radius, length], 2))
+
+    @classmethod
+    def mesh(cls, path: str | Path, scale: float = 1.0) -> "Shape":
+        """Return the surface of a mesh file (STL, OBJ, DAE) times a scale; what is inside touches nothing. Raises InvalidOption."""
+        return cls("mesh", (str(path), *_positive("scale of a mesh", [scale], 1)))
+
+    def form(self) -> Any:
+        """The shape as coal has it. Raises InvalidConfiguration (a mesh that cannot be read)."""
+        if self.kind != "mesh":
+            return PLAIN[self.kind](*self.sizes)
+        path, scale = self.sizes
+        file = Path(path).expanduser()
+        if not file.is_file():
+            raise InvalidConfiguration(f"there is no mesh file '{path}'")
+        try:
+            real = find_mesh(str(file.absolute()), [file.resolve().parent, file.absolute().parent])
+        except ModelError as error:
+            raise InvalidConfiguration(f"the mesh file '{path}' {error}") from None
+        mesh = read_meshes([real], "surface", [real.parent])[real]
+        if mesh.refused:
+            raise InvalidConfiguration(f"the mesh file '{path}' {mesh.refused}")
+        return surface(mesh, np.full(3, scale))
+
+
+PLAIN = {"box": coal.Box, "sphere": coal.Sphere, "cylinder": coal.Cylinder, "capsule": coal.Capsule}
+
+
+def surface(mesh: Mesh, scale: np.ndarray) -> Any:
+    """The surface of a mesh times a scale (3,), as coal tests it."""
+    made = coal.BVHModelOBBRSS()
+    (piece,) = mesh.pieces
+    made.beginModel(len(piece.faces), len(piece.vertices))
+    made.addVertices(piece.vertices * scale)
+    made.addTriangles(piece.faces)
+    made.endModel()
+    return made
+
+
+def is_shape(value: Any) -> Shape:
+    """Return a Shape; InvalidOption for anything else."""
+    if not isinstance(value, Shape):
+        raise InvalidOption(f"a shape is one of ik.Shape.box, sphere, cylinder, capsule or mesh, not {value!r:.60}")
+    return value
+
+
+def _positive(what: str, values: Any, count: int) -> tuple[float, ...]:
+    try:
+        array = np.array(values, dtype=float)
+    except (TypeError, ValueError):
+        array = np.empty(0)
+    if array.shape != (count,) or not (np.isfinite(array) & (array > 0)).all():
+        raise InvalidOption(f"the {what} must be {count} positive number{'s' * (count > 1)} [m], not {values!r}")
+    return tuple(array.tolist())

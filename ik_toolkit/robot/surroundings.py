@@ -1,0 +1,186 @@
+"""Shapes around a robot and in its hands: added, moved, removed, attached and detached by name."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+import pinocchio as pin
+
+from ..errors import InvalidOption, near_match
+from .pose import as_matrix
+from .shape import Shape, is_shape
+
+
+@dataclass(frozen=True)
+class Placed:
+    """A shape around the robot (arm None) or held by an arm: its pose in the base, or in the tip; names of what it may touch."""
+
+    shape: Shape
+    form: Any
+    T: np.ndarray
+    arm: int | None = None
+    touch: frozenset[str] = frozenset()
+
+
+class Surroundings:
+    """The shapes of a CollisionModel that are not the robot's own.
+
+    version: grows with every change; robot: the Robot or Tree.
+    """
+
+    robot: Any
+    _names: list[str]
+
+    def __init__(self) -> None:
+        """Nothing around."""
+        self.version = 0
+        self._placed: dict[str, Placed] = {}
+        self._hulls: dict[Any, Any] = {}  # see clearance.hulls
+
+    def _rebuild(self) -> None:
+        """Take in what was added or removed."""
+        raise NotImplementedError
+
+    def _moved(self, name: str) -> None:
+        """Take in another pose."""
+        raise NotImplementedError
+
+    def _object(self, name: str, one: Placed) -> pin.GeometryObject:
+        """What Pinocchio takes of a shape that was added."""
+        if one.arm is None:
+            base = self.robot.arms[0]._base_inverse.inverse()
+            return pin.GeometryObject(name, 0, base * pin.SE3(one.T), one.form)
+        arm = self.robot.arms[one.arm]
+        frame = self.robot.model.frames[arm._ids[1]]
+        place = frame.placement * arm.tool * pin.SE3(one.T)
+        return pin.GeometryObject(name, frame.parentJoint, arm._ids[1], place, one.form)
+
+    @property
+    def obstacles(self) -> tuple[str, ...]:
+        """Names of the shapes added around the robot."""
+        return tuple(name for name, one in self._placed.items() if one.arm is None)
+
+    @property
+    def attached(self) -> tuple[str, ...]:
+        """Names of the shapes the robot holds."""
+        return tuple(name for name, one in self._placed.items() if one.arm is not None)
+
+    def placed(self) -> list[tuple[str, Shape, np.ndarray]]:
+        """Obstacles: name, shape and pose (4, 4) in the base frame."""
+        return [(name, one.shape, one.T) for name, one in self._placed.items() if one.arm is None]
+
+    # ------------------------------------------------------------------------------------------------ obstacles
+    def add_box(self, size: Sequence[float], pose: Any, name: str | None = None) -> Self:
+        """Add a box of size (x, y, z) [m] centred at a pose (4, 4), pin.SE3 or position (3,) in the base frame."""
+        return self.add(Shape.box(size), pose, name)
+
+    def add_sphere(self, radius: float, position: Any, name: str | None = None) -> Self:
+        """Add a sphere of a radius [m] centred at a position (3,) in the base frame."""
+        return self.add(Shape.sphere(radius), position, name)
+
+    def add_cylinder(self, radius: float, length: float, pose: Any, name: str | None = None) -> Self:
+        """Add a cylinder [m] along z of a pose (4, 4), pin.SE3 or position (3,) in the base frame, centred there."""
+        return self.add(Shape.cylinder(radius, length), pose, name)
+
+    def add_mesh(self, path: str | Path, pose: Any, scale: float = 1.0, name: str | None = None) -> Self:
+        """Add a mesh file (STL, OBJ, DAE) times a scale, at a pose (4, 4), pin.SE3 or position (3,) in the base frame.
+
+        It is its surface: what is wholly inside touches nothing.
+        """
+        return self.add(Shape.mesh(path, scale), pose, name)
+
+    def add(self, shape: Shape, pose: Any, name: str | None = None) -> Self:
+        """Add a shape at a pose (4, 4), pin.SE3 or position (3,) in the base frame. Raises InvalidOption, InvalidTarget."""
+        form, T = is_shape(shape).form(), as_matrix(pose)
+        self._placed[self._new_name(shape, name)] = Placed(shape, form, T)
+        self._rebuild()
+        return self
+
+    def move(self, name: str, pose: Any) -> Self:
+        """Give an obstacle another pose in the base, or what is attached one in its tip. Raises InvalidOption, InvalidTarget."""
+        self._placed[name] = replace(self._placed[self._known(name)], T=as_matrix(pose))
+        self._moved(name)
+        return self
+
+    def remove(self, name: str) -> Self:
+        """Take away an obstacle, or what is attached. Raises InvalidOption."""
+        del self._placed[self._known(name)]
+        self._hulls.pop(name, None)
+        self._rebuild()
+        return self
+
+    def attach(
+        self,
+        shape: Shape | str,
+        T_tip_shape: Any = None,
+        *,
+        q: Any = None,
+        tip: str | None = None,
+        name: str | None = None,
+        touch: Iterable[str] = (),
+    ) -> Self:
+        """Let the robot hold a shape, at T_tip_shape (4, 4) or (3,) (default: at the tip), or an obstacle, by its name.
+
+        An obstacle stays where it is when the robot stands at q (n,) [rad or m], unless T_tip_shape is given. tip: of a Tree, the
+        one that holds it. touch: names of links and obstacles it may touch. It is tested against all that it can move against.
+        Raises InvalidOption, InvalidTarget, FrameNotFound.
+        """
+        arm = self._arm(tip)
+        touch = frozenset([touch] if isinstance(touch, str) else touch)
+        for other in touch:
+            if other not in self._names:
+                raise InvalidOption(f"touch= names '{other}', which is no part.{near_match(other, self._names)}")
+        if isinstance(shape, str):
+            one = self._placed[self._known(shape)]
+            if one.arm is not None:
+                raise InvalidOption(f"'{shape}' is attached already")
+            if T_tip_shape is None and q is None:
+                raise InvalidOption(
+                    f"to attach '{shape}' where it is, give the q at which the robot takes it, or T_tip_shape"
+                )
+            T = self._tip(arm, q).inverse().homogeneous @ one.T if T_tip_shape is None else as_matrix(T_tip_shape)
+            self._placed[shape] = replace(one, T=T, arm=arm, touch=touch)
+        else:
+            form, T = is_shape(shape).form(), np.eye(4) if T_tip_shape is None else as_matrix(T_tip_shape)
+            self._placed[self._new_name(shape, name)] = Placed(shape, form, T, arm, touch)
+        self._rebuild()
+        return self
+
+    def detach(self, name: str, q: Any = None) -> Self:
+        """Let go of what is attached: with q (n,) [rad or m] it stays as an obstacle where it is then. Raises InvalidOption."""
+        one = self._placed[self._known(name)]
+        if one.arm is None:
+            raise InvalidOption(f"'{name}' is an obstacle, not attached; remove() takes it away")
+        if q is None:
+            return self.remove(name)
+        T = self._tip(one.arm, q).homogeneous @ one.T
+        self._placed[name] = Placed(one.shape, one.form, T)
+        self._rebuild()
+        return self
+
+    def _arm(self, tip: str | None) -> int:
+        if tip is None and len(self.robot.tips) > 1:
+            raise InvalidOption(f"tip= says which of the tips holds it: {', '.join(self.robot.tips)}")
+        if tip is not None:
+            self.robot.check_tips([tip])
+        return 0 if tip is None else self.robot.tips.index(tip)
+
+    def _tip(self, arm: int, q: Any) -> pin.SE3:
+        """Pose of an arm's tip in the base at q (n,)."""
+        return self.robot.arms[arm]._fk(self.robot.check_q(q)[self.robot.places[arm]])
+
+    def _known(self, name: str) -> str:
+        if name not in self._placed:
+            raise InvalidOption(
+                f"there is no obstacle and nothing attached named '{name}'.{near_match(name, self._placed)}"
+            )
+        return name
+
+    def _new_name(self, shape: Shape, name: str | None) -> str:
+        if name is None:
+            return next(n for n in (f"{shape.kind}_{k}" for k in range(1, 10**6)) if n not in self._names)
+        if name in self._names:
+            raise InvalidOption(f"there is already a link or obstacle named '{name}'")
+        return name
