@@ -131,7 +131,9 @@ class Surroundings:
         touch = frozenset([touch] if isinstance(touch, str) else touch)
         for other in touch:
             if other not in self._names:
-                raise InvalidOption(f"touch= names '{other}', which is no part.{near_match(other, self._names)}")
+                raise InvalidOption(
+                    f"touch= names '{other}', which is no part.{near_match(other, dict.fromkeys(self._names))}"
+                )
         if isinstance(shape, str):
             one = self._placed[self._known(shape)]
             if one.arm is not None:

@@ -1,4 +1,4 @@
-"""SRDF in a shell: `--srdf`, `--group`, named configurations, `ik check --self-collision`."""
+"""SRDF in a shell: `--srdf`, `--group`, named configurations, `ik check --self-collision`; and `--margin`."""
 
 import json
 
@@ -34,3 +34,12 @@ def test_names_in_a_shell(run, tmp_path):
     assert code == 2 and "Did you mean 'home'" in err
     assert json.loads(run("fk", *given, "--group", "upper", "--json")[1])["tip"] == "l4"
     assert run("fk", *given, "--group", "upper", "--tip", "l2")[0] == 2
+
+
+def test_a_margin(run, tmp_path):
+    (tmp_path / "arm.urdf").write_text(ARM)
+    words = ["solve", tmp_path / "arm.urdf", "--xyz", 0, 0, 1.5, "--q0", "home", "--obstacle", "sphere:0.1,0,0.9,0.03"]
+    assert json.loads(run(*words, "--json")[1])["clearance"] < 0.05
+    near = json.loads(run(*words, "--margin", 0.05, "--json")[1])
+    assert near["status"] == "COLLISION" and near["collision"][1] == "sphere_1"
+    assert run(*words, "--margin", -1)[0] == 2
