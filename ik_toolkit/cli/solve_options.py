@@ -153,7 +153,8 @@ Objective = Annotated[
     ),
 ]
 Margin = Annotated[
-    float | None, typer.Option(metavar="M", help="Distance [m] below which two parts count as touching; default: 0.")
+    float | None,
+    typer.Option(metavar="M", help="Distance [m] below which parts count as touching. Implies --avoid-collisions."),
 ]
 AvoidCollisions = Annotated[
     bool,

@@ -15,7 +15,7 @@ GROUPS = {  # of the options that several commands share
     "Tolerances": "--tolerance --position-tolerance --orientation-tolerance --tolerance-position --tolerance-orientation",
     "Solver": "--solver --param --preset --max-iterations --restarts --seed --limits --timeout",
     "Start and preferences": "--q0 --clamp-q0 --joint-weights --closest --follow --objective --all",
-    "Collisions": "--avoid-collisions --obstacle",
+    "Collisions": "--avoid-collisions --obstacle --margin",
     "Many targets": "--threads --cluster",
     "Other": "--help --version --debug --install-completion --show-completion",
 }
