@@ -114,10 +114,10 @@ def write_whole(path: str | Path, data: str | bytes) -> None:
         stream.write(data.encode() if isinstance(data, str) else data)
 
 
-def write_table(path: str | Path, head: list[str], rows: Iterable[Iterable[float]]) -> None:
-    """Write a CSV file of numbers, to the last digit; NaN is left empty."""
+def write_table(path: str | Path, head: list[str], rows: Iterable[Iterable[float | str]]) -> None:
+    """Write a CSV file of numbers, to the last digit, and words; NaN is left empty."""
     text = io.StringIO()
     writer = csv.writer(text)
     writer.writerow(head)
-    writer.writerows(["" if x != x else repr(x) for x in row] for row in rows)
+    writer.writerows(["" if x != x else x if isinstance(x, str) else repr(x) for x in row] for row in rows)
     write_whole(path, text.getvalue())

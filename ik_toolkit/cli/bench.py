@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from ..errors import InvalidOption
+from ..files import write_table, write_whole
 from .arguments import PLOTS, Json, Out, Tips, load_robot, one_or_several, solver_named, writes
 from .output import notice, partial, progress, show, table, write_json
 
@@ -47,6 +48,23 @@ Plot = Annotated[
         callback=writes(*PLOTS),
     ),
 ]
+Csv = Annotated[
+    Path | None,
+    typer.Option(
+        "--csv", metavar="FILE", help="Write the table to a .csv.", rich_help_panel="Output", callback=writes(".csv")
+    ),
+]
+Latex = Annotated[
+    Path | None,
+    typer.Option(
+        "--latex",
+        metavar="FILE",
+        help="Write the table as LaTeX to a .tex.",
+        rich_help_panel="Output",
+        callback=writes(".tex"),
+    ),
+]
+FIGURES = ("targets", "solved", "low", "high", "median", "mean", "p99", "iterations", "restarts", "fk_evaluations")
 COLUMNS = ("one attempt\n%, 95 %", "\nus", "with restarts\n%, 95 %", "\nus", "\np99 us")
 
 
@@ -67,6 +85,8 @@ def bench(
     restarts: Restarts = None,
     seed: Seed = 0,
     plot: Plot = None,
+    csv_file: Csv = None,
+    latex: Latex = None,
     as_json: Json = False,
     output: Out = None,
 ) -> None:
@@ -84,11 +104,13 @@ def bench(
     arms = [load_robot(name, one_or_several(tip)) for name in robots or ["hydrolek_7w"]]
     options = {"tolerance": tolerance, "max_iterations": max_iterations, "restarts": restarts}
     given = {key: value for key, value in options.items() if value is not None}
-    stopped = False
+    stopped, counted = False, (0, 0)
     try:
         with progress("solving", None) as bar:
 
             def step(done: int, count: int) -> None:
+                nonlocal counted
+                counted = done, count
                 bar(done, total=count)
 
             found = benchmark(
@@ -99,6 +121,11 @@ def bench(
         if not found.rows:
             raise KeyboardInterrupt from None
     write_json(found.to_dict(), as_json, partial(output) if stopped and output else output)
+    for file, write in ((csv_file, _write_csv), (latex, _write_latex)):
+        if file is not None:
+            place = partial(file) if stopped else file
+            write(place, found)
+            notice(f"wrote {place}")
     if plot is not None and not stopped:
         from ..show.studies import plot_benchmark
 
@@ -106,7 +133,34 @@ def bench(
     if not as_json:
         _show(found)
     if stopped:
+        notice(f"partial: {counted[0]:,} of {counted[1]:,} solves were made")
         raise KeyboardInterrupt
+
+
+def _write_csv(file: Path, found: "Benchmark") -> None:
+    """The rows as CSV: times in seconds; those of one attempt in columns that begin with once."""
+    head = ["robot", "solver", "task", *FIGURES, *(f"once_{name}" for name in FIGURES)]
+    both = (((one.robot, one.solver, one.task), (one, one.once or one)) for one in found.rows)
+    write_table(
+        file, head, ([*names, *(getattr(part, name) for part in parts for name in FIGURES)] for names, parts in both)
+    )
+
+
+def _write_latex(file: Path, found: "Benchmark") -> None:
+    """The rows as a LaTeX table (booktabs): success with its interval, median time; one attempt, then with restarts."""
+    lines = [
+        r"\begin{tabular}{llrrrr}",
+        r"\toprule",
+        r"robot & solver & one attempt [\%] & median [$\mu$s] & with restarts [\%] & median [$\mu$s] \\",
+        r"\midrule",
+    ]
+    for row in found.rows:
+        cells = [name.replace("_", r"\_") for name in (row.robot, row.solver)]
+        for one in filter(None, (row.once, row)):
+            share = f"{100 * one.solved / one.targets:.4g} [{100 * one.low:.3g}, {100 * one.high:.3g}]"
+            cells += [share, _short(1e6 * one.median)]
+        lines.append(" & ".join(cells) + r" \\")
+    write_whole(file, "\n".join([*lines, r"\bottomrule", r"\end{tabular}", ""]))
 
 
 def _show(found: "Benchmark") -> None:

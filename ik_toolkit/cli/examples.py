@@ -33,7 +33,8 @@ ik solvers
 ik solvers lm""",
     "bench": """
 ik bench hydrolek_7w
-ik bench planar_2r hydrolek_7w --solvers lm,dls -n 100 --tolerance 1e-4""",
+ik bench planar_2r hydrolek_7w --solvers lm,dls -n 100 --tolerance 1e-4
+ik bench hydrolek_7w --csv bench.csv --latex bench.tex""",
     "tune": """
 ik tune hydrolek_7w pid --seconds 60 -o mine.toml
 ik solve hydrolek_7w --xyz 1.0 0.1 0.2 --solver pid --preset mine.toml""",

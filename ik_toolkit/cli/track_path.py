@@ -1,6 +1,6 @@
 """The path of `ik track`: as the options say, or placed so that the robot can follow it; and what to try when it cannot."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -29,9 +29,9 @@ class Asked(NamedTuple):
     @property
     def shown(self) -> str:
         """The reference in a line, of several tips each."""
-        if not isinstance(self.reference, dict):
-            return _line(self.reference)
-        return "; ".join(f"{tip}: {_line(one)}" for tip, one in self.reference.items())
+        if isinstance(self.reference, Mapping):
+            return "; ".join(f"{tip}: {_line(one)}" for tip, one in self.reference.items())
+        return _line(self.reference)
 
 
 def _line(reference: "Reference") -> str:

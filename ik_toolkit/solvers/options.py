@@ -145,6 +145,8 @@ def make_options(given: dict[str, Any]) -> Options:
             values[name] = _number(name, value, 0.0, math.inf)
         elif name in ("max_iterations", "max_evaluations", "restarts", "seed") and value is not None:
             low = 0 if name in ("seed", "restarts", "max_iterations") else 1
+            if name == "seed" and np.ndim(value):  # other packages call the start a seed
+                raise InvalidOption("seed is the number that random starts are drawn with; the start is q0")
             if isinstance(value, bool) or int(_number(name, value, low, 2**31)) != value:
                 raise InvalidOption(f"{name} must be a whole number of at least {low}, not {value!r}")
             values[name] = int(value)

@@ -1,5 +1,6 @@
 """Benchmark: statistics, schema, what is compared, the command."""
 
+import csv
 import json
 from concurrent.futures import ThreadPoolExecutor
 
@@ -8,6 +9,7 @@ import pytest
 from typer.testing import CliRunner
 
 import ik_toolkit as ik
+from ik_toolkit.cli import main
 from ik_toolkit.errors import FrameNotFound, InvalidOption, RobotNotFound, UnknownSolver
 from ik_toolkit.study import benchmark as study
 from ik_toolkit.study import singularity
@@ -296,3 +298,16 @@ def test_command(tmp_path):
     assert isinstance(run.exception, InvalidOption)
     run = CliRunner().invoke(application(), ["bench", "hydrolek_7w", "--solvers", "ml", "--targets", "2"])
     assert isinstance(run.exception, UnknownSolver)
+
+
+def test_bench_writes_its_table_as_csv_and_latex(tmp_path, capsys):
+    sheet, table = tmp_path / "bench.csv", tmp_path / "bench.tex"
+    line = ["bench", "planar_2r", "-s", "lm,planar-2r", "-n", "5", "--csv", str(sheet), "--latex", str(table), "--json"]
+    assert main(line) == 0
+    rows = json.loads(capsys.readouterr().out)["rows"]
+    written = list(csv.DictReader(sheet.read_text().splitlines()))
+    assert [row["solver"] for row in written] == ["lm", "planar-2r"]
+    for row, one in zip(written, rows, strict=True):
+        assert float(row["median"]) == one["median"] and float(row["once_solved"]) == one["once"]["solved"]
+    text = table.read_text()
+    assert text.count(r"\\") == 3 and r"planar\_2r & lm" in text and text.endswith("\\end{tabular}\n")
