@@ -1,6 +1,6 @@
-"""The exceptions of ik_toolkit: one tree, so that `except IKError` catches every mistake we report.
+"""The exceptions of ik_toolkit: one tree, so that `except IKError` catches every error we report.
 
-A caller's mistake raises one of these and names the joint, frame, file or option, lists what exists and suggests the
+Invalid input raises one of these, which names the joint, frame, file or option, lists the valid names and suggests the
 near match. A numerical outcome (not converged, unreachable, singular) never raises: it is a status in the result.
 """
 

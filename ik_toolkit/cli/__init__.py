@@ -73,7 +73,7 @@ def application() -> typer.Typer:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run the command line; return its exit code. The caller's mistakes become one sentence on stderr, never a traceback."""
+    """Run the command line; return its exit code. Invalid input becomes one sentence on stderr, never a traceback."""
     open_standard_streams()
     arguments = join_vectors(sys.argv[1:] if argv is None else argv)
     debug = "--debug" in arguments

@@ -1,4 +1,4 @@
-"""`--obstacle KIND:NUMBERS`: shapes around the robot that solutions shall not touch."""
+"""`--obstacle KIND:NUMBERS`: obstacles around the robot."""
 
 from collections.abc import Sequence
 from typing import Any

@@ -23,8 +23,8 @@ def panel(
 ) -> None:
     """Move joints, drag targets, compare solvers and solutions in a browser, until Ctrl-C.
 
-    Listens on this machine only unless --host says otherwise; only who knows the whole address printed, with its token, is let
-    in. Every browser tab has a robot of its own. A robot with several tips has a target to drag for each; the others stay.
+    Listens on this machine only unless --host says otherwise. The printed address contains an access token: nobody without it
+    is let in. Every browser tab has its own robot. A robot with several tips has a target to drag for each.
     """
     if not 0 <= port < 65536:
         raise InvalidOption(f"--port is between 0 and 65535, not {port}")
@@ -36,8 +36,8 @@ def panel(
     served = Panel(robot, tip, host=host, port=port)
     if not is_loopback(host):
         notice(
-            f"warning: the panel listens at {host}, unencrypted: everybody who knows the address below can use it,"
-            " and who listens on the way learns it"
+            f"warning: the panel listens at {host}, unencrypted: anyone who knows the address below can use it,"
+            " and anyone who can read the network traffic learns it"
         )
     wait(f"the panel is at {served.url}", served.url, browse)
     served.close()

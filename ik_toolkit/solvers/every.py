@@ -76,7 +76,7 @@ def _prepared(plan: Plan, kinds: tuple) -> tuple[np.ndarray, np.ndarray, np.ndar
 
 
 def _listed(plan: Plan, T: np.ndarray, kinds: tuple, start: np.ndarray, starts: int, count: int) -> Solutions:
-    """All legal branches of a closed form, evaluated, nearest to start (n,) first."""
+    """All branches of a closed form within limits, evaluated, nearest to start (n,) first."""
     robot = plan.robot
     opt, p, box = _prepared(plan, kinds)
     box = box.copy()

@@ -83,7 +83,7 @@ def mapping_matrix(
 
 
 def _needed(method: str, h: float, **gains: float | None) -> list[float]:
-    """Return the gains of a method as numbers; a missing or non-finite one, or a bad h, is the caller's mistake."""
+    """Return the gains of a method as numbers; a missing or non-finite one, or a bad h, is invalid input."""
     positive(h, "the sample time [s]")
     return [number(value, f"{method} needs {' and '.join(gains)}: {name}") for name, value in gains.items()]
 

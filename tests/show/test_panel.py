@@ -239,7 +239,7 @@ def test_other_addresses(monkeypatch, capsys):
     monkeypatch.setattr("ik_toolkit.cli.pictures.wait", lambda words, url, browse: print(words))
     assert main(["panel", "planar_2r", "--host", "0.0.0.0", "--no-open"]) == 0
     said = capsys.readouterr()
-    assert "everybody who knows the address" in said.err and "http://127.0.0.1:" in said.out
+    assert "anyone who knows the address" in said.err and "http://127.0.0.1:" in said.out
     assert main(["panel", "planar_2r", "--no-open"]) == 0
     assert "everybody" not in capsys.readouterr().err
 
