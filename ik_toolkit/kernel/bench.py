@@ -17,7 +17,8 @@ class Bench(NamedTuple):
     As: Array  # (m,)
     e: Array  # (m,) error now
     ahead: Array  # (m,) and to where the target will be
-    f: Array  # (m,) twist of the target, as it counts
+    f: Array  # (m,) twist of the target, as it counts, at the clock's rate
+    pace: Array  # (m,) ... and in time
     a: Array  # (m,) acceleration
     ask: Array  # (m,) rate of the task that does not scale with the clock
     bias: Array  # (m,)
@@ -39,6 +40,7 @@ class Bench(NamedTuple):
     x: Array  # rates wanted, then taken
     w: Array  # rates wanted, kept
     g: Array  # wishes
+    lead: Array  # J^+ pace
     v: Array
     probe: Array
     before: Array
@@ -57,8 +59,8 @@ def make_bench(n, m, rows):
     k, F = max(n, m), m // 6
     return Bench(
         np.zeros((F, 4, 4)), np.zeros(m), np.zeros(m), np.zeros(m), np.zeros(m), np.zeros(m), np.zeros(m), np.zeros(m),
-        np.zeros(m), np.zeros(m), np.zeros(k), np.zeros((k, k)), np.zeros((n, m)), np.zeros((n, m)), np.zeros((n, m)),
+        np.zeros(m), np.zeros(m), np.zeros(m), np.zeros(k), np.zeros((k, k)), np.zeros((n, m)), np.zeros((n, m)), np.zeros((n, m)),
         np.zeros((m, m)), np.zeros(m), np.zeros(m), np.zeros(m), np.zeros((F, 3)), np.zeros(n), np.zeros(n), np.zeros(n),
         np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n),
-        np.zeros(n), np.zeros(n), np.zeros(n, np.uint8), np.zeros(n, np.uint8), np.zeros(n + rows),
+        np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n, np.uint8), np.zeros(n, np.uint8), np.zeros(n + rows),
     )  # fmt: skip

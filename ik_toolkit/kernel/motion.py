@@ -289,8 +289,13 @@ def settle(p, h, rate_before, x, code, prev):
 
 
 @jit
-def own_up(p, h, ratio, wanted, x, prev):
-    """The same where all joints were changed: the earlier command becomes the one that the rates taken would have come from."""
+def own_up(p, h, ratio, wanted, x, lead, slower, prev):
+    """The same where all joints were changed: the earlier command becomes the one that the rates taken would have come from.
+
+    lead (n,): joint rates of the target's motion, of which `slower` was taken away as the clock ran slower than was wanted.
+    """
+    ahead = 0.5 * ratio
     if p.code == CV or p.code == CA:
         for i in range(x.shape[0]):
-            prev[i] += (x[i] - wanted[i]) / ((1.0 + 0.5 * ratio) * (1.0 if p.code == CV else h))
+            change, clock = x[i] - wanted[i], lead[i] * slower
+            prev[i] += (change - ahead * clock if p.code == CV else (change + clock) / h) / (1.0 + ahead)

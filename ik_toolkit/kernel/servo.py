@@ -81,17 +81,24 @@ def take_stock(task, look, s, counts, E):
 
 
 @inner
-def wind(state, law, a, f, E, cap, left, h):
-    """Rate at which the clock is to run in this step; the target's acceleration a (m,) becomes what it then is."""
+def wind(state, law, a, E, cap, left, h):
+    """Rate at which the clock is to run at the end of this step; the target's acceleration a (m,) becomes what it then is."""
     if law.mode != SLOW:
         return 1.0
     sigma = next_rate(state, too_far(E, law.tol_p, law.tol_r), cap, h)
     if sigma > 0.0:  # in whole steps to the end: a short last one would be a jump
-        sigma = min(sigma, left / max(np.ceil(left / sigma - WHOLE), 1.0))
-    change = (sigma - state[STATE.sigma]) / h if state[STATE.start] == RUNNING else 0.0
+        each = left / max(np.ceil(left / sigma - WHOLE), 1.0)
+        if each < sigma:
+            sigma = min(max(state[STATE.sigma] + (each - state[STATE.sigma]) / law.gamma, 0.0), sigma)
     for k in range(a.shape[0]):
-        a[k] = sigma * sigma * a[k] + change * f[k]
+        a[k] *= sigma * sigma
     return sigma
+
+
+@inline
+def advanced(state, law, sigma):
+    """How far [samples] the clock goes in a step in which its rate becomes sigma: as the joints do from rate to rate."""
+    return state[STATE.sigma] + law.gamma * (sigma - state[STATE.sigma])
 
 
 @inner
@@ -100,8 +107,8 @@ def tick(state, law, clock, done):
     if law.mode != SLOW:
         state[STATE.clock] = clock + 1.0
         return
+    clock += advanced(state, law, done)
     state[STATE.sigma] = done
-    clock += done
     near = np.rint(clock)
     state[STATE.clock] = near if abs(clock - near) < WHOLE else clock
 
@@ -170,8 +177,9 @@ def servo(cls: type | None = None) -> Callable:
                 min(caps[0, min(j, caps.shape[1] - 1)], caps[0, min(j + 1, caps.shape[1] - 1)]),
                 False,
             )
+            further = 0.0
             for stage in range(2):  # where the target is now, then where it will be
-                reference(T, V, A, clock + sigma, h, s.Ts, s.Vs, s.As)
+                reference(T, V, A, clock + further, h, s.Ts, s.Vs, s.As)
                 task.head_for(s.Ts)
                 look = task.evaluate(s.at)
                 task.stack(look)
@@ -188,17 +196,16 @@ def servo(cls: type | None = None) -> Callable:
                 if i == E.shape[0] - 1 or (law.clocked > 0.0 and clock >= last):
                     stop = True
                     break
-                sigma = wind(state, law, s.a, s.f, E[i], cap, last - clock, h)
+                sigma = wind(state, law, s.a, E[i], cap, last - clock, h)
+                further = advanced(state, law, sigma) if law.mode == SLOW else 1.0
                 boxes(q, rate, limits, law.gamma, h, law.late, s.floor, s.roof, s.why_low, s.why_top)
                 lean(law, rule, s, limits, wish, rate, h)
             if stop:
                 return i
             count = gather(law, lines, level, planes, edges)
             count = slack_rows(counts[1], s.J, s.e, s.f, s.ahead, s.a, h, planes, edges, count)
-            for k in range(m):
-                s.f[k] *= sigma
             ratio = h / state[STATE.period] if state[STATE.start] == RUNNING else 0.0
-            S[i, 3] = wanted(law, rule, task, look, weights, s, counts[1], limits, wish, h, rate, memory, away, state)
+            S[i, 3] = wanted(law, rule, task, look, weights, s, counts[1], limits, wish, sigma, h, rate, memory, away, state)
             copy(rate, s.before)
             stop, still = judge(s.x, h, law, state)
             if stop:
@@ -211,7 +218,7 @@ def servo(cls: type | None = None) -> Callable:
                     rule, law, s, counts[0], planes, edges, count, sigma, h, state, work, active, kept, C[i]
                 )
                 if held:
-                    own_up(law, h, ratio, s.w, s.x, memory)
+                    own_up(law, h, ratio, s.w, s.x, s.lead, sigma - done, memory)
             if law.mode == SLOW:
                 S[i, 1] = done
                 S[i, 2] = pacing(s, active, done, sigma, caps[1, j] if caps[1, j] >= 0.0 or i == 0 else S[i - 1, 2])

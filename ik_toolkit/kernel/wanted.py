@@ -7,17 +7,17 @@ from typing import NamedTuple
 import numpy as np
 from numba.extending import overload
 
+from .constrain import SLOW
 from .jit import BUILD, inline, inner
 from .modes import SIDE, along_lost, mode_asked, mode_direction, mode_speed, modes, take_out
 from .motion import (
-    AA,
-    AV,
     CA,
     CLIP,
     CV,
     REGION,
     RUNNING,
     STATE,
+    apply,
     command,
     ease,
     factor,
@@ -82,13 +82,16 @@ def lean_over(law, rule, s, limits, wish, rate, h):
 
 
 @inline
-def by_law(law, rule, task, look, weights, s, slack, limits, wish, h, rate, memory, away, state):
+def by_law(law, rule, task, look, weights, s, slack, limits, wish, sigma, h, rate, memory, away, state):
     """Rates that a published law wants, to s.x. Returns how much of the task was lost, or the damping (CLIP)."""
     m = s.J.shape[1]
     wide = s.J.shape[0] >= m
     gain = law.kappa if law.code == CV else GAIN / h
     border = REGION * law.damping
     damped, count, limited = 0.0, 0, False
+    copy(s.f, s.pace)
+    for k in range(m):
+        s.f[k] *= sigma
     for r in range(m):
         s.lost[r] = 0.0
     for i in range(rate.shape[0]):
@@ -134,6 +137,14 @@ def by_law(law, rule, task, look, weights, s, slack, limits, wish, h, rate, memo
             )  # fmt: skip
     state[STATE.near] = 1.0 if count > 0 else 0.0
     ratio = h / state[STATE.period] if state[STATE.start] == RUNNING else 0.0
+    jump = sigma - state[STATE.sigma] if law.mode == SLOW else 0.0  # of the clock's rate, now
+    if law.mode == SLOW:
+        apply(s.J, m, s.G, s.pace, s.y, s.lead)
+    if jump != 0.0:  # what jumps is not extrapolated, nor is it an error of the rate
+        for i in range(rate.shape[0]):
+            memory[i] += jump * s.lead[i] if law.code == CV else 0.0
+        for k in range(m):
+            s.f[k] -= jump * s.pace[k] if law.code == CA else 0.0
     command(law, s.J, m, s.e, s.f, s.a, s.bias, rate, memory, h, ratio, s.G, s.y, s.t, s.move, s.null, s.x)
     if damped > 0.0 and law.mode != CLIP:
         along_lost(s.V, s.lost, s.xk, s.x, 1.0)
@@ -147,11 +158,11 @@ def by_law(law, rule, task, look, weights, s, slack, limits, wish, h, rate, memo
         for i in range(rate.shape[0]):
             s.x[i] += share * s.g[i]
             memory[i] += kept * s.g[i]
-    gear = extrapolated if law.code == CV else 1.0 if law.code == AV else extrapolated * (1.0 + law.kd * h)
-    if law.code == AA:
-        gear = 1.0 / law.gamma
-    for k in range(m):  # how the rate wanted changes with the clock's, which is part of what the laws extrapolate
-        s.f[k] *= gear
+    if jump != 0.0 and law.code == CA:
+        for i in range(rate.shape[0]):
+            s.x[i] += jump * s.lead[i]
+        for k in range(m):
+            s.f[k] += jump * s.pace[k]
     return damped
 
 
@@ -178,7 +189,7 @@ def by_difference(task, s, slack):
 
 
 @inline
-def by_rule(law, rule, task, look, weights, s, slack, limits, wish, h, rate, memory, away, state):
+def by_rule(law, rule, task, look, weights, s, slack, limits, wish, sigma, h, rate, memory, away, state):
     """Rates that a solver's rule wants, to s.x: its step to where the target will be."""
     d = task.desk
     task.jacobian(look)
@@ -208,17 +219,17 @@ def copy_rows(source, target):
         copy(source[i], target[i])
 
 
-def wanted(law, rule, task, look, weights, s, slack, limits, wish, h, rate, memory, away, state):
+def wanted(law, rule, task, look, weights, s, slack, limits, wish, sigma, h, rate, memory, away, state):
     """Rates that the law or the rule wants."""
     how = by_law if isinstance(rule, Published) else by_rule
-    return how(law, rule, task, look, weights, s, slack, limits, wish, h, rate, memory, away, state)
+    return how(law, rule, task, look, weights, s, slack, limits, wish, sigma, h, rate, memory, away, state)
 
 
 @overload(wanted, jit_options=BUILD)
-def _wanted(law, rule, task, look, weights, s, slack, limits, wish, h, rate, memory, away, state):
+def _wanted(law, rule, task, look, weights, s, slack, limits, wish, sigma, h, rate, memory, away, state):
     how = by_law if rule.instance_class is Published else by_rule
-    return lambda law, rule, task, look, weights, s, slack, limits, wish, h, rate, memory, away, state: how(
-        law, rule, task, look, weights, s, slack, limits, wish, h, rate, memory, away, state
+    return lambda law, rule, task, look, weights, s, slack, limits, wish, sigma, h, rate, memory, away, state: how(
+        law, rule, task, look, weights, s, slack, limits, wish, sigma, h, rate, memory, away, state
     )
 
 

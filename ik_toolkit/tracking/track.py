@@ -26,12 +26,15 @@ from .methods import Method, interpolate
 from .reachable import explain
 from .reference import Reference, Samples
 from .result import TrackResult, TrackStatus, figures
+from .secondary import AVOID
 from .tracker import JUMP, LATE, Tracker, read_mode
 from .verdict import ORIENTATION_TOLERANCE, POSITION_TOLERANCE, settling, verdict
 
 MODES = {"slow": SLOW, "leave": LEAVE, "clip": CLIP}
 COUNTS = ("mask", "slack", "free_turn", "frame", "relative_to")  # options that say what counts
 MAX_STRETCH = 10.0  # how much longer than its reference a run may take by default
+HARDER = (10.0, 30.0)  # [1/s] with which limits are avoided where the usual rate leads into them; more than 1 / 0.03 s is a jerk
+SLOWEST = 1e-3  # rate of the clock below which slower is not worse
 RUNAWAY = 100.0  # mean joint move [rad, or reaches] in one step beyond which a run has diverged
 FRACTIONS = (0.25, 0.5, 0.75)  # where between two samples the error is looked at
 
@@ -138,8 +141,21 @@ class _Run:
         return [np.zeros(shape, np.uint8 if k == 3 else float) for k, shape in enumerate(shapes)]
 
     def look_ahead(self) -> None:
-        """Follow the path without limits on speed first, to see how fast the clock may run."""
+        """Follow the path without limits on speed first, to see how fast the clock may run, and how hard limits have to be avoided."""
         tracker = self.tracker
+        own = tracker.secondary.avoid
+        found = []
+        for avoid in (own, *(harder for harder in HARDER if own == AVOID)):
+            tracker.secondary.avoid = avoid
+            caps, cost = self._looked_ahead()
+            found.append((cost, avoid, caps))
+            if cost <= 0.0:
+                break
+        _, tracker.secondary.avoid, self.caps = min(found, key=lambda one: one[0])
+
+    def _looked_ahead(self) -> tuple[np.ndarray, float]:
+        """Highest rates of the clock, and what is lost with them: samples off the path, and those it takes longer."""
+        tracker, caps = self.tracker, self.caps.copy()
         kept = [one.copy() for one in tracker.carried()]
         free = tracker._limits.copy()
         free[2:] = np.inf
@@ -148,8 +164,12 @@ class _Run:
         arrays = self._arrays(len(self.samples[0]) - 1)
         done = tracker.run(*self.samples, self.dt, *arrays, mode=LEAVE, limits=free, runaway=RUNAWAY)
         tracker.put_back(kept)
-        if done > 1:
-            look_ahead(arrays[0][: done + 1], tracker._limits, self.dt, self.caps[0], self.caps[1])
+        if done < 2:
+            return caps, 0.0
+        look_ahead(arrays[0][: done + 1], tracker._limits, self.dt, caps[0], caps[1])
+        errors = arrays[2][: done + 1].reshape(done + 1, -1, 2, 3)
+        off = (np.linalg.norm(errors, axis=3) > self.tolerances).any(axis=(1, 2))
+        return caps, float(off.sum() + (1.0 / np.maximum(caps[0], SLOWEST) - 1.0).sum())
 
     def result(self, robot, references, times, check, settle) -> TrackResult:
         """What was run, in the caller's units."""
