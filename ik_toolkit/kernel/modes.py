@@ -93,11 +93,11 @@ def along(sigma, border, e, b, asked, own, h, side, cap):
 
 
 @inner
-def mode_asked(U, r, e, f, gain):
-    """Parts along u_r of the error, and of the rate wanted."""
+def mode_asked(U, r, e, f, gain, h):
+    """Parts along u_r of the error that the target leaves in a step, and of the rate wanted."""
     left, asked = 0.0, 0.0
     for c in range(e.shape[0]):
-        left += U[c, r] * e[c]
+        left += U[c, r] * (e[c] + h * f[c])
         asked += U[c, r] * (f[c] + gain * e[c])
     return left, asked
 

@@ -109,7 +109,7 @@ def by_law(law, rule, task, look, weights, s, slack, limits, wish, sigma, h, rat
         if r < m:
             if s.sv[r] >= border:
                 continue
-            left, asked = mode_asked(s.U, r, s.e, s.f, gain)
+            left, asked = mode_asked(s.U, r, s.e, s.f, gain, h)
             if not mode_direction(s.W, s.sv, r, away, asked, h, s.x1):
                 s.lost[r], s.xk[r] = 1.0, 0.0
                 copy_column(s.x1, s.V, r)

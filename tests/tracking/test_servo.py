@@ -81,7 +81,8 @@ def test_beyond_the_reach_the_arm_waits_at_its_edge(planar, method):
     ref = ik.line((1.2, 0, 0), (2.1, 0, 0), duration=12.6, rounds=1)
     run = track(planar, ref, method, dt=0.02, on_limit="leave")
     least = np.maximum(np.linalg.norm(run.target_xyz, axis=1) - 2.0, 0.0)
-    assert (run.position_error <= least + 8e-3).all()  # at its speed limit the elbow takes that long to leave the edge
+    late = {"cv": 2e-3, "av": 2e-3}.get(method, 4e-3)  # at its speed limit the elbow falls behind by 1.4 mm, or 3.1 mm
+    assert (run.position_error <= least + late).all()  # where only half of a step is taken at the new rate
     assert sign_changes(run) <= 3
     assert np.sign(run.q[0, 1]) == np.sign(run.q[-1, 1]) and run.position_error[-20:].max() < 1e-3
 
@@ -165,10 +166,12 @@ def test_joints_keep_off_their_limits_in_the_null_space(panda):
     q[0] = panda.upper[0] - 0.1
     goal = panda.fk(q).homogeneous
     stay, go = (Tracker(panda, "cv", q0=q, avoid_limits=avoid) for avoid in (False, True))
+    errors = []
     for _ in range(200):
         step = go.update(goal, 0.01)
-        assert step.position_error < 1e-5
+        errors.append(step.position_error)
         stay.update(goal, 0.01)
+    assert max(errors) < 2e-6 and max(errors[1:]) < 5e-7  # the first step has none before to extrapolate
     assert np.abs(stay.q - q).max() < 1e-9
     assert panda.upper[0] - go.q[0] > 0.15
 
@@ -180,7 +183,7 @@ def test_wishes_beside_the_task(panda):
         tracker = Tracker(panda, "cv", q0=Q0, avoid_limits=False, **option)
         for _ in range(300):
             step = tracker.update(goal, 0.01)
-            assert step.position_error < 1e-5
+            assert step.position_error < 1e-6
         J = panda.jacobian(tracker.q)
         rest = (np.eye(7) - np.linalg.pinv(J) @ J) @ (wanted - tracker.q)
         assert np.linalg.norm(rest) < 0.05 * np.linalg.norm((np.eye(7) - np.linalg.pinv(J) @ J) @ (wanted - Q0))
