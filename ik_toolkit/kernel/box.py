@@ -88,6 +88,8 @@ def box(q, v, lower, upper, speed, a, gamma, h, late):
     fast, slow = speed, -speed
     if bend > 1.0:  # ... and ends beyond w
         fast, slow = min(fast, (speed + (bend - 1.0) * v) / bend), max(slow, ((bend - 1.0) * v - speed) / bend)
+        if slow > fast:  # too fast for a limit near 0: no rate keeps it, rest does soonest
+            fast, slow = 0.0, 0.0
     ahead, behind = way_to(upper, q, 1.0), way_to(lower, q, -1.0)
     top_p = towards(ahead, v, speed, gamma, h, a, late)
     low_p = -towards(behind, -v, speed, gamma, h, a, late)

@@ -172,12 +172,8 @@ def servo(cls: type | None = None) -> Callable:
             clock = state[STATE.clock] if law.clocked > 0.0 else float(i)
             copy(measured if measured.shape[0] > 0 else q, s.at)
             j = min(int(clock), last)
-            sigma, cap, stop = (
-                0.0,
-                min(caps[0, min(j, caps.shape[1] - 1)], caps[0, min(j + 1, caps.shape[1] - 1)]),
-                False,
-            )
-            further = 0.0
+            cap = min(caps[0, min(j, caps.shape[1] - 1)], caps[0, min(j + 1, caps.shape[1] - 1)])
+            sigma, further, stop = 0.0, 0.0, False
             for stage in range(2):  # where the target is now, then where it will be
                 reference(T, V, A, clock + further, h, s.Ts, s.Vs, s.As)
                 task.head_for(s.Ts)
@@ -205,7 +201,9 @@ def servo(cls: type | None = None) -> Callable:
             count = gather(law, lines, level, planes, edges)
             count = slack_rows(counts[1], s.J, s.e, s.f, s.ahead, s.a, h, planes, edges, count)
             ratio = h / state[STATE.period] if state[STATE.start] == RUNNING else 0.0
-            S[i, 3] = wanted(law, rule, task, look, weights, s, counts[1], limits, wish, sigma, h, rate, memory, away, state)
+            S[i, 3] = wanted(
+                law, rule, task, look, weights, s, counts[1], limits, wish, sigma, h, rate, memory, away, state
+            )
             copy(rate, s.before)
             stop, still = judge(s.x, h, law, state)
             if stop:

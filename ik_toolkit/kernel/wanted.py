@@ -148,13 +148,12 @@ def by_law(law, rule, task, look, weights, s, slack, limits, wish, sigma, h, rat
     command(law, s.J, m, s.e, s.f, s.a, s.bias, rate, memory, h, ratio, s.G, s.y, s.t, s.move, s.null, s.x)
     if damped > 0.0 and law.mode != CLIP:
         along_lost(s.V, s.lost, s.xk, s.x, 1.0)
-    extrapolated = 1.0 + 0.5 * ratio
     if find_wishes(law, s, limits, wish, s.x):
         # As part of what is extrapolated, or the tip would leave its path by the square of a step.
         kept, share = 0.0, min(h * law.null, 1.0) if law.code >= CA else 1.0
         if law.code == CV or law.code == CA:
             kept = share / h if law.code == CA else share
-            share *= extrapolated
+            share *= 1.0 + 0.5 * ratio
         for i in range(rate.shape[0]):
             s.x[i] += share * s.g[i]
             memory[i] += kept * s.g[i]

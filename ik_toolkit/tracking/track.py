@@ -33,7 +33,7 @@ from .verdict import ORIENTATION_TOLERANCE, POSITION_TOLERANCE, settling, verdic
 MODES = {"slow": SLOW, "leave": LEAVE, "clip": CLIP}
 COUNTS = ("mask", "slack", "free_turn", "frame", "relative_to")  # options that say what counts
 MAX_STRETCH = 10.0  # how much longer than its reference a run may take by default
-HARDER = (10.0, 30.0)  # [1/s] with which limits are avoided where the usual rate leads into them; more than 1 / 0.03 s is a jerk
+HARDER = (10.0, 30.0)  # [1/s] with which limits are avoided where the usual rate leads into them; 30: in some samples
 SLOWEST = 1e-3  # rate of the clock below which slower is not worse
 RUNAWAY = 100.0  # mean joint move [rad, or reaches] in one step beyond which a run has diverged
 FRACTIONS = (0.25, 0.5, 0.75)  # where between two samples the error is looked at
@@ -141,7 +141,7 @@ class _Run:
         return [np.zeros(shape, np.uint8 if k == 3 else float) for k, shape in enumerate(shapes)]
 
     def look_ahead(self) -> None:
-        """Follow the path without limits on speed first, to see how fast the clock may run, and how hard limits have to be avoided."""
+        """Follow the path without limits on speed first: how fast the clock may run, how hard limits have to be avoided."""
         tracker = self.tracker
         own = tracker.secondary.avoid
         found = []
