@@ -107,7 +107,7 @@ def test_a_joint_that_may_hardly_move_any_more_comes_to_rest(gamma, speed):
     """One that moves slower than it can brake in a step swung to and fro for ever."""
     limits = np.array([[-9.0] * 4, [9.0] * 4, [speed] * 4, [4.0] * 4])
     q, rate, code = np.zeros(4), np.array([1.0, -1.0, 0.03, -0.03]), np.zeros(4, np.uint8)
-    for _ in range(40):
+    for _ in range(60):
         box.advance(q, rate, np.zeros(4), gamma, 0.01, 0.05, limits, code)
     assert (rate == 0.0).all() and np.abs(q[2:]).max() <= 0.03 * 0.01
 
