@@ -109,7 +109,7 @@ def test_a_measured_arm_is_followed_from_where_it_is(panda):
     assert step.status is StepStatus.FOLLOWING_ERROR and "measured" in step.reason
     there = step.q + 0.3
     step = tracker.update(goal, 0.01, q=there)
-    assert step.status is StepStatus.JUMPED and "anew" in step.reason
+    assert step.status is StepStatus.JUMPED and "restarted" in step.reason
     assert (np.abs(step.q - there) <= panda.velocity_limits * 0.01 * (1 + 1e-9)).all()
     with pytest.raises(InvalidConfiguration, match="q"):
         tracker.update(goal, 0.01, q=np.zeros(3))
