@@ -14,7 +14,6 @@ import platform
 import statistics
 import sys
 import time
-from collections import Counter
 from datetime import date
 from pathlib import Path
 
@@ -60,7 +59,9 @@ def row(path: Path, targets: int) -> dict:
         entry, made = read(path, (path.parent,))
         out["seconds"] = time.perf_counter() - began
         guess = guess_tip(made["model"]).tips
-        tips = guess if len(guess) == 1 else tip_candidates(made["model"])
+        model = made["model"]
+        joints = {frame.name: len(model.supports[frame.parentJoint]) for frame in model.frames}
+        tips = guess if len(guess) == 1 else sorted(tip_candidates(model), key=lambda tip: -joints[tip])
         out["tips"] = len(tips)
         if not tips:
             out["reason"] = "no movable joint"
@@ -75,7 +76,7 @@ def row(path: Path, targets: int) -> dict:
             except IKError as error:
                 said = said or str(error)
         if robot is None:
-            out["reason"] = said
+            out["reason"] = "no movable joint" if said.startswith("no moving joint between") else said  # but a free one
             return out
     except IKError as error:
         out["reason"] = str(error)
@@ -99,8 +100,8 @@ def solve(robot: ik.Robot, targets: int, out: dict) -> None:
         good += bool(success) and d <= TOLERANCE * 1.001 and (angle or 0.0) <= TOLERANCE * 1.001 and inside
     out["solved"] = good
     if good < targets:
-        statuses = Counter(str(s.name) for s in result.status if s.name != "CONVERGED")
-        out["reason"] = ", ".join(f"{count} {name}" for name, count in statuses.items())
+        left = {name: count for name, count in result.counts().items() if name != "CONVERGED"}
+        out["reason"] = ", ".join(f"{count} {name}" for name, count in left.items())
 
 
 # ------------------------------------------------------------------------------------------------------ a second opinion
@@ -182,9 +183,9 @@ def by_mujoco(path: Path, robot: ik.Robot):
         data.qpos[:] = model.qpos0
         for j in range(model.njnt):
             name, at = model.joint(j).name, model.jnt_qposadr[j]
-            if model.jnt_type[j] in (mujoco.mjtJoint.mjJNT_SLIDE, mujoco.mjtJoint.mjJNT_HINGE):
+            if int(model.jnt_type[j]) in (int(mujoco.mjtJoint.mjJNT_SLIDE), int(mujoco.mjtJoint.mjJNT_HINGE)):
                 data.qpos[at] = known.get(name or f"{model.body(model.jnt_bodyid[j]).name}_joint", 0.0)
-            elif model.jnt_type[j] == mujoco.mjtJoint.mjJNT_BALL:
+            elif int(model.jnt_type[j]) == int(mujoco.mjtJoint.mjJNT_BALL):
                 turns = [known.get(f"{name}_{turn}", 0.0) for turn in ("roll", "pitch", "yaw")]
                 mujoco.mju_mat2Quat(data.qpos[at : at + 4], rpy_matrix(turns).ravel())
         mujoco.mj_kinematics(model, data)
@@ -236,17 +237,20 @@ def page(found: dict[str, list[dict]], targets: int) -> str:
     parts = [
         "# Robots that load",
         f"Written by `python scripts/robots_table.py` on {date.today()}, Python {platform.python_version()}. Every description of "
-        f"a package is loaded, its tip guessed (of several the first is taken), and {targets} reachable poses are solved, each "
-        "answer checked by Pinocchio. *FK* is the largest difference from yourdfpy, or from MuJoCo for MJCF.",
+        f"a package is loaded, its tip guessed (of several the one that most joints move is taken), and {targets} "
+        "reachable poses are solved, each answer checked by Pinocchio. *FK* is the largest difference from yourdfpy, or from MuJoCo for MJCF. Objects "
+        "without joints are counted, not listed.",
     ]
     for name, rows in found.items():
         parts.append(f"## {name}\n\n{summary(rows, targets)}.")
         lines = ["| file | joints | tip | solved | FK | load [ms] | remark |", "|---|--:|---|--:|--:|--:|---|"]
         for r in rows:
+            if r["reason"] == "no movable joint":
+                continue
             solved = "" if r["solved"] is None else str(r["solved"])
             fk = "" if r["fk"] is None else f"{r['fk']:.0e}"
             tip = f"{r['tip']}{' (of several)' if r.get('tips', 1) > 1 else ''}"
-            words = "; ".join(filter(None, (r["reason"], r.get("others", ""))))[:160]
+            words = "; ".join(filter(None, (r["reason"].replace("<", "\\<"), r.get("others", ""))))[:160]
             cells = [r["file"], str(r["joints"] or ""), tip, solved, fk, f"{1000 * r['seconds']:.0f}", words]
             lines.append("| " + " | ".join(cell.replace("|", "\\|").replace("\n", " ") for cell in cells) + " |")
         parts.append("\n".join(lines))
@@ -268,6 +272,7 @@ def main() -> int:
         rows = found.setdefault(name, [])
         for path in paths:
             rows.append({"file": str(path.relative_to(root)), **row(path, asked.targets)})
+            rows[-1]["reason"] = rows[-1]["reason"].replace(f"{root.resolve()}/", "").replace(f"{root}/", "")
             if not rows[-1]["loaded"] and rows[-1]["reason"] != "no movable joint":
                 rows[-1]["others"] = others(path)
             print({k: v for k, v in rows[-1].items() if v not in ("", None)}, flush=True)

@@ -21,6 +21,9 @@ SAMPLES = 24  # configurations at which a chain is compared with Pinocchio
 AGREE = 1e-9  # largest difference allowed there [rad, or of the robot's size]: a thousandth of the default tolerance
 HELD = 2.5e-16  # of an angle [rad] of many turns: half its last digit, and as much again where its turns are taken off
 NO_LIMIT = 1e15  # a limit beyond this [m, rad/s or m/s] is none
+NO_STROKE = (
+    3e5  # nor is one of a slide beyond so many times all offsets of the path: 1 um out there is a rounding error here
+)
 NO_TURN_LIMIT = 1e6  # nor is one beyond this [rad]: towards 1e7 rad the last digit of an angle is worth AGREE
 PARALLEL = 1e-14  # sine between two axes that are parallel but for the rounding of a few matrix products
 SINGULAR = 0.02  # smallest singular value (lengths over reach) below which a configuration is no good as home
@@ -112,7 +115,8 @@ def limits(
         if 0.0 < lower[i] - upper[i] <= rounding:  # they meet but for the last digits
             lower[i] = upper[i] = min(max(lower[i], own_lower[i]), own_upper[i])
     turns = [np.asarray(model.joints[j].createData().S).reshape(6)[3:].any() for j in path.leaders]
-    far = np.where(turns, NO_TURN_LIMIT, NO_LIMIT)
+    size = sum(math.hypot(*model.jointPlacements[j].translation) for j in path.joints)
+    far = np.where(turns, NO_TURN_LIMIT, NO_STROKE * size if size > 0.0 else NO_LIMIT)
     # Adding 0 turns -0.0 into 0.0: numpy's generators call 0.0 to -0.0 a negative range.
     return np.where(lower < -far, -np.inf, lower + 0.0), np.where(upper > far, np.inf, upper + 0.0)
 
