@@ -238,8 +238,8 @@ def page(found: dict[str, list[dict]], targets: int) -> str:
         "# Robots that load",
         f"Written by `python scripts/robots_table.py` on {date.today()}, Python {platform.python_version()}. Every description of "
         f"a package is loaded, its tip guessed (of several the one that most joints move is taken), and {targets} "
-        "reachable poses are solved, each answer checked by Pinocchio. *FK* is the largest difference from yourdfpy, or from MuJoCo for MJCF. Objects "
-        "without joints are counted, not listed.",
+        "reachable poses are solved, each answer checked by Pinocchio. *FK* is the largest difference from yourdfpy, or from "
+        "MuJoCo for MJCF. Objects without joints are counted, not listed.",
     ]
     for name, rows in found.items():
         parts.append(f"## {name}\n\n{summary(rows, targets)}.")
