@@ -34,11 +34,13 @@ def plot_benchmark(found: Benchmark, file: str | Path) -> Path:
                 xscale="log",
                 ylim=(0, 102),
                 title="solved within a time; colours as on the left",
+                ylabel="of 100 targets",
                 xlabel="time of a solve [us]",
             )
         return save(figure, file)
 
 
+LEAST_RATE = 1.0  # [%] at which the scale of a map ends when hardly anything fails
 MARKED = 200  # more failures than this are not marked one by one
 
 
@@ -61,28 +63,40 @@ def plot_tuning(result: TuneResult, file: str | Path) -> Path:
 
 
 def plot_workspace(found: Workspace, file: str | Path) -> Path:
-    """Draw, for each solver, the share of targets solved seen from above and from the side, failures marked when they are few."""
+    """Draw, for each solver, the failure rate seen from above and from the side, failures marked when they are few.
+
+    The scale ends at the largest rate of any cell, so that rare failures are seen too.
+    """
     with drawing() as plt:
         rows = len(found.outcomes)
         figure, axes = plt.subplots(rows, 2, figsize=(7.4, 0.3 + 4.0 * rows), layout="constrained", squeeze=False)
-        image = None
+        image, worst, drawn = None, LEAST_RATE, []
         for row, (name, outcome) in zip(axes, found.outcomes.items(), strict=True):
             for axis, across, keep in ((row[0], 2, (0, 1)), (row[1], 1, (0, 2))):
                 targets, solved = found.map[name].sum(axis=1 + across)
                 with np.errstate(invalid="ignore"):
-                    share = np.where(targets > 0, solved / targets, np.nan)
+                    rate = np.where(targets > 0, 100.0 * (1.0 - solved / targets), np.nan)
+                worst = max(worst, float(np.nanmax(rate)))
                 ends = found.low + found.cell * np.array(found.map[name].shape[1:])
                 extent = (found.low[keep[0]], ends[keep[0]], found.low[keep[1]], ends[keep[1]])
-                image = axis.imshow(
-                    share.T, origin="lower", extent=extent, cmap="cividis", vmin=0, vmax=1, interpolation="nearest"
-                )
+                image = axis.imshow(rate.T, origin="lower", extent=extent, cmap="PuBu", interpolation="nearest")
+                drawn.append(image)
                 axis.grid(False)
                 bad = found.failures[name] if outcome.targets - outcome.solved <= MARKED else np.empty((0, 4))
                 axis.plot(bad[:, keep[0]], bad[:, keep[1]], "o", mfc="none", mec=COLOURS[1], ms=3, mew=0.7)
                 axis.set(xlabel=f"{'xyz'[keep[0]]} [m]", ylabel=f"{'xyz'[keep[1]]} [m]", aspect="equal")
             row[0].set_title(f"{plain(name)}\n{outcome.solved} of {outcome.targets} solved, from above")
             row[1].set_title("circles: not solved\nfrom the side" if len(bad) else "from the side")
+        for one in drawn:
+            one.set_clim(-0.15 * worst, worst)  # no failure is pale, not white: white is where no target was
         figure.colorbar(
-            image, ax=axes, label="share of targets solved", shrink=min(0.8, 1.6 / rows), aspect=30, pad=0.02
+            image,
+            ax=axes,
+            label="failures [%]",
+            boundaries=np.linspace(0.0, worst, 101),
+            ticks=np.linspace(0.0, worst, 5),
+            shrink=min(0.8, 1.6 / rows),
+            aspect=30,
+            pad=0.02,
         )
         return save(figure, file)

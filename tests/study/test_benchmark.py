@@ -258,6 +258,7 @@ def test_plot(arm, tmp_path):
     plot_benchmark(found, tmp_path / "times.svg")
     drawn = (tmp_path / "times.svg").read_text(encoding="utf-8")
     assert all(text in drawn for text in ("hydrolek_7w: targets solved", ">lm<"))
+    assert drawn.count(">of 100 targets<") == 2  # both axes that count them say so
 
 
 def test_command(tmp_path):
