@@ -156,4 +156,5 @@ def rigid(T: np.ndarray) -> bool:
         a * a + b * b + c * c - 1.0, d * d + e * e + f * f - 1.0, a * d + b * e + c * f,
         b * f - c * e - g, c * d - a * f - h, a * e - b * d - i,
     )  # fmt: skip
-    return last == [0.0, 0.0, 0.0, 1.0] and max(map(abs, off)) < 1e-9 and abs(x) + abs(y) + abs(z) < np.inf
+    # One by one: `max` of numbers with a NaN among them may be none.
+    return last == [0.0, 0.0, 0.0, 1.0] and all(abs(one) < 1e-9 for one in off) and abs(x) + abs(y) + abs(z) < np.inf

@@ -52,6 +52,17 @@ def test_step_statuses(panda):
     assert step.status is StepStatus.JUMPED and "in one step" in step.reason
 
 
+def test_a_number_that_is_none_anywhere_in_a_pose_is_held_against(panda):
+    tracker = Tracker(panda, "aad", q0=Q0)
+    T = panda.fk(Q0).homogeneous
+    tracker.update(T, 0.01)
+    for place in np.ndindex(3, 4):
+        broken = T.copy()
+        broken[place] = np.nan
+        assert tracker.update(broken, 0.01).status is StepStatus.HELD, place
+        assert np.isfinite(tracker.update(T, 0.01).q).all()
+
+
 def test_updates_without_twist_and_with_uneven_steps(panda):
     """A stream of bare targets: the twist comes from the last two, and the step length may vary."""
     ref = panda_reference(panda, True, 6.0)
