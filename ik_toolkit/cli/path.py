@@ -165,7 +165,7 @@ def path(
         if output is not None and not retime:
             kept = partial(output)
             stop.result.save(output.with_name(f"{output.stem}.part{output.suffix}")).replace(kept)
-            notice(f"the best path so far, {stop.result.status.name}, is in {kept}")
+            notice(f"partial: the best path so far, {stop.result.status.name}, is in {kept}")
         raise
     made = None
     if retime and result.success:

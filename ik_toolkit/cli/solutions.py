@@ -146,4 +146,4 @@ class Solutions:
             pass
         kept = self.file.keep(PARTIAL)
         if kept is not None:
-            notice(f"the first {self.count} solutions are in {kept}")
+            notice(f"partial: the first {self.count} solutions are in {kept}")

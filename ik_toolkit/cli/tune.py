@@ -154,7 +154,9 @@ def tune(
     if not as_json:
         _show(result, preset)
     if result.interrupted:
-        notice(f"the best so far is in {preset}, judged on one set; --resume continues from {record}")
+        notice(
+            f"partial: the best so far is in {preset}, evaluated on one held-out set; --resume continues from {record}"
+        )
         raise KeyboardInterrupt
 
 

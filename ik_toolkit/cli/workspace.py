@@ -153,8 +153,10 @@ def workspace(
         first = next(iter(found.solved))
         title = f"{arm.name}: targets of {found.tip}, {first}"
         view(arm, cloud=(found.points, found.solved[first]), title=title).save(html)
-    if stopped and csv is not None:
-        notice(f"the targets finished are in {partial(csv)}")
+    if stopped:
+        done = next(iter(found.outcomes.values())).targets
+        kept = f", in {partial(csv)}" if csv is not None else ""
+        notice(f"partial: {done:,} of {targets:,} targets{kept}")
     write_json(found.to_dict(), as_json, partial(output) if stopped and output else output)
     if not as_json:
         _show(found)

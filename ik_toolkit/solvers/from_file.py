@@ -34,7 +34,7 @@ def from_file(text: str) -> type:
     mark = "a solver is marked by @ik_toolkit.rule or @ik_toolkit.closed_form"
     if wanted in classes:
         raise InvalidOption(f"solver '{text}': the class {wanted} is no solver; {mark}")
-    tail = near_match(wanted, solvers) or f"It defines no solver; {mark}."
+    tail = near_match(wanted, solvers) or f" It defines no solver; {mark}."
     raise InvalidOption(f"solver '{text}': the file has no class '{wanted}'.{tail}")
 
 

@@ -208,7 +208,7 @@ def test_answers_that_are_not_confirmed_are_left_under_another_name(name, tmp_pa
     monkeypatch.setattr(ik.Robot, "errors", doubted)
     assert run("--targets", tmp_path / "in.npz", "-o", tmp_path / name, "--json") == 1
     said = capsys.readouterr()
-    assert "does not confirm the answer to target 4500" in said.err and not said.out
+    assert "does not confirm the result for target 4500" in said.err and not said.out
     assert f"{name}.failed" in said.err and not (tmp_path / name).exists()
     left = tmp_path / f"{name}.failed"
     words = np.load(left)["status"] if name == "out.npz" else np.array([row["status"] for row in solved(left)[1]])

@@ -207,7 +207,7 @@ def test_an_answer_that_is_not_confirmed_ends_the_batch(how, monkeypatch):
             monkeypatch.setattr(ik.Robot, "errors", lambda self, q, T: max(wrong(q, T), real(self, q, T)))
             robot, options = load("hydrolek_7w"), {"executor": pool}
         targets = iter(np.split(T, 6)) if how == "iterator" else T
-        with pytest.raises(ik.BatchCheckFailed, match=f"to target {row}, so no answer of this batch") as caught:
+        with pytest.raises(ik.BatchCheckFailed, match=f"for target {row}, so no result of this batch") as caught:
             ik.solve_batch(robot, targets, "lm", check=1.0, **options)
     many = caught.value.result
     assert isinstance(caught.value, ik.IKError) and caught.value.target == row

@@ -239,7 +239,7 @@ def test_two_files_of_one_name_are_two(tmp_path):
         ("mine.py", r"say which class, mine.py:CLASS\. .*Available: HalfStep"),
         ("mine.py:", "say which class"),
         ("mine.py:Other", "the class Other is no solver; a solver is marked by @ik_toolkit.rule"),
-        ("empty.py:X", "no solver at all"),
+        ("empty.py:X", "'X'. It defines no solver"),
         ("broken.py:X", r"broken.py, line 2: ZeroDivisionError: division by zero"),
         ("wrong.py:X", r"wrong.py, line 3: SyntaxError"),
         ("ends.py:X", r"ends.py, line 1: SystemExit: 3"),
