@@ -13,6 +13,7 @@ from .search import Found, Search
 
 TRIES = 12  # programs run again without a step that is no continuous motion, or touches
 HELD = 2  # poses kept as the program has them on either side of a place where the shorter motion fails
+ROUNDING = 1e-9  # share by which a step may be longer than it may
 SHORTENED = 3  # times a motion is shortened, with more poses held each time
 
 
@@ -24,12 +25,12 @@ class Motion(NamedTuple):
     curve: np.ndarray
     at: np.ndarray
     continuity: Continuity
+    leaps: list[float]  # places among the poses where it is no continuous motion
 
-    def failures(self, tolerance: tuple[float, float]) -> list[float]:
+    @property
+    def failures(self) -> list[float]:
         """Places among the poses where the motion is no continuous one, or touches, or comes too near to tell."""
-        c = self.continuity
-        off = (c.deviation > tolerance[0]) | (c.turn > tolerance[1])
-        return [*self.at[:-1][off].tolist(), *(one.place for one in c.contacts), *c.unproven]
+        return [*self.leaps, *(one.place for one in self.continuity.contacts), *self.continuity.unproven]
 
 
 def exact(problem: Problem, q: np.ndarray) -> np.ndarray:
@@ -49,7 +50,11 @@ def proven(
     q = p.inside(q)
     curve, at, cut = densify(p.single, p.kinds, q, p.poses, found.breaks, step, tolerance)
     curve = p.inside(curve)
-    return Motion(found, q, curve, at, check(p.single, p.kinds, curve, at, p.poses, cut, model))
+    proof = check(p.single, p.kinds, curve, at, p.poses, cut, model)
+    longest = np.where(p.robot.slides, step[1], step[0]) * (1.0 + ROUNDING)
+    leaps = (proof.deviation > tolerance[0]) | (proof.turn > tolerance[1])
+    leaps |= ~cut & (np.abs(np.diff(curve, axis=0)) > longest).any(axis=1)
+    return Motion(found, q, curve, at, proof, at[:-1][leaps].tolist())
 
 
 def shortened(search: Search, found: Found, q: np.ndarray, held: np.ndarray, step: tuple[float, float]) -> np.ndarray:
@@ -80,13 +85,19 @@ def finished(
             held = np.zeros(len(q), dtype=bool)
             for _ in range(SHORTENED):
                 motion = proven(search, found, shortened(search, found, q, held, step), step, tolerance, model)
-                failed = motion.failures(tolerance)
+                failed = motion.failures
                 if not failed:
                     return motion
                 for place in failed:
                     held[max(int(place) - HELD, 0) : int(place) + HELD + 2] = True
         motion = proven(search, found, q, step, tolerance, model)
-        failed = sorted({int(place) for place in motion.failures(tolerance)})
+        failed = sorted({int(place) for place in motion.failures})
         if found.contacts or not search.without(found, failed):
             break
-    return motion
+    if not motion.leaps:
+        return motion
+    breaks = sorted({*found.breaks, *(int(place) for place in motion.leaps)})
+    if len(breaks) > allowed:
+        q[breaks[int(allowed)] + 1 :] = np.nan
+        breaks = breaks[: int(allowed)]
+    return proven(search, found._replace(breaks=breaks), q, step, tolerance, model)

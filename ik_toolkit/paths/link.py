@@ -1,5 +1,6 @@
 """The program over tracks, and contact found where the path goes: the best path is tested, what touches is left out, again."""
 
+import itertools
 from collections.abc import Callable
 from typing import Any
 
@@ -10,6 +11,7 @@ from ..kernel.path_link import DEAD, FREE, NONE, TOUCHING, UNTESTED, link
 LONG = 1e3  # cost of a step longer than it may be: more than the length of any path is worth
 LEAP = 1.0  # cost of a reconfiguration beside its count: what it moves is no part of the path
 SUSPECT = 50.0  # toll on a state between two of its track that touch: it is tried last, and tested then
+HITS = 4  # states found touching at first, before the program is run again
 COARSE = 16  # of a track every so many poses are tested first
 
 
@@ -166,7 +168,7 @@ def free_path(program: Program, tester: Tester) -> tuple[np.ndarray, np.ndarray]
     """Best path whose states are all tested, or the best when the budget ended; see `Program.path`."""
     N = len(program.Q)
     order = middle_first(N)
-    while True:
+    for most in itertools.count(HITS):  # the longer it takes, the more is found out before the program runs again
         program.run()
         tracks, jumps = program.path(N - 1)
         hits = 0
@@ -176,7 +178,8 @@ def free_path(program: Program, tester: Tester) -> tuple[np.ndarray, np.ndarray]
                 if tester.touches(t, k):
                     tester.grow(t, k)
                     hits += 1
-                    if hits >= 4:
+                    if hits >= most:
                         break
         if hits == 0 or tester.left <= 0:
-            return tracks, jumps
+            break
+    return tracks, jumps

@@ -20,7 +20,7 @@ from .turns import ROUNDING, alive, copies, unwound
 EVERY = (
     20  # poses between two anchors of a robot whose solutions are isolated; they cost little, and none may be missed
 )
-ANCHORS = 9  # of a redundant robot at first: tracks reach far, and where they do not the program says so
+ANCHORS = 13  # of a redundant robot at first: tracks reach far; with 9 a short way was missed in one of 25 runs
 SHARE = 40  # tracks an anchor of a redundant robot may add
 TRIED = 3  # contact is tested for so many seeds as an anchor may add: one in two touches beside an obstacle
 PATIENCE = 2  # rounds of further anchors, where the program breaks, that may fail to help

@@ -202,7 +202,8 @@ def _result(
         errors[t] = np.max([(position, angle or 0.0) for position, angle in left], axis=0)
     missing = tuple(search.unreachable())
     moves = tuple(Reconfiguration(k, q[k + 1] - q[k]) for k in kept.breaks)
-    if len(found.breaks) > allowed or missing:
+    needed = max(len(found.breaks), len(moves) + (not missing and bool(np.isnan(q).any())))
+    if needed > allowed or missing:
         status = PathStatus.INCOMPLETE
     elif found.contacts or motion.continuity.contacts:
         status = PathStatus.COLLISION
@@ -216,4 +217,4 @@ def _result(
         unreachable=missing, max_step=step, path_tolerance=tolerance, collision=model, seed=seed,
         elapsed=perf_counter() - began,
     )  # fmt: skip
-    return replace(result, message=sentence(result, len(found.breaks), allowed))
+    return replace(result, message=sentence(result, needed, allowed))

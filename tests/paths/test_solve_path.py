@@ -126,6 +126,21 @@ def test_a_max_step_that_is_far_too_small_is_refused(arm):
         ik.solve_path(arm, between(arm, arm.home, arm.home + 0.1, 5), max_step=1e-8)
 
 
+@pytest.mark.skipif(not have_data(), reason="example-robot-data is not installed")
+def test_a_motion_that_cannot_be_made_in_steps_is_not_called_followed():
+    """No rows can be inserted between these two poses: what leads from one to the other is no continuous motion."""
+    robot = ik.Robot.load("kinova")
+    T = between(robot, [0.9, 2.2, 5.5, 1.0, 3.4, -2.8], [-0.3, 2.5, 4.8, 1.1, 3.0, -2.5], 2)
+    slack = (0.002, 0.002, 0.002, 0.05, 0.05, 0.05)
+    made = ik.solve_path(robot, T, slack=slack)
+    assert made.largest_step[0] <= made.max_step[0] * (1.0 + 1e-9)
+    assert made.status == PathStatus.FOLLOWED or len(made.reconfigurations) == 1
+    none = ik.solve_path(robot, T, slack=slack, reconfigurations="none")
+    if made.reconfigurations:
+        assert none.status == PathStatus.INCOMPLETE and np.isnan(none.q[1]).all() and np.isfinite(none.q[0]).all()
+        assert "the path found ends at pose 0 of 2" in none.message
+
+
 def test_a_path_begins_and_ends_where_it_is_asked_to(arm):
     rng = np.random.default_rng(11)
     a, b = arm.random_q(rng), arm.random_q(rng)
