@@ -245,7 +245,7 @@ def test_contact_is_said_where_nothing_else_is_found(snake):
     model = ik.CollisionModel(snake).add_box([0.1, 0.1, 0.1], [0.7, 0.0, 0.0])
     made = ik.solve_path(snake, points, avoid_collisions=model)
     assert made.status == PathStatus.COLLISION and not made.success and np.isfinite(made.q).all()
-    assert "only with contact" in made.message and "box" in made.message
+    assert "only in collision" in made.message and "box" in made.message
 
 
 def test_refined_motions_are_no_longer_than_tracks_and_exact(snake):
