@@ -13,7 +13,7 @@ GROUPS = {  # of the options that several commands share
     "Target": "--xyz --rpy --quat-xyzw --quat-wxyz --matrix --target --relative --direction --tip-axis",
     "What counts": "--mask --slack --free-turn --frame",
     "Tolerances": "--tolerance --position-tolerance --orientation-tolerance --tolerance-position --tolerance-orientation",
-    "Solver": "--solver --param --preset --max-iterations --restarts --seed --limits --timeout",
+    "Solver": "--solver --param --preset --max-iterations --restarts --seed --limits",
     "Start and preferences": "--q0 --clamp-q0 --joint-weights --closest --follow --objective --all",
     "Collisions": "--avoid-collisions --obstacle --margin",
     "Many targets": "--threads --cluster",
