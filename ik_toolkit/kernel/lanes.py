@@ -27,7 +27,7 @@ from .seeds import BEST, rnd, sow
 from .serial import serial_on
 from .task import POSITION
 from .vector import WIDTH, bits, choose, full
-from .view import cut, space, view
+from .view import cut, keep, space, view
 
 LEFT = -1  # status of a target left to the search
 HALF_TURN = 5e-4  # 1 + cos below which a attempt is given up: the axis cannot be told
@@ -251,5 +251,6 @@ def lanes() -> Callable:
         run(
             view(rows), view(ends), view(seeds), view(features), view(T), view(Q0), view(out), view(orders), view(block)
         )  # fmt: skip
+        keep(block)
 
     return cached(solve)

@@ -14,7 +14,7 @@ from .linalg import cholesky
 from .problem import BEST_OF_ALL
 from .records import ANSWER, AT, HEAD, TASK, Array, Ends, Orders, copy, read
 from .search import problem_on
-from .view import cut, flat, space, view
+from .view import cut, flat, keep, space, view
 
 MID_RANGE, REFERENCE, MANIPULABILITY = 1, 2, 3
 COUNTED = 1e-18  # squared norm from which on a row of the Jacobian is one the joints can move
@@ -246,3 +246,4 @@ def refine(rows, ends, T, row, ref, orders, what, steps):
     n, tips = ref.shape[0], ends.size // ends.shape[-1]
     block = np.empty(space(n, 6 * tips, rows.shape[0], 0))
     improve(view(rows), view(ends), view(T), view(row), view(ref), view(orders), what, steps, view(block))
+    keep(block)

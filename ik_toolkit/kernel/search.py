@@ -36,7 +36,7 @@ from .records import ANSWER, HEAD, ORDER, TASK, Answer, Array, Ends, Orders, cop
 from .seeds import BEST, sow
 from .serial import make_serial, serial_on
 from .tree import make_tree, tree_on
-from .view import cut, flat, space, view
+from .view import cut, flat, keep, space, view
 
 SINGULAR_STEP, WAITING = -1, -2  # what step may return instead of 0: no step exists; a step of zero that is no stall
 GOING, STILL = -1, -2  # of an attempt that goes on, or stands still; the search says why
@@ -357,6 +357,8 @@ def entry(cls: type) -> Callable:
             step, needs_jacobian, view(rows), view(ends), view(seeds), view(features), view(T), view(Q0), view(out),
             view(orders), view(history), view(block), view(near),
         )  # fmt: skip
+        keep(block)
+        keep(near)
 
     ENTRIES[cls] = cached(solve, cls, step.step)
     return ENTRIES[cls]

@@ -169,6 +169,20 @@ def _as_view(typing, A):
     return (View(A.dtype, A.ndim)(A), generate) if A.layout == "C" else None
 
 
+def keep(A):
+    """Let an array that was made here live until this line: a view of it is no use of it, and its memory would be given back."""
+
+
+@overload(keep, jit_options=INLINE)
+def _keep(A):
+    return lambda A: _used(A)
+
+
+@intrinsic
+def _used(typing, A):
+    return types.void(A), lambda context, builder, sig, args: context.get_dummy_value()
+
+
 def flat(A):
     """All numbers of a view, in one dimension."""
     return A.reshape(-1)
