@@ -1,6 +1,6 @@
 """`ik tune`: search a solver's parameters for a robot and write them as a preset."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -72,6 +72,18 @@ def register(app: typer.Typer) -> None:
     app.command()(tune)
 
 
+def _telling(bar: Callable) -> Callable:
+    """Report to a progress bar the least cost of the generations so far."""
+    least = float("inf")
+
+    def step(generation: int, costs: Any) -> None:
+        nonlocal least
+        least = min(least, float(costs.min()))
+        bar(generation, f"generation {generation}, cost {least:.4f}")
+
+    return step
+
+
 def tune(
     robot: RobotArg,
     solver: SolverArg,
@@ -116,14 +128,7 @@ def tune(
     writes(".toml")(preset)
     record = preset.with_suffix(".npz")
     writes(".npz")(record)
-    least = float("inf")
     with _record(record, resume), progress("searching", generations) as bar:
-
-        def step(generation: int, costs: Any) -> None:
-            nonlocal least
-            least = min(least, float(costs.min()))
-            bar(generation, f"generation {generation}, cost {least:.4f}")
-
         result = search(
             arm,
             solver,
@@ -141,7 +146,7 @@ def tune(
             max_iterations=max_iterations,
             how=how,
             checkpoint=record,
-            progress=step,
+            progress=_telling(bar),
         )
     if result.interrupted:
         preset = partial(preset)

@@ -74,6 +74,20 @@ def register(app: typer.Typer) -> None:
     app.command()(workspace)
 
 
+def _draw(found: Any, arm: Any, plot: Path | None, html: Path | None) -> None:
+    """Pictures of a finished study."""
+    if plot is not None:
+        from ..show.studies import plot_workspace
+
+        plot_workspace(found, plot)
+    if html is not None:
+        from ..show.scene import view
+
+        first = next(iter(found.solved))
+        title = f"{arm.name}: targets of {found.tip}, {first}"
+        view(arm, cloud=(found.points, found.solved[first]), title=title).save(html)
+
+
 def workspace(
     robot: RobotArg,
     solver: Solvers = None,
@@ -143,17 +157,9 @@ def workspace(
             )
         except WorkspaceInterrupted as interrupt:
             found, stopped = interrupt.result, True
-    if plot is not None and not stopped:
-        from ..show.studies import plot_workspace
-
-        plot_workspace(found, plot)
-    if html is not None and not stopped:
-        from ..show.scene import view
-
-        first = next(iter(found.solved))
-        title = f"{arm.name}: targets of {found.tip}, {first}"
-        view(arm, cloud=(found.points, found.solved[first]), title=title).save(html)
-    if stopped:
+    if not stopped:
+        _draw(found, arm, plot, html)
+    else:
         done = next(iter(found.outcomes.values())).targets
         kept = f", in {partial(csv)}" if csv is not None else ""
         notice(f"partial: {done:,} of {targets:,} targets{kept}")
