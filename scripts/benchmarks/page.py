@@ -42,7 +42,8 @@ joints' limits allow. Errors count one radian as 0.2 m.
 """
 AGAINST = """\
 Before is commit {old}. Each version has a process, a cache and the same targets; the rounds alternate. CPU time; of the ratios
-the median and its 95 % interval by order statistics.
+the median and its 95 % interval by order statistics. Trackers run in their published form (`on_limit="clip"`), which is
+all that the older version had.
 """
 
 

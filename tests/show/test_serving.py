@@ -59,6 +59,8 @@ def test_live_scene_is_local_and_needs_its_address():
         scene.show(robot.lower * 0.5)
         moved = [await client.read_message() for _ in range(len(scene.body.parts))]
         client.close()
+        while await client.read_message() is not None:  # None: closed; else the socket is left to the collector
+            pass
         return first, moved
 
     first, moved = asyncio.run(talk())
