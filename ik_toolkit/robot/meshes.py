@@ -95,14 +95,14 @@ def find_mesh(name: str, folders: Sequence[Path], packages: Mapping[str, Path] |
         ]
     else:
         places = [os.path.join(folder, rest if separator else name) for folder in folders]
-    inside = [place for place in places if _inside(Path(os.path.normpath(place)), folders)]
+    inside = [place for place in places if lies_in(Path(os.path.normpath(place)), folders)]
     if not inside:
         raise ModelError(
             "lies outside the named folders and is not looked at" if folders else "cannot be found without a folder"
         )
     try:
         real = [Path(place).resolve() for place in inside if os.path.isfile(place)]
-        found = next((path for path in real if _inside(path, folders)), None)
+        found = next((path for path in real if lies_in(path, folders)), None)
         size = found.stat().st_size if found else 0
     except (OSError, ValueError, RuntimeError):  # links in a circle, a name that is too long
         raise ModelError("cannot be read") from None
@@ -115,7 +115,8 @@ def find_mesh(name: str, folders: Sequence[Path], packages: Mapping[str, Path] |
     return found
 
 
-def _inside(path: Path, folders: Sequence[Path]) -> bool:
+def lies_in(path: Path, folders: Sequence[Path]) -> bool:
+    """Whether a real path lies in one of the folders that may be read."""
     return any(path.is_relative_to(folder) for folder in folders)
 
 

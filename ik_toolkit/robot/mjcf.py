@@ -5,10 +5,7 @@ revolute joints, loops stay open, shapes of other kinds are left out. Keyframes 
 """
 
 import importlib.util
-import json
 import math
-import subprocess
-import sys
 import tempfile
 import xml.etree.ElementTree as ET
 from collections.abc import Iterable, Sequence
@@ -18,9 +15,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..errors import MissingExtra, ModelError
+from .base import BALL_PITCH, TURNS
 from .meshes import mesh_folders
 from .mjcf_text import flatten
 from .pose import matrix_rpy, quat_matrix
+from .worker import ask
 from .write import numbers_text, origin, to_text
 
 WORKER = Path(__file__).with_name("mjcf_worker.py")
@@ -28,7 +27,6 @@ MEMORY = 2_000_000_000  # bytes; a humanoid takes 0.2 GB, MuJoCo itself most of 
 SECONDS = 20  # of processor time; large robots take 1 s
 ENDLESS = "1e16"  # a limit that is none (see NO_LIMIT in probe.py)
 HIDDEN = 3  # groups of shapes from here on are not drawn, as in MuJoCo's viewer
-TURNS = ("yaw", "pitch", "roll")
 BALL_AXES = ((0, 0, 1), (0, 1, 0), (1, 0, 0))
 
 
@@ -52,24 +50,9 @@ def to_urdf(text: str, path: Path | None, package_dirs: Iterable[str | Path] = (
 
 def _compile(xml: str, name: str) -> dict[str, Any]:
     """What MuJoCo makes of MJCF text, in a process of its own."""
-    job = {"xml": xml, "memory": MEMORY, "seconds": SECONDS}
-    try:
-        with tempfile.TemporaryDirectory(prefix="ik_mjcf_") as folder:  # MuJoCo leaves its log where it runs
-            done = subprocess.run(
-                [sys.executable, "-P", str(WORKER)],
-                input=json.dumps(job),
-                stdout=subprocess.PIPE,
-                stderr=subprocess.DEVNULL,
-                text=True,
-                cwd=folder,
-                timeout=6.0 * SECONDS,  # of wall time: a busy machine
-                check=False,
-            )
-        answer = json.loads((done.stdout.strip().splitlines() or [""])[-1])
-    except (subprocess.TimeoutExpired, ValueError):
-        answer = {"error": "it crashed MuJoCo, or took too much time or memory"}
-    except OSError as error:
-        raise ModelError(f"the process that reads MJCF cannot be started: {error.strerror}") from None
+    silent = "it crashed MuJoCo, or took too much time or memory"
+    with tempfile.TemporaryDirectory(prefix="ik_mjcf_") as folder:  # MuJoCo leaves its log where it runs
+        answer = ask(WORKER, "reads MJCF", silent, memory=MEMORY, seconds=SECONDS, folder=folder, xml=xml)
     if "error" in answer:
         raise ModelError(f"MuJoCo cannot read '{name}': {answer['error']}")
     return answer
@@ -251,7 +234,7 @@ class _Writer:
 
         self.values.append(values)
         for part, axis in zip(names, BALL_AXES, strict=True):
-            reach = min(most, math.pi / 2 if axis == BALL_AXES[1] else math.inf)
+            reach = min(most, BALL_PITCH if axis == BALL_AXES[1] else math.inf)
             limits = (-reach, reach) if math.isfinite(reach) else None
             steps.append((part, "revolute" if limits else "continuous", T, axis, limits))
             T = np.eye(4)

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from ..errors import ModelError
+from .meshes import lies_in
 from .read import MAX_BYTES, check_names, source_text, walk
 
 MAX_INCLUDES = 200  # files; the largest of MuJoCo's menagerie has 5
@@ -56,7 +57,7 @@ class Flattener:
         places = [folder / name for folder in dict.fromkeys((self.home, beside or self.home))]
         try:
             real = [place.resolve() for place in places]
-            found = [place for place in real if any(place.is_relative_to(folder) for folder in self.folders)]
+            found = [place for place in real if lies_in(place, self.folders)]
             there = next((place for place in found if place.is_file()), None)
         except (OSError, ValueError, RuntimeError):
             raise ModelError(f"<include file='{name[:100]}'> cannot be read") from None

@@ -1,14 +1,16 @@
 """The process that compiles MJCF for `mjcf.py`: MuJoCo applies defaults, frames, replication and angles, and may crash alone.
 
-It imports nothing of the toolkit. Job (JSON on stdin): xml (names no file any more), memory [bytes], seconds. It prints one line of
-JSON: what the model consists of, or {"error": sentence}. Lengths in metres, angles in radians, quaternions w x y z.
+It imports nothing of the toolkit but mesh_worker.py. Job (JSON on stdin): xml (names no file any more), memory [bytes], seconds. It
+prints one line of JSON: what the model consists of, or {"error": sentence}. Metres, radians, quaternions w x y z.
 """
 
 import importlib
 import json
+import runpy
 import sys
 import warnings
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 JOINTS = ("free", "ball", "slide", "hinge")
@@ -16,16 +18,9 @@ GEOMS = ("plane", "hfield", "sphere", "capsule", "ellipsoid", "cylinder", "box",
 MOST = 20_000  # bodies, joints, geoms or sites that are told
 
 
-def limit(what: str, value: int) -> None:
-    """Cap a resource of this process where the system can."""
-    try:
-        import resource
-
-        number = getattr(resource, f"RLIMIT_{what}")
-        hard = resource.getrlimit(number)[1]
-        resource.setrlimit(number, (value if hard < 0 else min(value, hard), hard))
-    except (ImportError, AttributeError, ValueError, OSError):
-        pass
+def at(pos: Any, quat: Any) -> dict:
+    """Where something stands."""
+    return {"pos": pos.tolist(), "quat": quat.tolist()}
 
 
 def describe(m: Any) -> dict:
@@ -43,8 +38,7 @@ def describe(m: Any) -> dict:
             lambda i: {
                 "name": m.body(i).name,
                 "parent": int(m.body_parentid[i]),
-                "pos": m.body_pos[i].tolist(),
-                "quat": m.body_quat[i].tolist(),
+                **at(m.body_pos[i], m.body_quat[i]),
             },
         ),
         "joints": listed(
@@ -65,8 +59,7 @@ def describe(m: Any) -> dict:
             lambda i: {
                 "type": GEOMS[m.geom_type[i]] if m.geom_type[i] < len(GEOMS) else "other",
                 "body": int(m.geom_bodyid[i]),
-                "pos": m.geom_pos[i].tolist(),
-                "quat": m.geom_quat[i].tolist(),
+                **at(m.geom_pos[i], m.geom_quat[i]),
                 "size": m.geom_size[i].tolist(),
                 "touches": bool(m.geom_contype[i] or m.geom_conaffinity[i]),
                 "group": int(m.geom_group[i]),
@@ -78,8 +71,7 @@ def describe(m: Any) -> dict:
             m.nmesh,
             lambda i: {
                 "name": m.mesh(i).name,
-                "pos": m.mesh_pos[i].tolist(),
-                "quat": m.mesh_quat[i].tolist(),
+                **at(m.mesh_pos[i], m.mesh_quat[i]),
                 "scale": m.mesh_scale[i].tolist(),
             },
         ),
@@ -88,8 +80,7 @@ def describe(m: Any) -> dict:
             lambda i: {
                 "name": m.site(i).name,
                 "body": int(m.site_bodyid[i]),
-                "pos": m.site_pos[i].tolist(),
-                "quat": m.site_quat[i].tolist(),
+                **at(m.site_pos[i], m.site_quat[i]),
             },
         ),
         "equalities": listed(
@@ -111,7 +102,7 @@ def main() -> None:
     job = json.load(sys.stdin)
     warnings.simplefilter("ignore")
     mujoco: Any = importlib.import_module("mujoco")
-
+    limit = runpy.run_path(str(Path(__file__).with_name("mesh_worker.py")))["limit"]
     limit("CORE", 0)
     limit("AS", job["memory"])
     limit("CPU", job["seconds"])

@@ -1,14 +1,12 @@
 """Xacro -> URDF text, expanded by a process of its own that is confined (see xacro_worker.py)."""
 
 import importlib.util
-import json
 import os
-import subprocess
-import sys
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 from ..errors import InvalidOption, MissingExtra, ModelError
+from .worker import ask
 
 WORKER = Path(__file__).with_name("xacro_worker.py")
 MEMORY = 1_000_000_000  # bytes; large robots take 0.1 GB
@@ -33,30 +31,18 @@ def expand(path: Path, package_dirs: Iterable[str | Path] = (), arguments: Mappi
     file = path.expanduser().resolve()
     folders = [str(Path(folder).expanduser().resolve()) for folder in package_dirs]
     package = [str(folder) for folder in file.parents if (folder / "package.xml").is_file()]
-    job = {
-        "file": str(file),
-        "arguments": given,
-        "package_dirs": folders,
-        "folders": [str(file.parent), *package[:1], *folders],
-        "environment": {name: os.environ[name] for name in ENVIRONMENT if name in os.environ},
-        "memory": MEMORY,
-        "seconds": SECONDS,
-    }
-    try:
-        done = subprocess.run(
-            [sys.executable, "-P", str(WORKER)],
-            input=json.dumps(job),
-            stdout=subprocess.PIPE,
-            stderr=subprocess.DEVNULL,
-            text=True,
-            timeout=6.0 * SECONDS,  # of wall time: a busy machine
-            check=False,
-        )
-        answer = json.loads(done.stdout.strip() or '{"error": "it took too much time or memory"}')
-    except (subprocess.TimeoutExpired, ValueError):
-        answer = {"error": "it took too much time or memory"}
-    except OSError as error:
-        raise ModelError(f"the process that expands xacro cannot be started: {error.strerror}") from None
+    answer = ask(
+        WORKER,
+        "expands xacro",
+        "it took too much time or memory",
+        memory=MEMORY,
+        seconds=SECONDS,
+        file=str(file),
+        arguments=given,
+        package_dirs=folders,
+        folders=[str(file.parent), *package[:1], *folders],
+        environment={name: os.environ[name] for name in ENVIRONMENT if name in os.environ},
+    )
     if "error" in answer:
         raise ModelError(f"'{path.name}' cannot be expanded: {answer['error']}")
     if "<link" not in answer["urdf"]:

@@ -284,9 +284,8 @@ def _samples(reference: Reference, times: np.ndarray) -> Samples:
     if not (bad.any() or reference.position_only):  # as for a single target, see `check_target`
         R = T[:, :3, :3]
         bad = np.abs(T[:, 3] - (0.0, 0.0, 0.0, 1.0)).max(axis=1) > 1e-9
-        doubtful = (
-            np.abs(R.transpose(0, 2, 1) @ R - np.eye(3)).max(axis=(1, 2)) > PROJECT_WITHIN / 3.0
-        )  # it is cheap to say no
+        # Where a singular value is further off 1, so is an entry of R^T R by a third of that: most samples need no more.
+        doubtful = np.abs(R.transpose(0, 2, 1) @ R - np.eye(3)).max(axis=(1, 2)) > PROJECT_WITHIN / 3.0
         bad[doubtful] |= np.abs(np.linalg.svd(R[doubtful], compute_uv=False) - 1.0).max(axis=1) > PROJECT_WITHIN
         bad |= np.linalg.det(R) < 0.0
         what = "is no pose (a rotation, a position and the last row 0 0 0 1)"
