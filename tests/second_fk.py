@@ -83,8 +83,13 @@ class SecondFK:
     def values(self, name, Q, joint_names):
         """Values (N,) of a joint at Q (N, n), or one number when nothing moves it."""
         leader, ratio, offset = self.leads(name)
-        q = Q[:, joint_names.index(leader)] if leader in joint_names else self.rest.get(leader, 0.0)
-        return ratio * q + offset
+        if leader in joint_names:
+            return ratio * Q[:, joint_names.index(leader)] + offset
+        for follower in joint_names:  # a follower that is a coordinate says where its leader stands
+            other, r, o = self.leads(follower)
+            if other == leader:
+                return ratio * (Q[:, joint_names.index(follower)] - o) / r + offset
+        return ratio * self.rest.get(leader, 0.0) + offset
 
     def _out(self, path, Q, joint_names):
         """Rotation (N, 3, 3) and point (N, 3) of the end of a path in the last common link."""

@@ -6,9 +6,9 @@ from typing import Annotated, Any
 
 import typer
 
-from ..errors import CONTROLS, FrameNotFound, IKError, InvalidOption
+from ..errors import CONTROLS, FrameNotFound, IKError, InvalidOption, ModelError
 from ..files import write_whole
-from .arguments import Json, PackageDir, writes
+from .arguments import Json, PackageDir, XacroArg, assignments, writes
 from .output import notice, progress, show, table, write_json
 
 TableArg = Annotated[str, typer.Argument(metavar="TABLE", help="D-H table, a .toml or .csv file.")]
@@ -36,7 +36,7 @@ Sampled = Annotated[
 ]
 Samples = Annotated[int | None, typer.Option(metavar="N", help="Configurations to sample; default 10000.")]
 Seed = Annotated[int, typer.Option(metavar="N", help="Seed of the samples.")]
-UrdfArg = Annotated[str, typer.Argument(metavar="URDF", help="Path of a URDF file, or a robot's name.")]
+UrdfArg = Annotated[str, typer.Argument(metavar="URDF", help="Path of a URDF, xacro or MJCF file, or a robot's name.")]
 
 
 def register(app: typer.Typer) -> None:
@@ -70,9 +70,10 @@ def check(
     seed: Seed = 0,
     output: SrdfOut = None,
     package_dir: PackageDir = None,
+    xacro_arg: XacroArg = None,
     as_json: Json = False,
 ) -> None:
-    """Validate a URDF, element by element.
+    """Validate a robot's URDF (or the one that its xacro or MJCF comes to), element by element.
 
     --self-collision also finds the pairs of links that need no collision test: adjacent, always touching, touching by
     construction, or never closer than 1 cm in random configurations of all joints. -o writes them as an SRDF, for --srdf
@@ -84,16 +85,23 @@ def check(
         raise InvalidOption("--samples and -o belong to --self-collision")
     from rich.text import Text
 
-    from ..robot.check import check_urdf
+    from ..robot.check import Finding, check_urdf
     from ..robot.library import find
+    from ..robot.load import urdf_of
 
     entry = find(urdf)
-    findings = check_urdf(entry.source, [*(package_dir or ()), *entry.package_dirs])
+    options: dict[str, Any] = {"package_dirs": [*(package_dir or ()), *entry.package_dirs]}
+    options["xacro_args"] = assignments(xacro_arg, "--xacro-arg", ":=") or None
+    try:
+        found = urdf_of(entry, **options)
+        findings = check_urdf(found.text, found.package_dirs, file=found.file)
+    except ModelError as error:
+        findings = [Finding("error", "file", str(error), "give a URDF, xacro or MJCF file that can be read")]
     errors = [finding for finding in findings if finding.severity == "error"]
     rows = [asdict(finding) for finding in findings]
-    forms = {} if errors else _closed_forms(entry, package_dir or ())
+    forms = {} if errors else _closed_forms(entry, options)
     payload = {"urdf": urdf, "loadable": not errors, "errors": len(errors), "findings": rows, "closed_forms": forms}
-    found = _self_collision(entry, package_dir or (), samples, seed) if sampled and not errors else None
+    found = _self_collision(entry, options, samples, seed) if sampled and not errors else None
     if found is not None:
         pairs = [{"links": pair, "reason": reason} for pair, reason in found.reasons.items()]
         payload["self_collision"] = {**asdict(found), "reasons": pairs, "counts": found.counts()}
@@ -123,23 +131,23 @@ def check(
         raise typer.Exit(1)
 
 
-def _self_collision(entry: Any, package_dirs: Any, samples: int | None, seed: int) -> Any:
+def _self_collision(entry: Any, options: dict[str, Any], samples: int | None, seed: int) -> Any:
     """Pairs of links that need no test, of whatever tip: all joints of the model move."""
     from ..robot.robot import Robot
     from ..robot.self_collision import SAMPLES, self_collision
 
-    folders, count = [*package_dirs, *entry.package_dirs], SAMPLES if samples is None else samples
+    count = SAMPLES if samples is None else samples
     try:
-        robot = Robot.load(entry.source, tip=(entry.tips or (None,))[0], package_dirs=folders, srdf=False)
+        robot = Robot.load(entry.source, tip=(entry.tips or (None,))[0], srdf=False, **options)
     except FrameNotFound as several:
         if not several.tips:
             raise
-        robot = Robot.load(entry.source, tip=several.tips[0], package_dirs=folders, srdf=False)
+        robot = Robot.load(entry.source, tip=several.tips[0], srdf=False, **options)
     with progress("sampling", count) as step:
         return self_collision(robot, count, seed, step)
 
 
-def _closed_forms(entry: Any, package_dirs: Any) -> dict[str, str]:
+def _closed_forms(entry: Any, options: dict[str, Any]) -> dict[str, str]:
     """By tip, what is said of the closed form that fits there."""
     from ..robot.robot import Robot
     from ..solvers.closed_form import describe
@@ -147,7 +155,7 @@ def _closed_forms(entry: Any, package_dirs: Any) -> dict[str, str]:
     found = {}
     for tip in entry.tips or (None,):
         try:
-            robot = Robot.load(entry.source, tip=tip, package_dirs=[*package_dirs, *entry.package_dirs])
+            robot = Robot.load(entry.source, tip=tip, **options)
         except IKError:  # several ends and none named: no arm to speak of
             continue
         if describe(robot):

@@ -34,17 +34,20 @@ class Finding:
         return f"{self.element}: {self.problem}"
 
 
-def check_urdf(source: str | Path, package_dirs: Iterable[str | Path] = ()) -> list[Finding]:
+def check_urdf(
+    source: str | Path, package_dirs: Iterable[str | Path] = (), *, file: Path | None = None
+) -> list[Finding]:
     """Everything found wrong with a URDF (path or text): errors, for which it is not loaded, then warnings.
 
-    Meshes are looked for only in the file's own folder, its ROS package and package_dirs; network addresses are never opened.
+    file: where a text came from. Meshes are looked for only in the file's own folder, its ROS package and package_dirs; network
+    addresses are never opened.
     """
     try:
         text = safe_read(source)
     except ModelError as error:
         return [Finding("error", "file", str(error), "give a plain URDF file")]
     items = parse(text)
-    file = None if is_text(source) else Path(source)
+    file = file if is_text(source) else Path(source)
     names = [attributes.get("filename", "") for item in items for tag, attributes in item.inside if tag == "mesh"]
     packages, folders = mesh_packages(names, file, package_dirs), mesh_folders(file, package_dirs)
     warnings = [finding for item in items for finding in (*_remarks(item), *_meshes(item, folders, packages))]

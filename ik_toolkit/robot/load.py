@@ -3,7 +3,7 @@
 import logging
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import pinocchio as pin
 
@@ -20,14 +20,19 @@ from .xacro import expand
 LOG = logging.getLogger("ik_toolkit")
 
 
-def read(
-    source: str | Path, package_dirs: Iterable[str | Path], xacro_args: Mapping[str, Any] | None = None
-) -> tuple[RobotEntry, dict[str, Any]]:
-    """What a source names, and what `Robot` takes of it: its model, name, text and folders. Raises as `Robot.load` does."""
-    entry = find(source)
-    folders = [*folders_of(package_dirs), *entry.package_dirs]
+class Urdf(NamedTuple):
+    """URDF text of a source; file: where its relative names begin; notes, states: what MJCF says besides (see `Read`)."""
+
+    text: str
+    file: Path | None
+    package_dirs: list[Path]
     notes: tuple[str, ...] = ()
-    states: dict[str, dict[str, tuple[float, ...]]] = {}
+    states: Mapping[str, Mapping[str, tuple[float, ...]]] = {}
+
+
+def urdf_of(entry: RobotEntry, package_dirs: Iterable[str | Path], xacro_args: Mapping[str, Any] | None = None) -> Urdf:
+    """URDF text of a URDF, xacro or MJCF source. Raises as `Robot.load` does for files that cannot be read."""
+    folders = list(dict.fromkeys((*folders_of(package_dirs), *entry.package_dirs)))
     try:
         text = safe_read(entry.source)
         if xacro_args:
@@ -40,16 +45,25 @@ def read(
         if xacro_args:
             raise InvalidOption(f"xacro_args are for xacro files, and {entry.name} is MJCF") from None
         flat = to_urdf(source_text(entry.source, "MJCF"), entry.path, folders)
-        text, notes, states = safe_read(flat.urdf), tuple(flat.notes), flat.states
+        return Urdf(safe_read(flat.urdf), entry.path, folders, tuple(flat.notes), flat.states)
+    return Urdf(text, entry.path, folders)
+
+
+def read(
+    source: str | Path, package_dirs: Iterable[str | Path], xacro_args: Mapping[str, Any] | None = None
+) -> tuple[RobotEntry, dict[str, Any]]:
+    """What a source names, and what `Robot` takes of it: its model, name, text and folders. Raises as `Robot.load` does."""
+    entry = find(source)
+    text, file, folders, notes, states = urdf_of(entry, package_dirs, xacro_args)
     require_loadable(text)
     try:
         model = build_model(text)
     except Exception as error:
         raise ModelError(f"Pinocchio cannot read {entry.name}: {str(error).strip().splitlines()[0]}") from None
-    name = entry.name if entry.path else model.name
+    name = entry.name if file else model.name
     for note in notes:
         LOG.warning("%s: %s", entry.name, note)
-    made = {"model": model, "name": name, "urdf": text, "path": entry.path, "package_dirs": folders}
+    made = {"model": model, "name": name, "urdf": text, "path": file, "package_dirs": folders}
     return entry, made | {"notes": notes, "states": states}
 
 

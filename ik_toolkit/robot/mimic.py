@@ -1,7 +1,8 @@
 """Followers of mimic joints: what leads each, within which limits, and an order of the joints in which leaders come first.
 
 Pinocchio ties a follower to a leader that it has met already. It goes through the tree branch by branch, in the order of the
-joints' names, so whether a file can be read would depend on how its author named the joints.
+joints' names, so whether a file can be read would depend on how its author named the joints. Where no order has every leader
+first (a follower that carries its leader), the roles change: the tie is the same line read the other way.
 """
 
 import functools
@@ -40,9 +41,15 @@ def followers(text: str) -> Followers:
     tied, loose = ties(items)
     if not tied:
         return Followers(tied, loose, [])
-    order, late = leaders_first(items, tied)
+    own = leaders_first(items, {})[0]
+    given = tied
+    order, late = leaders_first(items, given)
+    for turned in ({given[name].leader for name in late}, {tie.leader for tie in given.values()}):
+        if late:  # no order has every leader first: other leaders, of these groups if that will do, else of all
+            tied = first_leads(given, turned, own)
+            order, late = leaders_first(items, tied)
     tied = {name: tie for name, tie in tied.items() if name not in late}
-    return Followers(tied, loose | late, order if order != leaders_first(items, {})[0] else [])
+    return Followers(tied, loose | late, order if order != own else [])
 
 
 def mimic_limits(text: str) -> dict[str, tuple[str, float, float, float, float]]:
@@ -100,6 +107,25 @@ def ties(items: Sequence[Item]) -> tuple[dict[str, Tie], dict[str, str]]:
             above = tied.get(mimic.get("joint", ""), Tie(mimic.get("joint", ""), 1.0, 0.0))
             tied[follower] = Tie(above.leader, ratio * above.ratio, ratio * above.offset + offset)
     return tied, loose
+
+
+def first_leads(tied: Mapping[str, Tie], leaders: set[str], order: Sequence[str]) -> dict[str, Tie]:
+    """The ties, with the first joint in this order at the head of each group that one of these leaders led.
+
+    The motion is the same: q_leader = (q_follower - offset) / ratio. A ratio of 0 cannot be turned round.
+    """
+    found = dict(tied)
+    for leader in leaders:
+        group = {name: tie for name, tie in tied.items() if tie.leader == leader}
+        first = next(name for name in order if name == leader or (name in group and group[name].ratio != 0.0))
+        if first == leader:
+            continue
+        _, ratio, offset = group.pop(first)
+        del found[first]
+        found[leader] = Tie(first, 1.0 / ratio, -offset / ratio)
+        for name, tie in group.items():
+            found[name] = Tie(first, tie.ratio / ratio, tie.offset - tie.ratio * offset / ratio)
+    return found
 
 
 def leaders_first(items: Sequence[Item], tied: Mapping[str, Tie]) -> tuple[list[str], dict[str, str]]:

@@ -62,7 +62,9 @@ class Flattener:
         except (OSError, ValueError, RuntimeError):
             raise ModelError(f"<include file='{name[:100]}'> cannot be read") from None
         if not found:
-            raise ModelError(f"<include file='{name[:100]}'> lies outside the folder of the model and is not read")
+            raise ModelError(
+                f"<include file='{name[:100]}'> lies outside the model's folder; name its folder with package_dirs"
+            )
         if there is None:
             raise ModelError(f"<include file='{name[:100]}'>: there is no such file")
         return there

@@ -139,6 +139,8 @@ def parse(text: str) -> list[Item]:
             check_names(attributes, "URDF", line)
         if not above and tag == "mujoco":
             raise IsMjcf("this is MJCF, not a URDF")
+        if not above and tag == "mujocoinclude":
+            raise ModelError("this is a part of an MJCF model; load the file that includes it")
         if not above and tag != "robot":
             raise ModelError(f"the root element is <{tag}>, not <robot>: this is not a URDF")
         if tag.startswith("xacro:") or (macros and any("${" in x or "$(" in x for x in attributes.values())):

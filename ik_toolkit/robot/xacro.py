@@ -17,9 +17,9 @@ ENVIRONMENT = ("ROS_PACKAGE_PATH", "AMENT_PREFIX_PATH")
 def expand(path: Path, package_dirs: Iterable[str | Path] = (), arguments: Mapping[str, object] | None = None) -> str:
     """URDF text of a xacro file.
 
-    arguments: values of its <xacro:arg> by name. Files are read from the file's own folder, the package it lies in,
-    package_dirs and the packages it finds; nothing is written, no command run, no environment read. Raises MissingExtra,
-    InvalidOption (arguments), ModelError: one sentence that names the file.
+    arguments: values of its <xacro:arg>, and of $(env NAME), by name. Files are read from the file's own folder, the package it
+    lies in, package_dirs and the packages it finds; nothing is written, no command run, no environment read. Raises
+    MissingExtra, InvalidOption (arguments), ModelError: one sentence that names the file.
     """
     if importlib.util.find_spec("xacro") is None:
         raise MissingExtra("xacrodoc", "formats")

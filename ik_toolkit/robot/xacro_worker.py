@@ -83,13 +83,28 @@ def expand(job: dict) -> dict:
             walls.folders.append(str(found))
         return known[name]
 
-    def env(name: str, *_: object, **__: object) -> str:
-        raise NotAllowed(
-            f"it reads the environment, $(env {name[:100]}), which is not allowed; pass values as arguments"
-        )
+    def env(name: str) -> str:
+        if name not in job["arguments"]:
+            raise NotAllowed(
+                f"it reads $(env {name[:100]}); the environment is not read, give {name[:100]} as an argument"
+            )
+        return job["arguments"][name]
 
-    substitution._eval_find, substitution._eval_env, substitution._eval_optenv = find, env, env
-    substitution._eval_dict.update(find=find, env=env, optenv=env)
+    def optenv(name: str, default: str = "") -> str:
+        return job["arguments"].get(name, default)
+
+    beside_the_file = xacro.abs_filename_spec
+
+    def included(name: str) -> str:
+        scheme, _, rest = name.partition("://")
+        if scheme != "package":
+            return beside_the_file(name)
+        package, _, inner = rest.partition("/")
+        return os.path.join(find(package), inner)
+
+    substitution._eval_find, substitution._eval_env, substitution._eval_optenv = find, env, optenv
+    substitution._eval_dict.update(find=find, env=env, optenv=optenv)
+    xacro.abs_filename_spec = included
     os.environ.clear()
     walls.build()
     try:
@@ -98,7 +113,10 @@ def expand(job: dict) -> dict:
         return {"urdf": document.toprettyxml(indent="  ")}
     except BaseException as error:  # whatever the macros do is one more way to be broken
         stack = [os.path.basename(name) for name in (xacro.filestack or []) if name]
-        said = " ".join(str(getattr(error, "exc", None) or error).split())[:300] or type(error).__name__
+        cause = getattr(error, "exc", None) or error
+        if isinstance(cause, FileNotFoundError):
+            stack, cause = stack[:-1], f"there is no file '{cause.filename}'"
+        said = " ".join(str(cause).split())[:300] or type(error).__name__
         return {"error": f"{said} (in '{stack[-1]}')" if stack else said}
 
 

@@ -84,6 +84,19 @@ def test_check_finds_nothing_or_says_what(run, tmp_path):
     assert not found["loadable"] and found["errors"] >= 1 and found["findings"][0]["severity"] == "error"
 
 
+def test_check_expands_xacro(run, tmp_path):
+    pytest.importorskip("xacro")
+    file = tmp_path / "arm.urdf.xacro"
+    file.write_text(
+        '<robot name="r" xmlns:xacro="http://www.ros.org/wiki/xacro"><xacro:arg name="parent" default="nobody"/>'
+        '<link name="a"/><link name="b"/>'
+        '<joint name="j" type="continuous"><parent link="$(arg parent)"/><child link="b"/></joint></robot>'
+    )
+    code, out, _ = run("check", file)
+    assert code == 1 and "nobody" in out
+    assert run("check", file, "--xacro-arg", "parent:=a")[0] == 0
+
+
 def test_doctor_finds_this_machine_healthy(run):
     code, out, _ = run("doctor", "--json")
     checks = {row["what"]: row["state"] for row in json.loads(out)["checks"]}

@@ -285,10 +285,3 @@ def test_what_only_pinocchio_refuses_is_reported():
     text = chain(2).replace('<link name="l1"/>', '<link name="l1"><inertial><mass value="-"/></inertial></link>')
     findings = [f for f in check_urdf(text) if f.severity == "error"]
     assert len(findings) == 1
-
-
-def test_a_follower_that_carries_its_leader_stands_still():
-    """Pinocchio wants the leader first, so no tip can be moved by such a pair, and everything else is read."""
-    text = chain(2).replace('name="j0" type="revolute">', 'name="j0" type="revolute"><mimic joint="j1"/>')
-    findings = check_urdf(load(text))
-    assert [f.severity for f in findings] == ["warning"] and "which it carries" in str(findings[0])

@@ -51,20 +51,41 @@ def test_names_are_those_of_the_file():
 
 
 def test_two_branches_that_lead_each_other():
-    """No order has both leaders first: one pair is tied, the other's follower stands still, and says so where it matters."""
+    """No order has both leaders first, so one pair changes roles: the tie is the same line."""
     parts = (
         '<robot name="r"><link name="o"/>',
-        joint("a1", "revolute", "o", "a"), joint("a2", "revolute", "a", "aa", mimic='<mimic joint="b1"/>'),
-        joint("b1", "revolute", "o", "b"), joint("b2", "revolute", "b", "bb", mimic='<mimic joint="a1"/>'),
+        joint("a1", "revolute", "o", "a"),
+        joint("a2", "revolute", "a", "aa", axis="0 1 0", mimic='<mimic joint="b1" multiplier="2" offset="0.1"/>'),
+        joint("b1", "revolute", "o", "b"),
+        joint("b2", "revolute", "b", "bb", axis="0 1 0", mimic='<mimic joint="a1" multiplier="-0.5" offset="0.2"/>'),
         "</robot>",
-    )  # fmt: skip
+    )
     text = "".join(parts)
-    findings = [str(f) for f in check_urdf(text)]
-    assert len(findings) == 1 and "joint 'b2'" in findings[0]
-    check_fk(text, "aa")
-    with pytest.raises(ModelError, match="joint 'b2' between 'o' and 'bb' mimics joint 'a1'"):
-        ik.Robot.load(text, tip="bb")
-    check_fk(text, "b")
+    assert check_urdf(text) == []
+    assert check_fk(text, "aa").joint_names == ("a1", "a2")
+    assert check_fk(text, "bb").joint_names == ("a2", "a1")
+
+
+def test_a_follower_may_carry_its_leader():
+    """It leads then, and the limits are those of all of them: |elbow| <= 0.5 holds shoulder = 0.1 - 2 elbow and the slide."""
+    limits = '<limit lower="-0.5" upper="0.5" effort="1" velocity="1"/>'
+    text = "".join(
+        (
+            '<robot name="r"><link name="o"/>',
+            joint("shoulder", "revolute", "o", "a", mimic='<mimic joint="elbow" multiplier="-2" offset="0.1"/>'),
+            joint("yaw", "revolute", "a", "b", axis="0 1 0"),
+            joint("elbow", "revolute", "b", "c", axis="1 0 0"),
+            joint("slide", "prismatic", "c", "d", mimic='<mimic joint="elbow" multiplier="0.3" offset="0.02"/>'),
+            "</robot>",
+        )
+    )
+    assert check_fk(text, "d").joint_names == ("shoulder", "yaw")
+    own = text[text.index('name="elbow"') :]
+    tight = text.replace(
+        own, own.replace(own[own.index("<limit") : own.index("/>", own.index("<limit")) + 2], limits, 1)
+    )
+    robot = ik.Robot.load(tight, tip="d")
+    assert robot.lower[0] == pytest.approx(-0.9) and robot.upper[0] == pytest.approx(1.1)
 
 
 @pytest.mark.parametrize("leader", ["nobody", "a_nail", "fixed"])

@@ -139,9 +139,18 @@ def test_a_free_joint_is_held_unless_it_has_limits(caplog):
     ("text", "said"),
     [
         ('<!DOCTYPE mujoco [<!ENTITY a "a">]>' + BARE.format(""), "DOCTYPE or entity"),
-        (BARE.format('<include file="../secret.xml"/>'), "lies outside the folder"),
-        (BARE.format('<include file="/etc/passwd"/>'), "lies outside the folder"),
-        (BARE.format('<include file="link.xml"/>'), "lies outside the folder"),
+        (
+            BARE.format('<include file="../secret.xml"/>'),
+            "lies outside the model's folder; name its folder with package_dirs",
+        ),
+        (
+            BARE.format('<include file="/etc/passwd"/>'),
+            "lies outside the model's folder; name its folder with package_dirs",
+        ),
+        (
+            BARE.format('<include file="link.xml"/>'),
+            "lies outside the model's folder; name its folder with package_dirs",
+        ),
         (BARE.format('<include file="arm.xml"/>'), "includes itself"),
         (BARE.format('<include file="none.xml"/>'), "there is no such file"),
         (BARE.format('<include file=""/>'), "cannot be found"),
@@ -154,6 +163,7 @@ def test_a_free_joint_is_held_unless_it_has_limits(caplog):
         (BARE.format("</geom>"), "well-formed"),
         (BARE.format('<joint name="j"/>'), "repeated name"),
         ("<mujoco/>", "no movable joint"),
+        ("<mujocoinclude/>", "a part of an MJCF model"),
     ],
     ids=lambda value: value[:60] if value.startswith("<") else None,
 )

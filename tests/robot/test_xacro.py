@@ -36,6 +36,21 @@ def test_expanded_with_its_arguments(package):
         ik.Robot.load(package / "urdf" / "seg.xacro")
 
 
+def test_what_asks_for_the_environment_gets_arguments(package, monkeypatch):
+    file = package / "urdf" / "arm.urdf.xacro"
+    monkeypatch.setenv("LENGTH", "3")
+    file.write_text(ARM.replace('default="0.5"', 'default="$(optenv LENGTH 0.25)"'))
+    assert ik.Robot.load(file).reach == pytest.approx(0.25)
+    file.write_text(ARM.replace('default="0.5"', 'default="$(env LENGTH)"'))
+    assert ik.Robot.load(file, xacro_args={"LENGTH": 0.75}).reach == pytest.approx(0.75)
+
+
+def test_includes_name_packages_by_their_address(package):
+    file = package / "urdf" / "arm.urdf.xacro"
+    file.write_text(ARM.replace("$(find my_arm)/", "package://my_arm/"))
+    assert ik.Robot.load(file).n == 2
+
+
 def test_packages_are_found_where_ros_looks(package, tmp_path, monkeypatch):
     alone = tmp_path / "elsewhere" / "arm.urdf"
     alone.parent.mkdir()
@@ -59,8 +74,11 @@ def test_packages_are_found_where_ros_looks(package, tmp_path, monkeypatch):
 @pytest.mark.parametrize(
     ("inside", "said"),
     [
-        ('<link name="$(env HOME)"/>', "reads the environment"),
-        ('<link name="$(optenv HOME x)"/>', "reads the environment"),
+        ('<link name="$(env HOME)"/>', "environment is not read, give HOME as an argument"),
+        ("""<link name="${env('HOME')}"/>""", "'env' is not defined"),
+        ('<xacro:include filename="package://nowhere/x.xacro"/>', "no package 'nowhere'"),
+        ('<xacro:include filename="package://../x.xacro"/>', "no package '..'"),
+        ('<xacro:include filename="none.xacro"/>', "there is no file"),
         ("""<link name="${xacro.load_yaml('/etc/hostname')}"/>""", "reads '/etc/hostname'"),
         ('<xacro:include filename="/etc/passwd"/>', "reads '/etc/passwd'"),
         ('<xacro:include filename="../../secret.xacro"/>', "secret.xacro', which is not allowed"),
