@@ -15,25 +15,27 @@ CONTACT = 1 << 20  # a pose in contact counts as so many reconfigurations: any n
 
 
 @inline
-def apart(Q, t, a, u, b, endless, i):
-    """Coordinate i of state b of layer u less that of state a of layer t, full turns of endless joints left out."""
-    d = float(Q[u, b, i]) - float(Q[t, a, i])
-    if endless[i] > 0.0:
-        d -= TAU * np.rint(d / TAU)
-    return d
+def turned(d, endless):
+    """A coordinate, or a difference of two; of an endless joint without full turns."""
+    return d - TAU * np.rint(d / TAU) if endless > 0.0 and abs(d) > 0.5 * TAU else d
 
 
 @inner
-def step(Q, t, a, u, b, most, endless, price, near):
-    """Cost of moving from state a to b; inf where they are no near ones (near > 0) and a joint moves further than it may."""
+def step(Q, t, a, u, b, most, endless, price, near, enough):
+    """Cost of moving from state a to b; inf where that is `enough` or more.
+
+    And where these are no near states (near > 0): a joint moves further than it may.
+    """
     total, over = 0.0, 0.0
     for i in range(most.shape[0]):
-        d = abs(apart(Q, t, a, u, b, endless, i))
+        d = abs(turned(float(Q[u, b, i]) - float(Q[t, a, i]), endless[i]))
         if d > most[i]:
             if near > 0:
                 return np.inf
             over = 1.0
         total += price[0, i] * d + price[1, i] * d * d
+        if total >= enough:
+            return np.inf
     return total + over * price[2, 0]
 
 
@@ -66,12 +68,13 @@ def link(Q, span, state, most, endless, price, begin, toll, blocked, axis, first
     Q (N, K, n): tracks, whole from span[k, 0] to span[k, 1]; state (N, K): DEAD, UNTESTED, FREE, TOUCHING; most (n,): largest
     step; endless (n,): 1 where full turns do not count; price (3, n): of a joint's move, of its square, and (first) of a step
     longer than it may be; begin (2, K): count and cost of starting on a track; toll (N, K): cost of a state; blocked (B, 3): edges
-    (pose they lead to, from, to) that are none, by pose; axis: a joint by which near states are looked up, -1: none. prior[t]
+    (pose they lead to, from, to) that are none, by pose; axis: the joint by which near states are looked up. prior[t]
     is the layer the parents of t are in, -1 where t is the first with states; a layer without states has none.
     """
     N, K, _ = Q.shape
     keys, order = np.empty(K), np.empty(K, np.int64)
     near = np.empty(K, np.int64)
+    reach, round = most[axis], endless[axis]
     last = -1
     for t in range(first):
         for k in range(K):
@@ -101,17 +104,13 @@ def link(Q, span, state, most, endless, price, begin, toll, blocked, axis, first
                     or (counts[last, a] == counts[last, best] and costs[last, a] < costs[last, best])
                 ):
                     best = a
-            if axis >= 0:
-                for j in range(size):
-                    keys[j] = Q[last, near[j], axis]
-                ranks = np.argsort(keys[:size])
-                for j in range(size):
-                    order[j] = near[ranks[j]]
-                for j in range(size):
-                    keys[j] = Q[last, order[j], axis]
-            else:
-                for j in range(size):
-                    order[j] = near[j]
+            for j in range(size):
+                keys[j] = turned(float(Q[last, near[j], axis]), round)
+            ranks = np.argsort(keys[:size])
+            for j in range(size):
+                order[j] = near[ranks[j]]
+            for j in range(size):
+                keys[j] = turned(float(Q[last, order[j], axis]), round)
         some = False
         for b in range(K):
             parents[t, b] = NONE
@@ -124,20 +123,21 @@ def link(Q, span, state, most, endless, price, begin, toll, blocked, axis, first
                 count, cost, parent = counts[last, best] + 1, costs[last, best] + price[2, 1], -2 - best
                 if last == t - 1:
                     if state[last, b] != DEAD and span[b, 0] < t <= span[b, 1] and counts[last, b] <= count:
-                        c = costs[last, b] + step(Q, last, b, t, b, most, endless, price, 0)
+                        c = costs[last, b] + step(Q, last, b, t, b, most, endless, price, 0, np.inf)
                         if counts[last, b] < count or c < cost:
                             if not barred(blocked, bar, stop, b, b):
                                 count, cost, parent = counts[last, b], c, b
-                    low, high = 0, size
-                    if axis >= 0:
-                        low = window(keys, size, Q[t, b, axis] - most[axis])
-                    for j in range(low, high):
-                        a = order[j]
-                        if axis >= 0 and keys[j] > Q[t, b, axis] + most[axis]:
+                    at = turned(float(Q[t, b, axis]), round)
+                    low = window(keys, size, turned(at - reach, round))
+                    for j in range(low, size if round == 0.0 else low + size):
+                        j -= size if j >= size else 0  # on an endless joint the first comes after the last
+                        if turned(keys[j] - at, round) > reach:
                             break
+                        a = order[j]
                         if a == b or counts[last, a] > count or (counts[last, a] == count and costs[last, a] >= cost):
                             continue
-                        c = costs[last, a] + step(Q, last, a, t, b, most, endless, price, 1)
+                        enough = np.inf if counts[last, a] < count else cost - costs[last, a]
+                        c = costs[last, a] + step(Q, last, a, t, b, most, endless, price, 1, enough)
                         if c < np.inf and (counts[last, a] < count or c < cost):
                             if not barred(blocked, bar, stop, a, b):
                                 count, cost, parent = counts[last, a], c, a

@@ -37,6 +37,7 @@ class Margins:
         floor = FLOOR / self.size.max(initial=FLOOR)
         levels = max(1, math.ceil(math.log(LARGEST / floor, FINER)))
         self.levels = [*(LARGEST / FINER**k for k in range(levels)), floor]
+        self.robot, self.rest = collision.robot, collision.robot.rest
         self._spaces: dict[float, Any] = {}
         self.spent = 0
 
@@ -55,8 +56,8 @@ class Margins:
         if space is None:
             space = self._spaces[margin] = self.collision.workspace(margin * self.size)
         data, found, boxes = space
-        model, geometry = self.collision.robot.model, self.collision.geometry
-        full = self.collision._full(q)
+        model, geometry = self.robot.model, self.collision.geometry
+        full = self.robot._fill(self.rest.copy(), q)
         if boxes is None:
             return not pin.computeCollisions(model, data, geometry, found, full, True)
         return not pin.computeCollisions(model, data, boxes, full, True)

@@ -6,12 +6,14 @@ from typing import Any
 
 import numpy as np
 
+from ..kernel.kinematics import TAU
 from ..kernel.path_link import DEAD, FREE, NONE, TOUCHING, UNTESTED, link
 
 LONG = 1e3  # cost of a step longer than it may be: more than the length of any path is worth
 LEAP = 1.0  # cost of a reconfiguration beside its count: what it moves is no part of the path
 SUSPECT = 50.0  # toll on a state between two of its track that touch: it is tried last, and tested then
 HITS = 4  # states found touching at first, before the program is run again
+SAMPLED, PAIRED = 5, 64  # poses and tracks by which the joint is chosen that near states are looked up by
 COARSE = 16  # of a track every so many poses are tested first
 
 
@@ -37,9 +39,16 @@ class Program:
         self.counts, self.costs = np.zeros((N, K), np.int32), np.zeros((N, K))
         self.parents, self.prior = np.full((N, K), NONE, np.int16), np.full(N, -1)
         self.changed = 0  # first layer that has to be run again
-        wide = np.ptp(Q, axis=(0, 1)) if K else np.zeros(Q.shape[2])  # states a track does not have are 0
-        spread = np.where(endless > 0, -1.0, wide) / most
-        self.axis = int(np.argmax(spread)) if spread.max() > 0 else -1
+        self.axis = self._telling()
+
+    def _telling(self) -> int:
+        """The joint in which the fewest pairs of states are near each other, from a sample of both."""
+        N, K, n = self.Q.shape
+        some = np.unique(np.linspace(0, N - 1, SAMPLED).astype(int))[:, None]
+        Q = self.Q[some, np.unique(np.linspace(0, K - 1, PAIRED).astype(int))] if K else np.zeros((1, 1, n))
+        d = Q[:, :, None] - Q[:, None]
+        d -= self.endless * TAU * np.rint(d / TAU)
+        return int(np.argmin((np.abs(d) <= self.most).mean(axis=(0, 1, 2))))
 
     def run(self) -> None:
         """Bring the program up to date."""
@@ -106,6 +115,7 @@ class Tester:
         """Test with collides(q) (n,) [rad, m]."""
         self.collides, self.unit, self.left = collides, unit, budget
         self.program: Any = None
+        self.looked = False  # whether contact was met, and all tracks looked over
 
     def of(self, program: Program) -> "Tester":
         """The same for a program whose first tracks are those of the one before: what is known of them stands."""
@@ -114,6 +124,8 @@ class Tester:
             known = self.program.state >= FREE
             program.state[:, :K][known] = self.program.state[known]
         self.program = program
+        if self.looked:
+            self.look_over()
         return self
 
     def touches(self, t: int, k: int) -> bool:
@@ -123,6 +135,18 @@ class Tester:
             self.left -= 1
             p.mark(t, k, self.collides(p.Q[t, k].astype(float) * self.unit))
         return p.state[t, k] == TOUCHING
+
+    def look_over(self) -> None:
+        """Test every COARSE-th state of every track; what lies between two that touch is suspect."""
+        program, self.looked = self.program, True
+        for k, (low, high) in enumerate(program.span):
+            before = -1
+            for t in range(low + (-low) % COARSE, high + 1, COARSE):
+                touching = self.touches(t, k)
+                if touching and before >= 0:
+                    program.toll[before + 1 : t, k] = SUSPECT
+                before = t if touching else -1
+        program.changed = 0
 
     def grow(self, t: int, k: int) -> None:
         """After a hit: how far along its track contact reaches, by steps that double, then by halves."""
@@ -150,20 +174,6 @@ class Tester:
                 p.changed = min(p.changed, low)
 
 
-def look_over(program: Program, tester: Tester) -> None:
-    """Test every COARSE-th state of every track; what lies between two that touch is suspect."""
-    N, K = program.state.shape
-    for k in range(K):
-        low, high = program.span[k]
-        before = -1
-        for t in range(low + (-low) % COARSE, high + 1, COARSE):
-            touching = tester.touches(t, k)
-            if touching and before >= 0:
-                program.toll[before + 1 : t, k] = SUSPECT
-            before = t if touching else -1
-    program.changed = 0
-
-
 def free_path(program: Program, tester: Tester) -> tuple[np.ndarray, np.ndarray]:
     """Best path whose states are all tested, or the best when the budget ended; see `Program.path`."""
     N = len(program.Q)
@@ -182,4 +192,6 @@ def free_path(program: Program, tester: Tester) -> tuple[np.ndarray, np.ndarray]
                         break
         if hits == 0 or tester.left <= 0:
             break
+        if not tester.looked:
+            tester.look_over()
     return tracks, jumps

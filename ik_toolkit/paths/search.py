@@ -12,7 +12,7 @@ from ..solvers.task import counts_in_part
 from .candidates import ISOLATED, MOST, POOL, SAME, STARTS, THIN, Tracks, spread
 from .complete import solutions
 from .contact import Margins
-from .link import Program, Tester, free_path, look_over, middle_first
+from .link import Program, Tester, free_path, middle_first
 from .problem import Problem
 from .result import Unreachable
 from .turns import ROUNDING, alive, copies, unwound
@@ -182,7 +182,6 @@ class Search:
                     terms[0] = (np.abs(d).max(axis=1) > SAME).astype(float)
         if self.tester is not None:
             self.tester = self.tester.of(program)
-            look_over(program, self.tester)
 
     def best(self, allowed: float | None = None) -> Found:
         """The best path there is, to the last pose, or to the farthest with so many reconfigurations."""

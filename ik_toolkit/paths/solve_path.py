@@ -9,6 +9,7 @@ from typing import Any, Unpack
 import numpy as np
 
 from ..errors import InvalidOption, InvalidTarget, floats
+from ..robot.pose import FAR, LAST
 from ..robot.robot import Robot
 from ..robot.tree import Tree
 from ..solvers.avoid import collision_model
@@ -29,6 +30,7 @@ from .verdict import sentence
 TOLERANCE = (1e-3, math.radians(1.0))  # m, rad: of the tip between poses
 OTHER_WAYS = 4  # searches with other ways between poses half a turn apart, where the path breaks there
 DT = 0.01  # s, at which a Reference is sampled
+EXACT = 1e-13  # by which the columns of an exact rotation miss being orthonormal, at most: rounding is 1e-15
 NOT_HERE = (
     "closest",
     "objective",
@@ -176,9 +178,18 @@ def _read(robot: Any, poses: Any) -> tuple[np.ndarray, tuple]:
         raise InvalidTarget("a path needs at least one pose")
     kinds = parts[0].kinds
     T = np.concatenate([part.poses(0, part.rows) for part in parts])
-    for t in range(len(T)):
+    for t in np.flatnonzero(~_exact(T).reshape(len(T), -1).all(axis=1)).tolist():
         T[t] = mended(T[t], kinds, robot.tips, t)
     return T, kinds
+
+
+def _exact(T: np.ndarray) -> np.ndarray:
+    """Which poses (..., 4, 4) are rigid to the last digits and within bounds: nothing about them is to be mended or refused."""
+    R = T[..., :3, :3]
+    with np.errstate(invalid="ignore", over="ignore"):  # what is not finite is not exact
+        off = np.abs(np.swapaxes(R, -1, -2) @ R - np.eye(3)).max(axis=(-1, -2))
+        there = np.abs(T[..., :3, 3]).max(axis=-1) < FAR
+        return there & (off < EXACT) & (np.linalg.det(R) > 0.0) & (T[..., 3, :] == LAST).all(axis=-1)
 
 
 # --------------------------------------------------------------------------------------------------------------- results
