@@ -245,6 +245,14 @@ def rotation_at(A, i):
 
 
 @inline
+def put_axes(A, i, m):
+    """Write a matrix to nine places, by rows."""
+    put3(A, i, V3(m.x.x, m.y.x, m.z.x))
+    put3(A, i + 3, V3(m.x.y, m.y.y, m.z.y))
+    put3(A, i + 6, V3(m.x.z, m.y.z, m.z.z))
+
+
+@inline
 def sincos(x):
     """Sine and cosine together and branch-free, so that a loop over joints vectorises; error below 1e-14 for |x| < 1e9.
 

@@ -4,14 +4,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .jit import build, compiled
+from .jit import compiled, inline, spliced
 from .records import Array
+from .view import LINE, cut
 
 
 @compiled
 class Bench(NamedTuple):
     """Scratch of a tracker for n joints, a task of m, F tips."""
 
+    why_low: Array  # of the box, see box.py
+    why_top: Array
     Ts: Array  # (F, 4, 4) reference
     Vs: Array  # (m,)
     As: Array  # (m,)
@@ -48,19 +51,23 @@ class Bench(NamedTuple):
     size: Array  # a speed for each joint
     floor: Array  # the box
     roof: Array
-    why_low: Array
-    why_top: Array
     multiplier: Array
+    planes: Array  # (rows, n) half-planes, those of slacks among them ...
+    edges: Array  # ... and their right sides
 
 
-@build
-def make_bench(n, m, rows):
-    """Bench with its arrays."""
+@inline
+def bench_space(n, m, rows):
+    """Length of a block that has room for `Bench`: its matrices are less than (n + m)^2 together twice."""
+    return 2 * (n + m) * (n + m) + 48 * (n + m + LINE) + rows
+
+
+@spliced
+def bench_on(block, n, m, rows):
+    """Bench with its arrays, cut from a block of zeros."""
     k, F = max(n, m), m // 6
-    return Bench(
-        np.zeros((F, 4, 4)), np.zeros(m), np.zeros(m), np.zeros(m), np.zeros(m), np.zeros(m), np.zeros(m), np.zeros(m),
-        np.zeros(m), np.zeros(m), np.zeros(m), np.zeros(k), np.zeros((k, k)), np.zeros((n, m)), np.zeros((n, m)), np.zeros((n, m)),
-        np.zeros((m, m)), np.zeros(m), np.zeros(m), np.zeros(m), np.zeros((F, 3)), np.zeros(n), np.zeros(n), np.zeros(n),
-        np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n),
-        np.zeros(n), np.zeros(n), np.zeros(n), np.zeros(n, np.uint8), np.zeros(n, np.uint8), np.zeros(n + rows),
-    )  # fmt: skip
+    why_low, why_top = cut(block, np.uint8, (n, n))
+    return Bench(why_low, why_top, *cut(block, np.float64, (
+        (F, 4, 4), m, m, m, m, m, m, m, m, m, m, k, (k, k), (n, m), (n, m), (n, m), (m, m), m, m, m, (F, 3),
+        n, n, n, n, n, n, n, n, n, n, n, n, n, n, n, n + rows, (rows, n), rows,
+    )))  # fmt: skip

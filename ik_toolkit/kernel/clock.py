@@ -87,7 +87,7 @@ def reference(T, V, A, s, h, Ts, Vs, As):
                 Vs[r], As[r] = V[j, r], A[j, r]
         else:
             between(
-                T[j, k], T[j + 1, k], V[j, a:b], V[j + 1, a:b], A[j, a:b], A[j + 1, a:b], h, f, Ts[k], Vs[a:b], As[a:b]
+                T[j, k], T[j + 1, k], V[j][a:b], V[j + 1][a:b], A[j][a:b], A[j + 1][a:b], h, f, Ts[k], Vs[a:b], As[a:b]
             )  # fmt: skip
 
 

@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .jit import build, compiled, inner, spliced
+from .jit import build, compiled, inline, inner, spliced
 from .levels import (
     HIGH,
     LOW,
@@ -31,11 +31,13 @@ from .levels import (
     Levels,
     Y,
     dot,
-    make_levels,
+    levels_on,
+    levels_space,
 )  # fmt: skip
 from .qp import CONTRADICTION, DONE, SAME_TASK, UNMET, solve_levels, unmet
 from .records import Array
 from .singular import damp, regular, rotate
+from .view import LINE, cut
 
 LEAVE, SLOW, DIRECT = range(3)
 WANTED, MET, SHORT, RELAXED, INEXACT = range(5)
@@ -55,10 +57,22 @@ class Room(NamedTuple):
     task: Array  # (2, K) feedback and forward of each row
 
 
+@inline
+def room_space(n, m, rows):
+    """Length of a block that has room for `Room`."""
+    return levels_space(n + m + 1, rows + m + 1) + 2 * (rows + m + 1) + LINE
+
+
+@spliced
+def room_on(block, n, m, rows):
+    """Room for n joints, a task of m and so many half-planes, cut from a block of zeros."""
+    return Room(levels_on(block, n + m + 1, rows + m + 1), *cut(block, np.float64, ((2, rows + m + 1),)))
+
+
 @build
 def make_room(n, m, rows):
-    """Room for n joints, a task of m and so many half-planes."""
-    return Room(make_levels(n + m + 1, rows + m + 1), np.zeros((2, rows + m + 1)))
+    """The same with a block of its own, for what runs on arrays and counts references."""
+    return room_on(np.zeros(room_space(n, m, rows)), n, m, rows)
 
 
 @inner

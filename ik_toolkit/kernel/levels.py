@@ -10,8 +10,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .jit import build, compiled, inline, inner
+from .jit import build, compiled, inline, inner, spliced
 from .records import Array
+from .view import LINE, cut
 
 Y, WANT, LOW, HIGH, ONE, TWO, NEXT_ONE, NEXT_TWO = range(8)  # rows of V
 RHS, REST, SIZE, Z, H, NORM, ROW_ONE, ROW_TWO, AFTER_ONE, AFTER_TWO, TASK_ONE, TASK_TWO = range(12)  # rows of S
@@ -34,13 +35,23 @@ class Levels(NamedTuple):
     order: Array  # (K,) int64 row that gave each basis vector
 
 
+@inline
+def levels_space(N, K):
+    """Length of a block that has room for `Levels`."""
+    return 2 * K * N + 3 * K * K + 9 * N + 14 * K + 9 * LINE
+
+
+@spliced
+def levels_on(block, N, K):
+    """Room for N unknowns and K rows, cut from a block of zeros."""
+    numbers = cut(block, np.float64, ((K, N), (K, N), (K, K), (2 * K, K), (8, N), (12, K)))
+    return Levels(*numbers, *cut(block, np.int8, (N + K,)), *cut(block, np.int64, (K,)))
+
+
 @build
 def make_levels(N, K):
-    """Room for N unknowns and K rows."""
-    return Levels(
-        np.zeros((K, N)), np.zeros((K, N)), np.zeros((K, K)), np.zeros((2 * K, K)), np.zeros((8, N)), np.zeros((12, K)),
-        np.zeros(N + K, np.int8), np.zeros(K, np.int64),
-    )  # fmt: skip
+    """The same with a block of its own, for what runs on arrays and counts references."""
+    return levels_on(np.zeros(levels_space(N, K)), N, K)
 
 
 @inline

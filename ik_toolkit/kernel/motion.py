@@ -73,12 +73,15 @@ PLACE = Law._make(range(len(Law._fields)))  # in the array that Python hands ove
 
 
 @inner
-def jacobian_rate(rows, joints, J, tip, x, y, out):
-    """Return in out (6,) the product (dJ/dt along joint velocity x) y at the tip point; joints, J from `fk` and `fill`."""
+def jacobian_rate(rows, joints, J, first, tip, x, y, out):
+    """Return in out (6,) the product (dJ/dt along joint velocity x) y at the tip point.
+
+    joints and the six columns of J from `first` on are as `fk` and `fill` leave them.
+    """
     zero = V3(0.0, 0.0, 0.0)
     v = zero  # tip velocity
     for i in range(J.shape[0]):
-        v = v + V3(J[i, 0], J[i, 1], J[i, 2]) * x[i]
+        v = v + V3(J[i, first], J[i, first + 1], J[i, first + 2]) * x[i]
     turn, speed = zero, zero  # angular velocity before the joint, velocity of the joint's point
     linear, angular = zero, zero
     for i in range(rows.shape[0]):

@@ -2,6 +2,7 @@
 
     aim(T, orders)     take a target: by how much it is out of reach [kernel units], -1 when it is no pose
     evaluate(q)        the errors there, as a look: e.ee the squared norm of all of them, e.good inside the tolerances
+    stand(q), see()    the same in two parts, for several targets at one q
     jacobian(look)     fill J (n, m), one joint a row, linear part first, six columns a tip
     damped(look, x)    the step dq = W J'(J W J' + x)^-1 e
     toward(y, x)       the same step for errors y (m,) of the caller's
@@ -16,7 +17,7 @@
     base_axes(y, out)  errors y (m,) of `stack` in base axes, lengths in m (where a part counts: along its own axes)
     moving(V, out)     a twist, or acceleration, of the targets V (m,) [base axes, m] as it counts, in kernel units
     mirrors(out)       (F, 3) for tips that may turn about an axis: the normal of the mirror that lays the free row last
-    bending(look, J, x, y, out)  (dJ/dt along x) y, where `plain`
+    bending(look, x, y, out)  (dJ/dt along x) y, where `plain`; J as filled last
     keep, left, report errors of the answer
 
 A record holds views of the flat arrays and scratch; it is made once a call and never leaves inlined code.

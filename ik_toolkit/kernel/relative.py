@@ -1,6 +1,6 @@
 """A target given relative to another tip: where it is, and how it moves with that tip."""
 
-from .algebra import M3, V3, at3, put3, rotation_at
+from .algebra import M3, V3, at3, put3, put_axes, rotation_at
 from .jit import inline, inner
 from .kinematics import column
 from .problem import add_column
@@ -10,14 +10,6 @@ from .task import POSE, POSITION, count_goal_column
 # Of a target given relative to another tip, by place: what brings that tip's axes to the target's (9), the target's point in
 # that tip's axes (3), and the pose of that chain's first joint in this chain's (12).
 TURN, POINT, FRAME, LINK = 0, 9, 12, 24
-
-
-@inline
-def put_axes(A, i, m):
-    """Write a matrix to nine places, by rows."""
-    put3(A, i, V3(m.x.x, m.y.x, m.z.x))
-    put3(A, i + 3, V3(m.x.y, m.y.y, m.z.y))
-    put3(A, i + 6, V3(m.x.z, m.y.z, m.z.z))
 
 
 @inline

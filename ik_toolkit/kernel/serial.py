@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .algebra import V3, at3, put3
+from .algebra import V3, at3, put3, put_axes, rotation_at
 from .jit import build, compiled, spliced
 from .kinematics import aim, column, own_coordinates, room
 from .linalg import damped, pseudo_inverse_step
@@ -51,6 +51,7 @@ class Serial(NamedTuple):
     task: Array
     goal: Array
     kept: Array
+    pose: Array  # (12,) where it stands: axes of the last joint by rows, then the tip
     joints: Array
     trig: Array
     tp: float
@@ -62,9 +63,21 @@ class Serial(NamedTuple):
 
     def evaluate(self, q):
         axes, tip = tip_at(self.rows, self.ends, q, self.joints, self.trig)
+        return self.look(axes, tip)
+
+    def look(self, axes, tip):
+        """The errors where the last joint has these axes, and the tip is there."""
         linear, angular = errors_at(self.task, self.ends, self.goal, self.kept, axes, tip)
         pp, rr = linear.square(), angular.square()
         return Look(tip, linear, angular, pp + rr, pp < self.tp and rr < self.tr)
+
+    def stand(self, q):
+        axes, tip = tip_at(self.rows, self.ends, q, self.joints, self.trig)
+        put_axes(self.pose, 0, axes)
+        put3(self.pose, 9, tip)
+
+    def see(self):
+        return self.look(rotation_at(self.pose, 0), at3(self.pose, 9))
 
     def jacobian(self, look):
         fill(self.rows, self.task, self.kept, self.joints, look.point, self.desk.J, 0)
@@ -148,8 +161,8 @@ class Serial(NamedTuple):
     def mirrors(self, out):
         turn_axis(self.task, self.kept, out[0])
 
-    def bending(self, look, J, x, y, out):
-        jacobian_rate(self.rows, self.joints, J, look.point, x, y, out)
+    def bending(self, look, x, y, out):
+        jacobian_rate(self.rows, self.joints, self.desk.J, 0, look.point, x, y, out)
         if int(self.task[WHAT.kind]) == POSITION:
             put3(out, 3, V3(0.0, 0.0, 0.0))
 
@@ -187,11 +200,11 @@ def serial_on(block, rows, ends, tasks, n, orders):
     box = Ends(ends, n)
     size, angles = room(rows.shape[0])
     tp, tr = tolerances(orders, int(tasks[WHAT.kind]), box.scale())
-    goal, kept, joints, trig = cut(block, np.float64, (GOAL, KEPT, size, angles))
+    goal, kept, pose, joints, trig = cut(block, np.float64, (GOAL, KEPT, 12, size, angles))
     for i in range(angles):  # what pads it is read, too
         trig[i] = 0.0
     boxed = orders.limits > 0.0 or orders.follow > 0.0
-    return Serial(make_desk(block, n, 6), rows, box, tasks[:TASK], goal, kept, joints, trig, tp, tr, boxed)
+    return Serial(make_desk(block, n, 6), rows, box, tasks[:TASK], goal, kept, pose, joints, trig, tp, tr, boxed)
 
 
 @build

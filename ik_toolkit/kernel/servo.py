@@ -16,15 +16,16 @@ from typing import Any
 
 import numpy as np
 
-from .bench import make_bench
+from .bench import bench_on, bench_space
 from .box import HELD, approach, boxes, clip, move, way_to
 from .clock import WHOLE, next_rate, reference, too_far
-from .constrain import SLOW, make_room
+from .constrain import SLOW, room_on, room_space
 from .jit import cached, inline, inner
 from .motion import CLIP, GIVEN, MOVING, READY, RUNNING, STATE, Law, apply, factor, own_up, settle
 from .obey import judge, obey, pacing
 from .records import HEAD, TASK, Orders, copy, read
-from .search import problem, step_class
+from .search import problem_on, step_class
+from .view import keep, space, view
 from .wanted import Published, copy_rows, lean, wanted
 from .wishes import lay_aside, reflect, slack_rows
 
@@ -64,20 +65,21 @@ def set_out(law, J, f, G, y, limits, cap, q, rate, state):
 
 
 @inline
-def take_stock(task, look, s, counts, E):
+def take_stock(task, look, s, plain, counts, E):
     """Error, Jacobian and the target's motion as they count, to the bench; what is reported of the error to E (m,)."""
     copy(task.desk.y, s.e)
     task.jacobian(look)
     copy_rows(task.desk.J, s.J)
     task.moving(s.Vs, s.f)
     task.moving(s.As, s.a)
-    task.mirrors(s.flip)
     task.base_axes(s.e, E)
     for k in range(E.shape[0]):
         E[k] -= min(max(E[k], -counts[2, k]), counts[2, k])
-    lay_aside(s.flip, s.J, s.e)
-    reflect(s.flip, s.f)
-    reflect(s.flip, s.a)
+    if not plain:
+        task.mirrors(s.flip)
+        lay_aside(s.flip, s.J, s.e)
+        reflect(s.flip, s.f)
+        reflect(s.flip, s.a)
 
 
 @inner
@@ -136,6 +138,81 @@ def clip_rates(law, s, still, h, memory, code):
 
 
 # --------------------------------------------------------------------------------------------------------------------- the loop
+@inline
+def run(
+    step, rows, ends, orders, T, V, A, h, p, counts, limits, wish, caps, q, rate, memory, away, active, kept, state, measured,
+    lines, level, Q, R, E, C, S, block
+):  # fmt: skip
+    """The loop of `servo` on views, with zeros to cut its scratch from."""
+    n, m, room = q.shape[0], V.shape[1], kept.shape[0] - 1
+    law, o = read(Law, p), read(Orders, orders)
+    first = HEAD + TASK * (m // 6)
+    task = problem_on(block, rows, ends, orders[HEAD:first], n, o)
+    weights, rule = orders[first : first + n], read(step, orders, first + n)
+    s, work = bench_on(block, n, m, room), room_on(block, n, m, room)
+    last, plain = T.shape[0] - 1, task.plain()
+    for i in range(n):
+        s.size[i] = limits[2, i] if limits[2, i] < np.inf and limits[2, i] > 0.0 else UNLIMITED
+    for i in range(E.shape[0]):
+        clock = state[STATE.clock] if law.clocked > 0.0 else float(i)
+        copy(measured if measured.shape[0] > 0 else q, s.at)
+        task.stand(s.at)
+        j = min(int(clock), last)
+        cap = min(caps[0, min(j, caps.shape[1] - 1)], caps[0, min(j + 1, caps.shape[1] - 1)])
+        sigma, further, stop = 0.0, 0.0, False
+        for stage in range(2):  # where the target is now, then where it will be
+            reference(T, V, A, clock + further, h, s.Ts, s.Vs, s.As)
+            task.head_for(s.Ts)
+            look = task.see()
+            task.stack(look)
+            if stage == 1:
+                copy(task.desk.y, s.ahead)
+                if not plain:
+                    reflect(s.flip, s.ahead)
+                break
+            take_stock(task, look, s, plain, counts, E[i])
+            if state[STATE.start] == MOVING or state[STATE.start] == GIVEN:
+                set_out(law, s.J, s.f, s.G, s.y, limits, cap, q, rate, state)
+            copy(q, Q[i])
+            copy(rate, R[i])
+            S[i, 0], S[i, 1], S[i, 2], S[i, 3] = clock, 1.0, -1.0, 0.0
+            if i == E.shape[0] - 1 or (law.clocked > 0.0 and clock >= last):
+                stop = True
+                break
+            sigma = wind(state, law, s.a, E[i], cap, last - clock, h)
+            further = advanced(state, law, sigma) if law.mode == SLOW else 1.0
+            boxes(q, rate, limits, law.gamma, h, law.late, s.floor, s.roof, s.why_low, s.why_top)
+            if lean(law, rule, s, limits, wish, rate, h):
+                task.stand(s.at)
+        if stop:
+            return i
+        count = gather(law, lines, level, s.planes, s.edges)
+        count = slack_rows(counts[1], s.J, s.e, s.f, s.ahead, s.a, h, s.planes, s.edges, count)
+        ratio = h / state[STATE.period] if state[STATE.start] == RUNNING else 0.0
+        S[i, 3] = wanted(
+            law, rule, task, look, weights, s, counts[1], limits, wish, sigma, h, rate, memory, away, state
+        )
+        copy(rate, s.before)
+        stop, still = judge(s.x, h, law, state)
+        if stop:
+            return i
+        done = sigma
+        if still or law.mode == CLIP:
+            clip_rates(law, s, still, h, memory, C[i])
+        else:
+            done, held = obey(rule, law, s, counts[0], count, sigma, h, state, work, active, kept, C[i])
+            if held:
+                own_up(law, h, ratio, s.w, s.x, s.lead, sigma - done, memory)
+        if law.mode == SLOW:
+            S[i, 1] = done
+            S[i, 2] = pacing(s, active, done, sigma, caps[1, j] if caps[1, j] >= 0.0 or i == 0 else S[i - 1, 2])
+        tick(state, law, clock, done)
+        move(q, rate, s.x, law.gamma, h)
+        state[STATE.start] = RUNNING
+        state[STATE.period] = h
+    return 0
+
+
 @functools.cache
 def servo(cls: type | None = None) -> Callable:
     """Return the compiled loop of the published laws, or of a solver's rule; it takes most len(E) - 1 steps, and says how many.
@@ -157,73 +234,15 @@ def servo(cls: type | None = None) -> Callable:
         rows, ends, orders, T, V, A, h, p, counts, limits, wish, caps, q, rate, memory, away, active, kept, state, measured,
         lines, level, Q, R, E, C, S
     ):  # fmt: skip
-        n, m = q.shape[0], V.shape[1]
-        law, o = read(Law, p), read(Orders, orders)
-        first = HEAD + TASK * (m // 6)
-        task = problem(rows, ends, orders[HEAD:first], n, o)
-        weights, rule = orders[first : first + n], read(step, orders, first + n)
-        room = kept.shape[0] - 1
-        s, work = make_bench(n, m, room), make_room(n, m, room)
-        planes, edges = np.zeros((room, n)), np.zeros(room)
-        last = T.shape[0] - 1
-        for i in range(n):
-            s.size[i] = limits[2, i] if limits[2, i] < np.inf and limits[2, i] > 0.0 else UNLIMITED
-        for i in range(E.shape[0]):
-            clock = state[STATE.clock] if law.clocked > 0.0 else float(i)
-            copy(measured if measured.shape[0] > 0 else q, s.at)
-            j = min(int(clock), last)
-            cap = min(caps[0, min(j, caps.shape[1] - 1)], caps[0, min(j + 1, caps.shape[1] - 1)])
-            sigma, further, stop = 0.0, 0.0, False
-            for stage in range(2):  # where the target is now, then where it will be
-                reference(T, V, A, clock + further, h, s.Ts, s.Vs, s.As)
-                task.head_for(s.Ts)
-                look = task.evaluate(s.at)
-                task.stack(look)
-                if stage == 1:
-                    copy(task.desk.y, s.ahead)
-                    reflect(s.flip, s.ahead)
-                    break
-                take_stock(task, look, s, counts, E[i])
-                if state[STATE.start] == MOVING or state[STATE.start] == GIVEN:
-                    set_out(law, s.J, s.f, s.G, s.y, limits, cap, q, rate, state)
-                copy(q, Q[i])
-                copy(rate, R[i])
-                S[i, 0], S[i, 1], S[i, 2], S[i, 3] = clock, 1.0, -1.0, 0.0
-                if i == E.shape[0] - 1 or (law.clocked > 0.0 and clock >= last):
-                    stop = True
-                    break
-                sigma = wind(state, law, s.a, E[i], cap, last - clock, h)
-                further = advanced(state, law, sigma) if law.mode == SLOW else 1.0
-                boxes(q, rate, limits, law.gamma, h, law.late, s.floor, s.roof, s.why_low, s.why_top)
-                lean(law, rule, s, limits, wish, rate, h)
-            if stop:
-                return i
-            count = gather(law, lines, level, planes, edges)
-            count = slack_rows(counts[1], s.J, s.e, s.f, s.ahead, s.a, h, planes, edges, count)
-            ratio = h / state[STATE.period] if state[STATE.start] == RUNNING else 0.0
-            S[i, 3] = wanted(
-                law, rule, task, look, weights, s, counts[1], limits, wish, sigma, h, rate, memory, away, state
-            )
-            copy(rate, s.before)
-            stop, still = judge(s.x, h, law, state)
-            if stop:
-                return i
-            done = sigma
-            if still or law.mode == CLIP:
-                clip_rates(law, s, still, h, memory, C[i])
-            else:
-                done, held = obey(
-                    rule, law, s, counts[0], planes, edges, count, sigma, h, state, work, active, kept, C[i]
-                )
-                if held:
-                    own_up(law, h, ratio, s.w, s.x, s.lead, sigma - done, memory)
-            if law.mode == SLOW:
-                S[i, 1] = done
-                S[i, 2] = pacing(s, active, done, sigma, caps[1, j] if caps[1, j] >= 0.0 or i == 0 else S[i - 1, 2])
-            tick(state, law, clock, done)
-            move(q, rate, s.x, law.gamma, h)
-            state[STATE.start] = RUNNING
-            state[STATE.period] = h
-        return 0
+        n, m, room = q.shape[0], V.shape[1], kept.shape[0] - 1
+        size = space(n, m, rows.shape[0], 0) + bench_space(n, m, room) + room_space(n, m, room)
+        block = np.zeros(size)
+        taken = run(
+            step, view(rows), view(ends), view(orders), view(T), view(V), view(A), h, view(p), view(counts), view(limits),
+            view(wish), view(caps), view(q), view(rate), view(memory), view(away), view(active), view(kept), view(state),
+            view(measured), view(lines), view(level), view(Q), view(R), view(E), view(C), view(S), view(block),
+        )  # fmt: skip
+        keep(block)
+        return taken
 
     return cached(follow) if cls is None else cached(follow, cls, step.step)

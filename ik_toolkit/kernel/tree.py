@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .algebra import V3, at3, put3, rotation_at
+from .algebra import V3, at3, put3, put_axes, rotation_at
 from .checks import rigid
 from .jit import build, compiled, inner, spliced
 from .kinematics import aim, room
@@ -30,7 +30,7 @@ from .problem import (
     tolerances,
 )  # fmt: skip
 from .records import MISS, TASK, WHAT, Array, Ends, Miss, Orders, write
-from .relative import FRAME, LINK, carry, fill_goal, link_to, product, put_axes
+from .relative import FRAME, LINK, carry, fill_goal, link_to, product
 from .task import FREE, KEPT, PART, POSE, angle_left, turn_axis, vector_ratio
 from .tree_starts import begin_by_tips, choose_moves, draw_some, rank_groups
 from .view import cut, fold, space
@@ -81,10 +81,16 @@ class Tree(NamedTuple):
         put3(self.poses[f], 9, tip)
 
     def evaluate(self, q):
-        total, good = 0.0, True
-        e = self.desk.e
+        self.stand(q)
+        return self.see()
+
+    def stand(self, q):
         for f in range(self.tasks.shape[0]):
             self.place(f, q)
+
+    def see(self):
+        total, good = 0.0, True
+        e = self.desk.e
         for f in range(self.tasks.shape[0]):
             other = int(self.tasks[f, WHAT.other])
             if other >= 0:
@@ -210,11 +216,11 @@ class Tree(NamedTuple):
         for f in range(self.tasks.shape[0]):
             turn_axis(self.tasks[f], self.kept[f], out[f])
 
-    def bending(self, look, J, x, y, out):
+    def bending(self, look, x, y, out):
         cut = self.cut
         for f in range(self.tasks.shape[0]):
             rows, joints, tip = self.rows[cut[f] : cut[f + 1]], self.joints[6 * cut[f] :], at3(self.poses[f], 9)
-            jacobian_rate(rows, joints, J[:, 6 * f : 6 * f + 6], tip, x, y, out[6 * f :])
+            jacobian_rate(rows, joints, self.desk.J, 6 * f, tip, x, y, out[6 * f :])
             kind = int(self.tasks[f, WHAT.kind])
             if kind == FREE:
                 put3(out, 6 * f, V3(0.0, 0.0, 0.0))

@@ -8,7 +8,7 @@ import numpy as np
 from numba.extending import overload
 
 from .constrain import SLOW
-from .jit import BUILD, inline, inner
+from .jit import INLINE, inline, inner
 from .modes import SIDE, along_lost, mode_asked, mode_direction, mode_speed, modes, take_out
 from .motion import (
     CA,
@@ -50,13 +50,15 @@ def find_wishes(law, s, limits, wish, base):
     """
     n, m = s.J.shape
     some = False
+    if law.mode == CLIP:
+        return False
     for i in range(n):
         s.g[i] = wish[1, i] * (wish[0, i] - s.at[i]) + wish[2, i]
     if law.avoid > 0.0:
         away_from_limits(s.at, limits, law.avoid, s.g)
     for i in range(n):
         some = some or s.g[i] != 0.0
-    if some and law.mode != CLIP:
+    if some:
         into_null_space(s.J, m, s.G, s.y, s.t, s.g, s.v)
         along_lost(s.V, s.lost, s.xk, s.g, 0.0)
         clip_wish(s.g, base, s.floor, s.roof)
@@ -67,18 +69,24 @@ def find_wishes(law, s, limits, wish, base):
 @inline
 def lean_not(law, rule, s, limits, wish, rate, h):
     """The published laws look ahead from where the joints are."""
+    return False
 
 
 @inline
 def lean_over(law, rule, s, limits, wish, rate, h):
-    """Move s.at by what the joints are to do beside the task, so that a rule's step takes away what that does to the tip."""
-    factor(s.J, s.J.shape[1], law.damping, s.G, s.y)
-    if find_wishes(law, s, limits, wish, rate):
-        for i in range(rate.shape[0]):
-            s.at[i] += h * s.g[i]
-    else:
-        for i in range(rate.shape[0]):
-            s.g[i] = 0.0
+    """Move s.at by what the joints are to do beside the task, so that a rule's step takes away what that does to the tip.
+
+    Returns whether it has moved.
+    """
+    if law.mode != CLIP:
+        factor(s.J, s.J.shape[1], law.damping, s.G, s.y)
+        if find_wishes(law, s, limits, wish, rate):
+            for i in range(rate.shape[0]):
+                s.at[i] += h * s.g[i]
+            return True
+    for i in range(rate.shape[0]):
+        s.g[i] = 0.0
+    return False
 
 
 @inline
@@ -127,7 +135,7 @@ def by_law(law, rule, task, look, weights, s, slack, limits, wish, sigma, h, rat
             if law.code < CA:
                 continue
         if task.plain():
-            task.bending(look, task.desk.J, s.x1, s.x2, s.bias)
+            task.bending(look, s.x1, s.x2, s.bias)
         else:
             by_difference(task, s, slack)
         if r < m:
@@ -177,7 +185,8 @@ def by_difference(task, s, slack):
         for sign in (1.0, -1.0):
             for i in range(s.x1.shape[0]):
                 s.probe[i] = s.at[i] + sign * STEP / size * s.x1[i]
-            task.jacobian(task.evaluate(s.probe))
+            task.stand(s.probe)
+            task.jacobian(task.see())
             for k in range(s.bias.shape[0]):
                 for i in range(s.x1.shape[0]):
                     s.bias[k] += sign * 0.5 * size / STEP * task.desk.J[i, k] * s.x2[i]
@@ -191,8 +200,11 @@ def by_difference(task, s, slack):
 def by_rule(law, rule, task, look, weights, s, slack, limits, wish, sigma, h, rate, memory, away, state):
     """Rates that a solver's rule wants, to s.x: its step to where the target will be."""
     d = task.desk
-    task.jacobian(look)
-    copy_rows(d.J, s.J)
+    leaned = False
+    for i in range(s.g.shape[0]):
+        leaned = leaned or s.g[i] != 0.0
+    if leaned or not task.plain():  # else it is the one that `take_stock` filled
+        task.jacobian(look)
     copy(weights, d.w)
     copy(s.at, d.q)
     copy(memory, d.x)
@@ -224,7 +236,7 @@ def wanted(law, rule, task, look, weights, s, slack, limits, wish, sigma, h, rat
     return how(law, rule, task, look, weights, s, slack, limits, wish, sigma, h, rate, memory, away, state)
 
 
-@overload(wanted, jit_options=BUILD)
+@overload(wanted, jit_options=INLINE)
 def _wanted(law, rule, task, look, weights, s, slack, limits, wish, sigma, h, rate, memory, away, state):
     how = by_law if rule.instance_class is Published else by_rule
     return lambda law, rule, task, look, weights, s, slack, limits, wish, sigma, h, rate, memory, away, state: how(
@@ -238,7 +250,7 @@ def lean(law, rule, s, limits, wish, rate, h):
     return how(law, rule, s, limits, wish, rate, h)
 
 
-@overload(lean, jit_options=BUILD)
+@overload(lean, jit_options=INLINE)
 def _lean(law, rule, s, limits, wish, rate, h):
     how = lean_not if rule.instance_class is Published else lean_over
     return lambda law, rule, s, limits, wish, rate, h: how(law, rule, s, limits, wish, rate, h)

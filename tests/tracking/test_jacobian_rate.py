@@ -22,7 +22,7 @@ def _rate(rows, ends, q, x, y, out):
     now = fk(rows, q, joints, trig)
     tip = now.point + now.axes.times(at3(ends, 21))
     fill(rows, np.zeros(TASK), np.empty(0), joints, tip, J, 0)
-    motion.jacobian_rate(rows, joints, J, tip, x, y, out)
+    motion.jacobian_rate(rows, joints, J, 0, tip, x, y, out)
 
 
 def jacobian_rate(robot, q, x, y):
