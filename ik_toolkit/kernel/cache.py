@@ -21,6 +21,7 @@ import llvmlite
 import numba
 from numba.core.caching import FunctionCache, NullCache
 from numba.core.dispatcher import Dispatcher
+from numba.core.runtime import rtsys
 from numba.core.serialize import dumps
 
 KERNEL = Path(__file__).parent
@@ -59,8 +60,11 @@ class DiskCache(FunctionCache):
         return Path(self._cache_path) / name
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """Compiled code for a signature; None, and numba compiles, when there is none that is whole."""
-        target_context.refresh()
+        """Compiled code for a signature; None, and numba compiles, when there is none that is whole.
+
+        numba's own cache also loads all that it would need to compile (`refresh`, 0.3 s of a first answer); its compiler does so again.
+        """
+        rtsys.initialize(target_context)
         key = self._index_key(sig, target_context.codegen())
         path = self.path(key)
         try:
