@@ -62,7 +62,7 @@ class DiskCache(FunctionCache):
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """Compiled code for a signature; None, and numba compiles, when there is none that is whole.
 
-        numba's own cache also loads all that it would need to compile (`refresh`, 0.3 s of a first answer); its compiler does so again.
+        numba's own cache also loads all that compiling takes (`refresh`, 0.3 s of a first answer); its compiler does so again.
         """
         rtsys.initialize(target_context)
         key = self._index_key(sig, target_context.codegen())
