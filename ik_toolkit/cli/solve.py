@@ -76,6 +76,7 @@ def solve(
     obstacle: asked.Obstacles = None,
     margin: asked.Margin = None,
     every: asked.All = False,
+    explain: asked.Explain = False,
     file: asked.File = None,
     threads: asked.Threads = None,
     chain: asked.Chain = False,
@@ -102,6 +103,8 @@ def solve(
     --tip, or the robot's own; one without a target is free. Masks, directions and frames may be given by tip.
 
     --targets solves many targets at once and writes them to the file named by -o: CSV, NPZ or Parquet.
+
+    --explain adds the D-H table, the closed form with the numbers put in and every branch, or the iterations.
 
     --plot draws the error per iteration; --view and --html show the robot in 3-D, with the solve as an animation.
 
@@ -141,11 +144,17 @@ def _solve_one(arm: Any, target: Any, method: Any, start: Any, options: dict[str
     result = solve_one(arm, target, method, q0=start, **options)
     if first_use.budget() and not result.success and result.status.name != "UNREACHABLE":
         raise typer.Exit(first_use.NOT_ANSWERED)
+    explained = result.explain() if line.explain else None
+    explanation = {} if explained is None else {"explanation": explained.to_dict()}
     write_json(
-        {"kernel": first_use.kernel(), **result.to_dict(), **_asked(arm, target, options)}, line.as_json, line.output
+        {"kernel": first_use.kernel(), **result.to_dict(), **_asked(arm, target, options), **explanation},
+        line.as_json,
+        line.output,
     )
     if not line.as_json:
         _show(result, target, options, line.deg)
+        if explained is not None:
+            show(str(explained))
     if result.notice:
         notice(result.notice)
     if not result.success:

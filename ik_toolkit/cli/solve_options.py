@@ -189,6 +189,13 @@ Cluster = Annotated[
     str | None,
     typer.Option(metavar="ADDRESS", help="With --targets: use the Dask scheduler at this address."),
 ]
+Explain = Annotated[
+    bool,
+    typer.Option(
+        "--explain",
+        help="Show how the answer comes about: D-H table, closed form with the numbers put in, branches, iterations.",
+    ),
+]
 All = Annotated[
     bool,
     typer.Option("--all", help="List every distinct solution within limits, nearest to q0 (or home) first."),
@@ -234,6 +241,8 @@ def refuse_contradictions(line: SimpleNamespace) -> None:
         raise InvalidOption(
             "Missing option '--xyz' (or '--matrix', '--targets FILE' for many, '--target' for several tips)"
         )
+    if line.explain and (line.every or line.file is not None):
+        raise InvalidOption("--explain explains a single solve and cannot be combined with --all or --targets FILE")
     if line.every:
         if line.plot is not None:
             raise InvalidOption("--plot draws a single solve and cannot be combined with --all")

@@ -23,8 +23,10 @@ from .task import counted_rows, counts_in_part
 
 if TYPE_CHECKING:
     from .closed_form.geometry import Branches, Fit
+    from .derivation import Derivation
 
 Class = TypeVar("Class", bound=type)
+SHOWN = 16  # branches of a family in an explanation
 
 
 @dataclass(frozen=True)
@@ -113,6 +115,15 @@ class ClosedForm(Protocol):
         distance to it.
         """
         ...
+
+    def derive(self, robot: Any, p: np.ndarray, T: np.ndarray, box: np.ndarray) -> "Derivation":
+        """The formulas with their numbers for T (4, 4), to be read (see `derivation`). Default: the branches of `every` alone.
+
+        p, box: as for `every`. box[2] is the answer to be explained, so what is free stays as it is there.
+        """
+        from .derivation import listed_branches
+
+        return listed_branches(robot, self.every(robot, p, T, box, SHOWN))
 
     def pack(self, robot: Any, asked: Asked | None = None) -> Any:
         """Numbers of the closed form. Default: those that `recognise` found. Raises UnknownSolver where it does not fit."""

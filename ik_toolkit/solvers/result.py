@@ -15,6 +15,7 @@ from .status import SEARCHED, Status, sentence
 from .task import all_errors
 
 if TYPE_CHECKING:
+    from .explanation import Explanation
     from .plan import Plan
 
 Errors = list[tuple[float, float | None]]  # position [m] and rotation angle [rad] (None: free) of each tip
@@ -228,6 +229,15 @@ class Result:
         if not self.success:
             raise NotSolved(self)
         return self
+
+    def explain(self) -> "Explanation":
+        """How the answer comes about: D-H table, closed form with the numbers put in, branches, iterations (see `Explanation`).
+
+        `print` shows it as text, a notebook with formulas. Raises InvalidTarget for a row of a batch, which keeps no target.
+        """
+        from .explain import explain  # which reads this file
+
+        return explain(self)
 
     def to_dict(self) -> dict[str, Any]:
         """Plain numbers, strings and lists, ready for JSON; of several tips the errors by tip under `tips`, None at a free one."""

@@ -17,6 +17,7 @@ from ...kernel.checks import BAD_START, BAD_TARGET, LIMIT_BLOCKED, rigid
 from ...kernel.jit import cached
 from ...kernel.kinematics import room
 from ...kernel.records import AT, ORDER, WEIGHTS
+from ..derivation import Derivation
 from ..protocol import Asked, closed_form, fitted
 from .finish import polish
 from .geometry import (
@@ -238,6 +239,12 @@ class Inspection(NamedTuple):
         """Joints (place in q) that have a given value: the lift, where it is a number [m]."""
         place = np.flatnonzero(robot.slides)
         return {} if self.lift in CHOICES or not len(place) else {int(place[0]): float(self.lift)}
+
+    def derive(self, robot: Any, p: np.ndarray, T: np.ndarray, box: np.ndarray) -> Derivation:
+        """The formulas with their numbers for T (4, 4); box (4, n) as for `every`."""
+        from .inspection_steps import derive
+
+        return derive(robot, p, T, box)
 
     def loop(self, robot: Any) -> Callable:
         """The compiled solve."""

@@ -11,6 +11,7 @@ from ...kernel.checks import BAD_START, BAD_TARGET, rigid
 from ...kernel.jit import cached, jit
 from ...kernel.kinematics import room
 from ...kernel.records import AT, ORDER, WEIGHTS
+from ..derivation import Derivation
 from ..protocol import closed_form
 from .finish import polish
 from .geometry import (
@@ -218,6 +219,12 @@ class Planar2R(NamedTuple):
             families = (Family((first,), float(low), float(high), text),)
         complete = not (nearly or families)
         return Branches(q[:found], broken[:found], marks[:found], complete, "", families, STEPS if nearly else 0)
+
+    def derive(self, robot: Any, p: np.ndarray, T: np.ndarray, box: np.ndarray) -> Derivation:
+        """The formulas with their numbers for T (4, 4); box (4, n) as for `every`."""
+        from .planar_2r_steps import derive
+
+        return derive(robot, p, T, box)
 
     def loop(self, robot: Any) -> Callable:
         """The compiled solve."""

@@ -1,0 +1,120 @@
+"""The Denavit-Hartenberg table of a robot: the one it was made from, or one read off its joint axes (classic)."""
+
+import math
+from typing import Any
+
+import numpy as np
+
+from ..errors import IKError
+from ..robot.dh import DHRow, DHTable, dh_fk, read_dh_table
+from ..robot.library import shipped_robots
+from .closed_form.geometry import across, angle_about, read_screws
+
+SAME = 1e-7  # sine, or part of the reach, below which axes count as parallel, or as meeting
+AGREES = 1e-6  # of the reach, or rad: how far table and robot may be apart
+
+
+def dh_of(robot: Any) -> DHTable | None:
+    """Table whose rows are the robot's joints in order, or None where there is none (a joint that drives others)."""
+    entry = shipped_robots().get(robot.name)
+    if entry is not None and entry.dh_file is not None:
+        table = read_dh_table(entry.dh_file)
+        if [row.name for row in table.rows] == list(robot.joint_names) and _agrees(table, robot):
+            return table
+    table = _from_axes(robot)
+    return table if table is not None and _agrees(table, robot) else None
+
+
+def _agrees(table: DHTable, robot: Any) -> bool:
+    """Whether the rows multiply to the robot's forward kinematics."""
+    rng = np.random.default_rng(0)
+    for _ in range(3):
+        q = robot.random_q(rng)
+        try:
+            off = np.abs(dh_fk(table, q) - robot.fk(q).homogeneous)
+        except IKError:
+            return False
+        if off[:3, 3].max() > AGREES * robot.reach or off[:3, :3].max() > AGREES:
+            return False
+    return True
+
+
+def _from_axes(robot: Any) -> DHTable | None:
+    """Classic table read off the joint axes at q = 0. Where a frame may be chosen, it stays as near the one before as it can."""
+    screws = read_screws(robot.chain)
+    if isinstance(screws, str):
+        return None
+    n, near = robot.n, SAME * robot.reach
+    # Frame 0 is the base itself where its z axis is that of joint 1, or else its foot on that axis.
+    z = screws.axis[0]
+    point = screws.point[0] if screws.turns[0] else np.zeros(3)
+    frame = np.eye(4)
+    if np.linalg.norm(across(z, point)) > near or np.linalg.norm(z - frame[:3, 2]) > SAME:
+        frame = _frame(z, _normal(z, frame[:3, 0]), across(z, point))
+    base, rows = frame.copy(), []
+    for i in range(n):
+        before, z, x, origin = frame, frame[:3, 2], frame[:3, 0], frame[:3, 3]
+        if i + 1 == n:
+            frame = _last(screws.T, z, x, origin, near)
+        else:
+            after = screws.axis[i + 1]
+            onto = screws.point[i + 1] if screws.turns[i + 1] else origin
+            frame = _next(z, x, origin, after, onto, near)
+        step = frame[:3, 3] - origin
+        rows.append(
+            DHRow(
+                robot.joint_names[i],
+                "revolute" if screws.turns[i] else "prismatic",
+                _clean(angle_about(z, before[:3, 0], frame[:3, 0])),
+                _clean(float(z @ step)),
+                _clean(float(frame[:3, 0] @ step)),
+                _clean(angle_about(frame[:3, 0], z, frame[:3, 2])),
+                float(robot.lower[i]),
+                float(robot.upper[i]),
+            )
+        )
+    return DHTable(robot.name, "classic", tuple(rows), base, np.linalg.inv(frame) @ screws.T)
+
+
+def _clean(value: float) -> float:
+    """Zero for what rounding left of it."""
+    return 0.0 if abs(value) < 1e-12 else value
+
+
+def _frame(z: np.ndarray, x: np.ndarray, origin: np.ndarray) -> np.ndarray:
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = np.column_stack([x, np.cross(z, x), z]), origin
+    return T
+
+
+def _normal(z: np.ndarray, like: np.ndarray) -> np.ndarray:
+    """Unit vector across z, as near to `like` as there is."""
+    side = across(z, like)
+    if np.linalg.norm(side) < SAME:
+        side = across(z, np.eye(3)[int(np.argmin(np.abs(z)))])
+    return side / np.linalg.norm(side)
+
+
+def _next(
+    z: np.ndarray, x: np.ndarray, origin: np.ndarray, after: np.ndarray, point: np.ndarray, near: float
+) -> np.ndarray:
+    """Frame on the axis `after` through `point`, its x axis the common normal from the axis z through `origin`."""
+    normal = np.cross(z, after)
+    if np.linalg.norm(normal) < SAME:
+        foot = across(z, point - origin)
+        far = float(np.linalg.norm(foot))
+        return _frame(after, foot / far if far > near else x, origin + (foot if far > near else 0.0))
+    # Feet of the common normal: origin + s z and point + t after differ by a multiple of the normal.
+    s, t, gap = np.linalg.solve(np.column_stack([z, -after, normal]), point - origin)
+    normal = normal / np.linalg.norm(normal)
+    meets = abs(gap) * np.linalg.norm(np.cross(z, after)) <= near
+    sign = (1.0 if normal @ x >= -SAME else -1.0) if meets else math.copysign(1.0, gap)
+    return _frame(after, sign * normal, origin + s * z if meets else point + t * after)
+
+
+def _last(T: np.ndarray, z: np.ndarray, x: np.ndarray, origin: np.ndarray, near: float) -> np.ndarray:
+    """The tip's own frame where four parameters lead to it, or else one on the last axis, level with the tip."""
+    step = T[:3, 3] - origin
+    if abs(T[:3, 0] @ z) < SAME and abs(np.cross(z, T[:3, 0]) @ step) < near:
+        return T
+    return _frame(z, x, origin + z * (z @ step))

@@ -1,0 +1,126 @@
+"""Making of an explanation: which closed form fits, what it says of the target, and how an iterative solver gets there."""
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..errors import InvalidTarget
+from ..kernel.records import AT, WEIGHTS
+from ..kernel.task import FREE, POSE, POSITION
+from .closed_form import fits
+from .derivation import Derivation
+from .dh_table import dh_of
+from .explanation import Explanation, Iterations
+from .finish import record
+from .plan import Plan
+from .protocol import Asked, refusal
+from .registry import GENERAL, find_row
+from .result import Outcome, Result
+from .status import SEARCHED
+from .task import counts_in_part
+
+if TYPE_CHECKING:
+    from .derivation import Branch
+
+SAME = 1e-6  # rad, or of the reach: how far the answer may be from the branch it is (a near fit is finished on the real chain)
+
+
+def explain(result: Result) -> Explanation:
+    """Explain a result. Raises InvalidTarget for one that keeps no target (a row of a batch)."""
+    of = result._of
+    if not of.T.size:
+        raise InvalidTarget("a result of a batch keeps no target; solve that target alone to have it explained")
+    plan, robot, q = of.plan, of.plan.robot, result.q.copy()
+    form, why = _form_of(of)
+    derivation, chosen, errors, source = None, None, (), ""
+    if form is not None:
+        derivation = _derived(form, of, q)
+        chosen = _nearest(robot, derivation.branches, q)
+        target = of.T[0] if of.kinds == (POSE,) else of.T[0][:3, 3]
+        errors = tuple(robot.errors(branch.q, target) for branch in derivation.branches)
+        source = form.row.citation
+    iterations = None
+    if not plan.row.closed or of.row[AT.excess] == SEARCHED:
+        iterations = _iterations(of if not plan.row.closed else _search(of))
+    elif derivation is not None and derivation.beside:
+        iterations = _iterations(_beside(of, derivation.beside))
+    each = of.T[0] if robot.by_tip else of.T
+    targets = {
+        tip: T if kind == POSE else T[:3, 3]
+        for tip, T, kind in zip(robot.tips, each, of.kinds, strict=True)
+        if kind != FREE
+    }
+    tables = {arm.tip: dh_of(arm) for arm in robot.arms}
+    name = form.row.name if form is not None else ""
+    return Explanation(
+        robot, q, result.message, targets, tables, derivation, name, source, why, chosen, errors, iterations
+    )
+
+
+def _form_of(of: Outcome) -> tuple[Plan | None, str]:
+    """The closed form to show, as a plan: the one that solved, or one that fits; or None, and why there is none."""
+    plan, robot = of.plan, of.plan.robot
+    if plan.row.closed:
+        return plan, ""
+    if robot.by_tip:
+        return None, "Closed forms are for one tip; several tips are solved together by iteration."
+    if counts_in_part(of.kinds, plan.options) or of.kinds[0] not in (POSE, POSITION):
+        return (
+            None,
+            "Less than a whole pose or position is asked for, so there is no closed form: it is found by iteration.",
+        )
+    name = fits(robot, of.kinds[0])
+    if name is None:
+        return (
+            None,
+            f"No closed form of the toolkit fits '{robot.name}' and this kind of target, so it is found by iteration.",
+        )
+    row = find_row(name)
+    return Plan(robot, row, row.load()(), plan.options), ""
+
+
+def _derived(form: Plan, of: Outcome, q: np.ndarray) -> Derivation:
+    """What the closed form says of the target; what is free stays as it is at the answer q (n,)."""
+    robot = form.robot
+    free = np.full(robot.n, np.inf)
+    lower, upper = (robot.lower, robot.upper) if form.options.limits else (-free, free)
+    box = np.vstack([lower, upper, q, 1.0 / robot.chain.unit**2])
+    numbers = form.orders(of.kinds, True)[WEIGHTS + robot.n :]
+    return form.rule.derive(robot, numbers, of.T[0], box)
+
+
+def _nearest(robot: Any, branches: "tuple[Branch, ...]", q: np.ndarray) -> int | None:
+    """Which branch the answer is."""
+    far = [float(np.abs((branch.q - q) / robot.chain.unit).max()) for branch in branches]
+    best = int(np.argmin(far)) if far else 0
+    return best if far and far[best] < SAME else None
+
+
+def _search(of: Outcome) -> Outcome:
+    """The search that answered after a closed form."""
+    return _run(of, of.plan.search())
+
+
+def _beside(of: Outcome, name: str) -> Outcome:
+    """Another solver on the same target, from the same start, in one attempt; the general one where it does not take the task."""
+    robot, options = of.plan.robot, replace(of.plan.options, restarts=0, history=False)
+    row = find_row(name)
+    if refusal(row, row.load()(), Asked(robot, of.kinds, of.given, options)):
+        row = find_row(GENERAL)
+    return _run(of, Plan(robot, row, row.load()(), options))
+
+
+def _run(of: Outcome, plan: Plan) -> Outcome:
+    row = plan.solve(of.T, of.kinds, of.start, of.given)
+    return of._replace(plan=plan, row=row, notice="", errors=None, history=None)
+
+
+def _iterations(of: Outcome) -> Iterations:
+    """The attempt that counts, evaluation by evaluation."""
+    made = of if of.history is not None else record(of)
+    history, result = made.history, Result(made)
+    assert history is not None
+    shown = history["attempt"] == result.attempt
+    position, orientation, q = (history[name][shown] for name in ("position_error", "orientation_error", "q"))
+    return Iterations(result.solver, result.success, result.message, result.attempt, position, orientation, q)

@@ -1,0 +1,444 @@
+"""An explained solve: D-H table, target, formulas with numbers, branches and iterations, as text or as Markdown with LaTeX."""
+
+import math
+import re
+import textwrap
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ..robot.dh import DHTable
+from .derivation import Branch, Derivation, Step
+from .formula import Latex, Quantity, Text, decimals, number, write
+
+WIDTH = 80  # columns of the text
+ABREAST = 4  # branches beside each other
+FIRST, LAST = 10, 4  # iterations shown of a long run
+TOLD = 3  # joints whose values fit beside an iteration's errors
+UNITS = {"m": "mm", "rad": "deg", "": ""}
+
+
+class Heading(str):
+    """A line above what follows."""
+
+
+class Words(str):
+    """A sentence or two."""
+
+
+class Varies(str):
+    """A cell of a D-H table that the joint changes."""
+
+
+class Broken(str):
+    """A joint value outside its limits."""
+
+
+class Table(NamedTuple):
+    """Texts in columns."""
+
+    head: tuple[str, ...]
+    rows: list[tuple[str, ...]]
+
+
+class Formulas(NamedTuple):
+    """Steps, and every number that may stand in them."""
+
+    steps: tuple[Step, ...]
+    numbers: Mapping[str, Quantity]
+    places: int
+
+
+class Given(NamedTuple):
+    """Numbers that the formulas start from."""
+
+    steps: tuple[Step, ...]
+    places: int
+
+
+MARKS: dict[type, str] = {Varies: "*", Broken: "!"}
+Block = Heading | Words | Table | Formulas | Given
+
+
+class Iterations(NamedTuple):
+    """The way of an iterative solver: its name, how it ended, and of each evaluation of the attempt that counts the errors and q.
+
+    position (K,) [m], orientation (K,) [rad] (NaN: free), q (K, n) [rad or m].
+    """
+
+    solver: str
+    success: bool
+    message: str
+    attempt: int
+    position: np.ndarray
+    orientation: np.ndarray
+    q: np.ndarray
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """How an answer comes about. `str()` gives the text (80 columns), a notebook shows it with formulas set.
+
+    robot; q (n,) the answer [rad or m]; message of the solve; targets by tip: T (4, 4), or (3,) where no rotation counts; tables by
+    tip (None: there is none); derivation, form (name of the closed form) and source (where it is from), or None and why there is
+    none; chosen: which branch is the answer, or None; errors of each branch by Pinocchio [m, rad or None]; iterations, or None.
+    """
+
+    robot: Any
+    q: np.ndarray
+    message: str
+    targets: dict[str, np.ndarray]
+    tables: dict[str, DHTable | None]
+    derivation: Derivation | None
+    form: str
+    source: str
+    why: str
+    chosen: int | None
+    errors: tuple[tuple[float, float | None], ...]
+    iterations: Iterations | None
+
+    # ------------------------------------------------------------------------------------------------------------- parts
+    @property
+    def places(self) -> int:
+        """Decimals of a millimetre."""
+        return decimals(self.robot.reach)
+
+    def blocks(self) -> Iterator[Block]:
+        """The whole, part by part."""
+        yield Words(f"{self.message[0].upper()}{self.message[1:].rstrip('.')}. Lengths in mm, angles in degrees.")
+        for tip, table in self.tables.items():
+            yield Heading("Denavit-Hartenberg table" + (f" of {tip}" if len(self.tables) > 1 else ""))
+            yield from self.table_blocks(tip, table)
+        for tip, T in self.targets.items():
+            yield Heading("Target" + (f" of {tip}" if len(self.tables) > 1 else ""))
+            yield target_table(T, self.places)
+        if self.derivation is not None:
+            yield Heading(f"Closed form '{self.form}'")
+            yield from self.formula_blocks(self.chosen or 0)
+            yield Heading("Branches")
+            yield from self.branch_blocks()
+        else:
+            yield Heading("Closed form")
+            yield Words(self.why)
+        if self.iterations is not None:
+            yield Heading(f"Iterations of '{self.iterations.solver}'")
+            yield from self.iteration_blocks()
+
+    def table_blocks(self, tip: str, table: DHTable | None) -> Iterator[Block]:
+        """D-H table at the answer; what a joint changes is marked."""
+        if table is None:
+            yield Words("None: a joint that drives others has no row of its own.")
+            return
+        arm, place = next(
+            (arm, at) for arm, at in zip(self.robot.arms, self.robot.places, strict=True) if arm.tip == tip
+        )
+        rows = []
+        for row, x in zip(table.rows, self.q[np.asarray(place)], strict=True):
+            slides = row.type == "prismatic"
+            unit = "m" if slides else "rad"
+            theta, d = row.theta + (0.0 if slides else x), row.d + (x if slides else 0.0)
+            i = arm.joint_names.index(row.name)
+            low, high = (self._ends(float(x), unit) for x in (arm.lower[i], arm.upper[i]))
+            cells = [number(theta, "rad", 0), number(d, "m", self.places)]
+            cells[slides] = Varies(cells[slides])
+            cells += [number(row.a, "m", self.places), f"{round(math.degrees(row.alpha), 6) + 0.0:g}"]
+            rows.append((row.name, *cells, f"{low} to {high}"))
+        yield Table(("joint", "theta", "d", "a", "alpha", "range"), rows)
+        frames = [
+            f"{word} {at}"
+            for word, T, at in (("before row 1", table.base, "the base's"), ("after the last", table.tool, "the tip's"))
+            if not np.allclose(T, np.eye(4), atol=1e-9)
+        ]
+        constant = f" A constant transform stands {' and '.join(frames)} frame." if frames else ""
+        words = "* is what the joint changes, here as it is at the answer; the range is the joint's own."
+        yield Words(f"{table.convention.capitalize()} convention; {words}{constant}")
+
+    def _ends(self, value: float, unit: str) -> str:
+        scale = 1000.0 if unit == "m" else math.degrees(1.0)
+        return f"{scale * value:.6g}" if math.isfinite(value) else "any"
+
+    def formula_blocks(self, k: int) -> Iterator[Block]:
+        """Formulas with their numbers, those of branch k."""
+        assert self.derivation is not None
+        made = self.derivation
+        if made.words:
+            yield Words(f"{made.words[0].upper()}{made.words[1:]}.")
+        if made.free is not None:
+            yield Words(self.free_words())
+        branch = made.branches[k] if made.branches else Branch("", self.q)
+        if not made.given:
+            yield Words("This closed form shows no formulas, only its branches.")
+            return
+        numbers = made.symbols(branch)
+        yield Given(made.given, self.places)
+        yield Formulas(made.shared, numbers, self.places)
+        if branch.label:
+            yield Words(f"Branch {k + 1}, {branch.label}:")
+        yield Formulas(branch.steps, numbers, self.places)
+        if self.source:
+            yield Words(f"Source: {self.source}.")
+
+    def free_words(self) -> str:
+        """Where the joint that is free may be."""
+        assert self.derivation is not None and self.derivation.free is not None
+        free = self.derivation.free
+        name, unit = (
+            self.robot.joint_names[free.joint],
+            "rad" if self.robot.joint_kinds[free.joint] != "prismatic" else "m",
+        )
+
+        def said(spans: Sequence[tuple[float, float]]) -> str:
+            ends = [(number(a, unit, self.places), number(b, unit, self.places)) for a, b in spans]
+            return " and ".join(f"{a} to {b}" for a, b in ends) + f" {UNITS[unit]}"
+
+        here = f"The joint {name} is free; here it is {number(self.q[free.joint], unit, self.places)} {UNITS[unit]}."
+        if not free.every:
+            return f"{here} No value of it reaches the pose."
+        if free.inside == free.every:
+            return f"{here} The pose is reached from {said(free.inside)}."
+        reached = f"from {said(free.inside)} within its limits" if free.inside else "from nowhere within its limits"
+        return f"{here} The pose is reached {reached}, and from {said(free.every)} without them."
+
+    def branch_blocks(self) -> Iterator[Block]:
+        """Branches: label, joint values, error by Pinocchio."""
+        assert self.derivation is not None
+        branches, kinds = self.derivation.branches, self.robot.joint_kinds
+        if not branches:
+            yield Words("There is none.")
+            return
+        rows = []
+        for k, branch in enumerate(branches):
+            count = len(branch.outside)
+            said = f"outside {count} limit{'s' * (count > 1)}" if count else "inside the limits"
+            rows.append((str(k + 1), branch.label, f"{said}; the answer" if k == self.chosen else said))
+        yield Table(("", "branch", ""), rows)
+        for first in range(0, len(branches), ABREAST):
+            shown = range(first, min(first + ABREAST, len(branches)))
+            rows = []
+            for i, (name, kind) in enumerate(zip(self.robot.joint_names, kinds, strict=True)):
+                unit = "m" if kind == "prismatic" else "rad"
+                values = ((number(branches[k].q[i], unit, self.places), name in branches[k].outside) for k in shown)
+                rows.append((name, *(Broken(text) if bad else text for text, bad in values)))
+            rows.append(("FK error", *(f"{1000.0 * self.errors[k][0]:.0e}" for k in shown)))
+            yield Table(("joint", *(str(k + 1) for k in shown)), rows)
+        marked = "! is outside the joint's limits. " if any(branch.outside for branch in branches) else ""
+        yield Words(f"{marked}FK error: distance from the target by Pinocchio. {self.derivation.legend}".rstrip())
+        if self.chosen is None:
+            yield Words("The answer is none of these branches.")
+
+    def iteration_blocks(self) -> Iterator[Block]:
+        """Errors by iteration."""
+        assert self.iterations is not None
+        i = self.iterations
+        turned, told = not np.isnan(i.orientation).all(), self.robot.n <= TOLD
+        units = ["m" if kind == "prismatic" else "rad" for kind in self.robot.joint_kinds]
+        head = (
+            "k",
+            "position error",
+            *(["orientation error"] if turned else []),
+            *(self.robot.joint_names if told else ()),
+        )
+        count, rows = len(i.position), []
+        for k in range(count):
+            if count > FIRST + LAST and FIRST <= k < count - LAST:
+                if k == FIRST:
+                    rows.append(("...", *("" for _ in head[1:])))
+                continue
+            cells = [str(k), f"{1000.0 * i.position[k]:.3e}"]
+            cells += [f"{math.degrees(i.orientation[k]):.3e}"] if turned else []
+            cells += [number(x, u, self.places) for x, u in zip(i.q[k], units, strict=True)] if told else []
+            rows.append(tuple(cells))
+        yield Table(head, rows)
+        which = f" Attempt {i.attempt} is shown." if i.attempt else ""
+        yield Words(f"{i.message[0].upper()}{i.message[1:].rstrip('.')}.{which}")
+
+    # ------------------------------------------------------------------------------------------------------------ written
+    def __str__(self) -> str:
+        """Plain text, 80 columns wide."""
+        lines: list[str] = []
+        for block in self.blocks():
+            more = _text(block)
+            lines += more[1:] if isinstance(block, Heading | Words) and not lines else more
+        return "\n".join(lines)
+
+    def to_markdown(self) -> str:
+        """Markdown with the formulas in LaTeX."""
+        return "\n\n".join(_markdown(block) for block in self.blocks())
+
+    def _repr_markdown_(self) -> str:
+        """For notebooks."""
+        return self.to_markdown()
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain numbers, strings and lists in metres and radians, ready for JSON."""
+        made, i = self.derivation, self.iterations
+        free = made.free if made is not None else None
+        return {
+            "closed_form": self.form or None,
+            "why": self.why,
+            "dh": {tip: _plain_table(table) for tip, table in self.tables.items()},
+            "given": [step._asdict() for step in made.given] if made else [],
+            "steps": [step._asdict() for step in made.shared] if made else [],
+            "branches": [
+                {
+                    "label": branch.label,
+                    "q": branch.q.tolist(),
+                    "outside": list(branch.outside),
+                    "steps": [step._asdict() for step in branch.steps],
+                    "position_error": error[0],
+                    "orientation_error": error[1],
+                }
+                for branch, error in zip(made.branches, self.errors, strict=True)
+            ]
+            if made
+            else [],
+            "chosen": self.chosen,
+            "free": None
+            if free is None
+            else {"joint": self.robot.joint_names[free.joint], "inside": free.inside, "every": free.every},
+            "iterations": None if i is None else i._asdict(),
+        }
+
+
+def target_table(T: np.ndarray, places: int) -> Table:
+    """The target as n, o, a, p, or p alone where its rotation does not count."""
+    shown = zip("xyz", T.reshape(3, -1) if T.ndim == 1 else T[:3], strict=True)
+    rows = [(axis, *(number(x, "", 0) for x in row[:-1]), number(row[-1], "m", places)) for axis, row in shown]
+    return Table(("", "p") if T.ndim == 1 else ("", "n", "o", "a", "p"), rows)
+
+
+def _plain_table(table: DHTable | None) -> Any:
+    if table is None:
+        return None
+    columns = ("name", "type", "theta", "d", "a", "alpha")
+    return {
+        "convention": table.convention,
+        "rows": [{name: getattr(row, name) for name in columns} for row in table.rows],
+        "base": table.base.tolist(),
+        "tool": table.tool.tolist(),
+    }
+
+
+def grouped(steps: Sequence[Step]) -> list[tuple[list[Step], str]]:
+    """Given numbers that belong together, and what they are: those without words go with the one before."""
+    groups: list[tuple[list[Step], str]] = []
+    for step in steps:
+        if step.words or not groups:
+            groups.append(([step], step.words))
+        else:
+            groups[-1][0].append(step)
+    return groups
+
+
+def valued(step: Step, places: int) -> str:
+    """Number of a step with its unit."""
+    return f"{number(step.value, step.unit, places)} {UNITS[step.unit]}".rstrip()
+
+
+def lines_of(table: Table) -> list[str]:
+    """Lines of a table: the first column and words to the left, numbers to the right, marks behind them.
+
+    Columns that find no room in 80 follow below, beside the first one again.
+    """
+    lines: list[str] = []
+    shown = [0]
+    for k in range(1, len(table.head)):
+        if len(shown) > 1 and max(map(len, _aligned(table, [*shown, k]))) > WIDTH:
+            lines += [*_aligned(table, shown), ""]
+            shown = [0]
+        shown.append(k)
+    return lines + _aligned(table, shown)
+
+
+def _aligned(table: Table, shown: list[int]) -> list[str]:
+    lines = [""] * (1 + len(table.rows))
+    for k in shown:
+        cells = [table.head[k], *(row[k] for row in table.rows)]
+        marks = [MARKS.get(type(cell), "") for cell in cells]
+        width = max(map(len, cells))
+        left = k == 0 or any(cell[:1].isalpha() for cell in cells[1:])
+        for i, (cell, mark) in enumerate(zip(cells, marks, strict=True)):
+            text = cell.ljust(width) if left else cell.rjust(width)
+            lines[i] += f"  {text}" + (f" {mark:1}" if any(marks) else "")
+    return [line.rstrip() for line in lines]
+
+
+def _text(block: Block) -> list[str]:
+    if isinstance(block, Heading):
+        return ["", "", str(block), "-" * len(block)]
+    if isinstance(block, Words):
+        return ["", *textwrap.wrap(str(block), WIDTH)]
+    if isinstance(block, Table):
+        return ["", *lines_of(block)]
+    lines: list[str] = [""]
+    if isinstance(block, Given):
+        for steps, words in grouped(block.steps):
+            line = ", ".join(f"{s.name} = {valued(s, block.places)}" for s in steps)
+            lines += _wrapped(f"  {line}" + (f"  ({words})" if words else ""), 6)
+        return lines
+    form = Text()
+    for step in block.steps:
+        indent = len(step.name) + 2
+        value = valued(step, block.places)
+        words = f"  ({step.words})" if step.words else ""
+        if not step.formula:
+            lines += _wrapped(f"  {step.name} = {value}{words}", indent + 3)
+            continue
+        lines += _wrapped(f"  {step.name} = {write(step.formula, form)}", indent + 3)
+        put_in = write(step.formula, form, block.numbers, block.places).replace(" deg", "\xa0deg")
+        if put_in.replace("\xa0", " ") != value:
+            lines += _wrapped(f"{'':{indent}} = {put_in}", indent + 3)
+        lines += _wrapped(f"{'':{indent}} = {value}{words}", indent + 3)
+    return lines
+
+
+def _wrapped(line: str, indent: int) -> list[str]:
+    made = textwrap.wrap(
+        line,
+        WIDTH,
+        subsequent_indent=" " * indent,
+        break_long_words=False,
+        break_on_hyphens=False,
+        drop_whitespace=True,
+    )
+    return [x.replace("\xa0", " ") for x in made]
+
+
+def _markdown(block: Block) -> str:
+    if isinstance(block, Heading):
+        return f"#### {_plain(block)}"
+    if isinstance(block, Words):
+        return _plain(block)
+    if isinstance(block, Table):
+        rows = [[_plain(x) + (rf" \{MARKS[type(x)]}" if type(x) in MARKS else "") for x in row] for row in block.rows]
+        head = [_plain(x) for x in block.head]
+        lines = ["| " + " | ".join(row) + " |" for row in (head, ["---"] + ["---:"] * (len(head) - 1), *rows)]
+        return "\n".join(lines)
+    form = Latex()
+    if isinstance(block, Given):
+        lines = []
+        for steps, words in grouped(block.steps):
+            said = r",\quad ".join(rf"{form.name(s.name)} = {latex_value(s, block.places)}" for s in steps)
+            lines.append(f"${said}$" + (f" ({words})" if words else ""))
+        return "\n\n".join(lines)
+    return "\n\n".join(_latex_step(step, form, block) for step in block.steps)
+
+
+def _plain(text: str) -> str:
+    """Text as Markdown takes it word for word: names of robots and joints are the model's own."""
+    return re.sub(r"([\\`*_{}\[\]()<>#|~$!])", r"\\\1", text)
+
+
+def latex_value(step: Step, places: int) -> str:
+    """Number of a step with its unit, in LaTeX."""
+    return number(step.value, step.unit, places) + {"m": r"\,\mathrm{mm}", "rad": r"^\circ", "": ""}[step.unit]
+
+
+def _latex_step(step: Step, form: Latex, block: Formulas) -> str:
+    parts = [form.name(step.name)]
+    if step.formula:
+        parts += [write(step.formula, form), write(step.formula, form, block.numbers, block.places)]
+    chain = " = ".join([*parts, latex_value(step, block.places)])
+    return f"$${chain}$$" + (f"\n\n*{step.words}*" if step.words else "")
