@@ -16,17 +16,17 @@ from .finish import record
 from .plan import Plan
 from .protocol import Asked, refusal
 from .registry import GENERAL, find_row
-from .result import Outcome, Result
 from .status import SEARCHED
 from .task import counts_in_part
 
 if TYPE_CHECKING:
     from .derivation import Branch
+    from .result import Outcome, Result
 
 SAME = 1e-6  # rad, or of the reach: how far the answer may be from the branch it is (a near fit is finished on the real chain)
 
 
-def explain(result: Result) -> Explanation:
+def explain(result: "Result") -> Explanation:
     """Explain a result. Raises InvalidTarget for one that keeps no target (a row of a batch)."""
     of = result._of
     if not of.T.size:
@@ -42,9 +42,9 @@ def explain(result: Result) -> Explanation:
         source = form.row.citation
     iterations = None
     if not plan.row.closed or of.row[AT.excess] == SEARCHED:
-        iterations = _iterations(of if not plan.row.closed else _search(of))
+        iterations = _iterations(of if not plan.row.closed else _search(of), type(result))
     elif derivation is not None and derivation.beside:
-        iterations = _iterations(_beside(of, derivation.beside))
+        iterations = _iterations(_beside(of, derivation.beside), type(result))
     each = of.T[0] if robot.by_tip else of.T
     targets = {
         tip: T if kind == POSE else T[:3, 3]
@@ -58,7 +58,7 @@ def explain(result: Result) -> Explanation:
     )
 
 
-def _form_of(of: Outcome) -> tuple[Plan | None, str]:
+def _form_of(of: "Outcome") -> tuple[Plan | None, str]:
     """The closed form to show, as a plan: the one that solved, or one that fits; or None, and why there is none."""
     plan, robot = of.plan, of.plan.robot
     if plan.row.closed:
@@ -80,7 +80,7 @@ def _form_of(of: Outcome) -> tuple[Plan | None, str]:
     return Plan(robot, row, row.load()(), plan.options), ""
 
 
-def _derived(form: Plan, of: Outcome, q: np.ndarray) -> Derivation:
+def _derived(form: Plan, of: "Outcome", q: np.ndarray) -> Derivation:
     """What the closed form says of the target; what is free stays as it is at the answer q (n,)."""
     robot = form.robot
     free = np.full(robot.n, np.inf)
@@ -97,12 +97,12 @@ def _nearest(robot: Any, branches: "tuple[Branch, ...]", q: np.ndarray) -> int |
     return best if far and far[best] < SAME else None
 
 
-def _search(of: Outcome) -> Outcome:
+def _search(of: "Outcome") -> "Outcome":
     """The search that answered after a closed form."""
     return _run(of, of.plan.search())
 
 
-def _beside(of: Outcome, name: str) -> Outcome:
+def _beside(of: "Outcome", name: str) -> "Outcome":
     """Another solver on the same target, from the same start, in one attempt; the general one where it does not take the task."""
     robot, options = of.plan.robot, replace(of.plan.options, restarts=0, history=False)
     row = find_row(name)
@@ -111,15 +111,15 @@ def _beside(of: Outcome, name: str) -> Outcome:
     return _run(of, Plan(robot, row, row.load()(), options))
 
 
-def _run(of: Outcome, plan: Plan) -> Outcome:
+def _run(of: "Outcome", plan: Plan) -> "Outcome":
     row = plan.solve(of.T, of.kinds, of.start, of.given)
     return of._replace(plan=plan, row=row, notice="", errors=None, history=None)
 
 
-def _iterations(of: Outcome) -> Iterations:
+def _iterations(of: "Outcome", read: "type[Result]") -> Iterations:
     """The attempt that counts, evaluation by evaluation."""
     made = of if of.history is not None else record(of)
-    history, result = made.history, Result(made)
+    history, result = made.history, read(made)
     assert history is not None
     shown = history["attempt"] == result.attempt
     position, orientation, q = (history[name][shown] for name in ("position_error", "orientation_error", "q"))

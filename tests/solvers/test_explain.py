@@ -119,7 +119,7 @@ def test_both_elbows_are_those_of_the_reference(case):
 
 
 def blocks(text):
-    """(name, formula with numbers, value) of every step in a text that has both."""
+    """(name, formula with numbers, value) of every step in a text; the value alone where the formula is one number."""
     lines = text.split("\n")
     for k, line in enumerate(lines):
         head = re.match(r"  (\w+) = ", line)
@@ -134,8 +134,8 @@ def blocks(text):
                 parts.append(more)
             else:
                 parts[-1] += " " + more.strip()
-        if len(parts) == 3:
-            yield head[1], *(part.split("= ", 1)[1] for part in parts[1:])
+        if len(parts) > 1:
+            yield head[1], *(part.split("= ", 1)[1] for part in (parts[-2] if len(parts) > 2 else parts[-1], parts[-1]))
 
 
 @pytest.mark.parametrize("name", ["inspection_7dof", "planar_2r"])
@@ -150,7 +150,11 @@ def test_the_numbers_of_the_text_can_be_followed_by_hand(name):
     found = {}
     for symbol, formula, value in blocks(text):
         said, unit = re.match(number + r"( deg| mm)?", value).groups()
-        plain = re.sub(number + " deg", lambda m: repr(math.radians(float(m[1]))), formula).replace("^", "**")
+        plain = (
+            re.sub(number + " deg", lambda m: repr(math.radians(float(m[1]))), formula.split("  (")[0])
+            .replace(" mm", "")
+            .replace("^", "**")
+        )
         result_of = eval(plain, {"__builtins__": {}}, FUNCTIONS)
         scale, tolerance = {" deg": (math.degrees(1.0), 2e-3), " mm": (1.0, 2e-3)}.get(unit, (1.0, 2e-6))
         if symbol not in ("u", "v", "beta"):  # square roots of small differences of rounded numbers

@@ -29,13 +29,10 @@ from .geometry import (
     no_fit,
     read_screws,
 )
+from .planar_arm import ANGLES, L1, L2, NEARLY, every_branch, joint_values, to_plane
 from .reach import planar_branches, planar_margin
 
-# Slots of the parameters: base -> arm plane (12), then these, then sign and offset of each angle (theta = sign q +
-# offset), and whether the axes are only nearly parallel.
-L1, L2, HEIGHT, ANGLES, NEARLY = 12, 13, 14, 15, 19
 STEPS = 8  # Newton steps that finish a branch of an arm whose axes are only nearly parallel
-FOLDED = 1e-9  # of the lengths: distance from the base below which the links count as folded onto it
 
 
 def recognise(chain: Chain) -> Fit:
@@ -63,27 +60,6 @@ def recognise(chain: Chain) -> Fit:
     angles = [1.0, 0.0, sign, angle_about(z, x, hand / l2), float(tilt > FIT)]
     height = z @ (tip - screws.point[0])
     return Fit(np.concatenate([R.ravel(), -R @ screws.point[0], [l1, l2, height], angles]), "", tilt)
-
-
-@jit
-def to_plane(p, T):
-    """Position of T (4, 4) in the arm's plane: along it (2), and the distance off it."""
-    x = p[0] * T[0, 3] + p[1] * T[1, 3] + p[2] * T[2, 3] + p[9]
-    y = p[3] * T[0, 3] + p[4] * T[1, 3] + p[5] * T[2, 3] + p[10]
-    z = p[6] * T[0, 3] + p[7] * T[1, 3] + p[8] * T[2, 3] + p[11]
-    return x, y, z - p[HEIGHT]
-
-
-@jit
-def joint_values(p, angles, box, q):
-    """Fill q (2,) with the legal turns of theta_1, theta_2 nearest box[2]; return the worst limit broken and the distance."""
-    worst, distance = 0.0, 0.0
-    for i in range(2):
-        x = p[ANGLES + 2 * i] * (angles[i] - p[ANGLES + 2 * i + 1])
-        q[i], broken = legal_turn(x, box[0, i], box[1, i], box[2, i])
-        worst = max(worst, broken)
-        distance += box[3, i] * (q[i] - box[2, i]) ** 2
-    return worst, distance
 
 
 @jit
@@ -170,23 +146,6 @@ def solve(rows, ends, seeds, feat, T, Q0, out, opt, hist):
             least, gap = 0.0, 0.0
         measure_tip(rows, ends, opt, T[t], best, box, least, gap, 0.0, goal, joints, trig, hist, out[t])
         out[t, AT.evaluations] += spent
-
-
-@cached
-def every_branch(p, T, box, out, broken, marks):
-    """Fill out (2, 2) with the branches of T (4, 4), broken (2,) with the limit each breaks, marks (2, 3) with their signs.
-
-    Returns how many, and whether the links fold back onto the base, where the first angle is free.
-    """
-    x, y, off = to_plane(p, T)
-    size = p[L1] + p[L2]
-    sols = np.empty((2, 2))
-    count = planar_branches(x, y, p[L1], p[L2], p[ANGLES] * box[2, 0] + p[ANGLES + 1], sols)
-    for k in range(count):
-        broken[k] = joint_values(p, sols[k], box, out[k])[0]
-        marks[k, 0] = marks[k, 2] = 0
-        marks[k, 1] = 0 if count == 1 else (1 if sols[k, 1] > 0.0 else -1)
-    return count, max(math.hypot(x, y), abs(p[L1] - p[L2])) <= FOLDED * size
 
 
 @closed_form

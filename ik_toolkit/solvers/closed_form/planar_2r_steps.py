@@ -6,7 +6,7 @@ import numpy as np
 
 from ...kernel.jit import cached
 from ..derivation import Branch, Derivation, Step, Worksheet, joint_step, zero_steps
-from .planar_2r import ANGLES, L1, L2, every_branch, to_plane
+from .planar_arm import ANGLES, L1, L2, every_branch, to_plane
 from .reach import planar_branches, planar_margin
 
 BESIDE = "newton"  # what Chinyai compares it with
