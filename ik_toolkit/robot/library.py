@@ -11,6 +11,7 @@ import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 from ..errors import MissingExtra, RobotNotFound, near_match
 from .packages import MANIFESTS
@@ -30,7 +31,8 @@ class RobotEntry:
     tip is None when several exist or nothing is known); tips (all the known ones); home (n,) [rad or m] in the order of
     the joints from base to tip (union of the paths, in the order of `tips`, where there are several), or None;
     package_dirs (folders in which package:// names are looked up); paper, table and description (where the numbers come
-    from); dh_file; xacro_args (values of a xacro file's arguments).
+    from); dh_file; sample (columns n, o, a and p [m] of the pose that the paper computes, as printed, and their source `from`);
+    xacro_args (values of a xacro file's arguments).
     """
 
     name: str
@@ -44,6 +46,7 @@ class RobotEntry:
     paper: str = ""
     table: str = ""
     dh_file: Path | None = None
+    sample: Mapping[str, Any] | None = None
     xacro_args: Mapping[str, str] = field(default_factory=dict)
 
     @property
@@ -110,6 +113,7 @@ def shipped_robots() -> dict[str, RobotEntry]:
             paper=row["paper"],
             table=row["table"],
             dh_file=folder / row["dh"] if "dh" in row else None,
+            sample=row.get("sample"),
         )
     return entries
 

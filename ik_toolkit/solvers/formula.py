@@ -7,6 +7,7 @@ import re
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
+BREAK = "\v"  # in MathML: where a line may end
 SUM, PRODUCT, SIGN, POWER, ATOM = range(5)  # how tightly the outermost operation binds
 GREEK = ("alpha", "beta", "gamma", "theta", "phi", "chi", "psi", "rho")
 FUNCTIONS: dict[str, Any] = {
@@ -142,36 +143,36 @@ class Latex(Text):
 
 
 class MathML(Text):
-    """MathML Core, which browsers draw themselves."""
+    """MathML Core, which browsers draw themselves. Flat, with a BREAK wherever a line may end: see `pieces`."""
 
     bars = True
-    minus, plus = "<mo>&minus;</mo>", "<mo>+</mo>"
+    minus, plus = f'{BREAK}<mo form="infix">&minus;</mo>', f'{BREAK}<mo form="infix">+</mo>'
 
     def name(self, name: str) -> str:
         """A symbol."""
         base, index = split(name)
         if not base:
             return f"<mtext>{html.escape(name)}</mtext>"
-        letter = f"<mi>{f'&{base};' if base in GREEK else base}</mi>"
+        letter = f"<mi>&{base};</mi>" if base in GREEK else f"<mi>{base}</mi>"
         kind = "mn" if index.isdigit() else "mi"
         return f"<msub>{letter}<{kind}>{index}</{kind}></msub>" if index else letter
 
     def digits(self, text: str, unit: str) -> str:
         """A number that stands for a symbol."""
-        sign, text = ("<mo>&minus;</mo>", text[1:]) if text.startswith("-") else ("", text)
-        return f"<mrow>{sign}<mn>{text}{'&deg;' if unit == 'rad' else ''}</mn></mrow>"
+        sign, text = (self.negative(""), text[1:]) if text.startswith("-") else ("", text)
+        return f"{sign}<mn>{text}{'&deg;' if unit == 'rad' else ''}</mn>"
 
     def group(self, inner: str) -> str:
         """In parentheses."""
-        return f"<mrow><mo>(</mo>{inner}<mo>)</mo></mrow>"
+        return f"<mo>(</mo>{inner}<mo>)</mo>"
 
     def negative(self, inner: str) -> str:
         """With its sign turned."""
-        return f"<mrow><mo>&minus;</mo>{inner}</mrow>"
+        return f'<mo form="prefix">&minus;</mo>{inner}'
 
     def times(self, a: str, b: str) -> str:
         """Product."""
-        return f"<mrow>{a}<mo>·</mo>{b}</mrow>"
+        return f"{a}<mo>&middot;</mo>{b}"
 
     def over(self, a: str, b: str) -> str:
         """Quotient."""
@@ -179,20 +180,28 @@ class MathML(Text):
 
     def power(self, a: str, b: str) -> str:
         """Power."""
-        return f"<msup><mrow>{a}</mrow>{b}</msup>"
+        return f"<msup><mrow>{a}</mrow><mrow>{b}</mrow></msup>"
 
     def call(self, name: str, arguments: list[str]) -> str:
         """A function of its arguments."""
         if name == "sqrt":
             return f"<msqrt>{arguments[0]}</msqrt>"
-        inner = "<mo>,</mo>".join(f"<mrow>{x}</mrow>" for x in arguments)
         if name == "abs":
-            return f"<mrow><mo>|</mo>{inner}<mo>|</mo></mrow>"
-        return f"<mrow><mi>{name}</mi><mo>(</mo>{inner}<mo>)</mo></mrow>"
+            return f"<mo>|</mo>{arguments[0]}<mo>|</mo>"
+        return f"<mi>{name}</mi>{self.group(f'<mo>,</mo>{BREAK}'.join(arguments))}"
 
-    def equals(self, parts: list[str]) -> str:
-        """A chain of equal things."""
-        return "<mo>=</mo>".join(f"<mrow>{x}</mrow>" for x in parts)
+
+def pieces(written: str) -> list[str]:
+    """What MathML wrote, in pieces that may stand on lines of their own: browsers break no line inside a formula."""
+    made, depth = [""], 0
+    for part in re.split(f"({BREAK}|</?(?:mrow|msqrt|msub)>)", written):
+        depth += part in ("<mrow>", "<msqrt>", "<msub>")
+        depth -= part in ("</mrow>", "</msqrt>", "</msub>")
+        if part != BREAK:
+            made[-1] += part
+        elif not depth:
+            made.append("")
+    return [piece for piece in made if piece]
 
 
 def split(name: str) -> tuple[str, str]:
