@@ -11,6 +11,7 @@ from ..errors import IKError, InvalidConfiguration
 from ..robot.library import list_robots
 from ..style import BAD, COLOURS, GOOD
 from .goals import Goal
+from .learn import Learn
 from .parts import Body
 from .session import KINDS, SHOWN, Session
 from .stage import Stage
@@ -92,14 +93,8 @@ class Desk:
             self.gui.configure_theme(control_width="large", show_logo=False, show_share_button=False)
             self.gui.main_panel.dock_right()
             self._build_controls()
-            self.stage = Stage(
-                self.client,
-                body,
-                s.q,
-                s.goals(),
-                self.frames,
-                lambda: self.worker.post("drag", self._guard(self._dragged)),
-            )
+            drag = lambda: self.worker.post("drag", self._guard(self._dragged))  # noqa: E731
+            self.stage = Stage(self.client, body, s.q, s.goals(), self.frames, drag)
             for goal, handle in zip(self.goals, self.stage.handles, strict=True):
                 goal.join(handle)
         self.show()
@@ -125,6 +120,8 @@ class Desk:
             self._build_joints()
         with tabs.add_tab("Solve"):
             self._build_solve()
+        with tabs.add_tab("Learn"):
+            self.learn = Learn(self)
         with tabs.add_tab("Robot"):
             self._build_robot()
 
@@ -225,6 +222,7 @@ class Desk:
             self.stage.gaps({})
             for i, slider in enumerate(self.sliders):
                 slider.value = self.shown[i] = float(np.clip(round(s.scale(i) * s.q[i], 4), slider.min, slider.max))
+        self.learn.show(s.q)
         self.pose.content = "".join(pose_html(T, s, tip) for tip, T in s.poses().items())
         self.client.flush()  # now, not at the end of viser's next interval
 

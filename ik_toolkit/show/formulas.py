@@ -4,17 +4,18 @@ import html
 from collections.abc import Iterable
 
 from ..solvers.blocks import UNITS, Block, Broken, Formulas, Given, Heading, Table, Varies, Words, grouped
+from ..solvers.derivation import Step
 from ..solvers.formula import MathML, number, pieces, write
 
 MUTED, MARK, BAD = "#4a5766", "#fff3c4", "#b2182b"
-CELL = "padding:1px 10px 1px 0;white-space:nowrap;font-variant-numeric:tabular-nums"
+CELL = "padding:1px 7px 1px 0;white-space:nowrap;font-variant-numeric:tabular-nums"
 FORM = MathML()
 
 
 def blocks_html(blocks: Iterable[Block]) -> str:
     """Blocks one below the other, in the panel's own size of type."""
     inner = "".join(_block(block) for block in blocks)
-    return f'<div style="padding:2px 12px 8px;font-size:12.5px;line-height:1.5">{inner}</div>'
+    return f'<div style="padding:2px 12px 8px;font-size:13px;line-height:1.5">{inner}</div>'
 
 
 def _block(block: Block) -> str:
@@ -34,27 +35,27 @@ def _block(block: Block) -> str:
 
 
 def _table(table: Table) -> str:
-    head = "".join(f'<th style="{CELL};text-align:left;font-weight:600">{html.escape(x)}</th>' for x in table.head)
+    head = "".join(f'<th style="{CELL};font-weight:600">{html.escape(x)}</th>' for x in table.head)
     rows = "".join(f"<tr>{''.join(_cell(x, k) for k, x in enumerate(row))}</tr>" for row in table.rows)
     return f'<div style="overflow-x:auto;margin:4px 0"><table><tr>{head}</tr>{rows}</table></div>'
 
 
 def _cell(text: str, column: int) -> str:
     """A cell: what a joint changes on yellow, what breaks a limit red."""
-    style = CELL + (f";color:{MUTED}" if not column else "")
+    style = CELL + (f";color:{MUTED}" if not column else "" if text[:1].isalpha() else ";text-align:right")
     style += f";background:{MARK};font-weight:600" if isinstance(text, Varies) else ""
     style += f";color:{BAD}" if isinstance(text, Broken) else ""
     return f'<td style="{style}">{html.escape(text)}</td>'
 
 
-def _step(step, block: Formulas) -> str:
+def _step(step: Step, block: Formulas) -> str:
     """Symbol and formula, the same with numbers, and what comes out: a line each."""
     value = _value(step, block.places)
     name = FORM.name(step.name)
     lines = [f"{name}<mo>=</mo>{write(step.formula, FORM) if step.formula else value}"]
     if step.formula:
         put_in = write(step.formula, FORM, block.numbers, block.places)
-        lines += [f"<mo>=</mo>{put_in}"] if put_in != number_of(value) else []
+        lines += [f"<mo>=</mo>{put_in}"] if put_in != value.split("<mtext>")[0] else []
         lines.append(f"<mo>=</mo>{value}")
     shown = []
     for k, line in enumerate(lines):
@@ -64,12 +65,7 @@ def _step(step, block: Formulas) -> str:
     return f'<div style="margin:5px 0" data-step="{html.escape(step.name)}">{"".join(shown)}</div>'
 
 
-def number_of(value: str) -> str:
-    """The number of a value without its unit."""
-    return value.split("<mtext>")[0]
-
-
-def _value(step, places: int) -> str:
+def _value(step: Step, places: int) -> str:
     """Number of a step with its unit."""
     unit = UNITS[step.unit] if step.unit != "rad" else ""
     digits = FORM.digits(number(step.value, step.unit, places), step.unit)

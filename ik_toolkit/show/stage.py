@@ -10,6 +10,7 @@ from ..errors import InvalidTarget
 from .parts import Body
 
 RED = (204, 51, 38)  # of the line to a target that is not met
+GHOST = (0, 114, 178)
 
 
 class Handle:
@@ -102,6 +103,7 @@ class Stage:
             Handle(self, k, tip if len(targets) > 1 else "", T, dragged) for k, (tip, T) in enumerate(targets.items())
         ]
         self.gap: Any = None
+        self.shade: list[Any] = []
         self.aim(q)
 
     def show(self, q: np.ndarray) -> None:
@@ -128,6 +130,30 @@ class Stage:
         if self.gap is not None:
             self.gap.remove()
         self.gap = self.client.scene.add_line_segments("/gap", points, RED, thickness=0.004 * self.size)
+
+    def ghost(self, q: np.ndarray | None) -> None:
+        """Show the robot at q (n,) as well, translucent; None: no more."""
+        if q is None:
+            for handle in self.shade:
+                handle.visible = False
+            return
+        scene = self.client.scene
+        if not self.shade:
+            for part in self.body.parts:
+                self.shade.append(scene.add_frame(f"/ghost/{part.name}", show_axes=False))
+                for k, shape in enumerate(part.shapes):
+                    scene.add_mesh_simple(
+                        f"/ghost/{part.name}/{k}",
+                        shape.vertices,
+                        shape.faces,
+                        color=GHOST,
+                        opacity=0.35,
+                        cast_shadow=False,
+                    )
+        with self.client.atomic():
+            for handle, M in zip(self.shade, self.body.placements(q), strict=True):
+                _place(handle, M)
+                handle.visible = True
 
     def show_frames(self, visible: bool) -> None:
         """Show or hide the joints' axes."""

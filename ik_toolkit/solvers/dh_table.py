@@ -1,6 +1,7 @@
 """The Denavit-Hartenberg table of a robot: the one it was made from, or one read off its joint axes (classic)."""
 
 import math
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -8,7 +9,9 @@ import numpy as np
 from ..errors import IKError
 from ..robot.dh import DHRow, DHTable, dh_fk, read_dh_table
 from ..robot.library import shipped_robots
+from .blocks import Block, Table, Varies, Words
 from .closed_form.geometry import across, angle_about, read_screws
+from .formula import decimals, number
 
 SAME = 1e-7  # sine, or part of the reach, below which axes count as parallel, or as meeting
 AGREES = 1e-6  # of the reach, or rad: how far table and robot may be apart
@@ -37,6 +40,36 @@ def _agrees(table: DHTable, robot: Any) -> bool:
         if off[:3, 3].max() > AGREES * robot.reach or off[:3, :3].max() > AGREES:
             return False
     return True
+
+
+def dh_blocks(arm: Any, table: DHTable | None, q: np.ndarray) -> Iterator[Block]:
+    """The table of an arm with its joints at q (n,), in millimetres and degrees; what a joint changes is marked."""
+    if table is None:
+        yield Words("None: a joint that drives others has no row of its own.")
+        return
+    rows, places = [], decimals(arm.reach)
+    for i, (row, x) in enumerate(zip(table.rows, q, strict=True)):
+        slides = row.type == "prismatic"
+        theta, d = row.theta + (0.0 if slides else x), row.d + (x if slides else 0.0)
+        low, high = (_end(float(ends[i]), slides) for ends in (arm.lower, arm.upper))
+        cells = [number(theta, "rad", 0), number(d, "m", places)]
+        cells[slides] = Varies(cells[slides])
+        cells += [number(row.a, "m", places), f"{round(math.degrees(row.alpha), 6) + 0.0:g}"]
+        rows.append((row.name, *cells, f"{low} to {high}"))
+    yield Table(("joint", "theta", "d", "a", "alpha", "range"), rows)
+    frames = [
+        f"{word} frame"
+        for word, T in (("before row 1, from the base's", table.base), ("after the last row, to the tip's", table.tool))
+        if not np.allclose(T, np.eye(4), atol=1e-9)
+    ]
+    constant = f" A constant transform stands {' and '.join(frames)}." if frames else ""
+    words = "what the joint changes is marked and as it is now; the range is the joint's own."
+    yield Words(f"{table.convention.capitalize()} convention; {words}{constant}")
+
+
+def _end(value: float, slides: bool) -> str:
+    """One end of a joint's range."""
+    return f"{(1000.0 if slides else math.degrees(1.0)) * value:.6g}" if math.isfinite(value) else "any"
 
 
 def _from_axes(robot: Any) -> DHTable | None:

@@ -8,8 +8,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..robot.dh import DHTable
-from .blocks import UNITS, Block, Broken, Formulas, Given, Heading, Table, Varies, Words, to_markdown, to_text
+from .blocks import UNITS, Block, Broken, Formulas, Given, Heading, Table, Words, to_markdown, to_text
 from .derivation import Branch, Derivation
+from .dh_table import dh_blocks
 from .formula import decimals, number
 
 ABREAST = 4  # branches beside each other
@@ -63,9 +64,9 @@ class Explanation:
     def blocks(self) -> Iterator[Block]:
         """The whole, part by part."""
         yield Words(f"{self.message[0].upper()}{self.message[1:].rstrip('.')}. Lengths in mm, angles in degrees.")
-        for tip, table in self.tables.items():
-            yield Heading("Denavit-Hartenberg table" + (f" of {tip}" if len(self.tables) > 1 else ""))
-            yield from self.table_blocks(tip, table)
+        for arm, place in zip(self.robot.arms, self.robot.places, strict=True):
+            yield Heading("Denavit-Hartenberg table" + (f" of {arm.tip}" if len(self.tables) > 1 else ""))
+            yield from dh_blocks(arm, self.tables[arm.tip], self.q[np.asarray(place)])
         for tip, T in self.targets.items():
             yield Heading("Target" + (f" of {tip}" if len(self.tables) > 1 else ""))
             yield target_table(T, self.places)
@@ -80,39 +81,6 @@ class Explanation:
         if self.iterations is not None:
             yield Heading(f"Iterations of '{self.iterations.solver}'")
             yield from self.iteration_blocks()
-
-    def table_blocks(self, tip: str, table: DHTable | None) -> Iterator[Block]:
-        """D-H table at the answer; what a joint changes is marked."""
-        if table is None:
-            yield Words("None: a joint that drives others has no row of its own.")
-            return
-        arm, place = next(
-            (arm, at) for arm, at in zip(self.robot.arms, self.robot.places, strict=True) if arm.tip == tip
-        )
-        rows = []
-        for row, x in zip(table.rows, self.q[np.asarray(place)], strict=True):
-            slides = row.type == "prismatic"
-            unit = "m" if slides else "rad"
-            theta, d = row.theta + (0.0 if slides else x), row.d + (x if slides else 0.0)
-            i = arm.joint_names.index(row.name)
-            low, high = (self._ends(float(x), unit) for x in (arm.lower[i], arm.upper[i]))
-            cells = [number(theta, "rad", 0), number(d, "m", self.places)]
-            cells[slides] = Varies(cells[slides])
-            cells += [number(row.a, "m", self.places), f"{round(math.degrees(row.alpha), 6) + 0.0:g}"]
-            rows.append((row.name, *cells, f"{low} to {high}"))
-        yield Table(("joint", "theta", "d", "a", "alpha", "range"), rows)
-        frames = [
-            f"{word} {at}"
-            for word, T, at in (("before row 1", table.base, "the base's"), ("after the last", table.tool, "the tip's"))
-            if not np.allclose(T, np.eye(4), atol=1e-9)
-        ]
-        constant = f" A constant transform stands {' and '.join(frames)} frame." if frames else ""
-        words = "* is what the joint changes, here as it is at the answer; the range is the joint's own."
-        yield Words(f"{table.convention.capitalize()} convention; {words}{constant}")
-
-    def _ends(self, value: float, unit: str) -> str:
-        scale = 1000.0 if unit == "m" else math.degrees(1.0)
-        return f"{scale * value:.6g}" if math.isfinite(value) else "any"
 
     def formula_blocks(self, k: int) -> Iterator[Block]:
         """Formulas with their numbers, those of branch k."""

@@ -271,3 +271,34 @@ def test_names_of_a_robot_do_nothing_in_a_page(browser, tmp_path):
         hand.wait_for(EVIL[0])
         assert page.locator("img[src=x]").count() == 0 and page.errors == []
         assert page.outside == []
+
+
+def test_learning_by_hand(browser, panel):
+    """Forward and back, the paper's sample, its branches and lifts, and both elbows of a planar arm; formulas as MathML."""
+    with fresh_page(browser) as page:
+        hand = PanelPage(page, panel.url)
+        hand.choose("Robot", "inspection_7dof")
+        hand.wait_for("inspection_7dof: ")
+        hand.tab("Learn")
+        (desk,) = panel.desks.values()
+        hand.press("Load the paper's sample")
+        hand.press("Joint values")
+        hand.wait_for("is not a rotation")
+        roots = page.locator("[data-step=theta_1] math")
+        roots.first.wait_for()
+        drawn = roots.first.bounding_box()
+        assert drawn["width"] > 20 and drawn["height"] > 8  # set as formulas, by the browser alone
+        page.get_by_role("button", name="2: shoulder").click()
+        hand.wait_for("shoulder -")
+        hand.choose("Robot", "planar_2r")
+        hand.wait_for("planar_2r: ")
+        hand.tab("Learn")
+        number = hand.field("joint_1 [deg]").last
+        number.fill("20")
+        number.press("Enter")
+        hand.press("Use FK output")
+        hand.press("Joint values")
+        page.get_by_text("Iterations of newton").wait_for()
+        page.get_by_role("button", name="elbow left").click()
+        hand.wait_for("elbow left")
+        assert desk.worker.idle() and page.outside == [] and page.errors == []

@@ -1,0 +1,336 @@
+"""The panel's tab Learn: joint values to n, o, a, p and back, with the D-H table, the closed form and its branches."""
+
+import html
+import math
+from typing import Any
+
+import numpy as np
+
+from ..errors import IKError, InvalidConfiguration
+from ..kernel.task import POSE, POSITION
+from ..solvers.blocks import Table, Words
+from ..solvers.closed_form import fits
+from ..solvers.dh_table import dh_blocks, dh_of
+from ..solvers.explanation import Explanation, target_table
+from ..solvers.formula import decimals, number
+from ..solvers.registry import find_row
+from ..solvers.result import Result
+from ..solvers.solve import solve
+from ..style import BAD, GOOD
+from .formulas import blocks_html
+from .session import Session
+
+QUIET, CHOSEN = (71, 85, 105), (31, 95, 153)  # buttons of branches
+FREEDOMS = 6  # joints from which on a pose is asked for where no closed form says what
+COLUMNS = ("n", "o", "a")
+MM = 1000.0
+
+
+class Lesson:
+    """What the tab works out, without a page: forward, inverse, one value of what is free. Millimetres and degrees.
+
+    made: Explanation of the last inverse, or None; shown: which branch of it; T: its target (4, 4) [m].
+    """
+
+    def __init__(self, session: Session) -> None:
+        """Of the session's robot, which has one tip."""
+        self.session = session
+        self.robot: Any = session.robot
+        self.made: Explanation | None = None
+        self.shown = 0
+        self.T = np.eye(4)
+        kind = POSE if fits(self.robot, POSE) else POSITION if fits(self.robot, POSITION) else None
+        self.posed = self.robot.n >= FREEDOMS if kind is None else kind == POSE
+        self.places = decimals(self.robot.reach)
+        self.table = dh_of(self.robot)
+
+    def scale(self, i: int) -> float:
+        """Factor from the value of joint i [rad or m] to degrees or millimetres."""
+        return MM if self.robot.joint_kinds[i] == "prismatic" else math.degrees(1.0)
+
+    def unit(self, i: int) -> str:
+        """Unit shown of joint i."""
+        return "mm" if self.robot.joint_kinds[i] == "prismatic" else "deg"
+
+    def read(self, values: list[float], shown: list[float]) -> np.ndarray:
+        """q (n,) [rad or m] of typed joint values; one that is still as shown keeps its digits. Raises InvalidConfiguration."""
+        q = self.session.q.copy()
+        for i, (value, before) in enumerate(zip(values, shown, strict=True)):
+            if value != before:
+                q[i] = value / self.scale(i)
+        if not np.isfinite(q).all():
+            raise InvalidConfiguration("a joint value is not a finite number")
+        return np.clip(q, self.robot.lower, self.robot.upper)
+
+    def columns(self, T: np.ndarray) -> dict[str, tuple[float, float, float]]:
+        """Columns n, o, a and p [mm] of a pose (4, 4)."""
+        places = (6, 6, 6, self.places)
+        scaled = T[:3].T * np.array([1.0, 1.0, 1.0, MM])[:, None]
+        return {
+            name: tuple((column.round(k) + 0.0).tolist())
+            for name, column, k in zip("noap", scaled, places, strict=True)
+        }
+
+    def sample(self) -> np.ndarray | None:
+        """Pose (4, 4) that the robot's paper computes, as printed, or None."""
+        given = self.session.entry.sample
+        if given is None or not self.posed:
+            return None
+        T = np.eye(4)
+        T[:3] = np.column_stack([given[name] for name in "noap"])
+        return T
+
+    def inverse(self, columns: dict[str, Any]) -> Result:
+        """Solve for columns n, o, a and p [mm] from where the robot stands, and explain it. Raises InvalidTarget."""
+        T = np.eye(4)
+        T[:3] = np.column_stack([columns[name] for name in "noap"])
+        T[:3, 3] /= MM
+        return self._explain(T, "auto")
+
+    def at(self, value: float) -> Result:
+        """The same target with what is free at a value [mm or deg]; the branch shown stays the one it is."""
+        assert self.made is not None and self.made.derivation is not None and self.made.derivation.free is not None
+        free, label = self.made.derivation.free, self.label
+        row = find_row(self.made.form)
+        result = self._explain(self.T, row.load()(**{free.parameter: value / self.scale(free.joint)}))
+        assert self.made.derivation is not None
+        same = [k for k, branch in enumerate(self.made.derivation.branches) if branch.label == label]
+        self.shown = same[0] if same else self.shown
+        return result
+
+    def _explain(self, T: np.ndarray, rule: Any) -> Result:
+        result = solve(self.robot, T if self.posed else T[:3, 3], rule, q0=self.session.q)
+        self.T, self.made = T, result.explain()
+        self.shown = self.made.chosen or 0
+        return result
+
+    @property
+    def branches(self) -> tuple[Any, ...]:
+        """Branches of the last inverse."""
+        return self.made.derivation.branches if self.made is not None and self.made.derivation is not None else ()
+
+    @property
+    def label(self) -> str:
+        """Label of the branch shown."""
+        return self.branches[self.shown].label if self.branches else ""
+
+    def span(self) -> tuple[float, float] | None:
+        """Range [mm or deg] of what is free: the intervals within limits, from the first to the last."""
+        free = self.made.derivation.free if self.made is not None and self.made.derivation is not None else None
+        if free is None or not free.inside:
+            return None
+        scale = self.scale(free.joint)
+        return scale * free.inside[0][0], scale * free.inside[-1][1]
+
+
+class Learn:
+    """Controls of the tab, of a visitor's desk."""
+
+    def __init__(self, desk: Any) -> None:
+        """Build the controls; of a robot of several tips there are none."""
+        self.desk, self.gui, self.listen = desk, desk.gui, desk._on
+        session: Session = desk.session
+        self.session = session
+        self.robot: Any = session.robot
+        self.alone = not self.robot.by_tip
+        if self.alone:
+            self._build()
+        else:
+            self.gui.add_html(blocks_html([Words("Choose one tip to see its kinematics step by step.")]))
+
+    # ------------------------------------------------------------------------------------------------------------ build
+    def _build(self) -> None:
+        gui = self.gui
+        self.lesson = Lesson(self.session)
+        with gui.add_folder("Forward: joint values to n, o, a, p"):
+            self._build_forward()
+        with gui.add_folder("Inverse: n, o, a, p to joint values"):
+            self._build_inverse()
+        self.found = gui.add_folder("Branches", visible=False)
+        with gui.add_folder("D-H table"):
+            self.table = gui.add_html("")
+        self.form = gui.add_folder("Closed form", visible=False)
+        with self.form:
+            self.formulas = gui.add_html("")
+        self.way = gui.add_folder("Iterations", visible=False)
+        with self.way:
+            self.iterations = gui.add_html("")
+        self.free: Any = None
+        self.buttons: list[Any] = []
+        self.show(self.session.q)
+
+    def _build_forward(self) -> None:
+        lesson, self.values = self.lesson, []
+        self.shown = [0.0] * self.robot.n
+        for i, name in enumerate(self.robot.joint_names):
+            low, high = (lesson.scale(i) * x for x in self.session.ends(i))
+            field = self.gui.add_number(
+                f"{name} [{lesson.unit(i)}] ", 0.5 * (low + high), min=low, max=high, step=0.0001
+            )
+            self.values.append(field)
+            self.listen(field, "forward", self._forward)
+        self.pose = self.gui.add_html("")
+
+    def _build_inverse(self) -> None:
+        gui, lesson = self.gui, self.lesson
+        self.fields = {
+            name: gui.add_vector3(
+                name, (0.0, 0.0, 0.0), step=1e-6, visible=lesson.posed, hint=f"{name}_x, {name}_y, {name}_z"
+            )
+            for name in COLUMNS
+        }
+        self.fields["p"] = gui.add_vector3("p [mm]", (0.0, 0.0, 0.0), step=10.0**-lesson.places, hint="p_x, p_y, p_z")
+        if not lesson.posed:
+            gui.add_html(blocks_html([Words("This arm is asked for a position: n, o, a follow from it.")]))
+        solve_it = gui.add_button("Joint values", color="blue")
+        self.listen(solve_it, "solve", self._inverse)
+        forward = gui.add_button("Use FK output", color=QUIET)
+        self.listen(forward, "fields", lambda: self._fill(self.session.poses()[self.robot.tip]))
+        sample, given = lesson.sample(), self.session.entry.sample
+        if sample is not None and given is not None:
+            load = gui.add_button("Load the paper's sample", color=QUIET, hint=given["from"])
+            self.listen(load, "fields", lambda: self._fill(sample))
+        clear = gui.add_button("Clear", color=QUIET)
+        self.listen(clear, "fields", self._clear)
+        self.outcome = gui.add_html("")
+
+    # ---------------------------------------------------------------------------------------------------------- actions
+    def show(self, q: np.ndarray) -> None:
+        """Bring the joint values, the matrix and the D-H table to q (n,)."""
+        if not self.alone:
+            return
+        lesson = self.lesson
+        for i, field in enumerate(self.values):
+            field.value = self.shown[i] = float(np.clip(round(lesson.scale(i) * q[i], 4), field.min, field.max))
+        T = self.session.poses(q)[self.robot.tip]
+        self.pose.content = blocks_html([target_table(T, lesson.places), Words("Position p in mm.")])
+        self.table.content = blocks_html(dh_blocks(self.robot, lesson.table, q))
+
+    def _go(self, q: np.ndarray) -> None:
+        """Bring the robot to q (n,), and all controls of the panel with it."""
+        self.session.q = q.copy()
+        self.desk.show()
+
+    def _forward(self) -> None:
+        self._go(self.lesson.read([field.value for field in self.values], self.shown))
+
+    def _fill(self, T: np.ndarray) -> None:
+        for name, column in self.lesson.columns(T).items():
+            self.fields[name].value = column
+
+    def _clear(self) -> None:
+        for field in self.fields.values():
+            field.value = (0.0, 0.0, 0.0)
+        self.lesson.made = None
+        self.outcome.content = ""
+        self.found.visible = self.form.visible = self.way.visible = False
+        self.desk.stage.ghost(None)
+        self._go(self.session.q)
+
+    def _inverse(self) -> None:
+        try:
+            result = self.lesson.inverse({name: field.value for name, field in self.fields.items()})
+        except IKError as error:
+            self.outcome.content = said(str(error), BAD)
+            raise
+        self._branches()
+        self._tell(result)
+        self._go(result.q)
+        self._drawn(result)
+
+    def _at(self, value: float) -> None:
+        """What is free was moved."""
+        result = self.lesson.at(value)
+        self._tell(result)
+        self.pick(self.lesson.shown)
+        self._drawn(result)
+
+    def _drawn(self, result: Result) -> None:
+        """Line to a target that is not met."""
+        if not result.success:
+            self.desk.stage.gaps({self.robot.tip: self.lesson.T})
+
+    def _tell(self, result: Result) -> None:
+        words = f"{result.message}. {result.notice}".strip(". ")
+        self.outcome.content = said(words, GOOD if result.success else BAD)
+        self.desk.say(words, GOOD if result.success else BAD)
+
+    def _branches(self) -> None:
+        """Buttons of the branches, and the slider of what is free."""
+        lesson, made = self.lesson, self.lesson.made
+        assert made is not None
+        for child in list(self.found._children.values()):
+            child.remove()
+        self.free, self.buttons = None, []
+        span = lesson.span()
+        with self.found:
+            if span is not None and span[1] - span[0] > 1e-3:
+                assert made.derivation is not None and made.derivation.free is not None
+                i = made.derivation.free.joint
+                name = f"{self.robot.joint_names[i]} [{lesson.unit(i)}]  "
+                at = float(np.clip(lesson.scale(i) * made.q[i], *span))
+                self.free = self.gui.add_slider(name, span[0], span[1], (span[1] - span[0]) / 1000.0, at)
+                self.listen(self.free, "free", lambda: self._at(self.free.value))
+            self.words = self.gui.add_html("")
+            for k, branch in enumerate(lesson.branches):
+                button = self.gui.add_button(f"{k + 1}: {branch.label}", color=QUIET)
+                self.buttons.append(button)
+                self.listen(button, "branch", lambda k=k: self.pick(k))
+            self.legend = self.gui.add_html("")
+        self.found.visible = bool(lesson.branches)
+        self._write()
+
+    def pick(self, k: int) -> None:
+        """Show branch k: the robot in it, its formulas."""
+        lesson = self.lesson
+        if k >= len(lesson.branches):
+            return
+        lesson.shown = k
+        branch = lesson.branches[k]
+        if branch.outside:
+            self.desk.stage.show(branch.q)
+            self.desk.say(f"{branch.label}: only drawn, outside the limits of {', '.join(branch.outside)}", BAD)
+        else:
+            self._go(branch.q)
+            self.desk.say(f"branch {k + 1}: {branch.label}", GOOD)
+        self._write()
+
+    def _write(self) -> None:
+        """Formulas, words and the look of the buttons for the branch shown."""
+        lesson, made = self.lesson, self.lesson.made
+        assert made is not None
+        for k, button in enumerate(self.buttons):
+            if k < len(lesson.branches):
+                branch = lesson.branches[k]
+                button.label = f"{k + 1}: {branch.label}" + (" (outside limits)" if branch.outside else "")
+            button.color = CHOSEN if k == lesson.shown else QUIET
+            button.visible = k < len(lesson.branches)
+        if made.derivation is not None and lesson.branches:
+            free = [Words(made.free_words())] if made.derivation.free is not None else []
+            self.words.content = blocks_html(
+                [*free, values_table(self.robot, lesson.branches[lesson.shown].q, lesson.places)]
+            )
+            self.legend.content = blocks_html([Words(made.derivation.legend)] if made.derivation.legend else [])
+        self.form.visible = True
+        blocks = made.formula_blocks(lesson.shown) if made.derivation is not None else [Words(made.why)]
+        self.formulas.content = blocks_html(blocks)
+        self.way.visible = made.iterations is not None
+        if made.iterations is not None:
+            self.way.label = f"Iterations of {made.iterations.solver}"
+            self.iterations.content = blocks_html(made.iteration_blocks())
+        others = [branch for k, branch in enumerate(lesson.branches) if k != lesson.shown]
+        self.desk.stage.ghost(others[0].q if len(others) == 1 else None)
+
+
+def said(words: str, color: str) -> str:
+    """A sentence in a colour."""
+    return f'<div style="padding:2px 12px 6px;font-size:13px;color:{color}">{html.escape(words[:1].upper() + words[1:])}.</div>'
+
+
+def values_table(robot: Any, q: np.ndarray, places: int) -> Table:
+    """Joint values of one configuration."""
+    units = [("m", "mm") if kind == "prismatic" else ("rad", "deg") for kind in robot.joint_kinds]
+    rows = [
+        (name, number(x, unit, places), word) for name, x, (unit, word) in zip(robot.joint_names, q, units, strict=True)
+    ]
+    return Table(("joint", "value", ""), rows)
