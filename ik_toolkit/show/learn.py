@@ -19,6 +19,7 @@ from ..solvers.solve import solve
 from ..style import BAD, GOOD
 from .formulas import blocks_html
 from .session import Session
+from .tables import sentence
 
 QUIET, CHOSEN = (71, 85, 105), (31, 95, 153)  # buttons of branches
 FREEDOMS = 6  # joints from which on a pose is asked for where no closed form says what
@@ -231,7 +232,7 @@ class Learn:
         try:
             result = self.lesson.inverse({name: field.value for name, field in self.fields.items()})
         except IKError as error:
-            self.outcome.content = said(str(error), BAD)
+            self.outcome.content = said(sentence(str(error)), BAD)
             raise
         self._branches()
         self._tell(result)
@@ -251,7 +252,7 @@ class Learn:
             self.desk.stage.gaps({self.robot.tip: self.lesson.T})
 
     def _tell(self, result: Result) -> None:
-        words = f"{result.message}. {result.notice}".strip(". ")
+        words = f"{sentence(result.message)} {sentence(result.notice)}".strip()
         self.outcome.content = said(words, GOOD if result.success else BAD)
         self.desk.say(words, GOOD if result.success else BAD)
 
@@ -324,7 +325,7 @@ class Learn:
 
 def said(words: str, color: str) -> str:
     """A sentence in a colour."""
-    return f'<div style="padding:2px 12px 6px;font-size:13px;color:{color}">{html.escape(words[:1].upper() + words[1:])}.</div>'
+    return f'<div style="padding:2px 12px 6px;font-size:13px;color:{color}">{html.escape(words)}</div>'
 
 
 def values_table(robot: Any, q: np.ndarray, places: int) -> Table:

@@ -283,7 +283,7 @@ def test_learning_by_hand(browser, panel):
         (desk,) = panel.desks.values()
         hand.press("Load the paper's sample")
         hand.press("Joint values")
-        hand.wait_for("is not a rotation")
+        hand.wait_for("projected to the nearest rotation")
         roots = page.locator("[data-step=theta_1] math")
         roots.first.wait_for()
         drawn = roots.first.bounding_box()
