@@ -141,7 +141,7 @@ def slope_range(a, z, speed, change, limit):
 
 @cached
 def look_ahead(Q, limits, h, cap, joint):
-    """Highest clock rate cap (N + 1,) at each sample of a motion Q (N + 1, n), and the joint (N + 1,) that sets it, -1: none.
+    """Lower the highest clock rates cap (N + 1,) at the samples of a motion Q (N + 1, n); joint (N + 1,) that set them, -1: none.
 
     With z the square of the rate, joint speeds along the path are q' sqrt(z) and accelerations q'' z + q' (dz/ds) / 2. One
     pass from the end finds the largest z at each sample from which the rest can be run (the controllable sets of TOPP-RA,
@@ -151,7 +151,7 @@ def look_ahead(Q, limits, h, cap, joint):
     ahead = 1.0
     for k in range(N, -1, -1):
         a = max(min(k, N - 1), 0)
-        top, who = 1.0, -1
+        top, who = cap[k] * cap[k], -1
         for i in range(n):
             v = (Q[a + 1, i] - Q[a, i]) / h
             before = (Q[a, i] - Q[a - 1, i]) / h if a > 0 else v

@@ -22,12 +22,15 @@ from .linalg import cholesky, make_orthogonal
 from .motion import gram
 
 ZERO = 1e-9  # singular value (lengths over reach) below which a direction is not moved at all to first order
-LEAST = 1e-3  # lambda at sigma_k = 0: what is lost of a motion through a singular pose is of the order of its square
 NOTHING = 1e-12  # added to the squares of singular values, which are above LOST^2 here: no more than rounding
 KNOWN = 0.1  # of a unit vector along a direction, from which on it is clear to which side it leads
 LOST = 5e-3  # singular value below which a direction is taken out of the task
-BENT = 2.0  # or H_k over sigma_k^2 above which it is
-FADE = 0.1  # [s] in which a joint's own motion along a singular direction fades
+BENT = 0.2  # or share of sigma_k^2, for what is asked times the curvature, above which it is
+FADE = 0.1  # [s] in which a joint's own motion fades along a direction in which nothing moves the tip
+LEAST = 1e-3  # lambda at sigma_k = 0: what is lost of a motion through a singular pose is of the order of its square
+CLOSE = 0.1  # [reaches, or rad] up to which an error is a vector, but for a twentieth
+FLAT = 1e-3  # curvature (reaches over rad^2) below which there is none
+ALONG, BESIDE, BOTH = range(3)  # motions whose curvature is asked
 SIDE = (
     0.2  # [s] in which the side is forgotten from which the joints came to a singular pose: a swing across is shorter
 )
@@ -74,36 +77,68 @@ def lost_direction(W, sigma, away, v):
 
 
 @inner
-def along(sigma, border, e, b, asked, own, h, side, cap):
-    """Speed along v_k, and H_k. e, b, asked: parts along u_k of the error, of b_k, and of the rate wanted.
+def mode_probe(V, r, rate, part, h, x):
+    """Write to x (n,) the motion whose curvature is asked: along v_r, of the joints beside it in a step, or both together."""
+    own = 0.0
+    for i in range(x.shape[0]):
+        own += V[i, r] * rate[i]
+    for i in range(x.shape[0]):
+        x[i] = 0.0
+        if part != ALONG:
+            x[i] += h * (rate[i] - own * V[i, r])
+        if part != BESIDE:
+            x[i] += V[i, r]
+    return own
 
-    own: v_k' of the joints' rate; side: whether v_k (1) or -v_k (-1) leads back to where the joints came from; cap: highest
-    speed.
+
+@inner
+def way_along(sigma, b, E, own, side, home, h):
+    """The way y along v_k that sigma y + b y^2 / 2 = E asks for, or gets nearest to; and D, below 0 where it is out of reach.
+
+    There are two, one on each side of the singular pose: the one to which the joints are already moving (own, their way in a
+    step); from rest at the singular pose, or with `home`, the one where they came from (side > 0: that is along v_k).
     """
-    H = sigma * sigma - e * b
-    fade = max(1.0 - (sigma / border) * (sigma / border), 0.0)
-    damping = LEAST * LEAST * fade * fade
-    x = (sigma * asked + damping * max(1.0 - h / FADE, 0.0) * own) / (max(H, sigma * sigma) + damping)
-    if H < 0.0 and sigma < LOST:
-        # The way to bend until the error is gone, taken as a rate as the rest of the error is.
-        way = math.sqrt(2.0 * abs(e / b)) / h
-        if abs(x) < way:
-            x = way if (side if abs(side) > KNOWN else x) > 0.0 else -way
-    return min(max(x, -cap), cap), H
+    D, kept = sigma * sigma, own
+    if abs(b) > FLAT:
+        middle = -sigma / b
+        D += 2.0 * b * E
+        y, half = middle, math.sqrt(max(D, 0.0)) / abs(b)
+        heading = own - middle
+        if abs(side) > KNOWN and (home or abs(heading) < KNOWN * half):
+            heading = side
+        if half > 0.0:
+            half = half if heading > 0.0 else -half
+            # the second form where the first is the difference of near numbers
+            y = middle + half if middle * half > 0.0 else -2.0 * E / (b * (middle - half))
+    else:
+        y = E / sigma if sigma > ZERO else 0.0
+        kept *= max(1.0 - h / FADE, 0.0)
+    weight = D if D > 0.0 else -0.5 * D  # second derivative there of the squared error
+    return (weight * y + LEAST * LEAST * kept) / (weight + LEAST * LEAST), D
 
 
 @inner
-def mode_asked(U, r, e, f, gain, h):
-    """Parts along u_r of the error that the target leaves in a step, and of the rate wanted."""
-    left, asked = 0.0, 0.0
+def mode_part(U, r, vector):
+    """Part of a vector (m,) along u_r."""
+    part = 0.0
+    for c in range(vector.shape[0]):
+        part += U[c, r] * vector[c]
+    return part
+
+
+@inner
+def mode_moved(U, r, e, ahead, f, h):
+    """Part along u_r of the target's motion in a step: the difference of two errors, but of large ones, which are no vectors."""
+    size = 0.0
     for c in range(e.shape[0]):
-        left += U[c, r] * (e[c] + h * f[c])
-        asked += U[c, r] * (f[c] + gain * e[c])
-    return left, asked
+        size += e[c] * e[c]
+    if size > CLOSE * CLOSE:
+        return h * mode_part(U, r, f)
+    return mode_part(U, r, ahead) - mode_part(U, r, e)
 
 
 @inner
-def mode_direction(W, sv, r, away, asked, h, v):
+def mode_direction(W, sv, r, away, way, v):
     """Write v_r to v (n,); False where there is none to move along."""
     if sv[r] > ZERO:
         for i in range(v.shape[0]):
@@ -111,40 +146,47 @@ def mode_direction(W, sv, r, away, asked, h, v):
         return True
     for i in range(v.shape[0]):
         v[i] = 0.0
-    return abs(asked) * h > ZERO and lost_direction(W, sv, away, v)
+    return abs(way) > ZERO and lost_direction(W, sv, away, v)
 
 
 @inner
-def mode_speed(W, U, V, sv, lost, xk, r, bias, v, e, asked, gain, h, border, limits, rate, share, away):
-    """Judge mode r by its b (bias (m,)): its speed to xk, v to V and 1 to lost where it is taken out of the task.
+def mode_speed(V, r, sigma, curve, own, left, moved, gain, h, slow, limits, lost, xk, near, away):
+    """Judge mode r: its speed to xk, and 1 to lost where it is taken out of the task.
 
-    share: of the side on which the joints are now, in the memory of it.
+    curve: the curvature of each `mode_probe`, along u_r; slow: whether a clock gives way where joints are too slow; near: 0 when
+    the last step was no singular one, above 1 for some time after the target was out of reach. Returns whether it is now.
     """
-    n, sigma = v.shape[0], sv[r]
-    b, own, back, cap, a = 0.0, 0.0, 0.0, np.inf, np.inf
-    for c in range(bias.shape[0]):
-        b += U[c, r] * bias[c]
+    n = V.shape[0]
+    back, cap, a = 0.0, np.inf, np.inf
     for i in range(n):
-        own += v[i] * rate[i]
-        back += v[i] * away[i]
-        if v[i] != 0.0:
-            cap = min(cap, limits[2, i] / abs(v[i]))
-            a = min(a, limits[3, i] / abs(v[i]))
-    x, H = along(sigma, border, e, b, asked, own, h, back, cap)
+        v = abs(V[i, r])
+        back += V[i, r] * away[i]
+        if v > 0.0:
+            cap = min(cap, limits[2, i] / v)
+            a = min(a, limits[3, i] / v)
+    b = curve[ALONG]
     grows = np.sign(b)  # the way along v in which sigma does: the side on which the joints are
-    edge = H > BENT * sigma * sigma
+    s, y, D = sigma + 0.5 * (curve[BOTH] - curve[ALONG] - curve[BESIDE]), 0.0, 0.0
+    for last in range(0 if a < np.inf else 1, 2):  # first for the error alone
+        E = moved + h * gain * left - 0.5 * curve[BESIDE] if last == 1 else left
+        y, D = way_along(s, b, E, h * own, back, near > 1.0, h)
+        most = approach(abs(y), 0.0, 1.0, h, 0.5 * a, h)  # so that it can brake before the error is gone, see `ease`
+        if last == 0 and gain * abs(y) > most:
+            left *= most / (gain * abs(y))
+    x, edge = y / h, D < 0.0
     if edge and sigma > LOST and grows * back < 0.0:  # carried far to the other side: back across
-        x = -grows * min((sigma / abs(b) + LOST) * gain, cap)
-    if a < np.inf:  # so that it can brake before the error is gone, see `ease`
-        most = approach(abs(x) / gain, 0.0, 1.0, h, 0.5 * a, h)
+        x = -grows * (sigma / abs(b) + LOST) * gain
+    if edge and a < np.inf:
         x = min(max(x, -most), most)
+    x = min(max(x, -cap), cap)
+    share = min(h / SIDE, 1.0) if near > 0.0 else 1.0
     if sigma > CLEAR and not edge:
         for i in range(n):
-            away[i] += share * (grows - back) * v[i]
-    if sigma < LOST or edge or abs(asked) > cap * sigma:
+            away[i] += share * (grows - back) * V[i, r]
+    E = moved + h * gain * left
+    if sigma < LOST or abs(b * E) > BENT * sigma * sigma or (abs(E) > h * cap * sigma and not slow):
         lost[r], xk[r] = 1.0, x
-        for i in range(n):
-            V[i, r] = v[i]
+    return D < -LEAST * LEAST
 
 
 @inner

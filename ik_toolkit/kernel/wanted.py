@@ -9,7 +9,7 @@ from numba.extending import overload
 
 from .constrain import SLOW
 from .jit import INLINE, inline, inner
-from .modes import SIDE, along_lost, mode_asked, mode_direction, mode_speed, modes, take_out
+from .modes import SIDE, along_lost, mode_direction, mode_moved, mode_part, mode_probe, mode_speed, modes, take_out
 from .motion import (
     CA,
     CLIP,
@@ -112,17 +112,18 @@ def by_law(law, rule, task, look, weights, s, slack, limits, wish, sigma, h, rat
         if law.damping > 0.0 and not low >= border * border:
             count = m
             modes(s.J, s.W, s.U, s.sv)
-    left, asked, share = 0.0, 0.0, min(h / SIDE, 1.0) if state[STATE.near] > 0.0 else 1.0
+    left, moved, own, near, beyond = 0.0, 0.0, 0.0, False, False
     for r in range(m - count, m + 1):  # the modes with small singular values, if any, then the law
         if r < m:
             if s.sv[r] >= border:
                 continue
-            left, asked = mode_asked(s.U, r, s.e, s.f, gain, h)
-            if not mode_direction(s.W, s.sv, r, away, asked, h, s.x1):
+            near = True
+            left, moved = mode_part(s.U, r, s.e), mode_moved(s.U, r, s.e, s.ahead, s.f, h)
+            there = mode_direction(s.W, s.sv, r, away, moved + h * gain * left, s.x1)
+            copy_column(s.x1, s.V, r)
+            if not there:
                 s.lost[r], s.xk[r] = 1.0, 0.0
-                copy_column(s.x1, s.V, r)
                 continue
-            copy(s.x1, s.x2)
         else:
             if count > 0:
                 damped = 1.0 * take_out(s.J, s.W, s.U, s.V, s.lost, s.f, s.G)
@@ -134,16 +135,23 @@ def by_law(law, rule, task, look, weights, s, slack, limits, wish, sigma, h, rat
             prepare(law, s.J, m, s.ahead, rate, h, s.G, s.y, s.t, s.move, s.null, s.x1, s.x2)
             if law.code < CA:
                 continue
-        if task.plain():
-            task.bending(look, s.x1, s.x2, s.bias)
-        else:
-            by_difference(task, s, slack)
+        for part in range(3 if r < m else 1):
+            if r < m:
+                own = mode_probe(s.V, r, rate, part, h, s.x1)
+                copy(s.x1, s.x2)
+            if task.plain():
+                task.bending(look, s.x1, s.x2, s.bias)
+            else:
+                by_difference(task, s, slack)
+            if r < m:
+                s.t[part] = mode_part(s.U, r, s.bias)
         if r < m:
-            mode_speed(
-                s.W, s.U, s.V, s.sv, s.lost, s.xk, r, s.bias, s.x1, left, asked, gain, h, border, limits, rate,
-                share, away,
+            out = mode_speed(
+                s.V, r, s.sv[r], s.t, own, left, moved, gain, h, law.mode == SLOW, limits, s.lost, s.xk, state[STATE.near],
+                away,
             )  # fmt: skip
-    state[STATE.near] = 1.0 if count > 0 else 0.0
+            beyond = beyond or out
+    state[STATE.near] = 1.0 + SIDE if beyond else max(state[STATE.near] - h, 1.0) if near else 0.0
     ratio = h / state[STATE.period] if state[STATE.start] == RUNNING else 0.0
     jump = sigma - state[STATE.sigma] if law.mode == SLOW else 0.0  # of the clock's rate, now
     if law.mode == SLOW:

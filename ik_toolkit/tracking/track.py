@@ -4,7 +4,6 @@ Both run the same compiled loop (kernel/servo.py), so a run of `track` with on_l
 `Tracker` of that mode.
 """
 
-import time
 import warnings
 from collections.abc import Mapping
 from typing import Any
@@ -13,7 +12,6 @@ import numpy as np
 
 from ..errors import InvalidConfiguration, InvalidOption, InvalidTarget
 from ..kernel import motion
-from ..kernel.clock import look_ahead
 from ..kernel.constrain import LEAVE, SLOW
 from ..kernel.motion import CLIP
 from ..kernel.task import POSE, POSITION
@@ -26,16 +24,13 @@ from .methods import Method, interpolate
 from .reachable import explain
 from .reference import Reference, Samples
 from .result import TrackResult, TrackStatus, figures
-from .secondary import AVOID
-from .tracker import JUMP, LATE, Tracker, read_mode
+from .run import Run
+from .tracker import JUMP, Tracker, read_mode
 from .verdict import ORIENTATION_TOLERANCE, POSITION_TOLERANCE, settling, verdict
 
 MODES = {"slow": SLOW, "leave": LEAVE, "clip": CLIP}
 COUNTS = ("mask", "slack", "free_turn", "frame", "relative_to")  # options that say what counts
 MAX_STRETCH = 10.0  # how much longer than its reference a run may take by default
-HARDER = (10.0, 30.0)  # [1/s] with which limits are avoided where the usual rate leads into them; 30: in some samples
-SLOWEST = 1e-3  # rate of the clock below which slower is not worse
-RUNAWAY = 100.0  # mean joint move [rad, or reaches] in one step beyond which a run has diverged
 FRACTIONS = (0.25, 0.5, 0.75)  # where between two samples the error is looked at
 
 
@@ -110,9 +105,9 @@ def track(
     at_rest = tracker._state[motion.STATE.start] == motion.GIVEN and not tracker._rate.any()
     settle = settling(settle, at_rest, times[-1])
     tracker.prepare(tuple(POSITION if one.position_only else POSE for one in references))
-    run = _Run(tracker, T, V, A, dt, mode, tolerances, stretch)
+    run = Run(tracker, (T, V, A), dt, mode, tolerances, stretch, settle)
     run.go()
-    result = run.result(robot, references, times, check, settle)
+    result = _result(run, robot, references, times, check)
     result.figures = figures(result, robot.chain.unit * JUMP)
     result.status, result.message = verdict(result, int(tracker._state[motion.STATE.stop]), len(times) - 1)
     if result.status in (TrackStatus.LEFT, TrackStatus.LOST):
@@ -120,131 +115,6 @@ def track(
         result.reach, words = explain(robot, reference, q0, limits=limits, **counts)
         result.message = f"{result.message} {words}".rstrip()
     return result
-
-
-class _Run:
-    """The steps of a run, in stretches as long as the reference: it takes one where the clock is not slowed."""
-
-    def __init__(self, tracker, T, V, A, dt, mode, tolerances, stretch) -> None:
-        """Look ahead where the clock may be slowed."""
-        self.tracker, self.samples, self.dt, self.mode, self.tolerances = tracker, (T, V, A), dt, mode, tolerances
-        self.most = int(np.ceil(stretch * (len(T) - 1))) if mode == SLOW else len(T) - 1
-        self.clock = tolerances if tracker.engine.waits else (np.inf, np.inf)
-        self.caps = np.ones((2, len(T)))
-        self.caps[1] = -1.0
-        tracker._late = LATE * dt
-        self.elapsed = 0.0
-
-    def _arrays(self, steps: int) -> list[np.ndarray]:
-        n, m = self.tracker.robot.n, self.samples[1].shape[1]
-        shapes = ((steps + 1, n), (steps + 1, n), (steps + 1, m), (steps, n), (steps + 1, 4))
-        return [np.zeros(shape, np.uint8 if k == 3 else float) for k, shape in enumerate(shapes)]
-
-    def look_ahead(self) -> None:
-        """Follow the path without limits on speed first: how fast the clock may run, how hard limits have to be avoided."""
-        tracker = self.tracker
-        own = tracker.secondary.avoid
-        found = []
-        for avoid in (own, *(harder for harder in HARDER if own == AVOID)):
-            tracker.secondary.avoid = avoid
-            caps, cost = self._looked_ahead()
-            found.append((cost, avoid, caps))
-            if cost <= 0.0:
-                break
-        _, tracker.secondary.avoid, self.caps = min(found, key=lambda one: one[0])
-
-    def _looked_ahead(self) -> tuple[np.ndarray, float]:
-        """Highest rates of the clock, and what is lost with them: samples off the path, and those it takes longer."""
-        tracker, caps = self.tracker, self.caps.copy()
-        kept = [one.copy() for one in tracker.carried()]
-        free = tracker._limits.copy()
-        free[2:] = np.inf
-        if tracker._state[motion.STATE.start] == motion.GIVEN:
-            tracker._state[motion.STATE.start] = motion.MOVING
-        arrays = self._arrays(len(self.samples[0]) - 1)
-        done = tracker.run(*self.samples, self.dt, *arrays, mode=LEAVE, limits=free, runaway=RUNAWAY)
-        tracker.put_back(kept)
-        if done < 2:
-            return caps, 0.0
-        look_ahead(arrays[0][: done + 1], tracker._limits, self.dt, caps[0], caps[1])
-        errors = arrays[2][: done + 1].reshape(done + 1, -1, 2, 3)
-        off = (np.linalg.norm(errors, axis=3) > self.tolerances).any(axis=(1, 2))
-        return caps, float(off.sum() + (1.0 / np.maximum(caps[0], SLOWEST) - 1.0).sum())
-
-    def result(self, robot, references, times, check, settle) -> TrackResult:
-        """What was run, in the caller's units."""
-        unit = robot.chain.unit
-        Q, R, E = self.Q * unit, self.R * unit, self.E
-        done = len(Q) - 1
-        clock = times[-1] * np.minimum(self.S[:, 0] / (len(times) - 1), 1.0) if self.mode == SLOW else times[: done + 1]
-        whole = self.S[:, 0] == np.rint(self.S[:, 0])
-        clock = np.where(whole[: done + 1], times[np.minimum(np.rint(self.S[:, 0]).astype(int), len(times) - 1)], clock)
-        targets = np.stack([one.at(clock)[0] for one in references], axis=1)
-        tips = _forward(robot, Q)
-        errors = E.reshape(done + 1, -1, 6)
-        posed = [tip for tip, one in enumerate(self.tracker._posed) if one]
-        by_tip = robot.by_tip
-        between = (
-            _between(robot, references[0], Q, R, self.tracker.engine, self.dt, clock)
-            if done and not by_tip
-            else (None, None)
-        )
-        return TrackResult(
-            robot=robot.name,
-            method=self.tracker.engine.name,
-            options=self.tracker.engine.settings(self.dt),
-            dt=float(self.dt),
-            joint_names=robot.joint_names,
-            t=np.arange(done + 1) * self.dt,
-            q=Q,
-            rate=R,
-            xyz=tips if by_tip else tips[:, 0],
-            target_xyz=targets[:, :, :3, 3] if by_tip else targets[:, 0, :3, 3],
-            position_error=np.linalg.norm(errors[:, :, :3], axis=2).max(axis=1),
-            orientation_error=np.linalg.norm(errors[:, posed, 3:], axis=2).max(axis=1) if posed else None,
-            limited=self.C[:done],
-            damped=self.S[:done, 3] > 0.0,
-            between_position=between[0],
-            between_orientation=between[1],
-            elapsed=self.elapsed,
-            gain_check=check,
-            position_tolerance=self.tolerances[0],
-            orientation_tolerance=self.tolerances[1],
-            settle=settle,
-            clock=clock,
-            sigma=self.S[:done, 1].copy(),
-            pace=self.S[:done, 2].astype(int),
-            end=float(times[-1]),
-            tips=robot.tips,
-        )
-
-    def go(self) -> None:
-        """Run to the end."""
-        tracker, count = self.tracker, len(self.samples[0]) - 1
-        # No step yet: this compiles (or loads) the loop, so that the time reported is that of tracking.
-        kept = [one.copy() for one in tracker.carried()]
-        first = [one[:1] for one in self.samples]
-        tracker.run(*first, self.dt, *self._arrays(0), mode=self.mode, clock=self.clock, runaway=RUNAWAY)
-        tracker.put_back(kept)
-        began = time.perf_counter()
-        if self.mode == SLOW and np.isfinite(tracker._limits[2:]).any():
-            self.look_ahead()
-        made, left = [], self.most
-        while True:
-            steps = 1 if tracker.one_by_one else min(count, left)
-            arrays = self._arrays(steps)
-            done = tracker.take(
-                *self.samples, self.dt, *arrays, mode=self.mode, clock=self.clock, caps=self.caps, runaway=RUNAWAY
-            )
-            left -= done
-            ended = left <= 0 or tracker._state[motion.STATE.stop] != motion.FINE
-            ended = ended or tracker._state[motion.STATE.clock] >= count
-            rows = done + 1 if ended else done
-            made.append([one[: done if k == 3 else rows] for k, one in enumerate(arrays)])
-            if ended:
-                break
-        self.elapsed = time.perf_counter() - began
-        self.Q, self.R, self.E, self.C, self.S = (np.concatenate(part) for part in zip(*made, strict=True))
 
 
 def _references(robot: Any, reference: Any) -> list[Reference]:
@@ -267,6 +137,52 @@ def _references(robot: Any, reference: Any) -> list[Reference]:
             f"the references of the tips must last equally long, not {[one.duration for one in found]} s"
         )
     return found
+
+
+def _result(run: Run, robot: Any, references: list[Reference], times: np.ndarray, check: Any) -> TrackResult:
+    """What was run, in the caller's units."""
+    unit = robot.chain.unit
+    Q, R, E = run.Q * unit, run.R * unit, run.E
+    done = len(Q) - 1
+    clock = times[-1] * np.minimum(run.S[:, 0] / (len(times) - 1), 1.0) if run.mode == SLOW else times[: done + 1]
+    whole = run.S[:, 0] == np.rint(run.S[:, 0])
+    clock = np.where(whole[: done + 1], times[np.minimum(np.rint(run.S[:, 0]).astype(int), len(times) - 1)], clock)
+    targets = np.stack([one.at(clock)[0] for one in references], axis=1)
+    tips = _forward(robot, Q)
+    errors = E.reshape(done + 1, -1, 6)
+    posed = [tip for tip, one in enumerate(run.tracker._posed) if one]
+    by_tip = robot.by_tip
+    between = (
+        _between(robot, references[0], Q, R, run.tracker.engine, run.dt, clock) if done and not by_tip else (None, None)
+    )
+    return TrackResult(
+        robot=robot.name,
+        method=run.tracker.engine.name,
+        options=run.tracker.engine.settings(run.dt),
+        dt=float(run.dt),
+        joint_names=robot.joint_names,
+        t=np.arange(done + 1) * run.dt,
+        q=Q,
+        rate=R,
+        xyz=tips if by_tip else tips[:, 0],
+        target_xyz=targets[:, :, :3, 3] if by_tip else targets[:, 0, :3, 3],
+        position_error=np.linalg.norm(errors[:, :, :3], axis=2).max(axis=1),
+        orientation_error=np.linalg.norm(errors[:, posed, 3:], axis=2).max(axis=1) if posed else None,
+        limited=run.C[:done],
+        damped=run.S[:done, 3] > 0.0,
+        between_position=between[0],
+        between_orientation=between[1],
+        elapsed=run.elapsed,
+        gain_check=check,
+        position_tolerance=run.tolerances[0],
+        orientation_tolerance=run.tolerances[1],
+        settle=run.settle,
+        clock=clock,
+        sigma=run.S[:done, 1].copy(),
+        pace=run.S[:done, 2].astype(int),
+        end=float(times[-1]),
+        tips=robot.tips,
+    )
 
 
 def _forward(robot: Any, Q: np.ndarray) -> np.ndarray:

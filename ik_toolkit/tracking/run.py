@@ -1,0 +1,220 @@
+"""The run of `track`, from the start to the end of a reference; taken again, slower, where it left its path."""
+
+import time
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from ..kernel import motion
+from ..kernel.clock import look_ahead
+from ..kernel.constrain import LEAVE, SLOW
+from .secondary import AVOID, POSTURE
+from .tracker import LATE, Tracker
+
+HARDER = (10.0, 30.0)  # [1/s] with which limits are avoided where the usual rate leads into them; 30: in some samples
+MOST = 3  # motions tried of those that have difficulties
+SAME = 1e-9  # [rad, or reaches] within which two motions are one
+SLOWEST = 1e-3  # rate of the clock below which slower is not worse
+RUNAWAY = 100.0  # mean joint move [rad, or reaches] in one step beyond which a run has diverged
+HELPED = 0.8  # share of the samples off the path that have to remain fewer after a run was taken again
+RETAKES = 4  # how often a run that left its path is taken again: 4 times LEAST_SHARE is slower than max_stretch allows
+NEAR = 0.1  # [s] before and after it left, in which it is to be slower: in that time the clock can stop
+AIM = 0.5  # error over tolerance that is aimed at: below it the clock does not wait
+LEAST_SHARE = 0.25  # of its rate there, to which the clock is slowed at a time
+
+
+class _Beside(NamedTuple):
+    """What the joints do beside the task."""
+
+    avoid: float  # [1/s] with which limits are avoided
+    posture: np.ndarray  # (n,) sought
+    rate: np.ndarray  # (n,) [1/s]
+
+
+class _Way(NamedTuple):
+    """A path of the joints without limits on speed."""
+
+    cost: float  # samples off the path, and those it takes longer inside the limits
+    beside: _Beside
+    Q: np.ndarray  # (M + 1, n)
+
+
+class _Taken(NamedTuple):
+    """One run."""
+
+    missed: int  # samples off the path
+    arrays: list[np.ndarray]
+    end: list[np.ndarray]  # of the tracker
+
+
+class Run:
+    """The steps of a run, and its arrays as the loop writes them (see kernel/servo.py): Q, R, E, C, S."""
+
+    Q: np.ndarray
+    R: np.ndarray
+    E: np.ndarray
+    C: np.ndarray
+    S: np.ndarray
+
+    def __init__(
+        self,
+        tracker: Tracker,
+        samples: Sequence[np.ndarray],
+        dt: float,
+        mode: int,
+        tolerances: tuple[float, float],
+        stretch: float,
+        settle: float,
+    ) -> None:
+        """Keep what is to be run: samples T (N + 1, F, 4, 4), V, A (N + 1, m) of the targets."""
+        self.tracker, self.samples, self.dt, self.mode = tracker, samples, dt, mode
+        self.tolerances, self.settle = tolerances, settle
+        self.count = len(samples[0]) - 1
+        self.most = int(np.ceil(stretch * self.count)) if mode == SLOW else self.count
+        self.clock = tolerances if tracker.engine.waits else (np.inf, np.inf)
+        self.caps = np.ones((2, self.count + 1))
+        self.caps[1] = -1.0
+        self.slower = np.ones(self.count + 1)
+        tracker._late = LATE * dt
+        self.start = [one.copy() for one in tracker.carried()]
+        self.elapsed = 0.0
+
+    def go(self) -> None:
+        """Run to the end; again where the clock may be slowed and that helps."""
+        tracker = self.tracker
+        # No step yet: this compiles (or loads) the loop, so that the time reported is that of tracking.
+        first = [one[:1] for one in self.samples]
+        tracker.run(*first, self.dt, *self._arrays(0), mode=self.mode, clock=self.clock, runaway=RUNAWAY)
+        tracker.put_back(self.start)
+        began = time.perf_counter()
+        made: list[_Taken] = []
+        again = self.mode == SLOW and tracker.engine.waits and not tracker.one_by_one
+        for way in self._ways():
+            self.slower[:] = 1.0
+            last = np.inf
+            for _ in range(RETAKES + 1):
+                made.append(self._take(way))
+                if not again or made[-1].missed == 0 or made[-1].missed > HELPED * last:
+                    break
+                last = made[-1].missed
+                self._slow_down(made[-1])
+            if not again or made[-1].missed == 0:
+                break
+        best = min(made, key=lambda taken: taken.missed)
+        self.Q, self.R, self.E, self.C, self.S = best.arrays
+        tracker.put_back(best.end)
+        self.elapsed = time.perf_counter() - began
+
+    def _arrays(self, steps: int) -> list[np.ndarray]:
+        n, m = self.tracker.robot.n, self.samples[1].shape[1]
+        shapes = ((steps + 1, n), (steps + 1, n), (steps + 1, m), (steps, n), (steps + 1, 4))
+        return [np.zeros(shape, np.uint8 if k == 3 else float) for k, shape in enumerate(shapes)]
+
+    def _ways(self) -> Iterator[_Way]:
+        """Joint paths without limits on speed: those that meet no difficulty as they are found, then the best of the others."""
+        secondary, limits = self.tracker.secondary, self.tracker._limits
+        own = _Beside(secondary.avoid, *secondary.wish[:2].copy())
+        if self.mode != SLOW or not np.isfinite(limits[2:]).any():
+            yield _Way(0.0, own, np.zeros((0, 0)))
+            return
+        found: list[_Way] = []
+        for beside in self._besides(own):
+            way = self._look_ahead(beside)
+            if any(len(one.Q) == len(way.Q) and np.abs(one.Q - way.Q).max() < SAME for one in found):
+                break  # no joints are free to do anything beside the task
+            found.append(way)
+            if way.cost <= 0.0:
+                yield way
+        yield from sorted((way for way in found if way.cost > 0.0), key=lambda way: way.cost)[:MOST]
+
+    def _besides(self, own: _Beside) -> Iterator[_Beside]:
+        """What can be tried beside the task: first what was asked for."""
+        yield own
+        if own.avoid != AVOID or own.rate.any():
+            return
+        for avoid in HARDER:
+            yield own._replace(avoid=avoid)
+        lower, upper = self.tracker._limits[:2]
+        wide = upper - lower
+        bounded = np.isfinite(wide)
+        middle = np.where(bounded, 0.5 * (lower + upper), 0.0)
+        rate = np.where(bounded, POSTURE, 0.0)
+        yield own._replace(posture=middle, rate=rate)
+        for i in np.flatnonzero(bounded):  # one joint bent aside
+            for share in (0.25, -0.25):
+                posture = middle.copy()
+                posture[i] += share * wide[i]
+                yield own._replace(posture=posture, rate=rate)
+
+    def _begin(self, beside: _Beside) -> None:
+        """Go back to the start."""
+        self.tracker.put_back(self.start)
+        secondary = self.tracker.secondary
+        secondary.avoid, secondary.wish[0], secondary.wish[1] = beside
+
+    def _look_ahead(self, beside: _Beside) -> _Way:
+        """Follow the path without limits on speed."""
+        tracker = self.tracker
+        self._begin(beside)
+        free = tracker._limits.copy()
+        free[2:] = np.inf
+        if tracker._state[motion.STATE.start] == motion.GIVEN:
+            tracker._state[motion.STATE.start] = motion.MOVING
+        arrays = self._arrays(self.count)
+        done = tracker.run(*self.samples, self.dt, *arrays, mode=LEAVE, limits=free, runaway=RUNAWAY)
+        way = _Way(0.0, beside, arrays[0][: done + 1])
+        self._limit_clock(way)
+        off = self._excess(arrays[2][: done + 1]) > 1.0
+        return way._replace(cost=float(off.sum() + (1.0 / np.maximum(self.caps[0], SLOWEST) - 1.0).sum()))
+
+    def _limit_clock(self, way: _Way) -> None:
+        """How fast the clock may run: as the joints can on their way, and no faster than is asked for."""
+        self.caps[0], self.caps[1] = self.slower, -1.0
+        if len(way.Q) > 2:
+            look_ahead(way.Q, self.tracker._limits, self.dt, self.caps[0], self.caps[1])
+
+    def _take(self, way: _Way) -> _Taken:
+        """Run from the start to the end once."""
+        tracker, left = self.tracker, self.most
+        self._begin(way.beside)
+        self._limit_clock(way)
+        made = []
+        while True:
+            steps = 1 if tracker.one_by_one else min(self.count, left)
+            arrays = self._arrays(steps)
+            done = tracker.take(
+                *self.samples, self.dt, *arrays, mode=self.mode, clock=self.clock, caps=self.caps, runaway=RUNAWAY
+            )
+            left -= done
+            clock, stop = (tracker._state[at] for at in (motion.STATE.clock, motion.STATE.stop))
+            ended = left <= 0 or stop != motion.FINE or clock >= self.count
+            rows = done + 1 if ended else done
+            made.append([one[: done if k == 3 else rows] for k, one in enumerate(arrays)])
+            if ended:
+                break
+        arrays = [np.concatenate(part) for part in zip(*made, strict=True)]
+        missed = int((self._excess(arrays[2]) > 1.0).sum())
+        if self.mode == SLOW and clock < self.count - 1:
+            missed += round((self.count - clock) * self.most)  # a reference not followed to its end is worse than that
+        return _Taken(missed, arrays, [one.copy() for one in tracker.carried()])
+
+    def _excess(self, E: np.ndarray) -> np.ndarray:
+        """Largest error over its tolerance (M,) of errors E (M, m), where it counts."""
+        errors = np.linalg.norm(E.reshape(len(E), -1, 2, 3), axis=3)
+        excess = (errors / self.tolerances).max(axis=(1, 2))
+        return np.where(np.arange(len(E)) * self.dt >= self.settle, excess, 0.0)
+
+    def _slow_down(self, taken: _Taken) -> None:
+        """Let the clock run slower where a run has left its path: an error of a step is of the order of its square."""
+        _, _, E, _, S = taken.arrays
+        excess = self._excess(E)
+        near = max(round(NEAR / self.dt), 1)
+        before, inside = self.slower.copy(), False
+        for k in range(len(excess)):
+            if excess[k] > AIM and not inside and excess[k : k + near].max() > 1.0:
+                share = max(AIM / excess[k : k + near].max(), LEAST_SHARE)
+                begin, end = int(S[max(k - near, 0), 0]), int(np.ceil(S[min(k + near, len(S) - 1), 0]))
+                self.slower[begin : end + 1] = np.minimum(self.slower[begin : end + 1], share * before[begin : end + 1])
+                inside = True
+            inside = inside and excess[k] > AIM
