@@ -40,7 +40,9 @@ class State(NamedTuple):
     leaving: int  # 1: waiting has not helped, so the run goes on without the path
     idle: int  # [s] for which it has stood still
     least: int  # least error over tolerance in that time
-    near: int  # 1: near a singular pose in the last step; and [s] for which the target counts as having been out of reach
+    near: (
+        int  # 1: near a singular pose in the last step; and [s] for which the target counts as having been out of reach
+    )
 
 
 STATE = State._make(range(len(State._fields)))  # places in the array

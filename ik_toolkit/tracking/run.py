@@ -1,8 +1,8 @@
 """The run of `track`, from the start to the end of a reference; taken again, slower, where it left its path."""
 
 import time
-from collections.abc import Iterator, Sequence
-from typing import NamedTuple
+from collections.abc import Iterator
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -60,7 +60,7 @@ class Run:
     def __init__(
         self,
         tracker: Tracker,
-        samples: Sequence[np.ndarray],
+        samples: Any,
         dt: float,
         mode: int,
         tolerances: tuple[float, float],
@@ -106,7 +106,8 @@ class Run:
         tracker.put_back(best.end)
         self.elapsed = time.perf_counter() - began
 
-    def _arrays(self, steps: int) -> list[np.ndarray]:
+    def _arrays(self, steps: int) -> Any:
+        """Room for so many steps."""
         n, m = self.tracker.robot.n, self.samples[1].shape[1]
         shapes = ((steps + 1, n), (steps + 1, n), (steps + 1, m), (steps, n), (steps + 1, 4))
         return [np.zeros(shape, np.uint8 if k == 3 else float) for k, shape in enumerate(shapes)]
@@ -135,6 +136,8 @@ class Run:
             return
         for avoid in HARDER:
             yield own._replace(avoid=avoid)
+        if not self.tracker.engine.waits:  # its error tells nothing: it lags behind
+            return
         lower, upper = self.tracker._limits[:2]
         wide = upper - lower
         bounded = np.isfinite(wide)
