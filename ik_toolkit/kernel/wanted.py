@@ -90,6 +90,19 @@ def lean_over(law, rule, s, limits, wish, rate, h):
 
 
 @inline
+def add_wishes(law, s, limits, wish, ratio, h, memory):
+    """Add to s.x what the joints are to do beside the task: as part of what is extrapolated, or the tip would leave its path."""
+    if find_wishes(law, s, limits, wish, s.x):
+        kept, share = 0.0, min(h * law.null, 1.0) if law.code >= CA else 1.0
+        if law.code == CV or law.code == CA:
+            kept = share / h if law.code == CA else share
+            share *= 1.0 + 0.5 * ratio
+        for i in range(s.x.shape[0]):
+            s.x[i] += share * s.g[i]
+            memory[i] += kept * s.g[i]
+
+
+@inline
 def by_law(law, rule, task, look, weights, s, slack, limits, wish, sigma, h, rate, memory, away, state):
     """Rates that a published law wants, to s.x. Returns how much of the task was lost, or the damping (CLIP)."""
     m = s.J.shape[1]
@@ -127,9 +140,8 @@ def by_law(law, rule, task, look, weights, s, slack, limits, wish, sigma, h, rat
         else:
             if count > 0:
                 damped = 1.0 * take_out(s.J, s.W, s.U, s.V, s.lost, s.f, s.G)
-            if limited or (
-                law.mode != CLIP and law.code >= CA
-            ):  # the second order of a step no joint can make means nothing
+            # the second order of a step no joint can make means nothing
+            if limited or (law.mode != CLIP and law.code >= CA):
                 fast, quick = (0.5, 0.5) if law.mode == CLIP else (FAST, BRISK)
                 ease(law, s.J, m, s.e, s.ahead, h, limits, fast, quick, s.G, s.y, s.x)
             prepare(law, s.J, m, s.ahead, rate, h, s.G, s.y, s.t, s.move, s.null, s.x1, s.x2)
@@ -164,15 +176,9 @@ def by_law(law, rule, task, look, weights, s, slack, limits, wish, sigma, h, rat
     command(law, s.J, m, s.e, s.f, s.a, s.bias, rate, memory, h, ratio, s.G, s.y, s.t, s.move, s.null, s.x)
     if damped > 0.0 and law.mode != CLIP:
         along_lost(s.V, s.lost, s.xk, s.x, 1.0)
-    if find_wishes(law, s, limits, wish, s.x):
-        # As part of what is extrapolated, or the tip would leave its path by the square of a step.
-        kept, share = 0.0, min(h * law.null, 1.0) if law.code >= CA else 1.0
-        if law.code == CV or law.code == CA:
-            kept = share / h if law.code == CA else share
-            share *= 1.0 + 0.5 * ratio
-        for i in range(rate.shape[0]):
-            s.x[i] += share * s.g[i]
-            memory[i] += kept * s.g[i]
+        if law.code == CV:  # what the next step extrapolates from
+            along_lost(s.V, s.lost, s.xk, memory, 1.0)
+    add_wishes(law, s, limits, wish, ratio, h, memory)
     if jump != 0.0 and law.code == CA:
         for i in range(rate.shape[0]):
             s.x[i] += jump * s.lead[i]

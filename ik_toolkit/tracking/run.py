@@ -2,7 +2,7 @@
 
 import time
 from collections.abc import Iterator
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -60,7 +60,7 @@ class Run:
     def __init__(
         self,
         tracker: Tracker,
-        samples: Any,
+        samples: tuple[np.ndarray, np.ndarray, np.ndarray],
         dt: float,
         mode: int,
         tolerances: tuple[float, float],
@@ -84,8 +84,8 @@ class Run:
         """Run to the end; again where the clock may be slowed and that helps."""
         tracker = self.tracker
         # No step yet: this compiles (or loads) the loop, so that the time reported is that of tracking.
-        first = [one[:1] for one in self.samples]
-        tracker.run(*first, self.dt, *self._arrays(0), mode=self.mode, clock=self.clock, runaway=RUNAWAY)
+        T, V, A = (one[:1] for one in self.samples)
+        tracker.run(T, V, A, self.dt, *self._arrays(0), mode=self.mode, clock=self.clock, runaway=RUNAWAY)
         tracker.put_back(self.start)
         began = time.perf_counter()
         made: list[_Taken] = []
@@ -106,7 +106,7 @@ class Run:
         tracker.put_back(best.end)
         self.elapsed = time.perf_counter() - began
 
-    def _arrays(self, steps: int) -> Any:
+    def _arrays(self, steps: int) -> list[np.ndarray]:
         """Room for so many steps."""
         n, m = self.tracker.robot.n, self.samples[1].shape[1]
         shapes = ((steps + 1, n), (steps + 1, n), (steps + 1, m), (steps, n), (steps + 1, 4))
