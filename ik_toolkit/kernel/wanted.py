@@ -113,8 +113,7 @@ def by_law(law, rule, task, look, weights, s, slack, limits, wish, sigma, h, rat
     copy(s.f, s.pace)
     for k in range(m):
         s.f[k] *= sigma
-    for r in range(m):
-        s.lost[r] = 0.0
+        s.lost[k] = 0.0
     for i in range(rate.shape[0]):
         limited = limited or limits[3, i] < np.inf
     if law.mode == CLIP:
