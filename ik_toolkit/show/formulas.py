@@ -73,7 +73,7 @@ def _value(step: Step, places: int) -> str:
 
 
 def _maths(written: str) -> str:
-    return " ".join(f"<math>{piece}</math>" for piece in pieces(written))
+    return " ".join(f'<math displaystyle="true">{piece}</math>' for piece in pieces(written))
 
 
 def _muted(words: str) -> str:

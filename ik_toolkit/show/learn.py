@@ -25,6 +25,7 @@ QUIET, CHOSEN = (71, 85, 105), (31, 95, 153)  # buttons of branches
 FREEDOMS = 6  # joints from which on a pose is asked for where no closed form says what
 COLUMNS = ("n", "o", "a")
 MM = 1000.0
+STEP = 0.001  # mm or deg, of the slider of what is free
 
 
 class Lesson:
@@ -101,7 +102,8 @@ class Lesson:
 
     def _explain(self, T: np.ndarray, rule: Any) -> Result:
         result = solve(self.robot, T if self.posed else T[:3, 3], rule, q0=self.session.q)
-        self.T, self.made = T, result.explain()
+        self.made = result.explain()
+        self.T = self.made.targets[self.robot.tip] if self.posed else T  # its rotation may have been corrected
         self.shown = self.made.chosen or 0
         return result
 
@@ -120,8 +122,8 @@ class Lesson:
         free = self.made.derivation.free if self.made is not None and self.made.derivation is not None else None
         if free is None or not free.inside:
             return None
-        scale = self.scale(free.joint)
-        return scale * free.inside[0][0], scale * free.inside[-1][1]
+        low, high = (self.scale(free.joint) * x for x in (free.inside[0][0], free.inside[-1][1]))
+        return math.ceil(low / STEP) * STEP, math.floor(high / STEP) * STEP  # both ends reach the pose
 
 
 class Learn:
@@ -237,6 +239,9 @@ class Learn:
         self._branches()
         self._tell(result)
         self._go(result.q)
+        goal = self.lesson.T if self.lesson.posed else self.session.poses()[self.robot.tip]
+        goal[:3, 3] = self.lesson.T[:3, 3]
+        self.desk._put({self.robot.tip: goal})
         self._drawn(result)
 
     def _at(self, value: float) -> None:
@@ -265,19 +270,14 @@ class Learn:
         self.free, self.buttons = None, []
         span = lesson.span()
         with self.found:
-            if span is not None and span[1] - span[0] > 1e-3:
+            if span is not None and span[1] - span[0] > STEP:
                 assert made.derivation is not None and made.derivation.free is not None
                 i = made.derivation.free.joint
                 name = f"{self.robot.joint_names[i]} [{lesson.unit(i)}]  "
                 at = float(np.clip(lesson.scale(i) * made.q[i], *span))
-                self.free = self.gui.add_slider(name, span[0], span[1], (span[1] - span[0]) / 1000.0, at)
+                self.free = self.gui.add_slider(name, round(span[0], 6), round(span[1], 6), STEP, at)
                 self.listen(self.free, "free", lambda: self._at(self.free.value))
             self.words = self.gui.add_html("")
-            for k, branch in enumerate(lesson.branches):
-                button = self.gui.add_button(f"{k + 1}: {branch.label}", color=QUIET)
-                self.buttons.append(button)
-                self.listen(button, "branch", lambda k=k: self.pick(k))
-            self.legend = self.gui.add_html("")
         self.found.visible = bool(lesson.branches)
         self._write()
 
@@ -300,6 +300,10 @@ class Learn:
         """Formulas, words and the look of the buttons for the branch shown."""
         lesson, made = self.lesson, self.lesson.made
         assert made is not None
+        for k in range(len(self.buttons), len(lesson.branches)):
+            with self.found:
+                self.buttons.append(self.gui.add_button("", color=QUIET))
+            self.listen(self.buttons[k], "branch", lambda k=k: self.pick(k))
         for k, button in enumerate(self.buttons):
             if k < len(lesson.branches):
                 branch = lesson.branches[k]
@@ -308,10 +312,10 @@ class Learn:
             button.visible = k < len(lesson.branches)
         if made.derivation is not None and lesson.branches:
             free = [Words(made.free_words())] if made.derivation.free is not None else []
-            self.words.content = blocks_html(
-                [*free, values_table(self.robot, lesson.branches[lesson.shown].q, lesson.places)]
-            )
-            self.legend.content = blocks_html([Words(made.derivation.legend)] if made.derivation.legend else [])
+            free += [Words("The answer of the solver is none of these branches.")] if made.chosen is None else []
+            values = values_table(self.robot, lesson.branches[lesson.shown].q, lesson.places)
+            legend = [Words(made.derivation.legend)] if made.derivation.legend else []
+            self.words.content = blocks_html([*free, values, *legend])
         self.form.visible = True
         blocks = made.formula_blocks(lesson.shown) if made.derivation is not None else [Words(made.why)]
         self.formulas.content = blocks_html(blocks)

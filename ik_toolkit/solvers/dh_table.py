@@ -48,28 +48,23 @@ def dh_blocks(arm: Any, table: DHTable | None, q: np.ndarray) -> Iterator[Block]
         yield Words("None: a joint that drives others has no row of its own.")
         return
     rows, places = [], decimals(arm.reach)
-    for i, (row, x) in enumerate(zip(table.rows, q, strict=True)):
+    for row, x in zip(table.rows, q, strict=True):
         slides = row.type == "prismatic"
         theta, d = row.theta + (0.0 if slides else x), row.d + (x if slides else 0.0)
-        low, high = (_end(float(ends[i]), slides) for ends in (arm.lower, arm.upper))
         cells = [number(theta, "rad", 0), number(d, "m", places)]
         cells[slides] = Varies(cells[slides])
         cells += [number(row.a, "m", places), f"{round(math.degrees(row.alpha), 6) + 0.0:g}"]
-        rows.append((row.name, *cells, f"{low} to {high}"))
-    yield Table(("joint", "theta", "d", "a", "alpha", "range"), rows)
+        rows.append((row.name, *cells))
+    yield Table(("joint", "theta", "d", "a", "alpha"), rows)
     frames = [
         f"{word} frame"
         for word, T in (("before row 1, from the base's", table.base), ("after the last row, to the tip's", table.tool))
         if not np.allclose(T, np.eye(4), atol=1e-9)
     ]
     constant = f" A constant transform stands {' and '.join(frames)}." if frames else ""
-    words = "what the joint changes is marked and as it is now; the range is the joint's own."
-    yield Words(f"{table.convention.capitalize()} convention; {words}{constant}")
-
-
-def _end(value: float, slides: bool) -> str:
-    """One end of a joint's range."""
-    return f"{(1000.0 if slides else math.degrees(1.0)) * value:.6g}" if math.isfinite(value) else "any"
+    yield Words(
+        f"{table.convention.capitalize()} convention; what the joint changes is marked, as it is now.{constant}"
+    )
 
 
 def _from_axes(robot: Any) -> DHTable | None:

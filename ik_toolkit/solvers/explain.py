@@ -108,7 +108,11 @@ def _beside(of: "Outcome", name: str) -> "Outcome":
     row = find_row(name)
     if refusal(row, row.load()(), Asked(robot, of.kinds, of.given, options)):
         row = find_row(GENERAL)
-    return _run(of, Plan(robot, row, row.load()(), options))
+    plan = Plan(robot, row, row.load()(), options)
+    made = _run(of, plan)
+    if not made.row[AT.iterations]:  # the start is the answer: there would be nothing to see
+        made = _run(of._replace(start=robot.random_q(np.random.default_rng(0))[None], given=True), plan)
+    return made
 
 
 def _run(of: "Outcome", plan: Plan) -> "Outcome":

@@ -33,7 +33,7 @@ class Iterations(NamedTuple):
     q: np.ndarray
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Explanation:
     """How an answer comes about. `str()` gives the text (80 columns), a notebook shows it with formulas set.
 
@@ -72,6 +72,8 @@ class Explanation:
             yield target_table(T, self.places)
         if self.derivation is not None:
             yield Heading(f"Closed form '{self.form}'")
+            if self.derivation.free is not None:
+                yield Words(self.free_words())
             yield from self.formula_blocks(self.chosen or 0)
             yield Heading("Branches")
             yield from self.branch_blocks()
@@ -88,8 +90,6 @@ class Explanation:
         made = self.derivation
         if made.words:
             yield Words(f"{made.words[0].upper()}{made.words[1:]}.")
-        if made.free is not None:
-            yield Words(self.free_words())
         branch = made.branches[k] if made.branches else Branch("", self.q)
         if not made.given:
             yield Words("This closed form shows no formulas, only its branches.")
@@ -159,8 +159,8 @@ class Explanation:
         units = ["m" if kind == "prismatic" else "rad" for kind in self.robot.joint_kinds]
         head = (
             "k",
-            "position error",
-            *(["orientation error"] if turned else []),
+            "error (mm)",
+            *(["error (deg)"] if turned else []),
             *(self.robot.joint_names if told else ()),
         )
         count, rows = len(i.position), []
@@ -185,6 +185,11 @@ class Explanation:
             more = to_text(block)
             lines += more[1:] if isinstance(block, Heading | Words) and not lines else more
         return "\n".join(lines)
+
+    def __repr__(self) -> str:
+        """One line."""
+        branches = "" if self.derivation is None else f", '{self.form}', {len(self.derivation.branches)} branches"
+        return f"Explanation('{self.robot.name}'{branches}; print it to read it)"
 
     def to_markdown(self) -> str:
         """Markdown with the formulas in LaTeX."""

@@ -172,7 +172,7 @@ class MathML(Text):
 
     def times(self, a: str, b: str) -> str:
         """Product."""
-        return f"{a}<mo>&middot;</mo>{b}"
+        return f"{a}{BREAK}<mo>&middot;</mo>{b}" if "msqrt" in a else f"{a}<mo>&middot;</mo>{b}"
 
     def over(self, a: str, b: str) -> str:
         """Quotient."""
@@ -187,7 +187,7 @@ class MathML(Text):
         if name == "sqrt":
             return f"<msqrt>{arguments[0]}</msqrt>"
         if name == "abs":
-            return f"<mo>|</mo>{arguments[0]}<mo>|</mo>"
+            return f'<mo form="prefix">|</mo>{arguments[0]}<mo form="postfix">|</mo>'
         return f"<mi>{name}</mi>{self.group(f'<mo>,</mo>{BREAK}'.join(arguments))}"
 
 

@@ -197,6 +197,12 @@ def test_a_solve_by_iteration_is_shown_beside_the_closed_form_that_fits():
     assert np.allclose(made.iterations.q[0], (0.1, 0.5))
 
 
+def test_newton_starts_elsewhere_where_the_start_is_the_answer():
+    robot = ik.Robot.load("planar_2r")
+    made = ik.solve(robot, robot.fk(robot.home).translation, q0=robot.home).explain()
+    assert len(made.iterations.position) > 1 and made.iterations.solver == "newton"
+
+
 def test_several_tips_and_batches():
     pair = load("two_arms")
     q = pair.random_q(np.random.default_rng(1))

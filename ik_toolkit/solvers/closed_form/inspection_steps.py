@@ -151,8 +151,10 @@ def _shared(given: tuple[Step, ...], head: np.ndarray) -> tuple[Step, ...]:
         sheet.add("beta", "", head[BEND], "rad", "free: the shoulder lies on axis 6; kept where it is")
         sheet.add("gamma", "", head[INNER], "rad")
     else:
-        sheet.add("u", "sqrt((a6 + L - r)*(a6 + L + r))", None, "m", "the triangle of the links a6 and L, which span r")
-        sheet.add("v", "sqrt((r - abs(a6 - L))*(r + abs(a6 - L)))", None, "m")
+        sheet.add(
+            "u", "sqrt(a6 + L - r)*sqrt(a6 + L + r)", None, "m", "the triangle of the links a6 and L, which span r"
+        )
+        sheet.add("v", "sqrt(r - abs(a6 - L))*sqrt(r + abs(a6 - L))", None, "m")
         sheet.add("beta", "2*atan2(u, v)", head[BEND], "rad", "bend of the elbow")
         sheet.add(
             "gamma", "atan2(-(L*sin(beta)), a6 + L*cos(beta))", head[INNER], "rad", "what the bent elbow turns it by"

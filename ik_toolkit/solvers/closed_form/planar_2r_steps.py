@@ -48,8 +48,8 @@ def derive(robot: Any, p: np.ndarray, T: np.ndarray, box: np.ndarray) -> Derivat
     sheet.add("psi", "atan2(y, x)", None, "rad", "direction of the target")
     if room >= 0.0:
         sheet.add("c2", "(r**2 - l1**2 - l2**2)/(2*l1*l2)", None, "", "cosine of theta_2, by the law of cosines")
-    sheet.add("u", "sqrt((l1 + l2 - r)*(l1 + l2 + r))", None, "m", "the same triangle, without losing digits")
-    sheet.add("v", "sqrt((r - abs(l1 - l2))*(r + abs(l1 - l2)))", None, "m")
+    sheet.add("u", "sqrt(l1 + l2 - r)*sqrt(l1 + l2 + r)", None, "m", "the same triangle, without losing digits")
+    sheet.add("v", "sqrt(r - abs(l1 - l2))*sqrt(r + abs(l1 - l2))", None, "m")
     branches = []
     for k in range(count):
         own = Worksheet((*given, *sheet.steps))
