@@ -224,3 +224,17 @@ def test_what_counts_on_the_command_line_is_what_it_is_in_python(run):
     assert code == 0 and json.loads(out)["q"] == same.q.tolist()
     code, _, err = run(*SOLVE, "--slack", "1", "2")
     assert code == 2 and "--slack takes 6 numbers" in err
+
+
+def test_explain_shows_the_way_in_80_columns_and_as_json(run, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "80")
+    line = ("solve", "planar_2r", "--xyz", "0.9", "0.9", "0", "--explain")
+    code, out, _ = run(*line)
+    assert code == 0 and "theta_1 = psi - beta" in out and "elbow left (-)" in out and "Iterations of 'newton'" in out
+    assert max(map(len, out.split("\n"))) <= 80
+    code, out, _ = run(*line, "--json")
+    made = json.loads(out)
+    assert code == 0 and made["explanation"]["branches"][made["explanation"]["chosen"]]["q"] == made["q"]
+    assert run(*line, "--all")[0] == 2
+    code, out, _ = run("solve", "planar_2r", "--xyz", "3", "0", "0", "--explain")
+    assert code == 1 and "1000 mm out of reach" in out
