@@ -15,11 +15,12 @@ from numba.extending import overload, overload_method
 from .cache import make_cache
 
 try:
-    from .parts import CalledPipeline, PartPipeline
+    from .parts import CalledPipeline, KernelPipeline, PartPipeline
 except ImportError:  # another numba: it compiles parts its own way, which takes longer
-    PARTS, CALLED = {}, {}
+    PARTS, CALLED, KERNEL = {}, {}, {}
 else:
     PARTS, CALLED = {"pipeline_class": PartPipeline}, {"pipeline_class": CalledPipeline}
+    KERNEL = {"pipeline_class": KernelPipeline}
 
 # No nnan/ninf: a NaN has to fail every test instead of being assumed away.
 OPTIONS: dict[str, Any] = {"fastmath": {"nsz", "arcp", "contract", "afn", "reassoc"}, "error_model": "numpy"}
@@ -84,7 +85,7 @@ def cached(function: Callable, *parts: Any) -> Any:
 
     parts: classes and functions compiled into it that cannot be found by its global names (a rule).
     """
-    dispatcher = njit(nogil=True, no_cfunc_wrapper=True, **OPTIONS)(function)
+    dispatcher = njit(nogil=True, no_cfunc_wrapper=True, **OPTIONS, **KERNEL)(function)
     if hasattr(dispatcher, "_cache"):  # with NUMBA_DISABLE_JIT=1 it is the plain function
         dispatcher._cache = make_cache(function, parts)
         dispatcher._compile_for_args = without_collector(dispatcher._compile_for_args)

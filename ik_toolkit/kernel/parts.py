@@ -3,7 +3,9 @@
 import inspect
 from typing import Any
 
+from llvmlite.binding import Linkage, parse_assembly
 from numba import _dynfunc  # pyright: ignore[reportAttributeAccessIssue]
+from numba.core.cgutils import normalize_ir_text
 from numba.core.codegen import CPUCodegen, JITCodeLibrary
 from numba.core.compiler import Compiler, Flags
 
@@ -21,6 +23,17 @@ class PartLibrary(JITCodeLibrary):
     All of a kernel is optimised once, when everything is in it. To simplify each function before is worth it: it is short then.
     """
 
+    def add_ir_module(self, ir_module: Any) -> None:
+        """Take the code as it is: the kernel is verified, with all its parts."""
+        self._raise_if_finalized()
+        made = parse_assembly(normalize_ir_text(str(ir_module)))
+        made.name = ir_module.name
+        self._optimize_functions(made)
+        if any(not function.is_declaration for function in self._final_module.functions):
+            self._final_module.link_in(made)
+        else:  # the first, and mostly the only one
+            self._final_module = made
+
     def _optimize_functions(self, ll_module: Any) -> None:
         """Simplify what the module defines; numba makes new passes for each function, and for those only declared, too."""
         ll_module.data_layout = self._codegen._data_layout
@@ -29,11 +42,48 @@ class PartLibrary(JITCodeLibrary):
             if not function.is_declaration:
                 passes.run(function, builder)
 
-    def _optimize_final_module(self) -> None:
-        pass
-
-    def _finalize_final_module(self) -> None:
+    def finalize(self) -> None:
+        """Keep to its own code: what it calls is linked once, into the kernel (numba links it into every caller again)."""
+        self._raise_if_finalized()
+        for library in self._linking_libraries:
+            self._reload_init.update(library._reload_init)
+        for function in self._final_module.functions:
+            if not function.is_declaration and function.linkage == Linkage.external:
+                function.linkage = "linkonce_odr"
         self._finalized = True
+
+    def _get_module_for_linking(self) -> Any:
+        """With all that it calls: for a library of numba's own, which links what it calls directly."""
+        module = self._final_module.clone()
+        link(module, self._linking_libraries)
+        return module
+
+
+class KernelLibrary(JITCodeLibrary):
+    """Code of a kernel, into which every part that it needs is linked once."""
+
+    def finalize(self) -> None:
+        self._raise_if_finalized()
+        link(self._final_module, self._linking_libraries)
+        self._linking_libraries = []
+        super().finalize()
+
+
+def link(module: Any, libraries: list) -> None:
+    """Link libraries and all that they call into a module: each after its callers, or LLVM would find it unused and drop it."""
+    order: dict[Any, None] = {}
+
+    def visit(library: Any) -> None:
+        if library not in order:
+            for called in library._linking_libraries if isinstance(library, PartLibrary) else ():
+                visit(called)
+            order[library] = None
+
+    for library in libraries:
+        visit(library)
+    for library in reversed(order):
+        part = isinstance(library, PartLibrary)
+        module.link_in(library._final_module if part else library._get_module_for_linking(), preserve=True)
 
 
 class CalledLibrary(PartLibrary):
@@ -102,3 +152,12 @@ class CalledPipeline(PartPipeline):
     """The same into a CalledLibrary."""
 
     library = CalledLibrary
+
+
+class KernelPipeline(Compiler):
+    """numba's pipeline into a KernelLibrary."""
+
+    def compile_extra(self, func: Any) -> Any:
+        self.state.library = KernelLibrary(self.state.targetctx.codegen(), func.__qualname__)
+        self.state.library.enable_object_caching()
+        return super().compile_extra(func)
