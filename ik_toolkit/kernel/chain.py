@@ -8,7 +8,7 @@ import numpy as np
 
 from .algebra import V3, at3, rotation_at
 from .jit import cached
-from .kinematics import ROW, TAU, fk, room
+from .kinematics import RATIO, ROW, TAU, fk, own_coordinates, room
 from .problem import fill
 from .records import POINTS, TASK, Ends
 from .seeds import PAD, ROTATION_WEIGHT, SEEDS
@@ -16,9 +16,6 @@ from .seeds import PAD, ROTATION_WEIGHT, SEEDS
 __all__ = ["ROW", "Chain", "pack"]
 WINDING = 5 * TAU
 TURNING = 1e4  # rad; a joint with a wider range has limits in name only
-RATIO = (
-    1e-12  # a ratio of a joint to its coordinate this close to 1 is 1: rounding of a unit axis, not a mimic multiplier
-)
 
 
 @cached
@@ -29,6 +26,7 @@ def forward(rows, ends, Q, unit, T, J) -> None:
     base, tool = rotation_at(ends, 0), rotation_at(ends, 12)
     size, angles = room(rows.shape[0])
     q, joints, trig = np.empty(n), np.empty(size), np.zeros(angles)
+    own = own_coordinates(rows, n)
     task, kept, K = np.zeros(TASK), np.empty(0), np.empty((n, 6))
     for t in range(Q.shape[0]):
         for i in range(n):
@@ -44,7 +42,7 @@ def forward(rows, ends, Q, unit, T, J) -> None:
         T[t, 2, 0], T[t, 2, 1], T[t, 2, 2], T[t, 2, 3] = x.z, y.z, z.z, p.z
         T[t, 3, 0], T[t, 3, 1], T[t, 3, 2], T[t, 3, 3] = 0.0, 0.0, 0.0, 1.0
         if J.shape[0] > 0:
-            fill(rows, task, kept, joints, tip, K, 0)
+            fill(rows, own, task, kept, joints, tip, K, 0)
             for i in range(n):
                 u = base.times(V3(K[i, 0], K[i, 1], K[i, 2])) * (box.scale() / unit[i])
                 v = base.times(V3(K[i, 3], K[i, 4], K[i, 5])) * (1.0 / unit[i])
@@ -73,8 +71,7 @@ def evaluate(rows, ends, Q, unit, jacobian=False):
     q = (Q / unit).T[owner]
     turn, slide = rows[:, 4, None] * q + rows[:, 5, None], rows[:, 6, None] * q + rows[:, 7, None]
     c, s = np.cos(turn), np.sin(turn)
-    cb, sb = rows[:, 0, None].copy(), rows[:, 1, None]
-    cb[0] = 1.0  # no Rx before the first joint; the slot holds something else
+    cb, sb = rows[:, 0, None], rows[:, 1, None]
     steps = np.zeros((L, N, 4, 4))
     steps[..., 0, 0], steps[..., 0, 1], steps[..., 0, 3] = c, -s, rows[:, 2, None]
     steps[..., 1, 0], steps[..., 1, 1], steps[..., 1, 2] = cb * s, cb * c, -sb
@@ -120,11 +117,7 @@ class Chain(NamedTuple):
     turns: np.ndarray
     scale: float
     reach: float
-
-    @property
-    def plain(self) -> bool:
-        """Whether row i moves coordinate i alone: no followers."""
-        return self.rows[0, 0] > 0.0
+    plain: bool  # row i moves coordinate i alone: no followers
 
     @property
     def n(self) -> int:
@@ -256,13 +249,12 @@ def pack(
     endless = turns & np.isinf(lower) & np.isinf(upper)
     low, high = box(low_k, high_k, slides, turns)
     tail = [scale, *reach_bounds(rows, tip, low_k, high_k)]
-    rows[0, 0] = float(own.all())
     inside = [np.where(endless, -WINDING, low_k), np.where(endless, WINDING, high_k), turns + 1.0 * endless, unit]
     ends = np.concatenate([base, tip, *inside, low, high - low, home / unit, tail])
     # A seed nobody else uses: a target drawn with default_rng(1) must not be found in the table by accident.
     seeds = np.random.default_rng(0x5EED7AB1E).uniform(low, high, (SEEDS, n))
     features = table(rows, ends, seeds, evaluate)
-    return Chain(rows, ends, seeds, features, unit, lower, upper, turns.astype(float), scale, reach)
+    return Chain(rows, ends, seeds, features, unit, lower, upper, turns.astype(float), scale, reach, bool(own.all()))
 
 
 @cached

@@ -14,15 +14,21 @@ from .algebra import M3, V3, Pose, alike, at, at3, put, put3, rotation_at, rotat
 from .jit import inline, inner
 
 # Columns of a row: cos b, sin b, tx, ty, turn, a0, slide, d0, coordinate, 1 turns / 0 slides.
-# Row 0 has no Rx: its first slot says instead whether each joint is its own coordinate with ratio 1 (no mimic).
+# Row 0 has no Rx: its cosine is 1, and never read by `fk`.
 ROW = 10
+RATIO = (
+    1e-12  # a ratio of a joint to its coordinate this close to 1 is 1: rounding of a unit axis, not a mimic multiplier
+)
 TAU = 2.0 * math.pi
 
 
-@inline
-def own_coordinates(rows):
-    """Whether each joint is its own coordinate with ratio 1 (no mimic)."""
-    return rows[0, 0] > 0.0
+@inner
+def own_coordinates(rows, n):
+    """Whether row i is coordinate i with ratio 1, for all n coordinates (no mimic)."""
+    own = rows.shape[0] == n
+    for i in range(rows.shape[0]):
+        own = own and int(rows[i, 8]) == i and abs(rows[i, 4] + rows[i, 6] - 1.0) <= RATIO
+    return own
 
 
 @inline

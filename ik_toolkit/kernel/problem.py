@@ -30,7 +30,7 @@ import numpy as np
 from .algebra import V3, at3, chord, put3, rotation_at
 from .checks import beyond, edge, rigid
 from .jit import compiled, inline, spliced
-from .kinematics import aim, column, fk, own_coordinates, pose_error
+from .kinematics import aim, column, fk, pose_error
 from .records import WHAT, Array
 from .task import FREE, PART, POSE, POSITION, count_column, shape
 from .view import cut
@@ -127,18 +127,17 @@ def counted(kind, kept, linear, angular):
 
 
 @inline
-def fill(rows, task, kept, joints, tip, J, first):
-    """Write the columns of one chain to J[:, first : first + 6]; mimic joints add to their leader."""
-    plain = own_coordinates(rows)
+def fill(rows, own, task, kept, joints, tip, J, first):
+    """Write the columns of one chain to J[:, first : first + 6]; where not each row is its `own` coordinate, they add up."""
     kind = int(task[WHAT.kind])
-    if not plain:
+    if not own:
         for i in range(J.shape[0]):
             for k in range(first, first + 6):
                 J[i, k] = 0.0
     for i in range(rows.shape[0]):
         u, v = column(rows, joints, i, tip)
         u, v = counted(kind, kept, u, v)
-        if plain:
+        if own:
             J[i, first], J[i, first + 1], J[i, first + 2] = u.x, u.y, u.z
             J[i, first + 3], J[i, first + 4], J[i, first + 5] = v.x, v.y, v.z
         else:

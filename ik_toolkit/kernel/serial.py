@@ -57,6 +57,7 @@ class Serial(NamedTuple):
     tp: float
     tr: float
     boxed: bool  # whether limits count
+    own: bool  # whether row i is coordinate i
 
     def aim(self, T, orders):
         return take(T, self.ends, self.task, self.goal, orders)
@@ -80,7 +81,7 @@ class Serial(NamedTuple):
         return self.look(rotation_at(self.pose, 0), at3(self.pose, 9))
 
     def jacobian(self, look):
-        fill(self.rows, self.task, self.kept, self.joints, look.point, self.desk.J, 0)
+        fill(self.rows, self.own, self.task, self.kept, self.joints, look.point, self.desk.J, 0)
 
     def damped(self, look, damping):
         damped(self.desk.J, self.desk.w, self.desk.dq, look.linear, look.angular, damping)
@@ -124,7 +125,7 @@ class Serial(NamedTuple):
                 u, v = column(self.rows, self.joints, r, look.point)
                 ratio = self.rows[r, 4] + self.rows[r, 6]
                 linear, angular = linear + u * ratio, angular + v * ratio
-        if kind == POSITION and own_coordinates(self.rows) and self.rows[i, 9] > 0.0:
+        if kind == POSITION and self.own and self.rows[i, 9] > 0.0:
             axis, point = at3(self.joints, 6 * i), at3(self.joints, 6 * i + 3)
             to, now = at3(self.goal, 9) - point, look.point - point
             side = linear.dot(to)
@@ -204,7 +205,21 @@ def serial_on(block, rows, ends, tasks, n, orders):
     for i in range(angles):  # what pads it is read, too
         trig[i] = 0.0
     boxed = orders.limits > 0.0 or orders.follow > 0.0
-    return Serial(make_desk(block, n, 6), rows, box, tasks[:TASK], goal, kept, pose, joints, trig, tp, tr, boxed)
+    return Serial(
+        make_desk(block, n, 6),
+        rows,
+        box,
+        tasks[:TASK],
+        goal,
+        kept,
+        pose,
+        joints,
+        trig,
+        tp,
+        tr,
+        boxed,
+        own_coordinates(rows, n),
+    )
 
 
 @build

@@ -114,7 +114,7 @@ class Tree(NamedTuple):
         cut, J = self.cut, self.desk.J
         for f in range(self.tasks.shape[0]):
             task, kept, joints = self.tasks[f], self.kept[f], self.joints[6 * cut[f] :]
-            fill(self.rows[cut[f] : cut[f + 1]], task, kept, joints, at3(self.poses[f], 9), J, 6 * f)
+            fill(self.rows[cut[f] : cut[f + 1]], False, task, kept, joints, at3(self.poses[f], 9), J, 6 * f)
             other = int(task[WHAT.other])
             if other >= 0:
                 rows, joints = self.rows[cut[other] : cut[other + 1]], self.joints[6 * cut[other] :]

@@ -68,7 +68,6 @@ def pack_tree(chains: list[Chain], places: list[Array], lower: Array, upper: Arr
             if turning[k] and not rows[i, 9]:
                 rows[i, 6] *= chain.scale
         rows[:, 8] = place[own]
-        rows[0, 0] = 0.0  # columns are scattered: no chain has all the coordinates
         parts.append(rows)
     every = np.concatenate(parts)
     slides = np.array([not every[every[:, 8] == k, 9].any() for k in range(n)])

@@ -185,6 +185,7 @@ def probe(
         places.append(before * z if upwards else before * data.liMi[j] * z)
         before = z.inverse() * data.liMi[j].inverse() if upwards else z.inverse()
         row = np.zeros(ROW)
+        row[0] = 1.0  # no turn about x before the first joint
         row[4 if turns else 6] = ratio
         row[8], row[9] = path.owner[j], turns
         if rows:
