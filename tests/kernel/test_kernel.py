@@ -2,13 +2,14 @@
 
 import math
 
+import numba
 import numpy as np
 import pinocchio as pin
 import pytest
 import robots
 
 from ik_toolkit.kernel import kinematics, linalg, seeds
-from ik_toolkit.kernel.algebra import put3, rotation_at, sincos
+from ik_toolkit.kernel.algebra import at3, put3, rotation_at, sincos
 from ik_toolkit.kernel.jit import cached
 
 ALL = [*robots.SHIPPED, *robots.MADE, "locked", "tool", *(name for name, _ in robots.DATA_ARMS)]
@@ -142,3 +143,21 @@ def test_lengths_are_scaled_by_a_power_of_two():
         chain = robots.load(name).chain
         assert math.frexp(chain.scale)[0] == 0.5
         assert 0.5 < chain.reach / chain.scale < 2.0
+
+
+@numba.njit
+def across(A):
+    """A function of plain numba that calls parts of the kernel, and parts of parts."""
+    return at3(A, 0).cross(rotation_at(A, 3).times(at3(A, 0))).square()
+
+
+@cached
+def doubled(A):
+    return 2.0 * across(A)
+
+
+def test_parts_are_linked_into_what_plain_numba_compiles():
+    A = np.arange(1.0, 13.0)
+    wanted = np.sum(np.cross(A[:3], A[3:].reshape(3, 3) @ A[:3]) ** 2)
+    assert across(A) == pytest.approx(wanted, rel=1e-12)
+    assert doubled(A) == pytest.approx(2.0 * wanted, rel=1e-12)
