@@ -71,7 +71,6 @@ class Tracks:
         if self.size + len(seeds) > self._Q.shape[1]:
             more = min(self.most, max(2 * self._Q.shape[1], self.size + len(seeds))) - self._Q.shape[1]
             self._Q = np.concatenate([self._Q, np.zeros((len(self._Q), more, self._Q.shape[2]), np.float32)], axis=1)
-        self.size += len(seeds)
         p, at = self.problem, np.asarray(at, dtype=np.int64)
 
         def carry(a: int) -> None:
@@ -88,3 +87,4 @@ class Tracks:
         else:
             for a in starts:
                 carry(a)
+        self.size += len(seeds)  # not before: an interrupted search goes on with those that are whole

@@ -84,7 +84,7 @@ def densify(
     strides = np.where(open_[:, None], np.abs(np.diff(q, axis=0)) / step, 0.0).max(axis=1, initial=1.0)
     if strides.sum() > MOST_ROWS:
         raise InvalidOption(
-            f"max_step = ({max_step[0]:.3g} rad, {max_step[1]:.3g} m) is too small: steps between {len(q)} poses are up to "
+            f"max_step = ({max_step[0]:.3g} rad, {max_step[1]:.3g} m) is too small: steps of this path are up to "
             f"{strides.max():.3g} times as long, and {strides.sum():.3g} rows are more than {MOST_ROWS:,}"
         )
     most = MOST_PIECES * strides

@@ -23,11 +23,11 @@ class Problem:
     """Poses T (N, 4, 4), for a Tree (N, F, 4, 4), of `kinds` for a bound solver, ready for the kernels of a path.
 
     most (n,): largest step of a joint, in kernel units, or STEP where that is longer (the rows that max_step wants are inserted
-    in the end); deviation (2,) [m], [rad]: of a tip between poses; poses (N, F, 4, 4): T
-    by tip; stand (n,): where joints of weight 0 stay, q0 or home. plan: the solver's; single: that of one attempt of the
-    general search, with its arrays (rows, ends) and orders. limits (3, n): lower, upper, whether there are both; room: the same
-    without those of joints whose full turns are added later. redundant: whether joints are left over, so that solutions are not
-    isolated.
+    in the end); deviation (2,) [m], [rad]: of a tip between poses; poses (N, F, 4, 4): T by tip, at places `at` (N,) among those
+    asked for, default these. stand (n,): where joints of weight 0 stay, q0 or home. plan: the solver's; single: that of one
+    attempt of the general search, with its arrays (rows, ends) and orders. limits (3, n): lower, upper, whether there are both;
+    room: the same without those of joints whose full turns are added later. redundant: whether joints are left over, so that
+    solutions are not isolated.
     """
 
     def __init__(
@@ -38,11 +38,13 @@ class Problem:
         max_step: tuple[float, float],
         deviation: tuple[float, float],
         q0: np.ndarray | None = None,
+        at: np.ndarray | None = None,
     ) -> None:
         """Pack what the kernels read."""
         robot, plan = solver.robot, solver.plan_for(kinds)
         self.robot, self.plan, self.T, self.kinds = robot, plan, T, kinds
         self.poses = T if robot.by_tip else T[:, None]
+        self.at = np.arange(float(len(T))) if at is None else at
         self.deviation = np.array(deviation)
         self.single: Plan = (plan.search if plan.row.closed else plan.varied)(**ONE_ATTEMPT)
         self.rows, self.ends = self.single.chain[:2]

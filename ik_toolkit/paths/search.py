@@ -211,7 +211,11 @@ class Search:
         q = np.full((N, p.robot.n), np.nan)
         on = np.flatnonzero(tracks >= 0)
         q[on] = program.Q[on, tracks[on]]
-        breaks = [int(t) - 1 for t in np.flatnonzero(jumps) if tracks[t - 1] >= 0]  # from pose to pose, not over a gap
+        breaks = []
+        for t in np.flatnonzero(jumps).tolist():  # from pose to pose, not over poses that are not reached
+            before = int(on[np.searchsorted(on, t) - 1])
+            if (p.at[before + 1 : t] != np.round(p.at[before + 1 : t])).all():  # save where nobody asked for these
+                breaks.append(before)
         limits = np.where(p.endless, [[-np.inf], [np.inf]], p.limits[:2])
         fixed = [self.fixed[0], self.fixed[1] and last == N - 1]
         unfit = unwound(q, breaks, self.wound, limits, self.ends, fixed)
@@ -310,6 +314,9 @@ class Search:
         )
         said = []
         for t in missing:
+            place = self.problem.at[t]
+            if place != round(place):  # of a pose put in nobody asked
+                continue
             beyond = self.anchored.get(int(t))
             if beyond is None:  # a gap is probed, not solved at every pose
                 beyond = self.problem.solutions(int(t), self.problem.robot.home[None])[1]
@@ -320,5 +327,5 @@ class Search:
                 reason = f"beyond reach by {1000 * beyond:.4g} mm (a bound from the link lengths)"
             elif self.sure is not None and self.sure[t] and not self.legal[t].any():
                 reason, beyond = "every solution violates a joint limit, or none exists", np.inf
-            said.append(Unreachable(int(t), reason, beyond > 0.0))
+            said.append(Unreachable(int(place), reason, beyond > 0.0))
         return said

@@ -20,6 +20,7 @@ from ..solvers.result import SPOKEN
 from ..solvers.solve import Solver, require_robot
 from ..solvers.task import counted_errors
 from ..tracking.reference import Reference
+from .between import collapsed, gaps, inserted
 from .finish import finished
 from .half_turns import HalfTurns
 from .problem import STEP, Problem
@@ -79,8 +80,9 @@ def solve_path(
     avoid_collisions: True (the robot's own links) or a CollisionModel.
     reconfigurations: 'fewest', 'none', or the largest number allowed. seed: of the random starts; threads: default all cores.
     progress(share, words) is called as the work goes on. Options as for `solve`: tolerances, limits, mask, slack, free_turn,
-    frame, relative_to, joint_weights. Ctrl-C raises PathInterrupted, whose `result` is the best path until then. Raises
-    InvalidTarget (naming the pose), InvalidConfiguration, InvalidOption; a path that cannot be followed is a status.
+    frame, relative_to, joint_weights. Ctrl-C raises PathInterrupted, whose `result` is the best path until then
+    (KeyboardInterrupt where there is no solution yet). Raises InvalidTarget (naming the pose), InvalidConfiguration,
+    InvalidOption; a path that cannot be followed is a status.
     """
     began = perf_counter()
     require_robot(robot)
@@ -103,8 +105,8 @@ def solve_path(
     threads = available_cores() if threads is None else whole("threads", threads)
 
     def fresh() -> Search:
-        poses = turns.poses()
-        problem = Problem(solver, poses if robot.by_tip else poses[:, 0], kinds, step, tolerance, q0)
+        poses, at = inserted(robot, turns.poses(), kinds)
+        problem = Problem(solver, poses if robot.by_tip else poses[:, 0], kinds, step, tolerance, q0, at)
         ends = [None if q is None else q / problem.unit for q in (q0, q_end)]
         return Search(problem, model, ends[0], ends[1], threads, seed, progress or _silent)
 
@@ -112,7 +114,7 @@ def solve_path(
     try:
         search.run()
         for _ in range(OTHER_WAYS):
-            if not turns.turn_round(search.found.breaks):
+            if not turns.turn_round(gaps(search.problem.at, search.found.breaks)):
                 break
             other = fresh()
             other.run()
@@ -125,7 +127,10 @@ def solve_path(
         return _result(search, allowed, step, tolerance, model, seed, began)
     except KeyboardInterrupt:
         if search.found is None:
-            raise
+            if not search.tracks.size:
+                raise
+            search.progress = _silent
+            search.link()
         raise PathInterrupted(_result(search, allowed, step, tolerance, model, seed, began, refine=False)) from None
 
 
@@ -205,15 +210,19 @@ def _result(
 ) -> PathResult:
     """The best path of a search, refined and checked."""
     problem = search.problem
-    motion = finished(search, step, tolerance, model, allowed, refine)
+    motion = collapsed(finished(search, step, tolerance, model, allowed, refine), problem.at)
     found, kept, q = search.found, motion.found, motion.q
+    asked = problem.at == np.round(problem.at)
+    poses, T = problem.poses[asked], problem.T[asked]
+    least = search.lower_bound  # breaks between the same two poses are one: of those only the first is sure
+    least = least if least is None or asked.all() else min(least, 1)
     errors = np.full((len(q), 2), np.nan)
     for t in np.flatnonzero(np.isfinite(q).all(axis=1)):
-        left = counted_errors(problem.robot, q[t], problem.T[t], problem.kinds, problem.single.options)
+        left = counted_errors(problem.robot, q[t], T[t], problem.kinds, problem.single.options)
         errors[t] = np.max([(position, angle or 0.0) for position, angle in left], axis=0)
     missing = tuple(search.unreachable())
     moves = tuple(Reconfiguration(k, q[k + 1] - q[k]) for k in kept.breaks)
-    needed = max(len(found.breaks), len(moves) + (not missing and bool(np.isnan(q).any())))
+    needed = max(len(gaps(problem.at, found.breaks)), len(moves) + (not missing and bool(np.isnan(q).any())))
     if needed > allowed or missing:
         status = PathStatus.INCOMPLETE
     elif found.contacts or motion.continuity.contacts:
@@ -221,10 +230,10 @@ def _result(
     else:
         status = PathStatus.RECONFIGURES if moves else PathStatus.FOLLOWED
     result = PathResult(
-        robot=problem.robot, targets=problem.poses, kinds=problem.kinds, options=problem.single.options, q=q, status=status,
+        robot=problem.robot, targets=poses, kinds=problem.kinds, options=problem.single.options, q=q, status=status,
         message="", position_error=errors[:, 0],
         orientation_error=None if all(kind in SPOKEN for kind in problem.kinds) else errors[:, 1], curve=motion.curve,
-        at=motion.at, continuity=motion.continuity, reconfigurations=moves, lower_bound=search.lower_bound,
+        at=motion.at, continuity=motion.continuity, reconfigurations=moves, lower_bound=least,
         unreachable=missing, max_step=step, path_tolerance=tolerance, collision=model, seed=seed,
         elapsed=perf_counter() - began,
     )  # fmt: skip

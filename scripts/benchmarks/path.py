@@ -1,4 +1,4 @@
-"""Whole paths: the problems of CppFlow and TORM with obstacles, true minima by enumeration, memory, cost against length.
+"""Whole paths: problems of CppFlow and like those of TORM, a pipe, two arms, true minima, memory, cost against length.
 
 python scripts/benchmarks/path.py
 
@@ -7,50 +7,44 @@ most, limits, no contact at the poses and at three places between two of them. T
 kernels loaded and end with the result, its own check and proof of continuity included.
 """
 
+import functools
 import json
 import os
 import resource
 import subprocess
 import sys
-from pathlib import Path
 from time import perf_counter
 from typing import Any
 
 import common
 import numpy as np
 import path_truth
+from path_problems import Problem, names, problem
 
 import ik_toolkit as ik
 
-DATA = Path(__file__).parent / "data"
 POSITION, ANGLE, TURN, SLIDE = 1e-4, np.radians(0.1), np.radians(7.0), 0.02  # m, rad, rad, m
 BETWEEN = 3
-KNOWN = {"panda__1cube": 8.49, "panda__2cubes": 12.63}  # rad: TORM's lengths
 
 
-def problem(name: str) -> tuple[Any, np.ndarray, Any]:
-    """Robot, poses (N, 4, 4) and collision model of a problem in data/path_problems.json."""
-    given = json.loads((DATA / "path_problems.json").read_text(encoding="utf-8"))["problems"][name]
-    if given["robot"] == "panda":
-        robot = ik.Robot.load("panda", tip="panda_hand")
-    else:
-        robot = ik.Robot.load(
-            DATA / "fetch.urdf", base="base_link", tip="gripper_link", locked={"torso_lift_joint": 0.0}
-        )
-    T = np.tile(np.eye(4), (len(given["poses"]), 1, 1))
-    T[:, :3] = given["poses"]
-    model = ik.CollisionModel(robot)
-    for box in given["boxes"]:
-        model.add_box(box["size"], box["xyz"])
-    return robot, T, model
+def off(robot: Any, q: np.ndarray, T: np.ndarray, axis: np.ndarray | None) -> tuple[float, float]:
+    """How far the worst tip is from its pose at q (n,) [m] and [rad]; with a free turn its axis from that of the pose."""
+    if robot.by_tip:
+        return tuple(np.max(robot.errors(q, T), axis=0))
+    if axis is None:
+        return robot.errors(q, T)
+    tip = robot.fk(q)
+    between = np.cross(tip.rotation @ axis, T[:3, :3] @ axis), tip.rotation @ axis @ T[:3, :3] @ axis
+    return float(np.linalg.norm(tip.translation - T[:3, 3])), float(np.arctan2(np.linalg.norm(between[0]), between[1]))
 
 
-def faults(robot: Any, T: np.ndarray, model: Any, q: np.ndarray) -> list[str]:
+def faults(given: Problem, q: np.ndarray) -> list[str]:
     """What is wrong with a path q (N, n)."""
+    robot, model = given.robot, given.model
     if not np.isfinite(q).all():
         return ["rows without numbers"]
     found = []
-    errors = np.array([robot.errors(x, one) for x, one in zip(q, T, strict=True)])
+    errors = np.array([off(robot, x, one, given.axis) for x, one in zip(q, given.T, strict=True)])
     if errors[:, 0].max() > POSITION or errors[:, 1].max() > ANGLE:
         found.append(f"off by {1000 * errors[:, 0].max():.3g} mm, {np.degrees(errors[:, 1].max()):.3g} deg")
     moves = np.abs(np.diff(q, axis=0)).max(axis=0, initial=0.0)
@@ -66,34 +60,36 @@ def faults(robot: Any, T: np.ndarray, model: Any, q: np.ndarray) -> list[str]:
 
 def solve_problem(name: str, seeds: int) -> dict[str, Any]:
     """A problem with every seed; the first call, which loads kernels, is apart."""
-    robot, T, model = problem(name)
+    one = problem(name)
+    call = functools.partial(ik.solve_path, one.robot, one.T, **one.options)
     began = perf_counter()
-    ik.solve_path(robot, T, avoid_collisions=model, seed=seeds)
+    call(avoid_collisions=one.model, seed=seeds)
     cold = perf_counter() - began
-    seconds, processor, lengths, wrong, free = [], [], [], [], []
+    seconds, processor, lengths, wrong, free, moves = ([] for _ in range(6))
     for seed in range(seeds):
         began, busy = perf_counter(), os.times()
-        made = ik.solve_path(robot, T, avoid_collisions=model, seed=seed)
+        made = call(avoid_collisions=one.model, seed=seed)
         seconds.append(perf_counter() - began)
         processor.append(sum(os.times()[:2]) - sum(busy[:2]))
         lengths.append(made.length[0])
-        wrong.append([*faults(robot, T, model, made.q), *([] if made.success else [made.status.name])])
+        wrong.append([*faults(one, made.q), *([] if made.success else [made.status.name])])
+        moves.append(len(made.reconfigurations))
         began = perf_counter()
-        ik.solve_path(robot, T, seed=seed)
+        call(seed=seed)
         free.append(perf_counter() - began)
     return {
-        "problem": name, "poses": len(T), "valid": sum(not one for one in wrong), "seeds": seeds, "faults": wrong,
+        "problem": name, "poses": len(one.T), "valid": sum(not one for one in wrong), "seeds": seeds, "faults": wrong,
         "seconds": seconds, "processor": processor, "without_obstacles": free, "cold": cold, "lengths": lengths,
-        "known": KNOWN.get(name),
+        "reconfigurations": moves, "known": one.known,
     }  # fmt: skip
 
 
 def size(count: int) -> dict[str, Any]:
     """Time and peak memory of a path of so many poses: panda 1cube, drawn out, without obstacles and with."""
-    robot, T, model = problem("panda__1cube")
+    given = problem("panda__1cube")
+    robot, T, model = given.robot, given.T, given.model
     ik.solve_path(robot, T[:20], avoid_collisions=model)
-    given = json.loads((DATA / "path_problems.json").read_text(encoding="utf-8"))["problems"]["panda__1cube"]["poses"]
-    there = np.array(given)[:, :, 3]
+    there = T[:, :3, 3]
     places = np.linspace(0.0, len(there) - 1.0, count)
     long = np.tile(T[0], (count, 1, 1))
     long[:, :3, 3] = np.column_stack([np.interp(places, np.arange(len(there)), there[:, k]) for k in range(3)])
@@ -108,7 +104,7 @@ def size(count: int) -> dict[str, Any]:
 
 def main() -> None:
     parser = common.parser(__doc__, "benchmark_path.json")
-    parser.add_argument("--problems", nargs="*", default=["panda__1cube", "panda__2cubes", "fetch_arm__rot_yz"])
+    parser.add_argument("--problems", nargs="*", default=names(), help="of: " + "; ".join(names()))
     parser.add_argument("--seeds", type=int, default=10)
     parser.add_argument("--sizes", nargs="*", type=int, default=[100, 1000, 10_000])
     parser.add_argument("--paths", type=int, default=100, help="random paths of which the true minimum is enumerated")

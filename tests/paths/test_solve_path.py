@@ -51,6 +51,32 @@ def test_one_motion_where_there_is_one(arm):
     assert (made.q == ik.solve_path(arm, T, seed=1, threads=1).q).all(), "the same for any number of threads"
 
 
+@pytest.mark.skipif(not have_data(), reason="needs example-robot-data")
+def test_poses_far_apart_are_followed_on_the_way_between_them():
+    """A tip goes 0.6 m and 96 deg from one pose to the other: searched at these alone, most seeds saw no motion."""
+    robot = ik.Robot.load("kinova")
+    ends = [[0.88, 2.17, 5.48, 1.02, 3.40, -2.81], [-0.27, 2.48, 4.81, 1.13, 3.04, -2.52]]
+    T = np.array([robot.fk(q).homogeneous for q in ends])
+    for seed in range(3):
+        made = ik.solve_path(robot, T, slack=(0.002, 0.002, 0.002, 0.05, 0.05, 0.05), seed=seed)
+        assert made.status == PathStatus.FOLLOWED
+        assert made.q.shape == (2, robot.n) and made.targets.shape == (2, 1, 4, 4)
+        assert (made.at[[0, -1]] == [0, 1]).all() and (np.diff(made.at) > 0).all()
+        assert (made.curve[[0, -1]] == made.q).all()
+
+
+def test_a_break_between_poses_far_apart_lies_between_those_given(flat):
+    """Five poses of the curve below, on which no branch is legal all along."""
+    s = np.linspace(0.0, 1.0, 5)[:, None]
+    curve = (1 - s) ** 2 * [5.06, -0.36, -0.82] + 2 * s * (1 - s) * [5.78, -1.06, -0.45] + s * s * [5.02, -1.58, 0.28]
+    made = ik.solve_path(flat, np.array([planar_pose(*one) for one in curve]))
+    assert made.status == PathStatus.RECONFIGURES and [one.index for one in made.reconfigurations] == [1]
+    assert made.lower_bound == 1 and not made.unreachable and len(made.q) == 5
+    assert [(made.at[piece.start], made.at[piece.stop - 1]) for piece in made.pieces] == [(0.0, 1.0), (2.0, 4.0)]
+    assert np.isfinite(made.curve).all() and len(made.continuity.deviation) == len(made.curve) - 1
+    assert made.deviation[0] <= made.path_tolerance[0]
+
+
 def test_fewest_reconfigurations_of_a_branch_that_ends(flat):
     """No branch is legal all along this curve; enumeration (scripts/benchmarks/path_truth.py) says one change does."""
     s = np.linspace(0.0, 1.0, 101)[:, None]
@@ -122,7 +148,7 @@ def test_a_short_max_step_inserts_more_poses(arm, step):
 
 
 def test_a_max_step_that_is_far_too_small_is_refused(arm):
-    with pytest.raises(InvalidOption, match=r"max_step = \(1e-08 rad, 1e-08 m\) is too small: steps between 5 poses"):
+    with pytest.raises(InvalidOption, match=r"max_step = \(1e-08 rad, 1e-08 m\) is too small: steps of this path"):
         ik.solve_path(arm, between(arm, arm.home, arm.home + 0.1, 5), max_step=1e-8)
 
 
@@ -256,11 +282,12 @@ def test_refined_motions_are_no_longer_than_tracks_and_exact(snake):
     assert made.deviation[0] <= made.path_tolerance[0]
 
 
-def test_ctrl_c_keeps_the_best_path(snake):
+@pytest.mark.parametrize("when", [0.0, 0.9])
+def test_ctrl_c_keeps_the_best_path(snake, when):
     points = np.column_stack([np.full(30, 0.8), np.linspace(-0.3, 0.3, 30), np.zeros(30)])
 
     def stop(share, words):
-        if share >= 0.9:
+        if share >= when:
             raise KeyboardInterrupt
 
     with pytest.raises(ik.PathInterrupted) as caught:
