@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from .derivation import Branch
     from .result import Outcome, Result
 
+NEARLY = 1e-3  # of the reach: what the finish on the real chain mends, EAIK's answers near a singular pose among them
 SAME = 1e-6  # rad, or of the reach: how far the answer may be from the branch it is (a near fit is finished on the real chain)
 
 
@@ -36,8 +37,13 @@ def explain(result: "Result") -> Explanation:
     derivation, chosen, errors, source = None, None, (), ""
     if form is not None:
         derivation = _derived(form, of, q)
-        chosen = _nearest(robot, derivation.branches, q)
         target = of.T[0] if of.kinds == (POSE,) else of.T[0][:3, 3]
+        if not derivation.given:  # a list as another package makes it, with poses that are only near
+            kept = [
+                branch for branch in derivation.branches if robot.errors(branch.q, target)[0] < NEARLY * robot.reach
+            ]
+            derivation = derivation._replace(branches=tuple(kept))
+        chosen = _nearest(robot, derivation.branches, q)
         errors = tuple(robot.errors(branch.q, target) for branch in derivation.branches)
         source = form.row.citation
     iterations = None

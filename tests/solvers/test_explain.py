@@ -203,6 +203,14 @@ def test_newton_starts_elsewhere_where_the_start_is_the_answer():
     assert len(made.iterations.position) > 1 and made.iterations.solver == "newton"
 
 
+def test_links_folded_onto_the_base_leave_an_angle_free():
+    made = ik.solve(ik.Robot.load("planar_2r"), (0.0, 0.0, 0.0), limits=False).explain()
+    (branch,) = made.derivation.branches
+    theta = {step.name: step for step in branch.steps}
+    check_steps(made.derivation)
+    assert theta["theta_1"].formula == "" and "free" in theta["theta_1"].words
+
+
 def test_several_tips_and_batches():
     pair = load("two_arms")
     q = pair.random_q(np.random.default_rng(1))

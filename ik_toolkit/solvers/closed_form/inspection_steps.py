@@ -91,7 +91,7 @@ def derive(robot: Any, p: np.ndarray, T: np.ndarray, box: np.ndarray) -> Derivat
         inside = feasible_lifts(p, T, box[0, place], box[1, place])
         free = Free(place, "lift", tuple(inside), tuple(feasible_lifts(p, T)))
     if head[ROOM] < -near:
-        where = f" at lift {1000.0 * value:.6g} mm" if place >= 0 else ""
+        where = f" at lift {round(1000.0 * value, 6) + 0.0:.6g} mm" if place >= 0 else ""
         words = (
             f"the pose is {1000.0 * head[MOVED]:.4g} mm out of reach{where}; the branches are those of the nearest one with "
             "the same orientation"

@@ -7,7 +7,7 @@ import numpy as np
 from ...kernel.jit import cached
 from ..derivation import Branch, Derivation, Step, Worksheet, joint_step, zero_steps
 from .planar_arm import ANGLES, L1, L2, every_branch, to_plane
-from .reach import planar_branches, planar_margin
+from .reach import ON_AXIS, planar_branches, planar_margin
 
 BESIDE = "newton"  # what Chinyai compares it with
 LABELS = {1: "elbow right (+)", -1: "elbow left (-)", 0: "elbow straight or folded"}
@@ -56,7 +56,10 @@ def derive(robot: Any, p: np.ndarray, T: np.ndarray, box: np.ndarray) -> Derivat
         side = int(marks[k, 1])
         own.add("theta_2", "2*atan2(u, v)" if side >= 0 else "-2*atan2(u, v)", sols[k, 1], "rad", "has that cosine")
         own.add("beta", "atan2(l2*sin(theta_2), l1 + l2*cos(theta_2))", None, "rad", "what the bent elbow turns it by")
-        own.angle("theta_1", "psi - beta", sols[k, 0])
+        if max(sheet.values["r"], abs(p[L1] - p[L2])) <= ON_AXIS * (p[L1] + p[L2]):
+            own.add("theta_1", "", sols[k, 0], "rad", "free: the links fold back onto the base; kept where it is")
+        else:
+            own.angle("theta_1", "psi - beta", sols[k, 0])
         for i in range(2):
             joint_step(own, i, f"theta_{i + 1}", p[ANGLES + 2 * i], q[k, i], robot.joint_names[i])
         outside = tuple(robot.outside(q[k])) if broken[k] > 0.0 else ()
