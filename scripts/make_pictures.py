@@ -19,6 +19,7 @@ import ik_toolkit as ik
 
 FOLDER = Path(__file__).resolve().parent.parent / "docs" / "_static"
 SIZE = (1000, 600)
+COLUMNS, SMALL = 4, (300, 220)  # of a sheet of solutions, and pixels of one of them
 FLAGS = (
     "--headless --no-sandbox --disable-quic --no-first-run --disable-background-networking --disable-component-update "
     "--disable-sync --hide-scrollbars --virtual-time-budget=15000"
@@ -46,12 +47,23 @@ def two_arms() -> Any:
     return aim(ik.view(robot, ik.solve(robot, targets), target=targets), (0.4, 0.0, 0.62), (2.15, -1.25, 1.3))
 
 
-def branches() -> Any:
-    """Every solution found for one pose of the UR5, joints within half a turn."""
+def branches(picture: Path) -> None:
+    """Every solution for one pose of the UR5, joints within half a turn: each alone, beside the others."""
     robot = ik.Robot.load("ur5_limited")
     target = robot.fk([0.4, -1.1, 1.3, -0.6, 1.2, 0.3])
-    scene = ik.view(robot, ik.solve_all(robot, target), target=target)
-    return aim(scene, (0.2, 0.1, 0.25), (0.85, -0.58, 0.65))
+    found = ik.solve_all(robot, target)
+    rows = -(-len(found) // COLUMNS)
+    sheet = Image.new("RGB", (COLUMNS * SMALL[0], rows * SMALL[1]), "white")
+    for k, q in enumerate(found):
+        scene = ik.view(robot, q, target=target, title=f"solution {k + 1}")
+        aim(scene, (0.15, 0.05, 0.3), (1.05, -0.85, 0.85))
+        with tempfile.TemporaryDirectory() as folder:
+            single = Path(folder) / "one.png"
+            photograph(scene.save(Path(folder) / "one.html"), single)
+            with Image.open(single) as one:
+                tile = one.crop((420, 210, 420 + SMALL[0], 210 + SMALL[1]))
+        sheet.paste(tile, (k % COLUMNS * SMALL[0], k // COLUMNS * SMALL[1]))
+    sheet.save(picture, optimize=True)
 
 
 def tracking() -> Any:
@@ -97,7 +109,6 @@ def limits() -> Any:
 SCENES = {
     "solve": solve,
     "two_arms": two_arms,
-    "branches": branches,
     "tracking": tracking,
     "path": path,
     "limits": limits,
@@ -153,12 +164,15 @@ def photograph(page: Path, picture: Path) -> None:
     Image.open(picture).convert("RGB").save(picture, optimize=True)
 
 
+MADE = {"branches": branches, "panel": panel}  # that are no single scene
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("names", nargs="*", help=f"default: all of {', '.join(SCENES)}, panel")
-    for name in parser.parse_args().names or [*SCENES, "panel"]:
-        if name == "panel":
-            panel(FOLDER / "panel.png")
+    parser.add_argument("names", nargs="*", help=f"default: all of {', '.join([*SCENES, *MADE])}")
+    for name in parser.parse_args().names or [*SCENES, *MADE]:
+        if name in MADE:
+            MADE[name](FOLDER / f"{name}.png")
             continue
         with tempfile.TemporaryDirectory() as folder:
             page = SCENES[name]().save(Path(folder) / f"{name}.html")

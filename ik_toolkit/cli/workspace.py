@@ -79,7 +79,7 @@ def _draw(found: Any, arm: Any, plot: Path | None, html: Path | None) -> None:
     if plot is not None:
         from ..show.studies import plot_workspace
 
-        plot_workspace(found, plot)
+        plot_workspace(found, arm, plot)
     if html is not None:
         from ..show.scene import view
 

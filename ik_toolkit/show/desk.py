@@ -1,7 +1,7 @@
 """What one visitor of the panel sees: controls and the 3-D view (viser), around a Session."""
 
 import html
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import nullcontext
 from typing import Any
 
@@ -9,78 +9,28 @@ import numpy as np
 
 from ..errors import IKError, InvalidConfiguration
 from ..robot.library import list_robots
-from ..style import BAD, COLOURS, GOOD
+from ..style import BAD, GOOD
+from .around import Around
+from .chart import Chart
+from .found import Found
 from .goals import Goal
 from .learn import Learn
 from .parts import Body
-from .session import KINDS, SHOWN, Session
+from .past import Past
+from .selfmotion import freedom, slide
+from .session import KINDS, PATIENCE, SHOWN
 from .stage import Stage
 from .tables import pose_html, sentence, table_html
-from .worker import Worker
+from .visit import PLAIN, Visit
 
-PLAIN = "#37424f"
 QUIET = (71, 85, 105)  # of the buttons beside the main one
 STEPS = 500  # of a slider, at least
-LONGEST = 600  # characters said
+PUSH = 3.0  # [rad, or reaches] of self-motion from the middle of the slider to its end
 MOST_TIPS = 4  # chosen in the page
-PATIENCE = 20  # seconds of its own time that an arm may go on towards a target that is not moved any more
 
 
-class Desk:
+class Desk(Visit):
     """Controls and view of one visitor. client: a viser client (or server). files: whether robots may be read by path."""
-
-    def __init__(
-        self, client: Any, source: str, tips: str | Sequence[str] | None = None, *, files: bool = True
-    ) -> None:
-        """Build the first robot's controls; the work is done in the visitor's own thread."""
-        self.client, self.gui, self.scene = client, client.gui, client.scene
-        self.files = files
-        self.session = Session(source, tips)
-        self.kinds: dict[str, str] = {}
-        self.live, self.frames = True, False
-        self.status: Any = None
-        self.worker = Worker()
-        self.worker.post("build", self._guard(self.build))
-
-    def close(self) -> None:
-        """End the visitor's thread."""
-        self.worker.end()
-
-    # ----------------------------------------------------------------------------------------------------- plumbing
-    def _guard(self, job: Callable[[], None]) -> Callable[[], None]:
-        """Say in words what the caller did wrong; anything else is a bug and is said as one. Never ends the thread."""
-
-        def run() -> None:
-            try:
-                job()
-                return
-            except IKError as error:
-                words = str(error)
-            except Exception as error:
-                words = f"unexpected {type(error).__name__}: {error} (a bug of ik_toolkit)"
-            if not self.worker.ended:  # a visitor who left takes the handles along
-                self.say(words, BAD)
-
-        return run
-
-    def _on(self, handle: Any, name: str, job: Callable[[], None]) -> None:
-        """Do a job when the visitor (not this program) changes or clicks something."""
-        listen = getattr(handle, "on_click", None) or handle.on_update
-
-        @listen
-        def _(event: Any) -> None:
-            if event.client is not None:
-                self.worker.post(name, self._guard(job))
-
-    def say(self, text: str, color: str = PLAIN) -> None:
-        """Show a sentence in the status line."""
-        text = text if len(text) <= LONGEST else f"{text[:LONGEST]} ..."
-        if self.status is None:
-            return
-        self.status.content = (
-            f'<div role="status" style="padding:4px 12px;color:{color};font-size:13px;line-height:1.4">'
-            f"{html.escape(text)}</div>"
-        )
 
     # -------------------------------------------------------------------------------------------------------- build
     def build(self) -> None:
@@ -93,8 +43,17 @@ class Desk:
             self.gui.configure_theme(control_width="large", show_logo=False, show_share_button=False)
             self.gui.main_panel.dock_right()
             self._build_controls()
-            drag = lambda: self.worker.post("drag", self._guard(self._dragged))  # noqa: E731
-            self.stage = Stage(self.client, body, s.q, s.goals(), self.frames, drag)
+            self.stage = Stage(
+                self.client,
+                body,
+                s.q,
+                s.goals(),
+                self.frames,
+                lambda: self._post("drag", self._dragged),
+                self.stage.widest if self.stage else 0,
+            )
+            if self.around is not None:
+                self.around.join(self.stage)
             for goal, handle in zip(self.goals, self.stage.handles, strict=True):
                 goal.join(handle)
         self.show()
@@ -115,11 +74,14 @@ class Desk:
         )
         self._on(degrees, "build", lambda: self._units(degrees.value))
         self.status = gui.add_html("")
+        self.facts = gui.add_html("")
         tabs = gui.add_tab_group()
         with tabs.add_tab("Joints"):
             self._build_joints()
         with tabs.add_tab("Solve"):
             self._build_solve()
+        with tabs.add_tab("Scene"):
+            self.around = Around(gui, s, self._on, self.show)
         with tabs.add_tab("Learn"):
             self.learn = Learn(self)
         with tabs.add_tab("Robot"):
@@ -147,14 +109,28 @@ class Desk:
         self.sliders = []
         self.shown = [0.0] * s.robot.n
         for i, name in enumerate(s.robot.joint_names):
-            low, high = (round(s.scale(i) * x, 9) for x in s.ends(i))
+            low, high = s.range(i)
             step = 10.0 ** np.floor(np.log10(max(high - low, 1e-6) / STEPS))
             slider = gui.add_slider(f"{name} [{s.unit(i)}]", low, high, float(step), low)
             self.sliders.append(slider)
             self._on(slider, "joints", self._moved)
-        home, json = (gui.add_button(text, color=QUIET) for text in ("Reset to home", "Copy as JSON"))
-        self._on(home, "joints", self._home)
-        self._on(json, "json", self._json)
+        self.push = gui.add_slider(
+            "Self-motion",
+            -1.0,
+            1.0,
+            0.01,
+            0.0,
+            hint="Moves the joints of a redundant arm while its tip stays where it is.",
+        )
+        self.pushed = 0.0
+        self._on(self.push, "push", self._push)
+        for text, name, job in (
+            ("Undo", "undo", self._undo),
+            ("Random pose", "anywhere", self._anywhere),
+            ("Reset to home", "home", self._home),
+            ("Copy as JSON", "json", self._json),
+        ):
+            self._on(gui.add_button(text, color=QUIET), name, job)
         self.pose = gui.add_html("")
 
     def _build_solve(self) -> None:
@@ -175,26 +151,19 @@ class Desk:
         every = gui.add_button("All solutions", color=QUIET)
         self._on(every, "solve", self._solve_all)
         self.outcome = gui.add_html("", visible=False)
-        self.found = gui.add_folder("Solutions", visible=False)
+        self.found = Found(gui, s, self._on, lambda q: self.stage.ghost(q), self._pick)
         with gui.add_folder("Solver"):
             choice = gui.add_dropdown("Method", s.choices(), initial_value=s.solver)
             self._on(choice, "choice", lambda: self._choose(choice.value))
             self.tolerance = gui.add_text("Tolerance [m, rad]", f"{s.tolerance:g}")
+            limits = gui.add_checkbox(
+                "Joint limits", s.limits, hint="Off: joints may go anywhere, as if they had no limits."
+            )
+            self._on(limits, "build", lambda: self._limits(limits.value))
             self.parameters = gui.add_folder("Parameters", visible=False)
         self._fill_parameters()
         with gui.add_folder("Convergence"):
-            self.plot = gui.add_uplot(
-                (np.array([0.0, 1.0]), np.zeros(2), np.zeros(2)),
-                (
-                    {"label": "evaluation"},
-                    {"label": "position, 10^x m", "stroke": COLOURS[0], "width": 2},
-                    {"label": "orientation, 10^x rad", "stroke": COLOURS[1], "width": 2, "dash": (6, 4)},
-                ),
-                title="error per iteration (log scale)",
-                scales={"x": {"time": False}},
-                height=200,
-                visible=False,
-            )
+            self.chart = Chart(self.client)
 
     def _build_robot(self) -> None:
         s, gui = self.session, self.gui
@@ -221,8 +190,13 @@ class Desk:
             self.stage.show(s.q)
             self.stage.gaps({})
             for i, slider in enumerate(self.sliders):
-                slider.value = self.shown[i] = float(np.clip(round(s.scale(i) * s.q[i], 4), slider.min, slider.max))
-        self.learn.show(s.q)
+                slider.value = self.shown[i] = float(
+                    np.clip(round(s.scale(i) * s.q[i], s.digits(i)), slider.min, slider.max)
+                )
+        if self.around is not None:
+            self.facts.content = self.around.show()
+        if self.learn is not None:
+            self.learn.show(s.q)
         self.pose.content = "".join(pose_html(T, s, tip) for tip, T in s.poses().items())
         self.client.flush()  # now, not at the end of viser's next interval
 
@@ -233,10 +207,15 @@ class Desk:
             return
         self.session.load(source, tips)
         self.session.solver, self.session.parameters, self.kinds = "auto", {}, {}
+        self.past = Past()
         self.build()
 
     def _units(self, degrees: bool) -> None:
         self.session.degrees = degrees
+        self._again()
+
+    def _again(self) -> None:
+        """Build the controls anew, with the orientations as they are."""
         self.kinds = {goal.tip: goal.kind for goal in self.goals}
         self.build()
 
@@ -248,13 +227,55 @@ class Desk:
                 q[i] = slider.value / s.scale(i)
         if not np.isfinite(q).all():
             raise InvalidConfiguration("a joint value is not a finite number")
-        s.q = np.clip(q, s.robot.lower, s.robot.upper)
+        s.q = np.clip(q, s.robot.lower, s.robot.upper) if s.limits else q
         self.show()
+
+    def _push(self) -> None:
+        """Go through the self-motion as far as the slider was pushed, tips as they are targeted: turned as well, or not."""
+        s, value = self.session, float(np.clip(self.push.value, -1.0, 1.0))
+        turns = any(goal.posed for goal in self.goals)
+        if not np.isfinite(value) or not len(freedom(s.robot, s.q, turns)):
+            self.say(
+                "no self-motion: where the tip stands fixes every joint" + ("; try the orientation 'free'" * turns)
+            )
+            return
+        along = np.cos(np.arange(s.robot.n))  # hardly at right angles to the self-motion of any arm
+        s.q = slide(s.robot, s.q, along, PUSH * (value - self.pushed), turns, s.limits)
+        self.pushed = value
+        self.show()
+
+    def _anywhere(self) -> None:
+        """Put the robot at random joint values, and its targets at its tips."""
+        s = self.session
+        s.q = s.robot.random_q(s.random)
+        self.show()
+        self._target_to_tip()
+        self.say("random joint values")
+
+    def _undo(self) -> None:
+        """Go back to where the robot stood before the last change."""
+        before = self.past.back()
+        if before is None:
+            self.say("nothing to undo")
+            return
+        self.session.q, targets = before
+        self._put(targets)
+        self.show()
+        self.say("undone")
+
+    def _limits(self, limits: bool) -> None:
+        """Keep joint limits from now on, or not; back inside them, if they are."""
+        s = self.session
+        s.limits = limits
+        s.q = np.clip(s.q, s.robot.lower, s.robot.upper) if limits else s.q
+        self._again()
 
     def _home(self) -> None:
         s = self.session
         s.q, s.result, s.solutions = s.robot.home.copy(), None, []
-        self.plot.visible = self.found.visible = self.outcome.visible = False
+        self.chart.hide()
+        self.found.hide()
+        self.outcome.visible = False
         self.show()
         self._target_to_tip()
         self.say("at home")
@@ -311,24 +332,23 @@ class Desk:
 
     def _solve(self) -> None:
         target = self._typed()
-        self.found.visible = False
+        self.found.hide()
         self.say("solving ... (a method's first use compiles it, some seconds)")
         result = self.session.solve(target)
         self._verdict()
-        self._chart(result.history)
+        self.chart.show(result)
 
     def _verdict(self) -> None:
         result = self.session.result
         if result is None:
             return
-        if result.success:
-            self.show()
-        kept = "" if result.success else " The robot stays where it was."
-        self.say(f"{sentence(result.message)}{kept}", GOOD if result.success else BAD)
-        words = "" if result.success else sentence(result.message)  # once more, beside the button
-        self.outcome.content = f'<div style="padding:2px 12px;color:{BAD};font-size:13px">{html.escape(words)}</div>'
-        self.outcome.content += table_html(self.session.figures())
-        self.outcome.visible = True
+        self.show()
+        left = self.session.followed
+        if left is not None:
+            self.stage.gaps({goal.tip: goal.typed() for goal in self.goals})
+        near = "" if left is None else f" From there {left.message}."
+        self.say(f"{sentence(result.message)}{near}", GOOD if result.success else BAD)
+        self.outcome.content, self.outcome.visible = table_html(self.session.figures()), True
 
     def _dragged(self, patience: int = PATIENCE) -> None:
         """Go towards the targets where they have been dragged to; what is left is done next, if nothing newer is asked."""
@@ -340,6 +360,8 @@ class Desk:
         self.stage.gaps({} if found.success else targets)
         self.say(sentence(found.message), GOOD if found.success else PLAIN)
         self.outcome.content, self.outcome.visible = table_html(self.session.figures()), True
+        if self.chart is not None:
+            self.chart.hide()
         if not found.settled and patience:
             self.worker.post("drag", self._guard(lambda: self._dragged(patience - 1)))
 
@@ -363,35 +385,16 @@ class Desk:
         self.outcome.visible = False
         self.say("searching ...")
         words = s.solve_all(target)
-        for child in list(self.found._children.values()):
-            child.remove()
-        with self.found:
-            for k, q in enumerate(s.solutions):
-                values = ", ".join(f"{s.scale(i) * x:.4g}" for i, x in enumerate(q))
-                values = f"distance {s.distances[k]:.3f}" if s.robot.by_tip else values  # too many for a button
-                button = self.gui.add_button(f"{k + 1}: {values}", color=QUIET)
-                self._on(button, "joints", lambda q=q, k=k: self._pick(k, q))
-        self.found.visible = bool(s.solutions)
+        self.found.show()
         more = f" The nearest {SHOWN} are listed." if len(s.solutions) == SHOWN else ""
         self.say(f"{sentence(words)}{more}", GOOD if s.solutions else BAD)
 
-    def _pick(self, k: int, q: np.ndarray) -> None:
-        self.session.q = q.copy()
+    def _pick(self, k: int) -> None:
+        s = self.session
+        s.q = s.solutions[k].copy()
+        self.stage.ghost(None)
         self.show()
-        self.say(f"solution {k + 1} of {len(self.session.solutions)}", GOOD)
-
-    def _chart(self, history: Any) -> None:
-        if history is None or len(history["position_error"]) < 2:
-            self.plot.visible = False
-            return
-        position, angle = (np.asarray(history[f"{kind}_error"], dtype=float) for kind in ("position", "orientation"))
-        rows = np.arange(len(position))
-        if self.session.result is not None and self.session.result.restarts:  # many attempts: the best so far
-            rows = np.maximum.accumulate(np.where(position <= np.minimum.accumulate(position), rows, 0))
-        known = np.where(np.isfinite(angle), angle, np.nan)[rows]
-        curves = (np.log10(np.maximum(values, 1e-12)) for values in (position[rows], known))
-        self.plot.data = (np.arange(len(rows), dtype=float), *curves)
-        self.plot.visible = True
+        self.say(f"solution {k + 1} of {len(s.solutions)}", GOOD)
 
     def _show_frames(self, visible: bool) -> None:
         self.frames = visible

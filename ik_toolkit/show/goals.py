@@ -17,17 +17,17 @@ class Goal:
         self.session, self.tip, self.kind = session, tip, kind
         T = session.goals()[tip]
         xyz, rotation = session.words(T, kind)
-        self.xyz = gui.add_text("x y z [m]", xyz, visible=kind != NONE)
+        self.xyz = gui.add_text("x y z [m]", xyz, visible=self._placed)
         kinds = (*KINDS, NONE) if session.robot.by_tip else KINDS
         orientation = gui.add_dropdown("Orientation", kinds, initial_value=kind)
         listen(orientation, f"kind {tip}", lambda: self.give(orientation.value))
-        self.rotation = gui.add_text(self._label(), rotation, visible=self.posed)
+        self.rotation = gui.add_text(self._label(), rotation, visible=self.posed, multiline=kind == "matrix")
         self.handle: Handle  # from `join` on
 
     @property
     def posed(self) -> bool:
         """Whether an orientation is asked for."""
-        return self.kind in KINDS[:2]
+        return self.kind not in ("free", NONE)
 
     def join(self, handle: Handle) -> None:
         """Take the arrows and rings that belong to it."""
@@ -37,16 +37,21 @@ class Goal:
     def give(self, kind: str) -> None:
         """Change how the orientation is given."""
         self.kind = kind
-        self.xyz.visible, self.rotation.visible = kind != NONE, self.posed
+        self.xyz.visible, self.rotation.visible = self._placed, self.posed
+        self.rotation.multiline = kind == "matrix"
         if self.posed:
             self.rotation.label = self._label()
             self.rotation.value = self.session.words(self.handle.target, kind)[1]
         self.handle.turns(self.posed, kind != NONE)
 
+    @property
+    def _placed(self) -> bool:
+        """Whether the position has a field of its own."""
+        return self.kind not in ("matrix", NONE)
+
     def _label(self) -> str:
-        return (
-            "quaternion x y z w" if self.kind == "quaternion" else f"r p y [{'deg' if self.session.degrees else 'rad'}]"
-        )
+        names = {"quaternion": "quaternion x y z w", "matrix": "matrix, row by row"}
+        return names.get(self.kind, f"r p y [{'deg' if self.session.degrees else 'rad'}]")
 
     def typed(self) -> np.ndarray | None:
         """Target of the fields, where the arrows go too; None where there is none. Raises InvalidTarget."""

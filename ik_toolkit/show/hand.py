@@ -27,17 +27,33 @@ class Followed(NamedTuple):
     message: str
 
 
-def follow(robot: Any, q: np.ndarray, target: Any, tolerance: float) -> Followed:
+def follow(
+    robot: Any,
+    q: np.ndarray,
+    target: Any,
+    tolerance: float,
+    limits: bool = True,
+    avoid_collisions: Any = False,
+) -> Followed:
     """Step from rest at q (n,) towards a target as the robot takes it, until it is met, nothing moves any more, or for a second.
 
-    At the edge of what can be reached the arm goes on to the closest pose. tolerance [m and rad]: of a target that is met.
+    At the edge of what can be reached the arm goes on to the closest pose. tolerance [m and rad]: of a target that is met;
+    limits, avoid_collisions as in `Tracker`.
     Raises InvalidTarget, and what `Tracker` raises.
     """
     errors, settled, at = _errors(robot, q, target), False, q
     away = max(position for position, _ in errors.values())
     if not away < FAR * robot.reach:
         raise InvalidTarget(f"the target is {away:.3g} m away, more than {FAR:g} times the reach of the arm")
-    tracker = Tracker(robot, "cv", q0=q, rate0=np.zeros(robot.n), on_limit="direct")
+    tracker = Tracker(
+        robot,
+        "cv",
+        q0=q,
+        rate0=np.zeros(robot.n),
+        limits=limits,
+        on_limit="direct",
+        avoid_collisions=avoid_collisions,
+    )
     left = [_size(errors)]
     for _ in range(STEPS):
         if _met(errors, tolerance):

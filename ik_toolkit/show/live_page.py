@@ -80,7 +80,7 @@ def describe(robot: Joints, body: Body) -> tuple[dict[str, Any], bytes]:
     return (
         {
             "reach": robot.reach,
-            "room": room(bounds),
+            "room": room(bounds, body.floor),
             "joints": [
                 plain(dict(zip(keys, column, strict=True))) for column in columns
             ],  # a limit that is none is null
@@ -99,10 +99,10 @@ def describe(robot: Joints, body: Body) -> tuple[dict[str, Any], bytes]:
     )
 
 
-def room(bounds: np.ndarray) -> dict[str, Any]:
-    """Size and centre [m] of a box (2, 3), and the floor under it: height, cell of the grid, where the grid ends."""
+def room(bounds: np.ndarray, height: float) -> dict[str, Any]:
+    """Size and centre [m] of a box (2, 3), and the floor at a height [m]: that, cell of the grid, where the grid ends."""
     size, centre = float(np.linalg.norm(bounds[1] - bounds[0])), bounds.mean(axis=0)
-    floor = {"z": float(min(bounds[0, 2], 0.0)), "cell": grid_cell(size), "wide": 2.5 * size}
+    floor = {"z": height, "cell": grid_cell(size), "wide": 2.5 * size}
     return {"size": size, "centre": centre.tolist(), "floor": floor}
 
 

@@ -49,7 +49,7 @@ class Body:
     """The drawn parts of a robot and where they are.
 
     parts (list of Part); `placements(q)` gives their poses (P, 4, 4) in the model's world; notice ('' or what is not drawn, and
-    why); T_world_base (4, 4) at rest.
+    why); T_world_base (4, 4) at rest; floor: height [m] of what the robot stands on, under its lowest part that never moves.
     """
 
     def __init__(self, robot: Joints) -> None:
@@ -68,6 +68,7 @@ class Body:
             self.geometry, self.parts = _sticks(robot, self.arms)
         self.geometry_data = self.geometry.createData()
         self.T_world_base = self.data.oMf[self.arms[0]._ids[0]].homogeneous
+        self.floor = float(self.bounds(robot.home, still=True)[0, 2])
 
     def placements(self, q: Any) -> np.ndarray:
         """Poses (P, 4, 4) [m] of the parts in the world for joint values q (n,)."""
@@ -84,15 +85,20 @@ class Body:
             ]
         )
 
-    def bounds(self, q: Any) -> np.ndarray:
-        """Corners (2, 3) [m] of the box around the robot at q, world axes."""
-        points = []
-        for part, T in zip(self.parts, self.placements(q), strict=True):
+    def bounds(self, q: Any, still: bool = False) -> np.ndarray:
+        """Corners (2, 3) [m] of the box around the robot at q, world axes; still: around what its joints do not move."""
+        points = [np.zeros((0, 3))]
+        moved = {self.model.getJointId(name) for name in self.robot.joint_names}
+        for part, T, shown in zip(self.parts, self.placements(q), self.geometry.geometryObjects, strict=True):
+            if still and moved & set(self.model.supports[shown.parentJoint]):
+                continue
             for shape in part.shapes:
                 low, high = shape.vertices.min(axis=0), shape.vertices.max(axis=0)
                 corners = np.array(np.meshgrid(*zip(low, high, strict=True))).reshape(3, -1).T
                 points.append(corners @ T[:3, :3].T + T[:3, 3])
         stacked = np.vstack(points)
+        if still and not len(stacked):  # nothing is drawn of the base: it stands where the model begins
+            stacked = self.T_world_base[None, :3, 3]
         return np.array([stacked.min(axis=0), stacked.max(axis=0)])
 
 

@@ -246,7 +246,7 @@ class Scene:
             else np.asarray(eye, dtype=float)
         )
         cell = grid_cell(max(radius, 1e-3))
-        self.window.say(camera=[at.tolist(), to.tolist(), 2.0 * cell, float(min(box[0, 2], 0.0))])
+        self.window.say(camera=[at.tolist(), to.tolist(), 2.0 * cell, self.body.floor])
         grid = ("#b9c2cc", f"grid {1000 * cell:g} mm" if cell < 1.0 else f"grid {cell:g} m")
         self.window.say(legend=[*self._legend, grid])
 

@@ -1,5 +1,7 @@
 """What one visitor of the panel works with: a robot of one tip or several, q, targets, a solver. No drawing, no web."""
 
+import contextlib
+import itertools
 import json
 import math
 from collections.abc import Sequence
@@ -7,10 +9,12 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import FrameNotFound, InvalidTarget
+from ..errors import FrameNotFound, InvalidConfiguration, InvalidTarget, ModelError
 from ..kernel.task import POSE, POSITION
+from ..robot.clearance import Near
+from ..robot.collision import CollisionModel
 from ..robot.library import find
-from ..robot.pose import length, matrix_quat, matrix_rpy, pose
+from ..robot.pose import check_target, length, matrix_quat, matrix_rpy, pose
 from ..robot.robot import Robot
 from ..robot.tips import path_ends
 from ..robot.tree import Tree
@@ -21,9 +25,10 @@ from ..solvers.solve_all import solve_all
 from ..text import parameter, plain, vector
 from .hand import Followed, follow, prepare
 
-KINDS = ("roll pitch yaw", "quaternion", "free")  # how the orientation of a typed target is given
+KINDS = ("roll pitch yaw", "quaternion", "matrix", "free")  # how the orientation of a typed target is given
 NONE = "no target"  # of one of several tips
 SHOWN = 16  # solutions listed
+PATIENCE = 20  # seconds of its own time that an arm may go on towards a target that is not moved any more
 
 
 class Session:
@@ -39,7 +44,11 @@ class Session:
         self.solver = "auto"
         self.parameters: dict[str, str] = {}
         self.tolerance = 1e-6
+        self.limits, self.avoid = True, False  # whether joint limits are kept, and collisions avoided
+        self.boxes: dict[str, tuple[list[float], np.ndarray]] = {}  # sizes [m] and poses (4, 4) in the base
+        self.source = ""
         self.random = np.random.default_rng(0)
+        self.warm: set[tuple] = set()  # solvers and kinds of target that have been solved before
         self.load(source, tips)
 
     def load(self, source: str, tips: str | Sequence[str] | None = None) -> None:
@@ -57,7 +66,10 @@ class Session:
                 if chosen or not several.tips:
                     raise
                 robot = Robot.load(source, tip=several.tips[0])
+        if source != self.source:
+            self.boxes = {}
         self.source, self.entry, self.robot = source, entry, robot
+        self._world: CollisionModel | None = None
         self.tips = tuple(entry.tips) if len(entry.tips) > 1 else path_ends(robot.model)
         self.q = robot.home.copy()
         self.target: Any = None
@@ -65,6 +77,7 @@ class Session:
         self.followed: Followed | None = None
         self.solutions: list[np.ndarray] = []
         self.distances: list[float] = []
+        self.branches: np.ndarray | None = None
 
     # ------------------------------------------------------------------------------------------------------- joints
     def scale(self, i: int) -> float:
@@ -75,10 +88,24 @@ class Session:
         """Unit shown of joint i."""
         return "m" if self.robot.joint_kinds[i] == "prismatic" else "deg" if self.degrees else "rad"
 
+    def digits(self, i: int) -> int:
+        """Decimals shown of joint i: 0.01 deg, or 0.1 mm and 0.1 mrad."""
+        return 2 if self.unit(i) == "deg" else 4
+
+    def range(self, i: int) -> tuple[float, float]:
+        """Ends of the slider of joint i as shown, rounded inwards where there is room for that."""
+        low, high = (self.scale(i) * x for x in self.ends(i))
+        unit = 10.0 ** -self.digits(i)
+        inner = (unit * math.ceil(low / unit - 1e-6), unit * math.floor(high / unit + 1e-6))
+        low, high = inner if inner[1] - inner[0] > 100.0 * unit else (low, high)
+        return round(low, 9), round(high, 9)
+
     def ends(self, i: int) -> tuple[float, float]:
         """Range of the slider of joint i [rad or m]: its limits, or one turn (one reach) where there are none."""
         span = math.pi if self.robot.joint_kinds[i] != "prismatic" else self.robot.reach
         low, high = float(self.robot.lower[i]), float(self.robot.upper[i])
+        if not self.limits:
+            low, high = min(low, -span), max(high, span)
         low = low if math.isfinite(low) else min(-span, float(self.q[i]))
         return low, (high if math.isfinite(high) else max(low + 2.0 * span, float(self.q[i])))
 
@@ -107,6 +134,11 @@ class Session:
     # ------------------------------------------------------------------------------------------------------- target
     def typed(self, xyz: str, kind: str, rotation: str) -> np.ndarray:
         """Target of typed numbers; the words of the refusal name the field. Raises InvalidTarget."""
+        if kind == "matrix":
+            values = vector(rotation.translate(str.maketrans("[],;", "    ")), "the matrix, row by row,")
+            if len(values) not in (12, 16):
+                raise InvalidTarget(f"the matrix, row by row, takes 12 or 16 numbers; got {len(values)}")
+            return check_target(np.reshape([*values, 0.0, 0.0, 0.0, 1.0][:16], (4, 4)))[0]
         place = vector(xyz, "the position x y z [m]", 3)
         if kind == "free":
             return pose(place)
@@ -121,6 +153,8 @@ class Session:
         xyz = "  ".join(_figure(x) for x in at)
         if T.ndim == 1 or kind == "free":
             return xyz, ""
+        if kind == "matrix":
+            return xyz, "\n".join("  ".join(f"{x + 0.0:.6f}" for x in row) for row in np.round(T, 6))
         if kind == "quaternion":
             return xyz, "  ".join(_figure(x) for x in matrix_quat(T[:3, :3]))
         angles = matrix_rpy(T[:3, :3]) * (math.degrees(1.0) if self.degrees else 1.0)
@@ -149,20 +183,38 @@ class Session:
             return self.solver
         return make_rule(find_row(self.solver), {name: parameter(name, text) for name, text in given.items()})
 
+    def options(self) -> dict[str, Any]:
+        """Tolerance, limits and what is not to be touched, as `ik.solve` takes them."""
+        avoided = self.world if self.avoid else False
+        return {"tolerance": self.tolerance, "limits": self.limits, "avoid_collisions": avoided}
+
     def solve(self, target: Any) -> Result:
-        """Solve from q, keep the way there; q moves only when it succeeds. Raises what `ik.solve` raises."""
-        self.target, self.followed = _copy(target), None
-        self.result = solve(self.robot, self.target, self.rule(), q0=self.q, history=True, tolerance=self.tolerance)
-        if self.result.success:
-            self.q = self.result.q.copy()
-        return self.result
+        """Solve from q and go there, or to the closest pose; keep the way. Raises what `ik.solve` raises."""
+        self.target, self.followed, rule = _copy(target), None, self.rule()
+        how = self.solver, *(T.ndim for T in (self.target.values() if self.robot.by_tip else [self.target]))
+        for _ in range(1 if how in self.warm else 2):  # a first call loads or compiles, and a time is shown
+            result = solve(self.robot, self.target, rule, q0=self.q, history=True, **self.options())
+        self.warm.add(how)
+        if np.isfinite(result.q).all():
+            self.q = result.q.copy()
+        if not result.success:
+            self._approach()
+        self.result = result
+        return result
+
+    def _approach(self) -> None:
+        """Go on from an attempt that failed to the closest pose around it."""
+        with contextlib.suppress(InvalidTarget, InvalidConfiguration):  # too far away, or it touches something already
+            for _ in range(PATIENCE):
+                if self.follow(self.target).settled:
+                    return
 
     def follow(self, target: Any) -> Followed:
         """Step towards a target that is being dragged, as far as the arm gets in a second. Raises what `Tracker` raises."""
         if self.robot.by_tip and not target:
             raise InvalidTarget(f"give a target for at least one of {', '.join(self.robot.tips)}")
         self.target, self.result = _copy(target), None
-        self.followed = follow(self.robot, self.q, self.target, self.tolerance)
+        self.followed = follow(self.robot, self.q, self.target, **self.options())
         self.q = self.followed.q.copy()
         return self.followed
 
@@ -173,15 +225,55 @@ class Session:
     def solve_all(self, target: Any) -> str:
         """Find solutions (the nearest 16 are kept) and say how many there are. Raises what `ik.solve_all` raises."""
         self.target = _copy(target)
-        found = solve_all(self.robot, self.target, "auto", self.q, starts=200, count=SHOWN)
+        found = solve_all(self.robot, self.target, self.rule(), self.q, starts=200, count=SHOWN, **self.options())
         self.solutions, self.distances = [q.copy() for q in found][:SHOWN], found.distance.tolist()[:SHOWN]
+        self.branches = found.branches
         complete = "; these are all" if found.complete else ""
         return f"{found.message}{complete}" if len(found) else f"no solution: {found.message}"
+
+    # ------------------------------------------------------------------------------------------------- what is around
+    @property
+    def world(self) -> CollisionModel:
+        """The robot's shapes and the boxes. Raises what CollisionModel raises."""
+        if self._world is None:
+            self._world = CollisionModel(self.robot)
+            for name, (size, T) in self.boxes.items():
+                self._world.add_box(size, T, name)
+        return self._world
+
+    def add_box(self, size: Sequence[float], T: np.ndarray) -> str:
+        """Add a box of size (x, y, z) [m] at a pose (4, 4) in the base; return its name."""
+        name = next(name for k in itertools.count(1) if (name := f"box {k}") not in self.boxes)
+        self.world.add_box(size, T, name)
+        self.boxes[name] = list(size), T
+        return name
+
+    def move_box(self, name: str, T: np.ndarray) -> None:
+        """Give a box another pose (4, 4) in the base."""
+        self.world.move(name, T)
+        self.boxes[name] = self.boxes[name][0], T
+
+    def clear_boxes(self) -> None:
+        """Take all boxes away."""
+        self.boxes, self._world = {}, None
+
+    def contacts(self) -> tuple[list[tuple[str, str]], Near | None]:
+        """Pairs that touch where the robot stands, and the nearest pair; none of a robot whose shapes cannot be read."""
+        try:
+            return self.world.collisions(self.q), self.world.distance(self.q)
+        except ModelError:
+            return [], None
+
+    def ellipsoids(self) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+        """Axes (3, 3) in the base and radii (3,) of the velocities [m/s] of each tip at joint speeds of norm 1, by tip."""
+        J = self.robot.jacobian(self.q).reshape(-1, 6, self.robot.n)[:, :3]
+        svd = [np.linalg.svd(np.pad(rows, ((0, 0), (0, max(0, 3 - self.robot.n)))), full_matrices=False) for rows in J]
+        return {tip: (U, sizes) for tip, (U, sizes, _) in zip(self.robot.tips, svd, strict=True)}
 
     # ---------------------------------------------------------------------------------------------------- for people
     def figures(self) -> list[tuple[str, str]]:
         """Rows (name, value) on the last solve, or on where a drag has got to."""
-        if self.followed is not None:
+        if self.followed is not None and self.result is None:
             left = self.followed.errors
             words = {tip: f"{length(position)}, {_angle(angle)}" for tip, (position, angle) in left.items()}
             return [(tip, words.get(tip, NONE)) for tip in self.robot.tips]
@@ -246,7 +338,7 @@ class Session:
             "q": self.q.tolist(),
             "target": plain(self.target),
             "result": None if self.result is None else self.result.to_dict(),
-            "dragged": None if self.followed is None else self.followed.message,
+            "followed": None if self.followed is None else self.followed.message,
         }
 
     def to_json(self) -> str:

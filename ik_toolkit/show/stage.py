@@ -1,5 +1,6 @@
 """The 3-D view of one visitor of the panel (viser): the robot, frames, and a target to drag for each tip."""
 
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -7,10 +8,15 @@ import numpy as np
 import pinocchio as pin
 
 from ..errors import InvalidTarget
-from .parts import Body
+from .parts import Body, need_trimesh
 
 RED = (204, 51, 38)  # of the line to a target that is not met
 GHOST = (0, 114, 178)
+VIEW = np.array([-0.66, 0.63, -0.41])  # along which the robot is looked at: from the front right, from above
+LENS = 0.7  # [rad] from top to bottom
+FILL = 0.72  # of the picture, by the robot: its arrows and the next poses need the rest
+NARROW = 576  # pixels of a page below which viser lays its controls over the lower part of the picture
+FREE = 0.5  # of the height left there, see desk.STYLE
 
 
 class Handle:
@@ -35,12 +41,7 @@ class Handle:
 
     def read(self) -> np.ndarray:
         """T_base_target (4, 4) where the visitor has dragged them to."""
-        if not np.isfinite([*self.gizmo.wxyz, *self.gizmo.position]).all() or not np.any(self.gizmo.wxyz):
-            raise InvalidTarget("the target was dragged to no pose")
-        T = np.eye(4)
-        T[:3, :3] = pin.Quaternion(*(float(x) for x in self.gizmo.wxyz)).normalized().matrix()
-        T[:3, 3] = self.gizmo.position
-        self.target = np.linalg.inv(self.T_world_base) @ T
+        self.target = _dragged(self.gizmo, self.T_world_base)
         return self.target
 
     def turns(self, rotations: bool, visible: bool) -> None:
@@ -61,8 +62,13 @@ class Stage:
         targets: dict[str, np.ndarray],
         frames: bool,
         dragged: Callable[[], None],
+        widest: int = 0,
     ) -> None:
-        """Draw the robot at q and targets (4, 4) by tip; `dragged` is called when the visitor moves one."""
+        """Draw the robot at q and targets (4, 4) by tip; `dragged` is called when the visitor moves one.
+
+        widest: pixels that the picture has been wide before.
+        """
+        self.widest = widest
         self.client, self.body = client, body
         self.robot: Any = body.robot
         scene, robot = client.scene, self.robot
@@ -70,7 +76,6 @@ class Stage:
         self.size = float(np.linalg.norm(high - low))
         scene.set_up_direction("+z")
         cell = 10.0 ** np.round(np.log10(self.size / 8.0))
-        floor = (0.0, 0.0, min(low[2], 0.0))
         faint, clear = (228, 231, 235), (198, 204, 211)
         scene.add_grid(
             "/grid",
@@ -80,7 +85,7 @@ class Stage:
             section_size=5 * cell,
             cell_color=faint,
             section_color=clear,
-            position=floor,
+            position=(0.0, 0.0, body.floor),
         )
         self.parts = []
         for part in body.parts:
@@ -102,7 +107,8 @@ class Stage:
         self.handles = [
             Handle(self, k, tip if len(targets) > 1 else "", T, dragged) for k, (tip, T) in enumerate(targets.items())
         ]
-        self.gap: Any = None
+        self.lines: dict[str, Any] = {}
+        self.ellipsoids: dict[int, Any] = {}
         self.shade: list[Any] = []
         self.aim(q)
 
@@ -119,17 +125,10 @@ class Stage:
     def gaps(self, targets: dict[str, np.ndarray | None]) -> None:
         """Draw a line from each tip, as it stands, to its target: a pose (4, 4) or position (3,); {} draws none."""
         ends = [T for T in targets.values() if T is not None]
-        if not ends:
-            if self.gap is not None:
-                self.gap.visible = False
-            return
         base = self.body.T_world_base
         goals = [base[:3, :3] @ (T if T.ndim == 1 else T[:3, 3]) + base[:3, 3] for T in ends]
-        tips = [tip.position for tip, T in zip(self.tips, targets.values(), strict=True) if T is not None]
-        points = np.array([*zip(tips, goals, strict=True)], dtype=np.float32)
-        if self.gap is not None:
-            self.gap.remove()
-        self.gap = self.client.scene.add_line_segments("/gap", points, RED, thickness=0.004 * self.size)
+        tips = [tip.position for tip, T in zip(self.tips, targets.values(), strict=False) if T is not None]
+        self.line("/gap", [*zip(tips, goals, strict=True)], RED)
 
     def ghost(self, q: np.ndarray | None) -> None:
         """Show the robot at q (n,) as well, translucent; None: no more."""
@@ -155,6 +154,45 @@ class Stage:
                 _place(handle, M)
                 handle.visible = True
 
+    def box(self, name: str, size: Any, T: np.ndarray, color: tuple[int, int, int]) -> Any:
+        """Draw a box of size (x, y, z) [m] at T_base_box (4, 4) with arrows and rings; return what is dragged."""
+        scene = self.client.scene
+        gizmo = scene.add_transform_controls(f"/box/{name}", scale=1.2 * max(size), disable_sliders=True)
+        scene.add_box(f"/box/{name}/shape", dimensions=tuple(size), color=color, opacity=0.85)
+        _place(gizmo, self.body.T_world_base @ T)
+        return gizmo
+
+    def dragged(self, gizmo: Any) -> np.ndarray:
+        """Pose (4, 4) in the base to which a visitor has dragged something. Raises InvalidTarget."""
+        return _dragged(gizmo, self.body.T_world_base)
+
+    def line(self, name: str, points: Any, color: tuple[int, int, int]) -> None:
+        """Draw lines between pairs of points (K, 2, 3) [m], world axes; none draws none."""
+        if name in self.lines:
+            self.lines.pop(name).remove()
+        if len(points):
+            ends = np.asarray(points, dtype=np.float32)
+            self.lines[name] = self.client.scene.add_line_segments(name, ends, color, thickness=0.004 * self.size)
+
+    def ellipsoid(self, k: int, axes: np.ndarray, radii: np.ndarray, visible: bool) -> None:
+        """Draw an ellipsoid of axes (3, 3) in the base and radii (3,) around tip k: where it gets to in a quarter of a second."""
+        R = self.body.T_world_base[:3, :3] @ axes
+        if np.linalg.det(R) < 0.0:
+            R[:, 2] *= -1.0
+        ball = self.ellipsoids.get(k)
+        if ball is None:
+            if not visible:
+                return
+            form = need_trimesh().creation.icosphere(subdivisions=3)
+            ball = self.ellipsoids[k] = self.client.scene.add_mesh_simple(
+                f"/ellipsoid/{k}", form.vertices, form.faces, color=GHOST, opacity=0.35, cast_shadow=False
+            )
+        ball.scale = tuple(np.maximum(0.25 * radii, 1e-3 * self.size).tolist())
+        ball.visible = visible
+        T = np.eye(4)
+        T[:3, :3], T[:3, 3] = R, self.tips[k].position
+        _place(ball, T)
+
     def show_frames(self, visible: bool) -> None:
         """Show or hide the joints' axes."""
         for frame in self.axes:
@@ -163,11 +201,42 @@ class Stage:
     def aim(self, q: np.ndarray) -> None:
         """Look at the robot at q from the front right."""
         camera = getattr(self.client, "camera", None)
-        if camera is not None:  # a server has none
-            centre = self.body.bounds(q).mean(axis=0)
-            camera.up_direction = (0.0, 0.0, 1.0)
-            camera.position = tuple((centre + 1.35 * self.size * np.array([0.66, -0.63, 0.41])).tolist())
-            camera.look_at = tuple(centre.tolist())
+        if camera is None:  # a server has none
+            return
+        width, height = camera.image_width, camera.image_height
+        self.widest = max(
+            self.widest, width
+        )  # the picture is as wide as the page until the controls are docked beside it
+        eye, to = look(self.body.bounds(q), width / max(height, 1), FREE if self.widest < NARROW else 1.0)
+        camera.up_direction = (0.0, 0.0, 1.0)
+        camera.fov = LENS
+        camera.position, camera.look_at = tuple(eye.tolist()), tuple(to.tolist())
+
+
+def _dragged(gizmo: Any, T_world_base: np.ndarray) -> np.ndarray:
+    """Pose (4, 4) in the base to which a visitor has dragged something. Raises InvalidTarget."""
+    if not np.isfinite([*gizmo.wxyz, *gizmo.position]).all() or not np.any(gizmo.wxyz):
+        raise InvalidTarget("the target was dragged to no pose")
+    T = np.eye(4)
+    T[:3, :3] = pin.Quaternion(*(float(x) for x in gizmo.wxyz)).normalized().matrix()
+    T[:3, 3] = gizmo.position
+    return np.linalg.inv(T_world_base) @ T
+
+
+def look(box: np.ndarray, aspect: float, free: float) -> tuple[np.ndarray, np.ndarray]:
+    """Where a camera stands, and the point (3,) [m] it looks at, to see a box (2, 3) as large as fits.
+
+    aspect: width over height of the picture; free: share of its height, from the top, in which the box is to be seen.
+    """
+    ahead = VIEW / np.linalg.norm(VIEW)
+    across = np.cross(ahead, (0.0, 0.0, 1.0))
+    across /= np.linalg.norm(across)
+    up, centre, half = np.cross(across, ahead), box.mean(axis=0), math.tan(0.5 * LENS)
+    corners = np.array(np.meshgrid(*(box - centre).T)).reshape(3, -1).T
+    wide, tall, deep = np.abs(corners @ across), np.abs(corners @ up), corners @ ahead
+    away = (np.maximum(wide / max(aspect, 0.1), tall / free) / (half * FILL) - deep).max()
+    to = centre - (1.0 - free) * half * away * up
+    return to - away * ahead, to
 
 
 def _place(handle: Any, T: np.ndarray) -> None:

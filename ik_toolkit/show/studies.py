@@ -4,11 +4,13 @@ from pathlib import Path
 
 import numpy as np
 
+from ..robot.joints import Joints
 from ..study.benchmark import Benchmark
 from ..study.tune import TuneResult
 from ..study.workspace import Workspace
 from ..style import COLOURS, GREY
 from .plots import drawing, plain, save
+from .tracking import skeleton
 
 
 def plot_benchmark(found: Benchmark, file: str | Path) -> Path:
@@ -62,11 +64,12 @@ def plot_tuning(result: TuneResult, file: str | Path) -> Path:
         return save(figure, file)
 
 
-def plot_workspace(found: Workspace, file: str | Path) -> Path:
+def plot_workspace(found: Workspace, robot: Joints, file: str | Path) -> Path:
     """Draw, for each solver, the failure rate seen from above and from the side, failures marked when they are few.
 
-    The scale ends at the largest rate of any cell, so that rare failures are seen too.
+    The scale ends at the largest rate of any cell, so that rare failures are seen too. The robot stands at home, for its place.
     """
+    arms = [skeleton(arm, robot.home[place]) for arm, place in zip(robot.arms, robot.places, strict=True)]
     with drawing() as plt:
         rows = len(found.outcomes)
         figure, axes = plt.subplots(rows, 2, figsize=(7.4, 0.3 + 4.0 * rows), layout="constrained", squeeze=False)
@@ -82,6 +85,8 @@ def plot_workspace(found: Workspace, file: str | Path) -> Path:
                 image = axis.imshow(rate.T, origin="lower", extent=extent, cmap="PuBu", interpolation="nearest")
                 drawn.append(image)
                 axis.grid(False)
+                for arm in arms:
+                    axis.plot(*arm[:, keep].T, color=COLOURS[6], lw=2.2, marker="o", ms=3.5)
                 bad = found.failures[name] if outcome.targets - outcome.solved <= MARKED else np.empty((0, 4))
                 axis.plot(bad[:, keep[0]], bad[:, keep[1]], "o", mfc="none", mec=COLOURS[1], ms=3, mew=0.7)
                 axis.set(xlabel=f"{'xyz'[keep[0]]} [m]", ylabel=f"{'xyz'[keep[1]]} [m]", aspect="equal")

@@ -30,7 +30,7 @@ def table_html(rows: Any, head: Any = None) -> str:
 
 def pose_html(T: np.ndarray, s: Session, tip: str) -> str:
     """Pose of a tip as matrix, xyz, rpy and quaternion."""
-    matrix = [[f"{x + 0.0:.5f}" for x in row] for row in np.round(T, 9)]
+    matrix = [[f"{x + 0.0:.5f}" for x in row] for row in np.round(T, 5)]
     lines = [
         ("xyz [m]", s.words(T, "free")[0]),
         (f"rpy [{'deg' if s.degrees else 'rad'}]", s.words(T, KINDS[0])[1]),

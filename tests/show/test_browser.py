@@ -99,6 +99,16 @@ class PanelPage:
             self.page.wait_for_timeout(100)
         raise AssertionError(f"the status line never said '{words}'; it says: {self.status()}")
 
+    def settle(self, desk):
+        """Wait until the controls are docked, the camera is aimed and the page has told where it is."""
+        assert desk.worker.idle(READY)
+        end = time.monotonic() + PATIENCE / 1000
+        while desk.client.camera.image_width != int(self.page.locator("canvas").first.bounding_box()["width"]):
+            assert time.monotonic() < end, "the camera was never told of the picture's width"
+            self.page.wait_for_timeout(100)
+        assert desk.worker.idle(READY)
+        self.page.wait_for_timeout(1500)
+
     def tab(self, name):
         self.page.get_by_role("tab", name=name).click()
 
@@ -146,30 +156,29 @@ def on_screen(desk, canvas, point):
     return canvas["x"] + 0.5 * canvas["width"] + scale * across, canvas["y"] + 0.5 * canvas["height"] + scale * down
 
 
-def drag(page, desk, k, far):
-    """Drag the target of tip k along its x arrow, this part of the arrow's length."""
+def drag(page, desk, k, far, axis=1):
+    """Drag the target of tip k along an arrow of its own (x points at the camera), this part of the arrow's length."""
     handle = desk.stage.handles[k]
     T = handle.target.copy()
     canvas = page.locator("canvas").first.bounding_box()
-    arrow = 0.22 * desk.stage.size * (desk.stage.body.T_world_base @ T)[:3, 0]
+    arrow = 0.22 * desk.stage.size * (desk.stage.body.T_world_base @ T)[:3, axis]
     at, to = (on_screen(desk, canvas, handle.gizmo.position + f * arrow) for f in (0.8, 0.8 + far))
     page.mouse.move(*at)
-    page.wait_for_timeout(300)
+    page.wait_for_timeout(1500)  # until the arrow knows that it is pointed at
     page.mouse.down()
     for step in range(1, 11):
         page.mouse.move(*(np.array(at) + 0.1 * step * (np.array(to) - at)))
         page.wait_for_timeout(50)
     page.mouse.up()
     moved = handle.target[:3, 3] - T[:3, 3]
-    assert moved @ T[:3, 0] > 0.02 and np.linalg.norm(np.cross(moved, T[:3, 0])) < 1e-6  # along the arrow
+    assert moved @ T[:3, axis] > 0.02 and np.linalg.norm(np.cross(moved, T[:3, axis])) < 1e-6  # along the arrow
 
 
 def test_dragging_the_target_moves_the_robot(browser, panel):
     with fresh_page(browser) as page:
         hand = PanelPage(page, panel.url)
-        page.wait_for_timeout(1500)  # the first picture is drawn, and the camera told
         (desk,) = panel.desks.values()
-        assert desk.worker.idle(READY)
+        hand.settle(desk)
         drag(page, desk, 0, 0.4)
         hand.wait_for("Converged")
         hand.wait_for_pose(desk.stage.handles[0].target)
@@ -180,14 +189,14 @@ def test_each_of_two_targets_can_be_dragged(browser):
     pytest.importorskip("viser", reason="viser is not installed (extra 'panel')")
     from ik_toolkit.show.panel import Panel
 
-    with contextlib.closing(Panel("brokk_hydrolek")) as panel, fresh_page(browser) as page:
+    wide = {"width": 1200, "height": 700}  # two pairs of arrows beside each other
+    with contextlib.closing(Panel("brokk_hydrolek")) as panel, fresh_page(browser, viewport=wide) as page:
         hand = PanelPage(page, panel.url)
-        page.wait_for_timeout(1500)
         (desk,) = panel.desks.values()
-        assert desk.worker.idle(READY)
-        for k, other in ((1, 0), (0, 1)):
+        hand.settle(desk)
+        for k, other, axis in ((1, 0, 1), (0, 1, 2)):  # arrows that cross nothing of the other target
             still = desk.session.poses()[desk.session.robot.tips[other]]
-            drag(page, desk, k, 0.2)
+            drag(page, desk, k, 0.2, axis)
             hand.wait_for("Converged")
             assert desk.worker.idle()
             poses = list(desk.session.poses().values())
@@ -227,12 +236,32 @@ def test_the_panel_by_hand(browser, panel):
         hand.tab("Solve")
         hand.type("x y z [m]", "9 0 0")
         hand.press("Solve")
-        assert "The robot stays where it was." in hand.wait_for("beyond reach")
+        assert "the closest pose is" in hand.wait_for("beyond reach")
+        hand.tab("Joints")
+        closest = robot.fk(session.q).homogeneous
+        assert np.linalg.norm(closest[:3, 3] - (9.0, 0.0, 0.0)) < np.linalg.norm(goal.translation - (9.0, 0.0, 0.0))
+        hand.wait_for_pose(closest)
+        hand.tab("Solve")
+        hand.type("x y z [m]", xyz)
+        hand.choose("Orientation", "free")
+        hand.press("All solutions")
+        hand.wait_for("16 solutions of infinitely many")
+        row = page.locator("tr[onmouseenter]").nth(1)
+        row.hover()  # its ghost
+        desk = next(iter(panel.desks.values()))
+        page.wait_for_timeout(500)
+        assert desk.worker.idle() and desk.found.chosen == 1 and desk.stage.shade[0].visible
+        row.click()
+        hand.wait_for("solution 2 of")
+        hand.tab("Joints")
+        hand.wait_for_pose(robot.fk(session.solutions[1]).homogeneous)
+        hand.tab("Solve")
+        closest = robot.fk(session.q).homogeneous
         hand.type("x y z [m]", "9 0 up")
         hand.press("Solve")
         hand.wait_for("takes 3 numbers, not '9 0 up'")
         hand.tab("Joints")
-        hand.wait_for_pose(goal.homogeneous)
+        hand.wait_for_pose(closest)
 
         hand.press("Copy as JSON")
         page.wait_for_selector("#ik-json")

@@ -52,15 +52,19 @@ def test_bad_typed_input_is_refused_in_words(xyz, kind, rotation, words):
         Session("hydrolek_7w").typed(xyz, kind, rotation)
 
 
-def test_a_solve_moves_the_robot_and_a_failure_does_not():
+def test_a_solve_moves_the_robot_and_a_failure_goes_to_the_closest_pose():
     session = Session("hydrolek_7w")
     goal = session.robot.fk(session.robot.random_q(np.random.default_rng(1))).homogeneous
     assert session.solve(goal).success and np.allclose(session.poses()["tool"], goal, atol=1e-5)
-    kept = session.q.copy()
     far = goal.copy()
     far[0, 3] = 9.0
-    assert not session.solve(far).success and np.array_equal(session.q, kept)
-    assert dict(session.figures())["status"] == "UNREACHABLE"
+    result = session.solve(far)
+    assert not result.success and dict(session.figures())["status"] == "UNREACHABLE"
+    left = np.linalg.norm(session.poses()["tool"][:3, 3] - far[:3, 3])
+    assert session.followed.settled and left < result.position_error + 1e-9
+    assert not any(session.follow(far).errors["tool"][0] < 0.99 * left for _ in range(5))  # a drag gets no closer
+    session.solve(np.array([1e9, 0.0, 0.0]))  # too far for a drag: the attempt is shown
+    assert session.followed is None and np.array_equal(session.q, session.result.q)
 
 
 def test_parameters_go_to_the_solver():
@@ -88,6 +92,24 @@ def test_all_solutions_are_kept_nearest_first():
     words = session.solve_all(session.robot.fk(session.q).translation)
     assert "these are all" in words and len(session.solutions) == 2
     assert "no solution" in session.solve_all(np.array([9.0, 0, 0])) and session.solutions == []
+
+
+def test_all_solutions_are_those_of_the_method_and_the_tolerance_chosen():
+    session = Session("planar_2r")
+    target = session.robot.fk(session.q).translation
+    session.solve_all(target)
+    assert session.branches is not None and sorted(session.branches[:, 1]) == [-1, 1]
+    session.solver = "lm"
+    words = session.solve_all(target)
+    assert "these are all" not in words and len(session.solutions) == 2 and session.branches is None
+    beyond = 1.00005 * session.robot.fk([0.0, 0.0]).translation  # 0.1 mm past the stretched arm
+    session.solver = "auto"
+    assert "no solution" in session.solve_all(beyond)
+    session.tolerance = 1e-3
+    assert "no solution" not in session.solve_all(beyond) and session.solutions
+    session.solver, session.parameters = "dls", {"damping": "fast"}
+    with pytest.raises(InvalidOption, match="takes a number"):
+        session.solve_all(target)
 
 
 def test_switching_keeps_everything_when_it_fails():
@@ -258,17 +280,46 @@ def test_moving_a_slider_moves_what_is_drawn(desk):
     assert f"{T.translation[0]:.5f}" in desk.pose.content
 
 
+def test_the_camera_shows_the_robot_as_large_as_fits():
+    """All corners are seen, none further out than the share that the robot may fill, and one of them that far."""
+    from ik_toolkit.show.stage import FILL, LENS, look
+
+    box = np.array([[-0.2, -0.5, 0.0], [0.9, 0.4, 1.3]])
+    for aspect, free in ((1.1, 1.0), (2.5, 1.0), (0.5, 0.5)):
+        eye, to = look(box, aspect, free)
+        ahead = (to - eye) / np.linalg.norm(to - eye)
+        across = np.cross(ahead, (0, 0, 1)) / np.linalg.norm(np.cross(ahead, (0, 0, 1)))
+        P = np.array(np.meshgrid(*box.T)).reshape(3, -1).T - eye
+        seen = P @ np.array([across, np.cross(across, ahead)]).T / (P @ ahead)[:, None] / np.tan(LENS / 2)
+        x, y = seen[:, 0] / aspect, (seen[:, 1] - (1.0 - free)) / free  # of the part that is free
+        assert np.isclose(max(np.abs(x).max(), np.abs(y).max()), FILL, atol=0.12) and abs(y).max() < 0.9
+
+
+def test_limits_are_shown_rounded(desk):
+    assert all(round(edge, 2) == edge for slider in desk.sliders for edge in (slider.min, slider.max))
+    desk.session.q = desk.session.robot.upper.copy()  # beyond what the slider shows, and kept
+    desk.show()
+    desk._moved()
+    assert np.array_equal(desk.session.q, desk.session.robot.upper)
+
+
 def test_solving_a_typed_pose(desk):
     goal = desk.session.robot.fk(desk.session.robot.random_q(np.random.default_rng(2))).homogeneous
     desk.goals[0].xyz.value, desk.goals[0].rotation.value = desk.session.words(goal, "roll pitch yaw")
     desk._guard(desk._solve)()
-    assert "Converged" in desk.status.content and desk.plot.visible and "CONVERGED" in desk.outcome.content
+    assert "Converged" in desk.status.content and desk.chart.plot.visible and "CONVERGED" in desk.outcome.content
     assert np.allclose(desk.stage.tips[0].position, goal[:3, 3], atol=1e-4)
-    kept = np.array(desk.stage.tips[0].position)
     desk.goals[0].xyz.value = "9 0 0"
     desk._guard(desk._solve)()
-    assert "beyond reach" in desk.status.content and "stays where it was" in desk.status.content
-    assert np.array_equal(desk.stage.tips[0].position, kept)
+    assert "beyond reach" in desk.status.content and "From there the closest pose is" in desk.status.content
+    assert np.allclose(desk.stage.lines["/gap"].points[0], [desk.stage.tips[0].position, [9, 0, 0]])
+    desk.goals[0].give("free")
+    desk.goals[0].xyz.value = "0.9 0 0"
+    desk._guard(desk._solve)()
+    assert "Converged" in desk.status.content and "/gap" not in desk.stage.lines
+    assert np.isfinite(desk.chart.plot.data).all() and len(desk.chart.plot.data) == len(desk.chart.plot.series) == 2
+    desk._dragged()
+    assert not desk.chart.plot.visible  # it would show the solve before
     desk.goals[0].xyz.value = "<b>9</b>"
     desk._guard(desk._solve)()
     assert "takes 3 numbers" in desk.status.content and "<b>" not in desk.status.content
@@ -281,9 +332,15 @@ def test_all_solutions_can_be_picked(desk):
     desk.goals[0].give("free")
     desk.goals[0].xyz.value = desk.session.words(desk.session.poses()["tool"], "free")[0]
     desk._guard(desk._solve_all)()
-    assert desk.found.visible and len(desk.session.solutions) > 2
-    desk._pick(2, desk.session.solutions[2])
+    assert desk.found.folder.visible and len(desk.session.solutions) > 2
+    assert "elbow_pitch [deg]" in desk.found.table.content
+    desk.found.number.value = 3
+    desk.found.point()
+    where = desk.stage.body.placements(desk.session.solutions[2])[-1][:3, 3]
+    assert np.allclose(desk.stage.shade[-1].position, where) and desk.stage.shade[-1].visible
+    desk._pick(desk.found.chosen)
     assert np.array_equal(desk.session.q, desk.session.solutions[2]) and "solution 3" in desk.status.content
+    assert not desk.stage.shade[-1].visible
 
 
 def test_switching_robot_units_and_home(desk):

@@ -139,19 +139,22 @@ def test_the_map_shows_failures(monkeypatch):
     pytest.importorskip("matplotlib")
     from ik_toolkit.show import studies
 
-    found = workspace(robots.load("hydrolek_7w"), ["lm"], targets=400, seed=3)
+    robot = robots.load("hydrolek_7w")
+    found = workspace(robot, ["lm"], targets=400, seed=3)
     figures = []
     monkeypatch.setattr(studies, "save", lambda figure, _: figures.append(figure))
     cell = tuple(index[0] for index in np.nonzero(found.map["lm"][0]))
     for lost in (0, 1):  # one failure in one cell
         found.map["lm"][1][cell] -= lost
-        studies.plot_workspace(found, "map.png")
+        studies.plot_workspace(found, robot, "map.png")
         targets, solved = found.map["lm"].sum(axis=3)
         rate = 100.0 * (1.0 - solved / np.where(targets > 0, targets, np.nan))
         (image,) = figures[-1].axes[0].images
         assert np.allclose(np.ma.filled(image.get_array(), np.nan), rate.T, equal_nan=True)
         assert image.norm.vmax == (np.nanmax(rate) if lost else 1.0)  # rare failures are seen
     assert figures[-1].axes[-1].get_ylabel() == "failures [%]"
+    drawn = figures[-1].axes[1].lines[0].get_xydata()  # the arm from the side, base to tip
+    assert np.allclose(drawn[-1], robot.fk(robot.home).translation[[0, 2]])
 
 
 def test_command(tmp_path, capsys):

@@ -1,0 +1,108 @@
+"""A visitor of the panel: a thread that does what is asked, words about what went wrong, and a camera that is kept aimed."""
+
+import html
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from ..errors import IKError
+from ..style import BAD
+from .goals import Goal
+from .past import Past
+from .session import Session
+from .worker import Worker
+
+PLAIN = "#37424f"
+LONGEST = 600  # characters said
+STYLE = """<style>@media (max-width: 36em) {  /* a phone: controls below, the robot above them, see stage.FREE */
+div[style*="width: 20em"] { width: 100% !important; max-height: 50% !important }}</style>"""
+
+
+class Visit:
+    """What goes on between a visitor and the controls of a page: see Desk, which builds them."""
+
+    def __init__(
+        self, client: Any, source: str, tips: str | Sequence[str] | None = None, *, files: bool = True
+    ) -> None:
+        """Build the first robot's controls; the work is done in the visitor's own thread."""
+        self.client, self.gui, self.scene = client, client.gui, client.scene
+        self.stage: Any = None
+        self.chart: Any = None
+        self.aspect = 0.0  # of the picture, when the camera was aimed last
+        self.files = files
+        self.session = Session(source, tips)
+        self.kinds: dict[str, str] = {}
+        self.live, self.frames = True, False
+        self.past = Past()
+        self.around: Any = None
+        self.learn: Any = None
+        self.goals: list[Goal] = []
+        self.status: Any = None
+        self.worker = Worker()
+        self.worker.post("build", self._guard(self.build))
+        if hasattr(client, "camera"):  # a server has none
+            client.camera.on_update(lambda _: self._resized())
+
+    def close(self) -> None:
+        """End the visitor's thread."""
+        self.worker.end()
+
+    def _guard(self, job: Callable[[], None]) -> Callable[[], None]:
+        """Say in words what the caller did wrong; anything else is a bug and is said as one. Never ends the thread."""
+
+        def run() -> None:
+            try:
+                job()
+                return
+            except IKError as error:
+                words = str(error)
+            except Exception as error:
+                words = f"unexpected {type(error).__name__}: {error} (a bug of ik_toolkit)"
+            if not self.worker.ended:  # a visitor who left takes the handles along
+                self.say(words, BAD)
+
+        return run
+
+    def _on(self, handle: Any, name: str, job: Callable[[], None]) -> None:
+        """Do a job when the visitor (not this program) changes or clicks something."""
+        listen = getattr(handle, "on_click", None) or handle.on_update
+
+        @listen
+        def _(event: Any) -> None:
+            if event.client is not None:
+                self._post(name, job)
+
+    def _post(self, name: str, job: Callable[[], None]) -> None:
+        """Have a job of the visitor's done, and keep what there was before it, should it move the robot."""
+
+        def noted() -> None:
+            s, robot, q = self.session, self.session.robot, self.session.q
+            targets = {goal.tip: goal.handle.target for goal in self.goals} if self.stage else {}
+            job()
+            if s.robot is robot and not np.array_equal(s.q, q) and name != "undo":
+                self.past.note(name, q, targets)
+
+        self.worker.post(name, self._guard(noted))
+
+    def say(self, text: str, color: str = PLAIN) -> None:
+        """Show a sentence in the status line."""
+        text = text if len(text) <= LONGEST else f"{text[:LONGEST]} ..."
+        if self.status is None:
+            return
+        self.status.content = (
+            f'{STYLE}<div role="status" style="padding:4px 12px;color:{color};font-size:13px;line-height:1.4;min-height:2.8em">'
+            f"{html.escape(text)}</div>"
+        )
+
+    def _resized(self) -> None:
+        """Aim the camera again when the picture has got another shape: the controls were docked, a phone was turned."""
+        width, height = self.client.camera.image_width, self.client.camera.image_height
+        aspect = width / max(height, 1)
+        if abs(aspect - self.aspect) > 0.05 and self.stage is not None:
+            self.aspect = aspect
+            self.worker.post("aim", self._guard(lambda: self.stage.aim(self.session.q)))
+
+    def build(self) -> None:
+        """Draw the robot and its controls anew."""
+        raise NotImplementedError

@@ -1,0 +1,154 @@
+"""The panel's further controls, without a browser: undo, random pose, self-motion, limits off, matrices, boxes, collisions."""
+
+import numpy as np
+import pytest
+
+import ik_toolkit as ik
+from ik_toolkit.errors import InvalidTarget
+from ik_toolkit.show.selfmotion import freedom, slide
+from ik_toolkit.show.session import Session
+
+ROBOT = "hydrolek_7w"  # of the panel, see conftest.py
+
+
+@pytest.mark.parametrize(
+    ("name", "turns", "free"), [("inspection_7dof", True, 1), ("hydrolek_7w", False, 3), ("planar_3r", False, 1)]
+)
+def test_self_motion_holds_the_tip_and_comes_back(name, turns, free):
+    robot = ik.Robot.load(name)
+    rng = np.random.default_rng(3)
+    q = robot.lower + (0.3 + 0.4 * rng.random(robot.n)) * (robot.upper - robot.lower)
+    assert len(freedom(robot, q, turns)) == free
+    along = np.cos(np.arange(robot.n))
+    to = slide(robot, q, along, 0.1, turns, True)
+    target = robot.fk(q).homogeneous
+    position, angle = robot.errors(to, target)
+    assert np.abs(to - q).max() > 0.01 and position < 1e-6 and (angle < 1e-6 or not turns)
+    if free == 1:
+        assert np.allclose(slide(robot, to, along, -0.1, turns, True), q, atol=2e-3)
+    end = slide(robot, q, along, 50.0, turns, True)
+    assert not robot.outside(end) and robot.errors(end, target)[0] < 1e-6
+
+
+def test_an_arm_without_freedom_has_no_self_motion():
+    robot = ik.Robot.load("hydrolek_7w")
+    assert not len(freedom(robot, robot.home, True))
+    assert np.array_equal(slide(robot, robot.home, np.ones(6), 1.0, True, True), robot.home)
+
+
+@pytest.mark.parametrize("rows", [3, 4])
+def test_a_matrix_can_be_typed_as_it_is_printed(rows):
+    session = Session("hydrolek_7w")
+    T = session.poses()["tool"]
+    for text in (str(T[:rows].tolist()), str(T[:rows]), session.words(T, "matrix")[1]):
+        assert np.allclose(session.typed("", "matrix", text), T, atol=1e-6)
+    for text, words in (("1 2 3", "takes 12 or 16 numbers; got 3"), ("1 x", "not '1 x'"), ("1 " * 12, "rotation")):
+        with pytest.raises(ik.IKError, match=words):
+            session.typed("", "matrix", text)
+
+
+def test_limits_that_are_off_are_not_kept():
+    session = Session("planar_2r")
+    T = session.robot.fk([3.0, 0.5])  # the limits are 150 deg
+    assert not session.solve(T).success
+    session.limits = False
+    assert session.range(0) == (-180.0, 180.0)
+    assert session.solve(T).success and session.robot.outside(session.q)
+    assert session.follow(T.translation).success
+
+
+def test_boxes_are_avoided_and_measured():
+    session = Session("hydrolek_7w")
+    goal = session.poses()["tool"]
+    goal[:3, 3] += (0.05, 0.0, 0.02)
+    T = np.eye(4)
+    T[:3, 3] = goal[:3, 3]
+    name = session.add_box([0.3, 0.3, 0.3], T)
+    assert session.solve(goal).success
+    touching, near = session.contacts()
+    assert any(name in pair for pair in touching) and near.distance <= 0.0
+    session.avoid = True
+    assert session.solve(goal).status.name == "COLLISION"
+    session.avoid, session.q = False, session.robot.home.copy()
+    T[2, 3] += 5.0
+    session.move_box(name, T)
+    touching, near = session.contacts()
+    assert not touching and near.distance > 0.01
+    session.load("hydrolek_7w")  # the same robot anew keeps what is around it
+    assert list(session.boxes) == [name] and session.world.obstacles == (name,)
+    session.load("planar_2r")
+    assert session.boxes == {}
+
+
+def test_ellipsoids_are_those_of_the_jacobian():
+    session = Session("hydrolek_7w")
+    axes, radii = session.ellipsoids()["tool"]
+    J = session.robot.jacobian(session.q)[:3]
+    assert np.allclose(axes @ np.diag(radii**2) @ axes.T, J @ J.T)
+    _, radii = Session("planar_2r").ellipsoids()["tool"]
+    assert radii.shape == (3,) and radii[2] < 1e-9  # a plane
+
+
+# --------------------------------------------------------------------------------------------------------------- desk
+pytest.importorskip("viser", reason="viser is not installed (extra 'panel')")
+pytest.importorskip("trimesh", reason="trimesh is not installed (extra 'view')")
+
+
+def test_changes_are_undone_one_by_one(desk):
+    home, seen = desk.session.q.copy(), []
+    for name, job in (("anywhere", desk._anywhere), ("solve", desk._random)):
+        desk._post(name, job)
+        assert desk.worker.idle()
+        seen.append(desk.session.q.copy())
+    desk.past._last = "", 0.0
+    for k in range(3):  # a slider that is pushed is one change
+        desk.sliders[0].value = desk.sliders[0].min + 1.0 + k
+        desk._post("joints", desk._moved)
+        assert desk.worker.idle()
+    for q in (seen[1], seen[0], home):
+        desk._undo()
+        assert np.array_equal(desk.session.q, q)
+    assert np.allclose(desk.stage.handles[0].target, desk.session.poses()["tool"])
+    desk._undo()
+    assert "nothing to undo" in desk.status.content
+
+
+def test_self_motion_by_slider(desk):
+    q, T = desk.session.q.copy(), desk.session.poses()["tool"]
+    desk.push.value = 0.1
+    desk._push()
+    assert np.array_equal(desk.session.q, q) and "no self-motion" in desk.status.content
+    desk.goals[0].give("free")
+    desk._push()
+    assert not np.allclose(desk.session.q, q) and np.allclose(desk.session.poses()["tool"][:3, 3], T[:3, 3], atol=1e-6)
+
+
+def test_boxes_in_the_page(desk):
+    assert "clearance" in desk.facts.content and "manipulability" in desk.facts.content
+    around = desk.around
+    around.size.value = "0.2 0.2 0.2"
+    around.add()
+    around.ellipsoid.value = True
+    (name,) = around.handles
+    around.handles[name].position = tuple(desk.stage.tips[0].position)
+    around._moved(name)
+    assert "in collision" in desk.facts.content and name in desk.facts.content
+    assert desk.stage.ellipsoids[0].visible
+    desk._again()  # as after a change of units
+    assert list(desk.around.handles) == [name] and "in collision" in desk.facts.content
+    desk.around.clear()
+    assert "clearance" in desk.facts.content and desk.session.boxes == {}
+    for text in ("1 2", "1 2 0"):
+        desk.around.size.value = text
+        with pytest.raises(InvalidTarget, match="the size of the box"):
+            desk.around.add()
+
+
+def test_limits_by_checkbox(desk):
+    desk._limits(False)
+    assert desk.sliders[0].max == 180.0
+    desk.sliders[0].value = 170.0
+    desk._moved()
+    assert np.isclose(desk.session.q[0], np.radians(170.0))
+    desk._limits(True)
+    assert not desk.session.robot.outside(desk.session.q)
