@@ -190,9 +190,8 @@ class Desk(Visit):
             self.stage.show(s.q)
             self.stage.gaps({})
             for i, slider in enumerate(self.sliders):
-                slider.value = self.shown[i] = float(
-                    np.clip(round(s.scale(i) * s.q[i], s.digits(i)), slider.min, slider.max)
-                )
+                rounded = round(s.scale(i) * float(s.q[i]), s.digits(i))
+                slider.value = self.shown[i] = float(np.clip(rounded, slider.min, slider.max))
         if self.around is not None:
             self.facts.content = self.around.show()
         if self.learn is not None:
