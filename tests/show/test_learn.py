@@ -92,7 +92,7 @@ def test_wrong_input_is_told_in_a_sentence(desk):
     learn._fill(T)
     desk._guard(learn._inverse)()
     assert "out of reach" in learn.outcome.content and "mm out of reach" in learn.formulas.content
-    assert desk.stage.gap.visible
+    assert "/gap" in desk.stage.lines
     learn.fields["p"].value = (0.0, float("inf"), 0.0)
     desk._guard(learn._inverse)()
     assert "finite" in learn.outcome.content and "bug" not in desk.status.content
