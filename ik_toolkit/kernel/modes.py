@@ -166,7 +166,7 @@ def mode_speed(V, r, sigma, curve, own, left, moved, gain, h, slow, limits, lost
             a = min(a, limits[3, i] / v)
     b = curve[ALONG]
     grows = np.sign(b)  # the way along v in which sigma does: the side on which the joints are
-    s, y, D = sigma + 0.5 * (curve[BOTH] - curve[ALONG] - curve[BESIDE]), 0.0, 0.0
+    s, y, D, most = sigma + 0.5 * (curve[BOTH] - curve[ALONG] - curve[BESIDE]), 0.0, 0.0, a
     for last in range(0 if a < np.inf else 1, 2):  # first for the error alone
         E = moved + h * gain * left - 0.5 * curve[BESIDE] if last == 1 else left
         y, D = way_along(s, b, E, h * own, back, near > 1.0, h)
