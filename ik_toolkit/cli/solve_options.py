@@ -194,6 +194,7 @@ Explain = Annotated[
     typer.Option(
         "--explain",
         help="Show how the answer comes about: D-H table, closed form with the numbers put in, branches, iterations.",
+        rich_help_panel="Output",
     ),
 ]
 All = Annotated[
