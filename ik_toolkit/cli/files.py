@@ -1,5 +1,6 @@
 """`ik dh` and `ik check`: a URDF from a D-H table, and what is wrong with a URDF."""
 
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated, Any
@@ -93,13 +94,14 @@ def check(
     options: dict[str, Any] = {"package_dirs": [*(package_dir or ()), *entry.package_dirs]}
     options["xacro_args"] = assignments(xacro_arg, "--xacro-arg", ":=") or None
     try:
-        found = urdf_of(entry, **options)
-        findings = check_urdf(found.text, found.package_dirs, file=found.file)
+        read = urdf_of(entry, **options)
+        text, findings = read.text, check_urdf(read.text, read.package_dirs, file=read.file)
     except ModelError as error:
+        text = ""
         findings = [Finding("error", "file", str(error), "give a URDF, xacro or MJCF file that can be read")]
     errors = [finding for finding in findings if finding.severity == "error"]
     rows = [asdict(finding) for finding in findings]
-    forms = {} if errors else _closed_forms(entry, options)
+    forms = {} if errors else _closed_forms(entry.tips, text)
     payload = {"urdf": urdf, "loadable": not errors, "errors": len(errors), "findings": rows, "closed_forms": forms}
     found = _self_collision(entry, options, samples, seed) if sampled and not errors else None
     if found is not None:
@@ -147,15 +149,15 @@ def _self_collision(entry: Any, options: dict[str, Any], samples: int | None, se
         return self_collision(robot, count, seed, step)
 
 
-def _closed_forms(entry: Any, options: dict[str, Any]) -> dict[str, str]:
-    """By tip, what is said of the closed form that fits there."""
+def _closed_forms(tips: Sequence[str], text: str) -> dict[str, str]:
+    """By tip, what is said of the closed form that fits there; text: a URDF that can be loaded."""
     from ..robot.robot import Robot
     from ..solvers.closed_form import describe
 
     found = {}
-    for tip in entry.tips or (None,):
+    for tip in tips or (None,):
         try:
-            robot = Robot.load(entry.source, tip=tip, **options)
+            robot = Robot.load(text, tip=tip)
         except IKError:  # several ends and none named: no arm to speak of
             continue
         if describe(robot):

@@ -6,8 +6,10 @@ from collections.abc import Iterable
 from ..solvers.blocks import UNITS, Block, Broken, Formulas, Given, Heading, Table, Varies, Words, grouped
 from ..solvers.derivation import Step
 from ..solvers.formula import MathML, number, pieces, write
+from ..style import BAD
+from .tables import MUTED
 
-MUTED, MARK, BAD = "#4a5766", "#fff3c4", "#b2182b"
+MARK = "#fff3c4"
 CELL = "padding:1px 7px 1px 0;white-space:nowrap;font-variant-numeric:tabular-nums"
 FORM = MathML()
 

@@ -8,11 +8,11 @@ import numpy as np
 
 from ..errors import IKError, InvalidConfiguration
 from ..kernel.task import POSE, POSITION
-from ..solvers.blocks import Table, Words
+from ..solvers.blocks import UNITS, Table, Words
 from ..solvers.closed_form import fits
 from ..solvers.dh_table import dh_blocks, dh_of
 from ..solvers.explanation import Explanation, target_table
-from ..solvers.formula import decimals, number
+from ..solvers.formula import SCALES, decimals, number, unit_of
 from ..solvers.registry import find_row
 from ..solvers.result import Result
 from ..solvers.solve import solve
@@ -24,7 +24,6 @@ from .tables import sentence
 QUIET, CHOSEN = (71, 85, 105), (31, 95, 153)  # buttons of branches
 FREEDOMS = 6  # joints from which on a pose is asked for where no closed form says what
 COLUMNS = ("n", "o", "a")
-MM = 1000.0
 STEP = 0.001  # mm or deg, of the slider of what is free
 
 
@@ -48,11 +47,11 @@ class Lesson:
 
     def scale(self, i: int) -> float:
         """Factor from the value of joint i [rad or m] to degrees or millimetres."""
-        return MM if self.robot.joint_kinds[i] == "prismatic" else math.degrees(1.0)
+        return SCALES[unit_of(self.robot.joint_kinds[i])]
 
     def unit(self, i: int) -> str:
         """Unit shown of joint i."""
-        return "mm" if self.robot.joint_kinds[i] == "prismatic" else "deg"
+        return UNITS[unit_of(self.robot.joint_kinds[i])]
 
     def read(self, values: list[float], shown: list[float]) -> np.ndarray:
         """q (n,) [rad or m] of typed joint values; one that is still as shown keeps its digits. Raises InvalidConfiguration."""
@@ -67,7 +66,7 @@ class Lesson:
     def columns(self, T: np.ndarray) -> dict[str, tuple[float, float, float]]:
         """Columns n, o, a and p [mm] of a pose (4, 4)."""
         places = (6, 6, 6, self.places)
-        scaled = T[:3].T * np.array([1.0, 1.0, 1.0, MM])[:, None]
+        scaled = T[:3].T * np.array([1.0, 1.0, 1.0, SCALES["m"]])[:, None]
         return {
             name: tuple((column.round(k) + 0.0).tolist())
             for name, column, k in zip("noap", scaled, places, strict=True)
@@ -86,7 +85,7 @@ class Lesson:
         """Solve for columns n, o, a and p [mm] from where the robot stands, and explain it. Raises InvalidTarget."""
         T = np.eye(4)
         T[:3] = np.column_stack([columns[name] for name in "noap"])
-        T[:3, 3] /= MM
+        T[:3, 3] /= SCALES["m"]
         return self._explain(T, "auto")
 
     def at(self, value: float) -> Result:
@@ -334,8 +333,8 @@ def said(words: str, color: str) -> str:
 
 def values_table(robot: Any, q: np.ndarray, places: int) -> Table:
     """Joint values of one configuration."""
-    units = [("m", "mm") if kind == "prismatic" else ("rad", "deg") for kind in robot.joint_kinds]
+    units = [unit_of(kind) for kind in robot.joint_kinds]
     rows = [
-        (name, number(x, unit, places), word) for name, x, (unit, word) in zip(robot.joint_names, q, units, strict=True)
+        (name, number(x, unit, places), UNITS[unit]) for name, x, unit in zip(robot.joint_names, q, units, strict=True)
     ]
     return Table(("joint", "value", ""), rows)

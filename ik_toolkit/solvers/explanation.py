@@ -11,7 +11,7 @@ from ..robot.dh import DHTable
 from .blocks import UNITS, Block, Broken, Formulas, Given, Heading, Table, Words, to_markdown, to_text
 from .derivation import Branch, Derivation
 from .dh_table import dh_blocks
-from .formula import decimals, number
+from .formula import decimals, number, unit_of
 
 ABREAST = 4  # branches beside each other
 FIRST, LAST = 10, 4  # iterations shown of a long run
@@ -107,10 +107,7 @@ class Explanation:
         """Where the joint that is free may be."""
         assert self.derivation is not None and self.derivation.free is not None
         free = self.derivation.free
-        name, unit = (
-            self.robot.joint_names[free.joint],
-            "rad" if self.robot.joint_kinds[free.joint] != "prismatic" else "m",
-        )
+        name, unit = self.robot.joint_names[free.joint], unit_of(self.robot.joint_kinds[free.joint])
 
         def said(spans: Sequence[tuple[float, float]]) -> str:
             ends = [(number(a, unit, self.places), number(b, unit, self.places)) for a, b in spans]
@@ -141,7 +138,7 @@ class Explanation:
             shown = range(first, min(first + ABREAST, len(branches)))
             rows = []
             for i, (name, kind) in enumerate(zip(self.robot.joint_names, kinds, strict=True)):
-                unit = "m" if kind == "prismatic" else "rad"
+                unit = unit_of(kind)
                 values = ((number(branches[k].q[i], unit, self.places), name in branches[k].outside) for k in shown)
                 rows.append((name, *(Broken(text) if bad else text for text, bad in values)))
             rows.append(("FK error", *(f"{1000.0 * self.errors[k][0]:.0e}" for k in shown)))
@@ -156,7 +153,7 @@ class Explanation:
         assert self.iterations is not None
         i = self.iterations
         turned, told = not np.isnan(i.orientation).all(), self.robot.n <= TOLD
-        units = ["m" if kind == "prismatic" else "rad" for kind in self.robot.joint_kinds]
+        units = [unit_of(kind) for kind in self.robot.joint_kinds]
         head = (
             "k",
             "error (mm)",

@@ -7,6 +7,7 @@ import re
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
+SCALES = {"m": 1000.0, "rad": math.degrees(1.0), "": 1.0}  # from a unit to the one shown, see blocks.UNITS
 BREAK = "\v"  # in MathML: where a line may end
 SUM, PRODUCT, SIGN, POWER, ATOM = range(5)  # how tightly the outermost operation binds
 GREEK = ("alpha", "beta", "gamma", "theta", "phi", "chi", "psi", "rho")
@@ -34,10 +35,15 @@ def decimals(reach: float) -> int:
     return int(min(max(round(6.0 - math.log10(1000.0 * reach)), 0), 12))
 
 
+def unit_of(kind: str) -> str:
+    """Unit of the values of a joint of this kind, a key of SCALES."""
+    return "m" if kind == "prismatic" else "rad"
+
+
 def number(value: float, unit: str, places: int) -> str:
     """Digits of a value [m, rad or 1] in millimetres (with `places` decimals), degrees or as it is."""
-    scale, digits = {"m": (1000.0, places), "rad": (math.degrees(1.0), 4)}.get(unit, (1.0, 6))
-    text = f"{scale * value:.{digits}f}"
+    digits = {"m": places, "rad": 4}.get(unit, 6)
+    text = f"{SCALES[unit] * value:.{digits}f}"
     return text.removeprefix("-") if float(text) == 0.0 else text
 
 
