@@ -41,6 +41,7 @@ def test_what_asks_for_the_environment_gets_arguments(package, monkeypatch):
     monkeypatch.setenv("LENGTH", "3")
     file.write_text(ARM.replace('default="0.5"', 'default="$(optenv LENGTH 0.25)"'))
     assert ik.Robot.load(file).reach == pytest.approx(0.25)
+    assert ik.Robot.load(file, xacro_args={"LENGTH": 0.75}).reach == pytest.approx(0.75)
     file.write_text(ARM.replace('default="0.5"', 'default="$(env LENGTH)"'))
     assert ik.Robot.load(file, xacro_args={"LENGTH": 0.75}).reach == pytest.approx(0.75)
 

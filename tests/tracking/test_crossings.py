@@ -62,6 +62,7 @@ def feasible():
         ("ur5", 1, 30),  # through singular poses
         ("ur5", 7, 22),
         ("panda", 3, 39),
+        ("panda", 12, 45),  # by a singular pose, unless the clock is slower there
         ("inspection_7dof", 3, 30),  # too fast for a step of the second order
         ("inspection_7dof", 1, 32),  # into two limits, unless the joints keep another posture
         ("inspection_7dof", 6, 50),
