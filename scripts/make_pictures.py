@@ -1,11 +1,13 @@
 """Make the pictures of the README and the gallery: scenes drawn by `ik.view`, photographed in headless Chromium.
 
-Run: python scripts/make_pictures.py [NAME ...]   (needs the extras view, robots and paths, and chromium; `panel` also the extra
-panel and playwright)
+Run: python scripts/make_pictures.py [NAME ...]   (needs the extras view, robots and paths, and chromium; `panel` and `drag`
+also playwright, `panel` the extra panel)
 """
 
 import argparse
 import contextlib
+import io
+import math
 import shutil
 import subprocess
 import tempfile
@@ -20,6 +22,21 @@ import ik_toolkit as ik
 FOLDER = Path(__file__).resolve().parent.parent / "docs" / "_static"
 SIZE = (1000, 600)
 COLUMNS, SMALL = 4, (300, 220)  # of a sheet of solutions, and pixels of one of them
+GRAPHICS = (
+    "--no-sandbox",
+    "--use-gl=angle",
+    "--use-angle=swiftshader",
+    "--enable-unsafe-swiftshader",
+)  # WebGL without a card
+MOVING = (900, 600)  # pixels of the moving picture
+FRAMES, PAUSE, COLOURS = 34, 70, 128  # of it, one way; [ms] a frame; colours: under a megabyte
+POINTER = """() => { const svg = document.createElement("div");
+  const arrow = '<path d="M1 1v20l5-4 4 9 4-2-4-8h7z" fill="#fff" stroke="#222" stroke-width="1.4"/>';
+  svg.innerHTML = `<svg width="20" height="28">${arrow}</svg>`;
+  svg.style.cssText = "position:fixed;pointer-events:none;left:0;top:0;width:20px";
+  document.body.append(svg);
+  addEventListener("pointermove", (e) => { svg.style.left = e.clientX + "px"; svg.style.top = e.clientY + "px"; }, true);
+}"""  # a pointer that is seen: a photograph shows none
 FLAGS = (
     "--headless --no-sandbox --disable-quic --no-first-run --disable-background-networking --disable-component-update "
     "--disable-sync --hide-scrollbars --virtual-time-budget=15000"
@@ -130,9 +147,8 @@ def panel(picture: Path) -> None:
 
     from ik_toolkit.show.panel import Panel
 
-    flags = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
     with contextlib.closing(Panel("hydrolek_7w")) as served, sync_playwright() as play:
-        page = play.chromium.launch(executable_path=find_chromium(), args=flags).new_page(
+        page = play.chromium.launch(executable_path=find_chromium(), args=[*GRAPHICS]).new_page(
             viewport={"width": 1280, "height": 960}
         )
         page.goto(served.url)
@@ -146,6 +162,45 @@ def panel(picture: Path) -> None:
         page.wait_for_timeout(2000)
         page.screenshot(path=picture)
     Image.open(picture).convert("RGB").quantize(256).save(picture, optimize=True)
+
+
+def drag(picture: Path) -> None:
+    """Write the moving picture: the target of the Panda's live page is dragged there and back, once past the edge of reach.
+
+    The way back shows the pictures of the way there: the last frame is followed by the first without a jump.
+    """
+    from playwright.sync_api import sync_playwright
+
+    frames = []
+    with tempfile.TemporaryDirectory() as folder, sync_playwright() as play:
+        page = play.chromium.launch(executable_path=find_chromium(), args=[*GRAPHICS]).new_page(
+            viewport={"width": MOVING[0], "height": MOVING[1]}
+        )
+        page.goto(ik.view(ik.Robot.load("panda")).page(Path(folder) / "panda.html").as_uri())
+        page.wait_for_selector("body[data-still='1']")
+        page.evaluate(POINTER)
+        page.mouse.move(280, 330)
+        page.mouse.wheel(0, -150)  # nearer
+        x, y = page.evaluate("arm.state().at[0]")
+        page.mouse.move(x, y)
+        page.mouse.down()
+        for k in range(FRAMES):
+            s = 0.5 - 0.5 * math.cos(math.pi * k / (FRAMES - 1))  # starts and ends slowly
+            page.mouse.move(
+                x + 60 * (math.cos(2.2 * math.pi * s) - 1) + 125 * s, y + 85 * math.sin(1.9 * math.pi * s) - 30 * s
+            )
+            page.wait_for_timeout(60)
+            page.wait_for_selector("body[data-still='1']")
+            frames.append(Image.open(io.BytesIO(page.screenshot())).convert("RGB"))
+    pixels = np.concatenate([np.asarray(f).reshape(-1, 3) for f in frames[:: FRAMES // 4]])
+    vivid = pixels[np.ptp(pixels.astype(int), axis=1) > 90]  # few, and what the eye follows: they count for a sixth
+    pixels = np.concatenate([pixels, np.resize(vivid, (len(pixels) // 5, 3))])
+    strip = Image.fromarray(pixels[None])
+    palette = strip.quantize(
+        COLOURS, method=Image.Quantize.MEDIANCUT
+    )  # one for all: what stands still does not flicker
+    first, *others = [f.quantize(palette=palette, dither=Image.Dither.NONE) for f in [*frames, *frames[-2:0:-1]]]
+    first.save(picture, save_all=True, append_images=others, duration=PAUSE, loop=0, optimize=True, disposal=1)
 
 
 def photograph(page: Path, picture: Path) -> None:
@@ -164,20 +219,21 @@ def photograph(page: Path, picture: Path) -> None:
     Image.open(picture).convert("RGB").save(picture, optimize=True)
 
 
-MADE = {"branches": branches, "panel": panel}  # that are no single scene
+MADE = {"branches.png": branches, "panel.png": panel, "drag.gif": drag}  # that are no single scene
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("names", nargs="*", help=f"default: all of {', '.join([*SCENES, *MADE])}")
-    for name in parser.parse_args().names or [*SCENES, *MADE]:
-        if name in MADE:
-            MADE[name](FOLDER / f"{name}.png")
-            continue
-        with tempfile.TemporaryDirectory() as folder:
-            page = SCENES[name]().save(Path(folder) / f"{name}.html")
-            photograph(page, FOLDER / f"{name}.png")
-        print(f"{name}.png: {(FOLDER / f'{name}.png').stat().st_size // 1000} kB")
+    makers = {Path(file).stem: (FOLDER / file, make) for file, make in MADE.items()}
+    parser.add_argument("names", nargs="*", help=f"default: all of {', '.join([*SCENES, *makers])}")
+    for name in parser.parse_args().names or [*SCENES, *makers]:
+        picture, make = makers.get(name, (FOLDER / f"{name}.png", None))
+        if make:
+            make(picture)
+        else:
+            with tempfile.TemporaryDirectory() as folder:
+                photograph(SCENES[name]().save(Path(folder) / f"{name}.html"), picture)
+        print(f"{picture.name}: {picture.stat().st_size // 1000} kB")
 
 
 if __name__ == "__main__":
