@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 # Options that take several numbers: `--q 0.1 -0.2`, `--q 0.1,-0.2` and `--q "0.1 -0.2"` mean the same.
 VECTOR_OPTIONS = frozenset(
-    "--q --q0 --xyz --rpy --quat-xyzw --quat-wxyz --matrix --base-xyz --base-rpy --center --axis --start --end "
+    "--q --q0 --xyz --rpy --quat-xyzw --quat-wxyz --matrix --from-q --base-xyz --base-rpy --center --axis --start --end "
     "--direction --tip-axis --mask --slack --free-turn --joint-weights --closest --target --q-end --velocity --acceleration".split()
 )
 

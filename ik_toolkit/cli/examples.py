@@ -13,14 +13,15 @@ ik fk inspection_7dof --deg --q 20 0.22 20 0 20 0 20""",
     "solve": """
 ik solve hydrolek_7w --xyz 1.0 0.1 0.2
 ik solve hydrolek_7w --xyz 1.0 0.2 0.1 --rpy -1.6 0 -1.2 --json
-ik solve hydrolek_7w --xyz 1.0 0.1 0.2 --solver dls -p damping=0.05 --tolerance 1e-4
+ik solve hydrolek_7w --xyz 1.0 0.1 0.2 -s dls -p damping=0.05 --tolerance 1e-4
 ik solve planar_2r --xyz 1 1 0 --all --deg
-ik solve hydrolek_7w --xyz 1.0 0.1 0.2 --direction 0 0 -1 --obstacle sphere:1,0.5,0.5,0.1
-ik solve brokk_hydrolek --target left_tip:1.2,0.4,1.0 --target right_tip:1.1,-0.5,0.9
+ik solve hydrolek_7w --xyz 1.0 0.1 0.2 --direction 0 0 -1
+ik solve hydrolek_7w --xyz 1.0 0.1 0.2 --obstacle sphere:1,0.5,0.5,0.1
+ik solve brokk_hydrolek --target left_tip:1.2,.4,1 --target right_tip:1,-.4,1
 ik solve hydrolek_7w --targets poses.csv -o solutions.csv""",
     "path": """
 ik path hydrolek_7w --poses cut.csv --free-turn z -o path.csv --plot path.png
-ik path hydrolek_7w --poses cut.csv --retime --acceleration 1 -o trajectory.json""",
+ik path hydrolek_7w --poses cut.csv --retime --acceleration 1 -o motion.json""",
     "track": """
 ik track hydrolek_7w --path circle
 ik track hydrolek_7w --path eight --radius 0.08 --position-only --plot run.png

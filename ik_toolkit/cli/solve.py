@@ -48,6 +48,7 @@ def solve(
     quat_xyzw: asked.Quat = None,
     quat_wxyz: asked.QuatWxyz = None,
     matrix: asked.Matrix = None,
+    from_q: asked.FromQ = None,
     targets: asked.Targets = None,
     relative: asked.Relative = None,
     solver: asked.SolverName = "auto",
@@ -59,6 +60,7 @@ def solve(
     orientation_tolerance: asked.OrientationTolerance = None,
     max_iterations: asked.MaxIterations = None,
     restarts: asked.Restarts = None,
+    timeout: asked.Timeout = None,
     seed: asked.Seed = 0,
     limits: asked.Limits = True,
     clamp_q0: asked.ClampQ0 = True,
@@ -116,6 +118,8 @@ def solve(
     method = asked.choose_solver(solver, param, preset)
     tips = choose_tips(robot, tip, target if targets else None, relative, asked.is_posed(line), group)
     arm = load_robot(robot, tips, base, lock, package_dir, deg, xacro_arg, base_xyz, base_rpy, srdf, group)
+    if from_q is not None:
+        target = asked.reached(line, arm)
     options = asked.read_options(line, arm)
     start = options.pop("q0")
     if file is not None:
@@ -140,7 +144,8 @@ def _solve_one(arm: Any, target: Any, method: Any, start: Any, options: dict[str
     with nullcontext() if shown else first_use.instead_of_compiling():
         # At a solved start: compiles or loads, so that the time shown below is the solve's own.
         solve_one(arm, _at_home(arm, target, options), method, q0=arm.home if line.follow else None, **first)
-    options["max_evaluations"] = first_use.budget()
+    if first_use.budget():
+        options |= {"max_evaluations": first_use.budget(), "timeout": None}
     result = solve_one(arm, target, method, q0=start, **options)
     if first_use.budget() and not result.success and result.status.name != "UNREACHABLE":
         raise typer.Exit(first_use.NOT_ANSWERED)

@@ -54,6 +54,14 @@ Relative = Annotated[
         help="Read the target of TIP in the moving frame of the tip OTHER; may be repeated.",
     ),
 ]
+FromQ = Annotated[
+    str | None,
+    typer.Option(
+        "--from-q",
+        metavar="Q1 Q2 ...",
+        help="Target where the tip, or every tip, stands at these joint values; replaces --xyz.",
+    ),
+]
 SolverName = Annotated[
     str,
     typer.Option(
@@ -82,6 +90,10 @@ MaxIterations = Annotated[
 Restarts = Annotated[
     int | None,
     typer.Option(metavar="N", help="Additional attempts from other starts; default: the solver's own."),
+]
+Timeout = Annotated[
+    float | None,
+    typer.Option(metavar="S", help="Time for the solve [s]; unlike every other option not deterministic."),
 ]
 Seed = Annotated[int, typer.Option(metavar="N", help="Seed of the random restarts.")]
 Limits = Annotated[bool, typer.Option("--limits/--no-limits", help="Enforce joint limits.")]
@@ -208,6 +220,7 @@ PASSED_ON = (
     "orientation_tolerance",
     "max_iterations",
     "restarts",
+    "timeout",
     "seed",
     "objective",
     "follow",
@@ -222,6 +235,8 @@ def refuse_contradictions(line: SimpleNamespace) -> None:
         raise InvalidOption("--chain has been removed; `ik path` (ik.solve_path) follows poses in one joint motion")
     if line.file is None and (line.threads is not None or line.cluster is not None):
         raise InvalidOption("--threads and --cluster go with --targets FILE")
+    if line.from_q is not None and (line.targets or line.file is not None or posed):
+        raise InvalidOption("--from-q gives the whole target; omit --xyz, --target and the other pose options")
     if line.file is not None:
         if line.targets or line.every or posed:
             raise InvalidOption(
@@ -238,9 +253,9 @@ def refuse_contradictions(line: SimpleNamespace) -> None:
             raise InvalidOption("--target gives tip and pose together; omit --xyz and the rotation options")
     elif line.relative:
         raise InvalidOption("--relative is for several tips, with a --target for each")
-    elif line.xyz is None and line.matrix is None:
+    elif line.xyz is None and line.matrix is None and line.from_q is None:
         raise InvalidOption(
-            "Missing option '--xyz' (or '--matrix', '--targets FILE' for many, '--target' for several tips)"
+            "Missing option '--xyz' (or '--matrix', '--from-q', '--targets FILE' for many, '--target' for several tips)"
         )
     if line.explain and (line.every or line.file is not None):
         raise InvalidOption("--explain explains a single solve and cannot be combined with --all or --targets FILE")
@@ -331,12 +346,21 @@ def make_target(line: SimpleNamespace, direction: list[str] | None = None, tip_a
 
 
 def read_target(line: SimpleNamespace) -> Any:
-    """Target of the options of `ik solve`: targets by tip, one target (see `make_target`), or None where a file says them."""
+    """Target of the options of `ik solve`: targets by tip, one target (see `make_target`), or None.
+
+    None is for a file of targets, and for --from-q, which needs the robot (see `reached`).
+    """
     if line.targets:
         return by_tip.targets(line.targets, line.deg, line.direction, line.tip_axis)
-    if line.file is not None:
+    if line.file is not None or line.from_q is not None:
         return None
     return make_target(line, line.direction, line.tip_axis)
+
+
+def reached(line: SimpleNamespace, arm: Any) -> Any:
+    """Target of --from-q: the pose (4, 4) of the tip there, of several tips a dict by tip."""
+    at = arm.fk(joint_vector(arm, line.from_q, "--from-q", line.deg))
+    return {tip: T.homogeneous for tip, T in at.items()} if arm.by_tip else at.homogeneous
 
 
 def choose_solver(name: str, params: list[str] | None, preset: str | None) -> Any:

@@ -138,7 +138,11 @@ MaxStretch = Annotated[
 Out = Annotated[
     Path | None,
     typer.Option(
-        "-o", "--output", metavar="FILE", help="Write the run to a .npz or .csv file.", callback=writes(".npz", ".csv")
+        "-o",
+        "--output",
+        metavar="FILE",
+        help="Write the run to a .npz or .csv file, or to .json as a ROS JointTrajectory.",
+        callback=writes(".npz", ".csv", ".json"),
     ),
 ]
 Plot = Annotated[

@@ -10,10 +10,10 @@ WIDEST = 100  # columns; longer lines are hard to read
 COLUMN = 30  # where the explanations begin
 LAST = ("Robot", "Output", "Other")  # groups; the others stand before them, as declared
 GROUPS = {  # of the options that several commands share
-    "Target": "--xyz --rpy --quat-xyzw --quat-wxyz --matrix --target --relative --direction --tip-axis",
+    "Target": "--xyz --rpy --quat-xyzw --quat-wxyz --matrix --from-q --target --relative --direction --tip-axis",
     "What counts": "--mask --slack --free-turn --frame",
     "Tolerances": "--tolerance --position-tolerance --orientation-tolerance --tolerance-position --tolerance-orientation",
-    "Solver": "--solver --param --preset --max-iterations --restarts --seed --limits",
+    "Solver": "--solver --param --preset --max-iterations --restarts --timeout --seed --limits",
     "Start and preferences": "--q0 --clamp-q0 --joint-weights --closest --follow --objective --all",
     "Collisions": "--avoid-collisions --obstacle --margin",
     "Many targets": "--threads --cluster",

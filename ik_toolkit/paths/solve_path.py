@@ -39,6 +39,7 @@ NOT_HERE = (
     "follow",
     "check",
     "max_evaluations",
+    "timeout",
     "restarts",
     "max_iterations",
     "q0_outside",

@@ -9,6 +9,7 @@ import numpy as np
 
 from ..errors import FrameNotFound, InvalidOption, floats, near_match
 from ..files import write_table, write_whole
+from ..robot.ros import joint_trajectory
 from ..tracking.reference import Reference, Samples
 
 DIFFERENCE = 1e-5  # [s] of the central difference of a Jacobian along the motion: its error is the square of it
@@ -106,26 +107,15 @@ class Trajectory:
         write_table(file, head, np.hstack([self.t[:, None], self.q, self.dq, self.ddq]).tolist())
         return file
 
+    def to_ros(self) -> dict[str, Any]:
+        """Fields of a ROS trajectory_msgs/JointTrajectory, a point a sample; for rosidl_runtime_py's set_message_fields."""
+        names, base = self.robot.joint_names, self.robot.arms[0].base
+        return joint_trajectory(names, base, self.t, self.q, self.dq, self.ddq)
+
     def to_json(self, path: str | Path) -> Path:
-        """Write the fields of a ROS trajectory_msgs/JointTrajectory, a point a sample."""
+        """Write the fields of `to_ros` as JSON."""
         file = Path(path)
-        whole = np.floor(self.t).astype(int)
-        nanos = np.minimum(np.round((self.t - whole) * 1e9), 999_999_999).astype(int)
-        points = [
-            {
-                "positions": q,
-                "velocities": dq,
-                "accelerations": ddq,
-                "effort": [],
-                "time_from_start": {"sec": sec, "nanosec": nanosec},
-            }
-            for q, dq, ddq, sec, nanosec in zip(
-                self.q.tolist(), self.dq.tolist(), self.ddq.tolist(), whole.tolist(), nanos.tolist(), strict=True
-            )
-        ]
-        header = {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": self.robot.arms[0].base}
-        message = {"header": header, "joint_names": list(self.robot.joint_names), "points": points}
-        write_whole(file, json.dumps(message, allow_nan=False) + "\n")
+        write_whole(file, json.dumps(self.to_ros(), allow_nan=False) + "\n")
         return file
 
     def to_reference(self, tip: str | None = None) -> Reference:

@@ -1,6 +1,7 @@
 """Solutions that touch nothing: when a solver's answer collides, the search goes on from other starts."""
 
 from collections.abc import Callable
+from time import perf_counter
 from typing import Any
 
 import numpy as np
@@ -40,7 +41,7 @@ def avoiding(plan: Any, then: tuple[Callable[[Any], Any], ...]) -> Callable[[Any
     steps that improve a free answer; one that makes it touch is taken back.
     """
     model = collision_model(plan.robot, plan.options.avoid_collisions)
-    single = plan.varied(**PLAIN, **({} if plan.options.follow else {"restarts": 0}))
+    single = plan.varied(**PLAIN, timeout=None, **({} if plan.options.follow else {"restarts": 0}))
 
     def step(outcome: Any) -> Any:
         if outcome.row[AT.status] != Status.CONVERGED:
@@ -78,7 +79,8 @@ def _another(single: Any, model: CollisionModel, outcome: Any) -> Any:
     left = 0 if o.follow else STARTS if o.restarts is None else o.restarts
     size = max(left, 1) if o.closest else ROUND
     rng = np.random.default_rng(o.seed)
-    while left > 0 and not (o.max_evaluations and row[AT.evaluations] >= o.max_evaluations):
+    end = np.inf if o.timeout is None else perf_counter() + o.timeout - outcome.elapsed
+    while left > 0 and perf_counter() < end and not (o.max_evaluations and row[AT.evaluations] >= o.max_evaluations):
         count = min(size, left)
         left -= count
         Q0 = robot.random_q(rng, count)

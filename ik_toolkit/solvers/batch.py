@@ -59,6 +59,10 @@ def solve_parts(
         raise InvalidOption(f"executor is a pool with a submit method (concurrent.futures), not {executor!r:.80}")
     if options.get("history"):
         raise InvalidOption("a batch keeps no history; solve the target in question with ik.solve")
+    if options.get("timeout") is not None:
+        raise InvalidOption(
+            "a batch answers the same for any number of threads, so it has no timeout; use max_evaluations"
+        )
     count = whole("threads", threads) if threads is not None else available_cores()
     if not isinstance(check, int | float | np.floating) or not 0.0 <= check <= 1.0:
         raise InvalidOption(f"check is the fraction of answers to check again, 0 to 1, not {check!r}")

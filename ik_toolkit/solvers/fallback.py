@@ -108,7 +108,7 @@ def continue_with(
     how: kinds of target, and whether the starts are given (see Plan.run). Where evaluations are limited, each row is searched with
     what it has left of them.
     """
-    budget, still = search.options.max_evaluations, np.ones(len(failed), dtype=bool)
+    budget, still = search.options.budget, np.ones(len(failed), dtype=bool)
     every = np.arange(len(failed))
     for some in [every] if budget is None else every[:, None]:
         plan, rows = search, failed[some]

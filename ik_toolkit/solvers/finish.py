@@ -1,10 +1,12 @@
 """The steps that finish an answer: each takes an Outcome and returns it, changed or not.
 
 `plan.improving` are those that may replace q (collisions, objective); they run on converged answers, of single calls and of
-batches. `plan.steps` are all of a single call: history, improving, and the check by Pinocchio.
+batches. `plan.steps` are all of a single call: what its timeout
+still allows, history, improving, and the check by Pinocchio.
 """
 
 from collections.abc import Callable
+from time import perf_counter
 from typing import Any
 
 import numpy as np
@@ -27,8 +29,34 @@ def finishing(plan: Any) -> tuple[tuple[Step, ...], tuple[Step, ...]]:
         from .avoid import avoiding
 
         improving = (avoiding(plan, improving),)
-    steps = [*([record] if o.history else []), *improving, *([confirm] if o.check else [])]
+    steps = [
+        *([] if o.timeout is None else [extend]),
+        *([record] if o.history else []),
+        *improving,
+        *([confirm] if o.check else []),
+    ]
     return tuple(steps), improving
+
+
+GROWTH = 4  # of the slices: a search begun anew each time repeats at most a third of its last run
+
+
+def extend(outcome: Any) -> Any:
+    """Go on with a search that used up its slice, as far as its timeout allows.
+
+    A search with more evaluations begins as one with fewer, so each slice is a longer run from the beginning, and the answer is
+    that of max_evaluations=result.fk_evaluations. A slice is cut to what the last one's pace fits into the time left.
+    """
+    plan, row, made = outcome.plan, outcome.row, outcome.plan.options.budget
+    began, left, pace = perf_counter(), outcome.plan.options.timeout - outcome.elapsed, outcome.elapsed / made
+    while row[AT.status] != Status.CONVERGED and row[AT.evaluations] >= made:
+        allowed = int(min(GROWTH * made, (left - perf_counter() + began) / pace))
+        if allowed <= made:
+            break
+        plan, started = outcome.plan.varied(max_evaluations=allowed), perf_counter()
+        row = plan.solve(outcome.T, outcome.kinds, outcome.start, outcome.given)
+        pace, made = (perf_counter() - started) / allowed, allowed
+    return outcome._replace(plan=plan, row=row, elapsed=outcome.elapsed + perf_counter() - began)
 
 
 TOLD_APART = 12  # attempts whose rows are known in a history, besides the one that won: as many as a picture shows

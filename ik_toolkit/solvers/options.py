@@ -14,9 +14,14 @@ PLAIN: dict[str, Any] = {
     "closest": False, "objective": None, "history": False, "check": False, "avoid_collisions": False
 }  # fmt: skip
 MAX_ITERATIONS = 1_000_000
+SLICE = 256  # evaluations that a timed solve makes before it looks at the clock: about a quarter of a millisecond
 FOLLOW = 0.5  # rad (of the reach for slides): what follow=True allows, the move that a chain reports as a flip
 OBJECTIVES = {"mid-range": 1, "reference": 2, "manipulability": 3}  # numbers of kernel/refine.py
 WORDS = {"objective": tuple(OBJECTIVES), "q0_outside": ("clamp", "refuse")}
+OTHERWISE = {  # names that are asked for and mean something else here
+    "mask_frame": "mask_frame is now called frame: 'base', 'tip' or 'target'",
+    "from_q": "there is no option 'from_q'; the target that a configuration reaches is robot.fk(q)",
+}
 COUNTING = ("mask", "slack", "free_turn", "frame")  # what counts: one value for every tip, or a dict by tip
 FRAMES = ("base", "tip", "target")
 
@@ -27,20 +32,21 @@ class Options:
 
     position_tolerance [m], orientation_tolerance [rad]: both errors must be below theirs. max_iterations: steps an attempt;
     restarts: further attempts from other starts (None: the solver's own). max_evaluations: budget of FK evaluations over all
-    attempts. seed: of the random starts. limits: keep joints inside their limits. wrap: whether a bounded joint with a full
-    turn or more may go on from the other end of its range, where it stops otherwise (None: the solver's own way; the default
-    search wraps, the published methods stop). q0_outside: 'clamp' (with a notice) or 'refuse'. What counts of the errors x, y,
-    z [m] and rx, ry, rz [rad] (target - tip, and the rotation vector left), along the axes of frame 'base', 'tip' or 'target':
-    free_turn (3,), a tip axis about which rotation is free; then slack (6,), half widths inside which there is no error (inf,
-    and pi for a rotation, free it); then mask (6,), weights (0 = free). Each is one value for every tip or a dict by tip, and
-    the tolerances hold for what is left. relative_to: of a Tree, a dict from a tip to the tip in whose frame its target is
-    given. joint_weights (n,): how freely each joint moves (1 = as usual, 0 = held where q0, or home, has it). closest: of
-    several solutions return the one nearest q0. objective: for redundant tasks, what to improve in the null space once solved:
-    'mid-range', 'reference' (near q0) or 'manipulability'. history: keep errors and q of every evaluation. check: re-check with
-    Pinocchio. avoid_collisions: True (the robot's own links) or a CollisionModel: only answers that touch nothing count, and
-    the search goes on until one is found. follow: for control loops, one attempt from q0 (required) in which no joint moves
-    further than this [rad; slides: times the robot's reach]; True is 0.5. A target beyond that ends as TOO_FAR. Not with closed
-    forms, closest, restarts or objective.
+    attempts. timeout: the same in seconds, which is not deterministic; max_evaluations=result.fk_evaluations repeats what it
+    found. The first slice, of 256 evaluations, is always made. seed: of the random starts. limits: keep joints inside their
+    limits. wrap: whether a bounded joint with a full turn or more may go on from the other end of its range, where it stops
+    otherwise (None: the solver's own way; the default search wraps, the published methods stop). q0_outside: 'clamp' (with a
+    notice) or 'refuse'. What counts of the errors x, y, z [m] and rx, ry, rz [rad] (target - tip, and the rotation vector
+    left), along the axes of frame 'base', 'tip' or 'target': free_turn (3,), a tip axis about which rotation is free; then
+    slack (6,), half widths inside which there is no error (inf, and pi for a rotation, free it); then mask (6,), weights (0 =
+    free). Each is one value for every tip or a dict by tip, and the tolerances hold for what is left. relative_to: of a Tree,
+    a dict from a tip to the tip in whose frame its target is given. joint_weights (n,): how freely each joint moves (1 = as
+    usual, 0 = held where q0, or home, has it). closest: of several solutions return the one nearest q0. objective: for
+    redundant tasks, what to improve in the null space once solved: 'mid-range', 'reference' (near q0) or 'manipulability'.
+    history: keep errors and q of every evaluation. check: re-check with Pinocchio. avoid_collisions: True (the robot's own
+    links) or a CollisionModel: only answers that touch nothing count, and the search goes on until one is found. follow: for
+    control loops, one attempt from q0 (required) in which no joint moves further than this [rad; slides: times the robot's
+    reach]; True is 0.5. A target beyond that ends as TOO_FAR. Not with closed forms, closest, restarts or objective.
     """
 
     position_tolerance: float = 1e-6
@@ -48,6 +54,7 @@ class Options:
     max_iterations: int | None = None
     restarts: int | None = None
     max_evaluations: int | None = None
+    timeout: float | None = None
     seed: int = 0
     limits: bool = True
     wrap: bool | None = None
@@ -64,6 +71,11 @@ class Options:
     check: bool = True
     avoid_collisions: Any = False
     follow: float = 0.0
+
+    @property
+    def budget(self) -> int | None:
+        """FK evaluations of one run of the kernel: with a timeout a slice, after which it is run again with more."""
+        return SLICE if self.timeout is not None and self.max_evaluations is None else self.max_evaluations
 
 
 NAMES = tuple(field.name for field in fields(Options))
@@ -127,6 +139,7 @@ class SolveOptions(AllOptions, total=False):
     """What `solve` and `Solver` take by keyword; the `starts` of `solve_all` is a number."""
 
     starts: Any
+    timeout: float | None
 
 
 def make_options(given: dict[str, Any]) -> Options:
@@ -137,8 +150,8 @@ def make_options(given: dict[str, Any]) -> Options:
         values.setdefault("position_tolerance", tolerance)
         values.setdefault("orientation_tolerance", tolerance)
     for name, value in values.items():
-        if name == "mask_frame":
-            raise InvalidOption("mask_frame is now called frame: 'base', 'tip' or 'target'")
+        if name in OTHERWISE:
+            raise InvalidOption(OTHERWISE[name])
         if name not in NAMES:
             raise InvalidOption(f"there is no option '{name}'.{near_match(name, ('tolerance', *NAMES))}")
         if name in ("position_tolerance", "orientation_tolerance"):
@@ -154,6 +167,8 @@ def make_options(given: dict[str, Any]) -> Options:
                 raise InvalidOption(
                     f"max_iterations is at most {MAX_ITERATIONS}, not {value}; use restarts for longer searches"
                 )
+        elif name == "timeout" and value is not None:
+            values[name] = _number(name, value, 0.0, math.inf)
         elif name in WORDS and not (isinstance(value, str) and value in WORDS[name]):
             if name == "objective" and value is None:
                 continue
@@ -183,6 +198,8 @@ def make_options(given: dict[str, Any]) -> Options:
         raise InvalidOption(
             f"follow makes one attempt that stays near q0, so it cannot be combined with {' and '.join(refused)}"
         )
+    if values.get("timeout") is not None and values.get("max_evaluations") is not None:
+        raise InvalidOption("give timeout or max_evaluations, not both: each ends the search")
     return Options(**values)
 
 

@@ -177,7 +177,7 @@ class Plan:
             c_free=c_free,
             rho_free=rho_free,
             patience=length.patience if give_up else np.inf,
-            evaluations=o.max_evaluations or np.inf,
+            evaluations=o.budget or np.inf,
             limits=o.limits,
             seed=o.seed,
             closest=CLOSEST if o.closest else 0,

@@ -9,6 +9,7 @@ import numpy as np
 from ..errors import NotSolved
 from ..kernel.records import ANSWER, AT, MISS
 from ..kernel.task import FREE, POSITION
+from ..robot.ros import header
 from ..style import BAD, GOOD
 from .registry import GENERAL
 from .status import SEARCHED, Status, sentence
@@ -238,6 +239,16 @@ class Result:
         from .explain import explain  # which reads this file
 
         return explain(self)
+
+    def to_ros(self) -> dict[str, Any]:
+        """Fields of a ROS sensor_msgs/JointState at q, without velocities and efforts."""
+        return {
+            "header": header(),
+            "name": list(self.robot.joint_names),
+            "position": self.q.tolist(),
+            "velocity": [],
+            "effort": [],
+        }
 
     def to_dict(self) -> dict[str, Any]:
         """Plain numbers, strings and lists, ready for JSON; of several tips the errors by tip under `tips`, None at a free one."""

@@ -15,7 +15,14 @@ from .solutions import Solutions
 from .status import Status
 from .task import counted_rows, counts_in_part
 
-ONE_ATTEMPT: dict[str, Any] = {**PLAIN, "restarts": 0, "max_evaluations": None, "wrap": None, "follow": 0.0}
+ONE_ATTEMPT: dict[str, Any] = {
+    **PLAIN,
+    "restarts": 0,
+    "max_evaluations": None,
+    "timeout": None,
+    "wrap": None,
+    "follow": 0.0,
+}
 SAME = 1e-3  # largest joint difference [rad, or of the reach] at which two numerical answers are one
 TIGHT = 1e-9  # tolerance of the numerical search: answers to 1e-6 differ too much near singular poses to be merged
 FLAT = 1e-4  # singular value (lengths over the scale) below which a direction may lead along a family

@@ -26,8 +26,8 @@ from .task import POSES, read_target
 FLOAT = np.dtype(np.float64)  # one object in a process, so `is` tells; other kinds of float take the long way
 BOUND_KEPT = 64  # solvers that `solve` keeps for a robot
 EXACT = {  # options that a closed form honours or has no use for; 'auto' takes the search when any other is given
-    "tolerance", "position_tolerance", "orientation_tolerance", "max_iterations", "max_evaluations", "restarts", "seed",
-    "limits", "q0_outside", "history", "check",
+    "tolerance", "position_tolerance", "orientation_tolerance", "max_iterations", "max_evaluations", "timeout", "restarts",
+    "seed", "limits", "q0_outside", "history", "check",
 }  # fmt: skip
 
 
@@ -184,9 +184,10 @@ def solve(
     parameters; 'auto' uses a closed form where one fits and the search otherwise. q0 (n,): where the first attempt starts;
     without it the answer may be any solution (fastest), so give q0 to stay near it. follow: for loops, one attempt that moves
     no joint further than this from q0. closest=q_ref (n,): of several solutions the one nearest to it. Options, see `Options`:
-    tolerance (both), position_tolerance [m], orientation_tolerance [rad], max_iterations, restarts, max_evaluations, seed,
-    limits, q0_outside, mask, slack, free_turn, frame, joint_weights, objective, avoid_collisions, history; and the parameters
-    of the solver. Success is re-checked with Pinocchio. Raises InvalidTarget, InvalidConfiguration, UnknownSolver, InvalidOption.
+    tolerance (both), position_tolerance [m], orientation_tolerance [rad], max_iterations, restarts, max_evaluations,
+    timeout [s], seed, limits, q0_outside, mask, slack, free_turn, frame, joint_weights, objective, avoid_collisions, history; and
+    the parameters of the solver. Success is re-checked with Pinocchio.
+    Raises InvalidTarget, InvalidConfiguration, UnknownSolver, InvalidOption.
     """
     require_robot(robot)
     options.setdefault("check", True)

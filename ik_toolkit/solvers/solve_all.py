@@ -10,7 +10,7 @@ from .options import AllOptions
 from .solutions import Solutions
 from .solve import bound, require_robot
 
-CHOOSING = ("closest", "objective", "history", "follow")  # options about one answer
+CHOOSING = ("closest", "objective", "history", "follow", "timeout")  # options about one answer
 
 
 def solve_all(

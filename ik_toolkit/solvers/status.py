@@ -65,10 +65,14 @@ def sentence(result: "Result") -> str:
     if status == Status.CONVERGED:
         text = f"converged in {result.iterations} iterations to {left}"
         return f"{text} after {result.restarts} restarts" if result.restarts else text
-    budget = plan.options.max_evaluations
+    budget, timeout = plan.options.budget, plan.options.timeout
     if budget and row[AT.evaluations] >= budget and status == Status.ITERATION_LIMIT:
-        text = f"the limit of {budget} evaluations was reached after {_starts(starts)}; closest {left}"
-        text = f"{text}; raise max_evaluations"
+        told = (
+            (f"limit of {budget} evaluations", "max_evaluations")
+            if timeout is None
+            else (f"timeout of {timeout:g} s", "timeout")
+        )
+        text = f"the {told[0]} was reached after {_starts(starts)}; closest {left}; raise {told[1]}"
     elif status == Status.ITERATION_LIMIT and plan.options.follow:
         text = f"{left} away after {result.iterations} iterations; move the target in smaller steps, or use the tracker"
     else:

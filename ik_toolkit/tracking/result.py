@@ -2,6 +2,7 @@
 
 import csv
 import io
+import json
 from dataclasses import dataclass, field
 from enum import Enum
 from pathlib import Path
@@ -11,6 +12,7 @@ import numpy as np
 
 from ..errors import InvalidOption
 from ..files import whole_file, write_whole
+from ..robot.ros import joint_trajectory
 from .reachable import Survey
 from .stability import GainCheck
 
@@ -144,8 +146,15 @@ class TrackResult:
             "figures": self.figures,
         }
 
+    def to_ros(self) -> dict[str, Any]:
+        """Fields of a ROS trajectory_msgs/JointTrajectory, a point a sample, without accelerations."""
+        return joint_trajectory(self.joint_names, "", self.t, self.q, self.rate)
+
     def save(self, path: str | Path) -> Path:
-        """Write the arrays to .npz (all of them) or .csv (one row a sample). Raises InvalidOption for another suffix."""
+        """Write all arrays to .npz, one row per sample to .csv, or what `to_ros` gives to .json.
+
+        Raises InvalidOption for another suffix.
+        """
         file = Path(path)
         if file.suffix.lower() == ".npz":
             optional = {"orientation_error": self.orientation_error, "between_orientation": self.between_orientation}
@@ -170,8 +179,10 @@ class TrackResult:
             writer.writerow(head)
             writer.writerows([repr(float(x)) for x in row] for row in np.hstack(parts))
             write_whole(file, text.getvalue())
+        elif file.suffix.lower() == ".json":
+            write_whole(file, json.dumps(self.to_ros(), allow_nan=False) + "\n")
         else:
-            raise InvalidOption(f"a run is saved as .npz or .csv, not '{file.suffix}'")
+            raise InvalidOption(f"a run is saved as .npz, .csv or .json, not '{file.suffix}'")
         return file
 
 

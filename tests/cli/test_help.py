@@ -30,10 +30,11 @@ def test_help_is_whole(name, width, capsys, monkeypatch):
 @pytest.mark.parametrize("name", NAMES)
 def test_help_ends_with_examples_that_are_commands(name, capsys):
     assert main([name, "--help"]) == 0
-    examples = capsys.readouterr().out.partition("Examples:\n")[2].strip().splitlines()
+    examples = capsys.readouterr().out.partition("Examples:\n")[2].splitlines()
     assert examples and shlex.split(examples[0])[:2] == ["ik", name]
     for line in examples:
         _, command, *arguments = shlex.split(line)
+        assert len(line) <= 80  # with their indent, they fit a terminal that wide
         ROOT.commands[command].make_context(command, join_vectors(arguments))
 
 

@@ -90,6 +90,21 @@ def test_solve_a_pose_by_its_other_words(run, form):
     assert code == 0 and answer["success"] and np.allclose(target, matrix, atol=1e-12)
 
 
+def test_solve_for_what_joint_values_reach(run):
+    robot = ik.Robot.load("inspection_7dof")
+    q = [20, 0.22, 20, 0, 20, 0, 20]
+    code, out, _ = run("solve", "inspection_7dof", "--from-q", *q, "--deg", "--timeout", 60, "--json")
+    answer = json.loads(out)
+    wanted = robot.fk([math.radians(x) if k != 1 else x for k, x in enumerate(q)]).homogeneous
+    assert code == 0 and np.allclose(answer["target"], wanted, atol=1e-15)
+    assert np.allclose(robot.fk(answer["q"]).homogeneous, wanted, atol=3e-6)
+    code, out, _ = run("solve", "brokk_hydrolek", "--from-q", "home", "--json")
+    answer, tree = json.loads(out), ik.Tree.load("brokk_hydrolek", tips=["left_tip", "right_tip"])
+    assert code == 0
+    for tip, T in tree.fk(tree.home).items():
+        assert np.allclose(answer["target"][tip], T.homogeneous, atol=1e-15)
+
+
 def test_solve_a_pose_in_degrees(run):
     robot = ik.Robot.load("hydrolek_7w")
     rpy = (-90.0, 10.0, -70.0)

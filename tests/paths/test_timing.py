@@ -159,6 +159,7 @@ def test_files_and_references_say_what_the_arrays_do(tmp_path):
     rows = np.genfromtxt(made.to_csv(tmp_path / "t.csv"), delimiter=",", skip_header=1)
     np.testing.assert_array_equal(rows, np.hstack([made.t[:, None], made.q, made.dq, made.ddq]))
     ros = json.loads(made.to_json(tmp_path / "t.json").read_text())
+    assert ros == made.to_ros() and ros["header"]["frame_id"] == robot.base
     assert ros["joint_names"] == list(robot.joint_names) and len(ros["points"]) == len(made.t)
     stamp = ros["points"][-1]["time_from_start"]
     assert stamp["sec"] + 1e-9 * stamp["nanosec"] == pytest.approx(made.duration, abs=1e-9)

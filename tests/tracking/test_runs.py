@@ -38,7 +38,14 @@ def test_saved_files(panda, tmp_path):
     rows = run.save(tmp_path / "run.csv").read_text().splitlines()
     assert len(rows) == 102 and rows[0].startswith("t,q_panda_joint1") and rows[0].endswith("orientation_error,clock")
     assert np.array_equal([float(x) for x in rows[-1].split(",")][1:8], run.q[-1])
-    with pytest.raises(InvalidOption, match=r"npz or \.csv"):
+    ros = json.loads(run.save(tmp_path / "run.json").read_text())
+    assert ros == run.to_ros() and ros["joint_names"] == list(panda.joint_names)
+    assert ros["points"][7]["positions"] == run.q[7].tolist() and ros["points"][7]["velocities"] == run.rate[7].tolist()
+    assert [point["time_from_start"] for point in ros["points"][99:101]] == [
+        {"sec": 0, "nanosec": 990_000_000},
+        {"sec": 1, "nanosec": 0},
+    ]
+    with pytest.raises(InvalidOption, match=r"npz, \.csv or \.json"):
         run.save(tmp_path / "run.txt")
     assert run.figures["position"]["between_settled_max"] >= 0.0
 
@@ -83,7 +90,7 @@ def test_command_warns_and_refuses(capsys):
         (["--path", "circel"], "Did you mean 'circle'"),
         (["-m", "cw"], "Did you mean 'cv'"),
         (["--rate", "0"], "--rate"),
-        (["-o", "run.txt"], ".npz or .csv"),
+        (["-o", "run.txt"], ".npz or .csv or .json"),
         (["--path", "missing.csv"], "no reference file"),
         (["-p", "damping=x"], "damping must be a number"),
     ):
