@@ -18,9 +18,9 @@ from .learn import Learn
 from .parts import Body
 from .past import Past
 from .selfmotion import freedom, slide
-from .session import KINDS, PATIENCE, SHOWN
+from .session import KINDS, PATIENCE
 from .stage import Stage
-from .tables import pose_html, sentence, table_html
+from .tables import note_html, pose_html, sentence, table_html
 from .visit import PLAIN, Visit
 
 QUIET = (71, 85, 105)  # of the buttons beside the main one
@@ -98,9 +98,8 @@ class Desk(Visit):
             now = chosen[k] if k < len(chosen) else none
             offered = [tip for tip in every if tip == now or tip not in chosen]
             label = f"Tip {k + 1}" if k else "Tip"
-            lists.append(
-                self.gui.add_dropdown(label, offered if not k else [none, *offered], initial_value=now)
-            )  # fmt: skip
+            offered = [none, *offered] if k else offered
+            lists.append(self.gui.add_dropdown(label, offered, initial_value=now))
         for one in lists:
             self._on(one, "build", lambda: self._switch(s.source, [x.value for x in lists if x.value != none]))
 
@@ -345,9 +344,10 @@ class Desk(Visit):
         left = self.session.followed
         if left is not None:
             self.stage.gaps({goal.tip: goal.typed() for goal in self.goals})
-        near = "" if left is None else f" From there {left.message}."
-        self.say(f"{sentence(result.message)}{near}", GOOD if result.success else BAD)
-        self.outcome.content, self.outcome.visible = table_html(self.session.figures()), True
+        words, _, advice = (result.message, "", "") if left is None else result.message.partition("; ")
+        near = "" if left is None else f" {sentence(left.message)}"
+        self.say(f"{sentence(words)}{near}", GOOD if result.success else BAD)
+        self.outcome.content, self.outcome.visible = table_html(self.session.figures()) + note_html(advice), True
 
     def _dragged(self, patience: int = PATIENCE) -> None:
         """Go towards the targets where they have been dragged to; what is left is done next, if nothing newer is asked."""
@@ -383,10 +383,10 @@ class Desk(Visit):
         target = self._typed()
         self.outcome.visible = False
         self.say("searching ...")
-        words = s.solve_all(target)
-        self.found.show()
-        more = f" The nearest {SHOWN} are listed." if len(s.solutions) == SHOWN else ""
-        self.say(f"{sentence(words)}{more}", GOOD if s.solutions else BAD)
+        words, details = s.solve_all(target)
+        self.stage.gaps({})
+        self.found.show(details)
+        self.say(sentence(words), GOOD if s.solutions else BAD)
 
     def _pick(self, k: int) -> None:
         s = self.session

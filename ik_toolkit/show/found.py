@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from .session import Session
+from .tables import note_html
 
 GO = "Go to this solution"
 TALL = 230  # pixels of the list; more is scrolled to
@@ -59,9 +60,10 @@ class Found:
         self.folder.visible = False
         self.ghost(None)
 
-    def show(self) -> None:
-        """List the session's solutions."""
-        self.table.content, self.number.value = self.rows(), 1
+    def show(self, details: str) -> None:
+        """List the session's solutions, below a line on how they were found."""
+        self.table.content = note_html(details) + self.rows()
+        self.number.value = 1
         self.folder.visible = bool(self.session.solutions)
         self.ghost(None)
 

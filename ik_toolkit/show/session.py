@@ -222,14 +222,17 @@ class Session:
         """Get ready for `follow`; nothing moves."""
         prepare(self.robot, self.q, self.joined(self.poses()))
 
-    def solve_all(self, target: Any) -> str:
-        """Find solutions (the nearest 16 are kept) and say how many there are. Raises what `ik.solve_all` raises."""
+    def solve_all(self, target: Any) -> tuple[str, str]:
+        """Find solutions (at most 16 are kept); how many there are, and the details. Raises what `ik.solve_all` raises."""
         self.target = _copy(target)
         found = solve_all(self.robot, self.target, self.rule(), self.q, starts=200, count=SHOWN, **self.options())
         self.solutions, self.distances = [q.copy() for q in found][:SHOWN], found.distance.tolist()[:SHOWN]
         self.branches = found.branches
-        complete = "; these are all" if found.complete else ""
-        return f"{found.message}{complete}" if len(found) else f"no solution: {found.message}"
+        if not len(found):
+            return f"no solution: {found.message}", ""
+        more = f"; the nearest {SHOWN} of {len(found)} are listed" if len(found) > SHOWN else ""
+        few = "infinitely many solutions" if found.families else f"{len(found)} solution{'s' * (len(found) > 1)}"
+        return f"{few}{'; these are all' if found.complete else more}", found.message
 
     # ------------------------------------------------------------------------------------------------- what is around
     @property

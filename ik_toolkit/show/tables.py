@@ -15,6 +15,11 @@ def sentence(text: str) -> str:
     return f"{text[0].upper()}{text[1:].rstrip('.')}." if text else ""
 
 
+def note_html(text: str) -> str:
+    """A sentence in small print, or nothing."""
+    return f'<p style="padding:2px 12px;margin:0;font-size:12px">{html.escape(sentence(text))}</p>' if text else ""
+
+
 def table_html(rows: Any, head: Any = None) -> str:
     """Table of texts."""
     cell, muted = "padding:1px 12px 1px 0;font-variant-numeric:tabular-nums;white-space:nowrap", f"color:{MUTED}"

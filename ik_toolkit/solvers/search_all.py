@@ -137,7 +137,8 @@ def _families(single: Plan, found: Solutions, T: np.ndarray, kinds: tuple, redun
         return ()
     joints = (moved[another] > 1e-2 * STRIDE).any(axis=0)
     names = tuple(name for name, moves in zip(robot.joint_names, np.atleast_1d(joints), strict=True) if moves)
-    return (Family(names, None, None, f"a family of solutions, found numerically: {', '.join(names)} move along it"),)
+    who = "all joints move" if len(names) == robot.n else f"{', '.join(names)} {'move' if len(names) > 1 else 'moves'}"
+    return (Family(names, None, None, f"a family of solutions, found numerically: {who} along it"),)
 
 
 def distinct_rows(found: Solutions, plan: Plan) -> Solutions:

@@ -89,9 +89,9 @@ def test_choices_leave_out_closed_forms_that_do_not_fit():
 
 def test_all_solutions_are_kept_nearest_first():
     session = Session("planar_2r")
-    words = session.solve_all(session.robot.fk(session.q).translation)
-    assert "these are all" in words and len(session.solutions) == 2
-    assert "no solution" in session.solve_all(np.array([9.0, 0, 0])) and session.solutions == []
+    words, details = session.solve_all(session.robot.fk(session.q).translation)
+    assert words == "2 solutions; these are all" and "branches" in details and len(session.solutions) == 2
+    assert "no solution" in session.solve_all(np.array([9.0, 0, 0]))[0] and session.solutions == []
 
 
 def test_all_solutions_are_those_of_the_method_and_the_tolerance_chosen():
@@ -100,13 +100,13 @@ def test_all_solutions_are_those_of_the_method_and_the_tolerance_chosen():
     session.solve_all(target)
     assert session.branches is not None and sorted(session.branches[:, 1]) == [-1, 1]
     session.solver = "lm"
-    words = session.solve_all(target)
+    words, _ = session.solve_all(target)
     assert "these are all" not in words and len(session.solutions) == 2 and session.branches is None
     beyond = 1.00005 * session.robot.fk([0.0, 0.0]).translation  # 0.1 mm past the stretched arm
     session.solver = "auto"
-    assert "no solution" in session.solve_all(beyond)
+    assert "no solution" in session.solve_all(beyond)[0]
     session.tolerance = 1e-3
-    assert "no solution" not in session.solve_all(beyond) and session.solutions
+    assert "no solution" not in session.solve_all(beyond)[0] and session.solutions
     session.solver, session.parameters = "dls", {"damping": "fast"}
     with pytest.raises(InvalidOption, match="takes a number"):
         session.solve_all(target)
@@ -311,7 +311,8 @@ def test_solving_a_typed_pose(desk):
     assert np.allclose(desk.stage.tips[0].position, goal[:3, 3], atol=1e-4)
     desk.goals[0].xyz.value = "9 0 0"
     desk._guard(desk._solve)()
-    assert "beyond reach" in desk.status.content and "From there the closest pose is" in desk.status.content
+    assert "beyond reach" in desk.status.content and "The closest pose is" in desk.status.content
+    assert "move the target" not in desk.status.content and "move the target" in desk.outcome.content
     assert np.allclose(desk.stage.lines["/gap"].points[0], [desk.stage.tips[0].position, [9, 0, 0]])
     desk.goals[0].give("free")
     desk.goals[0].xyz.value = "0.9 0 0"
@@ -329,9 +330,15 @@ def test_solving_a_typed_pose(desk):
 
 
 def test_all_solutions_can_be_picked(desk):
+    desk.goals[0].xyz.value = "9 0 0"
+    desk._guard(desk._solve)()
+    assert "/gap" in desk.stage.lines
     desk.goals[0].give("free")
     desk.goals[0].xyz.value = desk.session.words(desk.session.poses()["tool"], "free")[0]
     desk._guard(desk._solve_all)()
+    assert "/gap" not in desk.stage.lines  # it led to the target before
+    assert ">Infinitely many solutions.<" in desk.status.content  # one line; how they were found is said at the list
+    assert "starts converged" in desk.found.table.content
     assert desk.found.folder.visible and len(desk.session.solutions) > 2
     assert "elbow_pitch [deg]" in desk.found.table.content
     desk.found.number.value = 3

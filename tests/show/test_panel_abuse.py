@@ -198,7 +198,7 @@ def check_alive(panel):
     assert until(lambda: "Converged" in visitor.status()), visitor.status()
     visitor.change(desk.goals[0].xyz, "9 0 0")
     visitor.press("Solve")
-    assert until(lambda: "the closest pose is" in visitor.status()), visitor.status()
+    assert until(lambda: "The closest pose is" in visitor.status()), visitor.status()
     visitor.leave()
 
 

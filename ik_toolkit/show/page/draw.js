@@ -1,18 +1,18 @@
-// A small WebGL 2 renderer: lit meshes, see-through copies, a floor with grid and shadow, and handles over everything.
+// A small WebGL 2 renderer: lit meshes, translucent copies, a floor with grid and shadow, and handles on top.
 import { cross, plus, times, unit } from "./robot.js";
 
 const LIT = 0, HANDLE = 0.4, FLAT = 1, GRID = 2; // how a shape is shaded: see fragment.glsl
 const SUN = [0.35, -0.2]; // how far a shadow falls sideways per metre of height
 const matrix = (T) => new Float32Array([T[0], T[4], T[8], 0, T[1], T[5], T[9], 0, T[2], T[6], T[10], 0, T[3], T[7], T[11], 1]);
 
-// Placement of a shape one high that is to stand from one point to another, `thick` across.
+// Placement of a shape of unit height that stretches from one point to another, `thick` across.
 export function standing(from, to, thick) {
   const z = plus(to, from, -1), x = unit(cross(z, Math.abs(unit(z)[2]) > 0.9 ? [1, 0, 0] : [0, 0, 1])), y = cross(unit(z), x);
   return [0, 1, 2].flatMap((r) => [thick * x[r], thick * y[r], z[r], from[r]]);
 }
 
 export class Renderer {
-  // data: parts, each with its shapes, and the shapes of handles by name; blob: their triangles, one after the other.
+  // data: parts, each with its shapes, and the shapes of the handles by name; blob: the triangles of all of them in that order.
   constructor(canvas, shaders, { parts, handles }, blob) {
     const gl = canvas.getContext("webgl2", { alpha: false, stencil: true, preserveDrawingBuffer: true });
     if (!gl) throw new Error("This page needs a browser with WebGL 2.");
@@ -37,7 +37,7 @@ export class Renderer {
 
   load({ color, opacity, low, size, vertices, faces }) {
     const { gl } = this, array = gl.createVertexArray();
-    const take = (Kind, count) => { // a copy: what one array begins with need not stand on its boundary
+    const take = (Kind, count) => { // a copy: a typed array must begin at a multiple of its element size
       this.read += 3 * count * Kind.BYTES_PER_ELEMENT;
       return new Kind(this.blob.slice(this.read - 3 * count * Kind.BYTES_PER_ELEMENT, this.read));
     };
@@ -70,8 +70,8 @@ export class Renderer {
     }
   }
 
-  // A picture: camera {view, lens}, colours {back, line, dark}, floor {z, cell, wide}, robots (frames; with a color see-through)
-  // and handles (shape, T, color, alpha), drawn over everything.
+  // A picture: camera {view, lens}, colours {back, line, dark}, floor {z, cell, wide}, robots (frames; translucent with a color)
+  // and handles (shape, T, color, alpha), drawn on top.
   draw(camera, { back, line, dark }, { z, cell, wide }, robots, handles) {
     const { gl, at, canvas } = this, [x, y] = SUN, view = (T) => gl.uniformMatrix4fv(at.view, false, matrix(T));
     gl.viewport(0, 0, canvas.width, canvas.height);
@@ -79,9 +79,9 @@ export class Renderer {
     gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT | gl.STENCIL_BUFFER_BIT);
     gl.uniformMatrix4fv(at.lens, false, camera.lens);
     gl.uniform3f(at.up, camera.view[2], camera.view[6], camera.view[10]);
-    for (const [name, x] of Object.entries({ cell, wide })) gl.uniform1f(at[name], x);
+    for (const [name, size] of Object.entries({ cell, wide })) gl.uniform1f(at[name], size);
     view(camera.view);
-    for (const { frames, color } of robots) { // of a see-through one only its own front is seen: its depth comes first
+    for (const { frames, color } of robots) { // a translucent robot shows only its front: its depth is drawn first
       if (color) gl.clear(gl.DEPTH_BUFFER_BIT);
       gl.depthFunc(gl.LESS);
       gl.colorMask(!color, !color, !color, !color);

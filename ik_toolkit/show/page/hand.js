@@ -1,10 +1,10 @@
-// What the pointer does: it turns the camera, or takes a target by its ball (in the picture's plane), an arrow or a ring.
+// What the pointer does: it turns the camera, or drags a target by its ball (in the picture's plane), an arrow or a ring.
 import { clamp, column, cross, inverse, length, moved, placed, plus, point, rotation, times, turned, unit } from "./robot.js";
 import { standing } from "./draw.js";
 
 const AXES = [[0.86, 0.2, 0.18], [0.13, 0.62, 0.27], [0.16, 0.42, 0.88]]; // x red, y green, z blue
-const NEAR = { mouse: 11, pen: 14, touch: 26 }; // [px] from a handle at which it is taken
-const LENS = 1 / Math.tan(Math.PI / 10), BALL = 0.13, RING = 0.72; // 36 degrees of view; of an arrow's length
+const NEAR = { mouse: 11, pen: 14, touch: 26 }; // [px] within which a handle is picked up
+const LENS = 1 / Math.tan(Math.PI / 10), BALL = 0.13, RING = 0.72; // 36 degrees of view; as parts of an arrow's length
 const SPINE = { // points of a shape by which it is found under the pointer
   ball: [[0, 0, 0]], cone: [[0, 0, 0], [0, 0, 0.5], [0, 0, 1]], bar: [3, 4, 5, 6, 7, 8, 9].map((z) => [0, 0, z / 10]),
   ring: Array.from({ length: 72 }, (_, k) => [Math.cos((k * Math.PI) / 36), Math.sin((k * Math.PI) / 36), 0]),
@@ -19,7 +19,7 @@ export class Camera {
   update() {
     const { yaw, pitch, far, canvas } = this, c = Math.cos(pitch), aspect = canvas.clientWidth / canvas.clientHeight;
     const back = [c * Math.cos(yaw), c * Math.sin(yaw), Math.sin(pitch)], right = [-Math.sin(yaw), Math.cos(yaw), 0];
-    const up = cross(back, right), away = far * Math.max(1, 1.2 / aspect); // a narrow picture is seen from further away
+    const up = cross(back, right), away = far * Math.max(1, 1.2 / aspect); // further away where the picture is narrow
     const near = away / 100, end = away + 30 * this.size;
     this.eye = [0, 1, 2].flatMap((r) => [right[r], up[r], back[r], this.centre[r] + away * back[r]]);
     this.view = inverse(this.eye);
@@ -33,7 +33,7 @@ export class Camera {
     return [(w - (LENS * x * h) / z) / 2, (h + (LENS * y * h) / z) / 2];
   }
 
-  shift(p, [dx, dy]) { // by which the point p of the world moves these pixels, at its depth
+  shift(p, [dx, dy]) { // how far the point p of the world moves when it moves by these pixels, at its depth
     const step = (-2 * moved(this.view, p)[2]) / (LENS * this.canvas.clientHeight);
     return turned(this.eye, [dx * step, -dy * step, 0]);
   }
@@ -43,7 +43,7 @@ export class Camera {
   zoom = (factor) => Object.assign(this, { far: clamp(this.far * factor, 0.2 * this.size, 20 * this.size) });
 }
 
-// What is drawn of a target ({T in the world, size, chosen, turn}): a ball, and where it is chosen arrows and rings.
+// What is drawn of a target ({T in the world, size, chosen, turn}): a ball and, when chosen, arrows and rings.
 export function handles({ T, size, chosen, turn }, color, held) {
   const p = point(T), drawn = [{ what: "ball", shape: "ball", T: standing(p, plus(p, [0, 0, BALL * size]), BALL * size), color }];
   for (let k = 0; chosen && k < 3; k++) {
@@ -67,14 +67,14 @@ export function under(camera, targets, at, pointer) {
   return best;
 }
 
-// T after the handle `held` was dragged by some pixels; held.at goes along.
+// T after the handle `held` was dragged by some pixels; held.at moves with it.
 export function dragged(camera, T, held, pixels) {
   const p = point(T), k = Number(held.what.at(-1));
   if (held.what === "ball") return placed(T, plus(p, camera.shift(p, pixels)));
   const axis = column(T, k), slides = held.what.startsWith("move"), way = slides ? axis : cross(axis, plus(held.at, p, -1));
   const tiny = 1e-3 * camera.pixel, there = camera.screen(plus(held.at, unit(way), tiny)), far = length(way);
   const speed = plus(there, camera.screen(held.at), -1).map((x) => (x * far) / tiny); // pixels per metre or radian
-  const least = (0.3 * far) / camera.pixel; // an arrow that points at the eye does not fly off
+  const least = (0.3 * far) / camera.pixel; // limits the speed of an arrow that points at the eye
   const amount = (pixels[0] * speed[0] + pixels[1] * speed[1]) / Math.max(speed[0] ** 2 + speed[1] ** 2, least ** 2);
   const turn = rotation(axis, slides ? 0 : amount), to = slides ? plus(p, axis, amount) : p;
   held.at = plus(to, turned(turn, plus(held.at, p, -1)));

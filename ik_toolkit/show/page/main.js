@@ -9,7 +9,7 @@ const $ = (id) => document.getElementById(id);
 const data = JSON.parse($("data").textContent), robot = new Robot(data), canvas = $("picture"), random = randoms(1);
 const { size, centre, floor } = data.room, camera = new Camera(canvas, centre, size);
 let q = robot.home, shown = robot.fk(q), result = null, race = null, chosen = 0, held = null, motion = 0, seed = 1, renderer = null;
-let along = q.map((_, k) => Math.cos(k)); // in the null space: hardly at right angles to any arm's
+let along = q.map((_, k) => Math.cos(k)); // in the null space; unlikely to be at right angles to it
 const targets = shown.tips.map((T) => ({ T, turn: robot.n >= 6 * robot.tips.length }));
 const follow = (tips) => tips.forEach((T, tip) => { targets[tip].T = T; });
 const apart = (a, b) => Math.max(...plus(a, b, -1).map(Math.abs));
@@ -51,10 +51,10 @@ function tell() { // curves, table and status line
   const runs = race ?? (result ? [result] : []), most = Math.min(SEEN, Math.max(1, ...runs.map((one) => one.iterations)));
   const spot = ({ error }, k) => `${40 + (k / most) * 255},${8 - 12 * Math.max(-9.5, Math.log10(error + 1e-12))}`; // a decade: 12
   for (const name of Object.keys(SOLVERS)) {
-    const run = runs.find((one) => one.name === name), row = $(`row-${name}`);
-    $(`curve-${name}`).setAttribute("points", (run?.history ?? []).slice(0, SEEN + 1).map(spot).join(" "));
-    Object.assign(row, { hidden: !race, className: run?.good ? "good" : "bad" });
-    const words = race ? [run.iterations, `${run.ms.toFixed(1)} ms`, run.good ? "reached" : metres(run.position)] : [];
+    const found = runs.find((one) => one.name === name), row = $(`row-${name}`);
+    $(`curve-${name}`).setAttribute("points", (found?.history ?? []).slice(0, SEEN + 1).map(spot).join(" "));
+    Object.assign(row, { hidden: !race, className: found?.good ? "good" : "bad" });
+    const words = race ? [found.iterations, `${found.ms.toFixed(1)} ms`, found.good ? "reached" : metres(found.position)] : [];
     words.forEach((x, k) => { row.cells[k + 1].textContent = x; });
   }
   $("most").textContent = runs.length ? `${most} iterations` : "";
@@ -172,7 +172,7 @@ try {
   matchMedia("(prefers-color-scheme: dark)").onchange = paint;
   const pixels = (p) => camera.screen(moved(shown.base, p));
   const state = () => ({ q, result, race, at: targets.map(({ T }) => pixels(point(T))) });
-  window.arm = { robot, look, solve, attempt, targets, state, pixels }; // for who embeds the page
+  window.arm = { robot, look, solve, attempt, targets, state, pixels }; // for pages that embed this one
   play(() => show(q));
 } catch (error) {
   Object.assign($("status"), { className: "bad", textContent: error.message });

@@ -31,11 +31,11 @@ export function rotation([x, y, z], angle) {
     t * x * z - s * y, t * y * z + s * x, t * z * z + c, 0];
 }
 
-// Rotation vector that turns A's axes into B's; by a quaternion, which is exact for small turns and whole at half a turn.
+// Rotation vector that turns A's axes into B's, by way of a quaternion: exact for small turns, well defined up to half a turn.
 export function turnBetween(A, B) {
   const m = (r, c) => B[4 * r] * A[4 * c] + B[4 * r + 1] * A[4 * c + 1] + B[4 * r + 2] * A[4 * c + 2];
   const d = [m(0, 0), m(1, 1), m(2, 2)], trace = d[0] + d[1] + d[2];
-  let w = 1 + trace, v = [m(2, 1) - m(1, 2), m(0, 2) - m(2, 0), m(1, 0) - m(0, 1)];
+  const v = [m(2, 1) - m(1, 2), m(0, 2) - m(2, 0), m(1, 0) - m(0, 1)]; let w = 1 + trace;
   if (trace < 0) { // the largest component of the axis divides
     const i = d.indexOf(Math.max(...d)), j = (i + 1) % 3, k = (i + 2) % 3;
     w = v[i];
@@ -45,8 +45,8 @@ export function turnBetween(A, B) {
   return v.map((x) => (s ? (x * angle) / s : 0));
 }
 
-// A tree of joints. nodes: parent (-1: the world), T (placement in the parent at 0), axis, ratio (of its coordinate: mimic
-// joints share one), turns, joint (index of the coordinate); parents come first. base, tips: node and T.
+// A tree of joints. nodes: parent (-1: the world), T (placement in the parent at 0), axis, ratio (to its coordinate, which mimic
+// joints share), turns (whether it is revolute), joint (index of the coordinate); parents come first. base, tips: node and T.
 export class Robot {
   constructor(data) {
     Object.assign(this, data);
@@ -70,7 +70,7 @@ export class Robot {
     return { base, frames: world.map((T) => times(back, T)), tips: this.tips.map((tip) => times(back, end(tip))) };
   }
 
-  // Columns (n) of the Jacobian of a tip, `now` what fk gives: three linear rows [m], three angular ones, base axes.
+  // Columns (n) of the Jacobian of a tip, `now` from fk: three linear rows [m], three angular ones, in base axes.
   jacobian(now, tip) {
     const J = Array.from({ length: this.n }, () => [0, 0, 0, 0, 0, 0]);
     for (const { node, sign } of this.paths[tip]) {

@@ -1,15 +1,15 @@
 // Five iterative solvers over one view of the error, attempts from other starts, and motion inside the null space.
 import { length, plus, point, turnBetween } from "./robot.js";
 
-const TOLERANCE = 1e-6, RADIAN = 0.25; // [m] and [rad], the toolkit's own; what a radian of error weighs, in reaches
-const ATTEMPTS = 100, LOOKS = 20000, DRAWN = 12; // the most there are in all; random starts, of which the nearest is taken
+const TOLERANCE = 1e-6, RADIAN = 0.25; // [m] and [rad], as in the toolkit; weight of a radian of error, in reaches
+const ATTEMPTS = 100, LOOKS = 20000, DRAWN = 12; // most of each in all; random starts drawn, of which the nearest is used
 const inner = (a, b) => a.reduce((sum, x, k) => sum + x * b[k], 0);
 
 // Numbers in 0..1, the same for the same seed (Park and Miller 1988, with the multiplier of 1993).
 const PRIME = 2147483647;
 export const randoms = (seed, state = { x: 1 + (seed % (PRIME - 1)) }) => () => (state.x = (48271 * state.x) % PRIME) / PRIME;
 
-// The arm at q against targets (by tip: null, or T and whether it turns, that is, its axes count): e, lengths over reach, and
+// The arm at q against targets (by tip: null, or T and turn, whether the orientation counts): e, with lengths over the reach, and
 // the largest errors [m], [rad].
 export function look(robot, q, targets) {
   const now = { q, e: [], position: 0, angle: 0, ...robot.fk(q) };
@@ -25,7 +25,7 @@ export function look(robot, q, targets) {
   return now;
 }
 
-// Columns of the stacked Jacobian, in the units of e.
+// Columns of the stacked Jacobian in the units of e.
 function columns(robot, now, targets) {
   const J = robot.joints.map(() => []);
   targets.forEach((target, tip) => target && robot.jacobian(now, tip).forEach((six, k) => {
@@ -34,14 +34,14 @@ function columns(robot, now, targets) {
   return J;
 }
 
-// x of (A + mu I) x = b, A and b the inner products of some columns with each other and with e; A needs no pivots.
+// Solves (A + mu I) x = b, where A and b are the inner products of some columns with each other and with e; no pivoting needed.
 function normal(J, some, mu, e) {
   const A = some.map((k, i) => [...some.map((c, j) => inner(J[k], J[c]) + (i === j ? mu : 0)), inner(J[k], e)]);
   A.forEach((row, i) => A.forEach((other, k) => { if (k !== i) A[k] = plus(other, row, -other[i] / row[i]); }));
   return A.map((row, i) => row.at(-1) / row[i]);
 }
 
-// Damped least-squares step; a joint that would pass a limit goes up to it, and the others take over what it leaves.
+// Damped least-squares step; a joint that would pass a limit stops there, and the others make up for it.
 function damped(robot, q, J, e, mu) {
   const dq = q.map(() => 0);
   let some = [...q.keys()], rest = e, out = some;
@@ -57,17 +57,17 @@ function damped(robot, q, J, e, mu) {
   return dq;
 }
 
-// A rule takes the arm as it stands to the next iterate, or to null where it stands still; `see` looks at the arm elsewhere.
+// A rule takes the arm to the next iterate, or returns null when it cannot move; `see` evaluates the arm at another q.
 function lm(robot, now, see, J, memory) {
   memory.mu ??= 1e-3;
   for (let grow = 2; grow < 1e6; grow *= 2) {
     const dq = damped(robot, now.q, J, now.e, memory.mu), next = see(plus(now.q, dq));
-    const linear = dq.reduce((e, x, k) => plus(e, J[k], -x), now.e), hoped = now.ee - inner(linear, linear);
-    if (!(hoped > 1e-30)) return null;
-    const share = (now.ee - next.ee) / hoped; // how much came true sets the damping (Nielsen 1999)
-    memory.mu *= share > 1e-3 ? Math.max(0.1, 1 - (2 * share - 1) ** 3) : grow;
+    const linear = dq.reduce((e, x, k) => plus(e, J[k], -x), now.e), predicted = now.ee - inner(linear, linear);
+    if (!(predicted > 1e-30)) return null;
+    const gain = (now.ee - next.ee) / predicted; // the gain ratio sets the damping (Nielsen 1999)
+    memory.mu *= gain > 1e-3 ? Math.max(0.1, 1 - (2 * gain - 1) ** 3) : grow;
     memory.mu = Math.max(memory.mu, 1e-13);
-    if (share > 1e-3) return next;
+    if (gain > 1e-3) return next;
   }
   return null;
 }
@@ -81,7 +81,7 @@ function transpose(robot, now, see, J) {
   return see(plus(now.q, g, inner(g, g) / (inner(back, back) || 1))); // the exact step along g
 }
 
-function sweep(robot, start, see, steps) { // joint after joint, tip first, each moved to where the error is least
+function sweep(robot, start, see, steps) { // joint by joint from the tip, each moved to where the error is least
   let now = start;
   for (let k = robot.n - 1; k >= 0 && !now.good; k--) {
     for (const step of steps(now, k)) {
@@ -97,31 +97,31 @@ const ccd = (robot, start, see, _, { targets }) => sweep(robot, start, see, (now
   return size > 1e-14 ? [inner(one, now.e) / size] : [];
 });
 
-const pid = (robot, start, see, _, memory) => sweep(robot, start, see, (now, k) => { // the sign by trial, the size by a PID law
+const pid = (robot, start, see, _, memory) => sweep(robot, start, see, (now, k) => { // the sign by trial, the size from a PID law
   const norm = Math.sqrt(now.ee), size = 0.25 * norm + 0.75 * (norm - (memory.norm ?? norm));
   memory.norm = norm;
   return [1, -1].map((sign) => sign * size * (robot.joints[k].kind === "prismatic" ? robot.reach : 1));
 });
 
-// Rules by name, and how many iterations an attempt has.
+// Rules by name, with the iterations of an attempt.
 export const SOLVERS = { lm: [lm, 80], dls: [dls, 150], transpose: [transpose, 400], ccd: [ccd, 300], pid: [pid, 300] };
 
-// One attempt from q0: the best iterate, with `history` (q and error, lengths in m, a row an iterate) and the number of looks.
+// One attempt from q0: the best iterate, with `history` (q and error, lengths in m, one row per iterate) and the evaluations made.
 export function attempt(robot, name, q0, targets) {
   const [rule, most] = SOLVERS[name], memory = { targets }, history = [];
   let looks = 0, best = null, still = 0;
   const see = (q) => ++looks && look(robot, robot.inside(q), targets);
   for (let now = see(q0); now; now = rule(robot, now, see, columns(robot, now, targets), memory)) {
     history.push({ q: now.q, error: Math.sqrt(now.ee) * robot.reach });
-    still = now.ee < (best?.ee ?? Infinity) * (1 - 1e-6) ? 0 : still + 1; // rules that are not bound to go down may wander
+    still = now.ee < (best?.ee ?? Infinity) * (1 - 1e-6) ? 0 : still + 1; // some rules may go up for a while
     if (!best || now.ee < best.ee) best = now;
     if (best.good || still > 20 || history.length > most) break;
   }
   return { ...best, name, history, looks, iterations: history.length - 1 };
 }
 
-// Attempts from q0 and then from random starts until one is good: the best, which one it was, and how many were made.
-// other(q): leave out what it is true of, and begin elsewhere.
+// Attempts from q0 and then from random starts until one succeeds: the best of them, its number, and how many were made.
+// other(q): skip answers for which it is true, and start elsewhere.
 export function solve(robot, name, q0, targets, { attempts = ATTEMPTS, seed = 1, other = null } = {}) {
   const next = randoms(seed), begin = () => Array.from({ length: DRAWN }, () => look(robot, robot.random(next), targets));
   let best = null, made = 0;
@@ -131,12 +131,12 @@ export function solve(robot, name, q0, targets, { attempts = ATTEMPTS, seed = 1,
     found.q = robot.wrapped(found.q);
     found.attempt = ++made;
     looks += found.looks;
-    if (!(found.good && other?.(found.q)) && (found.good || !best || found.ee < 0.99 * best.ee)) best = found; // no jump for a hair
+    if (!(found.good && other?.(found.q)) && (found.good || !best || found.ee < 0.99 * best.ee)) best = found; // a clear gain
   }
   return best && { ...best, attempts: made };
 }
 
-// A step of `size` inside the null space, in the direction nearest `along` (n); the tips are held. Gives q and the direction.
+// A step of `size` in the null space, in the direction nearest `along` (n), with the tips held. Gives q and the direction.
 export function glide(robot, q, targets, along, size) {
   const J = columns(robot, look(robot, q, targets), targets);
   const lost = along.reduce((sum, x, k) => plus(sum, J[k], x), J[0].map(() => 0));
