@@ -18,6 +18,7 @@ ROOMS = {  # how the public names are grouped in the API page, by the module the
     "Pictures": ("show.",),
     "Errors": ("errors",),
 }
+LIVE = {"hydrolek_7w": [], "brokk_hydrolek": ["left_tip", "right_tip"]}  # robots with a live page, and their tips
 
 
 def write_all(source: Path) -> None:
@@ -45,7 +46,9 @@ def write_all(source: Path) -> None:
 
 
 def write_scenes(source: Path) -> None:
-    """Write the scenes of shipped robots as pages that can be turned, below the built site's scenes/."""
+    """Write the scenes of shipped robots as pages that can be turned, and live pages, below the built site's scenes/ and live/."""
+    import ik_toolkit as ik
+
     sys.path.insert(0, str(source.parent / "scripts"))
     from make_pictures import SCENES, SHIPPED
 
@@ -53,6 +56,11 @@ def write_scenes(source: Path) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     for name in SHIPPED:
         SCENES[name]().save(folder / f"{name}.html")
+    pages = source / "generated" / "extra" / "live"
+    pages.mkdir(exist_ok=True)
+    for name, tips in LIVE.items():
+        robot = ik.Tree.load(name, tips=tips) if tips else ik.Robot.load(name)
+        ik.view(robot).page(pages / f"{name}.html")
 
 
 # ------------------------------------------------------------------------------------------------ pages

@@ -11,7 +11,7 @@ from ik_toolkit import __version__
 project = "ik_toolkit"
 copyright = "ik_toolkit contributors, BSD-3-Clause"
 release = version = __version__
-extensions = ["myst_nb", "sphinx.ext.autodoc"]
+extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx_copybutton"]
 exclude_patterns = ["_build", "data", "reliability_notes.md", "generated/extra", "**.ipynb_checkpoints"]
 
 myst_enable_extensions = ["colon_fence", "dollarmath"]
@@ -31,6 +31,8 @@ html_title = f"ik_toolkit {version}"
 html_static_path = ["_static"]
 html_extra_path = ["generated/extra"]
 html_css_files = ["style.css"]
+html_logo = "_static/logo.svg"
+copybutton_exclude = ".linenos, .gp, .go"
 html_show_sphinx = False
 html_copy_source = False
 

@@ -1,5 +1,6 @@
 """The guide's examples run as printed, each page in one go; every page is reachable."""
 
+import ast
 import re
 import shlex
 
@@ -51,6 +52,27 @@ def test_commands_run(page, command, tmp_path, monkeypatch, capsys):
     assert main(shlex.split(command)[1:]) == 0
     said = capsys.readouterr()
     assert (said.out + said.err).strip()
+
+
+def test_embedded_pages_are_written():
+    """What a page embeds or links as HTML is a page of the docs, or written beside them when they are built."""
+    made = {f"scenes/{name}" for name in names_in(ROOT / "scripts" / "make_pictures.py", "SHIPPED")}
+    made |= {f"live/{name}" for name in names_in(DOCS / "_generate.py", "LIVE")}
+    made |= {str(page.relative_to(DOCS).with_suffix("")) for page in DOCS.rglob("*.md")}
+    used = {
+        word
+        for page in DOCS.rglob("*.md")
+        for word in re.findall(r'(?:src|href)="(?:\.\./)*([\w/]+)\.html', page.read_text(encoding="utf-8"))
+    }
+    assert {"live/hydrolek_7w", "scenes/solve"} <= used
+    assert used <= made
+
+
+def names_in(file, constant):
+    """Value of a constant of a script that is not imported here."""
+    tree = ast.parse(file.read_text(encoding="utf-8"))
+    lines = [node for node in tree.body if isinstance(node, ast.Assign)]
+    return next(ast.literal_eval(line.value) for line in lines if ast.unparse(line.targets[0]) == constant)
 
 
 def test_there_is_something_to_run():
