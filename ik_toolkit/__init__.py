@@ -54,6 +54,7 @@ _NAMES = {
     "best_gains": "tracking.stability",
     "check_gains": "tracking.stability",
     "view": "show.scene",
+    "plot": "show.plot",
     "IKError": "errors",
     "NotSolved": "errors",
 }

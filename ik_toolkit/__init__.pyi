@@ -12,6 +12,7 @@ from .robot.pose import pose as pose
 from .robot.robot import Robot as Robot
 from .robot.shape import Shape as Shape
 from .robot.tree import Tree as Tree
+from .show.plot import plot as plot
 from .show.scene import view as view
 from .solvers.batch import solve_batch as solve_batch
 from .solvers.batch_result import BatchCheckFailed as BatchCheckFailed

@@ -127,9 +127,10 @@ def bench(
             write(place, found)
             notice(f"wrote {place}")
     if plot is not None and not stopped:
-        from ..show.studies import plot_benchmark
+        from ..show.plot import plot as draw
 
-        notice(f"wrote {plot_benchmark(found, plot)}")
+        draw(found, file=plot)
+        notice(f"wrote {plot}")
     if not as_json:
         _show(found)
     if stopped:

@@ -246,9 +246,10 @@ def _write(result: "PathResult", made: "Trajectory | None", line: SimpleNamespac
         else:
             notice(f"nothing written to {line.output}: the path is not followed, so there is no trajectory")
     if line.plot is not None:
-        from ..show.paths import plot_motion
+        from ..show.plot import plot
 
-        notice(f"wrote {plot_motion(what, line.plot)}")
+        plot(what, file=line.plot)
+        notice(f"wrote {line.plot}")
     if line.html is not None or line.live:
         from ..show.scene import view
 

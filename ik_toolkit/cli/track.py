@@ -227,9 +227,10 @@ def track(
     if output is not None:
         notice(f"wrote {result.save(output)}")
     if plot is not None:
-        from ..show.tracking import plot_track
+        from ..show.plot import plot as draw
 
-        notice(f"wrote {plot_track(result, arm, plot)}")
+        draw(result, arm, file=plot)
+        notice(f"wrote {plot}")
     tried = advice(arm, line, asked, first, result.reach, limits=limits, **counts) if result.reach is not None else []
     more = {"path_chosen": asked.words} if asked.words else {"works": tried} if result.reach is not None else {}
     tips_of = {"tips": [*arm.tips]} if arm.by_tip else {"tip": arm.tip}

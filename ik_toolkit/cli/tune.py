@@ -152,9 +152,9 @@ def tune(
         preset = partial(preset)
     result.save(preset)
     if plot is not None and not result.interrupted:
-        from ..show.studies import plot_tuning
+        from ..show.plot import plot as draw
 
-        plot_tuning(result, plot)
+        draw(result, file=plot)
     write_json({**result.to_dict(), "preset": str(preset)}, as_json)
     if not as_json:
         _show(result, preset)

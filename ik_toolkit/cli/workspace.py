@@ -77,9 +77,9 @@ def register(app: typer.Typer) -> None:
 def _draw(found: Any, arm: Any, plot: Path | None, html: Path | None) -> None:
     """Pictures of a finished study."""
     if plot is not None:
-        from ..show.studies import plot_workspace
+        from ..show.plot import plot as draw
 
-        plot_workspace(found, arm, plot)
+        draw(found, arm, file=plot)
     if html is not None:
         from ..show.scene import view
 

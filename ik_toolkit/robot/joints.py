@@ -23,6 +23,8 @@ from .base import Given
 from .probe import Path
 from .srdf import Srdf
 
+ROWS = {"pose": slice(0, 6), "position": slice(0, 3), "orientation": slice(3, 6)}  # of the six of each tip's Jacobian
+
 
 class Named(dict[str, np.ndarray]):
     """Configurations q (n,) [rad or m] by name; a name that is none raises ConfigurationNotFound."""
@@ -64,6 +66,10 @@ class Joints:
 
     def _route(self) -> str:
         """Where the joints lead, for people."""
+        raise NotImplementedError
+
+    def jacobian(self, q: Any) -> np.ndarray:
+        """Jacobian (6 tips, n) at q (n,), base axes, linear rows of a tip first."""
         raise NotImplementedError
 
     @property
@@ -124,6 +130,18 @@ class Joints:
         if outside:
             raise InvalidConfiguration(f"home is outside the limits at joint {', '.join(outside)}")
         return q
+
+    def manipulability(self, q: Any, rows: str = "pose") -> float:
+        """Manipulability sqrt(det(J J^T)) at q (n,): the volume of the tip speeds at joint speeds of norm 1; 0 where singular.
+
+        rows: 'position' [the three linear rows, m per rad or m], 'orientation', or 'pose' (all six, metres and radians as they
+        are). Of several tips the rows of all count together. With fewer joints than rows it is 0 everywhere. Yoshikawa 1985. Raises
+        InvalidConfiguration, InvalidOption.
+        """
+        if not isinstance(rows, str) or rows not in ROWS:
+            raise InvalidOption(f"rows must be one of {', '.join(ROWS)}, not {rows!r}.{near_match(rows, ROWS)}")
+        J = self.jacobian(q).reshape(-1, 6, self.n)[:, ROWS[rows]].reshape(-1, self.n)
+        return float(np.prod(np.linalg.svd(J, compute_uv=False))) if len(J) <= self.n else 0.0
 
     def outside(self, q: np.ndarray) -> list[str]:
         """Names of the joints whose value lies outside its limits."""

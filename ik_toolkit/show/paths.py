@@ -1,6 +1,5 @@
 """Plots of a followed path and of a trajectory."""
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -8,11 +7,11 @@ import numpy as np
 from ..robot.joints import Joints
 from ..robot.pose import length
 from ..style import COLOURS, DASHES, GREY, PALE
-from .plots import drawing, plain, save
+from .plots import drawing, plain
 
 
-def plot_motion(what: Any, file: str | Path) -> Path:
-    """Draw a PathResult or a Trajectory and write it to .png, .pdf or .svg. Raises MissingExtra, InvalidOption."""
+def plot_motion(what: Any) -> Any:
+    """Draw a PathResult or a Trajectory. Raises MissingExtra."""
     timed = hasattr(what, "dq")
     with drawing() as plt:
         figure, axes = plt.subplots(
@@ -41,7 +40,7 @@ def plot_motion(what: Any, file: str | Path) -> Path:
             title = f"{what.robot.name}: {what.status.name}, {len(what.q)} poses, length {what.length[0]:.4g} rad"
         figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=7, fontsize=8)
         figure.suptitle(plain(title), x=0.01, ha="left", fontweight="bold")
-        return save(figure, file)
+        return figure
 
 
 def _breaks(result: Any) -> list[float]:

@@ -1,6 +1,6 @@
 """Pictures of studies: benchmarks, convergence of a tuning run, success over the workspace."""
 
-from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -9,11 +9,11 @@ from ..study.benchmark import Benchmark
 from ..study.tune import TuneResult
 from ..study.workspace import Workspace
 from ..style import COLOURS, GREY
-from .plots import drawing, plain, save
+from .plots import drawing, plain
 from .tracking import skeleton
 
 
-def plot_benchmark(found: Benchmark, file: str | Path) -> Path:
+def plot_benchmark(found: Benchmark) -> Any:
     """Draw, a row a robot, the share of targets solved with its 95 % interval, and the share solved within a time."""
     robots = found.by_robot()
     solvers = list(dict.fromkeys(row.solver for row in found.rows))  # a solver has one colour everywhere
@@ -39,15 +39,15 @@ def plot_benchmark(found: Benchmark, file: str | Path) -> Path:
                 ylabel="of 100 targets",
                 xlabel="time of a solve [us]",
             )
-        return save(figure, file)
+        return figure
 
 
 LEAST_RATE = 1.0  # [%] at which the scale of a map ends when hardly anything fails
 MARKED = 200  # more failures than this are not marked one by one
 
 
-def plot_tuning(result: TuneResult, file: str | Path) -> Path:
-    """Draw cost over generations, with the held-out result in words, to a .png, .pdf or .svg."""
+def plot_tuning(result: TuneResult) -> Any:
+    """Draw cost over generations, with the held-out result in words."""
     with drawing() as plt:
         figure, axis = plt.subplots(figsize=(6.2, 3.4), layout="constrained")
         generation = np.arange(1, len(result.history) + 1)
@@ -61,10 +61,10 @@ def plot_tuning(result: TuneResult, file: str | Path) -> Path:
             + f"{1000 * result.held_out.share:.1f} [{1000 * low:.1f}, {1000 * high:.1f}] of 1000 held-out targets after"
         )
         axis.legend(loc="upper right")
-        return save(figure, file)
+        return figure
 
 
-def plot_workspace(found: Workspace, robot: Joints, file: str | Path) -> Path:
+def plot_workspace(found: Workspace, robot: Joints) -> Any:
     """Draw, for each solver, the failure rate seen from above and from the side, failures marked when they are few.
 
     The scale ends at the largest rate of any cell, so that rare failures are seen too. The robot stands at home, for its place.
@@ -104,4 +104,4 @@ def plot_workspace(found: Workspace, robot: Joints, file: str | Path) -> Path:
             aspect=30,
             pad=0.02,
         )
-        return save(figure, file)
+        return figure

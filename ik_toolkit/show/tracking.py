@@ -1,6 +1,5 @@
 """Picture of a tracking run: the arm along its path, the errors, joint positions and speeds against their limits."""
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -9,7 +8,7 @@ import pinocchio as pin
 from ..robot.joints import Joints
 from ..style import COLOURS, DASHES, GREY, PALE
 from ..tracking.result import TrackResult
-from .plots import FLOOR, drawing, plain, save
+from .plots import FLOOR, drawing, plain
 
 
 def skeleton(robot: Any, q: np.ndarray) -> np.ndarray:
@@ -25,8 +24,8 @@ def skeleton(robot: Any, q: np.ndarray) -> np.ndarray:
     return np.array([*points, robot.fk(q).translation])
 
 
-def plot_track(result: TrackResult, robot: Joints, file: str | Path) -> Path:
-    """Draw a run and write it to `file` (.png, .pdf or .svg). Raises MissingExtra without matplotlib, InvalidOption."""
+def plot_track(result: TrackResult, robot: Joints) -> Any:
+    """Draw a run. Raises MissingExtra without matplotlib."""
     slowed = result.added_time > 0.0
     with drawing() as plt:
         figure = plt.figure(figsize=(10.5, 8.2 if slowed else 6.8), layout="constrained")
@@ -57,7 +56,7 @@ def plot_track(result: TrackResult, robot: Joints, file: str | Path) -> Path:
             ha="left",
             fontweight="bold",
         )
-        return save(figure, file)
+        return figure
 
 
 def _path_panel(ax: Any, result: TrackResult, robot: Joints) -> None:

@@ -17,7 +17,8 @@ WORKER = Path(__file__).with_name("worker.py")
 class Peer:
     """A solver to compare: name, adapter in worker.py, packages to install (none: this environment), what it is.
 
-    share: part of the targets it gets (slow ones are given the first few); six: for arms of six joints only.
+    share: part of the targets it gets (slow ones are given the first few); six: for arms of six joints only; home: the peer
+    whose environment it uses, if not its own.
     """
 
     name: str
@@ -26,6 +27,7 @@ class Peer:
     about: str
     share: float = 1.0
     six: bool = False
+    home: str = ""
 
 
 PEERS = (
@@ -33,6 +35,13 @@ PEERS = (
     Peer("ik_q0", "ik_given", (), "the same, with the start that the others get"),
     Peer("ik.solve", "ik_solve", (), "`ik.solve`, everything on: checks of input, Pinocchio's check of the answer"),
     Peer("rtb", "rtb", ("roboticstoolbox-python",), "Robotics Toolbox, `ik_LM(k=0.1)`, C++"),
+    Peer(
+        "rtb_free",
+        "rtb_free",
+        ("roboticstoolbox-python",),
+        "the same with `joint_limits=False` and its own starts, as in its authors' notebook; limits count here, too",
+        home="rtb",
+    ),
     Peer("eaik", "eaik", ("EAIK",), "analytic, all solutions, knows no limits and no start, C++", six=True),
     Peer("cartan", "cartan", ("cartan-bindings",), "`solve_ik_speed`, projected LM, C++"),
     Peer("optik", "optik", ("optik-py", "numpy"), "SLSQP, one thread, Rust"),
@@ -40,6 +49,14 @@ PEERS = (
     Peer("pytracik", "pytracik", ("pytracik",), "TRAC-IK, its two threads, C++", share=0.5),
     Peer(
         "ssik", "ssik", ("ssik[urdf]",), "analytic, all solutions, `from_urdf` (no generated code)", share=0.1, six=True
+    ),
+    Peer(
+        "ssik_built",
+        "ssik_built",
+        ("ssik[urdf]",),
+        "one solution of the code that `ssik build` writes, `native=True`, `enumerate_windings=False`",
+        six=True,
+        home="ssik",
     ),
     Peer("pink", "pink", ("pin-pink", "qpsolvers[quadprog]"), "QP steps, 50 an attempt, restarts added", share=0.1),
     Peer("mink", "mink", ("mink", "qpsolvers[daqp]"), "QP steps, 50 an attempt, restarts added", share=0.1),
@@ -55,7 +72,7 @@ def python_of(peer: Peer, venvs: Path | None) -> tuple[Path, str]:
     if not peer.packages:
         return Path(sys.executable), ""
     assert venvs is not None
-    folder = venvs / peer.name
+    folder = venvs / (peer.home or peer.name)
     python = folder / "bin" / "python"
     done = folder / "installed"
     if not python.exists():
@@ -67,7 +84,7 @@ def python_of(peer: Peer, venvs: Path | None) -> tuple[Path, str]:
         if run.returncode:
             raise RuntimeError(f"pip failed: {run.stderr.strip().splitlines()[-1]}")
         done.touch()
-    name = DISTRIBUTIONS.get(peer.name, peer.name)
+    name = DISTRIBUTIONS.get(folder.name, folder.name)
     code = f"import importlib.metadata as m; print(m.version('{name}'))"
     run = subprocess.run([str(python), "-c", code], capture_output=True, text=True)
     return python, run.stdout.strip()

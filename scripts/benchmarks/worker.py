@@ -78,6 +78,19 @@ def rtb(s):
     return with_q(lambda T, q0: ets.ik_LM(T, q0=q0, tol=tol, k=0.1)), successful
 
 
+def rtb_free(s, tol=None, **limits):
+    """Its own notebook's way: joint limits do not count, random starts."""
+    import roboticstoolbox
+
+    ets = roboticstoolbox.Robot.URDF(s.path).ets()
+    tol = tol or 0.5 * s.tol_p**2
+    return with_q(lambda T, q0: ets.ik_LM(T, tol=tol, k=0.1, joint_limits=False, **limits)), successful
+
+
+def rtb_published(s):
+    return rtb_free(s, tol=1e-6, ilimit=30, slimit=100)
+
+
 def eaik(s):
     from eaik.IK_HP import HPRobot
 
@@ -114,11 +127,15 @@ def optik(s):
     return lambda T, q0: robot.ik(config, moved @ T, q0), lambda r: one(r and r[0])
 
 
-def pytracik(s):
+def pytracik(s, timeout=CAP, share=0.57):
     from trac_ik import TracIK
 
-    robot = TracIK(s.base, s.tip, s.path, timeout=CAP, epsilon=0.57 * s.tol_p)  # an epsilon for each axis
+    robot = TracIK(s.base, s.tip, s.path, timeout=timeout, epsilon=share * s.tol_p)  # an epsilon for each axis
     return lambda T, q0: robot.ik(T[:3, 3], T[:3, :3], q0), one
+
+
+def pytracik_published(s):
+    return pytracik(s, timeout=s.timeout, share=1.0)
 
 
 def dynibo(s):
@@ -141,6 +158,22 @@ def ssik(s):
     arm = Manipulator.from_urdf(s.path, base=s.base, ee=s.tip)
     arm.prepare()
     return lambda T, q0: [x.q for x in arm.solve(T)], list
+
+
+def ssik_built(s):
+    """One answer of the code that `ssik build` writes for the robot, by its native backend."""
+    import importlib.util
+    import subprocess
+    from pathlib import Path
+
+    file = Path(s.path).with_name("built_ik.py")
+    command = [str(Path(sys.executable).with_name("ssik")), "build", s.path, "--base", s.base, "--ee", s.tip]
+    subprocess.run([*command, "--no-validate", "--out", str(file)], check=True, capture_output=True)
+    spec = importlib.util.spec_from_file_location("built_ik", file)
+    arm = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(arm)
+    options = {"max_solutions": 1, "enumerate_windings": False, "native": True}
+    return lambda T, q0: [x.q for x in arm.solve(T, **options)], list
 
 
 # ------------------------------------------------------------------------------------------ differential and Python

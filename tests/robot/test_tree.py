@@ -48,6 +48,18 @@ def test_any_base_also_with_followers_of_joints_below_it(base):
     assert ik.solve(tree, poses(tree, q)).success
 
 
+def test_manipulability_is_yoshikawas(tree):
+    for robot in (tree, *tree.arms):
+        for q in robot.random_q(np.random.default_rng(3), 4):
+            rows = robot.jacobian(q).reshape(-1, 6, robot.n)
+            for name, J in (("pose", rows), ("position", rows[:, :3]), ("orientation", rows[:, 3:])):
+                J = J.reshape(-1, robot.n)
+                wanted = np.sqrt(np.linalg.det(J @ J.T)) if len(J) <= robot.n else 0.0
+                assert abs(robot.manipulability(q, name) - wanted) <= 1e-12 + 1e-9 * wanted
+    with pytest.raises(errors.InvalidOption, match="position"):
+        tree.manipulability(tree.home, "positions")
+
+
 def test_jacobian_by_finite_differences(tree):
     q, h = tree.random_q(np.random.default_rng(8)), 1e-6
     J = tree.jacobian(q)

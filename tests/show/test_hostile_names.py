@@ -122,7 +122,6 @@ def test_the_panel(robot, tmp_path):
 def test_charts(tmp_path):
     matplotlib = pytest.importorskip("matplotlib", reason="matplotlib is not installed (extra 'plots')")
     from ik_toolkit.show import plots
-    from ik_toolkit.show.tracking import plot_track
 
     evil = "$\\frac{1$ <b>"
     robot = ik.Robot.load(arm([f"{evil}{k}" for k in range(6)]))
@@ -139,7 +138,8 @@ def test_charts(tmp_path):
     ]
     with matplotlib.rc_context({"svg.fonttype": "none"}):  # letters as letters, so that they can be read back
         pages = [plots.save(figure, tmp_path / f"{k}.svg") for k, figure in enumerate(figures)]
-        pages.append(plot_track(run, robot, tmp_path / "track.svg"))
+        ik.plot(run, robot, file=tmp_path / "track.svg")
+        pages.append(tmp_path / "track.svg")
     for page in pages:
         drawn = ET.parse(page)
         assert {element.tag.partition("}")[2] for element in drawn.iter()}.isdisjoint(TAGS)

@@ -5,7 +5,7 @@ import pytest
 from robots import load
 
 import ik_toolkit as ik
-from ik_toolkit.errors import InvalidOption
+from ik_toolkit.errors import InvalidConfiguration, InvalidOption
 from ik_toolkit.show import plots
 from ik_toolkit.show.attempts import attempts
 
@@ -170,19 +170,14 @@ def test_history_says_what_the_result_says():
 
 
 @pytest.mark.parametrize("slowed", [False, True])
-def test_the_picture_of_a_run_prints_nothing_over_anything(slowed, tmp_path, monkeypatch):
-    from ik_toolkit.show import tracking
-
+def test_the_picture_of_a_run_prints_nothing_over_anything(slowed):
     robot = ik.Robot.load("hydrolek_7w")
     run = ik.track(robot, ik.circle(robot.fk(robot.home), 0.02, duration=2.0), dt=0.04, q0=robot.home)
     if slowed:
         run.sigma = np.linspace(1.0, 0.3, 50)
         run.clock, run.pace = np.r_[0.0, np.cumsum(run.sigma) * run.dt], np.full(50, 2)
         run.limited[20:, 2] = 2
-    kept = []
-    monkeypatch.setattr(tracking, "save", lambda figure, file: kept.append(figure) or file)
-    tracking.plot_track(run, robot, tmp_path / "run.png")
-    (figure,) = kept
+    figure = ik.plot(run, robot)
     figure.canvas.draw()
     axes = [ax for ax in figure.axes if ax.name != "3d"]
     titles = [ax.get_title(loc="left") for ax in axes]
@@ -193,3 +188,29 @@ def test_the_picture_of_a_run_prints_nothing_over_anything(slowed, tmp_path, mon
     boxes += [ax.get_legend().get_window_extent() for ax in axes if ax.get_legend()]
     for i, box in enumerate(boxes):  # one pixel is what rounding leaves
         assert not [other for other in boxes[:i] if box.padded(-1).overlaps(other)], titles
+
+
+def test_plot_takes_what_the_calls_return(tmp_path):
+    robot = ik.Robot.load("hydrolek_7w")
+    target = robot.fk([0.4, 0.9, -0.4, 1.0, -1.0, 0.8])
+    result = ik.solve(robot, target, history=True)
+    run = ik.track(robot, ik.circle(robot.fk(robot.home), 0.02, duration=1.0), dt=0.05, q0=robot.home)
+    path = ik.solve_path(robot, [robot.fk(q) for q in np.linspace(robot.home, result.q, 5)])
+    titles = [
+        [axis.get_title(loc="left") for axis in ik.plot(*what).axes]
+        for what in (({"lm": result},), ({"cv": run},), (path,), (result.q, robot))
+    ]
+    assert titles[0] == [f"lm: {len(result.history['q']) - 1} steps"]
+    assert titles[1] == ["", ""] and len(titles[2]) == 2
+    assert titles[3] == ["from the side", "from above"]
+    figure = ik.plot({"home": robot.home, "found": result.q}, robot, target=target, file=tmp_path / "arm.svg")
+    side, above = figure.axes
+    assert np.allclose(side.lines[1].get_xydata()[-1], target.translation[[0, 2]], atol=1e-6)
+    assert np.allclose(above.lines[2].get_xydata(), target.translation[:2])
+    assert [text.get_text() for text in figure.legends[0].get_texts()] == ["home", "found", "target"]
+    assert (tmp_path / "arm.svg").read_text().count("<path") > 20
+    for wrong in ((run,), (robot.home,)):
+        with pytest.raises(InvalidOption, match="needs the robot"):
+            ik.plot(*wrong)
+    with pytest.raises(InvalidConfiguration):
+        ik.plot("something", robot)

@@ -252,10 +252,9 @@ def test_an_unknown_option_is_the_callers_mistake(arm):
 
 def test_plot(arm, tmp_path):
     pytest.importorskip("matplotlib")
-    from ik_toolkit.show.studies import plot_benchmark
 
     found = ik.benchmark(arm, ["lm"], targets=5)
-    plot_benchmark(found, tmp_path / "times.svg")
+    ik.plot(found, file=tmp_path / "times.svg")
     drawn = (tmp_path / "times.svg").read_text(encoding="utf-8")
     assert all(text in drawn for text in ("hydrolek_7w: targets solved", ">lm<"))
     assert drawn.count(">of 100 targets<") == 2  # both axes that count them say so

@@ -135,18 +135,15 @@ def test_escapes_from_the_straight_arm():
     assert found["state-space"].solved >= 5 and found["state-space"].stood_still == 0
 
 
-def test_the_map_shows_failures(monkeypatch):
+def test_the_map_shows_failures():
     pytest.importorskip("matplotlib")
-    from ik_toolkit.show import studies
-
     robot = robots.load("hydrolek_7w")
     found = workspace(robot, ["lm"], targets=400, seed=3)
     figures = []
-    monkeypatch.setattr(studies, "save", lambda figure, _: figures.append(figure))
     cell = tuple(index[0] for index in np.nonzero(found.map["lm"][0]))
     for lost in (0, 1):  # one failure in one cell
         found.map["lm"][1][cell] -= lost
-        studies.plot_workspace(found, robot, "map.png")
+        figures.append(ik.plot(found, robot))
         targets, solved = found.map["lm"].sum(axis=3)
         rate = 100.0 * (1.0 - solved / np.where(targets > 0, targets, np.nan))
         (image,) = figures[-1].axes[0].images
