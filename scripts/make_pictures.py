@@ -192,15 +192,18 @@ def drag(picture: Path) -> None:
             page.wait_for_timeout(60)
             page.wait_for_selector("body[data-still='1']")
             frames.append(Image.open(io.BytesIO(page.screenshot())).convert("RGB"))
-    pixels = np.concatenate([np.asarray(f).reshape(-1, 3) for f in frames[:: FRAMES // 4]])
-    vivid = pixels[np.ptp(pixels.astype(int), axis=1) > 90]  # few, and what the eye follows: they count for a sixth
-    pixels = np.concatenate([pixels, np.resize(vivid, (len(pixels) // 5, 3))])
-    strip = Image.fromarray(pixels[None])
-    palette = strip.quantize(
-        COLOURS, method=Image.Quantize.MEDIANCUT
-    )  # one for all: what stands still does not flicker
+    palette = palette_of(frames[:: FRAMES // 4], COLOURS)  # one for all: what stands still does not flicker
     first, *others = [f.quantize(palette=palette, dither=Image.Dither.NONE) for f in [*frames, *frames[-2:0:-1]]]
     first.save(picture, save_all=True, append_images=others, duration=PAUSE, loop=0, optimize=True, disposal=1)
+
+
+def palette_of(pictures: list[Any], count: int) -> Any:
+    """Palette of some pictures. What is vivid is small and what the eye follows: it counts for a sixth of the pixels."""
+    pixels = np.concatenate([np.asarray(picture).reshape(-1, 3) for picture in pictures])
+    vivid = pixels[np.ptp(pixels.astype(int), axis=1) > 90]
+    if len(vivid):
+        pixels = np.concatenate([pixels, np.resize(vivid, (len(pixels) // 5, 3))])
+    return Image.fromarray(pixels[None]).quantize(count, method=Image.Quantize.MEDIANCUT)
 
 
 def photograph(page: Path, picture: Path) -> None:

@@ -1,26 +1,32 @@
-"""Execute the notebooks and keep their outputs small: plots and text stay, 3-D scenes go, pictures get a palette.
+"""Execute the notebooks and keep their outputs small: plots and text stay, 3-D scenes become pictures, pictures get a palette.
 
     python scripts/run_notebooks.py [NAME ...]      execute, strip, write back
     python scripts/run_notebooks.py --strip         only strip what is there
 
-A scene is an HTML page of some 300 kB that code-hosting sites do not show anyway; it comes back when the cell is run.
+A scene is an HTML page of some 300 kB that code-hosting sites do not show anyway; it comes back when the cell is run. Its picture
+is taken in headless Chromium, as those of scripts/make_pictures.py.
 """
 
 import argparse
 import base64
+import html as markup
 import io
+import re
+import tempfile
 from pathlib import Path
 
 import nbformat
+from make_pictures import palette_of, photograph
 from PIL import Image  # comes with matplotlib
 
 FOLDER = Path(__file__).resolve().parent.parent / "notebooks"
 LARGEST_HTML = 20_000  # characters; tables of robots and results are far below, scenes far above
-COLOURS = 96
+COLOURS = 200
+SCENE = (760, 456)  # pixels of a scene's picture
 
 
 def strip(notebook: nbformat.NotebookNode) -> None:
-    """Drop scenes, times and widget state; number the cells from 1."""
+    """Put pictures in place of scenes, drop times and widget state; number the cells from 1."""
     notebook.metadata = {
         key: notebook.metadata[key] for key in ("kernelspec", "language_info") if key in notebook.metadata
     }
@@ -36,7 +42,7 @@ def strip(notebook: nbformat.NotebookNode) -> None:
 
 
 def small(output: nbformat.NotebookNode) -> nbformat.NotebookNode | None:
-    """Return the output without its scene, or None when nothing is left or it went to stderr."""
+    """Return the output with a picture in place of its scene, or None when nothing is left or it went to stderr."""
     if output.output_type == "stream" and output.name == "stderr":
         return None
     if output.output_type not in ("display_data", "execute_result"):
@@ -44,6 +50,9 @@ def small(output: nbformat.NotebookNode) -> nbformat.NotebookNode | None:
     if "execution_count" in output:
         output.execution_count = None
     html = output.data.get("text/html", "")
+    if page := re.search(r'<iframe srcdoc="([^"]*)"', html):
+        output.data = {"image/png": picture(markup.unescape(page[1])), "text/plain": "<a scene>"}
+        html = ""
     if "<iframe" in html or "<script" in html or len(html) > LARGEST_HTML:
         return None
     output.metadata = {}
@@ -52,11 +61,22 @@ def small(output: nbformat.NotebookNode) -> nbformat.NotebookNode | None:
     return output
 
 
+def picture(page: str) -> str:
+    """Base64 picture of a scene's page."""
+    with tempfile.TemporaryDirectory() as folder:
+        source, made = Path(folder) / "scene.html", Path(folder) / "scene.png"
+        source.write_text(page, encoding="utf-8")
+        photograph(source, made)
+        Image.open(made).resize(SCENE, Image.Resampling.LANCZOS).save(made)
+        return base64.b64encode(made.read_bytes()).decode()
+
+
 def with_palette(png: str) -> str:
     """Write a base64 picture again with COLOURS colours: a third of the size for a chart."""
     packed = io.BytesIO()
     picture = Image.open(io.BytesIO(base64.b64decode(png))).convert("RGB")
-    picture.quantize(COLOURS, dither=Image.Dither.NONE).save(packed, "png", optimize=True)
+    palette = palette_of([picture], COLOURS)
+    picture.quantize(palette=palette, dither=Image.Dither.NONE).save(packed, "png", optimize=True)
     return base64.b64encode(packed.getvalue()).decode()
 
 

@@ -23,7 +23,7 @@ from .base import Given
 from .probe import Path
 from .srdf import Srdf
 
-ROWS = {"pose": slice(0, 6), "position": slice(0, 3), "orientation": slice(3, 6)}  # of the six of each tip's Jacobian
+ROWS = {"pose": [*range(6)], "position": [0, 1, 2], "orientation": [3, 4, 5]}  # of the six of each tip's Jacobian
 
 
 class Named(dict[str, np.ndarray]):
@@ -131,16 +131,24 @@ class Joints:
             raise InvalidConfiguration(f"home is outside the limits at joint {', '.join(outside)}")
         return q
 
-    def manipulability(self, q: Any, rows: str = "pose") -> float:
+    def manipulability(self, q: Any, rows: Any = "pose") -> float:
         """Manipulability sqrt(det(J J^T)) at q (n,): the volume of the tip speeds at joint speeds of norm 1; 0 where singular.
 
-        rows: 'position' [the three linear rows, m per rad or m], 'orientation', or 'pose' (all six, metres and radians as they
-        are). Of several tips the rows of all count together. With fewer joints than rows it is 0 everywhere. Yoshikawa 1985. Raises
-        InvalidConfiguration, InvalidOption.
+        rows: 'position' [the three linear rows, m per rad or m], 'orientation', 'pose' (all six, in metres and radians), or the
+        numbers of rows x, y, z, rx, ry, rz in base axes: (0, 1) of an arm in the plane. Of several tips the rows of all count
+        together. With fewer joints than rows it is 0 everywhere. Yoshikawa 1985. Raises InvalidConfiguration, InvalidOption.
         """
-        if not isinstance(rows, str) or rows not in ROWS:
-            raise InvalidOption(f"rows must be one of {', '.join(ROWS)}, not {rows!r}.{near_match(rows, ROWS)}")
-        J = self.jacobian(q).reshape(-1, 6, self.n)[:, ROWS[rows]].reshape(-1, self.n)
+        try:
+            picked = ROWS[rows] if isinstance(rows, str) else [int(range(6)[i]) for i in rows]
+            if not picked or len({*picked}) < len(picked):
+                raise ValueError
+        except (KeyError, IndexError, TypeError, ValueError):
+            names = ", ".join(f"'{name}'" for name in ROWS)
+            close = near_match(rows, ROWS) if isinstance(rows, str) else ""
+            raise InvalidOption(
+                f"rows must be {names} or different numbers from 0 to 5, not {str(rows)[:100]!r}.{close}"
+            ) from None
+        J = self.jacobian(q).reshape(-1, 6, self.n)[:, picked].reshape(-1, self.n)
         return float(np.prod(np.linalg.svd(J, compute_uv=False))) if len(J) <= self.n else 0.0
 
     def outside(self, q: np.ndarray) -> list[str]:

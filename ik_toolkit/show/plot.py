@@ -48,7 +48,8 @@ def plot(what: Any, robot: Joints | None = None, *, target: Any = None, file: st
     else:
         figure = postures(what, _needed(robot, "configurations"), target)
     if file is not None:
-        save(figure, file)
+        with drawing():  # letters stay letters in an .svg
+            save(figure, file)
     return figure
 
 

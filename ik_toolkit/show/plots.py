@@ -28,12 +28,16 @@ def drawing(style: Any = STYLE) -> Iterator[Any]:
     except ImportError:
         raise MissingExtra("matplotlib", "plots") from None
     before = set(plt.get_fignums())
+    interactive = plt.isinteractive()
     with plt.rc_context(style):
         try:
             yield plt
         finally:
             for number in set(plt.get_fignums()) - before:
                 plt.close(number)
+            interactive = plt.isinteractive()
+    if interactive != plt.isinteractive():  # the first figure loads the backend, and a notebook's asks for this
+        plt.ion() if interactive else plt.ioff()
 
 
 def plain(text: str) -> str:

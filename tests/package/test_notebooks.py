@@ -11,8 +11,8 @@ NOTEBOOKS = sorted(FOLDER.glob("*.ipynb"))
 LARGEST = 200_000  # bytes
 
 
-def test_numbered_from_00_to_06():
-    assert [path.name[:3] for path in NOTEBOOKS] == [f"0{k}_" for k in range(7)]
+def test_numbered_from_00_to_07():
+    assert [path.name[:3] for path in NOTEBOOKS] == [f"0{k}_" for k in range(8)]
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
@@ -26,7 +26,18 @@ def test_committed_small_and_executed(path):
     shown = [output["data"] for output in outputs if "data" in output]
     assert any("image/png" in data for data in shown), "no picture that survives on a code-hosting page"
     assert not [data for data in shown if "<iframe" in "".join(data.get("text/html", ""))]
-    assert any("ik.view(" in "".join(cell["source"]) for cell in code), "no 3-D scene"
+    scenes = [cell for cell in code if "ik.view(" in "".join(cell["source"])]
+    assert scenes, "no 3-D scene"
+    drawn = [cell for cell in scenes if any("image/png" in output.get("data", {}) for output in cell["outputs"])]
+    assert len(drawn) == len(scenes), "a scene without a picture"
+    texts = ["".join(data.get("text/plain", "")) for data in shown if not {"image/png", "text/html"} & data.keys()]
+    assert not [
+        text for text in texts if re.search(r"<[\w. ]+ (?:at 0x|object)|^\[<|^\[?(?:SE3|Solutions|Text)\(", text)
+    ], "a leaked repr"
+    titles = [
+        line for cell in cells if cell["cell_type"] == "markdown" for line in "".join(cell["source"]).splitlines()
+    ]
+    assert titles.count("## Exercise") == 1 and titles.count("## Answer") == 1
 
 
 @pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)

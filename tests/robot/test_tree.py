@@ -52,12 +52,20 @@ def test_manipulability_is_yoshikawas(tree):
     for robot in (tree, *tree.arms):
         for q in robot.random_q(np.random.default_rng(3), 4):
             rows = robot.jacobian(q).reshape(-1, 6, robot.n)
-            for name, J in (("pose", rows), ("position", rows[:, :3]), ("orientation", rows[:, 3:])):
+            for name, J in (
+                ("pose", rows),
+                ("position", rows[:, :3]),
+                ("orientation", rows[:, 3:]),
+                ((4, 0), rows[:, [4, 0]]),
+            ):
                 J = J.reshape(-1, robot.n)
                 wanted = np.sqrt(np.linalg.det(J @ J.T)) if len(J) <= robot.n else 0.0
                 assert abs(robot.manipulability(q, name) - wanted) <= 1e-12 + 1e-9 * wanted
-    with pytest.raises(errors.InvalidOption, match="position"):
-        tree.manipulability(tree.home, "positions")
+    for wrong in ("positions", (0, 0), (), (6,), 1.5, None):
+        with pytest.raises(errors.InvalidOption, match="'position'"):
+            tree.manipulability(tree.home, wrong)
+    with pytest.raises(errors.InvalidConfiguration):
+        tree.manipulability(tree.home[:-1])
 
 
 def test_jacobian_by_finite_differences(tree):

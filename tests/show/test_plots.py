@@ -190,6 +190,18 @@ def test_the_picture_of_a_run_prints_nothing_over_anything(slowed):
         assert not [other for other in boxes[:i] if box.padded(-1).overlaps(other)], titles
 
 
+def test_a_backend_loaded_by_a_chart_stays_interactive():
+    import matplotlib
+
+    assert not matplotlib.is_interactive()
+    try:
+        with plots.drawing():
+            matplotlib.interactive(True)  # as the backend of notebooks does when the first figure loads it
+        assert matplotlib.is_interactive()
+    finally:
+        matplotlib.interactive(False)
+
+
 def test_plot_takes_what_the_calls_return(tmp_path):
     robot = ik.Robot.load("hydrolek_7w")
     target = robot.fk([0.4, 0.9, -0.4, 1.0, -1.0, 0.8])
@@ -208,7 +220,7 @@ def test_plot_takes_what_the_calls_return(tmp_path):
     assert np.allclose(side.lines[1].get_xydata()[-1], target.translation[[0, 2]], atol=1e-6)
     assert np.allclose(above.lines[2].get_xydata(), target.translation[:2])
     assert [text.get_text() for text in figure.legends[0].get_texts()] == ["home", "found", "target"]
-    assert (tmp_path / "arm.svg").read_text().count("<path") > 20
+    assert ">found<" in (tmp_path / "arm.svg").read_text()
     for wrong in ((run,), (robot.home,)):
         with pytest.raises(InvalidOption, match="needs the robot"):
             ik.plot(*wrong)
