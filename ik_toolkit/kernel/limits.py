@@ -87,7 +87,7 @@ def integrate(q, dq, limits, ends):
                 a -= TAU * np.rint((a - middle(lower, upper)) / TAU)
             a = min(max(a, lower), upper)  # after a turn too: it may end a rounding outside
         moved = max(moved, abs(a - q[i]))
-        far = far if abs(a) <= far else abs(a)  # keeps a NaN
+        far = far if abs(a) <= far or far != far else abs(a)  # a NaN stays, of whichever joint
         q[i] = a
     return moved, far
 

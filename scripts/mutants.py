@@ -1,0 +1,247 @@
+"""Changes of the kernel's source, how one is planted in a process, and how the kernel notes which statements it runs."""
+
+import ast
+import copy
+import functools
+import gc
+import os
+import sys
+from collections import defaultdict
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from types import CodeType, FunctionType
+from typing import Any, NamedTuple
+
+KERNEL = Path(__file__).resolve().parent.parent / "ik_toolkit" / "kernel"
+REACHED = "__reached__"
+OPERATORS = {
+    ast.Add: ast.Sub, ast.Sub: ast.Add, ast.Mult: ast.Div, ast.Div: ast.Mult, ast.FloorDiv: ast.Mult, ast.Mod: ast.Mult,
+    ast.RShift: ast.LShift, ast.LShift: ast.RShift, ast.BitXor: ast.BitOr, ast.BitOr: ast.BitAnd, ast.BitAnd: ast.BitOr,
+    ast.Pow: ast.Mult,
+}  # fmt: skip
+COMPARISONS = {
+    ast.Lt: (ast.LtE, ast.Gt), ast.LtE: (ast.Lt, ast.Gt), ast.Gt: (ast.GtE, ast.Lt), ast.GtE: (ast.Gt, ast.Lt),
+    ast.Eq: (ast.NotEq,), ast.NotEq: (ast.Eq,),
+}  # fmt: skip
+CALLS = {"min": "max", "max": "min", "sin": "cos", "cos": "sin", "ceil": "floor", "floor": "ceil"}
+
+
+@functools.cache
+def text_of(file: str) -> list[str]:
+    """Lines of a kernel file."""
+    return (KERNEL / file).read_text(encoding="utf-8").splitlines()
+
+
+def key(name: str) -> str:
+    """Name of a mutant that survives edits of other lines: file and change, with the text of its line."""
+    place, what = name.split(" ", 1)
+    file, line, _ = place.split(":")
+    return f"{file}: {text_of(file)[int(line) - 1].strip()} [{what}]"
+
+
+class Mutant(NamedTuple):
+    """One change: the number of the node in its file, and of the change at that node."""
+
+    file: str
+    node: int
+    change: int
+    line: int
+    what: str
+    statement: int  # line its statement begins in, 0: the value of a constant of the module
+    constant: str  # names of that constant
+
+    @property
+    def name(self) -> str:
+        """Name in the results."""
+        return f"{self.file}:{self.line}:{self.node}.{self.change} {self.what}"
+
+
+# ------------------------------------------------------------------------------------------------------------ mutants
+def changes(node: ast.AST) -> Iterator[tuple[str, Any]]:
+    """Name of each change of a node, and what makes it (in place)."""
+    if isinstance(node, (ast.BinOp, ast.AugAssign)) and type(node.op) in OPERATORS:
+        other = OPERATORS[type(node.op)]
+        yield f"{type(node.op).__name__} -> {other.__name__}", lambda n: setattr(n, "op", other())
+    elif isinstance(node, ast.Compare):
+        for other in COMPARISONS.get(type(node.ops[0]), ()):
+            yield f"{type(node.ops[0]).__name__} -> {other.__name__}", lambda n, o=other: n.ops.__setitem__(0, o())
+    elif isinstance(node, ast.BoolOp):
+        other = ast.Or if isinstance(node.op, ast.And) else ast.And
+        yield f"{type(node.op).__name__} -> {other.__name__}", lambda n: setattr(n, "op", other())
+    elif isinstance(node, (ast.If, ast.IfExp, ast.While)):
+        if not (isinstance(node, ast.While) and isinstance(node.test, ast.Constant)):
+            yield "condition negated", lambda n: setattr(n, "test", ast.UnaryOp(ast.Not(), n.test))
+    elif isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.USub):
+        yield "minus dropped", lambda n: setattr(n, "op", ast.UAdd())
+    elif isinstance(node, ast.Constant) and type(node.value) in (int, float):
+        more = node.value + 1 if isinstance(node.value, int) else 2.0 * node.value if node.value else 1.0
+        yield f"{node.value} -> {more}", lambda n: setattr(n, "value", more)
+    elif isinstance(node, ast.Constant) and type(node.value) is bool:
+        yield f"{node.value} -> {not node.value}", lambda n: setattr(n, "value", not n.value)
+    elif isinstance(node, ast.Call):
+        name = node.func.attr if isinstance(node.func, ast.Attribute) else getattr(node.func, "id", "")
+        if name in CALLS:
+            key = "attr" if isinstance(node.func, ast.Attribute) else "id"
+            yield f"{name} -> {CALLS[name]}", lambda n: setattr(n.func, key, CALLS[name])
+
+
+def functions_of(tree: ast.Module) -> Iterator[ast.AST]:
+    """Nodes inside functions that run uncompiled, and values of numeric constants of the module."""
+    for top in tree.body:
+        if isinstance(top, ast.ClassDef):
+            bodies = [f for f in top.body if isinstance(f, ast.FunctionDef)]
+        elif isinstance(top, ast.FunctionDef):
+            bodies = [top]
+        elif isinstance(top, ast.Assign) and isinstance(top.value, (ast.Constant, ast.BinOp, ast.Tuple)):
+            yield from ast.walk(top.value)
+            continue
+        else:
+            continue
+        for body in bodies:
+            if any("overload" in ast.unparse(mark) for mark in body.decorator_list):
+                continue  # numba's side of a function whose plain side is what runs here
+            for statement in body.body:
+                yield from ast.walk(statement)
+
+
+def mutants(file: str) -> list[Mutant]:
+    """All changes of a kernel file."""
+    tree = source(file)
+    begins, constants = {}, {}
+    for top in tree.body:
+        for inside in ast.walk(top):  # an inner statement comes later
+            if isinstance(inside, ast.stmt):
+                begins.update({id(node): inside.lineno for node in ast.walk(inside)})
+        if isinstance(top, ast.Assign):
+            name = " ".join(n.id for target in top.targets for n in ast.walk(target) if isinstance(n, ast.Name))
+            constants.update({id(node): name for node in ast.walk(top)})
+    return [
+        Mutant(file, i, k, getattr(node, "lineno", 0), what, 0 if id(node) in constants else begins[id(node)],
+               constants.get(id(node), ""))
+        for i, node in enumerate(functions_of(tree))
+        for k, (what, _) in enumerate(changes(node))
+    ]  # fmt: skip
+
+
+def source(file: str) -> ast.Module:
+    """The tree of a kernel file."""
+    return ast.parse((KERNEL / file).read_text(encoding="utf-8"))
+
+
+def planted(mutant: Mutant) -> ast.Module:
+    """The file with the change made."""
+    tree = source(mutant.file)
+    node = list(functions_of(tree))[mutant.node]
+    list(changes(copy.copy(node)))[mutant.change][1](node)
+    return ast.fix_missing_locations(tree)
+
+
+@functools.cache
+def uses(names: str) -> set[tuple[str, int]]:
+    """Statements in functions of the kernel that use a constant."""
+    found = set()
+    for path in KERNEL.glob("*.py"):
+        for function in ast.walk(source(path.name)):
+            for inside in ast.walk(function) if isinstance(function, ast.FunctionDef) else ():
+                if isinstance(inside, ast.stmt) and any(
+                    isinstance(n, ast.Name) and n.id in names.split() for n in ast.walk(inside)
+                ):
+                    found.add((path.name, inside.lineno))
+    return found
+
+
+# ------------------------------------------------------------------------------------------------------------ planting
+def codes(tree: ast.Module, file: str) -> dict[tuple[str, int], CodeType]:
+    """Code of every function of a tree, nested ones included, by name and line."""
+    found: dict[tuple[str, int], CodeType] = {}
+
+    def visit(code: CodeType) -> None:
+        for inner in code.co_consts:
+            if isinstance(inner, CodeType):
+                found[inner.co_qualname, inner.co_firstlineno] = inner
+                visit(inner)
+
+    visit(compile(tree, str(KERNEL / file), "exec"))
+    return found
+
+
+def living() -> dict[str, list[FunctionType]]:
+    """All functions of the kernel there are, by file."""
+    found = defaultdict(list)
+    for thing in gc.get_objects():
+        if type(thing) is FunctionType and thing.__code__.co_filename.startswith(str(KERNEL)):
+            found[os.path.basename(thing.__code__.co_filename)].append(thing)
+    return found
+
+
+def exchange(functions: list[FunctionType], new: dict[tuple[str, int], CodeType]) -> None:
+    """Give functions their changed code."""
+    for function in functions:
+        code = new.get((function.__code__.co_qualname, function.__code__.co_firstlineno))
+        if code is not None and code.co_freevars == function.__code__.co_freevars:
+            function.__code__ = code
+
+
+def plant(mutant: Mutant, functions: dict[str, list[FunctionType]]) -> None:
+    """Make the change in this process."""
+    tree = planted(mutant)
+    if mutant.statement:
+        exchange(functions[mutant.file], codes(tree, mutant.file))
+        return
+    module = sys.modules[f"ik_toolkit.kernel.{mutant.file[:-3]}"]
+    (assignment,) = (
+        top for top in tree.body if isinstance(top, ast.Assign) and top.lineno <= mutant.line <= (top.end_lineno or 0)
+    )
+    changed = dict(module.__dict__)
+    exec(compile(ast.Module([assignment], []), "constant", "exec"), changed)  # noqa: S102  our own source, changed
+    for name in mutant.constant.split():
+        for other in list(sys.modules.values()):  # whoever has imported it
+            if getattr(other, "__name__", "").startswith("ik_toolkit.") and vars(other).get(name) is getattr(
+                module, name
+            ):
+                vars(other)[name] = changed[name]
+
+
+# ------------------------------------------------------------------------------------------------------------ reach
+class Marked(ast.NodeTransformer):
+    """Puts a mark in front of every statement of a function."""
+
+    def __init__(self) -> None:
+        self.deep = 0
+
+    def visit_FunctionDef(self, node: ast.FunctionDef) -> ast.AST:
+        """Its statements, with their marks."""
+        self.deep += 1
+        self.generic_visit(node)
+        self.deep -= 1
+        return node
+
+    def generic_visit(self, node: ast.AST) -> ast.AST:
+        """Mark every list of statements inside functions."""
+        super().generic_visit(node)
+        for field in ("body", "orelse", "finalbody") if self.deep else ():
+            statements = getattr(node, field, None)
+            if isinstance(statements, list):
+                setattr(node, field, [new for old in statements for new in (self.mark(old), old)])
+        return node
+
+    @staticmethod
+    def mark(statement: ast.stmt) -> ast.stmt:
+        """REACHED[line] = 1."""
+        return ast.copy_location(ast.parse(f"{REACHED}[{statement.lineno}] = 1").body[0], statement)
+
+
+def marked(files: Iterable[str]) -> dict[str, dict[tuple[str, int], CodeType]]:
+    """Code of the kernel that notes which statements it runs, by file."""
+    return {file: codes(ast.fix_missing_locations(Marked().visit(source(file))), file) for file in files}
+
+
+def mark_all(functions: dict[str, list[FunctionType]], new: dict[str, dict]) -> dict[str, bytearray]:
+    """Make the kernel note in this process which statements it runs: arrays by line."""
+    reached = {}
+    for file, mine in functions.items():
+        reached[file] = bytearray(len(text_of(file)) + 1)
+        exchange(mine, new[file])
+        for function in mine:
+            function.__globals__[REACHED] = reached[file]
+    return reached

@@ -1,0 +1,231 @@
+"""Limits of position, speed and acceleration: the box of next rates, the brake, the way along it."""
+
+import math
+
+import numpy as np
+import pytest
+
+from ik_toolkit.kernel import box, brake
+from ik_toolkit.kernel.box import ACCELERATION, POSITION, RECOVERING, VELOCITY
+
+GAMMAS = (1.0, 0.5, 0.75, 0.3)
+
+
+@pytest.mark.parametrize("gamma", GAMMAS)
+def test_the_longest_way_to_rest(gamma):
+    rng = np.random.default_rng(0)
+    for _ in range(50):
+        v, a, late = rng.uniform(0.0, 2.0), rng.uniform(0.2, 5.0), rng.uniform(0.01, 0.3)
+        if gamma == 1.0:
+            want = v * v / (2.0 * a)
+        else:  # braked in full down to u, then to rest in one step of `late`
+            u = np.append(np.linspace(0.0, min(v, a * late), 4001), min(0.5 * a * late, v))
+            want = ((v * v - u * u) / (2.0 * a) + 0.5 * u * late).max() + max(0.5 - gamma, 0.0) * v * late
+        assert box.stopping(v, gamma, a, late) == pytest.approx(want, rel=1e-12, abs=1e-15)
+
+
+@pytest.mark.parametrize("gamma", GAMMAS)
+def test_the_highest_rate_leaves_the_way_to_rest(gamma):
+    rng = np.random.default_rng(1)
+    kinds = set()
+    for _ in range(300):
+        a, late = rng.uniform(0.2, 5.0), rng.uniform(0.02, 0.3)
+        h, v, distance = rng.uniform(0.005, late), rng.normal() * 0.5, 10.0 ** rng.uniform(-4.0, 0.5)
+        w = box.approach(distance, v, gamma, h, a, late)
+        left = distance - h * ((1.0 - gamma) * v + gamma * w)
+        if w <= 0.0:
+            assert left == pytest.approx(0.0, abs=1e-12) or distance - h * (1.0 - gamma) * v > 0.0
+            kinds.add("back")
+        else:
+            assert box.stopping(w, gamma, a, late) == pytest.approx(left, rel=1e-9, abs=1e-14)
+            kinds.add("slow" if w <= 0.5 * a * late else "fast")
+    assert kinds >= {"slow", "fast"}
+    assert box.approach(np.inf, 1.0, gamma, 0.1, 1.0, 0.1) == np.inf
+    assert box.approach(0.3, 0.0, gamma, 0.1, np.inf, 0.1) == pytest.approx(
+        0.3 / (gamma * 0.1 + (0 if gamma == 1 else 0.05 + max(0.5 - gamma, 0) * 0.1))
+    )
+    assert box.approach(-0.2, 0.0, gamma, 0.1, 1.0, 0.1) == pytest.approx(-0.2 / (gamma * 0.1))
+    assert box.approach(-0.2, 0.0, gamma, 0.0, 1.0, 0.1) == 0.0
+
+
+def test_the_way_to_a_limit():
+    assert box.way_to(np.inf, 3.0, 1.0) == np.inf and box.way_to(-np.inf, 3.0, -1.0) == np.inf
+    for limit, q, sign in ((2.0, 0.5, 1.0), (-2.0, 0.5, -1.0), (1e-3, -1e3, 1.0)):
+        way = sign * (limit - q)
+        got = box.way_to(limit, q, sign)
+        assert (
+            way * (1 - 1.1e-13) - 4.1e-16 * (abs(limit) + abs(q))
+            <= got
+            <= way * (1 - 0.9e-13) - 3.9e-16 * (abs(limit) + abs(q))
+        )
+    assert box.way_to(1.0, 1.0, 1.0) == 0.0 and box.way_to(1.0, 1.0 + 0.9e-12, 1.0) == 0.0
+    assert box.way_to(1.0, 1.5, 1.0) == -0.5 and box.way_to(1.0, 0.5, -1.0) == -0.5
+    assert box.way_to(1.0, 1.0 + 1.1e-12, 1.0) < 0.0
+
+
+def test_towards_and_back_inside():
+    for gamma in GAMMAS:
+        assert box.towards(0.4, 0.1, 2.0, gamma, 0.01, 1.0, 0.02) == box.approach(0.4, 0.1, gamma, 0.01, 1.0, 0.02)
+        assert box.towards(-0.4, 0.1, 2.0, gamma, 0.01, 1.0, 0.02) == -0.1
+        assert box.towards(-0.4, 0.1, 0.5, gamma, 0.01, 1.0, 0.02) == -0.05
+        assert box.towards(-1e-4, 0.0, 2.0, gamma, 0.01, 1.0, 0.02) == -box.approach(1e-4, 0.0, gamma, 0.01, 1.0, 0.02)
+        assert box.towards(-1e-9, -1.0, 2.0, gamma, 0.01, 1.0, 0.02) == -max(
+            box.approach(1e-9, 1.0, gamma, 0.01, 1.0, 0.02), 0.0
+        )
+
+
+def allowed(w, q, v, lower, upper, speed, a, gamma, h, late, slack=0.0):
+    """Whether a next rate keeps every limit, by the parabola sampled finely, and can still brake."""
+    bend = 2.0 * gamma if 0.5 < gamma < 1.0 else 1.0
+    left = w - v
+    end = w if bend == 1.0 else bend * w - (bend - 1.0) * v  # rate in which the parabola ends
+    fine = abs(left) * bend <= a * h + slack and abs(w) <= speed + slack and abs(end) <= speed + slack
+    there = q + h * ((1.0 - gamma) * v + gamma * w)
+    for way, rate in ((upper - there, w), (there - lower, -w)):
+        if way < box.stopping(max(rate, 0.0), gamma, a / bend, late) - slack:
+            fine = False
+    return fine
+
+
+@pytest.mark.parametrize("gamma", GAMMAS)
+def test_the_box_is_what_the_limits_allow(gamma):
+    rng = np.random.default_rng(3)
+    reasons = set()
+    for _ in range(400):
+        lower, upper, speed, a = (
+            -rng.uniform(0.2, 2.0),
+            rng.uniform(0.2, 2.0),
+            rng.uniform(0.3, 2.0),
+            rng.uniform(1.0, 8.0),
+        )
+        late = rng.uniform(0.01, 0.1)
+        h = rng.uniform(0.2, 1.0) * late
+        q, v = rng.uniform(lower, upper), rng.uniform(-speed, speed)
+        args = q, v, lower, upper, speed, a, gamma, h, late
+        bend = 2.0 * gamma if 0.5 < gamma < 1.0 else 1.0
+        if not any(allowed(w, *args) for w in (max(v - a * h / bend, 0.0), min(v + a * h / bend, 0.0))):
+            continue
+        low, top, why_low, why_top = box.box(*args)
+        assert low <= top and not why_top & RECOVERING and not why_low & RECOVERING
+        for w in (low, top, 0.5 * (low + top)):
+            assert allowed(w, *args, slack=1e-9)
+        for w, why, sign in ((top, why_top, 1.0), (low, why_low, -1.0)):
+            assert not allowed(w + sign * 1e-6, *args, slack=1e-10)
+            reasons.add(int(why))
+            beyond = w + sign * 1e-6
+            if why == ACCELERATION:
+                assert abs(beyond - v) * bend > a * h
+            elif why == VELOCITY:
+                assert max(abs(beyond), abs(bend * beyond - (bend - 1.0) * v)) > speed
+            elif why == POSITION:
+                wide = (beyond, q, v, -9.0, 9.0, *args[4:])
+                assert allowed(*wide)
+    assert reasons >= {ACCELERATION, VELOCITY, POSITION}
+
+
+def test_limits_that_contradict_each_other_leave_one_rate():
+    wide = (-9.0, 9.0, 1.0, 2.0, 1.0, 0.1, 0.1)
+    for v, want in ((5.0, 4.8), (-5.0, -4.8)):  # too fast: as slow as the acceleration allows
+        low, top, why, other = box.box(0.0, v, *wide)
+        assert (
+            low == top == pytest.approx(want)
+            and why == other
+            and why & (POSITION | ACCELERATION) == POSITION | ACCELERATION
+        )
+        assert why & RECOVERING
+    low, top, why, _ = box.box(0.9, 0.8, -1.0, 1.0, 1.0, 2.0, 1.0, 0.1, 0.1)  # cannot stop before the limit
+    assert low == top == pytest.approx(0.6) and why & RECOVERING
+    low, top, why, _ = box.box(-0.9, -0.8, -1.0, 1.0, 1.0, 2.0, 1.0, 0.1, 0.1)
+    assert low == top == pytest.approx(-0.6) and why & RECOVERING
+    low, top, _, why = box.box(1.5, 0.0, -1.0, 1.0, 1.0, 2.0, 1.0, 0.1, 0.1)  # outside: back at a tenth of the speed
+    assert top == pytest.approx(-0.1) and low == pytest.approx(-0.2) and why & RECOVERING
+    low, top, why, _ = box.box(-1.5, 0.0, -1.0, 1.0, 1.0, 2.0, 1.0, 0.1, 0.1)
+    assert low == pytest.approx(0.1) and top == pytest.approx(0.2) and why & RECOVERING
+    low, top, *_ = box.box(
+        0.0, 3.0, -9.0, 9.0, 0.1, 900.0, 0.75, 0.1, 0.1
+    )  # a parabola too fast for its limit: rest is soonest
+    assert low == top == 0.0
+
+
+def arrays(rng, n=4):
+    limits = np.array(
+        [-rng.uniform(0.5, 2.0, n), rng.uniform(0.5, 2.0, n), rng.uniform(0.5, 1.5, n), rng.uniform(1.0, 4.0, n)]
+    )
+    return limits, rng.uniform(0.3 * limits[0], 0.3 * limits[1]), rng.uniform(-0.4, 0.4, n)
+
+
+@pytest.mark.parametrize("gamma", GAMMAS)
+def test_all_joints_at_once(gamma):
+    rng = np.random.default_rng(4)
+    limits, q, rate = arrays(rng)
+    low, top, why = np.empty(4), np.empty(4), np.empty((2, 4), np.uint8)
+    assert not box.boxes(q, rate, limits, gamma, 0.02, 0.03, low, top, why[0], why[1])
+    for i in range(4):
+        assert (low[i], top[i], *why[:, i]) == box.box(q[i], rate[i], *limits[:, i], gamma, 0.02, 0.03)
+    x, code = np.array([9.0, -9.0, 0.5 * (low[2] + top[2]), top[3]]), np.full(4, 7, np.uint8)
+    assert box.clip(x, low, top, why[0], why[1], code)
+    np.testing.assert_array_equal(x, [top[0], low[1], 0.5 * (low[2] + top[2]), top[3]])
+    np.testing.assert_array_equal(code, [why[1, 0], why[0, 1], 0, 0])
+    assert not box.clip(x, low, top, why[0], why[1], code)
+    q2, rate2 = q.copy(), rate.copy()
+    box.move(q2, rate2, x, gamma, 0.02)
+    np.testing.assert_allclose(q2, q + 0.02 * (x if gamma == 1.0 else (1 - gamma) * rate + gamma * x), rtol=1e-15)
+    np.testing.assert_array_equal(rate2, x)
+    q3, rate3 = q.copy(), rate.copy()
+    assert box.advance(q3, rate3, np.array([9.0, -9.0, *x[2:]]), gamma, 0.02, 0.03, limits, code)
+    np.testing.assert_array_equal(q3, q2)
+    q[0], rate[0] = 1.5 * limits[1, 0], 0.0
+    assert box.boxes(q, rate, limits, gamma, 0.02, 0.03, low, top, why[0], why[1])
+    x = np.zeros(4)
+    x[0] = 0.5 * (low[0] + top[0])
+    assert box.clip(x, low, top, why[0], why[1], code) and code[0] == RECOVERING
+
+
+def test_how_far_a_joint_has_gone():
+    f = np.linspace(0.0, 1.0, 20001)
+    for start, change in ((1.0, 0.5), (1.0, -1.5), (-1.0, 3.0), (0.4, 0.0), (0.0, 1.0), (0.5, -0.5), (1.0, -4.0)):
+        for part in (1.0, 0.35):
+            there = part * f
+            want = np.abs(np.diff(start * there + 0.5 * change * there**2)).sum()
+            assert brake.travelled(start, change, part) == pytest.approx(want, abs=1e-7)
+
+
+@pytest.mark.parametrize("gamma", [1.0, 0.5, 0.75])
+def test_the_full_brake_and_the_way_along_it(gamma):
+    rng = np.random.default_rng(5)
+    limits, q, rate = arrays(rng)
+    h, late = 0.02, 0.03
+    for first in (0, 2):
+        Q, R, L = np.zeros((200, 4)), np.zeros((200, 4)), np.full((200, 4), np.nan)
+        Q[0], R[0] = q, rate
+        for k in range(first):
+            Q[k + 1], R[k + 1] = Q[k], R[k]
+            box.move(Q[k + 1], R[k + 1], R[k] * 0.9, gamma, h)
+        end = brake.brake(first, gamma, h, late, limits, Q, R, L)
+        assert end > first and not R[end].any() and R[end - 1].any()
+        now, speed, code = Q[first].copy(), R[first].copy(), np.empty(4, np.uint8)
+        for k in range(first, end):
+            np.testing.assert_array_equal(Q[k], now)
+            np.testing.assert_array_equal(R[k], speed)
+            box.advance(now, speed, np.zeros(4), gamma, h, late, limits, code)
+        got, gone, before, walked = np.empty(4), np.empty(4), q.copy(), np.zeros(4)
+        for u in np.linspace(0.0, end, 40 * end + 1):
+            brake.along(Q, R, L, gamma, h, u, got, gone)
+            walked += np.abs(got - before)
+            before = got.copy()
+            np.testing.assert_allclose(gone, walked, atol=2e-5)
+        np.testing.assert_allclose(got, Q[end], atol=1e-13)
+        for k in range(end):  # the ends and, halfway, what the rates say
+            brake.along(Q, R, L, gamma, h, float(k), got, gone)
+            np.testing.assert_allclose(got, Q[k], atol=1e-14)
+            np.testing.assert_allclose(gone, L[k], atol=1e-14)
+            brake.along(Q, R, L, gamma, h, k + 0.5, got, gone)
+            middle = 0.5 * (Q[k] + Q[k + 1])
+            if gamma != 1.0:
+                middle = Q[k] + 0.5 * h * R[k] + 0.25 * (Q[k + 1] - Q[k] - h * R[k])
+            np.testing.assert_allclose(got, middle, atol=1e-14)
+    Q, R, L = np.zeros((3, 4)), np.zeros((3, 4)), np.zeros((3, 4))
+    assert brake.brake(0, gamma, h, late, limits, Q, R, L) == 1  # at rest already
+    R[0] = 5.0
+    assert brake.brake(0, gamma, h, late, limits, Q, R, L) == -1
+    assert math.isfinite(Q.sum())

@@ -1,0 +1,388 @@
+"""Wishes beside a task, the clock of a reference, motion along singular directions, rates that cannot be followed."""
+
+import math
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from ik_toolkit.kernel import clock, modes, motion, wishes
+from ik_toolkit.kernel.algebra import V3
+from ik_toolkit.kernel.motion import CV, STATE, Law
+
+
+def law(code=CV, **values):
+    return Law(**{**dict.fromkeys(Law._fields, 0.0), "code": code, "gamma": 1.0, **values})
+
+
+# ------------------------------------------------------------------------------------------------------------- wishes
+def mirror(n):
+    return np.eye(3) - 2.0 * np.outer(n, n)
+
+
+def test_rotations_are_mirrored():
+    rng = np.random.default_rng(3)
+    n = rng.normal(size=3)
+    n /= np.linalg.norm(n)
+    flip, y, J = np.array([[0.0, 0, 0], n]), rng.normal(size=12), rng.normal(size=(4, 12))
+    got, K = y.copy(), J.copy()
+    wishes.reflect(flip, got)
+    np.testing.assert_allclose(got, [*y[:9], *mirror(n) @ y[9:]], atol=1e-15)
+    e = y.copy()
+    wishes.lay_aside(flip, K, e)
+    np.testing.assert_allclose(e, [*got[:11], 0.0], atol=1e-15)
+    np.testing.assert_allclose(K, np.column_stack([J[:, :9], (J[:, 9:] @ mirror(n))[:, :2], np.zeros(4)]), atol=1e-15)
+    for axis in np.eye(3):  # any one place says that a turn is free
+        e, K = np.ones(6), np.ones((1, 6))
+        wishes.lay_aside(axis[None], K, e)
+        assert e[5] == K[0, 5] == 0.0 and not np.any(e[:5] == 0.0)
+
+
+def test_errors_with_slack_become_half_planes():
+    rng = np.random.default_rng(4)
+    J, (e, f, ahead, a), slack, h = (
+        rng.normal(size=(3, 4)),
+        rng.normal(size=(4, 4)),
+        np.array([0.0, 0.2, 0.0, 1.5]),
+        0.1,
+    )
+    old, left = J.copy(), [v.copy() for v in (e, f, ahead, a)]
+    A, b = np.zeros((6, 3)), np.zeros(6)
+    assert wishes.slack_rows(slack, J, e, f, ahead, a, h, A, b, 1) == 5
+    x = rng.normal(size=3)
+    for k, row in ((1, 1), (3, 3)):
+        grow = left[1][k] - old[:, k] @ x  # d/dt of the error at these rates
+        for place, sign in ((row, 1.0), (row + 1, -1.0)):
+            room = slack[k] - sign * left[0][k]
+            assert b[place] - A[place] @ x == pytest.approx(0.5 * room / h - sign * grow)
+        assert not J[:, k].any() and [v[k] for v in (e, f, ahead, a)] == [0.0] * 4
+    for k in (0, 2):
+        np.testing.assert_array_equal(J[:, k], old[:, k])
+        assert [v[k] for v in (e, f, ahead, a)] == [v[k] for v in left]
+    assert not A[0].any() and not A[5].any()
+
+
+def test_joints_are_led_away_from_their_limits():
+    limits = np.array([[-1.0, -1.0, -1.0, -np.inf, 2.0, -1.0], [3.0, 3.0, 3.0, 1.0, 2.0, 3.0]])
+    q, g = np.array([2.9, -0.8, 1.0, 0.9, 2.0, 2.4]), np.full(6, 0.5)
+    wishes.away_from_limits(q, limits, 2.0, g)
+    edge = 0.15 * 4.0
+    push = [-2.0 * edge * (1 - 0.1 / edge) ** 2, 2.0 * edge * (1 - 0.2 / edge) ** 2, 0.0, 0.0, 0.0, 0.0]
+    np.testing.assert_allclose(g, 0.5 + np.array(push), rtol=1e-12)
+
+
+def test_wishes_keep_half_of_the_room():
+    x, low, top = np.array([0.0, 0.0, 0.5]), np.full(3, -1.0), np.full(3, 1.0)
+    for g, scale in (([0.4, -0.4, 0.2], 1.0), ([2.0, 0.0, 0.0], 0.25), ([0.0, -1.0, 0.0], 0.5), ([0.0, 0.1, 0.5], 0.5),
+                     ([0.0, 0.0, -3.0], 0.25)):  # fmt: skip
+        out = np.array(g)
+        wishes.clip_wish(out, x, low, top)
+        np.testing.assert_allclose(out, scale * np.array(g), rtol=1e-14)
+    out = np.array([0.1, 0.0, 0.0])
+    wishes.clip_wish(out, np.array([1.5, 0.0, 0.0]), low, top)
+    np.testing.assert_array_equal(out, 0.0)
+    out = np.array([-0.1, 0.0, 0.0])
+    wishes.clip_wish(out, np.array([-1.5, 0.0, 0.0]), low, top)
+    np.testing.assert_array_equal(out, 0.0)
+
+
+def test_wishes_go_into_the_null_space():
+    rng = np.random.default_rng(5)
+    J, g = rng.normal(size=(7, 6)), rng.normal(size=7)
+    G, y, t, part, out = np.zeros((7, 7)), np.empty(7), np.empty(6), np.empty(7), g.copy()
+    motion.factor(J, 6, 0.0, G, y)
+    wishes.into_null_space(J, 6, G, y, t, out, part)
+    np.testing.assert_allclose(out, g - np.linalg.pinv(J.T) @ (J.T @ g), atol=1e-10)
+
+
+# -------------------------------------------------------------------------------------------------------------- clock
+def test_cubics_meet_both_ends():
+    rng = np.random.default_rng(6)
+    a, b, u, v = (V3(*rng.normal(size=3)) for _ in range(4))
+    np.testing.assert_allclose(np.concatenate(clock.cubic(a, b, u, v, 0.0)), [*a, *u])
+    np.testing.assert_allclose(np.concatenate(clock.cubic(a, b, u, v, 1.0)), [*b, *v], atol=1e-14)
+    for f in (0.2, 0.7):
+        s = np.array([2 * f**3 - 3 * f**2 + 1, 3 * f**2 - 2 * f**3, f**3 - 2 * f**2 + f, f**3 - f**2])
+        d = np.array([6 * f**2 - 6 * f, 6 * f - 6 * f**2, 3 * f**2 - 4 * f + 1, 3 * f**2 - 2 * f])
+        value, slope = clock.cubic(a, b, u, v, f)
+        np.testing.assert_allclose(value, s @ np.array([a, b, u, v]), atol=1e-14)
+        np.testing.assert_allclose(slope, d @ np.array([a, b, u, v]), atol=1e-14)
+
+
+def test_turns_of_a_reference():
+    rng = np.random.default_rng(7)
+    for size in (0.0, 1e-6, 0.9e-4, 1.1e-4, 0.3, 3.0):
+        r = rng.normal(size=3)
+        r *= size / np.linalg.norm(r)
+        T0, T1 = np.eye(4), np.eye(4)
+        T0[:3, :3] = pin.exp3(rng.normal(size=3))
+        clock.turned(T0, V3(*r), T1)
+        np.testing.assert_allclose(T1[:3, :3], pin.exp3(r) @ T0[:3, :3], atol=1e-14)
+        np.testing.assert_allclose(clock.turn_left(T0, T1), r, atol=1e-12)
+
+
+def samples(rng, N, F):
+    T, V, A = np.zeros((N, F, 4, 4)), rng.normal(size=(N, 6 * F)), rng.normal(size=(N, 6 * F))
+    for j in range(N):
+        for k in range(F):
+            T[j, k] = pin.SE3(pin.exp3(0.5 * rng.normal(size=3)), rng.normal(size=3)).homogeneous
+    return T, V, A
+
+
+def test_references_between_samples():
+    rng = np.random.default_rng(8)
+    h, F = 0.1, 2
+    T, V, A = samples(rng, 4, F)
+
+    def at(s):
+        out = np.full((F, 4, 4), 7.0), np.full(6 * F, 7.0), np.full(6 * F, 7.0)
+        clock.reference(T, V, A, s, h, *out)
+        return out
+
+    for s in (0.0, 2.0, 3.0, 3.6, 8.0):
+        j = min(int(s), 3)
+        for got, want in zip(at(s), (T[j], V[j], A[j]), strict=True):
+            np.testing.assert_array_equal(got, want)
+    for j in range(3):
+        near, far = at(j + 1e-9), at(j + 1 - 1e-9)
+        for k, (got, want) in enumerate(
+            zip((*near, *far), (T[j], V[j], A[j], T[j + 1], V[j + 1], A[j + 1]), strict=True)
+        ):
+            if k != 4:
+                np.testing.assert_allclose(got, want, atol=1e-6)
+        # the turn's own rate is that of the rotation vector, from the first sample on
+        np.testing.assert_allclose(far[1].reshape(F, 6)[:, :3], V[j + 1].reshape(F, 6)[:, :3], atol=1e-6)
+        np.testing.assert_allclose(far[1], V[j + 1], atol=1e-6)
+        f, d = 0.4, 1e-6
+        pose, twist, acceleration = at(j + f)
+        one, other = at(j + f - d)[0], at(j + f + d)[0]
+        np.testing.assert_allclose(acceleration, A[j] + f * (A[j + 1] - A[j]), rtol=1e-12)
+        for k in range(F):
+            speed = (other[k, :3, 3] - one[k, :3, 3]) / (2 * d * h)
+            np.testing.assert_allclose(twist[6 * k : 6 * k + 3], speed, atol=1e-6)
+            np.testing.assert_array_equal(pose[k, 3], [0, 0, 0, 1])
+            start = pin.log3(T[j + 1, k, :3, :3] @ T[j, k, :3, :3].T)
+            r, w = clock.cubic(
+                V3(0, 0, 0),
+                V3(*start),
+                V3(*(V[j, 6 * k + 3 : 6 * k + 6] * h)),
+                V3(*(V[j + 1, 6 * k + 3 : 6 * k + 6] * h)),
+                f,
+            )
+            np.testing.assert_allclose(pose[k, :3, :3], pin.exp3(np.array(r)) @ T[j, k, :3, :3], atol=1e-13)
+            np.testing.assert_allclose(twist[6 * k + 3 : 6 * k + 6], np.array(w) / h, rtol=1e-12)
+
+
+def test_errors_over_their_tolerance():
+    E = np.array([0.3, 0.4, 0.0, 0.0, 0.6, 0.8, 0.0, 0.0, 2.0, 0.1, 0.0, 0.0])
+    assert clock.too_far(E, 1.0, 1.0) == 2.0 and clock.too_far(E[:6], 0.1, 1.0) == pytest.approx(5.0)
+    assert clock.too_far(E[:6], 1.0, 0.1) == pytest.approx(10.0) and clock.too_far(E, 1.0, 0.05) == pytest.approx(20.0)
+
+
+def clocked(**values):
+    state = np.zeros(len(STATE))
+    for name, value in values.items():
+        state[getattr(STATE, name)] = value
+    return state
+
+
+def test_the_clock_waits_until_the_error_is_small_again():
+    state = clocked(sigma=0.5)
+    assert clock.next_rate(state, 0.9, 0.8, 0.1) == 0.8 and state[STATE.waiting] == 0.0
+    assert clock.next_rate(clocked(sigma=0.5), 0.9, 2.0, 0.1) == 1.0
+    assert clock.next_rate(clocked(sigma=0.5), 0.9, 1.0, 0.01) == pytest.approx(0.6)
+    assert clock.next_rate(clocked(sigma=0.5), 0.9, 0.0, 0.01) == pytest.approx(0.4)
+    assert clock.next_rate(state, 1.0, 0.8, 1.0) == 0.8
+    assert clock.next_rate(state, 1.1, 0.8, 1.0) == 0.0 and state[STATE.waiting] == 1.0
+    assert clock.next_rate(state, 0.5, 0.8, 1.0) == 0.0 and state[STATE.waiting] == 1.0
+    assert clock.next_rate(state, 0.49, 0.8, 1.0) == 0.8 and state[STATE.waiting] == 0.0
+
+
+def test_where_waiting_does_not_help_the_run_goes_on():
+    state = clocked(sigma=0.5, waiting=1.0, least=5.0)
+    h = 0.125
+    assert clock.next_rate(state, 2.0, 1.0, h) == 0.0  # nearer than ever
+    assert state[STATE.idle] == 0.0 and state[STATE.least] == 2.0
+    for k in range(8):
+        clock.next_rate(state, 1.99, 1.0, h)
+        assert state[STATE.idle] == (k + 1) * h and state[STATE.leaving] == 0.0 and state[STATE.least] == 2.0
+    state[STATE.sigma] = 0.0
+    assert clock.next_rate(state, 1.99, 1.0, h) == 1.0
+    assert state[STATE.leaving] == 1.0 and state[STATE.idle] == 0.0
+    assert clock.next_rate(state, 1.5, 1.0, h) == 1.0 and state[STATE.leaving] == 2.0 and state[STATE.idle] == 0.0
+    assert clock.next_rate(state, 0.6, 1.0, h) == 1.0 and state[STATE.leaving] == 2.0
+    clock.next_rate(state, 0.4, 1.0, h)
+    assert state[STATE.leaving] == 0.0 and state[STATE.waiting] == 0.0
+    state = clocked(leaving=1.0, idle=0.99, least=1.0, sigma=0.0)  # and back
+    clock.next_rate(state, 0.7 * 1.5, 1.0, h)
+    assert state[STATE.leaving] == 2.0 and state[STATE.idle] == 0.0
+    state = clocked(leaving=1.0, idle=0.99, least=0.8, sigma=0.0)
+    clock.next_rate(state, 0.8, 1.0, h)
+    assert state[STATE.leaving] == 0.0 and state[STATE.idle] == 0.0
+    state = clocked(sigma=0.0009, least=0.1)  # stands still without waiting
+    clock.next_rate(state, 0.3, 1.0, h)
+    assert state[STATE.idle] == h
+    state = clocked(sigma=0.0011, least=0.1)
+    clock.next_rate(state, 0.3, 1.0, h)
+    assert state[STATE.idle] == 0.0 and state[STATE.least] == 0.3
+
+
+def test_slopes_of_the_square_of_the_rate():
+    assert clock.slope_range(1.0, 0.5, 2.0, 3.0, 4.0) == ((-4.0 - 1.5) / 2.0, (4.0 - 1.5) / 2.0)
+    assert clock.slope_range(1.0, 0.5, -2.0, 3.0, 4.0) == ((4.0 - 1.5) / -2.0, (-4.0 - 1.5) / -2.0)
+    assert clock.slope_range(1.0, 0.5, 0.9e-12, 3.0, 4.0) == (-np.inf, np.inf)
+    assert clock.slope_range(1.0, 0.5, 1.1e-12, 3.0, 4.0)[1] < np.inf
+
+
+def controllable(Q, limits, h, cap, z_end=1.0):
+    """Largest squares of the clock's rate by trying every one of a fine grid, from the end."""
+    N, grid = len(Q) - 1, np.linspace(0.0, 1.0, 20001)
+    ahead, found = z_end, np.empty(N + 1)
+    for k in range(N, -1, -1):
+        a = min(k, N - 1)
+        speeds = [np.abs(Q[a + 1] - Q[a]) / h] + ([np.abs(Q[a] - Q[a - 1]) / h] if a > 0 else [])
+        top = cap[k] ** 2
+        with np.errstate(divide="ignore"):
+            top = min(top, ((0.98 * limits[2] / np.max(speeds, axis=0)) ** 2).min())
+        if k < N:
+            v = (Q[k + 1] - Q[k]) / h
+            before = (Q[k] - Q[k - 1]) / h if k > 0 else v
+            c = (v - before) / h
+            z = np.append(grid[grid <= top], top)
+            low, high = np.full(len(z), -10.0), np.full(len(z), 10.0)
+            for i in np.flatnonzero(np.isfinite(limits[3])):
+                ends = np.array([(-0.98 * limits[3, i] - c[i] * z) / v[i], (0.98 * limits[3, i] - c[i] * z) / v[i]])
+                low, high = np.maximum(low, ends.min(0)), np.minimum(high, ends.max(0))
+            top = z[low <= np.minimum(high, 0.5 * (ahead - z) / h)].max()
+        ahead = found[k] = top
+    return np.sqrt(found)
+
+
+def test_the_look_ahead_finds_the_fastest_clock():
+    rng = np.random.default_rng(9)
+    slower = 0
+    for trial in range(6):
+        h, N, n = 0.05, 14, 3
+        Q = np.cumsum(rng.normal(size=(N + 1, n)) * 0.02, axis=0) + 0.05 * np.arange(N + 1)[:, None]
+        limits = np.array([np.full(n, -9.0), np.full(n, 9.0), rng.uniform(0.8, 2.0, n), rng.uniform(6.0, 40.0, n)])
+        if trial == 4:
+            limits[3] = np.inf
+        if trial == 5:
+            limits[2] = np.inf
+        given = np.where(rng.random(N + 1) < 0.2, 0.5, 1.0)
+        cap, joint = given.copy(), np.full(N + 1, -5.0)
+        clock.look_ahead(Q, limits, h, cap, joint)
+        want = controllable(Q, limits, h, given)
+        np.testing.assert_allclose(cap, want, atol=3e-4)
+        slower += np.sum(want < given - 1e-3)
+        assert set(joint) <= {-1.0, 0.0, 1.0, 2.0}
+        assert np.all((joint >= 0) | (cap >= given - 1e-9))
+    assert slower > 10
+    Q = np.zeros((4, 2))
+    cap, joint = np.ones(4), np.zeros(4)
+    clock.look_ahead(Q, np.ones((4, 2)), 0.1, cap, joint)
+    np.testing.assert_array_equal(cap, 1.0)
+    np.testing.assert_array_equal(joint, -1.0)
+    Q[:, 1] = [0.0, 0.2, 0.4, 0.6]  # twice as fast as it may be: 0.98 of 1 of 2
+    clock.look_ahead(Q, np.array([[-9.0] * 2, [9.0] * 2, [1.0] * 2, [np.inf] * 2]), 0.1, cap, joint)
+    np.testing.assert_allclose(cap, 0.49)
+    np.testing.assert_array_equal(joint, 1.0)
+
+
+# -------------------------------------------------------------------------------------------------------------- modes
+def test_modes_are_the_singular_vectors():
+    rng = np.random.default_rng(10)
+    for n in (4, 7):
+        J = rng.normal(size=(n, 6))
+        W, U, sigma = np.empty((n, 6)), np.empty((6, 6)), np.empty(6)
+        modes.modes(J, W, U, sigma)
+        np.testing.assert_allclose(W @ U.T, J, atol=1e-12)
+        np.testing.assert_allclose(U.T @ U, np.eye(6), atol=1e-12)
+        np.testing.assert_allclose(np.linalg.norm(W, axis=0), sigma, atol=1e-12)
+        np.testing.assert_allclose(np.sort(sigma)[::-1][: min(n, 6)], np.linalg.svd(J, compute_uv=False), atol=1e-12)
+        vector, e = rng.normal(size=6), rng.normal(size=6)
+        assert modes.mode_part(U, 2, vector) == pytest.approx(U[:, 2] @ vector)
+        small = 0.05 * e / np.linalg.norm(e)
+        assert modes.mode_moved(U, 1, small, vector, e, 0.1) == pytest.approx(U[:, 1] @ (vector - small))
+        assert modes.mode_moved(U, 1, 3.0 * small, vector, e, 0.1) == pytest.approx(0.1 * U[:, 1] @ e)
+        v = np.empty(n)
+        k = int(np.argmax(sigma))
+        assert modes.mode_direction(W, sigma, k, np.zeros(n), 0.0, v)
+        np.testing.assert_allclose(v, W[:, k] / sigma[k])
+
+
+def test_directions_that_move_nothing():
+    rng = np.random.default_rng(11)
+    n = 5
+    U, _ = np.linalg.qr(rng.normal(size=(n, n)))
+    W = np.zeros((n, 6))
+    sigma = np.array([2.0, 0.0, 1e-3, 1.0, 0.5, 0.0])
+    for place, c in zip((0, 2, 3, 4), range(4), strict=True):
+        W[:, place] = sigma[place] * U[:, c]
+    away, v = rng.normal(size=n), np.empty(n)
+    assert modes.lost_direction(W, sigma, away, v)
+    np.testing.assert_allclose(v, U[:, 4] * np.sign(U[:, 4] @ away), atol=1e-10)
+    assert not modes.lost_direction(W, sigma, np.zeros(n), v) and not v.any()
+    assert modes.mode_direction(W, sigma, 1, away, 1.0, v)
+    np.testing.assert_allclose(v, U[:, 4] * np.sign(U[:, 4] @ away), atol=1e-10)
+    assert not modes.mode_direction(W, sigma, 1, away, 0.0, v) and not v.any()
+    rate, x = rng.normal(size=n), np.empty(n)
+    V = np.column_stack([U[:, 1], U[:, 2]])
+    own = V[:, 1] @ rate
+    beside = 0.1 * (rate - own * V[:, 1])
+    for part, want in ((modes.ALONG, V[:, 1]), (modes.BESIDE, beside), (modes.BOTH, V[:, 1] + beside)):
+        assert modes.mode_probe(V, 1, rate, part, 0.1, x) == pytest.approx(own)
+        np.testing.assert_allclose(x, want, atol=1e-14)
+
+
+def test_the_way_along_a_mode_solves_its_quadratic():
+    rng = np.random.default_rng(12)
+    least = 1e-6
+    for _ in range(300):
+        sigma, b, E, own = rng.uniform(0.0, 0.3), rng.normal(), 0.1 * rng.normal(), rng.normal() * 0.1
+        side, home = rng.choice([-1.0, -0.05, 0.0, 0.05, 1.0]), rng.random() < 0.3
+        y, D = modes.way_along(sigma, b, E, own, side, home, 0.01)
+        assert D == pytest.approx(sigma**2 + 2.0 * b * E)
+        middle = -sigma / b
+        if D > 0.0:
+            half = math.sqrt(D) / abs(b)
+            heading = own - middle
+            if abs(side) > 0.1 and (home or abs(heading) < 0.1 * half):
+                heading = side
+            root = middle + math.copysign(half, heading)
+            assert sigma * root + 0.5 * b * root**2 == pytest.approx(E, abs=1e-12)
+            assert y == pytest.approx((D * root + least * own) / (D + least), rel=1e-9, abs=1e-12)
+        else:  # the vertex is as near as it gets
+            assert y == pytest.approx((-0.5 * D * middle + least * own) / (-0.5 * D + least), rel=1e-9, abs=1e-12)
+    y, D = modes.way_along(0.2, 0.0, 0.03, 0.4, 1.0, False, 0.01)
+    assert D == pytest.approx(0.04) and y == pytest.approx((0.04 * 0.15 + least * 0.4 * 0.9) / (0.04 + least))
+    y, D = modes.way_along(0.0, 0.0, 0.03, 0.4, 1.0, False, 0.01)
+    assert D == 0.0 and y == pytest.approx(0.36)
+    assert modes.way_along(0.0, 0.0, 0.03, 0.4, 1.0, False, 0.2)[0] == 0.0
+    assert modes.way_along(0.2, 0.9e-3, 0.03, 0.0, 0.0, False, 0.01)[1] == pytest.approx(0.04)
+
+
+@pytest.mark.parametrize("n", [4, 7])
+def test_lost_directions_are_taken_out(n):
+    rng = np.random.default_rng(n)
+    J, f = rng.normal(size=(n, 6)), rng.normal(size=6)
+    W, U, sigma = np.empty((n, 6)), np.empty((6, 6)), np.empty(6)
+    modes.modes(J, W, U, sigma)
+    lost = np.zeros(6)
+    taken = np.argsort(sigma)[::-1][[1, 3]]
+    lost[taken] = 1.0
+    V = W / np.where(sigma > 1e-9, sigma, 1.0)
+    K, g, k = J.copy(), f.copy(), max(n, 6)
+    G, y, out, b = np.zeros((k, k)), np.empty(k), np.empty(n), rng.normal(size=6)
+    assert modes.take_out(K, W, U, V, lost, g, G) == 2
+    P = np.eye(6) - U[:, taken] @ U[:, taken].T
+    np.testing.assert_allclose(K, J @ P, atol=1e-12)
+    np.testing.assert_allclose(g, P @ f, atol=1e-12)
+    motion.apply(K, 6, G, P @ b, y, out)
+    np.testing.assert_allclose(out, np.linalg.pinv((J @ P).T, 1e-9) @ P @ b, atol=1e-8)
+    x, xk = rng.normal(size=n), rng.normal(size=6)
+    for speeds in (0.0, 1.0):
+        moved = x.copy()
+        modes.along_lost(V, lost, xk, moved, speeds)
+        want = x - V[:, taken] @ (V[:, taken].T @ x) + speeds * V[:, taken] @ xk[taken]
+        np.testing.assert_allclose(moved, want, atol=1e-12)

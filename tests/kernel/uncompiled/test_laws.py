@@ -1,0 +1,169 @@
+"""The published laws, pseudo-inverses, wishes and the clock of a tracker, against numpy."""
+
+import numpy as np
+import pytest
+
+from ik_toolkit.kernel import motion, obey
+from ik_toolkit.kernel.box import RECOVERING, approach
+from ik_toolkit.kernel.motion import AA, AT_RATE, AT_RATE_AND_STEP, AT_STEP, AV, CA, CLIP, CV, STATE, Law
+
+
+def law(code=CV, **values):
+    return Law(**{**dict.fromkeys(Law._fields, 0.0), "code": code, "gamma": 1.0, **values})
+
+
+@pytest.mark.parametrize("n", [2, 3, 6, 8])
+def test_pseudo_inverses_of_tasks(n):
+    rng = np.random.default_rng(n)
+    for m in (3, 6):
+        J, b = rng.normal(size=(n, m)), rng.normal(size=m)
+        if n > 3:
+            J[:, 1] = 0.0  # a row that the joints cannot move
+        k = max(n, m)
+        G, y, out = np.zeros((k, k)), np.empty(k), np.empty(n)
+        assert motion.factor(J, m, 0.0, G, y) == 0.0
+        motion.apply(J, m, G, b, y, out)
+        np.testing.assert_allclose(out, np.linalg.pinv(J.T) @ b, rtol=1e-7, atol=1e-9)
+        wide = n >= m
+        S = (J.T @ J if wide else J @ J.T) + 0.0
+        motion.gram(J, m, wide, 0.25, G)
+        size = m if wide else n
+        want = S + 0.25 * np.eye(size)
+        if n > 3 and wide:
+            want[1, 1] = 1.0
+        np.testing.assert_allclose(np.tril(G[:size, :size]), np.tril(want), rtol=1e-13)
+        low = motion.invert(G, size, y)
+        assert low == pytest.approx(1.0 / np.trace(np.linalg.inv(want)), rel=1e-10)
+        lowest = np.linalg.eigvalsh(want)[0]
+        assert lowest / size <= low <= lowest
+
+
+def test_damping_fades_in_near_singular_poses():
+    rng = np.random.default_rng(0)
+    for n in (4, 7):
+        U, _ = np.linalg.qr(rng.normal(size=(n, n)))
+        V, _ = np.linalg.qr(rng.normal(size=(6, 6)))
+        k = min(n, 6)
+        for last in (1.0, 0.15, 0.01, 1e-7):
+            values = np.append(np.full(k - 1, 2.0), last)
+            J = U[:, :k] * values @ V[:, :k].T
+            G, y, out = np.zeros((8, 8)), np.empty(8), np.empty(n)
+            extra = motion.factor(J, 6, 0.1, G, y)
+            s2 = 1.0 / ((k - 1) / 4.0 + 1.0 / last**2)
+            want = 0.01 * (1.0 - s2 / 0.04) if s2 < 0.04 else 0.0
+            assert extra == pytest.approx(want, rel=1e-5, abs=1e-15)
+            b = rng.normal(size=6)
+            motion.apply(J, 6, G, b, y, out)
+            np.testing.assert_allclose(
+                out, U[:, :k] @ (values / (values**2 + extra) * (V[:, :k].T @ b)), rtol=1e-5, atol=1e-8
+            )
+
+
+@pytest.mark.parametrize("code", [CV, AV, CA, AA])
+@pytest.mark.parametrize("ratio", [0.0, 0.8])
+def test_the_published_laws(code, ratio):
+    rng = np.random.default_rng(code)
+    n, m, h = 7, 6, 0.02
+    for reading in (AT_RATE, AT_RATE_AND_STEP, AT_STEP):
+        p = law(code, kappa=3.0, kp=20.0, kd=8.0, gamma=0.7, null=0.9, reading=reading)
+        J, e, v, a, bias, ahead = rng.normal(size=(n, m)), *rng.normal(size=(5, m))
+        rate, prev, old = *rng.normal(size=(2, n)), np.empty(n)
+        old[:] = prev
+        pinv = np.linalg.pinv(J.T)
+        G, y, t = np.zeros((n, n)), np.empty(n), np.empty(m)
+        move, null, x1, x2, x = (np.full(n, 9.0) for _ in range(5))
+        motion.factor(J, m, 0.0, G, y)
+        motion.prepare(p, J, m, ahead, rate, h, G, y, t, move, null, x1, x2)
+        step = pinv @ ahead if code in (AV, AA) else np.zeros(n)
+        own = rate - pinv @ (J.T @ rate) if code >= CA else np.zeros(n)
+        np.testing.assert_allclose(move, step, atol=1e-11)
+        np.testing.assert_allclose(null, own, atol=1e-11)
+        if code >= CA:
+            expected = step / h + own
+            first, second = {AT_RATE: (rate, rate), AT_RATE_AND_STEP: (rate, expected), AT_STEP: (expected, expected)}[
+                reading if code == AA else AT_RATE
+            ]
+            np.testing.assert_allclose(x1, first, atol=1e-9)
+            np.testing.assert_allclose(x2, second, atol=1e-9)
+        motion.command(p, J, m, e, v, a, bias, rate, prev, h, ratio, G, y, t, move, null, x)
+        if code == CV:
+            u = pinv @ (v + 3.0 * e)
+            want = u + 0.5 * ratio * (u - old)
+        elif code == AV:
+            u, want = old, step / h
+        elif code == CA:
+            u = pinv @ (a + 8.0 * (v - J.T @ rate) + 20.0 * e - bias) - 0.9 * own
+            want = rate + h * (u + 0.5 * ratio * (u - old))
+        else:
+            u, want = old, rate + h * ((step / h - rate + own) / (0.7 * h) - 0.5 / 0.7 * (pinv @ bias) - 0.9 * own)
+        np.testing.assert_allclose(x, want, rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(prev, u, rtol=1e-9, atol=1e-9)
+
+
+def test_large_errors_are_closed_no_faster_than_the_joints_brake():
+    rng = np.random.default_rng(2)
+    h, n, m = 0.01, 7, 6
+    for code, natural in ((CV, 4.0), (CA, 20.0 / 8.0), (AV, 100.0), (AA, 100.0)):
+        p = law(code, kappa=4.0, kp=20.0, kd=8.0)
+        J = rng.normal(size=(n, m))
+        for size in (1e-6, 0.3, 5.0):
+            for a in (np.inf, 3.0):
+                e, ahead = size * rng.normal(size=m), rng.normal(size=m)
+                limits = np.array([np.full(n, -9.0), np.full(n, 9.0), rng.uniform(0.5, 1.0, n), np.full(n, a)])
+                limits[2, 3] = 0.0  # locked
+                G, y, c = np.zeros((n, n)), np.empty(n), np.empty(n)
+                motion.factor(J, m, 0.0, G, y)
+                want = np.abs(np.linalg.pinv(J.T) @ e)
+                f = 1.0
+                for i in (0, 1, 2, 4, 5, 6):
+                    cap = 0.5 * limits[2, i]
+                    if a < np.inf:
+                        cap = min(cap, approach(want[i], 0.0, 1.0, h, 0.4 * a, h))
+                    f = min(f, cap / (natural * want[i]))
+                eased, front = e.copy(), ahead.copy()
+                motion.ease(p, J, m, eased, front, h, limits, 0.5, 0.4, G, y, c)
+                np.testing.assert_allclose(eased, f * e, rtol=1e-9)
+                np.testing.assert_allclose(front, ahead - (1.0 - f) * e, rtol=1e-9, atol=1e-12)
+
+
+def test_what_was_held_back_becomes_the_earlier_command():
+    before, x, code = np.array([1.0, 2.0, 3.0]), np.array([1.5, 1.0, 9.0]), np.array([1, 0, 4])
+    for kind, want in ((CV, [1.5, 7.0, 9.0]), (CA, [5.0, 7.0, 60.0]), (AV, [7.0] * 3), (AA, [7.0] * 3)):
+        prev = np.full(3, 7.0)
+        motion.settle(law(kind), 0.1, before, x, code, prev)
+        np.testing.assert_allclose(prev, want)
+    lead, wanted, h, ratio, slower = np.array([0.3, -0.2, 0.5]), np.array([1.0, 2.0, 3.0]), 0.1, 0.8, 0.25
+    for kind in (CV, AV, CA, AA):
+        prev = np.full(3, 7.0)
+        motion.own_up(law(kind), h, ratio, wanted, x, lead, slower, prev)
+        if kind == CV:  # the rates taken are u + ratio/2 (u - old), less the clock's
+            change = (x - wanted - 0.4 * lead * slower) / 1.4
+        elif kind == CA:
+            change = (x - wanted + lead * slower) / h / 1.4
+        else:
+            change = 0.0
+        np.testing.assert_allclose(prev, 7.0 + change, rtol=1e-13)
+
+
+def test_rates_that_cannot_be_followed():
+    for mode, runaway, brake, wanted, h, stop in (
+        (CLIP, 1.0, 0.0, [0.5, -0.5], 1.0, 0), (CLIP, 1.0, 0.0, [3.0, -3.0], 0.3, 0), (CLIP, 1.0, 0.0, [3.0, -3.0], 0.4, 2),
+        (0, 1.0, 0.0, [3.0, -3.0], 0.4, 0), (0, 1.0, 0.0, [np.nan, 1.0], 0.1, 1), (0, np.inf, 0.0, [np.nan, 1.0], 0.1, -1),
+        (CLIP, 1.0, 1.0, [30.0, 1.0], 1.0, -1), (0, 1.0, 0.0, [1.1e300, 0.0], 0.1, 1), (0, 1.0, 0.0, [-0.9e300, 0.0], 0.1, 0),
+    ):  # fmt: skip
+        x, state = np.array(wanted), np.zeros(len(STATE))
+        ended, still = obey.judge(x, h, law(mode=mode, runaway=runaway, brake=brake), state)
+        assert ended == (stop > 0) and still == (stop < 0) and state[STATE.stop] == max(stop, 0)
+        np.testing.assert_array_equal(x, [0.0, 0.0] if still else wanted)
+
+
+def test_the_joint_that_sets_the_clock():
+    class Bench:
+        multiplier, size = np.array([3.0, -5.0, 9.0, 1.0]), np.array([1.0, 1.0, 1.0, 4.0])
+
+    for active, done, sigma, ahead, joint in (
+        ([1, -1, 0, 1], 0.5, 0.6, 7.0, 1.0), ([1, 0, 2, 1], 0.5, 0.6, 7.0, 3.0), ([1, 0, 2, 0], 0.5, 0.6, 7.0, 0.0),
+        ([0, 0, 2, 0], 0.5, 0.6, 7.0, 7.0), ([1, 1, 1, 1], 0.6, 0.6, 7.0, 7.0), ([1, 1, 1, 1], 1.0, 1.0, 7.0, -1.0),
+    ):  # fmt: skip
+        assert obey.pacing(Bench, np.array(active), done, sigma, ahead) == joint
+    assert RECOVERING == 16

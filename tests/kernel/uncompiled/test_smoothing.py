@@ -1,0 +1,283 @@
+"""Secondary objectives and whole paths: what is measured, its derivatives, bands, poses in between, the program over tracks."""
+
+import numpy as np
+import pytest
+import random_arms as arms
+from scipy.optimize import approx_fprime
+
+from ik_toolkit.kernel import band, refine, smooth
+from ik_toolkit.kernel.records import ANSWER, AT, Ends, Orders, Task
+from ik_toolkit.kernel.refine import MANIPULABILITY, MID_RANGE, REFERENCE, Bounds, make_bounds
+from ik_toolkit.kernel.serial import make_serial
+from ik_toolkit.kernel.task import POSE, POSITION
+
+ORDERS = Orders(**{**dict.fromkeys(Orders._fields, 0.0), "tol_p": 1e-9, "tol_r": 1e-9, "limits": 1.0})
+
+
+def box_of(lower, upper, counted=None):
+    return Bounds(np.array([lower, upper, np.ones(len(lower)) if counted is None else counted], float))
+
+
+def full(A):
+    """The symmetric matrix of a band."""
+    M, b = A.shape[0], A.shape[1] - 1
+    S = np.zeros((M, M))
+    for i in range(M):
+        for k in range(max(0, i - b), i + 1):
+            S[i, k] = S[k, i] = A[i, k - i + b]
+    return S
+
+
+def test_bands():
+    rng = np.random.default_rng(0)
+    for M, b in ((1, 2), (9, 1), (12, 4), (5, 7)):
+        A = rng.normal(size=(M, b + 1))
+        A[:, b] = 8.0 + rng.random(M)
+        S, x = full(A), rng.normal(size=M)
+        y = x.copy()
+        band.band_cholesky(A, 1e-12)
+        band.band_solve(A, y)
+        np.testing.assert_allclose(y, np.linalg.solve(S, x), rtol=1e-10, atol=1e-12)
+    A = np.array([[0.0, 4.0], [0.0, -1.0], [0.0, 9.0]])
+    band.band_cholesky(A, 0.25)
+    np.testing.assert_allclose(A[:, 1], [0.5, 2.0, 1.0 / 3.0])
+
+
+def test_what_a_path_costs_and_its_derivatives():
+    rng = np.random.default_rng(1)
+    N, n, first, second, rounding = 6, 2, 0.7, 3.0, 0.05
+    Q, longest = rng.normal(size=(N, n)) * 0.1, np.array([0.3, 0.1])
+
+    def cost(x):
+        D = np.diff(x.reshape(N, n), axis=0)
+        return first * (np.sqrt(D**2 + rounding**2) - rounding).sum() + 0.5 * second * (np.diff(D, axis=0) ** 2).sum()
+
+    total, worst = smooth.cost_of(Q, first, second, rounding, longest)
+    assert total == pytest.approx(cost(Q.ravel()), rel=1e-12)
+    assert worst == pytest.approx((np.abs(np.diff(Q, axis=0)) / longest).max())
+    H, g = np.full((N * n, 2 * n + 1), 7.0), np.full(N * n, 7.0)
+    smooth.differences(Q, first, second, rounding, H, g)
+    np.testing.assert_allclose(g, approx_fprime(Q.ravel(), cost, 1e-7), atol=2e-6)
+    w = first / np.sqrt(np.diff(Q, axis=0) ** 2 + rounding**2)
+    D = np.kron(np.diff(np.eye(N), axis=0), np.eye(n))
+    DD = np.kron(np.diff(np.eye(N), 2, axis=0), np.eye(n))
+    np.testing.assert_allclose(
+        full(H), D.T @ (w.ravel()[:, None] * D) + second * DD.T @ DD + 1e-9 * np.eye(N * n), atol=1e-10
+    )
+    held = rng.random(N * n) < 0.3
+    A, x = np.full_like(H, 5.0), np.empty(N * n)
+    smooth.held_system(H, g, held, A, x)
+    want = full(H)
+    want[held], want[:, held] = 0.0, 0.0
+    want[held, held] = 1.0
+    np.testing.assert_allclose(full(A), want)
+    np.testing.assert_allclose(x, np.where(held, 0.0, -g))
+    assert not np.any(A[0, :-1])
+
+
+def test_a_newton_step_holds_what_would_leave_its_limits():
+    rng = np.random.default_rng(2)
+    N, n = 4, 2
+    M, b = N * n, 4
+    now = np.zeros((N, n))
+    box = box_of([-1.0, -1.0], [1.0, 1.0])
+    now[1], now[2] = [1.0, -1.0], [1.0 - 0.5e-12, -1.0 + 0.5e-12]
+    for _ in range(20):
+        H = rng.normal(size=(M, b + 1)) * 0.3
+        H[:, b] = 5.0
+        g, held = rng.normal(size=M), np.zeros(M, bool)
+        A, x = np.empty_like(H), np.empty(M)
+        fixed, weights = np.array([False, False, False, True]), np.array([1.0, 1.0])
+        smooth.newton_step(H, g, now, fixed, weights, box, held, A, x)
+        S, want, still = full(H), np.zeros(M), np.repeat(fixed, n)
+        while True:
+            free = ~still
+            want[:] = 0.0
+            want[free] = np.linalg.solve(S[np.ix_(free, free)], -g[free])
+            out = ((now.ravel() >= 1.0 - 1e-12) & (want > 0.0)) | ((now.ravel() <= -1.0 + 1e-12) & (want < 0.0))
+            if not np.any(out & free):
+                break
+            still = still | out
+        np.testing.assert_allclose(x, want, atol=1e-12)
+        np.testing.assert_array_equal(held, still)
+    held[:] = False
+    smooth.newton_step(H, g, now, fixed, np.array([0.0, 1.0]), box, held, A, x)
+    assert not x[::2].any() and held[::2].all() and not held[[1]].all() == bool(x[1])
+
+
+def arm_at(seed, kind=POSE, kinds="tttsttt", part=None):
+    rng = np.random.default_rng(seed)
+    chain, rows, base, tip = arms.arm(rng, kinds)
+    t = np.array(Task(float(kind), **(part or {})))
+    p = make_serial(chain.rows, chain.ends, t, chain.n, ORDERS)
+    q = 0.5 * rng.uniform(chain.lower, chain.upper)
+    T = arms.fk(rows, base, tip, q)[0]
+    assert p.aim(T, ORDERS) == 0.0
+    return rng, chain, rows, base, tip, p, q, T
+
+
+def test_poses_are_brought_back_onto_their_targets():
+    rng, chain, rows, base, tip, p, q, T = arm_at(3)
+    weights = np.ones(chain.n)
+    weights[2] = 0.0
+    box = box_of(chain.lower / chain.unit, chain.upper / chain.unit)
+    for way in (lambda: smooth.bring_back(p, weights, box), lambda: refine.correct(p, weights, box)):
+        p.desk.q[:] = q / chain.unit + 0.05 * rng.normal(size=chain.n)
+        kept = p.desk.q[2]
+        e = way()
+        assert e.good and p.desk.q[2] == kept
+        pose = arms.fk(rows, base, tip, p.desk.q * chain.unit)[0]
+        np.testing.assert_allclose(pose, T, atol=3e-9)
+    p.desk.q[:] = q / chain.unit
+    assert smooth.bring_back(p, weights, box).ee <= 1e-24
+    near = box_of(q / chain.unit - 0.03, q / chain.unit + 0.03)
+    p.desk.q[:] = q / chain.unit + np.clip(0.05 * rng.normal(size=chain.n), -0.03, 0.03)
+    smooth.bring_back(p, np.ones(chain.n), near)
+    assert np.all(np.abs(p.desk.q - q / chain.unit) <= 0.03 + 1e-15)
+    out = np.array([0.5, -0.5, 0.0])
+    refine.move(out, np.array([1.0, -1.0, 1.0]), 0.5, box_of([-0.7] * 3, [0.7] * 3))
+    np.testing.assert_allclose(out, [0.7, -0.7, 0.5])
+
+
+def test_limits_as_an_objective_counts_them():
+    ends = Ends(
+        np.concatenate([np.zeros(24), [-1, -9, -2e15, -3], [2, 9, 2e15, 3], [0, 2, 0, 1], np.ones(4), np.zeros(13)]), 4
+    )
+    for what, limits, counted in (
+        (MID_RANGE, True, [1, 0, 0, 1]),
+        (REFERENCE, False, [1, 1, 1, 1]),
+        (MANIPULABILITY, True, [1, 0, 0, 1]),
+    ):
+        box = make_bounds(np.empty((3, 4)), ends, what, limits)
+        low, high = np.array([-1, -np.inf, -2e15, -3.0]), np.array([2, np.inf, 2e15, 3.0])
+        np.testing.assert_array_equal([box.lower(i) for i in range(4)], low if limits else np.full(4, -np.inf))
+        np.testing.assert_array_equal([box.upper(i) for i in range(4)], high if limits else np.full(4, np.inf))
+        assert [box.counted(i) for i in range(4)] == counted
+
+
+@pytest.mark.parametrize("kind", [POSE, POSITION])
+def test_objectives_and_where_they_fall(kind):
+    rng, chain, rows, base, tip, p, q, _ = arm_at(4, kind)
+    ends, n = Ends(chain.ends, chain.n), chain.n
+    ref = rng.uniform(chain.lower, chain.upper)
+    box = box_of(chain.lower / chain.unit, chain.upper / chain.unit, [1, 0] + [1] * (n - 2))
+    x = q / chain.unit
+    span = (chain.upper - chain.lower) / chain.unit
+
+    def volume(y):
+        J = arms.jacobian(rows, base, tip, y * chain.unit, 1e-5)[: 3 if kind == POSITION else 6]
+        J = J / np.array([chain.scale] * 3 + [1.0] * 3)[: len(J), None]
+        return 0.5 * np.linalg.slogdet(J @ J.T)[1]
+
+    def value(what, y):
+        p.desk.q[:] = y
+        p.jacobian(p.evaluate(p.desk.q))
+        return refine.objective(p, what, ends, box, ref)
+
+    middle = 0.5 * (chain.lower + chain.upper) / chain.unit
+    counted = np.array([box.counted(i) for i in range(n)])
+    assert value(MID_RANGE, x) == pytest.approx((counted * 0.5 * ((x - middle) / span) ** 2).sum())
+    assert value(REFERENCE, x) == pytest.approx((counted * 0.5 * ((x - ref / chain.unit) / span) ** 2).sum())
+    assert value(MANIPULABILITY, x) == pytest.approx(-volume(x), rel=1e-6)
+    z = np.empty(n)
+    for what, goal in ((MID_RANGE, middle), (REFERENCE, ref / chain.unit)):
+        value(what, x)
+        refine.downhill(p, what, ends, box, ref, 0.0, z)
+        np.testing.assert_allclose(z, counted * (goal - x), rtol=1e-12)
+    now = value(MANIPULABILITY, x)
+    refine.downhill(p, MANIPULABILITY, ends, box, ref, now, z)
+    slope = [(volume(x + 1e-4 * e) - volume(x - 1e-4 * e)) / 2e-4 for e in np.eye(n)]
+    np.testing.assert_allclose(2.0 * z, slope, atol=5e-4)
+    np.testing.assert_allclose(p.desk.q, x, atol=1e-12)
+    again = p.desk.J.copy()
+    p.jacobian(p.evaluate(x))
+    np.testing.assert_allclose(again, p.desk.J, atol=1e-9)
+
+
+def test_what_moves_no_tip():
+    rng, chain, *_, p, q, _ = arm_at(5)
+    n = chain.n
+    x = q / chain.unit
+    p.desk.q[:] = x
+    p.jacobian(p.evaluate(x))
+    J, z, w = p.desk.J.copy(), rng.normal(size=n), rng.uniform(0.5, 2.0, n)
+    wide = box_of(chain.lower / chain.unit, chain.upper / chain.unit)
+    p.desk.w[:] = w
+    refine.direction(p, z, wide)
+    JW = J * w[:, None]
+    want = z - JW @ np.linalg.solve(J.T @ JW + 1e-10 * np.eye(6), J.T @ z)
+    np.testing.assert_allclose(p.desk.dq, want, atol=1e-6)
+    np.testing.assert_allclose(J.T @ p.desk.dq, 0.0, atol=1e-7)
+    tight = box_of(x - 1.0, x + 1.0)
+    i = int(np.argmax(np.abs(p.desk.dq)))
+    tight.limits[1 if p.desk.dq[i] > 0 else 0, i] = x[i]
+    p.desk.w[:] = w
+    refine.direction(p, z, tight)
+    assert p.desk.dq[i] == 0.0 and p.desk.w[i] == 0.0
+    old, before, way, dq = rng.normal(size=(4, n))
+    s, y = old - before, way - dq
+    gain = refine.secant(old, before, way, dq, 0.37)
+    assert gain == pytest.approx(min(max(s @ s / (s @ y), 1e-3), 1e3) if s @ y > 1e-12 * s @ s else 0.37)
+    assert refine.secant(old, before, way, way - s, 0.37) == pytest.approx(1.0)
+    assert refine.secant(old, before, way, way + s, 0.37) == 0.37
+    assert refine.secant(old, before, way, way - 1e-6 * s, 0.37) == 1e3
+    assert refine.secant(old, before, way, way - 1e6 * s, 0.37) == 1e-3
+
+
+@pytest.mark.parametrize("what", [MID_RANGE, REFERENCE, MANIPULABILITY])
+def test_a_solution_is_improved_to_where_it_cannot_be_any_more(what):
+    rng, chain, rows, base, tip, p, q, T = arm_at(6)
+    n = chain.n
+    row = np.zeros(ANSWER + n)
+    row[ANSWER:] = q
+    o = ORDERS._replace(tol_p=1e-8, tol_r=1e-8)
+    ref = 0.5 * (chain.lower + chain.upper) if what == REFERENCE else np.zeros(n)
+    pack = np.array([*o, *Task(float(POSE)), *np.ones(n)])
+    refine.refine(chain.rows, chain.ends, T[None], row, ref, pack, what, 60)
+    x = row[ANSWER:]
+    np.testing.assert_allclose(arms.fk(rows, base, tip, x)[0], T, atol=3e-8)
+    assert row[AT.position] < 1e-8 and row[AT.rotation] < 1e-8
+    span = chain.upper - chain.lower
+    J = arms.jacobian(rows, base, tip, x) / chain.scale ** np.repeat([1.0, 0.0], 3)[:, None] * chain.unit
+    null = np.linalg.svd(J)[2][-1]
+    unit = chain.unit
+
+    def value(y):
+        if what == MANIPULABILITY:
+            K = arms.jacobian(rows, base, tip, y, 1e-5)
+            return -0.5 * np.linalg.slogdet(K @ K.T)[1]
+        return 0.5 * (((y - 0.5 * (chain.lower + chain.upper)) / span) ** 2).sum()
+
+    inside = np.all((x > chain.lower + 1e-6) & (x < chain.upper - 1e-6))
+    assert value(x) < value(q)
+    if inside:
+        d = 1e-3 * null * unit
+        assert abs(value(x + d) - value(x - d)) / 2e-3 < (2e-2 if what == MANIPULABILITY else 2e-3)
+
+
+def test_a_path_gets_smooth_and_keeps_its_poses():
+    rng, chain, rows, base, tip, p, q, _ = arm_at(8)
+    n, N = chain.n, 9
+    goals = q + np.linspace(0.0, 0.15, N)[:, None] * chain.unit
+    T = np.array([[arms.fk(rows, base, tip, g)[0]] for g in goals])[:, 0]
+    noise = 0.02 * rng.normal(size=(N, n)) * chain.unit
+    noise[[0, 4, -1]] = 0.0
+    Q, good = goals + noise, np.zeros(N, bool)
+    pack = np.array([*ORDERS._replace(tol_p=1e-8, tol_r=1e-8), *Task(float(POSE)), *np.ones(n)])
+    smooth.settle(chain.rows, chain.ends, T, Q, pack, good)
+    assert good.all()
+    for k in range(N):
+        np.testing.assert_allclose(arms.fk(rows, base, tip, Q[k])[0], T[k], atol=1e-9)
+    fixed = np.zeros(N, bool)
+    fixed[[0, 4]] = True
+    start, longest = Q.copy(), 2.0 * np.abs(np.diff(Q, axis=0)).max(axis=0)
+    taken, before, after = smooth.smooth(chain.rows, chain.ends, T, Q, fixed, pack, 1.0, 20.0, 1e-3, longest, 30, good)
+    size = longest / chain.unit
+    assert taken > 0 and after < before
+    assert before == pytest.approx(smooth.cost_of(start / chain.unit, 1.0, 20.0, 1e-3, size)[0])
+    assert after == pytest.approx(smooth.cost_of(Q / chain.unit, 1.0, 20.0, 1e-3, size)[0])
+    np.testing.assert_array_equal(Q[fixed], start[fixed])
+    assert good.all() and np.all(np.abs(np.diff(Q, axis=0)) <= longest)
+    for k in range(N):
+        np.testing.assert_allclose(arms.fk(rows, base, tip, Q[k])[0], T[k], atol=1e-9)
+    assert after <= 1.02 * smooth.cost_of(goals / chain.unit, 1.0, 20.0, 1e-3, size)[0]
