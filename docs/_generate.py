@@ -18,6 +18,14 @@ ROOMS = {  # how the public names are grouped in the API page, by the module the
     "Pictures": ("show.",),
     "Errors": ("errors",),
 }
+TABLE_INSTEAD = {
+    "Robot",
+    "Tree",
+    "Result",
+    "PathResult",
+    "Trajectory",
+    "TrackResult",
+}  # docstrings that list attributes
 LIVE = {"hydrolek_7w": [], "brokk_hydrolek": ["left_tip", "right_tip"]}  # robots with a live page, and their tips
 
 
@@ -31,7 +39,7 @@ def write_all(source: Path) -> None:
         ("robots.md", robots_page()),
         ("statuses.md", statuses_page()),
         ("options.md", options_page()),
-        ("api.rst", api_page()),
+        *api_pages().items(),
     ):
         path = folder / name
         if not path.exists() or path.read_text(encoding="utf-8") != page:
@@ -180,27 +188,92 @@ def options_page() -> str:
     return table(["option", "default"], [[f"`{f.name}`", f"`{f.default!r}`"] for f in fields(Options)])
 
 
-def api_page() -> str:
-    """Every public name with its docstring, grouped by room."""
+def api_pages() -> dict[str, str]:
+    """Every public name with its docstring: a page a room, and one that leads to them. File name -> text."""
     import inspect
 
     import ik_toolkit as ik
 
-    parts = ["API", "===", "", "Every public name of ``ik_toolkit``, from its docstring. Names load on first use.", ""]
     names = dict(ik._NAMES)
+    index = ["API", "===", "", "Every public name of ``ik_toolkit``. Names load on first use.", ""]
+    pages, toc = {}, ["", ".. toctree::", "   :hidden:", ""]
     for title, beginnings in ROOMS.items():
         members = [name for name, module in names.items() if module.startswith(beginnings)]
         if not members:
             continue
-        parts += [title, "-" * len(title), ""]
+        page = "api_" + title.lower().replace(" ", "_")
+        links = ", ".join(f":py:obj:`~ik_toolkit.{name}`" for name in members)
+        index += [f":doc:`{title} <{page}>`", f"   {links}", ""]
+        toc.append(f"   {page}")
+        parts = [title, "=" * len(title), ""]
         for name in members:
             names.pop(name)
             value = getattr(ik, name)
             kind = "autoclass" if inspect.isclass(value) else "autofunction"
             parts += [f".. {kind}:: ik_toolkit.{name}", *_members(value), ""]
+        pages[f"{page}.rst"] = "\n".join(parts) + "\n"
     if names:
-        raise RuntimeError(f"public names without a place in the API page: {', '.join(names)}")
-    return "\n".join(parts) + "\n"
+        raise RuntimeError(f"public names without a place in the API pages: {', '.join(names)}")
+    return {"api.rst": "\n".join([*index, *toc]) + "\n", **pages}
+
+
+def attributes_of(value) -> list[tuple[str, str, str, str]]:
+    """Rows (name, shape and unit, default, meaning) of a class: from attributes.toml, and from its properties."""
+    import dataclasses
+    import inspect
+    import tomllib
+
+    known = tomllib.loads((Path(__file__).parent / "attributes.toml").read_text(encoding="utf-8")).get(
+        value.__name__, {}
+    )
+    fields = getattr(value, "_fields", ())
+    defaults = getattr(value, "_field_defaults", {})
+    if dataclasses.is_dataclass(value):
+        fields = [field.name for field in dataclasses.fields(value)]
+    missing = [name for name in fields if name not in known]
+    if (known or fields) and missing and not issubclass(value, BaseException):
+        raise RuntimeError(f"attributes.toml says nothing of {value.__name__}: {', '.join(missing)}")
+    bases = [base for base in value.__mro__ if base.__module__.startswith("ik_toolkit")]
+    source = "".join(inspect.getsource(base) for base in bases)
+    wrong = [
+        name for name in known if not re.search(rf"\bself\.{name}\b|^    {name}\b[:, ]|def {name}\(", source, re.M)
+    ]
+    if wrong:
+        raise RuntimeError(f"attributes.toml lists what {value.__name__} has not: {', '.join(wrong)}")
+    rows = [(name, shape, _default(defaults.get(name)), text) for name, (shape, text) in known.items()]
+    for name, member in properties_of(value).items():
+        if name not in known:
+            first = (member.__doc__ or "").strip().split("\n\n")[0]
+            shapes = re.findall(r"\([^()]*,[^()]*\)|\[[^\[\]]*\]", first)
+            shape = " ".join(one for one in shapes if re.fullmatch(r"\(?[\w+ ,]{1,12}\)?|\[.*\]", one))
+            rows.append((name, shape, "", _without(" ".join(first.split()), shape)))
+    return rows
+
+
+def _without(text: str, shape: str) -> str:
+    """Sentence without the shapes and units that have a column of their own, and without its full stop."""
+    for one in re.findall(r"\([^()]*\)|\[[^\[\]]*\]", shape):
+        text = text.replace(f" {one}", "", 1)
+    text = text.rstrip(".")
+    return text if text.startswith("Pinocchio") or not text[1:2].islower() else text[:1].lower() + text[1:]
+
+
+def _default(value) -> str:
+    return "" if value is None or len(repr(value)) > 20 else repr(value)
+
+
+def properties_of(value) -> dict:
+    """Public properties of a class and of what it inherits from this package."""
+    import functools
+
+    kinds = (property, functools.cached_property)
+    found: dict = {}
+    for base in value.__mro__:
+        if base.__module__.startswith("ik_toolkit"):
+            for name, member in vars(base).items():
+                if isinstance(member, kinds) and not name.startswith("_"):
+                    found.setdefault(name, member)
+    return found
 
 
 def _members(value) -> list[str]:
@@ -217,28 +290,51 @@ def _members(value) -> list[str]:
 
 
 # ------------------------------------------------------------------------------------------------ autodoc
+def escape(text: str) -> str:
+    """Plain text for reStructuredText: code in backticks becomes literal, everything else loses its special meaning."""
+    pieces = re.split(r"(`[^`]+`)", text)
+    return "".join(
+        f"``{piece[1:-1]}``"
+        if piece.startswith("`") and piece.endswith("`") and len(piece) > 2
+        else re.sub(r"([\\*|_`])", r"\\\1", piece)
+        for piece in pieces
+    )
+
+
 def escape_docstring(app, what, name, obj, options, lines: list[str]) -> None:
-    """Docstrings are plain text: code in backticks becomes literal, everything else loses its special meaning."""
+    """Docstrings are plain text. Attributes of a class stand in a table below, and some docstrings say nothing else."""
     out = []
     for line in lines:
-        stripped = line.strip()
-        indented = line.startswith("    ") and stripped
-        pieces = re.split(r"(`[^`]+`)", line)
-        text = "".join(
-            f"``{piece[1:-1]}``"
-            if piece.startswith("`") and piece.endswith("`") and len(piece) > 2
-            else re.sub(r"([\\*|_`])", r"\\\1", piece)
-            for piece in pieces
-        )
-        out.append(f"| {text.strip()}" if indented else text)
+        indented = line.startswith("    ") and line.strip()
+        out.append(f"| {escape(line).strip()}" if indented else escape(line))
+    rows = attributes_of(obj) if what == "class" else []
+    if rows:
+        if obj.__name__ in TABLE_INSTEAD:
+            out = out[: next((k for k, line in enumerate(out) if not line.strip()), len(out))]
+        out += ["", *list_table(rows), ""]
     lines[:] = out
 
 
+def list_table(rows: list[tuple[str, str, str, str]]) -> list[str]:
+    """Lines of a table of attributes: name, shape and unit, default, meaning; a column that is empty everywhere is left out."""
+    head = ("name", "shape, unit", "default", "meaning")
+    columns = [k for k in range(4) if any(row[k] for row in rows)]
+    lines = [".. list-table::", "   :header-rows: 1", "   :class: attributes", ""]
+    for row in (head, *((f"`{n}`", shape, f"`{d}`" if d else "", text) for n, shape, d, text in rows)):
+        for i, k in enumerate(columns):
+            lines.append(f"   {'* -' if not i else '  -'} {escape(row[k])}".rstrip())
+    return lines
+
+
 def skip_member(app, what, name, obj, skip, options) -> bool | None:
-    """Leave out the fields and tuple methods of named tuples, and what the toolkit asks of every solver (see the guide)."""
+    """Leave out what stands in the table of attributes, and what the toolkit asks of every solver (see the guide)."""
+    import functools
+
     from ik_toolkit.solvers.protocol import ClosedForm, Rule
 
     asked = {*vars(Rule), *vars(ClosedForm)} - {"preset"}
     if name in {"count", "index", "designed", "resolve", *asked} or type(obj).__name__ == "_tuplegetter":
+        return True
+    if isinstance(obj, property | functools.cached_property):
         return True
     return None
