@@ -1,4 +1,4 @@
-"""Inverse kinematics for any URDF arm: solve, track, tune, compare, see.
+"""Inverse kinematics for any robot description: solve, follow paths, track, tune, compare, view.
 
 Public names load on first use, so that importing the package costs almost nothing.
 """

@@ -122,7 +122,7 @@ def masked(value: Any) -> bool:
 
 
 def doubt_angle(where: str, value: float) -> None:
-    """Log that an angle [rad] of several turns may have been meant in degrees: once a place, for a loop may well go there."""
+    """Log that an angle [rad] of several turns may have been meant in degrees: once per place, since it may be in a loop."""
     if where in DOUBTED:
         return
     DOUBTED.add(where)

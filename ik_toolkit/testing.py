@@ -181,7 +181,7 @@ def answers_inside_the_limits(case: Case) -> None:
     """Q is finite and inside the limits, solved or not."""
     for _, _, result in case.sample:
         joint = _inside(case, result.q)
-        case.claim(not joint, f"q is no number or outside the limits at joint {joint} ({result.status.name})")
+        case.claim(not joint, f"q is not finite or outside the limits at joint {joint} ({result.status.name})")
         case.claim(
             result.limited_joints == tuple(case.robot.at_limits(result.q)), "limited_joints are not those of its q"
         )
@@ -206,7 +206,7 @@ def succeeds_inside_the_tolerances_only(case: Case) -> None:
         inside = inside and (result.orientation_error or 0.0) <= LOOSE["orientation_tolerance"]
         case.claim(result.success == inside, f"{result.status.name} with {result.position_error:.3g} m left")
         case.claim(result.success == (result.status == Status.CONVERGED), "success and status say different things")
-        case.claim(len(result.message) >= 10, "the message is no sentence")
+        case.claim(len(result.message) >= 10, "the message is not a sentence")
 
 
 def gives_the_same_bytes_again(case: Case) -> None:
@@ -242,7 +242,7 @@ def says_why_it_fails(case: Case) -> None:
         result.status not in (Status.CONVERGED, Status.CHECK_FAILED),
         f"a target 2 km away ends with {result.status.name}",
     )
-    case.claim(np.isfinite(result.q).all(), "a target out of reach gives a q that is no number")
+    case.claim(np.isfinite(result.q).all(), "a target out of reach gives a q that is not finite")
     try:
         result.raise_for_status()
     except NotSolved as failure:

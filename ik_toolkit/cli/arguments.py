@@ -94,7 +94,9 @@ class Command(typer.core.TyperCommand):
                 given = str(word).rpartition("=")[2] if not os.path.isfile(word) else word  # SOLVER=PRESET
                 for output in outputs:
                     if os.path.isfile(given) and _same(output, given):
-                        raise InvalidOption(f"'{output}' would overwrite '{given}', which is read; choose another name")
+                        raise InvalidOption(
+                            f"'{output}' would overwrite '{given}', which is an input; choose another name"
+                        )
         return super().invoke(ctx)
 
 

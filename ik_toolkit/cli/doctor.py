@@ -128,7 +128,7 @@ def _cache() -> dict[str, Any]:
     if broken:
         names = ", ".join(path.name for path in broken[:3]) + (", ..." if len(broken) > 3 else "")
         return _row("compile cache", "mended", f"{len(broken)} damaged file(s) removed from {folder}: {names}")
-    return _row("compile cache", "ok", f"writable, and all in it whole: {folder}")
+    return _row("compile cache", "ok", f"writable, no damaged files: {folder}")
 
 
 def _pinocchio() -> dict[str, Any]:

@@ -117,7 +117,7 @@ def check(
             show(made)
         warnings = len(findings) - len(errors)
         counts = f"{len(errors)} error{'s' * (len(errors) != 1)}, {warnings} warning{'s' * (warnings != 1)}"
-        show(f"{entry.name}: {counts if findings else 'nothing wrong found'}")
+        show(f"{entry.name}: {counts if findings else 'no problems found'}")
         for tip, words in forms.items():
             show(f"closed form up to {tip}: {words}")
         if found is not None:

@@ -102,7 +102,7 @@ def again(arguments: Sequence[str], folder: Path | None, terminated: Sequence[bo
     except OSError as error:
         notice(f"solved without compiled code; compiling in the background cannot start: {error.strerror}: {folder}")
         return code
-    notice(f"first use: solved without compiled code; compiling goes on in the background ({folder / LOG})")
+    notice(f"first use: solved without compiled code; compiling continues in the background ({folder / LOG})")
     return code
 
 

@@ -27,7 +27,7 @@ def panel(
     is let in. Every browser tab has its own robot. A robot with several tips has a target to drag for each.
     """
     if not 0 <= port < 65536:
-        raise InvalidOption(f"--port is between 0 and 65535, not {port}")
+        raise InvalidOption(f"--port must be between 0 and 65535, not {port}")
 
     from ..show.gate import is_loopback
     from ..show.panel import Panel

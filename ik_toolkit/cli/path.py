@@ -225,7 +225,7 @@ def _options(line: SimpleNamespace, arm: Any) -> dict[str, Any]:
 
 
 def _numbers(text: str | None, option: str) -> Any:
-    """One number, or one a joint."""
+    """One number, or one per joint."""
     if text is None:
         return None
     found = numbers(text)

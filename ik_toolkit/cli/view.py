@@ -148,7 +148,7 @@ def _refuse_contradictions(line: SimpleNamespace, solving: bool) -> None:
     if line.q is not None and (solving or line.every):
         raise InvalidOption("--q shows a configuration, --xyz and --target solve for one: give one of them")
     if line.motion is not None and (solving or line.every or line.q is not None):
-        raise InvalidOption("--motion shows what a file holds; leave out --q, --xyz and --target")
+        raise InvalidOption("--motion shows the motion of a file; omit --q, --xyz and --target")
     if is_posed(line) and line.xyz is None and line.matrix is None:
         raise InvalidOption("--rpy and the quaternions belong to --xyz")
     if not solving and (line.every or line.q0 is not None):
@@ -158,7 +158,7 @@ def _refuse_contradictions(line: SimpleNamespace, solving: bool) -> None:
     if line.relative and not line.targets:
         raise InvalidOption("--relative is for several tips, with a --target for each")
     if not 0 <= line.port < 65536:
-        raise InvalidOption(f"--port is between 0 and 65535, not {line.port}")
+        raise InvalidOption(f"--port must be between 0 and 65535, not {line.port}")
 
 
 def _alone(option: str, others: dict[str, Any]) -> None:

@@ -53,7 +53,7 @@ def draw_response(curves: dict[str, np.ndarray]) -> Callable[[Any], Any]:
 
 
 def draw_workspace(points: np.ndarray, maps: dict[str, np.ndarray]) -> Callable[[Any], Any]:
-    """Goals (N, 3) [mm, paper frame], reached ones as dots and lost ones as circles, one panel a solver."""
+    """Goals (N, 3) [mm, paper frame], reached ones as dots and lost ones as circles, one panel per solver."""
 
     def draw(plt: Any) -> Any:
         figure = plt.figure(figsize=(3.7 * len(maps), 3.9))
@@ -102,7 +102,7 @@ def draw_planar(runs: dict[str, Run]) -> Callable[[Any], Any]:
 
 
 def draw_gains(gains: Sequence[float], swept: dict[str, list[int]]) -> Callable[[Any], Any]:
-    """Goals of 1000 reached over K_p, a line a start."""
+    """Goals of 1000 reached over K_p, one line per start."""
 
     def draw(plt: Any) -> Any:
         figure, axis = plt.subplots(figsize=(6.4, 3.4), layout="constrained")

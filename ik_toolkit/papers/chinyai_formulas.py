@@ -132,7 +132,7 @@ def targets(rng: np.random.Generator, count: int, l1: float, l2: float) -> np.nd
 
 
 def converge(X: np.ndarray, l1: float, l2: float, start: Any, kind: int, clip: float = NO_CLIP) -> np.ndarray:
-    """Rows (N, 4) of `newton_all` from one start (2,) or one start a target (N, 2)."""
+    """Rows (N, 4) of `newton_all` from one start (2,) or one start per target (N, 2)."""
     out = np.empty((len(X), 4))
     newton_all(X, l1, l2, np.atleast_2d(np.asarray(start, dtype=float)), kind, clip, out)
     return out

@@ -64,7 +64,7 @@ def draw_charts(plt: Any, sets: Mapping[str, Any]) -> Any:
 
 
 def draw_errors(plt: Any, panels: Mapping[str, Mapping[str, Any]], xlim: tuple[float, float]) -> Any:
-    """Fig. 4: error over time, one panel a start, logarithmic."""
+    """Fig. 4: error over time, one panel per start, logarithmic."""
     figure, axes = plt.subplots(1, len(panels), figsize=(9.6, 3.8), sharey=True, layout="constrained")
     for ax, (title, runs) in zip(axes, panels.items(), strict=True):
         for key, run in runs.items():

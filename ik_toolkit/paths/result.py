@@ -24,7 +24,7 @@ class PathStatus(Enum):
     FOLLOWED = "every pose, one continuous motion"
     RECONFIGURES = "every pose, with reconfigurations, no more than allowed"
     INCOMPLETE = "a pose is not reached, or it takes more reconfigurations than allowed"
-    COLLISION = "every pose, but only with contact"
+    COLLISION = "every pose, but only in collision"
 
 
 class Reconfiguration(NamedTuple):
@@ -49,13 +49,13 @@ class Unreachable(NamedTuple):
 class PathResult:
     """A joint motion through N poses (read-only).
 
-    q (N, n) [rad or m], a row a pose, NaN where a pose is not reached; status; message (one sentence, with what to try);
-    reconfigurations, and lower_bound, the number of them that no motion can do without (None: not proven); unreachable poses.
-    position_error (N,) [m] and orientation_error (N,) [rad] (None: free): what counts of the errors at the poses, the largest
-    over the tips, by Pinocchio. The motion is linear in the joints between the rows of curve (M, n): q with the poses that
-    were inserted; at (M,) is their place among the poses (3.5: halfway from pose 3 to pose 4). continuity: what is proven of
-    it. robot, targets (N, F, 4, 4) [m] by tip, kinds and options: what was asked for; max_step (rad, m), path_tolerance (m,
-    rad), collision (model or None), seed; elapsed [s].
+    q (N, n) [rad or m], one row per pose, NaN where a pose is not reached; status; message (one sentence, with what to try);
+    reconfigurations, and lower_bound, the proven minimum (None: not proven); unreachable poses. position_error (N,) [m] and
+    orientation_error (N,) [rad] (None: free): what counts of the errors at the poses, the largest over the tips, by
+    Pinocchio. The motion is linear in the joints between the rows of curve (M, n): q with the poses that were inserted; at
+    (M,) is their place among the poses (3.5: halfway from pose 3 to pose 4). continuity: what is proven about it. robot,
+    targets (N, F, 4, 4) [m] by tip, kinds and options: what was asked for; max_step (rad, m), path_tolerance (m, rad),
+    collision (model or None), seed; elapsed [s].
     """
 
     robot: Any
@@ -91,7 +91,7 @@ class PathResult:
 
     @property
     def clearance(self) -> float | None:
-        """Distance [m] that all parts are proven to keep, anywhere on the way; None when collisions were not asked for."""
+        """Distance [m] that all parts are proven to keep anywhere along the path; None when collisions were not checked."""
         return self.continuity.clearance
 
     @property
@@ -101,7 +101,7 @@ class PathResult:
 
     @property
     def largest_step(self) -> tuple[float, float]:
-        """Largest move of a joint between neighbouring rows of `curve`, inside the pieces: turning [rad] and sliding [m]."""
+        """Largest step of a joint between neighbouring rows of `curve`, within the pieces: revolute [rad] and prismatic [m]."""
         moves = [np.abs(np.diff(self.curve[piece], axis=0)).max(axis=0, initial=0.0) for piece in self.pieces]
         return self._apart(np.max(moves, axis=0) if moves else np.zeros(self.robot.n), np.max)
 
@@ -155,7 +155,7 @@ class PathResult:
         )
 
     def save(self, path: str | Path) -> Path:
-        """Write .csv (a row a pose: joints, then errors), .npz (the arrays) or .json (`to_dict`). Raises InvalidOption."""
+        """Write .csv (one row per pose: joints, then errors), .npz (the arrays) or .json (`to_dict`). Raises InvalidOption."""
         file = Path(path)
         suffix = file.suffix.lower()
         if suffix == ".json":
@@ -183,7 +183,7 @@ class PathResult:
     ) -> "Trajectory":
         """The motion in the least time that joint speeds and accelerations allow, see `Trajectory`.
 
-        velocity, acceleration: a number for every joint or one a joint (n,) [rad or m per s, s^2]; velocity defaults to the
+        velocity, acceleration: one number, or one per joint (n,) [rad or m per s, s^2]; velocity defaults to the
         robot's own limits, accelerations have to be given. rate [1/s] of the samples. At a reconfiguration the robot stops and
         moves freely from one branch to the other; seed: of the search for that motion. Raises InvalidOption (limits that are
         missing or not positive, a path that was not followed), MissingExtra.

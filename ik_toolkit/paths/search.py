@@ -26,7 +26,7 @@ TRIED = 3  # contact is tested for so many seeds as an anchor may add: one in tw
 PATIENCE = 2  # rounds of further anchors, where the program breaks, that may fail to help
 NEAR = 0.003  # [rad] what counts as contact at first, times the pair's longest arm: 3 mm on a metre, cheap to prove free between
 PROBES = 9  # poses of a gap that are solved: where its middle and quarters have no solution the rest hardly has
-LEAST, BUDGET = 20_000, 200  # contact tests of any path, and of each pose; some 15 a pose are used as a rule
+LEAST, BUDGET = 20_000, 200  # contact tests of any path, and of each pose; usually some 15 per pose are used
 
 
 def _runs(places: np.ndarray) -> list[np.ndarray]:

@@ -47,7 +47,7 @@ NOT_HERE = (
 
 
 class PathInterrupted(KeyboardInterrupt):
-    """Ctrl-C during a path; `result` is the PathResult of the best path until then."""
+    """Ctrl-C during a path search; `result` is the PathResult of the best path so far."""
 
     def __init__(self, result: PathResult) -> None:
         """Keep what was found."""
@@ -70,20 +70,18 @@ def solve_path(
     progress: Callable[[float, str], None] | None = None,
     **options: Unpack[PathOptions],
 ) -> PathResult:
-    """Find one joint motion through poses: with the fewest reconfigurations, and of these a short one.
+    """Find one joint motion through poses, with the fewest reconfigurations and then the shortest found.
 
     poses: (N, 4, 4), or (N, 3) with orientation free [m]; for a Tree of F tips (N, F, 4, 4), (N, F, 3) or a dict by tip; or a
-    Reference, sampled every 0.01 s. q0, q_end (n,) [rad or m]: where the path begins and ends, if they reach the first and the
-    last pose, and otherwise what it begins and ends near. max_step: the longest step of a joint between poses, (rad, m) or one
+    Reference, sampled every 0.01 s. q0, q_end (n,) [rad or m]: start and end of the path if they reach the first and the last
+    pose; otherwise configurations to start and end near. max_step: the longest step of a joint between poses, (rad, m) or one
     number for both; default 7 deg and 20 mm. Where the motion needs more, poses are inserted, 200,000 at most. path_tolerance
-    (m, rad): how far a tip may leave the interpolated pose between two poses; default 1 mm and 1 deg, or twice the tolerances at
-    the poses.
-    avoid_collisions: True (the robot's own links) or a CollisionModel.
-    reconfigurations: 'fewest', 'none', or the largest number allowed. seed: of the random starts; threads: default all cores.
-    progress(share, words) is called as the work goes on. Options as for `solve`: tolerances, limits, mask, slack, free_turn,
-    frame, relative_to, joint_weights. Ctrl-C raises PathInterrupted, whose `result` is the best path until then
-    (KeyboardInterrupt where there is no solution yet). Raises InvalidTarget (naming the pose), InvalidConfiguration,
-    InvalidOption; a path that cannot be followed is a status.
+    (m, rad): how far a tip may leave the interpolated pose between two poses; default 1 mm and 1 deg, or twice the tolerances
+    at the poses. avoid_collisions: True (the robot's own links) or a CollisionModel. reconfigurations: 'fewest', 'none', or
+    the largest number allowed. seed: of the random starts; threads: default all cores. progress(fraction, text) is called
+    during the work. Options as for `solve`: tolerances, limits, mask, slack, free_turn, frame, relative_to, joint_weights.
+    Ctrl-C raises PathInterrupted, whose `result` is the best path so far (KeyboardInterrupt where there is no solution yet).
+    Raises InvalidTarget (naming the pose), InvalidConfiguration, InvalidOption; a path that cannot be followed is a status.
     """
     began = perf_counter()
     require_robot(robot)
@@ -94,9 +92,7 @@ def solve_path(
                 f"solve_path takes no '{name}': a path is searched as a whole, and its answers are checked"
             )
     if progress is not None and not callable(progress):
-        raise InvalidOption(
-            f"progress is called with a share and words, so it must be a function, not {progress!r:.60}"
-        )
+        raise InvalidOption(f"progress must be a function of a fraction and a text, not {progress!r:.60}")
     solver = Solver(robot, seed=seed, **options)
     T, kinds = _read(robot, poses)
     step, tolerance = _pair("max_step", max_step, STEP), _between(path_tolerance, solver.options)
@@ -145,7 +141,7 @@ def _allowed(value: str | int) -> float:
     if value in ("fewest", "none"):
         return math.inf if value == "fewest" else 0.0
     if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < 0:
-        raise InvalidOption(f"reconfigurations is 'fewest', 'none' or a whole number of at least 0, not {value!r}")
+        raise InvalidOption(f"reconfigurations must be 'fewest', 'none' or a whole number of at least 0, not {value!r}")
     return float(value)
 
 
@@ -167,7 +163,7 @@ def _between(value: Any, options: Options) -> tuple[float, float]:
     for k, (name, unit) in enumerate((("position", "m"), ("orientation", "rad"))):
         if not pair[k] > at[k]:
             raise InvalidOption(
-                f"path_tolerance must be above {name}_tolerance, {at[k]:g} {unit}, which poses are reached to; not {pair[k]:g}"
+                f"path_tolerance must be above {name}_tolerance, {at[k]:g} {unit}, to which the poses are reached; not {pair[k]:g}"
             )
     return pair
 

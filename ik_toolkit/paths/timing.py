@@ -70,7 +70,7 @@ def retime(result: Any, velocity: Any, acceleration: Any, rate: float, seed: int
             way = connect(robot, result.collision, result.curve[runs[k - 1].stop - 1], result.curve[run.start], seed)
             if way is None:
                 pose = int(result.at[run.start])
-                missing = f"it ends at pose {pose - 1}: no free motion to the other branch, at pose {pose}, was found"
+                missing = f"it ends at pose {pose - 1}: no collision-free motion to the other branch, at pose {pose}, was found"
                 break
             made += [_straight(a, b, NOWHERE, limits) for a, b in itertools.pairwise(way)]
         curve, at, found = _proven(plan, result, result.curve[run], result.at[run])
@@ -83,7 +83,7 @@ def retime(result: Any, velocity: Any, acceleration: Any, rate: float, seed: int
             run_at = result.at[run]
             rows = zip(itertools.pairwise(result.curve[run]), itertools.pairwise(run_at), strict=True)
             made += [_straight(*ends, np.array(places), limits) for ends, places in rows]
-            message = "no smooth curve keeps to the poses and touches nothing, so the robot stops at every row; "
+            message = "no collision-free smooth curve follows the poses, so the robot stops at every row; "
     pieces = tuple(piece for piece in made if piece.duration > 0.0) or tuple(made[:1])
     if not pieces:  # one pose alone
         pieces = (_straight(result.curve[0], result.curve[0], result.at[[0, 0]], limits),)

@@ -100,7 +100,7 @@ class Trajectory:
         return (q, dq, ddq) if np.ndim(t) else (q[0], dq[0], ddq[0])
 
     def to_csv(self, path: str | Path) -> Path:
-        """Write a row a sample: t, then q_, dq_ and ddq_ of each joint."""
+        """Write one row per sample: t, then q_, dq_ and ddq_ of each joint."""
         file = Path(path)
         names = self.robot.joint_names
         head = ["t", *(f"{kind}_{joint}" for kind in ("q", "dq", "ddq") for joint in names)]
@@ -108,7 +108,7 @@ class Trajectory:
         return file
 
     def to_ros(self) -> dict[str, Any]:
-        """Fields of a ROS trajectory_msgs/JointTrajectory, a point a sample; for rosidl_runtime_py's set_message_fields."""
+        """Fields of a ROS trajectory_msgs/JointTrajectory, one point per sample; for rosidl_runtime_py's set_message_fields."""
         names, base = self.robot.joint_names, self.robot.arms[0].base
         return joint_trajectory(names, base, self.t, self.q, self.dq, self.ddq)
 

@@ -106,9 +106,7 @@ def _add(model: pin.Model, parent: int, prefix: str, part: str, placement: pin.S
     """Append a joint PREFIX_PART of one coordinate; its place."""
     name = f"{prefix}_{part}"
     if model.existJointName(name):
-        raise ModelError(
-            f"the robot has a joint '{name}' of its own, the name that a coordinate of its base would have"
-        )
+        raise ModelError(f"the robot has a joint '{name}' of its own, a name that its base needs")
     far = np.array([pitch if part == "pitch" else ENDLESS])
     none = np.array([ENDLESS])
     joint = model.addJoint(parent, AXES[part](), placement, name, none, none, -far, far)
@@ -221,14 +219,12 @@ def stand(model: pin.Model, on_base: Any) -> pin.Model:
     if isinstance(on_base, str):
         if on_base not in BASES:
             raise InvalidOption(
-                f"on_base is 'planar', 'floating' or a pose, not '{on_base}'.{near_match(on_base, BASES)}"
+                f"on_base must be 'planar', 'floating' or a pose, not '{on_base}'.{near_match(on_base, BASES)}"
             )
         for part in BASES[on_base]:
             last = _add(made, last, ROOT, part, pin.SE3.Identity(), PITCH)
             if model.existJointName(f"{ROOT}_{part}"):
-                raise InvalidOption(
-                    f"the robot has a joint '{ROOT}_{part}' of its own, the name that a coordinate of its base would have"
-                )
+                raise InvalidOption(f"the robot has a joint '{ROOT}_{part}' of its own, a name that its base needs")
     else:
         pose, _ = check_target(on_base)
         T = pin.SE3(pose) if pose.ndim == 2 else pin.SE3(np.eye(3), pose)
@@ -255,16 +251,14 @@ def settle(model: pin.Model, on_base: Any = None, base_limits: Any = None) -> Fo
     made, given = unfold(model)
     names = [name for block in (given.blocks if given else ()) for name in block.names]
     if isinstance(on_base, str) and root_joint(model):
-        raise InvalidOption("the model moves freely already, so on_base takes a pose only")
+        raise InvalidOption("the model already has a floating base, so on_base must be a pose")
     if on_base is not None:
         made = stand(made, on_base)
         names += [f"{ROOT}_{part}" for part in BASES[on_base]] if isinstance(on_base, str) else []
     slides = tuple(name for name in names if name.rpartition("_")[2] in SLIDES)
     if base_limits is not None:
         if not slides:
-            raise InvalidOption(
-                "base_limits are for a base that moves: on_base='planar' or 'floating', or a free-flyer"
-            )
+            raise InvalidOption("base_limits are for a moving base: on_base='planar' or 'floating', or a free-flyer")
         limit(made, base_limits, slides, [name for name in names if name not in slides])
     return Footing(made, None if made is model else model, given, tuple(names), slides)
 
@@ -295,7 +289,7 @@ def limit(model: pin.Model, base_limits: Any, slides: Sequence[str], turns: Sequ
                 raise InvalidOption(f"base_limits: the base has no coordinate '{key}'.{near_match(str(key), names)}")
             pairs[name] = _pair(name, pair)
     else:
-        what = "base_limits are (lower, upper) [m] for the slides of the base, or a pair for each"
+        what = "base_limits must be (lower, upper) [m] for the prismatic joints of the base, or a pair for each"
         values = floats(base_limits, what, InvalidOption)
         if values.shape == (2,):
             values = np.tile(values, (len(slides), 1))
@@ -310,7 +304,7 @@ def limit(model: pin.Model, base_limits: Any, slides: Sequence[str], turns: Sequ
 
 
 def _pair(name: str, pair: Any) -> tuple[float, float]:
-    what = f"base_limits of '{name}' are two finite numbers, lower and upper"
+    what = f"base_limits of '{name}' must be two finite numbers, lower and upper"
     values = floats(pair, what, InvalidOption)
     if values.shape != (2,) or not np.isfinite(values).all() or values[0] > values[1]:
         raise InvalidOption(f"{what}, not {np.asarray(pair).tolist()}")

@@ -62,7 +62,7 @@ def check_urdf(
             build_model(text)
         except Exception as error:
             said = str(error).strip().splitlines()[-1]
-            errors.append(_error("robot", f"Pinocchio refuses it: {said}", "the reason is Pinocchio's own"))
+            errors.append(_error("robot", f"Pinocchio refuses it: {said}", "this is Pinocchio's own message"))
     return [*errors, *warnings]
 
 
@@ -90,7 +90,7 @@ def _errors(items: list[Item]) -> Iterator[Finding]:
                 yield _error(str(item), f"the name is used twice ({lines})", "rename one of them")
             seen.setdefault(item.name, item)
     if any(joint.name == "universe" for joint in joints):
-        yield _error("joint 'universe'", "Pinocchio keeps this name for the world", "rename it")
+        yield _error("joint 'universe'", "Pinocchio reserves this name for the world", "rename it")
     for item in items:
         yield from _numbers(item)
     for joint in joints:
@@ -147,7 +147,7 @@ def _joint(joint: Item) -> Iterator[Finding]:
         return
     for key in ("effort", "velocity"):
         if key not in limit:
-            yield _error(str(joint), f"its <limit> has no {key}", f"add {key} (Pinocchio refuses the file without)")
+            yield _error(str(joint), f"its <limit> has no {key}", f"add {key} (Pinocchio rejects the file without it)")
         elif (numbers(limit[key]) or [0.0])[0] < 0.0:
             yield _error(str(joint), f"its {key} limit is negative ({limit[key]})", "write a positive number")
 

@@ -1,6 +1,6 @@
 """How far apart the parts of a robot and its surroundings are, and how fast they can get closer.
 
-Distances are those of convex hulls, which cost a microsecond a pair; the exact shapes, which lie inside their hulls, are measured
+Distances are those of convex hulls, which cost a microsecond per pair; the exact shapes, which lie inside their hulls, are measured
 where hulls meet.
 """
 

@@ -47,7 +47,7 @@ class CollisionModel(Surroundings):
     ) -> None:
         """Read the shapes and decide which pairs count."""
         if not isinstance(robot, Robot | Tree):
-            raise InvalidOption(f"collisions are tested for a Robot or a Tree, not for a {type(robot).__name__}")
+            raise InvalidOption(f"a CollisionModel needs a Robot or a Tree, not a {type(robot).__name__}")
         self.robot = robot
         self.ignore = [tuple(pair) for pair in ignore]
         self.margin = as_margin(margin)
@@ -288,7 +288,7 @@ class CollisionModel(Surroundings):
 
 def as_margin(value: Any) -> float:
     """Return a distance [m] to keep; InvalidOption when it is none."""
-    what = "margin is a distance of at least 0 [m]"
+    what = "margin must be a distance of at least 0 [m]"
     number = floats(value, what, InvalidOption)
     if number.shape != () or not 0.0 <= number < np.inf:
         raise InvalidOption(f"{what}, not {value!r:.60}")

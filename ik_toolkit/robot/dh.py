@@ -102,7 +102,7 @@ def read_dh_table(path: str | Path) -> DHTable:
     TOML: name, convention, angles ('deg' or 'rad'), lengths ('m' or 'mm'), optional base and tool (`{xyz, rpy}` in
     those units), and one [[joint]] a row with any of name, type, theta, d, a, alpha, lower, upper, velocity, effort
     (limits are required unless the joint is continuous). CSV: the settings as lines `# convention = classic` (base_xyz,
-    base_rpy, tool_xyz, tool_rpy as three numbers), a header of column names, one line a joint. Raises ModelError naming
+    base_rpy, tool_xyz, tool_rpy as three numbers), a header of column names, one line per joint. Raises ModelError naming
     row and column.
     """
     path = Path(path).expanduser()
@@ -172,7 +172,7 @@ def dh_table(settings: Mapping[str, Any]) -> DHTable:
         raise ModelError("the D-H table's setting 'name' must be a printable text")
     joints = settings.get("joint", [])
     if not isinstance(joints, list) or not joints:
-        raise ModelError("the D-H table has no joint: one [[joint]] (TOML) or line (CSV) a joint is expected")
+        raise ModelError("the D-H table has no joint: one [[joint]] (TOML) or line (CSV) per joint is expected")
     if len(joints) > MAX_ROWS:
         raise ModelError(f"the D-H table has {len(joints)} joints; at most {MAX_ROWS} are read")
     rows = tuple(_row(number, joint, angle, length) for number, joint in enumerate(joints, 1))

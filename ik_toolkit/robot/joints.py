@@ -39,7 +39,7 @@ class Named(dict[str, np.ndarray]):
 class Joints:
     """Coordinates q (n,) of a model: names, kinds, limits, home, and their places in the model's full configuration.
 
-    A robot and a tree alike have `arms`, one Robot a tip; `tips`, their names; `places`, index arrays that take each arm's
+    A robot and a tree alike have `arms`, one Robot per tip; `tips`, their names; `places`, index arrays that take each arm's
     coordinates out of q; and `memo`, a dict in which whoever makes something for this robot (a bound solver, its collision
     shapes) may keep it under a key of their own. Copies and pickles begin with an empty one.
     """

@@ -211,7 +211,7 @@ def _menagerie(name: str) -> Path:
     try:
         package = importlib.import_module("mujoco_menagerie")
     except ImportError:
-        raise RobotNotFound(f"MuJoCo's menagerie is not here; {advice}") from None
+        raise RobotNotFound(f"MuJoCo's menagerie was not found; {advice}") from None
     names = package.names()
     if name not in names:
         raise RobotNotFound(f"MuJoCo's menagerie has no '{name[:200]}'.{near_match(name, names)}")
@@ -253,7 +253,7 @@ def find(source: str | Path) -> RobotEntry:
     Raises RobotNotFound with the near match and the names that exist.
     """
     if not isinstance(source, str | Path):
-        raise RobotNotFound(f"a robot is a name, a path or URDF text, not {type(source).__name__}")
+        raise RobotNotFound(f"a robot must be a name, a path or URDF text, not {type(source).__name__}")
     if is_text(source):
         return RobotEntry(name="URDF text", source=source)
     if isinstance(source, str):

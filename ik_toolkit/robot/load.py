@@ -76,7 +76,7 @@ def default_base(
     tip = tip or next(iter(entry.tips or guess_tip(model).tips), None)
     link = carried(model, tip) if base_limits is None and tip else None
     if link is not None:
-        LOG.warning("%s: the joint that moves '%s' freely is held still; base_limits= lets it move", entry.name, link)
+        LOG.warning("%s: the floating joint of '%s' is held still; base_limits= lets it move", entry.name, link)
     return entry.base or link
 
 

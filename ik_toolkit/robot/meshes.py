@@ -98,7 +98,7 @@ def find_mesh(name: str, folders: Sequence[Path], packages: Mapping[str, Path] |
     inside = [place for place in places if lies_in(Path(os.path.normpath(place)), folders)]
     if not inside:
         raise ModelError(
-            "lies outside the named folders and is not looked at" if folders else "cannot be found without a folder"
+            "lies outside the allowed folders and is not read" if folders else "cannot be found without a folder"
         )
     try:
         real = [Path(place).resolve() for place in inside if os.path.isfile(place)]
@@ -107,9 +107,9 @@ def find_mesh(name: str, folders: Sequence[Path], packages: Mapping[str, Path] |
     except (OSError, ValueError, RuntimeError):  # links in a circle, a name that is too long
         raise ModelError("cannot be read") from None
     if found is None:
-        raise ModelError("is a link out of the named folders" if real else "is not there")
+        raise ModelError("is a link that leads outside the allowed folders" if real else "is not there")
     if found.suffix.lower() not in FORMATS:
-        raise ModelError(f"is no format that is read ({', '.join(FORMATS)})")
+        raise ModelError(f"is not a supported format ({', '.join(FORMATS)})")
     if size > MAX_MESH_BYTES:
         raise ModelError(f"is larger than {MAX_MESH_BYTES // 1_000_000} MB")
     return found
@@ -121,7 +121,7 @@ def lies_in(path: Path, folders: Sequence[Path]) -> bool:
 
 
 def read_meshes(paths: Iterable[Path], kind: str, folders: Sequence[Path]) -> dict[Path, Mesh]:
-    """Triangles of files (paths of `find_mesh`) for 'surface' (one piece a file) or 'look' (a piece a material).
+    """Triangles of files (paths of `find_mesh`) for 'surface' (one piece per file) or 'look' (one piece per material).
 
     What cannot be read has `refused`, the end of a sentence; files they refer to are read only from `folders`.
     """
@@ -184,7 +184,7 @@ def _run(paths: Sequence[Path], kind: str, folders: Sequence[Path]) -> dict[Path
         rows = [json.loads(line) for line in said.splitlines() if line.startswith("{") and line.endswith("}")]
         if not said.startswith("begin"):
             raise ModelError(
-                "the process that reads meshes ended before it read one; is this Python's executable whole?"
+                "the process that reads meshes ended before it read one; is this Python installation intact?"
             )
         meshes = {}
         for row in rows:

@@ -172,7 +172,7 @@ class _Writer:
         if loops:
             self.notes.append(f"{loops} loop{'s' * (loops > 1)} (connect, weld) left open")
         if curved:
-            self.notes.append(f"{curved} equalities of joints are no straight lines and left out")
+            self.notes.append(f"{curved} nonlinear joint equalities are left out")
         return found
 
     def _body(
@@ -238,7 +238,7 @@ class _Writer:
             limits = (-reach, reach) if math.isfinite(reach) else None
             steps.append((part, "revolute" if limits else "continuous", T, axis, limits))
             T = np.eye(4)
-        self.notes.append(f"ball joint '{name}' is three revolute joints: {', '.join(names)}")
+        self.notes.append(f"ball joint '{name}' becomes three revolute joints: {', '.join(names)}")
 
     # ------------------------------------------------------------------------------------------------ shapes
     def _shapes(self, bodies: Sequence[str]) -> None:

@@ -283,12 +283,12 @@ def check_target(target: Any) -> tuple[np.ndarray, str]:
     orthonormal is projected to the nearest one, and the notice says so. Raises InvalidTarget otherwise.
     """
     matrix = getattr(target, "homogeneous", target)
-    T = floats(matrix, "a target is a 4x4 pose, a pin.SE3 or a position of 3 numbers", InvalidTarget)
+    T = floats(matrix, "a target must be a 4x4 pose, a pin.SE3 or a position of 3 numbers", InvalidTarget)
     if T.shape == (3,):
         return _near(_numbers(T, 3, "target position")), ""
     if T.shape != (4, 4):
         raise InvalidTarget(
-            f"a target is a 4x4 pose, a pin.SE3 or a position of 3 numbers, not an array of shape {T.shape}"
+            f"a target must be a 4x4 pose, a pin.SE3 or a position of 3 numbers, not an array of shape {T.shape}"
         )
     if not np.isfinite(T).all():
         raise InvalidTarget("the target pose has entries that are not finite numbers")

@@ -86,7 +86,7 @@ def _arrays(path: Path, names: Sequence[str]) -> Iterator[Any]:
         yield {name: _array(path, name, content[name]) if name in names else None for name in content}
         return
     if not zipfile.is_zipfile(path):  # numpy would advise to unpickle it
-        raise InvalidTarget(f"'{path.name}' is no NPZ file (see numpy.savez)")
+        raise InvalidTarget(f"'{path.name}' is not an NPZ file (see numpy.savez)")
     _check_size(path, names)
     with np.load(path, allow_pickle=False) as file:
         yield file
@@ -115,7 +115,7 @@ def _read_arrays(path: Path, times: bool) -> Block:
         xyz = np.asarray(file["xyz"], dtype=float)
         given = [name for name in ORDERS if name in file]
         if len(given) > 1:
-            raise InvalidTarget(f"'{path.name}' has {' and '.join(given)}; one of them says the rotations")
+            raise InvalidTarget(f"'{path.name}' has {' and '.join(given)}; give only one of them")
         quat = np.asarray(file[given[0]], dtype=float) if given else None
     if xyz.ndim != 2 or xyz.shape[1] != 3 or (quat is not None and quat.shape != (len(xyz), 4)):
         raise InvalidTarget(f"'{path.name}': xyz has the shape (N, 3) and {' or '.join(given or ORDERS)} (N, 4)")
@@ -143,7 +143,7 @@ def _read_arrays_by_tip(path: Path, tips: Sequence[str]) -> dict[str, np.ndarray
                 raise InvalidTarget(f"'{path.name}': {tip} has the shape (N, 4, 4) or (N, 3), not {array.shape}")
         if len({len(array) for array in named.values()}) > 1:
             rows = ", ".join(f"{tip} has {len(array)}" for tip, array in named.items())
-            raise InvalidTarget(f"'{path.name}': every tip takes as many rows as the others; {rows}")
+            raise InvalidTarget(f"'{path.name}': every tip needs the same number of rows; {rows}")
         return named
     for tip in order:
         if tip not in tips:
@@ -274,9 +274,9 @@ def _numbers(texts: list[str], columns: list[int], lines: list[int], name: str) 
         try:
             row = next(csv.reader([text], strict=True))
         except csv.Error as error:
-            raise InvalidTarget(f"'{name}', line {k}: {_said(error)}; a quote that is not closed?") from None
+            raise InvalidTarget(f"'{name}', line {k}: {_said(error)}; unclosed quote?") from None
         if len(row) <= max(columns):
-            raise InvalidTarget(f"'{name}', line {k}: {len(row)} columns where the first line has more")
+            raise InvalidTarget(f"'{name}', line {k}: {len(row)} columns, fewer than in the first line")
         for column in columns:
             try:
                 good = np.isfinite(float(row[column]))

@@ -144,7 +144,9 @@ def screw(model: pin.Model, data: pin.Data, j: int) -> tuple[bool, float, np.nda
     screw = np.asarray(data.joints[j].S).reshape(6)
     slides, turns = screw[:3].any(), screw[3:].any()
     if slides and turns:
-        raise ModelError(f"joint '{model.names[j]}' moves along a helix; only turning or prismatic joints are handled")
+        raise ModelError(
+            f"joint '{model.names[j]}' moves along a helix; only revolute and prismatic joints are supported"
+        )
     if not (slides or turns):
         raise ModelError(f"joint '{model.names[j]}' does not move: its axis is zero")
     vector = screw[3:] if turns else screw[:3]

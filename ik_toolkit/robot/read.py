@@ -11,7 +11,7 @@ from xml.parsers import expat
 from ..errors import ModelError
 
 MAX_BYTES = 20_000_000
-MAX_JOINTS = 1_000  # fixed ones and followers included: Pinocchio's parser calls itself once a joint of a chain
+MAX_JOINTS = 1_000  # fixed ones and followers included: Pinocchio's parser recurses once per joint of a chain
 MAX_FREEDOM = 128  # one pin.Data holds eight arrays of n^3 doubles: 134 MB at 128, 0.5 GB at 200, 8 GB at 500
 MAX_ELEMENTS = 200_000
 MAX_DEPTH = 64
@@ -114,7 +114,7 @@ def _read_file(path: Path) -> str:
     if not regular:
         raise ModelError(f"{shown} is not a regular file" if exists else f"there is no file {shown}")
     if len(raw) > MAX_BYTES:
-        raise ModelError(f"'{path.name}' is larger than {MAX_BYTES // 1_000_000} MB; a robot description is not")
+        raise ModelError(f"'{path.name}' is larger than {MAX_BYTES // 1_000_000} MB, too large for a robot description")
     try:
         text = raw.decode("utf-8-sig").lstrip()
     except UnicodeDecodeError as error:

@@ -50,9 +50,9 @@ class Robot(Joints):
     Attributes: name; model (pin.Model, mimic joints followed); base, tip (frame names); joint_names (n,), one per moving
     joint of the path base -> tip; joint_kinds (n,) 'revolute', 'continuous' or 'prismatic'; lower, upper, home (n,) [rad or
     m], infinite limits for continuous joints; velocity_limits (n,) [rad/s or m/s]; chain (kernel arrays); rest (nq,) values
-    of the joints off the path; locked_joints (name -> value held); tool (pin.SE3, T_tip_tool); urdf (text or None), path (file
-    or None), package_dirs; on_base, base_limits; srdf (what its SRDF says); notes (what of the description was changed or left
-    out); tips, arms, places and reach, as a Tree has them; memo and named (see Joints).
+    of the joints off the path; locked_joints (name -> value held); tool (pin.SE3, T_tip_tool); urdf (text or None), path
+    (file or None), package_dirs; on_base, base_limits; srdf (what its SRDF says); notes (parts of the description that were
+    changed or left out); tips, arms, places and reach, as in a Tree; memo and named (see Joints).
     """
 
     def __init__(
@@ -75,11 +75,11 @@ class Robot(Joints):
     ) -> None:
         """Wrap an existing model.
 
-        tip (or ee_link, another word for it), base: frame names (base default: the root; tip may be omitted when only one
-        candidate exists). home (n,): a good non-singular start; default mid-range. locked: joint name -> value [rad or m], held
-        constant and left out of q. on_base, base_limits: see `load`; a free-flyer of the model is solved for as a floating base
-        is, and needs base_limits. srdf: a file or text of SRDF; its passive joints are held, too. Raises FrameNotFound,
-        JointNotFound, ModelError, InvalidConfiguration, InvalidOption.
+        tip (or its other name ee_link), base: frame names (base default: the root; tip may be omitted when only one candidate
+        exists). home (n,): a good non-singular start; default mid-range. locked: joint name -> value [rad or m], held
+        constant and left out of q. on_base, base_limits: see `load`; a free-flyer of the model is treated as a floating base,
+        and needs base_limits. srdf: a file or text of SRDF; its passive joints are held. Raises FrameNotFound, JointNotFound,
+        ModelError, InvalidConfiguration, InvalidOption.
         """
         tip = one_word(tip, ee_link)
         if not isinstance(model, pin.Model):
@@ -87,9 +87,7 @@ class Robot(Joints):
                 f"a pin.Model is expected, not {type(model).__name__}; Robot.load reads names, paths and URDF text"
             )
         if on_base is not None and base is not None:
-            raise InvalidOption(
-                "on_base says where the robot stands in the world, and poses are given there; leave out base"
-            )
+            raise InvalidOption("on_base places the robot in the world, in which poses are then given; omit base")
         self.on_base, self.base_limits = on_base, base_limits
         self.notes = tuple(notes)
         self._settle(model)
@@ -129,14 +127,15 @@ class Robot(Joints):
     ) -> "Robot":
         """Load a robot by shipped name, path of a URDF or xacro file, URDF text, or example-robot-data name.
 
-        tip, or ee_link: one frame, link or joint (default: guessed by its name, and said); for several see `Tree.load`.
-        xacro_args: values of a xacro file's arguments by name. on_base: a pose (4, 4) of the robot's root in the world, in which
-        poses are then given; 'planar' puts base_x, base_y, base_yaw before q, 'floating' base_x, base_y, base_z, base_yaw,
-        base_pitch, base_roll (Rz Ry Rx). base_limits: (lower, upper) [m] of the slides among them, one pair or one each, or a
-        dict by name; turns are endless but for the pitch (85 degrees either way) where it has none. srdf: an SRDF (file or text;
-        default: the one beside the file, see `srdf_beside`; False: none). group: a group of it, whose base and tip are taken (with
-        on_base its tip). Meshes are never read. Raises RobotNotFound, ModelError (broken or hostile file, in one sentence),
-        FrameNotFound (lists the frames), JointNotFound, InvalidOption, MissingExtra (xacro).
+        tip, or ee_link: one frame, link or joint (default: guessed by its name, and reported); for several see `Tree.load`.
+        xacro_args: values of a xacro file's arguments by name. on_base: a pose (4, 4) of the robot's root in the world, in
+        which poses are then given; 'planar' puts base_x, base_y, base_yaw before q, 'floating' base_x, base_y, base_z,
+        base_yaw, base_pitch, base_roll (Rz Ry Rx). base_limits: (lower, upper) [m] of the prismatic joints among them, one
+        pair or one each, or a dict by name; turns are endless but for the pitch (85 degrees either way) where it has none.
+        srdf: an SRDF (file or text; default: the one next to the file, see `srdf_beside`; False: none). group: one of its
+        groups, which sets base and tip (with on_base its tip). Meshes are never read. Raises RobotNotFound, ModelError
+        (broken or hostile file, in one sentence), FrameNotFound (lists the frames), JointNotFound, InvalidOption,
+        MissingExtra (xacro).
         """
         tip = one_word(tip, ee_link)
         entry, made = read(source, package_dirs, xacro_args)
@@ -178,7 +177,7 @@ class Robot(Joints):
             several = (
                 "; for several tips use ik.Tree.load(source, tips=[...])" if isinstance(name, list | tuple) else ""
             )
-            raise InvalidOption(f"a tip or base is the name of one frame, not {name!r}{several}")
+            raise InvalidOption(f"tip and base must each be the name of one frame, not {name!r}{several}")
         self._frame_id(name)
         return name
 
@@ -288,7 +287,7 @@ class Robot(Joints):
 
     @property
     def arms(self) -> tuple["Robot"]:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """The robot itself, as a Tree has a robot a tip."""
+        """The robot itself; a Tree has one Robot per tip."""
         return (self,)
 
     # ------------------------------------------------------------------------------------------------ kinematics
@@ -357,9 +356,10 @@ class Robot(Joints):
         return other
 
     def with_tool(self, T_tip_tool: Any, shape: Shape | None = None, T_tip_shape: Any = None) -> "Robot":
-        """Return a copy whose tip is moved by T_tip_tool (4x4 or pin.SE3): targets, fk and errors are of the tool's point.
+        """Return a copy whose tip is moved by T_tip_tool (4x4 or pin.SE3): targets, fk and errors then refer to the tool
+        frame.
 
-        shape: what collisions are tested for; its pose is T_tip_shape (4, 4), from the tip before, or T_tip_tool without it.
+        shape: its collision shape, at T_tip_shape (4, 4) in the old tip frame, or at T_tip_tool.
         """
         T = as_matrix(T_tip_tool)
         other = self._variant()

@@ -16,7 +16,7 @@ def header(frame: str = "") -> dict[str, Any]:
 def joint_trajectory(
     names: Sequence[str], frame: str, t: np.ndarray, q: np.ndarray, dq: np.ndarray, ddq: np.ndarray | None = None
 ) -> dict[str, Any]:
-    """A trajectory_msgs/JointTrajectory: t (N,) [s], q, dq and ddq (N, n) [rad or m, per s, per s^2], a point a row."""
+    """A trajectory_msgs/JointTrajectory: t (N,) [s], q, dq and ddq (N, n) [rad or m, per s, per s^2], one point per row."""
     whole = np.floor(t).astype(int)
     nanos = np.minimum(np.round((t - whole) * 1e9), LARGEST_NANOSEC).astype(int)
     rows = zip(

@@ -83,7 +83,9 @@ def surface(mesh: Mesh, scale: np.ndarray) -> Any:
 def is_shape(value: Any) -> Shape:
     """Return a Shape; InvalidOption for anything else."""
     if not isinstance(value, Shape):
-        raise InvalidOption(f"a shape is one of ik.Shape.box, sphere, cylinder, capsule or mesh, not {value!r:.60}")
+        raise InvalidOption(
+            f"a shape must be one of ik.Shape.box, sphere, cylinder, capsule or mesh, not {value!r:.60}"
+        )
     return value
 
 

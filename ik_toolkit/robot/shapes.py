@@ -132,12 +132,12 @@ def _shape(
             raise ModelError("a mesh has no file name")
         sizes = _numbers("mesh", attributes, {"scale": 3}, "1 1 1")
         if not all(0.0 < abs(size) <= LARGEST for size in sizes):
-            raise ModelError(f'<mesh scale="{attributes["scale"][:60]}"> leaves nothing, or is too large')
+            raise ModelError(f'<mesh scale="{attributes["scale"][:60]}"> is zero or too large')
     elif kind in SIZES:
         sizes = _numbers(tag, attributes, SIZES[kind])
         if not all(0.0 < size <= LARGEST for size in sizes):
             shown = " ".join(f'{key}="{attributes[key][:60]}"' for key in SIZES[kind])
-            raise ModelError(f"<{tag} {shown}> is no shape: sizes are positive, and at most {LARGEST:g} m")
+            raise ModelError(f"<{tag} {shown}> is not a valid shape: sizes must be positive and at most {LARGEST:g} m")
     else:
         known = ", ".join(("mesh", *SIZES))
         raise ModelError(f"<{tag[:60]}> is not a shape; {known} are" if tag else "a shape has no geometry")

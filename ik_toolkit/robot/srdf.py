@@ -185,7 +185,7 @@ def _srdf_of(given: Any, model: pin.Model, path: Path | None) -> Srdf:
         try:
             return read_srdf(beside)
         except ModelError as error:
-            LOG.warning("'%s', which lies beside the robot, is not used: %s", beside.name, error)
+            LOG.warning("'%s' next to the robot is not used: %s", beside.name, error)
             return Srdf(remarks=(f"'{beside.name}' is not used: {error}",))
     if given is False:
         return Srdf()
@@ -299,7 +299,7 @@ def _parse(text: str, path: Path | None) -> Srdf:
             if not values or not all(map(math.isfinite, values)):
                 shown = given.get("value", "")[:60]
                 raise ModelError(
-                    f"joint '{given['name']}' in line {line} of the SRDF: value \"{shown}\" is no finite number"
+                    f"joint '{given['name']}' in line {line} of the SRDF: value \"{shown}\" is not a finite number"
                 )
             known = states[inside[0]].setdefault(given["name"], tuple(values))
             if known != tuple(values):
@@ -311,7 +311,7 @@ def _parse(text: str, path: Path | None) -> Srdf:
             if tag == "group_state":
                 states.setdefault(given["name"], {})
             elif given["name"] in groups:
-                raise ModelError(f"group '{given['name']}' stands twice in the SRDF, again in line {line}")
+                raise ModelError(f"group '{given['name']}' is defined twice in the SRDF, again in line {line}")
             else:
                 groups[given["name"]] = {kind: [] for kind in MEMBERS}
         elif tag == "end_effector":

@@ -67,7 +67,9 @@ def guess_tip(model: pin.Model) -> Guess:
     plain = [f for f in ends if not OTHERS & set(words(f.name))] or ends
     joints = {f.name: len(model.supports[f.parentJoint]) for f in plain}
     most = max(joints.values(), default=0)
-    longest = {f.parentJoint: f.name for f in reversed(plain) if joints[f.name] == most}  # one frame a joint, the first
+    longest = {
+        f.parentJoint: f.name for f in reversed(plain) if joints[f.name] == most
+    }  # one frame per joint, the first
     return Guess(tuple(longest.values())[::-1], "the end of the longest path")
 
 
@@ -106,7 +108,7 @@ def one_word(tip: str | None, ee_link: str | None) -> str | None:
     """The tip, by whichever of its two words it is given. Raises InvalidOption."""
     if tip is not None and ee_link is not None and tip != ee_link:
         raise InvalidOption(
-            f"tip and ee_link are two words for one frame, not {tip!r} and {ee_link!r}; give one of them"
+            f"tip and ee_link are two names for one frame, not {tip!r} and {ee_link!r}; give one of them"
         )
     return ee_link if tip is None else tip
 

@@ -104,9 +104,10 @@ class Tree(Joints):
     ) -> "Tree":
         """Load several tips of a robot by shipped name, path of a URDF or xacro file, URDF text, or example-robot-data name.
 
-        tips: frame names; default those that a known name stands for (see `ik robots`), where it has several. A known home is
-        used joint by joint. on_base, base_limits: see Robot.load; the base is shared. srdf: as in Robot.load; group:
-        one of it, whose base and tips are taken. Raises what Robot.load does; FrameNotFound without tips lists the ends of paths.
+        tips: frame names; default: the known tips of the robot (see `ik robots`), if it has several. A known home is used
+        joint by joint. on_base, base_limits: see Robot.load; the base is shared. srdf: as in Robot.load; group: one of its
+        groups, which sets base and tips taken. Raises what Robot.load does; FrameNotFound without tips lists the ends of
+        paths.
         """
         entry, made = read(source, package_dirs, xacro_args)
         made["srdf"] = srdf_of(srdf, made["model"], entry.path, made.pop("states"))
@@ -147,7 +148,7 @@ class Tree(Joints):
         return {arm.tip: arm._fk(q[place]) for arm, place in zip(self.arms, self.places, strict=True)}
 
     def jacobian(self, q: Any) -> np.ndarray:
-        """Stacked Jacobian (6 F, n): six rows a tip in the order of `tips`, base axes, linear rows first, by Pinocchio."""
+        """Stacked Jacobian (6 F, n): six rows per tip in the order of `tips`, base axes, linear rows first, by Pinocchio."""
         q = self.check_q(q)
         J = np.zeros((6 * len(self.arms), self.n))
         for f, (arm, place) in enumerate(zip(self.arms, self.places, strict=True)):

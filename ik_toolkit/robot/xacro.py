@@ -26,7 +26,7 @@ def expand(path: Path, package_dirs: Iterable[str | Path] = (), arguments: Mappi
     given = {}
     for name, value in (arguments or {}).items():
         if not isinstance(name, str) or not isinstance(value, str | int | float):
-            raise InvalidOption(f"xacro_args are names with a text or a number each, not {name!r:.60}: {value!r:.60}")
+            raise InvalidOption(f"xacro_args must map names to texts or numbers, not {name!r:.60}: {value!r:.60}")
         given[name] = str(value).lower() if isinstance(value, bool) else str(value)
     file = path.expanduser().resolve()
     folders = [str(Path(folder).expanduser().resolve()) for folder in package_dirs]
@@ -46,5 +46,5 @@ def expand(path: Path, package_dirs: Iterable[str | Path] = (), arguments: Mappi
     if "error" in answer:
         raise ModelError(f"'{path.name}' cannot be expanded: {answer['error']}")
     if "<link" not in answer["urdf"]:
-        raise ModelError(f"'{path.name}' holds xacro macros and no robot; load the file that uses them")
+        raise ModelError(f"'{path.name}' contains xacro macros but no robot; load the file that uses them")
     return answer["urdf"]

@@ -25,14 +25,16 @@ class Around:
         """Build the controls; changed() is called when something was moved. listen: see Goal."""
         self.session, self.listen, self.changed = session, listen, changed
         self.stage: Stage  # from `join` on
-        avoid = gui.add_checkbox("Avoid collisions", session.avoid, hint="Of solves, solutions and drags.")
+        avoid = gui.add_checkbox(
+            "Avoid collisions", session.avoid, hint="When solving, listing solutions and dragging."
+        )
         listen(avoid, "avoid", lambda: self.avoid(avoid.value))
         self.distance = gui.add_checkbox("Show the nearest pair", True)
         listen(self.distance, "facts", changed)
         self.ellipsoid = gui.add_checkbox(
             "Manipulability ellipsoid",
             False,
-            hint="How fast each tip moves, in every direction, at joint speeds of one.",
+            hint="How fast each tip can move in each direction at joint speeds of norm 1.",
         )
         listen(self.ellipsoid, "facts", changed)
         self.size = gui.add_text("Box x y z [m]", "")

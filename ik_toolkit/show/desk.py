@@ -233,9 +233,7 @@ class Desk(Visit):
         s, value = self.session, float(np.clip(self.push.value, -1.0, 1.0))
         turns = any(goal.posed for goal in self.goals)
         if not np.isfinite(value) or not len(freedom(s.robot, s.q, turns)):
-            self.say(
-                "no self-motion: where the tip stands fixes every joint" + ("; try the orientation 'free'" * turns)
-            )
+            self.say("no self-motion: the tip's pose fixes every joint" + ("; try the orientation 'free'" * turns))
             return
         along = np.cos(np.arange(s.robot.n))  # hardly at right angles to the self-motion of any arm
         s.q = slide(s.robot, s.q, along, PUSH * (value - self.pushed), turns, s.limits)

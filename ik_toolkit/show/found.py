@@ -39,7 +39,9 @@ class Found:
         self.folder = gui.add_folder("Solutions", visible=False)
         with self.folder:
             self.table = gui.add_html("")
-            self.number = gui.add_number("Solution", 1, min=1, step=1, hint="Shown as a ghost. Or point at a row.")
+            self.number = gui.add_number(
+                "Solution", 1, min=1, step=1, hint="Shown as a ghost, like a row you point at."
+            )
             button = gui.add_button(GO)
         listen(self.number, "ghost", self.point)
         listen(button, "joints", lambda: go(self.chosen))

@@ -52,7 +52,7 @@ def refusal(headers: Any, host: str) -> str:
         return f"this page is served at {host} only, not as '{name}'"
     origin = headers.get("Origin")
     if origin is not None and origin.partition("://")[2] != asked:
-        return "pages of other sites may not use this one"
+        return "requests from other sites are refused"
     return ""
 
 
@@ -83,7 +83,7 @@ def guarded(host: str, token: str) -> Iterator[None]:
                 await talk(connection)
             except Exception as error:
                 LOG.info("unreadable message: %r", error)
-                closing = asyncio.create_task(connection.close(1007, "that was no message of the panel's page"))
+                closing = asyncio.create_task(connection.close(1007, "this is not a message of the panel's page"))
                 with contextlib.suppress(ConnectionClosed):
                     while True:  # what is still on the way would keep the closing word back
                         await connection.recv()
@@ -103,4 +103,4 @@ def _drop(loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
     if context.get("exception") is None:
         loop.default_exception_handler(context)
     else:
-        LOG.info("message without sense: %r", context["exception"])
+        LOG.info("invalid message: %r", context["exception"])

@@ -183,7 +183,7 @@ class Learn:
         }
         self.fields["p"] = gui.add_vector3("p [mm]", (0.0, 0.0, 0.0), step=10.0**-lesson.places, hint="p_x, p_y, p_z")
         if not lesson.posed:
-            gui.add_html(blocks_html([Words("This arm is asked for a position: n, o, a follow from it.")]))
+            gui.add_html(blocks_html([Words("The target of this arm is a position; n, o and a follow from it.")]))
         solve_it = gui.add_button("Joint values", color="blue")
         self.listen(solve_it, "solve", self._inverse)
         forward = gui.add_button("Use FK output", color=QUIET)
@@ -311,7 +311,7 @@ class Learn:
             button.visible = k < len(lesson.branches)
         if made.derivation is not None and lesson.branches:
             free = [Words(made.free_words())] if made.derivation.free is not None else []
-            free += [Words("The answer of the solver is none of these branches.")] if made.chosen is None else []
+            free += [Words("The solver's solution is not one of these branches.")] if made.chosen is None else []
             values = values_table(self.robot, lesson.branches[lesson.shown].q, lesson.places)
             legend = [Words(made.derivation.legend)] if made.derivation.legend else []
             self.words.content = blocks_html([*free, values, *legend])

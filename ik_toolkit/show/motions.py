@@ -49,7 +49,7 @@ def of_path(result: Any) -> Motion:
     ends = {piece.stop - 1 for piece in result.pieces[:-1]}
     labels = [f"pose {place:.1f}{_much(x, 'mm')}" for place, x in zip(result.at[finite], values, strict=True)]
     return Motion(
-        result.curve[finite], None, labels, values, "off the path, at most", "mm",
+        result.curve[finite], None, labels, values, "deviation from the path, at most", "mm",
         result.targets[:, :, :3, 3] if result.options.relative_to is None else None,
         tuple(k for k, row in enumerate(finite.tolist()) if row in ends),
         (f"{result.status.name}: {result.message}",), result.collision,

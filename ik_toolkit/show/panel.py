@@ -97,7 +97,7 @@ class Panel:
                 client.close()
             if not refused:
                 self.close()
-                raise InvalidOption("this release of viser cannot be kept from answering everybody: not served")
+                raise InvalidOption("this release of viser would answer anybody, so the panel is not served")
 
     def close(self) -> None:
         """Stop serving and end the visitors' threads."""

@@ -83,4 +83,4 @@ def _deviation(ax: Any, result: Any) -> None:
     ax.axhline(1.0, color=GREY, lw=0.8)
     ax.set_ylim(bottom=0.0)
     ax.legend(fontsize=8, loc="upper right", bbox_to_anchor=(1.0, 1.16), ncols=2)
-    ax.set_title("bound on the way off the path between poses, in tolerances")
+    ax.set_title("bound on the deviation between poses, in tolerances")

@@ -166,7 +166,7 @@ class Scene:
         """Let the robot go through the rows of Q (F, n) behind a time slider; labels (F,) are shown beside it."""
         Q = np.atleast_2d(np.asarray(Q, dtype=float))
         if len(Q) != len(labels) or not len(Q):
-            raise InvalidOption(f"an animation needs one label a row: {len(Q)} rows, {len(labels)} labels")
+            raise InvalidOption(f"an animation needs one label per row: {len(Q)} rows, {len(labels)} labels")
         self.show(Q[first], name)
         poses = np.array([self.body.placements(q) for q in Q], dtype="<f4")[:, :, :3]
         paths = [f"/meshcat/{name}/{part.name}" for part in self.body.parts]
@@ -323,11 +323,10 @@ class Scene:
 def view(robot: Joints, what: Any = None, *, target: Any = None, cloud: Any = None, title: str | None = None) -> Scene:
     """Scene of a robot: at home, at q (n,), as a Result, TrackResult, PathResult, Trajectory, Solutions, or a list of q (ghosts).
 
-    target: pose or position [m] to mark (for a Tree: by tip, or in its order). cloud: points (N, 3), or a pair
-    (points, success). A Result solved with history=True becomes an animation of the solve. The scene shows itself in a
-    notebook cell; `.save("x.html")` writes one file, `.page("x.html")` a page with the solvers in it, `.serve()` opens it to a
-    browser. Raises InvalidConfiguration,
-    InvalidTarget, InvalidOption, MissingExtra.
+    target: pose or position [m] to mark (for a Tree: by tip, or in its order). cloud: points (N, 3), or a pair (points,
+    success). A Result solved with history=True becomes an animation of the solve. The scene shows itself in a notebook cell;
+    `.save("x.html")` writes one file, `.page("x.html")` a page with the solvers in it, `.serve()` serves it to a browser.
+    Raises InvalidConfiguration, InvalidTarget, InvalidOption, MissingExtra.
     """
     scene = Scene(robot, title)
     run, motion = hasattr(what, "target_xyz"), motion_of(what)

@@ -52,7 +52,7 @@ class Handle:
 
 
 class Stage:
-    """A robot in the view of a viser client (or server). handles: one a tip."""
+    """A robot in the view of a viser client (or server). handles: one per tip."""
 
     def __init__(
         self,
@@ -216,7 +216,7 @@ class Stage:
 def _dragged(gizmo: Any, T_world_base: np.ndarray) -> np.ndarray:
     """Pose (4, 4) in the base to which a visitor has dragged something. Raises InvalidTarget."""
     if not np.isfinite([*gizmo.wxyz, *gizmo.position]).all() or not np.any(gizmo.wxyz):
-        raise InvalidTarget("the target was dragged to no pose")
+        raise InvalidTarget("the dragged target is not a valid pose")
     T = np.eye(4)
     T[:3, :3] = pin.Quaternion(*(float(x) for x in gizmo.wxyz)).normalized().matrix()
     T[:3, 3] = gizmo.position

@@ -14,7 +14,7 @@ from .tracking import skeleton
 
 
 def plot_benchmark(found: Benchmark) -> Any:
-    """Draw, a row a robot, the share of targets solved with its 95 % interval, and the share solved within a time."""
+    """Draw, one row per robot, the share of targets solved with its 95 % interval, and the share solved within a time."""
     robots = found.by_robot()
     solvers = list(dict.fromkeys(row.solver for row in found.rows))  # a solver has one colour everywhere
     with drawing() as plt:

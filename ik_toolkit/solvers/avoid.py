@@ -26,7 +26,7 @@ def collision_model(robot: Any, asked: Any) -> CollisionModel:
             )
         return asked
     if not isinstance(asked, bool | int | float | np.floating) or asked is False:
-        raise InvalidOption(f"avoid_collisions is True, a margin [m] or a CollisionModel, not {asked!r}")
+        raise InvalidOption(f"avoid_collisions must be True, a margin [m] or a CollisionModel, not {asked!r}")
     key = "collision model", 0.0 if asked is True else float(asked)
     if key not in robot.memo:
         robot.memo[key] = CollisionModel(robot, margin=key[1])

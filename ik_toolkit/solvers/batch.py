@@ -56,16 +56,14 @@ def solve_parts(
     if executor is not None and threads is not None:
         raise InvalidOption("an executor has its own workers; omit threads=")
     if executor is not None and not hasattr(executor, "submit"):
-        raise InvalidOption(f"executor is a pool with a submit method (concurrent.futures), not {executor!r:.80}")
+        raise InvalidOption(f"executor must be a pool with a submit method (concurrent.futures), not {executor!r:.80}")
     if options.get("history"):
         raise InvalidOption("a batch keeps no history; solve the target in question with ik.solve")
     if options.get("timeout") is not None:
-        raise InvalidOption(
-            "a batch answers the same for any number of threads, so it has no timeout; use max_evaluations"
-        )
+        raise InvalidOption("a batch is deterministic, so it takes no timeout; use max_evaluations")
     count = whole("threads", threads) if threads is not None else available_cores()
     if not isinstance(check, int | float | np.floating) or not 0.0 <= check <= 1.0:
-        raise InvalidOption(f"check is the fraction of answers to check again, 0 to 1, not {check!r}")
+        raise InvalidOption(f"check must be the fraction of results to verify, 0 to 1, not {check!r}")
     given = known(targets)
     total = None if given is None else _length(given)
     chunks = blocks(iter([given]) if given is not None else targets, robot)
@@ -154,16 +152,16 @@ def solve_batch(
 ) -> BatchResult:
     """Solve many targets on all cores.
 
-    targets: (N, 4, 4) poses or (N, 3) positions [m], a list of poses, or an iterator of arrays of these shapes; for a Tree of F
-    tips (N, F, 4, 4), (N, F, 3), or a dict by tip of (N, 4, 4) or (N, 3), where a tip left out is free. q0: None (home
-    and seed table), (n,) for all, or (N, n). threads: default all cores. executor: anything with the concurrent.futures
-    interface (a process pool, a Dask client's `get_executor()`) instead of threads. check: fraction of the answers to check
-    again with Pinocchio. progress(done) is called as parts finish. Options and parameters as for `solve`.
-    A row keeps what `solve` promises: limits, tolerances, what a status means. It may be another solution than `solve` gives for
-    that target; q0 per row says near which one to search. It depends on its own target and q0 alone: the same
-    bytes for any number of threads, chunks or workers (on one kind of CPU). Ctrl-C raises BatchInterrupted, a KeyboardInterrupt
-    whose `result` holds the targets finished. Raises BatchCheckFailed when Pinocchio does not confirm an answer (its `result`
-    has every row, none of them a success), InvalidTarget and InvalidConfiguration (naming the target), UnknownSolver and
+    targets: (N, 4, 4) poses or (N, 3) positions [m], a list of poses, or an iterator of arrays of these shapes; for a Tree of
+    F tips (N, F, 4, 4), (N, F, 3), or a dict by tip of (N, 4, 4) or (N, 3), where a tip left out is free. q0: None (home and
+    seed table), (n,) for all, or (N, n). threads: default all cores. executor: anything with the concurrent.futures interface
+    (a process pool, a Dask client's `get_executor()`) instead of threads. check: fraction of the results to verify with
+    Pinocchio. progress(done) is called as parts finish. Options and parameters as for `solve`. Limits, tolerances and
+    statuses mean the same as in `solve`. A row may hold another solution than `solve` finds for that target; a q0 per row
+    selects the one to search near. A row depends only on its own target and q0: the result is identical to the last byte for
+    any number of threads, chunks or workers (on one CPU model). Ctrl-C raises BatchInterrupted, a KeyboardInterrupt whose
+    `result` holds the targets finished. Raises BatchCheckFailed when Pinocchio does not confirm a result (its `result` has
+    every row, none of them a success), InvalidTarget and InvalidConfiguration (naming the target), UnknownSolver and
     InvalidOption.
     """
     given = known(targets)

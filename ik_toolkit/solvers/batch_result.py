@@ -30,7 +30,7 @@ class BatchCheckFailed(IKError):
 
     def __init__(self, result: "BatchResult", target: int, before: int) -> None:
         """Keep the rows; `before` counts those already handed out."""
-        doubt = f" The {before} results already returned are in doubt too." if before else ""
+        doubt = f" The {before} results already returned cannot be trusted either." if before else ""
         super().__init__(
             f"Pinocchio does not confirm the result for target {target}, so no result of this batch can be trusted.{doubt}"
             " Please report this with the robot and the target."
@@ -53,7 +53,7 @@ class BatchResult:
     """
 
     def __init__(self, table: np.ndarray, kinds: tuple, plan: Plan) -> None:
-        """Wrap the kernel's rows (N, width) of targets of these kinds, one a tip."""
+        """Wrap the kernel's rows (N, width) of targets of these kinds, one per tip."""
         self.table = table
         self.kinds = kinds
         self.plan = plan

@@ -72,7 +72,7 @@ def known(targets: Any) -> Any:
     except (TypeError, ValueError) as error:
         if isinstance(error, InvalidTarget):
             raise
-        raise InvalidTarget("targets are an array (N, 4, 4) or (N, 3), or an iterator of such arrays") from None
+        raise InvalidTarget("targets must be an array (N, 4, 4) or (N, 3), or an iterator of such arrays") from None
 
 
 def _named(tip: str, read: Callable[[Any], Any], part: Any) -> Any:
@@ -93,10 +93,10 @@ def _plain(target: Any) -> np.ndarray:
 def _numbers(targets: Any) -> np.ndarray:
     """Targets as an array of real numbers, see `errors.floats`; a view where they are one."""
     if masked(targets):
-        raise InvalidTarget("targets are numbers, and some of these are masked")
+        raise InvalidTarget("targets must be numbers, and some of these are masked")
     array = np.asarray(targets)
     if array.dtype.kind not in "fiu":
-        raise InvalidTarget(f"targets are numbers, not {array.dtype} of shape {array.shape}")
+        raise InvalidTarget(f"targets must be numbers, not {array.dtype} of shape {array.shape}")
     return array
 
 
@@ -112,7 +112,7 @@ def blocks(chunks: Iterator[Any], robot: Any) -> Iterator[Block]:
                 continue
             block = _stacked(array, robot)
         if kinds not in (None, block.kinds):
-            raise InvalidTarget("a batch is of one kind: for each tip all poses or all positions, not both")
+            raise InvalidTarget("a batch holds either poses or positions for each tip, not both")
         kinds = block.kinds
         yield block
 
@@ -121,11 +121,11 @@ def _stacked(array: np.ndarray, robot: Any) -> Block:
     tips, F = robot.tips, len(robot.tips)
     if not robot.by_tip:
         if array.shape[1:] not in SHAPES:
-            raise InvalidTarget(f"targets are numbers of shape (N, 4, 4) or (N, 3), not of shape {array.shape}")
+            raise InvalidTarget(f"targets must be numbers of shape (N, 4, 4) or (N, 3), not of shape {array.shape}")
         return Block((array,), False)
     if array.shape[1:] not in ((F, 4, 4), (F, 3)):
         raise InvalidTarget(
-            f"targets of {', '.join(tips)} are numbers of shape (N, {F}, 4, 4) or (N, {F}, 3), or a dict by tip, not of "
+            f"targets of {', '.join(tips)} must be numbers of shape (N, {F}, 4, 4) or (N, {F}, 3), or a dict by tip, not of "
             f"shape {array.shape}"
         )
     return Block(tuple(array[:, f] for f in range(F)), True)
@@ -139,10 +139,12 @@ def _by_tip(chunk: Mapping[str, Any], robot: Any) -> Block:
         raise InvalidTarget(f"a dict of targets needs at least one of {', '.join(tips)}")
     for tip, part in zip(tips, parts, strict=True):
         if part is not None and part.shape[1:] not in SHAPES:
-            raise InvalidTarget(f"{tip}: targets are numbers of shape (N, 4, 4) or (N, 3), not of shape {part.shape}")
+            raise InvalidTarget(
+                f"{tip}: targets must be numbers of shape (N, 4, 4) or (N, 3), not of shape {part.shape}"
+            )
     if len({len(part) for part in parts if part is not None}) > 1:
         counts = ", ".join(f"{tip} {len(part)}" for tip, part in zip(tips, parts, strict=True) if part is not None)
-        raise InvalidTarget(f"every tip takes as many targets as the others, not {counts}")
+        raise InvalidTarget(f"every tip needs the same number of targets, not {counts}")
     return Block(parts, robot.by_tip)
 
 

@@ -63,7 +63,7 @@ def dh_blocks(arm: Any, table: DHTable | None, q: np.ndarray) -> Iterator[Block]
     ]
     constant = f" A constant transform stands {' and '.join(frames)}." if frames else ""
     yield Words(
-        f"{table.convention.capitalize()} convention; what the joint changes is marked, as it is now.{constant}"
+        f"{table.convention.capitalize()} convention; joint variables are marked, with their present values.{constant}"
     )
 
 

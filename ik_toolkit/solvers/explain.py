@@ -31,7 +31,7 @@ def explain(result: "Result") -> Explanation:
     """Explain a result. Raises InvalidTarget for one that keeps no target (a row of a batch)."""
     of = result._of
     if not of.T.size:
-        raise InvalidTarget("a result of a batch keeps no target; solve that target alone to have it explained")
+        raise InvalidTarget("a result of a batch keeps no target; solve that target alone to get an explanation")
     plan, robot, q = of.plan, of.plan.robot, result.q.copy()
     form, why = _form_of(of)
     derivation, chosen, errors, source = None, None, (), ""
@@ -74,13 +74,13 @@ def _form_of(of: "Outcome") -> tuple[Plan | None, str]:
     if counts_in_part(of.kinds, plan.options) or of.kinds[0] not in (POSE, POSITION):
         return (
             None,
-            "Less than a whole pose or position is asked for, so there is no closed form: it is found by iteration.",
+            "Only part of a pose or position is required, so no closed form applies: the solution is found by iteration.",
         )
     name = fits(robot, of.kinds[0])
     if name is None:
         return (
             None,
-            f"No closed form of the toolkit fits '{robot.name}' and this kind of target, so it is found by iteration.",
+            f"No closed form of the toolkit fits '{robot.name}' and this kind of target, so the solution is found by iteration.",
         )
     row = find_row(name)
     return Plan(robot, row, row.load()(), plan.options), ""

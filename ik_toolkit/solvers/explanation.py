@@ -146,7 +146,7 @@ class Explanation:
         marked = "! is outside the joint's limits. " if any(branch.outside for branch in branches) else ""
         yield Words(f"{marked}FK error: distance from the target by Pinocchio. {self.derivation.legend}".rstrip())
         if self.chosen is None:
-            yield Words("The answer is none of these branches.")
+            yield Words("The solution is not one of these branches.")
 
     def iteration_blocks(self) -> Iterator[Block]:
         """Errors by iteration."""

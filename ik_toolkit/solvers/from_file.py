@@ -28,17 +28,17 @@ def from_file(text: str) -> type:
     classes = _classes(path)
     solvers = {key: cls for key, cls in classes.items() if hasattr(cls, "loop")}
     if not wanted:
-        raise InvalidOption(f"solver '{text}': say which class, {name}:CLASS.{near_match(path.stem, solvers)}")
+        raise InvalidOption(f"solver '{text}': name the class: {name}:CLASS.{near_match(path.stem, solvers)}")
     if wanted in solvers:
         return solvers[wanted]
     mark = "a solver is marked by @ik_toolkit.rule or @ik_toolkit.closed_form"
     if wanted in classes:
-        raise InvalidOption(f"solver '{text}': the class {wanted} is no solver; {mark}")
+        raise InvalidOption(f"solver '{text}': the class {wanted} is not a solver; {mark}")
     tail = near_match(wanted, solvers) or f" It defines no solver; {mark}."
     raise InvalidOption(f"solver '{text}': the file has no class '{wanted}'.{tail}")
 
 
-@functools.cache  # a file is run once a process
+@functools.cache  # a file is run once per process
 def _classes(path: Path) -> dict[str, type]:
     """Classes that a file makes, by name. Raises InvalidOption when it does not run."""
     # A name of its own, so that a file called as a module (numpy.py) hides nothing. It goes by the content, so that what was

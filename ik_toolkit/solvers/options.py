@@ -30,7 +30,7 @@ FRAMES = ("base", "tip", "target")
 class Options:
     """How to run a solver.
 
-    position_tolerance [m], orientation_tolerance [rad]: both errors must be below theirs. max_iterations: steps an attempt;
+    position_tolerance [m], orientation_tolerance [rad]: both errors must be below theirs. max_iterations: steps per attempt;
     restarts: further attempts from other starts (None: the solver's own). max_evaluations: budget of FK evaluations over all
     attempts. timeout: the same in seconds, which is not deterministic; max_evaluations=result.fk_evaluations repeats what it
     found. The first slice, of 256 evaluations, is always made. seed: of the random starts. limits: keep joints inside their
@@ -159,7 +159,7 @@ def make_options(given: dict[str, Any]) -> Options:
         elif name in ("max_iterations", "max_evaluations", "restarts", "seed") and value is not None:
             low = 0 if name in ("seed", "restarts", "max_iterations") else 1
             if name == "seed" and np.ndim(value):  # other packages call the start a seed
-                raise InvalidOption("seed is the number that random starts are drawn with; the start is q0")
+                raise InvalidOption("seed is the random seed of the restarts; the start is q0")
             if isinstance(value, bool) or int(_number(name, value, low, 2**31)) != value:
                 raise InvalidOption(f"{name} must be a whole number of at least {low}, not {value!r}")
             values[name] = int(value)
@@ -188,7 +188,7 @@ def make_options(given: dict[str, Any]) -> Options:
         elif name == "relative_to" and value is not None:
             if not isinstance(value, Mapping) or not all(isinstance(x, str) for pair in value.items() for x in pair):
                 raise InvalidOption(
-                    f"relative_to is a dict from a tip to the tip its target is relative to, not {value!r}"
+                    f"relative_to must be a dict from a tip to the tip its target is relative to, not {value!r}"
                 )
             values[name] = dict(value) or None
         elif name == "joint_weights" and value is not None:
@@ -225,7 +225,7 @@ def counting(name: str, value: Any) -> Any:
         return tuple(array.tolist())
     length = float(np.linalg.norm(array)) if array.shape == (3,) else 0.0
     if not 1e-9 < length < math.inf:  # shorter, it has no direction to speak of
-        raise InvalidOption(f"free_turn is an axis of the tip, three numbers that are not all 0, not {value!r}")
+        raise InvalidOption(f"free_turn must be an axis of the tip, three numbers that are not all 0, not {value!r}")
     return tuple((array / length).tolist())
 
 

@@ -163,7 +163,9 @@ def rule(cls: Any = None, *, step: Any = None) -> Any:
         if not hasattr(record, "_fields") or not hasattr(record, "step"):
             raise TypeError(f"{cls.__name__}: a rule is a NamedTuple class with a method step(self, p, e)")
         if not record._fields:
-            raise TypeError(f"{cls.__name__}: numba passes no record without fields; give it a parameter")
+            raise TypeError(
+                f"{cls.__name__}: numba cannot pass a record without fields; give it at least one parameter"
+            )
         if step is None:
             compiled(cls)
         cls.COMPILED = record
@@ -223,7 +225,7 @@ def refusal(row: Row, solver: Any, asked: Asked) -> str:
     if row.closed and (o.closest or o.follow or counts_in_part(asked.kinds, o)):
         return f"is a closed form and takes no mask, slack, free_turn, axis target, closest or follow; use '{GENERAL}'"
     if row.moves_all and o.joint_weights is not None and 0.0 in o.joint_weights:
-        return f"moves every joint, so a joint weight of 0 is not kept; use '{GENERAL}'"
+        return f"moves every joint, so it cannot hold one (joint weight 0); use '{GENERAL}'"
     for kind, word, solved in ((POSITION, "positions", row.position), (POSE, "poses", row.pose)):
         if kind in asked.kinds and not solved:
             return f"does not solve {word}: {row.handles}"
@@ -240,5 +242,5 @@ def parameters(row: Row, solver: Any, asked: Asked) -> np.ndarray:
         numbers = np.array(np.nan)
     if numbers.ndim != 1 or not np.isfinite(numbers).all():
         given = ", ".join(f"{key}={value!r:.60}" for key, value in solver._asdict().items() if value is not None)
-        raise InvalidOption(f"the parameters of solver '{row.name}' are finite numbers, not {given}")
+        raise InvalidOption(f"the parameters of solver '{row.name}' must be finite numbers, not {given}")
     return numbers

@@ -1,4 +1,4 @@
-"""One row a solver. The CLI's choices, `ik solvers`, the docs table, the benchmark and the contract tests come from here.
+"""One row per solver. The CLI's choices, `ik solvers`, the docs table, the benchmark and the contract tests come from here.
 
 Rows are plain data with dotted names, so that listing them imports neither Pinocchio nor numba. Another package registers a solver
 by an entry point of the group `ik_toolkit.solvers`, named as the solver and leading to its row:
@@ -39,13 +39,13 @@ LENGTH = Length()
 
 @dataclass(frozen=True)
 class Row:
-    """What the toolkit knows of a solver without importing it.
+    """What the toolkit knows about a solver without importing it.
 
-    target: "module:Class" of the rule or closed form. search: how long it goes on; several: the same for several tips, where it
-    differs. closed: a closed form. pose, position: the targets it solves. one_tip: not for several tips. moves_all: moves every
-    joint, so that none can be held by a weight of 0. tracks: makes sense one step a sample. joints: of a closed form that 'auto'
-    takes where it fits, the numbers of joints of the robots it may fit. package: whose it is, when it is not ours (see
-    `registered`). cls: the class, when it need not be imported. What a solver does beyond that it says itself: see `protocol`.
+    target: "module:Class" of the rule or closed form. search: its default length; several: the same for several tips, if that
+    differs. closed: a closed form. pose, position: the targets it solves. one_tip: not for several tips. moves_all: moves
+    every joint, so that none can be held by a weight of 0. tracks: makes sense with one step per sample. joints: for a closed
+    form that 'auto' uses where it fits, the numbers of joints it may fit. package: the package it comes from, if not this one
+    (see `registered`). cls: the class, if it need not be imported. Everything else a solver declares itself: see `protocol`.
     """
 
     name: str
@@ -79,7 +79,7 @@ class Row:
             raise UnknownSolver(f"solver '{self.name}' of package {self.package} cannot be loaded: {what}") from error
         if not hasattr(cls, "loop"):
             raise UnknownSolver(
-                f"solver '{self.name}': {self.target} is no solver; put @ik_toolkit.rule over the class"
+                f"solver '{self.name}': {self.target} is not a solver; put @ik_toolkit.rule above the class"
             )
         return cls
 
@@ -121,7 +121,7 @@ ROWS: tuple[Row, ...] = (
         "transpose",
         _RULES + "jacobian:Transpose",
         "Jacobian transpose with the exact line-search gain",
-        "any robot; position, pose, masks; slow near the answer",
+        "any robot; position, pose, masks; slow near the solution",
         "Buss 2004; Burrell 2016 eq. 11-12",
         search=Length(5000),
     ),
@@ -201,7 +201,7 @@ def list_rows() -> tuple[Row, ...]:
     return (*ROWS, *registered().values())
 
 
-@functools.cache  # once a process: reading what is installed takes some milliseconds
+@functools.cache  # once per process: reading what is installed takes some milliseconds
 def registered() -> dict[str, Row]:
     """Rows of other packages by name. What is broken is left out, with a warning that names the package."""
     import importlib.metadata
@@ -218,7 +218,7 @@ def registered() -> dict[str, Row]:
             continue
         if row.name in found:
             LOG.warning(
-                "packages %s and %s both register a solver '%s': neither is taken",
+                "packages %s and %s both register a solver '%s': neither is used",
                 *sorted((found[row.name][1], package)),
                 row.name,
             )
@@ -235,9 +235,11 @@ def _row(point: Any) -> Row:
     if row.name != point.name:
         raise InvalidOption(f"its row is called '{row.name}'")
     if not NAME.fullmatch(row.name) or row.name == "auto":
-        raise InvalidOption("a name is made of small letters, digits, '-', '_' and '.', and is not 'auto'")
+        raise InvalidOption(
+            "a name must consist of lowercase letters, digits, '-', '_' and '.', and must not be 'auto'"
+        )
     if row.name in BY_NAME:
-        raise InvalidOption("ik_toolkit has a solver of that name")
+        raise InvalidOption("ik_toolkit already has a solver of that name")
     if row.target.count(":") != 1:
         raise InvalidOption(f"its target '{row.target}' is not MODULE:CLASS")
     return replace(
@@ -261,10 +263,10 @@ def find_row(solver: Any) -> Row:
                 return row
         return _own(cls)
     if hasattr(cls, "_fields") and hasattr(cls, "step"):
-        raise UnknownSolver(f"{cls.__name__} is no rule yet: put @ik_toolkit.rule over the class")
+        raise UnknownSolver(f"{cls.__name__} is not marked as a rule: put @ik_toolkit.rule above the class")
     what = f"the class {cls.__name__}" if isinstance(solver, type) else f"{solver!r:.60}"
     names = ", ".join(BY_NAME)
-    raise UnknownSolver(f"a solver is a name, a rule class or an instance of one, not {what}. Available: {names}.")
+    raise UnknownSolver(f"a solver must be a name, a rule class or an instance of one, not {what}. Available: {names}.")
 
 
 def _own(cls: type) -> Row:

@@ -70,7 +70,7 @@ class Result:
     (names standing on a limit); elapsed [s]; seed; solver (name); notice (what was corrected in the input, or that q comes
     from another attempt than the one from q0 or is half a turn from it, or ''); collision (pair of names that touch at q,
     when collisions are avoided and no answer without one was found, else None); history (dict of arrays q, position_error,
-    orientation_error and attempt, one row an evaluation, or None; attempt is -1 in later attempts than the first 12 and the one
+    orientation_error and attempt, one row per evaluation, or None; attempt is -1 in later attempts than the first 12 and the one
     that q comes from).
     """
 

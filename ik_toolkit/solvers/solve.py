@@ -34,8 +34,8 @@ EXACT = {  # options that a closed form honours or has no use for; 'auto' takes 
 class Solver:
     """A solver bound to a robot, for hot loops: `solver(target, q0=None) -> Result`, a few microseconds.
 
-    robot: a Robot, or a Tree (several tips solved for together). solver: name, rule class or instance; parameters of the rule
-    and options (see Options) as keywords. 'auto' (the default, as in `solve`) takes a closed form for the kinds of target it
+    robot: a Robot, or a Tree (several tips solved together). solver: name, rule class or instance; parameters of the rule and
+    options (see Options) as keywords. 'auto' (the default, as in `solve`) uses a closed form for the kinds of target it
     solves exactly, otherwise the search; `result.solver` names the one used. The result is the kernel's own evaluation unless
     check=True. Safe to call from several threads. Attributes: robot, name, plan (see `plan.Plan`). Raises UnknownSolver,
     InvalidOption.
@@ -68,15 +68,15 @@ class Solver:
         return self.plan.options
 
     def plan_for(self, kinds: tuple) -> Plan:
-        """The plan for targets of these kinds, one a tip."""
+        """The plan for targets of these kinds, one per tip."""
         return self._plans.get(kinds, self.plan)
 
     def __call__(self, target: Any, q0: Any = None) -> Result:
         """Solve for one target; q0 (n,): where the first attempt starts.
 
-        target: T_base_tip (4, 4), pin.SE3, a position (3,) [m] or an AxisTarget; of several tips a dict by tip of these, or a
-        list in the order of `robot.tips`. Without q0 the answer may be any solution. Raises InvalidTarget, FrameNotFound and
-        InvalidConfiguration; a failure to converge is a status in the Result.
+        target: T_base_tip (4, 4), pin.SE3, a position (3,) [m] or an AxisTarget; for several tips a dict of these by tip, or
+        a list in the order of `robot.tips`. Without q0 the answer may be any solution. Raises InvalidTarget, FrameNotFound
+        and InvalidConfiguration; a failure to converge is a status in the Result.
         """
         started = perf_counter()
         notice = ""
@@ -111,8 +111,8 @@ class Solver:
     def all(self, target: Any, q0: Any = None, *, starts: int = 1000, count: int = 64) -> Any:
         """Every distinct solution of a target, nearest to q0 (default home) first: `Solutions`, see `solve_all`.
 
-        Targets (N, 4, 4) or (N, 3) give a `SolutionsBatch`. Evaluated by the kernel; by Pinocchio too with check=True. Of a closed
-        form of ours without a free lift it takes some 20 microseconds. Raises as the solver does.
+        Targets (N, 4, 4) or (N, 3) give a `SolutionsBatch`. Evaluated by the kernel; with check=True also by Pinocchio. With
+        a built-in closed form without a free lift it takes some 20 microseconds. Raises as the solver does.
         """
         from .every import find_all
 
@@ -122,7 +122,7 @@ class Solver:
 def require_robot(robot: Any) -> None:
     """Raise InvalidOption when the first argument is no robot."""
     if not isinstance(robot, Robot | Tree):
-        raise InvalidOption(f"the first argument is a Robot (see Robot.load), not {type(robot).__name__}")
+        raise InvalidOption(f"the first argument must be a Robot (see Robot.load), not {type(robot).__name__}")
 
 
 def make_plan(robot: Any, solver: Any, options: Mapping[str, Any]) -> Plan:
@@ -180,14 +180,14 @@ def solve(
     """Find joint values that bring the tip to the target, or several tips to theirs.
 
     target: T_base_tip (4, 4) or pin.SE3, a position (3,) with orientation free [m], or an AxisTarget (see `pose`); for a Tree
-    a dict by tip of these, or a list in the order of its tips. solver: a name, a rule class or an instance with its
+    a dict of these by tip, or a list in the order of its tips. solver: a name, a rule class or an instance with its
     parameters; 'auto' uses a closed form where one fits and the search otherwise. q0 (n,): where the first attempt starts;
     without it the answer may be any solution (fastest), so give q0 to stay near it. follow: for loops, one attempt that moves
-    no joint further than this from q0. closest=q_ref (n,): of several solutions the one nearest to it. Options, see `Options`:
-    tolerance (both), position_tolerance [m], orientation_tolerance [rad], max_iterations, restarts, max_evaluations,
-    timeout [s], seed, limits, q0_outside, mask, slack, free_turn, frame, joint_weights, objective, avoid_collisions, history; and
-    the parameters of the solver. Success is re-checked with Pinocchio.
-    Raises InvalidTarget, InvalidConfiguration, UnknownSolver, InvalidOption.
+    no joint further than this from q0. closest=q_ref (n,): the nearest of several solutions. Options, see `Options`:
+    tolerance (both), position_tolerance [m], orientation_tolerance [rad], max_iterations, restarts, max_evaluations, timeout
+    [s], seed, limits, q0_outside, mask, slack, free_turn, frame, joint_weights, objective, avoid_collisions, history; and the
+    parameters of the solver. Success is re-checked with Pinocchio. Raises InvalidTarget, InvalidConfiguration, UnknownSolver,
+    InvalidOption.
     """
     require_robot(robot)
     options.setdefault("check", True)

@@ -69,9 +69,7 @@ def relatives(robot: Any, o: Options) -> tuple[int, ...]:
             seen.append(o.relative_to[seen[-1]])
             if seen[-1] in seen[:-1]:
                 circle = " -> ".join(seen[seen.index(seen[-1]) :])
-                raise InvalidOption(
-                    f"relative_to goes round in a circle: {circle}; one of them needs a target of its own"
-                )
+                raise InvalidOption(f"relative_to is circular: {circle}; one of them needs a target of its own")
     return tuple(robot.tips.index(o.relative_to[tip]) if tip in o.relative_to else -1 for tip in robot.tips)
 
 
@@ -155,7 +153,7 @@ def _require_position(counts: Counts, at: str) -> None:
 
 # --------------------------------------------------------------------------------------------------------------- targets
 def read_target(robot: Any, target: Any) -> tuple[np.ndarray, tuple, str]:
-    """Validated target as T (1, 4, 4), of several tips (1, F, 4, 4); its kinds, one a tip; and a notice.
+    """Validated target as T (1, 4, 4), of several tips (1, F, 4, 4); its kinds, one per tip; and a notice.
 
     target: T_base_tip (4, 4), pin.SE3, a position (3,) or an AxisTarget; of several tips a dict by tip of these, or a list in
     the order of `robot.tips`. A kind is POSE, POSITION, (AXIS, axis), or FREE for a tip left out of a dict. Raises
@@ -204,7 +202,7 @@ def read_one(target: Any) -> tuple[np.ndarray, Any, str]:
     if isinstance(target, AxisTarget):
         return target.T_base_tip, (AXIS, target.axis), ""
     if isinstance(target, str):
-        raise InvalidTarget(f"a target is a pose or a position, not the text {target!r}")
+        raise InvalidTarget(f"a target must be a pose or a position, not the text {target!r}")
     checked, notice = check_target(target)
     if checked.ndim == 2:
         return checked, POSE, notice

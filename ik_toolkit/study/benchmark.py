@@ -32,7 +32,7 @@ class BenchmarkRow:
     probability; median, mean, p99 [s] of one call from Python, failures included; iterations and fk_evaluations, medians;
     restarts, mean; statuses: name -> count; worst_position_error [m] and worst_orientation_error [rad] among the successes, of
     several tips the largest (None without one, or for positions). seconds and iteration_counts (N,) are kept for plots. once:
-    the row of one attempt a target (None in that row itself).
+    the row of one attempt per target (None in that row itself).
     """
 
     robot: str
@@ -120,9 +120,9 @@ def benchmark(
 
     Every solver meets the targets twice, with one attempt and with the same number of restarts (`restarts=`, default 99).
     robots: one or several, loaded or by name; of a Tree all tips are solved together, and errors are the largest of them.
-    solvers: names, classes or instances; default: every registered one that applies. targets: number a robot, poses of random
+    solvers: names, classes or instances; default: every registered one that applies. targets: number per robot, poses of random
     configurations inside the limits. start: 'none' (each solver's own choice), 'home', 'random', or 'near' (within 0.1 rad or m
-    of a solution, each joint). task: 'pose' or 'position'; default poses for six joints a tip and more. executor: anything with
+    of a solution, each joint). task: 'pose' or 'position'; default poses from six joints per tip on. executor: anything with
     the concurrent.futures interface, instead of this process; the times are then of the workers. progress(done, all) counts
     blocks. Options: as for `solve`, given to every solver that takes them. A solver that does not apply to a robot is listed in
     `skipped` with the reason. Ctrl-C raises BenchmarkInterrupted, a KeyboardInterrupt whose `result` holds what was finished.

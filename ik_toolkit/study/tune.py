@@ -141,7 +141,7 @@ class TuneResult:
             text += f"; the tuned one is no better on held-out targets ({_share(self.held_out)} against {_share(kept)})"
         if self.scores["default"].rank > kept.rank:
             default = _share(self.scores["default"])
-            text += f"; the solver's default is better ({default}), and is not of the structure asked for"
+            text += f"; the solver's default is better ({default}), but does not have the requested structure"
         return text
 
     def save(self, file: str | Path) -> Path:
@@ -210,15 +210,16 @@ def tune(
 ) -> TuneResult:
     """Search parameters and start configurations of a solver with CMA-ES or a particle swarm.
 
-    robot: of a Tree all tips are solved together; a target is then one a tip, and its errors are the largest of them. maps: of a
-    solver that has them, number of starts (default: its own); 1 tunes the published structure (a, B, start; C fixed, which
-    loses nothing), more tune starts whose maps are designed. initial: the rule to start from; one with maps keeps its structure
-    (a, B, C, literal delay), and with several starts each B is searched between the given one and its own. targets: training
-    targets; held_out: sets of 1000 fresh targets that judge the result. cost of a candidate: share of failures, plus a tenth of how
-    far they were off (of the length scale), plus 0.02 mean iterations / max_iterations. seconds: stop the search after so long.
-    checkpoint: file that holds what was evaluated; when it exists the search goes on from there. progress(generation, costs).
-    The tuned rule, the start and the solver's default meet the held-out targets, and the best is kept. Ctrl-C keeps the best so
-    far. Deterministic for a seed (when `seconds` does not cut it). Raises InvalidOption, UnknownSolver, MissingExtra.
+    robot: of a Tree all tips are solved together; a target then has one pose per tip, and its errors are the largest of them.
+    maps: of a solver that has them, number of starts (default: its own); 1 tunes the published structure (a, B, start; C
+    fixed, which loses nothing), more tune starts whose maps are designed. initial: the rule to start from; one with maps
+    keeps its structure (a, B, C, literal delay), and with several starts each B is searched between the given one and its
+    own. targets: training targets; held_out: sets of 1000 fresh targets that judge the result. cost of a candidate: share of
+    failures, plus a tenth of how far they were off (of the length scale), plus 0.02 mean iterations / max_iterations.
+    seconds: stop the search after this time. checkpoint: file with the candidates evaluated so far; if it exists, the search
+    continues from there. progress(generation, costs). The tuned rule, the start and the solver's default are compared on the
+    held-out targets, and the best is kept. Ctrl-C keeps the best so far. Deterministic for a given seed (unless `seconds`
+    ends it). Raises InvalidOption, UnknownSolver, MissingExtra.
     """
     row, default = _tunable(robot, solver, method)
     as_asked = maps is not None or initial is not None
@@ -376,7 +377,9 @@ class _Record:
         if generation >= len(self.costs):
             return None
         if not np.allclose(X[0], self.first[generation], atol=1e-9):
-            raise InvalidOption(f"{self.file} cannot be continued: the optimiser asks other candidates now; delete it")
+            raise InvalidOption(
+                f"{self.file} cannot be continued: the optimiser now proposes other candidates; delete it"
+            )
         return self.costs[generation]
 
     def add(self, X: np.ndarray, costs: np.ndarray) -> None:

@@ -129,10 +129,10 @@ def workspace(
 ) -> Workspace:
     """Solve targets over the workspace with each solver.
 
-    tip: of a Tree, the one whose reach is meant; the others are free (and with avoid_collisions move out of its way). solvers:
-    names or rules, or a mapping of labels to them. how: 'joints' or 'volume', see `sample_targets`. file: a .csv that
-    receives every target as it is solved (x, y, z, then success, status, iterations, position_error, orientation_error a
-    solver), so that millions of targets need no more memory than a chunk; when the run ends early it is called NAME.partial.
+    tip: for a Tree, the tip whose reach is sampled; the others are free (and with avoid_collisions move out of the way).
+    solvers: names or rules, or a mapping of labels to them. how: 'joints' or 'volume', see `sample_targets`. file: a .csv
+    that receives every target as it is solved (x, y, z, then success, status, iterations, position_error, orientation_error
+    per solver), so that millions of targets need no more memory than a chunk; if the run ends early it is named NAME.partial.
     executor: as for `solve_batch`. options: as for `solve`. Targets depend on (seed, chunk) only. Ctrl-C raises
     WorkspaceInterrupted, a KeyboardInterrupt whose `result` holds the chunks finished, as the file does. Raises InvalidOption
     and what `solve_batch` raises.

@@ -147,7 +147,7 @@ class TrackResult:
         }
 
     def to_ros(self) -> dict[str, Any]:
-        """Fields of a ROS trajectory_msgs/JointTrajectory, a point a sample, without accelerations."""
+        """Fields of a ROS trajectory_msgs/JointTrajectory, one point per sample, without accelerations."""
         return joint_trajectory(self.joint_names, "", self.t, self.q, self.rate)
 
     def save(self, path: str | Path) -> Path:

@@ -98,7 +98,7 @@ def test_pictures_are_drawn(run, files, tmp_path):
         (["--retime", "--acceleration", "1", "-o", "x.npz"], r"\.csv or \.json"),
         (["--max-step-deg", "0"], "--max-step-deg must be positive"),
         (["--free-turn", "w"], "--free-turn takes"),
-        (["--reconfigurations", "many"], "reconfigurations is 'fewest'"),
+        (["--reconfigurations", "many"], "reconfigurations must be 'fewest'"),
         (["--plot", "x.txt"], r"must end in"),
     ],
 )

@@ -173,7 +173,7 @@ def test_tables_are_as_wide_as_a_terminal(run, poses, monkeypatch):
         (["--target", f"{LEFT}:1,0,1", "--direction", f"{RIGHT}:0,0,1"], f"needs a --target of {RIGHT}"),
         (["--target", f"{LEFT}:1,0,1", "--tip-axis", "0,0,1"], "give --direction too"),
         (["--target", f"{LEFT}:1,0,1", "--relative", RIGHT], "--relative takes TIP:OTHER"),
-        (["--target", f"{LEFT}:1,0,1", "--relative", f"{LEFT}:{LEFT}"], "goes round in a circle"),
+        (["--target", f"{LEFT}:1,0,1", "--relative", f"{LEFT}:{LEFT}"], "is circular"),
         (["--target", f"{LEFT}:1,0,1", "--q0", "0", "0"], "--q0 takes 13 values"),
         (["--target", f"{LEFT}:1,0,1", "-s", "inspection"], "one tip"),
     ],

@@ -131,7 +131,10 @@ def test_bad_arrays_are_named(tmp_path, capsys):
         ({"targets": np.zeros((2, 5))}, "shape (2, 5)"),
         ({"xyz": np.zeros((2, 3)), "quat_xyzw": np.zeros((3, 4))}, "shape (N, 3)"),
         ({"xyz": np.zeros((2, 3)), "quat_xyzw": np.ones((2, 4))}, "row 0: the quaternion"),
-        ({"xyz": np.zeros((1, 3)), "quat_xyzw": np.ones((1, 4)), "quat_wxyz": np.ones((1, 4))}, "one of them says"),
+        (
+            {"xyz": np.zeros((1, 3)), "quat_xyzw": np.ones((1, 4)), "quat_wxyz": np.ones((1, 4))},
+            "give only one of them",
+        ),
         ({"targets": np.full((2, 3), np.inf)}, "target 0"),
         ({"targets": np.array([None, None])}, "cannot read"),
     ):
@@ -141,7 +144,7 @@ def test_bad_arrays_are_named(tmp_path, capsys):
     (tmp_path / "bad.npz").write_bytes(b"not a zip")
     assert run("--targets", tmp_path / "bad.npz", "-o", tmp_path / "out.npz") == 2
     said = capsys.readouterr().err
-    assert "'bad.npz' is no NPZ file" in said and "pickle" not in said
+    assert "'bad.npz' is not an NPZ file" in said and "pickle" not in said
 
 
 def test_what_does_not_go_together(tmp_path, capsys):

@@ -192,13 +192,13 @@ def test_a_held_joint_stays(arm):
 
 def test_mistakes_are_named(arm):
     T = between(arm, arm.home, arm.home + 0.1, 5)
-    with pytest.raises(InvalidOption, match="reconfigurations is 'fewest'"):
+    with pytest.raises(InvalidOption, match="reconfigurations must be 'fewest'"):
         ik.solve_path(arm, T, reconfigurations="few")
     with pytest.raises(InvalidOption, match="max_step must be"):
         ik.solve_path(arm, T, max_step=(0.1, -1.0))
     with pytest.raises(InvalidOption, match="takes no 'closest'"):
         ik.solve_path(arm, T, closest=True)
-    with pytest.raises(InvalidOption, match="progress is called with a share and words"):
+    with pytest.raises(InvalidOption, match="progress must be a function of a fraction and a text"):
         ik.solve_path(arm, T, progress=3)
     with pytest.raises(InvalidTarget, match="at least one pose"):
         ik.solve_path(arm, T[:0])

@@ -87,14 +87,18 @@ def test_forms_of_limits(limits, lower):
         ({"on_base": "floating"}, InvalidOption, "base_limits= is needed: .* base_x, base_y, base_z"),
         ({"on_base": "planar", "base_limits": {"x": (0, 1)}}, InvalidOption, "base_limits= is needed: .* base_y"),
         ({"on_base": "plane"}, InvalidOption, "Did you mean 'planar'"),
-        ({"base_limits": (0, 1)}, InvalidOption, "for a base that moves"),
-        ({"on_base": np.eye(4), "base_limits": (0, 1)}, InvalidOption, "for a base that moves"),
-        ({"on_base": "planar", "base_limits": (1, 0)}, InvalidOption, "base_limits of 'base_x' are two finite numbers"),
+        ({"base_limits": (0, 1)}, InvalidOption, "for a moving base"),
+        ({"on_base": np.eye(4), "base_limits": (0, 1)}, InvalidOption, "for a moving base"),
+        (
+            {"on_base": "planar", "base_limits": (1, 0)},
+            InvalidOption,
+            "base_limits of 'base_x' must be two finite numbers",
+        ),
         ({"on_base": "planar", "base_limits": (0, np.inf)}, InvalidOption, "two finite numbers"),
         ({"on_base": "planar", "base_limits": {"base_z": (0, 1)}}, InvalidOption, "no coordinate 'base_z'"),
-        ({"on_base": "planar", "base_limits": "far"}, InvalidOption, "for the slides of the base"),
+        ({"on_base": "planar", "base_limits": "far"}, InvalidOption, "for the prismatic joints of the base"),
         ({"on_base": np.zeros((4, 4))}, InvalidTarget, "last row"),
-        ({"on_base": np.eye(4), "base": "base_link"}, InvalidOption, "leave out base"),
+        ({"on_base": np.eye(4), "base": "base_link"}, InvalidOption, "omit base"),
     ],
 )
 def test_mistakes(options, error, said):
@@ -127,7 +131,7 @@ def test_a_free_flyer_of_a_given_model_is_solved_for(flyer):
     assert robot.to_pinocchio(robot.home, rest=full).shape == full.shape
     still = ik.Robot(model, tip="left_foot", base="body")
     assert still.joint_names == ("left_hip", "left_knee")
-    with pytest.raises(InvalidOption, match="moves freely already"):
+    with pytest.raises(InvalidOption, match="already has a floating base"):
         ik.Robot(model, tip="left_foot", on_base="floating", base_limits=(-1, 1))
 
 

@@ -84,7 +84,7 @@ def test_mesh_found_beside_the_file_or_in_a_package(tmp_path):
     assert "not there" in str(check_urdf(packaged, [CORPUS])[0])
     (tmp_path / "out").mkdir()
     os.symlink(tmp_path / "arm" / "meshes" / "a.stl", tmp_path / "out" / "a.stl")
-    assert "link out of the named folders" in str(check_urdf(text.format("a.stl"), [tmp_path / "out"])[0])
+    assert "leads outside the allowed folders" in str(check_urdf(text.format("a.stl"), [tmp_path / "out"])[0])
 
 
 def test_all_errors_are_listed():
@@ -281,7 +281,7 @@ def test_any_bytes_are_refused(tmp_path_factory, raw):
 
 
 def test_what_only_pinocchio_refuses_is_reported():
-    """A file that passes every look of ours: the reason is Pinocchio's own."""
+    """A file that passes every look of ours: this is Pinocchio's own message."""
     text = chain(2).replace('<link name="l1"/>', '<link name="l1"><inertial><mass value="-"/></inertial></link>')
     findings = [f for f in check_urdf(text) if f.severity == "error"]
     assert len(findings) == 1

@@ -86,7 +86,7 @@ def test_arms_meet_each_other_and_obstacles():
             name.startswith((side, "ball")) for pair in ball.collisions(q) for name in pair
         )
         assert pickle.loads(pickle.dumps(ball)).collisions(q) == ball.collisions(q)
-    with pytest.raises(InvalidOption, match="a Robot or a Tree, not for a list"):
+    with pytest.raises(InvalidOption, match="a Robot or a Tree, not a list"):
         ik.CollisionModel(list(tree.arms))
 
 

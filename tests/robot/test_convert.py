@@ -71,7 +71,7 @@ def test_other_words(package, tmp_path):
     for robot in (ik.Robot.load(file, ee_link="tool0"), ik.Robot.from_urdf(file), ik.Robot.from_urdf(ARM, ee_link="j")):
         assert robot.tip in ("tool0", "j") and robot.n == 1
     assert ik.Robot(ik.Robot.load(file).model, ee_link="tool0").tip == "tool0"
-    with pytest.raises(InvalidOption, match="two words for one frame, not 'tool0' and 'a'"):
+    with pytest.raises(InvalidOption, match="two names for one frame, not 'tool0' and 'a'"):
         ik.Robot.load(file, tip="tool0", ee_link="a")
     with pytest.raises(RobotNotFound, match="there is no file 'panda'; Robot"):
         ik.Robot.from_urdf("panda")

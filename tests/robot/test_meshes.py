@@ -100,14 +100,18 @@ def test_one_rule_for_check_pictures_and_collisions(place):
         assert refusals(name, folder) == ("", "", ""), name
     outside = ["../secret/a.stl", f"{place}/secret/a.stl", f"file://{place}/secret/a.stl", "package://../secret/a.stl"]
     for name in [*outside, "package://robot/../../secret/a.stl", "out.stl", "way/a.stl"]:
-        said = "is a link out of the named folders" if name in ("out.stl", "way/a.stl") else "outside the named folders"
+        said = (
+            "is a link that leads outside the allowed folders"
+            if name in ("out.stl", "way/a.stl")
+            else "outside the allowed folders"
+        )
         assert all(said in sentence for sentence in refusals(name, folder)), name
     for name in (*outside, "out.stl"):
         assert refusals(name, folder, [place / "secret"]) == ("", "", ""), name  # named, so allowed
     others = {
         "loop.stl": "is not there",
         "pipe.stl": "is not there",
-        "r.urdf": "is no format",
+        "r.urdf": "is not a supported format",
         "http://x/a.stl": "network",
     }
     for name, said in others.items():
@@ -116,7 +120,7 @@ def test_one_rule_for_check_pictures_and_collisions(place):
 
 def test_the_ros_package_of_a_urdf_is_its_own(place):
     (place / "robot" / "urdf").mkdir()
-    assert "outside the named folders" in refusals("../a.stl", place / "robot" / "urdf")[0]
+    assert "outside the allowed folders" in refusals("../a.stl", place / "robot" / "urdf")[0]
     (place / "robot" / "package.xml").write_text("<package/>")
     for name in ("../a.stl", "package://robot/a.stl"):
         assert refusals(name, place / "robot" / "urdf") == ("", "", ""), name
@@ -311,7 +315,9 @@ SIZES += [
 def test_shapes_without_extent_are_said(shape, place):
     arm = robot("a.stl", place / "robot")
     arm.urdf = arm.urdf.replace('<mesh filename="a.stl"/>', f"<{shape}/>" if shape else "")
-    with pytest.raises(ModelError, match=r"link 'l1': .*(is no shape|leaves nothing|has no|is not a shape)"):
+    with pytest.raises(
+        ModelError, match=r"link 'l1': .*(is not a valid shape|is zero or too large|has no|is not a shape)"
+    ):
         ik.CollisionModel(arm)
     scene = ik.view(arm)
     assert "link 'l1': " in scene.body.notice and "stick figure" in scene.body.notice and "</html>" in scene.html()

@@ -88,7 +88,7 @@ def test_followers_of_equalities(arm):
 def test_what_a_urdf_does_not_hold_is_said(arm, caplog, capsys):
     robot = ik.Robot.load(arm, tip="tool")
     assert "1 loop (connect, weld) left open" in caplog.text
-    said = "ball joint 'shoulder' is three revolute joints: shoulder_yaw, shoulder_pitch, shoulder_roll"
+    said = "ball joint 'shoulder' becomes three revolute joints: shoulder_yaw, shoulder_pitch, shoulder_roll"
     assert said in robot.notes and "shapes that a URDF cannot hold are left out: ellipsoid" in robot.notes
     assert cli.main(["info", str(arm), "--tip", "tool"]) == 0
     assert "three revolute joints" in " ".join(capsys.readouterr().out.split())
@@ -191,7 +191,7 @@ def test_files_outside_are_not_read(tmp_path):
     file.parent.mkdir(parents=True)
     file.write_text(text)
     robot = ik.Robot.load(file)
-    with pytest.raises(ModelError, match="lies outside the named folders"):
+    with pytest.raises(ModelError, match="lies outside the allowed folders"):
         ik.CollisionModel(robot)
 
 

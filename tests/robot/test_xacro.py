@@ -32,7 +32,7 @@ def test_expanded_with_its_arguments(package):
     file = package / "urdf" / "arm.urdf.xacro"
     assert ik.Robot.load(file).reach == pytest.approx(0.5)
     assert ik.Robot.load(file, xacro_args={"length": 0.75}).reach == pytest.approx(0.75)
-    with pytest.raises(ModelError, match="holds xacro macros and no robot"):
+    with pytest.raises(ModelError, match="contains xacro macros but no robot"):
         ik.Robot.load(package / "urdf" / "seg.xacro")
 
 
@@ -101,7 +101,7 @@ def test_hostile_files_are_harmless(tmp_path, inside, said):
 
 
 def test_arguments_are_checked(package, tmp_path):
-    with pytest.raises(InvalidOption, match="xacro_args are names with a text or a number"):
+    with pytest.raises(InvalidOption, match="xacro_args must map names to texts or numbers"):
         ik.Robot.load(package / "urdf" / "arm.urdf.xacro", xacro_args={"length": [1]})
     with pytest.raises(InvalidOption, match="hydrolek_7w is a plain URDF"):
         ik.Robot.load("hydrolek_7w", xacro_args={"length": 1})

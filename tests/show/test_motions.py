@@ -23,7 +23,7 @@ def test_a_path_is_shown_with_its_poses_and_its_bound():
     told = scene.window.about["animation"]
     assert told["count"] == len(made.curve) and told["labels"][0].startswith("pose 0.0")
     assert "path" in scene.drawn() and any(path.startswith("trail/") for path in scene.drawn())
-    assert any("off the path" in label for _, label in scene.window.about["legend"])
+    assert any("deviation" in label for _, label in scene.window.about["legend"])
 
 
 def test_nothing_is_drawn_across_a_change_of_branch():

@@ -177,7 +177,7 @@ def harass(panel, count, seed):
     return out
 
 
-THROWN_OUT = "that was no message of the panel's page"
+THROWN_OUT = "this is not a message of the panel's page"
 
 
 def check_alive(panel):
@@ -216,7 +216,7 @@ def test_values_that_are_no_numbers_are_refused_in_words(panel):
     visitor.change(visitor.desk.sliders[0], math.nan)
     assert until(lambda: "not a finite number" in visitor.status())
     visitor.drag((math.nan, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
-    assert until(lambda: "dragged to no pose" in visitor.status()), visitor.status()
+    assert until(lambda: "dragged target is not a valid pose" in visitor.status()), visitor.status()
     visitor.drag((1.0, 0.0, 0.0, 0.0), (1e200, 0.0, 0.0))
     assert until(lambda: "1e+200" in visitor.status() or "beyond" in visitor.status()), visitor.status()
     assert np.array_equal(visitor.desk.session.q, q)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import ik_toolkit as ik
-from ik_toolkit.errors import InvalidTarget
+from ik_toolkit.errors import InvalidOption, InvalidTarget
 from ik_toolkit.show.selfmotion import freedom, slide
 from ik_toolkit.show.session import Session
 
@@ -152,3 +152,21 @@ def test_limits_by_checkbox(desk):
     assert np.isclose(desk.session.q[0], np.radians(170.0))
     desk._limits(True)
     assert not desk.session.robot.outside(desk.session.q)
+
+
+def test_all_solutions_are_those_of_the_method_and_the_tolerance_chosen():
+    session = Session("planar_2r")
+    target = session.robot.fk(session.q).translation
+    session.solve_all(target)
+    assert session.branches is not None and sorted(session.branches[:, 1]) == [-1, 1]
+    session.solver = "lm"
+    words, _ = session.solve_all(target)
+    assert "these are all" not in words and len(session.solutions) == 2 and session.branches is None
+    beyond = 1.00005 * session.robot.fk([0.0, 0.0]).translation  # 0.1 mm past the stretched arm
+    session.solver = "auto"
+    assert "no solution" in session.solve_all(beyond)[0]
+    session.tolerance = 1e-3
+    assert "no solution" not in session.solve_all(beyond)[0] and session.solutions
+    session.solver, session.parameters = "dls", {"damping": "fast"}
+    with pytest.raises(InvalidOption, match="takes a number"):
+        session.solve_all(target)

@@ -116,7 +116,7 @@ def test_what_is_typed_wrong_or_dragged_away_is_said(desk):
     desk._guard(desk._solve)()
     assert "takes 3 numbers; got 2" in desk.status.content
     desk.stage.handles[1].gizmo.position = (np.nan, 0.0, 0.0)
-    with pytest.raises(InvalidTarget, match="dragged to no pose"):
+    with pytest.raises(InvalidTarget, match="dragged target is not a valid pose"):
         desk._dragged()
 
 

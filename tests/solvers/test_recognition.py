@@ -100,7 +100,7 @@ def test_what_does_not_fit_is_said_in_words(arm):
     panda_like = [("revolute", (0, 0, 0.1), (0, 0.7, 0), (0, 0, 1), -1.0, 1.0)] * 7
     wrong = {
         "joints on the path": urdf(panda_like[:3], ((0.1, 0, 0), (0, 0, 0))),
-        "slides": urdf(
+        "prismatic": urdf(
             [panda_like[0], ("prismatic", (0, 0, 0), (0, 0, 0), (1, 0, 0), -1.0, 1.0)], ((0.1, 0, 0), (0, 0, 0))
         ),
         "not parallel": urdf(panda_like[:2], ((0.1, 0, 0), (0, 0, 0))),

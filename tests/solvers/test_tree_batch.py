@@ -91,11 +91,11 @@ def test_collisions_and_objective_are_those_of_single_solves(tree):
         ({"left": np.zeros((2, 3))}, FrameNotFound, "Did you mean 'left_tip'"),
         ({}, InvalidTarget, "at least one of"),
         ({"left_tip": np.zeros((2, 3)), "right_tip": np.zeros((3, 3))}, InvalidTarget, "left_tip 2, right_tip 3"),
-        ({"left_tip": np.zeros((2, 5))}, InvalidTarget, "left_tip: targets are"),
+        ({"left_tip": np.zeros((2, 5))}, InvalidTarget, "left_tip: targets must be"),
         ({"left_tip": np.full((2, 3), np.nan)}, InvalidTarget, "target 0 of left_tip"),
         ({"left_tip": None, "right_tip": None}, InvalidTarget, "at least one of"),
-        ({"left_tip": [[0.0, 0.0, "up"]]}, InvalidTarget, "left_tip: targets are"),
-        (iter([{"left_tip": "up"}]), InvalidTarget, "left_tip: targets are"),
+        ({"left_tip": [[0.0, 0.0, "up"]]}, InvalidTarget, "left_tip: targets must be"),
+        (iter([{"left_tip": "up"}]), InvalidTarget, "left_tip: targets must be"),
     ],
 )
 def test_what_is_no_batch_is_refused_by_name(tree, targets, error, words):
@@ -105,7 +105,7 @@ def test_what_is_no_batch_is_refused_by_name(tree, targets, error, words):
 
 def test_the_kind_of_the_targets_may_not_change(tree):
     T = reachable(tree, 4)
-    with pytest.raises(InvalidTarget, match="one kind"):
+    with pytest.raises(InvalidTarget, match="either poses or positions"):
         ik.solve_batch(tree, iter([T, T[:, :, :3, 3]]))
 
 

@@ -308,7 +308,7 @@ def test_chains_of_relative_targets_and_circles():
     brokk = ik.Tree.load("brokk_hydrolek", tips=names)
     T = brokk.fk(brokk.home)
     for circle in ({"left_tip": "left_tip"}, {"left_tip": "right_tip", "right_tip": "left_tip"}):
-        with pytest.raises(errors.InvalidOption, match=r"circle: .*_tip -> .*_tip"):
+        with pytest.raises(errors.InvalidOption, match=r"circular: .*_tip -> .*_tip"):
             ik.solve(brokk, list(T.values()), relative_to=circle)
     with pytest.raises(errors.InvalidOption, match="Did you mean 'left_tip'"):
         ik.solve(brokk, list(T.values()), relative_to={"right_tip": "left_tp"})

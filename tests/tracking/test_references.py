@@ -122,7 +122,7 @@ BAD_CSV = {
     "t,x,y,z,qx,qy\n0,0,0,0,0,0\n1,0,0,0,0,0\n": "the columns qx, qy",
     "t,x,y,z\n0,0,0,0\n": "at least 2",
     "t,x,y,z\n0,0,0,0\n1,one,0,0\n": "line 3: 'one' is not a finite number",
-    "t,x,y,z\n0,0,0,0\n1,0,0\n": "line 3: 3 columns where the first line has more",
+    "t,x,y,z\n0,0,0,0\n1,0,0\n": "line 3: 3 columns, fewer than in the first line",
     "t,x,y,z\n0,0,0,0\n1,nan,0,0\n": "line 3: 'nan' is not a finite",
     "t,x,y,z\n0,0,0,0\ninf,0,0,0\n": "line 3: 'inf' is not a finite",
     "t,x,y,z\n0,0,0,0\n2,0,0,0\n1,0,0,0\n": "must increase: number 3",

@@ -26,7 +26,7 @@ def recognise(chain: Chain) -> Fit:
     if isinstance(screws, str):
         return no_fit(screws)
     if not screws.turns.all():
-        return no_fit("not all of its joints turn")
+        return no_fit("not all of its joints are revolute")
     steps = np.diff(np.vstack([np.zeros(3), screws.point, screws.T[:3, 3]]), axis=0)
     parameters = np.concatenate([screws.axis.ravel(), steps.ravel(), screws.T[:3, :3].ravel()])
     if not _arm(parameters.tobytes()).hasKnownDecomposition():

@@ -77,7 +77,7 @@ def recognise(chain: Chain) -> Fit:
     off = []  # how far it is off the structure, and what to say
     if len(slides):
         turned = np.linalg.norm(np.cross(z1, screws.axis[slides[0]]))
-        off.append((turned, "its lift does not slide along the first turning axis"))
+        off.append((turned, "its lift does not move along the first revolute axis"))
     # Sentences count revolute joints from the base, so that they read the same with and without a lift.
     for pair, a, b in (("1 and 2", z1, z3), ("2 and 3", z3, z4), ("4 and 5", z5, z6)):
         off.append((abs(a @ b), f"its revolute joints {pair} are not at right angles (cosine {a @ b:.2g})"))
@@ -87,10 +87,10 @@ def recognise(chain: Chain) -> Fit:
     shoulder = c1 + z1 * (z1 @ (c3 - c1))
     for place, z, c in (("second", z3, c3), ("third", z4, c4)):
         missed = np.linalg.norm(across(z, c - shoulder)) / chain.reach
-        off.append((missed, f"its {place} turning axis misses the point where the first and second are nearest"))
+        off.append((missed, f"its {place} revolute axis misses the point where the first and second are nearest"))
     level5 = c5 + z4 * (z4 @ (shoulder - c5))  # of axis 5, level with the shoulder
     missed = np.linalg.norm(across(z6, c6 - level5)) / chain.reach
-    off.append((missed, "its fifth turning axis does not cross the fourth level with the shoulder"))
+    off.append((missed, "its fifth revolute axis does not cross the fourth level with the shoulder"))
     for value, words in off:
         if value > NEAR:
             return no_fit(words)
@@ -98,7 +98,7 @@ def recognise(chain: Chain) -> Fit:
     upper, fore = level5 - shoulder, level7 - level5
     a4, a6 = float(np.linalg.norm(upper)), float(np.linalg.norm(fore))
     if min(a4, a6) <= NEAR * chain.reach:
-        return no_fit("two of its parallel turning axes coincide")
+        return no_fit("two of its parallel revolute axes coincide")
     # The Denavit-Hartenberg x axes at q = 0 give every angle's offset; axes 5 and 7 are turned along 4 and 6.
     s5, s7 = math.copysign(1.0, z4 @ z5), math.copysign(1.0, z6 @ z7)
     x1, x3, x4, x6 = np.cross(z1, z3), np.cross(z3, z4), upper / a4, fore / a6

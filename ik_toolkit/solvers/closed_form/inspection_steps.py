@@ -41,7 +41,7 @@ def worked_out(p, T, d, box, head, table):
     """Fill head (22,) and table (8, 10 + n) with what the solver computes for T (4, 4) at lift d; return how many branches.
 
     head: wrist pose (12), the shoulder seen from it (3), room left in the reach and how far the pose was moved to be reached [m],
-    then what `forearm` returns of the elbow. table, a row a branch: numbers of elbow, wrist and shoulder, theta_1, 3 to 7, the
+    then what `forearm` returns of the elbow. table, one row per branch: numbers of elbow, wrist and shoulder, theta_1, 3 to 7, the
     limit broken, q.
     """
     near, P = np.empty(6), np.empty(12)
@@ -146,7 +146,7 @@ def _shared(given: tuple[Step, ...], head: np.ndarray) -> tuple[Step, ...]:
     room = "min(a4 - hypot(r - a6, s_z), hypot(r + a6, s_z) - a4)"
     sheet.add("g", room, None if moved else head[ROOM], "m", "room left in the reach; below 0 is out of reach")
     span = "min(max(sqrt((a4 - s_z)*(a4 + s_z)), abs(r - a6)), r + a6)"
-    sheet.add("L", span, None, "m", "size of a4 cos theta_5, held to what the elbow spans")
+    sheet.add("L", span, None, "m", "size of a4 cos theta_5, clamped to what the elbow can span")
     if head[ON_SIX]:
         sheet.add("beta", "", head[BEND], "rad", "free: the shoulder lies on axis 6; kept where it is")
         sheet.add("gamma", "", head[INNER], "rad")
@@ -157,7 +157,7 @@ def _shared(given: tuple[Step, ...], head: np.ndarray) -> tuple[Step, ...]:
         sheet.add("v", "sqrt(r - abs(a6 - L))*sqrt(r + abs(a6 - L))", None, "m")
         sheet.add("beta", "2*atan2(u, v)", head[BEND], "rad", "bend of the elbow")
         sheet.add(
-            "gamma", "atan2(-(L*sin(beta)), a6 + L*cos(beta))", head[INNER], "rad", "what the bent elbow turns it by"
+            "gamma", "atan2(-(L*sin(beta)), a6 + L*cos(beta))", head[INNER], "rad", "rotation due to the bent elbow"
         )
     sheet.add("chi", "atan2(-s_y, -s_x)", head[HEADING], "rad", "direction away from the shoulder")
     return tuple(sheet.steps)

@@ -43,7 +43,7 @@ def recognise(chain: Chain) -> Fit:
     if isinstance(screws, str):
         return no_fit(screws)
     if not screws.turns.all():
-        return no_fit("one of its two joints slides; both must turn")
+        return no_fit("one of its two joints is prismatic; both must be revolute")
     z, other = screws.axis
     tilt = float(np.linalg.norm(np.cross(z, other)))
     if tilt > NEAR:

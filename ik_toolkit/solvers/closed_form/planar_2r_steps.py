@@ -11,9 +11,7 @@ from .reach import ON_AXIS, planar_branches, planar_margin
 
 BESIDE = "newton"  # what Chinyai compares it with
 LABELS = {1: "elbow right (+)", -1: "elbow left (-)", 0: "elbow straight or folded"}
-LEGEND = (
-    "Elbow: the sign of theta_2, so the side of the elbow as seen along the line from the first joint to the target."
-)
+LEGEND = "Elbow: the sign of theta_2, that is, the side of the elbow as seen along the line from the first joint to the target."
 
 
 @cached
@@ -48,14 +46,14 @@ def derive(robot: Any, p: np.ndarray, T: np.ndarray, box: np.ndarray) -> Derivat
     sheet.add("psi", "atan2(y, x)", None, "rad", "direction of the target")
     if room >= 0.0:
         sheet.add("c2", "(r**2 - l1**2 - l2**2)/(2*l1*l2)", None, "", "cosine of theta_2, by the law of cosines")
-    sheet.add("u", "sqrt(l1 + l2 - r)*sqrt(l1 + l2 + r)", None, "m", "the same triangle, without losing digits")
+    sheet.add("u", "sqrt(l1 + l2 - r)*sqrt(l1 + l2 + r)", None, "m", "the same triangle, without cancellation")
     sheet.add("v", "sqrt(r - abs(l1 - l2))*sqrt(r + abs(l1 - l2))", None, "m")
     branches = []
     for k in range(count):
         own = Worksheet((*given, *sheet.steps))
         side = int(marks[k, 1])
         own.add("theta_2", "2*atan2(u, v)" if side >= 0 else "-2*atan2(u, v)", sols[k, 1], "rad", "has that cosine")
-        own.add("beta", "atan2(l2*sin(theta_2), l1 + l2*cos(theta_2))", None, "rad", "what the bent elbow turns it by")
+        own.add("beta", "atan2(l2*sin(theta_2), l1 + l2*cos(theta_2))", None, "rad", "rotation due to the bent elbow")
         if max(sheet.values["r"], abs(p[L1] - p[L2])) <= ON_AXIS * (p[L1] + p[L2]):
             own.add("theta_1", "", sols[k, 0], "rad", "free: the links fold back onto the base; kept where it is")
         else:
