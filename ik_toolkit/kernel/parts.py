@@ -1,13 +1,16 @@
 """How parts of a kernel are compiled: numba makes machine code of every function, but parts are never run on their own."""
 
 import inspect
-from typing import Any
+from functools import partial
+from typing import Any, ClassVar
 
 from llvmlite.binding import Linkage, parse_assembly
 from numba import _dynfunc  # pyright: ignore[reportAttributeAccessIssue]
 from numba.core.cgutils import normalize_ir_text
 from numba.core.codegen import CPUCodegen, JITCodeLibrary
 from numba.core.compiler import Compiler, Flags
+
+from .quick import Passes, remembering, size_of
 
 # What is used of numba beyond its documentation; where it is missing or takes other arguments, jit.py does without this module.
 USED = ("_optimize_functions", "_optimize_final_module", "_finalize_final_module")
@@ -96,20 +99,28 @@ class CalledLibrary(PartLibrary):
         super()._optimize_functions(ll_module)
 
 
+# Options of a part that what it calls has for itself; numba sets the second by the first.
+OWN = {"forceinline", "dbg_optnone"}
+
+
 class Quick(Flags):
     """Options of a compilation, compared by those that were set.
 
-    numba looks its overloads up by them for every operator of every function; Flags compares all fifty, by name.
+    numba looks its overloads up by them for every operator of every function; Flags compares all fifty, by name. Whether the
+    caller itself is inlined is left out: it would make two copies of each method that parts of both kinds call.
     """
 
     def values(self) -> dict:
         return self._values
 
     def __hash__(self) -> int:
-        return hash(tuple(self._values))
+        return hash(Quick)  # beside the types of a call, which tell calls apart
 
     def __eq__(self, other: Any) -> bool:
-        return isinstance(other, Quick) and self._values == other._values
+        return isinstance(other, Quick) and self._shared() == other._shared()
+
+    def _shared(self) -> dict:
+        return {name: value for name, value in self._values.items() if name not in OWN}
 
 
 # Passes that find nothing to do in a part: `with`, comprehensions, functions made in functions, exceptions, numba's own inlining,
@@ -125,13 +136,17 @@ class PartPipeline(Compiler):
     """numba's pipeline into a PartLibrary."""
 
     library = PartLibrary
+    passes: ClassVar[list] = []  # the same for every part, made once
 
     def define_pipelines(self) -> list:
         """numba's, without the passes that find nothing in a kernel."""
-        (manager,) = super().define_pipelines()
-        manager.passes = [(step, why) for step, why in manager.passes if step.__name__ not in UNNEEDED]
-        manager.finalize()
-        return [manager]
+        if not PartPipeline.passes:
+            (manager,) = super().define_pipelines()
+            quick = Passes("part")
+            quick.passes = [(step, why) for step, why in manager.passes if step.__name__ not in UNNEEDED]
+            quick.finalize()
+            PartPipeline.passes.append(quick)
+        return PartPipeline.passes
 
     def compile_extra(self, func: Any) -> Any:
         """Compile a function; what would call it from Python is empty."""
@@ -139,6 +154,7 @@ class PartPipeline(Compiler):
         state.library = self.library(state.targetctx.codegen(), func.__qualname__)
         state.flags = Quick(state.flags)
         state.flags.no_compile = True  # pyright: ignore[reportAttributeAccessIssue]
+        state.targetctx.get_abi_sizeof = partial(size_of, state.targetctx.target_data)
         result = super().compile_extra(func)
         description, library = result.fndesc, result.library
         entry = _dynfunc.make_function(
@@ -160,4 +176,5 @@ class KernelPipeline(Compiler):
     def compile_extra(self, func: Any) -> Any:
         self.state.library = KernelLibrary(self.state.targetctx.codegen(), func.__qualname__)
         self.state.library.enable_object_caching()
-        return super().compile_extra(func)
+        with remembering(self.state.typingctx):
+            return super().compile_extra(func)

@@ -108,6 +108,83 @@ def test_parts_are_neither_optimised_nor_made_machine_code_on_their_own():
     assert njit(lambda x: part(x))(1.0) == 2.0
 
 
+COMPILED = """
+from collections import Counter
+from typing import NamedTuple
+import numpy as np
+from numba.core import event, types
+from numba.core.postproc import PostProcessor
+from numba.core.registry import cpu_target
+from numba.core.typing.context import Context
+from llvmlite.binding import ffi
+from ik_toolkit.kernel.jit import cached, compiled, inline, inner
+
+@compiled
+class Pair(NamedTuple):
+    a: float
+    b: float
+
+    def total(self):
+        return self.a + self.b
+
+@inline
+def times(p, number):
+    return Pair(number * p.a, number * p.b)
+
+@inner
+def called(p):
+    return times(p, 3).total()
+
+@inline
+def all_of_it(x):
+    p = Pair(x, 1.0)
+    return p.total() + times(p, 2).total() + times(p, 5).a + called(p)
+
+@cached
+def kernel(x):
+    return all_of_it(x)
+
+@cached
+def wrong(x):
+    return Pair(x, 1.0).total().nothing
+
+class Copies(event.Listener):
+    seen = Counter()
+
+    def on_start(self, what):
+        self.seen[what.data["dispatcher"].py_func, what.data["args"]] += 1
+
+    def on_end(self, what):
+        pass
+
+asked, find = Counter(), Context.find_matching_getattr_template
+def count(self, kind, name):
+    asked[kind, name] += isinstance(kind, types.BaseNamedTuple)
+    return find(self, kind, name)
+
+Context.find_matching_getattr_template = count
+before = PostProcessor.run, ffi.lib._lock._cblist[:], sorted(vars(cpu_target.typing_context))
+with event.install_listener("numba:compile", Copies()):
+    assert kernel(1.0) == 2.0 + 4.0 + 5.0 + 6.0
+for function in (Pair.total, times.py_func):
+    print(sum(n for (found, _), n in Copies.seen.items() if found is function))
+print(max(n for (_, name), n in asked.items()))
+try:
+    wrong(1.0)
+except Exception as error:
+    print("nothing" in str(error))
+print(before == (PostProcessor.run, ffi.lib._lock._cblist[:], sorted(vars(cpu_target.typing_context))))
+"""
+
+
+@pytest.mark.skipif(config.DISABLE_JIT, reason="nothing is compiled")
+def test_a_kernel_has_one_copy_of_each_part_and_numba_is_left_as_it_was(tmp_path):
+    """Inlined and called parts share what they call, whatever numbers it is given; also after a kernel that does not compile."""
+    (tmp_path / "script.py").write_text(COMPILED)
+    ran = subprocess.run([sys.executable, "script.py"], cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert ran.stdout.split() == ["1", "1", "1", "True", "True"], ran.stderr
+
+
 @pytest.mark.skipif(config.DISABLE_JIT, reason="nothing is compiled")
 def test_with_another_numba_parts_compile_as_it_likes(monkeypatch):
     monkeypatch.setitem(sys.modules, "ik_toolkit.kernel.parts", None)
