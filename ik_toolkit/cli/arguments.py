@@ -193,6 +193,13 @@ Out = Annotated[
     ),
 ]
 
+Csv = Annotated[
+    Path | None,
+    typer.Option(
+        "--csv", metavar="FILE", help="Write the table to a .csv.", rich_help_panel="Output", callback=writes(".csv")
+    ),
+]
+
 
 # ------------------------------------------------------------------------------------------------------------ numbers
 def join_vectors(argv: Sequence[str]) -> list[str]:

@@ -7,7 +7,7 @@ import typer
 
 from ..errors import InvalidOption
 from ..files import write_table, write_whole
-from .arguments import PLOTS, Json, Out, Tips, load_robot, one_or_several, solver_named, writes
+from .arguments import PLOTS, Csv, Json, Out, Tips, load_robot, one_or_several, solver_named, writes
 from .output import notice, partial, progress, show, table, write_json
 
 if TYPE_CHECKING:
@@ -46,12 +46,6 @@ Plot = Annotated[
         help="Draw targets solved against time to a .png, .pdf or .svg file.",
         rich_help_panel="Output",
         callback=writes(*PLOTS),
-    ),
-]
-Csv = Annotated[
-    Path | None,
-    typer.Option(
-        "--csv", metavar="FILE", help="Write the table to a .csv.", rich_help_panel="Output", callback=writes(".csv")
     ),
 ]
 Latex = Annotated[

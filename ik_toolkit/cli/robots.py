@@ -8,10 +8,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ..errors import FrameNotFound, InvalidOption
+from ..files import write_table
 from .arguments import (
     Base,
     BaseRpy,
     BaseXyz,
+    Csv,
     Deg,
     Group,
     Json,
@@ -53,7 +55,7 @@ def register(app: typer.Typer) -> None:
     app.command()(fk)
 
 
-def robots(everything: Everything = False, as_json: Json = False) -> None:
+def robots(everything: Everything = False, as_json: Json = False, csv_file: Csv = None) -> None:
     """List the robots that can be given by name."""
     from ..robot.library import list_robots, shipped_robots
 
@@ -71,6 +73,10 @@ def robots(everything: Everything = False, as_json: Json = False) -> None:
         for entry in entries
     ]
     write_json({"robots": rows}, as_json)
+    if csv_file is not None:
+        names = ("name", "tips", "description", "paper", "path")
+        write_table(csv_file, [*names], ([_cell(row[key]) for key in names] for row in rows))
+        notice(f"wrote {csv_file}")
     if as_json:
         return
     ours = table("<name", "<tips", "description", "paper")
@@ -88,6 +94,11 @@ def robots(everything: Everything = False, as_json: Json = False) -> None:
         notice(f"also: any URDF or xacro file, and robot_descriptions:NAME{hint}")
     else:
         notice("more arms by name (panda, ur5, ...): pip install example-robot-data; or give the path of a URDF file")
+
+
+def _cell(value: Any) -> str:
+    """Text of a value of the list: tips one after the other."""
+    return " ".join(value) if isinstance(value, tuple | list) else str(value or "")
 
 
 def info(

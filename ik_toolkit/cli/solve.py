@@ -7,12 +7,14 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
+from ..files import write_table
 from . import first_use
 from . import solve_options as asked
 from .arguments import (
     Base,
     BaseRpy,
     BaseXyz,
+    Csv,
     Deg,
     Group,
     Json,
@@ -95,6 +97,7 @@ def solve(
     deg: Deg = False,
     as_json: Json = False,
     output: Out = None,
+    csv_file: Csv = None,
     plot: Chart = None,
     html: Html = None,
     live: Live = False,
@@ -202,6 +205,10 @@ def _solve_all(arm: Any, target: Any, method: Any, start: Any, options: dict[str
 
     found = solve_all(arm, target, method, start, **options)
     write_json({**found.to_dict(), **_asked(arm, target, options)}, line.as_json, line.output)
+    if line.csv_file is not None:
+        rows = ([*q.tolist(), float(distance)] for q, distance in zip(found, found.distance, strict=True))
+        write_table(line.csv_file, [*arm.joint_names, "distance"], rows)
+        notice(f"wrote {line.csv_file}")
     if not line.as_json:
         show(*_solutions(found, line.deg))
         complete = "these are all" if found.complete else "there may be more"

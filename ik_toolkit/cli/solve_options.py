@@ -257,6 +257,8 @@ def refuse_contradictions(line: SimpleNamespace) -> None:
         raise InvalidOption(
             "Missing option '--xyz' (or '--matrix', '--from-q', '--targets FILE' for many, '--target' for several tips)"
         )
+    if line.csv_file is not None and not line.every:
+        raise InvalidOption("--csv writes the solutions of --all; -o writes a single one, and those of --targets")
     if line.explain and (line.every or line.file is not None):
         raise InvalidOption("--explain explains a single solve and cannot be combined with --all or --targets FILE")
     if line.every:

@@ -5,8 +5,10 @@ from typing import Annotated, Any
 
 import typer
 
-from .arguments import Json, solver_named
-from .output import facts, heading, show, table, write_json
+from ..errors import InvalidOption
+from ..files import write_table
+from .arguments import Csv, Json, solver_named
+from .output import facts, heading, notice, show, table, write_json
 
 Name = Annotated[str | None, typer.Argument(metavar="[NAME]", help="Show this solver's parameters.")]
 
@@ -16,15 +18,20 @@ def register(app: typer.Typer) -> None:
     app.command()(solvers)
 
 
-def solvers(name: Name = None, as_json: Json = False) -> None:
+def solvers(name: Name = None, as_json: Json = False, csv_file: Csv = None) -> None:
     """List the solvers, or show one: parameters, defaults, options, source."""
     from ..solvers.registry import find_row, list_rows
 
     if name is not None:
+        if csv_file is not None:
+            raise InvalidOption("--csv writes the list of solvers; leave out the name")
         _one(find_row(solver_named(name)), as_json)
         return
     rows = [{key: getattr(row, key) for key in ("name", "summary", "handles", "citation")} for row in list_rows()]
     write_json({"solvers": rows}, as_json)
+    if csv_file is not None:
+        write_table(csv_file, list(rows[0]), (row.values() for row in rows))
+        notice(f"wrote {csv_file}")
     if as_json:
         return
     made = table("<name", "how", "handles", "source")

@@ -1,0 +1,35 @@
+"""`--csv`: the tables of a command as a file."""
+
+import csv
+import json
+
+import numpy as np
+import pytest
+
+
+def rows_of(file):
+    with file.open(newline="") as stream:
+        return list(csv.DictReader(stream))
+
+
+def test_solutions_to_a_table(run, tmp_path):
+    file = tmp_path / "all.csv"
+    code, out, err = run("solve", "planar_2r", "--xyz", 1, 1, 0, "--all", "--json", "--csv", file)
+    found, rows = json.loads(out), rows_of(file)
+    assert code == 0 and f"wrote {file}" in err and len(rows) == len(found["solutions"]) == 2
+    assert list(rows[0]) == [*found["joint_names"], "distance"]
+    assert np.array_equal([[float(row[name]) for name in found["joint_names"]] for row in rows], found["solutions"])
+
+
+@pytest.mark.parametrize("what", ["robots", "solvers"])
+def test_lists_to_a_table(run, tmp_path, what):
+    file = tmp_path / "list.csv"
+    code, out, _ = run(what, "--json", "--csv", file)
+    assert code == 0 and [row["name"] for row in rows_of(file)] == [row["name"] for row in json.loads(out)[what]]
+
+
+def test_what_has_no_table_is_refused(run, tmp_path):
+    code, _, err = run("solve", "planar_2r", "--xyz", 1, 1, 0, "--csv", tmp_path / "one.csv")
+    assert code == 2 and "--csv writes the solutions of --all" in err
+    code, _, err = run("solvers", "lm", "--csv", tmp_path / "one.csv")
+    assert code == 2 and "leave out the name" in err
