@@ -14,6 +14,15 @@ from typing import Any, NamedTuple
 
 KERNEL = Path(__file__).resolve().parent.parent / "ik_toolkit" / "kernel"
 REACHED = "__reached__"
+NUMBAS = (
+    "overload",
+    "intrinsic",
+    "lower_builtin",
+    "lower_getattr",
+    "infer",
+    "register_model",
+)  # marks of what numba calls
+LOWERING = {"parts_of", "_made", "_place", "_index", "_element"}  # of view.py: called by these only
 OPERATORS = {
     ast.Add: ast.Sub, ast.Sub: ast.Add, ast.Mult: ast.Div, ast.Div: ast.Mult, ast.FloorDiv: ast.Mult, ast.Mod: ast.Mult,
     ast.RShift: ast.LShift, ast.LShift: ast.RShift, ast.BitXor: ast.BitOr, ast.BitOr: ast.BitAnd, ast.BitAnd: ast.BitOr,
@@ -88,6 +97,8 @@ def changes(node: ast.AST) -> Iterator[tuple[str, Any]]:
 def functions_of(tree: ast.Module) -> Iterator[ast.AST]:
     """Nodes inside functions that run uncompiled, and values of numeric constants of the module."""
     for top in tree.body:
+        if any(word in ast.unparse(mark) for mark in getattr(top, "decorator_list", ()) for word in NUMBAS):
+            continue  # numba's side of a function whose plain side is what runs here
         if isinstance(top, ast.ClassDef):
             bodies = [f for f in top.body if isinstance(f, ast.FunctionDef)]
         elif isinstance(top, ast.FunctionDef):
@@ -98,8 +109,8 @@ def functions_of(tree: ast.Module) -> Iterator[ast.AST]:
         else:
             continue
         for body in bodies:
-            if any("overload" in ast.unparse(mark) for mark in body.decorator_list):
-                continue  # numba's side of a function whose plain side is what runs here
+            if body.name in LOWERING:
+                continue
             for statement in body.body:
                 yield from ast.walk(statement)
 

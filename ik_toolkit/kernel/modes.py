@@ -72,7 +72,7 @@ def lost_direction(W, sigma, away, v):
         size += v[i] * v[i]
     size = math.sqrt(size)
     for i in range(n):
-        v[i] = v[i] / size if size > 0.0 else 0.0
+        v[i] = v[i] / size if size > ZERO else 0.0  # what rounding leaves is no direction
     return size > ZERO
 
 

@@ -323,6 +323,7 @@ def test_directions_that_move_nothing():
     assert modes.lost_direction(W, sigma, away, v)
     np.testing.assert_allclose(v, U[:, 4] * np.sign(U[:, 4] @ away), atol=1e-10)
     assert not modes.lost_direction(W, sigma, np.zeros(n), v) and not v.any()
+    assert not modes.lost_direction(W, sigma, W @ np.ones(6), v) and not v.any()  # what rounding leaves is no direction
     assert modes.mode_direction(W, sigma, 1, away, 1.0, v)
     np.testing.assert_allclose(v, U[:, 4] * np.sign(U[:, 4] @ away), atol=1e-10)
     assert not modes.mode_direction(W, sigma, 1, away, 0.0, v) and not v.any()

@@ -59,7 +59,7 @@ def test_the_neighbourhood_of_a_start():
     rows[:, 8], rows[:, 9] = [0, 1, 2, 1], [1.0, 0.0, 1.0, 0.0]
     q0 = np.array([0.9, 2.0, 3.0])
     for bounded in (True, False):
-        ends = ends_of([-1.0, 0.0, -9.0], [1.0, 0.6, 9.0], [0.0, 0.0, 2.0], [1.0, 4.0, 1.0])
+        ends = ends_of([-1.0, 0.0, -9.0], [1.0, 0.6, 3.1], [0.0, 0.0, 2.0], [1.0, 4.0, 1.0])
         near = Ends(ends.flat.copy(), 3)
         limits.neighbourhood(q0, rows, 0.3, 0.8, bounded, ends, near)
         np.testing.assert_allclose([near.lower(0), near.lower(1), near.lower(2)], [0.6, 0.3, 2.7], rtol=1e-14)
@@ -134,14 +134,14 @@ def standing(q, slopes, J=None, ee=1.0):
 
 def test_who_holds_the_neighbourhood_back():
     ends = ends_of([-1.0, -1.0, -9.0], [1.0, 1.0, 9.0], [0.0, 0.0, 2.0])
-    near = ends_of([-0.5, -1.0, -0.1], [0.5, 1.0, 0.1], [0.0] * 3)
+    near = ends_of([-0.5, -1.0, -9.0], [0.5, 1.0, 9.0], [0.0] * 3)
     for q, slopes, bounded, who in (
         ([-0.5, 0.0, 0.0], [-1.0, 5.0, 0.0], True, 0), ([-0.5, 0.0, 0.0], [1.0, 5.0, 0.0], True, -1),
         ([0.5, 0.0, 0.0], [1.0, 5.0, 0.0], True, 0), ([0.0, 1.0, 0.0], [1.0, 5.0, 0.0], True, -1),
         ([0.0, 1.0, 0.0], [1.0, 5.0, 0.0], False, 1), ([0.0, -1.0, 0.0], [1.0, -5.0, 0.0], False, 1),
-        ([0.0, -1.0, 0.0], [1.0, -5.0, 0.0], True, -1), ([0.5, 0.0, 0.1], [1.0, 0.0, 2.0], True, 2),
-        ([0.5, 0.0, 0.1], [3.0, 0.0, 2.0], True, 0), ([0.5, 0.0, -0.1], [1.0, 0.0, -2.0], True, 2),
-        ([0.5, 0.0, 0.1], [0.0, 0.0, 0.0], True, -1),
+        ([0.0, -1.0, 0.0], [1.0, -5.0, 0.0], True, -1), ([0.5, 0.0, 9.0], [1.0, 0.0, 2.0], True, 2),
+        ([0.5, 0.0, 9.0], [3.0, 0.0, 2.0], True, 0), ([0.5, 0.0, -9.0], [1.0, 0.0, -2.0], True, 2),
+        ([0.5, 0.0, 9.0], [0.0, 0.0, 0.0], True, -1),
     ):  # fmt: skip
         p, look = standing(q, slopes)
         assert limits.held_back(p, look, near, ends, bounded) == who, (q, slopes)

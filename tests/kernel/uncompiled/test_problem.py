@@ -192,6 +192,7 @@ def test_moves_of_one_joint(kind, kinds):
     assert make_serial(chain.rows, chain.ends, task(), chain.n, orders(limits=0.0, follow=0.1)).inside(0, 99.0) < 99.0
     part = make_serial(chain.rows, chain.ends, task(PART), chain.n, orders())
     part.aim(np.eye(4), orders())
+    part.desk.q[:] = 0.0
     part.undo(look)
     assert part.desk.spent[0] == 1.0
     assert p.desk.affords(1.0) == (5.0 + 1.0 < p.desk.spent[1])

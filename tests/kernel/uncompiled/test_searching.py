@@ -343,3 +343,7 @@ def test_groups_of_starts_in_order():
     tree_starts.rank_groups(p, table)
     assert placed == [0] and np.all(p.goals[0] == 0.25)
     np.testing.assert_allclose(p.goals[1, 9:12], np.array([1.0, 2.0, 3.0]) + 0.25 + 0.25 * 0.6)
+    placed.clear()
+    p.tasks = np.array([Task(1.0), Task(float(FREE), other=0.0)])  # carried by the other, so its goal is known
+    tree_starts.rank_groups(p, table)
+    assert not placed

@@ -21,6 +21,7 @@ def pair(rng, left="tttstt", right="tttst"):
     count = 0
     for f, kinds in enumerate((left, right)):
         rows, n, slides = arms.table(rng, kinds)
+        rows[:, [2, 3, 7]] *= 1.0 + 3.0 * f  # of another size, so of another scale
         base, tip = arms.frame(rng), arms.frame(rng)
         place = np.arange(n) if f == 0 else np.array([0, 1, *range(count, count + n - 2)])
         count = max(count, place.max() + 1)
@@ -161,6 +162,7 @@ def test_errors_of_several_tips_and_their_derivative(other, frame, part):
     assert not row[:-6].any() and p.width() == 12 and not p.plain()
     q2 = p.try_out(goal / tree.unit)
     assert q2.good and p.desk.spent[0] == 1.0 and p.arrived(1) and p.arrived(0) == (not free)
+    p.desk.q[:] = x
     p.undo(look)
     assert p.desk.spent[0] == 2.0
     p.head_for(T)

@@ -1,0 +1,350 @@
+"""What a tracker does around its law in a step: the start, the clock, wishes, clipping; and parts of the constrained step."""
+
+import math
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from ik_toolkit.kernel import box, clock, constrain, motion, obey, servo, wanted
+from ik_toolkit.kernel.box import HELD
+from ik_toolkit.kernel.constrain import DIRECT, LEAVE, SLOW
+from ik_toolkit.kernel.levels import HIGH, LOW, RHS, WANT, make_levels
+from ik_toolkit.kernel.motion import AA, AV, CA, CLIP, CV, GIVEN, MOVING, READY, STATE, Law
+from ik_toolkit.kernel.search import SINGULAR_STEP
+
+
+def law(code=CV, **values):
+    return Law(**{**dict.fromkeys(Law._fields, 0.0), "code": code, "gamma": 1.0, "mode": LEAVE, **values})
+
+
+def scratch(rng, n=7, m=6):
+    """A bench with a Jacobian that is factored."""
+    s = SimpleNamespace(
+        J=rng.normal(size=(n, m)),
+        G=np.zeros((n, n)),
+        y=np.empty(n),
+        t=np.empty(m),
+        V=np.zeros((n, m)),
+        lost=np.zeros(m),
+        xk=np.zeros(m),
+        f=np.zeros(m),
+        a=np.zeros(m),
+        e=np.zeros(m),
+        bias=np.zeros(m),
+    )
+    for name in ("g", "v", "at", "x", "x1", "x2", "probe", "before", "lead", "w"):
+        setattr(s, name, np.zeros(n))
+    s.floor, s.roof = np.full(n, -1.0), np.full(n, 1.0)
+    motion.factor(s.J, m, 0.0, s.G, s.y)
+    return s
+
+
+def null(J):
+    return np.eye(len(J)) - np.linalg.pinv(J.T) @ J.T
+
+
+def test_the_rate_at_the_start():
+    rng = np.random.default_rng(0)
+    n, m = 7, 6
+    J, f = rng.normal(size=(n, m)), rng.normal(size=m)
+    limits = np.array([np.full(n, -1.0), np.full(n, 1.0), np.full(n, 0.3), np.full(n, 0.5)])
+    own = np.linalg.pinv(J.T) @ f
+    for mode in (LEAVE, SLOW):
+        for cap in (1.0, 0.4):
+            for at in (0.0, 0.995):
+                q, rate, state = np.full(n, at), np.full(n, 9.0), np.zeros(len(STATE))
+                state[STATE.start] = MOVING
+                servo.set_out(
+                    law(mode=mode, late=0.05), J, f, np.zeros((n, n)), np.empty(n), limits, cap, q, rate, state
+                )
+                top = [
+                    min(
+                        0.3,
+                        box.approach(
+                            max(box.way_to(1.0 if v > 0 else -1.0, at, 1.0 if v > 0 else -1.0), 0.0),
+                            0.0,
+                            1.0,
+                            0.0,
+                            0.5,
+                            0.05,
+                        ),
+                    )
+                    for v in own
+                ]
+                slower = cap if mode == SLOW else 1.0
+                np.testing.assert_allclose(rate, slower * np.clip(own, -np.array(top), top), rtol=1e-9)
+                assert state[STATE.sigma] == slower and state[STATE.start] == READY
+    for rates, want in ((0.5 * own, 0.5), (2.0 * own, 0.8), (-own, 0.0)):
+        state = np.zeros(len(STATE))
+        state[STATE.start] = GIVEN
+        servo.set_out(law(), J, f, np.zeros((n, n)), np.empty(n), limits, 0.8, np.zeros(n), rates.copy(), state)
+        assert state[STATE.sigma] == pytest.approx(want)
+        limits_off = limits.copy()
+        limits_off[3] = np.inf
+        servo.set_out(law(), J, f, np.zeros((n, n)), np.empty(n), limits_off, 0.8, np.zeros(n), rates.copy(), state)
+        assert state[STATE.sigma] == 0.8
+    state[STATE.start] = GIVEN
+    servo.set_out(law(), J, 0.0 * f, np.zeros((n, n)), np.empty(n), limits, 0.7, np.zeros(n), own.copy(), state)
+    assert state[STATE.sigma] == 0.7
+
+
+def test_the_clock_of_a_run():
+    state, E = np.zeros(len(STATE)), np.zeros(6)
+    a = np.ones(6)
+    assert servo.wind(state, law(mode=LEAVE, tol_p=1.0, tol_r=1.0), a, E, 0.5, 9.0, 0.1) == 1.0 and np.all(a == 1.0)
+    slow = law(mode=SLOW, tol_p=1.0, tol_r=1.0, gamma=0.5)
+    state[STATE.sigma] = 0.6
+    assert servo.wind(state, slow, a, E, 0.8, 80.0, 0.1) == pytest.approx(0.8)
+    np.testing.assert_allclose(a, 0.64)
+    state[STATE.sigma], left = 0.6, 1.5  # to the end in whole steps: two of 0.75
+    sigma = servo.wind(state, slow, np.ones(6), E, 0.8, left, 0.1)
+    assert state[STATE.sigma] + 0.5 * (sigma - state[STATE.sigma]) == pytest.approx(0.7, abs=0.06)
+    assert sigma == pytest.approx(min(0.6 + (0.75 - 0.6) / 0.5, 0.8))
+    state[STATE.sigma] = 0.8
+    assert servo.wind(state, slow, np.ones(6), E, 0.8, 0.8 * 3 + 1e-10, 0.1) == 0.8
+    assert servo.wind(state, slow, np.ones(6), E, 0.8, 0.4, 0.1) == pytest.approx(0.0)
+    assert servo.advanced(state, slow, 0.4) == pytest.approx(0.6)
+    state[STATE.sigma] = 0.5
+    servo.tick(state, law(mode=LEAVE), 3.0, 0.2)
+    assert state[STATE.clock] == 4.0 and state[STATE.sigma] == 0.5
+    servo.tick(state, slow, 3.0, 0.3)
+    assert state[STATE.clock] == pytest.approx(3.4) and state[STATE.sigma] == 0.3
+    state[STATE.sigma] = 0.5
+    servo.tick(state, slow, 3.5 + 0.5e-9, 0.5)
+    assert state[STATE.clock] == 4.0
+    servo.tick(state, slow, 3.5 + 2e-9, 0.5)
+    assert state[STATE.clock] != 4.0 and clock.WHOLE == 1e-9
+
+
+def test_half_planes_are_gathered_and_rates_clipped():
+    lines, level = np.arange(12.0).reshape(4, 3), np.arange(4.0)
+    planes, edges = np.zeros((6, 3)), np.zeros(6)
+    assert servo.gather(law(rows=2.0), lines, level, planes, edges) == 2
+    np.testing.assert_array_equal(planes, [*lines[:2], *np.zeros((4, 3))])
+    np.testing.assert_array_equal(edges, [0, 1, 0, 0, 0, 0])
+    for still in (False, True):
+        s = SimpleNamespace(x=np.array([3.0, 0.2, -3.0]), floor=np.full(3, -1.0), roof=np.ones(3), before=np.array([0.5, 0.1, 0.0]),
+                            why_low=np.array([1, 1, 2], np.uint8), why_top=np.array([4, 1, 2], np.uint8))  # fmt: skip
+        memory, code = np.full(3, 7.0), np.zeros(3, np.uint8)
+        servo.clip_rates(law(CA), s, still, 0.1, memory, code)
+        np.testing.assert_array_equal(s.x, [1.0, 0.2, -1.0])
+        np.testing.assert_array_equal(code, np.array([4, 0, 2]) | (HELD if still else 0))
+        np.testing.assert_allclose(memory, 0.0 if still else [5.0, 7.0, -10.0])
+    s.x[:] = [3.0, 0.2, -3.0]
+    assert obey.by_clipping(law(), s, None, 0, 0.7, 0.1, None, None, None, None, code) == (0.7, False)
+    np.testing.assert_array_equal(s.x, [1.0, 0.2, -1.0])
+
+
+def test_wishes_are_found_and_added():
+    rng = np.random.default_rng(1)
+    n = 7
+    limits = np.array([np.full(n, -2.0), np.full(n, 2.0), np.ones(n), np.ones(n)])
+    wish = np.array([rng.uniform(-1, 1, n), rng.uniform(0.0, 0.2, n), 0.1 * rng.normal(size=n)])
+    s = scratch(rng)
+    s.at[:] = rng.uniform(-1.9, 1.9, n)
+    for avoid in (0.0, 0.4):
+        goal = wish[1] * (wish[0] - s.at) + wish[2]
+        if avoid:
+            from ik_toolkit.kernel.wishes import away_from_limits
+
+            away_from_limits(s.at, limits, avoid, goal)
+        base = 0.1 * rng.normal(size=n)
+        assert wanted.find_wishes(law(avoid=avoid), s, limits, wish, base)
+        want = null(s.J) @ goal
+        room = np.where(want > 0, 0.5 * (1.0 - base), 0.5 * (base + 1.0))
+        want *= min(1.0, (room / np.abs(want)).min())
+        np.testing.assert_allclose(s.g, want, atol=1e-12)
+        for code, ratio in ((CV, 0.6), (AV, 0.6), (CA, 0.6), (AA, 0.6)):
+            h, damped = 0.1, 4.0
+            s.x[:], memory = base, np.full(n, 7.0)
+            wanted.add_wishes(law(code, avoid=avoid, null=damped), s, limits, wish, ratio, h, memory)
+            share = 0.4 if code >= CA else 1.0
+            kept = {CV: share, CA: share / h}.get(code, 0.0)
+            more = 1.3 if code in (CV, CA) else 1.0
+            np.testing.assert_allclose(s.x, base + more * share * want, atol=1e-12)
+            np.testing.assert_allclose(memory, 7.0 + kept * want, atol=1e-12)
+    s.x[:], memory = base, np.full(n, 7.0)
+    wanted.add_wishes(law(CA, null=40.0), s, limits, wish, 0.0, 0.1, memory)
+    assert np.abs(s.x - base).max() == pytest.approx(np.abs(s.g).max())
+    assert not wanted.find_wishes(law(mode=CLIP), s, limits, wish, base)
+    assert not wanted.find_wishes(law(), s, limits, 0.0 * wish, base)
+    old = s.at.copy()
+    assert wanted.lean_over(law(), None, s, limits, wish, base, 0.1)
+    np.testing.assert_allclose(s.at, old + 0.1 * s.g)
+    assert s.g.any() and not wanted.lean_over(law(), None, s, limits, 0.0 * wish, base, 0.1) and not s.g.any()
+    s.g[:] = 1.0
+    assert not wanted.lean_over(law(mode=CLIP), None, s, limits, wish, base, 0.1) and not s.g.any()
+    assert not wanted.lean_not(None, None, None, None, None, None, None)
+
+
+class Bent:
+    """A task whose Jacobian is a function of q."""
+
+    def __init__(self, rng, n=7, m=6):
+        self.base, self.slope = rng.normal(size=(n, m)), rng.normal(size=(n, n, m))
+        self.desk = SimpleNamespace(
+            J=np.zeros((n, m)), w=np.zeros(n), q=np.zeros(n), x=np.zeros(n), dq=np.zeros(n), spent=np.ones(2)
+        )
+        self.asked = 0
+
+    def stand(self, q):
+        self.q = q.copy()
+
+    def see(self):
+        return None
+
+    def plain(self):
+        return True
+
+    def jacobian(self, look):
+        self.asked += 1
+        q = getattr(self, "q", np.zeros(len(self.base)))
+        self.desk.J[:] = self.base + np.einsum("k,kim->im", q, self.slope)
+
+
+def test_curvature_by_differences():
+    rng = np.random.default_rng(2)
+    task, s, slack = Bent(rng), scratch(rng), np.zeros(6)
+    slack[2] = 0.1
+    s.at[:], s.x1[:], s.x2[:] = rng.normal(size=(3, 7))
+    n = rng.normal(size=3)
+    s.flip = (n / np.linalg.norm(n))[None]
+    wanted.by_difference(task, s, slack)
+    want = np.einsum("k,kim,i->m", s.x1, task.slope, s.x2)
+    want[3:] -= 2.0 * s.flip[0] * (s.flip[0] @ want[3:])
+    want[2] = 0.0
+    np.testing.assert_allclose(s.bias, want, atol=1e-8)
+    s.x1[:] = 0.0
+    wanted.by_difference(task, s, slack)
+    np.testing.assert_array_equal(s.bias, 0.0)
+
+
+def test_a_step_of_a_rule():
+    rng = np.random.default_rng(3)
+    task, s, weights, memory = Bent(rng), scratch(rng), rng.random(7), rng.random(7)
+    s.at[:], s.g[:] = rng.normal(size=7), 0.0
+    old = memory.copy()
+
+    class Rule:
+        code = 0
+
+        def step(self, p, look):
+            np.testing.assert_array_equal(p.desk.w, weights)
+            np.testing.assert_array_equal(p.desk.q, s.at)
+            np.testing.assert_array_equal(p.desk.x, old)
+            assert p.desk.spent[0] == 0.0 and p.desk.spent[1] == np.inf
+            p.desk.dq[:], p.desk.x[:] = 0.5, 3.0
+            return self.code
+
+    args = (law(), Rule(), task, None, weights, s, None, None, None, 1.0, 0.1, None)
+    assert wanted.by_rule(*args, memory, None, None) == 0.0 and task.asked == 0
+    np.testing.assert_allclose(s.x, 5.0)
+    np.testing.assert_array_equal(memory, 3.0)
+    memory[:], s.g[3] = old, 0.25
+    wanted.by_rule(*args, memory, None, None)
+    np.testing.assert_allclose(s.x, 5.0 + s.g)
+    assert task.asked == 1
+    Rule.code, memory[:] = SINGULAR_STEP, old
+    wanted.by_rule(*args, memory, None, None)
+    np.testing.assert_array_equal(s.x, s.g)
+    out = np.zeros((3, 2))
+    wanted.copy_column(np.arange(3.0), out, 1)
+    np.testing.assert_array_equal(out, [[0, 0], [0, 1], [0, 2]])
+    wanted.copy_rows(np.arange(6.0).reshape(3, 2), out)
+    np.testing.assert_array_equal(out, np.arange(6.0).reshape(3, 2))
+
+
+# -------------------------------------------------------------------------------------------------- the constrained step
+def test_errors_and_excess_of_a_wanted_rate():
+    rng = np.random.default_rng(4)
+    J, weight, back, front, x = (
+        rng.normal(size=(5, 6)),
+        rng.random(6),
+        rng.normal(size=6),
+        rng.normal(size=6),
+        rng.normal(size=5),
+    )
+    v = back + 0.7 * front
+    got = constrain.task_error(J, weight, back, front, 0.7, x)
+    np.testing.assert_allclose(got, [((weight * (J.T @ x - v)) ** 2).sum(), ((weight * v) ** 2).sum()])
+    scale, low, high = rng.uniform(0.5, 2.0, 5), -rng.random(5), rng.random(5)
+    A, b = rng.normal(size=(3, 5)), rng.normal(size=3)
+    for want in (x, np.zeros(5), 3.0 * x):
+        for count in (0, 2, 3):
+            most = max(0.0, ((low - want) / scale).max(), ((want - high) / scale).max())
+            for k in range(count):
+                most = max(most, (A[k] @ want - b[k]) / (np.abs(A[k]) @ scale))
+            assert constrain.outside(want, scale, low, high, A, b, count) == pytest.approx(most)
+    assert constrain.outside(np.zeros(5), scale, low, high, np.zeros((1, 5)), np.array([-0.1]), 1) == 1.0
+    assert constrain.outside(np.zeros(5), scale, low, high, np.zeros((1, 5)), np.array([0.1]), 1) == 0.0
+
+
+def loaded(rng, n=5, rows=3):
+    J, weight = rng.normal(size=(n, 6)), rng.uniform(0.5, 2.0, 6)
+    weight[4], J[:, 2] = 0.0, 0.0
+    back, front, want = rng.normal(size=6), rng.normal(size=6), rng.normal(size=n)
+    scale, low, high = rng.uniform(0.5, 2.0, n), -rng.random(n), rng.random(n)
+    A, b = rng.normal(size=(rows, n)), rng.normal(size=rows)
+    A[1] = 0.0
+    s, task = make_levels(n + 7, rows + 7), np.zeros((2, rows + 7))
+    r = constrain.load(J, weight, back, front, want, scale, low, high, A, b, rows, 0.8, 0.01, s.P, s.V, s.S, task)
+    return J, weight, back, front, want, scale, low, high, A, b, s, task, r
+
+
+def test_a_problem_in_scaled_unknowns():
+    rng = np.random.default_rng(5)
+    J, weight, back, front, want, scale, low, high, A, b, s, task, r = loaded(rng)
+    n, rows = 5, 3
+    np.testing.assert_allclose(s.V[[WANT, LOW, HIGH], :n], [want / scale, low / scale, high / scale])
+    for k in (0, 2):
+        size = np.linalg.norm(A[k] * scale)
+        np.testing.assert_allclose(s.P[k, :n], A[k] * scale / size)
+        assert s.S[RHS, k] == pytest.approx(b[k] / size + 0.01)
+    assert not s.P[1, :n].any() and s.S[RHS, 1] == max(b[1], 0.0)
+    counted = [0, 1, 3, 5]
+    assert r == 4
+    for place, c in enumerate(counted, rows):
+        np.testing.assert_allclose(s.P[place, :n], weight[c] * J[:, c] * scale)
+        np.testing.assert_allclose(task[:, place], [weight[c] * back[c], weight[c] * front[c]])
+        assert s.S[RHS, place] == pytest.approx(weight[c] * (back[c] + 0.8 * front[c]))
+    unit = constrain.add_clock(s.P, s.V, s.S, task, rows, r, n, 0.8)
+    lengths = (s.P[rows : rows + r, :n] ** 2).sum(axis=1)
+    assert unit == pytest.approx(1e-4 * math.sqrt(lengths.max() / (task[1, rows : rows + r] ** 2).sum()))
+    np.testing.assert_allclose(s.P[: rows + r, n], [0, 0, 0, *(unit * task[1, rows : rows + r])])
+    np.testing.assert_allclose(s.V[[WANT, LOW, HIGH], n], [0.0, 0.0, 0.8 / unit])
+    task[1] = 0.0
+    assert constrain.add_clock(s.P, s.V, s.S, task, rows, r, n, 0.8) == 0.0
+
+
+def test_leaving_the_direction_costs_more_than_falling_behind():
+    rng = np.random.default_rng(6)
+    *_, s, task, r = loaded(rng)
+    rows, n = 3, 5
+    C, d = s.P[rows : rows + r, :n].copy(), s.S[RHS, rows : rows + r].copy()
+    for alpha in (0.0, 0.4):
+        s.P[rows : rows + r, :n] = C
+        constrain.aside(s.P, s.S, rows, r, n, alpha)
+        weight = 1.0 + 99.0 * alpha
+        along = np.outer(d, d) / (d @ d)
+        np.testing.assert_allclose(
+            s.P[rows : rows + r, :n], (along + weight * (np.eye(r) - along)) @ C, rtol=1e-11, atol=1e-12
+        )
+
+
+def test_the_least_slack_is_a_problem_of_its_own():
+    rng = np.random.default_rng(7)
+    *_, s, task, r = loaded(rng)
+    n, rows = 5, 3
+    s.V[WANT, :n], s.state[:] = 5.0, 1
+    constrain.slack(s.P, s.V, s.S, s.state, n, rows)
+    np.testing.assert_array_equal(s.P[:rows, n], [-1.0, 0.0, -1.0])
+    np.testing.assert_array_equal(s.P[rows, : n + 1], [0, 0, 0, 0, 0, 1])
+    np.testing.assert_array_equal(s.V[WANT, :n], s.V[HIGH, :n])
+    np.testing.assert_array_equal(s.V[[WANT, LOW, HIGH], n], [0.0, 0.0, np.inf])
+    assert s.S[RHS, rows] == 0.0 and not s.state[:n].any() and not s.state[s.P.shape[1] : s.P.shape[1] + rows].any()
+    assert s.state[n] == 1 and DIRECT == 2
+    x, active, kept, push = np.empty(3), np.ones(3, np.int8), np.ones(2, np.int8), np.ones(4)
+    constrain.as_wanted(np.arange(3.0), x, active, kept, push)
+    np.testing.assert_array_equal(x, [0, 1, 2])
+    assert not active.any() and not kept.any() and not push.any()

@@ -1,0 +1,259 @@
+"""Singular directions: which there are, what is damped, and how joints move along them."""
+
+import numpy as np
+import pytest
+
+from ik_toolkit.kernel import modes, singular, wanted
+from ik_toolkit.kernel.bench import bench_on, bench_space
+from ik_toolkit.kernel.box import approach
+from ik_toolkit.kernel.constrain import LEAVE
+from ik_toolkit.kernel.levels import HIGH, LOW, RHS, WANT, make_levels
+from ik_toolkit.kernel.modes import SIDE
+from ik_toolkit.kernel.motion import AV, CV, STATE, Law
+
+
+def task_of(rng, values, n=7):
+    """Rows of a task with these singular values: r x n."""
+    r = len(values)
+    U, _ = np.linalg.qr(rng.normal(size=(r, r)))
+    W, _ = np.linalg.qr(rng.normal(size=(n, n)))
+    return U * values @ W[:, :r].T, U, W[:, :r]
+
+
+def test_whether_a_task_is_regular():
+    rng = np.random.default_rng(0)
+    seen = set()
+    for _ in range(60):
+        values = 10.0 ** rng.uniform(-2.0, 0.5, 4)
+        C, *_ = task_of(rng, values)
+        s = make_levels(8, 7)
+        s.P[2:6, :7] = C
+        least = 10.0 ** rng.uniform(-3.0, 0.0)
+        surely = singular.regular(s.P, s.L, 2, 4, 7, least)
+        assert not surely or values.min() > least
+        assert surely == ((1.0 / values**2).sum() * max(least**2, 1e-12 * (C**2).sum(axis=1).max()) < 1.0)
+        seen.add(surely)
+    assert seen == {True, False}
+    C[3] = C[0]
+    s.P[2:6, :7] = C
+    assert not singular.regular(s.P, s.L, 2, 4, 7, 0.0)
+
+
+def test_rows_are_turned_and_singular_ones_damped():
+    rng = np.random.default_rng(1)
+    values = np.array([1.5, 0.8, 0.12, 0.0])
+    C, U, W = task_of(rng, values)
+    s, asked = make_levels(8, 7), np.zeros((2, 7))
+    s.P[2:6, :7], asked[:, 2:6] = C, rng.normal(size=(2, 4))
+    given = asked[:, 2:6].copy()
+    singular.rotate(s.P, asked, 2, 4, 7)
+    R = s.P[2:6, :7]
+    np.testing.assert_allclose(R @ R.T - np.diag(np.diag(R @ R.T)), 0.0, atol=1e-14)
+    np.testing.assert_allclose(np.sort(np.linalg.norm(R, axis=1)), np.sort(values), atol=1e-14)
+    np.testing.assert_allclose(R.T @ asked[:, 2:6].T, C.T @ given.T, atol=1e-13)  # the same problem
+    np.testing.assert_allclose(np.linalg.norm(asked[:, 2:6], axis=1), np.linalg.norm(given, axis=1))
+    before, rates = R.copy(), asked[:, 2:6].copy()
+    want, low, high = rng.normal(size=7), np.full(7, -0.5), np.full(7, 0.6)
+    s.V[WANT, :7], s.V[LOW, :7], s.V[HIGH, :7] = want, low, high
+    assert singular.damp(s.P, s.V, s.S, asked, 2, 4, 7, 0.4, 0.3, 0.9, 0.25) == 3
+    place = 2
+    for k in range(4):
+        size = np.linalg.norm(before[k])
+        if size < 1e-9:
+            continue
+        fade = max(1.0 - (size / 0.4) ** 2, 0.0)
+        extra = (0.3 * fade) ** 2
+        length = np.sqrt(size**2 + extra)
+        own = before[k] / size @ np.clip(want, low, high)
+        np.testing.assert_allclose(s.P[place, :7], before[k] / size * length, atol=1e-14)
+        assert asked[0, place] == pytest.approx((size * rates[0, k] + extra * own) / length)
+        assert asked[1, place] == pytest.approx(size * rates[1, k] * (1.0 - 0.25 * fade) / length)
+        assert s.S[RHS, place] == pytest.approx(asked[0, place] + 0.9 * asked[1, place])
+        place += 1
+
+
+def speed(
+    sigma,
+    curve,
+    own=0.0,
+    left=0.0,
+    moved=0.0,
+    gain=5.0,
+    h=0.01,
+    slow=False,
+    a=np.inf,
+    near=0.0,
+    away=(0.0, 0.0),
+    top=1.0,
+):
+    """`mode_speed` for the direction (0.6, 0.8) of two joints: its speed where it is lost (None: it is not), edge, away."""
+    V = np.array([[0.6], [0.8]])
+    limits = np.array([[-9.0] * 2, [9.0] * 2, [top] * 2, [a] * 2])
+    lost, xk, side = np.zeros(1), np.full(1, np.nan), np.array(away)
+    out = modes.mode_speed(V, 0, sigma, np.array(curve), own, left, moved, gain, h, slow, limits, lost, xk, near, side)
+    return (xk[0] if lost[0] else None), out, side
+
+
+def test_the_speed_along_a_singular_direction():
+    h, gain, cap = 0.01, 5.0, 1.0 / 0.8
+    for own in (0.0, 0.3):
+        for left, moved in ((2e-4, 1e-5), (-1e-4, 0.0), (0.0, 2e-5)):
+            E = moved + h * gain * left - 0.5 * 4e-6
+            sigma = 3e-3 + 0.5 * (9e-6 - 1e-6 - 4e-6)  # what moves beside it changes the direction's own sigma
+            y = modes.way_along(sigma, 1e-6, E, h * own, 0.0, False, h)[0]
+            x, out, _ = speed(3e-3, [1e-6, 4e-6, 9e-6], own, left, moved)
+            assert x == pytest.approx(np.clip(y / h, -cap, cap), rel=1e-9) and not out
+    assert speed(3e-3, [0.0, 0.0, 0.0], left=1.0)[0] == pytest.approx(cap)
+    assert speed(3e-3, [0.0, 0.0, 0.0], left=-1.0)[0] == pytest.approx(-cap)
+    assert (
+        speed(0.0051, [0.0, 0.0, 0.0], left=1e-6)[0] is None
+        and speed(0.0049, [0.0, 0.0, 0.0], left=1e-6)[0] is not None
+    )
+    # beyond LOST: the joints are too slow for it, and no clock gives way
+    assert (
+        speed(0.1, [0.0, 0.0, 0.0], left=1.0)[0] is not None
+        and speed(0.1, [0.0, 0.0, 0.0], left=1.0, slow=True)[0] is None
+    )
+    assert speed(0.1, [0.0, 0.0, 0.0], moved=0.9 * h * cap * 0.1)[0] is None
+    assert speed(0.1, [0.0, 0.0, 0.0], moved=1.1 * h * cap * 0.1)[0] is not None
+    # or it bends: |b E| above a fifth of sigma^2
+    assert (
+        speed(0.1, [1.9, 0, 1.9], moved=1e-3)[0] is None
+        and speed(0.1, [2.1, 0, 2.1], moved=1e-3, slow=True)[0] is not None
+    )
+    # out of reach: D = sigma^2 + 2 b E below 0
+    assert speed(3e-3, [-1.0, 0.0, -1.0], moved=1e-4)[1] and not speed(3e-3, [1.0, 0.0, 1.0], moved=1e-4)[1]
+
+
+def test_a_singular_direction_brakes_in_time():
+    h, gain, a = 0.01, 5.0, 0.5
+    limit = a / 0.8
+    for left in (1e-3, 1e-2):
+        y = modes.way_along(4e-3, 0.0, left, 0.0, 0.0, False, h)[0]
+        most = approach(abs(y), 0.0, 1.0, h, 0.5 * limit, h)
+        less = left * min(1.0, most / (gain * abs(y)))
+        again = modes.way_along(4e-3, 0.0, h * gain * less, 0.0, 0.0, False, h)[0]
+        assert speed(4e-3, [0.0, 0.0, 0.0], left=left, a=a)[0] == pytest.approx(
+            np.clip(again / h, -1.25, 1.25), rel=1e-9
+        )
+    x, out, _ = speed(4e-3, [-1.0, 0.0, -1.0], left=1e-2, a=a)
+    y = modes.way_along(4e-3, -1.0, 1e-2, 0.0, 0.0, False, h)[0]
+    assert out and abs(x) <= approach(abs(y), 0.0, 1.0, h, 0.5 * limit, h) + 1e-9
+
+
+def test_the_side_the_joints_come_from_is_remembered():
+    v = np.array([0.6, 0.8])
+    for near, share in ((0.0, 1.0), (0.5, 0.01 / SIDE)):
+        for b in (0.3, -0.3):
+            *_, side = speed(3e-3, [b, 0.0, b], near=near, away=(0.2, -0.1))
+            back = v @ [0.2, -0.1]
+            np.testing.assert_allclose(side, np.array([0.2, -0.1]) + share * (np.sign(b) - back) * v, atol=1e-14)
+    np.testing.assert_array_equal(speed(0.9e-4, [0.3, 0.0, 0.3], away=(0.2, -0.1))[2], [0.2, -0.1])
+    np.testing.assert_array_equal(speed(3e-3, [-1.0, 0.0, -1.0], moved=1e-3, away=(0.2, -0.1))[2], [0.2, -0.1])
+    # carried far to the other side of the edge: back across
+    x, out, _ = speed(6e-3, [-1.0, 0.0, -1.0], moved=1e-3, away=tuple(0.9 * v))
+    assert out and x == pytest.approx(min((6e-3 + 5e-3) * 5.0, 1.25))
+    x, out, _ = speed(6e-3, [1.0, 0.0, 1.0], moved=-1e-3, away=tuple(-0.9 * v))
+    assert out and x == pytest.approx(-min((6e-3 + 5e-3) * 5.0, 1.25))
+
+
+class Curved:
+    """A task with a constant second derivative."""
+
+    def __init__(self, rng, n, m):
+        self.B = rng.normal(size=(n, n, m))
+        self.B = 0.5 * (self.B + self.B.transpose(1, 0, 2))
+
+    def plain(self):
+        return True
+
+    def bending(self, look, x, y, out):
+        out[:] = np.einsum("i,j,ijm->m", x, y, self.B)
+
+
+@pytest.mark.parametrize("code", [CV, AV])
+@pytest.mark.parametrize("n", [5, 7])
+def test_only_the_singular_direction_leaves_the_task(code, n):
+    rng = np.random.default_rng(n)
+    m, h = 6, 0.02
+    k = min(n, m)
+    U, _ = np.linalg.qr(rng.normal(size=(m, m)))
+    W, _ = np.linalg.qr(rng.normal(size=(n, n)))
+    for last in (2e-3, 1e-12, 0.5):
+        values = np.append(np.linspace(2.0, 1.0, k - 1), last)
+        s = bench_on(np.zeros(bench_space(n, m, 1)), n, m, 1)
+        s.J[:] = W[:, :k] * values @ U[:, :k].T
+        J = s.J.copy()
+        s.floor[:], s.roof[:] = -9e9, 9e9
+        s.e[:] = 1e-3 * rng.normal(size=m)
+        s.f[:], s.ahead[:] = 0.01 * rng.normal(size=m), s.e + 2e-4 * rng.normal(size=m)
+        e, f, ahead = s.e.copy(), s.f.copy(), s.ahead.copy()
+        law = Law(
+            **{
+                **dict.fromkeys(Law._fields, 0.0),
+                "code": code,
+                "gamma": 1.0,
+                "mode": LEAVE,
+                "damping": 0.05,
+                "kappa": 4.0,
+            }
+        )
+        limits = np.array([np.full(n, -9e9), np.full(n, 9e9), np.full(n, 2.0), np.full(n, np.inf)])
+        state, away, memory = np.zeros(len(STATE)), W[:, k - 1].copy(), np.zeros(n)
+        task, rate = Curved(rng, n, m), 0.1 * rng.normal(size=n)
+        args = (
+            law,
+            None,
+            task,
+            None,
+            None,
+            s,
+            np.zeros(m),
+            limits,
+            np.zeros((3, n)),
+            1.0,
+            h,
+            rate,
+            memory,
+            away,
+            state,
+        )
+        lost = wanted.by_law(*args)
+        want = U.T @ (f + 4.0 * e if code == CV else ahead / h)
+        done = U.T @ (J.T @ s.x)
+        np.testing.assert_allclose(done[: k - 1], want[: k - 1], atol=1e-9)
+        assert (lost == (last < 0.005) and state[STATE.near] == (0.0 if last > 0.1 else 1.0)) or state[
+            STATE.near
+        ] == 1.0 + SIDE
+        if last < 0.005 and (n > m or last > 1e-9):  # else two directions without a singular value share it
+            v = W[:, k - 1]
+            own, curve = v @ rate, np.empty(3)
+            u = U[:, k - 1]
+            for part in range(3):
+                x = (part != modes.BESIDE) * v + (part != modes.ALONG) * h * (rate - own * v)
+                task.bending(None, x, x, s.bias)
+                curve[part] = u @ s.bias
+            gain = 4.0 if code == CV else 2.0 / 3.0 / h
+            lost_, xk, side = np.zeros(1), np.zeros(1), W[:, k - 1].copy()
+            mine = last if last > 1e-9 else s.sv.min()
+            mine = (
+                v[:, None],
+                0,
+                mine,
+                curve,
+                own,
+                u @ e,
+                u @ ahead - u @ e,
+                gain,
+                h,
+                False,
+                limits,
+                lost_,
+                xk,
+                0.0,
+                side,
+            )
+            modes.mode_speed(*mine)
+            assert v @ s.x == pytest.approx(xk[0], rel=1e-6, abs=1e-9)
+            if code == CV:
+                assert v @ memory == pytest.approx(xk[0], rel=1e-6, abs=1e-9)
