@@ -135,8 +135,8 @@ def mutants(file: str) -> list[Mutant]:
 
 
 def source(file: str) -> ast.Module:
-    """The tree of a kernel file."""
-    return ast.parse((KERNEL / file).read_text(encoding="utf-8"))
+    """The tree of a kernel file, as it was first read: it may be edited while mutants are tried."""
+    return ast.parse("\n".join(text_of(file)) + "\n")
 
 
 def planted(mutant: Mutant) -> ast.Module:

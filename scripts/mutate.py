@@ -28,12 +28,12 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-from mutants import KERNEL, Mutant, key, living, mark_all, marked, mutants, plant, uses
+from mutants import KERNEL, Mutant, key, living, mark_all, marked, mutants, plant, text_of, uses
 
 ROOT = Path(__file__).resolve().parent.parent
 OUTPUT = ROOT / "docs" / "data" / "mutation.json"
 KEPT = ROOT / "build" / "mutate"
-LEFT_OUT = {"__init__.py", "jit.py", "cache.py", "parts.py", "vector.py", "lanes.py"}  # see above
+LEFT_OUT = {"__init__.py", "jit.py", "cache.py", "parts.py", "quick.py", "vector.py", "lanes.py"}  # see above
 TESTS = tuple(
     f"tests/{folder}/{name}.py" if name else f"tests/{folder}"
     for folder, names in {
@@ -144,6 +144,8 @@ class Run:
         session.config.pluginmanager.register(self.outcome)
         self.items = {item.nodeid: item for item in session.items}
         self.files = {name: stamp(ROOT / name.split("::")[0]) for name in self.items}
+        for path in KERNEL.glob("*.py"):
+            text_of(path.name)  # read before the forks are
         self.functions = living()
         gc.collect()
         gc.freeze()  # forks share what they do not touch

@@ -107,79 +107,17 @@ def test_a_slide_is_free_until_it_has_used_up_its_distance():
     by_a, by_b = np.array([[True], [False], [False]]), np.array([[False], [True], [True]])
     levers = np.ones((3, 1))
     Q, R, L = straight(1.0, pieces, h)
+    pairs, path = (V, coordinates, middle, radius, a, b, by_a, by_b, ks), (levers, Q, R, L, 1.0, h)
+    flat = np.zeros((3, 3))  # not convex: the length of the way counts, whichever way it leads
     for start in (0.0, 1.5):
-        out = np.empty(3)
+        out, near = np.empty(3), start + 1.7
         normals = np.array([[1.0, 0, 0], [1.0, 0, 0], [-1.0, 0, 0]])
-        clearance.free_until(
-            V,
-            coordinates,
-            middle,
-            radius,
-            a,
-            b,
-            by_a,
-            by_b,
-            ks,
-            normals,
-            np.full(3, 0.17),
-            levers,
-            Q,
-            R,
-            L,
-            1.0,
-            h,
-            start,
-            out,
-        )
-        # a towards b; b away from a (its normal points from b's partner); b against the normal: towards
-        assert start + 1.7 - 1 / 32 <= out[0] <= start + 1.7
-        assert out[1] == pieces or out[2] == pieces
-        near = out[1] if out[2] == pieces else out[2]
-        assert start + 1.7 - 1 / 32 <= near <= start + 1.7
-        flat = np.zeros((3, 3))  # not convex: the length of the way counts, whichever way it leads
-        clearance.free_until(
-            V,
-            coordinates,
-            middle,
-            radius,
-            a,
-            b,
-            by_a,
-            by_b,
-            ks,
-            flat,
-            np.full(3, 0.17),
-            levers,
-            Q,
-            R,
-            L,
-            1.0,
-            h,
-            start,
-            out,
-        )
-        assert np.all((start + 1.7 - 1 / 32 <= out) & (out <= start + 1.7))
-        clearance.free_until(
-            V,
-            coordinates,
-            middle,
-            radius,
-            a,
-            b,
-            by_a,
-            by_b,
-            ks,
-            flat,
-            np.full(3, 9.0),
-            levers,
-            Q,
-            R,
-            L,
-            1.0,
-            h,
-            start,
-            out,
-        )
+        clearance.free_until(*pairs, normals, np.full(3, 0.17), *path, start, out)
+        assert near - 1 / 32 <= out[0] <= near  # the first towards the second
+        assert out[1] == pieces and near - 1 / 32 <= out[2] <= near  # the second along its normal, and against it
+        clearance.free_until(*pairs, flat, np.full(3, 0.17), *path, start, out)
+        assert np.all((near - 1 / 32 <= out) & (out <= near))
+        clearance.free_until(*pairs, flat, np.full(3, 9.0), *path, start, out)
         np.testing.assert_array_equal(out, pieces)
 
 
