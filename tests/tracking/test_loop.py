@@ -1,6 +1,7 @@
 """The interface for control loops: `Tracker.update` and its statuses."""
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from references import Q0, panda_reference
 
@@ -78,6 +79,22 @@ def test_updates_without_twist_and_with_uneven_steps(panda):
     held = Tracker(panda, "cv", q0=Q0)
     assert held.update(np.full(3, np.nan), 0.01).status is StepStatus.HELD
     assert held.update(panda.fk(Q0).translation, 0.01).status is StepStatus.OK
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-12, 1e-6, 0.3, 2.5, 2.9, np.pi - 1e-9])
+def test_the_twist_between_two_targets_is_that_of_the_turn_between_them(panda, angle):
+    """However large the turn: the step is the one for that twist given, axes of the base."""
+    axis = np.array([2.0, -1.0, 2.0]) / 3.0
+    first = panda.fk(Q0)
+    turned = pin.SE3(pin.exp3(angle * axis) @ first.rotation, first.translation + np.array([1e-3, 0.0, -2e-3]))
+    left_out, given = Tracker(panda, "cv", q0=Q0), Tracker(panda, "cv", q0=Q0)
+    for tracker in (left_out, given):
+        tracker.update(first, 0.01, np.zeros(6))
+    step = left_out.update(turned, 0.01)
+    wanted = given.update(turned, 0.01, np.concatenate([[0.1, 0.0, -0.2], 100.0 * angle * axis]))
+    assert np.allclose(step.q, wanted.q, rtol=0.0, atol=1e-9) and np.allclose(
+        step.rate, wanted.rate, rtol=0.0, atol=1e-7
+    )
 
 
 def test_mistakes_in_the_loop_are_typed(panda):
