@@ -10,7 +10,7 @@ import typer
 
 from ..errors import InvalidOption, near_match
 from .arguments import Json
-from .output import facts, notice, show, table, write_json
+from .output import facts, notice, progress, show, table, write_json
 
 PaperArg = Annotated[str | None, typer.Argument(metavar="[PAPER]", help="Name of a paper; omit to list them.")]
 Folder = Annotated[
@@ -50,7 +50,8 @@ def reproduce(paper: PaperArg = None, output: Folder = None, as_json: Json = Fal
     if not os.access(folder, os.W_OK):
         raise InvalidOption(f"cannot write to '{folder}': no permission")
     notice(f"computing the report of '{paper}': takes a minute or two ...")
-    report = getattr(importlib.import_module(module), function)()
+    with progress("computing", None):  # how far it is, a report does not say
+        report = getattr(importlib.import_module(module), function)()
     files = report.write(folder)
     write_json({**report.data, "files": [str(file) for file in files]}, as_json)
     if not as_json:

@@ -31,7 +31,7 @@ from .arguments import (
 )
 from .by_tip import choose_tips
 from .obstacles import collision_model
-from .output import facts, notice, show, table, turns, write_json
+from .output import facts, notice, progress, show, table, turns, write_json
 from .track_path import Asked, advice, asked_path
 
 if TYPE_CHECKING:
@@ -222,8 +222,9 @@ def track(
     tips = choose_tips(robot, tip, None, relative, False, group)
     arm = load_robot(robot, tips, base, lock, package_dir, deg, xacro_arg, base_xyz, base_rpy, srdf, group)
     first = None if q0 is None else joint_vector(arm, q0, "--q0", deg)
-    asked = asked_path(arm, line, first, counts)
-    result = _run(arm, line, asked, counts)
+    with progress("tracking", None):
+        asked = asked_path(arm, line, first, counts)
+        result = _run(arm, line, asked, counts)
     if output is not None:
         notice(f"wrote {result.save(output)}")
     if plot is not None:
@@ -289,7 +290,7 @@ def _show(result: "TrackResult", arm: "Robot", asked: Asked) -> None:
                 "method": f"{result.method}{', ' + gains if gains else ''}; {steps} steps of {result.dt:.5g} s",
                 "stability": None if check is None else f"{check.verdict} at rest, spectral radius {check.radius:.4g}",
                 "status": f"{result.status.name}: {result.message}",
-                "time": f"{result.elapsed * 1e3:.3g} ms of stepping",
+                "time": f"{result.elapsed:.3g} s of stepping",
             }
         )
     )
