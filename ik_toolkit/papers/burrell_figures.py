@@ -44,7 +44,7 @@ def draw_response(curves: dict[str, np.ndarray]) -> Callable[[Any], Any]:
         for axis, (name, error), colour in zip(axes, curves.items(), COLOURS, strict=False):
             axis.semilogy(error, color=colour, lw=1.6)
             axis.axhline(1.0, color="0.6", lw=0.8, ls=":")
-            axis.set_title(f"{name}: {len(error) - 1} iterations")
+            axis.set_title(f"{name}:\n{len(error) - 1} iterations")
             axis.set_ylabel("error (mm)")
         axes[-1].set_xlabel("iteration")
         return figure
@@ -67,7 +67,7 @@ def draw_workspace(points: np.ndarray, maps: dict[str, np.ndarray]) -> Callable[
             axis.set_xlabel("x forward (mm)", labelpad=2)
             axis.set_ylabel("z right (mm)", labelpad=4)
             axis.set_zlabel("y up (mm)" if k == len(maps) - 1 else "", labelpad=2)
-            axis.set_title(f"{name}: {int(good.sum())} of {len(good)}", y=1.02)
+            axis.set_title(f"{name}:\n{int(good.sum())} of {len(good)}", y=1.02)
             axis.view_init(20, -62)
             axis.set_box_aspect(np.ptp(points[:, (0, 2, 1)], axis=0), zoom=1.0)
             axis.tick_params(labelsize=7, pad=0)

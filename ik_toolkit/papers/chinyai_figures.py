@@ -56,7 +56,7 @@ def target_basins(converge: Callable, limit: float) -> Any:
             elbow = (math.cos(start[0]), math.sin(start[0]))
             hand = (elbow[0] + math.cos(start.sum()), elbow[1] + math.sin(start.sum()))
             axis.plot(*np.array([(0, 0), elbow, hand]).T, color="black", lw=2.2, marker="o", ms=3.5, mfc="white")
-            axis.set_title(f"{title}: {100 * np.mean(rows[:, 2] >= 0):.1f} %")
+            axis.set_title(f"{title}:\n{100 * np.mean(rows[:, 2] >= 0):.1f} %")
             axis.set(xlabel="x (m)", xticks=(-2, 0, 2), yticks=(-2, 0, 2), aspect="equal")
         axes[0].set_ylabel("y (m)")
         _legend(figure, plt)
@@ -96,7 +96,7 @@ def start_basins(converge: Callable, target: tuple[float, float]) -> Any:
                 t1 = math.atan2(target[1], target[0]) - math.atan2(math.sin(t2), 1 + math.cos(t2))
                 axis.plot(math.degrees(t1), math.degrees(t2), shape, color="white", mec="black", ms=6)
             axis.set_title(
-                f"{title}: {100 * np.mean(rows[:, 2] >= 0):.1f} %, mean {rows[rows[:, 2] >= 0, 2].mean():.1f} steps"
+                f"{title}:\n{100 * np.mean(rows[:, 2] >= 0):.1f} %, mean {rows[rows[:, 2] >= 0, 2].mean():.1f} steps"
             )
             axis.set(
                 xlabel="start theta_1 (deg)",

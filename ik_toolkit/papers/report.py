@@ -84,8 +84,13 @@ class Report:
 
             for file, draw in self._figures:
                 with drawing(PRINTED) as plt:
-                    files.append(save(draw(plt), folder / file))
+                    figure = draw(plt)
+                    figure.set_size_inches(*(figure.get_size_inches() * min(1.0, WIDEST / figure.get_figwidth())))
+                    files.append(save(figure, folder / file))
         return files
+
+
+WIDEST = 8.0  # inches: on a page of 740 pixels a text of 9 points is then 12 pixels high
 
 
 def _cell(value: Any) -> str:

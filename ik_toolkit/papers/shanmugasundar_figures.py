@@ -44,7 +44,8 @@ def gallery(robot: Robot) -> Any:
             )
             angles = np.degrees(np.remainder(np.delete(branch, 1) + math.pi, 2 * math.pi) - math.pi)
             broken = robot.outside(branch)
-            says = "breaks " + ", ".join(broken) if broken else "inside the limits"
+            says = "breaks " + ", ".join(broken[:2]) if broken else "inside the limits"
+            says += ",\n" + ", ".join(broken[2:]) if broken[2:] else ""
             axis.set_title(
                 f"{k + 1}:  " + "  ".join(f"{x:.0f}" for x in angles) + f"\n{says}",
                 fontsize=7,
