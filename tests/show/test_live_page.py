@@ -249,7 +249,7 @@ def test_panel(hydrolek):
     assert page.locator("#null").is_enabled()
     before = np.array(state(page)["q"])
     page.evaluate("document.getElementById('null').value = 0.8; document.getElementById('null').oninput()")
-    page.wait_for_timeout(400)
+    page.wait_for_function("(q) => arm.state().q.some((x, k) => Math.abs(x - q[k]) > 0.05)", arg=before.tolist())
     page.evaluate("document.getElementById('null').value = 0")
     still(page)
     after = np.array(state(page)["q"])
