@@ -89,7 +89,12 @@ def table(head: list[str], rows: list[list[Any]]) -> str:
 
 
 def write(output: Path, payload: dict[str, Any], *tables: str) -> None:
-    """Write the JSON, the tables as Markdown in it, and print the tables."""
+    """`keep`, and print the tables."""
+    print(keep(output, payload, *tables))
+
+
+def keep(output: Path, payload: dict[str, Any], *tables: str) -> str:
+    """Write the JSON, the tables as Markdown in it; returns the tables."""
     words = [
         Path(word).name if Path(word).is_absolute() else word for word in sys.argv[1:]
     ]  # no folders of this machine
@@ -100,7 +105,7 @@ def write(output: Path, payload: dict[str, Any], *tables: str) -> None:
     text = "\n\n".join(tables) + "\n"
     output.parent.mkdir(parents=True, exist_ok=True)
     output.write_text(json.dumps({**payload, "tables": text}, indent=1) + "\n", encoding="utf-8")
-    print(text)
+    return text
 
 
 # ------------------------------------------------------------------------------------------------------------- robots

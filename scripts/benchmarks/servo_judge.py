@@ -242,7 +242,6 @@ def judge(
         third = len(error) // 3
         found["delay_ratio"] = float(error[round(SETTLE / DT) :].max() / (speed * s.delay * DT))
         found["growth"] = float(error[-third:].max() / error[third : 2 * third].max())
-    found["trace"] = [[round(float(x), 7) for x in row[:: max(1, len(row) // 150)]] for row in (error, least)]
     return found
 
 
