@@ -271,8 +271,9 @@ def wilson(k: int, n: int) -> tuple[float, float]:
 def write(given: argparse.Namespace, todo: list[Mutant], done: dict[str, str], everything: int, stamps: dict) -> None:
     """Shares by file, and the survivors by name."""
     before = json.loads(given.output.read_text()) if given.output.exists() else {}
-    same = before.get("equivalent", {})  # judged by hand: name without the line's number -> reason
-    counted = [m for m in todo if key(m.name) not in same]
+    same = before.get("equivalent", {})  # judged by hand: `exact` name -> reason
+    names = exact({m.file for m in todo})
+    counted = [m for m in todo if names[m.name] not in same]
     rows = {}
     for file in sorted({m.file for m in counted}):
         ends = [done[m.name] for m in counted if m.file == file]
@@ -292,6 +293,16 @@ def write(given: argparse.Namespace, todo: list[Mutant], done: dict[str, str], e
     }  # fmt: skip
     given.output.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
     print(json.dumps({k: result[k] for k in ("tried", "share killed", "95 %", "files")}, indent=1))
+
+
+def exact(files: set[str]) -> dict[str, str]:
+    """Name of each mutant of some files that survives edits of other lines: its `key`, numbered where a line has several."""
+    names, seen = {}, defaultdict(int)
+    for mutant in (m for file in sorted(files) for m in mutants(file)):
+        text = key(mutant.name)
+        seen[text] += 1
+        names[mutant.name] = f"{text} {seen[text]}" if seen[text] > 1 else text
+    return names
 
 
 def main() -> None:
