@@ -76,6 +76,7 @@ def mutation() -> list[str]:
         else f"Of these {found['tried']} were drawn by chance"
     )
     same = f"; {found['equivalent in it']} of them change nothing and are left out" if found["equivalent in it"] else ""
+    unseen = f"{lost} of the rest are reached by none of these tests. " if lost else ""
     lines = [
         "## Mistakes planted in the kernel",
         "",
@@ -83,7 +84,7 @@ def mutation() -> list[str]:
         f"{found['mutants in all']:,} changes in all, and runs the tests that reach it and take less than a second uncompiled. "
         f"{of} (seed {found['seed']}){same}. The tests see {found['killed']} of {found['counted']}: "
         f"{100 * found['share killed']:.1f} % (95 % interval {100 * low:.1f} to {100 * high:.1f} %, Wilson). "
-        f"{lost} of the rest are reached by none of these tests. Not counted: vectors of eight lanes, and what runs in numba only. "
+        f"{unseen}Not counted: vectors of eight lanes, and what runs in numba only. "
         "The survivors are listed in `docs/data/mutation.json`.",
         "",
         "| file | mutants | killed | not reached |",
