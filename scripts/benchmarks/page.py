@@ -9,6 +9,7 @@ benchmark_against.json from the folder given; those that are missing are left ou
 
 import argparse
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -175,6 +176,13 @@ def solvers(data: dict[str, Any]) -> str:
     return common.table(["solver", "what", "version"], rows).replace("---:", "---")
 
 
+NAMES = {  # of rows, where it is not the key
+    "ik": "**`ik.Solver`**, bound", "ik_q0": "**`ik.Solver`**, from q0", "ik.solve": "**`ik.solve`**, all checks",
+    "rtb": "Robotics Toolbox `ik_LM(k=0.1)`", "rtb_free": "Robotics Toolbox `ik_LM(k=0.1, joint_limits=False)`",
+    "pytracik": "TRAC-IK (pytracik, two threads)",
+}  # fmt: skip
+
+
 def headline(found: dict[str, dict[str, Any]]) -> dict[str, Any]:
     """Rows of the comparison that README and chart show, the fastest first: random poses of the Panda, strict tolerances."""
     runs = {(r["robot"], r["start"], r["tolerance"]): r["rows"] for r in found["solve"]["runs"]}
@@ -198,8 +206,8 @@ def chart(found: dict[str, dict[str, Any]], picture: Path) -> list[str]:
             text = f"{common.short(median)} us,  {solved:.4g} % solved"
             axis.annotate(text, (tail, -k), xytext=(7, 0), textcoords="offset points", va="center", fontsize=8)
         axis.set_xscale("log")
-        axis.set_xlim(begin, 12.0 * most)
-        axis.set_yticks([-k for k in range(len(rows))], list(rows))
+        axis.set_xlim(begin, 30.0 * most)  # with room for the last row's text
+        axis.set_yticks([-k for k in range(len(rows))], [re.sub("[*`]", "", NAMES.get(name, name)) for name in rows])
         axis.grid(False, axis="y")
         axis.tick_params(axis="y", length=0)
         axis.set_xlabel("time of a solve [us]: median (bar) and 99th percentile (line), log scale")
@@ -222,12 +230,9 @@ def first_use(found: dict[str, dict[str, Any]]) -> str:
 
 def summary(found: dict[str, dict[str, Any]]) -> str:
     """The few figures of the README: one robot, every solver."""
-    names = {"ik": "**`ik.Solver`**, bound", "ik.solve": "**`ik.solve`**, all checks"}
-    names |= {"rtb_free": "Robotics Toolbox `ik_LM(k=0.1, joint_limits=False)`"}
-    names |= {"rtb": "Robotics Toolbox `ik_LM(k=0.1)`", "pytracik": "TRAC-IK (pytracik, two threads)"}
     rows = [
         [
-            f"{names.get(key, key)} {found['solve']['versions'].get(key, '')}".strip(),
+            f"{NAMES.get(key, key)} {found['solve']['versions'].get(key, '')}".strip(),
             *(common.short(1.0 * row["wall"][part]) for part in ("median", "p99")),
             common.percent(row).split(" (")[0],
         ]
@@ -243,8 +248,9 @@ def summary(found: dict[str, dict[str, Any]]) -> str:
             common.table(["", "median, us", "99th percentile, us", "success, %"], rows),
             f"`ik.solve_batch` on two cores: {round(batch['per_second'], -4):,.0f} such poses a second. Other robots, tolerances"
             " and starts, versions and commands: [benchmarks](docs/benchmarks.md).",
+            first_use(found),
         ]
-    )
+    ).strip()
 
 
 def main() -> None:
