@@ -25,9 +25,11 @@ class Bench(NamedTuple):
     a: Array  # (m,) acceleration
     ask: Array  # (m,) rate of the task that does not scale with the clock
     bias: Array  # (m,)
+    weight: Array  # (m,) of the errors; ones where they are weighed already
     t: Array  # (m,)
     y: Array  # (max(n, m),)
     G: Array  # (max(n, m), max(n, m))
+    H: Array  # (max(n, m), max(n, m)) damped
     J: Array  # (n, m) of what is tracked
     W: Array  # (n, m) modes, see modes.py: sigma_k v_k ...
     V: Array  # (n, m) ... v_k of the lost ones ...
@@ -58,8 +60,8 @@ class Bench(NamedTuple):
 
 @inline
 def bench_space(n, m, rows):
-    """Length of a block that has room for `Bench`: its matrices are less than (n + m)^2 together twice."""
-    return 2 * (n + m) * (n + m) + 48 * (n + m + LINE) + rows
+    """Length of a block that has room for `Bench`: its matrices are less than (n + m)^2 together three times."""
+    return 3 * (n + m) * (n + m) + 48 * (n + m + LINE) + rows
 
 
 @spliced
@@ -68,6 +70,6 @@ def bench_on(block, n, m, rows):
     k, F = max(n, m), m // 6
     why_low, why_top = cut(block, np.uint8, (n, n))
     return Bench(why_low, why_top, *cut(block, np.float64, (
-        (F, 4, 4), m, m, m, m, m, m, m, m, m, m, k, (k, k), (n, m), (n, m), (n, m), (m, m), m, m, m, (F, 3),
+        (F, 4, 4), m, m, m, m, m, m, m, m, m, m, m, k, (k, k), (k, k), (n, m), (n, m), (n, m), (m, m), m, m, m, (F, 3),
         n, n, n, n, n, n, n, n, n, n, n, n, n, n, n, n + rows, (rows, n), rows,
     )))  # fmt: skip

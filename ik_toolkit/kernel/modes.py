@@ -34,6 +34,9 @@ ALONG, BESIDE, BOTH = range(3)  # motions whose curvature is asked
 SIDE = (
     0.2  # [s] in which the side is forgotten from which the joints came to a singular pose: a swing across is shorter
 )
+CAUTION = (
+    2.0 / 3.0
+)  # of the way to the closest pose in a step: beside a free direction, whole ways zigzag (steepest descent does)
 CLEAR = 1e-4  # singular value from which on it is clear on which side of the singular pose the joints are
 
 
@@ -173,7 +176,8 @@ def mode_speed(V, r, sigma, curve, own, left, moved, gain, h, slow, limits, lost
         most = approach(abs(y), 0.0, 1.0, h, 0.5 * a, h)  # so that it can brake before the error is gone, see `ease`
         if last == 0 and gain * abs(y) > most:
             left *= most / (gain * abs(y))
-    x, edge = y / h, D < 0.0
+    edge = D < 0.0
+    x = (CAUTION if edge else 1.0) * y / h
     if edge and sigma > LOST and grows * back < 0.0:  # carried far to the other side: back across
         x = -grows * (sigma / abs(b) + LOST) * gain
     if edge and a < np.inf:
@@ -217,6 +221,27 @@ def take_out(J, W, U, V, lost, f, G):
             G[c, c] += NOTHING
     cholesky(G, k, 0.0)
     return count
+
+
+@inner
+def hold_back(U, sigma, lost, bend, e, ahead):
+    """Shrink the error fed back along the directions that are not lost, where what is lost cannot be reached.
+
+    bend: the largest curvature of the tip's way. Times the error left it adds to sigma_k^2 of the second derivative, and whole
+    ways J^+ e would go too far and back for ever (Levenberg and Marquardt).
+    """
+    m = lost.shape[0]
+    left = 0.0
+    for r in range(m):
+        if lost[r] > 0.0:
+            left += mode_part(U, r, e) ** 2
+    more = bend * math.sqrt(left)
+    for r in range(m):
+        if lost[r] == 0.0:
+            part = mode_part(U, r, e) * more / (sigma[r] * sigma[r] + more)
+            for c in range(m):
+                e[c] -= part * U[c, r]
+                ahead[c] -= part * U[c, r]
 
 
 @inner

@@ -25,6 +25,8 @@ AT_RATE, AT_RATE_AND_STEP, AT_STEP = range(3)  # where aa takes dJ/dt: readings 
 MOVING, GIVEN, RUNNING, READY = range(4)  # start with the reference's rate, with the rate given; go on; all is known
 FINE, NOT_FINITE, RUNAWAY = range(3)
 SINGLE = 1e-24  # share of the largest diagonal entry of JJ' below which a row is one the joints cannot move
+FAR = 0.25  # of curvature times error: damped by it, a direction asks for at most the root of error over curvature
+AT = 1e-9  # [rad, or reaches] from a limit at which a joint is at it
 REGION = 2.0  # damping fades in where the smallest singular value falls below REGION * damping
 
 
@@ -261,27 +263,46 @@ def command(p, J, m, e, v, a, bias, rate, prev, h, ratio, G, y, t, move, null, x
 
 
 @jit
-def ease(p, J, m, e, ahead, h, limits, fast, quick, G, y, c):
+def ease(p, J, m, e, ahead, h, q, limits, planes, edges, count, fast, quick, walls, bend, G, H, y, c):
     """Shrink the error fed back (e and ahead, in place) until the joints could brake before it is gone.
 
     A method that removes a large error in one step asks for far more acceleration than there is; clipped, it overshoots
     and swings for ever. The shares `fast` of each joint's speed and `quick` of its acceleration are left to the correction.
+    walls: whether joints at their limits, which have no say either, and `count` half-planes are looked at. Where they are in the
+    way J^+ e, that way is not the one the joints take: with bend > 0, the curvature of the tip's way times the error, it is looked
+    at again, damped, as along a weak direction it ends long before. Returns whether they are in the way.
     """
     code = int(p.code)
     natural = p.kappa if code == CV else p.kp / p.kd if code == CA else 1.0 / h
-    apply(J, m, G, e, y, c)
-    f = 1.0
-    for i in range(c.shape[0]):
-        size = abs(c[i])
-        cap = fast * limits[2, i]
-        if limits[3, i] < np.inf:
-            cap = min(cap, approach(size, 0.0, 1.0, h, quick * limits[3, i], h))
-        if natural * size > cap > 0.0:  # a locked joint has no say: the others close the error
-            f = min(f, cap / (natural * size))
+    f, wide, blocked = 1.0, J.shape[0] >= m, False
+    for damped in range(2):
+        if damped:
+            gram(J, m, wide, FAR * bend, H)
+            cholesky(H, m if wide else J.shape[0], 0.0)
+        apply(J, m, H if damped else G, e, y, c)
+        f = 1.0
+        for k in range(count if walls else 0):
+            over = -max(edges[k], 0.0) / natural
+            for i in range(c.shape[0]):
+                over += planes[k, i] * c[i]
+            blocked = blocked or over > 0.0
+        for i in range(c.shape[0]):
+            size = abs(c[i])
+            if walls and (q[i] >= limits[1, i] - AT if c[i] > 0.0 else q[i] <= limits[0, i] + AT):
+                blocked = True
+                continue
+            cap = fast * limits[2, i]
+            if limits[3, i] < np.inf:
+                cap = min(cap, approach(size, 0.0, 1.0, h, quick * limits[3, i], h))
+            if natural * size > cap > 0.0:  # a locked joint has no say: the others close the error
+                f = min(f, cap / (natural * size))
+        if f == 1.0 or not blocked or bend == 0.0:
+            break
     if f < 1.0:
         for k in range(m):
             ahead[k] -= (1.0 - f) * e[k]
             e[k] *= f
+    return blocked
 
 
 @jit

@@ -188,9 +188,10 @@ def run(
             return i
         count = gather(law, lines, level, s.planes, s.edges)
         count = slack_rows(counts[1], s.J, s.e, s.f, s.ahead, s.a, h, s.planes, s.edges, count)
+        copy(counts[0], s.weight)
         ratio = h / state[STATE.period] if state[STATE.start] == RUNNING else 0.0
         S[i, 3] = wanted(
-            law, rule, task, look, weights, s, counts[1], limits, wish, sigma, h, rate, memory, away, state
+            law, rule, task, look, weights, s, counts[1], limits, wish, count, sigma, h, rate, memory, away, state
         )
         copy(rate, s.before)
         stop, still = judge(s.x, h, law, state)
@@ -200,7 +201,7 @@ def run(
         if still or law.mode == CLIP:
             clip_rates(law, s, still, h, memory, C[i])
         else:
-            done, held = obey(rule, law, s, counts[0], count, sigma, h, state, work, active, kept, C[i])
+            done, held = obey(rule, law, s, s.weight, count, sigma, h, state, work, active, kept, C[i])
             if held:
                 own_up(law, h, ratio, s.w, s.x, s.lead, sigma - done, memory)
         if law.mode == SLOW:

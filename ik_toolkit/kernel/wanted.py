@@ -2,6 +2,7 @@
 
 # numba's own types know neither options in a dict nor that overloads and intrinsics are called by numba.
 # pyright: reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -9,8 +10,23 @@ from numba.extending import overload
 
 from .constrain import SLOW
 from .jit import INLINE, inline, inner
-from .modes import SIDE, along_lost, mode_direction, mode_moved, mode_part, mode_probe, mode_speed, modes, take_out
+from .modes import (
+    CLOSE,
+    SIDE,
+    along_lost,
+    hold_back,
+    mode_direction,
+    mode_moved,
+    mode_part,
+    mode_probe,
+    mode_speed,
+    modes,
+    take_out,
+)
 from .motion import (
+    AA,
+    AT_RATE,
+    AT_STEP,
     CA,
     CLIP,
     CV,
@@ -27,7 +43,7 @@ from .motion import (
 )  # fmt: skip
 from .records import copy
 from .search import SINGULAR_STEP
-from .wishes import STEP, away_from_limits, clip_wish, into_null_space, reflect
+from .wishes import STEP, away_from_limits, clip_wish, into_null_space, reflect, weigh
 
 GAIN = 2.0 / 3.0  # share of an error fed back in a sample where the method has no gain of its own: the best of `cv`
 FAST, BRISK = (
@@ -103,16 +119,14 @@ def add_wishes(law, s, limits, wish, ratio, h, memory):
 
 
 @inline
-def by_law(law, rule, task, look, weights, s, slack, limits, wish, sigma, h, rate, memory, away, state):
+def by_law(law, rule, task, look, weights, s, slack, limits, wish, count, sigma, h, rate, memory, away, state):
     """Rates that a published law wants, to s.x. Returns how much of the task was lost, or the damping (CLIP)."""
     m = s.J.shape[1]
     wide = s.J.shape[0] >= m
     gain = law.kappa if law.code == CV else GAIN / h
     border = REGION * law.damping
-    damped, count, limited = 0.0, 0, False
-    copy(s.f, s.pace)
+    damped, weak, limited, heavy = 0.0, 0, False, 0.0 if law.mode == CLIP else 1.0
     for k in range(m):
-        s.f[k] *= sigma
         s.lost[k] = 0.0
     for i in range(rate.shape[0]):
         limited = limited or limits[3, i] < np.inf
@@ -122,10 +136,14 @@ def by_law(law, rule, task, look, weights, s, slack, limits, wish, sigma, h, rat
         gram(s.J, m, wide, 0.0, s.G)
         low = invert(s.G, m if wide else s.J.shape[0], s.y)
         if law.damping > 0.0 and not low >= border * border:
-            count = m
+            weak = m  # what is lost of a task, and what is closest, is by the weights of the errors
+            heavy = weigh(s.weight, s.J, s.e, s.ahead, s.f, s.a)
             modes(s.J, s.W, s.U, s.sv)
+    copy(s.f, s.pace)
+    for k in range(m):
+        s.f[k] *= sigma
     left, moved, own, near, beyond = 0.0, 0.0, 0.0, False, False
-    for r in range(m - count, m + 1):  # the modes with small singular values, if any, then the law
+    for r in range(m - weak, m + 1):  # the modes with small singular values, if any, then the law
         if r < m:
             if s.sv[r] >= border:
                 continue
@@ -137,15 +155,32 @@ def by_law(law, rule, task, look, weights, s, slack, limits, wish, sigma, h, rat
                 s.lost[r], s.xk[r] = 1.0, 0.0
                 continue
         else:
-            if count > 0:
+            if weak > 0:
                 damped = 1.0 * take_out(s.J, s.W, s.U, s.V, s.lost, s.f, s.G)
-            # the second order of a step no joint can make means nothing
+            if beyond and wide:  # fewer joints than the task has rows always leave an error
+                hold_back(s.U, s.sv, s.lost, heavy, s.e, s.ahead)
+            blocked = False
             if limited or (law.mode != CLIP and law.code >= CA):
                 fast, quick = (0.5, 0.5) if law.mode == CLIP else (FAST, BRISK)
-                ease(law, s.J, m, s.e, s.ahead, h, limits, fast, quick, s.G, s.y, s.x)
+                size, gone = 0.0, 0.0  # what is lost is no error that the other directions close
+                for k in range(m):
+                    size += s.e[k] * s.e[k]
+                    if s.lost[k] > 0.0:
+                        gone += mode_part(s.U, k, s.e) ** 2
+                bend = heavy * math.sqrt(max(size - gone, 0.0)) if size > CLOSE * CLOSE else 0.0
+                blocked = ease(
+                    law, s.J, m, s.e, s.ahead, h, s.at, limits, s.planes, s.edges, count, fast, quick, law.mode != CLIP, bend,
+                    s.G, s.H, s.y, s.x,
+                )  # fmt: skip
             prepare(law, s.J, m, s.ahead, rate, h, s.G, s.y, s.t, s.move, s.null, s.x1, s.x2)
             if law.code < CA:
                 continue
+            if (
+                blocked and law.code == AA and law.reading != AT_RATE
+            ):  # the second order of a step no joint can make is nothing
+                for i in range(rate.shape[0]):
+                    s.x1[i] *= 0.0 if law.reading == AT_STEP else 1.0
+                    s.x2[i] = 0.0
         for part in range(3 if r < m else 1):
             if r < m:
                 own = mode_probe(s.V, r, rate, part, h, s.x1)
@@ -154,6 +189,9 @@ def by_law(law, rule, task, look, weights, s, slack, limits, wish, sigma, h, rat
                 task.bending(look, s.x1, s.x2, s.bias)
             else:
                 by_difference(task, s, slack)
+            if weak > 0:
+                for k in range(m):
+                    s.bias[k] *= s.weight[k]
             if r < m:
                 s.t[part] = mode_part(s.U, r, s.bias)
         if r < m:
@@ -163,6 +201,9 @@ def by_law(law, rule, task, look, weights, s, slack, limits, wish, sigma, h, rat
             )  # fmt: skip
             beyond = beyond or out
     state[STATE.near] = 1.0 + SIDE if beyond else max(state[STATE.near] - h, 1.0) if near else 0.0
+    if weak > 0:  # all is weighed by now
+        for k in range(m):
+            s.weight[k] = 1.0 if s.weight[k] > 0.0 else 0.0
     ratio = h / state[STATE.period] if state[STATE.start] == RUNNING else 0.0
     jump = sigma - state[STATE.sigma] if law.mode == SLOW else 0.0  # of the clock's rate, now
     if law.mode == SLOW:
@@ -210,7 +251,7 @@ def by_difference(task, s, slack):
 
 
 @inline
-def by_rule(law, rule, task, look, weights, s, slack, limits, wish, sigma, h, rate, memory, away, state):
+def by_rule(law, rule, task, look, weights, s, slack, limits, wish, count, sigma, h, rate, memory, away, state):
     """Rates that a solver's rule wants, to s.x: its step to where the target will be."""
     d = task.desk
     leaned = False
@@ -243,17 +284,17 @@ def copy_rows(source, target):
         copy(source[i], target[i])
 
 
-def wanted(law, rule, task, look, weights, s, slack, limits, wish, sigma, h, rate, memory, away, state):
+def wanted(law, rule, task, look, weights, s, slack, limits, wish, count, sigma, h, rate, memory, away, state):
     """Rates that the law or the rule wants."""
     how = by_law if isinstance(rule, Published) else by_rule
-    return how(law, rule, task, look, weights, s, slack, limits, wish, sigma, h, rate, memory, away, state)
+    return how(law, rule, task, look, weights, s, slack, limits, wish, count, sigma, h, rate, memory, away, state)
 
 
 @overload(wanted, jit_options=INLINE)
-def _wanted(law, rule, task, look, weights, s, slack, limits, wish, sigma, h, rate, memory, away, state):
+def _wanted(law, rule, task, look, weights, s, slack, limits, wish, count, sigma, h, rate, memory, away, state):
     how = by_law if rule.instance_class is Published else by_rule
-    return lambda law, rule, task, look, weights, s, slack, limits, wish, sigma, h, rate, memory, away, state: how(
-        law, rule, task, look, weights, s, slack, limits, wish, sigma, h, rate, memory, away, state
+    return lambda law, rule, task, look, weights, s, slack, limits, wish, count, sigma, h, rate, memory, away, state: (
+        how(law, rule, task, look, weights, s, slack, limits, wish, count, sigma, h, rate, memory, away, state)
     )
 
 

@@ -36,6 +36,19 @@ def lay_aside(flip, J, e):
 
 
 @inner
+def weigh(weight, J, e, ahead, f, a):
+    """Weigh the rows of a task: J (n, m), errors e and ahead, the target's twist and acceleration. Returns the largest weight."""
+    most = 0.0
+    for k in range(e.shape[0]):
+        w = weight[k]
+        most = max(most, w)
+        e[k], ahead[k], f[k], a[k] = w * e[k], w * ahead[k], w * f[k], w * a[k]
+        for i in range(J.shape[0]):
+            J[i, k] *= w
+    return most
+
+
+@inner
 def slack_rows(slack, J, e, f, ahead, a, h, A, b, count):
     """Turn errors with slack into half-planes A x <= b from row `count` on, and take them out of the task; returns the count.
 

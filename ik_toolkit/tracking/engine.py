@@ -25,6 +25,12 @@ from .stability import GainCheck, check_gains
 LEVER = 0.2  # [m] by which an angle is weighed against a length: about a hand
 
 
+def even(scale: float) -> np.ndarray:
+    """Weights (6,) of the errors of a tip in kernel units, with their geometric mean 1: singular values keep their size."""
+    share = math.sqrt(scale / LEVER)
+    return np.array([share] * 3 + [1.0 / share] * 3)
+
+
 class Published:
     """A method of tracking/methods.py on a robot."""
 
@@ -64,7 +70,7 @@ class Published:
             if task.kind == PART:
                 task = Task(*task[:-12], *(weights > 0.0), *np.zeros(6))
             tasks.append(task)
-            counts.append([weights * (scale, scale, scale, LEVER, LEVER, LEVER), slack, slack * unit])
+            counts.append([weights * even(scale), slack, slack * unit])
         orders = np.concatenate([np.zeros(HEAD), *tasks, np.ones(n), [0.0]])
         return orders, np.ascontiguousarray(np.concatenate(counts, axis=1))
 
@@ -104,7 +110,7 @@ class RuleSteps:
         """What the loop takes; weights and slack are the rule's own."""
         scale = self.robot.chain.scale
         counts = np.zeros((3, 6 * len(kinds)))
-        counts[0] = [scale, scale, scale, LEVER, LEVER, LEVER] * len(kinds)
+        counts[0] = np.tile(even(scale), len(kinds))
         return self.solver.plan.orders(kinds, True), counts
 
 

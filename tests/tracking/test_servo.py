@@ -87,6 +87,22 @@ def test_beyond_the_reach_the_arm_waits_at_its_edge(planar, method):
     assert np.sign(run.q[0, 1]) == np.sign(run.q[-1, 1]) and run.position_error[-20:].max() < 1e-3
 
 
+@pytest.mark.parametrize("method", ["cv", "aad"])
+@pytest.mark.parametrize("acceleration", [None, 10.0])
+def test_far_out_of_reach_the_arm_rests_where_the_weighted_error_is_least(panda, method, acceleration):
+    """The tool turns towards a target half a metre out, as far as 0.2 m for a radian say; no joint swings about that pose."""
+    tracker = Tracker(panda, method, q0=Q0, rate0=np.zeros(7), acceleration_limits=acceleration)
+    target = panda.fk(Q0).homogeneous
+    target[:3, 3] *= (panda.reach + 0.5) / np.linalg.norm(target[:3, 3])
+    q = np.array([tracker.update(target, 0.01).q for _ in range(600)])
+    assert np.abs(np.diff(q[-100:], axis=0)).max() < 1e-4
+    T, J = (one[0] for one in panda.chain.forward(q[-1:], jacobian=True))
+    e = np.append(target[:3, 3] - T[:3, 3], 0.2 * pin.log3(target[:3, :3] @ T[:3, :3].T))
+    slope = np.append(J[:3], 0.2 * J[3:], axis=0).T @ e
+    stopped = (q[-1] <= panda.lower + 1e-7) & (slope < 0.0) | (q[-1] >= panda.upper - 1e-7) & (slope > 0.0)
+    assert np.abs(np.where(stopped, 0.0, slope)).max() < 1e-3 * np.linalg.norm(e)
+
+
 def test_a_path_out_of_reach_is_left_as_little_as_possible(panda):
     """The line that made three joints flip between their speed limits every sample."""
     ref = line_of(panda, Q0, (0.4, 0.0, 0.3), 4.0)

@@ -121,9 +121,32 @@ def test_large_errors_are_closed_no_faster_than_the_joints_brake():
                         cap = min(cap, approach(want[i], 0.0, 1.0, h, 0.4 * a, h))
                     f = min(f, cap / (natural * want[i]))
                 eased, front = e.copy(), ahead.copy()
-                motion.ease(p, J, m, eased, front, h, limits, 0.5, 0.4, G, y, c)
+                free = np.zeros(n), limits, np.empty((0, n)), np.empty(0), 0
+                blocked = motion.ease(p, J, m, eased, front, h, *free, 0.5, 0.4, False, 0.0, G, np.zeros((n, n)), y, c)
+                assert not blocked
                 np.testing.assert_allclose(eased, f * e, rtol=1e-9)
                 np.testing.assert_allclose(front, ahead - (1.0 - f) * e, rtol=1e-9, atol=1e-12)
+
+
+def test_a_way_that_is_barred_is_not_as_far_as_it_seems():
+    """Two unit links nearly stretched out, a target beyond: the joints go some way, not the hundreds of radians of J^+ e."""
+    p, h, bend, limits = law(AA), 0.01, 0.01, np.array([[-9.0] * 2, [9.0] * 2, [2.0] * 2, [5.0] * 2])
+    J = np.array([[-np.sin(bend), 1.0 + np.cos(bend)], [-np.sin(bend), np.cos(bend)]])
+    eased, G, y, c = {}, np.zeros((2, 2)), np.empty(2), np.empty(2)
+    motion.factor(J, 2, 0.0, G, y)
+    for name, at, planes, curved in (
+        ("free", 0.0, [], 1.0), ("at its limit", 9.0, [], 1.0), ("wall", 0.0, [[0.0, -1.0]], 1.0), ("near", 9.0, [], 0.0),
+    ):  # fmt: skip
+        e, ahead, count = np.array([1.0, 0.0]), np.array([1.0, 0.0]), len(planes)
+        planes = np.array(planes).reshape(count, 2)
+        blocked = motion.ease(
+            p, J, 2, e, ahead, h, np.array([at, at]), limits, planes, np.zeros(count), count, 1.0, 0.5, True, curved, G,
+            np.zeros((2, 2)), y, c,
+        )  # fmt: skip
+        eased[name] = e[0]
+        assert blocked == (name != "free")
+    assert eased["free"] < 1e-3 and eased["near"] < 1e-3
+    assert eased["at its limit"] > 10.0 * eased["free"] and eased["wall"] > 10.0 * eased["free"]
 
 
 def test_what_was_held_back_becomes_the_earlier_command():

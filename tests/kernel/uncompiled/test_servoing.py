@@ -237,7 +237,7 @@ def test_a_step_of_a_rule():
             p.desk.dq[:], p.desk.x[:] = 0.5, 3.0
             return self.code
 
-    args = (law(), Rule(), task, None, weights, s, None, None, None, 1.0, 0.1, None)
+    args = (law(), Rule(), task, None, weights, s, None, None, None, 0, 1.0, 0.1, None)
     assert wanted.by_rule(*args, memory, None, None) == 0.0 and task.asked == 0
     np.testing.assert_allclose(s.x, 5.0)
     np.testing.assert_array_equal(memory, 3.0)

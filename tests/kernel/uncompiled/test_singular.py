@@ -184,7 +184,7 @@ def test_only_the_singular_direction_leaves_the_task(code, n):
         s = bench_on(np.zeros(bench_space(n, m, 1)), n, m, 1)
         s.J[:] = W[:, :k] * values @ U[:, :k].T
         J = s.J.copy()
-        s.floor[:], s.roof[:] = -9e9, 9e9
+        s.floor[:], s.roof[:], s.weight[:] = -9e9, 9e9, 1.0
         s.e[:] = 1e-3 * rng.normal(size=m)
         s.f[:], s.ahead[:] = 0.01 * rng.normal(size=m), s.e + 2e-4 * rng.normal(size=m)
         e, f, ahead = s.e.copy(), s.f.copy(), s.ahead.copy()
@@ -202,7 +202,7 @@ def test_only_the_singular_direction_leaves_the_task(code, n):
         state, away, memory = np.zeros(len(STATE)), W[:, k - 1].copy(), np.zeros(n)
         task, rate = Curved(rng, n, m), 0.1 * rng.normal(size=n)
         clear, none = np.zeros(m), np.zeros((3, n))
-        args = (law, None, task, None, None, s, clear, limits, none, 1.0, h, rate, memory, away, state)
+        args = (law, None, task, None, None, s, clear, limits, none, 0, 1.0, h, rate, memory, away, state)
         lost = wanted.by_law(*args)
         want = U.T @ (f + 4.0 * e if code == CV else ahead / h)
         done = U.T @ (J.T @ s.x)

@@ -31,7 +31,7 @@ def test_shapes_of_scratch():
     shapes = {name: getattr(s, name).shape for name in s._fields}
     of = {
         (n,): "why_low why_top move null x1 x2 x w g lead v probe before at size floor roof", (2, 4, 4): "Ts", (2, 3): "flip",
-        (m,): "Vs As e ahead f pace a ask bias t sv lost xk y", (m, m): "G U", (n, m): "J W V", (n + rows,): "multiplier",
+        (m,): "Vs As e ahead f pace a ask bias weight t sv lost xk y", (m, m): "G H U", (n, m): "J W V", (n + rows,): "multiplier",
         (rows, n): "planes", (rows,): "edges",
     }  # fmt: skip
     assert shapes == {name: shape for shape, names in of.items() for name in names.split()}
@@ -81,7 +81,22 @@ def test_a_law_with_a_clock_that_changes_its_rate(code, mode):
     limits = np.array([np.full(n, -9e9), np.full(n, 9e9), np.full(n, 1e12), np.full(n, np.inf)])
     sigma = 0.75
     lost = wanted.by_law(
-        rule, None, p, look, None, s, np.zeros(m), limits, np.zeros((3, n)), sigma, h, rate, memory, np.zeros(n), state
+        rule,
+        None,
+        p,
+        look,
+        None,
+        s,
+        np.zeros(m),
+        limits,
+        np.zeros((3, n)),
+        0,
+        sigma,
+        h,
+        rate,
+        memory,
+        np.zeros(n),
+        state,
     )
     assert lost == 0.0 and state[STATE.near] == 0.0
     J, f, ratio = p.desk.J, sigma * pace, h / 0.04
