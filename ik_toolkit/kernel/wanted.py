@@ -119,22 +119,55 @@ def add_wishes(law, s, limits, wish, ratio, h, memory):
 
 
 @inline
+def feed_back(law, s, limits, count, h, heavy, beyond):
+    """Shrink the error fed back, see `hold_back` and `ease`; returns whether limits or half-planes are in its way."""
+    n, m = s.J.shape
+    if beyond and n >= m:  # fewer joints than the task has rows always leave an error
+        hold_back(s.U, s.sv, s.lost, heavy, s.e, s.ahead)
+    limited = law.mode != CLIP and law.code >= CA
+    for i in range(n):
+        limited = limited or limits[3, i] < np.inf
+    if not limited:
+        return False
+    size, gone = 0.0, 0.0  # what is lost is no error that the other directions close
+    for k in range(m):
+        size += s.e[k] * s.e[k]
+        if s.lost[k] > 0.0:
+            gone += mode_part(s.U, k, s.e) ** 2
+    curved = heavy * math.sqrt(max(size - gone, 0.0)) if size > CLOSE * CLOSE else 0.0
+    fast, quick = (0.5, 0.5) if law.mode == CLIP else (FAST, BRISK)
+    return ease(
+        law, s.J, m, s.e, s.ahead, h, s.at, limits, s.planes, s.edges, count, fast, quick, law.mode != CLIP, curved, s.G, s.H,
+        s.y, s.x,
+    )  # fmt: skip
+
+
+@inline
+def bend(task, look, s, slack, weighed):
+    """s.bias = (dJ/dt along s.x1) s.x2, by the weights of the errors where these are weighed."""
+    if task.plain():
+        task.bending(look, s.x1, s.x2, s.bias)
+    else:
+        by_difference(task, s, slack)
+    if weighed:
+        for k in range(s.bias.shape[0]):
+            s.bias[k] *= s.weight[k]
+
+
+@inline
 def by_law(law, rule, task, look, weights, s, slack, limits, wish, count, sigma, h, rate, memory, away, state):
     """Rates that a published law wants, to s.x. Returns how much of the task was lost, or the damping (CLIP)."""
-    m = s.J.shape[1]
-    wide = s.J.shape[0] >= m
+    n, m = s.J.shape
     gain = law.kappa if law.code == CV else GAIN / h
     border = REGION * law.damping
-    damped, weak, limited, heavy = 0.0, 0, False, 0.0 if law.mode == CLIP else 1.0
+    damped, weak, heavy = 0.0, 0, 0.0 if law.mode == CLIP else 1.0
     for k in range(m):
         s.lost[k] = 0.0
-    for i in range(rate.shape[0]):
-        limited = limited or limits[3, i] < np.inf
     if law.mode == CLIP:
         damped = factor(s.J, m, law.damping, s.G, s.y)
     else:
-        gram(s.J, m, wide, 0.0, s.G)
-        low = invert(s.G, m if wide else s.J.shape[0], s.y)
+        gram(s.J, m, n >= m, 0.0, s.G)
+        low = invert(s.G, min(n, m), s.y)
         if law.damping > 0.0 and not low >= border * border:
             weak = m  # what is lost of a task, and what is closest, is by the weights of the errors
             heavy = weigh(s.weight, s.J, s.e, s.ahead, s.f, s.a)
@@ -157,41 +190,19 @@ def by_law(law, rule, task, look, weights, s, slack, limits, wish, count, sigma,
         else:
             if weak > 0:
                 damped = 1.0 * take_out(s.J, s.W, s.U, s.V, s.lost, s.f, s.G)
-            if beyond and wide:  # fewer joints than the task has rows always leave an error
-                hold_back(s.U, s.sv, s.lost, heavy, s.e, s.ahead)
-            blocked = False
-            if limited or (law.mode != CLIP and law.code >= CA):
-                fast, quick = (0.5, 0.5) if law.mode == CLIP else (FAST, BRISK)
-                size, gone = 0.0, 0.0  # what is lost is no error that the other directions close
-                for k in range(m):
-                    size += s.e[k] * s.e[k]
-                    if s.lost[k] > 0.0:
-                        gone += mode_part(s.U, k, s.e) ** 2
-                bend = heavy * math.sqrt(max(size - gone, 0.0)) if size > CLOSE * CLOSE else 0.0
-                blocked = ease(
-                    law, s.J, m, s.e, s.ahead, h, s.at, limits, s.planes, s.edges, count, fast, quick, law.mode != CLIP, bend,
-                    s.G, s.H, s.y, s.x,
-                )  # fmt: skip
+            blocked = feed_back(law, s, limits, count, h, heavy, beyond)
             prepare(law, s.J, m, s.ahead, rate, h, s.G, s.y, s.t, s.move, s.null, s.x1, s.x2)
             if law.code < CA:
                 continue
-            if (
-                blocked and law.code == AA and law.reading != AT_RATE
-            ):  # the second order of a step no joint can make is nothing
-                for i in range(rate.shape[0]):
+            if blocked and law.code == AA and law.reading != AT_RATE:  # no joint makes this step: no second order
+                for i in range(n):
                     s.x1[i] *= 0.0 if law.reading == AT_STEP else 1.0
                     s.x2[i] = 0.0
         for part in range(3 if r < m else 1):
             if r < m:
                 own = mode_probe(s.V, r, rate, part, h, s.x1)
                 copy(s.x1, s.x2)
-            if task.plain():
-                task.bending(look, s.x1, s.x2, s.bias)
-            else:
-                by_difference(task, s, slack)
-            if weak > 0:
-                for k in range(m):
-                    s.bias[k] *= s.weight[k]
+            bend(task, look, s, slack, weak > 0)
             if r < m:
                 s.t[part] = mode_part(s.U, r, s.bias)
         if r < m:
@@ -209,7 +220,7 @@ def by_law(law, rule, task, look, weights, s, slack, limits, wish, count, sigma,
     if law.mode == SLOW:
         apply(s.J, m, s.G, s.pace, s.y, s.lead)
     if jump != 0.0:  # what jumps is not extrapolated, nor is it an error of the rate
-        for i in range(rate.shape[0]):
+        for i in range(n):
             memory[i] += jump * s.lead[i] if law.code == CV else 0.0
         for k in range(m):
             s.f[k] -= jump * s.pace[k] if law.code == CA else 0.0
@@ -220,7 +231,7 @@ def by_law(law, rule, task, look, weights, s, slack, limits, wish, count, sigma,
             along_lost(s.V, s.lost, s.xk, memory, 1.0)
     add_wishes(law, s, limits, wish, ratio, h, memory)
     if jump != 0.0 and law.code == CA:
-        for i in range(rate.shape[0]):
+        for i in range(n):
             s.x[i] += jump * s.lead[i]
         for k in range(m):
             s.f[k] += jump * s.pace[k]
