@@ -4,13 +4,13 @@ from typing import Any
 
 import numpy as np
 
+from ..kernel.checks import CONVERGED, UNREACHABLE
 from ..kernel.kinematics import TAU
 from ..kernel.records import ANSWER, AT
 from ..solvers.batch_parts import lanes_of
 from ..solvers.plan import Plan
 from ..solvers.protocol import Asked
 from ..solvers.search_all import ONE_ATTEMPT
-from ..solvers.status import Status
 from .continuity import settle
 
 STEP = (
@@ -76,10 +76,10 @@ class Problem:
             side_by_side(*single.arrays(self.kinds, Q0), T, Q0, out, self.orders)
         else:
             single.run(T, self.kinds, Q0, True, out)
-        good = out[:, AT.status] == Status.CONVERGED
+        good = out[:, AT.status] == CONVERGED
         if not good.any():
             single.run(T[:1], self.kinds, Q0[:1], True, out[:1])
-            return np.empty((0, n)), float(out[0, AT.excess]) if out[0, AT.status] == Status.UNREACHABLE else 0.0
+            return np.empty((0, n)), float(out[0, AT.excess]) if out[0, AT.status] == UNREACHABLE else 0.0
         return self.turned(out[good, ANSWER : ANSWER + n] / self.unit), 0.0
 
     def turned(self, Q: np.ndarray) -> np.ndarray:

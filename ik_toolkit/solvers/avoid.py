@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import InvalidOption
+from ..kernel.checks import CONVERGED
 from ..kernel.records import ANSWER, AT
 from ..robot.collision import CollisionModel
 from .options import PLAIN
@@ -44,7 +45,7 @@ def avoiding(plan: Any, then: tuple[Callable[[Any], Any], ...]) -> Callable[[Any
     single = plan.varied(**PLAIN, timeout=None, **({} if plan.options.follow else {"restarts": 0}))
 
     def step(outcome: Any) -> Any:
-        if outcome.row[AT.status] != Status.CONVERGED:
+        if outcome.row[AT.status] != CONVERGED:
             return outcome
         n = plan.robot.n
         if model.collides(outcome.row[ANSWER : ANSWER + n]):
@@ -89,7 +90,7 @@ def _another(single: Any, model: CollisionModel, outcome: Any) -> Any:
         row[AT.iterations] += out[:, AT.iterations].sum()
         row[AT.evaluations] += out[:, AT.evaluations].sum()
         row[AT.restarts] += len(out)
-        out = out[out[:, AT.status] == Status.CONVERGED]
+        out = out[out[:, AT.status] == CONVERGED]
         away = (((out[:, q] - outcome.start) / robot.chain.unit) ** 2).sum(axis=1)
         for k in np.argsort(away, kind="stable"):
             if not model.collides(out[k, q]):

@@ -71,7 +71,7 @@ class BatchResult:
         """Result of target k."""
         row = self.table[k]
         touching = None
-        if row[AT.status] == Status.COLLISION:
+        if int(row[AT.status]) == Status.COLLISION:
             model = collision_model(self.plan.robot, self.plan.options.avoid_collisions)
             touching = next(iter(model.collisions(self.q[k])), None)  # None: what touched has been moved away
         nothing = np.empty(0)  # a batch keeps neither targets nor starts

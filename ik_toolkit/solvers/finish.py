@@ -1,8 +1,7 @@
 """The steps that finish an answer: each takes an Outcome and returns it, changed or not.
 
 `plan.improving` are those that may replace q (collisions, objective); they run on converged answers, of single calls and of
-batches. `plan.steps` are all of a single call: what its timeout
-still allows, history, improving, and the check by Pinocchio.
+batches. `plan.steps` are all of a single call: what its timeout still allows, history, improving, and the check by Pinocchio.
 """
 
 from collections.abc import Callable
@@ -11,10 +10,10 @@ from typing import Any
 
 import numpy as np
 
+from ..kernel.checks import CHECK_FAILED, CONVERGED
 from ..kernel.records import ANSWER, AT, ORDER
 from ..robot.pose import check_target
 from .options import OBJECTIVES
-from .status import Status
 from .task import POSE, counted_errors
 
 Step = Callable[[Any], Any]
@@ -49,7 +48,7 @@ def extend(outcome: Any) -> Any:
     """
     plan, row, made = outcome.plan, outcome.row, outcome.plan.options.budget
     began, left, pace = perf_counter(), outcome.plan.options.timeout - outcome.elapsed, outcome.elapsed / made
-    while row[AT.status] != Status.CONVERGED and row[AT.evaluations] >= made:
+    while row[AT.status] != CONVERGED and row[AT.evaluations] >= made:
         allowed = int(min(GROWTH * made, (left - perf_counter() + began) / pace))
         if allowed <= made:
             break
@@ -111,7 +110,7 @@ def improve(outcome: Any) -> Any:
     from ..kernel.refine import refine
 
     plan, row = outcome.plan, outcome.row
-    if row[AT.status] != Status.CONVERGED:
+    if row[AT.status] != CONVERGED:
         return outcome
     row, what = row.copy(), OBJECTIVES[plan.options.objective]
     orders = plan.orders(outcome.kinds, outcome.given)
@@ -125,7 +124,7 @@ def confirm(outcome: Any) -> Any:
     n = plan.robot.n
     errors = counted_errors(plan.robot, outcome.row[ANSWER : ANSWER + n], outcome.T[0], kinds, plan.options)
     outcome = outcome._replace(errors=errors)
-    if outcome.row[AT.status] != Status.CONVERGED or inside(errors, plan.options):
+    if outcome.row[AT.status] != CONVERGED or inside(errors, plan.options):
         return outcome
     if kinds == (POSE,):
         mended = check_target(outcome.T[0])[0]  # a rotation of few digits has no angle more exact than they are
@@ -136,7 +135,7 @@ def confirm(outcome: Any) -> Any:
                 again = step(again)
             return again
     row = outcome.row.copy()
-    row[AT.status] = Status.CHECK_FAILED
+    row[AT.status] = CHECK_FAILED
     return outcome._replace(row=row)
 
 

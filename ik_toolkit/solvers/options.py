@@ -1,5 +1,6 @@
 """Options every solver understands, with their defaults: one table, used by the API, the CLI and `ik solvers NAME`."""
 
+import functools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
@@ -71,6 +72,11 @@ class Options:
     check: bool = True
     avoid_collisions: Any = False
     follow: float = 0.0
+
+    @functools.cached_property  # asked at every check of an answer
+    def in_part(self) -> bool:
+        """Whether only part of the errors counts, or targets are relative to another tip."""
+        return any(getattr(self, name) is not None for name in (*COUNTING[:3], "relative_to"))
 
     @property
     def budget(self) -> int | None:

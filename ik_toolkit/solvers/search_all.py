@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 
+from ..kernel.checks import CONVERGED
 from ..kernel.records import ANSWER, AT
 from .closed_form.finish import finished
 from .closed_form.geometry import Family
@@ -12,7 +13,6 @@ from .plan import Plan
 from .protocol import Asked
 from .result import SPOKEN
 from .solutions import Solutions
-from .status import Status
 from .task import counted_rows, counts_in_part
 
 ONE_ATTEMPT: dict[str, Any] = {
@@ -45,7 +45,7 @@ def search(plan: Plan, T: np.ndarray, kinds: tuple, start: np.ndarray, starts: i
     out = _attempts(single, T, kinds, Q0)
     if not plan.robot.by_tip and not counts_in_part(kinds, o) and not len(plan.held):
         _finish_close(single, T, kinds, out)
-    out = out[out[:, AT.status] == Status.CONVERGED]
+    out = out[out[:, AT.status] == CONVERGED]
     answers = out[:, ANSWER : ANSWER + n]
     turning, limited = turning_joints(plan)
     near = start[0, turning] + np.remainder(answers[:, turning] - start[0, turning] + np.pi, 2 * np.pi) - np.pi
@@ -80,7 +80,7 @@ def _redundant(plan: Plan, kinds: tuple) -> bool:
 
 def _finish_close(single: Plan, T: np.ndarray, kinds: tuple, out: np.ndarray) -> None:
     """Give result rows that ended close to the target more steps: at a singular pose an attempt converges slowly."""
-    close = (out[:, AT.status] != Status.CONVERGED) & (out[:, AT.position] < CLOSE * single.robot.chain.scale)
+    close = (out[:, AT.status] != CONVERGED) & (out[:, AT.position] < CLOSE * single.robot.chain.scale)
     close &= out[:, AT.rotation] < CLOSE
     if not close.any():
         return
@@ -90,7 +90,7 @@ def _finish_close(single: Plan, T: np.ndarray, kinds: tuple, out: np.ndarray) ->
     good = (errors < (single.options.position_tolerance, single.options.orientation_tolerance)).all(axis=1)
     where = np.flatnonzero(close)[good]
     out[where, ANSWER:] = Q[good]
-    out[where, AT.position], out[where, AT.rotation], out[where, AT.status] = *errors[good].T, Status.CONVERGED
+    out[where, AT.position], out[where, AT.rotation], out[where, AT.status] = *errors[good].T, CONVERGED
 
 
 def _attempts(single: Plan, T: np.ndarray, kinds: tuple, Q0: np.ndarray) -> np.ndarray:
@@ -132,7 +132,7 @@ def _families(single: Plan, found: Solutions, T: np.ndarray, kinds: tuple, redun
     turning, _ = turning_joints(single)
     moved = np.abs(out[:, ANSWER : ANSWER + robot.n] - np.vstack([found.q[where]] * 2)) / robot.chain.unit
     moved[:, turning] = np.minimum(moved[:, turning], np.abs(2 * np.pi - moved[:, turning]))
-    another = (out[:, AT.status] == Status.CONVERGED) & (moved.max(axis=1) > 0.5 * STRIDE)
+    another = (out[:, AT.status] == CONVERGED) & (moved.max(axis=1) > 0.5 * STRIDE)
     if not another.any():
         return ()
     joints = (moved[another] > 1e-2 * STRIDE).any(axis=0)

@@ -13,7 +13,10 @@ if TYPE_CHECKING:
 
 
 class Status(enum.IntEnum):
-    """How a solve ended. Numbers are those of the kernel."""
+    """How a solve ended. Numbers are those of the kernel.
+
+    Rows are compared with the kernel's own (kernel/checks.py): numpy takes microseconds to compare a number with an enum.
+    """
 
     CONVERGED = 0
     STALLED = 1

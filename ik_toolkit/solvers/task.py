@@ -13,6 +13,7 @@ from ..robot.pose import AxisTarget, check_target, errors
 from .options import COUNTING, FRAMES, Options
 
 POSES = (POSE,)  # kinds of a pose for one tip
+WHOLE = frozenset((POSE, POSITION))
 ALL = (1.0,) * 6
 NONE = (0.0,) * 6
 
@@ -75,8 +76,7 @@ def relatives(robot: Any, o: Options) -> tuple[int, ...]:
 
 def counts_in_part(kinds: tuple, o: Options) -> bool:
     """Whether anything but whole poses and positions is asked for: what closed forms do not solve."""
-    options = any(getattr(o, name) is not None for name in (*COUNTING[:3], "relative_to"))
-    return options or any(kind not in (POSE, POSITION) for kind in kinds)
+    return o.in_part or not WHOLE.issuperset(kinds)
 
 
 def counted_rows(robot: Any, kinds: tuple, o: Options) -> np.ndarray:
