@@ -35,7 +35,7 @@ class Iterations(NamedTuple):
 
 @dataclass(frozen=True, repr=False)
 class Explanation:
-    """How an answer comes about. `str()` gives the text (80 columns), a notebook shows it with formulas set.
+    """How a solution was computed. `str()` gives the text (80 columns), a notebook shows it with formulas rendered.
 
     robot; q (n,) the answer [rad or m]; message of the solve; targets by tip: T (4, 4), or (3,) where no rotation counts; tables by
     tip (None: there is none); derivation, form (name of the closed form) and source (where it is from), or None and why there is
