@@ -36,6 +36,7 @@ import ik_toolkit as ik  # noqa: E402
 from ik_toolkit.robot.library import find  # noqa: E402
 
 ROBOTS = ("panda", "hydrolek_7w", "brokk_hydrolek")
+SINGULAR = ("stretched", "0.5 m", "elbow", "singular")  # beginnings of the names of streams that meet singular poses
 MICROMETRE = 1e-6  # m: errors as near as that are equal
 TIMED = ("eight", "far")  # streams on which --times looks: one inside all limits at first, one beyond the reach
 WORKER = Path(__file__).with_name("servo_worker.py")
@@ -43,6 +44,7 @@ METHODS = {
     "ik": ("ours", "cv", Peer("ik", "ours", (), "`ik.Tracker`, method `cv`")),
     "ik aad": ("ours", "aad", Peer("ik aad", "ours", (), "`ik.Tracker`, method `aad`")),
     "dls": ("dls", "", Peer("dls", "dls", (), "damped least squares, 0.05, each joint clipped")),
+    "jparse": ("jparse", "", Peer("jparse", "jparse", (), "J-PARSE, singular directions scaled, each joint clipped")),
     "pink": (
         "pink", "", Peer("pink", "pink", ("pin-pink", "qpsolvers[daqp]"), "QP with limits of position, speed, acceleration"),
     ),
@@ -235,6 +237,19 @@ def against_pink(results: list[dict[str, Any]]) -> str:
     return common.table(head, rows)
 
 
+def singular_poses(results: list[dict[str, Any]]) -> str:
+    """Markdown: the streams that meet singular poses, RMS error in mm and excess jerk, with what treats them in other ways."""
+    keys, rows = ("ik", "ik aad", "jparse", "dls"), []
+    for r in results:
+        known = [r["rows"].get(key, {}) for key in keys]
+        if r["scenario"].startswith(SINGULAR) and all("excess_jerk" in row for row in known):
+            pairs = [(known[0]["rms_best"], known[0]["best_jerk"])]
+            pairs += [(row["rms_compared"], row["excess_jerk"]) for row in known]
+            shown = [f"{1e3 * error:.3g} ({jerk:.3g})" for error, jerk in pairs]
+            rows.append([f"{r['robot']}, {r['scenario']}", *shown])
+    return common.table(["stream", "best (its jerk)", *(f"`{key}`" for key in keys)], rows)
+
+
 def time_table(times: list[dict[str, Any]]) -> str:
     """Markdown: microseconds a step."""
     rows = []
@@ -280,7 +295,8 @@ def save(
         "versions": kept["versions"] | {key: one.version for key, one in processes.items() if one.version},
         "runs": runs, "times": kept["times"],
     }  # fmt: skip
-    parts = [*tables(runs), "### Against Pink", against_pink(runs), "### Step times", time_table(kept["times"])]
+    parts = [*tables(runs), "### Against Pink", against_pink(runs), "### Singular poses", singular_poses(runs)]
+    parts += ["### Step times", time_table(kept["times"])]
     return common.keep(given.output, payload, *parts)
 
 

@@ -21,6 +21,7 @@ from types import SimpleNamespace
 import numpy as np
 
 DAMPING = 0.05  # of the plain damped step and the Toolbox's, m and rad; a common choice for arms of about a metre
+PARSE = 0.1  # gamma of J-PARSE as in its authors' code: share of the largest singular value below which one is singular
 RADIUS = 0.2  # m; one radian counts as this much, as in the judge
 POSTURE = 1e-3  # weight of the start posture against the task, as in Pink's and mink's examples of one arm
 LATE = 0.5  # gain of a step where what is measured is late: of 1, 0.5, 0.3 and 0.15 the best for Pink; 1 swings
@@ -73,7 +74,25 @@ class Damped(Plain):
         T, J = self.chain.forward(at[None], jacobian=True)
         e = np.concatenate([twist(t, goal) for t, goal in zip(T.reshape(-1, 4, 4), target, strict=True)])
         J, e = self.weight[:, None] * J[0], self.weight * e
-        return self.move(self.clipped(self.gain * damped(J, e, RADIUS * DAMPING) / self.s.dt))
+        return self.move(self.clipped(self.gain * self.towards(J, e) / self.s.dt))
+
+    def towards(self, J, e):
+        """Joint move that closes the error e, by the weighted Jacobian."""
+        return damped(J, e, RADIUS * DAMPING)
+
+
+class Parse(Damped):
+    """J-PARSE (Guptasarma, Strong, Zhen, Kennedy 2025), each joint clipped on its own: the paper has no limits.
+
+    Of J = sum of sigma_k u_k v_k', directions with sigma_k <= s = gamma sigma_max are singular. Their part of the error is
+    scaled by sigma_k / s and taken through 1 / s in place of 1 / sigma_k (its gain k is 1); the others are inverted as they are.
+    """
+
+    def towards(self, J, e):
+        U, sigma, V = np.linalg.svd(J, full_matrices=False)
+        border = PARSE * sigma[0]
+        inverse = np.where(sigma > border, 1.0 / np.maximum(sigma, border), sigma / border**2)
+        return V.T @ (inverse * (U.T @ e))
 
 
 class Toolbox(Plain):
@@ -260,7 +279,7 @@ class Ours:
         return (perf_counter() - began) / taken
 
 
-ADAPTERS = {"ours": Ours, "dls": Damped, "rtb": Toolbox, "pink": Pink, "mink": Mink}
+ADAPTERS = {"ours": Ours, "dls": Damped, "jparse": Parse, "rtb": Toolbox, "pink": Pink, "mink": Mink}
 
 
 # ---------------------------------------------------------------------------------------------------------- helpers
