@@ -186,7 +186,7 @@ class Tree(Joints):
         return f"Tree('{self.name}', {self.base} -> {' + '.join(self.tips)}, {self.n} joints: {', '.join(self.joint_names)})"
 
     def _route(self) -> str:
-        return f"{self.base} &rarr; {', '.join(self.tips)}"
+        return f"{self.base} → {', '.join(self.tips)}"
 
 
 def require_one_tip(robot: Any, what: str) -> None:

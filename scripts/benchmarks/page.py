@@ -10,6 +10,7 @@ benchmark_against.json from the folder given; those that are missing are left ou
 import argparse
 import json
 import re
+import textwrap
 from pathlib import Path
 from typing import Any
 
@@ -23,41 +24,41 @@ HEAD = """\
 <!-- Written by scripts/benchmarks/page.py from docs/data/benchmark_*.json: run the commands again instead of editing. -->
 # Benchmarks
 
-Every number on this page was written by a command of `scripts/benchmarks/`; the commands stand above their tables, and
-the same data as JSON in `docs/data/`. Times are of one machine: read them as ratios within one run, which is how the
-comparison is made. Targets are poses of random configurations inside the joint limits, so all of them can be reached.
+How fast and how reliable the solvers, batches and trackers are, compared with other packages. Every number was written by a command
+in `scripts/benchmarks/`, which stands above its tables; the same data are in `docs/data/` as JSON. Times are from one machine, so
+compare ratios within one run. Targets are poses of random configurations within the joint limits, so all of them are reachable.
 """
 MARKS = ("<!-- benchmark: written by scripts/benchmarks/page.py -->", "<!-- end of benchmark -->")
 SOLVE = """\
-Every solver runs in a process and a virtual environment of its own and gets the same targets, starts and tolerances, a
-block at a time in turn. The worker times each call from Python, with reading the joint values from the answer; failures
-count. An answer counts when Pinocchio finds it inside the limits and both tolerances; full turns are forgiven, and of an
-analytic solver's answers one has to be right. All robots are given as a serial URDF with continuous joints limited to two
-turns either way. Slow solvers get the first few targets only; their ratio is taken on these. Everything is done three times with
-other targets: times and ratios are medians over these rounds, successes are added up.
+Every solver runs in its own process and virtual environment and gets the same targets, starts and tolerances; solvers take turns,
+block by block. Each call is timed from Python, including reading the joint values from the answer, and failures are timed as well.
+A solve succeeds if Pinocchio finds its answer within the limits and both tolerances; full turns are forgiven, and of an analytic
+solver's answers one has to be right. Every robot is a serial URDF with continuous joints limited to two turns either way. Slow
+solvers get only the first few targets, and their ratio is computed on these. Everything is done three times with different
+targets: times and ratios are medians over these rounds, successes are added up.
 """
 SERVO = """\
-Virtual time, 100 samples a second; every method gets the same stream of targets (no velocities with them), start and limits of
-position, speed and acceleration; mink has none of acceleration. Best is what a search finds that goes on from sample to sample
-inside positions and speeds; errors and jerk are compared where it stays inside 0.8 of the limits. Freeze: still for 100 ms, over
-1 mm off, and neither a limit nor a contact in the way. Jump: a joint moved or sped up more than its limits allow. Breaks: samples
-outside the joints' ranges + steps whose reported motion is outside a limit between samples. Chatter: over 3 changes of
-direction in 100 ms. Back: time until the error stays below 1 mm after a leap or the end of a figure, and the least time the
-joints' limits allow. Errors count one radian as 0.2 m.
+Simulated time, 100 samples a second. Every method gets the same stream of targets (without velocities), the same start and the same
+limits on position, speed and acceleration; mink has no acceleration limits. *Best* is the result of a search that continues from
+sample to sample within the position and speed limits; errors and jerk are compared where it stays within 0.8 of the limits.
+*Freeze*: no motion for 100 ms, more than 1 mm off, with neither a limit nor a contact in the way. *Jump*: a joint moved or
+accelerated more than its limits allow. *Breaks*: samples outside the joints' ranges + steps whose reported motion is outside a
+limit between samples. *Chatter*: more than 3 changes of direction in 100 ms. *Back*: the time until the error stays below 1 mm
+after a leap or the end of a figure, and the shortest time that the joints' limits allow. Errors count one radian as 0.2 m.
 """
 PUBLISHED = """\
-Both tables are run as they were published, by one command; the published columns are copied from the sources named, whose machines
-we do not know. *Here* are the same solvers on this machine, on the same targets as ours. TRAC-IK's: 10,000 reachable poses a
-chain, every solve from the middle of the limits, at most 5 ms, 1e-5 m and rad for each axis; answers of ours that took longer
-count as failures (late). Base and tip of the chains are ours where the table does not name them, and continuous joints are limited
-to two turns either way. The Robotics Toolbox': 10,000 poses of the Panda without joint limits, at most 100 searches of 30
+Both tables are run again as they were published, by one command; the published columns are copied from the sources named, whose
+machines are unknown. *Here* are the same solvers on this machine, with the same targets as ours. TRAC-IK's table: 10,000 reachable
+poses per chain, every solve from the middle of the limits, at most 5 ms, 1e-5 m and rad per axis; our solves that took longer count
+as failures (late). Base and tip of a chain are our choice where the table does not name them, and continuous joints are limited to
+two turns either way. The Robotics Toolbox's table: 10,000 poses of the Panda without joint limits, at most 100 searches of 30
 iterations, half the squared error at most 1e-6 (1.4 mm and mrad together; ours keeps each below 1).
 """
 CHART = "Time of a solve: median (bar) and 99th percentile (line), with the share of targets solved"
 AGAINST = """\
-Before is commit {old}. Each version has a process, a cache and the same targets; the rounds alternate. CPU time; of the ratios
-the median and its 95 % interval by order statistics. Trackers run in their published form (`on_limit="clip"`), which is
-all that the older version had.
+*Before* is commit {old}. Each version has its own process and cache and gets the same targets; the rounds alternate. Times are
+processor time; ratios are medians with a 95 % interval by order statistics. Trackers run in their published form
+(`on_limit="clip"`), the only one that the older version had.
 """
 
 
@@ -205,13 +206,14 @@ def chart(found: dict[str, dict[str, Any]], picture: Path) -> list[str]:
             solved = 100 * row["solved"] / row["targets"]
             text = f"{common.short(median)} us,  {solved:.4g} % solved"
             axis.annotate(text, (tail, -k), xytext=(7, 0), textcoords="offset points", va="center", fontsize=8)
+        labels = [textwrap.fill(re.sub("[*`]", "", NAMES.get(name, name)), 32) for name in rows]
         axis.set_xscale("log")
-        axis.set_xlim(begin, 30.0 * most)  # with room for the last row's text
-        axis.set_yticks([-k for k in range(len(rows))], [re.sub("[*`]", "", NAMES.get(name, name)) for name in rows])
+        axis.set_xlim(begin, 100.0 * most)  # with room for the last row's text
+        axis.set_yticks([-k for k in range(len(rows))], labels)
         axis.grid(False, axis="y")
         axis.tick_params(axis="y", length=0)
         axis.set_xlabel("time of a solve [us]: median (bar) and 99th percentile (line), log scale")
-        axis.set_title("Random poses of the Panda to 1e-6 m and rad, one call from Python, one thread")
+        figure.suptitle("Random poses of the Panda to 1e-6 m and rad, one call from Python, one thread", fontsize=10)
         save(figure, picture)
     return [f"```{{image}} _static/{picture.name}\n:alt: {CHART}\n```", first_use(found)]
 
@@ -222,9 +224,9 @@ def first_use(found: dict[str, dict[str, Any]]) -> str:
     if not seconds:
         return ""
     return (
-        f"The first use of `lm` on a machine compiles it: {seconds['LM']:.1f} s of processor time, once; a second method"
-        f" {seconds['a second rule (DLS)']:.1f} s, several tips {seconds['several tips']:.1f} s. The code is kept on disk. The"
-        " peers come compiled, or are not compiled at all."
+        f"The first use of `lm` on a machine compiles it: {seconds['LM']:.1f} s of processor time, once; a second solver"
+        f" {seconds['a second rule (DLS)']:.1f} s, several tips {seconds['several tips']:.1f} s. The code is kept on disk."
+        " The other packages come compiled, or are not compiled at all."
     )
 
 
@@ -268,7 +270,7 @@ def main() -> None:
     parts = [HEAD.strip()]
     if "solve" in found:
         parts += chart(found, given.output.parent / "_static" / "benchmark.png")
-        parts += section("One solve, against others", found["solve"], SOLVE)[:-1]
+        parts += section("Single solves, compared with other packages", found["solve"], SOLVE)[:-1]
         parts += [solvers(found["solve"]), found["solve"]["tables"].strip()]
     parts += section("Published tables", found.get("published"), PUBLISHED)
     rows = aims(found)
@@ -284,7 +286,9 @@ def main() -> None:
     parts += section("Several tips", found.get("tree"))
     parts += section("Following a moving target", found.get("servo"), SERVO)
     parts += section(
-        "Against the version before", found.get("against"), AGAINST.format(old=found.get("against", {}).get("old"))
+        "Compared with the previous version",
+        found.get("against"),
+        AGAINST.format(old=found.get("against", {}).get("old")),
     )
     given.output.write_text("\n\n".join(part for part in parts if part) + "\n", encoding="utf-8")
     if given.readme:

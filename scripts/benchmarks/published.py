@@ -181,7 +181,7 @@ def tables(trac: dict[str, Any], panda: dict[str, Any]) -> list[str]:
     return [
         f"### TRAC-IK's table\n\nPublished: {SOURCES['trac_ik']}. Here: pytracik {trac['here']}, which runs two threads.",
         common.table(head, lines),
-        f"### The Robotics Toolbox' table\n\nPublished: {SOURCES['rtb']}.",
+        f"### The Robotics Toolbox's table\n\nPublished: {SOURCES['rtb']}.",
         common.table(notebook_head, rows),
     ]
 

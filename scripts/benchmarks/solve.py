@@ -169,7 +169,7 @@ def tables(runs: list[dict[str, Any]], against: str) -> list[str]:
                 "clock counts, which weighs on the fastest):",
                 _faster("processor"),
             ),
-            ("Answers inside limits and tolerances by Pinocchio, percent (95 % interval), and targets:", _success),
+            ("Success (within limits and tolerances by Pinocchio), percent (95 % interval), and targets:", _success),
         ):
             rows = [[f"`{key}`", *(cell(run["rows"].get(key)) for run in group)] for key in keys]
             parts += [title, common.table(head, rows)]

@@ -126,6 +126,7 @@ def test_configurations_as_of_a_robot(tree):
     assert copy.joint_names == tree.joint_names and np.array_equal(copy.home, tree.home)
     assert ik.solve(copy, poses(tree, q)).q.tobytes() == ik.solve(tree, poses(tree, q)).q.tobytes()
     assert all(word in repr(tree) + tree._repr_html_() for word in tree.tips)
+    assert f"{tree.base} → " in tree._repr_html_()
 
 
 def test_limits_of_a_shared_joint_are_those_of_both_paths():
