@@ -1,1 +1,1 @@
-"""Whole paths: from poses to one joint motion, proven between the poses, and in time."""
+"""Whole paths: from poses to one joint motion, verified between the poses and timed."""

@@ -1,4 +1,4 @@
-"""Poses far apart: others are put between them, so that a path is searched on the way and not at its corners alone."""
+"""Poses far apart: others are inserted between them, so that a path is searched along the way and not only at its corners."""
 
 from typing import Any
 
@@ -9,13 +9,13 @@ from .continuity import interpolate
 from .finish import Motion
 from .proof import Continuity
 
-FAR = (0.015, np.radians(3.0))  # of the reach, and rad, from pose to pose: joints then mostly move less than they may
-MOST = 1000  # poses put in, a second's work; of a path that wants more they lie farther apart
-WIDER = 1.5  # times as far, until they are few enough
+FAR = (0.015, np.radians(3.0))  # [fraction of the reach], [rad] between poses: joints then mostly stay within max_step
+MOST = 1000  # most inserted poses, a second's work; a path that needs more gets wider spacing
+WIDER = 1.5  # factor on the spacing until they are few enough
 
 
 def inserted(robot: Any, T: np.ndarray, kinds: tuple) -> tuple[np.ndarray, np.ndarray]:
-    """Poses (M, F, 4, 4) along the poses T (N, F, 4, 4), these among them, and the place of each (3.5: halfway from 3 to 4)."""
+    """Poses T (N, F, 4, 4) with others inserted (M, F, 4, 4), and the place of each (3.5: halfway from 3 to 4)."""
     gaps = np.zeros(len(T) - 1)
     for f, (arm, kind) in enumerate(zip(robot.arms, kinds, strict=True)):
         if kind == FREE:
@@ -37,14 +37,14 @@ def inserted(robot: Any, T: np.ndarray, kinds: tuple) -> tuple[np.ndarray, np.nd
 
 
 def gaps(at: np.ndarray, breaks: list[int]) -> list[int]:
-    """Between which of the poses asked for a path breaks; breaks: after which of all, whose places are `at` (M,)."""
+    """Requested poses after which a path breaks; breaks: the same among all poses, whose places are `at` (M,)."""
     return sorted({int(at[k]) for k in breaks})
 
 
 def collapsed(motion: Motion, at: np.ndarray) -> Motion:
-    """A motion through poses at places `at` (M,) as one through those at whole places: the others are knots of its curve.
+    """Turn a motion through poses at places `at` (M,) into one through the requested poses; inserted ones become knots.
 
-    Where it breaks between two of these it leaves the one and comes back at the other.
+    If it breaks between two requested poses, it stops at the first and continues at the second.
     """
     asked = np.flatnonzero(at == np.round(at))
     if len(asked) == len(at):

@@ -1,4 +1,4 @@
-"""Tracks of solutions: some poses are solved from many starts, and what is found is carried along the whole path."""
+"""Tracks of solutions: some poses are solved from many starts, and each solution is continued along the whole path."""
 
 from concurrent.futures import ThreadPoolExecutor
 
@@ -7,21 +7,19 @@ import numpy as np
 from ..kernel.path_track import extend
 from .problem import Problem
 
-MOST = 300  # tracks of a redundant robot: a state each and pose
-ISOLATED = 4096  # and of one whose solutions are isolated: all of them, full turns too
+MOST = 300  # most tracks of a redundant robot: one state per track and pose
+ISOLATED = 4096  # most tracks of a robot with isolated solutions: all of them, including full turns
 STARTS = 1000  # random starts at a pose that is solved
-POOL = 400  # solutions found there, of a redundant robot, among which those far from one another are chosen
-SAME = 1e-3  # rad, or kernel unit: isolated solutions closer than this are one
-THIN = 0.25  # of a step: tracks of a redundant robot closer than this are not worth two
-CHUNK = 8  # tracks a thread carries at a time
+POOL = 400  # solutions of a redundant robot from which well-spaced ones are chosen
+SAME = 1e-3  # rad, or kernel unit: isolated solutions closer than this are the same
+THIN = 0.25  # share of a step: tracks of a redundant robot closer than this are not both kept
+CHUNK = 8  # tracks a thread extends at a time
 
 
 def spread(found: np.ndarray, have: np.ndarray, count: int, least: float) -> np.ndarray:
-    """At most `count` of found (M, n), each further than `least` from have (K, n) and the others, the furthest first."""
+    """At most `count` of found (M, n), each farther than `least` from have (K, n) and from one another, the farthest first."""
     gap = np.full(len(found), np.inf)
-    joints = np.ascontiguousarray(
-        found.T
-    )  # the greatest of each column is found four times as fast as that of each row
+    joints = np.ascontiguousarray(found.T)  # the maximum over columns is four times as fast as over rows
 
     def approach(q: np.ndarray) -> None:
         np.minimum(gap, np.abs(joints - q[:, None]).max(axis=0), out=gap)
@@ -39,10 +37,10 @@ def spread(found: np.ndarray, have: np.ndarray, count: int, least: float) -> np.
 
 
 class Tracks:
-    """Tracks Q (N, size, n), kernel units, float32; whole from span[k, 0] to span[k, 1]."""
+    """Tracks Q (N, size, n), kernel units, float32; track k is valid from span[k, 0] to span[k, 1]."""
 
     def __init__(self, problem: Problem, most: int, threads: int, seed: int) -> None:
-        """No track yet."""
+        """Start without tracks."""
         self.problem, self.most, self.threads = problem, most, threads
         self.rng = np.random.default_rng(seed)
         self.size = 0
@@ -58,14 +56,14 @@ class Tracks:
         return self._Q[t, : self.size][(span[:, 0] <= t) & (t <= span[:, 1])].astype(float)
 
     def alive(self) -> np.ndarray:
-        """How many tracks pass each pose (N,)."""
+        """Number of tracks that pass each pose (N,)."""
         steps = np.zeros(len(self._Q) + 1, dtype=int)
         np.add.at(steps, self.span[:, 0], 1)
         np.add.at(steps, self.span[:, 1] + 1, -1)
         return np.cumsum(steps)[:-1]
 
     def add(self, seeds: np.ndarray, at: np.ndarray) -> None:
-        """Carry seeds (M, n), solutions of the poses at (M,), both ways, as far as there is room for tracks."""
+        """Extend seeds (M, n), solutions of the poses `at` (M,), in both directions, as long as there is room for tracks."""
         seeds = np.ascontiguousarray(seeds[: self.most - self.size], dtype=float)
         columns = np.arange(self.size, self.size + len(seeds))
         if self.size + len(seeds) > self._Q.shape[1]:
@@ -87,4 +85,4 @@ class Tracks:
         else:
             for a in starts:
                 carry(a)
-        self.size += len(seeds)  # not before: an interrupted search goes on with those that are whole
+        self.size += len(seeds)  # only now, so that an interrupted search keeps only finished tracks

@@ -1,8 +1,8 @@
-"""Every solution of every pose, for two structures: three parallel axes, and six of which axes 2, 3, 4 are parallel and 5, 6 meet.
+"""All solutions of all poses, for two structures: three parallel axes, and six axes of which 2, 3, 4 are parallel and 5, 6 meet.
 
-The second is that of Universal Robots. Written for many poses at once: what a path needs to prove that it reconfigures no more
-often than it must. Source: the geometry of Hawkins (2013), "Analytic inverse kinematics for the Universal Robots UR-5/UR-10 arms",
-with screws for its tables.
+The second is that of Universal Robots. Vectorised over poses: a path needs this to prove that it has the fewest
+reconfigurations. Source: the geometry of Hawkins (2013), "Analytic inverse kinematics for the Universal Robots UR-5/UR-10 arms",
+with screws instead of its tables.
 """
 
 from typing import Any
@@ -11,14 +11,15 @@ import numpy as np
 
 from ..solvers.closed_form.geometry import Screws, read_screws
 
-PARALLEL = 1e-6  # sine of the angle, and distance over the reach, that still count as none
-DOUBTFUL = 1e-7  # how near a cosine may come to 1, a length to 0: there two solutions are one, or a whole family is
-EXACT = 1e-5  # [m, rad] errors of what counts as a solution; models are written with so many digits
+PARALLEL = 1e-6  # sine of the angle, and distance over the reach, that still count as zero
+DOUBTFUL = 1e-7  # nearness of a cosine to 1 or of a length to 0 at which two solutions merge, or a whole family exists
+EXACT = 1e-5  # [m, rad] largest errors of a solution: the precision to which models are written
 
 
 def solutions(robot: Any, T: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
-    """All solutions (N, K, n) of poses T (N, 4, 4), limits and full turns apart, NaN where there are fewer; and where these are
-    surely all (N,). None for a robot of another structure.
+    """All solutions (N, K, n) of poses T (N, 4, 4), and whether these are certainly all (N,).
+
+    Limits and full turns are ignored; NaN where there are fewer. None for a robot of another structure.
     """
     s = None if robot.by_tip else read_screws(robot.chain)
     if not isinstance(s, Screws) or not s.turns.all():
@@ -43,7 +44,7 @@ def _parallel(axes: np.ndarray) -> bool:
 
 
 def _meeting(s: Screws, reach: float) -> np.ndarray | None:
-    """Point in which axes 5 and 6 meet, or None."""
+    """Point where axes 5 and 6 meet, or None."""
     across = np.cross(s.axis[4], s.axis[5])
     size = np.linalg.norm(across)
     if size < PARALLEL or abs((s.point[5] - s.point[4]) @ across) > PARALLEL * reach * size:
@@ -60,7 +61,7 @@ def _turn(axis: np.ndarray, angle: np.ndarray) -> np.ndarray:
 
 
 def _screw(s: Screws, i: int, angle: np.ndarray) -> np.ndarray:
-    """Motions (N, 4, 4) of joint i."""
+    """Transforms (N, 4, 4) of joint i at angles (N,)."""
     made = np.tile(np.eye(4), (len(angle), 1, 1))
     made[:, :3, :3] = _turn(s.axis[i], angle)
     made[:, :3, 3] = s.point[i] - made[:, :3, :3] @ s.point[i]
@@ -68,7 +69,7 @@ def _screw(s: Screws, i: int, angle: np.ndarray) -> np.ndarray:
 
 
 def _wave(a: Any, b: Any, c: Any) -> tuple[list[np.ndarray], np.ndarray]:
-    """Both solutions of a cos q + b sin q = c, NaN where there is none, and where that is certain."""
+    """Both solutions of a cos q + b sin q = c, NaN where there is none, and where the count is certain."""
     size = np.hypot(a, b)
     cosine = c / size
     swing = np.arccos(cosine)
@@ -77,14 +78,14 @@ def _wave(a: Any, b: Any, c: Any) -> tuple[list[np.ndarray], np.ndarray]:
 
 
 def _angle(axis: np.ndarray, start: np.ndarray, end: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Angles that turn start into end (N, 3) about a unit axis, and where these are certain."""
+    """Angles that rotate start onto end (N, 3) about a unit axis, and where these are certain."""
     x = start - (start @ axis)[:, None] * axis
     y = end - (end @ axis)[:, None] * axis
     return np.arctan2(np.cross(x, y) @ axis, (x * y).sum(axis=1)), (x * x).sum(axis=1) > DOUBTFUL
 
 
 def _planar(s: Screws, k: int, E: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Solutions (N, 2, 3) of joints k, k + 1, k + 2, whose axes are parallel, of motions E (N, 4, 4)."""
+    """Solutions (N, 2, 3) of joints k, k + 1, k + 2, whose axes are parallel, for transforms E (N, 4, 4)."""
     a, N = s.axis[k], len(E)
     signs = np.sign(s.axis[k : k + 3] @ a)
     first, second = (v - (v @ a) * a for v in np.diff(s.point[k : k + 3], axis=0))

@@ -1,9 +1,9 @@
-"""Whether anything touches while the joints move linearly from row to row: proven by tests with a margin, not by sampling.
+"""Collision check while the joints move linearly from row to row: a proof by tests with a margin, not sampling.
 
-When all pairs are farther apart than their margins at two configurations, nothing touches between them as long as no pair can come
-closer by more than the two margins together. How much closer is bounded by sum_i |dq_i| W_i, with W_i the longest arm of the
-pair's shapes about joint i; joints that move both shapes alike do not count. The margins of all pairs are one number times the
-pair's own longest arm, so that links which are always near each other (and move little against each other) do not spoil it.
+If all pairs are farther apart than their margins at two configurations, nothing touches in between as long as no pair can come
+closer by more than the sum of both margins. That approach is bounded by sum_i |dq_i| W_i, with W_i the longest lever arm of the
+pair's shapes about joint i; joints that move both shapes alike do not count. A pair's margin is a common factor times its own
+longest arm, so that links which are always close to each other (and move little relative to each other) do not spoil the test.
 """
 
 import math
@@ -15,22 +15,18 @@ import pinocchio as pin
 from ..robot.clearance import Clearance
 from .proof import Contact
 
-LARGEST, FINER = (
-    0.015,
-    4.0,
-)  # [rad] margins tried, the first and its parts: towards 2 cm on a metre, where tests are still cheap
+# [rad] largest margin tried, and the factor to each smaller one: up to 1.5 cm at one metre, where tests are still cheap.
+LARGEST, FINER = 0.015, 4.0
 FLOOR = 1e-4  # [m] margin below which two shapes count as too close to tell
-EACH, AT_LEAST = (
-    30,
-    20_000,
-)  # tests for every row of a curve, and for any curve, after which the rest counts as not proven
+# Tests allowed per row of a curve, and for any curve; after that the rest counts as not proven.
+EACH, AT_LEAST = 30, 20_000
 
 
 class Margins:
     """A collision model tested with margins: the same shapes and pairs, with arms W (n, pairs) [m per rad, or m per m]."""
 
     def __init__(self, collision: Any, stroke: np.ndarray) -> None:
-        """stroke (n,): the largest |q| on the way, for joints that slide."""
+        """stroke (n,): the largest |q| along the curve, for prismatic joints."""
         self.collision = collision
         self.arms = _arms(collision, stroke)
         self.size = np.maximum(self.arms.max(axis=0, initial=0.0), FLOOR)
@@ -42,13 +38,13 @@ class Margins:
         self.spent = 0
 
     def approach(self, dq: np.ndarray) -> np.ndarray:
-        """How much margin moves dq (S, n) can use up."""
+        """Margin that moves dq (S, n) can use up."""
         if not self.arms.shape[1]:
             return np.zeros(len(dq))
         return (np.abs(dq) @ (self.arms / self.size)).max(axis=1)
 
     def free(self, q: np.ndarray, margin: float) -> bool:
-        """Whether all pairs are farther apart than the margin times their size at q (n,); 0: whether nothing touches."""
+        """Whether all pairs are farther apart than margin times their size at q (n,); margin 0: whether nothing touches."""
         self.spent += 1
         if margin == 0.0:
             return not self.collision.collides(q)
@@ -63,7 +59,7 @@ class Margins:
         return not pin.computeCollisions(model, data, boxes, full, True)
 
     def around(self, q: np.ndarray, first: int = 0) -> tuple[float, int]:
-        """Largest margin of the levels from `first` on that q (n,) keeps: with its place; 0 when none, -1 when it touches."""
+        """Largest margin of levels[first:] that q (n,) keeps, and its index; margin 0: keeps none, -1: touches."""
         for k in range(first, len(self.levels)):
             if self.free(q, self.levels[k]):
                 return self.levels[k], k
@@ -71,19 +67,20 @@ class Margins:
 
 
 def _arms(collision: Any, stroke: np.ndarray) -> np.ndarray:
-    """Longest arm (n, pairs) of each pair about each joint [m], 1 for a joint that slides; 0 where it moves both alike."""
+    """Longest arm (n, pairs) of each pair about each joint [m], 1 for a prismatic joint; 0 where it moves both alike."""
     robot, geometry, model = collision.robot, collision.geometry, collision.robot.model
     data = model.createData()
     pin.forwardKinematics(model, data, robot._fill(robot.rest.copy(), robot.home))
     lead = dict(zip(model.mimicking_joints, model.mimicked_joints, strict=True))
     place = {int(x): i for i, x in enumerate(robot._path.idx_q)}
-    moved: dict[int, tuple[int, float, float]] = {}  # joint -> coordinate, turn and slide a unit of it
+    moved: dict[int, tuple[int, float, float]] = {}  # joint -> coordinate, rotation and translation per unit of it
     for j in range(1, model.njoints):
         leader = model.joints[lead.get(j, j)]
         if leader.nv == 1 and leader.idx_q in place:
             screw = np.asarray(data.joints[j].S).reshape(6)
             moved[j] = (place[leader.idx_q], float(np.linalg.norm(screw[3:])), float(np.linalg.norm(screw[:3])))
-    own = np.zeros((len(geometry.geometryObjects), robot.n, model.njoints))  # by joint, for what two shapes share
+    # By joint, to leave out joints that both shapes share.
+    own = np.zeros((len(geometry.geometryObjects), robot.n, model.njoints))
     for k, shape in enumerate(geometry.geometryObjects):
         shape.geometry.computeLocalAABB()
         centre = shape.placement.act(np.asarray(shape.geometry.aabb_center))
@@ -106,10 +103,10 @@ def _arms(collision: Any, stroke: np.ndarray) -> np.ndarray:
 def find_contacts(
     collision: Any, curve: np.ndarray, at: np.ndarray, moving: np.ndarray, sag: np.ndarray | None = None
 ) -> tuple[float, tuple[Contact, ...], tuple[float, ...]]:
-    """Clearance [m], contacts and places not proven, over the stretches `moving` (M-1,) between rows of a curve (M, n).
+    """Clearance [m], contacts and places not proven free, over the segments `moving` (M-1,) between rows of a curve (M, n).
 
-    sag (M-1, n): by how much each joint leaves the straight line between two rows, at most; default: not at all. At most one
-    contact is listed for a stretch. Rows of NaN are left out.
+    sag (M-1, n): upper bound on each joint's deviation from the straight line between two rows; default 0. At most one contact
+    is listed per segment. Rows of NaN are skipped.
     """
     finite = np.isfinite(curve).all(axis=1)
     stroke = np.abs(curve[finite]).max(axis=0, initial=0.0)
@@ -146,9 +143,9 @@ def find_contacts(
 
 
 def _distance_kept(margins: Margins, curve: np.ndarray, moving: np.ndarray, sag: np.ndarray | None) -> float:
-    """Distance [m] that no pair falls below on the way, from distances measured at the rows and what a move can take off.
+    """Lower bound on the distance [m] of any pair along the motion, from distances at the rows less what the moves can use up.
 
-    A pair is measured only where it could be the nearest one.
+    A pair is measured only where it could be the nearest.
     """
     space = Clearance(margins.collision)
     used = np.abs(np.diff(curve, axis=0)) @ margins.arms
@@ -169,7 +166,7 @@ def _distance_kept(margins: Margins, curve: np.ndarray, moving: np.ndarray, sag:
 
 
 class _Stretch(NamedTuple):
-    """What is found of a stretch: whether it is proven free, margin to spare, and the share of it at which it touches, or -1."""
+    """Result for a segment: whether it is proven free, the spare margin, and the fraction of it at which it touches, or -1."""
 
     proven: bool
     spare: float
@@ -179,9 +176,9 @@ class _Stretch(NamedTuple):
 def _between(
     margins: Margins, a: np.ndarray, b: np.ndarray, ends: tuple[float, float], moves: tuple[float, float], most: int
 ) -> _Stretch:
-    """Test the move from a to b (n,), which keep the margins `ends`, by halves until they cover what it can use up.
+    """Test the move from a to b (n,), whose ends keep the margins `ends`, by bisection until the margins cover the move.
 
-    moves: what the straight line uses up, which its halves share, and what leaving it does, which they do not.
+    moves: margin used by the straight line, which halves with each bisection, and by the deviation from it, which does not.
     """
     proven, spare = True, math.inf
     stack = [(0.0, 1.0, *ends)]

@@ -1,8 +1,8 @@
-"""How far a tip can be from the interpolated pose while the joints move linearly: a bound, and poses inserted until it is small.
+"""Bound on a tip's deviation from the interpolated pose while the joints move linearly; poses are inserted until it is small.
 
 Between two knots dq is constant, so p'' = sum_ij dq_i dq_j d2p/dq_i dq_j, and each second derivative is at most the distance of the
-tip from the axis of the outer of the two joints. A curve with |p''| <= c leaves its chord by c / 8 at most. The same holds for a
-rotation with all distances 1, against the geodesic; there a factor for the curvature of the rotations is added.
+tip from the axis of the outer of the two joints. A curve with |p''| <= c leaves its chord by at most c / 8. The same holds for a
+rotation relative to the geodesic, with all distances 1 and an extra factor for the curvature of the rotation group.
 """
 
 import math
@@ -21,18 +21,18 @@ from .contact import find_contacts
 from .proof import Continuity
 
 ROUNDS = (
-    8  # of insertion: the bound falls with the square of the number of pieces, so two or three do where it can be met
+    8  # rounds of insertion: the bound falls with the square of the number of pieces, so two or three usually suffice
 )
-MOST_PIECES = 256  # of one stretch between two poses; where so many do not help the path is not continuous there
+MOST_PIECES = 256  # per segment between two poses; if that many do not help, the path is not continuous there
 MOST_ROWS = 200_000  # of a curve: twenty for each of ten thousand poses
 LOG_SLOPE = 1.3  # bound on the derivative of the inverse left Jacobian of a rotation vector up to half a turn
-LOG_GAIN = 0.5 * math.pi  # and on that Jacobian itself
+LOG_GAIN = 0.5 * math.pi  # bound on that Jacobian itself
 
 
 class Speeds(NamedTuple):
-    """Bounds over each of S stretches whose length is 1: of a tip's speed, of p'', of the turning speed and of its derivative.
+    """Bounds over each of S segments of unit length: a tip's speed, p'', its angular speed and the derivative of that.
 
-    off [m], off_turn [rad]: by how much the tip moves where the joints leave the straight line, see `bounds`.
+    off [m], off_turn [rad]: tip deviation because the joints leave the straight line, see `bounds`.
     """
 
     speed: np.ndarray
@@ -46,9 +46,9 @@ class Speeds(NamedTuple):
 def check(
     plan: Any, kinds: tuple, curve: np.ndarray, at: np.ndarray, T: np.ndarray, cut: np.ndarray, collision: Any = None
 ) -> Continuity:
-    """What is proven of the motion along a curve (M, n) whose rows are at places `at` (M,) among the poses T (N, F, 4, 4).
+    """Verify the motion along a curve (M, n) whose rows are at places `at` (M,) among the poses T (N, F, 4, 4).
 
-    Every row without NaN is inside the tolerances of its target. cut (M-1,): where the motion breaks. collision: a
+    Every row without NaN must be inside the tolerances of its target. cut (M-1,): where the motion breaks. collision: a
     CollisionModel, or None.
     """
     deviation, turn = bounds(plan, kinds, curve, at, T)
@@ -71,9 +71,9 @@ def densify(
     """Insert solved poses until no step is longer than max_step (rad, m) and the bounds are below path_tolerance (m, rad).
 
     q (N, n), rows of NaN where a pose is not reached; breaks: the motion breaks between pose k and the next for k in breaks.
-    Returns the curve (M, n), the places of its rows (M,) and where it is cut (M-1,). Where that cannot be had (no joint motion
-    leads on from the one side to the other) the stretch stays as it was: `check` then says by how much. Raises InvalidOption for
-    a max_step that is far too small.
+    Returns the curve (M, n), the places of its rows (M,) and where it is cut (M-1,). Where this fails (no continuous joint motion
+    connects the two sides) the segment is left unchanged and `check` reports the deviation. Raises InvalidOption for a max_step
+    that is far too small.
     """
     robot = plan.robot
     step = np.where(robot.slides, max_step[1], max_step[0])
@@ -91,7 +91,7 @@ def densify(
     for _ in range(ROUNDS):
         owner = at[:-1].astype(int)
         deviation, turn = bounds(plan, kinds, curve, at, T)
-        # The end errors are there whatever is inserted; what the motion adds falls with the square of the number of pieces.
+        # Insertion does not change the end errors; the part due to the motion falls with the square of the number of pieces.
         excess = [np.sqrt(x / most) for x, most in zip((deviation, turn), path_tolerance, strict=True)]
         wanted = np.max([*excess, (np.abs(np.diff(curve, axis=0)) / step).max(axis=1)], axis=0)
         wanted = np.where(open_[owner] & ~given_up[owner] & (wanted > 1.0), np.ceil(wanted * (1.0 + 1e-9)), 1.0)
@@ -100,13 +100,13 @@ def densify(
         wanted = np.where(crowded[owner], 1.0, wanted).astype(int)
         if not (wanted > 1).any():
             break
-        first = np.repeat(np.arange(len(wanted)), wanted)  # the stretch of each piece
+        first = np.repeat(np.arange(len(wanted)), wanted)  # the segment of each piece
         share = (np.arange(len(first)) - np.repeat(np.cumsum(wanted) - wanted, wanted)) / wanted[first]
         places = np.append(at[first] + share * (at[first + 1] - at[first]), at[-1])
         rows = np.vstack([curve[first] + share[:, None] * (curve[first + 1] - curve[first]), curve[-1:]])
         new = np.append(share > 0.0, False)
         rows[new], good = settle(plan, kinds, rows[new], interpolate(T, places[new], kinds))
-        # A row that is not solved, or is farther from its neighbours than the stretch was long, leads nowhere.
+        # Give up on a segment with an unsolved row.
         given_up[np.unique(places[new][~good].astype(int))] = True
         keep = ~new | ~given_up[np.minimum(places, len(q) - 2).astype(int)]
         curve, at = rows[keep], places[keep]
@@ -116,14 +116,14 @@ def densify(
 
 
 def settle(plan: Any, kinds: tuple, q: np.ndarray, T: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Bring rows q (M, n) onto targets T (M, F, 4, 4) with the least moves; returns them and whether each is solved (M,)."""
+    """Move rows q (M, n) onto targets T (M, F, 4, 4) with minimal motion; returns them and whether each is solved (M,)."""
     q, good = np.array(q, dtype=float), np.zeros(len(q), dtype=bool)
     settle_rows(*plan.chain[:2], targets(plan.robot, T), q, plan.orders(kinds, True), good)
     return q, good
 
 
 def targets(robot: Any, T: np.ndarray) -> np.ndarray:
-    """Targets T (M, F, 4, 4) as the kernel reads them: those of one tip without their F."""
+    """Targets T (M, F, 4, 4) in the kernel's form: without the axis F for a single tip."""
     return np.ascontiguousarray(T if robot.by_tip else T[:, 0])
 
 
@@ -149,9 +149,9 @@ def interpolate(T: np.ndarray, at: np.ndarray, kinds: tuple) -> np.ndarray:
 def bounds(
     plan: Any, kinds: tuple, curve: np.ndarray, at: np.ndarray, T: np.ndarray, sag: np.ndarray | None = None
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Bounds on the deviation [m] and the turn [rad] of the worst tip, over each stretch between rows of a curve (M, n).
+    """Bounds on the deviation [m] and [rad] of the worst tip, over each segment between rows of a curve (M, n).
 
-    sag (M-1, n): by how much each joint leaves the straight line between two rows, at most; default: not at all.
+    sag (M-1, n): upper bound on each joint's deviation from the straight line between two rows; default 0.
     """
     robot, o = plan.robot, plan.options
     sag = np.zeros((len(curve) - 1, robot.n)) if sag is None else sag
@@ -175,12 +175,12 @@ def bounds(
 
 
 def _speeds(chain: Any, q: np.ndarray, sag: np.ndarray) -> Speeds:
-    """Bounds of a chain's tip between rows of q (M, n), with joints that leave the straight line by sag (M-1, n)."""
+    """Bounds for a chain's tip between rows of q (M, n), with joints that leave the straight line by up to sag (M-1, n)."""
     rows, move = chain.rows, np.abs(np.diff(q, axis=0)) / chain.unit
     D = np.empty((len(q), len(rows)))
     levers(rows, chain.ends, q, chain.unit, D)
     owner = rows[:, 8].astype(int)
-    ratio, stroke = np.abs(rows[:, 4]), np.abs(rows[:, 6]) * chain.scale  # one of them is 0: a joint turns or slides
+    ratio, stroke = np.abs(rows[:, 4]), np.abs(rows[:, 6]) * chain.scale  # one is 0: a joint rotates or slides
     turns, slides = ratio * move[:, owner], stroke * move[:, owner]
     sag = (sag / chain.unit)[:, owner]
     speed, bend, turn, twist, off = (np.zeros(len(move)) for _ in range(5))
@@ -196,10 +196,10 @@ def _speeds(chain: Any, q: np.ndarray, sag: np.ndarray) -> Speeds:
 
 
 class Between:
-    """One tip and its target between knots; `other`: speeds and poses (M, 4, 4) of the tip the target is relative to."""
+    """One tip and its target between knots; other: speeds and poses (M, 4, 4) of the tip the target is relative to."""
 
     def __init__(self, tip: Speeds, poses: np.ndarray, goal: np.ndarray, other: Any, frame: str) -> None:
-        """Bound the second derivatives of the errors in base axes, and how fast the axes of `frame` turn."""
+        """Bound the second derivatives of the errors in base axes, and the angular speed of the axes of `frame`."""
         chord = np.linalg.norm(goal[1:, :3, :3] - goal[:-1, :3, :3], axis=(1, 2)) / math.sqrt(8.0)
         self.swing = 2.0 * np.arcsin(np.minimum(chord, 1.0))  # angle between the rotations of two targets
         self.tip, self.ref_turn, self.ref_twist = tip, self.swing, np.zeros_like(self.swing)
@@ -211,7 +211,7 @@ class Between:
             arm = np.linalg.norm(goal[:, :3, 3], axis=1)
             arm, step = np.maximum(arm[1:], arm[:-1]), np.linalg.norm(np.diff(goal[:, :3, 3], axis=0), axis=1)
             self.bend = tip.bend + carrier.bend + 2.0 * carrier.turn * step + (carrier.twist + carrier.turn**2) * arm
-            self.rate = tip.turn + carrier.turn  # of the tip in the frame of the other
+            self.rate = tip.turn + carrier.turn  # angular speed of the tip in the frame of the other
             self.twist = tip.twist + carrier.twist + tip.turn * carrier.turn
             self.off = tip.off + carrier.off + carrier.off_turn * arm
             self.off_turn = tip.off_turn + carrier.off_turn
@@ -227,12 +227,12 @@ class Between:
         }[frame]  # fmt: skip
 
     def position(self, counts: Any) -> np.ndarray:
-        """What the motion adds to the position error that counts."""
+        """Contribution of the motion to the position error that counts."""
         if counts.mask is None and counts.slack is None:
             return 0.125 * self.bend + self.off  # a norm is the same in all axes
         spin, change = self.axes
         second = self.bend + 2.0 * spin * self.drift + (change + spin * spin) * self.away
-        second += 8.0 * (self.off + self.off_turn * (self.away + self.off))  # which turns the axes, too
+        second += 8.0 * (self.off + self.off_turn * (self.away + self.off))  # off_turn rotates the axes, too
         return max((counts.mask or (1.0,))[:3]) * 0.125 * second
 
     def rotation(self, counts: Any, axis: bool, tolerance: float) -> np.ndarray:
@@ -243,15 +243,13 @@ class Between:
         if axis:  # two curves on the sphere, against their chords
             chord = 2.0 * math.sin(0.5 * min(tolerance, math.pi)) + 0.125 * (self.rate**2 + self.swing**2)
             return 2.0 * np.arcsin(np.minimum(0.5 * chord, 1.0)) + self.off_turn
-        bent = 0.25 * np.maximum(
-            self.rate, self.swing
-        )  # half the angle that the curvature 1/4 of the rotations makes of it
+        bent = 0.25 * np.maximum(self.rate, self.swing)  # half the angle at the rotation group's curvature of 1/4
         secant = np.where(bent < 0.5 * math.pi, 1.0 / np.cos(np.minimum(bent, 1.57)), np.inf)
         grown = np.where(bent > 1e-4, 2.0 * (secant - 1.0) / np.maximum(bent, 1e-4) ** 2, 1.0)
         return np.minimum(tolerance * secant + 0.125 * self.twist * grown + self.off_turn, math.pi)
 
     def _vector(self) -> np.ndarray:
-        """Bound on the second derivative of the rotation vector that is left, in the axes of `frame`."""
+        """Bound on the second derivative of the remaining rotation vector, in the axes of `frame`."""
         left = self.ref_turn + self.tip.turn
         change = self.tip.twist + left * self.tip.turn + self.ref_twist
         second = LOG_GAIN * change + LOG_SLOPE * LOG_GAIN * left**2

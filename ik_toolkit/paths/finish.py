@@ -1,4 +1,4 @@
-"""The last steps of a path: exact rows, shortened pieces, and the proof between the poses; what fails it is left out, again."""
+"""Last steps of a path: exact rows, shortened pieces, verification between poses; repeated without the steps that fail."""
 
 from typing import Any, NamedTuple
 
@@ -11,33 +11,33 @@ from .refine import smooth
 from .result import pieces
 from .search import Found, Search
 
-TRIES = 12  # programs run again without a step that is no continuous motion, or touches
-HELD = 2  # poses kept as the program has them on either side of a place where the shorter motion fails
-ROUNDING = 1e-9  # share by which a step may be longer than it may
-SHORTENED = 3  # times a motion is shortened, with more poses held each time
+TRIES = 12  # runs of the program, each without further steps that are discontinuous or touch
+HELD = 2  # poses kept unchanged on either side of a place where the shortened motion fails
+ROUNDING = 1e-9  # share by which a step may exceed its limit
+SHORTENED = 3  # attempts to shorten a motion, with more poses held each time
 
 
 class Motion(NamedTuple):
-    """A path as it is handed out: rows q (N, n) [rad or m], the curve through them, and what is proven of it."""
+    """A finished path: rows q (N, n) [rad or m], the curve through them, and what is proven about it."""
 
     found: Found
     q: np.ndarray
     curve: np.ndarray
     at: np.ndarray
     continuity: Continuity
-    leaps: list[float]  # places among the poses where it is no continuous motion
+    leaps: list[float]  # places among the poses where the motion is not continuous
 
     @property
     def failures(self) -> list[float]:
-        """Places among the poses where the motion is no continuous one, or touches, or comes too near to tell."""
+        """Places among the poses where the motion is discontinuous, touches, or comes too near to tell."""
         return [*self.leaps, *(one.place for one in self.continuity.contacts), *self.continuity.unproven]
 
 
 def exact(problem: Problem, q: np.ndarray) -> np.ndarray:
-    """Rows (N, n), kernel units, inside the tolerances of their poses; in the units of the robot."""
+    """Move rows (N, n), in kernel units, inside the tolerances of their poses; returns them in the robot's units."""
     there = np.flatnonzero(np.isfinite(q).all(axis=1))
     made = q.copy()
-    made[np.ix_(there, problem.plan.held)] = problem.stand[problem.plan.held]  # tracks are kept in single precision
+    made[np.ix_(there, problem.plan.held)] = problem.stand[problem.plan.held]  # tracks are stored in single precision
     made[there] = problem.settled(np.clip(made[there], *problem.limits[:2]), there)[0]
     return made * problem.unit
 
@@ -45,7 +45,7 @@ def exact(problem: Problem, q: np.ndarray) -> np.ndarray:
 def proven(
     search: Search, found: Found, q: np.ndarray, step: tuple[float, float], tolerance: tuple[float, float], model: Any
 ) -> Motion:
-    """The motion through rows q (N, n), with poses inserted where it needs them."""
+    """The verified motion through rows q (N, n), with poses inserted where needed."""
     p = search.problem
     q = p.inside(q)
     curve, at, cut = densify(p.single, p.kinds, q, p.poses, found.breaks, step, tolerance)
@@ -58,7 +58,7 @@ def proven(
 
 
 def shortened(search: Search, found: Found, q: np.ndarray, held: np.ndarray, step: tuple[float, float]) -> np.ndarray:
-    """Each continuous piece of q (N, n) shortened where that touches nothing; held (N,): poses whose rows stay."""
+    """Shorten each continuous piece of q (N, n) without contact; held (N,): poses whose rows stay."""
     p, made = search.problem, q.copy()
     fixed = held.copy()
     fixed[0] |= search.fixed[0]
@@ -76,7 +76,7 @@ def shortened(search: Search, found: Found, q: np.ndarray, held: np.ndarray, ste
 def finished(
     search: Search, step: tuple[float, float], tolerance: tuple[float, float], model: Any, allowed: float, refine: bool
 ) -> Motion:
-    """The best path of a search as a motion that is proven, as far as that can be had."""
+    """The best path of a search as a motion, proven as far as possible."""
     p = search.problem
     for _ in range(TRIES):
         found = search.found if len(search.found.breaks) <= allowed else search.best(allowed)

@@ -1,4 +1,4 @@
-"""A free motion from one configuration to another: straight, or by two trees that grow towards each other (RRT-Connect)."""
+"""Collision-free motion from one configuration to another: straight, or by RRT-Connect."""
 
 import time
 from typing import Any
@@ -8,17 +8,17 @@ import numpy as np
 from ..robot.joints import Joints
 from .contact import Margins, _between
 
-SECONDS = 2.0  # of search
-NODES = 20_000  # random points, so that a search without an answer ends on a fast machine, too
-STEP = 0.25  # [rad, or of the reach] longest move of a tree towards a point
-SHORTCUTS = 60  # attempts to leave out corners
-ALONG = 5_000  # tests of one straight move
+SECONDS = 2.0  # time limit of the search
+NODES = 20_000  # most random points, so that a hopeless search also ends early on a fast machine
+STEP = 0.25  # [rad, or fraction of the reach] longest step of a tree towards a point
+SHORTCUTS = 60  # attempts to cut corners
+ALONG = 5_000  # most tests of one straight move
 
 
 def connect(robot: Joints, collision: Any, a: np.ndarray, b: np.ndarray, seed: int) -> np.ndarray | None:
-    """Corners (K, n) of a motion from a to b (n,) that is straight between them, inside the limits and proven free of contact.
+    """Corners (K, n) of a piecewise straight motion from a to b (n,), inside the limits and proven collision-free.
 
-    None when none is found in SECONDS. Kuffner and LaValle, "RRT-Connect", ICRA 2000.
+    None if none is found within SECONDS. Kuffner and LaValle, "RRT-Connect", ICRA 2000.
     """
     if collision is None:
         return np.array([a, b])
@@ -45,7 +45,7 @@ def connect(robot: Joints, collision: Any, a: np.ndarray, b: np.ndarray, seed: i
 
 
 def _box(robot: Joints, a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Where random points are drawn: the limits, and half a turn (or half the reach) around where there are none."""
+    """Range of the random points: the limits, or half a turn (half the reach) beyond a and b where there are none."""
     around = np.pi * np.where(robot.slides, robot.reach / 6.0, 1.0)
     low = np.where(np.isfinite(robot.lower), robot.lower, np.minimum(a, b) - around)
     return low, np.where(np.isfinite(robot.upper), robot.upper, np.maximum(a, b) + around)
@@ -61,13 +61,13 @@ def _free(margins: Margins, a: np.ndarray, b: np.ndarray) -> bool:
 
 
 class _Branches:
-    """A tree of configurations that are joined by free straight moves."""
+    """A tree of configurations connected by collision-free straight moves."""
 
     def __init__(self, root: np.ndarray) -> None:
         self.points, self.parents = [root], [-1]
 
     def extend(self, margins: Margins, robot: Joints, target: np.ndarray) -> int | None:
-        """Grow a step from the nearest point towards a target; number of the new point."""
+        """Grow one step from the nearest point towards a target; index of the new point."""
         points = np.array(self.points)
         near = int(np.argmin((((points - target) / robot.chain.unit) ** 2).sum(axis=1)))
         way = target - points[near]
@@ -80,7 +80,7 @@ class _Branches:
         return len(self.points) - 1
 
     def reach_for(self, margins: Margins, robot: Joints, target: np.ndarray) -> int | None:
-        """Grow towards a target until it is reached; number of the point there, None when something is in the way."""
+        """Grow towards a target until it is reached; index of the point there, None if something is in the way."""
         while True:
             new = self.extend(margins, robot, target)
             if new is None:
@@ -89,7 +89,7 @@ class _Branches:
                 return new
 
     def way(self, k: int) -> np.ndarray:
-        """Points from number k back to the root."""
+        """Points from index k back to the root."""
         found = []
         while k >= 0:
             found.append(self.points[k])

@@ -1,6 +1,6 @@
-"""Poses that lie half a turn apart: two ways from one to the next are the shortest, and one has to be chosen.
+"""Orientations 180 degrees apart: there are two shortest rotations from one to the next, and one must be chosen.
 
-It is chosen by turning the second pose by far less than its tolerance: all else then finds that way the only shortest one.
+The choice is made by rotating the second pose by far less than its tolerance, so that everything else finds one shortest way.
 """
 
 import numpy as np
@@ -8,14 +8,14 @@ import numpy as np
 from ..solvers.result import SPOKEN
 from ..tracking.reference import exp
 
-DOUBT = 0.1  # of the tolerance: a rotation so close to half a turn may go either way
-SHORT = 1e-10  # rad that a chosen way is shorter than half a turn: rounding is 1e-16
+DOUBT = 0.1  # share of the tolerance: a rotation this close to half a turn may go either way
+SHORT = 1e-10  # [rad] by which the chosen rotation is shorter than half a turn: rounding is 1e-16
 
 
 class HalfTurns:
     """Half turns between poses T (N, F, 4, 4): gaps (P,), each from pose k to the next; tips (P,); axes (P, 3), base axes.
 
-    The way chosen at first goes back where the half turn before it went on.
+    The first choice alternates: each half turn undoes the direction of the previous one.
     """
 
     def __init__(self, T: np.ndarray, kinds: tuple, tolerance: float) -> None:
@@ -31,7 +31,7 @@ class HalfTurns:
             )
             before = np.zeros(3)
             for k in np.flatnonzero((sine <= DOUBT * tolerance) & (np.trace(R, axis1=1, axis2=2) < 0.0)).tolist():
-                square = 0.25 * (R[k] + R[k].T) + 0.5 * np.eye(3)  # of the axis with itself
+                square = 0.25 * (R[k] + R[k].T) + 0.5 * np.eye(3)  # outer product of the axis with itself
                 axis = square[:, np.argmax(np.diag(square))]
                 before = axis * ((-1.0 if axis @ before > 0.0 else 1.0) / np.linalg.norm(axis))
                 gaps.append(k)
@@ -40,13 +40,13 @@ class HalfTurns:
         self.gaps, self.tips, self.axes = np.array(gaps, dtype=int), tips, np.array(axes).reshape(-1, 3)
 
     def turn_round(self, gaps: list[int]) -> bool:
-        """Go the other way at these gaps; False when none of them is a half turn."""
+        """Rotate the other way at these gaps; False if none of them is a half turn."""
         meant = np.isin(self.gaps, gaps)
         self.axes[meant] *= -1.0
         return bool(meant.any())
 
     def poses(self) -> np.ndarray:
-        """The poses (N, F, 4, 4) with one shortest way between any two."""
+        """The poses (N, F, 4, 4) with a unique shortest rotation between neighbours."""
         T = self._T.copy() if len(self.gaps) else self._T
         for p in np.argsort(self.gaps, kind="stable").tolist():
             k, f = self.gaps[p], self.tips[p]

@@ -1,4 +1,4 @@
-"""The program over tracks, and contact found where the path goes: the best path is tested, what touches is left out, again."""
+"""Dynamic program over tracks, with lazy contact tests: test the best path, exclude what touches, repeat."""
 
 import itertools
 from collections.abc import Callable
@@ -9,22 +9,22 @@ import numpy as np
 from ..kernel.kinematics import TAU
 from ..kernel.path_link import DEAD, FREE, NONE, TOUCHING, UNTESTED, link
 
-LONG = 1e3  # cost of a step longer than it may be: more than the length of any path is worth
-LEAP = 1.0  # cost of a reconfiguration beside its count: what it moves is no part of the path
-SUSPECT = 50.0  # toll on a state between two of its track that touch: it is tried last, and tested then
-HITS = 4  # states found touching at first, before the program is run again
-SAMPLED, PAIRED = 5, 64  # poses and tracks by which the joint is chosen that near states are looked up by
-COARSE = 16  # of a track every so many poses are tested first
+LONG = 1e3  # cost of a step longer than allowed: more than the length of any path
+LEAP = 1.0  # cost of a reconfiguration in addition to its count; the move itself is not part of the path
+SUSPECT = 50.0  # toll on an untested state between two touching ones of its track, so that it is tried last
+HITS = 4  # touching states found before the program is run again for the first time
+SAMPLED, PAIRED = 5, 64  # poses and tracks sampled to choose the joint by which nearby states are looked up
+COARSE = 16  # every so many poses of a track are tested first
 
 
 class Program:
     """Tracks Q (N, K, n) in kernel units, whole over span (K, 2), and the best path through them.
 
-    state (N, K): see kernel.path_link; begin, end (2, K): count and cost of a path that begins, ends on a track.
+    state (N, K): see kernel.path_link; begin, end (2, K): count and cost for a path that begins or ends on each track.
     """
 
     def __init__(self, Q: np.ndarray, span: np.ndarray, most: np.ndarray, endless: np.ndarray) -> None:
-        """Nothing is known of contact yet."""
+        """Start with every state untested."""
         N, K, _ = Q.shape
         self.Q, self.span, self.most, self.endless = Q, span, most, endless.astype(float)
         t = np.arange(N)[:, None]
@@ -38,11 +38,11 @@ class Program:
         self.blocked: set[tuple[int, int, int]] = set()
         self.counts, self.costs = np.zeros((N, K), np.int32), np.zeros((N, K))
         self.parents, self.prior = np.full((N, K), NONE, np.int16), np.full(N, -1)
-        self.changed = 0  # first layer that has to be run again
+        self.changed = 0  # first layer that must be run again
         self.axis = self._telling()
 
     def _telling(self) -> int:
-        """The joint in which the fewest pairs of states are near each other, from a sample of both."""
+        """The joint in which the fewest sampled pairs of states are near each other."""
         N, K, n = self.Q.shape
         some = np.unique(np.linspace(0, N - 1, SAMPLED).astype(int))[:, None]
         Q = self.Q[some, np.unique(np.linspace(0, K - 1, PAIRED).astype(int))] if K else np.zeros((1, 1, n))
@@ -62,13 +62,13 @@ class Program:
         self.changed = len(self.Q)
 
     def mark(self, t: int, k: int, touching: bool) -> None:
-        """Write down a verdict."""
+        """Store the result of a contact test."""
         self.state[t, k] = TOUCHING if touching else FREE
         if touching:
             self.changed = min(self.changed, t)
 
     def best(self, t: int) -> tuple[int, int]:
-        """Track and count of the best path to layer t; -1 where there is none."""
+        """Track and count of the best path to layer t; -1 if there is none."""
         alive = self.state[t] != DEAD
         if not alive.any():
             return -1, 0
@@ -79,7 +79,7 @@ class Program:
         return k, int(counts[k])
 
     def path(self, t: int) -> tuple[np.ndarray, np.ndarray]:
-        """Tracks (t + 1,) of the best path to layer t, -1 where a layer has none; and where it reconfigures, (t + 1,) bool."""
+        """Tracks (t + 1,) of the best path to layer t, -1 for a layer without one; and where it reconfigures, (t + 1,) bool."""
         tracks, jumps = np.full(t + 1, -1), np.zeros(t + 1, dtype=bool)
         while t >= 0 and not (self.state[t] != DEAD).any():
             t -= 1
@@ -95,7 +95,7 @@ class Program:
 
 
 def middle_first(size: int) -> np.ndarray:
-    """Places 0 ... size - 1, the ends and the middles of what is between first."""
+    """Indices 0 ... size - 1 in bisection order: the ends first, then the middles in between."""
     if size < 1:
         return np.empty(0, dtype=int)
     step, seen, order = 1 << max(0, (size - 1).bit_length()), np.zeros(size, dtype=bool), []
@@ -109,17 +109,17 @@ def middle_first(size: int) -> np.ndarray:
 
 
 class Tester:
-    """Contact of the states of a program, each tested once; `left` tests, and then no more."""
+    """Contact tests of a program's states, each at most once, within a budget of `left` tests."""
 
     def __init__(self, collides: Callable[[Any], bool], unit: np.ndarray, budget: int) -> None:
         """Test with collides(q) (n,) [rad, m]."""
         self.collides, self.unit, self.left = collides, unit, budget
         self.program: Any = None
-        self.looked = False  # whether contact was met, and all tracks looked over
+        self.looked = False  # whether contact occurred and all tracks were looked over
 
     def of(self, program: Program) -> "Tester":
-        """The same for a program whose first tracks are those of the one before: what is known of them stands."""
-        if self.program is not None and np.shares_memory(self.program.Q, program.Q):  # else the columns are others
+        """Reuse the tester for a program whose first tracks are those of the previous one, whose results stay valid."""
+        if self.program is not None and np.shares_memory(self.program.Q, program.Q):  # otherwise the columns differ
             K = self.program.state.shape[1]
             known = self.program.state >= FREE
             program.state[:, :K][known] = self.program.state[known]
@@ -137,7 +137,7 @@ class Tester:
         return p.state[t, k] == TOUCHING
 
     def look_over(self) -> None:
-        """Test every COARSE-th state of every track; what lies between two that touch is suspect."""
+        """Test every COARSE-th state of every track; states between two that touch are suspect."""
         program, self.looked = self.program, True
         for k, (low, high) in enumerate(program.span):
             before = -1
@@ -149,7 +149,7 @@ class Tester:
         program.changed = 0
 
     def grow(self, t: int, k: int) -> None:
-        """After a hit: how far along its track contact reaches, by steps that double, then by halves."""
+        """After a hit, find how far along the track contact extends: by doubling steps, then by bisection."""
         p = self.program
         for way in (-1, 1):
             edge = p.span[k, 0 if way < 0 else 1]
@@ -175,10 +175,10 @@ class Tester:
 
 
 def free_path(program: Program, tester: Tester) -> tuple[np.ndarray, np.ndarray]:
-    """Best path whose states are all tested, or the best when the budget ended; see `Program.path`."""
+    """Best path whose states are all tested, or the best so far when the budget runs out; see `Program.path`."""
     N = len(program.Q)
     order = middle_first(N)
-    for most in itertools.count(HITS):  # the longer it takes, the more is found out before the program runs again
+    for most in itertools.count(HITS):  # more hits per round the longer it takes
         program.run()
         tracks, jumps = program.path(N - 1)
         hits = 0

@@ -1,4 +1,4 @@
-"""A path as it is solved: poses, what counts of them, limits and steps, as arrays in kernel units."""
+"""The path problem: poses, what counts, limits and steps, as arrays in kernel units."""
 
 from typing import Any
 
@@ -13,21 +13,19 @@ from ..solvers.protocol import Asked
 from ..solvers.search_all import ONE_ATTEMPT
 from .continuity import settle
 
-STEP = (
-    np.radians(7.0),
-    0.02,
-)  # rad, m: CppFlow's, and the shortest in which tracks are followed: shorter ones prove nothing
+# [rad], [m] from CppFlow; also the shortest step in which tracks are followed: shorter ones prove nothing.
+STEP = (np.radians(7.0), 0.02)
 
 
 class Problem:
     """Poses T (N, 4, 4), for a Tree (N, F, 4, 4), of `kinds` for a bound solver, ready for the kernels of a path.
 
-    most (n,): largest step of a joint, in kernel units, or STEP where that is longer (the rows that max_step wants are inserted
-    in the end); deviation (2,) [m], [rad]: of a tip between poses; poses (N, F, 4, 4): T by tip, at places `at` (N,) among those
-    asked for, default these. stand (n,): where joints of weight 0 stay, q0 or home. plan: the solver's; single: that of one
-    attempt of the general search, with its arrays (rows, ends) and orders. limits (3, n): lower, upper, whether there are both;
-    room: the same without those of joints whose full turns are added later. redundant: whether joints are left over, so that
-    solutions are not isolated.
+    most (n,): largest step of a joint, in kernel units, or STEP if that is longer (the rows that max_step requires are inserted
+    at the end); deviation (2,) [m], [rad]: of a tip between poses; poses (N, F, 4, 4): T by tip, at places `at` (N,) among the
+    requested poses (default: those themselves). stand (n,): where joints of weight 0 stay, q0 or home. plan: the solver's; single:
+    plan for one attempt of the general search, with its arrays (rows, ends) and orders. limits (3, n): lower, upper, whether both
+    exist; room: the same without those of joints whose full turns are added later. redundant: whether there are more joints than
+    needed, so that solutions are not isolated.
     """
 
     def __init__(
@@ -40,7 +38,7 @@ class Problem:
         q0: np.ndarray | None = None,
         at: np.ndarray | None = None,
     ) -> None:
-        """Pack what the kernels read."""
+        """Pack the kernel arrays."""
         robot, plan = solver.robot, solver.plan_for(kinds)
         self.robot, self.plan, self.T, self.kinds = robot, plan, T, kinds
         self.poses = T if robot.by_tip else T[:, None]
@@ -65,9 +63,10 @@ class Problem:
             self.room[0, self.turning], self.room[1, self.turning] = -np.inf, np.inf
 
     def solutions(self, t: int, Q0: np.ndarray) -> tuple[np.ndarray, float]:
-        """Solutions (m, n) of pose t, kernel units, that one attempt from each of Q0 (M, n) [rad, m] finds.
+        """Solutions (m, n) of pose t in kernel units, found by one attempt from each of Q0 (M, n) [rad, m].
 
-        Joints that turn fully are next to the middle of their limits. And how far the pose is out of reach [m], 0: not proven.
+        Joints with more than a full turn are on the turn nearest the middle of their limits. Also returns the proven distance of
+        the pose out of reach [m], 0: not proven.
         """
         single, n = self.single, self.robot.n
         T, out = np.repeat(self.T[t : t + 1], len(Q0), axis=0), np.zeros((len(Q0), single.width))
@@ -83,7 +82,7 @@ class Problem:
         return self.turned(out[good, ANSWER : ANSWER + n] / self.unit), 0.0
 
     def turned(self, Q: np.ndarray) -> np.ndarray:
-        """Q (m, n) with joints that can turn fully on the turn next to the middle of their limits."""
+        """Q (m, n) with joints that have more than a full turn on the turn nearest the middle of their limits."""
         Q = Q.copy()
         turning = np.asarray(self.robot.chain.turns) > 0
         turning[self.plan.held] = False
@@ -94,10 +93,10 @@ class Problem:
         return Q
 
     def inside(self, q: np.ndarray) -> np.ndarray:
-        """Rows q (M, n) [rad or m] without what rounding in the units of the kernel puts beyond a limit."""
+        """Rows q (M, n) [rad or m] moved back inside limits exceeded by rounding in kernel units."""
         return np.clip(q, self.robot.lower, self.robot.upper) if self.plan.options.limits else q
 
     def settled(self, Q: np.ndarray, t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Q (m, n), kernel units, brought onto the poses t (m,); and whether each is there (m,)."""
+        """Q (m, n) in kernel units moved onto the poses t (m,), and whether each is reached (m,)."""
         rows, good = settle(self.single, self.kinds, Q * self.unit, self.poses[t])
         return rows / self.unit, good

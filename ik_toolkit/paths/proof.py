@@ -1,4 +1,4 @@
-"""What is proven of a motion between the poses."""
+"""What is proven about a motion between the poses."""
 
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -7,7 +7,7 @@ import numpy as np
 
 
 class Contact(NamedTuple):
-    """Where the motion touches: place among the poses (3.5: halfway from pose 3 to pose 4), and the names of the pair."""
+    """A contact: place among the poses (3.5: halfway from pose 3 to pose 4), and the names of the pair."""
 
     place: float
     pair: tuple[str, str]
@@ -15,11 +15,11 @@ class Contact(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Continuity:
-    """What is proven of a motion that is linear in the joints between the knots of a curve (M, n).
+    """What is proven about a motion that is linear in the joints between the knots of a curve (M, n).
 
-    deviation (M-1,) [m] and turn (M-1,) [rad]: bounds on how far a tip leaves the interpolated pose between two knots, counting
-    what counts; NaN where the motion breaks. clearance [m]: nothing comes nearer than this, anywhere on the way (0: not
-    proven; None: collisions were not asked for). contacts; unproven: places where shapes are too close to tell without contact.
+    deviation (M-1,) [m] and turn (M-1,) [rad]: bounds on a tip's deviation from the interpolated pose between two knots, in the
+    components that count; NaN where the motion breaks. clearance [m]: nothing comes nearer than this anywhere (0: not proven;
+    None: collisions were not checked). contacts; unproven: places where shapes are too close to rule out contact.
     """
 
     deviation: np.ndarray

@@ -1,4 +1,4 @@
-"""Shortening and smoothing one continuous piece of a path, without leaving its poses, its limits or free space."""
+"""Shorten and smooth one continuous piece of a path, keeping its poses, its limits and clear of contact."""
 
 from collections.abc import Callable
 from typing import Any
@@ -8,13 +8,11 @@ import numpy as np
 from ..kernel.smooth import smooth as smooth_rows
 from .continuity import targets
 
-STEPS = 40  # of Gauss-Newton; a path is usually done in ten
-ROUNDING = 0.5  # of the mean step: below it a step counts by its square, so that no joint moves by stops and starts
-SMOOTHNESS = (
-    10.0  # of second differences, as steps are measured: corners are rounded over the root of it, some three poses
-)
-ROUNDS = 6  # of the refinement, each with more poses held where it touched
-WINDOW = 4  # poses held on either side of one that touches; twice as many in each further round
+STEPS = 40  # most Gauss-Newton steps; ten usually suffice
+ROUNDING = 0.5  # share of the mean step below which a step's cost is quadratic, so that joints do not stop and start
+SMOOTHNESS = 10.0  # weight of second differences against steps: corners are rounded over its root, some three poses
+ROUNDS = 6  # rounds of refinement, each with more poses held where it touched
+WINDOW = 4  # poses held on either side of one that touches; doubled in each further round
 
 
 def smooth(
@@ -26,11 +24,11 @@ def smooth(
     fixed: np.ndarray | None = None,
     bad: Callable[[np.ndarray], Any] | None = None,
 ) -> np.ndarray:
-    """A shorter and smoother motion through the same poses T (N, F, 4, 4), from one q (N, n) [rad or m] inside the tolerances.
+    """Shorten and smooth a motion q (N, n) [rad or m] through poses T (N, F, 4, 4), staying inside the tolerances.
 
-    max_step (rad, m): no step grows beyond it (or beyond the longest there is). fixed (N,): poses whose joints stay. bad: a
-    function of a motion (N, n) that returns the poses at which it may not be so, such as those that touch; those are held where
-    q has them, and the rest is refined again. q itself is returned when nothing better is found.
+    max_step (rad, m): no step grows beyond it (or beyond the longest in q). fixed (N,): poses whose joints stay. bad: function of
+    a motion (N, n) that returns the poses where it is not acceptable, such as those that touch; these are held at q, and the rest
+    is refined again. Returns q itself if nothing better is found.
     """
     robot = plan.robot
     held = np.zeros(len(q), dtype=bool) if fixed is None else np.array(fixed, dtype=bool)

@@ -1,4 +1,4 @@
-"""What `solve_path` gives back: a joint motion through the poses, what is proven of it, and where it breaks."""
+"""Result of `solve_path`: a joint motion through the poses, what is proven about it, and where it breaks."""
 
 import json
 from dataclasses import dataclass, field
@@ -30,7 +30,7 @@ class PathStatus(Enum):
 class Reconfiguration(NamedTuple):
     """Between pose `index` and the next the robot changes to another branch of solutions.
 
-    move (n,): the smallest joint move [rad or m] found from the one side to the other.
+    move (n,): the smallest joint move [rad or m] found from one side to the other.
     """
 
     index: int
@@ -38,7 +38,7 @@ class Reconfiguration(NamedTuple):
 
 
 class Unreachable(NamedTuple):
-    """A pose that is not reached, why, and whether that is proven (or merely nothing was found)."""
+    """A pose that is not reached, why, and whether that is proven (or just no solution was found)."""
 
     index: int
     reason: str
@@ -51,10 +51,10 @@ class PathResult:
 
     q (N, n) [rad or m], one row per pose, NaN where a pose is not reached; status; message (one sentence, with what to try);
     reconfigurations, and lower_bound, the proven minimum (None: not proven); unreachable poses. position_error (N,) [m] and
-    orientation_error (N,) [rad] (None: free): what counts of the errors at the poses, the largest over the tips, by
-    Pinocchio. The motion is linear in the joints between the rows of curve (M, n): q with the poses that were inserted; at
-    (M,) is their place among the poses (3.5: halfway from pose 3 to pose 4). continuity: what is proven about it. robot,
-    targets (N, F, 4, 4) [m] by tip, kinds and options: what was asked for; max_step (rad, m), path_tolerance (m, rad),
+    orientation_error (N,) [rad] (None: free): the errors that count at the poses, the largest over the tips, by Pinocchio.
+    The motion is linear in the joints between the rows of curve (M, n): q and the inserted poses; at (M,) is their place
+    among the poses (3.5: halfway from pose 3 to pose 4). continuity: what is proven about it. robot,
+    targets (N, F, 4, 4) [m] by tip, kinds and options: the request; max_step (rad, m), path_tolerance (m, rad),
     collision (model or None), seed; elapsed [s].
     """
 
@@ -91,7 +91,7 @@ class PathResult:
 
     @property
     def clearance(self) -> float | None:
-        """Distance [m] that all parts are proven to keep anywhere along the path; None when collisions were not checked."""
+        """Proven clearance [m] of all parts along the whole path; None if collisions were not checked."""
         return self.continuity.clearance
 
     @property
@@ -116,13 +116,13 @@ class PathResult:
         return float(of(values[~slides], initial=0.0)), float(of(values[slides], initial=0.0))
 
     def raise_for_status(self) -> "PathResult":
-        """Return self, or raise NotSolved with the sentence when the path was not followed."""
+        """Return self, or raise NotSolved with the message if the path was not followed."""
         if not self.success:
             raise NotSolved(self)
         return self
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain numbers, strings and lists, ready for JSON; rows of poses that are not reached hold nulls."""
+        """Plain numbers, strings and lists, ready for JSON; rows of poses that are not reached contain nulls."""
         return plain(
             {
                 "success": self.success,
@@ -181,12 +181,12 @@ class PathResult:
     def retime(
         self, velocity: Any = None, acceleration: Any = None, *, rate: float = 100.0, seed: int = 0
     ) -> "Trajectory":
-        """The motion in the least time that joint speeds and accelerations allow, see `Trajectory`.
+        """Time-optimal motion within joint speed and acceleration limits, see `Trajectory`.
 
         velocity, acceleration: one number, or one per joint (n,) [rad or m per s, s^2]; velocity defaults to the
-        robot's own limits, accelerations have to be given. rate [1/s] of the samples. At a reconfiguration the robot stops and
-        moves freely from one branch to the other; seed: of the search for that motion. Raises InvalidOption (limits that are
-        missing or not positive, a path that was not followed), MissingExtra.
+        robot's own limits, accelerations must be given. rate [1/s] of the samples. At a reconfiguration the robot stops and
+        moves freely from one branch to the other; seed: of the search for that motion. Raises InvalidOption (limits missing or
+        not positive, a path that was not followed), MissingExtra.
         """
         from .timing import retime
 
@@ -200,7 +200,7 @@ class PathResult:
 
 
 def pieces(curve: np.ndarray, at: np.ndarray, breaks: list[int]) -> list[slice]:
-    """Runs of rows of a curve (M, n) without NaN and without a break: one lies between pose k and the next for k in breaks."""
+    """Runs of rows of a curve (M, n) without NaN or a break (between pose k and the next, for k in breaks)."""
     finite = np.asarray(np.isfinite(curve).all(axis=1))
     cut = ~(finite[:-1] & finite[1:])  # (M-1,) whether the motion stops between two rows
     for k in breaks:

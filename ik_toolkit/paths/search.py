@@ -1,4 +1,8 @@
-"""The search for a path: anchors are solved, their tracks linked, contact tested, and where the program breaks it goes on."""
+"""The search for a path: solve anchors, link their tracks by dynamic programming, test contact, add anchors at the breaks.
+
+An anchor is a pose solved from many starts; a track is one of its solutions continued along the path. "Program" always means
+the dynamic program over the tracks.
+"""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -17,31 +21,30 @@ from .problem import Problem
 from .result import Unreachable
 from .turns import ROUNDING, alive, copies, unwound
 
-EVERY = (
-    20  # poses between two anchors of a robot whose solutions are isolated; they cost little, and none may be missed
-)
-ANCHORS = 13  # of a redundant robot at first: tracks reach far; with 9 a short way was missed in one of 25 runs
-SHARE = 40  # tracks an anchor of a redundant robot may add
-TRIED = 3  # contact is tested for so many seeds as an anchor may add: one in two touches beside an obstacle
-PATIENCE = 2  # rounds of further anchors, where the program breaks, that may fail to help
-NEAR = 0.003  # [rad] what counts as contact at first, times the pair's longest arm: 3 mm on a metre, cheap to prove free between
-PROBES = 9  # poses of a gap that are solved: where its middle and quarters have no solution the rest hardly has
-LEAST, BUDGET = 20_000, 200  # contact tests of any path, and of each pose; usually some 15 per pose are used
+EVERY = 20  # poses between two anchors of a robot with isolated solutions: cheap, and none may be missed
+ANCHORS = 13  # first anchors of a redundant robot: tracks reach far; with 9 a short path was missed in one of 25 runs
+SHARE = 40  # most tracks an anchor of a redundant robot may add
+TRIED = 3  # seeds tested for contact per track an anchor may add: next to an obstacle one in two touches
+PATIENCE = 2  # rounds of further anchors at the breaks that may fail to help
+# [rad] first contact margin over a pair's longest arm: 3 mm at one metre, cheap to prove free between poses
+NEAR = 0.003
+PROBES = 9  # poses of a gap that are solved: if its middle and quarters have no solution, the rest is unlikely to
+LEAST, BUDGET = 20_000, 200  # contact tests allowed: for any path, and per pose; usually some 15 per pose are used
 
 
 def _runs(places: np.ndarray) -> list[np.ndarray]:
-    """Places, ascending, in runs without a gap."""
+    """Split ascending indices into runs without gaps."""
     return [run for run in np.split(places, np.flatnonzero(np.diff(places) > 1) + 1) if len(run)]
 
 
 def model_near(model: Any, limits: np.ndarray) -> Callable[[Any], bool]:
-    """Test of a CollisionModel for shapes that are nearer than NEAR; limits (2, n) [rad, m]."""
+    """Contact test of a CollisionModel with margin NEAR; limits (2, n) [rad, m]."""
     margins = Margins(model, np.where(np.isfinite(limits), np.abs(limits), 0.0).max(axis=0))
     return lambda q: not margins.free(q, NEAR)
 
 
 def _within(best: tuple[int, int], allowed: float) -> bool:
-    """Whether there is a path, with so many reconfigurations at most."""
+    """Whether there is a path with at most `allowed` reconfigurations."""
     return best[0] >= 0 and best[1] % CONTACT <= allowed
 
 
@@ -71,31 +74,34 @@ class Search:
         seed: int,
         progress: Callable[[float, str], None],
     ) -> None:
-        """q0, q_end (n,) in kernel units: where the path begins and ends, or what it begins and ends near. model: of contact."""
+        """q0, q_end (n,) in kernel units: start and end of the path, or configurations near which it starts and ends.
+
+        model: CollisionModel or None.
+        """
         self.problem, self.model, self.ends, self.progress = problem, model, (q0, q_end), progress
         self.collides: Any = None
         self.tester: Any = None
         if model is not None:
             self.keep_away(model_near(model, problem.limits[:2] * problem.unit))
         self.tracks = Tracks(problem, MOST if problem.redundant else ISOLATED, threads, seed)
-        self.anchored: dict[int, float] = {}  # how far each anchor is out of reach [m], 0: not proven
+        self.anchored: dict[int, float] = {}  # anchor -> proven distance out of reach [m], 0: not proven
         self.program: Any = None
         self.found: Any = None
         self.lower_bound: int | None = None
-        self.sure: np.ndarray | None = None  # poses (N,) of which all solutions are known ...
+        self.sure: np.ndarray | None = None  # poses (N,) whose solutions are all known ...
         self.legal = np.empty((0, 0), dtype=bool)  # ... and which of those (N, K) the limits allow
-        self.copied: set[int] = set()  # joints that turn fully and whose turns have to be told apart
+        self.copied: set[int] = set()  # joints with more than a full turn whose turns must be distinguished
         self.wound = problem.endless
-        self.fixed = [False, False]  # whether the path begins at q0, ends at q_end
+        self.fixed = [False, False]  # whether the path starts exactly at q0, ends exactly at q_end
 
     def keep_away(self, collides: Callable[[Any], bool]) -> None:
-        """Test contact with collides(q) (n,) [rad, m] from now on; nothing is known yet."""
+        """Test contact with collides(q) (n,) [rad, m] from now on and forget earlier results."""
         self.collides = collides
         self.tester = Tester(collides, self.problem.unit, max(BUDGET * len(self.problem.T), LEAST))
 
     # ---------------------------------------------------------------------------------------------------------- anchors
     def anchor(self, t: int, count: int) -> int:
-        """Solve pose t from many starts and carry what is new; returns how many tracks were added."""
+        """Solve pose t from many starts and extend its new solutions; returns the number of tracks added."""
         p, tracks = self.problem, self.tracks
         Q0 = p.robot.random_q(tracks.rng, STARTS)
         for q in self.ends:
@@ -116,7 +122,7 @@ class Search:
         return len(seeds)
 
     def without_contact(self, seeds: np.ndarray, count: int) -> np.ndarray:
-        """The first `count` of seeds (m, n) that touch nothing, and where there are none the first as they are."""
+        """The first `count` of seeds (m, n) that touch nothing or, if all touch, the first few of them."""
         free = []
         for q in seeds:
             if not self.collides(q * self.problem.unit):
@@ -126,7 +132,7 @@ class Search:
         return np.array(free) if free else seeds[: max(1, count // 4)]
 
     def first_anchors(self) -> None:
-        """Solve poses spread over the path; given ends are tracks of their own."""
+        """Solve poses spread over the path; given ends become tracks, too."""
         p, N = self.problem, len(self.problem.T)
         for k, (q, t) in enumerate(zip(self.ends, (0, N - 1), strict=True)):
             if q is not None and self.solves(q, t):
@@ -143,12 +149,12 @@ class Search:
         self.fill()
 
     def solves(self, q: np.ndarray, t: int) -> bool:
-        """Whether q (n,) brings the tips to pose t."""
+        """Whether q (n,) reaches pose t."""
         moved, good = self.problem.settled(q[None], np.array([t]))
         return bool(good[0] and np.abs(moved[0] - q).max() < SAME)
 
     def fill(self) -> None:
-        """Solve poses that no track passes: the ends and the middle of each gap, and of what is left, PROBES a gap."""
+        """Solve poses that no track passes: ends and middle of each gap, then of what is left, up to PROBES per gap."""
         gaps = _runs(np.flatnonzero(self.tracks.alive() == 0))
         for gap in gaps:
             for t in gap[middle_first(len(gap))][:PROBES]:
@@ -157,13 +163,13 @@ class Search:
 
     # ----------------------------------------------------------------------------------------------------------- linking
     def link(self) -> None:
-        """Make the program of the tracks there are and take its best path."""
+        """Build the program over the current tracks and take its best path."""
         self.progress(0.7, "linking them")
         self.build()
         self.found = self.best()
 
     def build(self) -> None:
-        """Make the program, with tracks on all turns of the joints whose turns have to be told apart."""
+        """Build the program, with copies of the tracks on all turns of the joints in `copied`."""
         p, tracks = self.problem, self.tracks
         Q, span = tracks.Q[:, : tracks.size], tracks.span
         self.wound = p.endless.copy()  # joints whose full turns do not count in the program
@@ -184,7 +190,7 @@ class Search:
             self.tester = self.tester.of(program)
 
     def best(self, allowed: float | None = None) -> Found:
-        """The best path there is, to the last pose, or to the farthest with so many reconfigurations."""
+        """The best path to the last pose, or to the farthest pose reached with at most `allowed` reconfigurations."""
         while True:
             found, unfit = self.made(allowed)
             if not unfit:
@@ -193,7 +199,7 @@ class Search:
             self.build()
 
     def made(self, allowed: float | None) -> tuple[Found, set[int]]:
-        """Best path through the program as it is, and the joints whose turns do not fit the limits."""
+        """Best path through the current program, and the joints whose turns do not fit the limits."""
         p, program = self.problem, self.program
         N, K = program.state.shape
         last, verified = N - 1, True
@@ -212,9 +218,9 @@ class Search:
         on = np.flatnonzero(tracks >= 0)
         q[on] = program.Q[on, tracks[on]]
         breaks = []
-        for t in np.flatnonzero(jumps).tolist():  # from pose to pose, not over poses that are not reached
+        for t in np.flatnonzero(jumps).tolist():  # only between neighbouring poses, not across unreached ones
             before = int(on[np.searchsorted(on, t) - 1])
-            if (p.at[before + 1 : t] != np.round(p.at[before + 1 : t])).all():  # save where nobody asked for these
+            if (p.at[before + 1 : t] != np.round(p.at[before + 1 : t])).all():  # except across inserted poses only
                 breaks.append(before)
         limits = np.where(p.endless, [[-np.inf], [np.inf]], p.limits[:2])
         fixed = [self.fixed[0], self.fixed[1] and last == N - 1]
@@ -227,9 +233,7 @@ class Search:
         """Search until the path has no reconfiguration, or further anchors do not help."""
         self.first_anchors()
         self.link()
-        if (
-            self.worth() and self.model is not None
-        ):  # closer, then: there may be a way between things that leaves no room
+        if self.worth() and self.model is not None:  # without the extra margin: a narrow passage may be free
             self.keep_away(self.model.collides)
             self.link()
         left = PATIENCE
@@ -246,7 +250,7 @@ class Search:
 
     # ------------------------------------------------------------------------------------------------------------- proof
     def prove(self) -> None:
-        """Find out whether fewer reconfigurations are impossible: where every solution of every pose is a state."""
+        """Set `lower_bound` if the number of reconfigurations is provably minimal: every solution of every pose is on a track."""
         p = self.problem
         if not self.found.breaks and self.tracks.size and self.tracks.alive().all():
             self.lower_bound = 0
@@ -275,7 +279,7 @@ class Search:
             self.lower_bound = len(self.found.breaks)
 
     def known(self, Q: np.ndarray) -> np.ndarray:
-        """Which solutions Q (N, K, n) some track passes, full turns left out (N, K)."""
+        """Which solutions Q (N, K, n) lie on some track, ignoring full turns (N, K)."""
         tracks, there = self.tracks, np.zeros(Q.shape[:2], dtype=bool)
         t = np.arange(len(Q))
         for k in range(tracks.size):
@@ -285,14 +289,14 @@ class Search:
             there |= (np.abs(d).max(axis=2) < SAME) & passes[:, None]
         return there
 
-    # ------------------------------------------------------------------------------------------------------------- words
+    # ---------------------------------------------------------------------------------------------------------- verdicts
 
     def worth(self) -> int:
-        """What is wrong with the best path: contacts first, then reconfigurations."""
+        """Cost of the best path: contacts first, then reconfigurations."""
         return self.found.contacts * CONTACT + len(self.found.breaks)
 
     def without(self, found: Found, steps: list[int]) -> bool:
-        """Find the best path anew without these steps of a path, from pose k to the next; False when there are none."""
+        """Find the best path again without these steps (from pose k to the next); False if there are none to exclude."""
         program = self.program
         before = len(program.blocked)
         for k in steps:
@@ -306,7 +310,7 @@ class Search:
         return True
 
     def unreachable(self) -> list[Unreachable]:
-        """Poses no solution was found for, and why."""
+        """Poses for which no solution was found, and why."""
         missing = (
             np.flatnonzero(~(self.program.state != DEAD).any(axis=1))
             if self.tracks.size
@@ -315,7 +319,7 @@ class Search:
         said = []
         for t in missing:
             place = self.problem.at[t]
-            if place != round(place):  # of a pose put in nobody asked
+            if place != round(place):  # an inserted pose
                 continue
             beyond = self.anchored.get(int(t))
             if beyond is None:  # a gap is probed, not solved at every pose

@@ -1,4 +1,4 @@
-"""The public call for a whole path: poses in, a joint motion out."""
+"""`solve_path`: from poses to one joint motion."""
 
 import math
 from collections.abc import Callable, Iterator
@@ -28,10 +28,10 @@ from .result import PathResult, PathStatus, Reconfiguration
 from .search import Search
 from .verdict import sentence
 
-TOLERANCE = (1e-3, math.radians(1.0))  # m, rad: of the tip between poses
-OTHER_WAYS = 4  # searches with other ways between poses half a turn apart, where the path breaks there
-DT = 0.01  # s, at which a Reference is sampled
-EXACT = 1e-13  # by which the columns of an exact rotation miss being orthonormal, at most: rounding is 1e-15
+TOLERANCE = (1e-3, math.radians(1.0))  # [m], [rad] deviation of a tip between poses
+OTHER_WAYS = 4  # more searches, with rotations of 180 degrees taken the other way round where the path breaks there
+DT = 0.01  # [s] sampling interval of a Reference
+EXACT = 1e-13  # largest deviation from orthonormal columns in an exact rotation: rounding is 1e-15
 NOT_HERE = (
     "closest",
     "objective",
@@ -74,13 +74,13 @@ def solve_path(
 
     poses: (N, 4, 4), or (N, 3) with orientation free [m]; for a Tree of F tips (N, F, 4, 4), (N, F, 3) or a dict by tip; or a
     Reference, sampled every 0.01 s. q0, q_end (n,) [rad or m]: start and end of the path if they reach the first and the last
-    pose; otherwise configurations to start and end near. max_step: the longest step of a joint between poses, (rad, m) or one
-    number for both; default 7 deg and 20 mm. Where the motion needs more, poses are inserted, 200,000 at most. path_tolerance
+    pose; otherwise configurations to start and end near. max_step: the longest step of a joint between rows, (rad, m) or one
+    number for both; default 7 deg and 20 mm. Longer steps are divided by inserting poses, at most 200,000. path_tolerance
     (m, rad): how far a tip may leave the interpolated pose between two poses; default 1 mm and 1 deg, or twice the tolerances
     at the poses. avoid_collisions: True (the robot's own links) or a CollisionModel. reconfigurations: 'fewest', 'none', or
     the largest number allowed. seed: of the random starts; threads: default all cores. progress(fraction, text) is called
-    during the work. Options as for `solve`: tolerances, limits, mask, slack, free_turn, frame, relative_to, joint_weights.
-    Ctrl-C raises PathInterrupted, whose `result` is the best path so far (KeyboardInterrupt where there is no solution yet).
+    regularly. Options as for `solve`: tolerances, limits, mask, slack, free_turn, frame, relative_to, joint_weights.
+    Ctrl-C raises PathInterrupted, whose `result` is the best path so far (KeyboardInterrupt if there is no solution yet).
     Raises InvalidTarget (naming the pose), InvalidConfiguration, InvalidOption; a path that cannot be followed is a status.
     """
     began = perf_counter()
@@ -89,7 +89,7 @@ def solve_path(
     for name in NOT_HERE:
         if name in options:
             raise InvalidOption(
-                f"solve_path takes no '{name}': a path is searched as a whole, and its answers are checked"
+                f"solve_path takes no '{name}': a path is searched as a whole, and its results are checked"
             )
     if progress is not None and not callable(progress):
         raise InvalidOption(f"progress must be a function of a fraction and a text, not {progress!r:.60}")
@@ -119,7 +119,7 @@ def solve_path(
                 break
             search = other
         if search.found.breaks and len(turns.gaps):
-            search.lower_bound = None  # not every choice of ways was tried
+            search.lower_bound = None  # not every choice of rotation directions was tried
         search.progress(0.9, "shortening and verifying the path")
         return _result(search, allowed, step, tolerance, model, seed, began)
     except KeyboardInterrupt:
@@ -132,7 +132,7 @@ def solve_path(
 
 
 def _silent(share: float, words: str) -> None:
-    """Nobody watches."""
+    """Ignore progress."""
 
 
 # --------------------------------------------------------------------------------------------------------------- reading
@@ -157,13 +157,13 @@ def _pair(name: str, value: Any, default: tuple[float, float]) -> tuple[float, f
 
 
 def _between(value: Any, options: Options) -> tuple[float, float]:
-    """Tolerance [m] and [rad] between the poses: above those at the poses, which the motion starts with. Raises InvalidOption."""
+    """Tolerance [m] and [rad] between the poses, which must exceed that at the poses. Raises InvalidOption."""
     at = (options.position_tolerance, options.orientation_tolerance)
     pair = _pair("path_tolerance", value, (max(TOLERANCE[0], 2.0 * at[0]), max(TOLERANCE[1], 2.0 * at[1])))
     for k, (name, unit) in enumerate((("position", "m"), ("orientation", "rad"))):
         if not pair[k] > at[k]:
             raise InvalidOption(
-                f"path_tolerance must be above {name}_tolerance, {at[k]:g} {unit}, to which the poses are reached; not {pair[k]:g}"
+                f"path_tolerance must be above {name}_tolerance, {at[k]:g} {unit}, the tolerance at the poses; not {pair[k]:g}"
             )
     return pair
 
@@ -186,9 +186,9 @@ def _read(robot: Any, poses: Any) -> tuple[np.ndarray, tuple]:
 
 
 def _exact(T: np.ndarray) -> np.ndarray:
-    """Which poses (..., 4, 4) are rigid to the last digits and within bounds: nothing about them is to be mended or refused."""
+    """Which poses (..., 4, 4) are rigid to rounding and within bounds, so that they need neither correction nor rejection."""
     R = T[..., :3, :3]
-    with np.errstate(invalid="ignore", over="ignore"):  # what is not finite is not exact
+    with np.errstate(invalid="ignore", over="ignore"):  # non-finite poses are not exact
         off = np.abs(np.swapaxes(R, -1, -2) @ R - np.eye(3)).max(axis=(-1, -2))
         there = np.abs(T[..., :3, 3]).max(axis=-1) < FAR
         return there & (off < EXACT) & (np.linalg.det(R) > 0.0) & (T[..., 3, :] == LAST).all(axis=-1)
@@ -205,13 +205,14 @@ def _result(
     began: float,
     refine: bool = True,
 ) -> PathResult:
-    """The best path of a search, refined and checked."""
+    """Result for the best path of a search, refined and checked."""
     problem = search.problem
     motion = collapsed(finished(search, step, tolerance, model, allowed, refine), problem.at)
     found, kept, q = search.found, motion.found, motion.q
     asked = problem.at == np.round(problem.at)
     poses, T = problem.poses[asked], problem.T[asked]
-    least = search.lower_bound  # breaks between the same two poses are one: of those only the first is sure
+    # Several breaks between the same two poses count as one, so a bound of 1 is all that stays certain.
+    least = search.lower_bound
     least = least if least is None or asked.all() else min(least, 1)
     errors = np.full((len(q), 2), np.nan)
     for t in np.flatnonzero(np.isfinite(q).all(axis=1)):

@@ -1,8 +1,8 @@
-"""A followed path in the least time: TOPP-RA (Pham and Pham, 2018) along the very curve that is proven.
+"""Time-optimal motion along a path: TOPP-RA (Pham and Pham, 2018) on exactly the curve that is verified.
 
-Joint speeds jump at the corners of a motion that is linear between its rows, so a cubic spline takes its place. It is another
-curve, and so it is proven again: between two knots a joint leaves the straight line by at most h^2 / 8 times its largest second
-derivative, which moves the tip by no more than that times the lever arm. Where that is too much, solved poses are inserted.
+A motion that is linear between its rows has jumps in joint speed at the corners, so a cubic spline replaces it. That is another
+curve, so it is verified again: between two knots a joint leaves the straight line by at most h^2 / 8 times its largest second
+derivative, which moves the tip by at most that times the lever arm. Where that is too much, solved poses are inserted.
 """
 
 import itertools
@@ -22,30 +22,23 @@ from .continuity import bounds, interpolate, settle
 from .free_motion import connect
 from .trajectory import Piece, Trajectory, sample
 
-ROUNDS = 12  # of inserting poses: each halves what a corner is cut by
-LEAST = 1e-9  # [rad or m] rows of a curve nearer than this are one
-SCALES = (
-    1.0,
-    10.0,
-    0.1,
-    30.0,
-    0.3,
-    3.0,
-    100.0,
-)  # of lengths: toppra's solver has absolute tolerances, and fails at some curves
-GRID = 200  # points of the time law at least
-FINER = 3  # times the grid is made twice as fine when the limits are passed between its points by more than TOO_FAST
+ROUNDS = 12  # rounds of inserting poses: each halves the amount by which corners are cut
+LEAST = 1e-9  # [rad or m] rows of a curve nearer than this are merged
+# Length scales to try: toppra's solver has absolute tolerances and fails on some curves.
+SCALES = (1.0, 10.0, 0.1, 30.0, 0.3, 3.0, 100.0)
+GRID = 200  # least number of grid points of the time law
+FINER = 3  # how often the grid may be doubled when limits are exceeded between its points by more than TOO_FAST
 TOO_FAST = 1.02
-ROUNDED = 1e-9  # share by which the time law is slower than it need be, for rounding
-SUBDIVIDED = 4  # straight lines that stand for the spline between two knots where contact is tested
+ROUNDED = 1e-9  # share by which the time law is slowed down to allow for rounding
+SUBDIVIDED = 4  # straight segments that replace the spline between two knots in the collision test
 MOST_SAMPLES = 1e7
-NOWHERE = np.full(2, np.nan)  # places among the poses of a free motion
+NOWHERE = np.full(2, np.nan)  # places among the poses during a free motion: none
 
 
 class Proof(NamedTuple):
-    """Bounds [m] and [rad] on how far a tip leaves the poses, the clearance [m], and whether they hold for the smooth curve.
+    """Bounds [m] and [rad] on a tip's deviation from the poses, the clearance [m], and whether they hold for the smooth curve.
 
-    If not, the motion that is straight between the rows counts, which is proven already.
+    If not, they are those of the piecewise linear motion, which is already verified.
     """
 
     deviation: float
@@ -85,12 +78,12 @@ def retime(result: Any, velocity: Any, acceleration: Any, rate: float, seed: int
             made += [_straight(*ends, np.array(places), limits) for ends, places in rows]
             message = "no collision-free smooth curve follows the poses, so the robot stops at every row; "
     pieces = tuple(piece for piece in made if piece.duration > 0.0) or tuple(made[:1])
-    if not pieces:  # one pose alone
+    if not pieces:  # a single pose
         pieces = (_straight(result.curve[0], result.curve[0], result.at[[0, 0]], limits),)
     total = sum(piece.duration for piece in pieces)
     if total * rate > MOST_SAMPLES:
         raise InvalidOption(
-            f"rate = {rate:g} makes {total * rate:.3g} samples of {total:.4g} s; at most {MOST_SAMPLES:g}"
+            f"rate = {rate:g} gives {total * rate:.3g} samples in {total:.4g} s; at most {MOST_SAMPLES:g}"
         )
     t = np.append(np.arange(math.ceil(total * rate - 1e-9)) / rate, total)
     message += missing or f"all {len(result.q)} poses are passed in {total:.4g} s"
@@ -125,7 +118,7 @@ def _limits(robot: Joints, velocity: Any, acceleration: Any) -> tuple[np.ndarray
 
 # ------------------------------------------------------------------------------------------------------------ the curve
 def _proven(plan: Plan, result: Any, curve: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, np.ndarray, Proof]:
-    """Rows and places of a piece, with poses inserted until the spline through them is proven, and what is proven of it."""
+    """Rows and places of a piece, with poses inserted until the spline through them is verified, and its proof."""
     robot = plan.robot
     curve, at, since = _distinct(curve, at, np.append(at[0], at[:-1]))
     if len(curve) < 2:
@@ -157,20 +150,20 @@ def _proven(plan: Plan, result: Any, curve: np.ndarray, at: np.ndarray) -> tuple
 
 
 def _distinct(curve: np.ndarray, at: np.ndarray, since: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Rows, their places, and those since which the joints move to them, without the rows that stay where the row before is."""
+    """Rows, their places, and the places where the motion to them begins, without rows equal to the one before."""
     moved = np.append(True, np.abs(np.diff(curve, axis=0)).max(axis=1) > LEAST)
     return curve[moved], at[moved], since[moved]
 
 
 def _coordinate(curve: np.ndarray, unit: np.ndarray) -> np.ndarray:
-    """Length of the way to each row, in joint space."""
+    """Path length in joint space up to each row."""
     return np.append(0.0, np.cumsum(np.linalg.norm(np.diff(curve / unit, axis=0), axis=1)))
 
 
 def _cubics(robot: Joints, curve: np.ndarray, knots: np.ndarray) -> np.ndarray:
     """Coefficients (4, M-1, n) of the natural cubic spline through the rows of a curve (M, n).
 
-    A joint that would swing beyond its limits takes the spline that never leaves the range of two neighbouring rows.
+    A joint that would overshoot its limits gets the monotone spline, which stays between neighbouring rows.
     """
     try:
         from scipy.interpolate import CubicSpline, PchipInterpolator
@@ -178,7 +171,7 @@ def _cubics(robot: Joints, curve: np.ndarray, knots: np.ndarray) -> np.ndarray:
         raise MissingExtra("scipy", "paths") from None
     cubics = CubicSpline(knots, curve, bc_type="natural").c
     a, b, c, d = cubics
-    with np.errstate(divide="ignore", invalid="ignore"):  # where it turns: the roots of 3 a x^2 + 2 b x + c
+    with np.errstate(divide="ignore", invalid="ignore"):  # turning points: the roots of 3 a x^2 + 2 b x + c
         root = np.sqrt(b * b - 3.0 * a * c)
         turning = np.nan_to_num([(-b - root) / (3.0 * a), (-b + root) / (3.0 * a), -0.5 * c / b])
     x = np.clip(turning, 0.0, np.diff(knots)[:, None])
@@ -190,14 +183,14 @@ def _cubics(robot: Joints, curve: np.ndarray, knots: np.ndarray) -> np.ndarray:
 
 
 def _sag(knots: np.ndarray, cubics: np.ndarray) -> np.ndarray:
-    """By how much (M-1, n) each joint of a spline leaves the straight line between two knots, at most."""
+    """Upper bound (M-1, n) on each joint's deviation of a spline from the straight line between two knots."""
     h = np.diff(knots)[:, None]
     bend = np.maximum(np.abs(2.0 * cubics[1]), np.abs(2.0 * cubics[1] + 6.0 * cubics[0] * h))
     return 0.125 * h * h * bend
 
 
 def _touching(collision: Any, knots: np.ndarray, cubics: np.ndarray, curve: np.ndarray) -> tuple[float, np.ndarray]:
-    """Clearance [m] of a spline and the stretches (M-1,) in which it touches, or in which that is not proven."""
+    """Clearance [m] of a spline, and which segments (M-1,) touch or cannot be proven free."""
     touching = np.zeros(len(curve) - 1, dtype=bool)
     if collision is None:
         return math.inf, touching
@@ -215,9 +208,9 @@ def _touching(collision: Any, knots: np.ndarray, cubics: np.ndarray, curve: np.n
 
 # ------------------------------------------------------------------------------------------------------------- the times
 def _spline(curve: np.ndarray, at: np.ndarray, robot: Joints, limits: tuple[np.ndarray, np.ndarray]) -> Piece | None:
-    """The spline through the rows of a curve in the least time, by TOPP-RA; its limits hold between the grid points, too.
+    """Time-optimal spline through the rows of a curve, by TOPP-RA; the limits also hold between the grid points.
 
-    None when toppra finds no time law.
+    None if toppra finds no time law.
     """
     knots = _coordinate(curve, robot.chain.unit)
     piece = Piece(knots, _cubics(robot, curve, knots), knots, knots, knots, at)
@@ -237,7 +230,7 @@ def _spline(curve: np.ndarray, at: np.ndarray, robot: Joints, limits: tuple[np.n
 
 
 def _topp(piece: Piece, grid: np.ndarray, limits: tuple[np.ndarray, np.ndarray]) -> np.ndarray | None:
-    """Speeds along a curve (G,) at the points of a grid, as fast as the limits of the joints allow; None: none is found."""
+    """Fastest speeds along a curve (G,) at the grid points within the joint limits; None if toppra finds none."""
     try:
         import toppra
         import toppra.algorithm
@@ -246,13 +239,13 @@ def _topp(piece: Piece, grid: np.ndarray, limits: tuple[np.ndarray, np.ndarray])
         raise MissingExtra("toppra", "paths") from None
 
     class Path(toppra.interpolator.AbstractGeometricPath):
-        """The curve as toppra reads it, with lengths times `scale`."""
+        """The curve in toppra's interface, with lengths times `scale`."""
 
         dof, scale = piece.coefficients.shape[2], 1.0
 
         @property
         def path_interval(self) -> np.ndarray:
-            """Where it begins and ends."""
+            """First and last path coordinate."""
             return self.scale * piece.knots[[0, -1]]
 
         def __call__(self, s: Any, order: int = 0) -> np.ndarray:
@@ -266,7 +259,7 @@ def _topp(piece: Piece, grid: np.ndarray, limits: tuple[np.ndarray, np.ndarray])
             acceleration, discretization_scheme=toppra.constraint.DiscretizationType.Interpolation
         ),
     ]
-    logging.getLogger("toppra").setLevel(logging.CRITICAL)  # what it says of a scale that fails is of no use to anybody
+    logging.getLogger("toppra").setLevel(logging.CRITICAL)  # its messages about a failing scale help nobody
     for scale in SCALES:
         path = Path()
         path.scale = scale
@@ -278,10 +271,10 @@ def _topp(piece: Piece, grid: np.ndarray, limits: tuple[np.ndarray, np.ndarray])
 
 
 def _excess(piece: Piece, limits: tuple[np.ndarray, np.ndarray]) -> float:
-    """By what factor a piece has to be slower for its limits to hold at every instant.
+    """Factor by which a piece must be slowed down for its limits to hold at every instant.
 
-    Between two grid points the square of the path's speed is linear in s and the curve a cubic, so accelerations are quadratic:
-    their extremes, and the instants at which they vanish and a speed is extreme, are known exactly.
+    Between two grid points the squared path speed is linear in s and the curve is cubic, so accelerations are quadratic: their
+    extrema, and the points where they vanish and a speed is extreme, are known exactly.
     """
     k = np.searchsorted(piece.knots, 0.5 * (piece.s[1:] + piece.s[:-1]), side="right") - 1
     step, squares = np.diff(piece.s), piece.speed**2
@@ -308,7 +301,7 @@ def _excess(piece: Piece, limits: tuple[np.ndarray, np.ndarray]) -> float:
 
 
 def _straight(a: np.ndarray, b: np.ndarray, at: np.ndarray, limits: tuple[np.ndarray, np.ndarray]) -> Piece:
-    """The straight line from a to b (n,) from rest to rest in the least time: full acceleration, full speed, full braking."""
+    """Time-optimal straight line from a to b (n,), rest to rest: full acceleration, full speed, full braking."""
     way = b - a
     length = float(np.abs(way).max())
     if length <= LEAST:

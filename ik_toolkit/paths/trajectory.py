@@ -1,4 +1,4 @@
-"""A joint motion in time: exact at every instant, sampled at a rate, and written for those who drive the joints."""
+"""A joint motion in time: exact at every instant, sampled at a rate, and exported for controllers."""
 
 import json
 from dataclasses import dataclass, field
@@ -12,14 +12,14 @@ from ..files import write_table, write_whole
 from ..robot.ros import joint_trajectory
 from ..tracking.reference import Reference, Samples
 
-DIFFERENCE = 1e-5  # [s] of the central difference of a Jacobian along the motion: its error is the square of it
+DIFFERENCE = 1e-5  # [s] step of the central difference of a Jacobian along the motion: its error is quadratic in it
 
 
 class Piece(NamedTuple):
-    """A curve and its time law: rest to rest.
+    """A curve and its time law, from rest to rest.
 
     knots (M,) and coefficients (4, M-1, n): cubics in s, highest power first, from knot to knot. s, speed, t (G,): path
-    coordinate, its rate and the time [s] at the grid points of the time law; the rate's derivative is constant between them.
+    coordinate, its rate and the time [s] at the grid points of the time law; ds/dt has a constant derivative between them.
     at (M,): place of each knot among the poses of the path, NaN in a free motion.
     """
 
@@ -32,7 +32,7 @@ class Piece(NamedTuple):
 
     @property
     def duration(self) -> float:
-        """How long it takes [s]."""
+        """Duration [s]."""
         return float(self.t[-1])
 
     def slower(self, factor: float) -> "Piece":
@@ -40,14 +40,14 @@ class Piece(NamedTuple):
         return self._replace(speed=self.speed / factor, t=self.t * factor)
 
     def curve(self, s: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Joints (N, n) and their first and second derivatives by s at s (N,)."""
+        """Joint values (N, n) and their first and second derivatives with respect to s, at s (N,)."""
         k = np.clip(np.searchsorted(self.knots, s, side="right") - 1, 0, len(self.knots) - 2)
         x = (s - self.knots[k])[:, None]
         a, b, c, d = self.coefficients[:, k]
         return ((a * x + b) * x + c) * x + d, (3.0 * a * x + 2.0 * b) * x + c, 6.0 * a * x + 2.0 * b
 
     def sample(self, t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Joints, rates and accelerations (N, n) at times t (N,) [s] since its start, and the place among the poses (N,)."""
+        """Joint values, rates and accelerations (N, n) at times t (N,) [s] from its start, and the place among the poses (N,)."""
         t = np.clip(t, 0.0, self.t[-1])
         k = np.clip(np.searchsorted(self.t, t, side="right") - 1, 0, len(self.t) - 2)
         steps = np.diff(self.t)
@@ -63,12 +63,11 @@ class Piece(NamedTuple):
 class Trajectory:
     """A motion in time of n joints, sampled at N times (read-only).
 
-    t (N,) [s] from 0, spaced by 1 / rate but for the last; q, dq, ddq (N, n) [rad or m, per s, per s^2]; place (N,) among the
-    poses of the path, NaN while the robot changes from one branch of solutions to another; success, and message: a sentence,
-    which says what stands in the way where the motion ends early. velocity, acceleration (n,): the limits, which hold at every
-    instant, see `at`. deviation (m, rad): bound on how far a tip leaves the interpolated poses; clearance [m] as of a
-    PathResult. pieces: the motion itself, rest to rest. robot: what moves; collision: the
-    CollisionModel it keeps clear of, or None.
+    t (N,) [s] from 0, spaced by 1 / rate except for the last; q, dq, ddq (N, n) [rad or m, per s, per s^2]; place (N,) among the
+    poses of the path, NaN while the robot changes from one branch of solutions to another; success; message: a sentence, which
+    says why if the motion ends early. velocity, acceleration (n,): the limits, which hold at every instant, see `at`. deviation
+    (m, rad): bound on how far a tip leaves the interpolated poses; clearance [m] as in PathResult. pieces: the motion itself,
+    each from rest to rest. robot: the robot that moves; collision: the CollisionModel it keeps clear of, or None.
     """
 
     robot: Any
@@ -88,11 +87,11 @@ class Trajectory:
 
     @property
     def duration(self) -> float:
-        """How long it takes [s]."""
+        """Duration [s]."""
         return float(self.t[-1])
 
     def at(self, t: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """q, dq, ddq at any t [s]: (n,) for a number, (N, n) for an array (N,); it rests before 0 and after the end."""
+        """q, dq, ddq at any t [s]: (n,) for a number, (N, n) for an array (N,); at rest before 0 and after the end."""
         times = np.atleast_1d(floats(t, "t must be times [s]", InvalidOption))
         if times.ndim > 1 or not np.isfinite(times).all():
             raise InvalidOption(f"t must be a finite number or an array (N,) of them [s], not {repr(t)[:60]}")
@@ -119,14 +118,14 @@ class Trajectory:
         return file
 
     def to_reference(self, tip: str | None = None) -> Reference:
-        """The motion of a tip as a `Reference`, for `ik.track`. tip: which one of several. Raises FrameNotFound, InvalidOption."""
+        """The motion of a tip as a `Reference` for `ik.track`. tip: which of several. Raises FrameNotFound, InvalidOption."""
         tips = self.robot.tips
         if tip is None and len(tips) > 1:
             raise InvalidOption(f"to_reference is for one tip; choose one with tip=: {', '.join(tips)}")
         if tip is not None and tip not in tips:
             raise FrameNotFound(f"'{tip}' is not one of the tips.{near_match(tip, tips)}")
         if not self.duration > 0.0:
-            raise InvalidOption("nothing moves, so there is no reference to follow")
+            raise InvalidOption("the trajectory has no motion, so there is no reference to follow")
         f = 0 if tip is None else tips.index(tip)
         chain, columns = self.robot.arms[f].chain, self.robot.places[f]
 
@@ -146,7 +145,7 @@ class Trajectory:
 
 
 def sample(pieces: tuple[Piece, ...], t: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Joints, rates, accelerations (N, n) and places (N,) of pieces one after the other at t (N,) [s]."""
+    """Joint values, rates, accelerations (N, n) and places (N,) of consecutive pieces at t (N,) [s]."""
     starts = np.cumsum([0.0, *(piece.duration for piece in pieces)])
     owner = np.clip(np.searchsorted(starts, t, side="right") - 1, 0, len(pieces) - 1)
     n = pieces[0].coefficients.shape[2]

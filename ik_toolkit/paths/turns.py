@@ -1,19 +1,19 @@
-"""Full turns of joints that can turn fully: the same track on another turn, and the turn that a piece of a path is put on.
+"""Joints with more than a full turn: copies of a track on other turns, and the turn chosen for each piece of a path.
 
-Limits of such a joint count for a whole continuous piece: what it winds up to must fit. That cannot be seen from state to state, so
-paths are sought without these limits first. Where the best of them fits, nothing is lost; where it does not, the joint's tracks are
-copied to every turn, and its limits hold from state to state.
+The limits of such a joint apply to a whole continuous piece: the total winding must fit. That cannot be seen from state to state,
+so paths are first searched without these limits. If the best one fits, nothing is lost; if not, the joint's tracks are copied to
+every turn, and its limits are enforced from state to state.
 """
 
 import numpy as np
 
 from ..kernel.kinematics import TAU
 
-ROUNDING = 1e-6  # rad: tracks are kept in single precision
+ROUNDING = 1e-6  # rad: tracks are stored in single precision
 
 
 def alive(Q: np.ndarray, span: np.ndarray, limits: np.ndarray, joints: np.ndarray) -> np.ndarray:
-    """Which states (N, K) the tracks Q (N, K, n) with their spans (K, 2) have, inside the limits (2, n) of some joints (n,)."""
+    """Which states (N, K) of the tracks Q (N, K, n) exist (spans (K, 2)) and keep the limits (2, n) of the given joints (n,)."""
     t = np.arange(len(Q))[:, None]
     there = (span[:, 0] <= t) & (t <= span[:, 1])
     for i in np.flatnonzero(joints):
@@ -22,7 +22,7 @@ def alive(Q: np.ndarray, span: np.ndarray, limits: np.ndarray, joints: np.ndarra
 
 
 def copies(Q: np.ndarray, span: np.ndarray, i: int, low: float, high: float) -> tuple[np.ndarray, np.ndarray]:
-    """Tracks and spans with joint i on every turn that is inside its limits somewhere."""
+    """Tracks and spans with joint i on every turn that lies inside its limits somewhere."""
     t = np.arange(len(Q))[:, None]
     there = (span[:, 0] <= t) & (t <= span[:, 1])
     least = np.where(there, Q[:, :, i], np.inf).min(axis=0)
@@ -47,10 +47,10 @@ def unwound(
     ends: tuple[np.ndarray | None, np.ndarray | None],
     fixed: list[bool],
 ) -> set[int]:
-    """Put joints `free` (n,) of a path q (N, n), in place, on turns that go on where they were; returns those that do not fit.
+    """Unwrap joints `free` (n,) of a path q (N, n) in place, piece by piece; returns the joints that do not fit their limits.
 
-    breaks: poses after which it reconfigures; limits (2, n), infinite where a joint is endless. A piece is put on the legal turn
-    nearest to where the one before ended, the first on that nearest ends[0], the last, where fixed[1], on that of ends[1].
+    breaks: poses after which it reconfigures; limits (2, n), infinite for continuous joints. Each piece is put on the legal turn
+    nearest to the end of the previous one, the first on that nearest ends[0], the last, if fixed[1], on that of ends[1].
     """
     unfit: set[int] = set()
     there = np.flatnonzero(np.isfinite(q[:, 0]))

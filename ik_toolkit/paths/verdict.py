@@ -1,4 +1,4 @@
-"""How a path ended, in a sentence, with what to try."""
+"""One sentence on how a path search ended, with advice."""
 
 import numpy as np
 
@@ -6,7 +6,7 @@ from .result import PathResult, PathStatus
 
 
 def sentence(path: PathResult, needed: int, allowed: float) -> str:
-    """One sentence; needed: reconfigurations of the best path through all poses that was found, allowed: how many may be."""
+    """One sentence. needed: reconfigurations of the best path found through all poses; allowed: largest number allowed."""
     N = len(path.q)
     if path.status == PathStatus.INCOMPLETE:
         reached = np.flatnonzero(np.isfinite(path.q[:, 0]))

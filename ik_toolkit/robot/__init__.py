@@ -1,1 +1,1 @@
-"""Robots: reading, checking and writing their descriptions, and the Pinocchio model behind each."""
+"""Robots: reading, checking and writing descriptions, and the Pinocchio model of each."""

@@ -1,7 +1,7 @@
-"""What a robot stands on, and joints of several freedoms: both become ordinary joints of one coordinate each.
+"""Moving bases and joints with several degrees of freedom: both become ordinary joints of one coordinate each.
 
-A floating base is three slides and three turns, Rz(yaw) Ry(pitch) Rx(roll), so that limits, solvers, batches, paths and tracking
-need to know nothing of it. Where a model had a free-flyer or a ball, `Given` takes configurations to its own form and back.
+A floating base is three prismatic and three revolute joints, Rz(yaw) Ry(pitch) Rx(roll), so limits, solvers, batches, paths and
+tracking need not know about it. For a model with a free-flyer or ball joint, `Given` converts configurations to its form and back.
 """
 
 import math
@@ -14,16 +14,16 @@ import pinocchio as pin
 from ..errors import InvalidOption, ModelError, floats, near_match
 from .pose import check_target, matrix_quat, matrix_rpy, quat_matrix, rpy_matrix
 
-PITCH = math.radians(85.0)  # of a floating base, either way: at 90 degrees yaw and roll turn about one axis
-BALL_PITCH = math.pi / 2  # of a ball: every rotation can be reached
-ENDLESS = 1e16  # a limit that is none (see NO_LIMIT in probe.py)
+PITCH = math.radians(85.0)  # limit of a floating base, either way: at 90 degrees yaw and roll share one axis
+BALL_PITCH = math.pi / 2  # limit of a ball joint: every rotation can be reached
+ENDLESS = 1e16  # stands for "no limit" (see NO_LIMIT in probe.py)
 AXES = {
     "x": pin.JointModelPX, "y": pin.JointModelPY, "z": pin.JointModelPZ,
     "yaw": pin.JointModelRZ, "pitch": pin.JointModelRY, "roll": pin.JointModelRX,
 }  # fmt: skip
 SLIDES, TURNS = ("x", "y", "z"), ("yaw", "pitch", "roll")
 BASES = {"planar": ("x", "y", "yaw"), "floating": (*SLIDES, *TURNS)}
-PARTS = {  # Pinocchio's joints of several freedoms -> the coordinates that stand for them
+PARTS = {  # Pinocchio's multi-DOF joints -> the coordinates that replace them
     "JointModelFreeFlyer": BASES["floating"],
     "JointModelPlanar": BASES["planar"],
     "JointModelTranslation": SLIDES,
@@ -31,11 +31,11 @@ PARTS = {  # Pinocchio's joints of several freedoms -> the coordinates that stan
     "JointModelSphericalZYX": TURNS,
 }
 ROAMS = ("JointModelFreeFlyer", "JointModelPlanar")
-ROOT = "base"  # what coordinates of the base are called: base_x, ..., base_roll
+ROOT = "base"  # prefix of the base coordinates: base_x, ..., base_roll
 
 
 class Block(NamedTuple):
-    """A joint of several freedoms in the model that was given: its kind, place there, and the joints that stand for it."""
+    """A multi-DOF joint of the given model: its kind, index in q, and the joints that replace it."""
 
     kind: str
     idx_q: int
@@ -43,13 +43,13 @@ class Block(NamedTuple):
 
 
 class Given(NamedTuple):
-    """A model as it was given, and its blocks."""
+    """The original model and its multi-DOF joints."""
 
     model: pin.Model
     blocks: tuple[Block, ...]
 
     def form(self, model: pin.Model, full: np.ndarray) -> np.ndarray:
-        """Configuration of the given model for one of `model`, which has an ordinary joint for each coordinate."""
+        """Convert a configuration of `model`, which has an ordinary joint for each coordinate, to the given model."""
         q = pin.neutral(self.model)
         for own, other, size in self._same(model):
             q[own : own + size] = full[other : other + size]
@@ -59,7 +59,7 @@ class Given(NamedTuple):
         return q
 
     def back(self, model: pin.Model, q: np.ndarray) -> np.ndarray:
-        """Configuration of `model` for one of the given model."""
+        """Convert a configuration of the given model to `model`."""
         full = pin.neutral(model)
         for own, other, size in self._same(model):
             full[other : other + size] = q[own : own + size]
@@ -70,7 +70,7 @@ class Given(NamedTuple):
         return full
 
     def _same(self, model: pin.Model) -> list[tuple[int, int, int]]:
-        """Places in the given model and in `model` of the joints that both have, and how many numbers each has."""
+        """Indices in q of the given model and of `model` of the joints that both have, and the number of values of each."""
         pairs = [
             (self.model.joints[j], model.joints[model.getJointId(name)])
             for j, name in enumerate(self.model.names)
@@ -84,7 +84,7 @@ def _size(block: Block) -> int:
 
 
 def _packed(kind: str, x: np.ndarray) -> np.ndarray:
-    """Pinocchio's numbers of a joint for its coordinates."""
+    """Convert a joint's coordinates to Pinocchio's representation."""
     if kind == "JointModelPlanar":
         return np.array([x[0], x[1], math.cos(x[2]), math.sin(x[2])])
     if kind in ("JointModelFreeFlyer", "JointModelSpherical"):
@@ -93,7 +93,7 @@ def _packed(kind: str, x: np.ndarray) -> np.ndarray:
 
 
 def _unpacked(kind: str, q: np.ndarray) -> np.ndarray:
-    """Coordinates of a joint for Pinocchio's numbers."""
+    """Convert Pinocchio's representation of a joint to its coordinates."""
     if kind == "JointModelPlanar":
         return np.array([q[0], q[1], math.atan2(q[3], q[2])])
     if kind in ("JointModelFreeFlyer", "JointModelSpherical"):
@@ -103,10 +103,10 @@ def _unpacked(kind: str, q: np.ndarray) -> np.ndarray:
 
 # ------------------------------------------------------------------------------------------------------------- models
 def _add(model: pin.Model, parent: int, prefix: str, part: str, placement: pin.SE3, pitch: float) -> int:
-    """Append a joint PREFIX_PART of one coordinate; its place."""
+    """Append the joint PREFIX_PART of one coordinate and return its index."""
     name = f"{prefix}_{part}"
     if model.existJointName(name):
-        raise ModelError(f"the robot has a joint '{name}' of its own, a name that its base needs")
+        raise ModelError(f"the robot already has a joint '{name}', a name that its base needs")
     far = np.array([pitch if part == "pitch" else ENDLESS])
     none = np.array([ENDLESS])
     joint = model.addJoint(parent, AXES[part](), placement, name, none, none, -far, far)
@@ -119,13 +119,13 @@ def _several(model: pin.Model) -> list[int]:
 
 
 def root_joint(model: pin.Model) -> int:
-    """The free-flyer or plane that carries the whole model, or 0."""
+    """The free-flyer or planar joint that carries the whole model, or 0."""
     first = [j for j in range(1, model.njoints) if model.parents[j] == 0]
     return first[0] if len(first) == 1 and model.joints[first[0]].shortname() in ROAMS else 0
 
 
 def carried(model: pin.Model, tip: str) -> str | None:
-    """Name of the link that the last free-flyer or plane above a tip carries, if there is one."""
+    """Name of the link carried by the last free-flyer or planar joint above a tip, if there is one."""
     joint = next((frame.parentJoint for frame in model.frames if frame.name == tip), 0)
     above = model.supports[joint]
     roams = [j for j in above if j and model.joints[j].shortname() in ROAMS]
@@ -136,9 +136,9 @@ def carried(model: pin.Model, tip: str) -> str | None:
 
 
 def unfold(model: pin.Model) -> tuple[pin.Model, Given | None]:
-    """The model with a joint for each coordinate of its free-flyers, balls and planes, and how to get back; None: it has none.
+    """The model with one joint per coordinate of its multi-DOF joints, and the conversion back (None: it has no such joints).
 
-    Frames keep their names. A model with mimic joints, which Pinocchio does not let be copied, is unfolded at its root only.
+    Frames keep their names. A model with mimic joints, which Pinocchio cannot copy, is unfolded at its root only.
     """
     several = _several(model)
     root = root_joint(model)
@@ -168,7 +168,7 @@ def unfold(model: pin.Model) -> tuple[pin.Model, Given | None]:
 
 
 def _take_limits(model: pin.Model, made: pin.Model, blocks: Sequence[Block]) -> None:
-    """Give slides the limits [m] that the model given has for them, if it has any."""
+    """Give the prismatic joints the limits [m] of the given model, if it has any."""
     lower, upper = np.array(made.lowerPositionLimit), np.array(made.upperPositionLimit)
     for block in blocks:
         for k, name in enumerate(block.names):
@@ -180,7 +180,7 @@ def _take_limits(model: pin.Model, made: pin.Model, blocks: Sequence[Block]) -> 
 
 
 def _copied(model: pin.Model, prefix: Mapping[int, str]) -> pin.Model:
-    """A copy whose joints of several freedoms, those with a prefix, are replaced."""
+    """A copy in which the multi-DOF joints that have a prefix are replaced."""
     made = pin.Model()
     joints, frames = {0: 0}, {0: 0}
     for j in range(1, model.njoints):
@@ -224,7 +224,7 @@ def stand(model: pin.Model, on_base: Any) -> pin.Model:
         for part in BASES[on_base]:
             last = _add(made, last, ROOT, part, pin.SE3.Identity(), PITCH)
             if model.existJointName(f"{ROOT}_{part}"):
-                raise InvalidOption(f"the robot has a joint '{ROOT}_{part}' of its own, a name that its base needs")
+                raise InvalidOption(f"the robot already has a joint '{ROOT}_{part}', a name that its base needs")
     else:
         pose, _ = check_target(on_base)
         T = pin.SE3(pose) if pose.ndim == 2 else pin.SE3(np.eye(3), pose)
@@ -234,9 +234,9 @@ def stand(model: pin.Model, on_base: Any) -> pin.Model:
 
 
 class Footing(NamedTuple):
-    """A model whose joints have one coordinate each, how to get back to the one given, and the coordinates of its base.
+    """A model whose joints have one coordinate each, the conversion back to the given model, and its base coordinates.
 
-    original: the model given, where that is another one.
+    original: the given model, if it was another one.
     """
 
     model: pin.Model
@@ -247,7 +247,7 @@ class Footing(NamedTuple):
 
 
 def settle(model: pin.Model, on_base: Any = None, base_limits: Any = None) -> Footing:
-    """Unfold a model, put it on a base and limit that. Raises InvalidOption, InvalidTarget, ModelError."""
+    """Unfold a model, put it on a base and set the base limits. Raises InvalidOption, InvalidTarget, ModelError."""
     made, given = unfold(model)
     names = [name for block in (given.blocks if given else ()) for name in block.names]
     if isinstance(on_base, str) and root_joint(model):
@@ -264,7 +264,7 @@ def settle(model: pin.Model, on_base: Any = None, base_limits: Any = None) -> Fo
 
 
 def put_on(geometry: pin.GeometryModel, original: pin.Model, model: pin.Model) -> None:
-    """Let shapes that were placed on the original model lie on the links of the other one."""
+    """Move shapes that were placed on the original model to the links of the other one."""
     for shape in geometry.geometryObjects:
         old = original.frames[shape.parentFrame]
         k = model.getFrameId(old.name, old.type)
@@ -274,10 +274,10 @@ def put_on(geometry: pin.GeometryModel, original: pin.Model, model: pin.Model) -
 
 
 def limit(model: pin.Model, base_limits: Any, slides: Sequence[str], turns: Sequence[str]) -> None:
-    """Write limits of a base into a model. slides, turns: names of its coordinates. Raises InvalidOption.
+    """Write the base limits into a model. slides, turns: names of its coordinates. Raises InvalidOption.
 
-    base_limits: (lower, upper) [m] for every slide; such a pair for each slide, or for each coordinate; or a dict of pairs by
-    name ('base_x' or 'x').
+    base_limits: one (lower, upper) [m] for all slides; one pair per slide or per coordinate; or a dict of pairs by name
+    ('base_x' or 'x').
     """
     names = [*slides, *turns]
     if isinstance(base_limits, Mapping):

@@ -1,4 +1,4 @@
-"""URDF text -> Pinocchio model, mimic joints followed."""
+"""URDF text -> Pinocchio model that follows mimic joints."""
 
 import xml.etree.ElementTree as ET
 from collections.abc import Mapping
@@ -8,15 +8,15 @@ import pinocchio as pin
 from .mimic import MOVING, Followers, followers
 from .read import parse, wrong_scale
 
-ENDLESS = "1e16"  # written as a limit: Robot takes it as none (NO_LIMIT)
+ENDLESS = "1e16"  # a limit that Robot reads as "no limit" (NO_LIMIT)
 
 
 def build_model(text: str) -> pin.Model:
-    """Pinocchio's model of a URDF that `safe_read` has passed. Raises what Pinocchio raises.
+    """Pinocchio's model of a URDF that `safe_read` has accepted. Raises what Pinocchio raises.
 
-    What Pinocchio cannot read and what moves nothing is mended in the text it gets: a missing name, shapes with a mesh scale that
-    is none and capsules (which its parser complains of), followers of joints that do not exist or follow another themselves, the
-    order of the joints (see mimic.py).
+    Things that Pinocchio cannot read but that do not affect the motion are repaired in its copy of the text: a missing name, shapes
+    with an invalid mesh scale, capsules (which its parser complains about), followers of joints that do not exist or are followers
+    themselves, and the order of the joints (see mimic.py).
     """
     items = parse(text)
     found = followers(text)
@@ -27,7 +27,7 @@ def build_model(text: str) -> pin.Model:
     )
     if not (found.tied or found.loose or shapes or not items[0].name):
         return pin.buildModelFromXML(text, True)
-    # Depth first by name is how Pinocchio goes through the tree, so names that sort in the wanted order are lent to the joints.
+    # Pinocchio traverses the tree depth first by name, so joints temporarily get names that sort in the required order.
     lent = {name: f"{place:04d} {name}" for place, name in enumerate(found.order)}
     model = pin.buildModelFromXML(_mended(text, found, lent, shapes), True)
     own = {name: joint for joint, name in lent.items()}
@@ -40,13 +40,13 @@ def build_model(text: str) -> pin.Model:
 
 
 def _mended(text: str, found: Followers, lent: Mapping[str, str], shapes: bool) -> str:
-    """URDF text as Pinocchio can read it; lent: joints' names to give them; shapes: leave them out.
+    """URDF text as Pinocchio can read it; lent: joint name -> temporary name; shapes: whether to leave out shapes.
 
-    A continuous joint that leads or follows another becomes a revolute joint without limits. As cosine and sine it would forget
-    its turns, and a follower by half a turn per turn would be half a turn off; nor does Pinocchio let a continuous joint lead, or
-    follow, one of another type.
+    A continuous joint that leads or follows another becomes a revolute joint without limits. Stored as cosine and sine it would
+    lose whole turns, and a follower with ratio 0.5 would be off by half a turn; nor does Pinocchio let a continuous joint lead or
+    follow one of another type.
     """
-    root = ET.fromstring(text)  # noqa: S314 - the parse before has refused every DOCTYPE and entity
+    root = ET.fromstring(text)  # noqa: S314 - the parse before has rejected every DOCTYPE and entity
     root.set("name", root.get("name") or "robot")
     tied = found.tied
     both = {*tied, *(tie.leader for tie in tied.values())}

@@ -1,8 +1,8 @@
-"""What a URDF must satisfy before Pinocchio sees it, and what `ik check` says about one, element by element.
+"""Checks a URDF must pass before Pinocchio sees it, and the findings of `ik check`, element by element.
 
-Pinocchio's parser lets zero axes, reversed limits and negative sizes pass, refuses a wrong tree without naming the
-element, and crashes the process on a very long chain. So every file goes through one streaming parse of ours first:
-capped, with no DOCTYPE, no entity expanded and nothing fetched.
+Pinocchio's parser accepts zero axes, reversed limits and negative sizes, rejects an invalid tree without naming the
+element, and crashes the process on a very long chain. So every file first goes through our own streaming parse: capped,
+with no DOCTYPE, no entity expanded and nothing fetched.
 """
 
 import math
@@ -17,12 +17,12 @@ from .mimic import MOVING, followers
 from .read import NUMBERS, Item, is_text, numbers, parse, safe_read, wrong_scale
 
 TYPES = (*MOVING, "fixed", "floating", "planar")
-HINTS = 10  # near matches looked for in one file: each compares a name with every other
+HINTS = 10  # near matches searched for in one file: each compares a name with every other
 
 
 @dataclass(frozen=True)
 class Finding:
-    """One remark: severity ('error': the robot is not loaded; 'warning'), element ("joint 'j3'"), problem, advice."""
+    """One finding: severity ('error': the robot cannot be loaded; 'warning'), element ("joint 'j3'"), problem, advice."""
 
     severity: str
     element: str
@@ -37,10 +37,10 @@ class Finding:
 def check_urdf(
     source: str | Path, package_dirs: Iterable[str | Path] = (), *, file: Path | None = None
 ) -> list[Finding]:
-    """Everything found wrong with a URDF (path or text): errors, for which it is not loaded, then warnings.
+    """Everything wrong with a URDF (path or text): errors, which prevent loading, then warnings.
 
-    file: where a text came from. Meshes are looked for only in the file's own folder, its ROS package and package_dirs; network
-    addresses are never opened.
+    file: the file a text came from. Meshes are searched for only in the file's folder, its ROS package and package_dirs;
+    network addresses are never opened.
     """
     try:
         text = safe_read(source)
@@ -62,12 +62,12 @@ def check_urdf(
             build_model(text)
         except Exception as error:
             said = str(error).strip().splitlines()[-1]
-            errors.append(_error("robot", f"Pinocchio refuses it: {said}", "this is Pinocchio's own message"))
+            errors.append(_error("robot", f"Pinocchio rejects it: {said}", "this is Pinocchio's own message"))
     return [*errors, *warnings]
 
 
 def require_loadable(text: str) -> None:
-    """Raise ModelError naming the first element when a URDF's kinematics mean nothing (`check_urdf` lists all)."""
+    """Raise ModelError naming the first invalid element of a URDF's kinematics (`check_urdf` lists all)."""
     findings = [finding for finding in _errors(parse(text)) if finding.severity == "error"]
     if findings:
         more = f" (and {len(findings) - 1} more; `ik check` lists them)" if len(findings) > 1 else ""
@@ -103,7 +103,7 @@ def _error(element: str, problem: str, advice: str) -> Finding:
 
 
 def _near(name: str, options: Iterable[str], before: int) -> str:
-    """Return '. Did you mean ...?' or '', without the list of everything; before: how many were looked for already."""
+    """Return '. Did you mean ...?' or '', without the list of all names; before: number of hints searched for so far."""
     found = near_match(name, options).partition(" Available")[0] if before < HINTS else ""
     return f".{found}" if found.startswith(" Did") else ""
 
@@ -166,13 +166,13 @@ def _tree(links: set[str], joints: list[Item]) -> Iterator[Finding]:
         if ends["child"] in parent_of and ends["child"] in links:
             yield _error(
                 f"link '{ends['child']}'",
-                f"joint '{joint.name}' is a second joint leading to it",
-                "a link has one parent joint",
+                f"joint '{joint.name}' is a second parent joint",
+                "a link has exactly one parent joint",
             )
             broken += 1
         parent_of.setdefault(ends["child"], ends["parent"])
     if broken:
-        return  # roots and cycles follow from the above
+        return  # wrong roots and cycles would only repeat the above
     done = links - parent_of.keys()
     if len(done) > 1:
         yield _error("robot", f"it has {len(done)} root links: {_some(done)}", "connect them by joints to one root")
@@ -197,12 +197,12 @@ def _some(names: Iterable[str]) -> str:
 
 
 def _loose(text: str, items: list[Item]) -> Iterator[Finding]:
-    """Remarks on followers that stand still because they cannot be tied to their leaders."""
+    """Warnings about mimic joints that stay fixed because they cannot follow their leaders."""
     names = [item.name for item in items if item.tag == "joint"]
     for count, (joint, why) in enumerate(followers(text).loose.items()):
         leader = re.search("'(.*)'", why)
         hint = _near(leader[1], names, count) if leader and leader[1] not in names else ""
-        yield Finding("warning", f"joint '{joint}'", f"it {why}: it stands still", f"name a joint that moves{hint}")
+        yield Finding("warning", f"joint '{joint}'", f"it {why}: it stays fixed", f"name a joint that moves{hint}")
 
 
 def _remarks(item: Item) -> Iterator[Finding]:
@@ -210,7 +210,7 @@ def _remarks(item: Item) -> Iterator[Finding]:
         kind, limit = item.attributes.get("type"), item.first("limit")
         if kind in ("floating", "planar"):
             yield Finding(
-                "warning", str(item), f"{kind} joints cannot lie on the path to a tip", "use it outside the path only"
+                "warning", str(item), f"{kind} joints cannot lie on the path to a tip", "keep it off that path"
             )
         if kind in ("revolute", "prismatic") and limit is not None:
             missing = [end for end in ("lower", "upper") if end not in limit]

@@ -1,7 +1,7 @@
-"""How far apart the parts of a robot and its surroundings are, and how fast they can get closer.
+"""Distances between the parts of a robot and its surroundings, and how fast these can shrink.
 
-Distances are those of convex hulls, which cost a microsecond per pair; the exact shapes, which lie inside their hulls, are measured
-where hulls meet.
+Distances are between convex hulls, at about a microsecond per pair; the exact shapes, which lie inside their hulls, are measured
+only where hulls meet.
 """
 
 import threading
@@ -14,8 +14,8 @@ import pinocchio as pin
 
 from ..kernel.clearance import free_until, levers, rows
 
-BUILDING = threading.Lock()  # a hull is kept on its mesh, which other threads may be using
-THIN = 1e-5  # thickness over size below which a mesh is taken as flat: qhull fails at 1e-9
+BUILDING = threading.Lock()  # coal stores a hull on its mesh, which other threads may be using
+THIN = 1e-5  # thickness over size below which a mesh counts as flat: qhull fails at 1e-9
 
 
 class Near(NamedTuple):
@@ -31,9 +31,9 @@ class Near(NamedTuple):
 
 
 def hulls(geometry: pin.GeometryModel, names: Sequence[str], known: dict[Any, Any]) -> pin.GeometryModel:
-    """Copy of a geometry with each mesh replaced by its convex hull; a flat mesh, which has none, stays what it is.
+    """Copy of a geometry with each mesh replaced by its convex hull; a flat mesh, which has none, is kept.
 
-    names: of what was added to the robot, last in the geometry; known: hulls by place, or by such a name; those made are added.
+    names: of the shapes added to the robot, last in the geometry; known: hulls by index or by such a name, extended by new ones.
     """
     made, own = geometry.copy(), len(geometry.geometryObjects) - len(names)
     for k, shape in enumerate(made.geometryObjects):
@@ -41,7 +41,7 @@ def hulls(geometry: pin.GeometryModel, names: Sequence[str], known: dict[Any, An
         if isinstance(mesh, coal.BVHModelBase) and _thick(mesh.vertices()):
             with BUILDING:
                 if key not in known:
-                    # `buildConvexRepresentation` would take the points as they are, convex or not.
+                    # `buildConvexRepresentation` would use the points as they are, convex or not.
                     mesh.buildConvexHull(False, "Qt")
                     known[key] = mesh.convex
                 shape.geometry = known[key]
@@ -49,7 +49,7 @@ def hulls(geometry: pin.GeometryModel, names: Sequence[str], known: dict[Any, An
 
 
 def _thick(points: np.ndarray) -> bool:
-    """Whether points (N, 3) span a volume that qhull can work with: it crashes on a flat one."""
+    """Whether points (N, 3) span enough volume for qhull, which crashes on flat sets."""
     size = np.abs(points).max(initial=0.0)
     if not size < np.inf or len(points) < 4:
         return False
@@ -59,8 +59,8 @@ def _thick(points: np.ndarray) -> bool:
 class Clearance:
     """Distances of all tested pairs of a CollisionModel; a workspace for one thread.
 
-    a, b (P,): shapes of each pair; own (P,): both are the robot's; exact (P,): their hulls meet at home, so that they are
-    always measured on the exact shapes; home (P,): distances at home [m]; coordinates (E,): joint of q behind each moving joint.
+    a, b (P,): shapes of each pair; own (P,): both are the robot's; exact (P,): their hulls meet at home, so they are always
+    measured on the exact shapes; home (P,): distances at home [m]; coordinates (E,): index in q of each moving joint.
     """
 
     def __init__(self, model: Any) -> None:
@@ -91,7 +91,7 @@ class Clearance:
         self.home = self.distances()
 
     def _joints(self, shapes: Any) -> None:
-        """Which joint moves which shape, and where each shape lies on its link."""
+        """Find which joint moves which shape, and where each shape lies on its link."""
         model, names = self.robot.model, self.robot.joint_names
         lead = dict(zip(model.mimicking_joints, model.mimicked_joints, strict=True))
         moving = [i for i in range(1, model.njoints) if model.names[lead.get(i, i)] in names]
@@ -106,7 +106,7 @@ class Clearance:
             shape.geometry.computeLocalAABB()
             self._middle[k, :3] = shape.placement.act(np.array(shape.geometry.aabb_center))
             self._size[k] = shape.geometry.aabb_radius
-        self._radius = np.where(moved.any(axis=1), self._size, 0.0)  # what stands may be an endless plane
+        self._radius = np.where(moved.any(axis=1), self._size, 0.0)  # a shape that never moves may be an infinite plane
 
     def name(self, k: int) -> tuple[str, str]:
         """Names of pair k."""
@@ -114,7 +114,7 @@ class Clearance:
 
     # ------------------------------------------------------------------------------------------------ distances
     def place(self, q: np.ndarray) -> None:
-        """Bring every shape where it is at q (n,) [rad or m]."""
+        """Place every shape at configuration q (n,) [rad or m]; the methods below refer to the last placement."""
         full = self.robot._fill(self.robot.rest.copy(), q)
         pin.forwardKinematics(self.robot.model, self._data, full)
         pin.updateGeometryPlacements(self.robot.model, self._data, self._hulls, self._hull_data)
@@ -124,7 +124,7 @@ class Clearance:
         return pin.computeDistance(self._hulls, self._hull_data, k).min_distance
 
     def distance(self, k: int) -> float:
-        """Distance [m] of pair k where it was placed: never more than that of the exact shapes, 0 or less where they touch."""
+        """Distance [m] of pair k: never more than that of the exact shapes, 0 or less where they touch."""
         if not self.exact[k]:
             d = self._hull_distance(k)
             if d > self.margins[k] or not self._surface[k]:
@@ -137,11 +137,11 @@ class Clearance:
         return pin.computeDistance(self._exact, self._exact_data, k).min_distance
 
     def distances(self) -> np.ndarray:
-        """Distances (P,) [m] of all pairs where they were placed."""
+        """Distances (P,) [m] of all pairs."""
         return np.array([self.distance(k) for k in range(len(self.a))])
 
     def gap(self, k: int) -> float:
-        """Distance [m] that pair k may lose before it touches: that of `distance` without its margin."""
+        """Distance [m] of pair k less its margin."""
         return self.distance(k) - self.margins[k]
 
     def points(self, ks: np.ndarray) -> np.ndarray:
@@ -152,7 +152,7 @@ class Clearance:
         return np.array([(found.getNearestPoint1(), found.getNearestPoint2()) for found in results]).reshape(-1, 2, 3)
 
     def near(self, q: np.ndarray, within: float) -> list[tuple[tuple[int, int], Near]]:
-        """Pairs closer than `within` [m] at q (n,), nearest first, with the places of their shapes."""
+        """Pairs closer than `within` [m] at q (n,), nearest first, with the indices of their shapes."""
         self.place(q)
         found = [(self.distance(k), k) for k in np.flatnonzero(self._apart() < within).tolist()]
         close = sorted(pair for pair in found if pair[0] < within)
@@ -170,13 +170,13 @@ class Clearance:
         return None if found < 0 else self._near(least, found)
 
     def _near(self, distance: float, k: int) -> Near:
-        """Pair k, whose distance was measured last where it was placed."""
+        """Pair k as a Near, from its last measurement."""
         points = self.points(np.array([k]))[0]
         gap = points[1] - points[0]
         return Near(self.name(k), distance, points, gap / max(np.sqrt(gap @ gap), 1e-300))
 
     def _apart(self) -> np.ndarray:
-        """Distances (P,) of the bounding spheres of all pairs where they were placed; -inf of what is endless."""
+        """Distances (P,) between the bounding spheres of all pairs; -inf for infinite shapes."""
         self._locate()
         middles = np.sqrt(((self._at[self.a] - self._at[self.b]) ** 2).sum(1))
         size = self._size[self.a] + self._size[self.b]
@@ -189,15 +189,15 @@ class Clearance:
 
     # ------------------------------------------------------------------------------------------------ motion
     def move(self) -> None:
-        """Take how everything moves where it was placed: for `levers` and `rows`."""
+        """Compute the joint Jacobians that `levers` and `rows` need."""
         pin.computeJointJacobians(self.robot.model, self._data)
         self._V = np.ascontiguousarray(self._data.J.T[self._columns])
         self._locate()
 
     def levers(self, way: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """How much closer (P, E) each pair can come per unit of each moving joint, while joint i goes no further than way (n,).
+        """How much closer (P, E) each pair can come per unit of each moving joint, while joint i moves at most way (n,).
 
-        And the sum (P,) over all of that way [m].
+        Also returns the sum (P,) [m] over all joints moving that far.
         """
         out, spread = np.empty(self.by_a.shape), np.empty(len(self.a))
         joints = self._V, self.coordinates, self._at, self._radius
@@ -205,15 +205,15 @@ class Clearance:
         return out, spread
 
     def rows(self, ks: np.ndarray, gap: np.ndarray, rate: np.ndarray, *rest: Any) -> int:
-        """Half-planes of pairs ks (K,), as `kernel.clearance.rows` makes them; their distances are those last measured."""
+        """Half-planes of pairs ks (K,) as in `kernel.clearance.rows`, from the last measured distances."""
         return rows(self._V, self.coordinates, self.by_a, self.by_b, ks, self.points(ks), gap, rate, *rest)
 
     def free_until(self, ks: np.ndarray, distances: np.ndarray, *rest: Any) -> np.ndarray:
-        """How far (K,) pairs ks are free for sure, as `kernel.clearance.free_until` says, from where they were last measured."""
+        """How far (K,) pairs ks are certainly free, as in `kernel.clearance.free_until`, from their last measurement."""
         gap = self.points(ks)
         normals = gap[:, 1] - gap[:, 0]
         normals /= np.maximum(np.sqrt((normals**2).sum(1)), 1e-300)[:, None]
-        normals[self._on_surface[ks]] = 0.0  # what is not convex has no plane between
+        normals[self._on_surface[ks]] = 0.0  # non-convex shapes have no separating plane
         out = np.empty(len(ks))
         parts = self._at, self._radius, self.a, self.b, self.by_a, self.by_b
         free_until(self._V, self.coordinates, *parts, ks, normals, distances, *rest, out)

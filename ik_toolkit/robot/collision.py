@@ -1,6 +1,6 @@
 """Collisions of a robot with itself and with shapes around it or in its hand, by Pinocchio and coal.
 
-The boxes around the shapes are compared first (a tree of them, in C++); shapes are tested exactly only where boxes meet.
+A broad phase compares bounding boxes first (a tree of them, in C++); shapes are tested exactly only where boxes overlap.
 """
 
 import threading
@@ -19,18 +19,18 @@ from .robot import Robot
 from .surroundings import Placed, Surroundings
 from .tree import Tree
 
-SAMPLES = 8  # configurations that show which links ever move against each other
-STILL = 1e-9  # [m or entries of a rotation] change of placement below which two parts do not move against each other
+SAMPLES = 8  # random configurations that show which links move relative to each other
+STILL = 1e-9  # [m or entries of a rotation] change of relative placement below which two parts do not move
 
 
 class CollisionModel(Surroundings):
-    """What can hit what: the robot's own links and tools, shapes around it, and shapes it holds.
+    """What can collide: the robot's own links and tools, shapes around it, and shapes it holds.
 
     robot: the Robot or Tree (its arms against each other, too) whose collision shapes are read from its URDF (meshes from the
-    URDF's folder, its ROS package and package_dirs, from nowhere else), or from `geometry`, a pin.GeometryModel. ignore: pairs of
+    URDF's folder, its ROS package and package_dirs only), or from `geometry`, a pin.GeometryModel. ignore: pairs of
     link names that may touch. margin [m]: two parts touch when they are nearer than this; links that are nearer than it at home
-    keep half of that distance. Never tested: links joined by one joint, links that cannot move against each other, pairs that the
-    robot's SRDF allows to touch, and pairs that touch both at home and at zero (if legal), which are listed in `excluded`.
+    keep half of that distance. Never tested: links joined by one joint, links that cannot move relative to each other, pairs that
+    the robot's SRDF allows to touch, and pairs that touch both at home and at zero (if legal), which are listed in `excluded`.
     Attributes: links, obstacles, attached (names), pairs (tested, by name), excluded (pairs of link names), allowed (pairs of link
     names in the SRDF -> reason), margin. Shapes may be added, moved and removed between calls; what uses the model sees them from
     its next call on, and a tracker from its next step. Raises ModelError (no collision shapes, over 300, one without extent, or a
@@ -78,7 +78,7 @@ class CollisionModel(Surroundings):
 
     # ------------------------------------------------------------------------------------------------ what is tested
     def _add_tools(self) -> None:
-        """Put the arms' tools on their tips."""
+        """Attach the arms' tools to their tips."""
         model = self.robot.model
         for arm in self.robot.arms:
             frame = model.frames[arm._ids[1]]
@@ -96,7 +96,7 @@ class CollisionModel(Surroundings):
         hands = [model.frames[arm._ids[1]].parentJoint for arm in robot.arms]
         placements = self._sample([0, *owners, *hands])
         joints = list(placements)
-        apart = np.zeros((len(joints), len(joints)), dtype=bool)  # whether two joints move against each other
+        apart = np.zeros((len(joints), len(joints)), dtype=bool)  # whether two joints move relative to each other
         for b, jb in enumerate(joints):
             for a, ja in enumerate(joints[:b]):
                 between = np.linalg.inv(placements[ja]) @ placements[jb]
@@ -127,7 +127,7 @@ class CollisionModel(Surroundings):
         leave_out([*self.ignore, *self.allowed])
         zero = np.zeros(robot.n)
         touching = dict.fromkeys(self.collisions(robot.home))
-        if not robot.outside(zero):  # touching at one of them may be a real collision: a folded arm's
+        if not robot.outside(zero):  # contact at only one of them may be real: a folded arm
             touching = {pair: None for pair in self.collisions(zero) if pair in touching}
         self.excluded = tuple(touching)
         leave_out(self.excluded)
@@ -138,7 +138,7 @@ class CollisionModel(Surroundings):
             self._rebuild()
 
     def _sample(self, owners: list[int]) -> dict[int, np.ndarray]:
-        """Placements (SAMPLES, 4, 4) of the joints that carry shapes, at the same random configurations."""
+        """Placements (SAMPLES, 4, 4) of the joints that carry shapes, all at the same random configurations."""
         robot, data = self.robot, self.robot.model.createData()
         rng = np.random.default_rng(0)
         found: dict[int, list] = {j: [] for j in owners}
@@ -149,7 +149,7 @@ class CollisionModel(Surroundings):
         return {j: np.array(list_j) for j, list_j in found.items()}
 
     def _rebuild(self) -> None:
-        """Make geometry, pairs and margins anew; workspaces made before keep what they had."""
+        """Rebuild geometry, pairs and margins; existing workspaces keep their own."""
         geometry, own = self._own.copy(), len(self._links)
         tested = np.zeros((own + len(self._placed), own + len(self._placed)), dtype=bool)
         tested[:own, :own] = self._tested
@@ -174,7 +174,7 @@ class CollisionModel(Surroundings):
         self.version += 1
 
     def _meet(self, one: Placed, two: Placed) -> bool:
-        """Whether two shapes that were added can move against each other."""
+        """Whether two added shapes can move relative to each other."""
         if one.arm is None or two.arm is None:
             arm = two.arm if one.arm is None else one.arm
             return arm is not None and self._hand_moves[arm]
@@ -182,23 +182,23 @@ class CollisionModel(Surroundings):
 
     @property
     def geometry(self) -> pin.GeometryModel:
-        """All shapes and the pairs that are tested, as Pinocchio has them; made anew when a shape is added or removed."""
+        """All shapes and the tested pairs as Pinocchio sees them; rebuilt when a shape is added or removed."""
         return self._state[0]
 
     @property
     def margins(self) -> np.ndarray:
-        """Distance [m] from which on each of the geometry's pairs (P,) counts as touching."""
+        """Distance [m] below which each of the geometry's pairs (P,) counts as touching."""
         return self._state[1]
 
     @property
     def pairs(self) -> tuple[tuple[str, str], ...]:
-        """Pairs of names (links, obstacles and what is attached) that are tested."""
+        """Pairs of names (links, obstacles and attached shapes) that are tested."""
         named = ((self._names[p.first], self._names[p.second]) for p in self.geometry.collisionPairs)
         return tuple(dict.fromkeys(named))
 
     # ------------------------------------------------------------------------------------------------ questions
     def _workspace(self) -> tuple[Any, Any, Any, pin.GeometryModel]:
-        """Pinocchio's data, the geometry's, and the tree of boxes or None, each the calling thread's own; and the geometry."""
+        """Model data, geometry data, box tree or None (all local to the calling thread), and the geometry."""
         local = self._local
         if not hasattr(local, "space"):
             geometry = self.geometry
@@ -206,14 +206,14 @@ class CollisionModel(Surroundings):
         return local.space
 
     def workspace(self, more: float | np.ndarray) -> tuple[Any, Any, Any]:
-        """New workspace (see `_workspace`) in which a pair nearer than its margin and `more` [m] (pairs,) counts as touching."""
+        """New workspace (see `_workspace`) where a pair nearer than its margin plus `more` [m] (pairs,) counts as touching."""
         geometry, margins = self._state
         data, found = self.robot.model.createData(), geometry.createData()
-        # Pinocchio's own requests start from the last answer's guess, and then a verdict may depend on the ones before.
+        # Pinocchio's default requests reuse the last result as a guess, so a verdict could depend on earlier calls.
         for k, margin in enumerate((margins + more).tolist()):
             found.collisionRequests[k] = request(margin)
         boxes = pin.BroadPhaseManager_DynamicAABBTreeCollisionManager(self.robot.model, geometry, found)
-        # Pinocchio leaves shapes whose box has no volume (a flat mesh) out of the tree: then every pair is tested.
+        # Pinocchio leaves shapes whose box has no volume (flat meshes) out of the tree; then every pair is tested.
         return data, found, None if any(is_flat(o.geometry) for o in geometry.geometryObjects) else boxes
 
     def collides(self, q: Any) -> bool:
@@ -252,7 +252,7 @@ class CollisionModel(Surroundings):
         return self._measure().nearest(self.robot.check_q(q))
 
     def _measure(self) -> Clearance:
-        """Distances, the calling thread's own."""
+        """The calling thread's distance computation."""
         local = self._local
         if getattr(local, "version", None) != self.version:
             local.clearance, local.version = Clearance(self), self.version
@@ -265,13 +265,13 @@ class CollisionModel(Surroundings):
         return self.robot._fill(self.robot.rest.copy(), self.robot.check_q(q))
 
     def __getstate__(self) -> dict[str, Any]:
-        """Keep what was asked for; the shapes are read again (a given geometry travels whole)."""
+        """Keep the constructor's arguments; shapes are read again, a given geometry is pickled whole."""
         placed = {name: replace(one, form=None) for name, one in self._placed.items()}
         asked = {"robot": self.robot, "geometry": self._given, "ignore": self.ignore, "margin": self.margin}
         return {"asked": asked, "placed": placed}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        """Build it again."""
+        """Rebuild from the stored arguments."""
         asked = dict(state["asked"])
         self.__init__(asked.pop("robot"), **asked)
         self._placed = {name: replace(one, form=one.shape.form()) for name, one in state["placed"].items()}
@@ -287,7 +287,7 @@ class CollisionModel(Surroundings):
 
 
 def as_margin(value: Any) -> float:
-    """Return a distance [m] to keep; InvalidOption when it is none."""
+    """Validate a margin [m]. Raises InvalidOption."""
     what = "margin must be a distance of at least 0 [m]"
     number = floats(value, what, InvalidOption)
     if number.shape != () or not 0.0 <= number < np.inf:

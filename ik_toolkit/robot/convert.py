@@ -1,4 +1,4 @@
-"""Any description that loads -> one plain URDF: macros expanded, meshes named by where they lie."""
+"""Any description that loads -> one plain URDF: macros expanded, meshes named by their actual paths."""
 
 import xml.etree.ElementTree as ET
 from collections.abc import Iterable, Mapping
@@ -11,7 +11,7 @@ from .meshes import find_mesh, mesh_folders, mesh_packages
 
 
 class Converted(NamedTuple):
-    """A URDF: name of the robot, text; meshes (names in the description -> in the text) and lost (name -> why it stays)."""
+    """A URDF: robot name, text; meshes (name in the description -> in the text) and lost (name -> why it was not changed)."""
 
     name: str
     text: str
@@ -26,10 +26,10 @@ def convert(
     package_dirs: Iterable[str | Path] = (),
     xacro_args: Mapping[str, Any] | None = None,
 ) -> Converted:
-    """Plain URDF of whatever `Robot.load` reads.
+    """Plain URDF of anything `Robot.load` reads.
 
-    folder: where it will stand: meshes below it are named relative to it, all others by their absolute path. Meshes that are not
-    found keep their name. Raises as `Robot.load` does.
+    folder: where it will be saved: meshes below it are named relative to it, all others by their absolute path. Meshes that are
+    not found keep their name. Raises as `Robot.load` does.
     """
     made = read(source, package_dirs, xacro_args)[1]
     home = None if folder is None else Path(folder).expanduser().resolve()

@@ -1,7 +1,7 @@
-"""Denavit-Hartenberg tables: read them (TOML or CSV), write them as URDF with primitive shapes, multiply them out.
+"""Denavit-Hartenberg tables: read them (TOML or CSV), write them as URDF with primitive shapes, compute their FK.
 
 Classic rows (Denavit, Hartenberg 1955): T_i = Rz(theta) Tz(d) Tx(a) Rx(alpha). Modified rows (Craig 1986):
-T_i = Rx(alpha) Tx(a) Rz(theta) Tz(d), with a and alpha of the row itself. A revolute joint adds q to theta, a sliding
+T_i = Rx(alpha) Tx(a) Rz(theta) Tz(d), with a and alpha of the row itself. A revolute joint adds q to theta, a prismatic
 joint adds q to d. T_base_tool = base T_1 ... T_n tool.
 """
 
@@ -70,7 +70,7 @@ def dh_fk(table: DHTable, q: Sequence[float]) -> np.ndarray:
 
 
 def joint_origins(table: DHTable) -> list[np.ndarray]:
-    """Constant transforms (n+1 of 4x4): before each joint's own z motion, and from the last joint to the tool."""
+    """Constant transforms (n+1 of 4x4): before each joint's motion about or along z, and from the last joint to the tool."""
     origins, before = [], table.base
     for row in table.rows:
         about_z, about_x = _screw(2, row.theta, row.d), _screw(0, row.alpha, row.a)
@@ -84,7 +84,7 @@ def joint_origins(table: DHTable) -> list[np.ndarray]:
 
 
 def _screw(axis: int, angle: float, distance: float) -> np.ndarray:
-    """Rotation by angle about a coordinate axis with a shift along it; quarter turns come out exact."""
+    """Rotation about a coordinate axis and translation along it; multiples of 90 degrees are exact."""
     c, s = math.cos(angle), math.sin(angle)
     c, s = (0.0 if abs(c) < 1e-15 else c), (0.0 if abs(s) < 1e-15 else s)
     i, j = (axis + 1) % 3, (axis + 2) % 3
@@ -100,7 +100,7 @@ def read_dh_table(path: str | Path) -> DHTable:
     """D-H table of a `.toml` or `.csv` file.
 
     TOML: name, convention, angles ('deg' or 'rad'), lengths ('m' or 'mm'), optional base and tool (`{xyz, rpy}` in
-    those units), and one [[joint]] a row with any of name, type, theta, d, a, alpha, lower, upper, velocity, effort
+    those units), and one [[joint]] per row with any of name, type, theta, d, a, alpha, lower, upper, velocity, effort
     (limits are required unless the joint is continuous). CSV: the settings as lines `# convention = classic` (base_xyz,
     base_rpy, tool_xyz, tool_rpy as three numbers), a header of column names, one line per joint. Raises ModelError naming
     row and column.
@@ -122,7 +122,7 @@ def read_dh_table(path: str | Path) -> DHTable:
         return dh_table({"name": path.stem, **_csv_settings(text)})
     try:
         settings = tomllib.loads(text)
-    except (ValueError, RecursionError) as error:  # ValueError: also an integer of thousands of digits
+    except (ValueError, RecursionError) as error:  # ValueError also covers an integer of thousands of digits
         raise ModelError(f"the D-H table '{path.name}' is not valid TOML: {error}") from None
     return dh_table({"name": path.stem, **settings})
 
@@ -169,10 +169,10 @@ def dh_table(settings: Mapping[str, Any]) -> DHTable:
     length = _choice(settings, "lengths", {"m": 1.0, "mm": 1e-3})
     name = settings.get("name")
     if not isinstance(name, str) or not name.isprintable() or not name.strip():
-        raise ModelError("the D-H table's setting 'name' must be a printable text")
+        raise ModelError("the D-H table's setting 'name' must be printable text")
     joints = settings.get("joint", [])
     if not isinstance(joints, list) or not joints:
-        raise ModelError("the D-H table has no joint: one [[joint]] (TOML) or line (CSV) per joint is expected")
+        raise ModelError("the D-H table has no joints; give one [[joint]] (TOML) or one line (CSV) per joint")
     if len(joints) > MAX_ROWS:
         raise ModelError(f"the D-H table has {len(joints)} joints; at most {MAX_ROWS} are read")
     rows = tuple(_row(number, joint, angle, length) for number, joint in enumerate(joints, 1))
@@ -206,7 +206,7 @@ def _row(number: int, joint: Any, angle: float, length: float) -> DHRow:
         raise ModelError(f"{where}, column 'type' of the D-H table is {kind!r}; it must be one of: {', '.join(KINDS)}")
     name = joint.get("name", f"joint_{number}")
     if not isinstance(name, str) or not name.isprintable() or not name.strip():
-        raise ModelError(f"{where}, column 'name' of the D-H table is {name!r}; it must be a printable text")
+        raise ModelError(f"{where}, column 'name' of the D-H table is {name!r}; it must be printable text")
     own = length if kind == "prismatic" else angle
     units = {
         "theta": angle,
@@ -221,7 +221,7 @@ def _row(number: int, joint: Any, angle: float, length: float) -> DHRow:
     values = {key: _number(joint[key], where, key) * unit for key, unit in units.items() if key in joint}
     if kind == "continuous":
         if "lower" in values or "upper" in values:
-            raise ModelError(f"{where} of the D-H table is continuous: it has no 'lower' or 'upper'")
+            raise ModelError(f"{where} of the D-H table is continuous: remove its 'lower' and 'upper'")
     else:
         for key in ("lower", "upper"):
             if key not in values:
@@ -268,7 +268,7 @@ def _frame(settings: Mapping[str, Any], key: str, angle: float, length: float) -
 
 # ---------------------------------------------------------------------------------------------------------- writing
 def to_urdf(table: DHTable) -> str:
-    """URDF text of a D-H table: links base_link, link_1 ... link_n, tool; joints named by the rows, all axes z."""
+    """URDF text of a D-H table: links base_link, link_1 ... link_n, tool; joints named as in the rows, all axes z."""
     robot = new_robot(table.name)
     base = add_link(robot, "base_link")
     add_pedestal(base, table)
@@ -285,7 +285,7 @@ def add_arm(
     mount: np.ndarray | None = None,
     gripper: bool = True,
 ) -> None:
-    """Append the joints and links of a table, mounted at `mount` (4x4) on link `root`, names prefixed, up to `tip`."""
+    """Append the joints and links of a table up to link `tip`, mounted at `mount` (4x4) on link `root`, names prefixed."""
     origins = joint_origins(table)
     if mount is not None:
         origins[0] = mount @ origins[0]
@@ -309,7 +309,7 @@ def _limit(row: DHRow) -> dict[str, float]:
 
 
 def _radius(table: DHTable, number: int) -> float:
-    """Half the thickness of link `number`, thinner towards the tip; 4.5 % of the stretched arm at the base."""
+    """Radius [m] of link `number`: 4.5 % of the stretched arm at the base, thinner towards the tip."""
     length = sum(math.hypot(row.a, row.d) for row in table.rows) or 1.0
     return 0.045 * length * (1.0 - 0.55 * number / len(table.rows))
 
@@ -324,7 +324,7 @@ def add_pedestal(link: ET.Element, table: DHTable, mount: np.ndarray | None = No
 
 
 def _add_body(link: ET.Element, table: DHTable, number: int, end: np.ndarray, gripper: bool) -> None:
-    """Draw one link: the drum of its joint, bars along d and a to the next origin, a gripper on the last of them."""
+    """Draw one link: a drum for its joint, bars along d and a to the next origin, and a gripper on the last bar if asked for."""
     row, r = table.rows[number - 1], _radius(table, number)
     if row.type == "prismatic":
         add_shape(link, "box", (3.4 * r, 3.4 * r, 3.4 * r), np.eye(4), "orange")
@@ -347,7 +347,7 @@ def _add_body(link: ET.Element, table: DHTable, number: int, end: np.ndarray, gr
 
 
 def _add_rail(link: ET.Element, T: np.ndarray, row: DHRow, r: float) -> None:
-    """Draw what a slide runs on: a rail when its stroke passes zero, otherwise the outer tube of a telescope."""
+    """Draw the guide of a prismatic joint: a rail when its stroke passes zero, otherwise the outer tube of a telescope."""
     if row.lower < 0.0:
         middle, length = 0.5 * (row.lower + row.upper), row.upper - row.lower + 4.0 * r
         add_shape(link, "box", (1.1 * r, 1.1 * r, length), T @ shift(z=middle), "silver")

@@ -1,4 +1,4 @@
-"""A robot's shapes in the forms that coal tests, placed on its Pinocchio model, and questions about pairs of them."""
+"""A robot's shapes as coal objects placed on its Pinocchio model, and collision requests for pairs of them."""
 
 from typing import Any
 
@@ -10,7 +10,7 @@ from ..errors import ModelError
 from .shape import PLAIN, surface
 from .shapes import LinkShape, geometry_model, link_shapes, said
 
-MAX_SHAPES = 300  # of a robot: 45,000 pairs, which take 1 s and 0.5 GB to set up; robots have up to 100
+MAX_SHAPES = 300  # per robot: 45,000 pairs, which take 1 s and 0.5 GB to set up; robots have up to 100
 
 
 def read_shapes(robot: Any) -> pin.GeometryModel:
@@ -26,7 +26,7 @@ def read_shapes(robot: Any) -> pin.GeometryModel:
 
 
 def _form(shape: LinkShape) -> Any:
-    """The coal shape of a link's shape."""
+    """The coal object of a link's shape."""
     if shape.kind != "mesh":
         return PLAIN[shape.kind](*shape.sizes)
     made = surface(shape.mesh, np.array(shape.sizes))
@@ -37,7 +37,7 @@ def _form(shape: LinkShape) -> Any:
 
 
 def request(margin: float) -> coal.CollisionRequest:
-    """Question whether two shapes are nearer than a margin [m]."""
+    """Request that tests whether two shapes are nearer than a margin [m]."""
     made = coal.CollisionRequest(coal.CollisionRequestFlag.NO_REQUEST, 1)
     made.security_margin = margin
     return made
@@ -50,7 +50,7 @@ def is_flat(shape: Any) -> bool:
 
 
 def owner_above(model: pin.Model, joint: int, owners: set[int]) -> int:
-    """Nearest joint above that carries shapes (-1: none): links with nothing but bare joints between them are adjacent."""
+    """Nearest ancestor joint that carries shapes (-1: none): links with only empty links between them are adjacent."""
     while joint > 0:
         joint = model.parents[joint]
         if joint in owners:

@@ -23,14 +23,14 @@ from .base import Given
 from .probe import Path
 from .srdf import Srdf
 
-ROWS = {"pose": [*range(6)], "position": [0, 1, 2], "orientation": [3, 4, 5]}  # of the six of each tip's Jacobian
+ROWS = {"pose": [*range(6)], "position": [0, 1, 2], "orientation": [3, 4, 5]}  # rows of each tip's Jacobian
 
 
 class Named(dict[str, np.ndarray]):
-    """Configurations q (n,) [rad or m] by name; a name that is none raises ConfigurationNotFound."""
+    """Configurations q (n,) [rad or m] by name; an unknown name raises ConfigurationNotFound."""
 
     def __missing__(self, name: str) -> np.ndarray:
-        """Refuse a name."""
+        """Raise ConfigurationNotFound."""
         raise ConfigurationNotFound(
             f"the robot has no configuration named '{str(name)[:200]}'.{near_match(name, self)}"
         )
@@ -39,9 +39,9 @@ class Named(dict[str, np.ndarray]):
 class Joints:
     """Coordinates q (n,) of a model: names, kinds, limits, home, and their places in the model's full configuration.
 
-    A robot and a tree alike have `arms`, one Robot per tip; `tips`, their names; `places`, index arrays that take each arm's
-    coordinates out of q; and `memo`, a dict in which whoever makes something for this robot (a bound solver, its collision
-    shapes) may keep it under a key of their own. Copies and pickles begin with an empty one.
+    Robots and trees have `arms`, one Robot per tip; `tips`, their names; `places`, index arrays that select each arm's
+    coordinates from q; and `memo`, a dict that caches things made for this robot (a bound solver, its collision shapes), each
+    under its own key. Copies and pickles start with an empty one.
     """
 
     name: str
@@ -59,13 +59,13 @@ class Joints:
     places: tuple[np.ndarray, ...]
     memo: dict[Any, Any]
     srdf: Srdf
-    by_tip = False  # whether targets come by tip, as a tree's do, also when it has one
+    by_tip = False  # whether targets are given by tip, as for a tree, even with a single tip
     _path: Path
     _given: Given | None
     _original: pin.Model | None
 
     def _route(self) -> str:
-        """Where the joints lead, for people."""
+        """Base and tips, for display."""
         raise NotImplementedError
 
     def jacobian(self, q: Any) -> np.ndarray:
@@ -84,12 +84,12 @@ class Joints:
 
     @property
     def slides(self) -> np.ndarray:
-        """Which joints slide (n,)."""
+        """Which joints are prismatic (n,)."""
         return np.array([kind == "prismatic" for kind in self.joint_kinds], dtype=bool)
 
     @property
     def named(self) -> Named:
-        """Configurations by name: those of the SRDF that set a joint of q (the others stay at home), and "home" in any case."""
+        """Configurations by name: those of the SRDF that set any joint of q (the others stay at home), and always "home"."""
         found = Named()
         for state, values in {"home": {}, **self.srdf.states}.items():
             given = {i: values[joint][0] for i, joint in enumerate(self.joint_names) if len(values.get(joint, ())) == 1}
@@ -105,13 +105,13 @@ class Joints:
                 raise FrameNotFound(f"'{tip}' is not one of the tips solved for.{near_match(tip, self.tips)}")
 
     def check_q(self, q: Any, name: str = "q") -> np.ndarray:
-        """Return q as a float64 copy (n,); raises InvalidConfiguration when it has the wrong size or is not finite."""
+        """Return q as a float64 copy (n,); raises InvalidConfiguration if it has the wrong size or is not finite."""
         array = floats(q, f"{name} must be {self.n} numbers", InvalidConfiguration)
         if array.shape != (self.n,):
             raise InvalidConfiguration(
                 f"{name} must have {self.n} values, one per joint ({', '.join(self.joint_names)}); got shape {array.shape}"
             )
-        if not np.abs(array).max(initial=0.0) <= FEW_TURNS:  # rare, and NaN is caught here too
+        if not np.abs(array).max(initial=0.0) <= FEW_TURNS:  # also true for NaN
             if not np.isfinite(array).all():
                 bad = ", ".join(j for j, x in zip(self.joint_names, array, strict=True) if not np.isfinite(x))
                 raise InvalidConfiguration(f"{name} is not finite at joint {bad}")
@@ -119,12 +119,12 @@ class Joints:
             for joint, kind, x in zip(self.joint_names, self.joint_kinds, np.where(meant, 0.0, array), strict=True):
                 if (
                     kind != "prismatic" and abs(x) > FEW_TURNS
-                ):  # a value that limits allow is no slip, and often our own
+                ):  # a value inside the limits is not a mistake, and often our own
                     doubt_angle(f"{name}, joint {joint}", float(x))
         return array
 
     def check_home(self, home: Any) -> np.ndarray:
-        """Return home as `check_q` does; raises InvalidConfiguration when it is outside the limits, too: searches start there."""
+        """Return home as `check_q` does; also raises InvalidConfiguration outside the limits, because searches start there."""
         q = self.check_q(home, "home")
         outside = self.outside(q)
         if outside:
@@ -132,11 +132,11 @@ class Joints:
         return q
 
     def manipulability(self, q: Any, rows: Any = "pose") -> float:
-        """Manipulability sqrt(det(J J^T)) at q (n,): the volume of the tip speeds at joint speeds of norm 1; 0 where singular.
+        """Manipulability sqrt(det(J J^T)) at q (n,): proportional to the volume of the velocity ellipsoid; 0 where singular.
 
         rows: 'position' [the three linear rows, m per rad or m], 'orientation', 'pose' (all six, in metres and radians), or the
-        numbers of rows x, y, z, rx, ry, rz in base axes: (0, 1) of an arm in the plane. Of several tips the rows of all count
-        together. With fewer joints than rows it is 0 everywhere. Yoshikawa 1985. Raises InvalidConfiguration, InvalidOption.
+        indices of the rows x, y, z, rx, ry, rz in base axes: (0, 1) for a planar arm. With several tips, the rows of all are
+        stacked. With fewer joints than rows it is 0 everywhere. Yoshikawa 1985. Raises InvalidConfiguration, InvalidOption.
         """
         try:
             picked = ROWS[rows] if isinstance(rows, str) else [int(range(6)[i]) for i in rows]
@@ -156,20 +156,20 @@ class Joints:
         return [j for j, x, a, b in zip(self.joint_names, q, self.lower, self.upper, strict=True) if not a <= x <= b]
 
     def at_limits(self, q: np.ndarray) -> list[str]:
-        """Names of the joints that stand on a limit (within 1e-9)."""
+        """Names of the joints at a limit (within 1e-9)."""
         near = (q - self.lower <= 1e-9) | (self.upper - q <= 1e-9)
         return [j for j, hit in zip(self.joint_names, near, strict=True) if hit]
 
     @functools.cached_property
     def _sampling(self) -> tuple[np.ndarray, np.ndarray]:
-        """Low and span (n,) of random q."""
+        """Lower end and span (n,) of random q."""
         n, ends = self.n, np.atleast_2d(self.chain.ends)[0, POINTS:]
         return ends[4 * n : 5 * n] * self.chain.unit, ends[5 * n : 6 * n] * self.chain.unit
 
     def random_q(self, rng: np.random.Generator, count: int | None = None) -> np.ndarray:
         """Uniform random q (n,), or (count, n), inside the limits (one turn, or one reach, where there are none).
 
-        Raises InvalidOption: a count that is no whole number, or below 0.
+        Raises InvalidOption: count is not a whole number, or below 0.
         """
         whole = isinstance(count, int | np.integer) and not isinstance(count, bool)
         if count is not None and not (whole and count >= 0):
@@ -180,7 +180,7 @@ class Joints:
     def to_pinocchio(self, q: Any, rest: np.ndarray | None = None) -> np.ndarray:
         """Full configuration (nq,) of the model for q (n,); joints off the path keep `rest` (default: the robot's).
 
-        Of a model that was given with a free-flyer, a ball or a plane it is that model's own form, with quaternions.
+        If the given model has a free-flyer, ball or planar joint, the result is in that model's form, with quaternions.
         """
         given = self._given
         full = self.rest.copy() if rest is None else self._full(rest, "rest")
@@ -188,7 +188,7 @@ class Joints:
         return full if given is None else given.form(self.model, full)
 
     def _full(self, values: Any, what: str) -> np.ndarray:
-        """Configuration of `model` for one in the form of the model that was given. Raises InvalidConfiguration."""
+        """Convert a configuration of the given model to `model`. Raises InvalidConfiguration."""
         given = self._given
         full = floats(values, f"{what} must be numbers", InvalidConfiguration)
         nq = self.model.nq if given is None else given.model.nq

@@ -18,14 +18,15 @@ from .packages import MANIFESTS
 from .read import is_text
 
 DATA_PACKAGE = "example-robot-data"
-DESCRIBED = "robot_descriptions:"  # before names of that package
-MENAGERIE = "mujoco-menagerie:"  # before names of folders of MuJoCo's menagerie
-MENAGERIE_ROOT = "MENAGERIE_ROOT"  # environment variable that names a copy of it, as the package of that name reads it
+DESCRIBED = "robot_descriptions:"  # prefix for names of that package
+MENAGERIE = "mujoco-menagerie:"  # prefix for folder names of the MuJoCo Menagerie
+# Environment variable with the path of a copy; the mujoco-menagerie package reads it, too.
+MENAGERIE_ROOT = "MENAGERIE_ROOT"
 
 
 @dataclass(frozen=True)
 class RobotEntry:
-    """What a name stands for.
+    """What a robot name stands for.
 
     name; path (file, None for URDF text); source (what to read: the path, or the URDF text); base and tip (link names;
     tip is None when several exist or nothing is known); tips (all the known ones); home (n,) [rad or m] in the order of
@@ -55,7 +56,7 @@ class RobotEntry:
         return self.tips[0] if len(self.tips) == 1 else None
 
 
-# name -> (file below robots/, tips). Fixed-base arms (and arms on a body that is held still) of example-robot-data 6.
+# name -> (file below robots/, tips). Fixed-base arms (and arms on a fixed body) of example-robot-data 6.
 DATA_ROBOTS: dict[str, tuple[str, tuple[str, ...]]] = {
     "panda": ("panda_description/urdf/panda.urdf", ("panda_hand_tcp",)),
     "ur3": ("ur_description/urdf/ur3_robot.urdf", ("tool0",)),
@@ -95,7 +96,7 @@ def urdf_folder() -> Path:
 
 @functools.cache
 def shipped_robots() -> dict[str, RobotEntry]:
-    """Name -> entry of the robots that travel with the toolkit, in the order of robots.toml."""
+    """Name -> entry of the robots shipped with the toolkit, in the order of robots.toml."""
     folder = urdf_folder()
     rows = tomllib.loads((folder / "robots.toml").read_text(encoding="utf-8"))
     entries = {}
@@ -145,7 +146,7 @@ def example_robot_data(name: str) -> tuple[Path, tuple[Path, ...]]:
 
 @functools.cache
 def data_files() -> dict[str, Path]:
-    """Name -> file of what example-robot-data holds beside DATA_ROBOTS: the file's name, with its folder's where that is taken."""
+    """Name -> file of everything else in example-robot-data: the file name, with its folder's name in front if it is taken."""
     root = _data_root()
     if root is None:
         return {}
@@ -168,7 +169,7 @@ def list_robots(everything: bool = False) -> list[RobotEntry]:
 
 
 def _described(name: str) -> RobotEntry:
-    """Entry of a description of the robot_descriptions package, from its cache. Raises RobotNotFound, MissingExtra, ModelError."""
+    """Entry for a name of the robot_descriptions package, from its cache. Raises RobotNotFound, MissingExtra, ModelError."""
     if importlib.util.find_spec("robot_descriptions") is None:
         raise MissingExtra("robot_descriptions", "robots")
     from robot_descriptions import DESCRIPTIONS
@@ -179,7 +180,7 @@ def _described(name: str) -> RobotEntry:
     try:
         with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):  # of a download
             module = importlib.import_module(f"robot_descriptions.{name}")
-    except Exception as error:  # whatever git raises
+    except Exception as error:  # git can raise anything
         said = (
             (str(error).strip().splitlines() or [type(error).__name__])[-1]
             .strip()
@@ -200,8 +201,8 @@ def _described(name: str) -> RobotEntry:
 
 
 def _menagerie(name: str) -> Path:
-    """Model of MuJoCo's menagerie, out of a copy on disk or out of what its package keeps. Raises RobotNotFound."""
-    advice = "pip install mujoco-menagerie, or name a copy of the repository with MENAGERIE_ROOT"
+    """Model file of the MuJoCo Menagerie, from a copy on disk or from its package's cache. Raises RobotNotFound."""
+    advice = "pip install mujoco-menagerie, or set MENAGERIE_ROOT to a copy of the repository"
     root = os.environ.get(MENAGERIE_ROOT)
     if root:
         folders = sorted(path.name for path in Path(root).glob("*/") if any(path.glob("*.xml")))
@@ -218,7 +219,7 @@ def _menagerie(name: str) -> Path:
     try:
         with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):  # of a download
             return Path(package.get(name).xml(package.get(name).default_model))
-    except Exception as error:  # whatever a download raises
+    except Exception as error:  # a download can raise anything
         said = (str(error).strip().splitlines() or [type(error).__name__])[-1][:200]
         raise RobotNotFound(
             f"'{name}' is not in the cache of mujoco-menagerie, and it could not be fetched ({said}); with a network, run: "
@@ -227,7 +228,7 @@ def _menagerie(name: str) -> Path:
 
 
 def _only_model(source: str | Path) -> Path | None:
-    """The one description in a folder, or the one named like it; scenes, which put a robot on a floor, do not count."""
+    """The only description in a folder, or the one named after it; scenes, which put a robot on a floor, do not count."""
     try:
         folder = Path(source).expanduser()
         if not str(source) or not folder.is_dir():
@@ -250,7 +251,7 @@ def _only_model(source: str | Path) -> Path | None:
 def find(source: str | Path) -> RobotEntry:
     """Entry for a shipped name, a file path (relative, absolute, ~), URDF text, or an example-robot-data name.
 
-    Raises RobotNotFound with the near match and the names that exist.
+    Raises RobotNotFound with a near match and the existing names.
     """
     if not isinstance(source, str | Path):
         raise RobotNotFound(f"a robot must be a name, a path or URDF text, not {type(source).__name__}")
@@ -285,7 +286,7 @@ def find(source: str | Path) -> RobotEntry:
         )
     shown = name if len(name) <= 200 else f"{name[:200]}..."
     if name and Path(shown).is_dir():
-        raise RobotNotFound(f"'{shown}' is a folder without a description of a robot")
+        raise RobotNotFound(f"the folder '{shown}' contains no robot description")
     if "/" in name or "\\" in name or name.lower().endswith((".urdf", ".xml", ".xacro")):
         raise RobotNotFound(f"there is no file '{shown}'")
     raise RobotNotFound(
@@ -294,7 +295,7 @@ def find(source: str | Path) -> RobotEntry:
 
 
 def _file(source: str | Path) -> Path | None:
-    """Absolute path when source names something that exists, else None (also for names no file can have)."""
+    """Absolute path if source names something that exists, else None (also for impossible file names)."""
     try:
         path = Path(source).expanduser()
         return path.absolute() if str(source) and path.is_file() else None

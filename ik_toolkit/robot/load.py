@@ -1,4 +1,4 @@
-"""Whatever a person names as a robot -> its URDF text and Pinocchio model."""
+"""Anything a user may name as a robot -> its URDF text and Pinocchio model."""
 
 import logging
 from collections.abc import Iterable, Mapping
@@ -21,7 +21,7 @@ LOG = logging.getLogger("ik_toolkit")
 
 
 class Urdf(NamedTuple):
-    """URDF text of a source; file: where its relative names begin; notes, states: what MJCF says besides (see `Read`)."""
+    """URDF text of a source; file: base of relative paths; notes, states: further contents of MJCF (see `Read`)."""
 
     text: str
     file: Path | None
@@ -52,7 +52,7 @@ def urdf_of(entry: RobotEntry, package_dirs: Iterable[str | Path], xacro_args: M
 def read(
     source: str | Path, package_dirs: Iterable[str | Path], xacro_args: Mapping[str, Any] | None = None
 ) -> tuple[RobotEntry, dict[str, Any]]:
-    """What a source names, and what `Robot` takes of it: its model, name, text and folders. Raises as `Robot.load` does."""
+    """Read a source: its entry, and the model, name, text and folders that `Robot` needs. Raises as `Robot.load` does."""
     entry = find(source)
     text, file, folders, notes, states = urdf_of(entry, package_dirs, xacro_args)
     require_loadable(text)
@@ -70,7 +70,7 @@ def read(
 def default_base(
     entry: RobotEntry, model: pin.Model, base: str | None, tip: str | None, on_base: Any, base_limits: Any
 ) -> str | None:
-    """Base frame to take: the one given, what is known, or the link above the tip that moves freely without limits."""
+    """Base frame to use: the one given, the known one, or the link above the tip that a free joint without limits carries."""
     if base is not None or on_base is not None:
         return base
     tip = tip or next(iter(entry.tips or guess_tip(model).tips), None)
@@ -81,5 +81,5 @@ def default_base(
 
 
 def folders_of(given: Iterable[str | Path]) -> list[Path]:
-    """Folders of a list, or of a single name (which would be read letter by letter)."""
+    """Folders from a list, or from a single name (which would otherwise be read letter by letter)."""
     return [Path(folder) for folder in ([given] if isinstance(given, str | Path) else given)]

@@ -1,8 +1,8 @@
-"""The process that reads mesh files for `meshes.py`: a script of its own, so that a file that kills its reader kills only this.
+"""Subprocess that reads mesh files for `meshes.py`, so that a file that crashes its reader crashes only this process.
 
-It imports nothing of the toolkit. Job (JSON on stdin): kind 'surface' (triangles by coal, for collisions) or 'look' (triangles and
-colours by trimesh), out (folder), folders (the only ones referenced files are read from), files, and the caps. It prints
-"begin K", then one line of JSON a file, and writes OUT/K.npz with v0, f0, c0 (vertices [m], faces, colour or empty), v1, ...
+It imports nothing from the toolkit. Job (JSON on stdin): kind 'surface' (triangles by coal, for collisions) or 'look' (triangles
+and colours by trimesh), out (folder), folders (the only ones referenced files are read from), files, and the caps. It prints
+"begin K", then one line of JSON per file, and writes OUT/K.npz with v0, f0, c0 (vertices [m], faces, colour or empty), v1, ...
 """
 
 import base64
@@ -16,16 +16,11 @@ from pathlib import Path
 from urllib.parse import unquote
 from xml.parsers import expat
 
-FAR = 1e6  # [units of the file]; what lies further away is a broken number
-REPEATED = 100_000  # nodes that one stands for
-COAL = (
-    "From file",
-    "in function",
-    "at line",
-    "message: Could not load resource",
-    "Hint",
-)  # lines around its reader's reason
-DEEP = 200  # nodes inside nodes of a .dae or .gltf; exporters nest a few
+FAR = 1e6  # [units of the file]; a coordinate beyond this is taken for corrupt
+REPEATED = 100_000  # nodes that one node may expand to
+# Lines of coal's message around the actual reason.
+COAL = ("From file", "in function", "at line", "message: Could not load resource", "Hint")
+DEEP = 200  # nesting of nodes in a .dae or .gltf; exporters nest a few
 
 
 class Refused(Exception):
@@ -33,15 +28,15 @@ class Refused(Exception):
 
 
 class References:
-    """Files that a mesh file names: read only from inside the folders, and only regular files up to the cap."""
+    """Files referenced by a mesh file: read only from inside the folders, and only regular files up to the cap."""
 
     def __init__(self, file: Path, job: dict) -> None:
         self.file, self.job = file, job
-        self.refused: list[str] = []  # for lying outside
+        self.refused: list[str] = []  # files outside the folders
         self.last = ""
 
     def get(self, name: str) -> bytes:
-        """Bytes of a referenced file; Refused when it lies outside or is not there."""
+        """Bytes of a referenced file; Refused if it lies outside or does not exist."""
         shown, inside = repr(name)[:100], False
         try:
             if "://" in name:
@@ -50,9 +45,9 @@ class References:
             inside = any(path.is_relative_to(folder) for folder in self.job["folders"])
             if inside and path.is_file() and path.stat().st_size <= self.job["bytes"]:
                 return path.read_bytes()
-            said = "is not there, or too large" if inside else "lies outside the folders of the robot"
+            said = "does not exist or is too large" if inside else "lies outside the folders of the robot"
         except Refused:
-            said = "is an address"
+            said = "is a network address"
         except (OSError, ValueError, RuntimeError):
             said = "cannot be read"
         self.last = f"{shown}, which it refers to, {said} and is not read"
@@ -64,7 +59,7 @@ class References:
 
 
 def check_xml(raw: bytes) -> None:
-    """Refuse a .dae that declares entities, nests nodes too deep or lets one contain itself: readers crash on these."""
+    """Reject a .dae that declares entities, nests nodes too deep or has one that contains itself: readers crash on these."""
     stack: list[str] = []
     inside: dict[str, list] = {}  # id of a node or scene -> the nodes below it or instanced by it
     parser = expat.ParserCreate()
@@ -91,7 +86,7 @@ def check_xml(raw: bytes) -> None:
 
 
 def check_instances(inside: dict[str, list]) -> None:
-    """Refuse nodes that contain themselves, stand too deep, or hold others over and over (2 of 2 of 2 ...)."""
+    """Reject nodes that contain themselves, are nested too deep, or multiply (two instances of two instances of ...)."""
     size: dict[str, int] = {}
     for root in inside:
         path = [(root, iter(inside[root]))] if root not in size else []
@@ -102,7 +97,7 @@ def check_instances(inside: dict[str, list]) -> None:
             if child is None:
                 size[node] = 1 + sum(size.get(other, 1) for other in inside[node])
                 if size[node] > REPEATED:
-                    raise Refused(f"its nodes stand for more than {REPEATED:,} others")
+                    raise Refused(f"its nodes expand to more than {REPEATED:,} others")
                 path.pop()
                 on_path.discard(node)
             elif child in on_path:
@@ -115,7 +110,7 @@ def check_instances(inside: dict[str, list]) -> None:
 
 
 def inline(raw: bytes, references: References) -> bytes:
-    """Text of a .gltf whose buffers are inside it (readers would open any path written there)."""
+    """Text of a .gltf with its buffers embedded (readers would open any path written there)."""
     tree = json.loads(raw)
     for buffer in tree.get("buffers", []):
         uri = buffer.get("uri", "")
@@ -127,7 +122,7 @@ def inline(raw: bytes, references: References) -> bytes:
 
 
 def check_gltf(raw: bytes) -> None:
-    """Refuse a .gltf or .glb whose nodes contain themselves, and a .glb that keeps buffers elsewhere."""
+    """Reject a .gltf or .glb whose nodes contain themselves, and a .glb with buffers in other files."""
     binary = raw[:4] == b"glTF"
     try:
         tree = json.loads(raw[20 : 20 + int.from_bytes(raw[12:16], "little")] if binary else raw)
@@ -143,7 +138,7 @@ def check_gltf(raw: bytes) -> None:
 
 
 def surface(file: Path, raw: bytes, references: References, out: Path):
-    """Triangles of a mesh file by coal (assimp): what collisions are tested with."""
+    """Triangles of a mesh file by coal (assimp), used for collision tests."""
     import coal
     import numpy as np
 
@@ -161,7 +156,7 @@ def surface(file: Path, raw: bytes, references: References, out: Path):
 
 
 def look(file: Path, raw: bytes, references: References, out: Path):
-    """Triangles and own colour of every material of a mesh file by trimesh: what is drawn."""
+    """Triangles and colour of every material of a mesh file by trimesh, used for drawing."""
     import numpy as np
     import trimesh
     from trimesh.resolvers import Resolver as BaseResolver
@@ -173,7 +168,7 @@ def look(file: Path, raw: bytes, references: References, out: Path):
         get = __getitem__ = staticmethod(references.get)  # pyright: ignore[reportAssignmentType]
         write = namespaced = keys = lambda *_: None  # pyright: ignore[reportAssignmentType]
 
-    warnings.simplefilter("ignore")  # trimesh grumbles about materials it need not understand
+    warnings.simplefilter("ignore")  # trimesh warns about materials that do not matter here
     scene = trimesh.load_scene(io.BytesIO(raw), file_type=file.suffix.lower()[1:], resolver=Resolver())
     for node in scene.graph.nodes_geometry:
         T, name = scene.graph[node]
@@ -202,15 +197,15 @@ def read(file: Path, references: References, job: dict, out: Path, number: int) 
         if count > job["triangles"]:
             raise Refused(f"it has more than {job['triangles']:,} triangles")
         if len(faces) and not (np.abs(vertices[np.unique(faces)]) <= FAR).all():  # NaN too
-            raise Refused(f"it has corners that are no finite numbers up to {FAR:g}")
+            raise Refused(f"it has vertices that are not finite numbers up to {FAR:g}")
         arrays |= {f"v{k}": vertices, f"f{k}": faces, f"c{k}": np.empty(0) if color is None else color}
     if not count:
-        raise Refused("there are no triangles in it")
+        raise Refused("it has no triangles")
     np.savez(out / f"{number}.npz", **arrays)
 
 
 def limit(what: str, value: int) -> None:
-    """Cap a resource of this process where the system can."""
+    """Cap a resource of this process where the system supports it."""
     with contextlib.suppress(ImportError, AttributeError, ValueError, OSError):
         import resource
 
@@ -227,7 +222,7 @@ def main() -> None:
     limit("AS", job["memory"])
     for number, (name, seconds) in enumerate(job["files"]):
         print(f"begin {number}", flush=True)
-        limit("CPU", int(sum(os.times()[:2]) + seconds) + 1)  # beyond it the system ends the process
+        limit("CPU", int(sum(os.times()[:2]) + seconds) + 1)  # the system kills the process beyond it
         file = Path(name)
         references = References(file, job)
         said = ""
@@ -239,7 +234,7 @@ def main() -> None:
             said = "it needs too much memory"
         except RecursionError:
             said = "its parts are nested too deep"
-        except Exception as error:  # whatever a reader raises is one more way to be broken
+        except Exception as error:  # readers can raise anything on a broken file
             lines = [line for line in str(error).splitlines() if not line.startswith(COAL)]
             said = references.last or " ".join(" ".join(lines).split())[:120] or type(error).__name__
         notes = [] if said else list(dict.fromkeys(references.refused))[:3]

@@ -1,9 +1,8 @@
-"""Mesh files: where they may lie, and their triangles, read by a process of its own.
+"""Mesh files: where they may be, and their triangles, read in a subprocess.
 
-One rule for `ik check`, pictures, panel and collisions: a mesh is read from the URDF's folder, the ROS package the URDF lies in
-(the nearest folder above with a package.xml), `package_dirs` and the packages it names, and from nowhere else: links that lead
-outside are refused, and so are the files a mesh refers to. Readers of mesh files crash on broken ones, so they run in a
-subprocess with limits.
+One rule for `ik check`, pictures, panel and collisions: a mesh is read only from the URDF's folder, the ROS package the URDF is
+in (the nearest folder above with a package.xml), `package_dirs` and the packages it names. Symbolic links that lead outside are
+rejected; the same holds for files a mesh refers to. Mesh readers crash on broken files, so they run in a subprocess with limits.
 """
 
 import json
@@ -23,14 +22,14 @@ from ..errors import ModelError
 from .packages import find_package
 
 FORMATS = (".stl", ".dae", ".obj", ".ply", ".off", ".glb", ".gltf")
-MAX_MESH_BYTES = 100_000_000  # the largest of example-robot-data has 29 MB
-MAX_TRIANGLES = 2_000_000  # of one file; that one has 351,394
-MAX_MESHES = 1_000  # different files of one robot
-MAX_PACKAGES = 50  # different packages of one robot
-MEMORY = 2_000_000_000  # bytes of the reading process; that file takes 0.5 GB
-SECONDS, SECONDS_PER_MB = 20.0, 2.0  # of processor time for one file; that file takes 1.6 s in all
-MAX_CRASHES = 5  # reading processes one robot may cost
-KEPT = 256  # files whose triangles are remembered
+MAX_MESH_BYTES = 100_000_000  # the largest file of example-robot-data has 29 MB
+MAX_TRIANGLES = 2_000_000  # per file; that one has 351,394
+MAX_MESHES = 1_000  # different files per robot
+MAX_PACKAGES = 50  # different packages per robot
+MEMORY = 2_000_000_000  # bytes for the reading process; that file takes 0.5 GB
+SECONDS, SECONDS_PER_MB = 20.0, 2.0  # processor time per file; that file takes 1.6 s in all
+MAX_CRASHES = 5  # reading processes that may crash per robot
+KEPT = 256  # files whose triangles are cached
 WORKER = Path(__file__).with_name("mesh_worker.py")
 
 
@@ -44,18 +43,18 @@ class Piece(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Mesh:
-    """What a file holds, or why it was not read (refused), and what else was not (notes)."""
+    """Contents of a mesh file, or why it was not read (refused), and what was left out (notes)."""
 
     pieces: tuple[Piece, ...] = ()
     refused: str = ""
     notes: tuple[str, ...] = ()
 
 
-_read: dict[tuple, Mesh] = {}  # by kind, path, size and time of the last change
+_read: dict[tuple, Mesh] = {}  # by kind, path, size and modification time
 
 
 def mesh_folders(path: Path | None, package_dirs: Iterable[str | Path]) -> list[Path]:
-    """Folders that meshes of a URDF file (None: of a text) are read from, without links."""
+    """Folders from which meshes of a URDF file (None: of a text) are read, symbolic links resolved."""
     folders = [Path(folder).expanduser() for folder in package_dirs]
     if path is not None:
         home = path.expanduser().resolve().parent
@@ -65,7 +64,7 @@ def mesh_folders(path: Path | None, package_dirs: Iterable[str | Path]) -> list[
 
 
 def mesh_packages(names: Iterable[str], path: Path | None, package_dirs: Iterable[str | Path]) -> dict[str, Path]:
-    """Folders of the packages that names of meshes speak of (package://NAME/...), those that are found."""
+    """Folders of the packages that mesh names refer to (package://NAME/...), as far as found."""
     spoken = dict.fromkeys(
         name.partition("://")[2].partition("/")[0] for name in names if name.startswith("package://")
     )
@@ -74,9 +73,9 @@ def mesh_packages(names: Iterable[str], path: Path | None, package_dirs: Iterabl
 
 
 def find_mesh(name: str, folders: Sequence[Path], packages: Mapping[str, Path] | None = None) -> Path:
-    """Real path of a mesh named in a URDF (package://, model://, file:// or a path); ModelError, the end of a sentence.
+    """Real path of a mesh named in a URDF (package://, model://, file:// or a path); ModelError whose text ends a sentence.
 
-    folders: what `mesh_folders` gives; packages: what `mesh_packages` gives.
+    folders: from `mesh_folders`; packages: from `mesh_packages`.
     """
     folders = [*folders, *(packages or {}).values()]
     scheme, separator, rest = name.partition("://")
@@ -104,7 +103,7 @@ def find_mesh(name: str, folders: Sequence[Path], packages: Mapping[str, Path] |
         real = [Path(place).resolve() for place in inside if os.path.isfile(place)]
         found = next((path for path in real if lies_in(path, folders)), None)
         size = found.stat().st_size if found else 0
-    except (OSError, ValueError, RuntimeError):  # links in a circle, a name that is too long
+    except (OSError, ValueError, RuntimeError):  # circular links, too long a name
         raise ModelError("cannot be read") from None
     if found is None:
         raise ModelError("is a link that leads outside the allowed folders" if real else "is not there")
@@ -123,7 +122,7 @@ def lies_in(path: Path, folders: Sequence[Path]) -> bool:
 def read_meshes(paths: Iterable[Path], kind: str, folders: Sequence[Path]) -> dict[Path, Mesh]:
     """Triangles of files (paths of `find_mesh`) for 'surface' (one piece per file) or 'look' (one piece per material).
 
-    What cannot be read has `refused`, the end of a sentence; files they refer to are read only from `folders`.
+    A mesh that cannot be read has `refused`, the end of a sentence; files they refer to are read only from `folders`.
     """
     found: dict[Path, Mesh] = {}
     left: dict[Path, tuple] = {}
@@ -149,7 +148,7 @@ def read_meshes(paths: Iterable[Path], kind: str, folders: Sequence[Path]) -> di
 
 
 def _run(paths: Sequence[Path], kind: str, folders: Sequence[Path]) -> dict[Path, Mesh]:
-    """Read files in one process until all are read or one of them ends it; the files done, that one included."""
+    """Read files in one process until all are read or one crashes it; returns the files done, including that one."""
     seconds = [SECONDS + SECONDS_PER_MB * path.stat().st_size / 1e6 for path in paths]
     with tempfile.TemporaryDirectory(prefix="ik_mesh_") as out:
         job = {
@@ -161,9 +160,8 @@ def _run(paths: Sequence[Path], kind: str, folders: Sequence[Path]) -> dict[Path
             "triangles": MAX_TRIANGLES,
             "memory": MEMORY,
         }
-        threads = dict.fromkeys(
-            ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1"
-        )  # each takes memory
+        # Every thread takes memory.
+        threads = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
         try:
             done = subprocess.run(
                 [sys.executable, "-P", str(WORKER)],
@@ -171,7 +169,7 @@ def _run(paths: Sequence[Path], kind: str, folders: Sequence[Path]) -> dict[Path
                 stdout=subprocess.PIPE,
                 stderr=subprocess.DEVNULL,
                 text=True,
-                timeout=3.0 * math.fsum(seconds),  # of wall time: a busy machine, a slow disk
+                timeout=3.0 * math.fsum(seconds),  # wall time: allows for a busy machine or a slow disk
                 env={**os.environ, **threads},
                 check=False,
             )
@@ -184,7 +182,7 @@ def _run(paths: Sequence[Path], kind: str, folders: Sequence[Path]) -> dict[Path
         rows = [json.loads(line) for line in said.splitlines() if line.startswith("{") and line.endswith("}")]
         if not said.startswith("begin"):
             raise ModelError(
-                "the process that reads meshes ended before it read one; is this Python installation intact?"
+                "the process that reads meshes ended before it read any; is this Python installation intact?"
             )
         meshes = {}
         for row in rows:

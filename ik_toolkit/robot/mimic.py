@@ -1,8 +1,8 @@
-"""Followers of mimic joints: what leads each, within which limits, and an order of the joints in which leaders come first.
+"""Mimic joints: the leader and limits of each follower, and an order of the joints in which leaders come first.
 
-Pinocchio ties a follower to a leader that it has met already. It goes through the tree branch by branch, in the order of the
-joints' names, so whether a file can be read would depend on how its author named the joints. Where no order has every leader
-first (a follower that carries its leader), the roles change: the tie is the same line read the other way.
+Pinocchio can tie a follower only to a leader it has already met. It traverses the tree branch by branch, in the order of the
+joint names, so whether a file can be read would depend on how its author named the joints. Where no order puts every leader
+first (a follower that carries its leader), the roles are swapped: the same linear relation, solved for the other joint.
 """
 
 import functools
@@ -24,9 +24,9 @@ class Tie(NamedTuple):
 
 
 class Followers(NamedTuple):
-    """The followers of a robot: tied (name -> Tie), loose (name -> why it cannot be tied: it stands still), order of all joints.
+    """The followers of a robot: tied (name -> Tie), loose (name -> why it cannot be tied and stays fixed), order of all joints.
 
-    order is empty where Pinocchio meets every leader before its followers by itself.
+    order is empty if Pinocchio's own order already has every leader before its followers.
     """
 
     tied: dict[str, Tie]
@@ -36,7 +36,7 @@ class Followers(NamedTuple):
 
 @functools.lru_cache(maxsize=4)
 def followers(text: str) -> Followers:
-    """Return the followers of a URDF text that `safe_read` has passed."""
+    """Return the followers in a URDF text that `safe_read` has accepted."""
     items = parse(text)
     tied, loose = ties(items)
     if not tied:
@@ -45,7 +45,7 @@ def followers(text: str) -> Followers:
     given = tied
     order, late = leaders_first(items, given)
     for turned in ({given[name].leader for name in late}, {tie.leader for tie in given.values()}):
-        if late:  # no order has every leader first: other leaders, of these groups if that will do, else of all
+        if late:  # no order has every leader first: change leaders, only in these groups if that is enough, else in all
             tied = first_leads(given, turned, own)
             order, late = leaders_first(items, tied)
     tied = {name: tie for name, tie in tied.items() if name not in late}
@@ -55,7 +55,7 @@ def followers(text: str) -> Followers:
 def mimic_limits(text: str) -> dict[str, tuple[str, float, float, float, float]]:
     """Follower joint -> (leader, multiplier, offset, lower, upper) [rad or m]: q = multiplier q_leader + offset.
 
-    The limits are the follower's own (infinite when it has none); Pinocchio does not keep them.
+    The limits are the follower's own (infinite if it has none); Pinocchio drops them.
     """
     tied = followers(text).tied
     found = {}
@@ -70,16 +70,16 @@ def mimic_limits(text: str) -> dict[str, tuple[str, float, float, float, float]]
 
 
 def ties(items: Sequence[Item]) -> tuple[dict[str, Tie], dict[str, str]]:
-    """Followers tied to a joint that moves by itself, and for each of the others why it cannot be tied.
+    """Followers tied to an independent joint, and for each of the others why it cannot be tied.
 
-    A follower of a follower is tied to the joint that leads them both.
+    A follower of a follower is tied to the leader of both.
     """
     joints = {item.name: item for item in items if item.tag == "joint"}
     given = {name: mimic for name, item in joints.items() if (mimic := item.first("mimic")) is not None}
     tied: dict[str, Tie] = {}
     loose: dict[str, str] = {}
     for name in given:
-        walk = [name]  # follower, its leader, ...: up to one whose tie is known, or that follows nothing
+        walk = [name]  # follower, its leader, ...: up to one whose tie is known or that follows nothing
         while walk[-1] in given and walk[-1] not in tied and walk[-1] not in loose:
             leader = given[walk[-1]].get("joint", "")
             if leader in walk:
@@ -110,9 +110,9 @@ def ties(items: Sequence[Item]) -> tuple[dict[str, Tie], dict[str, str]]:
 
 
 def first_leads(tied: Mapping[str, Tie], leaders: set[str], order: Sequence[str]) -> dict[str, Tie]:
-    """The ties, with the first joint in this order at the head of each group that one of these leaders led.
+    """The ties, with the first joint of `order` made the leader of each group that had one of these leaders.
 
-    The motion is the same: q_leader = (q_follower - offset) / ratio. A ratio of 0 cannot be turned round.
+    The motion is the same: q_leader = (q_follower - offset) / ratio. A follower with ratio 0 cannot become a leader.
     """
     found = dict(tied)
     for leader in leaders:
@@ -129,9 +129,9 @@ def first_leads(tied: Mapping[str, Tie], leaders: set[str], order: Sequence[str]
 
 
 def leaders_first(items: Sequence[Item], tied: Mapping[str, Tie]) -> tuple[list[str], dict[str, str]]:
-    """Names of all joints in an order of Pinocchio's kind with leaders before followers, and why some cannot come later.
+    """Names of all joints in a depth-first order with leaders before followers, and why some followers cannot come later.
 
-    Depth first from the root; branches of a link in the order of the joints' names where no leader asks for another.
+    Branches of a link are in the order of the joint names, as in Pinocchio, unless a leader requires another order.
     """
     joints = {item.name: item for item in items if item.tag == "joint"}
     ends = {
@@ -181,7 +181,7 @@ def leaders_first(items: Sequence[Item], tied: Mapping[str, Tie]) -> tuple[list[
 
 
 def _reaches(before: Mapping[str, set[str]], start: str, end: str) -> bool:
-    """Whether `end` must come before `start` already."""
+    """Whether `end` must already come before `start`."""
     waiting, seen = [start], set()
     while waiting:
         branch = waiting.pop()

@@ -1,7 +1,7 @@
-"""MJCF -> URDF text: MuJoCo compiles it (defaults, includes, frames, angles), what comes out is written link by link.
+"""MJCF -> URDF text: MuJoCo compiles it (defaults, includes, frames, angles), and the result is written link by link.
 
-So MJCF has the same caps, the same meshes, collisions and pictures as a URDF. What a URDF cannot hold is said: balls become three
-revolute joints, loops stay open, shapes of other kinds are left out. Keyframes become named configurations, sites links.
+So MJCF has the same caps, meshes, collisions and pictures as a URDF. What a URDF cannot express is noted: ball joints become
+three revolute joints, loops stay open, shapes of other kinds are left out. Keyframes become named configurations, sites links.
 """
 
 import importlib.util
@@ -25,13 +25,13 @@ from .write import numbers_text, origin, to_text
 WORKER = Path(__file__).with_name("mjcf_worker.py")
 MEMORY = 2_000_000_000  # bytes; a humanoid takes 0.2 GB, MuJoCo itself most of it
 SECONDS = 20  # of processor time; large robots take 1 s
-ENDLESS = "1e16"  # a limit that is none (see NO_LIMIT in probe.py)
-HIDDEN = 3  # groups of shapes from here on are not drawn, as in MuJoCo's viewer
+ENDLESS = "1e16"  # stands for "no limit" (see NO_LIMIT in probe.py)
+HIDDEN = 3  # shape groups from this one on are not drawn, as in MuJoCo's viewer
 BALL_AXES = ((0, 0, 1), (0, 1, 0), (1, 0, 0))
 
 
 class Read(NamedTuple):
-    """URDF text of an MJCF model; states: keyframes (name -> {joint: (value,)}, as an SRDF's); notes: what a URDF does not hold."""
+    """URDF text of an MJCF model; states: keyframes (name -> {joint: (value,)}, as in an SRDF); notes: what the URDF lacks."""
 
     urdf: str
     states: dict[str, dict[str, tuple[float, ...]]]
@@ -49,9 +49,9 @@ def to_urdf(text: str, path: Path | None, package_dirs: Iterable[str | Path] = (
 
 
 def _compile(xml: str, name: str) -> dict[str, Any]:
-    """What MuJoCo makes of MJCF text, in a process of its own."""
+    """The model that MuJoCo compiles from MJCF text, in a subprocess."""
     silent = "it crashed MuJoCo, or took too much time or memory"
-    with tempfile.TemporaryDirectory(prefix="ik_mjcf_") as folder:  # MuJoCo leaves its log where it runs
+    with tempfile.TemporaryDirectory(prefix="ik_mjcf_") as folder:  # MuJoCo writes its log to the current folder
         answer = ask(WORKER, "reads MJCF", silent, memory=MEMORY, seconds=SECONDS, folder=folder, xml=xml)
     if "error" in answer:
         raise ModelError(f"MuJoCo cannot read '{name}': {answer['error']}")
@@ -71,7 +71,7 @@ def _shift(pos: Sequence[float] | np.ndarray) -> np.ndarray:
 
 
 def _free(name: str, taken: set[str]) -> str:
-    """Return the name, or one like it that is not taken; it is taken then."""
+    """Return the name, or a variant that is not taken, and mark it as taken."""
     k, free = 1, name
     while free in taken:
         k += 1
@@ -81,18 +81,18 @@ def _free(name: str, taken: set[str]) -> str:
 
 
 class _Writer:
-    """Writes one model."""
+    """Writes one model as URDF."""
 
     def __init__(self, model: dict[str, Any], name: str, meshes: dict[str, str], notes: list[str]) -> None:
         self.model, self.meshes, self.notes = model, meshes, list(notes)
         self.robot = ET.Element("robot", name=model["name"] or name or "robot")
         self.links: set[str] = set()
         self.names: set[str] = set()
-        self.values: list[Any] = []  # keyframe -> {joint: value}, one function a joint
+        self.values: list[Any] = []  # keyframe -> {joint: value}, one function per joint
         self.left_out: set[str] = set()
 
     def read(self) -> Read:
-        """All of it."""
+        """Write the whole model."""
         model = self.model
         bodies = [self._link(body["name"] or (f"body{i}" if i else "world")) for i, body in enumerate(model["bodies"])]
         self._shapes(bodies)
@@ -117,7 +117,7 @@ class _Writer:
 
     # ------------------------------------------------------------------------------------------------ elements
     def _link(self, name: str) -> str:
-        """Append a link of this name, or of one like it where that is taken."""
+        """Append a link of this name, or of a variant if it is taken."""
         name = _free(name, self.links)
         ET.SubElement(self.robot, "link", name=name)
         return name
@@ -145,7 +145,7 @@ class _Writer:
         return joint
 
     def _equalities(self, joints: Sequence[str]) -> dict[str, tuple[str, float, float]]:
-        """Follower -> (leader, ratio, offset) of the equalities that say so; the others are named in a note."""
+        """Follower -> (leader, ratio, offset) from the linear joint equalities; the others are listed in a note."""
         found: dict[str, tuple[str, float, float]] = {}
         loops = curved = 0
         for equality in self.model["equalities"]:
@@ -183,14 +183,14 @@ class _Writer:
         joints: Sequence[tuple[str, dict[str, Any]]],
         leaders: dict[str, tuple[str, float, float]],
     ) -> None:
-        """Write the joints between a body and its parent; with several, or off its origin, by way of links without shapes."""
+        """Write the joints between a body and its parent; several, or one off its origin, get empty links in between."""
         T = _matrix(body["pos"], body["quat"])
         if not joints:
             self._joint(_free(f"{link}_fixed", self.names), "fixed", parent, link, T)
             return
         if joints[0][1]["type"] == "free":
             name, joint = joints[0]
-            self._joint(name, "floating", parent, link, np.eye(4))  # MuJoCo's numbers are the pose in the world
+            self._joint(name, "floating", parent, link, np.eye(4))  # MuJoCo stores the pose in the world
             return
         steps: list[tuple[str, str, np.ndarray, Sequence[float], Sequence[float] | None]] = []
         for name, joint in joints:
@@ -212,7 +212,7 @@ class _Writer:
             self._joint(_free(f"{link}_fixed", self.names), "fixed", parent, link, T)
 
     def _single(self, name: str, joint: dict[str, Any], T: np.ndarray) -> tuple:
-        """A hinge or a slide; its value counts from MuJoCo's `ref`."""
+        """A hinge or slide joint; its value is relative to MuJoCo's `ref`."""
         axis, place = np.array(joint["axis"]), joint["place"]
         self.values.append(lambda qpos: [(name, qpos[place])])
         if joint["type"] == "slide":
@@ -222,7 +222,7 @@ class _Writer:
         return name, "revolute" if joint["range"] else "continuous", T, axis, joint["range"]
 
     def _ball(self, name: str, joint: dict[str, Any], steps: list, T: np.ndarray) -> None:
-        """Three revolute joints Rz Ry Rx; a limit of the angle holds for each of them."""
+        """Write a ball as three revolute joints Rz Ry Rx; its angle limit applies to each of them."""
         most = joint["range"][1] if joint["range"] else math.inf
         place = joint["place"]
         names = [_free(f"{name}_{turn}", self.names) for turn in TURNS]
@@ -258,7 +258,7 @@ class _Writer:
                     ET.SubElement(colour, "color", rgba=numbers_text(geom["rgba"]))
 
     def _geometry(self, geom: dict[str, Any]) -> tuple[ET.Element, np.ndarray] | None:
-        """Element of a shape and its place, or None for what a URDF does not hold."""
+        """Element of a shape and its pose, or None if a URDF cannot express it."""
         size, kind, T = geom["size"], geom["type"], _matrix(geom["pos"], geom["quat"])
         if kind == "mesh":
             mesh = self.model["meshes"][geom["mesh"]]
@@ -274,6 +274,6 @@ class _Writer:
             return ET.Element("sphere", radius=repr(size[0])), T
         if kind in ("cylinder", "capsule"):
             return ET.Element(kind, radius=repr(size[0]), length=repr(2.0 * size[1])), T
-        if kind != "plane":  # the floor of a scene is no part of a robot
+        if kind != "plane":  # the floor of a scene is not part of the robot
             self.left_out.add(kind)
         return None

@@ -1,4 +1,4 @@
-"""MJCF text made harmless before MuJoCo sees it: includes put in from the model's folders, all else that names a file left out."""
+"""MJCF text made safe before MuJoCo sees it: includes from the model's folders are inlined, other file references removed."""
 
 import xml.etree.ElementTree as ET
 from collections.abc import Mapping, Sequence
@@ -9,17 +9,17 @@ from ..errors import ModelError
 from .meshes import lies_in
 from .read import MAX_BYTES, check_names, source_text, walk
 
-MAX_INCLUDES = 200  # files; the largest of MuJoCo's menagerie has 5
+MAX_INCLUDES = 200  # files; the largest model of the MuJoCo Menagerie has 5
 KEPT = ("compiler", "default", "asset", "worldbody", "equality", "keyframe")
 SHAPED = {"mesh": ("name", "class", "scale"), "material": ("name", "class", "rgba"), "hfield": ("name",)}
 NO_BODY = ("attach", "plugin", "composite", "flexcomp", "flex", "skin", "model", "light", "camera")
-# A stand-in for every mesh: a tetrahedron. MuJoCo moves a mesh to its centre of mass, and says by how much.
+# A placeholder for every mesh: a tetrahedron. MuJoCo moves a mesh to its centre of mass and reports the offset.
 TETRAHEDRON = "0 0 0 1 0 0 0 1 0 0 0 1"
 
 
 @dataclass
 class Flat:
-    """MJCF text without files, and which file each mesh stands for (name -> path as written, below the model's folder)."""
+    """MJCF text without file references, and the file of each mesh (name -> path as written, below the model's folder)."""
 
     xml: str
     meshes: dict[str, str] = field(default_factory=dict)
@@ -27,7 +27,7 @@ class Flat:
 
 
 def tree(text: str) -> ET.Element:
-    """Elements of an MJCF text, read with the caps of a URDF. Raises ModelError."""
+    """Elements of an MJCF text, read with the same caps as a URDF. Raises ModelError."""
     nodes: list[ET.Element] = []
     roots: list[ET.Element] = []
 
@@ -43,7 +43,7 @@ def tree(text: str) -> ET.Element:
 
 
 class Flattener:
-    """Reads a file and those it includes, all of them inside the folders."""
+    """Reads a file and its includes, all of them inside the folders."""
 
     def __init__(self, path: Path | None, folders: list[Path]) -> None:
         self.home = path.resolve().parent if path else None
@@ -70,7 +70,7 @@ class Flattener:
         return there
 
     def put_in(self, element: ET.Element, beside: Path | None, above: tuple[Path, ...]) -> None:
-        """Replace the includes below an element by what they include."""
+        """Replace the includes below an element with their contents."""
         children: list[ET.Element] = []
         for child in element:
             if child.tag != "include":
@@ -94,7 +94,7 @@ class Flattener:
 
 
 def flatten(text: str, path: Path | None, folders: list[Path]) -> Flat:
-    """MJCF text as one harmless text. Raises ModelError."""
+    """MJCF text as a single safe text. Raises ModelError."""
     flattener = Flattener(path, folders)
     root = tree(text)
     flattener.put_in(root, flattener.home, (path.resolve(),) if path else ())
@@ -114,7 +114,7 @@ def flatten(text: str, path: Path | None, folders: list[Path]) -> Flat:
 
 
 def _directories(root: ET.Element) -> Mapping[str, str]:
-    """Where meshes lie, as the compiler is told: folder, and whether paths are stripped."""
+    """Mesh location from the <compiler> settings: folder, and whether paths are stripped."""
     found = {"folder": "", "strip": ""}
     for compiler in root.iter("compiler"):
         found["folder"] = compiler.get("meshdir", compiler.get("assetdir", found["folder"]))
@@ -125,7 +125,7 @@ def _directories(root: ET.Element) -> Mapping[str, str]:
 
 
 def _strip(element: ET.Element, flat: Flat, where: Mapping[str, str], asset: bool = False) -> None:
-    """Leave out what names files, and what has no part in a robot's shape or motion."""
+    """Remove references to files and everything irrelevant to a robot's shape or motion."""
     for child in list(element):
         if child.tag in NO_BODY or (asset and child.tag not in SHAPED):
             element.remove(child)
@@ -143,7 +143,7 @@ def _strip(element: ET.Element, flat: Flat, where: Mapping[str, str], asset: boo
 
 
 def _asset(child: ET.Element, flat: Flat, where: Mapping[str, str]) -> None:
-    """Make a mesh a stand-in, a field of heights flat, a material plain."""
+    """Replace a mesh by the placeholder, a height field by a flat one, a material by a plain one."""
     file = child.get("file", "").replace("\\", "/")
     given = {key: child.get(key, "") for key in SHAPED[child.tag] if child.get(key) is not None}
     if child.tag in ("mesh", "hfield") and "name" not in given and file:

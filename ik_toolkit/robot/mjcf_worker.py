@@ -1,7 +1,7 @@
-"""The process that compiles MJCF for `mjcf.py`: MuJoCo applies defaults, frames, replication and angles, and may crash alone.
+"""Subprocess that compiles MJCF for `mjcf.py`: MuJoCo applies defaults, frames, replication and angles; a crash stays in here.
 
-It imports nothing of the toolkit but mesh_worker.py. Job (JSON on stdin): xml (names no file any more), memory [bytes], seconds. It
-prints one line of JSON: what the model consists of, or {"error": sentence}. Metres, radians, quaternions w x y z.
+It imports nothing from the toolkit except mesh_worker.py. Job (JSON on stdin): xml (without file references), memory [bytes],
+seconds. It prints one line of JSON: the parts of the model, or {"error": sentence}. Metres, radians, quaternions w x y z.
 """
 
 import importlib
@@ -15,11 +15,11 @@ from typing import Any
 
 JOINTS = ("free", "ball", "slide", "hinge")
 GEOMS = ("plane", "hfield", "sphere", "capsule", "ellipsoid", "cylinder", "box", "mesh")
-MOST = 20_000  # bodies, joints, geoms or sites that are told
+MOST = 20_000  # largest number of bodies, joints, geoms or sites
 
 
 def at(pos: Any, quat: Any) -> dict:
-    """Where something stands."""
+    """Pose as a dict."""
     return {"pos": pos.tolist(), "quat": quat.tolist()}
 
 
@@ -108,7 +108,7 @@ def main() -> None:
     limit("CPU", job["seconds"])
     try:
         answer = describe(mujoco.MjModel.from_xml_string(job["xml"]))
-    except Exception as error:  # whatever MuJoCo finds wrong
+    except Exception as error:  # MuJoCo can raise anything
         answer = {"error": " ".join(str(error).split())[:300] or type(error).__name__}
     print("\n" + json.dumps(answer))
 

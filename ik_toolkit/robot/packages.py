@@ -1,6 +1,6 @@
-"""Where a ROS package lies: beside the file, in the folders given, where ROS looks, and in installed data packages.
+"""Find a ROS package: next to the file, in given folders, on ROS's search paths, and in installed data packages.
 
-It imports nothing of the toolkit: the process that expands xacro loads it too.
+It imports nothing from the toolkit because the subprocess that expands xacro also loads it.
 """
 
 import importlib.metadata
@@ -11,8 +11,8 @@ from pathlib import Path
 
 MANIFESTS = ("package.xml", "manifest.xml")  # a folder with one of these is a ROS package
 NAME = re.compile(r"[A-Za-z0-9_.-]{1,255}")
-LEVELS = 8  # folders above a file in which its sisters are looked for
-DATA = {  # distribution -> folders inside it that hold packages
+LEVELS = 8  # parent folders of a file that are searched for neighbouring packages
+DATA = {  # distribution -> folders inside it that contain packages
     "example-robot-data": ("cmeel.prefix/share/example-robot-data/robots", "cmeel.prefix/share"),
     "rtb-data": ("rtbdata/xacro",),
 }
@@ -24,10 +24,10 @@ def find_package(
     package_dirs: Iterable[str | Path] = (),
     environment: Mapping[str, str] = os.environ,
 ) -> Path | None:
-    """Folder of a ROS package, without links, or None.
+    """Folder of a ROS package, symbolic links resolved, or None.
 
-    package_dirs: folders that are packages or hold some; start: the file that asks (its folder and those above are looked in, and
-    beside them folders that are packages); then ROS_PACKAGE_PATH, AMENT_PREFIX_PATH and data packages that pip installed.
+    package_dirs: folders that are packages or contain some; start: the referring file (its parent folders and the packages next to
+    them are searched); then ROS_PACKAGE_PATH, AMENT_PREFIX_PATH and data packages installed by pip.
     """
     if not NAME.fullmatch(name) or set(name) == {"."}:
         return None
@@ -40,7 +40,7 @@ def find_package(
 def _places(
     name: str, start: Path | None, package_dirs: Iterable[str | Path], environment: Mapping[str, str]
 ) -> Iterator[tuple[Path, bool]]:
-    """Folders in question, the first found counts; whether one needs no manifest to be a package."""
+    """Candidate folders, best first, and whether each counts as a package without a manifest."""
     for given in package_dirs:
         folder = Path(given).expanduser()
         yield folder / name, True
@@ -65,7 +65,7 @@ def _places(
 
 
 def _named(folder: Path, name: str) -> bool:
-    """Whether the manifest of a folder gives it this name."""
+    """Whether a folder's manifest gives it this name."""
     try:
         with (folder / MANIFESTS[0]).open(encoding="utf-8", errors="replace") as file:
             return re.search(rf"<name>\s*{re.escape(name)}\s*</name>", file.read(65_536)) is not None

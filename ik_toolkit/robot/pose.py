@@ -1,4 +1,4 @@
-"""Poses: making them from what people type, and refusing what is not one."""
+"""Poses: build them from user input and reject anything that is not one."""
 
 import math
 from collections.abc import Sequence
@@ -11,21 +11,21 @@ from ..errors import FEW_TURNS, InvalidTarget, doubt_angle, floats
 from ..kernel.checks import FAR, LAST_ROW
 
 LAST = (0.0, 0.0, 0.0, 1.0)  # last row of every pose
-PROJECT_WITHIN = 1e-2  # distance (largest singular value off 1) up to which a typed rotation is projected
+PROJECT_WITHIN = 1e-2  # largest deviation of a singular value from 1 up to which a typed rotation is projected
 
 
 @dataclass(frozen=True, eq=False)
 class AxisTarget:
-    """A position with one axis of the tip along a direction: five of the six freedoms, the turn about the axis is free.
+    """A position with one tip axis along a direction: five of the six degrees of freedom; rotation about the axis is free.
 
-    T_base_tip (4, 4) [m]: a pose that meets it; axis (3,): vector in the tip frame, made a unit vector. Raises InvalidTarget.
+    T_base_tip (4, 4) [m]: one pose that satisfies it; axis (3,): vector in the tip frame, normalised. Raises InvalidTarget.
     """
 
     T_base_tip: np.ndarray
     axis: tuple[float, float, float]
 
     def __post_init__(self) -> None:
-        """Validate both, and keep copies."""
+        """Validate both and keep copies."""
         T, _ = check_target(self.T_base_tip)
         if T.ndim == 1:
             raise InvalidTarget("the T_base_tip of an AxisTarget is a 4x4 pose, not a position")
@@ -44,11 +44,11 @@ def _unit(value: Any, name: str) -> np.ndarray:
 def turn_onto(axis: np.ndarray, direction: np.ndarray) -> np.ndarray:
     """Rotation (3, 3) that takes one unit vector onto another."""
     cos = float(axis @ direction)
-    if cos < 0.0:  # 1 + cos loses its digits towards half a turn: two reflections instead, by way of a third vector
+    if cos < 0.0:  # 1 + cos loses its digits near 180 degrees: use two reflections through a third vector instead
         between = np.eye(3)[int(np.argmin(np.maximum(np.abs(axis), np.abs(direction))))]
         u, v = axis - between, direction - between
         return (np.eye(3) - 2.0 * np.outer(v, v) / (v @ v)) @ (np.eye(3) - 2.0 * np.outer(u, u) / (u @ u))
-    K = np.outer(direction, axis) - np.outer(axis, direction)  # of the cross product axis x direction
+    K = np.outer(direction, axis) - np.outer(axis, direction)  # cross product matrix of axis x direction
     return np.eye(3) + K + K @ K / (1.0 + cos)
 
 
@@ -83,17 +83,17 @@ def rpy_matrix(rpy: Sequence[float] | np.ndarray) -> np.ndarray:
 def matrix_rpy(R: np.ndarray) -> np.ndarray:
     """Roll, pitch, yaw [rad] of a rotation (3, 3); yaw = 0 where pitch is +-90 degrees.
 
-    The roll is read after undoing the yaw, so together they are R to the last digits however near pitch is to 90 degrees.
+    The roll is computed after undoing the yaw, so together they reproduce R to rounding, however near pitch is to 90 degrees.
     """
     cos_pitch = math.hypot(R[0, 0], R[1, 0])
-    yaw = math.atan2(R[1, 0], R[0, 0]) if cos_pitch > 1e-15 else 0.0  # below that a yaw is rounding
+    yaw = math.atan2(R[1, 0], R[0, 0]) if cos_pitch > 1e-15 else 0.0  # below that a yaw is rounding error
     s, c = math.sin(yaw), math.cos(yaw)
     roll = math.atan2(s * R[0, 2] - c * R[1, 2], c * R[1, 1] - s * R[0, 1])
     return np.array([roll, math.atan2(-R[2, 0], cos_pitch), yaw])
 
 
 def quat_matrix(quat: Sequence[float] | np.ndarray, order: Literal["xyzw", "wxyz"] = "xyzw") -> np.ndarray:
-    """Rotation (3, 3) of a quaternion (4,) whose parts come in this order (normalised here)."""
+    """Rotation (3, 3) of a quaternion (4,) in this order (normalised here)."""
     q = _numbers(quat, 4, f"quat_{order}")
     length = math.sqrt(float(q @ q))
     if not length > 1e-6:
@@ -163,8 +163,8 @@ def pose(
     """Return a target: T_base_tip (4, 4), or a position (3,) when no rotation is given (orientation free).
 
     xyz [m]; one of rpy [rad] (URDF order: Rz(yaw) Ry(pitch) Rx(roll)), quat_xyzw, quat_wxyz, or rotation (3, 3). With a
-    direction (3,) in the base frame it is an AxisTarget: the tip's axis (3,) (default its z) points along it, the turn about it
-    is free. Raises InvalidTarget for anything that is not finite, of the wrong size or not a rotation.
+    direction (3,) in the base frame it is an AxisTarget: the tip's axis (3,) (default its z) points along it, rotation about it
+    is free. Raises InvalidTarget for anything not finite, of the wrong size or not a rotation.
     """
     turned = sum(part is not None for part in (rpy, quat_xyzw, quat_wxyz, rotation))
     if direction is not None:
@@ -202,14 +202,14 @@ def pose(
 
 
 def _axes(T: np.ndarray, target: np.ndarray, frame: str) -> np.ndarray:
-    """Rotation (3, 3) that takes a vector of the base into the axes of `frame`."""
+    """Rotation (3, 3) from base axes to the axes of `frame`."""
     if frame == "base" or (frame == "target" and target.ndim == 1):
         return np.eye(3)
     return (T if frame == "tip" else target)[:3, :3].T
 
 
 def raw_error(T: np.ndarray, target: np.ndarray, frame: str = "base") -> np.ndarray:
-    """Error (6,) of a tip pose T (4, 4) at a target (4, 4) or (3,): target - tip [m], then the rotation vector left [rad].
+    """Error (6,) of a tip pose T (4, 4) from a target (4, 4) or (3,): target - tip [m], then the remaining rotation vector [rad].
 
     Along the axes of `frame`: 'base' (of T and target), 'tip' or 'target' (of a position, which has no axes: 'base'). The
     rotation vector r is that of the rotation exp(r) T = target; NaN for a position, which has none.
@@ -235,18 +235,18 @@ def errors(
     free_turn: Sequence[float] | None = None,
     frame: str = "base",
 ) -> tuple[np.ndarray, float, float | None]:
-    """Error of a tip pose T (4, 4) at a target (4, 4) or (3,): as it is (6,), and the norms of what counts [m], [rad] or None.
+    """Error of a tip pose T (4, 4) from a target (4, 4) or (3,): the raw error (6,), and the norms of what counts [m], [rad].
 
-    First the turn about the tip axis free_turn (3,) is left out: the rotation vector becomes that of the least rotation that
-    brings the axis where the target has it. Then each error loses its slack (6,), and is multiplied by its mask weight (6,).
-    All along the axes of `frame`, see `raw_error`. The orientation norm is None for a position.
+    First, rotation about the tip axis free_turn (3,) is ignored: the rotation vector becomes that of the smallest rotation that
+    aligns the axis with the target's. Then each error is reduced by its slack (6,) and multiplied by its mask weight (6,). All
+    along the axes of `frame`, see `raw_error`. The orientation norm is None for a position.
     """
     raw = raw_error(T, target, frame)
     e = raw.copy()
     if free_turn is not None and target.ndim == 2:
         now, wanted = T[:3, :3] @ free_turn, target[:3, :3] @ free_turn
         across, cosine = np.cross(now, wanted), float(now @ wanted)
-        if np.linalg.norm(across) < 1e-9 and cosine < 0.0:  # half a turn, about any axis across
+        if np.linalg.norm(across) < 1e-9 and cosine < 0.0:  # 180 degrees, about any perpendicular axis
             across = np.cross(now, np.eye(3)[np.argmin(np.abs(now))])
             angle = math.pi
         else:
@@ -267,7 +267,7 @@ def _near(position: np.ndarray) -> np.ndarray:
 
 
 def as_matrix(pose: Any) -> np.ndarray:
-    """Pose (4, 4) of one given as (4, 4), pin.SE3 or a position (3,), which turns nothing. Raises InvalidTarget."""
+    """Pose (4, 4) from a (4, 4), a pin.SE3 or a position (3,), which gets the identity rotation. Raises InvalidTarget."""
     T = check_target(pose)[0]
     if T.ndim == 2:
         return T
@@ -277,7 +277,7 @@ def as_matrix(pose: Any) -> np.ndarray:
 
 
 def check_target(target: Any) -> tuple[np.ndarray, str]:
-    """Validate a target; return it as float64 (4, 4) or (3,), and a notice ('' or what was corrected).
+    """Validate a target; return it as float64 (4, 4) or (3,), and a notice ('' or the correction made).
 
     Accepts a (4, 4) array, a (3,) position or anything with a `homogeneous` attribute (pin.SE3). A rotation within 1e-2 of
     orthonormal is projected to the nearest one, and the notice says so. Raises InvalidTarget otherwise.
@@ -312,6 +312,6 @@ def check_target(target: Any) -> tuple[np.ndarray, str]:
 
 
 def length(value: float) -> str:
-    """Length [m] in words."""
+    """Length [m] as text with a suitable unit."""
     size, unit = next((x for x in ((1.0, "m"), (1e-3, "mm"), (1e-6, "um")) if value >= x[0]), (1e-9, "nm"))
     return f"{value / size:.3g} {unit}"

@@ -1,12 +1,12 @@
-"""Poses from files: CSV, NPZ or JSON tables of positions, with rotations or without, and with times where they are asked for.
+"""Poses from CSV, NPZ or JSON files: positions with or without rotations, and with times where requested.
 
-CSV: a first line that names x,y,z [m] and none or all of qx,qy,qz,qw or of roll,pitch,yaw (URDF order), and t [s] where times are
-asked for, in any order; further columns are ignored. NPZ: `xyz` (N, 3) with `quat_xyzw` or `quat_wxyz` (N, 4) or none, and `t`
-(N,); without times also `targets` (N, 4, 4) or (N, 3). JSON: an object with lists by these names, or the list of targets alone.
+CSV: a header with x,y,z [m], optionally all of qx,qy,qz,qw or all of roll,pitch,yaw (URDF order), and t [s] where times are
+requested, in any order; other columns are ignored. NPZ: `xyz` (N, 3), optionally `quat_xyzw` or `quat_wxyz` (N, 4), and `t`
+(N,); without times also `targets` (N, 4, 4) or (N, 3). JSON: an object with lists under these names, or just a list of targets.
 
-Of several tips: CSV columns TIP.x, TIP.y, ... of the same kinds for each; NPZ (JSON alike) with an array TIP (N, 4, 4) or (N, 3)
-for each, or `targets` (N, F, 4, 4) or (N, F, 3), in the order of an array `tips` of names where there is one. A tip without any is
-free.
+For several tips: CSV columns TIP.x, TIP.y, ... of the same kinds for each tip; NPZ (and JSON) with an array TIP (N, 4, 4) or
+(N, 3) for each, or `targets` (N, F, 4, 4) or (N, F, 3), in the order of an array `tips` of names if there is one. A tip without
+data is free.
 """
 
 import csv
@@ -24,14 +24,15 @@ import numpy as np
 from ..errors import InvalidTarget, floats, near_match
 from .pose import rpy_matrix
 
-LINES = 16384  # read at a time
+LINES = 16384  # rows read at a time
 POSITION, QUAT, RPY = ("x", "y", "z"), ("qx", "qy", "qz", "qw"), ("roll", "pitch", "yaw")
-ORDERS = {"quat_xyzw": [0, 1, 2, 3], "quat_wxyz": [1, 2, 3, 0]}  # where x, y, z and w stand
-UNPACKED, EXPANSION = 2**30, 20  # bytes of an array, or so many times the file: poses pack to a fifth at best
+ORDERS = {"quat_xyzw": [0, 1, 2, 3], "quat_wxyz": [1, 2, 3, 0]}  # columns of x, y, z and w
+# Largest array [bytes], or as a multiple of the file size; poses compress to a fifth at best.
+UNPACKED, EXPANSION = 2**30, 20
 
 
 class Block(NamedTuple):
-    """Rows read at a time: t (m,) [s] or None, poses (m, 4, 4) or positions (m, 3), of several tips a dict of these by tip."""
+    """Rows read at a time: t (m,) [s] or None, poses (m, 4, 4) or positions (m, 3); for several tips a dict of these by tip."""
 
     t: np.ndarray | None
     poses: Any
@@ -40,11 +41,10 @@ class Block(NamedTuple):
 def read_poses(
     path: Path, what: str, *, times: bool = False, deg: bool = False, tips: Sequence[str] = ()
 ) -> tuple[int, Iterator[Block]]:
-    """Number of rows and the blocks of a file, one of NPZ and many of CSV; `what` the file holds is for messages.
+    """Number of rows and the blocks of a file: one block for NPZ, many for CSV. `what` names the contents in messages.
 
-    times: t is asked for as well. deg: roll, pitch and yaw are degrees, not radians. tips: names of the tips whose poses the
-    file holds; none: poses without a name. Raises InvalidTarget, naming the line (of a CSV for the lines that are read later,
-    too).
+    times: t is required as well. deg: roll, pitch and yaw are in degrees, not radians. tips: names of the tips whose poses the
+    file holds; none: poses without a name. Raises InvalidTarget naming the line, for a CSV also while its blocks are read.
     """
     if not path.is_file():
         raise InvalidTarget(f"there is no {what} file '{path}'")
@@ -63,29 +63,29 @@ def read_poses(
         return count, _read_csv(path, columns, times, deg)
     except InvalidTarget:
         raise
-    except Exception as error:  # damaged files raise whatever the decoders of zip, zlib, lzma, npy and csv meet
+    except Exception as error:  # damaged files raise many types: zip, zlib, lzma, npy and csv errors
         raise InvalidTarget(f"cannot read '{path.name}': {_said(error)}") from None
 
 
 def _said(error: Exception) -> str:
-    """What an error of a decoder says, in one short line."""
+    """Message of a decoder's error, in one short line."""
     return " ".join(str(error).split())[:200] or type(error).__name__
 
 
 def _short(text: str) -> str:
-    """Text out of a file, cut to what a message can hold."""
+    """Text from a file, shortened for a message."""
     return text if len(text) <= 80 else f"{text[:80]}..."
 
 
 @contextmanager
 def _arrays(path: Path, names: Sequence[str]) -> Iterator[Any]:
-    """Arrays by name of an NPZ or JSON file, those of these names to be trusted. Raises InvalidTarget."""
+    """Arrays of an NPZ or JSON file by name; only those in `names` are checked and converted. Raises InvalidTarget."""
     if path.suffix.lower() == ".json":
         content = json.loads(path.read_text(encoding="utf-8"))
         content = content if isinstance(content, dict) else {"targets": content}
         yield {name: _array(path, name, content[name]) if name in names else None for name in content}
         return
-    if not zipfile.is_zipfile(path):  # numpy would advise to unpickle it
+    if not zipfile.is_zipfile(path):  # numpy would suggest unpickling it
         raise InvalidTarget(f"'{path.name}' is not an NPZ file (see numpy.savez)")
     _check_size(path, names)
     with np.load(path, allow_pickle=False) as file:
@@ -93,7 +93,7 @@ def _arrays(path: Path, names: Sequence[str]) -> Iterator[Any]:
 
 
 def _array(path: Path, name: str, value: Any) -> np.ndarray:
-    """Numbers (or names) out of JSON."""
+    """Numbers (or names) from JSON."""
     if name == "tips":
         return np.array(value, dtype=str)
     return floats(value, f"'{path.name}': {name} must be lists of numbers", InvalidTarget)
@@ -125,7 +125,7 @@ def _read_arrays(path: Path, times: bool) -> Block:
 
 
 def _read_arrays_by_tip(path: Path, tips: Sequence[str]) -> dict[str, np.ndarray]:
-    """Targets (N, 4, 4) or (N, 3) by tip."""
+    """Targets (N, 4, 4) or (N, 3) of each tip."""
     with _arrays(path, ("targets", "tips", *tips)) as file:
         named = {tip: file[tip] for tip in tips if tip in file}
         order = file["tips"].tolist() if "tips" in file else list(tips)
@@ -157,7 +157,7 @@ def _read_arrays_by_tip(path: Path, tips: Sequence[str]) -> dict[str, np.ndarray
 
 
 def _check_size(path: Path, names: Sequence[str]) -> None:
-    """Refuse an archive that grows without measure when it is unpacked, or holds less than an array's head promises."""
+    """Reject an archive that is a decompression bomb, or that holds less than an array's header declares."""
     packed = path.stat().st_size
     with zipfile.ZipFile(path) as archive:
         for member in archive.infolist():
@@ -165,7 +165,7 @@ def _check_size(path: Path, names: Sequence[str]) -> None:
                 continue
             if member.file_size > max(UNPACKED, EXPANSION * packed):
                 raise InvalidTarget(
-                    f"'{path.name}': {member.filename} unpacks to {member.file_size / 1e9:.1f} GB, out of "
+                    f"'{path.name}': {member.filename} unpacks to {member.file_size / 1e9:.1f} GB from "
                     f"{packed / 1e6:.1f} MB; save it with numpy.savez, without compression"
                 )
             with archive.open(member) as stream:
@@ -175,7 +175,7 @@ def _check_size(path: Path, names: Sequence[str]) -> None:
                 promised = math.prod(shape) * dtype.itemsize
                 if promised > member.file_size:
                     raise InvalidTarget(
-                        f"'{path.name}': {member.filename} promises {promised:,} bytes and holds {member.file_size:,}"
+                        f"'{path.name}': {member.filename} declares {promised:,} bytes but holds {member.file_size:,}"
                     )
 
 
@@ -186,12 +186,12 @@ def _first_line(path: Path) -> list[str]:
 
 
 def _header(path: Path, times: bool) -> list[int]:
-    """Places of the columns that count: t where asked for; 3, 7 (quaternion) or 6 (roll, pitch, yaw)."""
+    """Indices of the columns used: t if requested, then 3, 7 (with quaternion) or 6 (with roll, pitch, yaw)."""
     return _places([cell.lower() for cell in _first_line(path)], path.name, ["t"] if times else [], "")
 
 
 def _places(header: list[str], file: str, needed: list[str], prefix: str) -> list[int]:
-    """Places of the columns of one pose, whose names begin with `prefix`, behind those of other columns that are needed."""
+    """Indices of the columns of one pose, whose names begin with `prefix`, preceded by those in `needed`."""
     position, every_quat, every_rpy = (tuple(prefix + name for name in names) for names in (POSITION, QUAT, RPY))
     needed = [*needed, *position]
     first = ",".join(needed)
@@ -208,7 +208,7 @@ def _places(header: list[str], file: str, needed: list[str], prefix: str) -> lis
 
 
 def _tip_columns(path: Path, tips: Sequence[str]) -> dict[str, list[int]]:
-    """Places of the columns TIP.x, ... of each tip that has any. Raises InvalidTarget: none has, or the name of one is wrong."""
+    """Indices of the columns TIP.x, ... of each tip that has any. Raises InvalidTarget: no tip has any, or a name is wrong."""
     header = []
     for cell in _first_line(path):
         tip, dot, name = cell.rpartition(".")
@@ -233,7 +233,7 @@ def _tip_columns(path: Path, tips: Sequence[str]) -> dict[str, list[int]]:
 
 
 def _read_csv(path: Path, columns: dict[str, list[int]], times: bool, deg: bool) -> Iterator[Block]:
-    """Blocks of a file whose columns are at these places by tip ('' for poses without a name)."""
+    """Blocks of a file; columns: indices by tip ('' for poses without a name)."""
     every = [place for places in columns.values() for place in places]
     try:
         with path.open(newline="", encoding="utf-8-sig") as stream:
@@ -253,7 +253,7 @@ def _read_csv(path: Path, columns: dict[str, list[int]], times: bool, deg: bool)
 
 
 def _part(values: np.ndarray, lines: list[int], name: str, deg: bool, prefix: str) -> np.ndarray:
-    """Positions (m, 3), or poses of these and quaternions or roll, pitch, yaw (m, 7 or 6), whose names begin with `prefix`."""
+    """Positions (m, 3), or poses from them and a quaternion or roll, pitch, yaw (m, 7 or 6); `prefix` of the column names."""
     xyz, angles = values[:, :3], values[:, 3:]
     if not angles.shape[1]:
         return xyz
@@ -262,7 +262,7 @@ def _part(values: np.ndarray, lines: list[int], name: str, deg: bool, prefix: st
 
 
 def _numbers(texts: list[str], columns: list[int], lines: list[int], name: str) -> np.ndarray:
-    """Finite numbers (m, columns) of lines of text."""
+    """Finite numbers (m, columns) from lines of text."""
     try:
         values = np.loadtxt(texts, delimiter=",", usecols=columns, ndmin=2, comments=None, quotechar='"')
         if len(values) == len(texts) and np.isfinite(values).all():
@@ -270,13 +270,13 @@ def _numbers(texts: list[str], columns: list[int], lines: list[int], name: str) 
     except ValueError:
         pass
     rows = []
-    for k, text in zip(lines, texts, strict=True):  # find the line to name
+    for k, text in zip(lines, texts, strict=True):  # find the line at fault
         try:
             row = next(csv.reader([text], strict=True))
         except csv.Error as error:
             raise InvalidTarget(f"'{name}', line {k}: {_said(error)}; unclosed quote?") from None
         if len(row) <= max(columns):
-            raise InvalidTarget(f"'{name}', line {k}: {len(row)} columns, fewer than in the first line")
+            raise InvalidTarget(f"'{name}', line {k}: {len(row)} columns, fewer than in the header")
         for column in columns:
             try:
                 good = np.isfinite(float(row[column]))
@@ -297,7 +297,7 @@ def _poses(
     word: str,
     prefix: str = "",
 ) -> np.ndarray:
-    """Poses (m, 4, 4) of positions and quaternions or roll, pitch, yaw."""
+    """Poses (m, 4, 4) from positions and quaternions or roll, pitch, yaw."""
     T = np.tile(np.eye(4), (len(xyz), 1, 1))
     T[:, :3, 3] = xyz
     if kind is QUAT:

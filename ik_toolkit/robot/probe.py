@@ -1,9 +1,9 @@
-"""Pinocchio model -> kernel chain. Nothing here reads joint types by name: every joint tells its screw itself.
+"""Pinocchio model -> kernel chain. Nothing here depends on joint type names: each joint's screw is read from the model.
 
 A joint's pose in its parent is placement . M(0) . exp(S q) with a constant S: its motion subspace, which holds the axis and
-a mimic multiplier, while M(0) holds a mimic offset. Both are read as they stand, so no angle is ever taken out of a matrix
-and none can wrap. Revolute, prismatic, continuous, unaligned and mimic joints need no special code, and a joint that moves
-along anything but one fixed screw is refused by name.
+a mimic multiplier, while M(0) holds a mimic offset. Both are used directly, so no angle is ever extracted from a matrix and
+none can wrap. Revolute, prismatic, continuous, unaligned and mimic joints need no special code; a joint that moves along
+anything but one fixed screw is rejected by name.
 """
 
 import math
@@ -18,33 +18,33 @@ from ..kernel.chain import ROW, WINDING, Chain, evaluate, pack
 from .pose import turn_onto
 
 SAMPLES = 24  # configurations at which a chain is compared with Pinocchio
-AGREE = 1e-9  # largest difference allowed there [rad, or of the robot's size]: a thousandth of the default tolerance
-HELD = 2.5e-16  # of an angle [rad] of many turns: half its last digit, and as much again where its turns are taken off
-NO_LIMIT = 1e15  # a limit beyond this [m, rad/s or m/s] is none
+AGREE = 1e-9  # largest difference allowed there [rad, or fraction of the robot's size]: a thousandth of the default tolerance
+HELD = 2.5e-16  # relative rounding error of an angle of many turns: half an ulp, and as much again when whole turns are removed
+NO_LIMIT = 1e15  # a limit beyond this [m, rad/s or m/s] counts as no limit
 NO_STROKE = (
-    3e5  # nor is one of a slide beyond so many times all offsets of the path: 1 um out there is a rounding error here
+    3e5  # same for a prismatic joint's limit beyond this multiple of the path's offsets: there rounding reaches 1 um
 )
-NO_TURN_LIMIT = 1e6  # nor is one beyond this [rad]: towards 1e7 rad the last digit of an angle is worth AGREE
-PARALLEL = 1e-14  # sine between two axes that are parallel but for the rounding of a few matrix products
+NO_TURN_LIMIT = 1e6  # same for a revolute joint's limit [rad]: near 1e7 rad one ulp of an angle reaches AGREE
+PARALLEL = 1e-14  # sine between two axes below which they are parallel up to the rounding of a few matrix products
 SINGULAR = 0.02  # smallest singular value (lengths over reach) below which a configuration is no good as home
 
 
 class Path(NamedTuple):
-    """The joints between base and tip, and where their coordinates live in Pinocchio's configuration."""
+    """The joints between base and tip, and the places of their coordinates in Pinocchio's configuration."""
 
     joints: list[int]  # joint ids, base to tip
-    up: int  # how many of them, the first ones, lead from the base up to the last link it shares with the tip
+    up: int  # number of leading joints that run from the base towards the root, up to the last link it shares with the tip
     leaders: list[int]  # joint id per coordinate, in order of first use
-    owner: dict[int, int]  # joint id -> coordinate; a joint that is not here stands still
+    owner: dict[int, int]  # joint id -> coordinate; a joint not listed here does not move
     idx_q: np.ndarray  # (n,)
-    circle: np.ndarray  # (n,) stored as (cos, sin)
+    circle: np.ndarray  # (n,) whether stored as (cos, sin)
 
 
 def find_path(model: pin.Model, base: int, tip: int, locked: set[int]) -> Path:
     """Joints from the base frame to the tip frame (frame ids).
 
-    Those above the tip that are not locked are the coordinates, or follow them. Where the base stands on a branch of its
-    own, the joints of that branch hold still unless they follow (or lead) one of these.
+    The unlocked joints above the tip are the coordinates, or follow them. If the base is on another branch, the joints of that
+    branch do not move unless they follow (or lead) one of these.
     """
 
     def above(frame: int) -> list[int]:
@@ -84,7 +84,7 @@ def find_path(model: pin.Model, base: int, tip: int, locked: set[int]) -> Path:
 
 
 def _leader_range(ratio: float, offset: float, low: float, high: float) -> tuple[float, float]:
-    """Where a leader may stand so that its follower ratio q + offset, as it is rounded, stays inside low..high."""
+    """Range of a leader q for which its follower ratio * q + offset, as rounded, stays inside low..high."""
 
     def end(value: float, inward: float) -> float:
         step = inward * 2.0 * math.ulp(max(abs(value), abs(offset)))
@@ -98,9 +98,9 @@ def _leader_range(ratio: float, offset: float, low: float, high: float) -> tuple
 def limits(
     model: pin.Model, path: Path, followers: Mapping[str, tuple[str, float, float, float, float]]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Lower and upper (n,) [rad or m] of the coordinates, infinite where there are none.
+    """Lower and upper limits (n,) [rad or m] of the coordinates, infinite where there are none.
 
-    followers: what `mimic_limits` returns; those on the path hold their leader inside their own limits.
+    followers: as returned by `mimic_limits`; those on the path keep their leader inside their own limits.
     """
     own_lower = np.where(path.circle, -np.inf, model.lowerPositionLimit[path.idx_q])
     own_upper = np.where(path.circle, np.inf, model.upperPositionLimit[path.idx_q])
@@ -112,20 +112,20 @@ def limits(
         first, last = _leader_range(ratio, offset, low, high)
         lower[i], upper[i] = max(lower[i], first), min(upper[i], last)
         rounding = 8.0 * math.ulp(max(abs(low), abs(high), abs(offset))) / abs(ratio)
-        if 0.0 < lower[i] - upper[i] <= rounding:  # they meet but for the last digits
+        if 0.0 < lower[i] - upper[i] <= rounding:  # equal up to rounding
             lower[i] = upper[i] = min(max(lower[i], own_lower[i]), own_upper[i])
     turns = [np.asarray(model.joints[j].createData().S).reshape(6)[3:].any() for j in path.leaders]
     size = sum(math.hypot(*model.jointPlacements[j].translation) for j in path.joints)
     far = np.where(turns, NO_TURN_LIMIT, NO_STROKE * size if size > 0.0 else NO_LIMIT)
-    # Adding 0 turns -0.0 into 0.0: numpy's generators call 0.0 to -0.0 a negative range.
+    # Adding 0 turns -0.0 into 0.0: numpy's generators reject the range 0.0 to -0.0 as negative.
     return np.where(lower < -far, -np.inf, lower + 0.0), np.where(upper > far, np.inf, upper + 0.0)
 
 
 def _split(R: np.ndarray) -> tuple[float, float, float]:
     """Angles a, b, c of R = Rz(a) Rx(b) Rz(c).
 
-    Between nearly parallel axes a is any direction the rounding left, so c is not read from R on its own but from what a
-    leaves of it: the product is R to the last digits whatever a is.
+    Between nearly parallel axes a is determined by rounding only, so c is computed from Rz(a)^T R and not from R alone: the
+    product then equals R to rounding whatever a is.
     """
     s = math.hypot(R[0, 2], R[1, 2])
     if s <= PARALLEL:
@@ -140,7 +140,7 @@ def _turn(axis: int, angle: float) -> np.ndarray:
 
 
 def screw(model: pin.Model, data: pin.Data, j: int) -> tuple[bool, float, np.ndarray]:
-    """Whether a joint turns (else it slides), how far per unit of its coordinate [rad or m], and its axis in its own frame."""
+    """Whether a joint is revolute (else prismatic), its motion per unit of its coordinate [rad or m], and its axis in its frame."""
     screw = np.asarray(data.joints[j].S).reshape(6)
     slides, turns = screw[:3].any(), screw[3:].any()
     if slides and turns:
@@ -173,7 +173,7 @@ def probe(
     for i, circle in zip(path.idx_q, path.circle, strict=True):
         zero[i : i + 1 + int(circle)] = (1.0, 0.0) if circle else 0.0
     pin.forwardKinematics(model, data, zero)
-    before = model.frames[base].placement.inverse()  # from the axis of the moving joint before to the next one
+    before = model.frames[base].placement.inverse()  # from the axis of the previous moving joint to the next one
     rows = []
     places = []
     for count, j in enumerate(path.joints):
@@ -182,12 +182,12 @@ def probe(
             before = before * (data.liMi[j].inverse() if upwards else data.liMi[j])
             continue
         turns, ratio, axis = screw(model, data, j)
-        # Upwards a joint is passed the other way: exp(-S q), then its pose at 0 undone.
+        # Towards the root a joint is traversed backwards: exp(-S q), then the inverse of its pose at 0.
         z = pin.SE3(turn_onto(np.array([0.0, 0.0, 1.0]), -axis if upwards else axis), np.zeros(3))
         places.append(before * z if upwards else before * data.liMi[j] * z)
         before = z.inverse() * data.liMi[j].inverse() if upwards else z.inverse()
         row = np.zeros(ROW)
-        row[0] = 1.0  # no turn about x before the first joint
+        row[0] = 1.0  # cosine of the rotation about x: none before the first joint
         row[4 if turns else 6] = ratio
         row[8], row[9] = path.owner[j], turns
         if rows:
@@ -207,9 +207,9 @@ def probe(
 
 
 def configurations(chain: Chain, slides: np.ndarray) -> np.ndarray:
-    """Where a chain is compared (SAMPLES, n) [rad or m]: uniform over the limits, and each limit once.
+    """Configurations at which a chain is compared (SAMPLES, n) [rad or m]: uniform over the limits, and each limit once.
 
-    Five turns, or one reach, either way where there are no limits; slides (n,): coordinates in metres.
+    Five turns, or one reach, either way where there are no limits; slides (n,): which coordinates are in metres.
     """
     lower, upper, n = chain.lower, chain.upper, chain.n
     half = np.where(slides, chain.reach, WINDING)
@@ -226,8 +226,8 @@ def configurations(chain: Chain, slides: np.ndarray) -> np.ndarray:
 def difference(chain: Chain, Q: np.ndarray, T: np.ndarray, J: np.ndarray) -> float:
     """Largest difference of the chain from poses T (N, 4, 4) [m] and Jacobians J (N, 6, n) at Q (N, n).
 
-    Lengths are divided by the robot's size, the larger of its reach and its largest offset; a column of the Jacobian by the
-    ratio of its joints. Counted in is what the compiled kernel loses at the largest angle: HELD of it.
+    Lengths are divided by the robot's size, the larger of its reach and its largest offset; a Jacobian column by the ratio of
+    its joints. The result is at least the compiled kernel's rounding error at the largest angle, HELD times that angle.
     """
     rows, ends, scale = chain.rows, chain.ends, chain.scale
     offsets = [ends[9:12], ends[21:24], *rows[:, [2, 3, 7]]]
@@ -242,7 +242,10 @@ def difference(chain: Chain, Q: np.ndarray, T: np.ndarray, J: np.ndarray) -> flo
 
 
 def good_start(chain: Chain, lower: np.ndarray, upper: np.ndarray, middle: np.ndarray, moves: np.ndarray) -> np.ndarray:
-    """Mid-range (n,), moved (some joints) off a singular pose by the first of fixed offsets that is well conditioned."""
+    """Mid-range (n,) or, if that is singular, the first of some fixed offsets from it that is well conditioned.
+
+    moves (n,): 1 for joints that may be offset.
+    """
     span = np.where(np.isfinite(upper - lower), upper - lower, 2.0)
     offsets = np.random.default_rng(0).uniform(-0.25, 0.25, (64, len(middle))) * np.minimum(span, 2.0) * moves
     tries = np.clip(np.vstack([np.zeros(len(middle)), offsets]) + middle, lower, upper)

@@ -1,4 +1,4 @@
-"""Reading a URDF safely: one streaming parse, capped, that expands no entity and fetches nothing."""
+"""Safe reading of a URDF: one capped streaming parse that expands no entities and fetches nothing."""
 
 import functools
 import math
@@ -11,17 +11,23 @@ from xml.parsers import expat
 from ..errors import ModelError
 
 MAX_BYTES = 20_000_000
-MAX_JOINTS = 1_000  # fixed ones and followers included: Pinocchio's parser recurses once per joint of a chain
+MAX_JOINTS = 1_000  # including fixed and mimic joints: Pinocchio's parser recurses once per joint of a chain
 MAX_FREEDOM = 128  # one pin.Data holds eight arrays of n^3 doubles: 134 MB at 128, 0.5 GB at 200, 8 GB at 500
 MAX_ELEMENTS = 200_000
 MAX_DEPTH = 64
-MAX_ATTRIBUTES = 64  # of one element; Pinocchio's parser takes time in their square, and URDF knows 6 at most
-MAX_NAME = 255  # characters, as of a file's name; messages repeat names
-MAX_TAG = 1_000_000  # bytes of one tag or comment, which the parser holds in memory whole
+MAX_ATTRIBUTES = 64  # of one element; Pinocchio's parser takes quadratic time, and URDF defines at most 6
+MAX_NAME = 255  # characters, as for a file name; messages repeat names
+MAX_TAG = 1_000_000  # bytes of one tag or comment, which the parser keeps in memory whole
 CHUNK = 65_536
-BLANK = "\ufeff \t\r\n"  # what may stand before XML
-FREEDOM = {"revolute": 1, "continuous": 1, "prismatic": 1, "planar": 3, "floating": 6}  # coordinates by type of joint
-NUMBERS = {  # element -> attribute -> how many numbers
+BLANK = "\ufeff \t\r\n"  # characters that may precede XML
+FREEDOM = {
+    "revolute": 1,
+    "continuous": 1,
+    "prismatic": 1,
+    "planar": 3,
+    "floating": 6,
+}  # degrees of freedom by joint type
+NUMBERS = {  # element -> attribute -> count of numbers
     "origin": {"xyz": 3, "rpy": 3},
     "axis": {"xyz": 3},
     "limit": {"lower": 1, "upper": 1, "effort": 1, "velocity": 1},
@@ -76,16 +82,16 @@ class IsMjcf(ModelError):
 
 
 def is_text(source: object) -> bool:
-    """Whether a source is XML itself, not the path or name of some."""
+    """Whether a source is XML text rather than a path or a name."""
     return isinstance(source, str) and source.lstrip(BLANK).startswith("<")
 
 
 def safe_read(source: str | Path) -> str:
-    """URDF text of a file, or URDF text given as a string, after a parse that expands and fetches nothing.
+    """URDF text from a file or a string, after a parse that expands and fetches nothing.
 
-    Raises ModelError, in one sentence, when it is missing, empty, over 20 MB, not UTF-8, malformed (says the line), is
-    xacro, has a DOCTYPE or entities, is nested too deep, has too many elements, over 1,000 joints or 128 degrees of freedom,
-    too long a name or tag, or no root <robot>.
+    Raises ModelError, in one sentence, if it is missing, empty, over 20 MB, not UTF-8, malformed (with the line), xacro, has a
+    DOCTYPE or entities, is nested too deep, has too many elements, over 1,000 joints or 128 degrees of freedom, too long a
+    name or tag, or no root <robot>.
     """
     text = source_text(source, "URDF")
     parse(text)
@@ -93,7 +99,7 @@ def safe_read(source: str | Path) -> str:
 
 
 def source_text(source: str | Path, what: str) -> str:
-    """Text of a file, or text given as a string; ModelError when it is missing, empty, over 20 MB or not UTF-8."""
+    """Text from a file or a string; ModelError if it is missing, empty, over 20 MB or not UTF-8."""
     if is_text(source):
         assert isinstance(source, str)
         if len(source) > MAX_BYTES:
@@ -128,7 +134,7 @@ def _read_file(path: Path) -> str:
 
 @functools.lru_cache(maxsize=4)
 def parse(text: str) -> list[Item]:
-    """The robot, its links, joints and materials in the order of a URDF text; ModelError when it is not one or is over a cap."""
+    """The robot, its links, joints and materials in the order of a URDF text; ModelError if it is not one or exceeds a cap."""
     items: list[Item] = []
     joints = 0
     macros = "${" in text or "$(" in text
@@ -170,20 +176,20 @@ def parse(text: str) -> list[Item]:
 
 
 def check_names(attributes: Mapping[str, str], what: str, line: int) -> None:
-    """Raise ModelError when an attribute that is a name is too long."""
+    """Raise ModelError if an attribute that is a name is too long."""
     if any(len(value) > MAX_NAME for value in attributes.values()):
         raise ModelError(f"the {what} has a name of more than {MAX_NAME} characters in line {line}; it is not read")
 
 
 def walk(text: str, what: str, start: Callable[[str, dict[str, str], Sequence[str], int], None]) -> None:
-    """Parse XML text and call `start` with every element's tag, attributes, tags above it and line; caps hold for any kind of file.
+    """Parse XML text with size caps and call `start` with each element's tag, attributes, ancestors' tags and line.
 
-    what: the kind ('URDF'), for messages. Raises ModelError: not well-formed, a DOCTYPE or entities, nested too deep, too many
-    elements, attributes, or too long a tag.
+    what: the kind of file ('URDF'), for messages. Raises ModelError: not well-formed, has a DOCTYPE or entities, is nested too
+    deep, has too many elements or attributes, or too long a tag.
     """
     stack: list[str] = []
     elements = 0
-    parser = expat.ParserCreate("utf-8")  # what a string is encoded in below, whatever its first line declares
+    parser = expat.ParserCreate("utf-8")  # the encoding used below, whatever the XML declaration says
 
     def begin(tag: str, attributes: dict[str, str]) -> None:
         nonlocal elements
@@ -205,7 +211,7 @@ def walk(text: str, what: str, start: Callable[[str, dict[str, str], Sequence[st
 
     def refuse(*_: object) -> NoReturn:
         raise ModelError(
-            f"the {what} has a DOCTYPE or entity declarations; these are refused, never expanded or fetched"
+            f"the {what} has a DOCTYPE or entity declarations; these are rejected, never expanded or fetched"
         )
 
     parser.StartElementHandler, parser.EndElementHandler = begin, end
@@ -221,7 +227,7 @@ def walk(text: str, what: str, start: Callable[[str, dict[str, str], Sequence[st
 
 
 def _shape(shapes: list[dict[str, Any]], above: Sequence[str], tag: str, attributes: Mapping[str, str]) -> None:
-    """Take in an element of a link below `above`; of several where one belongs the first counts, as in Pinocchio's parser."""
+    """Record an element of a link below `above`; where only one is allowed the first counts, as in Pinocchio's parser."""
     if not above:
         shapes.append({"role": tag, "name": attributes.get("name", "")})
     elif above[0] in SHAPES:
@@ -232,7 +238,7 @@ def _shape(shapes: list[dict[str, Any]], above: Sequence[str], tag: str, attribu
 
 
 def numbers(text: str) -> list[float] | None:
-    """Read the numbers of an attribute; None when it is not all numbers."""
+    """Read the numbers of an attribute; None if anything else is in it."""
     try:
         return [float(word) for word in text.split()] if "_" not in text else None
     except ValueError:
@@ -240,13 +246,13 @@ def numbers(text: str) -> list[float] | None:
 
 
 def wrong_scale(mesh: Mapping[str, str]) -> bool:
-    """Whether a <mesh> has a scale that is not three finite numbers: Pinocchio refuses the whole file for it."""
+    """Whether a <mesh> has a scale that is not three finite numbers, for which Pinocchio rejects the whole file."""
     scale = numbers(mesh.get("scale", "1 1 1"))
     return scale is None or len(scale) != 3 or not all(map(math.isfinite, scale))
 
 
 def _feed(parser: Any, raw: bytes, what: str) -> None:
-    """Parse piece by piece, so that a tag or comment without end is refused before it fills the memory."""
+    """Parse piece by piece, so that an endless tag or comment is rejected before it fills the memory."""
     for start in range(0, len(raw), CHUNK):
         parser.Parse(raw[start : start + CHUNK], False)
         if start + CHUNK - parser.CurrentByteIndex > MAX_TAG + CHUNK:

@@ -38,9 +38,9 @@ from .shape import Shape, is_shape
 from .srdf import Srdf, held_joints, one_tip, read_srdf, srdf_of
 from .tips import one_word, only_tip, root_link
 
-# Attributes that belong to one object, or to one thread.
+# Attributes that a copy must not share: caches and thread-local state.
 CACHES = ("_local", "_sampling", "_circles", "memo")
-LINKS = (pin.FrameType.BODY, pin.FrameType.OP_FRAME, pin.FrameType.SENSOR)  # what a base or a tip may be
+LINKS = (pin.FrameType.BODY, pin.FrameType.OP_FRAME, pin.FrameType.SENSOR)  # frame types a base or a tip may have
 FRAMES = (*LINKS, pin.FrameType.JOINT, pin.FrameType.FIXED_JOINT)
 
 
@@ -51,8 +51,8 @@ class Robot(Joints):
     joint of the path base -> tip; joint_kinds (n,) 'revolute', 'continuous' or 'prismatic'; lower, upper, home (n,) [rad or
     m], infinite limits for continuous joints; velocity_limits (n,) [rad/s or m/s]; chain (kernel arrays); rest (nq,) values
     of the joints off the path; locked_joints (name -> value held); tool (pin.SE3, T_tip_tool); urdf (text or None), path
-    (file or None), package_dirs; on_base, base_limits; srdf (what its SRDF says); notes (parts of the description that were
-    changed or left out); tips, arms, places and reach, as in a Tree; memo and named (see Joints).
+    (file or None), package_dirs; on_base, base_limits; srdf (contents of its SRDF); notes (parts of the description that
+    were changed or left out); tips, arms, places and reach, as in a Tree; memo and named (see Joints).
     """
 
     def __init__(
@@ -125,17 +125,17 @@ class Robot(Joints):
         srdf: str | Path | Srdf | bool | None = None,
         group: str | None = None,
     ) -> "Robot":
-        """Load a robot by shipped name, path of a URDF or xacro file, URDF text, or example-robot-data name.
+        """Load a robot: a shipped name, the path of a URDF or xacro file, URDF text, or an example-robot-data name.
 
         tip, or ee_link: one frame, link or joint (default: guessed by its name, and reported); for several see `Tree.load`.
         xacro_args: values of a xacro file's arguments by name. on_base: a pose (4, 4) of the robot's root in the world, in
         which poses are then given; 'planar' puts base_x, base_y, base_yaw before q, 'floating' base_x, base_y, base_z,
-        base_yaw, base_pitch, base_roll (Rz Ry Rx). base_limits: (lower, upper) [m] of the prismatic joints among them, one
-        pair or one each, or a dict by name; turns are endless but for the pitch (85 degrees either way) where it has none.
-        srdf: an SRDF (file or text; default: the one next to the file, see `srdf_beside`; False: none). group: one of its
-        groups, which sets base and tip (with on_base its tip). Meshes are never read. Raises RobotNotFound, ModelError
-        (broken or hostile file, in one sentence), FrameNotFound (lists the frames), JointNotFound, InvalidOption,
-        MissingExtra (xacro).
+        base_yaw, base_pitch, base_roll (Rz Ry Rx). base_limits: (lower, upper) [m] of the base's prismatic joints, one pair
+        for all, one pair each, or a dict by name; rotations are unlimited unless given, except pitch (+-85 degrees).
+        srdf: an SRDF (file or text; default: the one next to the file, see `srdf_beside`; False: none). group: an SRDF group,
+        which sets base and tip (only the tip with on_base). Meshes are never read. Raises RobotNotFound, ModelError (broken
+        or hostile file, in one sentence), FrameNotFound (lists the frames), JointNotFound, InvalidOption, MissingExtra
+        (xacro).
         """
         tip = one_word(tip, ee_link)
         entry, made = read(source, package_dirs, xacro_args)
@@ -161,12 +161,12 @@ class Robot(Joints):
 
     @classmethod
     def from_mjcf(cls, source: str | Path, **options: Any) -> "Robot":
-        """Load an MJCF file or text (needs the extra `formats`); options and errors are those of `load`."""
+        """Load an MJCF file or text (needs the extra `formats`); options and errors as in `load`."""
         return cls.from_urdf(source, **options)
 
     @classmethod
     def from_urdf(cls, source: str | Path, **options: Any) -> "Robot":
-        """Load a URDF or xacro file, or URDF text; options and errors are those of `load`, which takes names and MJCF too."""
+        """Load a URDF or xacro file, or URDF text; options and errors as in `load`, which also takes names and MJCF."""
         if not is_text(source) and not Path(source).expanduser().is_file():
             raise RobotNotFound(f"there is no file '{str(source)[:200]}'; Robot.load takes names of robots")
         return cls.load(source, **options)
@@ -212,7 +212,7 @@ class Robot(Joints):
             self.locked_joints[joint] = value
 
     def _settle(self, model: pin.Model) -> None:
-        """Take a model, put on its base."""
+        """Adopt a model and place it on its base."""
         self.model, self._original, self._given, self._of_base, self._slides = settle(
             model, self.on_base, self.base_limits
         )
@@ -266,7 +266,7 @@ class Robot(Joints):
         )
         self._local = threading.local()
         self._compare()
-        if home is not None and len(home) == self.n - based.sum():  # a robot's own, put on a base
+        if home is not None and len(home) == self.n - based.sum():  # home of the robot without its moving base
             home = np.concatenate([middle[based], home])
         self.home = self.check_home(home) if home is not None else good_start(self.chain, lower, upper, middle, ~based)
         start = POINTS + 6 * self.n
@@ -275,7 +275,7 @@ class Robot(Joints):
             array.setflags(write=False)
 
     def _compare(self) -> None:
-        """Refuse a robot whose chain is not what Pinocchio computes: its answers would be wrong and nothing would say so."""
+        """Reject a robot whose chain disagrees with Pinocchio: its results would be silently wrong."""
         Q = configurations(self.chain, self.slides)
         poses, jacobians = zip(*(self._kinematics(q) for q in Q), strict=True)
         off = difference(self.chain, Q, np.array([T.homogeneous for T in poses]), np.array(jacobians))
@@ -371,7 +371,7 @@ class Robot(Joints):
         return other
 
     def __getstate__(self) -> dict[str, Any]:
-        """Leave out what belongs to a thread; the model travels as its URDF (pickled mimic joints crash Pinocchio 4.1)."""
+        """Leave out thread-local state; the model is pickled as its URDF (pickled mimic joints crash Pinocchio 4.1)."""
         state = {key: value for key, value in self.__dict__.items() if key not in CACHES}
         if self.urdf is not None:
             state["model"] = state["_original"] = state["_given"] = None

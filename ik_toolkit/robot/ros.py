@@ -1,15 +1,15 @@
-"""Messages of ROS as dicts of plain numbers, field by field: nothing of ROS is imported."""
+"""ROS messages as dicts of plain numbers, field by field, without importing ROS."""
 
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
-LARGEST_NANOSEC = 999_999_999  # rounding must not make it a whole second
+LARGEST_NANOSEC = 999_999_999  # so that rounding does not give a whole second
 
 
 def header(frame: str = "") -> dict[str, Any]:
-    """A std_msgs/Header without a time."""
+    """A std_msgs/Header with zero time."""
     return {"stamp": {"sec": 0, "nanosec": 0}, "frame_id": frame}
 
 

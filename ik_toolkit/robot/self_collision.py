@@ -1,7 +1,7 @@
-"""Which links of a robot need no test against each other: sampled, as MoveIt's Setup Assistant does, and written as an SRDF.
+"""Pairs of links that need no collision test: found by sampling, as in MoveIt's Setup Assistant, and written as an SRDF.
 
-Of every pair of links with collision shapes it is found out whether a joint joins them, and whether they touch in (almost) every
-configuration, by construction, or in none. All joints of the model move, not only those on the way to a tip.
+For every pair of links with collision shapes: are they joined by a joint, and do they touch in (almost) every configuration, by
+construction, or in none? All joints of the model move, not only those on the path to a tip.
 """
 
 from collections.abc import Callable
@@ -16,22 +16,22 @@ from .forms import owner_above, read_shapes, request
 from .joints import Joints
 from .probe import NO_LIMIT
 
-ALWAYS = 0.95  # share of the configurations in which a pair touches that touches "always", as in MoveIt
+ALWAYS = 0.95  # share of configurations from which a pair counts as touching "always", as in MoveIt
 DEFAULT = (
-    0.5  # share from which a pair that touches at zero touches "by default"; MoveIt takes 0, real contacts included
+    0.5  # same for touching "by default", if the pair also touches at zero; MoveIt uses 0, which hides real contacts
 )
-# Two links that come as near as this in a sample [m] may touch in a configuration that was not sampled. MoveIt takes 0.
+# Two links this near [m] in a sample may touch in a configuration that was not sampled. MoveIt uses 0.
 NEAR = 0.01
-SAMPLES = 10_000  # as many as MoveIt takes
+SAMPLES = 10_000  # as in MoveIt
 REASONS = ("Adjacent", "Always", "Default", "Never")
 
 
 @dataclass(frozen=True)
 class SelfCollision:
-    """What was found: robot (its name in the URDF); reasons (pair of links -> one of REASONS); tested (pairs left to test).
+    """The pairs found: robot (its name in the URDF); reasons (pair of links -> one of REASONS); tested (pairs left to test).
 
-    samples, seed; before, after: share of the samples in which anything touches, of all pairs that move against each other and
-    that no joint joins, and of those left.
+    samples, seed; before, after: share of the samples with any contact, over all pairs that move relative to each other and are
+    not joined by a joint, and over the pairs left to test.
     """
 
     robot: str
@@ -43,29 +43,29 @@ class SelfCollision:
     after: float
 
     def counts(self) -> dict[str, int]:
-        """How many pairs there are of each reason."""
+        """Number of pairs for each reason."""
         given = list(self.reasons.values())
         return {reason: given.count(reason) for reason in REASONS}
 
     def to_srdf(self) -> str:
-        """SRDF text with the pairs that need no test."""
+        """SRDF text with the pairs that need no collision test."""
         lines = [
             f"    <disable_collisions link1={quoteattr(a)} link2={quoteattr(b)} reason={quoteattr(reason)}/>"
             for (a, b), reason in self.reasons.items()
         ]
         said = f"{self.samples} random configurations, seed {self.seed}"
-        head = f'<?xml version="1.0"?>\n<!-- Pairs of links that need no test, from {said}. -->\n'
+        head = f'<?xml version="1.0"?>\n<!-- Pairs of links that need no collision test, from {said}. -->\n'
         return f"{head}<robot name={quoteattr(self.robot)}>\n" + "\n".join(lines) + "\n</robot>\n"
 
 
 def self_collision(
     robot: Joints, samples: int = SAMPLES, seed: int = 0, progress: Callable[[int], None] = lambda done: None
 ) -> SelfCollision:
-    """Sample random configurations of all joints of a robot's model and say which pairs of its links need no test.
+    """Sample random configurations of all joints of a robot's model to find the pairs of links that need no collision test.
 
-    Adjacent: one joint joins them. Always: they touch in 95 % of the samples. Default: they touch with all joints at zero and in
-    half of the samples. Never: no joint moves them against each other, or they were never nearer than 1 cm. progress: called with
-    the number of samples done. Raises ModelError, InvalidOption.
+    Adjacent: joined by one joint. Always: touch in 95 % of the samples. Default: touch with all joints at zero and in half of the
+    samples. Never: no joint moves them relative to each other, or they were never nearer than 1 cm. progress: called with the
+    number of samples done. Raises ModelError, InvalidOption.
     """
     if samples < 1:
         raise InvalidOption(f"samples must be at least 1, not {samples}")
@@ -115,10 +115,10 @@ def self_collision(
 
 
 class _Probe:
-    """Contacts of pairs of shapes (P, 2) of a model at values of its joints; lower, upper (m,): what those of one freedom allow."""
+    """Contacts of pairs of shapes (P, 2) of a model at given joint values; lower, upper (m,): limits of its one-DOF joints."""
 
     def __init__(self, model: pin.Model, geometry: pin.GeometryModel, shapes: np.ndarray) -> None:
-        """Prepare two tests of all pairs: whether they touch, and whether they are nearer than NEAR."""
+        """Prepare two tests for all pairs: whether they touch, and whether they are nearer than NEAR."""
         self.model, self.geometry, self.shapes = model, geometry, shapes
         geometry.removeAllCollisionPairs()
         for a, b in shapes.tolist():
@@ -142,7 +142,7 @@ class _Probe:
         self.lower, self.upper = np.minimum(lower, upper), np.maximum(lower, upper)
 
     def contacts(self, values: np.ndarray, asked: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Places of the pairs of `asked` (P,) that touch, and of those nearer than NEAR, with joints at values (m,) [rad or m]."""
+        """Indices of the pairs in `asked` (P,) that touch, and of those nearer than NEAR, at joint values (m,) [rad or m]."""
         full, circles = pin.neutral(self.model), self._circles
         full[self._places] = np.where(circles, np.cos(values), values)
         full[self._places[circles] + 1] = np.sin(values[circles])

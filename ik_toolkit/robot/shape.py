@@ -1,4 +1,4 @@
-"""Shapes for collisions: boxes, spheres, cylinders, capsules and meshes, in the workspace, on a tool or in a hand."""
+"""Collision shapes: boxes, spheres, cylinders, capsules and meshes, in the workspace, on a tool or held by the robot."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -14,10 +14,10 @@ from .meshes import Mesh, find_mesh, read_meshes
 
 @dataclass(frozen=True)
 class Shape:
-    """A shape about its own frame: Shape.box(size), .sphere(radius), .cylinder(radius, length), .capsule(...), .mesh(file).
+    """A shape in its own frame: Shape.box(size), .sphere(radius), .cylinder(radius, length), .capsule(...), .mesh(file).
 
-    kind: 'box', 'sphere', 'cylinder', 'capsule' or 'mesh'; sizes: (x, y, z), (radius,) or (radius, length) [m], of a mesh (file,
-    scale).
+    kind: 'box', 'sphere', 'cylinder', 'capsule' or 'mesh'; sizes: (x, y, z), (radius,) or (radius, length) [m], or (file, scale)
+    for a mesh.
     """
 
     kind: str
@@ -30,7 +30,7 @@ class Shape:
 
     @classmethod
     def sphere(cls, radius: float) -> "Shape":
-        """Return a sphere of a radius [m] about its centre. Raises InvalidOption."""
+        """Return a sphere of a given radius [m] about its centre. Raises InvalidOption."""
         return cls("sphere", _positive("radius of a sphere", [radius], 1))
 
     @classmethod
@@ -45,11 +45,11 @@ class Shape:
 
     @classmethod
     def mesh(cls, path: str | Path, scale: float = 1.0) -> "Shape":
-        """Return the surface of a mesh file (STL, OBJ, DAE) times a scale; what is inside touches nothing. Raises InvalidOption."""
+        """Return the surface of a scaled mesh file (STL, OBJ, DAE); a part inside it touches nothing. Raises InvalidOption."""
         return cls("mesh", (str(path), *_positive("scale of a mesh", [scale], 1)))
 
     def form(self) -> Any:
-        """The shape as coal has it. Raises InvalidConfiguration (a mesh that cannot be read)."""
+        """The shape as a coal object. Raises InvalidConfiguration (a mesh that cannot be read)."""
         if self.kind != "mesh":
             return PLAIN[self.kind](*self.sizes)
         path, scale = self.sizes
@@ -70,7 +70,7 @@ PLAIN = {"box": coal.Box, "sphere": coal.Sphere, "cylinder": coal.Cylinder, "cap
 
 
 def surface(mesh: Mesh, scale: np.ndarray) -> Any:
-    """The surface of a mesh times a scale (3,), as coal tests it."""
+    """The surface of a mesh scaled by (3,), as a coal object."""
     made = coal.BVHModelOBBRSS()
     (piece,) = mesh.pieces
     made.beginModel(len(piece.faces), len(piece.vertices))

@@ -1,7 +1,7 @@
 """The shapes of a URDF's links, as Pinocchio places and names them, without its mesh reader.
 
-Pinocchio's own reader opens whatever path a file names, in this process, and drops a link's shapes with a line on stderr when one
-of them is broken. Here each broken or missing shape is said.
+Pinocchio's own reader opens any path a file names, in this process, and drops all shapes of a link with a line on stderr when
+one of them is broken. Here each broken or missing shape is reported.
 """
 
 from collections.abc import Mapping, Sequence
@@ -16,9 +16,9 @@ from .meshes import Mesh, find_mesh, mesh_folders, mesh_packages, read_meshes
 from .pose import rpy_matrix
 from .read import Item, numbers, parse
 
-MAX_TOTAL = 5_000_000  # triangles of a robot: 2 GB as boxes in boxes for collisions; robots have up to 1,000,000
-LARGEST = 1e6  # [m] or times: sizes, scales and distances of shapes
-SIZES = {  # shape -> attribute -> how many numbers
+MAX_TOTAL = 5_000_000  # triangles per robot: 2 GB as bounding volume trees for collisions; robots have up to 1,000,000
+LARGEST = 1e6  # [m] or factor: largest size, scale and distance of a shape
+SIZES = {  # shape -> attribute -> count of numbers
     "box": {"size": 3},
     "sphere": {"radius": 1},
     "cylinder": {"radius": 1, "length": 1},
@@ -34,7 +34,7 @@ class LinkShape:
 
     name ("LINK_K"); link; kind ('box', 'sphere', 'cylinder', 'capsule' or 'mesh'); sizes: (x, y, z), (radius,), (radius,
     length), or the mesh's scale (3,) [m]; T_link_shape; color: (r, g, b, opacity) of the URDF or None; file: the mesh's name in the
-    URDF; convex: whether it stands for the convex body inside it; mesh: what the file holds.
+    URDF; convex: whether the mesh is treated as convex; mesh: contents of the file.
     """
 
     name: str
@@ -49,9 +49,9 @@ class LinkShape:
 
 
 def link_shapes(robot: Any, kind: str, most: int) -> tuple[list[LinkShape], Problems]:
-    """Shapes of a robot's links for 'surface' (collisions) or 'look' (visuals), and what is wrong with others.
+    """Shapes of a robot's links for 'surface' (collisions) or 'look' (visuals), and the problems with unusable ones.
 
-    most: how many may be there; ModelError beyond it.
+    most: largest number allowed; ModelError beyond it.
     """
     role = ROLES[kind]
     items = [item for item in parse(robot.urdf) if item.tag in ("link", "material")]
@@ -95,13 +95,13 @@ def link_shapes(robot: Any, kind: str, most: int) -> tuple[list[LinkShape], Prob
 
 
 def said(problems: Problems) -> str:
-    """One sentence for a list of problems: the first three, and how many more."""
+    """One sentence for a list of problems: the first three, and the number of others."""
     rows = list(dict.fromkeys(f"{element}: {problem}" for element, problem in problems))
     return "; ".join(rows[:3]) + (f"; and {len(rows) - 3} more" if len(rows) > 3 else "")
 
 
 def geometry_model(model: pin.Model, shapes: Sequence[LinkShape], forms: Sequence[Any]) -> pin.GeometryModel:
-    """Pinocchio's geometry: forms (coal shapes) placed on the links of shapes."""
+    """Pinocchio's geometry: forms (coal shapes) placed on the links of their shapes."""
     geometry = pin.GeometryModel()
     frames: dict[str, int] = {frame.name: i for i, frame in enumerate(model.frames) if frame.type == pin.FrameType.BODY}
     for shape, form in zip(shapes, forms, strict=True):
@@ -120,9 +120,9 @@ def _shape(
     asked: set[tuple[str, str | None]],
     colors: Mapping[str, tuple[float, ...]],
 ) -> LinkShape:
-    """Return one shape; ModelError, the end of a sentence, when it is none.
+    """Return one shape; ModelError, whose text ends a sentence, if it is invalid.
 
-    asked: (tag, name of a collision shape) for 'capsule' and 'convex', which stand for a cylinder and a mesh.
+    asked: (tag, name of a collision shape) where 'capsule' replaces a cylinder or 'convex' a mesh.
     """
     tag, attributes = given.get("geometry", ("", {}))
     kind = "capsule" if tag == "cylinder" and ("capsule", given["name"]) in asked else tag
@@ -140,13 +140,13 @@ def _shape(
             raise ModelError(f"<{tag} {shown}> is not a valid shape: sizes must be positive and at most {LARGEST:g} m")
     else:
         known = ", ".join(("mesh", *SIZES))
-        raise ModelError(f"<{tag[:60]}> is not a shape; {known} are" if tag else "a shape has no geometry")
+        raise ModelError(f"<{tag[:60]}> is not a shape; use one of: {known}" if tag else "a shape has no geometry")
     origin = given.get("origin", {})
     xyz, rpy = (_numbers("origin", origin, {key: 3}, "0 0 0") for key in ("xyz", "rpy"))
     if max(map(abs, xyz)) > LARGEST:
         raise ModelError(f'its shape <origin xyz="{origin["xyz"][:60]}"> is further than {LARGEST:g} m away')
     material = given.get("material", {}).get("name", "")
-    color = colors.get(material) or _color(given.get("color", {}))  # a name stands for its first colour
+    color = colors.get(material) or _color(given.get("color", {}))  # a material name refers to its first colour
     place = pin.SE3(np.array(rpy_matrix(rpy)), np.array(xyz))
     mesh = kind == "mesh"
     return LinkShape(
@@ -177,7 +177,7 @@ def _numbers(
 
 
 def _colors(items: Sequence[Item]) -> dict[str, tuple[float, ...]]:
-    """Colours by the name of their material: of the robot, then those written out in a visual; the first of a name counts."""
+    """Colours by material name: first the robot's materials, then those defined inside a visual; the first of a name counts."""
     found: dict[str, tuple[float, ...]] = {}
     of_robot = [(item.name, item.first("color") or {}) for item in items if item.tag == "material"]
     written = [(s["material"].get("name", ""), s.get("color", {})) for i in items for s in i.shapes if "material" in s]

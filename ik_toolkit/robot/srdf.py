@@ -1,7 +1,7 @@
-"""SRDF: what is said of a robot beside its URDF: pairs that may touch, groups, end effectors, named and passive joints.
+"""SRDF: what a URDF leaves out: allowed collisions, groups, end effectors, named configurations, passive joints.
 
-It is read as a URDF is: one streaming parse with caps, no entity, nothing fetched. Names that the robot does not have are no
-error, for one SRDF often serves several URDFs; `Srdf.remarks` says them.
+Read like a URDF: one streaming parse with size caps, no entities, nothing fetched. Names that the robot does not have are
+not an error, because one SRDF often serves several URDFs; `Srdf.remarks` lists them.
 """
 
 import functools
@@ -20,12 +20,12 @@ from .probe import find_path
 from .read import HasMacros, check_names, numbers, source_text, walk
 
 LOG = logging.getLogger("ik_toolkit")
-BESIDE = ("", "../srdf")  # folders, from the URDF's own, in which its SRDF may lie
-MOST = 64  # SRDF files looked at there
+BESIDE = ("", "../srdf")  # folders searched for the SRDF, relative to that of the URDF
+MOST = 64  # SRDF files looked at in each folder
 MEMBERS = ("link", "joint", "chain", "group")  # elements of a <group>
 FACTS = ("group", "end_effector", "group_state", "passive_joint", "disable_collisions")
 FACTS += ("disable_default_collisions", "enable_collisions")
-NEEDED = {  # element -> attributes without which it says nothing
+NEEDED = {  # element -> required attributes
     "chain": ("base_link", "tip_link"),
     "link": ("name",),
     "joint": ("name",),
@@ -37,12 +37,12 @@ NEEDED = {  # element -> attributes without which it says nothing
     "enable_collisions": ("link1", "link2"),
     "disable_default_collisions": ("link",),
 }
-SHOWN = 3  # names that one remark lists
+SHOWN = 3  # names listed in one remark
 
 
 @dataclass(frozen=True)
 class Group:
-    """A group of the robot's parts: names of links, of joints, chains as (base link, tip link), and names of groups in it."""
+    """A group of robot parts: link names, joint names, chains as (base link, tip link), and names of subgroups."""
 
     name: str
     links: tuple[str, ...] = ()
@@ -53,7 +53,7 @@ class Group:
 
 @dataclass(frozen=True)
 class EndEffector:
-    """An end effector: the link it is mounted on, the group of its own parts, and the group that carries it ('' where not said)."""
+    """An end effector: the link it is mounted on, the group of its own parts, the group that carries it ('' if not given)."""
 
     name: str
     parent_link: str
@@ -63,11 +63,11 @@ class EndEffector:
 
 @dataclass(frozen=True)
 class Srdf:
-    """What an SRDF says.
+    """The contents of an SRDF.
 
-    name (of the robot); path (None: text); groups and end_effectors by name; states: values [rad or m] of joints by name of the
-    configuration, those of groups that share a name together; passive_joints; disabled: pairs of links that may touch -> reason;
-    quiet: links that may touch anything, but for the pairs in `enabled`; remarks: sentences on what cannot be used.
+    name (of the robot); path (None: text); groups and end_effectors by name; states: joint values [rad or m] by configuration
+    name, merged over groups that use the same name; passive_joints; disabled: pairs of links that may touch -> reason;
+    quiet: links that may touch anything except the pairs in `enabled`; remarks: sentences on what cannot be used.
     """
 
     name: str = ""
@@ -82,7 +82,7 @@ class Srdf:
     remarks: tuple[str, ...] = ()
 
     def may_touch(self, links: Sequence[str]) -> dict[tuple[str, str], str]:
-        """Pairs of these links that need no test, by their reason."""
+        """Pairs of these links that need no collision test -> reason."""
         known, out = set(links), dict[tuple[str, str], str]()
         on = {frozenset(pair) for pair in self.enabled}
         for link in known.intersection(self.quiet):
@@ -91,11 +91,11 @@ class Srdf:
         return {pair: reason for pair, reason in out.items() if frozenset(pair) not in on}
 
     def ends(self, group: str, model: pin.Model) -> tuple[str | None, tuple[str, ...]]:
-        """Base frame (None: the root) and tips of a group on a model. Raises InvalidOption: no such group, or no tip in it."""
+        """Base frame (None: the root) and tips of a group on a model. Raises InvalidOption: no such group, or it has no tip."""
         found = self._members(group)
         chains = [chain for chain in found.chains if all(model.existFrame(link) for link in chain)]
         bases, tips = ([*dict.fromkeys(chain[k] for chain in chains)] for k in (0, 1))
-        if chains:  # one that ends where others begin carries them
+        if chains:  # a chain that ends where others begin carries them
             inner = [tip for tip in tips if tip in bases]
             bases, tips = [b for b in bases if b not in tips] or bases, [t for t in tips if t not in inner] or tips
         else:
@@ -105,11 +105,11 @@ class Srdf:
             if len(tips) == 1 and len(carried) == 1 and _above(model, tips[0], carried[0]):
                 tips = carried
         if not tips:
-            raise InvalidOption(f"group '{group}' of the SRDF has no chain and no moving joint that the robot has")
+            raise InvalidOption(f"group '{group}' of the SRDF has no chain or moving joint of this robot")
         return (bases[0] if len(bases) == 1 else None), tuple(tips)
 
     def _members(self, name: str) -> Group:
-        """A group with everything that groups in it hold. Raises InvalidOption."""
+        """A group merged with all its subgroups. Raises InvalidOption."""
         if name not in self.groups:
             raise InvalidOption(f"the SRDF has no group '{name}'.{near_match(name, self.groups)}")
         waiting, seen, found = [name], set[str](), Group(name)
@@ -128,7 +128,7 @@ class Srdf:
         return found
 
     def against(self, model: pin.Model) -> tuple[str, ...]:
-        """Remarks, with those on names and numbers of values that a model does not have."""
+        """Remarks, including those on names that a model lacks and joints given several values."""
         out, links = list(self.remarks), {frame.name for frame in model.frames}
         strange = {link for pair in self.disabled for link in pair if link not in links}
         if strange:
@@ -145,9 +145,7 @@ class Srdf:
             if missing:
                 out.append(f"configuration '{state}': {_some(missing, 'joint')} {_is(missing)} not in the robot")
             if other:
-                out.append(
-                    f"configuration '{state}': {_some(other, 'joint')} with several values {_is(other)} left out"
-                )
+                out.append(f"configuration '{state}': {_some(other, 'joint')} with several values {_is(other)} ignored")
         return tuple(out)
 
 
@@ -165,18 +163,18 @@ def read_srdf(source: "str | Path | Srdf") -> Srdf:
 def srdf_of(
     given: Any, model: pin.Model, path: Path | None, states: Mapping[str, Mapping[str, tuple[float, ...]]]
 ) -> Srdf:
-    """Srdf of a model read from `path`: the one given, None: the one beside the file, if any (see `srdf_beside`); False: none.
+    """Srdf of a model read from `path`: the given one; None: the one next to the file, if any (see `srdf_beside`); False: none.
 
-    states: named configurations that the description itself has; those of the SRDF come before them.
+    states: named configurations of the description itself; those of the SRDF take precedence.
     """
     found = _srdf_of(given, model, path)
     return replace(found, states={**states, **found.states}) if states else found
 
 
 def _srdf_of(given: Any, model: pin.Model, path: Path | None) -> Srdf:
-    """Srdf that is given or found.
+    """The given or found Srdf.
 
-    Of a given one, what cannot be used is logged; one beside the file that is broken is logged and left out.
+    Unusable parts of a given one are logged; a broken one next to the file is logged and ignored.
     """
     if given is None or given is True:
         beside = srdf_beside(path, model.name) if path is not None else None
@@ -209,9 +207,9 @@ def one_tip(srdf: Srdf, group: str, model: pin.Model, tip: str | None) -> tuple[
 def held_joints(
     srdf: Srdf, model: pin.Model, base: int, tip: int, locked: Mapping[str, float]
 ) -> dict[str, tuple[float, bool]]:
-    """Value [rad or m] that each locked and passive joint is held at, and whether that counts as locked.
+    """Value [rad or m] at which each locked or passive joint is held, and whether it counts as locked.
 
-    Passive ones do where they are on the path from base to tip (frames); if no other joint is there they are not held.
+    A passive joint counts if it lies on the path from base to tip (frames). If only passive joints lie there, none is held.
     """
     given = {joint: (value, True) for joint, value in locked.items()}
     passive = [name for name in srdf.passive_joints if model.existJointName(name) and name not in locked]
@@ -231,10 +229,10 @@ def held_joints(
 
 
 def srdf_beside(file: Path, name: str) -> Path | None:
-    """SRDF of a URDF file of a robot called `name`: of the same name in the same folder or in ../srdf, else the nearest there.
+    """SRDF that belongs to the URDF file of a robot called `name`, in the same folder or in ../srdf; None if there is none.
 
-    Nearest: the file's name begins the URDF's ('ur5.srdf' for 'ur5_robot.urdf'), or it is the only one whose robot has this
-    name. Links that lead out of these folders are not followed.
+    Its file name equals or begins that of the URDF ('ur5.srdf' for 'ur5_robot.urdf'; the longest wins), or it is the only one
+    whose robot has this name. Symbolic links that lead out of these folders are not followed.
     """
     home = file.expanduser().resolve().parent
     found: list[Path] = []
@@ -252,7 +250,7 @@ def srdf_beside(file: Path, name: str) -> Path | None:
 
 
 def _name(path: Path) -> str:
-    """Name of the robot of an SRDF file, '' when it cannot be read."""
+    """Robot name in an SRDF file, '' when it cannot be read."""
     try:
         return read_srdf(path).name
     except ModelError:
@@ -261,7 +259,7 @@ def _name(path: Path) -> str:
 
 @functools.lru_cache(maxsize=16)
 def _parse(text: str, path: Path | None) -> Srdf:
-    """SRDF text -> Srdf."""
+    """Parse SRDF text."""
     name = ""
     groups: dict[str, dict[str, list]] = {}
     ends: dict[str, EndEffector] = {}
@@ -271,7 +269,7 @@ def _parse(text: str, path: Path | None) -> Srdf:
     quiet: list[str] = []
     enabled: list[tuple[str, str]] = []
     remarks: list[str] = []
-    inside: list[str] = []  # name of the group or state that is open
+    inside: list[str] = []  # name of the group or state being read
 
     def start(tag: str, given: dict[str, str], above: Sequence[str], line: int) -> None:
         nonlocal name
@@ -304,7 +302,7 @@ def _parse(text: str, path: Path | None) -> Srdf:
             known = states[inside[0]].setdefault(given["name"], tuple(values))
             if known != tuple(values):
                 remarks.append(
-                    f"configuration '{inside[0]}' gives joint '{given['name']}' twice; the first value counts"
+                    f"configuration '{inside[0]}' gives joint '{given['name']}' twice; the first value is used"
                 )
         elif tag in ("group", "group_state"):
             inside[:] = [given["name"]]
@@ -344,17 +342,17 @@ def _parse(text: str, path: Path | None) -> Srdf:
 
 
 def _groups(found: Mapping[str, Mapping[str, list]], remarks: list[str]) -> dict[str, Group]:
-    """Groups of what was found inside them; remarks grows by groups in groups that do not exist."""
+    """Groups built from the members found; a remark is added for each subgroup that does not exist."""
     made = {name: Group(name, *(tuple(parts[kind]) for kind in MEMBERS)) for name, parts in found.items()}
     for group in made.values():
         unknown = [inner for inner in group.groups if inner not in made]
         if unknown:
-            remarks.append(f"group '{group.name}' holds the group '{unknown[0]}', which does not exist")
+            remarks.append(f"group '{group.name}' contains the group '{unknown[0]}', which does not exist")
     return made
 
 
 def _ends_of_joints(group: Group, model: pin.Model) -> tuple[list[str], list[str]]:
-    """Links before the first and behind the last joints of a group that lists joints, or links (for the joints to them)."""
+    """Parent links of the first joints and child links of the last ones, in a group that lists joints or their child links."""
     frames = model.frames
     ids = {frame.name: i for i, frame in enumerate(frames)}
     bodies = {frame.parentFrame: i for i, frame in enumerate(frames) if frame.type == pin.FrameType.BODY}
@@ -370,7 +368,7 @@ def _ends_of_joints(group: Group, model: pin.Model) -> tuple[list[str], list[str
 
 
 def _line(model: pin.Model, frame: int) -> set[int]:
-    """A frame and all those above it."""
+    """A frame and all its ancestors."""
     seen = set[int]()
     while frame not in seen:
         seen.add(frame)
@@ -379,7 +377,7 @@ def _line(model: pin.Model, frame: int) -> set[int]:
 
 
 def _above(model: pin.Model, link: str, other: str) -> bool:
-    """Whether `other` hangs on `link`, or is it."""
+    """Whether `other` is `link` or a descendant of it."""
     return model.getFrameId(link) in _line(model, model.getFrameId(other))
 
 

@@ -1,4 +1,4 @@
-"""Shapes around a robot and in its hands: added, moved, removed, attached and detached by name."""
+"""Shapes around a robot and held by it: added, moved, removed, attached and detached by name."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -15,7 +15,7 @@ from .shape import Shape, is_shape
 
 @dataclass(frozen=True)
 class Placed:
-    """A shape around the robot (arm None) or held by an arm: its pose in the base, or in the tip; names of what it may touch."""
+    """A shape around the robot (arm None) or held by an arm: its pose in base or tip frame; names of parts it may touch."""
 
     shape: Shape
     form: Any
@@ -25,30 +25,30 @@ class Placed:
 
 
 class Surroundings:
-    """The shapes of a CollisionModel that are not the robot's own.
+    """The shapes of a CollisionModel that are not part of the robot.
 
-    version: grows with every change; robot: the Robot or Tree.
+    version: increases with every change; robot: the Robot or Tree.
     """
 
     robot: Any
     _names: list[str]
 
     def __init__(self) -> None:
-        """Nothing around."""
+        """Start with no shapes."""
         self.version = 0
         self._placed: dict[str, Placed] = {}
         self._hulls: dict[Any, Any] = {}  # see clearance.hulls
 
     def _rebuild(self) -> None:
-        """Take in what was added or removed."""
+        """Update after shapes were added or removed."""
         raise NotImplementedError
 
     def _moved(self, name: str) -> None:
-        """Take in another pose."""
+        """Update after a shape was moved."""
         raise NotImplementedError
 
     def _object(self, name: str, one: Placed) -> pin.GeometryObject:
-        """What Pinocchio takes of a shape that was added."""
+        """Pinocchio geometry object of an added shape."""
         if one.arm is None:
             base = self.robot.arms[0]._base_inverse.inverse()
             return pin.GeometryObject(name, 0, base * pin.SE3(one.T), one.form)
@@ -87,7 +87,7 @@ class Surroundings:
     def add_mesh(self, path: str | Path, pose: Any, scale: float = 1.0, name: str | None = None) -> Self:
         """Add a mesh file (STL, OBJ, DAE) times a scale, at a pose (4, 4), pin.SE3 or position (3,) in the base frame.
 
-        It is its surface: what is wholly inside touches nothing.
+        Only its surface counts: a part wholly inside it touches nothing.
         """
         return self.add(Shape.mesh(path, scale), pose, name)
 
@@ -99,13 +99,16 @@ class Surroundings:
         return self
 
     def move(self, name: str, pose: Any) -> Self:
-        """Give an obstacle another pose in the base, or what is attached one in its tip. Raises InvalidOption, InvalidTarget."""
+        """Give an obstacle a new pose in the base frame, or an attached shape one in its tip frame.
+
+        Raises InvalidOption, InvalidTarget.
+        """
         self._placed[name] = replace(self._placed[self._known(name)], T=as_matrix(pose))
         self._moved(name)
         return self
 
     def remove(self, name: str) -> Self:
-        """Take away an obstacle, or what is attached. Raises InvalidOption."""
+        """Remove an obstacle or an attached shape. Raises InvalidOption."""
         del self._placed[self._known(name)]
         self._hulls.pop(name, None)
         self._rebuild()
@@ -121,10 +124,10 @@ class Surroundings:
         name: str | None = None,
         touch: Iterable[str] = (),
     ) -> Self:
-        """Let the robot hold a shape, at T_tip_shape (4, 4) or (3,) (default: at the tip), or an obstacle, by its name.
+        """Attach a shape to a tip at T_tip_shape (4, 4) or (3,) (default: at the tip), or attach an obstacle given by name.
 
-        An obstacle stays where it is when the robot stands at q (n,) [rad or m], unless T_tip_shape is given. tip: of a Tree, the
-        one that holds it. touch: names of links and obstacles it may touch. It is tested against all that it can move against.
+        An obstacle is grasped where it is with the robot at q (n,) [rad or m], unless T_tip_shape is given. tip: the tip of a Tree
+        that holds it. touch: names of links and obstacles it may touch. It is tested against every part it can move relative to.
         Raises InvalidOption, InvalidTarget, FrameNotFound.
         """
         arm = self._arm(tip)
@@ -132,15 +135,15 @@ class Surroundings:
         for other in touch:
             if other not in self._names:
                 raise InvalidOption(
-                    f"touch= names '{other}', which is no part.{near_match(other, dict.fromkeys(self._names))}"
+                    f"touch= names '{other}', which is not a known part.{near_match(other, dict.fromkeys(self._names))}"
                 )
         if isinstance(shape, str):
             one = self._placed[self._known(shape)]
             if one.arm is not None:
-                raise InvalidOption(f"'{shape}' is attached already")
+                raise InvalidOption(f"'{shape}' is already attached")
             if T_tip_shape is None and q is None:
                 raise InvalidOption(
-                    f"to attach '{shape}' where it is, give the q at which the robot takes it, or T_tip_shape"
+                    f"to attach '{shape}' where it is, give the q at which the robot grasps it, or T_tip_shape"
                 )
             T = self._tip(arm, q).inverse().homogeneous @ one.T if T_tip_shape is None else as_matrix(T_tip_shape)
             self._placed[shape] = replace(one, T=T, arm=arm, touch=touch)
@@ -151,10 +154,10 @@ class Surroundings:
         return self
 
     def detach(self, name: str, q: Any = None) -> Self:
-        """Let go of what is attached: with q (n,) [rad or m] it stays as an obstacle where it is then. Raises InvalidOption."""
+        """Release an attached shape; with q (n,) [rad or m] it becomes an obstacle where it is at q. Raises InvalidOption."""
         one = self._placed[self._known(name)]
         if one.arm is None:
-            raise InvalidOption(f"'{name}' is an obstacle, not attached; remove() takes it away")
+            raise InvalidOption(f"'{name}' is an obstacle, not attached; use remove()")
         if q is None:
             return self.remove(name)
         T = self._tip(one.arm, q).homogeneous @ one.T
@@ -164,7 +167,7 @@ class Surroundings:
 
     def _arm(self, tip: str | None) -> int:
         if tip is None and len(self.robot.tips) > 1:
-            raise InvalidOption(f"tip= says which of the tips holds it: {', '.join(self.robot.tips)}")
+            raise InvalidOption(f"choose with tip= the tip that holds it: {', '.join(self.robot.tips)}")
         if tip is not None:
             self.robot.check_tips([tip])
         return 0 if tip is None else self.robot.tips.index(tip)
@@ -176,7 +179,7 @@ class Surroundings:
     def _known(self, name: str) -> str:
         if name not in self._placed:
             raise InvalidOption(
-                f"there is no obstacle and nothing attached named '{name}'.{near_match(name, self._placed)}"
+                f"there is no obstacle or attached shape named '{name}'.{near_match(name, self._placed)}"
             )
         return name
 

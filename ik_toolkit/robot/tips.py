@@ -1,4 +1,4 @@
-"""Which frame of a robot is its tip, where nobody says: by the names that descriptions of arms commonly use."""
+"""Guess a robot's tip frame when none is given, from the names that arm descriptions commonly use."""
 
 import logging
 import re
@@ -11,23 +11,23 @@ from ..errors import FrameNotFound, InvalidOption, ModelError
 
 LOG = logging.getLogger("ik_toolkit")
 
-# What the words of a frame's name must hold, the strongest convention first: the tool's centre point, then the frames that ROS,
-# MoveIt and the makers of arms put at the end of one, then the hand itself.
+# Words that a frame's name must contain, the strongest convention first: the tool centre point, then the end frames of ROS,
+# MoveIt and arm manufacturers, then the hand itself.
 CONVENTIONS: tuple[tuple[str, ...], ...] = (
     ("tcp",), ("tool0",), ("tool",), ("end", "effector"), ("eef",), ("ee",),
     ("endeffector",), ("gripper",), ("hand",), ("arm", "tool"), ("flange",),
 )  # fmt: skip
-# Words of parts of a hand, of sensors and of legs: no tool is held there.
+# Words for parts of a hand, sensors and legs: no tool is mounted there.
 OTHERS = frozenset(
     "finger fingers fingertip thumb jaw index middle ring little pinky nail inner outer mover moving motor rotor "
     "ft force torque imu camera optical depth rgb sensor skin accelerometer range laser head neck "
     "foot feet sole ankle leg toe wheel caster mount contact cover collision shape visual dummy".split()
 )
-SHOWN = 3  # candidates that a message names
+SHOWN = 3  # candidates listed in a message
 
 
 class Guess(NamedTuple):
-    """Tips that a robot may well have, the likeliest first: one, or several that nothing tells apart. why: what speaks for them."""
+    """Likely tips of a robot, best first: one, or several equally likely ones. why: the reason."""
 
     tips: tuple[str, ...]
     why: str
@@ -39,13 +39,13 @@ def words(name: str) -> list[str]:
 
 
 def fits(convention: Sequence[str], said: set[str]) -> bool:
-    """Whether a frame with these words follows a convention. The tool frame of an arm is where a hand begins, if it has one."""
+    """Whether a frame with these words follows a convention. An arm's tool frame is where its hand begins, if it has one."""
     on_arm = "arm" in said and "tool" in said
     return set(convention) <= said and not OTHERS & said and on_arm == ("arm" in convention)
 
 
 def path_ends(model: pin.Model) -> tuple[str, ...]:
-    """Names of the frames at the ends of the model's paths that a joint moves: what a tip may well be."""
+    """Names of the moving frames at the ends of the model's paths: the candidates for a tip."""
     frames = model.frames
     parents = {
         f.parentFrame for f in frames if f.type in (pin.FrameType.BODY, pin.FrameType.JOINT, pin.FrameType.FIXED_JOINT)
@@ -56,7 +56,7 @@ def path_ends(model: pin.Model) -> tuple[str, ...]:
 
 
 def guess_tip(model: pin.Model) -> Guess:
-    """Guess the tip by the conventions of names, else take the ends that the most joints move."""
+    """Guess the tip by naming conventions, else take the ends moved by the most joints."""
     moved = [f for f in model.frames if f.type in (pin.FrameType.BODY, pin.FrameType.OP_FRAME) and f.parentJoint > 0]
     named = [(f, words(f.name)) for f in moved]
     for convention in CONVENTIONS:
@@ -74,12 +74,12 @@ def guess_tip(model: pin.Model) -> Guess:
 
 
 def tip_candidates(model: pin.Model) -> tuple[str, ...]:
-    """What may be the tip: the likely ones, then the other ends of the model's paths."""
+    """Candidates for the tip: the likely ones, then the other ends of the model's paths."""
     return tuple(dict.fromkeys((*guess_tip(model).tips, *path_ends(model))))
 
 
 def only_tip(model: pin.Model, robot: str) -> str:
-    """The tip to take when none is given. Logs a guess; raises ModelError (nothing moves), FrameNotFound (several as likely)."""
+    """The tip to use if none is given. Logs a guess; raises ModelError (nothing moves), FrameNotFound (several equally likely)."""
     tips, why = guess_tip(model)
     if len(tips) == 1:
         if path_ends(model) != tips:
@@ -97,7 +97,7 @@ def only_tip(model: pin.Model, robot: str) -> str:
 
 
 def _branches(model: pin.Model, frames: Sequence[pin.Frame]) -> tuple[str, ...]:
-    """One frame for each branch: of those that carry others the joint nearest the base, and its last frame."""
+    """One frame per branch: of frames that carry each other, the joint nearest the base, and that joint's last frame."""
     lines = [list(model.supports[f.parentJoint]) for f in frames]
     joints = {f.parentJoint for f in frames}
     first = [f for f, line in zip(frames, lines, strict=True) if not joints & set(line[:-1])]
@@ -105,7 +105,7 @@ def _branches(model: pin.Model, frames: Sequence[pin.Frame]) -> tuple[str, ...]:
 
 
 def one_word(tip: str | None, ee_link: str | None) -> str | None:
-    """The tip, by whichever of its two words it is given. Raises InvalidOption."""
+    """The tip, given as either tip or ee_link. Raises InvalidOption."""
     if tip is not None and ee_link is not None and tip != ee_link:
         raise InvalidOption(
             f"tip and ee_link are two names for one frame, not {tip!r} and {ee_link!r}; give one of them"

@@ -1,4 +1,4 @@
-"""A robot with several tips: arms of one model that share joints, solved for together."""
+"""A robot with several tips: arms of one model that share joints and are solved together."""
 
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
@@ -16,35 +16,35 @@ from .robot import Robot
 from .srdf import Srdf, srdf_of
 from .tips import tip_candidates
 
-ENDS = 8  # ends of paths that a message names
+ENDS = 8  # path ends listed in a message
 
 
 def union(arms: Sequence[Robot]) -> tuple[str, ...]:
-    """Names of the joints on any of the paths: the first arm's, base to tip, then what each next one adds."""
+    """Names of the joints on any of the paths: the first arm's from base to tip, then those each further arm adds."""
     return tuple(dict.fromkeys(joint for arm in arms for joint in arm.joint_names))
 
 
 class Tree(Joints):
     """Several tips of one model: `Tree.load(name, tips=["left_tip", "right_tip"])`, or `Tree([left, right])` from robots.
 
-    q (n,) holds every joint of the paths once: those of the first tip's path, base to tip, then what the next tip's path
+    q (n,) holds every joint of the paths once: those of the first tip's path, base to tip, then those the next tip's path
     adds, and so on. Attributes: arms (a Robot for each tip); tips, base (frame names); places (for each tip, the indices in q
     of its arm's joints); name, model, joint_names, joint_kinds, lower, upper, home, velocity_limits, rest, locked_joints, urdf,
     path, package_dirs, srdf, named as in Robot; chain (kernel arrays); reach [m], the largest of the arms'; memo (see Joints).
-    The arms share model, base and resting joints (else ModelError); each may have a tool of its own.
+    The arms share model, base and resting joints (else ModelError); each may have its own tool.
     """
 
     by_tip = True
 
     def __init__(self, arms: Sequence[Robot], home: Sequence[float] | np.ndarray | None = None) -> None:
-        """Join robots that differ in their tip only. home (n,): default the arms' own. Raises ModelError, FrameNotFound."""
+        """Join robots that differ only in their tip. home (n,): default the arms' own. Raises ModelError, FrameNotFound."""
         if isinstance(arms, Robot) or not all(isinstance(arm, Robot) for arm in arms) or not len(arms):
             raise ModelError("a tree is made from a list of robots, one per tip")
         first = arms[0]
         self.arms = tuple(arms)
         self.tips = tuple(arm.tip for arm in arms)
         if len(set(self.tips)) < len(self.tips):
-            raise FrameNotFound(f"each tip can be given once only: {', '.join(self.tips)}")
+            raise FrameNotFound(f"each tip can be given only once: {', '.join(self.tips)}")
         for arm in arms[1:]:
             same = arm.model is first.model or arm.model == first.model
             if not same or arm.base != first.base or not np.array_equal(arm.rest, first.rest):
@@ -60,25 +60,26 @@ class Tree(Joints):
         self.locked_joints = {joint: x for arm in arms for joint, x in arm.locked_joints.items()}
         for joint in names:
             if joint in self.locked_joints:
-                raise ModelError(f"joint '{joint}' is locked for one tip and moves another: lock it for all of them")
+                raise ModelError(f"joint '{joint}' is locked for one tip but moves another: lock it for all of them")
         self.memo: dict[Any, Any] = {}
         self.places = tuple(np.array([names.index(joint) for joint in arm.joint_names]) for arm in arms)
         lower, upper = np.full(self.n, -np.inf), np.full(self.n, np.inf)
         self.velocity_limits, middle = np.empty(self.n), np.empty(self.n)
         idx_q, circle = np.empty(self.n, dtype=int), np.empty(self.n, dtype=bool)
         kinds = {}
-        for arm, place in zip(reversed(arms), reversed(self.places), strict=True):  # the first tip's values stay
+        # Reversed, so that the first tip's values win.
+        for arm, place in zip(reversed(arms), reversed(self.places), strict=True):
             lower[place] = np.maximum(lower[place], arm.lower)
             upper[place] = np.minimum(upper[place], arm.upper)
             self.velocity_limits[place], middle[place] = arm.velocity_limits, arm.home
             idx_q[place], circle[place] = arm._path.idx_q, arm._path.circle
             for joint, kind in zip(arm.joint_names, arm.joint_kinds, strict=True):
-                # A slide that turns a follower of any arm counts as turning.
+                # A prismatic joint with a revolute follower on any arm counts as revolute.
                 if kinds.get(joint, "prismatic") == "prismatic":
                     kinds[joint] = kind
         for joint, low, high in zip(names, lower, upper, strict=True):
             if not low <= high:
-                raise ModelError(f"joint '{joint}' has no legal position: what the tips' paths allow does not overlap")
+                raise ModelError(f"joint '{joint}' has no legal position: its ranges on the tips' paths do not overlap")
         self.joint_kinds = tuple(kinds[joint] for joint in names)
         self.lower, self.upper = lower, upper
         self._path = JointPath([], 0, [], {}, idx_q, circle)
@@ -102,12 +103,11 @@ class Tree(Joints):
         srdf: str | Path | Srdf | bool | None = None,
         group: str | None = None,
     ) -> "Tree":
-        """Load several tips of a robot by shipped name, path of a URDF or xacro file, URDF text, or example-robot-data name.
+        """Load several tips of a robot: a shipped name, the path of a URDF or xacro file, URDF text, or an example-robot-data name.
 
         tips: frame names; default: the known tips of the robot (see `ik robots`), if it has several. A known home is used
-        joint by joint. on_base, base_limits: see Robot.load; the base is shared. srdf: as in Robot.load; group: one of its
-        groups, which sets base and tips taken. Raises what Robot.load does; FrameNotFound without tips lists the ends of
-        paths.
+        joint by joint. on_base, base_limits: see Robot.load; the base is shared. srdf: as in Robot.load; group: an SRDF group,
+        which sets base and tips. Raises as Robot.load does; without tips, FrameNotFound lists the path ends.
         """
         entry, made = read(source, package_dirs, xacro_args)
         made["srdf"] = srdf_of(srdf, made["model"], entry.path, made.pop("states"))
@@ -128,7 +128,7 @@ class Tree(Joints):
                 f"tips= takes a list of frame names, not {tips!r}; for one tip use ik.Robot.load(source, tip=)"
             )
         if not tips:
-            raise FrameNotFound("tips=[] names no tip; give at least one")
+            raise FrameNotFound("tips=[] is empty; give at least one tip")
         known = base in (None, entry.base)
         made["base"] = default_base(entry, made["model"], base, tips[0], on_base, base_limits)
         made |= {"on_base": on_base, "base_limits": base_limits}
@@ -190,10 +190,10 @@ class Tree(Joints):
 
 
 def require_one_tip(robot: Any, what: str) -> None:
-    """Raise InvalidOption unless `robot` is a Robot; `what` begins the sentence, which says how to choose one tip of a tree."""
+    """Raise InvalidOption unless `robot` is a Robot; `what` begins the message, which says how to choose one tip of a tree."""
     if isinstance(robot, Tree):
         raise InvalidOption(
-            f"{what} is for one tip, and this tree has {', '.join(robot.tips)}; choose one: ik.Robot.load(source, tip="
+            f"{what} needs one tip, and this tree has {', '.join(robot.tips)}; choose one: ik.Robot.load(source, tip="
             f"'{robot.tips[0]}'), or --tip in a shell"
         )
     if not isinstance(robot, Robot):

@@ -1,4 +1,4 @@
-"""A confined process that answers one question about a file: what strangers wrote may crash or exhaust it, and nothing else."""
+"""A subprocess that answers one question about an untrusted file, which can crash or exhaust only that process."""
 
 import json
 import subprocess
@@ -12,10 +12,10 @@ from ..errors import ModelError
 def ask(
     script: Path, does: str, silent: str, *, memory: int, seconds: int, folder: str | None = None, **job: Any
 ) -> dict[str, Any]:
-    """Run a script with a job (JSON on stdin); its answer is the last line it prints, {"error": sentence} if it cannot.
+    """Run a script with a job (JSON on stdin); the answer is the last line it prints, {"error": sentence} on failure.
 
-    does: what the process is for; silent: the error if it says nothing. memory [bytes] and seconds of processor time are caps that
-    the script sets for itself. folder: where it runs. Raises ModelError when it cannot be started.
+    does: purpose of the process, for messages; silent: the error if it prints nothing. memory [bytes] and seconds of processor time
+    are caps that the script sets for itself. folder: working folder. Raises ModelError if it cannot be started.
     """
     try:
         done = subprocess.run(
@@ -25,7 +25,7 @@ def ask(
             stderr=subprocess.DEVNULL,
             text=True,
             cwd=folder,
-            timeout=6.0 * seconds,  # of wall time: a busy machine
+            timeout=6.0 * seconds,  # wall time: allows for a busy machine
             check=False,
         )
         return json.loads((done.stdout.strip().splitlines() or [""])[-1])

@@ -1,4 +1,4 @@
-"""Elements of a URDF: links, joints and primitive shapes, written with the standard library's XML only."""
+"""URDF elements: links, joints and primitive shapes, written with only the standard library's XML."""
 
 import xml.etree.ElementTree as ET
 from collections.abc import Mapping, Sequence
@@ -38,9 +38,9 @@ def add_joint(
     T: np.ndarray,
     limit: Mapping[str, float] | None = None,
 ) -> None:
-    """Append a joint at T (4x4) in the parent link; a moving one turns about or slides along z and has a limit.
+    """Append a joint at T (4x4) in the parent link; a moving one rotates about or slides along z and has limits.
 
-    limit: lower, upper [rad or m] (none for a continuous joint), effort, velocity (Pinocchio refuses a file without).
+    limit: lower, upper [rad or m] (none for a continuous joint), effort, velocity (required by Pinocchio).
     """
     joint = ET.SubElement(robot, "joint", name=name, type=kind)
     origin(joint, T)
@@ -56,7 +56,7 @@ def add_shape(
 ) -> None:
     """Append a visual (and a collision shape when solid): 'box' (x, y, z) or 'cylinder' (radius, length on z) [m]."""
     if min(size) <= 0.0:
-        return  # a slide without a stroke has no tube to draw
+        return  # a prismatic joint without a stroke has no tube to draw
     for tag in ("visual", "collision") if solid else ("visual",):
         part = ET.SubElement(link, tag)
         origin(part, T)
@@ -70,7 +70,7 @@ def add_shape(
 
 
 def add_bar(link: ET.Element, a: np.ndarray, b: np.ndarray, r: float) -> None:
-    """Draw a bar: round along z, a flat-sided boom otherwise; its collision shape leaves the joint drums free."""
+    """Draw a bar: round along z, a flat-sided boom otherwise; its collision shape stops short of the joint drums."""
     length = float(np.linalg.norm(b - a))
     T = _along(a, b)
     if abs(T[2, 2]) > 0.999:
@@ -91,7 +91,7 @@ def _solid(T: np.ndarray, radius: float, length: float) -> ET.Element:
 
 
 def add_gripper(link: ET.Element, a: np.ndarray, b: np.ndarray, r: float) -> None:
-    """Draw a palm and two fingers whose ends frame the point b."""
+    """Draw a palm and two fingers whose ends enclose the point b."""
     size = min(r, float(np.linalg.norm(b - a)) / 5.2)
     T = _along(a, b)
     T[:3, 3] = b
@@ -110,7 +110,7 @@ def shift(x: float = 0.0, y: float = 0.0, z: float = 0.0) -> np.ndarray:
 
 
 def _along(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Frame in the middle of a and b whose z points from a to b; a boom stands upright on the joint's axis."""
+    """Frame midway between a and b with z from a to b; a boom stays upright on the joint's axis."""
     z = (b - a) / np.linalg.norm(b - a)
     side = np.array([0.0, 0.0, 1.0]) if abs(z[2]) < 0.9 else np.array([1.0, 0.0, 0.0])
     y = np.cross(z, side)
@@ -127,11 +127,11 @@ def origin(parent: ET.Element, T: np.ndarray) -> None:
 
 
 def numbers_text(values: Sequence[float] | np.ndarray) -> str:
-    """Numbers of an attribute, that read back as the same."""
+    """Numbers as attribute text that reads back unchanged."""
     return " ".join(_text(value) for value in values)
 
 
 def _text(value: float) -> str:
-    """Shortest text that reads back as the same number (so no precision is lost); -0 becomes 0."""
+    """Shortest text that reads back as the same number; -0 becomes 0."""
     number = float(value) + 0.0
     return str(int(number)) if number.is_integer() and abs(number) < 1e15 else repr(number)

@@ -1,4 +1,4 @@
-"""Xacro -> URDF text, expanded by a process of its own that is confined (see xacro_worker.py)."""
+"""Xacro -> URDF text, expanded in a sandboxed subprocess (see xacro_worker.py)."""
 
 import importlib.util
 import os
@@ -18,7 +18,7 @@ def expand(path: Path, package_dirs: Iterable[str | Path] = (), arguments: Mappi
     """URDF text of a xacro file.
 
     arguments: values of its <xacro:arg>, and of $(env NAME), by name. Files are read from the file's own folder, the package it
-    lies in, package_dirs and the packages it finds; nothing is written, no command run, no environment read. Raises
+    is in, package_dirs and the packages it finds; nothing is written, no command run, no environment read. Raises
     MissingExtra, InvalidOption (arguments), ModelError: one sentence that names the file.
     """
     if importlib.util.find_spec("xacro") is None:
@@ -26,7 +26,7 @@ def expand(path: Path, package_dirs: Iterable[str | Path] = (), arguments: Mappi
     given = {}
     for name, value in (arguments or {}).items():
         if not isinstance(name, str) or not isinstance(value, str | int | float):
-            raise InvalidOption(f"xacro_args must map names to texts or numbers, not {name!r:.60}: {value!r:.60}")
+            raise InvalidOption(f"xacro_args must map names to strings or numbers, not {name!r:.60}: {value!r:.60}")
         given[name] = str(value).lower() if isinstance(value, bool) else str(value)
     file = path.expanduser().resolve()
     folders = [str(Path(folder).expanduser().resolve()) for folder in package_dirs]

@@ -1,8 +1,8 @@
-"""The process that expands xacro for `xacro.py`: macros are a programming language, so they run apart and confined.
+"""Subprocess that expands xacro for `xacro.py`: macros are a programming language, so they run sandboxed.
 
-It imports nothing of the toolkit but packages.py and mesh_worker.py. Job (JSON on stdin): file, arguments (name -> value),
-package_dirs, folders (files are read only from these and from packages that are found), environment (variables that ROS keeps
-packages in), memory [bytes], seconds. It prints one line of JSON: {"urdf": text} or {"error": sentence}.
+It imports nothing from the toolkit except packages.py and mesh_worker.py. Job (JSON on stdin): file, arguments (name -> value),
+package_dirs, folders (files are read only from these and from packages that are found), environment (ROS package path
+variables), memory [bytes], seconds. It prints one line of JSON: {"urdf": text} or {"error": sentence}.
 """
 
 import contextlib
@@ -16,14 +16,14 @@ from types import ModuleType
 from typing import Any
 
 WRITES = os.O_WRONLY | os.O_RDWR | os.O_CREAT | os.O_TRUNC | os.O_APPEND
-CALLS = (  # beginnings of audit events
+CALLS = (  # prefixes of audit events
     "subprocess.", "os.system", "os.exec", "os.spawn", "os.posix_spawn", "os.fork", "pty.", "socket.", "ctypes.", "shutil.",
     "os.remove", "os.rename", "os.mkdir", "os.link", "os.symlink",
 )  # fmt: skip
 
 
 def beside(name: str) -> ModuleType:
-    """The module of this name in this folder, which is no package to a script."""
+    """The module of this name in this folder; a script cannot import it from the package."""
     spec = importlib.util.spec_from_file_location(name, Path(__file__).with_name(f"{name}.py"))
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)
@@ -32,11 +32,11 @@ def beside(name: str) -> ModuleType:
 
 
 class NotAllowed(Exception):
-    """What a description must not do; no OSError, which xacro would rewrite."""
+    """A forbidden operation; not an OSError, which xacro would rewrite."""
 
 
 class Walls:
-    """From `build` on this process reads files of some folders and Python's own, writes none, starts and connects to nothing."""
+    """Sandbox: after `build` this process reads only some folders and Python's own; it cannot write, connect or start processes."""
 
     def __init__(self, folders: list[str]) -> None:
         self.folders = [
@@ -45,11 +45,11 @@ class Walls:
         self.open = False
 
     def build(self) -> None:
-        """Put them up."""
+        """Activate the sandbox."""
         sys.addaudithook(self.watch)
 
     def watch(self, event: str, arguments: tuple) -> None:
-        """Audit hook: raise for what is not allowed."""
+        """Audit hook: raise NotAllowed for a forbidden operation."""
         if event == "open" and isinstance(arguments[0], str | bytes):
             path, mode, flags = arguments
             real = os.path.realpath(os.fsdecode(path))
@@ -63,7 +63,7 @@ class Walls:
 
 
 def expand(job: dict) -> dict:
-    """Answer of a job."""
+    """Run a job."""
     import xacro
     import xacro.substitution_args as substitution
     import yaml  # noqa: F401 - xacro loads it late
@@ -111,7 +111,7 @@ def expand(job: dict) -> dict:
         with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
             document: Any = xacro.process_file(job["file"], mappings=job["arguments"])
         return {"urdf": document.toprettyxml(indent="  ")}
-    except BaseException as error:  # whatever the macros do is one more way to be broken
+    except BaseException as error:  # broken macros can raise anything
         stack = [os.path.basename(name) for name in (xacro.filestack or []) if name]
         cause = getattr(error, "exc", None) or error
         if isinstance(cause, FileNotFoundError):

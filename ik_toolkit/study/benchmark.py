@@ -17,9 +17,9 @@ from ..solvers.solve import Solver, is_auto, require_robot
 from ..solvers.status import Status
 from .statistics import wilson
 
-BLOCKS = 10  # turns in which the targets are handed to the solvers, so that what else the machine does hits all alike
-NEAR = 0.1  # rad (m): a near start lies within this of a solution, each joint
-RESTARTS = 99  # for every solver alike
+BLOCKS = 10  # blocks of targets on which the solvers alternate, so that background load affects all alike
+NEAR = 0.1  # rad (m): a near start lies within this distance of a solution in each joint
+RESTARTS = 99  # the same for every solver
 STARTS = ("none", "home", "random", "near")
 TASKS = ("pose", "position")
 
@@ -30,9 +30,9 @@ class BenchmarkRow:
 
     robot, tips, solver; task 'pose' or 'position'; targets, solved, and the 95 % Wilson interval low, high of the success
     probability; median, mean, p99 [s] of one call from Python, failures included; iterations and fk_evaluations, medians;
-    restarts, mean; statuses: name -> count; worst_position_error [m] and worst_orientation_error [rad] among the successes, of
-    several tips the largest (None without one, or for positions). seconds and iteration_counts (N,) are kept for plots. once:
-    the row of one attempt per target (None in that row itself).
+    restarts, mean; statuses: name -> count; worst_position_error [m] and worst_orientation_error [rad] among the successes, the
+    largest over the tips (None without successes, or for positions). seconds and iteration_counts (N,) are kept for plots. once:
+    the row for one attempt per target (None in that row itself).
     """
 
     robot: str
@@ -64,7 +64,7 @@ class BenchmarkRow:
 
 @dataclass(frozen=True)
 class Benchmark:
-    """What `benchmark` returns: rows, in the order robots x solvers; skipped: (robot, solver) -> why it does not apply."""
+    """Result of `benchmark`: rows, in the order robots x solvers; skipped: (robot, solver) -> why it does not apply."""
 
     rows: tuple[BenchmarkRow, ...]
     skipped: dict[tuple[str, str], str]
@@ -74,7 +74,7 @@ class Benchmark:
     options: dict[str, Any]
 
     def by_robot(self) -> dict[str, list[BenchmarkRow]]:
-        """Rows of each robot by its name, with its tips where it has several or the same robot comes with others."""
+        """Rows by robot name, with its tips if it has several or the same robot occurs with other tips."""
         tips: dict[str, set] = {}
         for row in self.rows:
             tips.setdefault(row.robot, set()).add(row.tips)
@@ -99,7 +99,7 @@ class BenchmarkInterrupted(KeyboardInterrupt):
     """Ctrl-C during a benchmark; `result` is the Benchmark of the blocks of targets finished before it."""
 
     def __init__(self, result: Benchmark) -> None:
-        """Keep what was finished."""
+        """Keep the finished part."""
         super().__init__(f"interrupted with {len(result.rows)} rows")
         self.result = result
 
@@ -118,15 +118,15 @@ def benchmark(
 ) -> Benchmark:
     """Compare solvers on the same random reachable targets, one thread, each call timed from Python.
 
-    Every solver meets the targets twice, with one attempt and with the same number of restarts (`restarts=`, default 99).
-    robots: one or several, loaded or by name; of a Tree all tips are solved together, and errors are the largest of them.
+    Every solver solves the targets twice: with one attempt, and with the same number of restarts (`restarts=`, default 99).
+    robots: one or several, loaded or by name; for a Tree, all tips are solved together, and errors are the largest of them.
     solvers: names, classes or instances; default: every registered one that applies. targets: number per robot, poses of random
     configurations inside the limits. start: 'none' (each solver's own choice), 'home', 'random', or 'near' (within 0.1 rad or m
-    of a solution, each joint). task: 'pose' or 'position'; default poses from six joints per tip on. executor: anything with
-    the concurrent.futures interface, instead of this process; the times are then of the workers. progress(done, all) counts
-    blocks. Options: as for `solve`, given to every solver that takes them. A solver that does not apply to a robot is listed in
-    `skipped` with the reason. Ctrl-C raises BenchmarkInterrupted, a KeyboardInterrupt whose `result` holds what was finished.
-    Raises RobotNotFound, UnknownSolver, InvalidOption.
+    of a solution in each joint). task: 'pose' or 'position'; default 'pose' for six or more joints per tip. executor: anything
+    with the concurrent.futures interface, used instead of this process; times are then those of the workers. progress(done, all)
+    counts blocks. Options: as for `solve`, passed to every solver that accepts them. A solver that does not apply to a robot is
+    listed in `skipped` with the reason. Ctrl-C raises BenchmarkInterrupted, a KeyboardInterrupt whose `result` holds the finished
+    blocks. Raises RobotNotFound, UnknownSolver, InvalidOption.
     """
     if start not in STARTS:
         raise InvalidOption(f"start must be one of {', '.join(STARTS)}, not {start!r}.{near_match(str(start), STARTS)}")
@@ -141,9 +141,9 @@ def benchmark(
     asked = [row.name for row in list_rows()] if solvers is None else list(solvers)
     for solver in asked:
         if not is_auto(solver):
-            find_row(solver)  # raises for a name that does not exist; one that does not apply is left out
+            find_row(solver)  # raises for an unknown name; one that does not apply is only skipped
     if not arms or not asked:
-        raise InvalidOption("a benchmark takes at least one robot and one solver")
+        raise InvalidOption("a benchmark needs at least one robot and one solver")
     rows: list[BenchmarkRow] = []
     skipped: dict[tuple[str, str], str] = {}
     options = {"restarts": RESTARTS, **options}
@@ -177,7 +177,7 @@ def benchmark(
 
 
 def label(robot: str, tips: tuple[str, ...], always: bool = False) -> str:
-    """Name of a robot, and of its tips where it has several (or always)."""
+    """Name of a robot, with its tips if it has several (or always)."""
     return f"{robot} ({' + '.join(tips)})" if always or len(tips) > 1 else robot
 
 
@@ -187,9 +187,9 @@ Bound = dict[tuple[str, bool], Solver]
 def _bind(
     robot: Robot | Tree, asked: list[Any], options: dict[str, Any], T: np.ndarray, Q0: np.ndarray | None, *, every: bool
 ) -> tuple[Bound, dict[str, IKError]]:
-    """By name: each solver with one attempt (True) and with restarts (False), compiled; and those that do not apply, with why.
+    """Compiled solvers by (name, one attempt: True or with restarts: False), and the reasons of those that do not apply.
 
-    every: they were not chosen by name, so whatever does not apply is left out.
+    every: the solvers were not chosen by name, so those that do not apply are left out.
     """
     bound: Bound = {}
     refused: dict[str, IKError] = {}
@@ -215,7 +215,7 @@ def _measure(
     executor: Executor | None,
     parts: dict[tuple[str, bool], list[np.ndarray]],
 ) -> Iterator[tuple[int, int]]:
-    """Hand the targets to all solvers in turns; the tables of `run_block` go to `parts`. Yields how many of all are done."""
+    """Give blocks of targets to all solvers in turn; the tables of `run_block` go to `parts`. Yields (done, all)."""
     edges = np.linspace(0, len(T), min(BLOCKS, len(T)) + 1).astype(int)
     jobs = [
         (key, solver, T[a:b], None if Q0 is None else Q0[a:b])
@@ -229,7 +229,7 @@ def _measure(
 
 
 def problems(robot: Robot | Tree, count: int, task: str, start: str, seed: int) -> tuple[np.ndarray, np.ndarray | None]:
-    """Targets (N, 4, 4) or (N, 3) [m], of a Tree (N, F, ...), and starts (N, n) [rad or m], None for each solver's own."""
+    """Targets (N, 4, 4) or (N, 3) [m], for a Tree (N, F, ...), and starts (N, n) [rad or m], None for each solver's own."""
     rng = np.random.default_rng(seed)
     Q = robot.random_q(rng, count)
     T = robot.chain.forward(Q)[0]
@@ -244,7 +244,7 @@ def problems(robot: Robot | Tree, count: int, task: str, start: str, seed: int) 
 
 
 def run_block(solver: Solver, T: np.ndarray, Q0: np.ndarray | None) -> np.ndarray:
-    """Solve a block; rows (m, 7) of seconds, status, iterations, restarts, FK evaluations, position and rotation error."""
+    """Solve a block; rows (m, 7): seconds, status, iterations, restarts, FK evaluations, position and rotation error."""
     table = np.empty((len(T), 7))
     for k, target in enumerate(T):
         q0 = None if Q0 is None else Q0[k]
@@ -258,7 +258,7 @@ def run_block(solver: Solver, T: np.ndarray, Q0: np.ndarray | None) -> np.ndarra
 
 
 def summary(robot: Robot | Tree, solver: str, task: str, table: np.ndarray) -> BenchmarkRow:
-    """Statistics of the rows of `run_block`; the arrays kept have the solved targets first."""
+    """Statistics of the rows of `run_block`; the stored arrays have the solved targets first."""
     good = table[:, 1] == Status.CONVERGED
     solved, count = int(good.sum()), len(table)
     low, high = wilson(solved, count)

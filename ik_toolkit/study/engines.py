@@ -1,13 +1,13 @@
-"""Search engines of a tuning run: a particle swarm and CMA-ES, both in the unit box."""
+"""Optimisers for tuning: a particle swarm and CMA-ES, both in the unit box."""
 
 import numpy as np
 
 
 class Swarm:
-    """Particle swarm in the unit box, inertia 0.729 and both pulls 1.494 (Clerc and Kennedy 2002); walls stop a particle."""
+    """Particle swarm in the unit box, inertia 0.729, both accelerations 1.494 (Clerc and Kennedy 2002); walls stop a particle."""
 
     def __init__(self, start: np.ndarray, spread: float, population: int, seed: int) -> None:
-        """Place the particles around `start`; the first one is it."""
+        """Place the particles around `start`; the first one is `start` itself."""
         self.rng = np.random.default_rng(seed)
         self.x = np.clip(start + spread * self.rng.standard_normal((population, len(start))), 0.0, 1.0)
         self.x[0] = start
@@ -20,7 +20,7 @@ class Swarm:
         return self.x
 
     def tell(self, costs: np.ndarray) -> None:
-        """Learn the costs and move."""
+        """Update the swarm with the costs."""
         better = costs < self.cost
         self.own[better], self.cost[better] = self.x[better], costs[better]
         leader = self.own[np.argmin(self.cost)]
@@ -50,5 +50,5 @@ class Evolution:
         return np.array(self.asked)[:, : self.size]
 
     def tell(self, costs: np.ndarray) -> None:
-        """Learn the costs."""
+        """Update the distribution with the costs."""
         self.engine.tell(self.asked, list(costs))

@@ -1,4 +1,4 @@
-"""Singularities: where methods stall from a start, which of them escape, and how near to singular they pass."""
+"""Singularities: which methods stall at a start, which escape, and how near to singular configurations they pass."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,7 +13,7 @@ from ..solvers.registry import find_row
 from ..solvers.solve import Solver
 from .statistics import wilson
 
-STUCK = 1e-9  # rad or reaches: a run that never moves a joint further than this stands still
+STUCK = 1e-9  # [rad or reaches] a run that never moves a joint farther than this counts as stuck
 
 
 @dataclass(frozen=True)
@@ -21,7 +21,7 @@ class Run:
     """One run from a start: errors, manipulability and condition of the Jacobian at each evaluation.
 
     position_error (k,) [m]; manipulability (k,), the product of the singular values (lengths over the length scale); condition
-    (k,), largest over smallest (infinite where singular); q (k, n); stands_still: no joint ever moved.
+    (k,), largest over smallest singular value (infinite where singular); q (k, n); stands_still: no joint ever moved.
     """
 
     solver: str
@@ -36,7 +36,7 @@ class Run:
 
 
 def measures(robot: Robot, Q: np.ndarray, position_only: bool = True) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Manipulability (N,), condition (N,) and smallest singular value (N,) at Q (N, n), over the task rows that can move.
+    """Manipulability (N,), condition (N,) and smallest singular value (N,) at Q (N, n), over the task rows the robot can move.
 
     Lengths over the robot's length scale. Source: Yoshikawa (1985).
     """
@@ -53,7 +53,7 @@ def measures(robot: Robot, Q: np.ndarray, position_only: bool = True) -> tuple[n
 
 
 def run(robot: Robot, target: np.ndarray, solver: Any, q0: np.ndarray, **options: Any) -> Run:
-    """Solve one target from q0, without restarts, and measure the Jacobian along the way."""
+    """Solve one target from q0 without restarts, and measure the Jacobian at each evaluation."""
     require_one_tip(robot, "a study of singularities")
     asked: dict[str, Any] = {"restarts": 0, **options, "history": True}
     bound = Solver(robot, solver, **asked)
@@ -76,7 +76,7 @@ def run(robot: Robot, target: np.ndarray, solver: Any, q0: np.ndarray, **options
 
 @dataclass(frozen=True)
 class Escape:
-    """Share of targets a solver reaches from a start, next to the share from the start moved by `offset`."""
+    """Success rate of a solver from a start, and from the start moved by `offset`."""
 
     solver: str
     targets: int
@@ -100,7 +100,7 @@ class Escape:
 def escapes(
     robot: Robot, targets: np.ndarray, solvers: Sequence[Any], q0: np.ndarray, offset: float = 1e-6, **options: Any
 ) -> list[Escape]:
-    """Which solvers reach the targets from q0 (singular, say), without restarts, and from q0 moved by `offset` [rad, reaches]."""
+    """Success of each solver from q0 (for example singular) without restarts, and from q0 moved by `offset` [rad, reaches]."""
     require_one_tip(robot, "a study of singularities")
     rng = np.random.default_rng(0)
     q0 = np.asarray(q0, dtype=float)

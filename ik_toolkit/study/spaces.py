@@ -1,4 +1,4 @@
-"""What a search searches: the space of a solver on a robot."""
+"""The parameter space of a solver on a robot, for tuning."""
 
 import inspect
 from typing import Any
@@ -12,15 +12,15 @@ from ..solvers.space import Parameter, Space
 RANGES = {
     "damping": (1e-4, 1.0, True),
     "gain": (0.05, 1.9, False),
-}  # low, high, on a log scale; of any rule that has them
+}  # low, high, on a log scale; for any rule that has them
 
 
 def make_space(
     robot: Robot | Tree, solver: str, position_only: bool, maps: int | None = None, initial: Any = None
 ) -> Space:
-    """Space of a solver on a robot: what its class says (`space`), or its damping and gain.
+    """Parameter space of a solver on a robot: that of its class (`space`), or its damping and gain.
 
-    maps: of a solver that has them, how many; default its own choice. Raises InvalidOption for solvers without parameters and
+    maps: for a solver with maps, their number; default its own choice. Raises InvalidOption for solvers without parameters and
     rules it cannot start from, UnknownSolver.
     """
     row = find_row(solver)
@@ -40,5 +40,5 @@ def make_space(
         if name in RANGES
     )
     if not parameters:
-        raise InvalidOption(f"solver '{row.name}' has nothing to tune")
+        raise InvalidOption(f"solver '{row.name}' has no parameters to tune")
     return Space(parameters, initial or make_rule(row, {}), lambda values: make_rule(row, values))

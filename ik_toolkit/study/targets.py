@@ -1,4 +1,4 @@
-"""Random targets for studies: uniform in the joints, or uniform in the volume the tip reaches."""
+"""Random targets for studies: uniform in joint space, or uniform in the volume the tip reaches."""
 
 from collections.abc import Iterator
 from typing import Any
@@ -12,11 +12,11 @@ from ..solvers.solve import require_robot
 
 HOW = ("joints", "volume")
 CELLS = 40  # voxels along the reach, for volume-uniform targets
-POOL = 200_000  # configurations that fill the voxels
+POOL = 200_000  # random configurations that fill the voxels
 
 
 def one_tip(robot: Robot | Tree, tip: str | None) -> str:
-    """The tip that is meant: the one given, or a Robot's own. Raises InvalidOption (a Tree, and none given), FrameNotFound."""
+    """The tip to use: the one given, or a Robot's own. Raises InvalidOption (a Tree, and none given), FrameNotFound."""
     if tip is None and robot.by_tip:
         raise InvalidOption(f"this needs a single tip; choose it with tip=: {', '.join(robot.tips)}")
     tip = robot.tips[0] if tip is None else tip
@@ -33,15 +33,15 @@ def sample_targets(
     position_only: bool = False,
     tip: str | None = None,
 ) -> np.ndarray:
-    """Reachable targets: poses (count, 4, 4), or positions (count, 3) [m]; of a Tree (count, F, 4, 4) or (count, F, 3).
+    """Reachable targets: poses (count, 4, 4), or positions (count, 3) [m]; for a Tree (count, F, 4, 4) or (count, F, 3).
 
-    how: 'joints', the tips at joint values drawn uniformly; 'volume', every voxel of the reach (a fortieth of it wide) that the
-    tip can enter is equally likely. tip: of a Tree, the targets of this tip alone (which 'volume' needs). seed: anything
-    `numpy.random.default_rng` takes. Raises InvalidOption, FrameNotFound.
+    how: 'joints', tip poses at uniformly drawn joint values; 'volume', all voxels (a fortieth of the reach wide) that the tip
+    can enter are equally likely. tip: for a Tree, only this tip's targets (required by 'volume'). seed: anything
+    `numpy.random.default_rng` accepts. Raises InvalidOption, FrameNotFound.
     """
     require_robot(robot)
     if how not in HOW:
-        raise InvalidOption(f"targets are drawn by one of {', '.join(HOW)}, not '{how}'.{near_match(str(how), HOW)}")
+        raise InvalidOption(f"how must be one of {', '.join(HOW)}, not '{how}'.{near_match(str(how), HOW)}")
     if isinstance(count, bool) or int(count) != count or count < 1:
         raise InvalidOption(f"the number of targets must be a whole number of at least 1, not {count!r}")
     if tip is not None or how == "volume":
@@ -72,6 +72,6 @@ def _poses(robot: Robot | Tree, Q: np.ndarray, tip: str | None) -> np.ndarray:
 def stream_targets(
     robot: Robot | Tree, count: int, seed: int = 0, *, chunk: int = 8192, **asked: Any
 ) -> Iterator[np.ndarray]:
-    """The same in chunks, for more targets than fit in memory; chunk k depends on (seed, k) only."""
+    """The same in chunks, for more targets than fit in memory; chunk k depends only on (seed, k)."""
     for k, done in enumerate(range(0, count, chunk)):
         yield sample_targets(robot, min(chunk, count - done), [seed, k], **asked)

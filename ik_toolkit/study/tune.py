@@ -1,4 +1,4 @@
-"""Tuning: search the parameters of a solver for the fewest failures, judge the best on targets it has never seen."""
+"""Tuning: search a solver's parameters for the fewest failures and judge the best on held-out targets."""
 
 import importlib.util
 import math
@@ -27,15 +27,16 @@ from .statistics import wilson
 from .targets import sample_targets
 
 METHODS = ("cma", "pso")
-JUDGED_SOON = 1  # held-out sets after Ctrl-C, which shall not be kept waiting
-FINALISTS = 8  # best candidates of the search that meet the validation targets
-SEARCH_ITERATIONS = 300  # limit while searching: lost targets cost most of the time, and slow ones shall count as lost
-TRAIN, VALIDATION, HELD_OUT = 1, 2, 3  # streams of the seed: the three sets never share a target
+JUDGED_SOON = 1  # held-out sets after Ctrl-C, which must not take long
+FINALISTS = 8  # best candidates of the search, compared on the validation targets
+# Limit while searching: failures cost most of the time, and slow solves should count as failures.
+SEARCH_ITERATIONS = 300
+TRAIN, VALIDATION, HELD_OUT = 1, 2, 3  # random streams: the three sets never share a target
 
 
 @dataclass
 class Score:
-    """Successes over targets: per set of targets, in all with a 95 % Wilson interval, and mean iterations of what was solved."""
+    """Success rate: successes per set of targets, overall with a 95 % Wilson interval, and mean iterations of solved targets."""
 
     successes: list[int]
     targets: int
@@ -43,7 +44,7 @@ class Score:
 
     @property
     def total(self) -> int:
-        """Targets over all sets."""
+        """Number of targets in all sets."""
         return self.targets * len(self.successes)
 
     @property
@@ -85,7 +86,7 @@ def _share(one: Score) -> str:
 
 
 def score(robot: Robot | Tree, rule: Any, sets: list[np.ndarray], **options: Any) -> Score:
-    """Solve sets of targets of equal size with a rule or solver name and count."""
+    """Solve equally large sets of targets with a rule or solver name, and count successes."""
     successes, iterations = [], []
     for targets in sets:
         result = solve_batch(robot, targets, rule, check=0.0, **options)
@@ -99,11 +100,11 @@ def score(robot: Robot | Tree, rule: Any, sets: list[np.ndarray], **options: Any
 class TuneResult:
     """What `tune` found.
 
-    rule: the best on held-out targets (give it to solve, Solver, solve_batch) of the `tuned` one, the `start` of the search and the
-    solver's `default`; kept says which. The default is not taken where maps= or initial= asked for another structure. scores: by
-    those names, Score on the held-out targets. train, held_out, before: Score of the tuned rule on the training targets and on the
-    held-out ones, and of the start on the latter. history: best cost so far, best and median of each generation. interrupted:
-    stopped by Ctrl-C, judged on one set only.
+    rule: the best on held-out targets (pass it to solve, Solver, solve_batch) of the `tuned` one, the `start` of the search and the
+    solver's `default`; kept names it. The default is not eligible if maps= or initial= asked for another structure. scores: Score
+    on the held-out targets, by those names. train, held_out, before: Score of the tuned rule on the training and on the held-out
+    targets, and of the start on the latter. history: best cost so far, best and median of each generation. interrupted: stopped by
+    Ctrl-C and judged on one set only.
     """
 
     robot: str
@@ -123,18 +124,18 @@ class TuneResult:
 
     @property
     def held_out(self) -> Score:
-        """Of the tuned rule on targets it has never seen."""
+        """Score of the tuned rule on the held-out targets."""
         return self.scores["tuned"]
 
     @property
     def before(self) -> Score:
-        """Of the rule the search started from, on the same targets."""
+        """Score of the rule the search started from, on the same targets."""
         return self.scores["start"]
 
     @property
     def verdict(self) -> str:
-        """One sentence: which rule is kept, and why when it is not the tuned one or the default is better."""
-        names = {"tuned": "the tuned rule", "start": "what the search started from", "default": "the default"}
+        """One sentence: which rule is kept, and why if it is not the tuned one or the default is better."""
+        names = {"tuned": "the tuned rule", "start": "the search's starting point", "default": "the default"}
         kept = self.scores[self.kept]
         text = f"kept: {names[self.kept]}"
         if self.kept != "tuned":
@@ -210,16 +211,16 @@ def tune(
 ) -> TuneResult:
     """Search parameters and start configurations of a solver with CMA-ES or a particle swarm.
 
-    robot: of a Tree all tips are solved together; a target then has one pose per tip, and its errors are the largest of them.
-    maps: of a solver that has them, number of starts (default: its own); 1 tunes the published structure (a, B, start; C
-    fixed, which loses nothing), more tune starts whose maps are designed. initial: the rule to start from; one with maps
-    keeps its structure (a, B, C, literal delay), and with several starts each B is searched between the given one and its
-    own. targets: training targets; held_out: sets of 1000 fresh targets that judge the result. cost of a candidate: share of
-    failures, plus a tenth of how far they were off (of the length scale), plus 0.02 mean iterations / max_iterations.
-    seconds: stop the search after this time. checkpoint: file with the candidates evaluated so far; if it exists, the search
-    continues from there. progress(generation, costs). The tuned rule, the start and the solver's default are compared on the
-    held-out targets, and the best is kept. Ctrl-C keeps the best so far. Deterministic for a given seed (unless `seconds`
-    ends it). Raises InvalidOption, UnknownSolver, MissingExtra.
+    robot: for a Tree, all tips are solved together; a target then has one pose per tip, and its errors are the largest of them.
+    maps: for a solver with maps, the number of starts (default: its own); 1 tunes the published structure (a, B, start; C fixed,
+    without loss), more tunes starts whose maps are designed. initial: the rule to start from; one with maps keeps its structure
+    (a, B, C, literal delay), and with several starts each B is searched between the given one and its own. targets: training
+    targets; held_out: number of sets of 1000 fresh targets for the final score. Cost of a candidate: failure rate, plus a tenth
+    of the remaining error (over the length scale), plus 0.02 mean iterations / max_iterations. seconds: stop the search after
+    this time. checkpoint: file with the candidates evaluated so far; if it exists, the search continues from there.
+    progress(generation, costs). The tuned rule, the start and the solver's default are compared on the held-out targets, and
+    the best is kept. Ctrl-C keeps the best so far. Deterministic for a given seed (unless `seconds` ends it). Raises
+    InvalidOption, UnknownSolver, MissingExtra.
     """
     row, default = _tunable(robot, solver, method)
     as_asked = maps is not None or initial is not None
@@ -295,7 +296,7 @@ def _tunable(robot: Any, solver: str, method: str) -> tuple[Row, Any]:
 
 
 class _Search:
-    """Cost of candidates and the best of them; history: a row a generation, see TuneResult."""
+    """Cost of candidates and the best of them; history: one row per generation, see TuneResult."""
 
     def __init__(self, robot: Robot | Tree, space: Space, train: np.ndarray, options: dict[str, Any]) -> None:
         self.robot, self.space, self.train, self.options = robot, space, train, options
@@ -310,7 +311,7 @@ class _Search:
         seconds: float | None,
         progress: Callable[[int, np.ndarray], None] | None,
     ) -> None:
-        """Search for so many generations, or seconds; there is a best candidate afterwards."""
+        """Search for a number of generations or seconds; sets the best candidate."""
         begun = perf_counter()
         for generation in range(generations):
             if seconds is not None and perf_counter() - begun > seconds:
@@ -318,11 +319,11 @@ class _Search:
             costs = self.generation(engine, record)
             if progress is not None:
                 progress(generation + 1, costs)
-        if not self.best:  # no generation was asked for, or no time for one
+        if not self.best:  # no generation was requested, or there was no time for one
             self.note(self.space.start[None], np.array([self.cost(self.space.start)]))
 
     def generation(self, engine: Any, record: "_Record") -> np.ndarray:
-        """Costs of the engine's next candidates, from the record where they are known."""
+        """Costs of the engine's next candidates, from the record if they are known."""
         X = engine.ask()
         costs = record.replay(len(self.history), X)
         if costs is None:
@@ -348,12 +349,12 @@ class _Search:
 
 
 def check_record(file: Path) -> None:
-    """Raise InvalidOption when a file is not the record of a search."""
+    """Raise InvalidOption if a file is not the record of a search."""
     _Record.read(file)
 
 
 class _Record:
-    """Costs of every generation, on disk; a resumed search replays them. First candidates tell whether it is the same search."""
+    """Costs of every generation, on disk; a resumed search replays them if its first candidates are the same."""
 
     def __init__(self, file: str | Path | None, key: str) -> None:
         self.file = None if file is None else Path(file)
@@ -371,7 +372,7 @@ class _Record:
             with np.load(file) as old:
                 return str(old["key"]), list(old["first"]), list(old["costs"])
         except (OSError, ValueError, KeyError, EOFError, AttributeError, TypeError, zipfile.BadZipFile):
-            raise InvalidOption(f"{file} is not the record of a search: move it away, or write elsewhere") from None
+            raise InvalidOption(f"{file} is not the record of a search: move it, or choose another file") from None
 
     def replay(self, generation: int, X: np.ndarray) -> np.ndarray | None:
         if generation >= len(self.costs):

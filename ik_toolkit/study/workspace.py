@@ -1,4 +1,4 @@
-"""Workspace: how far the tip reaches, and where in it solvers succeed, how fast and how closely."""
+"""Workspace study: the tip's reach, and where in it solvers succeed, how fast and how accurately."""
 
 import csv
 import io
@@ -23,9 +23,9 @@ from .statistics import wilson
 from .targets import one_tip, sample_targets, stream_targets
 
 GRID = 24  # cells along the longest side of the success map
-ENVELOPE = 100_000  # configurations whose tips give the envelope
-KEEP = 20_000  # targets kept in memory for pictures; with a file all of them are on disk
-FAILURES = 1000  # failures listed in memory
+ENVELOPE = 100_000  # random configurations that give the envelope
+KEEP = 20_000  # targets kept in memory for plots; with a file all of them are on disk
+FAILURES = 1000  # failures kept in memory
 
 
 @dataclass
@@ -42,7 +42,7 @@ class Outcome:
 
     @property
     def share(self) -> float:
-        """Successes over targets."""
+        """Success rate."""
         return self.solved / max(self.targets, 1)
 
     def to_dict(self) -> dict[str, Any]:
@@ -63,10 +63,10 @@ class Outcome:
 class Workspace:
     """Result of `workspace`.
 
-    tip: the one whose reach it is. low, high (3,) [m]: box of the reach in the base frame; radius (nearest, farthest) [m] of
-    the tip from the base origin. outcomes: by solver. map: by solver, (2, nx, ny, nz) targets and successes a cell, cells from
-    `low` on, `cell` [m] wide.
-    failures: by solver, rows (x, y, z, error) of the first failures [m]. points (N, 3), solved: by solver (N,), for pictures.
+    tip: the tip whose reach is studied. low, high (3,) [m]: bounding box of the reach in the base frame; radius (nearest,
+    farthest) [m] of the tip from the base origin. outcomes: by solver. map: by solver, (2, nx, ny, nz) targets and successes per
+    cell, cells starting at `low`, `cell` [m] wide.
+    failures: by solver, rows (x, y, z, error) of the first failures [m]. points (N, 3), solved: by solver (N,), for plots.
     """
 
     robot: str
@@ -106,7 +106,7 @@ class WorkspaceInterrupted(KeyboardInterrupt):
 def envelope(
     robot: Robot | Tree, count: int = ENVELOPE, seed: int = 0, *, tip: str | None = None
 ) -> tuple[np.ndarray, np.ndarray, tuple[float, float]]:
-    """Box (low, high) and nearest and farthest distance from the base origin of a sampled tip [m]: inner bounds of the reach."""
+    """Box (low, high) and nearest and farthest distance [m] from the base origin of the sampled tip: inner bounds of the reach."""
     points = sample_targets(robot, count, seed, position_only=True, tip=one_tip(robot, tip))
     away = np.linalg.norm(points, axis=1)
     return points.min(0), points.max(0), (float(away.min()), float(away.max()))
@@ -133,9 +133,9 @@ def workspace(
     solvers: names or rules, or a mapping of labels to them. how: 'joints' or 'volume', see `sample_targets`. file: a .csv
     that receives every target as it is solved (x, y, z, then success, status, iterations, position_error, orientation_error
     per solver), so that millions of targets need no more memory than a chunk; if the run ends early it is named NAME.partial.
-    executor: as for `solve_batch`. options: as for `solve`. Targets depend on (seed, chunk) only. Ctrl-C raises
-    WorkspaceInterrupted, a KeyboardInterrupt whose `result` holds the chunks finished, as the file does. Raises InvalidOption
-    and what `solve_batch` raises.
+    executor: as for `solve_batch`. options: as for `solve`. Targets depend only on (seed, chunk). Ctrl-C raises
+    WorkspaceInterrupted, a KeyboardInterrupt whose `result` (like the file) holds the finished chunks. Raises InvalidOption
+    and the errors of `solve_batch`.
     """
     require_robot(robot)
     tip = one_tip(robot, tip)
@@ -161,7 +161,7 @@ def workspace(
                 angle = [one.orientation_error for one in parts if one.orientation_error is not None]
                 part["orientation_error"] = np.concatenate(angle) if angle else np.full(len(xyz), np.nan)
                 columns.append(part)
-            # Slow, so here: a Ctrl-C comes before the chunk counts, or after, hardly ever within.
+            # Done first because it is slow: Ctrl-C then comes before or after the chunk is counted, hardly ever in between.
             lines = table.lines(xyz, columns)
             table.write(lines)
             tally.add(xyz, columns, seconds)
@@ -181,7 +181,7 @@ def workspace(
 
 
 class _Tally:
-    """What a Workspace says of the chunks so far."""
+    """Running totals of a Workspace over the chunks so far."""
 
     def __init__(self, robot: Robot | Tree, tip: str, names: list[str]) -> None:
         self.robot, self.tip = robot.name, tip
@@ -196,7 +196,7 @@ class _Tally:
         self.kept = self.done = 0
 
     def add(self, xyz: np.ndarray, columns: list[dict[str, np.ndarray]], seconds: list[float]) -> None:
-        """Count a chunk: the targets' points (m, 3), what each solver made of them and how long it took."""
+        """Count a chunk: target positions (m, 3), each solver's results and its time."""
         index = np.clip(((xyz - self.low) / self.cell).astype(int), 0, self.shape - 1)
         for name, part, elapsed in zip(self.outcomes, columns, seconds, strict=True):
             self.outcomes[name].elapsed += elapsed
@@ -214,7 +214,7 @@ class _Tally:
         self.done += len(xyz)
 
     def result(self) -> Workspace:
-        """The study of what was counted."""
+        """The Workspace of the chunks counted so far."""
         return Workspace(
             robot=self.robot,
             low=self.low,
@@ -257,7 +257,7 @@ def _count(outcome: Outcome, part: dict[str, np.ndarray]) -> None:
 
 
 class _Table:
-    """CSV file of every target, or nothing."""
+    """CSV file of all targets; writes nothing without a file."""
 
     FIELDS = ("success", "status", "iterations", "position_error", "orientation_error")
 
@@ -265,7 +265,7 @@ class _Table:
         self.out, self.head = None, []
         if file is not None:
             if Path(file).suffix.lower() != ".csv":
-                raise InvalidOption(f"the targets are written as .csv, not '{Path(file).name}'")
+                raise InvalidOption(f"targets are written as .csv, not '{Path(file).name}'")
             self.out = WholeFile(file)
             self.head = ["x", "y", "z", *(f"{name} {key}" for name in names for key in self.FIELDS)]
 
@@ -274,7 +274,7 @@ class _Table:
             return ""
         lists = [(part[key] + 0 if key == "success" else part[key]).tolist() for part in columns for key in self.FIELDS]
         text = io.StringIO()
-        if self.head:  # with the first targets: a file of a head alone is not worth keeping
+        if self.head:  # written with the first targets: a file with only a header is not worth keeping
             csv.writer(text).writerow(self.head)
             self.head = []
         csv.writer(text).writerows(zip(*xyz.T.tolist(), *lists, strict=True))
@@ -285,7 +285,7 @@ class _Table:
             self.out.write(lines)
 
     def close(self, whole: bool) -> None:
-        """Give the file its name, or keep the targets finished as NAME.partial."""
+        """Give the file its final name, or keep the finished targets as NAME.partial."""
         if self.out is None:
             return
         if whole:

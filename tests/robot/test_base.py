@@ -108,7 +108,7 @@ def test_mistakes(options, error, said):
 
 def test_names_that_a_robot_has_already():
     text = '<robot name="r"><link name="a"/>' + joint("base_x", "prismatic", "a", "b") + "</robot>"
-    with pytest.raises(InvalidOption, match="a joint 'base_x' of its own"):
+    with pytest.raises(InvalidOption, match="already has a joint 'base_x'"):
         ik.Robot.load(text, on_base="planar", base_limits=(0, 1))
 
 

@@ -281,7 +281,7 @@ def test_any_bytes_are_refused(tmp_path_factory, raw):
 
 
 def test_what_only_pinocchio_refuses_is_reported():
-    """A file that passes every look of ours: this is Pinocchio's own message."""
+    """A file that passes our own checks gets Pinocchio's message."""
     text = chain(2).replace('<link name="l1"/>', '<link name="l1"><inertial><mass value="-"/></inertial></link>')
     findings = [f for f in check_urdf(text) if f.severity == "error"]
     assert len(findings) == 1

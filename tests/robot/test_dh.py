@@ -151,7 +151,7 @@ ROW = {"name": "j1", "a": 1.0, "lower": -10, "upper": 10}
         ({"joint": [ROW, ROW]}, "row 2, column 'name'"),
         ({"joint": [{**ROW, "name": ""}]}, "row 1, column 'name'"),
         ({"joint": [{**ROW, "name": "tool_fixed"}]}, "row 1, column 'name'"),
-        ({"joint": [ROW], "name": "a\nb"}, "setting 'name' must be a printable text"),
+        ({"joint": [ROW], "name": "a\nb"}, "setting 'name' must be printable text"),
         ({"joint": [7]}, "row 1 of the D-H table must be a table"),
         ({"joint": []}, "has no joint"),
         ({"joint": [ROW], "angles": "grad"}, "setting 'angles' is 'grad'"),

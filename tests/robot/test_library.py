@@ -110,7 +110,7 @@ def test_find_by_path_text_and_name(tmp_path, monkeypatch):
         ("a\0b", "there is no robot"),
         ("x" * 10_000, "there is no robot"),
         (7, "not int"),
-        (str(TESTS), "is a folder without a description"),
+        (str(TESTS), "contains no robot description"),
     ],
 )
 def test_not_found(source, message):

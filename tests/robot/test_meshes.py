@@ -163,7 +163,7 @@ def test_files_that_a_mesh_refers_to_stay_inside(place):
     assert red == {"0.obj"} and {shape.file for shape in drawn} == {*colors, "0.gltf", "a.stl"}
     said = {problem.split("'")[1]: problem for _, problem in problems}
     assert set(said) == {"1.obj", "2.obj", "3.obj", "1.gltf", "2.gltf", "3.gltf", "a.glb"}
-    assert "is an address and is not read" in said.pop("3.obj") and "in other files" in said.pop("a.glb")
+    assert "is a network address and is not read" in said.pop("3.obj") and "in other files" in said.pop("a.glb")
     assert all("lies outside the folders of the robot and is not read" in problem for problem in said.values())
 
     tested, problems = link_shapes(arm, "surface", 100)  # colours are none of its business

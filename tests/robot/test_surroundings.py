@@ -142,10 +142,10 @@ def test_mistakes_are_named():
     model = ik.CollisionModel(arm).add_sphere(0.1, AWAY, "ball").attach(ik.Shape.sphere(0.01), name="held")
     for call, error, said in (
         (lambda: model.move("bal", AWAY), InvalidOption, "Did you mean 'ball'"),
-        (lambda: model.remove("nothing"), InvalidOption, "nothing attached named 'nothing'"),
+        (lambda: model.remove("nothing"), InvalidOption, "no obstacle or attached shape named 'nothing'"),
         (lambda: model.remove("link_1"), InvalidOption, "no obstacle"),
         (lambda: model.detach("ball"), InvalidOption, "is an obstacle"),
-        (lambda: model.attach("held", q=arm.home), InvalidOption, "attached already"),
+        (lambda: model.attach("held", q=arm.home), InvalidOption, "already attached"),
         (lambda: model.attach("ball"), InvalidOption, "give the q"),
         (lambda: model.attach("ball", q=[1.0]), InvalidConfiguration, "q must have"),
         (lambda: model.attach(3), InvalidOption, r"ik\.Shape"),

@@ -101,7 +101,7 @@ def test_hostile_files_are_harmless(tmp_path, inside, said):
 
 
 def test_arguments_are_checked(package, tmp_path):
-    with pytest.raises(InvalidOption, match="xacro_args must map names to texts or numbers"):
+    with pytest.raises(InvalidOption, match="xacro_args must map names to strings or numbers"):
         ik.Robot.load(package / "urdf" / "arm.urdf.xacro", xacro_args={"length": [1]})
     with pytest.raises(InvalidOption, match="hydrolek_7w is a plain URDF"):
         ik.Robot.load("hydrolek_7w", xacro_args={"length": 1})

@@ -137,4 +137,4 @@ def test_the_command_takes_several_tips(monkeypatch, capsys):
     assert main(["panel", "brokk_hydrolek", "--tip", LEFT, "--tip", RIGHT, "--no-open"]) == 0
     assert "http://127.0.0.1:" in capsys.readouterr().out
     assert main(["panel", "brokk_hydrolek", "--tip", LEFT, "--tip", LEFT, "--no-open"]) == 2
-    assert "each tip can be given once only" in capsys.readouterr().err
+    assert "each tip can be given only once" in capsys.readouterr().err

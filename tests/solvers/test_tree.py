@@ -293,7 +293,7 @@ def test_what_several_tips_cannot_do_is_said(brokk):
     T = poses(brokk, brokk.home)
     with pytest.raises(errors.FrameNotFound, match="Did you mean 'left_tip'"):
         ik.Tree.load("brokk_hydrolek", tips=["left_tp", "right_tip"])
-    with pytest.raises(errors.FrameNotFound, match="once only"):
+    with pytest.raises(errors.FrameNotFound, match="only once"):
         ik.Tree.load("brokk_hydrolek", tips=["left_tip", "left_tip"])
     with pytest.raises(errors.FrameNotFound, match="at least one"):
         ik.Tree.load("brokk_hydrolek", tips=[])

@@ -122,7 +122,7 @@ BAD_CSV = {
     "t,x,y,z,qx,qy\n0,0,0,0,0,0\n1,0,0,0,0,0\n": "the columns qx, qy",
     "t,x,y,z\n0,0,0,0\n": "at least 2",
     "t,x,y,z\n0,0,0,0\n1,one,0,0\n": "line 3: 'one' is not a finite number",
-    "t,x,y,z\n0,0,0,0\n1,0,0\n": "line 3: 3 columns, fewer than in the first line",
+    "t,x,y,z\n0,0,0,0\n1,0,0\n": "line 3: 3 columns, fewer than in the header",
     "t,x,y,z\n0,0,0,0\n1,nan,0,0\n": "line 3: 'nan' is not a finite",
     "t,x,y,z\n0,0,0,0\ninf,0,0,0\n": "line 3: 'inf' is not a finite",
     "t,x,y,z\n0,0,0,0\n2,0,0,0\n1,0,0,0\n": "must increase: number 3",
@@ -179,7 +179,7 @@ def test_a_file_that_grows_without_measure_is_refused(tmp_path):
         np.lib.format.write_array_header_1_0(stream, head)
     with zipfile.ZipFile(file, "a") as archive, archive.open("xyz.npy", "w") as stream:
         np.save(stream, np.zeros((2, 3)))
-    with pytest.raises(InvalidTarget, match=r"t\.npy promises 8,000,000,000,000 bytes and holds"):
+    with pytest.raises(InvalidTarget, match=r"t\.npy declares 8,000,000,000,000 bytes but holds"):
         ik.reference_from_file(file)
 
 
