@@ -75,8 +75,9 @@ def reproduce(seeds: int = 10) -> Report:
     report.text(
         """Published numbers beside ours, and why they differ. Model: Table I read as classic D-H; paper frame = Rx(-90 deg) of
         base_link; errors in mm, increments in degrees; literal delay of eq. (14). The paper does not give the start
-        configuration, the goals, the tolerance and iteration limit of sections 6.1 and 6.2, or the tuned matrices: ours are
-        1 mm, 1000 iterations, goals uniform in the joints. Nothing here is picked by its seed."""
+        configuration, the goals, the tolerance and iteration limit of sections 6.1 and 6.2, or the tuned matrices. We use 1
+        mm, 1000 iterations and goals (the paper's word for targets) uniform in the joints. No result was selected by its
+        seed."""
     )
     some = SEEDS[:seeds]
     _model(report, robot)
@@ -128,7 +129,7 @@ def _counts(report: Report, robot: Robot, seeds: Any) -> None:
         ("the same, output not delayed", "-", undelayed(published)),
         ("J+", "992..999", "pinv"),
         ("J^T", "992..999", "transpose"),
-        ("DLS, damping 100 mm, cut off at limits", "992..999", DLS(damping=0.1 / robot.chain.scale, hold=False)),
+        ("DLS, damping 100 mm, clipped at limits", "992..999", DLS(damping=0.1 / robot.chain.scale, hold=False)),
         ("DLS, the same, limits held (ours)", "-", DLS(damping=0.1 / robot.chain.scale)),
     ]
     rows = []
@@ -179,12 +180,12 @@ def _counts(report: Report, robot: Robot, seeds: Any) -> None:
     head = ["solver", "published", "ours, mean of 1000", "95 % Wilson", "least-most", "mean iterations"]
     report.table("tuned", head, rows)
     report.text(
-        """The presets were tuned by `ik tune` on goals of other streams (none of these seeds) and come with the toolkit:
+        """The presets were tuned by `ik tune` on other goals (none of these seeds) and are part of the toolkit:
         `ik tune hydrolek_7w state-space` (feedthrough), the same with `--from burrell-2016` (from the published gains, 32 starts)
         and with `--from burrell-2016 --maps 1` (one start), and `ik tune hydrolek_7w pid --from burrell-2016 --generations 25
         --targets 1000`. A converged run of one map that never saturates ends on a
-        3-dimensional slice of joint space through its start, so start and map have to be tuned together; several starts are
-        what brings the last goals and the speed."""
+        3-dimensional slice of joint space through its start, so start and map have to be tuned together; several starts bring
+        the last goals and the speed."""
     )
 
 
@@ -215,7 +216,8 @@ def _responses(report: Report, robot: Robot, goal: np.ndarray, seeds: Any) -> No
     about = 100.0 * ((steps >= 80) & (steps <= 120)).mean()
     report.number("state_space_iterations", {"median": middle, "5_to_95": [low, high], "percent_80_to_120": about})
     report.text(
-        f"""About 100 iterations is unusual here: over the {len(steps)} goals of the same seeds that the published A, B, C solve
+        f"""About 100 iterations are unusual here: over the {len(steps)} goals of the same seeds that the published A, B, C
+        solve
         from clipped zero the median is {middle:.0f} (5 to 95 %: {low:.0f} to {high:.0f}), and {about:.1f} % take 80 to 120. This
         is the one published number that the reading in mm and degrees fits only for special goals."""
     )
@@ -276,12 +278,15 @@ def _planar(report: Report, seeds: Any) -> None:
     report.table("planar", head, rows)
     off = np.linalg.norm(robot.fk(np.radians([47.6, -60.0, -18.8])).translation - target)
     report.text(
-        f"""From straight the Jacobian is [[0, 0, 0], [6, 4, 2]] (ours: {np.round(J, 12).tolist()}), so J^T e = 0 for the target
+        f"""In the straight configuration the Jacobian is [[0, 0, 0], [6, 4, 2]] (ours: {np.round(J, 12).tolist()}), so J^T e =
+        0 for the target
         (5, 0): J^T, J+, DLS and LM all stand still, and eq. (12) is 0/0, not 0; IK-PID and CCD stand still too, since moving
         any one joint either way leaves the line. The printed answer is {off:.4f} away from (5, 0), consistent only with a
-        stopping tolerance of about 0.02 link units. Integer B stand in for the unpublished one. **Robustness:** over the whole
+        stopping tolerance of about 0.02 link units. Matrices B of integers stand in for the unpublished one. **Robustness:**
+        over the whole
         workspace ({len(points)} goals, tolerance 0.02, from straight) the state-space solvers reach fewer goals than the Jacobian
-        methods: one escaped goal on the line is no evidence of general immunity. A start 1e-6 rad away frees J^T and DLS."""
+        methods: escaping for one goal on the line is no evidence of general immunity. A start 1e-6 rad away frees J^T and
+        DLS."""
     )
     reach = robot.chain.forward(robot.random_q(np.random.default_rng(0), 6000))[0][:, :2, 3]
     ends = {
@@ -291,7 +296,7 @@ def _planar(report: Report, seeds: Any) -> None:
     }
     report.figure(
         "fig7.png",
-        "Fig. 7 redrawn: the published configuration and that of the state-space solver lie on one another; grey: within reach",
+        "Fig. 7 redrawn: the published configuration and that of the state-space solver coincide; grey: within reach",
         draw_reach(reach, {name: _planar_joints(q) for name, q in ends.items()}, (5.0, 0.0)),
     )
     beside = singularity.run(robot, target, "dls", q0 + 1e-6 * np.array([1.0, -0.5, 0.7]), **options)
@@ -346,9 +351,9 @@ def _other_robots(report: Report) -> None:
         """3000 goals each, uniform in the joints, 1 mm and 1 mrad, one attempt of at most 500 steps. Tuned by `ik tune ur5
         state-space --tip tool0 --max-iterations 500 --targets 1000 --generations 100` and the same for panda (`--tip
         panda_hand_tcp`); poses with `--pose --targets 500 --generations 60`; `pid` with `--targets 400 --generations 20
-        --population 12`, poses with `--targets 1000 --generations 15`. For positions several maps come near the Jacobian
-        methods, and on the UR5 the number of maps counts for more than tuning; one map from home does not suffice on either arm.
-        For full poses static maps lose many goals that LM finds, tuned or not: there they are no replacement. IK-PID needs no
+        --population 12`, poses with `--targets 1000 --generations 15`. For positions several maps come close to the Jacobian
+        methods, and on the UR5 the number of maps matters more than tuning; one map from home does not suffice on either arm.
+        For full poses static maps miss many goals that LM solves, tuned or not: there they are no replacement. IK-PID needs no
         gains for positions; for poses tuning helps it on the Panda and hardly on the UR5."""
     )
 

@@ -63,17 +63,16 @@ def existence(report: Report, robot: Robot, q0: np.ndarray) -> np.ndarray:
     report.text(
         f"""The published goal (-10, 50, -20) is **not reachable from the arm base** in this frame: the workspace misses it by
         {1000 * miss["cm"]:.1f} mm when it is in cm and {1000 * miss["mm"]:.1f} mm when in mm (the least found by a search
-        from many starts), so the base has an unpublished offset. The curves are of an
-        *existence goal*: it was searched for, and shows that the numbers are compatible, not that it
-        is the authors' goal. Of {CANDIDATES} random goals {threshold} are reached by the published A, B, C and have the threshold
-        between 0.0847 and 0.0848, and {len(left)} keep to it over a comb of gains. At the one taken {int(reached[best])} of the
-        {len(above)} gains from 0.0848 to 0.3 in steps of 0.0001 succeed, and {int(lost[best])} of the {len(below)} below fail.
-        Paper frame, mm:
+        from many starts), so the base has an unpublished offset. The curves use an *existence goal*, found by a search: it
+        shows that the numbers are compatible, not that it is the authors' goal. Of {CANDIDATES} random goals {threshold} are
+        reached by the published A, B, C and have the threshold between 0.0847 and 0.0848, and {len(left)} keep it on a grid
+        of gains. At the one chosen, {int(reached[best])} of the {len(above)} gains from 0.0848 to 0.3 in steps of 0.0001
+        succeed, and {int(lost[best])} of the {len(below)} below fail. Paper frame, mm:
         ({where[0]:.1f}, {where[1]:.1f}, {where[2]:.1f}); start clipped zero, joints tip first."""
     )
     report.figure(
         "fig4.png",
-        "Fig. 4 redrawn at the existence goal, K_i = K_d = 0: errors of IK-PID, and what is left over the gains",
+        "Fig. 4 redrawn at the existence goal, K_i = K_d = 0: errors of IK-PID, and the remaining error over the gains",
         draw_existence(runs, sweep, ends),
     )
     return found

@@ -36,9 +36,9 @@ def gains(report: Report, robot: Robot, starts: dict[str, np.ndarray], seeds: An
     small = f" A K_p below {max(low):.4f} does the same from {len(low)} of the 3 starts." if low else ""
     report.text(
         f"""Section 4 says that a poorly tuned algorithm "may successfully find say 20 % of reachable points" and a better one
-        close to 100 %. So it is: with K_p alone the share falls to 20 % at {min(high):.3f} to {max(high):.3f} degrees a mm,
-        where the steps are too long to settle.{small} From 0.005 to 0.01 it is above 98 % from every start: the trial and error
-        of the paper has a wide target."""
+        close to 100 %. This holds: with K_p alone the share falls to 20 % at {min(high):.3f} to {max(high):.3f} degrees per
+        mm, where the steps are too long to settle.{small} From 0.005 to 0.01 it is above 98 % from every start: trial and
+        error, as in the paper, had a wide range to find."""
     )
     report.figure("gains.png", "IK-PID with K_p alone: goals of 1000 reached, over the gain", draw_gains(GAINS, swept))
     _edge(report, robot, np.concatenate(sets), starts["mid-range"])
@@ -57,7 +57,7 @@ def _edge(report: Report, robot: Robot, points: np.ndarray, q0: np.ndarray) -> N
     supported = "support this" if near > 2.0 * all_ else "do not support this"
     report.text(
         f"""The paper says that the 6 points its best gains lose "are on the periphery of the workspace". With {len(points)} goals,
-        of which those gains lose {len(lost)} from mid-range, ours {supported}: {near:.0f} % of the lost ones lie within
+        of which those gains lose {len(lost)} from mid-range, our results {supported}: {near:.0f} % of the lost ones lie within
         {1000 * EDGE[1]:g} mm of the edge, against {all_:.0f} % of the reached ones. Distance to the edge: the least of
         {", ".join(f"{1000 * x:g}" for x in EDGE)} mm at which some point in 26 directions around the goal is out of reach for LM
         with restarts; {1000 * 2 * EDGE[-1]:g} mm where none is."""

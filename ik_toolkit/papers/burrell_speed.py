@@ -140,26 +140,27 @@ def _explain(
     count = {name: made[AT]["steps"] for name, made in steps.items()}
     report.text(
         f"""All 19 published times (IK-PID has none at 0.1 mm) beside ours: median [least-most] over {len(sets)} sets of 1000 goals,
-        3 sets of {FEW} for numpy. Times are of the processor, one thread, solvers in turns; a set is timed over the
-        goals that all solve. Start mid-range except for the tuned solvers, which bring theirs. The machines differ, so the
-        ratios are what can be compared. The published times are those of MATLAB, and numpy is the nearer relative."""
+        3 sets of {FEW} for numpy. Times are processor time on one thread, with solvers taking turns; a set is timed over the
+        goals that all of them solve. The start is mid-range, except for the tuned solvers, which have their own. The machines
+        differ, so only the ratios can be compared. The published times are from MATLAB, to which numpy is the closer
+        comparison."""
     )
     report.text(
         f"""**What the 65 % rests on** (Table II itself gives 73, 68, 64 and 76 %). At 1 mm the state-space solver with one tuned
         map takes {over(compiled, "state space", "J+")} of the time of our J+ by singular values, and
         {over(compiled, "state space", "J+, plain")} of that of the same J+ by J'(JJ')^-1: {micro["J+"]} against
         {micro["J+, plain"]} us a goal. In numpy the two ratios are {over(slow, "state space", "J+")} and
-        {over(slow, "state space", "J+, plain")}. So the published saving is what a Jacobian and its pseudo-inverse cost in the
-        language at hand, not a property of the algorithm: it needs {count["state space"]:.1f} steps where J+ needs
+        {over(slow, "state space", "J+, plain")}. So the published saving reflects what a Jacobian and its pseudo-inverse cost
+        in a given language; it is not a property of the algorithm: it needs {count["state space"]:.1f} steps where J+ needs
         {count["J+"]:.1f}."""
     )
     report.text(
-        f"""**DLS** is reported twice. Cut off at the limits, as published, it takes {count["DLS, clipped"]:.1f} steps at 1 mm and
-        {micro["DLS, clipped"]} us; our rule redoes a step without the joints that it would push past their limits, and takes
+        f"""**DLS** is reported twice. Clipped at the limits, as published, it takes {count["DLS, clipped"]:.1f} steps at 1 mm
+        and {micro["DLS, clipped"]} us; our rule repeats a step without the joints that it would push past their limits, and takes
         {count["DLS, limits held"]:.1f} steps and {micro["DLS, limits held"]} us. The published DLS takes 1.3 times as long as
         J+; in numpy the clipped one takes {over(slow, "DLS, clipped", "J+")} times as long. **IK-PID** evaluates the FK
         {steps["IK-PID"][AT]["fk_a_step"]:.1f} times a sweep at 1 mm; the paper says 12, two trials for each of six joints: the
-        loop's own test adds one, and the last sweep stops early. It is the slowest by far, as published:
+        loop's own test adds one, and the last sweep stops early. It is by far the slowest, as published:
         {over(compiled, "IK-PID", "J+")} times our J+ and {over(slow, "IK-PID", "J+")} times in numpy."""
     )
     report.text(

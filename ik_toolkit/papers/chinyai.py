@@ -44,7 +44,7 @@ def reproduce(count: int = 20_000, seed: int = 0) -> Report:
     report.text(
         "The paper compares Newton-Raphson with the closed form of a planar two-link arm and concludes that Newton "
         "is faster. It prints **no number**: no link lengths, start, tolerance, iteration count, machine or time, "
-        "and its section 'Application' is empty. So there is nothing to reproduce but the formulas and the claim; "
+        "and its section 'Application' is empty. So only the formulas and the claim can be checked; "
         "both are tested here."
     )
     rng = np.random.default_rng(seed)
@@ -60,9 +60,9 @@ def reproduce(count: int = 20_000, seed: int = 0) -> Report:
         f"fixed start takes {words['compiled']} times as long as the closed form when both are compiled, "
         f"{words['python']} times in plain Python and {words['numpy']} times in numpy, and still {words['warm']} times "
         f"from a start 0.001 rad away (compiled; median [least-most] of {ROUNDS} rounds); and it returns one answer, or "
-        "none, where the closed form returns both. What stands is the other half of the argument: Newton needs only the "
-        "forward kinematics and the Jacobian, so it also serves arms without a closed form. A guess at where the claim "
-        "comes from: timing a symbolic solve of the two equations against a numeric loop."
+        "none, where the closed form returns both. The other half of the argument holds: Newton needs only the "
+        "forward kinematics and the Jacobian, so it also serves arms without a closed form. The claim may "
+        "come from timing a symbolic solve of the two equations against a numeric loop."
     )
     _misprints(report)
     return report
@@ -114,8 +114,8 @@ def _formulas(report: Report, rng: np.random.Generator, count: int) -> None:
         )
     report.table("formulas", ["formulas", "targets reached (%)"], rows)
     report.text(
-        f"{count} targets uniform over the reach of links 1 and 0.8, reached within 1e-9. The paired signs of (4) "
-        "and (5) are right for the upper ones only: the sine already carries the sign of theta_2. (1), (8) and (9) "
+        f"{count} targets uniform over the reach of links 1 and 0.8, reached within 1e-9. In (4) and (5) only "
+        "the upper signs are right: the sine already carries the sign of theta_2. (1), (8) and (9) "
         "are right; det J = l1 l2 sin(theta_2)."
     )
 
@@ -262,8 +262,8 @@ def _convergence(report: Report, rng: np.random.Generator, count: int) -> None:
         f"Percent of {count} targets, uniform over the reach, solved to 1e-10 in at most {ITERATIONS} steps; "
         "published: nothing. search: the step is halved until the error falls; LM: Levenberg-Marquardt; step: at "
         f"most {LONGEST} rad a joint; clip: joints cut to +-150 deg after each step. With those limits the two "
-        f"branches of the closed form, filtered, serve {share:.1f} % of the targets of the arm 1, 1: all that can be "
-        "served."
+        f"branches of the closed form, filtered, solve {share:.1f} % of the targets of the arm 1, 1: all that can be "
+        "solved."
     )
     report.figure(
         "targets.png",
@@ -274,7 +274,7 @@ def _convergence(report: Report, rng: np.random.Generator, count: int) -> None:
     report.figure(
         "starts.png",
         "Links 1 and 1, target (1.1, 0.6): the basins of the two solutions over all starting angles. Plain Newton's "
-        "are interleaved without end near theta_2 = 0 and 180 deg, where det J = 0.",
+        "are endlessly interleaved near theta_2 = 0 and 180 deg, where det J = 0.",
         start_basins(converge, (1.1, 0.6)),
     )
 

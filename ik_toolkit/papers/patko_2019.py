@@ -19,11 +19,11 @@ def reproduce() -> Report:
     made = Report("patko_2019", "Patko and Zelei (2019): tracking at velocity and acceleration level")
     made.text(
         """The paper compares four ways of following a moving target: classical feedback at velocity level (cv) and at
-        acceleration level (ca), and alternatives that remove the error in one step (av, aa). It prints gains, mapping
-        matrices and charts, but no error numbers, and not the paths, link lengths, initial errors, durations or start values.
-        So matrices and verdicts are compared exactly, and the curves are redrawn for choices named here: PP l = 0.5 m on a
+        acceleration level (ca), and alternatives that remove the error in one step (av, aa). It prints gains, mapping matrices
+        and charts, but no error values, paths, link lengths, initial errors, durations or start values. So matrices and
+        verdicts are compared exactly, and the curves are redrawn for our own choices: PP l = 0.5 m on a
         circle of 0.3 m about (1, 1) at 1 rad/s; RR l = 1 m on a circle of 0.35 m about (1, 0.6) at 0.5 rad/s; initial errors
-        0.1, (0.1, -0.05) and (0.05, -0.05) m. Errors are target minus actual; the paper's sign is the opposite."""
+        0.1, (0.1, -0.05) and (0.05, -0.05) m. Errors are target minus actual; the paper uses the opposite sign."""
     )
     dynamics(made, {name: (SETS[name].kp, SETS[name].kd) for name in ("PP good", "RR good")})
     _radii(made)
@@ -83,9 +83,10 @@ def _radii(made: Report) -> None:
     bad = made.number("radius_with_misprint_of_41", st.spectral_radius(misprint))
     made.text(
         f"""**The contradiction:** the RR set of Figs. 7 and 8 left, "unstable" in the paper, is not outside the paper's own
-        region: cv stands exactly on the border (radius 1) and ca inside it (kp = 61 against the border at 61.58). It does blow
-        up on a fast path, because the matrices describe rest (see growth below). Two misprints: entry (3,3) of eq. (41) has kp
-        where it must have kd (as printed the radius of the good RR set would be {bad:.3g}); eqs. (29) and (32) print the
+        region: cv stands exactly on the border (radius 1) and ca inside it (kp = 61 against the border at 61.58). It does
+        diverge on a fast path, because the matrices describe the arm at rest (see growth below). Two misprints: entry (3,3) of
+        eq. (41) has kp where it should have kd (as printed the radius of the good RR set would be {bad:.3g}); eqs. (29) and
+        (32) print the
         indices i+1, i, which would make every gain stable, against eqs. (30) and (34): read "now, and the one before"."""
     )
     made.figure(
@@ -126,7 +127,8 @@ def _errors(made: Report) -> dict[tuple[str, str, str], dict[str, float]]:
     made.heading("Errors reached")
     made.text(
         """Second half of the run [m]; "between" is the largest error between samples, on the motion the method itself assumes
-        (straight at velocity level, constant acceleration else). "diverges": a value left the domain or ran away. Stable sets."""
+        (straight at velocity level, constant acceleration else). "diverges": a value left the domain or grew without bound.
+        Stable gain sets."""
     )
     found, rows = {}, []
     for name, gains in (("1-DoF", "1-DoF"), ("PP", "PP good"), ("RR", "RR good")):
@@ -146,7 +148,8 @@ def _errors(made: Report) -> dict[tuple[str, str, str], dict[str, float]]:
 def _orders(made: Report) -> None:
     made.heading("Order in the sample time")
     made.text(
-        """RR arm, exact start, largest error of the second half for halved h, and the slope of the last two; fixed gains are
+        """RR arm, exact start, largest error in the second half as h is halved, and the slope between the last two; fixed
+        gains are
         those of the 1-DoF case, scaled ones keep kappa h = 2/3, kp h^2 = 1.6, kd h = 0.8. The paper says only that smaller steps
         give smaller errors. (aa1 shows 3.9: its growing zigzag still adds to its third order.)"""
     )
@@ -176,8 +179,8 @@ def _orders(made: Report) -> None:
 def _growth(made: Report) -> dict[tuple[str, str], float]:
     made.heading("Growth of small disturbances in motion")
     made.text(
-        """The matrices hold at rest. In motion a small disturbance is multiplied by the factor below in each lap (the RR
-        circle, or a period of the 1-DoF path); above 1 it grows until the run is lost."""
+        """The matrices are valid at rest. In motion, each lap (the RR circle, or a period of the
+        1-DoF path) multiplies a small disturbance by the factor below; above 1 it grows until the run diverges."""
     )
     found, rows = {}, []
     for name, gains, keys in (

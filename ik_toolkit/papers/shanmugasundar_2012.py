@@ -173,7 +173,8 @@ def answers(report: Report, printed: np.ndarray, table_pose: np.ndarray) -> None
         "projected to the nearest one), or against the exact pose in row 4. Fig 4 evaluated without rounding gives "
         f"{report.data['software_angles_reproduced']} of the 6 angles that the software printed, so both columns of "
         f"Table 4 come from the same formulas; they miss the pose by {manual_p:.2f} and {software_p:.2f} mm, "
-        f"{manual_r:.2f} and {software_r:.2f} deg. 'More accurate results' by the software has no basis. Most of the "
+        f"{manual_r:.2f} and {software_r:.2f} deg. The claim of 'more accurate results' by the software has no basis. "
+        "Most of the "
         "rotation error is the two-decimal pose fed into arc functions: on the exact pose it is 0."
     )
 
@@ -243,8 +244,8 @@ def formulas(report: Report, robot: Robot, poses: int, seed: int) -> None:
     )
     report.figure(
         "branches.png",
-        "The eight configurations of one pose at one lift. Only two shapes differ to the eye (rows; the other in "
-        "grey): within a row the joints stand half turns apart, as the arrows along their axes show.",
+        "The eight configurations of one pose at one lift. Only two shapes look different (rows; the other in "
+        "grey): within a row the joints differ by half turns, as the arrows along their axes show.",
         gallery(robot),
     )
 

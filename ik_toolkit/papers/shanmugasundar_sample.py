@@ -54,10 +54,10 @@ def sample(report: Report, robot: Robot, printed: np.ndarray, table_pose: np.nda
     report.table("sample", ["lift", "status", "theta_1", "lift (mm)", *ANGLES[1:], "error (mm)"], rows)
     report.text(
         f"The printed rotation has singular values {', '.join(f'{x:.4f}' for x in values)}, so it is not a rotation; "
-        f"the toolkit projects it and says so. Projected, the pose is {1000 * beyond:.3f} mm out of "
+        f"the toolkit projects it and reports that. Projected, the pose is {1000 * beyond:.3f} mm out of "
         f"reach at lift 220 mm ({len(at_fixed)} branches reach the nearest point: the elbow is stretched, so the "
-        f"elbow branches merge) and reachable for lifts of {words}: 8 branches at each lift between. A published "
-        "answer is absent for all of these: the paper holds the lift at 220 mm and calls it theta_2 = 0."
+        f"elbow branches merge) and reachable for lifts of {words}: 8 branches at each lift between. The "
+        "paper gives no answer for any of these: it holds the lift at 220 mm and calls it theta_2 = 0."
     )
     exact = robot.fk(_q(np.radians([x for i, x in enumerate(ORIGIN) if i != 1]), D2)).homogeneous
     higher = report.number("lift_of_published_theta_1_mm", _lift_of(p, exact, math.radians(MANUAL[0])))
