@@ -124,13 +124,15 @@ def root_joint(model: pin.Model) -> int:
     return first[0] if len(first) == 1 and model.joints[first[0]].shortname() in ROAMS else 0
 
 
-def carried(model: pin.Model, tip: str) -> str | None:
-    """Name of the link carried by the last free-flyer or planar joint above a tip, if there is one."""
+def carried(model: pin.Model, tip: str) -> tuple[str, str] | None:
+    """Names of the last floating or planar joint above a tip and of the link that it carries, if there is one."""
     joint = next((frame.parentJoint for frame in model.frames if frame.name == tip), 0)
     above = model.supports[joint]
     roams = [j for j in above if j and model.joints[j].shortname() in ROAMS]
     links = (
-        frame.name for frame in model.frames if frame.type == pin.FrameType.BODY and frame.parentJoint in roams[-1:]
+        (model.names[roams[-1]], frame.name)
+        for frame in model.frames
+        if frame.type == pin.FrameType.BODY and frame.parentJoint in roams[-1:]
     )
     return next(links, None)
 

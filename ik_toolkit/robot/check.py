@@ -209,8 +209,13 @@ def _remarks(item: Item) -> Iterator[Finding]:
     if item.tag == "joint":
         kind, limit = item.attributes.get("type"), item.first("limit")
         if kind in ("floating", "planar"):
+            told = f"a {kind} joint is held still, and poses are given in the link it carries"
+            yield Finding("warning", str(item), told, "give base_limits= to let it move, or make it fixed")
+        normal = numbers((item.first("axis") or {}).get("xyz", "1 0 0"))  # along x where none is given, says URDF
+        if kind == "planar" and normal and any(normal[:2]):
+            told = "Pinocchio moves a planar joint along its x and y, whatever its axis"
             yield Finding(
-                "warning", str(item), f"{kind} joints cannot lie on the path to a tip", "keep it off that path"
+                "warning", str(item), told, "turn its <origin> so that the normal is its z, with the axis 0 0 1"
             )
         if kind in ("revolute", "prismatic") and limit is not None:
             missing = [end for end in ("lower", "upper") if end not in limit]

@@ -74,10 +74,13 @@ def default_base(
     if base is not None or on_base is not None:
         return base
     tip = tip or next(iter(entry.tips or guess_tip(model).tips), None)
-    link = carried(model, tip) if base_limits is None and tip else None
-    if link is not None:
-        LOG.warning("%s: the floating joint of '%s' is held still; base_limits= lets it move", entry.name, link)
-    return entry.base or link
+    held = carried(model, tip) if base_limits is None and tip else None
+    if held is None:
+        return entry.base
+    LOG.warning(
+        "%s: joint '%s' is held still and poses are given in '%s'; base_limits= lets it move", entry.name, *held
+    )
+    return entry.base or held[1]
 
 
 def folders_of(given: Iterable[str | Path]) -> list[Path]:

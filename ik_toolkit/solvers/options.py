@@ -162,7 +162,7 @@ def make_options(given: dict[str, Any]) -> Options:
             raise InvalidOption(f"there is no option '{name}'.{near_match(name, ('tolerance', *NAMES))}")
         if name in ("position_tolerance", "orientation_tolerance"):
             values[name] = _number(name, value, 0.0, math.inf)
-        elif name in ("max_iterations", "max_evaluations", "restarts", "seed") and value is not None:
+        elif name == "seed" or (name in ("max_iterations", "max_evaluations", "restarts") and value is not None):
             low = 0 if name in ("seed", "restarts", "max_iterations") else 1
             if name == "seed" and np.ndim(value):  # other packages call the start a seed
                 raise InvalidOption("seed is the random seed of the restarts; the start is q0")
@@ -248,5 +248,5 @@ def _number(name: str, value: Any, low: float, high: float) -> float:
         raise InvalidOption(f"{name} must be a number, not an array of shape {number.shape}")
     number = float(number)
     if not low <= number <= high or number == math.inf:
-        raise InvalidOption(f"{name} must be between {low:g} and {high:g}, not {value!r}")
+        raise InvalidOption(f"{name} must be between {low:.10g} and {high:.10g}, not {value!r}")
     return number

@@ -67,7 +67,7 @@ def sentence(result: "Result") -> str:
         return _closed_form_says(result, left)
     if status == Status.CONVERGED:
         text = f"converged in {result.iterations} iterations to {left}"
-        return f"{text} after {result.restarts} restarts" if result.restarts else text
+        return f"{text} after {result.restarts} restart{'s' * (result.restarts > 1)}" if result.restarts else text
     budget, timeout = plan.options.budget, plan.options.timeout
     if budget and row[AT.evaluations] >= budget and status == Status.ITERATION_LIMIT:
         told = (
@@ -85,11 +85,14 @@ def sentence(result: "Result") -> str:
 
 def _left(result: "Result") -> str:
     """What is left at q, in words."""
-    away = result.position_error
-    left = f"{away:.3g} m" if away >= 1.0 else f"{1000 * away:.3g} mm"
+    left = _length(result.position_error)
     if result.orientation_error is not None:
         left += f", {np.degrees(result.orientation_error):.3g} deg"
     return left
+
+
+def _length(metres: float, digits: int = 3) -> str:
+    return f"{metres:.{digits}g} m" if metres >= 1.0 else f"{1000 * metres:.{digits}g} mm"
 
 
 def _starts(count: int) -> str:
@@ -105,14 +108,14 @@ def _at_each_tip(result: "Result") -> str:
         if kind == FREE:
             continue
         angle = result.orientation_errors[tip]
-        left.append(f"{tip} {1000 * position:.3g} mm" + ("" if angle is None else f" {np.degrees(angle):.3g} deg"))
+        left.append(f"{tip} {_length(position)}" + ("" if angle is None else f" {np.degrees(angle):.3g} deg"))
     return f"; remaining error at each tip: {', '.join(left)}"
 
 
 def _closed_form_says(result: "Result", left: str) -> str:
     row, robot = result._of.row, result.robot
     joints = ", ".join(result.limited_joints)
-    beyond = f"{1000 * row[AT.excess]:.4g} mm"
+    beyond = _length(float(row[AT.excess]), 4)
     slides = [j for j, kind in zip(robot.joint_names, robot.joint_kinds, strict=True) if kind == "prismatic"]
     return CLOSED_FORM_SAYS[result.status].format(
         left=left,
@@ -127,9 +130,7 @@ def _failure(result: "Result", left: str, starts: int) -> str:
     """What a failed search has to say, without what to try."""
     row, status, robot = result._of.row, result.status, result.robot
     if status == Status.UNREACHABLE:
-        beyond = [
-            f"{tip} by {1000 * x:.4g} mm" for tip, x in zip(robot.tips, result._of.excess(), strict=True) if x > 0
-        ]
+        beyond = [f"{tip} by {_length(x, 4)}" for tip, x in zip(robot.tips, result._of.excess(), strict=True) if x > 0]
         if len(robot.tips) == 1:
             by = beyond[0].removeprefix(robot.tips[0])
             return f"the target is beyond reach{by} (a bound from the link lengths); closest {left}"

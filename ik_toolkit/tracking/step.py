@@ -54,7 +54,8 @@ class Step:
     """One step of a tracker.
 
     q (n,) [rad or m] and rate (n,) to command now; position_error [m] and orientation_error [rad] (None for positions) left to
-    this step's target, of several tips the largest; status; reason, a sentence ('' when OK).
+    this step's target, of several tips the largest, at `q` or, where joints were measured, at these; status; reason, a sentence
+    ('' when OK).
     """
 
     __slots__ = ("_outcome", "q", "rate")

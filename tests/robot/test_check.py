@@ -95,6 +95,15 @@ def test_all_errors_are_listed():
     assert "and 3 more" in refusal(text)
 
 
+@pytest.mark.parametrize(("axis", "told"), [("0 0 1", 1), ("0 1 0", 2), ("1 0 0", 2)])
+def test_what_a_planar_joint_does(axis, told):
+    """Pinocchio moves it in the plane of its own x and y, so that another normal gives other poses than URDF asks for."""
+    text = chain(2, "planar").replace('<axis xyz="0 0 1"/>', f'<axis xyz="{axis}"/>', 1)
+    first = [str(f) for f in check_urdf(text) if str(f).startswith("joint 'j0'")]
+    assert len(first) == told and "is held still, and poses are given in the link it carries" in first[0]
+    assert told == 1 or "Pinocchio moves a planar joint along its x and y" in first[1]
+
+
 def test_long_chains():
     assert "more than 1,000 joints" in refusal(chain(1001, "fixed"))
     assert pin.buildModelFromXML(load(chain(1000, "fixed")), True).nframes == 2002

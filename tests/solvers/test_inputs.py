@@ -282,3 +282,22 @@ def test_a_start_given_as_seed_is_told_apart():
     for start in (robot.home, robot.home.tolist()):
         with pytest.raises(InvalidOption, match="the start is q0"):
             ik.solve(robot, T, seed=start)
+
+
+@pytest.mark.parametrize(
+    "call", [ik.solve, ik.solve_all, lambda robot, T, seed: ik.solve_batch(robot, [T], seed=seed)], ids=str
+)
+def test_no_seed_is_not_a_seed(call):
+    """None came through to the compiler, whose own error showed."""
+    with pytest.raises(InvalidOption, match="seed must be a number, not None"):
+        call(*good(), seed=None)
+    with pytest.raises(InvalidOption, match="between 0 and 2147483648"):
+        call(*good(), seed=2**31 + 1)
+
+
+def test_lengths_in_messages_are_in_metres_where_they_are_long():
+    tree = ik.Tree.load(TREE[0], tips=list(TREE[1]))
+    far = ik.solve(tree, {tip: (1e5, side, 0.0) for tip, side in zip(TREE[1], (1.0, -1.0), strict=True)}, restarts=0)
+    assert far.status == ik.Status.UNREACHABLE and "left_tip 1e+05 m" in far.message and "mm" not in far.message
+    one = ik.solve(load(ARM), (1e5, 0.0, 0.0), restarts=0)
+    assert "beyond reach by 1e+05 m" in one.message and "mm" not in one.message
