@@ -92,7 +92,7 @@ def cli_page() -> str:
     parts = [
         "# The command `ik`\n",
         _plain(root.help or ""),
-        "Made from the commands themselves; `ik COMMAND --help` says the same.\n",
+        "Generated from the commands; `ik COMMAND --help` shows the same text.\n",
     ]
     for name, command in root.commands.items():
         if command.hidden:
@@ -156,16 +156,16 @@ def _tips(row) -> list[str]:
 
 
 MEANINGS = {
-    "CONVERGED": "both errors are inside their tolerances, confirmed by Pinocchio",
-    "STALLED": "no further progress: a local minimum of the error, or nothing better after all starts",
-    "ITERATION_LIMIT": "the iterations, or the evaluations allowed, ran out while the error was still falling",
-    "LIMIT_BLOCKED": "joint limits stand in the way; the message names the joints",
+    "CONVERGED": "both errors are within tolerance, confirmed by Pinocchio",
+    "STALLED": "no further progress: a local minimum of the error, or no improvement from any start",
+    "ITERATION_LIMIT": "the limit on iterations or evaluations was reached while the error was still falling",
+    "LIMIT_BLOCKED": "joint limits block the way to the target; the message names the joints",
     "UNREACHABLE": "proven out of reach, by a bound from the link lengths or by a closed form; the message says by how much",
     "SINGULAR": "no joint motion reduces the error to first order",
     "NOT_FINITE": "the solver diverged, usually because the gains are too high",
-    "CHECK_FAILED": "the kernel reported success and Pinocchio did not confirm it: a bug",
-    "COLLISION": "the target was met, but every answer found touches something (only with avoid_collisions)",
-    "TOO_FAR": "the answer, if there is one, is further from q0 than follow allows a joint to move",
+    "CHECK_FAILED": "the kernel reported success but Pinocchio did not confirm it: a bug",
+    "COLLISION": "the target was reached, but every solution found is in collision (only with avoid_collisions)",
+    "TOO_FAR": "the solution, if there is one, is further from q0 than follow allows a joint to move",
 }
 
 

@@ -28,7 +28,7 @@ PARTS = {
     "tests/robot/test_check.py": "Broken and hostile URDFs: a corpus, generated giants, and fuzzing of URDF text",
     "tests/robot/test_dh.py": "D-H tables: random tables against Pinocchio, broken files, fuzzing",
     "tests/tracking/test_references.py": "Trajectory files: broken and hostile",
-    "tests/robot/test_pose.py": "Targets that are no poses",
+    "tests/robot/test_pose.py": "Targets that are not poses",
     "tests/robot/test_robot.py": "Robots that cannot be loaded; pickling; one robot from eight threads",
     "tests/solvers/test_torture.py": "Numerical torture: half turns, reach boundary, singular poses, absurd lengths, "
     "limits of zero width",
@@ -73,18 +73,19 @@ def mutation() -> list[str]:
     of = (
         "All of them were tried"
         if found["tried"] == found["mutants in all"]
-        else f"Of these {found['tried']} were drawn by chance"
+        else f"Of these {found['tried']} were drawn at random"
     )
-    same = f"; {found['equivalent in it']} of them change nothing and are left out" if found["equivalent in it"] else ""
+    dropped = found["equivalent in it"]
+    same = f"; {dropped} of them are equivalent to the original and are left out" if dropped else ""
     unseen = f"{lost} of the rest are reached by none of these tests. " if lost else ""
     lines = [
-        "## Mistakes planted in the kernel",
+        "## Mutation tests of the kernel",
         "",
         f"`{found['command']}` changes one operator, comparison, constant or branch of the kernel at a time, "
         f"{found['mutants in all']:,} changes in all, and runs the tests that reach it and take less than a second uncompiled. "
-        f"{of} (seed {found['seed']}){same}. The tests see {found['killed']} of {found['counted']}: "
+        f"{of} (seed {found['seed']}){same}. The tests detect {found['killed']} of {found['counted']}: "
         f"{100 * found['share killed']:.1f} % (95 % interval {100 * low:.1f} to {100 * high:.1f} %, Wilson). "
-        f"{unseen}Not counted: vectors of eight lanes, and what runs in numba only. "
+        f"{unseen}Not counted: code for vectors of eight lanes, and code that runs only in numba. "
         "The survivors are listed in `docs/data/mutation.json`.",
         "",
         "| file | mutants | killed | not reached |",
@@ -103,11 +104,13 @@ def main() -> None:
     lines = [
         "# Reliability",
         "",
+        "How the toolkit is tested against broken, hostile and extreme input, which failures this found, and how to run it again.",
+        "",
         f"Written by `python scripts/reliability.py` on {date.today()}, Python {platform.python_version()}, "
-        f"{platform.system()} {platform.machine()}. Each row is one test file or folder, its long runs included; the command is "
+        f"{platform.system()} {platform.machine()}. Each row is one test file or folder, slow tests included; the command is "
         '`python -m pytest FILE -m "slow or not slow"`.',
         "",
-        "| what was tried | file | tests | solves inside | failed | skipped | seconds |",
+        "| what is tested | file | tests | solves | failed | skipped | seconds |",
         "|---|---|---:|---:|---:|---:|---:|",
     ]
     remarks = []

@@ -95,7 +95,7 @@ ROWS: tuple[Row, ...] = (
     Row(
         "lm",
         _RULES + "jacobian:LM",
-        "Levenberg-Marquardt: error-based damping, joint limits enforced, restarts from a seed table (default)",
+        "Levenberg-Marquardt: error-based damping, joint limits enforced, restarts from a table of starts (default)",
         "any robot; position, pose, masks",
         "Sugihara 2011",
         # Give-up: a broad optimum measured on six arms (C 10-100 and rho 0.12-0.35 cost under 4 %, none at all up to twice the
