@@ -245,9 +245,10 @@ def test_hostile_meshes_are_refused_by_name(kind, place):
 
 
 @pytest.mark.parametrize(
-    ("body", "said"), [("os.kill(os.getpid(), 11)", "crashed"), ("[0 for _ in iter(int, 1)]", "too much time")]
+    ("body", "said", "seconds"),
+    [("os.kill(os.getpid(), 11)", "crashed", meshes.SECONDS), ("[0 for _ in iter(int, 1)]", "too much time", 1.5)],
 )
-def test_a_file_that_kills_its_reader_is_named_and_the_others_are_read(place, monkeypatch, body, said):
+def test_a_file_that_kills_its_reader_is_named_and_the_others_are_read(place, monkeypatch, body, said, seconds):
     """Readers have more bugs than we know: here any file of 6 bytes is one."""
     worker = place / "worker.py"
     text = meshes.WORKER.read_text().replace(
@@ -256,7 +257,7 @@ def test_a_file_that_kills_its_reader_is_named_and_the_others_are_read(place, mo
     assert body in text
     worker.write_text(text)
     monkeypatch.setattr(meshes, "WORKER", worker)
-    monkeypatch.setattr(meshes, "SECONDS", 0.5)
+    monkeypatch.setattr(meshes, "SECONDS", seconds)
     folder = place / "robot"
     paths = [folder / name for name in ("b.stl", "c.stl", "a.stl")]
     for path in paths[:2]:
