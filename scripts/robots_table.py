@@ -10,6 +10,7 @@ import importlib.metadata
 import io
 import json
 import logging
+import os
 import platform
 import statistics
 import sys
@@ -243,16 +244,22 @@ def page(found: dict[str, list[dict]], targets: int) -> str:
         "without joints are counted but not listed.",
     ]
     for name, rows in found.items():
-        parts.append(f"## {name}\n\n{summary(rows, targets)}.")
+        shown = [r for r in rows if r["reason"] != "no movable joint"]
+        folder = os.path.commonpath([os.path.dirname(r["file"]) for r in shown]) if shown else ""
+        place = f" Files are below `{folder}`." if folder else ""
+        parts.append(f"## {name}\n\n{summary(rows, targets)}.{place}")
         lines = ["| file | joints | tip | solved | FK | load [ms] | remark |", "|---|--:|---|--:|--:|--:|---|"]
-        for r in rows:
-            if r["reason"] == "no movable joint":
-                continue
+        for r in shown:
             solved = "" if r["solved"] is None else str(r["solved"])
             fk = "" if r["fk"] is None else f"{r['fk']:.0e}"
             tip = f"{r['tip']}{' (of several)' if r.get('tips', 1) > 1 else ''}"
             words = "; ".join(filter(None, (r["reason"].replace("<", "\\<"), r.get("others", ""))))[:160]
-            cells = [r["file"], str(r["joints"] or ""), tip, solved, fk, f"{1000 * r['seconds']:.0f}", words]
+            file, joints, load = (
+                os.path.relpath(r["file"], folder or "."),
+                str(r["joints"] or ""),
+                f"{1000 * r['seconds']:.0f}",
+            )
+            cells = [file, joints, tip, solved, fk, load, words]
             lines.append("| " + " | ".join(cell.replace("|", "\\|").replace("\n", " ") for cell in cells) + " |")
         parts.append("\n".join(lines))
     return "\n\n".join(parts) + "\n"

@@ -86,7 +86,7 @@ def convergence(runs: Any, *, tolerance: float | None = None, title: str = "") -
                 axis.axhline(tolerance, color=GREY, lw=0.9, ls=":", label="tolerance" if not k else None)
             axis.xaxis.get_major_locator().set_params(integer=True)
             axis.set(xlabel="evaluation", title=plain(f"{label}: {len(position) - 1} steps") if label else "")
-        axes[0, 0].set_ylabel("error left")
+        axes[0, 0].set_ylabel("error (log scale)")
         axes[0, 0].legend(loc="best", fontsize=8)
         _title(figure, title)
     return figure
