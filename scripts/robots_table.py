@@ -237,11 +237,11 @@ def page(found: dict[str, list[dict]], targets: int) -> str:
     """Markdown of the tables."""
     parts = [
         "# Robots that load",
-        f"Written by `python scripts/robots_table.py` on {date.today()}, Python {platform.python_version()}. Which robot "
-        "descriptions load, and how well poses are solved on them: every description in a package is loaded, its tip is guessed "
-        f"(of several, the one moved by the most joints), and {targets} reachable poses are solved, each result verified by "
-        "Pinocchio. *FK* is the largest difference of the forward kinematics from yourdfpy, or from MuJoCo for MJCF. Objects "
-        "without joints are counted but not listed.",
+        "Which robot descriptions load, and how well poses are solved on them: every description in a package is loaded, its tip "
+        f"is guessed (of several, the one moved by the most joints), and {targets} reachable poses are solved, each result "
+        "verified by Pinocchio. *FK* is the largest difference of the forward kinematics from yourdfpy, or from MuJoCo for MJCF. "
+        "Objects without joints are counted but not listed. "
+        f"Written by `python scripts/robots_table.py` on {date.today()}, Python {platform.python_version()}.",
     ]
     for name, rows in found.items():
         shown = [r for r in rows if r["reason"] != "no movable joint"]
