@@ -1,11 +1,12 @@
 """Xacro -> URDF text, expanded in a sandboxed subprocess (see xacro_worker.py)."""
 
 import importlib.util
+import logging
 import os
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 
-from ..errors import InvalidOption, MissingExtra, ModelError
+from ..errors import InvalidOption, MissingExtra, ModelError, near_match
 from .worker import ask
 
 WORKER = Path(__file__).with_name("xacro_worker.py")
@@ -18,8 +19,9 @@ def expand(path: Path, package_dirs: Iterable[str | Path] = (), arguments: Mappi
     """URDF text of a xacro file.
 
     arguments: values of its <xacro:arg>, and of $(env NAME), by name. Files are read from the file's own folder, the package it
-    is in, package_dirs and the packages it finds; nothing is written, no command run, no environment read. Raises
-    MissingExtra, InvalidOption (arguments), ModelError: one sentence that names the file.
+    is in, package_dirs and the packages it finds; nothing is written, no command run, no environment read. An argument that it
+    does not use is logged: it may be misspelled. Raises MissingExtra, InvalidOption (arguments), ModelError: one sentence that
+    names the file.
     """
     if importlib.util.find_spec("xacro") is None:
         raise MissingExtra("xacrodoc", "formats")
@@ -47,4 +49,7 @@ def expand(path: Path, package_dirs: Iterable[str | Path] = (), arguments: Mappi
         raise ModelError(f"'{path.name}' cannot be expanded: {answer['error']}")
     if "<link" not in answer["urdf"]:
         raise ModelError(f"'{path.name}' contains xacro macros but no robot; load the file that uses them")
+    for name in given.keys() - set(answer["asked"]):
+        hint = near_match(name, answer["asked"])
+        logging.getLogger("ik_toolkit").warning("'%s' does not use the argument '%s'.%s", path.name, name, hint)
     return answer["urdf"]

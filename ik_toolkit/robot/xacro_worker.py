@@ -2,7 +2,7 @@
 
 It imports nothing from the toolkit except packages.py and mesh_worker.py. Job (JSON on stdin): file, arguments (name -> value),
 package_dirs, folders (files are read only from these and from packages that are found), environment (ROS package path
-variables), memory [bytes], seconds. It prints one line of JSON: {"urdf": text} or {"error": sentence}.
+variables), memory [bytes], seconds. It prints one line of JSON: {"urdf": text, "asked": names} or {"error": sentence}.
 """
 
 import contextlib
@@ -29,6 +29,25 @@ def beside(name: str) -> ModuleType:
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
+
+
+class Asked(dict):
+    """Arguments that note the names they were asked for, so that a misspelled one shows."""
+
+    def __init__(self, given: dict[str, str]) -> None:
+        """Take the arguments; nothing has been asked yet."""
+        super().__init__(given)
+        self.names: set[str] = set()
+
+    def __contains__(self, name: object) -> bool:
+        """Whether there is an argument of this name, which is noted."""
+        self.names.add(str(name))
+        return super().__contains__(name)
+
+    def __getitem__(self, name: str) -> str:
+        """The argument of this name, which is noted."""
+        self.names.add(name)
+        return super().__getitem__(name)
 
 
 class NotAllowed(Exception):
@@ -71,6 +90,7 @@ def expand(job: dict) -> dict:
     packages = beside("packages")
     walls = Walls(job["folders"])
     known: dict[str, str] = {}
+    arguments = Asked(job["arguments"])
 
     def find(name: str) -> str:
         if name not in known:
@@ -84,14 +104,14 @@ def expand(job: dict) -> dict:
         return known[name]
 
     def env(name: str) -> str:
-        if name not in job["arguments"]:
+        if name not in arguments:
             raise NotAllowed(
                 f"it reads $(env {name[:100]}); the environment is not read, give {name[:100]} as an argument"
             )
-        return job["arguments"][name]
+        return arguments[name]
 
     def optenv(name: str, default: str = "") -> str:
-        return job["arguments"].get(name, default)
+        return arguments[name] if name in arguments else default
 
     beside_the_file = xacro.abs_filename_spec
 
@@ -109,8 +129,8 @@ def expand(job: dict) -> dict:
     walls.build()
     try:
         with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
-            document: Any = xacro.process_file(job["file"], mappings=job["arguments"])
-        return {"urdf": document.toprettyxml(indent="  ")}
+            document: Any = xacro.process_file(job["file"], mappings=arguments)
+        return {"urdf": document.toprettyxml(indent="  "), "asked": sorted(arguments.names)}
     except BaseException as error:  # broken macros can raise anything
         stack = [os.path.basename(name) for name in (xacro.filestack or []) if name]
         cause = getattr(error, "exc", None) or error

@@ -133,7 +133,7 @@ def _failure(result: "Result", left: str, starts: int) -> str:
         beyond = [f"{tip} by {_length(x, 4)}" for tip, x in zip(robot.tips, result._of.excess(), strict=True) if x > 0]
         if len(robot.tips) == 1:
             by = beyond[0].removeprefix(robot.tips[0])
-            return f"the target is beyond reach{by} (a bound from the link lengths); closest {left}"
+            return f"the target is beyond reach{by} (a bound from the link lengths); closest {left} after {_starts(starts)}"
         return f"beyond reach: {', '.join(beyond)} (a bound from the link lengths)"
     if status == Status.TOO_FAR:
         joint, far = int(row[AT.held]), result._of.plan.options.follow

@@ -36,6 +36,16 @@ def test_expanded_with_its_arguments(package):
         ik.Robot.load(package / "urdf" / "seg.xacro")
 
 
+def test_an_argument_that_is_not_used_is_told(package, caplog):
+    """A misspelled one gave the robot of the default, without a word."""
+    file = package / "urdf" / "arm.urdf.xacro"
+    assert ik.Robot.load(file, xacro_args={"lenght": 0.75}).reach == pytest.approx(0.5)
+    assert "does not use the argument 'lenght'. Did you mean 'length'?" in caplog.text
+    caplog.clear()
+    ik.Robot.load(file, xacro_args={"length": 0.75})
+    assert not caplog.text
+
+
 def test_what_asks_for_the_environment_gets_arguments(package, monkeypatch):
     file = package / "urdf" / "arm.urdf.xacro"
     monkeypatch.setenv("LENGTH", "3")
