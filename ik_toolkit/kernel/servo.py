@@ -116,6 +116,15 @@ def tick(state, law, clock, done):
 
 
 @inner
+def leave_out(J, floor, roof):
+    """Take joints that have to stand still, a locked one say, out of the Jacobian: what is singular is so for the others."""
+    for i in range(floor.shape[0]):
+        if floor[i] == 0.0 and roof[i] == 0.0:
+            for k in range(J.shape[1]):
+                J[i, k] = 0.0
+
+
+@inner
 def gather(law, lines, level, planes, edges):
     """Copy the half-planes that hold to where those of slacks are added."""
     for k in range(int(law.rows)):
@@ -186,6 +195,8 @@ def run(
                 task.stand(s.at)
         if stop:
             return i
+        if law.mode != CLIP:
+            leave_out(s.J, s.floor, s.roof)
         count = gather(law, lines, level, s.planes, s.edges)
         count = slack_rows(counts[1], s.J, s.e, s.f, s.ahead, s.a, h, s.planes, s.edges, count)
         copy(counts[0], s.weight)

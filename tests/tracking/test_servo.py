@@ -164,6 +164,20 @@ def test_a_joint_locked_on_the_way_stays(panda):
             tracker.change_limits(**wrong)
 
 
+@pytest.mark.parametrize("method", ["cv", "aad"])
+def test_the_other_joints_do_what_a_locked_one_would(panda, method):
+    """With joint 2 locked they still reach every pose of this path, close to a singular pose of theirs but not of the arm's."""
+    tracker = Tracker(panda, method, q0=Q0)
+    tracker.change_limits(speed={"panda_joint2": 0.0})
+    target, errors = panda.fk(Q0).homogeneous, []
+    start = target[:3, 3].copy()
+    for k in range(200):
+        target[:3, 3] = start + 0.5 * (1.0 - np.cos(np.pi * (k + 1) / 100)) * np.array([0.0, 0.1, 0.1])
+        step = tracker.update(target, 0.01)
+        errors.append(np.hypot(step.position_error, 0.2 * step.orientation_error))
+    assert tracker.q[1] == Q0[1] and max(errors) < 5e-4
+
+
 def test_a_long_step_is_taken_in_parts(panda):
     """After steps of 1 ms one of 50 ms: limits hold, and the tip gets as far as fifty short ones bring it."""
     ref = panda_reference(panda, True, 3.0)
