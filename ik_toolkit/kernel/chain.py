@@ -11,7 +11,7 @@ from .jit import cached
 from .kinematics import RATIO, ROW, TAU, fk, own_coordinates, room
 from .problem import fill
 from .records import POINTS, TASK, Ends
-from .seeds import PAD, ROTATION_WEIGHT, SEEDS
+from .seeds import FEATURES, PAD, ROTATION_WEIGHT, SEEDS
 
 __all__ = ["ROW", "Chain", "pack"]
 WINDING = 5 * TAU
@@ -160,7 +160,7 @@ def table(rows: np.ndarray, ends: np.ndarray, seeds: np.ndarray, kinematics: Cal
     tip, tail = ends[12:24], ends[POINTS + 7 * n :]
     flat = np.concatenate([np.eye(3).ravel(), np.zeros(3), ends[12 : POINTS + 7 * n], [1.0], tail[1:7]])
     T = kinematics(rows, flat, seeds, np.ones(n))[0]
-    features = np.zeros((13, count + PAD), np.float32)
+    features = np.zeros((FEATURES, count + PAD), np.float32)
     features[:3, :count] = -2.0 * T[:, :3, 3].T
     rotation = T[:, :3, :3] @ tip[:9].reshape(3, 3).T
     features[3:12, :count] = -2.0 * ROTATION_WEIGHT * rotation.reshape(count, 9).T

@@ -31,12 +31,9 @@ LEAST = 1e-3  # lambda at sigma_k = 0: what is lost of a motion through a singul
 CLOSE = 0.1  # [reaches, or rad] up to which an error is a vector, but for a twentieth
 FLAT = 1e-3  # curvature (reaches over rad^2) below which there is none
 ALONG, BESIDE, BOTH = range(3)  # motions whose curvature is asked
-SIDE = (
-    0.2  # [s] in which the side is forgotten from which the joints came to a singular pose: a swing across is shorter
-)
-CAUTION = (
-    2.0 / 3.0
-)  # of the way to the closest pose in a step: beside a free direction, whole ways zigzag (steepest descent does)
+SIDE = 0.2  # [s] for which the side is kept from which the joints came to a singular pose: a swing across is shorter
+# Share of the way to the closest pose that a step takes: beside a free direction whole ways zigzag, as steepest descent does.
+CAUTION = 2.0 / 3.0
 CLEAR = 1e-4  # singular value from which on it is clear on which side of the singular pose the joints are
 
 

@@ -30,13 +30,14 @@ from .checks import (
     standstill,
 )
 from .jit import BUILD, INLINE, cached, compiled, inline, inner
+from .joined import part, scratch
 from .limits import distance, face, held_back, hold, integrate, legal, neighbourhood, other_end
 from .problem import BEST_OF_ALL, NEAREST, NOW
-from .records import ANSWER, HEAD, ORDER, TASK, Answer, Array, Ends, Orders, copy, read, write
-from .seeds import BEST, sow
+from .records import ANSWER, HEAD, MISS, TASK, Answer, Array, Ends, Orders, copy, read, write
+from .seeds import BEST, FEATURES, sow
 from .serial import make_serial, serial_on
 from .tree import make_tree, tree_on
-from .view import cut, flat, keep, space, view
+from .view import cut, fold, keep, view
 
 SINGULAR_STEP, WAITING = -1, -2  # what step may return instead of 0: no step exists; a step of zero that is no stall
 GOING, STILL = -1, -2  # of an attempt that goes on, or stands still; the search says why
@@ -59,6 +60,18 @@ def _problem_on(block, rows, ends, tasks, n, orders):
     if ends.ndim == 1:
         return lambda block, rows, ends, tasks, n, orders: serial_on(block, rows, ends, tasks, n, orders)
     return lambda block, rows, ends, tasks, n, orders: tree_on(block, rows, ends, tasks, n, orders)
+
+
+def by_tip(ends, T, tips):
+    """Ends as Serial or Tree take them, by the shape of the targets."""
+    return ends if T.ndim == 3 else ends.reshape(tips, -1)
+
+
+@overload(by_tip, jit_options=INLINE)
+def _by_tip(ends, T, tips):
+    if T.ndim == 3:
+        return lambda ends, T, tips: ends
+    return lambda ends, T, tips: fold(ends, np.float64, tips, ends.shape[0] // tips)
 
 
 def problem(rows, ends, tasks, n, orders):
@@ -288,31 +301,38 @@ def start_attempt(p, o, table, k, start):
 
 
 @inline
-def run(step, needs_jacobian, rows, ends, seeds, features, T, Q0, out, orders, history, block, near_ends):
-    """The search of a rule for all targets, on views: arguments as of `entry`, and what it may write."""
-    n = seeds.shape[1]
+def run(step, needs_jacobian, chain, T, Q0, out, orders, block):
+    """The search of a rule for all targets, on views: arguments as of `entry`, and scratch."""
+    rows, ends, seeds, features = part(chain)
+    N, n = T.shape[0], seeds.shape[1]
     o = read(Orders, orders)
-    tips = flat(ends).shape[0] // ends.shape[-1]
+    tips = features.shape[0] // FEATURES
+    width = ANSWER + n + (MISS * tips if len(T.shape) == 4 else 0)
+    history = fold(out[N * width :], np.float64, (out.shape[0] - N * width) // (2 + n), 2 + n)
     first = HEAD + TASK * tips
     weights = orders[first : first + n]
     rule = read(step, orders, first + n)
     limits, following = o.limits > 0.0, o.follow > 0.0
     block[0] = 0.0
-    p = problem_on(block, rows, near_ends, orders[HEAD:first], n, o)
+    near_ends = ends
+    if following:
+        (near_ends,) = cut(block, np.float64, (ends.shape[0],))
+        copy(ends, near_ends)
+    p = problem_on(block, rows, by_tip(near_ends, T, tips), orders[HEAD:first], n, o)
     # What belongs to the coordinates is the same for every tip, and stands first.
-    box, near = Ends(flat(ends), n), Ends(flat(near_ends), n)
+    box, near = Ends(ends, n), Ends(near_ends, n)
     table = make_table(block, seeds, features, tips)
     best, found = cut(block, np.float64, (n, n))
     start = p.desk.start
     from_q0 = o.given > 0.0 or o.closest > 0.0
-    for t in range(T.shape[0]):
-        q0 = Q0[t if Q0.shape[0] > 1 else 0]
+    for t in range(N):
+        row, q0 = out[t * width : (t + 1) * width], Q0[t if Q0.shape[0] > 1 else 0]
         excess = p.aim(T[t], o)
         if excess < 0.0:
-            out[t, 0] = BAD_TARGET
+            row[0] = BAD_TARGET
             continue
         if from_q0 and not legal(q0, box, limits):
-            out[t, 0] = BAD_START
+            row[0] = BAD_START
             continue
         for i in range(n):
             start[i] = q0[i] / box.unit(i) if from_q0 else box.home(i)
@@ -322,10 +342,10 @@ def run(step, needs_jacobian, rows, ends, seeds, features, T, Q0, out, orders, h
         answer, place = search(
             rule, p, o, near, box, weights, table, best, found, start, needs_jacobian, excess, history
         )
-        write(out[t], 0, answer)
+        write(row, 0, answer)
         for i in range(n):
-            out[t, ANSWER + i] = p.desk.q[i] * box.unit(i)
-        p.report(place, out[t])
+            row[ANSWER + i] = p.desk.q[i] * box.unit(i)
+        p.report(place, row)
 
 
 ENTRIES: dict[type, Callable] = {}
@@ -337,28 +357,22 @@ def step_class(cls: type) -> type:
 
 
 def entry(cls: type) -> Callable:
-    """Return the compiled search of a rule: solve(rows, ends, seeds, features, T, Q0, out, orders, history).
+    """Return the compiled search of a rule: solve(chain, T, Q0, out, orders).
 
-    One tip: ends (K,), features (13, M), T (N, 4, 4) [m]; F tips: ends (F, K'), features (F, 13, M), T (N, F, 4, 4). Q0 (1 or
-    N, n) start if orders say so, and the turn nearest to it is returned; out (N, ANSWER + n), or (N, ANSWER + n + 3 F); orders:
-    `Orders`, a `Task` a tip, joint weights (n), parameters; history (H, 2 + n) receives position error, orientation error
-    and q of each evaluation (H may be 0).
+    chain: all arrays of a chain or a tree (see `joined.join`). T (N, 4, 4) [m], of F tips (N, F, 4, 4). Q0 (1 or N, n) start if
+    orders say so, and the turn nearest to it is returned. out (K,): N rows of ANSWER + n numbers, of several tips MISS F more;
+    what is left of it are rows of 2 + n that receive position error, orientation error and q of each evaluation. orders:
+    `Orders`, a `Task` a tip, joint weights (n), parameters.
     """
     if cls in ENTRIES:
         return ENTRIES[cls]
     step = step_class(cls)
     needs_jacobian = getattr(step, "JACOBIAN", True)
 
-    def solve(rows, ends, seeds, features, T, Q0, out, orders, history):
-        n, tips = seeds.shape[1], ends.size // ends.shape[-1]
-        block = np.empty(space(n, 6 * tips, rows.shape[0], seeds.shape[0]))
-        near = ends.copy() if orders[ORDER.follow] > 0.0 else ends
-        run(
-            step, needs_jacobian, view(rows), view(ends), view(seeds), view(features), view(T), view(Q0), view(out),
-            view(orders), view(history), view(block), view(near),
-        )  # fmt: skip
+    def solve(chain, T, Q0, out, orders):
+        block = np.empty(scratch(view(chain)))
+        run(step, needs_jacobian, view(chain), view(T), view(Q0), view(out), view(orders), view(block))
         keep(block)
-        keep(near)
 
     ENTRIES[cls] = cached(solve, cls, step.step)
     return ENTRIES[cls]

@@ -6,7 +6,8 @@ from .jit import inline, inner, jit
 
 SEEDS = 256  # table size: larger tables cost more to scan than they save in iterations
 BEST = 8  # restarts taken from the table before random ones
-PAD = 16  # keeps the 13 feature rows off one cache set
+FEATURES = 13  # of a configuration, see `chain.table`
+PAD = 16  # keeps the feature rows off one cache set
 ROTATION_WEIGHT = 0.05  # of |dR|_F^2 against |dp|^2 (lengths divided by the reach)
 
 

@@ -315,7 +315,7 @@ def tree_on(block, rows, ends, tasks, n, orders):
     """
     F = ends.shape[0]
     size, angles = room(rows.shape[0])
-    each = fold(tasks, F, TASK)
+    each = fold(tasks, np.float64, F, TASK)
     (first,) = cut(block, np.int64, (F + 1,))
     moves, choosers, goals, links, kept, poses, joints, trig, tips, asked = cut(
         block, np.float64, ((F, n), (2, n), (F, GOAL), (F, LINK), (F, KEPT), (F, GOAL), size, angles, (F, 2), F)

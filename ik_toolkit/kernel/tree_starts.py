@@ -5,7 +5,7 @@ import numpy as np
 from .jit import inner
 from .records import WHAT, Ends, copy
 from .relative import carry
-from .seeds import BEST, nearest, rnd
+from .seeds import BEST, FEATURES, nearest, rnd
 from .task import FREE, counts
 
 
@@ -30,7 +30,9 @@ def rank_groups(p, table):
         table.total[g] = 0.0
     for f in range(F):
         wp, wr = counts(p.tasks[f])
-        nearest(table.features[f], p.goals[f], wp, wr, table.score, table.val, table.best)
+        nearest(
+            table.features[FEATURES * f : FEATURES * (f + 1)], p.goals[f], wp, wr, table.score, table.val, table.best
+        )
         for k in range(BEST):
             g = table.best[k] % BEST
             table.choice[g, f] = table.best[k]

@@ -202,23 +202,24 @@ def _as_flat(typing, A):
     return View(A.dtype, 1)(A), generate
 
 
-def fold(A, n, m):
-    """The first n m numbers of a view (K,), as a table (n, m)."""
-    return A[: n * m].reshape(n, m)
+def fold(A, kind, n, m):
+    """The first n m numbers of type `kind` in a view (K,), as a table (n, m)."""
+    return A.view(kind)[: n * m].reshape(n, m)
 
 
 @overload(fold, jit_options=INLINE)
-def _fold(A, n, m):
-    return lambda A, n, m: _as_table(A, n, m)
+def _fold(A, kind, n, m):
+    return lambda A, kind, n, m: _as_table(A, kind, n, m)
 
 
 @intrinsic
-def _as_table(typing, A, n, m):
+def _as_table(typing, A, kind, n, m):
     def generate(context: Any, builder: Any, sig: Any, args: Any) -> Any:
         data, _ = parts_of(context, builder, sig.args[0], args[0])
-        return _made(context, builder, sig.return_type, data, args[1:])
+        data = builder.bitcast(data, context.get_data_type(kind.dtype).as_pointer())
+        return _made(context, builder, sig.return_type, data, args[2:])
 
-    return View(A.dtype, 2)(A, types.intp, types.intp), generate
+    return View(kind.dtype, 2)(A, kind, types.intp, types.intp), generate
 
 
 # ---------------------------------------------------------------------------------------------------------------- scratch

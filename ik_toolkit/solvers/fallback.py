@@ -27,6 +27,7 @@ def with_search(plan: Any, closed: Callable) -> Callable:
     that is STALLED: then it proves nothing, and the search gives the status. Its q is the best of all.
     """
     robot = plan.robot
+    silent = np.empty((0, 2 + robot.n))
     made: list[tuple[Any, Any, dict[int, float]]] = []
 
     def searches() -> tuple[Any, Any, dict[int, float]]:
@@ -43,7 +44,13 @@ def with_search(plan: Any, closed: Callable) -> Callable:
             made.append((plan.search(**options), plan.search(**{**options, "restarts": 0}), held))
         return made[0]
 
-    def loop(rows, ends, seeds, feat, T, Q0, out, opt, hist) -> None:
+    def loop(_, T, Q0, flat, opt) -> None:
+        rows, ends, seeds, feat = plan.chain
+        if len(flat) == plan.width:  # one target, and no history: the hot path
+            out, hist = flat[None], silent
+        else:
+            filled = len(T) * plan.width
+            out, hist = flat[:filled].reshape(len(T), -1), flat[filled:].reshape(-1, 2 + robot.n)
         closed(rows, ends, seeds, feat, T, Q0, out, opt, hist)
         if len(out) == 1 and out[0, AT.status] == CONVERGED:
             return
@@ -119,8 +126,12 @@ def continue_with(
                     out[rows[0], AT.status] = ITERATION_LIMIT
                 continue
             plan = search.varied(max_evaluations=left)
-        found = np.zeros((len(rows), out.shape[1]))
-        plan.run(T[some], how[0], start if len(start) == 1 else start[some], how[1], found, hist)
+        found, starts = np.zeros((len(rows), out.shape[1])), start if len(start) == 1 else start[some]
+        if len(hist):  # one target alone
+            found[0], noted = plan.note(T, start, plan.ready(how[0], start, how[1]), len(hist))
+            hist[: len(noted)] = noted
+        else:
+            plan.run(T[some], how[0], starts, how[1], found)
         merge(out, rows, found, search.robot.chain.scale)
         still[some] = found[:, AT.status] != CONVERGED
     return still

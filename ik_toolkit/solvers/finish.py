@@ -67,17 +67,15 @@ def record(outcome: Any) -> Any:
     An answer given full turns nearer to the start was evaluated after the search, so it is the last row.
     """
     plan = outcome.plan
-    history = np.empty((int(outcome.row[AT.evaluations]) + 1, 2 + plan.robot.n))
-    out = np.empty((1, plan.width))
-    plan.run(outcome.T, outcome.kinds, outcome.start, outcome.given, out, history)
-    history = history[: int(out[0, AT.history])]
-    q = out[0, ANSWER : ANSWER + plan.robot.n]
+    ready = plan.ready(outcome.kinds, outcome.start, outcome.given)
+    row, history = plan.note(outcome.T, outcome.start, ready, int(outcome.row[AT.evaluations]) + 1)
+    q = row[ANSWER : ANSWER + plan.robot.n]
     if not (history[:, 2:] == q).all(axis=1).any():
-        history = np.vstack([history, [out[0, AT.position], out[0, AT.rotation], *q]])
+        history = np.vstack([history, [row[AT.position], row[AT.rotation], *q]])
     if all(angle is None for _, angle in outcome.left()):
         history[:, 1] = np.nan
     columns = {"position_error": history[:, 0], "orientation_error": history[:, 1], "q": history[:, 2:]}
-    return outcome._replace(history=columns | {"attempt": _attempts(outcome, out[0], len(history))})
+    return outcome._replace(history=columns | {"attempt": _attempts(outcome, row, len(history))})
 
 
 def _attempts(outcome: Any, row: np.ndarray, rows: int) -> np.ndarray:
@@ -90,14 +88,12 @@ def _attempts(outcome: Any, row: np.ndarray, rows: int) -> np.ndarray:
     if made == 1 or plan.row.closed:
         return number
     number[:] = -1
-    orders = plan.orders(outcome.kinds, outcome.given).copy()
-    arrays = plan.arrays(outcome.kinds, outcome.start)
-    scratch, out = np.empty((noted, 2 + plan.robot.n)), np.empty((1, plan.width))
+    chain, orders = plan.ready(outcome.kinds, outcome.start, outcome.given)
+    orders = orders.copy()
     ends = {0: 0, made: noted}
     for count in {*range(1, min(made, TOLD_APART + 1)), won, won + 1} - {0, made}:
         orders[ORDER.attempts] = count
-        plan.kernel(*arrays, outcome.T, outcome.start, out, orders, scratch)
-        ends[count] = int(out[0, AT.history])
+        ends[count] = len(plan.note(outcome.T, outcome.start, (chain, orders), noted)[1])
     for count in ends:
         if count + 1 in ends:
             number[ends[count] : ends[count + 1]] = count

@@ -7,8 +7,9 @@ import numpy as np
 
 from ..errors import InvalidConfiguration, InvalidOption, UnknownSolver
 from ..kernel.chain import without_limits, without_wrap
+from ..kernel.joined import join
 from ..kernel.limits import LARGEST
-from ..kernel.records import ANSWER, MISS, Orders
+from ..kernel.records import ANSWER, AT, MISS, Orders
 from ..kernel.seeds import BEST
 from ..kernel.task import POSITION
 from ..kernel.tree_chain import split
@@ -30,7 +31,7 @@ NEVER = (np.inf, 1.0, np.inf, 1.0)
 class Plan:
     """A solver as it runs on a robot: the compiled loop, the arrays it takes, and the steps that finish its answers.
 
-    robot, row, rule, options; kernel (compiled loop); home (1, n): the start when none is given; silent: room for no history;
+    robot, row, rule, options; kernel (compiled loop, see `kernel.search.entry`); home (1, n): the start when none is given;
     held: places of the joints with weight 0; steps, improving: what finishes an answer (see `finish`).
     """
 
@@ -50,14 +51,13 @@ class Plan:
         self.chain = (chain.rows, self._ends(), chain.seeds, chain.features)
         self.width = ANSWER + robot.n + (MISS * len(robot.tips) if robot.by_tip else 0)
         self.home = robot.home.reshape(1, -1).copy()
-        self._single = (1, self.width)
-        self.silent = np.empty((0, 2 + robot.n))
         self._plain = not len(self.held)
         self.memo: dict[Any, Any] = {}  # of whoever keeps something with the plan
         self._ready: dict[tuple, tuple] = {}
         self._packed: dict[tuple, np.ndarray] = {}
         self._tables: dict[bool, tuple] = {}
         self._pinned: tuple[Any, tuple] = (None, ())
+        self._joined: tuple[Any, np.ndarray] = (None, np.empty(0))
         self.steps, self.improving = finishing(self)
 
     def varied(self, **options: Any) -> "Plan":
@@ -74,36 +74,44 @@ class Plan:
         return Plan, (self.robot, self.row, self.rule, self.options)
 
     # ---------------------------------------------------------------------------------------------------------- running
-    def run(
-        self,
-        T: np.ndarray,
-        kinds: tuple,
-        start: np.ndarray,
-        given: bool,
-        out: np.ndarray,
-        history: np.ndarray | None = None,
-    ) -> None:
+    def run(self, T: np.ndarray, kinds: tuple, start: np.ndarray, given: bool, out: np.ndarray) -> None:
         """Solve N targets T (N, 4, 4), of several tips (N, F, 4, 4), of the same kinds; rows of `out` (N, width) are written.
 
-        start (1 or N, n); given: whether it is the caller's; history (H, 2 + n): see kernel.search.entry.
+        start (1 or N, n); given: whether it is the caller's.
         """
-        arrays = self.arrays(kinds, start)
-        orders = self.orders(kinds, given)
-        self.kernel(*arrays, T, start, out, orders, self.silent if history is None else history)
+        chain, orders = self.ready(kinds, start, given)
+        self.kernel(chain, T, start, out.reshape(-1), orders)
 
     def solve(self, T: np.ndarray, kinds: tuple, start: np.ndarray, given: bool) -> np.ndarray:
-        """Row (width,) of one target T (1, ...): `run` without a look-up too many, since it takes a microsecond."""
-        ready = self._ready.get((kinds, given))
-        if ready is None:
-            ready = (*self.arrays(kinds, start), self.orders(kinds, given))
-            if self._plain:
-                self._ready[kinds, given] = ready
-        rows, ends, seeds, features, orders = ready
-        out = np.empty(self._single)
-        self.kernel(rows, ends, seeds, features, T, start, out, orders, self.silent)
-        return out[0]
+        """Row (width,) of one target T (1, ...)."""
+        chain, orders = self._ready.get((kinds, given)) or self.ready(kinds, start, given)
+        row = np.empty(self.width)
+        self.kernel(chain, T, start, row, orders)
+        return row
+
+    def note(
+        self, T: np.ndarray, start: np.ndarray, ready: tuple[np.ndarray, np.ndarray], count: int
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Row (width,) of one target T (1, ...), and its history (at most `count`, 2 + n); ready: as `ready` returns it."""
+        chain, orders = ready
+        out = np.empty(self.width + count * (2 + self.robot.n))
+        self.kernel(chain, T, start, out, orders)
+        row, history = out[: self.width], out[self.width :].reshape(count, -1)
+        return row, history[: int(row[AT.history])]
 
     # --------------------------------------------------------------------------------------------------------- preparing
+    def ready(self, kinds: tuple, start: np.ndarray, given: bool) -> tuple[np.ndarray, np.ndarray]:
+        """What the kernel takes of a plan: all arrays of the chain in one, and the orders."""
+        found = self._ready.get((kinds, given))
+        if found is None:
+            arrays, last = self.arrays(kinds, start), self._joined
+            if last[0] is not arrays:
+                self._joined = last = arrays, join(*arrays)
+            found = last[1], self.orders(kinds, given)
+            if self._plain:
+                self._ready[kinds, given] = found
+        return found
+
     def _ends(self) -> np.ndarray:
         """`ends` of the chain as the options want limits to count."""
         chain, n = self.robot.chain, self.robot.n

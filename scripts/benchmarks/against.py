@@ -59,7 +59,7 @@ def make_item(name: str, robot_name: str):
         return lambda: ik.track(robot, reference, name.split()[1], dt=1e-3, q0=q0, **clip), 2000, lambda: (0, 0)
     T = np.array([robot.fk(robot.random_q(rng)).homogeneous for _ in range(count)])
     solver = ik.Solver(robot, "lm" if name in ("lanes", "python") else name)
-    kernel, arrays, orders, home, silent, width = parts_of(solver, POSE)
+    run, arrays, orders, home, width = parts_of(solver, POSE)
     out = np.zeros((count, width))
     rows = lambda: (float((out[:, 0] == 0).mean()), float(out[:, 1].mean()))  # noqa: E731
     if name == "lanes":
@@ -69,17 +69,17 @@ def make_item(name: str, robot_name: str):
     if name == "python":
         results = []
         return lambda: results.__setitem__(slice(None), [solver(x) for x in T]), count, lambda: _of(results)
-    return lambda: kernel(*arrays, T, home, out, orders, silent), count, rows
+    return lambda: run(T, out), count, rows
 
 
 def parts_of(solver, kind: int) -> tuple:
-    """Loop, arrays, orders, home, an empty history and the width of a row, of today's solvers and of those before plans."""
+    """run(T, out), arrays, orders, home and the width of a row, of today's solvers and of those before plans."""
     plan = getattr(solver, "plan", None)
     if plan is None:
-        return (
-            solver._kernel, solver.arrays(kind), solver.pack(kind, False), solver._home, solver._silent, solver._width
-        )  # fmt: skip
-    return plan.kernel, plan.arrays((kind,), plan.home), plan.orders((kind,), False), plan.home, plan.silent, plan.width
+        arrays, orders, home, silent = solver.arrays(kind), solver.pack(kind, False), solver._home, solver._silent
+        return lambda T, out: solver._kernel(*arrays, T, home, out, orders, silent), arrays, orders, home, solver._width
+    arrays, orders = plan.arrays((kind,), plan.home), plan.orders((kind,), False)
+    return lambda T, out: plan.run(T, (kind,), plan.home, False, out), arrays, orders, plan.home, plan.width
 
 
 def _of(results: list) -> tuple[float, float]:

@@ -37,7 +37,7 @@ def works(name: str, count: int, rng: np.random.Generator) -> dict[str, tuple[Ca
     targets = list(T)
 
     def solve() -> None:
-        plan.kernel(*arrays, T, plan.home, out, orders, plan.silent)
+        plan.run(T, (POSE,), plan.home, False, out)
 
     solve()
     iterations = out[:, 1].sum()

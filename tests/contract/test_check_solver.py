@@ -85,9 +85,10 @@ class Faulty(NamedTuple):
     def loop(self, robot):
         solve, spoil = entry(LM), FAULTS.get(self.fault, lambda *_: None)
 
-        def loop(rows, ends, seeds, features, T, Q0, out, orders, history):
-            solve(rows, ends, seeds, features, T, Q0, out, orders, history)
-            spoil(out, T, Q0, history)
+        def loop(chain, T, Q0, out, orders):
+            solve(chain, T, Q0, out, orders)
+            filled = len(T) * (ANSWER + robot.n)
+            spoil(out[:filled].reshape(len(T), -1), T, Q0, out[filled:].reshape(-1, 2 + robot.n))
 
         return loop
 

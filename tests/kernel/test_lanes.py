@@ -63,11 +63,10 @@ def run(robot, T, kind=POSE, q0=None, **options):
     """Rows of the lanes and of the loop."""
     plan = ik.Solver(robot, "lm", **options).plan
     start = plan.home if q0 is None else np.atleast_2d(q0)
-    arguments = *plan.arrays((kind,), start), T, start
     opt = plan.orders((kind,), q0 is not None)
     side, loop = np.zeros((len(T), ANSWER + robot.n)), np.zeros((len(T), ANSWER + robot.n))
-    lanes()(*arguments, side, opt)
-    plan.kernel(*arguments, loop, opt, plan.silent)
+    lanes()(*plan.arrays((kind,), start), T, start, side, opt)
+    plan.run(T, (kind,), start, q0 is not None, loop)
     return side, loop
 
 

@@ -10,6 +10,7 @@ import random_arms as arms
 
 from ik_toolkit.kernel import checks, records, search, tree_starts, view
 from ik_toolkit.kernel.checks import CONVERGED, ITERATION_LIMIT, NOT_FINITE, STALLED
+from ik_toolkit.kernel.joined import join, part, scratch
 from ik_toolkit.kernel.records import ANSWER, AT, Ends, Orders, Task
 from ik_toolkit.kernel.search import GOING, LOOK, STILL, Spent
 from ik_toolkit.kernel.seeds import BEST, rnd
@@ -46,9 +47,23 @@ def test_records_and_scratch():
     assert a.shape == (3,) and b.shape == (2, 4) and np.all(a == 1.0) and np.all(b == 2.0)
     with pytest.raises(MemoryError):
         view.cut(block, np.float64, (100,))
-    assert view.fold(row, 3, 4)[1, 0] == 4.0 and view.flat(row.reshape(4, 10)).shape == (40,)
+    assert view.fold(row, float, 3, 4)[1, 0] == 4.0 and view.flat(row.reshape(4, 10)).shape == (40,)
+    assert view.fold(row, np.int32, 3, 4).shape == (3, 4)
     for n, m, L, N in ((1, 6, 1, 256), (7, 6, 9, 256), (20, 36, 40, 2048)):
         assert view.space(n, m, L, N) > n * m + m * m + 16 * m + 16 * L + N
+
+
+def test_arrays_of_a_robot_in_one():
+    for count, shape in ((1, ()), (3, (3,))):
+        rng = np.random.default_rng(count)
+        rows, ends, seeds = rng.normal(size=(5, 10)), rng.normal(size=(*shape, 9)), rng.normal(size=(16, 4))
+        features = rng.normal(size=(*shape, 13, 16 + 16)).astype(np.float32)
+        parts = part(join(rows, ends, seeds, features))
+        np.testing.assert_array_equal(parts.rows, rows)
+        np.testing.assert_array_equal(search.by_tip(parts.ends, np.empty((2, *shape, 4, 4)), count), ends)
+        np.testing.assert_array_equal(parts.seeds, seeds)
+        np.testing.assert_array_equal(parts.features, features.reshape(13 * count, -1))
+        assert scratch(join(rows, ends, seeds, features)) > view.space(4, 6 * count, 5, 16) + 9 * count
 
 
 def test_what_an_evaluation_means():
@@ -169,10 +184,11 @@ def found(T, chain, o, q0=None, rule="lm", n_history=0):
     n = chain.n
     parameters = list(cls()) if isinstance(cls(), tuple) else []
     pack = np.array([*o, *Task(float(POSE)), *np.ones(n), *parameters])
-    out, history = np.zeros((len(T), ANSWER + n)), np.full((n_history, 2 + n), np.nan)
+    out = np.full(len(T) * (ANSWER + n) + n_history * (2 + n), np.nan)
     q0 = np.zeros((1, n)) if q0 is None else q0
-    search.entry(cls)(chain.rows, chain.ends, chain.seeds, chain.features, T, q0, out, pack, history)
-    return out, history
+    search.entry(cls)(join(chain.rows, chain.ends, chain.seeds, chain.features), T, q0, out, pack)
+    rows = len(T) * (ANSWER + n)
+    return out[:rows].reshape(len(T), -1), out[rows:].reshape(n_history, 2 + n)
 
 
 @functools.cache
@@ -311,8 +327,8 @@ def test_groups_of_starts_in_order():
     goals = rng.normal(size=(F, 15))
     score = ((points - goals[:, None, 9:12]) ** 2).sum(-1) - (goals[:, 9:12] ** 2).sum(-1)[:, None]
     table = SimpleNamespace(
-        features=features, score=np.empty(count, np.float32), val=np.empty(8, np.float32), best=np.empty(8, np.int64),
-        choice=np.empty((8, F), np.int64), total=np.empty(8),
+        features=features.reshape(13 * F, -1), score=np.empty(count, np.float32), val=np.empty(8, np.float32),
+        best=np.empty(8, np.int64), choice=np.empty((8, F), np.int64), total=np.empty(8),
     )  # fmt: skip
     tasks = np.array([Task(1.0), Task(1.0)])
     p = SimpleNamespace(
