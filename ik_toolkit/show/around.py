@@ -94,10 +94,10 @@ class Around:
             words = f"clearance {length(near.distance)} ({near.pair[0]} to {near.pair[1]})"
         close = near is not None and not touching and near.distance < NEAR * stage.size and self.distance.value
         stage.line("/near", [near.points] if close and near else [], (70, 70, 70))
-        values = []
-        for k, (tip, (axes, radii)) in enumerate(s.ellipsoids().items()):
+        for k, (axes, radii) in enumerate(s.ellipsoids().values()):
             stage.ellipsoid(k, axes, radii, self.ellipsoid.value)
-            name = f" of {tip}" if s.robot.by_tip else ""
-            values.append(f"manipulability{name} {np.prod(radii):.3g}")
+        values = []
+        for tip, size in s.manipulability().items():
+            values.append(f"manipulability{f' of {tip}' if s.robot.by_tip else ''} {size:.3g}")
         words = html.escape("; ".join([words, *values]))
         return f'<div style="padding:0 12px 8px;font-size:12px;color:{color}">{words}</div>'

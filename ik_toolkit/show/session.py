@@ -28,14 +28,16 @@ from .hand import Followed, follow, prepare
 KINDS = ("roll pitch yaw", "quaternion", "matrix", "free")  # how the orientation of a typed target is given
 NONE = "no target"  # of one of several tips
 SHOWN = 16  # solutions listed
+SAMPLES = 8  # random configurations; at least one of them is not singular
 PATIENCE = 20  # seconds of its own time that an arm may go on towards a target that is not moved any more
 
 
 class Session:
     """State of one visitor. q (n,) [rad or m]; target, as the robot takes it, or None; result and solutions of the last solve.
 
-    robot: a Robot, or a Tree; tips: all there are to choose from. A target is (4, 4) or (3,) [m], of a Tree a dict of these by
-    tip. solver (name) and parameters (name -> text as typed, '' for the default); degrees: how angles are typed and shown.
+    robot: a Robot, or a Tree; tips: all there are to choose from; ranks: in how many directions each tip can move (2 for a planar
+    arm). A target is (4, 4) or (3,) [m], of a Tree a dict of these by tip. solver (name) and parameters (name -> text as typed, ''
+    for the default); degrees: how angles are typed and shown.
     """
 
     def __init__(self, source: str, tips: str | Sequence[str] | None = None) -> None:
@@ -72,6 +74,9 @@ class Session:
         self._world: CollisionModel | None = None
         self.tips = tuple(entry.tips) if len(entry.tips) > 1 else path_ends(robot.model)
         self.q = robot.home.copy()
+        samples = robot.random_q(np.random.default_rng(0), SAMPLES)
+        ranks = [[np.linalg.matrix_rank(J) for J in self._rates(q)] for q in samples]
+        self.ranks = np.max(ranks, axis=0).tolist()
         self.target: Any = None
         self.result: Result | None = None
         self.followed: Followed | None = None
@@ -269,9 +274,18 @@ class Session:
 
     def ellipsoids(self) -> dict[str, tuple[np.ndarray, np.ndarray]]:
         """Axes (3, 3) in the base and radii (3,) of the velocities [m/s] of each tip at joint speeds of norm 1, by tip."""
-        J = self.robot.jacobian(self.q).reshape(-1, 6, self.robot.n)[:, :3]
-        svd = [np.linalg.svd(np.pad(rows, ((0, 0), (0, max(0, 3 - self.robot.n)))), full_matrices=False) for rows in J]
+        missing = max(0, 3 - self.robot.n)
+        svd = [np.linalg.svd(np.pad(J, ((0, 0), (0, missing))), full_matrices=False) for J in self._rates(self.q)]
         return {tip: (U, sizes) for tip, (U, sizes, _) in zip(self.robot.tips, svd, strict=True)}
+
+    def manipulability(self) -> dict[str, float]:
+        """Product of the ellipsoid's radii by tip, without those that are 0 at every q: an area for an arm in the plane."""
+        radii = (radii for _, radii in self.ellipsoids().values())
+        return {tip: float(np.prod(r[:rank])) for tip, r, rank in zip(self.robot.tips, radii, self.ranks, strict=True)}
+
+    def _rates(self, q: np.ndarray) -> np.ndarray:
+        """Linear rows (tips, 3, n) of the Jacobian at q (n,)."""
+        return self.robot.jacobian(q).reshape(-1, 6, self.robot.n)[:, :3]
 
     # ---------------------------------------------------------------------------------------------------- for people
     def figures(self) -> list[tuple[str, str]]:

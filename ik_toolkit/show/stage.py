@@ -16,6 +16,7 @@ VIEW = np.array([-0.66, 0.63, -0.41])  # along which the robot is looked at: fro
 LENS = 0.7  # [rad] from top to bottom
 FILL = 0.72  # of the picture, by the robot: its arrows and the next poses need the rest
 NARROW = 576  # pixels of a page below which viser lays its controls over the lower part of the picture
+EDGE = 0.95  # of the way from the middle of the picture to its edge: a target further out counts as not in it
 FREE = 0.5  # of the height left there, see desk.STYLE
 
 
@@ -28,11 +29,21 @@ class Handle:
         scene = stage.client.scene
         self.gizmo = scene.add_transform_controls(f"/target/{k}", scale=0.22 * stage.size, disable_sliders=True)
         self.name = scene.add_label(f"/target/{k}/name", name, anchor="bottom-left") if name else None
-        self.put(T)
-        self.gizmo.on_update(lambda _: dragged())
+        self.stage = stage
+        self._put(T)
+        self.gizmo.on_update(lambda event: self._moved(event, dragged))
 
     def put(self, target: np.ndarray) -> None:
-        """Put them at T_base_target (4, 4), or at a position (3,) with the rotation they have."""
+        """Put them at T_base_target (4, 4), or at a position (3,) with the rotation they have; into the picture, if need be."""
+        self._put(target)
+        self.stage.keep_in_view()
+
+    def _moved(self, event: Any, dragged: Callable[[], None]) -> None:
+        dragged()
+        if getattr(event, "phase", "") == "end":  # older releases of viser have no phases
+            self.stage.keep_in_view()
+
+    def _put(self, target: np.ndarray) -> None:
         if target.ndim == 1:
             place, target = target, self.target.copy()
             target[:3, 3] = place
@@ -68,7 +79,7 @@ class Stage:
 
         widest: pixels that the picture has been wide before.
         """
-        self.widest = widest
+        self.widest, self.away = widest, False  # whether the camera has moved away to see a target
         self.client, self.body = client, body
         self.robot: Any = body.robot
         scene, robot = client.scene, self.robot
@@ -203,13 +214,37 @@ class Stage:
         camera = getattr(self.client, "camera", None)
         if camera is None:  # a server has none
             return
-        width, height = camera.image_width, camera.image_height
-        self.widest = max(
-            self.widest, width
-        )  # the picture is as wide as the page until the controls are docked beside it
-        eye, to = look(self.body.bounds(q), width / max(height, 1), FREE if self.widest < NARROW else 1.0)
+        # the picture is as wide as the page until the controls are docked beside it
+        self.widest = max(self.widest, camera.image_width)
+        self.extent, self.away = self.body.bounds(q), False
         camera.up_direction = (0.0, 0.0, 1.0)
         camera.fov = LENS
+        self._look(camera, self.extent, VIEW)
+
+    def keep_in_view(self) -> None:
+        """Move the camera away, along the direction it looks in, until all targets are in the picture; later back again."""
+        camera = getattr(self.client, "camera", None)
+        if camera is None:
+            return
+        goals = np.array([handle.gizmo.position for handle in self.handles if handle.gizmo.visible])
+        w, x, y, z = camera.wxyz
+        turn = pin.Quaternion(w, x, y, z).matrix()
+        across, down, ahead = turn.T @ (goals.reshape(-1, 3) - camera.position).T
+        edge, free = EDGE * np.tan(0.5 * camera.fov) * ahead, self._free()
+        aspect = camera.image_width / max(camera.image_height, 1)
+        seen = (np.abs(across) < aspect * edge) & (-edge < down) & (down < (2.0 * free - 1.0) * edge)
+        if not seen.all() or self.away:
+            box = np.array([self.extent[0], self.extent[1], *goals])
+            box = np.array([box.min(axis=0), box.max(axis=0)])
+            self.away = not np.allclose(box, self.extent)
+            self._look(camera, box, turn[:, 2])
+
+    def _free(self) -> float:
+        """Share of the picture's height, from the top, that no controls lie over."""
+        return FREE if self.widest < NARROW else 1.0
+
+    def _look(self, camera: Any, box: np.ndarray, view: np.ndarray) -> None:
+        eye, to = look(box, view, camera.image_width / max(camera.image_height, 1), self._free())
         camera.position, camera.look_at = tuple(eye.tolist()), tuple(to.tolist())
 
 
@@ -223,12 +258,13 @@ def _dragged(gizmo: Any, T_world_base: np.ndarray) -> np.ndarray:
     return np.linalg.inv(T_world_base) @ T
 
 
-def look(box: np.ndarray, aspect: float, free: float) -> tuple[np.ndarray, np.ndarray]:
+def look(box: np.ndarray, view: np.ndarray, aspect: float, free: float) -> tuple[np.ndarray, np.ndarray]:
     """Where a camera stands, and the point (3,) [m] it looks at, to see a box (2, 3) as large as fits.
 
-    aspect: width over height of the picture; free: share of its height, from the top, in which the box is to be seen.
+    view: direction (3,) in which it looks, not straight up or down; aspect: width over height of the picture; free: share of its
+    height, from the top, in which the box is to be seen.
     """
-    ahead = VIEW / np.linalg.norm(VIEW)
+    ahead = view / np.linalg.norm(view)
     across = np.cross(ahead, (0.0, 0.0, 1.0))
     across /= np.linalg.norm(across)
     up, centre, half = np.cross(across, ahead), box.mean(axis=0), math.tan(0.5 * LENS)

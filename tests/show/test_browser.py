@@ -73,6 +73,14 @@ def test_live_scene_follows_the_program(browser):
         page.wait_for_selector("text=has ended")
 
 
+def until(page, condition):
+    """Wait until a condition holds: a busy machine takes a while to do what was asked."""
+    end = time.monotonic() + PATIENCE / 1000
+    while not condition():
+        assert time.monotonic() < end, "what was asked for did not happen"
+        page.wait_for_timeout(100)
+
+
 class PanelPage:
     """The panel as a visitor handles it."""
 
@@ -102,10 +110,8 @@ class PanelPage:
     def settle(self, desk):
         """Wait until the controls are docked, the camera is aimed and the page has told where it is."""
         assert desk.worker.idle(READY)
-        end = time.monotonic() + PATIENCE / 1000
-        while desk.client.camera.image_width != int(self.page.locator("canvas").first.bounding_box()["width"]):
-            assert time.monotonic() < end, "the camera was never told of the picture's width"
-            self.page.wait_for_timeout(100)
+        canvas = self.page.locator("canvas").first
+        until(self.page, lambda: desk.client.camera.image_width == int(canvas.bounding_box()["width"]))
         assert desk.worker.idle(READY)
         self.page.wait_for_timeout(1500)
 
@@ -130,12 +136,7 @@ class PanelPage:
 
     def wait_for_pose(self, T):
         """Wait until a pose is shown."""
-        end = time.monotonic() + PATIENCE / 1000
-        while time.monotonic() < end:
-            if np.allclose(self.pose(), T, atol=2e-5):
-                return
-            self.page.wait_for_timeout(100)
-        assert np.allclose(self.pose(), T, atol=2e-5)
+        until(self.page, lambda: np.allclose(self.pose(), T, atol=2e-5))
 
 
 @pytest.fixture(scope="module")
@@ -156,10 +157,17 @@ def on_screen(desk, canvas, point):
     return canvas["x"] + 0.5 * canvas["width"] + scale * across, canvas["y"] + 0.5 * canvas["height"] + scale * down
 
 
+def inside(canvas, at):
+    """Whether a place of the page is in the picture."""
+    return 0 < at[0] - canvas["x"] < canvas["width"] and 0 < at[1] - canvas["y"] < canvas["height"]
+
+
 def pull(page, at, to):
     """Press the mouse at a place of the page, and let go at another."""
     page.mouse.move(*at)
-    page.wait_for_timeout(1500)  # until the arrow knows that it is pointed at
+    for _ in range(3):  # until the arrow knows that it is pointed at, however long a picture takes
+        page.wait_for_timeout(500)
+        page.evaluate("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(done)))")
     page.mouse.down()
     for step in range(1, 11):
         page.mouse.move(*(np.array(at) + 0.1 * step * (np.array(to) - at)))
@@ -175,6 +183,8 @@ def drag(page, desk, k, far, axis=1):
     arrow = 0.22 * desk.stage.size * (desk.stage.body.T_world_base @ T)[:3, axis]
     at, to = (on_screen(desk, canvas, handle.gizmo.position + f * arrow) for f in (0.8, 0.8 + far))
     pull(page, at, to)
+    until(page, lambda: not np.array_equal(handle.target, T))
+    assert desk.worker.idle()
     moved = handle.target[:3, 3] - T[:3, 3]
     assert moved @ T[:3, axis] > 0.02 and np.linalg.norm(np.cross(moved, T[:3, axis])) < 1e-6  # along the arrow
 
@@ -198,10 +208,12 @@ def test_edge_of_reach_undo_self_motion_and_boxes(browser, panel):
         session = desk.session
         hand.settle(desk)
         before = session.q.copy()
-        drag(page, desk, 0, 2.5, axis=2)  # straight out
+        drag(page, desk, 0, 4.0, axis=2)  # straight out, and out of the picture
         hand.wait_for("The closest pose is")
         assert desk.worker.idle() and "/gap" in desk.stage.lines
         tip, target = session.poses()["tool"], desk.stage.handles[0].target
+        canvas = page.locator("canvas").first.bounding_box()
+        until(page, lambda: inside(canvas, on_screen(desk, canvas, desk.stage.handles[0].gizmo.position)))
         assert np.linalg.norm(tip[:3, 3] - target[:3, 3]) > 0.1  # the arm did not stand still before it
         towards = target[:3, 3] - desk.session.robot.fk(before).translation
         assert (tip[:3, 3] - desk.session.robot.fk(before).translation) @ towards > 0.1 * np.linalg.norm(towards)
@@ -217,27 +229,24 @@ def test_edge_of_reach_undo_self_motion_and_boxes(browser, panel):
         number = hand.field("Self-motion")
         number.fill("0.5")
         number.press("Enter")
-        page.wait_for_timeout(500)
+        until(page, lambda: np.abs(session.q - before).max() > 0.02)
         assert desk.worker.idle()
-        assert np.abs(session.q - before).max() > 0.02
         assert np.linalg.norm(session.robot.fk(session.q).translation - session.robot.fk(before).translation) < 1e-5
 
         hand.tab("Scene")
         hand.press("Add a box")
-        page.wait_for_timeout(500)
+        until(page, lambda: "box 1" in desk.around.handles)
         assert desk.worker.idle() and list(session.boxes) == ["box 1"]
         gizmo = desk.around.handles["box 1"]
         place = gizmo.position.copy()
         canvas = page.locator("canvas").first.bounding_box()
         up = gizmo.scale * np.array([0.0, 0.0, 1.0])
         pull(page, *(on_screen(desk, canvas, place + f * up) for f in (0.8, 1.5)))
-        page.wait_for_timeout(500)
-        assert desk.worker.idle() and session.boxes["box 1"][1][2, 3] > place[2] + 0.02
+        until(page, lambda: session.boxes["box 1"][1][2, 3] > place[2] + 0.02)
+        assert desk.worker.idle()
         assert np.allclose(gizmo.position[:2], place[:2], atol=1e-6)  # along its arrow
         hand.press("Remove the boxes")
-        page.wait_for_timeout(500)
-        assert desk.worker.idle() and not session.boxes
-        assert page.errors == [] and page.outside == []
+        until(page, lambda: not session.boxes and page.errors == [] and page.outside == [])
 
 
 def test_each_of_two_targets_can_be_dragged(browser):
@@ -296,14 +305,17 @@ def test_the_panel_by_hand(browser, panel):
         closest = robot.fk(session.q).homogeneous
         assert np.linalg.norm(closest[:3, 3] - (9.0, 0.0, 0.0)) < np.linalg.norm(goal.translation - (9.0, 0.0, 0.0))
         hand.wait_for_pose(closest)
+        desk = next(iter(panel.desks.values()))
+        far, canvas = desk.stage.handles[0], page.locator("canvas").first.bounding_box()
+        until(page, lambda: inside(canvas, on_screen(desk, canvas, far.gizmo.position)))  # the camera has moved away
         hand.tab("Solve")
         hand.type("x y z [m]", xyz)
         hand.choose("Orientation", "free")
         hand.press("All solutions")
         hand.wait_for("Infinitely many solutions")
+        until(page, lambda: np.linalg.norm(desk.client.camera.position) < 5.0)  # and has come back
         row = page.locator("tr[onmouseenter]").nth(1)
         row.hover()  # its ghost
-        desk = next(iter(panel.desks.values()))
         page.wait_for_timeout(500)
         assert desk.worker.idle() and desk.found.chosen == 1 and desk.stage.shade[0].visible
         row.click()

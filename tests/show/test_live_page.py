@@ -223,6 +223,30 @@ def test_rings_turn_and_arrows_move_along_their_axis(hydrolek):
     assert np.allclose(target(page)[:, 3], T[:, 3], atol=1e-12)
 
 
+def test_a_target_dropped_outside_the_picture_is_brought_into_it(hydrolek):
+    page = hydrolek
+    page.click("#home")
+    still(page)
+    drag(page, state(page)["at"][0], (0, -400))
+    assert state(page)["at"][0][1] < 0
+    page.mouse.up()
+    still(page)
+    assert 0 < state(page)["at"][0][1] < 300
+    page.click("#home")
+    still(page)
+
+
+def test_a_race_out_of_reach_says_so(hydrolek):
+    page = hydrolek
+    page.evaluate("arm.targets[0].T.splice(3, 1, 99)")
+    page.click("#race")
+    still(page)
+    assert not any(run["good"] for run in state(page)["race"])
+    assert page.inner_text("#status") == "No solver reached the target; it may be out of reach"
+    page.click("#home")
+    still(page)
+
+
 def test_panel(hydrolek):
     page, robot = hydrolek, load("hydrolek_7w")
     page.click("#home")
@@ -235,9 +259,15 @@ def test_panel(hydrolek):
     still(page)
     assert state(page)["result"]["good"] and page.inner_text("#status").startswith("Reached: ")
     page.click("#race")
-    page.wait_for_selector("#row-pid td:has-text('ms')")
-    assert [run["name"] for run in state(page)["race"]] == ["lm", "dls", "transpose", "ccd", "pid"]
-    assert page.locator("tr:visible").count() == 5 and len(page.get_attribute("#curve-lm", "points").split()) > 2
+    page.wait_for_selector("#row-pid:visible")
+    still(page)
+    race = state(page)["race"]
+    assert [run["name"] for run in race] == ["lm", "dls", "transpose", "ccd", "pid"]
+    assert race[0]["good"] and race[1]["good"] and max(run["attempts"] for run in race) > 1  # restarts count
+    for run in race:
+        assert run["now"]["tips"][0] == pytest.approx(robot.fk(run["q"]).homogeneous[:3].ravel().tolist(), abs=1e-9)
+    assert page.inner_text("#status") == "All solvers from home, with restarts"
+    assert page.locator("tr:visible").count() == 6 and len(page.get_attribute("#curve-lm", "points").split()) > 2
     T = target(page)
     page.click("#other")
     still(page)

@@ -264,11 +264,11 @@ def test_moving_a_slider_moves_what_is_drawn(desk):
 
 def test_the_camera_shows_the_robot_as_large_as_fits():
     """All corners are seen, none further out than the share that the robot may fill, and one of them that far."""
-    from ik_toolkit.show.stage import FILL, LENS, look
+    from ik_toolkit.show.stage import FILL, LENS, VIEW, look
 
     box = np.array([[-0.2, -0.5, 0.0], [0.9, 0.4, 1.3]])
     for aspect, free in ((1.1, 1.0), (2.5, 1.0), (0.5, 0.5)):
-        eye, to = look(box, aspect, free)
+        eye, to = look(box, VIEW, aspect, free)
         ahead = (to - eye) / np.linalg.norm(to - eye)
         across = np.cross(ahead, (0, 0, 1)) / np.linalg.norm(np.cross(ahead, (0, 0, 1)))
         P = np.array(np.meshgrid(*box.T)).reshape(3, -1).T - eye

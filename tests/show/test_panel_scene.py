@@ -89,6 +89,17 @@ def test_ellipsoids_are_those_of_the_jacobian():
     assert radii.shape == (3,) and radii[2] < 1e-9  # a plane
 
 
+@pytest.mark.parametrize("name", ["planar_2r", "planar_3r", "hydrolek_7w"])
+def test_manipulability_counts_the_directions_in_which_the_tip_can_move(name):
+    session = Session(name)
+    session.q = session.robot.random_q(np.random.default_rng(4))
+    rows = "position" if name == "hydrolek_7w" else (0, 1)  # planar arms move in the xy plane
+    wanted = session.robot.manipulability(session.q, rows)
+    assert wanted > 1e-3 and np.isclose(session.manipulability()["tool"], wanted, rtol=1e-9)
+    session.q = 0.0 * session.q  # stretched
+    assert name == "hydrolek_7w" or session.manipulability()["tool"] < 1e-9
+
+
 # --------------------------------------------------------------------------------------------------------------- desk
 pytest.importorskip("viser", reason="viser is not installed (extra 'panel')")
 pytest.importorskip("trimesh", reason="trimesh is not installed (extra 'view')")

@@ -24,10 +24,8 @@ export class Renderer {
       gl.attachShader(this.program, shader);
     }
     ["position", "normal"].forEach((name, k) => gl.bindAttribLocation(this.program, k, name));
-    gl.linkProgram(this.program);
-    gl.useProgram(this.program);
-    const names = ["model", "view", "lens", "color", "up", "kind", "cell", "wide"];
-    for (const name of names) this.at[name] = gl.getUniformLocation(this.program, name);
+    for (const step of ["linkProgram", "useProgram"]) gl[step](this.program);
+    for (const name of ["model", "view", "lens", "color", "up", "kind", "cell", "wide"]) this.at[name] = gl.getUniformLocation(this.program, name);
     for (const what of [gl.DEPTH_TEST, gl.BLEND]) gl.enable(what);
     gl.blendFunc(gl.SRC_ALPHA, gl.ONE_MINUS_SRC_ALPHA);
     gl.stencilOp(gl.KEEP, gl.KEEP, gl.INCR);

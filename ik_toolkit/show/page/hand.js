@@ -5,6 +5,7 @@ import { standing } from "./draw.js";
 const AXES = [[0.86, 0.2, 0.18], [0.13, 0.62, 0.27], [0.16, 0.42, 0.88]]; // x red, y green, z blue
 const NEAR = { mouse: 11, pen: 14, touch: 26 }; // [px] within which a handle is picked up
 const LENS = 1 / Math.tan(Math.PI / 10), BALL = 0.13, RING = 0.72; // 36 degrees of view; as parts of an arrow's length
+const FAR = 20, INSIDE = 0.45; // [sizes of the robot] the furthest camera; [width, height] from the middle that is not yet the edge
 const SPINE = { // points of a shape by which it is found under the pointer
   ball: [[0, 0, 0]], cone: [[0, 0, 0], [0, 0, 0.5], [0, 0, 1]], bar: [3, 4, 5, 6, 7, 8, 9].map((z) => [0, 0, z / 10]),
   ring: Array.from({ length: 72 }, (_, k) => [Math.cos((k * Math.PI) / 36), Math.sin((k * Math.PI) / 36), 0]),
@@ -40,7 +41,11 @@ export class Camera {
 
   orbit = ([dx, dy]) => Object.assign(this, { yaw: this.yaw - 0.008 * dx, pitch: clamp(this.pitch + 0.008 * dy, -1.5, 1.5) });
   pan = (pixels) => Object.assign(this, { centre: plus(this.centre, this.shift(this.centre, pixels), -1) });
-  zoom = (factor) => Object.assign(this, { far: clamp(this.far * factor, 0.2 * this.size, 20 * this.size) });
+  zoom = (factor) => Object.assign(this, { far: clamp(this.far * factor, 0.2 * this.size, FAR * this.size) });
+  seek(p) { // moves away until the point p of the world is in the picture
+    const { clientWidth: w, clientHeight: h } = this.canvas, off = ([x, y]) => Math.max(Math.abs(x / w - 0.5), Math.abs(y / h - 0.5));
+    while ((off(this.screen(p)) > INSIDE || moved(this.view, p)[2] > 0) && this.far < FAR * this.size) this.zoom(1.05).update();
+  }
 }
 
 // What is drawn of a target ({T in the world, size, chosen, turn}): a ball and, when chosen, arrows and rings.

@@ -4,13 +4,14 @@ import { SOLVERS, attempt, glide, look, randoms, solve } from "./solve.js";
 import { Renderer, standing } from "./draw.js";
 import { Camera, dragged, handles, under } from "./hand.js";
 
-const FLIGHT = 350, PACE = 60, SEEN = 100; // [ms] to another posture, [ms] of an iteration in a race, iterations seen
+const FLIGHT = 350, PACE = 60, SEEN = 100, RACE = 12; // [ms] to another posture, [ms] per iteration and iterations shown, attempts
 const $ = (id) => document.getElementById(id);
-const data = JSON.parse($("data").textContent), robot = new Robot(data), canvas = $("picture"), random = randoms(1);
+const data = JSON.parse($("data").textContent), robot = new Robot(data), canvas = $("picture");
 const { size, centre, floor } = data.room, camera = new Camera(canvas, centre, size);
 let q = robot.home, shown = robot.fk(q), result = null, race = null, chosen = 0, held = null, motion = 0, seed = 1, renderer = null;
+const random = randoms(2026); // of targets; restarts begin at seed 1, and must not start where a random target was made
 let along = q.map((_, k) => Math.cos(k)); // in the null space; unlikely to be at right angles to it
-const targets = shown.tips.map((T) => ({ T, turn: robot.n >= 6 * robot.tips.length }));
+const pointers = new Map(), targets = shown.tips.map((T) => ({ T, turn: robot.n >= 6 * robot.tips.length }));
 const follow = (tips) => tips.forEach((T, tip) => { targets[tip].T = T; });
 const apart = (a, b) => Math.max(...plus(a, b, -1).map(Math.abs));
 const grip = ({ T, turn }, tip) => ({ T: times(shown.base, T), turn, size: 0.16 * robot.reach, chosen: tip === chosen });
@@ -54,16 +55,17 @@ function tell() { // curves, table and status line
     const found = runs.find((one) => one.name === name), row = $(`row-${name}`);
     $(`curve-${name}`).setAttribute("points", (found?.history ?? []).slice(0, SEEN + 1).map(spot).join(" "));
     Object.assign(row, { hidden: !race, className: found?.good ? "good" : "bad" });
-    const words = race ? [found.iterations, `${found.ms.toFixed(1)} ms`, found.good ? "reached" : metres(found.position)] : [];
+    const words = race ? [found.iterations, found.attempts, found.ms.toFixed(1), found.good ? "reached" : metres(found.history.at(-1).error)] : [];
     words.forEach((x, k) => { row.cells[k + 1].textContent = x; });
   }
+  $("head").hidden = !race;
   $("most").textContent = runs.length ? `${most} iterations` : "";
   const { good, position, angle, iterations, attempt: which, attempts, ms } = result ?? {};
-  const off = result && `Off by ${metres(position)}${angle > 1e-3 ? ` and ${degrees(angle)}` : ""}`;
   $("status").className = race || !result ? "" : good ? "good" : "bad";
-  $("status").textContent = race ? "All solvers from home, without restarts" : !result ? "Drag the target, or move a joint"
+  $("status").textContent = race ? (race.some((one) => one.good) ? "All solvers from home, with restarts"
+    : "No solver reached the target; it may be out of reach") : !result ? "Drag the target, or move a joint"
     : good ? `Reached: ${iterations} iterations${which > 1 ? ` in attempt ${which}` : ""}, ${ms.toFixed(1)} ms`
-      : `${off}: closest pose ${attempts > 1 ? `of ${attempts} attempts` : "from here"}`;
+      : `Off by ${metres(position)}${angle > 1e-3 ? ` and ${degrees(angle)}` : ""}: closest pose ${attempts > 1 ? `of ${attempts} attempts` : "from here"}`;
 }
 
 // The arm at `to`, as the solve `found` left it; without one it was moved by hand, and the targets go along.
@@ -89,10 +91,8 @@ function play(step) {
 
 function go(to, found) {
   const from = q, span = apart(from, to) < 0.3 ? 0 : FLIGHT;
-  play((ms) => {
-    const t = Math.min(1, ms / span);
-    return t < 1 ? !show(plus(from, plus(to, from, -1), t * t * (3 - 2 * t)), found) : show(to, found);
-  });
+  play((ms, t = Math.min(1, ms / span)) =>
+    (t < 1 ? !show(plus(from, plus(to, from, -1), t * t * (3 - 2 * t)), found) : show(to, found)));
 }
 
 const timed = (work, start = performance.now()) => ({ ...work(), ms: performance.now() - start });
@@ -104,26 +104,27 @@ function reach(options = {}) {
   else play(() => show(q, result) && ($("status").textContent = "No other posture found"));
 }
 
-function run() { // all solvers from home, side by side
+function run() { // all solvers from home, side by side, each with the restarts it takes
   if (look(robot, robot.home, targets).good) follow(robot.fk(robot.random(random)).tips);
-  const runs = Object.keys(SOLVERS).map((name) => timed(() => attempt(robot, name, robot.home, targets)));
+  const runs = Object.keys(SOLVERS).map((name) => timed(() => solve(robot, name, robot.home, targets, { attempts: RACE })));
   for (const one of runs) if (one.name === $("solver").value) show(one.q, one); // where the race leaves the arm
   play((ms) => {
-    race = runs.map((one) => ({ ...one, now: robot.fk(one.history[Math.min(one.iterations, Math.floor(ms / PACE))].q) }));
+    const k = ms / PACE > SEEN ? Infinity : Math.floor(ms / PACE); // in the end everybody is where they got to
+    race = runs.map(({ way, ...one }) =>
+      ({ ...one, history: way, iterations: way.length - one.attempts - 1, now: robot.fk((way[k] ?? way.at(-1)).q) }));
     for (const step of [tell, paint]) step();
-    return ms / PACE > Math.min(SEEN, Math.max(...runs.map((one) => one.iterations)));
+    return ms / PACE > Math.min(SEEN, Math.max(...runs.map((one) => one.way.length)));
   });
 }
 
 function slide() { // through the null space, as fast as the slider is pushed
   const push = Number($("null").value), way = (a) => a.map((x) => x * Math.sign(push));
+  if (!push) return true;
   const next = glide(robot, q, targets, way(along), 0.04 * Math.abs(push));
-  if (push) along = way(next.along);
-  if (push) show(next.q, { ...look(robot, next.q, targets), history: [], iterations: 0, ms: 0 });
-  return !push;
+  along = way(next.along);
+  return !show(next.q, { ...look(robot, next.q, targets), history: [], iterations: 0, ms: 0 });
 }
 
-const pointers = new Map();
 canvas.onpointerdown = ({ pointerId, offsetX, offsetY, pointerType }) => {
   canvas.setPointerCapture(pointerId);
   pointers.set(pointerId, [offsetX, offsetY]);
@@ -149,8 +150,9 @@ canvas.onpointermove = ({ pointerId, offsetX, offsetY, pointerType, shiftKey }) 
 };
 canvas.onpointerup = canvas.onpointercancel = ({ pointerId }) => {
   const dropped = held;
-  pointers.delete(pointerId);
   held = null;
+  pointers.delete(pointerId);
+  if (dropped) camera.seek(point(grip(targets[dropped.tip], 0).T));
   if (dropped && result && !result.good) reach();
   else paint();
 };

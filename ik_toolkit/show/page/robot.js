@@ -49,9 +49,7 @@ export function turnBetween(A, B) {
 // joints share), turns (whether it is revolute), joint (index of the coordinate); parents come first. base, tips: node and T.
 export class Robot {
   constructor(data) {
-    Object.assign(this, data);
-    this.n = data.joints.length;
-    this.home = data.joints.map((joint) => joint.home);
+    Object.assign(this, data, { n: data.joints.length, home: data.joints.map((joint) => joint.home) });
     this.lower = data.joints.map((joint) => joint.lower ?? -Infinity);
     this.upper = data.joints.map((joint) => joint.upper ?? Infinity);
     const above = (node) => (node < 0 ? [] : [node, ...above(this.nodes[node].parent)]), up = above(this.base.node);

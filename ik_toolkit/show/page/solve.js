@@ -2,11 +2,10 @@
 import { length, plus, point, turnBetween } from "./robot.js";
 
 const TOLERANCE = 1e-6, RADIAN = 0.25; // [m] and [rad], as in the toolkit; weight of a radian of error, in reaches
-const ATTEMPTS = 100, LOOKS = 20000, DRAWN = 12; // most of each in all; random starts drawn, of which the nearest is used
+const PRIME = 2147483647, ATTEMPTS = 100, LOOKS = 20000, DRAWN = 12; // most of each in all; random starts drawn, of which the nearest is used
 const inner = (a, b) => a.reduce((sum, x, k) => sum + x * b[k], 0);
 
 // Numbers in 0..1, the same for the same seed (Park and Miller 1988, with the multiplier of 1993).
-const PRIME = 2147483647;
 export const randoms = (seed, state = { x: 1 + (seed % (PRIME - 1)) }) => () => (state.x = (48271 * state.x) % PRIME) / PRIME;
 
 // The arm at q against targets (by tip: null, or T and turn, whether the orientation counts): e, with lengths over the reach, and
@@ -20,9 +19,7 @@ export function look(robot, q, targets) {
     now.position = Math.max(now.position, length(gap));
     now.angle = Math.max(now.angle, length(turn));
   });
-  now.ee = inner(now.e, now.e);
-  now.good = now.position <= TOLERANCE && now.angle <= TOLERANCE;
-  return now;
+  return Object.assign(now, { ee: inner(now.e, now.e), good: now.position <= TOLERANCE && now.angle <= TOLERANCE });
 }
 
 // Columns of the stacked Jacobian in the units of e.
@@ -65,8 +62,7 @@ function lm(robot, now, see, J, memory) {
     const linear = dq.reduce((e, x, k) => plus(e, J[k], -x), now.e), predicted = now.ee - inner(linear, linear);
     if (!(predicted > 1e-30)) return null;
     const gain = (now.ee - next.ee) / predicted; // the gain ratio sets the damping (Nielsen 1999)
-    memory.mu *= gain > 1e-3 ? Math.max(0.1, 1 - (2 * gain - 1) ** 3) : grow;
-    memory.mu = Math.max(memory.mu, 1e-13);
+    memory.mu = Math.max(1e-13, memory.mu * (gain > 1e-3 ? Math.max(0.1, 1 - (2 * gain - 1) ** 3) : grow));
     if (gain > 1e-3) return next;
   }
   return null;
@@ -120,20 +116,21 @@ export function attempt(robot, name, q0, targets) {
   return { ...best, name, history, looks, iterations: history.length - 1 };
 }
 
-// Attempts from q0 and then from random starts until one succeeds: the best of them, its number, and how many were made.
+// Attempts from q0, then from random starts, until one succeeds: the best, its number, how many were made, and the way to it.
 // other(q): skip answers for which it is true, and start elsewhere.
 export function solve(robot, name, q0, targets, { attempts = ATTEMPTS, seed = 1, other = null } = {}) {
   const next = randoms(seed), begin = () => Array.from({ length: DRAWN }, () => look(robot, robot.random(next), targets));
+  const way = [];
   let best = null, made = 0;
   for (let looks = 0; made < attempts && looks < LOOKS && !best?.good; looks += DRAWN) {
     const start = made || other ? begin().reduce((a, b) => (b.ee < a.ee ? b : a)).q : q0;
     const found = attempt(robot, name, start, targets);
-    found.q = robot.wrapped(found.q);
-    found.attempt = ++made;
+    Object.assign(found, { q: robot.wrapped(found.q), attempt: ++made });
     looks += found.looks;
+    way.push(...found.history);
     if (!(found.good && other?.(found.q)) && (found.good || !best || found.ee < 0.99 * best.ee)) best = found; // a clear gain
   }
-  return best && { ...best, attempts: made };
+  return best && { ...best, attempts: made, way: [...way, { q: best.q, error: Math.sqrt(best.ee) * robot.reach }] };
 }
 
 // A step of `size` in the null space, in the direction nearest `along` (n), with the tips held. Gives q and the direction.
