@@ -26,13 +26,13 @@ VECTOR_OPTIONS = frozenset(
     "--direction --tip-axis --mask --slack --free-turn --joint-weights --closest --target --q-end --velocity --acceleration".split()
 )
 
-TIP = ("--tip", "--ee")  # two words for one option
+TIP = ("--tip", "--ee")  # two names of one option
 PLOTS = (".png", ".pdf", ".svg")
-READ = ("file", "poses", "motion")  # parameters of commands that are paths and are read; all others are written
+READ = ("file", "poses", "motion")  # path parameters of commands that are read; all others are written
 
 
 def writes(*suffixes: str) -> Callable[[Path | None], Path | None]:
-    """Callback of an option that names a file to write: what can be known to go wrong is said before the work starts."""
+    """Callback of an option that names a file to write: foreseeable mistakes are reported before the work starts."""
 
     def check(file: Path | None) -> Path | None:
         if file is None:
@@ -45,7 +45,7 @@ def writes(*suffixes: str) -> Callable[[Path | None], Path | None]:
             raise InvalidOption(f"'{file}' is a folder, not a file")
         if not file.parent.is_dir():
             raise InvalidOption(f"cannot write '{file}': there is no folder '{file.parent}'")
-        for place in (file, Path(os.path.realpath(file)).parent):  # it is written beside and renamed
+        for place in (file, Path(os.path.realpath(file)).parent):  # it is written next to its place and renamed
             if place.exists() and not os.access(place, os.W_OK):
                 raise InvalidOption(f"cannot write '{file}': no permission")
         return file
@@ -54,14 +54,18 @@ def writes(*suffixes: str) -> Callable[[Path | None], Path | None]:
 
 
 def solver_named(text: str) -> Any:
-    """A solver's name as it is, or the class of FILE.py:CLASS. Raises InvalidOption."""
+    """A solver's name unchanged, or the class of FILE.py:CLASS. Raises InvalidOption."""
     from ..solvers.from_file import from_file, is_file
 
     return from_file(text) if is_file(text) else text
 
 
+TARGET = ("xyz", "matrix")  # options that give a whole target
+MANY = "for many targets of one tip use ik solve --targets FILE, or ik path --poses FILE for one motion through them"
+
+
 class Command(typer.core.TyperCommand):
-    """A command that refuses several tips where it takes one, to write over a file it reads, or two results into one file."""
+    """A command that refuses several tips where it takes one, an output that it also reads, and two outputs to one file."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Read the arguments. Raises InvalidOption."""
@@ -75,6 +79,9 @@ class Command(typer.core.TyperCommand):
             raise InvalidOption(
                 f"{ctx.command_path} takes one tip and {' or '.join(TIP)} names {tips}; choose one of them"
             )
+        for option in self.params:
+            if option.name in TARGET and sum(word.partition("=")[0] in option.opts for word in args) > 1:
+                raise InvalidOption(f"{option.opts[0]} is given twice; {MANY}")
         return super().parse_args(ctx, args)
 
     def format_help(self, ctx: Any, formatter: Any) -> None:
@@ -101,7 +108,7 @@ class Command(typer.core.TyperCommand):
 
 
 def _same(one: str | Path, other: str | Path) -> bool:
-    """Whether two names are of one file, there or not: by links too, or by case where that does not count."""
+    """Whether two names mean one file, existing or not: also through links, or by case where case is ignored."""
     if os.path.exists(one) and os.path.exists(other):
         return os.path.samefile(one, other)
     return os.path.realpath(one) == os.path.realpath(other)
@@ -238,7 +245,7 @@ def joint_vector(robot: "Joints", text: str, option: str, deg: bool) -> "np.ndar
 
 
 def assignments(pairs: Sequence[str] | None, option: str, mark: str = "=") -> dict[str, str]:
-    """Split NAME=VALUE arguments; InvalidOption when one has no '=', or what else marks the value."""
+    """Split NAME=VALUE arguments. Raises InvalidOption when one has no '=' (or `mark`)."""
     split = {}
     for pair in pairs or ():
         key, equals, value = pair.partition(mark)

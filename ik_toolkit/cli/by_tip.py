@@ -1,4 +1,4 @@
-"""What is read tip by tip: targets of several tips, options with a value for each, and which tips are meant."""
+"""Options read tip by tip: targets of several tips, a value for each tip, and which tips are meant."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -6,13 +6,14 @@ from typing import Any
 
 from ..errors import InvalidOption, InvalidTarget
 from ..text import numbers, vector
+from .arguments import MANY
 
 FORMS = (
     "TIP:X,Y,Z, TIP:X,Y,Z,ROLL,PITCH,YAW, TIP:X,Y,Z,QX,QY,QZ,QW, or TIP: and 12 or 16 numbers of a matrix row by row"
 )
 MATRIX = (12, 16)  # numbers of a pose's matrix (3, 4) or (4, 4)
 
-Z = (0.0, 0.0, 1.0)  # axis of the tip that --direction turns, unless --tip-axis says another
+Z = (0.0, 0.0, 1.0)  # axis of the tip that --direction turns, unless --tip-axis names another
 
 
 def values(texts: Sequence[str] | None, option: str, read: Callable[[str], Any]) -> Any:
@@ -32,7 +33,7 @@ def values(texts: Sequence[str] | None, option: str, read: Callable[[str], Any])
 
 
 def vectors(texts: Sequence[str] | None, option: str, size: int) -> Any:
-    """The same of an option that takes so many numbers, as tuples."""
+    """The same for an option that takes this many numbers, as tuples."""
     return values(texts, option, lambda text: tuple(vector(text, option, size)))
 
 
@@ -71,7 +72,7 @@ def targets(
         if not tip or len(x) not in (3, 6, 7, *MATRIX):
             raise InvalidTarget(f"--target takes {FORMS}, not '{text}'")
         if tip in made:
-            raise InvalidTarget(f"--target gives '{tip}' twice")
+            raise InvalidTarget(f"--target gives '{tip}' twice; {MANY}")
         rpy = [math.radians(a) if deg else a for a in x[3:]] if len(x) == 6 else None
         towards, axis = (one.get(tip) if isinstance(one, dict) else one for one in (ways, axes))
         if len(x) in MATRIX:

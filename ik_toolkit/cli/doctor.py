@@ -20,7 +20,7 @@ from .output import notice, show, table, write_json
 CORE = ("pin", "numpy", "numba", "typer", "rich")
 COLOURS = {"ok": "green", "missing": "yellow", "mended": "yellow", "problem": "red"}
 ROOM = 2**21  # bytes; the largest kernel takes less
-DEVELOPMENT = {"all", "test", "lint", "docs", "peers"}  # extras a user does not need
+DEVELOPMENT = {"all", "test", "lint", "docs", "peers"}  # extras that users do not need
 
 
 def register(app: typer.Typer) -> None:
@@ -89,7 +89,7 @@ def _versions() -> Iterator[dict[str, Any]]:
 
 
 def _extras() -> Iterator[dict[str, Any]]:
-    """One row an extra, read from the installed package's own requirements."""
+    """One row per extra, read from the installed package's requirements."""
     for extra, packages in extras().items():
         if extra in DEVELOPMENT:
             continue
@@ -132,7 +132,7 @@ def _cache() -> dict[str, Any]:
 
 
 def _pinocchio() -> dict[str, Any]:
-    """PyPI's 'pinocchio' is another program that hides the one we need; old ones lack what we use."""
+    """PyPI's 'pinocchio' is a different package that hides the one we need; old releases lack what we use."""
     stranger = _installed("pinocchio")
     if stranger:
         return _row("pinocchio", "problem", f"package 'pinocchio' {stranger} hides 'pin'; run: pip uninstall pinocchio")

@@ -134,7 +134,7 @@ def check(
 
 
 def _self_collision(entry: Any, options: dict[str, Any], samples: int | None, seed: int) -> Any:
-    """Pairs of links that need no test, of whatever tip: all joints of the model move."""
+    """Pairs of links that need no test, for any tip: all joints of the model move."""
     from ..robot.robot import Robot
     from ..robot.self_collision import SAMPLES, self_collision
 
@@ -150,7 +150,7 @@ def _self_collision(entry: Any, options: dict[str, Any], samples: int | None, se
 
 
 def _closed_forms(tips: Sequence[str], text: str) -> dict[str, str]:
-    """By tip, what is said of the closed form that fits there; text: a URDF that can be loaded."""
+    """Description by tip of the closed form that fits there; text: a URDF that can be loaded."""
     from ..robot.robot import Robot
     from ..solvers.closed_form import describe
 
@@ -158,7 +158,7 @@ def _closed_forms(tips: Sequence[str], text: str) -> dict[str, str]:
     for tip in tips or (None,):
         try:
             robot = Robot.load(text, tip=tip)
-        except IKError:  # several ends and none named: no arm to speak of
+        except IKError:  # several ends and none named: no single arm to describe
             continue
         if describe(robot):
             found[robot.tip] = describe(robot)

@@ -1,7 +1,7 @@
 """The first solve on a machine: answered by the uncompiled kernel, while a process in the background compiles.
 
 A command that finds nothing on disk stops where it would begin to compile, and is run again without compilation: the same code
-as plain Python, slow but at once. What that does not solve within its budget is run once more, compiled.
+as plain Python, slow but at once. What this does not solve within its budget is run once more, compiled.
 """
 
 import logging
@@ -19,12 +19,12 @@ WAIT, INTERPRETED = "IK_TOOLKIT_WAIT", "IK_TOOLKIT_INTERPRETED"  # environment: 
 AGAIN = "IK_TOOLKIT_AGAIN"  # environment: this is the second or third run
 BUDGET = 2000  # evaluations of the uncompiled kernel, about a second's worth
 NOT_ANSWERED = 75  # exit code of the second run when its budget was used up (EX_TEMPFAIL of sysexits.h)
-LOCK, LOG = "compiling.lock", "compiling.log"  # beside the kernels
+LOCK, LOG = "compiling.lock", "compiling.log"  # next to the kernels
 _here = {"allowed": False, "past": False}
 
 
 class CompileNeeded(Exception):
-    """Something is about to be compiled. folder: where it would be kept, None where it cannot be."""
+    """Something is about to be compiled. folder: where it would be kept, or None."""
 
     def __init__(self, folder: Path | None) -> None:
         """Keep the folder."""
@@ -38,7 +38,7 @@ class _Stop(logging.Handler):
 
 
 def allow() -> None:
-    """Let this process be run again: it is the command itself, nobody asked it to wait, and it is not a build machine."""
+    """Allow this process to be run again: it is the command itself, was not asked to wait, and is not a build machine."""
     _here["allowed"] = not any(os.environ.get(name) for name in (WAIT, INTERPRETED, "CI", "NUMBA_DISABLE_JIT"))
 
 
@@ -56,7 +56,7 @@ def kernel() -> str:
 
 @contextmanager
 def instead_of_compiling() -> Iterator[None]:
-    """Within it CompileNeeded is raised where a kernel would be compiled, in a process that `allow` allows."""
+    """Inside this context CompileNeeded is raised where a kernel would be compiled, in a process that `allow` allows."""
     _here["past"] = True
     if not _here["allowed"]:
         yield
@@ -70,7 +70,7 @@ def instead_of_compiling() -> Iterator[None]:
 
 
 def said_before() -> bool:
-    """Whether this run is a further one and has not come to where the first stopped: that one has shown these notices."""
+    """Whether this is a later run that has not yet passed the point where the first stopped, which has shown these notices."""
     return bool(os.environ.get(AGAIN)) and not _here["past"]
 
 
@@ -79,7 +79,7 @@ def again(arguments: Sequence[str], folder: Path | None, terminated: Sequence[bo
 
     terminated: not empty when it is SIGTERM that raises KeyboardInterrupt.
     """
-    # The module path of this process, not the current folder in front of it as `-m` has: what lies there is not ours to run.
+    # The module path of this process, not the current folder in front of it as `-m` has: files there must not be run.
     start = f"import sys; sys.path[:] = {sys.path!r}; from ik_toolkit.cli import main; sys.exit(main())"
     command = [sys.executable, "-c", start]
     waiting = {**os.environ, WAIT: "1"}
@@ -87,7 +87,7 @@ def again(arguments: Sequence[str], folder: Path | None, terminated: Sequence[bo
     code = _run([*command, *arguments], without, terminated)
     if code == NOT_ANSWERED:
         return _run([*command, *arguments], {**waiting, AGAIN: "1"}, terminated)
-    if code not in (0, 1):  # a mistake or an interruption, which it has explained
+    if code not in (0, 1):  # a mistake or an interruption, already explained
         return code
     if folder is None:
         notice(f"solved without compiled code, which cannot be kept here (see ik doctor); {WAIT}=1 compiles")
@@ -107,24 +107,24 @@ def again(arguments: Sequence[str], folder: Path | None, terminated: Sequence[bo
 
 
 def _run(command: Sequence[str], environment: dict[str, str], terminated: Sequence[bool]) -> int:
-    """Exit code of a command run in this one's place: Ctrl-C and SIGTERM end it as well, and it says so."""
+    """Exit code of a command run in place of this one: Ctrl-C and SIGTERM end it as well, and it reports them."""
     with subprocess.Popen(command, env=environment) as process:
         try:
             return process.wait()
         except KeyboardInterrupt:
             try:
-                process.wait(1.0)  # Ctrl-C in a terminal has reached it too
+                process.wait(1.0)  # Ctrl-C in a terminal reaches it as well
             except subprocess.TimeoutExpired:
                 process.send_signal(signal.SIGTERM if terminated else signal.SIGINT)
             code = process.wait()
-            if code < 0:  # ended before it could say anything
+            if code < 0:  # ended before it could report anything
                 raise
             return code
 
 
 @contextmanager
 def only_one(folder: Path) -> Iterator[bool]:
-    """Whether no other process compiles in the background; it does while the block runs. Lowers the priority of this one."""
+    """Context that tells whether no other process compiles in the background, and claims that role. Lowers the priority."""
     import fcntl
 
     os.nice(19)

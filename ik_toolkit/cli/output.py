@@ -20,11 +20,11 @@ if TYPE_CHECKING:
     from rich.text import Text
 
 
-WRAPPED = 12  # columns that a name or a sentence gets at least
+WRAPPED = 12  # least width in columns of a name or a sentence
 
 
 def notice(text: str) -> None:
-    """Print one line of prose on stderr, if anybody is there to read it."""
+    """Print one line of prose on stderr, if it can be written."""
     try:
         print(clean(text), file=sys.stderr, flush=True)
     except (OSError, ValueError, AttributeError):  # a closed stderr (Python sets None), a reader that left, a full disk
@@ -38,7 +38,7 @@ def notice_once(text: str) -> None:
 
 
 class LogNotices(logging.Handler):
-    """Shows what the package logs on stderr; that it compiles is said once, whatever the number of kernels."""
+    """Shows the package's log on stderr; compiling is reported once, whatever the number of kernels."""
 
     def emit(self, record: logging.LogRecord) -> None:
         """Print one record."""
@@ -49,7 +49,7 @@ class LogNotices(logging.Handler):
 
 
 def partial(output: Path) -> Path:
-    """Name of a result that is not whole, beside the one asked for."""
+    """Name of an incomplete result, next to the one asked for."""
     return output.with_name(output.name + PARTIAL)
 
 
@@ -77,7 +77,7 @@ def table(*columns: str) -> "Table":
 def show(*things: Any) -> None:
     """Print tables and lines on stdout: as wide as the terminal, 100 columns where there is none.
 
-    A table too wide for that is set closer, and then its names wrap; numbers never do.
+    A table too wide for that loses its padding, and then its names wrap; numbers never do.
     """
     from rich.console import Console
     from rich.segment import Segment, Segments
@@ -91,13 +91,13 @@ def show(*things: Any) -> None:
         if _least(thing) > room:
             for column in thing.columns:
                 column.no_wrap = column.no_wrap and column.justify == "right"
-        console.width = max(room, _least(thing))  # in a narrow terminal a long line is better than numbers cut short
+        console.width = max(room, _least(thing))  # in a narrow terminal a long line is better than truncated numbers
         drawn = console.render(console.render_str(clean(thing)) if isinstance(thing, str) else thing)
         console.print(Segments(Segment(clean(part.text), part.style, part.control) for part in drawn), end="")
 
 
 def _least(thing: Any) -> int:
-    """Columns that a table needs at least; 0 for what is no table."""
+    """Least width in columns of a table; 0 for anything else."""
     from rich.cells import cell_len
 
     least = 0
@@ -129,7 +129,7 @@ def facts(rows: dict[str, Any]) -> "Table":
 
 @contextmanager
 def progress(what: str, total: int | None) -> Iterator[Callable[..., None]]:
-    """Bar on stderr where that is a terminal; gives a function of the number done and, if they change, the words and the total."""
+    """Bar on stderr if that is a terminal; yields a function of the number done and, if they change, the text and the total."""
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 

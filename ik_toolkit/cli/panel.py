@@ -1,4 +1,4 @@
-"""`ik panel`: drive a robot by hand in a browser."""
+"""`ik panel`: move a robot by hand in a browser."""
 
 from typing import Annotated
 

@@ -1,4 +1,4 @@
-"""`ik path`: one joint motion through the poses of a file, in time where that is asked for."""
+"""`ik path`: one joint motion through the poses of a file, timed if asked for."""
 
 import math
 from pathlib import Path
@@ -92,7 +92,7 @@ Plot = Annotated[
     Path | None,
     typer.Option(metavar="FILE", help="Draw the joints to a .png, .pdf or .svg file.", callback=writes(*PLOTS)),
 ]
-LISTED = 5  # poses not reached that are named on the terminal; all are in the file
+LISTED = 5  # unreached poses listed on the terminal; the file lists all
 
 
 def register(app: typer.Typer) -> None:
@@ -209,7 +209,7 @@ def _joined(parts: list[Any], name: str) -> Any:
 
 
 def _options(line: SimpleNamespace, arm: Any) -> dict[str, Any]:
-    """Options of `solve_path`, those given only."""
+    """Options of `solve_path`, only those given."""
     options = asked.read_counting(line)
     for name in ("tolerance", "position_tolerance", "orientation_tolerance"):
         if getattr(line, name) is not None:

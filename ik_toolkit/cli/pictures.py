@@ -41,7 +41,7 @@ Live = Annotated[
 
 
 def draw(arm: Any, what: Any, target: Any, plot: Path | None, html: Path | None, live: bool) -> None:
-    """Pictures asked for of a result with history or of several solutions: chart, page, scene in the browser."""
+    """Requested pictures of a result with history or of several solutions: chart, page, scene in the browser."""
     if plot is not None and len(what.history["q"]) < 2:
         notice("no plot: the solve took no step")
     elif plot is not None:

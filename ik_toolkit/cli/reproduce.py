@@ -46,11 +46,11 @@ def reproduce(paper: PaperArg = None, output: Folder = None, as_json: Json = Fal
     folder = output or Path(f"reproduce-{paper}")
     if folder.exists() and not folder.is_dir():
         raise InvalidOption(f"-o takes a folder, and {folder} is a file")
-    folder.mkdir(parents=True, exist_ok=True)  # what cannot be written is known before the work starts
+    folder.mkdir(parents=True, exist_ok=True)  # an output that cannot be written is refused before the work starts
     if not os.access(folder, os.W_OK):
         raise InvalidOption(f"cannot write to '{folder}': no permission")
     notice(f"computing the report of '{paper}': takes a minute or two ...")
-    with progress("computing", None):  # how far it is, a report does not say
+    with progress("computing", None):  # a report does not tell its progress
         report = getattr(importlib.import_module(module), function)()
     files = report.write(folder)
     write_json({**report.data, "files": [str(file) for file in files]}, as_json)

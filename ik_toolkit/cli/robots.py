@@ -3,12 +3,14 @@
 import contextlib
 import math
 from dataclasses import asdict
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from ..errors import FrameNotFound, InvalidOption
 from ..files import write_table
+from ..text import plain
 from .arguments import (
     Base,
     BaseRpy,
@@ -97,7 +99,7 @@ def robots(everything: Everything = False, as_json: Json = False, csv_file: Csv 
 
 
 def _cell(value: Any) -> str:
-    """Text of a value of the list: tips one after the other."""
+    """Text of a value of the list; tips are joined by spaces."""
     return " ".join(value) if isinstance(value, tuple | list) else str(value or "")
 
 
@@ -115,6 +117,7 @@ def info(
     list_tips: ListTips = False,
     deg: Deg = False,
     as_json: Json = False,
+    csv_file: Csv = None,
 ) -> None:
     """Show a robot: joints, limits, home, frames, reach, D-H table, and where it comes from."""
     from ..robot.dh import read_dh_table
@@ -129,7 +132,7 @@ def info(
     entry = find(robot)
     if list_tips:
         ends = tip_candidates(read(robot, package_dir or (), assignments(xacro_arg, "--xacro-arg", ":="))[1]["model"])
-        _show_tips(entry, [load(name) for name in ends], as_json)
+        _show_tips(entry, [load(name) for name in ends], as_json, csv_file)
         return
     try:
         loaded = [load(name) for name in ([tip] if tip or group or len(entry.tips) < 2 else entry.tips)]
@@ -137,7 +140,7 @@ def info(
     except FrameNotFound as several:
         if not several.tips:
             raise
-        _show_tips(entry, [load(name) for name in several.tips], as_json)
+        _show_tips(entry, [load(name) for name in several.tips], as_json, csv_file)
         return
     dh = read_dh_table(entry.dh_file) if entry.dh_file else None
     rows = [{**describe(arm), "package_dirs": arm.package_dirs} for arm in arms]
@@ -145,6 +148,7 @@ def info(
     payload = {**rows[0], **source, "dh": _dh_dict(dh) if dh else None, "srdf": _srdf_dict(arms[0])}
     if len(rows) > 1:
         payload["arms"] = rows
+    _write_joints(csv_file, rows)
     write_json(payload, as_json)
     if as_json:
         return
@@ -177,10 +181,21 @@ def info(
         show(heading(f"D-H table, {dh.convention}; q is the joint's value"), _dh_table(dh, deg))
 
 
-def _show_tips(entry: Any, arms: "list[Robot]", as_json: bool) -> None:
-    """One line an end of a robot with several, none of them known by name."""
+def _write_joints(file: Path | None, rows: list[dict[str, Any]]) -> None:
+    """The joints of each tip as CSV, in metres and radians; a joint that several tips share has a row for each."""
+    if file is not None:
+        joints = [{"tip": row["tip"], **joint} for row in rows for joint in plain(row["joints"])]
+        cells = (["" if value is None else value for value in joint.values()] for joint in joints)
+        write_table(file, list(joints[0]), cells)
+        notice(f"wrote {file}")
+
+
+def _show_tips(entry: Any, arms: "list[Robot]", as_json: bool, csv_file: Path | None) -> None:
+    """One line per end of a robot with several ends, none of them known by name."""
     source = {"name": entry.name, "description": entry.description, "path": entry.path}
-    write_json({**source, "tips": [arm.tip for arm in arms], "arms": [describe(arm) for arm in arms]}, as_json)
+    rows = [describe(arm) for arm in arms]
+    _write_joints(csv_file, rows)
+    write_json({**source, "tips": [arm.tip for arm in arms], "arms": rows}, as_json)
     if as_json:
         return
     made = table("<tip", ">joints", ">reach [m]", "moved by")
@@ -215,13 +230,13 @@ def describe(robot: "Robot") -> dict[str, Any]:
 
 
 def _srdf_dict(robot: "Robot") -> dict[str, Any] | None:
-    """What the robot's SRDF says, as plain data; None where there is none."""
+    """Content of the robot's SRDF as plain data; None without one."""
     said = robot.srdf
     if said.path is None and not said.remarks:
         return None
     groups = {}
     for name in said.groups:
-        with contextlib.suppress(InvalidOption):  # of what this robot does not have
+        with contextlib.suppress(InvalidOption):  # names something that this robot does not have
             groups[name] = dict(zip(("base", "tips"), said.ends(name, robot.model), strict=True))
     return {
         "path": said.path,
@@ -275,7 +290,7 @@ def _dh_table(dh: Any, deg: bool) -> "Table":
 
 
 def _added(constant: str) -> str:
-    """What q adds up to with a constant of the D-H table."""
+    """Sum of q and a constant of the D-H table, as text."""
     if not float(constant):
         return "q"
     return f"q - {constant[1:]}" if constant.startswith("-") else f"q + {constant}"

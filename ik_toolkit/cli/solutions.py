@@ -48,7 +48,7 @@ class CsvWriter:
         self.file.write(lines.getvalue())
 
     def close(self) -> None:
-        """Nothing is missing at the end of a CSV file."""
+        """A CSV file needs no ending."""
 
 
 class NpzWriter:
@@ -97,7 +97,7 @@ class ParquetWriter:
 
 
 class Solutions:
-    """Output file of a batch. `add` parts; leaving the `with` block well gives the file its name.
+    """Output file of a batch. `add` parts; leaving the `with` block without an exception gives the file its name.
 
     Leaving it by an exception keeps the parts finished as NAME.partial and says so; `fail` keeps them as NAME.failed.
     """
@@ -115,21 +115,21 @@ class Solutions:
 
     def add(self, part: BatchResult) -> None:
         """Append a part."""
-        with self.file.named():  # numpy and pyarrow name no file
+        with self.file.named():  # errors of numpy and pyarrow name no file
             self.writer.add(part)
         self.count += len(part)
 
     def fail(self) -> Path | None:
-        """Keep what there is as NAME.failed; returns that name."""
+        """Keep the parts as NAME.failed; returns that name."""
         self.writer.close()
         return self.file.keep(FAILED)
 
     def __enter__(self) -> "Solutions":
-        """Parts are added now."""
+        """From here on parts are added."""
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *_: Any) -> None:
-        """Give the file the name it deserves."""
+        """Give the file its final name, by how the block ended."""
         with uninterrupted():
             if kind is None:
                 self.writer.close()
@@ -142,7 +142,7 @@ class Solutions:
     def _keep(self) -> None:
         try:
             self.writer.close()
-        except OSError:  # the disk that was full before; rows written whole are kept
+        except OSError:  # the disk was full before; rows written completely are kept
             pass
         kept = self.file.keep(PARTIAL)
         if kept is not None:

@@ -34,7 +34,7 @@ from .pictures import Chart, Html, Live, draw
 if TYPE_CHECKING:
     from ..solvers.result import Result
 
-ABREAST = 4  # solutions of several tips beside each other: what 80 columns hold
+ABREAST = 4  # solutions of several tips side by side that fit into 80 columns
 ACROSS = 6  # joints whose values fit side by side into 80 columns
 
 
@@ -175,7 +175,7 @@ def _solve_one(arm: Any, target: Any, method: Any, start: Any, options: dict[str
 
 
 def _at_home(arm: Any, target: Any, options: dict[str, Any]) -> Any:
-    """A target of the form of the one given that is met at home."""
+    """A target of the same form as the given one that is met at home."""
     T = arm.fk(arm.home)
     if not arm.by_tip:
         return T.translation if getattr(target, "ndim", 2) == 1 else T
@@ -184,7 +184,7 @@ def _at_home(arm: Any, target: Any, options: dict[str, Any]) -> Any:
 
 
 def _asked(arm: Any, target: Any, options: dict[str, Any]) -> dict[str, Any]:
-    """What was asked for, for JSON."""
+    """The request, for JSON."""
     plain = target if arm.by_tip else {arm.tip: target}
     plain = {tip: getattr(one, "T_base_tip", one) for tip, one in plain.items()}
     if not arm.by_tip:
@@ -194,7 +194,7 @@ def _asked(arm: Any, target: Any, options: dict[str, Any]) -> dict[str, Any]:
 
 
 def _draw(arm: Any, what: Any, q: Any, target: Any, options: dict[str, Any], line: SimpleNamespace) -> None:
-    """Pictures asked for, with the targets where they are when the robot stands at q."""
+    """Requested pictures, with the targets as they are when the robot is at q."""
     if line.plot is not None or line.html is not None or line.live:
         draw(arm, what, in_base(target, arm.fk(q), options.get("relative_to")), line.plot, line.html, line.live)
 
@@ -220,7 +220,7 @@ def _solve_all(arm: Any, target: Any, method: Any, start: Any, options: dict[str
 
 
 def _solutions(found: Any, deg: bool) -> list[Any]:
-    """Tables of solutions: a row each where a few joints are the columns, otherwise a column each, a few in a table."""
+    """Tables of solutions: a row each if the joints fit as columns, otherwise a column each, a few per table."""
     arm, made = found.robot, []
     kinds = arm.joint_kinds
     in_rows = arm.n <= ACROSS

@@ -1,4 +1,4 @@
-"""Options of `ik solve`, and what they say: a target, a solver, the options of a call."""
+"""Options of `ik solve` and their meaning: a target, a solver, the options of a call."""
 
 import math
 from pathlib import Path
@@ -224,7 +224,7 @@ PASSED_ON = (
     "seed",
     "objective",
     "follow",
-)  # options of the command that are options of the call, word for word
+)  # options of the command that are passed on unchanged
 
 
 def refuse_contradictions(line: SimpleNamespace) -> None:
@@ -269,7 +269,7 @@ def refuse_contradictions(line: SimpleNamespace) -> None:
 
 
 def read_options(line: SimpleNamespace, arm: Any) -> dict[str, Any]:
-    """Options of the call, those given only; among them q0 and, of a file of targets, closest as a word. Raises InvalidOption."""
+    """Options of the call, only those given; among them q0 and, of a file of targets, closest as a word. Raises InvalidOption."""
     given = {name: getattr(line, name) for name in PASSED_ON}
     if line.joint_weights is not None:
         given["joint_weights"] = tuple(vector(line.joint_weights, "--joint-weights", arm.n))
@@ -285,7 +285,7 @@ def read_options(line: SimpleNamespace, arm: Any) -> dict[str, Any]:
 
 
 def read_counting(line: SimpleNamespace) -> dict[str, Any]:
-    """Options that say what of a target counts, those given only. Raises InvalidOption."""
+    """Options that select which part of a target counts, only those given. Raises InvalidOption."""
     given = {
         "mask": by_tip.vectors(line.mask, "--mask", 6),
         "slack": by_tip.values(line.slack, "--slack", lambda text: _slack(text, line.deg)),
@@ -311,7 +311,7 @@ def _slack(text: str, deg: bool) -> tuple[float, ...]:
 
 
 def is_posed(line: SimpleNamespace) -> bool:
-    """Whether any of the pose options is given that say one target."""
+    """Whether any of the options that describe a single target is given."""
     return any(given is not None for given in (line.xyz, line.matrix, line.rpy, line.quat_xyzw, line.quat_wxyz))
 
 

@@ -1,4 +1,4 @@
-"""What a command does with standard streams and signals: closed ones, readers that leave, Ctrl-C and SIGTERM."""
+"""How a command handles standard streams and signals: closed streams, readers that leave, Ctrl-C and SIGTERM."""
 
 import os
 import signal
@@ -26,7 +26,7 @@ def open_standard_streams() -> None:
 
 @contextmanager
 def on_sigterm(came: list[bool]) -> Iterator[None]:
-    """Let SIGTERM end what is inside as Ctrl-C does, and note in `came` that it was the former."""
+    """Let SIGTERM end the block as Ctrl-C does, and note in `came` that it was SIGTERM."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -47,7 +47,7 @@ def on_sigterm(came: list[bool]) -> Iterator[None]:
 
 @contextmanager
 def uninterrupted() -> Iterator[None]:
-    """Ctrl-C and SIGTERM wait for the end of what is inside: a file written by half is lost."""
+    """Ctrl-C and SIGTERM wait for the end of the block: a half-written file would be lost."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -82,18 +82,18 @@ class Output:
             stream.reconfigure(errors="backslashreplace")
 
     def __getattr__(self, name: str) -> Any:
-        """Everything else is the stream's."""
+        """Everything else is passed on to the stream."""
         return getattr(self._stream, name)
 
     def write(self, text: str) -> int:
-        """Write, unless nobody reads any more."""
+        """Write, unless the reader has left."""
         try:
             return self._stream.write(text)
         except BrokenPipeError:
             return self._drop(len(text))
 
     def flush(self) -> None:
-        """Flush, unless nobody reads any more."""
+        """Flush, unless the reader has left."""
         try:
             self._stream.flush()
         except BrokenPipeError:

@@ -19,7 +19,7 @@ from .streams import uninterrupted
 
 @contextmanager
 def _cluster(address: str | None) -> Iterator[Any]:
-    """Executor of a Dask scheduler that is already there; lost tasks are tried again by Dask."""
+    """Executor of a running Dask scheduler; Dask repeats lost tasks."""
     if address is None:
         yield None
         return
@@ -37,7 +37,7 @@ def _cluster(address: str | None) -> Iterator[Any]:
 
 
 class _Tally:
-    """What is told of the parts of a batch."""
+    """Totals over the parts of a batch."""
 
     def __init__(self) -> None:
         self.done, self.solver = 0, ""
@@ -63,7 +63,7 @@ def _solve_into(output: Path, arm: Any, targets: Any, method: Any, asked: dict[s
         many, interrupted = stop.result, stop
     except BatchCheckFailed as failure:
         _refuse(failure, Solutions(output, arm.joint_names))
-    with Solutions(output, arm.joint_names) as file:  # opened only when the options are found good
+    with Solutions(output, arm.joint_names) as file:  # opened only once the options have been accepted
         try:
             for part in parts if many is None else iter([many]):
                 with uninterrupted():
@@ -78,7 +78,7 @@ def _solve_into(output: Path, arm: Any, targets: Any, method: Any, asked: dict[s
 
 
 def _refuse(failure: BatchCheckFailed, file: Solutions) -> NoReturn:
-    """Say why a batch failed and where its answers are; exit code 1."""
+    """Report why a batch failed and where its answers are; exit code 1."""
     file.add(failure.result)
     failed = file.fail()
     notice(f"ik: {failure}")

@@ -1,4 +1,4 @@
-"""The path of `ik track`: as the options say, or placed so that the robot can follow it; and what to try when it cannot."""
+"""The path of `ik track`: as the options give it, or placed so that the robot can follow it; and what to try if it cannot."""
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 SHAPES = ("circle", "line", "eight")
 RADIUS, LENGTH, DURATION = 0.1, 0.2, 10.0  # [m, s] where a path is given in part
-SHORTER = (0.95, 0.75, 0.5, 0.35, 0.25, 0.15, 0.1, 0.05)  # of the size asked for: what is tried
+SHORTER = (0.95, 0.75, 0.5, 0.35, 0.25, 0.15, 0.1, 0.05)  # factors tried on the size asked for
 AXES = ("1 0 0", "0 1 0", "0 0 1", "-1 0 0", "0 -1 0", "0 0 -1")
 
 
@@ -28,7 +28,7 @@ class Asked(NamedTuple):
 
     @property
     def shown(self) -> str:
-        """The reference in a line, of several tips each."""
+        """The reference in a line, or a line per tip."""
         if isinstance(self.reference, Mapping):
             return "; ".join(f"{tip}: {_line(one)}" for tip, one in self.reference.items())
         return _line(self.reference)
@@ -59,7 +59,7 @@ def asked_path(arm: Any, line: SimpleNamespace, q: Any, counts: dict[str, Any]) 
 
 
 def _in_part(line: SimpleNamespace) -> bool:
-    """Whether the options say where the path goes or how large it is: then it is taken as it is given."""
+    """Whether the options give the path's place or size: then it is used as given."""
     return any(given is not None for given in (line.radius, line.length, line.start, line.end))
 
 
@@ -119,7 +119,7 @@ def _from_to(T: Any, line: SimpleNamespace) -> "Reference":
 
 
 def advice(arm: Any, line: SimpleNamespace, asked: Asked, q: Any, found: "Survey", **options: Any) -> list[str]:
-    """Options, tried, with which the robot reaches all of a path that was given in part or in a file."""
+    """Options, found by trying, with which the robot reaches all of a path given in part or in a file."""
     from ..tracking.reachable import other_start, trace
 
     if found.whole:

@@ -8,11 +8,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ..errors import InvalidOption
+from ..files import write_table
 from .arguments import (
     PLOTS,
     Base,
     BaseRpy,
     BaseXyz,
+    Csv,
     Deg,
     Json,
     Lock,
@@ -109,6 +111,7 @@ def tune(
     xacro_arg: XacroArg = None,
     deg: Deg = False,
     as_json: Json = False,
+    csv_file: Csv = None,
     output: Out = None,
     resume: Resume = False,
     plot: Plot = None,
@@ -155,6 +158,10 @@ def tune(
         from ..show.plot import plot as draw
 
         draw(result, file=plot)
+    if csv_file is not None:
+        place = partial(csv_file) if result.interrupted else csv_file
+        _write_csv(place, result)
+        notice(f"wrote {place}")
     write_json({**result.to_dict(), "preset": str(preset)}, as_json)
     if not as_json:
         _show(result, preset)
@@ -163,6 +170,15 @@ def tune(
             f"partial: the best so far is in {preset}, evaluated on one held-out set; --resume continues from {record}"
         )
         raise KeyboardInterrupt
+
+
+def _write_csv(file: Path, result: "TuneResult") -> None:
+    """The scores as CSV: a row for each rule, the tuned one also on the training targets."""
+    scores = {f"{name}, held out": one for name, one in result.scores.items()} | {"tuned, training": result.train}
+    rows = (
+        (name, one.total, sum(one.successes), one.share, *one.interval, one.iterations) for name, one in scores.items()
+    )
+    write_table(file, ["rule", "targets", "solved", "share", "low", "high", "iterations"], rows)
 
 
 @contextmanager

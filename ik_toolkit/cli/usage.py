@@ -8,7 +8,7 @@ import typer.core
 
 WIDEST = 100  # columns; longer lines are hard to read
 COLUMN = 30  # where the explanations begin
-LAST = ("Robot", "Output", "Other")  # groups; the others stand before them, as declared
+LAST = ("Robot", "Output", "Other")  # groups at the end; the others come before them, as declared
 GROUPS = {  # of the options that several commands share
     "Target": "--xyz --rpy --quat-xyzw --quat-wxyz --matrix --from-q --target --relative --direction --tip-axis",
     "What counts": "--mask --slack --free-turn --frame",
@@ -59,7 +59,7 @@ def placeholder(argument: Any) -> str:
 
 
 def _names(option: Any) -> str:
-    """Names of an option, the short one first, and what it takes."""
+    """Names of an option, the short one first, and its value."""
     names = sorted(option.opts, key=lambda name: name.startswith("--"))
     if option.is_flag:
         return " / ".join([", ".join(names), *option.secondary_opts])
@@ -67,7 +67,7 @@ def _names(option: Any) -> str:
 
 
 def _explained(option: Any) -> str:
-    """What an option does, with its default where it has one and does not say so itself."""
+    """What an option does, with its default if the text does not give it."""
     said, default = option.help or "", option.default
     if default in (None, (), [], "") or callable(default) or "default" in said.lower():
         return said
@@ -79,7 +79,7 @@ def _explained(option: Any) -> str:
 
 
 def _row(left: str, right: str, column: int, width: int) -> str:
-    """Name and explanation beside each other, below each other where the name is long."""
+    """Name and explanation side by side, or below each other if the name is long."""
     lines = textwrap.wrap(right, max(width - column, 20), break_on_hyphens=False) or [""]
     first = f"  {left}".ljust(column) + lines.pop(0) if len(left) + 4 <= column else f"  {left}"
     return "\n".join([first.rstrip(), *(" " * column + line for line in lines)])

@@ -162,7 +162,7 @@ def _refuse_contradictions(line: SimpleNamespace, solving: bool) -> None:
 
 
 def _alone(option: str, others: dict[str, Any]) -> None:
-    """Raise InvalidOption when an option that shows a robot to be dragged is given with others that say what is shown."""
+    """Raise InvalidOption when an option for a draggable robot is combined with options that set what is shown."""
     given = [name for name, value in others.items() if value]
     if given:
         raise InvalidOption(f"{option} goes without {' and '.join(given)}")
@@ -179,7 +179,7 @@ def _follow(robot: str, tips: Any, port: int, browse: bool) -> None:
 
 
 def _solve(arm: Any, target: Any, solver: str, start: Any, every: bool, options: dict[str, Any]) -> tuple[Any, bool]:
-    """Result with history, or the list of solutions; and whether there is one."""
+    """Result with history, or the list of solutions; and whether any was found."""
     from ..solvers.solve import solve as solve_one
     from ..solvers.solve_all import solve_all
 

@@ -287,8 +287,13 @@ def check_target(target: Any) -> tuple[np.ndarray, str]:
     if T.shape == (3,):
         return _near(_numbers(T, 3, "target position")), ""
     if T.shape != (4, 4):
+        many = (
+            "; solve_batch takes many targets, solve_path gives one motion through them"
+            if T.shape[1:] in ((4, 4), (3,))
+            else ""
+        )
         raise InvalidTarget(
-            f"a target must be a 4x4 pose, a pin.SE3 or a position of 3 numbers, not an array of shape {T.shape}"
+            f"a target must be a 4x4 pose, a pin.SE3 or a position of 3 numbers, not an array of shape {T.shape}{many}"
         )
     if not np.isfinite(T).all():
         raise InvalidTarget("the target pose has entries that are not finite numbers")

@@ -28,6 +28,17 @@ def test_lists_to_a_table(run, tmp_path, what):
     assert code == 0 and [row["name"] for row in rows_of(file)] == [row["name"] for row in json.loads(out)[what]]
 
 
+@pytest.mark.parametrize("robot", ["hydrolek_7w", "brokk_hydrolek"])
+def test_joints_to_a_table(run, tmp_path, robot):
+    file = tmp_path / "joints.csv"
+    code, out, _ = run("info", robot, "--json", "--csv", file)
+    found = json.loads(out)
+    arms = found.get("arms", [found])
+    assert code == 0
+    rows = [(row["tip"], row["name"], row["kind"], float(row["upper"])) for row in rows_of(file)]
+    assert rows == [(arm["tip"], one["name"], one["kind"], one["upper"]) for arm in arms for one in arm["joints"]]
+
+
 def test_what_has_no_table_is_refused(run, tmp_path):
     code, _, err = run("solve", "planar_2r", "--xyz", 1, 1, 0, "--csv", tmp_path / "one.csv")
     assert code == 2 and "--csv writes the solutions of --all" in err

@@ -173,3 +173,16 @@ def test_an_output_that_cannot_be_written_is_refused_before_the_work(run, words,
     code, out, err = run(*words.split())
     assert code == 2 and out == "" and err.count("\n") == 1
     assert "there is no folder 'no'" in err or "is a folder" in err or "must end in" in err
+
+
+def test_several_targets_for_one_tip_are_refused_with_what_takes_them(run):
+    for words in (
+        ("--xyz", 1, 0.1, 0.2, "--xyz", 1, 0.2, 0.2),
+        ("--target", "tool:1,.1,.2", "--target", "tool:1,.2,.2"),
+    ):
+        code, out, err = run("solve", "hydrolek_7w", *words)
+        assert code == 2 and not out and " twice; " in err and "--targets FILE" in err and "ik path" in err
+    robot = ik.Robot.load("hydrolek_7w")
+    for targets in ([(1, 0.1, 0.2), (1, 0.2, 0.2)], [robot.fk(robot.home), robot.fk(robot.lower)]):
+        with pytest.raises(errors.InvalidTarget, match="solve_batch takes many targets"):
+            ik.solve(robot, targets)

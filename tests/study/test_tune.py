@@ -1,5 +1,6 @@
 """Tuning: spaces, searches, checkpoints, presets in a fresh process, the command."""
 
+import csv
 import json
 import subprocess
 import sys
@@ -228,9 +229,14 @@ def test_command_writes_a_preset_that_another_process_reads(tmp_path, capsys):
     file, plot = tmp_path / "mine.toml", tmp_path / "plot.png"
     arguments = ["tune", "hydrolek_7w", "state-space", "--maps", "3", "--generations", "4", "--population", "8"]
     arguments += ["--targets", "150", "--held-out", "2", "-o", str(file), "--plot", str(plot), "--json"]
-    assert main(arguments) == 0
+    scores = tmp_path / "scores.csv"
+    assert main([*arguments, "--csv", str(scores)]) == 0
     told = json.loads(capsys.readouterr().out)
     assert plot.stat().st_size > 10_000 and file.with_suffix(".npz").exists()
+    with scores.open(newline="") as stream:
+        rows = {row["rule"]: row for row in csv.DictReader(stream)}
+    assert set(rows) == {"default, held out", "start, held out", "tuned, held out", "tuned, training"}
+    assert float(rows["tuned, held out"]["share"]) == told["held_out"]["share"]
     assert told["held_out"]["targets_a_set"] == 1000 and len(told["held_out"]["wilson_95"]) == 2
     code = (
         "import ik_toolkit as ik; from ik_toolkit.study.tune import score; from ik_toolkit.study.targets import sample_targets\n"
