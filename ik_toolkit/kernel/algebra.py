@@ -1,7 +1,7 @@
 """Vectors, rotations and frames in the kernel: records of numbers, or of lanes of eight numbers (`vector`).
 
 The formulas are written once: a component is a float in the search for one target and a vector of eight floats in `lanes`.
-Inlined, nothing of these records is left in the machine code.
+After inlining nothing of these records is left in the machine code.
 """
 
 # numba's own types know neither options in a dict nor that overloads and intrinsics are called by numba.
@@ -20,7 +20,7 @@ Number = Any  # a float, or a vector of eight
 
 @compiled
 class V3(NamedTuple):
-    """Three components. (+ on plain tuples means joining, which no one misses here.)"""
+    """Three components. (On plain tuples + means concatenation, which is not needed here.)"""
 
     x: Number
     y: Number
@@ -99,9 +99,9 @@ class Sym3(NamedTuple):
         return a * (d * f - e * e) + b * (c * e - b * f) + c * (b * e - c * d)
 
     def factors(self):
-        """L D L', for solving. Not the inverse by cofactors.
+        """L D L', for solving. An inverse by cofactors would be less accurate.
 
-        Where the matrix is little but damping, as the rotations of joints that all turn about one axis, the entries of an
+        Where the matrix is almost only damping, as the rotations of joints that all turn about one axis, the entries of an
         inverse are 1 over the damping and what they are multiplied with cancels, down to rounding.
         """
         i0 = 1.0 / self.xx
@@ -254,7 +254,7 @@ def put_axes(A, i, m):
 
 @inline
 def sincos(x):
-    """Sine and cosine together and branch-free, so that a loop over joints vectorises; error below 1e-14 for |x| < 1e9.
+    """Sine and cosine together and branch-free, so that a loop over the joints vectorises; error below 1e-14 for |x| < 1e9.
 
     x: a number or lanes.
     """
@@ -286,6 +286,6 @@ def rotation_left(now, goal):
 
 @inline
 def chord(angle):
-    """|2 sin(angle/2)|^2, what a tolerance allows; no rotation is beyond half a turn."""
+    """|2 sin(angle/2)|^2, from the angle a tolerance allows; no rotation exceeds half a turn."""
     length = 2.0 * math.sin(0.5 * angle) if angle < math.pi else 3.0
     return length * length

@@ -11,7 +11,7 @@ from .jit import inner
 
 @inner
 def band_cholesky(A, least):
-    """Factor a band A (M, b + 1) in place; pivots below `least` are lifted to it."""
+    """Factor a band A (M, b + 1) in place; pivots below `least` are raised to it."""
     b = A.shape[1] - 1
     for i in range(A.shape[0]):
         first = max(0, i - b)

@@ -1,4 +1,4 @@
-"""Which joint rates the limits allow now, so that every state left behind can still brake before a limit (viability).
+"""Which joint rates the limits allow now, so that every later state can still brake before a limit (viability).
 
 A joint at q moves at rate v. A step of h takes it to the rate w and to q + h ((1 - gamma) v + gamma w). In between it moves
 straight where gamma is 1 (velocity level), else along the parabola through both ends that begins with v; the bounds below
@@ -22,9 +22,11 @@ from .jit import jit
 
 # Bits of `code`: why a joint did not move as commanded.
 POSITION, VELOCITY, ACCELERATION, HELD, RECOVERING, ROW = 1, 2, 4, 8, 16, 32
-ROUNDING = 4e-16  # of the numbers added up in a step, kept free before a limit: half a unit in the last place for each
-SPARE = 1e-13  # share of the way left kept free: a brake of some hundred steps sums up so many roundings
-NOISE = 1e-12  # [rad, or reaches] by which a state may miss viability before it is one that recovers
+ROUNDING = (
+    4e-16  # margin before a limit, relative to the numbers added in a step: half a unit in the last place for each
+)
+SPARE = 1e-13  # share of the remaining distance kept as a margin: braking over some hundred steps accumulates that much rounding
+NOISE = 1e-12  # [rad, or reaches] by which a state may violate viability before it counts as recovering
 SHARE = 0.1  # of the speed limit (or of 1 rad/s, 1 reach/s) at which a joint outside its limits comes back
 
 
@@ -57,7 +59,7 @@ def approach(distance, v, gamma, h, a, late):
 
 @jit
 def way_to(limit, q, sign):
-    """Way left to a limit (sign 1: upper, -1: lower), below 0 outside; rounding is kept free."""
+    """Distance left to a limit (sign 1: upper, -1: lower), negative outside; minus the margin for rounding."""
     if abs(limit) == np.inf:
         return np.inf
     way = sign * (limit - q)
@@ -105,7 +107,7 @@ def box(q, v, lower, upper, speed, a, gamma, h, late):
             w = fall if fall > fast else rise
         else:
             w = low if top_p < low else top if low_p > top else min(max(0.0, low), top)
-        # What rounding leaves: the interval is a point, and contains what it should.
+        # Rounding can empty the interval: it becomes a point that contains what it should.
         why = POSITION | ACCELERATION | (RECOVERING if miss * h > NOISE else 0)
         return w, w, why, why
     return low, top, why_low, why_top
@@ -113,7 +115,7 @@ def box(q, v, lower, upper, speed, a, gamma, h, late):
 
 @jit
 def boxes(q, rate, limits, gamma, h, late, low, top, why_low, why_top):
-    """`box` of every joint; limits (4, n): lower, upper, speed, acceleration. True when one of them recovers."""
+    """`box` of every joint; limits (4, n): lower, upper, speed, acceleration. True when one of them is recovering."""
     recovering = False
     for i in range(q.shape[0]):
         low[i], top[i], why_low[i], why_top[i] = box(
@@ -125,7 +127,7 @@ def boxes(q, rate, limits, gamma, h, late, low, top, why_low, why_top):
 
 @jit
 def clip(x, low, top, why_low, why_top, code):
-    """Put the wanted rates x (in place) into their box, each on its own; code (n,) receives what held a joint back."""
+    """Clip the wanted rates x (in place) to their box, each joint separately; code (n,) receives what held a joint back."""
     hit = False
     for i in range(x.shape[0]):
         code[i] = why_top[i] & RECOVERING
@@ -147,7 +149,7 @@ def move(q, rate, x, gamma, h):
 
 @jit
 def advance(q, rate, x, gamma, h, late, limits, code):
-    """Step towards the wanted rates x with every joint clipped on its own (x = 0: brake); True when a limit held one back."""
+    """Step towards the wanted rates x, every joint clipped separately (x = 0: brake); True when a limit held one back."""
     n = q.shape[0]
     ends, why = np.empty((2, n)), np.empty((2, n), np.uint8)
     boxes(q, rate, limits, gamma, h, late, ends[0], ends[1], why[0], why[1])

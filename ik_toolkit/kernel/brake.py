@@ -1,4 +1,4 @@
-"""One step and the full brake after it, as a path that can be walked: what has to be free before the step is taken."""
+"""One step and the full brake after it, as a path: what must be free of contact before the step is taken."""
 
 import numpy as np
 
@@ -11,7 +11,7 @@ def travelled(start, change, f):
     """How far a joint has gone a fraction f into a piece: its speed grows evenly from `start` by `change` [per piece]."""
     there = start * f + 0.5 * change * f * f
     turn = -start / change if change != 0.0 else -1.0
-    if 0.0 < turn < f:  # it turns back on the way
+    if 0.0 < turn < f:  # it reverses on the way
         far = 0.5 * start * turn
         return abs(far) + abs(there - far)
     return abs(there)
@@ -34,7 +34,7 @@ def position(Q, R, L, k, j, gamma, h, f):
 
 @cached
 def brake(first, gamma, h, late, limits, Q, R, L):
-    """Continue a motion by the full brake; returns the number of pieces of h [s] (1 or more) until all rests, or -1.
+    """Continue a motion by braking fully; returns the number of pieces of h [s] (1 or more) until all rests, or -1.
 
     Rows of Q, R (K, n): joint values and rates between the pieces, given up to row `first`; of L (K, n): how far each joint
     has gone by then. Each joint brakes as `advance` brakes it when no rate is wanted, inside limits (4, n),

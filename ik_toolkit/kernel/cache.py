@@ -1,4 +1,4 @@
-"""Compiled kernels on disk: never stale, never half a file, and no reason to fail when the disk is full or damaged.
+"""Compiled kernels on disk: never stale, never half a file, and never an error when the disk is full or damaged.
 
 numba's own cache watches the file of the cached function only, keeps all kernels of a function in one index that two
 processes may overwrite for each other, and passes on whatever a damaged file makes of unpickling. Here each kernel is one
@@ -32,10 +32,10 @@ COMPILING = logging.getLogger("ik_toolkit.compile")
 
 
 class MemoryCache(NullCache):
-    """Keeps nothing: a kernel is compiled in every process. Says so when it happens."""
+    """Keeps nothing: a kernel is compiled in every process. Logs when that happens."""
 
     def __init__(self, what: str, why: str) -> None:
-        """Name what is compiled, and why it cannot be kept."""
+        """Log what is compiled, and why it cannot be kept."""
         self.what, self.why = what, why
 
     def load_overload(self, sig: Any, target_context: Any) -> None:
@@ -55,14 +55,14 @@ class DiskCache(FunctionCache):
         return (*super()._index_key(sig, codegen), self.stamp, numba.__version__, llvmlite.__version__)
 
     def path(self, key: tuple) -> Path:
-        """File of a key; the second part of its name says of which kernel sources it is."""
+        """File of a key; the second part of its name identifies the kernel sources it was made from."""
         name = f"{PREFIX}{self._impl.filename_base}.{stamp_of(KERNEL)[:12]}.{_hash(repr(key).encode())[:16]}{SUFFIX}"
         return Path(self._cache_path) / name
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """Compiled code for a signature; None, and numba compiles, when there is none that is whole.
+        """Compiled code for a signature; None (then numba compiles) when no intact file exists.
 
-        numba's own cache also loads all that compiling takes (`refresh`, 0.3 s of a first answer); its compiler does so again.
+        numba's cache also loads all that compiling needs (`refresh`, 0.3 s of a first answer); its compiler does the same later.
         """
         rtsys.initialize(target_context)
         key = self._index_key(sig, target_context.codegen())
@@ -73,14 +73,14 @@ class DiskCache(FunctionCache):
                 return self._impl.rebuild(target_context, payload)
         except FileNotFoundError:
             pass
-        except Exception as error:  # whatever is wrong with a cache, compiling helps
+        except Exception as error:  # whatever is wrong with a cache, compiling is a way out
             LOG.warning("%s cannot be used and is made anew: %s", path, error)
         where = {"folder": Path(self._cache_path)}
         COMPILING.info("compiling %s (%s)", self.what, "first use on this machine, some seconds", extra=where)
         return None
 
     def save_overload(self, sig: Any, data: Any) -> None:
-        """Keep compiled code; where that cannot be written, the process goes on with what it has."""
+        """Keep compiled code; where that cannot be written, the process continues with the code it has."""
         if not self._impl.check_cachable(data):
             return
         key = self._index_key(sig, data.codegen)
@@ -93,7 +93,7 @@ class DiskCache(FunctionCache):
 
 @functools.cache  # once a process and reason
 def not_kept(folder: str, why: str) -> None:
-    """Say that the folder takes no kernels."""
+    """Warn that the folder cannot hold kernels."""
     LOG.warning(
         "compiled kernels cannot be kept in %s (%s): every process compiles again; see `ik doctor`", folder, why
     )

@@ -15,7 +15,7 @@ from .seeds import FEATURES, PAD, ROTATION_WEIGHT, SEEDS
 
 __all__ = ["ROW", "Chain", "pack"]
 WINDING = 5 * TAU
-TURNING = 1e4  # rad; a joint with a wider range has limits in name only
+TURNING = 1e4  # rad; the limits of a joint with a wider range are nominal
 
 
 @cached
@@ -142,7 +142,7 @@ def segments(rows: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> np.ndarr
 
 
 def box(lower: np.ndarray, upper: np.ndarray, slides: np.ndarray, turns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Where to draw starts (kernel units): inside the limits, one turn or one reach where there are none (or as good as none)."""
+    """Where to draw starts (kernel units): inside the limits, one turn or one reach where there are none (or practically none)."""
     half = np.where(slides, 1.0, np.pi)
     low = np.where(np.isfinite(lower), lower, np.where(np.isfinite(upper), upper - 2 * half, -half))
     high = np.where(np.isfinite(upper), upper, low + 2 * half)
@@ -154,7 +154,7 @@ def box(lower: np.ndarray, upper: np.ndarray, slides: np.ndarray, turns: np.ndar
 def table(rows: np.ndarray, ends: np.ndarray, seeds: np.ndarray, kinematics: Callable = run) -> np.ndarray:
     """Features (13, N + PAD) of the configurations `seeds` (N, n): the last joint's rotation, the tip point (seeds.nearest).
 
-    kinematics: `run`, or `evaluate` where nothing is to be compiled yet.
+    kinematics: `run`, or `evaluate` where nothing may be compiled yet.
     """
     count, n = seeds.shape
     tip, tail = ends[12:24], ends[POINTS + 7 * n :]
@@ -228,7 +228,7 @@ def pack(
     own = followers == 1
     own[owner[np.abs(rows[:, 4] + rows[:, 6] - 1.0) > RATIO]] = False
     turns = (upper - lower >= TAU - 1e-9) & ~slides & ~mixed & own
-    # Reach: offsets along the path plus finite strokes; one metre where that says nothing.
+    # Reach: offsets along the path plus finite strokes; one metre where that gives no bound.
     lengths = segments(rows, lower, upper)
     finite = np.where(np.isfinite(lengths), lengths, np.hypot(rows[:, 2], rows[:, 3]) + np.abs(rows[:, 7]))
     reach = float(finite[1:].sum() + np.linalg.norm(tip[9:]))
@@ -251,7 +251,7 @@ def pack(
     tail = [scale, *reach_bounds(rows, tip, low_k, high_k)]
     inside = [np.where(endless, -WINDING, low_k), np.where(endless, WINDING, high_k), turns + 1.0 * endless, unit]
     ends = np.concatenate([base, tip, *inside, low, high - low, home / unit, tail])
-    # A seed nobody else uses: a target drawn with default_rng(1) must not be found in the table by accident.
+    # An uncommon seed: a target drawn with default_rng(1) must not be found in the table by accident.
     seeds = np.random.default_rng(0x5EED7AB1E).uniform(low, high, (SEEDS, n))
     features = table(rows, ends, seeds, evaluate)
     return Chain(rows, ends, seeds, features, unit, lower, upper, turns.astype(float), scale, reach, bool(own.all()))

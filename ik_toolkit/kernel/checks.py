@@ -1,4 +1,4 @@
-"""What is decided about a target outside the iteration: rigid, out of reach."""
+"""Decisions about a target outside the iteration: whether it is a pose, and whether it is in reach."""
 
 import math
 
@@ -8,14 +8,14 @@ from .records import WHAT
 from .task import allowance
 
 CONVERGED, STALLED, ITERATION_LIMIT, LIMIT_BLOCKED, UNREACHABLE, SINGULAR, NOT_FINITE, CHECK_FAILED = range(8)
-BAD_TARGET, BAD_START = 8, 9  # never seen by a caller: the target or the start needs a look outside the kernel
+BAD_TARGET, BAD_START = 8, 9  # never seen by a caller: the target or the start must be examined outside the kernel
 TOO_FAR = 11  # 10 is COLLISION, found outside the kernel
 LAST_ROW = 1e-9  # how far the last row of a pose may be off 0 0 0 1
 REACH_SLACK = 1e-9  # [kernel units] more than any rounding of the bound: "unreachable" is a proof
-WIDE = 2.0  # rad of rotation left from which on it says nothing of where the last joint is: a chord is never longer
+WIDE = 2.0  # rad of remaining rotation above which it gives no bound on the last joint's place: a chord is never longer
 UNSEEN = 1e-16  # cos^2 of the angle between error and what the joints can do, below which that is rounding
-BLOCKED = 1e-4  # share of the squared gradient left to free joints, below which limits are what holds the attempt
-FAR = 1e100  # coordinates [m] beyond this are refused: their squares are no numbers
+BLOCKED = 1e-4  # share of the squared gradient left to free joints, below which the attempt counts as held by limits
+FAR = 1e100  # coordinates [m] beyond this are refused: their squares would overflow
 
 
 @inner
@@ -88,7 +88,7 @@ def is_rigid(T):
 
 @inner
 def standstill(p, look, near, boxed):
-    """Why an attempt stands still, after p.jacobian: blocked by limits, singular (no joint sees the error), or stalled."""
+    """Why an attempt makes no progress, after p.jacobian: blocked by limits, singular (no joint sees the error), or stalled."""
     q, J = p.desk.q, p.desk.J
     whole, free, size = 0.0, 0.0, 0.0
     for i in range(q.shape[0]):

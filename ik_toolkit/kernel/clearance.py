@@ -13,7 +13,7 @@ from .algebra import at3, put3
 from .brake import position, speeds
 from .jit import cached, inline, jit
 
-FINEST = 1.0 / 64.0  # of a piece: what cannot be proven in parts of this size is left to a new measurement
+FINEST = 1.0 / 64.0  # of a piece: what cannot be proven in parts of this size needs a new measurement
 
 
 @inline
@@ -115,12 +115,12 @@ def bend(turn, lever, moved, length):
 def free_until(
     V, coordinates, middle, radius, a, b, by_a, by_b, ks, normals, distances, levers, Q, R, L, gamma, h, start, out
 ) -> None:
-    """How far each of pairs ks (K,) is free for sure along a path of `brake`, out (K,) in pieces, seen from `start` pieces.
+    """How far each of the pairs ks (K,) is certainly free along a path of `brake`, out (K,) in pieces, seen from `start` pieces.
 
     distances (K,) [m] they have, and normals (K, 3), from first to second, at the start; V, middle (S, 3) as in `levers`, there,
     too; levers (P, E) for all of the path. Nothing convex reaches through the plane between two parts before their points have
     come that much closer along its normal: by the velocities at the start times the moves of the joints, and by the bend of
-    their ways. A normal of zeros stands for parts that are not convex: then only the length of the ways counts.
+    their ways. A zero normal stands for parts that are not convex: then only the length of the paths counts.
     """
     E, last = V.shape[0], Q.shape[0] - 1
     first = min(int(start), last - 1)

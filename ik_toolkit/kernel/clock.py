@@ -12,9 +12,9 @@ from .motion import STATE
 QUICK = 10.0  # [1/s] largest change of the clock's rate
 SPARE = 0.98  # share of the limits that the look-ahead uses: the run is not quite the motion it looks at
 WHOLE = 1e-9  # [samples] within which the clock is at a sample
-STILL = 1e-3  # clock rate below which a run stands still ...
-PATIENCE = 1.0  # [s] and for how long, before it goes on without the path
-PROGRESS = 0.99  # share of the error from which on standing still counts as getting nearer
+STILL = 1e-3  # clock rate below which a run counts as standing still ...
+PATIENCE = 1.0  # [s] ... and for how long, before the run continues off the path
+PROGRESS = 0.99  # ratio of errors below which a waiting run counts as getting nearer
 HALVINGS = 30  # of the interval in which the square of the rate is searched: it ends at 1e-9
 
 
@@ -123,7 +123,7 @@ def next_rate(state, excess, most, h):
     else:
         state[STATE.idle] += h
     if state[STATE.idle] > PATIENCE:
-        state[STATE.leaving] = 1.0 - state[STATE.leaving]  # and back, where going on has not led away from the path
+        state[STATE.leaving] = 1.0 - state[STATE.leaving]  # and back, where continuing has not led away from the path
         state[STATE.idle] = 0.0
     aim = most if state[STATE.waiting] == 0.0 or state[STATE.leaving] > 0.0 else 0.0
     change = QUICK * h

@@ -44,9 +44,11 @@ WANTED, MET, SHORT, RELAXED, INEXACT = range(5)
 FULL, CLOCK, ASIDE, SLACK, EASED = range(5)  # problems to solve
 SMALL = 1e-4  # size of the clock's column beside the task's largest row: the share its square has against the joints' is 1e-8
 FULL_CLOCK = 1e-6  # share of cap from which on a full clock is tried
-DIRECTION = 100.0  # weight of leaving the direction against falling behind along it, where nothing is blocked
-LOOSE = 1e-9  # by how much more than the least slack half-planes are loosened: what is left between them is wider than rounding
-CUT_AT = 0.1  # of a joint's speed: where the rate wanted is so far outside the box, the feed-forward is cut in full
+DIRECTION = 100.0  # weight of deviating from the direction against falling behind along it, where nothing is blocked
+LOOSE = (
+    1e-9  # half-planes are loosened by this much more than the least slack: the room left between them exceeds rounding
+)
+CUT_AT = 0.1  # of a joint's speed: where the rate wanted is that far outside the box, the feed-forward is removed
 
 
 @compiled
@@ -71,7 +73,7 @@ def room_on(block, n, m, rows):
 
 @build
 def make_room(n, m, rows):
-    """The same with a block of its own, for what runs on arrays and counts references."""
+    """The same with its own block, for code that runs on arrays and counts references."""
     return room_on(np.zeros(room_space(n, m, rows)), n, m, rows)
 
 
@@ -108,7 +110,7 @@ def outside(want, scale, low, high, A, b, count):
 
 @inner
 def load(J, weight, feedback, forward, want, scale, low, high, A, b, count, cap, loose, P, V, S, task):
-    """Write the problem in scaled unknowns, the clock full: how many rows the task has, and whether a half-plane is no row."""
+    """Write the problem in scaled unknowns, the clock full: how many rows the task has, and whether a half-plane is degenerate."""
     n = J.shape[0]
     for i in range(n):
         V[WANT, i] = want[i] / scale[i]
@@ -250,7 +252,7 @@ def prepare(
 
 @inner
 def as_wanted(want, x, active, kept, multiplier):
-    """The rate wanted, bit for bit; nothing holds."""
+    """The rate wanted, bit for bit; no constraint is active."""
     for i in range(x.shape[0]):
         x[i] = want[i]
         active[i] = 0
@@ -316,7 +318,7 @@ def solve_step(
     J, weight, feedback, forward, want, beside, scale, low, high, A, b, count, mode, cap, singular, damping, step,
     x, active, kept, multiplier, P, W, L, U, V, S, state, order, task,
 ):  # fmt: skip
-    """Do what `constrain` says: one loop over the problems to solve, as each is large code."""
+    """Carry out `constrain`: one loop over the problems to solve, because the code of each is large."""
     n = J.shape[0]
     last = kept.shape[0] - 1
     top = cap if mode == SLOW else 1.0

@@ -16,7 +16,7 @@ from .cache import make_cache
 
 try:
     from .parts import CalledPipeline, KernelPipeline, PartPipeline
-except ImportError:  # another numba: it compiles parts its own way, which takes longer
+except ImportError:  # another release of numba compiles parts in its usual way, which takes longer
     PARTS, CALLED, KERNEL = {}, {}, {}
 else:
     PARTS, CALLED = {"pipeline_class": PartPipeline}, {"pipeline_class": CalledPipeline}
@@ -24,17 +24,17 @@ else:
 
 # No nnan/ninf: a NaN has to fail every test instead of being assumed away.
 OPTIONS: dict[str, Any] = {"fastmath": {"nsz", "arcp", "contract", "afn", "reassoc"}, "error_model": "numpy"}
-jit = njit(**OPTIONS)  # may be called from Python, too; compiled into its callers, never cached on its own
+jit = njit(**OPTIONS)  # also callable from Python; compiled into its callers, never cached separately
 # What follows is for the kernel alone (see parts.py); a call from Python would crash. Only what makes arrays counts references
 # (`build`); all the rest borrows them, so a record of arrays costs nothing to pass, and must not return an array, or a record
 # of arrays, to a function that counts.
 # What makes arrays is compiled by plain numba: as a part, its references are counted in full, 5 microseconds a call.
 BUILD: dict[str, Any] = dict(OPTIONS, no_cpython_wrapper=True, no_cfunc_wrapper=True, forceinline=True)
 INLINE: dict[str, Any] = dict(BUILD, _nrt=False, **PARTS)
-# numba hands the wish to be inlined on to all that is called, unless it is refused.
+# numba passes the request to inline on to everything that is called, unless it is refused.
 BARE: dict[str, Any] = dict(INLINE, forceinline=False)
-inner = njit(**{**BARE, **CALLED})  # one copy, called: for what is cold, or large and used at several places
-inline = njit(**INLINE)  # into every caller; also what takes or returns records, which are expensive to pass
+inner = njit(**{**BARE, **CALLED})  # one copy, called: for code that is rarely run, or large and used in several places
+inline = njit(**INLINE)  # into every caller; also for code that takes or returns records, which are expensive to pass
 build = njit(**BUILD)
 spliced = njit(inline="always", **BARE)  # for a large part called once: no second copy is optimised
 
@@ -67,7 +67,7 @@ def compiled(cls: type) -> type:
 
 
 def _let_numba_know(name: str, example: Callable) -> None:
-    """Tell numba of a method name; its classes are looked up when a call is compiled."""
+    """Register a method name with numba; its classes are looked up when a call is compiled."""
 
     def resolve(self: Any, *_: Any) -> Callable | None:
         return METHODS[name].get(getattr(self, "instance_class", None))  # type: ignore[arg-type]
@@ -93,7 +93,7 @@ def cached(function: Callable, *parts: Any) -> Any:
 
 
 def without_collector(compile_for: Callable) -> Callable:
-    """Compile with the garbage collector at rest: it searches millions of objects, most of them kept, for a tenth of the time."""
+    """Compile with the garbage collector paused: searching millions of objects, most of them kept, takes a tenth of the time."""
 
     @functools.wraps(compile_for)
     def call(*arguments: Any, **keywords: Any) -> Any:

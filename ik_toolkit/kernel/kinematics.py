@@ -124,7 +124,7 @@ def rotation_error(now, goal):
     r, cos1 = rotation_left(now, goal)
     if cos1 > 0.5:
         return r * math.sqrt(2.0 / cos1)
-    # Towards half a turn the length is better taken from the cosine, and at last the axis too.
+    # Near half a turn the length is better taken from the cosine, and finally the axis too.
     square = r.square()
     if square < 1e-8:
         r = half_turn_axis(now, goal, r)

@@ -30,8 +30,8 @@ from .vector import WIDTH, bits, choose, full
 from .view import cut, keep, space, view
 
 LEFT = -1  # status of a target left to the search
-HALF_TURN = 5e-4  # 1 + cos below which a attempt is given up: the axis cannot be told
-ATTEMPTS = 32  # of one target before it is left: by then others would wait for it
+HALF_TURN = 5e-4  # 1 + cos below which an attempt is given up: the axis cannot be determined
+ATTEMPTS = 32  # evaluations of one target before it is left to the search: others would have to wait for it
 ALL = (1 << WIDTH) - 1
 
 
@@ -43,7 +43,7 @@ class Lanes(NamedTuple):
     joints: Array  # (6 n, 8) axes and points, then the Jacobian
     trig: Array  # (3 n, 8)
     goals: Array  # (12, 8)
-    ceiling: Array  # (8,) a attempt whose squared error is above is given up ...
+    ceiling: Array  # (8,) an attempt whose squared error is above this is given up ...
     decay: Array  # ... and this factor lowers it every iteration
     age: Array  # evaluations of this attempt
     spent: Array  # evaluations of this target
@@ -65,7 +65,7 @@ def make_lanes(block, n):
     which, tries, starts = cut(block, np.int64, (W, W, (W, BEST)))
     (state,) = cut(block, np.uint64, ((W, 1),))
     s = Lanes(Q, joints, trig, goals, ceiling, decay, age, spent, pp, rr, which, tries, starts, state)
-    for lane in range(W):  # a lane without a target is computed like the others, so it needs numbers
+    for lane in range(W):  # a lane without a target is computed like the others, so it needs valid numbers
         for i in range(n):
             Q[i, lane] = 0.0
         for i in range(12):
@@ -116,7 +116,7 @@ def move(rows, s, ends, turning, point, linear, angular, damping):
 
 @spliced
 def take_target(p, o, ends, table, s, lane, t, T, Q0, out):
-    """Put target t into a lane; False when it needs the care of the search."""
+    """Put target t into a lane; False when it has to be left to the search."""
     out[t, 0] = LEFT
     excess = p.aim(T[t], o)
     given = o.given > 0.0

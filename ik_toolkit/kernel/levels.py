@@ -1,8 +1,8 @@
-"""Two objectives, the second subject to the first, where what holds holds as an equality: one iteration of qp.py.
+"""Two objectives, the second subject to the first, with the active constraints as equalities: one iteration of qp.py.
 
-Solved from scratch each time, by Gram-Schmidt with pivots and a second pass, at a cost of N r^2: errors do not add up.
+Solved from scratch each time, by Gram-Schmidt with pivots and a second pass, at a cost of N r^2: errors do not accumulate.
 
-Arrays of a `Levels` are handed over one by one, records being expensive to pass. Rows of P: half-planes, each of norm 1, then C.
+The arrays of a `Levels` are passed one by one, since records are expensive to pass. Rows of P: half-planes, each of norm 1, then C.
 """
 
 import math
@@ -17,7 +17,7 @@ from .view import LINE, cut
 Y, WANT, LOW, HIGH, ONE, TWO, NEXT_ONE, NEXT_TWO = range(8)  # rows of V
 RHS, REST, SIZE, Z, H, NORM, ROW_ONE, ROW_TWO, AFTER_ONE, AFTER_TWO, TASK_ONE, TASK_TWO = range(12)  # rows of S
 NONE = -1
-SAME = 1e-10  # share of its length left of a row after taking out the others, below which it depends on them
+SAME = 1e-10  # share of a row's length that remains after the others are removed, below which it depends on them
 ROUNDING = 1e-13  # share of its terms below which a sum is rounding
 
 
@@ -50,7 +50,7 @@ def levels_on(block, N, K):
 
 @build
 def make_levels(N, K):
-    """The same with a block of its own, for what runs on arrays and counts references."""
+    """The same with its own block, for code that runs on arrays and counts references."""
     return levels_on(np.zeros(levels_space(N, K)), N, K)
 
 
@@ -152,7 +152,7 @@ def back(L, order, S, first, end, target, source, out, count, r, lower):
 def equality(P, W, L, U, V, S, state, order, N, count, r, last):
     """The two objectives with what holds held as equalities: V[Y] and the multipliers, V and S of NEXT_ and AFTER_.
 
-    Returns NONE, or a half-plane that depends on the rest of what holds (`last` if it does), and then nothing is found.
+    Returns NONE, or a half-plane that depends on the other active ones (`last` if it does); then no solution is found.
     """
     K = count + r
     for k in range(K):

@@ -7,8 +7,8 @@ import numpy as np
 from .jit import inline, inner
 from .kinematics import TAU
 
-LARGEST = 1e9  # coordinates from which on a start is refused: an angle there has seven digits after the point
-LIGHTEST = 1e-12  # a joint weight below counts as this one in a distance: a held joint does not move anyway
+LARGEST = 1e9  # coordinates above which a start is refused: an angle of that size has seven digits after the point
+LIGHTEST = 1e-12  # smaller joint weights count as this one in a distance: a held joint does not move anyway
 
 
 @inline
@@ -38,7 +38,7 @@ def neighbourhood(q0, rows, follow, slide, limits, ends, near):
             turning = turning or (int(rows[r, 8]) == i and rows[r, 9] > 0.0)
         a = q0[i] / ends.unit(i)
         width = follow if turning else slide / ends.unit(i)
-        # Some units in the last place less, so that a caller's own difference holds.
+        # A few units in the last place less, so that the difference holds when a caller computes it.
         width -= 1e-15 * (abs(a) + width)
         free = ends.turns(i) > 1.5 or not limits
         low = a - width if free else max(a - width, ends.lower(i))
@@ -47,7 +47,7 @@ def neighbourhood(q0, rows, follow, slide, limits, ends, near):
 
 @inner
 def held_back(p, look, near, ends, limits):
-    """Joint that the neighbourhood of the start (not a limit) keeps most from lowering the error, -1 when there is none."""
+    """Joint that the neighbourhood of the start (not a limit) hinders most from lowering the error, or -1."""
     q = p.desk.q
     worst, most = -1, 0.0
     for i in range(q.shape[0]):
@@ -62,7 +62,7 @@ def held_back(p, look, near, ends, limits):
 
 @inline
 def hold(q, dq, w, ends):
-    """Set w = 0 for joints that sit on a limit and are pushed outwards; True when a new one was found."""
+    """Set w = 0 for joints that are at a limit and pushed outwards; True when a new one was found."""
     hit = False
     for i in range(q.shape[0]):
         if w[i] > 0.0 and ((q[i] <= ends.lower(i) and dq[i] < 0.0) or (q[i] >= ends.upper(i) and dq[i] > 0.0)):
@@ -75,7 +75,7 @@ def hold(q, dq, w, ends):
 def integrate(q, dq, limits, ends):
     """Add dq to q, inside the limits (joints that can turn fully take the turn inside them).
 
-    A joint that is not to move stays, so an endless one is held at any turn. Returns the largest move and coordinate.
+    A held joint stays where it is, so an endless one is held at any turn. Returns the largest move and coordinate.
     """
     moved = 0.0
     far = 0.0
@@ -85,9 +85,9 @@ def integrate(q, dq, limits, ends):
         if limits and (a < lower or a > upper) and dq[i] != 0.0:
             if ends.turns(i) > 0.0:
                 a -= TAU * np.rint((a - middle(lower, upper)) / TAU)
-            a = min(max(a, lower), upper)  # after a turn too: it may end a rounding outside
+            a = min(max(a, lower), upper)  # also after a turn: rounding may leave it just outside
         moved = max(moved, abs(a - q[i]))
-        far = far if abs(a) <= far or far != far else abs(a)  # a NaN stays, of whichever joint
+        far = far if abs(a) <= far or far != far else abs(a)  # a NaN of any joint is kept
         q[i] = a
     return moved, far
 
@@ -103,7 +103,7 @@ def turn(wanted, q, ends, i):
 
 @inner
 def other_end(q, start, ends):
-    """Joint of a bounded range that ended more than half a turn from where it started, -1 when there is none."""
+    """Bounded joint that ended more than half a turn from where it started, or -1."""
     for i in range(q.shape[0]):
         if 0.0 < ends.turns(i) < 1.5 and abs(q[i] - start[i]) > math.pi:
             return i
@@ -112,14 +112,14 @@ def other_end(q, start, ends):
 
 @inline
 def face(q, wanted, ends):
-    """Of the same answer several turns away, make q the legal one nearest `wanted` (n,); True when q changed."""
+    """Of the same answer several turns away, make q the one within limits that is nearest `wanted` (n,); True when q changed."""
     turned = False
     for i in range(q.shape[0]):
         if ends.turns(i) > 0.0:
             k = turn(wanted[i] - q[i], q[i], ends, i)
             if k != 0.0:
                 q[i] += k * TAU
-                if ends.turns(i) < 1.5:  # rounding may end outside
+                if ends.turns(i) < 1.5:  # rounding may leave it outside
                     q[i] = min(max(q[i], ends.lower(i)), ends.upper(i))
                 turned = True
     return turned
@@ -127,7 +127,7 @@ def face(q, wanted, ends):
 
 @inner
 def distance(q, other, weights, ends):
-    """Squared distance of two configurations (n,), each joint on the nearest turn; light joints count more."""
+    """Squared distance of two configurations (n,), each joint on the nearest turn; joints with small weights count more."""
     total = 0.0
     for i in range(q.shape[0]):
         a = q[i] - other[i]

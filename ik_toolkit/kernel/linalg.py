@@ -5,10 +5,10 @@ import math
 from .algebra import V3, diagonal
 from .jit import inline, inner
 
-TINY = 1e-300  # smallest pivot: its root and the inverse of that are still numbers
+TINY = 1e-300  # smallest pivot: its root and the inverse of the root are still finite
 SWEEPS = 40  # of Jacobi rotations; convergence is quadratic, six columns need about ten
-ORTHOGONAL = 1e-15  # cosine of the angle between two columns below which it is rounding
-FLAT = 1e-10  # a pivot this much below the largest entry: the matrix has no inverse to rely on
+ORTHOGONAL = 1e-15  # cosine of the angle between two columns, below which it is rounding
+FLAT = 1e-10  # a pivot this much below the largest entry: the inverse of the matrix is not reliable
 
 
 @inline

@@ -21,20 +21,20 @@ from .jit import inner
 from .linalg import cholesky, make_orthogonal
 from .motion import gram
 
-ZERO = 1e-9  # singular value (lengths over reach) below which a direction is not moved at all to first order
+ZERO = 1e-9  # singular value (lengths over reach) below which a direction does not move to first order
 NOTHING = 1e-12  # added to the squares of singular values, which are above LOST^2 here: no more than rounding
-KNOWN = 0.1  # of a unit vector along a direction, from which on it is clear to which side it leads
+KNOWN = 0.1  # component of a unit vector along a direction above which it is clear to which side it points
 LOST = 5e-3  # singular value below which a direction is taken out of the task
 BENT = 0.2  # or share of sigma_k^2, for what is asked times the curvature, above which it is
-FADE = 0.1  # [s] in which a joint's own motion fades along a direction in which nothing moves the tip
+FADE = 0.1  # [s] in which a joint's motion fades along a direction in which nothing moves the tip
 LEAST = 1e-3  # lambda at sigma_k = 0: what is lost of a motion through a singular pose is of the order of its square
-CLOSE = 0.1  # [reaches, or rad] up to which an error is a vector, but for a twentieth
-FLAT = 1e-3  # curvature (reaches over rad^2) below which there is none
-ALONG, BESIDE, BOTH = range(3)  # motions whose curvature is asked
+CLOSE = 0.1  # [reaches, or rad] up to which an error is a vector to within a twentieth
+FLAT = 1e-3  # curvature (reaches over rad^2) below which it counts as zero
+ALONG, BESIDE, BOTH = range(3)  # motions whose curvature is evaluated
 SIDE = 0.2  # [s] for which the side is kept from which the joints came to a singular pose: a swing across is shorter
 # Share of the way to the closest pose that a step takes: beside a free direction whole ways zigzag, as steepest descent does.
 CAUTION = 2.0 / 3.0
-CLEAR = 1e-4  # singular value from which on it is clear on which side of the singular pose the joints are
+CLEAR = 1e-4  # singular value above which it is clear on which side of the singular pose the joints are
 
 
 @inner
@@ -72,13 +72,13 @@ def lost_direction(W, sigma, away, v):
         size += v[i] * v[i]
     size = math.sqrt(size)
     for i in range(n):
-        v[i] = v[i] / size if size > ZERO else 0.0  # what rounding leaves is no direction
+        v[i] = v[i] / size if size > ZERO else 0.0  # a remainder of rounding is not a direction
     return size > ZERO
 
 
 @inner
 def mode_probe(V, r, rate, part, h, x):
-    """Write to x (n,) the motion whose curvature is asked: along v_r, of the joints beside it in a step, or both together."""
+    """Write to x (n,) the motion whose curvature is evaluated: along v_r, of the joints beside it in a step, or both together."""
     own = 0.0
     for i in range(x.shape[0]):
         own += V[i, r] * rate[i]
@@ -108,7 +108,7 @@ def way_along(sigma, b, E, own, side, home, h):
             heading = side
         if half > 0.0:
             half = half if heading > 0.0 else -half
-            # the second form where the first is the difference of near numbers
+            # the second form where the first is a difference of nearly equal numbers
             y = middle + half if middle * half > 0.0 else -2.0 * E / (b * (middle - half))
     else:
         y = E / sigma if sigma > ZERO else 0.0
@@ -128,7 +128,7 @@ def mode_part(U, r, vector):
 
 @inner
 def mode_moved(U, r, e, ahead, f, h):
-    """Part along u_r of the target's motion in a step: the difference of two errors, but of large ones, which are no vectors."""
+    """Part along u_r of the target's motion in a step: a difference of two errors, except for large ones: those are not vectors."""
     size = 0.0
     for c in range(e.shape[0]):
         size += e[c] * e[c]
@@ -139,7 +139,7 @@ def mode_moved(U, r, e, ahead, f, h):
 
 @inner
 def mode_direction(W, sv, r, away, way, v):
-    """Write v_r to v (n,); False where there is none to move along."""
+    """Write v_r to v (n,); False where there is no direction to move along."""
     if sv[r] > ZERO:
         for i in range(v.shape[0]):
             v[i] = W[i, r] / sv[r]
@@ -170,7 +170,7 @@ def mode_speed(V, r, sigma, curve, own, left, moved, gain, h, slow, limits, lost
     for last in range(0 if a < np.inf else 1, 2):  # first for the error alone
         E = moved + h * gain * left - 0.5 * curve[BESIDE] if last == 1 else left
         y, D = way_along(s, b, E, h * own, back, near > 1.0, h)
-        most = approach(abs(y), 0.0, 1.0, h, 0.5 * a, h)  # so that it can brake before the error is gone, see `ease`
+        most = approach(abs(y), 0.0, 1.0, h, 0.5 * a, h)  # so that it can brake before the error is zero, see `ease`
         if last == 0 and gain * abs(y) > most:
             left *= most / (gain * abs(y))
     edge = D < 0.0

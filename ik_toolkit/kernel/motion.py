@@ -24,14 +24,14 @@ CLIP = 3  # beside LEAVE, SLOW and DIRECT of constrain.py: each joint clipped on
 AT_RATE, AT_RATE_AND_STEP, AT_STEP = range(3)  # where aa takes dJ/dt: readings 1, 2, 3 of eq (25)
 MOVING, GIVEN, RUNNING, READY = range(4)  # start with the reference's rate, with the rate given; go on; all is known
 FINE, NOT_FINITE, RUNAWAY = range(3)
-SINGLE = 1e-24  # share of the largest diagonal entry of JJ' below which a row is one the joints cannot move
+SINGLE = 1e-24  # share of the largest diagonal entry of JJ' below which the joints cannot move along a row
 FAR = 0.25  # of curvature times error: damped by it, a direction asks for at most the root of error over curvature
-AT = 1e-9  # [rad, or reaches] from a limit at which a joint is at it
+AT = 1e-9  # [rad, or reaches] from a limit within which a joint counts as at the limit
 REGION = 2.0  # damping fades in where the smallest singular value falls below REGION * damping
 
 
 class State(NamedTuple):
-    """What a tracker keeps between steps, as an array that Python hands over."""
+    """What a tracker keeps between steps, as an array that Python passes in."""
 
     start: int  # how the next step begins: MOVING, GIVEN, RUNNING
     period: int  # length of the last step [s]
@@ -39,7 +39,7 @@ class State(NamedTuple):
     clock: int  # [samples] of the reference
     sigma: int  # rate of the clock in the last step
     waiting: int  # 1: the error was above the tolerance, and not yet below half of it
-    leaving: int  # 1: waiting has not helped, so the run goes on without the path
+    leaving: int  # 1: waiting has not helped, so the run continues off the path
     idle: int  # [s] for which it has stood still
     least: int  # least error over tolerance in that time
     near: (
@@ -52,7 +52,7 @@ STATE = State._make(range(len(State._fields)))  # places in the array
 
 @compiled
 class Law(NamedTuple):
-    """A tracking method and its gains; those it does not have are 0. Python hands it over as an array."""
+    """A tracking method and its gains; those it does not have are 0. Python passes it as an array."""
 
     code: float  # CV, AV, CA, AA
     kappa: float
@@ -73,7 +73,7 @@ class Law(NamedTuple):
     rows: float  # half-planes that hold
 
 
-PLACE = Law._make(range(len(Law._fields)))  # in the array that Python hands over
+PLACE = Law._make(range(len(Law._fields)))  # in the array that Python passes in
 
 
 @inner
@@ -214,7 +214,7 @@ def prepare(p, J, m, ahead, rate, h, G, y, t, move, null, x1, x2):
         reading = int(p.reading) if code == AA else AT_RATE
         for i in range(n):
             null[i] = rate[i] - null[i]
-            expected = move[i] / h + null[i]  # with the null part, or a redundant arm loses an order
+            expected = move[i] / h + null[i]  # with the null part; without it a redundant arm loses an order
             x1[i] = expected if reading == AT_STEP else rate[i]
             x2[i] = rate[i] if reading == AT_RATE else expected
 
@@ -264,7 +264,7 @@ def command(p, J, m, e, v, a, bias, rate, prev, h, ratio, G, y, t, move, null, x
 
 @jit
 def ease(p, J, m, e, ahead, h, q, limits, planes, edges, count, fast, quick, walls, bend, G, H, y, c):
-    """Shrink the error fed back (e and ahead, in place) until the joints could brake before it is gone.
+    """Shrink the error fed back (e and ahead, in place) until the joints can brake before it reaches zero.
 
     A method that removes a large error in one step asks for far more acceleration than there is; clipped, it overshoots
     and swings for ever. The shares `fast` of each joint's speed and `quick` of its acceleration are left to the correction.
@@ -294,7 +294,7 @@ def ease(p, J, m, e, ahead, h, q, limits, planes, edges, count, fast, quick, wal
             cap = fast * limits[2, i]
             if limits[3, i] < np.inf:
                 cap = min(cap, approach(size, 0.0, 1.0, h, quick * limits[3, i], h))
-            if natural * size > cap > 0.0:  # a locked joint has no say: the others close the error
+            if natural * size > cap > 0.0:  # a locked joint does not count: the others close the error
                 f = min(f, cap / (natural * size))
         if f == 1.0 or not blocked or bend == 0.0:
             break
@@ -307,7 +307,7 @@ def ease(p, J, m, e, ahead, h, q, limits, planes, edges, count, fast, quick, wal
 
 @jit
 def settle(p, h, rate_before, x, code, prev):
-    """After limits: what a held-back joint really did becomes its earlier command (no wind-up)."""
+    """After limits: the rate that a held-back joint really took becomes its previous command (no wind-up)."""
     if p.code == CV or p.code == CA:
         for i in range(x.shape[0]):
             if code[i] > 0:

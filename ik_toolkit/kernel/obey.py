@@ -13,13 +13,13 @@ from .motion import CLIP, NOT_FINITE, RUNAWAY, STATE, apply
 from .records import copy
 from .wanted import Published
 
-LARGEST = 1e300  # a sum of joint speeds from which on it is no number to follow
-SINGULAR, DAMPING = 1e-6, 1e-6  # of `constrain`: lost directions are taken out of the task before it sees them
+LARGEST = 1e300  # sum of joint speeds above which they cannot be followed
+SINGULAR, DAMPING = 1e-6, 1e-6  # of `constrain`: lost directions are removed from the task before it sees them
 
 
 @inline
 def judge(wanted, h, p, state):
-    """Make the joint speeds `wanted` zero where they cannot be followed or the arm brakes; whether to stop, to hold still."""
+    """Set the joint speeds `wanted` to zero where they cannot be followed or the arm brakes; returns whether to stop, to hold."""
     largest = 0.0
     for k in range(wanted.shape[0]):
         largest += abs(wanted[k])
@@ -28,7 +28,7 @@ def judge(wanted, h, p, state):
     if still:
         for k in range(wanted.shape[0]):
             wanted[k] = 0.0
-    elif bad or (p.mode == CLIP and largest * h > p.runaway * wanted.shape[0]):  # else the box has the last word
+    elif bad or (p.mode == CLIP and largest * h > p.runaway * wanted.shape[0]):  # otherwise the box decides
         state[STATE.stop] = NOT_FINITE if bad else RUNAWAY
         return True, still
     return False, still
@@ -36,7 +36,7 @@ def judge(wanted, h, p, state):
 
 @inline
 def by_constraints(law, s, weight, count, sigma, h, state, work, active, kept, code):
-    """Rates that the limits allow, to s.x: the clock's rate then, and whether anything was in the way of those wanted."""
+    """Rates that the limits allow, to s.x: the clock's rate then, and whether anything prevented those wanted."""
     n, m = s.J.shape
     mode = LEAVE if state[STATE.leaving] > 0.0 and law.mode == SLOW else int(law.mode)
     for k in range(m):

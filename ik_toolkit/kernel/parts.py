@@ -1,4 +1,4 @@
-"""How parts of a kernel are compiled: numba makes machine code of every function, but parts are never run on their own."""
+"""How parts of a kernel are compiled: numba makes machine code of every function, but parts are never run separately."""
 
 import inspect
 from functools import partial
@@ -12,7 +12,7 @@ from numba.core.compiler import Compiler, Flags
 
 from .quick import Passes, remembering, size_of
 
-# What is used of numba beyond its documentation; where it is missing or takes other arguments, jit.py does without this module.
+# Undocumented parts of numba; where they are missing or take other arguments, jit.py does without this module.
 USED = ("_optimize_functions", "_optimize_final_module", "_finalize_final_module")
 KNOWN = "no_compile" in Flags.options and all(hasattr(JITCodeLibrary, name) for name in USED)
 _, *asked = inspect.signature(CPUCodegen._function_pass_manager).parameters.values()
@@ -21,9 +21,9 @@ if not KNOWN or any(one.kind == one.POSITIONAL_OR_KEYWORD and one.default is one
 
 
 class PartLibrary(JITCodeLibrary):
-    """Code of a part, simplified, but no machine code of it, and none of what it calls is optimised once more.
+    """Code of a part, simplified, but without machine code, and without optimising again what it calls.
 
-    All of a kernel is optimised once, when everything is in it. To simplify each function before is worth it: it is short then.
+    All of a kernel is optimised once, when everything is in it. Simplifying each function beforehand pays off: it is short then.
     """
 
     def add_ir_module(self, ir_module: Any) -> None:
@@ -99,7 +99,7 @@ class CalledLibrary(PartLibrary):
         super()._optimize_functions(ll_module)
 
 
-# Options of a part that what it calls has for itself; numba sets the second by the first.
+# Options of a part that the functions it calls set for themselves; numba derives the second from the first.
 OWN = {"forceinline", "dbg_optnone"}
 
 
@@ -114,7 +114,7 @@ class Quick(Flags):
         return self._values
 
     def __hash__(self) -> int:
-        return hash(Quick)  # beside the types of a call, which tell calls apart
+        return hash(Quick)  # next to the types of a call, which tell calls apart
 
     def __eq__(self, other: Any) -> bool:
         return isinstance(other, Quick) and self._shared() == other._shared()
@@ -123,8 +123,8 @@ class Quick(Flags):
         return {name: value for name, value in self._values.items() if name not in OWN}
 
 
-# Passes that find nothing to do in a part: `with`, comprehensions, functions made in functions, exceptions, numba's own inlining,
-# expressions of arrays. Each walks through the whole function, and so does what follows a pass.
+# Passes that have nothing to do in a part: `with`, comprehensions, functions made in functions, exceptions, numba's own inlining,
+# expressions of arrays. Each visits the whole function, and so does the work that follows a pass.
 UNNEEDED = {
     "WithLifting", "InlineClosureLikes", "MakeFunctionToJitFunction", "RewriteSemanticConstants", "RewriteDynamicRaises",
     "FindLiterallyCalls", "LiteralUnroll", "LiteralPropagationSubPipelinePass", "InlineOverloads", "NopythonRewrites",

@@ -1,7 +1,7 @@
 """The path through tracks of solutions with the fewest reconfigurations, and of these the cheapest: a dynamic program.
 
 A state is a track at a pose. From one pose to the next a path stays on its track, changes to one within reach of a step, or
-reconfigures: to any state at all, from the best of the pose before. So a layer costs the near pairs, not all of them.
+reconfigures: to any state at all, from the best of the pose before. So a layer costs the near pairs, not all pairs.
 """
 
 import numpy as np
@@ -11,7 +11,7 @@ from .kinematics import TAU
 
 DEAD, UNTESTED, FREE, TOUCHING = range(4)  # what is known of a state
 NONE = -1  # no parent; below that -2 - parent: a reconfiguration
-CONTACT = 1 << 20  # a pose in contact counts as so many reconfigurations: any number of them is better
+CONTACT = 1 << 20  # a pose in contact counts as this many reconfigurations: any number of them is better
 
 
 @inline
@@ -24,7 +24,7 @@ def turned(d, endless):
 def step(Q, t, a, u, b, most, endless, price, near, enough):
     """Cost of moving from state a to b; inf where that is `enough` or more.
 
-    And where these are no near states (near > 0): a joint moves further than it may.
+    Where these are not near states (near > 0), a joint moves further than it may.
     """
     total, over = 0.0, 0.0
     for i in range(most.shape[0]):

@@ -17,7 +17,7 @@ from .records import HEAD, TASK, Orders, copy, read
 from .refine import Bounds, correct
 from .search import problem
 
-SHORTEST = 1.0 / 256  # share of the way between two poses below which a step is not halved again
+SHORTEST = 1.0 / 256  # share of the distance between two poses below which a step is not halved again
 TURNED = 1e-12  # sine of an angle between two poses below which there is nothing to turn
 
 
@@ -59,7 +59,7 @@ def within(q, old, most):
 
 @spliced
 def advance(p, o, weights, box, flat, pose, sheet, a, b, most, deviation, old, new):
-    """Move p.desk.q from a solution of pose a to one of pose b; False where that is no continuous motion."""
+    """Move p.desk.q from a solution of pose a to one of pose b; False where there is no continuous motion."""
     q = p.desk.q
     copy(q, old)
     done, part = 0.0, 1.0

@@ -1,6 +1,6 @@
 """What a search runs on: one tip (`serial.Serial`) or several with shared joints (`tree.Tree`). Both answer the same calls.
 
-    aim(T, orders)     take a target: by how much it is out of reach [kernel units], -1 when it is no pose
+    aim(T, orders)     take a target: by how much it is out of reach [kernel units], -1 when it is not a pose
     evaluate(q)        the errors there, as a look: e.ee the squared norm of all of them, e.good inside the tolerances
     stand(q), see()    the same in two parts, for several targets at one q
     jacobian(look)     fill J (n, m), one joint a row, linear part first, six columns a tip
@@ -51,12 +51,12 @@ class Desk(NamedTuple):
     J: Array  # (n, m)
     A: Array  # (m, m)
     y: Array  # (m,)
-    e: Array  # (m,) errors as they are minimised, of several tips
+    e: Array  # (m,) errors of several tips, as they are minimised
     spent: Array  # (2,) evaluations made, and how many are allowed
     errors: Array  # (3, F, 2) squared errors kept, see BEST_OF_ALL; position, rotation
 
     def affords(self, evaluations):
-        """Whether a rule may make so many evaluations, and one is left for the search itself."""
+        """Whether a rule may make this many evaluations with one left for the search itself."""
         return self.spent[0] + evaluations < self.spent[1]
 
 
@@ -80,7 +80,7 @@ def tolerances(orders, kind, scale):
 
 @inline
 def take(T, ends, task, goal, orders):
-    """Write a target to goal (GOAL,). Returns by how much it is out of reach, -1 when it is no pose."""
+    """Write a target to goal (GOAL,). Returns by how much it is out of reach, -1 when it is not a pose."""
     if not rigid(T):
         return -1.0
     aim(ends, T, goal)

@@ -1,6 +1,6 @@
-"""What numba does again for every call of a part: remembered, or left out, while a kernel is compiled.
+"""Work that numba repeats for every call of a part: cached, or left out, while a kernel is compiled.
 
-Nothing of it changes what is made: the same functions are found for the same types, and the same code comes out.
+None of this changes the result: the same functions are found for the same types, and the same code comes out.
 """
 
 import sys
@@ -16,7 +16,7 @@ from numba.core.postproc import PostProcessor
 from numba.core.transforms import canonicalize_cfg
 
 everything = PostProcessor.run
-# Whom numba tells of every call of LLVM, some 20,000 a kernel: its clocks, one for each part that is being compiled.
+# numba's timers, one for each part being compiled, which it notifies of every call of LLVM, some 20,000 a kernel.
 listeners: list = getattr(getattr(ffi.lib, "_lock", None), "_cblist", [])
 
 
@@ -46,12 +46,12 @@ def in_order(self: Any, emit_dels: bool = False, extend_lifetimes: bool = False)
 
 @cache
 def size_of(target: Any, kind: Any) -> int:
-    """Bytes of a type of LLVM: numba writes a module with a variable of it, and has that parsed."""
+    """Bytes of a type of LLVM: numba writes a module with a variable of that type and has it parsed."""
     return kind.get_abi_size(target)
 
 
 def remembered(function: Callable) -> Callable:
-    """The same function, which answers at once when it was called with the same objects before.
+    """The same function, with its results cached by the identity of its arguments.
 
     numba has one object for equal types, so objects are compared: a record of records takes long to compare.
     """
@@ -61,7 +61,7 @@ def remembered(function: Callable) -> Callable:
         key = tuple(map(id, arguments))
         found = known.get(key)
         if found is None:
-            found = function(*arguments), arguments  # kept, so that no other object gets their places
+            found = function(*arguments), arguments  # kept, so that no other object gets the same address
             if found[0] is not None:
                 known[key] = found
         return found[0]
@@ -73,7 +73,7 @@ def remembered(function: Callable) -> Callable:
 def remembering(typing: Any) -> Iterator[None]:
     """Look up what is called with which types, and each field and method of a record, once for a whole kernel.
 
-    typing: numba's typing context. The caller holds numba's lock, so nobody else compiles meanwhile. What is remembered ends
+    typing: numba's typing context. The caller holds numba's lock, so nothing else is compiled meanwhile. What is remembered ends
     with the kernel: functions may be defined anew before the next.
     """
     if "resolve_function_type" in vars(typing):  # a kernel that calls a kernel

@@ -1,4 +1,4 @@
-"""What goes into the compiled loops and what comes out, by name. The order of the fields is the layout of the flat arrays.
+"""Inputs and outputs of the compiled loops, by name. The order of the fields is the layout of the flat arrays.
 
 Python packs `[*Orders(...), *Task(...), ...]` and reads `row[AT.status]`; the kernel makes the same records from the same
 arrays. Flat arrays cross the boundary because they are cheap there (50 ns each, a record of arrays twice that).
@@ -41,10 +41,10 @@ class Orders(NamedTuple):
 
 
 class Task(NamedTuple):
-    """What of the error of a tip counts, as `task` reads it; lengths in kernel units, the axis in the last joint's frame."""
+    """Which part of a tip's error counts, as `task` reads it; lengths in kernel units, the axis in the last joint's frame."""
 
     kind: float  # POSE, POSITION, FREE or PART
-    frame: float = 0.0  # whose axes weights and slacks are along: BASE, TIP or TARGET
+    frame: float = 0.0  # the axes of weights and slacks: those of BASE, TIP or TARGET
     other: float = -1.0  # the tip that the target is relative to, -1: the base
     free: float = 0.0  # 1: the tip may turn about an axis
     ax: float = 0.0
@@ -56,7 +56,7 @@ class Task(NamedTuple):
     w3: float = 1.0
     w4: float = 1.0
     w5: float = 1.0
-    s0: float = 0.0  # and half widths inside which there is no error
+    s0: float = 0.0  # half widths inside which the error counts as zero
     s1: float = 0.0
     s2: float = 0.0
     s3: float = 0.0
@@ -82,7 +82,7 @@ class Answer(NamedTuple):
 
 @compiled
 class Miss(NamedTuple):
-    """What is left at one tip."""
+    """Remaining error of one tip."""
 
     position: float  # [m]
     rotation: float  # [rad]
@@ -164,12 +164,12 @@ def _read(cls, array, start=0):
     return lambda cls, array, start=0: make(*numbers(array, start, size))
 
 
-@overload(read, jit_options=BUILD)  # it returns an array, so it counts references, as what calls it has to
+@overload(read, jit_options=BUILD)  # it returns an array, so it counts references, and so must its callers
 def _read_array(cls, array, start=0):
     make = cls.instance_class
     if list(make.__annotations__.values()) != [Array] or isinstance(array, View):
         return None
-    return lambda cls, array, start=0: make(array[start:])  # a rule of many numbers takes them as they are
+    return lambda cls, array, start=0: make(array[start:])  # a rule with many numbers takes them as they are
 
 
 def write(array, start, record):

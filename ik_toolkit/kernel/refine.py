@@ -1,4 +1,4 @@
-"""Moving a solution within the set of solutions: descend a secondary objective in the null space, stay on the target.
+"""Moving a solution within the set of solutions: lower a secondary objective in the null space, stay on the target.
 
 Written against the calls of a problem, so for one tip and for several.
 """
@@ -17,12 +17,12 @@ from .search import problem_on
 from .view import cut, flat, keep, space, view
 
 MID_RANGE, REFERENCE, MANIPULABILITY = 1, 2, 3
-COUNTED = 1e-18  # squared norm from which on a row of the Jacobian is one the joints can move
-VOLUME = 1e-30  # smallest squared pivot: at a singular pose the log stays a number
+COUNTED = 1e-18  # squared norm above which the joints can move along a row of the Jacobian
+VOLUME = 1e-30  # smallest squared pivot: keeps the logarithm finite at a singular pose
 DAMPING = 1e-10  # of the projection and the way back: below any singular value worth a step
 CORRECTIONS = 6  # steps back onto the target; convergence is quadratic
 DIFFERENCE = 1e-6  # [rad] of the one-sided derivative of the manipulability
-SMALLEST = 1e-7  # a step that moves no joint by more ends the search
+SMALLEST = 1e-7  # a step that moves every joint by less ends the search
 LONGEST = 0.3  # [rad or kernel unit] largest move of a joint in a step: the null space is curved
 
 
@@ -98,7 +98,7 @@ def move(q, dq, factor, box):
 
 @spliced
 def correct(p, weights, box):
-    """Back onto the target: the null-space step left it to second order. Returns the last look, with its Jacobian made."""
+    """Return to the target: the null-space step left it to second order. Returns the last look, with its Jacobian made."""
     s = p.desk
     for k in range(CORRECTIONS):
         e = p.evaluate(s.q)
@@ -116,7 +116,7 @@ def correct(p, weights, box):
 
 @inline
 def direction(p, z, box):
-    """Write to p.desk.dq what of z, in the metric 1/w, moves no tip, joints at a bound held; uses p.desk.J, w and y."""
+    """Write to p.desk.dq the part of z (in the metric 1/w) that moves no tip, joints at a bound held; uses p.desk.J, w and y."""
     s = p.desk
     n = z.shape[0]
     for _ in range(n):
@@ -201,7 +201,9 @@ def improve(rows, ends, T, row, ref, orders, what, steps, block):
     for k in range(steps + 1):
         e = correct(p, weights, box)
         now = objective(p, what, full, box, ref)
-        better = e.good and (k == 0 or now < value - 1e-12 * abs(value))  # rounding of the sum is no progress
+        better = e.good and (
+            k == 0 or now < value - 1e-12 * abs(value)
+        )  # rounding of the sum does not count as progress
         if better:
             value = now
             p.keep(e, BEST_OF_ALL)

@@ -47,7 +47,7 @@ def carry(pose, link, goal):
 
 @inner
 def fill_goal(rows, task, kept, joints, pose, link, J, first):
-    """Subtract how the target of a tip moves with the other tip, whose rows, joints and pose these are."""
+    """Subtract how the target of a tip moves with the other tip, which these rows, joints and pose belong to."""
     point = at3(pose, 9) + rotation_at(pose, 0).times(at3(link, POINT))
     frame, kind = rotation_at(link, FRAME), int(task[WHAT.kind])
     for i in range(rows.shape[0]):

@@ -39,15 +39,15 @@ from .serial import make_serial, serial_on
 from .tree import make_tree, tree_on
 from .view import cut, fold, keep, view
 
-SINGULAR_STEP, WAITING = -1, -2  # what step may return instead of 0: no step exists; a step of zero that is no stall
-GOING, STILL = -1, -2  # of an attempt that goes on, or stands still; the search says why
-LOOK = -1.0  # iterations of what is no attempt but a look at the answer
+SINGULAR_STEP, WAITING = -1, -2  # what `step` may return instead of 0: no step exists; a zero step that is not a stall
+GOING, STILL = -1, -2  # an attempt that continues, or has stopped moving; the search determines why
+LOOK = -1.0  # iterations of a mere evaluation of the answer, which is not an attempt
 # Near a singular pose the iteration converges too slowly for the give-up of the first attempts. A patient attempt has twice
-# the iterations and is given up later, so that hard targets are not lost and easy ones cost what they did.
+# the iterations and is given up later, so that hard targets are solved and easy ones cost no more.
 PATIENT, PATIENT_RHO = 2.0, 0.6
-EDGE_ATTEMPTS = 3  # at a target proven out of reach: the nearest pose is worth no long search
-ROUNDING = 1e-9  # squared error below which no attempt is given up: what is left there is rounding
-OVERFLOW, FAR_OFF = 1e300, 1e6  # a squared error, and a coordinate, from which on no number can be trusted
+EDGE_ATTEMPTS = 3  # at a target proven out of reach: the nearest pose does not justify a long search
+ROUNDING = 1e-9  # squared error below which no attempt is given up: the rest is rounding
+OVERFLOW, FAR_OFF = 1e300, 1e6  # a squared error, and a coordinate, above which numbers cannot be trusted
 
 
 def problem_on(block, rows, ends, tasks, n, orders):
@@ -75,7 +75,7 @@ def _by_tip(ends, T, tips):
 
 
 def problem(rows, ends, tasks, n, orders):
-    """The same with a block of its own, for what runs on arrays and counts references."""
+    """The same with its own block, for code that runs on arrays and counts references."""
     return (make_serial if ends.ndim == 1 else make_tree)(rows, ends, tasks, n, orders)
 
 
@@ -112,7 +112,7 @@ def make_table(block, seeds, features, tips):
 
 @compiled
 class Spent(NamedTuple):
-    """What a search has used up."""
+    """What a search has used so far."""
 
     evaluations: int
     steps: int
@@ -228,7 +228,7 @@ def search(rule, p, o, near, ends, weights, table, best, found, start, needs_jac
             rule, p, o, near, weights, most, c, rho, spent, least, best, needs_jacobian, history
         )
         if status != GOING:
-            break  # that was the look at the answer
+            break  # that was the evaluation of the answer
         if place == BEST_OF_ALL and (least < before or ended == CONVERGED):
             attempt = tries
         tries += 1
@@ -251,13 +251,13 @@ def search(rule, p, o, near, ends, weights, table, best, found, start, needs_jac
             if spent.evaluations >= o.evaluations:
                 status, judged = ITERATION_LIMIT, False
         copy(best if place == BEST_OF_ALL else found, q)
-        # Of the same answer several turns away, give the legal one nearest the start (or home).
+        # Of the same answer several turns away, return the one within limits nearest the start (or home).
         turned = limits and not following and face(q, start, ends)
         if not (judged or turned) or spent.evaluations >= o.evaluations:
             break
         most = LOOK
     if most < 0.0:
-        if status == CONVERGED and not e.good:  # rounding of the turn broke a tolerance at its edge
+        if status == CONVERGED and not e.good:  # rounding of the turn exceeded a tolerance that was just met
             copy(best if place == BEST_OF_ALL else found, q)
         else:
             p.keep(e, place)

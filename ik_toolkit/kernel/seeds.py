@@ -7,7 +7,7 @@ from .jit import inline, inner, jit
 SEEDS = 256  # table size: larger tables cost more to scan than they save in iterations
 BEST = 8  # restarts taken from the table before random ones
 FEATURES = 13  # of a configuration, see `chain.table`
-PAD = 16  # keeps the feature rows off one cache set
+PAD = 16  # keeps the feature rows from sharing one cache set
 ROTATION_WEIGHT = 0.05  # of |dR|_F^2 against |dp|^2 (lengths divided by the reach)
 
 

@@ -137,12 +137,12 @@ class Serial(NamedTuple):
         return top / size if size > least else 0.0
 
     def try_out(self, q):
-        """Evaluate for a rule: it counts."""
+        """Evaluate for a rule; counted."""
         self.desk.spent[0] += 1.0
         return self.evaluate(q)
 
     def undo(self, look):
-        """After a trial was taken back: the joints before the one moved are as they were, only what `shape` keeps may differ."""
+        """After a trial is undone: the joints before the one moved are as they were; only what `shape` keeps may differ."""
         if int(self.task[WHAT.kind]) > POSITION:
             self.try_out(self.desk.q)
 
@@ -202,7 +202,7 @@ def serial_on(block, rows, ends, tasks, n, orders):
     size, angles = room(rows.shape[0])
     tp, tr = tolerances(orders, int(tasks[WHAT.kind]), box.scale())
     goal, kept, pose, joints, trig = cut(block, np.float64, (GOAL, KEPT, 12, size, angles))
-    for i in range(angles):  # what pads it is read, too
+    for i in range(angles):  # the padding is read as well
         trig[i] = 0.0
     boxed = orders.limits > 0.0 or orders.follow > 0.0
     return Serial(
@@ -224,7 +224,7 @@ def serial_on(block, rows, ends, tasks, n, orders):
 
 @build
 def make_serial(rows, ends, tasks, n, orders):
-    """The same with a block of its own, for what runs on arrays and counts references."""
+    """The same with its own block, for code that runs on arrays and counts references."""
     block = np.empty(space(n, 6, rows.shape[0], 0))
     block[0] = 0.0
     return serial_on(block, rows, ends, tasks, n, orders)

@@ -29,7 +29,7 @@ from .view import keep, space, view
 from .wanted import Published, copy_rows, lean, wanted
 from .wishes import lay_aside, reflect, slack_rows
 
-UNLIMITED = 1.0  # speed of a joint without a limit [rad/s, or reaches/s], as a measure beside the others'
+UNLIMITED = 1.0  # speed used as a scale for a joint without a limit [rad/s, or reaches/s]
 
 
 @inner
@@ -66,7 +66,7 @@ def set_out(law, J, f, G, y, limits, cap, q, rate, state):
 
 @inline
 def take_stock(task, look, s, plain, counts, E):
-    """Error, Jacobian and the target's motion as they count, to the bench; what is reported of the error to E (m,)."""
+    """Error, Jacobian and the target's motion as they count, to the bench; the error as it is reported to E (m,)."""
     copy(task.desk.y, s.e)
     task.jacobian(look)
     copy_rows(task.desk.J, s.J)
@@ -227,7 +227,7 @@ def run(
 
 @functools.cache
 def servo(cls: type | None = None) -> Callable:
-    """Return the compiled loop of the published laws, or of a solver's rule; it takes most len(E) - 1 steps, and says how many.
+    """Return the compiled loop of the published laws, or of a solver's rule; it takes at most len(E) - 1 steps; returns how many.
 
     follow(rows, ends, orders, T, V, A, h, p, counts, limits, wish, caps, q, rate, memory, away, active, kept, state, measured,
     lines, level, Q, R, E, C, S)

@@ -20,7 +20,7 @@ TASK_WEIGHT = (
     1e7  # of the task against a squared difference: what is left of 1e-2 rad is 1e-9, corrected exactly afterwards
 )
 RIDGE = 1e-9  # keeps the system definite where no difference reaches
-ARRIVED = 1e-24  # squared error (lengths over reach) from which on a correction is rounding
+ARRIVED = 1e-24  # squared error (lengths over reach) below which a correction is rounding
 CORRECTIONS = 8  # steps back onto a target; convergence is quadratic
 PASSES = 4  # solves of a step with ever more joints held at their limits
 GAIN = 1e-4  # a relative improvement below this ends the search

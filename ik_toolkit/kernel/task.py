@@ -1,4 +1,4 @@
-"""What of the pose error counts: all of it, the position, nothing, or a part: `shape` and its derivative `count_column`.
+"""Which part of the pose error counts: all of it, the position, none, or a part: `shape` and its derivative `count_column`.
 
 The error of a tip is e = target - tip and the rotation vector r of the rotation that is left, R_target = exp(r) R_tip. Where
 only a part counts it becomes, in this order,
@@ -25,7 +25,9 @@ BASE, TIP, TARGET = range(3)
 # What `shape` keeps for `count_column`, by place. A column (u, v) counts as L (u + v x arm), A v; the target's, where it moves
 # with another tip, as L (u + v x ARM_GOAL), B v; three rows each of L, A and B, and the errors themselves.
 L, A, B, ARM, ARM_GOAL, ERROR, KEPT = 0, 9, 18, 27, 30, 33, 39
-STRAIGHT = 1e-9  # sine of the angle below which two directions are parallel, and their cross product says nothing
+STRAIGHT = (
+    1e-9  # sine of the angle below which two directions count as parallel, and their cross product is meaningless
+)
 
 
 @inner

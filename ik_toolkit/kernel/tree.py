@@ -35,7 +35,7 @@ from .task import FREE, KEPT, PART, POSE, angle_left, turn_axis, vector_ratio
 from .tree_starts import begin_by_tips, choose_moves, draw_some, rank_groups
 from .view import cut, fold, space
 
-ARRIVED = 1e-4  # squared error (lengths over reach) below which a tip is at its target, near enough to keep its joints
+ARRIVED = 1e-4  # squared error (lengths over reach) below which a tip is close enough to its target to keep its joints
 
 
 @compiled
@@ -242,7 +242,7 @@ class Tree(NamedTuple):
     def keep(self, look, place):
         e, errors = self.desk.e, self.desk.errors
         for f in range(self.tasks.shape[0]):
-            free = int(self.tasks[f, WHAT.kind]) == FREE  # its goal is where the search starts, and nothing it misses
+            free = int(self.tasks[f, WHAT.kind]) == FREE  # its goal is where the search starts, so it has no error
             errors[place, f, 0] = 0.0 if free else from_target(self.goals[f], at3(e, 6 * f)).square()
             errors[place, f, 1] = at3(e, 6 * f + 3).square()
 
@@ -259,17 +259,17 @@ class Tree(NamedTuple):
         report_tips(self, place, row)
 
 
-# -------------------------------------------------------------------- what a search does once a target or attempt, one copy each
+# ------------------------------------------------------------- work done once per target or attempt, one copy each
 
 
-# ------------------------------------------------------------------------------------ once a target: one copy each, called
+# ----------------------------------------------------------------------------- once per target: one copy each, called
 @inner
 def aim_tips(p, T, orders):
     """Take a target of each tip."""
     worst = 0.0
     for f in range(p.tasks.shape[0]):
         other = int(p.tasks[f, WHAT.other])
-        if other >= 0:  # it moves, so nothing is proven about it
+        if other >= 0:  # it moves, so nothing can be proven about it
             if not rigid(T[f]):
                 return -1.0
             link_to(
@@ -300,7 +300,7 @@ def left_of_all(p, place):
 
 @inner
 def report_tips(p, place, row):
-    """Append what is left at each tip."""
+    """Append the remaining error of each tip."""
     for f in range(p.tasks.shape[0]):
         position, rotation = p.left_at(place, f)
         excess = p.tips[f, 0] * Ends(p.ends[f], p.desk.q.shape[0]).scale()
@@ -324,7 +324,7 @@ def tree_on(block, rows, ends, tasks, n, orders):
     for f in range(F):
         first[f + 1] = first[f] + int(ends[f, ends.shape[1] - n - 1])
         tips[f, 0], tips[f, 1] = np.inf, np.inf
-    for i in range(angles):  # what pads it is read, too
+    for i in range(angles):  # the padding is read as well
         trig[i] = 0.0
     choose_moves(ends, each, n, asked, moves, choosers)
     boxed = orders.limits > 0.0 or orders.follow > 0.0
@@ -336,7 +336,7 @@ def tree_on(block, rows, ends, tasks, n, orders):
 
 @build
 def make_tree(rows, ends, tasks, n, orders):
-    """The same with a block of its own, for what runs on arrays and counts references."""
+    """The same with its own block, for code that runs on arrays and counts references."""
     block = np.empty(space(n, 6 * ends.shape[0], rows.shape[0], 0))
     block[0] = 0.0
     return tree_on(block, rows, ends, tasks, n, orders)

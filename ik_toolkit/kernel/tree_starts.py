@@ -13,7 +13,7 @@ from .task import FREE, counts
 def rank_groups(p, table):
     """Best row of each tip in each interleaved group of rows, the groups in order of the sum of their scores.
 
-    A target relative to another tip is looked for where that tip's own target has it, or where that tip starts.
+    A target relative to another tip is sought where that tip's own target places it, or where that tip starts.
     """
     F = p.tasks.shape[0]
     for f in range(F):
@@ -48,7 +48,7 @@ def rank_groups(p, table):
 
 @inner
 def begin_by_tips(p, table, k, q):
-    """Each coordinate as its tip chose it; one without a target of its tip's stays where the search starts."""
+    """Each coordinate as its tip chose it; if its tip has no target, it stays where the search starts."""
     for i in range(q.shape[0]):
         f = int(p.choosers[0, i])
         if f < 0 or int(p.tasks[f, WHAT.kind]) == FREE:
@@ -59,11 +59,11 @@ def begin_by_tips(p, table, k, q):
 
 @inner
 def draw_some(p, table, k, q):
-    """Mostly keep the tips that arrived and the shared joints: by chance all at once seldom start well."""
+    """Mostly keep the tips that arrived and the shared joints: drawing all of them at once seldom gives a good start."""
     some = False
     for f in range(p.tasks.shape[0]):
         some = some or p.arrived(f)
-    some = some and k % 4 > 0  # every fourth start is all new
+    some = some and k % 4 > 0  # every fourth start is entirely new
     ends = Ends(p.ends[0], p.desk.q.shape[0])
     for i in range(q.shape[0]):
         a = ends.low(i) + ends.span(i) * rnd(table.state)
@@ -78,7 +78,7 @@ def draw_some(p, table, k, q):
 def choose_moves(ends, tasks, n, asked, moves, choosers):
     """Fill `moves` and `choosers` of a Tree: joints that move a free tip alone move nothing that counts, and choose no start.
 
-    asked (F,): scratch for whether a tip has a say; its target counts, or another's is relative to it.
+    asked (F,): scratch: whether a tip takes part, because its target counts or another's is relative to it.
     """
     F, own = ends.shape[0], ends.shape[1] - n  # where the coordinates that move a tip are
     for f in range(F):

@@ -1,4 +1,4 @@
-"""A value of eight float64 for compiled kernels: arithmetic on it is SIMD, code written for numbers takes it as well.
+"""A value of eight float64 for compiled kernels: its arithmetic is SIMD, and code written for numbers accepts it.
 
 `full`, `load` and `store` make and move such values, comparisons give masks for `choose` and `bits`; operators, `abs`,
 `math.sqrt` and `np.rint` work as on numbers. Only inside compiled functions.

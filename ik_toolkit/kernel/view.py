@@ -27,7 +27,7 @@ from numba.np.arrayobj import populate_array
 
 from .jit import BUILD, INLINE, inline
 
-LINE = 8  # an array begins at a multiple of so many numbers of eight bytes: a cache line, and the widest register
+LINE = 8  # arrays begin at a multiple of this many 8-byte numbers: a cache line, and the widest register
 WORD = ir.IntType(64)
 
 
@@ -73,7 +73,7 @@ def _place(builder: Any, dims: Sequence, index: Sequence) -> Any:
 
 # ------------------------------------------------------------------------------------------------------ A[i], A[i, k], A[i:k]
 def _index(kind: View, index: Any) -> tuple[Any, Any]:
-    """Type of an index as it is lowered, and of what is there; None where it is no index of a view."""
+    """Type of an index as it is lowered, and of its element; None where it cannot index a view."""
     if isinstance(index, types.SliceType):
         return types.slice2_type, kind
     if isinstance(index, types.Integer):
@@ -170,7 +170,7 @@ def _as_view(typing, A):
 
 
 def keep(A):
-    """Let an array that was made here live until this line: a view of it is no use of it, and its memory would be given back."""
+    """Keep an array made here alive until this line: a view does not count as a reference, and its memory would be freed."""
 
 
 @overload(keep, jit_options=INLINE)

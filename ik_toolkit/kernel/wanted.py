@@ -45,7 +45,7 @@ from .records import copy
 from .search import SINGULAR_STEP
 from .wishes import STEP, away_from_limits, clip_wish, into_null_space, reflect, weigh
 
-GAIN = 2.0 / 3.0  # share of an error fed back in a sample where the method has no gain of its own: the best of `cv`
+GAIN = 2.0 / 3.0  # share of an error fed back per sample where the method has no gain itself: the best of `cv`
 FAST, BRISK = (
     1.0,
     0.5,
@@ -53,16 +53,16 @@ FAST, BRISK = (
 
 
 class Published(NamedTuple):
-    """In the place of a rule: the laws of motion.py, all in one loop."""
+    """Stands in for a rule: the laws of motion.py, all in one loop."""
 
     unused: float
 
 
 @inline
 def find_wishes(law, s, limits, wish, base):
-    """Write to s.g what the joints are to do beside the task: to keep off their limits, a posture, a cost of the caller's.
+    """Write to s.g the joints' secondary motion: away from limits, towards a posture, down the caller's cost.
 
-    It is what the null space has of it, within half of the room that the rates `base` leave in the box. False: nothing.
+    It is what the null space has of it, within half of the room that the rates `base` leave in the box. False: there is none.
     """
     n, m = s.J.shape
     some = False
@@ -90,7 +90,7 @@ def lean_not(law, rule, s, limits, wish, rate, h):
 
 @inline
 def lean_over(law, rule, s, limits, wish, rate, h):
-    """Move s.at by what the joints are to do beside the task, so that a rule's step takes away what that does to the tip.
+    """Move s.at by the secondary motion, so that a rule's step cancels its effect on the tip.
 
     Returns whether it has moved.
     """
@@ -107,7 +107,7 @@ def lean_over(law, rule, s, limits, wish, rate, h):
 
 @inline
 def add_wishes(law, s, limits, wish, ratio, h, memory):
-    """Add to s.x what the joints are to do beside the task: as part of what is extrapolated, or the tip would leave its path."""
+    """Add the secondary motion to s.x: it must be part of what is extrapolated, or the tip would leave its path."""
     if find_wishes(law, s, limits, wish, s.x):
         kept, share = 0.0, min(h * law.null, 1.0) if law.code >= CA else 1.0
         if law.code == CV or law.code == CA:
@@ -129,7 +129,7 @@ def feed_back(law, s, limits, count, h, heavy, beyond):
         limited = limited or limits[3, i] < np.inf
     if not limited:
         return False
-    size, gone = 0.0, 0.0  # what is lost is no error that the other directions close
+    size, gone = 0.0, 0.0  # the lost part is not an error that the other directions can close
     for k in range(m):
         size += s.e[k] * s.e[k]
         if s.lost[k] > 0.0:
@@ -194,7 +194,7 @@ def by_law(law, rule, task, look, weights, s, slack, limits, wish, count, sigma,
             prepare(law, s.J, m, s.ahead, rate, h, s.G, s.y, s.t, s.move, s.null, s.x1, s.x2)
             if law.code < CA:
                 continue
-            if blocked and law.code == AA and law.reading != AT_RATE:  # no joint makes this step: no second order
+            if blocked and law.code == AA and law.reading != AT_RATE:  # no joint takes this step: no second order
                 for i in range(n):
                     s.x1[i] *= 0.0 if law.reading == AT_STEP else 1.0
                     s.x2[i] = 0.0
@@ -219,7 +219,7 @@ def by_law(law, rule, task, look, weights, s, slack, limits, wish, count, sigma,
     jump = sigma - state[STATE.sigma] if law.mode == SLOW else 0.0  # of the clock's rate, now
     if law.mode == SLOW:
         apply(s.J, m, s.G, s.pace, s.y, s.lead)
-    if jump != 0.0:  # what jumps is not extrapolated, nor is it an error of the rate
+    if jump != 0.0:  # a jump is not extrapolated, nor is it an error of the rate
         for i in range(n):
             memory[i] += jump * s.lead[i] if law.code == CV else 0.0
         for k in range(m):

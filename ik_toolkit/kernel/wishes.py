@@ -1,11 +1,11 @@
-"""What a tracker does beside its task: errors with slack as half-planes, wishes in the null space, free turns laid aside."""
+"""What a tracker handles besides its task: slack as half-planes, secondary motion in the null space, free turns."""
 
 import numpy as np
 
 from .jit import inline, inner
 from .motion import apply
 
-FADING = 0.15  # share of its range, next to a limit, in which a joint is led away from it
+FADING = 0.15  # share of its range, next to a limit, in which a joint is moved away from the limit
 STEP = 1e-5  # of a difference [rad, or reaches]: squared it is the error, and what rounding leaves is 1e-16 over it
 NEARLY = 0.5  # share of an error's slack that may be used up in a sample
 
@@ -23,7 +23,7 @@ def reflect(flip, y):
 
 @inner
 def lay_aside(flip, J, e):
-    """`reflect` the rows of J (n, m) and the error; the free ones become zero, as they are but for rounding."""
+    """`reflect` the rows of J (n, m) and the error; the free ones are zero up to rounding and become exactly zero."""
     reflect(flip, e)
     for f in range(flip.shape[0]):
         if flip[f, 0] != 0.0 or flip[f, 1] != 0.0 or flip[f, 2] != 0.0:
@@ -52,7 +52,7 @@ def weigh(weight, J, e, ahead, f, a):
 def slack_rows(slack, J, e, f, ahead, a, h, A, b, count):
     """Turn errors with slack into half-planes A x <= b from row `count` on, and take them out of the task; returns the count.
 
-    An error inside its slack may not come closer to its end than NEARLY of the way in a sample; outside it is brought back.
+    An error inside its slack may use up at most NEARLY of the rest in a sample; outside it is brought back.
     """
     n, m = J.shape
     for k in range(m):

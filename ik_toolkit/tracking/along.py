@@ -16,10 +16,10 @@ from .reference import Reference, log
 
 STEP = 1e-5  # rad (lengths over reach) of the differences of J: their error is about 1e-10
 SECOND = 1e-4  # the same for second derivatives: about 1e-8
-LARGEST = 700.0  # logarithm of the largest factor that a float holds, nearly
+LARGEST = 700.0  # nearly the logarithm of the largest factor that a float can hold
 ITERATIONS = 50  # of Newton's method for one sample; it needs two or three
 EXACT = 1e-10  # m and rad: a sample on the path
-SINGULAR = 1e-9  # share of the largest singular value below which a direction is one the joints cannot move
+SINGULAR = 1e-9  # share of the largest singular value below which the joints cannot move along a direction
 CLOSED = 1e-6  # m, rad and per second: start and end are the same
 
 
@@ -51,7 +51,7 @@ def growth(
     """Growth of the error of `method` along a reference, with the gains at sample time h [s] and without limits.
 
     A closed path gives the spectral radius of its lap map, an open one the largest factor between an error at its start and
-    the one at its end. Raises InvalidTarget where the path cannot be followed, InvalidOption for a path that is none.
+    the one at its end. Raises InvalidTarget where the path cannot be followed, InvalidOption for a path that is not a Reference.
     """
     if not isinstance(robot, Robot) or not isinstance(reference, Reference):
         raise InvalidOption("gains are judged along a path with robot= (a Robot) and path= (a Reference, as ik.circle)")
@@ -65,10 +65,10 @@ def growth(
     for A in steps:
         total = A @ total
         largest = np.abs(total).max()
-        if not 1e-100 < largest < 1e100:  # an unstable path has more than a float holds
+        if not 1e-100 < largest < 1e100:  # an unstable path exceeds what a float can hold
             largest = max(largest, 1e-300)
             total, scale = total / largest, scale + np.log(largest)
-    # In coordinates of the tip: what only moves the arm behind it is no error.
+    # In coordinates of the tip: motion of the arm that leaves the tip where it is does not count as error.
     blocks = np.eye(size)
     lap = np.kron(blocks, made.last) @ total @ np.kron(blocks, np.linalg.pinv(made.first, rcond=SINGULAR))
     T, V, _ = reference.at(np.array([0.0, times[-1]]))

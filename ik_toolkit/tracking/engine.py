@@ -1,6 +1,6 @@
 """What makes one step: a published tracking method, or a solver's feedback rule taken one step a sample.
 
-Both have the same face, so that `Tracker` and `track` need not know which they drive.
+Both have the same interface, so `Tracker` and `track` need not know which one they drive.
 """
 
 import math
@@ -22,7 +22,7 @@ from ..solvers.task import kernel_tasks
 from .methods import DAMPING, METHODS, Method, make_method
 from .stability import GainCheck, check_gains
 
-LEVER = 0.2  # [m] by which an angle is weighed against a length: about a hand
+LEVER = 0.2  # [m] lever by which an angle is compared with a length: about a hand
 
 
 def even(scale: float) -> np.ndarray:
@@ -51,7 +51,7 @@ class Published:
         return {**self.method.gains(h), **({"reading": self.method.reading} if self.name == "aa" else {})}
 
     def check(self, h: float) -> GainCheck | None:
-        """Judgement of the gains at sample time h."""
+        """Verdict on the gains at sample time h."""
         return check_gains(self.name, h, **self.method.gains(h))
 
     def law(self, h: float) -> np.ndarray:
@@ -59,7 +59,7 @@ class Published:
         return self.method.pack(h)
 
     def orders(self, kinds: tuple) -> tuple[np.ndarray, np.ndarray]:
-        """What the loop takes for kinds of target: orders, and weights and slack of the errors (3, m), see kernel/servo.py."""
+        """Input of the loop for kinds of target: orders, and weights and slack of the errors (3, m), see kernel/servo.py."""
         scale, n = self.robot.chain.scale, self.robot.n
         tasks, counts = [], []
         unit = np.array([scale] * 3 + [1.0] * 3)
@@ -107,7 +107,7 @@ class RuleSteps:
         return law
 
     def orders(self, kinds: tuple) -> tuple[np.ndarray, np.ndarray]:
-        """What the loop takes; weights and slack are the rule's own."""
+        """Input of the loop; weights and slack are the rule's."""
         scale = self.robot.chain.scale
         counts = np.zeros((3, 6 * len(kinds)))
         counts[0] = np.tile(even(scale), len(kinds))
@@ -115,7 +115,7 @@ class RuleSteps:
 
 
 def bind(robot: Robot | Tree, method: Any, limits: bool, options: dict[str, Any]) -> Published | RuleSteps:
-    """Return the engine of a method name, a Method, a solver name or a rule. Raises InvalidOption for none of these."""
+    """Return the engine of a method name, a Method, a solver name or a rule. Raises InvalidOption for anything else."""
     if isinstance(method, Method) or (isinstance(method, str) and method in METHODS):
         words = (*COUNTING, "relative_to")
         counting = {name: options[name] for name in words if name in options}

@@ -1,4 +1,4 @@
-"""Numbers and names that tracking is given: one place that refuses what is none."""
+"""Numbers and names given to tracking, validated in one place."""
 
 import math
 from collections.abc import Iterable

@@ -12,18 +12,18 @@ import numpy as np
 from ..kernel.brake import along, brake
 from ..robot.clearance import Clearance
 
-ROWS = 12  # half-planes a step gets: more than touch a polyhedron's edge at once, and few for the QP
+ROWS = 12  # half-planes per step: more than meet at an edge of a polyhedron, and few for the QP
 KEEP = 0.005  # [m] distance the rows keep: above what a controller's lag makes of a slow motion
-INFLUENCE = 0.1  # [m] distance from which the rows speak
+INFLUENCE = 0.1  # [m] distance below which the rows apply
 SPEED = 1.0  # [m/s] approach allowed at INFLUENCE; it falls in proportion to the distance left (0.1 s to settle)
-FLAT = 1e-9  # [m per rad or m] a row without an entry above this forbids nothing: the pair does not move
-SHARE = 0.1  # of a row's largest entry, from which on a joint's braking counts
+FLAT = 1e-9  # [m per rad or m] a row without an entry above this restricts nothing: the pair does not move
+SHARE = 0.1  # share of a row's largest entry above which a joint's braking counts
 CONTACT = 1e-5  # [m] nearer than this is a contact: ten times the tolerance of coal's distances
-NEAREST = 1e-4  # [m] a way that leads nearer than this is not followed to see whether it touches
+NEAREST = 1e-4  # [m] a motion that leads nearer than this is rejected without checking whether it touches
 # Places where distances are measured to prove one step free, 0.05 ms each; a step that takes more is not taken.
 LOOKS = 12
-PARTS = (1 / 4, 1 / 16, 1 / 64)  # of a step that are tried from rest where the whole is not allowed
-PIECES = 20_000  # of a brake that is followed, some milliseconds; one that takes more is not tried
+PARTS = (1 / 4, 1 / 16, 1 / 64)  # parts of a step that are tried from rest where the whole step is not allowed
+PIECES = 20_000  # of braking that is followed, some milliseconds; braking that takes longer is not tried
 
 
 class Path(NamedTuple):
@@ -56,7 +56,7 @@ class Guard:
         """Take the model as it is now."""
         self._space = space = Clearance(self.model)
         self._version = self.model.version
-        # A robot's own parts may be closer to each other than what is kept: then half of that distance is.
+        # A robot's parts may be closer to each other than the distance to keep: then half of their distance is kept.
         home = space.home - space.margins
         self._keep = np.where(space.own & (home > 0.0), np.minimum(0.5 * home, KEEP), KEEP)
 
@@ -65,12 +65,12 @@ class Guard:
         if self._version != self.model.version:  # something was added, moved or removed
             self._bind()
         self._space.place(q)
-        self._low = self._space.distances() - self._space.margins  # never more than the gaps (P,) at q
+        self._low = self._space.distances() - self._space.margins  # lower bounds of the gaps (P,) at q
         self._fresh = np.ones(len(self._low), dtype=bool)  # which of them are measured there
-        self._known = False  # whether it is known how everything moves there
+        self._known = False  # whether the motion of everything there is known
         self._stop = np.zeros(len(self._low))  # how much closer each pair can come on a step and brake like the last
         self._path: Path | None = None
-        self._done = 0.0  # pieces of the path that are behind
+        self._done = 0.0  # pieces of the path that are done
         touching = np.flatnonzero(self._low <= CONTACT)
         return self._space.name(int(touching[0])) if len(touching) else None
 
@@ -103,7 +103,7 @@ class Guard:
         return count
 
     def _measure(self, ks: np.ndarray) -> None:
-        """Bring the distances of pairs up to date where they were placed (at the start of the step)."""
+        """Update the distances of pairs at the configuration where they were placed (the start of the step)."""
         for k in ks[~self._fresh[ks]].tolist():
             self._low[k] = self._space.gap(k)
         self._fresh[ks] = True
@@ -119,7 +119,7 @@ class Guard:
     def instead(self, q: np.ndarray, rate: np.ndarray, rate1: np.ndarray, h: float) -> tuple[np.ndarray, np.ndarray]:
         """Joint values and rates (n,) after h [s] instead of a step from (q, rate) to rate1 that was not allowed.
 
-        The arm brakes; from rest it takes a small part of the step, if that is free: else it could stand for ever.
+        The arm brakes; from rest it takes a small part of the step, if that is free; otherwise it could stand still for ever.
         """
         blocked = self.blocked
         for part in PARTS if not rate.any() else ():
@@ -134,11 +134,11 @@ class Guard:
     def brake(self, q: np.ndarray, rate: np.ndarray, h: float) -> tuple[np.ndarray, np.ndarray]:
         """Joint values and rates (n,) after h [s] of braking from (q, rate), instead of a step that was not allowed.
 
-        It is the brake that was proven free with the last step, unless the step's length has changed and another is free, too.
+        It brakes as was proven free with the last step, unless the step's length has changed and braking anew is free as well.
         """
         blocked, path = self.blocked, self._path
         if path is None or path.h != h:
-            self._take(q[None], rate[None], h, anyway=path is None)  # without a path it came here by no step of ours
+            self._take(q[None], rate[None], h, anyway=path is None)  # without a path no step of ours led here
         self.blocked = blocked
         if self._path is None:
             return q.copy(), np.zeros_like(q)
@@ -156,13 +156,13 @@ class Guard:
         return q1, path.rate[k] + (u - k) * (path.rate[k + 1] - path.rate[k])
 
     def _moved(self, way: np.ndarray) -> None:
-        """The joints went so far (n,) along the path."""
+        """How far the joints have gone (n,) along the path."""
         self._low = self._low - self._levers @ way[self._space.coordinates]
         self._fresh[:] = False
         self._known = False
 
     def _take(self, Q: np.ndarray, R: np.ndarray, h: float, anyway: bool = False) -> bool:
-        """Prove the motion through states Q, R (1 or 2, n), and the brake after it; free, or anyway, it counts as taken."""
+        """Prove the motion through states Q, R (1 or 2, n), and the brake after it; when free, or anyway, it counts as taken."""
         path = self._follow(Q, R, h)
         if path is None:
             self.blocked = None
@@ -199,7 +199,7 @@ class Guard:
             return None
         back = (
             (Q[-1] < self.limits[0]) | (Q[-1] > self.limits[1])
-        ).any()  # it comes inside first, however long it takes
+        ).any()  # it first comes inside, however long that takes
         size, first = PIECES if back else int(steps) + 6, len(Q) - 1
         all_q, rates, lengths = np.empty((3, size, self.robot.n))
         all_q[: first + 1], rates[: first + 1] = Q, R
@@ -207,7 +207,7 @@ class Guard:
         return Path(all_q[:end], rates[:end], lengths[:end], h) if end else None
 
     def _prove(self, path: Path, ks: np.ndarray, levers: np.ndarray) -> tuple[str, str] | None:
-        """None when pairs ks, measured at the start, touch nowhere on a path; else the names of one in doubt."""
+        """None when the pairs ks, measured at the start, touch nowhere on a path; otherwise the names of an unproven one."""
         space, u, end = self._space, 0.0, len(path.q) - 1.0
         way = path.q, path.rate, path.length, self.gamma, path.h
         q, gone = np.empty(self.robot.n), np.empty(self.robot.n)

@@ -16,14 +16,14 @@ from .reference import Reference, Samples, law_of, on_path, split
 LENGTHS = (0.2, 0.15, 0.1, 0.075, 0.05, 0.03, 0.02, 0.01, 0.005, 0.002)  # [m] of a line; radii are half of them
 SMALL = 0.15  # of the largest: below it another start or a free orientation is tried first
 LARGEST = 0.25  # of the reach: longer lines are not tried
-SPARE = 1.15  # times the size has to be in reach, too: nothing ends at the very edge
-ROOM = 0.01  # of a joint's range that is left to its limits, where that can be had
+SPARE = 1.15  # times the size must be in reach as well: no path ends at the very edge
+ROOM = 0.01  # of a joint's range kept from its limits where possible
 EVEN = 10.0  # joint turn [rad] over tip way [reaches]: more is close to a singular configuration
-COARSE = 10  # poses looked at, at least, while trying
+COARSE = 10  # least number of poses tested while trying
 DURATION = 10.0  # [s]
 SPEED = 0.5  # of a joint's limit: what the path asks for at most
 INSIDE = 0.1  # of a joint's range: how far from its limits the second start stands
-RANK = 1e-6  # of the largest singular value: what is less is rounding
+RANK = 1e-6  # of the largest singular value: smaller ones are rounding
 DRAWN, BEST = 64, 3  # random starts, and how many of them are tried
 AXIS_NAMES = ("x", "y", "z", "-x", "-y", "-z")
 BASE_AXES = np.vstack([np.eye(3), -np.eye(3)])
@@ -100,7 +100,7 @@ def place(
 ) -> Placed:
     """Path of a kind that the robot can follow, each tip its own, at half of the joints' speed limits at most.
 
-    Of what is not given the first that works is taken: the orientation kept, from home, large, along or about a base axis.
+    Whatever is not given is chosen, the first that works: the orientation kept, from home, large, along or about a base axis.
     Where nothing works (no joint can move) the path is a line without length. counts: what counts, as for `ik.solve`; a tip
     that is given relative to another keeps its pose in that one's frame.
     """
@@ -124,7 +124,7 @@ def place(
 
 
 def _words(robot: Joints, kind: str, size: float, way: np.ndarray, free: bool, seconds: float, q: np.ndarray) -> str:
-    """The choice in words."""
+    """The choice, in words."""
     if not size:
         return f"no path was found that {robot.name} can follow: it holds still for {seconds:g} s"
     along = next((name for name, axis in zip(AXIS_NAMES, BASE_AXES, strict=True) if np.array_equal(axis, way)), "")
@@ -140,7 +140,7 @@ def _words(robot: Joints, kind: str, size: float, way: np.ndarray, free: bool, s
 
 
 def _is_easy(robot: Any, t: np.ndarray, q: np.ndarray) -> bool:
-    """Whether the way keeps clear of limits and of singular configurations."""
+    """Whether the path keeps clear of limits and of singular configurations."""
     span = robot.upper - robot.lower
     bounded = np.isfinite(span) & (span > 0.0)
     gaps = np.minimum(q - robot.lower, robot.upper - q)[:, bounded] / span[bounded]

@@ -10,14 +10,14 @@ from ..robot.joints import Joints
 from ..robot.pose import length
 from .reference import Reference
 
-CLOSE = (1e-4, 2e-4)  # [m, rad] that count as reached: a tenth of what a run is allowed by default
+CLOSE = (1e-4, 2e-4)  # [m, rad] error that counts as reached: a tenth of what a run is allowed by default
 DENSE = 1000  # samples from which the length of a path is measured
-STEP = (0.02, 0.05)  # of the reach, and [rad]: how far apart the poses are that are looked at
+STEP = (0.02, 0.05)  # of the reach, and [rad]: distance between the poses tested
 FEWEST, MOST = 40, 1000  # of these poses
 HALVINGS = 10  # of the stretch in which the reach ends: a thousandth of a step
-BOUNDARY = 1e-3  # of a joint's range, from its limit: the arm stops there before the last of the reach
-STARTS = 24  # attempts to stand in another way at the start of a path
-APART = 0.1  # [rad, or reaches] a joint has to differ for it to be another way
+BOUNDARY = 1e-3  # of a joint's range, from its limit: the arm stops there just before the edge of its reach
+STARTS = 24  # attempts to find another posture for the start of a path
+APART = 0.1  # [rad, or reaches] by which a joint must differ for another posture
 SHORTER = 0.95  # of the stretch that can be reached: what is suggested
 
 References = Reference | Mapping[str, Reference]
@@ -55,7 +55,7 @@ class Survey:
 
     @property
     def message(self) -> str:
-        """One clause: how far the path can be reached, and what ends it; '' when all of it can."""
+        """One clause: how far along the path is reachable, and what ends it; '' when all of it is."""
         if self.until is None:
             return ""
         far, whole = (
@@ -80,7 +80,7 @@ class Survey:
 
 
 def survey(robot: Joints, reference: References, q0: Any, *, fewest: int = FEWEST, **options: Any) -> Survey:
-    """Go along a reference from q0 (n,), from pose to pose; a mapping gives one reference a tip.
+    """Follow a reference from q0 (n,), pose by pose; a mapping gives one reference per tip.
 
     fewest: of the poses looked at. options: what counts, as for `ik.solve` (mask, slack, free_turn, frame, relative_to, limits).
     """
@@ -164,7 +164,7 @@ def scaled(reference: Reference, factor: float) -> Reference:
 
 
 def explain(robot: Joints, reference: References, q0: Any, **options: Any) -> tuple[Survey, str]:
-    """What keeps a robot from following a reference, and what was tried and would work: the survey and a sentence, or ''."""
+    """What prevents a robot from following a reference, and what would work instead: the survey, and a sentence or ''."""
     found = survey(robot, reference, q0, **options)
     if found.whole:
         share, joint = found.pace
@@ -220,7 +220,7 @@ def _samples(robot: Joints, reference: References, fewest: int) -> tuple[np.ndar
 
 
 def _edge(then: Any, reference: References, t: np.ndarray, along: np.ndarray, q: np.ndarray, k: int) -> float:
-    """How far along the reach goes before pose k, the first that is out of it."""
+    """How far along the path the reach extends before pose k, the first out of reach."""
     if k == 0:
         return 0.0
     low, high, near = 0.0, 1.0, q[k - 1]
@@ -239,7 +239,7 @@ def near_limits(robot: Joints, q: np.ndarray) -> tuple[str, ...]:
 
 
 def pace(robot: Joints, t: np.ndarray, q: np.ndarray) -> tuple[float, str]:
-    """Largest joint speed over its limit along q (K, n) at times t (K,), and whose it is."""
+    """Largest joint speed over its limit along q (K, n) at times t (K,), and which joint has it."""
     limit = np.where(robot.velocity_limits > 0.0, robot.velocity_limits, np.inf)
     if len(t) < 2:
         return 0.0, robot.joint_names[0]

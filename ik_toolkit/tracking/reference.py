@@ -34,7 +34,7 @@ class Reference:
         position_only: bool = False,
         name: str = "custom",
     ) -> None:
-        """Wrap a function of time. Raises InvalidOption when it is none, or the duration is not a positive number."""
+        """Wrap a function of time. Raises InvalidOption when it is not callable, or the duration is not a positive number."""
         if not callable(function):
             raise InvalidOption(f"a reference is made from a function of time, not {type(function).__name__}")
         self.duration = positive(duration, "duration [s]")
@@ -43,7 +43,7 @@ class Reference:
         self.name = name
 
     def at(self, t: Any) -> Samples:
-        """Pose, twist and acceleration at t [s]: (4, 4), (6,), (6,) for a number, with a leading N for an array (N,)."""
+        """Pose, twist and acceleration at t [s]: (4, 4), (6,), (6,) for a number; with a leading N for an array (N,)."""
         times = np.atleast_1d(floats(t, "t must be times [s]", InvalidOption))
         if times.ndim > 1 or not np.isfinite(times).all():
             raise InvalidOption(f"t must be a finite number or an array (N,) of them [s], not {repr(t)[:60]}")

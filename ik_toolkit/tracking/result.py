@@ -1,4 +1,4 @@
-"""What a tracking run gives back: arrays over the samples, figures, and files."""
+"""Result of a tracking run: arrays over the samples, figures, and files."""
 
 import csv
 import io
@@ -16,7 +16,7 @@ from ..robot.ros import joint_trajectory
 from .reachable import Survey
 from .stability import GainCheck
 
-ROUNDING = 1e-6  # of a step: a clock that lags by less was not slowed, its sum is rounded
+ROUNDING = 1e-6  # of a step: a clock that lags by less was not slowed; its sum is rounded
 
 
 class TrackStatus(Enum):

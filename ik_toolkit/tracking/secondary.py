@@ -1,4 +1,4 @@
-"""What a tracker does beside its task: options of the null space, read once, and what they ask for at a q."""
+"""What a tracker does besides its task: options of the null space, read once, and the motion they give at q."""
 
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -8,10 +8,8 @@ import numpy as np
 from ..errors import InvalidOption, floats, near_match
 from .inputs import number
 
-AVOID = (
-    1.0  # [1/s] with which joints are led away from limits; at the limit itself it moves 15 % of the range in a second
-)
-POSTURE = 1.0  # [1/s] with which a posture is taken up
+AVOID = 1.0  # [1/s] gain of the motion away from limits; at the limit itself it moves 15 % of the range in a second
+POSTURE = 1.0  # [1/s] gain of the motion towards a posture
 STEP = 1e-5  # [rad or m] of the difference that finds the slope of a caller's cost
 
 
@@ -47,7 +45,7 @@ class Secondary:
 
     @property
     def each_step(self) -> bool:
-        """Whether it has to be asked at every step."""
+        """Whether it must be evaluated at every step."""
         return self.cost is not None or self.nimble > 0.0
 
     def _slope(self, cost: Callable, at: np.ndarray) -> np.ndarray:

@@ -7,7 +7,7 @@ only: k = kappa h for `cv`, d = kp-and-kd pair (p, d) = (kp h^2, kd h) for `ca`.
     cv  stable  <=>  0 < k < 1                                      (flip, eigenvalue -1, at k = 1)
     ca  stable  <=>  0 < d < 1  and  0 < p < (d + sqrt(d (9 d + 16))) / 2
 
-The matrices describe rest. Along a fast path kappa I becomes kappa I + J^-1 dJ/dt, so gains within a few percent of the
+The matrices hold at rest. Along a fast path kappa I becomes kappa I + J^-1 dJ/dt, so gains within a few percent of the
 border can still diverge in motion: `check_gains(..., robot=, path=)` multiplies the matrices along it (along.py).
 
 Where joint values are measured, the error comes late and with noise, while rates and earlier commands stay the tracker's own:
@@ -83,7 +83,7 @@ def mapping_matrix(
 
 
 def _needed(method: str, h: float, **gains: float | None) -> list[float]:
-    """Return the gains of a method as numbers; a missing or non-finite one, or a bad h, is invalid input."""
+    """Return the gains of a method as numbers; a missing or non-finite gain, or a bad h, is invalid input."""
     positive(h, "the sample time [s]")
     return [number(value, f"{method} needs {' and '.join(gains)}: {name}") for name, value in gains.items()]
 
@@ -117,7 +117,7 @@ def delayed_matrix(method: str, h: float, delay: float = 0.0, **gains: Any) -> n
 
 
 def feedback_column(A: np.ndarray) -> np.ndarray:
-    """What a mapping matrix does with the measured position; the rest of its first column keeps the position itself."""
+    """How a mapping matrix uses the measured position; the rest of its first column keeps the position itself."""
     return A[:, 0] - np.eye(len(A))[0]
 
 
@@ -205,7 +205,7 @@ def longest_step(method: str, delay: float = 0.0, **gains: float) -> float:
     delay: of the measured position, in samples, whatever their length.
     """
     if delay and method in ("cv", "ca"):
-        low, high = 0.0, longest_step(method, **gains)  # a delay only takes away
+        low, high = 0.0, longest_step(method, **gains)  # a delay can only make it shorter
         for _ in range(50 if high > 0.0 else 0):
             middle = 0.5 * (low + high)
             stable = spectral_radius(delayed_matrix(method, middle, delay, **gains)) < 1.0
@@ -229,7 +229,7 @@ class GainCheck:
     """What `check_gains` found.
 
     verdict is "stable", "marginal" or "unstable", over all that was asked; radius the spectral radius of the mapping matrix
-    (growth of the error per sample, at rest); message one sentence for people, more where more was asked; suggestion the best
+    (growth of the error per sample, at rest); message one sentence, more with delay, noise or a path; suggestion the best
     gains at this sample time and delay; longest_step [s] the slowest sampling at which the same gains are stable. delay
     [samples] as given; noise_gain: RMS of a joint over the RMS of the noise on its measured position; along: growth on the path
     (factor, per_step, closed), or None.
@@ -314,7 +314,7 @@ def check_gains(
 
 
 def _way_out(method: str, best: dict[str, float], longest: float, delay: float) -> str:
-    """Sentence on gains or a sample time that would do."""
+    """Sentence on gains or a sample time that would work."""
     if delay and method not in ("cv", "ca"):
         return " A method that takes the whole error away in one step bears no delay: cv and ca with low gains do."
     if method == "aa":

@@ -1,4 +1,4 @@
-"""One step of a tracker, as it is handed back: numbers at once, the status and the sentence when they are read."""
+"""One step of a tracker, as it is returned: numbers at once, the status and its sentence when they are read."""
 
 from enum import Enum
 from typing import Any, NamedTuple
@@ -10,14 +10,14 @@ from ..kernel import box
 NEAR = (
     1e-3,
     5e-3,
-)  # [m, rad] error above which a joint at its limit, or the edge of the reach, is what keeps the tip away
-AT_REST = 1e-3  # share of a joint's speed limit (of 1 rad/s, 1 reach/s without one) below which it stands still
+)  # [m, rad] error above which a joint at its limit, or the edge of the reach, counts as the reason
+AT_REST = 1e-3  # share of a joint's speed limit (of 1 rad/s, 1 reach/s without one) below which it counts as at rest
 
 
 class StepStatus(Enum):
     """How one step went.
 
-    OK. LIMITED: a limit held a joint back. AT_LIMIT: the arm stands as near as a joint's limit, or its reach, allows. BLOCKED: as
+    OK. LIMITED: a limit held a joint back. AT_LIMIT: the arm is as close as a joint's limit, or its reach, allows. BLOCKED: as
     near as what is in the way allows. RECOVERING: a joint outside its limits comes back, or brakes. FOLLOWING_ERROR: the joints
     measured are far from those commanded. JUMPED: a joint moved far, or the tracker started anew from the joints measured. HELD:
     no usable command.
@@ -34,7 +34,7 @@ class StepStatus(Enum):
 
 
 class Outcome(NamedTuple):
-    """What a step leaves for its status to be read from: copies."""
+    """What the status of a step is read from: copies."""
 
     robot: Any
     code: np.ndarray  # (n,) bits of limits
@@ -47,7 +47,7 @@ class Outcome(NamedTuple):
     speed: np.ndarray  # (n,) limits
     lag: float  # of the joints measured, over what is allowed
     resynced: bool
-    between: tuple[str, str] | None = None  # names of what would touch, had the step gone on
+    between: tuple[str, str] | None = None  # names of what would have touched
 
 
 class Step:

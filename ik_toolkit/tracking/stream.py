@@ -1,4 +1,4 @@
-"""Targets as they arrive in a control loop: read, checked, and with the motion between two of them."""
+"""Targets as they arrive in a control loop: read, checked, with the motion between two of them."""
 
 import math
 from collections.abc import Mapping
@@ -13,7 +13,7 @@ from ..solvers.task import read_one, read_target
 from .reference import exp, log
 
 FLOAT = np.dtype(np.float64)
-TIGHT = 1e-9  # of a rotation taken as it is: far inside what a check of a target lets pass
+TIGHT = 1e-9  # of a rotation accepted as it is: far stricter than the check of a target
 HALF_TURN = -1.9  # twice the cosine of 2.8 rad
 
 
@@ -34,7 +34,7 @@ class Stream:
         self.kinds = None
 
     def take(self, slot: int, target: Any, twist: Any, acceleration: Any, dt: float = 0.0) -> bool:
-        """Write a target into slot 0 (now) or 1 (end of step); False when it is not finite (the last one stays)."""
+        """Write a target into slot 0 (now) or 1 (end of step); False when it is not finite (the last one is kept)."""
         first = self.kinds is None
         T, V, A = self.T, self.V, self.A
         raw = target if type(target) is np.ndarray else getattr(target, "homogeneous", target)
@@ -85,11 +85,11 @@ class Stream:
         return True
 
     def step_on(self) -> None:
-        """The next target is the last one now."""
+        """The next target becomes the last one."""
         self.T[0], self.V[0], self.A[0] = self.T[1], self.V[1], self.A[1]
 
     def divided(self, parts: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """The way from the last target to the next in equal parts: T (parts + 1, F, 4, 4), V, A (parts + 1, m)."""
+        """The motion from the last target to the next in equal parts: T (parts + 1, F, 4, 4), V, A (parts + 1, m)."""
         f = np.linspace(0.0, 1.0, parts + 1)
         T = np.repeat(self.T[:1], parts + 1, axis=0)
         for k in range(self.tips):
@@ -103,7 +103,7 @@ class Stream:
         """Twist from the last target to the next."""
         V = []
         for f in range(self.tips):
-            old, new = self.T[:, f].tolist()  # numbers of Python: arrays of three take longer to make than to add
+            old, new = self.T[:, f].tolist()  # Python numbers: making arrays of three takes longer than adding them
             V += [(new[k][3] - old[k][3]) / dt for k in range(3)]
             if self.kinds is not None and self.kinds[f] != POSITION:
                 V += [angle / dt for angle in turn_between(old, new)]
@@ -145,7 +145,7 @@ class Stream:
 
 
 def _finite(one: Any) -> bool:
-    """Whether a target of one tip has no number that is none; what is no target at all is left to its reader."""
+    """Whether all numbers of a tip's target are finite; anything that is not a target is left to its reader."""
     try:
         return bool(
             np.isfinite(np.asarray(getattr(one, "homogeneous", getattr(one, "T_base_tip", one)), dtype=float)).all()
@@ -155,9 +155,9 @@ def _finite(one: Any) -> bool:
 
 
 def rigid(T: np.ndarray) -> bool:
-    """Whether (4, 4) numbers are a pose: the long look of `check_target`, which mends or refuses, costs ten times as much."""
+    """Whether (4, 4) numbers are a pose: the full `check_target`, which corrects or refuses, costs ten times as much."""
     (a, b, c, x), (d, e, f, y), (g, h, i, z), last = T.tolist()
-    # One by one: `max` of numbers with a NaN among them may be none.
+    # One by one: `max` of numbers may miss a NaN among them.
     return (
         last == [0.0, 0.0, 0.0, 1.0]
         and abs(a * a + b * b + c * c - 1.0) < TIGHT
@@ -171,15 +171,15 @@ def rigid(T: np.ndarray) -> bool:
 
 
 def turn_between(old: list, new: list) -> tuple[float, ...]:
-    """Rotation vector [rad], base axes, from one pose to another, rows of numbers: `log` in a fifth of its time."""
+    """Rotation vector [rad], base axes, from one pose to another, rows of numbers: the same as `log` in a fifth of the time."""
     (a, b, c, _), (d, e, f, _), (g, h, i, _), _ = old
     (u, v, w, _), (n, o, p, _), (q, r, s, _), _ = new
-    # Of new old': twice the sine of the angle along its axis, and twice its cosine. In pairs, so that no turn is none at all.
+    # Of new old': twice the sine of the angle along its axis, and twice its cosine. In pairs, so that no turn gives exactly zero.
     x = (q * d - n * g) + (r * e - o * h) + (s * f - p * i)
     y = (u * g - q * a) + (v * h - r * b) + (w * i - s * c)
     z = (n * a - u * d) + (o * b - v * e) + (p * c - w * f)
     cosine = u * a + v * b + w * c + n * d + o * e + p * f + q * g + r * h + s * i - 1.0
-    if cosine < HALF_TURN:  # there the axis is lost in the sine
+    if cosine < HALF_TURN:  # there the sine no longer gives the axis
         return tuple(log(np.array(new)[:3, :3] @ np.array(old)[:3, :3].T))
     sine = math.sqrt(x * x + y * y + z * z)
     ratio = math.atan2(sine, cosine) / sine if sine > 0.0 else 0.5

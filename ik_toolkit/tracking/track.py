@@ -30,8 +30,8 @@ from .verdict import ORIENTATION_TOLERANCE, POSITION_TOLERANCE, settling, verdic
 
 MODES = {"slow": SLOW, "leave": LEAVE, "clip": CLIP}
 COUNTS = ("mask", "slack", "free_turn", "frame", "relative_to")  # options that say what counts
-MAX_STRETCH = 10.0  # how much longer than its reference a run may take by default
-FRACTIONS = (0.25, 0.5, 0.75)  # where between two samples the error is looked at
+MAX_STRETCH = 10.0  # how many times longer than its reference a run may take by default
+FRACTIONS = (0.25, 0.5, 0.75)  # where between two samples the error is evaluated
 
 
 def track(
@@ -58,8 +58,8 @@ def track(
     reference's start. rate0, limits and acceleration_limits as in `Tracker`.
 
     on_limit: "slow": where limits bind, or the error is above a tolerance, the reference's clock runs slower than time, so
-    that the tip stays on its path; the run ends when the clock is through, or after max_stretch times the reference's duration.
-    (A solver lags behind whatever moves: for one the clock waits for limits only.) "leave": keep time, with the least error
+    that the tip stays on its path; the run ends when the clock does, or after max_stretch times the reference's duration.
+    (A solver always lags a moving target: with one the clock waits for limits only.) "leave": keep time, with the least error
     possible; "clip": the published form, each joint clipped on its own, as it is without limits.
 
     COMPLETED or SLOWED when no sample from settle [s] on has an error above position_tolerance [m] and orientation_tolerance
@@ -118,7 +118,7 @@ def track(
 
 
 def _references(robot: Any, reference: Any) -> list[Reference]:
-    """One reference a tip. Raises InvalidOption (no robot), InvalidTarget."""
+    """One reference per tip. Raises InvalidOption (no robot), InvalidTarget."""
     if not isinstance(robot, Robot | Tree):
         raise InvalidOption(f"tracking takes a Robot (see Robot.load) or a Tree, not {type(robot).__name__}")
     if not robot.by_tip:
@@ -230,7 +230,7 @@ def _between(
 ) -> tuple[np.ndarray | None, np.ndarray | None]:
     """Largest position and orientation error (N,) inside each step, on the motion the method itself assumes."""
     if any(one is not None for one in (engine.options.mask, engine.options.slack, engine.options.free_turn)):
-        return None, None  # what counts of the error is the kernel's to say
+        return None, None  # the kernel decides which part of the error counts
     worst_p, worst_o = np.zeros(len(Q) - 1), np.zeros(len(Q) - 1)
     for f in FRACTIONS:
         T = robot.chain.forward(interpolate(Q, R, engine.gamma, dt, f))[0]

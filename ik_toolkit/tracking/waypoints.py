@@ -13,7 +13,7 @@ from ..robot.pose_files import read_poses
 from .inputs import one_of, positive
 from .reference import Reference, Samples, exp, log, minimum_jerk, split, still
 
-SHORTEST = 1e-100  # [s] between points of a spline: third powers of that, and of its inverse, are still numbers
+SHORTEST = 1e-100  # [s] between points of a spline: its third power, and that of its inverse, are still finite
 RADIAN_AS_METRES = 0.25  # weight of a rotation against a distance when waypoints share out the time
 
 
