@@ -22,9 +22,7 @@ from .jit import jit
 
 # Bits of `code`: why a joint did not move as commanded.
 POSITION, VELOCITY, ACCELERATION, HELD, RECOVERING, ROW = 1, 2, 4, 8, 16, 32
-ROUNDING = (
-    4e-16  # margin before a limit, relative to the numbers added in a step: half a unit in the last place for each
-)
+ROUNDING = 4e-16  # margin before a limit, relative to the numbers added in a step: half a unit in the last place each
 SPARE = 1e-13  # share of the remaining distance kept as a margin: braking over some hundred steps accumulates that much rounding
 NOISE = 1e-12  # [rad, or reaches] by which a state may violate viability before it counts as recovering
 SHARE = 0.1  # of the speed limit (or of 1 rad/s, 1 reach/s) at which a joint outside its limits comes back

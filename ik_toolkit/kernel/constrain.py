@@ -45,9 +45,7 @@ FULL, CLOCK, ASIDE, SLACK, EASED = range(5)  # problems to solve
 SMALL = 1e-4  # size of the clock's column beside the task's largest row: the share its square has against the joints' is 1e-8
 FULL_CLOCK = 1e-6  # share of cap from which on a full clock is tried
 DIRECTION = 100.0  # weight of deviating from the direction against falling behind along it, where nothing is blocked
-LOOSE = (
-    1e-9  # half-planes are loosened by this much more than the least slack: the room left between them exceeds rounding
-)
+LOOSE = 1e-9  # half-planes are loosened by this much more than the least slack, so that their gap exceeds rounding
 CUT_AT = 0.1  # of a joint's speed: where the rate wanted is that far outside the box, the feed-forward is removed
 
 

@@ -25,9 +25,7 @@ BASE, TIP, TARGET = range(3)
 # What `shape` keeps for `count_column`, by place. A column (u, v) counts as L (u + v x arm), A v; the target's, where it moves
 # with another tip, as L (u + v x ARM_GOAL), B v; three rows each of L, A and B, and the errors themselves.
 L, A, B, ARM, ARM_GOAL, ERROR, KEPT = 0, 9, 18, 27, 30, 33, 39
-STRAIGHT = (
-    1e-9  # sine of the angle below which two directions count as parallel, and their cross product is meaningless
-)
+STRAIGHT = 1e-9  # sine of the angle below which two directions count as parallel: their cross product is rounding
 
 
 @inner

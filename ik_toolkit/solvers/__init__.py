@@ -1,1 +1,1 @@
-"""Solvers: what finds a q for a target, and the calls that run them."""
+"""Solvers, and the calls that run them."""

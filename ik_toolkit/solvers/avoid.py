@@ -1,4 +1,4 @@
-"""Solutions that touch nothing: when a solver's answer collides, the search goes on from other starts."""
+"""Collision-free solutions: when a solver's answer collides, the search continues from other starts."""
 
 from collections.abc import Callable
 from time import perf_counter
@@ -39,7 +39,7 @@ def avoiding(plan: Any, then: tuple[Callable[[Any], Any], ...]) -> Callable[[Any
 
     Random starts are solved ROUND at a time, and of each round the solution nearest the start that touches nothing is taken
     (with `closest` of all starts). The counts are those of all starts; without a free solution the status is COLLISION. then:
-    steps that improve a free answer; one that makes it touch is taken back.
+    steps that improve a free answer; a step that causes a contact is undone.
     """
     model = collision_model(plan.robot, plan.options.avoid_collisions)
     single = plan.varied(**PLAIN, timeout=None, **({} if plan.options.follow else {"restarts": 0}))

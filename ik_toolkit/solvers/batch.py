@@ -45,9 +45,9 @@ def solve_parts(
     check: float = 0.01,
     **options: Unpack[BatchOptions],
 ) -> Iterator[BatchResult]:
-    """Solve as `solve_batch` does and give the answers part by part, in order: for more targets than fit in memory.
+    """Solve as `solve_batch` does and yield the answers part by part, in order: for more targets than fit in memory.
 
-    An array is read as parts are taken, so leave it as it is until then; what an iterator gives may be used again at once.
+    An array is read as parts are taken, so do not change it before; arrays from an iterator may be reused at once.
     Raises BatchCheckFailed at the part with an answer that Pinocchio does not confirm; its `result` is that part.
     """
     require_robot(robot)
@@ -73,7 +73,7 @@ def solve_parts(
     if first is None:
         return iter(())
     plan = local.plan_for(first.kinds)
-    plan.orders(first.kinds, starts is not None)  # a solver that cannot do it says so here
+    plan.orders(first.kinds, starts is not None)  # a solver that cannot do it is refused here
     size = PART if executor is None else REMOTE_PART
     if executor is None and total is not None:
         size = min(size, max(LEAST_PART, math.ceil(total / count)))
@@ -180,7 +180,7 @@ def solve_batch(
     try:
         for part in parts:
             end = done + len(part)
-            if end > len(table):  # in place: no second copy of what is there
+            if end > len(table):  # in place: no second copy
                 size = total if total is not None else max(end, len(table) + len(table) // 4)
                 table.resize((size, part.table.shape[1]), refcheck=False)
             table[done:end] = part.table

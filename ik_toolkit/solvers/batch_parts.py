@@ -23,8 +23,8 @@ from .plan import Plan
 from .result import Outcome
 from .task import counts_in_part
 
-AHEAD, REMOTE_AHEAD = 4, 64  # parts waiting per thread, and in all at an executor: an iterator is never read far ahead
-SLICE = 0.05  # s; a thread looks up this often whether it shall stop
+AHEAD, REMOTE_AHEAD = 4, 64  # parts waiting per thread, and in total at an executor: iterators are never read far ahead
+SLICE = 0.05  # s; how often a thread checks whether to stop
 
 
 def _starts(plan: Plan, q0: np.ndarray, first: int) -> np.ndarray:
@@ -139,17 +139,17 @@ def _solve_part(plan: Plan, job: "Job", share: float, stop: threading.Event | No
 
 @functools.lru_cache(4)
 def _unpacked(payload: bytes) -> Plan:
-    """Plan of a pickled one, kept by the worker for the next part."""
+    """Plan from its pickle, kept by the worker for the next part."""
     return pickle.loads(payload)  # noqa: S301  made by on_executor, and sent by the scheduler that already runs our code
 
 
 def _solve_remote(payload: bytes, job: "Job", share: float) -> np.ndarray:
-    """What a worker process or machine runs."""
+    """Function that a worker process or machine runs."""
     return _solve_part(_unpacked(payload), job, share)
 
 
 class Job(NamedTuple):
-    """A part as it is handed out: targets (a copy), their kinds, starts or None, the number of the first target."""
+    """A part as it is sent to a worker: targets (a copy), their kinds, starts or None, the number of the first target."""
 
     T: np.ndarray
     kinds: tuple

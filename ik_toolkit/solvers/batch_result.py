@@ -1,4 +1,4 @@
-"""What a batch returns: arrays with a row per target."""
+"""Result of a batch: arrays with a row per target."""
 
 from typing import Any
 
@@ -16,7 +16,7 @@ class BatchInterrupted(KeyboardInterrupt):
     """Ctrl-C during a batch; `result` is the BatchResult of the targets finished before it, from the first on."""
 
     def __init__(self, result: "BatchResult") -> None:
-        """Keep what was finished."""
+        """Store the finished part."""
         super().__init__(f"interrupted after {len(result)} targets")
         self.result = result
 
@@ -40,7 +40,7 @@ class BatchCheckFailed(IKError):
         self.before = before
 
     def __reduce__(self) -> tuple:
-        """Pickle by what it is made of."""
+        """Pickle by its arguments."""
         return type(self), (self.result, self.target, self.before)
 
 
@@ -73,7 +73,7 @@ class BatchResult:
         touching = None
         if int(row[AT.status]) == Status.COLLISION:
             model = collision_model(self.plan.robot, self.plan.options.avoid_collisions)
-            touching = next(iter(model.collisions(self.q[k])), None)  # None: what touched has been moved away
+            touching = next(iter(model.collisions(self.q[k])), None)  # None: the colliding obstacle has been moved away
         nothing = np.empty(0)  # a batch keeps neither targets nor starts
         return Result(Outcome(self.plan, nothing, self.kinds, nothing, False, row, 0.0, collision=touching))
 

@@ -32,7 +32,7 @@ class Block(NamedTuple):
     def poses(self, a: int, b: int) -> np.ndarray:
         """Targets a to b as the kernel takes them, a copy: (m, 4, 4), or of several tips (m, F, 4, 4).
 
-        Rotations of few digits are replaced by the nearest exact ones; what is worse, or not a number, the kernel hands back.
+        Rotations of few digits are replaced by the nearest exact ones; worse ones, and NaN, are returned by the kernel.
         """
         T = np.tile(np.eye(4), (max(0, min(b, self.rows) - a), len(self.parts), 1, 1))
         for f, part in enumerate(self.parts):
@@ -76,7 +76,7 @@ def known(targets: Any) -> Any:
 
 
 def _named(tip: str, read: Callable[[Any], Any], part: Any) -> Any:
-    """What `read` makes of the targets of one tip. Raises InvalidTarget naming it."""
+    """Targets of one tip as `read` returns them. Raises InvalidTarget naming the tip."""
     try:
         return read(part)
     except InvalidTarget as error:

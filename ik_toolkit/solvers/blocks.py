@@ -73,7 +73,7 @@ def valued(step: Step, places: int) -> str:
 def lines_of(table: Table) -> list[str]:
     """Lines of a table: the first column and words to the left, numbers to the right, marks behind them.
 
-    Columns that find no room in 80 follow below, beside the first one again.
+    Columns that do not fit into 80 follow below, next to the first one again.
     """
     lines: list[str] = []
     shown = [0]
@@ -162,7 +162,7 @@ def to_markdown(block: Block) -> str:
 
 
 def _plain(text: str) -> str:
-    """Text as Markdown takes it word for word: names of robots and joints are the model's own."""
+    """Text escaped for Markdown: names of robots and joints come from the model."""
     return re.sub(r"([\\`*_{}\[\]()<>#|~$!])", r"\\\1", text)
 
 

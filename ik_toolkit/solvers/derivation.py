@@ -1,4 +1,4 @@
-"""What a closed form says of itself for one target: its formulas, the numbers in them, and its branches."""
+"""Derivation of a closed form for one target: its formulas, the numbers in them, and its branches."""
 
 from typing import Any, NamedTuple
 
@@ -6,7 +6,7 @@ import numpy as np
 
 from .formula import Quantity, evaluate
 
-TINY = 1e-12  # [rad] what rounding leaves of no offset
+TINY = 1e-12  # [rad] rounding of a zero offset
 
 
 class Step(NamedTuple):
@@ -70,7 +70,7 @@ class Worksheet:
     """Steps being written down: each may use the symbols before it."""
 
     def __init__(self, before: tuple[Step, ...] = ()) -> None:
-        """Go on after these steps."""
+        """Continue after these steps."""
         self.values = {step.name: step.value for step in before}
         self.steps: list[Step] = []
 

@@ -68,7 +68,7 @@ def dh_blocks(arm: Any, table: DHTable | None, q: np.ndarray) -> Iterator[Block]
 
 
 def _from_axes(robot: Any) -> DHTable | None:
-    """Classic table read off the joint axes at q = 0. Where a frame may be chosen, it stays as near the one before as it can."""
+    """Classic table read off the joint axes at q = 0. A frame that can be chosen stays as close to the previous one as possible."""
     screws = read_screws(robot.chain)
     if isinstance(screws, str):
         return None
@@ -105,7 +105,7 @@ def _from_axes(robot: Any) -> DHTable | None:
 
 
 def _clean(value: float) -> float:
-    """Zero for what rounding left of it."""
+    """Zero for a remainder of rounding."""
     return 0.0 if abs(value) < 1e-12 else value
 
 
@@ -116,7 +116,7 @@ def _frame(z: np.ndarray, x: np.ndarray, origin: np.ndarray) -> np.ndarray:
 
 
 def _normal(z: np.ndarray, like: np.ndarray) -> np.ndarray:
-    """Unit vector across z, as near to `like` as there is."""
+    """Unit vector perpendicular to z, as close to `like` as possible."""
     side = across(z, like)
     if np.linalg.norm(side) < SAME:
         side = across(z, np.eye(3)[int(np.argmin(np.abs(z)))])

@@ -55,7 +55,7 @@ def find_all(solver: Any, target: Any, q0: Any, starts: int, count: int) -> Any:
 
 
 def _read(robot: Any, target: Any) -> tuple[np.ndarray, Any, str]:
-    """Any target -> (1, ...), kinds and notice; a plain pose that is one costs next to nothing."""
+    """Any target -> (1, ...), kinds and notice; a plain valid pose costs next to nothing."""
     if type(target) is np.ndarray and target.dtype == np.float64 and target.shape == (4, 4) and target.flags.carray:
         if not robot.by_tip and is_rigid(target):
             return target[None], POSES, ""
@@ -112,7 +112,7 @@ def _listed(plan: Plan, T: np.ndarray, kinds: tuple, start: np.ndarray, starts: 
 
 
 def _with_search(first: Solutions, other: Solutions, plan: Plan) -> Solutions:
-    """Solutions of a closed form that misses some, and those a search adds to them."""
+    """Solutions of a closed form that misses some, completed by a search."""
     both = Solutions(
         first.robot,
         np.vstack([first.q, other.q]),

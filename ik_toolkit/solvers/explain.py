@@ -1,4 +1,4 @@
-"""Making of an explanation: which closed form fits, what it says of the target, and how an iterative solver gets there."""
+"""Making an explanation: the closed form that fits, its derivation for the target, and the path of an iterative solver."""
 
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
@@ -38,7 +38,7 @@ def explain(result: "Result") -> Explanation:
     if form is not None:
         derivation = _derived(form, of, q)
         target = of.T[0] if of.kinds == (POSE,) else of.T[0][:3, 3]
-        if not derivation.given:  # a list as another package makes it, with poses that are only near
+        if not derivation.given:  # a list made by another package, with poses that match only roughly
             kept = [
                 branch for branch in derivation.branches if robot.errors(branch.q, target)[0] < NEARLY * robot.reach
             ]
@@ -87,7 +87,7 @@ def _form_of(of: "Outcome") -> tuple[Plan | None, str]:
 
 
 def _derived(form: Plan, of: "Outcome", q: np.ndarray) -> Derivation:
-    """What the closed form says of the target; what is free stays as it is at the answer q (n,)."""
+    """Derivation for the target; free joints stay as they are at the answer q (n,)."""
     robot = form.robot
     free = np.full(robot.n, np.inf)
     lower, upper = (robot.lower, robot.upper) if form.options.limits else (-free, free)
@@ -116,7 +116,7 @@ def _beside(of: "Outcome", name: str) -> "Outcome":
         row = find_row(GENERAL)
     plan = Plan(robot, row, row.load()(), options)
     made = _run(of, plan)
-    if not made.row[AT.iterations]:  # the start is the answer: there would be nothing to see
+    if not made.row[AT.iterations]:  # the start is the answer: there would be nothing to show
         made = _run(of._replace(start=robot.random_q(np.random.default_rng(0))[None], given=True), plan)
     return made
 

@@ -13,9 +13,9 @@ from .derivation import Branch, Derivation
 from .dh_table import dh_blocks
 from .formula import decimals, number, unit_of
 
-ABREAST = 4  # branches beside each other
+ABREAST = 4  # branches side by side
 FIRST, LAST = 10, 4  # iterations shown of a long run
-TOLD = 3  # joints whose values fit beside an iteration's errors
+TOLD = 3  # joints whose values fit next to an iteration's errors
 
 
 class Iterations(NamedTuple):
@@ -104,7 +104,7 @@ class Explanation:
             yield Words(f"Source: {self.source}.")
 
     def free_words(self) -> str:
-        """Where the joint that is free may be."""
+        """Ranges of the free joint."""
         assert self.derivation is not None and self.derivation.free is not None
         free = self.derivation.free
         name, unit = self.robot.joint_names[free.joint], unit_of(self.robot.joint_kinds[free.joint])

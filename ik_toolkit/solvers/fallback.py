@@ -1,4 +1,4 @@
-"""When a closed form has no answer, the search has its say: it may find one, and if not the best configuration is returned."""
+"""When a closed form has no answer, the search runs: it may find one; if not, the best configuration is returned."""
 
 from collections.abc import Callable
 from typing import Any
@@ -62,11 +62,11 @@ def with_search(plan: Any, closed: Callable) -> Callable:
         for joint, value in held.items():
             start[:, joint] = value
         if plan.options.limits and ((start < robot.lower) | (start > robot.upper)).any():
-            return  # a joint is held where the limits forbid it: nothing else is to be found
+            return  # a joint is held where the limits forbid it: there is nothing else to find
         ended = np.array(out[failed, ANSWER:])
         kinds = (int(opt[HEAD]),)
         # With one target the closed form has written one row of the history; with more there is none.
-        given = len(Q0) > 1 or not np.array_equal(Q0[0], robot.home)  # a closed form is always told to start somewhere
+        given = len(Q0) > 1 or not np.array_equal(Q0[0], robot.home)  # a closed form always gets a start
         open_ = continue_with(usual, T[failed], start, (kinds, given), failed, out, hist[1:])
         if open_.any():
             still = continue_with(once, T[failed[open_]], ended[open_], (kinds, True), failed[open_], out, hist[:0])

@@ -41,7 +41,7 @@ GROWTH = 4  # of the slices: a search begun anew each time repeats at most a thi
 
 
 def extend(outcome: Any) -> Any:
-    """Go on with a search that used up its slice, as far as its timeout allows.
+    """Continue a search that used up its slice, as far as its timeout allows.
 
     A search with more evaluations begins as one with fewer, so each slice is a longer run from the beginning, and the answer is
     that of max_evaluations=result.fk_evaluations. A slice is cut to what the last one's pace fits into the time left.
@@ -115,7 +115,7 @@ def improve(outcome: Any) -> Any:
 
 
 def confirm(outcome: Any) -> Any:
-    """Compute the errors again with Pinocchio; a success it does not confirm is no success."""
+    """Compute the errors again with Pinocchio; a success that it does not confirm becomes a failure."""
     plan, kinds = outcome.plan, outcome.kinds
     n = plan.robot.n
     errors = counted_errors(plan.robot, outcome.row[ANSWER : ANSWER + n], outcome.T[0], kinds, plan.options)
@@ -123,7 +123,7 @@ def confirm(outcome: Any) -> Any:
     if outcome.row[AT.status] != CONVERGED or inside(errors, plan.options):
         return outcome
     if kinds == (POSE,):
-        mended = check_target(outcome.T[0])[0]  # a rotation of few digits has no angle more exact than they are
+        mended = check_target(outcome.T[0])[0]  # the angle of a rotation with few digits is no more exact than they are
         if not np.array_equal(mended, outcome.T[0]):
             row = plan.solve(mended[None], kinds, outcome.start, outcome.given)
             again = outcome._replace(T=mended[None], row=row, errors=None)

@@ -1,4 +1,4 @@
-"""Formulas as people read them: one Python expression as text, LaTeX or MathML, with names or with numbers in their place."""
+"""Formulas for people: one Python expression as text, LaTeX or MathML, with names or with numbers in their place."""
 
 import ast
 import html
@@ -101,7 +101,7 @@ class Text:
         return f"{name}({', '.join(arguments)})"
 
     def equals(self, parts: list[str]) -> str:
-        """A chain of equal things."""
+        """A chain of equalities."""
         return " = ".join(parts)
 
 
@@ -111,7 +111,7 @@ class Latex(Text):
     bars = True
 
     def name(self, name: str) -> str:
-        """A symbol, its index below it; what is no letter with an index is a word."""
+        """A symbol with its index as a subscript; anything but a letter with an index is a word."""
         base, index = split(name)
         if not base:
             return rf"\mathrm{{{name}}}".replace("_", r"\_")
@@ -198,7 +198,7 @@ class MathML(Text):
 
 
 def pieces(written: str) -> list[str]:
-    """What MathML wrote, in pieces that may stand on lines of their own: browsers break no line inside a formula."""
+    """MathML in pieces that may go on separate lines: browsers do not break a line inside a formula."""
     made, depth = [""], 0
     for part in re.split(f"({BREAK}|</?(?:mrow|msqrt|msub)>)", written):
         depth += part in ("<mrow>", "<msqrt>", "<msub>")
@@ -222,7 +222,7 @@ def write(expression: str, form: Text, numbers: Mapping[str, Quantity] | None = 
 
 
 def _written(node: Any, form: Text, numbers: Mapping[str, Quantity] | None, places: int) -> tuple[str, int]:
-    """What is written of a node, and how tightly it binds."""
+    """Text of a node, and how tightly it binds."""
 
     def inside(part: Any, least: int) -> str:
         text, binds = _written(part, form, numbers, places)

@@ -1,4 +1,4 @@
-"""A solver of somebody's own in a file, given as FILE.py:CLASS."""
+"""A user's solver in a file, given as FILE.py:CLASS."""
 
 import functools
 import hashlib
@@ -18,7 +18,7 @@ def is_file(text: str) -> bool:
 def from_file(text: str) -> type:
     """The class of FILE.py:CLASS, run as Python runs a script: files beside it can be imported.
 
-    Raises InvalidOption when there is no such file or class, when it does not run, or when the class is no solver.
+    Raises InvalidOption when there is no such file or class, when it does not run, or when the class is not a solver.
     """
     name, _, wanted = text.rpartition(":") if not text.endswith(".py") else (text, "", "")
     path = Path(name).expanduser().resolve()

@@ -19,7 +19,7 @@ SLICE = 256  # evaluations that a timed solve makes before it looks at the clock
 FOLLOW = 0.5  # rad (of the reach for slides): what follow=True allows, the move that a chain reports as a flip
 OBJECTIVES = {"mid-range": 1, "reference": 2, "manipulability": 3}  # numbers of kernel/refine.py
 WORDS = {"objective": tuple(OBJECTIVES), "q0_outside": ("clamp", "refuse")}
-OTHERWISE = {  # names that are asked for and mean something else here
+OTHERWISE = {  # names from other packages that mean something else here
     "mask_frame": "mask_frame is now called frame: 'base', 'tip' or 'target'",
     "from_q": "there is no option 'from_q'; the target that a configuration reaches is robot.fk(q)",
 }
@@ -180,7 +180,7 @@ def make_options(given: dict[str, Any]) -> Options:
                 continue
             raise InvalidOption(f"{name} must be one of {', '.join(WORDS[name])}, not {value!r}")
         elif name in ("limits", "history", "check", "closest") or (name == "wrap" and value is not None):
-            if not isinstance(value, bool | np.bool_):  # "no" would be taken for yes
+            if not isinstance(value, bool | np.bool_):  # "no" would count as true
                 hint = " (what it is nearest to is q0)" if name == "closest" else ""
                 raise InvalidOption(f"{name} must be True or False here{hint}, not {value!r:.60}")
             values[name] = bool(value)
@@ -230,7 +230,7 @@ def counting(name: str, value: Any) -> Any:
             )
         return tuple(array.tolist())
     length = float(np.linalg.norm(array)) if array.shape == (3,) else 0.0
-    if not 1e-9 < length < math.inf:  # shorter, it has no direction to speak of
+    if not 1e-9 < length < math.inf:  # a shorter one has no usable direction
         raise InvalidOption(f"free_turn must be an axis of the tip, three numbers that are not all 0, not {value!r}")
     return tuple((array / length).tolist())
 

@@ -24,7 +24,7 @@ from .task import kernel_tasks
 MARGIN = 1.0 - 1e-9  # the kernel tests a little inside the tolerance, so that Pinocchio's rounding cannot disagree
 KINDS_KEPT = 64  # kinds of target a plan stays ready for: every axis is a kind of its own, and axes have no end
 CLOSEST = 16  # solutions to compare when the one nearest q0 is asked for
-FOLLOW_ITERATIONS = 100  # the one attempt of `follow` has no other to hand over to where it converges slowly
+FOLLOW_ITERATIONS = 100  # the single attempt of `follow` has no successor where it converges slowly
 NEVER = (np.inf, 1.0, np.inf, 1.0)
 
 
@@ -52,7 +52,7 @@ class Plan:
         self.width = ANSWER + robot.n + (MISS * len(robot.tips) if robot.by_tip else 0)
         self.home = robot.home.reshape(1, -1).copy()
         self._plain = not len(self.held)
-        self.memo: dict[Any, Any] = {}  # of whoever keeps something with the plan
+        self.memo: dict[Any, Any] = {}  # cache for callers that keep something with the plan
         self._ready: dict[tuple, tuple] = {}
         self._packed: dict[tuple, np.ndarray] = {}
         self._tables: dict[bool, tuple] = {}
@@ -70,7 +70,7 @@ class Plan:
         return Plan(self.robot, row, row.load()(), replace(self.options, **options))
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle what was asked for; the compiled loop is bound again."""
+        """Pickle the request; the compiled loop is bound again."""
         return Plan, (self.robot, self.row, self.rule, self.options)
 
     # ---------------------------------------------------------------------------------------------------------- running
@@ -113,7 +113,7 @@ class Plan:
         return found
 
     def _ends(self) -> np.ndarray:
-        """`ends` of the chain as the options want limits to count."""
+        """`ends` of the chain with limits as the options want them."""
         chain, n = self.robot.chain, self.robot.n
         ends = chain.ends
         if not self.options.limits:

@@ -15,7 +15,7 @@ from .solve import Solver
 
 
 def prepare(*solvers: str, progress: Callable[[str], None] | None = None) -> None:
-    """Compile what single calls and batches of `solvers` need; what is on disk already is only loaded.
+    """Compile what single calls and batches of `solvers` need; kernels already on disk are only loaded.
 
     solvers: names, default 'auto': everything that `ik.solve`, `Solver` and `solve_batch` take by default, several tips included.
     progress(words) is called before each part. Some ten seconds a solver when nothing is on disk. Raises UnknownSolver.

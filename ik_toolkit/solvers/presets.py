@@ -27,7 +27,7 @@ def list_presets(solver: str) -> list[str]:
 
 def read_preset(solver: str, name: str | Path) -> dict[str, Any]:
     """Content of a shipped preset, or of a file when the name ends in .toml. Raises InvalidOption."""
-    name = str(name)  # a Path is welcome
+    name = str(name)  # a Path is accepted as well
     path = Path(name) if name.endswith(".toml") else FOLDER / solver / f"{name}.toml"
     known = list_presets(solver)
     if not name.endswith(".toml") and name not in known:

@@ -1,4 +1,4 @@
-"""What the toolkit asks of a solver, and what it takes for the answer where a class does not say.
+"""The interface of a solver, and the defaults for what a class leaves out.
 
 A rule is one step of an iterative method; the search does the rest (kernel/search.py). A closed form lists the branches of one
 target. Both are NamedTuple classes whose fields are their parameters, marked by `@rule` or `@closed_form`, which fill in what
@@ -31,7 +31,7 @@ SHOWN = 16  # branches of a family in an explanation
 
 @dataclass(frozen=True)
 class Asked:
-    """What a solver is asked for: the robot, a kind of target a tip, whether the caller gives q0, and the options.
+    """The request to a solver: the robot, a kind of target per tip, whether the caller gives q0, and the options.
 
     kinds: of kernel.task (POSE, POSITION, ...), a pair with the axis for AXIS.
     """
@@ -43,7 +43,7 @@ class Asked:
 
     @property
     def position_only(self) -> bool:
-        """Whether no tip has an orientation asked for."""
+        """Whether no tip has a target orientation."""
         return all(kind == POSITION for kind in self.kinds)
 
     @property
@@ -85,7 +85,7 @@ class Rule(Protocol):
         return None
 
     def options(self) -> dict[str, Any]:
-        """Options that come with the rule (a preset's tolerance); what the caller gives goes before."""
+        """Options that come with the rule (a preset's tolerance); the caller's take precedence."""
         return {}
 
     def loop(self, robot: Any) -> Callable:
@@ -117,7 +117,7 @@ class ClosedForm(Protocol):
         ...
 
     def derive(self, robot: Any, p: np.ndarray, T: np.ndarray, box: np.ndarray) -> "Derivation":
-        """The formulas with their numbers for T (4, 4), to be read (see `derivation`). Default: the branches of `every` alone.
+        """Formulas with their numbers for T (4, 4), to explain a solve (see `derivation`). Default: the branches of `every` alone.
 
         p, box: as for `every`. box[2] is the answer to be explained, so what is free stays as it is there.
         """
@@ -152,7 +152,7 @@ def rule(cls: Class) -> Class: ...
 @overload
 def rule(*, step: type) -> Callable[[Class], Class]: ...
 def rule(cls: Any = None, *, step: Any = None) -> Any:
-    """Class decorator: make a NamedTuple class with a `step` a rule.
+    """Class decorator: turn a NamedTuple class with a `step` into a rule.
 
     step: the `@compiled` class that has the step, where that is another one: `pack` makes it of the parameters. Raises
     TypeError where there is no step, nothing for numba to pass (a record without fields), or a field named like an option.
@@ -175,7 +175,7 @@ def rule(cls: Any = None, *, step: Any = None) -> Any:
 
 
 def closed_form(cls: Class) -> Class:
-    """Class decorator: make a NamedTuple class with `recognise` and `every` a closed form. Raises TypeError without them."""
+    """Class decorator: turn a NamedTuple class with `recognise` and `every` into one. Raises TypeError without them."""
     for name in ("_fields", "recognise", "every"):
         if not hasattr(cls, name):
             raise TypeError(f"{cls.__name__}: a closed form is a NamedTuple class with `recognise` and `every`")
@@ -205,7 +205,7 @@ def misfit(row: Row, solver: Any, robot: Any) -> str:
 
 
 def fitted(form: Any, robot: Any) -> "Fit":
-    """What a closed form recognises in a robot. Raises UnknownSolver with the reason where it does not fit."""
+    """Structure that a closed form recognises in a robot. Raises UnknownSolver with the reason where it does not fit."""
     if reason := misfit(find_row(form), form, robot):
         raise UnknownSolver(reason)
     return form.recognise(robot.chain)
@@ -220,7 +220,7 @@ def require(row: Row, solver: Any, asked: Asked) -> None:
 
 
 def refusal(row: Row, solver: Any, asked: Asked) -> str:
-    """Why a solver does not do what is asked on a robot it fits, or ''. The name of the solver goes before."""
+    """Why a solver does not do what is asked on a robot it fits, or ''. To be preceded by the solver's name."""
     o = asked.options
     if row.closed and (o.closest or o.follow or counts_in_part(asked.kinds, o)):
         return f"is a closed form and takes no mask, slack, free_turn, axis target, closest or follow; use '{GENERAL}'"
@@ -233,7 +233,7 @@ def refusal(row: Row, solver: Any, asked: Asked) -> str:
 
 
 def parameters(row: Row, solver: Any, asked: Asked) -> np.ndarray:
-    """Numbers of the compiled step. Raises InvalidOption when a parameter is none, or not finite."""
+    """Numbers of the compiled step. Raises InvalidOption when a parameter is missing or not finite."""
     try:
         numbers = np.asarray(solver.pack(asked.robot, asked), dtype=float)
     except IKError:

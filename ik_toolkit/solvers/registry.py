@@ -22,7 +22,7 @@ from ..errors import IKError, InvalidOption, UnknownSolver, near_match
 
 
 class Length(NamedTuple):
-    """How long a search goes on where the caller does not say.
+    """How long a search continues by default.
 
     give_up: (C, rho, C_free, rho_free), an attempt ends when |e|^2 > C rho^k (first pair for starts from the table, second for
     q0 and random starts), or None. patience: from this attempt after q0's on each has twice the iterations and is given up later.
@@ -39,13 +39,13 @@ LENGTH = Length()
 
 @dataclass(frozen=True)
 class Row:
-    """What the toolkit knows about a solver without importing it.
+    """What is known of a solver without importing it.
 
     target: "module:Class" of the rule or closed form. search: its default length; several: the same for several tips, if that
     differs. closed: a closed form. pose, position: the targets it solves. one_tip: not for several tips. moves_all: moves
     every joint, so that none can be held by a weight of 0. tracks: makes sense with one step per sample. joints: for a closed
     form that 'auto' uses where it fits, the numbers of joints it may fit. package: the package it comes from, if not this one
-    (see `registered`). cls: the class, if it need not be imported. Everything else a solver declares itself: see `protocol`.
+    (see `registered`). cls: the class, if it need not be imported. A solver declares everything else itself: see `protocol`.
     """
 
     name: str
@@ -66,7 +66,7 @@ class Row:
     cls: Any = None
 
     def load(self) -> Any:
-        """Import and return the class. Raises UnknownSolver where that of another package cannot be imported or is no solver."""
+        """Import and return the class. Raises UnknownSolver where another package's class cannot be imported or is not a solver."""
         if self.cls is not None:
             return self.cls
         module, name = self.target.split(":")
@@ -84,7 +84,7 @@ class Row:
         return cls
 
     def length(self, tips: int = 1) -> Length:
-        """How long the search goes on for so many tips."""
+        """How long the search continues for this number of tips."""
         return self.several if tips > 1 and self.several is not None else self.search
 
 
@@ -203,7 +203,7 @@ def list_rows() -> tuple[Row, ...]:
 
 @functools.cache  # once per process: reading what is installed takes some milliseconds
 def registered() -> dict[str, Row]:
-    """Rows of other packages by name. What is broken is left out, with a warning that names the package."""
+    """Rows of other packages by name. Broken ones are left out, with a warning that names the package."""
     import importlib.metadata
 
     found: dict[str, tuple[Row, str]] = {}
@@ -212,7 +212,7 @@ def registered() -> dict[str, Row]:
         package = point.dist.name if point.dist is not None else point.value
         try:
             row = _row(point)
-        except Exception as error:  # whatever somebody else's package does, ours goes on without it
+        except Exception as error:  # whatever another package does, ours continues without it
             why = f"{type(error).__name__}: {error}" if not isinstance(error, InvalidOption) else error
             LOG.warning("package %s: solver '%s' is left out: %s", package, point.name, why)
             continue
@@ -228,7 +228,7 @@ def registered() -> dict[str, Row]:
 
 
 def _row(point: Any) -> Row:
-    """Row of an entry point. Raises InvalidOption for what is no row, or cannot have its name."""
+    """Row of an entry point. Raises InvalidOption for anything but a row, or an unusable name."""
     row = point.load()
     if not isinstance(row, Row):
         raise InvalidOption(f"{point.value} is a {type(row).__name__}, not a Row of ik_toolkit.solvers.registry")
@@ -270,7 +270,7 @@ def find_row(solver: Any) -> Row:
 
 
 def _own(cls: type) -> Row:
-    """Row of somebody's own solver; what a row says and theirs is not, they may say as class attributes."""
+    """Row of a user's solver; its class attributes may set the fields of a row."""
     said = {name: getattr(cls, name) for name in OWN if hasattr(cls, name)}
     kind = _CLOSED_FORM if hasattr(cls, "every") else {}
     summary = (cls.__doc__ or cls.__name__).splitlines()[0]

@@ -1,4 +1,4 @@
-"""Distinct solutions by search: one attempt from each of many starts, answers that are the same merged."""
+"""Distinct solutions by search: one attempt from each of many starts, equal answers merged."""
 
 from typing import Any
 
@@ -28,7 +28,7 @@ TIGHT = 1e-9  # tolerance of the numerical search: answers to 1e-6 differ too mu
 FLAT = 1e-4  # singular value (lengths over the scale) below which a direction may lead along a family
 STRIDE = 0.02  # rad, or of the scale: step along that direction; an isolated answer is not found again so far away
 CLOSE, STEPS = 1e-2, 40  # errors [of the scale, rad] from which numerical answers are finished, and steps given to that
-MOST_DIRECTIONS = 256  # looked along for families: enough to name the joints that move
+MOST_DIRECTIONS = 256  # directions tried for families: enough to name the joints that move
 
 
 def search(plan: Plan, T: np.ndarray, kinds: tuple, start: np.ndarray, starts: int, count: int) -> Solutions:
@@ -74,7 +74,7 @@ def search(plan: Plan, T: np.ndarray, kinds: tuple, start: np.ndarray, starts: i
 
 
 def _redundant(plan: Plan, kinds: tuple) -> bool:
-    """Whether joints are left over, so that solutions are not isolated; an axis target frees the turn about it."""
+    """Whether the task leaves joints free, so that solutions are not isolated; an axis target frees the turn about it."""
     return plan.robot.n - len(plan.held) > Asked(plan.robot, kinds, options=plan.options).rows
 
 
@@ -142,7 +142,7 @@ def _families(single: Plan, found: Solutions, T: np.ndarray, kinds: tuple, redun
 
 
 def distinct_rows(found: Solutions, plan: Plan) -> Solutions:
-    """Without rows that are the same as one before."""
+    """Without rows that repeat an earlier one."""
     turning, _ = turning_joints(plan)
     unit = found.robot.chain.unit
     kept: list[int] = []

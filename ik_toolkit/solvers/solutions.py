@@ -34,7 +34,7 @@ class Solutions:
         branches: np.ndarray | None = None,
         found_by: tuple[str, ...] | None = None,
     ) -> None:
-        """Keep the parts."""
+        """Store the parts."""
         self.robot = robot
         self.q = q
         self.distance = distance
@@ -59,7 +59,7 @@ class Solutions:
         return self.q[k]
 
     def keep(self, rows: np.ndarray) -> "Solutions":
-        """The same with some rows (indices or truth values) only."""
+        """The same with only some rows (indices or booleans)."""
         rows = np.arange(len(self))[rows]
         orientation = self.orientation_error
         return Solutions(

@@ -23,9 +23,9 @@ from .registry import GENERAL, find_row, make_rule
 from .result import Result, make_outcome
 from .task import POSES, read_target
 
-FLOAT = np.dtype(np.float64)  # one object in a process, so `is` tells; other kinds of float take the long way
+FLOAT = np.dtype(np.float64)  # one object per process, so `is` suffices; other kinds of float take the slow path
 BOUND_KEPT = 64  # solvers that `solve` keeps for a robot
-EXACT = {  # options that a closed form honours or has no use for; 'auto' takes the search when any other is given
+EXACT = {  # options that a closed form honours or ignores; 'auto' takes the search when any other is given
     "tolerance", "position_tolerance", "orientation_tolerance", "max_iterations", "max_evaluations", "timeout", "restarts",
     "seed", "limits", "q0_outside", "history", "check",
 }  # fmt: skip
@@ -94,7 +94,7 @@ class Solver:
             start, note = plan.check_start(q0)
             notice = notice or note
         row = plan.solve(T, kinds, start, given)
-        if row[AT.status] >= BAD_TARGET:  # what the kernel will not take is looked at here: refused in words, or mended
+        if row[AT.status] >= BAD_TARGET:  # rejected by the kernel: refused here with a message, or corrected
             if row[AT.status] == BAD_TARGET:
                 T, kinds, notice = read_target(self.robot, target)
             if given:
@@ -160,7 +160,7 @@ def bound(robot: Any, solver: Any, options: Mapping[str, Any]) -> Solver:
 
 
 def is_auto(solver: Any) -> bool:
-    """Whether the choice of the solver is left to us."""
+    """Whether the choice of the solver is left to the toolkit."""
     return solver is None or (isinstance(solver, str) and solver == "auto")
 
 

@@ -1,4 +1,4 @@
-"""What can be tuned of a solver: names, ranges, logarithmic or not, units, and the rule that a point of it stands for.
+"""Tunable parameters of a solver: names, ranges, log scale or not, units, and the rule that a point stands for.
 
 A rule that knows what to tune has a class method `space(robot, position_only, initial=None)`, see `study.spaces.make_space`.
 """

@@ -1,4 +1,4 @@
-"""Starts of a search in which some joints are held: every start has them where the first one has them."""
+"""Starts of a search in which some joints are held: every start has them at their values in the first."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""How a search for one q ended, in a word and in a sentence."""
+"""How a search for one q ended, as a status and as a sentence."""
 
 import enum
 from typing import TYPE_CHECKING
@@ -84,7 +84,7 @@ def sentence(result: "Result") -> str:
 
 
 def _left(result: "Result") -> str:
-    """What is left at q, in words."""
+    """Errors left at q, in words."""
     left = _length(result.position_error)
     if result.orientation_error is not None:
         left += f", {np.degrees(result.orientation_error):.3g} deg"
@@ -100,7 +100,7 @@ def _starts(count: int) -> str:
 
 
 def _at_each_tip(result: "Result") -> str:
-    """What is left at each of several tips that have a target, or ''."""
+    """Errors left at each of several tips that have a target, or ''."""
     if len(result.robot.tips) == 1:
         return ""
     left = []
@@ -127,7 +127,7 @@ def _closed_form_says(result: "Result", left: str) -> str:
 
 
 def _failure(result: "Result", left: str, starts: int) -> str:
-    """What a failed search has to say, without what to try."""
+    """Sentence on a failed search, without the advice."""
     row, status, robot = result._of.row, result.status, result.robot
     if status == Status.UNREACHABLE:
         beyond = [f"{tip} by {_length(x, 4)}" for tip, x in zip(robot.tips, result._of.excess(), strict=True) if x > 0]

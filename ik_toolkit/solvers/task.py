@@ -1,4 +1,4 @@
-"""Targets as the kernel takes them, and what of their errors counts: in the kernel and in Pinocchio's check alike."""
+"""Targets as the kernel takes them, and which part of their errors counts, in the kernel and in Pinocchio's check."""
 
 import math
 from collections.abc import Mapping
@@ -28,7 +28,7 @@ class Counts(NamedTuple):
 
     @property
     def in_part(self) -> bool:
-        """Whether something is left out, whatever the target."""
+        """Whether something is left out for any target."""
         return any(part is not None for part in self[:3])
 
 
@@ -75,7 +75,7 @@ def relatives(robot: Any, o: Options) -> tuple[int, ...]:
 
 
 def counts_in_part(kinds: tuple, o: Options) -> bool:
-    """Whether anything but whole poses and positions is asked for: what closed forms do not solve."""
+    """Whether anything but whole poses and positions is requested, which closed forms do not solve."""
     return o.in_part or not WHOLE.issuperset(kinds)
 
 
@@ -128,7 +128,7 @@ def kernel_tasks(robot: Any, kinds: tuple, o: Options) -> list[Task]:
 
 
 def _at(robot: Any, tip: str) -> str:
-    """Where a message is about one of several tips."""
+    """Prefix of a message about one of several tips."""
     return f"{tip}: " if len(robot.tips) > 1 else ""
 
 
@@ -142,7 +142,7 @@ def _free_axis(counts: Counts, kind: Any, at: str = "") -> tuple[float, ...] | N
 
 
 def _require_position(counts: Counts, at: str) -> None:
-    """Raise InvalidOption where a position is asked for more than it says."""
+    """Raise InvalidOption where an option needs an orientation and the target is a position."""
     if counts.mask is not None and any(counts.mask[3:]):
         raise InvalidOption(
             f"{at}a position leaves orientation free, so the last three weights of its mask must be 0, not {counts.mask[3:]}"
@@ -218,7 +218,7 @@ def counted_errors(
     """Position error [m] and orientation error [rad] that count at each tip at q (n,), by Pinocchio.
 
     T (1, 4, 4) or (1, F, 4, 4), or without the first axis: validated targets. None where the target leaves orientation free;
-    at a free tip nothing is left.
+    the errors of a free tip are 0.
     """
     if not counts_in_part(kinds, o):
         given = zip(robot.arms, robot.places, T.reshape(-1, 4, 4), kinds, strict=True)

@@ -1,4 +1,4 @@
-"""Six revolute joints of a structure that the EAIK package knows: all its answers, through the call of every other solver."""
+"""Six revolute joints of a structure that the EAIK package knows: all its answers, called like any other solver."""
 
 import functools
 from typing import Any, NamedTuple

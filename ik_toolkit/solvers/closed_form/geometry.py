@@ -1,4 +1,4 @@
-"""What the closed forms share: reading a chain's joint screws, and bringing joint angles to legal turns.
+"""Shared by the closed forms: reading a chain's joint screws, and moving joint angles into the limits by full turns.
 
 A structure is recognised from geometry alone: every joint's axis is read at q = 0 from the Jacobian, so names, axis signs,
 angle offsets, intermediate frames and the pose of the base do not matter.
@@ -19,7 +19,7 @@ from ...kernel.records import ANSWER, HEAD, WEIGHTS, Answer, Ends, Orders, read,
 from ...kernel.task import POSITION
 
 FIT = 1e-9  # how far [rad, or of the reach] axes may be off a structure that is taken as exact
-NEAR = 1e-4  # how far off they may be at all: what people write with five digits is, and Newton's steps mend it
+NEAR = 1e-4  # largest deviation accepted: files written with five digits have it, and Newton steps correct it
 SNAP = 1e-9  # an answer this little [rad or m] beyond a limit is put on it
 
 
@@ -32,7 +32,7 @@ class Fit(NamedTuple):
 
 
 def no_fit(reason: str) -> Fit:
-    """Say why a chain does not fit."""
+    """Give the reason why a chain does not fit."""
     return Fit(np.zeros(0), reason, math.inf)
 
 

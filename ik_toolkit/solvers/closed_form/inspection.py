@@ -74,7 +74,7 @@ def recognise(chain: Chain) -> Fit:
     order = np.flatnonzero(screws.turns)
     z1, z3, z4, z5, z6, z7 = screws.axis[order]
     c1, c3, c4, c5, c6, c7 = screws.point[order]
-    off = []  # how far it is off the structure, and what to say
+    off = []  # how far it is off the structure, and the message
     if len(slides):
         turned = np.linalg.norm(np.cross(z1, screws.axis[slides[0]]))
         off.append((turned, "its lift does not move along the first revolute axis"))

@@ -25,7 +25,7 @@ NEAREST, GIVEN, MIDDLE = range(3)
 SCAN = 12  # lifts tried in each feasible interval when no branch at the first lift is legal
 WINDOWS = 33  # lifts of each branch between which minima of the limit broken are looked for when none of those is legal
 GOLDEN, CLOSING = 0.6180339887498949, 64  # of the golden section: it ends at rounding, 0.618^64 = 4e-14
-TURNS = 8  # full turns looked at either way; joints with wider limits are as good as endless
+TURNS = 8  # full turns considered either way; joints with wider limits count as endless
 LEVEL = 1e-9  # slope of the tool's z axis, and miss of the forearm's length, up to which an arm is level
 
 
@@ -138,7 +138,7 @@ def stopped_at(p, P, box, d, gap, spans):
 
 @jit
 def scan_lifts(p, P, box, near, spans, count, moved, sols, q, trial, best):
-    """Look at a few feasible lifts for a legal branch: the one nearest the reference, or what breaks the limits least.
+    """Try a few feasible lifts for a branch within limits: the one nearest the reference, or what breaks the limits least.
 
     Lifts stand closer at the ends of an interval, where the angles change fastest.
     """

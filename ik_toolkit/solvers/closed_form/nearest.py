@@ -17,7 +17,7 @@ SAMPLE = 64  # branches asked for where a family has no end
 
 
 def nearest_of(form: Any, robot: Any) -> Callable:
-    """Solve with the arguments of `kernel.search.entry` around `form.every`, which is called from Python. It proves nothing."""
+    """Solve with the arguments of `kernel.search.entry` around `form.every`, which is called from Python. It gives no proof."""
 
     def solve(rows, ends, seeds, feat, T, Q0, out, opt, hist) -> None:
         n = robot.n

@@ -31,7 +31,7 @@ class Sweep(NamedTuple):
             new = p.inside(i, old + p.best_move(e, i, self.least))
             if new == old:
                 continue
-            if not s.affords(2):  # a trial, and one to take it back
+            if not s.affords(2):  # a trial, and one to undo it
                 cut = True
                 break
             s.q[i] = new

@@ -11,7 +11,7 @@ from ...kernel.linalg import lu_solve
 from ...kernel.search import SINGULAR_STEP
 from ..protocol import Asked, rule
 
-FLOOR = 1e-12  # damping that is always there: at the target of a planar arm JJ' has no inverse
+FLOOR = 1e-12  # minimum damping: at the target of a planar arm JJ' has no inverse
 
 
 @rule
@@ -81,7 +81,7 @@ class Pinv(NamedTuple):
 class Transpose(NamedTuple):
     """Jacobian transpose: dq = gain alpha J'e with alpha = <e, JJ'e> / <JJ'e, JJ'e>, the exact step along J'e.
 
-    Where J'e = 0 alpha is 0/0 and the arm stands still. Source: Buss (2004), eq. (8); Burrell et al. (2016), eqs. (11)-(12).
+    Where J'e = 0, alpha is 0/0 and the arm does not move. Source: Buss (2004), eq. (8); Burrell et al. (2016), eqs. (11)-(12).
     """
 
     gain: float = 1.0
@@ -146,7 +146,7 @@ class Newton(NamedTuple):
     """
 
     def refuses(self, asked: Asked) -> str:
-        """Why it does not do what is asked, or ''."""
+        """Why it cannot do what is requested, or ''."""
         n = asked.robot.n
         if asked.rows == n:
             return ""

@@ -17,7 +17,7 @@ from ..space import Parameter, Space, start_parameter
 UNITS = {"si": 1.0, "mm-deg": 1000.0 * math.pi / 180.0}  # rad/m per unit of gain
 
 
-ROUNDING = 1e-14  # of the length scale: what a trial gains beyond that is no noise of the arithmetic
+ROUNDING = 1e-14  # of the length scale: a trial's gain above this is not rounding
 
 
 @compiled
@@ -61,7 +61,7 @@ class Gains(NamedTuple):
                 value = p.norm(f, self.orientation)
                 if (
                     value < least - ROUNDING
-                ):  # not moving wins ties, as of a roll about the tip when only positions count
+                ):  # not moving wins ties, for example for a roll about the tip when only positions count
                     least = value
                     kept = s.q[i]
                     done = f.good
@@ -107,7 +107,7 @@ class PID(NamedTuple):
 
     @classmethod
     def space(cls, robot: Any, position_only: bool, initial: "PID | None" = None) -> Space:
-        """What is tuned: the gains on log scales, and one start."""
+        """Tuned parameters: the gains on log scales, and one start."""
         initial = initial or cls()
         packed = np.array(initial.pack(robot)) / robot.chain.scale
         kp, ki, kd = (float(x) for x in packed[:3])

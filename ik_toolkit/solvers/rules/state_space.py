@@ -96,7 +96,7 @@ class Maps(NamedTuple):
         for i in range(m):
             changed = max(changed, abs(s.x[2 * n + i] - s.x[i]))
             s.x[i] = s.x[2 * n + i]
-        # Joints may rest on their limits while the state still builds up: that is no stall.
+        # Joints may rest at their limits while the state still builds up: that is not a stall.
         return WAITING if changed > SETTLED else 0
 
 
@@ -105,7 +105,7 @@ class StateSpace(NamedTuple):
     """Algorithm II: dq(k) = C x(k) + D e(k), x(k+1) = A x(k) + B e(k), x(0) = 0, with the literal delay (dq before x absorbs e).
 
     A (m, m), B (m, 3) for positions or (m, 6), C (n, m); the published solver has no D (n, 3 or 6). e = target - actual in
-    base axes [m, rad], orientation as a rotation vector. Joints saturate at their limits and the state is left alone. starts
+    base axes [m, rad], orientation as a rotation vector. Joints saturate at their limits; the state is not changed. starts
     (M, n) [rad, m]: without q0 the start whose tip is nearest the target is taken (restarts take the next nearest); B and D may
     then hold M maps, (M, m, 3) or (M, n, 3), and the start chosen selects its map; from a q0 the map of the nearest start is
     chosen in every step. Without any of them: 128 starts spread over the workspace, and for each D = kappa pinv(mean Jacobian
@@ -161,7 +161,7 @@ class StateSpace(NamedTuple):
         return None if starts is None else check_starts("state-space", starts, robot)
 
     def pack_for(self, robot: Any, position_only: bool, given: bool) -> np.ndarray:
-        """As `pack`; until the core asks with `Asked`."""
+        """As `pack`, without a request."""
         return self.pack(robot, Asked(robot, (POSITION if position_only else POSE,), given))
 
     def pack(self, robot: Any, asked: Asked | None = None) -> np.ndarray:
