@@ -197,6 +197,25 @@ def test_noise_gain_is_what_a_simulation_shows(method, delay):
     assert st.check_gains("av", h, delay=2, noise=1e-3).noise_gain == math.inf
 
 
+@pytest.mark.parametrize(("method", "delay", "gains"), [
+    ("cv", 2, {}), ("cv", 2, {"kappa": 23.0}), ("cv", 5, {"kappa": 12.0}), ("cv", 5, {"kappa": 40.0}),
+    ("ca", 2, {"kp": 870.0, "kd": 84.0}), ("ca", 2, {"kp": 4000.0, "kd": 60.0}), ("aad", 2, {}),
+])  # fmt: skip
+def test_a_tracker_rests_or_swings_under_a_delay_as_its_gains_are_judged(method, delay, gains):
+    h, robot = 0.01, ik.Robot.load("hydrolek_7w")
+    target = robot.fk(robot.home)
+    q = robot.home + 1e-3 * np.random.default_rng(3).standard_normal(robot.n)
+    tracker = ik.Tracker(robot, method, q0=q, rate0=np.zeros(robot.n), **gains)
+    commands = [q]
+    for k in range(300):
+        commands.append(tracker.update(target, h, q=commands[max(k - delay, 0)]).q)
+    move = np.abs(np.diff(commands, axis=0)).max(axis=1)
+    if st.check_gains(method, h, delay=delay, **(gains or st.best_gains(method, h))).stable:
+        assert move[-50:].max() < 1e-9
+    else:
+        assert move[-50:].max() > 1e-3  # rad a sample, for ever: all that it was off at the start
+
+
 def test_growth_along_a_path_is_the_papers_lap():
     """The set of the RR arm that is inside the region at rest and yet diverges on its circle, as measured by disturbing a run."""
     robot = ik.Robot.load("planar_2r")
