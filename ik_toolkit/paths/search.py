@@ -28,7 +28,7 @@ TRIED = 3  # seeds tested for contact per track an anchor may add: next to an ob
 PATIENCE = 2  # rounds of further anchors at the breaks that may fail to help
 # [rad] first contact margin over a pair's longest arm: 3 mm at one metre, cheap to prove free between poses
 NEAR = 0.003
-PROBES = 9  # poses of a gap that are solved: if its middle and quarters have no solution, the rest is unlikely to
+PROBES = 9  # poses of a gap without a solution: if its middle and quarters have none, the rest is unlikely to
 LEAST, BUDGET = 20_000, 200  # contact tests allowed: for any path, and per pose; usually some 15 per pose are used
 
 
@@ -154,12 +154,22 @@ class Search:
         return bool(good[0] and np.abs(moved[0] - q).max() < SAME)
 
     def fill(self) -> None:
-        """Solve poses that no track passes: ends and middle of each gap, then of what is left, up to PROBES per gap."""
-        gaps = _runs(np.flatnonzero(self.tracks.alive() == 0))
-        for gap in gaps:
-            for t in gap[middle_first(len(gap))][:PROBES]:
-                if self.tracks.alive()[t] == 0 and int(t) not in self.anchored:
-                    self.anchor(int(t), SHARE)
+        """Solve poses that no track passes: ends and middle of each gap, then of what is left, until PROBES of it had no solution.
+
+        Given poses come before inserted ones: an arm with fewer joints than the task has may reach those, and none in between.
+        """
+        alive = self.tracks.alive()
+        for gap in _runs(np.flatnonzero(alive == 0)):
+            order = gap[middle_first(len(gap))]
+            inserted = self.problem.at[order] % 1.0 > 0.0
+            missed = 0
+            for t in np.append(order[~inserted], order[inserted]).tolist():
+                if missed == PROBES:
+                    break
+                if alive[t] == 0 and t not in self.anchored:
+                    self.anchor(t, SHARE)
+                    alive = self.tracks.alive()
+                    missed += int(alive[t] == 0)
 
     # ----------------------------------------------------------------------------------------------------------- linking
     def link(self) -> None:

@@ -117,6 +117,19 @@ def test_what_is_reached_without_a_reconfiguration_is_counted(flat):
 
 
 # ------------------------------------------------------------------------------------------- poses that are far apart
+def test_poses_are_reached_where_those_in_between_are_not(arm):
+    """Five joints cannot keep to the straight way between full poses: each pose was given up that no neighbour leads to."""
+    five = arm.locked({"forearm_roll": 0.4})
+    T = between(five, five.lower * 0.8 + five.upper * 0.2, five.lower * 0.2 + five.upper * 0.8, 12)
+    made = ik.solve_path(five, T, seed=1)
+    assert made.status == PathStatus.RECONFIGURES and len(made.reconfigurations) == 11
+    errors = np.array([five.errors(q, one) for q, one in zip(made.q, T, strict=True)])
+    assert errors.max() <= 1e-6
+    T[3:7, 2, 3] += 3.0
+    left = ik.solve_path(five, T, seed=1)
+    assert left.status == PathStatus.INCOMPLETE and [one.index for one in left.unreachable] == [3, 4, 5, 6]
+
+
 @pytest.mark.parametrize("last", [(-0.6, 3.6), (-3.6, 0.6)])
 @pytest.mark.parametrize("degrees", [(0, 180), (0, 180, 0), (0, 180.000001), (0, 180, 0, 180)])
 def test_half_a_turn_is_made_the_way_that_limits_allow(last, degrees):
