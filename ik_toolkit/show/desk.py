@@ -18,7 +18,7 @@ from .learn import Learn
 from .parts import Body
 from .past import Past
 from .selfmotion import freedom, slide
-from .session import KINDS, PATIENCE
+from .session import PATIENCE
 from .stage import Stage
 from .tables import note_html, pose_html, sentence, table_html
 from .visit import PLAIN, Visit
@@ -137,7 +137,7 @@ class Desk(Visit):
         self.goals = []
         for tip in s.robot.tips:
             with gui.add_folder(tip) if len(s.robot.tips) > 1 else nullcontext():
-                self.goals.append(Goal(gui, s, tip, self.kinds.get(tip, KINDS[0]), self._on))
+                self.goals.append(Goal(gui, s, tip, self.kinds.get(tip, s.kind), self._on))
         go = gui.add_button("Solve", color="blue")
         self._on(go, "solve", self._solve)
         follow = gui.add_checkbox("Follow while dragging", self.live, hint="Drag the arrows and rings in the view.")

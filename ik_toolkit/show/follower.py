@@ -5,7 +5,6 @@ from typing import Any
 
 from .desk import Desk
 from .goals import Goal
-from .session import KINDS
 
 
 class Follower(Desk):
@@ -18,7 +17,7 @@ class Follower(Desk):
         several = len(self.session.robot.tips) > 1
         for tip in self.session.robot.tips:
             with self.gui.add_folder(tip) if several else nullcontext():
-                self.goals.append(Goal(self.gui, self.session, tip, self.kinds.get(tip, KINDS[0]), self._on))
+                self.goals.append(Goal(self.gui, self.session, tip, self.kinds.get(tip, self.session.kind), self._on))
         home = self.gui.add_button("Reset to home")
         self._on(home, "joints", self._home)
         self.outcome = self.gui.add_html("", visible=False)

@@ -22,6 +22,7 @@ class Goal:
         orientation = gui.add_dropdown("Orientation", kinds, initial_value=kind)
         listen(orientation, f"kind {tip}", lambda: self.give(orientation.value))
         self.rotation = gui.add_text(self._label(), rotation, visible=self.posed, multiline=kind == "matrix")
+        self.written = xyz, rotation  # texts that stand for the handle's target, which has more digits
         self.handle: Handle  # from `join` on
 
     @property
@@ -41,7 +42,7 @@ class Goal:
         self.rotation.multiline = kind == "matrix"
         if self.posed:
             self.rotation.label = self._label()
-            self.rotation.value = self.session.words(self.handle.target, kind)[1]
+            self._write(self.handle.target)
         self.handle.turns(self.posed, kind != NONE)
 
     @property
@@ -57,7 +58,10 @@ class Goal:
         """Target of the fields, where the arrows go too; None where there is none. Raises InvalidTarget."""
         if self.kind == NONE:
             return None
-        target = self.session.typed(self.xyz.value, self.kind, self.rotation.value)
+        if self.written == (self.xyz.value, self.rotation.value if self.posed else ""):
+            target = self.handle.target if self.posed else self.handle.target[:3, 3].copy()
+        else:
+            target = self.session.typed(self.xyz.value, self.kind, self.rotation.value)
         self.handle.put(target)
         return target
 
@@ -75,6 +79,7 @@ class Goal:
         self._write(T)
 
     def _write(self, T: np.ndarray) -> None:
-        self.xyz.value, rotation = self.session.words(T, self.kind)
+        self.written = self.session.words(T, self.kind)
+        self.xyz.value, rotation = self.written
         if self.posed:
             self.rotation.value = rotation

@@ -97,6 +97,11 @@ class Session:
         """Decimals shown of joint i: 0.01 deg, or 0.1 mm and 0.1 mrad."""
         return 2 if self.unit(i) == "deg" else 4
 
+    @property
+    def kind(self) -> str:
+        """How targets are given at first: as poses to an arm that can reach them at all, otherwise as positions."""
+        return KINDS[0] if min(arm.n for arm in self.robot.arms) >= 6 else "free"
+
     def range(self, i: int) -> tuple[float, float]:
         """Ends of the slider of joint i as shown, rounded inwards where there is room for that."""
         low, high = (self.scale(i) * x for x in self.ends(i))

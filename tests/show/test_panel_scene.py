@@ -181,3 +181,21 @@ def test_all_solutions_are_those_of_the_method_and_the_tolerance_chosen():
     session.solver, session.parameters = "dls", {"damping": "fast"}
     with pytest.raises(InvalidOption, match="takes a number"):
         session.solve_all(target)
+
+
+def test_a_target_that_is_not_typed_keeps_all_its_digits(desk):
+    desk._anywhere()
+    target = desk.goals[0].typed()
+    assert np.array_equal(target, desk.session.poses()["tool"])
+    desk._solve()
+    assert desk.session.result.iterations == 0  # the arm is there
+    desk.goals[0].xyz.value += "1"
+    assert not np.array_equal(desk.goals[0].typed(), target)
+
+
+def test_arms_of_few_joints_are_given_positions_at_first(desk):
+    assert desk.goals[0].kind == Session("inspection_7dof").kind == "roll pitch yaw"
+    desk._switch("planar_2r")
+    assert desk.goals[0].kind == "free"
+    desk._solve_all()
+    assert len(desk.session.solutions) == 2
