@@ -1,4 +1,4 @@
-"""`python -m ik_toolkit` is the command `ik`."""
+"""`python -m ik_toolkit` runs the command `ik`."""
 
 import sys
 

@@ -1,7 +1,7 @@
-"""The exceptions of ik_toolkit: one tree, so that `except IKError` catches every error we report.
+"""The exceptions of ik_toolkit, with one base class, so that `except IKError` catches every error we report.
 
-Invalid input raises one of these, which names the joint, frame, file or option, lists the valid names and suggests the
-near match. A numerical outcome (not converged, unreachable, singular) never raises: it is a status in the result.
+Invalid input raises one of these; it names the joint, frame, file or option, lists the valid names and suggests the nearest
+match. A numerical outcome (not converged, unreachable, singular) never raises: it is a status in the result.
 """
 
 import difflib
@@ -14,25 +14,25 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     import numpy as np
 
-COMPARED = 1_000  # names a misspelled one is compared with; each takes up to 50 us
-SHOWN = 100  # characters of a name that are compared and shown: comparing takes time in their square
-# What a terminal acts on instead of showing it: C0 and C1 controls but tab and newline, and what reorders text.
+COMPARED = 1_000  # names that a misspelled one is compared with; each takes up to 50 us
+SHOWN = 100  # characters of a name that are compared and shown: comparing takes quadratic time
+# Characters a terminal acts on instead of showing: C0 and C1 controls except tab and newline, and bidirectional marks.
 CONTROLS = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u061c\u200b-\u200f\u2028-\u202e\u2060-\u206f\ufeff]")
-FEW_TURNS = 4.0 * math.pi  # rad; angles beyond are more often degrees than turns
+FEW_TURNS = 4.0 * math.pi  # rad; larger angles are more often degrees than turns
 DOUBTED: set[str] = set()
 EXTRA = re.compile(r"""^([A-Za-z0-9_.-]+).*extra\s*==\s*['"]([a-z]+)['"]""")
 
 
 def clean(text: object) -> str:
-    """Text fit for a terminal: controls, which come from names in files only, are written as escapes."""
+    """Text safe for a terminal: control characters (which come only from names in files) are escaped."""
     return CONTROLS.sub(lambda found: ascii(found[0])[1:-1], str(text))
 
 
 class IKError(Exception):
-    """Base of every error raised by ik_toolkit."""
+    """Base class of every error raised by ik_toolkit."""
 
     def __str__(self) -> str:
-        """Return the message itself (KeyError would show it quoted), without what a terminal would act on."""
+        """Return the message itself (KeyError would quote it), without control characters."""
         return clean(self.args[0]) if self.args else ""
 
 
@@ -45,7 +45,7 @@ class ModelError(IKError, ValueError):
 
 
 class FrameNotFound(IKError, KeyError):
-    """The model has no frame (link) of that name, or one has to be chosen among `tips`."""
+    """The model has no frame (link) of that name, or one must be chosen from `tips`."""
 
     tips: tuple[str, ...] = ()
 
@@ -63,7 +63,7 @@ class InvalidTarget(IKError, ValueError):
 
 
 class InvalidConfiguration(IKError, ValueError):
-    """Joint values of the wrong size, not finite, or outside the limits where that is refused."""
+    """Joint values of the wrong size, not finite, or outside the limits where that is not allowed."""
 
 
 class InvalidOption(IKError, ValueError):
@@ -75,10 +75,10 @@ class UnknownSolver(IKError, KeyError):
 
 
 class MissingExtra(IKError, ImportError):
-    """An optional dependency is not installed; the message says the pip line."""
+    """An optional dependency is not installed; the message gives the pip command."""
 
     def __init__(self, package: str, extra: str) -> None:
-        """Say which package is missing, and the packages of the extra it belongs to."""
+        """package: the missing package; extra: the extra whose packages the message lists."""
         needed = " ".join(extras().get(extra, [package]))
         super().__init__(f"{package} is not installed; run: pip install {needed}")
         self.extra = extra
@@ -88,18 +88,18 @@ class NotSolved(IKError):
     """Raised by `Result.raise_for_status()` when the solve did not succeed; carries the result."""
 
     def __init__(self, result) -> None:
-        """Keep the result beside its sentence."""
+        """Keep the result along with its message."""
         super().__init__(f"{result.status.name}: {result.message}")
         self.result = result
 
 
 def floats(value: Any, what: str, error: type[IKError], kinds: str = "fiu") -> "np.ndarray":
-    """Return real numbers as a new float64 array in C order; `kinds` are numpy's letters for what counts as one.
+    """Return real numbers as a new float64 array in C order; kinds: numpy's kind letters that are accepted.
 
-    Raises `error`, "WHAT, not VALUE", for all else: texts, truth values, dates, complex numbers and objects, which numpy would
-    turn into some number, and masked entries.
+    Raises `error`, "WHAT, not VALUE", for everything else: strings, booleans, dates, complex numbers and objects, which numpy
+    might convert to some number, and masked entries.
     """
-    import numpy as np  # not for `import ik_toolkit`
+    import numpy as np  # keeps `import ik_toolkit` light
 
     try:
         if not masked(value) and (array := np.array(value, order="C")).dtype.kind in kinds:
@@ -110,8 +110,8 @@ def floats(value: Any, what: str, error: type[IKError], kinds: str = "fiu") -> "
 
 
 def masked(value: Any) -> bool:
-    """Whether an array, or an array in a list, has masked entries."""
-    import numpy as np  # not for `import ik_toolkit`
+    """Whether an array, or an array inside a list, has masked entries."""
+    import numpy as np  # keeps `import ik_toolkit` light
 
     if type(value) is np.ndarray:
         return False
@@ -122,7 +122,7 @@ def masked(value: Any) -> bool:
 
 
 def doubt_angle(where: str, value: float) -> None:
-    """Log that an angle [rad] of several turns may have been meant in degrees: once per place, since it may be in a loop."""
+    """Warn that an angle [rad] of several turns may have been meant in degrees; only once per `where`, as it may be in a loop."""
     if where in DOUBTED:
         return
     DOUBTED.add(where)
@@ -131,8 +131,8 @@ def doubt_angle(where: str, value: float) -> None:
 
 
 def extras() -> dict[str, list[str]]:
-    """Packages by extra, from the requirements of the installed ik_toolkit; empty where it is not installed."""
-    import importlib.metadata  # not for `import ik_toolkit`
+    """Packages by extra, from the requirements of the installed ik_toolkit; empty if it is not installed."""
+    import importlib.metadata  # keeps `import ik_toolkit` light
 
     found: dict[str, list[str]] = {}
     try:

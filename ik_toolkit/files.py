@@ -1,6 +1,6 @@
-"""Files are written whole or not at all: beside their place, then renamed.
+"""Files are written whole or not at all: under a temporary name, then renamed.
 
-An interruption, a full disk or a mistake found late never costs the file that was there before.
+An interruption, a full disk or a late error never destroys the existing file.
 """
 
 import csv
@@ -12,39 +12,39 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import BinaryIO
 
-PARTIAL = ".partial"  # added to the name of a result that is not whole
+PARTIAL = ".partial"  # suffix for an incomplete result
 
 
 class WholeFile:
-    """A file to be that is not under its name before `finish`.
+    """A file that gets its name only at `finish`.
 
-    It may be kept under another name, cut after the last `mark`, when the work ends early.
+    If the work ends early it can be kept under another name, cut off after the last `mark`.
     """
 
     def __init__(self, path: str | Path) -> None:
-        """Open a file beside `path`. A device or a pipe is written to directly. Raises OSError."""
+        """Open a temporary file next to `path`. A device or a pipe is written to directly. Raises OSError."""
         self.path = Path(path)
-        place = Path(os.path.realpath(path))  # a link stays one
+        place = Path(os.path.realpath(path))  # a symbolic link stays one
         self._place = place if place.is_file() or not place.exists() else None
         self.part = place if self._place is None else place.with_name(f"{place.name}.{uuid.uuid4().hex[:8]}.part")
         self.stream: BinaryIO = self.part.open("wb" if self._place is None else "xb")
         self._good = 0
 
     def write(self, data: str | bytes) -> None:
-        """Write text (as UTF-8) or bytes whole: what follows does not count until it is all written."""
+        """Write text (as UTF-8) or bytes as one unit: it counts only once it is written completely."""
         with self.named():
             self.stream.write(data.encode() if isinstance(data, str) else data)
         self.mark()
 
     def mark(self) -> None:
-        """All that has been written to the stream so far is worth keeping."""
+        """Mark everything written to the stream so far as worth keeping."""
         with self.named():
             self.stream.flush()
         if self._place is not None:
             self._good = self.stream.tell()
 
     def finish(self) -> None:
-        """Give the file its name; it is on the disk by then. Where that fails, what was marked is kept as NAME.partial."""
+        """Flush the file to disk and give it its name. If that fails, the marked part is kept as NAME.partial."""
         try:
             with self.named():
                 self.stream.flush()
@@ -60,13 +60,13 @@ class WholeFile:
             raise
 
     def keep(self, suffix: str) -> Path | None:
-        """Keep what was marked as NAME`suffix` and return that name; None, and nothing stays, when that is not possible."""
+        """Keep the marked part as NAME`suffix` and return that name; None, and nothing is kept, if that is impossible."""
         if self._place is None or not self._good:
             self.drop()
             return None
         kept = self.path.with_name(self.path.name + suffix)
         try:
-            self.stream.close()  # on a full disk this fails once more, on what is cut off below
+            self.stream.close()  # on a full disk this fails again, on the part that is cut off below
         except OSError:
             pass
         try:
@@ -78,7 +78,7 @@ class WholeFile:
         return kept
 
     def drop(self) -> None:
-        """Remove what was written."""
+        """Remove the temporary file."""
         try:
             self.stream.close()
         except OSError:
@@ -88,7 +88,7 @@ class WholeFile:
 
     @contextmanager
     def named(self) -> Iterator[None]:
-        """Let errors name the file that was asked for."""
+        """Make errors name the requested file."""
         try:
             yield
         except OSError as error:
@@ -97,7 +97,7 @@ class WholeFile:
 
 @contextmanager
 def whole_file(path: str | Path) -> Iterator[BinaryIO]:
-    """Binary stream of a file that gets its name when the block ends well, and vanishes when it does not."""
+    """Binary stream of a file that gets its name if the block succeeds and is removed if it fails."""
     file = WholeFile(path)
     try:
         with file.named():
@@ -115,7 +115,7 @@ def write_whole(path: str | Path, data: str | bytes) -> None:
 
 
 def write_table(path: str | Path, head: list[str], rows: Iterable[Iterable[float | str]]) -> None:
-    """Write a CSV file of numbers, to the last digit, and words; NaN is left empty."""
+    """Write a CSV file of numbers in full precision and text; NaN is left empty."""
     text = io.StringIO()
     writer = csv.writer(text)
     writer.writerow(head)

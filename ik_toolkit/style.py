@@ -1,6 +1,6 @@
 """Colours and chart style: one palette for charts, reports, pages and tables.
 
-The eight colours are those of Okabe and Ito (2008), which stay apart for colour-blind readers; the last is a grey.
+The eight colours are those of Okabe and Ito (2008), distinguishable with colour blindness; the last is a grey.
 """
 
 from typing import Any
@@ -8,7 +8,7 @@ from typing import Any
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000", "#8C8C8C")
 DASHES = ("-", "--", "-.", ":", (0, (5, 1)), (0, (1, 1)), (0, (3, 1, 1, 1)), (0, (7, 3)))
 GREY, PALE = "#6F6F6F", "#E4E4E4"
-GOOD, BAD = "#1b7837", "#b2182b"  # solved and not, in words: dark enough to be read on white
+GOOD, BAD = "#1b7837", "#b2182b"  # text colours for solved and not solved: dark enough to read on white
 STYLE: Any = {
     "font.size": 9,
     "axes.titlesize": 9.5,
@@ -30,4 +30,4 @@ PRINTED: Any = STYLE | {
     "axes.titlelocation": "center",
     "axes.grid": False,
     "savefig.bbox": "tight",
-}  # pictures of the reports, which stand beside those of the papers
+}  # figures of the reports, which are shown next to those of the papers

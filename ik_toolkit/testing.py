@@ -1,10 +1,10 @@
-"""What every solver keeps to, as a test that anybody can run on a rule or closed form of their own.
+"""The contract of every solver, as a test you can run on your own rule or closed form.
 
     from ik_toolkit.testing import check_solver
     check_solver(HalfStep)
 
 Each clause is a function of a `Case` (a solver, a robot, a kind of target) that raises AssertionError with a sentence; `CLAUSES`
-lists them by name. Poses are compared by Pinocchio and numpy, never by the kernel that gave the answer.
+lists them by name. Poses are compared by Pinocchio and numpy, never by the kernel that computed the result.
 """
 
 import functools
@@ -26,32 +26,32 @@ from .solvers.solve import Solver
 from .solvers.status import Status
 
 KINDS = ("pose", "position")
-LOOSE: dict[str, Any] = {"position_tolerance": 1e-3, "orientation_tolerance": 1e-2}  # slow methods get there, too
-SAMPLES = 8  # targets a clause: most faults show at the first
-SHORT = 20  # characters: a sentence has more
-ROUNDING = 1e-9  # m: kernel and Pinocchio add up the same path in another order
+LOOSE: dict[str, Any] = {"position_tolerance": 1e-3, "orientation_tolerance": 1e-2}  # reachable for slow methods, too
+SAMPLES = 8  # targets per clause: most faults show at the first one
+SHORT = 20  # characters: a proper sentence is longer
+ROUNDING = 1e-9  # m: kernel and Pinocchio sum the same chain in a different order
 ANGLE_ROUNDING = 1e-7  # rad: the angle of a matrix near the identity has half the digits of its entries
 
 
 def default_robots() -> list[Any]:
-    """Shipped arms that differ in kind: six joints, planar, slides, a lift, and two tips on one base."""
+    """Shipped arms of different kinds: six joints, planar, prismatic joints, a lift, and two tips on one base."""
     arms = [Robot.load(name) for name in ("hydrolek_7w", "planar_2r", "planar_3r", "cartesian_pp", "inspection_7dof")]
     wrist = Robot.load("inspection_7dof", locked={"lift": 0.25})
     return [*arms, wrist, Tree.load("brokk_hydrolek")]
 
 
 def check_solver(solver: Any, robots: Iterable[Any] | None = None, seed: int = 0) -> None:
-    """Hold a solver to the contract on every robot that it does not refuse.
+    """Check a solver against the contract on every robot that it accepts.
 
     solver: a registered name, a class marked by `@ik_toolkit.rule` or `@ik_toolkit.closed_form`, or an instance. robots: Robot,
     Tree or names (default: shipped ones). seed: of the targets. Raises AssertionError, "SOLVER on ROBOT (KIND): what is wrong",
-    also when it fits none of the robots; UnknownSolver when it is no solver.
+    also if it accepts none of the robots; UnknownSolver if it is not a solver.
     """
     row = find_row(solver)
     made = default_robots() if robots is None else [Robot.load(r) if isinstance(r, str) else r for r in robots]
     fitting = [case for case in cases(solver, made, seed) if case.fits()]
     names = ", ".join(robot.name for robot in made)
-    _hold(bool(fitting), f"{row.name} fits none of the robots ({names}); give some that it fits with robots=")
+    _hold(bool(fitting), f"{row.name} fits none of the robots ({names}); pass suitable ones with robots=")
     for case in fitting:
         for name, clause in CLAUSES.items():
             try:
@@ -64,7 +64,7 @@ def check_solver(solver: Any, robots: Iterable[Any] | None = None, seed: int = 0
 
 
 def cases(solver: Any, robots: Iterable[Any], seed: int = 0) -> Iterator["Case"]:
-    """A case for every robot and kind of target; an arm that cannot turn its tip freely is asked for positions only."""
+    """A case for every robot and kind of target; positions only for an arm that cannot orient its tip freely."""
     for robot in robots:
         for kind in KINDS:
             free = all(Asked(arm, (POSE,)).rows == 6 for arm in robot.arms)
@@ -73,7 +73,7 @@ def cases(solver: Any, robots: Iterable[Any], seed: int = 0) -> Iterator["Case"]
 
 
 class Case:
-    """A solver on a robot for one kind of target."""
+    """One solver on one robot with one kind of target."""
 
     def __init__(self, solver: Any, robot: Any, kind: str, seed: int = 0) -> None:
         """solver: as for `check_solver`; robot: Robot or Tree; kind: 'pose' or 'position'."""
@@ -81,11 +81,11 @@ class Case:
         self.row: Row = find_row(solver)
 
     def __str__(self) -> str:
-        """Where a sentence of the contract is from."""
+        """Prefix of the case's messages."""
         return f"{self.row.name} on {self.robot.name} ({self.kind})"
 
     def claim(self, holds: Any, sentence: str) -> None:
-        """Raise AssertionError with the sentence where something does not hold."""
+        """Raise AssertionError with the sentence unless `holds`."""
         _hold(bool(holds), f"{self}: {sentence}")
 
     def bind(self, **options: Any) -> Solver:
@@ -93,13 +93,13 @@ class Case:
         return Solver(self.robot, self.solver, **options)
 
     def fits(self) -> bool:
-        """Whether it takes targets of this kind here; one that does not says so in words. Raises AssertionError."""
+        """Whether the solver accepts this robot and kind of target; a refusal must explain itself. Raises AssertionError."""
         try:
             self.bind()(self.target(self.robot.home))
         except (UnknownSolver, InvalidOption) as refused:
-            self.claim(self.row.name in str(refused), f"a refusal names the solver, and this one does not: {refused}")
+            self.claim(self.row.name in str(refused), f"a refusal must name the solver, and this does not: {refused}")
             self.claim(
-                len(str(refused)) > len(self.row.name) + SHORT, f"a refusal says why, and this does not: {refused}"
+                len(str(refused)) > len(self.row.name) + SHORT, f"a refusal must say why, and this does not: {refused}"
             )
             return False
         except Exception as error:
@@ -107,14 +107,14 @@ class Case:
         return True
 
     def target(self, q: np.ndarray, moved: Any = 0.0) -> Any:
-        """What the robot reaches at q, moved by a vector [m]: a pose or position, of several tips a dict by tip."""
+        """Target reached at q, shifted by a vector [m]: a pose or position, for several tips a dict by tip."""
         poses = {tip: pose + _shift(moved) for tip, pose in self.poses(q).items()}
         if self.kind == "position":
             poses = {tip: T[:3, 3].copy() for tip, T in poses.items()}
         return poses if len(poses) > 1 else next(iter(poses.values()))
 
     def poses(self, q: np.ndarray) -> dict[str, np.ndarray]:
-        """T_base_tip (4, 4) of each tip by Pinocchio."""
+        """T_base_tip (4, 4) of each tip, by Pinocchio."""
         arms = zip(self.robot.arms, self.robot.places, strict=True)
         return {arm.tip: arm.fk(np.asarray(q)[place]).homogeneous for arm, place in arms}
 
@@ -127,7 +127,7 @@ class Case:
 
     @functools.cached_property
     def sample(self) -> list[tuple[Any, np.ndarray, Result]]:
-        """Targets, starts and results with LOOSE tolerances: half of the starts are near a solution, half are home."""
+        """Targets, starts and results with LOOSE tolerances; half of the starts are near a solution, half are home."""
         solver, robot, rng = self.bind(**LOOSE), self.robot, np.random.default_rng(self.seed)
         rows = []
         for k in range(SAMPLES):
@@ -151,7 +151,7 @@ def _shift(moved: Any) -> np.ndarray:
 
 
 def _error(T: np.ndarray, target: np.ndarray) -> tuple[float, float | None]:
-    """Distance and angle left from a pose (4, 4) to a target (4, 4) or (3,)."""
+    """Distance and angle from a pose (4, 4) to a target (4, 4) or (3,)."""
     if target.shape == (3,):
         return float(np.linalg.norm(target - T[:3, 3])), None
     R = target[:3, :3] @ T[:3, :3].T
@@ -161,14 +161,14 @@ def _error(T: np.ndarray, target: np.ndarray) -> tuple[float, float | None]:
 
 
 def _inside(case: Case, q: np.ndarray) -> str:
-    """Name of a joint that q has outside its limits, or of one that is no number; or ''."""
+    """Name of a joint outside its limits or not finite, or ''."""
     good = np.isfinite(q) & (q >= case.robot.lower) & (q <= case.robot.upper)
     return "" if good.all() else case.robot.joint_names[int(np.argmin(good))]
 
 
 # ------------------------------------------------------------------------------------------------------------- clauses
 def leaves_arguments_alone(case: Case) -> None:
-    """Target and start are as they were before the call."""
+    """The call leaves target and start unchanged."""
     solver, q = case.bind(**LOOSE), case.robot.random_q(np.random.default_rng(case.seed))
     target, start = case.target(q), case.robot.home.copy()
     before, began = pickle.dumps(target), start.copy()
@@ -178,7 +178,7 @@ def leaves_arguments_alone(case: Case) -> None:
 
 
 def answers_inside_the_limits(case: Case) -> None:
-    """Q is finite and inside the limits, solved or not."""
+    """q is finite and inside the limits, solved or not."""
     for _, _, result in case.sample:
         joint = _inside(case, result.q)
         case.claim(not joint, f"q is not finite or outside the limits at joint {joint} ({result.status.name})")
@@ -188,40 +188,44 @@ def answers_inside_the_limits(case: Case) -> None:
 
 
 def reports_the_errors_of_its_q(case: Case) -> None:
-    """The errors are those of the q that is returned, as Pinocchio finds them."""
+    """The reported errors are those of the returned q, according to Pinocchio."""
     for target, _, result in case.sample:
         distance, angle = case.left(result.q, target)
         said = result.position_error
-        case.claim(abs(distance - said) < ROUNDING, f"it says {said:.3g} m are left, and {distance:.3g} m are")
-        case.claim((angle is None) == (result.orientation_error is None), "an orientation error is for poses only")
+        case.claim(abs(distance - said) < ROUNDING, f"it reports an error of {said:.3g} m, but it is {distance:.3g} m")
+        case.claim((angle is None) == (result.orientation_error is None), "only poses have an orientation error")
         if angle is not None and result.orientation_error is not None:
             said = result.orientation_error
-            case.claim(abs(angle - said) < ANGLE_ROUNDING, f"it says {said:.3g} rad are left, and {angle:.3g} rad are")
+            case.claim(
+                abs(angle - said) < ANGLE_ROUNDING, f"it reports an error of {said:.3g} rad, but it is {angle:.3g} rad"
+            )
 
 
 def succeeds_inside_the_tolerances_only(case: Case) -> None:
-    """Success means that both errors are inside their tolerances, and nothing else does."""
+    """Success is reported if and only if both errors are inside their tolerances."""
     for _, _, result in case.sample:
         inside = result.position_error <= LOOSE["position_tolerance"]
         inside = inside and (result.orientation_error or 0.0) <= LOOSE["orientation_tolerance"]
-        case.claim(result.success == inside, f"{result.status.name} with {result.position_error:.3g} m left")
-        case.claim(result.success == (result.status == Status.CONVERGED), "success and status say different things")
+        case.claim(result.success == inside, f"{result.status.name} with an error of {result.position_error:.3g} m")
+        case.claim(result.success == (result.status == Status.CONVERGED), "success and status contradict each other")
         case.claim(len(result.message) >= 10, "the message is not a sentence")
 
 
 def gives_the_same_bytes_again(case: Case) -> None:
-    """The same target, start and seed give the same bytes and counts, by a solver bound anew as well."""
+    """The same target, start and seed give the same bytes and counts, also with a newly bound solver."""
     again = case.bind(**LOOSE)
     for target, start, result in case.sample:
         other = again(target, q0=start)
         case.claim(other.q.tobytes() == result.q.tobytes(), "the same call gave another q")
         counts = [(r.iterations, r.restarts, r.fk_evaluations) for r in (result, other)]
         case.claim(counts[0] == counts[1], "the same call gave other counts")
-        case.claim(min(counts[0]) >= 0 and counts[0][2] >= 1, "counts are not negative, and q was evaluated")
+        case.claim(
+            min(counts[0]) >= 0 and counts[0][2] >= 1, "counts must not be negative, and q must be evaluated once"
+        )
 
 
 def solves_an_easy_target(case: Case) -> None:
-    """From a start a hundredth of a radian (metre) away some target is met, and one it stands on at once."""
+    """It reaches some target a hundredth of a radian (metre) away, and one at its start without a step."""
     solver, rng, solved = case.bind(tolerance=1e-3), np.random.default_rng(case.seed), 0
     robot = case.robot
     for _ in range(SAMPLES):
@@ -230,13 +234,13 @@ def solves_an_easy_target(case: Case) -> None:
         near = np.clip(q + rng.uniform(-0.01, 0.01, robot.n), robot.lower, robot.upper)
         solved += solver(target, q0=near).success
         at_once = solver(target, q0=q)
-        case.claim(at_once.success, f"it stands on the target and ends with {at_once.status.name}")
-        case.claim(at_once.iterations == 0 and at_once.restarts == 0, "it stands on the target and steps all the same")
-    case.claim(solved, f"none of {SAMPLES} targets a hundredth of a radian away is met within 1e-3")
+        case.claim(at_once.success, f"it starts at the target and ends with {at_once.status.name}")
+        case.claim(at_once.iterations == 0 and at_once.restarts == 0, "it starts at the target but still takes steps")
+        case.claim(solved, f"none of {SAMPLES} targets a hundredth of a radian away is reached within 1e-3")
 
 
 def says_why_it_fails(case: Case) -> None:
-    """A target far out of reach gives a status, a finite q, and NotSolved when asked to raise."""
+    """A target far out of reach gives a failure status, a finite q, and NotSolved from raise_for_status."""
     result = case.bind()(case.target(case.robot.home, moved=(1e3, 2e3, -5e2)))
     case.claim(
         result.status not in (Status.CONVERGED, Status.CHECK_FAILED),
@@ -252,17 +256,17 @@ def says_why_it_fails(case: Case) -> None:
 
 
 def keeps_to_its_budget(case: Case) -> None:
-    """max_evaluations, max_iterations and restarts are never overrun."""
+    """max_evaluations, max_iterations and restarts are never exceeded."""
     target = case.target(case.robot.upper * 0.8 + case.robot.lower * 0.2 if _bounded(case) else case.robot.home + 0.7)
     for budget in (1, 2, 5, 40):
         result = case.bind(max_evaluations=budget, tolerance=1e-300)(target)
-        case.claim(result.fk_evaluations <= budget, f"{result.fk_evaluations} evaluations, and {budget} are allowed")
+        case.claim(result.fk_evaluations <= budget, f"{result.fk_evaluations} evaluations, but {budget} are allowed")
     if case.row.closed:
         return
     for budget in (0, 1, 7):
         result = case.bind(max_iterations=budget, restarts=0, tolerance=1e-12)(target)
-        case.claim(result.iterations <= budget, f"{result.iterations} iterations, and {budget} are allowed")
-        case.claim(result.restarts == 0, "it restarts, and restarts=0 forbids it")
+        case.claim(result.iterations <= budget, f"{result.iterations} iterations, but {budget} are allowed")
+        case.claim(result.restarts == 0, "it restarts although restarts=0 forbids it")
     result = case.bind(restarts=2, max_iterations=2, tolerance=1e-300)(target)
     case.claim(result.restarts <= 2 and result.iterations <= 6, "three attempts of two iterations take more")
 
@@ -272,23 +276,25 @@ def _bounded(case: Case) -> bool:
 
 
 def records_every_evaluation(case: Case) -> None:
-    """history=True keeps q and errors of every iteration, and the answer is one of them (or full turns from one)."""
+    """history=True records q and errors of every iteration, and the result is one of them (up to full turns)."""
     target = case.target(np.clip(case.robot.home + 0.1, case.robot.lower, case.robot.upper))
     result = case.bind(history=True, restarts=0, max_iterations=20)(target)
     history = result.history
     case.claim(history is not None and len(history["q"]) >= 1, "there is no history")
     assert history is not None
     if not case.row.closed:
-        case.claim(len(history["q"]) == result.iterations + 1, "rows of the history are not one more than iterations")
+        case.claim(
+            len(history["q"]) == result.iterations + 1, "the history must have one row more than there are iterations"
+        )
     for q, distance in zip(history["q"], history["position_error"], strict=True):
-        case.claim(abs(case.left(q, target)[0] - distance) < ROUNDING, "a row has another error than its q")
+        case.claim(abs(case.left(q, target)[0] - distance) < ROUNDING, "a row's error is not that of its q")
         case.claim(not _inside(case, q), "a row has a q outside the limits")
     least = history["position_error"].min()
-    case.claim(result.position_error >= least - ROUNDING, "the error of the answer is in no row")
+    case.claim(result.position_error >= least - ROUNDING, "the result's error is in no row")
 
 
 def holds_joints(case: Case) -> None:
-    """A joint with weight 0 stays where q0 has it, or the solver refuses weights in words."""
+    """A joint with weight 0 keeps its value from q0, or the solver rejects weights with a message."""
     robot = case.robot
     weights = np.ones(robot.n)
     weights[-1] = 0.0
@@ -297,42 +303,42 @@ def holds_joints(case: Case) -> None:
     try:
         result = case.bind(joint_weights=weights.tolist(), restarts=3, max_iterations=50)(target, q0=start)
     except (InvalidOption, UnknownSolver) as refused:
-        case.claim(case.row.name in str(refused), f"a refusal names the solver, and this one does not: {refused}")
+        case.claim(case.row.name in str(refused), f"a refusal must name the solver, and this does not: {refused}")
         return
     case.claim(result.q[-1] == start[-1], f"joint {robot.joint_names[-1]} has weight 0 and moved")
 
 
 def solves_batches(case: Case) -> None:
-    """A batch keeps the same promises row by row, with the same bytes for one thread and for two."""
+    """A batch keeps the same promises in every row, with the same bytes for one thread and for two."""
     Q = [case.robot.random_q(np.random.default_rng([case.seed, k])) for k in range(SAMPLES)]
     targets = [case.target(q) for q in Q]
     several = isinstance(targets[0], dict)
     stacked = {tip: np.array([t[tip] for t in targets]) for tip in targets[0]} if several else np.array(targets)
     one, two = (solve_batch(case.robot, stacked, case.solver, threads=k, **LOOSE) for k in (1, 2))
-    case.claim(one.q.tobytes() == two.q.tobytes(), "one thread and two give different answers")
+    case.claim(one.q.tobytes() == two.q.tobytes(), "one and two threads give different results")
     for target, q, success in zip(targets, one.q, one.success, strict=True):
         distance, angle = case.left(q, target)
         inside = distance <= LOOSE["position_tolerance"] and (angle or 0.0) <= LOOSE["orientation_tolerance"]
-        case.claim(success == inside, f"a row of a batch says success={bool(success)} with {distance:.3g} m left")
+        case.claim(success == inside, f"a batch row reports success={bool(success)} with an error of {distance:.3g} m")
         case.claim(not _inside(case, q), "a row of a batch is outside the limits")
 
 
 def lists_solutions(case: Case) -> None:
-    """What `Solver.all` lists meets the target inside the limits."""
+    """Every solution of `Solver.all` reaches the target inside the limits."""
     target = case.target(case.robot.random_q(np.random.default_rng(case.seed)))
     found = case.bind(max_iterations=100).all(target, starts=20, count=8)
-    case.claim(len(found) <= 8, "it lists more solutions than are asked for")
+    case.claim(len(found) <= 8, "it lists more solutions than requested")
     for q in found.q:
         distance, angle = case.left(q, target)
-        case.claim(distance <= 1e-6 and (angle or 0.0) <= 1e-6, f"a listed solution leaves {distance:.3g} m")
+        case.claim(distance <= 1e-6 and (angle or 0.0) <= 1e-6, f"a listed solution is off by {distance:.3g} m")
         case.claim(not _inside(case, q), "a listed solution is outside the limits")
 
 
 def survives_pickling(case: Case) -> None:
-    """A bound solver goes to another process and answers the same."""
+    """A bound solver gives the same result after pickling."""
     target, start, result = case.sample[0]
     sent = pickle.loads(pickle.dumps(case.bind(**LOOSE)))  # noqa: S301  made one line above
-    case.claim(sent(target, q0=start).q.tobytes() == result.q.tobytes(), "a pickled solver gives another answer")
+    case.claim(sent(target, q0=start).q.tobytes() == result.q.tobytes(), "a pickled solver gives another result")
 
 
 CLAUSES: dict[str, Callable[[Case], None]] = {

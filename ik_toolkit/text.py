@@ -1,4 +1,4 @@
-"""Numbers and values out of what a person typed, and JSON out of what a result holds."""
+"""Parse typed numbers and values, and convert results to JSON."""
 
 import json
 import math
@@ -8,7 +8,7 @@ from .errors import InvalidOption, InvalidTarget
 
 
 def numbers(text: str) -> list[float] | None:
-    """Read the numbers of '1 2', '1,2' or '1'; None when there is none or anything else."""
+    """Read the numbers of '1 2', '1,2' or '1'; None if there are none or anything else."""
     try:
         return [float(part) for part in text.replace(",", " ").split()] or None
     except ValueError:
@@ -16,7 +16,7 @@ def numbers(text: str) -> list[float] | None:
 
 
 def vector(text: str, what: str, size: int | None = None) -> list[float]:
-    """Read the numbers of `text`; InvalidOption, naming `what`, when they are none, InvalidTarget when not `size` of them."""
+    """Read the numbers of `text`. Raises InvalidOption naming `what` if there are none, InvalidTarget if not `size` of them."""
     values = numbers(text)
     if size is None and values is None:
         raise InvalidOption(f"{what} takes numbers, not '{text.strip()}'")
@@ -39,7 +39,7 @@ def parameter(name: str, text: str) -> Any:
 
 
 def plain(value: Any) -> Any:
-    """Turn arrays, paths and enums into what JSON has; numbers that are not finite become null."""
+    """Convert arrays, paths and enums to JSON types; numbers that are not finite become null."""
     if isinstance(value, dict):
         return {str(key): plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple | set):

@@ -1,1 +1,1 @@
-"""Pictures of robots and results; imported by the command line, papers and notebooks, always lazily."""
+"""Views and figures of robots and results; imported lazily by the command line, papers and notebooks."""

@@ -1,4 +1,4 @@
-"""The tab Scene of the panel: what touches, how near it is, boxes in the way, and how easily the tips move."""
+"""The panel's Scene tab: contacts, clearance, box obstacles and manipulability."""
 
 import html
 from collections.abc import Callable
@@ -14,17 +14,17 @@ from .session import Session
 from .stage import Stage
 
 BOX = (148, 103, 60)
-SIDE = 0.15  # of the robot's size: edge of a new box
-NEAR = 0.25  # of the robot's size: distances below are drawn
+SIDE = 0.15  # edge of a new box, as a fraction of the robot's size
+NEAR = 0.25  # distances below this fraction of the robot's size are drawn
 
 
 class Around:
-    """Controls and drawings of what is around a robot. facts: text below the status line, kept up by `show`."""
+    """Controls and drawings of a robot's surroundings. facts: text below the status line, updated by `show`."""
 
     def __init__(self, gui: Any, session: Session, listen: Callable[..., None], changed: Callable[[], None]) -> None:
-        """Build the controls; changed() is called when something was moved. listen: see Goal."""
+        """Build the controls; changed() is called after something was moved. listen: see Goal."""
         self.session, self.listen, self.changed = session, listen, changed
-        self.stage: Stage  # from `join` on
+        self.stage: Stage  # set by `join`
         avoid = gui.add_checkbox(
             "Avoid collisions", session.avoid, hint="When solving, listing solutions and dragging."
         )
@@ -43,7 +43,7 @@ class Around:
         listen(remove, "boxes", self.clear)
 
     def join(self, stage: Stage) -> None:
-        """Draw on a stage, which is new: the boxes are drawn again."""
+        """Draw on a new stage, including the existing boxes."""
         self.stage, self.handles = stage, {}
         side = float(f"{SIDE * stage.size:.1g}")
         self.size.value = self.size.value or f"{side:g} {side:g} {side:g}"
@@ -51,12 +51,12 @@ class Around:
             self._draw(name, size, T)
 
     def avoid(self, wanted: bool) -> None:
-        """Whether collisions are avoided from now on."""
+        """Switch collision avoidance on or off."""
         self.session.avoid = wanted
         self.changed()
 
     def add(self) -> None:
-        """Put a box of the size typed in front of the robot. Raises InvalidTarget."""
+        """Add a box of the typed size in front of the robot. Raises InvalidTarget."""
         size = vector(self.size.value, "the size of the box x y z [m]", 3)
         if min(size) <= 0.0:
             raise InvalidTarget("the size of the box x y z [m] must be positive")
@@ -84,7 +84,7 @@ class Around:
         self.changed()
 
     def show(self) -> str:
-        """Bring the drawings to the session's q; a line of HTML on what touches, what is near, and how the tips can move."""
+        """Update the drawings to the session's q; returns a line of HTML on contacts, clearance and manipulability."""
         s, stage = self.session, self.stage
         touching, near = s.contacts()
         words, color = "no pair of shapes to test", "inherit"

@@ -1,4 +1,4 @@
-"""The chart of a solve in the panel: what is left after every evaluation."""
+"""The convergence chart in the panel: the error at every evaluation."""
 
 from typing import Any
 
@@ -6,8 +6,8 @@ import numpy as np
 
 from ..style import COLOURS
 
-FLOOR = 1e-12  # [m, rad] what is smaller is drawn here: a logarithmic axis has no zero
-CURVES: Any = (  # what lies along the chart, then errors
+FLOOR = 1e-12  # [m, rad] smaller values are drawn here: a logarithmic axis has no zero
+CURVES: Any = (  # the abscissa, then errors
     {"label": "evaluation"},
     {"label": "position, 10^x m", "stroke": COLOURS[0], "width": 2},
     {"label": "orientation, 10^x rad", "stroke": COLOURS[1], "width": 2, "dash": (6, 4)},
@@ -15,10 +15,10 @@ CURVES: Any = (  # what lies along the chart, then errors
 
 
 class Chart:
-    """Errors of a solve over its evaluations. client: of viser."""
+    """Errors of a solve over its evaluations. client: a viser client."""
 
     def __init__(self, client: Any) -> None:
-        """Build it, empty and hidden."""
+        """Build the chart, empty and hidden."""
         self.client = client
         self.plot = client.gui.add_uplot(
             (np.array([0.0, 1.0]), np.zeros(2)),
@@ -30,11 +30,11 @@ class Chart:
         )
 
     def hide(self) -> None:
-        """Show nothing: what moves the robot now is no solve."""
+        """Hide the chart while the robot is moved by something other than a solve."""
         self.plot.visible = False
 
     def show(self, result: Any) -> None:
-        """Draw the history of a Result; of several attempts the best so far."""
+        """Draw the history of a Result; for several attempts, the best so far."""
         history = result.history
         if history is None or len(history["position_error"]) < 2:
             self.hide()

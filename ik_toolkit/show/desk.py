@@ -1,4 +1,4 @@
-"""What one visitor of the panel sees: controls and the 3-D view (viser), around a Session."""
+"""The page of one panel visitor: controls and 3-D view (viser) for a Session."""
 
 import html
 from collections.abc import Sequence
@@ -23,18 +23,18 @@ from .stage import Stage
 from .tables import note_html, pose_html, sentence, table_html
 from .visit import PLAIN, Visit
 
-QUIET = (71, 85, 105)  # of the buttons beside the main one
-STEPS = 500  # of a slider, at least
+QUIET = (71, 85, 105)  # colour of secondary buttons
+STEPS = 500  # least number of slider steps
 PUSH = 3.0  # [rad, or reaches] of self-motion from the middle of the slider to its end
-MOST_TIPS = 4  # chosen in the page
+MOST_TIPS = 4  # tips that can be chosen on the page
 
 
 class Desk(Visit):
-    """Controls and view of one visitor. client: a viser client (or server). files: whether robots may be read by path."""
+    """Controls and view of one visitor. client: a viser client (or server). files: whether robots may be loaded by path."""
 
     # -------------------------------------------------------------------------------------------------------- build
     def build(self) -> None:
-        """Draw the robot and its controls anew (after a switch of robot, tip or units)."""
+        """Rebuild the robot and its controls (after a change of robot, tip or units)."""
         s = self.session
         body = Body(s.robot)
         with self.client.atomic():
@@ -88,7 +88,7 @@ class Desk(Visit):
             self._build_robot()
 
     def _build_tips(self) -> None:
-        """A list of tips to choose from for each that is solved for, and one more to add another."""
+        """A drop-down list for each tip solved for, and one more to add another."""
         s = self.session
         chosen, every = s.robot.tips, list(dict.fromkeys([*s.robot.tips, *s.tips]))
         if len(every) < 2:
@@ -183,7 +183,7 @@ class Desk(Visit):
             self._on(load, "build", lambda: self._switch(path.value))
 
     def show(self) -> None:
-        """Bring view, sliders and numbers to the session's q."""
+        """Update view, sliders and numbers to the session's q."""
         s = self.session
         with self.client.atomic():
             self.stage.show(s.q)
@@ -196,7 +196,7 @@ class Desk(Visit):
         if self.learn is not None:
             self.learn.show(s.q)
         self.pose.content = "".join(pose_html(T, s, tip) for tip, T in s.poses().items())
-        self.client.flush()  # now, not at the end of viser's next interval
+        self.client.flush()  # at once, not at the end of viser's next interval
 
     # ------------------------------------------------------------------------------------------------------ actions
     def _switch(self, source: str, tips: str | Sequence[str] | None = None) -> None:
@@ -213,7 +213,7 @@ class Desk(Visit):
         self._again()
 
     def _again(self) -> None:
-        """Build the controls anew, with the orientations as they are."""
+        """Rebuild the controls, keeping the kinds of orientation."""
         self.kinds = {goal.tip: goal.kind for goal in self.goals}
         self.build()
 
@@ -221,7 +221,7 @@ class Desk(Visit):
         s = self.session
         q = s.q.copy()
         for i, slider in enumerate(self.sliders):
-            if slider.value != self.shown[i]:  # what is shown is rounded: a joint not touched keeps its value
+            if slider.value != self.shown[i]:  # shown values are rounded: an untouched joint keeps its exact value
                 q[i] = slider.value / s.scale(i)
         if not np.isfinite(q).all():
             raise InvalidConfiguration("a joint value is not a finite number")
@@ -229,19 +229,19 @@ class Desk(Visit):
         self.show()
 
     def _push(self) -> None:
-        """Go through the self-motion as far as the slider was pushed, tips as they are targeted: turned as well, or not."""
+        """Move through the self-motion by the slider's push, holding the tips' orientations only where they are targeted."""
         s, value = self.session, float(np.clip(self.push.value, -1.0, 1.0))
         turns = any(goal.posed for goal in self.goals)
         if not np.isfinite(value) or not len(freedom(s.robot, s.q, turns)):
             self.say("no self-motion: the tip's pose fixes every joint" + ("; try the orientation 'free'" * turns))
             return
-        along = np.cos(np.arange(s.robot.n))  # hardly at right angles to the self-motion of any arm
+        along = np.cos(np.arange(s.robot.n))  # practically never orthogonal to an arm's self-motion
         s.q = slide(s.robot, s.q, along, PUSH * (value - self.pushed), turns, s.limits)
         self.pushed = value
         self.show()
 
     def _anywhere(self) -> None:
-        """Put the robot at random joint values, and its targets at its tips."""
+        """Move the robot to random joint values, and its targets to its tips."""
         s = self.session
         s.q = s.robot.random_q(s.random)
         self.show()
@@ -249,7 +249,7 @@ class Desk(Visit):
         self.say("random joint values")
 
     def _undo(self) -> None:
-        """Go back to where the robot stood before the last change."""
+        """Undo the last change of the robot's configuration."""
         before = self.past.back()
         if before is None:
             self.say("nothing to undo")
@@ -260,7 +260,7 @@ class Desk(Visit):
         self.say("undone")
 
     def _limits(self, limits: bool) -> None:
-        """Keep joint limits from now on, or not; back inside them, if they are."""
+        """Switch joint limits on or off; when on, move back inside them."""
         s = self.session
         s.limits = limits
         s.q = np.clip(s.q, s.robot.lower, s.robot.upper) if limits else s.q
@@ -308,7 +308,7 @@ class Desk(Visit):
                 )
 
     def _typed(self) -> Any:
-        """Target of the fields as the robot takes it, and the solver's settings of theirs."""
+        """Read the target from the fields, and the solver's settings from theirs."""
         s = self.session
         fields = s.fields()
         typed = {name: handle.value for name, handle in self.typed_parameters.items()}
@@ -318,12 +318,12 @@ class Desk(Visit):
         except ValueError:
             tolerance = -1.0
         if not 0.0 < tolerance < 1.0:
-            raise IKError(f"the tolerance is a number above 0 and below 1, not '{self.tolerance.value}'")
+            raise IKError(f"the tolerance must be a number above 0 and below 1, not '{self.tolerance.value}'")
         s.tolerance = tolerance
         return self._joined({goal.tip: goal.typed() for goal in self.goals})
 
     def _joined(self, targets: dict[str, np.ndarray | None]) -> Any:
-        """Targets as the robot takes them, without the tips that have none."""
+        """Targets in the form the robot expects, without the tips that have none."""
         return self.session.joined({tip: T for tip, T in targets.items() if T is not None})
 
     def _solve(self) -> None:
@@ -348,7 +348,7 @@ class Desk(Visit):
         self.outcome.content, self.outcome.visible = table_html(self.session.figures()) + note_html(advice), True
 
     def _dragged(self, patience: int = PATIENCE) -> None:
-        """Go towards the targets where they have been dragged to; what is left is done next, if nothing newer is asked."""
+        """Move towards the dragged targets; continue with the next job unless something newer is requested."""
         targets = {goal.tip: goal.dragged() for goal in self.goals}
         if not self.live:
             return
@@ -363,7 +363,7 @@ class Desk(Visit):
             self.worker.post("drag", self._guard(lambda: self._dragged(patience - 1)))
 
     def _put(self, poses: dict[str, np.ndarray]) -> None:
-        """Put the targets at poses by tip."""
+        """Move the targets to poses by tip."""
         with self.client.atomic():
             for goal in self.goals:
                 goal.put(poses[goal.tip])

@@ -8,7 +8,7 @@ from .goals import Goal
 
 
 class Follower(Desk):
-    """What one visitor of the page sees: the target's fields, what is said, and the view."""
+    """One visitor's page: the target's fields, the status line and the view."""
 
     def _build_controls(self) -> None:
         self.sliders: list[Any] = []

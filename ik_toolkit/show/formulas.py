@@ -1,4 +1,4 @@
-"""Parts of an explanation as HTML, formulas as MathML, which browsers draw without a library. All words are escaped."""
+"""Parts of an explanation as HTML, with formulas as MathML, which browsers render without a library. All text is escaped."""
 
 import html
 from collections.abc import Iterable
@@ -15,7 +15,7 @@ FORM = MathML()
 
 
 def blocks_html(blocks: Iterable[Block]) -> str:
-    """Blocks one below the other, in the panel's own size of type."""
+    """Blocks one below the other, in the panel's font size."""
     inner = "".join(_block(block) for block in blocks)
     return f'<div style="padding:2px 12px 8px;font-size:13px;line-height:1.5">{inner}</div>'
 
@@ -43,7 +43,7 @@ def _table(table: Table) -> str:
 
 
 def _cell(text: str, column: int) -> str:
-    """A cell: what a joint changes on yellow, what breaks a limit red."""
+    """A cell: yellow background for values that a joint changes, red for values outside a limit."""
     style = CELL + (f";color:{MUTED}" if not column else "" if text[:1].isalpha() else ";text-align:right")
     style += f";background:{MARK};font-weight:600" if isinstance(text, Varies) else ""
     style += f";color:{BAD}" if isinstance(text, Broken) else ""
@@ -51,7 +51,7 @@ def _cell(text: str, column: int) -> str:
 
 
 def _step(step: Step, block: Formulas) -> str:
-    """Symbol and formula, the same with numbers, and what comes out: a line each."""
+    """Symbol and formula, the same with numbers, and the result: one line each."""
     value = _value(step, block.places)
     name = FORM.name(step.name)
     lines = [f"{name}<mo>=</mo>{write(step.formula, FORM) if step.formula else value}"]

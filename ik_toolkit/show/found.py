@@ -1,4 +1,4 @@
-"""The list of solutions in the panel: a table, a ghost of the one pointed at, and a button to go there."""
+"""The list of solutions in the panel: a table, a ghost of the solution pointed at, and a button to go there."""
 
 import html
 from collections.abc import Callable
@@ -10,11 +10,11 @@ from .session import Session
 from .tables import note_html
 
 GO = "Go to this solution"
-TALL = 230  # pixels of the list; more is scrolled to
+TALL = 230  # height [pixels] of the list; the rest scrolls
 SIGNS = {1: "+", -1: "\N{MINUS SIGN}", 0: "0"}
 CELL = "padding:2px 10px 2px 0;white-space:nowrap;font-variant-numeric:tabular-nums;text-align:right"
-STAY = "position:sticky;top:0;background:#fff"  # heads, while rows are scrolled
-# A row that is pointed at types its number into the field below, as a hand would; a click presses the button, too.
+STAY = "position:sticky;top:0;background:#fff"  # header stays visible while rows scroll
+# Pointing at a row enters its number into the field below, as typing would; a click also presses the button.
 POINT = (
     "const e=document.getElementById('{field}');"
     "Object.getOwnPropertyDescriptor(HTMLInputElement.prototype,'value').set.call(e,'{k}');"
@@ -24,7 +24,7 @@ CLICK = f"[...document.querySelectorAll('button')].find(b=>b.textContent.trim()=
 
 
 class Found:
-    """Solutions found. ghost(q or None) shows one, go(k) goes there; listen(handle, name, job) does a job at a visitor's change."""
+    """Solutions found. ghost(q or None) shows one, go(k) moves there; listen(handle, name, job) runs a job on a change."""
 
     def __init__(
         self,
@@ -48,22 +48,22 @@ class Found:
 
     @property
     def chosen(self) -> int:
-        """Number of the solution chosen, from 0."""
+        """Index of the chosen solution, from 0."""
         value = self.number.value if np.isfinite(self.number.value) else 1
         return int(np.clip(value, 1, max(len(self.session.solutions), 1))) - 1
 
     def point(self) -> None:
-        """Show the solution chosen as a ghost."""
+        """Show the chosen solution as a ghost."""
         if self.folder.visible:
             self.ghost(self.session.solutions[self.chosen])
 
     def hide(self) -> None:
-        """Show no solutions."""
+        """Hide the list."""
         self.folder.visible = False
         self.ghost(None)
 
     def show(self, details: str) -> None:
-        """List the session's solutions, below a line on how they were found."""
+        """List the session's solutions below a line of details."""
         self.table.content = note_html(details) + self.rows()
         self.number.value = 1
         self.folder.visible = bool(self.session.solutions)

@@ -1,4 +1,4 @@
-"""Who may talk to the servers of panel and scene, and what becomes of messages that are none: checks viser does not make."""
+"""Access control for the servers of panel and scene, and handling of invalid messages: checks that viser does not make."""
 
 import asyncio
 import contextlib
@@ -12,9 +12,9 @@ from typing import Any
 from urllib.parse import urlsplit
 
 LOOPBACK = ("127.0.0.1", "localhost", "::1")
-LARGEST = 2**20  # bytes of a message: the page sends numbers and short texts, and anything is held until it is whole
+LARGEST = 2**20  # bytes per message: the page sends numbers and short texts, and messages are buffered until complete
 LOG = logging.getLogger(__name__)
-QUIET = logging.getLogger(f"{__name__}.socket")  # a scanned port would fill the terminal with tracebacks of handshakes
+QUIET = logging.getLogger(f"{__name__}.socket")  # a port scan would fill the terminal with handshake tracebacks
 QUIET.setLevel(logging.CRITICAL)
 _PATCHING = threading.Lock()
 
@@ -28,14 +28,14 @@ def is_loopback(host: str) -> bool:
 
 
 def new_token() -> str:
-    """Word of 128 random bits that the address of a page starts with: who does not know it is served nothing."""
+    """Token of 128 random bits in a page's address; nothing is served without it."""
     return secrets.token_urlsafe(16)
 
 
 def below(path: str, token: str) -> str | None:
-    """What a request's path asks for below /token, without its query; None when it starts with another word.
+    """Part of a request's path below /token, without its query; None if it does not start with the token.
 
-    How long the comparison takes tells nothing about the token.
+    Compares in constant time.
     """
     word, slash, rest = path.partition("?")[0].removeprefix("/").partition("/")
     known = secrets.compare_digest(word.encode(errors="backslashreplace"), token.encode())
@@ -43,7 +43,7 @@ def below(path: str, token: str) -> str | None:
 
 
 def refusal(headers: Any, host: str) -> str:
-    """Why a request is refused, or ''. A browser names the page that asks (Origin) and the name it looked up (Host)."""
+    """Why a request is refused, or ''. A browser sends the requesting page (Origin) and the host name it used (Host)."""
     asked = headers.get("Host", "")
     name = ""
     with contextlib.suppress(ValueError):
@@ -58,10 +58,10 @@ def refusal(headers: Any, host: str) -> str:
 
 @contextlib.contextmanager
 def guarded(host: str, token: str) -> Iterator[None]:
-    """Make the server started inside check Host, Origin (any web page could connect otherwise) and token, and bear nonsense.
+    """Make the server started inside check Host, Origin (any web page could connect otherwise) and token, and survive bad input.
 
-    Page, files and socket are below /token. A message that cannot be read or is larger than any of the page's ends its
-    connection with a word on why; one that makes no sense is dropped.
+    Page, files and socket are below /token. A message that cannot be read or is too large closes its connection with a reason;
+    one that makes no sense is dropped.
     """
     import websockets.asyncio.server as ws
     from websockets.exceptions import ConnectionClosed
@@ -85,7 +85,7 @@ def guarded(host: str, token: str) -> Iterator[None]:
                 LOG.info("unreadable message: %r", error)
                 closing = asyncio.create_task(connection.close(1007, "this is not a message of the panel's page"))
                 with contextlib.suppress(ConnectionClosed):
-                    while True:  # what is still on the way would keep the closing word back
+                    while True:  # drain pending messages, which would hold up the closing frame
                         await connection.recv()
                 await closing
 

@@ -1,4 +1,4 @@
-"""Controls of the panel for the target of one tip: typed numbers, and how its orientation is given."""
+"""Panel controls for one tip's target: typed numbers, and how its orientation is given."""
 
 from collections.abc import Callable
 from typing import Any
@@ -10,10 +10,10 @@ from .stage import Handle
 
 
 class Goal:
-    """The target of one tip as typed and as dragged. kind: one of KINDS, or NONE where the tip has no target."""
+    """The target of one tip, typed or dragged. kind: one of KINDS, or NONE if the tip has no target."""
 
     def __init__(self, gui: Any, session: Session, tip: str, kind: str, listen: Callable[..., None]) -> None:
-        """Build the controls; listen(handle, name, job) does a job when the visitor changes one."""
+        """Build the controls; listen(handle, name, job) runs a job when the visitor changes one."""
         self.session, self.tip, self.kind = session, tip, kind
         T = session.goals()[tip]
         xyz, rotation = session.words(T, kind)
@@ -27,11 +27,11 @@ class Goal:
 
     @property
     def posed(self) -> bool:
-        """Whether an orientation is asked for."""
+        """Whether the target has an orientation."""
         return self.kind not in ("free", NONE)
 
     def join(self, handle: Handle) -> None:
-        """Take the arrows and rings that belong to it."""
+        """Attach the arrows and rings of this target."""
         self.handle = handle
         handle.turns(self.posed, self.kind != NONE)
 
@@ -55,7 +55,7 @@ class Goal:
         return names.get(self.kind, f"r p y [{'deg' if self.session.degrees else 'rad'}]")
 
     def typed(self) -> np.ndarray | None:
-        """Target of the fields, where the arrows go too; None where there is none. Raises InvalidTarget."""
+        """Read the target from the fields and move the arrows there; None without a target. Raises InvalidTarget."""
         if self.kind == NONE:
             return None
         if self.written == (self.xyz.value, self.rotation.value if self.posed else ""):
@@ -66,7 +66,7 @@ class Goal:
         return target
 
     def dragged(self) -> np.ndarray | None:
-        """Target that the arrows were dragged to, written into the fields."""
+        """Target to which the arrows were dragged, also written into the fields."""
         if self.kind == NONE:
             return None
         T = self.handle.read()
@@ -74,7 +74,7 @@ class Goal:
         return T if self.posed else T[:3, 3]
 
     def put(self, T: np.ndarray) -> None:
-        """Put arrows and fields at a pose (4, 4)."""
+        """Set arrows and fields to a pose (4, 4)."""
         self.handle.put(T)
         self._write(T)
 

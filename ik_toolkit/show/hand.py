@@ -1,4 +1,4 @@
-"""A robot that follows targets dragged by hand, with the steps of the tracker, in the robot's own time."""
+"""A robot that follows targets dragged by hand, using tracker steps in simulated robot time."""
 
 import math
 from typing import Any, NamedTuple
@@ -10,15 +10,15 @@ from ..robot.pose import length
 from ..tracking.reachable import near_limits
 from ..tracking.tracker import Tracker
 
-STEP = 0.02  # [s] of the robot's time
-STEPS = 50  # taken before the page is drawn again: a second
-TOOL = 0.2  # [m]
-FAR = 1000.0  # reaches: a target further away is a slip of the hand
-REST, SLOW = 10, 0.999  # steps in which the error has to go down to this share of itself, or the arm has come to rest
+STEP = 0.02  # [s] of robot time
+STEPS = 50  # steps before the page is redrawn: one second
+TOOL = 0.2  # [m] length at which a rotation counts as a distance
+FAR = 1000.0  # reaches: a target farther away is a mistake
+REST, SLOW = 10, 0.999  # the arm counts as at rest unless the error falls to this share within this many steps
 
 
 class Followed(NamedTuple):
-    """Where an arm has got to: q (n,), whether at the target, whether at rest, errors by tip [m, rad or None], and why."""
+    """State of a following arm: q (n,), whether at the target, whether at rest, errors by tip [m, rad or None], and a sentence."""
 
     q: np.ndarray
     success: bool
@@ -35,11 +35,10 @@ def follow(
     limits: bool = True,
     avoid_collisions: Any = False,
 ) -> Followed:
-    """Step from rest at q (n,) towards a target as the robot takes it, until it is met, nothing moves any more, or for a second.
+    """Step from rest at q (n,) towards a target until it is reached, nothing moves any more, or a second has passed.
 
-    At the edge of what can be reached the arm goes on to the closest pose. tolerance [m and rad]: of a target that is met;
-    limits, avoid_collisions as in `Tracker`.
-    Raises InvalidTarget, and what `Tracker` raises.
+    At the edge of its reach the arm goes on to the closest pose. tolerance [m and rad]: for a reached target; limits,
+    avoid_collisions as in `Tracker`. Raises InvalidTarget, and what `Tracker` raises.
     """
     errors, settled, at = _errors(robot, q, target), False, q
     away = max(position for position, _ in errors.values())
@@ -69,19 +68,19 @@ def follow(
 
 
 def prepare(robot: Any, q: np.ndarray, target: Any) -> None:
-    """Compile (or load) what `follow` runs, with one step that is thrown away: before a hand drags, not while it does."""
+    """Compile (or load) what `follow` runs, with one discarded step, before the first drag."""
     Tracker(robot, "cv", q0=q, rate0=np.zeros(robot.n), on_limit="direct").update(target, STEP)
 
 
 def _errors(robot: Any, q: np.ndarray, target: Any) -> dict[str, tuple[float, float | None]]:
-    """Errors left at q by tip, of the tips that have a target."""
+    """Errors at q by tip, for the tips that have a target."""
     each = target if robot.by_tip else {robot.tips[0]: target}
     arms = dict(zip(robot.tips, zip(robot.arms, robot.places, strict=True), strict=True))
     return {tip: arms[tip][0].errors(q[arms[tip][1]], T) for tip, T in each.items()}
 
 
 def _size(errors: dict[str, tuple[float, float | None]]) -> float:
-    """One number for what is left [m]: a turn counts as the way of a tool of ordinary length."""
+    """Total error [m]: a rotation counts as the motion of a tool of length TOOL."""
     return math.hypot(*(x for position, angle in errors.values() for x in (position, TOOL * (angle or 0.0))))
 
 
@@ -90,7 +89,7 @@ def _met(errors: dict[str, tuple[float, float | None]], tolerance: float) -> boo
 
 
 def _words(robot: Any, q: np.ndarray, errors: Any, met: bool, settled: bool) -> str:
-    """What is left, in a sentence."""
+    """The remaining error in a sentence."""
     away = max(position for position, _ in errors.values())
     angles = [angle for _, angle in errors.values() if angle is not None]
     left = length(away) + (f" and {math.degrees(max(angles)):.3g} deg" if angles else "")

@@ -1,4 +1,4 @@
-"""The panel's tab Learn: joint values to n, o, a, p and back, with the D-H table, the closed form and its branches."""
+"""The panel's Learn tab: joint values to n, o, a, p and back, with the D-H table, the closed form and its branches."""
 
 import html
 import math
@@ -21,20 +21,20 @@ from .formulas import blocks_html
 from .session import Session
 from .tables import sentence
 
-QUIET, CHOSEN = (71, 85, 105), (31, 95, 153)  # buttons of branches
-FREEDOMS = 6  # joints from which on a pose is asked for where no closed form says what
+QUIET, CHOSEN = (71, 85, 105), (31, 95, 153)  # colours of the branch buttons
+FREEDOMS = 6  # least number of joints for which the target is a pose, unless a closed form says otherwise
 COLUMNS = ("n", "o", "a")
-STEP = 0.001  # mm or deg, of the slider of what is free
+STEP = 0.001  # mm or deg, step of the slider of the free parameter
 
 
 class Lesson:
-    """What the tab works out, without a page: forward, inverse, one value of what is free. Millimetres and degrees.
+    """The computations of the tab, without a page: forward, inverse, one value of the free parameter. Millimetres and degrees.
 
     made: Explanation of the last inverse, or None; shown: which branch of it; T: its target (4, 4) [m].
     """
 
     def __init__(self, session: Session) -> None:
-        """Of the session's robot, which has one tip."""
+        """Start a lesson on the session's robot, which has one tip."""
         self.session = session
         self.robot: Any = session.robot
         self.made: Explanation | None = None
@@ -50,11 +50,11 @@ class Lesson:
         return SCALES[unit_of(self.robot.joint_kinds[i])]
 
     def unit(self, i: int) -> str:
-        """Unit shown of joint i."""
+        """Displayed unit of joint i."""
         return UNITS[unit_of(self.robot.joint_kinds[i])]
 
     def read(self, values: list[float], shown: list[float]) -> np.ndarray:
-        """q (n,) [rad or m] of typed joint values; one that is still as shown keeps its digits. Raises InvalidConfiguration."""
+        """q (n,) [rad or m] from typed joint values; an unchanged one keeps its full precision. Raises InvalidConfiguration."""
         q = self.session.q.copy()
         for i, (value, before) in enumerate(zip(values, shown, strict=True)):
             if value != before:
@@ -73,7 +73,7 @@ class Lesson:
         }
 
     def sample(self) -> np.ndarray | None:
-        """Pose (4, 4) that the robot's paper computes, as printed, or None."""
+        """Pose (4, 4) computed in the robot's paper, as printed, or None."""
         given = self.session.entry.sample
         if given is None or not self.posed:
             return None
@@ -82,14 +82,14 @@ class Lesson:
         return T
 
     def inverse(self, columns: dict[str, Any]) -> Result:
-        """Solve for columns n, o, a and p [mm] from where the robot stands, and explain it. Raises InvalidTarget."""
+        """Solve for columns n, o, a and p [mm] from the current q, and explain the result. Raises InvalidTarget."""
         T = np.eye(4)
         T[:3] = np.column_stack([columns[name] for name in "noap"])
         T[:3, 3] /= SCALES["m"]
         return self._explain(T, "auto")
 
     def at(self, value: float) -> Result:
-        """The same target with what is free at a value [mm or deg]; the branch shown stays the one it is."""
+        """The same target with the free parameter at a value [mm or deg]; the branch shown stays the same."""
         assert self.made is not None and self.made.derivation is not None and self.made.derivation.free is not None
         free, label = self.made.derivation.free, self.label
         row = find_row(self.made.form)
@@ -117,7 +117,7 @@ class Lesson:
         return self.branches[self.shown].label if self.branches else ""
 
     def span(self) -> tuple[float, float] | None:
-        """Range [mm or deg] of what is free: the intervals within limits, from the first to the last."""
+        """Range [mm or deg] of the free parameter: from the first to the last interval within limits."""
         free = self.made.derivation.free if self.made is not None and self.made.derivation is not None else None
         if free is None or not free.inside:
             return None
@@ -126,10 +126,10 @@ class Lesson:
 
 
 class Learn:
-    """Controls of the tab, of a visitor's desk."""
+    """Controls of the tab on a visitor's desk."""
 
     def __init__(self, desk: Any) -> None:
-        """Build the controls; of a robot of several tips there are none."""
+        """Build the controls; there are none for a robot with several tips."""
         self.desk, self.gui, self.listen = desk, desk.gui, desk._on
         session: Session = desk.session
         self.session = session
@@ -198,7 +198,7 @@ class Learn:
 
     # ---------------------------------------------------------------------------------------------------------- actions
     def show(self, q: np.ndarray) -> None:
-        """Bring the joint values, the matrix and the D-H table to q (n,)."""
+        """Update joint values, matrix and D-H table to q (n,)."""
         if not self.alone:
             return
         lesson = self.lesson
@@ -209,7 +209,7 @@ class Learn:
         self.table.content = blocks_html(dh_blocks(self.robot, lesson.table, q))
 
     def _go(self, q: np.ndarray) -> None:
-        """Bring the robot to q (n,), and all controls of the panel with it."""
+        """Move the robot to q (n,) and update all controls of the panel."""
         self.session.q = q.copy()
         self.desk.show()
 
@@ -244,14 +244,14 @@ class Learn:
         self._drawn(result)
 
     def _at(self, value: float) -> None:
-        """What is free was moved."""
+        """Handle a change of the free parameter."""
         result = self.lesson.at(value)
         self._tell(result)
         self.pick(self.lesson.shown)
         self._drawn(result)
 
     def _drawn(self, result: Result) -> None:
-        """Line to a target that is not met."""
+        """Draw the line to a target that is not reached."""
         if not result.success:
             self.desk.stage.gaps({self.robot.tip: self.lesson.T})
 
@@ -261,7 +261,7 @@ class Learn:
         self.desk.say(words, GOOD if result.success else BAD)
 
     def _branches(self) -> None:
-        """Buttons of the branches, and the slider of what is free."""
+        """Build the branch buttons and the slider of the free parameter."""
         lesson, made = self.lesson, self.lesson.made
         assert made is not None
         for child in list(self.found._children.values()):
@@ -281,7 +281,7 @@ class Learn:
         self._write()
 
     def pick(self, k: int) -> None:
-        """Show branch k: the robot in it, its formulas."""
+        """Show branch k: its configuration and its formulas."""
         lesson = self.lesson
         if k >= len(lesson.branches):
             return
@@ -296,7 +296,7 @@ class Learn:
         self._write()
 
     def _write(self) -> None:
-        """Formulas, words and the look of the buttons for the branch shown."""
+        """Update formulas, text and button colours for the branch shown."""
         lesson, made = self.lesson, self.lesson.made
         assert made is not None
         for k in range(len(self.buttons), len(lesson.branches)):
@@ -332,7 +332,7 @@ def said(words: str, color: str) -> str:
 
 
 def values_table(robot: Any, q: np.ndarray, places: int) -> Table:
-    """Joint values of one configuration."""
+    """Table of the joint values of one configuration."""
     units = [unit_of(kind) for kind in robot.joint_kinds]
     rows = [
         (name, number(x, unit, places), UNITS[unit]) for name, x, unit in zip(robot.joint_names, q, units, strict=True)

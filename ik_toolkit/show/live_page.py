@@ -1,8 +1,8 @@
 """The live page: a robot with its solvers in one HTML file that needs no Python, no server and no network.
 
-The page's modules (folder `page`) are joined into one script. Numbers of the robot come from Pinocchio's model, as the screws its
-joints move along; what is drawn is thinned, so that a page can be mailed. Names reach the page as text only: the data
-hold no `<`, and the page's own policy lets no script run but this one.
+The page's modules (folder `page`) are joined into one script. The robot's kinematics come from Pinocchio's model, as the screws
+of its joints; meshes are simplified, so that a page can be mailed. Names reach the page as text only: the data contain no `<`,
+and the page's content security policy lets no other script run.
 """
 
 import base64
@@ -25,17 +25,15 @@ from .parts import THINNEST, Body, Shape, grid_cell, need_trimesh, smooth
 
 Mesh = tuple[np.ndarray, np.ndarray, np.ndarray]  # vertices (N, 3) [m], normals (N, 3), faces (M, 3)
 
-MODULES = ("robot", "solve", "draw", "hand", "main")  # in the order in which they need each other
-MOST_FACES = (
-    40_000  # triangles of a page: a robot of full meshes has 100 times as many, and looks the same at this size
-)
-FINEST = 1 / 250  # of the robot's size: cell in which vertices become one, made larger until the faces are few enough
+MODULES = ("robot", "solve", "draw", "hand", "main")  # in the order of their dependencies
+MOST_FACES = 40_000  # triangles per page: full meshes have up to 100 times as many and look the same at this size
+FINEST = 1 / 250  # of the robot's size: first cell size for merging vertices, enlarged until the faces are few enough
 GROW = 1.1
-STEPS = 65_535  # of a coordinate over its shape: 16 bits
+STEPS = 65_535  # resolution of a coordinate over its shape: 16 bits
 
 
 def page_html(robot: Joints, body: Body, title: str) -> str:
-    """Page of a robot whose drawn parts are `body`; asks nothing of any network."""
+    """HTML page of a robot whose drawn parts are `body`; needs no network."""
     data, blob = describe(robot, body)
     files = importlib.resources.files("ik_toolkit.show") / "page"
     code = "\n".join(joined((files / f"{name}.js").read_text(encoding="utf-8")) for name in MODULES)
@@ -51,16 +49,16 @@ def page_html(robot: Joints, body: Body, title: str) -> str:
         "CODE": code,
     }
     page = (files / "page.html").read_text(encoding="utf-8")
-    return re.sub("@([A-Z]+)@", lambda found: filled[found[1]], page)  # once: what is filled in is not looked at again
+    return re.sub("@([A-Z]+)@", lambda found: filled[found[1]], page)  # one pass: inserted text is not scanned again
 
 
 def joined(module: str) -> str:
-    """Text of a module as a part of one script: without its imports, and its names not exported."""
+    """Text of a module without its imports and exports, to be joined into one script."""
     return re.sub(r"^export ", "", re.sub(r"^import [^;]*;\n", "", module, flags=re.M), flags=re.M)
 
 
 def describe(robot: Joints, body: Body) -> tuple[dict[str, Any], bytes]:
-    """What the page's modules read: joints, moving nodes, tips and parts; and all triangles."""
+    """Data for the page's modules: joints, moving nodes, tips and parts; and all triangles."""
     nodes, places = moving_nodes(robot)
     frames, arms, bounds = robot.model.frames, robot.arms, body.bounds(robot.home)
 
@@ -81,9 +79,7 @@ def describe(robot: Joints, body: Body) -> tuple[dict[str, Any], bytes]:
         {
             "reach": robot.reach,
             "room": room(bounds, body.floor),
-            "joints": [
-                plain(dict(zip(keys, column, strict=True))) for column in columns
-            ],  # a limit that is none is null
+            "joints": [plain(dict(zip(keys, column, strict=True))) for column in columns],  # no limit: null
             "nodes": nodes,
             "base": at(base.parentJoint, base.placement),
             "tips": [
@@ -100,17 +96,17 @@ def describe(robot: Joints, body: Body) -> tuple[dict[str, Any], bytes]:
 
 
 def room(bounds: np.ndarray, height: float) -> dict[str, Any]:
-    """Size and centre [m] of a box (2, 3), and the floor at a height [m]: that, cell of the grid, where the grid ends."""
+    """Size and centre [m] of a box (2, 3), and the floor: its height [m], the grid's cell and extent."""
     size, centre = float(np.linalg.norm(bounds[1] - bounds[0])), bounds.mean(axis=0)
     floor = {"z": height, "cell": grid_cell(size), "wide": 2.5 * size}
     return {"size": size, "centre": centre.tolist(), "floor": floor}
 
 
 def moving_nodes(robot: Joints) -> tuple[list[dict[str, Any]], list[tuple[int, pin.SE3]]]:
-    """Joints that move with q, parents first, and for each joint of the model the node that carries it and its place there.
+    """Joints that move with q, parents first, and for each joint of the model the node that carries it and its pose there.
 
-    A joint's pose in its parent is its pose at 0 times the exponential of its screw (see `probe`); joints that stand still
-    are part of the placements.
+    A joint's pose in its parent is its pose at 0 times the exponential of its screw (see `probe`); fixed joints are part of the
+    placements.
     """
     model = robot.model
     data, zero = model.createData(), robot.to_pinocchio(np.zeros(robot.n))
@@ -147,7 +143,7 @@ def flat(T: pin.SE3) -> list[float]:
 
 
 def handles() -> dict[str, Shape]:
-    """Shapes that targets and the floor are drawn with: one high, one in radius, upright at the origin."""
+    """Shapes for targets and the floor: of unit height and radius, upright at the origin."""
     make = need_trimesh().creation
     bar = make.cylinder(1.0, segment=((0.0, 0.0, 0.0), (0.0, 0.0, 1.0)), sections=24)
     meshes = {
@@ -163,18 +159,18 @@ def handles() -> dict[str, Shape]:
 
 
 def thin(shapes: Sequence[Shape], size: float) -> list[Mesh]:
-    """Vertices, normals and faces of the shapes of a robot of some size [m], at most MOST_FACES in all."""
+    """Simplified vertices, normals and faces of a robot's shapes, at most MOST_FACES in all; size: of the robot [m]."""
     meshes = whole = [(shape.vertices, normals(shape), shape.faces) for shape in shapes]
     cell = FINEST * size
     while (count := sum(len(faces) for _, _, faces in meshes)) > MOST_FACES:
         if meshes is not whole:
-            cell *= max(GROW, np.sqrt(count / MOST_FACES))  # faces go with the square of a cell's side
+            cell *= max(GROW, np.sqrt(count / MOST_FACES))  # the number of faces falls with the square of the cell size
         meshes = [merged(*mesh, cell) for mesh in whole]
     return meshes
 
 
 def packed(shapes: Sequence[Shape], meshes: Sequence[Mesh]) -> tuple[list[dict[str, Any]], bytes]:
-    """What a page says of shapes, and their triangles: 16-bit coordinates, 8-bit normals, indices (uint32), one by one."""
+    """Page data of shapes, and their triangles in order: 16-bit coordinates, 8-bit normals, indices (uint32)."""
     told, blob = [], []
     for shape, (vertices, normal, faces) in zip(shapes, meshes, strict=True):
         low = vertices.min(axis=0) if len(vertices) else np.zeros(3)
@@ -198,7 +194,7 @@ def packed(shapes: Sequence[Shape], meshes: Sequence[Mesh]) -> tuple[list[dict[s
 
 
 def normals(shape: Shape) -> np.ndarray:
-    """Normals (N, 3) of the vertices, by the areas of the faces around them."""
+    """Vertex normals (N, 3), weighted by the areas of the adjacent faces."""
     a, b, c = (shape.vertices[shape.faces[:, k]].astype(float) for k in range(3))
     face = np.cross(b - a, c - a)
     total = np.zeros((len(shape.vertices), 3))
@@ -208,7 +204,7 @@ def normals(shape: Shape) -> np.ndarray:
 
 
 def merged(vertices: np.ndarray, normal: np.ndarray, faces: np.ndarray, cell: float) -> Mesh:
-    """Mesh whose vertices in one cell [m] are one, where they look the same way (so that edges stay edges)."""
+    """Mesh with vertices merged per cell [m] if their normals point the same way (so that edges stay sharp)."""
     place = np.floor((vertices - vertices.min(axis=0)) / cell).astype(np.int64)
     side = place.max(axis=0) + 1
     _, box = np.unique((place[:, 0] * side[1] + place[:, 1]) * side[2] + place[:, 2], return_inverse=True)

@@ -1,4 +1,4 @@
-"""A followed path or a trajectory in the scene: the robot along it, the tip path coloured by what happens there."""
+"""A path or a trajectory in the scene: the robot moves along it, the tip path is coloured by a value."""
 
 import csv
 import json
@@ -12,21 +12,21 @@ from ..robot.joints import Joints
 from .parts import Shape, need_trimesh, smooth
 
 OBSTACLE = (0.55, 0.58, 0.62)
-SLATE = (0.30, 0.34, 0.40)  # of the poses, as in the other scenes
+SLATE = (0.30, 0.34, 0.40)  # colour of the poses, as in the other scenes
 BANDS = (
     (0.05, 0.03, 0.53), (0.33, 0.01, 0.64), (0.55, 0.04, 0.65), (0.73, 0.20, 0.53), (0.86, 0.37, 0.41), (0.95, 0.53, 0.29),
     (0.99, 0.75, 0.16),
 )  # fmt: skip
-MAX_FRAMES = 400  # of an animation; a longer motion is thinned
-SECONDS = 12.0  # a motion without times takes as long as this
+MAX_FRAMES = 400  # per animation; a longer motion is thinned out
+SECONDS = 12.0  # duration of the animation of a motion without times
 
 
 class Motion(NamedTuple):
-    """What is shown of a path or a trajectory: N configurations, and a number for each.
+    """A path or a trajectory to show: N configurations, and a value for each.
 
-    q (N, n); t (N,) [s] or None; labels (N,); values (N,), NaN where there is none, what they are and their unit; targets
-    (N', F, 3) [m] in base axes, or None; breaks: places after which the motion does not go on; lines for the page; collision:
-    the CollisionModel whose obstacles are drawn, or None.
+    q (N, n); t (N,) [s] or None; labels (N,); values (N,), NaN where there is none, with name and unit; targets (N', F, 3) [m]
+    in base axes, or None; breaks: places after which the motion is interrupted; lines: text for the page; collision: the
+    CollisionModel whose obstacles are drawn, or None.
     """
 
     q: np.ndarray
@@ -42,14 +42,14 @@ class Motion(NamedTuple):
 
 
 def of_path(result: Any) -> Motion:
-    """Motion of a PathResult, with how far it may be off the poses."""
+    """Motion of a PathResult, with the bound on its deviation from the poses."""
     finite = np.flatnonzero(np.isfinite(result.curve).all(axis=1))
     deviation = np.append(result.continuity.deviation, np.nan)[finite]
     values = 1e3 * np.fmax(deviation, np.append(np.nan, deviation[:-1]))
     ends = {piece.stop - 1 for piece in result.pieces[:-1]}
     labels = [f"pose {place:.1f}{_much(x, 'mm')}" for place, x in zip(result.at[finite], values, strict=True)]
     return Motion(
-        result.curve[finite], None, labels, values, "deviation from the path, at most", "mm",
+        result.curve[finite], None, labels, values, "largest deviation from the path", "mm",
         result.targets[:, :, :3, 3] if result.options.relative_to is None else None,
         tuple(k for k, row in enumerate(finite.tolist()) if row in ends),
         (f"{result.status.name}: {result.message}",), result.collision,
@@ -57,7 +57,7 @@ def of_path(result: Any) -> Motion:
 
 
 def of_trajectory(trajectory: Any) -> Motion:
-    """Motion of a Trajectory, with the speed of the fastest tip."""
+    """Motion of a Trajectory, with the speed of its fastest tip."""
     speeds = []
     for arm, columns in zip(trajectory.robot.arms, trajectory.robot.places, strict=True):
         J = arm.chain.forward(trajectory.q[:, columns], jacobian=True)[1]
@@ -73,7 +73,7 @@ def of_trajectory(trajectory: Any) -> Motion:
         trajectory.t,
         labels,
         values,
-        "speed of the tip",
+        "tip speed",
         "m/s",
         lines=lines,
         collision=trajectory.collision,
@@ -81,7 +81,7 @@ def of_trajectory(trajectory: Any) -> Motion:
 
 
 def from_file(robot: Joints, file: str | Path) -> Motion:
-    """Motion that `ik path` wrote: a path, or a trajectory, with the speed of the fastest tip between its samples.
+    """Motion from a file written by `ik path` (a path or a trajectory), with the speed of the fastest tip between samples.
 
     Raises InvalidConfiguration for a file that cannot be read, or whose joints are not the robot's.
     """
@@ -93,7 +93,7 @@ def from_file(robot: Joints, file: str | Path) -> Motion:
         values[1:] = moved / np.maximum(np.diff(t), 1e-9)
         values[0] = values[1]
     labels = [f"row {k}" if t is None else f"t = {t[k]:.2f} s{_much(x, 'm/s')}" for k, x in enumerate(values)]
-    return Motion(q, t, labels, values, "speed of the tip", "m/s", lines=(Path(file).name,))
+    return Motion(q, t, labels, values, "tip speed", "m/s", lines=(Path(file).name,))
 
 
 def motion_of(what: Any) -> Motion | None:
@@ -128,7 +128,7 @@ def draw_obstacles(scene: Any, model: Any) -> None:
 
 
 def animate(scene: Any, motion: Motion) -> None:
-    """Let the robot of a Scene go along a motion; the way of each tip is coloured by its numbers."""
+    """Animate the robot of a Scene along a motion; the path of each tip is coloured by the motion's values."""
     if motion.collision is not None:
         draw_obstacles(scene, motion.collision)
     wide = 0.004 * scene._extent()
@@ -152,7 +152,7 @@ def animate(scene: Any, motion: Motion) -> None:
 def _coloured(
     scene: Any, points: np.ndarray, values: np.ndarray, name: str, radius: float, breaks: tuple[int, ...]
 ) -> None:
-    """A trail in pieces of one colour each, by the values at its points; none is drawn across the breaks."""
+    """Draw a trail in pieces of one colour each, by the values at its points; none is drawn across a break."""
     known = np.isfinite(values)
     low, high = (values[known].min(), values[known].max()) if known.any() else (0.0, 0.0)
     share = np.where(known, values - low, 0.0) / (high - low if high > low else 1.0)
@@ -161,13 +161,13 @@ def _coloured(
     first[[k + 1 for k in breaks]] = True
     starts = np.flatnonzero(first)
     for number, (start, stop) in enumerate(zip(starts, [*starts[1:], len(points)], strict=True)):
-        last = stop if stop - 1 in breaks else stop + 1  # up to where the next piece begins
+        last = stop if stop - 1 in breaks else stop + 1  # up to the start of the next piece
         scene.trail(points[start:last], f"{name}/{number}", BANDS[band[start]], radius)
 
 
 # ------------------------------------------------------------------------------------------------------------- read back
 def read_motion(robot: Joints, file: str | Path) -> tuple[np.ndarray | None, np.ndarray]:
-    """Times (N,) [s] or None, and joints (N, n), of a file that `ik path` wrote: a path, or a trajectory.
+    """Times (N,) [s] or None, and joint values (N, n), from a file written by `ik path`: a path, or a trajectory.
 
     Raises InvalidConfiguration for a file that cannot be read, or whose joints are not the robot's.
     """
@@ -201,7 +201,7 @@ def _read(path: Path) -> tuple[list[str], np.ndarray, np.ndarray | None]:
         t = np.array([stamp["sec"] + 1e-9 * stamp["nanosec"] for stamp in stamps])
         return content["joint_names"], np.array([point["positions"] for point in content["points"]], dtype=float), t
     if suffix != ".csv":
-        raise ValueError("it is .csv, .npz or .json")
+        raise ValueError("the file must be .csv, .npz or .json")
     with path.open(newline="", encoding="utf-8") as stream:
         rows = csv.reader(stream)
         head = next(rows)

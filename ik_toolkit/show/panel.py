@@ -1,7 +1,7 @@
-"""The panel: a robot to drive by hand in a browser. Sliders and pose on one side, target and solver on the other.
+"""The panel: drive a robot by hand in a browser, with sliders, pose, target and solver.
 
-Every visitor has a robot of their own (a Session) and one worker thread that does what they ask, newest first, so that a
-drag never queues up and visitors do not disturb each other.
+Every visitor has their own robot (a Session) and one worker thread that runs their requests, newest first, so that drags
+never queue up and visitors do not disturb each other.
 """
 
 import contextlib
@@ -19,7 +19,7 @@ from .desk import Desk
 from .gate import guarded, is_loopback, new_token
 from .session import Session
 
-HEARD = (  # of a visitor's page: controls, the target's arrows and rings, the camera
+HEARD = (  # messages accepted from a visitor's page: controls, the target's arrows and rings, the camera
     "GuiUpdateMessage",
     "TransformControlsUpdateMessage",
     "TransformControlsDragStartMessage",
@@ -29,7 +29,7 @@ HEARD = (  # of a visitor's page: controls, the target's arrows and rings, the c
 
 
 class Panel:
-    """The panel's server. url: where it is, with the token that lets in; `close()` ends it. Several browsers may be open."""
+    """The panel's server. url: its address, including the access token; `close()` stops it. Several browsers may be open."""
 
     def __init__(
         self,
@@ -40,7 +40,7 @@ class Panel:
         port: int = 0,
         desk: type[Desk] = Desk,
     ) -> None:
-        """Serve a robot by name or path. tips: one or several, default all that are known. port 0: a free one.
+        """Serve a robot given by name or path. tips: one or several, default all known ones. port 0: a free one.
 
         desk: what each visitor sees.
 
@@ -52,9 +52,9 @@ class Panel:
             raise MissingExtra("viser", "panel") from None
         _check_address(host, port)
         warnings.filterwarnings("ignore", "Queued a .* on a closed connection")  # a visitor may leave at any time
-        session = Session(source, tips)  # says now what is wrong with it
+        session = Session(source, tips)  # raises now if the robot is invalid
         here = session.joined(session.poses())
-        session.solve(here)  # and compiles, where that has not been done: no visitor waits for it
+        session.solve(here)  # compile now if necessary, so that no visitor has to wait
         session.follow(here)
         token = new_token()
         with guarded(host, token), contextlib.redirect_stdout(io.StringIO()):  # viser prints a banner
@@ -66,7 +66,7 @@ class Panel:
         name = {"0.0.0.0": "127.0.0.1", "::": "::1"}.get(host, host)  # noqa: S104  compared, not bound
         self.url = f"http://{f'[{name}]' if ':' in name else name}:{self.port}/{token}/"
         self._check_guard()
-        _hear_only(self.server.gui._websock_interface, ())  # all that is heard is heard by a visitor's desk
+        _hear_only(self.server.gui._websock_interface, ())  # messages are accepted only by a visitor's desk
         self.desks: dict[int, Desk] = {}
         self._desk = desk
         self.server.gui.set_panel_label("ik panel")
@@ -77,7 +77,7 @@ class Panel:
     def _welcome(self, client: Any, source: str, tips: str | Sequence[str] | None, local: bool) -> None:
         _hear_only(client.gui._websock_interface, HEARD)
         self.desks[client.client_id] = self._desk(client, source, tips, files=local)
-        if client.client_id not in self.server.get_clients():  # gone before it was let in
+        if client.client_id not in self.server.get_clients():  # left before it was admitted
             self._goodbye(client)
 
     def _goodbye(self, client: Any) -> None:
@@ -86,7 +86,7 @@ class Panel:
             desk.close()
 
     def _check_guard(self) -> None:
-        """Pages of other sites and who lacks the token must be refused; if a release of viser answers them, do not serve."""
+        """Check that requests from other sites or without the token are refused; do not serve if this viser answers them."""
         at = urlsplit(self.url)
         for path, headers in ((at.path, {"Origin": "http://elsewhere.invalid"}), ("/", {})):
             client = http.client.HTTPConnection(at.hostname or "", self.port, timeout=10)
@@ -97,7 +97,7 @@ class Panel:
                 client.close()
             if not refused:
                 self.close()
-                raise InvalidOption("this release of viser would answer anybody, so the panel is not served")
+                raise InvalidOption("this release of viser answers unauthorised requests, so the panel is not served")
 
     def close(self) -> None:
         """Stop serving and end the visitors' threads."""
@@ -108,7 +108,7 @@ class Panel:
 
 
 def _check_address(host: str, port: int) -> None:
-    """Refuse an address that cannot be listened at; viser would try one port after another for ever."""
+    """Reject an address that cannot be listened on; viser would try one port after another for ever."""
     try:
         family, kind, protocol, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
         with socket.socket(family, kind, protocol) as probe:
@@ -118,11 +118,11 @@ def _check_address(host: str, port: int) -> None:
         if error.errno == errno.EADDRINUSE:
             raise InvalidOption(f"port {port} is in use") from None
         at = f"{host}, port {port}" if port else host
-        raise InvalidOption(f"cannot listen at {at}: {error.strerror or error}") from None
+        raise InvalidOption(f"cannot listen on {at}: {error.strerror or error}") from None
 
 
 def _hear_only(interface: Any, names: tuple[str, ...]) -> None:
-    """Take only some kinds of message from a page: viser keeps files, tells every other page about forms, opens tunnels."""
+    """Accept only some kinds of message from a page: viser would store files, broadcast form values and open tunnels."""
     for kind in list(interface._incoming_handlers):
         if kind.__name__ not in names:
             interface.unregister_handler(kind)

@@ -1,7 +1,7 @@
-"""What a robot looks like: the visual shapes of its URDF as coloured triangles, placed by Pinocchio.
+"""The look of a robot: the visual shapes of its URDF as coloured triangles, placed by Pinocchio.
 
-Meshes go through trimesh, one shape per material, because viewers that read .dae themselves drop parts of it. What cannot be drawn
-is said; a robot of which nothing can be is drawn as a stick figure, so that every model can be seen.
+Meshes go through trimesh, one shape per material, because viewers that read .dae themselves drop parts of it. Parts that cannot
+be drawn are reported; a robot without any drawable part becomes a stick figure, so that every model can be seen.
 """
 
 import functools
@@ -18,13 +18,13 @@ from ..robot.joints import Joints
 from ..robot.meshes import Mesh
 from ..robot.shapes import LinkShape, geometry_model, link_shapes, said
 
-FARTHEST = 1e9  # [m]; pages compute with 32 bits, and multiply lengths
-THINNEST = 1e-6  # [m] of a stick
-MAX_SHAPES = 2_000  # of a robot; robots have up to 150
+FARTHEST = 1e9  # [m]; pages compute in 32 bits and multiply lengths
+THINNEST = 1e-6  # [m] least radius of a stick
+MAX_SHAPES = 2_000  # per robot; robots have up to 150
 COLORED = (".dae", ".obj", ".glb", ".gltf")  # formats with colours worth showing
 GREY = (0.70, 0.72, 0.75)
-STEEL, JOINT = (0.35, 0.42, 0.50), (0.90, 0.55, 0.10)  # stick figures
-SMOOTH = np.radians(35.0)  # edges sharper than this stay edges
+STEEL, JOINT = (0.35, 0.42, 0.50), (0.90, 0.55, 0.10)  # colours of stick figures
+SMOOTH = np.radians(35.0)  # edges sharper than this stay visible
 
 
 @dataclass(frozen=True)
@@ -39,21 +39,21 @@ class Shape:
 
 @dataclass(frozen=True)
 class Part:
-    """One rigid piece of a robot: its name, the shapes in its own axes."""
+    """One rigid piece of a robot: its name, and its shapes in its own axes."""
 
     name: str
     shapes: tuple[Shape, ...]
 
 
 class Body:
-    """The drawn parts of a robot and where they are.
+    """The drawn parts of a robot and their placements.
 
     parts (list of Part); `placements(q)` gives their poses (P, 4, 4) in the model's world; notice ('' or what is not drawn, and
-    why); T_world_base (4, 4) at rest; floor: height [m] of what the robot stands on, under its lowest part that never moves.
+    why); T_world_base (4, 4) at rest; floor: height [m] of the floor, under the robot's lowest part that never moves.
     """
 
     def __init__(self, robot: Joints) -> None:
-        """Read the shapes. Raises MissingExtra without trimesh, ModelError for a robot of astronomic size."""
+        """Read the shapes. Raises MissingExtra without trimesh, ModelError for a robot of astronomical size."""
         self.robot = robot
         self.model = robot.model
         self.data = self.model.createData()
@@ -61,7 +61,7 @@ class Body:
         need_trimesh()
         pin.framesForwardKinematics(self.model, self.data, robot.rest)
         if not max(np.abs(place.translation).max() for place in self.data.oMf) <= FARTHEST:
-            raise ModelError(f"robot '{robot.name}' has links further than {FARTHEST:g} m away: it cannot be drawn")
+            raise ModelError(f"robot '{robot.name}' has links farther than {FARTHEST:g} m away: it cannot be drawn")
         self.geometry, self.parts, self.notice = _read(self.arms[0])
         if not self.parts:
             self.notice = f"{self.notice or 'the URDF has no visual shapes'}; drawn as a stick figure"
@@ -86,7 +86,7 @@ class Body:
         )
 
     def bounds(self, q: Any, still: bool = False) -> np.ndarray:
-        """Corners (2, 3) [m] of the box around the robot at q, world axes; still: around what its joints do not move."""
+        """Corners (2, 3) [m] of the bounding box of the robot at q, world axes; still: only of the parts that never move."""
         points = [np.zeros((0, 3))]
         moved = {self.model.getJointId(name) for name in self.robot.joint_names}
         for part, T, shown in zip(self.parts, self.placements(q), self.geometry.geometryObjects, strict=True):
@@ -97,7 +97,7 @@ class Body:
                 corners = np.array(np.meshgrid(*zip(low, high, strict=True))).reshape(3, -1).T
                 points.append(corners @ T[:3, :3].T + T[:3, 3])
         stacked = np.vstack(points)
-        if still and not len(stacked):  # nothing is drawn of the base: it stands where the model begins
+        if still and not len(stacked):  # the base has no drawn part: use the model's origin
             stacked = self.T_world_base[None, :3, 3]
         return np.array([stacked.min(axis=0), stacked.max(axis=0)])
 
@@ -112,7 +112,7 @@ def need_trimesh() -> Any:
 
 
 def _read(robot: Any) -> tuple[pin.GeometryModel, list[Part], str]:
-    """Places and parts of what can be drawn, and a sentence about what cannot."""
+    """Geometry and parts of what can be drawn, and a sentence about what cannot."""
     if robot.urdf is None:
         return pin.GeometryModel(), [], ""
     try:
@@ -122,17 +122,16 @@ def _read(robot: Any) -> tuple[pin.GeometryModel, list[Part], str]:
     parts, drawn = [], []
     for shape in shapes:
         pieces = _pieces(shape)
-        if sum(len(piece.faces) for piece in pieces):  # a mesh may be all points and lines
+        if sum(len(piece.faces) for piece in pieces):  # a mesh may have only points and lines
             parts.append(Part(shape.name, pieces))
             drawn.append(shape)
-    geometry = geometry_model(
-        robot.model, drawn, [coal.Sphere(1e-3)] * len(drawn)
-    )  # of the geometry the places are used
+    # Only the placements of this geometry are used.
+    geometry = geometry_model(robot.model, drawn, [coal.Sphere(1e-3)] * len(drawn))
     return geometry, parts, f"not read: {said(problems)}" if problems else ""
 
 
 def _pieces(shape: LinkShape) -> tuple[Shape, ...]:
-    """Triangles of a link's shape, one Shape a material; () when nothing is left of it."""
+    """Triangles of a link's shape, one Shape per material; () if none are left."""
     creation = need_trimesh().creation
     *rgb, opacity = shape.color or (*GREY, 1.0)
     color = (rgb[0], rgb[1], rgb[2])
@@ -163,16 +162,16 @@ def _pieces(shape: LinkShape) -> tuple[Shape, ...]:
 
 @functools.lru_cache(256)
 def _smoothed(mesh: Mesh) -> tuple[tuple[np.ndarray, np.ndarray, tuple[float, float, float] | None], ...]:
-    """Vertices, faces and own colour of every material of a mesh, in the file's axes."""
+    """Vertices, faces and colour of every material of a mesh, in the file's axes."""
     make = need_trimesh().Trimesh
     return tuple((*smooth(make(piece.vertices, piece.faces, process=True)), piece.color) for piece in mesh.pieces)
 
 
 def smooth(mesh: Any, scale: Any = 1.0) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices times a scale, and faces, split along sharp edges so that a viewer's averaged normals show them as edges.
+    """Scaled vertices, and faces, split along sharp edges so that a viewer's averaged normals keep them visible.
 
-    Corners of two faces stay one vertex when the faces meet at a flat enough edge there. What may be small is made large and
-    scaled here: trimesh leaves out triangles whose sides are under 0.1 mm.
+    Corners of two faces stay one vertex if the faces meet there at a flat enough edge. Create small meshes large and scale them
+    here: trimesh drops triangles with sides under 0.1 mm.
     """
     from scipy.sparse import coo_matrix
     from scipy.sparse.csgraph import connected_components
@@ -182,7 +181,7 @@ def smooth(mesh: Any, scale: Any = 1.0) -> tuple[np.ndarray, np.ndarray]:
     pairs, edges = mesh.face_adjacency[flat], mesh.face_adjacency_edges[flat]
     joined = []
     for end in (0, 1):
-        corners = faces[pairs] == edges[:, end][:, None, None]  # (E, 2, 3): which corner of either face it is
+        corners = faces[pairs] == edges[:, end][:, None, None]  # (E, 2, 3): which corner of each face it is
         joined.append(3 * pairs + corners.argmax(axis=2))
     links = np.vstack(joined) if len(pairs) else np.empty((0, 2), dtype=int)
     graph = coo_matrix((np.ones(len(links)), (links[:, 0], links[:, 1])), shape=(count, count))
@@ -198,7 +197,7 @@ def _sticks(robot: Joints, arms: Any) -> tuple[pin.GeometryModel, list[Part]]:
     model, geometry, parts = robot.model, pin.GeometryModel(), []
     data = model.createData()
     pin.framesForwardKinematics(model, data, robot.rest)
-    ball = pin.GeometryObject  # alias: the placement is all that is used of it
+    ball = pin.GeometryObject  # only its placement is used
 
     def add(name: str, joint: int, mesh: Any, scale: float, color: tuple[float, float, float]) -> None:
         if name not in {part.name for part in parts}:
@@ -235,13 +234,13 @@ def _sticks(robot: Joints, arms: Any) -> tuple[pin.GeometryModel, list[Part]]:
 
 
 def grid_cell(radius: float) -> float:
-    """Width [m] of a grid's cells, 1, 2 or 5 times a power of ten: about four to a radius."""
+    """Cell width [m] of a grid, 1, 2 or 5 times a power of ten: about four cells per radius."""
     unit = 10.0 ** np.floor(np.log10(radius / 4.0))
     return float(unit * max(n for n in (1, 2, 5) if n * unit <= radius / 4.0))
 
 
 def tube(points: np.ndarray, radius: float, color: tuple[float, float, float], opacity: float = 1.0) -> Shape:
-    """A round line (WebGL draws lines one pixel wide) through points (N, 3) [m]."""
+    """A tube through points (N, 3) [m] (WebGL draws lines only one pixel wide)."""
     P = np.asarray(points, dtype=float)
     P = P[np.append(True, np.linalg.norm(np.diff(P, axis=0), axis=1) > 1e-3 * radius)]
     if len(P) < 2:
@@ -251,7 +250,7 @@ def tube(points: np.ndarray, radius: float, color: tuple[float, float, float], o
     along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-12)
     across = np.empty_like(P)
     across[0] = np.cross(along[0], np.eye(3)[int(np.argmin(np.abs(along[0])))])
-    for k in range(1, len(P)):  # carried along, so that the tube does not twist
+    for k in range(1, len(P)):  # parallel transport, so that the tube does not twist
         side = across[k - 1] - along[k] * (along[k] @ across[k - 1])
         size = np.linalg.norm(side)
         across[k] = side / size if size > 1e-9 else across[k - 1]

@@ -1,4 +1,4 @@
-"""Plots of a followed path and of a trajectory."""
+"""Plots of a path result and of a trajectory."""
 
 from typing import Any
 
@@ -53,7 +53,7 @@ def _lines(ax: Any, x: np.ndarray, values: np.ndarray, robot: Joints) -> None:
 
 
 def _joints(ax: Any, robot: Joints, x: np.ndarray, Q: np.ndarray, breaks: list[float]) -> None:
-    """Joints between their limits; those without limits in half turns."""
+    """Draw joints relative to their limits; those without limits in half turns."""
     bounded = np.isfinite(robot.lower + robot.upper)
     low, high = np.where(bounded, robot.lower, -np.pi), np.where(bounded, robot.upper, np.pi)
     shown = (Q - 0.5 * (low + high)) / (0.5 * (high - low))
@@ -70,7 +70,7 @@ def _joints(ax: Any, robot: Joints, x: np.ndarray, Q: np.ndarray, breaks: list[f
 
 
 def _deviation(ax: Any, result: Any) -> None:
-    """Bounds between the poses, in parts of their tolerances."""
+    """Draw the bounds between the poses relative to their tolerances."""
     proof, tolerance = result.continuity, result.path_tolerance
     for values, most, colour, dash, name in (
         (proof.deviation, tolerance[0], COLOURS[0], "-", f"position (1 = {length(tolerance[0])})"),

@@ -1,4 +1,4 @@
-"""`ik.plot`: the chart of whatever a call of the toolkit returned, in one call."""
+"""`ik.plot`: a chart of any result of the toolkit, in one call."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -22,7 +22,7 @@ from .tracking import plot_track, skeleton
 
 
 def plot(what: Any, robot: Joints | None = None, *, target: Any = None, file: str | Path | None = None) -> Any:
-    """Chart of a result as a matplotlib Figure; a notebook cell that ends with it shows it.
+    """Chart of a result as a matplotlib Figure, shown by a notebook cell that ends with it.
 
     what: a Result with history, or a dict label -> Result (error at every evaluation); a TrackResult (with robot), or a dict
     label -> TrackResult (their errors); a PathResult or Trajectory (joints, speeds, bounds); a Benchmark; a TuneResult; a
@@ -48,7 +48,7 @@ def plot(what: Any, robot: Joints | None = None, *, target: Any = None, file: st
     else:
         figure = postures(what, _needed(robot, "configurations"), target)
     if file is not None:
-        with drawing():  # letters stay letters in an .svg
+        with drawing():  # keeps text as text in an .svg
             save(figure, file)
     return figure
 
@@ -60,7 +60,7 @@ def _needed(robot: Joints | None, what: str) -> Joints:
 
 
 def postures(q: Any, robot: Joints, target: Any = None) -> Any:
-    """Draw the arms as lines through their joints at q (n,) or at each of a dict label -> q, from the side and from above."""
+    """Draw the arm as lines through its joints at q (n,), or at each q of a dict label -> q, from the side and from above."""
     named = {str(label): one for label, one in q.items()} if isinstance(q, Mapping) else {"": q}
     with drawing() as plt:
         figure, axes = plt.subplots(1, 2, figsize=(8.2, 3.6), layout="constrained")

@@ -1,6 +1,6 @@
-"""Charts in one house style: readable in print, in grey and to colour-blind eyes. Each returns a matplotlib Figure.
+"""Charts in one style, readable in print, in grey and with colour blindness. Each returns a matplotlib Figure.
 
-Lines differ in dashes as well as in colour, so that nothing hangs on colour alone. `save` writes a figure to a file.
+Lines differ in dashes as well as in colour, so that nothing depends on colour alone. `save` writes a figure to a file.
 """
 
 from collections.abc import Callable, Iterator, Mapping
@@ -16,13 +16,13 @@ from ..robot.joints import Joints
 from ..style import COLOURS, DASHES, GREY, PALE, STYLE
 from .attempts import attempts
 
-FLOOR = 1e-12  # [m, rad] what is smaller is drawn here: a logarithmic axis has no zero
+FLOOR = 1e-12  # [m, rad] smaller values are drawn here: a logarithmic axis has no zero
 SUFFIXES = (".png", ".pdf", ".svg")
 
 
 @contextmanager
 def drawing(style: Any = STYLE) -> Iterator[Any]:
-    """Matplotlib's pyplot in the house style; figures made inside are not kept open. Raises MissingExtra."""
+    """Matplotlib's pyplot in our style; figures made inside are not kept open. Raises MissingExtra."""
     try:
         import matplotlib.pyplot as plt
     except ImportError:
@@ -36,12 +36,12 @@ def drawing(style: Any = STYLE) -> Iterator[Any]:
             for number in set(plt.get_fignums()) - before:
                 plt.close(number)
             interactive = plt.isinteractive()
-    if interactive != plt.isinteractive():  # the first figure loads the backend, and a notebook's asks for this
+    if interactive != plt.isinteractive():  # the first figure loads the backend, and a notebook's changes this
         plt.ion() if interactive else plt.ioff()
 
 
 def plain(text: str) -> str:
-    """Text that matplotlib draws as it stands: between two dollar signs it would set (or fail to set) a formula."""
+    """Escape text so that matplotlib draws it literally: text between two dollar signs would be typeset as a formula."""
     return text.replace("$", r"\$")
 
 
@@ -58,10 +58,10 @@ def save(figure: Any, path: str | Path) -> Path:
 def convergence(runs: Any, *, tolerance: float | None = None, title: str = "") -> Any:
     """Error at every evaluation of a solve, several solvers side by side, on one logarithmic scale.
 
-    runs: a Result with history, its history, or a dict label -> either. Drawn is the attempt that found the answer, up to it:
-    position [m] as a full line, orientation [rad] dashed; the other attempts thin and grey, each from its own beginning.
-    Labels and title are drawn as they stand, never as formulas. tolerance [m, rad]: drawn as a line. Raises InvalidOption for a
-    result without history.
+    runs: a Result with history, its history, or a dict label -> either. Draws the attempt that found the result, up to it:
+    position [m] as a solid line, orientation [rad] dashed; the other attempts thin and grey, each from its own start. Labels and
+    title are drawn literally, never as formulas. tolerance [m, rad]: drawn as a line. Raises InvalidOption for a result without
+    history.
     """
     named = _named(runs)
     with drawing() as plt:
@@ -93,7 +93,7 @@ def convergence(runs: Any, *, tolerance: float | None = None, title: str = "") -
 
 
 def joint_paths(q: Any, robot: Joints, *, t: Any = None, title: str = "") -> Any:
-    """Each joint's value over time or over steps, with its limits as a grey band (what is outside is forbidden).
+    """Each joint's value over time or over steps; grey marks the range outside its limits.
 
     q (N, n) [rad or m], robot for names, kinds and limits; t (N,) [s], else steps. Angles are drawn in degrees.
     """
@@ -175,7 +175,7 @@ def stability_region(
     marks: Mapping[str, tuple[float, float]] | None = None,
     title: str = "",
 ) -> Any:
-    """Where a method is stable: the spectral radius over two gains, the unit line drawn strong.
+    """Stability of a method: the spectral radius over two gains, with the contour at 1 emphasised.
 
     x (X,), y (Y,): the gains; radius: array (Y, X), or a function of (x, y). marks: label -> (x, y), e.g. gains in use.
     """
@@ -200,7 +200,7 @@ def stability_region(
 
 
 def success_map(points: Any, success: Any, *, title: str = "") -> Any:
-    """Targets (N, 3) [m] seen from the side and from above; what was not reached is drawn as a cross, on top."""
+    """Targets (N, 3) [m] seen from the side and from above; unreached ones are drawn as crosses on top."""
     P, good = _matrix(points, 3), np.asarray(success, dtype=bool)
     if good.shape != (len(P),):
         raise InvalidOption(f"success must have one value per point ({len(P)}), not shape {good.shape}")
@@ -224,9 +224,9 @@ def bars(
     log: bool = False,
     title: str = "",
 ) -> Any:
-    """Horizontal bars with their intervals and numbers, in the order given (benchmarks).
+    """Horizontal bars with intervals and numbers, in the given order (for benchmarks).
 
-    values: label -> value; intervals: label -> (low, high), drawn as a whisker; unit: what the axis says.
+    values: label -> value; intervals: label -> (low, high), drawn as a whisker; unit: axis label.
     """
     names = list(values)
     x = np.array([values[name] for name in names], dtype=float)
@@ -261,16 +261,16 @@ def _title(figure: Any, text: str) -> None:
 def _matrix(values: Any, columns: int) -> np.ndarray:
     array = np.atleast_2d(np.asarray(values, dtype=float))
     if array.ndim != 2 or array.shape[1] != columns or not len(array):
-        raise InvalidOption(f"an array of {columns} columns is expected, not of shape {array.shape}")
+        raise InvalidOption(f"expected an array with {columns} columns, not of shape {array.shape}")
     return array
 
 
 def _named(runs: Any) -> dict[str, tuple[Any, Any]]:
-    """Label -> history and answer (None where it is not known) of what `convergence` accepts."""
+    """Label -> history and result q (None if unknown), from anything `convergence` accepts."""
     single = not isinstance(runs, Mapping) or "position_error" in runs
     named = {getattr(runs, "solver", ""): runs} if single else dict(runs)
     if not named:
-        raise InvalidOption("there is nothing to draw: no runs")
+        raise InvalidOption("there are no runs to draw")
     found = {}
     for label, run in named.items():
         history, q = (run, None) if isinstance(run, Mapping) else (run.history, run.q)

@@ -1,4 +1,4 @@
-"""The 3-D view: a robot, ghosts, targets, trails, clouds and animations, live in a browser, in a notebook, or as one file."""
+"""The 3-D view: robot, ghosts, targets, trails, clouds and animations; live in a browser, in a notebook, or as one file."""
 
 import base64
 import html
@@ -16,15 +16,15 @@ from .motions import animate, motion_of
 from .parts import GREY, Body, Shape, grid_cell, need_trimesh, smooth, tube
 from .window import Window, write_page
 
-# Okabe and Ito (2008), as in the plots.
+# Colours of Okabe and Ito (2008), as in the plots.
 BLUE, ORANGE, GREEN, PURPLE = (0.0, 0.447, 0.698), (0.835, 0.369, 0.0), (0.0, 0.62, 0.451), (0.8, 0.475, 0.655)
 YELLOW, SKY, RED, SLATE = (0.902, 0.624, 0.0), (0.337, 0.706, 0.914), (0.80, 0.20, 0.15), (0.30, 0.34, 0.40)
 TRAILS = (ORANGE, PURPLE, GREEN, SKY, YELLOW)  # of several tips
 GHOSTS = (BLUE, GREEN, YELLOW, PURPLE, SKY, ORANGE, (0.94, 0.89, 0.26), (0.45, 0.30, 0.18))
 AXES = ((0.82, 0.18, 0.16), (0.16, 0.62, 0.24), (0.13, 0.38, 0.78))  # x red, y green, z blue
-FAR = 3.0  # extents; a target further away is drawn, but does not shrink the picture
-MAX_FRAMES = 400  # of an animation; a longer run is thinned
-BETWEEN = 6  # frames from one iterate to the next, so that the eye can follow
+FAR = 3.0  # extents; a target farther away is drawn but does not shrink the picture
+MAX_FRAMES = 400  # per animation; a longer run is thinned out
+BETWEEN = 6  # frames between two iterates, so that the eye can follow
 MAX_GHOSTS = 12
 
 
@@ -34,13 +34,13 @@ def css(color: Sequence[float]) -> str:
 
 
 class Scene:
-    """What is drawn of one robot. Poses given and taken are in the robot's base axes [m], joint values as in `robot`.
+    """The drawing of one robot. Poses are in the robot's base axes [m], joint values as in `robot`.
 
-    title, lines (what the page says). `drawn()` tells tests what is where. Raises MissingExtra without meshcat or trimesh.
+    title; lines (text on the page). `drawn()` returns all poses for tests. Raises MissingExtra without meshcat or trimesh.
     """
 
     def __init__(self, robot: Joints, title: str | None = None) -> None:
-        """An empty scene for a Robot or a Tree."""
+        """Create an empty scene for a Robot or a Tree."""
         self.robot = robot
         self.body = Body(robot)
         self.window = Window()
@@ -59,7 +59,7 @@ class Scene:
         opacity: float = 1.0,
         label: str = "",
     ) -> None:
-        """Draw the robot at q (n,), or move it there; a colour makes it a translucent copy under another name."""
+        """Draw the robot at q (n,), or move it there; with a colour, draw a translucent copy under another name."""
         poses = self.body.placements(q)
         if not any(path.startswith(f"{name}/") for path in self.window.transforms):
             if color is None:
@@ -71,7 +71,9 @@ class Scene:
                     self.show(q)
                 for part, T in zip(self.body.parts, poses, strict=True):
                     same = np.allclose(T, self.window.transforms[f"robot/{part.name}"], rtol=0.0, atol=1e-9)
-                    for k in range(0 if same else len(part.shapes)):  # what coincides with the robot is not drawn twice
+                    for k in range(
+                        0 if same else len(part.shapes)
+                    ):  # parts that coincide with the robot are not drawn twice
                         self.window.copy(f"{name}/{part.name}/{k}", f"robot/{part.name}/{k}", color, opacity)
         for part, T in zip(self.body.parts, poses, strict=True):
             self.window.place(f"{name}/{part.name}", T)
@@ -80,18 +82,18 @@ class Scene:
             self._say(css(color or SLATE), label)
 
     def ghosts(self, Q: Any, labels: Iterable[str] = ()) -> None:
-        """Draw the robot translucent at every row of Q (N, n), the first 12 of them; eight colours, in turn."""
+        """Draw the robot translucent at the rows of Q (N, n), at most the first 12, in eight alternating colours."""
         names = [*labels]
         for k, q in enumerate(np.atleast_2d(Q)[:MAX_GHOSTS]):
             label = names[k] if k < len(names) else ""
             self.show(q, f"ghost_{k + 1}", GHOSTS[k % len(GHOSTS)], 0.32, label)
 
-    # ------------------------------------------------------------------------------------------- what is around it
+    # --------------------------------------------------------------------------------------------- surroundings
     def frame(self, T_base: Any, name: str = "target", size: float | None = None, label: str = "") -> None:
-        """Draw the axes (x red, y green, z blue) of a pose; a position (3,) or an axis target is drawn as what it fixes."""
+        """Draw the axes (x red, y green, z blue) of a pose; of a position (3,) or an axis target only what it fixes."""
         trimesh = need_trimesh()
         size = size or 0.14 * self._extent()
-        r = 0.035  # in units of size, as all below
+        r = 0.035  # in units of size, like everything below
         free = isinstance(T_base, AxisTarget)
         T = np.eye(4)
         shapes = []
@@ -123,7 +125,7 @@ class Scene:
             self._say(css(shapes[-1][1]) if free or target.ndim == 1 else bands, label)
 
     def name(self, path: str, text: str, below: bool = False) -> None:
-        """Write beside a drawn frame what it is: above it, or below."""
+        """Label a drawn frame, above or below it."""
         self._names = [one for one in self._names if one[0] != path] + [(path, text, 6 if below else -24)]
         self.window.say(names=self._names)
 
@@ -163,7 +165,7 @@ class Scene:
 
     # ------------------------------------------------------------------------------------------------- animations
     def animate(self, Q: Any, labels: Sequence[str], fps: float, first: int = 0, name: str = "robot") -> None:
-        """Let the robot go through the rows of Q (F, n) behind a time slider; labels (F,) are shown beside it."""
+        """Animate the robot through the rows of Q (F, n) with a time slider; labels (F,) are shown next to it."""
         Q = np.atleast_2d(np.asarray(Q, dtype=float))
         if len(Q) != len(labels) or not len(Q):
             raise InvalidOption(f"an animation needs one label per row: {len(Q)} rows, {len(labels)} labels")
@@ -187,9 +189,9 @@ class Scene:
         )
 
     def converge(self, result: Any) -> None:
-        """Animate a solve: the iterates of the attempt that found its answer, ending there.
+        """Animate a solve: the iterates of the attempt that found the result, ending there.
 
-        With the tip path, a ghost where the attempt began, and the tip paths of the other attempts, thin and grey. result: one
+        Also draws the tip path, a ghost at the attempt's start, and the other attempts' tip paths, thin and grey. result: a Result
         with history.
         """
         Q, position, angle, others = iterates(result)
@@ -213,7 +215,7 @@ class Scene:
         ways = np.array([self._tips(q) for q in Q[rows]])
         several = len(self.robot.tips) > 1
         for k, tip in enumerate(self.robot.tips):
-            label = f"way of {tip}" if several else "tip path"
+            label = f"path of {tip}" if several else "tip path"
             self.trail(ways[:, k], numbered("trail", k), TRAILS[k % len(TRAILS)], label=label)
         self.animate(frames, labels, fps=max(12.0, len(frames) / 12.0), first=len(frames) - 1)
 
@@ -222,7 +224,7 @@ class Scene:
         rows = np.unique(np.linspace(0, len(result.t) - 1, min(len(result.t), MAX_FRAMES)).astype(int))
         wide = 0.005 * self._extent()
         ways, wanted = (array[rows].reshape(len(rows), -1, 3) for array in (result.xyz, result.target_xyz))
-        for k in range(ways.shape[1]):  # a label once, whichever tip
+        for k in range(ways.shape[1]):  # labels only for the first tip
             self.trail(wanted[:, k], numbered("path", k), SLATE, 0.7 * wide, "" if k else "requested path")
             self.trail(ways[:, k], numbered("trail", k), ORANGE, wide, "" if k else "tip path")
         labels = [f"t = {result.t[k]:.2f} s, error {length(result.position_error[k])}" for k in rows]
@@ -236,7 +238,7 @@ class Scene:
         self.window.say(lines=[*notice, *lines])
 
     def look(self, eye: Sequence[float] | None = None, target: Sequence[float] | None = None) -> None:
-        """Aim the camera [m], world axes; without arguments at everything drawn so far."""
+        """Aim the camera [m], world axes; without arguments, at everything drawn so far."""
         box = np.array([np.min([c[0] for c in self._corners], axis=0), np.max([c[1] for c in self._corners], axis=0)])
         centre, radius = box.mean(axis=0), 0.5 * float(np.linalg.norm(box[1] - box[0]))
         to = centre if target is None else np.asarray(target, dtype=float)
@@ -251,20 +253,19 @@ class Scene:
         self.window.say(legend=[*self._legend, grid])
 
     def html(self) -> str:
-        """The scene as one self-contained page: one file, no network, opens from disk."""
+        """The scene as one self-contained page: a single file that needs no network and opens from disk."""
         if self.window.about["camera"] is None:
             self.look()
         return self.window.html()
 
     def save(self, path: str | Path) -> Path:
-        """Write the self-contained page. Raises InvalidOption when the name does not end in .html."""
+        """Write the self-contained page. Raises InvalidOption if the name does not end in .html."""
         return write_page(path, "a scene", self.html)
 
     def page(self, path: str | Path) -> Path:
-        """Write the live page: the robot with its solvers and a target to drag, in one file without Python and network.
+        """Write the live page: the robot with its solvers and a target to drag, in one file that needs no Python or network.
 
-        What else the scene shows (a result, ghosts, a cloud) is not on it. Raises InvalidOption when the name does not end in
-        .html.
+        Anything else in the scene (a result, ghosts, a cloud) is left out. Raises InvalidOption if the name does not end in .html.
         """
         from .live_page import page_html
 
@@ -281,14 +282,15 @@ class Scene:
         self.window.close()
 
     def _repr_html_(self) -> str:
-        """Notebook cell: the whole page inside, so that it lives as long as the notebook."""
+        """Notebook cell: embeds the whole page, so that it lives as long as the notebook."""
         page = html.escape(self.html(), quote=True)
         return f'<iframe srcdoc="{page}" style="width:100%;height:460px;border:0" sandbox="allow-scripts"></iframe>'
 
     # ---------------------------------------------------------------------------------------------- for inspection
     def drawn(self) -> dict[str, np.ndarray]:
-        """Pose (4, 4) in the world of everything drawn: 'robot/<part>', 'ghost_1/<part>', 'target', ... (trails and clouds
-        are in world axes already: identity).
+        """World pose (4, 4) of everything drawn: 'robot/<part>', 'ghost_1/<part>', 'target', ...
+
+        Trails and clouds are already in world axes: identity.
         """
         found = {path: T.copy() for path, T in self.window.transforms.items()}
         for path in self.window.objects:
@@ -324,8 +326,8 @@ def view(robot: Joints, what: Any = None, *, target: Any = None, cloud: Any = No
     """Scene of a robot: at home, at q (n,), as a Result, TrackResult, PathResult, Trajectory, Solutions, or a list of q (ghosts).
 
     target: pose or position [m] to mark (for a Tree: by tip, or in its order). cloud: points (N, 3), or a pair (points,
-    success). A Result solved with history=True becomes an animation of the solve. The scene shows itself in a notebook cell;
-    `.save("x.html")` writes one file, `.page("x.html")` a page with the solvers in it, `.serve()` serves it to a browser.
+    success). A Result solved with history=True becomes an animation of the solve. The scene displays itself in a notebook cell;
+    `.save("x.html")` writes one file, `.page("x.html")` a page that includes the solvers, `.serve()` serves it to a browser.
     Raises InvalidConfiguration, InvalidTarget, InvalidOption, MissingExtra.
     """
     scene = Scene(robot, title)
@@ -334,7 +336,7 @@ def view(robot: Joints, what: Any = None, *, target: Any = None, cloud: Any = No
     what = robot.home if what is None else what
     rows = np.atleast_2d(what.q) if hasattr(what, "q") else _rows(robot, what)
     if not len(rows):
-        raise InvalidOption("there is nothing to show: no configuration in the list")
+        raise InvalidOption("there is nothing to show: the list of configurations is empty")
     many = len(rows) > 1 and not run and motion is None
     scene.show(rows[0], label="1 (solid)" if many else "")
     back = np.linalg.inv(scene.body.T_world_base)
@@ -371,26 +373,24 @@ def view(robot: Joints, what: Any = None, *, target: Any = None, cloud: Any = No
 
 
 def numbered(word: str, k: int) -> str:
-    """Path of the drawing of tip k: the first has the word alone."""
+    """Scene path for tip k: the bare word for the first."""
     return f"{word}{k + 1 if k else ''}"
 
 
 def _by_tip(robot: Joints, target: Any) -> dict[str, Any]:
-    """Targets by tip of a dict, of a list in the order of the tips, or of one. Raises FrameNotFound, InvalidTarget."""
+    """Targets by tip, from a dict, a list in the order of the tips, or a single one. Raises FrameNotFound, InvalidTarget."""
     if isinstance(target, Mapping):
         robot.check_tips(target)
         return {tip: target[tip] for tip in robot.tips if target.get(tip) is not None}
     if not robot.by_tip:
         return {robot.tips[0]: target}
     if len(target) != len(robot.tips):
-        raise InvalidTarget(
-            f"a target for each of {', '.join(robot.tips)} is drawn, or a dict by tip; not {len(target)}"
-        )
+        raise InvalidTarget(f"give one target for each of {', '.join(robot.tips)}, or a dict by tip; not {len(target)}")
     return dict(zip(robot.tips, target, strict=True))
 
 
 def _rows(robot: Joints, what: Any) -> np.ndarray:
-    """Configurations (N, n) of q, of several q, or of several results."""
+    """Configurations (N, n) from q, several q, or several results."""
     if isinstance(what, list | tuple) and any(hasattr(item, "q") or np.ndim(item) for item in what):
         return np.array([robot.check_q(getattr(item, "q", item)) for item in what]).reshape(-1, robot.n)
     if np.ndim(what) == 2:

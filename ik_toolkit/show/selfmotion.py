@@ -1,26 +1,26 @@
-"""Self-motion: moving the joints of a redundant arm while its tips stay where they are."""
+"""Self-motion: moving the joints of a redundant arm while its tips stay in place."""
 
 from typing import Any
 
 import numpy as np
 
-STEP = 0.02  # [rad, or reaches] between corrections: the tip leaves its pose with the square of it
-THIN = 1e-6  # of a singular value over the largest below which nothing moves
-CORRECTIONS = 3  # Newton steps, each of which squares what is left
-LEFT = 1e-7  # [m, rad] of a tip that has stayed where it was
+STEP = 0.02  # [rad, or reaches] between corrections: the tip error grows with its square
+THIN = 1e-6  # singular value over the largest below which a direction does not move the tips
+CORRECTIONS = 3  # Newton steps, each of which squares the remaining error
+LEFT = 1e-7  # [m, rad] largest tip error that counts as staying in place
 
 
 def freedom(robot: Any, q: np.ndarray, turns: bool) -> np.ndarray:
-    """Directions (k, n) in which the joints at q (n,) move and no tip does; turns: whether the tips' rotations are held, too."""
+    """Null-space directions (k, n) at q (n,): no tip moves; turns: whether the tips' rotations are held, too."""
     J = _rows(robot, q, turns)
     _, sizes, V = np.linalg.svd(J, full_matrices=True)
     return V[int((sizes > THIN * max(sizes.max(initial=0.0), 1e-12)).sum()) :]
 
 
 def slide(robot: Any, q: np.ndarray, along: np.ndarray, far: float, turns: bool, limits: bool) -> np.ndarray:
-    """Go `far` [rad, or reaches] from q (n,) through the self-motion nearest the direction `along` (n,); ends at a joint limit.
+    """Move `far` [rad, or reaches] from q (n,) along the self-motion nearest the direction `along` (n,); stops at a joint limit.
 
-    Only the direction that a pose shares with the last one is gone on in, so that going back comes back.
+    Each step continues in the direction that the null space shares with the previous step, so that moving back is reversible.
     """
     start, unit = q, np.where(robot.slides, robot.reach, 1.0)
     done, at = 0.0, along / unit
@@ -40,7 +40,7 @@ def slide(robot: Any, q: np.ndarray, along: np.ndarray, far: float, turns: bool,
 
 
 def _corrected(robot: Any, start: np.ndarray, q: np.ndarray, turns: bool) -> np.ndarray | None:
-    """Nearest q (n,) at which the tips are where they are at `start`; None when that is not found."""
+    """Nearest q (n,) with the tips where they are at `start`; None if not found."""
     error = np.zeros(0)
     for _ in range(CORRECTIONS + 1):
         error = _away(robot, start, q, turns)
@@ -51,13 +51,13 @@ def _corrected(robot: Any, start: np.ndarray, q: np.ndarray, turns: bool) -> np.
 
 
 def _rows(robot: Any, q: np.ndarray, turns: bool) -> np.ndarray:
-    """Jacobian of the tips, stacked; of their positions alone where rotations are not held."""
+    """Stacked Jacobian of the tips; positions only if rotations are not held."""
     J = robot.jacobian(q).reshape(-1, 6, robot.n)
     return (J if turns else J[:, :3]).reshape(-1, robot.n)
 
 
 def _away(robot: Any, start: np.ndarray, q: np.ndarray, turns: bool) -> np.ndarray:
-    """What is left from the tips at q to those at `start`: positions [m] and, if they count, rotation vectors [rad]."""
+    """Error from the tips at q to those at `start`: positions [m] and, if they count, rotation vectors [rad]."""
     import pinocchio as pin
 
     left = []

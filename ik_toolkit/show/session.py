@@ -1,4 +1,4 @@
-"""What one visitor of the panel works with: a robot of one tip or several, q, targets, a solver. No drawing, no web."""
+"""State of one panel visitor: a robot with one or several tips, q, targets and solver. No drawing, no web."""
 
 import contextlib
 import itertools
@@ -41,7 +41,7 @@ class Session:
     """
 
     def __init__(self, source: str, tips: str | Sequence[str] | None = None) -> None:
-        """Start with a robot by name or path, and with one tip or several. Raises RobotNotFound, ModelError, FrameNotFound."""
+        """Start with a robot given by name or path, and one or several tips. Raises RobotNotFound, ModelError, FrameNotFound."""
         self.degrees = True
         self.solver = "auto"
         self.parameters: dict[str, str] = {}
@@ -54,7 +54,7 @@ class Session:
         self.load(source, tips)
 
     def load(self, source: str, tips: str | Sequence[str] | None = None) -> None:
-        """Switch to another robot; nothing changes when that fails. tips: default all that are known, or else the first."""
+        """Switch to another robot; nothing changes if that fails. tips: default all known ones, or else the first."""
         source = source.strip()
         entry = find(source)
         chosen = [tips] if isinstance(tips, str) else list(tips or entry.tips)
@@ -86,15 +86,15 @@ class Session:
 
     # ------------------------------------------------------------------------------------------------------- joints
     def scale(self, i: int) -> float:
-        """Factor from the value of joint i [rad or m] to what is shown."""
+        """Factor from the value of joint i [rad or m] to the displayed unit."""
         return math.degrees(1.0) if self.degrees and self.robot.joint_kinds[i] != "prismatic" else 1.0
 
     def unit(self, i: int) -> str:
-        """Unit shown of joint i."""
+        """Displayed unit of joint i."""
         return "m" if self.robot.joint_kinds[i] == "prismatic" else "deg" if self.degrees else "rad"
 
     def digits(self, i: int) -> int:
-        """Decimals shown of joint i: 0.01 deg, or 0.1 mm and 0.1 mrad."""
+        """Displayed decimals of joint i: 0.01 deg, or 0.1 mm and 0.1 mrad."""
         return 2 if self.unit(i) == "deg" else 4
 
     @property
@@ -103,7 +103,7 @@ class Session:
         return KINDS[0] if min(arm.n for arm in self.robot.arms) >= 6 else "free"
 
     def range(self, i: int) -> tuple[float, float]:
-        """Ends of the slider of joint i as shown, rounded inwards where there is room for that."""
+        """Slider range of joint i in displayed units, rounded inwards if there is room."""
         low, high = (self.scale(i) * x for x in self.ends(i))
         unit = 10.0 ** -self.digits(i)
         inner = (unit * math.ceil(low / unit - 1e-6), unit * math.floor(high / unit + 1e-6))
@@ -111,7 +111,7 @@ class Session:
         return round(low, 9), round(high, 9)
 
     def ends(self, i: int) -> tuple[float, float]:
-        """Range of the slider of joint i [rad or m]: its limits, or one turn (one reach) where there are none."""
+        """Slider range of joint i [rad or m]: its limits, or one turn (one reach) without limits."""
         span = math.pi if self.robot.joint_kinds[i] != "prismatic" else self.robot.reach
         low, high = float(self.robot.lower[i]), float(self.robot.upper[i])
         if not self.limits:
@@ -120,20 +120,20 @@ class Session:
         return low, (high if math.isfinite(high) else max(low + 2.0 * span, float(self.q[i])))
 
     def poses(self, q: np.ndarray | None = None) -> dict[str, np.ndarray]:
-        """T_base_tip (4, 4) of each tip at q (n,), default where the robot stands."""
+        """T_base_tip (4, 4) of each tip at q (n,), default the current q."""
         T: Any = self.robot.fk(self.q if q is None else q)
         return {tip: (T[tip] if self.robot.by_tip else T).homogeneous for tip in self.robot.tips}
 
     def random_poses(self) -> dict[str, np.ndarray]:
-        """Poses that the tips can take together, others at every call."""
+        """Random poses that the tips can reach together, new at every call."""
         return self.poses(self.robot.random_q(self.random))
 
     def joined(self, targets: dict[str, np.ndarray]) -> Any:
-        """Targets by tip as the robot takes them: one tip's without its name."""
+        """Targets by tip in the form the robot expects: without the name for a single tip."""
         return targets if self.robot.by_tip else targets[self.robot.tips[0]]
 
     def goals(self) -> dict[str, np.ndarray]:
-        """Pose (4, 4) of each tip's target; where the tip stands if it has none, turned as it is if the target is a position."""
+        """Pose (4, 4) of each tip's target; the tip's own pose without a target, the tip's rotation for a position."""
         given = self.target if self.robot.by_tip else {self.robot.tips[0]: self.target}
         poses = self.poses()
         for tip, target in (given or {}).items():
@@ -143,7 +143,7 @@ class Session:
 
     # ------------------------------------------------------------------------------------------------------- target
     def typed(self, xyz: str, kind: str, rotation: str) -> np.ndarray:
-        """Target of typed numbers; the words of the refusal name the field. Raises InvalidTarget."""
+        """Target from typed numbers. Raises InvalidTarget naming the field."""
         if kind == "matrix":
             values = vector(rotation.translate(str.maketrans("[],;", "    ")), "the matrix, row by row,")
             if len(values) not in (12, 16):
@@ -158,7 +158,7 @@ class Session:
         return pose(place, rpy=[math.radians(a) if self.degrees else a for a in angles])
 
     def words(self, T: np.ndarray, kind: str) -> tuple[str, str]:
-        """Texts of position and rotation of a pose, as `typed` reads them."""
+        """Text of a pose's position and rotation, as `typed` reads them."""
         at = T if T.ndim == 1 else T[:3, 3]
         xyz = "  ".join(_figure(x) for x in at)
         if T.ndim == 1 or kind == "free":
@@ -172,7 +172,7 @@ class Session:
 
     # -------------------------------------------------------------------------------------------------------- solve
     def choices(self) -> list[str]:
-        """Names of solvers that can be tried on this robot."""
+        """Names of the solvers available for this robot."""
         from ..solvers.closed_form import fits
 
         closed = {fits(self.robot, kind) for kind in (POSITION, POSE)}
@@ -194,15 +194,17 @@ class Session:
         return make_rule(find_row(self.solver), {name: parameter(name, text) for name, text in given.items()})
 
     def options(self) -> dict[str, Any]:
-        """Tolerance, limits and what is not to be touched, as `ik.solve` takes them."""
+        """Tolerance, limits and collision options for `ik.solve`."""
         avoided = self.world if self.avoid else False
         return {"tolerance": self.tolerance, "limits": self.limits, "avoid_collisions": avoided}
 
     def solve(self, target: Any) -> Result:
-        """Solve from q and go there, or to the closest pose; keep the way. Raises what `ik.solve` raises."""
+        """Solve from q with history and move to the result, or to the closest pose. Raises what `ik.solve` raises."""
         self.target, self.followed, rule = _copy(target), None, self.rule()
         how = self.solver, *(T.ndim for T in (self.target.values() if self.robot.by_tip else [self.target]))
-        for _ in range(1 if how in self.warm else 2):  # a first call loads or compiles, and a time is shown
+        for _ in range(
+            1 if how in self.warm else 2
+        ):  # the first call loads or compiles, which would distort the time shown
             result = solve(self.robot, self.target, rule, q0=self.q, history=True, **self.options())
         self.warm.add(how)
         if np.isfinite(result.q).all():
@@ -213,14 +215,14 @@ class Session:
         return result
 
     def _approach(self) -> None:
-        """Go on from an attempt that failed to the closest pose around it."""
-        with contextlib.suppress(InvalidTarget, InvalidConfiguration):  # too far away, or it touches something already
+        """Continue from a failed attempt to the closest pose near it."""
+        with contextlib.suppress(InvalidTarget, InvalidConfiguration):  # too far away, or already in contact
             for _ in range(PATIENCE):
                 if self.follow(self.target).settled:
                     return
 
     def follow(self, target: Any) -> Followed:
-        """Step towards a target that is being dragged, as far as the arm gets in a second. Raises what `Tracker` raises."""
+        """Step towards a dragged target, as far as the arm gets in one second. Raises what `Tracker` raises."""
         if self.robot.by_tip and not target:
             raise InvalidTarget(f"give a target for at least one of {', '.join(self.robot.tips)}")
         self.target, self.result = _copy(target), None
@@ -229,11 +231,11 @@ class Session:
         return self.followed
 
     def prepare(self) -> None:
-        """Get ready for `follow`; nothing moves."""
+        """Load or compile what `follow` needs, without moving."""
         prepare(self.robot, self.q, self.joined(self.poses()))
 
     def solve_all(self, target: Any) -> tuple[str, str]:
-        """Find solutions (at most 16 are kept); how many there are, and the details. Raises what `ik.solve_all` raises."""
+        """Find solutions (at most 16 are kept); returns their number in words, and details. Raises what `ik.solve_all` raises."""
         self.target = _copy(target)
         found = solve_all(self.robot, self.target, self.rule(), self.q, starts=200, count=SHOWN, **self.options())
         self.solutions, self.distances = [q.copy() for q in found][:SHOWN], found.distance.tolist()[:SHOWN]
@@ -244,7 +246,7 @@ class Session:
         few = "infinitely many solutions" if found.families else f"{len(found)} solution{'s' * (len(found) > 1)}"
         return f"{few}{'; these are all' if found.complete else more}", found.message
 
-    # ------------------------------------------------------------------------------------------------- what is around
+    # --------------------------------------------------------------------------------------------------- surroundings
     @property
     def world(self) -> CollisionModel:
         """The robot's shapes and the boxes. Raises what CollisionModel raises."""
@@ -262,16 +264,16 @@ class Session:
         return name
 
     def move_box(self, name: str, T: np.ndarray) -> None:
-        """Give a box another pose (4, 4) in the base."""
+        """Move a box to a pose (4, 4) in the base frame."""
         self.world.move(name, T)
         self.boxes[name] = self.boxes[name][0], T
 
     def clear_boxes(self) -> None:
-        """Take all boxes away."""
+        """Remove all boxes."""
         self.boxes, self._world = {}, None
 
     def contacts(self) -> tuple[list[tuple[str, str]], Near | None]:
-        """Pairs that touch where the robot stands, and the nearest pair; none of a robot whose shapes cannot be read."""
+        """Pairs that touch at the current q, and the nearest pair; none if the robot's shapes cannot be read."""
         try:
             return self.world.collisions(self.q), self.world.distance(self.q)
         except ModelError:
@@ -294,7 +296,7 @@ class Session:
 
     # ---------------------------------------------------------------------------------------------------- for people
     def figures(self) -> list[tuple[str, str]]:
-        """Rows (name, value) on the last solve, or on where a drag has got to."""
+        """Rows (name, value) about the last solve, or the current state of a drag."""
         if self.followed is not None and self.result is None:
             left = self.followed.errors
             words = {tip: f"{length(position)}, {_angle(angle)}" for tip, (position, angle) in left.items()}
@@ -316,7 +318,7 @@ class Session:
         ]
 
     def table(self) -> tuple[str, tuple[str, ...], list[tuple[str, ...]]]:
-        """Caption, head and rows: the D-H table of a robot that has one, otherwise its joint axes at home, in base axes."""
+        """Caption, header and rows: the D-H table if the robot has one, otherwise its joint axes at home, in base axes."""
         if self.entry.dh_file is not None and not self.robot.by_tip and self.entry.tips == self.robot.tips:
             from ..robot.dh import read_dh_table
 
@@ -342,7 +344,7 @@ class Session:
         return "Joint axes at home, in base axes", ("joint", "kind", "axis", "through [m]"), rows
 
     def to_dict(self) -> dict[str, Any]:
-        """What is on the screen, in metres and radians, ready for JSON."""
+        """Everything on the screen, in metres and radians, ready for JSON."""
         each = {
             tip: {
                 "T_base_tip": T.tolist(),
@@ -369,7 +371,7 @@ class Session:
 
 
 def _copy(target: Any) -> Any:
-    """Target or targets by tip, of their own."""
+    """Copy of a target, or of targets by tip."""
     return {tip: np.array(T) for tip, T in target.items()} if isinstance(target, dict) else np.array(target)
 
 

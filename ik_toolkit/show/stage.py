@@ -10,7 +10,7 @@ import pinocchio as pin
 from ..errors import InvalidTarget
 from .parts import Body, need_trimesh
 
-RED = (204, 51, 38)  # of the line to a target that is not met
+RED = (204, 51, 38)  # line to a target that is not reached
 GHOST = (0, 114, 178)
 VIEW = np.array([-0.66, 0.63, -0.41])  # along which the robot is looked at: from the front right, from above
 LENS = 0.7  # [rad] from top to bottom
@@ -51,12 +51,12 @@ class Handle:
         _place(self.gizmo, self.T_world_base @ target)
 
     def read(self) -> np.ndarray:
-        """T_base_target (4, 4) where the visitor has dragged them to."""
+        """T_base_target (4, 4) to which the visitor has dragged them."""
         self.target = _dragged(self.gizmo, self.T_world_base)
         return self.target
 
     def turns(self, rotations: bool, visible: bool) -> None:
-        """Whether there are rings, and whether there is anything."""
+        """Show or hide the rings, and everything."""
         self.gizmo.disable_rotations, self.gizmo.visible = not rotations, visible
         if self.name is not None:
             self.name.visible = visible
@@ -77,7 +77,7 @@ class Stage:
     ) -> None:
         """Draw the robot at q and targets (4, 4) by tip; `dragged` is called when the visitor moves one.
 
-        widest: pixels that the picture has been wide before.
+        widest: largest width [pixels] of the picture so far.
         """
         self.widest, self.away = widest, False  # whether the camera has moved away to see a target
         self.client, self.body = client, body
@@ -124,7 +124,7 @@ class Stage:
         self.aim(q)
 
     def show(self, q: np.ndarray) -> None:
-        """Place everything but the target for joint values q (n,)."""
+        """Place everything except the target for joint values q (n,)."""
         body, model = self.body, self.robot.model
         for handle, M in zip(self.parts, body.placements(q), strict=True):
             _place(handle, M)
@@ -134,7 +134,7 @@ class Stage:
             _place(handle, body.data.oMi[model.getJointId(joint)].homogeneous)
 
     def gaps(self, targets: dict[str, np.ndarray | None]) -> None:
-        """Draw a line from each tip, as it stands, to its target: a pose (4, 4) or position (3,); {} draws none."""
+        """Draw a line from each tip to its target, a pose (4, 4) or position (3,); {} draws none."""
         ends = [T for T in targets.values() if T is not None]
         base = self.body.T_world_base
         goals = [base[:3, :3] @ (T if T.ndim == 1 else T[:3, 3]) + base[:3, 3] for T in ends]
@@ -142,7 +142,7 @@ class Stage:
         self.line("/gap", [*zip(tips, goals, strict=True)], RED)
 
     def ghost(self, q: np.ndarray | None) -> None:
-        """Show the robot at q (n,) as well, translucent; None: no more."""
+        """Also show the robot at q (n,), translucent; None: remove it."""
         if q is None:
             for handle in self.shade:
                 handle.visible = False
@@ -166,7 +166,7 @@ class Stage:
                 handle.visible = True
 
     def box(self, name: str, size: Any, T: np.ndarray, color: tuple[int, int, int]) -> Any:
-        """Draw a box of size (x, y, z) [m] at T_base_box (4, 4) with arrows and rings; return what is dragged."""
+        """Draw a box of size (x, y, z) [m] at T_base_box (4, 4) with arrows and rings; return the handle to drag."""
         scene = self.client.scene
         gizmo = scene.add_transform_controls(f"/box/{name}", scale=1.2 * max(size), disable_sliders=True)
         scene.add_box(f"/box/{name}/shape", dimensions=tuple(size), color=color, opacity=0.85)
@@ -174,11 +174,11 @@ class Stage:
         return gizmo
 
     def dragged(self, gizmo: Any) -> np.ndarray:
-        """Pose (4, 4) in the base to which a visitor has dragged something. Raises InvalidTarget."""
+        """Pose (4, 4) of a dragged handle in the base frame. Raises InvalidTarget."""
         return _dragged(gizmo, self.body.T_world_base)
 
     def line(self, name: str, points: Any, color: tuple[int, int, int]) -> None:
-        """Draw lines between pairs of points (K, 2, 3) [m], world axes; none draws none."""
+        """Draw lines between pairs of points (K, 2, 3) [m], world axes; replaces earlier ones of this name."""
         if name in self.lines:
             self.lines.pop(name).remove()
         if len(points):
@@ -186,7 +186,7 @@ class Stage:
             self.lines[name] = self.client.scene.add_line_segments(name, ends, color, thickness=0.004 * self.size)
 
     def ellipsoid(self, k: int, axes: np.ndarray, radii: np.ndarray, visible: bool) -> None:
-        """Draw an ellipsoid of axes (3, 3) in the base and radii (3,) around tip k: where it gets to in a quarter of a second."""
+        """Draw a velocity ellipsoid around tip k, axes (3, 3) in the base and radii (3,), scaled to a quarter of a second."""
         R = self.body.T_world_base[:3, :3] @ axes
         if np.linalg.det(R) < 0.0:
             R[:, 2] *= -1.0
@@ -212,7 +212,7 @@ class Stage:
     def aim(self, q: np.ndarray) -> None:
         """Look at the robot at q from the front right."""
         camera = getattr(self.client, "camera", None)
-        if camera is None:  # a server has none
+        if camera is None:  # a server has no camera
             return
         # the picture is as wide as the page until the controls are docked beside it
         self.widest = max(self.widest, camera.image_width)
@@ -249,7 +249,7 @@ class Stage:
 
 
 def _dragged(gizmo: Any, T_world_base: np.ndarray) -> np.ndarray:
-    """Pose (4, 4) in the base to which a visitor has dragged something. Raises InvalidTarget."""
+    """Pose (4, 4) of a dragged handle in the base frame. Raises InvalidTarget."""
     if not np.isfinite([*gizmo.wxyz, *gizmo.position]).all() or not np.any(gizmo.wxyz):
         raise InvalidTarget("the dragged target is not a valid pose")
     T = np.eye(4)

@@ -1,4 +1,4 @@
-"""Pictures of studies: benchmarks, convergence of a tuning run, success over the workspace."""
+"""Figures of studies: benchmarks, convergence of a tuning run, failures over the workspace."""
 
 from typing import Any
 
@@ -14,9 +14,9 @@ from .tracking import skeleton
 
 
 def plot_benchmark(found: Benchmark) -> Any:
-    """Draw, one row per robot, the share of targets solved with its 95 % interval, and the share solved within a time."""
+    """Draw, one row per robot, the success rate with its 95 % interval, and the share of targets solved over time."""
     robots = found.by_robot()
-    solvers = list(dict.fromkeys(row.solver for row in found.rows))  # a solver has one colour everywhere
+    solvers = list(dict.fromkeys(row.solver for row in found.rows))  # each solver has the same colour everywhere
     with drawing() as plt:
         height = 0.7 + len(robots) * max(2.4, 0.7 + 0.3 * len(solvers))
         figure, axes = plt.subplots(len(robots), 2, figsize=(9.0, height), layout="constrained", squeeze=False)
@@ -42,12 +42,12 @@ def plot_benchmark(found: Benchmark) -> Any:
         return figure
 
 
-LEAST_RATE = 1.0  # [%] at which the scale of a map ends when hardly anything fails
-MARKED = 200  # more failures than this are not marked one by one
+LEAST_RATE = 1.0  # [%] least end of a map's colour scale, when hardly anything fails
+MARKED = 200  # most failures that are marked individually
 
 
 def plot_tuning(result: TuneResult) -> Any:
-    """Draw cost over generations, with the held-out result in words."""
+    """Draw cost over generations, with the held-out result in the title."""
     with drawing() as plt:
         figure, axis = plt.subplots(figsize=(6.2, 3.4), layout="constrained")
         generation = np.arange(1, len(result.history) + 1)
@@ -65,9 +65,9 @@ def plot_tuning(result: TuneResult) -> Any:
 
 
 def plot_workspace(found: Workspace, robot: Joints) -> Any:
-    """Draw, for each solver, the failure rate seen from above and from the side, failures marked when they are few.
+    """Draw, for each solver, the failure rate seen from above and from the side; failures are marked if they are few.
 
-    The scale ends at the largest rate of any cell, so that rare failures are seen too. The robot stands at home, for its place.
+    The scale ends at the largest rate of any cell, so that rare failures are visible. The robot is drawn at home for reference.
     """
     arms = [skeleton(arm, robot.home[place]) for arm, place in zip(robot.arms, robot.places, strict=True)]
     with drawing() as plt:
@@ -93,7 +93,7 @@ def plot_workspace(found: Workspace, robot: Joints) -> Any:
             row[0].set_title(f"{plain(name)}\n{outcome.solved} of {outcome.targets} solved, from above")
             row[1].set_title("circles: not solved\nfrom the side" if len(bad) else "from the side")
         for one in drawn:
-            one.set_clim(-0.15 * worst, worst)  # no failure is pale, not white: white is where no target was
+            one.set_clim(-0.15 * worst, worst)  # zero failures are pale, not white: white means no target
         figure.colorbar(
             image,
             ax=axes,

@@ -1,4 +1,4 @@
-"""Texts and tables of the panel as HTML; whatever they hold is escaped."""
+"""Texts and tables of the panel as HTML; all contents are escaped."""
 
 import html
 from typing import Any
@@ -11,7 +11,7 @@ MUTED = "#4a5766"
 
 
 def sentence(text: str) -> str:
-    """Text with a capital and a full stop."""
+    """Text with a capital letter and a full stop."""
     return f"{text[0].upper()}{text[1:].rstrip('.')}." if text else ""
 
 
@@ -21,7 +21,7 @@ def note_html(text: str) -> str:
 
 
 def table_html(rows: Any, head: Any = None) -> str:
-    """Table of texts."""
+    """HTML table of texts."""
     cell, muted = "padding:1px 12px 1px 0;font-variant-numeric:tabular-nums;white-space:nowrap", f"color:{MUTED}"
     top = "".join(f'<th style="{cell};text-align:left;font-weight:600">{html.escape(x)}</th>' for x in head or ())
     body = "".join(

@@ -1,4 +1,4 @@
-"""Picture of a tracking run: the arm along its path, the errors, joint positions and speeds against their limits."""
+"""Figure of a tracking run: the arm along its path, the errors, joint positions and speeds relative to their limits."""
 
 from typing import Any
 
@@ -12,7 +12,7 @@ from .plots import FLOOR, drawing, plain
 
 
 def skeleton(robot: Any, q: np.ndarray) -> np.ndarray:
-    """Points (k, 3) [m] of base, joints and tip at q, base frame: the arm as a polyline."""
+    """Points (k, 3) [m] of base, joints and tip at q in the base frame: the arm as a polyline."""
     data = robot.model.createData()
     pin.forwardKinematics(robot.model, data, robot._fill(robot.rest.copy(), q))
     pin.updateFramePlacements(robot.model, data)
@@ -76,7 +76,7 @@ def _path_panel(ax: Any, result: TrackResult, robot: Joints) -> None:
     first = [skeleton(arm, result.q[0][place]) for arm, place in arms]
     corners = np.vstack([*first, ways.reshape(-1, 3), wanted.reshape(-1, 3)])
     low, high = corners.min(axis=0), corners.max(axis=0)
-    half = np.maximum(0.5 * (high - low), 0.25 * (high - low).max())  # a flat arm still gets a box one can read
+    half = np.maximum(0.5 * (high - low), 0.25 * (high - low).max())  # so that a planar arm still gets a readable box
     for middle, size, name in zip(0.5 * (low + high), half, "xyz", strict=True):
         getattr(ax, f"set_{name}lim")(middle - size, middle + size)
     ax.set_box_aspect(half, zoom=0.92)
@@ -104,14 +104,12 @@ def _errors(ax: Any, result: TrackResult) -> None:
     ax.axhline(result.position_tolerance, color=COLOURS[0], lw=0.8, ls=":", label="tolerance")
     if result.orientation_error is not None:
         ax.axhline(result.orientation_tolerance, color=COLOURS[4], lw=0.8, ls=":")
-    ax.set_title(
-        "error at the samples", loc="left", pad=20
-    )  # the legend has a line of its own between title and curves
+    ax.set_title("error at the samples", loc="left", pad=20)  # room for the legend between title and curves
     ax.legend(fontsize=8, ncols=4, loc="lower left", bbox_to_anchor=(-0.02, 1.0), borderaxespad=0.0)
 
 
 def _clock(ax: Any, result: TrackResult) -> None:
-    """How fast the reference's time went."""
+    """Draw the clock rate of the reference."""
     ax.stairs(result.sigma, result.t, fill=True, color=PALE)
     ax.stairs(result.sigma, result.t, color=COLOURS[0], lw=1.3)
     ax.set_ylim(0.0, 1.05)

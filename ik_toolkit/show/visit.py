@@ -1,4 +1,4 @@
-"""A visitor of the panel: a thread that does what is asked, words about what went wrong, and a camera that is kept aimed."""
+"""A visitor of the panel: a thread that runs requests, error messages, and camera control."""
 
 import html
 from collections.abc import Callable, Sequence
@@ -14,22 +14,22 @@ from .session import Session
 from .worker import Worker
 
 PLAIN = "#37424f"
-LONGEST = 600  # characters said
+LONGEST = 600  # characters of a status message
 STYLE = """<style>@media (max-width: 36em) {  /* a phone: controls below, the robot above them, see stage.FREE */
 div[style*="width: 20em"] { width: 100% !important; max-height: 50% !important }}</style>"""
 
 
 class Visit:
-    """What goes on between a visitor and the controls of a page: see Desk, which builds them."""
+    """Interaction between a visitor and the controls of a page; Desk builds them."""
 
     def __init__(
         self, client: Any, source: str, tips: str | Sequence[str] | None = None, *, files: bool = True
     ) -> None:
-        """Build the first robot's controls; the work is done in the visitor's own thread."""
+        """Build the first robot's controls in the visitor's own thread."""
         self.client, self.gui, self.scene = client, client.gui, client.scene
         self.stage: Any = None
         self.chart: Any = None
-        self.aspect = 0.0  # of the picture, when the camera was aimed last
+        self.aspect = 0.0  # of the picture when the camera was last aimed
         self.files = files
         self.session = Session(source, tips)
         self.kinds: dict[str, str] = {}
@@ -41,7 +41,7 @@ class Visit:
         self.status: Any = None
         self.worker = Worker()
         self.worker.post("build", self._guard(self.build))
-        if hasattr(client, "camera"):  # a server has none
+        if hasattr(client, "camera"):  # a server has no camera
             client.camera.on_update(lambda _: self._resized())
 
     def close(self) -> None:
@@ -49,7 +49,7 @@ class Visit:
         self.worker.end()
 
     def _guard(self, job: Callable[[], None]) -> Callable[[], None]:
-        """Say in words what the caller did wrong; anything else is a bug and is said as one. Never ends the thread."""
+        """Wrap a job to report user errors as messages, and anything else as a bug. Never ends the thread."""
 
         def run() -> None:
             try:
@@ -59,13 +59,13 @@ class Visit:
                 words = str(error)
             except Exception as error:
                 words = f"unexpected {type(error).__name__}: {error} (a bug of ik_toolkit)"
-            if not self.worker.ended:  # a visitor who left takes the handles along
+            if not self.worker.ended:  # after a visitor has left, the handles no longer exist
                 self.say(words, BAD)
 
         return run
 
     def _on(self, handle: Any, name: str, job: Callable[[], None]) -> None:
-        """Do a job when the visitor (not this program) changes or clicks something."""
+        """Run a job when the visitor (not this program) changes or clicks something."""
         listen = getattr(handle, "on_click", None) or handle.on_update
 
         @listen
@@ -74,7 +74,7 @@ class Visit:
                 self._post(name, job)
 
     def _post(self, name: str, job: Callable[[], None]) -> None:
-        """Have a job of the visitor's done, and keep what there was before it, should it move the robot."""
+        """Queue a visitor's job, and record the state before it in case it moves the robot."""
 
         def noted() -> None:
             s, robot, q = self.session, self.session.robot, self.session.q
@@ -96,7 +96,7 @@ class Visit:
         )
 
     def _resized(self) -> None:
-        """Aim the camera again when the picture has got another shape: the controls were docked, a phone was turned."""
+        """Aim the camera again after the picture's shape changed: the controls were docked, or a phone was rotated."""
         width, height = self.client.camera.image_width, self.client.camera.image_height
         aspect = width / max(height, 1)
         if abs(aspect - self.aspect) > 0.05 and self.stage is not None:
@@ -104,5 +104,5 @@ class Visit:
             self.worker.post("aim", self._guard(lambda: self.stage.aim(self.session.q)))
 
     def build(self) -> None:
-        """Draw the robot and its controls anew."""
+        """Rebuild the robot and its controls."""
         raise NotImplementedError

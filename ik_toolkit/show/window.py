@@ -1,6 +1,6 @@
-"""A meshcat scene kept in this process: a self-contained page, or a live one served on loopback by a thread of our own.
+"""A meshcat scene inside this process: a self-contained page, or a live one served on loopback by our own thread.
 
-The stock meshcat server is a second process that survives a SIGTERM, and its page can neither be aimed nor show an
+The stock meshcat server is a second process that survives a SIGTERM, and its page cannot set the camera or show an
 animation's frames; here the same viewer script draws, and nothing outlives the program.
 """
 
@@ -28,12 +28,12 @@ from .parts import Shape
 
 HOST = "127.0.0.1"
 ROOT = "/meshcat/"
-MOST_GONE = 1000  # deleted paths noted for a page that does not read
-SHADE = 0.86  # of a colour: under the viewer's lights pure white has no form left
+MOST_GONE = 1000  # deleted paths remembered for a page that does not read
+SHADE = 0.86  # factor on colours: under the viewer's lights pure white shows no shape
 
 
 def _meshcat() -> Any:
-    """Import meshcat, which warns about its own imports."""
+    """Import meshcat without the warnings about its own imports."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         try:
@@ -61,10 +61,10 @@ def _command(command: dict[str, Any]) -> bytes:
 
 
 class Window:
-    """What is drawn: commands by path, transforms for inspection, and what the page says about them (`about`)."""
+    """Contents of the drawing: commands by path, transforms for inspection, and the page's text (`about`)."""
 
     def __init__(self) -> None:
-        """An empty scene."""
+        """Create an empty scene."""
         _meshcat()
         self.objects: dict[str, bytes] = {}
         self.copies: dict[str, bytes] = {}
@@ -109,7 +109,7 @@ class Window:
         )
 
     def copy(self, path: str, source: str, color: tuple[float, float, float], opacity: float) -> None:
-        """Draw what another path shows once more, in another colour, without sending its triangles again."""
+        """Draw the shape of another path again in another colour, without sending its triangles again."""
         self._keep(
             self.copies,
             {"type": "copy", "path": path, "source": ROOT + source, "color": _number(color), "opacity": float(opacity)},
@@ -159,11 +159,11 @@ class Window:
     def _page(self, body: str) -> str:
         files = importlib.resources.files("ik_toolkit.show")
         page = (files / "scene.html").read_text(encoding="utf-8")
-        # The title last: whatever a robot is called, nothing in it is replaced again.
+        # The title last, so that nothing inside a robot's name is replaced.
         return page.replace("/*@START@*/", body).replace("@TITLE@", html.escape(self.about["title"]))
 
     def html(self) -> str:
-        """The scene as one page that asks nothing of any network."""
+        """The scene as one page that needs no network."""
         blob = b"".join(len(d).to_bytes(4, "little") + d for d in self.snapshot())
         about = json.dumps(self.about).encode()
         return self._page(f'still("{_packed(viewer_script())}", "{_packed(blob)}", "{_packed(about)}");')
@@ -182,7 +182,7 @@ class Window:
 
 
 def write_page(path: str | Path, what: str, html: Callable[[], str]) -> Path:
-    """Write what `html` makes to a file, and return its path. Raises InvalidOption when the name does not end in .html."""
+    """Write the output of `html` to a file, and return its path. Raises InvalidOption if the name does not end in .html."""
     file = Path(path)
     if file.suffix.lower() not in (".html", ".htm"):
         raise InvalidOption(f"{what} is written as .html, not '{file.suffix or file.name}'")
@@ -191,19 +191,19 @@ def write_page(path: str | Path, what: str, html: Callable[[], str]) -> Path:
 
 
 def viewer_script() -> bytes:
-    """Return the viewer of the meshcat package (one file, no outside addresses)."""
+    """Return the viewer script of the meshcat package (one file, no external addresses)."""
     _meshcat()
     return (importlib.resources.files("meshcat") / "viewer" / "dist" / "main.min.js").read_bytes()
 
 
 class Feed:
-    """What one open page has not been told yet: which paths changed, not how often, so a page that never reads holds no frames.
+    """Updates not yet sent to one open page: which paths changed, not how often, so an unread page accumulates no frames.
 
-    wake: called when there is news. The window's lock is held by whoever calls `changed`, `deleted` and `told`.
+    wake: called when there is an update. Callers of `changed`, `deleted` and `told` hold the window's lock.
     """
 
     def __init__(self, window: Window, wake: Callable[[], None]) -> None:
-        """Everything is news to a page just opened."""
+        """Start with everything unsent."""
         self.window, self._wake = window, wake
         self._awake = False
         self._gone: set[str] = set()
@@ -217,7 +217,7 @@ class Feed:
             self._wake()
 
     def changed(self, path: str) -> None:
-        """Note that what is drawn at a path, or its pose, is another."""
+        """Note that the drawing or the pose at a path has changed."""
         self._paths.add(path)
         self._news()
 
@@ -225,13 +225,13 @@ class Feed:
         """Note that a path and everything below it is gone."""
         self._paths = {p for p in self._paths if p != path and not p.startswith(path + "/")}
         self._gone.add(path)
-        if len(self._gone) > MOST_GONE:  # names without end: clear the page and draw what there is
+        if len(self._gone) > MOST_GONE:  # too many names: clear the page and redraw
             window = self.window
             self._gone, self._paths = {""}, {*window.objects, *window.copies, *window.transforms}
         self._news()
 
     def told(self, about: dict[str, Any]) -> None:
-        """Note what else the page says."""
+        """Note a change of the page's text."""
         self._about.update(about)
         self._news()
 
@@ -248,12 +248,12 @@ class Feed:
 class Server:
     """Serves one window from a daemon thread: page, script and a web socket below an unguessable path.
 
-    Bound to 127.0.0.1 only; pages of other sites are refused, and without the token there is nothing to see. The thread ends
-    with the process, also when that is killed.
+    Bound to 127.0.0.1 only; requests from other sites are refused, and nothing is served without the token. The thread ends with
+    the process, even if that is killed.
     """
 
     def __init__(self, window: Window, port: int = 0) -> None:
-        """Start; port 0 takes a free one. Raises OSError when the port is taken."""
+        """Start; port 0 takes a free one. Raises OSError if the port is taken."""
         self.window = window
         self.token = new_token()
         self._socket = socket.create_server((HOST, port))
@@ -319,7 +319,7 @@ def handlers(window: Window) -> tuple[Any, Any, Any]:
             loop, news = asyncio.get_running_loop(), asyncio.Event()
 
             def wake() -> None:
-                with contextlib.suppress(RuntimeError):  # the server has ended in the meantime
+                with contextlib.suppress(RuntimeError):  # the server may have stopped in the meantime
                     loop.call_soon_threadsafe(news.set)
 
             with window.lock:
@@ -333,10 +333,11 @@ def handlers(window: Window) -> tuple[Any, Any, Any]:
                     await news.wait()
                     news.clear()
                     for data in self.feed.take():
-                        await self.write_message(data, binary=isinstance(data, bytes))  # until the page has room for it
+                        # Waits until the page can take it.
+                        await self.write_message(data, binary=isinstance(data, bytes))
 
         def on_message(self, message: str | bytes) -> None:
-            """Nothing is taken from the page."""
+            """Ignore messages from the page."""
 
         def on_close(self) -> None:
             with window.lock:

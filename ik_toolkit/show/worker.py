@@ -1,11 +1,11 @@
-"""One thread that does a visitor's jobs, newest first."""
+"""One thread that runs a visitor's jobs, newest first."""
 
 import threading
 from collections.abc import Callable
 
 
 class Worker:
-    """Runs jobs one after another in a thread of its own; a newer job of the same name replaces a waiting one."""
+    """Runs jobs one after another in its own thread; a newer job of the same name replaces a waiting one."""
 
     def __init__(self) -> None:
         """Start the thread."""
@@ -16,7 +16,7 @@ class Worker:
         threading.Thread(target=self._run, daemon=True, name="ik panel visitor").start()
 
     def post(self, name: str, job: Callable[[], None]) -> None:
-        """Ask for a job."""
+        """Queue a job."""
         with self._wake:
             self._jobs[name] = job
             self._wake.notify_all()
@@ -28,19 +28,19 @@ class Worker:
                 self._wake.notify_all()
                 self._wake.wait_for(lambda: self._jobs or self.ended)
                 if self.ended:
-                    self._jobs.clear()  # they hold what the visitor saw
+                    self._jobs.clear()  # they keep references to the visitor's scene
                     return
                 job = self._jobs.pop(next(iter(self._jobs)))
                 self._busy = True
             job()
 
     def idle(self, timeout: float = 30.0) -> bool:
-        """Wait until there is nothing left to do."""
+        """Wait until all jobs are done."""
         with self._wake:
             return self._wake.wait_for(lambda: not self._jobs and not self._busy, timeout)
 
     def end(self) -> None:
-        """End the thread after the job it is at."""
+        """End the thread after the current job."""
         with self._wake:
             self.ended = True
             self._wake.notify_all()

@@ -127,7 +127,7 @@ class Silent(NamedTuple):
 
 @pytest.mark.parametrize(
     ("words", "says"),
-    [("no", "a refusal says why"), ("is for robots with a soul, and this has none", "fits none of the")],
+    [("no", "a refusal must say why"), ("is for robots with a soul, and this has none", "fits none of the")],
 )
 def test_a_rule_that_solves_nothing_does_not_pass(words, says):
     with pytest.raises(AssertionError, match=says):

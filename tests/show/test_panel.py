@@ -230,7 +230,7 @@ def test_a_taken_port_is_refused(panel):
     with pytest.raises(RobotNotFound):
         Panel("no_such_robot")
     for host in ("203.0.113.7", "no host"):  # an address kept for examples: never this machine's
-        with pytest.raises(InvalidOption, match=f"cannot listen at {host}"):
+        with pytest.raises(InvalidOption, match=f"cannot listen on {host}"):
             Panel("hydrolek_7w", host=host)
 
 

@@ -48,7 +48,7 @@ def test_the_second_of_two_targets_keeps_its_name(brokk, goal):
     assert np.allclose(scene.drawn()["target"], scene.body.T_world_base @ goal["right_tip"])
     with pytest.raises(FrameNotFound, match="Did you mean 'left_tip'"):
         view(brokk, target={"left_tp": goal["left_tip"]})
-    with pytest.raises(InvalidTarget, match="a target for each of left_tip, right_tip"):
+    with pytest.raises(InvalidTarget, match="one target for each of left_tip, right_tip"):
         view(brokk, target=[goal["left_tip"]])
 
 
