@@ -1,4 +1,4 @@
-"""The papers behind the toolkit, reproduced: published numbers beside ours.
+"""The papers behind the toolkit, reproduced: published numbers next to ours.
 
 PAPERS maps a name to its summary and "module:function"; the function returns a `report.Report`. Plain data with dotted names,
 so that listing the papers imports nothing.

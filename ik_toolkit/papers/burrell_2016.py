@@ -1,4 +1,4 @@
-"""Burrell, Montazeri, Monk, Taylor (2016): feedback control-based IK for the HydroLek-7W, published beside ours.
+"""Burrell, Montazeri, Monk, Taylor (2016): feedback control-based IK for the HydroLek-7W, published results next to ours.
 
 Source: T. Burrell, A. Montazeri, S. Monk, C. J. Taylor, "Feedback control-based inverse kinematics solvers for a nuclear
 decommissioning robot", IFAC-PapersOnLine 49-21 (2016). The paper's frame is Rx(-90 deg) of base_link (x forward, y up, z
@@ -32,16 +32,17 @@ from .burrell_swarm import swarm
 from .report import Report
 
 SEEDS = range(100, 110)
-FITTED = np.radians([18.0, 51.0, -18.0, -6.0, -20.0, -78.0])  # one of 150 random starts, picked by 960, 994 and 665
+# Of 150 random starts, the one nearest to the counts 960, 994 and 665.
+FITTED = np.radians([18.0, 51.0, -18.0, -6.0, -20.0, -78.0])
 
 
 def goals(robot: Robot, seed: int, count: int = 1000) -> np.ndarray:
-    """Goals (count, 3) [m]: the tip at joint values drawn uniformly with `numpy.random.default_rng(seed)`."""
+    """Goals (count, 3) [m]: tip positions at joint values drawn uniformly with `numpy.random.default_rng(seed)`."""
     return sample_targets(robot, count, seed, position_only=True)
 
 
 def starts(robot: Robot) -> dict[str, np.ndarray]:
-    """The three starts of the counts (n,) [rad]."""
+    """The three start configurations (n,) [rad] used for the counts, by name."""
     return {
         "mid-range": 0.5 * (robot.lower + robot.upper),
         "clipped zero": np.clip(0.0, robot.lower, robot.upper),
@@ -50,7 +51,7 @@ def starts(robot: Robot) -> dict[str, np.ndarray]:
 
 
 def undelayed(rule: StateSpace) -> StateSpace:
-    """The same matrices with the output taken after the state has absorbed e(k): dq = C A x + C B e."""
+    """The same matrices with the output computed after the state update with e(k): dq = C A x + C B e."""
     A, B, C = (np.asarray(part, dtype=float) for part in (rule.A, rule.B, rule.C))
     return rule._replace(C=C @ A, D=C @ B)
 
@@ -63,7 +64,7 @@ def planar_rule(B: Any) -> StateSpace:
 
 
 def counts(robot: Robot, rule: Any, q0: np.ndarray | None = None, seeds: Any = SEEDS, **options: Any) -> list[int]:
-    """Successes of 1000 goals for each seed, at the paper's tolerance and limit unless told otherwise."""
+    """Successes of 1000 goals for each seed, at the paper's tolerance and iteration limit unless given in options."""
     options = {**PAPER_OPTIONS, **options}
     return [int(solve_batch(robot, goals(robot, k), rule, q0=q0, check=0.0, **options).success.sum()) for k in seeds]
 
@@ -73,7 +74,7 @@ def reproduce(seeds: int = 10) -> Report:
     report = Report("burrell", "Burrell et al. (2016): IK-PID and state-space solver of the HydroLek-7W, reproduced")
     robot = Robot.load("hydrolek_7w")
     report.text(
-        """Published numbers beside ours, and why they differ. Model: Table I read as classic D-H; paper frame = Rx(-90 deg) of
+        """Published numbers next to ours, and why they differ. Model: Table I read as classic D-H; paper frame = Rx(-90 deg) of
         base_link; errors in mm, increments in degrees; literal delay of eq. (14). The paper does not give the start
         configuration, the goals, the tolerance and iteration limit of sections 6.1 and 6.2, or the tuned matrices. We use 1
         mm, 1000 iterations and goals (the paper's word for targets) uniform in the joints. No result was selected by its
@@ -140,9 +141,9 @@ def _counts(report: Report, robot: Robot, seeds: Any) -> None:
     head = ["solver", "published", *(f"ours, start {name}" for name in starts(robot))]
     report.table("counts", head, rows)
     report.text(
-        f"""Mean [least-most] over {len(seeds)} sets of 1000 goals (seeds {seeds[0]} to {seeds[-1]}), 1 mm, 1000 iterations. The
-        counts depend on the start more than on anything else left open; 'fitted' is (18, 51, -18, -6, -20, -78) deg, picked
-        out of 150 random starts because it comes near 960, 994 and 665, and tested on fresh seeds here."""
+        f"""Mean [min-max] over {len(seeds)} sets of 1000 goals (seeds {seeds[0]} to {seeds[-1]}), 1 mm, 1000 iterations. The
+        counts depend on the start more than on anything else the paper leaves open; 'fitted' is (18, 51, -18, -6, -20, -78) deg,
+        chosen from 150 random starts because it comes nearest to 960, 994 and 665, and tested on fresh seeds here."""
     )
     report.heading("Beyond the paper: tuned, on the same goals")
     sets = [goals(robot, k) for k in seeds]
@@ -177,7 +178,7 @@ def _counts(report: Report, robot: Robot, seeds: Any) -> None:
             [name, said, f"{1000 * one.share:.1f}", f"{1000 * low:.1f}-{1000 * high:.1f}", spread, one.iterations]
         )
         report.number(f"tuned {name}", one.to_dict())
-    head = ["solver", "published", "ours, mean of 1000", "95 % Wilson", "least-most", "mean iterations"]
+    head = ["solver", "published", "ours, mean of 1000", "95 % Wilson", "min-max", "mean iterations"]
     report.table("tuned", head, rows)
     report.text(
         """The presets were tuned by `ik tune` on other goals (none of these seeds) and are part of the toolkit:
@@ -219,7 +220,7 @@ def _responses(report: Report, robot: Robot, goal: np.ndarray, seeds: Any) -> No
         f"""About 100 iterations are unusual here: over the {len(steps)} goals of the same seeds that the published A, B, C
         solve
         from clipped zero the median is {middle:.0f} (5 to 95 %: {low:.0f} to {high:.0f}), and {about:.1f} % take 80 to 120. This
-        is the one published number that the reading in mm and degrees fits only for special goals."""
+        is the only published number that, read in mm and degrees, fits only special goals."""
     )
     report.figure(
         "fig5.png", "Fig. 5 redrawn at the existence goal: error of the state-space solver", draw_response(curves)
@@ -309,7 +310,7 @@ def _planar(report: Report, seeds: Any) -> None:
 
 
 def _planar_joints(q: np.ndarray, link: float = 2.0) -> np.ndarray:
-    """Base, joints and tip (4, 2) of the planar arm."""
+    """Positions (4, 2) of base, joints and tip of the planar arm."""
     angle = np.cumsum(q)
     return np.vstack([np.zeros(2), np.cumsum(link * np.column_stack([np.cos(angle), np.sin(angle)]), axis=0)])
 
@@ -320,7 +321,7 @@ def _other_robots(report: Report) -> None:
         try:
             find("ur5")
         except IKError:
-            report.text("Left out: needs the robots of example-robot-data (`pip install example-robot-data`).")
+            report.text("Left out: this needs the robots of example-robot-data (`pip install example-robot-data`).")
             return
     rows = []
     for name, tip in (("ur5", "tool0"), ("panda", "panda_hand_tcp")):

@@ -1,4 +1,4 @@
-"""Fig. 4 of Burrell et al. (2016) at an existence goal: one that was searched for, since the published one is out of reach."""
+"""Fig. 4 of Burrell et al. (2016) at an existence goal, found by a search because the published goal is out of reach."""
 
 import numpy as np
 
@@ -13,11 +13,11 @@ from .burrell_figures import draw_existence
 from .burrell_published import PAPER_OPTIONS, TO_PAPER
 from .report import Report
 
-CANDIDATES, MATCHES = 200_000, 40  # random goals that are searched; goals compared at every gain
+CANDIDATES, MATCHES = 200_000, 40  # random goals searched; goals compared at every gain
 
 
 def existence(report: Report, robot: Robot, q0: np.ndarray) -> np.ndarray:
-    """Add the section on Fig. 4: a goal that shows from q0 (n,) [rad] what the paper's shows; returns it (3,) [m]."""
+    """Add the section on Fig. 4; returns a goal (3,) [m] that behaves from q0 (n,) [rad] like the paper's."""
     report.heading("Fig. 4: the gain K_p on one goal")
     goal = TO_PAPER.T @ np.array([-10.0, 50.0, -20.0])
     miss = {unit: least_distance(robot, goal * f) for unit, f in (("mm", 1e-3), ("cm", 1e-2))}
@@ -28,7 +28,7 @@ def existence(report: Report, robot: Robot, q0: np.ndarray) -> np.ndarray:
         rule = PID(kp=kp, units="mm-deg")
         return solve_batch(robot, points, rule, q0=q0, check=0.0, **PAPER_OPTIONS)
 
-    # The search: 0.0848 fails and 0.0847 does not, then a coarse comb of gains, then every gain.
+    # The search: 0.0848 fails and 0.0847 succeeds, then a coarse grid of gains, then every gain.
     left = sample_targets(robot, CANDIDATES, 2016, position_only=True)
     result = solve_batch(robot, left, published, q0=q0, check=0.0)
     left, steps = left[result.success], result.iterations[result.success]
@@ -79,7 +79,7 @@ def existence(report: Report, robot: Robot, q0: np.ndarray) -> np.ndarray:
 
 
 def least_distance(robot: Robot, point: np.ndarray, starts: int = 64, seed: int = 0) -> float:
-    """Distance [m] from a point (3,) to the nearest tip found: random moves from the nearest of 200,000, ever shorter ones."""
+    """Distance [m] from a point (3,) to the nearest tip found: random moves of decreasing size from the nearest of 200,000."""
     rng = np.random.default_rng(seed)
     Q = robot.random_q(rng, 200_000)
     far = np.linalg.norm(robot.chain.forward(Q)[0][:, :3, 3] - point, axis=1)

@@ -1,4 +1,4 @@
-"""Pictures of the report on Burrell et al. (2016)."""
+"""Figures of the report on Burrell et al. (2016)."""
 
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -10,7 +10,7 @@ from ..style import COLOURS
 
 
 def draw_existence(runs: dict[float, np.ndarray], gains: np.ndarray, ends: np.ndarray) -> Callable[[Any], Any]:
-    """Errors [mm] over sweeps for each K_p, and the error left [mm] over gains (k,)."""
+    """Errors [mm] over sweeps for each K_p, and the final error [mm] over gains (k,)."""
 
     def draw(plt: Any) -> Any:
         figure, (left, right) = plt.subplots(1, 2, figsize=(10.0, 3.6), layout="constrained", sharey=True)
@@ -53,7 +53,7 @@ def draw_response(curves: dict[str, np.ndarray]) -> Callable[[Any], Any]:
 
 
 def draw_workspace(points: np.ndarray, maps: dict[str, np.ndarray]) -> Callable[[Any], Any]:
-    """Goals (N, 3) [mm, paper frame], reached ones as dots and lost ones as circles, one panel per solver."""
+    """Goals (N, 3) [mm, paper frame], reached ones as dots and others as circles, one panel per solver."""
 
     def draw(plt: Any) -> Any:
         figure = plt.figure(figsize=(3.7 * len(maps), 3.9))
@@ -122,7 +122,7 @@ def draw_gains(gains: Sequence[float], swept: dict[str, list[int]]) -> Callable[
 def draw_reach(
     reachable: np.ndarray, shapes: dict[str, np.ndarray], target: tuple[float, float]
 ) -> Callable[[Any], Any]:
-    """Points the planar arm reaches (N, 2), and the arm's joints and tip (4, 2) in each named shape."""
+    """Reachable points of the planar arm (N, 2), and its joints and tip (4, 2) in each named configuration."""
 
     def draw(plt: Any) -> Any:
         figure, axis = plt.subplots(figsize=(6.4, 5.2), layout="constrained")

@@ -1,4 +1,4 @@
-"""What Burrell et al. (2016) say of IK-PID's gains: how many points a poor tuning reaches, and where the lost ones lie."""
+"""Burrell et al. (2016) on IK-PID's gains: how many points a poor tuning reaches, and where the lost ones lie."""
 
 from typing import Any
 
@@ -12,8 +12,8 @@ from .burrell_figures import draw_gains
 from .burrell_published import PAPER_OPTIONS
 from .report import Report
 
-GAINS = (0.0003, 0.0005, 0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.07, 0.1, 0.12, 0.15, 0.2)  # deg a mm
-EDGE = (0.02, 0.05, 0.1)  # m; how far from a goal points are asked for
+GAINS = (0.0003, 0.0005, 0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.07, 0.1, 0.12, 0.15, 0.2)  # deg per mm
+EDGE = (0.02, 0.05, 0.1)  # [m] distances around a goal at which points are tested
 POOR = 200.0  # of 1000: "say 20 % of reachable points", section 4
 
 
@@ -45,7 +45,7 @@ def gains(report: Report, robot: Robot, starts: dict[str, np.ndarray], seeds: An
 
 
 def _edge(report: Report, robot: Robot, points: np.ndarray, q0: np.ndarray) -> None:
-    """Where the goals lost with the published gains lie, beside as many that were reached."""
+    """Add where the goals lost with the published gains lie, compared with goals that were reached."""
     good = _solved(robot, points, PID.preset("burrell-2016"), q0)
     lost = points[~good]
     reached = points[good][: 2 * len(lost)]
@@ -65,7 +65,7 @@ def _edge(report: Report, robot: Robot, points: np.ndarray, q0: np.ndarray) -> N
 
 
 def edge_distance(robot: Robot, points: np.ndarray) -> np.ndarray:
-    """Least distance (N,) [m] of EDGE at which a point around each of `points` (N, 3) is out of reach; twice the last if none."""
+    """Smallest distance (N,) [m] in EDGE at which a point around each of `points` (N, 3) is out of reach; else twice the last."""
     axis = np.array([-1.0, 0.0, 1.0])
     directions = np.array([(x, y, z) for x in axis for y in axis for z in axis if x or y or z])
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)

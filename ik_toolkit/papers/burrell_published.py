@@ -1,4 +1,4 @@
-"""What Burrell et al. (2016) print: tables, and misprints with the reading used."""
+"""Published data of Burrell et al. (2016): tables, and misprints with the reading used."""
 
 import math
 from typing import Any
@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 TO_PAPER = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])  # base_link -> paper axes, Rx(-90 deg)
-PAPER_OPTIONS: dict[str, Any] = {"tolerance": 1e-3, "max_iterations": 1000}  # of ours: the paper gives neither
+PAPER_OPTIONS: dict[str, Any] = {"tolerance": 1e-3, "max_iterations": 1000}  # our choice: the paper gives neither
 # Table I and III as printed: theta offset, d, a, alpha, lower, upper (mm, degrees; planar arm in its units).
 TABLE_1 = (
     (0, 0, 70.0, 90, -27.07, 40.60),
@@ -28,7 +28,7 @@ TOLERANCES = (5e-3, 2e-3, 1e-3, 1e-4)  # of Table II [m]
 PLANAR_B = (
     [[2, -2], [-1, 0], [1, -2]],
     [[0, -2], [-1, -1], [-2, -1]],
-)  # found over integers; the paper's is unpublished
+)  # integer matrices found by a search; the paper's is unpublished
 MISPRINTS = (  # place, problem, reading used
     ("eq. (2), element (2,4)", "+sin(alpha) d: it would flip d_4 and d_6, which the printed B does not fit", "minus"),
     (

@@ -1,4 +1,4 @@
-"""Table II of Burrell et al. (2016): time a goal, compiled and interpreted, and the counts that explain it."""
+"""Table II of Burrell et al. (2016): time per goal, compiled and interpreted, and the counts that explain it."""
 
 import math
 from functools import partial
@@ -17,22 +17,22 @@ from .burrell_steps import LIMIT, Interpreted, PlainPinv
 from .report import Report
 from .timing import Work, rounds, spread
 
-SETS = range(7, 14)  # seeds of the sets of goals: one a round
-FEW = 25  # goals of a set for the interpreted versions
+SETS = range(7, 14)  # seeds of the sets of goals: one per round
+FEW = 25  # goals per set for the interpreted versions
 MM = ("5", "2", "1", "0.1")
 AT = TOLERANCES.index(1e-3)
-BASE = "J+"  # what ratios are over
+BASE = "J+"  # denominator of the ratios
 SAME_AS = {
     "J+, plain": "J+",
     "DLS, clipped": "DLS",
     "DLS, limits held": "DLS",
-}  # row of Table II a row of ours is beside
+}  # our row -> the row of Table II it is compared with
 
-Times = dict[str, list[np.ndarray]]  # name -> for each tolerance the times [s] of the rounds
+Times = dict[str, list[np.ndarray]]  # name -> times [s] of the rounds for each tolerance
 
 
 def speed(report: Report, robot: Robot, q0: np.ndarray) -> None:
-    """Add the section on Table II; q0 (n,) [rad]: start of the solvers that bring none."""
+    """Add the section on Table II; q0 (n,) [rad]: start of the solvers that have none of their own."""
     report.heading("Table II: time per goal")
     damping = 0.1 / robot.chain.scale
     rules: dict[str, tuple[Any, np.ndarray | None]] = {
@@ -74,7 +74,7 @@ def speed(report: Report, robot: Robot, q0: np.ndarray) -> None:
 
 
 def _compiled(robot: Robot, rules: dict[str, Any], sets: list[np.ndarray]) -> tuple[Times, dict[str, list[dict]]]:
-    """Times of the toolkit's loops and counts, over the goals that every rule solves; each round has its own goals."""
+    """Times of the toolkit's loops, and counts, for the goals that every rule solves; each round has its own goals."""
     times: Times = {name: [] for name in rules}
     steps: dict[str, list[dict]] = {name: [] for name in rules}
     for tolerance in TOLERANCES:
@@ -107,7 +107,7 @@ def _compiled(robot: Robot, rules: dict[str, Any], sets: list[np.ndarray]) -> tu
 
 
 def _interpreted(robot: Robot, sets: list[np.ndarray], q0: np.ndarray) -> Times:
-    """Times in numpy, goal by goal, over the goals that all solve."""
+    """Times in numpy, goal by goal, for the goals that all solve."""
     plain = Interpreted(robot)
     times: Times = {name: [] for name in plain.names}
     for tolerance in TOLERANCES:
@@ -166,7 +166,7 @@ def _explain(
     report.text(
         f"""With 32 tuned starts the state-space solver takes {micro["state space, 32 maps"]} us. Most of that gain is the starts:
         all from the nearest of the same 32, it needs {equal["state space"]}, J+ plain {equal["J+, plain"]}, DLS {equal["DLS"]}, LM
-        without restarts {equal["LM"]} (looking the start up is timed for the state-space solver only)."""
+        without restarts {equal["LM"]} (looking up the start is timed only for the state-space solver)."""
     )
 
 

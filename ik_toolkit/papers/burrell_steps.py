@@ -1,4 +1,4 @@
-"""The methods that Burrell et al. (2016) time, written plainly: J+ without singular values, and all of them in numpy.
+"""The methods timed by Burrell et al. (2016) in plain form: J+ without singular values, and all of them in numpy.
 
 The interpreted versions (4x4 products, one goal at a time) exist to compare costs in an interpreter, as the paper did in
 MATLAB; the toolkit's solvers do not use them.
@@ -18,12 +18,14 @@ from ..solvers.protocol import Asked, rule
 from ..solvers.rules.state_space import StateSpace
 
 LIMIT = 1000  # iterations
-NEAR_SINGULAR = 1e-8  # of det(JJ') over (trace / 3)^3: from a condition of about 1e4 of J on the inverse loses too much
+NEAR_SINGULAR = (
+    1e-8  # det(JJ') over (trace / 3)^3: above a condition number of J of about 1e4 the inverse is inaccurate
+)
 
 
 @rule
 class PlainPinv(NamedTuple):
-    """Pseudo-inverse for positions by dq = J'(JJ')^-1 e, eq. (8); near a singularity by singular values.
+    """Pseudo-inverse for positions by dq = J'(JJ')^-1 e, eq. (8); by singular values near a singularity.
 
     rcond: singular values below this share of the largest count as zero there.
     """
@@ -31,7 +33,7 @@ class PlainPinv(NamedTuple):
     rcond: float = 1e-8
 
     def refuses(self, asked: Asked) -> str:
-        """Why it does not do what is asked, or ''."""
+        """Why it cannot solve the task, or ''."""
         return "" if asked.rows == 3 else f"is for positions in space, and this task has {asked.rows} rows"
 
     def step(self, p, e):
@@ -53,7 +55,7 @@ class PlainPinv(NamedTuple):
 
 # --------------------------------------------------------------------------------------------------------- interpreted
 class Interpreted:
-    """The methods in numpy on a robot with a D-H table: `run(name, goal, start, tolerance)` says whether it arrived."""
+    """The methods in numpy on a robot with a D-H table: `run(name, goal, start, tolerance)` returns whether it converged."""
 
     def __init__(self, robot: Robot) -> None:
         """Read the D-H rows, and the matrices of the tuned one-map state-space solver."""
@@ -84,7 +86,7 @@ class Interpreted:
         return found
 
     def run(self, name: str, goal: np.ndarray, start: np.ndarray, tolerance: float) -> bool:
-        """One goal (3,) [m] from `start` (n,); the state-space solver brings its own."""
+        """Solve one goal (3,) [m] from `start` (n,); the state-space solver has its own start."""
         if name == "IK-PID":
             return self._pid(goal, start, tolerance)
         step = self.steps.get(name)

@@ -1,4 +1,4 @@
-"""The 90 numbers of A, B and C tuned by a particle swarm, as Burrell et al. (2016) did; their result is unpublished."""
+"""The 90 entries of A, B and C tuned by a particle swarm, as in Burrell et al. (2016), whose result is unpublished."""
 
 import math
 from typing import Any
@@ -34,8 +34,8 @@ def swarm(report: Report, robot: Robot, q0: np.ndarray, sets: list[np.ndarray]) 
     report.number("swarm_scores", {"before": before.to_dict(), "after": after.to_dict()})
     report.text(
         f"""Swarm: {PARTICLES} particles, {GENERATIONS} generations ({evaluations} evaluations of {GOALS} goals), inertia 0.729,
-        both pulls 1.494 (Clerc and Kennedy 2002), started at the published matrices. The paper gives neither its swarm's
-        settings nor its start configuration, so 993 cannot be asked of this run: it shows how far the 90 numbers go by
+        both accelerations 1.494 (Clerc and Kennedy 2002), started at the published matrices. The paper gives neither its swarm's
+        settings nor its start configuration, so this run cannot be expected to give 993: it shows how far the 90 numbers go by
         themselves. **What is tuned where:** here every entry of A, B and C, and no start. In the presets of the toolkit A is
         a I with one number a, C is fixed at -0.05 I and B and the starts are free: (A, B, C) and (T A T^-1, T B, C T^-1) are
         the same solver for every invertible T, so C can be fixed without loss and 54 of the 90 numbers are left; that A may
@@ -45,7 +45,7 @@ def swarm(report: Report, robot: Robot, q0: np.ndarray, sets: list[np.ndarray]) 
 
 
 def all_entries(rule: StateSpace) -> Space:
-    """Every entry of A, B and C within a margin of the published ones, and nothing else."""
+    """Search space: every entry of A, B and C within a margin of the published value."""
     A, B, C = (np.asarray(part, dtype=float) for part in (rule.A, rule.B, rule.C))
     parameters = (
         Parameter("A", A - 0.5, A + 0.5, A),
@@ -56,7 +56,7 @@ def all_entries(rule: StateSpace) -> Space:
 
 
 def search(robot: Robot, space: Space, q0: np.ndarray) -> tuple[StateSpace, int]:
-    """Best rule of the swarm on training goals no other section uses, and the number of evaluations."""
+    """Best rule of the swarm on training goals that no other section uses, and the number of evaluations."""
     train = sample_targets(robot, GOALS, [90, 1], position_only=True)
     engine = Swarm(space.start, space.spread, PARTICLES, 90)
     best, least = space.start, math.inf

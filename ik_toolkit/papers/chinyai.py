@@ -121,7 +121,7 @@ def _formulas(report: Report, rng: np.random.Generator, count: int) -> None:
 
 
 def _measure(rng: np.random.Generator) -> tuple[dict[str, np.ndarray], dict[str, tuple[float, float]]]:
-    """Times [s] by implementation and start; steps and share [%] converged by start."""
+    """Times [s] by implementation and start; mean steps and converged share [%] by start."""
     l1, l2, n, few = 1.0, 0.8, 20_000, 200
     X = targets(rng, n, l1, l2)
     both, out = np.empty((n, 4)), np.empty((n, 4))
@@ -176,7 +176,7 @@ def _measure(rng: np.random.Generator) -> tuple[dict[str, np.ndarray], dict[str,
 
 
 def _speed(report: Report, rng: np.random.Generator) -> dict[str, np.ndarray]:
-    """Table of times; returns Newton over closed form by round: compiled, plain Python, numpy, and compiled from a warm start."""
+    """Add the table of times; returns Newton over closed form by round: compiled, Python, numpy, and compiled from a warm start."""
     report.heading("Time per solve")
     times, counts = _measure(rng)
     rows = []
@@ -212,7 +212,7 @@ def _speed(report: Report, rng: np.random.Generator) -> dict[str, np.ndarray]:
         f"{name}: {k:.1f} steps on average where it converges, {share:.1f} % do" for name, (k, share) in counts.items()
     )
     report.text(
-        f"Median [least-most] of {ROUNDS} rounds in turns, processor time, on this machine; links 1 "
+        f"Median [min-max] of {ROUNDS} interleaved rounds, processor time, on this machine; links 1 "
         "and 0.8 (toolkit row: 1 and 1, from home), "
         f"tolerance 1e-10 of the reach, at most {ITERATIONS} steps. Newton by start: {words}. The toolkit's row "
         "includes validation and the result object, the same for both."
@@ -268,7 +268,7 @@ def _convergence(report: Report, rng: np.random.Generator, count: int) -> None:
     report.figure(
         "targets.png",
         "Links 1 and 1, start (45, 90) deg, marked: which of the two solutions each target of the workspace leads "
-        "to. Plain Newton fails in the white regions and jumps between the branches; limits by clipping cost more.",
+        "to. Plain Newton fails in the white regions and jumps between the branches; clipping at limits loses more.",
         target_basins(converge, LIMIT),
     )
     report.figure(

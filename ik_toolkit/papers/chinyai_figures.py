@@ -1,4 +1,4 @@
-"""Pictures of the report on Chinyai: where Newton's iteration leads, over targets and over starts."""
+"""Figures of the report on Chinyai: the outcome of Newton's iteration over targets and over starts."""
 
 import math
 from collections.abc import Callable
@@ -23,7 +23,7 @@ def _legend(figure: Any, plt: Any) -> None:
 
 
 def target_basins(converge: Callable, limit: float) -> Any:
-    """Drawing of the outcome over all targets, from the start (45, 90) deg."""
+    """Figure of the outcome over all targets, from the start (45, 90) deg."""
 
     def draw(plt: Any) -> Any:
         side = np.linspace(-2.0, 2.0, 401)
@@ -66,7 +66,7 @@ def target_basins(converge: Callable, limit: float) -> Any:
 
 
 def start_basins(converge: Callable, target: tuple[float, float]) -> Any:
-    """Drawing of the outcome over all starting angles, for one target."""
+    """Figure of the outcome over all starting angles, for one target."""
 
     def draw(plt: Any) -> Any:
         side = np.radians(np.linspace(-180.0, 180.0, 481))

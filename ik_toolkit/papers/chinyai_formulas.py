@@ -1,4 +1,4 @@
-"""Chinyai's formulas (1) to (9), corrected: the closed form and Newton-Raphson, compiled, and as a numpy user writes them."""
+"""Chinyai's formulas (1) to (9), corrected: closed form and Newton-Raphson, compiled and in idiomatic numpy."""
 
 import math
 from typing import Any
@@ -7,9 +7,9 @@ import numpy as np
 
 from ..kernel.jit import cached
 
-PLAIN, SEARCH, LEVENBERG, STEP = range(4)  # how Newton's step is taken
-LONGEST = 0.5  # rad a joint, for STEP
-LIMIT = math.radians(150.0)  # of our planar_2r; the paper gives none
+PLAIN, SEARCH, LEVENBERG, STEP = range(4)  # variants of Newton's step
+LONGEST = 0.5  # [rad] largest step of a joint, for STEP
+LIMIT = math.radians(150.0)  # joint limit of our planar_2r; the paper gives none
 TOLERANCE = 1e-10
 ITERATIONS = 50
 NO_CLIP = 1e9
@@ -29,9 +29,9 @@ def closed_form(x, y, l1, l2):
 
 @cached
 def newton(x, y, l1, l2, t1, t2, kind, clip, tolerance, iterations):
-    """Newton-Raphson by eqs. (6) to (9): angles, steps taken, |error| at the end; a negative count when it stopped short.
+    """Newton-Raphson by eqs. (6) to (9): angles, steps taken, final |error|; a negative count if it did not converge.
 
-    kind: the full step (PLAIN), halved until the error falls (SEARCH), Levenberg-Marquardt, or at most LONGEST a joint
+    kind: the full step (PLAIN), halved until the error falls (SEARCH), Levenberg-Marquardt, or at most LONGEST per joint
     (STEP). clip: joints are cut to +-clip after every step.
     """
     damping, k, n1, n2 = 1e-3, 0, t1, t2
@@ -72,7 +72,7 @@ def newton(x, y, l1, l2, t1, t2, kind, clip, tolerance, iterations):
                 damping = max(0.1 * damping, 1e-15)
             elif kind == SEARCH:
                 break
-            else:  # refused: stay, and try a shorter step
+            else:  # rejected: stay, and try a shorter step
                 damping *= 10.0
                 ex = l1 * math.cos(t1) + l2 * math.cos(t1 + t2) - x
                 ey = l1 * math.sin(t1) + l2 * math.sin(t1 + t2) - y
@@ -101,14 +101,14 @@ def newton_all(X, l1, l2, Q0, kind, clip, out):
 
 
 def closed_form_numpy(x: float, y: float, l1: float, l2: float) -> tuple[np.ndarray, np.ndarray]:
-    """The same formulas as a numpy user writes them."""
+    """The same formulas in idiomatic numpy."""
     c2 = np.clip((x**2 + y**2 - l1**2 - l2**2) / (2 * l1 * l2), -1, 1)
     s2 = np.sqrt(1 - c2**2) * np.array([1, -1])
     return np.arctan2(y, x) - np.arctan2(l2 * s2, l1 + l2 * c2), np.arctan2(s2, c2)
 
 
 def newton_numpy(x: float, y: float, l1: float, l2: float, t1: float, t2: float) -> np.ndarray:
-    """Eqs. (6) to (9) as a numpy user writes them."""
+    """Eqs. (6) to (9) in idiomatic numpy."""
     theta, goal = np.array([t1, t2]), np.array([x, y])
     for _ in range(ITERATIONS):
         s1, s12 = np.sin(theta[0]), np.sin(theta.sum())

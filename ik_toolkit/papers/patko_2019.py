@@ -1,4 +1,4 @@
-"""Patko and Zelei (2019): velocity- and acceleration-level tracking, published beside ours.
+"""Patko and Zelei (2019): velocity- and acceleration-level tracking, published results next to ours.
 
 Source: D. Patko, A. Zelei, "Alternative inverse kinematic calculation methods in velocity and acceleration level", in:
 Theoretical Approaches in Non-Linear Dynamical Systems (DSTA), Lodz 2019, pp. 405-417. The paper prints no error numbers and
@@ -15,7 +15,7 @@ from .report import Report
 
 
 def reproduce() -> Report:
-    """Everything in the paper that can be checked, printed beside ours; takes some ten seconds."""
+    """Everything in the paper that can be checked, next to our results; takes about ten seconds."""
     made = Report("patko_2019", "Patko and Zelei (2019): tracking at velocity and acceleration level")
     made.text(
         """The paper compares four ways of following a moving target: classical feedback at velocity level (cv) and at

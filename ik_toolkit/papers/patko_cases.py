@@ -1,4 +1,4 @@
-"""Patko and Zelei (2019): the published systems, gains and paths, and what a run on them comes to."""
+"""Patko and Zelei (2019): the published systems, gains and paths, and measures of a run on them."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -11,7 +11,7 @@ from ..tracking.methods import Run, System, simulate
 
 Path = Callable[[float], tuple[np.ndarray, np.ndarray, np.ndarray]]
 FRACTIONS = np.linspace(0.1, 0.9, 9)
-# Methods as the report names them; aad is ours.
+# Methods by their names in the report; aad is ours.
 METHODS: dict[str, tuple[str, dict[str, Any]]] = {
     "cv": ("cv", {}),
     "av": ("av", {}),
@@ -25,7 +25,7 @@ METHODS: dict[str, tuple[str, dict[str, Any]]] = {
 
 @dataclass(frozen=True)
 class GainSet:
-    """One published set: h [s], kappa [1/s], kp [1/s^2], kd [1/s], what the paper calls it and where."""
+    """One published gain set: h [s], kappa [1/s], kp [1/s^2], kd [1/s], the paper's verdict and figure."""
 
     name: str
     h: float
@@ -56,7 +56,7 @@ def one_dof(c: float = 0.2) -> System:
 
 
 def pp_arm(length: float = 0.5) -> System:
-    """Eq. (38): two perpendicular slides."""
+    """Eq. (38): two perpendicular prismatic joints."""
     return System(lambda q: length + q, lambda q: np.eye(2), lambda q, x, y: np.zeros(2))
 
 
@@ -94,7 +94,7 @@ def circle(center: tuple[float, float], radius: float, w: float) -> Path:
 
 @dataclass(frozen=True)
 class Case:
-    """A system on a path: steps of a run and the start for a given initial error (target - actual has the other sign)."""
+    """A system on a path: steps of a run, and its start for a given initial error (opposite in sign to target - actual)."""
 
     system: System
     path: Path
@@ -111,7 +111,7 @@ CASES = {
 
 
 def run(case: Case, gains: GainSet, key: str, offset: np.ndarray | float = 0.0, **changes: Any) -> Run:
-    """Run one method of METHODS on a case from the start that is off by `offset` [m]; changes: h, steps, rate0."""
+    """Run one method of METHODS on a case with an initial error of `offset` [m]; changes: h, steps, rate0."""
     name, options = METHODS[key]
     options = dict(options)
     if name == "cv":
@@ -125,7 +125,7 @@ def run(case: Case, gains: GainSet, key: str, offset: np.ndarray | float = 0.0, 
 
 
 def settled(case: Case, made: Run) -> dict[str, float]:
-    """Largest and RMS error of the second half, RMS of all, largest between samples (second half); NaN after a stop."""
+    """Largest and RMS error of the second half, RMS of the whole run, largest between samples (second half); NaN after a stop."""
     if made.stopped:
         return dict.fromkeys(("max", "rms", "rms_all", "dense"), np.nan)
     e = np.linalg.norm(made.error, axis=1)
@@ -142,8 +142,8 @@ def settled(case: Case, made: Run) -> dict[str, float]:
 def growth(case: Case, gains: GainSet, key: str, lap: float, disturbance: float = 1e-6) -> float:
     """Largest factor by which a small disturbance is multiplied in one lap [s] of the moving target (Floquet multiplier).
 
-    The state (angles, and rates or the earlier command where the method has them) is disturbed one component at a time at
-    the start of a lap; the spectral radius of the matrix so measured is returned. h is adjusted to divide the lap.
+    The state (angles, and rates or the previous command if the method has them) is disturbed one component at a time at the
+    start of a lap; returns the spectral radius of the resulting matrix. h is adjusted to divide the lap.
     """
     steps = round(lap / gains.h)
     h = lap / steps
@@ -151,7 +151,7 @@ def growth(case: Case, gains: GainSet, key: str, lap: float, disturbance: float 
     n = len(q0)
     rate0 = np.linalg.solve(case.system.jacobian(q0), case.path(0.0)[1])
     command0 = rate0 if key == "cv" else run(case, gains, key, h=h, steps=1, rate0=rate0).command
-    sizes = {"cv": (0, 2), "av": (0,), "ca": (0, 1, 2)}.get(key, (0, 1))  # which of q, rate, command are state
+    sizes = {"cv": (0, 2), "av": (0,), "ca": (0, 1, 2)}.get(key, (0, 1))  # which of q, rate, command are states
     start = np.concatenate([q0, rate0, command0])
 
     def after_a_lap(state: np.ndarray) -> np.ndarray:

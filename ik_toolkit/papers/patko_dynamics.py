@@ -8,11 +8,11 @@ import pinocchio as pin
 from ..robot.robot import Robot
 from .report import Report
 
-MASS, LENGTH, RADIUS = 2.0, 1.0, 0.03  # kg, m, m: slender links of ours; the paper gives none
-GRAVITY = (0.0, -9.81, 0.0)  # m/s^2; in the plane of the arm, so that it counts
+MASS, LENGTH, RADIUS = 2.0, 1.0, 0.03  # kg, m, m: our slender links; the paper gives none
+GRAVITY = (0.0, -9.81, 0.0)  # m/s^2; in the plane of the arm, so that it matters
 SHIFT = np.array([0.1, -0.05])  # rad; initial error
-STEP, STEPS = 1e-3, 4000  # s, and steps of a run
-HEAVIER = 1.2  # of the true masses over those of the controller, for the second run
+STEP, STEPS = 1e-3, 4000  # time step [s], and steps of a run
+HEAVIER = 1.2  # true masses over those of the controller, for the second run
 
 Path = Callable[[float], tuple[np.ndarray, np.ndarray, np.ndarray]]
 
@@ -79,7 +79,7 @@ def cancellation(model: pin.Model, count: int = 100, seed: int = 0) -> float:
 
 
 def dynamics(made: Report, sets: dict[str, tuple[float, float]]) -> None:
-    """Add the section; sets: name -> (kp [1/s^2], kd [1/s])."""
+    """Add the section on inverse dynamics; sets: name -> (kp [1/s^2], kd [1/s])."""
     made.heading("Eqs. (1) to (4): the auxiliary input of inverse dynamics")
     model = heavy_arm()
     off = made.number("cancellation", cancellation(model))

@@ -1,4 +1,4 @@
-"""Pictures of the Patko and Zelei (2019) report."""
+"""Figures of the Patko and Zelei (2019) report."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -19,7 +19,7 @@ COLOUR = {
 }
 DASH = {"aa1": "--", "aad": "--"}
 NAMES = {"aa1": "aa, reading 1", "aa2": "aa, reading 2", "aa3": "aa, reading 3", "aad": "aad (ours)"}
-FLOOR = 1e-8  # [m] the error axes end here; what stays below is named in the panel
+FLOOR = 1e-8  # [m] lower end of the error axes; runs that stay below are named in the panel
 
 
 def draw_charts(plt: Any, sets: Mapping[str, Any]) -> Any:
@@ -92,7 +92,7 @@ def _curve(ax: Any, key: str, run: Any, until: float) -> None:
 
 
 def _below(ax: Any, runs: Mapping[str, Any]) -> None:
-    """Name the runs whose error drops out of the picture for good."""
+    """Name the runs whose error leaves the axes for good."""
     ends = {
         key: np.linalg.norm(run.error[len(run.error) // 2 :], axis=1).max()
         for key, run in runs.items()
@@ -113,7 +113,7 @@ def _below(ax: Any, runs: Mapping[str, Any]) -> None:
 
 
 def draw_plane(plt: Any, case: Any, lap: float, panels: Mapping[str, Mapping[str, Any]]) -> Any:
-    """Figs. 5 to 8: path of the tip in its first lap [s] above (half of it for the bad set), error below; a column a gain set."""
+    """Figs. 5 to 8: tip path in its first lap [s] above (half of it for the bad set), error below; one column per gain set."""
     figure, axes = plt.subplots(2, 2, figsize=(9.6, 7.2), height_ratios=(1.25, 1.0), layout="constrained")
     for (top, low), (title, runs), shown in zip(axes.T, panels.items(), (0.5 * lap, lap), strict=True):
         t = np.linspace(0, lap, 600)
@@ -139,7 +139,7 @@ def draw_plane(plt: Any, case: Any, lap: float, panels: Mapping[str, Mapping[str
 
 
 def draw_orders(plt: Any, steps: Sequence[float], curves: Mapping[str, Sequence[float]]) -> Any:
-    """Error against h, log-log, with slopes 2 and 3 to compare."""
+    """Error against h, log-log, with slopes 2 and 3 for comparison."""
     figure, ax = plt.subplots(figsize=(6.4, 4.4), layout="constrained")
     for label, errors in curves.items():
         key = label.split(",")[0]

@@ -1,4 +1,4 @@
-"""A report of one paper: text and tables as Markdown and JSON, pictures as PNG, all from one list of parts."""
+"""A report on one paper: text and tables as Markdown and JSON, figures as PNG, all from one list of parts."""
 
 import importlib
 import importlib.util
@@ -40,7 +40,7 @@ class Report:
         self._parts.append(" ".join(text.split()))
 
     def table(self, key: str, head: Sequence[str], rows: Sequence[Sequence[Any]]) -> None:
-        """Add a table under a key of `data`; floats are shown with 5 significant digits and stored whole."""
+        """Add a table under a key of `data`; floats are shown with 5 significant digits and stored in full precision."""
         self.data[key] = {"columns": list(head), "rows": [list(row) for row in rows]}
         lines = ["| " + " | ".join(head) + " |", "|" + " --- |" * len(head)]
         lines += ["| " + " | ".join(_cell(x) for x in row) + " |" for row in rows]
@@ -52,7 +52,7 @@ class Report:
         return value
 
     def figure(self, file: str, caption: str, draw: Callable[[Any], Any]) -> None:
-        """Add a picture: `draw(plt)` returns the matplotlib figure; it is called only when pictures are written."""
+        """Add a figure: `draw(plt)` returns the matplotlib figure; it is called only when figures are written."""
         self._figures.append((file, draw))
         self._parts.append(f"![{caption}]({file})\n\n*{caption}*")
 
@@ -61,9 +61,9 @@ class Report:
         return "\n\n".join(self._parts) + "\n"
 
     def write(self, folder: str | Path, pictures: bool | None = None) -> list[Path]:
-        """Write report.md, report.json and the pictures to `folder` (made if missing); return the files.
+        """Write report.md, report.json and the figures to `folder` (created if missing); return the files.
 
-        pictures: None draws them when matplotlib is installed. Raises MissingExtra when True and it is not.
+        pictures: None draws them if matplotlib is installed. Raises MissingExtra if True and it is not.
         """
         if pictures is None:
             pictures = importlib.util.find_spec("matplotlib") is not None
@@ -90,7 +90,7 @@ class Report:
         return files
 
 
-WIDEST = 8.0  # inches: on a page of 740 pixels a text of 9 points is then 12 pixels high
+WIDEST = 8.0  # inches: on a page of 740 pixels, 9-point text is then 12 pixels high
 
 
 def _cell(value: Any) -> str:

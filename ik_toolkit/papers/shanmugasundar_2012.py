@@ -1,4 +1,4 @@
-"""Shanmugasundar and Sivaramakrishnan (2012): the closed-form inverse of a 7-joint inspection robot, published beside ours.
+"""Shanmugasundar and Sivaramakrishnan (2012): closed-form inverse of a 7-joint inspection robot, published results next to ours.
 
 International Journal of Computer Applications 58 (18), 2012. Published numbers are data in shanmugasundar_formulas.
 Millimetres and degrees as in the paper; the toolkit's own calls use metres and radians.
@@ -122,7 +122,7 @@ def answers(report: Report, printed: np.ndarray, table_pose: np.ndarray) -> None
     exact = printed_fk(origin, D2)
     table = fig4(printed, D2)
     t1, t3, t4, t5, t6, t7 = table
-    degrees = 180.0 / PI_22_7  # the program turns radians into degrees with 22/7 as well
+    degrees = 180.0 / PI_22_7  # the program also converts radians to degrees with 22/7
     program = [f"{degrees * x:.1f}" for x in table]
     report.number("software_angles_reproduced", sum(a == f"{b:.1f}" for a, b in zip(program, SOFTWARE, strict=True)))
     hand = "three-digit intermediate values"
@@ -185,7 +185,7 @@ def _errors(angles: np.ndarray, goal: np.ndarray) -> tuple[float, float]:
 
 
 def formulas(report: Report, robot: Robot, poses: int, seed: int) -> None:
-    """Add the section on the printed formulas, tried on random poses."""
+    """Add the section that tries the printed formulas on random poses."""
     report.heading("The formulas of Fig 4 on random poses")
     rng = np.random.default_rng(seed)
     Q = np.array([robot.random_q(rng) for _ in range(poses)])
@@ -251,7 +251,7 @@ def formulas(report: Report, robot: Robot, poses: int, seed: int) -> None:
 
 
 def _rate(successes: int, trials: int) -> str:
-    """Percent with its Wilson interval."""
+    """Percentage with its Wilson interval."""
     low, high = wilson(successes, trials)
     return f"{100 * successes / trials:.4g} [{100 * low:.3g}-{100 * high:.3g}]"
 
@@ -289,7 +289,7 @@ def _speed(report: Report, robot: Robot) -> None:
     rows = [[name, "not given", spread(1e6 * times)] for name, times in rounds(works, 15).items()]
     report.table("time", ["one inverse", "published", "ours (us)"], rows)
     report.text(
-        "The paper gives no times. Ours: median [least-most] of 15 rounds in turns, processor time, on this machine."
+        "The paper gives no times. Ours: median [min-max] of 15 interleaved rounds, processor time, on this machine."
     )
 
 

@@ -1,4 +1,4 @@
-"""Shanmugasundar and Sivaramakrishnan (2012): the numbers and formulas they print. Millimetres and degrees as in the paper."""
+"""Shanmugasundar and Sivaramakrishnan (2012): published numbers and formulas. Millimetres and degrees as in the paper."""
 
 import math
 from typing import Any
@@ -40,7 +40,7 @@ def pose_matrix(printed: dict[str, str]) -> np.ndarray:
 def printed_fk(q: np.ndarray, lift: float) -> np.ndarray:
     """The paper's matrix (section 3.1) at theta_1, theta_3 .. theta_7 [rad] and lift [mm], as (4, 4).
 
-    n_y, o_y and p_y are printed in part, n_z and o_z only inside the equations; they follow the printed pattern.
+    n_y, o_y and p_y are printed only in part, n_z and o_z only inside the equations; they follow the printed pattern.
     """
     c1, c3, c4, c6 = (math.cos(q[i]) for i in (0, 1, 2, 4))
     s1, s3, s4, s6 = (math.sin(q[i]) for i in (0, 1, 2, 4))
@@ -72,7 +72,7 @@ def fig4(
 ) -> np.ndarray:
     """Joint angles (6,) [rad] by Fig 4 and eqs. (9), (13), (14) for T (4, 4) [mm]; NaN where a root fails.
 
-    theta_1: None takes the printed 2 atan2(py, px). height: what stands for d1 + d2 (default the sum itself). signs: of
+    theta_1: None uses the printed 2 atan2(py, px). height: value used for d1 + d2 (default the sum itself). signs: of
     theta_45, theta_3, theta_6, theta_4, theta_67. complement: a negative sign of an arc sine gives pi - theta, which has the
     same sine, and not the printed -theta. S4, C4 for the misprinted S2, C2. theta_67 is used but never given: its arc
     cosine from n reproduces the printed 23.22 deg.

@@ -1,4 +1,4 @@
-"""Shanmugasundar and Sivaramakrishnan (2012): the sample pose, solved, and why its published angle looks right."""
+"""Shanmugasundar and Sivaramakrishnan (2012): the sample pose solved, and why its published angle looks right."""
 
 import math
 from typing import Any

@@ -1,4 +1,4 @@
-"""Times of the reports: works that take turns, in processor time, with the spread over the rounds."""
+"""Timing for the reports: alternating runs, in processor time, with the spread over the rounds."""
 
 from collections.abc import Callable
 from time import process_time
@@ -6,13 +6,13 @@ from typing import Any
 
 import numpy as np
 
-Work = tuple[Callable[[], Any], int]  # what is done, and how many solves that is
+Work = tuple[Callable[[], Any], int]  # function to time, and its number of solves
 
 
 def rounds(works: dict[str, Work], count: int, warm: bool = False) -> dict[str, np.ndarray]:
-    """Processor time (count,) [s] a solve of each work, in turns; unless `warm`, after a round that compiles.
+    """Processor time (count,) [s] per solve of each work, alternating; unless `warm`, after a first round that compiles.
 
-    Processor time, because another process that gets the core in between is no cost of the method.
+    Processor time, because other processes on the same core are not a cost of the method.
     """
     spent: dict[str, list[float]] = {name: [] for name in works}
     for k in range(warm, count + 1):
@@ -25,5 +25,5 @@ def rounds(works: dict[str, Work], count: int, warm: bool = False) -> dict[str, 
 
 
 def spread(values: np.ndarray, form: str = ".3g") -> str:
-    """Median [least-most] of the rounds."""
+    """Median [min-max] of the rounds."""
     return f"{np.median(values):{form}} [{np.min(values):{form}}-{np.max(values):{form}}]"
