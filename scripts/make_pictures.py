@@ -1,4 +1,4 @@
-"""Make the pictures of the README and the gallery: scenes drawn by `ik.view`, photographed in headless Chromium.
+"""Make the pictures of the README and the gallery: scenes drawn by `ik.view`, captured in headless Chromium.
 
 Run: python scripts/make_pictures.py [NAME ...]   (needs the extras view, robots and paths, and chromium; `panel` and `drag`
 also playwright, `panel` the extra panel)
@@ -21,22 +21,22 @@ import ik_toolkit as ik
 
 FOLDER = Path(__file__).resolve().parent.parent / "docs" / "_static"
 SIZE = (1000, 600)
-COLUMNS, SMALL = 4, (300, 220)  # of a sheet of solutions, and pixels of one of them
+COLUMNS, SMALL = 4, (300, 220)  # columns of a sheet of solutions, and pixels of each
 GRAPHICS = (
     "--no-sandbox",
     "--use-gl=angle",
     "--use-angle=swiftshader",
     "--enable-unsafe-swiftshader",
 )  # WebGL without a card
-MOVING = (900, 600)  # pixels of the moving picture
-FRAMES, PAUSE, COLOURS = 34, 70, 128  # of it, one way; [ms] a frame; colours: under a megabyte
+MOVING = (900, 600)  # pixels of the animation
+FRAMES, PAUSE, COLOURS = 34, 70, 128  # frames one way, [ms] per frame, and colours: under a megabyte in all
 POINTER = """() => { const svg = document.createElement("div");
   const arrow = '<path d="M1 1v20l5-4 4 9 4-2-4-8h7z" fill="#fff" stroke="#222" stroke-width="1.4"/>';
   svg.innerHTML = `<svg width="20" height="28">${arrow}</svg>`;
   svg.style.cssText = "position:fixed;pointer-events:none;left:0;top:0;width:20px";
   document.body.append(svg);
   addEventListener("pointermove", (e) => { svg.style.left = e.clientX + "px"; svg.style.top = e.clientY + "px"; }, true);
-}"""  # a pointer that is seen: a photograph shows none
+}"""  # a visible pointer: screenshots do not show the real one
 FLAGS = (
     "--headless --no-sandbox --disable-quic --no-first-run --disable-background-networking --disable-component-update "
     "--disable-sync --hide-scrollbars --virtual-time-budget=15000"
@@ -44,13 +44,13 @@ FLAGS = (
 
 
 def aim(scene: Any, at: tuple[float, float, float], eye: tuple[float, float, float]) -> Any:
-    """Look at a point [m] from nearer than the default, which leaves room for turning the scene."""
+    """Look at a point [m] from closer than the default, which leaves room for rotating the scene."""
     scene.look(eye=eye, target=at)
     return scene
 
 
 def solve() -> Any:
-    """A pose on the HydroLek, with the way from home."""
+    """A pose of the HydroLek, with the iterations from home."""
     robot = ik.Robot.load("hydrolek_7w")
     target = robot.fk([0.4, 0.9, -0.4, 1.0, -1.0, 0.8])
     scene = ik.view(robot, ik.solve(robot, target, history=True), target=target)
@@ -65,7 +65,7 @@ def two_arms() -> Any:
 
 
 def branches(picture: Path) -> None:
-    """Every solution for one pose of the UR5, joints within half a turn: each alone, beside the others."""
+    """All solutions for one pose of the UR5, joints within half a turn, side by side."""
     robot = ik.Robot.load("ur5_limited")
     target = robot.fk([0.4, -1.1, 1.3, -0.6, 1.2, 0.3])
     found = ik.solve_all(robot, target)
@@ -92,7 +92,7 @@ def tracking() -> Any:
 
 
 def path() -> Any:
-    """A saw blade on the HydroLek goes round a pipe; the colours of its way are its speed."""
+    """A saw blade on the HydroLek moves round a pipe; its path is coloured by speed."""
     robot = ik.Robot.load("hydrolek_7w")
     angle = np.linspace(0.0, 2.0 * np.pi, 121)
     poses = np.tile(ik.pose(xyz=(1.01, -0.13, 0.10), direction=(1, 0, 0)).T_base_tip, (121, 1, 1))
@@ -105,7 +105,7 @@ def path() -> Any:
 
 
 def stretched() -> Any:
-    """The HydroLek's tip on a line that leaves its reach and comes back, as little away from it as possible."""
+    """The HydroLek's tip follows a line that leaves its reach and returns, as closely as possible."""
     robot = ik.Robot.load("hydrolek_7w")
     T = robot.fk(robot.home).homogeneous
     end = T.copy()
@@ -115,7 +115,7 @@ def stretched() -> Any:
 
 
 def limits() -> Any:
-    """Which points of the plane y = 0 the HydroLek's tip reaches inside its joint limits."""
+    """Points of the plane y = 0 that the HydroLek's tip reaches inside its joint limits."""
     robot = ik.Robot.load("hydrolek_7w")
     x, z = np.meshgrid(np.arange(0.15, 1.35, 0.04), np.arange(-0.9, 1.06, 0.04))
     points = np.column_stack([x.ravel(), np.zeros(x.size), z.ravel()])
@@ -142,7 +142,7 @@ def find_chromium() -> str:
 
 
 def panel(picture: Path) -> None:
-    """Write the picture of the panel after a solve, handled as a person would."""
+    """Write the picture of the panel after a solve, operated as a user would."""
     from playwright.sync_api import sync_playwright
 
     from ik_toolkit.show.panel import Panel
@@ -152,7 +152,7 @@ def panel(picture: Path) -> None:
             viewport={"width": 1280, "height": 960}
         )
         page.goto(served.url)
-        page.locator(".mantine-Notification-closeButton").click()  # a word on the software renderer
+        page.locator(".mantine-Notification-closeButton").click()  # notice about the software renderer
         page.get_by_role("tab", name="Solve").click()
         for label, text in (("x y z [m]", "0.829 0.608 0.401"), ("r p y [deg]", "-69 -18 -26")):
             page.locator(f"xpath=//label[.='{label}']/ancestor::div[.//input][1]//input").fill(text)
@@ -165,9 +165,9 @@ def panel(picture: Path) -> None:
 
 
 def drag(picture: Path) -> None:
-    """Write the moving picture: the target of the Panda's live page is dragged there and back, once past the edge of reach.
+    """Write the animation: the target of the Panda's live page is dragged there and back, once past the edge of reach.
 
-    The way back shows the pictures of the way there: the last frame is followed by the first without a jump.
+    The return shows the same frames in reverse, so that the animation loops without a jump.
     """
     from playwright.sync_api import sync_playwright
 
@@ -192,13 +192,13 @@ def drag(picture: Path) -> None:
             page.wait_for_timeout(60)
             page.wait_for_selector("body[data-still='1']")
             frames.append(Image.open(io.BytesIO(page.screenshot())).convert("RGB"))
-    palette = palette_of(frames[:: FRAMES // 4], COLOURS)  # one for all: what stands still does not flicker
+    palette = palette_of(frames[:: FRAMES // 4], COLOURS)  # one for all frames: static parts do not flicker
     first, *others = [f.quantize(palette=palette, dither=Image.Dither.NONE) for f in [*frames, *frames[-2:0:-1]]]
     first.save(picture, save_all=True, append_images=others, duration=PAUSE, loop=0, optimize=True, disposal=1)
 
 
 def palette_of(pictures: list[Any], count: int) -> Any:
-    """Palette of some pictures. What is vivid is small and what the eye follows: it counts for a sixth of the pixels."""
+    """Common palette of some pictures. Vivid parts are small but catch the eye, so they count for a sixth of the pixels."""
     pixels = np.concatenate([np.asarray(picture).reshape(-1, 3) for picture in pictures])
     vivid = pixels[np.ptp(pixels.astype(int), axis=1) > 90]
     if len(vivid):
@@ -207,7 +207,7 @@ def palette_of(pictures: list[Any], count: int) -> Any:
 
 
 def photograph(page: Path, picture: Path) -> None:
-    """Write the picture of a page."""
+    """Write a screenshot of a page."""
     with tempfile.TemporaryDirectory() as profile:
         size = f"--window-size={SIZE[0]},{SIZE[1]}"
         command = [
@@ -222,7 +222,7 @@ def photograph(page: Path, picture: Path) -> None:
     Image.open(picture).convert("RGB").save(picture, optimize=True)
 
 
-MADE = {"branches.png": branches, "panel.png": panel, "drag.gif": drag}  # that are no single scene
+MADE = {"branches.png": branches, "panel.png": panel, "drag.gif": drag}  # pictures that are not a single scene
 
 
 def main() -> None:

@@ -1,4 +1,4 @@
-"""Make the reports of the papers below docs/papers/, with small pictures: the output of `ik reproduce` for each.
+"""Write the paper reports to docs/papers/ with small pictures: the output of `ik reproduce` for each.
 
 python scripts/make_reports.py [PAPER ...]
 """
@@ -12,16 +12,16 @@ from PIL import Image  # comes with matplotlib
 from ik_toolkit.papers import PAPERS
 
 FOLDER = Path(__file__).resolve().parent.parent / "docs" / "papers"
-WIDTH = 1300  # pixels; enough for a page, and a reader's screen at twice the density
+WIDTH = 1300  # pixels; enough for a page on a high-density screen
 COLOURS = 255
 
 
 def shrink(file: Path) -> None:
-    """Write a picture again at most WIDTH wide, with a palette."""
+    """Reduce a picture to at most WIDTH pixels wide, with a palette."""
     picture = Image.open(file).convert("RGB")
     if picture.width > WIDTH:
         picture = picture.resize((WIDTH, round(picture.height * WIDTH / picture.width)), Image.Resampling.LANCZOS)
-    # the rarest colours, such as a line that only the legend shows, are kept by this method
+    # this method keeps the rarest colours, such as a line that only the legend shows
     picture.quantize(COLOURS, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE).save(file, optimize=True)
 
 

@@ -1,4 +1,4 @@
-"""Make the pictures of the guide's page on tracking inside limits: the box in one joint's plane, and the scenarios.
+"""Make the pictures of the guide's page on tracking within limits: one joint's phase plane, and the scenarios.
 
 Run: python scripts/make_servo_pictures.py [box] [scenarios]   (needs the extra plots). The streams are those of
 scripts/benchmarks/servo.py; the best achievable is an independent search, see servo_best.py.
@@ -32,7 +32,7 @@ ACCELERATION = 2.0  # rad/s^2 of the lever
 
 
 def box() -> None:
-    """One joint pushed at its limit from several places: speed over position, and what the limits allow."""
+    """One joint pushed towards its limit from several positions: speed over position, and the range the limits allow."""
     robot = ik.Robot.load(JOINT, tip="tip")
     speed, edge = float(robot.velocity_limits[0]), float(robot.upper[0])
     with drawing() as plt:
@@ -71,7 +71,7 @@ def follow(s: Scenario) -> np.ndarray:
 
 
 def scenarios() -> None:
-    """Error of the tip over time in each scenario, and the least that any method could have left."""
+    """Tip error over time in each scenario, and the smallest error any method could achieve."""
     robot = ik.Robot.load(ROBOT)
     with drawing() as plt:
         figure, axes = plt.subplots(4, 3, figsize=(10.5, 9.0), layout="constrained")

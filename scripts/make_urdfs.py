@@ -14,7 +14,7 @@ URDF = Path(__file__).resolve().parent.parent / "urdf"
 TABLES = [name for name, entry in shipped_robots().items() if entry.dh_file and entry.dh_file.stem == name]
 
 # The machine of brokk_hydrolek is our assumption (the paper gives no dimensions): about the size of a small demolition
-# machine, held still on the ground; a turret on top carries both arms, mounted level and facing forward.
+# machine, fixed on the ground; a turret on top carries both arms, mounted level and facing forward.
 TURRET = shift(x=0.10, z=0.62)  # in base_link, which lies on the ground below the middle of the machine
 MOUNTS = {"left": shift(x=0.22, y=0.27, z=0.44), "right": shift(x=0.22, y=-0.27, z=0.44)}  # in turret_link
 TURRET_LIMIT = {"lower": -math.pi / 2, "upper": math.pi / 2, "effort": 1000.0, "velocity": math.radians(30)}
@@ -22,7 +22,7 @@ GRIPPER_LIMIT = {"lower": 0.0, "upper": 0.08, "effort": 1000.0, "velocity": 0.1}
 
 
 def brokk() -> str:
-    """URDF of a machine held still with a slewing turret shared by both arms and a gripper jaw beyond each tip."""
+    """URDF of a fixed machine with a slewing turret that carries both arms, and a gripper jaw beyond each tip."""
     table = read_dh_table(URDF / "dh" / "hydrolek_7w.toml")
     robot = new_robot("brokk_hydrolek")
     add_link(robot, "world")

@@ -1,4 +1,4 @@
-"""Changes of the kernel's source, how one is planted in a process, and how the kernel notes which statements it runs."""
+"""Changes of the kernel's source, planting one in a process, and recording which kernel statements run."""
 
 import ast
 import copy
@@ -21,8 +21,8 @@ NUMBAS = (
     "lower_getattr",
     "infer",
     "register_model",
-)  # marks of what numba calls
-LOWERING = {"parts_of", "_made", "_place", "_index", "_element"}  # of view.py: called by these only
+)  # decorators of functions that numba calls
+LOWERING = {"parts_of", "_made", "_place", "_index", "_element"}  # functions of view.py called only by those
 OPERATORS = {
     ast.Add: ast.Sub, ast.Sub: ast.Add, ast.Mult: ast.Div, ast.Div: ast.Mult, ast.FloorDiv: ast.Mult, ast.Mod: ast.Mult,
     ast.RShift: ast.LShift, ast.LShift: ast.RShift, ast.BitXor: ast.BitOr, ast.BitOr: ast.BitAnd, ast.BitAnd: ast.BitOr,
@@ -42,22 +42,22 @@ def text_of(file: str) -> list[str]:
 
 
 def key(name: str) -> str:
-    """Name of a mutant that survives edits of other lines: file and change, with the text of its line."""
+    """Stable name of a mutant, unaffected by edits of other lines: file and change, with the text of its line."""
     place, what = name.split(" ", 1)
     file, line, _ = place.split(":")
     return f"{file}: {text_of(file)[int(line) - 1].strip()} [{what}]"
 
 
 class Mutant(NamedTuple):
-    """One change: the number of the node in its file, and of the change at that node."""
+    """One change: the index of the node in its file, and of the change at that node."""
 
     file: str
     node: int
     change: int
     line: int
     what: str
-    statement: int  # line its statement begins in, 0: the value of a constant of the module
-    constant: str  # names of that constant
+    statement: int  # first line of its statement, 0: the value of a module constant
+    constant: str  # name of that constant
 
     @property
     def name(self) -> str:
@@ -67,7 +67,7 @@ class Mutant(NamedTuple):
 
 # ------------------------------------------------------------------------------------------------------------ mutants
 def changes(node: ast.AST) -> Iterator[tuple[str, Any]]:
-    """Name of each change of a node, and what makes it (in place)."""
+    """Name of each change of a node, and the function that makes it (in place)."""
     if isinstance(node, (ast.BinOp, ast.AugAssign)) and type(node.op) in OPERATORS:
         other = OPERATORS[type(node.op)]
         yield f"{type(node.op).__name__} -> {other.__name__}", lambda n: setattr(n, "op", other())
@@ -98,7 +98,7 @@ def functions_of(tree: ast.Module) -> Iterator[ast.AST]:
     """Nodes inside functions that run uncompiled, and values of numeric constants of the module."""
     for top in tree.body:
         if any(word in ast.unparse(mark) for mark in getattr(top, "decorator_list", ()) for word in NUMBAS):
-            continue  # numba's side of a function whose plain side is what runs here
+            continue  # numba's version of a function; its plain version runs here
         if isinstance(top, ast.ClassDef):
             bodies = [f for f in top.body if isinstance(f, ast.FunctionDef)]
         elif isinstance(top, ast.FunctionDef):
@@ -135,12 +135,12 @@ def mutants(file: str) -> list[Mutant]:
 
 
 def source(file: str) -> ast.Module:
-    """The tree of a kernel file, as it was first read: it may be edited while mutants are tried."""
+    """Syntax tree of a kernel file as first read: the file may be edited while mutants are tried."""
     return ast.parse("\n".join(text_of(file)) + "\n")
 
 
 def planted(mutant: Mutant) -> ast.Module:
-    """The file with the change made."""
+    """Syntax tree of the file with the change made."""
     tree = source(mutant.file)
     node = list(functions_of(tree))[mutant.node]
     list(changes(copy.copy(node)))[mutant.change][1](node)
@@ -177,7 +177,7 @@ def codes(tree: ast.Module, file: str) -> dict[tuple[str, int], CodeType]:
 
 
 def living() -> dict[str, list[FunctionType]]:
-    """All functions of the kernel there are, by file."""
+    """All loaded functions of the kernel, by file."""
     found = defaultdict(list)
     for thing in gc.get_objects():
         if type(thing) is FunctionType and thing.__code__.co_filename.startswith(str(KERNEL)):
@@ -206,7 +206,7 @@ def plant(mutant: Mutant, functions: dict[str, list[FunctionType]]) -> None:
     changed = dict(module.__dict__)
     exec(compile(ast.Module([assignment], []), "constant", "exec"), changed)  # noqa: S102  our own source, changed
     for name in mutant.constant.split():
-        for other in list(sys.modules.values()):  # whoever has imported it
+        for other in list(sys.modules.values()):  # every module that has imported it
             if getattr(other, "__name__", "").startswith("ik_toolkit.") and vars(other).get(name) is getattr(
                 module, name
             ):
@@ -221,7 +221,7 @@ class Marked(ast.NodeTransformer):
         self.deep = 0
 
     def visit_FunctionDef(self, node: ast.FunctionDef) -> ast.AST:
-        """Its statements, with their marks."""
+        """Mark the statements of a function."""
         self.deep += 1
         self.generic_visit(node)
         self.deep -= 1
@@ -243,12 +243,12 @@ class Marked(ast.NodeTransformer):
 
 
 def marked(files: Iterable[str]) -> dict[str, dict[tuple[str, int], CodeType]]:
-    """Code of the kernel that notes which statements it runs, by file."""
+    """Code of the kernel that records which statements run, by file."""
     return {file: codes(ast.fix_missing_locations(Marked().visit(source(file))), file) for file in files}
 
 
 def mark_all(functions: dict[str, list[FunctionType]], new: dict[str, dict]) -> dict[str, bytearray]:
-    """Make the kernel note in this process which statements it runs: arrays by line."""
+    """Make the kernel in this process record which statements run; returns arrays by line."""
     reached = {}
     for file, mine in functions.items():
         reached[file] = bytearray(len(text_of(file)) + 1)

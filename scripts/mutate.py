@@ -1,15 +1,15 @@
-"""Which mistakes in the kernel do the tests see? Plants one at a time, interpreted, and writes docs/data/mutation.json.
+"""Mutation testing of the kernel: plants one mistake at a time, runs the tests interpreted, writes docs/data/mutation.json.
 
 Usage: python scripts/mutate.py [--sample 400] [--seed 1] [--workers 2] [--files search.py ...] [-o FILE]
 
-A mutant is one change of the source: another operator, comparison, constant or branch. First every test of TESTS that takes
-less than SLOW seconds runs once and says which statements of the kernel it reaches; then each mutant runs the tests that
-reach its statement, the quickest and the most successful first. It is killed by the first failure, or by a test that takes
-TOO_LONG times as long as before. Compiled lanes and what compiles are left out: uncompiled there is nothing to run.
+A mutant is one change of the source: another operator, comparison, constant or branch. First, every test in TESTS that takes
+less than SLOW seconds runs once to record which kernel statements it reaches; then each mutant runs the tests that reach its
+statement, the quickest and most successful first. It is killed by the first failure, or by a test that takes TOO_LONG times
+as long as before. Compiled lanes and the compilation itself are left out: they have nothing to run uncompiled.
 
-pytest collects all tests once. A mutant is planted in a fork of that process: its functions get the changed code. What was
-found is kept in build/mutate, by the text of the kernel file and of the test, so that a change of one of them makes only that
-be tried again; what survived is tried again when a test that reaches it is new.
+pytest collects all tests once. A mutant is planted in a fork of that process: its functions get the changed code. Results are
+kept in build/mutate, keyed by the text of the kernel file and of the test, so that after an edit only the affected pairs run
+again; survivors are tried again when a new test reaches them.
 """
 
 import argparse
@@ -50,9 +50,9 @@ TESTS = tuple(
     }.items()
     for name in names
 )  # fmt: skip
-SLOW = 0.8  # seconds of the processor for a test, uncompiled: slower ones are not used
-ENOUGH = 8.0  # seconds of tests a mutant may need when it survives
-TOO_LONG, LEAST = 10.0, 4.0  # times as long as a test takes, and seconds, after which its loop does not end
+SLOW = 0.8  # [s] processor time of a test, uncompiled: slower ones are not used
+ENOUGH = 8.0  # [s] most test time spent on a surviving mutant
+TOO_LONG, LEAST = 10.0, 4.0  # multiple of a test's time, and [s], after which it counts as an endless loop
 DEAD = ("killed", "timeout")
 
 
@@ -64,18 +64,18 @@ class Outcome:
         self.passed, self.seconds = False, 0.0
 
     def pytest_runtest_logreport(self, report: Any) -> None:
-        """Keep what became of it."""
+        """Record the outcome."""
         if report.when == "call":
             self.passed = report.passed
         elif report.failed:
             self.passed = False
 
     def of(self, item: Any, following: Any, limit: float) -> bool:
-        """Run a test: whether it passed."""
+        """Run a test; returns whether it passed."""
         self.passed = False
         begun = time.process_time()
         signal.signal(signal.SIGPROF, too_slow)
-        signal.setitimer(signal.ITIMER_PROF, limit, 1.0)  # and again where the test has caught it
+        signal.setitimer(signal.ITIMER_PROF, limit, 1.0)  # repeats in case the test catches it
         try:
             item.config.hook.pytest_runtest_protocol(item=item, nextitem=following)
         except TimeoutError:  # between the phases of the test
@@ -92,7 +92,7 @@ def too_slow(*_: Any) -> None:
 
 
 def in_forks(tasks: list, work: Callable[[Any], Any], seconds: Callable[[Any], float], workers: int) -> Iterator[tuple]:
-    """Yield each task with what `work(task)` returned in a fork that says nothing; None: it crashed, "late": it was killed."""
+    """Yield each task with the result of `work(task)` in a silent fork; None: it crashed, "late": it was killed."""
     waiting, running = list(reversed(tasks)), {}
     while waiting or running:
         while waiting and len(running) < workers:
@@ -117,7 +117,7 @@ def in_forks(tasks: list, work: Callable[[Any], Any], seconds: Callable[[Any], f
 
 
 def in_fork(work: Callable[[Any], Any], task: Any) -> None:
-    """Do the work, write what it returns, and end."""
+    """Do the work, write its result, and exit."""
     nothing = os.open(os.devnull, os.O_RDWR)
     for stream in (0, 1, 2):
         os.dup2(nothing, stream)
@@ -140,22 +140,22 @@ class Run:
         self.tests: dict[str, dict] = {}
 
     def pytest_runtestloop(self, session: Any) -> bool:
-        """Look, plant, count."""
+        """Record reach, plant mutants, write results."""
         session.config.pluginmanager.register(self.outcome)
         self.items = {item.nodeid: item for item in session.items}
         self.files = {name: stamp(ROOT / name.split("::")[0]) for name in self.items}
         for path in KERNEL.glob("*.py"):
-            text_of(path.name)  # read before the forks are
+            text_of(path.name)  # read before forking
         self.functions = living()
         gc.collect()
-        gc.freeze()  # forks share what they do not touch
+        gc.freeze()  # forks share untouched memory
         self.look()
         self.lines = {name: {(f, n) for f, ns in t["lines"].items() for n in ns} for name, t in self.tests.items()}
         self.plant_all()
         return True
 
     def look(self) -> None:
-        """Find which statements each test reaches, where that is not known."""
+        """Find which statements each test reaches, unless already known."""
         place = KEPT / "reach.json"
         known = json.loads(place.read_text(encoding="utf-8")) if place.exists() else {}
 
@@ -163,12 +163,12 @@ class Run:
             old = known.get(name, {"stamp": ""})
             if old["stamp"] != self.files[name]:
                 return False
-            slow = not old["passed"] or old["seconds"] >= SLOW  # and stays so, whatever changed in the kernel
+            slow = not old["passed"] or old["seconds"] >= SLOW  # and stays so, whatever changes in the kernel
             return slow or all(self.stamps.get(f) == s for f, s in old["kernel"].items())
 
         def work(name: str) -> dict:
             reached = mark_all(self.functions, new_code)
-            passed = self.outcome.of(self.items[name], None, 2.0 * SLOW)  # marks take time
+            passed = self.outcome.of(self.items[name], None, 2.0 * SLOW)  # the marks take time
             lines = {f: [n for n, mark in enumerate(marks) if mark] for f, marks in reached.items() if any(marks)}
             return {"passed": passed, "seconds": self.outcome.seconds, "lines": lines}
 
@@ -188,7 +188,7 @@ class Run:
         return sorted(name for name in self.tests if not at.isdisjoint(self.lines[name]))
 
     def ordered(self, names: list[str], first: str) -> list[str]:
-        """As many as there is time for: those that find most in least time."""
+        """As many tests as there is time for, those that find most in the least time first."""
         total, taken = 0.0, []
         for name in sorted(names, key=lambda n: (n != first, self.tests[n]["seconds"] / (1 + self.kills[n]))):
             total += self.tests[name]["seconds"]
@@ -198,7 +198,7 @@ class Run:
         return taken
 
     def plant_all(self) -> None:
-        """Try mutants that have not been tried on these tests, and write the shares."""
+        """Try mutants not yet tried on these tests, and write the shares."""
         wanted = self.given.files or [p.name for p in sorted(KERNEL.glob("*.py")) if p.name not in LEFT_OUT]
         every = [m for f in wanted for m in mutants(f)]
         random.Random(self.given.seed).shuffle(every)  # noqa: S311
@@ -252,12 +252,12 @@ class Run:
         write(self.given, todo, done, len(every), self.stamps)
 
     def together(self, names: list[str]) -> str:
-        """What stands for the present text of these tests."""
+        """Hash of the current text of these tests."""
         return hashlib.sha256("".join(f"{n} {self.files[n]}" for n in names).encode()).hexdigest()[:12]
 
 
 def stamp(path: Path) -> str:
-    """What stands for the text of a file."""
+    """Hash of the text of a file."""
     return hashlib.sha256(path.read_bytes()).hexdigest()[:12]
 
 
@@ -269,7 +269,7 @@ def wilson(k: int, n: int) -> tuple[float, float]:
 
 
 def write(given: argparse.Namespace, todo: list[Mutant], done: dict[str, str], everything: int, stamps: dict) -> None:
-    """Shares by file, and the survivors by name."""
+    """Write shares by file, and the survivors by name."""
     before = json.loads(given.output.read_text()) if given.output.exists() else {}
     same = before.get("equivalent", {})  # judged by hand: `exact` name -> reason
     names = exact({m.file for m in todo})
@@ -296,7 +296,7 @@ def write(given: argparse.Namespace, todo: list[Mutant], done: dict[str, str], e
 
 
 def exact(files: set[str]) -> dict[str, str]:
-    """Name of each mutant of some files that survives edits of other lines: its `key`, numbered where a line has several."""
+    """Stable name of each mutant of some files, unaffected by edits of other lines: its `key`, numbered if a line has several."""
     names, seen = {}, defaultdict(int)
     for mutant in (m for file in sorted(files) for m in mutants(file)):
         text = key(mutant.name)
@@ -308,7 +308,7 @@ def exact(files: set[str]) -> dict[str, str]:
 def main() -> None:
     """Collect the tests and hand them to `Run`."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--sample", type=int, default=0, help="mutants to try, by chance; 0: all")
+    parser.add_argument("--sample", type=int, default=0, help="mutants to try, chosen at random; 0: all")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--files", nargs="*", default=[])

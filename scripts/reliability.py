@@ -1,4 +1,4 @@
-"""Run the hostile-input, torture, thread and process tests, the long ones included, and write docs/reliability.md.
+"""Run the hostile-input, torture, thread and process tests, including the long ones, and write docs/reliability.md.
 
 Usage: python scripts/reliability.py [-o docs/reliability.md]. Takes some minutes. The counts come from the tests themselves.
 """
@@ -44,7 +44,7 @@ MUTANTS = ROOT / "docs" / "data" / "mutation.json"
 
 
 def run(path: str) -> tuple[dict[str, int], float, list[str]]:
-    """Outcome counts (cases among them), seconds and notes of one test file, long runs included."""
+    """Outcome counts (with cases), seconds and notes of one test file, including long runs."""
     with tempfile.TemporaryDirectory() as folder:
         report = Path(folder) / "report.xml"
         command = [sys.executable, "-m", "pytest", path, "-q", "-m", "slow or not slow", f"--junitxml={report}"]
@@ -66,7 +66,7 @@ def run(path: str) -> tuple[dict[str, int], float, list[str]]:
 
 
 def mutation() -> list[str]:
-    """Lines on the last mutation run, as scripts/mutate.py left its figures."""
+    """Lines on the last mutation run, from the figures of scripts/mutate.py."""
     found = json.loads(MUTANTS.read_text(encoding="utf-8"))
     low, high = found["95 %"]
     lost = sum(row["not reached"] for row in found["files"].values())

@@ -1,4 +1,4 @@
-"""Load every robot of a folder or an installed package, solve for reachable poses, and print a table of what came of it.
+"""Load every robot of a folder or an installed package, solve for reachable poses, and print a table of the results.
 
 Usage: python scripts/robots_table.py WHERE... [--targets 100] [--json FILE] [-o docs/robots_table.md]. WHERE is a folder, the name
 of an installed distribution, or NAME=FOLDER. Answers are checked by Pinocchio, forward kinematics by yourdfpy or MuJoCo.
@@ -28,9 +28,9 @@ from ik_toolkit.robot.pose import rpy_matrix
 from ik_toolkit.robot.tips import guess_tip, tip_candidates
 
 SUFFIXES = (".urdf", ".xacro", ".xml")
-AGREE = 1e-9  # m and entries of rotations, over the robot's size
+AGREE = 1e-9  # [m, entries of rotations] largest difference of two FKs, over the robot's size
 TOLERANCE = 1e-6  # of the solves [m, rad]
-LIMITS = (-1.0, 1.0)  # m, of bases that float
+LIMITS = (-1.0, 1.0)  # m, of floating bases
 
 
 def files(where: str) -> tuple[str, Path, list[Path]]:
@@ -47,13 +47,13 @@ def files(where: str) -> tuple[str, Path, list[Path]]:
 
 
 def is_robot(path: Path) -> bool:
-    """Whether a file is a description: an .xml may be anything."""
+    """Whether a file is a robot description: an .xml may be anything."""
     head = path.read_text(encoding="utf-8", errors="replace")[:20_000]
     return path.suffix != ".xml" or "<mujoco" in head
 
 
 def row(path: Path, targets: int) -> dict:
-    """What came of one file."""
+    """Results for one file."""
     out: dict = {"loaded": False, "tip": "", "joints": 0, "solved": None, "fk": None, "seconds": 0.0, "reason": ""}
     began = time.perf_counter()
     try:
@@ -68,7 +68,7 @@ def row(path: Path, targets: int) -> dict:
             out["reason"] = "no movable joint"
             return out
         robot, said = None, ""
-        for tip in tips:  # the first that can be moved: a free object in a scene is none
+        for tip in tips:  # the first that can be moved: a free object in a scene has none
             try:
                 began = time.perf_counter()
                 robot = ik.Robot.load(path, tip=tip, package_dirs=(path.parent,))
@@ -89,7 +89,7 @@ def row(path: Path, targets: int) -> dict:
 
 
 def solve(robot: ik.Robot, targets: int, out: dict) -> None:
-    """Solve for poses that random joint values give; each answer is checked by Pinocchio here."""
+    """Solve for the poses of random joint values; each answer is checked by Pinocchio here."""
     rng = np.random.default_rng(0)
     Q = robot.random_q(rng, targets)
     T = np.array([robot.fk(q).homogeneous for q in Q])
@@ -107,7 +107,7 @@ def solve(robot: ik.Robot, targets: int, out: dict) -> None:
 
 # ------------------------------------------------------------------------------------------------------ a second opinion
 def second_opinion(path: Path, robot: ik.Robot) -> float | None:
-    """Largest difference of the forward kinematics from MuJoCo's (of MJCF) or yourdfpy's; None where that cannot read it."""
+    """Largest difference of the forward kinematics from MuJoCo's (for MJCF) or yourdfpy's; None if that cannot read it."""
     try:
         with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
             judge = by_mujoco(path, robot) if path.suffix == ".xml" else by_yourdfpy(robot)
@@ -126,7 +126,7 @@ def second_opinion(path: Path, robot: ik.Robot) -> float | None:
 
 
 def values(robot: ik.Robot, q: np.ndarray) -> dict[str, float]:
-    """Value of every joint of one coordinate, followers included."""
+    """Value of every one-DOF joint, followers included."""
     model = robot.model
     full = robot._fill(robot.rest.copy(), q)
     lead = dict(zip(model.mimicking_joints, model.mimicked_joints, strict=True))
@@ -197,7 +197,7 @@ def by_mujoco(path: Path, robot: ik.Robot):
 
 
 def others(path: Path) -> str:
-    """Whether Pinocchio, xacro or MuJoCo load what we refuse, in words; '' when none does."""
+    """Whether Pinocchio, xacro or MuJoCo load a file that we reject, in words; '' if none does."""
     with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
         try:
             if path.suffix == ".xml":
@@ -217,7 +217,7 @@ def others(path: Path) -> str:
 
 # ---------------------------------------------------------------------------------------------------------------- page
 def summary(rows: list[dict], targets: int) -> str:
-    """One line a source."""
+    """Summary line of a source."""
     loaded = [r for r in rows if r["loaded"]]
     full = sum(r["solved"] == targets for r in loaded)
     solved, asked = sum(r["solved"] for r in loaded), targets * len(loaded)
@@ -266,7 +266,7 @@ def page(found: dict[str, list[dict]], targets: int) -> str:
 
 
 def main() -> int:
-    """Walk, solve, write; exit code 1 when something is refused that others load."""
+    """Load, solve and write; exit code 1 if a file is rejected that others load."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("where", nargs="+")
     parser.add_argument("--targets", type=int, default=100)

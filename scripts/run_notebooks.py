@@ -1,10 +1,10 @@
-"""Execute the notebooks and keep their outputs small: plots and text stay, 3-D scenes become pictures, pictures get a palette.
+"""Execute the notebooks and keep their outputs small: plots and text stay, 3-D scenes become pictures with a palette.
 
     python scripts/run_notebooks.py [NAME ...]      execute, strip, write back
     python scripts/run_notebooks.py --strip         only strip what is there
 
 A scene is an HTML page of some 300 kB that code-hosting sites do not show anyway; it comes back when the cell is run. Its picture
-is taken in headless Chromium, as those of scripts/make_pictures.py.
+is captured in headless Chromium, as in scripts/make_pictures.py.
 """
 
 import argparse
@@ -26,7 +26,7 @@ SCENE = (760, 456)  # pixels of a scene's picture
 
 
 def strip(notebook: nbformat.NotebookNode) -> None:
-    """Put pictures in place of scenes, drop times and widget state; number the cells from 1."""
+    """Replace scenes by pictures, drop times and widget state; number the cells from 1."""
     notebook.metadata = {
         key: notebook.metadata[key] for key in ("kernelspec", "language_info") if key in notebook.metadata
     }
@@ -42,7 +42,7 @@ def strip(notebook: nbformat.NotebookNode) -> None:
 
 
 def small(output: nbformat.NotebookNode) -> nbformat.NotebookNode | None:
-    """Return the output with a picture in place of its scene, or None when nothing is left or it went to stderr."""
+    """Return the output with a picture in place of its scene, or None if nothing is left or it went to stderr."""
     if output.output_type == "stream" and output.name == "stderr":
         return None
     if output.output_type not in ("display_data", "execute_result"):
@@ -72,7 +72,7 @@ def picture(page: str) -> str:
 
 
 def with_palette(png: str) -> str:
-    """Write a base64 picture again with COLOURS colours: a third of the size for a chart."""
+    """Reduce a base64 picture to COLOURS colours: a third of the size for a chart."""
     packed = io.BytesIO()
     picture = Image.open(io.BytesIO(base64.b64decode(png))).convert("RGB")
     palette = palette_of([picture], COLOURS)

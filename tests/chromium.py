@@ -1,4 +1,4 @@
-"""A real browser for tests: Playwright driving Chromium. What uses it is skipped where either is missing."""
+"""A real browser for tests: Playwright driving Chromium. Tests that use it are skipped if either is missing."""
 
 import contextlib
 import os

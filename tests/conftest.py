@@ -1,4 +1,4 @@
-"""Settings all tests share: generated cases are the same in every run, and no test is judged by its time."""
+"""Shared test settings: generated cases are the same in every run, and no test depends on its run time."""
 
 import os
 

@@ -1,4 +1,4 @@
-"""Folders and data the tests read, so that a test may move without counting its parents."""
+"""Folders and data that tests read, so that tests can be moved without adjusting relative paths."""
 
 import json
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""A robot whose names are what a page must not take for anything but text."""
+"""A robot with names that a page must treat as text only."""
 
 import html
 

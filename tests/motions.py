@@ -1,4 +1,4 @@
-"""Followed paths the tests share, made without the search for them."""
+"""Path results shared by tests, made without a search."""
 
 import numpy as np
 

@@ -1,4 +1,4 @@
-"""A moving target, and an arm with every kind of joint, that the tracking tests share."""
+"""A moving target and an arm with every kind of joint, shared by the tracking tests."""
 
 import numpy as np
 import pinocchio as pin

@@ -265,7 +265,7 @@ class Case(NamedTuple):
 
 
 def _near(rng, literal):
-    """A literal as it stands, or off by 1e-12 to 1e-5."""
+    """A literal unchanged, or changed by 1e-12 to 1e-5."""
     if rng.random() < 0.7:
         return literal
     return repr(float(literal) + float(rng.choice([-1.0, 1.0]) * 10.0 ** rng.uniform(-12.0, -5.0)))

@@ -1,4 +1,4 @@
-"""What the tests of closed forms share: serial chains written as URDF, and how far solutions are apart."""
+"""Shared by the closed-form tests: serial chains as URDF text, and distances between solutions."""
 
 import math
 

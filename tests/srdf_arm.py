@@ -1,4 +1,4 @@
-"""An arm of balls, an SRDF of it, and another arm whose balls touch always, sometimes and never."""
+"""An arm made of spheres, its SRDF, and another arm whose spheres touch always, sometimes and never."""
 
 from robots import urdf
 

@@ -1,10 +1,10 @@
-"""Two versions of the package in alternate rounds, each in a process and with a cache of its own: CPU time, and what compiles.
+"""Compare two versions of the package in alternating rounds, each in its own process with its own cache: CPU and compile time.
 
 python scripts/benchmarks/against.py OLD_CHECKOUT --compile 3 -o docs/data/benchmark_against.json
 
-Only ratios count: one of the two measures while the other waits. Successes and iterations of both stand beside them. With
+Only ratios are meaningful: one version measures while the other waits. Successes and iterations of both are listed, too. With
 --compile N also the CPU time of first calls, each N times in a fresh process with an empty cache. About two minutes for the
-rounds, two for each N, on a machine that does nothing else.
+rounds, two for each N, on an idle machine.
 """
 
 import argparse
@@ -25,14 +25,14 @@ HERE = Path(__file__).resolve().parents[2]
 RULES = ("lm", "dls", "pinv", "transpose", "ccd", "pid", "state-space")
 ITEMS = (*RULES, "lanes", "python", "python tree", "track aad", "track dls")
 COUNTS = {"lm": 1500, "lanes": 1500, "python": 1500, "dls": 200, "pinv": 60, "transpose": 60, "ccd": 60, "pid": 60}
-FIRST = {  # what compiles in the last of these items, after the others
+FIRST = {  # compilation measured for the last of these items, after the others
     "LM": ("lm",), "several tips": ("python tree",), "a second rule (DLS)": ("lm", "dls"), "lanes": ("lm", "lanes"),
     "several tips after LM": ("lm", "python tree"),
 }  # fmt: skip
 
 
 def make_item(name: str, robot_name: str):
-    """Work of an item, and successes and iterations a solve when it has run."""
+    """Function to time for an item, and its successes and iterations per solve afterwards."""
     import numpy as np
 
     import ik_toolkit as ik
@@ -87,7 +87,7 @@ def _of(results: list) -> tuple[float, float]:
 
 
 def worker(names: list[str], robot: str) -> None:
-    """Answer 'ready' with what the first calls cost and gave, 'go' with microseconds a piece for each item."""
+    """Answer 'ready' with the cost and results of the first calls, 'go' with microseconds per solve for each item."""
     works, first = {}, {}
     for name in names:
         work, count, gave = make_item(name, robot)
@@ -130,7 +130,7 @@ def end(process: subprocess.Popen) -> None:
 
 
 def interval(values: list[float]) -> tuple[float, float]:
-    """95 % interval of the median by order statistics: so many of n fair coins show heads."""
+    """95 % interval of the median by order statistics (binomial distribution)."""
     n, k, below = len(values), 0, 0.0
     while below + comb(n, k) / 2**n <= 0.025:
         below += comb(n, k) / 2**n

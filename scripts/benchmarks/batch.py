@@ -1,9 +1,9 @@
-"""Batch solves: targets a second against the number of targets and threads, and peak memory beyond input and output.
+"""Batch solves: targets per second against the number of targets and threads, and peak memory beyond input and output.
 
 python scripts/benchmarks/batch.py
 
-Every size runs in a process of its own, so that the peak memory is its own: the growth of the process's peak resident
-size over the solve, less what the answers take.
+Every size runs in its own process, so that the peak memory is its own: the growth of the peak resident size during the solve,
+less the size of the answers.
 """
 
 import json
@@ -26,7 +26,7 @@ def peak() -> int:
 
 
 def measure(name: str, count: int, threads: int, runs: int, seed: int) -> dict[str, Any]:
-    """Solve `count` targets `runs` times; the median time counts."""
+    """Solve `count` targets `runs` times and report the median time."""
     robot = ik.Robot.load(name)
     T = common.random_targets(robot, count, np.random.default_rng(seed))[1]
     ik.solve_batch(robot, T[:64], threads=threads)
@@ -54,7 +54,7 @@ def main() -> None:
     parser.add_argument("--robots", nargs="+", default=("panda", "ur5"))
     parser.add_argument("--sizes", nargs="+", type=int, default=(100, 1000, 10_000, 100_000, 1_000_000))
     parser.add_argument("--threads", nargs="+", type=int, default=sorted({1, os.cpu_count() or 1}))
-    parser.add_argument("--runs", type=int, default=5, help="runs of a size (one from 1,000,000 on)")
+    parser.add_argument("--runs", type=int, default=5, help="runs per size (one from 1,000,000 targets on)")
     parser.add_argument("--one", metavar="JSON", help="(internal) measure one size in this process")
     given = parser.parse_args()
     if given.one:

@@ -1,4 +1,4 @@
-"""Time of the closed forms: in the compiled kernel, and through the public calls beside `lm`. Medians of interleaved runs.
+"""Time of the closed forms: in the compiled kernel, and through the public calls next to `lm`. Medians of interleaved runs.
 
 python scripts/benchmarks/closed_form.py [-o closed_form.json]
 """
@@ -21,7 +21,7 @@ CALLS = 300
 
 
 def medians(works: dict[str, tuple[Callable[[], object], int]], runs: int = 15) -> dict[str, float]:
-    """Median microseconds per solve of each (work, solves), one run of every work after the other."""
+    """Median microseconds per solve of each (function, number of solves), with interleaved runs."""
     times: dict[str, list[float]] = {name: [] for name in works}
     for work, _ in works.values():
         work()

@@ -1,4 +1,4 @@
-"""What the benchmark commands share: the robots, targets, summaries of times, the machine, and the files written."""
+"""Shared parts of the benchmark commands: robots, targets, summaries of times, the machine, and output files."""
 
 import argparse
 import importlib.metadata
@@ -21,7 +21,7 @@ NEAR = 0.1  # rad (m), largest distance of a near start from a solution, each jo
 
 
 def parser(description: str, output: str) -> argparse.ArgumentParser:
-    """Command line with the options that all commands have."""
+    """Command line parser with the options common to all commands."""
     made = argparse.ArgumentParser(description=description, formatter_class=argparse.RawDescriptionHelpFormatter)
     made.add_argument("-o", "--output", type=Path, default=Path(output), help=f"JSON to write (default {output})")
     made.add_argument("--seed", type=int, default=0, help="seed of the targets and starts")
@@ -29,7 +29,7 @@ def parser(description: str, output: str) -> argparse.ArgumentParser:
 
 
 def machine() -> dict[str, Any]:
-    """Processor, cores and versions, nothing that names the machine."""
+    """Processor, cores and versions, without anything that identifies the machine."""
     cpu = platform.machine()
     if Path("/proc/cpuinfo").exists():
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
@@ -47,12 +47,12 @@ def machine() -> dict[str, Any]:
 
 
 def load_average() -> float:
-    """Processes that wanted the processor over the last minute: above 1, the times are of a shared machine."""
+    """Load average over the last minute: above 1, the machine was shared."""
     return round(os.getloadavg()[0], 2)
 
 
 def one_thread() -> None:
-    """Keep the numerical libraries of this process and its children to one thread (before they are imported)."""
+    """Limit the numerical libraries of this process and its children to one thread (call before importing them)."""
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "RAYON_NUM_THREADS"):
         os.environ[name] = "1"
 
@@ -64,7 +64,7 @@ def microseconds(seconds: np.ndarray) -> dict[str, float]:
 
 
 def rate(solved: int, count: int) -> dict[str, Any]:
-    """How many of how many, with the 95 % Wilson interval."""
+    """Counts of successes and targets, with the 95 % Wilson interval."""
     low, high = wilson(solved, count)
     return {"solved": int(solved), "targets": int(count), "low": low, "high": high}
 
@@ -83,7 +83,7 @@ def short(value: float) -> str:
 
 
 def table(head: list[str], rows: list[list[Any]]) -> str:
-    """Markdown table; the first column to the left, the others to the right."""
+    """Markdown table; the first column left-aligned, the others right-aligned."""
     lines = ["| " + " | ".join(head) + " |", "|" + "---|" + "---:|" * (len(head) - 1)]
     return "\n".join([*lines, *("| " + " | ".join(map(str, row)) + " |" for row in rows)])
 
@@ -94,7 +94,7 @@ def write(output: Path, payload: dict[str, Any], *tables: str) -> None:
 
 
 def keep(output: Path, payload: dict[str, Any], *tables: str) -> str:
-    """Write the JSON, the tables as Markdown in it; returns the tables."""
+    """Write the JSON with the tables as Markdown in it; returns the tables."""
     words = [
         Path(word).name if Path(word).is_absolute() else word for word in sys.argv[1:]
     ]  # no folders of this machine
@@ -110,10 +110,10 @@ def keep(output: Path, payload: dict[str, Any], *tables: str) -> str:
 
 # ------------------------------------------------------------------------------------------------------------- robots
 def serial_urdf(robot: Robot) -> str:
-    """URDF of the path base -> tip only, without shapes: what every peer can read.
+    """URDF of the path base -> tip only, without shapes, so that every peer can read it.
 
-    Links get a mass of 1 kg (some peers refuse none) and continuous joints become revolute within two turns either way
-    (some peers know no others).
+    Links get a mass of 1 kg (some peers reject massless links) and continuous joints become revolute within two turns either
+    way (some peers do not support continuous joints).
     """
     root = ET.fromstring(robot.urdf or "")
     parents = {j.find("child").get("link"): j for j in root.findall("joint")}  # type: ignore[union-attr]
@@ -129,7 +129,7 @@ def serial_urdf(robot: Robot) -> str:
         ET.SubElement(inertial, "inertia", ixx="1", iyy="1", izz="1", ixy="0", ixz="0", iyz="0")
     for joint in reversed(joints):
         name = str(joint.get("name"))
-        if name in links:  # some peers look a frame up by its name alone
+        if name in links:  # some peers look up a frame by its name only
             name += "_joint"
         copy = ET.SubElement(made, "joint", name=name, type=str(joint.get("type")))
         fixed = joint.get("type") == "fixed"
@@ -147,6 +147,6 @@ def serial_urdf(robot: Robot) -> str:
 
 
 def random_targets(robot: Robot, count: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    """Configurations (N, n) inside the limits and their poses (N, 4, 4): targets that can be reached."""
+    """Configurations (N, n) inside the limits and their poses (N, 4, 4): reachable targets."""
     Q = np.array([robot.random_q(rng) for _ in range(count)])
     return Q, robot.chain.forward(Q)[0]

@@ -1,9 +1,9 @@
-"""Cost against the number of joints, 3 to 40: generated chains of revolute joints.
+"""Cost against the number of joints, from 3 to 40: generated chains of revolute joints.
 
 python scripts/benchmarks/joints.py
 
-A chain of n joints has links of 1/n m and axes that alternate between z, y and x; arms of fewer than six joints are asked
-for positions, the others for poses.
+A chain of n joints has links of 1/n m and axes that alternate between z, y and x; arms with fewer than six joints get
+positions as targets, the others poses.
 """
 
 import common
@@ -62,7 +62,7 @@ def measure(n: int, count: int, seed: int) -> dict[str, Any]:
 def main() -> None:
     parser = common.parser(__doc__, "benchmark_joints.json")
     parser.add_argument("--joints", nargs="+", type=int, default=(3, 4, 5, 6, 7, 8, 10, 12, 16, 20, 25, 30, 35, 40))
-    parser.add_argument("--targets", type=int, default=1000, help="targets a chain")
+    parser.add_argument("--targets", type=int, default=1000, help="targets per chain")
     given = parser.parse_args()
     before = common.load_average()
     rows = [measure(n, given.targets, given.seed) for n in given.joints]

@@ -1,4 +1,4 @@
-"""Cost of the building blocks: forward kinematics, Jacobian, one iteration; the compiled kernel beside Pinocchio.
+"""Cost of the building blocks (forward kinematics, Jacobian, one iteration): the compiled kernel and Pinocchio.
 
 python scripts/benchmarks/kernel.py              (two versions against each other: against.py)
 """
@@ -23,7 +23,7 @@ UNREACHABLE = "`ik.solve` from Python: a target proven out of reach"
 
 
 def works(name: str, count: int, rng: np.random.Generator) -> dict[str, tuple[Callable[[], object], float]]:
-    """Row -> (work, how many it does)."""
+    """Row -> (function to time, number of repetitions in it)."""
     robot = ik.Robot.load(name)
     robot = ik.Robot.load(common.serial_urdf(robot), base=robot.base, tip=robot.tip)
     Q, T = common.random_targets(robot, count, rng)
@@ -94,8 +94,8 @@ def works(name: str, count: int, rng: np.random.Generator) -> dict[str, tuple[Ca
 def main() -> None:
     parser = common.parser(__doc__, "benchmark_kernel.json")
     parser.add_argument("--robots", nargs="+", default=common.ROBOTS)
-    parser.add_argument("--count", type=int, default=2000, help="configurations a run")
-    parser.add_argument("--runs", type=int, default=15, help="runs, of which the median counts")
+    parser.add_argument("--count", type=int, default=2000, help="configurations per run")
+    parser.add_argument("--runs", type=int, default=15, help="runs; the median is reported")
     given = parser.parse_args()
     before = common.load_average()
     medians: dict[str, dict[str, float]] = {}

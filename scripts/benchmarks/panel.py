@@ -1,6 +1,6 @@
-"""How fast the panel follows a dragged target: solve and redraw, and the whole way until the page has the new picture.
+"""Latency of the panel while a target is dragged: solve and redraw, and the total time until the page has the new picture.
 
-Run: python scripts/benchmarks/panel.py [ROBOT ...]   (needs the extra panel; the page is played by this program)
+Run: python scripts/benchmarks/panel.py [ROBOT ...]   (needs the extra panel; this program acts as the page)
 """
 
 import contextlib
@@ -21,21 +21,21 @@ LENS = {"fov": 1.0, "near": 0.01, "far": 100.0, "image_height": 600, "image_widt
 
 
 def answered(frame: bytes) -> bool:
-    """Whether a frame of the server (two sizes, a packed text, arrays) moves the tip or says why it cannot."""
+    """Whether a frame from the server (two sizes, a packed text, arrays) moves the tip or says why it cannot."""
     size = int.from_bytes(frame[8:16], "little")
     text = zstandard.ZstdDecompressor().decompress(frame[16 : 16 + size])
     return b"/tip" in text or b"stays where it was" in text
 
 
 def drain(page: websockets.sync.client.ClientConnection, patience: float) -> None:
-    """Take what is on its way, until nothing comes for so many seconds."""
+    """Read pending messages until none arrives for `patience` seconds."""
     with contextlib.suppress(TimeoutError):
         while True:
             page.recv(timeout=patience)
 
 
 def drag(robot: str) -> tuple[np.ndarray, np.ndarray]:
-    """Milliseconds of solve and redraw, and until the page has it, of each step of a drag around the tip."""
+    """Milliseconds for solve and redraw, and until the page has the result, of each step of a drag around the tip."""
     with contextlib.closing(Panel(robot)) as panel:
         address = panel.url.replace("http", "ws", 1)
         with websockets.sync.client.connect(

@@ -1,10 +1,10 @@
-"""Whole paths: problems of CppFlow and like those of TORM, a pipe, two arms, true minima, memory, cost against length.
+"""Whole paths: problems from CppFlow and in the style of TORM, a pipe, two arms, true minima, memory, cost against length.
 
 python scripts/benchmarks/path.py
 
-Valid is judged here, by Pinocchio and coal, as CppFlow does: every pose within 0.1 mm and 0.1 deg, steps of 7 deg and 2 cm at
-most, limits, no contact at the poses and at three places between two of them. Times begin with robot, collision model and
-kernels loaded and end with the result, its own check and proof of continuity included.
+Validity is checked here, by Pinocchio and coal, as in CppFlow: every pose within 0.1 mm and 0.1 deg, steps of at most 7 deg and
+2 cm, limits, no contact at the poses and at three places between neighbours. Times start with robot, collision model and kernels
+loaded and include the result's own checks and proof of continuity.
 """
 
 import functools
@@ -28,7 +28,7 @@ BETWEEN = 3
 
 
 def off(robot: Any, q: np.ndarray, T: np.ndarray, axis: np.ndarray | None) -> tuple[float, float]:
-    """How far the worst tip is from its pose at q (n,) [m] and [rad]; with a free turn its axis from that of the pose."""
+    """Errors [m] and [rad] of the worst tip at q (n,); with a free turn, the angle between its axis and that of the pose."""
     if robot.by_tip:
         return tuple(np.max(robot.errors(q, T), axis=0))
     if axis is None:
@@ -39,7 +39,7 @@ def off(robot: Any, q: np.ndarray, T: np.ndarray, axis: np.ndarray | None) -> tu
 
 
 def faults(given: Problem, q: np.ndarray) -> list[str]:
-    """What is wrong with a path q (N, n)."""
+    """Faults of a path q (N, n)."""
     robot, model = given.robot, given.model
     if not np.isfinite(q).all():
         return ["rows without numbers"]
@@ -59,7 +59,7 @@ def faults(given: Problem, q: np.ndarray) -> list[str]:
 
 
 def solve_problem(name: str, seeds: int) -> dict[str, Any]:
-    """A problem with every seed; the first call, which loads kernels, is apart."""
+    """Solve a problem with every seed; the first call, which loads kernels, is reported separately."""
     one = problem(name)
     call = functools.partial(ik.solve_path, one.robot, one.T, **one.options)
     began = perf_counter()
@@ -85,7 +85,7 @@ def solve_problem(name: str, seeds: int) -> dict[str, Any]:
 
 
 def size(count: int) -> dict[str, Any]:
-    """Time and peak memory of a path of so many poses: panda 1cube, drawn out, without obstacles and with."""
+    """Time and peak memory of a path of `count` poses: panda 1cube, stretched, without and with obstacles."""
     given = problem("panda__1cube")
     robot, T, model = given.robot, given.T, given.model
     ik.solve_path(robot, T[:20], avoid_collisions=model)
@@ -107,7 +107,7 @@ def main() -> None:
     parser.add_argument("--problems", nargs="*", default=names(), help="of: " + "; ".join(names()))
     parser.add_argument("--seeds", type=int, default=10)
     parser.add_argument("--sizes", nargs="*", type=int, default=[100, 1000, 10_000])
-    parser.add_argument("--paths", type=int, default=100, help="random paths of which the true minimum is enumerated")
+    parser.add_argument("--paths", type=int, default=100, help="random paths whose true minimum is enumerated")
     parser.add_argument("--one", type=int, metavar="POSES", help="(internal) measure one size in this process")
     given = parser.parse_args()
     if given.one:

@@ -1,7 +1,7 @@
-"""The problems of path.py: three of CppFlow's as they are given, figures drawn for the Fetch arm, a cut along a pipe, two arms.
+"""The problems of path.py: three from CppFlow, figures drawn for the Fetch arm, a cut along a pipe, two arms.
 
-The figures stand in for those of TORM whose files are not here: circle, s, square, "hello" and rotations in place, drawn in a size
-and a place of our own. Their lengths are not to be compared with TORM's.
+The figures replace those of TORM, whose files are not available here: circle, s, square, "hello" and rotations in place, with our
+own size and position. Their lengths cannot be compared with TORM's.
 """
 
 import json
@@ -15,14 +15,14 @@ import ik_toolkit as ik
 
 DATA = Path(__file__).parent / "data"
 KNOWN = {"panda__1cube": 8.49, "panda__2cubes": 12.63}  # rad: TORM's lengths
-STEP, DEGREES = 0.008, 1.7  # m, deg from pose to pose of what is drawn here, as in the problems given
-PLACE = (0.73, -0.05, 0.8)  # m, centre of the figures of the Fetch arm: within reach on all sides
-HANDS = (0.1, 0.05, 0.03)  # m, how far each hand of the two arms goes along x, y and z; they reach little farther
+STEP, DEGREES = 0.008, 1.7  # m, deg from pose to pose in our figures, as in the given problems
+PLACE = (0.73, -0.05, 0.8)  # m, centre of the figures for the Fetch arm: reachable on all sides
+HANDS = (0.1, 0.05, 0.03)  # m, amplitude of each hand of the two arms along x, y and z; they reach little farther
 
 
 @dataclass
 class Problem:
-    """Robot or Tree, poses (N, 4, 4) or (N, F, 4, 4), collision model and options; axis (3,): of the tip, free to turn about."""
+    """Robot or Tree, poses (N, 4, 4) or (N, F, 4, 4), collision model and options; axis (3,): tip axis of a free rotation."""
 
     robot: Any
     T: np.ndarray
@@ -38,7 +38,7 @@ def problem(name: str) -> Problem:
 
 
 def names() -> list[str]:
-    """All of them."""
+    """Names of all problems."""
     return [*json.loads((DATA / "path_problems.json").read_text(encoding="utf-8"))["problems"], *MADE]
 
 
@@ -55,7 +55,7 @@ def given(name: str) -> Problem:
 
 
 def fetch_arm() -> ik.Robot:
-    """The Fetch arm of the problems, its torso held."""
+    """The Fetch arm of the problems, with its torso locked."""
     return ik.Robot.load(DATA / "fetch.urdf", base="base_link", tip="gripper_link", locked={"torso_lift_joint": 0.0})
 
 
@@ -73,7 +73,7 @@ def hello() -> list[tuple[float, float]]:
     return [*h, *e, (2.2, 0), (2.2, 2), (2.2, 0), (2.6, 0), (2.6, 2), (2.6, 0), *arc(3.4, 0.45, 0.45, 270, -90)]
 
 
-FIGURES = {  # points (y to the right, z up), and how wide they are to be [m]
+FIGURES = {  # points (y to the right, z up), and width [m]
     "circle": (arc(0, 0, 1, 0, 360), 0.4),
     "s": ([*arc(0, 1, 1, 0, 270), *arc(0, -1, 1, 90, -180)], 0.22),
     "square": ([(-1, -1), (1, -1), (1, 1), (-1, 1), (-1, -1)], 0.35),
@@ -106,7 +106,7 @@ def rotations() -> Problem:
 
 # ------------------------------------------------------------------------------------------------------ pipe and two arms
 def pipe() -> Problem:
-    """HydroLek's saw once round a pipe of 5 cm, whose direction its axis keeps; it may turn about that."""
+    """HydroLek's saw once round a 5 cm pipe, its axis along the pipe, rotation about it free."""
     robot = ik.Robot.load("hydrolek_7w")
     centre, angle = np.array([1.01, -0.13, 0.10]), np.linspace(0.0, 2.0 * np.pi, 121)
     T = np.tile(ik.pose(xyz=centre, direction=(1, 0, 0)).T_base_tip, (len(angle), 1, 1))
@@ -118,7 +118,7 @@ def pipe() -> Problem:
 
 
 def two_arms(together: bool) -> Problem:
-    """Brokk's two HydroLeks: each hand round a loop of its own, or both round the same, as with a box between them."""
+    """Brokk's two HydroLeks: each hand on its own loop, or both on the same, as if holding a box between them."""
     robot = ik.Tree.load("brokk_hydrolek", tips=["left_tip", "right_tip"])
     start = robot.fk(robot.home)
     angle = np.linspace(0.0, 2.0 * np.pi, 151)

@@ -1,4 +1,4 @@
-"""The fewest reconfigurations of random paths, by enumeration that shares nothing with the toolkit but the robot's numbers."""
+"""The fewest reconfigurations of random paths, by an enumeration that shares only the robot's dimensions with the toolkit."""
 
 from collections.abc import Callable
 from itertools import pairwise
@@ -9,15 +9,15 @@ import numpy as np
 import ik_toolkit as ik
 
 STEP = np.radians(7.0)
-FINER = 10  # poses enumerated for each that the toolkit is given: near a fold a branch moves far from pose to pose
+FINER = 10  # poses enumerated for each pose the toolkit gets: near a fold a branch moves far from pose to pose
 GRID = np.radians(0.5)
 TURN = 2.0 * np.pi
-REACH = 2.0  # rad, how far the ends of a line lie apart in each joint: few lines between any two poses stay in reach
+REACH = 2.0  # [rad] distance of a line's ends in each joint: few lines between arbitrary poses stay in reach
 Solutions = Callable[[np.ndarray], np.ndarray]
 
 
 def fewest(layers: list[np.ndarray], step: float = STEP) -> int | None:
-    """Fewest reconfigurations through layers of solutions (K, n), moves of at most `step` a joint; None where one is empty."""
+    """Fewest reconfigurations through layers of solutions (K, n), moves of at most `step` per joint; None if a layer is empty."""
     if not all(len(layer) for layer in layers):
         return None
     counts = np.zeros(len(layers[0]), dtype=int)
@@ -33,7 +33,7 @@ def fewest(layers: list[np.ndarray], step: float = STEP) -> int | None:
 # ------------------------------------------------------------------------------------------------------------ planar 3R
 def planar(robot: Any) -> tuple[np.ndarray, Solutions, Callable[[np.ndarray], np.ndarray]]:
     """Link lengths of planar_3r, its two solutions of (x, y, angle), and the pose (4, 4) of one."""
-    p = [robot.fk(q).translation for q in np.eye(3) * np.pi]  # a joint turned by half a turn mirrors what is beyond it
+    p = [robot.fk(q).translation for q in np.eye(3) * np.pi]  # half a turn of a joint mirrors everything beyond it
     reach = robot.fk(np.zeros(3)).translation[0]
     joints = [0.5 * (reach + one[0]) for one in p]
     l1, l2, l3 = np.diff([*joints, reach])
@@ -87,7 +87,7 @@ def compare_planar_poses(paths: int, seed: int) -> dict[str, Any]:
 
 
 def compare_planar_positions(paths: int, seed: int) -> dict[str, Any]:
-    """Planar 3R with positions only: one joint is left over; the grid has one every half degree of the angle of the tip."""
+    """Planar 3R with positions only: one redundant joint; the grid has a solution every half degree of the tip angle."""
     robot = ik.Robot.load("planar_3r")
     _, solve, _ = planar(robot)
     rng = np.random.default_rng(seed)
@@ -112,13 +112,13 @@ ROWS = [(0.0, D1, HALF), (A2, 0.0, 0.0), (A3, 0.0, 0.0), (0.0, D4, HALF), (0.0, 
 
 
 def link(a: float, d: float, alpha: float, theta: float) -> np.ndarray:
-    """Denavit-Hartenberg's matrix."""
+    """Denavit-Hartenberg matrix."""
     c, s, ca, sa = np.cos(theta), np.sin(theta), np.cos(alpha), np.sin(alpha)
     return np.array([[c, -s * ca, s * sa, a * c], [s, c * ca, -c * sa, a * s], [0, sa, ca, d], [0, 0, 0, 1.0]])
 
 
 def forward(q: np.ndarray) -> np.ndarray:
-    """Pose of the flange by the table."""
+    """Pose of the flange by the D-H table."""
     T = np.eye(4)
     for row, angle in zip(ROWS, q, strict=True):
         T = T @ link(*row, angle)
@@ -126,10 +126,10 @@ def forward(q: np.ndarray) -> np.ndarray:
 
 
 def ur5(robot: Any) -> Solutions:
-    """Every solution (K, 6) of a pose inside the limits, on every turn, by the textbook's geometry."""
+    """Every solution (K, 6) of a pose inside the limits, on every turn, by textbook geometry."""
     zero = np.zeros(6)
     frames = []
-    for turn in (0.0, np.pi):  # the table's base may be turned against the robot's
+    for turn in (0.0, np.pi):  # the table's base may be rotated relative to the robot's
         base = link(0.0, 0.0, 0.0, turn)
         tool = np.linalg.inv(base @ forward(zero)) @ robot.fk(zero).homogeneous
         q = np.array([0.3, -1.0, 0.8, -0.4, 0.9, 0.2])
@@ -182,7 +182,7 @@ def turns(q: np.ndarray, robot: Any) -> np.ndarray:
 
 
 def compare_ur5(paths: int, seed: int) -> dict[str, Any]:
-    """UR5, straight lines with a turn about one axis between random poses, all branches and turns."""
+    """UR5, straight lines with a rotation about one axis between random poses, all branches and turns."""
     import pinocchio as pin
 
     robot = ik.Robot.load("ur5")
@@ -203,7 +203,7 @@ def compare_ur5(paths: int, seed: int) -> dict[str, Any]:
 
 
 def summary(pairs: list[tuple[int, int | None]]) -> dict[str, Any]:
-    """How often the toolkit's number is the enumerated one, above it (or no path at all), below it."""
+    """How often the toolkit's number equals the enumerated one, is above it (or there is no path), or below it."""
     more = sum(made is None or made > least for least, made in pairs)
     fewer = sum(made is not None and made < least for least, made in pairs)
     return {"paths": len(pairs), "equal": len(pairs) - more - fewer, "more": more, "fewer": fewer, "pairs": pairs}

@@ -15,9 +15,9 @@ WORKER = Path(__file__).with_name("worker.py")
 
 @dataclass(frozen=True)
 class Peer:
-    """A solver to compare: name, adapter in worker.py, packages to install (none: this environment), what it is.
+    """A solver to compare: name, adapter in worker.py, packages to install (none: this environment), description.
 
-    share: part of the targets it gets (slow ones are given the first few); six: for arms of six joints only; home: the peer
+    share: part of the targets it gets (slow ones get only the first few); six: for arms with six joints only; home: the peer
     whose environment it uses, if not its own.
     """
 
@@ -74,7 +74,7 @@ DISTRIBUTIONS |= {"pink": "pin-pink"}
 
 
 def python_of(peer: Peer, venvs: Path | None) -> tuple[Path, str]:
-    """Python of the peer's environment, made and filled when it does not exist; and the peer's version."""
+    """Python of the peer's environment, which is created if necessary, and the peer's version."""
     if not peer.packages:
         return Path(sys.executable), ""
     assert venvs is not None
@@ -100,7 +100,7 @@ class Process:
     """A running worker."""
 
     def __init__(self, peer: Peer, venvs: Path | None, folder: Path, worker: Path = WORKER) -> None:
-        """Start it. Its prose goes to a log file in `folder`."""
+        """Start the process. Its output goes to a log file in `folder`."""
         self.peer = peer
         self.folder = folder
         python, self.version = python_of(peer, venvs)
@@ -110,7 +110,7 @@ class Process:
             )
 
     def ask(self, message: dict[str, Any]) -> dict[str, Any]:
-        """Answer to one message. Raises RuntimeError with the worker's words."""
+        """Answer to one message. Raises RuntimeError with the worker's message."""
         assert self._process.stdin and self._process.stdout
         try:
             self._process.stdin.write(json.dumps(message) + "\n")
@@ -127,7 +127,7 @@ class Process:
         return answer
 
     def build(self, description: dict[str, Any]) -> float:
-        """Make the solver for a robot and tolerances; seconds it took. Raises RuntimeError with the peer's words."""
+        """Build the solver for a robot and tolerances; returns the seconds taken. Raises RuntimeError with the peer's message."""
         return self.ask({"do": "build", "adapter": self.peer.adapter, **description})["seconds"]
 
     def solve(self, T: np.ndarray, Q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -139,7 +139,7 @@ class Process:
             return np.array([data["seconds"], data["processor"]]), data["answers"]
 
     def close(self) -> None:
-        """End it."""
+        """End the process."""
         if self._process.stdin:
             self._process.stdin.close()
         try:

@@ -1,9 +1,9 @@
-"""Two published tables, run again as they were published: TRAC-IK's and that of the Robotics Toolbox' authors.
+"""Two published tables, rerun as published: those of TRAC-IK and of the Robotics Toolbox authors.
 
 python scripts/benchmarks/published.py --venvs ~/.cache/ik_toolkit_peers -o docs/data/benchmark_published.json
 
-The published figures below were read at the addresses in SOURCES. Beside them stand ours and, where --venvs is given, those of
-the same solvers on this machine, on the same targets. Every answer is checked here by Pinocchio.
+The published figures below come from the addresses in SOURCES. They are listed next to ours and, with --venvs, to those of the
+same solvers on this machine, on the same targets. Every answer is checked here by Pinocchio.
 """
 
 import sys
@@ -40,7 +40,7 @@ CHAINS = {
     "PR2 arm": ("pr2", "torso_lift_link", "r_wrist_roll_link", 99.95, 0.38),
     "KUKA LBR iiwa 14 R820": (IIWA, "base_link", "tool0", 99.84, 0.31),
 }
-LIMIT, EACH = 5e-3, 1e-5  # s a solve; m and rad an axis
+LIMIT, EACH = 5e-3, 1e-5  # [s] per solve; [m] and [rad] per axis
 # the notebook's fastest row and its plainest: method, mean iterations, infeasible, mean searches, mean time [us]
 NOTEBOOK = (
     ("LM Chan 0.1", 15.41, 0, 1.21, 39.03),
@@ -48,7 +48,7 @@ NOTEBOOK = (
     ("Newton-Raphson", 29.59, 0, 1.48, 57.01),
 )
 ENERGY = 1e-6  # half the squared error [m, rad] that the notebook accepts
-WARM = 20  # solves before the clock counts
+WARM = 20  # untimed solves at the start
 
 
 def ours(
@@ -148,7 +148,7 @@ def notebook(count: int, seed: int, venvs: Path | None, folder: Path) -> dict[st
 
 
 def summary(robot: ik.Robot, T: np.ndarray, answers: np.ndarray, seconds: np.ndarray) -> dict[str, Any]:
-    """How many answers the notebook would accept, and the mean time [us]."""
+    """Number of answers the notebook would accept, and the mean time [us]."""
     off = np.array(
         [
             robot.errors(q, pose) if np.isfinite(q).all() else (np.inf, np.inf)

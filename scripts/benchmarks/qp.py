@@ -1,4 +1,4 @@
-"""Cost of the constrained step alone, by joints and by how much binds: median, p99 and worst, in microseconds.
+"""Cost of the constrained step alone, by number of joints and active constraints: median, p99 and worst, in microseconds.
 
 python scripts/benchmarks/qp.py [-o qp.json]
 """
@@ -18,10 +18,10 @@ from ik_toolkit.kernel.constrain import DIRECT, LEAVE, SLOW, constrain, make_roo
 from ik_toolkit.kernel.jit import cached  # noqa: E402
 
 ROWS = 12
-SAMPLES = 40  # problems in a row, each a little off the one before, as a run's steps are
-INNER = 50  # steps in one timing: a call from Python costs some microseconds
-REPEATS = 15  # the least of these is a step's own time: what else the machine does only adds
-# By which share of what the task needs the joints' speeds fall short, and half-planes in the way.
+SAMPLES = 40  # consecutive problems, each slightly different from the previous one, as in a run
+INNER = 50  # steps per timing: a call from Python costs some microseconds
+REPEATS = 15  # the minimum of these is a step's own time: background load only adds
+# Mode, speed limits over what the task needs (0: the wanted motion fits), `singular` of the step, number of half-planes.
 CASES = {
     "x_want fits": (LEAVE, 0.0, 0.0, 0),
     "nothing binds": (LEAVE, 10.0, 0.0, 0),
@@ -37,7 +37,7 @@ CASES = {
 
 @cached
 def run(J, v, want, low, high, A, b, count, mode, singular, repeats, active, kept):
-    """Steps of a run, `repeats` times from the same start, and the sum of their clock rates."""
+    """Run the steps `repeats` times from the same start; returns the sum of their clock rates."""
     n, m = J.shape[1], J.shape[2]
     room = make_room(n, m, A.shape[0])
     weight, scale, back = np.ones(m), np.ones(n), np.zeros(m)
@@ -57,7 +57,7 @@ def run(J, v, want, low, high, A, b, count, mode, singular, repeats, active, kep
 
 
 def measure(n: int, case: tuple, runs: int, rng: np.random.Generator) -> np.ndarray:
-    """Microseconds of each step, the least of REPEATS."""
+    """Microseconds of each step, the minimum of REPEATS."""
     mode, tight, singular, count = case
     times = []
     for _ in range(runs):

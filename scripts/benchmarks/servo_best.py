@@ -1,16 +1,15 @@
-"""The best achievable: at every sample the configuration closest to the target that continues from the sample before.
+"""The best achievable motion: at every sample, the configuration closest to the target that continues from the previous one.
 
 Independent of the methods judged: a Levenberg-Marquardt search in numpy on Pinocchio-checked kinematics, inside the joint
-limits, with no limit of speed. The error is |W e|, e = distance [m] and rotation vector [rad] of all tips, one radian counted
-as RADIUS metres.
+limits. The error is |W e|, e = distance [m] and rotation vector [rad] of all tips, one radian counted as RADIUS metres.
 """
 
 import numpy as np
 
 RADIUS = 0.2  # m
-ITERATIONS = 40  # at the edge of reach the search converges linearly; the next sample goes on from here
-GAIN = 1e-9  # share of the squared error below which an iteration gains nothing worth having
-SMALL = 1e-10  # m (rad): a step, or an error, that ends the search
+ITERATIONS = 40  # at the edge of reach the search converges linearly; the next sample continues from there
+GAIN = 1e-9  # relative decrease of the squared error that counts as no progress
+SMALL = 1e-10  # [m (rad)] step or error that ends the search
 BENT = (
     0.05  # share of the way back to the last configuration that reached, tried where the arm may be stuck stretched out
 )
@@ -22,12 +21,12 @@ def as_tips(T: np.ndarray) -> np.ndarray:
 
 
 def rotation_vectors(R: np.ndarray) -> np.ndarray:
-    """Rotation vectors (..., 3) of rotations (..., 3, 3), also near half a turn."""
+    """Rotation vectors (..., 3) of rotations (..., 3, 3), accurate also near half a turn."""
     s = 0.5 * np.stack([R[..., 2, 1] - R[..., 1, 2], R[..., 0, 2] - R[..., 2, 0], R[..., 1, 0] - R[..., 0, 1]], axis=-1)
     sine = np.linalg.norm(s, axis=-1)
     angle = np.arctan2(sine, 0.5 * (np.trace(R, axis1=-2, axis2=-1) - 1.0))
     out = s * np.where(sine > 1e-9, angle / np.maximum(sine, 1e-9), 1.0)[..., None]
-    for i in np.argwhere((sine < 1e-6) & (angle > 1.0)):  # the axis is the eigenvector of the eigenvalue 1
+    for i in np.argwhere((sine < 1e-6) & (angle > 1.0)):  # the axis is the eigenvector for eigenvalue 1
         k = tuple(i)
         values, vectors = np.linalg.eigh(0.5 * (R[k] + R[k].T))
         out[k] = vectors[:, int(np.argmax(values))] * angle[k]
@@ -54,7 +53,7 @@ def linearised(robot, q: np.ndarray, target: np.ndarray) -> tuple[np.ndarray, np
 
 
 def closest(robot, q: np.ndarray, target: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> tuple[np.ndarray, float]:
-    """Configuration near q (n,) with the least error to target (F, 4, 4) inside the limits, and that error [m]."""
+    """Configuration near q (n,) inside the limits with the smallest error to target (F, 4, 4), and that error [m]."""
     e, J = linearised(robot, q, target)
     cost, damping = e @ e, 1e-6
     for _ in range(ITERATIONS):
@@ -67,7 +66,7 @@ def closest(robot, q: np.ndarray, target: np.ndarray, lower: np.ndarray, upper: 
             break
         step = np.zeros(len(q))
         step[free] = K.T @ np.linalg.solve(K @ K.T + damping * np.eye(len(e)), e)
-        step *= 0.3 / max(0.3, np.abs(step).max())  # the neighbourhood: a continuation does not leap
+        step *= 0.3 / max(0.3, np.abs(step).max())  # stay near: a continuation does not jump
         new = np.clip(q + step, lower, upper)
         moved = np.abs(new - q).max()
         tried, K = linearised(robot, new, target)
@@ -87,7 +86,7 @@ def closest(robot, q: np.ndarray, target: np.ndarray, lower: np.ndarray, upper: 
 def best(robot, targets: np.ndarray, q0: np.ndarray, lower: np.ndarray, upper: np.ndarray, move=np.inf) -> np.ndarray:
     """Best achievable configurations (N + 1, n) along targets (N, F, 4, 4), from q0 at sample 0.
 
-    move (n,): how far a joint may go in a sample.
+    move (n,): largest joint move per sample.
     """
     Q = np.empty((len(targets) + 1, len(q0)))
     Q[0] = q = reached = np.clip(q0, lower, upper)
@@ -97,7 +96,7 @@ def best(robot, targets: np.ndarray, q0: np.ndarray, lower: np.ndarray, upper: n
         if error < 1e-6:
             reached = q
         else:
-            # A straight elbow feels no pull: what bent it before may do better.
+            # A straight elbow has no gradient: its earlier bent configuration may do better.
             other, less = closest(robot, np.clip(q + BENT * (reached - q), low, high), target, low, high)
             if less < error - 1e-7:
                 q = other

@@ -1,8 +1,8 @@
-"""The scenarios of servo.py: streams of targets made from a seed, sized to each robot so that they ask what they say.
+"""The scenarios of servo.py: streams of targets made from a seed, sized to each robot so that they test what they claim.
 
-A stream is independent of the method: targets (N, F, 4, 4), one a sample for each of F tips, to be reached at the end of the
-sample. Sizes shrink until the best achievable reaches every pose (where that is the point), and speeds are set as a share of
-the joint limits along the best achievable motion.
+A stream is independent of the method: targets (N, F, 4, 4), one per sample for each of F tips, to be reached at the end of the
+sample. Sizes shrink until the best achievable motion reaches every pose (where that is intended), and speeds are set as a share
+of the joint limits along that motion.
 """
 
 from collections.abc import Callable
@@ -19,16 +19,16 @@ from ik_toolkit.tracking.reference import exp
 DT = 0.01  # s
 BRAKING = 5.0  # 1/s; acceleration limit over speed limit: full speed in 0.2 s, as on common arms
 SPEED = 1.5  # rad/s (m/s) for a joint without a limit
-STAND = 2.0  # s the target stands still at the end, for those that have to come back
+STAND = 2.0  # [s] the target rests at the end, so that a method can return to it
 
 
 @dataclass
 class Scenario:
-    """A stream of targets and what goes with it.
+    """A stream of targets and its conditions.
 
-    expected: OK (follows as well as can be), LIMITED (reach or a joint ends it for a while), BLOCKED (an obstacle does).
-    events: samples from which the way back inside 1 mm is timed. slow: band-limited below 2 Hz, so that chatter is judged.
-    compared: whether the error is held against the best achievable.
+    expected: OK (can be followed), LIMITED (reach or a joint interrupts it for a while), BLOCKED (an obstacle does). events:
+    samples from which the return to within 1 mm is timed. slow: band-limited below 2 Hz, so that chatter is judged. compared:
+    whether the error is compared with the best achievable.
     """
 
     name: str
@@ -62,7 +62,7 @@ class Scenario:
 
 
 def usual(robot) -> np.ndarray:
-    """Speed limits, with a number where there is none."""
+    """Speed limits, with a default for joints without one."""
     v = np.asarray(robot.velocity_limits, dtype=float)
     return np.where((v > 0.0) & np.isfinite(v), v, SPEED)
 
@@ -73,7 +73,7 @@ def tip_poses(robot, q: np.ndarray) -> np.ndarray:
 
 
 def inner(robot, share: float = 0.15) -> tuple[np.ndarray, np.ndarray]:
-    """Limits (n,) moved inwards by a share of the range; a joint without limits keeps a turn."""
+    """Limits (n,) moved inwards by a share of the range; one turn for a joint without limits."""
     low, high = np.maximum(robot.lower, -np.pi), np.minimum(robot.upper, np.pi)
     return low + share * (high - low), high - share * (high - low)
 
@@ -91,7 +91,7 @@ def comfortable(robot, rng: np.random.Generator) -> np.ndarray:
 
 
 def elbow_height(robot, q: np.ndarray) -> float:
-    """Height [m] of the middle of the (first) arm over the line from its first joint to its tip."""
+    """Height [m] of the middle of the (first) arm above the line from its first joint to its tip."""
     arm, place = robot.arms[0], robot.places[0]
     data = arm.data
     pin.forwardKinematics(arm.model, data, arm._fill(arm.rest.copy(), q[place]))
@@ -106,7 +106,7 @@ Path = Callable[[np.ndarray], np.ndarray]  # phase (N,) -> poses (N, F, 4, 4)
 
 
 def eight(robot, q0: np.ndarray, size: float, tips: int | None = None) -> Path:
-    """Figure of eight upright across the arm, with a turn of the tool; the tips of a tree go opposite ways."""
+    """Vertical figure of eight across the arm, with a rotation of the tool; the tips of a tree move in opposite directions."""
     T0 = tip_poses(robot, q0)
 
     def path(phase: np.ndarray) -> np.ndarray:
@@ -123,7 +123,7 @@ def eight(robot, q0: np.ndarray, size: float, tips: int | None = None) -> Path:
 
 
 def fitted(robot, q0: np.ndarray, make: Callable[[float], Path], size: float) -> tuple[Path, np.ndarray]:
-    """Path of the largest size, from `size` down, that the best achievable follows; and its motion (N, n) over one lap."""
+    """Largest path, from `size` down, that the best achievable motion follows, and that motion (N, n) over one lap."""
     phase = np.linspace(0.0, 2.0 * np.pi, 361)
     for _ in range(12):
         path = make(size)
@@ -136,7 +136,7 @@ def fitted(robot, q0: np.ndarray, make: Callable[[float], Path], size: float) ->
 
 
 def rate_of(robot, Q: np.ndarray, h: float, share: float) -> float:
-    """Phase rate at which the motion Q, sampled every h of phase, uses a share of the speed and acceleration limits."""
+    """Phase rate at which the motion Q, sampled at phase steps h, uses a share of the speed and acceleration limits."""
     v = usual(robot)
     first = np.abs(np.diff(Q, axis=0) / h / v).max()
     second = np.abs(np.diff(Q, n=2, axis=0) / h**2 / (BRAKING * v)).max()
@@ -150,7 +150,7 @@ def ramp(x: np.ndarray) -> np.ndarray:
 
 
 def phases(rates: list[float], lap: float = 2.0 * np.pi) -> np.ndarray:
-    """Phase at each sample: one lap at each rate, from rest and back to rest, changing over a tenth of a lap."""
+    """Phase at each sample: one lap at each rate, from rest to rest, with transitions over a tenth of a lap."""
     out, phase, last = [], 0.0, 0.0
     for k, rate in enumerate(rates):
         while phase < (k + 1) * lap:
@@ -203,7 +203,7 @@ def jitter(robot, q0, rng) -> Scenario:
 
 
 def outwards(robot, q0: np.ndarray) -> tuple[np.ndarray, float, np.ndarray]:
-    """Direction from the first joint to the tip, way [m] out to the edge of reach along it, and the motion there."""
+    """Direction from the first joint to the tip, distance [m] along it to the edge of reach, and the motion there."""
     T0 = tip_poses(robot, q0)
     arm = robot.arms[0]
     data = arm.data
@@ -224,14 +224,14 @@ def outwards(robot, q0: np.ndarray) -> tuple[np.ndarray, float, np.ndarray]:
 
 
 def radial(robot, q0: np.ndarray, direction: np.ndarray, way: np.ndarray) -> np.ndarray:
-    """Targets: the first tip moved out by way (N,) [m], the others at rest."""
+    """Targets: the first tip moved outwards by way (N,) [m], the others at rest."""
     T = np.repeat(tip_poses(robot, q0)[None], len(way), axis=0)
     T[:, 0, :3, 3] += np.outer(way, direction)
     return T
 
 
 def out_and_back(robot, q0, past: float, rounds: int, hold: float) -> np.ndarray:
-    """Targets to `past` [m] beyond the edge of reach and back, at what the speed limits allow nine tenths out."""
+    """Targets to `past` [m] beyond the edge of reach and back, at 0.9 of the speed the limits allow in the first nine tenths."""
     direction, way, Q = outwards(robot, q0)
     inside = Q[: max(3, int(0.9 * len(Q)))]
     fastest = 0.9 / np.abs(np.diff(inside, axis=0) / 0.005 / usual(robot)).max()  # m/s
@@ -249,12 +249,12 @@ def stretched(robot, q0, rng) -> Scenario:
 
 
 def far(robot, q0, rng) -> Scenario:
-    """The target goes 0.5 m out of reach, waits for a second and comes back."""
+    """The target moves 0.5 m out of reach, waits for a second and returns."""
     return Scenario("0.5 m out of reach and back", robot, q0, out_and_back(robot, q0, 0.5, 1, 1.0), "LIMITED")
 
 
 def elbow(robot, q0, rng) -> Scenario:
-    """Three laps of the eight at 0.5 of the limits; the elbow has to stay above the line from shoulder to tip."""
+    """Three laps of the eight at 0.5 of the limits; the elbow must stay above the line from shoulder to tip."""
     path, Q = fitted(robot, q0, lambda size: eight(robot, q0, size), 0.25 * robot.reach)
     unit = rate_of(robot, Q, 2.0 * np.pi / 360, 0.5)
     return Scenario("elbow kept up", robot, q0, path(phases([unit] * 3)), elbow=True, posture=True)
@@ -303,7 +303,7 @@ def leaps(robot, q0, rng, accelerate: bool) -> Scenario:
 
 
 def turned(robot, q0, rng) -> Scenario:
-    """Two full turns about the tool's axis, then still."""
+    """Two full turns about the tool's axis, then rest."""
     unit = 0.4 * usual(robot)[robot.places[0][-1]]
     angle = 4.0 * np.pi * ramp(np.arange(1, round(4.0 * np.pi / unit * 1.9 / DT) + 1) * DT * unit / (4.0 * np.pi * 1.9))
     T0 = tip_poses(robot, q0)
@@ -315,7 +315,7 @@ def turned(robot, q0, rng) -> Scenario:
 
 
 def delayed(robot, q0, rng) -> Scenario:
-    """Three laps of the eight at 0.5 of the limits; the joints follow the command, and are measured, 20 ms late."""
+    """Three laps of the eight at 0.5 of the limits; the joints follow the command, and are measured, with 20 ms delay."""
     path, Q = fitted(robot, q0, lambda size: eight(robot, q0, size), 0.15 * robot.reach)
     unit = rate_of(robot, Q, 2.0 * np.pi / 360, 0.5)
     T = path(phases([unit] * 3))
@@ -323,7 +323,7 @@ def delayed(robot, q0, rng) -> Scenario:
 
 
 def locked(robot, q0, rng) -> Scenario:
-    """Two laps of the eight at 0.4 of the limits; half-way the joint in the middle locks."""
+    """Two laps of the eight at 0.4 of the limits; half-way the middle joint locks."""
     path, Q = fitted(robot, q0, lambda size: eight(robot, q0, size), 0.15 * robot.reach)
     unit = rate_of(robot, Q, 2.0 * np.pi / 360, 0.4)
     T = path(phases([unit] * 2))

@@ -1,10 +1,10 @@
-"""One solve after another from Python: our solvers and the peers, on the same targets, starts and tolerances.
+"""Single solves from Python: our solvers and the peers on the same targets, starts and tolerances.
 
 python scripts/benchmarks/solve.py --venvs ~/.cache/ik_toolkit_peers
 
-Every peer runs in its own process, with its own virtual environment (made under --venvs the first time), one at a time:
-a block of targets goes to each in turn, so that what else the machine does hits all alike. A worker times each call itself;
-failures count. Every answer is checked here by Pinocchio against the limits and both tolerances.
+Every peer runs in its own process with its own virtual environment (created under --venvs the first time), one at a time: each
+gets a block of targets in turn, so that background load affects all alike. A worker times each call itself; failures count.
+Every answer is checked here by Pinocchio against the limits and both tolerances.
 """
 
 import json
@@ -26,11 +26,11 @@ from worker import EDGE, wrapped  # noqa: E402
 
 import ik_toolkit as ik  # noqa: E402
 
-WARM = 20  # solves before the clock counts
+WARM = 20  # untimed solves at the start
 
 
 def describe(robot: ik.Robot, folder: Path) -> dict[str, Any]:
-    """What a worker needs to know of a robot: URDF (text and file), limits, and its axes at q = 0."""
+    """Robot description for a worker: URDF (text and file), limits, and joint axes at q = 0."""
     path = folder / f"{robot.name}.urdf"
     path.write_text(robot.urdf or "", encoding="utf-8")
     zero = robot.fk(np.zeros(robot.n))
@@ -45,7 +45,7 @@ def describe(robot: ik.Robot, folder: Path) -> dict[str, Any]:
 
 
 def right(robot: ik.Robot, answers: np.ndarray, T: np.ndarray, tolerance: tuple[float, float]) -> np.ndarray:
-    """Which targets (N,) have an answer inside the limits and the tolerances, by Pinocchio. Full turns are forgiven."""
+    """Which targets (N,) have an answer inside limits and tolerances, by Pinocchio. Full turns are removed first."""
     good = np.zeros(len(T), dtype=bool)
     for k, solutions in enumerate(answers):
         for q in solutions[np.isfinite(solutions).all(axis=1)]:
@@ -76,7 +76,7 @@ def compare(
     seed: int,
     folder: Path,
 ) -> dict[str, Any]:
-    """One robot, one kind of start, one tolerance: times and right answers of every peer that can."""
+    """One robot, one kind of start, one tolerance: times and correct answers of every applicable peer."""
     tolerance = common.TOLERANCES[name]
     rng = np.random.default_rng(seed)
     Q, T = common.random_targets(robot, count + WARM, rng)
@@ -117,7 +117,7 @@ def compare(
 
 
 def ratios(run: dict[str, Any], against: str) -> None:
-    """Add to every row how many times faster it is than `against` on the same targets, then drop the single times."""
+    """Add the speed ratio to `against` on the same targets to every row, then drop the individual times."""
     reference = run["rows"].get(against)
     for row in run["rows"].values():
         if reference is None:
@@ -133,7 +133,7 @@ def ratios(run: dict[str, Any], against: str) -> None:
 
 
 def settled(rounds: list[dict[str, Any]]) -> dict[str, Any]:
-    """One run of several: the median of each figure over the rounds (the machine has slow minutes), successes added up."""
+    """Merge rounds into one run: the median of each figure (the machine has slow minutes), and the sum of the successes."""
     rows = {}
     for key in rounds[0]["rows"]:
         same = [run["rows"][key] for run in rounds if key in run["rows"]]
@@ -145,7 +145,7 @@ def settled(rounds: list[dict[str, Any]]) -> dict[str, Any]:
 
 
 def _medians(same: list[Any]) -> Any:
-    """Median of each number in dictionaries of one shape."""
+    """Median of each number in dictionaries of the same structure."""
     if isinstance(same[0], dict):
         return {key: _medians([part[key] for part in same]) for key in same[0]}
     return float(np.median(same))
@@ -194,7 +194,7 @@ def _success(row: dict[str, Any] | None) -> str:
 
 
 def started(peers: list[Peer], venvs: Path, folder: Path) -> dict[str, Process]:
-    """Processes of the peers that install."""
+    """Processes of the peers that could be installed."""
     processes = {}
     for peer in peers:
         try:
@@ -211,12 +211,14 @@ def main() -> None:
     parser.add_argument("--peers", nargs="+", default=[peer.name for peer in PEERS], choices=list(BY_NAME))
     parser.add_argument("--starts", nargs="+", default=("random", "near"), choices=("random", "near"))
     parser.add_argument("--tolerances", nargs="+", default=tuple(common.TOLERANCES), choices=tuple(common.TOLERANCES))
-    parser.add_argument("--targets", type=int, default=2000, help="targets a robot; slow peers get the first few")
-    parser.add_argument("--blocks", type=int, default=20, help="turns in which the targets are handed out")
     parser.add_argument(
-        "--rounds", type=int, default=3, help="times everything is done, with other targets; medians count"
+        "--targets", type=int, default=2000, help="targets per robot; slow peers get only the first few"
     )
-    parser.add_argument("--against", default="rtb", choices=list(BY_NAME), help="peer that the ratios refer to")
+    parser.add_argument("--blocks", type=int, default=20, help="blocks into which the targets are divided")
+    parser.add_argument(
+        "--rounds", type=int, default=3, help="number of repetitions with different targets; medians are reported"
+    )
+    parser.add_argument("--against", default="rtb", choices=list(BY_NAME), help="reference peer for the ratios")
     given = parser.parse_args()
     before = common.load_average()
     rounds: dict[tuple[str, str, str], list[dict[str, Any]]] = {}

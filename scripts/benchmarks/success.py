@@ -1,10 +1,10 @@
-"""How surely the default solver finds an answer: 100,000 random reachable targets a robot, no starting guess.
+"""Success rate of the default solver: 100,000 random reachable targets per robot, no starting guess.
 
 python scripts/benchmarks/success.py            six robots
 python scripts/benchmarks/success.py --million  and 1,000,000 targets of the Panda from an iterator, memory watched
 
-A target is the pose of a random configuration inside the limits. Success is the batch's own verdict; a random 1 % of the
-answers is checked by Pinocchio, limits included.
+A target is the pose of a random configuration inside the limits. Success is as reported by the batch; a random 1 % of the
+answers is checked by Pinocchio, including limits.
 """
 
 import resource
@@ -18,11 +18,11 @@ import ik_toolkit as ik
 
 CHUNK = 10_000
 MORE = 1000  # restarts for the targets that failed
-RESTARTS = (0, 1, 3, 7, 15, 31, 63)  # the distribution says how many targets needed at most this many
+RESTARTS = (0, 1, 3, 7, 15, 31, 63)  # the table gives the share of targets that needed at most this many
 
 
 def check(robot: ik.Robot, targets: np.ndarray, q: np.ndarray, success: np.ndarray, rows: np.ndarray) -> dict[str, Any]:
-    """Errors by Pinocchio of the given rows; how many of the successes it does not confirm."""
+    """Errors of the given rows by Pinocchio, and the number of successes it does not confirm."""
     wrong, worst = 0, [0.0, 0.0]
     for k in rows[success[rows]]:
         position, orientation = robot.errors(q[k], targets[k])
@@ -32,7 +32,7 @@ def check(robot: ik.Robot, targets: np.ndarray, q: np.ndarray, success: np.ndarr
 
 
 def again(robot: ik.Robot, targets: np.ndarray) -> dict[str, Any]:
-    """What becomes of the targets that failed when they are given more restarts: were they hard, or impossible?"""
+    """Solve the failed targets again with more restarts: were they hard, or impossible?"""
     if not len(targets):
         return {"restarts": MORE, "targets": 0, "solved": 0}
     done = ik.solve_batch(robot, targets, restarts=MORE)
@@ -66,7 +66,7 @@ def chunks(robot: ik.Robot, count: int, seed: int) -> Iterator[tuple[np.ndarray,
 
 
 def million(seed: int, count: int = 1_000_000) -> dict[str, Any]:
-    """Panda targets from an iterator; peak memory at a quarter and at the end, less the answers that are kept."""
+    """Panda targets from an iterator; peak memory at a quarter and at the end, less the stored answers."""
     robot = ik.Robot.load("panda")
     peaks: list[tuple[int, int]] = []
 
@@ -97,7 +97,7 @@ def million(seed: int, count: int = 1_000_000) -> dict[str, Any]:
 def main() -> None:
     parser = common.parser(__doc__, "benchmark_success.json")
     parser.add_argument("--robots", nargs="+", default=common.ROBOTS)
-    parser.add_argument("--targets", type=int, default=100_000, help="targets a robot")
+    parser.add_argument("--targets", type=int, default=100_000, help="targets per robot")
     parser.add_argument("--million", action="store_true", help="also 1,000,000 targets of the Panda")
     given = parser.parse_args()
     rows = [measure(name, given.targets, given.seed) for name in given.robots]

@@ -1,9 +1,9 @@
-"""Several tips solved together: random reachable poses for all tips, no starting guess, 1e-6 m and rad.
+"""Several tips solved together: random reachable poses for all tips, no starting guess, tolerances 1e-6 m and rad.
 
-python scripts/benchmarks/tree.py      (robots beside brokk_hydrolek need the extra `robots`)
+python scripts/benchmarks/tree.py      (robots other than brokk_hydrolek need the extra `robots`)
 
-Single calls of a bound solver from Python, every success judged by Pinocchio; and the same targets as one batch on all cores,
-the best of three.
+Single calls of a bound solver from Python, every success checked by Pinocchio; and the same targets as one batch on all cores,
+best of three.
 """
 
 import common
@@ -58,7 +58,7 @@ def right(tree: ik.Tree, q: np.ndarray, T: np.ndarray) -> bool:
 
 def main() -> None:
     parser = common.parser(__doc__, "benchmark_tree.json")
-    parser.add_argument("--targets", type=int, default=10_000, help="pairs of poses a robot")
+    parser.add_argument("--targets", type=int, default=10_000, help="pairs of poses per robot")
     parser.add_argument("--robots", nargs="+", default=ROBOTS)
     given = parser.parse_args()
     before = common.load_average()

@@ -1,12 +1,12 @@
-"""One solver in its own process: builds it, solves blocks of targets, times every call itself.
+"""One solver in its own process: builds it, solves blocks of targets and times every call.
 
-Started by solve.py with the Python of the solver's own environment, where ik_toolkit need not exist; it needs numpy only.
-Protocol: one JSON object a line on stdin and stdout. {"do": "build", ...} makes the solver for a robot and a tolerance;
+Started by solve.py with the Python of the solver's own environment, where ik_toolkit need not be installed; it needs only numpy.
+Protocol: one JSON object per line on stdin and stdout. {"do": "build", ...} builds the solver for a robot and a tolerance;
 {"do": "solve", "input": npz, "output": npz} solves targets T (N, 4, 4) from starts Q (N, n) and writes seconds (N,), wall
 and processor (all threads), and answers (N, k, n), NaN where there is none.
 
-An adapter takes the robot's description and returns `call(T, q0)`, which is what is timed, and `read(answer)`, which is not
-and turns it into a list of q.
+An adapter takes the robot's description and returns `call(T, q0)`, which is timed, and `read(answer)`, which is not timed and
+converts the answer to a list of q.
 """
 
 import json
@@ -17,10 +17,10 @@ from types import SimpleNamespace
 
 import numpy as np
 
-CAP = 0.05  # s; restarts added here, and time budgets of peers that have one, end then
-EDGE = 1e-6  # rad or m past a limit that is forgiven (TRAC-IK clamps to within 5e-9)
-WARM = 5  # solves at the head of a block before its clock runs: the caches are cold after the other processes' turns
-STEPS = 50  # steps an attempt, for peers that offer single steps
+CAP = 0.05  # [s] time limit for restarts added here, and for peers with a time budget
+EDGE = 1e-6  # [rad or m] tolerated excess over a limit (TRAC-IK clamps to within 5e-9)
+WARM = 5  # untimed solves at the start of a block: caches are cold after the other processes' turns
+STEPS = 50  # steps per attempt, for peers that offer only single steps
 
 
 def one(q):
@@ -29,7 +29,7 @@ def one(q):
 
 
 def with_q(call):
-    """Have the time of reading q from the answer counted too."""
+    """Include the time of reading q from the answer."""
 
     def timed(T, q0):
         answer = call(T, q0)
@@ -79,7 +79,7 @@ def rtb(s):
 
 
 def rtb_free(s, tol=None, **limits):
-    """Its own notebook's way: joint limits do not count, random starts."""
+    """As in its own notebook: joint limits ignored, random starts."""
     import roboticstoolbox
 
     ets = roboticstoolbox.Robot.URDF(s.path).ets()
@@ -120,7 +120,7 @@ def optik(s):
     robot = optik.Robot.from_urdf_file(s.path, s.base, s.tip)
     robot.set_parallelism(1)
     config = optik.SolverConfig(solution_mode="speed", max_time=CAP, tol_f=min(s.tol_p, s.tol_r) ** 2)
-    # It turns a fixed first joint the wrong way round; targets are moved along, so that it is judged by its solver.
+    # It inverts the rotation of a fixed first joint; targets are transformed accordingly, so that only its solver is judged.
     moved = np.array(robot.fk(np.zeros(len(s.lower)))) @ np.linalg.inv(s.T_zero)
     if np.allclose(moved, np.eye(4), atol=1e-9):
         return lambda T, q0: robot.ik(config, T, q0), lambda r: one(r and r[0])
@@ -161,7 +161,7 @@ def ssik(s):
 
 
 def ssik_built(s):
-    """One answer of the code that `ssik build` writes for the robot, by its native backend."""
+    """One answer from the code that `ssik build` generates for the robot, by its native backend."""
     import importlib.util
     import subprocess
     from pathlib import Path
@@ -264,14 +264,14 @@ def quaternion_xyzw(T):
 
 
 def wrapped(q, lower, upper):
-    """Move revolute joints that are past a limit by full turns, inside where that is possible."""
+    """Move revolute joints beyond a limit by full turns, back inside if possible."""
     turn = 2 * np.pi
     q = q - turn * np.ceil(np.maximum(q - upper - EDGE, 0.0) / turn)
     return q + turn * np.ceil(np.maximum(lower - q - EDGE, 0.0) / turn)
 
 
 def restarted(s, attempt):
-    """Restart an attempt from random configurations until an answer lies inside the limits or the time is over."""
+    """Restart an attempt from random configurations until an answer is inside the limits or time runs out."""
     rng = np.random.default_rng(1)
 
     def call(T, q0):
@@ -279,7 +279,7 @@ def restarted(s, attempt):
         while True:
             try:
                 q = attempt(T, q0)
-            except Exception:  # such as a QP without a solution: an attempt that failed
+            except Exception:  # for example an infeasible QP: a failed attempt
                 q = None
             if q is not None:
                 q = wrapped(q, s.lower, s.upper)
@@ -293,7 +293,7 @@ def restarted(s, attempt):
 
 
 def build(message):
-    """Solver of a build message: a description of the robot with arrays, and the adapter's two functions."""
+    """Build the solver of a message: robot description with arrays, and the adapter's two functions."""
     s = SimpleNamespace(**message)
     for name in ("lower", "upper", "H", "P", "R_tip", "T_zero"):
         setattr(s, name, np.array(getattr(s, name), dtype=float))
@@ -333,7 +333,7 @@ def solve(call, read, n, source, destination):
 
 
 def main():
-    """Serve until stdin ends. What a library prints goes to stderr."""
+    """Serve until stdin ends. Library output goes to stderr."""
     replies = os.fdopen(os.dup(1), "w", buffering=1)
     os.dup2(2, 1)
     state = None

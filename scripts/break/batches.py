@@ -1,4 +1,4 @@
-"""Solve millions of batch targets and judge every answer by a second FK (tests/second_fk.py).
+"""Solve millions of batch targets and check every answer with a second FK (tests/second_fk.py).
 
 Usage: python scripts/break/batches.py [--seed N] [--rows N]. Robots: the shipped ones, example-robot-data's arms where they
 are installed, and random URDFs. Targets: poses and positions, most of them reachable, some made at joint limits, some out of
@@ -24,8 +24,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tests"))
 from robots import DATA_ARMS, SHIPPED, have_data
 from second_fk import SecondFK, pose_errors, random_case
 
-ROWS = 20_000  # of one batch
-RANDOM = 120  # random robots, one for each turn of a known one and a half
+ROWS = 20_000  # per batch
+RANDOM = 120  # random robots, about two for every three turns of known ones
 TOLERANCE = 1e-6
 ROUNDING = 1e-12  # of the robot's size [m], and [rad]: what two ways to compute a pose may differ by
 LAYOUTS = ("plain", "float32", "strided", "transposed", "read-only", "fortran", "iterator", "one buffer")
@@ -55,7 +55,7 @@ def subjects(seed: int) -> Iterator[Subject]:
 
 
 def legal(robot: ik.Robot, rng: np.random.Generator, count: int) -> np.ndarray:
-    """Legal q (count, n), one value in ten on a limit; half a turn, or one reach, where there is none."""
+    """Legal q (count, n), one value in ten at a limit; within half a turn, or one reach, where there is no limit."""
     far = np.where(np.array(robot.joint_kinds) == "prismatic", robot.reach, np.pi)
     low = np.where(np.isfinite(robot.lower), robot.lower, np.minimum(-far, robot.upper - far))
     high = np.where(np.isfinite(robot.upper), robot.upper, np.maximum(far, robot.lower + far))
@@ -65,7 +65,7 @@ def legal(robot: ik.Robot, rng: np.random.Generator, count: int) -> np.ndarray:
 
 
 def laid_out(T: np.ndarray, layout: str) -> tuple[Any, np.ndarray]:
-    """Targets (N, ...) as a caller may hold them, and the values they then have."""
+    """Targets (N, ...) in one of the layouts, and their values in it."""
     if layout == "float32":
         given = T.astype(np.float32)
         return given, given.astype(float)
@@ -73,7 +73,7 @@ def laid_out(T: np.ndarray, layout: str) -> tuple[Any, np.ndarray]:
         wide = np.full((len(T), 2, *T.shape[1:]), np.nan)
         wide[:, 1] = T
         return wide[:, 1], T
-    if layout == "transposed":  # the same numbers with another memory order
+    if layout == "transposed":  # the same numbers in another memory order
         return (np.ascontiguousarray(np.swapaxes(T, 1, 2)).swapaxes(1, 2), T) if T.ndim == 3 else (T, T)
     if layout == "read-only":
         given = T.copy()
@@ -97,7 +97,7 @@ def laid_out(T: np.ndarray, layout: str) -> tuple[Any, np.ndarray]:
 
 
 def rigid(T: np.ndarray) -> np.ndarray:
-    """Poses with the nearest rotation, which a pose of few digits is solved for."""
+    """Poses with the nearest rotation, for which a pose of few digits is solved."""
     U, _, Vt = np.linalg.svd(T[:, :3, :3])
     T = T.copy()
     T[:, :3, :3] = U @ Vt
@@ -105,7 +105,7 @@ def rigid(T: np.ndarray) -> np.ndarray:
 
 
 def attempt(subject: Subject, layout: str, rng: np.random.Generator, count: int) -> dict[str, int]:
-    """Solve one batch of `count` targets; how many rows are what."""
+    """Solve one batch of `count` targets; returns counts of rows."""
     robot, judge = subject.robot, subject.judge
     T = judge.fk(legal(robot, rng, count), robot.joint_names)
     far = rng.random(count) < 0.05
@@ -175,7 +175,7 @@ def main(seed: int, rows: int) -> int:
 
 
 if __name__ == "__main__":
-    faulthandler.enable()  # a crash of the process says where
+    faulthandler.enable()  # reports where the process crashed
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--rows", type=int, default=5_000_000)

@@ -2,9 +2,9 @@
 
 python scripts/break/commands.py [--seed 0] [--count 2000]
 
-Each runs in a process forked after the imports, with a limit of memory and of time (then SIGTERM, as a user would). It fails by
-a crash, a traceback, exit code 70, a control character on the terminal, an output file that was there and is lost or half,
-or by not ending. Exit code 1 when any did; the command lines that failed are printed.
+Each runs in a process forked after the imports, with limits on memory and time (then SIGTERM, as a user would send). A failure is
+a crash, a traceback, exit code 70, a control character on the terminal, an existing output file lost or truncated, or a process
+that does not end. Exit code 1 if any failed; the failing command lines are printed.
 """
 
 import argparse
@@ -30,13 +30,13 @@ import ik_toolkit as ik
 from ik_toolkit.cli import application, main
 from ik_toolkit.errors import CONTROLS
 
-ENDS = {0, 1, 2, 3, 130, 143}  # exit codes that are no bug
-SECONDS, GRACE = 20.0, 30.0  # until SIGTERM, and from there to SIGKILL, which is a failure
-MEMORY = 3 * 2**30  # bytes a command may take beyond what is there
+ENDS = {0, 1, 2, 3, 130, 143}  # legitimate exit codes
+SECONDS, GRACE = 20.0, 30.0  # until SIGTERM, and from then until SIGKILL, which is a failure
+MEMORY = 3 * 2**30  # bytes a command may use in addition to those already in use
 OLD = b"what was here before\n"
-SLOW = {"panel", "reproduce"}  # serve for ever, or take minutes: with mistakes only
+SLOW = {"panel", "reproduce"}  # these serve for ever or take minutes: run only with mistakes
 ROBOTS = ("planar_2r", "planar_3r", "hydrolek_7w", "panda", "inspection_7dof", "brokk_hydrolek", "cartesian_pp")
-SMALL = {  # so that most command lines come to their end
+SMALL = {  # so that most command lines finish
     "bench": ["-n", "3", "--solvers", "lm"],
     "tune": ["--generations", "1", "--targets", "10", "--held-out", "1", "--population", "4"],
     "workspace": ["-n", "20"],
@@ -64,7 +64,7 @@ def npz(**arrays: object) -> bytes:
 
 
 def hostile_files(folder: Path, rng: random.Random) -> list[str]:
-    """Write targets, robots, tables and rubbish of every kind; their names."""
+    """Write targets, robots, tables and garbage of every kind; returns their names."""
     good = npz(targets=np.tile([1.0, 0.5, 0.0], (50, 1)))
     packed = io.BytesIO()
     with zipfile.ZipFile(packed, "w", zipfile.ZIP_LZMA) as archive:
@@ -152,7 +152,7 @@ class Lines:
         self.commands = group.commands  # pyright: ignore[reportAttributeAccessIssue]
 
     def value(self, option: str) -> list[str]:
-        """Words for an option's value, more often of its kind than not."""
+        """Words for an option's value, usually of the right kind."""
         rng = self.rng
         if option in SENSIBLE and rng.random() < 0.7:
             return [rng.choice(SENSIBLE[option])]
@@ -203,7 +203,7 @@ class Lines:
 
 
 def run(words: list[str], folder: Path, closed: tuple[int, ...]) -> tuple[int, str]:
-    """Run one command in a forked process; its exit code (below 0: the signal that killed it) and what it printed."""
+    """Run one command in a forked process; returns its exit code (below 0: the signal that killed it) and its output."""
     said = folder / "said"
     child = os.fork()
     if child == 0:
@@ -244,7 +244,7 @@ def run(words: list[str], folder: Path, closed: tuple[int, ...]) -> tuple[int, s
 
 
 def fresh(folder: Path, source: Path) -> None:
-    """Make the folder the command runs in, with outputs that are there already."""
+    """Create the command's working folder, with existing output files."""
     shutil.rmtree(folder / "work", ignore_errors=True)
     shutil.copytree(source, folder / "work", symlinks=True)
     os.unlink(folder / "work" / "hard.csv")
@@ -254,7 +254,7 @@ def fresh(folder: Path, source: Path) -> None:
 
 
 def faults(folder: Path, source: Path, code: int, said: str, words: list[str]) -> list[str]:
-    """What is wrong with how a command ended."""
+    """Faults in how a command ended."""
     found = []
     if code not in ENDS:
         found.append(f"exit code {code}")
@@ -278,8 +278,8 @@ def faults(folder: Path, source: Path, code: int, said: str, words: list[str]) -
 
 
 def warm_up() -> None:
-    """Import and compile what most commands use, so that a forked process starts at once."""
-    os.environ["IK_TOOLKIT_WAIT"] = "1"  # nothing that compiles in the background
+    """Import and compile what most commands use, so that forked processes start at once."""
+    os.environ["IK_TOOLKIT_WAIT"] = "1"  # no compilation in the background
     lines = [f"info {name}" for name in ROBOTS]
     lines += [
         f"solve panda --xyz 0.4 0.1 0.4 -s {solver}" for solver in "lm dls pinv transpose ccd pid state-space".split()
@@ -303,7 +303,7 @@ def parse() -> argparse.Namespace:
 
 
 def run_all(seed: int, count: int, folder: Path) -> int:
-    """Try `count` lines; the number that failed."""
+    """Try `count` lines; returns the number of failures."""
     rng = random.Random(seed)  # noqa: S311  a test
     source = folder / "source"
     source.mkdir()

@@ -2,10 +2,10 @@
 
     python scripts/break/files.py [--seed 0] [--count 240] [--folder DIR]
 
-Each case is a robot file with (mostly) a mesh beside it, made from a few good ones by the rules below: cut, flipped bytes,
-numbers replaced, pieces repeated or nested, references that leave the folder. A process of its own with limits of time and memory
-checks it, loads it, tests collisions and draws it; anything but an answer or an error of ik_toolkit is a failure. Exit code 1
-when there is one.
+Each case is a robot file, usually with a mesh, made from a few good ones by the rules below: truncation, flipped bytes, replaced
+numbers, repeated or nested pieces, references that leave the folder. A separate process with time and memory limits checks it,
+loads it, tests collisions and draws it; anything but an answer or an error of ik_toolkit is a failure. Exit code 1 if there is
+one.
 """
 
 import argparse
@@ -25,7 +25,7 @@ import ik_toolkit as ik
 from ik_toolkit.errors import IKError
 from ik_toolkit.robot.check import check_urdf
 
-SECONDS, MEMORY = 60, 6_000_000_000  # of processor time, bytes: of one case, without the process that reads its meshes
+SECONDS, MEMORY = 60, 6_000_000_000  # [s] processor time and bytes per case, without the process that reads its meshes
 NUMBERS = [
     "nan",
     "inf",
@@ -76,7 +76,7 @@ MESHES = {
 
 
 def chain(count: int, shape: str = "", more: str = "") -> str:
-    """A robot whose second link has a shape; more: text beside links and joints."""
+    """A robot whose second link has a shape; more: further text inside <robot>."""
     links = [f'<link name="l{k}">{shape if k == 1 else ""}</link>' for k in range(count + 1)]
     joints = [
         f'<joint name="j{k}" type="revolute"><parent link="l{k}"/><child link="l{k + 1}"/><origin xyz="0 0 0.3" rpy="0 1 0"/>'
@@ -92,7 +92,7 @@ def shaped(inside: str) -> str:
 
 
 def damaged(text: str, rng: random.Random) -> bytes:
-    """A text with one to four damages."""
+    """Damage a text in one to four places."""
     raw = bytearray(text.encode())
     for _ in range(rng.randint(1, 4)):
         at = rng.randrange(len(raw) + 1)
@@ -183,7 +183,7 @@ def robot_case(rng: random.Random) -> tuple[str, str | bytes]:
 
 
 def taken(file: str) -> str:
-    """What the public calls say of a robot file, in one line."""
+    """Outcome of the public calls on a robot file, in one line."""
     said = []
 
     def attempt(what: str, call: Callable[[], Any]) -> Any:
@@ -205,7 +205,7 @@ def taken(file: str) -> str:
 
 
 def limited(file: Path, report: Path) -> int:
-    """Wait status of a fork that runs a case; it writes what is said, or the traceback, to a file."""
+    """Wait status of a fork that runs a case and writes the outcome or the traceback to a file."""
     child = os.fork()
     if child:
         return os.waitpid(child, 0)[1]
@@ -214,8 +214,8 @@ def limited(file: Path, report: Path) -> int:
         resource.setrlimit(resource.RLIMIT_AS, (MEMORY, MEMORY))
         resource.setrlimit(resource.RLIMIT_CPU, (SECONDS, SECONDS))
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-        signal.alarm(10 * SECONDS)  # of wall time
-        os.dup2(os.open(os.devnull, os.O_WRONLY), 2)  # Pinocchio's parser talks
+        signal.alarm(10 * SECONDS)  # wall time
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 2)  # Pinocchio's parser prints to stderr
         try:
             report.write_text(taken(str(file)))
             code = 0
@@ -226,7 +226,7 @@ def limited(file: Path, report: Path) -> int:
 
 
 def run(folder: Path, number: int, rng: random.Random) -> tuple[str, str, bool]:
-    """Name of a case, what came of it, whether it failed."""
+    """Name of a case, its outcome, and whether it failed."""
     place = folder / str(number)
     place.mkdir()
     if rng.random() < 0.55:
@@ -255,7 +255,7 @@ def main() -> None:
         folder.mkdir(parents=True, exist_ok=True)
         good = folder / "good.urdf"
         good.write_text(chain(2, shaped('<sphere radius="0.1"/>')))
-        taken(str(good))  # loads what the forks need, once
+        taken(str(good))  # load once what all forks need
         for number in range(asked.count):
             rng = random.Random(f"{asked.seed} {number}")  # noqa: S311
             name, said, failed = run(folder, number, rng)

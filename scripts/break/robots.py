@@ -1,8 +1,8 @@
-"""Load random URDFs as people write them and judge what was read from each by a second FK (tests/second_fk.py).
+"""Load random, realistically written URDFs and check each loaded robot with a second FK (tests/second_fk.py).
 
 Usage: python scripts/break/robots.py [--seed N] [--count N]. A robot is wrong when the tip pose or the Jacobian of the
-compiled kernel or of `Robot.fk` and `Robot.jacobian` is off by more than 1e-9 (lengths over its size), or a limit is not
-the URDF's. Exit code 1 when one is wrong or anything but a ModelError is raised; what was refused is listed by reason.
+compiled kernel or of `Robot.fk` and `Robot.jacobian` is off by more than 1e-9 (lengths over its size), or a limit differs
+from the URDF's. Exit code 1 if one is wrong or anything but a ModelError is raised; rejected robots are listed by reason.
 """
 
 import argparse
@@ -21,8 +21,8 @@ from ik_toolkit.errors import ModelError
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tests"))
 from second_fk import Case, SecondFK, pose_errors, random_case
 
-WRONG = 1e-9  # of the robot's size, or [rad]
-TURNS = 31.0  # five turns of an endless joint [rad]
+WRONG = 1e-9  # error that counts as wrong, over the robot's size or [rad]
+TURNS = 31.0  # five turns of a continuous joint [rad]
 
 
 def load(case: Case) -> ik.Robot:
@@ -32,7 +32,7 @@ def load(case: Case) -> ik.Robot:
 
 
 def configurations(robot: ik.Robot, rng: np.random.Generator, count: int) -> np.ndarray:
-    """Legal q (count, n): uniform, endless joints over five turns, a quarter of the values on a limit."""
+    """Legal q (count, n): uniform, continuous joints over five turns, a quarter of the values at a limit."""
     far = np.where(np.array(robot.joint_kinds) == "prismatic", robot.reach, TURNS)
     low = np.where(np.isfinite(robot.lower), robot.lower, -far)
     high = np.where(np.isfinite(robot.upper), robot.upper, far)
@@ -59,13 +59,13 @@ def worst(robot: ik.Robot, judge: SecondFK, rng: np.random.Generator) -> dict[st
 
 
 def scales(J: np.ndarray, size: float) -> np.ndarray:
-    """How large each column (N, 1, n) of the Jacobians is, 1 at least: a multiplier of 1000 makes its rounding as large."""
+    """Scale (N, 1, n) of each Jacobian column, at least 1: a mimic multiplier of 1000 scales its rounding error, too."""
     parts = np.concatenate([np.abs(J[:, :3]) / size, np.abs(J[:, 3:])], axis=1)
     return np.maximum(1.0, parts.max(axis=(0, 1))[None, None])
 
 
 def limits_differ(robot: ik.Robot, judge: SecondFK, Q: np.ndarray) -> bool:
-    """Whether the limits are not those of the text (a follower's come with its rounding), or a legal q breaks one."""
+    """Whether the limits differ from those in the text (up to rounding for followers), or a legal q violates one."""
     near = dict(rtol=1e-12, atol=1e-12 * robot.reach)
     given = judge.limits(robot.joint_names)
     same = np.allclose(robot.lower, given[0], **near) and np.allclose(robot.upper, given[1], **near)
@@ -109,7 +109,7 @@ def main(seed: int, count: int) -> int:
 
 
 if __name__ == "__main__":
-    faulthandler.enable()  # a crash of the process says where
+    faulthandler.enable()  # reports where the process crashed
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--count", type=int, default=2400)

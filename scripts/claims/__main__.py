@@ -1,7 +1,7 @@
-"""Try what the documentation promises on many random cases, with any seed; exit code 1 when a promise does not hold.
+"""Test the documentation's promises on many random cases, with any seed; exit code 1 if a promise does not hold.
 
 Usage: python scripts/claims [--seed N] [--count N] [--only NAME ...]. Each claim draws its own cases: targets are made
-from legal configurations, so an answer exists. --count is the number of cases of a claim; slow claims take a share of it.
+from legal configurations, so a solution exists. --count is the number of cases per claim; slow claims use a fraction of it.
 """
 
 import argparse
@@ -15,7 +15,7 @@ from common import CLAIMS
 
 
 def main() -> None:
-    """Run the claims asked for and print a line each."""
+    """Run the requested claims and print a line for each."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--count", type=int, default=100_000)

@@ -1,4 +1,4 @@
-"""Claims on single solves and on loops: what a failure says is true, and `follow` keeps its bound."""
+"""Claims about single solves and loops: failure messages are true, and `follow` keeps its bound."""
 
 import numpy as np
 import pinocchio as pin
@@ -9,7 +9,7 @@ import ik_toolkit as ik
 
 @claim("failures")
 def failures(count: int, seed: int) -> Outcome:
-    """A failed closed form returns a configuration no worse than that of `lm`, legal, with errors and sentence of its own."""
+    """A failed closed form returns a legal configuration no worse than that of `lm`, with matching errors and message."""
     rng = np.random.default_rng(seed)
     cases = broken = 0
     for robot in (inspection(), inspection(float(rng.uniform(0.05, 0.4)))):
@@ -38,7 +38,7 @@ LOOP_ROBOTS = ("hydrolek_7w", "inspection_7dof", "panda", "ur5", "xarm7", "kinov
 
 @claim("loops")
 def loops(count: int, seed: int) -> Outcome:
-    """A loop that moves the target by 1 mrad or 1 mm a call: no joint jumps with follow, and without it no jump is silent."""
+    """A loop that moves the target by 1 mrad or 1 mm per call: with follow no joint jumps, without it every jump is reported."""
     rng = np.random.default_rng(seed)
     calls, broken, words = 0, 0, ""
     while calls < count:

@@ -1,4 +1,4 @@
-"""Claims on closed forms and lists of solutions: no target that has a solution is refused, no branch is missing."""
+"""Claims about closed forms and solution lists: no solvable target is rejected, no branch is missing."""
 
 import numpy as np
 from common import Outcome, claim, drawn, inspection, lost, together, uniform
@@ -61,7 +61,7 @@ def loose_tolerances(count: int, seed: int) -> Outcome:
 
 
 def folding(rng: np.random.Generator) -> ik.Robot:
-    """A planar arm with equal links that folds onto its base, with limits of its own."""
+    """A planar arm with equal links that folds onto its base, with random limits."""
     low, high = rng.uniform(-3.0, -0.5), rng.uniform(0.5, 3.0)
     limits = (
         f'<limit lower="{low}" upper="{high}" effort="1" velocity="1"/>',
@@ -132,7 +132,7 @@ def nearest(Q: np.ndarray, q: np.ndarray) -> float:
 def recall(count: int, seed: int) -> Outcome:
     """`solve_all` lists the configuration a target was made from, at generic and singular poses; complete lists miss nothing.
 
-    6R: by our closed form, and by starts; what starts find has to be in a list that is called complete. A list from starts
+    6R: by our closed form, and by starts; what starts find must be in any list that is called complete. A list from starts
     alone, which claims nothing, may miss one case in a hundred: nearly level arms with a straight elbow are doubly singular.
     """
     rng = np.random.default_rng(seed)
@@ -153,7 +153,7 @@ def recall(count: int, seed: int) -> Outcome:
                 wrong = nearest(found.q, q) > 2e-3
                 if found.complete:
                     other = ik.solve_all(robot, robot.fk(q), "lm", starts=50)
-                    # At a nearly level, straight arm what meets 1e-9 is spread over 0.01 rad; other branches are further away.
+                    # For a nearly level, straight arm, solutions within 1e-9 spread over 0.01 rad; other branches are farther away.
                     wrong |= any(nearest(found.q, x) > 0.05 for x in other)
                 cases += 1
                 broken += wrong and found.complete

@@ -1,4 +1,4 @@
-"""What the claims share: their register, random configurations, and the count of targets that are lost."""
+"""Shared parts of the claims: their registry, random configurations, and the count of lost targets."""
 
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -9,7 +9,7 @@ import ik_toolkit as ik
 
 
 class Outcome(NamedTuple):
-    """What a claim found: cases tried, those that contradict it, and words on the worst of them."""
+    """Result of a claim: cases tried, cases that contradict it, and a note on the worst of them."""
 
     cases: int
     broken: int
@@ -30,13 +30,13 @@ def claim(name: str) -> Callable:
 
 
 def uniform(robot: ik.Robot, count: int, rng: np.random.Generator) -> np.ndarray:
-    """Legal configurations (count, n); endless joints within half a turn."""
+    """Legal configurations (count, n); continuous joints within half a turn."""
     low, high = np.maximum(robot.lower, -np.pi), np.minimum(robot.upper, np.pi)
     return rng.uniform(low, high, (count, robot.n))
 
 
 def lost(robot: ik.Robot, Q: np.ndarray, position: bool = False, move: Any = 0.0, **options: Any) -> Outcome:
-    """Count the targets made from Q (N, n), moved by `move` (N, 3) [m], that a batch does not solve or solves outside limits."""
+    """Count the targets made from Q (N, n), shifted by `move` (N, 3) [m], that a batch fails to solve or solves outside limits."""
     T = robot.chain.forward(Q)[0]
     T[:, :3, 3] += move
     batch = ik.solve_batch(robot, T[:, :3, 3] if position else T, **options)

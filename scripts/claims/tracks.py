@@ -1,4 +1,4 @@
-"""Claims on tracking: COMPLETED means that every sample was inside the tolerances."""
+"""Claims about tracking: COMPLETED means that every sample was inside the tolerances."""
 
 import contextlib
 import io
@@ -19,7 +19,7 @@ TOLERANCES = (1e-3, float(np.radians(0.1)))  # [m, rad] of `ik.track`
 def excess(
     robot: ik.Robot, reference: ik.Reference, t: np.ndarray, Q: np.ndarray, limits: tuple[float, float]
 ) -> float:
-    """Largest error of the samples over its tolerance, infinite for a run that ended early; the tip is where Pinocchio sees it."""
+    """Largest error of the samples over its tolerance, infinite for a run that ended early; tip poses by Pinocchio."""
     worst = 0.0 if len(t) and t[-1] > reference.duration - 0.1 else np.inf  # no step here is longer than 0.1 s
     for now, q in zip(t, Q, strict=True):
         wanted, tip = reference.at(float(now))[0], robot.fk(q)
@@ -30,12 +30,12 @@ def excess(
 
 
 def contradiction(success: bool, worst: float) -> bool:
-    """Whether a verdict and the errors disagree; two ways of adding up may differ in the last digits."""
+    """Whether a verdict and the errors disagree, allowing for rounding."""
     return success != (worst <= 1.0) and abs(worst - 1.0) > 1e-6
 
 
 def command_track(words: list[str], robot: ik.Robot, reference: ik.Reference) -> Outcome:
-    """Run `ik track`; its exit code and status against every sample that it writes."""
+    """Run `ik track` and check its exit code and status against every sample it writes."""
     with tempfile.TemporaryDirectory() as folder, contextlib.redirect_stdout(io.StringIO()) as said:
         file = f"{folder}/run.npz"
         with contextlib.redirect_stderr(io.StringIO()):
@@ -51,7 +51,7 @@ def command_track(words: list[str], robot: ik.Robot, reference: ik.Reference) ->
 def python_track(
     robot: ik.Robot, reference: ik.Reference, limits: tuple[float, float] = TOLERANCES, **options
 ) -> Outcome:
-    """Run `ik.track`; its status against every sample."""
+    """Run `ik.track` and check its status against every sample."""
     run = ik.track(robot, reference, position_tolerance=limits[0], orientation_tolerance=limits[1], **options)
     late = run.t >= run.settle
     worst = excess(robot, reference, run.clock[late], run.q[late], limits)

@@ -1,4 +1,4 @@
-"""Angles that look like degrees are doubted, once, where somebody typed them."""
+"""Typed angles that look like degrees cause a warning, but only once."""
 
 import numpy as np
 import robots

@@ -1,4 +1,4 @@
-"""`--help`: whole names, no placeholders of the parser, nothing wider than the terminal, examples that are commands."""
+"""`--help`: full names, no parser placeholders, nothing wider than the terminal, working examples."""
 
 import re
 import shlex

@@ -1,4 +1,4 @@
-"""Ctrl-C, the real signal, in the long commands: exit code 130, soon, and what was finished is in the output file."""
+"""Ctrl-C (the real signal) in long commands: exit code 130 without delay, and finished work is in the output file."""
 
 import json
 import signal

@@ -1,4 +1,4 @@
-"""What the commands list: robots, solvers, D-H tables, the state of the machine."""
+"""Commands that list robots, solvers, D-H tables and the state of the machine."""
 
 import importlib.metadata
 import json

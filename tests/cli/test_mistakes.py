@@ -1,4 +1,4 @@
-"""Mistakes, bugs, interrupts, readers that leave: one sentence, an exit code, never a traceback."""
+"""User errors, bugs, interrupts and closed pipes: one sentence, an exit code, never a traceback."""
 
 import os
 import subprocess

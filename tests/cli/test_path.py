@@ -1,4 +1,4 @@
-"""`ik path ROBOT --poses FILE`: every form of file, exit codes, what is written, and what is kept of a path that is stopped."""
+"""`ik path ROBOT --poses FILE`: every file format, exit codes, output, and what is kept of an interrupted search."""
 
 import json
 import re

@@ -1,4 +1,4 @@
-"""`ik solve` on several tips: every option that one tip has, by tip where that makes sense; files of targets."""
+"""`ik solve` with several tips: all options of one tip, per tip where that makes sense; target files."""
 
 import csv
 import json

@@ -1,4 +1,4 @@
-"""`ik solve ROBOT --targets FILE`: every form of file, the same answers as solve_batch, mistakes named with their line."""
+"""`ik solve ROBOT --targets FILE`: every file format, the same results as solve_batch, errors that name the line."""
 
 import csv
 import json

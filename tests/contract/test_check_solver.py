@@ -1,4 +1,4 @@
-"""`check_solver` catches solvers that break the contract: each fault is of a rule that runs the real search and spoils its rows."""
+"""`check_solver` catches solvers that break the contract: each fault is a rule that runs the real search and corrupts its rows."""
 
 from typing import NamedTuple
 
@@ -117,7 +117,7 @@ def test_every_clause_is_broken_by_some_fault(clause):
 
 @ik.rule(step=LM)
 class Silent(NamedTuple):
-    """A rule that refuses everything and hardly says why."""
+    """A rule that refuses everything and barely says why."""
 
     words: str = ""
 

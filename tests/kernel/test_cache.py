@@ -1,4 +1,4 @@
-"""The disk cache of the compiled kernels: an edit of any file they are made of is seen."""
+"""The disk cache of compiled kernels: an edit of any source file is detected."""
 
 import errno
 import importlib

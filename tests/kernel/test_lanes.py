@@ -1,4 +1,4 @@
-"""Eight targets side by side: the vector type against numpy, and the answers against Pinocchio, the limits and the loop."""
+"""Eight targets side by side: the vector type against numpy, and results against Pinocchio, limits and the scalar loop."""
 
 import math
 

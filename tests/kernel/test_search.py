@@ -1,4 +1,4 @@
-"""The one search: what ends an attempt, for every rule, for one tip and for several."""
+"""The search loop: what ends an attempt, for every rule, with one tip and with several."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""The folder `uncompiled`: parts of the kernel that only other compiled code may call, so they are tested as plain Python."""
+"""The folder `uncompiled`: parts of the kernel that only compiled code can call, tested as plain Python."""
 
 import os
 import subprocess

@@ -1,4 +1,4 @@
-"""Views own nothing: what they show has to live as long as they are used."""
+"""Views do not own their data, which must live as long as they are used."""
 
 import ast
 import inspect

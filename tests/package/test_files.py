@@ -1,4 +1,4 @@
-"""Faults at every write, hostile names, closed streams: no output is lost, no control reaches a terminal, nothing is a bug."""
+"""Write errors, hostile names, closed streams: no output is lost, no control character reaches a terminal, no bug report."""
 
 import errno
 import io

@@ -1,4 +1,4 @@
-"""The committed notebooks: complete, small, executed in order, without scenes or errors (CI executes them apart)."""
+"""The committed notebooks: complete, small, executed in order, without scenes or errors (CI executes them separately)."""
 
 import json
 import re

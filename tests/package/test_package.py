@@ -1,4 +1,4 @@
-"""The package as a whole: what an import loads, what the README promises, what travels in the wheel."""
+"""The package as a whole: what an import loads, what the README promises, what the wheel contains."""
 
 import os
 import re

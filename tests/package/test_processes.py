@@ -1,4 +1,4 @@
-"""Processes and caches: pickling, fork and spawn, two processes compiling at once, a killed one, folders nobody can write."""
+"""Processes and caches: pickling, fork and spawn, concurrent compilation, a killed process, read-only folders."""
 
 import multiprocessing
 import os

@@ -1,4 +1,4 @@
-"""The form of the code: no circles between modules, no file and no function too long to read."""
+"""The structure of the code: no import cycles, no overlong files or functions."""
 
 import ast
 

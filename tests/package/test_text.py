@@ -1,4 +1,4 @@
-"""What a person typed: one reader of numbers for the command line and the panel."""
+"""Typed input: one number parser for the command line and the panel."""
 
 import math
 from pathlib import Path

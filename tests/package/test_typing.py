@@ -1,4 +1,4 @@
-"""What editors and type checkers are told of the options is what the calls take."""
+"""The options known to editors and type checkers are those the calls accept."""
 
 import typing
 

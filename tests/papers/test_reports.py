@@ -1,4 +1,4 @@
-"""Parts of the papers' reports that can be checked by themselves: times, plain methods, edges, inverse dynamics."""
+"""Parts of the paper reports that can be checked separately: times, plain methods, edges, inverse dynamics."""
 
 import numpy as np
 import pinocchio as pin

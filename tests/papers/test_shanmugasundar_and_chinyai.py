@@ -1,4 +1,4 @@
-"""The reports on Shanmugasundar (2012) and Chinyai: what they compute, against oracle numbers and the claims they make."""
+"""The reports on Shanmugasundar (2012) and Chinyai: their results against oracle numbers, and their claims."""
 
 import json
 import math

@@ -1,4 +1,4 @@
-"""Contact between the poses, against sampling far finer than the tests that prove it."""
+"""Contact between poses, against much finer sampling than the proof uses."""
 
 import numpy as np
 import pinocchio as pin

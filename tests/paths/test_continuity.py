@@ -1,4 +1,4 @@
-"""The bound between poses against dense sampling: on robots with every kind of joint it is never below what is found."""
+"""The bound between poses against dense sampling: never exceeded, on robots with every kind of joint."""
 
 import functools
 

@@ -1,4 +1,4 @@
-"""The program over tracks: the best of all paths, and states looked up by a joint that tells them apart."""
+"""The program over tracks: the best of all paths, and states looked up by a joint that separates them."""
 
 import numpy as np
 import pytest

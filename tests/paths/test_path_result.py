@@ -1,4 +1,4 @@
-"""What a PathResult computes of a motion, and what it writes."""
+"""The figures a PathResult computes for a motion, and the files it writes."""
 
 import json
 

@@ -1,4 +1,4 @@
-"""Refinement of a whole piece: shorter, on every pose, inside limits and steps, and never at the price of what was free."""
+"""Refinement of a whole piece: shorter, on every pose, inside limits and steps, and without new contacts."""
 
 import functools
 from xml.etree import ElementTree
@@ -117,7 +117,7 @@ def test_where_the_refined_path_is_bad_the_old_one_stays():
 
 
 def test_joints_at_their_limits_slide_along_them():
-    """With a limit where the free refinement goes past it, the refined path stands on the limit and is still shorter."""
+    """With a limit that the unconstrained refinement would exceed, the refined path stays at the limit and is still shorter."""
     plan, kinds, T, q = wavy("redundant")
     robot = plan.robot
     free = smooth(plan, kinds, q, T, STEP)

@@ -1,4 +1,4 @@
-"""Whole paths: every pose reached by one motion where there is one, and what is said where there is none."""
+"""Whole paths: one motion through every pose if there is one, and the message if there is none."""
 
 from itertools import pairwise
 
@@ -190,7 +190,7 @@ def test_a_path_begins_and_ends_where_it_is_asked_to(arm):
 
 
 def test_poses_that_are_reached_roughly_are_still_one_motion(arm):
-    """What is asked of the tip between poses is never more than what is asked at them."""
+    """The tolerance between poses is never tighter than the one at the poses."""
     made = ik.solve_path(arm, between(arm, arm.home, arm.home + 0.2, 20), position_tolerance=2e-3)
     assert made.status == PathStatus.FOLLOWED
     assert made.path_tolerance == (4e-3, np.radians(1.0)) and made.deviation[0] <= 4e-3

@@ -1,4 +1,4 @@
-"""Paths in time: limits that hold at every instant, on the curve that is proven, with stops where the branch changes."""
+"""Timed paths: limits hold at every instant, on the verified curve, with stops where the branch changes."""
 
 import functools
 import itertools

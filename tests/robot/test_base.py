@@ -1,4 +1,4 @@
-"""What a robot stands on: a pose, a planar or a floating base, and free-flyers of models that are given."""
+"""Robot bases: a pose, a planar or a floating base, and free-flyers of given models."""
 
 import json
 import pickle
@@ -29,7 +29,7 @@ FEET = ("left_foot", "right_foot")
 
 
 def solved(robot, count, seed=0, **options):
-    """How many of so many reachable targets are solved, all by Pinocchio."""
+    """Number of `count` reachable targets that are solved, checked by Pinocchio."""
     rng = np.random.default_rng(seed)
     results = [ik.solve(robot, robot.fk(robot.random_q(rng)), seed=k, **options) for k in range(count)]
     return sum(result.success for result in results)

@@ -1,4 +1,4 @@
-"""A corpus of broken and hostile URDF files: each is refused in one sentence, or loads as it should."""
+"""A corpus of broken and hostile URDF files: each is rejected in one sentence, or loads correctly."""
 
 import json
 import math
@@ -190,7 +190,7 @@ MESH = '<visual><geometry><mesh filename="../a.stl"/></geometry></visual>'
 
 @pytest.mark.parametrize("kind", GROWING)
 def test_work_grows_with_the_size_of_the_file(kind):
-    """Four times the file is at most about five times the work (beyond what a file costs at all)."""
+    """A file four times as long takes at most about five times the work (beyond the fixed cost of a file)."""
     few, many = (counted(robot(GROWING[kind](n))) for n in (800, 3200))
     assert many < 5.0 * few, (few, many)
 

@@ -1,4 +1,4 @@
-"""Distances between parts: against coal on the exact shapes, bounds of how fast they change, half-planes, and free ways."""
+"""Distances between parts: against coal on the exact shapes, bounds on their rates, half-planes, and free motions."""
 
 import coal
 import numpy as np
@@ -180,7 +180,7 @@ def test_a_way_that_is_called_free_is_free(name, gamma):
 
 
 def test_planes_hold_against_every_turn():
-    """No ball comes closer along any direction than is said, on long moves too, where first order alone would be wrong."""
+    """No ball comes closer along any direction than the bound allows, even on long moves, where first order would be wrong."""
     robot = ik.Robot.load(BALLS_MIMIC)
     space, rng, close = Clearance(ik.CollisionModel(robot)), np.random.default_rng(6), 0
     moved = space.by_a | space.by_b

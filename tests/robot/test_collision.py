@@ -1,4 +1,4 @@
-"""Collisions: what is tested against Pinocchio's own calls, what is left out, and solutions that touch nothing."""
+"""Collisions: tested pairs against Pinocchio's own calls, excluded pairs, and collision-free solutions."""
 
 import pickle
 import threading
@@ -24,7 +24,7 @@ def arm(name):
 
 
 def elbow(robot, q, joint=2):
-    """Where a joint stands at q, in the base frame."""
+    """Pose of a joint at q in the base frame."""
     data = robot.model.createData()
     pin.forwardKinematics(robot.model, data, robot.to_pinocchio(q))
     return data.oMi[joint].translation.copy()

@@ -1,4 +1,4 @@
-"""One plain URDF out of any description: macros expanded, meshes named by where they lie."""
+"""One plain URDF from any description: macros expanded, meshes named by their actual paths."""
 
 import json
 

@@ -148,7 +148,7 @@ def test_data_robots_are_listed():
 
 @pytest.mark.skipif(not have_data(), reason="example-robot-data is not installed")
 def test_every_file_of_example_robot_data_has_a_name():
-    """All of them load but one, which holds nothing; those without known tips are guessed or asked for."""
+    """All load except one empty file; unknown tips are guessed or must be given."""
     names = [entry.name for entry in list_robots(everything=True)]
     assert len(names) == len(set(names)) > 60
     refused = []

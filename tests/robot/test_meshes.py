@@ -1,4 +1,4 @@
-"""Meshes of unknown origin: where they may lie, what they may refer to, and files that kill their reader."""
+"""Untrusted meshes: allowed locations and references, and files that crash their reader."""
 
 import json
 import os
@@ -80,7 +80,7 @@ def refusals(name, folder, package_dirs=()):
 
 @pytest.fixture
 def place(tmp_path):
-    """A robot's folder with a good mesh, and one beside it that is none of its business."""
+    """A robot's folder with a good mesh, and a neighbouring folder that must not be read."""
     for name in ("robot", "secret"):
         (tmp_path / name).mkdir()
         (tmp_path / name / "a.stl").write_text(STL)

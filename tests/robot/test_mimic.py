@@ -1,4 +1,4 @@
-"""Followers of mimic joints, however a file orders and names them: kinematics by the second FK, and what cannot be tied."""
+"""Mimic joints in any order and with any names: kinematics by the second FK, and followers that cannot be tied."""
 
 import numpy as np
 import pytest

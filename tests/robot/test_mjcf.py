@@ -1,4 +1,4 @@
-"""MJCF: what MuJoCo makes of a file is what is solved for; and files that would do what a description must not."""
+"""MJCF: the loaded robot equals MuJoCo's model; and files that attempt forbidden operations."""
 
 import pickle
 

@@ -1,4 +1,4 @@
-"""Poses: conversions against Pinocchio, and what is refused."""
+"""Poses: conversions against Pinocchio, and rejected input."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""Kinematics and answers judged by the second FK (second_fk.py): nothing here is judged by the kernel or by Pinocchio."""
+"""Kinematics and results checked by the second FK (second_fk.py), independent of the kernel and of Pinocchio."""
 
 import itertools
 import math
@@ -118,7 +118,7 @@ def test_every_rpy_that_people_write():
 
 
 def test_random_robots():
-    """80 of the robots that scripts/break/robots.py makes without end."""
+    """80 of the random robots that scripts/break/robots.py generates."""
     refused = 0
     for seed in range(80):
         case = random_case(np.random.default_rng([11, seed]))
@@ -306,7 +306,7 @@ def test_a_follower_that_loses_its_digits_is_refused():
 
 
 def test_the_second_fk_itself():
-    """Two joints by hand: the judge is right about what is easily written down."""
+    """Two joints by hand: the second FK itself is right."""
     text = robots.urdf(
         dict(kind="revolute", xyz="0 0 1", rpy="0 0 1.5707963267948966"),
         dict(kind="prismatic", axis="2 0 0", xyz="0.5 0 0", mimic='<mimic joint="j0" multiplier="3" offset="0.25"/>'),

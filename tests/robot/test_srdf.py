@@ -1,4 +1,4 @@
-"""SRDF: what it says of a robot, where it is found, and files that are broken or hostile."""
+"""SRDF: its contents, where it is found, and broken or hostile files."""
 
 import pickle
 
@@ -161,7 +161,7 @@ def test_those_of_example_robot_data():
 # ------------------------------------------------------------------------------------------------------- broken and hostile
 @pytest.mark.parametrize("file", sorted(BAD.glob("*.urdf")), ids=lambda file: file.stem)
 def test_the_corpus_of_broken_urdfs(file):
-    """What is no XML, no robot or hostile is refused in one sentence; what else is wrong with a URDF is none of an SRDF's."""
+    """Files that are not XML, not a robot or hostile are rejected in one sentence; other URDF rules do not apply to an SRDF."""
     text, said = file.read_bytes(), ""
     try:
         read_srdf(file)

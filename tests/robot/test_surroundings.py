@@ -1,4 +1,4 @@
-"""Tools with shapes, shapes a robot holds, obstacles that move and go, and a margin: all by one predicate, the distance."""
+"""Tools with shapes, held shapes, obstacles that are moved and removed, and a margin: all judged by the distance."""
 
 import pickle
 
@@ -251,7 +251,7 @@ def test_answers_and_paths_keep_the_margin():
 
 
 def test_a_path_that_only_comes_near():
-    """A straight way past a ball at 2 cm: free without a margin, not with one of 5 cm."""
+    """A straight motion past a ball at 2 cm: free without a margin, not with one of 5 cm."""
     arm = load("planar_2r")
     T = [arm.fk([x, 0.8]) for x in np.linspace(0.0, 0.6, 7)]
     out = T[3].translation / np.linalg.norm(T[3].translation)

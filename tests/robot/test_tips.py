@@ -1,4 +1,4 @@
-"""Tips that nobody gave: guessed by the names that descriptions of arms use, never between two that are equal."""
+"""Guessed tips: by the names that arm descriptions use, never between two equally likely ones."""
 
 import logging
 

@@ -1,4 +1,4 @@
-"""Every robot of example-robot-data that loads: its shapes are Pinocchio's, its excluded pairs are gone, it can be looked at."""
+"""Every robot of example-robot-data that loads: shapes as in Pinocchio, excluded pairs removed, can be drawn."""
 
 from pathlib import Path
 
@@ -23,7 +23,7 @@ TOUCH_AT_HOME |= {"talos_reduced", "talos_reduced_box", "talos_reduced_corrected
 
 
 def load(file):
-    """The robot of a file with its first possible tip; skips what is no arm, or what Pinocchio refuses."""
+    """The robot of a file with its first possible tip; skips files that are not arms or that Pinocchio rejects."""
     path = FOLDER / file
     try:
         return ik.Robot.load(path, package_dirs=[FOLDER.parents[1]])

@@ -1,4 +1,4 @@
-"""Xacro files: arguments, packages and includes; and files that would do what a description must not."""
+"""Xacro files: arguments, packages and includes; and files that attempt forbidden operations."""
 
 import pytest
 

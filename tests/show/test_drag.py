@@ -1,4 +1,4 @@
-"""Targets dragged in the panel and in `ik view --follow`: the arm goes after them as far as it gets."""
+"""Targets dragged in the panel and in `ik view --follow`: the arm follows as far as it can."""
 
 import json
 
@@ -14,7 +14,7 @@ ROBOT = "hydrolek_7w"  # of the panel, see conftest.py
 
 @pytest.mark.parametrize("robot", ["hydrolek_7w", "planar_2r", "inspection_7dof"])
 def test_a_dragged_target_out_of_reach_is_followed_to_the_closest_pose(robot):
-    """A position pulled away step by step: the arm keeps coming as near as it can, and is back with the target."""
+    """A position moved away step by step: the arm stays as near as it can, and returns with the target."""
     session = Session(robot)
     arm, start = session.robot, session.robot.fk(session.q).translation.copy()
     way = np.array([1.0, 0.4, 0.0]) / np.hypot(1.0, 0.4)

@@ -1,4 +1,4 @@
-"""Names come from files of unknown origin: no HTML this toolkit makes, and no chart, takes them for anything but text."""
+"""Names come from untrusted files: every page and chart treats them as text only."""
 
 import contextlib
 import html

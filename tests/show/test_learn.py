@@ -1,4 +1,4 @@
-"""The panel's tab Learn without a browser: forward, inverse, branches, what is free, and what wrong input is told."""
+"""The panel's Learn tab without a browser: forward, inverse, branches, the free parameter, and errors for wrong input."""
 
 import re
 

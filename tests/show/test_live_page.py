@@ -1,4 +1,4 @@
-"""The live page in a real browser, held to Python: kinematics, solves, what is dragged, and names that stay text."""
+"""The live page in a real browser, compared with Python: kinematics, solves, dragging, and names that stay text."""
 
 import contextlib
 import json
@@ -65,7 +65,7 @@ def still(page):
 
 @pytest.fixture(scope="module")
 def hydrolek(browser, tmp_path_factory):
-    """A page of the HydroLek, for what needs no page of its own."""
+    """A shared page of the HydroLek, for tests that need no page of their own."""
     file = ik.view(load("hydrolek_7w")).page(tmp_path_factory.mktemp("page") / "hydrolek.html")
     with opened(browser, file) as page:
         yield page

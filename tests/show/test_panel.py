@@ -1,4 +1,4 @@
-"""The panel without a browser: what a visitor's session does, what the page is told, and who is refused."""
+"""The panel without a browser: sessions, updates sent to the page, and access control."""
 
 import contextlib
 import http.client
@@ -308,7 +308,7 @@ def test_solving_a_typed_pose(desk):
     assert "takes 3 numbers" in desk.status.content and "<b>" not in desk.status.content
     desk.goals[0].xyz.value, desk.tolerance.value = "0.9 0 0", "much"
     desk._guard(desk._solve)()
-    assert "the tolerance is a number" in desk.status.content
+    assert "the tolerance must be a number" in desk.status.content
 
 
 def test_all_solutions_can_be_picked(desk):

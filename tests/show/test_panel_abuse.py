@@ -1,4 +1,4 @@
-"""The panel under abuse: many visitors, nonsense on the wire, visitors who leave in the middle. No browser is needed."""
+"""The panel under abuse: many visitors, invalid messages, visitors who leave at any time. No browser is needed."""
 
 import contextlib
 import gc
@@ -162,7 +162,7 @@ def unreadable(message):
 
 
 def harass(panel, count, seed):
-    """Send so many senseless messages, coming back whenever thrown out. How often that was."""
+    """Send invalid messages, reconnecting whenever disconnected; returns the number of disconnections."""
     rng, out = random.Random(seed), 0
     visitor = Visitor(panel)
     for _ in range(count):
@@ -181,7 +181,7 @@ THROWN_OUT = "this is not a message of the panel's page"
 
 
 def check_alive(panel):
-    """A new visitor is served: moves a joint, solves a pose, is told why another cannot be reached."""
+    """A new visitor can move a joint and solve a pose, and sees why another cannot be reached."""
     visitor = Visitor(panel)
     desk, robot = visitor.desk, visitor.desk.session.robot
     visitor.change(desk.sliders[1], 30.0)

@@ -1,4 +1,4 @@
-"""Charts: they draw the numbers given, leave no figure open, and refuse what they cannot draw."""
+"""Charts: they draw the given numbers, leave no figure open, and reject what they cannot draw."""
 
 import numpy as np
 import pytest
@@ -151,7 +151,7 @@ def test_refusals_are_words(tmp_path, solved):
         plots.convergence(ik.solve(robot, robot.fk(robot.home), "lm"))
     with pytest.raises(InvalidOption, match="no runs"):
         plots.convergence({})
-    with pytest.raises(InvalidOption, match="array of 6 columns"):
+    with pytest.raises(InvalidOption, match="array with 6 columns"):
         plots.joint_paths(np.zeros((3, 2)), robot)
 
 

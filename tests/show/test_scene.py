@@ -1,4 +1,4 @@
-"""Scenes: what is drawn is where Pinocchio puts it, pages are self-contained."""
+"""Scenes: everything is drawn where Pinocchio puts it, and pages are self-contained."""
 
 import re
 
@@ -142,7 +142,7 @@ def test_several_tips_are_drawn_together():
 
 
 def test_poses_are_in_base_axes():
-    """A base above the root: what is drawn stays where the tip is in the world."""
+    """A base above the root: drawings stay at the tip's pose in the world."""
     robot = ik.Robot.load(SLIDES, base="l1")
     scene = view(robot)
     data = robot.model.createData()
@@ -177,7 +177,7 @@ def test_missing_meshes_are_said(tmp_path):
 def test_robots_of_any_size_are_drawn_or_refused(length):
     robot = ik.Robot.load(urdf(*[{"kind": "revolute", "axis": "0 1 0", "xyz": f"0 {length} 0"}] * 2))
     if float(length) > 1e9:
-        with pytest.raises(ModelError, match="further than 1e\\+09 m"):
+        with pytest.raises(ModelError, match="farther than 1e\\+09 m"):
             ik.view(robot)
     else:
         assert "</html>" in ik.view(robot).html()

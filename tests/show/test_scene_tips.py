@@ -62,9 +62,9 @@ def test_an_animation_moves_every_tip_and_draws_its_way(brokk, goal):
         world = scene.body.T_world_base @ brokk.fk(found.q)[tip].homogeneous
         assert np.allclose(values[-1, path], world[:3], atol=1e-5)
     assert {"trail", "trail2"} <= scene.drawn().keys()
-    assert [text for _, text in scene.window.about["legend"] if text.startswith("way of")] == [
-        "way of left_tip",
-        "way of right_tip",
+    assert [text for _, text in scene.window.about["legend"] if text.startswith("path of")] == [
+        "path of left_tip",
+        "path of right_tip",
     ]
 
 
@@ -98,7 +98,7 @@ def test_view_solves_for_several_tips(brokk, goal, tmp_path, capsys, monkeypatch
 
 
 def drawn_tip(brokk, words, relative):
-    """Where the right tip stands in the answer."""
+    """Position of the right tip in the answer."""
     left = [float(x) for x in words[1].partition(":")[2].split(",")]
     right = [float(x) for x in relative[1].partition(":")[2].split(",")]
     found = ik.solve(brokk, {"left_tip": left, "right_tip": right}, relative_to={"right_tip": "left_tip"})

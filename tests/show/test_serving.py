@@ -1,4 +1,4 @@
-"""Scenes that are served: to this machine only, to who knows the address, and nothing keeps running."""
+"""Served scenes: only to this machine, only with the token, and nothing keeps running."""
 
 import asyncio
 import contextlib

@@ -1,4 +1,4 @@
-"""Batches: the same bytes whatever the threads, chunks or workers; the check by Pinocchio; what is refused, and how."""
+"""Batches: the same bytes for any threads, chunks or workers; the check by Pinocchio; rejected input."""
 
 import concurrent.futures
 import multiprocessing

@@ -1,4 +1,4 @@
-"""A batch on a Dask cluster of two worker processes: the same bytes as here, also when a worker is lost on the way."""
+"""A batch on a Dask cluster of two worker processes: the same bytes as locally, even if a worker is lost."""
 
 import gc
 import warnings

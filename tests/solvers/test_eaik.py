@@ -1,4 +1,4 @@
-"""The bridge to EAIK: its answers through our call, evaluated again, inside the limits, nearest q0."""
+"""The EAIK adapter: its solutions through our call, evaluated again, inside the limits, nearest q0."""
 
 import importlib.util
 import pickle

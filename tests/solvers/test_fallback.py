@@ -1,4 +1,4 @@
-"""Closed forms that find no answer: nothing is called impossible that is possible, and the best configuration is returned."""
+"""Closed forms without a solution: no feasible target is called impossible, and the best configuration is returned."""
 
 import numpy as np
 import pytest

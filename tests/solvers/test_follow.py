@@ -1,4 +1,4 @@
-"""Loops: `follow` keeps an answer near its start, and an answer from elsewhere says so."""
+"""Loops: `follow` keeps a result near its start, and a result from another attempt says so."""
 
 import json
 

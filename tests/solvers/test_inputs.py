@@ -1,4 +1,4 @@
-"""What comes in is looked at once, on every path: last rows, kinds of numbers, layouts, masks, buffers that change."""
+"""Input validation on every path: last rows, number types, layouts, masks, buffers that change."""
 
 import datetime
 import math

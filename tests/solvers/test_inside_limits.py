@@ -1,4 +1,4 @@
-"""Answers inside the limits, to the last digit: targets that stand on limits, ranges that cover full turns, joints wound up."""
+"""Results exactly inside the limits: targets at limits, ranges over full turns, wound-up joints."""
 
 import math
 

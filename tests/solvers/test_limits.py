@@ -1,4 +1,4 @@
-"""What a solver does at a joint limit: stop, hold, or go on from the other end of the range."""
+"""Solvers at a joint limit: stop, hold, or continue from the other end of the range."""
 
 import math
 

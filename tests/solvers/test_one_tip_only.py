@@ -1,4 +1,4 @@
-"""What is for one tip says so to a tree, and how to choose one."""
+"""Calls for one tip reject a tree and say how to choose a tip."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Solvers of other people: marked classes, rows registered by other packages, classes in files."""
+"""Third-party solvers: marked classes, rows registered by other packages, classes in files."""
 
 import logging
 import subprocess

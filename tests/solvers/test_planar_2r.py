@@ -1,4 +1,4 @@
-"""The closed form of the planar arm, and what closed forms share with every solver."""
+"""The closed form of the planar arm, and the features closed forms share with every solver."""
 
 import json
 import math

@@ -1,4 +1,4 @@
-"""Preferences: each has a test that fails when the preference is ignored."""
+"""Preferences: each has a test that fails if the preference is ignored."""
 
 import tracemalloc
 

@@ -1,4 +1,4 @@
-"""Which arms the closed forms recognise, and what is said of those that do not fit."""
+"""Which arms the closed forms recognise, and the messages for arms that do not fit."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""Lists of solutions: nothing is called complete that is not, families are said, branches have names."""
+"""Lists of solutions: `complete` is never wrong, families are reported, branches have names."""
 
 import importlib.util
 

@@ -1,4 +1,4 @@
-"""The public solve call: defaults, options, words, singular and unreachable targets."""
+"""The public solve call: defaults, options, messages, singular and unreachable targets."""
 
 import math
 import pickle

@@ -1,4 +1,4 @@
-"""A time limit: where it does not strike nothing changes, where it strikes a limit of evaluations repeats the answer."""
+"""A time limit: no effect unless it is reached; a result that hit it is reproduced by a limit on evaluations."""
 
 import itertools
 

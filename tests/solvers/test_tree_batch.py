@@ -1,4 +1,4 @@
-"""Many targets for several tips: forms of the targets, the bytes, what a row says, what is refused."""
+"""Batches for several tips: target formats, identical bytes, row contents, rejected input."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""Objectives and collisions of several tips: judged by sums, Jacobians and Pinocchio calls of their own."""
+"""Objectives and collisions with several tips: checked by independent sums, Jacobians and Pinocchio calls."""
 
 import numpy as np
 import pinocchio as pin
@@ -62,7 +62,7 @@ def test_objectives_get_better_and_the_tips_stay(tree, objective, kinds):
 
 
 def test_an_objective_ends_where_no_self_motion_is_better(tree):
-    """At the end the gradient of the mid-range distance has no part that moves no tip, joints at limits apart."""
+    """At the end the gradient of the mid-range distance has no null-space component, except for joints at limits."""
     bounded, middle, span = ranges(tree)
 
     def left(q, goal):

@@ -1,4 +1,4 @@
-"""What counts: mask, slack, free turn and frame, and targets relative to another tip, against arithmetic of their own."""
+"""What counts: mask, slack, free turn and frame, and targets relative to another tip, against independent arithmetic."""
 
 import numpy as np
 import pinocchio as pin
@@ -59,7 +59,7 @@ def some_options(rng):
 
 @pytest.mark.parametrize("seed", range(4))
 def test_answers_are_inside_by_the_definition(arm, seed):
-    """The target is where the slack reaches it, so what is asked for exists; scipy says whether the answer is one."""
+    """The target is within slack, so a solution exists; scipy checks whether the result is one."""
     rng = np.random.default_rng(seed)
     for _ in range(25):
         options = some_options(rng)

@@ -1,4 +1,4 @@
-"""Benchmark: statistics, schema, what is compared, the command."""
+"""Benchmark: statistics, schema, comparison, the command."""
 
 import csv
 import json

@@ -110,7 +110,7 @@ def test_rounds_are_settled_by_their_median(scripts):
 
 
 def test_one_small_run_against_a_process_of_its_own(tmp_path):
-    """The whole way with our own solvers as the peers: processes, blocks, checks, tables."""
+    """End to end with our own solvers as the peers: processes, blocks, checks, tables."""
     output = tmp_path / "solve.json"
     command = [
         sys.executable, str(BENCHMARKS / "solve.py"), "--venvs", str(tmp_path), "--robots", "hydrolek_7w", "--peers", "ik",

@@ -287,7 +287,7 @@ def test_score_of_names_and_rules_agree():
 
 
 def test_a_preset_worse_than_the_default_is_not_saved_without_a_word(tmp_path, capsys):
-    """Few targets and few generations overfit: what is saved is the better one, and the command says so."""
+    """Few targets and few generations overfit: the better rule is saved, and the command says so."""
     file = tmp_path / "dls.toml"
     arguments = ["tune", "hydrolek_7w", "dls", "--generations", "1", "--population", "4", "--targets", "3"]
     assert main([*arguments, "--held-out", "2", "--json", "-o", str(file)]) == 0
@@ -304,7 +304,7 @@ def test_a_preset_worse_than_the_default_is_not_saved_without_a_word(tmp_path, c
 
 
 def test_the_structure_asked_for_is_kept_and_a_better_default_is_named():
-    """One map as published loses to 128 designed ones; it was asked for, so it is what is saved."""
+    """One map as published loses to 128 designed ones, but it was requested, so it is saved."""
     found = tune(robots.load("hydrolek_7w"), "state-space", maps=1, generations=1, targets=50, held_out=1, population=6)
     assert found.kept in ("tuned", "start") and np.shape(np.atleast_2d(found.rule.starts)) == (1, 6)
     assert found.scores["default"].share > found.scores[found.kept].share

@@ -1,4 +1,4 @@
-"""The published methods: their errors and orders, and how runs end that diverge or leave the reach."""
+"""The published methods: errors and orders, and how diverging runs and runs beyond reach end."""
 
 import json
 
@@ -111,7 +111,7 @@ def test_runs_that_diverge_end_with_a_sentence(planar, panda):
 
 @pytest.mark.parametrize("method", ["cv", "av", "ca", "aa", "aad"])
 def test_out_of_reach_and_back(planar, method):
-    """A target pulled 0.1 m out of reach and back. The exact inverse may fail, with finite arrays; damping brings it home."""
+    """A target moved 0.1 m out of reach and back. The exact inverse may fail with finite arrays; with damping it recovers."""
     ref = ik.line((1.2, 0, 0), (2.1, 0, 0), duration=12.6, rounds=1)
     exact = track(planar, ref, method, dt=0.02, limits=False, damping=0.0)
     assert np.isfinite(exact.q).all() and np.isfinite(exact.position_error).all()

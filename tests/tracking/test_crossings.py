@@ -1,4 +1,4 @@
-"""Motions that a robot is known to be able to make, given to `track` by the poses of the tip alone."""
+"""Motions known to be feasible, given to `track` only as poses of the tip."""
 
 import importlib.util
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Obstacles: whatever rates are asked for, nothing static is touched, and the arm comes to rest inside its limits."""
+"""Obstacles: for any requested rates, nothing static is touched, and the arm comes to rest inside its limits."""
 
 import numpy as np
 import pytest
@@ -215,7 +215,7 @@ def test_a_brake_is_that_of_the_limits():
 
 # ----------------------------------------------------------------------------------------------------------- in a tracker
 def dragged(robot, model, q, targets, dt=0.02, **options):
-    """Steps of a tracker along targets; every way between two of them is free, and its limits hold."""
+    """Steps of a tracker along targets; every move between two of them is free and keeps the limits."""
     tracker = ik.Tracker(robot, q0=q, acceleration_limits=10.0, avoid_collisions=model, **options)
     steps, before, rate = [], q, np.zeros(robot.n)
     for target in targets:
@@ -255,7 +255,7 @@ def test_a_target_in_a_box_is_not_reached(name, method):
 
 
 def test_what_stands_before_a_wall_is_blocked_by_it():
-    """Stretched out in a plane there is no way around: the arm stays where it is, says why, and leaves without delay."""
+    """Stretched out in a plane there is no way around: the arm stays, says why, and leaves without delay."""
     robot = load("planar_2r")
     q = np.array([0.0, 0.5])
     p = robot.fk(q).translation

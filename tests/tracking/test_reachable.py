@@ -1,4 +1,4 @@
-"""What a robot can reach of a path, what is tried when that is not all, and paths placed so that it is."""
+"""The reachable part of a path, the alternatives tried if it is not all, and paths placed so that it is."""
 
 import json
 

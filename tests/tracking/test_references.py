@@ -1,4 +1,4 @@
-"""References: exact derivatives, what they pass through, and files that are no reference."""
+"""References: exact derivatives, waypoints, and invalid files."""
 
 import zipfile
 

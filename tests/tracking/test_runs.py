@@ -1,4 +1,4 @@
-"""Whole runs: rules as trackers, saved files, the command, inputs that are none."""
+"""Whole runs: rules as trackers, saved files, the command, invalid input."""
 
 import json
 import warnings

@@ -1,4 +1,4 @@
-"""The constrained step in a control loop and along a path: what gives way where limits bind, and what is left as published."""
+"""The constrained step in a control loop and along a path: what yields when limits bind, and what stays as published."""
 
 import numpy as np
 import pinocchio as pin
@@ -47,7 +47,7 @@ def line_of(robot, q, way, duration):
 @pytest.mark.parametrize("method", ["cv", "aad"])
 @pytest.mark.parametrize("acceleration", [None, 15.0])
 def test_time_gives_way_before_the_path(panda, method, acceleration):
-    """A line driven four times too fast: slower on the line, by default; in time beside it when told to."""
+    """A line at four times the feasible speed: by default slower on the line; on time but off the line if requested."""
     ref = line_of(panda, Q0, (0.0, 0.5, 0.0), 0.25)
     run = track(panda, ref, method, dt=0.005, q0=Q0, acceleration_limits=acceleration, settle=0.0)
     assert run.status.name == "SLOWED" and run.success, run.message
@@ -278,6 +278,6 @@ def test_several_tips():
 
 
 def test_a_slowed_run_ends_without_a_jump(panda):
-    """The clock comes to the end in whole steps: a short last one was taken at the speed of the one before."""
+    """The clock reaches the end in whole steps: a short last one used to be taken at the previous speed."""
     run = track(panda, panda_reference(panda, True, 1.0), q0=Q0, acceleration_limits=10.0)
     assert run.status.name == "SLOWED" and run.clock[-1] == 1.0 and run.position_error[-20:].max() < 1e-6

@@ -1,4 +1,4 @@
-"""The word and the sentence of a run, on arrays made by hand."""
+"""Status and message of a run, on hand-made arrays."""
 
 import csv
 import json

@@ -1,4 +1,4 @@
-"""Limits of position, speed and acceleration: the box of next rates, the brake, the way along it."""
+"""Limits of position, speed and acceleration: the box of next rates, the brake, and the braking path."""
 
 import math
 

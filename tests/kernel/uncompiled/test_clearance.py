@@ -1,4 +1,4 @@
-"""How fast pairs of parts come closer, and how far they are free for sure along a brake."""
+"""How fast pairs of parts approach, and how far they are certainly free along a braking path."""
 
 import math
 

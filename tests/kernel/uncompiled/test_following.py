@@ -1,4 +1,4 @@
-"""Wishes beside a task, the clock of a reference, motion along singular directions, rates that cannot be followed."""
+"""Secondary wishes, the reference's clock, motion along singular directions, and rates that cannot be followed."""
 
 import math
 

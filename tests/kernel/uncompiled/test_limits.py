@@ -1,4 +1,4 @@
-"""Limits, full turns, what a step allows, and why an attempt stands still."""
+"""Limits, full turns, allowed steps, and why an attempt stalls."""
 
 import math
 from types import SimpleNamespace

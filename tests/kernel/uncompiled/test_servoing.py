@@ -1,4 +1,4 @@
-"""What a tracker does around its law in a step: the start, the clock, wishes, clipping; and parts of the constrained step."""
+"""The parts of a tracker step around its law (start, clock, wishes, clipping), and parts of the constrained step."""
 
 import math
 from types import SimpleNamespace

@@ -1,4 +1,4 @@
-"""Singular directions: which there are, what is damped, and how joints move along them."""
+"""Singular directions: how they are found and damped, and how joints move along them."""
 
 import numpy as np
 import pytest

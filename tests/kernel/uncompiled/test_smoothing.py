@@ -1,4 +1,4 @@
-"""Secondary objectives and whole paths: what is measured, its derivatives, bands, poses in between, the program over tracks."""
+"""Secondary objectives and whole paths: measures, their derivatives, bands, intermediate poses, the program over tracks."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""One step of a tracker: what a published law wants with a clock, what limits make of it; two levels of objectives; scratch."""
+"""One step of a tracker: a published law with a clock, the effect of limits, two levels of objectives, scratch arrays."""
 
 import itertools
 
