@@ -281,7 +281,7 @@ def _planar(report: Report, seeds: Any) -> None:
     report.text(
         f"""In the straight configuration the Jacobian is [[0, 0, 0], [6, 4, 2]] (ours: {np.round(J, 12).tolist()}), so J^T e =
         0 for the target
-        (5, 0): J^T, J+, DLS and LM all stand still, and eq. (12) is 0/0, not 0; IK-PID and CCD stand still too, since moving
+        (5, 0): J^T, J+, DLS and LM all stand still, and eq. (12) is 0/0, not 0; so do IK-PID and CCD, since moving
         any one joint either way leaves the line. The printed answer is {off:.4f} away from (5, 0), consistent only with a
         stopping tolerance of about 0.02 link units. Matrices B of integers stand in for the unpublished one. **Robustness:**
         over the whole
@@ -354,7 +354,7 @@ def _other_robots(report: Report) -> None:
         panda_hand_tcp`); poses with `--pose --targets 500 --generations 60`; `pid` with `--targets 400 --generations 20
         --population 12`, poses with `--targets 1000 --generations 15`. For positions several maps come close to the Jacobian
         methods, and on the UR5 the number of maps matters more than tuning; one map from home does not suffice on either arm.
-        For full poses static maps miss many goals that LM solves, tuned or not: there they are no replacement. IK-PID needs no
+        For full poses static maps miss many goals that LM solves, tuned or not: they do not replace it there. IK-PID needs no
         gains for positions; for poses tuning helps it on the Panda and hardly on the UR5."""
     )
 

@@ -62,7 +62,7 @@ def existence(report: Report, robot: Robot, q0: np.ndarray) -> np.ndarray:
     report.table("fig4", ["K_p", "published", "ours at the existence goal"], rows)
     report.text(
         f"""The published goal (-10, 50, -20) is **not reachable from the arm base** in this frame: the workspace misses it by
-        {1000 * miss["cm"]:.1f} mm when it is in cm and {1000 * miss["mm"]:.1f} mm when in mm (the least found by a search
+        {1000 * miss["cm"]:.1f} mm if it is in cm and {1000 * miss["mm"]:.1f} mm if in mm (the smallest distance found by a search
         from many starts), so the base has an unpublished offset. The curves use an *existence goal*, found by a search: it
         shows that the numbers are compatible, not that it is the authors' goal. Of {CANDIDATES} random goals {threshold} are
         reached by the published A, B, C and have the threshold between 0.0847 and 0.0848, and {len(left)} keep it on a grid

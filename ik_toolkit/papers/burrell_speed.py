@@ -139,7 +139,7 @@ def _explain(
     micro = {name: spread(1e6 * times[AT], ".3g") for name, times in compiled.items()}
     count = {name: made[AT]["steps"] for name, made in steps.items()}
     report.text(
-        f"""All 19 published times (IK-PID has none at 0.1 mm) beside ours: median [least-most] over {len(sets)} sets of 1000 goals,
+        f"""All 19 published times (IK-PID has none at 0.1 mm) next to ours: median [min-max] over {len(sets)} sets of 1000 goals,
         3 sets of {FEW} for numpy. Times are processor time on one thread, with solvers taking turns; a set is timed over the
         goals that all of them solve. The start is mid-range, except for the tuned solvers, which have their own. The machines
         differ, so only the ratios can be compared. The published times are from MATLAB, to which numpy is the closer
@@ -149,7 +149,7 @@ def _explain(
         f"""**What the 65 % rests on** (Table II itself gives 73, 68, 64 and 76 %). At 1 mm the state-space solver with one tuned
         map takes {over(compiled, "state space", "J+")} of the time of our J+ by singular values, and
         {over(compiled, "state space", "J+, plain")} of that of the same J+ by J'(JJ')^-1: {micro["J+"]} against
-        {micro["J+, plain"]} us a goal. In numpy the two ratios are {over(slow, "state space", "J+")} and
+        {micro["J+, plain"]} us per goal. In numpy the two ratios are {over(slow, "state space", "J+")} and
         {over(slow, "state space", "J+, plain")}. So the published saving reflects what a Jacobian and its pseudo-inverse cost
         in a given language; it is not a property of the algorithm: it needs {count["state space"]:.1f} steps where J+ needs
         {count["J+"]:.1f}."""

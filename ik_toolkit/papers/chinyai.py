@@ -59,7 +59,7 @@ def reproduce(count: int = 20_000, seed: int = 0) -> Report:
         f"The claim {'does not hold' if slower else 'holds in part'} on this arm: in this run Newton-Raphson from a "
         f"fixed start takes {words['compiled']} times as long as the closed form when both are compiled, "
         f"{words['python']} times in plain Python and {words['numpy']} times in numpy, and still {words['warm']} times "
-        f"from a start 0.001 rad away (compiled; median [least-most] of {ROUNDS} rounds); and it returns one answer, or "
+        f"from a start 0.001 rad away (compiled; median [min-max] of {ROUNDS} rounds); and it returns one answer, or "
         "none, where the closed form returns both. The other half of the argument holds: Newton needs only the "
         "forward kinematics and the Jacobian, so it also serves arms without a closed form. The claim may "
         "come from timing a symbolic solve of the two equations against a numeric loop."

@@ -83,11 +83,11 @@ def _radii(made: Report) -> None:
     bad = made.number("radius_with_misprint_of_41", st.spectral_radius(misprint))
     made.text(
         f"""**The contradiction:** the RR set of Figs. 7 and 8 left, "unstable" in the paper, is not outside the paper's own
-        region: cv stands exactly on the border (radius 1) and ca inside it (kp = 61 against the border at 61.58). It does
+        region: cv is exactly on the border (radius 1) and ca inside it (kp = 61 against the border at 61.58). It does
         diverge on a fast path, because the matrices describe the arm at rest (see growth below). Two misprints: entry (3,3) of
         eq. (41) has kp where it should have kd (as printed the radius of the good RR set would be {bad:.3g}); eqs. (29) and
         (32) print the
-        indices i+1, i, which would make every gain stable, against eqs. (30) and (34): read "now, and the one before"."""
+        indices i+1, i, which would make every gain stable, contradicting eqs. (30) and (34): read "current and previous"."""
     )
     made.figure(
         "fig9_charts.png",
