@@ -25,19 +25,19 @@ from ..solvers.solve_all import solve_all
 from ..text import parameter, plain, vector
 from .hand import Followed, follow, prepare
 
-KINDS = ("roll pitch yaw", "quaternion", "matrix", "free")  # how the orientation of a typed target is given
-NONE = "no target"  # of one of several tips
-SHOWN = 16  # solutions listed
+KINDS = ("roll pitch yaw", "quaternion", "matrix", "free")  # how a typed target's orientation is given
+NONE = "no target"  # for one of several tips
+SHOWN = 16  # most solutions listed
 SAMPLES = 8  # random configurations; at least one of them is not singular
-PATIENCE = 20  # seconds of its own time that an arm may go on towards a target that is not moved any more
+PATIENCE = 20  # seconds of robot time that an arm may go on towards a target that is no longer being moved
 
 
 class Session:
     """State of one visitor. q (n,) [rad or m]; target, as the robot takes it, or None; result and solutions of the last solve.
 
-    robot: a Robot, or a Tree; tips: all there are to choose from; ranks: in how many directions each tip can move (2 for a planar
-    arm). A target is (4, 4) or (3,) [m], of a Tree a dict of these by tip. solver (name) and parameters (name -> text as typed, ''
-    for the default); degrees: how angles are typed and shown.
+    robot: a Robot, or a Tree; tips: all available ones; ranks: number of directions in which each tip can move (2 for a planar
+    arm). A target is (4, 4) or (3,) [m], for a Tree a dict of these by tip. solver (name) and parameters (name -> text as typed, ''
+    for the default); degrees: unit of typed and shown angles.
     """
 
     def __init__(self, source: str, tips: str | Sequence[str] | None = None) -> None:
@@ -280,13 +280,13 @@ class Session:
             return [], None
 
     def ellipsoids(self) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-        """Axes (3, 3) in the base and radii (3,) of the velocities [m/s] of each tip at joint speeds of norm 1, by tip."""
+        """Velocity ellipsoid of each tip at joint speeds of norm 1: axes (3, 3) in the base and radii (3,) [m/s], by tip."""
         missing = max(0, 3 - self.robot.n)
         svd = [np.linalg.svd(np.pad(J, ((0, 0), (0, missing))), full_matrices=False) for J in self._rates(self.q)]
         return {tip: (U, sizes) for tip, (U, sizes, _) in zip(self.robot.tips, svd, strict=True)}
 
     def manipulability(self) -> dict[str, float]:
-        """Product of the ellipsoid's radii by tip, without those that are 0 at every q: an area for an arm in the plane."""
+        """Product of the ellipsoid's radii by tip, without those that are 0 at every q: an area for a planar arm."""
         radii = (radii for _, radii in self.ellipsoids().values())
         return {tip: float(np.prod(r[:rank])) for tip, r, rank in zip(self.robot.tips, radii, self.ranks, strict=True)}
 
@@ -294,7 +294,7 @@ class Session:
         """Linear rows (tips, 3, n) of the Jacobian at q (n,)."""
         return self.robot.jacobian(q).reshape(-1, 6, self.robot.n)[:, :3]
 
-    # ---------------------------------------------------------------------------------------------------- for people
+    # ------------------------------------------------------------------------------------------------------- display
     def figures(self) -> list[tuple[str, str]]:
         """Rows (name, value) about the last solve, or the current state of a drag."""
         if self.followed is not None and self.result is None:
