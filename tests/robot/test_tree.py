@@ -49,7 +49,7 @@ def test_any_base_also_with_followers_of_joints_below_it(base):
 
 
 def test_manipulability_is_yoshikawas(tree):
-    for robot in (tree, *tree.arms):
+    for robot in (tree, *tree.arms, tree.arms[0].locked({tree.arms[0].joint_names[0]: 0.1})):
         for q in robot.random_q(np.random.default_rng(3), 4):
             rows = robot.jacobian(q).reshape(-1, 6, robot.n)
             for name, J in (

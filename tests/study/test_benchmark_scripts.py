@@ -5,6 +5,7 @@ import json
 import math
 import subprocess
 import sys
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -149,3 +150,30 @@ def test_an_interrupt_keeps_the_blocks_that_are_finished(tmp_path, monkeypatch, 
     ]
     assert all(row["once"]["targets"] == row["targets"] for row in rows)
     assert "interrupted" in capsys.readouterr().err
+
+
+def test_a_run_over_streams_goes_on_where_its_file_leaves_off(scripts, monkeypatch):
+    servo = scripts("servo")
+    monkeypatch.setattr(servo, "load", lambda robot: robot)
+    monkeypatch.setattr(servo, "make", lambda scenario, robot, seed: SimpleNamespace(name=scenario, targets=[0]))
+    monkeypatch.setattr(servo, "mark_of", lambda stream: f"as {stream.name} is now")
+    monkeypatch.setattr(
+        servo, "run", lambda s, robot, asked, folder, keep, before: (robot, s.name, [*asked], before.get("rows"))
+    )
+    kept = [
+        {"robot": "arm", "mark": "as first is now", "rows": {"ik": 1}, "refused": {"pink": "why"}},
+        {"robot": "arm", "mark": "as second was", "rows": {"ik": 2}},
+        {"robot": "other", "mark": "as second is now", "rows": {"ik": 3}},
+        {"robot": "arm", "mark": "as third is now", "rows": {"ik": 4, "pink": 5, "dls": 6}},
+    ]
+    given = SimpleNamespace(robots=["arm"], scenarios=["first", "second", "third"], seed=0, keep=None, resume=True)
+    processes = dict.fromkeys(("ik", "pink", "dls"))
+    ran = list(servo.streams(given, kept, processes, None))
+    assert ran == [("arm", "first", ["dls"], {"ik": 1}), ("arm", "second", ["ik", "pink", "dls"], None)]
+    given.resume = False
+    ran = list(servo.streams(given, kept, processes, None))
+    assert [(name, asked, rows) for _, name, asked, rows in ran] == [
+        ("first", [*processes], {"ik": 1}),
+        ("second", [*processes], None),
+        ("third", [*processes], kept[3]["rows"]),
+    ]

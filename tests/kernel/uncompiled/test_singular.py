@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ik_toolkit.kernel import modes, singular, wanted
+from ik_toolkit.kernel import modes, singular, wanted, wishes
 from ik_toolkit.kernel.bench import bench_on, bench_space
 from ik_toolkit.kernel.box import approach
 from ik_toolkit.kernel.constrain import LEAVE
@@ -225,3 +225,24 @@ def test_only_the_singular_direction_leaves_the_task(code, n):
             assert v @ s.x == pytest.approx(xk[0], rel=1e-6, abs=1e-9)
             if code == CV:
                 assert v @ memory == pytest.approx(xk[0], rel=1e-6, abs=1e-9)
+
+
+def test_errors_beside_a_lost_direction_are_fed_back_less():
+    rng = np.random.default_rng(7)
+    U = np.linalg.qr(rng.normal(size=(4, 4)))[0]
+    sigma, lost, bend = np.array([1.0, 0.5, 0.2, 0.0]), np.array([0.0, 0.0, 1.0, 1.0]), 0.7
+    e, ahead = rng.normal(size=(2, 4))
+    more = bend * np.hypot(U[:, 2] @ e, U[:, 3] @ e)
+    less = U @ (np.where(lost, 0.0, more / (sigma**2 + more)) * (U.T @ e))
+    wanted = e - less, ahead - less
+    modes.hold_back(U, sigma, lost, bend, e, ahead)
+    np.testing.assert_allclose((e, ahead), wanted, atol=1e-14)
+
+
+def test_rows_of_a_task_are_weighed():
+    rng = np.random.default_rng(8)
+    weight, J, rows = np.array([0.5, 3.0, 2.0]), rng.normal(size=(4, 3)), rng.normal(size=(4, 3))
+    wanted = J * weight, rows * weight
+    assert wishes.weigh(weight, J, *rows) == 3.0
+    np.testing.assert_array_equal(J, wanted[0])
+    np.testing.assert_array_equal(rows, wanted[1])
