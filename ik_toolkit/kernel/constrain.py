@@ -159,6 +159,20 @@ def add_clock(P, V, S, task, first, r, n, cap):
 
 
 @inner
+def from_rest(V, S, n, count):
+    """Let the joints stand still, too: whether a direction is possible is not for the way they happen to move. True: a change."""
+    changed = False
+    for i in range(n):
+        changed = changed or V[LOW, i] > 0.0 or V[HIGH, i] < 0.0
+        V[LOW, i] = min(V[LOW, i], 0.0)
+        V[HIGH, i] = max(V[HIGH, i], 0.0)
+    for k in range(count):
+        changed = changed or S[RHS, k] < 0.0
+        S[RHS, k] = max(S[RHS, k], 0.0)
+    return changed
+
+
+@inner
 def aside(P, S, first, r, n, alpha):
     """Weight what leaves the asked direction: DIRECTION in full reach, 1 where nothing can be done along it."""
     size = 0.0
@@ -353,6 +367,7 @@ def solve_step(
             clock_tried = True
             unit = add_clock(P, V, S, task, count, r, n, top)
             N = n + 1 if unit > 0.0 else n
+            fresh = mode == DIRECT and from_rest(V, S, n, count)
         elif stage == ASIDE:
             aside(P, S, count, r, n, rate)
         elif stage == SLACK:

@@ -213,6 +213,14 @@ def test_a_blocked_direction_slides():
     np.testing.assert_allclose(x, [0.0, 0.5], atol=1e-12)
 
 
+def test_a_joint_that_cannot_stop_at_once_does_not_choose_the_direction():
+    """No way along x, and y has to go on: that is no reason to leave y behind what is asked of it."""
+    step = Step(np.eye(2), np.array([-1.0, 0.3]), np.array([0.0, 0.5]), mode=DIRECT)
+    x = step(np.array([1.0, 0.4]), np.zeros(2), np.zeros(2))
+    assert step.status == SHORT and step.rate <= 1e-12
+    np.testing.assert_allclose(x, [0.0, 0.4], atol=1e-12)
+
+
 def planar(q):
     """Jacobian (3, 2) of the tip of three unit links."""
     a = np.cumsum(q)
