@@ -16,7 +16,7 @@ from .cache import make_cache
 
 try:
     from .parts import CalledPipeline, KernelPipeline, PartPipeline
-except ImportError:  # another release of numba compiles parts in its usual way, which takes longer
+except (AttributeError, ImportError):  # another release of numba compiles parts in its usual way, which takes longer
     PARTS, CALLED, KERNEL = {}, {}, {}
 else:
     PARTS, CALLED = {"pipeline_class": PartPipeline}, {"pipeline_class": CalledPipeline}

@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 from numba import config, float64, njit
 from numba.core.caching import Cache
+from numba.core.codegen import CPUCodegen
 from numba.core.dispatcher import Dispatcher
 from numba.core.serialize import dumps
 
@@ -186,12 +187,18 @@ def test_a_kernel_has_one_copy_of_each_part_and_numba_is_left_as_it_was(tmp_path
 
 
 @pytest.mark.skipif(config.DISABLE_JIT, reason="nothing is compiled")
-def test_with_another_numba_parts_compile_as_it_likes(monkeypatch):
-    monkeypatch.setitem(sys.modules, "ik_toolkit.kernel.parts", None)
+@pytest.mark.parametrize("missing", ["module", "name"])
+def test_with_another_numba_parts_compile_as_it_likes(monkeypatch, missing):
     path = PACKAGE / "kernel" / "jit.py"
     found = importlib.util.spec_from_file_location("ik_toolkit.kernel.jit_again", path)
     jit = importlib.util.module_from_spec(found)
-    found.loader.exec_module(jit)
+    with monkeypatch.context() as other:
+        if missing == "module":
+            other.setitem(sys.modules, "ik_toolkit.kernel.parts", None)
+        else:
+            other.delitem(sys.modules, "ik_toolkit.kernel.parts")
+            other.delattr(CPUCodegen, "_function_pass_manager")
+        found.loader.exec_module(jit)
     assert not jit.PARTS
     part = jit.inline(lambda x: x + 1.0)
     assert njit(lambda x: part(x))(1.0) == 2.0

@@ -285,7 +285,9 @@ def test_a_start_given_as_seed_is_told_apart():
 
 
 @pytest.mark.parametrize(
-    "call", [ik.solve, ik.solve_all, lambda robot, T, seed: ik.solve_batch(robot, [T], seed=seed)], ids=str
+    "call",
+    [ik.solve, ik.solve_all, lambda robot, T, seed: ik.solve_batch(robot, [T], seed=seed)],
+    ids=["solve", "solve_all", "solve_batch"],
 )
 def test_no_seed_is_not_a_seed(call):
     """None came through to the compiler, whose own error showed."""
