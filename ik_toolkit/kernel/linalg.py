@@ -8,6 +8,7 @@ from .jit import inline, inner
 TINY = 1e-300  # smallest pivot: its root and the inverse of the root are still finite
 SWEEPS = 40  # of Jacobi rotations; convergence is quadratic, six columns need about ten
 ORTHOGONAL = 1e-15  # cosine of the angle between two columns, below which it is rounding
+NOISE = 1e-15  # length of a column over the longest, below which it is rounding and has no direction: it would turn for ever
 FLAT = 1e-10  # a pivot this much below the largest entry: the inverse of the matrix is not reliable
 
 
@@ -103,10 +104,15 @@ def make_orthogonal(A, V, m):
 
     m: a constant is faster.
     """
-    n = A.shape[0]
+    n, longest = A.shape[0], 0.0
     for r in range(m):
+        a = 0.0
+        for i in range(n):
+            a += A[i, r] * A[i, r]
+        longest = max(longest, a)
         for c in range(m):
             V[r, c] = 1.0 if r == c else 0.0
+    noise = NOISE * NOISE * longest
     for _ in range(SWEEPS):
         rotated = False
         for r in range(m - 1):
@@ -116,7 +122,7 @@ def make_orthogonal(A, V, m):
                     a += A[i, r] * A[i, r]
                     b += A[i, c] * A[i, c]
                     g += A[i, r] * A[i, c]
-                if abs(g) <= ORTHOGONAL * math.sqrt(a * b) or abs(g) < TINY:
+                if abs(g) <= ORTHOGONAL * math.sqrt(a * b) or min(a, b) <= noise:
                     continue
                 rotated = True
                 cs, sn = jacobi(a, b, g)
