@@ -31,9 +31,10 @@ from .levels import (
     Levels,
     Y,
     dot,
+    from_rest,
     levels_on,
     levels_space,
-)  # fmt: skip
+)
 from .qp import CONTRADICTION, DONE, SAME_TASK, UNMET, solve_levels, unmet
 from .records import Array
 from .singular import damp, regular, rotate
@@ -156,20 +157,6 @@ def add_clock(P, V, S, task, first, r, n, cap):
     V[LOW, n] = 0.0
     V[HIGH, n] = cap / unit
     return unit
-
-
-@inner
-def from_rest(V, S, n, count):
-    """Let the joints stand still, too: whether a direction is possible is not for the way they happen to move. True: a change."""
-    changed = False
-    for i in range(n):
-        changed = changed or V[LOW, i] > 0.0 or V[HIGH, i] < 0.0
-        V[LOW, i] = min(V[LOW, i], 0.0)
-        V[HIGH, i] = max(V[HIGH, i], 0.0)
-    for k in range(count):
-        changed = changed or S[RHS, k] < 0.0
-        S[RHS, k] = max(S[RHS, k], 0.0)
-    return changed
 
 
 @inner

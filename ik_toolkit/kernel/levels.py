@@ -272,3 +272,17 @@ def residual(P, V, S, N, count, r):
         for k in range(count, count + r):
             S[TASK_ONE, k] = 0.0
     return noise
+
+
+@inner
+def from_rest(V, S, n, count):
+    """Let the joints stand still, too: their present motion must not decide which directions are possible. True: a change."""
+    changed = False
+    for i in range(n):
+        changed = changed or V[LOW, i] > 0.0 or V[HIGH, i] < 0.0
+        V[LOW, i] = min(V[LOW, i], 0.0)
+        V[HIGH, i] = max(V[HIGH, i], 0.0)
+    for k in range(count):
+        changed = changed or S[RHS, k] < 0.0
+        S[RHS, k] = max(S[RHS, k], 0.0)
+    return changed

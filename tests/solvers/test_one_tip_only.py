@@ -15,7 +15,7 @@ def brokk():
 
 
 def test_studies_of_one_tip(brokk):
-    with pytest.raises(InvalidOption, match=r"is for one tip, .* left_tip, right_tip; choose one: ik.Robot.load"):
+    with pytest.raises(InvalidOption, match=r"needs one tip, .* left_tip, right_tip; choose one: ik.Robot.load"):
         measures(brokk, np.zeros(13))
     with pytest.raises(InvalidOption, match="takes a Robot"):
         measures("brokk_hydrolek", np.zeros(13))

@@ -149,7 +149,7 @@ def test_unreachable_is_a_proof_with_slack_too(arm):
     """A target 10 cm out of reach is not, with 11 cm of slack; and a weight of 0 proves nothing."""
     far = ik.solve(arm, [9.0, 0.0, 0.333])
     assert far.status == ik.Status.UNREACHABLE
-    bound = 9.0 - float(far.message.split("by ")[1].split(" mm")[0]) / 1000.0
+    bound = 9.0 - float(far.message.split("by ")[1].split(" m ")[0])
     T = arm.fk(arm.home).homogeneous
     T[:3, 3] = [bound + 0.1, 0.0, 0.333]
     position = [1, 1, 1, 0, 0, 0]
