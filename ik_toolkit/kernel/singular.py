@@ -4,7 +4,7 @@ import math
 
 from .jit import inline, inner
 from .levels import HIGH, LOW, RHS, WANT, dot
-from .linalg import ORTHOGONAL, SWEEPS, cholesky, jacobi
+from .linalg import NOISE, ORTHOGONAL, SWEEPS, cholesky, jacobi
 
 FLAT = 1e-9  # share of the largest singular value below which a direction does not exist
 DEPENDENT = 1e-12  # and from which on rows are rotated to see, squared: P P' says nothing below the root of rounding
@@ -37,12 +37,16 @@ def regular(P, L, first, r, n, least):
 @inner
 def rotate(P, task, first, r, n):
     """Turn the task's rows, and what is asked, so that the rows are orthogonal (Hestenes): singular values times directions."""
+    longest = 0.0
+    for k in range(first, first + r):
+        longest = max(longest, dot(P, k, P, k, n))
+    noise = NOISE * NOISE * longest
     for _ in range(SWEEPS):
         rotated = False
         for a in range(first, first + r - 1):
             for c in range(a + 1, first + r):
                 p, q, g = dot(P, a, P, a, n), dot(P, c, P, c, n), dot(P, a, P, c, n)
-                if not abs(g) > ORTHOGONAL * math.sqrt(p * q):
+                if not abs(g) > ORTHOGONAL * math.sqrt(p * q) or min(p, q) <= noise:
                     continue
                 rotated = True
                 cs, sn = jacobi(p, q, g)
