@@ -131,13 +131,13 @@ def _data_root() -> Path | None:
 def example_robot_data(name: str) -> tuple[Path, tuple[Path, ...]]:
     """URDF path and package_dirs of an arm of the example-robot-data wheel (version 6: data only).
 
-    Raises RobotNotFound: unknown name (near match, all names), or the wheel is missing (says what to install).
+    Raises RobotNotFound: unknown name (near match, all names). MissingExtra.
     """
     if name not in DATA_ROBOTS:
         raise RobotNotFound(f"{DATA_PACKAGE} has no arm '{name}'.{near_match(name, DATA_ROBOTS)}")
     root = _data_root()
     if root is None:
-        raise RobotNotFound(f"robot '{name}' comes with {DATA_PACKAGE}; run: pip install {DATA_PACKAGE}")
+        raise MissingExtra(DATA_PACKAGE, "robots")
     path = root / "robots" / DATA_ROBOTS[name][0]
     if not path.is_file():
         raise RobotNotFound(f"the installed {DATA_PACKAGE} has no file {path}; version 6 is expected")
@@ -251,7 +251,7 @@ def _only_model(source: str | Path) -> Path | None:
 def find(source: str | Path) -> RobotEntry:
     """Entry for a shipped name, a file path (relative, absolute, ~), URDF text, or an example-robot-data name.
 
-    Raises RobotNotFound with a near match and the existing names.
+    Raises RobotNotFound with a near match and the existing names, MissingExtra.
     """
     if not isinstance(source, str | Path):
         raise RobotNotFound(f"a robot must be a name, a path or URDF text, not {type(source).__name__}")

@@ -8,7 +8,7 @@ from typing import Any
 import coal
 import numpy as np
 
-from ..errors import InvalidConfiguration, InvalidOption, ModelError
+from ..errors import InvalidConfiguration, InvalidOption, ModelError, near_match
 from .meshes import Mesh, find_mesh, read_meshes
 
 
@@ -17,36 +17,48 @@ class Shape:
     """A shape in its own frame: Shape.box(size), .sphere(radius), .cylinder(radius, length), .capsule(...), .mesh(file).
 
     kind: 'box', 'sphere', 'cylinder', 'capsule' or 'mesh'; sizes: (x, y, z), (radius,) or (radius, length) [m], or (file, scale)
-    for a mesh.
+    for a mesh. Raises InvalidOption, however it is made.
     """
 
     kind: str
     sizes: tuple
 
+    def __post_init__(self) -> None:
+        if self.kind not in list(SIZES):
+            raise InvalidOption(
+                f"there is no shape '{self.kind}'; there are {', '.join(SIZES)}.{near_match(self.kind, SIZES)}"
+            )
+        try:
+            file, given = (self.sizes[:1], self.sizes[1:]) if self.kind == "mesh" else ((), self.sizes)
+        except TypeError:
+            raise InvalidOption(f"the sizes of a {self.kind} must be a tuple, not {self.sizes!r:.60}") from None
+        what, count = SIZES[self.kind]
+        object.__setattr__(self, "sizes", (*map(str, file), *_positive(f"{what} of a {self.kind}", given, count)))
+
     @classmethod
     def box(cls, size: Sequence[float]) -> "Shape":
         """Return a box of size (x, y, z) [m] about its centre. Raises InvalidOption."""
-        return cls("box", _positive("size of a box", size, 3))
+        return cls("box", size)
 
     @classmethod
     def sphere(cls, radius: float) -> "Shape":
         """Return a sphere of a given radius [m] about its centre. Raises InvalidOption."""
-        return cls("sphere", _positive("radius of a sphere", [radius], 1))
+        return cls("sphere", (radius,))
 
     @classmethod
     def cylinder(cls, radius: float, length: float) -> "Shape":
         """Return a cylinder [m] along z, about its centre. Raises InvalidOption."""
-        return cls("cylinder", _positive("radius and length of a cylinder", [radius, length], 2))
+        return cls("cylinder", (radius, length))
 
     @classmethod
     def capsule(cls, radius: float, length: float) -> "Shape":
         """Return a capsule [m] along z, about its centre: a cylinder with half a ball at each end. Raises InvalidOption."""
-        return cls("capsule", _positive("radius and length of a capsule", [radius, length], 2))
+        return cls("capsule", (radius, length))
 
     @classmethod
     def mesh(cls, path: str | Path, scale: float = 1.0) -> "Shape":
         """Return the surface of a scaled mesh file (STL, OBJ, DAE); a part inside it touches nothing. Raises InvalidOption."""
-        return cls("mesh", (str(path), *_positive("scale of a mesh", [scale], 1)))
+        return cls("mesh", (path, scale))
 
     def form(self) -> Any:
         """The shape as a coal object. Raises InvalidConfiguration (a mesh that cannot be read)."""
@@ -66,6 +78,10 @@ class Shape:
         return surface(mesh, np.full(3, scale))
 
 
+SIZES = {  # what is given, and how many numbers
+    "box": ("size", 3), "sphere": ("radius", 1), "cylinder": ("radius and length", 2), "capsule": ("radius and length", 2),
+    "mesh": ("scale", 1),
+}  # fmt: skip
 PLAIN = {"box": coal.Box, "sphere": coal.Sphere, "cylinder": coal.Cylinder, "capsule": coal.Capsule}
 
 

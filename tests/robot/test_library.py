@@ -13,7 +13,7 @@ from folders import SCRIPTS, TESTS
 from robots import have_data, urdf
 
 import ik_toolkit as ik
-from ik_toolkit.errors import ModelError, RobotNotFound
+from ik_toolkit.errors import MissingExtra, ModelError, RobotNotFound
 from ik_toolkit.robot import library
 from ik_toolkit.robot.library import DATA_ROBOTS, example_robot_data, find, list_robots, shipped_robots
 from ik_toolkit.robot.load import read
@@ -121,7 +121,9 @@ def test_not_found(source, message):
 
 def test_without_the_data_wheel(monkeypatch):
     monkeypatch.setattr(library, "DATA_PACKAGE", "no-such-distribution")
-    with pytest.raises(RobotNotFound, match="run: pip install no-such-distribution"):
+    with pytest.raises(
+        MissingExtra, match="no-such-distribution is not installed; run: pip install example-robot-data"
+    ):
         find("panda")
     assert [entry.name for entry in list_robots()] == NAMES
 

@@ -153,6 +153,9 @@ def test_mistakes_are_named():
         (lambda: model.attach(ik.Shape.sphere(0.1), tip="tol"), FrameNotFound, "tol"),
         (lambda: model.move("ball", (0, 0)), InvalidTarget, "4x4 pose"),
         (lambda: ik.Shape.box((1, -1, 1)), InvalidOption, "positive"),
+        (lambda: ik.Shape("spere", (1,)), InvalidOption, "Did you mean 'sphere'"),
+        (lambda: ik.Shape("box", (1,)), InvalidOption, "size of a box must be 3 positive numbers"),
+        (lambda: ik.Shape("mesh", 3), InvalidOption, "sizes of a mesh must be a tuple"),
         (lambda: ik.CollisionModel(arm, margin=-0.1), InvalidOption, "at least 0"),
         (lambda: ik.CollisionModel(arm, margin="x"), InvalidOption, "margin"),
     ):
