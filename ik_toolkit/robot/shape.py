@@ -24,6 +24,7 @@ class Shape:
     sizes: tuple
 
     def __post_init__(self) -> None:
+        """Check kind and sizes. Raises InvalidOption."""
         if self.kind not in list(SIZES):
             raise InvalidOption(
                 f"there is no shape '{self.kind}'; there are {', '.join(SIZES)}.{near_match(self.kind, SIZES)}"
