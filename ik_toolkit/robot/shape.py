@@ -21,14 +21,12 @@ class Shape:
     """
 
     kind: str
-    sizes: tuple
+    sizes: Sequence
 
     def __post_init__(self) -> None:
         """Check kind and sizes. Raises InvalidOption."""
         if self.kind not in list(SIZES):
-            raise InvalidOption(
-                f"there is no shape '{self.kind}'; there are {', '.join(SIZES)}.{near_match(self.kind, SIZES)}"
-            )
+            raise InvalidOption(f"there is no shape '{self.kind}'.{near_match(self.kind, SIZES)}")
         try:
             file, given = (self.sizes[:1], self.sizes[1:]) if self.kind == "mesh" else ((), self.sizes)
         except TypeError:
