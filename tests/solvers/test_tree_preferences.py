@@ -200,3 +200,10 @@ def test_a_budget_holds_for_all_attempts_that_avoid_collisions(options):
             found = ik.solve(tree, goal, q0=q, avoid_collisions=model, max_evaluations=budget, **options)
             assert found.fk_evaluations <= budget
             assert model.collides(found.q) == (not found.success)
+
+
+def test_following_without_limits_stays_near_the_start(tree):
+    goal = targets(tree, np.random.default_rng(0), "poses")
+    result = ik.solve(tree, goal, q0=tree.home, limits=False, follow=0.2, max_evaluations=60)
+    near = 0.2 * np.array([tree.reach if kind == "prismatic" else 1.0 for kind in tree.joint_kinds])
+    assert (np.abs(result.q - tree.home) <= near + 1e-12).all()

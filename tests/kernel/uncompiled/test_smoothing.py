@@ -55,6 +55,7 @@ def test_what_a_path_costs_and_its_derivatives():
     total, worst = smooth.cost_of(Q, first, second, rounding, longest)
     assert total == pytest.approx(cost(Q.ravel()), rel=1e-12)
     assert worst == pytest.approx((np.abs(np.diff(Q, axis=0)) / longest).max())
+    assert smooth.cost_of(Q, first, second, rounding, 10.0 * longest)[1] == pytest.approx(0.1 * worst)  # below 1, too
     H, g = np.full((N * n, 2 * n + 1), 7.0), np.full(N * n, 7.0)
     smooth.differences(Q, first, second, rounding, H, g)
     np.testing.assert_allclose(g, approx_fprime(Q.ravel(), cost, 1e-7), atol=2e-6)
@@ -281,3 +282,4 @@ def test_a_path_gets_smooth_and_keeps_its_poses():
     for k in range(N):
         np.testing.assert_allclose(arms.fk(rows, base, tip, Q[k])[0], T[k], atol=1e-9)
     assert after <= 1.02 * smooth.cost_of(goals / chain.unit, 1.0, 20.0, 1e-3, size)[0]
+    assert smooth.smooth(chain.rows, chain.ends, T, Q, fixed, pack, 1.0, 20.0, 1e-3, longest, 0, good)[0] == 0

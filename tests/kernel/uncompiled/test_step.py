@@ -142,6 +142,8 @@ def given(mode, roof=0.5, h=0.1, sigma=1.0, plane=None, want=None):
     found = obey.by_constraints(
         law(mode=mode, rows=float(count)), s, np.ones(n), count, sigma, h, state, make_room(n, n, 3), active, kept, code
     )
+    holds = [k < count and bool(abs(s.planes[k] @ s.x - s.edges[k]) < 1e-9) for k in range(3)]
+    assert kept[:3].tolist() == holds
     return *found, s.x, code, active
 
 
