@@ -19,8 +19,8 @@ COUNTS = 5
 
 def join(rows: np.ndarray, ends: np.ndarray, seeds: np.ndarray, features: np.ndarray) -> np.ndarray:
     """One array (K,) of the arrays of a chain, or a tree's."""
-    counts = len(rows), ends.size // ends.shape[-1], ends.shape[-1], seeds.shape[1], len(seeds)
-    return np.concatenate([counts, rows.ravel(), ends.ravel(), seeds.ravel(), features.ravel().view(float)])
+    first = len(rows), ends.size // ends.shape[-1], ends.shape[-1], seeds.shape[1], len(seeds)
+    return np.concatenate([first, rows.ravel(), ends.ravel(), seeds.ravel(), features.ravel().view(float)])
 
 
 @compiled
@@ -34,9 +34,15 @@ class Parts(NamedTuple):
 
 
 @inline
+def counts(chain):
+    """Joints, tips, numbers of a tip, coordinates, known configurations."""
+    return int(chain[0]), int(chain[1]), int(chain[2]), int(chain[3]), int(chain[4])
+
+
+@inline
 def part(chain):
     """Parts of a joined array, as views."""
-    L, F, K, n, N = int(chain[0]), int(chain[1]), int(chain[2]), int(chain[3]), int(chain[4])
+    L, F, K, n, N = counts(chain)
     at_ends = COUNTS + ROW * L
     at_seeds = at_ends + F * K
     seeds = fold(chain[at_seeds:], np.float64, N, n)
@@ -47,5 +53,5 @@ def part(chain):
 @inline
 def scratch(chain):
     """Length of a block with room for a search on a joined array, and for ends narrowed by `follow`."""
-    L, F, K, n, N = int(chain[0]), int(chain[1]), int(chain[2]), int(chain[3]), int(chain[4])
+    L, F, K, n, N = counts(chain)
     return space(n, 6 * F, L, N) + F * K + LINE

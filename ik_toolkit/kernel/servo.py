@@ -212,7 +212,7 @@ def run(
         if still or law.mode == CLIP:
             clip_rates(law, s, still, h, memory, C[i])
         else:
-            done, held = obey(rule, law, s, s.weight, count, sigma, h, state, work, active, kept, C[i])
+            done, held = obey(rule, law, s, count, sigma, h, state, work, active, kept, C[i])
             if held:
                 own_up(law, h, ratio, s.w, s.x, s.lead, sigma - done, memory)
         if law.mode == SLOW:

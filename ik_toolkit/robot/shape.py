@@ -10,6 +10,7 @@ import numpy as np
 
 from ..errors import InvalidConfiguration, InvalidOption, ModelError, near_match
 from .meshes import Mesh, find_mesh, read_meshes
+from .shapes import SIZES
 
 
 @dataclass(frozen=True)
@@ -25,14 +26,16 @@ class Shape:
 
     def __post_init__(self) -> None:
         """Check kind and sizes. Raises InvalidOption."""
-        if self.kind not in list(SIZES):
-            raise InvalidOption(f"there is no shape '{self.kind}'.{near_match(self.kind, SIZES)}")
+        known = {**SIZES, "mesh": {"scale": 1}}
+        if self.kind not in list(known):
+            raise InvalidOption(f"there is no shape '{self.kind}'.{near_match(self.kind, known)}")
         try:
             file, given = (self.sizes[:1], self.sizes[1:]) if self.kind == "mesh" else ((), self.sizes)
         except TypeError:
             raise InvalidOption(f"the sizes of a {self.kind} must be a tuple, not {self.sizes!r:.60}") from None
-        what, count = SIZES[self.kind]
-        object.__setattr__(self, "sizes", (*map(str, file), *_positive(f"{what} of a {self.kind}", given, count)))
+        parts = known[self.kind]
+        sizes = _positive(f"{' and '.join(parts)} of a {self.kind}", given, sum(parts.values()))
+        object.__setattr__(self, "sizes", (*map(str, file), *sizes))
 
     @classmethod
     def box(cls, size: Sequence[float]) -> "Shape":
@@ -77,10 +80,6 @@ class Shape:
         return surface(mesh, np.full(3, scale))
 
 
-SIZES = {  # what is given, and how many numbers
-    "box": ("size", 3), "sphere": ("radius", 1), "cylinder": ("radius and length", 2), "capsule": ("radius and length", 2),
-    "mesh": ("scale", 1),
-}  # fmt: skip
 PLAIN = {"box": coal.Box, "sphere": coal.Sphere, "cylinder": coal.Cylinder, "capsule": coal.Capsule}
 
 

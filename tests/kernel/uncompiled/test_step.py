@@ -128,7 +128,7 @@ def given(mode, roof=0.5, h=0.1, sigma=1.0, plane=None, want=None):
     """A step of six joints that each move one error; the first may go half as fast as is wanted."""
     n = 6
     s, state = bench(n, n), np.zeros(len(STATE))
-    s.J[:], s.size[:], s.floor[:], s.roof[:] = np.eye(n), 1.0, -2.0, 2.0
+    s.J[:], s.size[:], s.weight[:], s.floor[:], s.roof[:] = np.eye(n), 1.0, 1.0, -2.0, 2.0
     s.why_low[:], s.why_top[:] = 2, 1
     s.roof[0] = roof
     s.f[:] = sigma * np.ones(n)
@@ -140,7 +140,7 @@ def given(mode, roof=0.5, h=0.1, sigma=1.0, plane=None, want=None):
     state[STATE.sigma] = sigma
     code, active, kept = np.zeros(n, np.uint8), np.zeros(n, np.int8), np.zeros(4, np.int8)
     found = obey.by_constraints(
-        law(mode=mode, rows=float(count)), s, np.ones(n), count, sigma, h, state, make_room(n, n, 3), active, kept, code
+        law(mode=mode, rows=float(count)), s, count, sigma, h, state, make_room(n, n, 3), active, kept, code
     )
     holds = [k < count and bool(abs(s.planes[k] @ s.x - s.edges[k]) < 1e-9) for k in range(3)]
     assert kept[:3].tolist() == holds
