@@ -52,6 +52,7 @@ def follow(
         limits=limits,
         on_limit="direct",
         avoid_collisions=avoid_collisions,
+        reconfigure=False,  # a hand expects the arm to stay as it is; the page's solver finds other postures
     )
     left = [_size(errors)]
     for _ in range(STEPS):

@@ -4,6 +4,8 @@ import math
 from collections.abc import Iterable
 from typing import Any
 
+import numpy as np
+
 from ..errors import InvalidOption, floats, near_match
 
 
@@ -21,6 +23,13 @@ def positive(value: Any, name: str) -> float:
     if not 0.0 < found < math.inf:
         raise InvalidOption(f"{name} must be a positive number, not {value!r:.60}")
     return found
+
+
+def switch(value: Any, name: str) -> bool:
+    """Return True or False. Raises InvalidOption for anything else: "no" would count as true."""
+    if not isinstance(value, bool | np.bool_):
+        raise InvalidOption(f"{name} is True or False, not {value!r:.60}")
+    return bool(value)
 
 
 def one_of(value: Any, names: Iterable[str], what: str) -> str:

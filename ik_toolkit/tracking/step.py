@@ -18,15 +18,16 @@ class StepStatus(Enum):
     """How one step went.
 
     OK. LIMITED: a limit held a joint back. AT_LIMIT: the arm is as close as a joint's limit, or its reach, allows. BLOCKED: as
-    near as what is in the way allows. RECOVERING: a joint outside its limits comes back, or brakes. FOLLOWING_ERROR: the joints
-    measured are far from those commanded. JUMPED: a joint moved far, or the tracker started anew from the joints measured. HELD:
-    no usable command.
+    near as what is in the way allows. RECONFIGURING: the arm moves to another posture, which reaches the target. RECOVERING: a
+    joint outside its limits comes back, or brakes. FOLLOWING_ERROR: the joints measured are far from those commanded. JUMPED: a
+    joint moved far, or the tracker started anew from the joints measured. HELD: no usable command.
     """
 
     OK = "ok"
     LIMITED = "limited"
     AT_LIMIT = "at limit"
     BLOCKED = "blocked"
+    RECONFIGURING = "reconfiguring"
     RECOVERING = "recovering"
     FOLLOWING_ERROR = "following error"
     JUMPED = "jumped"
@@ -48,6 +49,7 @@ class Outcome(NamedTuple):
     lag: float  # of the joints measured, over what is allowed
     resynced: bool
     between: tuple[str, str] | None = None  # names of what would have touched
+    held: tuple[str, ...] | None = None  # on the way to another posture: joints at whose limits this one ended
 
 
 class Step:
@@ -87,6 +89,8 @@ class Step:
             return StepStatus.HELD
         if o.resynced or (np.abs(self.q - o.before) > o.jump * o.robot.chain.unit).any():
             return StepStatus.JUMPED
+        if o.held is not None:
+            return StepStatus.RECONFIGURING
         held = int(np.bitwise_or.reduce(o.code))
         if held & box.RECOVERING:
             return StepStatus.RECOVERING
@@ -121,6 +125,9 @@ class Step:
             parts.append("the measured joints are far from the commanded ones")
         if status is StepStatus.AT_LIMIT:
             parts.append("at the closest reachable pose" if o.lost else "as close as the limits allow")
+        if status is StepStatus.RECONFIGURING:
+            where = f": the limit of {', '.join(o.held)} ended the last one" if o.held else ""
+            parts.append(f"moving to another posture that reaches the target{where}")
         words = (
             (box.RECOVERING, "outside its limits, moving back:"),
             (box.POSITION, "position limit on"),

@@ -16,9 +16,10 @@ from ..robot.robot import Robot
 from ..robot.tree import Tree
 from ..solvers.avoid import collision_model
 from .engine import bind
-from .inputs import one_of, positive
+from .inputs import one_of, positive, switch
 from .methods import Method
 from .obstacles import ROWS, Guard
+from .reconfigure import Reconfiguration
 from .secondary import Secondary, read_secondary
 from .step import Outcome, Step
 from .stream import Stream
@@ -51,6 +52,10 @@ class Tracker:
     avoid_collisions: True (the robot's own links) or a CollisionModel: the arm slows down before what is in its way and slides
     along it, and takes no step after which it could not stop without a contact (BLOCKED); for things that stand still.
 
+    reconfigure: where the arm stands at limits short of a target that another posture reaches, move there through the joints
+    (RECONFIGURING): at once while the target stands; while it moves, only when the error has cost as much as the way will. Inside
+    all limits and elbow sides, with avoid_collisions free of contacts; not while a joint is locked (speed 0). Only with "direct".
+
     jump: joint move [rad, or reaches] in one step reported as JUMPED; resync [rad, or reaches]: see `update`. Raises
     InvalidOption, InvalidConfiguration.
     """
@@ -74,6 +79,7 @@ class Tracker:
         manipulability: float = 0.0,
         cost: Any = None,
         avoid_collisions: Any = False,
+        reconfigure: bool = True,
         **options: Any,
     ) -> None:
         """Bind a robot and a method."""
@@ -95,6 +101,9 @@ class Tracker:
         if avoid_collisions is not False:
             model = collision_model(robot, avoid_collisions)
             self._guard = Guard(robot, model, self._limits * robot.chain.unit, self.engine.gamma)
+        self._other: Reconfiguration | None = None
+        if switch(reconfigure, "reconfigure") and limits and self._mode == DIRECT:
+            self._other = Reconfiguration(robot, self.engine.options, self._guard and self._guard.model)
         m = 6 * self.stream.tips
         self._q, self._rate, self._away = np.zeros(n), np.zeros(n), np.zeros(n)
         self._state = np.zeros(len(motion.STATE))
@@ -134,6 +143,8 @@ class Tracker:
         self._state[motion.STATE.start] = motion.GIVEN if given else motion.MOVING
         self._active[:], self._kept[:] = 0, 0
         self.secondary.side(self._away)
+        if self._other:
+            self._other.forget()
         self._between: tuple[str, str] | None = None  # what kept the last step from going on
         self._touching = self._guard.restart(q) if self._guard else None
 
@@ -202,7 +213,7 @@ class Tracker:
             stream.step_on()
         out = Outcome(
             robot, self._C[0].copy(), before, self._E[1].copy(), self._posed, self._S[0, 3], finite, self.jump, self._speed,
-            lag, resynced, self._between,
+            lag, resynced, self._between, self._other.joints if self._other and self._goes else None,
         )  # fmt: skip
         return Step(self._q * unit, self._rate * unit, out)
 
@@ -213,12 +224,48 @@ class Tracker:
         T, V, A = stream.T, stream.V, stream.A
         if parts > 1:
             T, V, A = stream.divided(parts)
+        h, other = dt / parts, self._other
         for k in range(parts):
             part = slice(k, k + 2)
-            self.take(
-                T[part], V[part], A[part], dt / parts, self._Q, self._R, self._E, self._C, self._S, brake=brake,
-                measured=measured,
+            self._goes = other is not None and other.goal is not None and not brake
+            (self._go if self._goes else self.take)(
+                T[part], V[part], A[part], h, self._Q, self._R, self._E, self._C, self._S, brake=brake, measured=measured,
             )  # fmt: skip
+        if other and not self._goes and not brake:
+
+            def error_at(q: np.ndarray) -> np.ndarray:
+                one = self._E[:1].copy()
+                self.run(T[-1:], V[-1:], A[-1:], h, self._Q[1:], self._R[1:], one, self._C[:0], self._S[1:], measured=q)
+                return one[0]
+
+            other.watch(
+                self._C[0].tolist(), self._S[0, 3] > 0.0, self._E[1], T[-1], dt, self._q, self._limits, error_at
+            )
+
+    def _go(self, T, V, A, h, Q, R, E, C, S, **how) -> None:
+        """Take a step towards another posture, or as usual where something is in the way."""
+        other, guard, unit = self._other, self._guard, self.robot.chain.unit
+        assert other is not None
+        before = [one.copy() for one in self.carried()]
+        q, rate, late = self._q * unit, self._rate * unit, max(self._late, h)
+        self._goes = other.go(self._q, self._rate, T[1], self.engine.gamma, h, late, self._limits)
+        if guard and self._goes:
+            guard.late = late
+            guard.rows(q, rate, h)  # sees what has been added or moved since
+            self._goes = guard.allows(q, rate, self._q * unit, self._rate * unit, h)
+            if not self._goes:
+                self.put_back(before)
+                other.blocked()
+        if not self._goes:
+            self.take(T, V, A, h, Q, R, E, C, S, **how)
+            return
+        self.engine.memory[:] = 0.0
+        self._active[:], self._kept[:] = 0, 0
+        self._state[:] = 0.0
+        self._state[motion.STATE.start] = motion.READY
+        self.secondary.side(self._away)
+        self.run(T[1:], V[1:], A[1:], h, Q[1:], R[1:], E[1:], C[:0], S[1:], **how)  # no step: what is left
+        C[:], S[0], self._between = 0, 0.0, None
 
     def prepare(self, kinds: tuple) -> None:
         """Pack what depends on the kinds of target."""
@@ -229,6 +276,8 @@ class Tracker:
         if self._mode == CLIP and rows > ROWS:
             raise InvalidOption("slack is kept by the constrained step, so on_limit cannot be 'clip'")
         self._kept = np.zeros(rows + 1, np.int8)
+        if self._other:
+            self._other.ready(kinds)
         self._posed = tuple(bool(self._counts[0, 6 * f + 3 : 6 * f + 6].any()) for f in range(len(kinds)))
         self._kinds = kinds
 
@@ -319,9 +368,7 @@ def limit_rows(robot: Robot | Tree, limits: bool, acceleration_limits: Any) -> n
     n, unit = robot.n, robot.chain.unit
     rows = np.full((4, n), np.inf)
     rows[0] = -np.inf
-    if not isinstance(limits, bool | np.bool_):
-        raise InvalidOption(f"limits is True or False, not {limits!r}")
-    if limits:
+    if switch(limits, "limits"):
         speed = np.asarray(robot.velocity_limits, dtype=float)
         rows[0], rows[1] = robot.lower / unit, robot.upper / unit
         rows[2] = np.where(speed > 0.0, speed, np.inf) / unit

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from ik_toolkit.kernel import box, brake
+from ik_toolkit.kernel import box, brake, travel
 from ik_toolkit.kernel.box import ACCELERATION, POSITION, RECOVERING, VELOCITY
 
 GAMMAS = (1.0, 0.5, 0.75, 0.3)
@@ -229,3 +229,36 @@ def test_the_full_brake_and_the_way_along_it(gamma):
     R[0] = 5.0
     assert brake.brake(0, gamma, h, late, limits, Q, R, L) == -1
     assert math.isfinite(Q.sum())
+
+
+@pytest.mark.parametrize("gamma", [1.0, 0.5, 0.75])
+@pytest.mark.parametrize("a", [math.inf, 8.0])
+def test_joints_travel_to_a_goal_in_the_least_time(gamma, a):
+    """Inside their limits, without passing it, in little more time than the slowest needs; without inertia on a straight line."""
+    rng, h, late = np.random.default_rng(5), 0.01, 0.02
+    for _ in range(5):
+        goal, speed = rng.uniform(-2.0, 2.0, 4), np.array([1.0, 2.0, 0.5, np.inf])
+        limits = np.array([np.full(4, -2.5), np.full(4, 2.5), speed, np.full(4, a)])
+        usual = np.where(speed < np.inf, speed, travel.UNLIMITED)
+        q, rate, steps = np.zeros(4), np.zeros(4), 0
+        least = (np.abs(goal) / usual + usual / a).max()
+        while np.abs(q - goal).max() > 1e-3:
+            before, was = q.copy(), rate.copy()
+            left = travel.travel(q, rate, goal, gamma, h, late, limits)
+            assert left == pytest.approx((np.abs(goal - before) / usual).max())
+            assert (np.abs(rate) <= speed * (1.0 + 1e-12)).all() and (np.abs(rate - was) <= a * h * (1.0 + 1e-12)).all()
+            assert ((q - goal) * np.sign(goal) <= 1e-12).all()
+            if a == math.inf and gamma == 1.0:
+                assert np.allclose(q, goal * (q @ goal) / (goal @ goal), atol=1e-12)
+            steps += 1
+            assert steps < 1000
+        assert steps * h <= 1.05 * least + 0.15
+
+
+def test_a_goal_beyond_a_limit_is_not_reached():
+    limits = np.array([[-1.0], [1.0], [2.0], [8.0]])
+    q, rate = np.zeros(1), np.zeros(1)
+    for _ in range(300):
+        travel.travel(q, rate, np.array([1.5]), 1.0, 0.01, 0.01, limits)
+        assert q[0] <= 1.0
+    assert q[0] == pytest.approx(1.0)

@@ -1,0 +1,255 @@
+"""Another posture for a tracker: found where the arm stands at limits and only other joint values reach the target.
+
+A tracker goes downhill, so a tool that is turned on and on ends where a joint is at its limit and every small motion makes the
+error larger. The solver's attempts from other starts then find joint values for the same target, and the arm moves there through
+its joints. Two things are decided here:
+
+When to search: only when limits, or a singular pose, have kept the error from falling for a while, and speed has not. A search is
+spread over updates so that none takes much longer; after one in vain there is a pause.
+
+When to move: on the way the tip leaves its target. Where the target stands, that is worth it at once. Where it moves it may come
+back by itself, so the arm waits until it has lost as much [m s] as the way costs: never more than twice what would have been best.
+"""
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from ..kernel.box import NOISE, POSITION, RECOVERING, VELOCITY
+from ..kernel.checks import CONVERGED, UNREACHABLE
+from ..kernel.kinematics import TAU
+from ..kernel.records import ANSWER, AT, Ends
+from ..kernel.travel import UNLIMITED, travel
+from ..solvers.options import COUNTING, Options
+from ..solvers.plan import Plan
+from ..solvers.registry import GENERAL, find_row
+from .engine import LEVER
+
+AWAY = 1e-3  # [m] error, angles at LEVER, from which a target counts as not reached
+WAIT = 0.1  # [s] without progress before a search, and for which a target must have stood
+PROGRESS = 0.9  # of the least error so far: what falls below is on its way
+STILL = 2e-3  # [m, or of a rotation] by which a target that stands may move in WAIT: 20 mm/s, or 0.014 rad/s
+SHARE = 0.1  # of the time between two updates that a search may take ...
+ATTEMPT = 1e-5  # ... which is so many times that of an attempt [s], of one arm of six or seven joints
+ATTEMPTS = 96  # of a search; where one in ten succeeds, all fail once in 25,000 searches
+PAUSE = 2.0  # [s] after a search in vain; while the target stands twice as long after each more. So few updates search that ...
+LONGEST = 16.0  # ... of all updates 99 % take no longer than without
+ELSEWHERE = 0.02  # [m, or of a rotation] from where a search was in vain, a target that stands is worth another at once
+TOLERANCE = 1e-5  # [m, rad] of a posture: the tracker itself comes closer
+LOOKS = 4  # postures of an update that are tested for contacts, up to a millisecond each
+HEADROOM = 0.5  # [s] of a joint at full speed before its limit: what is missing of it counts like a longer way
+ARRIVED = 0.05  # [s] left at full speed, from which on the tracker itself comes closer
+CLOSE = 1e-3  # [s] the same where the target stands: nothing can hold the tracker back so near
+FAR = 0.3  # [rad, or reaches] move of a joint from one update to the next by which a posture is another one
+ON_WAY = (0.25, 0.5, 0.75)  # parts of the way at which its error is looked at
+
+
+class Reconfiguration:
+    """What a tracker knows of another posture. goal (n,): where it is going [kernel units], or None; held: joints at limits."""
+
+    def __init__(self, robot: Any, options: Options, model: Any) -> None:
+        """options: what counts; model: CollisionModel that goals must be free of, or None."""
+        self.robot, self.model = robot, model
+        o = {name: getattr(options, name) for name in (*COUNTING, "relative_to")}
+        exact = {"position_tolerance": TOLERANCE, "orientation_tolerance": TOLERANCE}
+        row = find_row(GENERAL)
+        self.plan = Plan(robot, row, row.load()(), Options(restarts=0, **exact, **o))
+        box = Ends(robot.chain.ends.reshape(len(robot.tips), -1)[0], robot.n)
+        self._turning = np.array([box.turns(i) > 0.0 for i in range(robot.n)])
+        self._each = max(int(SHARE / ATTEMPT / len(robot.tips)), 1)  # attempts per second of updates
+        self._rng = np.random.default_rng(0)
+        self.held: list[int] = []
+        self.forget()
+        self._quiet, self._pause = 0.0, PAUSE  # [s] in which no search begins, and after the next one in vain
+        self._vain = np.zeros(0)  # where the target was at the last one
+
+    def ready(self, kinds: tuple) -> None:
+        """Take targets of these kinds, and compile (or load) all that is needed later."""
+        self.kinds = kinds
+        q = self.robot.home / self.robot.chain.unit
+        self._attempts(np.tile(np.eye(4), (len(kinds), 1, 1)), q[None])
+        travel(q, np.zeros_like(q), q, 1.0, WAIT, WAIT, np.outer([-1.0, 1.0, 1.0, 1.0], np.full(len(q), np.inf)))
+        self.forget()
+
+    def forget(self) -> None:
+        """The target is reached, or everything begins anew."""
+        self.goal: np.ndarray | None = None
+        self._stood, self._lost, self._least = 0.0, 0.0, math.inf  # [s], [m s], [m] since it was left behind
+        self._price = 0.0  # [m s] of the way last found, while the target was moving
+        self._place, self._rest = np.zeros(0), 0.0  # where the target is, and for how long [s]
+        self._left = 0  # attempts of a search that goes on
+        self._best: tuple[float, np.ndarray] | None = None
+
+    # ------------------------------------------------------------------------------------------------ when to search
+    def watch(
+        self, code: list[int], singular: bool, E: np.ndarray, T: np.ndarray, dt: float, q: np.ndarray, limits: np.ndarray,
+        error_at: Callable[[np.ndarray], np.ndarray],
+    ) -> None:  # fmt: skip
+        """Look at a step taken: its bits of limits, error E (m,) [m, rad] to targets T (F, 4, 4), joints q (n,) afterwards.
+
+        limits (4, n); q and limits in kernel units; error_at: E for other joint values. May set `goal`.
+        """
+        self._quiet -= dt
+        held = 0
+        for bits in code:
+            held |= bits
+        if not (held & POSITION or singular):
+            return
+        error = size(E)
+        if error < AWAY:
+            self.forget()
+            self._pause = PAUSE
+            return
+        if held & (VELOCITY | RECOVERING):  # on its way, as fast as it can
+            return
+        if not len(self._place) or gap(T, self._place) > STILL:
+            self._place, self._rest, self._quiet = T.copy(), 0.0, min(self._quiet, PAUSE)
+        self._rest += dt
+        self._lost += error * dt
+        self._stood += dt
+        if error < PROGRESS * self._least:
+            self._least, self._stood, self._left = error, 0.0, 0
+        if self._stood <= WAIT:
+            return
+        stands = self._rest > WAIT
+        if not self._left and (stands or self._lost >= self._price):
+            paused = self._quiet > 0.0 and not (stands and gap(T, self._vain) > ELSEWHERE)
+            if paused or locked(limits):  # a locked arm has few postures, and its operator other plans
+                return
+            self.held = [i for i, bits in enumerate(code) if bits & POSITION]
+            self._left, self._best = ATTEMPTS, None
+        if self._left:
+            self._search(T, q, limits, dt)
+            if not self._left:
+                self._decide(T, q, limits, error_at, stands)
+
+    def _search(self, T: np.ndarray, q: np.ndarray, limits: np.ndarray, dt: float) -> None:
+        """As many attempts of the search as an update has time for."""
+        count = min(max(int(self._each * dt), 2), self._left)
+        starts = self.robot.random_q(self._rng, count) / self.robot.chain.unit
+        if self._left == ATTEMPTS:
+            starts[0] = q
+        # Every other one with only the joints at limits elsewhere, or on the way to the best so far.
+        if self._best is None:
+            others = np.ones(len(q), bool)
+            others[self.held] = False
+            starts[1::2, others] = q[others]
+        else:
+            starts[1::2] = q + self._rng.random((count // 2, 1)) * (self._best[1] - q)
+        self._left -= count
+        found, out = self._attempts(T, np.clip(starts, limits[0], limits[1]), q, limits)
+        if out:
+            self._left = 0
+        scored = [(time_between(q, p, limits) + max(HEADROOM - headroom(p, limits), 0.0), p) for p in found]
+        for one in sorted(scored, key=lambda pair: pair[0])[:LOOKS]:
+            if self._best is not None and one[0] >= self._best[0]:
+                break
+            if self.model is None or not self.model.collides(one[1] * self.robot.chain.unit):
+                self._best = one
+                break
+
+    def _decide(self, T: np.ndarray, q: np.ndarray, limits: np.ndarray, error_at: Callable, stands: bool) -> None:
+        """After a search: go, wait, or do not search again for a while."""
+        if self._best is None:
+            self._hold_off()
+            self._vain = T.copy()
+            return
+        goal = self._best[1]
+        if not stands:
+            on_way = sum(size(error_at(q + part * (goal - q))) for part in ON_WAY) / len(ON_WAY)
+            self._price = on_way * time_between(q, goal, limits)
+            if self._lost < self._price:
+                return
+        self.goal = goal
+
+    def _hold_off(self) -> None:
+        self._quiet = self._pause
+        self._pause = min(2.0 * self._pause, LONGEST)
+
+    def _attempts(
+        self, T: np.ndarray, starts: np.ndarray, q: np.ndarray | None = None, limits: np.ndarray | None = None
+    ) -> tuple[list[np.ndarray], bool]:
+        """Joint values found from starts (N, n), as near to q as full turns allow; True when the target is out of all reach."""
+        plan, unit, n = self.plan, self.robot.chain.unit, self.robot.n
+        rows = np.zeros((len(starts), plan.width))
+        targets = np.repeat(T[None] if self.robot.by_tip else T, len(starts), axis=0)
+        plan.run(targets, self.kinds, starts * unit, True, rows)
+        if q is None or limits is None:
+            return [], False
+        status = rows[:, AT.status]
+        found = rows[status == CONVERGED, ANSWER : ANSWER + n] / unit
+        turns = np.where(self._turning, np.round((q - found) / TAU), 0.0)
+        with np.errstate(invalid="ignore"):
+            turns = np.clip(turns, np.ceil((limits[0] - found) / TAU), np.floor((limits[1] - found) / TAU))
+        found = found + TAU * turns
+        inside = ((found >= limits[0] - NOISE) & (found <= limits[1] + NOISE)).all(axis=1)
+        return list(np.clip(found[inside], limits[0], limits[1])), bool((status == UNREACHABLE).any())
+
+    # ------------------------------------------------------------------------------------------------ on the way
+    def go(
+        self, q: np.ndarray, rate: np.ndarray, T: np.ndarray, gamma: float, h: float, late: float, limits: np.ndarray
+    ) -> bool:
+        """Step q and rate (n,) in place by h [s] towards the goal; False, and nothing done, when there is none any more."""
+        goal, near = self.goal, ARRIVED
+        if goal is None or locked(limits) or (goal < limits[0]).any() or (goal > limits[1]).any():
+            self.forget()
+            return False
+        if gap(T, self._place) <= STILL:
+            near = CLOSE
+        else:
+            found, _ = self._attempts(T, np.array([goal, q]), q, limits)
+            least = time_between(q, goal, limits)
+            found = [one for one in found if np.abs(one - goal).max() < FAR or time_between(q, one, limits) < least]
+            if not found:
+                self.forget()
+                return False
+            self.goal = goal = min(found, key=lambda one: time_between(q, one, limits))
+            self._place = T.copy()
+        if travel(q, rate, goal, gamma, h, late, limits) < near:
+            self.forget()
+        return True
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """Names of the joints that were at limits."""
+        return tuple(self.robot.joint_names[i] for i in self.held)
+
+    def blocked(self) -> None:
+        """Something is in the way."""
+        self._vain = self._place
+        self.forget()
+        self._hold_off()
+
+
+def size(E: np.ndarray) -> float:
+    """Error [m] of all tips as one number."""
+    e = E.tolist()
+    return math.sqrt(sum(e[k] * e[k] * (1.0 if k % 6 < 3 else LEVER * LEVER) for k in range(len(e))))
+
+
+def gap(T: np.ndarray, before: np.ndarray) -> float:
+    """How far poses (F, 4, 4) are from others, as one number."""
+    d = (T - before).ravel()
+    return math.sqrt(d @ d)
+
+
+def locked(limits: np.ndarray) -> bool:
+    """Whether a joint may not move."""
+    return bool(((limits[2] == 0.0) | (limits[0] == limits[1])).any())
+
+
+def speeds(limits: np.ndarray) -> np.ndarray:
+    """Speed (n,) of each joint, with a usual one where there is no limit."""
+    return np.where(limits[2] < np.inf, limits[2], UNLIMITED)
+
+
+def time_between(q: np.ndarray, goal: np.ndarray, limits: np.ndarray) -> float:
+    """Least time [s] from joint values q (n,) to goal at full speed."""
+    return float((np.abs(goal - q) / speeds(limits)).max())
+
+
+def headroom(q: np.ndarray, limits: np.ndarray) -> float:
+    """Least time [s] in which a joint at full speed is at its limit."""
+    return float((np.minimum(q - limits[0], limits[1] - q) / speeds(limits)).min())

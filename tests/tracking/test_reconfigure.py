@@ -1,0 +1,148 @@
+"""A target that only another posture reaches: the arm goes there inside all limits, and only then."""
+
+import numpy as np
+import pytest
+
+import ik_toolkit as ik
+from ik_toolkit.errors import InvalidOption
+from ik_toolkit.tracking.reference import exp
+from ik_toolkit.tracking.step import StepStatus
+
+DT = 0.01
+REST = 4.0  # [s]
+
+
+@pytest.fixture(scope="module")
+def hydrolek():
+    return ik.Robot.load("hydrolek_7w")
+
+
+def accelerations(robot):
+    """Full speed in 0.2 s."""
+    return 5.0 * robot.velocity_limits
+
+
+def turned(T0, degrees, rate):
+    """T0 (4, 4) turned about the tool's axis at up to a rate [rad/s], from rest to rest, then standing."""
+    full = np.radians(degrees)
+    x = np.clip(
+        np.arange(1, round(1.9 * abs(full) / rate / DT) + 1 + round(REST / DT)) * DT * rate / (1.9 * abs(full)),
+        0.0,
+        1.0,
+    )
+    T = np.repeat(T0[None], len(x), axis=0)
+    T[:, :3, :3] = T0[:3, :3] @ exp(np.outer(full * x**3 * (10.0 - 15.0 * x + 6.0 * x * x), [0.0, 0.0, 1.0]))
+    return T
+
+
+def follow(robot, targets, tip=None, **options):
+    """Steps of a tracker at rest at home; acceleration limits, and for a tree the targets of one tip, the others held."""
+    tracker = ik.Tracker(robot, q0=robot.home, acceleration_limits=accelerations(robot), **options)
+    others = {} if tip is None else {name: T.homogeneous for name, T in robot.fk(robot.home).items() if name != tip}
+    return [tracker.update(T if tip is None else {**others, tip: T}, DT) for T in targets]
+
+
+def joints(robot, steps):
+    """Joint values (N + 1, n) from home on."""
+    return np.array([robot.home, *(step.q for step in steps)])
+
+
+def inside_all_limits(robot, Q):
+    """Whether positions, speeds and accelerations keep their limits at every sample, from rest on."""
+    speed = np.diff(Q, axis=0, prepend=Q[:1]) / DT
+    return (
+        ((robot.lower <= Q) & (robot.upper >= Q)).all()
+        and (np.abs(speed) <= robot.velocity_limits * (1.0 + 1e-9)).all()
+        and (np.abs(np.diff(speed, axis=0)) <= accelerations(robot) * DT * (1.0 + 1e-9)).all()
+    )
+
+
+def time_back(robot, steps, begin):
+    """Time [s] from sample `begin` until the tip stays within 1 mm and 5 mrad, and the least the joints need for that way."""
+    off = [k for k, s in enumerate(steps) if s.position_error > 1e-3 or (s.orientation_error or 0.0) > 5e-3]
+    Q, back = joints(robot, steps), max(begin, off[-1] + 2 if off else 0)
+    way, v, a = np.abs(Q[back] - Q[begin]), robot.velocity_limits, accelerations(robot)
+    bound = np.where(way > v * v / a, way / v + v / a, 2.0 * np.sqrt(way / a)).max()
+    return (back - begin) * DT, float(bound)
+
+
+@pytest.mark.parametrize("method", ["cv", "aad"])
+@pytest.mark.parametrize("name", ["panda", "hydrolek_7w", "ur5"])
+@pytest.mark.parametrize("degrees", [720.0, -720.0])
+def test_a_tool_turned_twice_is_followed(name, method, degrees):
+    robot = ik.Robot.load(name)
+    targets = turned(robot.fk(robot.home).homogeneous, degrees, 2.0)
+    steps = follow(robot, targets, method=method)
+    assert any(s.status is StepStatus.RECONFIGURING for s in steps)
+    seconds, bound = time_back(robot, steps, len(targets) - round(REST / DT))
+    assert seconds <= 1.3 * bound + DT and steps[-1].position_error < 1e-4 and steps[-1].orientation_error < 5e-4
+    assert inside_all_limits(robot, joints(robot, steps))
+
+
+def test_switched_off_it_stays_and_says_so(panda):
+    targets = turned(panda.fk(panda.home).homogeneous, 720.0, 2.0)
+    steps = follow(panda, targets, reconfigure=False)
+    assert steps[-1].orientation_error > 0.1 and steps[-1].status is StepStatus.AT_LIMIT
+    assert not any(s.status is StepStatus.RECONFIGURING for s in steps)
+    for on_limit in ("leave", "clip"):
+        other = follow(panda, targets, on_limit=on_limit)
+        assert not any(s.status is StepStatus.RECONFIGURING for s in other), on_limit
+    with pytest.raises(InvalidOption, match="reconfigure is True or False"):
+        ik.Tracker(panda, reconfigure="no")
+
+
+def test_the_reason_names_the_joint_that_ended_the_last_posture(hydrolek):
+    steps = follow(hydrolek, turned(hydrolek.fk(hydrolek.home).homogeneous, 720.0, 2.0))
+    reasons = {s.reason for s in steps if s.status is StepStatus.RECONFIGURING}
+    assert any("another posture" in one and "wrist_roll" in one for one in reasons), reasons
+
+
+def test_it_goes_through_joints_that_were_measured_late(panda):
+    """The joints follow 20 ms late, and the target still is reached."""
+    targets = turned(panda.fk(panda.home).homogeneous, 720.0, 2.0)
+    tracker = ik.Tracker(panda, kappa=20.0, q0=panda.home, acceleration_limits=accelerations(panda))
+    Q, statuses = [panda.home] * 3, set()
+    for T in targets:
+        step = tracker.update(T, DT, q=Q[-3])
+        Q.append(step.q)
+        statuses.add(step.status)
+    assert StepStatus.RECONFIGURING in statuses and StepStatus.JUMPED not in statuses
+    assert step.position_error < 1e-4 and inside_all_limits(panda, np.array(Q[2:]))
+
+
+def test_nothing_is_touched_on_the_way(panda):
+    """A wall beside the arm, into which it would swing on its way."""
+    pose = np.eye(4)
+    pose[:3, 3] = 0.3, 0.2, 0.5
+    model = ik.CollisionModel(panda).add_box([1.5, 0.02, 1.5], pose, name="wall")
+    targets = turned(panda.fk(panda.home).homogeneous, 720.0, 3.0)
+    assert any(model.collides(q) for q in joints(panda, follow(panda, targets))[::5])
+    steps = follow(panda, targets, avoid_collisions=model)
+    assert not any(model.collides(q) for q in joints(panda, steps)) and steps[-1].position_error < 1e-4
+    assert any(s.status is StepStatus.RECONFIGURING for s in steps) and inside_all_limits(panda, joints(panda, steps))
+
+
+def test_an_elbow_keeps_its_side(hydrolek):
+    elbow = {"elbow_pitch": float(np.sign(hydrolek.home[hydrolek.joint_names.index("elbow_pitch")]))}
+    steps = follow(hydrolek, turned(hydrolek.fk(hydrolek.home).homogeneous, 720.0, 2.0), elbow=elbow)
+    side = joints(hydrolek, steps)[:, hydrolek.joint_names.index("elbow_pitch")] * elbow["elbow_pitch"]
+    assert (side >= -1e-12).all()
+
+
+def test_out_of_all_reach_nothing_changes(panda, hydrolek):
+    """Half a metre out of reach and back: the same commands, to the last bit, as without."""
+    for robot in (panda, hydrolek):
+        T0 = robot.fk(robot.home).homogeneous
+        way = np.concatenate([np.linspace(0.0, 1.0, 150), np.ones(250), np.linspace(1.0, 0.0, 150)])
+        targets = np.repeat(T0[None], len(way), axis=0)
+        targets[:, 0, 3] += 0.8 * robot.reach * way
+        with_it, without = (follow(robot, targets, reconfigure=on) for on in (True, False))
+        assert np.array_equal(joints(robot, with_it), joints(robot, without)), robot.name
+        assert with_it[390].status is StepStatus.AT_LIMIT
+
+
+def test_a_locked_joint_is_left_alone(panda):
+    tracker = ik.Tracker(panda, q0=panda.home)
+    tracker.change_limits(speed={"panda_joint3": 0.0})
+    for T in turned(panda.fk(panda.home).homogeneous, 360.0, 2.0):
+        assert tracker.update(T, DT).status is not StepStatus.RECONFIGURING
