@@ -84,9 +84,9 @@ def survey(robot: Joints, reference: References, q0: Any, *, fewest: int = FEWES
 
     fewest: of the poses looked at. options: what counts, as for `ik.solve` (mask, slack, free_turn, frame, relative_to, limits).
     """
-    t, along, turning = _samples(robot, reference, fewest)
-    first, then = _solver(robot, restarts=0, **options), _solver(robot, follow=True, **options)
-    targets = _targets(reference, t)
+    t, along, turning = samples_of(robot, reference, fewest)
+    first, then = bound_lm(robot, restarts=0, **options), bound_lm(robot, follow=True, **options)
+    targets = targets_at(reference, t)
     q = np.empty((len(t), robot.n))
     until, stop = None, float(along[-1])
     joints: tuple[str, ...] = ()
@@ -107,10 +107,10 @@ def trace(
     robot: Joints, reference: References, q0: Any, *, fewest: int = FEWEST, **options: Any
 ) -> tuple[np.ndarray, np.ndarray] | None:
     """Times (K,) and joint values (K, n) along a reference as `survey` has them, None when a pose is out of reach."""
-    t, _, _ = _samples(robot, reference, fewest)
-    first, then = _solver(robot, restarts=0, **options), _solver(robot, follow=True, **options)
+    t, _, _ = samples_of(robot, reference, fewest)
+    first, then = bound_lm(robot, restarts=0, **options), bound_lm(robot, follow=True, **options)
     q, last = np.empty((len(t), robot.n)), q0
-    for k, target in enumerate(_targets(reference, t)):
+    for k, target in enumerate(targets_at(reference, t)):
         found = (then if k else first)(target, last)
         if not found.success:
             return None
@@ -120,8 +120,8 @@ def trace(
 
 def other_start(robot: Joints, reference: References, **options: Any) -> np.ndarray | None:
     """Joint values (n,) at the start of a reference from which all of it can be reached, if some attempts find them."""
-    start = _targets(reference, np.zeros(1))[0]
-    solver, tried = _solver(robot, restarts=0, **options), []
+    start = targets_at(reference, np.zeros(1))[0]
+    solver, tried = bound_lm(robot, restarts=0, **options), []
     for q in robot.random_q(np.random.default_rng(0), STARTS):
         found = solver(start, q)
         new = found.success and not any((np.abs(found.q - other) < APART * robot.chain.unit).all() for other in tried)
@@ -132,7 +132,8 @@ def other_start(robot: Joints, reference: References, **options: Any) -> np.ndar
     return None
 
 
-def _solver(robot: Joints, **options: Any) -> Any:
+def bound_lm(robot: Joints, **options: Any) -> Any:
+    """LM on a robot, exact enough to say what can be reached."""
     from ..solvers.solve import bound
 
     return bound(robot, "lm", {"position_tolerance": CLOSE[0], "orientation_tolerance": CLOSE[1]} | options)
@@ -191,16 +192,16 @@ def _each(reference: References) -> tuple[Reference, ...]:
     return (reference,) if isinstance(reference, Reference) else tuple(reference.values())
 
 
-def _targets(reference: References, t: np.ndarray) -> list[Any]:
+def targets_at(reference: References, t: np.ndarray) -> list[Any]:
     """Targets at times t as the solvers take them."""
     if not isinstance(reference, Reference):
-        each = {tip: _targets(one, t) for tip, one in reference.items()}
+        each = {tip: targets_at(one, t) for tip, one in reference.items()}
         return [dict(zip(each, row, strict=True)) for row in zip(*each.values(), strict=True)]
     T = np.ascontiguousarray(reference.at(t)[0], dtype=float)
     return [*(T[:, :3, 3].copy() if reference.position_only else T)]
 
 
-def _samples(robot: Joints, reference: References, fewest: int) -> tuple[np.ndarray, np.ndarray, bool]:
+def samples_of(robot: Joints, reference: References, fewest: int) -> tuple[np.ndarray, np.ndarray, bool]:
     """Times at even distances along a path, how far [m, or rad where it only turns] it is there, and whether it only turns."""
     every = _each(reference)
     t = np.linspace(0.0, min(one.duration for one in every), DENSE + 1)
@@ -226,7 +227,7 @@ def _edge(then: Any, reference: References, t: np.ndarray, along: np.ndarray, q:
     low, high, near = 0.0, 1.0, q[k - 1]
     for _ in range(HALVINGS):
         middle = 0.5 * (low + high)
-        found = then(_targets(reference, np.array([t[k - 1] + middle * (t[k] - t[k - 1])]))[0], near)
+        found = then(targets_at(reference, np.array([t[k - 1] + middle * (t[k] - t[k - 1])]))[0], near)
         low, high, near = (middle, high, found.q) if found.success else (low, middle, near)
     return float(along[k - 1] + low * (along[k] - along[k - 1]))
 

@@ -1,7 +1,7 @@
 """The run of `track`, from the start to the end of a reference; taken again, slower, where it left its path."""
 
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -9,6 +9,7 @@ import numpy as np
 from ..kernel import motion
 from ..kernel.clock import look_ahead
 from ..kernel.constrain import LEAVE, SLOW
+from ..kernel.modes import SIDE
 from .secondary import AVOID, POSTURE
 from .tracker import LATE, Tracker
 
@@ -21,7 +22,9 @@ HELPED = 0.8  # share of the samples off the path that have to remain fewer afte
 RETAKES = 4  # how often a run that left its path is taken again: 4 times LEAST_SHARE is slower than max_stretch allows
 NEAR = 0.1  # [s] before and after it left, in which it is to be slower: in that time the clock can stop
 AIM = 0.5  # error over tolerance that is aimed at: below it the clock does not wait
+LEADS = (0.5, 0.1)  # shares tried: the larger keeps nearer to a planned path, the smaller disturbs a singular pose less
 LEAST_SHARE = 0.25  # of its rate there, to which the clock is slowed at a time
+NOWHERE = np.zeros((0, 0))
 
 
 class _Beside(NamedTuple):
@@ -38,6 +41,8 @@ class _Way(NamedTuple):
     cost: float  # samples off the path, and those it takes longer inside the limits
     beside: _Beside
     Q: np.ndarray  # (M + 1, n)
+    lead: float = 0.0  # share of what is missing to it that a step makes up for, in the null space; 0: not led
+    side: np.ndarray = NOWHERE  # (M + 1, n) on which side of singular poses it is
 
 
 class _Taken(NamedTuple):
@@ -66,16 +71,21 @@ class Run:
         tolerances: tuple[float, float],
         stretch: float,
         settle: float,
+        plan: Callable[[], Iterator[tuple[np.ndarray, np.ndarray]]],
     ) -> None:
-        """Keep what is to be run: samples T (N + 1, F, 4, 4), V, A (N + 1, m) of the targets."""
+        """Keep what is to be run: samples T (N + 1, F, 4, 4), V, A (N + 1, m) of the targets.
+
+        plan: finds joint values (N + 1, n) [rad or m] along them, for where nothing else keeps to the path.
+        """
         self.tracker, self.samples, self.dt, self.mode = tracker, samples, dt, mode
-        self.tolerances, self.settle = tolerances, settle
+        self.tolerances, self.settle, self.plan = tolerances, settle, plan
         self.count = len(samples[0]) - 1
         self.most = int(np.ceil(stretch * self.count)) if mode == SLOW else self.count
         self.clock = tolerances if tracker.engine.waits else (np.inf, np.inf)
         self.caps = np.ones((2, self.count + 1))
         self.caps[1] = -1.0
         self.slower = np.ones(self.count + 1)
+        self.again = mode == SLOW and tracker.engine.waits and not tracker.one_by_one
         tracker._late = LATE * dt
         self.start = [one.copy() for one in tracker.carried()]
         self.elapsed = 0.0
@@ -89,17 +99,16 @@ class Run:
         tracker.put_back(self.start)
         began = time.perf_counter()
         made: list[_Taken] = []
-        again = self.mode == SLOW and tracker.engine.waits and not tracker.one_by_one
         for way in self._ways():
             self.slower[:] = 1.0
             last = np.inf
             for _ in range(RETAKES + 1):
                 made.append(self._take(way))
-                if not again or made[-1].missed == 0 or made[-1].missed > HELPED * last:
+                if not self.again or made[-1].missed == 0 or made[-1].missed > HELPED * last:
                     break
                 last = made[-1].missed
                 self._slow_down(made[-1])
-            if not again or made[-1].missed == 0:
+            if not self.again or made[-1].missed == 0:
                 break
         best = min(made, key=lambda taken: taken.missed)
         self.Q, self.R, self.E, self.C, self.S = best.arrays
@@ -128,6 +137,10 @@ class Run:
             if way.cost <= 0.0:
                 yield way
         yield from sorted((way for way in found if way.cost > 0.0), key=lambda way: way.cost)[:MOST]
+        if self.again and own.avoid == AVOID and not own.rate.any():  # nothing else was asked for beside the task
+            for path, side in self.plan():
+                for lead in LEADS:
+                    yield _Way(0.0, own._replace(avoid=0.0), path / self.tracker.robot.chain.unit, lead, side)
 
     def _besides(self, own: _Beside) -> Iterator[_Beside]:
         """What can be tried beside the task: first what was asked for."""
@@ -155,6 +168,7 @@ class Run:
         self.tracker.put_back(self.start)
         secondary = self.tracker.secondary
         secondary.avoid, secondary.wish[0], secondary.wish[1] = beside
+        secondary.wish[2] = 0.0
 
     def _look_ahead(self, beside: _Beside) -> _Way:
         """Follow the path without limits on speed."""
@@ -184,14 +198,17 @@ class Run:
         self._limit_clock(way)
         made = []
         while True:
-            steps = 1 if tracker.one_by_one else min(self.count, left)
+            steps = 1 if tracker.one_by_one or way.lead else min(self.count, left)
+            if way.lead:
+                self._lead(way)
             arrays = self._arrays(steps)
             done = tracker.take(
                 *self.samples, self.dt, *arrays, mode=self.mode, clock=self.clock, caps=self.caps, runaway=RUNAWAY
             )
             left -= done
             clock, stop = (tracker._state[at] for at in (motion.STATE.clock, motion.STATE.stop))
-            ended = left <= 0 or stop != motion.FINE or clock >= self.count
+            astray = way.lead > 0.0 and tracker._state[motion.STATE.leaving] > 0.0  # and no longer on the way planned
+            ended = left <= 0 or stop != motion.FINE or clock >= self.count or astray
             rows = done + 1 if ended else done
             made.append([one[: done if k == 3 else rows] for k, one in enumerate(arrays)])
             if ended:
@@ -199,8 +216,20 @@ class Run:
         arrays = [np.concatenate(part) for part in zip(*made, strict=True)]
         missed = int((self._excess(arrays[2]) > 1.0).sum())
         if self.mode == SLOW and clock < self.count - 1:
-            missed += round((self.count - clock) * self.most)  # a reference not followed to its end is worse than that
+            # A reference not followed to its end is worse than that, and worst of all a run that was given up.
+            missed += round((self.count - (0.0 if astray else clock)) * self.most)
         return _Taken(missed, arrays, [one.copy() for one in tracker.carried()])
+
+    def _lead(self, way: _Way) -> None:
+        """Ask for the posture of a way at the next step, and for its speed; and for its side where it is nearly singular."""
+        state, wish = self.tracker._state, self.tracker.secondary.wish
+        k = min(int(state[motion.STATE.clock]), len(way.Q) - 2)
+        move = way.Q[k + 1] - way.Q[k]
+        wish[0] = way.Q[k] + (state[motion.STATE.clock] - k) * move
+        wish[1] = way.lead / self.dt
+        wish[2] = state[motion.STATE.sigma] / self.dt * move
+        self.tracker._away[:] = way.side[k + 1]
+        state[motion.STATE.near] = 1.0 + SIDE
 
     def _excess(self, E: np.ndarray) -> np.ndarray:
         """Largest error over its tolerance (M,) of errors E (M, m), where it counts."""

@@ -21,6 +21,7 @@ from ..robot.tree import Tree
 from ..solvers.avoid import collision_model
 from .inputs import number, positive
 from .methods import Method, interpolate
+from .plan import Planner
 from .reachable import explain
 from .reference import Reference, Samples
 from .result import TrackResult, TrackStatus, figures
@@ -105,13 +106,17 @@ def track(
     at_rest = tracker._state[motion.STATE.start] == motion.GIVEN and not tracker._rate.any()
     settle = settling(settle, at_rest, times[-1])
     tracker.prepare(tuple(POSITION if one.position_only else POSE for one in references))
-    run = Run(tracker, (T, V, A), dt, mode, tolerances, stretch, settle)
+    counts = {name: value for name, value in options.items() if name in COUNTS}
+    begin, bounds = tracker.q, tracker._limits * robot.chain.unit
+    run = Run(
+        tracker, (T, V, A), dt, mode, tolerances, stretch, settle,
+        lambda: Planner(robot, reference, bounds, **counts).paths(begin, times),
+    )  # fmt: skip
     run.go()
     result = _result(run, robot, references, times, check)
     result.figures = figures(result, robot.chain.unit * JUMP)
     result.status, result.message = verdict(result, int(tracker._state[motion.STATE.stop]), len(times) - 1)
     if result.status in (TrackStatus.LEFT, TrackStatus.LOST):
-        counts = {name: value for name, value in options.items() if name in COUNTS}
         result.reach, words = explain(robot, reference, q0, limits=limits, **counts)
         result.message = f"{result.message} {words}".rstrip()
     return result

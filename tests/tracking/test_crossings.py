@@ -66,6 +66,9 @@ def feasible():
         ("inspection_7dof", 3, 30),  # too fast for a step of the second order
         ("inspection_7dof", 1, 32),  # into two limits, unless the joints keep another posture
         ("inspection_7dof", 6, 50),
+        ("panda", 13, 49),  # elbow to its limit, unless it is led across its straight pose
+        ("panda", 16, 13),
+        ("panda", 76, 13),  # only where it crosses when it is planned to
     ],
 )
 def test_motions_that_were_left(feasible, name, seed, number):
@@ -74,6 +77,18 @@ def test_motions_that_were_left(feasible, name, seed, number):
         reference, q0, rate0 = feasible.motion(robot, rng)
     run = ik.track(robot, reference, q0=q0, rate0=rate0, **FINE)
     assert run.success, run.message
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("method", ["cv", "aad"])
+@pytest.mark.parametrize("seed", [26, 31, 52])  # two motions each that a run without a plan leaves
+def test_no_motion_of_a_joint_path_is_left(feasible, seed, method):
+    robot, rng = ik.Robot.load("panda"), np.random.default_rng(seed)
+    for number in range(60):
+        reference, q0, rate0 = feasible.motion(robot, rng)
+        run = ik.track(robot, reference, method, q0=q0, rate0=rate0, **FINE)
+        assert run.success, f"{number}: {run.message}"
+        assert (run.q >= robot.lower).all() and (run.q <= robot.upper).all()
 
 
 def test_a_run_that_is_taken_again_leaves_the_wishes_it_was_given(feasible):
