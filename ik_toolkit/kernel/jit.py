@@ -10,7 +10,7 @@ from collections.abc import Callable
 from typing import Any
 
 from numba import njit, types
-from numba.extending import overload, overload_method
+from numba.extending import overload, overload_method, register_jitable
 
 from .cache import make_cache
 
@@ -37,6 +37,7 @@ inner = njit(**{**BARE, **CALLED})  # one copy, called: for code that is rarely 
 inline = njit(**INLINE)  # into every caller; also for code that takes or returns records, which are expensive to pass
 build = njit(**BUILD)
 spliced = njit(inline="always", **BARE)  # for a large part called once: no second copy is optimised
+shared = register_jitable(**INLINE)  # inline in the kernel, and from Python as it is written
 
 
 # ------------------------------------------------------------------------------------------------- classes in the kernel

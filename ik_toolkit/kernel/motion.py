@@ -71,6 +71,7 @@ class Law(NamedTuple):
     tol_r: float  # ... or [rad]
     avoid: float  # [1/s] how strongly joints are led away from their limits
     rows: float  # half-planes that hold
+    measured: float  # 1: error and Jacobian are taken at the joints measured
 
 
 PLACE = Law._make(range(len(Law._fields)))  # in the array that Python passes in

@@ -25,6 +25,7 @@ from .motion import CLIP, GIVEN, MOVING, READY, RUNNING, STATE, Law, apply, fact
 from .obey import judge, obey, pacing
 from .records import HEAD, TASK, Orders, copy, read
 from .search import problem_on, step_class
+from .session import carried_of, record_of, samples_of, settings_of
 from .view import keep, space, view
 from .wanted import Published, copy_rows, lean, wanted
 from .wishes import lay_aside, reflect, slack_rows
@@ -148,11 +149,11 @@ def clip_rates(law, s, still, h, memory, code):
 
 # --------------------------------------------------------------------------------------------------------------------- the loop
 @inline
-def run(
-    step, rows, ends, orders, T, V, A, h, p, counts, limits, wish, caps, q, rate, memory, away, active, kept, state, measured,
-    lines, level, Q, R, E, C, S, block
-):  # fmt: skip
+def run(step, rows, ends, orders, given, own, samples, out, h, block):
     """The loop of `servo` on views, with zeros to cut its scratch from."""
+    (_, p, counts, limits, wish, lines, level, measured), (_, motion, memory, away, state, active, kept) = given, own
+    (_, T, V, A, caps), (_, Q, R, E, S, C) = samples, out
+    q, rate = motion[0], motion[1]
     n, m, room = q.shape[0], V.shape[1], kept.shape[0] - 1
     law, o = read(Law, p), read(Orders, orders)
     first = HEAD + TASK * (m // 6)
@@ -164,7 +165,7 @@ def run(
         s.size[i] = limits[2, i] if limits[2, i] < np.inf and limits[2, i] > 0.0 else UNLIMITED
     for i in range(E.shape[0]):
         clock = state[STATE.clock] if law.clocked > 0.0 else float(i)
-        copy(measured if measured.shape[0] > 0 else q, s.at)
+        copy(measured if law.measured > 0.0 else q, s.at)
         task.stand(s.at)
         j = min(int(clock), last)
         cap = min(caps[0, min(j, caps.shape[1] - 1)], caps[0, min(j + 1, caps.shape[1] - 1)])
@@ -227,32 +228,24 @@ def run(
 
 @functools.cache
 def servo(cls: type | None = None) -> Callable:
-    """Return the compiled loop of the published laws, or of a solver's rule; it takes at most len(E) - 1 steps; returns how many.
+    """Return the compiled loop of the published laws, or of a solver's rule.
 
-    follow(rows, ends, orders, T, V, A, h, p, counts, limits, wish, caps, q, rate, memory, away, active, kept, state, measured,
-    lines, level, Q, R, E, C, S)
+    follow(rows, ends, orders, settings, carried, samples, out, h) takes as many steps of h [s] as the record `out` has room
+    for, at most; returns how many.
 
     rows, ends: of the chain (several tips: ends (F, ...)); orders: HEAD, a Task a tip (weights 1 or 0, no slack), joint weights
-    (n,), parameters of the rule. T (N + 1, F, 4, 4) [m], V, A (N + 1, m): pose, twist and acceleration of the targets at samples
-    of h [s]. p: a `Law`. counts (3, m): weights, slack, slack in m and rad; limits (4, n), see `box`; wish (3, n): posture,
-    gain, speed asked for; caps (2, N + 1): highest clock rate, joint that sets it. Carried on: q, rate (n,), memory,
-    away (n,), active (n,) and kept (int8) of `constrain`, state. measured (n,) where the joints are, or (0,). lines (12, n) x <=
-    level (12,): the first p.rows hold. Out: Q, R (M + 1, n), E (M + 1, m) error [m, rad], C (M, n) bits of limits, S (M + 1, 4)
-    clock, its rate, joint that sets it (-1: none), lost directions. Kernel units, but for h, V, A, T, E and the tolerances.
+    (n,), parameters of the rule. The others are blocks, see session.py. Kernel units, but for h, T, V, A, errors and tolerances.
     """
     step: Any = Published if cls is None else step_class(cls)
 
-    def follow(
-        rows, ends, orders, T, V, A, h, p, counts, limits, wish, caps, q, rate, memory, away, active, kept, state, measured,
-        lines, level, Q, R, E, C, S
-    ):  # fmt: skip
-        n, m, room = q.shape[0], V.shape[1], kept.shape[0] - 1
+    def follow(rows, ends, orders, settings, carried, samples, out, h):
+        given, own = settings_of(view(settings)), carried_of(view(carried))
+        n, m, room = given.limits.shape[1], given.counts.shape[1], own.kept.shape[0] - 1
         size = space(n, m, rows.shape[0], 0) + bench_space(n, m, room) + room_space(n, m, room)
         block = np.zeros(size)
         taken = run(
-            step, view(rows), view(ends), view(orders), view(T), view(V), view(A), h, view(p), view(counts), view(limits),
-            view(wish), view(caps), view(q), view(rate), view(memory), view(away), view(active), view(kept), view(state),
-            view(measured), view(lines), view(level), view(Q), view(R), view(E), view(C), view(S), view(block),
+            step, view(rows), view(ends), view(orders), given, own, samples_of(view(samples)), record_of(view(out)), h,
+            view(block),
         )  # fmt: skip
         keep(block)
         return taken

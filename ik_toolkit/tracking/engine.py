@@ -42,7 +42,7 @@ class Published:
         self.method = method
         self.name = method.name
         self.gamma = method.rate_weight
-        self.memory = np.zeros(robot.n)
+        self.memory = robot.n  # numbers kept from step to step
         self.loop = servo()
         self.options: Options = make_options(dict(counting))
 
@@ -88,7 +88,7 @@ class RuleSteps:
         self.robot = robot
         self.solver = Solver(robot, rule, **({"tolerance": 1e-9, "limits": limits} | options))
         self.name = self.solver.name
-        self.memory = np.zeros(4 * robot.n + 8)
+        self.memory = 4 * robot.n + 8
         self.loop = servo(type(self.solver.rule))
         self.options = self.solver.options
 

@@ -10,6 +10,7 @@ from ..kernel import motion
 from ..kernel.clock import look_ahead
 from ..kernel.constrain import LEAVE, SLOW
 from ..kernel.modes import SIDE
+from ..kernel.session import Record, Samples, new_record
 from .secondary import AVOID, POSTURE
 from .tracker import LATE, Tracker
 
@@ -49,23 +50,23 @@ class _Taken(NamedTuple):
     """One run."""
 
     missed: int  # samples off the path
-    arrays: list[np.ndarray]
-    end: list[np.ndarray]  # of the tracker
+    arrays: list[np.ndarray]  # Q, R, E, S, C, see kernel/session.py
+    end: np.ndarray  # of the tracker
 
 
 class Run:
-    """The steps of a run, and its arrays as the loop writes them (see kernel/servo.py): Q, R, E, C, S."""
+    """The steps of a run, and its arrays as the loop writes them (see kernel/session.py): Q, R, E, S, C."""
 
     Q: np.ndarray
     R: np.ndarray
     E: np.ndarray
-    C: np.ndarray
     S: np.ndarray
+    C: np.ndarray
 
     def __init__(
         self,
         tracker: Tracker,
-        samples: tuple[np.ndarray, np.ndarray, np.ndarray],
+        samples: Samples,
         dt: float,
         mode: int,
         tolerances: tuple[float, float],
@@ -73,29 +74,27 @@ class Run:
         settle: float,
         plan: Callable[[], Iterator[tuple[np.ndarray, np.ndarray]]],
     ) -> None:
-        """Keep what is to be run: samples T (N + 1, F, 4, 4), V, A (N + 1, m) of the targets.
+        """Keep what is to be run.
 
-        plan: finds joint values (N + 1, n) [rad or m] along them, for where nothing else keeps to the path.
+        plan: finds joint values (N + 1, n) [rad or m] along the samples, for where nothing else keeps to the path.
         """
         self.tracker, self.samples, self.dt, self.mode = tracker, samples, dt, mode
         self.tolerances, self.settle, self.plan = tolerances, settle, plan
-        self.count = len(samples[0]) - 1
+        self.count = len(samples.T) - 1
         self.most = int(np.ceil(stretch * self.count)) if mode == SLOW else self.count
         self.clock = tolerances if tracker.engine.waits else (np.inf, np.inf)
-        self.caps = np.ones((2, self.count + 1))
-        self.caps[1] = -1.0
+        self.caps = samples.caps
         self.slower = np.ones(self.count + 1)
         self.again = mode == SLOW and tracker.engine.waits and not tracker.one_by_one
         tracker._late = LATE * dt
-        self.start = [one.copy() for one in tracker.carried()]
+        self.start = tracker.carried()
         self.elapsed = 0.0
 
     def go(self) -> None:
         """Run to the end; again where the clock may be slowed and that helps."""
         tracker = self.tracker
         # No step yet: this compiles (or loads) the loop, so that the time reported is that of tracking.
-        T, V, A = (one[:1] for one in self.samples)
-        tracker.run(T, V, A, self.dt, *self._arrays(0), mode=self.mode, clock=self.clock, runaway=RUNAWAY)
+        tracker.run(self.samples, self.dt, self._record(0), mode=self.mode, clock=self.clock, runaway=RUNAWAY)
         tracker.put_back(self.start)
         began = time.perf_counter()
         made: list[_Taken] = []
@@ -111,15 +110,13 @@ class Run:
             if not self.again or made[-1].missed == 0:
                 break
         best = min(made, key=lambda taken: taken.missed)
-        self.Q, self.R, self.E, self.C, self.S = best.arrays
+        self.Q, self.R, self.E, self.S, self.C = best.arrays
         tracker.put_back(best.end)
         self.elapsed = time.perf_counter() - began
 
-    def _arrays(self, steps: int) -> list[np.ndarray]:
+    def _record(self, steps: int) -> Record:
         """Room for so many steps."""
-        n, m = self.tracker.robot.n, self.samples[1].shape[1]
-        shapes = ((steps + 1, n), (steps + 1, n), (steps + 1, m), (steps, n), (steps + 1, 4))
-        return [np.zeros(shape, np.uint8 if k == 3 else float) for k, shape in enumerate(shapes)]
+        return new_record(steps + 1, self.tracker.robot.n, self.samples.V.shape[1])
 
     def _ways(self) -> Iterator[_Way]:
         """Joint paths without limits on speed: those that meet no difficulty as they are found, then the best of the others."""
@@ -174,15 +171,17 @@ class Run:
         """Follow the path without limits on speed."""
         tracker = self.tracker
         self._begin(beside)
-        free = tracker._limits.copy()
-        free[2:] = np.inf
+        fast = tracker._limits[2:].copy()
+        tracker._limits[2:] = np.inf
+        self.caps[0] = 1.0
         if tracker._state[motion.STATE.start] == motion.GIVEN:
             tracker._state[motion.STATE.start] = motion.MOVING
-        arrays = self._arrays(self.count)
-        done = tracker.run(*self.samples, self.dt, *arrays, mode=LEAVE, limits=free, runaway=RUNAWAY)
-        way = _Way(0.0, beside, arrays[0][: done + 1])
+        record = self._record(self.count)
+        done = tracker.run(self.samples, self.dt, record, mode=LEAVE, runaway=RUNAWAY)
+        tracker._limits[2:] = fast
+        way = _Way(0.0, beside, record.Q[: done + 1])
         self._limit_clock(way)
-        off = self._excess(arrays[2][: done + 1]) > 1.0
+        off = self._excess(record.E[: done + 1]) > 1.0
         return way._replace(cost=float(off.sum() + (1.0 / np.maximum(self.caps[0], SLOWEST) - 1.0).sum()))
 
     def _limit_clock(self, way: _Way) -> None:
@@ -201,16 +200,14 @@ class Run:
             steps = 1 if tracker.one_by_one or way.lead else min(self.count, left)
             if way.lead:
                 self._lead(way)
-            arrays = self._arrays(steps)
-            done = tracker.take(
-                *self.samples, self.dt, *arrays, mode=self.mode, clock=self.clock, caps=self.caps, runaway=RUNAWAY
-            )
+            record = self._record(steps)
+            done = tracker.take(self.samples, self.dt, record, mode=self.mode, clock=self.clock, runaway=RUNAWAY)
             left -= done
             clock, stop = (tracker._state[at] for at in (motion.STATE.clock, motion.STATE.stop))
             astray = way.lead > 0.0 and tracker._state[motion.STATE.leaving] > 0.0  # and no longer on the way planned
             ended = left <= 0 or stop != motion.FINE or clock >= self.count or astray
             rows = done + 1 if ended else done
-            made.append([one[: done if k == 3 else rows] for k, one in enumerate(arrays)])
+            made.append([*(one[:rows] for one in record[1:5]), record.C[:done]])
             if ended:
                 break
         arrays = [np.concatenate(part) for part in zip(*made, strict=True)]
@@ -218,7 +215,7 @@ class Run:
         if self.mode == SLOW and clock < self.count - 1:
             # A reference not followed to its end is worse than that, and worst of all a run that was given up.
             missed += round((self.count - (0.0 if astray else clock)) * self.most)
-        return _Taken(missed, arrays, [one.copy() for one in tracker.carried()])
+        return _Taken(missed, arrays, tracker.carried())
 
     def _lead(self, way: _Way) -> None:
         """Ask for the posture of a way at the next step, and for its speed; and for its side where it is nearly singular."""
@@ -228,7 +225,7 @@ class Run:
         wish[0] = way.Q[k] + (state[motion.STATE.clock] - k) * move
         wish[1] = way.lead / self.dt
         wish[2] = state[motion.STATE.sigma] / self.dt * move
-        self.tracker._away[:] = way.side[k + 1]
+        self.tracker._carried.away[:] = way.side[k + 1]
         state[motion.STATE.near] = 1.0 + SIDE
 
     def _excess(self, E: np.ndarray) -> np.ndarray:
@@ -239,7 +236,7 @@ class Run:
 
     def _slow_down(self, taken: _Taken) -> None:
         """Let the clock run slower where a run has left its path: an error of a step is of the order of its square."""
-        _, _, E, _, S = taken.arrays
+        _, _, E, S, _ = taken.arrays
         excess = self._excess(E)
         near = max(round(NEAR / self.dt), 1)
         before, inside = self.slower.copy(), False

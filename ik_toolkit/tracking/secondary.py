@@ -19,6 +19,7 @@ class Secondary:
     def __init__(self, robot: Any, avoid: float, nimble: float, wish: np.ndarray, sides: np.ndarray, cost: Any) -> None:
         """Keep them; wish (3, n): posture, its rate, a speed asked for [kernel units]."""
         self.robot, self.avoid, self.nimble, self.wish, self.sides, self.cost = robot, avoid, nimble, wish, sides, cost
+        self.each_step = cost is not None or nimble > 0.0  # whether it must be evaluated at every step
 
     def confine(self, limits: np.ndarray) -> None:
         """Keep joints on their side of zero, in limits (4, n)."""
@@ -42,11 +43,6 @@ class Secondary:
         if self.nimble > 0.0:
             slope = slope - self.nimble * self._slope(self._volume, at)
         self.wish[2] = -np.where(np.isfinite(slope), slope, 0.0) / unit
-
-    @property
-    def each_step(self) -> bool:
-        """Whether it must be evaluated at every step."""
-        return self.cost is not None or self.nimble > 0.0
 
     def _slope(self, cost: Callable, at: np.ndarray) -> np.ndarray:
         """Slope of a number by differences."""

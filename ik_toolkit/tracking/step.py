@@ -34,18 +34,24 @@ class StepStatus(Enum):
     HELD = "held"
 
 
+class Judged(NamedTuple):
+    """What the steps of a tracker are judged by."""
+
+    robot: Any
+    posed: tuple[bool, ...]  # whether the orientation of a tip counts
+    jump: float
+    speed: np.ndarray  # (n,) limits
+
+
 class Outcome(NamedTuple):
     """What the status of a step is read from: copies."""
 
-    robot: Any
+    by: Judged
     code: np.ndarray  # (n,) bits of limits
-    before: np.ndarray  # (n,) the command before
+    before: np.ndarray  # (n,) the command before, in kernel units
     error: np.ndarray  # (m,) left [m, rad]
-    posed: tuple[bool, ...]  # whether the orientation of a tip counts
     lost: float  # directions in which the tip can hardly move
     finite: bool
-    jump: float
-    speed: np.ndarray  # (n,) limits
     lag: float  # of the joints measured, over what is allowed
     resynced: bool
     between: tuple[str, str] | None = None  # names of what would have touched
@@ -76,9 +82,9 @@ class Step:
     def orientation_error(self) -> float | None:
         """Angle [rad] left to the target; None where no orientation counts."""
         o = self._outcome
-        if not any(o.posed):
+        if not any(o.by.posed):
             return None
-        e = o.error.reshape(-1, 6)[list(o.posed), 3:]
+        e = o.error.reshape(-1, 6)[list(o.by.posed), 3:]
         return float(np.sqrt((e * e).sum(axis=1).max()))
 
     @property
@@ -87,7 +93,7 @@ class Step:
         o = self._outcome
         if o.code[0] & box.HELD:
             return StepStatus.HELD
-        if o.resynced or (np.abs(self.q - o.before) > o.jump * o.robot.chain.unit).any():
+        if o.resynced or (self._moved() > o.by.jump).any():
             return StepStatus.JUMPED
         if o.held is not None:
             return StepStatus.RECONFIGURING
@@ -100,8 +106,12 @@ class Step:
             return StepStatus.BLOCKED if held & box.ROW else StepStatus.AT_LIMIT
         return StepStatus.LIMITED if held else StepStatus.OK
 
+    def _moved(self) -> np.ndarray:
+        """How far (n,) the joints moved in this step [rad, or reaches]."""
+        return np.abs(self.q / self._outcome.by.robot.chain.unit - self._outcome.before)
+
     def _stands(self) -> bool:
-        return bool((np.abs(self.rate) <= AT_REST * self._outcome.speed).all())
+        return bool((np.abs(self.rate) <= AT_REST * self._outcome.by.speed).all())
 
     def _away(self) -> bool:
         return self.position_error > NEAR[0] or (self.orientation_error or 0.0) > NEAR[1]
@@ -116,9 +126,9 @@ class Step:
             return ("the step is not finite" if o.finite else "the target is not finite") + ": braking and holding"
         parts = []
         if status is StepStatus.JUMPED:
-            move = np.abs(self.q - o.before) / o.robot.chain.unit
-            i = int(np.argmax(move))
-            parts.append(f"joint {o.robot.joint_names[i]} moved {self.q[i] - o.before[i]:.3g} in one step")
+            i = int(np.argmax(self._moved()))
+            move = self.q[i] - o.before[i] * o.by.robot.chain.unit[i]
+            parts.append(f"joint {o.by.robot.joint_names[i]} moved {move:.3g} in one step")
         if o.resynced:
             parts = ["the measured joints were too far from the commanded ones: restarted from the measurement"]
         if status is StepStatus.FOLLOWING_ERROR:
@@ -139,7 +149,7 @@ class Step:
             ),
         )
         for bit, name in words:
-            held = [j for j, c in zip(o.robot.joint_names, o.code, strict=True) if c & bit]
+            held = [j for j, c in zip(o.by.robot.joint_names, o.code, strict=True) if c & bit]
             if held:
                 parts.append(f"{name} {', '.join(held)}")
         return "; ".join(parts)

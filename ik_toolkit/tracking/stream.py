@@ -1,115 +1,125 @@
 """Targets as they arrive in a control loop: read, checked, with the motion between two of them."""
 
-import math
 from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
 from ..errors import InvalidTarget, floats
+from ..kernel.arrival import CHECK, DOUBTFUL, READ, REFUSED, TAKEN, arrive
+from ..kernel.session import Samples, new_samples
 from ..kernel.task import POSE, POSITION
 from ..robot.pose import AxisTarget
 from ..solvers.task import read_one, read_target
 from .reference import exp, log
 
 FLOAT = np.dtype(np.float64)
-TIGHT = 1e-9  # of a rotation accepted as it is: far stricter than the check of a target
-HALF_TURN = -1.9  # twice the cosine of 2.8 rad
+KIND = {(4, 4): POSE, (3,): POSITION}  # of an array, by its shape
 
 
 class Stream:
-    """The last target and the next: T (2, F, 4, 4), V and A (2, m) twist and acceleration, base axes; kinds, one a tip."""
+    """The last target and the next, `samples`; kinds, one a tip."""
 
     def __init__(self, robot: Any) -> None:
         """Room for the tips of a robot."""
         self.robot = robot
         self.tips = len(robot.tips)
         self.kinds: tuple | None = None
-        self.T = np.zeros((2, self.tips, 4, 4))
-        self.T[:] = np.eye(4)
-        self.V, self.A = np.zeros((2, 6 * self.tips)), np.zeros((2, 6 * self.tips))
+        self.samples, self._given = new_samples(2, self.tips), new_samples(1, self.tips)
+        for one in (self.samples, self._given):
+            one.T[:], one.caps[0] = np.eye(4), 1.0
+        self._poses = list(self._given.T[0])
+        self._posed = 0  # bit f: tip f has an orientation
+        self._moved = 0
 
     def forget(self) -> None:
         """Any target may come next."""
         self.kinds = None
 
     def take(self, slot: int, target: Any, twist: Any, acceleration: Any, dt: float = 0.0) -> bool:
-        """Write a target into slot 0 (now) or 1 (end of step); False when it is not finite (the last one is kept)."""
+        """Write a target into sample 0 (now) or 1 (end of step); False when it is not finite (the last one is kept)."""
+        kinds, how = self._as_it_is(target) or self._read_in_full(target)
+        if twist is not None:
+            self._given.V[0] = self._motion(twist, "twist")
+        if acceleration is not None:
+            self._given.A[0] = self._motion(acceleration, "acceleration")
+        done = self._arrive(slot, kinds, how, twist is not None, acceleration is not None, dt)
+        if done == DOUBTFUL:
+            kinds, how = self._read_in_full(target)
+            done = self._arrive(slot, kinds, how, twist is not None, acceleration is not None, dt)
+        return done == TAKEN
+
+    def step_on(self) -> None:
+        """The next target becomes the last one (when the one after it arrives)."""
+        self._moved = 1
+
+    def divided(self, parts: int) -> list[Samples]:
+        """The motion from the last target to the next in equal parts."""
+        f = np.linspace(0.0, 1.0, parts + 1)
+        ends = self.samples
+        T = np.repeat(ends.T[:1], parts + 1, axis=0)
+        for k in range(self.tips):
+            T[:, k, :3, 3] += f[:, None] * (ends.T[1, k, :3, 3] - ends.T[0, k, :3, 3])
+            turn = log(ends.T[1, k, :3, :3] @ ends.T[0, k, :3, :3].T)
+            T[:, k, :3, :3] = exp(f[:, None] * turn) @ ends.T[0, k, :3, :3]
+        T[-1] = ends.T[1]
+        V, A = (one[0] + f[:, None] * (one[1] - one[0]) for one in (ends.V, ends.A))
+        return [samples_from(T[k : k + 2], V[k : k + 2], A[k : k + 2]) for k in range(parts)]
+
+    def _arrive(self, slot: int, kinds: tuple | None, how: int, twist: bool, acceleration: bool, dt: float) -> int:
+        """Hand a target that was read, or is to be checked, to the kernel."""
         first = self.kinds is None
-        T, V, A = self.T, self.V, self.A
-        raw = target if type(target) is np.ndarray else getattr(target, "homogeneous", target)
-        plain = type(raw) is np.ndarray and raw.dtype is FLOAT
-        if plain and raw.shape == (4, 4) and self.tips == 1 and self.kinds in (None, (POSE,)) and rigid(raw):
-            pose, kinds = raw, (POSE,)
-        elif (
-            plain
-            and raw.shape == (3,)
-            and self.tips == 1
-            and self.kinds in (None, (POSITION,))
-            and np.isfinite(raw).all()
-        ):
-            pose, kinds = None, (POSITION,)
-        else:
-            pose, kinds = self._read(target)
-        v = None if twist is None else self._motion(twist, "twist")
-        a = None if acceleration is None else self._motion(acceleration, "acceleration")
-        if kinds is not None and self.kinds not in (None, kinds):
+        if kinds is not None and not first and kinds != self.kinds:
             raise InvalidTarget(
                 "a tracker takes targets of one kind, poses or positions, from the first on; `reset` begins anew"
             )
-        if (
-            kinds is None
-            or (v is not None and not np.isfinite(v).all())
-            or (a is not None and not np.isfinite(a).all())
-        ):
-            V[1], A[1] = 0.0, 0.0
-            T[1] = T[0]
-            return False
-        self.kinds = kinds
-        if pose is None:
-            T[slot, 0, :3, 3] = raw
-        else:
-            T[slot] = pose
-        if first and slot == 1:
-            T[0] = T[1]
-        if v is not None:
-            V[slot] = v
-        elif slot == 1:
-            self._difference(dt)
-        else:
-            V[slot] = 0.0
-        A[slot] = 0.0 if a is None else a
-        if first and slot == 1:
-            V[0] = 0.0 if v is None else V[1]
-            A[0] = A[1]
-        return True
+        if first and kinds is not None:
+            self._posed = sum(1 << f for f, kind in enumerate(kinds) if kind != POSITION)
+        done = arrive(
+            self.samples.block, self._given.block, slot, how, self._posed, first, self._moved, twist, acceleration, dt
+        )  # fmt: skip
+        self._moved = 0
+        if done == TAKEN:
+            self.kinds = kinds
+        return done
 
-    def step_on(self) -> None:
-        """The next target becomes the last one."""
-        self.T[0], self.V[0], self.A[0] = self.T[1], self.V[1], self.A[1]
+    def _as_it_is(self, target: Any) -> tuple[tuple | None, int] | None:
+        """Copy a target that is made of arrays, and leave its check to the kernel; None where that cannot be done."""
+        if not self.robot.by_tip:
+            kind = self._copy(0, target)
+            return None if kind is None else ((kind,), CHECK)
+        if self.kinds is None:
+            return None
+        if isinstance(target, Mapping):
+            if target.keys() != set(self.robot.tips):
+                return None
+            target = [target[tip] for tip in self.robot.tips]
+        elif not isinstance(target, list | tuple | np.ndarray) or len(target) != self.tips:
+            return None
+        for f, one in enumerate(target):
+            if self._copy(f, one) != self.kinds[f]:
+                return None
+        return self.kinds, CHECK
 
-    def divided(self, parts: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """The motion from the last target to the next in equal parts: T (parts + 1, F, 4, 4), V, A (parts + 1, m)."""
-        f = np.linspace(0.0, 1.0, parts + 1)
-        T = np.repeat(self.T[:1], parts + 1, axis=0)
-        for k in range(self.tips):
-            T[:, k, :3, 3] += f[:, None] * (self.T[1, k, :3, 3] - self.T[0, k, :3, 3])
-            turn = log(self.T[1, k, :3, :3] @ self.T[0, k, :3, :3].T)
-            T[:, k, :3, :3] = exp(f[:, None] * turn) @ self.T[0, k, :3, :3]
-        T[-1] = self.T[1]
-        return T, *(one[0] + f[:, None] * (one[1] - one[0]) for one in (self.V, self.A))
+    def _copy(self, f: int, target: Any) -> int | None:
+        """Copy the numbers of a tip's target; returns its kind, None where it has to be read in full."""
+        raw = target if type(target) is np.ndarray else getattr(target, "homogeneous", None)
+        if type(raw) is not np.ndarray or raw.dtype is not FLOAT:
+            return None
+        kind = KIND.get(raw.shape)
+        if kind == POSE:
+            self._poses[f][...] = raw
+        elif kind == POSITION:
+            self._poses[f][:3, 3] = raw
+        return kind
 
-    def _difference(self, dt: float) -> None:
-        """Twist from the last target to the next."""
-        V = []
-        for f in range(self.tips):
-            old, new = self.T[:, f].tolist()  # Python numbers: making arrays of three takes longer than adding them
-            V += [(new[k][3] - old[k][3]) / dt for k in range(3)]
-            if self.kinds is not None and self.kinds[f] != POSITION:
-                V += [angle / dt for angle in turn_between(old, new)]
-            else:
-                V += [0.0, 0.0, 0.0]
-        self.V[1] = V
+    def _read_in_full(self, target: Any) -> tuple[tuple | None, int]:
+        """Read and correct a target; no kinds where a number is not finite. Raises InvalidTarget."""
+        T, kinds = self._read(target)
+        if T is None:
+            return None, REFUSED
+        self._given.T[0] = T
+        return kinds, READ
 
     def _read(self, target: Any) -> tuple[np.ndarray | None, tuple | None]:
         """Poses (F, 4, 4) and kinds; no kinds where a number is not finite. Raises InvalidTarget."""
@@ -154,33 +164,13 @@ def _finite(one: Any) -> bool:
         return True
 
 
-def rigid(T: np.ndarray) -> bool:
-    """Whether (4, 4) numbers are a pose: the full `check_target`, which corrects or refuses, costs ten times as much."""
-    (a, b, c, x), (d, e, f, y), (g, h, i, z), last = T.tolist()
-    # One by one: `max` of numbers may miss a NaN among them.
-    return (
-        last == [0.0, 0.0, 0.0, 1.0]
-        and abs(a * a + b * b + c * c - 1.0) < TIGHT
-        and abs(d * d + e * e + f * f - 1.0) < TIGHT
-        and abs(a * d + b * e + c * f) < TIGHT
-        and abs(b * f - c * e - g) < TIGHT
-        and abs(c * d - a * f - h) < TIGHT
-        and abs(a * e - b * d - i) < TIGHT
-        and abs(x) + abs(y) + abs(z) < math.inf
-    )
+def samples_from(T: np.ndarray, V: np.ndarray, A: np.ndarray) -> Samples:
+    """Samples of targets T (N, F, 4, 4), V, A (N, m), at which the clock may run as fast as time."""
+    made = new_samples(*T.shape[:2])
+    made.T[:], made.V[:], made.A[:], made.caps[0], made.caps[1] = T, V, A, 1.0, -1.0
+    return made
 
 
-def turn_between(old: list, new: list) -> tuple[float, ...]:
-    """Rotation vector [rad], base axes, from one pose to another, rows of numbers: the same as `log` in a fifth of the time."""
-    (a, b, c, _), (d, e, f, _), (g, h, i, _), _ = old
-    (u, v, w, _), (n, o, p, _), (q, r, s, _), _ = new
-    # Of new old': twice the sine of the angle along its axis, and twice its cosine. In pairs, so that no turn gives exactly zero.
-    x = (q * d - n * g) + (r * e - o * h) + (s * f - p * i)
-    y = (u * g - q * a) + (v * h - r * b) + (w * i - s * c)
-    z = (n * a - u * d) + (o * b - v * e) + (p * c - w * f)
-    cosine = u * a + v * b + w * c + n * d + o * e + p * f + q * g + r * h + s * i - 1.0
-    if cosine < HALF_TURN:  # there the sine no longer gives the axis
-        return tuple(log(np.array(new)[:3, :3] @ np.array(old)[:3, :3].T))
-    sine = math.sqrt(x * x + y * y + z * z)
-    ratio = math.atan2(sine, cosine) / sine if sine > 0.0 else 0.5
-    return ratio * x, ratio * y, ratio * z
+def last_of(samples: Samples) -> Samples:
+    """The last of some samples alone."""
+    return samples_from(samples.T[-1:], samples.V[-1:], samples.A[-1:])

@@ -26,6 +26,7 @@ from .reachable import explain
 from .reference import Reference, Samples
 from .result import TrackResult, TrackStatus, figures
 from .run import Run
+from .stream import samples_from
 from .tracker import JUMP, Tracker, read_mode
 from .verdict import ORIENTATION_TOLERANCE, POSITION_TOLERANCE, settling, verdict
 
@@ -87,8 +88,8 @@ def track(
     if stretch < 1.0:
         raise InvalidOption(f"max_stretch must be at least 1, not {stretch:g}")
     made = [_samples(one, times) for one in references]
-    T = np.ascontiguousarray(np.stack([one[0] for one in made], axis=1))
-    V, A = (np.ascontiguousarray(np.concatenate([one[k] for one in made], axis=1)) for k in (1, 2))
+    T = np.stack([one[0] for one in made], axis=1)
+    V, A = (np.concatenate([one[k] for one in made], axis=1) for k in (1, 2))
     q0 = _start(robot, references, options.get("avoid_collisions", False)) if q0 is None else q0
     tracker = Tracker(
         robot, method, q0=q0, rate0=rate0, limits=limits, acceleration_limits=acceleration_limits,
@@ -109,7 +110,7 @@ def track(
     counts = {name: value for name, value in options.items() if name in COUNTS}
     begin, bounds = tracker.q, tracker._limits * robot.chain.unit
     run = Run(
-        tracker, (T, V, A), dt, mode, tolerances, stretch, settle,
+        tracker, samples_from(T, V, A), dt, mode, tolerances, stretch, settle,
         lambda: Planner(robot, reference, bounds, **counts).paths(begin, times),
     )  # fmt: skip
     run.go()
@@ -155,7 +156,7 @@ def _result(run: Run, robot: Any, references: list[Reference], times: np.ndarray
     targets = np.stack([one.at(clock)[0] for one in references], axis=1)
     tips = _forward(robot, Q)
     errors = E.reshape(done + 1, -1, 6)
-    posed = [tip for tip, one in enumerate(run.tracker._posed) if one]
+    posed = [tip for tip, one in enumerate(run.tracker._judged.posed) if one]
     by_tip = robot.by_tip
     between = (
         _between(robot, references[0], Q, R, run.tracker.engine, run.dt, clock) if done and not by_tip else (None, None)

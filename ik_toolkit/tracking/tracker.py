@@ -1,7 +1,7 @@
 """`Tracker`: follow targets that arrive one by one, for somebody's control loop."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -11,6 +11,7 @@ from ..kernel import box, motion
 from ..kernel.clock import QUICK
 from ..kernel.constrain import DIRECT, LEAVE
 from ..kernel.motion import CLIP
+from ..kernel.session import Record, Samples, carried_of, new_carried, new_record, new_settings
 from ..kernel.task import POSITION
 from ..robot.robot import Robot
 from ..robot.tree import Tree
@@ -21,8 +22,8 @@ from .methods import Method
 from .obstacles import ROWS, Guard
 from .reconfigure import Reconfiguration
 from .secondary import Secondary, read_secondary
-from .step import Outcome, Step
-from .stream import Stream
+from .step import Judged, Outcome, Step
+from .stream import Stream, last_of
 
 JUMP = 0.5  # joint move [rad, or reaches] in one step that is reported as a jump
 RESYNC = 0.1  # [rad, or reaches] between joints measured and commanded beyond which a tracker starts anew
@@ -105,15 +106,18 @@ class Tracker:
         if switch(reconfigure, "reconfigure") and limits and self._mode == DIRECT:
             self._other = Reconfiguration(robot, self.engine.options, self._guard and self._guard.model)
         m = 6 * self.stream.tips
-        self._q, self._rate, self._away = np.zeros(n), np.zeros(n), np.zeros(n)
-        self._state = np.zeros(len(motion.STATE))
-        self._lines, self._level, self.rows = np.zeros((ROWS, n)), np.zeros(ROWS), 0
-        self._active = np.zeros(n, np.int8)
-        self._kept = np.zeros(1, np.int8)
-        self._caps, self._unmeasured = np.ones((2, 2)), np.zeros(0)
-        self._Q, self._R, self._E = np.zeros((2, n)), np.zeros((2, n)), np.zeros((2, m))
-        self._C, self._S = np.zeros((1, n), np.uint8), np.zeros((2, 4))
+        self._settings, self._out = new_settings(n, m, ROWS), new_record(2, n, m)
+        for part, values in ((self._settings.limits, self._limits), (self._settings.wish, self.secondary.wish)):
+            part[:] = values
+        self._code, self._error = self._out.C[0], self._out.E[1]
+        self._limits, self.secondary.wish = self._settings.limits, self._settings.wish
+        self._carried = new_carried(n, self.engine.memory, ROWS + 2 * m + 1)  # two rows for each slack
+        self._q, self._rate = self._carried.motion
+        self._state = self._carried.state
+        self._units = np.array([robot.chain.unit, robot.chain.unit])
+        self.rows = 0
         self._laws: dict[float, np.ndarray] = {}
+        self._ordered: tuple = ()  # what the law of the settings was made of
         self._kinds: tuple | None = None
         self.reset(q0, rate0=rate0)
 
@@ -137,12 +141,12 @@ class Tracker:
         unit = self.robot.chain.unit
         self._q[:] = q / unit
         self._rate[:] = 0.0 if rate is None else rate / unit
-        self.engine.memory[:] = 0.0
+        self._carried.memory[:] = 0.0
         self._state[:] = 0.0
         given = rate is not None or self._at_rest
         self._state[motion.STATE.start] = motion.GIVEN if given else motion.MOVING
-        self._active[:], self._kept[:] = 0, 0
-        self.secondary.side(self._away)
+        self._carried.active[:], self._carried.kept[:] = 0, 0
+        self.secondary.side(self._carried.away)
         if self._other:
             self._other.forget()
         self._between: tuple[str, str] | None = None  # what kept the last step from going on
@@ -195,60 +199,54 @@ class Tracker:
         InvalidTarget for a wrong shape, InvalidOption for a dt that is not positive, InvalidConfiguration for a wrong q.
         """
         dt = positive(dt, "dt [s]")
-        robot, stream, unit = self.robot, self.stream, self.robot.chain.unit
+        stream, lag, resynced = self.stream, 0.0, False
         finite = stream.take(1, target, twist, acceleration, dt)
-        measured, lag, resynced = self._unmeasured, 0.0, False
-        before = self._q * unit
+        if stream.kinds != self._kinds or self._kinds is None:
+            self.prepare(stream.kinds or (POSITION,) * stream.tips)
+        before = self._q.copy()
         if q is not None:
-            found = robot.check_q(q, "q")
-            measured = found / unit
-            lag = float(np.abs(measured - self._q).max()) / self.resync
+            found = self.robot.check_q(q, "q")
+            self._settings.measured[:] = found / self.robot.chain.unit
+            lag = float(np.abs(self._settings.measured - self._q).max()) / self.resync
             resynced = lag > 1.0
             if resynced:
-                self._begin(found, np.zeros(robot.n))
+                self._begin(found, np.zeros(self.robot.n))
         self._late = self._late or LATE * dt
-        parts = 1 if dt <= self._late else math.ceil(dt / self._late)
-        self._step(dt, parts, not finite, measured)
+        part, h = stream.samples, dt
+        if dt <= self._late:
+            self._step(part, h, brake=not finite, measured=q is not None)
+        else:
+            parts = math.ceil(dt / self._late)
+            for part in stream.divided(parts):
+                h = dt / parts
+                self._step(part, h, brake=not finite, measured=q is not None)
+        if self._other and finite and not self._goes:
+            self._watch(part, h, dt)
         if finite:
             stream.step_on()
+        now = self._carried.motion * self._units
         out = Outcome(
-            robot, self._C[0].copy(), before, self._E[1].copy(), self._posed, self._S[0, 3], finite, self.jump, self._speed,
-            lag, resynced, self._between, self._other.joints if self._other and self._goes else None,
+            self._judged, self._code.copy(), before, self._error.copy(), self._out.S[0, 3], finite, lag, resynced,
+            self._between, self._other.joints if self._other and self._goes else None,
         )  # fmt: skip
-        return Step(self._q * unit, self._rate * unit, out)
+        return Step(now[0], now[1], out)
 
-    def _step(self, dt: float, parts: int, brake: bool, measured: np.ndarray) -> None:
-        """Take one step, in equal parts where it is too long."""
-        stream = self.stream
-        self.prepare(stream.kinds or (POSITION,) * stream.tips)
-        T, V, A = stream.T, stream.V, stream.A
-        if parts > 1:
-            T, V, A = stream.divided(parts)
-        h, other = dt / parts, self._other
-        for k in range(parts):
-            part = slice(k, k + 2)
-            self._goes = other is not None and other.goal is not None and not brake
-            (self._go if self._goes else self.take)(
-                T[part], V[part], A[part], h, self._Q, self._R, self._E, self._C, self._S, brake=brake, measured=measured,
-            )  # fmt: skip
-        if other and not self._goes and not brake:
+    def _step(self, samples: Samples, h: float, **how: bool) -> None:
+        """Take one step: towards another posture, or as usual."""
+        other = self._other
+        self._goes = other is not None and other.goal is not None and not how["brake"]
+        if self._goes:
+            self._go(samples, h, **how)
+        else:
+            self.take(samples, h, self._out, **how)
 
-            def error_at(q: np.ndarray) -> np.ndarray:
-                one = self._E[:1].copy()
-                self.run(T[-1:], V[-1:], A[-1:], h, self._Q[1:], self._R[1:], one, self._C[:0], self._S[1:], measured=q)
-                return one[0]
-
-            other.watch(
-                self._C[0].tolist(), self._S[0, 3] > 0.0, self._E[1], T[-1], dt, self._q, self._limits, error_at
-            )
-
-    def _go(self, T, V, A, h, Q, R, E, C, S, **how) -> None:
+    def _go(self, samples: Samples, h: float, **how: bool) -> None:
         """Take a step towards another posture, or as usual where something is in the way."""
         other, guard, unit = self._other, self._guard, self.robot.chain.unit
         assert other is not None
-        before = [one.copy() for one in self.carried()]
-        q, rate, late = self._q * unit, self._rate * unit, max(self._late, h)
-        self._goes = other.go(self._q, self._rate, T[1], self.engine.gamma, h, late, self._limits)
+        before = self.carried()
+        (q, rate), late = self._carried.motion * self._units, max(self._late, h)
+        self._goes = other.go(self._q, self._rate, samples.T[1], self.engine.gamma, h, late, self._limits)
         if guard and self._goes:
             guard.late = late
             guard.rows(q, rate, h)  # sees what has been added or moved since
@@ -257,104 +255,139 @@ class Tracker:
                 self.put_back(before)
                 other.blocked()
         if not self._goes:
-            self.take(T, V, A, h, Q, R, E, C, S, **how)
+            self.take(samples, h, self._out, **how)
             return
-        self.engine.memory[:] = 0.0
-        self._active[:], self._kept[:] = 0, 0
+        self._carried.memory[:] = 0.0
+        self._carried.active[:], self._carried.kept[:] = 0, 0
         self._state[:] = 0.0
         self._state[motion.STATE.start] = motion.READY
-        self.secondary.side(self._away)
-        self.run(T[1:], V[1:], A[1:], h, Q[1:], R[1:], E[1:], C[:0], S[1:], **how)  # no step: what is left
-        C[:], S[0], self._between = 0, 0.0, None
+        self.secondary.side(self._carried.away)
+        self._end(last_of(samples), h, self._out, **how)
+        self._out.C[:], self._out.S[0], self._between = 0, 0.0, None
+
+    def _watch(self, samples: Samples, h: float, dt: float) -> None:
+        """Let a step taken be looked at: whether another posture is to be sought."""
+        assert self._other is not None
+
+        def error_at(q: np.ndarray) -> np.ndarray:
+            self._settings.measured[:] = q
+            return self._now(last_of(samples), h, measured=True).E[0]
+
+        self._other.watch(
+            self._code.tolist(),
+            self._out.S[0, 3] > 0.0,
+            self._error,
+            samples.T[-1],
+            dt,
+            self._q,
+            self._limits,
+            error_at,
+        )
+
+    def _now(self, samples: Samples, h: float, **how: Any) -> Record:
+        """How it is, without a step."""
+        now = new_record(1, self.robot.n, len(self._error))
+        self.run(samples, h, now, **how)
+        return now
+
+    def _end(self, samples: Samples, h: float, out: Record, **how: Any) -> None:
+        """Write what is left to the end of a record of one step."""
+        now = self._now(samples, h, **how)
+        out.Q[1], out.R[1], out.E[1], out.S[1] = now.Q[0], now.R[0], now.E[0], now.S[0]
 
     def prepare(self, kinds: tuple) -> None:
         """Pack what depends on the kinds of target."""
         if self._kinds == kinds:
             return
-        self._orders, self._counts = self.engine.orders(kinds)
-        rows = ROWS + 2 * int((self._counts[1] > 0.0).sum())
+        self._orders, counts = self.engine.orders(kinds)
+        rows = ROWS + 2 * int((counts[1] > 0.0).sum())
         if self._mode == CLIP and rows > ROWS:
             raise InvalidOption("slack is kept by the constrained step, so on_limit cannot be 'clip'")
-        self._kept = np.zeros(rows + 1, np.int8)
         if self._other:
             self._other.ready(kinds)
-        self._posed = tuple(bool(self._counts[0, 6 * f + 3 : 6 * f + 6].any()) for f in range(len(kinds)))
+        self._settings.counts[:] = counts
+        self._carried.block[3] = rows + 1
+        self._carried = carried_of(self._carried.block)
+        self._carried.kept[:] = 0
+        posed = tuple(bool(counts[0, 6 * f + 3 : 6 * f + 6].any()) for f in range(len(kinds)))
+        self._judged = Judged(self.robot, posed, self.jump, self._speed)
         self._kinds = kinds
 
-    def carried(self) -> tuple[np.ndarray, ...]:
-        """What is carried from step to step."""
-        return self._q, self._rate, self.engine.memory, self._away, self._active, self._kept, self._state
+    def carried(self) -> np.ndarray:
+        """Copy of what is carried from step to step."""
+        return self._carried.block.copy()
 
-    def put_back(self, kept: Sequence[np.ndarray]) -> None:
-        """Be as before: copies of `carried`."""
-        for one, before in zip(self.carried(), kept, strict=True):
-            one[:] = before
+    def put_back(self, kept: np.ndarray) -> None:
+        """Be as before: what `carried` returned."""
+        self._carried.block[:] = kept
 
     def run(
-        self, T, V, A, h, Q, R, E, C, S, *, brake=False, measured=None, runaway=np.inf, mode=None, clock=None, caps=None,
-        limits=None,
+        self, samples: Samples, h: float, out: Record, *, brake: bool = False, measured: bool = False,
+        runaway: float = math.inf, mode: int | None = None, clock: tuple[float, float] | None = None,
     ) -> int:  # fmt: skip
-        """Take len(E) - 1 steps from the present state (see kernel/servo.py); returns how many were taken.
+        """Take as many steps of h [s] from the present state as `out` has room for (see kernel/servo.py); returns how many.
 
-        clock: tolerances (position [m], orientation [rad]) of a reference that has one; limits: others than the tracker's.
+        clock: tolerances (position [m], orientation [rad]) of a reference that has one.
         """
-        law = self._laws.get(h)
-        if law is None:
-            if len(self._laws) >= LAWS_KEPT:
-                self._laws.clear()
-            law = self._laws[h] = self.engine.law(h)
-        at, state = motion.PLACE, self._state
-        law[at.brake], law[at.runaway], law[at.late], law[at.rows] = brake, runaway, max(self._late, h), self.rows
-        law[at.mode] = self._mode if mode is None else mode
-        law[at.avoid] = self.secondary.avoid
-        law[at.clocked] = clock is not None
-        if clock is not None:
-            law[at.tol_p], law[at.tol_r] = clock
+        ordered = h, brake, measured, runaway, mode, clock, self._late, self.rows, self.secondary.avoid
+        if ordered != self._ordered:
+            self._order(*ordered)
+            self._ordered = ordered
         if self.secondary.each_step:
             self.secondary.look(self._q)
         chain = self.robot.chain
         return self.engine.loop(
-            chain.rows, chain.ends, self._orders, T, V, A, h, law, self._counts, self._limits if limits is None else limits,
-            self.secondary.wish, self._caps if caps is None else caps, self._q, self._rate, self.engine.memory, self._away,
-            self._active, self._kept, state, self._unmeasured if measured is None else measured, self._lines, self._level, Q, R,
-            E, C, S,
-        )  # fmt: skip
+            chain.rows, chain.ends, self._orders, self._settings.block, self._carried.block, samples.block, out.block, h
+        )
+
+    def _order(self, h, brake, measured, runaway, mode, clock, late, rows, avoid) -> None:
+        """Write the law of a run to the settings."""
+        made = self._laws.get(h)
+        if made is None:
+            if len(self._laws) >= LAWS_KEPT:
+                self._laws.clear()
+            made = self._laws[h] = self.engine.law(h)
+        law, at = self._settings.law, motion.PLACE
+        law[:] = made
+        law[at.brake], law[at.measured], law[at.runaway], law[at.late] = brake, measured, runaway, max(late, h)
+        law[at.rows], law[at.avoid], law[at.clocked] = rows, avoid, clock is not None
+        law[at.mode] = self._mode if mode is None else mode
+        if clock is not None:
+            law[at.tol_p], law[at.tol_r] = clock
 
     @property
     def one_by_one(self) -> bool:
         """Whether something has to be looked at before every step, so that the loop cannot take several."""
         return self.secondary.each_step or self._guard is not None
 
-    def take(self, T, V, A, h, Q, R, E, C, S, *, brake=False, clock=None, **how) -> int:
+    def take(
+        self, samples: Samples, h: float, out: Record, *, clock: Any = None, brake: bool = False, **how: Any
+    ) -> int:
         """Take a step as `run` does, or brake where it could end in a contact."""
         guard, unit = self._guard, self.robot.chain.unit
         if guard is None:
-            return self.run(T, V, A, h, Q, R, E, C, S, brake=brake, clock=clock, **how)
+            return self.run(samples, h, out, clock=clock, brake=brake, **how)
         guard.late = max(self._late, h)
-        q, rate = self._q * unit, self._rate * unit
+        q, rate = self._carried.motion * self._units
         self.rows = guard.rows(q, rate, h)
-        self._lines[: self.rows], self._level[: self.rows] = guard.A[: self.rows] * unit, guard.b[: self.rows]
-        before = [one.copy() for one in self.carried()]
-        done = self.run(T, V, A, h, Q, R, E, C, S, brake=brake, clock=clock, **how)
-        held = np.flatnonzero(self._kept[: self.rows])
-        self._between = guard.pairs[held[0]] if len(held) and C[0].any() else None
-        if not done or guard.allows(q, R[0] * unit, self._q * unit, self._rate * unit, h):
+        lines, level = self._settings.lines, self._settings.level
+        lines[: self.rows], level[: self.rows] = guard.A[: self.rows] * unit, guard.b[: self.rows]
+        before = self.carried()
+        done = self.run(samples, h, out, clock=clock, brake=brake, **how)
+        held = np.flatnonzero(self._carried.kept[: self.rows])
+        self._between = guard.pairs[held[0]] if len(held) and out.C[0].any() else None
+        next_q, next_rate = self._carried.motion * self._units
+        if not done or guard.allows(q, out.R[0] * unit, next_q, next_rate, h):
             return done
-        wanted = self._rate * unit
-        for one, was in zip(self.carried(), before, strict=True):
-            one[:] = was
-        q, rate = guard.instead(q, rate, wanted, h)
-        self._q[:], self._rate[:] = q / unit, rate / unit
-        self.engine.memory[:] = 0.0
+        self.put_back(before)
+        self._carried.motion[:] = guard.instead(q, rate, next_rate, h) / self._units
+        self._carried.memory[:] = 0.0
         self._state[motion.STATE.start] = motion.READY
         self._state[motion.STATE.sigma] = max(self._state[motion.STATE.sigma] - QUICK * h, 0.0)
         self._between = guard.blocked
-        S[0, 1:3] = 0.0, -1.0  # the clock stood still
-        there = slice(1 if clock is None else 0, None)
-        self.run(
-            T[there], V[there], A[there], h, Q[1:], R[1:], E[1:], C[:0], S[1:], clock=clock, **how
-        )  # no step: what is left
-        C[0] = np.where(self._rate == 0.0, box.ROW, box.ROW | box.ACCELERATION) | (box.HELD if brake else 0)
+        out.S[0, 1:3] = 0.0, -1.0  # the clock stood still
+        self._end(samples if clock is not None else last_of(samples), h, out, clock=clock, **how)
+        out.C[0] = np.where(self._rate == 0.0, box.ROW, box.ROW | box.ACCELERATION) | (box.HELD if brake else 0)
         return 1
 
 

@@ -262,20 +262,17 @@ class Ours:
 
     def loop(self, T):
         """Seconds a step in the compiled loop, over all targets at once, as `ik.track` takes a path."""
+        from ik_toolkit.kernel.session import new_record
+        from ik_toolkit.tracking.stream import samples_from
+
         N, tracker = len(T), self.tracker
-        n, V = len(tracker.q), np.zeros((N, 6 * T.shape[1]))
+        V = np.zeros((N, 6 * T.shape[1]))
         for k, f in np.ndindex(N - 1, T.shape[1]):
             V[k + 1, 6 * f : 6 * f + 6] = twist(T[k, f], T[k + 1, f]) / self.dt
-        out = (
-            np.zeros((N, n)),
-            np.zeros((N, n)),
-            np.zeros((N, V.shape[1])),
-            np.zeros((N - 1, n), np.uint8),
-            np.zeros((N, 4)),
-        )
+        samples, out = samples_from(T, V, np.zeros_like(V)), new_record(N, len(tracker.q), V.shape[1])
         self.step(T[0], None)  # what is bound and compiled at the first step
         began = perf_counter()
-        taken = tracker.run(T, V, np.zeros_like(V), self.dt, *out)
+        taken = tracker.run(samples, self.dt, out)
         return (perf_counter() - began) / taken
 
 

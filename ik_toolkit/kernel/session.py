@@ -1,0 +1,158 @@
+"""What a tracker's loop reads and writes, in four blocks: each array that a call from Python hands over takes it 0.1 microseconds.
+
+Python and the kernel cut the parts of a block in the same way: Python once, as arrays, the kernel at every call, as views. The
+first number of a block is that of `cut`; the next ones are counts, from which all lengths follow.
+"""
+
+import math
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from .jit import compiled, shared
+from .motion import Law, State
+from .records import Array
+from .view import LINE, cut, fold
+
+LAW, STATES = len(Law._fields), len(State._fields)
+
+
+@compiled
+class Settings(NamedTuple):
+    """What stays as it is during a call, for n coordinates and m errors."""
+
+    block: Array
+    law: Array  # a `Law`
+    counts: Array  # (3, m) weights of the errors, slack, slack in m and rad
+    limits: Array  # (4, n), see box.py
+    wish: Array  # (3, n) posture, gain, speed asked for
+    lines: Array  # (rows, n) half-planes lines x <= level, of which the first law.rows hold
+    level: Array  # (rows,)
+    measured: Array  # (n,) where the joints are, when law.measured says so
+
+
+@compiled
+class Carried(NamedTuple):
+    """What is carried from step to step."""
+
+    block: Array
+    motion: Array  # (2, n) joints and their rates
+    memory: Array  # of the method, or the rule
+    away: Array  # (n,) where joints go from a pose in which they are straight
+    state: Array  # a `State`
+    active: Array  # (n,) and kept, int8: the active set of `constrain`
+    kept: Array
+
+
+@compiled
+class Samples(NamedTuple):
+    """Targets of F tips at N samples."""
+
+    block: Array
+    T: Array  # (N, F, 4, 4) [m]
+    V: Array  # (N, m) twist
+    A: Array  # (N, m) acceleration
+    caps: Array  # (2, N) highest rate of the clock, joint that sets it
+
+
+@compiled
+class Record(NamedTuple):
+    """What N - 1 steps come to; N = 1 says how it is now."""
+
+    block: Array
+    Q: Array  # (N, n)
+    R: Array  # (N, n) rates
+    E: Array  # (N, m) errors [m, rad]
+    S: Array  # (N, 4) clock, its rate, joint that sets it (-1: none), lost directions
+    C: Array  # (N - 1, n) bits of limits, uint8
+
+
+@shared
+def settings_shapes(n, m, rows):
+    """Shapes of `Settings`."""
+    return LAW, (3, m), (4, n), (3, n), (rows, n), rows, n
+
+
+@shared
+def carried_shapes(n, memory, rows):
+    """Shapes of `Carried`; bytes in whole numbers of eight."""
+    return (2, n), memory, n, STATES, (n + 7) // 8, (rows + 7) // 8
+
+
+@shared
+def samples_shapes(N, F):
+    """Shapes of `Samples`."""
+    return (N, F, 4, 4), (N, 6 * F), (N, 6 * F), (2, N)
+
+
+@shared
+def record_shapes(N, n, m):
+    """Shapes of `Record`."""
+    return (N, n), (N, n), (N, m), (N, 4), ((N - 1) * n + 7) // 8
+
+
+@shared
+def head(block):
+    """The counts of a block, and its first number set back."""
+    block[0] = 0.0
+    return int(block[1]), int(block[2]), int(block[3])
+
+
+@shared
+def settings_of(block):
+    """Parts of a block (K,) of n, m, rows."""
+    n, m, rows = head(block)
+    return Settings(block, *cut(block, np.float64, settings_shapes(n, m, rows)))
+
+
+@shared
+def carried_of(block):
+    """Parts of a block (K,) of n, numbers of memory, rows."""
+    n, memory, rows = head(block)
+    motion, own, away, state, active, kept = cut(block, np.float64, carried_shapes(n, memory, rows))
+    return Carried(block, motion, own, away, state, fold(active, np.int8, 1, n)[0], fold(kept, np.int8, 1, rows)[0])
+
+
+@shared
+def samples_of(block):
+    """Parts of a block (K,) of N, F."""
+    N, F, _ = head(block)
+    return Samples(block, *cut(block, np.float64, samples_shapes(N, F)))
+
+
+@shared
+def record_of(block):
+    """Parts of a block (K,) of N, n, m."""
+    N, n, m = head(block)
+    Q, R, E, S, codes = cut(block, np.float64, record_shapes(N, n, m))
+    return Record(block, Q, R, E, S, fold(codes, np.uint8, N - 1, n))
+
+
+# ------------------------------------------------------------------------------------------------------------- from Python
+def _made(of: Callable, shapes: tuple, *counts: int) -> Any:
+    """A new block of zeros, and its parts."""
+    sizes = [math.prod(one) if isinstance(one, tuple) else one for one in shapes]
+    block = np.zeros(LINE + sum(-(-size // LINE) * LINE for size in sizes))
+    block[1 : 1 + len(counts)] = counts
+    return of(block)
+
+
+def new_settings(n: int, m: int, rows: int) -> Settings:
+    """Settings for n coordinates, m errors, at most `rows` half-planes."""
+    return _made(settings_of, settings_shapes(n, m, rows), n, m, rows)
+
+
+def new_carried(n: int, memory: int, rows: int) -> Carried:
+    """What is carried on of n coordinates, with `memory` numbers of the method, and `rows` of `constrain`."""
+    return _made(carried_of, carried_shapes(n, memory, rows), n, memory, rows)
+
+
+def new_samples(N: int, F: int) -> Samples:
+    """Samples of F tips."""
+    return _made(samples_of, samples_shapes(N, F), N, F)
+
+
+def new_record(N: int, n: int, m: int) -> Record:
+    """Record of N - 1 steps."""
+    return _made(record_of, record_shapes(N, n, m), N, n, m)

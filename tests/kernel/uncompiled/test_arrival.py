@@ -1,0 +1,93 @@
+"""Targets of a control loop as the kernel takes them, and the blocks in which a tracker's numbers cross to it."""
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from ik_toolkit.kernel import session
+from ik_toolkit.kernel.arrival import CHECK, DOUBTFUL, HELD, READ, REFUSED, TAKEN, arrive
+
+
+def turned(rng, tips, angle):
+    """Poses (F, 4, 4), and others turned by an angle and moved."""
+    first = np.array([pin.SE3.Random().homogeneous for _ in range(tips)])
+    second, axes = first.copy(), rng.normal(size=(tips, 3))
+    axes /= np.linalg.norm(axes, axis=1)[:, None]
+    for T, axis in zip(second, axes, strict=True):
+        T[:3, :3] = pin.exp3(angle * axis) @ T[:3, :3]
+        T[:3, 3] += rng.normal(size=3)
+    return first, second, angle * axes
+
+
+def arrived(samples, T, slot=1, how=CHECK, posed=-1, first=0, moved=0, V=None, A=None, dt=0.1):
+    """What `arrive` says of targets T (F, 4, 4)."""
+    given = session.new_samples(1, len(T))
+    given.T[0] = T
+    given.V[0], given.A[0] = 0.0 if V is None else V, 0.0 if A is None else A
+    return arrive(samples.block, given.block, slot, how, posed, first, moved, V is not None, A is not None, dt)
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-12, 1e-3, 2.5, 3.1])
+def test_without_a_twist_it_is_that_from_the_last_target_to_the_next(angle):
+    pin.seed(3)
+    rng, samples = np.random.default_rng(3), session.new_samples(2, 2)
+    last, now, turn = turned(rng, 2, angle)
+    assert arrived(samples, last, first=1) == TAKEN
+    assert not samples.V.any() and np.array_equal(samples.T[0], last)
+    assert arrived(samples, now, moved=1) == TAKEN
+    assert np.array_equal(samples.T[0], last) and np.array_equal(samples.T[1], now)
+    V = samples.V[1].reshape(2, 2, 3)
+    np.testing.assert_allclose(V[:, 0], (now - last)[:, :3, 3] / 0.1, rtol=1e-12)
+    np.testing.assert_allclose(V[:, 1], turn / 0.1, atol=1e-13 if angle < 2.0 else 1e-8)
+    assert arrived(samples, now, moved=1) == TAKEN
+    assert not samples.V[1].any()  # exactly: a target at rest
+
+
+def test_what_is_given_counts_and_a_position_leaves_the_rotation():
+    pin.seed(4)
+    rng, samples = np.random.default_rng(4), session.new_samples(2, 1)
+    last, now, _ = turned(rng, 1, 0.5)
+    V, A = rng.normal(size=(2, 6))
+    assert arrived(samples, last, slot=0, first=1, V=V) == TAKEN
+    assert np.array_equal(samples.V[0], V) and not samples.A[0].any()
+    now[0, :3, :3] = np.nan  # of a position there are no other numbers
+    assert arrived(samples, now, posed=0, V=2 * V, A=A) == TAKEN
+    assert np.array_equal(samples.V[1], 2 * V) and np.array_equal(samples.A[1], A)
+    assert np.array_equal(samples.T[1, 0, :3, 3], now[0, :3, 3]) and np.isfinite(samples.T).all()
+
+
+def test_what_is_no_pose_is_doubtful_and_what_is_not_finite_is_held_against():
+    pin.seed(5)
+    rng, samples = np.random.default_rng(5), session.new_samples(2, 2)
+    last, now, _ = turned(rng, 2, 0.5)
+    arrived(samples, last, first=1)
+    for r, c in np.ndindex(4, 4):
+        for off in (1e-8, np.nan, np.inf):
+            bad = now.copy()
+            bad[1, r, c] += off
+            if c == 3 and r < 3 and off == 1e-8:
+                continue
+            assert arrived(samples, bad) == (HELD if c == 3 and r < 3 else DOUBTFUL), (r, c, off)
+    mirrored = now.copy()
+    mirrored[0, :3, 2] *= -1.0
+    assert arrived(samples, mirrored) == DOUBTFUL and arrived(samples, mirrored, how=READ) == TAKEN
+    broken = np.array([0.0, 0.0, np.nan, *np.zeros(9)])
+    for what in ({"how": REFUSED}, {"V": broken}, {"A": broken}):
+        assert arrived(samples, now) == TAKEN
+        assert arrived(samples, now, **what) == HELD
+        assert np.array_equal(samples.T[0], last) and np.array_equal(samples.T[1], last)
+        assert not samples.V[1].any() and not samples.A[1].any()
+
+
+@pytest.mark.parametrize("make", [
+    lambda: session.new_settings(7, 6, 12), lambda: session.new_carried(9, 44, 37), lambda: session.new_samples(3, 2),
+    lambda: session.new_record(5, 11, 12),
+])  # fmt: skip
+def test_parts_of_a_block_do_not_overlap(make):
+    """Every part keeps what was written to it, and the counts stay."""
+    parts = make()
+    counts = parts.block[1:4].copy()
+    for k, part in enumerate(parts[1:], 1):
+        part[...] = k
+    assert all((part == k).all() for k, part in enumerate(parts[1:], 1)) and np.array_equal(parts.block[1:4], counts)
+    assert session.record_of(session.new_record(1, 3, 6).block).C.shape == (0, 3)
