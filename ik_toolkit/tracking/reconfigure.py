@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from ..kernel.box import NOISE, POSITION, RECOVERING, VELOCITY
+from ..kernel.box import ACCELERATION, NOISE, POSITION, RECOVERING, VELOCITY
 from ..kernel.checks import CONVERGED, UNREACHABLE
 from ..kernel.kinematics import TAU
 from ..kernel.records import ANSWER, AT, Ends
@@ -27,6 +27,7 @@ from ..solvers.plan import Plan
 from ..solvers.registry import GENERAL, find_row
 from .engine import LEVER
 
+FAST = VELOCITY | ACCELERATION | RECOVERING  # what holds a joint back only for a while
 AWAY = 1e-3  # [m] error, angles at LEVER, from which a target counts as not reached
 WAIT = 0.1  # [s] without progress before a search, and for which a target must have stood
 PROGRESS = 0.9  # of the least error so far: what falls below is on its way
@@ -60,7 +61,9 @@ class Reconfiguration:
         self._turning = np.array([box.turns(i) > 0.0 for i in range(robot.n)])
         self._each = max(int(SHARE / ATTEMPT / len(robot.tips)), 1)  # attempts per second of updates
         self._rng = np.random.default_rng(0)
+        self._lever = np.tile([1.0] * 3 + [LEVER] * 3, len(robot.tips))
         self.held: list[int] = []
+        self._barred: list[np.ndarray] = []  # goals to which something was in the way
         self.forget()
         self._quiet, self._pause = 0.0, PAUSE  # [s] in which no search begins, and after the next one in vain
         self._vain = np.zeros(0)  # where the target was at the last one
@@ -97,12 +100,13 @@ class Reconfiguration:
             held |= bits
         if not (held & POSITION or singular):
             return
-        error = size(E)
+        error = self._size(E)
         if error < AWAY:
             self.forget()
-            self._pause = PAUSE
+            self._pause, self._barred = PAUSE, []
             return
-        if held & (VELOCITY | RECOVERING):  # on its way, as fast as it can
+        if held & FAST:  # on its way, as fast as it can
+            self._stood = 0.0
             return
         if not len(self._place) or gap(T, self._place) > STILL:
             self._place, self._rest, self._quiet = T.copy(), 0.0, min(self._quiet, PAUSE)
@@ -143,6 +147,7 @@ class Reconfiguration:
         if out:
             self._left = 0
         scored = [(time_between(q, p, limits) + max(HEADROOM - headroom(p, limits), 0.0), p) for p in found]
+        scored = [one for one in scored if all(np.abs(one[1] - bad).max() > FAR for bad in self._barred)]
         for one in sorted(scored, key=lambda pair: pair[0])[:LOOKS]:
             if self._best is not None and one[0] >= self._best[0]:
                 break
@@ -153,19 +158,25 @@ class Reconfiguration:
     def _decide(self, T: np.ndarray, q: np.ndarray, limits: np.ndarray, error_at: Callable, stands: bool) -> None:
         """After a search: go, wait, or do not search again for a while."""
         if self._best is None:
-            self._hold_off()
-            self._vain = T.copy()
+            self._hold_off(T)
+            self._barred = []
             return
         goal = self._best[1]
         if not stands:
-            on_way = sum(size(error_at(q + part * (goal - q))) for part in ON_WAY) / len(ON_WAY)
+            on_way = sum(self._size(error_at(q + part * (goal - q))) for part in ON_WAY) / len(ON_WAY)
             self._price = on_way * time_between(q, goal, limits)
             if self._lost < self._price:
                 return
         self.goal = goal
 
-    def _hold_off(self) -> None:
-        self._quiet = self._pause
+    def _size(self, E: np.ndarray) -> float:
+        """Error [m] of all tips as one number."""
+        e = self._lever * E
+        return math.sqrt(e @ e)
+
+    def _hold_off(self, T: np.ndarray) -> None:
+        """There is no way to targets T (F, 4, 4) for now."""
+        self._vain, self._quiet = T.copy(), self._pause
         self._pause = min(2.0 * self._pause, LONGEST)
 
     def _attempts(
@@ -217,16 +228,11 @@ class Reconfiguration:
         return tuple(self.robot.joint_names[i] for i in self.held)
 
     def blocked(self) -> None:
-        """Something is in the way."""
-        self._vain = self._place
+        """Something is in the way: another goal may be free, later."""
+        if self.goal is not None:  # None: this step would have been the last one on the way
+            self._barred = [*self._barred[-LOOKS:], self.goal]
+        self._hold_off(self._place)
         self.forget()
-        self._hold_off()
-
-
-def size(E: np.ndarray) -> float:
-    """Error [m] of all tips as one number."""
-    e = E.tolist()
-    return math.sqrt(sum(e[k] * e[k] * (1.0 if k % 6 < 3 else LEVER * LEVER) for k in range(len(e))))
 
 
 def gap(T: np.ndarray, before: np.ndarray) -> float:

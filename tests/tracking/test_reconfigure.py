@@ -113,7 +113,7 @@ def test_it_goes_through_joints_that_were_measured_late(panda):
 def test_nothing_is_touched_on_the_way(panda):
     """A wall beside the arm, into which it would swing on its way."""
     pose = np.eye(4)
-    pose[:3, 3] = 0.3, 0.2, 0.5
+    pose[:3, 3] = 0.3, -0.2, 0.5
     model = ik.CollisionModel(panda).add_box([1.5, 0.02, 1.5], pose, name="wall")
     targets = turned(panda.fk(panda.home).homogeneous, 720.0, 3.0)
     assert any(model.collides(q) for q in joints(panda, follow(panda, targets))[::5])
