@@ -21,11 +21,15 @@ import numpy as np
 from .jit import jit
 
 # Bits of `code`: why a joint did not move as commanded.
-POSITION, VELOCITY, ACCELERATION, HELD, RECOVERING, ROW = 1, 2, 4, 8, 16, 32
+POSITION, VELOCITY, ACCELERATION, HELD, RECOVERING, ROW, CALMED = 1, 2, 4, 8, 16, 32, 64
 ROUNDING = 4e-16  # margin before a limit, relative to the numbers added in a step: half a unit in the last place each
 SPARE = 1e-13  # share of the remaining distance kept as a margin: braking over some hundred steps accumulates that much rounding
 NOISE = 1e-12  # [rad, or reaches] by which a state may violate viability before it counts as recovering
 SHARE = 0.1  # of the speed limit (or of 1 rad/s, 1 reach/s) at which a joint outside its limits comes back
+
+# [1/s] by which joints that swing gain speed, as a share of their speed: they need more than half of motion.WINDOW for what counts
+# as a turn, motion.SWING.
+CALM = 1.0
 
 
 @jit
@@ -121,6 +125,19 @@ def boxes(q, rate, limits, gamma, h, late, low, top, why_low, why_top):
         )
         recovering = recovering or (why_top[i] & RECOVERING) > 0
     return recovering
+
+
+@jit
+def calm(rate, size, h, low, top, why_low, why_top):
+    """Narrow the box (in place) to rates that a joint gains gradually, as far as it has such rates; braking stays free."""
+    for i in range(rate.shape[0]):
+        gain = CALM * size[i] * h
+        floor = min(max(min(rate[i], 0.0) - gain, low[i]), top[i])
+        roof = max(min(max(rate[i], 0.0) + gain, top[i]), low[i])
+        if floor > low[i]:
+            low[i], why_low[i] = floor, CALMED | (why_low[i] & RECOVERING)
+        if roof < top[i]:
+            top[i], why_top[i] = roof, CALMED | (why_top[i] & RECOVERING)
 
 
 @jit

@@ -27,6 +27,9 @@ FINE, NOT_FINITE, RUNAWAY = range(3)
 SINGLE = 1e-24  # share of the largest diagonal entry of JJ' below which the joints cannot move along a row
 FAR = 0.25  # of curvature times error: damped by it, a direction asks for at most the root of error over curvature
 AT = 1e-9  # [rad, or reaches] from a limit within which a joint counts as at the limit
+SWING = 0.05  # of its speed limit, before or after, above which a joint that turns back may swing
+SWINGING = 3.0  # turns in a row that make it a swing: a single pass through a singular pose may take two
+WINDOW, HOLD = 0.1, 0.2  # [s] without a turn that end a row, and a swing
 REGION = 2.0  # damping fades in where the smallest singular value falls below REGION * damping
 
 
@@ -42,6 +45,8 @@ class State(NamedTuple):
     leaving: int  # 1: waiting has not helped, so the run continues off the path
     idle: int  # [s] for which it has stood still
     least: int  # least error over tolerance in that time
+    turned: int  # how often in a row a joint turned back at speed, see `watch`
+    quiet: int  # [s] since then
     near: (
         int  # 1: near a singular pose in the last step; and [s] for which the target counts as having been out of reach
     )
@@ -304,6 +309,20 @@ def ease(p, J, m, e, ahead, h, q, limits, planes, edges, count, fast, quick, wal
             ahead[k] -= (1.0 - f) * e[k]
             e[k] *= f
     return blocked
+
+
+@jit
+def watch(state, bound, before, x, size, h):
+    """Count how often in a row a joint turns back at speed where limits or lost directions act, see `calm`."""
+    turned = False
+    for i in range(x.shape[0]):
+        turned = turned or (before[i] * x[i] < 0.0 and max(abs(before[i]), abs(x[i])) > SWING * size[i])
+    state[STATE.quiet] += h
+    if turned and bound:
+        state[STATE.turned] += 1.0
+        state[STATE.quiet] = 0.0
+    elif state[STATE.quiet] > (WINDOW if state[STATE.turned] < SWINGING else HOLD):
+        state[STATE.turned] = 0.0
 
 
 @jit

@@ -17,11 +17,11 @@ from typing import Any
 import numpy as np
 
 from .bench import bench_on, bench_space
-from .box import HELD, approach, boxes, clip, move, way_to
+from .box import HELD, approach, boxes, calm, clip, move, way_to
 from .clock import WHOLE, next_rate, reference, too_far
 from .constrain import SLOW, room_on, room_space
 from .jit import cached, inline, inner
-from .motion import CLIP, GIVEN, MOVING, READY, RUNNING, STATE, Law, apply, factor, own_up, settle
+from .motion import CLIP, GIVEN, MOVING, READY, RUNNING, STATE, SWINGING, Law, apply, factor, own_up, settle, watch
 from .obey import judge, obey, pacing
 from .records import HEAD, TASK, Orders, copy, read
 from .search import problem_on, step_class
@@ -200,6 +200,8 @@ def run(step, rows, ends, orders, given, own, samples, out, h, block):
             leave_out(s.J, s.floor, s.roof)
         count = gather(law, lines, level, s.planes, s.edges)
         count = slack_rows(counts[1], s.J, s.e, s.f, s.ahead, s.a, h, s.planes, s.edges, count)
+        if state[STATE.turned] >= SWINGING and law.mode != CLIP and count == 0:  # half-planes may need more
+            calm(rate, s.size, h, s.floor, s.roof, s.why_low, s.why_top)
         copy(counts[0], s.weight)
         ratio = h / state[STATE.period] if state[STATE.start] == RUNNING else 0.0
         S[i, 3] = wanted(
@@ -214,6 +216,7 @@ def run(step, rows, ends, orders, given, own, samples, out, h, block):
             clip_rates(law, s, still, h, memory, C[i])
         else:
             done, held = obey(rule, law, s, count, sigma, h, state, work, active, kept, C[i])
+            watch(state, held or S[i, 3] > 0.0, s.before, s.x, s.size, h)
             if held:
                 own_up(law, h, ratio, s.w, s.x, s.lead, sigma - done, memory)
         if law.mode == SLOW:

@@ -143,6 +143,7 @@ class Step:
             (box.POSITION, "position limit on"),
             (box.VELOCITY, "speed limit on"),
             (box.ACCELERATION, "acceleration limit on"),
+            (box.CALMED, "kept from swinging:"),
             (
                 box.ROW,
                 f"{' and '.join(o.between)} would touch: slowing" if o.between else "an obstacle slows",

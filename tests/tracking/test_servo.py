@@ -111,6 +111,29 @@ def test_a_path_out_of_reach_is_left_as_little_as_possible(panda):
     assert sign_changes(run) == 0
 
 
+@pytest.mark.parametrize(("name", "method"), [("xarm7", "cv"), ("xarm7", "aad")])
+def test_joints_do_not_chatter_where_the_target_is_too_fast_and_too_far(name, method):
+    """A slow eight out of a nearly stretched arm, without acceleration limits: limits and lost directions take turns."""
+    robot, dt = ik.Robot.load(name), 0.01
+    tracker = Tracker(robot, method, q0=robot.home)
+    start = robot.fk(robot.home).homogeneous
+    rates = []
+    for t in dt * np.arange(1, 601):
+        phase, size = 2.0 * np.pi * 0.3 * t, 0.08 * min(t, 1.0)
+        target = start.copy()
+        target[:3, 3] += (0.0, size * np.sin(phase), 0.5 * size * np.sin(2.0 * phase))
+        if name == "xarm7":
+            target[:3, 3] += (0.35 * np.sin(0.5 * phase) * min(t, 1.0), 0.0, 0.0)
+        rates.append(tracker.update(target, dt).rate)
+    share = np.array(rates) / robot.velocity_limits
+    for joint in share.T:
+        sign = np.sign(joint) * (np.abs(joint) > 0.05)
+        flips = [
+            np.count_nonzero(np.diff(part[part != 0])) for part in np.lib.stride_tricks.sliding_window_view(sign, 10)
+        ]
+        assert max(flips) <= 3, max(flips)
+
+
 def test_a_measured_arm_is_followed_from_where_it_is(panda):
     """Error and Jacobian at q, the command from the last command; too far from it the tracker starts anew."""
     T = panda.fk(Q0).homogeneous

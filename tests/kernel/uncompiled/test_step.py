@@ -9,7 +9,7 @@ from random_arms import orders, task
 
 from ik_toolkit.kernel import levels, motion, obey, qp, wanted
 from ik_toolkit.kernel.bench import bench_on, bench_space
-from ik_toolkit.kernel.box import RECOVERING, ROW
+from ik_toolkit.kernel.box import CALM, CALMED, RECOVERING, ROW, calm
 from ik_toolkit.kernel.constrain import LEAVE, SLOW, make_room, room_on, room_space
 from ik_toolkit.kernel.levels import make_levels
 from ik_toolkit.kernel.motion import AA, AT_RATE_AND_STEP, AV, CA, CV, RUNNING, STATE, Law
@@ -266,3 +266,44 @@ def test_signs_and_shares_of_multipliers():
     assert qp.violated(P, V, S, state, 2, 1) == (2, 1)
     state[2] = 1
     assert qp.violated(P, V, S, state, 2, 1) == (levels.NONE, 0)
+
+
+def test_joints_that_turn_back_often_swing():
+    state, size = np.zeros(len(STATE)), np.array([1.0, 2.0])
+
+    def turned(before, x, bound=True, h=0.01):
+        motion.watch(state, bound, np.array(before), np.array(x), size, h)
+        return state[STATE.turned]
+
+    assert turned([0.06, 0.0], [0.06, 0.0]) == 0.0
+    assert turned([0.06, 0.0], [-0.06, 0.0], bound=False) == 0.0, "what a free method wants is no swing"
+    assert turned([0.04, -0.1], [-0.04, 0.1]) == 0.0 == turned([0.0, 0.09], [0.0, 1.0]), "slow, or no turn"
+    assert [turned([0.04, 0.0], [-0.06, 0.0]), turned([0.0, 0.0], [0.0, 0.0])] == [1.0, 1.0]
+    assert turned([0.0, -0.11], [0.0, 0.01]) == 2.0, "another joint counts as well"
+    for _ in range(9):
+        assert turned([0.0, 0.0], [0.0, 0.0]) == 2.0
+    assert [turned([0.0, 0.0], [0.0, 0.0]) for _ in range(2)][1] == 0.0, "a row ends"
+    for k in range(3):
+        assert turned([1.0, 0.0], [-1.0, 0.0]) == k + 1.0
+    assert turned([1.0, 0.0], [1.0, 0.0], h=0.19) == motion.SWINGING
+    assert turned([1.0, 0.0], [1.0, 0.0], h=0.02) == 0.0, "a swing ends later"
+
+
+def test_a_calm_box_is_a_part_of_the_box():
+    rng = np.random.default_rng(4)
+    for _ in range(2000):
+        rate, size, h = rng.uniform(-1.0, 1.0, 4), rng.uniform(0.1, 30.0, 4), 0.01
+        low = rng.uniform(-1.0, 1.0, 4)
+        top = low + np.maximum(rng.uniform(-0.2, 1.0, 4), 0.0)
+        floor, roof, why = low.copy(), top.copy(), rng.choice([1, 2, 4, 1 | RECOVERING], (2, 4)).astype(np.uint8)
+        code, gain = why.copy(), CALM * size * h
+        calm(rate, size, h, floor, roof, code[0], code[1])
+        for least in (rate, 0.0 * rate):  # what changes least, and rest
+            near = np.clip(least, low, top)
+            assert (floor <= near).all() and (near <= roof).all()
+        assert np.allclose(floor, np.clip(np.minimum(rate, 0.0) - gain, low, top), atol=1e-15)
+        assert np.allclose(roof, np.clip(np.maximum(rate, 0.0) + gain, low, top), atol=1e-15)
+        for side, moved in ((0, floor > low), (1, roof < top)):
+            assert ((code[side] & CALMED) > 0).tolist() == moved.tolist()
+            assert (code[side][~moved] == why[side][~moved]).all()
+            assert ((code[side] & RECOVERING) == (why[side] & RECOVERING)).all()
