@@ -132,7 +132,8 @@ class Planner:
 
     def _jacobians(self, path: np.ndarray) -> np.ndarray:
         """Jacobians (N + 1, m, n) of what counts at all, lengths in reaches."""
-        every = self.reference.values() if isinstance(self.reference, Mapping) else [self.reference]
+        one_each = self.reference
+        every = [one_each[tip] for tip in self.robot.tips] if isinstance(one_each, Mapping) else [one_each]
         rows = []
         for arm, place, one in zip(self.robot.arms, self.robot.places, every, strict=True):
             J = np.zeros((len(path), 6, path.shape[1]))
