@@ -4,7 +4,7 @@ Both have the same interface, so `Tracker` and `track` need not know which one t
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
@@ -114,12 +114,23 @@ class RuleSteps:
         return self.solver.plan.orders(kinds, True), counts
 
 
-def bind(robot: Robot | Tree, method: Any, limits: bool, options: dict[str, Any]) -> Published | RuleSteps:
-    """Return the engine of a method name, a Method, a solver name or a rule. Raises InvalidOption for anything else."""
+def bind(
+    robot: Robot | Tree, method: Any, limits: bool, options: dict[str, Any], known: Iterable[str]
+) -> Published | RuleSteps:
+    """Return the engine of a method name, a Method, a solver name or a rule. Raises InvalidOption for anything else.
+
+    known: names of the caller's own options, of which one may have been meant.
+    """
     if isinstance(method, Method) or (isinstance(method, str) and method in METHODS):
         words = (*COUNTING, "relative_to")
         counting = {name: options[name] for name in words if name in options}
         others = {name: value for name, value in options.items() if name not in words}
+        name = method if isinstance(method, str) else method.name
+        allowed = (*METHODS[name][1], "damping")
+        for option in others:
+            if option not in allowed:
+                near = near_match(option, (*allowed, *words, *known))
+                raise InvalidOption(f"{name} has no option '{option}'.{near}")
         return Published(robot, make_method(method, **others), counting)
     if method is None or isinstance(method, str):
         rules = [row.name for row in list_rows() if row.tracks]

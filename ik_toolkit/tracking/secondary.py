@@ -36,7 +36,7 @@ class Secondary:
         at = q * unit
         slope = np.zeros(len(at))
         if self.cost is not None:
-            given = np.asarray(self.cost(at.copy()), dtype=float)
+            given = floats(self.cost(at.copy()), f"cost must return a number or its slope ({len(at)},)", InvalidOption)
             slope = self._slope(self.cost, at) if given.shape == () else given
         if slope.shape != at.shape:
             raise InvalidOption(f"cost must return a number or its slope ({len(at)},), not shape {slope.shape}")
@@ -85,8 +85,8 @@ def read_secondary(
         for joint, side in elbow.items():
             if joint not in robot.joint_names:
                 raise InvalidOption(f"elbow: no joint '{joint}'.{near_match(joint, robot.joint_names)}")
-            sign = float(floats(side, f"elbow of {joint} must be 1 or -1", InvalidOption))
-            if abs(sign) != 1.0:
+            sign = floats(side, f"elbow of {joint} must be 1 or -1", InvalidOption)
+            if sign.ndim or abs(sign) != 1.0:
                 raise InvalidOption(f"elbow of {joint} must be 1 or -1, not {side!r:.60}")
             sides[robot.joint_names.index(joint)] = sign
     if cost is not None and not callable(cost):

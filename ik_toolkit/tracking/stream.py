@@ -144,7 +144,9 @@ class Stream:
         """A twist or acceleration (m,), its angular part 0 where it is left out."""
         if isinstance(value, Mapping):
             self.robot.check_tips(value)
-            value = np.concatenate([np.resize(value.get(tip, np.zeros(6)), 6) for tip in self.robot.tips])
+            value = np.concatenate(
+                [self._of_tip(value.get(tip, np.zeros(6)), f"{name} of {tip}") for tip in self.robot.tips]
+            )
         wanted = f"{name} must have 6 values" if self.tips == 1 else f"{name} must have 6 values for each tip"
         array = floats(value, wanted, InvalidTarget).reshape(-1)
         if array.shape == (3,) and self.tips == 1 and self.kinds != (POSE,):
@@ -152,6 +154,13 @@ class Stream:
         if array.shape != (6 * self.tips,):
             raise InvalidTarget(f"{wanted}, not shape {np.shape(value)}")
         return array
+
+    def _of_tip(self, value: Any, name: str) -> np.ndarray:
+        """A twist or acceleration (6,) of one tip, its angular part 0 where it is left out."""
+        array = floats(value, f"{name} must have 6 values, or 3", InvalidTarget)
+        if array.shape not in ((3,), (6,)):
+            raise InvalidTarget(f"{name} must have 6 values, or 3, not shape {array.shape}")
+        return np.concatenate([array, np.zeros(6 - len(array))])
 
 
 def _finite(one: Any) -> bool:

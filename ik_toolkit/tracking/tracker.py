@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import InvalidConfiguration, InvalidOption, floats, near_match
+from ..errors import InvalidConfiguration, InvalidOption
 from ..kernel import box, motion
 from ..kernel.clock import QUICK
 from ..kernel.constrain import DIRECT, LEAVE
@@ -18,7 +18,7 @@ from ..robot.tree import Tree
 from ..solvers.avoid import collision_model
 from .engine import bind
 from .inputs import one_of, positive, switch
-from .limits import limit_rows
+from .limits import LIMIT_NAMES, changed_limits, limit_rows
 from .methods import Method
 from .obstacles import ROWS, Guard
 from .reconfigure import Reconfiguration
@@ -31,7 +31,6 @@ RESYNC = 0.1  # [rad, or reaches] between joints measured and commanded beyond w
 LATE = 5.0  # longest step, over the first one, after which limits are still kept; a longer one is taken in parts
 MODES = {"direct": DIRECT, "leave": LEAVE, "clip": CLIP}
 LAWS_KEPT = 64  # lengths of a step for which the numbers of a method are kept
-LIMIT_NAMES = ("lower", "upper", "speed", "acceleration")
 
 
 class Tracker:
@@ -88,7 +87,7 @@ class Tracker:
         if not isinstance(robot, Robot | Tree):
             raise InvalidOption(f"tracking takes a Robot (see Robot.load) or a Tree, not {type(robot).__name__}")
         self.robot = robot
-        self.engine = bind(robot, method, limits, options)
+        self.engine = bind(robot, method, limits, options, Tracker.__init__.__kwdefaults__ or ())
         self._mode = read_mode(on_limit, MODES)
         self.jump, self.resync = positive(jump, "jump"), positive(resync, "resync")
         self._limits = limit_rows(robot, limits, acceleration_limits)
@@ -166,26 +165,8 @@ class Tracker:
         What is beyond a new limit is brought back, as fast as the others allow (RECOVERING): a joint of speed 0 brakes and
         stays. Raises InvalidOption.
         """
-        for row, name, value in zip(self._limits, LIMIT_NAMES, (lower, upper, speed, acceleration), strict=True):
-            if value is None:
-                continue
-            new = row * self.robot.chain.unit
-            if isinstance(value, Mapping):
-                for joint, one in value.items():
-                    if joint not in self.robot.joint_names:
-                        raise InvalidOption(f"{name}: no joint '{joint}'.{near_match(joint, self.robot.joint_names)}")
-                    new[self.robot.joint_names.index(joint)] = floats(one, f"{name} of {joint}", InvalidOption)
-            else:
-                given = floats(value, f"{name} must be a number or {self.robot.n} numbers", InvalidOption)
-                if given.shape not in ((), new.shape):
-                    raise InvalidOption(f"{name} must be a number or {self.robot.n} numbers, not {value!r:.60}")
-                new[:] = given
-            least = -np.inf if name in ("lower", "upper") else 0.0
-            if np.isnan(new).any() or (new < least).any():
-                raise InvalidOption(f"{name} must be numbers of at least 0, not {value!r:.60}")
-            row[:] = new / self.robot.chain.unit
-        if (self._limits[0] > self._limits[1]).any():
-            raise InvalidOption("lower limits must not be above the upper ones")
+        given: dict[str, Any] = dict(zip(LIMIT_NAMES, (lower, upper, speed, acceleration), strict=True))
+        self._limits[:] = changed_limits(self.robot, self._limits, given)
         if self._guard:
             self._guard.limits = self._limits * self.robot.chain.unit
 

@@ -97,6 +97,29 @@ def test_the_twist_between_two_targets_is_that_of_the_turn_between_them(panda, a
     )
 
 
+def test_a_twist_of_a_tip_without_its_angular_part_does_not_turn(panda):
+    """Three numbers are a velocity: they are not repeated as an angular one."""
+    tip, steps = panda.tip, []
+    for twist in (np.r_[0.1, 0.2, 0.3, np.zeros(3)], np.array([0.1, 0.2, 0.3])):
+        tracker = Tracker(panda, q0=Q0)
+        tracker.update(panda.fk(Q0), 0.01, twist={tip: twist})
+        steps.append(tracker.update(panda.fk(Q0), 0.01, twist={tip: twist}))
+    assert np.array_equal(steps[0].q, steps[1].q)
+
+
+def test_limits_that_are_refused_change_nothing(panda):
+    tracker = Tracker(panda, q0=Q0)
+    for limits, words in (
+        ({"lower": 2.0, "upper": 1.0}, "above"),
+        ({"speed": 1.0, "acceleration": -1.0}, "acceleration must be numbers of at least 0"),
+        ({"upper": 1.0, "speed": {"panda_joint1": [1.0, 2.0]}}, "panda_joint1 must be a number"),
+        ({"lower": float("nan")}, "lower must be numbers, not"),
+    ):
+        with pytest.raises(InvalidOption, match=words):
+            tracker.change_limits(**limits)
+    assert tracker.update(panda.fk(Q0), 0.01).status.name == "OK"
+
+
 def test_mistakes_in_the_loop_are_typed(panda):
     tracker = Tracker(panda, q0=Q0)
     with pytest.raises(InvalidTarget, match="not shape"):
@@ -122,6 +145,15 @@ def test_mistakes_in_the_loop_are_typed(panda):
             Tracker(panda, bad)
     with pytest.raises(InvalidOption, match=r"has no option 'kapa'.*kappa"):
         Tracker(panda, "cv", kapa=3.0)
+    with pytest.raises(InvalidOption, match="Did you mean 'avoid_limits'"):
+        Tracker(panda, avoid_limts=True)
+    with pytest.raises(InvalidOption, match="panda_joint4 must be 1 or -1"):
+        Tracker(panda, elbow={"panda_joint4": [1, 1]})
+    for given in ("low", None):
+        with pytest.raises(InvalidOption, match="cost must return"):
+            Tracker(panda, q0=Q0, cost=lambda q, given=given: given).update(panda.fk(Q0), 0.01)
+    with pytest.raises(InvalidTarget, match=r"twist of panda_hand_tcp must have 6 values, or 3, not shape \(4,\)"):
+        Tracker(panda, q0=Q0).update(panda.fk(Q0), 0.01, twist={"panda_hand_tcp": np.zeros(4)})
     with pytest.raises(InvalidOption, match="both kp and kd"):
         track(panda, panda_reference(panda, True, 1.0), "ca", kp=3.0)
     for option in ({"reading": 4}, {"null_damping": -1.0}, {"damping": float("nan")}):
