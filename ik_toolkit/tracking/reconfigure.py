@@ -27,7 +27,7 @@ from ..solvers.plan import Plan
 from ..solvers.registry import GENERAL, find_row
 from .engine import LEVER
 
-FAST = VELOCITY | ACCELERATION | RECOVERING  # what holds a joint back only for a while
+FAST = VELOCITY | RECOVERING  # what holds a joint back only for a while
 AWAY = 1e-3  # [m] error, angles at LEVER, from which a target counts as not reached
 WAIT = 0.1  # [s] without progress before a search, and for which a target must have stood
 PROGRESS = 0.9  # of the least error so far: what falls below is on its way
@@ -105,12 +105,13 @@ class Reconfiguration:
             self.forget()
             self._pause, self._barred = PAUSE, []
             return
-        if held & FAST:  # on its way, as fast as it can
-            self._stood = 0.0
-            return
         if not len(self._place) or gap(T, self._place) > STILL:
             self._place, self._rest, self._quiet = T.copy(), 0.0, min(self._quiet, PAUSE)
         self._rest += dt
+        # On its way as fast as it can. Joints that tremble where a target stands are at an acceleration limit, too.
+        if held & FAST or (held & ACCELERATION and self._rest <= WAIT):
+            self._stood = 0.0
+            return
         self._lost += error * dt
         self._stood += dt
         if error < PROGRESS * self._least:
