@@ -54,9 +54,9 @@ class Published:
         """Verdict on the gains at sample time h."""
         return check_gains(self.name, h, **self.method.gains(h))
 
-    def law(self, h: float) -> np.ndarray:
-        """Parameters of the loop at sample time h."""
-        return self.method.pack(h)
+    def law(self, h: float, delay: float = 0.0) -> np.ndarray:
+        """Parameters of the loop at sample time h, for joints measured `delay` samples ago."""
+        return self.method.pack(h, delay)
 
     def orders(self, kinds: tuple) -> tuple[np.ndarray, np.ndarray]:
         """Input of the loop for kinds of target: orders, and weights and slack of the errors (3, m), see kernel/servo.py."""
@@ -100,8 +100,8 @@ class RuleSteps:
         """No closed form for rules."""
         return None
 
-    def law(self, h: float) -> np.ndarray:
-        """Parameters of the loop at sample time h; the rule has its own."""
+    def law(self, h: float, delay: float = 0.0) -> np.ndarray:
+        """The same; a rule has its own parameters."""
         law = np.zeros(len(motion.Law._fields))
         law[motion.PLACE.gamma], law[motion.PLACE.damping] = 1.0, DAMPING
         return law

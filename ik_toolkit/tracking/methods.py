@@ -71,9 +71,9 @@ class Method:
         if self.gamma <= 0.0 or self.null_damping < 0.0 or self.damping < 0.0:
             raise InvalidOption("gamma must be positive, null_damping and damping not negative")
 
-    def gains(self, h: float) -> dict[str, float]:
-        """Gains used at sample time h [s], as `check_gains` takes them."""
-        best = best_gains(self.name, h)
+    def gains(self, h: float, delay: float = 0.0) -> dict[str, float]:
+        """Gains used at sample time h [s] as `check_gains` takes them, for joints measured `delay` samples ago."""
+        best = best_gains(self.name, h, delay)
         given = {"kappa": self.kappa, "kp": self.kp, "kd": self.kd, "gamma": self.gamma}
         if self.name == "ca" and (self.kp is None) != (self.kd is None):
             raise InvalidOption("ca needs both kp and kd, or neither")
@@ -89,9 +89,9 @@ class Method:
         """Return gamma of q' = q + h ((1 - gamma) rate + gamma rate')."""
         return 1.0 if self.velocity_level else self.gamma if self.name == "aad" else 0.5
 
-    def pack(self, h: float) -> np.ndarray:
-        """Parameters as the kernel reads them (a `motion.Law`); what belongs to a run is 0."""
-        gains = self.gains(h)
+    def pack(self, h: float, delay: float = 0.0) -> np.ndarray:
+        """Parameters as the kernel reads them (a `motion.Law`), see `gains`; what belongs to a run is 0."""
+        gains = self.gains(h, delay)
         law = motion.Law(
             *np.zeros(len(motion.Law._fields)),
         )._replace(

@@ -38,6 +38,11 @@ BEST_CV = 2.0 / 3.0
 TRIPLE = (1.0 - 4.0 ** (1.0 / 3.0)) / 3.0
 BEST_CA = (4.0 / 3.0 - 2.0 * TRIPLE + 2.0 * TRIPLE**3, 2.0 / 3.0 - TRIPLE - TRIPLE**3)  # (kp h^2, kd h)
 BEST_CA_RADIUS = -TRIPLE
+AGE = 2.0  # [samples] that joints given as measured are taken to be old, where nobody says: 20 ms at 100 Hz
+BEST_AT_AGE = {
+    "cv": (2.0 / 9.0,),
+    "ca": (0.0874083, 0.8358459),
+}  # what `_best_delayed` finds, for which a loop has no time
 MOST_DELAY = 200.0  # samples; the matrix has as many rows
 GRID = 25  # points a side of a grid in the search for the best gains under a delay; four grids, each a quarter as wide
 
@@ -175,7 +180,8 @@ def best_gains(method: str, h: float, delay: float = 0.0) -> dict[str, float]:
     h = positive(h, "the sample time [s]")
     if _samples(delay) and method in ("cv", "ca"):
         units = {"kappa": h, "kp": h * h, "kd": h}
-        best = zip(GAINS[method], _best_delayed(method, float(delay)), strict=True)
+        found = BEST_AT_AGE[method] if delay == AGE else _best_delayed(method, float(delay))
+        best = zip(GAINS[method], found, strict=True)
         return {name: value / units[name] for name, value in best}
     if method == "cv":
         return {"kappa": BEST_CV / h}

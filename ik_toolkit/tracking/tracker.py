@@ -23,6 +23,7 @@ from .methods import Method
 from .obstacles import ROWS, Guard
 from .reconfigure import Reconfiguration
 from .secondary import Secondary, read_secondary
+from .stability import AGE
 from .step import Judged, Outcome, Step
 from .stream import Stream, last_of
 
@@ -116,7 +117,7 @@ class Tracker:
         self._state = self._carried.state
         self._units = np.array([robot.chain.unit, robot.chain.unit])
         self.rows = 0
-        self._laws: dict[float, np.ndarray] = {}
+        self._laws: dict[tuple[float, bool], np.ndarray] = {}
         self._ordered: tuple = ()  # what the law of the settings was made of
         self._kinds: tuple | None = None
         self.reset(q0, rate0=rate0)
@@ -176,9 +177,10 @@ class Tracker:
         target: T_base_tip (4, 4), pin.SE3, position (3,) or an AxisTarget, of several tips as `ik.Solver` takes them, the same
         kind every time. twist, acceleration (6,) or (3,), of several tips (F, 6) or a dict by tip: of the target at that moment,
         base axes; without twist the last two targets give it, without acceleration it is 0. q (n,): the joints as measured now;
-        error and Jacobian are taken there, while limits and the next command go on from the last command. Beyond resync from it
-        the tracker starts anew from q, at rest (JUMPED). A target that is not finite is held against (HELD), not raised. Raises
-        InvalidTarget for a wrong shape, InvalidOption for a dt that is not positive, InvalidConfiguration for a wrong q.
+        error and Jacobian are taken there, while limits and the next command go on from the last command; gains not given are
+        those for joints measured two samples ago. Beyond resync from the command the tracker starts anew from q, at rest (JUMPED).
+        A target that is not finite is held against (HELD), not raised. Raises InvalidTarget for a wrong shape, InvalidOption for
+        a dt that is not positive, InvalidConfiguration for a wrong q.
         """
         dt = positive(dt, "dt [s]")
         stream, lag, resynced = self.stream, 0.0, False
@@ -324,11 +326,11 @@ class Tracker:
 
     def _order(self, h, brake, measured, runaway, mode, clock, late, rows, avoid) -> None:
         """Write the law of a run to the settings."""
-        made = self._laws.get(h)
+        made = self._laws.get((h, measured))
         if made is None:
             if len(self._laws) >= LAWS_KEPT:
                 self._laws.clear()
-            made = self._laws[h] = self.engine.law(h)
+            made = self._laws[h, measured] = self.engine.law(h, AGE if measured else 0.0)
         law, at = self._settings.law, motion.PLACE
         law[:] = made
         law[at.brake], law[at.measured], law[at.runaway], law[at.late] = brake, measured, runaway, max(late, h)

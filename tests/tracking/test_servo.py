@@ -137,7 +137,7 @@ def test_joints_do_not_chatter_where_the_target_is_too_fast_and_too_far(name, me
 def test_a_measured_arm_is_followed_from_where_it_is(panda):
     """Error and Jacobian at q, the command from the last command; too far from it the tracker starts anew."""
     T = panda.fk(Q0).homogeneous
-    tracker = Tracker(panda, "cv", q0=Q0)
+    tracker = Tracker(panda, "cv", q0=Q0, kappa=66.7)
     off = Q0 + 0.02
     goal = panda.fk(Q0).homogeneous
     step = tracker.update(goal, 0.01, q=off)
@@ -152,6 +152,23 @@ def test_a_measured_arm_is_followed_from_where_it_is(panda):
     assert (np.abs(step.q - there) <= panda.velocity_limits * 0.01 * (1 + 1e-9)).all()
     with pytest.raises(InvalidConfiguration, match="q"):
         tracker.update(goal, 0.01, q=np.zeros(3))
+
+
+@pytest.mark.parametrize("method", ["cv", "ca"])
+@pytest.mark.parametrize("delay", [0, 2, 4])
+def test_joints_measured_late_do_not_swing(panda, method, delay):
+    """The joints follow commands some samples late, and are measured as they stand: within 1.2 x speed x delay, not growing."""
+    tracker, dt = Tracker(panda, method, q0=Q0), 0.01
+    commands, start = [Q0] * (delay + 1), panda.fk(Q0).homogeneous
+    errors = []
+    for t in dt * np.arange(1, 501):
+        target = start.copy()
+        target[1, 3] += 0.06 * np.sin(2.0 * t) * min(t, 1.0)
+        errors.append(np.linalg.norm(panda.fk(commands[-1 - delay]).translation - target[:3, 3]))
+        commands.append(tracker.update(target, dt, q=commands[-1 - delay]).q)
+    late = np.array(errors[30:])
+    speed = 0.06 * (2.0 + 1.0)  # at most, while the motion grows
+    assert late.max() <= 1.2 * speed * dt * max(delay + 1, 1) and late[-150:].max() <= 1.05 * late[-300:-150].max()
 
 
 def test_a_joint_outside_its_limits_comes_back(panda):

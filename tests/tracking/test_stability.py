@@ -198,8 +198,8 @@ def test_noise_gain_is_what_a_simulation_shows(method, delay):
 
 
 @pytest.mark.parametrize(("method", "delay", "gains"), [
-    ("cv", 2, {}), ("cv", 2, {"kappa": 23.0}), ("cv", 5, {"kappa": 12.0}), ("cv", 5, {"kappa": 40.0}),
-    ("ca", 2, {"kp": 870.0, "kd": 84.0}), ("ca", 2, {"kp": 4000.0, "kd": 60.0}), ("aad", 2, {}),
+    ("cv", 2, {}), ("cv", 2, {"kappa": 200.0 / 3.0}), ("cv", 2, {"kappa": 23.0}), ("cv", 5, {"kappa": 12.0}),
+    ("cv", 5, {"kappa": 40.0}), ("ca", 2, {"kp": 870.0, "kd": 84.0}), ("ca", 2, {"kp": 4000.0, "kd": 60.0}), ("aad", 2, {}),
 ])  # fmt: skip
 def test_a_tracker_rests_or_swings_under_a_delay_as_its_gains_are_judged(method, delay, gains):
     h, robot = 0.01, ik.Robot.load("hydrolek_7w")
@@ -210,7 +210,7 @@ def test_a_tracker_rests_or_swings_under_a_delay_as_its_gains_are_judged(method,
     for k in range(300):
         commands.append(tracker.update(target, h, q=commands[max(k - delay, 0)]).q)
     move = np.abs(np.diff(commands, axis=0)).max(axis=1)
-    if st.check_gains(method, h, delay=delay, **(gains or st.best_gains(method, h))).stable:
+    if st.check_gains(method, h, delay=delay, **(gains or st.best_gains(method, h, st.AGE))).stable:
         assert move[-50:].max() < 1e-9
     else:
         assert move[-50:].max() > 1e-3  # rad a sample, for ever: all that it was off at the start
@@ -245,3 +245,10 @@ def test_mistakes_about_delay_and_path_are_typed():
         st.check_gains(
             "cv", 0.01, kappa=10.0, robot=robot, path=ik.line([1.0, 0.0, 0.0], [3.0, 0.0, 0.0], duration=1.0)
         )
+
+
+@pytest.mark.parametrize("method", ["cv", "ca"])
+def test_gains_for_late_measurements_are_the_best(method):
+    assert st.BEST_AT_AGE[method] == pytest.approx(st._best_delayed(method, st.AGE), rel=1e-3)
+    given = st.best_gains(method, 0.01, st.AGE)
+    assert all(ik.check_gains(method, 0.01, delay=age, **given).verdict == "stable" for age in range(7))
