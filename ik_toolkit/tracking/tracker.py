@@ -198,12 +198,12 @@ class Tracker:
         self._late = self._late or LATE * dt
         part, h = stream.samples, dt
         if dt <= self._late:
-            self._step(part, h, brake=not finite, measured=q is not None)
+            self._step(part, h, not finite, q is not None)
         else:
             parts = math.ceil(dt / self._late)
             for part in stream.divided(parts):
                 h = dt / parts
-                self._step(part, h, brake=not finite, measured=q is not None)
+                self._step(part, h, not finite, q is not None)
         if self._other and finite and not self._goes:
             self._watch(part, h, dt)
         if finite:
@@ -215,14 +215,15 @@ class Tracker:
         )  # fmt: skip
         return Step(now[0], now[1], out)
 
-    def _step(self, samples: Samples, h: float, **how: bool) -> None:
+    def _step(self, samples: Samples, h: float, brake: bool, measured: bool) -> None:
         """Take one step: towards another posture, or as usual."""
         other = self._other
-        self._goes = other is not None and other.goal is not None and not how["brake"]
+        self._goes = other is not None and other.goal is not None and not brake
         if self._goes:
-            self._go(samples, h, **how)
+            self._go(samples, h, brake=brake, measured=measured)
         else:
-            self.take(samples, h, self._out, **how)
+            step = self.run if self._guard is None else self.take
+            step(samples, h, self._out, brake=brake, measured=measured)
 
     def _go(self, samples: Samples, h: float, **how: bool) -> None:
         """Take a step towards another posture, or as usual where something is in the way."""
