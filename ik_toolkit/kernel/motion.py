@@ -50,6 +50,7 @@ class State(NamedTuple):
     near: (
         int  # 1: near a singular pose in the last step; and [s] for which the target counts as having been out of reach
     )
+    tamed: int  # how many times the rates wanted are halved, see `tame`
 
 
 STATE = State._make(range(len(State._fields)))  # places in the array

@@ -21,7 +21,22 @@ from .box import HELD, approach, boxes, calm, clip, move, way_to
 from .clock import WHOLE, next_rate, reference, too_far
 from .constrain import SLOW, room_on, room_space
 from .jit import cached, inline, inner
-from .motion import CLIP, GIVEN, MOVING, READY, RUNNING, STATE, SWINGING, Law, apply, factor, own_up, settle, watch
+from .motion import (
+    CLIP,
+    GIVEN,
+    MOVING,
+    READY,
+    RUNNING,
+    STATE,
+    SWING,
+    SWINGING,
+    Law,
+    apply,
+    factor,
+    own_up,
+    settle,
+    watch,
+)
 from .obey import judge, obey, pacing
 from .records import HEAD, TASK, Orders, copy, read
 from .search import problem_on, step_class
@@ -30,6 +45,8 @@ from .view import keep, space, view
 from .wanted import Published, copy_rows, lean, wanted
 from .wishes import lay_aside, reflect, slack_rows
 
+TAMED, FORGOTTEN = 6.0, 0.1  # most halvings of `tame`; time [s] in which one is forgotten
+STANDS = 1e-6  # [reaches or rad per s] below which a target stands
 UNLIMITED = 1.0  # speed used as a scale for a joint without a limit [rad/s, or reaches/s]
 
 
@@ -126,6 +143,40 @@ def leave_out(J, floor, roof):
 
 
 @inner
+def stands(f, state):
+    """Whether the target stands (its twist f is zero) where a direction is, or just was, singular."""
+    most = 0.0
+    for k in range(f.shape[0]):
+        most = max(most, abs(f[k]))
+    return most <= STANDS and state[STATE.near] > 0.0
+
+
+@inner
+def tame(law, h, ratio, s, limits, rate, memory, state):
+    """Slow down the wanted rates s.x that turn back again and again while the target stands.
+
+    Out of reach each direction is brought to its own closest point, and all of them at once may go too far, and back, for ever.
+    Joints with an acceleration limit cannot turn back in a step, and do not count.
+    """
+    if law.mode == CLIP or not stands(s.pace, state):
+        state[STATE.tamed] = 0.0
+        return
+    turned, most, back = 0.0, 1.0, False
+    for i in range(rate.shape[0]):
+        s.w[i] = s.x[i]
+        most = max(most, abs(s.x[i]) / s.size[i])
+        if limits[3, i] == np.inf:
+            turned += s.x[i] * rate[i]
+            back = back or s.x[i] * rate[i] < -((SWING * s.size[i]) ** 2)
+    halved = state[STATE.tamed]
+    state[STATE.tamed] = min(halved + 1.0, TAMED) if back or turned < 0.0 else max(halved - h / FORGOTTEN, 0.0)
+    if state[STATE.tamed] > 1.0:  # to turn back once is no swing
+        for i in range(rate.shape[0]):
+            s.x[i] *= 0.5 ** (state[STATE.tamed] - 1.0) / most
+        own_up(law, h, ratio, s.w, s.x, s.lead, 0.0, memory)
+
+
+@inner
 def gather(law, lines, level, planes, edges):
     """Copy the half-planes that hold to where those of slacks are added."""
     for k in range(int(law.rows)):
@@ -200,13 +251,15 @@ def run(step, rows, ends, orders, given, own, samples, out, h, block):
             leave_out(s.J, s.floor, s.roof)
         count = gather(law, lines, level, s.planes, s.edges)
         count = slack_rows(counts[1], s.J, s.e, s.f, s.ahead, s.a, h, s.planes, s.edges, count)
-        if state[STATE.turned] >= SWINGING and law.mode != CLIP and count == 0:  # half-planes may need more
+        free = count == 0 and state[STATE.tamed] == 0.0  # half-planes may need more
+        if state[STATE.turned] >= SWINGING and law.mode != CLIP and free:
             calm(rate, s.size, h, s.floor, s.roof, s.why_low, s.why_top)
         copy(counts[0], s.weight)
         ratio = h / state[STATE.period] if state[STATE.start] == RUNNING else 0.0
         S[i, 3] = wanted(
             law, rule, task, look, weights, s, counts[1], limits, wish, count, sigma, h, rate, memory, away, state
         )
+        tame(law, h, ratio, s, limits, rate, memory, state)
         copy(rate, s.before)
         stop, still = judge(s.x, h, law, state)
         if stop:

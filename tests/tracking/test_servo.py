@@ -103,6 +103,25 @@ def test_far_out_of_reach_the_arm_rests_where_the_weighted_error_is_least(panda,
     assert np.abs(np.where(stopped, 0.0, slope)).max() < 1e-3 * np.linalg.norm(e)
 
 
+@pytest.mark.parametrize(
+    ("name", "q0", "way", "posed"),
+    [
+        ("panda", (-0.369, -0.299, 1.673, -2.365, -1.663, 1.98, 1.451), (0.078, 0.482, 0.873), True),
+        ("panda", (1.659, -0.651, 1.564, -1.703, 0.812, 2.332, -0.665), (0.136, -0.48, 0.037), True),
+        ("ur5", (3.56, 0.329, -0.409, -1.031, -3.229, 0.013), (-0.359, -0.248, 0.244), False),
+    ],
+)
+def test_out_of_reach_of_a_target_that_stands_the_arm_comes_to_rest(name, q0, way, posed):
+    """Without acceleration limits, where joints could turn back in every step."""
+    robot = ik.Robot.load(name)
+    target = robot.fk(q0).homogeneous
+    target[:3, 3] += way
+    tracker = Tracker(robot, q0=q0)
+    steps = [tracker.update(target if posed else target[:3, 3].copy(), 0.01) for _ in range(500)]
+    assert np.abs([step.rate for step in steps[-50:]]).max() < 0.01
+    assert steps[-1].position_error > 0.04
+
+
 def test_a_path_out_of_reach_is_left_as_little_as_possible(panda):
     """The line that made three joints flip between their speed limits every sample."""
     ref = line_of(panda, Q0, (0.4, 0.0, 0.3), 4.0)
