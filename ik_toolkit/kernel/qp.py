@@ -53,12 +53,15 @@ def wrong(one, two, side):
 @inner
 def violated(P, V, S, state, N, count):
     """Constraint broken most: unknown i as i, half-plane k as N + k; NONE. Returns it and its side."""
+    top = 1.0  # a large unknown leaves its rounding in the others
+    for i in range(N):
+        top = max(top, abs(V[Y, i]))
     which, side, most = NONE, 0, OUT
     for i in range(N):
         if state[i] == 0:
             under, over = V[LOW, i] - V[Y, i], V[Y, i] - V[HIGH, i]
             excess = max(under, over) / (1.0 + abs(V[Y, i]))
-            if excess > most:
+            if excess > most and max(under, over) > OUT * top:
                 which, side, most = i, -1 if under > over else 1, excess
     for k in range(count):
         if state[P.shape[1] + k] == 0:

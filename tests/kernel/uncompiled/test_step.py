@@ -266,6 +266,12 @@ def test_signs_and_shares_of_multipliers():
     assert qp.violated(P, V, S, state, 2, 1) == (2, 1)
     state[2] = 1
     assert qp.violated(P, V, S, state, 2, 1) == (levels.NONE, 0)
+    V[levels.HIGH], V[levels.Y] = [1e9, 0.0], [1e4, 3e-12]
+    assert qp.violated(P, V, S, state, 2, 1) == (levels.NONE, 0), "the rounding of a large unknown"
+    V[levels.Y, 1] = 3e-8
+    assert qp.violated(P, V, S, state, 2, 1) == (1, 1)
+    V[levels.Y] = [0.5, 3e-12]
+    assert qp.violated(P, V, S, state, 2, 1) == (1, 1)
 
 
 def test_joints_that_turn_back_often_swing():
