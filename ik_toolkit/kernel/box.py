@@ -25,6 +25,7 @@ POSITION, VELOCITY, ACCELERATION, HELD, RECOVERING, ROW, CALMED = 1, 2, 4, 8, 16
 ROUNDING = 4e-16  # margin before a limit, relative to the numbers added in a step: half a unit in the last place each
 SPARE = 1e-13  # share of the remaining distance kept as a margin: braking over some hundred steps accumulates that much rounding
 NOISE = 1e-12  # [rad, or reaches] by which a state may violate viability before it counts as recovering
+UNLIMITED = 1.0  # speed of a joint without a limit [rad/s, or reaches/s], where one is needed for comparison
 SHARE = 0.1  # of the speed limit (or of 1 rad/s, 1 reach/s) at which a joint outside its limits comes back
 
 # [1/s] by which joints that swing gain speed, as a share of their speed: they need more than half of motion.WINDOW for what counts

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from .bench import bench_on, bench_space
-from .box import HELD, approach, boxes, calm, clip, move, way_to
+from .box import HELD, UNLIMITED, approach, boxes, calm, clip, move, way_to
 from .clock import WHOLE, next_rate, reference, too_far
 from .constrain import SLOW, room_on, room_space
 from .jit import cached, inline, inner
@@ -47,7 +47,6 @@ from .wishes import lay_aside, reflect, slack_rows
 
 TAMED, FORGOTTEN = 6.0, 0.1  # most halvings of `tame`; time [s] in which one is forgotten
 STANDS = 1e-6  # [reaches or rad per s] below which a target stands
-UNLIMITED = 1.0  # speed used as a scale for a joint without a limit [rad/s, or reaches/s]
 
 
 @inner

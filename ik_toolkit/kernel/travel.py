@@ -2,10 +2,8 @@
 
 import numpy as np
 
-from .box import advance
+from .box import UNLIMITED, advance
 from .jit import cached
-
-UNLIMITED = 1.0  # speed of a joint without a limit [rad/s, or reaches/s]
 
 
 @cached

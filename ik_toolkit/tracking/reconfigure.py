@@ -17,11 +17,11 @@ from typing import Any
 
 import numpy as np
 
-from ..kernel.box import ACCELERATION, NOISE, POSITION, RECOVERING, VELOCITY
+from ..kernel.box import ACCELERATION, NOISE, POSITION, RECOVERING, UNLIMITED, VELOCITY
 from ..kernel.checks import CONVERGED, UNREACHABLE
 from ..kernel.kinematics import TAU
 from ..kernel.records import ANSWER, AT, Ends
-from ..kernel.travel import UNLIMITED, travel
+from ..kernel.travel import travel
 from ..solvers.options import COUNTING, Options
 from ..solvers.plan import Plan
 from ..solvers.registry import GENERAL, find_row
