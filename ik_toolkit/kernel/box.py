@@ -129,9 +129,11 @@ def boxes(q, rate, limits, gamma, h, late, low, top, why_low, why_top):
 
 
 @jit
-def calm(rate, size, h, low, top, why_low, why_top):
-    """Narrow the box (in place) to rates that a joint gains gradually, as far as it has such rates; braking stays free."""
+def calm(rate, size, swings, often, h, low, top, why_low, why_top):
+    """Narrow the box (in place) of joints that turned `often` to rates gained gradually, as far as it has such; braking is free."""
     for i in range(rate.shape[0]):
+        if swings[0, i] < often:
+            continue
         gain = CALM * size[i] * h
         floor = min(max(min(rate[i], 0.0) - gain, low[i]), top[i])
         roof = max(min(max(rate[i], 0.0) + gain, top[i]), low[i])

@@ -45,8 +45,6 @@ class State(NamedTuple):
     leaving: int  # 1: waiting has not helped, so the run continues off the path
     idle: int  # [s] for which it has stood still
     least: int  # least error over tolerance in that time
-    turned: int  # how often in a row a joint turned back at speed, see `watch`
-    quiet: int  # [s] since then
     near: (
         int  # 1: near a singular pose in the last step; and [s] for which the target counts as having been out of reach
     )
@@ -313,17 +311,16 @@ def ease(p, J, m, e, ahead, h, q, limits, planes, edges, count, fast, quick, wal
 
 
 @jit
-def watch(state, bound, before, x, size, h):
-    """Count how often in a row a joint turns back at speed where limits or lost directions act, see `calm`."""
-    turned = False
+def watch(swings, singular, before, x, size, h):
+    """Count how often in a row each joint turns back at speed, from a turn near a singular pose on, see `calm`."""
     for i in range(x.shape[0]):
-        turned = turned or (before[i] * x[i] < 0.0 and max(abs(before[i]), abs(x[i])) > SWING * size[i])
-    state[STATE.quiet] += h
-    if turned and bound:
-        state[STATE.turned] += 1.0
-        state[STATE.quiet] = 0.0
-    elif state[STATE.quiet] > (WINDOW if state[STATE.turned] < SWINGING else HOLD):
-        state[STATE.turned] = 0.0
+        swings[1, i] += h
+        turned = before[i] * x[i] < 0.0 and max(abs(before[i]), abs(x[i])) > SWING * size[i]
+        if turned and (singular or swings[0, i] > 0.0):
+            swings[0, i] += 1.0
+            swings[1, i] = 0.0
+        elif swings[1, i] > (WINDOW if swings[0, i] < SWINGING else HOLD):
+            swings[0, i] = 0.0
 
 
 @jit

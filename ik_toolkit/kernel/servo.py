@@ -201,7 +201,10 @@ def clip_rates(law, s, still, h, memory, code):
 @inline
 def run(step, rows, ends, orders, given, own, samples, out, h, block):
     """The loop of `servo` on views, with zeros to cut its scratch from."""
-    (_, p, counts, limits, wish, lines, level, measured), (_, motion, memory, away, state, active, kept) = given, own
+    (_, p, counts, limits, wish, lines, level, measured), (_, motion, memory, swings, away, state, active, kept) = (
+        given,
+        own,
+    )
     (_, T, V, A, caps), (_, Q, R, E, S, C) = samples, out
     q, rate = motion[0], motion[1]
     n, m, room = q.shape[0], V.shape[1], kept.shape[0] - 1
@@ -250,9 +253,11 @@ def run(step, rows, ends, orders, given, own, samples, out, h, block):
             leave_out(s.J, s.floor, s.roof)
         count = gather(law, lines, level, s.planes, s.edges)
         count = slack_rows(counts[1], s.J, s.e, s.f, s.ahead, s.a, h, s.planes, s.edges, count)
-        free = count == 0 and state[STATE.tamed] == 0.0  # half-planes may need more
-        if state[STATE.turned] >= SWINGING and law.mode != CLIP and free:
-            calm(rate, s.size, h, s.floor, s.roof, s.why_low, s.why_top)
+        gives_way = (
+            law.mode == CLIP or law.mode == SLOW or count > 0
+        )  # published as it is; the clock does; half-planes need it
+        if not gives_way and state[STATE.tamed] == 0.0:
+            calm(rate, s.size, swings, SWINGING, h, s.floor, s.roof, s.why_low, s.why_top)
         copy(counts[0], s.weight)
         ratio = h / state[STATE.period] if state[STATE.start] == RUNNING else 0.0
         S[i, 3] = wanted(
@@ -268,7 +273,7 @@ def run(step, rows, ends, orders, given, own, samples, out, h, block):
             clip_rates(law, s, still, h, memory, C[i])
         else:
             done, held = obey(rule, law, s, count, sigma, h, state, work, active, kept, C[i])
-            watch(state, held or S[i, 3] > 0.0, s.before, s.x, s.size, h)
+            watch(swings, state[STATE.near] > 0.0, s.before, s.x, s.size, h)
             if held:
                 own_up(law, h, ratio, s.w, s.x, s.lead, sigma - done, memory)
         if law.mode == SLOW:

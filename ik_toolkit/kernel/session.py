@@ -39,6 +39,9 @@ class Carried(NamedTuple):
     block: Array
     motion: Array  # (2, n) joints and their rates
     memory: Array  # of the method, or the rule
+    swings: (
+        Array  # (2, n) how often in a row each joint turned back, and for how long it has not [s], see `motion.watch`
+    )
     away: Array  # (n,) where joints go from a pose in which they are straight
     state: Array  # a `State`
     active: Array  # (n,) and kept, int8: the active set of `constrain`
@@ -77,7 +80,7 @@ def settings_shapes(n, m, rows):
 @shared
 def carried_shapes(n, memory, rows):
     """Shapes of `Carried`; bytes in whole numbers of eight."""
-    return (2, n), memory, n, STATES, (n + 7) // 8, (rows + 7) // 8
+    return (2, n), memory, (2, n), n, STATES, (n + 7) // 8, (rows + 7) // 8
 
 
 @shared
@@ -110,8 +113,10 @@ def settings_of(block):
 def carried_of(block):
     """Parts of a block (K,) of n, numbers of memory, rows."""
     n, memory, rows = head(block)
-    motion, own, away, state, active, kept = cut(block, np.float64, carried_shapes(n, memory, rows))
-    return Carried(block, motion, own, away, state, fold(active, np.int8, 1, n)[0], fold(kept, np.int8, 1, rows)[0])
+    motion, own, swings, away, state, active, kept = cut(block, np.float64, carried_shapes(n, memory, rows))
+    return Carried(
+        block, motion, own, swings, away, state, fold(active, np.int8, 1, n)[0], fold(kept, np.int8, 1, rows)[0]
+    )
 
 
 @shared

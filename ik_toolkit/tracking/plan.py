@@ -12,7 +12,8 @@ import numpy as np
 
 from .reachable import References, bound_lm, samples_of, targets_at
 
-WAYPOINTS = (40, 50, 64)  # least number of poses, by attempt: they lie differently to singular ones, and so does the path
+# Least number of poses, by attempt: they lie differently to singular ones, and so does the path.
+WAYPOINTS = (40, 50, 64)
 STEP = 0.1  # [rad, or reaches] largest displacement from pose to pose
 TRIED = 4  # displacements of a posture
 CELL = 0.03  # [rad, or reaches] in which postures count as one

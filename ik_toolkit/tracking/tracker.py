@@ -142,7 +142,7 @@ class Tracker:
         unit = self.robot.chain.unit
         self._q[:] = q / unit
         self._rate[:] = 0.0 if rate is None else rate / unit
-        self._carried.memory[:] = 0.0
+        self._carried.memory[:], self._carried.swings[:] = 0.0, 0.0
         self._state[:] = 0.0
         given = rate is not None or self._at_rest
         self._state[motion.STATE.start] = motion.GIVEN if given else motion.MOVING
@@ -242,7 +242,7 @@ class Tracker:
         if not self._goes:
             self.take(samples, h, self._out, **how)
             return
-        self._carried.memory[:] = 0.0
+        self._carried.memory[:], self._carried.swings[:] = 0.0, 0.0
         self._carried.active[:], self._carried.kept[:] = 0, 0
         self._state[:] = 0.0
         self._state[motion.STATE.start] = motion.READY
@@ -366,7 +366,7 @@ class Tracker:
             return done
         self.put_back(before)
         self._carried.motion[:] = guard.instead(q, rate, next_rate, h) / self._units
-        self._carried.memory[:] = 0.0
+        self._carried.memory[:], self._carried.swings[:] = 0.0, 0.0
         self._state[motion.STATE.start] = motion.READY
         self._state[motion.STATE.sigma] = max(self._state[motion.STATE.sigma] - QUICK * h, 0.0)
         self._between = guard.blocked

@@ -275,24 +275,25 @@ def test_signs_and_shares_of_multipliers():
 
 
 def test_joints_that_turn_back_often_swing():
-    state, size = np.zeros(len(STATE)), np.array([1.0, 2.0])
+    swings, size = np.zeros((2, 2)), np.array([1.0, 2.0])
 
-    def turned(before, x, bound=True, h=0.01):
-        motion.watch(state, bound, np.array(before), np.array(x), size, h)
-        return state[STATE.turned]
+    def turned(before, x, singular=True, h=0.01):
+        motion.watch(swings, singular, np.array(before), np.array(x), size, h)
+        return swings[0].tolist()
 
-    assert turned([0.06, 0.0], [0.06, 0.0]) == 0.0
-    assert turned([0.06, 0.0], [-0.06, 0.0], bound=False) == 0.0, "what a free method wants is no swing"
-    assert turned([0.04, -0.1], [-0.04, 0.1]) == 0.0 == turned([0.0, 0.09], [0.0, 1.0]), "slow, or no turn"
-    assert [turned([0.04, 0.0], [-0.06, 0.0]), turned([0.0, 0.0], [0.0, 0.0])] == [1.0, 1.0]
-    assert turned([0.0, -0.11], [0.0, 0.01]) == 2.0, "another joint counts as well"
+    assert turned([0.06, 0.0], [0.06, 0.0]) == [0.0, 0.0]
+    assert turned([0.06, 0.0], [-0.06, 0.0], singular=False) == [0.0, 0.0], "elsewhere the target may want it"
+    assert turned([0.04, -0.1], [-0.04, 0.1]) == turned([0.0, 0.09], [0.0, 1.0]) == [0.0, 0.0], "slow, or no turn"
+    assert turned([0.04, 0.0], [-0.06, 0.0]) == turned([0.0, 0.0], [0.0, 0.0]) == [1.0, 0.0]
+    assert turned([0.2, -0.11], [-0.2, 0.01], singular=False) == [2.0, 0.0], "a row goes on where it does not begin"
     for _ in range(9):
-        assert turned([0.0, 0.0], [0.0, 0.0]) == 2.0
-    assert [turned([0.0, 0.0], [0.0, 0.0]) for _ in range(2)][1] == 0.0, "a row ends"
+        turned([0.0, 0.0], [0.0, 0.0])
+    assert turned([0.0, -0.11], [0.0, 0.01]) == [2.0, 1.0]
+    assert turned([0.0, 0.0], [0.0, 0.0]) == [0.0, 1.0], "each row ends by itself"
     for k in range(3):
-        assert turned([1.0, 0.0], [-1.0, 0.0]) == k + 1.0
-    assert turned([1.0, 0.0], [1.0, 0.0], h=0.19) == motion.SWINGING
-    assert turned([1.0, 0.0], [1.0, 0.0], h=0.02) == 0.0, "a swing ends later"
+        assert turned([1.0, 0.0], [-1.0, 0.0])[0] == k + 1.0
+    assert turned([1.0, 0.0], [1.0, 0.0], h=0.19)[0] == motion.SWINGING
+    assert turned([1.0, 0.0], [1.0, 0.0], h=0.02)[0] == 0.0, "a swing ends later"
 
 
 def test_a_calm_box_is_a_part_of_the_box():
@@ -302,8 +303,9 @@ def test_a_calm_box_is_a_part_of_the_box():
         low = rng.uniform(-1.0, 1.0, 4)
         top = low + np.maximum(rng.uniform(-0.2, 1.0, 4), 0.0)
         floor, roof, why = low.copy(), top.copy(), rng.choice([1, 2, 4, 1 | RECOVERING], (2, 4)).astype(np.uint8)
-        code, gain = why.copy(), CALM * size * h
-        calm(rate, size, h, floor, roof, code[0], code[1])
+        swings = np.array([rng.integers(0, 5, 4), np.zeros(4)])
+        code, gain = why.copy(), np.where(swings[0] < motion.SWINGING, np.inf, CALM * size * h)
+        calm(rate, size, swings, motion.SWINGING, h, floor, roof, code[0], code[1])
         for least in (rate, 0.0 * rate):  # what changes least, and rest
             near = np.clip(least, low, top)
             assert (floor <= near).all() and (near <= roof).all()
