@@ -201,10 +201,8 @@ def clip_rates(law, s, still, h, memory, code):
 @inline
 def run(step, rows, ends, orders, given, own, samples, out, h, block):
     """The loop of `servo` on views, with zeros to cut its scratch from."""
-    (_, p, counts, limits, wish, lines, level, measured), (_, motion, memory, swings, away, state, active, kept) = (
-        given,
-        own,
-    )
+    _, p, counts, limits, wish, lines, level, measured = given
+    _, motion, memory, swings, away, state, active, kept = own
     (_, T, V, A, caps), (_, Q, R, E, S, C) = samples, out
     q, rate = motion[0], motion[1]
     n, m, room = q.shape[0], V.shape[1], kept.shape[0] - 1
@@ -253,10 +251,8 @@ def run(step, rows, ends, orders, given, own, samples, out, h, block):
             leave_out(s.J, s.floor, s.roof)
         count = gather(law, lines, level, s.planes, s.edges)
         count = slack_rows(counts[1], s.J, s.e, s.f, s.ahead, s.a, h, s.planes, s.edges, count)
-        gives_way = (
-            law.mode == CLIP or law.mode == SLOW or count > 0
-        )  # published as it is; the clock does; half-planes need it
-        if not gives_way and state[STATE.tamed] == 0.0:
+        # Not what is published as it is, or has a clock, which gives way; and half-planes may need more.
+        if law.mode != CLIP and law.mode != SLOW and count == 0 and state[STATE.tamed] == 0.0:
             calm(rate, s.size, swings, SWINGING, h, s.floor, s.roof, s.why_low, s.why_top)
         copy(counts[0], s.weight)
         ratio = h / state[STATE.period] if state[STATE.start] == RUNNING else 0.0
