@@ -27,9 +27,10 @@ SPARE = 1e-13  # share of the remaining distance kept as a margin: braking over 
 NOISE = 1e-12  # [rad, or reaches] by which a state may violate viability before it counts as recovering
 UNLIMITED = 1.0  # speed of a joint without a limit [rad/s, or reaches/s], where one is needed for comparison
 SHARE = 0.1  # of the speed limit (or of 1 rad/s, 1 reach/s) at which a joint outside its limits comes back
-
-# [1/s] by which joints that swing gain speed, as a share of their speed: they need more than half of motion.WINDOW for what counts
-# as a turn, motion.SWING.
+SWING = 0.05  # of its speed limit, before or after, above which a joint that turns back may swing
+SWINGING = 3.0  # turns in a row that make it a swing: a single pass through a singular pose may take two
+WINDOW, HOLD = 0.1, 0.2  # [s] without a turn that end a row, and a swing
+# [1/s] by which joints that swing gain speed, as a share of their speed: for what counts as a turn they need half of WINDOW.
 CALM = 1.0
 
 
@@ -129,10 +130,23 @@ def boxes(q, rate, limits, gamma, h, late, low, top, why_low, why_top):
 
 
 @jit
-def calm(rate, size, swings, often, h, low, top, why_low, why_top):
-    """Narrow the box (in place) of joints that turned `often` to rates gained gradually, as far as it has such; braking is free."""
+def watch(swings, singular, before, x, size, h):
+    """Count how often in a row each joint turns back at speed, from a turn near a singular pose on, see `calm`."""
+    for i in range(x.shape[0]):
+        swings[1, i] += h
+        turned = before[i] * x[i] < 0.0 and max(abs(before[i]), abs(x[i])) > SWING * size[i]
+        if turned and (singular or swings[0, i] > 0.0):
+            swings[0, i] += 1.0
+            swings[1, i] = 0.0
+        elif swings[1, i] > (WINDOW if swings[0, i] < SWINGING else HOLD):
+            swings[0, i] = 0.0
+
+
+@jit
+def calm(rate, size, swings, h, low, top, why_low, why_top):
+    """Narrow the box (in place) of joints that swing to rates gained gradually, as far as it has such; braking is free."""
     for i in range(rate.shape[0]):
-        if swings[0, i] < often:
+        if swings[0, i] < SWINGING:
             continue
         gain = CALM * size[i] * h
         floor = min(max(min(rate[i], 0.0) - gain, low[i]), top[i])

@@ -27,9 +27,6 @@ FINE, NOT_FINITE, RUNAWAY = range(3)
 SINGLE = 1e-24  # share of the largest diagonal entry of JJ' below which the joints cannot move along a row
 FAR = 0.25  # of curvature times error: damped by it, a direction asks for at most the root of error over curvature
 AT = 1e-9  # [rad, or reaches] from a limit within which a joint counts as at the limit
-SWING = 0.05  # of its speed limit, before or after, above which a joint that turns back may swing
-SWINGING = 3.0  # turns in a row that make it a swing: a single pass through a singular pose may take two
-WINDOW, HOLD = 0.1, 0.2  # [s] without a turn that end a row, and a swing
 REGION = 2.0  # damping fades in where the smallest singular value falls below REGION * damping
 
 
@@ -308,19 +305,6 @@ def ease(p, J, m, e, ahead, h, q, limits, planes, edges, count, fast, quick, wal
             ahead[k] -= (1.0 - f) * e[k]
             e[k] *= f
     return blocked
-
-
-@jit
-def watch(swings, singular, before, x, size, h):
-    """Count how often in a row each joint turns back at speed, from a turn near a singular pose on, see `calm`."""
-    for i in range(x.shape[0]):
-        swings[1, i] += h
-        turned = before[i] * x[i] < 0.0 and max(abs(before[i]), abs(x[i])) > SWING * size[i]
-        if turned and (singular or swings[0, i] > 0.0):
-            swings[0, i] += 1.0
-            swings[1, i] = 0.0
-        elif swings[1, i] > (WINDOW if swings[0, i] < SWINGING else HOLD):
-            swings[0, i] = 0.0
 
 
 @jit

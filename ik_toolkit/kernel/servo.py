@@ -17,26 +17,11 @@ from typing import Any
 import numpy as np
 
 from .bench import bench_on, bench_space
-from .box import HELD, UNLIMITED, approach, boxes, calm, clip, move, way_to
+from .box import HELD, SWING, UNLIMITED, approach, boxes, calm, clip, move, watch, way_to
 from .clock import WHOLE, next_rate, reference, too_far
 from .constrain import SLOW, room_on, room_space
 from .jit import cached, inline, inner
-from .motion import (
-    CLIP,
-    GIVEN,
-    MOVING,
-    READY,
-    RUNNING,
-    STATE,
-    SWING,
-    SWINGING,
-    Law,
-    apply,
-    factor,
-    own_up,
-    settle,
-    watch,
-)
+from .motion import CLIP, GIVEN, MOVING, READY, RUNNING, STATE, Law, apply, factor, own_up, settle
 from .obey import judge, obey, pacing
 from .records import HEAD, TASK, Orders, copy, read
 from .search import problem_on, step_class
@@ -253,7 +238,7 @@ def run(step, rows, ends, orders, given, own, samples, out, h, block):
         count = slack_rows(counts[1], s.J, s.e, s.f, s.ahead, s.a, h, s.planes, s.edges, count)
         # Not what is published as it is, or has a clock, which gives way; and half-planes may need more.
         if law.mode != CLIP and law.mode != SLOW and count == 0 and state[STATE.tamed] == 0.0:
-            calm(rate, s.size, swings, SWINGING, h, s.floor, s.roof, s.why_low, s.why_top)
+            calm(rate, s.size, swings, h, s.floor, s.roof, s.why_low, s.why_top)
         copy(counts[0], s.weight)
         ratio = h / state[STATE.period] if state[STATE.start] == RUNNING else 0.0
         S[i, 3] = wanted(

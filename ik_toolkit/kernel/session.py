@@ -39,9 +39,7 @@ class Carried(NamedTuple):
     block: Array
     motion: Array  # (2, n) joints and their rates
     memory: Array  # of the method, or the rule
-    swings: (
-        Array  # (2, n) how often in a row each joint turned back, and for how long it has not [s], see `motion.watch`
-    )
+    swings: Array  # (2, n) how often in a row each joint turned back, and for how long it has not [s], see `box.watch`
     away: Array  # (n,) where joints go from a pose in which they are straight
     state: Array  # a `State`
     active: Array  # (n,) and kept, int8: the active set of `constrain`

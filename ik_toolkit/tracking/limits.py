@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import InvalidOption, floats, near_match
+from ..kernel.box import UNLIMITED
 from ..robot.robot import Robot
 from ..robot.tree import Tree
 from .inputs import switch
@@ -33,6 +34,11 @@ def limit_rows(robot: Robot | Tree, limits: bool, acceleration_limits: Any) -> n
             raise InvalidOption(f"acceleration_limits must be positive, not {acceleration_limits!r}")
         rows[3] = a / unit
     return rows
+
+
+def speeds(limits: np.ndarray) -> np.ndarray:
+    """Speed (n,) of each joint of limits (4, n), with a usual one where there is no limit."""
+    return np.where(limits[2] < np.inf, limits[2], UNLIMITED)
 
 
 def changed_limits(robot: Robot | Tree, rows: np.ndarray, given: Mapping[str, Any]) -> np.ndarray:

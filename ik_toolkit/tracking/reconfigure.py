@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from ..kernel.box import ACCELERATION, NOISE, POSITION, RECOVERING, UNLIMITED, VELOCITY
+from ..kernel.box import ACCELERATION, NOISE, POSITION, RECOVERING, VELOCITY
 from ..kernel.checks import CONVERGED, UNREACHABLE
 from ..kernel.kinematics import TAU
 from ..kernel.records import ANSWER, AT, Ends
@@ -26,6 +26,7 @@ from ..solvers.options import COUNTING, Options
 from ..solvers.plan import Plan
 from ..solvers.registry import GENERAL, find_row
 from .engine import LEVER
+from .limits import speeds
 
 FAST = VELOCITY | RECOVERING  # what holds a joint back only for a while
 AWAY = 1e-3  # [m] error, angles at LEVER, from which a target counts as not reached
@@ -245,11 +246,6 @@ def gap(T: np.ndarray, before: np.ndarray) -> float:
 def locked(limits: np.ndarray) -> bool:
     """Whether a joint may not move."""
     return bool(((limits[2] == 0.0) | (limits[0] == limits[1])).any())
-
-
-def speeds(limits: np.ndarray) -> np.ndarray:
-    """Speed (n,) of each joint, with a usual one where there is no limit."""
-    return np.where(limits[2] < np.inf, limits[2], UNLIMITED)
 
 
 def time_between(q: np.ndarray, goal: np.ndarray, limits: np.ndarray) -> float:

@@ -18,7 +18,7 @@ from ..robot.tree import Tree
 from ..solvers.avoid import collision_model
 from .engine import bind
 from .inputs import one_of, positive, switch
-from .limits import LIMIT_NAMES, changed_limits, limit_rows
+from .limits import LIMIT_NAMES, changed_limits, limit_rows, speeds
 from .methods import Method
 from .obstacles import ROWS, Guard
 from .reconfigure import Reconfiguration
@@ -92,7 +92,7 @@ class Tracker:
         self._mode = read_mode(on_limit, MODES)
         self.jump, self.resync = positive(jump, "jump"), positive(resync, "resync")
         self._limits = limit_rows(robot, limits, acceleration_limits)
-        self._speed = np.where(np.isfinite(self._limits[2]), self._limits[2], 1.0) * robot.chain.unit
+        self._speed = speeds(self._limits) * robot.chain.unit
         self._longest = 0.0 if dt_max is None else positive(dt_max, "dt_max [s]")
         self._at_rest = acceleration_limits is not None
         self.secondary: Secondary = read_secondary(robot, avoid_limits, posture, elbow, manipulability, cost)
@@ -142,16 +142,19 @@ class Tracker:
         unit = self.robot.chain.unit
         self._q[:] = q / unit
         self._rate[:] = 0.0 if rate is None else rate / unit
-        self._carried.memory[:], self._carried.swings[:] = 0.0, 0.0
-        self._state[:] = 0.0
-        given = rate is not None or self._at_rest
-        self._state[motion.STATE.start] = motion.GIVEN if given else motion.MOVING
-        self._carried.active[:], self._carried.kept[:] = 0, 0
-        self.secondary.side(self._carried.away)
+        self._forget(motion.GIVEN if rate is not None or self._at_rest else motion.MOVING)
         if self._other:
             self._other.forget()
         self._between: tuple[str, str] | None = None  # what kept the last step from going on
         self._touching = self._guard.restart(q) if self._guard else None
+
+    def _forget(self, start: int) -> None:
+        """Forget what was done before, but where the joints are and how they move; start: how the next step begins."""
+        own = self._carried
+        own.memory[:], own.swings[:], own.state[:] = 0.0, 0.0, 0.0
+        own.state[motion.STATE.start] = start
+        own.active[:], own.kept[:] = 0, 0
+        self.secondary.side(own.away)
 
     @property
     def q(self) -> np.ndarray:
@@ -242,11 +245,7 @@ class Tracker:
         if not self._goes:
             self.take(samples, h, self._out, **how)
             return
-        self._carried.memory[:], self._carried.swings[:] = 0.0, 0.0
-        self._carried.active[:], self._carried.kept[:] = 0, 0
-        self._state[:] = 0.0
-        self._state[motion.STATE.start] = motion.READY
-        self.secondary.side(self._carried.away)
+        self._forget(motion.READY)
         self._end(last_of(samples), h, self._out, **how)
         self._out.C[:], self._out.S[0], self._between = 0, 0.0, None
 

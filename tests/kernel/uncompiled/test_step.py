@@ -9,7 +9,7 @@ from random_arms import orders, task
 
 from ik_toolkit.kernel import levels, motion, obey, qp, wanted
 from ik_toolkit.kernel.bench import bench_on, bench_space
-from ik_toolkit.kernel.box import CALM, CALMED, RECOVERING, ROW, calm
+from ik_toolkit.kernel.box import CALM, CALMED, RECOVERING, ROW, SWINGING, calm, watch
 from ik_toolkit.kernel.constrain import LEAVE, SLOW, make_room, room_on, room_space
 from ik_toolkit.kernel.levels import make_levels
 from ik_toolkit.kernel.motion import AA, AT_RATE_AND_STEP, AV, CA, CV, RUNNING, STATE, Law
@@ -278,7 +278,7 @@ def test_joints_that_turn_back_often_swing():
     swings, size = np.zeros((2, 2)), np.array([1.0, 2.0])
 
     def turned(before, x, singular=True, h=0.01):
-        motion.watch(swings, singular, np.array(before), np.array(x), size, h)
+        watch(swings, singular, np.array(before), np.array(x), size, h)
         return swings[0].tolist()
 
     assert turned([0.06, 0.0], [0.06, 0.0]) == [0.0, 0.0]
@@ -292,7 +292,7 @@ def test_joints_that_turn_back_often_swing():
     assert turned([0.0, 0.0], [0.0, 0.0]) == [0.0, 1.0], "each row ends by itself"
     for k in range(3):
         assert turned([1.0, 0.0], [-1.0, 0.0])[0] == k + 1.0
-    assert turned([1.0, 0.0], [1.0, 0.0], h=0.19)[0] == motion.SWINGING
+    assert turned([1.0, 0.0], [1.0, 0.0], h=0.19)[0] == SWINGING
     assert turned([1.0, 0.0], [1.0, 0.0], h=0.02)[0] == 0.0, "a swing ends later"
 
 
@@ -304,8 +304,8 @@ def test_a_calm_box_is_a_part_of_the_box():
         top = low + np.maximum(rng.uniform(-0.2, 1.0, 4), 0.0)
         floor, roof, why = low.copy(), top.copy(), rng.choice([1, 2, 4, 1 | RECOVERING], (2, 4)).astype(np.uint8)
         swings = np.array([rng.integers(0, 5, 4), np.zeros(4)])
-        code, gain = why.copy(), np.where(swings[0] < motion.SWINGING, np.inf, CALM * size * h)
-        calm(rate, size, swings, motion.SWINGING, h, floor, roof, code[0], code[1])
+        code, gain = why.copy(), np.where(swings[0] < SWINGING, np.inf, CALM * size * h)
+        calm(rate, size, swings, h, floor, roof, code[0], code[1])
         for least in (rate, 0.0 * rate):  # what changes least, and rest
             near = np.clip(least, low, top)
             assert (floor <= near).all() and (near <= roof).all()
