@@ -158,7 +158,7 @@ def _tips(row) -> list[str]:
 MEANINGS = {
     "CONVERGED": "both errors are within tolerance, confirmed by Pinocchio",
     "STALLED": "no further progress: a local minimum of the error, or no improvement from any start",
-    "ITERATION_LIMIT": "the limit on iterations or evaluations was reached while the error was still falling",
+    "ITERATION_LIMIT": "the limit on evaluations, or on the iterations of every attempt, was reached first",
     "LIMIT_BLOCKED": "joint limits block the way to the target; the message names the joints",
     "UNREACHABLE": "proven out of reach, by a bound from the link lengths or by a closed form; the message says by how much",
     "SINGULAR": "no joint motion reduces the error to first order",

@@ -27,8 +27,9 @@ class WholeFile:
         place = Path(os.path.realpath(path))  # a symbolic link stays one
         self._place = place if place.is_file() or not place.exists() else None
         self.part = place if self._place is None else place.with_name(f"{place.name}.{uuid.uuid4().hex[:8]}.part")
-        self.stream: BinaryIO = self.part.open("wb" if self._place is None else "xb")
         self._good = 0
+        with self.named():
+            self.stream: BinaryIO = self.part.open("wb" if self._place is None else "xb")
 
     def write(self, data: str | bytes) -> None:
         """Write text (as UTF-8) or bytes as one unit: it counts only once it is written completely."""

@@ -3,34 +3,16 @@
 import math
 
 from .algebra import V3, put3
+from .checks import rigid
 from .clock import turn_left
 from .jit import cached, inner
 from .records import copy
 from .session import samples_of
 from .view import flat, view
 
-TIGHT = 1e-9  # of a rotation accepted as it is: far stricter than the check of a target
+TIGHT = 1e-9  # of a rotation accepted as it is: far stricter than the full check, outside the kernel, which corrects or refuses
 READ, CHECK, REFUSED = range(3)  # a target that was read in full, one that is to be checked here, one that is no target
 TAKEN, DOUBTFUL, HELD = range(3)  # taken; to be read in full; not finite, so the last target stays
-
-
-@inner
-def tight(T):
-    """Whether T (4, 4) is a pose (NaN fails): the full check, outside the kernel, corrects or refuses."""
-    x, y, z = V3(T[0, 0], T[1, 0], T[2, 0]), V3(T[0, 1], T[1, 1], T[2, 1]), V3(T[0, 2], T[1, 2], T[2, 2])
-    off = x.cross(y) - z  # right-handed
-    return (
-        abs(x.square() - 1.0) < TIGHT
-        and abs(y.square() - 1.0) < TIGHT
-        and abs(x.dot(y)) < TIGHT
-        and abs(off.x) < TIGHT
-        and abs(off.y) < TIGHT
-        and abs(off.z) < TIGHT
-        and T[3, 0] == 0.0
-        and T[3, 1] == 0.0
-        and T[3, 2] == 0.0
-        and T[3, 3] == 1.0
-    )
 
 
 @inner
@@ -74,9 +56,10 @@ def arrive(samples, given, slot, how, posed, first, moved, twist, acceleration, 
         replace(T, V, A, 1, 0)
     held = how == REFUSED or (twist and not finite(Vs[0])) or (acceleration and not finite(As[0]))
     for f in range(T.shape[1]):
-        if how == CHECK and (posed >> f) & 1 and not tight(Ts[0, f]):
+        if not abs(Ts[0, f, 0, 3]) + abs(Ts[0, f, 1, 3]) + abs(Ts[0, f, 2, 3]) < math.inf:
+            held = True
+        elif how == CHECK and (posed >> f) & 1 and not rigid(Ts[0, f], TIGHT):
             return DOUBTFUL
-        held = held or not abs(Ts[0, f, 0, 3]) + abs(Ts[0, f, 1, 3]) + abs(Ts[0, f, 2, 3]) < math.inf
     if held:
         copy(flat(T[0]), flat(T[1]))
         for k in range(V.shape[1]):

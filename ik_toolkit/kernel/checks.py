@@ -10,7 +10,8 @@ from .task import allowance
 CONVERGED, STALLED, ITERATION_LIMIT, LIMIT_BLOCKED, UNREACHABLE, SINGULAR, NOT_FINITE, CHECK_FAILED = range(8)
 BAD_TARGET, BAD_START = 8, 9  # never seen by a caller: the target or the start must be examined outside the kernel
 TOO_FAR = 11  # 10 is COLLISION, found outside the kernel
-LAST_ROW = 1e-9  # how far the last row of a pose may be off 0 0 0 1
+ORTHONORMAL = 1e-6  # how far products of the axes of a pose may be off 0 and 1
+LAST_ROW = 1e-9  # how far its last row may be off 0 0 0 1
 REACH_SLACK = 1e-9  # [kernel units] more than any rounding of the bound: "unreachable" is a proof
 WIDE = 2.0  # rad of remaining rotation above which it gives no bound on the last joint's place: a chord is never longer
 UNSEEN = 1e-16  # cos^2 of the angle between error and what the joints can do, below which that is rounding
@@ -64,8 +65,8 @@ def edge(goal, ends, excess):
 
 
 @inner
-def rigid(T):
-    """Whether T (4, 4) is finite, its rotation orthonormal to 1e-6 and right-handed, its last row 0 0 0 1 (NaN fails)."""
+def rigid(T, within):
+    """Whether T (4, 4) is finite, its rotation orthonormal to `within` and right-handed, its last row 0 0 0 1 (NaN fails)."""
     total = 0.0
     last = abs(T[3, 3] - 1.0)
     for r in range(3):
@@ -73,7 +74,7 @@ def rigid(T):
         last += abs(T[3, r])
         for c in range(r, 3):
             g = T[0, r] * T[0, c] + T[1, r] * T[1, c] + T[2, r] * T[2, c]
-            if not abs(g - (1.0 if r == c else 0.0)) < 1e-6:
+            if not abs(g - (1.0 if r == c else 0.0)) < within:
                 return False
     det = T[0, 0] * (T[1, 1] * T[2, 2] - T[1, 2] * T[2, 1]) - T[0, 1] * (T[1, 0] * T[2, 2] - T[1, 2] * T[2, 0])
     det += T[0, 2] * (T[1, 0] * T[2, 1] - T[1, 1] * T[2, 0])
@@ -83,7 +84,7 @@ def rigid(T):
 @cached
 def is_rigid(T):
     """`rigid` for calls from Python."""
-    return rigid(T)
+    return rigid(T, ORTHONORMAL)
 
 
 @inner

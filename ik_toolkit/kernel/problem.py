@@ -28,7 +28,7 @@ from typing import NamedTuple
 import numpy as np
 
 from .algebra import V3, at3, chord, put3, rotation_at
-from .checks import beyond, edge, rigid
+from .checks import ORTHONORMAL, beyond, edge, rigid
 from .jit import compiled, inline, spliced
 from .kinematics import aim, column, fk, pose_error
 from .records import WHAT, Array
@@ -81,7 +81,7 @@ def tolerances(orders, kind, scale):
 @inline
 def take(T, ends, task, goal, orders):
     """Write a target to goal (GOAL,). Returns by how much it is out of reach, -1 when it is not a pose."""
-    if not rigid(T):
+    if not rigid(T, ORTHONORMAL):
         return -1.0
     aim(ends, T, goal)
     put3(goal, 12, at3(goal, 9))

@@ -213,7 +213,7 @@ def search(rule, p, o, near, ends, weights, table, best, found, start, needs_jac
     p.desk.spent[1] = o.evaluations
     spent = Spent(0, 0, 0)
     least, shortest = np.inf, np.inf
-    hits, tries, attempt, place, held = 0, 0, 0, BEST_OF_ALL, -1
+    hits, tries, cut_off, attempt, place, held = 0, 0, 0, 0, BEST_OF_ALL, -1
     turned, judged, status = False, False, GOING
     most, c, rho = 0.0, 0.0, 0.0
     while True:
@@ -232,6 +232,8 @@ def search(rule, p, o, near, ends, weights, table, best, found, start, needs_jac
         if place == BEST_OF_ALL and (least < before or ended == CONVERGED):
             attempt = tries
         tries += 1
+        if ended == ITERATION_LIMIT:
+            cut_off += 1
         if ended == CONVERGED:
             hits += 1
             d = distance(q, start, weights, ends) if closest > 0 else 0.0
@@ -268,7 +270,7 @@ def search(rule, p, o, near, ends, weights, table, best, found, start, needs_jac
         if held >= 0:
             status = TOO_FAR
         elif attempts > 1:
-            status = LIMIT_BLOCKED if why == LIMIT_BLOCKED else STALLED
+            status = LIMIT_BLOCKED if why == LIMIT_BLOCKED else ITERATION_LIMIT if cut_off == tries else STALLED
         elif status == STILL:
             status = why
     if status == CONVERGED and given > 0 and not following:

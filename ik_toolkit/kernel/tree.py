@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from .algebra import V3, at3, put3, put_axes, rotation_at
-from .checks import rigid
+from .checks import ORTHONORMAL, rigid
 from .jit import build, compiled, inner, spliced
 from .kinematics import aim, room
 from .linalg import damped_stack, pseudo_inverse_step
@@ -270,7 +270,7 @@ def aim_tips(p, T, orders):
     for f in range(p.tasks.shape[0]):
         other = int(p.tasks[f, WHAT.other])
         if other >= 0:  # it moves, so nothing can be proven about it
-            if not rigid(T[f]):
+            if not rigid(T[f], ORTHONORMAL):
                 return -1.0
             link_to(
                 T[f],

@@ -148,8 +148,11 @@ class SolveOptions(AllOptions, total=False):
     timeout: float | None
 
 
-def make_options(given: dict[str, Any]) -> Options:
-    """Validate keyword options. `tolerance` sets both tolerances. Raises InvalidOption naming the option."""
+def make_options(given: dict[str, Any], parameters: Sequence[str] = ()) -> Options:
+    """Validate keyword options. `tolerance` sets both tolerances. Raises InvalidOption naming the option.
+
+    parameters: names of a solver's own, one of which may have been meant by an unknown name.
+    """
     values = dict(given)
     if "tolerance" in values:
         tolerance = values.pop("tolerance")
@@ -159,7 +162,8 @@ def make_options(given: dict[str, Any]) -> Options:
         if name in OTHERWISE:
             raise InvalidOption(OTHERWISE[name])
         if name not in NAMES:
-            raise InvalidOption(f"there is no option '{name}'.{near_match(name, ('tolerance', *NAMES))}")
+            near = near_match(name, (*parameters, "tolerance", *NAMES))
+            raise InvalidOption(f"there is no option '{name}'.{near}")
         if name in ("position_tolerance", "orientation_tolerance"):
             values[name] = _number(name, value, 0.0, math.inf)
         elif name == "seed" or (name in ("max_iterations", "max_evaluations", "restarts") and value is not None):

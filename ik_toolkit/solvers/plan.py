@@ -19,7 +19,7 @@ from .options import Options
 from .protocol import Asked, misfit, parameters, require
 from .registry import GENERAL, Row, find_row
 from .starts import held_joints, pin, with_seeds
-from .task import kernel_tasks
+from .task import kernel_tasks, relatives, what_counts
 
 MARGIN = 1.0 - 1e-9  # the kernel tests a little inside the tolerance, so that Pinocchio's rounding cannot disagree
 KINDS_KEPT = 64  # kinds of target a plan stays ready for: every axis is a kind of its own, and axes have no end
@@ -43,6 +43,8 @@ class Plan:
             raise InvalidOption(
                 f"joint_weights must have {robot.n} values, one per joint ({', '.join(robot.joint_names)})"
             )
+        what_counts(robot, options)
+        relatives(robot, options)
         self.robot, self.row, self.rule, self.options = robot, row, rule, options
         self.held = held_joints(options)
         loop = rule.loop(robot)

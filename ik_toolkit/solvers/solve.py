@@ -128,7 +128,7 @@ def require_robot(robot: Any) -> None:
 def make_plan(robot: Any, solver: Any, options: Mapping[str, Any]) -> Plan:
     """Plan of a solver by name, rule class or instance. Raises UnknownSolver, InvalidOption."""
     row = find_row(solver)
-    preset = {}
+    preset, fields = {}, ()
     if isinstance(solver, str | type):
         fields = row.load()._fields
         rule = make_rule(row, {key: value for key, value in options.items() if key in fields})
@@ -136,7 +136,7 @@ def make_plan(robot: Any, solver: Any, options: Mapping[str, Any]) -> Plan:
     else:
         rule = solver
         preset = solver.options()
-    return Plan(robot, row, rule, make_options({**preset, **options}))
+    return Plan(robot, row, rule, make_options({**preset, **options}, fields))
 
 
 _SOLVERS_LOCK = threading.Lock()

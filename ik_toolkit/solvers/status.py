@@ -146,8 +146,10 @@ def _failure(result: "Result", left: str, starts: int) -> str:
     if status == Status.LIMIT_BLOCKED:
         joints = ", ".join(result.limited_joints)
         return f"joint limits ({joints}) appear to block the target; closest {left} after {_starts(starts)}"
+    if status == Status.ITERATION_LIMIT and starts > 1:
+        return f"closest {left} after {starts} starts, each cut off by the limit of iterations"
     if status == Status.ITERATION_LIMIT:
-        return f"{left} away after {result.iterations} iterations"
+        return f"{left} away after {result.iterations} iteration{'s' * (result.iterations != 1)}"
     if status == Status.SINGULAR:
         return f"singular: no joint motion reduces the error to first order (J'e = 0, or J has no inverse); {left} away"
     if status == Status.NOT_FINITE:

@@ -16,13 +16,14 @@ from ..kernel.servo import servo
 from ..kernel.task import PART
 from ..robot.robot import Robot
 from ..robot.tree import Tree
-from ..solvers.options import COUNTING, Options, make_options
-from ..solvers.registry import list_rows
-from ..solvers.task import kernel_tasks
+from ..solvers.options import COUNTING, NAMES, OTHERWISE, Options, make_options
+from ..solvers.registry import find_row, list_rows
+from ..solvers.task import kernel_tasks, relatives, what_counts
 from .methods import DAMPING, METHODS, Method, make_method
 from .stability import GainCheck, check_gains
 
 LEVER = 0.2  # [m] lever by which an angle is compared with a length: about a hand
+WORDS = (*COUNTING, "relative_to")  # options that say what counts
 
 
 def even(scale: float) -> np.ndarray:
@@ -45,6 +46,8 @@ class Published:
         self.memory = robot.n  # numbers kept from step to step
         self.loop = servo()
         self.options: Options = make_options(dict(counting))
+        what_counts(robot, self.options)
+        relatives(robot, self.options)
 
     def settings(self, h: float) -> dict[str, float]:
         """Gains and options used at sample time h."""
@@ -121,19 +124,32 @@ def bind(
 
     known: names of the caller's own options, of which one may have been meant.
     """
-    if isinstance(method, Method) or (isinstance(method, str) and method in METHODS):
-        words = (*COUNTING, "relative_to")
-        counting = {name: options[name] for name in words if name in options}
-        others = {name: value for name, value in options.items() if name not in words}
+    check_options(method, options, known)
+    if not is_published(method):
+        return RuleSteps(robot, method, limits, options)
+    counting = {name: options[name] for name in WORDS if name in options}
+    others = {name: value for name, value in options.items() if name not in WORDS}
+    return Published(robot, make_method(method, **others), counting)
+
+
+def is_published(method: Any) -> bool:
+    """Whether this is a method of tracking/methods.py, and not a solver."""
+    return isinstance(method, Method) or (isinstance(method, str) and method in METHODS)
+
+
+def check_options(method: Any, options: Iterable[str], known: Iterable[str]) -> None:
+    """Raise InvalidOption for an unknown method, or an option that it does not take; known: see `bind`."""
+    if is_published(method):
         name = method if isinstance(method, str) else method.name
-        allowed = (*METHODS[name][1], "damping")
-        for option in others:
-            if option not in allowed:
-                near = near_match(option, (*allowed, *words, *known))
-                raise InvalidOption(f"{name} has no option '{option}'.{near}")
-        return Published(robot, make_method(method, **others), counting)
-    if method is None or isinstance(method, str):
+        allowed = (*METHODS[name][1], "damping", *WORDS)
+    else:
         rules = [row.name for row in list_rows() if row.tracks]
-        if method not in rules:
+        if method is None or (isinstance(method, str) and method not in rules):
             raise InvalidOption(f"no tracking method '{method}'.{near_match(method, (*METHODS, *rules))}")
-    return RuleSteps(robot, method, limits, options)
+        row = find_row(method)
+        name = row.name
+        allowed = (*(row.load()._fields if isinstance(method, str | type) else ()), "tolerance", *NAMES)
+    for option in options:
+        if option not in allowed and option not in OTHERWISE:
+            near = near_match(option, dict.fromkeys((*allowed, *known)))
+            raise InvalidOption(f"{name} has no option '{option}'.{near}")

@@ -45,8 +45,8 @@ METHODS: dict[str, tuple[int, tuple[str, ...], str]] = {
 class Method:
     """A tracking method and its options; None means the default, which may depend on the sample time.
 
-    kappa [1/s] (cv), kp [1/s^2] and kd [1/s] (ca): default the best gains for the sample time. reading 1, 2 or 3 of eq (25)
-    (aa). gamma (aad). null_damping [1/s] of redundant arms at acceleration level, at most 1/h. damping of the
+    kappa [1/s] (cv), kp [1/s^2] and kd [1/s] (ca), not negative: default the best gains for the sample time. reading 1, 2 or 3
+    of eq (25) (aa). gamma (aad). null_damping [1/s] of redundant arms at acceleration level, at most 1/h. damping of the
     pseudo-inverse near singularities (lengths over reach); 0 inverts exactly.
     """
 
@@ -66,17 +66,20 @@ class Method:
             value = getattr(self, name)
             if value is not None or name not in ("kappa", "kp", "kd"):
                 number(value, name)
+        if self.name == "ca" and (self.kp is None) != (self.kd is None):
+            raise InvalidOption("ca needs both kp and kd, or neither")
         if self.reading not in (1, 2, 3):
             raise InvalidOption(f"reading must be 1, 2 or 3 (see the docs of aa), not {self.reading}")
-        if self.gamma <= 0.0 or self.null_damping < 0.0 or self.damping < 0.0:
-            raise InvalidOption("gamma must be positive, null_damping and damping not negative")
+        if self.gamma <= 0.0:
+            raise InvalidOption(f"gamma must be positive, not {self.gamma:g}")
+        for name in ("kappa", "kp", "kd", "null_damping", "damping"):
+            if (getattr(self, name) or 0.0) < 0.0:
+                raise InvalidOption(f"{name} must not be negative, not {getattr(self, name):g}")
 
     def gains(self, h: float, delay: float = 0.0) -> dict[str, float]:
         """Gains used at sample time h [s] as `check_gains` takes them, for joints measured `delay` samples ago."""
         best = best_gains(self.name, h, delay)
         given = {"kappa": self.kappa, "kp": self.kp, "kd": self.kd, "gamma": self.gamma}
-        if self.name == "ca" and (self.kp is None) != (self.kd is None):
-            raise InvalidOption("ca needs both kp and kd, or neither")
         return {name: best[name] if given[name] is None else float(given[name] or 0.0) for name in best}
 
     @property

@@ -38,11 +38,15 @@ class Secondary:
         if self.cost is not None:
             given = floats(self.cost(at.copy()), f"cost must return a number or its slope ({len(at)},)", InvalidOption)
             slope = self._slope(self.cost, at) if given.shape == () else given
-        if slope.shape != at.shape:
-            raise InvalidOption(f"cost must return a number or its slope ({len(at)},), not shape {slope.shape}")
+            if slope.shape != at.shape:
+                raise InvalidOption(f"cost must return a number or its slope ({len(at)},), not shape {slope.shape}")
+            if not np.isfinite(slope).all():
+                name, told = getattr(self.cost, "__name__", type(self.cost).__name__), np.array2string(at, precision=4)
+                what = "is not finite" if np.isfinite(given).all() or given.shape else f"is {given:g}"
+                raise InvalidOption(f"cost ({name}) {what} at or beside q = {told}")
         if self.nimble > 0.0:
             slope = slope - self.nimble * self._slope(self._volume, at)
-        self.wish[2] = -np.where(np.isfinite(slope), slope, 0.0) / unit
+        self.wish[2] = -slope / unit
 
     def _slope(self, cost: Callable, at: np.ndarray) -> np.ndarray:
         """Slope of a number by differences."""

@@ -19,6 +19,7 @@ from ..robot.pose import PROJECT_WITHIN
 from ..robot.robot import Robot
 from ..robot.tree import Tree
 from ..solvers.avoid import collision_model
+from .engine import check_options
 from .inputs import number, positive
 from .methods import Method, interpolate
 from .plan import Planner
@@ -72,6 +73,8 @@ def track(
     and would work. Raises InvalidOption, InvalidTarget, InvalidConfiguration.
     """
     references = _references(robot, reference)
+    own, passed_on = track.__kwdefaults__ or (), Tracker.__init__.__kwdefaults__ or ()
+    check_options(method, (name for name in options if name not in passed_on), (*own, *passed_on))
     dt = positive(dt, "dt [s]")
     duration = references[0].duration
     times = references[0].times(dt)

@@ -49,7 +49,8 @@ class Tracker:
     What counts: mask, slack, free_turn, frame, relative_to as in `ik.solve`. Beside the task, in its null space: avoid_limits
     (True, False or a rate [1/s]): lead joints away from near limits; posture (n,) [rad or m] to keep, or (posture, rate);
     elbow {joint: 1 or -1}: the side of its zero on which a joint stays; manipulability [1/s]: how strongly it is raised;
-    cost: a function of q (n,) [rad or m] to lower, which returns a number or its slope (n,).
+    cost: a function of q (n,) [rad or m] to lower, which returns a number or its slope (n,), always finite: else InvalidOption,
+    here for q0 and in `update`, which then takes no step.
 
     avoid_collisions: True (the robot's own links) or a CollisionModel: the arm slows down before what is in its way and slides
     along it, and takes no step after which it could not stop without a contact (BLOCKED); for things that stand still.
@@ -133,6 +134,8 @@ class Tracker:
                 f"at q0 '{self._touching[0]}' touches '{self._touching[1]}'; start where nothing touches"
             )
         self._late = self._longest
+        if self.secondary.cost is not None:  # what is wrong with it is said now, not in a control loop
+            self.secondary.look(self._q)
         self.stream.forget()
         if target is not None:
             self.stream.take(0, target, twist, acceleration)

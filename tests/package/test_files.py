@@ -84,6 +84,14 @@ def test_links_modes_and_devices_are_respected(tmp_path):
     assert not os.path.isfile("/dev/null")
 
 
+def test_a_place_that_cannot_be_written_is_named_as_it_was_given(tmp_path, capsys):
+    """Not the temporary file beside it. (A folder without write permission stops nobody who is root.)"""
+    for place in ("/proc/out.json", str(tmp_path / ("x" * 250 + ".json"))):  # with .part the name is too long
+        assert main(["solve", ARM, "--xyz", "1", "1", "0", "-o", place]) == 2
+        said = capsys.readouterr().err
+        assert place in said.replace("\n", "") and ".part" not in said
+
+
 def test_what_is_kept_ends_at_the_last_mark(tmp_path):
     path = tmp_path / "out.csv"
     path.write_text(OLD)

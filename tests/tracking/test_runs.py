@@ -30,6 +30,59 @@ def test_solver_rules_as_trackers(panda):
         track(panda, ref, "dls", dampling=1.0)
 
 
+@pytest.mark.parametrize("method", ["cv", "lm"])
+def test_wrong_names_are_refused_before_anything_runs(panda, method):
+    """At construction, with what exists; not at the first update, or after the start has been solved for."""
+    arms = ik.Tree.load("brokk_hydrolek", tips=["left_tip", "right_tip"])
+    for call in (ik.Tracker, ik.Solver)[: 1 + (method == "lm")]:
+        for option, value in (("relative_to", {"left_tip": "rigth_tip"}), ("mask", {"rigth_tip": [1, 1, 1, 0, 0, 0]})):
+            wanted = f"{option}: 'rigth_tip' is not one .* Did you mean 'right_tip'.*left_tip, right_tip"
+            with pytest.raises(InvalidOption, match=wanted):
+                call(arms, method, **{option: value})
+        with pytest.raises(InvalidOption, match="relative_to is circular: left_tip -> right_tip -> left_tip"):
+            call(arms, method, relative_to={"left_tip": "right_tip", "right_tip": "left_tip"})
+        with pytest.raises(InvalidOption, match="relative_to is for robots with several tips"):
+            call(panda, method, relative_to={"left_tip": "right_tip"})
+    ref = panda_reference(panda, True, 1.0)
+    for wrong, meant in (("max_strech", "max_stretch"), ("positon_tolerance", "position_tolerance"), ("q_0", "q0")):
+        with pytest.raises(InvalidOption, match=f"{method} has no option '{wrong}'. Did you mean '{meant}'"):
+            track(panda, ref, method, **{wrong: 1.0})
+    with pytest.raises(InvalidOption, match=f"{method} has no option 'acceleration_limit'. .*'acceleration_limits'"):
+        ik.Tracker(panda, method, acceleration_limit=1.0)
+
+
+def test_gains_that_lead_away_from_the_target_are_refused(panda):
+    for method, name in (("cv", "kappa"), ("ca", "kp"), ("ca", "kd"), ("aad", "null_damping"), ("av", "damping")):
+        given = {"kp": 1.0, "kd": 1.0} if method == "ca" else {}
+        with pytest.raises(InvalidOption, match=f"{name} must not be negative, not -3"):
+            ik.Tracker(panda, method, **{**given, name: -3.0})
+    with pytest.raises(InvalidOption, match="both kp and kd"):
+        ik.Tracker(panda, "ca", kd=1.0)
+
+
+def test_a_cost_that_is_not_finite_is_told_and_no_step_is_taken(panda):
+    """At once for q0; later the tracker stays where it is."""
+
+    def barrier(q):
+        return -np.log(Q0[0] + 0.01 - q[0]) if q[0] < Q0[0] + 0.01 else np.nan
+
+    def slope(q):
+        return np.full(7, np.inf)
+
+    for cost in (slope, lambda q: np.nan):
+        with pytest.raises(InvalidOption, match=rf"cost \({cost.__name__}\) .* at or beside q = \["):
+            ik.Tracker(panda, q0=Q0, cost=cost)
+    tracker = ik.Tracker(panda, q0=Q0, cost=barrier)
+    tracker.update(panda.fk(Q0), 0.01)
+    tracker.reset(Q0)
+    there = Q0 + np.array([0.2, 0, 0, 0, 0, 0, 0])
+    with pytest.raises(InvalidOption, match=r"cost \(barrier\) is nan"):
+        for _ in range(100):
+            before = tracker.q
+            tracker.update(panda.fk(there), 0.01)
+    assert np.array_equal(tracker.q, before) and before[0] > Q0[0]
+
+
 def test_saved_files(panda, tmp_path):
     run = track(panda, panda_reference(panda, True, 1.0), "aad", dt=0.01, q0=Q0)
     with np.load(run.save(tmp_path / "run.npz")) as data:

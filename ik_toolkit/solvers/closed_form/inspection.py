@@ -13,7 +13,7 @@ import numpy as np
 
 from ...errors import InvalidOption
 from ...kernel.chain import Chain
-from ...kernel.checks import BAD_START, BAD_TARGET, LIMIT_BLOCKED, rigid
+from ...kernel.checks import BAD_START, BAD_TARGET, LIMIT_BLOCKED, ORTHONORMAL, rigid
 from ...kernel.jit import cached
 from ...kernel.kinematics import room
 from ...kernel.records import AT, ORDER, WEIGHTS
@@ -134,7 +134,7 @@ def solve(rows, ends, seeds, feat, T, Q0, out, opt, hist):
     row, limits = np.empty(6), np.empty(WINDOWS)
     goal, joints, trig = np.empty(12), np.empty(room(n)[0]), np.zeros(room(n)[1])
     for t in range(T.shape[0]):
-        if not rigid(T[t]):
+        if not rigid(T[t], ORTHONORMAL):
             out[t, 0] = BAD_TARGET
             continue
         q0 = Q0[t if Q0.shape[0] > 1 else 0]

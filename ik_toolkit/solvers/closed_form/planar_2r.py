@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ...kernel.chain import Chain
-from ...kernel.checks import BAD_START, BAD_TARGET, rigid
+from ...kernel.checks import BAD_START, BAD_TARGET, ORTHONORMAL, rigid
 from ...kernel.jit import cached, jit
 from ...kernel.kinematics import room
 from ...kernel.records import AT, ORDER, WEIGHTS
@@ -110,7 +110,7 @@ def solve(rows, ends, seeds, feat, T, Q0, out, opt, hist):
     q, best = np.empty(n), np.empty(n)
     goal, joints, trig = np.empty(12), np.empty(room(2)[0]), np.zeros(room(2)[1])
     for t in range(T.shape[0]):
-        if not rigid(T[t]):
+        if not rigid(T[t], ORTHONORMAL):
             out[t, 0] = BAD_TARGET
             continue
         q0 = Q0[t if Q0.shape[0] > 1 else 0]

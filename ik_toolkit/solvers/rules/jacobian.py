@@ -14,6 +14,11 @@ from ..protocol import Asked, rule
 FLOOR = 1e-12  # minimum damping: at the target of a planar arm JJ' has no inverse
 
 
+def negative(name: str, value: Any) -> str:
+    """Why a rule refuses a parameter that must not be negative, or ''. What is no number is refused with the others."""
+    return f"needs a {name} of at least 0, not {value:g}" if isinstance(value, int | float) and value < 0 else ""
+
+
 @rule
 class LM(NamedTuple):
     """Levenberg-Marquardt: dq = J'(J J' + damping |e|^2 I)^-1 e; joints pushed past a limit are held and the step redone.
@@ -25,6 +30,10 @@ class LM(NamedTuple):
     damping: float = 0.02
     hold = True
     wrap = True
+
+    def refuses(self, asked: Asked) -> str:
+        """Why it cannot do what is requested, or ''."""
+        return negative("damping", self.damping)
 
     def lanes(self) -> Callable:
         """These steps for eight targets side by side."""
@@ -49,6 +58,10 @@ class DLS(NamedTuple):
     damping: float = 0.03
     hold: bool = True
 
+    def refuses(self, asked: Asked) -> str:
+        """Why it cannot do what is requested, or ''."""
+        return negative("damping", self.damping)
+
     def step(self, p, e):
         p.damped(e, self.damping * self.damping + FLOOR)
         return 0
@@ -64,6 +77,10 @@ class Pinv(NamedTuple):
 
     gain: float = 1.0
     rcond: float = 1e-8
+
+    def refuses(self, asked: Asked) -> str:
+        """Why it cannot do what is requested, or ''."""
+        return negative("gain", self.gain)
 
     def step(self, p, e):
         s = p.desk
@@ -85,6 +102,10 @@ class Transpose(NamedTuple):
     """
 
     gain: float = 1.0
+
+    def refuses(self, asked: Asked) -> str:
+        """Why it cannot do what is requested, or ''."""
+        return negative("gain", self.gain)
 
     def step(self, p, e):
         s = p.desk

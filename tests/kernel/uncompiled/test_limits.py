@@ -167,36 +167,36 @@ def test_poses_that_are_rigid():
         R *= np.linalg.det(R)
         T = np.eye(4)
         T[:3, :3], T[:3, 3] = R, rng.normal(size=3)
-        assert checks.rigid(T) and checks.is_rigid(T)
+        assert checks.rigid(T, 1e-6) and checks.is_rigid(T)
         for r in range(4):
             for c in range(4):
                 bad = T.copy()
                 bad[r, c] = np.nan
-                assert not checks.rigid(bad)
+                assert not checks.rigid(bad, 1e-6)
                 off = T.copy()
                 off[r, c] += 2e-6 if r < 3 and c < 3 else 0.0
                 skew = np.abs(off[:3, :3].T @ off[:3, :3] - np.eye(3)).max()
-                assert checks.rigid(off) == (skew < 1e-6) or abs(skew - 1e-6) < 1e-12
+                assert checks.rigid(off, 1e-6) == (skew < 1e-6) or abs(skew - 1e-6) < 1e-12
             bad = T.copy()
             bad[3, r] += 3e-9
-            assert not checks.rigid(bad)
+            assert not checks.rigid(bad, 1e-6)
             bad = T.copy()
             bad[3, r] -= 5e-10
-            assert checks.rigid(bad)
+            assert checks.rigid(bad, 1e-6)
         mirrored = T.copy()
         mirrored[:3, 0] *= -1.0
-        assert not checks.rigid(mirrored)
+        assert not checks.rigid(mirrored, 1e-6)
         far = T.copy()
         far[rng.integers(3), 3] = -2e100
-        assert not checks.rigid(far)
+        assert not checks.rigid(far, 1e-6)
         far[:3, 3] = 0.3e100
-        assert checks.rigid(far)
+        assert checks.rigid(far, 1e-6)
     for k in range(3):  # each column doubled, each pair of columns the same
         T = np.eye(4)
         T[k, k] = 1.0 + 0.7e-6
-        assert not checks.rigid(T)
+        assert not checks.rigid(T, 1e-6)
         T[k, k] = 1.0 + 0.3e-6
-        assert checks.rigid(T)
+        assert checks.rigid(T, 1e-6)
 
 
 def test_rings_and_targets_beyond():
