@@ -8,6 +8,7 @@ import numpy as np
 from ..errors import InvalidTarget
 from ..robot.pose import length
 from ..tracking.reachable import near_limits
+from ..tracking.step import StepStatus
 from ..tracking.tracker import Tracker
 
 STEP = 0.02  # [s] of robot time
@@ -27,45 +28,68 @@ class Followed(NamedTuple):
     message: str
 
 
-def follow(
-    robot: Any,
-    q: np.ndarray,
-    target: Any,
-    tolerance: float,
-    limits: bool = True,
-    avoid_collisions: Any = False,
-) -> Followed:
-    """Step from rest at q (n,) towards a target until it is reached, nothing moves any more, or a second has passed.
+class Hand:
+    """An arm that goes after a target from call to call, with one `Tracker`.
 
-    At the edge of its reach the arm goes on to the closest pose. tolerance [m and rad]: for a reached target; limits,
-    avoid_collisions as in `Tracker`. Raises InvalidTarget, and what `Tracker` raises.
+    q (n,): where it stands; tolerance [m and rad]: for a reached target; limits, avoid_collisions and reconfigure as in
+    `Tracker`. Raises what `Tracker` raises.
     """
-    errors, settled, at = _errors(robot, q, target), False, q
-    away = max(position for position, _ in errors.values())
-    if not away < FAR * robot.reach:
-        raise InvalidTarget(f"the target is {away:.3g} m away, more than {FAR:g} times the reach of the arm")
-    tracker = Tracker(
-        robot,
-        "cv",
-        q0=q,
-        rate0=np.zeros(robot.n),
-        limits=limits,
-        on_limit="direct",
-        avoid_collisions=avoid_collisions,
-        reconfigure=False,  # a hand expects the arm to stay as it is; the page's solver finds other postures
-    )
-    left = [_size(errors)]
-    for _ in range(STEPS):
-        if _met(errors, tolerance):
-            break
-        at = tracker.update(target, STEP).q
-        errors = _errors(robot, at, target)
-        left.append(_size(errors))
-        settled = len(left) > REST and left[-1] > SLOW * left[-1 - REST]
-        if settled:
-            break
-    met = _met(errors, tolerance)
-    return Followed(at, met, settled or met, errors, _words(robot, at, errors, met, settled))
+
+    def __init__(
+        self,
+        robot: Any,
+        q: np.ndarray,
+        *,
+        tolerance: float,
+        limits: bool = True,
+        avoid_collisions: Any = False,
+        reconfigure: bool = True,
+    ) -> None:
+        """Stand at q."""
+        self.robot = robot
+        self.options = {"tolerance": tolerance, "limits": limits, "avoid_collisions": avoid_collisions}
+        self._tracker = Tracker(
+            robot,
+            "cv",
+            q0=q,
+            rate0=np.zeros(robot.n),
+            limits=limits,
+            on_limit="direct",
+            avoid_collisions=avoid_collisions,
+            reconfigure=reconfigure,
+        )
+        self._kinds: list[int] | None = None
+
+    def follow(self, q: np.ndarray, target: Any) -> Followed:
+        """Step from q (n,) towards a target until it is reached, nothing moves any more, or a second has passed.
+
+        Where q is not where it stood it starts again from rest. At the edge of its reach the arm goes on to the closest pose.
+        Raises InvalidTarget, and what `Tracker` raises.
+        """
+        robot, tracker, tolerance = self.robot, self._tracker, self.options["tolerance"]
+        errors, settled, at = _errors(robot, q, target), False, q
+        away = max(position for position, _ in errors.values())
+        if not away < FAR * robot.reach:
+            raise InvalidTarget(f"the target is {away:.3g} m away, more than {FAR:g} times the reach of the arm")
+        kinds = [np.ndim(target.get(tip)) for tip in robot.tips] if robot.by_tip else [np.ndim(target)]
+        if kinds != self._kinds or not np.array_equal(q, tracker.q):
+            tracker.reset(q, rate0=np.zeros(robot.n))
+            self._kinds = kinds
+        left = [_size(errors)]
+        for _ in range(STEPS):
+            if _met(errors, tolerance):
+                break
+            step = tracker.update(target, STEP)
+            at = step.q
+            errors = _errors(robot, at, target)
+            left.append(_size(errors))
+            if step.status is StepStatus.RECONFIGURING:  # on the way to another posture the error may grow
+                left = left[-1:]
+            settled = len(left) > REST and left[-1] > SLOW * left[-1 - REST]
+            if settled:
+                break
+        met = _met(errors, tolerance)
+        return Followed(at, met, settled or met, errors, _words(robot, at, errors, met, settled))
 
 
 def prepare(robot: Any, q: np.ndarray, target: Any) -> None:

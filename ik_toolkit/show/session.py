@@ -23,7 +23,7 @@ from ..solvers.result import Result
 from ..solvers.solve import solve
 from ..solvers.solve_all import solve_all
 from ..text import parameter, plain, vector
-from .hand import Followed, follow, prepare
+from .hand import Followed, Hand, prepare
 
 KINDS = ("roll pitch yaw", "quaternion", "matrix", "free")  # how a typed target's orientation is given
 NONE = "no target"  # for one of several tips
@@ -72,6 +72,7 @@ class Session:
             self.boxes = {}
         self.source, self.entry, self.robot = source, entry, robot
         self._world: CollisionModel | None = None
+        self._hand: Hand | None = None
         self.tips = tuple(entry.tips) if len(entry.tips) > 1 else path_ends(robot.model)
         self.q = robot.home.copy()
         samples = robot.random_q(np.random.default_rng(0), SAMPLES)
@@ -217,8 +218,10 @@ class Session:
     def _approach(self) -> None:
         """Continue from a failed attempt to the closest pose near it."""
         with contextlib.suppress(InvalidTarget, InvalidConfiguration):  # too far away, or already in contact
+            # As it stands: where another posture reaches the target, it is not the chosen solver that has found it.
+            hand = Hand(self.robot, self.q, **self.options(), reconfigure=False)
             for _ in range(PATIENCE):
-                if self.follow(self.target).settled:
+                if self._move(hand).settled:
                     return
 
     def follow(self, target: Any) -> Followed:
@@ -226,7 +229,12 @@ class Session:
         if self.robot.by_tip and not target:
             raise InvalidTarget(f"give a target for at least one of {', '.join(self.robot.tips)}")
         self.target, self.result = _copy(target), None
-        self.followed = follow(self.robot, self.q, self.target, **self.options())
+        if self._hand is None or self._hand.options != self.options():
+            self._hand = Hand(self.robot, self.q, **self.options())
+        return self._move(self._hand)
+
+    def _move(self, hand: Hand) -> Followed:
+        self.followed = hand.follow(self.q, self.target)
         self.q = self.followed.q.copy()
         return self.followed
 
@@ -261,16 +269,18 @@ class Session:
         name = next(name for k in itertools.count(1) if (name := f"box {k}") not in self.boxes)
         self.world.add_box(size, T, name)
         self.boxes[name] = list(size), T
+        self._hand = None
         return name
 
     def move_box(self, name: str, T: np.ndarray) -> None:
         """Move a box to a pose (4, 4) in the base frame."""
         self.world.move(name, T)
         self.boxes[name] = self.boxes[name][0], T
+        self._hand = None
 
     def clear_boxes(self) -> None:
         """Remove all boxes."""
-        self.boxes, self._world = {}, None
+        self.boxes, self._world, self._hand = {}, None, None
 
     def contacts(self) -> tuple[list[tuple[str, str]], Near | None]:
         """Pairs that touch at the current q, and the nearest pair; none if the robot's shapes cannot be read."""

@@ -4,9 +4,11 @@ import json
 
 import numpy as np
 import pytest
+import robots
 
 import ik_toolkit as ik
 from ik_toolkit.errors import InvalidTarget
+from ik_toolkit.show.hand import Hand
 from ik_toolkit.show.session import Session
 
 ROBOT = "hydrolek_7w"  # of the panel, see conftest.py
@@ -31,6 +33,47 @@ def test_a_dragged_target_out_of_reach_is_followed_to_the_closest_pose(robot):
     assert session.followed.success and "converged" in session.followed.message
     with pytest.raises(InvalidTarget, match="1000 times the reach"):
         session.follow(start + 1e200)
+
+
+@pytest.mark.parametrize("name", ["hydrolek_7w", "panda"])
+def test_a_target_that_only_another_posture_reaches_is_reached(name):
+    """Dragged in one go from home to poses of random joint values: every one can be reached, and so it is."""
+    session = Session(robots.load(name).name)
+    rng, changed = np.random.default_rng(1), 0
+    for _ in range(16):
+        session.q = session.robot.home.copy()
+        target = session.poses(session.robot.random_q(rng))[session.robot.tip]
+        stiff = Hand(session.robot, session.q, tolerance=1e-6, reconfigure=False)
+        at = session.q
+        for _ in range(20):
+            found = stiff.follow(at, target)
+            at = found.q
+            if found.settled:
+                break
+        changed += not found.success
+        assert any(session.follow(target).settled for _ in range(20)) and session.followed.success
+    assert changed  # a target that every arm reaches as it stands would prove nothing
+
+
+def test_a_hand_goes_on_where_it_was_and_starts_again_where_it_is_put():
+    session = Session("hydrolek_7w")
+    arm, start = session.robot, session.robot.home
+    far = arm.fk(start).translation + np.array([-0.6, 0.6, 0.2]) * arm.reach
+    hand = Hand(arm, start, tolerance=1e-6)
+    first = hand.follow(start, far)
+    assert not first.settled
+    on = hand.follow(first.q, far)
+    rest = Hand(arm, start, tolerance=1e-6).follow(start, far)
+    assert np.array_equal(first.q, rest.q) and not np.array_equal(first.q, on.q)
+    assert np.array_equal(hand.follow(start, far).q, first.q)  # put back: from rest, as at first
+    assert hand.follow(start, arm.fk(start).homogeneous).success  # a pose after positions
+    session.follow(far)
+    kept = session._hand
+    session.follow(far)
+    assert session._hand is kept
+    session.limits = False
+    session.follow(far)
+    assert session._hand is not kept
 
 
 def test_a_drag_is_told_apart_from_a_solve():
