@@ -1,4 +1,4 @@
-"""A closed form and the search after it share one budget of evaluations."""
+"""Evaluations and iterations that run out: a closed form and the search after it share one budget."""
 
 import numpy as np
 import pytest
@@ -44,3 +44,21 @@ def test_a_used_up_budget_is_said():
             assert "limit of 5 evaluations was reached" in result.message
         assert result.fk_evaluations <= 5
     assert said <= {"CONVERGED", "UNREACHABLE", "LIMIT_BLOCKED", "ITERATION_LIMIT"}
+
+
+def test_attempts_that_are_all_cut_off_are_called_that():
+    """Nothing has stalled where no attempt was allowed more than two steps: more of them reach the target."""
+    robot = robots.load("hydrolek_7w")
+    target = robot.fk(robot.random_q(np.random.default_rng(3)))
+    for steps in (0, 1, 2):
+        cut = ik.solve(robot, target, max_iterations=steps)
+        assert cut.status == ik.Status.ITERATION_LIMIT and "after 250 starts, each cut off" in cut.message
+        assert "try more iterations" in cut.message and "unreachable" not in cut.message
+        assert ik.solve_batch(robot, [target], max_iterations=steps).status[0] == ik.Status.ITERATION_LIMIT
+    assert "after 1 iteration;" in ik.solve(robot, target, max_iterations=1, restarts=0).message
+    assert ik.solve(robot, target).success
+    away = target.homogeneous
+    away[2, 3] += (
+        0.6 * robot.reach
+    )  # in reach of the links, not of the joints: what the search itself gives up is STALLED
+    assert ik.solve(robot, away).status in (ik.Status.STALLED, ik.Status.LIMIT_BLOCKED, ik.Status.UNREACHABLE)

@@ -303,3 +303,18 @@ def test_lengths_in_messages_are_in_metres_where_they_are_long():
     assert far.status == ik.Status.UNREACHABLE and "left_tip 1e+05 m" in far.message and "mm" not in far.message
     one = ik.solve(load(ARM), (1e5, 0.0, 0.0), restarts=0)
     assert "beyond reach by 1e+05 m" in one.message and "mm" not in one.message
+
+
+@pytest.mark.parametrize("rule", [("lm", "damping"), ("dls", "damping"), ("pinv", "gain"), ("transpose", "gain")])
+def test_a_negative_parameter_is_refused(rule):
+    solver, name = rule
+    robot = load(ARM)
+    for call in (ik.solve, ik.solve_batch):
+        target = robot.fk(robot.home) if call is ik.solve else [robot.fk(robot.home)]
+        with pytest.raises(InvalidOption, match=f"'{solver}' needs a {name} of at least 0, not -3"):
+            call(robot, target, solver, **{name: -3.0})
+
+
+def test_a_misspelled_parameter_of_a_solver_gets_its_near_match():
+    with pytest.raises(InvalidOption, match=r"no option 'dampin'\. Did you mean 'damping'"):
+        ik.solve(load(ARM), (1.0, 0.1, 0.2), "dls", dampin=0.1)

@@ -166,39 +166,6 @@ def test_a_used_up_budget_is_called_that(solver):
     assert "allowed" not in ik.solve(robot, target, solver, max_evaluations=1000).message
 
 
-def test_attempts_that_are_all_cut_off_are_called_that():
-    """Nothing has stalled where no attempt was allowed more than two steps: more of them reach the target."""
-    robot = robots.load("hydrolek_7w")
-    target = robot.fk(robot.random_q(np.random.default_rng(3)))
-    for steps in (0, 1, 2):
-        cut = ik.solve(robot, target, max_iterations=steps)
-        assert cut.status == ik.Status.ITERATION_LIMIT and "after 250 starts, each cut off" in cut.message
-        assert "try more iterations" in cut.message and "unreachable" not in cut.message
-        assert ik.solve_batch(robot, [target], max_iterations=steps).status[0] == ik.Status.ITERATION_LIMIT
-    assert "after 1 iteration;" in ik.solve(robot, target, max_iterations=1, restarts=0).message
-    assert ik.solve(robot, target).success
-    away = target.homogeneous
-    away[2, 3] += (
-        0.6 * robot.reach
-    )  # in reach of the links, not of the joints: what the search itself gives up is STALLED
-    assert ik.solve(robot, away).status in (ik.Status.STALLED, ik.Status.LIMIT_BLOCKED, ik.Status.UNREACHABLE)
-
-
-@pytest.mark.parametrize("rule", [("lm", "damping"), ("dls", "damping"), ("pinv", "gain"), ("transpose", "gain")])
-def test_a_negative_parameter_is_refused(rule):
-    solver, name = rule
-    robot = robots.load("hydrolek_7w")
-    for call in (ik.solve, ik.solve_batch):
-        target = robot.fk(robot.home) if call is ik.solve else [robot.fk(robot.home)]
-        with pytest.raises(errors.InvalidOption, match=f"'{solver}' needs a {name} of at least 0, not -3"):
-            call(robot, target, solver, **{name: -3.0})
-
-
-def test_a_misspelled_parameter_of_a_solver_gets_its_near_match():
-    with pytest.raises(errors.InvalidOption, match=r"no option 'dampin'\. Did you mean 'damping'"):
-        ik.solve(robots.load("hydrolek_7w"), (1.0, 0.1, 0.2), "dls", dampin=0.1)
-
-
 def test_singular_planar_arm():
     """A straight planar 3R asked for a point on its own line: J'e = 0, so Jacobian methods stand still (Burrell 2016, 6.4)."""
     robot = robots.load("planar_3r")
