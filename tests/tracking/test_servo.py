@@ -286,7 +286,7 @@ def test_wishes_beside_the_task(panda):
     def volume(q):
         return np.prod(np.linalg.svd(panda.jacobian(q), compute_uv=False))
 
-    assert volume(low.q) > volume(aside) + 1e-3
+    assert volume(low.q) > volume(aside) + 1e-4  # rounding is 1e-16
     for wrong in ({"posture": np.zeros(3)}, {"elbow": {"elbow": 1}}, {"elbow": 1}, {"cost": 3}, {"avoid_limits": -1.0}):
         with pytest.raises((InvalidOption, InvalidConfiguration)):
             Tracker(panda, **wrong)
