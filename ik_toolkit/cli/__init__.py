@@ -97,6 +97,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     except (KeyboardInterrupt, typer.Abort):
         return _stopped(terminated)
     except Exception as error:
+        if terminated:  # while LLVM compiles, ctypes drops the KeyboardInterrupt, and what follows fails
+            return _stopped(terminated)
         if debug:
             raise
         text, code = _explain(error)

@@ -1,8 +1,10 @@
 """User errors, bugs, interrupts and closed pipes: one sentence, an exit code, never a traceback."""
 
 import os
+import signal
 import subprocess
 import sys
+import time
 
 import pytest
 import robots
@@ -34,6 +36,7 @@ SOLVE = ["solve", "hydrolek_7w", "--xyz", "1.0", "0.1", "0.2"]
         ([*SOLVE, "--rpy", "0", "0", "0", "--quat-xyzw", "0", "0", "0", "1"], "give one of rpy"),
         ([*SOLVE, "--quat-wxyz", "0", "0", "0", "0"], "quat_wxyz has length 0"),
         ([*SOLVE, "--from-q", "home"], "--from-q gives the whole target"),
+        ([*SOLVE[:2], "--targets", DH, "--from-q", "home"], "--from-q gives the whole target"),
         ([*SOLVE[:2], "--from-q", "1", "2"], "--from-q takes 6 values, one per joint"),
         ([*SOLVE, "--timeout", "-1"], "timeout must be between 0 and inf"),
         ([*SOLVE, "--all", "--timeout", "1"], "it takes no 'timeout'"),
@@ -186,3 +189,18 @@ def test_several_targets_for_one_tip_are_refused_with_what_takes_them(run):
     for targets in ([(1, 0.1, 0.2), (1, 0.2, 0.2)], [robot.fk(robot.home), robot.fk(robot.lower)]):
         with pytest.raises(errors.InvalidTarget, match="solve_batch takes many targets"):
             ik.solve(robot, targets)
+
+
+def test_a_termination_that_a_callback_loses_is_no_bug(monkeypatch, capsys):
+    """While LLVM compiles, ctypes prints and drops the KeyboardInterrupt, and the compilation fails."""
+
+    def lose_it():
+        try:
+            os.kill(os.getpid(), signal.SIGTERM)
+            time.sleep(5.0)
+        except KeyboardInterrupt:
+            raise RuntimeError("no compiled object yet") from None
+
+    monkeypatch.setattr(cli, "application", lose_it)
+    assert cli.main(["robots"]) == 143
+    assert capsys.readouterr().err.endswith("ik: terminated\n")

@@ -11,6 +11,7 @@ import ik_toolkit as ik
 from ik_toolkit.errors import InvalidConfiguration, InvalidOption
 from ik_toolkit.kernel import box
 from ik_toolkit.robot.robot import Robot
+from ik_toolkit.tracking.limits import LIMIT_NAMES, changed_limits, limit_rows
 from ik_toolkit.tracking.track import track
 
 
@@ -174,3 +175,34 @@ def test_limit_options_are_checked(panda):
         track(panda, ref, acceleration_limits=-1.0)
     with pytest.raises(InvalidConfiguration, match="panda_joint4"):
         track(panda, ref, q0=[0, 0, 0, 3.0, 0, 1, 0])
+
+
+def test_limits_are_in_the_units_of_the_loop_and_change_only_where_they_are_given():
+    """A slide counts in reaches there: what goes in as metres comes back as metres."""
+    arm = ik.Robot.load("inspection_7dof")
+    unit = np.where(np.array(arm.joint_kinds) == "prismatic", arm.chain.scale, 1.0)
+    assert (unit != 1.0).any()
+    acceleration = np.linspace(1.0, 2.0, arm.n)
+    rows = limit_rows(arm, True, acceleration)
+    speed = np.where(np.array(arm.velocity_limits) > 0.0, arm.velocity_limits, np.inf)
+    np.testing.assert_allclose(rows * unit, [arm.lower, arm.upper, speed, acceleration], rtol=1e-12)
+    kept = rows.copy()
+    changed = changed_limits(arm, rows, {"lower": None, "upper": None, "speed": {"lift": 0.05}, "acceleration": 3.0})
+    lift = arm.joint_names.index("lift")
+    wanted = kept * unit
+    wanted[2, lift], wanted[3] = 0.05, 3.0
+    np.testing.assert_allclose(changed * unit, wanted, rtol=1e-12)
+    at_start, turn = arm.lower + 0.01, arm.joint_names[-1]
+    np.testing.assert_allclose(  # an array and a joint by name: the others keep what they had
+        changed_limits(arm, rows, {**dict.fromkeys(LIMIT_NAMES), "lower": at_start, "upper": {turn: 0.4}})[:2] * unit,
+        [at_start, np.where(np.array(arm.joint_names) == turn, 0.4, arm.upper)], rtol=1e-12,
+    )  # fmt: skip
+    assert np.array_equal(rows, kept)  # a refused change must leave nothing behind
+    same = {"lower": arm.home, "upper": arm.home, "speed": 0.0, "acceleration": None}
+    locked = changed_limits(arm, rows, same)  # a joint may be locked where it stands
+    np.testing.assert_allclose(locked[:2] * unit, [arm.home, arm.home], rtol=1e-12)
+    for name in ("speed", "acceleration"):
+        with pytest.raises(InvalidOption, match=f"{name} must be numbers of at least 0"):
+            changed_limits(arm, rows, {**dict.fromkeys(LIMIT_NAMES), name: -0.1})
+    with pytest.raises(InvalidOption, match="must not be above"):
+        changed_limits(arm, rows, {**dict.fromkeys(LIMIT_NAMES), "lower": arm.upper + 0.1})

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from ik_toolkit.kernel import box, clock, constrain, motion, obey, servo, wanted
+from ik_toolkit.kernel import box, clock, constrain, levels, motion, obey, servo, wanted
 from ik_toolkit.kernel.box import HELD
 from ik_toolkit.kernel.constrain import DIRECT, LEAVE, SLOW
 from ik_toolkit.kernel.levels import HIGH, LOW, RHS, WANT, make_levels
@@ -115,6 +115,28 @@ def test_the_clock_of_a_run():
     assert state[STATE.clock] == 4.0
     servo.tick(state, slow, 3.5 + 2e-9, 0.5)
     assert state[STATE.clock] != 4.0 and clock.WHOLE == 1e-9
+
+
+def test_a_joint_that_has_to_stand_still_leaves_the_jacobian_and_no_other_does():
+    J = np.random.default_rng(3).normal(size=(5, 6))
+    floor, roof = np.array([-1.0, 0.0, 0.0, -1.0, 0.0]), np.array([1.0, 0.0, 1.0, 0.0, 0.0])
+    left = J.copy()
+    servo.leave_out(left, floor, roof)
+    assert not left[[1, 4]].any() and np.array_equal(left[[0, 2, 3]], J[[0, 2, 3]])
+
+
+def test_from_rest_standing_still_is_allowed_and_nothing_else_changes():
+    rng, n, count = np.random.default_rng(5), 4, 3
+    for _ in range(50):
+        s = make_levels(n, count + 1)
+        s.V[LOW, :n], s.V[HIGH, :n] = np.sort(rng.normal(size=(2, n)) + rng.choice([0.0, 1.0, -1.0], n), axis=0)
+        s.S[RHS, :count] = rng.normal(size=count) + rng.choice([0.0, 2.0])
+        low, high, most = s.V[LOW, :n].copy(), s.V[HIGH, :n].copy(), s.S[RHS, : count + 1].copy()
+        barred = (low > 0.0).any() or (high < 0.0).any() or (most[:count] < 0.0).any()
+        assert levels.from_rest(s.V, s.S, n, count) == barred
+        assert np.array_equal(s.V[LOW, :n], np.minimum(low, 0.0))
+        assert np.array_equal(s.V[HIGH, :n], np.maximum(high, 0.0))
+        assert np.array_equal(s.S[RHS, :count], np.maximum(most[:count], 0.0)) and s.S[RHS, count] == most[count]
 
 
 def test_half_planes_are_gathered_and_rates_clipped():

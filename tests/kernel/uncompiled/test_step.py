@@ -166,6 +166,24 @@ def test_what_limits_make_of_the_rates_wanted():
     assert held and code.tolist() == [0, 0, 0, ROW, 0, 0] and row @ x == pytest.approx(0.3)
     sigma, held, x, code, _ = given(LEAVE, 2.0, want=np.array([1.0, 1, 1, 1, 1, -3.0]))
     assert held and code[5] == 2 and x[5] == -2.0 and RECOVERING == 16
+    row = np.array([0.0, 0.1, 0.0, -0.9, 0.0, 0.0])  # the joint that the row holds most, whichever way
+    _, held, x, code, _ = given(LEAVE, 2.0, plane=(row, -1.0))
+    assert held and code.tolist() == [0, 0, 0, ROW, 0, 0] and row @ x == pytest.approx(-1.0)
+
+
+def test_what_is_wished_beside_the_task_has_no_part_along_it():
+    rng = np.random.default_rng(8)
+    for n, m in ((7, 6), (4, 3), (7, 3)):
+        s, state = bench(n, m), np.zeros(len(STATE))
+        s.J[:], s.f[:], s.x[:] = rng.normal(size=(n, m)), rng.normal(size=m), rng.normal(size=n)
+        s.size[:], s.weight[:], s.floor[:], s.roof[:] = 1.0, 1.0, -9.0, 9.0
+        motion.factor(s.J, m, 0.0, s.G, s.y)
+        state[STATE.sigma], wanted_rates = 1.0, s.x.copy()
+        lists = np.zeros(n, np.int8), np.zeros(4, np.int8), np.zeros(n, np.uint8)
+        obey.by_constraints(law(), s, 0, 1.0, 0.1, state, make_room(n, m, 3), *lists)
+        np.testing.assert_allclose(s.J.T @ s.v, 0.0, atol=1e-12)
+        pinv = np.linalg.pinv(s.J.T)
+        np.testing.assert_allclose(s.v, wanted_rates - pinv @ (s.J.T @ wanted_rates), atol=1e-10)
 
 
 # ----------------------------------------------------------------------------------------------------------- two levels
