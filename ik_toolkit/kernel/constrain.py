@@ -108,11 +108,10 @@ def outside(want, scale, low, high, A, b, count):
 
 
 @inner
-def load(J, weight, feedback, forward, want, scale, low, high, A, b, count, cap, loose, P, V, S, task):
-    """Write the problem in scaled unknowns, the clock full: how many rows the task has, and whether a half-plane is degenerate."""
-    n = J.shape[0]
+def bound(scale, low, high, A, b, count, loose, P, V, S):
+    """Write the box and the half-planes in scaled unknowns."""
+    n = scale.shape[0]
     for i in range(n):
-        V[WANT, i] = want[i] / scale[i]
         V[LOW, i] = low[i] / scale[i]
         V[HIGH, i] = high[i] / scale[i]
     for k in range(count):
@@ -124,6 +123,14 @@ def load(J, weight, feedback, forward, want, scale, low, high, A, b, count, cap,
         S[RHS, k] = max(b[k], 0.0) if size == 0.0 else b[k] / size + loose
         for i in range(n):
             P[k, i] = P[k, i] / size if size > 0.0 else 0.0
+
+
+@inner
+def load(J, weight, feedback, forward, want, scale, count, cap, P, V, S, task):
+    """Write the rate wanted and the task in scaled unknowns, the clock full: how many rows the task has."""
+    n = J.shape[0]
+    for i in range(n):
+        V[WANT, i] = want[i] / scale[i]
     r = 0
     for c in range(J.shape[1]):
         size = 0.0
@@ -239,7 +246,8 @@ def prepare(
 ):  # fmt: skip
     """Write the problem with the clock full: the number of the task's rows."""
     n = J.shape[0]
-    r = load(J, weight, feedback, forward, want, scale, low, high, A, b, count, cap, loose, P, V, S, task)
+    bound(scale, low, high, A, b, count, loose, P, V, S)
+    r = load(J, weight, feedback, forward, want, scale, count, cap, P, V, S, task)
     if not regular(P, L, count, r, n, singular):
         rotate(P, task, count, r, n)
         r = damp(P, V, S, task, count, r, n, singular, damping, cap, cut)
@@ -247,6 +255,24 @@ def prepare(
         for k in range(count, count + r):
             task[1, k] = S[RHS, k]
     return r
+
+
+@inner
+def keep_set(state, rows, n, count, start):
+    """Keep what holds as the start of a problem of the next step."""
+    for i in range(n):
+        start[i] = state[i]
+    for k in range(start.shape[0] - n):
+        start[n + k] = state[rows + k] if k < count else 0
+
+
+@inner
+def take_set(start, rows, n, count, state):
+    """Start from what was kept."""
+    for i in range(n):
+        state[i] = start[i]
+    for k in range(count):
+        state[rows + k] = start[n + k]
 
 
 @inner
@@ -287,7 +313,7 @@ def answer(scale, low, high, A, count, unit, V, S, state, x, active, kept, multi
 @spliced
 def constrain(
     J, weight, feedback, forward, want, beside, scale, low, high, A, b, count, mode, cap, singular, damping, room,
-    x, active, kept, multiplier, step=0.0,
+    x, active, kept, starts, multiplier, step=0.0,
 ):  # fmt: skip
     """Write to x (n,) the rate that does the task as well as possible, then is nearest to `want`; return status and clock rate.
 
@@ -301,21 +327,22 @@ def constrain(
     active (n,), kept (R + 1,) int8 carry what held on to the next step: -1 low, 1 high, 2 in a half-plane that holds. Status
     WANTED: x is `want`, bit for bit, which lies inside and does the task. MET: the task is done at the rate returned (SLOW: of
     the clock, DIRECT: alpha). SHORT: not all of it can be. RELAXED: the half-planes contradict each other or the box and were
-    loosened by the least slack. INEXACT: no optimum was found in the iterations allowed, x is only inside the box. multiplier
-    (n + R,): of the bounds, positive at high, then of the half-planes: of the task error, or where that has none, of the
+    loosened by the least slack. INEXACT: no optimum was found in the iterations allowed, x is only inside the box. starts
+    (2, n + R + 1) int8 carries on what held in the problems solved on the way, of the clock and of leaving the direction: their
+    sets are others, and each is found soonest from its own. multiplier (n + R,): of the bounds, positive at high, then of the half-planes: of the task error, or where that has none, of the
     closeness to `want`.
     """
     s = room.levels
     return solve_step(
         J, weight, feedback, forward, want, beside, scale, low, high, A, b, count, mode, cap, singular, damping, step,
-        x, active, kept, multiplier, s.P, s.W, s.L, s.U, s.V, s.S, s.state, s.order, room.task,
+        x, active, kept, starts, multiplier, s.P, s.W, s.L, s.U, s.V, s.S, s.state, s.order, room.task,
     )  # fmt: skip
 
 
 @inner
 def solve_step(
     J, weight, feedback, forward, want, beside, scale, low, high, A, b, count, mode, cap, singular, damping, step,
-    x, active, kept, multiplier, P, W, L, U, V, S, state, order, task,
+    x, active, kept, starts, multiplier, P, W, L, U, V, S, state, order, task,
 ):  # fmt: skip
     """Carry out `constrain`: one loop over the problems to solve, because the code of each is large."""
     n = J.shape[0]
@@ -333,7 +360,10 @@ def solve_step(
         state[P.shape[1] + k] = kept[k]
     state[n] = 0
     stage = CLOCK if mode != LEAVE and kept[last] != 0 else FULL
-    clock_tried, fresh, done = False, True, False
+    clocked = stage == CLOCK
+    if clocked:
+        take_set(starts[0], P.shape[1], n, count, state)
+    clock_tried, fresh, moved, done = False, True, False, False
     loose, unit, rate, damped = 0.0, 0.0, top, 1.0
     r = 0
     while True:
@@ -342,7 +372,11 @@ def solve_step(
                 J, weight, feedback, forward, want, scale, low, high, A, b, count, mode, top, singular, damping, cut,
                 loose, P, L, V, S, task,
             )  # fmt: skip
-            fresh = False
+        elif moved:
+            bound(scale, low, high, A, b, count, loose, P, V, S)
+            if stage == ASIDE and clocked:
+                take_set(starts[1], P.shape[1], n, count, state)
+        fresh, moved = False, False
         N, rows = n, r
         if stage == EASED:
             move = -1.0 if mode == DIRECT else rate
@@ -354,7 +388,7 @@ def solve_step(
             clock_tried = True
             unit = add_clock(P, V, S, task, count, r, n, top)
             N = n + 1 if unit > 0.0 else n
-            fresh = mode == DIRECT and from_rest(V, S, n, count)
+            moved = mode == DIRECT and from_rest(V, S, n, count)
         elif stage == ASIDE:
             aside(P, S, count, r, n, rate)
         elif stage == SLACK:
@@ -376,6 +410,8 @@ def solve_step(
         if end != DONE or stage == EASED:
             break
         done = not unmet(S, count, r)
+        if stage == CLOCK or stage == ASIDE:
+            keep_set(state, P.shape[1], n, count, starts[0 if stage == CLOCK else 1])
         if stage == CLOCK:
             rate = top - unit * V[Y, n] if N > n else top
             if rate >= top * (1.0 - FULL_CLOCK):

@@ -35,7 +35,7 @@ def judge(wanted, h, p, state):
 
 
 @inline
-def by_constraints(law, s, count, sigma, h, state, work, active, kept, code):
+def by_constraints(law, s, count, sigma, h, state, work, active, kept, starts, code):
     """Rates that the limits allow, to s.x: the clock's rate then, and whether anything prevented those wanted."""
     n, m = s.J.shape
     mode = LEAVE if state[STATE.leaving] > 0.0 and law.mode == SLOW else int(law.mode)
@@ -53,7 +53,7 @@ def by_constraints(law, s, count, sigma, h, state, work, active, kept, code):
     for _ in range(2):
         status, part = constrain(
             s.J, s.weight, s.ask, s.f, s.w, s.v, s.size, s.floor, s.roof, s.planes, s.edges, count, mode, 1.0, SINGULAR, DAMPING,
-            work, s.x, active, kept, s.multiplier, h,
+            work, s.x, active, kept, starts, s.multiplier, h,
         )  # fmt: skip
         share *= part
         if mode != SLOW or share * sigma >= least - WHOLE:
@@ -79,23 +79,23 @@ def by_constraints(law, s, count, sigma, h, state, work, active, kept, code):
 
 
 @inline
-def by_clipping(law, s, count, sigma, h, state, work, active, kept, code):
+def by_clipping(law, s, count, sigma, h, state, work, active, kept, starts, code):
     """The same for a solver's rule: each joint on its own. (`constrain` in each rule's loop would take a minute to compile.)"""
     clip(s.x, s.floor, s.roof, s.why_low, s.why_top, code)
     return sigma, False
 
 
-def obey(rule, law, s, count, sigma, h, state, work, active, kept, code):
+def obey(rule, law, s, count, sigma, h, state, work, active, kept, starts, code):
     """Rates that the limits allow, see `by_constraints`."""
     how = by_constraints if isinstance(rule, Published) else by_clipping
-    return how(law, s, count, sigma, h, state, work, active, kept, code)
+    return how(law, s, count, sigma, h, state, work, active, kept, starts, code)
 
 
 @overload(obey, jit_options=INLINE)
-def _obey(rule, law, s, count, sigma, h, state, work, active, kept, code):
+def _obey(rule, law, s, count, sigma, h, state, work, active, kept, starts, code):
     how = by_constraints if rule.instance_class is Published else by_clipping
-    return lambda rule, law, s, count, sigma, h, state, work, active, kept, code: how(
-        law, s, count, sigma, h, state, work, active, kept, code
+    return lambda rule, law, s, count, sigma, h, state, work, active, kept, starts, code: how(
+        law, s, count, sigma, h, state, work, active, kept, starts, code
     )
 
 

@@ -187,7 +187,7 @@ def clip_rates(law, s, still, h, memory, code):
 def run(step, rows, ends, orders, given, own, samples, out, h, block):
     """The loop of `servo` on views, with zeros to cut its scratch from."""
     _, p, counts, limits, wish, lines, level, measured = given
-    _, motion, memory, swings, away, state, active, kept = own
+    _, motion, memory, swings, away, state, active, kept, starts = own
     (_, T, V, A, caps), (_, Q, R, E, S, C) = samples, out
     q, rate = motion[0], motion[1]
     n, m, room = q.shape[0], V.shape[1], kept.shape[0] - 1
@@ -253,7 +253,7 @@ def run(step, rows, ends, orders, given, own, samples, out, h, block):
         if still or law.mode == CLIP:
             clip_rates(law, s, still, h, memory, C[i])
         else:
-            done, held = obey(rule, law, s, count, sigma, h, state, work, active, kept, C[i])
+            done, held = obey(rule, law, s, count, sigma, h, state, work, active, kept, starts, C[i])
             watch(swings, state[STATE.near] > 0.0, s.before, s.x, s.size, h)
             if held:
                 own_up(law, h, ratio, s.w, s.x, s.lead, sigma - done, memory)

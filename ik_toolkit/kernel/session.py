@@ -42,8 +42,9 @@ class Carried(NamedTuple):
     swings: Array  # (2, n) how often in a row each joint turned back, and for how long it has not [s], see `box.watch`
     away: Array  # (n,) where joints go from a pose in which they are straight
     state: Array  # a `State`
-    active: Array  # (n,) and kept, int8: the active set of `constrain`
+    active: Array  # (n,) and kept, int8: the active set of `constrain` ...
     kept: Array
+    starts: Array  # (2, n + rows) int8 ... and those it found on the way
 
 
 @compiled
@@ -78,7 +79,7 @@ def settings_shapes(n, m, rows):
 @shared
 def carried_shapes(n, memory, rows):
     """Shapes of `Carried`; bytes in whole numbers of eight."""
-    return (2, n), memory, (2, n), n, STATES, (n + 7) // 8, (rows + 7) // 8
+    return (2, n), memory, (2, n), n, STATES, (n + 7) // 8, (rows + 7) // 8, (2 * (n + rows) + 7) // 8
 
 
 @shared
@@ -111,10 +112,11 @@ def settings_of(block):
 def carried_of(block):
     """Parts of a block (K,) of n, numbers of memory, rows."""
     n, memory, rows = head(block)
-    motion, own, swings, away, state, active, kept = cut(block, np.float64, carried_shapes(n, memory, rows))
+    motion, own, swings, away, state, active, kept, starts = cut(block, np.float64, carried_shapes(n, memory, rows))
     return Carried(
-        block, motion, own, swings, away, state, fold(active, np.int8, 1, n)[0], fold(kept, np.int8, 1, rows)[0]
-    )
+        block, motion, own, swings, away, state, fold(active, np.int8, 1, n)[0], fold(kept, np.int8, 1, rows)[0],
+        fold(starts, np.int8, 2, n + rows),
+    )  # fmt: skip
 
 
 @shared

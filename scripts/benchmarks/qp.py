@@ -36,21 +36,22 @@ CASES = {
 
 
 @cached
-def run(J, v, want, low, high, A, b, count, mode, singular, repeats, active, kept):
+def run(J, v, want, low, high, A, b, count, mode, singular, repeats, active, kept, starts):
     """Run the steps `repeats` times from the same start; returns the sum of their clock rates."""
     n, m = J.shape[1], J.shape[2]
     room = make_room(n, m, A.shape[0])
     weight, scale, back = np.ones(m), np.ones(n), np.zeros(m)
     x, push = np.empty(n), np.empty(n + A.shape[0])
-    before, held = active.copy(), kept.copy()
+    before, held, began = active.copy(), kept.copy(), starts.copy()
     total = 0.0
     for _ in range(repeats):
         active[:] = before
         kept[:] = held
+        starts[:] = began
         for i in range(J.shape[0]):
             status, rate = constrain(
                 J[i], weight, back, v[i], want[i], want[i], scale, low, high, A, b, count, mode, 1.0, singular, singular,
-                room, x, active, kept, push,
+                room, x, active, kept, starts, push,
             )  # fmt: skip
             total += rate + status
     return total
@@ -69,13 +70,14 @@ def measure(n: int, case: tuple, runs: int, rng: np.random.Generator) -> np.ndar
         low, high = -reach * rng.uniform(0.3, 1.0, n), reach * rng.uniform(0.3, 1.0, n)
         A, b = rng.normal(size=(ROWS, n)), reach * rng.uniform(0.0, 0.3, ROWS)
         active, kept = np.zeros(n, np.int8), np.zeros(ROWS + 1, np.int8)
+        starts = np.zeros((2, n + ROWS + 1), np.int8)
         for i in range(SAMPLES):
             one = [J[i : i + 1], v[i : i + 1], want[i : i + 1], low, high, A, b, count, mode, singular]
-            spent, started = [], (active.copy(), kept.copy())
+            spent, started = [], (active.copy(), kept.copy(), starts.copy())
             for _ in range(REPEATS):
-                active[:], kept[:] = started
+                active[:], kept[:], starts[:] = started
                 start = perf_counter()
-                run(*one, INNER, active, kept)
+                run(*one, INNER, active, kept, starts)
                 spent.append((perf_counter() - start) / INNER)
             times.append(min(spent) * 1e6)
     return np.array(times)

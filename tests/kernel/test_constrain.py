@@ -16,12 +16,12 @@ def many(count):
 
 @cached
 def kernel(
-    J, weight, feedback, forward, want, scale, low, high, A, b, count, mode, cap, singular, damping, x, active, kept, push, step
+    J, weight, feedback, forward, want, scale, low, high, A, b, count, mode, cap, singular, damping, x, active, kept, starts, push, step
 ):  # fmt: skip
     room = make_room(J.shape[0], J.shape[1], A.shape[0])
     return constrain(
         J, weight, feedback, forward, want, want, scale, low, high, A, b, count, mode, cap, singular, damping, room,
-        x, active, kept, push, step,
+        x, active, kept, starts, push, step,
     )  # fmt: skip
 
 
@@ -39,12 +39,14 @@ class Step:
         self.weight = np.ones(m) if weight is None else weight
         self.scale = np.ones(n) if scale is None else scale
         self.active, self.kept = np.zeros(n, np.int8), np.zeros(len(self.b) + 1, np.int8)
+        self.starts = np.zeros((2, n + len(self.b) + 1), np.int8)
         self.x, self.push = np.empty(n), np.empty(n + len(self.b))
 
     def __call__(self, feedback, forward, want):
         self.status, self.rate = kernel(
             self.J, self.weight, feedback, forward, want, self.scale, self.low, self.high, self.A, self.b, self.count,
-            self.mode, self.cap, self.singular, self.damping, self.x, self.active, self.kept, self.push, self.step,
+            self.mode, self.cap, self.singular, self.damping, self.x, self.active, self.kept, self.starts,
+            self.push, self.step,
         )  # fmt: skip
         return self.x.copy()
 

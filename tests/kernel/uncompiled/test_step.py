@@ -139,8 +139,9 @@ def given(mode, roof=0.5, h=0.1, sigma=1.0, plane=None, want=None):
     motion.factor(s.J, n, 0.0, s.G, s.y)
     state[STATE.sigma] = sigma
     code, active, kept = np.zeros(n, np.uint8), np.zeros(n, np.int8), np.zeros(4, np.int8)
+    starts = np.zeros((2, n + 4), np.int8)
     found = obey.by_constraints(
-        law(mode=mode, rows=float(count)), s, count, sigma, h, state, make_room(n, n, 3), active, kept, code
+        law(mode=mode, rows=float(count)), s, count, sigma, h, state, make_room(n, n, 3), active, kept, starts, code
     )
     holds = [k < count and bool(abs(s.planes[k] @ s.x - s.edges[k]) < 1e-9) for k in range(3)]
     assert kept[:3].tolist() == holds
