@@ -18,6 +18,7 @@ Y, WANT, LOW, HIGH, ONE, TWO, NEXT_ONE, NEXT_TWO = range(8)  # rows of V
 RHS, REST, SIZE, Z, H, NORM, ROW_ONE, ROW_TWO, AFTER_ONE, AFTER_TWO, TASK_ONE, TASK_TWO = range(12)  # rows of S
 NONE = -1
 SAME = 1e-10  # share of a row's length that remains after the others are removed, below which it depends on them
+CLEAR = 0.01  # share of a row's square that remains, from which on one pass is enough (Daniel et al., 1976, for 0.1 of its length)
 ROUNDING = 1e-13  # share of its terms below which a sum is rounding
 
 
@@ -108,6 +109,7 @@ def span(P, W, L, S, state, order, N, count, r, last):
     largest = 0.0
     for k in range(count, K):
         largest = max(largest, S[NORM, k])
+        S[H, k] = dot(W, k, W, k, N)
         for j in range(planes):
             take_out(W, L, order, k, j, N)
         S[SIZE, k] = dot(W, k, W, k, N)
@@ -118,9 +120,11 @@ def span(P, W, L, S, state, order, N, count, r, last):
                 k = c
         if not S[SIZE, k] > SAME * SAME * largest * largest:
             break
-        for j in range(q):
-            take_out(W, L, order, k, j, N)
-        size = math.sqrt(dot(W, k, W, k, N))
+        if S[SIZE, k] < CLEAR * S[H, k]:
+            for j in range(q):
+                take_out(W, L, order, k, j, N)
+            S[SIZE, k] = dot(W, k, W, k, N)
+        size = math.sqrt(S[SIZE, k])
         L[k, q] = size
         for i in range(N):
             W[k, i] /= size
@@ -207,6 +211,8 @@ def equality(P, W, L, U, V, S, state, order, N, count, r, last):
         V[NEXT_TWO, i] = V[WANT, i] - V[Y, i]
     for k in range(K):
         one, two = (S[AFTER_ONE, k], S[AFTER_TWO, k]) if k < count else (S[TASK_ONE, k], S[TASK_TWO, k])
+        if one == 0.0 and two == 0.0:
+            continue
         for i in range(N):
             V[NEXT_ONE, i] -= P[k, i] * one
             V[NEXT_TWO, i] -= P[k, i] * two
@@ -233,13 +239,17 @@ def least_squares(L, U, S, count, r, planes, q):
             U[K + h, j] = 0.0
         for k in range(r):
             U[j, k] = L[count + k, planes + j]
+        whole, left = dot(U, j, U, j, r), 0.0
         for _ in range(2):
             for h in range(j):
                 s = dot(U, h, U, j, r)
                 for k in range(r):
                     U[j, k] -= s * U[h, k]
                 U[K + h, j] += s
-        size = math.sqrt(dot(U, j, U, j, r))
+            left = dot(U, j, U, j, r)
+            if left >= CLEAR * whole:
+                break
+        size = math.sqrt(left)
         U[K + j, j] = size
         s = 0.0
         for k in range(r):

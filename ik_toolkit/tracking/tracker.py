@@ -287,13 +287,13 @@ class Tracker:
         if self._kinds == kinds:
             return
         self._orders, counts = self.engine.orders(kinds)
-        rows = ROWS + 2 * int((counts[1] > 0.0).sum())
-        if self._mode == CLIP and rows > ROWS:
+        slacks = 2 * int((counts[1] > 0.0).sum())
+        if self._mode == CLIP and slacks:
             raise InvalidOption("slack is kept by the constrained step, so on_limit cannot be 'clip'")
         if self._other:
             self._other.ready(kinds)
         self._settings.counts[:] = counts
-        self._carried.block[3] = rows + 1
+        self._carried.block[3] = (ROWS if self._guard else 0) + slacks + 1
         self._carried = carried_of(self._carried.block)
         self._carried.kept[:] = 0
         posed = tuple(bool(counts[0, 6 * f + 3 : 6 * f + 6].any()) for f in range(len(kinds)))
