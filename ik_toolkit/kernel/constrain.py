@@ -24,13 +24,10 @@ from .levels import (
     RHS,
     ROW_ONE,
     ROW_TWO,
-    SIZE,
-    TASK_ONE,
     TWO,
     WANT,
     Levels,
     Y,
-    dot,
     from_rest,
     levels_on,
     levels_space,
@@ -38,14 +35,14 @@ from .levels import (
 from .qp import CONTRADICTION, DONE, SAME_TASK, UNMET, solve_levels, unmet
 from .records import Array
 from .singular import damp, regular, rotate
+from .stages import add_clock, aside, ease, slack
 from .view import LINE, cut
 
 LEAVE, SLOW, DIRECT = range(3)
 WANTED, MET, SHORT, RELAXED, INEXACT = range(5)
 FULL, CLOCK, ASIDE, SLACK, EASED = range(5)  # problems to solve
-SMALL = 1e-4  # size of the clock's column beside the task's largest row: the share its square has against the joints' is 1e-8
+SLOWED, TURNED = 1, 2  # how the last step ended: with a slower clock, or in full, but aside of the direction
 FULL_CLOCK = 1e-6  # share of cap from which on a full clock is tried
-DIRECTION = 100.0  # weight of deviating from the direction against falling behind along it, where nothing is blocked
 LOOSE = 1e-9  # half-planes are loosened by this much more than the least slack, so that their gap exceeds rounding
 CUT_AT = 0.1  # of a joint's speed: where the rate wanted is that far outside the box, the feed-forward is removed
 
@@ -147,99 +144,6 @@ def load(J, weight, feedback, forward, want, scale, count, cap, P, V, S, task):
 
 
 @inner
-def add_clock(P, V, S, task, first, r, n, cap):
-    """Let the clock be unknown number n: by how much it is below cap, in units returned. 0: nothing depends on it."""
-    size, top = 0.0, 0.0
-    for k in range(first, first + r):
-        size += task[1, k] * task[1, k]
-        top = max(top, dot(P, k, P, k, n))
-    if not size > 0.0:
-        return 0.0
-    unit = SMALL * math.sqrt(top / size)
-    for k in range(first):
-        P[k, n] = 0.0
-    for k in range(first, first + r):
-        P[k, n] = unit * task[1, k]
-    V[WANT, n] = 0.0
-    V[LOW, n] = 0.0
-    V[HIGH, n] = cap / unit
-    return unit
-
-
-@inner
-def aside(P, S, first, r, n, alpha):
-    """Weight what leaves the asked direction: DIRECTION in full reach, 1 where nothing can be done along it."""
-    size = 0.0
-    for k in range(first, first + r):
-        size += S[RHS, k] * S[RHS, k]
-    weight = 1.0 + (DIRECTION - 1.0) * alpha
-    for i in range(n):
-        s = 0.0
-        for k in range(first, first + r):
-            s += S[RHS, k] * P[k, i]
-        s *= (weight - 1.0) / size
-        for k in range(first, first + r):
-            P[k, i] = weight * P[k, i] - s * S[RHS, k]
-
-
-@inner
-def ease(P, W, V, S, state, task, weight, beside, scale, first, r, n, rate, step):
-    """Let the residual be unknowns from n on, each l of its unit, and be as dear as the joints' motion: l^2, or 0.
-
-    rate: of the clock; below 0: what is asked stays. |C y - d|^2 + l^2 |y - c|^2 is then the second objective, under a task
-    that can always be met. The damping is that of Levenberg and Marquardt: the curvature that C leaves out, at most that of a
-    circle of one kernel unit, times the residual. The centre c must not move the tip, or the arm would rest beside the closest
-    pose: it is what `beside` asks of the free joints, and as much of the rate wanted as of the task is met.
-    """
-    miss, asked, heavy, fast = 0.0, 0.0, 0.0, 0.0
-    for k in range(first, first + r):
-        miss += S[TASK_ONE, k] * S[TASK_ONE, k]
-        if rate >= 0.0:
-            S[RHS, k] = task[0, k] + rate * task[1, k]
-        asked += S[RHS, k] * S[RHS, k]
-    for k in range(weight.shape[0]):
-        heavy = max(heavy, weight[k])
-    unmet = min(math.sqrt(miss / asked), 1.0) if asked > 0.0 else 1.0
-    for i in range(n):
-        fast = max(fast, scale[i])
-        V[WANT, i] *= 1.0 - unmet
-        if state[i] == 0:
-            V[WANT, i] += unmet * beside[i] / scale[i]
-    for k in range(first, first + r):
-        if S[SIZE, k] < 0.0:  # a vector of the basis that `span` found last
-            along = dot(W, k, V, WANT, n)
-            for i in range(n):
-                V[WANT, i] -= along * W[k, i]
-    square = step * math.sqrt(miss) * heavy * fast * fast
-    unit = math.sqrt(square)
-    for k in range(first + r):
-        for j in range(r):
-            P[k, n + j] = unit if k == first + j else 0.0
-    for j in range(n, n + r):
-        V[WANT, j] = 0.0
-        V[LOW, j] = -np.inf
-        V[HIGH, j] = np.inf
-    return square
-
-
-@inner
-def slack(P, V, S, state, n, count):
-    """The problem of the least slack of the half-planes that leaves a point in the box: unknown n, the only task."""
-    for i in range(n):
-        V[WANT, i] = min(max(V[WANT, i], V[LOW, i]), V[HIGH, i])
-        P[count, i] = 0.0
-        state[i] = 0
-    for k in range(count):
-        P[k, n] = -1.0 if dot(P, k, P, k, n) > 0.0 else 0.0
-        state[P.shape[1] + k] = 0
-    P[count, n] = 1.0
-    S[RHS, count] = 0.0
-    V[WANT, n] = 0.0
-    V[LOW, n] = 0.0
-    V[HIGH, n] = np.inf
-
-
-@inner
 def prepare(
     J, weight, feedback, forward, want, scale, low, high, A, b, count, mode, cap, singular, damping, cut, loose,
     P, L, V, S, task,
@@ -328,8 +232,9 @@ def constrain(
     WANTED: x is `want`, bit for bit, which lies inside and does the task. MET: the task is done at the rate returned (SLOW: of
     the clock, DIRECT: alpha). SHORT: not all of it can be. RELAXED: the half-planes contradict each other or the box and were
     loosened by the least slack. INEXACT: no optimum was found in the iterations allowed, x is only inside the box. starts
-    (2, n + R + 1) int8 carries on what held in the problems solved on the way, of the clock and of leaving the direction: their
-    sets are others, and each is found soonest from its own. multiplier (n + R,): of the bounds, positive at high, then of the half-planes: of the task error, or where that has none, of the
+    (2, n + R + 1) int8 carries on what held in the problems solved on the way, of the clock and of leaving the direction: each is
+    solved soonest from its own set. multiplier
+    (n + R,): of the bounds, positive at high, then of the half-planes: of the task error, or where that has none, of the
     closeness to `want`.
     """
     s = room.levels
@@ -359,11 +264,8 @@ def solve_step(
     for k in range(count):
         state[P.shape[1] + k] = kept[k]
     state[n] = 0
-    stage = CLOCK if mode != LEAVE and kept[last] != 0 else FULL
-    clocked = stage == CLOCK
-    if clocked:
-        take_set(starts[0], P.shape[1], n, count, state)
-    clock_tried, fresh, moved, done = False, True, False, False
+    stage = CLOCK if mode != LEAVE and kept[last] == SLOWED else FULL
+    clock_tried, refused, fresh, moved, done = False, False, True, False, False
     loose, unit, rate, damped = 0.0, 0.0, top, 1.0
     r = 0
     while True:
@@ -374,7 +276,7 @@ def solve_step(
             )  # fmt: skip
         elif moved:
             bound(scale, low, high, A, b, count, loose, P, V, S)
-            if stage == ASIDE and clocked:
+            if stage == ASIDE and kept[last] != 0:
                 take_set(starts[1], P.shape[1], n, count, state)
         fresh, moved = False, False
         N, rows = n, r
@@ -386,6 +288,8 @@ def solve_step(
             N = n + r
         elif stage == CLOCK:
             clock_tried = True
+            if kept[last] != 0:
+                take_set(starts[0], P.shape[1], n, count, state)
             unit = add_clock(P, V, S, task, count, r, n, top)
             N = n + 1 if unit > 0.0 else n
             moved = mode == DIRECT and from_rest(V, S, n, count)
@@ -399,13 +303,13 @@ def solve_step(
         state[n] = 0
         if stage == SLACK:
             loose = V[Y, n] * (1.0 + LOOSE) + LOOSE
-            stage, fresh, clock_tried = FULL, True, False
+            stage, fresh, clock_tried, refused = FULL, True, False, False
             continue
         if end == CONTRADICTION and loose == 0.0:
             stage = SLACK
             continue
         if end == UNMET:
-            stage = CLOCK
+            stage, refused = CLOCK, True
             continue
         if end != DONE or stage == EASED:
             break
@@ -416,7 +320,7 @@ def solve_step(
             rate = top - unit * V[Y, n] if N > n else top
             if rate >= top * (1.0 - FULL_CLOCK):
                 rate = top
-                stage = FULL
+                stage = ASIDE if refused and mode == DIRECT else FULL
                 continue
             rate = max(rate, 0.0)
         if mode == DIRECT and stage != ASIDE and not (stage == FULL and done):
@@ -425,6 +329,6 @@ def solve_step(
             stage = EASED
         else:
             break
-    kept[last] = 1 if rate < top else 0
+    kept[last] = SLOWED if rate < top else TURNED if mode == DIRECT and clock_tried and not done else 0
     answer(scale, low, high, A, count, damped, V, S, state, x, active, kept, multiplier)
     return INEXACT if end != DONE else RELAXED if loose > 0.0 else MET if done else SHORT, rate

@@ -18,7 +18,7 @@ Y, WANT, LOW, HIGH, ONE, TWO, NEXT_ONE, NEXT_TWO = range(8)  # rows of V
 RHS, REST, SIZE, Z, H, NORM, ROW_ONE, ROW_TWO, AFTER_ONE, AFTER_TWO, TASK_ONE, TASK_TWO = range(12)  # rows of S
 NONE = -1
 SAME = 1e-10  # share of a row's length that remains after the others are removed, below which it depends on them
-CLEAR = 0.01  # share of a row's square that remains, from which on one pass is enough (Daniel et al., 1976, for 0.1 of its length)
+CLEAR = 0.5  # share of a row's square that remains, from which on one pass is enough (Daniel et al., 1976, for 0.1 of its length)
 ROUNDING = 1e-13  # share of its terms below which a sum is rounding
 
 

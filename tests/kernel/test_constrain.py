@@ -16,7 +16,8 @@ def many(count):
 
 @cached
 def kernel(
-    J, weight, feedback, forward, want, scale, low, high, A, b, count, mode, cap, singular, damping, x, active, kept, starts, push, step
+    J, weight, feedback, forward, want, scale, low, high, A, b, count, mode, cap, singular, damping,
+    x, active, kept, starts, push, step,
 ):  # fmt: skip
     room = make_room(J.shape[0], J.shape[1], A.shape[0])
     return constrain(
@@ -305,6 +306,32 @@ def test_a_residual_damps_the_motion():
         C, d = np.vstack([J.T, np.sqrt(square) * np.eye(7)]), np.append(3.0 * v, np.zeros(7))
         best = lsq_linear(C, d, (low, high), method="bvls", tol=1e-15)
         np.testing.assert_allclose(np.sum((C @ x - d) ** 2), 2.0 * best.cost, rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize("mode", [SLOW, DIRECT])
+def test_what_held_before_changes_the_way_but_not_the_answer(mode):
+    rng = np.random.default_rng(12)
+    ended = set()
+    for _ in range(many(300)):
+        J, v, low, high = problem(rng, 7, 0.3)
+        low = low + rng.random(7) * 0.9 * (high - low)  # moving joints, which cannot stop at once
+        A, b = some_rows(rng, low, high)
+        rows = (A, A @ (0.5 * (low + high)) + b) if rng.random() < 0.5 else None
+        want, ask = 0.3 * rng.normal(size=7), (0.2 * v, rng.choice([0.1, 0.8]) * v)
+        cold = Step(J, low, high, rows, mode, step=0.01)
+        x = cold(*ask, want)
+        for state in (1, 2):
+            other = Step(J, low, high, rows, mode, step=0.01)
+            other.active[:] = rng.integers(-1, 2, 7)
+            other.kept[:-1], other.kept[-1] = rng.integers(0, 2, cold.count or 1), state
+            other.starts[:, :7], other.starts[:, 7:] = (
+                rng.integers(-1, 2, (2, 7)),
+                rng.integers(0, 2),
+            )
+            np.testing.assert_allclose(other(*ask, want), x, atol=1e-9)
+            assert other.status == cold.status and other.rate == pytest.approx(cold.rate, abs=1e-9)
+        ended.add(int(cold.kept[-1]))
+    assert ended == ({0, 1} if mode == SLOW else {0, 1, 2})
 
 
 @pytest.mark.parametrize("mode", [LEAVE, SLOW, DIRECT])

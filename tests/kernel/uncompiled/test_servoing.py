@@ -154,7 +154,7 @@ def test_half_planes_are_gathered_and_rates_clipped():
         np.testing.assert_array_equal(code, np.array([4, 0, 2]) | (HELD if still else 0))
         np.testing.assert_allclose(memory, 0.0 if still else [5.0, 7.0, -10.0])
     s.x[:] = [3.0, 0.2, -3.0]
-    assert obey.by_clipping(law(), s, 0, 0.7, 0.1, None, None, None, None, code) == (0.7, False)
+    assert obey.by_clipping(law(), s, 0, 0.7, 0.1, None, None, None, None, None, code) == (0.7, False)
     np.testing.assert_array_equal(s.x, [1.0, 0.2, -1.0])
 
 
@@ -310,7 +310,8 @@ def loaded(rng, n=5, rows=3):
     A, b = rng.normal(size=(rows, n)), rng.normal(size=rows)
     A[1] = 0.0
     s, task = make_levels(n + 7, rows + 7), np.zeros((2, rows + 7))
-    r = constrain.load(J, weight, back, front, want, scale, low, high, A, b, rows, 0.8, 0.01, s.P, s.V, s.S, task)
+    constrain.bound(scale, low, high, A, b, rows, 0.01, s.P, s.V, s.S)
+    r = constrain.load(J, weight, back, front, want, scale, rows, 0.8, s.P, s.V, s.S, task)
     return J, weight, back, front, want, scale, low, high, A, b, s, task, r
 
 

@@ -1,0 +1,104 @@
+"""What the problems that `constrain` solves one after the other change in the first one. Scratch as in levels.py."""
+
+import math
+
+import numpy as np
+
+from .jit import inner
+from .levels import HIGH, LOW, RHS, SIZE, TASK_ONE, WANT, dot
+
+SMALL = 1e-4  # size of the clock's column beside the task's largest row: the share its square has against the joints' is 1e-8
+DIRECTION = 100.0  # weight of deviating from the direction against falling behind along it, where nothing is blocked
+
+
+@inner
+def add_clock(P, V, S, task, first, r, n, cap):
+    """Let the clock be unknown number n: by how much it is below cap, in units returned. 0: nothing depends on it."""
+    size, top = 0.0, 0.0
+    for k in range(first, first + r):
+        size += task[1, k] * task[1, k]
+        top = max(top, dot(P, k, P, k, n))
+    if not size > 0.0:
+        return 0.0
+    unit = SMALL * math.sqrt(top / size)
+    for k in range(first):
+        P[k, n] = 0.0
+    for k in range(first, first + r):
+        P[k, n] = unit * task[1, k]
+    V[WANT, n] = 0.0
+    V[LOW, n] = 0.0
+    V[HIGH, n] = cap / unit
+    return unit
+
+
+@inner
+def aside(P, S, first, r, n, alpha):
+    """Weight what leaves the asked direction: DIRECTION in full reach, 1 where nothing can be done along it."""
+    size = 0.0
+    for k in range(first, first + r):
+        size += S[RHS, k] * S[RHS, k]
+    weight = 1.0 + (DIRECTION - 1.0) * alpha
+    for i in range(n):
+        s = 0.0
+        for k in range(first, first + r):
+            s += S[RHS, k] * P[k, i]
+        s *= (weight - 1.0) / size
+        for k in range(first, first + r):
+            P[k, i] = weight * P[k, i] - s * S[RHS, k]
+
+
+@inner
+def ease(P, W, V, S, state, task, weight, beside, scale, first, r, n, rate, step):
+    """Let the residual be unknowns from n on, each l of its unit, and be as dear as the joints' motion: l^2, or 0.
+
+    rate: of the clock; below 0: what is asked stays. |C y - d|^2 + l^2 |y - c|^2 is then the second objective, under a task
+    that can always be met. The damping is that of Levenberg and Marquardt: the curvature that C leaves out, at most that of a
+    circle of one kernel unit, times the residual. The centre c must not move the tip, or the arm would rest beside the closest
+    pose: it is what `beside` asks of the free joints, and as much of the rate wanted as of the task is met.
+    """
+    miss, asked, heavy, fast = 0.0, 0.0, 0.0, 0.0
+    for k in range(first, first + r):
+        miss += S[TASK_ONE, k] * S[TASK_ONE, k]
+        if rate >= 0.0:
+            S[RHS, k] = task[0, k] + rate * task[1, k]
+        asked += S[RHS, k] * S[RHS, k]
+    for k in range(weight.shape[0]):
+        heavy = max(heavy, weight[k])
+    unmet = min(math.sqrt(miss / asked), 1.0) if asked > 0.0 else 1.0
+    for i in range(n):
+        fast = max(fast, scale[i])
+        V[WANT, i] *= 1.0 - unmet
+        if state[i] == 0:
+            V[WANT, i] += unmet * beside[i] / scale[i]
+    for k in range(first, first + r):
+        if S[SIZE, k] < 0.0:  # a vector of the basis that `span` found last
+            along = dot(W, k, V, WANT, n)
+            for i in range(n):
+                V[WANT, i] -= along * W[k, i]
+    square = step * math.sqrt(miss) * heavy * fast * fast
+    unit = math.sqrt(square)
+    for k in range(first + r):
+        for j in range(r):
+            P[k, n + j] = unit if k == first + j else 0.0
+    for j in range(n, n + r):
+        V[WANT, j] = 0.0
+        V[LOW, j] = -np.inf
+        V[HIGH, j] = np.inf
+    return square
+
+
+@inner
+def slack(P, V, S, state, n, count):
+    """The problem of the least slack of the half-planes that leaves a point in the box: unknown n, the only task."""
+    for i in range(n):
+        V[WANT, i] = min(max(V[WANT, i], V[LOW, i]), V[HIGH, i])
+        P[count, i] = 0.0
+        state[i] = 0
+    for k in range(count):
+        P[k, n] = -1.0 if dot(P, k, P, k, n) > 0.0 else 0.0
+        state[P.shape[1] + k] = 0
+    P[count, n] = 1.0
+    S[RHS, count] = 0.0
+    V[WANT, n] = 0.0
+    V[LOW, n] = 0.0
+    V[HIGH, n] = np.inf
