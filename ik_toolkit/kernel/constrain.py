@@ -162,6 +162,16 @@ def prepare(
 
 
 @inner
+def recall(active, kept, rows, n, count, state):
+    """Start from what held at the end of the last step."""
+    for i in range(n):
+        state[i] = active[i] if active[i] < 2 else 0
+    for k in range(count):
+        state[rows + k] = kept[k]
+    state[n] = 0
+
+
+@inner
 def keep_set(state, rows, n, count, start):
     """Keep what holds as the start of a problem of the next step."""
     for i in range(n):
@@ -259,15 +269,10 @@ def solve_step(
         as_wanted(want, x, active, kept, multiplier)
         return WANTED, top
     cut = min(1.0, max(far / CUT_AT, math.sqrt(miss / size) if size > 0.0 else 0.0))
-    for i in range(n):
-        state[i] = active[i] if active[i] < 2 else 0
-    for k in range(count):
-        state[P.shape[1] + k] = kept[k]
-    state[n] = 0
+    recall(active, kept, P.shape[1], n, count, state)
     stage = CLOCK if mode != LEAVE and kept[last] == SLOWED else FULL
     clock_tried, refused, fresh, moved, done = False, False, True, False, False
-    loose, unit, rate, damped = 0.0, 0.0, top, 1.0
-    r = 0
+    loose, unit, rate, damped, r = 0.0, 0.0, top, 1.0, 0
     while True:
         if fresh:
             r = prepare(
@@ -283,8 +288,6 @@ def solve_step(
         if stage == EASED:
             move = -1.0 if mode == DIRECT else rate
             damped = ease(P, W, V, S, state, task, weight, beside, scale, count, r, n, move, step)
-            for j in range(n, n + r):
-                state[j] = 0
             N = n + r
         elif stage == CLOCK:
             clock_tried = True

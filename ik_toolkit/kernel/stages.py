@@ -81,6 +81,7 @@ def ease(P, W, V, S, state, task, weight, beside, scale, first, r, n, rate, step
         for j in range(r):
             P[k, n + j] = unit if k == first + j else 0.0
     for j in range(n, n + r):
+        state[j] = 0
         V[WANT, j] = 0.0
         V[LOW, j] = -np.inf
         V[HIGH, j] = np.inf
