@@ -43,6 +43,7 @@ class Published:
         self.method = method
         self.name = method.name
         self.gamma = method.rate_weight
+        self.chosen = method.kappa is not None or method.kp is not None  # gains that somebody chose
         self.memory = robot.n  # numbers kept from step to step
         self.loop = servo()
         self.options: Options = make_options(dict(counting))
@@ -82,6 +83,7 @@ class RuleSteps:
     """A solver's rule on a robot; its state is kept from sample to sample."""
 
     gamma = 1.0
+    chosen = False
     waits = False  # a rule lags behind what moves, limits or not
 
     def __init__(self, robot: Robot | Tree, rule: Any, limits: bool, options: dict[str, Any]) -> None:

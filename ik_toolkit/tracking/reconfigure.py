@@ -17,29 +17,21 @@ from typing import Any
 
 import numpy as np
 
-from ..kernel.box import ACCELERATION, NOISE, POSITION, RECOVERING, VELOCITY
-from ..kernel.checks import CONVERGED, UNREACHABLE
-from ..kernel.kinematics import TAU
-from ..kernel.records import ANSWER, AT, Ends
+from ..kernel.box import ACCELERATION, POSITION, RECOVERING, VELOCITY
 from ..kernel.travel import travel
-from ..solvers.options import COUNTING, Options
-from ..solvers.plan import Plan
-from ..solvers.registry import GENERAL, find_row
 from .engine import LEVER
 from .limits import speeds
+from .postures import STILL, WAIT, Postures, Taken, gap, locked, time_between
 
 FAST = VELOCITY | RECOVERING  # what holds a joint back only for a while
 AWAY = 1e-3  # [m] error, angles at LEVER, from which a target counts as not reached
-WAIT = 0.1  # [s] without progress before a search, and for which a target must have stood
 PROGRESS = 0.9  # of the least error so far: what falls below is on its way
-STILL = 2e-3  # [m, or of a rotation] by which a target that stands may move in WAIT: 20 mm/s, or 0.014 rad/s
 SHARE = 0.1  # of the time between two updates that a search may take ...
 ATTEMPT = 1e-5  # ... which is so many times that of an attempt [s], of one arm of six or seven joints
 ATTEMPTS = 96  # of a search; where one in ten succeeds, all fail once in 25,000 searches
 PAUSE = 2.0  # [s] after a search in vain; while the target stands twice as long after each more. So few updates search that ...
 LONGEST = 16.0  # ... of all updates 99 % take no longer than without
 ELSEWHERE = 0.02  # [m, or of a rotation] from where a search was in vain, a target that stands is worth another at once
-TOLERANCE = 1e-5  # [m, rad] of a posture: the tracker itself comes closer
 LOOKS = 4  # postures of an update that are tested for contacts, up to a millisecond each
 HEADROOM = 0.5  # [s] of a joint at full speed before its limit: what is missing of it counts like a longer way
 ARRIVED = 0.05  # [s] left at full speed, from which on the tracker itself comes closer
@@ -51,15 +43,9 @@ ON_WAY = (0.25, 0.5, 0.75)  # parts of the way at which its error is looked at
 class Reconfiguration:
     """What a tracker knows of another posture. goal (n,): where it is going [kernel units], or None; held: joints at limits."""
 
-    def __init__(self, robot: Any, options: Options, model: Any) -> None:
-        """options: what counts; model: CollisionModel that goals must be free of, or None."""
-        self.robot, self.model = robot, model
-        o = {name: getattr(options, name) for name in (*COUNTING, "relative_to")}
-        exact = {"position_tolerance": TOLERANCE, "orientation_tolerance": TOLERANCE}
-        row = find_row(GENERAL)
-        self.plan = Plan(robot, row, row.load()(), Options(restarts=0, **exact, **o))
-        box = Ends(robot.chain.ends.reshape(len(robot.tips), -1)[0], robot.n)
-        self._turning = np.array([box.turns(i) > 0.0 for i in range(robot.n)])
+    def __init__(self, robot: Any, postures: Postures, model: Any) -> None:
+        """model: CollisionModel that goals must be free of, or None."""
+        self.robot, self.postures, self.model = robot, postures, model
         self._each = max(int(SHARE / ATTEMPT / len(robot.tips)), 1)  # attempts per second of updates
         self._rng = np.random.default_rng(0)
         self._lever = np.tile([1.0] * 3 + [LEVER] * 3, len(robot.tips))
@@ -68,14 +54,6 @@ class Reconfiguration:
         self.forget()
         self._quiet, self._pause = 0.0, PAUSE  # [s] in which no search begins, and after the next one in vain
         self._vain = np.zeros(0)  # where the target was at the last one
-
-    def ready(self, kinds: tuple) -> None:
-        """Take targets of these kinds, and compile (or load) all that is needed later."""
-        self.kinds = kinds
-        q = self.robot.home / self.robot.chain.unit
-        self._attempts(np.tile(np.eye(4), (len(kinds), 1, 1)), q[None])
-        travel(q, np.zeros_like(q), q, 1.0, WAIT, WAIT, np.outer([-1.0, 1.0, 1.0, 1.0], np.full(len(q), np.inf)))
-        self.forget()
 
     def forget(self) -> None:
         """The target is reached, or everything begins anew."""
@@ -87,21 +65,16 @@ class Reconfiguration:
         self._best: tuple[float, np.ndarray] | None = None
 
     # ------------------------------------------------------------------------------------------------ when to search
-    def watch(
-        self, code: list[int], singular: bool, E: np.ndarray, T: np.ndarray, dt: float, q: np.ndarray, limits: np.ndarray,
-        error_at: Callable[[np.ndarray], np.ndarray],
-    ) -> None:  # fmt: skip
-        """Look at a step taken: its bits of limits, error E (m,) [m, rad] to targets T (F, 4, 4), joints q (n,) afterwards.
-
-        limits (4, n); q and limits in kernel units; error_at: E for other joint values. May set `goal`.
-        """
+    def watch(self, taken: Taken) -> None:
+        """Look at a step taken. May set `goal`."""
+        T, q, limits, dt = taken.T[-1], taken.q, taken.limits, taken.dt
         self._quiet -= dt
-        held = 0
+        code, held = taken.code.tolist(), 0
         for bits in code:
             held |= bits
-        if not (held & POSITION or singular):
+        if not (held & POSITION or taken.singular):
             return
-        error = self._size(E)
+        error = self._size(taken.E[1])
         if error < AWAY:
             self.forget()
             self._pause, self._barred = PAUSE, []
@@ -129,7 +102,7 @@ class Reconfiguration:
         if self._left:
             self._search(T, q, limits, dt)
             if not self._left:
-                self._decide(T, q, limits, error_at, stands)
+                self._decide(T, q, limits, taken.error_at, stands)
 
     def _search(self, T: np.ndarray, q: np.ndarray, limits: np.ndarray, dt: float) -> None:
         """As many attempts of the search as an update has time for."""
@@ -145,10 +118,11 @@ class Reconfiguration:
         else:
             starts[1::2] = q + self._rng.random((count // 2, 1)) * (self._best[1] - q)
         self._left -= count
-        found, out = self._attempts(T, np.clip(starts, limits[0], limits[1]), q, limits)
+        starts = np.clip(starts, limits[0], limits[1])
+        found, met, out = self.postures.find(np.repeat(T[None], count, axis=0), starts, q, limits)
         if out:
             self._left = 0
-        scored = [(time_between(q, p, limits) + max(HEADROOM - headroom(p, limits), 0.0), p) for p in found]
+        scored = [(time_between(q, p, limits) + max(HEADROOM - headroom(p, limits), 0.0), p) for p in found[met]]
         scored = [one for one in scored if all(np.abs(one[1] - bad).max() > FAR for bad in self._barred)]
         for one in sorted(scored, key=lambda pair: pair[0])[:LOOKS]:
             if self._best is not None and one[0] >= self._best[0]:
@@ -181,25 +155,6 @@ class Reconfiguration:
         self._vain, self._quiet = T.copy(), self._pause
         self._pause = min(2.0 * self._pause, LONGEST)
 
-    def _attempts(
-        self, T: np.ndarray, starts: np.ndarray, q: np.ndarray | None = None, limits: np.ndarray | None = None
-    ) -> tuple[list[np.ndarray], bool]:
-        """Joint values found from starts (N, n), as near to q as full turns allow; True when the target is out of all reach."""
-        plan, unit, n = self.plan, self.robot.chain.unit, self.robot.n
-        rows = np.zeros((len(starts), plan.width))
-        targets = np.repeat(T[None] if self.robot.by_tip else T, len(starts), axis=0)
-        plan.run(targets, self.kinds, starts * unit, True, rows)
-        if q is None or limits is None:
-            return [], False
-        status = rows[:, AT.status]
-        found = rows[status == CONVERGED, ANSWER : ANSWER + n] / unit
-        turns = np.where(self._turning, np.round((q - found) / TAU), 0.0)
-        with np.errstate(invalid="ignore"):
-            turns = np.clip(turns, np.ceil((limits[0] - found) / TAU), np.floor((limits[1] - found) / TAU))
-        found = found + TAU * turns
-        inside = ((found >= limits[0] - NOISE) & (found <= limits[1] + NOISE)).all(axis=1)
-        return list(np.clip(found[inside], limits[0], limits[1])), bool((status == UNREACHABLE).any())
-
     # ------------------------------------------------------------------------------------------------ on the way
     def go(
         self, q: np.ndarray, rate: np.ndarray, T: np.ndarray, gamma: float, h: float, late: float, limits: np.ndarray
@@ -212,9 +167,11 @@ class Reconfiguration:
         if gap(T, self._place) <= STILL:
             near = CLOSE
         else:
-            found, _ = self._attempts(T, np.array([goal, q]), q, limits)
+            found, met, _ = self.postures.find(np.array([T, T]), np.array([goal, q]), q, limits)
             least = time_between(q, goal, limits)
-            found = [one for one in found if np.abs(one - goal).max() < FAR or time_between(q, one, limits) < least]
+            found = [
+                one for one in found[met] if np.abs(one - goal).max() < FAR or time_between(q, one, limits) < least
+            ]
             if not found:
                 self.forget()
                 return False
@@ -225,7 +182,7 @@ class Reconfiguration:
         return True
 
     @property
-    def joints(self) -> tuple[str, ...]:
+    def why(self) -> tuple[str, ...]:
         """Names of the joints that were at limits."""
         return tuple(self.robot.joint_names[i] for i in self.held)
 
@@ -235,22 +192,6 @@ class Reconfiguration:
             self._barred = [*self._barred[-LOOKS:], self.goal]
         self._hold_off(self._place)
         self.forget()
-
-
-def gap(T: np.ndarray, before: np.ndarray) -> float:
-    """How far poses (F, 4, 4) are from others, as one number."""
-    d = (T - before).ravel()
-    return math.sqrt(d @ d)
-
-
-def locked(limits: np.ndarray) -> bool:
-    """Whether a joint may not move."""
-    return bool(((limits[2] == 0.0) | (limits[0] == limits[1])).any())
-
-
-def time_between(q: np.ndarray, goal: np.ndarray, limits: np.ndarray) -> float:
-    """Least time [s] from joint values q (n,) to goal at full speed."""
-    return float((np.abs(goal - q) / speeds(limits)).max())
 
 
 def headroom(q: np.ndarray, limits: np.ndarray) -> float:

@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..kernel import box
+from .leap import STRAIGHT
 
 NEAR = (
     1e-3,
@@ -55,7 +56,8 @@ class Outcome(NamedTuple):
     lag: float  # of the joints measured, over what is allowed
     resynced: bool
     between: tuple[str, str] | None = None  # names of what would have touched
-    held: tuple[str, ...] | None = None  # on the way to another posture: joints at whose limits this one ended
+    # On the way to another posture, joints at whose limits this one ended; to a target that leapt, see `Leap`.
+    way: tuple[str, ...] | float | None = None
 
 
 class Step:
@@ -95,8 +97,8 @@ class Step:
             return StepStatus.HELD
         if o.resynced or (self._moved() > o.by.jump).any():
             return StepStatus.JUMPED
-        if o.held is not None:
-            return StepStatus.RECONFIGURING
+        if o.way is not None:
+            return StepStatus.LIMITED if isinstance(o.way, float) else StepStatus.RECONFIGURING
         held = int(np.bitwise_or.reduce(o.code))
         if held & box.RECOVERING:
             return StepStatus.RECOVERING
@@ -135,8 +137,10 @@ class Step:
             parts.append("the measured joints are far from the commanded ones")
         if status is StepStatus.AT_LIMIT:
             parts.append("at the closest reachable pose" if o.lost else "as close as the limits allow")
-        if status is StepStatus.RECONFIGURING:
-            where = f": the limit of {', '.join(o.held)} ended the last one" if o.held else ""
+        if isinstance(o.way, float):
+            parts.append(f"as fast as the limits allow to a target that leapt, {_route(o.way)}")
+        elif o.way is not None:
+            where = f": the limit of {', '.join(o.way)} ended the last one" if o.way else ""
             parts.append(f"moving to another posture that reaches the target{where}")
         words = (
             (box.RECOVERING, "outside its limits, moving back:"),
@@ -159,3 +163,13 @@ class Step:
         """Status, error and reason."""
         reason = self.reason
         return f"Step({self.status.name}, {self.position_error:.3g} m{', ' + reason if reason else ''})"
+
+
+def _route(ratio: float) -> str:
+    """How the arm goes to a target that leapt."""
+    if ratio <= STRAIGHT:
+        return "straight"
+    straight = (
+        f"the straight way would take {ratio:.2g} times as long" if ratio < np.inf else "there is no straight way"
+    )
+    return f"through the joints: {straight}"

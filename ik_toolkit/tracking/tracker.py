@@ -18,9 +18,11 @@ from ..robot.tree import Tree
 from ..solvers.avoid import collision_model
 from .engine import bind
 from .inputs import one_of, positive, switch
+from .leap import Leap
 from .limits import LIMIT_NAMES, changed_limits, limit_rows, speeds
 from .methods import Method
 from .obstacles import ROWS, Guard
+from .postures import Postures, Taken
 from .reconfigure import Reconfiguration
 from .secondary import Secondary, read_secondary
 from .stability import AGE
@@ -104,10 +106,14 @@ class Tracker:
         if avoid_collisions is not False:
             model = collision_model(robot, avoid_collisions)
             self._guard = Guard(robot, model, self._limits * robot.chain.unit, self.engine.gamma)
-        self._other: Reconfiguration | None = None
-        if switch(reconfigure, "reconfigure") and limits and self._mode == DIRECT:
-            self._other = Reconfiguration(robot, self.engine.options, self._guard and self._guard.model)
         m = 6 * self.stream.tips
+        self._postures: Postures | None = None
+        self._ways: list[Leap | Reconfiguration] = []  # what leads the joints where the method would not, or too slowly
+        if limits and self._mode == DIRECT:
+            self._postures = Postures(robot, self.engine.options)
+            self._ways.append(Leap(self._postures, m, self.engine.chosen))
+            if switch(reconfigure, "reconfigure"):
+                self._ways.append(Reconfiguration(robot, self._postures, self._guard and self._guard.model))
         self._settings, self._out = new_settings(n, m, ROWS), new_record(2, n, m)
         for part, values in ((self._settings.limits, self._limits), (self._settings.wish, self.secondary.wish)):
             part[:] = values
@@ -121,6 +127,7 @@ class Tracker:
         self._laws: dict[tuple[float, bool], np.ndarray] = {}
         self._ordered: tuple = ()  # what the law of the settings was made of
         self._kinds: tuple | None = None
+        self._goes: Leap | Reconfiguration | None = None  # what the last step was taken by
         self.reset(q0, rate0=rate0)
 
     def reset(
@@ -146,8 +153,8 @@ class Tracker:
         self._q[:] = q / unit
         self._rate[:] = 0.0 if rate is None else rate / unit
         self._forget(motion.GIVEN if rate is not None or self._at_rest else motion.MOVING)
-        if self._other:
-            self._other.forget()
+        for way in self._ways:
+            way.forget()
         self._between: tuple[str, str] | None = None  # what kept the last step from going on
         self._touching = self._guard.restart(q) if self._guard else None
 
@@ -210,42 +217,42 @@ class Tracker:
             for part in stream.divided(parts):
                 h = dt / parts
                 self._step(part, h, not finite, q is not None)
-        if self._other and finite and not self._goes:
+        if self._ways and finite and not self._goes:
             self._watch(part, h, dt)
         if finite:
             stream.step_on()
         now = self._carried.motion * self._units
         out = Outcome(
             self._judged, self._code.copy(), before, self._error.copy(), self._out.S[0, 3], finite, lag, resynced,
-            self._between, self._other.joints if self._other and self._goes else None,
+            self._between, self._goes.why if self._goes else None,
         )  # fmt: skip
         return Step(now[0], now[1], out)
 
     def _step(self, samples: Samples, h: float, brake: bool, measured: bool) -> None:
         """Take one step: towards another posture, or as usual."""
-        other = self._other
-        self._goes = other is not None and other.goal is not None and not brake
+        ready = [way for way in self._ways if way.goal is not None]
+        self._goes = ready[0] if ready and not brake else None
         if self._goes:
-            self._go(samples, h, brake=brake, measured=measured)
+            self._go(self._goes, samples, h, brake=brake, measured=measured)
         else:
             step = self.run if self._guard is None else self.take
             step(samples, h, self._out, brake=brake, measured=measured)
 
-    def _go(self, samples: Samples, h: float, **how: bool) -> None:
-        """Take a step towards another posture, or as usual where something is in the way."""
-        other, guard, unit = self._other, self._guard, self.robot.chain.unit
-        assert other is not None
+    def _go(self, way: Leap | Reconfiguration, samples: Samples, h: float, **how: bool) -> None:
+        """Take a step through the joints, or as usual where something is in the way."""
+        guard, unit = self._guard, self.robot.chain.unit
         before = self.carried()
         (q, rate), late = self._carried.motion * self._units, max(self._late, h)
-        self._goes = other.go(self._q, self._rate, samples.T[1], self.engine.gamma, h, late, self._limits)
-        if guard and self._goes:
+        goes = way.go(self._q, self._rate, samples.T[1], self.engine.gamma, h, late, self._limits)
+        if guard and goes:
             guard.late = late
             guard.rows(q, rate, h)  # sees what has been added or moved since
-            self._goes = guard.allows(q, rate, self._q * unit, self._rate * unit, h)
-            if not self._goes:
+            goes = guard.allows(q, rate, self._q * unit, self._rate * unit, h)
+            if not goes:
                 self.put_back(before)
-                other.blocked()
-        if not self._goes:
+                way.blocked()
+        if not goes:
+            self._goes = None
             self.take(samples, h, self._out, **how)
             return
         self._forget(motion.READY)
@@ -254,22 +261,17 @@ class Tracker:
 
     def _watch(self, samples: Samples, h: float, dt: float) -> None:
         """Let a step taken be looked at: whether another posture is to be sought."""
-        assert self._other is not None
 
         def error_at(q: np.ndarray) -> np.ndarray:
             self._settings.measured[:] = q
             return self._now(last_of(samples), h, measured=True).E[0]
 
-        self._other.watch(
-            self._code.tolist(),
-            self._out.S[0, 3] > 0.0,
-            self._error,
-            samples.T[-1],
-            dt,
-            self._q,
-            self._limits,
-            error_at,
-        )
+        taken = Taken(
+            self._code, self._out.S[0, 3] > 0.0, self._out.E, samples.T, h, dt, self._q, self._rate, self._limits,
+            self._settings.law, error_at,
+        )  # fmt: skip
+        for way in self._ways:
+            way.watch(taken)
 
     def _now(self, samples: Samples, h: float, **how: Any) -> Record:
         """How it is, without a step."""
@@ -290,8 +292,8 @@ class Tracker:
         slacks = 2 * int((counts[1] > 0.0).sum())
         if self._mode == CLIP and slacks:
             raise InvalidOption("slack is kept by the constrained step, so on_limit cannot be 'clip'")
-        if self._other:
-            self._other.ready(kinds)
+        if self._postures:
+            self._postures.ready(kinds)
         self._settings.counts[:] = counts
         self._carried.block[3] = (ROWS if self._guard else 0) + slacks + 1
         self._carried = carried_of(self._carried.block)

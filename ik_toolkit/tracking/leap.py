@@ -1,0 +1,185 @@
+"""A target that leapt and stands: the tip goes straight to it, or, where that costs too much time, the joints do.
+
+A method's feedback closes an error in proportion, and where limits forbid that it loses time twice: the tip slows down long before
+its target, and a straight way of the tip can be a long one for the joints, or end where no joint can go on. So where limits bind
+and the target stands, its joint values are solved for at once, and those of points on the straight way before it. Of the two ways
+the straight one is taken unless it needs more than `STRAIGHT` times as long as the joints would (`travel`).
+"""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from ..kernel import motion
+from ..kernel.travel import SPARE, bending, head_for, travel
+from .engine import LEVER
+from .limits import speeds
+from .postures import STILL, WAIT, Postures, Taken, gap, locked, time_between
+from .reference import exp
+
+STRAIGHT = 1.2  # times as long as through the joints that a straight way may take: 1.3 with what is lost at both ends
+POINTS = 24  # of a straight way: what lies between two of them is off by 1/144 of what the joints' own way would be
+NEAR = 2e-3  # [m] error, angles at LEVER, that is left to the method
+TINY = 1e-300  # divided by where a joint does not move
+SLOW = 0.5  # share of the error left by a step above which the method is hindered: gains leave a third, or nothing
+CLOSE = 1e-3  # [s] left at full speed: as good as there
+
+
+class Route(NamedTuple):
+    """Joint motion through points: times t (K,) [s], q (K, n) and rates (K, n) there, in kernel units."""
+
+    t: np.ndarray
+    q: np.ndarray
+    rate: np.ndarray
+
+    def at(self, t: float) -> tuple[np.ndarray, np.ndarray]:
+        """Joint values and rates (n,) at a time, cubic between the points."""
+        k = int(np.clip(np.searchsorted(self.t, t), 1, len(self.t) - 1))
+        h = self.t[k] - self.t[k - 1]
+        x = (t - self.t[k - 1]) / h
+        q0, q1, d0, d1 = self.q[k - 1], self.q[k], h * self.rate[k - 1], h * self.rate[k]
+        a, b = 2.0 * (q0 - q1) + d0 + d1, 3.0 * (q1 - q0) - 2.0 * d0 - d1
+        return ((a * x + b) * x + d0) * x + q0, ((3.0 * a * x + 2.0 * b) * x + d0) / h
+
+    def hardest(self, a: np.ndarray) -> float:
+        """Largest acceleration over what is allowed (n,), at the ends of the pieces."""
+        h, d = np.diff(self.t)[:, None], np.diff(self.q, axis=0)
+        first = 6.0 * d / h**2 - (4.0 * self.rate[:-1] + 2.0 * self.rate[1:]) / h
+        last = (2.0 * self.rate[:-1] + 4.0 * self.rate[1:]) / h - 6.0 * d / h**2
+        return float((np.maximum(np.abs(first), np.abs(last)) / a).max())
+
+    def fastest(self, top: np.ndarray) -> float:
+        """Largest rate over what is allowed (n,), at the ends and in the middle of the pieces."""
+        h, d = np.diff(self.t)[:, None], np.diff(self.q, axis=0)
+        middle = 1.5 * d / h - 0.25 * (self.rate[:-1] + self.rate[1:])
+        return float(max((np.abs(self.rate) / top).max(), (np.abs(middle) / top).max()))
+
+
+class Leap:
+    """What a tracker knows of a target that leapt. goal (n,): where it is going [kernel units], or None.
+
+    why: how many times as long as through the joints the straight way takes; infinite where there is none.
+    """
+
+    def __init__(self, postures: Postures, m: int, chosen: bool) -> None:
+        """m: number of errors; chosen: whether the method has gains that somebody chose."""
+        self.postures, self._chosen = postures, chosen
+        self._lever = np.tile([1.0] * 3 + [LEVER] * 3, m // 6)
+        self.forget()
+
+    def forget(self) -> None:
+        """The target is reached, or everything begins anew."""
+        self.goal: np.ndarray | None = None
+        self.why = 1.0
+        self._enough = CLOSE  # [s] left at full speed, from which on it is left to the method
+        self._route: Route | None = None
+        self._time = 0.0  # [s] since it set out
+        self._place = np.zeros(0)  # the target that was last looked at
+
+    def watch(self, taken: Taken) -> None:
+        """Look at a step taken. May set `goal`."""
+        T, q, limits = taken.T, taken.q, taken.limits
+        before, left = (float(np.linalg.norm(self._lever * e)) for e in taken.E)
+        if left < max(NEAR, SLOW * before) or gap(T[1], T[0]) > STILL * taken.h / WAIT:
+            return
+        if len(self._place) and gap(T[1], self._place) <= STILL:
+            return
+        self._place = T[1].copy()
+        if locked(limits):  # its operator has other plans
+            return
+        found, met, _ = self.postures.find(T[1:], q[None], q, limits)
+        self._enough = max(self._patience(taken.law), CLOSE)
+        if not met[0] or time_between(q, found[0], limits) <= self._enough:
+            return
+        self.goal, self._time = found[0], 0.0
+        gamma = taken.law[motion.PLACE.gamma]
+        self._route = self._straight(taken.E[1], T[1], q, taken.rate, limits, gamma)
+        self.why = self._route.t[-1] / least_time(np.abs(self.goal - q), limits) if self._route else np.inf
+        if self.why > STRAIGHT:
+            self._route = None
+
+    def _patience(self, law: np.ndarray) -> float:
+        """Time [s] from the target from where on the method is as fast: with gains that somebody chose, or for late joints."""
+        p = motion.Law._make(law.tolist())
+        if not (self._chosen or p.measured):
+            return 0.0
+        return 1.0 / p.kappa if p.kappa > 0.0 else p.kd / p.kp if p.kp > 0.0 else 0.0
+
+    def _straight(
+        self, E: np.ndarray, T: np.ndarray, q: np.ndarray, rate: np.ndarray, limits: np.ndarray, gamma: float
+    ) -> Route | None:
+        """Joint motion along the straight way of the tip, as fast as limits allow; None where there is none."""
+        assert self.goal is not None
+        left = 1.0 - np.arange(1, POINTS) / POINTS
+        points = np.repeat(T[None], POINTS - 1, axis=0)
+        for f, e in enumerate(E.reshape(-1, 6)):
+            points[:, f, :3, 3] -= np.outer(left, e[:3])
+            points[:, f, :3, :3] = exp(np.outer(-left, e[3:])) @ T[f, :3, :3]
+        starts = q + np.outer(1.0 - left, self.goal - q)
+        found, met, _ = self.postures.find(points, starts, q, limits)
+        return timed(np.concatenate([q[None], found, self.goal[None]]), rate, limits, gamma) if met.all() else None
+
+    def go(
+        self, q: np.ndarray, rate: np.ndarray, T: np.ndarray, gamma: float, h: float, late: float, limits: np.ndarray
+    ) -> bool:
+        """Step q and rate (n,) in place by h [s] towards the goal; False, and nothing done, when there is none any more."""
+        goal = self.goal
+        gone = gap(T, self._place) > STILL or locked(limits)
+        if goal is None or gone or (goal < limits[0]).any() or (goal > limits[1]).any():
+            self.forget()
+            return False
+        self._time += h
+        if self._route and self._time < self._route.t[-1]:
+            head_for(q, rate, *self._route.at(self._time), gamma, h, late, limits)
+        else:
+            travel(q, rate, goal, gamma, h, late, limits)
+        if time_between(q, goal, limits) <= self._enough:
+            self.goal = None
+        return True
+
+    def blocked(self) -> None:
+        """Something is in the way: the method may slide along it."""
+        self.goal = None
+
+
+def timed(points: np.ndarray, rate: np.ndarray, limits: np.ndarray, gamma: float) -> Route | None:
+    """Motion through points (K + 1, n), from joint rates (n,) to rest, as fast as speeds and accelerations (4, n) allow.
+
+    Along the segments, each as long as it takes at full speed, the speed is at most 1, and what the bends take of a joint's
+    acceleration is not there for gaining or losing it (Bobrow, Dubowsky and Gibson, 1985, on a grid).
+    """
+    top, a = speeds(limits), (1.0 - SPARE) * limits[3] / bending(gamma)
+    d = np.diff(points, axis=0)
+    length = (np.abs(d) / top).max(axis=1)
+    if not (length > 0.0).all():
+        return None
+    g = d / length[:, None]
+    share = (length[1:] / (length[:-1] + length[1:]))[:, None]
+    along = np.concatenate([g[:1], share * g[:-1] + (1.0 - share) * g[1:], g[-1:]])
+    bend = np.zeros_like(along)
+    bend[1:-1] = np.diff(g, axis=0) / (0.5 * (length[:-1] + length[1:]))[:, None]
+    size, bend = np.maximum(np.abs(along), TINY), np.abs(bend)
+    square = np.minimum((a / np.maximum(bend, TINY)).min(axis=1), 1.0)
+    limited = bool((a < np.inf).any())
+    if limited:
+        square[0], square[-1] = np.clip(rate @ g[0] / (g[0] @ g[0]), 0.0, 1.0) ** 2, 0.0
+        steps = list(range(len(d)))
+        for here, there, each in [*((k, k + 1, k) for k in steps), *((k + 1, k, k) for k in steps[::-1])]:
+            gain = (
+                np.maximum(a - np.maximum(bend[here], bend[there]) * square[here], 0.0)
+                / np.maximum(size[here], size[there])
+            ).min()
+            square[there] = min(square[there], square[here] + 2.0 * gain * length[each])
+    speed = np.sqrt(square)
+    t = np.concatenate([[0.0], np.cumsum(2.0 * length / (speed[:-1] + speed[1:]))])
+    route = Route(t, points, speed[:, None] * along)
+    longer = max(1.0, route.fastest(top), math.sqrt(route.hardest(a)))
+    return Route(longer * t, points, route.rate / longer)
+
+
+def least_time(way: np.ndarray, limits: np.ndarray) -> float:
+    """Least time [s] in which joints move by `way` (n,) inside speed and acceleration limits (4, n), from rest to rest."""
+    v, a = speeds(limits), limits[3]
+    each = np.where(way * a > v * v, way / v + v / a, 2.0 * np.sqrt(way / a))
+    return float(np.where(a < np.inf, each, way / v).max())

@@ -1,0 +1,95 @@
+"""Joint values near given ones that reach a tracker's targets, from single attempts of the solver."""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ..kernel.box import NOISE
+from ..kernel.checks import CONVERGED, UNREACHABLE
+from ..kernel.kinematics import TAU
+from ..kernel.records import ANSWER, AT, Ends
+from ..kernel.travel import head_for, travel
+from ..solvers.options import COUNTING, Options
+from ..solvers.plan import Plan
+from ..solvers.registry import GENERAL, find_row
+from .limits import speeds
+
+TOLERANCE = 1e-5  # [m, rad] of a posture: the tracker itself comes closer
+STILL = 2e-3  # [m, or of a rotation] by which a target that stands may move in WAIT: 20 mm/s, or 0.014 rad/s
+WAIT = 0.1  # [s] for which a target must have stood, and without progress before a search
+
+
+class Taken(NamedTuple):
+    """A step taken by a tracker, in kernel units but for E and T; arrays are the tracker's own."""
+
+    code: np.ndarray  # (n,) bits of limits
+    singular: bool
+    E: np.ndarray  # (2, m) errors before and after it [m, rad], base axes
+    T: np.ndarray  # (2, F, 4, 4) targets before and after it
+    h: float  # [s]
+    dt: float  # [s] of the update: of several steps, where it was a long one
+    q: np.ndarray  # (n,) afterwards
+    rate: np.ndarray
+    limits: np.ndarray  # (4, n)
+    law: np.ndarray  # a `motion.Law`
+    error_at: Callable[[np.ndarray], np.ndarray]  # E at other joint values
+
+
+class Postures:
+    """Finds joint values for targets of the kinds that `ready` was told. Kernel units."""
+
+    def __init__(self, robot: Any, options: Options) -> None:
+        """options: what counts."""
+        self.robot = robot
+        o = {name: getattr(options, name) for name in (*COUNTING, "relative_to")}
+        exact = {"position_tolerance": TOLERANCE, "orientation_tolerance": TOLERANCE}
+        row = find_row(GENERAL)
+        self.plan = Plan(robot, row, row.load()(), Options(restarts=0, **exact, **o))
+        box = Ends(robot.chain.ends.reshape(len(robot.tips), -1)[0], robot.n)
+        self._turning = np.array([box.turns(i) > 0.0 for i in range(robot.n)])
+
+    def ready(self, kinds: tuple) -> None:
+        """Take targets of these kinds, and compile (or load) all that is needed later."""
+        self.kinds = kinds
+        q = self.robot.home / self.robot.chain.unit
+        unlimited = np.outer([-1.0, 1.0, 1.0, 1.0], np.full(len(q), np.inf))
+        self.find(np.tile(np.eye(4), (1, len(kinds), 1, 1)), q[None], q, unlimited)
+        travel(q, np.zeros_like(q), q, 1.0, WAIT, WAIT, unlimited)
+        head_for(q, np.zeros_like(q), q, np.zeros_like(q), 1.0, WAIT, WAIT, unlimited)
+
+    def find(
+        self, T: np.ndarray, starts: np.ndarray, q: np.ndarray, limits: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, bool]:
+        """Joint values (N, n) for targets T (N, F, 4, 4) from starts (N, n), as near to q as full turns allow.
+
+        Also which of them (N,) reach their target inside limits (4, n); and True when one is out of all reach.
+        """
+        plan, unit, n = self.plan, self.robot.chain.unit, self.robot.n
+        rows = np.zeros((len(starts), plan.width))
+        plan.run(T if self.robot.by_tip else T[:, 0], self.kinds, starts * unit, True, rows)
+        status = rows[:, AT.status]
+        found = rows[:, ANSWER : ANSWER + n] / unit
+        with np.errstate(invalid="ignore"):
+            turns = np.where(self._turning, np.round((q - found) / TAU), 0.0)
+            turns = np.clip(turns, np.ceil((limits[0] - found) / TAU), np.floor((limits[1] - found) / TAU))
+            found = found + TAU * turns
+            inside = ((found >= limits[0] - NOISE) & (found <= limits[1] + NOISE)).all(axis=1)
+        met = (status == CONVERGED) & inside
+        return np.clip(found, limits[0], limits[1]), met, bool((status == UNREACHABLE).any())
+
+
+def gap(T: np.ndarray, before: np.ndarray) -> float:
+    """How far poses (F, 4, 4) are from others, as one number."""
+    d = (T - before).ravel()
+    return float(np.sqrt(d @ d))
+
+
+def locked(limits: np.ndarray) -> bool:
+    """Whether a joint may not move."""
+    return bool(((limits[2] == 0.0) | (limits[0] == limits[1])).any())
+
+
+def time_between(q: np.ndarray, goal: np.ndarray, limits: np.ndarray) -> float:
+    """Least time [s] from joint values q (n,) to goal at full speed."""
+    return float((np.abs(goal - q) / speeds(limits)).max())
