@@ -18,7 +18,7 @@ import math
 
 import numpy as np
 
-from .jit import jit
+from .jit import jit, shared
 
 # Bits of `code`: why a joint did not move as commanded.
 POSITION, VELOCITY, ACCELERATION, HELD, RECOVERING, ROW, CALMED = 1, 2, 4, 8, 16, 32, 64
@@ -32,6 +32,12 @@ SWINGING = 3.0  # turns in a row that make it a swing: a single pass through a s
 WINDOW, HOLD = 0.1, 0.2  # [s] without a turn that end a row, and a swing
 # [1/s] by which joints that swing gain speed, as a share of their speed: for what counts as a turn they need half of WINDOW.
 CALM = 1.0
+
+
+@shared
+def bending(gamma):
+    """How much harder a joint accelerates between samples than its rates say, where the parabola begins with the last rate."""
+    return 2.0 * gamma if 0.5 < gamma < 1.0 else 1.0
 
 
 @jit
@@ -88,11 +94,11 @@ def box(q, v, lower, upper, speed, a, gamma, h, late):
     Always an interval: where the limits contradict each other (a start outside of them, limits that changed) a single rate,
     which keeps the acceleration, then the speed, then goes back inside; its bits have RECOVERING.
     """
-    bend = 2.0 * gamma if 0.5 < gamma < 1.0 else 1.0  # the parabola accelerates by that more than the rates say ...
+    bend = bending(gamma)
     a = a / bend
     rise, fall = v + a * h, v - a * h
     fast, slow = speed, -speed
-    if bend > 1.0:  # ... and ends beyond w
+    if bend > 1.0:  # the parabola ends beyond w
         fast, slow = min(fast, (speed + (bend - 1.0) * v) / bend), max(slow, ((bend - 1.0) * v - speed) / bend)
         if slow > fast:  # too fast for a limit near 0: no rate keeps it, rest does soonest
             fast, slow = 0.0, 0.0

@@ -4,16 +4,10 @@ import math
 
 import numpy as np
 
-from .box import UNLIMITED, advance, approach
-from .jit import cached, jit
+from .box import UNLIMITED, advance, approach, bending
+from .jit import cached
 
 SPARE = 0.1  # share of an acceleration limit that a known motion leaves for making up for what is missing
-
-
-@jit
-def bending(gamma):
-    """How much harder a joint accelerates in a step than its rates say, see `box`."""
-    return 2.0 * gamma if 0.5 < gamma < 1.0 else 1.0
 
 
 @cached

@@ -1,9 +1,9 @@
 """A target that leapt and stands: the tip goes straight to it, or, where that costs too much time, the joints do.
 
 A method's feedback closes an error in proportion, and where limits forbid that it loses time twice: the tip slows down long before
-its target, and a straight way of the tip can be a long one for the joints, or end where no joint can go on. So where limits bind
-and the target stands, its joint values are solved for at once, and those of points on the straight way before it. Of the two ways
-the straight one is taken unless it needs more than `STRAIGHT` times as long as the joints would (`travel`).
+its target, and a straight way of the tip can be a long one for the joints, or end where no joint can go on. So where an error
+hardly falls though the target stands, its joint values are solved for at once, and those of points on the straight way before it.
+The straight way is taken unless it needs more than STRAIGHT times as long as the joints would by themselves (`travel`).
 """
 
 import math
@@ -12,7 +12,8 @@ from typing import NamedTuple
 import numpy as np
 
 from ..kernel import motion
-from ..kernel.travel import SPARE, bending, head_for, travel
+from ..kernel.box import POSITION, bending
+from ..kernel.travel import SPARE, head_for, travel
 from .engine import LEVER
 from .limits import speeds
 from .postures import STILL, WAIT, Postures, Taken, gap, locked, time_between
@@ -20,6 +21,8 @@ from .reference import exp
 
 STRAIGHT = 1.2  # times as long as through the joints that a straight way may take: 1.3 with what is lost at both ends
 POINTS = 24  # of a straight way: what lies between two of them is off by 1/144 of what the joints' own way would be
+JUMP = 0.05  # [m, or of a rotation] from one sample to the next by which a target leaps: a fast hand moves by a fifth of it
+TORN = 4.0  # times as long, from which on the joints do not follow the straight way but change posture between two of its points
 NEAR = 2e-3  # [m] error, angles at LEVER, that is left to the method
 TINY = 1e-300  # divided by where a joint does not move
 SLOW = 0.5  # share of the error left by a step above which the method is hindered: gains leave a third, or nothing
@@ -56,48 +59,64 @@ class Route(NamedTuple):
         return float(max((np.abs(self.rate) / top).max(), (np.abs(middle) / top).max()))
 
 
+class Choice(NamedTuple):
+    """Which way leads to a target that leapt."""
+
+    straight: bool
+    ratio: float  # how many times as long as through the joints the straight way takes; infinite where there is none
+
+
 class Leap:
-    """What a tracker knows of a target that leapt. goal (n,): where it is going [kernel units], or None.
+    """What a tracker knows of a target that leapt. goal (n,): where it is going [kernel units], or None; why: which way."""
 
-    why: how many times as long as through the joints the straight way takes; infinite where there is none.
-    """
+    def __init__(self, postures: Postures, m: int, chosen: bool, straight: float, elsewhere: bool) -> None:
+        """m: number of errors; chosen: the method has gains that somebody chose; elsewhere: another posture may be taken.
 
-    def __init__(self, postures: Postures, m: int, chosen: bool) -> None:
-        """m: number of errors; chosen: whether the method has gains that somebody chose."""
-        self.postures, self._chosen = postures, chosen
+        straight: how many times as long as through the joints a straight way may take.
+        """
+        self.postures, self._chosen, self._most, self._elsewhere = postures, chosen, straight, elsewhere
         self._lever = np.tile([1.0] * 3 + [LEVER] * 3, m // 6)
         self.forget()
 
     def forget(self) -> None:
         """The target is reached, or everything begins anew."""
         self.goal: np.ndarray | None = None
-        self.why = 1.0
+        self.why = Choice(straight=True, ratio=1.0)
         self._enough = CLOSE  # [s] left at full speed, from which on it is left to the method
         self._route: Route | None = None
         self._time = 0.0  # [s] since it set out
         self._place = np.zeros(0)  # the target that was last looked at
+        self._leapt = True  # whether the target came there at once
 
     def watch(self, taken: Taken) -> None:
         """Look at a step taken. May set `goal`."""
         T, q, limits = taken.T, taken.q, taken.limits
-        before, left = (float(np.linalg.norm(self._lever * e)) for e in taken.E)
-        if left < max(NEAR, SLOW * before) or gap(T[1], T[0]) > STILL * taken.h / WAIT:
+        moved = gap(T[1], T[0])
+        if moved > STILL * taken.h / WAIT:
+            self._leapt = moved > JUMP
             return
-        if len(self._place) and gap(T[1], self._place) <= STILL:
+        before, left = (float(np.linalg.norm(self._lever * e)) for e in taken.E)
+        if left < max(NEAR, SLOW * before) or (len(self._place) and gap(T[1], self._place) <= STILL):
             return
         self._place = T[1].copy()
-        if locked(limits):  # its operator has other plans
+        # A joint at its limit after a smooth motion: only another posture leads on. A locked joint: its operator has other plans.
+        if (not self._leapt and (taken.code & POSITION).any()) or locked(limits):
             return
         found, met, _ = self.postures.find(T[1:], q[None], q, limits)
         self._enough = max(self._patience(taken.law), CLOSE)
-        if not met[0] or time_between(q, found[0], limits) <= self._enough:
+        if met[0] and time_between(q, found[0], limits) > self._enough:
+            self._set_out(found[0], taken)
+
+    def _set_out(self, goal: np.ndarray, taken: Taken) -> None:
+        """Choose the way to a goal."""
+        straight = self._straight(goal, taken)
+        ratio = straight.t[-1] / least_time(np.abs(goal - taken.q), taken.limits) if straight else math.inf
+        ratio = ratio if ratio < TORN else math.inf
+        if ratio == math.inf and not self._elsewhere:
             return
-        self.goal, self._time = found[0], 0.0
-        gamma = taken.law[motion.PLACE.gamma]
-        self._route = self._straight(taken.E[1], T[1], q, taken.rate, limits, gamma)
-        self.why = self._route.t[-1] / least_time(np.abs(self.goal - q), limits) if self._route else np.inf
-        if self.why > STRAIGHT:
-            self._route = None
+        self.goal, self._time = goal, 0.0
+        self._route = straight if ratio <= self._most and ratio < math.inf else None
+        self.why = Choice(self._route is not None, ratio)
 
     def _patience(self, law: np.ndarray) -> float:
         """Time [s] from the target from where on the method is as fast: with gains that somebody chose, or for late joints."""
@@ -106,19 +125,19 @@ class Leap:
             return 0.0
         return 1.0 / p.kappa if p.kappa > 0.0 else p.kd / p.kp if p.kp > 0.0 else 0.0
 
-    def _straight(
-        self, E: np.ndarray, T: np.ndarray, q: np.ndarray, rate: np.ndarray, limits: np.ndarray, gamma: float
-    ) -> Route | None:
+    def _straight(self, goal: np.ndarray, taken: Taken) -> Route | None:
         """Joint motion along the straight way of the tip, as fast as limits allow; None where there is none."""
-        assert self.goal is not None
+        T, q = taken.T[1], taken.q
         left = 1.0 - np.arange(1, POINTS) / POINTS
         points = np.repeat(T[None], POINTS - 1, axis=0)
-        for f, e in enumerate(E.reshape(-1, 6)):
+        for f, e in enumerate(taken.E[1].reshape(-1, 6)):
             points[:, f, :3, 3] -= np.outer(left, e[:3])
             points[:, f, :3, :3] = exp(np.outer(-left, e[3:])) @ T[f, :3, :3]
-        starts = q + np.outer(1.0 - left, self.goal - q)
-        found, met, _ = self.postures.find(points, starts, q, limits)
-        return timed(np.concatenate([q[None], found, self.goal[None]]), rate, limits, gamma) if met.all() else None
+        found, met, _ = self.postures.find(points, q + np.outer(1.0 - left, goal - q), q, taken.limits)
+        if not met.all():
+            return None
+        way = np.concatenate([q[None], found, goal[None]])
+        return timed(way, taken.rate, taken.limits, float(taken.law[motion.PLACE.gamma]))
 
     def go(
         self, q: np.ndarray, rate: np.ndarray, T: np.ndarray, gamma: float, h: float, late: float, limits: np.ndarray
@@ -165,12 +184,10 @@ def timed(points: np.ndarray, rate: np.ndarray, limits: np.ndarray, gamma: float
     if limited:
         square[0], square[-1] = np.clip(rate @ g[0] / (g[0] @ g[0]), 0.0, 1.0) ** 2, 0.0
         steps = list(range(len(d)))
-        for here, there, each in [*((k, k + 1, k) for k in steps), *((k + 1, k, k) for k in steps[::-1])]:
-            gain = (
-                np.maximum(a - np.maximum(bend[here], bend[there]) * square[here], 0.0)
-                / np.maximum(size[here], size[there])
-            ).min()
-            square[there] = min(square[there], square[here] + 2.0 * gain * length[each])
+        for here, there, k in [*((k, k + 1, k) for k in steps), *((k + 1, k, k) for k in steps[::-1])]:
+            free = np.maximum(a - np.maximum(bend[here], bend[there]) * square[here], 0.0)
+            gain = (free / np.maximum(size[here], size[there])).min()
+            square[there] = min(square[there], square[here] + 2.0 * gain * length[k])
     speed = np.sqrt(square)
     t = np.concatenate([[0.0], np.cumsum(2.0 * length / (speed[:-1] + speed[1:]))])
     route = Route(t, points, speed[:, None] * along)
@@ -180,6 +197,7 @@ def timed(points: np.ndarray, rate: np.ndarray, limits: np.ndarray, gamma: float
 
 def least_time(way: np.ndarray, limits: np.ndarray) -> float:
     """Least time [s] in which joints move by `way` (n,) inside speed and acceleration limits (4, n), from rest to rest."""
-    v, a = speeds(limits), limits[3]
-    each = np.where(way * a > v * v, way / v + v / a, 2.0 * np.sqrt(way / a))
-    return float(np.where(a < np.inf, each, way / v).max())
+    moves = way > 0.0
+    way, v, a = way[moves], speeds(limits)[moves], limits[3, moves]
+    top = np.minimum(v, np.sqrt(way * a))  # that a joint reaches before it has to brake
+    return float((way / top + top / a).max(initial=0.0))

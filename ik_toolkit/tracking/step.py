@@ -1,12 +1,13 @@
 """One step of a tracker, as it is returned: numbers at once, the status and its sentence when they are read."""
 
+import math
 from enum import Enum
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from ..kernel import box
-from .leap import STRAIGHT
+from .leap import Choice
 
 NEAR = (
     1e-3,
@@ -56,8 +57,8 @@ class Outcome(NamedTuple):
     lag: float  # of the joints measured, over what is allowed
     resynced: bool
     between: tuple[str, str] | None = None  # names of what would have touched
-    # On the way to another posture, joints at whose limits this one ended; to a target that leapt, see `Leap`.
-    way: tuple[str, ...] | float | None = None
+    # On the way to another posture, joints at whose limits this one ended; to a target that leapt, which way.
+    way: tuple[str, ...] | Choice | None = None
 
 
 class Step:
@@ -98,7 +99,8 @@ class Step:
         if o.resynced or (self._moved() > o.by.jump).any():
             return StepStatus.JUMPED
         if o.way is not None:
-            return StepStatus.LIMITED if isinstance(o.way, float) else StepStatus.RECONFIGURING
+            leapt = isinstance(o.way, Choice) and o.way.ratio < math.inf
+            return StepStatus.LIMITED if leapt else StepStatus.RECONFIGURING
         held = int(np.bitwise_or.reduce(o.code))
         if held & box.RECOVERING:
             return StepStatus.RECOVERING
@@ -137,11 +139,8 @@ class Step:
             parts.append("the measured joints are far from the commanded ones")
         if status is StepStatus.AT_LIMIT:
             parts.append("at the closest reachable pose" if o.lost else "as close as the limits allow")
-        if isinstance(o.way, float):
-            parts.append(f"as fast as the limits allow to a target that leapt, {_route(o.way)}")
-        elif o.way is not None:
-            where = f": the limit of {', '.join(o.way)} ended the last one" if o.way else ""
-            parts.append(f"moving to another posture that reaches the target{where}")
+        if o.way is not None:
+            parts.append(_on_the_way(o.way))
         words = (
             (box.RECOVERING, "outside its limits, moving back:"),
             (box.POSITION, "position limit on"),
@@ -165,11 +164,11 @@ class Step:
         return f"Step({self.status.name}, {self.position_error:.3g} m{', ' + reason if reason else ''})"
 
 
-def _route(ratio: float) -> str:
-    """How the arm goes to a target that leapt."""
-    if ratio <= STRAIGHT:
-        return "straight"
-    straight = (
-        f"the straight way would take {ratio:.2g} times as long" if ratio < np.inf else "there is no straight way"
-    )
-    return f"through the joints: {straight}"
+def _on_the_way(way: tuple[str, ...] | Choice) -> str:
+    """Where the joints go, and why, see `Outcome.way`."""
+    if not isinstance(way, Choice) or way.ratio == math.inf:
+        where = f": the limit of {', '.join(way)} ended the last one" if way and not isinstance(way, Choice) else ""
+        return f"moving to another posture that reaches the target{where}"
+    if way.straight:
+        return "the target leapt: going straight there as fast as the limits allow"
+    return f"the target leapt: going there through the joints, as the straight way takes {way.ratio:.2g} times as long"

@@ -18,7 +18,7 @@ from ..robot.tree import Tree
 from ..solvers.avoid import collision_model
 from .engine import bind
 from .inputs import one_of, positive, switch
-from .leap import Leap
+from .leap import STRAIGHT, Leap
 from .limits import LIMIT_NAMES, changed_limits, limit_rows, speeds
 from .methods import Method
 from .obstacles import ROWS, Guard
@@ -61,6 +61,9 @@ class Tracker:
     (RECONFIGURING): at once while the target stands; while it moves, only when the error has cost as much as the way will. Inside
     all limits and elbow sides, with avoid_collisions free of contacts; not while a joint is locked (speed 0). Only with "direct".
 
+    straight: how many times as long as through the joints the tip's straight way to a target that leapt, and stands, may take;
+    where it takes longer the joints go there together (inf: any straight way; without one, another posture). Only with "direct".
+
     jump: joint move [rad, or reaches] in one step reported as JUMPED; resync [rad, or reaches]: see `update`. Raises
     InvalidOption, InvalidConfiguration.
     """
@@ -85,6 +88,7 @@ class Tracker:
         cost: Any = None,
         avoid_collisions: Any = False,
         reconfigure: bool = True,
+        straight: float = STRAIGHT,
         **options: Any,
     ) -> None:
         """Bind a robot and a method."""
@@ -111,8 +115,17 @@ class Tracker:
         self._ways: list[Leap | Reconfiguration] = []  # what leads the joints where the method would not, or too slowly
         if limits and self._mode == DIRECT:
             self._postures = Postures(robot, self.engine.options)
-            self._ways.append(Leap(self._postures, m, self.engine.chosen))
-            if switch(reconfigure, "reconfigure"):
+            elsewhere = switch(reconfigure, "reconfigure")
+            self._ways.append(
+                Leap(
+                    self._postures,
+                    m,
+                    self.engine.chosen,
+                    math.inf if straight == math.inf else positive(straight, "straight"),
+                    elsewhere,
+                )
+            )
+            if elsewhere:
                 self._ways.append(Reconfiguration(robot, self._postures, self._guard and self._guard.model))
         self._settings, self._out = new_settings(n, m, ROWS), new_record(2, n, m)
         for part, values in ((self._settings.limits, self._limits), (self._settings.wish, self.secondary.wish)):

@@ -1,0 +1,160 @@
+"""A target that leaps and then stands: reached as fast as limits allow, straight where that costs little."""
+
+import math
+
+import numpy as np
+import pytest
+
+import ik_toolkit as ik
+from ik_toolkit.errors import InvalidOption
+from ik_toolkit.tracking.step import StepStatus
+
+DT = 0.01
+
+
+def accelerations(robot):
+    """Full speed in 0.2 s."""
+    return 5.0 * robot.velocity_limits
+
+
+def pairs(robot, count, seed=0, sizes=(0.2, 0.6)):
+    """Joint values, and others that far away [rad] in every joint: starts and goals."""
+    rng = np.random.default_rng(seed)
+    low, high = np.maximum(robot.lower, -np.pi), np.minimum(robot.upper, np.pi)
+    room = 0.1 * (high - low)
+    for _ in range(count):
+        q = rng.uniform(low + room, high - room)
+        yield q, np.clip(q + rng.uniform(*sizes, robot.n) * rng.choice([-1, 1], robot.n), low, high)
+
+
+def follow(robot, q0, target, seconds, accelerate=False, method="cv", **options):
+    """Steps at the start's own pose, then towards a target that stands."""
+    limits = accelerations(robot) if accelerate else None
+    tracker = ik.Tracker(robot, method, q0=q0, rate0=np.zeros(robot.n), acceleration_limits=limits, **options)
+    return [tracker.update(robot.fk(q0) if k == 0 else target, DT) for k in range(round(seconds / DT))]
+
+
+def time_back(robot, q0, steps, accelerate):
+    """Time [s] until the error stays within 1 mm (angles at 0.2 m), and the least that the joints need for the way they went."""
+    error = [math.hypot(s.position_error, 0.2 * (s.orientation_error or 0.0)) for s in steps[1:]]
+    back = max((k for k, e in enumerate(error) if e > 1e-3), default=-1) + 1
+    assert back < len(error), "not reached"
+    way, v = np.abs(steps[back + 1].q - q0), robot.velocity_limits
+    a = accelerations(robot)
+    slow = np.where(way > v * v / a, way / v + v / a, 2.0 * np.sqrt(way / a))
+    return (back + 1) * DT, (slow if accelerate else way / v).max()
+
+
+def off_the_line(robot, q0, steps):
+    """Farthest distance [m] of the tip from the line between its places at the start and at the end."""
+    p = np.array([robot.fk(q).translation for q in [q0, *(s.q for s in steps)]])
+    along = (p[-1] - p[0]) / np.linalg.norm(p[-1] - p[0])
+    return np.linalg.norm(np.cross(p - p[0], along), axis=1).max()
+
+
+@pytest.mark.parametrize(("method", "accelerate"), [("cv", False), ("cv", True), ("aad", True), ("ca", True)])
+@pytest.mark.parametrize("name", ["panda", "ur5", "hydrolek_7w", "kinova"])
+def test_back_within_the_joints_own_time(name, method, accelerate):
+    robot = ik.Robot.load(name)
+    for q0, q1 in pairs(robot, 8):
+        steps = follow(robot, q0, robot.fk(q1), 4.0, accelerate, method)
+        seconds, bound = time_back(robot, q0, steps, accelerate)
+        assert seconds <= 1.3 * bound + DT, (q0, seconds, bound)
+        Q = np.array([q0, q0, *(s.q for s in steps)])  # from rest
+        speed = np.diff(Q, axis=0) / DT
+        assert ((robot.lower <= Q) & (robot.upper >= Q)).all()
+        assert (np.abs(speed) <= robot.velocity_limits * (1.0 + 1e-9)).all()
+        if accelerate and method == "cv":
+            assert (np.abs(np.diff(speed, axis=0)) <= accelerations(robot) * DT * (1.0 + 1e-9)).all()
+        assert steps[-1].position_error < 1e-5
+
+
+@pytest.mark.parametrize("accelerate", [False, True])
+def test_straight_where_that_costs_little(panda, accelerate):
+    """And, where somebody wants that, wherever there is a straight way."""
+    chosen = []
+    for q0, q1 in pairs(panda, 12, seed=4, sizes=(0.05, 0.25)):
+        ways = {}
+        for most in (1.2, math.inf, 1e-3):
+            steps = follow(panda, q0, panda.fk(q1), 4.0, accelerate, straight=most)
+            reasons = {s.reason.split(":")[1][:14] for s in steps if s.reason.startswith("the target leapt")}
+            ways[most] = off_the_line(panda, q0, steps)
+            assert len(reasons) <= 1
+            straight = reasons == {" going straight"}
+            if straight:
+                length = np.linalg.norm(panda.fk(q1).translation - panda.fk(q0).translation)
+                assert ways[most] < 0.01 * length + 1e-3
+            chosen.append((most, straight))
+        assert ways[math.inf] <= ways[1e-3] + 1e-9
+    for most, least, largest in ((1.2, 3, 11), (math.inf, 10, 12), (1e-3, 0, 0)):
+        assert least <= sum(straight for m, straight in chosen if m == most) <= largest, most
+
+
+def test_what_it_says(panda):
+    q0, q1 = next(pairs(panda, 1))
+    steps = follow(panda, q0, panda.fk(q1), 2.0, straight=1e-3)
+    leapt = [s for s in steps if s.reason.startswith("the target leapt")]
+    assert len(leapt) > 5 and all(s.status is StepStatus.LIMITED for s in leapt)
+    assert "through the joints, as the straight way takes" in leapt[0].reason
+    assert steps[-1].status is StepStatus.OK and steps[-1].reason == ""
+    for wrong in (0.0, -1.0, math.nan, "yes"):
+        with pytest.raises(InvalidOption, match="straight"):
+            ik.Tracker(panda, straight=wrong)
+
+
+def test_gains_that_somebody_chose_stay(panda):
+    """Gentle feedback is what was asked for: the error falls by exp(-kappa t), not as fast as limits allow."""
+    q1 = panda.home + 0.1
+    steps = follow(panda, panda.home, panda.fk(q1), 1.0, kappa=2.0)
+    error = np.array([s.position_error for s in steps])
+    assert not any("leapt" in s.reason for s in steps)
+    assert error[80] == pytest.approx(error[30] * (1.0 - 2.0 * DT) ** 50, rel=0.02)
+
+
+def test_a_target_that_goes_on_ends_it(panda):
+    """The target moves on while the arm is under way: followed again, inside all limits."""
+    q0, q1 = next(pairs(panda, 1))
+    T = panda.fk(q1).homogeneous
+    tracker = ik.Tracker(panda, q0=q0, rate0=np.zeros(7), acceleration_limits=accelerations(panda))
+    tracker.update(panda.fk(q0), DT)
+    Q = [q0, tracker.q]
+    for k in range(300):
+        T[0, 3] -= 0.0005 if 5 < k < 200 else 0.0
+        step = tracker.update(T, DT)
+        Q.append(step.q)
+        assert not ("leapt" in step.reason and 10 < k < 200)
+    assert step.position_error < 1e-4
+    speed = np.diff(Q, axis=0) / DT
+    assert (np.abs(speed) <= panda.velocity_limits * (1.0 + 1e-9)).all()
+    assert (np.abs(np.diff(speed, axis=0)) <= accelerations(panda) * DT * (1.0 + 1e-9)).all()
+
+
+def test_nothing_is_touched(panda):
+    """A wall between start and goal: slid along, never touched."""
+    pose = np.eye(4)
+    pose[:3, 3] = 0.55, 0.0, 0.6
+    model = ik.CollisionModel(panda).add_box([0.3, 0.02, 0.6], pose, name="wall")
+    q0, q1 = panda.home.copy(), panda.home.copy()
+    q0[0], q1[0] = -0.6, 0.6
+    free = follow(panda, q0, panda.fk(q1), 3.0)
+    assert any(model.collides(s.q) for s in free)
+    steps = follow(panda, q0, panda.fk(q1), 3.0, avoid_collisions=model)
+    assert not any(model.collides(s.q) for s in steps)
+    assert steps[-1].status is not StepStatus.OK or steps[-1].position_error < 1e-3
+
+
+def test_two_arms():
+    """One tip's target leaps; the other's stays, and its tip ends there."""
+    robot = ik.Tree.load("brokk_hydrolek")
+    home = robot.fk(robot.home)
+    tip = robot.tips[0]
+    q1 = robot.home.copy()
+    q1[robot.places[0]] += 0.2
+    targets = {name: T.homogeneous for name, T in home.items()} | {tip: robot.fk(q1)[tip].homogeneous}
+    tracker = ik.Tracker(robot, q0=robot.home, rate0=np.zeros(robot.n), acceleration_limits=accelerations(robot))
+    steps = [
+        tracker.update({name: T.homogeneous for name, T in home.items()} if k == 0 else targets, DT) for k in range(400)
+    ]
+    assert any("leapt" in s.reason for s in steps) and steps[-1].position_error < 1e-4
+    seconds, bound = time_back(robot, robot.home, steps, accelerate=True)
+    assert seconds <= 1.3 * bound + DT
