@@ -2,15 +2,13 @@
 
 # numba's own types know neither options in a dict nor that overloads and intrinsics are called by numba.
 # pyright: reportCallIssue=false, reportArgumentType=false, reportGeneralTypeIssues=false
-import math
-
 import numpy as np
 from numba.extending import overload
 
 from .box import RECOVERING, ROW, clip
 from .clock import QUICK, WHOLE
-from .constrain import DIRECT, LEAVE, SLOW, WANTED, constrain
-from .jit import INLINE, inline, inner
+from .constrain import LEAVE, SLOW, WANTED, constrain
+from .jit import INLINE, inline
 from .motion import CLIP, NOT_FINITE, RUNAWAY, STATE, apply
 from .records import copy
 from .wanted import Published
@@ -36,27 +34,6 @@ def judge(wanted, h, p, state):
     return False, still
 
 
-@inner
-def to_size(J, weight, speed, ask, forward):
-    """Shrink the task (in place) to what the tip could at most do with each joint at full speed.
-
-    `constrain` holds the tip to its direction the more, the larger the share of the task is that can be done.
-    """
-    asked, most = 0.0, 0.0
-    for k in range(J.shape[1]):
-        asked += (weight[k] * (ask[k] + forward[k])) ** 2
-    for i in range(J.shape[0]):
-        own = 0.0
-        for k in range(J.shape[1]):
-            own += (weight[k] * J[i, k]) ** 2
-        most += math.sqrt(own) * speed[i]
-    if asked > most * most:
-        share = most / math.sqrt(asked)
-        for k in range(J.shape[1]):
-            ask[k] *= share
-            forward[k] *= share
-
-
 @inline
 def by_constraints(law, s, count, sigma, h, state, work, active, kept, starts, code):
     """Rates that the limits allow, to s.x: the clock's rate then, and whether anything prevented those wanted."""
@@ -71,8 +48,6 @@ def by_constraints(law, s, count, sigma, h, state, work, active, kept, starts, c
     for i in range(n):
         s.v[i] = s.x[i] - s.v[i]
     copy(s.x, s.w)
-    if mode == DIRECT:
-        to_size(s.J, s.weight, s.size, s.ask, s.f)
     least = min(state[STATE.sigma] - QUICK * h, sigma)  # the last step ends with the reference
     status, share, part = WANTED, 1.0, 1.0
     for _ in range(2):
