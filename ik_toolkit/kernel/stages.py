@@ -33,11 +33,21 @@ def add_clock(P, V, S, task, first, r, n, cap):
 
 @inner
 def aside(P, S, first, r, n, alpha):
-    """Weight what leaves the asked direction: DIRECTION in full reach, 1 where nothing can be done along it."""
-    size = 0.0
+    """Weight what leaves the asked direction: DIRECTION in full reach, 1 where nothing can be done along it.
+
+    alpha: the share of the task that can be done. Where more is asked for than all joints at full speed could do, as of a target
+    far away, alpha counts for that much, and the weight grows with what is left undone along the direction.
+    """
+    size, most = 0.0, 0.0
     for k in range(first, first + r):
         size += S[RHS, k] * S[RHS, k]
-    weight = 1.0 + (DIRECTION - 1.0) * alpha
+    for i in range(n):
+        s = 0.0
+        for k in range(first, first + r):
+            s += P[k, i] * P[k, i]
+        most += math.sqrt(s)
+    more = max(math.sqrt(size) / most if most > 0.0 else 1.0, 1.0)
+    weight = 1.0 + (DIRECTION * math.sqrt(more) - 1.0) * min(alpha * more, 1.0)
     for i in range(n):
         s = 0.0
         for k in range(first, first + r):

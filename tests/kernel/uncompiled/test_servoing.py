@@ -345,10 +345,13 @@ def test_leaving_the_direction_costs_more_than_falling_behind():
     *_, s, task, r = loaded(rng)
     rows, n = 3, 5
     C, d = s.P[rows : rows + r, :n].copy(), s.S[RHS, rows : rows + r].copy()
-    for alpha in (0.0, 0.4):
-        s.P[rows : rows + r, :n] = C
+    most = np.linalg.norm(C, axis=0).sum()  # all joints at full speed
+    for alpha, size in ((0.0, 0.5), (0.4, 0.5), (0.0, 16.0), (0.02, 16.0), (0.1, 16.0)):
+        d *= size * most / np.linalg.norm(d)
+        s.P[rows : rows + r, :n], s.S[RHS, rows : rows + r] = C, d
         constrain.aside(s.P, s.S, rows, r, n, alpha)
-        weight = 1.0 + 99.0 * alpha
+        more = max(size, 1.0)
+        weight = 1.0 + (100.0 * math.sqrt(more) - 1.0) * min(alpha * more, 1.0)
         along = np.outer(d, d) / (d @ d)
         np.testing.assert_allclose(
             s.P[rows : rows + r, :n], (along + weight * (np.eye(r) - along)) @ C, rtol=1e-11, atol=1e-12
