@@ -149,18 +149,30 @@ def watch(swings, singular, before, x, size, h):
 
 
 @jit
+def narrow(i, least, most, low, top, why_low, why_top):
+    """Narrow the box (in place) of joint i to the rates from least to most, as far as it has such."""
+    floor, roof = min(max(least, low[i]), top[i]), max(min(most, top[i]), low[i])
+    if floor > low[i]:
+        low[i], why_low[i] = floor, CALMED | (why_low[i] & RECOVERING)
+    if roof < top[i]:
+        top[i], why_top[i] = roof, CALMED | (why_top[i] & RECOVERING)
+
+
+@jit
 def calm(rate, size, swings, h, low, top, why_low, why_top):
-    """Narrow the box (in place) of joints that swing to rates gained gradually, as far as it has such; braking is free."""
+    """Narrow the box (in place) of joints that swing to rates gained gradually; braking is free."""
     for i in range(rate.shape[0]):
         if swings[0, i] < SWINGING:
             continue
         gain = CALM * size[i] * h
-        floor = min(max(min(rate[i], 0.0) - gain, low[i]), top[i])
-        roof = max(min(max(rate[i], 0.0) + gain, top[i]), low[i])
-        if floor > low[i]:
-            low[i], why_low[i] = floor, CALMED | (why_low[i] & RECOVERING)
-        if roof < top[i]:
-            top[i], why_top[i] = roof, CALMED | (why_top[i] & RECOVERING)
+        narrow(i, min(rate[i], 0.0) - gain, max(rate[i], 0.0) + gain, low, top, why_low, why_top)
+
+
+@jit
+def slow(share, size, low, top, why_low, why_top):
+    """Narrow the box (in place) to a share of each joint's speed."""
+    for i in range(size.shape[0]):
+        narrow(i, -share * size[i], share * size[i], low, top, why_low, why_top)
 
 
 @jit

@@ -46,6 +46,8 @@ class State(NamedTuple):
         int  # 1: near a singular pose in the last step; and [s] for which the target counts as having been out of reach
     )
     tamed: int  # how many times the rates wanted are halved, see `tame`
+    nearest: int  # least square of the weighted error while the target stands, 0: none yet; see `notice`
+    reached: int  # ... as it was when the joints turned back, 0: they did not
 
 
 STATE = State._make(range(len(State._fields)))  # places in the array

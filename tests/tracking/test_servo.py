@@ -122,6 +122,31 @@ def test_out_of_reach_of_a_target_that_stands_the_arm_comes_to_rest(name, q0, wa
     assert steps[-1].position_error > 0.04
 
 
+@pytest.mark.parametrize(
+    ("name", "method", "q0", "place", "turn"),
+    [
+        ("panda", "cv", (-0.96, -1.007, 1.982, -0.727, 0.876, 2.865, 2.22), (-0.397, -0.867, 1.031), (1.8, 2.243, -0.837)),
+        ("panda", "aad", (-1.272, -1.356, -2.514, -1.355, -1.611, 2.914, -2.047), (-0.313, -0.434, 1.039), (1.762, -1.41, -0.777)),
+        ("panda", "cv", (-1.888, -1.035, -1.13, -0.323, -2.473, 0.663, -1.747), (-0.523, 0.796, 0.653), (0.439, 1.307, -0.941)),
+        ("kinova", "cv", (-0.895, 1.436, 2.55, 0.481, 1.777, -1.379), (1.098, -0.44, -0.95), (0.347, -1.361, -1.363)),
+    ],
+)  # fmt: skip
+def test_with_acceleration_limits_too_the_arm_comes_to_rest(name, method, q0, place, turn):
+    """Joints swung for ever at a tenth of their speed limits and more. When the target comes back, the tip follows at once."""
+    robot = ik.Robot.load(name)
+    target = pin.SE3(pin.exp3(np.array(turn)), np.array(place)).homogeneous
+    tracker = Tracker(robot, method, q0=q0, acceleration_limits=10.0, reconfigure=False)
+    steps = [tracker.update(target, 0.01) for _ in range(1200)]
+    assert np.abs([step.rate / robot.velocity_limits for step in steps[-100:]]).max() < 0.01
+    errors = [np.hypot(step.position_error, 0.2 * step.orientation_error) for step in steps]
+    assert errors[-1] < min(errors) + 3e-3
+    start = robot.fk(tracker.q).homogeneous
+    for t in 0.01 * np.arange(1, 31):  # from where the tip is, towards the base
+        target[:3, 3], target[:3, :3] = start[:3, 3] * (1.0 - 0.1 * t * t), start[:3, :3]
+        step = tracker.update(target, 0.01)
+    assert step.position_error < 0.5 * np.linalg.norm(start[:3, 3] - target[:3, 3])
+
+
 def test_a_path_out_of_reach_is_left_as_little_as_possible(panda):
     """The line that made three joints flip between their speed limits every sample."""
     ref = line_of(panda, Q0, (0.4, 0.0, 0.3), 4.0)

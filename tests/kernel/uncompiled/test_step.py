@@ -9,7 +9,7 @@ from random_arms import orders, task
 
 from ik_toolkit.kernel import levels, motion, obey, qp, wanted
 from ik_toolkit.kernel.bench import bench_on, bench_space
-from ik_toolkit.kernel.box import CALM, CALMED, RECOVERING, ROW, SWINGING, calm, watch
+from ik_toolkit.kernel.box import CALM, CALMED, RECOVERING, ROW, SWINGING, calm, slow, watch
 from ik_toolkit.kernel.constrain import DIRECT, LEAVE, SLOW, constrain, make_room, room_on, room_space
 from ik_toolkit.kernel.levels import make_levels
 from ik_toolkit.kernel.motion import AA, AT_RATE_AND_STEP, AV, CA, CV, RUNNING, STATE, Law
@@ -319,7 +319,7 @@ def test_signs_and_shares_of_multipliers():
 
 
 def test_joints_that_turn_back_often_swing():
-    swings, size = np.zeros((2, 2)), np.array([1.0, 2.0])
+    swings, size = np.zeros((3, 2)), np.array([1.0, 2.0])
 
     def turned(before, x, singular=True, h=0.01):
         watch(swings, singular, np.array(before), np.array(x), size, h)
@@ -359,3 +359,8 @@ def test_a_calm_box_is_a_part_of_the_box():
             assert ((code[side] & CALMED) > 0).tolist() == moved.tolist()
             assert (code[side][~moved] == why[side][~moved]).all()
             assert ((code[side] & RECOVERING) == (why[side] & RECOVERING)).all()
+        floor, roof, code, share = low.copy(), top.copy(), why.copy(), 0.5 ** rng.integers(0, 8)
+        slow(share, size, floor, roof, code[0], code[1])
+        assert np.allclose(floor, np.clip(-share * size, low, top), atol=1e-15)
+        assert np.allclose(roof, np.clip(share * size, low, top), atol=1e-15)
+        assert ((code & CALMED) > 0).tolist() == [(floor > low).tolist(), (roof < top).tolist()]
