@@ -180,7 +180,7 @@ def test_what_is_wished_beside_the_task_has_no_part_along_it():
         s.size[:], s.weight[:], s.floor[:], s.roof[:] = 1.0, 1.0, -9.0, 9.0
         motion.factor(s.J, m, 0.0, s.G, s.y)
         state[STATE.sigma], wanted_rates = 1.0, s.x.copy()
-        lists = np.zeros(n, np.int8), np.zeros(4, np.int8), np.zeros(n, np.uint8)
+        lists = np.zeros(n, np.int8), np.zeros(4, np.int8), np.zeros((2, n + 4), np.int8), np.zeros(n, np.uint8)
         obey.by_constraints(law(), s, 0, 1.0, 0.1, state, make_room(n, m, 3), *lists)
         np.testing.assert_allclose(s.J.T @ s.v, 0.0, atol=1e-12)
         pinv = np.linalg.pinv(s.J.T)
