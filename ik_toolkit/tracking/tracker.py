@@ -335,7 +335,7 @@ class Tracker:
         if ordered != self._ordered:
             self._order(*ordered)
             self._ordered = ordered
-        if self.secondary.each_step:
+        if self.secondary.each_step and len(out.E) > 1:  # where no step is taken nothing is wished
             self.secondary.look(self._q)
         chain = self.robot.chain
         return self.engine.loop(
