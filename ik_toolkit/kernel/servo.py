@@ -221,6 +221,15 @@ def clip_rates(law, s, still, h, memory, code):
 
 
 # --------------------------------------------------------------------------------------------------------------------- the loop
+@inner
+def error_squared(weight, e):
+    """Squared error as it counts."""
+    total = 0.0
+    for k in range(e.shape[0]):
+        total += (weight[k] * e[k]) ** 2
+    return total
+
+
 @inline
 def run(step, rows, ends, orders, given, own, samples, out, h, block):
     """The loop of `servo` on views, with zeros to cut its scratch from."""
@@ -276,9 +285,7 @@ def run(step, rows, ends, orders, given, own, samples, out, h, block):
         count = slack_rows(counts[1], s.J, s.e, s.f, s.ahead, s.a, h, s.planes, s.edges, count)
         quieten(law, s, rate, swings, count, h, state)
         copy(counts[0], s.weight)
-        square = 0.0
-        for k in range(m):
-            square += (s.weight[k] * s.e[k]) ** 2
+        square = error_squared(s.weight, s.e)
         ratio = h / state[STATE.period] if state[STATE.start] == RUNNING else 0.0
         S[i, 3] = wanted(
             law, rule, task, look, weights, s, counts[1], limits, wish, count, sigma, h, rate, memory, away, state
