@@ -33,6 +33,7 @@ JUMP = 0.5  # joint move [rad, or reaches] in one step that is reported as a jum
 RESYNC = 0.1  # [rad, or reaches] between joints measured and commanded beyond which a tracker starts anew
 LATE = 5.0  # longest step, over the first one, after which limits are still kept; a longer one is taken in parts
 MODES = {"direct": DIRECT, "leave": LEAVE, "clip": CLIP}
+REACHED = 1e-6  # [m^2, rad^2] squared error below which a target counts as reached
 LAWS_KEPT = 64  # lengths of a step for which the numbers of a method are kept
 
 
@@ -230,7 +231,8 @@ class Tracker:
             for part in stream.divided(parts):
                 h = dt / parts
                 self._step(part, h, not finite, q is not None)
-        if self._ways and finite and not self._goes:
+        # Most steps end at their target, unhindered: there is nothing to look at, which would take as long as the step.
+        if self._ways and finite and not self._goes and (self._error @ self._error > REACHED or self._code.any()):
             self._watch(part, h, dt)
         if finite:
             stream.step_on()
