@@ -20,7 +20,7 @@ from .postures import STILL, WAIT, Postures, Taken, gap, locked, time_between
 from .reference import exp
 
 STRAIGHT = 1.2  # times as long as through the joints that a straight way may take: 1.3 with what is lost at both ends
-POINTS = 24  # of a straight way: what lies between two of them is off by 1/144 of what the joints' own way would be
+POINTS = 24  # pieces of a straight way: within each the tip leaves it by 1/576 of what it would on the joints' own way
 JUMP = 0.05  # [m, or of a rotation] from one sample to the next by which a target leaps: a fast hand moves by a fifth of it
 TORN = 4.0  # times as long, from which on the joints do not follow the straight way but change posture between two of its points
 NEAR = 2e-3  # [m] error, angles at LEVER, that is left to the method

@@ -68,7 +68,7 @@ class Reconfiguration:
     def watch(self, taken: Taken) -> None:
         """Look at a step taken. May set `goal`."""
         T, q, limits, dt = taken.T[-1], taken.q, taken.limits, taken.dt
-        self._quiet -= dt
+        self._quiet -= taken.since
         code, held = taken.code.tolist(), 0
         for bits in code:
             held |= bits

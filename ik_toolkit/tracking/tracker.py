@@ -114,18 +114,11 @@ class Tracker:
         m = 6 * self.stream.tips
         self._postures: Postures | None = None
         self._ways: list[Leap | Reconfiguration] = []  # what leads the joints where the method would not, or too slowly
+        elsewhere = switch(reconfigure, "reconfigure")
+        longest = math.inf if straight == math.inf else positive(straight, "straight")
         if limits and self._mode == DIRECT:
             self._postures = Postures(robot, self.engine.options)
-            elsewhere = switch(reconfigure, "reconfigure")
-            self._ways.append(
-                Leap(
-                    self._postures,
-                    m,
-                    self.engine.chosen,
-                    math.inf if straight == math.inf else positive(straight, "straight"),
-                    elsewhere,
-                )
-            )
+            self._ways.append(Leap(self._postures, m, self.engine.chosen, longest, elsewhere))
             if elsewhere:
                 self._ways.append(Reconfiguration(robot, self._postures, self._guard and self._guard.model))
         self._settings, self._out = new_settings(n, m, ROWS), new_record(2, n, m)
@@ -169,6 +162,7 @@ class Tracker:
         self._forget(motion.GIVEN if rate is not None or self._at_rest else motion.MOVING)
         for way in self._ways:
             way.forget()
+        self._unseen = 0.0  # [s] since a step was last looked at
         self._between: tuple[str, str] | None = None  # what kept the last step from going on
         self._touching = self._guard.restart(q) if self._guard else None
 
@@ -177,7 +171,7 @@ class Tracker:
         own = self._carried
         own.memory[:], own.swings[:], own.state[:] = 0.0, 0.0, 0.0
         own.state[motion.STATE.start] = start
-        own.active[:], own.kept[:] = 0, 0
+        own.active[:], own.kept[:], own.starts[:] = 0, 0, 0
         self.secondary.side(own.away)
 
     @property
@@ -231,9 +225,11 @@ class Tracker:
             for part in stream.divided(parts):
                 h = dt / parts
                 self._step(part, h, not finite, q is not None)
-        # Most steps end at their target, unhindered: there is nothing to look at, which would take as long as the step.
-        if self._ways and finite and not self._goes and (self._error @ self._error > REACHED or self._code.any()):
-            self._watch(part, h, dt)
+        if self._ways and finite and not self._goes:
+            self._unseen += dt
+            # Most steps end at their target, unhindered: there is nothing to look at, which would take as long as the step.
+            if self._error @ self._error > REACHED or any(self._code.tolist()) or self._out.S[0, 3] > 0.0:
+                self._watch(part, h, dt)
         if finite:
             stream.step_on()
         now = self._carried.motion * self._units
@@ -244,9 +240,8 @@ class Tracker:
         return Step(now[0], now[1], out)
 
     def _step(self, samples: Samples, h: float, brake: bool, measured: bool) -> None:
-        """Take one step: towards another posture, or as usual."""
-        ready = [way for way in self._ways if way.goal is not None]
-        self._goes = ready[0] if ready and not brake else None
+        """Take one step: to a target that leapt or another posture, or as usual."""
+        self._goes = None if brake else next((way for way in self._ways if way.goal is not None), None)
         if self._goes:
             self._go(self._goes, samples, h, brake=brake, measured=measured)
         else:
@@ -275,16 +270,17 @@ class Tracker:
         self._out.C[:], self._out.S[0], self._between = 0, 0.0, None
 
     def _watch(self, samples: Samples, h: float, dt: float) -> None:
-        """Let a step taken be looked at: whether another posture is to be sought."""
+        """Let a step taken be looked at: whether the joints are to be led elsewhere."""
 
         def error_at(q: np.ndarray) -> np.ndarray:
             self._settings.measured[:] = q
             return self._now(last_of(samples), h, measured=True).E[0]
 
         taken = Taken(
-            self._code, self._out.S[0, 3] > 0.0, self._out.E, samples.T, h, dt, self._q, self._rate, self._limits,
-            self._settings.law, error_at,
+            self._code, self._out.S[0, 3] > 0.0, self._out.E, samples.T, h, dt, self._unseen, self._q, self._rate,
+            self._limits, self._settings.law, error_at,
         )  # fmt: skip
+        self._unseen = 0.0
         for way in self._ways:
             way.watch(taken)
 
