@@ -13,7 +13,7 @@ import numpy as np
 
 from ..kernel import motion
 from ..kernel.box import POSITION, bending
-from ..kernel.travel import SPARE, head_for, travel
+from ..kernel.travel import SPARE, UNKNOWN, travel
 from .engine import LEVER
 from .limits import speeds
 from .postures import STILL, WAIT, Postures, Taken, gap, locked, time_between
@@ -30,20 +30,11 @@ CLOSE = 1e-3  # [s] left at full speed: as good as there
 
 
 class Route(NamedTuple):
-    """Joint motion through points: times t (K,) [s], q (K, n) and rates (K, n) there, in kernel units."""
+    """Joint motion through points, cubic between them: times t (K,) [s], q (K, n) and rates (K, n) there, in kernel units."""
 
     t: np.ndarray
     q: np.ndarray
     rate: np.ndarray
-
-    def at(self, t: float) -> tuple[np.ndarray, np.ndarray]:
-        """Joint values and rates (n,) at a time, cubic between the points."""
-        k = int(np.clip(np.searchsorted(self.t, t), 1, len(self.t) - 1))
-        h = self.t[k] - self.t[k - 1]
-        x = (t - self.t[k - 1]) / h
-        q0, q1, d0, d1 = self.q[k - 1], self.q[k], h * self.rate[k - 1], h * self.rate[k]
-        a, b = 2.0 * (q0 - q1) + d0 + d1, 3.0 * (q1 - q0) - 2.0 * d0 - d1
-        return ((a * x + b) * x + d0) * x + q0, ((3.0 * a * x + 2.0 * b) * x + d0) / h
 
     def hardest(self, a: np.ndarray) -> float:
         """Largest acceleration over what is allowed (n,), at the ends of the pieces."""
@@ -143,17 +134,14 @@ class Leap:
         self, q: np.ndarray, rate: np.ndarray, T: np.ndarray, gamma: float, h: float, late: float, limits: np.ndarray
     ) -> bool:
         """Step q and rate (n,) in place by h [s] towards the goal; False, and nothing done, when there is none any more."""
-        goal = self.goal
-        gone = gap(T, self._place) > STILL or locked(limits)
-        if goal is None or gone or (goal < limits[0]).any() or (goal > limits[1]).any():
+        goal, left = self.goal, -1.0
+        self._time += h
+        if goal is not None and gap(T, self._place) <= STILL:
+            left = travel(q, rate, goal, *(self._route or UNKNOWN), self._time, gamma, h, late, limits)
+        if left < 0.0:
             self.forget()
             return False
-        self._time += h
-        if self._route and self._time < self._route.t[-1]:
-            head_for(q, rate, *self._route.at(self._time), gamma, h, late, limits)
-        else:
-            travel(q, rate, goal, gamma, h, late, limits)
-        if time_between(q, goal, limits) <= self._enough:
+        if left <= self._enough:
             self.goal = None
         return True
 
@@ -180,13 +168,12 @@ def timed(points: np.ndarray, rate: np.ndarray, limits: np.ndarray, gamma: float
     bend[1:-1] = np.diff(g, axis=0) / (0.5 * (length[:-1] + length[1:]))[:, None]
     size, bend = np.maximum(np.abs(along), TINY), np.abs(bend)
     square = np.minimum((a / np.maximum(bend, TINY)).min(axis=1), 1.0)
-    limited = bool((a < np.inf).any())
-    if limited:
+    if (a < np.inf).any():
         square[0], square[-1] = np.clip(rate @ g[0] / (g[0] @ g[0]), 0.0, 1.0) ** 2, 0.0
+        size, bend = np.maximum(size[:-1], size[1:]), np.maximum(bend[:-1], bend[1:])
         steps = list(range(len(d)))
         for here, there, k in [*((k, k + 1, k) for k in steps), *((k + 1, k, k) for k in steps[::-1])]:
-            free = np.maximum(a - np.maximum(bend[here], bend[there]) * square[here], 0.0)
-            gain = (free / np.maximum(size[here], size[there])).min()
+            gain = max(((a - bend[k] * square[here]) / size[k]).min(), 0.0)
             square[there] = min(square[there], square[here] + 2.0 * gain * length[k])
     speed = np.sqrt(square)
     t = np.concatenate([[0.0], np.cumsum(2.0 * length / (speed[:-1] + speed[1:]))])

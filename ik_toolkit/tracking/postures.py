@@ -9,7 +9,7 @@ from ..kernel.box import NOISE
 from ..kernel.checks import CONVERGED, UNREACHABLE
 from ..kernel.kinematics import TAU
 from ..kernel.records import ANSWER, AT, Ends
-from ..kernel.travel import head_for, travel
+from ..kernel.travel import UNKNOWN, travel
 from ..solvers.options import COUNTING, Options
 from ..solvers.plan import Plan
 from ..solvers.registry import GENERAL, find_row
@@ -56,8 +56,7 @@ class Postures:
         q = self.robot.home / self.robot.chain.unit
         unlimited = np.outer([-1.0, 1.0, 1.0, 1.0], np.full(len(q), np.inf))
         self.find(np.tile(np.eye(4), (1, len(kinds), 1, 1)), q[None], q, unlimited)
-        travel(q, np.zeros_like(q), q, 1.0, WAIT, WAIT, unlimited)
-        head_for(q, np.zeros_like(q), q, np.zeros_like(q), 1.0, WAIT, WAIT, unlimited)
+        travel(q, np.zeros_like(q), q, *UNKNOWN, 0.0, 1.0, WAIT, WAIT, unlimited)
 
     def find(
         self, T: np.ndarray, starts: np.ndarray, q: np.ndarray, limits: np.ndarray

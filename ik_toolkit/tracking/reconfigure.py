@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from ..kernel.box import ACCELERATION, POSITION, RECOVERING, VELOCITY
-from ..kernel.travel import travel
+from ..kernel.travel import UNKNOWN, travel
 from .engine import LEVER
 from .limits import speeds
 from .postures import STILL, WAIT, Postures, Taken, gap, locked, time_between
@@ -161,8 +161,7 @@ class Reconfiguration:
     ) -> bool:
         """Step q and rate (n,) in place by h [s] towards the goal; False, and nothing done, when there is none any more."""
         goal, near = self.goal, ARRIVED
-        if goal is None or locked(limits) or (goal < limits[0]).any() or (goal > limits[1]).any():
-            self.forget()
+        if goal is None:
             return False
         if gap(T, self._place) <= STILL:
             near = CLOSE
@@ -177,9 +176,10 @@ class Reconfiguration:
                 return False
             self.goal = goal = min(found, key=lambda one: time_between(q, one, limits))
             self._place = T.copy()
-        if travel(q, rate, goal, gamma, h, late, limits) < near:
+        left = travel(q, rate, goal, *UNKNOWN, 0.0, gamma, h, late, limits)
+        if left < near:
             self.forget()
-        return True
+        return left >= 0.0
 
     @property
     def why(self) -> tuple[str, ...]:

@@ -2,6 +2,7 @@
 
 import math
 from enum import Enum
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -56,9 +57,12 @@ class Outcome(NamedTuple):
     finite: bool
     lag: float  # of the joints measured, over what is allowed
     resynced: bool
-    between: tuple[str, str] | None = None  # names of what would have touched
+    between: tuple[str, str] | None  # names of what would have touched
     # On the way to another posture, joints at whose limits this one ended; to a target that leapt, which way.
-    way: tuple[str, ...] | Choice | None = None
+    way: tuple[str, ...] | Choice | None
+
+
+make_outcome = partial(tuple.__new__, Outcome)  # faster than Outcome(...), as in solvers/result.py
 
 
 class Step:

@@ -25,9 +25,9 @@ class Stream:
         self.robot = robot
         self.tips = len(robot.tips)
         self.kinds: tuple | None = None
-        self.samples, self._given = new_samples(2, self.tips), new_samples(1, self.tips)
-        for one in (self.samples, self._given):
-            one.T[:], one.caps[0] = np.eye(4), 1.0
+        self.samples, self._given, self._last = (new_samples(count, self.tips) for count in (2, 1, 1))
+        for one in (self.samples, self._given, self._last):
+            one.T[:], one.caps[0], one.caps[1] = np.eye(4), 1.0, -1.0
         self._poses = list(self._given.T[0])
         self._posed = 0  # bit f: tip f has an orientation
         self._moved = 0
@@ -65,6 +65,12 @@ class Stream:
         T[-1] = ends.T[1]
         V, A = (one[0] + f[:, None] * (one[1] - one[0]) for one in (ends.V, ends.A))
         return [samples_from(T[k : k + 2], V[k : k + 2], A[k : k + 2]) for k in range(parts)]
+
+    def last_of(self, samples: Samples) -> Samples:
+        """The last of some samples alone; it holds until the next call."""
+        last = self._last
+        last.T[0], last.V[0], last.A[0] = samples.T[-1], samples.V[-1], samples.A[-1]
+        return last
 
     def _arrive(self, slot: int, kinds: tuple | None, how: int, twist: bool, acceleration: bool, dt: float) -> int:
         """Hand a target that was read, or is to be checked, to the kernel."""
@@ -178,8 +184,3 @@ def samples_from(T: np.ndarray, V: np.ndarray, A: np.ndarray) -> Samples:
     made = new_samples(*T.shape[:2])
     made.T[:], made.V[:], made.A[:], made.caps[0], made.caps[1] = T, V, A, 1.0, -1.0
     return made
-
-
-def last_of(samples: Samples) -> Samples:
-    """The last of some samples alone."""
-    return samples_from(samples.T[-1:], samples.V[-1:], samples.A[-1:])

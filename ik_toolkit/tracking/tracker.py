@@ -13,6 +13,7 @@ from ..kernel.constrain import DIRECT, LEAVE
 from ..kernel.motion import CLIP
 from ..kernel.session import Record, Samples, carried_of, new_carried, new_record, new_settings
 from ..kernel.task import POSITION
+from ..kernel.view import LINE
 from ..robot.robot import Robot
 from ..robot.tree import Tree
 from ..solvers.avoid import collision_model
@@ -26,14 +27,14 @@ from .postures import Postures, Taken
 from .reconfigure import Reconfiguration
 from .secondary import Secondary, read_secondary
 from .stability import AGE
-from .step import Judged, Outcome, Step
-from .stream import Stream, last_of
+from .step import Judged, Step, make_outcome
+from .stream import Stream
 
 JUMP = 0.5  # joint move [rad, or reaches] in one step that is reported as a jump
 RESYNC = 0.1  # [rad, or reaches] between joints measured and commanded beyond which a tracker starts anew
 LATE = 5.0  # longest step, over the first one, after which limits are still kept; a longer one is taken in parts
 MODES = {"direct": DIRECT, "leave": LEAVE, "clip": CLIP}
-REACHED = 1e-6  # [m^2, rad^2] squared error below which a target counts as reached
+REACHED = 1e-3  # [m, rad] error below which a target counts as reached
 LAWS_KEPT = 64  # lengths of a step for which the numbers of a method are kept
 
 
@@ -121,7 +122,7 @@ class Tracker:
             self._ways.append(Leap(self._postures, m, self.engine.chosen, longest, elsewhere))
             if elsewhere:
                 self._ways.append(Reconfiguration(robot, self._postures, self._guard and self._guard.model))
-        self._settings, self._out = new_settings(n, m, ROWS), new_record(2, n, m)
+        self._settings, self._out, self._here = new_settings(n, m, ROWS), new_record(2, n, m), new_record(1, n, m)
         for part, values in ((self._settings.limits, self._limits), (self._settings.wish, self.secondary.wish)):
             part[:] = values
         self._code, self._error = self._out.C[0], self._out.E[1]
@@ -169,9 +170,10 @@ class Tracker:
     def _forget(self, start: int) -> None:
         """Forget what was done before, but where the joints are and how they move; start: how the next step begins."""
         own = self._carried
-        own.memory[:], own.swings[:], own.state[:] = 0.0, 0.0, 0.0
+        joints = own.motion.copy()
+        own.block[LINE:] = 0.0
+        own.motion[:] = joints
         own.state[motion.STATE.start] = start
-        own.active[:], own.kept[:], own.starts[:] = 0, 0, 0
         self.secondary.side(own.away)
 
     @property
@@ -225,18 +227,19 @@ class Tracker:
             for part in stream.divided(parts):
                 h = dt / parts
                 self._step(part, h, not finite, q is not None)
+        code, lost = self._code.copy(), self._out.S[0, 3]
         if self._ways and finite and not self._goes:
             self._unseen += dt
             # Most steps end at their target, unhindered: there is nothing to look at, which would take as long as the step.
-            if self._error @ self._error > REACHED or any(self._code.tolist()) or self._out.S[0, 3] > 0.0:
+            if math.hypot(*self._error.tolist()) > REACHED or any(code.tolist()) or lost > 0.0:
                 self._watch(part, h, dt)
         if finite:
             stream.step_on()
         now = self._carried.motion * self._units
-        out = Outcome(
-            self._judged, self._code.copy(), before, self._error.copy(), self._out.S[0, 3], finite, lag, resynced,
-            self._between, self._goes.why if self._goes else None,
-        )  # fmt: skip
+        out = make_outcome((
+            self._judged, code, before, self._error.copy(), lost, finite, lag, resynced, self._between,
+            self._goes.why if self._goes else None,
+        ))  # fmt: skip
         return Step(now[0], now[1], out)
 
     def _step(self, samples: Samples, h: float, brake: bool, measured: bool) -> None:
@@ -250,14 +253,13 @@ class Tracker:
 
     def _go(self, way: Leap | Reconfiguration, samples: Samples, h: float, **how: bool) -> None:
         """Take a step through the joints, or as usual where something is in the way."""
-        guard, unit = self._guard, self.robot.chain.unit
-        before = self.carried()
-        (q, rate), late = self._carried.motion * self._units, max(self._late, h)
+        guard, late = self._guard, max(self._late, h)
+        before, (q, rate) = self.carried(), self._carried.motion * self._units
         goes = way.go(self._q, self._rate, samples.T[1], self.engine.gamma, h, late, self._limits)
         if guard and goes:
             guard.late = late
             guard.rows(q, rate, h)  # sees what has been added or moved since
-            goes = guard.allows(q, rate, self._q * unit, self._rate * unit, h)
+            goes = guard.allows(q, rate, *self._carried.motion * self._units, h)
             if not goes:
                 self.put_back(before)
                 way.blocked()
@@ -266,7 +268,7 @@ class Tracker:
             self.take(samples, h, self._out, **how)
             return
         self._forget(motion.READY)
-        self._end(last_of(samples), h, self._out, **how)
+        self._end(self.stream.last_of(samples), h, self._out, **how)
         self._out.C[:], self._out.S[0], self._between = 0, 0.0, None
 
     def _watch(self, samples: Samples, h: float, dt: float) -> None:
@@ -274,7 +276,7 @@ class Tracker:
 
         def error_at(q: np.ndarray) -> np.ndarray:
             self._settings.measured[:] = q
-            return self._now(last_of(samples), h, measured=True).E[0]
+            return self._now(self.stream.last_of(samples), h, measured=True).E[0]
 
         taken = Taken(
             self._code, self._out.S[0, 3] > 0.0, self._out.E, samples.T, h, dt, self._unseen, self._q, self._rate,
@@ -285,10 +287,9 @@ class Tracker:
             way.watch(taken)
 
     def _now(self, samples: Samples, h: float, **how: Any) -> Record:
-        """How it is, without a step."""
-        now = new_record(1, self.robot.n, len(self._error))
-        self.run(samples, h, now, **how)
-        return now
+        """How it is, without a step; it holds until the next call."""
+        self.run(samples, h, self._here, **how)
+        return self._here
 
     def _end(self, samples: Samples, h: float, out: Record, **how: Any) -> None:
         """Write what is left to the end of a record of one step."""
@@ -386,7 +387,7 @@ class Tracker:
         self._state[motion.STATE.sigma] = max(self._state[motion.STATE.sigma] - QUICK * h, 0.0)
         self._between = guard.blocked
         out.S[0, 1:3] = 0.0, -1.0  # the clock stood still
-        self._end(samples if clock is not None else last_of(samples), h, out, clock=clock, **how)
+        self._end(samples if clock is not None else self.stream.last_of(samples), h, out, clock=clock, **how)
         out.C[0] = np.where(self._rate == 0.0, box.ROW, box.ROW | box.ACCELERATION) | (box.HELD if brake else 0)
         return 1
 

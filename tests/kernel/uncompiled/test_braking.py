@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from scipy.interpolate import CubicHermiteSpline
 
 from ik_toolkit.kernel import box, brake, travel
 from ik_toolkit.kernel.box import ACCELERATION, POSITION, RECOVERING, VELOCITY
@@ -243,9 +244,9 @@ def test_joints_travel_to_a_goal_in_the_least_time(gamma, a):
         q, rate, steps = np.zeros(4), np.zeros(4), 0
         least = (np.abs(goal) / usual + usual / a).max()
         while np.abs(q - goal).max() > 1e-3:
-            before, was = q.copy(), rate.copy()
-            left = travel.travel(q, rate, goal, gamma, h, late, limits)
-            assert left == pytest.approx((np.abs(goal - before) / usual).max())
+            was = rate.copy()
+            left = travel.travel(q, rate, goal, *travel.UNKNOWN, 0.0, gamma, h, late, limits)
+            assert left == pytest.approx((np.abs(goal - q) / usual).max())
             assert (np.abs(rate) <= speed * (1.0 + 1e-12)).all() and (np.abs(rate - was) <= a * h * (1.0 + 1e-12)).all()
             assert ((q - goal) * np.sign(goal) <= 1e-12).all()
             if a == math.inf and gamma == 1.0:
@@ -255,10 +256,26 @@ def test_joints_travel_to_a_goal_in_the_least_time(gamma, a):
         assert steps * h <= 1.05 * least + 0.15
 
 
-def test_a_goal_beyond_a_limit_is_not_reached():
+@pytest.mark.parametrize("gamma", [1.0, 0.5, 0.75])
+@pytest.mark.parametrize("a", [math.inf, 8.0])
+def test_joints_travel_along_a_known_motion(gamma, a):
+    """At each moment where it says, then to the goal; what is missing at the start is made up for."""
+    h, limits = 0.01, np.array([np.full(2, -2.5), np.full(2, 2.5), np.full(2, 2.0), np.full(2, a)])
+    times, points = np.array([0.0, 0.5, 1.0]), np.array([[0.0, 0.0], [0.3, -0.1], [0.5, 0.2]])
+    rates = np.array([[0.0, 0.0], [0.6, 0.2], [0.0, 0.0]])
+    want = CubicHermiteSpline(times, points, rates)
+    q, rate, goal = np.array([0.01, -0.01]), np.zeros(2), points[-1]
+    for k in range(1, 110):
+        left = travel.travel(q, rate, goal, times, points, rates, k * h, gamma, h, h, limits)
+        if 30 <= k < 100:
+            assert np.abs(q - want(k * h)).max() < (1e-12 if a == math.inf and gamma == 1.0 else 1e-3)
+    assert left < 1e-6 and np.abs(q - goal).max() < 1e-6
+
+
+@pytest.mark.parametrize("change", [(0, 0.7), (1, 0.3), (2, 0.0)])
+def test_no_step_where_a_goal_is_beyond_a_limit_or_a_joint_locked(change):
     limits = np.array([[-1.0], [1.0], [2.0], [8.0]])
-    q, rate = np.zeros(1), np.zeros(1)
-    for _ in range(300):
-        travel.travel(q, rate, np.array([1.5]), 1.0, 0.01, 0.01, limits)
-        assert q[0] <= 1.0
-    assert q[0] == pytest.approx(1.0)
+    limits[change[0]] = change[1]
+    q, rate = np.array([0.4]), np.array([0.1])
+    assert travel.travel(q, rate, np.array([0.5]), *travel.UNKNOWN, 0.0, 1.0, 0.01, 0.01, limits) == -1.0
+    assert q[0] == 0.4 and rate[0] == 0.1
