@@ -14,7 +14,6 @@ import numpy as np
 from ..kernel import motion
 from ..kernel.box import POSITION, bending
 from ..kernel.travel import SPARE, UNKNOWN, travel
-from .engine import LEVER
 from .limits import speeds
 from .postures import STILL, WAIT, Postures, Taken, gap, locked, time_between
 from .reference import exp
@@ -60,13 +59,12 @@ class Choice(NamedTuple):
 class Leap:
     """What a tracker knows of a target that leapt. goal (n,): where it is going [kernel units], or None; why: which way."""
 
-    def __init__(self, postures: Postures, m: int, chosen: bool, straight: float, elsewhere: bool) -> None:
-        """m: number of errors; chosen: the method has gains that somebody chose; elsewhere: another posture may be taken.
+    def __init__(self, postures: Postures, chosen: bool, straight: float, elsewhere: bool) -> None:
+        """chosen: the method has gains that somebody chose; elsewhere: another posture may be taken.
 
         straight: how many times as long as through the joints a straight way may take.
         """
         self.postures, self._chosen, self._most, self._elsewhere = postures, chosen, straight, elsewhere
-        self._lever = np.tile([1.0] * 3 + [LEVER] * 3, m // 6)
         self.forget()
 
     def forget(self) -> None:
@@ -86,8 +84,10 @@ class Leap:
         if moved > STILL * taken.h / WAIT:
             self._leapt = moved > JUMP
             return
-        before, left = (float(np.linalg.norm(self._lever * e)) for e in taken.E)
-        if left < max(NEAR, SLOW * before) or (len(self._place) and gap(T[1], self._place) <= STILL):
+        left = self.postures.size(taken.E[1])
+        if left < NEAR or left < SLOW * self.postures.size(taken.E[0]):
+            return
+        if len(self._place) and gap(T[1], self._place) <= STILL:
             return
         self._place = T[1].copy()
         # A joint at its limit after a smooth motion: only another posture leads on. A locked joint: its operator has other plans.

@@ -1,5 +1,6 @@
 """Joint values near given ones that reach a tracker's targets, from single attempts of the solver."""
 
+import math
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -13,6 +14,7 @@ from ..kernel.travel import UNKNOWN, travel
 from ..solvers.options import COUNTING, Options
 from ..solvers.plan import Plan
 from ..solvers.registry import GENERAL, find_row
+from .engine import LEVER
 from .limits import speeds
 
 TOLERANCE = 1e-5  # [m, rad] of a posture: the tracker itself comes closer
@@ -48,6 +50,7 @@ class Postures:
         row = find_row(GENERAL)
         self.plan = Plan(robot, row, row.load()(), Options(restarts=0, **exact, **o))
         box = Ends(robot.chain.ends.reshape(len(robot.tips), -1)[0], robot.n)
+        self._lever = np.tile([1.0] * 3 + [LEVER] * 3, len(robot.tips))
         self._turning = np.array([box.turns(i) > 0.0 for i in range(robot.n)])
 
     def ready(self, kinds: tuple) -> None:
@@ -78,11 +81,14 @@ class Postures:
         met = (status == CONVERGED) & inside
         return np.clip(found, limits[0], limits[1]), met, bool((status == UNREACHABLE).any())
 
+    def size(self, E: np.ndarray) -> float:
+        """Errors (m,) of all tips [m, rad] as one number [m]."""
+        return math.hypot(*(self._lever * E).tolist())
+
 
 def gap(T: np.ndarray, before: np.ndarray) -> float:
     """How far poses (F, 4, 4) are from others, as one number."""
-    d = (T - before).ravel()
-    return float(np.sqrt(d @ d))
+    return math.hypot(*(T - before).ravel().tolist())
 
 
 def locked(limits: np.ndarray) -> bool:

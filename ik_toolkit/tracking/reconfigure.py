@@ -19,7 +19,6 @@ import numpy as np
 
 from ..kernel.box import ACCELERATION, POSITION, RECOVERING, VELOCITY
 from ..kernel.travel import UNKNOWN, travel
-from .engine import LEVER
 from .limits import speeds
 from .postures import STILL, WAIT, Postures, Taken, gap, locked, time_between
 
@@ -48,7 +47,6 @@ class Reconfiguration:
         self.robot, self.postures, self.model = robot, postures, model
         self._each = max(int(SHARE / ATTEMPT / len(robot.tips)), 1)  # attempts per second of updates
         self._rng = np.random.default_rng(0)
-        self._lever = np.tile([1.0] * 3 + [LEVER] * 3, len(robot.tips))
         self.held: list[int] = []
         self._barred: list[np.ndarray] = []  # goals to which something was in the way
         self.forget()
@@ -74,7 +72,7 @@ class Reconfiguration:
             held |= bits
         if not (held & POSITION or taken.singular):
             return
-        error = self._size(taken.E[1])
+        error = self.postures.size(taken.E[1])
         if error < AWAY:
             self.forget()
             self._pause, self._barred = PAUSE, []
@@ -139,16 +137,11 @@ class Reconfiguration:
             return
         goal = self._best[1]
         if not stands:
-            on_way = sum(self._size(error_at(q + part * (goal - q))) for part in ON_WAY) / len(ON_WAY)
+            on_way = sum(self.postures.size(error_at(q + part * (goal - q))) for part in ON_WAY) / len(ON_WAY)
             self._price = on_way * time_between(q, goal, limits)
             if self._lost < self._price:
                 return
         self.goal = goal
-
-    def _size(self, E: np.ndarray) -> float:
-        """Error [m] of all tips as one number."""
-        e = self._lever * E
-        return math.sqrt(e @ e)
 
     def _hold_off(self, T: np.ndarray) -> None:
         """There is no way to targets T (F, 4, 4) for now."""

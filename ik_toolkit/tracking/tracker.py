@@ -119,7 +119,7 @@ class Tracker:
         longest = math.inf if straight == math.inf else positive(straight, "straight")
         if limits and self._mode == DIRECT:
             self._postures = Postures(robot, self.engine.options)
-            self._ways.append(Leap(self._postures, m, self.engine.chosen, longest, elsewhere))
+            self._ways.append(Leap(self._postures, self.engine.chosen, longest, elsewhere))
             if elsewhere:
                 self._ways.append(Reconfiguration(robot, self._postures, self._guard and self._guard.model))
         self._settings, self._out, self._here = new_settings(n, m, ROWS), new_record(2, n, m), new_record(1, n, m)
@@ -259,7 +259,8 @@ class Tracker:
         if guard and goes:
             guard.late = late
             guard.rows(q, rate, h)  # sees what has been added or moved since
-            goes = guard.allows(q, rate, *self._carried.motion * self._units, h)
+            next_q, next_rate = self._carried.motion * self._units
+            goes = guard.allows(q, rate, next_q, next_rate, h)
             if not goes:
                 self.put_back(before)
                 way.blocked()
