@@ -46,6 +46,8 @@ from .search import SINGULAR_STEP
 from .wishes import STEP, away_from_limits, clip_wish, into_null_space, reflect, weigh
 
 GAIN = 2.0 / 3.0  # share of an error fed back per sample where the method has no gain itself: the best of `cv`
+TAKEN_UP = 20.0  # [1/s] at which joints take up what is wished: slower than they brake, they meet the limits they were to avoid
+LITTLE = 0.004  # [rad or reaches per s] wish above which they do so whole; there is none in the middle of a range
 FAST, BRISK = (
     1.0,
     0.5,
@@ -107,9 +109,19 @@ def lean_over(law, rule, s, limits, wish, rate, h):
 
 @inline
 def add_wishes(law, s, limits, wish, ratio, h, memory):
-    """Add the secondary motion to s.x: it must be part of what is extrapolated, or the tip would leave its path."""
+    """Add the secondary motion to s.x: it must be part of what is extrapolated, or the tip would leave its path.
+
+    Where accelerations are wanted, one by which the joints' own motion in the null space comes to it: weak where little is wished.
+    """
     if find_wishes(law, s, limits, wish, s.x):
-        kept, share = 0.0, min(h * law.null, 1.0) if law.code >= CA else 1.0
+        kept, share = 0.0, 1.0
+        if law.code >= CA:
+            size = 0.0
+            for i in range(s.g.shape[0]):
+                size += s.g[i] * s.g[i]
+            share = min(h * TAKEN_UP, 1.0) * math.sqrt(size) / (math.sqrt(size) + LITTLE)
+            for i in range(s.g.shape[0]):
+                s.g[i] -= s.null[i]
         if law.code == CV or law.code == CA:
             kept = share / h if law.code == CA else share
             share *= 1.0 + 0.5 * ratio
