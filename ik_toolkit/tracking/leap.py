@@ -3,7 +3,8 @@
 A method's feedback closes an error in proportion, and where limits forbid that it loses time twice: the tip slows down long before
 its target, and a straight way of the tip can be a long one for the joints, or end where no joint can go on. So where an error
 hardly falls though the target stands, its joint values are solved for at once, and those of points on the straight way before it.
-The straight way is taken unless it needs more than STRAIGHT times as long as the joints would by themselves (`travel`).
+The straight way is taken unless it needs more than STRAIGHT times as long as the joints would by themselves (`travel`). Where the
+solver's attempt from the present joint values fails, other starts are tried (reconfigure.py): feedback would mostly fail, too.
 """
 
 import math
@@ -16,6 +17,7 @@ from ..kernel.box import POSITION, bending
 from ..kernel.travel import SPARE, UNKNOWN, travel
 from .limits import speeds
 from .postures import STILL, WAIT, Postures, Taken, gap, locked, time_between
+from .reconfigure import Reconfiguration
 from .reference import exp
 
 STRAIGHT = 1.2  # times as long as through the joints that a straight way may take: 1.3 with what is lost at both ends
@@ -59,8 +61,8 @@ class Choice(NamedTuple):
 class Leap:
     """What a tracker knows of a target that leapt. goal (n,): where it is going [kernel units], or None; why: which way."""
 
-    def __init__(self, postures: Postures, chosen: bool, straight: float, elsewhere: bool) -> None:
-        """chosen: the method has gains that somebody chose; elsewhere: another posture may be taken.
+    def __init__(self, postures: Postures, chosen: bool, straight: float, elsewhere: Reconfiguration | None) -> None:
+        """chosen: the method has gains that somebody chose; elsewhere: finds another posture, where one may be taken.
 
         straight: how many times as long as through the joints a straight way may take.
         """
@@ -76,13 +78,15 @@ class Leap:
         self._time = 0.0  # [s] since it set out
         self._place = np.zeros(0)  # the target that was last looked at
         self._leapt = True  # whether the target came there at once
+        self._around, self._stood = (
+            np.zeros(0),
+            0.0,
+        )  # where it has been since, give or take STILL, and for how long [s]
 
     def watch(self, taken: Taken) -> None:
         """Look at a step taken. May set `goal`."""
         T, q, limits = taken.T, taken.q, taken.limits
-        moved = gap(T[1], T[0])
-        if moved > STILL * taken.h / WAIT:
-            self._leapt = moved > JUMP
+        if not self._stands(T, taken.dt, taken.since):
             return
         left = self.postures.size(taken.E[1])
         if left < NEAR or left < SLOW * self.postures.size(taken.E[0]):
@@ -97,6 +101,18 @@ class Leap:
         self._enough = max(self._patience(taken.law), CLOSE)
         if met[0] and time_between(q, found[0], limits) > self._enough:
             self._set_out(found[0], taken)
+        elif not met[0] and self._leapt and self._elsewhere and self._enough <= CLOSE:
+            self._elsewhere.search_now(T[1])
+
+    def _stands(self, T: np.ndarray, dt: float, since: float) -> bool:
+        """Whether the target stands, after an update of dt [s]: it hardly moved, or only trembles as measured targets do."""
+        moved, most = gap(T[1], T[0]), STILL * dt / WAIT
+        if moved > JUMP or not len(self._around) or gap(T[1], self._around) > STILL:
+            self._leapt = moved > JUMP or (self._leapt and moved <= most)
+            self._around, self._stood = T[1].copy(), 0.0
+        else:
+            self._stood += since
+        return moved <= most or self._stood >= WAIT
 
     def _set_out(self, goal: np.ndarray, taken: Taken) -> None:
         """Choose the way to a goal."""

@@ -29,8 +29,7 @@ class Taken(NamedTuple):
     singular: bool
     E: np.ndarray  # (2, m) errors before and after it [m, rad], base axes
     T: np.ndarray  # (2, F, 4, 4) targets before and after it
-    h: float  # [s]
-    dt: float  # [s] of the update: of several steps, where it was a long one
+    dt: float  # [s] of the update
     since: float  # [s] since the one looked at before it: those that end at their target, unhindered, are not
     q: np.ndarray  # (n,) afterwards
     rate: np.ndarray

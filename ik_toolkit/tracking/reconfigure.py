@@ -4,8 +4,9 @@ A tracker goes downhill, so a tool that is turned on and on ends where a joint i
 error larger. The solver's attempts from other starts then find joint values for the same target, and the arm moves there through
 its joints. Two things are decided here:
 
-When to search: only when limits, or a singular pose, have kept the error from falling for a while, and speed has not. A search is
-spread over updates so that none takes much longer; after one in vain there is a pause.
+When to search: only when limits, or a singular pose, have kept the error from falling for a while, and speed has not; at once for
+a target that leapt to where the solver does not get from here. A search is spread over updates so that none takes much longer;
+after one in vain there is a pause.
 
 When to move: on the way the tip leaves its target. Where the target stands, that is worth it at once. Where it moves it may come
 back by itself, so the arm waits until it has lost as much [m s] as the way costs: never more than twice what would have been best.
@@ -61,12 +62,20 @@ class Reconfiguration:
         self._place, self._rest = np.zeros(0), 0.0  # where the target is, and for how long [s]
         self._left = 0  # attempts of a search that goes on
         self._best: tuple[float, np.ndarray] | None = None
+        self._now = False  # whether it was asked for, wherever the arm is
 
     # ------------------------------------------------------------------------------------------------ when to search
     def watch(self, taken: Taken) -> None:
         """Look at a step taken. May set `goal`."""
         T, q, limits, dt = taken.T[-1], taken.q, taken.limits, taken.dt
         self._quiet -= taken.since
+        if self._now and gap(T, self._place) > STILL:
+            self.forget()
+        if self._now:
+            self._search(T, q, limits, dt)
+            if not self._left:
+                self._now, self.goal = False, self._best[1] if self._best else None
+            return
         code, held = taken.code.tolist(), 0
         for bits in code:
             held |= bits
@@ -102,14 +111,22 @@ class Reconfiguration:
             if not self._left:
                 self._decide(T, q, limits, taken.error_at, stands)
 
+    def search_now(self, T: np.ndarray) -> None:
+        """Search for a target T (F, 4, 4) that leapt and stands, from the next step on; in vain, all goes on as before."""
+        self.forget()
+        self._place, self.held = T.copy(), []
+        self._left, self._now = ATTEMPTS, True
+
     def _search(self, T: np.ndarray, q: np.ndarray, limits: np.ndarray, dt: float) -> None:
         """As many attempts of the search as an update has time for."""
         count = min(max(int(self._each * dt), 2), self._left)
         starts = self.robot.random_q(self._rng, count) / self.robot.chain.unit
         if self._left == ATTEMPTS:
             starts[0] = q
-        # Every other one with only the joints at limits elsewhere, or on the way to the best so far.
-        if self._best is None:
+        # Every other one with only the joints at limits elsewhere, or on the way to the best so far, or to a random one.
+        if self._best is None and not self.held:
+            starts[1::2] = q + self._rng.random((count // 2, 1)) * (starts[1::2] - q)
+        elif self._best is None:
             others = np.ones(len(q), bool)
             others[self.held] = False
             starts[1::2, others] = q[others]

@@ -14,6 +14,7 @@ NEAR = (
     1e-3,
     5e-3,
 )  # [m, rad] error above which a joint at its limit, or the edge of the reach, counts as the reason
+RESTING = 1e-6  # share of it below which no feedback moves it: a gain of 0.1 /s does by 1e-4 where an error is NEAR
 AT_REST = 1e-3  # share of a joint's speed limit (of 1 rad/s, 1 reach/s without one) below which it counts as at rest
 
 
@@ -52,7 +53,7 @@ class Outcome(NamedTuple):
     by: Judged
     code: np.ndarray  # (n,) bits of limits
     before: np.ndarray  # (n,) the command before, in kernel units
-    error: np.ndarray  # (m,) left [m, rad]
+    errors: np.ndarray  # (2, m) before it and left [m, rad]
     lost: float  # directions in which the tip can hardly move
     finite: bool
     lag: float  # of the joints measured, over what is allowed
@@ -82,7 +83,7 @@ class Step:
     @property
     def position_error(self) -> float:
         """Distance [m] left to the target."""
-        e = self._outcome.error.reshape(-1, 6)[:, :3]
+        e = self._outcome.errors[1].reshape(-1, 6)[:, :3]
         return float(np.sqrt((e * e).sum(axis=1).max()))
 
     @property
@@ -91,7 +92,7 @@ class Step:
         o = self._outcome
         if not any(o.by.posed):
             return None
-        e = o.error.reshape(-1, 6)[list(o.by.posed), 3:]
+        e = o.errors[1].reshape(-1, 6)[list(o.by.posed), 3:]
         return float(np.sqrt((e * e).sum(axis=1).max()))
 
     @property
@@ -110,7 +111,7 @@ class Step:
             return StepStatus.RECOVERING
         if o.lag > 0.5:
             return StepStatus.FOLLOWING_ERROR
-        if (held or o.lost) and self._stands() and self._away():
+        if (held or o.lost or self._rests()) and self._stands() and self._away():
             return StepStatus.BLOCKED if held & box.ROW else StepStatus.AT_LIMIT
         return StepStatus.LIMITED if held else StepStatus.OK
 
@@ -120,6 +121,11 @@ class Step:
 
     def _stands(self) -> bool:
         return bool((np.abs(self.rate) <= AT_REST * self._outcome.by.speed).all())
+
+    def _rests(self) -> bool:
+        """Whether an error that was there before the step moves no joint: what is left has no direction in which the tip can go."""
+        before, after = np.abs(self._outcome.errors)
+        return bool((np.abs(self.rate) <= RESTING * self._outcome.by.speed).all() and before.max() > 0.5 * after.max())
 
     def _away(self) -> bool:
         return self.position_error > NEAR[0] or (self.orientation_error or 0.0) > NEAR[1]
@@ -142,7 +148,8 @@ class Step:
         if status is StepStatus.FOLLOWING_ERROR:
             parts.append("the measured joints are far from the commanded ones")
         if status is StepStatus.AT_LIMIT:
-            parts.append("at the closest reachable pose" if o.lost else "as close as the limits allow")
+            limited = not o.lost and o.code.any()
+            parts.append("as close as the limits allow" if limited else "at the closest reachable pose")
         if o.way is not None:
             parts.append(_on_the_way(o.way))
         words = (

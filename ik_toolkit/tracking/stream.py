@@ -14,11 +14,12 @@ from ..solvers.task import read_one, read_target
 from .reference import exp, log
 
 FLOAT = np.dtype(np.float64)
+RECENT = 10  # targets: where steps take 0.5 to 1.5 times their mean, ca brings errors to 0.59 a step, with gains of each to 0.99
 KIND = {(4, 4): POSE, (3,): POSITION}  # of an array, by its shape
 
 
 class Stream:
-    """The last target and the next, `samples`; kinds, one a tip."""
+    """The last target and the next, `samples`; kinds, one a tip; pace, the longest of the last times between them [s]."""
 
     def __init__(self, robot: Any) -> None:
         """Room for the tips of a robot."""
@@ -31,13 +32,19 @@ class Stream:
         self._poses = list(self._given.T[0])
         self._posed = 0  # bit f: tip f has an orientation
         self._moved = 0
+        self.pace, self._second, self._count = 0.0, 0.0, 0  # [s], the longest since that one, targets since it
 
     def forget(self) -> None:
         """Any target may come next."""
         self.kinds = None
+        self.pace = 0.0
 
     def take(self, slot: int, target: Any, twist: Any, acceleration: Any, dt: float = 0.0) -> bool:
         """Write a target into sample 0 (now) or 1 (end of step); False when it is not finite (the last one is kept)."""
+        if dt >= self.pace:
+            self.pace, self._second, self._count = dt, 0.0, 0
+        elif slot:
+            self._keep_pace(dt)
         kinds, how = self._as_it_is(target) or self._read_in_full(target)
         if twist is not None:
             self._given.V[0] = self._motion(twist, "twist")
@@ -48,6 +55,12 @@ class Stream:
             kinds, how = self._read_in_full(target)
             done = self._arrive(slot, kinds, how, twist is not None, acceleration is not None, dt)
         return done == TAKEN
+
+    def _keep_pace(self, dt: float) -> None:
+        """Forget the longest time between targets after a while."""
+        self._second, self._count = max(self._second, dt), self._count + 1
+        if self._count >= RECENT:
+            self.pace, self._second, self._count = self._second, 0.0, 0
 
     def step_on(self) -> None:
         """The next target becomes the last one (when the one after it arrives)."""

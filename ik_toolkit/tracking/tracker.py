@@ -119,9 +119,8 @@ class Tracker:
         longest = math.inf if straight == math.inf else positive(straight, "straight")
         if limits and self._mode == DIRECT:
             self._postures = Postures(robot, self.engine.options)
-            self._ways.append(Leap(self._postures, self.engine.chosen, longest, elsewhere))
-            if elsewhere:
-                self._ways.append(Reconfiguration(robot, self._postures, self._guard and self._guard.model))
+            other = Reconfiguration(robot, self._postures, self._guard and self._guard.model) if elsewhere else None
+            self._ways = [Leap(self._postures, self.engine.chosen, longest, other), *([other] if other else [])]
         self._settings, self._out, self._here = new_settings(n, m, ROWS), new_record(2, n, m), new_record(1, n, m)
         for part, values in ((self._settings.limits, self._limits), (self._settings.wish, self.secondary.wish)):
             part[:] = values
@@ -232,12 +231,12 @@ class Tracker:
             self._unseen += dt
             # Most steps end at their target, unhindered: there is nothing to look at, which would take as long as the step.
             if math.hypot(*self._error.tolist()) > REACHED or any(code.tolist()) or lost > 0.0:
-                self._watch(part, h, dt)
+                self._watch(stream.samples, h, dt)
         if finite:
             stream.step_on()
         now = self._carried.motion * self._units
         out = make_outcome((
-            self._judged, code, before, self._error.copy(), lost, finite, lag, resynced, self._between,
+            self._judged, code, before, self._out.E.copy(), lost, finite, lag, resynced, self._between,
             self._goes.why if self._goes else None,
         ))  # fmt: skip
         return Step(now[0], now[1], out)
@@ -280,7 +279,7 @@ class Tracker:
             return self._now(self.stream.last_of(samples), h, measured=True).E[0]
 
         taken = Taken(
-            self._code, self._out.S[0, 3] > 0.0, self._out.E, samples.T, h, dt, self._unseen, self._q, self._rate,
+            self._code, self._out.S[0, 3] > 0.0, self._out.E, samples.T, dt, self._unseen, self._q, self._rate,
             self._limits, self._settings.law, error_at,
         )  # fmt: skip
         self._unseen = 0.0
@@ -331,7 +330,9 @@ class Tracker:
 
         clock: tolerances (position [m], orientation [rad]) of a reference that has one.
         """
-        ordered = h, brake, measured, runaway, mode, clock, self._late, self.rows, self.secondary.avoid
+        # With gains for each step's own time ca swings without end where these times differ.
+        pace = h if h >= self.stream.pace else max(h, min(self.stream.pace, self._late))
+        ordered = h, pace, brake, measured, runaway, mode, clock, self._late, self.rows, self.secondary.avoid
         if ordered != self._ordered:
             self._order(*ordered)
             self._ordered = ordered
@@ -342,13 +343,13 @@ class Tracker:
             chain.rows, chain.ends, self._orders, self._settings.block, self._carried.block, samples.block, out.block, h
         )
 
-    def _order(self, h, brake, measured, runaway, mode, clock, late, rows, avoid) -> None:
+    def _order(self, h, pace, brake, measured, runaway, mode, clock, late, rows, avoid) -> None:
         """Write the law of a run to the settings."""
-        made = self._laws.get((h, measured))
+        made = self._laws.get((pace, measured))
         if made is None:
             if len(self._laws) >= LAWS_KEPT:
                 self._laws.clear()
-            made = self._laws[h, measured] = self.engine.law(h, AGE if measured else 0.0)
+            made = self._laws[pace, measured] = self.engine.law(pace, AGE if measured else 0.0)
         law, at = self._settings.law, motion.PLACE
         law[:] = made
         law[at.brake], law[at.measured], law[at.runaway], law[at.late] = brake, measured, runaway, max(late, h)

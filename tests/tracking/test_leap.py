@@ -70,6 +70,41 @@ def test_back_within_the_joints_own_time(name, method, accelerate):
 
 
 @pytest.mark.parametrize("accelerate", [False, True])
+@pytest.mark.parametrize("name", ["planar_3r", "z1", "talos_arm"])
+def test_back_where_the_solver_does_not_get_from_here(name, accelerate):
+    """Goals with a joint near its limit: feedback ends there and needs up to three times as long."""
+    robot = ik.Robot.load(name)
+    rng = np.random.default_rng(5)
+    low, high = np.maximum(robot.lower, -np.pi), np.minimum(robot.upper, np.pi)
+    for q0, q1 in pairs(robot, 12, seed=6, sizes=(0.3, 1.0)):
+        i = rng.integers(robot.n)
+        q1[i] = rng.choice([low[i] + 1e-3, high[i] - 1e-3])
+        steps = follow(robot, q0, robot.fk(q1), 8.0, accelerate)
+        seconds, bound = time_back(robot, q0, steps, accelerate)
+        assert seconds <= 1.3 * bound + 2.0 * DT, (q0, seconds, bound)
+
+
+@pytest.mark.parametrize("dt", [0.002, 0.01])
+def test_a_measured_target_trembles(panda, dt):
+    """By 0.1 mm from sample to sample: it stands all the same, which is seen after 0.1 s."""
+    rng = np.random.default_rng(1)
+    for q0, q1 in pairs(panda, 4, seed=2, sizes=(0.4, 0.8)):
+        tracker = ik.Tracker(panda, q0=q0, rate0=np.zeros(7), acceleration_limits=accelerations(panda))
+        tracker.update(panda.fk(q0), dt)
+        T, taken = panda.fk(q1).homogeneous, 0.0
+        for _ in range(round(3.0 / dt)):
+            taken += dt
+            shaken = T.copy()
+            shaken[:3, 3] += rng.normal(scale=1e-4, size=3)
+            step = tracker.update(shaken, dt)
+            if step.position_error < 1e-3:
+                break
+        way, v, a = np.abs(step.q - q0), panda.velocity_limits, accelerations(panda)
+        bound = np.where(way > v * v / a, way / v + v / a, 2.0 * np.sqrt(way / a)).max()
+        assert taken <= 1.3 * bound + 0.1 + dt, (taken, bound)
+
+
+@pytest.mark.parametrize("accelerate", [False, True])
 def test_straight_where_that_costs_little(panda, accelerate):
     """And, where somebody wants that, wherever there is a straight way."""
     chosen = []

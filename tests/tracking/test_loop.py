@@ -6,6 +6,7 @@ import pytest
 from references import Q0, panda_reference
 
 from ik_toolkit.errors import InvalidOption, InvalidTarget
+from ik_toolkit.robot.robot import Robot
 from ik_toolkit.tracking.methods import make_method
 from ik_toolkit.tracking.step import StepStatus
 from ik_toolkit.tracking.track import track
@@ -161,3 +162,34 @@ def test_mistakes_in_the_loop_are_typed(panda):
             make_method("aa", **option)
     with pytest.raises(InvalidOption, match="longer than the reference"):
         track(panda, panda_reference(panda, True, 1.0), dt=2.0)
+
+
+@pytest.mark.parametrize("method", ["cv", "av", "ca", "aa", "aad"])
+def test_steps_of_uneven_length_calm_an_error(panda, method):
+    """Gains that are best for each step by itself let ca swing by a centimetre for ever."""
+    for seed in range(4):
+        rng = np.random.default_rng(seed)
+        q0 = panda.home + rng.uniform(-0.1, 0.1, 7)
+        T = panda.fk(q0).homogeneous
+        tracker = Tracker(panda, method, q0=q0, rate0=np.zeros(7))
+        tracker.update(T, 0.01)
+        T[:3, 3] += rng.normal(scale=1e-3, size=3)
+        errors = [tracker.update(T, rng.uniform(0.005, 0.015)).position_error for _ in range(400)]
+        assert max(errors[100:]) < 1e-6
+
+
+def test_at_rest_before_what_no_joint_can_do():
+    """A planar arm and a target above its plane: nothing moves, no limit holds, and that is not OK."""
+    robot = Robot.load("planar_3r")
+    q0 = np.array([0.3, 0.9, 0.5])
+    T = robot.fk(q0).homogeneous
+    tracker = Tracker(robot, q0=q0)
+    tracker.update(T, 0.01)
+    T[2, 3] += 0.03
+    steps = [tracker.update(T, 0.01) for _ in range(100)]
+    assert steps[-1].position_error == pytest.approx(0.03) and np.abs(steps[-1].rate).max() < 1e-12
+    assert steps[-1].status is StepStatus.AT_LIMIT and steps[-1].reason == "at the closest reachable pose"
+    T[2, 3] -= 0.03
+    T[0, 3] -= 0.01
+    steps = [tracker.update(T, 0.01) for _ in range(100)]
+    assert steps[-1].status is StepStatus.OK and steps[-1].position_error < 1e-6
