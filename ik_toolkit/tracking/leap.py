@@ -102,6 +102,7 @@ class Leap:
         if met[0] and time_between(q, found[0], limits) > self._enough:
             self._set_out(found[0], taken)
         elif not met[0] and self._leapt and self._elsewhere and self._enough <= CLOSE:
+            self._leapt = False  # one search a leap, though the target may creep on
             self._elsewhere.search_now(T[1])
 
     def _stands(self, T: np.ndarray, dt: float, since: float) -> bool:
