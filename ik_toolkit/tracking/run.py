@@ -151,7 +151,8 @@ class Run:
         lower, upper = self.tracker._limits[:2]
         wide = upper - lower
         bounded = np.isfinite(wide)
-        middle = np.where(bounded, 0.5 * (lower + upper), 0.0)
+        middle = np.zeros(len(wide))
+        middle[bounded] = 0.5 * (lower[bounded] + upper[bounded])
         rate = np.where(bounded, POSTURE, 0.0)
         yield own._replace(posture=middle, rate=rate)
         for i in np.flatnonzero(bounded):  # one joint bent aside
