@@ -78,10 +78,7 @@ class Leap:
         self._time = 0.0  # [s] since it set out
         self._place = np.zeros(0)  # the target that was last looked at
         self._leapt = True  # whether the target came there at once
-        self._around, self._stood = (
-            np.zeros(0),
-            0.0,
-        )  # where it has been since, give or take STILL, and for how long [s]
+        self._around, self._stood = np.zeros(0), 0.0  # where it has been, give or take STILL, and for how long [s]
 
     def watch(self, taken: Taken) -> None:
         """Look at a step taken. May set `goal`."""

@@ -21,10 +21,10 @@ AT_REST = 1e-3  # share of a joint's speed limit (of 1 rad/s, 1 reach/s without 
 class StepStatus(Enum):
     """How one step went.
 
-    OK. LIMITED: a limit held a joint back. AT_LIMIT: the arm is as close as a joint's limit, or its reach, allows. BLOCKED: as
-    near as what is in the way allows. RECONFIGURING: the arm moves to another posture, which reaches the target. RECOVERING: a
-    joint outside its limits comes back, or brakes. FOLLOWING_ERROR: the joints measured are far from those commanded. JUMPED: a
-    joint moved far, or the tracker started anew from the joints measured. HELD: no usable command.
+    OK. LIMITED: a limit held a joint back. AT_LIMIT: the arm rests about as close as a joint's limit, or its reach, allows.
+    BLOCKED: as near as what is in the way allows. RECONFIGURING: the arm moves to another posture, which reaches the target.
+    RECOVERING: a joint outside its limits comes back, or brakes. FOLLOWING_ERROR: the joints measured are far from those
+    commanded. JUMPED: a joint moved far, or the tracker started anew from the joints measured. HELD: no usable command.
     """
 
     OK = "ok"
@@ -149,7 +149,7 @@ class Step:
             parts.append("the measured joints are far from the commanded ones")
         if status is StepStatus.AT_LIMIT:
             limited = not o.lost and o.code.any()
-            parts.append("as close as the limits allow" if limited else "at the closest reachable pose")
+            parts.append(f"about as close as {'the limits allow' if limited else 'the arm reaches from here'}")
         if o.way is not None:
             parts.append(_on_the_way(o.way))
         words = (

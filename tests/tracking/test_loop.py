@@ -188,7 +188,7 @@ def test_at_rest_before_what_no_joint_can_do():
     T[2, 3] += 0.03
     steps = [tracker.update(T, 0.01) for _ in range(100)]
     assert steps[-1].position_error == pytest.approx(0.03) and np.abs(steps[-1].rate).max() < 1e-12
-    assert steps[-1].status is StepStatus.AT_LIMIT and steps[-1].reason == "at the closest reachable pose"
+    assert steps[-1].status is StepStatus.AT_LIMIT and steps[-1].reason == "about as close as the arm reaches from here"
     T[2, 3] -= 0.03
     T[0, 3] -= 0.01
     steps = [tracker.update(T, 0.01) for _ in range(100)]
