@@ -119,9 +119,10 @@ def add_wishes(law, s, limits, wish, ratio, h, memory):
             size = 0.0
             for i in range(s.g.shape[0]):
                 size += s.g[i] * s.g[i]
-            share = min(h * TAKEN_UP, 1.0) * math.sqrt(size) / (math.sqrt(size) + LITTLE)
+            rate = max(TAKEN_UP, law.null)  # law.null is damped already
+            share = min(h * rate, 1.0) * math.sqrt(size) / (math.sqrt(size) + LITTLE)
             for i in range(s.g.shape[0]):
-                s.g[i] -= s.null[i]
+                s.g[i] -= (1.0 - law.null / rate) * s.null[i]
         if law.code == CV or law.code == CA:
             kept = share / h if law.code == CA else share
             share *= 1.0 + 0.5 * ratio

@@ -177,11 +177,19 @@ def test_wishes_are_found_and_added():
         want *= min(1.0, (room / np.abs(want)).min())
         np.testing.assert_allclose(s.g, want, atol=1e-12)
         s.null = null(s.J) @ rng.normal(size=n)
-        for code, h in ((CV, 0.01), (AV, 0.01), (CA, 0.01), (CA, 0.2), (AA, 0.01)):
+        for code, h, damped in (
+            (CV, 0.01, 2.0),
+            (AV, 0.01, 2.0),
+            (CA, 0.01, 2.0),
+            (CA, 0.2, 2.0),
+            (AA, 0.01, 0.0),
+            (AA, 0.01, 40.0),
+        ):
             s.x[:], memory = base, np.full(n, 7.0)
-            wanted.add_wishes(law(code, avoid=avoid), s, limits, wish, 0.6, h, memory)
-            much = np.linalg.norm(want) / (np.linalg.norm(want) + wanted.LITTLE)
-            more = min(wanted.TAKEN_UP * h, 1.0) * much * (want - s.null) if code >= CA else want
+            wanted.add_wishes(law(code, avoid=avoid, null=damped), s, limits, wish, 0.6, h, memory)
+            # With the damping of the law, which is elsewhere, the joints' own motion comes to what is wished, at 20 1/s or more.
+            rate, much = max(20.0, damped), np.linalg.norm(want) / (np.linalg.norm(want) + wanted.LITTLE)
+            more = min(rate * h, 1.0) * much * (want - (1.0 - damped / rate) * s.null) if code >= CA else want
             kept = {CV: 1.0, CA: 1.0 / h}.get(code, 0.0)
             np.testing.assert_allclose(s.x, base + (1.3 if code in (CV, CA) else 1.0) * more, atol=1e-12)
             np.testing.assert_allclose(memory, 7.0 + kept * more, atol=1e-12)
