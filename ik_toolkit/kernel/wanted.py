@@ -46,8 +46,8 @@ from .search import SINGULAR_STEP
 from .wishes import STEP, away_from_limits, clip_wish, into_null_space, reflect, weigh
 
 GAIN = 2.0 / 3.0  # share of an error fed back per sample where the method has no gain itself: the best of `cv`
-TAKEN_UP = 20.0  # [1/s] at which joints take up what is wished: slower than they brake, they meet the limits they were to avoid
-LITTLE = 0.004  # [rad or reaches per s] wish above which they do so whole; there is none in the middle of a range
+TAKEN_UP = 20.0  # [1/s] least rate at which joints take up what is wished: slower than braking, they run into limits they avoid
+LITTLE = 0.004  # [rad or reaches per s] wish that is taken up half as fast: it comes and goes smoothly
 FAST, BRISK = (
     1.0,
     0.5,

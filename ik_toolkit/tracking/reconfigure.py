@@ -69,13 +69,13 @@ class Reconfiguration:
         """Look at a step taken. May set `goal`."""
         T, q, limits, dt = taken.T[-1], taken.q, taken.limits, taken.dt
         self._quiet -= taken.since
-        if self._now and gap(T, self._place) > STILL:
-            self.forget()
         if self._now:
-            self._search(T, q, limits, dt)
-            if not self._left:
-                self._now, self.goal = False, self._best[1] if self._best else None
-            return
+            if gap(T, self._place) <= STILL:
+                self._search(T, q, limits, dt)
+                if not self._left:
+                    self._now, self.goal = False, self._best[1] if self._best else None
+                return
+            self.forget()
         code, held = taken.code.tolist(), 0
         for bits in code:
             held |= bits

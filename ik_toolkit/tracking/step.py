@@ -14,8 +14,8 @@ NEAR = (
     1e-3,
     5e-3,
 )  # [m, rad] error above which a joint at its limit, or the edge of the reach, counts as the reason
-RESTING = 1e-6  # share of it below which no feedback moves it: a gain of 0.1 /s does by 1e-4 where an error is NEAR
 AT_REST = 1e-3  # share of a joint's speed limit (of 1 rad/s, 1 reach/s without one) below which it counts as at rest
+RESTING = 1e-6  # the same of a joint that no feedback moves: a gain of 0.1/s asks for 1e-4 where an error is NEAR
 
 
 class StepStatus(Enum):

@@ -331,7 +331,7 @@ class Tracker:
         clock: tolerances (position [m], orientation [rad]) of a reference that has one.
         """
         # With gains for each step's own time ca swings without end where these times differ.
-        pace = h if h >= self.stream.pace else max(h, min(self.stream.pace, self._late))
+        pace = max(h, min(self.stream.pace, self._late))
         ordered = h, pace, brake, measured, runaway, mode, clock, self._late, self.rows, self.secondary.avoid
         if ordered != self._ordered:
             self._order(*ordered)
