@@ -227,7 +227,7 @@ def answer(scale, low, high, A, count, unit, V, S, state, x, active, kept, multi
 @spliced
 def constrain(
     J, weight, feedback, forward, want, beside, scale, low, high, A, b, count, mode, cap, singular, damping, room,
-    x, active, kept, starts, multiplier, step=0.0,
+    x, active, kept, starts, multiplier, step=0.0, mu=0.0,
 ):  # fmt: skip
     """Write to x (n,) the rate that does the task as well as possible, then is nearest to `want`; return status and clock rate.
 
@@ -249,14 +249,14 @@ def constrain(
     """
     s = room.levels
     return solve_step(
-        J, weight, feedback, forward, want, beside, scale, low, high, A, b, count, mode, cap, singular, damping, step,
+        J, weight, feedback, forward, want, beside, scale, low, high, A, b, count, mode, cap, singular, damping, step, mu,
         x, active, kept, starts, multiplier, s.P, s.W, s.L, s.U, s.V, s.S, s.state, s.order, room.task,
     )  # fmt: skip
 
 
 @inner
 def solve_step(
-    J, weight, feedback, forward, want, beside, scale, low, high, A, b, count, mode, cap, singular, damping, step,
+    J, weight, feedback, forward, want, beside, scale, low, high, A, b, count, mode, cap, singular, damping, step, mu,
     x, active, kept, starts, multiplier, P, W, L, U, V, S, state, order, task,
 ):  # fmt: skip
     """Carry out `constrain`: one loop over the problems to solve, because the code of each is large."""
@@ -270,7 +270,7 @@ def solve_step(
         return WANTED, top
     cut = min(1.0, max(far / CUT_AT, math.sqrt(miss / size) if size > 0.0 else 0.0))
     recall(active, kept, P.shape[1], n, count, state)
-    stage = CLOCK if mode != LEAVE and kept[last] == SLOWED else FULL
+    stage = EASED if mu > 0.0 else CLOCK if mode != LEAVE and kept[last] == SLOWED else FULL
     clock_tried, refused, fresh, moved, done = False, False, True, False, False
     loose, unit, rate, damped, r = 0.0, 0.0, top, 1.0, 0
     while True:
@@ -287,7 +287,7 @@ def solve_step(
         N, rows = n, r
         if stage == EASED:
             move = -1.0 if mode == DIRECT else rate
-            damped = ease(P, W, V, S, state, task, weight, beside, scale, count, r, n, move, step)
+            damped = ease(P, W, V, S, state, task, weight, beside, scale, count, r, n, move, step, mu)
             N = n + r
         elif stage == CLOCK:
             clock_tried = True

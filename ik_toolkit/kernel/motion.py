@@ -45,9 +45,11 @@ class State(NamedTuple):
     near: (
         int  # 1: near a singular pose in the last step; and [s] for which the target counts as having been out of reach
     )
-    tamed: int  # how many times the rates wanted are halved, see `tame`
-    nearest: int  # least square of the weighted error while the target stands, 0: none yet; see `notice`
-    reached: int  # ... as it was when the joints turned back, 0: they did not
+    stalled: int  # [s] for which limits or a singular pose have kept the error from coming down, see rest.py
+    turned: int  # how often the joints turned back, see there
+    nearest: int  # weighted error when it last came down
+    lowest: int  # share that is not gone below
+    share: int  # of the curvature by which steps are damped, 0: the method's own steps
 
 
 STATE = State._make(range(len(State._fields)))  # places in the array

@@ -35,25 +35,26 @@ def judge(wanted, h, p, state):
 
 
 @inline
-def by_constraints(law, s, count, sigma, h, state, work, active, kept, starts, code):
+def by_constraints(law, s, count, sigma, mu, h, state, work, active, kept, starts, code):
     """Rates that the limits allow, to s.x: the clock's rate then, and whether anything prevented those wanted."""
     n, m = s.J.shape
-    mode = LEAVE if state[STATE.leaving] > 0.0 and law.mode == SLOW else int(law.mode)
-    for k in range(m):
-        s.ask[k] = -s.f[k]
+    mode = LEAVE if mu > 0.0 or (state[STATE.leaving] > 0.0 and law.mode == SLOW) else int(law.mode)
+    if mu == 0.0:
+        for k in range(m):
+            s.ask[k] = -s.f[k]
+            for i in range(n):
+                s.ask[k] += s.J[i, k] * s.x[i]
+            s.t[k] = s.ask[k] + s.f[k]
+        apply(s.J, m, s.G, s.t, s.y, s.v)
         for i in range(n):
-            s.ask[k] += s.J[i, k] * s.x[i]
-        s.t[k] = s.ask[k] + s.f[k]
-    apply(s.J, m, s.G, s.t, s.y, s.v)
-    for i in range(n):
-        s.v[i] = s.x[i] - s.v[i]
+            s.v[i] = s.x[i] - s.v[i]
     copy(s.x, s.w)
     least = min(state[STATE.sigma] - QUICK * h, sigma)  # the last step ends with the reference
     status, share, part = WANTED, 1.0, 1.0
     for _ in range(2):
         status, part = constrain(
-            s.J, s.weight, s.ask, s.f, s.w, s.v, s.size, s.floor, s.roof, s.planes, s.edges, count, mode, 1.0, SINGULAR, DAMPING,
-            work, s.x, active, kept, starts, s.multiplier, h,
+            s.J, s.weight, s.ask, s.f, s.w, s.v, s.move if mu > 0.0 else s.size, s.floor, s.roof, s.planes, s.edges, count, mode, 1.0, SINGULAR, DAMPING,
+            work, s.x, active, kept, starts, s.multiplier, h, mu,
         )  # fmt: skip
         share *= part
         if mode != SLOW or share * sigma >= least - WHOLE:
@@ -79,23 +80,23 @@ def by_constraints(law, s, count, sigma, h, state, work, active, kept, starts, c
 
 
 @inline
-def by_clipping(law, s, count, sigma, h, state, work, active, kept, starts, code):
+def by_clipping(law, s, count, sigma, mu, h, state, work, active, kept, starts, code):
     """The same for a solver's rule: each joint on its own. (`constrain` in each rule's loop would take a minute to compile.)"""
     clip(s.x, s.floor, s.roof, s.why_low, s.why_top, code)
     return sigma, False
 
 
-def obey(rule, law, s, count, sigma, h, state, work, active, kept, starts, code):
+def obey(rule, law, s, count, sigma, mu, h, state, work, active, kept, starts, code):
     """Rates that the limits allow, see `by_constraints`."""
     how = by_constraints if isinstance(rule, Published) else by_clipping
-    return how(law, s, count, sigma, h, state, work, active, kept, starts, code)
+    return how(law, s, count, sigma, mu, h, state, work, active, kept, starts, code)
 
 
 @overload(obey, jit_options=INLINE)
-def _obey(rule, law, s, count, sigma, h, state, work, active, kept, starts, code):
+def _obey(rule, law, s, count, sigma, mu, h, state, work, active, kept, starts, code):
     how = by_constraints if rule.instance_class is Published else by_clipping
-    return lambda rule, law, s, count, sigma, h, state, work, active, kept, starts, code: how(
-        law, s, count, sigma, h, state, work, active, kept, starts, code
+    return lambda rule, law, s, count, sigma, mu, h, state, work, active, kept, starts, code: how(
+        law, s, count, sigma, mu, h, state, work, active, kept, starts, code
     )
 
 

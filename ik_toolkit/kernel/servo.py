@@ -17,24 +17,19 @@ from typing import Any
 import numpy as np
 
 from .bench import bench_on, bench_space
-from .box import HELD, SWING, UNLIMITED, approach, boxes, calm, clip, move, slow, watch, way_to
+from .box import HELD, UNLIMITED, approach, boxes, calm, clip, move, watch, way_to
 from .clock import WHOLE, next_rate, reference, too_far
 from .constrain import SLOW, room_on, room_space
 from .jit import cached, inline, inner
 from .motion import CLIP, GIVEN, MOVING, READY, RUNNING, STATE, Law, apply, factor, own_up, settle
 from .obey import judge, obey, pacing
 from .records import HEAD, TASK, Orders, copy, read
+from .rest import descend, notice, stuck
 from .search import problem_on, step_class
 from .session import carried_of, record_of, samples_of, settings_of
 from .view import keep, space, view
 from .wanted import Published, copy_rows, lean, wanted
 from .wishes import lay_aside, reflect, slack_rows
-
-TAMED = 8.0  # most halvings of `tame`: joints below a hundredth of their speed are at rest
-FORGOTTEN = 0.25  # [s] in which one is forgotten
-NEARER = 0.9999  # of the square of an error: joints that turn back below it since they last did get on
-FARTHER = 1.1  # of its least: above it the joints were disturbed
-STANDS = 1e-6  # [reaches or rad per s] below which a target stands
 
 
 @inner
@@ -129,73 +124,14 @@ def leave_out(J, floor, roof):
                 J[i, k] = 0.0
 
 
-@inner
-def quieten(law, s, rate, swings, count, h, state):
-    """Narrow the box for joints that swing: before a target that stands all are slowed down, else they gain speed gradually.
+@inline
+def quieten(law, s, rate, swings, count, h):
+    """Let joints that swing gain speed gradually.
 
     Not where a published form is asked for or a clock gives way instead; and half-planes (count) may need more.
     """
-    most = 0.0
-    for k in range(s.f.shape[0]):
-        most = max(most, abs(s.f[k]))
-    if law.mode == CLIP or most > STANDS:
-        state[STATE.tamed], state[STATE.nearest], state[STATE.reached] = 0.0, 0.0, 0.0
-    if law.mode == CLIP or law.mode == SLOW or count > 0:
-        return
-    if state[STATE.tamed] > 0.0:
-        slow(share_of(state), s.size, s.floor, s.roof, s.why_low, s.why_top)
-    else:
+    if law.mode != CLIP and law.mode != SLOW and count == 0:
         calm(rate, s.size, swings, h, s.floor, s.roof, s.why_low, s.why_top)
-
-
-@inner
-def share_of(state):
-    """Share of the rates wanted that tamed joints take: to turn back once is no swing."""
-    return 0.5 ** max(state[STATE.tamed] - 1.0, 0.0)
-
-
-@inner
-def tame(law, h, ratio, s, memory, state):
-    """Slow down the wanted rates s.x of joints that turned back again and again while the target stands, see `notice`.
-
-    Out of reach each direction is brought to its own closest point, and all of them at once may go too far, and back, for ever.
-    """
-    share, most = share_of(state), 1.0
-    if share == 1.0:
-        return
-    for i in range(s.x.shape[0]):
-        s.w[i] = s.x[i]
-        most = max(most, abs(s.x[i]) / s.size[i])
-    for i in range(s.x.shape[0]):
-        s.x[i] *= share / most
-    own_up(law, h, ratio, s.w, s.x, s.lead, 0.0, memory)
-
-
-@inner
-def notice(swings, before, x, size, square, h, state):
-    """Count how often the joints turned back near a singular pose without getting nearer: that halves their rates, see `tame`.
-
-    square: of the error now, weighted. They turn back when all together do (before . x < 0, in shares of their speeds), or one
-    does that was faster than SWING since its last turn: a swing against acceleration limits turns slowly, each joint in its time.
-    A halving is forgotten where they got nearer since, or are far from where they once were.
-    """
-    along, back = 0.0, False
-    for i in range(x.shape[0]):
-        along += before[i] * x[i] / (size[i] * size[i])
-        peak = swings[2, i]
-        back = back or (peak * x[i] < 0.0 and abs(peak) > SWING * size[i])
-        if peak * x[i] < 0.0 or abs(x[i]) > abs(peak):
-            swings[2, i] = x[i]
-    if square < state[STATE.nearest] or state[STATE.nearest] == 0.0:
-        state[STATE.nearest] = square
-    nearer = state[STATE.nearest] < NEARER * state[STATE.reached] or state[STATE.reached] == 0.0
-    if state[STATE.near] > 0.0 and (back or along < 0.0):
-        if nearer:
-            state[STATE.reached] = state[STATE.nearest]
-        else:
-            state[STATE.tamed] = min(state[STATE.tamed] + 1.0, TAMED)
-    elif nearer or square > FARTHER * state[STATE.nearest]:
-        state[STATE.tamed] = max(state[STATE.tamed] - h / FORGOTTEN, 0.0)
 
 
 @inner
@@ -283,14 +219,18 @@ def run(step, rows, ends, orders, given, own, samples, out, h, block):
             leave_out(s.J, s.floor, s.roof)
         count = gather(law, lines, level, s.planes, s.edges)
         count = slack_rows(counts[1], s.J, s.e, s.f, s.ahead, s.a, h, s.planes, s.edges, count)
-        quieten(law, s, rate, swings, count, h, state)
         copy(counts[0], s.weight)
         square = error_squared(s.weight, s.e)
         ratio = h / state[STATE.period] if state[STATE.start] == RUNNING else 0.0
-        S[i, 3] = wanted(
-            law, rule, task, look, weights, s, counts[1], limits, wish, count, sigma, h, rate, memory, away, state
-        )
-        tame(law, h, ratio, s, memory, state)
+        mu = 0.0
+        if law.mode != CLIP and law.mode != SLOW and stuck(law, s, square, h, state):
+            mu = descend(law, s, limits, h, state)
+            S[i, 3] = min(state[STATE.near], 1.0)
+        else:
+            quieten(law, s, rate, swings, count, h)
+            S[i, 3] = wanted(
+                law, rule, task, look, weights, s, counts[1], limits, wish, count, sigma, h, rate, memory, away, state
+            )
         copy(rate, s.before)
         stop, still = judge(s.x, h, law, state)
         if stop:
@@ -299,17 +239,17 @@ def run(step, rows, ends, orders, given, own, samples, out, h, block):
         if still or law.mode == CLIP:
             clip_rates(law, s, still, h, memory, C[i])
         else:
-            done, held = obey(rule, law, s, count, sigma, h, state, work, active, kept, starts, C[i])
-            watch(swings, state[STATE.near] > 0.0, s.before, s.x, s.size, h)
-            if held:
+            done, held = obey(rule, law, s, count, sigma, mu, h, state, work, active, kept, starts, C[i])
+            watch(swings, mu > 0.0 or state[STATE.near] > 0.0, s.before, s.x, s.size, h)
+            if held and mu == 0.0:
                 own_up(law, h, ratio, s.w, s.x, s.lead, sigma - done, memory)
         if law.mode == SLOW:
             S[i, 1] = done
             S[i, 2] = pacing(s, active, done, sigma, caps[1, j] if caps[1, j] >= 0.0 or i == 0 else S[i - 1, 2])
-        notice(swings, s.before, s.x, s.size, square, h, state)
+        notice(law, s, swings, C[i], square, h, state)
         tick(state, law, clock, done)
         move(q, rate, s.x, law.gamma, h)
-        state[STATE.start] = RUNNING
+        state[STATE.start] = RUNNING if mu == 0.0 else READY  # the method's own commands ended
         state[STATE.period] = h
     return 0
 

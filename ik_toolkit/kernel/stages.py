@@ -58,7 +58,7 @@ def aside(P, S, first, r, n, alpha):
 
 
 @inner
-def ease(P, W, V, S, state, task, weight, beside, scale, first, r, n, rate, step):
+def ease(P, W, V, S, state, task, weight, beside, scale, first, r, n, rate, step, mu):
     """Let the residual be unknowns from n on, each l of its unit, and be as dear as the joints' motion: l^2, or 0.
 
     rate: of the clock; below 0: what is asked stays. |C y - d|^2 + l^2 |y - c|^2 is then the second objective, under a task
@@ -85,7 +85,7 @@ def ease(P, W, V, S, state, task, weight, beside, scale, first, r, n, rate, step
             along = dot(W, k, V, WANT, n)
             for i in range(n):
                 V[WANT, i] -= along * W[k, i]
-    square = step * math.sqrt(miss) * heavy * fast * fast
+    square = mu if mu > 0.0 else step * math.sqrt(miss) * heavy * fast * fast
     unit = math.sqrt(square)
     for k in range(first + r):
         for j in range(r):
