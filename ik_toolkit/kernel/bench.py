@@ -51,6 +51,7 @@ class Bench(NamedTuple):
     before: Array
     at: Array  # where error and Jacobian are taken
     size: Array  # a speed for each joint
+    even: Array  # the same for all, see descent.py
     floor: Array  # the box
     roof: Array
     multiplier: Array
@@ -71,5 +72,5 @@ def bench_on(block, n, m, rows):
     why_low, why_top = cut(block, np.uint8, (n, n))
     return Bench(why_low, why_top, *cut(block, np.float64, (
         (F, 4, 4), m, m, m, m, m, m, m, m, m, m, m, k, (k, k), (k, k), (n, m), (n, m), (n, m), (m, m), m, m, m, (F, 3),
-        n, n, n, n, n, n, n, n, n, n, n, n, n, n, n, n + rows, (rows, n), rows,
+        n, n, n, n, n, n, n, n, n, n, n, n, n, n, n, n, n + rows, (rows, n), rows,
     )))  # fmt: skip

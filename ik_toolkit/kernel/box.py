@@ -169,13 +169,6 @@ def calm(rate, size, swings, h, low, top, why_low, why_top):
 
 
 @jit
-def slow(share, size, low, top, why_low, why_top):
-    """Narrow the box (in place) to a share of each joint's speed."""
-    for i in range(size.shape[0]):
-        narrow(i, -share * size[i], share * size[i], low, top, why_low, why_top)
-
-
-@jit
 def clip(x, low, top, why_low, why_top, code):
     """Clip the wanted rates x (in place) to their box, each joint separately; code (n,) receives what held a joint back."""
     hit = False

@@ -236,7 +236,7 @@ def constrain(
     scale (n,): a speed for each joint, in which its motion and the singular values are measured. low <= high (n,);
     A[:count] x <= b[:count]. mode: LEAVE, SLOW, DIRECT. singular, damping: the singular value below which a direction is
     damped, and the largest damping. step [s]: where the task cannot be met, motion is damped by the residual in this time (see
-    `ease`), so that the joints come to rest where it is least; 0: not.
+    `ease`), so that the joints come to rest where it is least; 0: not. mu above 0: the task is damped by it from the first.
 
     active (n,), kept (R + 1,) int8 carry what held on to the next step: -1 low, 1 high, 2 in a half-plane that holds. Status
     WANTED: x is `want`, bit for bit, which lies inside and does the task. MET: the task is done at the rate returned (SLOW: of

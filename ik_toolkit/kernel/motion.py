@@ -45,11 +45,11 @@ class State(NamedTuple):
     near: (
         int  # 1: near a singular pose in the last step; and [s] for which the target counts as having been out of reach
     )
-    stalled: int  # [s] for which limits or a singular pose have kept the error from coming down, see rest.py
-    turned: int  # how often the joints turned back, see there
-    nearest: int  # weighted error when it last came down
-    lowest: int  # share that is not gone below
-    share: int  # of the curvature by which steps are damped, 0: the method's own steps
+    share: int  # of the curvature, by which steps down are damped, 0: the method's own steps; see descent.py
+    lowest: int  # ... which it is not lowered below
+    nearest: int  # weighted error from which it has to come down
+    stalled: int  # [s] for which limits or a singular pose have kept it from that
+    turned: int  # how often the joints have turned back meanwhile
 
 
 STATE = State._make(range(len(State._fields)))  # places in the array

@@ -36,10 +36,15 @@ def judge(wanted, h, p, state):
 
 @inline
 def by_constraints(law, s, count, sigma, mu, h, state, work, active, kept, starts, code):
-    """Rates that the limits allow, to s.x: the clock's rate then, and whether anything prevented those wanted."""
+    """Rates that the limits allow, to s.x: the clock's rate then, and whether anything prevented those wanted.
+
+    mu above 0: those of a step down, which `descend` has asked for.
+    """
     n, m = s.J.shape
-    mode = LEAVE if mu > 0.0 or (state[STATE.leaving] > 0.0 and law.mode == SLOW) else int(law.mode)
-    if mu == 0.0:
+    mode, size = LEAVE if state[STATE.leaving] > 0.0 and law.mode == SLOW else int(law.mode), s.size
+    if mu > 0.0:
+        mode, size = LEAVE, s.even
+    else:
         for k in range(m):
             s.ask[k] = -s.f[k]
             for i in range(n):
@@ -53,7 +58,7 @@ def by_constraints(law, s, count, sigma, mu, h, state, work, active, kept, start
     status, share, part = WANTED, 1.0, 1.0
     for _ in range(2):
         status, part = constrain(
-            s.J, s.weight, s.ask, s.f, s.w, s.v, s.move if mu > 0.0 else s.size, s.floor, s.roof, s.planes, s.edges, count, mode, 1.0, SINGULAR, DAMPING,
+            s.J, s.weight, s.ask, s.f, s.w, s.v, size, s.floor, s.roof, s.planes, s.edges, count, mode, 1.0, SINGULAR, DAMPING,
             work, s.x, active, kept, starts, s.multiplier, h, mu,
         )  # fmt: skip
         share *= part

@@ -3,7 +3,8 @@
 A method (a published law, or a solver's rule taken one step a sample) says which joint rates it wants. Their part along
 directions in which the tip can hardly move is replaced (modes.py), secondary wishes are added in the null space, and where
 limits or half-planes forbid the outcome `constrain` finds the best that they allow. Where nothing forbids it, the rates wanted
-are taken as they are, so a published form stays one. CLIP is the published form whole: damped as a whole near singular poses,
+are taken as they are, so a published form stays one. An arm that is stuck before a target that stands goes down to the least
+error nearby (descent.py). CLIP is the published form whole: damped as a whole near singular poses,
 each joint clipped on its own.
 
 The reference's clock s counts samples. SLOW lets it run slower than time: by the look-ahead, by `constrain`, and while the error
@@ -20,11 +21,11 @@ from .bench import bench_on, bench_space
 from .box import HELD, UNLIMITED, approach, boxes, calm, clip, move, watch, way_to
 from .clock import WHOLE, next_rate, reference, too_far
 from .constrain import SLOW, room_on, room_space
+from .descent import descend, notice, stuck
 from .jit import cached, inline, inner
 from .motion import CLIP, GIVEN, MOVING, READY, RUNNING, STATE, Law, apply, factor, own_up, settle
 from .obey import judge, obey, pacing
 from .records import HEAD, TASK, Orders, copy, read
-from .rest import descend, notice, stuck
 from .search import problem_on, step_class
 from .session import carried_of, record_of, samples_of, settings_of
 from .view import keep, space, view
@@ -124,16 +125,6 @@ def leave_out(J, floor, roof):
                 J[i, k] = 0.0
 
 
-@inline
-def quieten(law, s, rate, swings, count, h):
-    """Let joints that swing gain speed gradually.
-
-    Not where a published form is asked for or a clock gives way instead; and half-planes (count) may need more.
-    """
-    if law.mode != CLIP and law.mode != SLOW and count == 0:
-        calm(rate, s.size, swings, h, s.floor, s.roof, s.why_low, s.why_top)
-
-
 @inner
 def gather(law, lines, level, planes, edges):
     """Copy the half-planes that hold to where those of slacks are added."""
@@ -180,6 +171,7 @@ def run(step, rows, ends, orders, given, own, samples, out, h, block):
     weights, rule = orders[first : first + n], read(step, orders, first + n)
     s, work = bench_on(block, n, m, room), room_on(block, n, m, room)
     last, plain = T.shape[0] - 1, task.plain()
+    gives = law.mode != CLIP and law.mode != SLOW  # not a published form whole, and no clock gives way instead
     for i in range(n):
         s.size[i] = limits[2, i] if limits[2, i] < np.inf and limits[2, i] > 0.0 else UNLIMITED
     for i in range(E.shape[0]):
@@ -223,11 +215,12 @@ def run(step, rows, ends, orders, given, own, samples, out, h, block):
         square = error_squared(s.weight, s.e)
         ratio = h / state[STATE.period] if state[STATE.start] == RUNNING else 0.0
         mu = 0.0
-        if law.mode != CLIP and law.mode != SLOW and stuck(law, s, square, h, state):
+        if gives and stuck(law, s.f, square, h, state):
             mu = descend(law, s, limits, h, state)
             S[i, 3] = min(state[STATE.near], 1.0)
         else:
-            quieten(law, s, rate, swings, count, h)
+            if gives and count == 0:  # half-planes may need more
+                calm(rate, s.size, swings, h, s.floor, s.roof, s.why_low, s.why_top)
             S[i, 3] = wanted(
                 law, rule, task, look, weights, s, counts[1], limits, wish, count, sigma, h, rate, memory, away, state
             )
@@ -246,10 +239,10 @@ def run(step, rows, ends, orders, given, own, samples, out, h, block):
         if law.mode == SLOW:
             S[i, 1] = done
             S[i, 2] = pacing(s, active, done, sigma, caps[1, j] if caps[1, j] >= 0.0 or i == 0 else S[i - 1, 2])
-        notice(law, s, swings, C[i], square, h, state)
+        notice(law, s.before, s.x, s.size, swings, C[i], square, h, state)
         tick(state, law, clock, done)
         move(q, rate, s.x, law.gamma, h)
-        state[STATE.start] = RUNNING if mu == 0.0 else READY  # the method's own commands ended
+        state[STATE.start] = RUNNING if mu == 0.0 else READY  # no command of the method to go on from
         state[STATE.period] = h
     return 0
 

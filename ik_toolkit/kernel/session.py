@@ -39,7 +39,7 @@ class Carried(NamedTuple):
     block: Array
     motion: Array  # (2, n) joints and their rates
     memory: Array  # of the method, or the rule
-    swings: Array  # (3, n) how often in a row each joint turned back, for how long it has not [s], its peak rate since
+    swings: Array  # (2, n) how often in a row each joint turned back, for how long it has not [s]
     away: Array  # (n,) where joints go from a pose in which they are straight
     state: Array  # a `State`
     active: Array  # (n,) and kept, int8: the active set of `constrain` ...
@@ -79,7 +79,7 @@ def settings_shapes(n, m, rows):
 @shared
 def carried_shapes(n, memory, rows):
     """Shapes of `Carried`; bytes in whole numbers of eight."""
-    return (2, n), memory, (3, n), n, STATES, (n + 7) // 8, (rows + 7) // 8, (2 * (n + rows) + 7) // 8
+    return (2, n), memory, (2, n), n, STATES, (n + 7) // 8, (rows + 7) // 8, (2 * (n + rows) + 7) // 8
 
 
 @shared

@@ -64,28 +64,31 @@ def ease(P, W, V, S, state, task, weight, beside, scale, first, r, n, rate, step
     rate: of the clock; below 0: what is asked stays. |C y - d|^2 + l^2 |y - c|^2 is then the second objective, under a task
     that can always be met. The damping is that of Levenberg and Marquardt: the curvature that C leaves out, at most that of a
     circle of one kernel unit, times the residual. The centre c must not move the tip, or the arm would rest beside the closest
-    pose: it is what `beside` asks of the free joints, and as much of the rate wanted as of the task is met.
+    pose: it is what `beside` asks of the free joints, and as much of the rate wanted as of the task is met. mu above 0, where
+    nothing has been solved before: l^2 is mu, and c the rate wanted.
     """
-    miss, asked, heavy, fast = 0.0, 0.0, 0.0, 0.0
-    for k in range(first, first + r):
-        miss += S[TASK_ONE, k] * S[TASK_ONE, k]
-        if rate >= 0.0:
-            S[RHS, k] = task[0, k] + rate * task[1, k]
-        asked += S[RHS, k] * S[RHS, k]
-    for k in range(weight.shape[0]):
-        heavy = max(heavy, weight[k])
-    unmet = min(math.sqrt(miss / asked), 1.0) if asked > 0.0 else 1.0
-    for i in range(n):
-        fast = max(fast, scale[i])
-        V[WANT, i] *= 1.0 - unmet
-        if state[i] == 0:
-            V[WANT, i] += unmet * beside[i] / scale[i]
-    for k in range(first, first + r):
-        if S[SIZE, k] < 0.0:  # a vector of the basis that `span` found last
-            along = dot(W, k, V, WANT, n)
-            for i in range(n):
-                V[WANT, i] -= along * W[k, i]
-    square = mu if mu > 0.0 else step * math.sqrt(miss) * heavy * fast * fast
+    square = mu
+    if mu == 0.0:
+        miss, asked, heavy, fast = 0.0, 0.0, 0.0, 0.0
+        for k in range(first, first + r):
+            miss += S[TASK_ONE, k] * S[TASK_ONE, k]
+            if rate >= 0.0:
+                S[RHS, k] = task[0, k] + rate * task[1, k]
+            asked += S[RHS, k] * S[RHS, k]
+        for k in range(weight.shape[0]):
+            heavy = max(heavy, weight[k])
+        unmet = min(math.sqrt(miss / asked), 1.0) if asked > 0.0 else 1.0
+        for i in range(n):
+            fast = max(fast, scale[i])
+            V[WANT, i] *= 1.0 - unmet
+            if state[i] == 0:
+                V[WANT, i] += unmet * beside[i] / scale[i]
+        for k in range(first, first + r):
+            if S[SIZE, k] < 0.0:  # a vector of the basis that `span` found last
+                along = dot(W, k, V, WANT, n)
+                for i in range(n):
+                    V[WANT, i] -= along * W[k, i]
+        square = step * math.sqrt(miss) * heavy * fast * fast
     unit = math.sqrt(square)
     for k in range(first + r):
         for j in range(r):

@@ -17,12 +17,12 @@ def many(count):
 @cached
 def kernel(
     J, weight, feedback, forward, want, scale, low, high, A, b, count, mode, cap, singular, damping,
-    x, active, kept, starts, push, step,
+    x, active, kept, starts, push, step, mu,
 ):  # fmt: skip
     room = make_room(J.shape[0], J.shape[1], A.shape[0])
     return constrain(
         J, weight, feedback, forward, want, want, scale, low, high, A, b, count, mode, cap, singular, damping, room,
-        x, active, kept, starts, push, step,
+        x, active, kept, starts, push, step, mu,
     )  # fmt: skip
 
 
@@ -30,11 +30,12 @@ class Step:
     """A problem, and what holds from one solution to the next."""
 
     def __init__(
-        self, J, low, high, rows=None, mode=LEAVE, cap=1.0, singular=0.0, damping=0.0, weight=None, scale=None, step=0.0
-    ):
+        self, J, low, high, rows=None, mode=LEAVE, cap=1.0, singular=0.0, damping=0.0, weight=None, scale=None, step=0.0,
+        mu=0.0,
+    ):  # fmt: skip
         n, m = J.shape
         self.J, self.low, self.high, self.mode, self.cap = J, low, high, mode, cap
-        self.singular, self.damping, self.step = singular, damping, step
+        self.singular, self.damping, self.step, self.mu = singular, damping, step, mu
         self.A, self.b = (np.empty((1, n)), np.empty(1)) if rows is None else rows
         self.count = 0 if rows is None else len(self.b)
         self.weight = np.ones(m) if weight is None else weight
@@ -47,7 +48,7 @@ class Step:
         self.status, self.rate = kernel(
             self.J, self.weight, feedback, forward, want, self.scale, self.low, self.high, self.A, self.b, self.count,
             self.mode, self.cap, self.singular, self.damping, self.x, self.active, self.kept, self.starts,
-            self.push, self.step,
+            self.push, self.step, self.mu,
         )  # fmt: skip
         return self.x.copy()
 
@@ -306,6 +307,23 @@ def test_a_residual_damps_the_motion():
         C, d = np.vstack([J.T, np.sqrt(square) * np.eye(7)]), np.append(3.0 * v, np.zeros(7))
         best = lsq_linear(C, d, (low, high), method="bvls", tol=1e-15)
         np.testing.assert_allclose(np.sum((C @ x - d) ** 2), 2.0 * best.cost, rtol=1e-9, atol=1e-12)
+
+
+def test_a_task_is_damped_from_the_first_where_that_is_asked_for():
+    rng = np.random.default_rng(13)
+    for _ in range(many(100)):
+        J, v, low, high = problem(rng, 7)
+        A, b = some_rows(rng, low, high)
+        mu, weight = 10.0 ** rng.uniform(-6.0, 1.0), rng.random(6)
+        x = Step(J, low, high, weight=weight, mu=mu)(3.0 * v, np.zeros(6), np.zeros(7))
+        C = np.vstack([weight[:, None] * J.T, np.sqrt(mu) * np.eye(7)])
+        d = np.append(3.0 * weight * v, np.zeros(7))
+        best = lsq_linear(C, d, (low, high), method="bvls", tol=1e-15)
+        np.testing.assert_allclose(np.sum((C @ x - d) ** 2), 2.0 * best.cost, rtol=1e-9, atol=1e-12)
+        y = Step(J, low, high, (A, b), weight=weight, mu=mu)(3.0 * v, np.zeros(6), np.zeros(7))
+        assert (A @ y <= b + 1e-9).all() and np.sum((C @ y - d) ** 2) >= 2.0 * best.cost * (1.0 - 1e-9)
+        if (A @ x <= b).all():
+            np.testing.assert_allclose(y, x, atol=1e-9)
 
 
 @pytest.mark.parametrize("mode", [SLOW, DIRECT])

@@ -153,7 +153,7 @@ def test_half_planes_are_gathered_and_rates_clipped():
         np.testing.assert_array_equal(code, np.array([4, 0, 2]) | (HELD if still else 0))
         np.testing.assert_allclose(memory, 0.0 if still else [5.0, 7.0, -10.0])
     s.x[:] = [3.0, 0.2, -3.0]
-    assert obey.by_clipping(law(), s, 0, 0.7, 0.1, None, None, None, None, None, code) == (0.7, False)
+    assert obey.by_clipping(law(), s, 0, 0.7, 0.0, 0.1, None, None, None, None, None, code) == (0.7, False)
     np.testing.assert_array_equal(s.x, [1.0, 0.2, -1.0])
 
 
@@ -304,53 +304,3 @@ def test_errors_and_excess_of_a_wanted_rate():
             assert constrain.outside(want, scale, low, high, A, b, count) == pytest.approx(most)
     assert constrain.outside(np.zeros(5), scale, low, high, np.zeros((1, 5)), np.array([-0.1]), 1) == 1.0
     assert constrain.outside(np.zeros(5), scale, low, high, np.zeros((1, 5)), np.array([0.1]), 1) == 0.0
-
-
-def test_rates_that_turn_back_without_getting_nearer_are_halved():
-    swings, size, state, h = np.zeros((3, 2)), np.array([1.0, 2.0]), np.zeros(len(STATE)), 0.01
-
-    def turned(before, x, square, near=1.0):
-        state[STATE.near] = near
-        servo.notice(swings, np.array(before), np.array(x), size, square, h, state)
-        return state[STATE.tamed]
-
-    assert turned([0.2, 0.0], [-0.2, 0.0], 1.0, near=0.0) == 0.0, "no singular pose"
-    assert turned([-0.2, 0.0], [0.2, 0.0], 1.0) == 0.0, "the first turn is what later ones are compared with"
-    assert turned([0.2, 0.0], [0.2, 0.0], 1.0) == 0.0, "no turn"
-    assert turned([0.2, 0.0], [-0.2, 0.0], 0.9998) == 0.0, "nearer than before"
-    assert turned([-0.2, 0.0], [0.2, 0.0], 0.9998) == 1.0
-    assert servo.share_of(state) == 1.0, "one turn is no swing"
-    assert turned([0.2, 1.0], [-0.001, 1.0], 1.0) == 2.0, "a joint turned slowly that had been fast"
-    assert servo.share_of(state) == 0.5
-    assert turned([-0.001, 1.0], [0.2, 1.0], 1.0) == 2.0, "one that had been slow"
-    assert turned([0.2, 1.0], [0.2, 1.0], 1.0) == 2.0, "no time makes it forget ..."
-    assert turned([0.2, 1.0], [0.2, 1.0], 0.999) == pytest.approx(2.0 - h / servo.FORGOTTEN), "... but getting nearer"
-    assert turned([0.2, 1.0], [-0.2, -1.0], 0.999) == state[STATE.tamed] < 2.0
-    for _ in range(20):
-        turned([0.2, 1.0], [-0.2, -1.0], 0.999)
-    assert state[STATE.tamed] == servo.TAMED
-    assert turned([-0.2, 0.0], [-0.2, 0.0], 1.2) < servo.TAMED, "something moved it away"
-
-
-@pytest.mark.parametrize("mode", [LEAVE, SLOW, CLIP])
-def test_before_a_target_that_stands_the_box_is_narrowed(mode):
-    rng = np.random.default_rng(5)
-    for twist, tamed, count in ((0.0, 3.0, 0), (1.0, 3.0, 0), (0.0, 0.0, 0), (0.0, 3.0, 1)):
-        s = scratch(rng)
-        s.f[2], s.size, swings, state = twist, np.full(7, 0.8), np.zeros((3, 7)), np.zeros(len(STATE))
-        s.why_low, s.why_top = np.zeros((2, 7), np.uint8)
-        s.x[:] = rng.uniform(-2.0, 2.0, 7)
-        swings[0, 0], state[STATE.tamed], state[STATE.nearest], wanted_rates = 3.0, tamed, 1.0, s.x.copy()
-        servo.quieten(law(mode=mode), s, np.zeros(7), swings, count, 0.01, state)
-        reset = twist > 0.0 or mode == CLIP
-        assert (state[STATE.tamed], state[STATE.nearest]) == ((0.0, 0.0) if reset else (tamed, 1.0))
-        narrowed = mode == LEAVE and count == 0
-        if narrowed and state[STATE.tamed] > 0.0:
-            assert np.allclose(s.roof, 0.25 * s.size) and np.allclose(s.floor, -0.25 * s.size)
-        else:
-            gain = box.CALM * 0.8 * 0.01
-            assert s.roof[1:].tolist() == [1.0] * 6
-            assert s.roof[0] == (gain if narrowed else 1.0)
-        servo.tame(law(mode=mode), 0.01, 0.0, s, np.zeros(7), state)
-        share = 0.25 / max(1.0, np.abs(wanted_rates / 0.8).max()) if state[STATE.tamed] > 0.0 else 1.0
-        assert np.allclose(s.x, share * wanted_rates)

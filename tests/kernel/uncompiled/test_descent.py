@@ -1,0 +1,171 @@
+"""Stuck before a target that stands: when that is noticed, what is asked for then, and how the damping is found."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from ik_toolkit.kernel import descent
+from ik_toolkit.kernel.box import CALMED, POSITION, VELOCITY, approach
+from ik_toolkit.kernel.descent import adapt, brake, descend, feedback, notice, stuck
+from ik_toolkit.kernel.motion import AA, CA, CV, STATE, Law
+
+H = 0.01
+
+
+def law(code=CV, **values):
+    return Law(**{**dict.fromkeys(Law._fields, 0.0), "code": code, "kappa": 40.0, "kp": 60.0, "kd": 3.0, **values})
+
+
+def new_state(**values):
+    state = np.zeros(len(STATE))
+    for name, value in values.items():
+        state[getattr(STATE, name)] = value
+    return state
+
+
+def noticed(state, before, x, error=1.0, code=(0, 0), swings=((0.0, 0.0), (1.0, 1.0)), how=None):
+    """State after a step of two joints."""
+    sizes = np.array([1.0, 2.0])
+    notice(
+        how or law(),
+        np.array(before),
+        np.array(x),
+        sizes,
+        np.array(swings),
+        np.array(code, np.uint8),
+        error**2,
+        H,
+        state,
+    )
+    return state
+
+
+def test_what_is_fed_back():
+    assert feedback(law(kappa=40.0), H) == 40.0
+    assert feedback(law(kappa=90.0), H) == pytest.approx(2.0 / 3.0 / H)
+    assert feedback(law(CA), H) == 20.0
+    assert feedback(law(CA, kp=60.0, kd=0.0), H) == 0.0
+    assert feedback(law(AA), H) == pytest.approx(2.0 / 3.0 / H)
+
+
+def test_an_arm_is_stuck_where_hindered_joints_get_no_nearer():
+    at_limit, f = (POSITION, 0), np.zeros(6)
+    state = new_state()
+    for k in range(11):
+        assert not stuck(law(), f, 1.0, H, state), k
+        noticed(state, [1.0, 0.0], [1.0, 0.0], code=at_limit)
+    assert stuck(law(), f, 1.0, H, state) and state[STATE.share] == descent.FIRST
+    assert stuck(law(), f, 0.25, H, state), "until the target moves, or is reached"
+    assert not stuck(law(), np.array([0.0, 0.0, 2e-6]), 1.0, H, state) and state[STATE.share] == 0.0
+    assert state[STATE.stalled] == 0.0
+    state = new_state(share=1.0)
+    assert not stuck(law(), f, 1e-9, H, state) and state[STATE.share] == 0.0
+    state = new_state(stalled=1.0, nearest=1.0)
+    assert not stuck(law(kappa=0.0), f, 1.0, H, state), "nothing is fed back"
+    assert not stuck(law(), f, 0.998**2, H, state) and state[STATE.stalled] == 0.0, "it came nearer"
+    assert state[STATE.nearest] == pytest.approx(0.998)
+
+
+def test_what_hinders_joints():
+    for code, near, x, hindered in (
+        ((POSITION, 0), 0.0, 1.0, True),
+        ((VELOCITY, 0), 0.0, 1.0, False),
+        ((0, 0), 1.2, 1.0, True),
+        ((0, 0), 0.0, 1.0, False),
+        ((0, 0), 0.0, 0.3, True),  # 0.4 is a hundredth of what is fed back
+        ((VELOCITY, 0), 0.0, 0.3, False),
+    ):
+        state = noticed(new_state(near=near), [x, 0.0], [x, 0.0], code=code)
+        assert state[STATE.stalled] == (H if hindered else 0.0), (code, near, x)
+
+
+def test_joints_that_turn_back_twice_make_it_stuck():
+    state = new_state(near=1.0, nearest=1.0)
+    noticed(state, [1.0, 0.0], [-1.0, 0.0])
+    assert state[STATE.turned] == 1.0 and not stuck(law(), np.zeros(6), 1.0, H, state)
+    noticed(state, [-1.0, 2.0], [0.05, 2.0])
+    assert state[STATE.turned] == pytest.approx(1.0 - H / descent.FORGOTTEN), "a twentieth of the motion goes back"
+    state[STATE.turned] = 1.0
+    noticed(state, [-1.0, 2.0], [0.2, 2.0])
+    assert state[STATE.turned] == 2.0 and stuck(law(), np.zeros(6), 1.0, H, state)
+    state = noticed(new_state(near=1.0), [-1.0, 2.0], [0.05, 2.0], swings=((2.0, 0.0), (0.0, 1.0)))
+    assert state[STATE.turned] == 1.0, "a joint that swings"
+    state = noticed(new_state(), [1.0, 0.0], [-1.0, 0.0])
+    assert state[STATE.turned] == 0.0, "nothing hinders it"
+    state = noticed(new_state(share=1.0, nearest=1.0), [1.0, 0.0], [-1.0, 0.0])
+    assert state[STATE.share] == descent.TURNED
+
+
+def test_the_damping_is_found_by_trying():
+    state = new_state(share=0.5, nearest=1.0)
+    adapt(False, 0.9, H, state)
+    assert state[STATE.share] == 0.45 and state[STATE.nearest] == 0.9
+    adapt(True, 0.8, H, state)
+    assert state[STATE.share] == pytest.approx(3.6) and state[STATE.lowest] == pytest.approx(0.9)
+    for k in range(1000):
+        adapt(False, 0.8 - 1e-6 * k, H, state)
+        assert state[STATE.share] >= state[STATE.lowest]
+        if k == 25:
+            assert state[STATE.share] == state[STATE.lowest] > 0.3
+    assert state[STATE.share] == descent.LEAST
+    for k in range(1000):
+        adapt(False, 1.0, H, state)
+        if k == 10:
+            assert state[STATE.share] == pytest.approx(2.0 * descent.LEAST)
+            assert state[STATE.nearest] == 1.0, "what comes next is compared with this"
+    assert state[STATE.share] == descent.MOST
+    adapt(True, 1.0, H, state)
+    assert state[STATE.share] == descent.MOST
+
+
+def bench(rng, n, m=6):
+    s = SimpleNamespace(
+        J=rng.normal(size=(n, m)), W=np.zeros((n, m)), G=np.zeros((max(n, m),) * 2), y=np.zeros(max(n, m))
+    )
+    for name in ("e", "ahead", "f", "a"):
+        setattr(s, name, rng.normal(size=m))
+    s.weight, s.ask = rng.uniform(0.5, 2.0, m), np.zeros(m)
+    for name in ("x", "v", "even", "null"):
+        setattr(s, name, rng.normal(size=n))
+    s.floor, s.roof = np.full(n, -9.0), np.full(n, 9.0)
+    s.why_low, s.why_top = np.zeros((2, n), np.uint8)
+    return s
+
+
+@pytest.mark.parametrize("n", [5, 7])
+@pytest.mark.parametrize("acceleration", [np.inf, 10.0])
+def test_what_a_step_down_asks_for(n, acceleration):
+    s = bench(np.random.default_rng(n), n)
+    s.weight[2] = 0.0
+    J, e, w = s.J.copy(), s.e.copy(), s.weight.copy()
+    limits = np.array([np.full(n, -1.0), np.full(n, 1.0), np.full(n, 9.0), np.full(n, acceleration)])
+    mu = descend(law(), s, limits, H, new_state(share=0.25))
+    assert mu == pytest.approx(0.25 * w.max() * np.linalg.norm(w * e))
+    np.testing.assert_allclose(s.ask, 40.0 * w * e)
+    np.testing.assert_allclose(s.J, J * w)
+    assert s.weight.tolist() == [1.0, 1.0, 0.0, 1.0, 1.0, 1.0]
+    assert not s.f.any() and not s.x.any() and not s.v.any() and (s.even == 1.0).all()
+    assert (s.roof < 9.0).any() == (acceleration < np.inf)
+
+
+@pytest.mark.parametrize("n", [5, 7])
+def test_joints_can_stop_at_the_end_of_their_way(n):
+    rng = np.random.default_rng(n)
+    s, mu = bench(rng, n), 0.3
+    limits = np.array([np.full(n, -1.0), np.full(n, 1.0), np.full(n, 9.0), np.full(n, 10.0)])
+    limits[3, 1] = np.inf
+    slope = s.J @ s.e
+    if slope[0] > 0.0:
+        s.roof[0] = 0.0
+    else:
+        s.floor[0] = 0.0
+    free = np.arange(n) > 0
+    way = np.zeros(n)
+    way[free] = np.linalg.solve(s.J[free] @ s.J[free].T + mu * np.eye(n - 1), slope[free])
+    floor, roof = s.floor.copy(), s.roof.copy()
+    brake(s, limits, mu, H)
+    for i in range(n):
+        most = approach(abs(way[i]), 0.0, 1.0, H, 5.0, H) if i != 1 else np.inf
+        assert s.roof[i] == pytest.approx(min(roof[i], most)) and s.floor[i] == pytest.approx(max(floor[i], -most))
+    assert s.why_top[2] == CALMED and s.why_top[1] == 0

@@ -1,0 +1,54 @@
+"""Targets that stand where the arm cannot get: down to the least weighted error nearby, and to rest there."""
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+import ik_toolkit as ik
+from ik_toolkit.tracking.step import StepStatus
+from ik_toolkit.tracking.tracker import Tracker
+
+
+def slope_left(robot, q, target):
+    """Slope of the error along each joint that limits leave free, over the error [m and 0.2 m for a radian]."""
+    T, J = (one[0] for one in robot.chain.forward(q[None], jacobian=True))
+    e = np.append(target[:3, 3] - T[:3, 3], 0.2 * pin.log3(target[:3, :3] @ T[:3, :3].T))
+    slope = np.append(J[:3], 0.2 * J[3:], axis=0).T @ e
+    stopped = (q <= robot.lower + 1e-7) & (slope < 0.0) | (q >= robot.upper - 1e-7) & (slope > 0.0)
+    return np.abs(np.where(stopped, 0.0, slope)).max() / np.linalg.norm(e)
+
+
+@pytest.mark.parametrize(
+    ("name", "method", "acceleration", "q0", "place", "turn"),
+    [
+        (
+            "ur10_limited", "cv", None, (-1.573, 2.594, -0.133, -2.993, 1.222, 3.1415),
+            (0.229, 0.955, -0.691), (0.076, 0.608, -2.718),
+        ),
+        (
+            "inspection_7dof", "cv", None, (-2.276, 0.259, -0.081, 0.929, 1.483, 1.739, -2.094),
+            (-0.325, 0.004, 0.936), (1.031, 1.328, 0.846),
+        ),
+        (
+            "ur3_limited", "aad", 10.0, (-0.657, 0.296, 2.758, -0.948, 1.369, -2.195),
+            (-0.421, 0.482, -0.357), (-1.395, 2.48, -0.618),
+        ),
+        (
+            "so100", "aad", None, (1.609, 1.682, -0.367, -2.235, 2.16),
+            (-0.163, 0.081, -0.063), (-1.502, 2.412, -0.708),
+        ),
+        (
+            "talos_arm", "cv", None, (1.071, 1.455, -1.23, -1.869, -0.496, -0.278),
+            (-0.187, 0.378, 0.727), (2.653, -1.329, -0.696),
+        ),
+    ],
+)  # fmt: skip
+def test_the_arm_rests_where_no_way_down_is_left(name, method, acceleration, q0, place, turn):
+    """Joints at limits and singular poses ended the way 2 to 98 mm short of it."""
+    robot = ik.Robot.load(name)
+    target = pin.SE3(pin.exp3(np.array(turn)), np.array(place)).homogeneous
+    tracker = Tracker(robot, method, q0=q0, acceleration_limits=acceleration)
+    steps = [tracker.update(target, 0.01) for _ in range(800)]
+    assert slope_left(robot, steps[-1].q, target) < 1e-5
+    assert np.abs([step.rate for step in steps[-50:]]).max() < 1e-3
+    assert steps[-1].status is StepStatus.AT_LIMIT and steps[-1].position_error > 0.01
