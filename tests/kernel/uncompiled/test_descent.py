@@ -91,6 +91,8 @@ def test_joints_that_turn_back_twice_make_it_stuck():
     assert state[STATE.turned] == 2.0 and stuck(law(), np.zeros(6), 1.0, H, state)
     state = noticed(new_state(near=1.0), [-1.0, 2.0], [0.05, 2.0], swings=((2.0, 0.0), (0.0, 1.0)))
     assert state[STATE.turned] == 1.0, "a joint that swings"
+    state = noticed(new_state(near=1.0), [-1.0, 2.0], [0.05, 2.0], swings=((2.0, 0.0), (0.1, 0.0)))
+    assert state[STATE.turned] == 0.0, "that has swung"
     state = noticed(new_state(), [1.0, 0.0], [-1.0, 0.0])
     assert state[STATE.turned] == 0.0, "nothing hinders it"
     state = noticed(new_state(share=1.0, nearest=1.0), [1.0, 0.0], [-1.0, 0.0])
@@ -114,6 +116,7 @@ def test_the_damping_is_found_by_trying():
         if k == 10:
             assert state[STATE.share] == pytest.approx(2.0 * descent.LEAST)
             assert state[STATE.nearest] == 1.0, "what comes next is compared with this"
+            assert state[STATE.lowest] == descent.LEAST, "and does not lead back at once"
     assert state[STATE.share] == descent.MOST
     adapt(True, 1.0, H, state)
     assert state[STATE.share] == descent.MOST
