@@ -13,9 +13,10 @@ The share is found by trying: joints that turn back went too far, and so did an 
 import math
 
 from .box import POSITION, ROW, approach, narrow
+from .constrain import SLOW
 from .jit import inner
 from .linalg import cholesky
-from .motion import CA, CV, STATE, apply, gram
+from .motion import CA, CLIP, CV, STATE, apply, gram
 from .wishes import weigh
 
 STANDS = 1e-6  # [reaches or rad per s] below which a target stands
@@ -47,7 +48,12 @@ def feedback(law, h):
 
 @inner
 def stuck(law, f, square, h, state):
-    """Whether the arm is stuck before a target that stands; f (m,): its twist, square: of the weighted error now."""
+    """Whether the arm is stuck before a target that stands; f (m,): its twist, square: of the weighted error now.
+
+    Never where a published form is asked for, or a clock gives way instead.
+    """
+    if law.mode == CLIP or law.mode == SLOW:
+        return False
     most, error = 0.0, math.sqrt(square)
     for k in range(f.shape[0]):
         most = max(most, abs(f[k]))

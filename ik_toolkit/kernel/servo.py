@@ -125,6 +125,16 @@ def leave_out(J, floor, roof):
                 J[i, k] = 0.0
 
 
+@inline
+def quieten(law, s, rate, swings, count, h):
+    """Let joints that swing gain speed gradually.
+
+    Not where a published form is asked for or a clock gives way instead; and half-planes (count) may need more.
+    """
+    if law.mode != CLIP and law.mode != SLOW and count == 0:
+        calm(rate, s.size, swings, h, s.floor, s.roof, s.why_low, s.why_top)
+
+
 @inner
 def gather(law, lines, level, planes, edges):
     """Copy the half-planes that hold to where those of slacks are added."""
@@ -171,7 +181,6 @@ def run(step, rows, ends, orders, given, own, samples, out, h, block):
     weights, rule = orders[first : first + n], read(step, orders, first + n)
     s, work = bench_on(block, n, m, room), room_on(block, n, m, room)
     last, plain = T.shape[0] - 1, task.plain()
-    gives = law.mode != CLIP and law.mode != SLOW  # not a published form whole, and no clock gives way instead
     for i in range(n):
         s.size[i] = limits[2, i] if limits[2, i] < np.inf and limits[2, i] > 0.0 else UNLIMITED
     for i in range(E.shape[0]):
@@ -180,7 +189,7 @@ def run(step, rows, ends, orders, given, own, samples, out, h, block):
         task.stand(s.at)
         j = min(int(clock), last)
         cap = min(caps[0, min(j, caps.shape[1] - 1)], caps[0, min(j + 1, caps.shape[1] - 1)])
-        sigma, further, stop = 0.0, 0.0, False
+        sigma, further = 0.0, 0.0
         for stage in range(2):  # where the target is now, then where it will be
             reference(T, V, A, clock + further, h, s.Ts, s.Vs, s.As)
             task.head_for(s.Ts)
@@ -198,15 +207,12 @@ def run(step, rows, ends, orders, given, own, samples, out, h, block):
             copy(rate, R[i])
             S[i, 0], S[i, 1], S[i, 2], S[i, 3] = clock, 1.0, -1.0, 0.0
             if i == E.shape[0] - 1 or (law.clocked > 0.0 and clock >= last):
-                stop = True
-                break
+                return i
             sigma = wind(state, law, s.a, E[i], cap, last - clock, h)
             further = advanced(state, law, sigma) if law.mode == SLOW else 1.0
             boxes(q, rate, limits, law.gamma, h, law.late, s.floor, s.roof, s.why_low, s.why_top)
             if lean(law, rule, s, limits, wish, rate, h):
                 task.stand(s.at)
-        if stop:
-            return i
         if law.mode != CLIP:
             leave_out(s.J, s.floor, s.roof)
         count = gather(law, lines, level, s.planes, s.edges)
@@ -214,13 +220,10 @@ def run(step, rows, ends, orders, given, own, samples, out, h, block):
         copy(counts[0], s.weight)
         square = error_squared(s.weight, s.e)
         ratio = h / state[STATE.period] if state[STATE.start] == RUNNING else 0.0
-        mu = 0.0
-        if gives and stuck(law, s.f, square, h, state):
-            mu = descend(law, s, limits, h, state)
-            S[i, 3] = min(state[STATE.near], 1.0)
-        else:
-            if gives and count == 0:  # half-planes may need more
-                calm(rate, s.size, swings, h, s.floor, s.roof, s.why_low, s.why_top)
+        mu = descend(law, s, limits, h, state) if stuck(law, s.f, square, h, state) else 0.0
+        S[i, 3] = min(state[STATE.near], 1.0)
+        if mu == 0.0:
+            quieten(law, s, rate, swings, count, h)
             S[i, 3] = wanted(
                 law, rule, task, look, weights, s, counts[1], limits, wish, count, sigma, h, rate, memory, away, state
             )

@@ -7,8 +7,9 @@ import pytest
 
 from ik_toolkit.kernel import descent
 from ik_toolkit.kernel.box import CALMED, POSITION, VELOCITY, approach
+from ik_toolkit.kernel.constrain import SLOW
 from ik_toolkit.kernel.descent import adapt, brake, descend, feedback, notice, stuck
-from ik_toolkit.kernel.motion import AA, CA, CV, STATE, Law
+from ik_toolkit.kernel.motion import AA, CA, CLIP, CV, STATE, Law
 
 H = 0.01
 
@@ -62,6 +63,8 @@ def test_an_arm_is_stuck_where_hindered_joints_get_no_nearer():
     state = new_state(share=1.0)
     assert not stuck(law(), f, 1e-9, H, state) and state[STATE.share] == 0.0
     state = new_state(stalled=1.0, nearest=1.0)
+    for mode in (CLIP, SLOW):
+        assert not stuck(law(mode=mode), f, 1.0, H, state), "something else gives way"
     assert not stuck(law(kappa=0.0), f, 1.0, H, state), "nothing is fed back"
     assert not stuck(law(), f, 0.998**2, H, state) and state[STATE.stalled] == 0.0, "it came nearer"
     assert state[STATE.nearest] == pytest.approx(0.998)

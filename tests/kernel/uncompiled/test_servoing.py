@@ -304,3 +304,15 @@ def test_errors_and_excess_of_a_wanted_rate():
             assert constrain.outside(want, scale, low, high, A, b, count) == pytest.approx(most)
     assert constrain.outside(np.zeros(5), scale, low, high, np.zeros((1, 5)), np.array([-0.1]), 1) == 1.0
     assert constrain.outside(np.zeros(5), scale, low, high, np.zeros((1, 5)), np.array([0.1]), 1) == 0.0
+
+
+@pytest.mark.parametrize("mode", [LEAVE, SLOW, CLIP])
+def test_joints_that_swing_gain_speed_gradually(mode):
+    for count in (0, 1):
+        s = scratch(np.random.default_rng(5))
+        s.size, swings = np.full(7, 0.8), np.zeros((2, 7))
+        s.why_low, s.why_top = np.zeros((2, 7), np.uint8)
+        swings[0, 0] = 3.0
+        servo.quieten(law(mode=mode), s, np.zeros(7), swings, count, 0.01)
+        gain = box.CALM * 0.8 * 0.01 if mode == LEAVE and count == 0 else 1.0
+        assert s.roof.tolist() == [gain, *[1.0] * 6] and s.floor.tolist() == [-gain, *[-1.0] * 6]
