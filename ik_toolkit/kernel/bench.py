@@ -31,9 +31,9 @@ class Bench(NamedTuple):
     G: Array  # (max(n, m), max(n, m))
     H: Array  # (max(n, m), max(n, m)) damped
     J: Array  # (n, m) of what is tracked
-    W: Array  # (n, m) modes, see modes.py: sigma_k v_k ...
-    V: Array  # (n, m) ... v_k of the lost ones ...
-    U: Array  # (m, m) ... and u_k
+    W: Array  # (m, n) modes, see modes.py: sigma_k v_k by rows ...
+    V: Array  # (n, m) ... v_k of the lost ones by columns ...
+    U: Array  # (m, m) ... and u_k by rows
     sv: Array  # (m,)
     lost: Array  # (m,) 1 where a mode is out of the task
     xk: Array  # (m,) speed along it
@@ -71,6 +71,6 @@ def bench_on(block, n, m, rows):
     k, F = max(n, m), m // 6
     why_low, why_top = cut(block, np.uint8, (n, n))
     return Bench(why_low, why_top, *cut(block, np.float64, (
-        (F, 4, 4), m, m, m, m, m, m, m, m, m, m, m, k, (k, k), (k, k), (n, m), (n, m), (n, m), (m, m), m, m, m, (F, 3),
+        (F, 4, 4), m, m, m, m, m, m, m, m, m, m, m, k, (k, k), (k, k), (n, m), (m, n), (n, m), (m, m), m, m, m, (F, 3),
         n, n, n, n, n, n, n, n, n, n, n, n, n, n, n, n, n + rows, (rows, n), rows,
     )))  # fmt: skip

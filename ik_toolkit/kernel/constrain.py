@@ -24,6 +24,7 @@ from .levels import (
     RHS,
     ROW_ONE,
     ROW_TWO,
+    SIZE,
     TWO,
     WANT,
     Levels,
@@ -32,9 +33,10 @@ from .levels import (
     levels_on,
     levels_space,
 )
+from .linalg import make_rows_orthogonal
 from .qp import CONTRADICTION, DONE, SAME_TASK, UNMET, solve_levels, unmet
 from .records import Array
-from .singular import damp, regular, rotate
+from .singular import damp, regular
 from .stages import add_clock, aside, ease, slack
 from .view import LINE, cut
 
@@ -52,7 +54,7 @@ class Room(NamedTuple):
     """Scratch of `constrain`."""
 
     levels: Levels
-    task: Array  # (2, K) feedback and forward of each row
+    task: Array  # (K, 2) feedback and forward of each row
 
 
 @inline
@@ -64,7 +66,7 @@ def room_space(n, m, rows):
 @spliced
 def room_on(block, n, m, rows):
     """Room for n joints, a task of m and so many half-planes, cut from a block of zeros."""
-    return Room(levels_on(block, n + m + 1, rows + m + 1), *cut(block, np.float64, ((2, rows + m + 1),)))
+    return Room(levels_on(block, n + m + 1, rows + m + 1), *cut(block, np.float64, ((rows + m + 1, 2),)))
 
 
 @build
@@ -136,9 +138,9 @@ def load(J, weight, feedback, forward, want, scale, count, cap, P, V, S, task):
             P[k, i] = weight[c] * J[i, c] * scale[i]
             size += P[k, i] * P[k, i]
         if size > 0.0:
-            task[0, k] = weight[c] * feedback[c]
-            task[1, k] = weight[c] * forward[c]
-            S[RHS, k] = task[0, k] + cap * task[1, k]
+            task[k, 0] = weight[c] * feedback[c]
+            task[k, 1] = weight[c] * forward[c]
+            S[RHS, k] = task[k, 0] + cap * task[k, 1]
             r += 1
     return r
 
@@ -153,11 +155,11 @@ def prepare(
     bound(scale, low, high, A, b, count, loose, P, V, S)
     r = load(J, weight, feedback, forward, want, scale, count, cap, P, V, S, task)
     if not regular(P, L, count, r, n, singular):
-        rotate(P, task, count, r, n)
+        make_rows_orthogonal(P, task, S[SIZE], count, r, n)
         r = damp(P, V, S, task, count, r, n, singular, damping, cap, cut)
     if mode == DIRECT:
         for k in range(count, count + r):
-            task[1, k] = S[RHS, k]
+            task[k, 1] = S[RHS, k]
     return r
 
 

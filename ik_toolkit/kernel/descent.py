@@ -139,10 +139,10 @@ def brake(s, limits, mu, h):
             slope += s.J[i, k] * s.e[k]
         stopped = s.roof[i] <= 0.0 if slope > 0.0 else s.floor[i] >= 0.0
         for k in range(m):
-            s.W[i, k] = 0.0 if stopped else s.J[i, k]
-    gram(s.W, m, n >= m, mu, s.G)
+            s.V[i, k] = 0.0 if stopped else s.J[i, k]
+    gram(s.V, m, n >= m, mu, s.G)
     cholesky(s.G, m if n >= m else n, 0.0)
-    apply(s.W, m, s.G, s.e, s.y, s.null)
+    apply(s.V, m, s.G, s.e, s.y, s.null)
     for i in range(n):
         if limits[3, i] < math.inf:
             most = approach(abs(s.null[i]), 0.0, 1.0, h, BRISK * limits[3, i], h)

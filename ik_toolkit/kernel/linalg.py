@@ -138,6 +138,45 @@ def make_orthogonal(A, V, m):
             break
 
 
+@inner
+def make_rows_orthogonal(A, B, square, first, r, n):
+    """The same with r rows of A, of which n places count, from row `first` on; those of B turn with them.
+
+    square (rows,) receives the squared lengths of the rows of A.
+    """
+    longest = 0.0
+    for k in range(first, first + r):
+        square[k] = 0.0
+        for i in range(n):
+            square[k] += A[k, i] * A[k, i]
+        longest = max(longest, square[k])
+    noise = NOISE * NOISE * longest
+    for _ in range(SWEEPS):
+        rotated = False
+        for k in range(first, first + r - 1):
+            for c in range(k + 1, first + r):
+                a, b, g = square[k], square[c], 0.0
+                for i in range(n):
+                    g += A[k, i] * A[c, i]
+                if not abs(g) > ORTHOGONAL * math.sqrt(a * b) or min(a, b) <= noise:
+                    continue
+                rotated = True
+                cs, sn = jacobi(a, b, g)
+                a, b = 0.0, 0.0
+                for i in range(n):
+                    u, v = cs * A[k, i] - sn * A[c, i], sn * A[k, i] + cs * A[c, i]
+                    a += u * u
+                    b += v * v
+                    A[k, i], A[c, i] = u, v
+                square[k], square[c] = a, b
+                for i in range(B.shape[1]):
+                    u, v = B[k, i], B[c, i]
+                    B[k, i] = cs * u - sn * v
+                    B[c, i] = sn * u + cs * v
+        if not rotated:
+            break
+
+
 @inline
 def pseudo_inverse_step(J, e, rcond, V, dq, m):
     """dq = pinv(J') e: singular values below rcond * the largest count as zero.

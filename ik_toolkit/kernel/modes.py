@@ -18,7 +18,7 @@ import numpy as np
 
 from .box import approach
 from .jit import inner
-from .linalg import cholesky, make_orthogonal
+from .linalg import cholesky, make_rows_orthogonal
 from .motion import gram
 
 ZERO = 1e-9  # singular value (lengths over reach) below which a direction does not move to first order
@@ -38,24 +38,33 @@ CLEAR = 1e-4  # singular value above which it is clear on which side of the sing
 
 
 @inner
-def modes(J, W, U, sigma):
-    """One-sided Jacobi: W (n, m) receives sigma_k v_k by columns, U (m, m) the u_k, sigma (m,)."""
+def modes(J, near, W, U, sigma):
+    """One-sided Jacobi: W (m, n) receives sigma_k v_k by rows, U (m, m) the u_k, sigma (m,).
+
+    near (m, m): the u_k found last, from which few rotations are left, zeros at first; receives these.
+    """
     n, m = J.shape
+    known = False
+    for c in range(m):
+        known = known or near[0, c] != 0.0
     for r in range(m):
+        for c in range(m):
+            U[r, c] = near[r, c] if known else 1.0 if r == c else 0.0
         for i in range(n):
-            W[i, r] = J[i, r]
-    make_orthogonal(W, U, m)
+            W[r, i] = 0.0
+            for c in range(m):
+                W[r, i] += U[r, c] * J[i, c]
+    make_rows_orthogonal(W, U, sigma, 0, m, n)
     for r in range(m):
-        a = 0.0
-        for i in range(n):
-            a += W[i, r] * W[i, r]
-        sigma[r] = math.sqrt(a)
+        sigma[r] = math.sqrt(sigma[r])
+        for c in range(m):
+            near[r, c] = U[r, c]
 
 
 @inner
 def lost_direction(W, sigma, away, v):
     """Write to v (n,) the joint direction of a mode with sigma_k near 0: `away`, without what moves the tip; False if none."""
-    n, m = W.shape
+    m, n = W.shape
     for i in range(n):
         v[i] = away[i]
     for _ in range(2):  # twice is enough (Kahan)
@@ -63,10 +72,10 @@ def lost_direction(W, sigma, away, v):
             if sigma[c] > ZERO:
                 s = 0.0
                 for i in range(n):
-                    s += W[i, c] * v[i]
+                    s += W[c, i] * v[i]
                 s /= sigma[c] * sigma[c]
                 for i in range(n):
-                    v[i] -= s * W[i, c]
+                    v[i] -= s * W[c, i]
     size = 0.0
     for i in range(n):
         size += v[i] * v[i]
@@ -122,7 +131,7 @@ def mode_part(U, r, vector):
     """Part of a vector (m,) along u_r."""
     part = 0.0
     for c in range(vector.shape[0]):
-        part += U[c, r] * vector[c]
+        part += U[r, c] * vector[c]
     return part
 
 
@@ -142,7 +151,7 @@ def mode_direction(W, sv, r, away, way, v):
     """Write v_r to v (n,); False where there is no direction to move along."""
     if sv[r] > ZERO:
         for i in range(v.shape[0]):
-            v[i] = W[i, r] / sv[r]
+            v[i] = W[r, i] / sv[r]
         return True
     for i in range(v.shape[0]):
         v[i] = 0.0
@@ -198,13 +207,12 @@ def take_out(J, W, U, V, lost, f, G):
     for r in range(m):
         if lost[r] > 0.0:
             count += 1
-            part = 0.0
+            part = mode_part(U, r, f)
             for c in range(m):
-                part += U[c, r] * f[c]
-            for c in range(m):
-                f[c] -= part * U[c, r]
-                for i in range(n):
-                    J[i, c] -= W[i, r] * U[c, r]
+                f[c] -= part * U[r, c]
+            for i in range(n):
+                for c in range(m):
+                    J[i, c] -= W[r, i] * U[r, c]
     wide = n >= m
     k = m if wide else n
     gram(J, m, wide, 0.0, G)
@@ -212,12 +220,31 @@ def take_out(J, W, U, V, lost, f, G):
         if lost[r] > 0.0:
             for c in range(k):
                 for d in range(c + 1):
-                    G[c, d] += U[c, r] * U[d, r] if wide else V[c, r] * V[d, r]
+                    G[c, d] += U[r, c] * U[r, d] if wide else V[c, r] * V[d, r]
     if not wide:  # joints that move nothing at all leave their rows empty
         for c in range(k):
             G[c, c] += NOTHING
     cholesky(G, k, 0.0)
     return count
+
+
+@inner
+def by_modes(J, W, U, lost, f, ask, y):
+    """Write the task, J and what is asked, by the modes that are kept, where some are lost: independent rows say the same."""
+    n, m = J.shape
+    some = False
+    for r in range(m):
+        some = some or lost[r] > 0.0
+    if not some:
+        return
+    for vector in (f, ask):
+        for r in range(m):
+            y[r] = 0.0 if lost[r] > 0.0 else mode_part(U, r, vector)
+        for r in range(m):
+            vector[r] = y[r]
+    for i in range(n):
+        for r in range(m):
+            J[i, r] = 0.0 if lost[r] > 0.0 else W[r, i]
 
 
 @inner
@@ -237,8 +264,8 @@ def hold_back(U, sigma, lost, bend, e, ahead):
         if lost[r] == 0.0:
             part = mode_part(U, r, e) * more / (sigma[r] * sigma[r] + more)
             for c in range(m):
-                e[c] -= part * U[c, r]
-                ahead[c] -= part * U[c, r]
+                e[c] -= part * U[r, c]
+                ahead[c] -= part * U[r, c]
 
 
 @inner

@@ -9,6 +9,7 @@ from .box import RECOVERING, ROW, clip
 from .clock import QUICK, WHOLE
 from .constrain import LEAVE, SLOW, WANTED, constrain
 from .jit import INLINE, inline
+from .modes import by_modes
 from .motion import CLIP, NOT_FINITE, RUNAWAY, STATE, apply
 from .records import copy
 from .wanted import Published
@@ -53,6 +54,7 @@ def by_constraints(law, s, count, sigma, mu, h, state, work, active, kept, start
         apply(s.J, m, s.G, s.t, s.y, s.v)
         for i in range(n):
             s.v[i] = s.x[i] - s.v[i]
+        by_modes(s.J, s.W, s.U, s.lost, s.f, s.ask, s.y)
     copy(s.x, s.w)
     least = min(state[STATE.sigma] - QUICK * h, sigma)  # the last step ends with the reference
     status, share, part = WANTED, 1.0, 1.0

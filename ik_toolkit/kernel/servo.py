@@ -171,7 +171,7 @@ def error_squared(weight, e):
 def run(step, rows, ends, orders, given, own, samples, out, h, block):
     """The loop of `servo` on views, with zeros to cut its scratch from."""
     _, p, counts, limits, wish, lines, level, measured = given
-    _, motion, memory, swings, away, state, active, kept, starts = own
+    _, motion, memory, swings, away, basis, state, active, kept, starts = own
     (_, T, V, A, caps), (_, Q, R, E, S, C) = samples, out
     q, rate = motion[0], motion[1]
     n, m, room = q.shape[0], V.shape[1], kept.shape[0] - 1
@@ -225,8 +225,8 @@ def run(step, rows, ends, orders, given, own, samples, out, h, block):
         if mu == 0.0:
             quieten(law, s, rate, swings, count, h)
             S[i, 3] = wanted(
-                law, rule, task, look, weights, s, counts[1], limits, wish, count, sigma, h, rate, memory, away, state
-            )
+                law, rule, task, look, weights, s, counts[1], limits, wish, count, sigma, h, rate, memory, away, basis, state
+            )  # fmt: skip
         copy(rate, s.before)
         stop, still = judge(s.x, h, law, state)
         if stop:

@@ -41,6 +41,7 @@ class Carried(NamedTuple):
     memory: Array  # of the method, or the rule
     swings: Array  # (2, n) how often in a row each joint turned back, for how long it has not [s]
     away: Array  # (n,) where joints go from a pose in which they are straight
+    basis: Array  # (m, m) directions of the task at the last singular pose, zeros before one, see modes.py
     state: Array  # a `State`
     active: Array  # (n,) and kept, int8: the active set of `constrain` ...
     kept: Array
@@ -77,9 +78,9 @@ def settings_shapes(n, m, rows):
 
 
 @shared
-def carried_shapes(n, memory, rows):
+def carried_shapes(n, memory, rows, m):
     """Shapes of `Carried`; bytes in whole numbers of eight."""
-    return (2, n), memory, (2, n), n, STATES, (n + 7) // 8, (rows + 7) // 8, (2 * (n + rows) + 7) // 8
+    return (2, n), memory, (2, n), n, (m, m), STATES, (n + 7) // 8, (rows + 7) // 8, (2 * (n + rows) + 7) // 8
 
 
 @shared
@@ -110,11 +111,12 @@ def settings_of(block):
 
 @shared
 def carried_of(block):
-    """Parts of a block (K,) of n, numbers of memory, rows."""
+    """Parts of a block (K,) of n, numbers of memory, rows, m."""
     n, memory, rows = head(block)
-    motion, own, swings, away, state, active, kept, starts = cut(block, np.float64, carried_shapes(n, memory, rows))
+    shapes = carried_shapes(n, memory, rows, int(block[4]))
+    motion, own, swings, away, basis, state, active, kept, starts = cut(block, np.float64, shapes)
     return Carried(
-        block, motion, own, swings, away, state, fold(active, np.int8, 1, n)[0], fold(kept, np.int8, 1, rows)[0],
+        block, motion, own, swings, away, basis, state, fold(active, np.int8, 1, n)[0], fold(kept, np.int8, 1, rows)[0],
         fold(starts, np.int8, 2, n + rows),
     )  # fmt: skip
 
@@ -148,9 +150,9 @@ def new_settings(n: int, m: int, rows: int) -> Settings:
     return _made(settings_of, settings_shapes(n, m, rows), n, m, rows)
 
 
-def new_carried(n: int, memory: int, rows: int) -> Carried:
-    """What is carried on of n coordinates, with `memory` numbers of the method, and `rows` of `constrain`."""
-    return _made(carried_of, carried_shapes(n, memory, rows), n, memory, rows)
+def new_carried(n: int, memory: int, rows: int, m: int) -> Carried:
+    """What is carried on of n coordinates and m errors, with `memory` numbers of the method, and `rows` of `constrain`."""
+    return _made(carried_of, carried_shapes(n, memory, rows, m), n, memory, rows, m)
 
 
 def new_samples(N: int, F: int) -> Samples:

@@ -2,9 +2,9 @@
 
 import math
 
-from .jit import inline, inner
+from .jit import inner
 from .levels import HIGH, LOW, RHS, WANT, dot
-from .linalg import NOISE, ORTHOGONAL, SWEEPS, cholesky, jacobi
+from .linalg import cholesky
 
 FLAT = 1e-9  # share of the largest singular value below which a direction does not exist
 DEPENDENT = 1e-12  # and from which on rows are rotated to see, squared: P P' says nothing below the root of rounding
@@ -35,40 +35,6 @@ def regular(P, L, first, r, n, least):
 
 
 @inner
-def rotate(P, task, first, r, n):
-    """Turn the task's rows, and what is asked, so that the rows are orthogonal (Hestenes): singular values times directions."""
-    longest = 0.0
-    for k in range(first, first + r):
-        longest = max(longest, dot(P, k, P, k, n))
-    noise = NOISE * NOISE * longest
-    for _ in range(SWEEPS):
-        rotated = False
-        for a in range(first, first + r - 1):
-            for c in range(a + 1, first + r):
-                p, q, g = dot(P, a, P, a, n), dot(P, c, P, c, n), dot(P, a, P, c, n)
-                if not abs(g) > ORTHOGONAL * math.sqrt(p * q) or min(p, q) <= noise:
-                    continue
-                rotated = True
-                cs, sn = jacobi(p, q, g)
-                turn(P, a, c, cs, sn, n)
-                for k in range(2):
-                    u, v = task[k, a], task[k, c]
-                    task[k, a] = cs * u - sn * v
-                    task[k, c] = sn * u + cs * v
-        if not rotated:
-            break
-
-
-@inline
-def turn(P, a, c, cs, sn, n):
-    """Rotate two rows into each other."""
-    for i in range(n):
-        u, v = P[a, i], P[c, i]
-        P[a, i] = cs * u - sn * v
-        P[c, i] = sn * u + cs * v
-
-
-@inner
 def damp(P, V, S, task, first, r, n, singular, damping, cap, cut):
     """Damp each singular direction towards the wanted rate, inside the box, and cut the feed-forward along it. Rows left.
 
@@ -91,8 +57,8 @@ def damp(P, V, S, task, first, r, n, singular, damping, cap, cut):
         wanted /= size
         for i in range(n):
             P[kept, i] = P[k, i] * (length / size)
-        task[0, kept] = (size * task[0, k] + extra * wanted) / length
-        task[1, kept] = size * task[1, k] * (1.0 - cut * fade) / length
-        S[RHS, kept] = task[0, kept] + cap * task[1, kept]
+        task[kept, 0] = (size * task[k, 0] + extra * wanted) / length
+        task[kept, 1] = size * task[k, 1] * (1.0 - cut * fade) / length
+        S[RHS, kept] = task[kept, 0] + cap * task[kept, 1]
         kept += 1
     return kept - first

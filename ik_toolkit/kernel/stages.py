@@ -16,7 +16,7 @@ def add_clock(P, V, S, task, first, r, n, cap):
     """Let the clock be unknown number n: by how much it is below cap, in units returned. 0: nothing depends on it."""
     size, top = 0.0, 0.0
     for k in range(first, first + r):
-        size += task[1, k] * task[1, k]
+        size += task[k, 1] * task[k, 1]
         top = max(top, dot(P, k, P, k, n))
     if not size > 0.0:
         return 0.0
@@ -24,7 +24,7 @@ def add_clock(P, V, S, task, first, r, n, cap):
     for k in range(first):
         P[k, n] = 0.0
     for k in range(first, first + r):
-        P[k, n] = unit * task[1, k]
+        P[k, n] = unit * task[k, 1]
     V[WANT, n] = 0.0
     V[LOW, n] = 0.0
     V[HIGH, n] = cap / unit
@@ -73,7 +73,7 @@ def ease(P, W, V, S, state, task, weight, beside, scale, first, r, n, rate, step
         for k in range(first, first + r):
             miss += S[TASK_ONE, k] * S[TASK_ONE, k]
             if rate >= 0.0:
-                S[RHS, k] = task[0, k] + rate * task[1, k]
+                S[RHS, k] = task[k, 0] + rate * task[k, 1]
             asked += S[RHS, k] * S[RHS, k]
         for k in range(weight.shape[0]):
             heavy = max(heavy, weight[k])

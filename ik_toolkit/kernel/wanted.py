@@ -168,7 +168,7 @@ def bend(task, look, s, slack, weighed):
 
 
 @inline
-def by_law(law, rule, task, look, weights, s, slack, limits, wish, count, sigma, h, rate, memory, away, state):
+def by_law(law, rule, task, look, weights, s, slack, limits, wish, count, sigma, h, rate, memory, away, basis, state):
     """Rates that a published law wants, to s.x. Returns how much of the task was lost, or the damping (CLIP)."""
     n, m = s.J.shape
     gain = law.kappa if law.code == CV else GAIN / h
@@ -184,7 +184,7 @@ def by_law(law, rule, task, look, weights, s, slack, limits, wish, count, sigma,
         if law.damping > 0.0 and not low >= border * border:
             weak = m  # what is lost of a task, and what is closest, is by the weights of the errors
             heavy = weigh(s.weight, s.J, s.e, s.ahead, s.f, s.a)
-            modes(s.J, s.W, s.U, s.sv)
+            modes(s.J, basis, s.W, s.U, s.sv)
     copy(s.f, s.pace)
     for k in range(m):
         s.f[k] *= sigma
@@ -275,7 +275,7 @@ def by_difference(task, s, slack):
 
 
 @inline
-def by_rule(law, rule, task, look, weights, s, slack, limits, wish, count, sigma, h, rate, memory, away, state):
+def by_rule(law, rule, task, look, weights, s, slack, limits, wish, count, sigma, h, rate, memory, away, basis, state):
     """Rates that a solver's rule wants, to s.x: its step to where the target will be."""
     d = task.desk
     leaned = False
@@ -308,18 +308,20 @@ def copy_rows(source, target):
         copy(source[i], target[i])
 
 
-def wanted(law, rule, task, look, weights, s, slack, limits, wish, count, sigma, h, rate, memory, away, state):
+def wanted(law, rule, task, look, weights, s, slack, limits, wish, count, sigma, h, rate, memory, away, basis, state):
     """Rates that the law or the rule wants."""
     how = by_law if isinstance(rule, Published) else by_rule
-    return how(law, rule, task, look, weights, s, slack, limits, wish, count, sigma, h, rate, memory, away, state)
+    return how(
+        law, rule, task, look, weights, s, slack, limits, wish, count, sigma, h, rate, memory, away, basis, state
+    )
 
 
 @overload(wanted, jit_options=INLINE)
-def _wanted(law, rule, task, look, weights, s, slack, limits, wish, count, sigma, h, rate, memory, away, state):
+def _wanted(law, rule, task, look, weights, s, slack, limits, wish, count, sigma, h, rate, memory, away, basis, state):
     how = by_law if rule.instance_class is Published else by_rule
-    return lambda law, rule, task, look, weights, s, slack, limits, wish, count, sigma, h, rate, memory, away, state: (
-        how(law, rule, task, look, weights, s, slack, limits, wish, count, sigma, h, rate, memory, away, state)
-    )
+    return lambda law, rule, task, look, weights, s, slack, limits, wish, count, sigma, h, rate, memory, away, basis, state: how(
+        law, rule, task, look, weights, s, slack, limits, wish, count, sigma, h, rate, memory, away, basis, state
+    )  # fmt: skip
 
 
 def lean(law, rule, s, limits, wish, rate, h):

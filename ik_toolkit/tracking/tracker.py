@@ -126,7 +126,7 @@ class Tracker:
             part[:] = values
         self._code, self._error = self._out.C[0], self._out.E[1]
         self._limits, self.secondary.wish = self._settings.limits, self._settings.wish
-        self._carried = new_carried(n, self.engine.memory, ROWS + 2 * m + 1)  # two rows for each slack
+        self._carried = new_carried(n, self.engine.memory, ROWS + 2 * m + 1, m)  # two rows for each slack
         self._q, self._rate = self._carried.motion
         self._state = self._carried.state
         self._units = np.array([robot.chain.unit, robot.chain.unit])

@@ -104,3 +104,28 @@ def test_no_file_and_no_function_is_too_long_to_read():
             if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef) and length(node) > LINES_OF_A_FUNCTION:
                 long.append(f"{name}, {node.name}: {length(node)} lines")
     assert not long
+
+
+def test_parts_of_kernels_make_no_arrays():
+    """They borrow what they are given (see kernel/jit.py): one that made an array left other kernels a damaged heap."""
+    makers = {
+        f"np.{name}"
+        for name in ("empty", "zeros", "ones", "full", "array", "arange", "linspace", "empty_like", "zeros_like")
+    }
+    parts: dict[str, list] = {}
+    for path in PACKAGE.rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            names = [ast.unparse(one) for one in getattr(node, "decorator_list", [])]
+            for name in names:
+                methods = (
+                    [one for one in node.body if isinstance(one, ast.FunctionDef)] if name == "compiled" else [node]
+                )
+                parts.setdefault(name, []).extend(methods)
+    counting = {function.name for function in parts["build"]}
+    assert "make_serial" in counting and len(parts["inner"]) > 100
+    for function in [f for kind in ("inner", "inline", "spliced", "shared", "compiled") for f in parts[kind]]:
+        if [ast.unparse(one) for one in function.decorator_list] in (["classmethod"], ["staticmethod"]):
+            continue  # stay Python
+        called = {ast.unparse(node.func) for node in ast.walk(function) if isinstance(node, ast.Call)}
+        made = {name for name in called if name in counting | makers or name.endswith(".copy")}
+        assert not made, f"{function.name} makes arrays by {', '.join(sorted(made))}: compile it by `build`"

@@ -14,18 +14,20 @@ from ik_toolkit.tracking.track import track
 from ik_toolkit.tracking.tracker import Tracker
 
 
-def test_solver_rules_as_trackers(panda):
-    ref = panda_reference(panda, True, 6.0)
-    for rule, position, orientation in (
-        ("dls", 2e-5, 1e-5),
-        ("lm", 2e-6, 2e-6),
-        ("pid", 0.01, 0.1),
-        ("state-space", 0.01, 0.02),
-    ):
-        run = track(panda, ref, rule, dt=0.005, q0=Q0)
-        assert run.gain_check is None and len(run.t) == 1201
-        assert run.figures["position"]["settled_max"] < position
-        assert run.figures["orientation"]["settled_max"] < orientation
+@pytest.mark.parametrize(("rule", "position", "orientation"), [
+    ("dls", 2e-5, 1e-5), ("state-space", 0.01, 0.02),
+    pytest.param("lm", 2e-6, 2e-6, marks=pytest.mark.slow),  # a loop to compile for each rule: 10 s
+    pytest.param("pid", 0.01, 0.1, marks=pytest.mark.slow),
+])  # fmt: skip
+def test_solver_rules_as_trackers(panda, rule, position, orientation):
+    run = track(panda, panda_reference(panda, True, 6.0), rule, dt=0.005, q0=Q0)
+    assert run.gain_check is None and len(run.t) == 1201
+    assert run.figures["position"]["settled_max"] < position
+    assert run.figures["orientation"]["settled_max"] < orientation
+
+
+def test_wrong_options_of_a_rule_are_refused(panda):
+    ref = panda_reference(panda, True, 1.0)
     with pytest.raises(InvalidOption, match="no option 'dampling'"):
         track(panda, ref, "dls", dampling=1.0)
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from ...errors import MissingExtra
 from ...kernel.chain import Chain
-from ...kernel.jit import cached, jit
+from ...kernel.jit import cached, inline
 from ..protocol import closed_form
 from .geometry import Branches, Fit, legal_turn, no_fit, read_screws
 
@@ -55,7 +55,7 @@ def branches(p: np.ndarray, T: np.ndarray) -> np.ndarray:
     return Q[np.isfinite(Q).all(axis=1)]
 
 
-@jit
+@inline
 def joint_values(angles, box, q):
     """Fill q (6,) with the legal turns of angles nearest box[2]; return the worst limit broken and the distance."""
     worst, distance = 0.0, 0.0

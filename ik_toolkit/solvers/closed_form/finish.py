@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from ...kernel.jit import cached, jit
+from ...kernel.jit import build, cached, inner
 from ...kernel.kinematics import aim, rotation_angle
 from ...kernel.limits import hold
 from ...kernel.linalg import damped
@@ -16,7 +16,7 @@ DAMPING = 1e-9  # of the first step: next to nothing, so that it is Newton's
 SOFTEST, STIFFEST = 1e-12, 1e3  # the damping stays between
 
 
-@jit
+@build
 def polish(rows, ends, opt, T, q, fixed, steps, most):
     """Improve q (n,) [rad or m] for the target T (4, 4) inside the limits, by at most `steps` damped Newton steps.
 
@@ -25,12 +25,17 @@ def polish(rows, ends, opt, T, q, fixed, steps, most):
     thousandth of their tolerances. Returns both errors of q [m], [rad] (inf when it was not evaluated) and the evaluations made.
     """
     n = q.shape[0]
-    o = read(Orders, opt)
-    p = make_serial(rows, ends, opt[HEAD:], n, o)
+    return newton(make_serial(rows, ends, opt[HEAD:], n, read(Orders, opt)), np.empty(n), opt, T, q, fixed, steps, most)
+
+
+@inner
+def newton(p, old, opt, T, q, fixed, steps, most):
+    """The steps of `polish`, on arrays that it has made."""
+    n, o = q.shape[0], read(Orders, opt)
     s, box = p.desk, p.ends
     limited = o.limits > 0.0
     kind = int(opt[HEAD])
-    x, old = s.q, np.empty(n)
+    x = s.q
     aim(box, T, p.goal)
     tp, tr = o.tol_p / box.scale(), o.tol_r
     least = min(tp, tr) if kind == POSE else tp
@@ -101,7 +106,7 @@ def listed(rows, ends, opt, T, start, fixed, steps, Q, broken, marks, table, sig
         if broken[k] > 0.0:
             continue
         legal += 1
-        q[:] = Q[k]
+        copy(Q[k], q)
         position, rotation, _ = polish(rows, ends, opt, T, q, fixed, steps, np.inf)
         if not (position < o.tol_p and rotation < o.tol_r):
             continue
@@ -131,7 +136,7 @@ def first_good(rows, ends, opt, T, starts, fixed, steps, most, q):
     for k in range(starts.shape[0]):
         if evaluations >= most:
             break
-        q[:] = starts[k]
+        copy(starts[k], q)
         position, rotation, count = polish(rows, ends, opt, T, q, fixed, steps, most - evaluations)
         evaluations += count
         if position < opt[ORDER.tol_p] and rotation < opt[ORDER.tol_r]:

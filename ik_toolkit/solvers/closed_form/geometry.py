@@ -12,7 +12,7 @@ import numpy as np
 from ...kernel.algebra import at3
 from ...kernel.chain import Chain, evaluate
 from ...kernel.checks import CONVERGED, LIMIT_BLOCKED, STALLED, UNREACHABLE
-from ...kernel.jit import inline, jit
+from ...kernel.jit import inline, shared
 from ...kernel.kinematics import TAU, aim, fk, pose_error, rotation_angle
 from ...kernel.limits import LIGHTEST, legal
 from ...kernel.records import ANSWER, HEAD, WEIGHTS, Answer, Ends, Orders, read, write
@@ -93,7 +93,7 @@ def across(axis: np.ndarray, v: np.ndarray) -> np.ndarray:
     return v - axis * (axis @ v)
 
 
-@jit
+@shared
 def legal_turn(angle, low, high, near):
     """Angle + k 2 pi inside [low, high] nearest to `near`, and by how much it breaks the limits (0 when legal)."""
     x = angle + TAU * np.rint((near - angle) / TAU)
@@ -106,7 +106,7 @@ def legal_turn(angle, low, high, near):
     return clamp(x, low, high)
 
 
-@jit
+@shared
 def clamp(x, low, high):
     """x, put on a limit it passes by less than SNAP, and by how much it breaks the limits otherwise."""
     if x > high:
@@ -116,14 +116,14 @@ def clamp(x, low, high):
     return x, 0.0
 
 
-@jit
+@inline
 def legal_start(ends, opt, q0):
     """Whether a start (n,), if there is one, is finite and, when limits count, inside them [rad or m]."""
     o = read(Orders, opt)
     return o.given == 0.0 or legal(q0, Ends(ends, q0.shape[0]), o.limits > 0.0)
 
 
-@jit
+@inline
 def copy_limits(ends, opt, q0, box):
     """Fill box (4, n) with lower and upper limits, reference configuration [rad or m] and distance weights."""
     n = box.shape[1]

@@ -16,7 +16,7 @@ from ...kernel.chain import Chain
 from ...kernel.checks import BAD_START, BAD_TARGET, LIMIT_BLOCKED, ORTHONORMAL, rigid
 from ...kernel.jit import cached
 from ...kernel.kinematics import room
-from ...kernel.records import AT, ORDER, WEIGHTS
+from ...kernel.records import AT, ORDER, WEIGHTS, copy
 from ..derivation import Derivation
 from ..protocol import Asked, closed_form, fitted
 from .finish import polish
@@ -153,7 +153,7 @@ def solve(rows, ends, seeds, feat, T, Q0, out, opt, hist):
             least = pick_level(p, P, d, free, box, near, row, q, trial)
             if least < broken or (least == 0.0 and gap > 0.0):
                 broken = least
-                best[:] = trial
+                copy(trial, best)
         if free:
             if broken > 0.0 and count != 0:
                 if count < 0:
@@ -173,7 +173,7 @@ def solve(rows, ends, seeds, feat, T, Q0, out, opt, hist):
         if nearly or (broken > 0.0 and stroke == 0.0 and gap < opt[ORDER.tol_p] + slack):
             i = int(p[LIFT])
             at = p[LIFT + 1] * best[i] if i >= 0 else 0.0
-            moved[:] = P
+            copy(P, moved)
             inspection_nearest(moved, at, p[A4], p[A6])
             found = inspection_branches(moved, at, p[A4], p[A6], near, sols)
             fixed = i if i >= 0 and not free else -1
@@ -182,7 +182,7 @@ def solve(rows, ends, seeds, feat, T, Q0, out, opt, hist):
                 if k > 0:
                     joint_values(p, sols[k - 1], at, box, trial)
                 else:
-                    trial[:] = best
+                    copy(best, trial)
                 if fixed >= 0 and not box[0, fixed] <= trial[fixed] <= box[1, fixed]:
                     continue
                 for j in range(n):
@@ -195,9 +195,9 @@ def solve(rows, ends, seeds, feat, T, Q0, out, opt, hist):
                     distance += box[3, j] * (trial[j] - box[2, j]) ** 2
                 if position < opt[ORDER.tol_p] and rotation < opt[ORDER.tol_r] and distance < nearest:
                     nearest = distance
-                    q[:] = trial
+                    copy(trial, q)
             if nearest < np.inf:
-                best[:] = q
+                copy(q, best)
             if nearly:  # proves nothing
                 broken, gap = 0.0, 0.0
         measure_tip(rows, ends, opt, T[t], best, box, broken, gap, slack, goal, joints, trig, hist, out[t])

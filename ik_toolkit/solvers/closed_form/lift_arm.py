@@ -4,8 +4,9 @@ import math
 
 import numpy as np
 
-from ...kernel.jit import jit
+from ...kernel.jit import inline, inner, shared
 from ...kernel.kinematics import TAU
+from ...kernel.records import copy
 from .geometry import clamp, legal_turn
 from .reach import (
     inspection_branch,
@@ -29,7 +30,7 @@ TURNS = 8  # full turns considered either way; joints with wider limits count as
 LEVEL = 1e-9  # slope of the tool's z axis, and miss of the forearm's length, up to which an arm is level
 
 
-@jit
+@shared
 def wrist_pose(p, T, P):
     """Fill P (12: rotation by rows, point) with the wrist pose of T (4, 4) in shoulder axes."""
     for r in range(3):
@@ -42,7 +43,7 @@ def wrist_pose(p, T, P):
         P[9 + r] = b0 * T[0, 3] + b1 * T[1, 3] + b2 * T[2, 3] + p[9 + r] + m0 * p[21] + m1 * p[22] + m2 * p[23]
 
 
-@jit
+@inner
 def joint_values(p, angles, d, box, q):
     """Fill q with the legal turns of `angles` (6,) nearest box[2] and the lift; return the worst limit broken, the distance."""
     worst, distance = 0.0, 0.0
@@ -60,31 +61,31 @@ def joint_values(p, angles, d, box, q):
     return worst, distance
 
 
-@jit
+@inline
 def near_angles(p, box, near):
     """Fill near (6,) with the theta of the reference configuration: they stand in where an angle is free."""
     for k in range(6):
         near[k] = p[JOINTS + 3 * k + 1] * box[2, int(p[JOINTS + 3 * k])] + p[JOINTS + 3 * k + 2]
 
 
-@jit
+@inner
 def pick(p, P, d, box, near, moved, sols, q, best):
     """Fill best (n,) with the branch at lift d that breaks limits least, of the legal ones the nearest; return both numbers.
 
     The wrist point is first moved to the nearest reachable one.
     """
-    moved[:] = P
+    copy(P, moved)
     inspection_nearest(moved, d, p[A4], p[A6])
     least, nearest = np.inf, np.inf
     for k in range(inspection_branches(moved, d, p[A4], p[A6], near, sols)):
         worst, distance = joint_values(p, sols[k], d, box, q)
         if worst < least or (worst == least and distance < nearest):
             least, nearest = worst, distance
-            best[:] = q
+            copy(q, best)
     return least, nearest
 
 
-@jit
+@inline
 def lift_limits(p, box):
     """Lowest and highest lift the limits allow, along the shoulder's own axis."""
     i = int(p[LIFT])
@@ -93,7 +94,7 @@ def lift_limits(p, box):
     return -box[1, i], -box[0, i]
 
 
-@jit
+@inner
 def choose_lift(p, P, box, spans):
     """Lift to try first, and how many feasible intervals stand in spans (2, 2).
 
@@ -123,7 +124,7 @@ def choose_lift(p, P, box, spans):
     return (other if abs(other - wish) < abs(best - wish) else best), count
 
 
-@jit
+@inner
 def stopped_at(p, P, box, d, gap, spans):
     """Where no legal lift reaches: the limit nearest a lift that would, 0, and the stroke [m] missing; or d, gap and 0."""
     low, high = lift_limits(p, box)
@@ -136,7 +137,7 @@ def stopped_at(p, P, box, d, gap, spans):
     return d, gap, (least if gap == 0.0 else 0.0)
 
 
-@jit
+@inner
 def scan_lifts(p, P, box, near, spans, count, moved, sols, q, trial, best):
     """Try a few feasible lifts for a branch within limits: the one nearest the reference, or what breaks the limits least.
 
@@ -150,11 +151,11 @@ def scan_lifts(p, P, box, near, spans, count, moved, sols, q, trial, best):
             worst, distance = pick(p, P, d, box, near, moved, sols, q, trial)
             if worst < least or (worst == least and distance < nearest):
                 least, nearest = worst, distance
-                best[:] = trial
+                copy(trial, best)
     return least
 
 
-@jit
+@inner
 def at_turn(p, P, k, middle, half, turn, box, near, row, q):
     """Fill q with branch k at the lift middle - half cos(turn); return the worst limit broken and the distance."""
     d = middle - half * math.cos(turn)
@@ -162,7 +163,7 @@ def at_turn(p, P, k, middle, half, turn, box, near, row, q):
     return joint_values(p, row, d, box, q)
 
 
-@jit
+@inner
 def narrow_windows(p, P, box, near, spans, count, broken, row, q, best):
     """Search every branch over the feasible lifts for the windows that are inside all limits, however narrow.
 
@@ -198,11 +199,11 @@ def narrow_windows(p, P, box, near, spans, count, broken, row, q, best):
                 worst, distance = at_turn(p, P, k, middle, half, turn, box, near, row, q)
                 if worst < least or (worst == least and distance < nearest):
                     least, nearest = worst, distance
-                    best[:] = q
+                    copy(q, best)
     return least
 
 
-@jit
+@inline
 def coupled(p, up, row):
     """Joints i and j of theta_1 and theta_4, and q_j = base + slope q_i, of a level arm (6,): theta_4 - up theta_1 is given."""
     sign, sign4 = p[JOINTS + 1], p[JOINTS + 7]
@@ -210,14 +211,14 @@ def coupled(p, up, row):
     return int(p[JOINTS]), int(p[JOINTS + 6]), base, sign4 * up * sign
 
 
-@jit
+@inline
 def shared_range(box, i, j, shift, slope):
     """Range of q_i in which it and q_j = shift + slope q_i (slope 1 or -1) are legal; empty where the first is above."""
     a, b = (box[0, j] - shift) * slope, (box[1, j] - shift) * slope
     return max(box[0, i], min(a, b)), min(box[1, i], max(a, b))
 
 
-@jit
+@inline
 def set_free(p, up, x, row):
     """Set theta_1 of a level arm (6,) to that of the joint value x; theta_4 follows."""
     turned = p[JOINTS + 1] * x + p[JOINTS + 2] - row[0]
@@ -225,7 +226,7 @@ def set_free(p, up, x, row):
     row[2] += up * turned
 
 
-@jit
+@inner
 def meet_limits(p, box, up, row):
     """Set theta_1 and theta_4 of a level arm (6,), whose sum or difference is given, to the legal pair nearest the reference.
 
@@ -247,7 +248,7 @@ def meet_limits(p, box, up, row):
     set_free(p, up, chosen, row)
 
 
-@jit
+@inner
 def pick_level(p, P, d, free, box, near, row, q, best):
     """Fill best with the level arm (axes 1 and 4 parallel, one angle free) that breaks limits least, then the nearest.
 
@@ -263,5 +264,5 @@ def pick_level(p, P, d, free, box, near, row, q, best):
         worst, distance = joint_values(p, row, at, box, q)
         if worst < least or (worst == least and distance < nearest):
             least, nearest = worst, distance
-            best[:] = q
+            copy(q, best)
     return least

@@ -9,7 +9,7 @@ from ...kernel.checks import BAD_START, BAD_TARGET, is_rigid
 from ...kernel.jit import cached
 from ...kernel.kinematics import room
 from ...kernel.limits import LIGHTEST
-from ...kernel.records import AT, ORDER, WEIGHTS
+from ...kernel.records import AT, ORDER, WEIGHTS, copy
 from .finish import polish
 from .geometry import copy_limits, legal_start, measure_tip
 
@@ -64,7 +64,7 @@ def choose(rows, ends, T, Q, steps, fixed, q0, opt, hist, out):
             distance += box[3, i] * (q[i] - box[2, i]) ** 2
         if error < least or (error == least and distance < near):
             least, near = error, distance
-            best[:] = q
+            copy(q, best)
     goal, joints, trig = np.empty(12), np.empty(room(n)[0]), np.zeros(room(n)[1])
     measure_tip(rows, ends, opt, T, best, box, 0.0, 0.0, 0.0, goal, joints, trig, hist, out)
     out[AT.evaluations] += spent

@@ -8,9 +8,9 @@ import numpy as np
 
 from ...kernel.chain import Chain
 from ...kernel.checks import BAD_START, BAD_TARGET, ORTHONORMAL, rigid
-from ...kernel.jit import cached, jit
+from ...kernel.jit import cached, inner
 from ...kernel.kinematics import room
-from ...kernel.records import AT, ORDER, WEIGHTS
+from ...kernel.records import AT, ORDER, WEIGHTS, copy
 from ..derivation import Derivation
 from ..protocol import closed_form
 from .finish import polish
@@ -62,7 +62,7 @@ def recognise(chain: Chain) -> Fit:
     return Fit(np.concatenate([R.ravel(), -R @ screws.point[0], [l1, l2, height], angles]), "", tilt)
 
 
-@jit
+@inner
 def nearest_on_limits(p, x, y, box, q, best):
     """Fill best (2,) with the legal configuration that comes nearest to (x, y), when no branch is legal.
 
@@ -96,7 +96,7 @@ def nearest_on_limits(p, x, y, box, q, best):
             off = math.hypot(a * math.cos(t1) + b * math.cos(t2) - x, a * math.sin(t1) + b * math.sin(t2) - y)
             if off < miss:
                 miss = off
-                best[:] = q
+                copy(q, best)
 
 
 @cached
@@ -126,7 +126,7 @@ def solve(rows, ends, seeds, feat, T, Q0, out, opt, hist):
             worst, distance = joint_values(p, sols[k], box, q)
             if worst < least or (worst == least and distance < nearest):
                 least, nearest = worst, distance
-                best[:] = q
+                copy(q, best)
         if least > 0.0:
             nearest_on_limits(p, x, y, box, q, best)
         spent = 0
@@ -142,7 +142,7 @@ def solve(rows, ends, seeds, feat, T, Q0, out, opt, hist):
                 distance = box[3, 0] * (q[0] - box[2, 0]) ** 2 + box[3, 1] * (q[1] - box[2, 1]) ** 2
                 if position < opt[ORDER.tol_p] and distance < nearest:
                     nearest = distance
-                    best[:] = q
+                    copy(q, best)
             least, gap = 0.0, 0.0
         measure_tip(rows, ends, opt, T[t], best, box, least, gap, 0.0, goal, joints, trig, hist, out[t])
         out[t, AT.evaluations] += spent

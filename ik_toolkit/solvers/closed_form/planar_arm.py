@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from ...kernel.jit import cached, jit
+from ...kernel.jit import cached, inline, inner
 from .geometry import legal_turn
 from .reach import planar_branches
 
@@ -14,7 +14,7 @@ L1, L2, HEIGHT, ANGLES, NEARLY = 12, 13, 14, 15, 19
 FOLDED = 1e-9  # of the lengths: distance from the base below which the links count as folded onto it
 
 
-@jit
+@inline
 def to_plane(p, T):
     """Position of T (4, 4) in the arm's plane: along it (2), and the distance off it."""
     x = p[0] * T[0, 3] + p[1] * T[1, 3] + p[2] * T[2, 3] + p[9]
@@ -23,7 +23,7 @@ def to_plane(p, T):
     return x, y, z - p[HEIGHT]
 
 
-@jit
+@inner
 def joint_values(p, angles, box, q):
     """Fill q (2,) with the legal turns of theta_1, theta_2 nearest box[2]; return the worst limit broken and the distance."""
     worst, distance = 0.0, 0.0

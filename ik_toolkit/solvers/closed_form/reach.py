@@ -7,7 +7,7 @@ px) has no basis, and the lift is the arm's one free parameter.
 
 import math
 
-from ...kernel.jit import jit
+from ...kernel.jit import cached, shared
 from ...kernel.kinematics import TAU
 
 MERGED = 1e-7  # sin of an elbow angle below which its two branches are one (costs 1e-15 of the length)
@@ -15,13 +15,13 @@ ON_AXIS = 1e-12  # distance (of the lengths) below which an angle about an axis 
 EDGE = 1e-13  # of the lengths: rounding allowed in a reach test
 
 
-@jit
+@shared
 def wrap(x):
     """The angle in -pi..pi."""
     return x - TAU * math.floor(x / TAU + 0.5)
 
 
-@jit
+@shared
 def elbow(r, l1, l2):
     """Elbow angle in 0..pi of two links that span the distance r: no cancellation at either end of the reach."""
     a = max((l1 + l2 - r) * (l1 + l2 + r), 0.0)  # 2 l1 l2 (1 - cos)
@@ -29,14 +29,14 @@ def elbow(r, l1, l2):
     return 2.0 * math.atan2(math.sqrt(a), math.sqrt(b))
 
 
-@jit
+@shared
 def planar_margin(x, y, l1, l2):
     """Distance [m] of a point inside (positive) or outside (negative) the ring that two links reach."""
     r = math.hypot(x, y)
     return min(l1 + l2 - r, r - abs(l1 - l2))
 
 
-@jit
+@shared
 def planar_branches(x, y, l1, l2, near, sols):
     """Fill sols (2, 2) with theta_1, theta_2 of the point of the reach nearest (x, y); return how many (1 or 2).
 
@@ -61,7 +61,7 @@ def planar_branches(x, y, l1, l2, near, sols):
     return 2
 
 
-@jit
+@shared
 def shoulder_in_tool(P, d):
     """Shoulder point (0, 0, d) in the axes of the wrist pose P (12: rotation by rows, point), from its origin."""
     h = d - P[11]
@@ -71,7 +71,7 @@ def shoulder_in_tool(P, d):
     return x, y, z
 
 
-@jit
+@shared
 def inspection_margin(P, d, a4, a6):
     """Distance [m] of the wrist point inside (positive) or outside (negative) the reach at lift d, orientation kept."""
     x, y, z = shoulder_in_tool(P, d)
@@ -79,7 +79,7 @@ def inspection_margin(P, d, a4, a6):
     return min(a4 - math.hypot(r - a6, z), math.hypot(r + a6, z) - a4)
 
 
-@jit
+@shared
 def inspection_nearest(P, d, a4, a6):
     """Move the point of P to the nearest one reachable at lift d with the orientation kept; return the distance [m].
 
@@ -106,7 +106,7 @@ def inspection_nearest(P, d, a4, a6):
     return gap
 
 
-@jit
+@shared
 def forearm(P, d, a4, a6, near):
     """Elbow and wrist at lift d: on axis 6?, straight?, a4 cos(theta_5), theta_6 >= 0, inner and outer angle, theta_5's sine
     and cosine. P has to be reachable (see inspection_nearest); a free theta_6 or theta_7 is taken from `near` (6,).
@@ -130,7 +130,7 @@ def forearm(P, d, a4, a6, near):
     return on_six, straight, bend, inner, heading, z * n5, reach * n5
 
 
-@jit
+@shared
 def wrist(on_six, bend, inner, heading, s5, c5, k6, k5):
     """Cosine of theta_5, theta_5, 6 and 7 of elbow branch k6 and wrist branch k5 (0 or 1 each) of a forearm."""
     e6 = 1.0 - 2.0 * k6
@@ -141,7 +141,7 @@ def wrist(on_six, bend, inner, heading, s5, c5, k6, k5):
     return c5, yaw, t6, t7
 
 
-@jit
+@shared
 def shoulder(P, c5, s5, phi, given, t1):
     """Tilt of axis 4 against axis 1, and theta_1, 3, 4 of one shoulder branch, for phi = theta_6 + theta_7.
 
@@ -164,7 +164,7 @@ def shoulder(P, c5, s5, phi, given, t1):
     return tilt, t1, t3, math.atan2(s1 * m00 - c1 * m10, s1 * m01 - c1 * m11)
 
 
-@jit
+@shared
 def fill(row, k3, t1, t3, t4, t5, t6, t7):
     """Fill row (6,) with the angles of shoulder branch k3 (0 or 1)."""
     row[0] = wrap(t1 + k3 * math.pi)
@@ -175,7 +175,7 @@ def fill(row, k3, t1, t3, t4, t5, t6, t7):
     row[5] = wrap(t7)
 
 
-@jit
+@shared
 def inspection_branches(P, d, a4, a6, near, sols):
     """Fill sols (8, 6) with theta_1, theta_3 .. theta_7 that put the wrist pose P at lift d; return how many.
 
@@ -195,7 +195,7 @@ def inspection_branches(P, d, a4, a6, near, sols):
     return count
 
 
-@jit
+@shared
 def inspection_branch(P, d, a4, a6, near, k, row):
     """Fill row (6,) with branch k = 0..7 (shoulder, wrist, elbow as bits) at lift d: it varies smoothly with the lift."""
     on_six, straight, bend, inner, heading, s5, c5 = forearm(P, d, a4, a6, near)
@@ -204,7 +204,7 @@ def inspection_branch(P, d, a4, a6, near, k, row):
     fill(row, k % 2, t1, t3, t4, t5, t6, t7)
 
 
-@jit
+@shared
 def level_arm(P, d, free, a4, a6, k, near, row):
     """Fill row (6,) with arm k = 0..7 whose axes 1 and 4 are parallel, at theta_1 = near[0]; return its lift, how far it misses.
 
@@ -230,7 +230,7 @@ def level_arm(P, d, free, a4, a6, k, near, row):
     return d, miss
 
 
-@jit
+@cached
 def many_branches(P, lifts, a4, a6, near, sols):
     """Count the branches of wrist poses P (N, 12) at lifts (N,): what the benchmarks time."""
     count = 0
@@ -239,7 +239,7 @@ def many_branches(P, lifts, a4, a6, near, sols):
     return count
 
 
-@jit
+@shared
 def depressed_roots(p, q):
     """Count (1 or 3) and real roots of u^3 + p u + q, ascending (the one root three times)."""
     if p < 0.0 and 4.0 * p * p * p + 27.0 * q * q < 0.0:
@@ -252,7 +252,7 @@ def depressed_roots(p, q):
     return 1, root, root, root
 
 
-@jit
+@shared
 def reach_edge(P, a4, a6, outside, inside):
     """Lift between an unreachable and a reachable one where the reach margin vanishes, on the reachable side."""
     for _ in range(60):
@@ -264,7 +264,7 @@ def reach_edge(P, a4, a6, outside, inside):
     return inside
 
 
-@jit
+@shared
 def keep_interval(out, count, a, b, low, high):
     """Append [a, b] clipped to [low, high] to out unless nothing is left; return the new count."""
     a, b = max(a, low), min(b, high)
@@ -275,7 +275,7 @@ def keep_interval(out, count, a, b, low, high):
     return count
 
 
-@jit
+@shared
 def lift_intervals(P, a4, a6, low, high, out):
     """Fill out (2, 2) with the lifts inside [low, high] from which P is reachable, ascending; return how many (0, 1, 2).
 
@@ -305,7 +305,7 @@ def lift_intervals(P, a4, a6, low, high, out):
     return count
 
 
-@jit
+@shared
 def nearest_lift(P, a4, a6, low, high):
     """Lift in [low, high] from which the point of P (reachable from none) is missed by least, orientation kept."""
     side = math.hypot(P[9], P[10]) + a4 + a6  # further than this from the point, going on only adds distance

@@ -3,7 +3,7 @@
 import pytest
 from numba import config
 
-from ik_toolkit.kernel import linalg, singular
+from ik_toolkit.kernel import linalg
 
 if not config.DISABLE_JIT:
     collect_ignore_glob = ["test_*.py"]
@@ -13,6 +13,5 @@ if not config.DISABLE_JIT:
 def turns(monkeypatch):
     """Rotations of two columns or rows, as they are made."""
     made, once = [], linalg.jacobi
-    for module in (linalg, singular):
-        monkeypatch.setattr(module, "jacobi", lambda *numbers: made.append(numbers) or once(*numbers))
+    monkeypatch.setattr(linalg, "jacobi", lambda *numbers: made.append(numbers) or once(*numbers))
     return made

@@ -80,14 +80,14 @@ def test_what_is_no_pose_is_doubtful_and_what_is_not_finite_is_held_against():
 
 
 @pytest.mark.parametrize("make", [
-    lambda: session.new_settings(7, 6, 12), lambda: session.new_carried(9, 44, 37), lambda: session.new_samples(3, 2),
+    lambda: session.new_settings(7, 6, 12), lambda: session.new_carried(9, 44, 37, 12), lambda: session.new_samples(3, 2),
     lambda: session.new_record(5, 11, 12),
 ])  # fmt: skip
 def test_parts_of_a_block_do_not_overlap(make):
     """Every part keeps what was written to it, and the counts stay."""
     parts = make()
-    counts = parts.block[1:4].copy()
+    counts = parts.block[1:5].copy()
     for k, part in enumerate(parts[1:], 1):
         part[...] = k
-    assert all((part == k).all() for k, part in enumerate(parts[1:], 1)) and np.array_equal(parts.block[1:4], counts)
+    assert all((part == k).all() for k, part in enumerate(parts[1:], 1)) and np.array_equal(parts.block[1:5], counts)
     assert session.record_of(session.new_record(1, 3, 6).block).C.shape == (0, 3)

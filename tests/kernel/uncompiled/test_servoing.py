@@ -264,15 +264,15 @@ def test_a_step_of_a_rule():
             return self.code
 
     args = (law(), Rule(), task, None, weights, s, None, None, None, 0, 1.0, 0.1, None)
-    assert wanted.by_rule(*args, memory, None, None) == 0.0 and task.asked == 0
+    assert wanted.by_rule(*args, memory, None, None, None) == 0.0 and task.asked == 0
     np.testing.assert_allclose(s.x, 5.0)
     np.testing.assert_array_equal(memory, 3.0)
     memory[:], s.g[3] = old, 0.25
-    wanted.by_rule(*args, memory, None, None)
+    wanted.by_rule(*args, memory, None, None, None)
     np.testing.assert_allclose(s.x, 5.0 + s.g)
     assert task.asked == 1
     Rule.code, memory[:] = SINGULAR_STEP, old
-    wanted.by_rule(*args, memory, None, None)
+    wanted.by_rule(*args, memory, None, None, None)
     np.testing.assert_array_equal(s.x, s.g)
     out = np.zeros((3, 2))
     wanted.copy_column(np.arange(3.0), out, 1)

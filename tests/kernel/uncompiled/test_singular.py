@@ -7,7 +7,8 @@ from ik_toolkit.kernel import modes, singular, wanted, wishes
 from ik_toolkit.kernel.bench import bench_on, bench_space
 from ik_toolkit.kernel.box import approach
 from ik_toolkit.kernel.constrain import LEAVE
-from ik_toolkit.kernel.levels import HIGH, LOW, RHS, WANT, make_levels
+from ik_toolkit.kernel.levels import HIGH, LOW, RHS, SIZE, WANT, make_levels
+from ik_toolkit.kernel.linalg import make_rows_orthogonal
 from ik_toolkit.kernel.modes import SIDE
 from ik_toolkit.kernel.motion import AV, CV, STATE, Law
 
@@ -25,9 +26,9 @@ def test_rows_of_rounding_end_the_turning(turns):
     rng = np.random.default_rng(8)
     C = rng.normal(size=(6, 7))
     C[:, [1, 4]] = 0.0
-    s, asked = make_levels(8, 7), np.zeros((2, 7))
+    s, asked = make_levels(8, 7), np.zeros((7, 2))
     s.P[:6, :7] = C
-    singular.rotate(s.P, asked, 0, 6, 7)
+    make_rows_orthogonal(s.P, asked, s.S[SIZE], 0, 6, 7)
     assert len(turns) < 15 * 10
     size = np.linalg.norm(s.P[:6, :7], axis=1)
     np.testing.assert_allclose(np.sort(size), np.linalg.svd(C, compute_uv=False)[::-1], atol=1e-14)
@@ -56,16 +57,16 @@ def test_rows_are_turned_and_singular_ones_damped():
     rng = np.random.default_rng(1)
     values = np.array([1.5, 0.8, 0.12, 0.0])
     C, U, W = task_of(rng, values)
-    s, asked = make_levels(8, 7), np.zeros((2, 7))
-    s.P[2:6, :7], asked[:, 2:6] = C, rng.normal(size=(2, 4))
-    given = asked[:, 2:6].copy()
-    singular.rotate(s.P, asked, 2, 4, 7)
+    s, asked = make_levels(8, 7), np.zeros((7, 2))
+    s.P[2:6, :7], asked[2:6] = C, rng.normal(size=(4, 2))
+    given = asked[2:6].copy()
+    make_rows_orthogonal(s.P, asked, s.S[SIZE], 2, 4, 7)
     R = s.P[2:6, :7]
     np.testing.assert_allclose(R @ R.T - np.diag(np.diag(R @ R.T)), 0.0, atol=1e-14)
     np.testing.assert_allclose(np.sort(np.linalg.norm(R, axis=1)), np.sort(values), atol=1e-14)
-    np.testing.assert_allclose(R.T @ asked[:, 2:6].T, C.T @ given.T, atol=1e-13)  # the same problem
-    np.testing.assert_allclose(np.linalg.norm(asked[:, 2:6], axis=1), np.linalg.norm(given, axis=1))
-    before, rates = R.copy(), asked[:, 2:6].copy()
+    np.testing.assert_allclose(R.T @ asked[2:6], C.T @ given, atol=1e-13)  # the same problem
+    np.testing.assert_allclose(np.linalg.norm(asked[2:6], axis=0), np.linalg.norm(given, axis=0))
+    before, rates = R.copy(), asked[2:6].copy()
     want, low, high = rng.normal(size=7), np.full(7, -0.5), np.full(7, 0.6)
     s.V[WANT, :7], s.V[LOW, :7], s.V[HIGH, :7] = want, low, high
     assert singular.damp(s.P, s.V, s.S, asked, 2, 4, 7, 0.4, 0.3, 0.9, 0.25) == 3
@@ -79,10 +80,28 @@ def test_rows_are_turned_and_singular_ones_damped():
         length = np.sqrt(size**2 + extra)
         own = before[k] / size @ np.clip(want, low, high)
         np.testing.assert_allclose(s.P[place, :7], before[k] / size * length, atol=1e-14)
-        assert asked[0, place] == pytest.approx((size * rates[0, k] + extra * own) / length)
-        assert asked[1, place] == pytest.approx(size * rates[1, k] * (1.0 - 0.25 * fade) / length)
-        assert s.S[RHS, place] == pytest.approx(asked[0, place] + 0.9 * asked[1, place])
+        assert asked[place, 0] == pytest.approx((size * rates[k, 0] + extra * own) / length)
+        assert asked[place, 1] == pytest.approx(size * rates[k, 1] * (1.0 - 0.25 * fade) / length)
+        assert s.S[RHS, place] == pytest.approx(asked[place, 0] + 0.9 * asked[place, 1])
         place += 1
+
+
+def test_modes_of_a_pose_nearby_are_a_start(turns):
+    rng = np.random.default_rng(12)
+    J = rng.normal(size=(7, 6))
+    W, near, U, sigma = np.empty((6, 7)), np.zeros((6, 6)), np.empty((6, 6)), np.empty(6)
+    modes.modes(J, near, W, U, sigma)
+    cold = len(turns)
+    J += 1e-4 * rng.normal(size=J.shape)
+    modes.modes(J, near, W, U, sigma)
+    np.testing.assert_array_equal(near, U)
+    assert len(turns) - cold < 0.7 * cold
+    np.testing.assert_allclose(W.T @ U, J, atol=1e-12)
+    np.testing.assert_allclose(U @ U.T, np.eye(6), atol=1e-12)
+    np.testing.assert_allclose(np.sort(sigma)[::-1], np.linalg.svd(J, compute_uv=False), atol=1e-12)
+    before = len(turns)
+    modes.modes(J, near, W, U, sigma)
+    assert len(turns) == before
 
 
 def speed(
@@ -215,7 +234,25 @@ def test_only_the_singular_direction_leaves_the_task(code, n):
         state, away, memory = np.zeros(len(STATE)), W[:, k - 1].copy(), np.zeros(n)
         task, rate = Curved(rng, n, m), 0.1 * rng.normal(size=n)
         clear, none = np.zeros(m), np.zeros((3, n))
-        args = (law, None, task, None, None, s, clear, limits, none, 0, 1.0, h, rate, memory, away, state)
+        args = (
+            law,
+            None,
+            task,
+            None,
+            None,
+            s,
+            clear,
+            limits,
+            none,
+            0,
+            1.0,
+            h,
+            rate,
+            memory,
+            away,
+            np.zeros((m, m)),
+            state,
+        )
         lost = wanted.by_law(*args)
         want = U.T @ (f + 4.0 * e if code == CV else ahead / h)
         done = U.T @ (J.T @ s.x)
@@ -245,8 +282,8 @@ def test_errors_beside_a_lost_direction_are_fed_back_less():
     U = np.linalg.qr(rng.normal(size=(4, 4)))[0]
     sigma, lost, bend = np.array([1.0, 0.5, 0.2, 0.0]), np.array([0.0, 0.0, 1.0, 1.0]), 0.7
     e, ahead = rng.normal(size=(2, 4))
-    more = bend * np.hypot(U[:, 2] @ e, U[:, 3] @ e)
-    less = U @ (np.where(lost, 0.0, more / (sigma**2 + more)) * (U.T @ e))
+    more = bend * np.hypot(U[2] @ e, U[3] @ e)
+    less = U.T @ (np.where(lost, 0.0, more / (sigma**2 + more)) * (U @ e))
     wanted = e - less, ahead - less
     modes.hold_back(U, sigma, lost, bend, e, ahead)
     np.testing.assert_allclose((e, ahead), wanted, atol=1e-14)

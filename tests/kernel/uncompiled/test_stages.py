@@ -17,7 +17,7 @@ def loaded(rng, n=5, rows=3):
     scale, low, high = rng.uniform(0.5, 2.0, n), -rng.random(n), rng.random(n)
     A, b = rng.normal(size=(rows, n)), rng.normal(size=rows)
     A[1] = 0.0
-    s, task = make_levels(n + 7, rows + 7), np.zeros((2, rows + 7))
+    s, task = make_levels(n + 7, rows + 7), np.zeros((rows + 7, 2))
     constrain.bound(scale, low, high, A, b, rows, 0.01, s.P, s.V, s.S)
     r = constrain.load(J, weight, back, front, want, scale, rows, 0.8, s.P, s.V, s.S, task)
     return J, weight, back, front, want, scale, low, high, A, b, s, task, r
@@ -37,14 +37,14 @@ def test_a_problem_in_scaled_unknowns():
     assert r == 4
     for place, c in enumerate(counted, rows):
         np.testing.assert_allclose(s.P[place, :n], weight[c] * J[:, c] * scale)
-        np.testing.assert_allclose(task[:, place], [weight[c] * back[c], weight[c] * front[c]])
+        np.testing.assert_allclose(task[place], [weight[c] * back[c], weight[c] * front[c]])
         assert s.S[RHS, place] == pytest.approx(weight[c] * (back[c] + 0.8 * front[c]))
     unit = constrain.add_clock(s.P, s.V, s.S, task, rows, r, n, 0.8)
     lengths = (s.P[rows : rows + r, :n] ** 2).sum(axis=1)
-    assert unit == pytest.approx(1e-4 * math.sqrt(lengths.max() / (task[1, rows : rows + r] ** 2).sum()))
-    np.testing.assert_allclose(s.P[: rows + r, n], [0, 0, 0, *(unit * task[1, rows : rows + r])])
+    assert unit == pytest.approx(1e-4 * math.sqrt(lengths.max() / (task[rows : rows + r, 1] ** 2).sum()))
+    np.testing.assert_allclose(s.P[: rows + r, n], [0, 0, 0, *(unit * task[rows : rows + r, 1])])
     np.testing.assert_allclose(s.V[[WANT, LOW, HIGH], n], [0.0, 0.0, 0.8 / unit])
-    task[1] = 0.0
+    task[:, 1] = 0.0
     assert constrain.add_clock(s.P, s.V, s.S, task, rows, r, n, 0.8) == 0.0
 
 

@@ -31,8 +31,8 @@ def test_shapes_of_scratch():
     shapes = {name: getattr(s, name).shape for name in s._fields}
     of = {
         (n,): "why_low why_top move null x1 x2 x w g lead v probe before at size even floor roof", (2, 4, 4): "Ts", (2, 3): "flip",
-        (m,): "Vs As e ahead f pace a ask bias weight t sv lost xk y", (m, m): "G H U", (n, m): "J W V", (n + rows,): "multiplier",
-        (rows, n): "planes", (rows,): "edges",
+        (m,): "Vs As e ahead f pace a ask bias weight t sv lost xk y", (m, m): "G H U", (n, m): "J V", (m, n): "W",
+        (n + rows,): "multiplier", (rows, n): "planes", (rows,): "edges",
     }  # fmt: skip
     assert shapes == {name: shape for shape, names in of.items() for name in names.split()}
     assert bench(9, 6).G.shape == (9, 9) and bench(9, 6).y.shape == (9,)
@@ -50,7 +50,7 @@ def test_shapes_of_scratch():
     }
     assert {name: getattr(s, name).shape for name in s._fields} == want
     for room in (make_room(n, m, rows), room_on(np.zeros(room_space(n, m, rows)), n, m, rows)):
-        assert room.task.shape == (2, rows + m + 1) and room.levels.P.shape == (rows + m + 1, n + m + 1)
+        assert room.task.shape == (rows + m + 1, 2) and room.levels.P.shape == (rows + m + 1, n + m + 1)
     desk = make_desk(np.zeros(4000), n, m)
     assert {name: getattr(desk, name).shape for name in desk._fields} == {
         "q": (n,), "dq": (n,), "start": (n,), "w": (n,), "x": (4 * n + 8,), "J": (n, m), "A": (m, m), "y": (m,),
@@ -96,6 +96,7 @@ def test_a_law_with_a_clock_that_changes_its_rate(code, mode):
         rate,
         memory,
         np.zeros(n),
+        np.zeros((m, m)),
         state,
     )
     assert lost == 0.0 and state[STATE.near] == 0.0
