@@ -51,7 +51,7 @@ class Bench(NamedTuple):
     before: Array
     at: Array  # where error and Jacobian are taken
     size: Array  # a speed for each joint
-    even: Array  # the same for all, see descent.py
+    even: Array  # 1 for all, see descent.py
     floor: Array  # the box
     roof: Array
     multiplier: Array

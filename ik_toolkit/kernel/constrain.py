@@ -308,7 +308,7 @@ def solve_step(
         state[n] = 0
         if stage == SLACK:
             loose = V[Y, n] * (1.0 + LOOSE) + LOOSE
-            stage, fresh, clock_tried, refused = FULL, True, False, False
+            stage, fresh, clock_tried, refused = EASED if mu > 0.0 else FULL, True, False, False
             continue
         if end == CONTRADICTION and loose == 0.0:
             stage = SLACK

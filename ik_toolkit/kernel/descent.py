@@ -17,6 +17,7 @@ from .constrain import SLOW
 from .jit import inner
 from .linalg import cholesky
 from .motion import CA, CLIP, CV, STATE, apply, gram
+from .wanted import GAIN
 from .wishes import weigh
 
 STANDS = 1e-6  # [reaches or rad per s] below which a target stands
@@ -29,10 +30,9 @@ TURNS, FORGOTTEN = 2.0, 0.1  # turns that make it stuck, and [s] in which one is
 # Shares: below the least joints turn again and again, the most is that of 16 joints.
 FIRST, LEAST, MOST = 0.5, 0.02, 16.0
 TURNED, RAISED, LOWERED = 8.0, 2.0, 0.9  # its factors when joints turn, the error does not come down, or does
-FLOOR = 0.25  # of a share found too small times TURNED: not gone below for a while ...
+FLOOR = 0.25  # of the share raised by TURNED, so twice that found too small: not gone below for a while ...
 FADING = 0.3  # [s] ... in which that is forgotten
 BRISK = 0.5  # share of the acceleration with which joints brake before the end of their way
-GAIN = 2.0 / 3.0  # share of an error fed back per sample at most, as in wanted.py
 
 
 @inner
@@ -47,18 +47,17 @@ def feedback(law, h):
 
 
 @inner
-def stuck(law, f, square, h, state):
-    """Whether the arm is stuck before a target that stands; f (m,): its twist, square: of the weighted error now.
+def stuck(law, f, e, ahead, square, h, state):
+    """Whether the arm is stuck before a target that stands; square: of the weighted error now.
 
-    Never where a published form is asked for, or a clock gives way instead.
+    It stands where neither its twist f (m,) nor the error moves from now, e, to the next sample, ahead: a caller may give a
+    twist of zero for a target that moves. Never where a published form is asked for, or a clock gives way instead.
     """
-    if law.mode == CLIP or law.mode == SLOW:
-        return False
     most, error = 0.0, math.sqrt(square)
     for k in range(f.shape[0]):
-        most = max(most, abs(f[k]))
-    if most > STANDS or error < SMALL:
-        state[STATE.share], state[STATE.stalled], state[STATE.turned], state[STATE.nearest] = 0.0, 0.0, 0.0, error
+        most = max(most, abs(f[k]), abs(ahead[k] - e[k]) / h)
+    if law.mode == CLIP or law.mode == SLOW or most > STANDS or error < SMALL:
+        state[STATE.share], state[STATE.stalled], state[STATE.turned], state[STATE.nearest] = 0.0, 0.0, 0.0, 0.0
     elif state[STATE.share] == 0.0:
         if error < state[STATE.nearest] - PROGRESS or state[STATE.nearest] == 0.0:
             state[STATE.stalled], state[STATE.nearest] = 0.0, error
@@ -120,7 +119,7 @@ def descend(law, s, limits, h, state):
     mu = state[STATE.share] * heavy * math.sqrt(size)
     for i in range(n):
         limited = limited or limits[3, i] < math.inf
-        s.x[i], s.v[i], s.even[i] = 0.0, 0.0, 1.0
+        s.x[i], s.v[i] = 0.0, 0.0
     if limited:
         brake(s, limits, mu, h)
     return mu

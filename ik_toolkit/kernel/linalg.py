@@ -7,7 +7,7 @@ from .jit import inline, inner
 
 TINY = 1e-300  # smallest pivot: its root and the inverse of the root are still finite
 SWEEPS = 40  # of Jacobi rotations; convergence is quadratic, six columns need about ten
-ORTHOGONAL = 1e-15  # cosine of the angle between two columns, below which it is rounding
+ORTHOGONAL = 1e-15  # cosine of the angle between two columns or rows, below which it is rounding
 NOISE = 1e-15  # length of a column over the longest, below which it is rounding and has no direction: it would turn for ever
 FLAT = 1e-10  # a pivot this much below the largest entry: the inverse of the matrix is not reliable
 
@@ -91,7 +91,7 @@ def damped_stack(J, moves, w, dq, e, damping, A, y):
 
 @inline
 def jacobi(a, b, g):
-    """Cosine and sine of the rotation that makes two columns orthogonal: a, b their squares, g their product."""
+    """Cosine and sine of the rotation that makes two columns (or rows) orthogonal: a, b their squares, g their product."""
     d = b - a
     t = (2.0 * g if d >= 0.0 else -2.0 * g) / (abs(d) + math.sqrt(d * d + 4.0 * g * g))
     cosine = 1.0 / math.sqrt(1.0 + t * t)

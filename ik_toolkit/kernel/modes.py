@@ -41,7 +41,7 @@ CLEAR = 1e-4  # singular value above which it is clear on which side of the sing
 def modes(J, near, W, U, sigma):
     """One-sided Jacobi: W (m, n) receives sigma_k v_k by rows, U (m, m) the u_k, sigma (m,).
 
-    near (m, m): the u_k found last, from which few rotations are left, zeros at first; receives these.
+    near (m, m): the u_k found last, from which few rotations are left, zeros at first; receives these, of length 1 again.
     """
     n, m = J.shape
     known = False
@@ -57,8 +57,11 @@ def modes(J, near, W, U, sigma):
     make_rows_orthogonal(W, U, sigma, 0, m, n)
     for r in range(m):
         sigma[r] = math.sqrt(sigma[r])
+        size = 0.0
         for c in range(m):
-            near[r, c] = U[r, c]
+            size += U[r, c] * U[r, c]
+        for c in range(m):
+            near[r, c] = U[r, c] / math.sqrt(size)
 
 
 @inner
@@ -230,7 +233,10 @@ def take_out(J, W, U, V, lost, f, G):
 
 @inner
 def by_modes(J, W, U, lost, f, ask, y):
-    """Write the task, J and what is asked, by the modes that are kept, where some are lost: independent rows say the same."""
+    """Write the task, J and what is asked, by the modes that are kept, where some are lost: independent rows say the same.
+
+    A row of weight 0 is a mode of its own, as long as `modes` began without directions of another task.
+    """
     n, m = J.shape
     some = False
     for r in range(m):

@@ -48,7 +48,7 @@ class State(NamedTuple):
     share: int  # of the curvature, by which steps down are damped, 0: the method's own steps; see descent.py
     lowest: int  # ... which it is not lowered below
     nearest: int  # weighted error from which it has to come down
-    stalled: int  # [s] for which limits or a singular pose have kept it from that
+    stalled: int  # [s] for which limits or a singular pose have kept it from that; in a step down, since it last did
     turned: int  # how often the joints have turned back meanwhile
 
 

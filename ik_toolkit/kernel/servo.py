@@ -182,7 +182,7 @@ def run(step, rows, ends, orders, given, own, samples, out, h, block):
     s, work = bench_on(block, n, m, room), room_on(block, n, m, room)
     last, plain = T.shape[0] - 1, task.plain()
     for i in range(n):
-        s.size[i] = limits[2, i] if limits[2, i] < np.inf and limits[2, i] > 0.0 else UNLIMITED
+        s.size[i], s.even[i] = limits[2, i] if limits[2, i] < np.inf and limits[2, i] > 0.0 else UNLIMITED, 1.0
     for i in range(E.shape[0]):
         clock = state[STATE.clock] if law.clocked > 0.0 else float(i)
         copy(measured if law.measured > 0.0 else q, s.at)
@@ -220,7 +220,7 @@ def run(step, rows, ends, orders, given, own, samples, out, h, block):
         copy(counts[0], s.weight)
         square = error_squared(s.weight, s.e)
         ratio = h / state[STATE.period] if state[STATE.start] == RUNNING else 0.0
-        mu = descend(law, s, limits, h, state) if stuck(law, s.f, square, h, state) else 0.0
+        mu = descend(law, s, limits, h, state) if stuck(law, s.f, s.e, s.ahead, square, h, state) else 0.0
         S[i, 3] = min(state[STATE.near], 1.0)
         if mu == 0.0:
             quieten(law, s, rate, swings, count, h)
@@ -242,7 +242,8 @@ def run(step, rows, ends, orders, given, own, samples, out, h, block):
         if law.mode == SLOW:
             S[i, 1] = done
             S[i, 2] = pacing(s, active, done, sigma, caps[1, j] if caps[1, j] >= 0.0 or i == 0 else S[i - 1, 2])
-        notice(law, s.before, s.x, s.size, swings, C[i], square, h, state)
+        if not still:
+            notice(law, s.before, s.x, s.size, swings, C[i], square, h, state)
         tick(state, law, clock, done)
         move(q, rate, s.x, law.gamma, h)
         state[STATE.start] = RUNNING if mu == 0.0 else READY  # no command of the method to go on from

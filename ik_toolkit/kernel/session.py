@@ -67,7 +67,7 @@ class Record(NamedTuple):
     Q: Array  # (N, n)
     R: Array  # (N, n) rates
     E: Array  # (N, m) errors [m, rad]
-    S: Array  # (N, 4) clock, its rate, joint that sets it (-1: none), lost directions
+    S: Array  # (N, 4) clock, its rate, joint that sets it (-1: none), lost directions (1 in a step down near a singular pose)
     C: Array  # (N - 1, n) bits of limits, uint8
 
 

@@ -1,4 +1,4 @@
-"""Singular directions of a task: found by rotating its rows, damped one by one. Scratch as in levels.py."""
+"""Singular directions of a task, whose rows are orthogonal: damped one by one. Scratch as in levels.py."""
 
 import math
 

@@ -157,7 +157,7 @@ class Step:
             (box.POSITION, "position limit on"),
             (box.VELOCITY, "speed limit on"),
             (box.ACCELERATION, "acceleration limit on"),
-            (box.CALMED, "kept from swinging:"),
+            (box.CALMED, "kept from swinging or overshooting:"),
             (
                 box.ROW,
                 f"{' and '.join(o.between)} would touch: slowing" if o.between else "an obstacle slows",

@@ -309,7 +309,7 @@ class Tracker:
         self._settings.counts[:] = counts
         self._carried.block[3] = (ROWS if self._guard else 0) + slacks + 1
         self._carried = carried_of(self._carried.block)
-        self._carried.kept[:] = 0
+        self._carried.kept[:], self._carried.basis[:] = 0, 0.0
         posed = tuple(bool(counts[0, 6 * f + 3 : 6 * f + 6].any()) for f in range(len(kinds)))
         self._judged = Judged(self.robot, posed, self.jump, self._speed)
         self._kinds = kinds

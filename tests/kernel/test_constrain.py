@@ -326,6 +326,19 @@ def test_a_task_is_damped_from_the_first_where_that_is_asked_for():
             np.testing.assert_allclose(y, x, atol=1e-9)
 
 
+def test_a_damped_task_stays_damped_where_half_planes_contradict():
+    rng = np.random.default_rng(14)
+    J, v, *_ = problem(rng, 7)
+    wide, row = np.full(7, 100.0), np.eye(7)[:1]
+    sizes = []
+    for mu in (1.0, 100.0):
+        step = Step(J, -wide, wide, (np.vstack([row, -row]), np.array([-0.01, -0.01])), mu=mu)
+        x = step(3.0 * v, np.zeros(6), np.zeros(7))
+        sizes.append(np.linalg.norm(x))
+        assert abs(x[0]) < 0.01
+    assert sizes[1] < 0.1 * sizes[0] < 0.1 * np.linalg.norm(np.linalg.pinv(J.T) @ (3.0 * v))
+
+
 @pytest.mark.parametrize("mode", [SLOW, DIRECT])
 def test_what_held_before_changes_the_way_but_not_the_answer(mode):
     rng = np.random.default_rng(12)

@@ -122,6 +122,11 @@ def test_parts_of_kernels_make_no_arrays():
                 )
                 parts.setdefault(name, []).extend(methods)
     counting = {function.name for function in parts["build"]}
+    counting |= {
+        f.name
+        for f in parts["jit"]
+        if any(ast.unparse(n.func) in makers for n in ast.walk(f) if isinstance(n, ast.Call))
+    }
     assert "make_serial" in counting and len(parts["inner"]) > 100
     for function in [f for kind in ("inner", "inline", "spliced", "shared", "compiled") for f in parts[kind]]:
         if [ast.unparse(one) for one in function.decorator_list] in (["classmethod"], ["staticmethod"]):
