@@ -147,14 +147,14 @@ def load(J, weight, feedback, forward, want, scale, count, cap, P, V, S, task):
 
 @inner
 def prepare(
-    J, weight, feedback, forward, want, scale, low, high, A, b, count, mode, cap, singular, damping, cut, loose,
+    J, weight, feedback, forward, want, scale, low, high, A, b, count, mode, cap, singular, damping, cut, loose, mu,
     P, L, V, S, task,
 ):  # fmt: skip
     """Write the problem with the clock full: the number of the task's rows."""
     n = J.shape[0]
     bound(scale, low, high, A, b, count, loose, P, V, S)
     r = load(J, weight, feedback, forward, want, scale, count, cap, P, V, S, task)
-    if not regular(P, L, count, r, n, singular):
+    if mu == 0.0 and not regular(P, L, count, r, n, singular):  # else all directions are damped
         make_rows_orthogonal(P, task, S[SIZE], count, r, n)
         r = damp(P, V, S, task, count, r, n, singular, damping, cap, cut)
     if mode == DIRECT:
@@ -238,7 +238,7 @@ def constrain(
     scale (n,): a speed for each joint, in which its motion and the singular values are measured. low <= high (n,);
     A[:count] x <= b[:count]. mode: LEAVE, SLOW, DIRECT. singular, damping: the singular value below which a direction is
     damped, and the largest damping. step [s]: where the task cannot be met, motion is damped by the residual in this time (see
-    `ease`), so that the joints come to rest where it is least; 0: not. mu above 0: the task is damped by it from the first.
+    `ease`), so that the joints come to rest where it is least; 0: not. mu above 0 (LEAVE): the task is damped by it from the first.
 
     active (n,), kept (R + 1,) int8 carry what held on to the next step: -1 low, 1 high, 2 in a half-plane that holds. Status
     WANTED: x is `want`, bit for bit, which lies inside and does the task. MET: the task is done at the rate returned (SLOW: of
@@ -272,14 +272,15 @@ def solve_step(
         return WANTED, top
     cut = min(1.0, max(far / CUT_AT, math.sqrt(miss / size) if size > 0.0 else 0.0))
     recall(active, kept, P.shape[1], n, count, state)
-    stage = EASED if mu > 0.0 else CLOCK if mode != LEAVE and kept[last] == SLOWED else FULL
+    begin = EASED if mu > 0.0 else FULL
+    stage = CLOCK if mode != LEAVE and kept[last] == SLOWED else begin
     clock_tried, refused, fresh, moved, done = False, False, True, False, False
     loose, unit, rate, damped, r = 0.0, 0.0, top, 1.0, 0
     while True:
         if fresh:
             r = prepare(
                 J, weight, feedback, forward, want, scale, low, high, A, b, count, mode, top, singular, damping, cut,
-                loose, P, L, V, S, task,
+                loose, mu, P, L, V, S, task,
             )  # fmt: skip
         elif moved:
             bound(scale, low, high, A, b, count, loose, P, V, S)
@@ -308,7 +309,7 @@ def solve_step(
         state[n] = 0
         if stage == SLACK:
             loose = V[Y, n] * (1.0 + LOOSE) + LOOSE
-            stage, fresh, clock_tried, refused = EASED if mu > 0.0 else FULL, True, False, False
+            stage, fresh, clock_tried, refused = begin, True, False, False
             continue
         if end == CONTRADICTION and loose == 0.0:
             stage = SLACK

@@ -4,8 +4,7 @@ A method (a published law, or a solver's rule taken one step a sample) says whic
 directions in which the tip can hardly move is replaced (modes.py), secondary wishes are added in the null space, and where
 limits or half-planes forbid the outcome `constrain` finds the best that they allow. Where nothing forbids it, the rates wanted
 are taken as they are, so a published form stays one. An arm that is stuck before a target that stands goes down to the least
-error nearby (descent.py). CLIP is the published form whole: damped as a whole near singular poses,
-each joint clipped on its own.
+error nearby (descent.py). CLIP is the published form whole: damped as a whole near singular poses, each joint clipped on its own.
 
 The reference's clock s counts samples. SLOW lets it run slower than time: by the look-ahead, by `constrain`, and while the error
 is above the tolerance (clock.py).
