@@ -19,6 +19,10 @@ _, *asked = inspect.signature(CPUCodegen._function_pass_manager).parameters.valu
 if not KNOWN or any(one.kind == one.POSITIONAL_OR_KEYWORD and one.default is one.empty for one in asked):  # numba 0.61
     raise ImportError("this numba compiles otherwise")
 
+# LLVM's first level of optimising: the third makes kernels no faster (scripts/benchmarks/against.py) and code that takes thrice the
+# time to turn into machine code: of a tracker's 45 s of compiling, 16, and 5 to 7 at the first.
+LEVEL = 1
+
 
 class PartLibrary(JITCodeLibrary):
     """Code of a part, simplified, but without machine code, and without optimising again what it calls.
@@ -40,7 +44,7 @@ class PartLibrary(JITCodeLibrary):
     def _optimize_functions(self, ll_module: Any) -> None:
         """Simplify what the module defines; numba makes new passes for each function, and for those only declared, too."""
         ll_module.data_layout = self._codegen._data_layout
-        passes, builder = self._codegen._function_pass_manager()
+        passes, builder = self._codegen._function_pass_manager(opt=LEVEL)
         for function in ll_module.functions:
             if not function.is_declaration:
                 passes.run(function, builder)
@@ -70,6 +74,12 @@ class KernelLibrary(JITCodeLibrary):
         link(self._final_module, self._linking_libraries)
         self._linking_libraries = []
         super().finalize()
+
+    def _optimize_final_module(self) -> None:
+        """Once cheaply, which inlines, so that more counting of references can be left out (numba's first step); then well."""
+        first = self._codegen._module_pass_manager(loop_vectorize=False, slp_vectorize=False, opt=0, cost="cheap")
+        for passes, builder in (first, self._codegen._module_pass_manager(opt=LEVEL)):
+            passes.run(self._final_module, builder)
 
 
 def link(module: Any, libraries: list) -> None:
