@@ -101,11 +101,13 @@ def test_literal_cases(name):
         check_answers(robot, judge, T[:10], np.array([r.q for r in results]), np.array([r.success for r in results]))
 
 
-def test_every_rpy_that_people_write():
-    """All 2,197 triples, forty to a robot: axes that are parallel, square or opposite but for the literals' last digits."""
+@pytest.mark.parametrize("each", [5, pytest.param(1, marks=pytest.mark.slow)])
+def test_every_rpy_that_people_write(each):
+    """All 2,197 triples, or each fifth, forty to a robot: axes parallel, square or opposite but for the literals' last digits."""
     rng = np.random.default_rng(3)
     triples = [" ".join(rpy) for rpy in itertools.product(RPY_LITERALS, repeat=3)]
     assert len(triples) == 2197
+    triples = triples[::each]  # 13 literals: a step of five meets each of them at each place
     for start in range(0, len(triples), 40):
         axes = rng.choice(["0 0 1", "1 0 0", "0 -1 0", "0 0 -1"], 40)
         text = robots.urdf(

@@ -183,8 +183,8 @@ def test_a_port_in_use_is_an_error():
     ("command", "end"),
     [
         ("view planar_2r --no-open", signal.SIGTERM),
-        ("view planar_2r --no-open", signal.SIGINT),
-        ("panel planar_2r --no-open", signal.SIGTERM),
+        pytest.param("view planar_2r --no-open", signal.SIGINT, marks=pytest.mark.slow),
+        pytest.param("panel planar_2r --no-open", signal.SIGTERM, marks=pytest.mark.slow),
         ("panel planar_2r --no-open", signal.SIGINT),
         ("solve planar_2r --xyz 1 1 0 --view", signal.SIGTERM),
     ],

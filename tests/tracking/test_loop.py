@@ -15,7 +15,7 @@ from ik_toolkit.tracking.tracker import Tracker
 LIMITED: dict = {}
 
 
-@pytest.mark.parametrize("method", ["cv", "ca", "aad", "state-space"])
+@pytest.mark.parametrize("method", ["cv", "ca", "aad", "dls"])
 def test_updates_equal_a_run(panda, method):
     ref = panda_reference(panda, True, 1.0)
     run = track(panda, ref, method, dt=0.01, q0=Q0, acceleration_limits=10.0, on_limit="leave")

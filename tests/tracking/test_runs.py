@@ -15,7 +15,8 @@ from ik_toolkit.tracking.tracker import Tracker
 
 
 @pytest.mark.parametrize(("rule", "position", "orientation"), [
-    ("dls", 2e-5, 1e-5), ("state-space", 0.01, 0.02),
+    ("dls", 2e-5, 1e-5),
+    pytest.param("state-space", 0.01, 0.02, marks=pytest.mark.slow),
     pytest.param("lm", 2e-6, 2e-6, marks=pytest.mark.slow),  # a loop to compile for each rule: 10 s
     pytest.param("pid", 0.01, 0.1, marks=pytest.mark.slow),
 ])  # fmt: skip
