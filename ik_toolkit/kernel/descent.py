@@ -16,14 +16,15 @@ from .box import POSITION, ROW, approach, narrow
 from .constrain import SLOW
 from .jit import inner
 from .linalg import cholesky
-from .motion import CA, CLIP, CV, STATE, apply, gram
+from .motion import CLIP, STATE, apply, gram, natural
 from .wanted import GAIN
 from .wishes import weigh
 
 STANDS = 1e-6  # [reaches or rad per s] below which a target stands
 SMALL = 1e-4  # weighted error below which the method goes on by itself
 STALLED = 0.1  # [s] without progress that make an arm stuck: a freeze is no shorter
-PROGRESS = 1e-3  # by which the weighted error comes down in that time
+# By which the weighted error comes down in that time; where joints are slow, a share of what they would bring at full speed.
+PROGRESS, PACE = 1e-3, 0.1
 IDLE = 0.01  # share of what is fed back below which the joints are idle: 0.3 at least is usual
 BACK = 0.1  # share of the joints' motion that goes back, above which they turn
 TURNS, FORGOTTEN = 2.0, 0.1  # turns that make it stuck, and [s] in which one is forgotten: four in 0.1 s are chatter
@@ -38,32 +39,41 @@ BRISK = 0.5  # share of the acceleration with which joints brake before the end 
 @inner
 def feedback(law, h):
     """K [1/s]: not more than the method's own."""
-    natural = 1.0 / h
-    if law.code == CV:
-        natural = law.kappa
-    elif law.code == CA:
-        natural = law.kp / law.kd if law.kd > 0.0 else 0.0
-    return min(natural, GAIN / h)
+    return min(natural(law, h), GAIN / h)
 
 
 @inner
-def stuck(law, f, e, ahead, square, h, state):
+def stuck(law, s, limits, square, h, state):
     """Whether the arm is stuck before a target that stands; square: of the weighted error now.
 
-    It stands where neither its twist f (m,) nor the error moves from now, e, to the next sample, ahead: a caller may give a
+    It stands where neither its twist s.f (m,) nor the error moves from now, s.e, to the next sample, s.ahead: a caller may give a
     twist of zero for a target that moves. Never where a published form is asked for, or a clock gives way instead.
     """
     most, error = 0.0, math.sqrt(square)
-    for k in range(f.shape[0]):
-        most = max(most, abs(f[k]), abs(ahead[k] - e[k]) / h)
+    for k in range(s.f.shape[0]):
+        most = max(most, abs(s.f[k]), abs(s.ahead[k] - s.e[k]) / h)
     if law.mode == CLIP or law.mode == SLOW or most > STANDS or error < SMALL:
         state[STATE.share], state[STATE.stalled], state[STATE.turned], state[STATE.nearest] = 0.0, 0.0, 0.0, 0.0
     elif state[STATE.share] == 0.0:
-        if error < state[STATE.nearest] - PROGRESS or state[STATE.nearest] == 0.0:
+        way = min(PROGRESS, PACE * STALLED * fastest(s, limits, error))
+        if error < state[STATE.nearest] - way or state[STATE.nearest] == 0.0:
             state[STATE.stalled], state[STATE.nearest] = 0.0, error
         if (state[STATE.stalled] > STALLED or state[STATE.turned] >= TURNS) and feedback(law, h) > 0.0:
             state[STATE.share], state[STATE.lowest], state[STATE.stalled] = FIRST, 0.0, 0.0
     return state[STATE.share] > 0.0
+
+
+@inner
+def fastest(s, limits, error):
+    """How much the weighted error could fall in a second: by all joints that are not at limits, at full speed."""
+    total = 0.0
+    for i in range(s.J.shape[0]):
+        slope = 0.0
+        for k in range(s.J.shape[1]):
+            slope += s.weight[k] * s.weight[k] * s.J[i, k] * s.e[k]
+        if slope != 0.0 and (s.roof[i] > 0.0 if slope > 0.0 else s.floor[i] < 0.0):
+            total += abs(slope) * limits[2, i] / error
+    return total
 
 
 @inner

@@ -269,6 +269,16 @@ def command(p, J, m, e, v, a, bias, rate, prev, h, ratio, G, y, t, move, null, x
 
 
 @jit
+def natural(p, h):
+    """Rate [1/s] at which a method by itself removes an error; 0 where it feeds back none, or damps nothing."""
+    if p.code == CV:
+        return p.kappa
+    if p.code == CA:
+        return p.kp / p.kd if p.kd > 0.0 else 0.0
+    return 1.0 / h
+
+
+@jit
 def ease(p, J, m, e, ahead, h, q, limits, planes, edges, count, fast, quick, walls, bend, G, H, y, c):
     """Shrink the error fed back (e and ahead, in place) until the joints can brake before it reaches zero.
 
@@ -278,9 +288,7 @@ def ease(p, J, m, e, ahead, h, q, limits, planes, edges, count, fast, quick, wal
     way J^+ e, that way is not the one the joints take: with bend > 0, the curvature of the tip's way times the error, it is looked
     at again, damped, as along a weak direction it ends long before. Returns whether they are in the way.
     """
-    code = int(p.code)
-    natural = p.kappa if code == CV else p.kp / p.kd if code == CA else 1.0 / h
-    f, wide, blocked = 1.0, J.shape[0] >= m, False
+    pace, f, wide, blocked = natural(p, h), 1.0, J.shape[0] >= m, False
     for damped in range(2):
         if damped:
             gram(J, m, wide, FAR * bend, H)
@@ -288,7 +296,7 @@ def ease(p, J, m, e, ahead, h, q, limits, planes, edges, count, fast, quick, wal
         apply(J, m, H if damped else G, e, y, c)
         f = 1.0
         for k in range(count if walls else 0):
-            over = -max(edges[k], 0.0) / natural
+            over = -max(edges[k], 0.0) / pace
             for i in range(c.shape[0]):
                 over += planes[k, i] * c[i]
             blocked = blocked or over > 0.0
@@ -300,8 +308,8 @@ def ease(p, J, m, e, ahead, h, q, limits, planes, edges, count, fast, quick, wal
             cap = fast * limits[2, i]
             if limits[3, i] < np.inf:
                 cap = min(cap, approach(size, 0.0, 1.0, h, quick * limits[3, i], h))
-            if natural * size > cap > 0.0:  # a locked joint does not count: the others close the error
-                f = min(f, cap / (natural * size))
+            if pace * size > cap > 0.0:  # a locked joint does not count: the others close the error
+                f = min(f, cap / (pace * size))
         if f == 1.0 or not blocked or bend == 0.0:
             break
     if f < 1.0:

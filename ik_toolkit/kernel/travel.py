@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from .box import UNLIMITED, advance, approach, bending
-from .jit import cached, inner
+from .jit import cached, inner, shared
 
 SPARE = 0.1  # share of an acceleration limit that a known motion leaves for making up for what is missing
 UNKNOWN = np.zeros(0), np.zeros((0, 0)), np.zeros((0, 0))  # no motion: times, points and rates of `travel`
@@ -32,7 +32,7 @@ def travel(q, rate, goal, times, points, rates, time, gamma, h, late, limits):
     return time_left(q, goal, limits)
 
 
-@inner
+@shared
 def time_left(q, goal, limits):
     """Least time [s] from q to goal at full speed."""
     left = 0.0

@@ -14,15 +14,14 @@ import numpy as np
 
 from ..kernel import motion
 from ..kernel.box import POSITION, bending
-from ..kernel.travel import SPARE, UNKNOWN, travel
+from ..kernel.travel import SPARE, UNKNOWN, time_left, travel
 from .limits import speeds
-from .postures import STILL, WAIT, Postures, Taken, gap, locked, time_between
+from .postures import STILL, Postures, Taken, gap, locked
 from .reconfigure import Reconfiguration
 from .reference import exp
 
 STRAIGHT = 1.2  # times as long as through the joints that a straight way may take: 1.3 with what is lost at both ends
 POINTS = 24  # pieces of a straight way: within each the tip leaves it by 1/576 of what it would on the joints' own way
-JUMP = 0.05  # [m, or of a rotation] from one sample to the next by which a target leaps: a fast hand moves by a fifth of it
 TORN = 4.0  # times as long, from which on the joints do not follow the straight way but change posture between two of its points
 NEAR = 2e-3  # [m] error, angles at LEVER, that is left to the method
 TINY = 1e-300  # divided by where a joint does not move
@@ -77,13 +76,11 @@ class Leap:
         self._route: Route | None = None
         self._time = 0.0  # [s] since it set out
         self._place = np.zeros(0)  # the target that was last looked at
-        self._leapt = True  # whether the target came there at once
-        self._around, self._stood = np.zeros(0), 0.0  # where it has been, give or take STILL, and for how long [s]
 
     def watch(self, taken: Taken) -> None:
         """Look at a step taken. May set `goal`."""
         T, q, limits = taken.T, taken.q, taken.limits
-        if not self._stands(T, taken.dt, taken.since):
+        if not taken.target.still:
             return
         left = self.postures.size(taken.E[1])
         if left < NEAR or left < SLOW * self.postures.size(taken.E[0]):
@@ -92,25 +89,15 @@ class Leap:
             return
         self._place = T[1].copy()
         # A joint at its limit after a smooth motion: only another posture leads on. A locked joint: its operator has other plans.
-        if (not self._leapt and (taken.code & POSITION).any()) or locked(limits):
+        if (not taken.target.leapt and (taken.code & POSITION).any()) or locked(limits):
             return
-        found, met, _ = self.postures.find(T[1:], q[None], q, limits)
+        found, _ = self.postures.find(T[1:], q[None], q, limits)
         self._enough = max(self._patience(taken.law), CLOSE)
-        if met[0] and time_between(q, found[0], limits) > self._enough:
+        if len(found) and time_left(q, found[0], limits) > self._enough:
             self._set_out(found[0], taken)
-        elif not met[0] and self._leapt and self._elsewhere and self._enough <= CLOSE:
-            self._leapt = False  # one search a leap, though the target may creep on
-            self._elsewhere.search_now(T[1])
-
-    def _stands(self, T: np.ndarray, dt: float, since: float) -> bool:
-        """Whether the target stands, after an update of dt [s]: it hardly moved, or only trembles as measured targets do."""
-        moved, most = gap(T[1], T[0]), STILL * dt / WAIT
-        if moved > JUMP or not len(self._around) or gap(T[1], self._around) > STILL:
-            self._leapt = moved > JUMP or (self._leapt and moved <= most)
-            self._around, self._stood = T[1].copy(), 0.0
-        else:
-            self._stood += since
-        return moved <= most or self._stood >= WAIT
+        elif not len(found) and taken.target.leapt and self._elsewhere and self._enough <= CLOSE:
+            taken.target.leapt = False  # one search a leap, though the target may creep on
+            self._elsewhere.search_now(T[1], q, limits)
 
     def _set_out(self, goal: np.ndarray, taken: Taken) -> None:
         """Choose the way to a goal."""
@@ -138,8 +125,8 @@ class Leap:
         for f, e in enumerate(taken.E[1].reshape(-1, 6)):
             points[:, f, :3, 3] -= np.outer(left, e[:3])
             points[:, f, :3, :3] = exp(np.outer(-left, e[3:])) @ T[f, :3, :3]
-        found, met, _ = self.postures.find(points, q + np.outer(1.0 - left, goal - q), q, taken.limits)
-        if not met.all():
+        found, _ = self.postures.find(points, q + np.outer(1.0 - left, goal - q), q, taken.limits)
+        if len(found) < len(points):
             return None
         way = np.concatenate([q[None], found, goal[None]])
         return timed(way, taken.rate, taken.limits, float(taken.law[motion.PLACE.gamma]))
@@ -185,10 +172,12 @@ def timed(points: np.ndarray, rate: np.ndarray, limits: np.ndarray, gamma: float
     if (a < np.inf).any():
         square[0], square[-1] = np.clip(rate @ g[0] / (g[0] @ g[0]), 0.0, 1.0) ** 2, 0.0
         size, bend = np.maximum(size[:-1], size[1:]), np.maximum(bend[:-1], bend[1:])
+        most, size, bend, span, square = (x.tolist() for x in (a, size, bend, length, square))  # faster: they are short
         steps = list(range(len(d)))
         for here, there, k in [*((k, k + 1, k) for k in steps), *((k + 1, k, k) for k in steps[::-1])]:
-            gain = max(((a - bend[k] * square[here]) / size[k]).min(), 0.0)
-            square[there] = min(square[there], square[here] + 2.0 * gain * length[k])
+            now = square[here]
+            gain = min((x - y * now) / z for x, y, z in zip(most, bend[k], size[k], strict=True))
+            square[there] = min(square[there], now + 2.0 * max(gain, 0.0) * span[k])
     speed = np.sqrt(square)
     t = np.concatenate([[0.0], np.cumsum(2.0 * length / (speed[:-1] + speed[1:]))])
     route = Route(t, points, speed[:, None] * along)

@@ -15,11 +15,35 @@ from ..solvers.options import COUNTING, Options
 from ..solvers.plan import Plan
 from ..solvers.registry import GENERAL, find_row
 from .engine import LEVER
-from .limits import speeds
 
 TOLERANCE = 1e-5  # [m, rad] of a posture: the tracker itself comes closer
 STILL = 2e-3  # [m, or of a rotation] by which a target that stands may move in WAIT: 20 mm/s, or 0.014 rad/s
+JUMP = 0.05  # [m, or of a rotation] from one sample to the next by which a target leaps: a fast hand moves by a fifth of it
 WAIT = 0.1  # [s] for which a target must have stood, and without progress before a search
+
+
+class Standing:
+    """Whether a target stands. seconds: for how long it has been where it is, give or take STILL; leapt: it came there at once.
+
+    Looked at before its first motion, it counts as having leapt.
+    """
+
+    def __init__(self) -> None:
+        """Nothing is known."""
+        self._around, self.seconds, self.leapt, self.still = np.zeros(0), 0.0, True, False
+
+    def see(self, T: np.ndarray, dt: float, since: float) -> None:
+        """Look at targets T (2, F, 4, 4), dt [s] apart, `since` [s] after the last look.
+
+        `still`: it hardly moved between the two, or only trembles as measured targets do.
+        """
+        moved, most = gap(T[1], T[0]), STILL * dt / WAIT
+        if moved > JUMP or not len(self._around) or gap(T[1], self._around) > STILL:
+            self.leapt = moved > JUMP or (self.leapt and moved <= most)
+            self._around, self.seconds = T[1].copy(), 0.0
+        else:
+            self.seconds += since
+        self.still = moved <= most or self.seconds >= WAIT
 
 
 class Taken(NamedTuple):
@@ -29,6 +53,7 @@ class Taken(NamedTuple):
     singular: bool
     E: np.ndarray  # (2, m) errors before and after it [m, rad], base axes
     T: np.ndarray  # (2, F, 4, 4) targets before and after it
+    target: Standing
     dt: float  # [s] of the update
     since: float  # [s] since the one looked at before it: those that end at their target, unhindered, are not
     q: np.ndarray  # (n,) afterwards
@@ -60,25 +85,23 @@ class Postures:
         self.find(np.tile(np.eye(4), (1, len(kinds), 1, 1)), q[None], q, unlimited)
         travel(q, np.zeros_like(q), q, *UNKNOWN, 0.0, 1.0, WAIT, WAIT, unlimited)
 
-    def find(
-        self, T: np.ndarray, starts: np.ndarray, q: np.ndarray, limits: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray, bool]:
-        """Joint values (N, n) for targets T (N, F, 4, 4) from starts (N, n), as near to q as full turns allow.
+    def find(self, T: np.ndarray, starts: np.ndarray, q: np.ndarray, limits: np.ndarray) -> tuple[np.ndarray, bool]:
+        """Joint values (K, n) of the attempts for targets T (N, F, 4, 4) from starts (N, n) that end inside limits (4, n).
 
-        Also which of them (N,) reach their target inside limits (4, n); and True when one is out of all reach.
+        They are in order, and as near to q (n,) as full turns allow. Also True when a target is out of all reach.
         """
         plan, unit, n = self.plan, self.robot.chain.unit, self.robot.n
         rows = np.zeros((len(starts), plan.width))
         plan.run(T if self.robot.by_tip else T[:, 0], self.kinds, starts * unit, True, rows)
         status = rows[:, AT.status]
-        found = rows[:, ANSWER : ANSWER + n] / unit
-        with np.errstate(invalid="ignore"):
-            turns = np.where(self._turning, np.round((q - found) / TAU), 0.0)
-            turns = np.clip(turns, np.ceil((limits[0] - found) / TAU), np.floor((limits[1] - found) / TAU))
-            found = found + TAU * turns
-            inside = ((found >= limits[0] - NOISE) & (found <= limits[1] + NOISE)).all(axis=1)
-        met = (status == CONVERGED) & inside
-        return np.clip(found, limits[0], limits[1]), met, bool((status == UNREACHABLE).any())
+        found = rows[status == CONVERGED, ANSWER : ANSWER + n] / unit
+        if not len(found):
+            return found, bool((status == UNREACHABLE).any())
+        turns = np.where(self._turning, np.round((q - found) / TAU), 0.0)
+        turns = np.clip(turns, np.ceil((limits[0] - found) / TAU), np.floor((limits[1] - found) / TAU))
+        found = found + TAU * turns
+        inside = ((found >= limits[0] - NOISE) & (found <= limits[1] + NOISE)).all(axis=1)
+        return np.clip(found[inside], limits[0], limits[1]), bool((status == UNREACHABLE).any())
 
     def size(self, E: np.ndarray) -> float:
         """Errors (m,) of all tips [m, rad] as one number [m]."""
@@ -93,8 +116,3 @@ def gap(T: np.ndarray, before: np.ndarray) -> float:
 def locked(limits: np.ndarray) -> bool:
     """Whether a joint may not move."""
     return bool(((limits[2] == 0.0) | (limits[0] == limits[1])).any())
-
-
-def time_between(q: np.ndarray, goal: np.ndarray, limits: np.ndarray) -> float:
-    """Least time [s] from joint values q (n,) to goal at full speed."""
-    return float((np.abs(goal - q) / speeds(limits)).max())

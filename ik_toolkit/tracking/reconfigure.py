@@ -19,18 +19,18 @@ from typing import Any
 import numpy as np
 
 from ..kernel.box import ACCELERATION, POSITION, RECOVERING, VELOCITY
-from ..kernel.travel import UNKNOWN, travel
+from ..kernel.travel import UNKNOWN, time_left, travel
 from .limits import speeds
-from .postures import STILL, WAIT, Postures, Taken, gap, locked, time_between
+from .postures import STILL, WAIT, Postures, Taken, gap, locked
 
 FAST = VELOCITY | RECOVERING  # what holds a joint back only for a while
 AWAY = 1e-3  # [m] error, angles at LEVER, from which a target counts as not reached
 PROGRESS = 0.9  # of the least error so far: what falls below is on its way
-SHARE = 0.1  # of the time between two updates that a search may take ...
-ATTEMPT = 1e-5  # ... which is so many times that of an attempt [s], of one arm of six or seven joints
+SHARE = 0.02  # of the time between two updates that a search may take: one arm's is over after 0.05 s, whatever the rate ...
+ATTEMPT = 1e-5  # [s] ... as an attempt takes so long, of one arm of six or seven joints; of two arms 8 times as long
 ATTEMPTS = 96  # of a search; where one in ten succeeds, all fail once in 25,000 searches
-PAUSE = 2.0  # [s] after a search in vain; while the target stands twice as long after each more. So few updates search that ...
-LONGEST = 16.0  # ... of all updates 99 % take no longer than without
+PAUSE = 2.0  # [s] after a search in vain; while the target stands twice as long after each more ...
+LONGEST = 16.0  # ... up to this: of one arm's updates 97 % at least do not search
 ELSEWHERE = 0.02  # [m, or of a rotation] from where a search was in vain, a target that stands is worth another at once
 LOOKS = 4  # postures of an update that are tested for contacts, up to a millisecond each
 HEADROOM = 0.5  # [s] of a joint at full speed before its limit: what is missing of it counts like a longer way
@@ -46,10 +46,11 @@ class Reconfiguration:
     def __init__(self, robot: Any, postures: Postures, model: Any) -> None:
         """model: CollisionModel that goals must be free of, or None."""
         self.robot, self.postures, self.model = robot, postures, model
-        self._each = max(int(SHARE / ATTEMPT / len(robot.tips)), 1)  # attempts per second of updates
+        self._attempt = ATTEMPT * len(robot.tips) ** 3
         self._rng = np.random.default_rng(0)
         self.held: list[int] = []
         self._barred: list[np.ndarray] = []  # goals to which something was in the way
+        self._place = np.zeros(0)  # target of the goal, or of the search that was asked for
         self.forget()
         self._quiet, self._pause = 0.0, PAUSE  # [s] in which no search begins, and after the next one in vain
         self._vain = np.zeros(0)  # where the target was at the last one
@@ -59,16 +60,18 @@ class Reconfiguration:
         self.goal: np.ndarray | None = None
         self._stood, self._lost, self._least = 0.0, 0.0, math.inf  # [s], [m s], [m] since it was left behind
         self._price = 0.0  # [m s] of the way last found, while the target was moving
-        self._place, self._rest = np.zeros(0), 0.0  # where the target is, and for how long [s]
         self._left = 0  # attempts of a search that goes on
-        self._best: tuple[float, np.ndarray] | None = None
+        self._best: tuple[float, np.ndarray, np.ndarray] | None = None  # cost [s], joint values, and their target
         self._now = False  # whether it was asked for, wherever the arm is
 
     # ------------------------------------------------------------------------------------------------ when to search
     def watch(self, taken: Taken) -> None:
         """Look at a step taken. May set `goal`."""
         T, q, limits, dt = taken.T[-1], taken.q, taken.limits, taken.dt
+        stood = taken.target.seconds
         self._quiet -= taken.since
+        if stood == 0.0:
+            self._quiet = min(self._quiet, PAUSE)
         if self._now:
             if gap(T, self._place) <= STILL:
                 self._search(T, q, limits, dt)
@@ -86,11 +89,8 @@ class Reconfiguration:
             self.forget()
             self._pause, self._barred = PAUSE, []
             return
-        if not len(self._place) or gap(T, self._place) > STILL:
-            self._place, self._rest, self._quiet = T.copy(), 0.0, min(self._quiet, PAUSE)
-        self._rest += dt
         # On its way as fast as it can. Joints that tremble where a target stands are at an acceleration limit, too.
-        if held & FAST or (held & ACCELERATION and self._rest <= WAIT):
+        if held & FAST or (held & ACCELERATION and stood < WAIT):
             self._stood = 0.0
             return
         self._lost += error * dt
@@ -99,51 +99,63 @@ class Reconfiguration:
             self._least, self._stood, self._left = error, 0.0, 0
         if self._stood <= WAIT:
             return
-        stands = self._rest > WAIT
+        stands = stood >= WAIT
         if not self._left and (stands or self._lost >= self._price):
             paused = self._quiet > 0.0 and not (stands and gap(T, self._vain) > ELSEWHERE)
             if paused or locked(limits):  # a locked arm has few postures, and its operator other plans
                 return
             self.held = [i for i, bits in enumerate(code) if bits & POSITION]
-            self._left, self._best = ATTEMPTS, None
-        if self._left:
+            self._begin(q, limits)
+        elif self._left:
             self._search(T, q, limits, dt)
             if not self._left:
                 self._decide(T, q, limits, taken.error_at, stands)
 
-    def search_now(self, T: np.ndarray) -> None:
+    def search_now(self, T: np.ndarray, q: np.ndarray, limits: np.ndarray) -> None:
         """Search for a target T (F, 4, 4) that leapt and stands, from the next step on; in vain, all goes on as before."""
         self.forget()
-        self._place, self.held = T.copy(), []
-        self._left, self._now = ATTEMPTS, True
+        self._place, self.held, self._now = T.copy(), [], True
+        self._begin(q, limits)
 
-    def _search(self, T: np.ndarray, q: np.ndarray, limits: np.ndarray, dt: float) -> None:
-        """As many attempts of the search as an update has time for."""
-        count = min(max(int(self._each * dt), 2), self._left)
-        starts = self.robot.random_q(self._rng, count) / self.robot.chain.unit
-        if self._left == ATTEMPTS:
-            starts[0] = q
-        # Every other one with only the joints at limits elsewhere, or on the way to the best so far, or to a random one.
-        if self._best is None and not self.held:
-            starts[1::2] = q + self._rng.random((count // 2, 1)) * (starts[1::2] - q)
-        elif self._best is None:
+    def _begin(self, q: np.ndarray, limits: np.ndarray) -> None:
+        """Draw the starts of a search: attempts begin with the next update, as drawing takes as long as some of them.
+
+        Every other one has only the joints at limits elsewhere, or lies on the way from q to a random one.
+        """
+        self._left, self._best = ATTEMPTS, None
+        starts = self.robot.random_q(self._rng, ATTEMPTS) / self.robot.chain.unit
+        self._shares = self._rng.random((ATTEMPTS, 1))
+        starts[0] = q
+        if self.held:
             others = np.ones(len(q), bool)
             others[self.held] = False
             starts[1::2, others] = q[others]
         else:
-            starts[1::2] = q + self._rng.random((count // 2, 1)) * (self._best[1] - q)
-        self._left -= count
-        starts = np.clip(starts, limits[0], limits[1])
-        found, met, out = self.postures.find(np.repeat(T[None], count, axis=0), starts, q, limits)
+            starts[1::2] = q + self._shares[1::2] * (starts[1::2] - q)
+        self._starts = np.clip(starts, limits[0], limits[1])
+
+    def _search(self, T: np.ndarray, q: np.ndarray, limits: np.ndarray, dt: float) -> None:
+        """As many attempts of the search as an update has time for."""
+        done = ATTEMPTS - self._left
+        part = slice(done, done + max(round(SHARE * dt / self._attempt), 1))
+        starts, shares = self._starts[part], self._shares[part]
+        if self._best is not None:  # every other one on the way to the best so far
+            odd = (np.arange(len(starts)) + done) % 2 == 1
+            starts[odd] = q + shares[odd] * (self._best[1] - q)
+        self._left -= len(starts)
+        found, out = self.postures.find(np.repeat(T[None], len(starts), axis=0), starts, q, limits)
         if out:
             self._left = 0
-        scored = [(time_between(q, p, limits) + max(HEADROOM - headroom(p, limits), 0.0), p) for p in found[met]]
+        if not len(found):
+            return
+        missing = np.maximum(HEADROOM - headroom(found, limits), 0.0)
+        scored = [(time_left(q, p, limits) + more, p) for p, more in zip(found, missing.tolist(), strict=True)]
         scored = [one for one in scored if all(np.abs(one[1] - bad).max() > FAR for bad in self._barred)]
         for one in sorted(scored, key=lambda pair: pair[0])[:LOOKS]:
             if self._best is not None and one[0] >= self._best[0]:
                 break
             if self.model is None or not self.model.collides(one[1] * self.robot.chain.unit):
-                self._best = one
+                self._best = *one, T.copy()
                 break
 
     def _decide(self, T: np.ndarray, q: np.ndarray, limits: np.ndarray, error_at: Callable, stands: bool) -> None:
@@ -152,13 +164,13 @@ class Reconfiguration:
             self._hold_off(T)
             self._barred = []
             return
-        goal = self._best[1]
+        _, goal, place = self._best
         if not stands:
             on_way = sum(self.postures.size(error_at(q + part * (goal - q))) for part in ON_WAY) / len(ON_WAY)
-            self._price = on_way * time_between(q, goal, limits)
+            self._price = on_way * time_left(q, goal, limits)
             if self._lost < self._price:
                 return
-        self.goal = goal
+        self.goal, self._place = goal, place  # the target may have gone on since: `go` follows it from there
 
     def _hold_off(self, T: np.ndarray) -> None:
         """There is no way to targets T (F, 4, 4) for now."""
@@ -176,15 +188,13 @@ class Reconfiguration:
         if gap(T, self._place) <= STILL:
             near = CLOSE
         else:
-            found, met, _ = self.postures.find(np.array([T, T]), np.array([goal, q]), q, limits)
-            least = time_between(q, goal, limits)
-            found = [
-                one for one in found[met] if np.abs(one - goal).max() < FAR or time_between(q, one, limits) < least
-            ]
+            found, _ = self.postures.find(np.array([T, T]), np.array([goal, q]), q, limits)
+            least = time_left(q, goal, limits)
+            found = [one for one in found if np.abs(one - goal).max() < FAR or time_left(q, one, limits) < least]
             if not found:
                 self.forget()
                 return False
-            self.goal = goal = min(found, key=lambda one: time_between(q, one, limits))
+            self.goal = goal = min(found, key=lambda one: time_left(q, one, limits))
             self._place = T.copy()
         left = travel(q, rate, goal, *UNKNOWN, 0.0, gamma, h, late, limits)
         if left < near:
@@ -204,6 +214,6 @@ class Reconfiguration:
         self.forget()
 
 
-def headroom(q: np.ndarray, limits: np.ndarray) -> float:
-    """Least time [s] in which a joint at full speed is at its limit."""
-    return float((np.minimum(q - limits[0], limits[1] - q) / speeds(limits)).min())
+def headroom(Q: np.ndarray, limits: np.ndarray) -> np.ndarray:
+    """Least time [s] in which a joint at full speed is at its limit, of each of joint values Q (N, n)."""
+    return (np.minimum(Q - limits[0], limits[1] - Q) / speeds(limits)).min(axis=1)

@@ -23,7 +23,7 @@ from .leap import STRAIGHT, Leap
 from .limits import LIMIT_NAMES, changed_limits, limit_rows, speeds
 from .methods import Method
 from .obstacles import ROWS, Guard
-from .postures import Postures, Taken
+from .postures import Postures, Standing, Taken
 from .reconfigure import Reconfiguration
 from .secondary import Secondary, read_secondary
 from .stability import AGE
@@ -106,13 +106,12 @@ class Tracker:
         self._at_rest = acceleration_limits is not None
         self.secondary: Secondary = read_secondary(robot, avoid_limits, posture, elbow, manipulability, cost)
         self.secondary.confine(self._limits)
-        n = robot.n
         self.stream = Stream(robot)
         self._guard: Guard | None = None
         if avoid_collisions is not False:
             model = collision_model(robot, avoid_collisions)
             self._guard = Guard(robot, model, self._limits * robot.chain.unit, self.engine.gamma)
-        m = 6 * self.stream.tips
+        n, m = robot.n, 6 * self.stream.tips
         self._postures: Postures | None = None
         self._ways: list[Leap | Reconfiguration] = []  # what leads the joints where the method would not, or too slowly
         elsewhere = switch(reconfigure, "reconfigure")
@@ -162,6 +161,7 @@ class Tracker:
         self._forget(motion.GIVEN if rate is not None or self._at_rest else motion.MOVING)
         for way in self._ways:
             way.forget()
+        self._target = Standing()
         self._unseen = 0.0  # [s] since a step was last looked at
         self._between: tuple[str, str] | None = None  # what kept the last step from going on
         self._touching = self._guard.restart(q) if self._guard else None
@@ -278,9 +278,10 @@ class Tracker:
             self._settings.measured[:] = q
             return self._now(self.stream.last_of(samples), h, measured=True).E[0]
 
+        self._target.see(samples.T, dt, self._unseen)
         taken = Taken(
-            self._code, self._out.S[0, 3] > 0.0, self._out.E, samples.T, dt, self._unseen, self._q, self._rate,
-            self._limits, self._settings.law, error_at,
+            self._code, self._out.S[0, 3] > 0.0, self._out.E, samples.T, self._target, dt, self._unseen, self._q,
+            self._rate, self._limits, self._settings.law, error_at,
         )  # fmt: skip
         self._unseen = 0.0
         for way in self._ways:

@@ -42,6 +42,18 @@ def noticed(state, before, x, error=1.0, code=(0, 0), swings=((0.0, 0.0), (1.0, 
     return state
 
 
+LIMITS = np.array([[-9.0, -9.0], [9.0, 9.0], [np.inf, np.inf], [np.inf, np.inf]])
+
+
+def standing(f=(0.0,) * 6, e=(1.0,) * 6, ahead=(1.0,) * 6):
+    """A bench of two joints before a target."""
+    J = np.zeros((2, 6))
+    J[0, 0], J[1, 1] = 0.5, -0.5
+    return SimpleNamespace(
+        f=np.array(f), e=np.array(e), ahead=np.array(ahead), J=J, weight=np.ones(6), floor=-np.ones(2), roof=np.ones(2)
+    )
+
+
 def test_what_is_fed_back():
     assert feedback(law(kappa=40.0), H) == 40.0
     assert feedback(law(kappa=90.0), H) == pytest.approx(2.0 / 3.0 / H)
@@ -51,29 +63,44 @@ def test_what_is_fed_back():
 
 
 def test_an_arm_is_stuck_where_hindered_joints_get_no_nearer():
-    at_limit, f, same = (POSITION, 0), np.zeros(6), np.ones((2, 6))
+    at_limit, s = (POSITION, 0), standing()
     state = new_state()
     for k in range(11):
-        assert not stuck(law(), f, *same, 1.0, H, state), k
+        assert not stuck(law(), s, LIMITS, 1.0, H, state), k
         noticed(state, [1.0, 0.0], [1.0, 0.0], code=at_limit)
-    assert stuck(law(), f, *same, 1.0, H, state) and state[STATE.share] == descent.FIRST
-    assert stuck(law(), f, *same, 0.25, H, state), "until the target moves, or is reached"
-    assert not stuck(law(), np.array([0.0, 0.0, 2e-6]), *same, 1.0, H, state) and state[STATE.share] == 0.0
+    assert stuck(law(), s, LIMITS, 1.0, H, state) and state[STATE.share] == descent.FIRST
+    assert stuck(law(), s, LIMITS, 0.25, H, state), "until the target moves, or is reached"
+    assert not stuck(law(), standing(f=(0.0, 0.0, 2e-6)), LIMITS, 1.0, H, state) and state[STATE.share] == 0.0
     assert state[STATE.stalled] == 0.0
     state = new_state(share=1.0)
-    assert not stuck(law(), f, *same, 1e-9, H, state) and state[STATE.share] == 0.0
-    moving = same + 1e-7 * np.array([[0.0], [1.0]])
+    assert not stuck(law(), s, LIMITS, 1e-9, H, state) and state[STATE.share] == 0.0
     state = new_state(share=1.0, nearest=0.1)
-    assert not stuck(law(), f, *moving, 1.0, H, state), "it moves, whatever twist was given"
+    assert not stuck(law(), standing(ahead=(1.0 + 1e-7,) * 6), LIMITS, 1.0, H, state), (
+        "it moves, whatever twist was given"
+    )
     assert state[STATE.share] == state[STATE.nearest] == 0.0
     for mode in (CLIP, SLOW):
         state = new_state(share=1.0, stalled=1.0, nearest=1.0)
-        assert not stuck(law(mode=mode), f, *same, 1.0, H, state), "something else gives way"
+        assert not stuck(law(mode=mode), s, LIMITS, 1.0, H, state), "something else gives way"
         assert state[STATE.share] == 0.0
     state = new_state(stalled=1.0, nearest=1.0)
-    assert not stuck(law(kappa=0.0), f, *same, 1.0, H, state), "nothing is fed back"
-    assert not stuck(law(), f, *same, 0.998**2, H, state) and state[STATE.stalled] == 0.0, "it came nearer"
+    assert not stuck(law(kappa=0.0), s, LIMITS, 1.0, H, state), "nothing is fed back"
+    assert not stuck(law(), s, LIMITS, 0.998**2, H, state) and state[STATE.stalled] == 0.0, "it came nearer"
     assert state[STATE.nearest] == pytest.approx(0.998)
+
+
+def test_slow_joints_are_not_stuck_while_they_go_as_fast_as_they_may():
+    """The error comes down by 0.002 a second, a fifth of what counts as progress; a joint that cannot go on has no part in it."""
+    s, error = standing(e=(0.0, -1.0, 0.0, 0.0, 0.0, 0.0), ahead=(0.0, -1.0, 0.0, 0.0, 0.0, 0.0)), 1.0
+    s.J[0, 1], s.floor[0] = 2.0, 0.0
+    for top, share in ((0.02, 0.2), (0.08, 0.05), (np.inf, 0.0)):
+        limits = LIMITS.copy()
+        limits[2] = 1.0, top
+        state, ever = new_state(), False
+        for k in range(40):
+            ever = stuck(law(), s, limits, (error - 0.002 * H * k) ** 2, H, state) or ever
+            noticed(state, [0.0, 1.0], [0.0, 1.0], code=(POSITION, VELOCITY))
+        assert ever == (share < descent.PACE), top
 
 
 def test_what_hinders_joints():
@@ -92,12 +119,12 @@ def test_what_hinders_joints():
 def test_joints_that_turn_back_twice_make_it_stuck():
     state = new_state(near=1.0, nearest=1.0)
     noticed(state, [1.0, 0.0], [-1.0, 0.0])
-    assert state[STATE.turned] == 1.0 and not stuck(law(), *np.zeros((3, 6)), 1.0, H, state)
+    assert state[STATE.turned] == 1.0 and not stuck(law(), standing(), LIMITS, 1.0, H, state)
     noticed(state, [-1.0, 2.0], [0.05, 2.0])
     assert state[STATE.turned] == pytest.approx(1.0 - H / descent.FORGOTTEN), "a twentieth of the motion goes back"
     state[STATE.turned] = 1.0
     noticed(state, [-1.0, 2.0], [0.2, 2.0])
-    assert state[STATE.turned] == 2.0 and stuck(law(), *np.zeros((3, 6)), 1.0, H, state)
+    assert state[STATE.turned] == 2.0 and stuck(law(), standing(), LIMITS, 1.0, H, state)
     state = noticed(new_state(near=1.0), [-1.0, 2.0], [0.05, 2.0], swings=((2.0, 0.0), (0.0, 1.0)))
     assert state[STATE.turned] == 1.0, "a joint that swings"
     state = noticed(new_state(near=1.0), [-1.0, 2.0], [0.05, 2.0], swings=((2.0, 0.0), (0.1, 0.0)))
