@@ -29,6 +29,7 @@ PROGRESS = 0.9  # of the least error so far: what falls below is on its way
 SHARE = 0.02  # of the time between two updates that a search may take: one arm's is over after 0.05 s, whatever the rate ...
 ATTEMPT = 1e-5  # [s] ... as an attempt takes so long, of one arm of six or seven joints; of two arms 8 times as long
 ATTEMPTS = 96  # of a search; where one in ten succeeds, all fail once in 25,000 searches
+RUSH = 0.02  # of the time of the best way found so far, after which the search ends: the arm waits meanwhile
 PAUSE = 2.0  # [s] after a search in vain; while the target stands twice as long after each more ...
 LONGEST = 16.0  # ... up to this: of one arm's updates 97 % at least do not search
 ELSEWHERE = 0.02  # [m, or of a rotation] from where a search was in vain, a target that stands is worth another at once
@@ -62,6 +63,7 @@ class Reconfiguration:
         self._price = 0.0  # [m s] of the way last found, while the target was moving
         self._left = 0  # attempts of a search that goes on
         self._best: tuple[float, np.ndarray, np.ndarray] | None = None  # cost [s], joint values, and their target
+        self._at_once = False  # whether the target stood when it began
         self._now = False  # whether it was asked for, wherever the arm is
 
     # ------------------------------------------------------------------------------------------------ when to search
@@ -105,11 +107,12 @@ class Reconfiguration:
             if paused or locked(limits):  # a locked arm has few postures, and its operator other plans
                 return
             self.held = [i for i, bits in enumerate(code) if bits & POSITION]
+            self._at_once = stands
             self._begin(q, limits)
         elif self._left:
             self._search(T, q, limits, dt)
             if not self._left:
-                self._decide(T, q, limits, taken.error_at, stands)
+                self._decide(T, q, limits, taken.error_at, self._at_once and taken.target.still)
 
     def search_now(self, T: np.ndarray, q: np.ndarray, limits: np.ndarray) -> None:
         """Search for a target T (F, 4, 4) that leapt and stands, from the next step on; in vain, all goes on as before."""
@@ -122,7 +125,7 @@ class Reconfiguration:
 
         Every other one has only the joints at limits elsewhere, or lies on the way from q to a random one.
         """
-        self._left, self._best = ATTEMPTS, None
+        self._left, self._spent, self._best = ATTEMPTS, 0.0, None
         starts = self.robot.random_q(self._rng, ATTEMPTS) / self.robot.chain.unit
         self._shares = self._rng.random((ATTEMPTS, 1))
         starts[0] = q
@@ -146,8 +149,6 @@ class Reconfiguration:
         found, out = self.postures.find(np.repeat(T[None], len(starts), axis=0), starts, q, limits)
         if out:
             self._left = 0
-        if not len(found):
-            return
         missing = np.maximum(HEADROOM - headroom(found, limits), 0.0)
         scored = [(time_left(q, p, limits) + more, p) for p, more in zip(found, missing.tolist(), strict=True)]
         scored = [one for one in scored if all(np.abs(one[1] - bad).max() > FAR for bad in self._barred)]
@@ -157,6 +158,9 @@ class Reconfiguration:
             if self.model is None or not self.model.collides(one[1] * self.robot.chain.unit):
                 self._best = *one, T.copy()
                 break
+        self._spent += dt
+        if self._best is not None and self._spent >= RUSH * self._best[0]:
+            self._left = 0
 
     def _decide(self, T: np.ndarray, q: np.ndarray, limits: np.ndarray, error_at: Callable, stands: bool) -> None:
         """After a search: go, wait, or do not search again for a while."""

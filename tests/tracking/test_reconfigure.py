@@ -5,6 +5,7 @@ import pytest
 
 import ik_toolkit as ik
 from ik_toolkit.errors import InvalidOption
+from ik_toolkit.tracking.postures import gap
 from ik_toolkit.tracking.reference import exp
 from ik_toolkit.tracking.step import StepStatus
 
@@ -120,6 +121,17 @@ def test_nothing_is_touched_on_the_way(panda):
     steps = follow(panda, targets, avoid_collisions=model)
     assert not any(model.collides(q) for q in joints(panda, steps)) and steps[-1].position_error < 1e-4
     assert any(s.status is StepStatus.RECONFIGURING for s in steps) and inside_all_limits(panda, joints(panda, steps))
+
+
+def test_the_last_step_of_the_way_may_be_blocked(panda):
+    """The target is known all the same: `update` raised ValueError when the arm was stuck there afterwards."""
+    tracker, T = ik.Tracker(panda, q0=panda.home), panda.fk(panda.home).homogeneous[None]
+    tracker.update(T[0], DT)
+    way = tracker._ways[-1]
+    way.goal, way._place = tracker._q + 1e-5, T
+    assert way.go(tracker._q, tracker._rate, T, 1.0, DT, DT, tracker._limits) and way.goal is None
+    way.blocked()
+    assert gap(T, way._vain) == 0.0
 
 
 def test_an_elbow_keeps_its_side(hydrolek):
