@@ -33,7 +33,7 @@ RUSH = 0.02  # of the time of the best way found so far, after which the search 
 PAUSE = 2.0  # [s] after a search in vain; while the target stands twice as long after each more ...
 LONGEST = 16.0  # ... up to this: of one arm's updates 97 % at least do not search
 ELSEWHERE = 0.02  # [m, or of a rotation] from where a search was in vain, a target that stands is worth another at once
-LOOKS = 4  # postures of an update that are tested for contacts, up to a millisecond each
+BARRED = 5  # postures that are kept in mind as not free
 HEADROOM = 0.5  # [s] of a joint at full speed before its limit: what is missing of it counts like a longer way
 ARRIVED = 0.05  # [s] left at full speed, from which on the tracker itself comes closer
 CLOSE = 1e-3  # [s] the same where the target stands: nothing can hold the tracker back so near
@@ -50,7 +50,7 @@ class Reconfiguration:
         self._attempt = ATTEMPT * len(robot.tips) ** 3
         self._rng = np.random.default_rng(0)
         self.held: list[int] = []
-        self._barred: list[np.ndarray] = []  # goals to which something was in the way
+        self._barred: list[np.ndarray] = []  # postures with something there, or in the way
         self._place = np.zeros(0)  # target of the goal, or of the search that was asked for
         self.forget()
         self._quiet, self._pause = 0.0, PAUSE  # [s] in which no search begins, and after the next one in vain
@@ -152,12 +152,12 @@ class Reconfiguration:
         missing = np.maximum(HEADROOM - headroom(found, limits), 0.0)
         scored = [(time_left(q, p, limits) + more, p) for p, more in zip(found, missing.tolist(), strict=True)]
         scored = [one for one in scored if all(np.abs(one[1] - bad).max() > FAR for bad in self._barred)]
-        for one in sorted(scored, key=lambda pair: pair[0])[:LOOKS]:
-            if self._best is not None and one[0] >= self._best[0]:
-                break
-            if self.model is None or not self.model.collides(one[1] * self.robot.chain.unit):
-                self._best = *one, T.copy()
-                break
+        cost, p = min(scored, key=lambda one: one[0], default=(math.inf, q))
+        if cost < (self._best[0] if self._best else math.inf):
+            if self.model and self.model.collides(p * self.robot.chain.unit):  # up to a millisecond: one look an update
+                self._bar(p)
+            else:
+                self._best = cost, p, T.copy()
         self._spent += dt
         if self._best is not None and self._spent >= RUSH * self._best[0]:
             self._left = 0
@@ -213,9 +213,13 @@ class Reconfiguration:
     def blocked(self) -> None:
         """Something is in the way: another goal may be free, later."""
         if self.goal is not None:  # None: this step would have been the last one on the way
-            self._barred = [*self._barred[-LOOKS:], self.goal]
+            self._bar(self.goal)
         self._hold_off(self._place)
         self.forget()
+
+    def _bar(self, q: np.ndarray) -> None:
+        """Keep in mind that something is at, or on the way to, joint values q (n,)."""
+        self._barred = [*self._barred, q][-BARRED:]
 
 
 def headroom(Q: np.ndarray, limits: np.ndarray) -> np.ndarray:
