@@ -26,12 +26,12 @@ from .postures import STILL, WAIT, Postures, Taken, gap, locked
 FAST = VELOCITY | RECOVERING  # what holds a joint back only for a while
 AWAY = 1e-3  # [m] error, angles at LEVER, from which a target counts as not reached
 PROGRESS = 0.9  # of the least error so far: what falls below is on its way
-SHARE = 0.02  # of the time between two updates that a search may take: one arm's is over after 0.05 s, whatever the rate ...
+SHARE = 0.05  # of the time between two updates that a search may take: one arm's is over after 0.02 s, whatever the rate ...
 ATTEMPT = 1e-5  # [s] ... as an attempt takes so long, of one arm of six or seven joints; of two arms 8 times as long
 ATTEMPTS = 96  # of a search; where one in ten succeeds, all fail once in 25,000 searches
 RUSH = 0.02  # of the time of the best way found so far, after which the search ends: the arm waits meanwhile
 PAUSE = 2.0  # [s] after a search in vain; while the target stands twice as long after each more ...
-LONGEST = 16.0  # ... up to this: of one arm's updates 97 % at least do not search
+LONGEST = 16.0  # ... up to this: of one arm's updates 99 % do not search
 ELSEWHERE = 0.02  # [m, or of a rotation] from where a search was in vain, a target that stands is worth another at once
 BARRED = 5  # postures that are kept in mind as not free
 HEADROOM = 0.5  # [s] of a joint at full speed before its limit: what is missing of it counts like a longer way
