@@ -13,10 +13,11 @@ from typing import NamedTuple
 import numpy as np
 
 from ..kernel import motion
+from ..kernel.arrival import STAND, STILL
 from ..kernel.box import POSITION, bending
 from ..kernel.travel import SPARE, UNKNOWN, time_left, travel
 from .limits import speeds
-from .postures import STILL, Postures, Taken, gap, locked
+from .postures import Postures, Taken, gap, locked
 from .reconfigure import Reconfiguration
 from .reference import exp
 
@@ -80,23 +81,22 @@ class Leap:
     def watch(self, taken: Taken) -> None:
         """Look at a step taken. May set `goal`."""
         T, q, limits = taken.T, taken.q, taken.limits
-        if not taken.target.still:
-            return
-        left = self.postures.size(taken.E[1])
-        if left < NEAR or left < SLOW * self.postures.size(taken.E[0]):
+        if not taken.stand[STAND.still] or taken.left < NEAR:
             return
         if len(self._place) and gap(T[1], self._place) <= STILL:
             return
+        if taken.left < SLOW * self.postures.size(taken.E[0]):
+            return
         self._place = T[1].copy()
         # A joint at its limit after a smooth motion: only another posture leads on. A locked joint: its operator has other plans.
-        if (not taken.target.leapt and (taken.code & POSITION).any()) or locked(limits):
+        if (not taken.stand[STAND.leapt] and (taken.code & POSITION).any()) or locked(limits):
             return
         found, _ = self.postures.find(T[1:], q[None], q, limits)
         self._enough = max(self._patience(taken.law), CLOSE)
         if len(found) and time_left(q, found[0], limits) > self._enough:
             self._set_out(found[0], taken)
-        elif not len(found) and taken.target.leapt and self._elsewhere and self._enough <= CLOSE:
-            taken.target.leapt = False  # one search a leap, though the target may creep on
+        elif not len(found) and taken.stand[STAND.leapt] and self._elsewhere and self._enough <= CLOSE:
+            taken.stand[STAND.leapt] = 0.0  # one search a leap, though the target may creep on
             self._elsewhere.search_now(T[1], q, limits)
 
     def _set_out(self, goal: np.ndarray, taken: Taken) -> None:

@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ..kernel.arrival import WAIT
 from ..kernel.box import NOISE
 from ..kernel.checks import CONVERGED, UNREACHABLE
 from ..kernel.kinematics import TAU
@@ -17,33 +18,7 @@ from ..solvers.registry import GENERAL, find_row
 from .engine import LEVER
 
 TOLERANCE = 1e-5  # [m, rad] of a posture: the tracker itself comes closer
-STILL = 2e-3  # [m, or of a rotation] by which a target that stands may move in WAIT: 20 mm/s, or 0.014 rad/s
-JUMP = 0.05  # [m, or of a rotation] from one sample to the next by which a target leaps: a fast hand moves by a fifth of it
-WAIT = 0.1  # [s] for which a target must have stood, and without progress before a search
-
-
-class Standing:
-    """Whether a target stands. seconds: for how long it has been where it is, give or take STILL; leapt: it came there at once.
-
-    Looked at before its first motion, it counts as having leapt.
-    """
-
-    def __init__(self) -> None:
-        """Nothing is known."""
-        self._around, self.seconds, self.leapt, self.still = np.zeros(0), 0.0, True, False
-
-    def see(self, T: np.ndarray, dt: float, since: float) -> None:
-        """Look at targets T (2, F, 4, 4), dt [s] apart, `since` [s] after the last look.
-
-        `still`: it hardly moved between the two, or only trembles as measured targets do.
-        """
-        moved, most = gap(T[1], T[0]), STILL * dt / WAIT
-        if moved > JUMP or not len(self._around) or gap(T[1], self._around) > STILL:
-            self.leapt = moved > JUMP or (self.leapt and moved <= most)
-            self._around, self.seconds = T[1].copy(), 0.0
-        else:
-            self.seconds += since
-        self.still = moved <= most or self.seconds >= WAIT
+REACHED = 1e-3  # [m] error, angles at LEVER, below which a target counts as reached
 
 
 class Taken(NamedTuple):
@@ -52,8 +27,9 @@ class Taken(NamedTuple):
     code: np.ndarray  # (n,) bits of limits
     singular: bool
     E: np.ndarray  # (2, m) errors before and after it [m, rad], base axes
+    left: float  # [m] error after it, see `Postures.size`
     T: np.ndarray  # (2, F, 4, 4) targets before and after it
-    target: Standing
+    stand: np.ndarray  # whether the target stands, see `arrival.Stand`
     dt: float  # [s] of the update
     since: float  # [s] since the one looked at before it: those that end at their target, unhindered, are not
     q: np.ndarray  # (n,) afterwards

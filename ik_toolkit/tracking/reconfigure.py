@@ -18,13 +18,13 @@ from typing import Any
 
 import numpy as np
 
+from ..kernel.arrival import STAND, STILL, WAIT
 from ..kernel.box import ACCELERATION, POSITION, RECOVERING, VELOCITY
 from ..kernel.travel import UNKNOWN, time_left, travel
 from .limits import speeds
-from .postures import STILL, WAIT, Postures, Taken, gap, locked
+from .postures import REACHED, Postures, Taken, gap, locked
 
 FAST = VELOCITY | RECOVERING  # what holds a joint back only for a while
-AWAY = 1e-3  # [m] error, angles at LEVER, from which a target counts as not reached
 PROGRESS = 0.9  # of the least error so far: what falls below is on its way
 SHARE = 0.05  # of the time between two updates that a search may take: one arm's is over after 0.02 s, whatever the rate ...
 ATTEMPT = 1e-5  # [s] ... as an attempt takes so long, of one arm of six or seven joints; of two arms 8 times as long
@@ -70,10 +70,15 @@ class Reconfiguration:
     def watch(self, taken: Taken) -> None:
         """Look at a step taken. May set `goal`."""
         T, q, limits, dt = taken.T[-1], taken.q, taken.limits, taken.dt
-        stood = taken.target.seconds
+        stood = float(taken.stand[STAND.seconds])
         self._quiet -= taken.since
-        if stood == 0.0:
+        if stood < taken.since:
             self._quiet = min(self._quiet, PAUSE)
+        error = taken.left
+        if error < REACHED:
+            self.forget()
+            self._pause, self._barred = PAUSE, []
+            return
         if self._now:
             if gap(T, self._place) <= STILL:
                 self._search(T, q, limits, dt)
@@ -85,11 +90,6 @@ class Reconfiguration:
         for bits in code:
             held |= bits
         if not (held & POSITION or taken.singular):
-            return
-        error = self.postures.size(taken.E[1])
-        if error < AWAY:
-            self.forget()
-            self._pause, self._barred = PAUSE, []
             return
         # On its way as fast as it can. Joints that tremble where a target stands are at an acceleration limit, too.
         if held & FAST or (held & ACCELERATION and stood < WAIT):
@@ -112,7 +112,7 @@ class Reconfiguration:
         elif self._left:
             self._search(T, q, limits, dt)
             if not self._left:
-                self._decide(T, q, limits, taken.error_at, self._at_once and taken.target.still)
+                self._decide(T, q, limits, taken.error_at, self._at_once and taken.stand[STAND.still] != 0.0)
 
     def search_now(self, T: np.ndarray, q: np.ndarray, limits: np.ndarray) -> None:
         """Search for a target T (F, 4, 4) that leapt and stands, from the next step on; in vain, all goes on as before."""

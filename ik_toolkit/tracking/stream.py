@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import InvalidTarget, floats
-from ..kernel.arrival import CHECK, DOUBTFUL, READ, REFUSED, TAKEN, arrive
+from ..kernel.arrival import CHECK, DOUBTFUL, READ, REFUSED, STAND, TAKEN, arrive
 from ..kernel.session import Samples, new_samples
 from ..kernel.task import POSE, POSITION
 from ..robot.pose import AxisTarget
@@ -19,7 +19,10 @@ KIND = {(4, 4): POSE, (3,): POSITION}  # of an array, by its shape
 
 
 class Stream:
-    """The last target and the next, `samples`; kinds, one a tip; pace, the longest of the last times between them [s]."""
+    """The last target and the next, `samples`; whether that stands, `stand`; kinds, one a tip.
+
+    pace: the longest of the last times between them [s].
+    """
 
     def __init__(self, robot: Any) -> None:
         """Room for the tips of a robot."""
@@ -29,6 +32,7 @@ class Stream:
         self.samples, self._given, self._last = (new_samples(count, self.tips) for count in (2, 1, 1))
         for one in (self.samples, self._given, self._last):
             one.T[:], one.caps[0], one.caps[1] = np.eye(4), 1.0, -1.0
+        self.stand = np.zeros(len(STAND) + 16 * self.tips)  # see `arrival.Stand`
         self._poses = list(self._given.T[0])
         self._posed = 0  # bit f: tip f has an orientation
         self._moved = 0
@@ -38,6 +42,11 @@ class Stream:
         """Any target may come next."""
         self.kinds = None
         self.pace = 0.0
+
+    def look_anew(self) -> None:
+        """Where the target stands is not known: when it does, it counts as having leapt there."""
+        self.stand[:] = 0.0
+        self.stand[STAND.leapt] = 1.0
 
     def take(self, slot: int, target: Any, twist: Any, acceleration: Any, dt: float = 0.0) -> bool:
         """Write a target into sample 0 (now) or 1 (end of step); False when it is not finite (the last one is kept)."""
@@ -95,7 +104,8 @@ class Stream:
         if first and kinds is not None:
             self._posed = sum(1 << f for f, kind in enumerate(kinds) if kind != POSITION)
         done = arrive(
-            self.samples.block, self._given.block, slot, how, self._posed, first, self._moved, twist, acceleration, dt
+            self.samples.block, self._given.block, self.stand, slot, how, self._posed, first, self._moved, twist, acceleration,
+            dt,
         )  # fmt: skip
         self._moved = 0
         if done == TAKEN:

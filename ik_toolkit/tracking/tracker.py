@@ -8,6 +8,7 @@ import numpy as np
 
 from ..errors import InvalidConfiguration, InvalidOption
 from ..kernel import box, motion
+from ..kernel.arrival import STAND
 from ..kernel.clock import QUICK
 from ..kernel.constrain import DIRECT, LEAVE
 from ..kernel.motion import CLIP
@@ -23,7 +24,7 @@ from .leap import STRAIGHT, Leap
 from .limits import LIMIT_NAMES, changed_limits, limit_rows, speeds
 from .methods import Method
 from .obstacles import ROWS, Guard
-from .postures import Postures, Standing, Taken
+from .postures import REACHED, Postures, Taken
 from .reconfigure import Reconfiguration
 from .secondary import Secondary, read_secondary
 from .stability import AGE
@@ -34,7 +35,6 @@ JUMP = 0.5  # joint move [rad, or reaches] in one step that is reported as a jum
 RESYNC = 0.1  # [rad, or reaches] between joints measured and commanded beyond which a tracker starts anew
 LATE = 5.0  # longest step, over the first one, after which limits are still kept; a longer one is taken in parts
 MODES = {"direct": DIRECT, "leave": LEAVE, "clip": CLIP}
-REACHED = 1e-3  # [m, rad] error below which a target counts as reached
 LAWS_KEPT = 64  # lengths of a step for which the numbers of a method are kept
 
 
@@ -161,8 +161,8 @@ class Tracker:
         self._forget(motion.GIVEN if rate is not None or self._at_rest else motion.MOVING)
         for way in self._ways:
             way.forget()
-        self._target = Standing()
-        self._unseen = 0.0  # [s] since a step was last looked at
+        self.stream.look_anew()
+        self._unseen, self._behind = 0.0, False  # [s] since a step was last looked at; whether it left an error
         self._between: tuple[str, str] | None = None  # what kept the last step from going on
         self._touching = self._guard.restart(q) if self._guard else None
 
@@ -218,20 +218,19 @@ class Tracker:
             if resynced:
                 self._begin(found, np.zeros(self.robot.n))
         self._late = self._late or LATE * dt
-        part, h = stream.samples, dt
-        if dt <= self._late:
+        parts = math.ceil(dt / self._late)
+        h = dt / parts
+        for part in stream.divided(parts) if parts > 1 else (stream.samples,):
             self._step(part, h, not finite, q is not None)
-        else:
-            parts = math.ceil(dt / self._late)
-            for part in stream.divided(parts):
-                h = dt / parts
-                self._step(part, h, not finite, q is not None)
         code, lost = self._code.copy(), self._out.S[0, 3]
-        if self._ways and finite and not self._goes:
+        if self._postures and finite and not self._goes:
             self._unseen += dt
-            # Most steps end at their target, unhindered: there is nothing to look at, which would take as long as the step.
-            if math.hypot(*self._error.tolist()) > REACHED or any(code.tolist()) or lost > 0.0:
-                self._watch(stream.samples, h, dt)
+            left = self._postures.size(self._error)
+            behind = left >= REACHED
+            # Of most steps nothing need be looked at: they end at their target, or joints are free to follow one that moves.
+            if (lost or stream.stand[STAND.still] or (code & box.POSITION).any()) if behind else self._behind:
+                self._watch(stream.samples, h, dt, left)
+                self._behind = behind
         if finite:
             stream.step_on()
         now = self._carried.motion * self._units
@@ -271,19 +270,18 @@ class Tracker:
         self._end(self.stream.last_of(samples), h, self._out, **how)
         self._out.C[:], self._out.S[0], self._between = 0, 0.0, None
 
-    def _watch(self, samples: Samples, h: float, dt: float) -> None:
+    def _watch(self, samples: Samples, h: float, dt: float, left: float) -> None:
         """Let a step taken be looked at: whether the joints are to be led elsewhere."""
 
         def error_at(q: np.ndarray) -> np.ndarray:
             self._settings.measured[:] = q
             return self._now(self.stream.last_of(samples), h, measured=True).E[0]
 
-        self._target.see(samples.T, dt, self._unseen)
+        out, unseen, self._unseen = self._out, self._unseen, 0.0
         taken = Taken(
-            self._code, self._out.S[0, 3] > 0.0, self._out.E, samples.T, self._target, dt, self._unseen, self._q,
-            self._rate, self._limits, self._settings.law, error_at,
+            self._code, out.S[0, 3] > 0.0, out.E, left, samples.T, self.stream.stand, dt, unseen, self._q, self._rate,
+            self._limits, self._settings.law, error_at,
         )  # fmt: skip
-        self._unseen = 0.0
         for way in self._ways:
             way.watch(taken)
 

@@ -158,3 +158,17 @@ def test_a_locked_joint_is_left_alone(panda):
     tracker.change_limits(speed={"panda_joint3": 0.0})
     for T in turned(panda.fk(panda.home).homogeneous, 360.0, 2.0):
         assert tracker.update(T, DT).status is not StepStatus.RECONFIGURING
+
+
+def test_what_was_lost_is_forgotten_where_the_target_is_reached_freely(hydrolek):
+    tracker, away = ik.Tracker(hydrolek), hydrolek.fk(hydrolek.home).homogeneous
+    tracker.update(away, DT)
+    away[:3, 3] += (0.0, 0.0, 3.0)  # out of reach
+    while not tracker._behind:
+        tracker.update(away, DT)
+    way = tracker._ways[-1]
+    way._lost = 1.0
+    back = hydrolek.fk(tracker.q)
+    for _ in range(30):
+        tracker.update(back, DT)
+    assert way._lost == 0.0 and not tracker._behind

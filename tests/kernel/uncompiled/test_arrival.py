@@ -5,7 +5,7 @@ import pinocchio as pin
 import pytest
 
 from ik_toolkit.kernel import session
-from ik_toolkit.kernel.arrival import CHECK, DOUBTFUL, HELD, READ, REFUSED, TAKEN, arrive
+from ik_toolkit.kernel.arrival import CHECK, DOUBTFUL, HELD, JUMP, READ, REFUSED, STAND, STILL, TAKEN, WAIT, arrive
 
 
 def turned(rng, tips, angle):
@@ -19,12 +19,18 @@ def turned(rng, tips, angle):
     return first, second, angle * axes
 
 
-def arrived(samples, T, slot=1, how=CHECK, posed=-1, first=0, moved=0, V=None, A=None, dt=0.1):
+def unknown(tips):
+    """Nothing is known of where a target stands."""
+    return np.concatenate([[0.0, 1.0, 0.0, 0.0], np.zeros(16 * tips)])
+
+
+def arrived(samples, T, slot=1, how=CHECK, posed=-1, first=0, moved=0, V=None, A=None, dt=0.1, stand=None):
     """What `arrive` says of targets T (F, 4, 4)."""
     given = session.new_samples(1, len(T))
     given.T[0] = T
     given.V[0], given.A[0] = 0.0 if V is None else V, 0.0 if A is None else A
-    return arrive(samples.block, given.block, slot, how, posed, first, moved, V is not None, A is not None, dt)
+    stand = unknown(len(T)) if stand is None else stand
+    return arrive(samples.block, given.block, stand, slot, how, posed, first, moved, V is not None, A is not None, dt)
 
 
 @pytest.mark.parametrize("angle", [0.0, 1e-12, 1e-3, 2.5, 3.1])
@@ -77,6 +83,38 @@ def test_what_is_no_pose_is_doubtful_and_what_is_not_finite_is_held_against():
         assert arrived(samples, now, **what) == HELD
         assert np.array_equal(samples.T[0], last) and np.array_equal(samples.T[1], last)
         assert not samples.V[1].any() and not samples.A[1].any()
+
+
+def standing(way, dt=0.01):
+    """What is known of a target that moves along x, sample by sample."""
+    samples, stand, T, told = session.new_samples(2, 1), unknown(1), np.eye(4)[None], []
+    for k, x in enumerate(way):
+        T[0, 0, 3] = x
+        assert arrived(samples, T, first=k == 0, moved=k > 0, dt=dt, stand=stand) == TAKEN
+        told.append({name: stand[at] for name, at in STAND._asdict().items()})
+    return told
+
+
+def test_whether_a_target_stands():
+    first, *_, last = standing([0.3] * 20)
+    assert first["leapt"] and first["still"] and first["seconds"] == 0.0, (
+        "before its first motion it counts as having leapt"
+    )
+    assert last["leapt"] and last["seconds"] == pytest.approx(0.19)
+    *_, there, after = standing([0.0, 1.5 * JUMP, 1.5 * JUMP])
+    assert there["leapt"] and not there["still"] and after["leapt"] and after["still"]
+    steps = np.arange(40) * STILL * 0.01 / WAIT
+    slow, fast = (standing(pace * steps)[-1] for pace in (0.9, 1.5))
+    assert slow["still"] and slow["leapt"] and slow["seconds"] < WAIT, "it creeps"
+    assert not fast["still"] and not fast["leapt"] and fast["seconds"] < WAIT
+    trembling = standing(np.concatenate([2.0 * steps, 2.0 * steps[-1] + 0.1 * STILL * (-1.0) ** np.arange(30)]))
+    assert not trembling[45]["still"] and trembling[-1]["still"] and not trembling[-1]["leapt"]
+
+
+def test_a_target_that_is_refused_or_where_it_begins_is_not_looked_at():
+    samples, stand, T = session.new_samples(2, 1), unknown(1), np.eye(4)[None]
+    assert arrived(samples, T, slot=0, first=1, stand=stand) == TAKEN and not stand[STAND.known]
+    assert arrived(samples, np.full_like(T, np.nan), stand=stand) == HELD and not stand[STAND.known]
 
 
 @pytest.mark.parametrize("make", [
