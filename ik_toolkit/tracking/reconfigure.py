@@ -79,6 +79,8 @@ class Reconfiguration:
             self.forget()
             self._pause, self._barred = PAUSE, []
             return
+        if self._left and locked(limits):  # during a search: the time to anywhere has no bound any more
+            self.forget()
         if self._now:
             if gap(T, self._place) <= STILL:
                 self._search(T, q, limits, dt)
@@ -187,7 +189,8 @@ class Reconfiguration:
     ) -> bool:
         """Step q and rate (n,) in place by h [s] towards the goal; False, and nothing done, when there is none any more."""
         goal, near = self.goal, ARRIVED
-        if goal is None:
+        if goal is None or locked(limits):
+            self.forget()
             return False
         if gap(T, self._place) <= STILL:
             near = CLOSE

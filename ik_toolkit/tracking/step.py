@@ -136,15 +136,16 @@ class Step:
         o, status = self._outcome, self.status
         if status is StepStatus.OK:
             return ""
-        if status is StepStatus.HELD:
-            return ("the step is not finite" if o.finite else "the target is not finite") + ": braking and holding"
         parts = []
-        if status is StepStatus.JUMPED:
+        if o.resynced:
+            parts.append("the measured joints were too far from the commanded ones: restarted from the measurement")
+        elif status is StepStatus.JUMPED:
             i = int(np.argmax(self._moved()))
             move = self.q[i] - o.before[i] * o.by.robot.chain.unit[i]
             parts.append(f"joint {o.by.robot.joint_names[i]} moved {move:.3g} in one step")
-        if o.resynced:
-            parts = ["the measured joints were too far from the commanded ones: restarted from the measurement"]
+        if status is StepStatus.HELD:
+            what = "the step is not finite" if o.finite else "the target is not finite"
+            return "; ".join([*parts, f"{what}: braking and holding"])
         if status is StepStatus.FOLLOWING_ERROR:
             parts.append("the measured joints are far from the commanded ones")
         if status is StepStatus.AT_LIMIT:

@@ -172,3 +172,23 @@ def test_what_was_lost_is_forgotten_where_the_target_is_reached_freely(hydrolek)
     for _ in range(30):
         tracker.update(back, DT)
     assert way._lost == 0.0 and not tracker._behind
+
+
+@pytest.mark.parametrize("search", [True, False], ids=["during a search", "on the way"])
+def test_a_joint_that_is_locked_meanwhile_ends_it(panda, search):
+    tracker = ik.Tracker(panda, q0=panda.home)
+    other = tracker._ways[-1]
+    target = panda.fk(panda.home).homogeneous
+    turn = exp(np.array([[0.0, 0.0, 0.02]]))[0]
+    for _ in range(1000):
+        target[:3, :3] = target[:3, :3] @ turn
+        tracker.update(target, DT)
+        if other._left if search else other.goal is not None:
+            break
+    assert other._left if search else other.goal is not None
+    tracker.change_limits(speed={"panda_joint3": 0.0})
+    for _ in range(30):
+        target[:3, :3] = target[:3, :3] @ turn
+        step = tracker.update(target, DT)
+        assert step.status is not StepStatus.RECONFIGURING
+    assert other.goal is None and not other._left
