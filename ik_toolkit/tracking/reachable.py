@@ -19,6 +19,7 @@ BOUNDARY = 1e-3  # of a joint's range, from its limit: the arm stops there just 
 STARTS = 24  # attempts to find another posture for the start of a path
 APART = 0.1  # [rad, or reaches] by which a joint must differ for another posture
 SHORTER = 0.95  # of the stretch that can be reached: what is suggested
+DIGITS = ".7g"  # of joint values suggested: with 4, the tip starts up to a millimetre beside its path
 
 References = Reference | Mapping[str, Reference]
 
@@ -182,7 +183,7 @@ def explain(robot: Joints, reference: References, q0: Any, **options: Any) -> tu
     works = [words for words, other in ways if trace(robot, other, q0, **options) is not None]
     elsewhere = other_start(robot, reference, **options)
     if elsewhere is not None:
-        works.append(f"from q0 = [{', '.join(f'{x:.4g}' for x in elsewhere)}]")
+        works.append(f"from q0 = [{', '.join(f'{x:{DIGITS}}' for x in elsewhere)}]")
     tried = f"; it works {', or '.join(works)}" if works else ""
     return found, f"The path is {found.message}{tried}."
 
