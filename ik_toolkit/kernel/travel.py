@@ -12,18 +12,19 @@ UNKNOWN = np.zeros(0), np.zeros((0, 0)), np.zeros((0, 0))  # no motion: times, p
 
 
 @cached
-def travel(q, rate, goal, times, points, rates, time, gamma, h, late, limits):
+def travel(q, rate, goal, times, points, rates, time, gamma, h, late, limits, code):
     """Step q and rate (n,) in place by h [s] towards rest at goal (n,), inside limits (4, n).
 
     Along a known motion, as it is at `time` [s], until it ends: times (K,), points and rates (K, n), cubic between. Else by
-    themselves. Later steps take as long, and at most `late` [s] before limits. Returns the least time [s] left after it, at full
-    speed; -1, and nothing done, where a joint may not move or not go there. Kernel units.
+    themselves. Later steps take as long, and at most `late` [s] before limits. code (n,) receives what held a joint back (see
+    box.py). Returns the least time [s] left after it, at full speed; -1, and nothing done, where a joint may not move or not go
+    there. Kernel units.
     """
     n = q.shape[0]
     for j in range(n):
         if limits[2, j] == 0.0 or limits[0, j] == limits[1, j] or goal[j] < limits[0, j] or goal[j] > limits[1, j]:
             return -1.0
-    x, code = np.empty(n), np.empty(n, np.uint8)
+    x = np.empty(n)
     if times.shape[0] > 0 and time < times[times.shape[0] - 1]:
         head_for(q, rate, times, points, rates, time, gamma, h, limits, x)
     else:

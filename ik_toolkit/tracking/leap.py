@@ -132,13 +132,17 @@ class Leap:
         return timed(way, taken.rate, taken.limits, float(taken.law[motion.PLACE.gamma]))
 
     def go(
-        self, q: np.ndarray, rate: np.ndarray, T: np.ndarray, gamma: float, h: float, late: float, limits: np.ndarray
-    ) -> bool:
-        """Step q and rate (n,) in place by h [s] towards the goal; False, and nothing done, when there is none any more."""
+        self, q: np.ndarray, rate: np.ndarray, T: np.ndarray, gamma: float, h: float, late: float, limits: np.ndarray,
+        code: np.ndarray,
+    ) -> bool:  # fmt: skip
+        """Step q and rate (n,) in place by h [s] towards the goal; False, and nothing done, when there is none any more.
+
+        code (n,) receives what held joints back.
+        """
         goal, left = self.goal, -1.0
         self._time += h
         if goal is not None and gap(T, self._place) <= STILL:
-            left = travel(q, rate, goal, *(self._route or UNKNOWN), self._time, gamma, h, late, limits)
+            left = travel(q, rate, goal, *(self._route or UNKNOWN), self._time, gamma, h, late, limits, code)
         if left < 0.0:
             self.forget()
             return False

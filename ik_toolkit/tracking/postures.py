@@ -59,7 +59,7 @@ class Postures:
         q = self.robot.home / self.robot.chain.unit
         unlimited = np.outer([-1.0, 1.0, 1.0, 1.0], np.full(len(q), np.inf))
         self.find(np.tile(np.eye(4), (1, len(kinds), 1, 1)), q[None], q, unlimited)
-        travel(q, np.zeros_like(q), q, *UNKNOWN, 0.0, 1.0, WAIT, WAIT, unlimited)
+        travel(q, np.zeros_like(q), q, *UNKNOWN, 0.0, 1.0, WAIT, WAIT, unlimited, np.zeros(len(q), np.uint8))
 
     def find(self, T: np.ndarray, starts: np.ndarray, q: np.ndarray, limits: np.ndarray) -> tuple[np.ndarray, bool]:
         """Joint values (K, n) of the attempts for targets T (N, F, 4, 4) from starts (N, n) that end inside limits (4, n).

@@ -185,9 +185,13 @@ class Reconfiguration:
 
     # ------------------------------------------------------------------------------------------------ on the way
     def go(
-        self, q: np.ndarray, rate: np.ndarray, T: np.ndarray, gamma: float, h: float, late: float, limits: np.ndarray
-    ) -> bool:
-        """Step q and rate (n,) in place by h [s] towards the goal; False, and nothing done, when there is none any more."""
+        self, q: np.ndarray, rate: np.ndarray, T: np.ndarray, gamma: float, h: float, late: float, limits: np.ndarray,
+        code: np.ndarray,
+    ) -> bool:  # fmt: skip
+        """Step q and rate (n,) in place by h [s] towards the goal; False, and nothing done, when there is none any more.
+
+        code (n,) receives what held joints back.
+        """
         goal, near = self.goal, ARRIVED
         if goal is None or locked(limits):
             self.forget()
@@ -203,7 +207,7 @@ class Reconfiguration:
                 return False
             self.goal = goal = min(found, key=lambda one: time_left(q, one, limits))
             self._place = T.copy()
-        left = travel(q, rate, goal, *UNKNOWN, 0.0, gamma, h, late, limits)
+        left = travel(q, rate, goal, *UNKNOWN, 0.0, gamma, h, late, limits, code)
         if left < near:
             self.forget()
         return left >= 0.0

@@ -103,12 +103,12 @@ class Step:
             return StepStatus.HELD
         if o.resynced or (self._moved() > o.by.jump).any():
             return StepStatus.JUMPED
-        if o.way is not None:
-            leapt = isinstance(o.way, Choice) and o.way.ratio < math.inf
-            return StepStatus.LIMITED if leapt else StepStatus.RECONFIGURING
         held = int(np.bitwise_or.reduce(o.code))
         if held & box.RECOVERING:
             return StepStatus.RECOVERING
+        if o.way is not None:
+            leapt = isinstance(o.way, Choice) and o.way.ratio < math.inf
+            return StepStatus.LIMITED if leapt else StepStatus.RECONFIGURING
         if o.lag > 0.5:
             return StepStatus.FOLLOWING_ERROR
         if (held or o.lost or self._rests()) and self._stands() and self._away():

@@ -253,7 +253,7 @@ class Tracker:
         """Take a step through the joints, or as usual where something is in the way."""
         guard, late = self._guard, max(self._late, h)
         before, (q, rate) = self.carried(), self._carried.motion * self._units
-        goes = way.go(self._q, self._rate, samples.T[1], self.engine.gamma, h, late, self._limits)
+        goes = way.go(self._q, self._rate, samples.T[1], self.engine.gamma, h, late, self._limits, self._code)
         if guard and goes:
             guard.late = late
             guard.rows(q, rate, h)  # sees what has been added or moved since
@@ -268,7 +268,8 @@ class Tracker:
             return
         self._forget(motion.READY)
         self._end(self.stream.last_of(samples), h, self._out, **how)
-        self._out.C[:], self._out.S[0], self._between = 0, 0.0, None
+        self._code &= box.RECOVERING  # what else holds joints back on the way is no news
+        self._out.S[0], self._between = 0.0, None
 
     def _watch(self, samples: Samples, h: float, dt: float, left: float) -> None:
         """Let a step taken be looked at: whether the joints are to be led elsewhere."""

@@ -129,7 +129,7 @@ def test_the_last_step_of_the_way_may_be_blocked(panda):
     tracker.update(T[0], DT)
     way = tracker._ways[-1]
     way.goal, way._place = tracker._q + 1e-5, T
-    assert way.go(tracker._q, tracker._rate, T, 1.0, DT, DT, tracker._limits) and way.goal is None
+    assert way.go(tracker._q, tracker._rate, T, 1.0, DT, DT, tracker._limits, tracker._code) and way.goal is None
     way.blocked()
     assert gap(T, way._vain) == 0.0
 
@@ -192,3 +192,28 @@ def test_a_joint_that_is_locked_meanwhile_ends_it(panda, search):
         step = tracker.update(target, DT)
         assert step.status is not StepStatus.RECONFIGURING
     assert other.goal is None and not other._left
+
+
+@pytest.mark.parametrize("what", ["posture", "leap"])
+def test_a_joint_that_is_outside_its_limits_on_the_way_is_named(hydrolek, what):
+    robot = hydrolek
+    tracker = ik.Tracker(robot, q0=robot.home, acceleration_limits=accelerations(robot))
+    targets = turned(robot.fk(robot.home).homogeneous, 360.0, 2.0)
+    if what == "leap":
+        targets[:] = robot.fk(robot.home + 0.3).homogeneous
+    for T in targets:
+        tracker.update(T, DT)
+        way = next((way for way in tracker._ways if way.goal is not None), None)
+        if way is not None and np.abs(tracker._rate).max() > 0.5:
+            break
+    joint = int(np.argmax(np.abs(tracker._rate)))
+    side = "lower" if tracker._rate[joint] > 0.0 else "upper"
+    beyond = tracker.q[joint] + np.sign(tracker._rate[joint]) * 0.02  # the joint goes on to its goal, inside
+    tracker.change_limits(**{side: {robot.joint_names[joint]: beyond}})
+    step = tracker.update(T, DT)
+    assert way.goal is not None and step._outcome.way is not None
+    assert step.status is StepStatus.RECOVERING and f"moving back: {robot.joint_names[joint]}" in step.reason
+    for _ in range(100):
+        step = tracker.update(T, DT)
+    inside = step.q[joint] >= beyond - 1e-12 if side == "lower" else step.q[joint] <= beyond + 1e-12
+    assert inside and step.status is not StepStatus.RECOVERING

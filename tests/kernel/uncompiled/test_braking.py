@@ -241,11 +241,11 @@ def test_joints_travel_to_a_goal_in_the_least_time(gamma, a):
         goal, speed = rng.uniform(-2.0, 2.0, 4), np.array([1.0, 2.0, 0.5, np.inf])
         limits = np.array([np.full(4, -2.5), np.full(4, 2.5), speed, np.full(4, a)])
         usual = np.where(speed < np.inf, speed, travel.UNLIMITED)
-        q, rate, steps = np.zeros(4), np.zeros(4), 0
+        q, rate, code, steps = np.zeros(4), np.zeros(4), np.zeros(4, np.uint8), 0
         least = (np.abs(goal) / usual + usual / a).max()
         while np.abs(q - goal).max() > 1e-3:
             was = rate.copy()
-            left = travel.travel(q, rate, goal, *travel.UNKNOWN, 0.0, gamma, h, late, limits)
+            left = travel.travel(q, rate, goal, *travel.UNKNOWN, 0.0, gamma, h, late, limits, code)
             assert left == pytest.approx((np.abs(goal - q) / usual).max())
             assert (np.abs(rate) <= speed * (1.0 + 1e-12)).all() and (np.abs(rate - was) <= a * h * (1.0 + 1e-12)).all()
             assert ((q - goal) * np.sign(goal) <= 1e-12).all()
@@ -266,7 +266,7 @@ def test_joints_travel_along_a_known_motion(gamma, a):
     want = CubicHermiteSpline(times, points, rates)
     q, rate, goal = np.array([0.01, -0.01]), np.zeros(2), points[-1]
     for k in range(1, 110):
-        left = travel.travel(q, rate, goal, times, points, rates, k * h, gamma, h, h, limits)
+        left = travel.travel(q, rate, goal, times, points, rates, k * h, gamma, h, h, limits, np.zeros(2, np.uint8))
         if 30 <= k < 100:
             assert np.abs(q - want(k * h)).max() < (1e-12 if a == math.inf and gamma == 1.0 else 1e-3)
     assert left < 1e-6 and np.abs(q - goal).max() < 1e-6
@@ -277,5 +277,8 @@ def test_no_step_where_a_goal_is_beyond_a_limit_or_a_joint_locked(change):
     limits = np.array([[-1.0], [1.0], [2.0], [8.0]])
     limits[change[0]] = change[1]
     q, rate = np.array([0.4]), np.array([0.1])
-    assert travel.travel(q, rate, np.array([0.5]), *travel.UNKNOWN, 0.0, 1.0, 0.01, 0.01, limits) == -1.0
+    assert (
+        travel.travel(q, rate, np.array([0.5]), *travel.UNKNOWN, 0.0, 1.0, 0.01, 0.01, limits, np.zeros(1, np.uint8))
+        == -1.0
+    )
     assert q[0] == 0.4 and rate[0] == 0.1
