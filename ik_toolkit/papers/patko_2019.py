@@ -8,7 +8,7 @@ leaves out the arms' paths, lengths, initial errors and durations; those chosen 
 import numpy as np
 
 from ..tracking import stability as st
-from .patko_cases import CASES, METHODS, SETS, GainSet, growth, run, settled
+from .patko_cases import CASES, METHODS, SETS, GainSet, growth, known_run, settled
 from .patko_dynamics import dynamics
 from .patko_figures import draw_charts, draw_errors, draw_orders, draw_plane
 from .report import Report
@@ -98,10 +98,9 @@ def _radii(made: Report) -> None:
 
 def _figures(made: Report) -> None:
     made.heading("The error curves")
-    case, s = CASES["1-DoF"], SETS["1-DoF"]
     curves = {}
     for sign, label in ((-1.0, "starting 0.1 m short"), (1.0, "starting 0.1 m too far")):
-        curves[label] = {k: run(case, s, k, sign * case.offset) for k in ("cv", "av", "ca", "aa1", "aa2", "aa3")}
+        curves[label] = {k: known_run("1-DoF", SETS["1-DoF"], k, sign) for k in ("cv", "av", "ca", "aa1", "aa2", "aa3")}
     made.figure(
         "fig4_one_dof.png",
         "Fig. 4 redrawn: error of the 1-DoF case, the three readings of aa; aa2 leaves the domain q > 0 in the right panel",
@@ -111,7 +110,7 @@ def _figures(made: Report) -> None:
         case = CASES[name]
         panels = {
             f"{word}: kappa {s.kappa:g}, kp {s.kp:g}, kd {s.kd:g}, h {s.h:g}": {
-                k: run(case, s, k, case.offset) for k in ("cv", "av", "ca", "aa2", "aad")
+                k: known_run(name, s, k, 1.0) for k in ("cv", "av", "ca", "aa2", "aad")
             }
             for word, s in (('"unstable" set', SETS[f"{name} bad"]), ("stable set", SETS[f"{name} good"]))
         }
@@ -134,9 +133,8 @@ def _errors(made: Report) -> dict[tuple[str, str, str], dict[str, float]]:
     for name, gains in (("1-DoF", "1-DoF"), ("PP", "PP good"), ("RR", "RR good")):
         for start in ("exact", "offset"):
             for key in METHODS:
-                case = CASES[name]
-                result = run(case, SETS[gains], key, case.offset if start == "offset" else 0.0)
-                numbers = found[name, start, key] = settled(case, result)
+                result = known_run(name, SETS[gains], key, 1.0 if start == "offset" else 0.0)
+                numbers = found[name, start, key] = settled(CASES[name], result)
                 if result.stopped:
                     rows.append([name, start, key, "diverges", "", "", f"after {len(result.t) - 1} steps"])
                 else:
@@ -153,7 +151,7 @@ def _orders(made: Report) -> None:
         those of the 1-DoF case, scaled ones keep kappa h = 2/3, kp h^2 = 1.6, kd h = 0.8. The paper says only that smaller steps
         give smaller errors. (aa1 shows 3.9: its growing zigzag still adds to its third order.)"""
     )
-    case, lap = CASES["RR"], 4.0 * np.pi
+    lap = 4.0 * np.pi
     steps = (0.1, 0.05, 0.025, 0.0125)
     rows, curves = [], {}
     for label, key, scaled in (
@@ -164,7 +162,7 @@ def _orders(made: Report) -> None:
         errors = []
         for h in steps:
             s = GainSet("", h, 2 / 3 / h, 1.6 / h**2, 0.8 / h, "", "") if scaled else SETS["1-DoF"]
-            e = np.linalg.norm(run(case, s, key, h=h, steps=round(2 * lap / h)).error, axis=1)
+            e = np.linalg.norm(known_run("RR", s, key, h=h, steps=round(2 * lap / h)).error, axis=1)
             errors.append(float(e[len(e) // 2 :].max()))
         curves[label] = errors
         rows.append([label, *errors, float(np.log2(errors[-2] / errors[-1]))])
