@@ -20,6 +20,8 @@ FAR = 1e6  # [units of the file]; a coordinate beyond this is taken for corrupt
 REPEATED = 100_000  # nodes that one node may expand to
 # Lines of coal's message around the actual reason.
 COAL = ("From file", "in function", "at line", "message: Could not load resource", "Hint")
+# What trimesh loads if it is there, and reading does without: it takes three times as long to import as all the rest.
+UNUSED = ("scipy", "networkx", "shapely")
 DEEP = 200  # nesting of nodes in a .dae or .gltf; exporters nest a few
 
 
@@ -158,6 +160,8 @@ def surface(file: Path, raw: bytes, references: References, out: Path):
 def look(file: Path, raw: bytes, references: References, out: Path):
     """Triangles and colour of every material of a mesh file by trimesh, used for drawing."""
     import numpy as np
+
+    sys.modules.update(dict.fromkeys(UNUSED))  # type: ignore[arg-type]  None: not found
     import trimesh
     from trimesh.resolvers import Resolver as BaseResolver
 
