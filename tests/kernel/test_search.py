@@ -94,14 +94,15 @@ def test_the_budget_of_several_tips_is_never_overrun(brokk):
 
 
 # ------------------------------------------------------------------------------------------------ several tips
+# Compiled for several tips, each rule takes 4 to 7 s: those that are slow here are in uncompiled/test_tips.py as well.
 @pytest.mark.parametrize(
     ("rule", "near", "least", "tolerance"),
     [
         ("dls", 0.3, 10, 1e-6),
-        ("pinv", 0.1, 8, 1e-6),
-        ("transpose", 0.05, 8, 1e-3),
+        pytest.param("pinv", 0.1, 8, 1e-6, marks=pytest.mark.slow),
+        pytest.param("transpose", 0.05, 8, 1e-3, marks=pytest.mark.slow),
         ("ccd", 0.1, 3, 1e-2),
-        ("pid", 0.1, 3, 1e-2),
+        pytest.param("pid", 0.1, 3, 1e-2, marks=pytest.mark.slow),
     ],
 )
 def test_rules_solve_for_several_tips(brokk, rule, near, least, tolerance):

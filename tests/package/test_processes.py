@@ -2,7 +2,6 @@
 
 import multiprocessing
 import os
-import signal
 import subprocess
 import sys
 import time
@@ -14,11 +13,18 @@ import robots
 
 import ik_toolkit as ik
 
-# The smallest kernel there is: what is tested is its file.
-FORWARD = """
-import numpy as np, ik_toolkit as ik
-print(ik.Robot.load("planar_2r").chain.forward(np.zeros((1, 2)))[0].tolist())
+COUNT = 30
+# The smallest kernels there are, and a script that calls them when it gets a line: what is tested is their files.
+KERNELS = "from ik_toolkit.kernel.jit import cached\n" + "".join(
+    f"@cached\ndef plus_{k}(x):\n    return x + {k}.0\n" for k in range(COUNT)
+)
+CALLS = f"""
+import sys, small_kernels
+print("ready", flush=True)
+sys.stdin.readline()
+print([getattr(small_kernels, f"plus_{{k}}")(1.0) for k in range({COUNT})])
 """
+SUMS = f"{[1.0 + k for k in range(COUNT)]}\n"
 
 
 def run(code, timeout=120, **environment):
@@ -40,37 +46,61 @@ def test_the_same_bytes_from_other_processes(method):
         assert [result.q.tobytes() for result in pool.map(ik.solve, [robot] * len(T), T)] == here
 
 
-def test_two_processes_may_compile_the_same_cache_at_once(tmp_path):
-    command = [sys.executable, "-c", FORWARD]
-    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
-    both = [
-        subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, env=environment) for _ in range(2)
-    ]
-    outputs = [process.communicate(timeout=240) for process in both]
-    assert [process.returncode for process in both] == [0, 0], outputs
-    assert outputs[0][0] == outputs[1][0]
-    assert run(FORWARD, NUMBA_CACHE_DIR=str(tmp_path)).encode() == outputs[0][0]
+@pytest.fixture
+def start(tmp_path):
+    """Start a process that compiles the small kernels, or finds them on disk, once it gets a line."""
+    (tmp_path / "small_kernels.py").write_text(KERNELS)
+    path = os.pathsep.join(filter(None, (str(tmp_path), os.environ.get("PYTHONPATH"))))
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cache"), "PYTHONPATH": path}
+
+    def process():
+        made = subprocess.Popen(
+            [sys.executable, "-c", CALLS],
+            stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, env=environment, text=True,
+        )  # fmt: skip
+        assert made.stdout.readline() == "ready\n"
+        return made
+
+    return process
 
 
-def test_a_killed_process_leaves_the_cache_usable(tmp_path):
-    process = subprocess.Popen([sys.executable, "-c", FORWARD], env={**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)})
-    for _ in range(600):  # until it has begun to write
-        if any(tmp_path.rglob("*.nb?")) or process.poll() is not None:
+def test_two_processes_may_compile_the_same_cache_at_once(start, tmp_path):
+    both = [start(), start()]
+    for process in both:
+        process.stdin.write("go\n")
+        process.stdin.flush()
+    assert [process.communicate(timeout=240)[0] for process in both] == [SUMS, SUMS]
+    files = set(tmp_path.rglob("*.nbc"))
+    assert len(files) == COUNT
+    assert start().communicate("go\n", timeout=120)[0] == SUMS
+    assert set(tmp_path.rglob("*.nbc")) == files and not any(tmp_path.rglob("*.part"))
+
+
+def test_a_killed_process_leaves_the_cache_usable(start, tmp_path):
+    process = start()
+    process.stdin.write("go\n")
+    process.stdin.flush()
+    for _ in range(6000):  # until it has begun to write
+        if any(tmp_path.rglob("*.nbc")) or process.poll() is not None:
             break
-        time.sleep(0.1)
-    process.send_signal(signal.SIGKILL)
-    process.wait()
-    assert run(FORWARD, NUMBA_CACHE_DIR=str(tmp_path)).startswith("[")
+        time.sleep(0.01)
+    process.kill()
+    process.communicate()
+    assert len([*tmp_path.rglob("*.nbc")]) < COUNT
+    assert start().communicate("go\n", timeout=120)[0] == SUMS
+    assert len([*tmp_path.rglob("*.nbc")]) == COUNT
 
 
 @pytest.mark.slow
-def test_no_folder_for_the_cache_is_no_failure(tmp_path):
+def test_no_folder_for_the_cache_is_no_failure():
     """Neither the package folder, nor the home, nor the cache folder can be written: compile in memory."""
     code = (
         "import numba.core.caching as c\n"
         "for name in dir(c):\n"
         "    if name.endswith('Locator') or name.endswith('FsAgnostic'):\n"
-        "        getattr(c, name).from_function = classmethod(lambda cls, f, p: None)\n" + FORWARD
+        "        getattr(c, name).from_function = classmethod(lambda cls, f, p: None)\n"
+        "import numpy as np, ik_toolkit as ik\n"
+        "print(ik.Robot.load('planar_2r').chain.forward(np.zeros((1, 2)))[0].tolist())"
     )
     assert run(code).startswith("[")
 
