@@ -202,10 +202,11 @@ def check_alive(panel):
     visitor.leave()
 
 
-def test_a_thousand_malformed_messages(panel, record_property, capfd):
-    out = harass(panel, 1000, seed=0)
-    record_property("note", f"1000 malformed messages, {out} of them rejected with a message")
-    assert out > 20
+@pytest.mark.parametrize("count", [300, pytest.param(1000, marks=pytest.mark.slow)])
+def test_malformed_messages(panel, count, record_property, capfd):
+    out = harass(panel, count, seed=0)
+    record_property("note", f"{count} malformed messages, {out} of them rejected with a message")
+    assert out > count // 50
     check_alive(panel)
     assert panel.desks == {} and "Traceback" not in capfd.readouterr().err
 

@@ -211,13 +211,14 @@ def test_camera_is_aimed_at_the_robot():
     robot = load("hydrolek_7w")
     scene = view(robot)
     eye, target, _, floor = scene.window.about["camera"]
-    low, high = Body(robot).bounds(robot.home)
+    body = Body(robot)
+    low, high = body.bounds(robot.home)
     assert (np.array(target) > low).all() and (np.array(target) < high + 0.1).all()
     distance = np.linalg.norm(np.subtract(eye, target))
     assert 0.5 * np.linalg.norm(high - low) < distance < 2.0 * np.linalg.norm(high - low)
     assert floor == pytest.approx(low[2])
-    q = min(robot.random_q(np.random.default_rng(0), 50), key=lambda q: Body(robot).bounds(q)[0, 2])  # reaches down
-    assert Body(robot).bounds(q)[0, 2] < floor - 0.1 and view(robot, q).window.about["camera"][3] == floor
+    q = min(robot.random_q(np.random.default_rng(0), 50), key=lambda q: body.bounds(q)[0, 2])  # reaches down
+    assert body.bounds(q)[0, 2] < floor - 0.1 and view(robot, q).window.about["camera"][3] == floor
 
 
 def test_refusals_are_words(tmp_path):
