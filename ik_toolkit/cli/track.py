@@ -256,25 +256,29 @@ def _run(arm: Any, line: SimpleNamespace, asked: Asked, counts: dict[str, Any]) 
     if line.avoid_collisions or line.obstacle or line.margin is not None:
         options["avoid_collisions"] = collision_model(arm, line.obstacle or (), line.margin)
     angle = ORIENTATION_TOLERANCE if line.tolerance_orientation is None else line.tolerance_orientation
+    own = {
+        "robot": arm,
+        "reference": asked.reference,
+        "method": line.method,
+        "dt": 1.0 / line.rate,
+        "q0": asked.q0,
+        "limits": line.limits,
+        "acceleration_limits": line.acceleration,
+        "position_tolerance": line.tolerance_position,
+        "orientation_tolerance": angle,
+        "settle": line.settle,
+        "on_limit": line.on_limit,
+        "max_stretch": line.max_stretch,
+        **counts,
+    }
+    if twice := own.keys() & options.keys():
+        raise InvalidOption(
+            f"-p cannot set {', '.join(sorted(twice))}: the command has options for that, see its --help"
+        )
     with warnings.catch_warnings():
         warnings.simplefilter("always")
         warnings.showwarning = lambda message, *_: notice(f"warning: {message}")
-        return follow(
-            arm,
-            asked.reference,
-            line.method,
-            dt=1.0 / line.rate,
-            q0=asked.q0,
-            limits=line.limits,
-            acceleration_limits=line.acceleration,
-            position_tolerance=line.tolerance_position,
-            orientation_tolerance=angle,
-            settle=line.settle,
-            on_limit=line.on_limit,
-            max_stretch=line.max_stretch,
-            **counts,
-            **options,
-        )
+        return follow(**own, **options)
 
 
 def _show(result: "TrackResult", arm: "Robot", asked: Asked) -> None:

@@ -154,6 +154,12 @@ def test_command_warns_and_refuses(capsys):
         assert words in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("pair", ["dt=0.1", "q0=3", "settle=1", "method=av", "robot=ur5", "acceleration_limits=3"])
+def test_command_refuses_what_has_an_option_of_its_own(pair, capsys):
+    assert main(["track", "planar_2r", "-p", pair]) == 2
+    assert f"-p cannot set {pair.split('=')[0]}" in capsys.readouterr().err
+
+
 def test_wrong_inputs_of_a_run_are_typed(panda, planar):
     ref = panda_reference(panda, True, 1.0)
     tree = ik.Tree.load("brokk_hydrolek", tips=["left_tip", "right_tip"])
