@@ -138,7 +138,7 @@ def _silent(share: float, words: str) -> None:
 # --------------------------------------------------------------------------------------------------------------- reading
 def _allowed(value: str | int) -> float:
     """The largest number of reconfigurations."""
-    if value in ("fewest", "none"):
+    if isinstance(value, str) and value in ("fewest", "none"):
         return math.inf if value == "fewest" else 0.0
     if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < 0:
         raise InvalidOption(f"reconfigurations must be 'fewest', 'none' or a whole number of at least 0, not {value!r}")

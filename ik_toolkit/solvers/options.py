@@ -168,7 +168,7 @@ def make_options(given: dict[str, Any], parameters: Sequence[str] = ()) -> Optio
             values[name] = _number(name, value, 0.0, math.inf)
         elif name == "seed" or (name in ("max_iterations", "max_evaluations", "restarts") and value is not None):
             low = 0 if name in ("seed", "restarts", "max_iterations") else 1
-            if name == "seed" and np.ndim(value):  # other packages call the start a seed
+            if name == "seed" and isinstance(value, list | tuple | np.ndarray):  # other packages call the start a seed
                 raise InvalidOption("seed is the random seed of the restarts; the start is q0")
             if isinstance(value, bool) or int(_number(name, value, low, 2**31)) != value:
                 raise InvalidOption(f"{name} must be a whole number of at least {low}, not {value!r}")
@@ -177,6 +177,8 @@ def make_options(given: dict[str, Any], parameters: Sequence[str] = ()) -> Optio
                 raise InvalidOption(
                     f"max_iterations is at most {MAX_ITERATIONS}, not {value}; use restarts for longer searches"
                 )
+        elif name == "avoid_collisions" and isinstance(value, np.ndarray):  # the rest is judged with the robot
+            raise InvalidOption(f"avoid_collisions must be True, a margin [m] or a CollisionModel, not {value!r:.60}")
         elif name == "timeout" and value is not None:
             values[name] = _number(name, value, 0.0, math.inf)
         elif name in WORDS and not (isinstance(value, str) and value in WORDS[name]):

@@ -115,7 +115,7 @@ class Tracker:
         self._postures: Postures | None = None
         self._ways: list[Leap | Reconfiguration] = []  # what leads the joints where the method would not, or too slowly
         elsewhere = switch(reconfigure, "reconfigure")
-        longest = math.inf if straight == math.inf else positive(straight, "straight")
+        longest = math.inf if isinstance(straight, float) and straight == math.inf else positive(straight, "straight")
         if limits and self._mode == DIRECT:
             self._postures = Postures(robot, self.engine.options)
             other = Reconfiguration(robot, self._postures, self._guard and self._guard.model) if elsewhere else None

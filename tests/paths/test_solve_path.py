@@ -205,8 +205,9 @@ def test_a_held_joint_stays(arm):
 
 def test_mistakes_are_named(arm):
     T = between(arm, arm.home, arm.home + 0.1, 5)
-    with pytest.raises(InvalidOption, match="reconfigurations must be 'fewest'"):
-        ik.solve_path(arm, T, reconfigurations="few")
+    for wrong in ("few", np.array([1, 2])):
+        with pytest.raises(InvalidOption, match="reconfigurations must be 'fewest'"):
+            ik.solve_path(arm, T, reconfigurations=wrong)
     with pytest.raises(InvalidOption, match="max_step must be"):
         ik.solve_path(arm, T, max_step=(0.1, -1.0))
     with pytest.raises(InvalidOption, match="takes no 'closest'"):

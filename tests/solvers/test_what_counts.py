@@ -209,6 +209,8 @@ def test_closed_forms_refuse_and_auto_searches():
         ({"free_turn": "z"}, "free_turn must be numbers"),
         ({"mask": {"tool": [1] * 6}}, "not one of the tips"),
         ({"relative_to": {"a": "b"}}, "several tips"),
+        ({"avoid_collisions": np.zeros(3)}, "avoid_collisions must be"),
+        ({"seed": [[1, 2], [3]]}, "the start is q0"),
     ],
 )
 def test_mistakes_are_refused_in_words(arm, options, words):

@@ -131,7 +131,7 @@ def test_what_it_says(panda):
     assert len(leapt) > 5 and all(s.status is StepStatus.LIMITED for s in leapt)
     assert "through the joints, as the straight way takes" in leapt[0].reason
     assert steps[-1].status is StepStatus.OK and steps[-1].reason == ""
-    for wrong in (0.0, -1.0, math.nan, "yes"):
+    for wrong in (0.0, -1.0, math.nan, "yes", np.array([1.2, 1.2])):
         with pytest.raises(InvalidOption, match="straight"):
             ik.Tracker(panda, straight=wrong)
 
