@@ -21,6 +21,7 @@ from numba.core.dispatcher import Dispatcher
 from numba.core.serialize import dumps
 
 import ik_toolkit
+from ik_toolkit.cli import main, output, robots
 from ik_toolkit.kernel import cache
 from ik_toolkit.kernel.chain import forward
 from ik_toolkit.kernel.jit import INLINE, PARTS
@@ -222,15 +223,19 @@ def double(tmp_path, caplog, monkeypatch):
     path.write_text(SOURCE)
     spec = importlib.util.spec_from_file_location("small_kernel", path)
 
-    def call():
+    def use():
         module = importlib.util.module_from_spec(spec)
         spec.loader.exec_module(module)
+        assert module.double(21.0) == 42.0
+
+    def call():
         caplog.clear()
         with caplog.at_level(logging.INFO, "ik_toolkit"):
-            assert module.double(21.0) == 42.0
+            use()
         return [(record.name, record.levelname) for record in caplog.records]
 
     cache.not_kept.cache_clear()
+    call.use = use
     call.folder = tmp_path / "__pycache__"
     call.files = lambda: sorted(call.folder.glob("*.nbc"))
     return call
@@ -309,7 +314,20 @@ def test_a_full_disk_at_the_first_solve(copy):
     assert done.stderr.count("cannot be kept") == 1 and "Traceback" not in done.stderr
 
 
-def test_the_command_says_that_it_compiles_only_when_it_does(copy):
+@pytest.mark.skipif(config.DISABLE_JIT, reason="nothing is compiled")
+def test_the_command_says_that_it_compiles_only_when_it_does(double, capsys, monkeypatch):
+    """With a small kernel for that of a solver."""
+    load = robots.load_robot
+    monkeypatch.setattr(robots, "load_robot", lambda *words: double.use() or load(*words))
+    output.notice_once.cache_clear()
+    for said in ("compiling the solver (first use on this machine, some seconds) ...\n", ""):
+        assert main(["fk", "planar_2r", "--q", "0,0"]) == 0
+        assert capsys.readouterr().err == said
+    assert len(double.files()) == 1
+
+
+@pytest.mark.slow  # compiles a closed form: 10 s
+def test_the_first_solve_says_that_it_compiles(copy):
     code = "import sys; from ik_toolkit.cli import main; sys.exit(main(['solve', 'planar_2r', '--xyz', '1', '1', '0']))"
     for path in copy.rglob("ik-planar_2r.*.nbc"):
         path.unlink()
