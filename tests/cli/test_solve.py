@@ -152,6 +152,13 @@ def test_a_locked_joint_keeps_its_value(run):
     assert np.linalg.norm(robot.fk(answer["q"]).translation - (1.0, 0.1, 0.2)) < 1e-6
 
 
+def test_a_joint_locked_outside_its_limits_is_told(run):
+    code, _, err = run(*SOLVE, "--lock", "wrist_roll=40")
+    assert code in (0, 1) and "locked outside the limits: wrist_roll" in err
+    assert "outside" not in run(*SOLVE, "--lock", "wrist_roll=0.4")[2]
+    assert "outside the limits: turret" in run("fk", "brokk_hydrolek", "--tip", "left_tip", "--lock", "turret=40")[2]
+
+
 def test_a_sliding_joint_is_locked_in_metres_even_with_deg(run):
     info = json.loads(
         run("info", "inspection_7dof", "--lock", "lift=0.3", "--lock", "arm_yaw=30", "--deg", "--json")[1]
