@@ -78,6 +78,8 @@ class Leap:
         self._time = 0.0  # [s] since it set out
         self._place = np.zeros(0)  # the target that was last looked at
 
+    begin = forget  # nothing else is known
+
     def watch(self, taken: Taken) -> None:
         """Look at a step taken. May set `goal`."""
         T, q, limits = taken.T, taken.q, taken.limits

@@ -48,6 +48,10 @@ class Reconfiguration:
         """model: CollisionModel that goals must be free of, or None."""
         self.robot, self.postures, self.model = robot, postures, model
         self._attempt = ATTEMPT * len(robot.tips) ** 3
+        self.begin()
+
+    def begin(self) -> None:
+        """Everything begins anew."""
         self._rng = np.random.default_rng(0)
         self.held: list[int] = []
         self._barred: list[np.ndarray] = []  # postures with something there, or in the way
@@ -57,7 +61,7 @@ class Reconfiguration:
         self._vain = np.zeros(0)  # where the target was at the last one
 
     def forget(self) -> None:
-        """The target is reached, or everything begins anew."""
+        """The target is reached, or left."""
         self.goal: np.ndarray | None = None
         self._stood, self._lost, self._least = 0.0, 0.0, math.inf  # [s], [m s], [m] since it was left behind
         self._price = 0.0  # [m s] of the way last found, while the target was moving

@@ -160,7 +160,7 @@ class Tracker:
         self._rate[:] = 0.0 if rate is None else rate / unit
         self._forget(motion.GIVEN if rate is not None or self._at_rest else motion.MOVING)
         for way in self._ways:
-            way.forget()
+            way.begin()
         self.stream.look_anew()
         self._unseen, self._behind = 0.0, False  # [s] since a step was last looked at; whether it left an error
         self._between: tuple[str, str] | None = None  # what kept the last step from going on

@@ -217,3 +217,16 @@ def test_a_joint_that_is_outside_its_limits_on_the_way_is_named(hydrolek, what):
         step = tracker.update(T, DT)
     inside = step.q[joint] >= beyond - 1e-12 if side == "lower" else step.q[joint] <= beyond + 1e-12
     assert inside and step.status is not StepStatus.RECOVERING
+
+
+def test_after_a_reset_a_tracker_does_as_a_new_one(panda):
+    """Another search would draw other starts, or wait for the pause after one in vain, and end in another posture."""
+    targets = turned(panda.fk(panda.home).homogeneous, 720.0, 3.0)[:900]
+    away = targets[0].copy()
+    away[:3, 3] += (2.0, 0.0, 0.0)
+    new, used = (ik.Tracker(panda, q0=panda.home) for _ in range(2))
+    first = [new.update(T, DT).q for T in targets]
+    for T in [*targets, *[away] * 200]:
+        used.update(T, DT)
+    used.reset(panda.home)
+    assert np.array_equal(first, [used.update(T, DT).q for T in targets])
