@@ -16,6 +16,7 @@ READ, CHECK, REFUSED = range(3)  # a target that was read in full, one that is t
 TAKEN, DOUBTFUL, HELD = range(3)  # taken; to be read in full; not finite, so the last target stays
 STILL = 2e-3  # [m, or of a rotation] by which a target that stands may move in WAIT: 20 mm/s, or 0.014 rad/s
 WAIT = 0.1  # [s]
+RESTS = 5e-4  # [m/s, or of a rotation] up to which it is at rest: where its motion turns back it is that slow for a moment only
 JUMP = 0.05  # [m, or of a rotation] from one target to the next by which it leaps: a fast hand moves by a fifth of it
 
 
@@ -25,6 +26,7 @@ class Stand(NamedTuple):
     seconds: int  # [s] for which it has been where it is, give or take STILL
     leapt: int  # 1: it came there at once
     still: int  # 1: it hardly moved from the last sample to this one, or only trembles as measured targets do
+    rest: int  # [s] for which it has been at rest; one that trembles, as measured ones do, never is
     known: int  # 1: what follows is known, F poses: where it is
 
 
@@ -70,7 +72,7 @@ def gap(A, B, first):
 
 @inner
 def look(T, stand, dt):
-    """See whether targets T (2, F, 4, 4), dt [s] apart, stand; stand (4 + 16 F,) as of `Stand`."""
+    """See whether targets T (2, F, 4, 4), dt [s] apart, stand; stand (5 + 16 F,) as of `Stand`."""
     at, first, now = STAND, len(STAND), flat(T[1])
     moved, most = gap(now, flat(T[0]), 0), STILL * dt / WAIT
     if stand[at.known] == 0.0 or moved > JUMP or gap(now, stand, first) > STILL:
@@ -80,6 +82,7 @@ def look(T, stand, dt):
             stand[first + k] = now[k]
     else:
         stand[at.seconds] += dt
+    stand[at.rest] = stand[at.rest] + dt if moved <= RESTS * dt else 0.0
     stand[at.still] = 1.0 if moved <= most or stand[at.seconds] >= WAIT else 0.0
 
 
@@ -87,7 +90,7 @@ def look(T, stand, dt):
 def arrive(samples, given, stand, slot, how, posed, first, moved, twist, acceleration, dt):
     """Write the target of `given`, samples of length 1, into the last sample (slot 0) or the next (1) of `samples`.
 
-    Blocks as of session.py; stand (4 + 16 F,) as of `Stand`, of the next. how: READ, CHECK or REFUSED; posed: bit f says that
+    Blocks as of session.py; stand (5 + 16 F,) as of `Stand`, of the next. how: READ, CHECK or REFUSED; posed: bit f says that
     tip f has an orientation. first: any target may have come before; moved: the next target has become the last one; twist,
     acceleration: whether they are given, else the last two targets give a twist, in dt [s], and the acceleration is 0. Returns
     TAKEN, DOUBTFUL or HELD.

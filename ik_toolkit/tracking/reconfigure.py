@@ -8,12 +8,12 @@ When to search: only when limits, or a singular pose, have kept the error from f
 a target that leapt to where the solver does not get from here. A search is spread over updates so that none takes much longer;
 after one in vain there is a pause.
 
-When to move: on the way the tip leaves its target. Where the target stands, that is worth it at once. Where it moves it may come
-back by itself, so the arm waits until it has lost as much [m s] as the way costs: never more than twice what would have been best.
+When to move: on the way the tip leaves its target, which may come back by itself. So the arm waits until it has lost as much [m s]
+as the way costs, never more than twice what would have been best, until the target has stood for as long as the way takes, or
+until it is at rest: then it hardly comes back by itself, and there is no time to lose.
 """
 
 import math
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -64,10 +64,9 @@ class Reconfiguration:
         """The target is reached, or left."""
         self.goal: np.ndarray | None = None
         self._stood, self._lost, self._least = 0.0, 0.0, math.inf  # [s], [m s], [m] since it was left behind
-        self._price = 0.0  # [m s] of the way last found, while the target was moving
+        self._price, self._time = 0.0, 0.0  # [m s], [s] of the way last found
         self._left = 0  # attempts of a search that goes on
         self._best: tuple[float, np.ndarray, np.ndarray] | None = None  # cost [s], joint values, and their target
-        self._at_once = False  # whether the target stood when it began
         self._now = False  # whether it was asked for, wherever the arm is
 
     # ------------------------------------------------------------------------------------------------ when to search
@@ -107,18 +106,17 @@ class Reconfiguration:
             self._least, self._stood, self._left = error, 0.0, 0
         if self._stood <= WAIT:
             return
-        stands = stood >= WAIT
-        if not self._left and (stands or self._lost >= self._price):
-            paused = self._quiet > 0.0 and not (stands and gap(T, self._vain) > ELSEWHERE)
+        rests = taken.stand[STAND.rest] >= WAIT
+        if not self._left and (rests or stood >= max(self._time, WAIT) or self._lost >= self._price):
+            paused = self._quiet > 0.0 and not (stood >= WAIT and gap(T, self._vain) > ELSEWHERE)
             if paused or locked(limits):  # a locked arm has few postures, and its operator other plans
                 return
             self.held = [i for i, bits in enumerate(code) if bits & POSITION]
-            self._at_once = stands
             self._begin(q, limits)
         elif self._left:
             self._search(T, q, limits, dt)
             if not self._left:
-                self._decide(T, q, limits, taken.error_at, self._at_once and taken.stand[STAND.still] != 0.0)
+                self._decide(taken, stood)
 
     def search_now(self, T: np.ndarray, q: np.ndarray, limits: np.ndarray) -> None:
         """Search for a target T (F, 4, 4) that leapt and stands, from the next step on; in vain, all goes on as before."""
@@ -168,16 +166,18 @@ class Reconfiguration:
         if self._best is not None and self._spent >= RUSH * self._best[0]:
             self._left = 0
 
-    def _decide(self, T: np.ndarray, q: np.ndarray, limits: np.ndarray, error_at: Callable, stands: bool) -> None:
-        """After a search: go, wait, or do not search again for a while."""
+    def _decide(self, taken: Taken, stood: float) -> None:
+        """After a search: go, wait, or do not search again for a while. stood [s]: for how long the target has."""
         if self._best is None:
-            self._hold_off(T)
+            self._hold_off(taken.T[-1])
             self._barred = []
             return
         _, goal, place = self._best
-        if not stands:
-            on_way = sum(self.postures.size(error_at(q + part * (goal - q))) for part in ON_WAY) / len(ON_WAY)
-            self._price = on_way * time_left(q, goal, limits)
+        q = taken.q
+        self._time = time_left(q, goal, taken.limits)
+        if stood < self._time and taken.stand[STAND.rest] < WAIT:
+            on_way = sum(self.postures.size(taken.error_at(q + part * (goal - q))) for part in ON_WAY) / len(ON_WAY)
+            self._price = on_way * self._time
             if self._lost < self._price:
                 return
         self.goal, self._place = goal, place  # the target may have gone on since: `go` follows it from there
