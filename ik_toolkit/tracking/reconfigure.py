@@ -9,8 +9,8 @@ a target that leapt to where the solver does not get from here. A search is spre
 after one in vain there is a pause.
 
 When to move: on the way the tip leaves its target, which may come back by itself. So the arm waits until it has lost as much [m s]
-as the way costs, never more than twice what would have been best, until the target has stood for as long as the way takes, or
-until it is at rest: then it hardly comes back by itself, and there is no time to lose.
+as the way costs, never more than twice what would have been best; less of it while the target stands, which may be where it turns
+back; not at all once it is at rest, or has stood for as long as the way takes.
 """
 
 import math
@@ -38,6 +38,7 @@ HEADROOM = 0.5  # [s] of a joint at full speed before its limit: what is missing
 ARRIVED = 0.05  # [s] left at full speed, from which on the tracker itself comes closer
 CLOSE = 1e-3  # [s] the same where the target stands: nothing can hold the tracker back so near
 FAR = 0.3  # [rad, or reaches] move of a joint from one update to the next by which a posture is another one
+STANDING = 0.3  # of what the way costs that must have been lost where the target stands
 ON_WAY = (0.25, 0.5, 0.75)  # parts of the way at which its error is looked at
 
 
@@ -67,6 +68,7 @@ class Reconfiguration:
         self._price, self._time = 0.0, 0.0  # [m s], [s] of the way last found
         self._left = 0  # attempts of a search that goes on
         self._best: tuple[float, np.ndarray, np.ndarray] | None = None  # cost [s], joint values, and their target
+        self._stands = False  # whether the target stood when it began
         self._now = False  # whether it was asked for, wherever the arm is
 
     # ------------------------------------------------------------------------------------------------ when to search
@@ -107,11 +109,13 @@ class Reconfiguration:
         if self._stood <= WAIT:
             return
         rests = taken.stand[STAND.rest] >= WAIT
-        if not self._left and (rests or stood >= max(self._time, WAIT) or self._lost >= self._price):
-            paused = self._quiet > 0.0 and not (stood >= WAIT and gap(T, self._vain) > ELSEWHERE)
+        stands = stood >= WAIT
+        if not self._left and (rests or (stands and stood >= self._time) or self._lost >= self._enough(stands)):
+            paused = self._quiet > 0.0 and not (stands and gap(T, self._vain) > ELSEWHERE)
             if paused or locked(limits):  # a locked arm has few postures, and its operator other plans
                 return
             self.held = [i for i, bits in enumerate(code) if bits & POSITION]
+            self._stands = stands
             self._begin(q, limits)
         elif self._left:
             self._search(T, q, limits, dt)
@@ -178,9 +182,13 @@ class Reconfiguration:
         if stood < self._time and taken.stand[STAND.rest] < WAIT:
             on_way = sum(self.postures.size(taken.error_at(q + part * (goal - q))) for part in ON_WAY) / len(ON_WAY)
             self._price = on_way * self._time
-            if self._lost < self._price:
+            if self._lost < self._enough(self._stands and taken.stand[STAND.still] != 0.0):
                 return
         self.goal, self._place = goal, place  # the target may have gone on since: `go` follows it from there
+
+    def _enough(self, stands: bool) -> float:
+        """Error [m s] that is worth the way last found."""
+        return self._price * (STANDING if stands else 1.0)
 
     def _hold_off(self, T: np.ndarray) -> None:
         """There is no way to targets T (F, 4, 4) for now."""

@@ -60,8 +60,8 @@ class Tracker:
     along it, and takes no step after which it could not stop without a contact (BLOCKED); for things that stand still.
 
     reconfigure: where the arm stands at limits short of a target that another posture reaches, move there through the joints
-    (RECONFIGURING): at once while the target stands; while it moves, only when the error has cost as much as the way will. Inside
-    all limits and elbow sides, with avoid_collisions free of contacts; not while a joint is locked (speed 0). Only with "direct".
+    (RECONFIGURING): at once where the target is at rest; while it moves, only when the error has cost as much as the way will.
+    Inside all limits and elbow sides, with avoid_collisions free of contacts; not while a joint is locked. Only with "direct".
 
     straight: how many times as long as through the joints the tip's straight way to a target that leapt, and stands, may take;
     where it takes longer the joints go there together (inf: any straight way; without one, another posture). Only with "direct".

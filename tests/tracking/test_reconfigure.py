@@ -230,3 +230,14 @@ def test_after_a_reset_a_tracker_does_as_a_new_one(panda):
         used.update(T, DT)
     used.reset(panda.home)
     assert np.array_equal(first, [used.update(T, DT).q for T in targets])
+
+
+def test_a_target_that_turns_back_does_not_stand(panda):
+    """Turned beyond what this posture reaches and back: near its turning point it stood for 0.1 s, and the arm swung away."""
+    phase = 0.6 * DT * np.arange(1, 1047)  # one period
+    T0 = panda.fk(panda.home).homogeneous
+    targets = np.repeat(T0[None], len(phase), axis=0)
+    targets[:, :3, :3] = T0[:3, :3] @ exp(np.outer(3.7 * (1.0 - np.cos(phase)) / 2.0, [0.0, 0.0, 1.0]))
+    steps = follow(panda, targets)
+    assert not any(s.status is StepStatus.RECONFIGURING for s in steps)
+    assert 0.3 < max(s.orientation_error for s in steps) < 0.7
