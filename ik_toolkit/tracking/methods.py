@@ -30,9 +30,8 @@ from .inputs import number, one_of
 from .stability import GAMMA, best_gains
 
 DAMPING = 0.02  # lengths over the arm's reach; joint speed per tip speed stays below 1 / (2 * 0.02)
-NULL_DAMPING = (
-    TAKEN_UP  # [1/s] slower, what is left of a turn carries joints to where the next one needs more than they have
-)
+# Slower, what is left of a turn carries joints to where the next one needs more than they have.
+NULL_DAMPING = TAKEN_UP  # [1/s]
 
 # name: (code in the kernel, options it takes, one line)
 METHODS: dict[str, tuple[int, tuple[str, ...], str]] = {
