@@ -32,15 +32,15 @@ def test_without_the_package_it_says_what_to_install(monkeypatch):
 @pytest.mark.parametrize("name", ARMS)
 def test_random_poses_are_solved_and_the_first_configuration_is_among_the_branches(name):
     robot = robots.load(name)
-    Q, T = robots.sample(robot, 120, seed=5)
+    Q, T = robots.sample(robot, 200, seed=5)
     batch = ik.solve_batch(robot, T, "eaik", check=1.0, tolerance=1e-9)
     assert batch.success.mean() > 0.99  # near a singular pose EAIK's own answer is off by more, and that is said
     assert (batch.q >= robot.lower).all() and (batch.q <= robot.upper).all()
     found = 0
-    for q, pose in zip(Q[:20], T[:20], strict=True):
+    for q, pose in zip(Q[:50], T[:50], strict=True):
         every = ik.solve_all(robot, pose, "eaik", q0=q)
         found += len(every.q) > 0 and np.abs(every.q[0] - q).max() < 1e-6
-    assert found >= 19
+    assert found >= 49
 
 
 @needs_eaik
