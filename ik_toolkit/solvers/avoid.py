@@ -10,7 +10,7 @@ from ..errors import InvalidOption
 from ..kernel.checks import CONVERGED
 from ..kernel.records import ANSWER, AT
 from ..robot.collision import CollisionModel
-from .options import PLAIN
+from .options import PLAIN, no_model
 from .status import Status
 
 STARTS = 256  # random starts tried before giving up, unless restarts= says otherwise
@@ -27,7 +27,7 @@ def collision_model(robot: Any, asked: Any) -> CollisionModel:
             )
         return asked
     if not isinstance(asked, bool | int | float | np.floating) or asked is False:
-        raise InvalidOption(f"avoid_collisions must be True, a margin [m] or a CollisionModel, not {asked!r}")
+        raise no_model(asked)
     key = "collision model", 0.0 if asked is True else float(asked)
     if key not in robot.memo:
         robot.memo[key] = CollisionModel(robot, margin=key[1])

@@ -148,6 +148,11 @@ class SolveOptions(AllOptions, total=False):
     timeout: float | None
 
 
+def no_model(value: Any) -> InvalidOption:
+    """Error for what is no value of `avoid_collisions`."""
+    return InvalidOption(f"avoid_collisions must be True, a margin [m] or a CollisionModel, not {value!r:.60}")
+
+
 def make_options(given: dict[str, Any], parameters: Sequence[str] = ()) -> Options:
     """Validate keyword options. `tolerance` sets both tolerances. Raises InvalidOption naming the option.
 
@@ -178,7 +183,7 @@ def make_options(given: dict[str, Any], parameters: Sequence[str] = ()) -> Optio
                     f"max_iterations is at most {MAX_ITERATIONS}, not {value}; use restarts for longer searches"
                 )
         elif name == "avoid_collisions" and isinstance(value, np.ndarray):  # the rest is judged with the robot
-            raise InvalidOption(f"avoid_collisions must be True, a margin [m] or a CollisionModel, not {value!r:.60}")
+            raise no_model(value)
         elif name == "timeout" and value is not None:
             values[name] = _number(name, value, 0.0, math.inf)
         elif name in WORDS and not (isinstance(value, str) and value in WORDS[name]):
