@@ -10,12 +10,22 @@ os.environ.setdefault("IK_TOOLKIT_WAIT", "1")  # `ik` compiles and waits: no tes
 settings.register_profile("repeatable", derandomize=True, deadline=None)
 settings.load_profile("repeatable")
 
-# Tests that need the same large kernels run in one process: two at once would compile them twice. Others go by file.
+# Tests that need the same large kernels, or kernels with large parts in common, run in one process: two at once would compile
+# them twice, and a process compiles a part once. Others go by file.
 TOGETHER = {
     "tests/tracking/": "tracker",
     "tests/papers/test_patko_2019.py": "tracker",
+    "tests/kernel/test_constrain.py": "tracker",
+    "tests/kernel/test_qp.py": "tracker",
     "tests/paths/": "paths",
     "tests/cli/test_path.py": "paths",
+    "tests/contract/": "search",
+    "tests/cli/test_several_tips.py": "search",
+    "tests/papers/test_reports.py": "search",
+    "tests/package/test_docs.py": "search",
+    "tests/solvers/test_others.py": "search",
+    "tests/solvers/test_solve.py": "search",
+    "tests/solvers/test_tree_preferences.py": "search",
 }
 
 

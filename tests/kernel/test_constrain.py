@@ -5,8 +5,10 @@ import pytest
 from numba import config
 from scipy.optimize import linprog, lsq_linear
 
-from ik_toolkit.kernel.constrain import DIRECT, LEAVE, MET, RELAXED, SHORT, SLOW, WANTED, constrain, make_room
+from ik_toolkit.kernel import constrain as rooms
+from ik_toolkit.kernel.constrain import DIRECT, LEAVE, MET, RELAXED, SHORT, SLOW, WANTED, constrain
 from ik_toolkit.kernel.jit import cached
+from ik_toolkit.kernel.view import keep, view
 
 
 def many(count):
@@ -19,11 +21,15 @@ def kernel(
     J, weight, feedback, forward, want, scale, low, high, A, b, count, mode, cap, singular, damping,
     x, active, kept, starts, push, step, mu,
 ):  # fmt: skip
-    room = make_room(J.shape[0], J.shape[1], A.shape[0])
-    return constrain(
-        J, weight, feedback, forward, want, want, scale, low, high, A, b, count, mode, cap, singular, damping, room,
-        x, active, kept, starts, push, step, mu,
+    (n, m), rows = J.shape, A.shape[0]
+    block = np.zeros(rooms.room_space(n, m, rows))
+    status, rate = constrain(
+        view(J), view(weight), view(feedback), view(forward), view(want), view(want), view(scale), view(low), view(high),
+        view(A), view(b), count, mode, cap, singular, damping, rooms.room_on(view(block), n, m, rows),
+        view(x), view(active), view(kept), view(starts), view(push), step, mu,
     )  # fmt: skip
+    keep(block)
+    return status, rate
 
 
 class Step:

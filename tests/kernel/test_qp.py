@@ -10,6 +10,7 @@ from numba import config
 from ik_toolkit.kernel import levels
 from ik_toolkit.kernel.jit import cached
 from ik_toolkit.kernel.qp import CONTRADICTION, DONE, solve_levels
+from ik_toolkit.kernel.view import keep, view
 
 
 def many(count):
@@ -21,7 +22,8 @@ def many(count):
 def kernel(C, d, want, low, high, A, b, state, y, multipliers):
     """|C y - d|^2 least, then |y - want|^2; multipliers (2, n + R) of the first and of the second, the rows' in their length."""
     n, count, r = want.shape[0], b.shape[0], d.shape[0]
-    s = levels.make_levels(n, count + r + 1)
+    block = np.zeros(levels.levels_space(n, count + r + 1))
+    s = levels.levels_on(view(block), n, count + r + 1)
     for i in range(n):
         s.V[levels.WANT, i], s.V[levels.LOW, i], s.V[levels.HIGH, i] = want[i], low[i], high[i]
         s.state[i] = state[i]
@@ -39,6 +41,7 @@ def kernel(C, d, want, low, high, A, b, state, y, multipliers):
         multipliers[0, n + k], multipliers[1, n + k] = s.S[levels.ROW_ONE, k], s.S[levels.ROW_TWO, k]
     for k in range(n + count):
         state[k] = s.state[k]
+    keep(block)
     return end
 
 

@@ -23,7 +23,8 @@ def brokk():
     return ik.Tree.load("brokk_hydrolek")
 
 
-@pytest.mark.parametrize("solver", ["dls", "pid"])
+# `pid` takes 4 s to compile for several tips.
+@pytest.mark.parametrize("solver", ["dls", pytest.param("pid", marks=pytest.mark.slow)])
 def test_a_tuned_rule_solves_both_tips(brokk, solver, tmp_path):
     found = tune(brokk, solver, seed=3, **SMALL)
     again = tune(brokk, solver, seed=3, **SMALL)

@@ -100,7 +100,8 @@ def test_null_motion_is_damped(panda):
 # ------------------------------------------------------------------------------------------------ ends of runs
 def test_runs_that_diverge_end_with_a_sentence(planar, panda):
     ref = ik.circle(center=(1.0, 0.6, 0.0), radius=0.35, turns=10, duration=40 * np.pi)
-    run = track(planar, ref, "aa", reading=1, dt=0.2, limits=False, damping=0.0)
+    first, second = cases.rr_inverse(ref.target(0.0)[:2])
+    run = track(planar, ref, "aa", reading=1, dt=0.2, q0=(first, second - first), limits=False, damping=0.0)
     assert run.status.name in ("DIVERGED", "NOT_FINITE") and not run.success
     assert len(run.t) < 631 and "aad" in run.message
     assert len(run.q) == len(run.xyz) == len(run.position_error) == len(run.t) == len(run.limited) + 1
