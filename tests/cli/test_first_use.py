@@ -7,13 +7,14 @@ import os
 import signal
 import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
+from numba import config
 
 import ik_toolkit as ik
 from ik_toolkit.cli import first_use, main
+from ik_toolkit.kernel import cache as kernels
 
 SOLVE = ["solve", "hydrolek_7w", "--xyz", "1.0", "0.1", "0.2", "--json"]
 OUT_OF_LIMITS = ["solve", "hydrolek_7w", "--xyz", "-1.2", "0.0", "0.3", "--json"]  # in reach, but not within the limits
@@ -30,11 +31,9 @@ def run(arguments, cache, *, start=("-m", "ik_toolkit"), cwd=None, **more):
 
 def folder(cache):
     """Where kernels go when `cache` is the cache folder."""
-    code = "from ik_toolkit.kernel.cache import folder; print(folder())"
-    env = {**os.environ, "NUMBA_CACHE_DIR": str(cache)}
-    return Path(
-        subprocess.run([sys.executable, "-c", code], env=env, capture_output=True, text=True, check=True).stdout.strip()
-    )
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(config, "CACHE_DIR", str(cache))  # what NUMBA_CACHE_DIR sets
+        return kernels.folder()
 
 
 @contextlib.contextmanager

@@ -105,9 +105,9 @@ def panel():
         yield made
 
 
-def test_twenty_visitors_at_once(panel):
+def test_ten_visitors_at_once(panel):
     before = threads()
-    visitors = [Visitor(panel) for _ in range(20)]
+    visitors = [Visitor(panel) for _ in range(10)]
     for k, visitor in enumerate(visitors):
         visitor.change(visitor.desk.sliders[0], float(k))
     for k, visitor in enumerate(visitors):
