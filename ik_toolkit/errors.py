@@ -109,6 +109,15 @@ def floats(value: Any, what: str, error: type[IKError], kinds: str = "fiu") -> "
     raise error(f"{what}, not {' '.join(repr(value).split())[:120]}")
 
 
+def whole(value: Any, what: str, least: int = 1) -> int:
+    """Return a whole number of at least `least`, 3.0 as 3. Raises InvalidOption, "WHAT must be ..., not VALUE"."""
+    what = f"{what} must be a whole number of at least {least}"
+    number = floats(value, what, InvalidOption)
+    if number.shape != () or not number >= least or number % 1.0 != 0.0:
+        raise InvalidOption(f"{what}, not {value!r:.60}")
+    return int(number)
+
+
 def masked(value: Any) -> bool:
     """Whether an array, or an array inside a list, has masked entries."""
     import numpy as np  # keeps `import ik_toolkit` light
@@ -145,11 +154,17 @@ def extras() -> dict[str, list[str]]:
     return found
 
 
+def nearest(name: object, options: Iterable[str], alike: float = 0.5) -> str | None:
+    """The option most like a misspelled name; None when the likeness of all (0 to 1, see `difflib`) is below `alike`."""
+    known = [str(option)[:SHOWN] for option, _ in zip(options, range(COMPARED), strict=False)]
+    lower = [option.lower() for option in known]
+    best = difflib.get_close_matches(str(name)[:SHOWN].lower(), lower, 1, alike)
+    return known[lower.index(best[0])] if best else None
+
+
 def near_match(name: object, options: Iterable[str]) -> str:
     """Return ' Did you mean ...? Available: ...' for an unknown name (a sentence tail for error messages)."""
     known = [str(option)[:SHOWN] for option in options]
-    lower = [option.lower() for option in known[:COMPARED]]
-    best = difflib.get_close_matches(str(name)[:SHOWN].lower(), lower, 1, 0.5)
-    close = [known[lower.index(option)] for option in best]
+    close = nearest(name, known)
     listed = ", ".join(known[:30]) + (f", ... ({len(known)} in all)" if len(known) > 30 else "")
-    return (f" Did you mean '{close[0]}'?" if close else "") + (f" Available: {listed}." if known else "")
+    return (f" Did you mean '{close}'?" if close else "") + (f" Available: {listed}." if known else "")

@@ -12,7 +12,7 @@ import typer.core
 
 from ..errors import FrameNotFound, InvalidConfiguration, InvalidOption, MissingExtra
 from ..text import numbers, vector
-from .output import notice, turns
+from .output import turns
 from .usage import help_text
 
 if TYPE_CHECKING:
@@ -313,12 +313,7 @@ def load_robot(
         if value is None or len(value) != 1:
             raise InvalidOption(f"--lock {joint} takes one number, not '{text}'")
         values[joint] = math.radians(value[0]) if deg and not slides(robot, joint) else value[0]
-    held, q = robot.locked(values), robot.home.copy()
-    for i, joint in enumerate(robot.joint_names):
-        q[i] = values.get(joint, q[i])
-    if outside := robot.outside(q):
-        notice(f"locked outside the limits: {', '.join(outside)}")
-    return held
+    return robot.locked(values)
 
 
 def one_or_several(tips: list[str] | None) -> str | list[str] | None:

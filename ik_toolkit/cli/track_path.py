@@ -15,7 +15,6 @@ if TYPE_CHECKING:
 
 SHAPES = ("circle", "line", "eight")
 RADIUS, LENGTH, DURATION = 0.1, 0.2, 10.0  # [m, s] where a path is given in part
-SHORTER = (0.95, 0.75, 0.5, 0.35, 0.25, 0.15, 0.1, 0.05)  # factors tried on the size asked for
 AXES = ("1 0 0", "0 1 0", "0 0 1", "-1 0 0", "0 -1 0", "0 0 -1")
 
 
@@ -144,6 +143,8 @@ def advice(arm: Any, line: SimpleNamespace, asked: Asked, q: Any, found: "Survey
 
 def _ways(line: SimpleNamespace, found: "Survey") -> Iterator[tuple[str, dict[str, Any]]]:
     """Other options to try: as words, and as changes of the command line."""
+    from ..tracking.reachable import smaller
+
     if line.path not in SHAPES or not _in_part(line):
         return
     if not line.position_only:
@@ -151,11 +152,8 @@ def _ways(line: SimpleNamespace, found: "Survey") -> Iterator[tuple[str, dict[st
     name = "length" if line.path == "line" else "radius"
     size = _size(line)
     if line.end is None:
-        whole = float(found.along[-1])
-        first = (SHORTER[0] * found.stop / whole,) if line.path == "line" and whole > 0.0 else ()
-        for factor in (*first, *SHORTER[1:]):
-            shorter = float(f"{factor * size:.2g}")
-            if shorter > 0.0:
-                yield f"--{name} {shorter:g}", {name: shorter}
+        for factor in smaller(found):
+            shorter = float(f"{factor * size:.3g}")
+            yield f"--{name} {shorter:g}", {name: shorter}
         for axis in AXES:
             yield f"--axis {axis}", {"axis": axis}

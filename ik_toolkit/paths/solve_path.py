@@ -8,14 +8,14 @@ from typing import Any, Unpack
 
 import numpy as np
 
-from ..errors import InvalidOption, InvalidTarget, floats
+from ..errors import InvalidOption, InvalidTarget, floats, whole
 from ..robot.pose import FAR, LAST
 from ..robot.robot import Robot
 from ..robot.tree import Tree
 from ..solvers.avoid import collision_model
-from ..solvers.batch import available_cores, whole
+from ..solvers.batch import available_cores
 from ..solvers.batch_targets import blocks, known, mended
-from ..solvers.options import Options, PathOptions
+from ..solvers.options import Options, PathOptions, avoided
 from ..solvers.result import SPOKEN
 from ..solvers.solve import Solver, require_robot
 from ..solvers.task import counted_errors
@@ -63,7 +63,7 @@ def solve_path(
     q_end: Any = None,
     max_step: Any = None,
     path_tolerance: Any = None,
-    avoid_collisions: Any = None,
+    avoid_collisions: Any = False,
     reconfigurations: str | int = "fewest",
     seed: int = 0,
     threads: int | None = None,
@@ -96,10 +96,11 @@ def solve_path(
     solver = Solver(robot, seed=seed, **options)
     T, kinds = _read(robot, poses)
     step, tolerance = _pair("max_step", max_step, STEP), _between(path_tolerance, solver.options)
-    model = collision_model(robot, avoid_collisions) if avoid_collisions else None
+    asked = avoided(avoid_collisions)
+    model = None if asked is False else collision_model(robot, asked)
     q0, q_end = (None if q is None else robot.check_q(q, name) for name, q in (("q0", q0), ("q_end", q_end)))
     turns = HalfTurns(T if robot.by_tip else T[:, None], kinds, solver.options.orientation_tolerance)
-    threads = available_cores() if threads is None else whole("threads", threads)
+    threads = available_cores() if threads is None else whole(threads, "threads")
 
     def fresh() -> Search:
         poses, at = inserted(robot, turns.poses(), kinds)
@@ -140,9 +141,7 @@ def _allowed(value: str | int) -> float:
     """The largest number of reconfigurations."""
     if isinstance(value, str) and value in ("fewest", "none"):
         return math.inf if value == "fewest" else 0.0
-    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < 0:
-        raise InvalidOption(f"reconfigurations must be 'fewest', 'none' or a whole number of at least 0, not {value!r}")
-    return float(value)
+    return whole(value, "reconfigurations must be 'fewest', 'none' or", 0)
 
 
 def _pair(name: str, value: Any, default: tuple[float, float]) -> tuple[float, float]:

@@ -243,8 +243,9 @@ class CollisionModel(Surroundings):
 
         Measured between the convex hulls of meshes (exact for all other shapes), and between the meshes themselves where the
         hulls are nearer than the margin, here or at home: a distance is never more than that of the exact shapes, and 0 or less
-        where they touch.
+        where they touch. Raises InvalidConfiguration, InvalidOption.
         """
+        within = np.inf if within == np.inf else as_margin(within, "within must be a distance [m]")
         return [found for _, found in self._measure().near(self.robot.check_q(q), within)]
 
     def distance(self, q: Any) -> Near | None:
@@ -286,9 +287,8 @@ class CollisionModel(Surroundings):
         return f"CollisionModel('{self.robot.name}', {counts}{kept}{around}{held})"
 
 
-def as_margin(value: Any) -> float:
-    """Validate a margin [m]. Raises InvalidOption."""
-    what = "margin must be a distance of at least 0 [m]"
+def as_margin(value: Any, what: str = "margin must be a distance of at least 0 [m]") -> float:
+    """Validate a margin [m]. Raises InvalidOption, "WHAT, not VALUE"."""
     number = floats(value, what, InvalidOption)
     if number.shape != () or not 0.0 <= number < np.inf:
         raise InvalidOption(f"{what}, not {value!r:.60}")

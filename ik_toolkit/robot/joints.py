@@ -2,8 +2,9 @@
 
 import functools
 import html
-from collections.abc import Iterable
-from typing import Any
+import logging
+from collections.abc import Iterable, Mapping
+from typing import Any, Self
 
 import numpy as np
 import pinocchio as pin
@@ -17,12 +18,14 @@ from ..errors import (
     doubt_angle,
     floats,
     near_match,
+    whole,
 )
 from ..kernel.records import POINTS
 from .base import Given
 from .probe import Path
 from .srdf import Srdf
 
+LOG = logging.getLogger("ik_toolkit")
 ROWS = {"pose": [*range(6)], "position": [0, 1, 2], "orientation": [3, 4, 5]}  # rows of each tip's Jacobian
 
 
@@ -123,6 +126,26 @@ class Joints:
                     doubt_angle(f"{name}, joint {joint}", float(x))
         return array
 
+    def locked(self, joints: Mapping[str, float]) -> Self:
+        """Return a copy with joints held at values [rad or m] and left out of q.
+
+        A value outside its joint's limits is used as it is, with a warning in the log "ik_toolkit". Raises JointNotFound,
+        InvalidConfiguration.
+        """
+        made = self._locked(joints)
+        outside = [
+            f"{joint} ({joints[joint]:.4g} {'m' if kind == 'prismatic' else 'rad'}, limits {low:.4g} to {high:.4g})"
+            for joint, kind, low, high in zip(self.joint_names, self.joint_kinds, self.lower, self.upper, strict=True)
+            if joint in joints and not low <= joints[joint] <= high
+        ]
+        if outside:
+            LOG.warning("locked outside the limits: %s", ", ".join(outside))
+        return made
+
+    def _locked(self, joints: Mapping[str, float]) -> Self:
+        """The copy of `locked`."""
+        raise NotImplementedError
+
     def check_home(self, home: Any) -> np.ndarray:
         """Return home as `check_q` does; also raises InvalidConfiguration outside the limits, because searches start there."""
         q = self.check_q(home, "home")
@@ -171,11 +194,9 @@ class Joints:
 
         Raises InvalidOption: count is not a whole number, or below 0.
         """
-        whole = isinstance(count, int | np.integer) and not isinstance(count, bool)
-        if count is not None and not (whole and count >= 0):
-            raise InvalidOption(f"count must be a whole number of at least 0, not {count!r}")
         low, span = self._sampling
-        return (low + span * rng.random(self.n if count is None else (count, self.n))).clip(self.lower, self.upper)
+        size = self.n if count is None else (whole(count, "count", 0), self.n)
+        return (low + span * rng.random(size)).clip(self.lower, self.upper)
 
     def to_pinocchio(self, q: Any, rest: np.ndarray | None = None) -> np.ndarray:
         """Full configuration (nq,) of the model for q (n,); joints off the path keep `rest` (default: the robot's).

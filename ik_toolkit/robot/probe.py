@@ -100,20 +100,27 @@ def limits(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Lower and upper limits (n,) [rad or m] of the coordinates, infinite where there are none.
 
-    followers: as returned by `mimic_limits`; those on the path keep their leader inside their own limits.
+    followers: as returned by `mimic_limits`; those on the path keep their leader inside their own limits. Raises ModelError
+    where that leaves a joint no legal position.
     """
     own_lower = np.where(path.circle, -np.inf, model.lowerPositionLimit[path.idx_q])
     own_upper = np.where(path.circle, np.inf, model.upperPositionLimit[path.idx_q])
     lower, upper = own_lower.copy(), own_upper.copy()
+    narrowed: dict[int, list[str]] = {}
     for joint, (_, ratio, offset, low, high) in followers.items():
         i = path.owner.get(model.getJointId(joint)) if model.existJointName(joint) else None
         if i is None or math.isinf(low):
             continue
         first, last = _leader_range(ratio, offset, low, high)
+        narrowed.setdefault(i, []).append(f"'{joint}' ({low:g} to {high:g}) from {first:g} to {last:g}")
         lower[i], upper[i] = max(lower[i], first), min(upper[i], last)
         rounding = 8.0 * math.ulp(max(abs(low), abs(high), abs(offset))) / abs(ratio)
         if 0.0 < lower[i] - upper[i] <= rounding:  # equal up to rounding
             lower[i] = upper[i] = min(max(lower[i], own_lower[i]), own_upper[i])
+    for i in np.flatnonzero(~(lower <= upper)).tolist():
+        own = f"lower limit {own_lower[i]:g}, upper limit {own_upper[i]:g}"
+        by = f"; the limits of the joints that mimic it allow: {', '.join(narrowed[i])}" if i in narrowed else ""
+        raise ModelError(f"joint '{model.names[path.leaders[i]]}' has no legal position: {own}{by}")
     turns = [np.asarray(model.joints[j].createData().S).reshape(6)[3:].any() for j in path.leaders]
     size = sum(math.hypot(*model.jointPlacements[j].translation) for j in path.joints)
     far = np.where(turns, NO_TURN_LIMIT, NO_STROKE * size if size > 0.0 else NO_LIMIT)

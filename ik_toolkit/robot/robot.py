@@ -236,13 +236,7 @@ class Robot(Joints):
                 )
         self.joint_names = tuple(model.names[j] for j in path.leaders)
         self.tips, self.places = (self.tip,), (np.arange(self.n),)
-        lower, upper = limits(model, path, mimic_limits(self.urdf) if self.urdf else {})
-        for i, joint in enumerate(self.joint_names):
-            if not lower[i] <= upper[i]:
-                raise ModelError(
-                    f"joint '{joint}' has no legal position: lower limit {lower[i]:g} is above upper limit {upper[i]:g}"
-                )
-        self.lower, self.upper = lower, upper
+        self.lower, self.upper = lower, upper = limits(model, path, mimic_limits(self.urdf) if self.urdf else {})
         speeds = np.asarray(model.upperVelocityLimit)[[model.joints[j].idx_v for j in path.leaders]]
         self.velocity_limits = np.where(speeds > NO_LIMIT, np.inf, speeds)
         free = [joint for joint in self._slides if joint in self.joint_names and self._endless(joint)]
@@ -343,8 +337,7 @@ class Robot(Joints):
         other.__dict__.update({key: value for key, value in self.__dict__.items() if key not in CACHES})
         return other
 
-    def locked(self, joints: Mapping[str, float]) -> "Robot":
-        """Return a copy with joints held at values [rad or m] and left out of q. Raises JointNotFound."""
+    def _locked(self, joints: Mapping[str, float]) -> "Robot":
         keep = [j for j in self.joint_names if j not in joints]
         other = self._variant()
         other.rest = self.rest.copy()

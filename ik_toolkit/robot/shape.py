@@ -8,7 +8,7 @@ from typing import Any
 import coal
 import numpy as np
 
-from ..errors import InvalidConfiguration, InvalidOption, ModelError, near_match
+from ..errors import InvalidConfiguration, InvalidOption, ModelError, floats, near_match
 from .meshes import Mesh, find_mesh, read_meshes
 from .shapes import SIZES
 
@@ -104,10 +104,8 @@ def is_shape(value: Any) -> Shape:
 
 
 def _positive(what: str, values: Any, count: int) -> tuple[float, ...]:
-    try:
-        array = np.array(values, dtype=float)
-    except (TypeError, ValueError):
-        array = np.empty(0)
+    wanted = f"the {what} must be {count} positive number{'s' * (count > 1)} [m]"
+    array = floats(values, wanted, InvalidOption)
     if array.shape != (count,) or not (np.isfinite(array) & (array > 0)).all():
-        raise InvalidOption(f"the {what} must be {count} positive number{'s' * (count > 1)} [m], not {values!r}")
+        raise InvalidOption(f"{wanted}, not {values!r:.60}")
     return tuple(array.tolist())

@@ -159,9 +159,8 @@ class Tree(Joints):
         """Position error [m] and rotation angle [rad] (None for a (3,) target) of each tip, by Pinocchio."""
         return [arm.errors(q[place], T) for arm, place, T in zip(self.arms, self.places, targets, strict=True)]
 
-    def locked(self, joints: Mapping[str, float]) -> "Tree":
-        """Return a copy with joints held at values [rad or m] and left out of q. Raises JointNotFound."""
-        arms = [arm.locked(joints) for arm in self.arms]
+    def _locked(self, joints: Mapping[str, float]) -> "Tree":
+        arms = [arm._locked(joints) for arm in self.arms]
         home = {joint: x for joint, x in zip(self.joint_names, self.home, strict=True) if joint not in joints}
         return Tree(arms, list(home.values()))
 

@@ -10,7 +10,7 @@ from ..errors import InvalidOption
 from ..kernel.checks import CONVERGED
 from ..kernel.records import ANSWER, AT
 from ..robot.collision import CollisionModel
-from .options import PLAIN, no_model
+from .options import AVOID, PLAIN, avoided
 from .status import Status
 
 STARTS = 256  # random starts tried before giving up, unless restarts= says otherwise
@@ -20,15 +20,16 @@ COUNTS = [AT.iterations, AT.restarts, AT.evaluations]
 
 def collision_model(robot: Any, asked: Any) -> CollisionModel:
     """What `avoid_collisions` stands for: a model made for this robot, for True (or a margin [m]) one with its own links only."""
-    if isinstance(asked, CollisionModel):
-        if asked.robot is not robot:
+    found = avoided(asked)
+    if isinstance(found, CollisionModel):
+        if found.robot is not robot:
             raise InvalidOption(
-                f"the CollisionModel was made for another Robot object ('{asked.robot.name}'); make one with this robot"
+                f"the CollisionModel was made for another Robot object ('{found.robot.name}'); make one with this robot"
             )
-        return asked
-    if not isinstance(asked, bool | int | float | np.floating) or asked is False:
-        raise no_model(asked)
-    key = "collision model", 0.0 if asked is True else float(asked)
+        return found
+    if found is False:
+        raise InvalidOption(f"{AVOID}, not {asked!r}")
+    key = "collision model", 0.0 if found is True else found
     if key not in robot.memo:
         robot.memo[key] = CollisionModel(robot, margin=key[1])
     return robot.memo[key]

@@ -10,7 +10,7 @@ from typing import Any, Unpack
 
 import numpy as np
 
-from ..errors import InvalidConfiguration, InvalidOption, floats
+from ..errors import InvalidConfiguration, InvalidOption, floats, whole
 from ..kernel.checks import CHECK_FAILED
 from ..kernel.records import ANSWER, AT
 from ..kernel.task import POSE
@@ -25,13 +25,6 @@ from .solve import Solver, require_robot
 
 PART, REMOTE_PART = 2048, 4096  # most rows handed to a thread, and rows handed to a worker of an executor
 LEAST_PART = 128  # smaller batches are shared out evenly over the threads, but not in smaller parts than this
-
-
-def whole(name: str, value: Any) -> int:
-    """Value of an option that counts. Raises InvalidOption, naming it."""
-    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < 1:
-        raise InvalidOption(f"{name} must be a whole number of at least 1, not {value!r}")
-    return int(value)
 
 
 def solve_parts(
@@ -61,7 +54,7 @@ def solve_parts(
         raise InvalidOption("a batch keeps no history; solve the target in question with ik.solve")
     if options.get("timeout") is not None:
         raise InvalidOption("a batch is deterministic, so it takes no timeout; use max_evaluations")
-    count = whole("threads", threads) if threads is not None else available_cores()
+    count = whole(threads, "threads") if threads is not None else available_cores()
     if not isinstance(check, int | float | np.floating) or not 0.0 <= check <= 1.0:
         raise InvalidOption(f"check must be the fraction of results to verify, 0 to 1, not {check!r}")
     given = known(targets)

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import InvalidOption
+from ..errors import whole
 from ..kernel.checks import is_rigid
 from ..kernel.records import WEIGHTS
 from ..kernel.task import POSITION
@@ -19,9 +19,7 @@ from .task import POSES, read_target
 
 def find_all(solver: Any, target: Any, q0: Any, starts: int, count: int) -> Any:
     """Solutions of a target, or SolutionsBatch of (N, 4, 4) or (N, 3) targets, by a bound solver: see `Solver.all`."""
-    for name, value in (("starts", starts), ("count", count)):
-        if isinstance(value, bool) or not isinstance(value, int) or value < 1:
-            raise InvalidOption(f"{name} must be a whole number of at least 1, not {value!r}")
+    starts, count = whole(starts, "starts"), whole(count, "count")
     several = solver.robot.by_tip
     shape: tuple[int, ...] = getattr(target, "shape", ())
     if len(shape) == 3 + several or (len(shape) == 2 + several and shape[len(shape) - 1] == 3):
@@ -34,7 +32,7 @@ def find_all(solver: Any, target: Any, q0: Any, starts: int, count: int) -> Any:
         found = _listed(plan, T, kinds, start[0], starts, count)
     else:
         found = search(plan, T, kinds, start, starts, count)
-    if o.avoid_collisions and len(found):
+    if o.avoid_collisions is not False and len(found):  # 0.0 is a margin
         model = collision_model(plan.robot, o.avoid_collisions)
         free = np.array([not model.collides(x) for x in found.q], dtype=bool)
         found = found.keep(free)

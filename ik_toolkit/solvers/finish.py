@@ -24,7 +24,7 @@ def finishing(plan: Any) -> tuple[tuple[Step, ...], tuple[Step, ...]]:
     """Steps of a single call, and those of them that improve an answer, as the options of a plan ask for them."""
     o = plan.options
     improving: tuple[Step, ...] = () if o.objective is None else (improve,)
-    if o.avoid_collisions:
+    if o.avoid_collisions is not False:  # 0.0 is a margin
         from .avoid import avoiding
 
         improving = (avoiding(plan, improving),)

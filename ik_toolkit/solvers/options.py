@@ -9,6 +9,7 @@ from typing import Any, Literal, TypedDict
 import numpy as np
 
 from ..errors import InvalidOption, floats, near_match
+from ..robot.collision import CollisionModel, as_margin
 
 # Options that choose or finish one answer, left out where a plan is varied to search for more of them.
 PLAIN: dict[str, Any] = {
@@ -23,6 +24,7 @@ OTHERWISE = {  # names from other packages that mean something else here
     "mask_frame": "mask_frame is now called frame: 'base', 'tip' or 'target'",
     "from_q": "there is no option 'from_q'; the target that a configuration reaches is robot.fk(q)",
 }
+AVOID = "avoid_collisions must be True, a margin of at least 0 [m] or a CollisionModel"
 COUNTING = ("mask", "slack", "free_turn", "frame")  # what counts: one value for every tip, or a dict by tip
 FRAMES = ("base", "tip", "target")
 
@@ -148,9 +150,13 @@ class SolveOptions(AllOptions, total=False):
     timeout: float | None
 
 
-def no_model(value: Any) -> InvalidOption:
-    """Error for what is no value of `avoid_collisions`."""
-    return InvalidOption(f"avoid_collisions must be True, a margin [m] or a CollisionModel, not {value!r:.60}")
+def avoided(value: Any) -> bool | float | CollisionModel:
+    """Value of `avoid_collisions`: False (as is None), True, a margin [m] or a model. Raises InvalidOption for anything else."""
+    if isinstance(value, CollisionModel):
+        return value
+    if value is None or isinstance(value, bool | np.bool_):
+        return bool(value)
+    return as_margin(value, AVOID)
 
 
 def make_options(given: dict[str, Any], parameters: Sequence[str] = ()) -> Options:
@@ -182,8 +188,8 @@ def make_options(given: dict[str, Any], parameters: Sequence[str] = ()) -> Optio
                 raise InvalidOption(
                     f"max_iterations is at most {MAX_ITERATIONS}, not {value}; use restarts for longer searches"
                 )
-        elif name == "avoid_collisions" and isinstance(value, np.ndarray):  # the rest is judged with the robot
-            raise no_model(value)
+        elif name == "avoid_collisions":
+            values[name] = avoided(value)
         elif name == "timeout" and value is not None:
             values[name] = _number(name, value, 0.0, math.inf)
         elif name in WORDS and not (isinstance(value, str) and value in WORDS[name]):

@@ -212,7 +212,7 @@ class Result:
         from .avoid import collision_model  # which reads this file
 
         asked = self._of.plan.options.avoid_collisions
-        near = collision_model(self.robot, asked).distance(self.q) if asked else None
+        near = None if asked is False else collision_model(self.robot, asked).distance(self.q)
         return None if near is None else near.distance
 
     @property

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import IKError, InvalidOption, UnknownSolver, near_match
+from ..errors import IKError, InvalidOption, UnknownSolver, near_match, whole
 from ..robot.robot import Robot
 from ..robot.tree import Tree
 from ..solvers.registry import find_row, list_rows
@@ -132,8 +132,7 @@ def benchmark(
         raise InvalidOption(f"start must be one of {', '.join(STARTS)}, not {start!r}.{near_match(str(start), STARTS)}")
     if task is not None and task not in TASKS:
         raise InvalidOption(f"task must be pose or position, not {task!r}.{near_match(str(task), TASKS)}")
-    if isinstance(targets, bool) or int(targets) != targets or targets < 1:
-        raise InvalidOption(f"targets must be a whole number of at least 1, not {targets!r}")
+    targets = whole(targets, "targets")
     arms = [robots] if isinstance(robots, str) or not isinstance(robots, Iterable) else list(robots)
     arms = [Robot.load(arm) if isinstance(arm, str) else arm for arm in arms]
     for arm in arms:

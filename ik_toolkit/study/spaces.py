@@ -3,7 +3,7 @@
 import inspect
 from typing import Any
 
-from ..errors import InvalidOption
+from ..errors import InvalidOption, whole
 from ..robot.robot import Robot
 from ..robot.tree import Tree
 from ..solvers.registry import find_row, make_rule
@@ -13,6 +13,7 @@ RANGES = {
     "damping": (1e-4, 1.0, True),
     "gain": (0.05, 1.9, False),
 }  # low, high, on a log scale; for any rule that has them
+MOST_MAPS = 4096  # far more than any use of them; a mistyped number would fill the memory
 
 
 def make_space(
@@ -26,8 +27,8 @@ def make_space(
     row = find_row(solver)
     cls = row.load()
     own = cls.space
-    if maps is not None and (isinstance(maps, bool) or int(maps) != maps or not 1 <= maps <= 4096):
-        raise InvalidOption(f"maps must be a whole number from 1 to 4096, not {maps!r}")
+    if maps is not None and whole(maps, "maps") > MOST_MAPS:
+        raise InvalidOption(f"maps must be at most {MOST_MAPS}, not {maps!r}")
     several = own is not None and "maps" in inspect.signature(own).parameters
     if not several and maps not in (None, 1):
         raise InvalidOption(f"solver '{row.name}' has no maps")

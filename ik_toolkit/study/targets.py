@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import InvalidOption, near_match
+from ..errors import InvalidOption, near_match, whole
 from ..robot.robot import Robot
 from ..robot.tree import Tree
 from ..solvers.solve import require_robot
@@ -42,8 +42,7 @@ def sample_targets(
     require_robot(robot)
     if how not in HOW:
         raise InvalidOption(f"how must be one of {', '.join(HOW)}, not '{how}'.{near_match(str(how), HOW)}")
-    if isinstance(count, bool) or int(count) != count or count < 1:
-        raise InvalidOption(f"the number of targets must be a whole number of at least 1, not {count!r}")
+    count = whole(count, "the number of targets")
     if tip is not None or how == "volume":
         tip = one_tip(robot, tip)
     rng = np.random.default_rng(seed)
@@ -73,5 +72,6 @@ def stream_targets(
     robot: Robot | Tree, count: int, seed: int = 0, *, chunk: int = 8192, **asked: Any
 ) -> Iterator[np.ndarray]:
     """The same in chunks, for more targets than fit in memory; chunk k depends only on (seed, k)."""
+    count = whole(count, "the number of targets")
     for k, done in enumerate(range(0, count, chunk)):
         yield sample_targets(robot, min(chunk, count - done), [seed, k], **asked)

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import InvalidOption, near_match
+from ..errors import InvalidOption, near_match, nearest
 from ..kernel import motion
 from ..kernel.records import HEAD, Task
 from ..kernel.servo import servo
@@ -23,6 +23,7 @@ from .methods import DAMPING, METHODS, Method, make_method
 from .stability import GainCheck, check_gains
 
 LEVER = 0.2  # [m] lever by which an angle is compared with a length: about a hand
+ALIKE = 0.6  # likeness (see `difflib`) above which an option of another method may have been meant
 WORDS = (*COUNTING, "relative_to")  # options that say what counts
 
 
@@ -153,5 +154,10 @@ def check_options(method: Any, options: Iterable[str], known: Iterable[str]) -> 
         allowed = (*(row.load()._fields if isinstance(method, str | type) else ()), "tolerance", *NAMES)
     for option in options:
         if option not in allowed and option not in OTHERWISE:
-            near = near_match(option, dict.fromkeys((*allowed, *known)))
+            here = [*dict.fromkeys((*allowed, *known))]
+            near = near_match(option, here)
+            meant = nearest(option, (other for _, of, _ in METHODS.values() for other in of), ALIKE)
+            if meant is not None and nearest(option, here, ALIKE) is None:
+                of = " and ".join(method for method, row in METHODS.items() if meant in row[1])
+                near = f" '{meant}' is an option of {of}.{near_match('', here)}"
             raise InvalidOption(f"{name} has no option '{option}'.{near}")

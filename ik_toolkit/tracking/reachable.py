@@ -19,6 +19,7 @@ BOUNDARY = 1e-3  # of a joint's range, from its limit: the arm stops there just 
 STARTS = 24  # attempts to find another posture for the start of a path
 APART = 0.1  # [rad, or reaches] by which a joint must differ for another posture
 SHORTER = 0.95  # of the stretch that can be reached: what is suggested
+SIZES = (0.95, 0.75, 0.5, 0.35, 0.25, 0.15, 0.1, 0.05)  # factors tried besides: of a closed path, more may be in reach
 DIGITS = ".7g"  # of joint values suggested: with 4, the tip starts up to a millimetre beside its path
 
 References = Reference | Mapping[str, Reference]
@@ -165,6 +166,15 @@ def scaled(reference: Reference, factor: float) -> Reference:
     return Reference(function, reference.duration, position_only=reference.position_only, name=reference.name)
 
 
+def smaller(found: Survey) -> list[float]:
+    """Factors of the size of a path out of reach that are worth a try, largest first."""
+    if not found.until or found.turning:
+        return []
+    reached = float(found.stop / found.along[-1])
+    within = float(np.floor(100.0 * SHORTER * reached) / 100.0)
+    return sorted({within, *(size for size in SIZES if not within < size <= reached)} - {0.0}, reverse=True)
+
+
 def explain(robot: Joints, reference: References, q0: Any, **options: Any) -> tuple[Survey, str]:
     """What prevents a robot from following a reference, and what would work instead: the survey, and a sentence or ''."""
     found = survey(robot, reference, q0, **options)
@@ -177,10 +187,11 @@ def explain(robot: Joints, reference: References, q0: Any, **options: Any) -> tu
     if isinstance(reference, Reference):
         if not reference.position_only:
             ways.append(("with the orientation free", freed(reference)))
-        factor = float(np.floor(100.0 * SHORTER * found.stop / found.along[-1]) / 100.0) if found.until else 0.0
-        if factor > 0.0 and not found.turning:
-            ways.append((f"scaled by {factor:g} about its start", scaled(reference, factor)))
-    works = [words for words, other in ways if trace(robot, other, q0, **options) is not None]
+        ways += [(f"scaled by {factor:g} about its start", scaled(reference, factor)) for factor in smaller(found)]
+    works: list[str] = []
+    for words, other in ways:
+        if not any(one.startswith("scaled") for one in works) and trace(robot, other, q0, **options) is not None:
+            works.append(words)
     elsewhere = other_start(robot, reference, **options)
     if elsewhere is not None:
         works.append(f"from q0 = [{', '.join(f'{x:{DIGITS}}' for x in elsewhere)}]")

@@ -282,7 +282,7 @@ def check_gains(
     for name in gains:
         if name not in GAINS[method]:
             raise InvalidOption(f"{method} has no gain '{name}'.{near_match(name, GAINS[method])}")
-    delay = _samples(delay)
+    delay, null_damping = _samples(delay), number(null_damping, "null_damping [1/s]")
     if (robot is None) != (path is None):
         raise InvalidOption("gains are judged along a path with both robot= and path=")
     radius = spectral_radius(delayed_matrix(method, h, delay, **gains))

@@ -339,3 +339,32 @@ def test_what_may_be_asked_for():
     ):  # an arm's own shapes say nothing of the other arm's
         ik.Solver(both, "lm", avoid_collisions=ik.CollisionModel(both.arms[0]))
     assert ik.solve(robot.with_tool(np.eye(4)), T, avoid_collisions=True).success  # a copy gets a model of its own
+
+
+@pytest.mark.parametrize("value", [np.zeros(3), np.array([]), [True], "yes", -1.0, np.nan, np.inf, 10**400])
+def test_one_sentence_refuses_what_no_call_can_avoid(value):
+    robot = load("hydrolek_7w")
+    T = robot.fk(robot.home).homogeneous
+    line = ik.line(T, T, duration=0.1)
+    calls = (
+        lambda **given: ik.solve(robot, T, **given),
+        lambda **given: ik.solve_all(robot, T, **given),
+        lambda **given: ik.solve_batch(robot, [T], **given),
+        lambda **given: ik.solve_path(robot, [T, T], **given),
+        lambda **given: ik.Tracker(robot, **given),
+        lambda **given: ik.track(robot, line, **given),
+    )
+    for call in calls:
+        with pytest.raises(InvalidOption, match=r"avoid_collisions must be True, a margin of at least 0 .m. or a Coll"):
+            call(avoid_collisions=value)
+
+
+def test_a_margin_of_zero_avoids_contacts_and_none_avoids_nothing():
+    robot = load("hydrolek_7w")
+    T = robot.fk(robot.home).homogeneous
+    for margin in (0.0, 0, True, np.True_):
+        assert ik.solve(robot, T, avoid_collisions=margin).clearance > 0.0
+        assert ik.solve_path(robot, [T, T], avoid_collisions=margin).success
+    for none in (None, False, np.False_):
+        assert ik.solve(robot, T, avoid_collisions=none).clearance is None
+        assert ik.solve_path(robot, [T, T], avoid_collisions=none).success

@@ -106,6 +106,27 @@ def test_limits_the_wrong_way_round_matter_on_the_path_only():
         ik.Robot.load(text + "</robot>", tip="bent_link")
 
 
+def test_followers_that_leave_their_leader_no_position_are_named():
+    tie = '<mimic joint="lead" multiplier="{}"/>'
+    text = "".join(
+        (
+            '<robot name="r"><link name="o"/>',
+            joint("lead", "revolute", "o", "a", limits=(-1.0, 1.0)),
+            joint("high", "revolute", "a", "b", limits=(0.5, 1.0), mimic=tie.format(2)),
+            joint("low", "revolute", "b", "c", limits=(-0.5, 0.1), mimic=tie.format(1)),
+            joint("free", "revolute", "c", "d", limits=(-9.0, 9.0), mimic=tie.format(1)),
+            "</robot>",
+        )
+    )
+    with pytest.raises(
+        ModelError, match="joint 'lead' has no legal position: lower limit -1, upper limit 1"
+    ) as refused:
+        ik.Robot.load(text)
+    assert "'high' (0.5 to 1) from 0.25 to 0.5" in str(refused.value)
+    assert "'low' (-0.5 to 0.1) from -0.5 to 0.1" in str(refused.value)
+    assert ik.Robot.load(text, tip="b").upper[0] == 0.5  # 'low' does not move this tip
+
+
 def test_a_mesh_scale_that_is_none_and_a_missing_name_do_not_stop_a_robot():
     shape = '<visual><geometry><mesh filename="a.stl" scale="1 1"/></geometry></visual>'
     text = HAND.replace('<link name="index"/>', f'<link name="index">{shape}</link>').replace(' name="hand"', "")

@@ -122,6 +122,17 @@ def test_locked_joints_are_constants():
     assert np.allclose(leader.fk(q).homogeneous, both.fk([whole[j] for j in both.joint_names]).homogeneous, atol=1e-14)
 
 
+def test_a_joint_locked_outside_its_limits_is_warned_about(caplog):
+    panda, both = ik.Robot.load("panda"), ik.Tree.load("brokk_hydrolek", tips=["left_tip", "right_tip"])
+    panda.locked({"panda_joint4": -1.0})
+    assert not caplog.messages
+    assert panda.locked({"panda_joint4": 1.0}).locked_joints == {"panda_joint4": 1.0}  # what is measured may be there
+    assert caplog.messages == ["locked outside the limits: panda_joint4 (1 rad, limits -3.072 to -0.0698)"]
+    caplog.clear()
+    both.locked({"turret": 40.0})
+    assert len(caplog.messages) == 1 and "turret (40 rad" in caplog.messages[0]  # one warning, though both arms have it
+
+
 def test_tool_moves_the_tip():
     robot, tool = robots.load("hydrolek_7w"), robots.load("tool")
     q = robot.random_q(np.random.default_rng(4))

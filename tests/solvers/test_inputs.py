@@ -297,6 +297,41 @@ def test_no_seed_is_not_a_seed(call):
         call(*good(), seed=2**31 + 1)
 
 
+HUGE = 10**400  # no float is as large: numpy and float() raise OverflowError
+
+
+@pytest.mark.parametrize(
+    "call",
+    [
+        lambda robot, T: ik.solve_all(robot, T, count=HUGE),
+        lambda robot, T: ik.solve_all(robot, T, starts=HUGE),
+        lambda robot, T: ik.solve_batch(robot, [T], threads=HUGE),
+        lambda robot, T: ik.solve_path(robot, [T, T], threads=HUGE),
+        lambda robot, T: ik.solve_path(robot, [T, T], reconfigurations=HUGE),
+        lambda robot, T: robot.random_q(np.random.default_rng(0), HUGE),
+        lambda robot, T: ik.benchmark(robot, ["lm"], targets=HUGE),
+        lambda robot, T: ik.workspace(robot, targets=HUGE),
+        lambda robot, T: ik.Shape.box((HUGE, 1, 1)),
+        lambda robot, T: ik.Shape.sphere(HUGE),
+        lambda robot, T: ik.CollisionModel(robot).add_cylinder(0.1, HUGE, T),
+        lambda robot, T: ik.CollisionModel(robot).distances(robot.home, HUGE),
+        lambda robot, T: ik.check_gains("cv", 0.01, kappa=1.0, null_damping=HUGE),
+    ],
+)
+def test_a_whole_number_beyond_the_floats_is_an_invalid_option(call):
+    with pytest.raises(InvalidOption, match=r" must be .*, not "):
+        call(*good())
+
+
+def test_counts_are_whole_numbers_however_they_are_written():
+    robot, T = good()
+    assert len(ik.solve_all(robot, T[:3, 3], starts=3.0, count=np.int64(2))) <= 2
+    assert robot.random_q(np.random.default_rng(0), np.float64(4)).shape == (4, robot.n)
+    for wrong in (2.5, "3", True, math.nan, [3], 0):
+        with pytest.raises(InvalidOption, match="count must be a whole number of at least 1, not "):
+            ik.solve_all(robot, T, count=wrong)
+
+
 def test_lengths_in_messages_are_in_metres_where_they_are_long():
     tree = ik.Tree.load(TREE[0], tips=list(TREE[1]))
     far = ik.solve(tree, {tip: (1e5, side, 0.0) for tip, side in zip(TREE[1], (1.0, -1.0), strict=True)}, restarts=0)

@@ -49,6 +49,19 @@ def test_a_run_that_leaves_says_what_was_tried_and_works(arm):
     assert good.success and good.reach is None and good.to_dict()["reach"] is None
 
 
+@pytest.mark.parametrize(
+    "words", [["panda", "--path", "line", "--length", "0.6"], ["panda", "--path", "circle", "--radius", "0.9"]]
+)
+def test_the_command_and_the_message_suggest_the_same_size(words, capsys):
+    assert main(["track", *words, "--rate", "20", "--json"]) == 1
+    told = json.loads(capsys.readouterr().out)
+    factor = float(told["message"].split("scaled by ")[1].split()[0])
+    size = next(float(option.split()[1]) for option in told["works"] if option.startswith(words[3]))
+    assert size == pytest.approx(factor * float(words[4]), rel=1e-2)
+    if words[2] == "line":  # with room to the end of what can be reached
+        assert size <= 0.95 * told["reach"]["reached"]
+
+
 def test_a_start_out_of_reach_and_a_turn_too_far(arm):
     far = arm.fk(arm.home).homogeneous
     far[:3, 3] *= 10.0

@@ -54,6 +54,18 @@ def test_wrong_names_are_refused_before_anything_runs(panda, method):
         ik.Tracker(panda, method, acceleration_limit=1.0)
 
 
+def test_an_option_of_another_method_is_named_with_it(panda):
+    for given in ("gama", "gamma"):
+        with pytest.raises(
+            InvalidOption, match=f"cv has no option '{given}'. 'gamma' is an option of aad. Available: k"
+        ):
+            ik.Tracker(panda, "cv", **{given: 0.7})
+    with pytest.raises(InvalidOption, match=r"aad has no option 'gama'\. Did you mean 'gamma'"):
+        ik.Tracker(panda, "aad", gama=0.7)
+    with pytest.raises(InvalidOption, match=r"cv has no option 'kap'\. Did you mean 'kappa'"):  # and not 'kp' of ca
+        ik.Tracker(panda, "cv", kap=0.7)
+
+
 def test_gains_that_lead_away_from_the_target_are_refused(panda):
     for method, name in (("cv", "kappa"), ("ca", "kp"), ("ca", "kd"), ("aad", "null_damping"), ("av", "damping")):
         given = {"kp": 1.0, "kd": 1.0} if method == "ca" else {}
