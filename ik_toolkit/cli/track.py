@@ -70,7 +70,9 @@ Turns = Annotated[
 ]
 Duration = Annotated[
     float | None,
-    typer.Option(metavar="S", help="Duration of the path [s]; default: 10, or longer if joints are slow."),
+    typer.Option(
+        metavar="S", help="Duration of the path [s]; default: 10, or longer if joints are slow or samples few."
+    ),
 ]
 Rate = Annotated[float, typer.Option(metavar="HZ", help="Samples per second.")]
 Law = Annotated[

@@ -9,9 +9,10 @@ import numpy as np
 from ..robot.joints import Joints
 from ..robot.pose import length
 from . import shapes
-from .inputs import one_of
-from .reachable import References, pace, trace
+from .inputs import one_of, positive
+from .reachable import DENSE, References, pace, trace
 from .reference import Reference, Samples, law_of, on_path, split
+from .verdict import POSITION_TOLERANCE
 
 LENGTHS = (0.2, 0.15, 0.1, 0.075, 0.05, 0.03, 0.02, 0.01, 0.005, 0.002)  # [m] of a line; radii are half of them
 SMALL = 0.15  # of the largest: below it another start or a free orientation is tried first
@@ -22,6 +23,7 @@ EVEN = 10.0  # joint turn [rad] over tip way [reaches]: more is close to a singu
 COARSE = 10  # least number of poses tested while trying
 DURATION = 10.0  # [s]
 SPEED = 0.5  # of a joint's limit: what the path asks for at most
+STRAIGHT = 0.8  # of the tolerance: how far a step straight ahead may leave the path, as the first one of `cv` does
 INSIDE = 0.1  # of a joint's range: how far from its limits the second start stands
 RANK = 1e-6  # of the largest singular value: smaller ones are rounding
 DRAWN, BEST = 64, 3  # random starts, and how many of them are tried
@@ -96,9 +98,13 @@ def place(
     duration: float | None = None,
     law: str | None = None,
     turns: float = 0.0,
+    dt: float = 0.01,
+    tolerance: float = POSITION_TOLERANCE,
     **counts: Any,
 ) -> Placed:
     """Path of a kind that the robot can follow, each tip its own, at half of the joints' speed limits at most.
+
+    dt [s]: time between samples; where they are few, the path is slow enough to be followed within the tolerance [m].
 
     Whatever is not given is chosen, the first that works: the orientation kept, from home, large, along or about a base axis.
     Where nothing works (no joint can move) the path is a line without length. counts: what counts, as for `ik.solve`; a tip
@@ -119,8 +125,19 @@ def place(
         way_there = trace(robot, paths(robot, start, kind, size, way, free, relative, **rest), start, **counts)
         share = 0.0 if way_there is None else pace(robot, *way_there)[0]
         seconds = max(DURATION, float(np.ceil(DURATION * share / SPEED)))
+        bend = _acceleration(paths(robot, start, kind, size, way, free, relative, duration=seconds, **rest))
+        missed = 0.5 * positive(dt, "dt [s]") ** 2 * bend / (STRAIGHT * positive(tolerance, "tolerance [m]"))
+        seconds = max(seconds, float(np.ceil(seconds * np.sqrt(missed))))
     reference = paths(robot, start, kind, size, way, free, relative, duration=seconds, **rest)
     return Placed(reference, start, size, way, free, _words(robot, kind, size, way, free, seconds, start))
+
+
+def _acceleration(reference: References) -> float:
+    """Largest acceleration [m/s^2] of a tip along the path."""
+    each = reference.values() if isinstance(reference, Mapping) else [reference]
+    return max(
+        float(np.linalg.norm(one.at(np.linspace(0.0, one.duration, DENSE))[2][:, :3], axis=1).max()) for one in each
+    )
 
 
 def _words(robot: Joints, kind: str, size: float, way: np.ndarray, free: bool, seconds: float, q: np.ndarray) -> str:

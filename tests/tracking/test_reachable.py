@@ -28,6 +28,25 @@ def straight(robot, step, free=False):
     return ik.line(T[:3, 3], end[:3, 3], duration=5.0) if free else ik.line(T, end, duration=5.0)
 
 
+@pytest.mark.parametrize("rate", [0.5, 1.0, 2.0, 3.0, 100.0])
+@pytest.mark.parametrize("kind", ["circle", "line"])
+def test_a_placed_path_is_slow_enough_for_few_samples(arm, kind, rate):
+    placed = place(arm, kind, dt=1.0 / rate)
+    run = ik.track(arm, placed.reference, "cv", dt=1.0 / rate, q0=placed.q0)
+    assert run.status.name == "COMPLETED" and run.position_error.max() > 0.1e-3 * (rate < 10.0)
+    assert (placed.reference.duration > 10.0) is (rate < (5.0 if kind == "circle" else 3.0))
+    fine = place(arm, kind, dt=1.0 / rate, tolerance=1e-5)
+    run = ik.track(arm, fine.reference, "cv", dt=1.0 / rate, q0=fine.q0, position_tolerance=1e-5)
+    assert run.success and fine.size == placed.size
+
+
+def test_the_command_chooses_a_slow_path_for_few_samples(capsys):
+    assert main(["track", "planar_2r", "--rate", "1"]) == 0
+    assert "in 50 s (chosen)" in capsys.readouterr().out
+    assert main(["track", "planar_2r", "--rate", "1", "--duration", "10"]) == 1  # as it is asked for
+    assert main(["track", "planar_2r", "--tolerance-position", "-1"]) == 2
+
+
 def test_how_far_a_line_can_be_followed_and_which_joint_ends_it(arm):
     found = survey(arm, straight(arm, (0.2, 0, 0)), arm.home)
     assert not found.whole and found.joints == ("elbow_pitch",) and 0.08 < found.stop < 0.1
