@@ -135,7 +135,7 @@ def _samples(delay: Any) -> float:
 
 
 def noise_gains(method: str, h: float, delay: float = 0.0, **gains: Any) -> tuple[float, float]:
-    """RMS of a joint's position, and of its rate times h, over the RMS of white noise on its measured position at rest.
+    """RMS of a joint's position, and of its commanded rate times h, over the RMS of white noise on its measured position at rest.
 
     H2 norms of the map from noise to both; infinite where the gains are not stable.
     """
@@ -150,6 +150,8 @@ def noise_gains(method: str, h: float, delay: float = 0.0, **gains: Any) -> tupl
     while np.abs(power).max() > 1e-20:
         P = P + power @ P @ power.T
         power = power @ power
+    if method in ("ca", "aa", "aad"):  # the rate is a state: more than the step moves, where it zigzags
+        return math.sqrt(P[0, 0]), h * math.sqrt(P[1, 1])
     move = M[0] - np.eye(len(M))[0]  # from this sample to the next, beside the noise's own share
     return math.sqrt(P[0, 0]), math.sqrt(move @ P @ move + B[0] ** 2)
 

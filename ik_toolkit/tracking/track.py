@@ -151,15 +151,14 @@ def _references(robot: Any, reference: Any) -> list[Reference]:
 def _result(run: Run, robot: Any, references: list[Reference], times: np.ndarray, check: Any) -> TrackResult:
     """What was run, in the caller's units."""
     unit = robot.chain.unit
-    Q, R, E = run.Q * unit, run.R * unit, run.E
+    Q, R = run.Q * unit, run.R * unit
     done = len(Q) - 1
     clock = times[-1] * np.minimum(run.S[:, 0] / (len(times) - 1), 1.0) if run.mode == SLOW else times[: done + 1]
     whole = run.S[:, 0] == np.rint(run.S[:, 0])
     clock = np.where(whole[: done + 1], times[np.minimum(np.rint(run.S[:, 0]).astype(int), len(times) - 1)], clock)
     targets = np.stack([one.at(clock)[0] for one in references], axis=1)
     tips = _forward(robot, Q)
-    errors = E.reshape(done + 1, -1, 6)
-    posed = [tip for tip, one in enumerate(run.tracker._judged.posed) if one]
+    position, orientation = _errors(run, robot, Q, targets, whole[: done + 1])
     by_tip = robot.by_tip
     between = (
         _between(robot, references[0], Q, R, run.tracker.engine, run.dt, clock) if done and not by_tip else (None, None)
@@ -175,8 +174,8 @@ def _result(run: Run, robot: Any, references: list[Reference], times: np.ndarray
         rate=R,
         xyz=tips if by_tip else tips[:, 0],
         target_xyz=targets[:, :, :3, 3] if by_tip else targets[:, 0, :3, 3],
-        position_error=np.linalg.norm(errors[:, :, :3], axis=2).max(axis=1),
-        orientation_error=np.linalg.norm(errors[:, posed, 3:], axis=2).max(axis=1) if posed else None,
+        position_error=position,
+        orientation_error=orientation,
         limited=run.C[:done],
         damped=run.S[:done, 3] > 0.0,
         between_position=between[0],
@@ -192,6 +191,30 @@ def _result(run: Run, robot: Any, references: list[Reference], times: np.ndarray
         end=float(times[-1]),
         tips=robot.tips,
     )
+
+
+def _errors(
+    run: Run, robot: Any, Q: np.ndarray, targets: np.ndarray, whole: np.ndarray
+) -> tuple[np.ndarray, np.ndarray | None]:
+    """Largest position and orientation error (M,) of the tips at Q (M, n); whole (M,): where the clock is at a sample.
+
+    Between samples the loop sees cubics through the reference's samples; what a run is judged by is the reference itself.
+    """
+    errors = run.E.reshape(len(Q), -1, 6)
+    posed = [tip for tip, one in enumerate(run.tracker._judged.posed) if one]
+    position = np.linalg.norm(errors[:, :, :3], axis=2).max(axis=1)
+    orientation = np.linalg.norm(errors[:, posed, 3:], axis=2).max(axis=1) if posed else None
+    if not (robot.by_tip or run.tracker.engine.options.in_part or whole.all()):
+        away, turn = _apart(robot.chain.forward(np.ascontiguousarray(Q))[0], targets[:, 0])
+        position = np.where(whole, position, away)
+        orientation = None if orientation is None else np.where(whole, orientation, turn)
+    return position, orientation
+
+
+def _apart(T: np.ndarray, wanted: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Distances (M,) [m] and angles (M,) [rad] between poses (M, 4, 4)."""
+    chord = np.linalg.norm(T[:, :3, :3] - wanted[:, :3, :3], axis=(1, 2)) / np.sqrt(8.0)
+    return np.linalg.norm(T[:, :3, 3] - wanted[:, :3, 3], axis=1), 2.0 * np.arcsin(np.minimum(chord, 1.0))
 
 
 def _forward(robot: Any, Q: np.ndarray) -> np.ndarray:
@@ -244,7 +267,6 @@ def _between(
     for f in FRACTIONS:
         T = robot.chain.forward(interpolate(Q, R, engine.gamma, dt, f))[0]
         wanted = reference.at(clock[:-1] + f * np.diff(clock))[0]
-        worst_p = np.maximum(worst_p, np.linalg.norm(T[:, :3, 3] - wanted[:, :3, 3], axis=1))
-        chord = np.linalg.norm(T[:, :3, :3] - wanted[:, :3, :3], axis=(1, 2)) / np.sqrt(8.0)
-        worst_o = np.maximum(worst_o, 2.0 * np.arcsin(np.minimum(chord, 1.0)))
+        away, turn = _apart(T, wanted)
+        worst_p, worst_o = np.maximum(worst_p, away), np.maximum(worst_o, turn)
     return worst_p, None if reference.position_only else worst_o

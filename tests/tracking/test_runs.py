@@ -4,6 +4,7 @@ import json
 import warnings
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from references import Q0, panda_reference
 
@@ -64,6 +65,23 @@ def test_an_option_of_another_method_is_named_with_it(panda):
         ik.Tracker(panda, "aad", gama=0.7)
     with pytest.raises(InvalidOption, match=r"cv has no option 'kap'\. Did you mean 'kappa'"):  # and not 'kp' of ca
         ik.Tracker(panda, "cv", kap=0.7)
+
+
+@pytest.mark.parametrize("free", [False, True])
+def test_errors_of_a_slowed_run_are_against_the_reference_itself(free):
+    """And not against the cubics through few samples of it, which the loop sees where the clock is between them."""
+    arm = ik.Robot.load("hydrolek_7w")
+    T = arm.fk(arm.home).homogeneous
+    ref = ik.lissajous(T[:3, 3] if free else T, (0.0, 0.02, 0.02), cycles=(1, 3, 2), duration=1.0)
+    run = ik.track(arm, ref, dt=0.05, q0=arm.home)
+    between = np.abs(run.clock / 0.05 - np.rint(run.clock / 0.05)) > 1e-6
+    assert run.added_time > 0.1 and between.sum() > 10
+    wanted, tips = ref.at(run.clock)[0], [arm.fk(q) for q in run.q]
+    away = [np.linalg.norm(T[:3, 3] - tip.translation) for T, tip in zip(wanted, tips, strict=True)]
+    assert np.abs(run.position_error - away).max() < 1e-9
+    if not free:
+        turned = [np.linalg.norm(pin.log3(tip.rotation.T @ T[:3, :3])) for T, tip in zip(wanted, tips, strict=True)]
+        assert np.abs(run.orientation_error - turned).max() < 1e-7
 
 
 def test_gains_that_lead_away_from_the_target_are_refused(panda):
