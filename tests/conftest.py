@@ -12,7 +12,8 @@ settings.register_profile("repeatable", derandomize=True, deadline=None)
 settings.load_profile("repeatable")
 
 # Tests that need the same large kernels, or kernels with large parts in common, run in one process: two at once would compile
-# them twice, and a process compiles a part once. Others go by file.
+# them twice, and a process compiles a part once. Others go by file, later, when what they need is on disk: a file that needs
+# kernels of two groups belongs to none.
 TOGETHER = {
     "tests/tracking/": "tracker",
     "tests/papers/test_patko_2019.py": "tracker",
@@ -21,9 +22,7 @@ TOGETHER = {
     "tests/paths/": "paths",
     "tests/cli/test_path.py": "paths",
     "tests/contract/": "search",
-    "tests/cli/test_several_tips.py": "search",
     "tests/papers/test_reports.py": "search",
-    "tests/package/test_docs.py": "search",
     "tests/solvers/test_others.py": "search",
     "tests/solvers/test_solve.py": "search",
     "tests/solvers/test_tree_preferences.py": "search",
@@ -31,7 +30,7 @@ TOGETHER = {
 
 
 def pytest_collection_finish():
-    """Spare the garbage collector what was imported, half a million objects that stay: it took 6 % of the run time."""
+    """Spare the garbage collector what was imported and stays: it took 6 % of the time of tests that compile nothing, now 3 %."""
     gc.collect()
     gc.freeze()
     gc.set_threshold(10_000)
