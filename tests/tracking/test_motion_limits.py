@@ -137,9 +137,9 @@ def test_limits_hold_at_every_sample(name, method, dt, acceleration, pose, seed)
     rng = np.random.default_rng(seed)
     point = rng.uniform(-1.2, 1.2, 3) * robot.reach
     start = pin.SE3(pin.exp3(rng.normal(size=3)), point).homogeneous if pose else point
-    ref = ik.circle(
-        start, rng.uniform(0.05, 1.0) * robot.reach, normal=rng.normal(size=3), turns=rng.uniform(0.5, 4), duration=2.0
-    )
+    radius, normal, turns = rng.uniform(0.05, 1.0) * robot.reach, rng.normal(size=3), rng.uniform(0.5, 4)
+    duration = min(2.0, 500.0 * dt)  # as fast as in two seconds; a lost run takes ten times as long
+    ref = ik.circle(start, radius, normal=normal, turns=turns * duration / 2.0, duration=duration)
     run = track(robot, ref, method, dt=dt, q0=robot.random_q(rng), acceleration_limits=acceleration)
     speed = np.diff(run.q, axis=0) / dt
     assert np.isfinite(run.q).all()
