@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..kernel import motion
-from ..kernel.arrival import STAND, STILL
+from ..kernel.arrival import STAND, STILL, WAIT
 from ..kernel.box import POSITION, bending
 from ..kernel.travel import SPARE, UNKNOWN, time_left, travel
 from .limits import speeds
@@ -88,6 +88,8 @@ class Leap:
         if len(self._place) and gap(T[1], self._place) <= STILL:
             return
         if taken.left < SLOW * self.postures.size(taken.E[0]):
+            return
+        if not taken.stand[STAND.leapt] and taken.stand[STAND.rest] < WAIT:  # it may be turning back
             return
         self._place = T[1].copy()
         # A joint at its limit after a smooth motion: only another posture leads on. A locked joint: its operator has other plans.
