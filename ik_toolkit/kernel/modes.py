@@ -10,6 +10,10 @@ Beyond the edge of the reach the error points outwards and b_k inwards: H_k is l
 closest pose, without ever stepping over it, and no direction is damped where the target can be reached. Where H_k is negative
 the error can be closed by bending: at sigma_k = 0, where the first order sees no way, the joints go back to the side they came
 from. What a Newton step cannot tell (sigma_k and H_k near 0) is left to the joint's own motion, which fades.
+
+Where a redundant arm is stretched out, two directions of the joints hardly move the tip: bending, and a motion that turns the
+bent arm. v_k is any mixture of them and may be another one after every step. While the target is out of reach, v_k is
+therefore replaced by the direction in which b_k is largest, and the side is kept along that.
 """
 
 import math
@@ -23,7 +27,8 @@ from .motion import gram
 
 ZERO = 1e-9  # singular value (lengths over reach) below which a direction does not move to first order
 NOTHING = 1e-12  # added to the squares of singular values, which are above LOST^2 here: no more than rounding
-KNOWN = 0.1  # component of a unit vector along a direction above which it is clear to which side it points
+CLEARLY = 0.1  # component of a unit vector along a direction above which it is clear to which side it points
+KNOWN = 0.5  # the same of a side that was kept: less is left of another singular pose
 LOST = 5e-3  # singular value below which a direction is taken out of the task
 BENT = 0.2  # or share of sigma_k^2, for what is asked times the curvature, above which it is
 FADE = 0.1  # [s] in which a joint's motion fades along a direction in which nothing moves the tip
@@ -34,6 +39,7 @@ ALONG, BESIDE, BOTH = range(3)  # motions whose curvature is evaluated
 SIDE = 0.2  # [s] for which the side is kept from which the joints came to a singular pose: a swing across is shorter
 # Share of the way to the closest pose that a step takes: beside a free direction whole ways zigzag, as steepest descent does.
 CAUTION = 2.0 / 3.0
+MINOR = 0.1  # share of an error that cannot be closed, below which what is left along another direction comes with it
 CLEAR = 1e-4  # singular value above which it is clear on which side of the singular pose the joints are
 
 
@@ -90,7 +96,10 @@ def lost_direction(W, sigma, away, v):
 
 @inner
 def mode_probe(V, r, rate, part, h, x):
-    """Write to x (n,) the motion whose curvature is evaluated: along v_r, of the joints beside it in a step, or both together."""
+    """Write to x (n,) the motion whose curvature is evaluated: along V_r, of the joints beside it in a step, or both together.
+
+    Returns the rate along V_r.
+    """
     own = 0.0
     for i in range(x.shape[0]):
         own += V[i, r] * rate[i]
@@ -116,7 +125,7 @@ def way_along(sigma, b, E, own, side, home, h):
         D += 2.0 * b * E
         y, half = middle, math.sqrt(max(D, 0.0)) / abs(b)
         heading = own - middle
-        if abs(side) > KNOWN and (home or abs(heading) < KNOWN * half):
+        if abs(side) > CLEARLY and (home or abs(heading) < CLEARLY * half):
             heading = side
         if half > 0.0:
             half = half if heading > 0.0 else -half
@@ -136,6 +145,15 @@ def mode_part(U, r, vector):
     for c in range(vector.shape[0]):
         part += U[r, c] * vector[c]
     return part
+
+
+@inner
+def rest_of(e, part):
+    """Length of an error (m,) without its part along one direction."""
+    size = 0.0
+    for c in range(e.shape[0]):
+        size += e[c] * e[c]
+    return math.sqrt(max(size - part * part, 0.0))
 
 
 @inner
@@ -162,25 +180,93 @@ def mode_direction(W, sv, r, away, way, v):
 
 
 @inner
-def mode_speed(V, r, sigma, curve, own, left, moved, gain, h, slow, limits, lost, xk, near, away):
+def leave_modes(W, sigma, r, x):
+    """Take from x (n,) what moves the tip by other modes than r; returns its length."""
+    m, n = W.shape
+    for c in range(m):
+        if c != r and sigma[c] > ZERO:
+            part = 0.0
+            for i in range(n):
+                part += W[c, i] * x[i]
+            part /= sigma[c] * sigma[c]
+            for i in range(n):
+                x[i] -= part * W[c, i]
+    size = 0.0
+    for i in range(n):
+        size += x[i] * x[i]
+    return math.sqrt(size)
+
+
+@inner
+def begin_bent(W, V, sigma, r, away, x):
+    """Write to x (n,) the direction along which the slope of a mode is taken, see `bent_direction`: v_r, or what is known of it."""
+    for i in range(x.shape[0]):
+        x[i] = away[i]
+    size = leave_modes(W, sigma, r, x)
+    for i in range(x.shape[0]):
+        x[i] = x[i] / size if size > KNOWN else V[i, r]
+
+
+@inner
+def bent_direction(W, V, sigma, r, slope):
+    """Let V_r be the direction along which the tip's way is bent; returns the singular value along it.
+
+    Where sigma_r is next to nothing a redundant arm has a second direction as good as v_r, and v_r turns from the one to the other
+    with the smallest motion. Only along the bent one can the tip get nearer. It is that of slope (n,), the curvature along u_r of
+    motions along the direction of `begin_bent` and each joint: one step of a power iteration.
+    """
+    size = leave_modes(W, sigma, r, slope)
+    if size < FLAT:
+        return sigma[r]
+    own = 0.0
+    for i in range(slope.shape[0]):
+        own += slope[i] * V[i, r]
+    sign = 1.0 if own >= 0.0 else -1.0
+    for i in range(slope.shape[0]):
+        V[i, r] = sign * slope[i] / size
+    return sigma[r] * abs(own) / size
+
+
+@inner
+def turn_towards(away, V, r, side, share):
+    """Move the component of `away` along V_r by a share of the way to `side`; returns it."""
+    own = 0.0
+    for i in range(away.shape[0]):
+        own += away[i] * V[i, r]
+    for i in range(away.shape[0]):
+        away[i] += share * (side - own) * V[i, r]
+    return own + share * (side - own)
+
+
+@inner
+def mode_speed(V, r, full, sigma, bends, rest, own, left, moved, gain, h, slow, limits, lost, xk, near, away):
     """Judge mode r: its speed to xk, and 1 to lost where it is taken out of the task.
 
-    curve: the curvature of each `mode_probe`, along u_r; slow: whether a clock gives way where joints are too slow; near: 0 when
-    the last step was no singular one, above 1 for some time after the target was out of reach. Returns whether it is now.
+    full, sigma: sigma_r, and what it is along V_r; bends: the curvature of each `mode_probe`, along u_r; rest: the
+    error along the others where it cannot be closed, else 0, times the largest curvature of the tip's way; slow: whether a clock
+    gives way where joints are too slow; near: above 0 when the last step was a singular one, above 1 for some time after the
+    target was out of reach. Returns whether it is now.
+
+    away (n,) has a component of 1 or -1 along V_r: the side of the singular pose from which the joints came. Where it says nothing
+    about this one, they came from where they are.
     """
     n = V.shape[0]
-    back, cap, a = 0.0, np.inf, np.inf
+    b, beside, cap, a = bends[ALONG], bends[BESIDE], np.inf, np.inf
     for i in range(n):
         v = abs(V[i, r])
-        back += V[i, r] * away[i]
         if v > 0.0:
             cap = min(cap, limits[2, i] / v)
             a = min(a, limits[3, i] / v)
-    b = curve[ALONG]
-    grows = np.sign(b)  # the way along v in which sigma does: the side on which the joints are
-    s, y, D, most = sigma + 0.5 * (curve[BOTH] - curve[ALONG] - curve[BESIDE]), 0.0, 0.0, a
+    grows = np.sign(b)  # the way along V_r in which sigma does: the side on which the joints are
+    clear = full > CLEAR and sigma > KNOWN * full
+    back = turn_towards(away, V, r, 0.0, 0.0)
+    if abs(back) < KNOWN and clear:
+        back = turn_towards(away, V, r, grows, 1.0)
+    s, y, D, most = sigma + 0.5 * (bends[BOTH] - b - beside), 0.0, 0.0, a
+    if abs(left) < MINOR * rest:  # whole ways go too far and back for ever, see `hold_back`
+        left *= s * s / (s * s + rest)
     for last in range(0 if a < np.inf else 1, 2):  # first for the error alone
-        E = moved + h * gain * left - 0.5 * curve[BESIDE] if last == 1 else left
+        E = moved + h * gain * left - 0.5 * beside if last == 1 else left
         y, D = way_along(s, b, E, h * own, back, near > 1.0, h)
         most = approach(abs(y), 0.0, 1.0, h, 0.5 * a, h)  # so that it can brake before the error is zero, see `ease`
         if last == 0 and gain * abs(y) > most:
@@ -192,10 +278,8 @@ def mode_speed(V, r, sigma, curve, own, left, moved, gain, h, slow, limits, lost
     if edge and a < np.inf:
         x = min(max(x, -most), most)
     x = min(max(x, -cap), cap)
-    share = min(h / SIDE, 1.0) if near > 0.0 else 1.0
-    if sigma > CLEAR and not edge:
-        for i in range(n):
-            away[i] += share * (grows - back) * V[i, r]
+    if clear and not edge:
+        turn_towards(away, V, r, grows, min(h / SIDE, 1.0) if near > 0.0 else 1.0)
     E = moved + h * gain * left
     if sigma < LOST or abs(b * E) > BENT * sigma * sigma or (abs(E) > h * cap * sigma and not slow):
         lost[r], xk[r] = 1.0, x

@@ -42,9 +42,7 @@ class State(NamedTuple):
     leaving: int  # 1: waiting has not helped, so the run continues off the path
     idle: int  # [s] for which it has stood still
     least: int  # least error over tolerance in that time
-    near: (
-        int  # 1: near a singular pose in the last step; and [s] for which the target counts as having been out of reach
-    )
+    near: int  # 1: near a singular pose in the last step, and [s] for which the target counts as out of reach; -1: once, 0: never
     share: int  # of the curvature, by which steps down are damped, 0: the method's own steps; see descent.py
     lowest: int  # ... which it is not lowered below
     nearest: int  # weighted error from which it has to come down

@@ -220,7 +220,7 @@ def run(step, rows, ends, orders, given, own, samples, out, h, block):
         square = error_squared(s.weight, s.e)
         ratio = h / state[STATE.period] if state[STATE.start] == RUNNING else 0.0
         mu = descend(law, s, limits, h, state) if stuck(law, s, limits, square, h, state) else 0.0
-        S[i, 3] = min(state[STATE.near], 1.0)
+        S[i, 3] = min(max(state[STATE.near], 0.0), 1.0)
         if mu == 0.0:
             quieten(law, s, rate, swings, count, h)
             S[i, 3] = wanted(

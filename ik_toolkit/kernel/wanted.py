@@ -11,9 +11,14 @@ from numba.extending import overload
 from .constrain import SLOW
 from .jit import INLINE, inline, inner
 from .modes import (
+    ALONG,
+    CLEAR,
     CLOSE,
+    LOST,
     SIDE,
     along_lost,
+    begin_bent,
+    bent_direction,
     hold_back,
     mode_direction,
     mode_moved,
@@ -21,6 +26,7 @@ from .modes import (
     mode_probe,
     mode_speed,
     modes,
+    rest_of,
     take_out,
 )
 from .motion import (
@@ -51,7 +57,8 @@ LITTLE = 0.004  # [rad or reaches per s] wish that is taken up half as fast: it 
 FAST, BRISK = (
     1.0,
     0.5,
-)  # shares of speed and acceleration with which an error is closed: what braking on the path needs is left
+)  # shares of speed and acceleration with which an error is closed: braking on the path needs the rest
+BEFORE = -1.0  # singular poses were met before, but not in the last step
 
 
 class Published(NamedTuple):
@@ -167,6 +174,58 @@ def bend(task, look, s, slack, weighed):
             s.bias[k] *= s.weight[k]
 
 
+@inner
+def forget_default(state, away):
+    """Where singular poses were never met, `away` (n,) is a default and no side."""
+    for i in range(away.shape[0] if state[STATE.near] == 0.0 else 0):
+        away[i] = 0.0
+
+
+@inner
+def remember(state, near, beyond, h):
+    """Keep whether the pose is a singular one, and for some time that the target was out of reach."""
+    if near:
+        state[STATE.near] = 1.0 + SIDE if beyond else max(state[STATE.near] - h, 1.0)
+    elif state[STATE.near] != 0.0:
+        state[STATE.near] = BEFORE
+
+
+@inline
+def begin_mode(s, r, free, way, away):
+    """Write the direction of mode r to V, and what its slope is taken along to s.x1; False, and it is lost, where it has none."""
+    there = mode_direction(s.W, s.sv, r, away, way, s.x1)
+    copy_column(s.x1, s.V, r)
+    if not there:
+        s.lost[r], s.xk[r] = 1.0, 0.0
+    elif free:
+        begin_bent(s.W, s.V, s.sv, r, away, s.x1)
+    return there
+
+
+@inline
+def probe_mode(s, r, part, rate, h):
+    """Write to s.x1 and s.x2 the motions of the product that `bend` is to find; returns the joints' own rate along V_r."""
+    n = rate.shape[0]
+    if part < 0:  # along each joint in turn: the slope of the singular value
+        for i in range(n):
+            s.x2[i] = 1.0 if i == part + n else 0.0
+        return 0.0
+    own = mode_probe(s.V, r, rate, part, h, s.x1)
+    copy(s.x1, s.x2)
+    return own
+
+
+@inline
+def note_curve(s, r, part):
+    """Keep what `bend` has found: of the slope in s.null, of the motions in s.t. Joints that have to stand still have none."""
+    curved = mode_part(s.U, r, s.bias)
+    i = part + s.null.shape[0]
+    if part >= 0:
+        s.t[part] = curved
+    else:
+        s.null[i] = curved if s.floor[i] < 0.0 or s.roof[i] > 0.0 else 0.0
+
+
 @inline
 def by_law(law, rule, task, look, weights, s, slack, limits, wish, count, sigma, h, rate, memory, away, basis, state):
     """Rates that a published law wants, to s.x. Returns how much of the task was lost, or the damping (CLIP)."""
@@ -174,8 +233,6 @@ def by_law(law, rule, task, look, weights, s, slack, limits, wish, count, sigma,
     gain = law.kappa if law.code == CV else GAIN / h
     border = REGION * law.damping
     damped, weak, heavy = 0.0, 0, 0.0 if law.mode == CLIP else 1.0
-    for k in range(m):
-        s.lost[k] = 0.0
     if law.mode == CLIP:
         damped = factor(s.J, m, law.damping, s.G, s.y)
     else:
@@ -185,20 +242,19 @@ def by_law(law, rule, task, look, weights, s, slack, limits, wish, count, sigma,
             weak = m  # what is lost of a task, and what is closest, is by the weights of the errors
             heavy = weigh(s.weight, s.J, s.e, s.ahead, s.f, s.a)
             modes(s.J, basis, s.W, s.U, s.sv)
-    copy(s.f, s.pace)
     for k in range(m):
-        s.f[k] *= sigma
-    left, moved, own, near, beyond = 0.0, 0.0, 0.0, False, False
+        s.lost[k], s.pace[k], s.f[k] = 0.0, s.f[k], sigma * s.f[k]
+    left, moved, own, thin, free, near, beyond = 0.0, 0.0, 0.0, 0.0, False, False, False
     for r in range(m - weak, m + 1):  # the modes with small singular values, if any, then the law
         if r < m:
             if s.sv[r] >= border:
                 continue
+            if not near and s.sv[r] > CLEAR:
+                forget_default(state, away)
             near = True
             left, moved = mode_part(s.U, r, s.e), mode_moved(s.U, r, s.e, s.ahead, s.f, h)
-            there = mode_direction(s.W, s.sv, r, away, moved + h * gain * left, s.x1)
-            copy_column(s.x1, s.V, r)
-            if not there:
-                s.lost[r], s.xk[r] = 1.0, 0.0
+            free, thin = s.sv[r] < LOST and state[STATE.near] > 1.0, s.sv[r]
+            if not begin_mode(s, r, free, moved + h * gain * left, away):
                 continue
         else:
             if weak > 0:
@@ -211,20 +267,22 @@ def by_law(law, rule, task, look, weights, s, slack, limits, wish, count, sigma,
                 for i in range(n):
                     s.x1[i] *= 0.0 if law.reading == AT_STEP else 1.0
                     s.x2[i] = 0.0
-        for part in range(3 if r < m else 1):
+        for part in range(-n if r < m and free else 0, 3 if r < m else 1):
             if r < m:
-                own = mode_probe(s.V, r, rate, part, h, s.x1)
-                copy(s.x1, s.x2)
+                if part == ALONG and free:
+                    thin = bent_direction(s.W, s.V, s.sv, r, s.null)
+                own = probe_mode(s, r, part, rate, h)
             bend(task, look, s, slack, weak > 0)
             if r < m:
-                s.t[part] = mode_part(s.U, r, s.bias)
+                note_curve(s, r, part)
         if r < m:
+            rest = heavy * rest_of(s.e, left) if state[STATE.near] == 1.0 + SIDE else 0.0
             out = mode_speed(
-                s.V, r, s.sv[r], s.t, own, left, moved, gain, h, law.mode == SLOW, limits, s.lost, s.xk, state[STATE.near],
-                away,
+                s.V, r, s.sv[r], thin, s.t, rest, own, left, moved, gain, h, law.mode == SLOW, limits, s.lost, s.xk,
+                state[STATE.near], away,
             )  # fmt: skip
             beyond = beyond or out
-    state[STATE.near] = 1.0 + SIDE if beyond else max(state[STATE.near] - h, 1.0) if near else 0.0
+    remember(state, near, beyond, h)
     if weak > 0:  # all is weighed by now
         for k in range(m):
             s.weight[k] = 1.0 if s.weight[k] > 0.0 else 0.0

@@ -119,13 +119,15 @@ class Planner:
         return path
 
     def sides(self, path: np.ndarray) -> np.ndarray:
-        """Direction (N + 1, n) of the joints away from the nearest singular pose: along it the least singular value grows."""
+        """Direction (N + 1, n) of the joints away from the nearest singular pose: the gradient of the least singular value."""
         J = self._jacobians(path)
-        _, before, V = np.linalg.svd(J)
-        least = before.shape[1] - 1
-        v = V[:, least]
-        after = np.linalg.svd(self._jacobians(path + PROBE * v * self.unit), compute_uv=False)
-        return np.sign(after - before)[:, least:] * v
+        U, sigma, V = np.linalg.svd(J)
+        least = sigma.shape[1] - 1
+        change = (
+            self._jacobians(path + PROBE * V[:, least] * self.unit) - J
+        )  # along v; of u'J v it is that along each joint
+        slope = np.einsum("km,kmn->kn", U[:, :, least], change)
+        return slope / np.maximum(np.linalg.norm(slope, axis=1, keepdims=True), np.finfo(float).tiny)
 
     def _jacobians(self, path: np.ndarray) -> np.ndarray:
         """Jacobians (N + 1, m, n) of what counts at all, lengths in reaches."""

@@ -118,12 +118,17 @@ def speed(
     near=0.0,
     away=(0.0, 0.0),
     top=1.0,
+    rest=0.0,
+    full=None,
 ):
     """`mode_speed` for the direction (0.6, 0.8) of two joints: its speed where it is lost (None: it is not), edge, away."""
     V = np.array([[0.6], [0.8]])
     limits = np.array([[-9.0] * 2, [9.0] * 2, [top] * 2, [a] * 2])
     lost, xk, side = np.zeros(1), np.full(1, np.nan), np.array(away)
-    out = modes.mode_speed(V, 0, sigma, np.array(curve), own, left, moved, gain, h, slow, limits, lost, xk, near, side)
+    full = sigma if full is None else full
+    out = modes.mode_speed(
+        V, 0, full, sigma, np.array(curve), rest, own, left, moved, gain, h, slow, limits, lost, xk, near, side
+    )
     return (xk[0] if lost[0] else None), out, side
 
 
@@ -176,18 +181,53 @@ def test_a_singular_direction_brakes_in_time():
 
 def test_the_side_the_joints_come_from_is_remembered():
     v = np.array([0.6, 0.8])
+    beside = np.array([0.8, -0.6])  # of that nothing is known
     for near, share in ((0.0, 1.0), (0.5, 0.01 / SIDE)):
         for b in (0.3, -0.3):
-            *_, side = speed(3e-3, [b, 0.0, b], near=near, away=(0.2, -0.1))
-            back = v @ [0.2, -0.1]
-            np.testing.assert_allclose(side, np.array([0.2, -0.1]) + share * (np.sign(b) - back) * v, atol=1e-14)
-    np.testing.assert_array_equal(speed(0.9e-4, [0.3, 0.0, 0.3], away=(0.2, -0.1))[2], [0.2, -0.1])
-    np.testing.assert_array_equal(speed(3e-3, [-1.0, 0.0, -1.0], moved=1e-3, away=(0.2, -0.1))[2], [0.2, -0.1])
+            away = 0.7 * v + 0.2 * beside
+            *_, side = speed(3e-3, [b, 0.0, b], near=near, away=away)
+            np.testing.assert_allclose(side, away + share * (np.sign(b) - 0.7) * v, atol=1e-14)
+            *_, side = speed(3e-3, [b, 0.0, b], near=near, away=0.3 * v + 2.0 * beside)  # of another singular pose
+            np.testing.assert_allclose(side, np.sign(b) * v + 2.0 * beside, atol=1e-14)
+    for far in (0.9, 0.1):  # out of reach it is kept, if it is known
+        *_, side = speed(3e-3, [-1.0, 0.0, -1.0], moved=1e-3, away=far * v)
+        np.testing.assert_allclose(side, far * v if far > 0.5 else -v, atol=1e-14)
+    for unclear in (dict(sigma=0.9e-4), dict(sigma=1.4e-3, full=3e-3)):
+        np.testing.assert_array_equal(speed(curve=[0.3, 0.0, 0.3], away=(0.2, -0.1), **unclear)[2], [0.2, -0.1])
     # carried far to the other side of the edge: back across
     x, out, _ = speed(6e-3, [-1.0, 0.0, -1.0], moved=1e-3, away=tuple(0.9 * v))
     assert out and x == pytest.approx(min((6e-3 + 5e-3) * 5.0, 1.25))
     x, out, _ = speed(6e-3, [1.0, 0.0, 1.0], moved=-1e-3, away=tuple(-0.9 * v))
     assert out and x == pytest.approx(-min((6e-3 + 5e-3) * 5.0, 1.25))
+
+
+def test_what_is_left_beside_an_error_out_of_reach_is_fed_back_less():
+    for left, rest in ((1e-4, 0.01), (-9e-4, 0.01), (1.1e-3, 0.01), (1e-4, 0.0)):
+        less = left * 9e-6 / (9e-6 + rest) if abs(left) < 0.1 * rest else left
+        alone = speed(3e-3, [0.0, 0.0, 0.0], left=less)[0]
+        assert speed(3e-3, [0.0, 0.0, 0.0], left=left, rest=rest)[0] == pytest.approx(alone, rel=1e-12)
+
+
+def test_of_two_directions_that_move_nothing_the_bent_one_is_taken():
+    rng = np.random.default_rng(3)
+    Q = np.linalg.qr(rng.normal(size=(7, 7)))[0]
+    sigma = np.array([1.0, 2e-3, 0.5])
+    W = sigma[:, None] * Q[:, :3].T
+    bent, straight = 0.3 * Q[:, 1] + np.sqrt(0.91) * Q[:, 5], np.sqrt(0.91) * Q[:, 1] - 0.3 * Q[:, 5]
+    V = np.full((7, 3), np.nan)
+    for away in (np.zeros(7), 0.9 * bent + 2.0 * Q[:, 0], -0.9 * bent):  # what is known counts, if anything is
+        V[:, 1] = Q[:, 1]
+        x, slope = np.empty(7), np.empty(7)
+        modes.begin_bent(W, V, sigma, 1, away, x)
+        np.testing.assert_allclose(x, np.sign(away @ bent) * bent if away.any() else Q[:, 1], atol=1e-12)
+        slope[:] = 0.2 * (x @ bent) * bent + 0.4 * Q[:, 0] - 0.1 * Q[:, 2]  # what other modes move is not free
+        thin = modes.bent_direction(W, V, sigma, 1, slope)
+        np.testing.assert_allclose(V[:, 1], bent, atol=1e-12)
+        assert thin == pytest.approx(0.3 * 2e-3)
+    V[:, 1] = Q[:, 1]
+    slope[:] = 0.5e-3 * straight  # hardly bent
+    assert modes.bent_direction(W, V, sigma, 1, slope) == 2e-3
+    np.testing.assert_array_equal(V[:, 1], Q[:, 1])
 
 
 class Curved:
@@ -212,7 +252,7 @@ def test_only_the_singular_direction_leaves_the_task(code, n):
     k = min(n, m)
     U, _ = np.linalg.qr(rng.normal(size=(m, m)))
     W, _ = np.linalg.qr(rng.normal(size=(n, n)))
-    for last in (2e-3, 1e-12, 0.5):
+    for last, near in ((2e-3, 0.0), (2e-3, 1.1), (2e-3, 1.0 + SIDE), (1e-12, 0.0), (0.5, 0.0)):
         values = np.append(np.linspace(2.0, 1.0, k - 1), last)
         s = bench_on(np.zeros(bench_space(n, m, 1)), n, m, 1)
         s.J[:] = W[:, :k] * values @ U[:, :k].T
@@ -233,6 +273,7 @@ def test_only_the_singular_direction_leaves_the_task(code, n):
         )
         limits = np.array([np.full(n, -9e9), np.full(n, 9e9), np.full(n, 2.0), np.full(n, np.inf)])
         state, away, memory = np.zeros(len(STATE)), W[:, k - 1].copy(), np.zeros(n)
+        state[STATE.near] = near
         task, rate = Curved(rng, n, m), 0.1 * rng.normal(size=n)
         clear, none = np.zeros(m), np.zeros((3, n))
         args = (
@@ -257,22 +298,31 @@ def test_only_the_singular_direction_leaves_the_task(code, n):
         lost = wanted.by_law(*args)
         want = U.T @ (f + 4.0 * e if code == CV else ahead / h)
         done = U.T @ (J.T @ s.x)
-        np.testing.assert_allclose(done[: k - 1], want[: k - 1], atol=1e-9)
+        if state[STATE.near] != 1.0 + SIDE:  # else the others are fed back less
+            np.testing.assert_allclose(done[: k - 1], want[: k - 1], atol=1e-9)
         if n > m:
-            assert lost == (last < 0.005) and (state[STATE.near] in (1.0, 1.0 + SIDE)) == (last < 0.1)
+            assert lost == (last < 0.005) and state[STATE.near] in (
+                (1.0, max(near - h, 1.0), 1.0 + SIDE) if last < 0.1 else (0.0,)
+            )
         if last < 0.005 and (n > m or last > 1e-9):  # else two directions without a singular value share it
-            v = W[:, k - 1]
+            u, free, v = U[:, k - 1], W[:, k - 1 :], W[:, k - 1]
+            if near > 1.0:  # out of reach a moment ago: of the directions that move nothing, the bent one
+                v = free @ (free.T @ np.array([task.B[:, i].T @ W[:, k - 1] @ u for i in range(n)]))
+                v *= np.sign(v @ W[:, k - 1]) / np.linalg.norm(v)
             own, curve = v @ rate, np.empty(3)
-            u = U[:, k - 1]
             for part in range(3):
                 x = (part != modes.BESIDE) * v + (part != modes.ALONG) * h * (rate - own * v)
                 task.bending(None, x, x, s.bias)
                 curve[part] = u @ s.bias
             gain = 4.0 if code == CV else 2.0 / 3.0 / h
-            lost_, xk, side = np.zeros(1), np.zeros(1), W[:, k - 1].copy()
-            mine = last if last > 1e-9 else s.sv.min()
-            asked = own, u @ e, u @ ahead - u @ e, gain, h, False
-            modes.mode_speed(v[:, None], 0, mine, curve, *asked, limits, lost_, xk, 0.0, side)
+            known = near > 0.0 or last < modes.CLEAR
+            lost_, xk, side = np.zeros(1), np.zeros(1), known * W[:, k - 1]
+            full = last if last > 1e-9 else s.sv.min()
+            rest = np.sqrt(e @ e - (u @ e) ** 2) if near == 1.0 + SIDE else 0.0
+            asked = rest, own, u @ e, u @ ahead - u @ e, gain, h, False
+            modes.mode_speed(
+                v[:, None], 0, full, full * (v @ W[:, k - 1]), curve, *asked, limits, lost_, xk, near, side
+            )
             assert v @ s.x == pytest.approx(xk[0], rel=1e-6, abs=1e-9)
             if code == CV:
                 assert v @ memory == pytest.approx(xk[0], rel=1e-6, abs=1e-9)
