@@ -204,7 +204,11 @@ def _places(header: list[str], file: str, needed: list[str], prefix: str) -> lis
     quat, rpy = ([name for name in names if name in header] for names in (every_quat, every_rpy))
     if (quat and rpy) or len(quat) not in (0, 4) or len(rpy) not in (0, 3):
         raise InvalidTarget(f"'{file}' has the columns {', '.join([*quat, *rpy])}; the first line must be {forms}")
-    return [header.index(name) for name in (*needed, *quat, *rpy)]
+    names = (*needed, *quat, *rpy)
+    twice = [name for name in names if header.count(name) > 1]
+    if twice:
+        raise InvalidTarget(f"'{file}' has the column {', '.join(twice)} more than once")
+    return [header.index(name) for name in names]
 
 
 def _tip_columns(path: Path, tips: Sequence[str]) -> dict[str, list[int]]:

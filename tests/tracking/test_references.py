@@ -123,6 +123,7 @@ BAD_CSV = {
     "t,x,y,z\n0,0,0,0\n": "at least 2",
     "t,x,y,z\n0,0,0,0\n1,one,0,0\n": "line 3: 'one' is not a finite number",
     "t,x,y,z\n0,0,0,0\n1,0,0\n": "line 3: 3 columns, fewer than in the header",
+    "t,x,y,z,X\n0,0,0,0,1\n1,0,0,0,1\n": "has the column x more than once",
     "t,x,y,z\n0,0,0,0\n1,nan,0,0\n": "line 3: 'nan' is not a finite",
     "t,x,y,z\n0,0,0,0\ninf,0,0,0\n": "line 3: 'inf' is not a finite",
     "t,x,y,z\n0,0,0,0\n2,0,0,0\n1,0,0,0\n": "must increase: number 3",
