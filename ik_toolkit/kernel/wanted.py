@@ -52,6 +52,9 @@ from .search import SINGULAR_STEP
 from .wishes import STEP, away_from_limits, clip_wish, into_null_space, reflect, weigh
 
 GAIN = 2.0 / 3.0  # share of an error fed back per sample where the method has no gain itself: the best of `cv`
+# Share s of a velocity that ca, which extrapolates, may change in a step: z^2 - (1 - 3/2 s) z - s/2 has both roots inside the
+# unit circle below s = 1, and the smallest largest one (0.58) at 2/3, as with kappa h of cv (Patko and Zelei, 2019).
+SHARE = 2.0 / 3.0
 TAKEN_UP = 20.0  # [1/s] least rate at which joints take up what is wished: slower than braking, they run into limits they avoid
 LITTLE = 0.004  # [rad or reaches per s] wish that is taken up half as fast: it comes and goes smoothly
 FAST, BRISK = (
@@ -126,7 +129,7 @@ def add_wishes(law, s, limits, wish, ratio, h, memory):
             size = 0.0
             for i in range(s.g.shape[0]):
                 size += s.g[i] * s.g[i]
-            rate = max(TAKEN_UP, law.null)  # law.null is damped already
+            rate = max(min(TAKEN_UP, (SHARE if law.code == CA else 1.0) / h), law.null)  # law.null is damped already
             share = min(h * rate, 1.0) * math.sqrt(size) / (math.sqrt(size) + LITTLE)
             for i in range(s.g.shape[0]):
                 s.g[i] -= (1.0 - law.null / rate) * s.null[i]

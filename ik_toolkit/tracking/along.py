@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ..errors import InvalidOption, InvalidTarget
+from ..kernel.wanted import SHARE
 from ..robot.robot import Robot
 from .reference import Reference, log
 
@@ -121,13 +122,18 @@ def exact_motion(robot: Robot, reference: Reference, times: np.ndarray) -> Motio
     return Motion(row, rate, acceleration, bend, second, J[0], J[-1])
 
 
+def null_rate(method: str, null_damping: float, h: float) -> float:
+    """Damping of null motion [1/s] in steps of h [s]: what is asked for, as far as the method bears it."""
+    return min(null_damping, (SHARE if method == "ca" else 1.0) / h)
+
+
 def step_matrices(m: Motion, method: str, h: float, gains: dict[str, float], null_damping: float = 0.0) -> np.ndarray:
     """Matrices (N, k n, k n) that carry a small disturbance over each step; states as in `mapping_matrix`.
 
     aa is taken with its second reading, the default of `Method`.
     """
     eye = np.broadcast_to(np.eye(m.row.shape[-1]), m.row.shape)
-    null = min(null_damping, 1.0 / h) * (eye - m.row)
+    null = null_rate(method, null_damping, h) * (eye - m.row)
     if method == "av":
         return eye - m.row - h * m.rate
     if method == "cv":

@@ -26,6 +26,7 @@ import numpy as np
 from ..errors import InvalidOption, near_match
 from ..kernel import box, motion
 from ..kernel.wanted import TAKEN_UP
+from .along import null_rate
 from .inputs import number, one_of
 from .stability import GAMMA, best_gains
 
@@ -48,8 +49,8 @@ class Method:
     """A tracking method and its options; None means the default, which may depend on the sample time.
 
     kappa [1/s] (cv), kp [1/s^2] and kd [1/s] (ca), not negative: default the best gains for the sample time. reading 1, 2 or 3
-    of eq (25) (aa). gamma (aad). null_damping [1/s] of redundant arms at acceleration level, at most 1/h. damping of the
-    pseudo-inverse near singularities (lengths over reach); 0 inverts exactly.
+    of eq (25) (aa). gamma (aad). null_damping [1/s] of redundant arms at acceleration level, at most 1/h (ca: 2/3 of it).
+    damping of the pseudo-inverse near singularities (lengths over reach); 0 inverts exactly.
     """
 
     name: str
@@ -105,7 +106,7 @@ class Method:
             kp=gains.get("kp", 0.0),
             kd=gains.get("kd", 0.0),
             gamma=self.rate_weight,
-            null=min(self.null_damping, 1.0 / h),
+            null=null_rate(self.name, self.null_damping, h),
             damping=self.damping,
             reading=motion.AT_STEP if self.name == "aad" else self.reading - 1,
         )
