@@ -18,7 +18,7 @@ import numpy as np
 
 from .bench import bench_on, bench_space
 from .box import HELD, UNLIMITED, approach, boxes, calm, clip, move, watch, way_to
-from .clock import WHOLE, next_rate, reference, too_far
+from .clock import QUICK, WHOLE, next_rate, reference, too_far
 from .constrain import SLOW, room_on, room_space
 from .descent import descend, notice, stuck
 from .jit import cached, inline, inner
@@ -82,25 +82,26 @@ def take_stock(task, look, s, plain, counts, E):
         reflect(s.flip, s.a)
 
 
+@inline
+def advanced(state, law, sigma):
+    """How far [samples] the clock goes in a step in which its rate becomes sigma: as the joints do from rate to rate."""
+    return state[STATE.sigma] + law.gamma * (sigma - state[STATE.sigma])
+
+
 @inner
 def wind(state, law, a, E, cap, left, h):
     """Rate at which the clock is to run at the end of this step; the target's acceleration a (m,) becomes what it then is."""
     if law.mode != SLOW:
         return 1.0
     sigma = next_rate(state, too_far(E, law.tol_p, law.tol_r), cap, h)
-    if sigma > 0.0:  # in whole steps to the end: a short last one would be a jump
-        each = left / max(np.ceil(left / sigma - WHOLE), 1.0)
-        if each < sigma:
-            sigma = min(max(state[STATE.sigma] + (each - state[STATE.sigma]) / law.gamma, 0.0), sigma)
+    if sigma > 0.0:  # in whole steps to the end, this one and `more` at its rate: a short last one would be a jump
+        more = max(np.ceil((left - advanced(state, law, sigma)) / sigma - WHOLE), 0.0)
+        least = max(state[STATE.sigma] - QUICK * h, 0.0) if more > 0.0 else 0.0
+        whole = (left - (1.0 - law.gamma) * state[STATE.sigma]) / (law.gamma + more)
+        sigma = min(max(whole, least), sigma)
     for k in range(a.shape[0]):
         a[k] *= sigma * sigma
     return sigma
-
-
-@inline
-def advanced(state, law, sigma):
-    """How far [samples] the clock goes in a step in which its rate becomes sigma: as the joints do from rate to rate."""
-    return state[STATE.sigma] + law.gamma * (sigma - state[STATE.sigma])
 
 
 @inner

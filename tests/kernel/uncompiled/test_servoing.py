@@ -93,16 +93,32 @@ def test_the_clock_of_a_run():
     a = np.ones(6)
     assert servo.wind(state, law(mode=LEAVE, tol_p=1.0, tol_r=1.0), a, E, 0.5, 9.0, 0.1) == 1.0 and np.all(a == 1.0)
     slow = law(mode=SLOW, tol_p=1.0, tol_r=1.0, gamma=0.5)
-    state[STATE.sigma] = 0.6
-    assert servo.wind(state, slow, a, E, 0.8, 80.0, 0.1) == pytest.approx(0.8)
-    np.testing.assert_allclose(a, 0.64)
-    state[STATE.sigma], left = 0.6, 1.5  # to the end in whole steps: two of 0.75
-    sigma = servo.wind(state, slow, np.ones(6), E, 0.8, left, 0.1)
-    assert state[STATE.sigma] + 0.5 * (sigma - state[STATE.sigma]) == pytest.approx(0.7, abs=0.06)
-    assert sigma == pytest.approx(min(0.6 + (0.75 - 0.6) / 0.5, 0.8))
+    for gamma in (0.5, 0.6, 1.0):
+        slow = law(mode=SLOW, tol_p=1.0, tol_r=1.0, gamma=gamma)
+        for left in (0.4, 1.5, 1.7, 80.0, 0.8 * 3 + 1e-10):
+            for now in (0.6, 0.8, 0.0, 1.0):
+                state[STATE.sigma], a[:] = now, 1.0
+                sigma = servo.wind(state, slow, a, E, 0.8, left, 0.05)
+                np.testing.assert_allclose(a, sigma**2)
+                first = servo.advanced(state, slow, sigma)
+                assert first == pytest.approx(now + gamma * (sigma - now)) and 0.0 <= sigma <= min(
+                    now + 0.5, 0.8 if now < 1.0 else 1.0
+                )
+                if sigma > 0.0 and left > first:
+                    assert sigma >= now - 0.5 - 1e-12  # 10 1/s
+                    more = (left - first) / sigma
+                    if sigma != pytest.approx(now - 0.5):
+                        assert more == pytest.approx(round(more), abs=1e-8)  # to the end in whole steps
+    slow = law(mode=SLOW, tol_p=1.0, tol_r=1.0, gamma=0.5)
     state[STATE.sigma] = 0.8
     assert servo.wind(state, slow, np.ones(6), E, 0.8, 0.8 * 3 + 1e-10, 0.1) == 0.8
     assert servo.wind(state, slow, np.ones(6), E, 0.8, 0.4, 0.1) == pytest.approx(0.0)
+    far = np.array([2.0, 0.0, 0.0, 0.0, 0.0, 0.0])  # the clock is to wait, and slows down no faster than 10 1/s
+    for left in (0.9, 7.3, 30.0):
+        assert (
+            servo.wind(state, law(mode=SLOW, tol_p=1.0, tol_r=1.0, gamma=0.6), np.ones(6), far, 0.8, left, 0.02)
+            >= 0.6 - 1e-12
+        )
     assert servo.advanced(state, slow, 0.4) == pytest.approx(0.6)
     state[STATE.sigma] = 0.5
     servo.tick(state, law(mode=LEAVE), 3.0, 0.2)
