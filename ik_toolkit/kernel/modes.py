@@ -71,25 +71,31 @@ def modes(J, near, W, U, sigma):
 
 
 @inner
-def lost_direction(W, sigma, away, v):
-    """Write to v (n,) the joint direction of a mode with sigma_k near 0: `away`, without what moves the tip; False if none."""
+def leave_modes(W, sigma, r, x):
+    """Take from x (n,) what moves the tip by other modes than r (-1: by any); returns its length."""
     m, n = W.shape
-    for i in range(n):
-        v[i] = away[i]
-    for _ in range(2):  # twice is enough (Kahan)
-        for c in range(m):
-            if sigma[c] > ZERO:
-                s = 0.0
-                for i in range(n):
-                    s += W[c, i] * v[i]
-                s /= sigma[c] * sigma[c]
-                for i in range(n):
-                    v[i] -= s * W[c, i]
+    for c in range(m):
+        if c != r and sigma[c] > ZERO:
+            part = 0.0
+            for i in range(n):
+                part += W[c, i] * x[i]
+            part /= sigma[c] * sigma[c]
+            for i in range(n):
+                x[i] -= part * W[c, i]
     size = 0.0
     for i in range(n):
-        size += v[i] * v[i]
-    size = math.sqrt(size)
-    for i in range(n):
+        size += x[i] * x[i]
+    return math.sqrt(size)
+
+
+@inner
+def lost_direction(W, sigma, away, v):
+    """Write to v (n,) the joint direction of a mode with sigma_k near 0: `away`, without what moves the tip; False if none."""
+    for i in range(v.shape[0]):
+        v[i] = away[i]
+    leave_modes(W, sigma, -1, v)
+    size = leave_modes(W, sigma, -1, v)  # twice is enough (Kahan)
+    for i in range(v.shape[0]):
         v[i] = v[i] / size if size > ZERO else 0.0  # a remainder of rounding is not a direction
     return size > ZERO
 
@@ -177,24 +183,6 @@ def mode_direction(W, sv, r, away, way, v):
     for i in range(v.shape[0]):
         v[i] = 0.0
     return abs(way) > ZERO and lost_direction(W, sv, away, v)
-
-
-@inner
-def leave_modes(W, sigma, r, x):
-    """Take from x (n,) what moves the tip by other modes than r; returns its length."""
-    m, n = W.shape
-    for c in range(m):
-        if c != r and sigma[c] > ZERO:
-            part = 0.0
-            for i in range(n):
-                part += W[c, i] * x[i]
-            part /= sigma[c] * sigma[c]
-            for i in range(n):
-                x[i] -= part * W[c, i]
-    size = 0.0
-    for i in range(n):
-        size += x[i] * x[i]
-    return math.sqrt(size)
 
 
 @inner
