@@ -101,14 +101,29 @@ def lost_direction(W, sigma, away, v):
 
 
 @inner
+def part_along(V, r, x):
+    """Component of x (n,) along V_r."""
+    part = 0.0
+    for i in range(x.shape[0]):
+        part += V[i, r] * x[i]
+    return part
+
+
+@inner
+def bring_along(V, r, x, value, share):
+    """Bring the component of x (n,) along V_r by a share of the way to a value."""
+    own = part_along(V, r, x)
+    for i in range(x.shape[0]):
+        x[i] += share * (value - own) * V[i, r]
+
+
+@inner
 def mode_probe(V, r, rate, part, h, x):
     """Write to x (n,) the motion whose curvature is evaluated: along V_r, of the joints beside it in a step, or both together.
 
     Returns the rate along V_r.
     """
-    own = 0.0
-    for i in range(x.shape[0]):
-        own += V[i, r] * rate[i]
+    own = part_along(V, r, rate)
     for i in range(x.shape[0]):
         x[i] = 0.0
         if part != ALONG:
@@ -206,24 +221,11 @@ def bent_direction(W, V, sigma, r, slope):
     size = leave_modes(W, sigma, r, slope)
     if size < FLAT:
         return sigma[r]
-    own = 0.0
-    for i in range(slope.shape[0]):
-        own += slope[i] * V[i, r]
+    own = part_along(V, r, slope)
     sign = 1.0 if own >= 0.0 else -1.0
     for i in range(slope.shape[0]):
         V[i, r] = sign * slope[i] / size
     return sigma[r] * abs(own) / size
-
-
-@inner
-def turn_towards(away, V, r, side, share):
-    """Move the component of `away` along V_r by a share of the way to `side`; returns it."""
-    own = 0.0
-    for i in range(away.shape[0]):
-        own += away[i] * V[i, r]
-    for i in range(away.shape[0]):
-        away[i] += share * (side - own) * V[i, r]
-    return own + share * (side - own)
 
 
 @inner
@@ -247,9 +249,10 @@ def mode_speed(V, r, full, sigma, bends, rest, own, left, moved, gain, h, slow, 
             a = min(a, limits[3, i] / v)
     grows = np.sign(b)  # the way along V_r in which sigma does: the side on which the joints are
     clear = full > CLEAR and sigma > KNOWN * full
-    back = turn_towards(away, V, r, 0.0, 0.0)
+    back = part_along(V, r, away)
     if abs(back) < KNOWN and clear:
-        back = turn_towards(away, V, r, grows, 1.0)
+        bring_along(V, r, away, grows, 1.0)
+        back = grows
     s, y, D, most = sigma + 0.5 * (bends[BOTH] - b - beside), 0.0, 0.0, a
     if abs(left) < MINOR * rest:  # whole ways go too far and back for ever, see `hold_back`
         left *= s * s / (s * s + rest)
@@ -267,7 +270,7 @@ def mode_speed(V, r, full, sigma, bends, rest, own, left, moved, gain, h, slow, 
         x = min(max(x, -most), most)
     x = min(max(x, -cap), cap)
     if clear and not edge:
-        turn_towards(away, V, r, grows, min(h / SIDE, 1.0) if near > 0.0 else 1.0)
+        bring_along(V, r, away, grows, min(h / SIDE, 1.0) if near > 0.0 else 1.0)
     E = moved + h * gain * left
     if sigma < LOST or abs(b * E) > BENT * sigma * sigma or (abs(E) > h * cap * sigma and not slow):
         lost[r], xk[r] = 1.0, x
@@ -351,8 +354,4 @@ def along_lost(V, lost, xk, x, speeds):
     """Replace what x (n,) has along the lost directions: by their speeds, or by nothing."""
     for r in range(lost.shape[0]):
         if lost[r] > 0.0:
-            own = 0.0
-            for i in range(x.shape[0]):
-                own += V[i, r] * x[i]
-            for i in range(x.shape[0]):
-                x[i] += ((xk[r] if speeds > 0.0 else 0.0) - own) * V[i, r]
+            bring_along(V, r, x, xk[r] if speeds > 0.0 else 0.0, 1.0)

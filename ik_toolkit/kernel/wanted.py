@@ -57,10 +57,8 @@ GAIN = 2.0 / 3.0  # share of an error fed back per sample where the method has n
 SHARE = 2.0 / 3.0
 TAKEN_UP = 20.0  # [1/s] least rate at which joints take up what is wished: slower than braking, they run into limits they avoid
 LITTLE = 0.004  # [rad or reaches per s] wish that is taken up half as fast: it comes and goes smoothly
-FAST, BRISK = (
-    1.0,
-    0.5,
-)  # shares of speed and acceleration with which an error is closed: braking on the path needs the rest
+# Shares of speed and acceleration with which an error is closed: what braking on the path needs is left.
+FAST, BRISK = 1.0, 0.5
 BEFORE = -1.0  # singular poses were met before, but not in the last step
 
 
@@ -180,8 +178,9 @@ def bend(task, look, s, slack, weighed):
 @inner
 def forget_default(state, away):
     """Where singular poses were never met, `away` (n,) is a default and no side."""
-    for i in range(away.shape[0] if state[STATE.near] == 0.0 else 0):
-        away[i] = 0.0
+    if state[STATE.near] == 0.0:
+        for i in range(away.shape[0]):
+            away[i] = 0.0
 
 
 @inner

@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 
 from ..kernel.task import FREE, POSITION
+from ..robot.pose import angles_between
 from .continuity import interpolate
 from .finish import Motion
 from .proof import Continuity
@@ -23,8 +24,7 @@ def inserted(robot: Any, T: np.ndarray, kinds: tuple) -> tuple[np.ndarray, np.nd
         away = np.linalg.norm(np.diff(T[:, f, :3, 3], axis=0), axis=1) / (FAR[0] * arm.chain.reach)
         gaps = np.maximum(gaps, away)
         if kind != POSITION:
-            chord = np.linalg.norm(np.diff(T[:, f, :3, :3], axis=0), axis=(1, 2)) / np.sqrt(8.0)
-            gaps = np.maximum(gaps, 2.0 * np.arcsin(np.minimum(chord, 1.0)) / FAR[1])
+            gaps = np.maximum(gaps, angles_between(T[1:, f, :3, :3], T[:-1, f, :3, :3]) / FAR[1])
     pieces = np.maximum(np.ceil(gaps), 1.0)
     while pieces.sum() - len(gaps) > MOST:
         gaps /= WIDER

@@ -15,6 +15,7 @@ from ..errors import InvalidOption
 from ..kernel.chain import levers
 from ..kernel.smooth import settle as settle_rows
 from ..kernel.task import FREE, POSITION
+from ..robot.pose import angles_between
 from ..solvers.task import relatives, what_counts
 from ..tracking.reference import exp
 from .contact import find_contacts
@@ -200,8 +201,7 @@ class Between:
 
     def __init__(self, tip: Speeds, poses: np.ndarray, goal: np.ndarray, other: Any, frame: str) -> None:
         """Bound the second derivatives of the errors in base axes, and the angular speed of the axes of `frame`."""
-        chord = np.linalg.norm(goal[1:, :3, :3] - goal[:-1, :3, :3], axis=(1, 2)) / math.sqrt(8.0)
-        self.swing = 2.0 * np.arcsin(np.minimum(chord, 1.0))  # angle between the rotations of two targets
+        self.swing = angles_between(goal[1:, :3, :3], goal[:-1, :3, :3])  # of two targets
         self.tip, self.ref_turn, self.ref_twist = tip, self.swing, np.zeros_like(self.swing)
         self.bend, self.rate, self.twist = tip.bend, tip.turn, tip.twist
         self.off, self.off_turn = tip.off, tip.off_turn

@@ -141,7 +141,7 @@ def _allowed(value: str | int) -> float:
     """The largest number of reconfigurations."""
     if isinstance(value, str) and value in ("fewest", "none"):
         return math.inf if value == "fewest" else 0.0
-    return whole(value, "reconfigurations must be 'fewest', 'none' or", 0)
+    return whole(value, "reconfigurations must be 'fewest' or 'none', or", 0)
 
 
 def _pair(name: str, value: Any, default: tuple[float, float]) -> tuple[float, float]:

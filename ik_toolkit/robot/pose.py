@@ -68,6 +68,12 @@ def _numbers(value: Any, size: int, name: str) -> np.ndarray:
     return array
 
 
+def angles_between(A: np.ndarray, B: np.ndarray) -> np.ndarray:
+    """Angles (N,) [rad] between rotations A and B (N, 3, 3)."""
+    chord = np.linalg.norm(A - B, axis=(1, 2)) / np.sqrt(8.0)
+    return 2.0 * np.arcsin(np.minimum(chord, 1.0))
+
+
 def rpy_matrix(rpy: Sequence[float] | np.ndarray) -> np.ndarray:
     """Rotation (3, 3) of roll, pitch, yaw [rad] as URDF means them: Rz(yaw) Ry(pitch) Rx(roll)."""
     (sr, sp, sy), (cr, cp, cy) = np.sin(rpy), np.cos(rpy)

@@ -123,9 +123,8 @@ class Planner:
         J = self._jacobians(path)
         U, sigma, V = np.linalg.svd(J)
         least = sigma.shape[1] - 1
-        change = (
-            self._jacobians(path + PROBE * V[:, least] * self.unit) - J
-        )  # along v; of u'J v it is that along each joint
+        # J changes along v; the change of u'J is that of sigma = u'J v along each joint.
+        change = self._jacobians(path + PROBE * V[:, least] * self.unit) - J
         slope = np.einsum("km,kmn->kn", U[:, :, least], change)
         return slope / np.maximum(np.linalg.norm(slope, axis=1, keepdims=True), np.finfo(float).tiny)
 

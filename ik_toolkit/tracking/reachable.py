@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from ..robot.joints import Joints
-from ..robot.pose import length
+from ..robot.pose import angles_between, length
 from .reference import Reference
 
 CLOSE = (1e-4, 2e-4)  # [m, rad] error that counts as reached: a tenth of what a run is allowed by default
@@ -222,8 +222,7 @@ def samples_of(robot: Joints, reference: References, fewest: int) -> tuple[np.nd
         T = one.at(t)[0]
         moved = np.maximum(moved, np.linalg.norm(np.diff(T[:, :3, 3], axis=0), axis=1))
         if not one.position_only:
-            chord = np.linalg.norm(np.diff(T[:, :3, :3], axis=0), axis=(1, 2)) / np.sqrt(8.0)
-            turned = np.maximum(turned, 2.0 * np.arcsin(np.minimum(chord, 1.0)))
+            turned = np.maximum(turned, angles_between(T[1:, :3, :3], T[:-1, :3, :3]))
     share = np.cumsum([0.0, *np.maximum(moved / (STEP[0] * robot.reach), turned / STEP[1])])
     count = int(np.clip(np.ceil(share[-1]), fewest, MOST))
     chosen = np.unique(np.searchsorted(share, np.linspace(0.0, share[-1], count + 1)))

@@ -15,7 +15,7 @@ from ..kernel import motion
 from ..kernel.constrain import LEAVE, SLOW
 from ..kernel.motion import CLIP
 from ..kernel.task import POSE, POSITION
-from ..robot.pose import PROJECT_WITHIN
+from ..robot.pose import PROJECT_WITHIN, angles_between
 from ..robot.robot import Robot
 from ..robot.tree import Tree
 from ..solvers.avoid import collision_model
@@ -213,8 +213,8 @@ def _errors(
 
 def _apart(T: np.ndarray, wanted: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Distances (M,) [m] and angles (M,) [rad] between poses (M, 4, 4)."""
-    chord = np.linalg.norm(T[:, :3, :3] - wanted[:, :3, :3], axis=(1, 2)) / np.sqrt(8.0)
-    return np.linalg.norm(T[:, :3, 3] - wanted[:, :3, 3], axis=1), 2.0 * np.arcsin(np.minimum(chord, 1.0))
+    away = np.linalg.norm(T[:, :3, 3] - wanted[:, :3, 3], axis=1)
+    return away, angles_between(T[:, :3, :3], wanted[:, :3, :3])
 
 
 def _forward(robot: Any, Q: np.ndarray) -> np.ndarray:

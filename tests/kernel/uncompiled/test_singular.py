@@ -259,6 +259,8 @@ def test_only_the_singular_direction_leaves_the_task(code, n):
         J = s.J.copy()
         s.floor[:], s.roof[:], s.weight[:] = -9e9, 9e9, 1.0
         s.e[:] = 1e-3 * rng.normal(size=m)
+        if near == 1.0 + SIDE:  # little is left of what could be closed
+            s.e[:] -= 0.99 * (U[:, k - 1] @ s.e) * U[:, k - 1]
         s.f[:], s.ahead[:] = 0.01 * rng.normal(size=m), s.e + 2e-4 * rng.normal(size=m)
         e, f, ahead = s.e.copy(), s.f.copy(), s.ahead.copy()
         law = Law(
@@ -326,6 +328,35 @@ def test_only_the_singular_direction_leaves_the_task(code, n):
             assert v @ s.x == pytest.approx(xk[0], rel=1e-6, abs=1e-9)
             if code == CV:
                 assert v @ memory == pytest.approx(xk[0], rel=1e-6, abs=1e-9)
+
+
+def test_what_is_kept_of_singular_poses():
+    state, h = np.zeros(len(STATE)), 0.01
+    away = np.ones(3)
+    for near, beyond, kept in (
+        (False, False, 0.0),  # never met: `away` is a default
+        (True, True, 1.0 + SIDE),
+        (True, False, 1.0 + SIDE - h),
+        (False, False, -1.0),  # met once: `away` stays what it is
+        (True, False, 1.0),
+    ):
+        wanted.remember(state, near, beyond, h)
+        assert state[STATE.near] == pytest.approx(kept)
+        before = away.copy()
+        wanted.forget_default(state, away)
+        np.testing.assert_array_equal(away, before * (kept != 0.0))
+        away[:] = 1.0
+
+
+def test_joints_that_have_to_stand_still_take_no_part_in_bending():
+    n, m = 4, 6
+    s = bench_on(np.zeros(bench_space(n, m, 1)), n, m, 1)
+    s.U[2], s.bias[:] = np.arange(6.0), 1.0
+    s.floor[:], s.roof[:] = (-1.0, 0.0, 0.0, -1.0), (1.0, 0.0, 1.0, 0.0)
+    for part in range(-n, 1):
+        wanted.note_curve(s, 2, part)
+    np.testing.assert_array_equal(s.null, [15.0, 0.0, 15.0, 15.0])
+    assert s.t[0] == 15.0
 
 
 def test_errors_beside_a_lost_direction_are_fed_back_less():
