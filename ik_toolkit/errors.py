@@ -118,6 +118,12 @@ def whole(value: Any, what: str, least: int = 1) -> int:
     return int(number)
 
 
+def check_progress(progress: Any, of: str) -> None:
+    """Raise InvalidOption unless `progress` is None or can be called; of: what it is called with."""
+    if progress is not None and not callable(progress):
+        raise InvalidOption(f"progress must be a function of {of}, not {progress!r:.60}")
+
+
 def masked(value: Any) -> bool:
     """Whether an array, or an array inside a list, has masked entries."""
     import numpy as np  # keeps `import ik_toolkit` light

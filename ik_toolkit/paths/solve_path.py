@@ -8,7 +8,7 @@ from typing import Any, Unpack
 
 import numpy as np
 
-from ..errors import InvalidOption, InvalidTarget, floats, whole
+from ..errors import InvalidOption, InvalidTarget, check_progress, floats, whole
 from ..robot.pose import FAR, LAST
 from ..robot.robot import Robot
 from ..robot.tree import Tree
@@ -91,8 +91,7 @@ def solve_path(
             raise InvalidOption(
                 f"solve_path takes no '{name}': a path is searched as a whole, and its results are checked"
             )
-    if progress is not None and not callable(progress):
-        raise InvalidOption(f"progress must be a function of a fraction and a text, not {progress!r:.60}")
+    check_progress(progress, "a fraction and a text")
     solver = Solver(robot, seed=seed, **options)
     T, kinds = _read(robot, poses)
     step, tolerance = _pair("max_step", max_step, STEP), _between(path_tolerance, solver.options)

@@ -39,6 +39,13 @@ class Named(dict[str, np.ndarray]):
         )
 
 
+def values_by_joint(locked: Mapping[str, float] | None) -> dict[str, float]:
+    """What `locked` holds, as a dict; None holds nothing. Raises InvalidConfiguration."""
+    if not isinstance(locked, Mapping | None):
+        raise InvalidConfiguration(f"locked takes a dict from joint names to values [rad or m], not {locked!r:.60}")
+    return dict(locked or {})
+
+
 class Joints:
     """Coordinates q (n,) of a model: names, kinds, limits, home, and their places in the model's full configuration.
 
@@ -109,11 +116,7 @@ class Joints:
 
     def check_q(self, q: Any, name: str = "q") -> np.ndarray:
         """Return q as a float64 copy (n,); raises InvalidConfiguration if it has the wrong size or is not finite."""
-        array = floats(q, f"{name} must be {self.n} numbers", InvalidConfiguration)
-        if array.shape != (self.n,):
-            raise InvalidConfiguration(
-                f"{name} must have {self.n} values, one per joint ({', '.join(self.joint_names)}); got shape {array.shape}"
-            )
+        array = self._values(q, name)
         if not np.abs(array).max(initial=0.0) <= FEW_TURNS:  # also true for NaN
             if not np.isfinite(array).all():
                 bad = ", ".join(j for j, x in zip(self.joint_names, array, strict=True) if not np.isfinite(x))
@@ -126,12 +129,22 @@ class Joints:
                     doubt_angle(f"{name}, joint {joint}", float(x))
         return array
 
+    def _values(self, q: Any, name: str = "q") -> np.ndarray:
+        """As `check_q`, for any numbers."""
+        array = floats(q, f"{name} must be {self.n} numbers", InvalidConfiguration)
+        if array.shape != (self.n,):
+            raise InvalidConfiguration(
+                f"{name} must have {self.n} values, one per joint ({', '.join(self.joint_names)}); got shape {array.shape}"
+            )
+        return array
+
     def locked(self, joints: Mapping[str, float]) -> Self:
         """Return a copy with joints held at values [rad or m] and left out of q.
 
         A value outside its joint's limits is used as it is, with a warning in the log "ik_toolkit". Raises JointNotFound,
         InvalidConfiguration.
         """
+        joints = values_by_joint(joints)
         made = self._locked(joints)
         outside = [
             f"{joint} ({joints[joint]:.4g} {'m' if kind == 'prismatic' else 'rad'}, limits {low:.4g} to {high:.4g})"
@@ -174,12 +187,14 @@ class Joints:
         J = self.jacobian(q).reshape(-1, 6, self.n)[:, picked].reshape(-1, self.n)
         return float(np.prod(np.linalg.svd(J, compute_uv=False))) if len(J) <= self.n else 0.0
 
-    def outside(self, q: np.ndarray) -> list[str]:
-        """Names of the joints whose value lies outside its limits."""
+    def outside(self, q: Any) -> list[str]:
+        """Names of the joints whose value in q (n,) lies outside its limits, or is NaN. Raises InvalidConfiguration."""
+        q = self._values(q)
         return [j for j, x, a, b in zip(self.joint_names, q, self.lower, self.upper, strict=True) if not a <= x <= b]
 
-    def at_limits(self, q: np.ndarray) -> list[str]:
-        """Names of the joints at a limit (within 1e-9)."""
+    def at_limits(self, q: Any) -> list[str]:
+        """Names of the joints whose value in q (n,) is at a limit (within 1e-9) or beyond. Raises InvalidConfiguration."""
+        q = self._values(q)
         near = (q - self.lower <= 1e-9) | (self.upper - q <= 1e-9)
         return [j for j, hit in zip(self.joint_names, near, strict=True) if hit]
 
@@ -192,10 +207,12 @@ class Joints:
     def random_q(self, rng: np.random.Generator, count: int | None = None) -> np.ndarray:
         """Uniform random q (n,), or (count, n), inside the limits (one turn, or one reach, where there are none).
 
-        Raises InvalidOption: count is not a whole number, or below 0.
+        Raises InvalidOption: rng is no generator, or count no whole number of at least 0.
         """
         low, span = self._sampling
         size = self.n if count is None else (whole(count, "count", 0), self.n)
+        if not isinstance(rng, np.random.Generator):
+            raise InvalidOption(f"rng must be a numpy.random.Generator (numpy.random.default_rng(0)), not {rng!r:.60}")
         return (low + span * rng.random(size)).clip(self.lower, self.upper)
 
     def to_pinocchio(self, q: Any, rest: np.ndarray | None = None) -> np.ndarray:

@@ -84,5 +84,8 @@ def default_base(
 
 
 def folders_of(given: Iterable[str | Path]) -> list[Path]:
-    """Folders from a list, or from a single name (which would otherwise be read letter by letter)."""
-    return [Path(folder) for folder in ([given] if isinstance(given, str | Path) else given)]
+    """Folders from a list, or from a single name (which would otherwise be read letter by letter). Raises InvalidOption."""
+    try:
+        return [Path(folder) for folder in ([given] if isinstance(given, str | Path) else given)]
+    except TypeError:
+        raise InvalidOption(f"package_dirs must be a list of folders, not {given!r:.60}") from None

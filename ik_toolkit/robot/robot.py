@@ -27,10 +27,10 @@ from ..kernel.chain import Chain
 from ..kernel.records import POINTS
 from .base import settle
 from .build import build_model
-from .joints import Joints
+from .joints import Joints, values_by_joint
 from .load import default_base, folders_of, read
 from .mimic import followers, mimic_limits
-from .pose import as_matrix
+from .pose import as_matrix, check_target
 from .probe import AGREE, NO_LIMIT, configurations, difference, find_path, good_start, limits, probe
 from .probe import Path as JointPath
 from .read import is_text
@@ -104,7 +104,9 @@ class Robot(Joints):
         self.rest = pin.neutral(self.model)
         self.locked_joints: dict[str, float] = {}
         self.srdf = read_srdf(srdf) if srdf is not None else Srdf()
-        held = held_joints(self.srdf, self.model, self._frame_id(self.base), self._frame_id(self.tip), locked or {})
+        held = held_joints(
+            self.srdf, self.model, self._frame_id(self.base), self._frame_id(self.tip), values_by_joint(locked)
+        )
         for joint, (value, counts) in held.items():
             self._set_rest(joint, value, counts)
         self._build(home)
@@ -157,7 +159,8 @@ class Robot(Joints):
             on_base=on_base,
             base_limits=base_limits,
         )
-        return robot.locked(locked) if locked else robot
+        held = values_by_joint(locked)
+        return robot.locked(held) if held else robot
 
     @classmethod
     def from_mjcf(cls, source: str | Path, **options: Any) -> "Robot":
@@ -322,8 +325,15 @@ class Robot(Joints):
         R = base.rotation.T
         return base.actInv(tip) * self.tool, np.vstack([R @ J[:3], R @ J[3:]])
 
-    def errors(self, q: np.ndarray, target: np.ndarray) -> tuple[float, float | None]:
-        """Position error [m] and rotation angle [rad] (None for a (3,) target) between the tip at q and a target."""
+    def errors(self, q: Any, target: Any) -> tuple[float, float | None]:
+        """Position error [m] and rotation angle [rad] of the tip at q (n,) from a target, by Pinocchio.
+
+        target: a pose (4, 4) or pin.SE3 in the base frame, or a position (3,), for which the angle is None. Raises
+        InvalidConfiguration, InvalidTarget.
+        """
+        return self._errors(self.check_q(q), check_target(target)[0])
+
+    def _errors(self, q: np.ndarray, target: np.ndarray) -> tuple[float, float | None]:
         T = self._fk(q)
         if target.ndim == 1:
             return math.hypot(*(target - T.translation).tolist()), None

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from ..errors import FrameNotFound, InvalidOption, ModelError
+from ..errors import FrameNotFound, InvalidOption, InvalidTarget, ModelError
 from ..kernel.tree_chain import TreeChain, pack_tree
-from .joints import Joints
+from .joints import Joints, values_by_joint
 from .load import default_base, read
 from .probe import Path as JointPath
 from .robot import Robot
@@ -140,7 +140,8 @@ class Tree(Joints):
             own = [joint for joint in union(known_arms) if joint not in arms[0]._of_base]
             home.update(zip(own, entry.home, strict=True))
             tree = cls(arms, [home[joint] for joint in tree.joint_names])
-        return tree.locked(locked) if locked else tree
+        held = values_by_joint(locked)
+        return tree.locked(held) if held else tree
 
     def fk(self, q: Any) -> dict[str, pin.SE3]:
         """T_base_tip of every tip by name [m], computed by Pinocchio."""
@@ -155,8 +156,18 @@ class Tree(Joints):
             J[6 * f : 6 * f + 6, place] = arm.jacobian(q[place])
         return J
 
-    def errors(self, q: np.ndarray, targets: Sequence[np.ndarray]) -> list[tuple[float, float | None]]:
-        """Position error [m] and rotation angle [rad] (None for a (3,) target) of each tip, by Pinocchio."""
+    def errors(self, q: Any, targets: Any) -> list[tuple[float, float | None]]:
+        """Position error [m] and rotation angle [rad] of each tip at q (n,) from its target, in the order of `tips`.
+
+        targets: one for every tip, as in `Robot.errors`, in that order or as a dict by tip. Raises InvalidConfiguration,
+        InvalidTarget, FrameNotFound.
+        """
+        q = self.check_q(q)
+        if isinstance(targets, Mapping):
+            self.check_tips(targets)
+            targets = [targets[tip] for tip in self.tips if tip in targets]
+        if not isinstance(targets, list | tuple | np.ndarray) or len(targets) != len(self.tips):
+            raise InvalidTarget(f"give a target for every tip ({', '.join(self.tips)}), not {targets!r:.60}")
         return [arm.errors(q[place], T) for arm, place, T in zip(self.arms, self.places, targets, strict=True)]
 
     def _locked(self, joints: Mapping[str, float]) -> "Tree":

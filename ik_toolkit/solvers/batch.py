@@ -10,13 +10,13 @@ from typing import Any, Unpack
 
 import numpy as np
 
-from ..errors import InvalidConfiguration, InvalidOption, floats, whole
+from ..errors import InvalidConfiguration, InvalidOption, check_progress, floats, whole
 from ..kernel.checks import CHECK_FAILED
 from ..kernel.records import ANSWER, AT
 from ..kernel.task import POSE
 from ..robot.robot import Robot
 from ..robot.tree import Tree
-from .batch_parts import Job, Tables, on_executor, on_threads
+from .batch_parts import Job, Tables, check_executor, on_executor, on_threads
 from .batch_result import BatchCheckFailed, BatchInterrupted, BatchResult
 from .batch_targets import Block, blocks, known
 from .options import BatchOptions
@@ -48,8 +48,7 @@ def solve_parts(
         raise InvalidOption("chain= has been removed; ik.solve_path(robot, poses) follows poses in one joint motion")
     if executor is not None and threads is not None:
         raise InvalidOption("an executor has its own workers; omit threads=")
-    if executor is not None and not hasattr(executor, "submit"):
-        raise InvalidOption(f"executor must be a pool with a submit method (concurrent.futures), not {executor!r:.80}")
+    check_executor(executor)
     if options.get("history"):
         raise InvalidOption("a batch keeps no history; solve the target in question with ik.solve")
     if options.get("timeout") is not None:
@@ -157,6 +156,7 @@ def solve_batch(
     every row, none of them a success), InvalidTarget and InvalidConfiguration (naming the target), UnknownSolver and
     InvalidOption.
     """
+    check_progress(progress, "the number of targets done")
     given = known(targets)
     parts = solve_parts(
         robot,

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba import config
 
-from ..errors import InvalidConfiguration
+from ..errors import InvalidConfiguration, InvalidOption
 from ..kernel.checks import BAD_TARGET, CHECK_FAILED, CONVERGED
 from ..kernel.lanes import LEFT
 from ..kernel.limits import LARGEST
@@ -169,6 +169,12 @@ def on_threads(plan: Plan, jobs: Iterator[Job], share: float, threads: int) -> T
     finally:
         stop.set()
         pool.shutdown(wait=True, cancel_futures=True)
+
+
+def check_executor(executor: Any) -> None:
+    """Raise InvalidOption unless it is None or takes work as an executor of concurrent.futures does."""
+    if executor is not None and not hasattr(executor, "submit"):
+        raise InvalidOption(f"executor must be a pool with a submit method (concurrent.futures), not {executor!r:.80}")
 
 
 def on_executor(plan: Plan, jobs: Iterator[Job], share: float, executor: Executor) -> Tables:

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import InvalidOption, UnknownSolver
+from ..errors import InvalidOption, UnknownSolver, check_progress
 from ..robot.library import shipped_robots
 from ..robot.robot import Robot
 from ..robot.tree import Tree
@@ -18,8 +18,10 @@ def prepare(*solvers: str, progress: Callable[[str], None] | None = None) -> Non
     """Compile what single calls and batches of `solvers` need; kernels already on disk are only loaded.
 
     solvers: names, default 'auto': everything that `ik.solve`, `Solver` and `solve_batch` take by default, several tips included.
-    progress(words) is called before each part. Some ten seconds a solver when nothing is on disk. Raises UnknownSolver.
+    progress(words) is called before each part. Some ten seconds a solver when nothing is on disk. Raises UnknownSolver,
+    InvalidOption.
     """
+    check_progress(progress, "a text")
     for name in solvers or ("auto",):
         if name != "auto":
             find_row(name)

@@ -222,7 +222,7 @@ def counted_errors(
     """
     if not counts_in_part(kinds, o):
         given = zip(robot.arms, robot.places, T.reshape(-1, 4, 4), kinds, strict=True)
-        return [arm.errors(q[at], one[:3, 3] if kind == POSITION else one) for arm, at, one, kind in given]
+        return [arm._errors(q[at], one[:3, 3] if kind == POSITION else one) for arm, at, one, kind in given]
     return [(position, orientation) for _, position, orientation in all_errors(robot, q, T, kinds, o)]
 
 

@@ -9,12 +9,15 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import IKError, InvalidOption, UnknownSolver, near_match, whole
+from ..errors import IKError, InvalidOption, UnknownSolver, check_progress, whole
 from ..robot.robot import Robot
 from ..robot.tree import Tree
+from ..solvers.batch_parts import check_executor
 from ..solvers.registry import find_row, list_rows
 from ..solvers.solve import Solver, is_auto, require_robot
 from ..solvers.status import Status
+from ..tracking.inputs import one_of
+from .inputs import solver_list
 from .statistics import wilson
 
 BLOCKS = 10  # blocks of targets on which the solvers alternate, so that background load affects all alike
@@ -106,7 +109,7 @@ class BenchmarkInterrupted(KeyboardInterrupt):
 
 def benchmark(
     robots: Robot | Tree | str | Sequence[Robot | Tree | str],
-    solvers: Iterable[Any] | None = None,
+    solvers: Any = None,
     *,
     targets: int = 300,
     start: str = "none",
@@ -120,24 +123,26 @@ def benchmark(
 
     Every solver solves the targets twice: with one attempt, and with the same number of restarts (`restarts=`, default 99).
     robots: one or several, loaded or by name; for a Tree, all tips are solved together, and errors are the largest of them.
-    solvers: names, classes or instances; default: every registered one that applies. targets: number per robot, poses of random
-    configurations inside the limits. start: 'none' (each solver's own choice), 'home', 'random', or 'near' (within 0.1 rad or m
-    of a solution in each joint). task: 'pose' or 'position'; default 'pose' for six or more joints per tip. executor: anything
-    with the concurrent.futures interface, used instead of this process; times are then those of the workers. progress(done, all)
-    counts blocks. Options: as for `solve`, passed to every solver that accepts them. A solver that does not apply to a robot is
-    listed in `skipped` with the reason. Ctrl-C raises BenchmarkInterrupted, a KeyboardInterrupt whose `result` holds the finished
-    blocks. Raises RobotNotFound, UnknownSolver, InvalidOption.
+    solvers: one or several names, classes or instances; default: every registered one that applies. targets: number per
+    robot, poses of random configurations inside the limits. start: 'none' (each solver's own choice), 'home', 'random', or
+    'near' (within 0.1 rad or m of a solution in each joint). task: 'pose' or 'position'; default 'pose' for six or more
+    joints per tip. executor: anything with the concurrent.futures interface, used instead of this process; times are then
+    those of the workers. progress(done, all) counts blocks. Options: as for `solve`, passed to every solver that accepts
+    them. A solver that does not apply to a robot is listed in `skipped` with the reason. Ctrl-C raises
+    BenchmarkInterrupted, a KeyboardInterrupt whose `result` holds the finished blocks. Raises RobotNotFound, UnknownSolver,
+    InvalidOption.
     """
-    if start not in STARTS:
-        raise InvalidOption(f"start must be one of {', '.join(STARTS)}, not {start!r}.{near_match(str(start), STARTS)}")
-    if task is not None and task not in TASKS:
-        raise InvalidOption(f"task must be pose or position, not {task!r}.{near_match(str(task), TASKS)}")
-    targets = whole(targets, "targets")
+    one_of(start, STARTS, "start")
+    if task is not None:
+        one_of(task, TASKS, "task")
+    targets, seed = whole(targets, "targets"), whole(seed, "seed", 0)
+    check_executor(executor)
+    check_progress(progress, "two numbers, done and all")
     arms = [robots] if isinstance(robots, str) or not isinstance(robots, Iterable) else list(robots)
     arms = [Robot.load(arm) if isinstance(arm, str) else arm for arm in arms]
     for arm in arms:
         require_robot(arm)
-    asked = [row.name for row in list_rows()] if solvers is None else list(solvers)
+    asked = [row.name for row in list_rows()] if solvers is None else solver_list(solvers)
     for solver in asked:
         if not is_auto(solver):
             find_row(solver)  # raises for an unknown name; one that does not apply is only skipped
@@ -152,7 +157,7 @@ def benchmark(
         kind = task or ("pose" if arm.n >= 6 * len(arm.tips) else "position")
         parts: dict[tuple[str, bool], list[np.ndarray]] = {}
         try:
-            T, Q0 = problems(arm, int(targets), kind, start, seed)
+            T, Q0 = problems(arm, targets, kind, start, seed)
             bound, refused = _bind(arm, asked, options, T, Q0, every=solvers is None)
             skipped |= {(label(arm.name, arm.tips), name): str(error) for name, error in refused.items()}
             last = next(reversed(refused.values()), last)
@@ -169,7 +174,7 @@ def benchmark(
             break
     if last is not None and not rows and not stopped:  # nothing applies: more likely a wrong option than a wrong robot
         raise last
-    found = Benchmark(tuple(rows), skipped, int(targets), start, seed, dict(options))
+    found = Benchmark(tuple(rows), skipped, targets, start, seed, dict(options))
     if stopped:
         raise BenchmarkInterrupted(found)
     return found

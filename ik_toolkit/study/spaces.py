@@ -8,6 +8,7 @@ from ..robot.robot import Robot
 from ..robot.tree import Tree
 from ..solvers.registry import find_row, make_rule
 from ..solvers.space import Parameter, Space
+from ..tracking.inputs import switch
 
 RANGES = {
     "damping": (1e-4, 1.0, True),
@@ -24,11 +25,14 @@ def make_space(
     maps: for a solver with maps, their number; default its own choice. Raises InvalidOption for solvers without parameters and
     rules it cannot start from, UnknownSolver.
     """
+    switch(position_only, "position_only")
     row = find_row(solver)
     cls = row.load()
     own = cls.space
     if maps is not None and whole(maps, "maps") > MOST_MAPS:
         raise InvalidOption(f"maps must be at most {MOST_MAPS}, not {maps!r}")
+    if initial is not None and not isinstance(initial, cls):
+        raise InvalidOption(f"initial must be an instance of {cls.__name__}, not {initial!r:.60}")
     several = own is not None and "maps" in inspect.signature(own).parameters
     if not several and maps not in (None, 1):
         raise InvalidOption(f"solver '{row.name}' has no maps")

@@ -5,10 +5,11 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import InvalidOption, near_match, whole
+from ..errors import InvalidOption, whole
 from ..robot.robot import Robot
 from ..robot.tree import Tree
 from ..solvers.solve import require_robot
+from ..tracking.inputs import one_of, switch
 
 HOW = ("joints", "volume")
 CELLS = 40  # voxels along the reach, for volume-uniform targets
@@ -40,12 +41,17 @@ def sample_targets(
     `numpy.random.default_rng` accepts. Raises InvalidOption, FrameNotFound.
     """
     require_robot(robot)
-    if how not in HOW:
-        raise InvalidOption(f"how must be one of {', '.join(HOW)}, not '{how}'.{near_match(str(how), HOW)}")
+    one_of(how, HOW, "how")
+    switch(position_only, "position_only")
     count = whole(count, "the number of targets")
     if tip is not None or how == "volume":
         tip = one_tip(robot, tip)
-    rng = np.random.default_rng(seed)
+    try:
+        rng = np.random.default_rng(seed)
+    except (TypeError, ValueError):
+        raise InvalidOption(
+            f"seed must be whole numbers of at least 0 (numpy.random.default_rng), not {seed!r:.60}"
+        ) from None
     if how == "joints":
         T = _poses(robot, robot.random_q(rng, count), tip)
     else:

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import InvalidOption, MissingExtra, UnknownSolver, near_match
+from ..errors import InvalidOption, MissingExtra, UnknownSolver, check_progress, whole
 from ..files import whole_file
 from ..robot.robot import Robot
 from ..robot.tree import Tree
@@ -21,7 +21,9 @@ from ..solvers.protocol import misfit
 from ..solvers.registry import Row, find_row, make_rule
 from ..solvers.solve import require_robot
 from ..solvers.space import Space
+from ..tracking.inputs import number, one_of
 from .engines import Evolution, Swarm
+from .inputs import path_of
 from .spaces import make_space
 from .statistics import wilson
 from .targets import sample_targets
@@ -223,10 +225,14 @@ def tune(
     InvalidOption, UnknownSolver, MissingExtra.
     """
     row, default = _tunable(robot, solver, method)
+    seed, generations = whole(seed, "seed", 0), whole(generations, "generations", 0)
+    held_out, max_iterations = whole(held_out, "held_out"), whole(max_iterations, "max_iterations")
+    seconds = None if seconds is None else number(seconds, "seconds")
+    check_progress(progress, "a generation and its costs")
     as_asked = maps is not None or initial is not None
     space = make_space(robot, row.name, position_only, maps, initial)
     options = {"tolerance": tolerance, "max_iterations": max_iterations}
-    size = population or 4 + 2 * int(3 * math.log(space.size))
+    size = 4 + 2 * int(3 * math.log(space.size)) if population is None else whole(population, "population", 2)
 
     def draw(stream: int, count: int, k: int = 0) -> np.ndarray:
         return sample_targets(robot, count, [seed, stream, k], how=how, position_only=position_only)
@@ -234,8 +240,8 @@ def tune(
     train = draw(TRAIN, targets)
     begun = perf_counter()
     search = _Search(robot, space, train, {**options, "max_iterations": min(max_iterations, SEARCH_ITERATIONS)})
-    what, tips = "positions" if position_only else "poses", "+".join(robot.tips)
-    task = f"{robot.name} {robot.base} {tips} {what} {how} {targets} {seed} {options}"
+    what = "positions" if position_only else "poses"
+    task = f"{robot.name} {robot.base} {'+'.join(robot.tips)} {what} {how} {targets} {seed} {options}"
     record = _Record(checkpoint, f"{row.name} {method} {space.size} {size} {task}")
     engine = (Evolution if method == "cma" else Swarm)(space.start, space.spread, size, seed)
     interrupted = False
@@ -246,8 +252,7 @@ def tune(
     def judge(sets: list[np.ndarray]) -> tuple[Score, dict[str, Score], str]:
         rules["tuned"] = rule
         scores = {name: score(robot, one, sets, **options) for name, one in rules.items()}
-        allowed = [name for name in rules if not (as_asked and name == "default")]
-        best = max(allowed, key=lambda name: scores[name].rank)
+        best = max((name for name in rules if not (as_asked and name == "default")), key=lambda name: scores[name].rank)
         return score(robot, rule, [train], **options), scores, best
 
     try:
@@ -284,9 +289,7 @@ def tune(
 def _tunable(robot: Any, solver: str, method: str) -> tuple[Row, Any]:
     """Row and default rule of a solver to be tuned. Raises InvalidOption, UnknownSolver, MissingExtra."""
     require_robot(robot)
-    if method not in METHODS:
-        raise InvalidOption(f"tuning methods are {', '.join(METHODS)}, not '{method}'.{near_match(method, METHODS)}")
-    if method == "cma" and importlib.util.find_spec("cma") is None:
+    if one_of(method, METHODS, "tuning method") == "cma" and importlib.util.find_spec("cma") is None:
         raise MissingExtra("cma", "tune")
     row = find_row(solver)
     default = make_rule(row, {})
@@ -357,8 +360,7 @@ class _Record:
     """Costs of every generation, on disk; a resumed search replays them if its first candidates are the same."""
 
     def __init__(self, file: str | Path | None, key: str) -> None:
-        self.file = None if file is None else Path(file)
-        self.key = key
+        self.file, self.key = path_of(file, "checkpoint"), key
         self.first: list[np.ndarray] = []
         self.costs: list[np.ndarray] = []
         if self.file is not None and self.file.exists():

@@ -3,7 +3,7 @@
 import csv
 import io
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from concurrent.futures import Executor
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -11,14 +11,15 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import InvalidOption
+from ..errors import InvalidOption, check_progress, whole
 from ..files import PARTIAL, WholeFile
 from ..robot.robot import Robot
 from ..robot.tree import Tree
 from ..solvers.batch import solve_parts
 from ..solvers.registry import GENERAL, find_row
-from ..solvers.solve import require_robot
+from ..solvers.solve import is_auto, require_robot
 from ..solvers.status import Status
+from .inputs import path_of, solver_list
 from .statistics import wilson
 from .targets import one_tip, sample_targets, stream_targets
 
@@ -114,7 +115,7 @@ def envelope(
 
 def workspace(
     robot: Robot | Tree,
-    solvers: Sequence[Any] | Mapping[str, Any] = (GENERAL,),
+    solvers: Any = GENERAL,
     *,
     tip: str | None = None,
     targets: int = 10_000,
@@ -130,21 +131,24 @@ def workspace(
     """Solve targets over the workspace with each solver.
 
     tip: for a Tree, the tip whose reach is sampled; the others are free (and with avoid_collisions move out of the way).
-    solvers: names or rules, or a mapping of labels to them. how: 'joints' or 'volume', see `sample_targets`. file: a .csv
-    that receives every target as it is solved (x, y, z, then success, status, iterations, position_error, orientation_error
-    per solver), so that millions of targets need no more memory than a chunk; if the run ends early it is named NAME.partial.
-    executor: as for `solve_batch`. options: as for `solve`. Targets depend only on (seed, chunk). Ctrl-C raises
-    WorkspaceInterrupted, a KeyboardInterrupt whose `result` (like the file) holds the finished chunks. Raises InvalidOption
-    and the errors of `solve_batch`.
+    solvers: one or several names, classes or instances, or a mapping of labels to them. how: 'joints' or 'volume', see
+    `sample_targets`. file: a .csv that receives every target as it is solved (x, y, z, then success, status, iterations,
+    position_error, orientation_error per solver), so that millions of targets need no more memory than a chunk; if the run
+    ends early it is named NAME.partial. executor: as for `solve_batch`. options: as for `solve`. Targets depend only on
+    (seed, chunk). Ctrl-C raises WorkspaceInterrupted, a KeyboardInterrupt whose `result` (like the file) holds the finished
+    chunks. Raises InvalidOption and the errors of `solve_batch`.
     """
     require_robot(robot)
     tip = one_tip(robot, tip)
-    if not solvers:
+    named = dict(solvers) if isinstance(solvers, Mapping) else _named(solver_list(solvers))
+    if not named:
         raise InvalidOption("workspace needs at least one solver")
-    named = dict(solvers) if isinstance(solvers, Mapping) else dict(zip(_names(solvers), solvers, strict=True))
+    seed = whole(seed, "seed", 0)
+    check_progress(progress, "the number of targets done")
+    file = path_of(file, "file")
     tally = _Tally(robot, tip, list(named))
     table = _Table(file, list(named))
-    interrupted = whole = False
+    interrupted = finished = False
     try:
         for part in stream_targets(robot, targets, seed, how=how, position_only=position_only, tip=tip):
             asked = {tip: part} if robot.by_tip else part
@@ -167,13 +171,13 @@ def workspace(
             tally.add(xyz, columns, seconds)
             if progress is not None:
                 progress(tally.done)
-        whole = True
+        finished = True
     except KeyboardInterrupt:
         if not tally.done:
             raise
         interrupted = True
     finally:
-        table.close(whole)
+        table.close(finished)
     found = tally.result()
     if interrupted:
         raise WorkspaceInterrupted(found)
@@ -232,16 +236,16 @@ class _Tally:
         )
 
 
-def _names(solvers: Sequence[Any]) -> list[str]:
-    """A distinct name for each solver."""
-    names: list[str] = []
+def _named(solvers: list[Any]) -> dict[str, Any]:
+    """Solvers under a distinct name each."""
+    named: dict[str, Any] = {}
     for solver in solvers:
-        name = base = solver if solver == "auto" else find_row(solver).name
+        name = base = "auto" if is_auto(solver) else find_row(solver).name
         k = 2
-        while name in names:
+        while name in named:
             name, k = f"{base} {k}", k + 1
-        names.append(name)
-    return names
+        named[name] = solver
+    return named
 
 
 def _count(outcome: Outcome, part: dict[str, np.ndarray]) -> None:
@@ -261,11 +265,11 @@ class _Table:
 
     FIELDS = ("success", "status", "iterations", "position_error", "orientation_error")
 
-    def __init__(self, file: str | Path | None, names: list[str]) -> None:
+    def __init__(self, file: Path | None, names: list[str]) -> None:
         self.out, self.head = None, []
         if file is not None:
-            if Path(file).suffix.lower() != ".csv":
-                raise InvalidOption(f"targets are written as .csv, not '{Path(file).name}'")
+            if file.suffix.lower() != ".csv":
+                raise InvalidOption(f"targets are written as .csv, not '{file.name}'")
             self.out = WholeFile(file)
             self.head = ["x", "y", "z", *(f"{name} {key}" for name in names for key in self.FIELDS)]
 

@@ -206,9 +206,9 @@ def test_answers_that_are_not_confirmed_are_left_under_another_name(name, tmp_pa
     xyz = sample(robot, 1)[1][:, :3, 3].repeat(9000, axis=0)
     xyz[4500, 2] += 1e-3
     np.savez(tmp_path / "in.npz", targets=xyz)
-    real = ik.Robot.errors
+    real = ik.Robot._errors
     doubted = lambda self, q, target: (1.0, None) if np.array_equal(target, xyz[4500]) else real(self, q, target)  # noqa: E731
-    monkeypatch.setattr(ik.Robot, "errors", doubted)
+    monkeypatch.setattr(ik.Robot, "_errors", doubted)
     assert run("--targets", tmp_path / "in.npz", "-o", tmp_path / name, "--json") == 1
     said = capsys.readouterr()
     assert "does not confirm the result for target 4500" in said.err and not said.out

@@ -122,6 +122,24 @@ def test_locked_joints_are_constants():
     assert np.allclose(leader.fk(q).homogeneous, both.fk([whole[j] for j in both.joint_names]).homogeneous, atol=1e-14)
 
 
+@pytest.mark.parametrize("locked", ["lift", 3, ["lift"], np.zeros(2)])
+def test_locked_takes_a_dict(locked):
+    calls = (
+        lambda: robots.load("inspection_7dof").locked(locked),
+        lambda: ik.Robot.load("inspection_7dof", locked=locked),
+        lambda: ik.Tree.load("brokk_hydrolek", locked=locked),
+    )
+    for call in calls:
+        with pytest.raises(errors.InvalidConfiguration, match="locked takes a dict"):
+            call()
+
+
+@pytest.mark.parametrize("folders", [None, 3, [3]])
+def test_package_folders_are_named(folders):
+    with pytest.raises(errors.InvalidOption, match="package_dirs must be a list of folders"):
+        ik.Robot.load("planar_2r", package_dirs=folders)
+
+
 def test_a_joint_locked_outside_its_limits_is_warned_about(caplog):
     panda, both = ik.Robot.load("panda"), ik.Tree.load("brokk_hydrolek", tips=["left_tip", "right_tip"])
     panda.locked({"panda_joint4": -1.0})
@@ -165,7 +183,37 @@ def test_wrong_configurations_are_refused():
     robot = robots.load("hydrolek_7w")
     for bad in ([0.0], np.full(6, np.nan), "abc", np.zeros((2, 6)), None):
         with pytest.raises(errors.InvalidConfiguration):
-            robot.fk(bad)
+            robot.errors(bad, (1.0, 0.1, 0.2))
+    for bad in ([0.0], "abc", np.zeros((2, 6)), None, {}, 10**400):
+        for call in (robot.outside, robot.at_limits):
+            with pytest.raises(errors.InvalidConfiguration, match="q must"):
+                call(bad)
+
+
+def test_errors_and_limits_of_lists():
+    robot = robots.load("hydrolek_7w")
+    beside = robot.home + 0.01
+    target = robot.fk(beside)
+    found = robot.errors(robot.home.tolist(), target)
+    assert found == robot.errors(robot.home, target.homogeneous.tolist())
+    apart = robot.fk(robot.home).actInv(target)
+    assert np.allclose(found, (np.linalg.norm(apart.translation), np.linalg.norm(pin.log3(apart.rotation))), atol=1e-12)
+    assert robot.errors(robot.home, target.translation.tolist()) == (found[0], None)
+    for bad in ("here", None, np.zeros((2, 2)), [0.0, np.nan, 0.0], {}):
+        with pytest.raises(errors.InvalidTarget):
+            robot.errors(robot.home, bad)
+    q = robot.home.copy()
+    q[:2] = robot.upper[0], robot.upper[1] + 0.1
+    assert robot.outside(q.tolist()) == [robot.joint_names[1]]
+    assert robot.at_limits(tuple(q.tolist())) == list(robot.joint_names[:2])
+    q[2] = np.nan
+    assert robot.outside(q) == list(robot.joint_names[1:3])
+
+
+@pytest.mark.parametrize("rng", [0, None, "seed", np.random])
+def test_a_generator_is_needed_for_random_configurations(rng):
+    with pytest.raises(errors.InvalidOption, match=r"rng must be a numpy\.random\.Generator"):
+        robots.load("hydrolek_7w").random_q(rng)
 
 
 @pytest.mark.parametrize("count", [-1, 1.5, True, "two"])

@@ -242,3 +242,20 @@ def test_tools_by_tip(brokk):
         brokk.with_tool({"rigt_tip": tool})
     with pytest.raises(errors.InvalidTarget):
         brokk.with_tool({"right_tip": 2.0 * tool})
+
+
+def test_errors_take_targets_in_order_or_by_tip(brokk):
+    beside = brokk.fk(brokk.home + 0.01)
+    found = brokk.errors(brokk.home.tolist(), beside)
+    assert found == brokk.errors(brokk.home, [beside[tip].homogeneous for tip in brokk.tips])
+    assert found == [
+        arm.errors(brokk.home[at], beside[arm.tip]) for arm, at in zip(brokk.arms, brokk.places, strict=True)
+    ]
+    left = brokk.tips[0]
+    for bad in ([beside[left]], {left: beside[left]}, None, "here", 3, np.zeros((2, 2))):
+        with pytest.raises(errors.InvalidTarget):
+            brokk.errors(brokk.home, bad)
+    with pytest.raises(errors.FrameNotFound, match=left):
+        brokk.errors(brokk.home, {**beside, "lefttip": beside[left]})
+    with pytest.raises(errors.InvalidConfiguration):
+        brokk.errors(brokk.home[1:], beside)

@@ -172,13 +172,13 @@ def test_the_share_asked_for_is_checked(monkeypatch, share, rows):
     """To a row, and the same rows whatever the chunks; 0.6 once checked a half."""
     robot = load("hydrolek_7w")
     T = poses(robot, 3000, seed=1)
-    real, asked, row = ik.Robot.errors, [], {target.tobytes(): k for k, target in enumerate(T)}
+    real, asked, row = ik.Robot._errors, [], {target.tobytes(): k for k, target in enumerate(T)}
 
     def errors(self, q, target):
         asked.append(row[target.tobytes()])
         return real(self, q, target)
 
-    monkeypatch.setattr(ik.Robot, "errors", errors)
+    monkeypatch.setattr(ik.Robot, "_errors", errors)
     assert ik.solve_batch(robot, T, "lm", check=share).success.all()
     first = sorted(asked)
     assert len(set(first)) == len(first) == rows
@@ -191,8 +191,8 @@ def disagreeing(name="hydrolek_7w", row=1300, count=6000):
     """A robot whose Pinocchio does not confirm the answer to one target, and targets (N, 4, 4)."""
     robot = ik.Robot.load(name)
     T = poses(robot, count, seed=1)
-    real = robot.errors
-    robot.errors = lambda q, target: (0.5, 0.0) if np.array_equal(target, T[row]) else real(q, target)
+    real = robot._errors
+    robot._errors = lambda q, target: (0.5, 0.0) if np.array_equal(target, T[row]) else real(q, target)
     return robot, T
 
 
@@ -203,8 +203,8 @@ def test_an_answer_that_is_not_confirmed_ends_the_batch(how, monkeypatch):
     options = {"threads": {"threads": 3}, "one thread": {"threads": 1}}.get(how, {})
     with concurrent.futures.ThreadPoolExecutor(2) as pool:
         if how == "executor":  # a worker has a robot of its own
-            wrong, real = robot.errors, ik.Robot.errors
-            monkeypatch.setattr(ik.Robot, "errors", lambda self, q, T: max(wrong(q, T), real(self, q, T)))
+            wrong, real = robot._errors, ik.Robot._errors
+            monkeypatch.setattr(ik.Robot, "_errors", lambda self, q, T: max(wrong(q, T), real(self, q, T)))
             robot, options = load("hydrolek_7w"), {"executor": pool}
         targets = iter(np.split(T, 6)) if how == "iterator" else T
         with pytest.raises(ik.BatchCheckFailed, match=f"for target {row}, so no result of this batch") as caught:
@@ -226,7 +226,7 @@ def test_the_rows_that_are_left_are_the_same_for_any_number_of_threads():
             ik.solve_batch(robot, T, "lm", check=1.0, threads=threads)
         tables.append(caught.value.result.table.tobytes())
     assert tables[0] == tables[1] == tables[2]
-    del robot.errors
+    del robot._errors
     again = pickle.loads(pickle.dumps(caught.value))
     assert str(again) == str(caught.value) and again.target == 1300
 

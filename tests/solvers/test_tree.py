@@ -181,9 +181,9 @@ def test_a_cold_start_is_near_and_on_the_turn_nearest_home(brokk):
 def test_a_success_that_pinocchio_does_not_confirm_is_none(brokk, monkeypatch):
     T = poses(brokk, brokk.home)
     assert ik.solve(brokk, T).success
-    real = ik.Robot.errors
+    real = ik.Robot._errors
     monkeypatch.setattr(
-        ik.Robot, "errors", lambda arm, q, T: (2e-6, 0.0) if arm.tip == "right_tip" else real(arm, q, T)
+        ik.Robot, "_errors", lambda arm, q, T: (2e-6, 0.0) if arm.tip == "right_tip" else real(arm, q, T)
     )
     result = ik.solve(brokk, T)
     assert result.status == ik.Status.CHECK_FAILED and not result.success

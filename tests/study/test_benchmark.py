@@ -213,6 +213,11 @@ def test_options_reach_the_solvers(arm):
     assert 1e-6 < loose.worst_position_error <= 1e-2
 
 
+@pytest.mark.parametrize("solver", ["dls", ik.DLS, ik.DLS(damping=0.1)])
+def test_one_solver_may_be_given_by_itself(arm, solver):
+    assert [row.solver for row in ik.benchmark(arm, solver, targets=2).rows] == ["dls"]
+
+
 def test_instances_and_twins(arm):
     found = ik.benchmark(arm, [ik.DLS(damping=1e-3), ik.DLS(damping=0.5)], targets=20, max_iterations=50)
     assert [row.solver for row in found.rows] == ["dls", "dls #2"]
@@ -237,6 +242,15 @@ def test_executor_gives_the_same_answers(arm):
         ({"targets": 2.5}, InvalidOption, "targets"),
         ({"solvers": ["ml"]}, UnknownSolver, "lm"),
         ({"solvers": []}, InvalidOption, "at least one"),
+        ({"solvers": 3}, InvalidOption, "solvers must be names, rule classes or instances of them, not 3"),
+        ({"solvers": "ml"}, UnknownSolver, "Did you mean 'lm'"),
+        ({"solvers": [3]}, UnknownSolver, "not 3"),
+        ({"start": np.zeros(2)}, InvalidOption, "no start"),
+        ({"task": ["pose"]}, InvalidOption, "no task"),
+        ({"seed": -1}, InvalidOption, "seed"),
+        ({"seed": "one"}, InvalidOption, "seed"),
+        ({"executor": "pool"}, InvalidOption, "submit method"),
+        ({"progress": "bar"}, InvalidOption, "progress must be a function of two numbers, done and all"),
         ({"robots": "hydrolek"}, RobotNotFound, "hydrolek_7w"),
     ],
 )

@@ -110,6 +110,38 @@ def test_mistakes_are_named(call):
         call(robots.load("hydrolek_7w"))
 
 
+@pytest.mark.parametrize("bad", ["three", float("nan"), [], object(), 10**400, np.zeros((2, 2)), {}])
+@pytest.mark.parametrize(
+    "name", ["method", "how", "targets", "held_out", "generations", "population", "seconds", "seed", "tolerance"]
+)
+def test_a_wrong_value_is_refused_by_its_name(name, bad):
+    with pytest.raises(
+        InvalidOption, match=r"tuning method|number of targets" if name in ("method", "targets") else name
+    ):
+        tune(robots.load("hydrolek_7w"), "dls", **{**SMALL, "method": "pso", "generations": 1, name: bad})
+
+
+@pytest.mark.parametrize(
+    "name, bad",
+    [
+        ("held_out", 0),
+        ("generations", -1),
+        ("population", 1),
+        ("seed", -1),
+        ("max_iterations", 0),
+        ("max_iterations", "many"),
+        ("position_only", "no"),
+        ("initial", "dls"),
+        ("initial", ik.PID()),
+        ("checkpoint", 3),
+        ("progress", "bar"),
+    ],
+)
+def test_a_value_that_makes_no_sense_is_refused_by_its_name(name, bad):
+    with pytest.raises(InvalidOption, match=name):
+        tune(robots.load("hydrolek_7w"), "dls", **{**SMALL, "method": "pso", "generations": 1, name: bad})
+
+
 # ----------------------------------------------------------------------------------------------------------- searches
 @pytest.mark.parametrize("engine", [Swarm, Evolution])
 def test_searches_find_a_minimum_at_a_wall_and_inside(engine):

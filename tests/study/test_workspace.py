@@ -34,8 +34,34 @@ def test_targets_are_reachable_reproducible_and_spread_as_asked():
         return cells.max() / len(points)
 
     assert crowding("volume") < 0.8 * crowding("joints")
-    with pytest.raises(InvalidOption, match="joints"):
-        sample_targets(robot, 5, how="joint")
+    for name, bad in {"how": "joint", "position_only": "no", "seed": "one"}.items():
+        with pytest.raises(InvalidOption, match=name):
+            sample_targets(robot, 5, **{name: bad})
+
+
+@pytest.mark.parametrize("solver", ["dls", ik.DLS, ik.DLS(damping=0.1), {"dls": "dls"}])
+def test_one_solver_may_be_given_by_itself(solver):
+    assert list(ik.workspace(robots.load("planar_2r"), solver, targets=2).outcomes) == ["dls"]
+
+
+@pytest.mark.parametrize(
+    "name, bad, words",
+    [
+        ("solvers", 3, "solvers must be names"),
+        ("solvers", [], "at least one solver"),
+        ("solvers", np.zeros((0, 2)), "at least one solver"),
+        ("seed", -1, "seed"),
+        ("seed", "one", "seed"),
+        ("file", 3, "file must be the path of a file, not 3"),
+        ("progress", "bar", "progress must be a function of the number of targets done"),
+        ("executor", "pool", "submit method"),
+        ("how", np.zeros(2), "no how"),
+        ("position_only", "no", "position_only"),
+    ],
+)
+def test_mistakes_are_named(name, bad, words):
+    with pytest.raises(InvalidOption, match=words):
+        ik.workspace(robots.load("planar_2r"), **{"solvers": ["dls"], "targets": 2, name: bad})
 
 
 def test_chunks_depend_on_seed_and_number_only():

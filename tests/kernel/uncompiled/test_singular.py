@@ -263,16 +263,8 @@ def test_only_the_singular_direction_leaves_the_task(code, n):
             s.e[:] -= 0.99 * (U[:, k - 1] @ s.e) * U[:, k - 1]
         s.f[:], s.ahead[:] = 0.01 * rng.normal(size=m), s.e + 2e-4 * rng.normal(size=m)
         e, f, ahead = s.e.copy(), s.f.copy(), s.ahead.copy()
-        law = Law(
-            **{
-                **dict.fromkeys(Law._fields, 0.0),
-                "code": code,
-                "gamma": 1.0,
-                "mode": LEAVE,
-                "damping": 0.05,
-                "kappa": 4.0,
-            }
-        )
+        given = {"code": code, "gamma": 1.0, "mode": LEAVE, "damping": 0.05, "kappa": 4.0}
+        law = Law(**{**dict.fromkeys(Law._fields, 0.0), **given})
         limits = np.array([np.full(n, -9e9), np.full(n, 9e9), np.full(n, 2.0), np.full(n, np.inf)])
         state, away, memory = np.zeros(len(STATE)), W[:, k - 1].copy(), np.zeros(n)
         state[STATE.near] = near

@@ -1,0 +1,26 @@
+"""Arguments that several studies share, validated before any work begins."""
+
+import os
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+from ..errors import InvalidOption
+
+
+def solver_list(solvers: Any) -> list[Any]:
+    """One solver or several (names, classes or instances) as a list. Raises InvalidOption."""
+    if isinstance(solvers, str | type) or hasattr(type(solvers), "loop"):  # an instance of a rule is a tuple, too
+        return [solvers]
+    if not isinstance(solvers, Iterable):
+        raise InvalidOption(f"solvers must be names, rule classes or instances of them, not {solvers!r:.60}")
+    return list(solvers)
+
+
+def path_of(file: Any, what: str) -> Path | None:
+    """Path of a file, or None. Raises InvalidOption, "WHAT must be the path of a file"."""
+    if file is None:
+        return None
+    if not isinstance(file, str | os.PathLike):
+        raise InvalidOption(f"{what} must be the path of a file, not {file!r:.60}")
+    return Path(file)
