@@ -10,9 +10,18 @@ import uuid
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
+
+from .errors import InvalidOption
 
 PARTIAL = ".partial"  # suffix for an incomplete result
+
+
+def as_path(value: Any, what: str = "it") -> Path:
+    """Path of a file. Raises InvalidOption, "WHAT must be the path of a file, not VALUE"."""
+    if not isinstance(value, str | os.PathLike):
+        raise InvalidOption(f"{what} must be the path of a file, not {value!r:.60}")
+    return Path(value)
 
 
 class WholeFile:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from ..errors import InvalidOption, NotSolved
-from ..files import whole_file, write_table, write_whole
+from ..files import as_path, whole_file, write_table, write_whole
 from ..text import plain
 from .proof import Continuity
 
@@ -156,7 +156,7 @@ class PathResult:
 
     def save(self, path: str | Path) -> Path:
         """Write .csv (one row per pose: joints, then errors), .npz (the arrays) or .json (`to_dict`). Raises InvalidOption."""
-        file = Path(path)
+        file = as_path(path, "path")
         suffix = file.suffix.lower()
         if suffix == ".json":
             write_whole(file, json.dumps(self.to_dict(), indent=2, allow_nan=False) + "\n")

@@ -12,7 +12,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..errors import InvalidOption, MissingExtra, floats
+from ..errors import InvalidOption, MissingExtra, floats, whole
 from ..robot.joints import Joints
 from ..solvers.plan import Plan
 from ..solvers.registry import GENERAL, find_row
@@ -51,7 +51,7 @@ def retime(result: Any, velocity: Any, acceleration: Any, rate: float, seed: int
     """See `PathResult.retime`."""
     robot = result.robot
     limits = _limits(robot, velocity, acceleration)
-    rate = positive(rate, "rate [1/s]")
+    rate, seed = positive(rate, "rate [1/s]"), whole(seed, "seed", 0)
     result.raise_for_status()
     row = find_row(GENERAL)
     plan = Plan(robot, row, row.load()(), result.options)

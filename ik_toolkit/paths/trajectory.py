@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..errors import FrameNotFound, InvalidOption, floats, near_match
-from ..files import write_table, write_whole
+from ..files import as_path, write_table, write_whole
 from ..robot.ros import joint_trajectory
 from ..tracking.reference import Reference, Samples
 
@@ -100,7 +100,7 @@ class Trajectory:
 
     def to_csv(self, path: str | Path) -> Path:
         """Write one row per sample: t, then q_, dq_ and ddq_ of each joint."""
-        file = Path(path)
+        file = as_path(path, "path")
         names = self.robot.joint_names
         head = ["t", *(f"{kind}_{joint}" for kind in ("q", "dq", "ddq") for joint in names)]
         write_table(file, head, np.hstack([self.t[:, None], self.q, self.dq, self.ddq]).tolist())
@@ -113,7 +113,7 @@ class Trajectory:
 
     def to_json(self, path: str | Path) -> Path:
         """Write the fields of `to_ros` as JSON."""
-        file = Path(path)
+        file = as_path(path, "path")
         write_whole(file, json.dumps(self.to_ros(), allow_nan=False) + "\n")
         return file
 

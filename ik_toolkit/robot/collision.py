@@ -49,7 +49,12 @@ class CollisionModel(Surroundings):
         if not isinstance(robot, Robot | Tree):
             raise InvalidOption(f"a CollisionModel needs a Robot or a Tree, not a {type(robot).__name__}")
         self.robot = robot
-        self.ignore = [tuple(pair) for pair in ignore]
+        try:
+            self.ignore = [tuple(pair) for pair in ignore]
+        except TypeError:
+            raise InvalidOption(f"ignore takes pairs of links with collision shapes, not {ignore!r:.60}") from None
+        if not isinstance(geometry, pin.GeometryModel | None):
+            raise InvalidOption(f"geometry must be a pin.GeometryModel, not {type(geometry).__name__}")
         self.margin = as_margin(margin)
         self._given = None if geometry is None else geometry.clone()
         self._own = read_shapes(robot) if geometry is None else geometry.clone()
@@ -68,9 +73,8 @@ class CollisionModel(Surroundings):
         for pair in self.ignore:
             unknown = [name for name in pair if name not in self.links]
             if len(pair) != 2 or unknown:
-                raise InvalidOption(
-                    f"ignore takes pairs of links with collision shapes, not {pair}.{near_match((unknown or pair)[0], self.links)}"
-                )
+                close = near_match(next(iter(unknown or pair), ""), self.links)
+                raise InvalidOption(f"ignore takes pairs of links with collision shapes, not {pair}.{close}")
         super().__init__()
         self._closer: dict[tuple[int, int], float] = {}
         self.excluded: tuple[tuple[str, str], ...] = ()
@@ -245,7 +249,8 @@ class CollisionModel(Surroundings):
         hulls are nearer than the margin, here or at home: a distance is never more than that of the exact shapes, and 0 or less
         where they touch. Raises InvalidConfiguration, InvalidOption.
         """
-        within = np.inf if within == np.inf else as_margin(within, "within must be a distance [m]")
+        if not (isinstance(within, float) and within == np.inf):
+            within = as_margin(within, "within must be a distance [m]")
         return [found for _, found in self._measure().near(self.robot.check_q(q), within)]
 
     def distance(self, q: Any) -> Near | None:

@@ -9,6 +9,7 @@ import coal
 import numpy as np
 
 from ..errors import InvalidConfiguration, InvalidOption, ModelError, floats, near_match
+from ..files import as_path
 from .meshes import Mesh, find_mesh, read_meshes
 from .shapes import SIZES
 
@@ -60,7 +61,7 @@ class Shape:
     @classmethod
     def mesh(cls, path: str | Path, scale: float = 1.0) -> "Shape":
         """Return the surface of a scaled mesh file (STL, OBJ, DAE); a part inside it touches nothing. Raises InvalidOption."""
-        return cls("mesh", (path, scale))
+        return cls("mesh", (as_path(path, "the file of a mesh"), scale))
 
     def form(self) -> Any:
         """The shape as a coal object. Raises InvalidConfiguration (a mesh that cannot be read)."""

@@ -103,7 +103,8 @@ class Surroundings:
 
         Raises InvalidOption, InvalidTarget.
         """
-        self._placed[name] = replace(self._placed[self._known(name)], T=as_matrix(pose))
+        one = self._placed[self._known(name)]
+        self._placed[name] = replace(one, T=as_matrix(pose))
         self._moved(name)
         return self
 
@@ -131,7 +132,10 @@ class Surroundings:
         Raises InvalidOption, InvalidTarget, FrameNotFound.
         """
         arm = self._arm(tip)
-        touch = frozenset([touch] if isinstance(touch, str) else touch)
+        try:
+            touch = frozenset([touch] if isinstance(touch, str) else touch)
+        except TypeError:
+            raise InvalidOption(f"touch must be names of links and obstacles, not {touch!r:.60}") from None
         for other in touch:
             if other not in self._names:
                 raise InvalidOption(
@@ -177,15 +181,17 @@ class Surroundings:
         return self.robot.arms[arm]._fk(self.robot.check_q(q)[self.robot.places[arm]])
 
     def _known(self, name: str) -> str:
-        if name not in self._placed:
+        if not (isinstance(name, str) and name in self._placed):
             raise InvalidOption(
-                f"there is no obstacle or attached shape named '{name}'.{near_match(name, self._placed)}"
+                f"there is no obstacle or attached shape named '{name!s:.60}'.{near_match(name, self._placed)}"
             )
         return name
 
     def _new_name(self, shape: Shape, name: str | None) -> str:
         if name is None:
             return next(n for n in (f"{shape.kind}_{k}" for k in range(1, 10**6)) if n not in self._names)
+        if not isinstance(name, str):
+            raise InvalidOption(f"name must be text, not {name!r:.60}")
         if name in self._names:
             raise InvalidOption(f"there is already a link or obstacle named '{name}'")
         return name

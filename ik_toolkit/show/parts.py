@@ -17,6 +17,7 @@ from ..errors import MissingExtra, ModelError
 from ..robot.joints import Joints
 from ..robot.meshes import Mesh
 from ..robot.shapes import LinkShape, geometry_model, link_shapes, said
+from ..solvers.solve import require_robot
 
 FARTHEST = 1e9  # [m]; pages compute in 32 bits and multiply lengths
 THINNEST = 1e-6  # [m] least radius of a stick
@@ -54,6 +55,7 @@ class Body:
 
     def __init__(self, robot: Joints) -> None:
         """Read the shapes. Raises MissingExtra without trimesh, ModelError for a robot of astronomical size."""
+        require_robot(robot)
         self.robot = robot
         self.model = robot.model
         self.data = self.model.createData()

@@ -10,6 +10,7 @@ from ..paths.trajectory import Trajectory
 from ..robot.joints import Joints
 from ..robot.pose import check_target
 from ..solvers.result import Result
+from ..solvers.solve import require_robot
 from ..study.benchmark import Benchmark
 from ..study.tune import TuneResult
 from ..study.workspace import Workspace
@@ -56,6 +57,7 @@ def plot(what: Any, robot: Joints | None = None, *, target: Any = None, file: st
 def _needed(robot: Joints | None, what: str) -> Joints:
     if robot is None:
         raise InvalidOption(f"the chart of {what} needs the robot: ik.plot(what, robot)")
+    require_robot(robot)
     return robot
 
 

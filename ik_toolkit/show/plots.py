@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import InvalidOption, MissingExtra
-from ..files import whole_file
+from ..files import as_path, whole_file
 from ..robot.joints import Joints
 from ..style import COLOURS, DASHES, GREY, PALE, STYLE
 from .attempts import attempts
@@ -47,7 +47,7 @@ def plain(text: str) -> str:
 
 def save(figure: Any, path: str | Path) -> Path:
     """Write a figure to a .png, .pdf or .svg file. Raises InvalidOption for another suffix."""
-    file = Path(path)
+    file = as_path(path, "file")
     if file.suffix.lower() not in SUFFIXES:
         raise InvalidOption(f"a plot is written as .png, .pdf or .svg, not '{file.suffix or file.name}'")
     with whole_file(file) as stream:

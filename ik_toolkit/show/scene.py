@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import InvalidOption, InvalidTarget
+from ..errors import InvalidOption, InvalidTarget, floats
 from ..robot.joints import Joints
 from ..robot.pose import AxisTarget, check_target, length
 from .attempts import iterates
@@ -310,7 +310,7 @@ class Scene:
         return (world - base[:3, 3]) @ base[:3, :3]
 
     def _world(self, points: Any) -> np.ndarray:
-        P = np.atleast_2d(np.asarray(points, dtype=float))
+        P = np.atleast_2d(floats(points, "points must be finite numbers (N, 3)", InvalidOption))
         if P.ndim != 2 or P.shape[1] != 3 or not len(P) or not np.isfinite(P).all():
             raise InvalidOption(f"points must be finite numbers (N, 3), not shape {P.shape}")
         base = self.body.T_world_base

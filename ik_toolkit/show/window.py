@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import InvalidOption, MissingExtra
-from ..files import write_whole
+from ..files import as_path, write_whole
 from .gate import below, new_token, refusal
 from .parts import Shape
 
@@ -183,7 +183,7 @@ class Window:
 
 def write_page(path: str | Path, what: str, html: Callable[[], str]) -> Path:
     """Write the output of `html` to a file, and return its path. Raises InvalidOption if the name does not end in .html."""
-    file = Path(path)
+    file = as_path(path, "path")
     if file.suffix.lower() not in (".html", ".htm"):
         raise InvalidOption(f"{what} is written as .html, not '{file.suffix or file.name}'")
     write_whole(file, html())

@@ -120,9 +120,9 @@ class Solver:
 
 
 def require_robot(robot: Any) -> None:
-    """Raise InvalidOption when the first argument is no robot."""
+    """Raise InvalidOption when what should be a robot is none."""
     if not isinstance(robot, Robot | Tree):
-        raise InvalidOption(f"the first argument must be a Robot (see Robot.load), not {type(robot).__name__}")
+        raise InvalidOption(f"a Robot or a Tree is needed (see Robot.load), not {type(robot).__name__}")
 
 
 def make_plan(robot: Any, solver: Any, options: Mapping[str, Any]) -> Plan:

@@ -1,8 +1,6 @@
 """Arguments that several studies share, validated before any work begins."""
 
-import os
 from collections.abc import Iterable
-from pathlib import Path
 from typing import Any
 
 from ..errors import InvalidOption
@@ -15,12 +13,3 @@ def solver_list(solvers: Any) -> list[Any]:
     if not isinstance(solvers, Iterable):
         raise InvalidOption(f"solvers must be names, rule classes or instances of them, not {solvers!r:.60}")
     return list(solvers)
-
-
-def path_of(file: Any, what: str) -> Path | None:
-    """Path of a file, or None. Raises InvalidOption, "WHAT must be the path of a file"."""
-    if file is None:
-        return None
-    if not isinstance(file, str | os.PathLike):
-        raise InvalidOption(f"{what} must be the path of a file, not {file!r:.60}")
-    return Path(file)

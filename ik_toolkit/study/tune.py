@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import InvalidOption, MissingExtra, UnknownSolver, check_progress, whole
-from ..files import whole_file
+from ..files import as_path, whole_file
 from ..robot.robot import Robot
 from ..robot.tree import Tree
 from ..solvers.batch import solve_batch
@@ -23,7 +23,6 @@ from ..solvers.solve import require_robot
 from ..solvers.space import Space
 from ..tracking.inputs import number, one_of
 from .engines import Evolution, Swarm
-from .inputs import path_of
 from .spaces import make_space
 from .statistics import wilson
 from .targets import sample_targets
@@ -158,7 +157,7 @@ class TuneResult:
             "held_out_share": kept.share,
             "held_out_wilson_95": [low, high],
         }
-        path = Path(file)
+        path = as_path(file, "file")
         values = {key: value for key, value in self.rule._asdict().items() if value is not None and key != "tuned"}
         write_preset(path, self.solver, values, self.options, about)
         return path
@@ -360,7 +359,7 @@ class _Record:
     """Costs of every generation, on disk; a resumed search replays them if its first candidates are the same."""
 
     def __init__(self, file: str | Path | None, key: str) -> None:
-        self.file, self.key = path_of(file, "checkpoint"), key
+        self.file, self.key = None if file is None else as_path(file, "checkpoint"), key
         self.first: list[np.ndarray] = []
         self.costs: list[np.ndarray] = []
         if self.file is not None and self.file.exists():

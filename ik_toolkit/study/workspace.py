@@ -12,14 +12,14 @@ from typing import Any
 import numpy as np
 
 from ..errors import InvalidOption, check_progress, whole
-from ..files import PARTIAL, WholeFile
+from ..files import PARTIAL, WholeFile, as_path
 from ..robot.robot import Robot
 from ..robot.tree import Tree
 from ..solvers.batch import solve_parts
 from ..solvers.registry import GENERAL, find_row
 from ..solvers.solve import is_auto, require_robot
 from ..solvers.status import Status
-from .inputs import path_of, solver_list
+from .inputs import solver_list
 from .statistics import wilson
 from .targets import one_tip, sample_targets, stream_targets
 
@@ -145,7 +145,7 @@ def workspace(
         raise InvalidOption("workspace needs at least one solver")
     seed = whole(seed, "seed", 0)
     check_progress(progress, "the number of targets done")
-    file = path_of(file, "file")
+    file = None if file is None else as_path(file, "file")
     tally = _Tally(robot, tip, list(named))
     table = _Table(file, list(named))
     interrupted = finished = False

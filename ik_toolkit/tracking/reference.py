@@ -12,7 +12,7 @@ import numpy as np
 
 from ..errors import InvalidOption, InvalidTarget, floats
 from ..robot.pose import check_target
-from .inputs import number, one_of, positive
+from .inputs import number, one_of, positive, switch
 
 Samples = tuple[np.ndarray, np.ndarray, np.ndarray]  # values, first and second derivatives
 MAX_STEPS = 1e7
@@ -34,12 +34,15 @@ class Reference:
         position_only: bool = False,
         name: str = "custom",
     ) -> None:
-        """Wrap a function of time. Raises InvalidOption when it is not callable, or the duration is not a positive number."""
+        """Wrap a function of time.
+
+        Raises InvalidOption when it is not callable, the duration is not a positive number or position_only not True or False.
+        """
         if not callable(function):
             raise InvalidOption(f"a reference is made from a function of time, not {type(function).__name__}")
         self.duration = positive(duration, "duration [s]")
         self.function = function
-        self.position_only = position_only
+        self.position_only = switch(position_only, "position_only")
         self.name = name
 
     def at(self, t: Any) -> Samples:

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import InvalidOption
-from ..files import whole_file, write_whole
+from ..files import as_path, whole_file, write_whole
 from ..robot.ros import joint_trajectory
 from .reachable import Survey
 from .stability import GainCheck
@@ -155,7 +155,7 @@ class TrackResult:
 
         Raises InvalidOption for another suffix.
         """
-        file = Path(path)
+        file = as_path(path, "path")
         if file.suffix.lower() == ".npz":
             optional = {"orientation_error": self.orientation_error, "between_orientation": self.between_orientation}
             optional["between_position"] = self.between_position

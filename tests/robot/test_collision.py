@@ -161,8 +161,11 @@ def test_links_that_may_touch():
     assert pair not in ik.CollisionModel(robot, ignore=[pair[::-1]]).pairs
     with pytest.raises(InvalidOption, match="link_3"):
         ik.CollisionModel(robot, ignore=[("link_2", "lnk_3")])
-    with pytest.raises(InvalidOption, match="pairs"):
-        ik.CollisionModel(robot, ignore=[("link_2",)])
+    for bad in ([("link_2",)], [()], 3, [3], None):
+        with pytest.raises(InvalidOption, match="pairs of links"):
+            ik.CollisionModel(robot, ignore=bad)
+    with pytest.raises(InvalidOption, match=r"geometry must be a pin\.GeometryModel, not str"):
+        ik.CollisionModel(robot, geometry="shapes")
 
 
 def test_robots_without_shapes_or_meshes_say_so():
@@ -219,6 +222,20 @@ def test_a_sphere_touches_where_distance_says():
 def test_shapes_are_checked_and_named():
     model = ik.CollisionModel(load(ELBOW_ARM))
     assert model.add_sphere(0.1, (5, 0, 0)).add_sphere(0.1, (6, 0, 0)).obstacles == ("sphere_1", "sphere_2")
+    for bad in (3, [], np.zeros(2), {}):
+        for call in (
+            lambda bad=bad: model.add_sphere(0.1, (0, 0, 2), name=bad),
+            lambda bad=bad: model.move(bad, (0, 0, 2)),
+            lambda bad=bad: model.remove(bad),
+            lambda bad=bad: ik.Shape.mesh(bad),
+        ):
+            with pytest.raises(InvalidOption, match=r"name|path of a file"):
+                call()
+    for bad in (3, None, [[]]):
+        with pytest.raises(InvalidOption, match="touch"):
+            model.attach(ik.Shape.sphere(0.1), (0, 0, 0.3), touch=bad)
+    with pytest.raises(InvalidOption, match="within must be a distance"):
+        model.distances(model.robot.home, np.zeros(2))
     with pytest.raises(InvalidOption, match="already"):
         model.add_sphere(0.1, (5, 0, 0), "link_1")
     for add in (

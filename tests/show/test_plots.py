@@ -147,6 +147,8 @@ def test_refusals_are_words(tmp_path, solved):
     robot = load("hydrolek_7w")
     with pytest.raises(InvalidOption, match=r"\.png, \.pdf or \.svg"):
         plots.save(plots.bars({"a": 1.0}, unit="s"), tmp_path / "chart.txt")
+    with pytest.raises(InvalidOption, match="file must be the path of a file, not 3"):
+        plots.save(plots.bars({"a": 1.0}, unit="s"), 3)
     with pytest.raises(InvalidOption, match="history=True"):
         plots.convergence(ik.solve(robot, robot.fk(robot.home), "lm"))
     with pytest.raises(InvalidOption, match="no runs"):
@@ -224,5 +226,7 @@ def test_plot_takes_what_the_calls_return(tmp_path):
     for wrong in ((run,), (robot.home,)):
         with pytest.raises(InvalidOption, match="needs the robot"):
             ik.plot(*wrong)
+    with pytest.raises(InvalidOption, match="a Robot or a Tree is needed"):
+        ik.plot(robot.home, "hydrolek_7w")
     with pytest.raises(InvalidConfiguration):
         ik.plot("something", robot)

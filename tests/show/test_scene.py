@@ -231,6 +231,12 @@ def test_refusals_are_words(tmp_path):
         view(robot).save(tmp_path / "scene.png")
     with pytest.raises(InvalidOption, match="one value per point"):
         Scene(robot).cloud(np.eye(3), [True])
+    for bad in ("points", None, {}, np.eye(2), [[0.0, np.nan, 0.0]]):
+        with pytest.raises(InvalidOption, match="points must be finite numbers"):
+            Scene(robot).cloud(bad)
+    for bad in ("hydrolek_7w", None, robot.home):
+        with pytest.raises(InvalidOption, match="a Robot or a Tree is needed"):
+            view(bad)
 
 
 def test_view_writes_a_file(tmp_path, capsys):

@@ -201,6 +201,7 @@ def test_a_file_that_grows_without_measure_is_refused(tmp_path):
         (lambda: ik.waypoints([START, END, END], duration=1.0), InvalidTarget, "1 and 2 are the same"),
         (lambda: ik.waypoints([START, END], times=[0.0, 0.0]), InvalidTarget, "must increase"),
         (lambda: ik.waypoints([START, END], duration=1.0, law="linear"), InvalidOption, "no waypoint law"),
+        (lambda: ik.Reference(lambda t: t, 1.0, position_only="no"), InvalidOption, "position_only is True or False"),
     ],
 )
 def test_mistakes_are_typed(make, error, words):
