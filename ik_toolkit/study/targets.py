@@ -41,7 +41,7 @@ def sample_targets(
     `numpy.random.default_rng` accepts. Raises InvalidOption, FrameNotFound.
     """
     require_robot(robot)
-    one_of(how, HOW, "how")
+    one_of(how, HOW, "way of sampling")
     switch(position_only, "position_only")
     count = whole(count, "the number of targets")
     if tip is not None or how == "volume":

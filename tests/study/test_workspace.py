@@ -34,8 +34,8 @@ def test_targets_are_reachable_reproducible_and_spread_as_asked():
         return cells.max() / len(points)
 
     assert crowding("volume") < 0.8 * crowding("joints")
-    for name, bad in {"how": "joint", "position_only": "no", "seed": "one"}.items():
-        with pytest.raises(InvalidOption, match=name):
+    for name, bad, words in (("how", "joint", "joints"), ("position_only", "no", "position_only"), ("seed", 1.5, "seed")):
+        with pytest.raises(InvalidOption, match=words):
             sample_targets(robot, 5, **{name: bad})
 
 
@@ -55,7 +55,7 @@ def test_one_solver_may_be_given_by_itself(solver):
         ("file", 3, "file must be the path of a file, not 3"),
         ("progress", "bar", "progress must be a function of the number of targets done"),
         ("executor", "pool", "submit method"),
-        ("how", np.zeros(2), "no how"),
+        ("how", np.zeros(2), "no way of sampling"),
         ("position_only", "no", "position_only"),
     ],
 )
