@@ -3,7 +3,7 @@
 Lines differ in dashes as well as in colour, so that nothing depends on colour alone. `save` writes a figure to a file.
 """
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -12,8 +12,7 @@ import numpy as np
 
 from ..errors import InvalidOption, MissingExtra
 from ..files import as_path, whole_file
-from ..robot.joints import Joints
-from ..style import COLOURS, DASHES, GREY, PALE, STYLE
+from ..style import COLOURS, DASHES, GREY, STYLE
 from .attempts import attempts
 
 FLOOR = 1e-12  # [m, rad] smaller values are drawn here: a logarithmic axis has no zero
@@ -92,49 +91,6 @@ def convergence(runs: Any, *, tolerance: float | None = None, title: str = "") -
     return figure
 
 
-def joint_paths(q: Any, robot: Joints, *, t: Any = None, title: str = "") -> Any:
-    """Each joint's value over time or over steps; grey marks the range outside its limits.
-
-    q (N, n) [rad or m], robot for names, kinds and limits; t (N,) [s], else steps. Angles are drawn in degrees.
-    """
-    Q = _matrix(q, robot.n)
-    x = np.arange(len(Q)) if t is None else np.asarray(t, dtype=float)
-    with drawing() as plt:
-        columns = min(3, robot.n)
-        rows = -(-robot.n // columns)
-        figure, axes = plt.subplots(
-            rows,
-            columns,
-            figsize=(3.0 * columns + 0.6, 1.75 * rows + 0.5),
-            sharex=True,
-            squeeze=False,
-            layout="constrained",
-        )
-        for i, axis in enumerate(axes.flat):
-            if i >= robot.n:
-                axis.set_axis_off()
-                continue
-            angle = robot.joint_kinds[i] != "prismatic"
-            scale = np.degrees(1.0) if angle else 1.0
-            lower, upper, values = scale * robot.lower[i], scale * robot.upper[i], scale * Q[:, i]
-            bounded = np.isfinite(lower) and np.isfinite(upper)
-            low, high = (lower, upper) if bounded else (values.min(), values.max())
-            pad = 0.08 * max(high - low, 1e-6)
-            low, high = min(low, values.min()) - pad, max(high, values.max()) + pad
-            axis.set_ylim(low, high)
-            for edge, end in ((lower, low), (upper, high)):
-                if np.isfinite(edge):
-                    axis.axhspan(*sorted((edge, end)), color=PALE, lw=0)
-                    axis.axhline(edge, color=GREY, lw=0.8)
-            axis.plot(x, values, color=COLOURS[0])
-            axis.set_title(plain(f"{robot.joint_names[i]} [{'deg' if angle else 'm'}]"))
-            if i + columns >= robot.n:
-                axis.set_xlabel("time [s]" if t is not None else "step")
-                axis.tick_params(labelbottom=True)
-        _title(figure, title)
-    return figure
-
-
 def tracking_errors(runs: Any, *, title: str = "") -> Any:
     """Position and orientation error over time of one or several tracking runs, on logarithmic scales.
 
@@ -162,57 +118,6 @@ def tracking_errors(runs: Any, *, title: str = "") -> Any:
         axes[-1, 0].set_xlabel("time [s]")
         axes[0, 0].legend(fontsize=8, ncols=4, loc="lower left", bbox_to_anchor=(0.0, 1.0))
         _title(figure, title)
-    return figure
-
-
-def stability_region(
-    x: Any,
-    y: Any,
-    radius: Callable[[float, float], float] | Any,
-    *,
-    xlabel: str,
-    ylabel: str,
-    marks: Mapping[str, tuple[float, float]] | None = None,
-    title: str = "",
-) -> Any:
-    """Stability of a method: the spectral radius over two gains, with the contour at 1 emphasised.
-
-    x (X,), y (Y,): the gains; radius: array (Y, X), or a function of (x, y). marks: label -> (x, y), e.g. gains in use.
-    """
-    X, Y = np.asarray(x, dtype=float), np.asarray(y, dtype=float)
-    R = np.array([[radius(a, b) for a in X] for b in Y]) if callable(radius) else np.asarray(radius, dtype=float)
-    if R.shape != (len(Y), len(X)):
-        raise InvalidOption(f"radius must have the shape ({len(Y)}, {len(X)}), rows by y, not {R.shape}")
-    with drawing() as plt:
-        figure, axis = plt.subplots(figsize=(5.4, 4.0), layout="constrained")
-        axis.grid(False)
-        filled = axis.contourf(X, Y, np.clip(R, 0.0, 2.0), levels=np.linspace(0.0, 2.0, 21), cmap="cividis_r")
-        axis.contour(X, Y, R, levels=[1.0], colors="black", linewidths=1.8)
-        for k, (label, point) in enumerate((marks or {}).items()):
-            axis.plot(*point, ls="", marker="os^Dv"[k % 5], mfc="white", mec="black", ms=7, label=label)
-        if marks:
-            axis.legend(fontsize=8, loc="upper right", frameon=True)
-        bar = figure.colorbar(filled, ax=axis, ticks=[0, 0.5, 1, 1.5, 2])
-        bar.set_label("spectral radius (below 1: stable; 2: and above)")
-        axis.set(xlabel=xlabel, ylabel=ylabel)
-        _title(figure, title)
-    return figure
-
-
-def success_map(points: Any, success: Any, *, title: str = "") -> Any:
-    """Targets (N, 3) [m] seen from the side and from above; unreached ones are drawn as crosses on top."""
-    P, good = _matrix(points, 3), np.asarray(success, dtype=bool)
-    if good.shape != (len(P),):
-        raise InvalidOption(f"success must have one value per point ({len(P)}), not shape {good.shape}")
-    with drawing() as plt:
-        figure, axes = plt.subplots(1, 2, figsize=(8.2, 3.9), layout="constrained")
-        for axis, (i, j), side in zip(axes, ((0, 2), (0, 1)), ("from the side", "from above"), strict=True):
-            axis.plot(*P[good][:, [i, j]].T, ls="", marker="o", ms=2.2, mec="none", color=COLOURS[5], label="reached")
-            axis.plot(*P[~good][:, [i, j]].T, ls="", marker="x", ms=5, mew=1.1, color=COLOURS[1], label="not reached")
-            axis.set(xlabel=f"{'xyz'[i]} [m]", ylabel=f"{'xyz'[j]} [m]", title=side)
-            axis.set_aspect("equal", adjustable="datalim")
-        axes[0].legend(fontsize=8, loc="lower left", bbox_to_anchor=(0.0, 1.06), ncols=2, handletextpad=0.3)
-        _title(figure, f"{title + ': ' if title else ''}{good.sum()} of {len(good)} reached")
     return figure
 
 
@@ -256,13 +161,6 @@ def bars(
 def _title(figure: Any, text: str) -> None:
     if text:
         figure.suptitle(plain(text), x=0.01, ha="left", fontweight="bold", fontsize=10)
-
-
-def _matrix(values: Any, columns: int) -> np.ndarray:
-    array = np.atleast_2d(np.asarray(values, dtype=float))
-    if array.ndim != 2 or array.shape[1] != columns or not len(array):
-        raise InvalidOption(f"expected an array with {columns} columns, not of shape {array.shape}")
-    return array
 
 
 def _named(runs: Any) -> dict[str, tuple[Any, Any]]:

@@ -25,10 +25,6 @@ DIGITS = ".7g"  # of joint values suggested: with 4, the tip starts up to a mill
 References = Reference | Mapping[str, Reference]
 
 
-class UnreachableWarning(UserWarning):
-    """A reference leaves what the robot can reach."""
-
-
 @dataclass(frozen=True)
 class Survey:
     """What was found along a reference.

@@ -161,17 +161,6 @@ def p_limit(d):
     return 0.5 * (d + np.sqrt(d * (9.0 * d + 16.0)))
 
 
-def cv_stable(k):
-    """Whether k = kappa h (number or array) lies inside the stable interval of cv."""
-    return (k > 0.0) & (k < 1.0)
-
-
-def ca_stable(p, d):
-    """Whether p = kp h^2, d = kd h (numbers or arrays) lie inside the stable region of ca."""
-    inside = (d > 0.0) & (d < 1.0)
-    return inside & (p > 0.0) & (p < p_limit(np.where(inside, d, 0.5)))
-
-
 def best_gains(method: str, h: float, delay: float = 0.0) -> dict[str, float]:
     """Gains with the smallest spectral radius at sample time h [s]: cv 0.577 (1/sqrt 3), ca 0.196, aad 0.667; av has none.
 

@@ -369,7 +369,9 @@ def test_what_held_before_changes_the_way_but_not_the_answer(mode):
             assert other.status == cold.status and other.rate == pytest.approx(cold.rate, abs=1e-9)
         ended.add(int(cold.kept[-1]))
     ways = {0, 1} if mode == SLOW else {0, 1, 2}
-    assert ended <= ways and (config.DISABLE_JIT or ended == ways)  # the few cases of an uncompiled run end in some of them
+    assert ended <= ways and (
+        config.DISABLE_JIT or ended == ways
+    )  # the few cases of an uncompiled run end in some of them
 
 
 @pytest.mark.parametrize("mode", [LEAVE, SLOW, DIRECT])

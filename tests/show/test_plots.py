@@ -79,26 +79,6 @@ def test_rows_of_a_history_are_told_apart_by_attempts():
             assert np.array_equal(same, alone[key][: len(same)]) and len(alone[key]) - rows.sum() in (0, 1)
 
 
-def test_joint_paths_have_their_limits_in_degrees():
-    robot = load("inspection_7dof")
-    q = np.linspace(robot.lower, robot.upper, 20)
-    figure = plots.joint_paths(q, robot, t=np.arange(20.0))
-    axes = [axis for axis in figure.axes if axis.get_title(loc="left")]
-    assert len(axes) == robot.n
-    for i, (axis, kind) in enumerate(zip(axes, robot.joint_kinds, strict=True)):
-        scale = 1.0 if kind == "prismatic" else np.degrees(1.0)
-        edges = sorted(line.get_ydata()[0] for line in axis.get_lines() if len(line.get_ydata()) == 2)
-        assert np.allclose(edges, scale * np.array([robot.lower[i], robot.upper[i]]))
-        assert f"[{'m' if kind == 'prismatic' else 'deg'}]" in axis.get_title(loc="left")
-
-
-def test_continuous_joints_have_no_limit_band():
-    robot = load("continuous_mix")
-    figure = plots.joint_paths([robot.home, robot.home + 0.1], robot)
-    bands = [len(axis.patches) for axis in figure.axes[: robot.n]]
-    assert [band == 0 for band in bands] == [kind == "continuous" for kind in robot.joint_kinds]
-
-
 def test_tracking_errors_of_runs():
     robot = load("hydrolek_7w")
     path = ik.circle(robot.fk(robot.home), 0.03, duration=1.0)
@@ -106,26 +86,6 @@ def test_tracking_errors_of_runs():
     figure = plots.tracking_errors(runs, title="circle")
     assert len(figure.axes) == 2 and set(lines(figure.axes[0])) == {"cv", "ca"}
     assert np.array_equal(lines(figure.axes[0])["ca"], np.maximum(runs["ca"].position_error, plots.FLOOR))
-
-
-def test_stability_region_takes_arrays_and_functions():
-    x, y = np.linspace(0, 2, 5), np.linspace(0, 3, 4)
-    made = plots.stability_region(x, y, lambda a, b: a + b, xlabel="p", ylabel="d", marks={"used": (0.5, 0.5)})
-    assert made.axes[0].get_xlabel() == "p"
-    with pytest.raises(InvalidOption, match=r"\(4, 5\), rows by y"):
-        plots.stability_region(x, y, np.zeros((5, 4)), xlabel="p", ylabel="d")
-
-
-def test_success_map_shows_every_point_once_a_view():
-    points = np.random.default_rng(0).normal(size=(50, 3))
-    good = points[:, 0] > 0
-    figure = plots.success_map(points, good)
-    for axis in figure.axes:
-        drawn = lines(axis)
-        assert len(drawn["reached"]) == good.sum() and len(drawn["not reached"]) == (~good).sum()
-    assert f"{good.sum()} of 50" in figure.get_suptitle()
-    with pytest.raises(InvalidOption, match="one value per point"):
-        plots.success_map(points, good[:3])
 
 
 def test_bars_carry_numbers_and_intervals():
@@ -153,8 +113,6 @@ def test_refusals_are_words(tmp_path, solved):
         plots.convergence(ik.solve(robot, robot.fk(robot.home), "lm"))
     with pytest.raises(InvalidOption, match="no runs"):
         plots.convergence({})
-    with pytest.raises(InvalidOption, match="array with 6 columns"):
-        plots.joint_paths(np.zeros((3, 2)), robot)
 
 
 def test_history_says_what_the_result_says():

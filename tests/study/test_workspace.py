@@ -34,7 +34,11 @@ def test_targets_are_reachable_reproducible_and_spread_as_asked():
         return cells.max() / len(points)
 
     assert crowding("volume") < 0.8 * crowding("joints")
-    for name, bad, words in (("how", "joint", "joints"), ("position_only", "no", "position_only"), ("seed", 1.5, "seed")):
+    for name, bad, words in (
+        ("how", "joint", "joints"),
+        ("position_only", "no", "position_only"),
+        ("seed", 1.5, "seed"),
+    ):
         with pytest.raises(InvalidOption, match=words):
             sample_targets(robot, 5, **{name: bad})
 

@@ -17,7 +17,6 @@ from ...kernel.jit import compiled
 from ...kernel.kinematics import TAU
 from ...kernel.records import Array
 from ...kernel.search import WAITING
-from ...kernel.task import POSE, POSITION
 from ..presets import check_starts, load_preset
 from ..protocol import Asked, rule
 from ..space import Parameter, Space, sampling_box, start_parameter
@@ -159,10 +158,6 @@ class StateSpace(NamedTuple):
         """Starts (M, n) [rad, m] to choose from without q0, or None for home."""
         starts = self.resolve(robot, position_only).starts
         return None if starts is None else check_starts("state-space", starts, robot)
-
-    def pack_for(self, robot: Any, position_only: bool, given: bool) -> np.ndarray:
-        """As `pack`, without a request."""
-        return self.pack(robot, Asked(robot, (POSITION if position_only else POSE,), given))
 
     def pack(self, robot: Any, asked: Asked | None = None) -> np.ndarray:
         """Numbers of the compiled step, in kernel units and axes. Raises InvalidOption on wrong shapes."""
