@@ -75,13 +75,13 @@ def solve_path(
     poses: (N, 4, 4), or (N, 3) with orientation free [m]; for a Tree of F tips (N, F, 4, 4), (N, F, 3) or a dict by tip; or a
     Reference, sampled every 0.01 s. q0, q_end (n,) [rad or m]: start and end of the path if they reach the first and the last
     pose; otherwise configurations to start and end near. max_step: the longest step of a joint between rows, (rad, m) or one
-    number for both; default 7 deg and 20 mm. Longer steps are divided by inserting poses, at most 200,000. path_tolerance
-    (m, rad): how far a tip may leave the interpolated pose between two poses; default 1 mm and 1 deg, or twice the tolerances
-    at the poses. avoid_collisions: True (the robot's own links) or a CollisionModel. reconfigurations: 'fewest', 'none', or
-    the largest number allowed. seed: of the random starts; threads: default all cores. progress(fraction, text) is called
-    regularly. Options as for `solve`: tolerances, limits, mask, slack, free_turn, frame, relative_to, joint_weights.
-    Ctrl-C raises PathInterrupted, whose `result` is the best path so far (KeyboardInterrupt if there is no solution yet).
-    Raises InvalidTarget (naming the pose), InvalidConfiguration, InvalidOption; a path that cannot be followed is a status.
+    number for both; default 7 deg and 20 mm. Longer steps are divided by inserting poses, at most 200,000. path_tolerance (m,
+    rad): how far a tip may leave the interpolated pose between two poses; default 1 mm and 1 deg, or twice the tolerances at
+    the poses. avoid_collisions: as for `solve`. reconfigurations: 'fewest', 'none', or the largest number allowed. seed: of
+    the random starts; threads: default all cores. progress(fraction, text) is called regularly. Options as for `solve`:
+    tolerances, limits, mask, slack, free_turn, frame, relative_to, joint_weights. Ctrl-C raises PathInterrupted, whose
+    `result` is the best path so far (KeyboardInterrupt if there is no solution yet). Raises InvalidTarget (naming the pose),
+    InvalidConfiguration, InvalidOption; a path that cannot be followed is a status.
     """
     began = perf_counter()
     require_robot(robot)

@@ -146,9 +146,9 @@ def solve_batch(
 
     targets: (N, 4, 4) poses or (N, 3) positions [m], a list of poses, or an iterator of arrays of these shapes; for a Tree of
     F tips (N, F, 4, 4), (N, F, 3), or a dict by tip of (N, 4, 4) or (N, 3), where a tip left out is free. q0: None (home and
-    seed table), (n,) for all, or (N, n). threads: default all cores. executor: anything with the concurrent.futures interface
-    (a process pool, a Dask client's `get_executor()`) instead of threads. check: fraction of the results to verify with
-    Pinocchio. progress(done) is called as parts finish. Options and parameters as for `solve`. Limits, tolerances and
+    the table of starts), (n,) for all, or (N, n). threads: default all cores. executor: anything with the concurrent.futures
+    interface (a process pool, a Dask client's `get_executor()`) instead of threads. check: fraction of the results to verify
+    with Pinocchio. progress(done) is called as parts finish. Options and parameters as for `solve`. Limits, tolerances and
     statuses mean the same as in `solve`. A row may hold another solution than `solve` finds for that target; a q0 per row
     selects the one to search near. A row depends only on its own target and q0: the result is identical to the last byte for
     any number of threads, chunks or workers (on one CPU model). Ctrl-C raises BatchInterrupted, a KeyboardInterrupt whose

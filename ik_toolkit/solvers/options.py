@@ -17,7 +17,7 @@ PLAIN: dict[str, Any] = {
 }  # fmt: skip
 MAX_ITERATIONS = 1_000_000
 SLICE = 256  # evaluations that a timed solve makes before it looks at the clock: about a quarter of a millisecond
-FOLLOW = 0.5  # rad (of the reach for slides): what follow=True allows, the move that a chain reports as a flip
+FOLLOW = 0.5  # rad (of the reach for slides): what follow=True allows
 OBJECTIVES = {"mid-range": 1, "reference": 2, "manipulability": 3}  # numbers of kernel/refine.py
 WORDS = {"objective": tuple(OBJECTIVES), "q0_outside": ("clamp", "refuse")}
 OTHERWISE = {  # names from other packages that mean something else here
@@ -47,9 +47,10 @@ class Options:
     usual, 0 = held where q0, or home, has it). closest: of several solutions return the one nearest q0. objective: for
     redundant tasks, what to improve in the null space once solved: 'mid-range', 'reference' (near q0) or 'manipulability'.
     history: keep errors and q of every evaluation. check: re-check with Pinocchio. avoid_collisions: True (the robot's own
-    links) or a CollisionModel: only answers that touch nothing count, and the search goes on until one is found. follow: for
-    control loops, one attempt from q0 (required) in which no joint moves further than this [rad; slides: times the robot's
-    reach]; True is 0.5. A target beyond that ends as TOO_FAR. Not with closed forms, closest, restarts or objective.
+    links), a margin [m] to keep between them, or a CollisionModel: only answers that touch nothing count, and the search goes
+    on until one is found. follow: for control loops, one attempt from q0 (required) in which no joint moves further than this
+    [rad; prismatic joints: times the robot's reach]; True is 0.5. A target beyond that ends as TOO_FAR. Not with closed
+    forms, closest, restarts or objective.
     """
 
     position_tolerance: float = 1e-6

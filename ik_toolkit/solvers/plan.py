@@ -177,7 +177,7 @@ class Plan:
         orders = Orders(
             tol_p=o.position_tolerance * MARGIN,
             tol_r=o.orientation_tolerance * MARGIN,
-            # Without restarts the one attempt starts where the caller expects, at q0 or home, never from the seed table; and
+            # Without restarts the one attempt starts where the caller expects, at q0 or home, never from the table of starts; and
             # what is compared by its distance from q0 or home starts there first.
             given=bool(given or o.closest or (attempts == 1 and not own_starts)),
             iterations=iterations if o.max_iterations is None else o.max_iterations,

@@ -14,7 +14,7 @@ from .reference import Reference, Samples, law_of, log, on_path, split
 def line(start: Any, end: Any, *, duration: float, law: str = "constant", rounds: int = 0) -> Reference:
     """Straight line from start to end (both poses or both positions, base frame [m]), the orientation turning about one axis.
 
-    law: "constant" speed or "minimum-jerk" (rest to rest). rounds > 0 goes there and back that many times, with s =
+    duration [s]. law: "constant" speed or "minimum-jerk" (rest to rest). rounds > 0 goes there and back that many times, with s =
     (1 - cos) / 2, so the line is retraced and the speed is zero at both ends; law is then not used. Raises InvalidTarget,
     InvalidOption.
     """
@@ -50,7 +50,8 @@ def circle(
     """Circle of `radius` [m] about `normal` (base axes), counter-clockwise for turns > 0, at a fixed orientation.
 
     Give start (the tip's first pose or position; the centre lies `radius` back along the base x axis laid into the plane,
-    y where x is the normal) or center (the start is then `radius` ahead of it). Raises InvalidTarget, InvalidOption.
+    y where x is the normal) or center (the start is then `radius` ahead of it). All turns take duration [s]; law as in `line`.
+    Raises InvalidTarget, InvalidOption.
     """
     if (start is None) == (center is None):
         raise InvalidOption("a circle needs either start= or center=")
@@ -89,9 +90,10 @@ def lissajous(
     duration: float = 10.0,
     law: str = "constant",
 ) -> Reference:
-    """Lissajous figure about `center` (pose or position): amplitude [m], cycles and phase [rad] along each base axis.
+    """Lissajous figure about `center` (pose or position): along each base axis amplitude times sin(2 pi cycles s + phase).
 
-    The default is a figure of eight in the horizontal plane through the centre. Raises InvalidTarget, InvalidOption.
+    amplitudes (3,) [m], cycles (3,), phases (3,) [rad]; s goes from 0 to 1 in duration [s], law as in `line`. The default is a
+    figure of eight in the horizontal plane through the centre. Raises InvalidTarget, InvalidOption.
     """
     p, R0 = split(center)
     amp, cyc, pha = (
