@@ -184,6 +184,13 @@ Deg = Annotated[
     bool,
     typer.Option("--deg", help="Angles in degrees; lengths stay in metres.", rich_help_panel="Output"),
 ]
+UrdfOut = Annotated[
+    Path | None,
+    typer.Option(
+        "-o", "--output", metavar="FILE", help="Write the URDF to a file instead of stdout.", callback=writes()
+    ),
+]
+How = Annotated[str, typer.Option("--sample", metavar="joints|volume", help="Targets uniform in joints or in volume.")]
 Json = Annotated[
     bool,
     typer.Option("--json", help="Print one JSON object, always in metres and radians.", rich_help_panel="Output"),

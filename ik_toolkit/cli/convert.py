@@ -1,21 +1,14 @@
 """`ik convert`: any description of a robot as one plain URDF."""
 
 from pathlib import Path
-from typing import Annotated
 
 import typer
 
 from ..errors import CONTROLS
 from ..files import write_whole
-from .arguments import Json, PackageDir, RobotArg, XacroArg, assignments, writes
+from .arguments import Json, PackageDir, RobotArg, UrdfOut, XacroArg, assignments
 from .output import notice, write_json
 
-UrdfOut = Annotated[
-    Path | None,
-    typer.Option(
-        "-o", "--output", metavar="FILE", help="Write the URDF to a file instead of stdout.", callback=writes()
-    ),
-]
 SHOWN = 3  # meshes that are not found and named
 
 

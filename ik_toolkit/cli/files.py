@@ -9,16 +9,10 @@ import typer
 
 from ..errors import CONTROLS, FrameNotFound, IKError, InvalidOption, ModelError
 from ..files import write_whole
-from .arguments import Json, PackageDir, XacroArg, assignments, writes
+from .arguments import Json, PackageDir, UrdfOut, XacroArg, assignments, writes
 from .output import notice, progress, show, table, write_json
 
 TableArg = Annotated[str, typer.Argument(metavar="TABLE", help="D-H table, a .toml or .csv file.")]
-UrdfOut = Annotated[
-    Path | None,
-    typer.Option(
-        "-o", "--output", metavar="FILE", help="Write the URDF to a file instead of stdout.", callback=writes()
-    ),
-]
 SrdfOut = Annotated[
     Path | None,
     typer.Option(

@@ -1,6 +1,7 @@
 """`--obstacle KIND:NUMBERS`: obstacles around the robot."""
 
 from collections.abc import Sequence
+from types import SimpleNamespace
 from typing import Any
 
 from ..errors import InvalidOption
@@ -13,10 +14,16 @@ FORMS = {
 }
 
 
-def collision_model(arm: Any, texts: Sequence[str], margin: float | None) -> Any:
-    """Value of `avoid_collisions`: True, or a model with the obstacles [m, rad] placed in the base frame, and a margin [m]."""
-    if not texts and margin is None:
-        return True
+def avoided(arm: Any, line: SimpleNamespace) -> dict[str, Any]:
+    """The option `avoid_collisions` as --avoid-collisions, --obstacle and --margin ask for it, or none."""
+    if not (line.avoid_collisions or line.obstacle or line.margin is not None):
+        return {}
+    plain = not line.obstacle and line.margin is None
+    return {"avoid_collisions": plain or _model(arm, line.obstacle or (), line.margin)}
+
+
+def _model(arm: Any, texts: Sequence[str], margin: float | None) -> Any:
+    """A model with the obstacles [m, rad] placed in the base frame, and a margin [m]."""
     from ..robot.collision import CollisionModel
     from ..robot.pose import pose
 

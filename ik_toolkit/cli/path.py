@@ -29,7 +29,7 @@ from .arguments import (
     load_robot,
     writes,
 )
-from .obstacles import collision_model
+from .obstacles import avoided
 from .output import facts, notice, partial, progress, show, table, write_json
 from .pictures import Html, Live, present
 
@@ -217,8 +217,7 @@ def _options(line: SimpleNamespace, arm: Any) -> dict[str, Any]:
     for name, text in (("q0", line.q0), ("q_end", line.q_end)):
         if text is not None:
             options[name] = joint_vector(arm, text, f"--{name.replace('_', '-')}", line.deg)
-    if line.avoid_collisions or line.obstacle or line.margin is not None:
-        options["avoid_collisions"] = collision_model(arm, line.obstacle or (), line.margin)
+    options |= avoided(arm, line)
     words = line.reconfigurations
     options["reconfigurations"] = int(words) if words.isdecimal() else words
     return options | {"max_step": (math.radians(line.max_step_deg), 1e-3 * line.max_step_mm), "seed": line.seed}

@@ -11,7 +11,7 @@ from ..errors import InvalidOption, InvalidTarget
 from ..text import parameter, vector
 from . import by_tip
 from .arguments import assignments, joint_vector, solver_named
-from .obstacles import collision_model
+from .obstacles import avoided
 
 Xyz = Annotated[
     str | None,
@@ -276,8 +276,7 @@ def read_options(line: SimpleNamespace, arm: Any) -> dict[str, Any]:
     options = {name: value for name, value in given.items() if value is not None} | read_counting(line)
     options |= {"limits": line.limits, "q0_outside": "clamp" if line.clamp_q0 else "refuse"}
     options["q0"] = None if line.q0 is None else joint_vector(arm, line.q0, "--q0", line.deg)
-    if line.avoid_collisions or line.obstacle or line.margin is not None:
-        options["avoid_collisions"] = collision_model(arm, line.obstacle or (), line.margin)
+    options |= avoided(arm, line)
     if line.closest is not None:
         nearest = joint_vector(arm, line.closest, "--closest", line.deg)
         options |= {"closest": nearest} if line.file is None else {"q0": nearest, "closest": True}

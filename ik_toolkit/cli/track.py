@@ -30,7 +30,7 @@ from .arguments import (
     writes,
 )
 from .by_tip import choose_tips
-from .obstacles import collision_model
+from .obstacles import avoided
 from .output import facts, notice, progress, show, table, turns, write_json
 from .track_path import Asked, advice, asked_path
 
@@ -99,12 +99,12 @@ Acceleration = Annotated[
 ]
 PositionTolerance = Annotated[
     float,
-    typer.Option("--tolerance-position", metavar="M", help="Position tolerance of a followed run [m]."),
+    typer.Option("--position-tolerance", metavar="M", help="Position tolerance of a followed run [m]."),
 ]
 OrientationTolerance = Annotated[
     float | None,
     typer.Option(
-        "--tolerance-orientation", metavar="RAD", help="Orientation tolerance of a followed run; default: 0.1 degrees."
+        "--orientation-tolerance", metavar="RAD", help="Orientation tolerance of a followed run; default: 0.1 degrees."
     ),
 ]
 Relative = Annotated[
@@ -189,8 +189,8 @@ def track(
     avoid_collisions: AvoidCollisions = False,
     obstacle: Obstacles = None,
     margin: shared.Margin = None,
-    tolerance_position: PositionTolerance = 1e-3,
-    tolerance_orientation: OrientationTolerance = None,
+    position_tolerance: PositionTolerance = 1e-3,
+    orientation_tolerance: OrientationTolerance = None,
     settle: Settle = None,
     tip: Tips = None,
     base: Base = None,
@@ -255,9 +255,8 @@ def _run(arm: Any, line: SimpleNamespace, asked: Asked, counts: dict[str, Any]) 
 
     options = {name: getattr(line, name) for name in ("kappa", "kp", "kd") if getattr(line, name) is not None}
     options |= {name: parameter(name, text) for name, text in assignments(line.param, "-p").items()}
-    if line.avoid_collisions or line.obstacle or line.margin is not None:
-        options["avoid_collisions"] = collision_model(arm, line.obstacle or (), line.margin)
-    angle = ORIENTATION_TOLERANCE if line.tolerance_orientation is None else line.tolerance_orientation
+    options |= avoided(arm, line)
+    angle = ORIENTATION_TOLERANCE if line.orientation_tolerance is None else line.orientation_tolerance
     own = {
         "robot": arm,
         "reference": asked.reference,
@@ -266,7 +265,7 @@ def _run(arm: Any, line: SimpleNamespace, asked: Asked, counts: dict[str, Any]) 
         "q0": asked.q0,
         "limits": line.limits,
         "acceleration_limits": line.acceleration,
-        "position_tolerance": line.tolerance_position,
+        "position_tolerance": line.position_tolerance,
         "orientation_tolerance": angle,
         "settle": line.settle,
         "on_limit": line.on_limit,

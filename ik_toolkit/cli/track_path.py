@@ -5,7 +5,7 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from ..errors import InvalidOption, near_match
+from ..errors import InvalidOption, near_match, whole
 from ..text import vector
 from .output import number
 
@@ -52,7 +52,7 @@ def asked_path(arm: Any, line: SimpleNamespace, q: Any, counts: dict[str, Any]) 
 
     placed = place(
         arm, line.path, q0=q, axis=_axis(line), position_only=line.position_only, duration=line.duration, law=line.law,
-        turns=line.turns_, dt=1.0 / line.rate, tolerance=line.tolerance_position, **counts,
+        turns=line.turns_, dt=1.0 / line.rate, tolerance=line.position_tolerance, **counts,
     )  # fmt: skip
     return Asked(placed.reference, placed.q0, placed.words)
 
@@ -114,7 +114,13 @@ def _from_to(T: Any, line: SimpleNamespace) -> "Reference":
     T1 = T.copy()
     T1[:3, 3] = end
     seconds, law = _rest(line)["duration"], line.law or "minimum-jerk"
-    return shapes.line(at, end if line.position_only else T1, duration=seconds, law=law, rounds=int(line.turns_))
+    return shapes.line(
+        at,
+        end if line.position_only else T1,
+        duration=seconds,
+        law=law,
+        rounds=whole(line.turns_, "rounds of a line", 0),
+    )
 
 
 def advice(arm: Any, line: SimpleNamespace, asked: Asked, q: Any, found: "Survey", **options: Any) -> list[str]:

@@ -16,6 +16,7 @@ from .arguments import (
     BaseXyz,
     Csv,
     Deg,
+    How,
     Json,
     Lock,
     PackageDir,
@@ -55,7 +56,6 @@ Seconds = Annotated[float | None, typer.Option(metavar="S", help="Stop the searc
 Seed = Annotated[int, typer.Option(metavar="N", help="Seed of the search and of the targets.")]
 Tolerance = Annotated[float, typer.Option(metavar="TOL", help="Both tolerances, in m and rad.")]
 MaxIterations = Annotated[int, typer.Option(metavar="N", help="Maximum iterations per solve.")]
-How = Annotated[str, typer.Option("--sample", metavar="joints|volume", help="Targets uniform in joints or in volume.")]
 Out = Annotated[
     Path | None,
     typer.Option(

@@ -12,7 +12,7 @@ LAST = ("Robot", "Output", "Other")  # groups at the end; the others come before
 GROUPS = {  # of the options that several commands share
     "Target": "--xyz --rpy --quat-xyzw --quat-wxyz --matrix --from-q --target --relative --direction --tip-axis",
     "What counts": "--mask --slack --free-turn --frame",
-    "Tolerances": "--tolerance --position-tolerance --orientation-tolerance --tolerance-position --tolerance-orientation",
+    "Tolerances": "--tolerance --position-tolerance --orientation-tolerance",
     "Solver": "--solver --param --preset --max-iterations --restarts --timeout --seed --limits",
     "Start and preferences": "--q0 --clamp-q0 --joint-weights --closest --follow --objective --all",
     "Collisions": "--avoid-collisions --obstacle --margin",

@@ -15,6 +15,7 @@ from .arguments import (
     BaseXyz,
     Deg,
     Group,
+    How,
     Json,
     Lock,
     Out,
@@ -42,7 +43,6 @@ Preset = Annotated[
     typer.Option(metavar="SOLVER=PRESET", help="Also solve with a preset: its name, or a file; may be repeated."),
 ]
 Targets = Annotated[int, typer.Option("-n", "--targets", metavar="N", help="Number of targets.")]
-How = Annotated[str, typer.Option("--sample", metavar="joints|volume", help="Targets uniform in joints or in volume.")]
 Pose = Annotated[bool, typer.Option("--pose", help="Targets are poses; default: positions.")]
 Seed = Annotated[int, typer.Option(metavar="N", help="Seed of the targets.")]
 Start = Annotated[str | None, typer.Option("--q0", metavar="Q1 Q2 ...", help="Start of every solve.")]

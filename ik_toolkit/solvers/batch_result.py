@@ -9,7 +9,7 @@ from ..kernel.records import ANSWER, AT, MISS
 from .avoid import collision_model
 from .plan import Plan
 from .result import SPOKEN, Outcome, Result
-from .status import Status
+from .status import Status, count_statuses
 
 
 class BatchInterrupted(KeyboardInterrupt):
@@ -112,8 +112,7 @@ class BatchResult:
 
     def counts(self) -> dict[str, int]:
         """How many targets ended with each status."""
-        numbers, counts = np.unique(self.table[:, AT.status], return_counts=True)
-        return {Status(int(k)).name: int(c) for k, c in zip(numbers, counts, strict=True)}
+        return count_statuses(self.table[:, AT.status])
 
     def to_dict(self) -> dict[str, Any]:
         """Arrays by name, for np.savez and tables; of several tips also TIP.position_error and TIP.orientation_error."""

@@ -43,6 +43,14 @@ ADVICE = {
     Status.TOO_FAR: "move the target in smaller steps, or allow larger moves (follow)",
     Status.COLLISION: "try more restarts, another q0, or move the target or the obstacle",
 }
+
+
+def count_statuses(numbers: np.ndarray) -> dict[str, int]:
+    """How many of the numbers (N,) stand for each status, by name; only those that occur."""
+    found, counts = np.unique(numbers, return_counts=True)
+    return {Status(int(k)).name: int(c) for k, c in zip(found, counts, strict=True)}
+
+
 # The configuration returned with a failure is the best that the closed form or the search after it found.
 CLOSED_FORM_SAYS = {
     Status.CONVERGED: "closed form: the branch within limits nearest q0; residual {left}",

@@ -15,7 +15,7 @@ from ..robot.tree import Tree
 from ..solvers.batch_parts import check_executor
 from ..solvers.registry import find_row, list_rows
 from ..solvers.solve import Solver, is_auto, require_robot
-from ..solvers.status import Status
+from ..solvers.status import Status, count_statuses
 from ..tracking.inputs import one_of
 from .inputs import solver_list
 from .statistics import wilson
@@ -266,7 +266,7 @@ def summary(robot: Robot | Tree, solver: str, task: str, table: np.ndarray) -> B
     good = table[:, 1] == Status.CONVERGED
     solved, count = int(good.sum()), len(table)
     low, high = wilson(solved, count)
-    numbers, counts = np.unique(table[:, 1], return_counts=True)
+    statuses = count_statuses(table[:, 1])
     table = table[np.argsort(~good, kind="stable")]
     seconds, best = table[:, 0], table[:solved]
     return BenchmarkRow(
@@ -284,7 +284,7 @@ def summary(robot: Robot | Tree, solver: str, task: str, table: np.ndarray) -> B
         iterations=float(np.median(table[:, 2])),
         restarts=float(table[:, 3].mean()),
         fk_evaluations=float(np.median(table[:, 4])),
-        statuses={Status(int(k)).name: int(c) for k, c in zip(numbers, counts, strict=True)},
+        statuses=statuses,
         worst_position_error=float(best[:, 5].max()) if solved else None,
         worst_orientation_error=float(best[:, 6].max()) if solved and task == "pose" else None,
         seconds=seconds,

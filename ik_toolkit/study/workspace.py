@@ -18,7 +18,7 @@ from ..robot.tree import Tree
 from ..solvers.batch import solve_parts
 from ..solvers.registry import GENERAL, find_row
 from ..solvers.solve import is_auto, require_robot
-from ..solvers.status import Status
+from ..solvers.status import count_statuses
 from .inputs import solver_list
 from .statistics import wilson
 from .targets import one_tip, sample_targets, stream_targets
@@ -255,9 +255,8 @@ def _count(outcome: Outcome, part: dict[str, np.ndarray]) -> None:
     outcome.iterations += int(part["iterations"][good].sum())
     if not good.all():
         outcome.worst = max(outcome.worst, float(part["position_error"][~good].max()))
-    for number, count in zip(*np.unique(part["status"], return_counts=True), strict=True):
-        name = Status(int(number)).name
-        outcome.statuses[name] = outcome.statuses.get(name, 0) + int(count)
+    for name, count in count_statuses(part["status"]).items():
+        outcome.statuses[name] = outcome.statuses.get(name, 0) + count
 
 
 class _Table:

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from ..errors import whole
 from ..robot.joints import Joints
 from ..robot.pose import length
 from . import shapes
@@ -81,7 +82,9 @@ def draw(
         d = np.array((1.0, 0.0, 0.0) if axis is None else axis, dtype=float)
         end = np.array(at, dtype=float)
         (end if end.ndim == 1 else end[:3, 3])[:] += size * d / np.linalg.norm(d)
-        return shapes.line(at, end, duration=duration, law=law or "minimum-jerk", rounds=int(turns))
+        return shapes.line(
+            at, end, duration=duration, law=law or "minimum-jerk", rounds=whole(turns, "rounds of a line", 0)
+        )
     normal = (0.0, 0.0, 1.0) if axis is None else axis
     rest: dict[str, Any] = {"turns": turns or 1.0, "duration": duration, "law": law or "constant"}
     return shapes.circle(at, size, normal=normal, **rest) if kind == "circle" else eight(at, size, normal, **rest)

@@ -1,7 +1,5 @@
 """Result of a tracking run: arrays over the samples, figures, and files."""
 
-import csv
-import io
 import json
 from dataclasses import dataclass, field
 from enum import Enum
@@ -11,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import InvalidOption
-from ..files import as_path, whole_file, write_whole
+from ..files import as_path, whole_file, write_table, write_whole
 from ..robot.ros import joint_trajectory
 from .reachable import Survey
 from .stability import GainCheck
@@ -174,11 +172,7 @@ class TrackResult:
                 parts.append(self.orientation_error[:, None])
             head.append("clock")
             parts.append(self.clock[:, None])
-            text = io.StringIO()
-            writer = csv.writer(text)
-            writer.writerow(head)
-            writer.writerows([repr(float(x)) for x in row] for row in np.hstack(parts))
-            write_whole(file, text.getvalue())
+            write_table(file, head, np.hstack(parts).tolist())
         elif file.suffix.lower() == ".json":
             write_whole(file, json.dumps(self.to_ros(), allow_nan=False) + "\n")
         else:

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import InvalidOption, InvalidTarget, floats
+from ..errors import InvalidOption, InvalidTarget, floats, whole
 from ..robot.pose import check_target
 from .inputs import number, positive
 from .reference import Reference, Samples, law_of, log, on_path, split
@@ -31,9 +31,7 @@ def line(start: Any, end: Any, *, duration: float, law: str = "constant", rounds
         k = 2 * np.pi * rounds
         return 0.5 * (1 - np.cos(k * x)), 0.5 * k * np.sin(k * x), 0.5 * k * k * np.cos(k * x)
 
-    times = number(rounds, "rounds")
-    if times < 0 or not times.is_integer():
-        raise InvalidOption(f"rounds must be a whole number of at least 0, not {times:g}")
+    rounds = whole(rounds, "rounds", 0)
     return on_path(path, there_and_back if rounds else law_of(law), duration, R0, "line", turn)
 
 

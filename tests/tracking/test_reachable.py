@@ -55,7 +55,9 @@ def test_the_command_chooses_a_slow_path_for_few_samples(capsys):
     assert main(["track", "planar_2r", "--rate", "1"]) == 0
     assert "in 71 s (chosen)" in " ".join(capsys.readouterr().out.split())
     assert main(["track", "planar_2r", "--rate", "1", "--duration", "10"]) == 1  # as it is asked for
-    assert main(["track", "planar_2r", "--tolerance-position", "-1"]) == 2
+    assert main(["track", "planar_2r", "--position-tolerance", "-1"]) == 2
+    for size in (["--length", "0.1"], ["--end", "1.2", "0.9", "0"]):
+        assert main(["track", "planar_2r", "--path", "line", *size, "--turns", "1.5"]) == 2  # was one round
 
 
 def test_how_far_a_line_can_be_followed_and_which_joint_ends_it(arm):

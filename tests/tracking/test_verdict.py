@@ -87,7 +87,7 @@ def test_the_verdict_of_the_command(capsys):
     assert main([*words, "--json"]) == 0 and json.loads(capsys.readouterr().out)["settle"] == 0.5
     assert main([*words, "--settle", "0"]) == 0
     assert "SLOWED" in capsys.readouterr().out
-    assert main([*words, "--tolerance-position", "1e-9"]) == 1
+    assert main([*words, "--position-tolerance", "1e-9"]) == 1
     assert "1 nm" in capsys.readouterr().err
-    assert main([*words, "--tolerance-orientation", "0"]) == 2
+    assert main([*words, "--orientation-tolerance", "0"]) == 2
     assert "orientation_tolerance" in capsys.readouterr().err
