@@ -101,7 +101,7 @@ def _errors(robot: Any, q: np.ndarray, target: Any) -> dict[str, tuple[float, fl
     """Errors at q by tip, for the tips that have a target."""
     each = target if robot.by_tip else {robot.tips[0]: target}
     arms = dict(zip(robot.tips, zip(robot.arms, robot.places, strict=True), strict=True))
-    return {tip: arms[tip][0].errors(q[arms[tip][1]], T) for tip, T in each.items()}
+    return {tip: arms[tip][0]._errors(q[arms[tip][1]], T) for tip, T in each.items()}
 
 
 def _size(errors: dict[str, tuple[float, float | None]]) -> float:
