@@ -31,7 +31,7 @@ def register(app: typer.Typer) -> None:
 def doctor(
     as_json: Json = False,
     prepare: Annotated[
-        bool, typer.Option("--prepare", help="Compile what the default solvers need now; about a minute, once.")
+        bool, typer.Option("--prepare", help="Compile what the default solvers need now; about half a minute, once.")
     ] = False,
     background: Annotated[bool, typer.Option("--background", hidden=True)] = False,
 ) -> None:

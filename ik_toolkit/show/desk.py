@@ -58,7 +58,7 @@ class Desk(Visit):
                 goal.join(handle)
         self.show()
         words = body.notice or f"{s.robot.name}: {s.robot.base} to {' and '.join(s.robot.tips)}, {s.robot.n} joints"
-        self.say(f"{words}. Loading the tracker; the first time it compiles for about a minute.")
+        self.say(f"{words}. Loading the tracker; the first time it compiles for about half a minute.")
         self.worker.post("prepare", self._guard(self.session.prepare))
         self.worker.post("ready", self._guard(lambda: self.say(words)))
 
