@@ -10,6 +10,7 @@ import numpy as np
 
 from ..errors import InvalidOption
 from ..files import as_path, whole_file, write_table, write_whole
+from ..kernel import box
 from ..robot.ros import joint_trajectory
 from .reachable import Survey
 from .stability import GainCheck
@@ -39,7 +40,8 @@ class TrackResult:
 
     t (N+1,) [s]; q, rate (N+1, n) joint values and the method's joint rates [rad or m (per s)]; xyz, target_xyz (N+1, 3)
     [m], base axes, of several `tips` (N+1, tips, 3); position_error (N+1,) [m], orientation_error (N+1,) [rad] or None, of
-    several tips the largest; limited (N, n) bits 1 position, 2 speed, 4 acceleration limit; damped (N,) whether the
+    several tips the largest; limited (N, n) bits: held back by a limit on 1 position, 2 speed, 4 acceleration, by 8 a step
+    that was not finite, 16 being outside its limits, 32 a contact ahead, 64 what calms a swing; damped (N,) whether the
     pseudo-inverse was damped; between_position, between_orientation (N,) largest error inside each step; figures (see
     `figures`); elapsed [s] of stepping; gain_check. The verdict reads position_tolerance [m] and orientation_tolerance [rad] at
     every sample from settle [s] on.
@@ -108,6 +110,11 @@ class TrackResult:
             return None
         lost = np.bincount(self.pace[held], weights=1.0 - self.sigma[held], minlength=len(self.joint_names))
         return self.joint_names[int(np.argmax(lost))]
+
+    @property
+    def at_limits(self) -> np.ndarray:
+        """Which joints (N, n) a limit of their own held back in which step, on position, speed or acceleration."""
+        return self.limited & (box.POSITION | box.VELOCITY | box.ACCELERATION) > 0
 
     def outside(self) -> np.ndarray:
         """Which samples (N+1,) from settle on have an error above a tolerance."""
@@ -185,8 +192,8 @@ def figures(result: TrackResult, jump: np.ndarray) -> dict[str, Any]:
 
     position (orientation): max, rms, final, settled_max (second half) and between_max (inside steps). Joints, by finite
     differences of the samples: peak_speed, peak_acceleration, peak_jerk (n,) [rad or m per s, s^2, s^3];
-    largest_move with its joint and time; jumps, the number of steps with a move above `jump` (n,). time_at_limits [s] (any
-    joint held back), time_at_limits_by_joint; damped_time [s] (near a singularity); slowed_time [s] (the clock went slower),
+    largest_move with its joint and time; jumps, the number of steps with a move above `jump` (n,). time_at_limits [s] (of any
+    joint, see `at_limits`), time_at_limits_by_joint; damped_time [s] (near a singularity); slowed_time [s] (the clock went slower),
     added_time [s] (how much longer the run took for it), slowest (the least clock rate).
     """
     out: dict[str, Any] = {"position": _errors(result.position_error, result.between_position)}
@@ -202,7 +209,7 @@ def figures(result: TrackResult, jump: np.ndarray) -> dict[str, Any]:
             "value": float(abs(moves[step, joint])), "joint": result.joint_names[joint], "time": float(result.t[step])
         }  # fmt: skip
     out["jumps"] = int((np.abs(moves) > jump).any(axis=1).sum())
-    hit = result.limited > 0
+    hit = result.at_limits
     out["time_at_limits"] = float(hit.any(axis=1).sum() * result.dt)
     out["time_at_limits_by_joint"] = {
         j: float(x) for j, x in zip(result.joint_names, hit.sum(axis=0) * result.dt, strict=True)

@@ -35,8 +35,9 @@ def verdict(result: TrackResult, stop: int, steps: int) -> tuple[TrackStatus, st
             TrackStatus.DIVERGED if stop == motion.RUNAWAY else TrackStatus.NOT_FINITE,
             f"{result.method} {what} after {done} of {steps} steps (t = {result.t[-1]:.4g} s). {hint}",
         )
-    limited = int(result.limited.any(axis=1).sum())
+    limited, blocked = (int(one.any(axis=1).sum()) for one in (result.at_limits, result.limited & box.ROW))
     note = f" A joint limit was active in {limited} of {done} steps." if limited else ""
+    note += f" A contact ahead held the robot back in {blocked} of {done} steps." if blocked else ""
     note += _between_samples(result)
     outside = result.outside()
     if result.clock[-1] < result.end - result.dt:  # the last step may fall short of the end
