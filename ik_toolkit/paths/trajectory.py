@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..errors import FrameNotFound, InvalidOption, floats, near_match
+from ..errors import InvalidOption, floats
 from ..files import as_path, write_table, write_whole
 from ..robot.ros import joint_trajectory
 from ..tracking.reference import Reference, Samples
@@ -122,8 +122,8 @@ class Trajectory:
         tips = self.robot.tips
         if tip is None and len(tips) > 1:
             raise InvalidOption(f"to_reference is for one tip; choose one with tip=: {', '.join(tips)}")
-        if tip is not None and tip not in tips:
-            raise FrameNotFound(f"'{tip}' is not one of the tips.{near_match(tip, tips)}")
+        if tip is not None:
+            self.robot.check_tips([tip])
         if not self.duration > 0.0:
             raise InvalidOption("the trajectory has no motion, so there is no reference to follow")
         f = 0 if tip is None else tips.index(tip)

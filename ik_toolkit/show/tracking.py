@@ -96,7 +96,7 @@ def _errors(ax: Any, result: TrackResult) -> None:
         ax.semilogy(
             result.t, np.maximum(result.orientation_error, FLOOR), color=COLOURS[4], lw=1.3, label="orientation [rad]"
         )
-    held = np.append(result.limited.any(axis=1), False)
+    held = np.append(result.at_limits.any(axis=1), False)
     if held.any():
         ax.fill_between(
             result.t, 0, 1, where=held, transform=ax.get_xaxis_transform(), color=PALE, lw=0, label="at a limit"
