@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numba.extending import overload
 
+from .box import bending
 from .constrain import SLOW
 from .jit import INLINE, inline, inner
 from .modes import (
@@ -156,7 +157,7 @@ def feed_back(law, s, limits, count, h, heavy, beyond):
         if s.lost[k] > 0.0:
             gone += mode_part(s.U, k, s.e) ** 2
     curved = heavy * math.sqrt(max(size - gone, 0.0)) if size > CLOSE * CLOSE else 0.0
-    fast, quick = (0.5, 0.5) if law.mode == CLIP else (FAST, BRISK)
+    fast, quick = (0.5, 0.5) if law.mode == CLIP else (FAST, BRISK / bending(law.gamma))
     return ease(
         law, s.J, m, s.e, s.ahead, h, s.at, limits, s.planes, s.edges, count, fast, quick, law.mode != CLIP, curved, s.G, s.H,
         s.y, s.x,
