@@ -230,63 +230,67 @@ def note_curve(s, r, part):
 
 
 @inline
+def judge_modes(law, task, look, s, slack, limits, h, rate, away, heavy, state):
+    """Judge the directions in which the tip can hardly move, see modes.py; returns whether the target is out of reach in one."""
+    n, m = s.J.shape
+    near, beyond, gain = False, False, law.kappa if law.code == CV else GAIN / h
+    for r in range(m):
+        if s.sv[r] >= REGION * law.damping:
+            continue
+        if not near and s.sv[r] > CLEAR:
+            forget_default(state, away)
+        near = True
+        left, moved = mode_part(s.U, r, s.e), mode_moved(s.U, r, s.e, s.ahead, s.f, h)
+        free, thin, own = s.sv[r] < LOST and state[STATE.near] > 1.0, s.sv[r], 0.0
+        if not begin_mode(s, r, free, moved + h * gain * left, away):
+            continue
+        for part in range(-n if free else 0, 3):
+            if part == ALONG and free:
+                thin = bent_direction(s.W, s.V, s.sv, r, s.null)
+            own = probe_mode(s, r, part, rate, h)
+            bend(task, look, s, slack, True)
+            note_curve(s, r, part)
+        rest = heavy * rest_of(s.e, left) if state[STATE.near] == 1.0 + SIDE else 0.0
+        out = mode_speed(
+            s.V, r, s.sv[r], thin, s.t, rest, own, left, moved, gain, h, law.mode == SLOW, limits, s.lost, s.xk, state[STATE.near],
+            away,
+        )  # fmt: skip
+        beyond = beyond or out
+    remember(state, near, beyond, h)
+    return beyond
+
+
+@inline
 def by_law(law, rule, task, look, weights, s, slack, limits, wish, count, sigma, h, rate, memory, away, basis, state):
     """Rates that a published law wants, to s.x. Returns how much of the task was lost, or the damping (CLIP)."""
     n, m = s.J.shape
-    gain = law.kappa if law.code == CV else GAIN / h
     border = REGION * law.damping
-    damped, weak, heavy = 0.0, 0, 0.0 if law.mode == CLIP else 1.0
+    damped, weak, beyond, heavy = 0.0, False, False, 0.0 if law.mode == CLIP else 1.0
     if law.mode == CLIP:
         damped = factor(s.J, m, law.damping, s.G, s.y)
     else:
         gram(s.J, m, n >= m, 0.0, s.G)
         low = invert(s.G, min(n, m), s.y)
-        if law.damping > 0.0 and not low >= border * border:
-            weak = m  # what is lost of a task, and what is closest, is by the weights of the errors
-            heavy = weigh(s.weight, s.J, s.e, s.ahead, s.f, s.a)
-            modes(s.J, basis, s.W, s.U, s.sv)
+        weak = law.damping > 0.0 and not low >= border * border
+    if weak:  # what is lost of a task, and what is closest, is by the weights of the errors
+        heavy = weigh(s.weight, s.J, s.e, s.ahead, s.f, s.a)
+        modes(s.J, basis, s.W, s.U, s.sv)
     for k in range(m):
         s.lost[k], s.pace[k], s.f[k] = 0.0, s.f[k], sigma * s.f[k]
-    left, moved, own, thin, free, near, beyond = 0.0, 0.0, 0.0, 0.0, False, False, False
-    for r in range(m - weak, m + 1):  # the modes with small singular values, if any, then the law
-        if r < m:
-            if s.sv[r] >= border:
-                continue
-            if not near and s.sv[r] > CLEAR:
-                forget_default(state, away)
-            near = True
-            left, moved = mode_part(s.U, r, s.e), mode_moved(s.U, r, s.e, s.ahead, s.f, h)
-            free, thin = s.sv[r] < LOST and state[STATE.near] > 1.0, s.sv[r]
-            if not begin_mode(s, r, free, moved + h * gain * left, away):
-                continue
-        else:
-            if weak > 0:
-                damped = 1.0 * take_out(s.J, s.W, s.U, s.V, s.lost, s.f, s.G)
-            blocked = feed_back(law, s, limits, count, h, heavy, beyond)
-            prepare(law, s.J, m, s.ahead, rate, h, s.G, s.y, s.t, s.move, s.null, s.x1, s.x2)
-            if law.code < CA:
-                continue
-            if blocked and law.code == AA and law.reading != AT_RATE:  # no joint takes this step: no second order
-                for i in range(n):
-                    s.x1[i] *= 0.0 if law.reading == AT_STEP else 1.0
-                    s.x2[i] = 0.0
-        for part in range(-n if r < m and free else 0, 3 if r < m else 1):
-            if r < m:
-                if part == ALONG and free:
-                    thin = bent_direction(s.W, s.V, s.sv, r, s.null)
-                own = probe_mode(s, r, part, rate, h)
-            bend(task, look, s, slack, weak > 0)
-            if r < m:
-                note_curve(s, r, part)
-        if r < m:
-            rest = heavy * rest_of(s.e, left) if state[STATE.near] == 1.0 + SIDE else 0.0
-            out = mode_speed(
-                s.V, r, s.sv[r], thin, s.t, rest, own, left, moved, gain, h, law.mode == SLOW, limits, s.lost, s.xk,
-                state[STATE.near], away,
-            )  # fmt: skip
-            beyond = beyond or out
-    remember(state, near, beyond, h)
-    if weak > 0:  # all is weighed by now
+    if weak:
+        beyond = judge_modes(law, task, look, s, slack, limits, h, rate, away, heavy, state)
+        damped = 1.0 * take_out(s.J, s.W, s.U, s.V, s.lost, s.f, s.G)
+    else:
+        remember(state, False, False, h)
+    blocked = feed_back(law, s, limits, count, h, heavy, beyond)
+    prepare(law, s.J, m, s.ahead, rate, h, s.G, s.y, s.t, s.move, s.null, s.x1, s.x2)
+    if law.code >= CA:
+        if blocked and law.code == AA and law.reading != AT_RATE:  # no joint takes this step: no second order
+            for i in range(n):
+                s.x1[i] *= 0.0 if law.reading == AT_STEP else 1.0
+                s.x2[i] = 0.0
+        bend(task, look, s, slack, weak)
+    if weak:  # all is weighed by now
         for k in range(m):
             s.weight[k] = 1.0 if s.weight[k] > 0.0 else 0.0
     ratio = h / state[STATE.period] if state[STATE.start] == RUNNING else 0.0
