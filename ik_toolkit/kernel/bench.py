@@ -37,6 +37,7 @@ class Bench(NamedTuple):
     sv: Array  # (m,)
     lost: Array  # (m,) 1 where a mode is out of the task
     xk: Array  # (m,) speed along it
+    pull: Array  # (m,) and along what v_k leaves of its slope, over that, see `down_slopes`
     flip: Array  # (F, 3) mirrors of free turns
     move: Array  # (n,)
     null: Array
@@ -71,6 +72,6 @@ def bench_on(block, n, m, rows):
     k, F = max(n, m), m // 6
     why_low, why_top = cut(block, np.uint8, (n, n))
     return Bench(why_low, why_top, *cut(block, np.float64, (
-        (F, 4, 4), m, m, m, m, m, m, m, m, m, m, m, k, (k, k), (k, k), (n, m), (m, n), (n, m), (m, m), m, m, m, (F, 3),
+        (F, 4, 4), m, m, m, m, m, m, m, m, m, m, m, k, (k, k), (k, k), (n, m), (m, n), (n, m), (m, m), m, m, m, m, (F, 3),
         n, n, n, n, n, n, n, n, n, n, n, n, n, n, n, n, n + rows, (rows, n), rows,
     )))  # fmt: skip

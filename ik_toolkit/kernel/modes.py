@@ -254,8 +254,9 @@ def mode_speed(V, r, full, sigma, bends, rest, own, left, moved, gain, h, slow, 
         bring_along(V, r, away, grows, 1.0)
         back = grows
     s, y, D, most = sigma + 0.5 * (bends[BOTH] - b - beside), 0.0, 0.0, a
-    if abs(left) < MINOR * rest:  # whole ways go too far and back for ever, see `hold_back`
+    if abs(left) < MINOR * rest:  # see `hold_back`
         left *= s * s / (s * s + rest)
+        moved *= s * s / (s * s + rest)
     for last in range(0 if a < np.inf else 1, 2):  # first for the error alone
         E = moved + h * gain * left - 0.5 * beside if last == 1 else left
         y, D = way_along(s, b, E, h * own, back, near > 1.0, h)
@@ -329,24 +330,25 @@ def by_modes(J, W, U, lost, f, ask, y):
 
 
 @inner
-def hold_back(U, sigma, lost, bend, e, ahead):
-    """Shrink the error fed back along the directions that are not lost, where what is lost cannot be reached.
+def hold_back(U, sigma, lost, bend, e, ahead, f, pace):
+    """Shrink what is asked for along the directions that are not lost, where what is lost cannot be reached.
 
     bend: the largest curvature of the tip's way. Times the error left it adds to sigma_k^2 of the second derivative, and whole
-    ways J^+ e would go too far and back for ever (Levenberg and Marquardt).
+    ways J^+ e would go too far and back for ever (Levenberg and Marquardt). Of a target that goes past beyond the edge, the
+    closest pose goes less far, too.
     """
-    m = lost.shape[0]
     left = 0.0
-    for r in range(m):
+    for r in range(lost.shape[0]):
         if lost[r] > 0.0:
             left += mode_part(U, r, e) ** 2
     more = bend * math.sqrt(left)
-    for r in range(m):
+    for r in range(lost.shape[0]):
         if lost[r] == 0.0:
-            part = mode_part(U, r, e) * more / (sigma[r] * sigma[r] + more)
-            for c in range(m):
-                e[c] -= part * U[r, c]
-                ahead[c] -= part * U[r, c]
+            share = more / (sigma[r] * sigma[r] + more)
+            for vector in (e, ahead, f, pace):
+                part = share * mode_part(U, r, vector)
+                for c in range(vector.shape[0]):
+                    vector[c] -= part * U[r, c]
 
 
 @inner
@@ -355,3 +357,24 @@ def along_lost(V, lost, xk, x, speeds):
     for r in range(lost.shape[0]):
         if lost[r] > 0.0:
             bring_along(V, r, x, xk[r] if speeds > 0.0 else 0.0, 1.0)
+
+
+@inner
+def down_slopes(W, V, pull, x, speeds):
+    """Replace what x (n,) has along what a bent v_k leaves of the slope sigma_k v_k: by the way down, or by nothing.
+
+    Joints that drift there are pulled back in one step as soon as the slope is no small one any more.
+    """
+    for r in range(pull.shape[0]):
+        if pull[r] == 0.0:
+            continue
+        own, size, part = 0.0, 0.0, 0.0
+        for i in range(x.shape[0]):
+            own += W[r, i] * V[i, r]
+        for i in range(x.shape[0]):
+            slope = W[r, i] - own * V[i, r]
+            size += slope * slope
+            part += slope * x[i]
+        if size > ZERO * ZERO:
+            for i in range(x.shape[0]):
+                x[i] += (speeds * pull[r] - part / size) * (W[r, i] - own * V[i, r])

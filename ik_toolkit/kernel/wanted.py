@@ -20,6 +20,7 @@ from .modes import (
     along_lost,
     begin_bent,
     bent_direction,
+    down_slopes,
     hold_back,
     mode_direction,
     mode_moved,
@@ -88,6 +89,7 @@ def find_wishes(law, s, limits, wish, base):
     if some:
         into_null_space(s.J, m, s.G, s.y, s.t, s.g, s.v)
         along_lost(s.V, s.lost, s.xk, s.g, 0.0)
+        down_slopes(s.W, s.V, s.pull, s.g, 0.0)
         clip_wish(s.g, base, s.floor, s.roof)
         return True
     return False
@@ -144,8 +146,8 @@ def add_wishes(law, s, limits, wish, ratio, h, memory):
 def feed_back(law, s, limits, count, h, heavy, beyond):
     """Shrink the error fed back, see `hold_back` and `ease`; returns whether limits or half-planes are in its way."""
     n, m = s.J.shape
-    if beyond and n >= m:  # fewer joints than the task has rows always leave an error
-        hold_back(s.U, s.sv, s.lost, heavy, s.e, s.ahead)
+    if beyond:
+        hold_back(s.U, s.sv, s.lost, heavy, s.e, s.ahead, s.f, s.pace)
     limited = law.mode != CLIP and law.code >= CA
     for i in range(n):
         limited = limited or limits[3, i] < np.inf
@@ -255,6 +257,8 @@ def judge_modes(law, task, look, s, slack, limits, h, rate, away, heavy, state):
             s.V, r, s.sv[r], thin, s.t, rest, own, left, moved, gain, h, law.mode == SLOW, limits, s.lost, s.xk, state[STATE.near],
             away,
         )  # fmt: skip
+        if free and out:  # damped, as in `hold_back`; all of it only where it is about to be a large slope
+            s.pull[r] = gain * max(2.0 * s.sv[r] / LOST - 1.0, 0.0) * left / (s.sv[r] * s.sv[r] + heavy * abs(left))
         beyond = beyond or out
     remember(state, near, beyond, h)
     return beyond
@@ -276,7 +280,7 @@ def by_law(law, rule, task, look, weights, s, slack, limits, wish, count, sigma,
         heavy = weigh(s.weight, s.J, s.e, s.ahead, s.f, s.a)
         modes(s.J, basis, s.W, s.U, s.sv)
     for k in range(m):
-        s.lost[k], s.pace[k], s.f[k] = 0.0, s.f[k], sigma * s.f[k]
+        s.lost[k], s.pull[k], s.pace[k], s.f[k] = 0.0, 0.0, s.f[k], sigma * s.f[k]
     if weak:
         beyond = judge_modes(law, task, look, s, slack, limits, h, rate, away, heavy, state)
         damped = 1.0 * take_out(s.J, s.W, s.U, s.V, s.lost, s.f, s.G)
@@ -305,6 +309,7 @@ def by_law(law, rule, task, look, weights, s, slack, limits, wish, count, sigma,
     command(law, s.J, m, s.e, s.f, s.a, s.bias, rate, memory, h, ratio, s.G, s.y, s.t, s.move, s.null, s.x)
     if damped > 0.0 and law.mode != CLIP:
         along_lost(s.V, s.lost, s.xk, s.x, 1.0)
+        down_slopes(s.W, s.V, s.pull, s.x, 1.0)
         if law.code == CV:  # what the next step extrapolates from
             along_lost(s.V, s.lost, s.xk, memory, 1.0)
     add_wishes(law, s, limits, wish, ratio, h, memory)

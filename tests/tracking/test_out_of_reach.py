@@ -1,4 +1,4 @@
-"""Targets that stand where the arm cannot get: down to the least weighted error nearby, and to rest there."""
+"""Targets where the arm cannot get: down to the least weighted error nearby, to rest there, or on with a target that moves."""
 
 import numpy as np
 import pinocchio as pin
@@ -57,3 +57,34 @@ def test_the_arm_rests_where_no_way_down_is_left(name, method, acceleration, q0,
     assert slope_left(robot, steps[-1].q, target) < 1e-5
     assert np.abs([step.rate for step in steps[-50:]]).max() < 1e-3
     assert steps[-1].status is StepStatus.AT_LIMIT and steps[-1].position_error > 0.01
+
+
+@pytest.mark.parametrize("method", ["cv", "ca", "aad"])
+def test_a_stretched_arm_points_at_a_target_that_passes(method):
+    """Beyond reach the tip goes as much less far as it is nearer to the base. The joints turned back and forth at full speed."""
+    robot = ik.Robot.load("planar_2r")
+    angle = 0.3 + 0.5 * 0.01 * np.arange(301)
+    targets = 1.5 * robot.reach * np.stack([np.cos(angle), np.sin(angle), 0.0 * angle], axis=1)
+    tracker = Tracker(robot, method, q0=[angle[0], 0.3])
+    q = np.array([tracker.update(target, 0.01).q for target in targets[1:]])
+    np.testing.assert_allclose(q[100:, 0], angle[101:], atol=5e-4)
+    np.testing.assert_allclose(q[100:, 1], 0.0, atol=2e-3)
+
+
+@pytest.mark.parametrize(
+    ("name", "method", "pose"),
+    [("panda", "cv", False), ("xarm7", "aad", False), ("so101", "cv", True), ("ur5", "ca", True)],
+)
+def test_beyond_reach_joints_follow_smoothly(name, method, pose):
+    """They drifted, and were pulled back in one step, or turned back and forth: up to 670 rad/s^2, now below 1."""
+    robot = ik.Robot.load(name)
+    start = pin.SE3(robot.fk(0.5 * (np.maximum(robot.lower, -2.0) + np.minimum(robot.upper, 2.0))))
+    out = start.translation / np.linalg.norm(start.translation)
+    tracker = Tracker(robot, method, q0=0.5 * (np.maximum(robot.lower, -2.0) + np.minimum(robot.upper, 2.0)))
+    rates = []
+    for k in range(390):
+        turn = pin.exp3(np.array([0.0, 0.0, 0.004 * k]))
+        far = start.translation + min(k / 150, 1.0) * (1.3 * robot.reach * out - start.translation)
+        target = pin.SE3(turn @ start.rotation, turn @ far).homogeneous
+        rates.append(tracker.update(target if pose else target[:3, 3], 0.01).rate)
+    assert np.abs(np.diff(rates[200:], axis=0)).max() < 0.02

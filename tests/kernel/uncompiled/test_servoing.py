@@ -25,6 +25,8 @@ def scratch(rng, n=7, m=6):
         y=np.empty(n),
         t=np.empty(m),
         V=np.zeros((n, m)),
+        W=np.zeros((m, n)),
+        pull=np.zeros(m),
         lost=np.zeros(m),
         xk=np.zeros(m),
         f=np.zeros(m),

@@ -203,9 +203,10 @@ def test_the_side_the_joints_come_from_is_remembered():
 
 def test_what_is_left_beside_an_error_out_of_reach_is_fed_back_less():
     for left, rest in ((1e-4, 0.01), (-9e-4, 0.01), (1.1e-3, 0.01), (1e-4, 0.0)):
-        less = left * 9e-6 / (9e-6 + rest) if abs(left) < 0.1 * rest else left
-        alone = speed(3e-3, [0.0, 0.0, 0.0], left=less)[0]
-        assert speed(3e-3, [0.0, 0.0, 0.0], left=left, rest=rest)[0] == pytest.approx(alone, rel=1e-12)
+        less = 9e-6 / (9e-6 + rest) if abs(left) < 0.1 * rest else 1.0
+        alone = speed(3e-3, [0.0, 0.0, 0.0], left=less * left, moved=less * 2e-6)[0]
+        found = speed(3e-3, [0.0, 0.0, 0.0], left=left, rest=rest, moved=2e-6)[0]
+        assert found == pytest.approx(alone, rel=1e-12)
 
 
 def test_of_two_directions_that_move_nothing_the_bent_one_is_taken():
@@ -351,16 +352,33 @@ def test_joints_that_have_to_stand_still_take_no_part_in_bending():
     assert s.t[0] == 15.0
 
 
-def test_errors_beside_a_lost_direction_are_fed_back_less():
+def test_less_is_asked_for_beside_a_direction_that_is_out_of_reach():
     rng = np.random.default_rng(7)
     U = np.linalg.qr(rng.normal(size=(4, 4)))[0]
     sigma, lost, bend = np.array([1.0, 0.5, 0.2, 0.0]), np.array([0.0, 0.0, 1.0, 1.0]), 0.7
-    e, ahead = rng.normal(size=(2, 4))
-    more = bend * np.hypot(U[2] @ e, U[3] @ e)
-    less = U.T @ (np.where(lost, 0.0, more / (sigma**2 + more)) * (U @ e))
-    wanted = e - less, ahead - less
-    modes.hold_back(U, sigma, lost, bend, e, ahead)
-    np.testing.assert_allclose((e, ahead), wanted, atol=1e-14)
+    asked = rng.normal(size=(4, 4))  # e, ahead, f, pace
+    more = bend * np.hypot(U[2] @ asked[0], U[3] @ asked[0])
+    wanted = asked - (np.where(lost, 0.0, more / (sigma**2 + more)) * (asked @ U.T)) @ U
+    modes.hold_back(U, sigma, lost, bend, *asked)
+    np.testing.assert_allclose(asked, wanted, atol=1e-14)
+
+
+def test_joints_go_down_what_a_bent_direction_leaves_of_a_slope():
+    rng = np.random.default_rng(9)
+    Q = np.linalg.qr(rng.normal(size=(5, 5)))[0]
+    W, V = np.zeros((2, 5)), np.zeros((5, 2))
+    V[:, 1], W[1] = Q[:, 0], 3e-4 * Q[:, 0] - 4e-3 * Q[:, 1]
+    W[0] = Q[:, 2]
+    for pull in (50.0, 0.0):
+        for speeds in (1.0, 0.0):
+            x = rng.normal(size=5)
+            along = -4e-3 * pull * speeds if pull else Q[:, 1] @ x
+            wanted = x + (along - Q[:, 1] @ x) * Q[:, 1]
+            modes.down_slopes(W, V, np.array([0.0, pull]), x, speeds)
+            np.testing.assert_allclose(x, wanted, atol=1e-14)
+    W[1] = 3e-4 * Q[:, 0]  # nothing is left of it
+    modes.down_slopes(W, V, np.array([0.0, 50.0]), x, 1.0)
+    np.testing.assert_allclose(x, wanted, atol=1e-12)
 
 
 def test_rows_of_a_task_are_weighed():

@@ -31,7 +31,7 @@ def test_shapes_of_scratch():
     shapes = {name: getattr(s, name).shape for name in s._fields}
     of = {
         (n,): "why_low why_top move null x1 x2 x w g lead v probe before at size even floor roof", (2, 4, 4): "Ts", (2, 3): "flip",
-        (m,): "Vs As e ahead f pace a ask bias weight t sv lost xk y", (m, m): "G H U", (n, m): "J V", (m, n): "W",
+        (m,): "Vs As e ahead f pace a ask bias weight t sv lost xk pull y", (m, m): "G H U", (n, m): "J V", (m, n): "W",
         (n + rows,): "multiplier", (rows, n): "planes", (rows,): "edges",
     }  # fmt: skip
     assert shapes == {name: shape for shape, names in of.items() for name in names.split()}
