@@ -17,7 +17,7 @@ from .constrain import SLOW
 from .jit import inner
 from .linalg import cholesky
 from .motion import CLIP, STATE, apply, gram, natural
-from .wanted import GAIN
+from .weak import GAIN
 from .wishes import weigh
 
 STANDS = 1e-6  # [reaches or rad per s] below which a target stands

@@ -11,26 +11,7 @@ from numba.extending import overload
 from .box import bending
 from .constrain import SLOW
 from .jit import INLINE, inline, inner
-from .modes import (
-    ALONG,
-    CLEAR,
-    CLOSE,
-    LOST,
-    SIDE,
-    along_lost,
-    begin_bent,
-    bent_direction,
-    down_slopes,
-    hold_back,
-    mode_direction,
-    mode_moved,
-    mode_part,
-    mode_probe,
-    mode_speed,
-    modes,
-    rest_of,
-    take_out,
-)
+from .modes import CLOSE, along_lost, down_slopes, hold_back, mode_part, modes, take_out
 from .motion import (
     AA,
     AT_RATE,
@@ -51,9 +32,9 @@ from .motion import (
 )  # fmt: skip
 from .records import copy
 from .search import SINGULAR_STEP
-from .wishes import STEP, away_from_limits, clip_wish, into_null_space, reflect, weigh
+from .weak import bend, judge_modes, remember
+from .wishes import away_from_limits, clip_wish, into_null_space, weigh
 
-GAIN = 2.0 / 3.0  # share of an error fed back per sample where the method has no gain itself: the best of `cv`
 # Share s of a velocity that ca, which extrapolates, may change in a step: z^2 - (1 - 3/2 s) z - s/2 has both roots inside the
 # unit circle below s = 1, and the smallest largest one (0.58) at 2/3, as with kappa h of cv (Patko and Zelei, 2019).
 SHARE = 2.0 / 3.0
@@ -61,7 +42,6 @@ TAKEN_UP = 20.0  # [1/s] least rate at which joints take up what is wished: slow
 LITTLE = 0.004  # [rad or reaches per s] wish that is taken up half as fast: it comes and goes smoothly
 # Shares of speed and acceleration with which an error is closed: what braking on the path needs is left.
 FAST, BRISK = 1.0, 0.5
-BEFORE = -1.0  # singular poses were met before, but not in the last step
 
 
 class Published(NamedTuple):
@@ -167,104 +147,6 @@ def feed_back(law, s, limits, count, h, heavy, beyond):
 
 
 @inline
-def bend(task, look, s, slack, weighed):
-    """s.bias = (dJ/dt along s.x1) s.x2, by the weights of the errors where these are weighed."""
-    if task.plain():
-        task.bending(look, s.x1, s.x2, s.bias)
-    else:
-        by_difference(task, s, slack)
-    if weighed:
-        for k in range(s.bias.shape[0]):
-            s.bias[k] *= s.weight[k]
-
-
-@inner
-def forget_default(state, away):
-    """Where singular poses were never met, `away` (n,) is a default and no side."""
-    if state[STATE.near] == 0.0:
-        for i in range(away.shape[0]):
-            away[i] = 0.0
-
-
-@inner
-def remember(state, near, beyond, h):
-    """Keep whether the pose is a singular one, and for some time that the target was out of reach."""
-    if near:
-        state[STATE.near] = 1.0 + SIDE if beyond else max(state[STATE.near] - h, 1.0)
-    elif state[STATE.near] != 0.0:
-        state[STATE.near] = BEFORE
-
-
-@inline
-def begin_mode(s, r, free, way, away):
-    """Write the direction of mode r to V, and what its slope is taken along to s.x1; False, and it is lost, where it has none."""
-    there = mode_direction(s.W, s.sv, r, away, way, s.x1)
-    copy_column(s.x1, s.V, r)
-    if not there:
-        s.lost[r], s.xk[r] = 1.0, 0.0
-    elif free:
-        begin_bent(s.W, s.V, s.sv, r, away, s.x1)
-    return there
-
-
-@inline
-def probe_mode(s, r, part, rate, h):
-    """Write to s.x1 and s.x2 the motions of the product that `bend` is to find; returns the joints' own rate along V_r."""
-    n = rate.shape[0]
-    if part < 0:  # along each joint in turn: the slope of the singular value
-        for i in range(n):
-            s.x2[i] = 1.0 if i == part + n else 0.0
-        return 0.0
-    own = mode_probe(s.V, r, rate, part, h, s.x1)
-    copy(s.x1, s.x2)
-    return own
-
-
-@inline
-def note_curve(s, r, part):
-    """Keep what `bend` has found: of the slope in s.null, of the motions in s.t. Joints that have to stand still have none."""
-    curved = mode_part(s.U, r, s.bias)
-    i = part + s.null.shape[0]
-    if part >= 0:
-        s.t[part] = curved
-    else:
-        s.null[i] = curved if s.floor[i] < 0.0 or s.roof[i] > 0.0 else 0.0
-
-
-@inline
-def judge_modes(law, task, look, s, slack, limits, h, rate, away, heavy, state):
-    """Judge the directions in which the tip can hardly move, see modes.py; returns whether the target is out of reach in one."""
-    n, m = s.J.shape
-    near, beyond, gain = False, False, law.kappa if law.code == CV else GAIN / h
-    for r in range(m):
-        if s.sv[r] >= REGION * law.damping:
-            continue
-        if not near and s.sv[r] > CLEAR:
-            forget_default(state, away)
-        near = True
-        left, moved = mode_part(s.U, r, s.e), mode_moved(s.U, r, s.e, s.ahead, s.f, h)
-        free, thin, own = s.sv[r] < LOST and state[STATE.near] > 1.0, s.sv[r], 0.0
-        if not begin_mode(s, r, free, moved + h * gain * left, away):
-            continue
-        for part in range(-n if free else 0, 3):
-            if part == ALONG and free:
-                thin = bent_direction(s.W, s.V, s.sv, r, s.null)
-            own = probe_mode(s, r, part, rate, h)
-            bend(task, look, s, slack, True)
-            note_curve(s, r, part)
-        rest = heavy * rest_of(s.e, left) if state[STATE.near] == 1.0 + SIDE else 0.0
-        out = mode_speed(
-            s.V, r, s.sv[r], thin, s.t, rest, own, left, moved, gain, h, law.mode == SLOW, limits, s.lost, s.xk, state[STATE.near],
-            away,
-        )  # fmt: skip
-        if free and out:  # damped, as in `hold_back`; all of it only where it is about to be a large slope
-            s.pull[r] = gain * max(2.0 * s.sv[r] / LOST - 1.0, 0.0) * left / (s.sv[r] * s.sv[r] + heavy * abs(left))
-        beyond = beyond or out
-    remember(state, near, beyond, h)
-    return beyond
-
-
-@inline
 def by_law(law, rule, task, look, weights, s, slack, limits, wish, count, sigma, h, rate, memory, away, basis, state):
     """Rates that a published law wants, to s.x. Returns how much of the task was lost, or the damping (CLIP)."""
     n, m = s.J.shape
@@ -322,29 +204,6 @@ def by_law(law, rule, task, look, weights, s, slack, limits, wish, count, sigma,
 
 
 @inline
-def by_difference(task, s, slack):
-    """s.bias = (dJ/dt along s.x1) s.x2 by differences, where only a part of a pose counts or its target moves."""
-    size = 0.0
-    for i in range(s.x1.shape[0]):
-        size = max(size, abs(s.x1[i]))
-    for k in range(s.bias.shape[0]):
-        s.bias[k] = 0.0
-    if size > 0.0:
-        for sign in (1.0, -1.0):
-            for i in range(s.x1.shape[0]):
-                s.probe[i] = s.at[i] + sign * STEP / size * s.x1[i]
-            task.stand(s.probe)
-            task.jacobian(task.see())
-            for k in range(s.bias.shape[0]):
-                for i in range(s.x1.shape[0]):
-                    s.bias[k] += sign * 0.5 * size / STEP * task.desk.J[i, k] * s.x2[i]
-    reflect(s.flip, s.bias)
-    for k in range(s.bias.shape[0]):
-        if slack[k] > 0.0:
-            s.bias[k] = 0.0
-
-
-@inline
 def by_rule(law, rule, task, look, weights, s, slack, limits, wish, count, sigma, h, rate, memory, away, basis, state):
     """Rates that a solver's rule wants, to s.x: its step to where the target will be."""
     d = task.desk
@@ -362,13 +221,6 @@ def by_rule(law, rule, task, look, weights, s, slack, limits, wish, count, sigma
     for i in range(s.x.shape[0]):
         s.x[i] = s.g[i] + (d.dq[i] / h if code != SINGULAR_STEP else 0.0)
     return 0.0
-
-
-@inner
-def copy_column(source, target, k):
-    """target[:, k] = source."""
-    for i in range(source.shape[0]):
-        target[i, k] = source[i]
 
 
 @inner

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from ik_toolkit.kernel import box, clock, constrain, levels, motion, obey, servo, wanted
+from ik_toolkit.kernel import box, clock, constrain, levels, motion, obey, servo, wanted, weak
 from ik_toolkit.kernel.box import HELD
 from ik_toolkit.kernel.constrain import LEAVE, SLOW
 from ik_toolkit.kernel.levels import HIGH, LOW, RHS, make_levels
@@ -256,13 +256,13 @@ def test_curvature_by_differences():
     s.at[:], s.x1[:], s.x2[:] = rng.normal(size=(3, 7))
     n = rng.normal(size=3)
     s.flip = (n / np.linalg.norm(n))[None]
-    wanted.by_difference(task, s, slack)
+    weak.by_difference(task, s, slack)
     want = np.einsum("k,kim,i->m", s.x1, task.slope, s.x2)
     want[3:] -= 2.0 * s.flip[0] * (s.flip[0] @ want[3:])
     want[2] = 0.0
     np.testing.assert_allclose(s.bias, want, atol=1e-8)
     s.x1[:] = 0.0
-    wanted.by_difference(task, s, slack)
+    weak.by_difference(task, s, slack)
     np.testing.assert_array_equal(s.bias, 0.0)
 
 
@@ -295,7 +295,7 @@ def test_a_step_of_a_rule():
     wanted.by_rule(*args, memory, None, None, None)
     np.testing.assert_array_equal(s.x, s.g)
     out = np.zeros((3, 2))
-    wanted.copy_column(np.arange(3.0), out, 1)
+    weak.copy_column(np.arange(3.0), out, 1)
     np.testing.assert_array_equal(out, [[0, 0], [0, 1], [0, 2]])
     wanted.copy_rows(np.arange(6.0).reshape(3, 2), out)
     np.testing.assert_array_equal(out, np.arange(6.0).reshape(3, 2))

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ik_toolkit.kernel import modes, singular, wanted, wishes
+from ik_toolkit.kernel import modes, singular, wanted, weak, wishes
 from ik_toolkit.kernel.bench import bench_on, bench_space
 from ik_toolkit.kernel.box import approach
 from ik_toolkit.kernel.constrain import LEAVE
@@ -333,10 +333,10 @@ def test_what_is_kept_of_singular_poses():
         (False, False, -1.0),  # met once: `away` stays what it is
         (True, False, 1.0),
     ):
-        wanted.remember(state, near, beyond, h)
+        weak.remember(state, near, beyond, h)
         assert state[STATE.near] == pytest.approx(kept)
         before = away.copy()
-        wanted.forget_default(state, away)
+        weak.forget_default(state, away)
         np.testing.assert_array_equal(away, before * (kept != 0.0))
         away[:] = 1.0
 
@@ -347,7 +347,7 @@ def test_joints_that_have_to_stand_still_take_no_part_in_bending():
     s.U[2], s.bias[:] = np.arange(6.0), 1.0
     s.floor[:], s.roof[:] = (-1.0, 0.0, 0.0, -1.0), (1.0, 0.0, 1.0, 0.0)
     for part in range(-n, 1):
-        wanted.note_curve(s, 2, part)
+        weak.note_curve(s, 2, part)
     np.testing.assert_array_equal(s.null, [15.0, 0.0, 15.0, 15.0])
     assert s.t[0] == 15.0
 
