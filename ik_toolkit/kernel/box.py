@@ -18,7 +18,7 @@ import math
 
 import numpy as np
 
-from .jit import jit, shared
+from .jit import dual, jit, shared
 
 # Bits of `code`: why a joint did not move as commanded.
 POSITION, VELOCITY, ACCELERATION, HELD, RECOVERING, ROW, CALMED = 1, 2, 4, 8, 16, 32, 64
@@ -40,7 +40,7 @@ def bending(gamma):
     return 2.0 * gamma if 0.5 < gamma < 1.0 else 1.0
 
 
-@jit
+@dual
 def stopping(v, gamma, a, late):
     """Longest way to rest from the rate v >= 0 with at most `a`, in steps of any lengths up to `late`."""
     if gamma == 1.0:
@@ -49,7 +49,7 @@ def stopping(v, gamma, a, late):
     return way + max(0.5 - gamma, 0.0) * v * late
 
 
-@jit
+@dual
 def approach(distance, v, gamma, h, a, late):
     """Highest next rate after which the joint can stop within `distance`; below 0 when it cannot even now (moving at v)."""
     if distance == np.inf:
@@ -67,7 +67,7 @@ def approach(distance, v, gamma, h, a, late):
     return 2.0 * room / (slope + math.sqrt(slope * slope + 2.0 * room / a))
 
 
-@jit
+@dual
 def way_to(limit, q, sign):
     """Distance left to a limit (sign 1: upper, -1: lower), negative outside; minus the margin for rounding."""
     if abs(limit) == np.inf:
@@ -78,7 +78,7 @@ def way_to(limit, q, sign):
     return max(way * (1.0 - SPARE) - ROUNDING * (abs(limit) + abs(q)), 0.0)
 
 
-@jit
+@dual
 def towards(way, v, speed, gamma, h, a, late):
     """Highest next rate towards a limit `way` ahead; outside (way < 0) it is the one that brings the joint back."""
     if way >= 0.0:
@@ -87,7 +87,7 @@ def towards(way, v, speed, gamma, h, a, late):
     return -min(max(back, 0.0), SHARE * min(speed, 1.0))
 
 
-@jit
+@dual
 def box(q, v, lower, upper, speed, a, gamma, h, late):
     """Lowest and highest next rate of a joint, and the bits of the limits that set them.
 
@@ -123,7 +123,7 @@ def box(q, v, lower, upper, speed, a, gamma, h, late):
     return low, top, why_low, why_top
 
 
-@jit
+@dual
 def boxes(q, rate, limits, gamma, h, late, low, top, why_low, why_top):
     """`box` of every joint; limits (4, n): lower, upper, speed, acceleration. True when one of them is recovering."""
     recovering = False
@@ -135,7 +135,7 @@ def boxes(q, rate, limits, gamma, h, late, low, top, why_low, why_top):
     return recovering
 
 
-@jit
+@dual
 def watch(swings, singular, before, x, size, h):
     """Count how often in a row each joint turns back at speed, from a turn near a singular pose on, see `calm`."""
     for i in range(x.shape[0]):
@@ -148,7 +148,7 @@ def watch(swings, singular, before, x, size, h):
             swings[0, i] = 0.0
 
 
-@jit
+@dual
 def narrow(i, least, most, low, top, why_low, why_top):
     """Narrow the box (in place) of joint i to the rates from least to most, as far as it has such."""
     floor, roof = min(max(least, low[i]), top[i]), max(min(most, top[i]), low[i])
@@ -158,7 +158,7 @@ def narrow(i, least, most, low, top, why_low, why_top):
         top[i], why_top[i] = roof, CALMED | (why_top[i] & RECOVERING)
 
 
-@jit
+@dual
 def calm(rate, size, swings, h, low, top, why_low, why_top):
     """Narrow the box (in place) of joints that swing to rates gained gradually; braking is free."""
     for i in range(rate.shape[0]):
@@ -168,7 +168,7 @@ def calm(rate, size, swings, h, low, top, why_low, why_top):
         narrow(i, min(rate[i], 0.0) - gain, max(rate[i], 0.0) + gain, low, top, why_low, why_top)
 
 
-@jit
+@dual
 def clip(x, low, top, why_low, why_top, code):
     """Clip the wanted rates x (in place) to their box, each joint separately; code (n,) receives what held a joint back."""
     hit = False
@@ -182,7 +182,7 @@ def clip(x, low, top, why_low, why_top, code):
     return hit
 
 
-@jit
+@dual
 def move(q, rate, x, gamma, h):
     """Take the step: q and rate (in place) to the next rate x."""
     for i in range(q.shape[0]):

@@ -3,10 +3,10 @@
 import numpy as np
 
 from .box import advance
-from .jit import cached, jit
+from .jit import cached, dual
 
 
-@jit
+@dual
 def travelled(start, change, f):
     """How far a joint has gone a fraction f into a piece: its speed grows evenly from `start` by `change` [per piece]."""
     there = start * f + 0.5 * change * f * f
@@ -17,7 +17,7 @@ def travelled(start, change, f):
     return abs(there)
 
 
-@jit
+@dual
 def speeds(Q, R, k, j, gamma, h):
     """Speed of joint j at the start of piece k and its growth [per piece], as the methods assume (see `interpolate`)."""
     move = Q[k + 1, j] - Q[k, j]
@@ -25,7 +25,7 @@ def speeds(Q, R, k, j, gamma, h):
     return start, 2.0 * (move - start)
 
 
-@jit
+@dual
 def position(Q, R, L, k, j, gamma, h, f):
     """Value of joint j a fraction f into piece k, and how far it has gone by then."""
     start, change = speeds(Q, R, k, j, gamma, h)

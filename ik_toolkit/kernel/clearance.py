@@ -11,7 +11,7 @@ import numpy as np
 
 from .algebra import at3, put3
 from .brake import position, speeds
-from .jit import cached, inline, jit
+from .jit import cached, dual, inline
 
 FINEST = 1.0 / 64.0  # of a piece: what cannot be proven in parts of this size needs a new measurement
 
@@ -100,7 +100,7 @@ def rows(V, coordinates, by_a, by_b, ks, points, gap, rate, deceleration, slope,
     return count
 
 
-@jit
+@dual
 def bend(turn, lever, moved, length):
     """How far a part may be from where its velocities now would take it, after the joints went `length` (second order)."""
     total, before = 0.0, 0.0

@@ -40,6 +40,15 @@ spliced = njit(inline="always", **BARE)  # for a large part called once: no seco
 shared = register_jitable(**INLINE)  # inline in the kernel, and from Python as it is written
 
 
+def dual(function: Callable) -> Any:
+    """Compile as `jit` for calls from Python, and for kernels as a part, without code that Python calls. Makes no arrays."""
+    dispatcher = jit(function)
+    if hasattr(dispatcher, "get_overload"):  # with NUMBA_DISABLE_JIT=1 it is the plain function
+        part = njit(**BARE)(function)
+        dispatcher.get_call_template, dispatcher.get_overload = part.get_call_template, part.get_overload
+    return dispatcher
+
+
 # ------------------------------------------------------------------------------------------------- classes in the kernel
 OPERATORS = {
     "__add__": operator.add, "__sub__": operator.sub, "__mul__": operator.mul, "__neg__": operator.neg,

@@ -16,7 +16,7 @@ import numpy as np
 
 from .algebra import V3, at3, put3
 from .box import approach
-from .jit import compiled, inner, jit
+from .jit import compiled, dual, inner
 from .linalg import TINY, cholesky, cholesky_solve
 
 CV, AV, CA, AA = range(4)
@@ -112,7 +112,7 @@ def jacobian_rate(rows, joints, J, first, tip, x, y, out):
 
 
 # ------------------------------------------------------------------------------------------------ pseudo-inverse
-@jit
+@dual
 def gram(J, m, wide, extra, G):
     """Lower half of JJ' (wide) or J'J plus `extra` on the diagonal; a row that is zero (a planar arm's) gets a 1 there."""
     n = J.shape[0]
@@ -133,7 +133,7 @@ def gram(J, m, wide, extra, G):
         G[r, r] = G[r, r] + extra if G[r, r] > SINGLE * top else 1.0
 
 
-@jit
+@dual
 def invert(G, k, y):
     """Factor G in place; return 1 / trace(inverse), a lower bound of the smallest eigenvalue (0 or NaN: singular)."""
     cholesky(G, k, TINY)
@@ -148,7 +148,7 @@ def invert(G, k, y):
     return 1.0 / trace
 
 
-@jit
+@dual
 def factor(J, m, damping, G, y):
     """Prepare J^+ for `apply`: exact where J is well conditioned, damped near singularities. Returns lambda^2 used.
 
@@ -168,7 +168,7 @@ def factor(J, m, damping, G, y):
     return extra
 
 
-@jit
+@dual
 def apply(J, m, G, b, y, out):
     """Return in out (n,) the product J^+ b (b has m values), after `factor`."""
     n = J.shape[0]
@@ -194,7 +194,7 @@ def apply(J, m, G, b, y, out):
 
 
 # ------------------------------------------------------------------------------------------------ one step
-@jit
+@dual
 def prepare(p, J, m, ahead, rate, h, G, y, t, move, null, x1, x2):
     """First half of a step, after `factor`.
 
@@ -223,7 +223,7 @@ def prepare(p, J, m, ahead, rate, h, G, y, t, move, null, x1, x2):
             x2[i] = rate[i] if reading == AT_RATE else expected
 
 
-@jit
+@dual
 def command(p, J, m, e, v, a, bias, rate, prev, h, ratio, G, y, t, move, null, x):
     """Second half: the joint rate x (n,) wanted at the end of the step.
 
@@ -266,7 +266,7 @@ def command(p, J, m, e, v, a, bias, rate, prev, h, ratio, G, y, t, move, null, x
             x[i] = rate[i] + h * u
 
 
-@jit
+@dual
 def natural(p, h):
     """Rate [1/s] at which a method by itself removes an error; 0 where it feeds back none, or damps nothing."""
     if p.code == CV:
@@ -276,7 +276,7 @@ def natural(p, h):
     return 1.0 / h
 
 
-@jit
+@dual
 def ease(p, J, m, e, ahead, h, q, limits, planes, edges, count, fast, quick, walls, bend, G, H, y, c):
     """Shrink the error fed back (e and ahead, in place) until the joints can brake before it reaches zero.
 
@@ -317,7 +317,7 @@ def ease(p, J, m, e, ahead, h, q, limits, planes, edges, count, fast, quick, wal
     return blocked
 
 
-@jit
+@dual
 def settle(p, h, rate_before, x, code, prev):
     """After limits: the rate that a held-back joint really took becomes its previous command (no wind-up)."""
     if p.code == CV or p.code == CA:
@@ -326,7 +326,7 @@ def settle(p, h, rate_before, x, code, prev):
                 prev[i] = x[i] if p.code == CV else (x[i] - rate_before[i]) / h
 
 
-@jit
+@dual
 def own_up(p, h, ratio, wanted, x, lead, slower, prev):
     """The same where all joints were changed: the earlier command becomes the one that the rates taken would have come from.
 

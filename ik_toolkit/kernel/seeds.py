@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from .jit import inline, inner, jit
+from .jit import dual, inline, inner
 
 SEEDS = 256  # table size: larger tables cost more to scan than they save in iterations
 BEST = 8  # restarts taken from the table before random ones
@@ -78,7 +78,7 @@ def nearest(feat, goal, wp, wr, score, val, best):
         best[j] = k
 
 
-@jit
+@dual
 def rnd(state):
     """Next number in [0, 1) of xorshift64*; `state` is a (1,) uint64 array."""
     x = state[0]
