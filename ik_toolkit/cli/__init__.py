@@ -1,11 +1,12 @@
 """The command `ik`: one module per group of commands, each with `register(app)`. Heavy imports happen inside commands."""
 
+import functools
 import importlib
 import logging
 import sys
 from collections.abc import Sequence
 from contextlib import redirect_stdout
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -72,6 +73,12 @@ def application() -> typer.Typer:
     return app
 
 
+@functools.cache  # 30 ms, which a process that calls `main` more than once spends once
+def _command() -> Any:
+    """Return the command line as click runs it."""
+    return typer.main.get_command(application())
+
+
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line; return its exit code. Invalid input becomes one sentence on stderr, never a traceback."""
     open_standard_streams()
@@ -88,8 +95,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         with redirect_stdout(Output(sys.stdout)), on_sigterm(terminated):
             try:
-                command = typer.main.get_command(application())
-                code = command.main(args=arguments or ["--help"], prog_name="ik", standalone_mode=False) or 0
+                code = _command().main(args=arguments or ["--help"], prog_name="ik", standalone_mode=False) or 0
                 sys.stdout.flush()
             except first_use.CompileNeeded as needed:
                 return first_use.again(arguments, needed.folder, terminated)

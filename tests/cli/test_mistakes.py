@@ -201,6 +201,6 @@ def test_a_termination_that_a_callback_loses_is_no_bug(monkeypatch, capsys):
         except KeyboardInterrupt:
             raise RuntimeError("no compiled object yet") from None
 
-    monkeypatch.setattr(cli, "application", lose_it)
+    monkeypatch.setattr(cli, "_command", lose_it)
     assert cli.main(["robots"]) == 143
     assert capsys.readouterr().err.endswith("ik: terminated\n")

@@ -1,11 +1,18 @@
 """The structure of the code: no import cycles, no overlong files or functions."""
 
 import ast
+import functools
 
 import pytest
 from folders import ROOT
 
 PACKAGE = ROOT / "ik_toolkit"
+
+
+@functools.cache
+def parsed(path):
+    """Syntax tree of a file."""
+    return ast.parse(path.read_text(encoding="utf-8"))
 
 
 def modules():
@@ -29,7 +36,7 @@ def statements(tree):
 def imports(name, path, known):
     """Modules of the package that one of them imports, wherever in its text."""
     package = name if path.name == "__init__.py" else name.rpartition(".")[0]
-    for node in statements(ast.parse(path.read_text(encoding="utf-8"))):
+    for node in statements(parsed(path)):
         if isinstance(node, ast.Import):
             found = [alias.name for alias in node.names]
         elif isinstance(node, ast.ImportFrom):
@@ -96,11 +103,10 @@ def test_no_file_and_no_function_is_too_long_to_read():
     assert len(SOURCES) > 200
     long = []
     for path in SOURCES:
-        text = path.read_text(encoding="utf-8")
-        name, lines = path.relative_to(ROOT), len(text.splitlines())
+        name, lines = path.relative_to(ROOT), len(path.read_text(encoding="utf-8").splitlines())
         if lines > LINES_OF_A_FILE:
             long.append(f"{name}: {lines} lines")
-        for node in ast.walk(ast.parse(text)):
+        for node in ast.walk(parsed(path)):
             if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef) and length(node) > LINES_OF_A_FUNCTION:
                 long.append(f"{name}, {node.name}: {length(node)} lines")
     assert not long
@@ -114,7 +120,7 @@ def test_parts_of_kernels_make_no_arrays():
     }
     parts: dict[str, list] = {}
     for path in PACKAGE.rglob("*.py"):
-        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        for node in ast.walk(parsed(path)):
             names = [ast.unparse(one) for one in getattr(node, "decorator_list", [])]
             for name in names:
                 methods = (
@@ -128,7 +134,7 @@ def test_parts_of_kernels_make_no_arrays():
         if any(ast.unparse(n.func) in makers for n in ast.walk(f) if isinstance(n, ast.Call))
     }
     assert "make_serial" in counting and len(parts["inner"]) > 100
-    for function in [f for kind in ("inner", "inline", "spliced", "shared", "compiled") for f in parts[kind]]:
+    for function in [f for kind in ("inner", "inline", "spliced", "dual", "shared", "compiled") for f in parts[kind]]:
         if [ast.unparse(one) for one in function.decorator_list] in (["classmethod"], ["staticmethod"]):
             continue  # stay Python
         called = {ast.unparse(node.func) for node in ast.walk(function) if isinstance(node, ast.Call)}
