@@ -76,7 +76,7 @@ class DiskCache(FunctionCache):
         except Exception as error:  # whatever is wrong with a cache, compiling is a way out
             LOG.warning("%s cannot be used and is made anew: %s", path, error)
         where = {"folder": Path(self._cache_path)}
-        COMPILING.info("compiling %s (%s)", self.what, "first use on this machine, some seconds", extra=where)
+        COMPILING.info("compiling %s (%s)", self.what, "first use on this machine, up to half a minute", extra=where)
         return None
 
     def save_overload(self, sig: Any, data: Any) -> None:

@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .jit import build, compiled, inline, inner, spliced
+from .jit import compiled, inline, inner, spliced
 from .records import Array
 from .view import LINE, cut
 
@@ -47,12 +47,6 @@ def levels_on(block, N, K):
     """Room for N unknowns and K rows, cut from a block of zeros."""
     numbers = cut(block, np.float64, ((K, N), (K, N), (K, K), (2 * K, K), (8, N), (12, K)))
     return Levels(*numbers, *cut(block, np.int8, (N + K,)), *cut(block, np.int64, (K,)))
-
-
-@build
-def make_levels(N, K):
-    """The same with its own block, for code that runs on arrays and counts references."""
-    return levels_on(np.zeros(levels_space(N, K)), N, K)
 
 
 @inline

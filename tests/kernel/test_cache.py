@@ -324,7 +324,7 @@ def test_the_command_says_that_it_compiles_only_when_it_does(double, capsys, mon
     load = robots.load_robot
     monkeypatch.setattr(robots, "load_robot", lambda *words: double.use() or load(*words))
     output.notice_once.cache_clear()
-    for said in ("compiling the solver (first use on this machine, some seconds) ...\n", ""):
+    for said in ("compiling the solver (first use on this machine, up to half a minute) ...\n", ""):
         assert main(["fk", "planar_2r", "--q", "0,0"]) == 0
         assert capsys.readouterr().err == said
     assert len(double.files()) == 1

@@ -4,11 +4,12 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from random_arms import make_levels
 
 from ik_toolkit.kernel import box, clock, constrain, levels, motion, obey, servo, wanted, weak
 from ik_toolkit.kernel.box import HELD
 from ik_toolkit.kernel.constrain import LEAVE, SLOW
-from ik_toolkit.kernel.levels import HIGH, LOW, RHS, make_levels
+from ik_toolkit.kernel.levels import HIGH, LOW, RHS
 from ik_toolkit.kernel.motion import AA, AV, CA, CLIP, CV, GIVEN, MOVING, READY, STATE, Law
 from ik_toolkit.kernel.search import SINGULAR_STEP
 

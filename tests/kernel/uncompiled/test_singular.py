@@ -2,12 +2,13 @@
 
 import numpy as np
 import pytest
+from random_arms import make_levels
 
 from ik_toolkit.kernel import modes, singular, wanted, weak, wishes
 from ik_toolkit.kernel.bench import bench_on, bench_space
 from ik_toolkit.kernel.box import approach
 from ik_toolkit.kernel.constrain import LEAVE
-from ik_toolkit.kernel.levels import HIGH, LOW, RHS, SIZE, WANT, make_levels
+from ik_toolkit.kernel.levels import HIGH, LOW, RHS, SIZE, WANT
 from ik_toolkit.kernel.linalg import make_rows_orthogonal
 from ik_toolkit.kernel.modes import SIDE
 from ik_toolkit.kernel.motion import AV, CV, STATE, Law

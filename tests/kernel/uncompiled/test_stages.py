@@ -4,10 +4,11 @@ import math
 
 import numpy as np
 import pytest
+from random_arms import make_levels
 
 from ik_toolkit.kernel import constrain
 from ik_toolkit.kernel.constrain import DIRECT
-from ik_toolkit.kernel.levels import HIGH, LOW, RHS, WANT, make_levels
+from ik_toolkit.kernel.levels import HIGH, LOW, RHS, WANT
 
 
 def loaded(rng, n=5, rows=3):

@@ -5,13 +5,12 @@ import itertools
 import numpy as np
 import pytest
 import random_arms as arms
-from random_arms import orders, task
+from random_arms import make_levels, orders, task
 
 from ik_toolkit.kernel import levels, motion, obey, qp, wanted
 from ik_toolkit.kernel.bench import bench_on, bench_space
 from ik_toolkit.kernel.box import CALM, CALMED, RECOVERING, ROW, SWINGING, calm, watch
 from ik_toolkit.kernel.constrain import DIRECT, LEAVE, SLOW, constrain, make_room, room_on, room_space
-from ik_toolkit.kernel.levels import make_levels
 from ik_toolkit.kernel.motion import AA, AT_RATE_AND_STEP, AV, CA, CV, RUNNING, STATE, Law
 from ik_toolkit.kernel.problem import make_desk
 from ik_toolkit.kernel.serial import make_serial
