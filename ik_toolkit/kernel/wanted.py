@@ -8,7 +8,6 @@ from typing import NamedTuple
 import numpy as np
 from numba.extending import overload
 
-from .box import bending
 from .constrain import SLOW
 from .jit import INLINE, inline, inner
 from .modes import CLOSE, along_lost, down_slopes, hold_back, mode_part, modes, take_out
@@ -139,7 +138,7 @@ def feed_back(law, s, limits, count, h, heavy, beyond):
         if s.lost[k] > 0.0:
             gone += mode_part(s.U, k, s.e) ** 2
     curved = heavy * math.sqrt(max(size - gone, 0.0)) if size > CLOSE * CLOSE else 0.0
-    fast, quick = (0.5, 0.5) if law.mode == CLIP else (FAST, BRISK / bending(law.gamma))
+    fast, quick = (0.5, 0.5) if law.mode == CLIP else (FAST, BRISK)
     return ease(
         law, s.J, m, s.e, s.ahead, h, s.at, limits, s.planes, s.edges, count, fast, quick, law.mode != CLIP, curved, s.G, s.H,
         s.y, s.x,
