@@ -368,9 +368,7 @@ def down_slopes(W, V, pull, x, speeds):
     for r in range(pull.shape[0]):
         if pull[r] == 0.0:
             continue
-        own, size, part = 0.0, 0.0, 0.0
-        for i in range(x.shape[0]):
-            own += W[r, i] * V[i, r]
+        own, size, part = part_along(V, r, W[r]), 0.0, 0.0
         for i in range(x.shape[0]):
             slope = W[r, i] - own * V[i, r]
             size += slope * slope
