@@ -65,7 +65,10 @@ SOLVE = ["solve", "hydrolek_7w", "--xyz", "1.0", "0.1", "0.2"]
         ([*SOLVE, "--lock", "wrist_roll=up"], "takes one number"),
         ([*SOLVE, "-o", "no/such/folder/file.json"], "there is no folder"),
         ([*SOLVE, "--bogus"], "No such option: --bogus"),
-        ([*SOLVE, "--tolerance-position", "1"], "--tolerance-position (Possible options: --position-tolerance)"),
+        (
+            ["track", "planar_2r", "--tolerance-position", "1"],
+            "--tolerance-position (Possible options: --position-tolerance)",
+        ),
         (["solve", "brokk_hydrolek", "--xyz", "1", "0", "0"], "choose one with --tip: left_tip, right_tip"),
         (["fk", "hydrolek_7w", "--q", "1"], "--q takes 6 values"),
         (["solvers", "lmm"], "Did you mean 'lm'"),
