@@ -128,13 +128,10 @@ def _explain(error: Exception) -> tuple[str, int]:
     if isinstance(error, UsageError):
         context = getattr(error, "ctx", None)
         command = context.command_path if context else "ik"
-        if context and getattr(error, "possibilities", ["none"]) in (
-            [],
-            None,
-        ):  # words in another order are not near by letters
-            words = sorted(error.option_name.split("-"))  # type: ignore[attr-defined]
+        option = getattr(error, "option_name", None)
+        if context and option and not getattr(error, "possibilities", True):  # none is near by its letters
             names = [name for parameter in context.command.params for name in parameter.opts]
-            error.possibilities = [name for name in names if sorted(name.split("-")) == words]  # type: ignore[attr-defined]
+            error.possibilities = [one for one in names if sorted(one.split("-")) == sorted(option.split("-"))]  # type: ignore[attr-defined]
         message = error.format_message().rstrip(".")  # type: ignore[attr-defined]
         return f"{message}{'' if message.endswith('?') else '.'} See {command} --help", BAD_INPUT
     if isinstance(error, OSError):
