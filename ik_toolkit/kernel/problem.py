@@ -32,7 +32,7 @@ from .checks import ORTHONORMAL, beyond, edge, rigid
 from .jit import compiled, inline, spliced
 from .kinematics import aim, column, fk, pose_error
 from .records import WHAT, Array
-from .task import FREE, PART, POSE, POSITION, count_column, shape
+from .task import FREE, PART, POSE, POSITION, count_column, count_goal_column, shape
 from .view import cut
 
 GOAL = 15  # numbers of a goal: pose (12), and its point again where the search aims at the edge of the reach instead
@@ -127,6 +127,14 @@ def counted(kind, kept, linear, angular):
 
 
 @inline
+def counted_goal(kind, kept, linear, angular):
+    """A motion of the target as its errors count."""
+    if kind == PART:
+        return count_goal_column(kept, linear, angular)
+    return counted(kind, kept, linear, angular)
+
+
+@inline
 def fill(rows, own, task, kept, joints, tip, J, first):
     """Write the columns of one chain to J[:, first : first + 6]; where not each row is its `own` coordinate, they add up."""
     kind = int(task[WHAT.kind])
@@ -172,6 +180,6 @@ def local_motion(ends, task, kept, V, out):
     """Twist or acceleration V (6,) of a target, base axes [m, rad], as it counts: first joint's axes, kernel units."""
     base = rotation_at(ends.flat, 0)
     u, v = base.across(at3(V, 0)) * (1.0 / ends.scale()), base.across(at3(V, 3))
-    u, v = counted(int(task[WHAT.kind]), kept, u, v)
+    u, v = counted_goal(int(task[WHAT.kind]), kept, u, v)
     put3(out, 0, u)
     put3(out, 3, v)

@@ -3,9 +3,8 @@
 from .algebra import M3, V3, at3, put3, put_axes, rotation_at
 from .jit import inline, inner
 from .kinematics import column
-from .problem import add_column
+from .problem import add_column, counted_goal
 from .records import WHAT
-from .task import POSE, POSITION, count_goal_column
 
 # Of a target given relative to another tip, by place: what brings that tip's axes to the target's (9), the target's point in
 # that tip's axes (3), and the pose of that chain's first joint in this chain's (12).
@@ -53,8 +52,5 @@ def fill_goal(rows, task, kept, joints, pose, link, J, first):
     for i in range(rows.shape[0]):
         u, v = column(rows, joints, i, point)
         u, v = frame.times(u), frame.times(v)
-        if kind == POSITION:
-            v = v * 0.0
-        elif kind != POSE:
-            u, v = count_goal_column(kept, u, v)
+        u, v = counted_goal(kind, kept, u, v)
         add_column(J, int(rows[i, 8]), first, -(rows[i, 4] + rows[i, 6]), u, v)

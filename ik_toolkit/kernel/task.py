@@ -100,9 +100,8 @@ def shape(task, ends, goal, now, linear, angular, kept):
         kept[ERROR + 3 + i] = w * e
         w = w if e != 0.0 or s == 0.0 else 0.0
         put3(kept, A + 3 * i, own * w)
-        if task[WHAT.other] >= 0.0:  # and G times it
-            others = b.cross(axis.cross(a)) * f - bend if turns else bend + across * 0.5
-            put3(kept, B + 3 * i, (others - across if frame == TARGET else others) * w)
+        others = b.cross(axis.cross(a)) * f - bend if turns else bend + across * 0.5  # and G times it
+        put3(kept, B + 3 * i, (others - across if frame == TARGET else others) * w)
     put3(kept, ARM, linear if frame == TIP else none)
     put3(kept, ARM_GOAL, -linear if frame == TARGET else none)
     return at3(kept, ERROR), at3(kept, ERROR + 3)
@@ -123,7 +122,7 @@ def count_column(kept, linear, angular):
 
 @inner
 def count_goal_column(kept, linear, angular):
-    """The same of a target that moves with another tip: how the error grows."""
+    """The same of a target that moves: how the error grows."""
     linear = linear + angular.cross(at3(kept, ARM_GOAL))
     return rows_at(kept, L).across(linear), rows_at(kept, B).across(angular)
 

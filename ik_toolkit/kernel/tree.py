@@ -18,7 +18,7 @@ from .motion import jacobian_rate
 from .problem import (
     GOAL,
     Desk,
-    counted,
+    counted_goal,
     errors_at,
     fill,
     from_target,
@@ -206,7 +206,7 @@ class Tree(NamedTuple):
                 tool = rotation_at(self.ends[other], 12)
                 axes = product(rotation_at(self.links[f], FRAME), product(rotation_at(self.poses[other], 0), tool))
                 u, v = axes.times(at3(V, 6 * f)) * (1.0 / ends.scale()), axes.times(at3(V, 6 * f + 3))
-                u, v = counted(int(self.tasks[f, WHAT.kind]), self.kept[f], u, v)
+                u, v = counted_goal(int(self.tasks[f, WHAT.kind]), self.kept[f], u, v)
                 put3(out, 6 * f, u)
                 put3(out, 6 * f + 3, v)
             else:

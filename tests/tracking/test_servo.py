@@ -343,6 +343,23 @@ def test_what_counts(panda, form):
     assert check.success and np.abs(check.q - tracker.q).max() < 1e-3
 
 
+MASKS = {"base": [1, 1, 1, 1, 0, 0], "tip": [1, 0, 0, 1, 1, 1], "target": [1, 0, 0, 1, 1, 1]}
+
+
+@pytest.mark.parametrize("frame", MASKS)
+def test_a_target_that_moves_and_turns_is_followed_in_what_counts(panda, frame):
+    """Where the rest of the error has grown large, the target's motion does not count as the tip's would."""
+    worst = []
+    for counts in ({}, {"mask": MASKS[frame], "frame": frame}):
+        tracker, errors = Tracker(panda, "cv", q0=Q0, **counts), []
+        for k in range(300):
+            way = 1.0 - np.cos(0.015 * (k + 1))
+            step = tracker.update(panda.fk(Q0 + way * np.array([0.3, 0.2, -0.3, 0.3, 0.3, 0.3, 0.4])), 0.01)
+            errors.append((step.position_error, step.orientation_error))
+        worst.append(np.array(errors[100:]).max(axis=0))
+    assert (worst[1] < 2.0 * worst[0]).all(), worst
+
+
 def test_several_tips():
     tree = ik.Tree.load("brokk_hydrolek", tips=["left_tip", "right_tip"])
     left, right = (tree.fk(tree.home)[tip].homogeneous for tip in tree.tips)
