@@ -37,12 +37,12 @@ from .linalg import make_rows_orthogonal
 from .qp import CONTRADICTION, DONE, SAME_TASK, UNMET, solve_levels, unmet
 from .records import Array
 from .singular import damp, regular
-from .stages import add_clock, aside, ease, slack
+from .stages import add_clock, aside, ease, near, slack
 from .view import LINE, cut
 
 LEAVE, SLOW, DIRECT = range(3)
 WANTED, MET, SHORT, RELAXED, INEXACT = range(5)
-FULL, CLOCK, ASIDE, SLACK, EASED = range(5)  # problems to solve
+FULL, CLOCK, ASIDE, SLACK, EASED, NEAR = range(6)  # problems to solve
 SLOWED, TURNED = 1, 2  # how the last step ended: with a slower clock, or in full, but aside of the direction
 FULL_CLOCK = 1e-6  # share of cap from which on a full clock is tried
 LOOSE = 1e-9  # half-planes are loosened by this much more than the least slack, so that their gap exceeds rounding
@@ -204,23 +204,32 @@ def as_wanted(want, x, active, kept, multiplier):
 
 
 @inner
-def answer(scale, low, high, A, count, unit, V, S, state, x, active, kept, multiplier):
-    """Write what was found in the caller's units; unit: of the second objective's multipliers."""
+def price(scale, count, unit, V, S, state, multiplier):
+    """Write the multipliers of what holds in the caller's units; unit: of the second objective's."""
+    n = scale.shape[0]
+    for i in range(n):
+        one = V[ONE, i] if V[ONE, i] != 0.0 else unit * V[TWO, i]
+        multiplier[i] = one / scale[i] if state[i] != 0 else 0.0
+    for k in range(multiplier.shape[0] - n):
+        multiplier[n + k] = 0.0
+        if k < count and state[V.shape[1] + k] != 0:
+            multiplier[n + k] = S[ROW_ONE, k] if S[ROW_ONE, k] != 0.0 else unit * S[ROW_TWO, k]
+
+
+@inner
+def answer(scale, low, high, A, count, V, state, x, active, kept):
+    """Write the rate that was found, and what holds, in the caller's units."""
     n = x.shape[0]
     for i in range(n):
         active[i] = state[i]
         if state[i] == 0:
             x[i] = min(max(V[Y, i] * scale[i], low[i]), high[i])
-            multiplier[i] = 0.0
         else:
             x[i] = high[i] if state[i] > 0 else low[i]
-            multiplier[i] = (V[ONE, i] if V[ONE, i] != 0.0 else unit * V[TWO, i]) / scale[i]
-    for k in range(multiplier.shape[0] - n):
+    for k in range(kept.shape[0] - 1):
         kept[k] = 0
-        multiplier[n + k] = 0.0
         if k < count and state[V.shape[1] + k] != 0:
             kept[k] = 1
-            multiplier[n + k] = S[ROW_ONE, k] if S[ROW_ONE, k] != 0.0 else unit * S[ROW_TWO, k]
             for i in range(n):
                 if active[i] == 0 and A[k, i] != 0.0:
                     active[i] = 2
@@ -246,8 +255,8 @@ def constrain(
     loosened by the least slack. INEXACT: no optimum was found in the iterations allowed, x is only inside the box. starts
     (2, n + R + 1) int8 carries on what held in the problems solved on the way, of the clock and of leaving the direction: each is
     solved soonest from its own set. multiplier
-    (n + R,): of the bounds, positive at high, then of the half-planes: of the task error, or where that has none, of the
-    closeness to `want`.
+    (n + R,): of the bounds, positive at high, then of the half-planes: of the task error (with step, of the damped one), or
+    where that has none, of the closeness to `want`.
     """
     s = room.levels
     return solve_step(
@@ -275,7 +284,7 @@ def solve_step(
     begin = EASED if mu > 0.0 else FULL
     stage = CLOCK if mode != LEAVE and kept[last] == SLOWED else begin
     clock_tried, refused, fresh, moved, done = False, False, True, False, False
-    loose, unit, rate, damped, r = 0.0, 0.0, top, 1.0, 0
+    loose, unit, rate, damped, short, r = 0.0, 0.0, top, 1.0, 0.0, 0
     while True:
         if fresh:
             r = prepare(
@@ -290,7 +299,7 @@ def solve_step(
         N, rows = n, r
         if stage == EASED:
             move = -1.0 if mode == DIRECT else rate
-            damped = ease(P, W, V, S, state, task, weight, beside, scale, count, r, n, move, step, mu)
+            damped, short = ease(P, V, S, state, task, weight, scale, count, r, n, move, step, mu)
             N = n + r
         elif stage == CLOCK:
             clock_tried = True
@@ -301,6 +310,8 @@ def solve_step(
             moved = mode == DIRECT and from_rest(V, S, n, count)
         elif stage == ASIDE:
             aside(P, S, count, r, n, rate)
+        elif stage == NEAR:
+            near(P, V, S, want, beside, scale, count, r, n, short)
         elif stage == SLACK:
             slack(P, V, S, state, n, count)
             N, rows = n + 1, 1
@@ -317,7 +328,11 @@ def solve_step(
         if end == UNMET:
             stage, refused = CLOCK, True
             continue
-        if end != DONE or stage == EASED:
+        if stage == EASED and end == DONE and mu == 0.0:
+            price(scale, count, damped, V, S, state, multiplier)
+            stage = NEAR
+            continue
+        if end != DONE or stage >= EASED:
             break
         done = not unmet(S, count, r)
         if stage == CLOCK or stage == ASIDE:
@@ -336,5 +351,7 @@ def solve_step(
         else:
             break
     kept[last] = SLOWED if rate < top else TURNED if mode == DIRECT and clock_tried and not done else 0
-    answer(scale, low, high, A, count, damped, V, S, state, x, active, kept, multiplier)
+    if stage != NEAR:
+        price(scale, count, damped, V, S, state, multiplier)
+    answer(scale, low, high, A, count, V, state, x, active, kept)
     return INEXACT if end != DONE else RELAXED if loose > 0.0 else MET if done else SHORT, rate

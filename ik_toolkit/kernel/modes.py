@@ -360,13 +360,14 @@ def along_lost(V, lost, xk, x, speeds):
 
 
 @inner
-def down_slopes(W, V, pull, x, speeds):
-    """Replace what x (n,) has along what a bent v_k leaves of the slope sigma_k v_k: by the way down, or by nothing.
+def down_slopes(W, V, sigma, pull, x, speeds):
+    """Bring what x (n,) has along what a bent v_k leaves of the slope sigma_k v_k to the way down, or to nothing.
 
-    Joints that drift there are pulled back in one step as soon as the slope is no small one any more.
+    Joints that drift there are pulled back in one step once the slope is no small one, at LOST: they come to it by then.
     """
     for r in range(pull.shape[0]):
-        if pull[r] == 0.0:
+        share = min(2.0 * sigma[r] / LOST - 1.0, 1.0)
+        if pull[r] == 0.0 or share <= 0.0:
             continue
         own, size, part = part_along(V, r, W[r]), 0.0, 0.0
         for i in range(x.shape[0]):
@@ -375,4 +376,4 @@ def down_slopes(W, V, pull, x, speeds):
             part += slope * x[i]
         if size > ZERO * ZERO:
             for i in range(x.shape[0]):
-                x[i] += (speeds * pull[r] - part / size) * (W[r, i] - own * V[i, r])
+                x[i] += share * (speeds * pull[r] - part / size) * (W[r, i] - own * V[i, r])

@@ -5,7 +5,7 @@ import math
 import numpy as np
 
 from .jit import inner
-from .levels import HIGH, LOW, RHS, SIZE, TASK_ONE, WANT, dot
+from .levels import HIGH, LOW, RHS, TASK_ONE, WANT, Y, dot
 
 SMALL = 1e-4  # size of the clock's column beside the task's largest row: the share its square has against the joints' is 1e-8
 DIRECTION = 100.0  # weight of deviating from the direction against falling behind along it, where nothing is blocked
@@ -58,16 +58,15 @@ def aside(P, S, first, r, n, alpha):
 
 
 @inner
-def ease(P, W, V, S, state, task, weight, beside, scale, first, r, n, rate, step, mu):
-    """Let the residual be unknowns from n on, each l of its unit, and be as dear as the joints' motion: l^2, or 0.
+def ease(P, V, S, state, task, weight, scale, first, r, n, rate, step, mu):
+    """Let the residual be unknowns from n on, each l of its unit, and be as dear as the joints' motion: l^2, and the share unmet.
 
-    rate: of the clock; below 0: what is asked stays. |C y - d|^2 + l^2 |y - c|^2 is then the second objective, under a task
-    that can always be met. The damping is that of Levenberg and Marquardt: the curvature that C leaves out, at most that of a
-    circle of one kernel unit, times the residual. The centre c must not move the tip, or the arm would rest beside the closest
-    pose: it is what `beside` asks of the free joints, and as much of the rate wanted as of the task is met. mu above 0, where
-    nothing has been solved before: l^2 is mu, and c the rate wanted.
+    rate: of the clock; below 0: what is asked stays. |C y - d|^2 + l^2 |y|^2 is then the second objective, under a task that
+    can always be met. The damping is that of Levenberg and Marquardt: the curvature that C leaves out, at most that of a
+    circle of one kernel unit, times the residual. mu above 0, where nothing has been solved before: l^2 is mu, and the joints
+    are drawn to the rate wanted, not to rest.
     """
-    square = mu
+    square, unmet = mu, 0.0
     if mu == 0.0:
         miss, asked, heavy, fast = 0.0, 0.0, 0.0, 0.0
         for k in range(first, first + r):
@@ -77,17 +76,10 @@ def ease(P, W, V, S, state, task, weight, beside, scale, first, r, n, rate, step
             asked += S[RHS, k] * S[RHS, k]
         for k in range(weight.shape[0]):
             heavy = max(heavy, weight[k])
-        unmet = min(math.sqrt(miss / asked), 1.0) if asked > 0.0 else 1.0
         for i in range(n):
             fast = max(fast, scale[i])
-            V[WANT, i] *= 1.0 - unmet
-            if state[i] == 0:
-                V[WANT, i] += unmet * beside[i] / scale[i]
-        for k in range(first, first + r):
-            if S[SIZE, k] < 0.0:  # a vector of the basis that `span` found last
-                along = dot(W, k, V, WANT, n)
-                for i in range(n):
-                    V[WANT, i] -= along * W[k, i]
+            V[WANT, i] = 0.0
+        unmet = min(math.sqrt(miss / asked), 1.0) if asked > 0.0 else 1.0
         square = step * math.sqrt(miss) * heavy * fast * fast
     unit = math.sqrt(square)
     for k in range(first + r):
@@ -98,7 +90,21 @@ def ease(P, W, V, S, state, task, weight, beside, scale, first, r, n, rate, step
         V[WANT, j] = 0.0
         V[LOW, j] = -np.inf
         V[HIGH, j] = np.inf
-    return square
+    return square, unmet
+
+
+@inner
+def near(P, V, S, want, beside, scale, first, r, n, unmet):
+    """Let the tip move as it has just been found to, and the joints as near as they can to what is wanted with that motion.
+
+    That is what `beside` asks, and as much of the rate wanted as of the task is met: all of it would be that of a task at full
+    speed. It is a second objective, not the centre of the damping: there it would move the tip, and the arm would rest beside
+    the closest pose, or turn with each joint that meets a limit, were it freed of that.
+    """
+    for k in range(first, first + r):
+        S[RHS, k] = dot(P, k, V, Y, n)
+    for i in range(n):
+        V[WANT, i] = (unmet * beside[i] + (1.0 - unmet) * want[i]) / scale[i]
 
 
 @inner

@@ -68,7 +68,7 @@ def find_wishes(law, s, limits, wish, base):
     if some:
         into_null_space(s.J, m, s.G, s.y, s.t, s.g, s.v)
         along_lost(s.V, s.lost, s.xk, s.g, 0.0)
-        down_slopes(s.W, s.V, s.pull, s.g, 0.0)
+        down_slopes(s.W, s.V, s.sv, s.pull, s.g, 0.0)
         clip_wish(s.g, base, s.floor, s.roof)
         return True
     return False
@@ -190,7 +190,7 @@ def by_law(law, rule, task, look, weights, s, slack, limits, wish, count, sigma,
     command(law, s.J, m, s.e, s.f, s.a, s.bias, rate, memory, h, ratio, s.G, s.y, s.t, s.move, s.null, s.x)
     if damped > 0.0 and law.mode != CLIP:
         along_lost(s.V, s.lost, s.xk, s.x, 1.0)
-        down_slopes(s.W, s.V, s.pull, s.x, 1.0)
+        down_slopes(s.W, s.V, s.sv, s.pull, s.x, 1.0)
         if law.code == CV:  # what the next step extrapolates from
             along_lost(s.V, s.lost, s.xk, memory, 1.0)
     add_wishes(law, s, limits, wish, ratio, h, memory)

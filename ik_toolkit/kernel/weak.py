@@ -148,8 +148,8 @@ def judge_modes(law, task, look, s, slack, limits, h, rate, away, heavy, state):
             s.V, r, s.sv[r], thin, s.t, rest, own, left, moved, gain, h, law.mode == SLOW, limits, s.lost, s.xk, state[STATE.near],
             away,
         )  # fmt: skip
-        if free and out:  # damped, as in `hold_back`; all of it only where it is about to be a large slope
-            s.pull[r] = gain * max(2.0 * s.sv[r] / LOST - 1.0, 0.0) * left / (s.sv[r] * s.sv[r] + heavy * abs(left))
+        if free and out:  # damped, as in `hold_back`
+            s.pull[r] = gain * left / (s.sv[r] * s.sv[r] + heavy * abs(left))
         beyond = beyond or out
     remember(state, near, beyond, h)
     return beyond

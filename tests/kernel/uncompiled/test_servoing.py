@@ -27,6 +27,7 @@ def scratch(rng, n=7, m=6):
         t=np.empty(m),
         V=np.zeros((n, m)),
         W=np.zeros((m, n)),
+        sv=np.zeros(m),
         pull=np.zeros(m),
         lost=np.zeros(m),
         xk=np.zeros(m),

@@ -1,5 +1,7 @@
 """Singular directions: how they are found and damped, and how joints move along them."""
 
+import itertools
+
 import numpy as np
 import pytest
 from random_arms import make_levels
@@ -370,15 +372,17 @@ def test_joints_go_down_what_a_bent_direction_leaves_of_a_slope():
     W, V = np.zeros((2, 5)), np.zeros((5, 2))
     V[:, 1], W[1] = Q[:, 0], 3e-4 * Q[:, 0] - 4e-3 * Q[:, 1]
     W[0] = Q[:, 2]
-    for pull in (50.0, 0.0):
-        for speeds in (1.0, 0.0):
-            x = rng.normal(size=5)
-            along = -4e-3 * pull * speeds if pull else Q[:, 1] @ x
-            wanted = x + (along - Q[:, 1] @ x) * Q[:, 1]
-            modes.down_slopes(W, V, np.array([0.0, pull]), x, speeds)
-            np.testing.assert_allclose(x, wanted, atol=1e-14)
+    ways = itertools.product(
+        (50.0, 0.0), (1.0, 0.0), ((6e-3, 1.0), (5e-3, 1.0), (4e-3, 0.6), (2.5e-3, 0.0), (1e-3, 0.0))
+    )
+    for pull, speeds, (sigma, share) in ways:
+        x = rng.normal(size=5)
+        along = -4e-3 * pull * speeds if pull else Q[:, 1] @ x
+        wanted = x + share * (along - Q[:, 1] @ x) * Q[:, 1]
+        modes.down_slopes(W, V, np.array([1.0, sigma]), np.array([0.0, pull]), x, speeds)
+        np.testing.assert_allclose(x, wanted, atol=1e-14)
     W[1] = 3e-4 * Q[:, 0]  # nothing is left of it
-    modes.down_slopes(W, V, np.array([0.0, 50.0]), x, 1.0)
+    modes.down_slopes(W, V, np.array([1.0, 6e-3]), np.array([0.0, 50.0]), x, 1.0)
     np.testing.assert_allclose(x, wanted, atol=1e-12)
 
 
