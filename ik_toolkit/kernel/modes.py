@@ -71,6 +71,16 @@ def modes(J, near, W, U, sigma):
 
 
 @inner
+def begin_anew(slack, near):
+    """Forget the u_k found last where errors may come into the task and leave it: one that is out of it is a mode of its own."""
+    some = False
+    for k in range(slack.shape[0]):
+        some = some or slack[k] > 0.0
+    for k in range(slack.shape[0]):
+        near[0, k] = 0.0 if some else near[0, k]
+
+
+@inner
 def leave_modes(W, sigma, r, x):
     """Take from x (n,) what moves the tip by other modes than r (-1: by any); returns its length."""
     m, n = W.shape

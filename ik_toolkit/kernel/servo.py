@@ -216,8 +216,8 @@ def run(step, rows, ends, orders, given, own, samples, out, h, block):
         if law.mode != CLIP:
             leave_out(s.J, s.floor, s.roof)
         count = gather(law, lines, level, s.planes, s.edges)
-        count = slack_rows(counts[1], s.J, s.e, s.f, s.ahead, s.a, h, s.planes, s.edges, count)
         copy(counts[0], s.weight)
+        count = slack_rows(counts[1], s.weight, s.J, s.e, s.f, s.ahead, s.a, h, s.planes, s.edges, count)
         square = error_squared(s.weight, s.e)
         ratio = h / state[STATE.period] if state[STATE.start] == RUNNING else 0.0
         mu = descend(law, s, limits, h, state) if stuck(law, s, limits, square, h, state) else 0.0

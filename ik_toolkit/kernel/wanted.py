@@ -10,7 +10,7 @@ from numba.extending import overload
 
 from .constrain import SLOW
 from .jit import INLINE, inline, inner
-from .modes import CLOSE, along_lost, down_slopes, hold_back, mode_part, modes, take_out
+from .modes import CLOSE, along_lost, begin_anew, down_slopes, hold_back, mode_part, modes, take_out
 from .motion import (
     AA,
     AT_RATE,
@@ -159,11 +159,12 @@ def by_law(law, rule, task, look, weights, s, slack, limits, wish, count, sigma,
         weak = law.damping > 0.0 and not low >= border * border
     if weak:  # what is lost of a task, and what is closest, is by the weights of the errors
         heavy = weigh(s.weight, s.J, s.e, s.ahead, s.f, s.a)
+        begin_anew(slack, basis)
         modes(s.J, basis, s.W, s.U, s.sv)
     for k in range(m):
         s.lost[k], s.pull[k], s.pace[k], s.f[k] = 0.0, 0.0, s.f[k], sigma * s.f[k]
     if weak:
-        beyond = judge_modes(law, task, look, s, slack, limits, h, rate, away, heavy, state)
+        beyond = judge_modes(law, task, look, s, limits, h, rate, away, heavy, state)
         damped = 1.0 * take_out(s.J, s.W, s.U, s.V, s.lost, s.f, s.G)
     else:
         remember(state, False, False, h)
@@ -174,7 +175,7 @@ def by_law(law, rule, task, look, weights, s, slack, limits, wish, count, sigma,
             for i in range(n):
                 s.x1[i] *= 0.0 if law.reading == AT_STEP else 1.0
                 s.x2[i] = 0.0
-        bend(task, look, s, slack, weak)
+        bend(task, look, s, weak)
     if weak:  # all is weighed by now
         for k in range(m):
             s.weight[k] = 1.0 if s.weight[k] > 0.0 else 0.0

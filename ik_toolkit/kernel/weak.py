@@ -28,19 +28,19 @@ BEFORE = -1.0  # singular poses were met before, but not in the last step
 
 
 @inline
-def bend(task, look, s, slack, weighed):
+def bend(task, look, s, weighed):
     """s.bias = (dJ/dt along s.x1) s.x2, by the weights of the errors where these are weighed."""
     if task.plain():
         task.bending(look, s.x1, s.x2, s.bias)
     else:
-        by_difference(task, s, slack)
+        by_difference(task, s)
     if weighed:
         for k in range(s.bias.shape[0]):
             s.bias[k] *= s.weight[k]
 
 
 @inline
-def by_difference(task, s, slack):
+def by_difference(task, s):
     """s.bias = (dJ/dt along s.x1) s.x2 by differences, where only a part of a pose counts or its target moves."""
     size = 0.0
     for i in range(s.x1.shape[0]):
@@ -58,7 +58,7 @@ def by_difference(task, s, slack):
                     s.bias[k] += sign * 0.5 * size / STEP * task.desk.J[i, k] * s.x2[i]
     reflect(s.flip, s.bias)
     for k in range(s.bias.shape[0]):
-        if slack[k] > 0.0:
+        if s.weight[k] == 0.0:
             s.bias[k] = 0.0
 
 
@@ -123,7 +123,7 @@ def note_curve(s, r, part):
 
 
 @inline
-def judge_modes(law, task, look, s, slack, limits, h, rate, away, heavy, state):
+def judge_modes(law, task, look, s, limits, h, rate, away, heavy, state):
     """Judge the directions in which the tip can hardly move, see modes.py; returns whether the target is out of reach in one."""
     n, m = s.J.shape
     near, beyond, gain = False, False, law.kappa if law.code == CV else GAIN / h
@@ -141,7 +141,7 @@ def judge_modes(law, task, look, s, slack, limits, h, rate, away, heavy, state):
             if part == ALONG and free:
                 thin = bent_direction(s.W, s.V, s.sv, r, s.null)
             own = probe_mode(s, r, part, rate, h)
-            bend(task, look, s, slack, True)
+            bend(task, look, s, True)
             note_curve(s, r, part)
         rest = heavy * rest_of(s.e, left) if state[STATE.near] == 1.0 + SIDE else 0.0
         out = mode_speed(

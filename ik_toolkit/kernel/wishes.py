@@ -8,6 +8,7 @@ from .motion import apply
 FADING = 0.15  # share of its range, next to a limit, in which a joint is moved away from the limit
 STEP = 1e-5  # of a difference [rad, or reaches]: squared it is the error, and what rounding leaves is 1e-16 over it
 NEARLY = 0.5  # share of an error's slack that may be used up in a sample
+BEYOND = 1e-3  # and by which an error is beyond it: less may be rounding, and is brought back as half-plane
 
 
 @inline
@@ -49,22 +50,28 @@ def weigh(weight, J, e, ahead, f, a):
 
 
 @inner
-def slack_rows(slack, J, e, f, ahead, a, h, A, b, count):
-    """Turn errors with slack into half-planes A x <= b from row `count` on, and take them out of the task; returns the count.
+def slack_rows(slack, weight, J, e, f, ahead, a, h, A, b, count):
+    """Turn errors within their slack into half-planes A x <= b from row `count` on, and leave them out of the task; the count.
 
-    An error inside its slack may use up at most NEARLY of the rest in a sample; outside it is brought back.
+    Such an error may use up at most NEARLY of the rest in a sample. What of an error is clearly beyond its slack is one to close.
     """
     n, m = J.shape
     for k in range(m):
-        if slack[k] > 0.0:
-            for sign in (1.0, -1.0):
-                for i in range(n):
-                    A[count, i] = -sign * J[i, k]
-                b[count] = NEARLY * (slack[k] - sign * e[k]) / h - sign * f[k]
-                count += 1
+        if not slack[k] > 0.0:
+            continue
+        inside = min(max(e[k], -slack[k]), slack[k])
+        if abs(e[k] - inside) > BEYOND * slack[k]:
+            e[k] -= inside
+            ahead[k] -= inside
+            continue
+        for sign in (1.0, -1.0):
             for i in range(n):
-                J[i, k] = 0.0
-            e[k], f[k], ahead[k], a[k] = 0.0, 0.0, 0.0, 0.0
+                A[count, i] = -sign * J[i, k]
+            b[count] = NEARLY * (slack[k] - sign * e[k]) / h - sign * f[k]
+            count += 1
+        for i in range(n):
+            J[i, k] = 0.0
+        weight[k], e[k], f[k], ahead[k], a[k] = 0.0, 0.0, 0.0, 0.0, 0.0
     return count
 
 

@@ -46,9 +46,10 @@ def test_errors_with_slack_become_half_planes():
         np.array([0.0, 0.2, 0.0, 1.5]),
         0.1,
     )
-    old, left = J.copy(), [v.copy() for v in (e, f, ahead, a)]
+    e[1], e[3] = 0.1, -1.5 * (1.0 + 5e-4)  # what may be rounding is no part of the task
+    old, left, weight = J.copy(), [v.copy() for v in (e, f, ahead, a)], np.ones(4)
     A, b = np.zeros((6, 3)), np.zeros(6)
-    assert wishes.slack_rows(slack, J, e, f, ahead, a, h, A, b, 1) == 5
+    assert wishes.slack_rows(slack, weight, J, e, f, ahead, a, h, A, b, 1) == 5
     x = rng.normal(size=3)
     for k, row in ((1, 1), (3, 3)):
         grow = left[1][k] - old[:, k] @ x  # d/dt of the error at these rates
@@ -59,7 +60,21 @@ def test_errors_with_slack_become_half_planes():
     for k in (0, 2):
         np.testing.assert_array_equal(J[:, k], old[:, k])
         assert [v[k] for v in (e, f, ahead, a)] == [v[k] for v in left]
-    assert not A[0].any() and not A[5].any()
+    assert not A[0].any() and not A[5].any() and weight.tolist() == [1.0, 0.0, 1.0, 0.0]
+
+
+def test_what_of_an_error_is_beyond_its_slack_is_one_to_close():
+    rng = np.random.default_rng(5)
+    for sign in (1.0, -1.0):
+        J, (e, f, ahead, a), weight = rng.normal(size=(3, 2)), rng.normal(size=(4, 2)), np.ones(2)
+        e[1] = sign * 0.3
+        old, left = J.copy(), [v.copy() for v in (e, f, ahead, a)]
+        assert wishes.slack_rows(np.array([0.0, 0.2]), weight, J, e, f, ahead, a, 0.1, np.zeros((2, 3)), np.zeros(2), 0) == 0
+        left[0][1] -= sign * 0.2
+        left[2][1] -= sign * 0.2
+        np.testing.assert_array_equal(J, old)
+        np.testing.assert_array_equal([e, f, ahead, a], left)
+        assert weight.tolist() == [1.0, 1.0]
 
 
 def test_joints_are_led_away_from_their_limits():
