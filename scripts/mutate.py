@@ -38,7 +38,7 @@ TESTS = tuple(
     f"tests/{folder}/{name}.py" if name else f"tests/{folder}"
     for folder, names in {
         "kernel/uncompiled": ("",),
-        "kernel": ("test_kernel", "test_qp", "test_constrain", "test_search", "test_view"),
+        "kernel": ("test_kernel", "test_qp", "test_constrain", "test_damped_step", "test_search", "test_view"),
         "solvers": (
             "test_solve", "test_tree", "test_tree_preferences", "test_follow", "test_limits", "test_budget", "test_what_counts",
             "test_preferences", "test_others",

@@ -18,6 +18,7 @@ TOGETHER = {
     "tests/tracking/": "tracker",
     "tests/papers/test_patko_2019.py": "tracker",
     "tests/kernel/test_constrain.py": "tracker",
+    "tests/kernel/test_damped_step.py": "tracker",
     "tests/kernel/test_qp.py": "tracker",
     "tests/paths/": "paths",
     "tests/cli/test_path.py": "paths",

@@ -107,6 +107,16 @@ def outside(want, scale, low, high, A, b, count):
 
 
 @inner
+def cut_away(J, weight, feedback, forward, rate, want, scale, low, high, A, b, count):
+    """Share of the feed-forward to remove along damped directions; below 0: the rate wanted is inside and does the task."""
+    far = outside(want, scale, low, high, A, b, count)
+    miss, size = task_error(J, weight, feedback, forward, rate, want)
+    if far == 0.0 and miss <= SAME_TASK * SAME_TASK * size:
+        return -1.0
+    return min(1.0, max(far / CUT_AT, math.sqrt(miss / size) if size > 0.0 else 0.0))
+
+
+@inner
 def bound(scale, low, high, A, b, count, loose, P, V, S):
     """Write the box and the half-planes in scaled unknowns."""
     n = scale.shape[0]
@@ -271,15 +281,12 @@ def solve_step(
     x, active, kept, starts, multiplier, P, W, L, U, V, S, state, order, task,
 ):  # fmt: skip
     """Carry out `constrain`: one loop over the problems to solve, because the code of each is large."""
-    n = J.shape[0]
-    last = kept.shape[0] - 1
+    n, last = J.shape[0], kept.shape[0] - 1
     top = cap if mode == SLOW else 1.0
-    far = outside(want, scale, low, high, A, b, count)
-    miss, size = task_error(J, weight, feedback, forward, top, want)
-    if far == 0.0 and miss <= SAME_TASK * SAME_TASK * size:
+    cut = cut_away(J, weight, feedback, forward, top, want, scale, low, high, A, b, count)
+    if cut < 0.0:
         as_wanted(want, x, active, kept, multiplier)
         return WANTED, top
-    cut = min(1.0, max(far / CUT_AT, math.sqrt(miss / size) if size > 0.0 else 0.0))
     recall(active, kept, P.shape[1], n, count, state)
     begin = EASED if mu > 0.0 else FULL
     stage = CLOCK if mode != LEAVE and kept[last] == SLOWED else begin
@@ -287,19 +294,16 @@ def solve_step(
     loose, unit, rate, damped, short, r = 0.0, 0.0, top, 1.0, 0.0, 0
     while True:
         if fresh:
-            r = prepare(
-                J, weight, feedback, forward, want, scale, low, high, A, b, count, mode, top, singular, damping, cut,
-                loose, mu, P, L, V, S, task,
-            )  # fmt: skip
+            r = prepare(J, weight, feedback, forward, want, scale, low, high, A, b, count, mode, top, singular, damping,
+                        cut, loose, mu, P, L, V, S, task)  # fmt: skip
         elif moved:
             bound(scale, low, high, A, b, count, loose, P, V, S)
             if stage == ASIDE and kept[last] != 0:
                 take_set(starts[1], P.shape[1], n, count, state)
-        fresh, moved = False, False
-        N, rows = n, r
+        fresh, moved, N, rows = False, False, n, r
         if stage == EASED:
-            move = -1.0 if mode == DIRECT else rate
-            damped, short = ease(P, V, S, state, task, weight, scale, count, r, n, move, step, mu)
+            damped, short = ease(P, V, S, state, task, weight, scale, count, r, n, -1.0 if mode == DIRECT else rate,
+                                 step, mu)  # fmt: skip
             N = n + r
         elif stage == CLOCK:
             clock_tried = True
@@ -318,6 +322,8 @@ def solve_step(
         only_whole = mode != LEAVE and stage == FULL and not clock_tried
         end = solve_levels(P, W, L, U, V, S, state, order, N, count, rows, only_whole)
         state[n] = 0
+        if stage != NEAR:
+            price(scale, count, damped, V, S, state, multiplier)
         if stage == SLACK:
             loose = V[Y, n] * (1.0 + LOOSE) + LOOSE
             stage, fresh, clock_tried, refused = begin, True, False, False
@@ -329,7 +335,6 @@ def solve_step(
             stage, refused = CLOCK, True
             continue
         if stage == EASED and end == DONE and mu == 0.0:
-            price(scale, count, damped, V, S, state, multiplier)
             stage = NEAR
             continue
         if end != DONE or stage >= EASED:
@@ -340,8 +345,7 @@ def solve_step(
         if stage == CLOCK:
             rate = top - unit * V[Y, n] if N > n else top
             if rate >= top * (1.0 - FULL_CLOCK):
-                rate = top
-                stage = ASIDE if refused and mode == DIRECT else FULL
+                rate, stage = top, ASIDE if refused and mode == DIRECT else FULL
                 continue
             rate = max(rate, 0.0)
         if mode == DIRECT and stage != ASIDE and not (stage == FULL and done):
@@ -351,7 +355,5 @@ def solve_step(
         else:
             break
     kept[last] = SLOWED if rate < top else TURNED if mode == DIRECT and clock_tried and not done else 0
-    if stage != NEAR:
-        price(scale, count, damped, V, S, state, multiplier)
     answer(scale, low, high, A, count, V, state, x, active, kept)
     return INEXACT if end != DONE else RELAXED if loose > 0.0 else MET if done else SHORT, rate

@@ -17,11 +17,12 @@ from typing import Any
 import numpy as np
 
 from .bench import bench_on, bench_space
-from .box import HELD, UNLIMITED, approach, boxes, calm, clip, move, watch, way_to
+from .box import HELD, UNLIMITED, WINDOW, approach, boxes, calm, clip, move, watch, way_to
 from .clock import QUICK, WHOLE, next_rate, reference, too_far
 from .constrain import SLOW, room_on, room_space
 from .descent import descend, notice, stuck
 from .jit import cached, inline, inner
+from .modes import SIDE
 from .motion import CLIP, GIVEN, MOVING, READY, RUNNING, STATE, Law, apply, factor, own_up, settle
 from .obey import judge, obey, pacing
 from .records import HEAD, TASK, Orders, copy, read
@@ -126,12 +127,14 @@ def leave_out(J, floor, roof):
 
 
 @inline
-def quieten(law, s, rate, swings, count, h):
+def quieten(law, s, rate, swings, count, h, state):
     """Let joints that swing gain speed gradually.
 
-    Not where a published form is asked for or a clock gives way instead; and half-planes (count) may need more.
+    Not where a published form is asked for or a clock gives way instead; and half-planes (count) may need more. Nor where the
+    target has been in reach for as long as a swing turns back in, of a singular pose: what turned back was on its way there.
     """
-    if law.mode != CLIP and law.mode != SLOW and count == 0:
+    returned = 1.0 <= state[STATE.near] < 1.0 + SIDE - 0.5 * WINDOW
+    if law.mode != CLIP and law.mode != SLOW and count == 0 and not returned:
         calm(rate, s.size, swings, h, s.floor, s.roof, s.why_low, s.why_top)
 
 
@@ -223,7 +226,7 @@ def run(step, rows, ends, orders, given, own, samples, out, h, block):
         mu = descend(law, s, limits, h, state) if stuck(law, s, limits, square, h, state) else 0.0
         S[i, 3] = min(max(state[STATE.near], 0.0), 1.0)
         if mu == 0.0:
-            quieten(law, s, rate, swings, count, h)
+            quieten(law, s, rate, swings, count, h, state)
             S[i, 3] = wanted(
                 law, rule, task, look, weights, s, counts[1], limits, wish, count, sigma, h, rate, memory, away, basis, state
             )  # fmt: skip

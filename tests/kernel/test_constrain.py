@@ -2,81 +2,11 @@
 
 import numpy as np
 import pytest
+from constrained import Step, many, planar, problem, some_rows
 from numba import config
-from quadprog import solve_qp
 from scipy.optimize import linprog, lsq_linear
 
-from ik_toolkit.kernel import constrain as rooms
-from ik_toolkit.kernel.constrain import DIRECT, LEAVE, MET, RELAXED, SHORT, SLOW, WANTED, constrain
-from ik_toolkit.kernel.jit import cached
-from ik_toolkit.kernel.view import keep, view
-
-
-def many(count):
-    """So many cases, or a few when the kernel is not compiled: for scripts/mutate.py, which wants tests of a second."""
-    return max(count // 20, 1) if config.DISABLE_JIT else count
-
-
-@cached
-def kernel(
-    J, weight, feedback, forward, want, scale, low, high, A, b, count, mode, cap, singular, damping,
-    x, active, kept, starts, push, step, mu,
-):  # fmt: skip
-    (n, m), rows = J.shape, A.shape[0]
-    block = np.zeros(rooms.room_space(n, m, rows))
-    status, rate = constrain(
-        view(J), view(weight), view(feedback), view(forward), view(want), view(want), view(scale), view(low), view(high),
-        view(A), view(b), count, mode, cap, singular, damping, rooms.room_on(view(block), n, m, rows),
-        view(x), view(active), view(kept), view(starts), view(push), step, mu,
-    )  # fmt: skip
-    keep(block)
-    return status, rate
-
-
-class Step:
-    """A problem, and what holds from one solution to the next."""
-
-    def __init__(
-        self, J, low, high, rows=None, mode=LEAVE, cap=1.0, singular=0.0, damping=0.0, weight=None, scale=None, step=0.0,
-        mu=0.0,
-    ):  # fmt: skip
-        n, m = J.shape
-        self.J, self.low, self.high, self.mode, self.cap = J, low, high, mode, cap
-        self.singular, self.damping, self.step, self.mu = singular, damping, step, mu
-        self.A, self.b = (np.empty((1, n)), np.empty(1)) if rows is None else rows
-        self.count = 0 if rows is None else len(self.b)
-        self.weight = np.ones(m) if weight is None else weight
-        self.scale = np.ones(n) if scale is None else scale
-        self.active, self.kept = np.zeros(n, np.int8), np.zeros(len(self.b) + 1, np.int8)
-        self.starts = np.zeros((2, n + len(self.b) + 1), np.int8)
-        self.x, self.push = np.empty(n), np.empty(n + len(self.b))
-
-    def __call__(self, feedback, forward, want):
-        self.status, self.rate = kernel(
-            self.J, self.weight, feedback, forward, want, self.scale, self.low, self.high, self.A, self.b, self.count,
-            self.mode, self.cap, self.singular, self.damping, self.x, self.active, self.kept, self.starts,
-            self.push, self.step, self.mu,
-        )  # fmt: skip
-        return self.x.copy()
-
-
-def problem(rng, n=None, tight=1.0):
-    """Jacobian, of any rank, a task and a box with 0 inside."""
-    n = int(rng.integers(2, 17)) if n is None else n
-    J = rng.normal(size=(n, 6))
-    if rng.random() < 0.2:
-        J[:, 5] = J[:, 0] - J[:, 1]
-    if rng.random() < 0.2:
-        J[:, 3:] = 0.0
-    if rng.random() < 0.2:
-        J[rng.integers(n)] = 0.0
-    return J, rng.normal(size=6), -tight * rng.uniform(0.02, 1.0, n), tight * rng.uniform(0.02, 1.0, n)
-
-
-def some_rows(rng, low, high):
-    """Half-planes with 0 inside."""
-    A = rng.normal(size=(int(rng.integers(1, 7)), len(low)))
-    return A, rng.choice([0.0, 0.05, 0.5], len(A))
+from ik_toolkit.kernel.constrain import DIRECT, LEAVE, MET, RELAXED, SHORT, SLOW, WANTED
 
 
 def test_a_rate_that_fits_is_returned_bit_for_bit():
@@ -232,13 +162,6 @@ def test_a_joint_that_cannot_stop_at_once_does_not_choose_the_direction():
     np.testing.assert_allclose(x, [0.0, 0.4], atol=1e-12)
 
 
-def planar(q):
-    """Jacobian (3, 2) of the tip of three unit links."""
-    a = np.cumsum(q)
-    x, y = np.cumsum(np.cos(a)[::-1])[::-1], np.cumsum(np.sin(a)[::-1])[::-1]
-    return np.column_stack([-y, x])
-
-
 def test_a_singular_direction_alone_is_damped():
     rng = np.random.default_rng(7)
     top, most = 0.3, 0.2
@@ -299,74 +222,6 @@ def test_columns_that_do_not_count():
     np.testing.assert_allclose(one, two, atol=1e-12)
 
 
-def test_a_residual_damps_the_motion():
-    rng = np.random.default_rng(10)
-    for _ in range(many(100)):
-        J, v, low, high = problem(rng, 7)
-        strict = Step(J, low, high)
-        strict(3.0 * v, np.zeros(6), np.zeros(7))
-        eased = Step(J, low, high, step=0.01)
-        x = eased(3.0 * v, np.zeros(6), np.zeros(7))
-        assert eased.status == strict.status
-        miss = 3.0 * v - J.T @ strict.x
-        U = np.linalg.svd(J.T)[0][:, : np.linalg.matrix_rank(J, 1e-9)]
-        square = 0.01 * np.linalg.norm(U.T @ miss) if strict.status == SHORT else 0.0
-        C, d = np.vstack([J.T, np.sqrt(square) * np.eye(7)]), np.append(3.0 * v, np.zeros(7))
-        best = lsq_linear(C, d, (low, high), method="bvls", tol=1e-15)
-        np.testing.assert_allclose(np.sum((C @ x - d) ** 2), 2.0 * best.cost, rtol=1e-9, atol=1e-12)
-
-
-def test_what_is_wished_turns_the_arm_but_not_the_tip_where_a_residual_damps_it():
-    rng = np.random.default_rng(15)
-    short = 0
-    for _ in range(many(100)):
-        J, v, low, high = problem(rng, 7)
-        J = np.ascontiguousarray(J[:, :3])
-        rest, step = Step(J, low, high, step=0.01), Step(J, low, high, step=0.01)
-        want = rng.normal(size=7)
-        x, y = (one(9.0 * v[:3], np.zeros(3), w) for one, w in ((rest, np.zeros(7)), (step, want)))
-        if step.status != SHORT:
-            continue
-        short += 1
-        np.testing.assert_allclose(J.T @ y, J.T @ x, atol=1e-8)
-        U = np.linalg.svd(J)[0][
-            :, : np.linalg.matrix_rank(J, 1e-9)
-        ]  # directions that move the tip, in which both are the same
-        G, g = np.hstack([U, np.eye(7), -np.eye(7)]), np.concatenate([U.T @ x, low - 1e-9, -high - 1e-9])
-        np.testing.assert_allclose(y, solve_qp(np.eye(7), want, G, g, U.shape[1])[0], atol=1e-6)
-    assert short > many(100) // 4
-
-
-def test_a_task_is_damped_from_the_first_where_that_is_asked_for():
-    rng = np.random.default_rng(13)
-    for _ in range(many(100)):
-        J, v, low, high = problem(rng, 7)
-        A, b = some_rows(rng, low, high)
-        mu, weight = 10.0 ** rng.uniform(-6.0, 1.0), rng.random(6)
-        x = Step(J, low, high, weight=weight, mu=mu)(3.0 * v, np.zeros(6), np.zeros(7))
-        C = np.vstack([weight[:, None] * J.T, np.sqrt(mu) * np.eye(7)])
-        d = np.append(3.0 * weight * v, np.zeros(7))
-        best = lsq_linear(C, d, (low, high), method="bvls", tol=1e-15)
-        np.testing.assert_allclose(np.sum((C @ x - d) ** 2), 2.0 * best.cost, rtol=1e-9, atol=1e-12)
-        y = Step(J, low, high, (A, b), weight=weight, mu=mu)(3.0 * v, np.zeros(6), np.zeros(7))
-        assert (A @ y <= b + 1e-9).all() and np.sum((C @ y - d) ** 2) >= 2.0 * best.cost * (1.0 - 1e-9)
-        if (A @ x <= b).all():
-            np.testing.assert_allclose(y, x, atol=1e-9)
-
-
-def test_a_damped_task_stays_damped_where_half_planes_contradict():
-    rng = np.random.default_rng(14)
-    J, v, *_ = problem(rng, 7)
-    wide, row = np.full(7, 100.0), np.eye(7)[:1]
-    sizes = []
-    for mu in (1.0, 100.0):
-        step = Step(J, -wide, wide, (np.vstack([row, -row]), np.array([-0.01, -0.01])), mu=mu)
-        x = step(3.0 * v, np.zeros(6), np.zeros(7))
-        sizes.append(np.linalg.norm(x))
-        assert abs(x[0]) < 0.01
-    assert sizes[1] < 0.2 * sizes[0]  # undamped, both were the same
-
-
 @pytest.mark.parametrize("mode", [SLOW, DIRECT])
 def test_what_held_before_changes_the_way_but_not_the_answer(mode):
     rng = np.random.default_rng(12)
@@ -394,25 +249,3 @@ def test_what_held_before_changes_the_way_but_not_the_answer(mode):
     assert ended <= ways and (
         config.DISABLE_JIT or ended == ways
     )  # the few cases of an uncompiled run end in some of them
-
-
-@pytest.mark.parametrize("mode", [LEAVE, SLOW, DIRECT])
-def test_the_arm_comes_to_rest_at_the_edge_of_its_ranges(mode):
-    """Three links, joints at their limits, a target far out: the closest pose is reached, and then nothing moves."""
-    h, gain = 0.01, 20.0
-    lower, upper = np.array([-1.0, 0.3, -0.2]), np.array([1.0, 1.5, 2.0])
-    rng = np.random.default_rng(11)
-    for _ in range(many(10)):
-        q, target = rng.uniform(lower, upper), rng.uniform(-4.0, 4.0, 2)
-        step, rates = Step(np.zeros((3, 2)), np.zeros(3), np.zeros(3), mode=mode, step=h), []
-        for _ in range(1500):
-            a = np.cumsum(q)
-            e = target - [np.cos(a).sum(), np.sin(a).sum()]
-            step.J[:] = planar(q)
-            step.low[:], step.high[:] = np.maximum(-2.0, (lower - q) / h), np.minimum(2.0, (upper - q) / h)
-            rates.append(step(gain * e, np.zeros(2), np.zeros(3)))
-            q = np.clip(q + h * rates[-1], lower, upper)
-        slope = planar(q) @ e
-        uphill = np.where(q <= lower, np.minimum(slope, 0.0), np.where(q >= upper, np.maximum(slope, 0.0), 0.0))
-        assert np.abs(np.array(rates[-100:])).max() < 1e-2
-        assert np.abs(slope - uphill).max() < 1e-2 * (1.0 + np.linalg.norm(e))
