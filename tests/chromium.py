@@ -42,3 +42,15 @@ def fresh_page(browser, **context):
         page.on("pageerror", lambda error: page.errors.append(str(error)))
         page.on("dialog", lambda dialog: page.errors.append(dialog.message))
         yield page
+
+
+@contextlib.contextmanager
+def plainly_lit(robot):
+    """A panel without shadows and reflections: drawn by software, they are more than half of the work of a page."""
+    pytest.importorskip("viser", reason="viser is not installed (extra 'panel')")
+    from ik_toolkit.show.panel import Panel
+
+    with contextlib.closing(Panel(robot)) as made:
+        made.server.scene.configure_default_lights(cast_shadow=False)
+        made.server.scene.configure_environment_map(None)
+        yield made

@@ -27,6 +27,12 @@ TOGETHER = {
     "tests/solvers/test_others.py": "search",
     "tests/solvers/test_solve.py": "search",
     "tests/solvers/test_tree_preferences.py": "search",
+    # Few tests, but long ones: groups are handed out by their number of tests, and each of these alone would come last.
+    "tests/cli/test_first_use.py": "processes",
+    "tests/kernel/test_cache.py": "processes",
+    "tests/kernel/test_uncompiled.py": "processes",
+    "tests/package/test_processes.py": "processes",
+    "tests/solvers/test_cluster.py": "processes",
 }
 
 

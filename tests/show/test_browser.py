@@ -6,7 +6,7 @@ import time
 import numpy as np
 import pinocchio as pin
 import pytest
-from chromium import NEEDED, PATIENCE, api, fresh_page, started
+from chromium import NEEDED, PATIENCE, api, fresh_page, plainly_lit, started
 
 import ik_toolkit as ik
 
@@ -141,10 +141,7 @@ class PanelPage:
 
 @pytest.fixture(scope="module")
 def panel():
-    pytest.importorskip("viser", reason="viser is not installed (extra 'panel')")
-    from ik_toolkit.show.panel import Panel
-
-    with contextlib.closing(Panel("hydrolek_7w")) as made:
+    with plainly_lit("hydrolek_7w") as made:
         yield made
 
 
@@ -250,11 +247,8 @@ def test_edge_of_reach_undo_self_motion_and_boxes(browser, panel):
 
 
 def test_each_of_two_targets_can_be_dragged(browser):
-    pytest.importorskip("viser", reason="viser is not installed (extra 'panel')")
-    from ik_toolkit.show.panel import Panel
-
     wide = {"width": 1200, "height": 700}  # two pairs of arrows beside each other
-    with contextlib.closing(Panel("brokk_hydrolek")) as panel, fresh_page(browser, viewport=wide) as page:
+    with plainly_lit("brokk_hydrolek") as panel, fresh_page(browser, viewport=wide) as page:
         hand = PanelPage(page, panel.url)
         (desk,) = panel.desks.values()
         hand.settle(desk)
