@@ -7,12 +7,13 @@ from numba.extending import overload
 
 from .box import RECOVERING, ROW, clip
 from .clock import QUICK, WHOLE
-from .constrain import LEAVE, SLOW, WANTED, constrain
+from .constrain import LEAVE, SHORT, SLOW, WANTED, constrain
 from .jit import INLINE, inline
 from .modes import by_modes
 from .motion import CLIP, NOT_FINITE, RUNAWAY, STATE, apply
 from .records import copy
 from .wanted import Published
+from .wishes import PRESSED
 
 LARGEST = 1e300  # sum of joint speeds above which they cannot be followed
 SINGULAR, DAMPING = 1e-6, 1e-6  # of `constrain`: lost directions are removed from the task before it sees them
@@ -64,6 +65,8 @@ def by_constraints(law, s, count, sigma, mu, h, state, work, active, kept, start
             work, s.x, active, kept, starts, s.multiplier, h, mu,
         )  # fmt: skip
         share *= part
+        if status >= SHORT:
+            state[STATE.pressed] = PRESSED
         if mode != SLOW or share * sigma >= least - WHOLE:
             break
         share, mode = least / sigma, LEAVE  # the clock cannot stop so fast: the path is left for a moment

@@ -130,8 +130,8 @@ def leave_out(J, floor, roof):
 def quieten(law, s, rate, swings, count, h, state):
     """Let joints that swing gain speed gradually.
 
-    Not where a published form is asked for or a clock gives way instead; and half-planes (count) may need more. Nor where the
-    target has been in reach for as long as a swing turns back in, of a singular pose: what turned back was on its way there.
+    Not where a published form is asked for or a clock gives way instead; half-planes of obstacles (count) may need more. Nor where
+    the target has been in reach for as long as a swing turns back in, of a singular pose: what turned back was on its way there.
     """
     returned = 1.0 <= state[STATE.near] < 1.0 + SIDE - 0.5 * WINDOW
     if law.mode != CLIP and law.mode != SLOW and count == 0 and not returned:
@@ -220,13 +220,13 @@ def run(step, rows, ends, orders, given, own, samples, out, h, block):
             leave_out(s.J, s.floor, s.roof)
         count = gather(law, lines, level, s.planes, s.edges)
         copy(counts[0], s.weight)
-        count = slack_rows(counts[1], s.weight, s.J, s.e, s.f, s.ahead, s.a, h, s.planes, s.edges, count)
+        count = slack_rows(counts[1], s.weight, s.J, s.e, s.f, s.ahead, s.a, h, state, s.planes, s.edges, count)
         square = error_squared(s.weight, s.e)
         ratio = h / state[STATE.period] if state[STATE.start] == RUNNING else 0.0
         mu = descend(law, s, limits, h, state) if stuck(law, s, limits, square, h, state) else 0.0
         S[i, 3] = min(max(state[STATE.near], 0.0), 1.0)
         if mu == 0.0:
-            quieten(law, s, rate, swings, count, h, state)
+            quieten(law, s, rate, swings, int(law.rows), h, state)
             S[i, 3] = wanted(
                 law, rule, task, look, weights, s, counts[1], limits, wish, count, sigma, h, rate, memory, away, basis, state
             )  # fmt: skip

@@ -3,12 +3,14 @@
 import numpy as np
 
 from .jit import inline, inner
-from .motion import apply
+from .motion import STATE, apply
 
 FADING = 0.15  # share of its range, next to a limit, in which a joint is moved away from the limit
 STEP = 1e-5  # of a difference [rad, or reaches]: squared it is the error, and what rounding leaves is 1e-16 over it
 NEARLY = 0.5  # share of an error's slack that may be used up in a sample
-BEYOND = 1e-3  # and by which an error is beyond it: less may be rounding, and is brought back as half-plane
+# Share of it by which an error is beyond where half-planes cannot be kept: less may be rounding; and [reaches, rad] where they can.
+BEYOND, FAR = 1e-3, 1e-2
+PRESSED = 0.1  # [s] after which half-planes are tried again
 
 
 @inline
@@ -50,17 +52,22 @@ def weigh(weight, J, e, ahead, f, a):
 
 
 @inner
-def slack_rows(slack, weight, J, e, f, ahead, a, h, A, b, count):
-    """Turn errors within their slack into half-planes A x <= b from row `count` on, and leave them out of the task; the count.
+def slack_rows(slack, weight, J, e, f, ahead, a, h, state, A, b, count):
+    """Turn errors with slack into half-planes A x <= b from row `count` on, and leave them out of the task; returns the count.
 
-    Such an error may use up at most NEARLY of the rest in a sample. What of an error is clearly beyond its slack is one to close.
+    Inside its slack an error may use up at most NEARLY of the rest in a sample, a little outside it is brought back. What of an
+    error is further beyond its slack is one to close like any other; and all that is beyond, where half-planes are in the way of
+    the task or contradict the limits (STATE.pressed): hard ones let joints turn at full speed there.
     """
     n, m = J.shape
+    pressed = state[STATE.pressed]
+    state[STATE.pressed] = max(pressed - h, 0.0)
     for k in range(m):
         if not slack[k] > 0.0:
             continue
         inside = min(max(e[k], -slack[k]), slack[k])
-        if abs(e[k] - inside) > BEYOND * slack[k]:
+        if abs(e[k] - inside) > (BEYOND * slack[k] if pressed > 0.0 else FAR):
+            state[STATE.pressed] = PRESSED
             e[k] -= inside
             ahead[k] -= inside
             continue

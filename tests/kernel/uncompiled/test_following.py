@@ -47,7 +47,7 @@ def test_errors_with_slack_become_half_planes():
     e[1], e[3] = 0.1, -1.5 * (1.0 + 5e-4)  # what may be rounding is no part of the task
     old, left, weight = J.copy(), [v.copy() for v in (e, f, ahead, a)], np.ones(4)
     A, b = np.zeros((6, 3)), np.zeros(6)
-    assert wishes.slack_rows(slack, weight, J, e, f, ahead, a, h, A, b, 1) == 5
+    assert wishes.slack_rows(slack, weight, J, e, f, ahead, a, h, pressed(0.05), A, b, 1) == 5
     x = rng.normal(size=3)
     for k, row in ((1, 1), (3, 3)):
         grow = left[1][k] - old[:, k] @ x  # d/dt of the error at these rates
@@ -61,16 +61,35 @@ def test_errors_with_slack_become_half_planes():
     assert not A[0].any() and not A[5].any() and weight.tolist() == [1.0, 0.0, 1.0, 0.0]
 
 
+def pressed(seconds):
+    """State in which half-planes of slacks could not be kept."""
+    state = np.zeros(len(STATE))
+    state[STATE.pressed] = seconds
+    return state
+
+
+def test_errors_are_brought_back_by_half_planes_where_these_can_be_kept():
+    slack, state = np.array([0.2, 0.2]), pressed(0.0)
+    for over, count in ((0.009, 4), (0.011, 2)):
+        J, v = np.ones((3, 2)), np.zeros((4, 2))
+        v[0] = 0.2 + over, 0.1
+        planes = np.zeros((4, 3)), np.zeros(4)
+        assert wishes.slack_rows(slack, np.ones(2), J, *v, 0.1, state, *planes, 0) == count
+        assert J[:, 0].any() == (count == 2)
+    assert state[STATE.pressed] == wishes.PRESSED
+    wishes.slack_rows(slack, np.ones(2), J, *np.zeros((4, 2)), 0.03, state, *planes, 0)
+    assert state[STATE.pressed] == pytest.approx(wishes.PRESSED - 0.03)
+
+
 def test_what_of_an_error_is_beyond_its_slack_is_one_to_close():
     rng = np.random.default_rng(5)
     for sign in (1.0, -1.0):
         J, (e, f, ahead, a), weight = rng.normal(size=(3, 2)), rng.normal(size=(4, 2)), np.ones(2)
         e[1] = sign * 0.3
         old, left = J.copy(), [v.copy() for v in (e, f, ahead, a)]
-        assert (
-            wishes.slack_rows(np.array([0.0, 0.2]), weight, J, e, f, ahead, a, 0.1, np.zeros((2, 3)), np.zeros(2), 0)
-            == 0
-        )
+        slack, planes, state = np.array([0.0, 0.2]), (np.zeros((2, 3)), np.zeros(2), 0), pressed(0.05)
+        assert wishes.slack_rows(slack, weight, J, e, f, ahead, a, 0.1, state, *planes) == 0
+        assert state[STATE.pressed] == wishes.PRESSED  # for as long as it is outside, and somewhat longer
         left[0][1] -= sign * 0.2
         left[2][1] -= sign * 0.2
         np.testing.assert_array_equal(J, old)
