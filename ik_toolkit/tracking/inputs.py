@@ -8,6 +8,8 @@ import numpy as np
 
 from ..errors import InvalidOption, floats, near_match
 
+MOST_PARTS = 100_000  # of one step: about a second of computing
+
 
 def number(value: Any, name: str) -> float:
     """Return a finite number. Raises InvalidOption."""
@@ -23,6 +25,13 @@ def positive(value: Any, name: str) -> float:
     if not 0.0 < found < math.inf:
         raise InvalidOption(f"{name} must be a positive number, not {value!r:.60}")
     return found
+
+
+def parts_of(dt: float, longest: float) -> int:
+    """Return in how many parts a step of dt [s] is taken, none over longest [s]. Raises InvalidOption where it would take ages."""
+    if dt > MOST_PARTS * longest:
+        raise InvalidOption(f"dt [s] is {dt:g}, and the steps before were up to {longest:g} s: milli- or nanoseconds?")
+    return math.ceil(dt / longest)
 
 
 def switch(value: Any, name: str) -> bool:

@@ -19,7 +19,7 @@ from ..robot.robot import Robot
 from ..robot.tree import Tree
 from ..solvers.avoid import collision_model
 from .engine import bind
-from .inputs import one_of, positive, switch
+from .inputs import one_of, parts_of, positive, switch
 from .leap import STRAIGHT, Leap
 from .limits import LIMIT_NAMES, changed_limits, limit_rows, speeds
 from .methods import Method
@@ -202,9 +202,10 @@ class Tracker:
         error and Jacobian are taken there, while limits and the next command go on from the last command; gains not given are
         those for joints measured two samples ago. Beyond resync from the command the tracker starts anew from q, at rest (JUMPED).
         A target that is not finite is held against (HELD), not raised. Raises InvalidTarget for a wrong shape, InvalidOption for
-        a dt that is not positive, InvalidConfiguration for a wrong q.
+        a dt that is not positive, or absurdly long, InvalidConfiguration for a wrong q.
         """
         dt = positive(dt, "dt [s]")
+        parts_of(dt, self._late or LATE * dt)  # before anything has changed
         stream, lag, resynced = self.stream, 0.0, False
         finite = stream.take(1, target, twist, acceleration, dt)
         if stream.kinds != self._kinds or self._kinds is None:
@@ -218,7 +219,7 @@ class Tracker:
             if resynced:
                 self._begin(found, np.zeros(self.robot.n))
         self._late = self._late or LATE * dt
-        parts = math.ceil(dt / self._late)
+        parts = parts_of(dt, self._late)
         h = dt / parts
         for part in stream.divided(parts) if parts > 1 else (stream.samples,):
             self._step(part, h, not finite, q is not None)

@@ -193,3 +193,14 @@ def test_at_rest_before_what_no_joint_can_do():
     T[0, 3] -= 0.01
     steps = [tracker.update(T, 0.01) for _ in range(100)]
     assert steps[-1].status is StepStatus.OK and steps[-1].position_error < 1e-6
+
+
+def test_a_step_in_another_unit_is_refused_before_anything_changes(panda):
+    """It was taken in 20 million parts."""
+    tracker, target = Tracker(panda), panda.fk(panda.home).homogeneous
+    tracker.update(target, 0.01)
+    q = tracker.q.copy()
+    with pytest.raises(InvalidOption, match="dt .* 1e.06, and the steps before were up to 0.05 s"):
+        tracker.update(target, 1e6)
+    np.testing.assert_array_equal(tracker.q, q)
+    assert tracker.update(target, 60.0).status is StepStatus.OK  # a minute's pause is none
