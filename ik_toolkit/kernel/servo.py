@@ -130,8 +130,8 @@ def leave_out(J, floor, roof):
 def quieten(law, s, rate, swings, count, h, state):
     """Let joints that swing gain speed gradually.
 
-    Not where a published form is asked for or a clock gives way instead; half-planes of obstacles (count) may need more. Nor where
-    the target has been in reach for as long as a swing turns back in, of a singular pose: what turned back was on its way there.
+    Not where a published form is asked for or a clock gives way instead; half-planes of obstacles (count) may need more. Nor near
+    a singular pose once the target is in reach again, for as long as a turn of a swing takes: the tip is to follow at once.
     """
     returned = 1.0 <= state[STATE.near] < 1.0 + SIDE - 0.5 * WINDOW
     if law.mode != CLIP and law.mode != SLOW and count == 0 and not returned:

@@ -8,7 +8,8 @@ import numpy as np
 
 from ..errors import InvalidOption, floats, near_match
 
-MOST_PARTS = 100_000  # of one step: about a second of computing
+LATE = 5.0  # longest step, over the first one, after which limits are still kept; a longer one is taken in parts ...
+MOST_PARTS = 100_000  # ... of which this many take some seconds
 
 
 def number(value: Any, name: str) -> float:
@@ -28,9 +29,10 @@ def positive(value: Any, name: str) -> float:
 
 
 def parts_of(dt: float, longest: float) -> int:
-    """Return in how many parts a step of dt [s] is taken, none over longest [s]. Raises InvalidOption where it would take ages."""
+    """Return in how many parts a step of dt [s] is taken, none over longest [s]. Raises InvalidOption for more than MOST_PARTS."""
     if dt > MOST_PARTS * longest:
-        raise InvalidOption(f"dt [s] is {dt:g}, and the steps before were up to {longest:g} s: milli- or nanoseconds?")
+        whole = f"{longest:g} s, {LATE:g} times the first one"
+        raise InvalidOption(f"dt [s] is {dt:g}: {dt / longest:,.0f} parts of at most {whole}. Was another unit meant?")
     return math.ceil(dt / longest)
 
 

@@ -11,8 +11,9 @@ from ..kernel.clock import look_ahead
 from ..kernel.constrain import LEAVE, SLOW
 from ..kernel.modes import SIDE
 from ..kernel.session import Record, Samples, new_record
+from .inputs import LATE
 from .secondary import AVOID, POSTURE
-from .tracker import LATE, Tracker
+from .tracker import Tracker
 
 HARDER = (10.0, 30.0)  # [1/s] with which limits are avoided where the usual rate leads into them; 30: in some samples
 MOST = 3  # motions tried of those that have difficulties

@@ -19,7 +19,7 @@ from ..robot.robot import Robot
 from ..robot.tree import Tree
 from ..solvers.avoid import collision_model
 from .engine import bind
-from .inputs import one_of, parts_of, positive, switch
+from .inputs import LATE, one_of, parts_of, positive, switch
 from .leap import STRAIGHT, Leap
 from .limits import LIMIT_NAMES, changed_limits, limit_rows, speeds
 from .methods import Method
@@ -33,7 +33,6 @@ from .stream import Stream
 
 JUMP = 0.5  # joint move [rad, or reaches] in one step that is reported as a jump
 RESYNC = 0.1  # [rad, or reaches] between joints measured and commanded beyond which a tracker starts anew
-LATE = 5.0  # longest step, over the first one, after which limits are still kept; a longer one is taken in parts
 MODES = {"direct": DIRECT, "leave": LEAVE, "clip": CLIP}
 LAWS_KEPT = 64  # lengths of a step for which the numbers of a method are kept
 
