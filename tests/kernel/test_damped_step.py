@@ -24,6 +24,8 @@ def test_a_residual_damps_the_motion():
         C, d = np.vstack([J.T, np.sqrt(square) * np.eye(7)]), np.append(3.0 * v, np.zeros(7))
         best = lsq_linear(C, d, (low, high), method="bvls", tol=1e-15)
         np.testing.assert_allclose(np.sum((C @ x - d) ** 2), 2.0 * best.cost, rtol=1e-9, atol=1e-12)
+        if strict.status == SHORT:  # what bounds hold back is what the multipliers say
+            np.testing.assert_allclose(C.T @ (C @ x - d) + eased.push[:7], 0.0, atol=1e-8)
 
 
 def test_what_is_wished_turns_the_arm_but_not_the_tip_where_a_residual_damps_it():
