@@ -42,8 +42,8 @@ from .view import LINE, cut
 
 LEAVE, SLOW, DIRECT = range(3)
 WANTED, MET, SHORT, RELAXED, INEXACT = range(5)
-FULL, CLOCK, ASIDE, SLACK, EASED, NEAR = range(6)  # problems to solve
-SLOWED, TURNED = 1, 2  # how the last step ended: with a slower clock, or in full, but aside of the direction
+FULL, CLOCK, ASIDE, EASED, NEAR, SLACK = range(6)  # problems to solve; CLOCK to EASED begin from their own last sets
+SLOWED = 1  # bit 0 of what is known of the last step: it ended with a slower clock; bits 1 to 3: which of these were solved
 FULL_CLOCK = 1e-6  # share of cap from which on a full clock is tried
 LOOSE = 1e-9  # half-planes are loosened by this much more than the least slack, so that their gap exceeds rounding
 CUT_AT = 0.1  # of a joint's speed: where the rate wanted is that far outside the box, the feed-forward is removed
@@ -263,8 +263,8 @@ def constrain(
     WANTED: x is `want`, bit for bit, which lies inside and does the task. MET: the task is done at the rate returned (SLOW: of
     the clock, DIRECT: alpha). SHORT: not all of it can be. RELAXED: the half-planes contradict each other or the box and were
     loosened by the least slack. INEXACT: no optimum was found in the iterations allowed, x is only inside the box. starts
-    (2, n + R + 1) int8 carries on what held in the problems solved on the way, of the clock and of leaving the direction: each is
-    solved soonest from its own set. multiplier
+    (3, n + R + 1) int8 carries on what held in the problems solved on the way, of the clock, of leaving the direction and the damped
+    one: each is solved soonest from its own set. multiplier
     (n + R,): of the bounds, positive at high, then of the half-planes: of the task error (with step, of the damped one), or
     where that has none, of the closeness to `want`.
     """
@@ -289,7 +289,8 @@ def solve_step(
         return WANTED, top
     recall(active, kept, P.shape[1], n, count, state)
     begin = EASED if mu > 0.0 else FULL
-    stage = CLOCK if mode != LEAVE and kept[last] == SLOWED else begin
+    before, solved = kept[last], 0
+    stage = CLOCK if mode != LEAVE and before & SLOWED else begin
     clock_tried, refused, fresh, moved, done = False, False, True, False, False
     loose, unit, rate, damped, short, r = 0.0, 0.0, top, 1.0, 0.0, 0
     while True:
@@ -298,8 +299,8 @@ def solve_step(
                         cut, loose, mu, P, L, V, S, task)  # fmt: skip
         elif moved:
             bound(scale, low, high, A, b, count, loose, P, V, S)
-            if stage == ASIDE and kept[last] != 0:
-                take_set(starts[1], P.shape[1], n, count, state)
+        if before >> stage & 1 and CLOCK <= stage <= EASED:
+            take_set(starts[stage - CLOCK], P.shape[1], n, count, state)
         fresh, moved, N, rows = False, False, n, r
         if stage == EASED:
             damped, short = ease(P, V, S, state, task, weight, scale, count, r, n, -1.0 if mode == DIRECT else rate,
@@ -307,8 +308,6 @@ def solve_step(
             N = n + r
         elif stage == CLOCK:
             clock_tried = True
-            if kept[last] != 0:
-                take_set(starts[0], P.shape[1], n, count, state)
             unit = add_clock(P, V, S, task, count, r, n, top)
             N = n + 1 if unit > 0.0 else n
             moved = mode == DIRECT and from_rest(V, S, n, count)
@@ -334,14 +333,15 @@ def solve_step(
         if end == UNMET:
             stage, refused = CLOCK, True
             continue
+        if end == DONE and CLOCK <= stage <= EASED:
+            keep_set(state, P.shape[1], n, count, starts[stage - CLOCK])
+            solved |= 1 << stage
         if stage == EASED and end == DONE and mu == 0.0:
             stage = NEAR
             continue
         if end != DONE or stage >= EASED:
             break
         done = not unmet(S, count, r)
-        if stage == CLOCK or stage == ASIDE:
-            keep_set(state, P.shape[1], n, count, starts[0 if stage == CLOCK else 1])
         if stage == CLOCK:
             rate = top - unit * V[Y, n] if N > n else top
             if rate >= top * (1.0 - FULL_CLOCK):
@@ -354,6 +354,6 @@ def solve_step(
             stage = EASED
         else:
             break
-    kept[last] = SLOWED if rate < top else TURNED if mode == DIRECT and clock_tried and not done else 0
+    kept[last] = solved | (SLOWED if rate < top else 0)
     answer(scale, low, high, A, count, V, state, x, active, kept)
     return INEXACT if end != DONE else RELAXED if loose > 0.0 else MET if done else SHORT, rate
