@@ -19,6 +19,7 @@ RHS, REST, SIZE, Z, H, NORM, ROW_ONE, ROW_TWO, AFTER_ONE, AFTER_TWO, TASK_ONE, T
 NONE = -1
 SAME = 1e-10  # share of a row's length that remains after the others are removed, below which it depends on them
 CLEAR = 0.5  # share of a row's square that remains, from which on one pass is enough (Daniel et al., 1976, for 0.1 of its length)
+DOUBTFUL = 1e-6  # share of it below which what is left of it is no longer told by subtraction
 ROUNDING = 1e-13  # share of its terms below which a sum is rounding
 
 
@@ -117,7 +118,7 @@ def span(P, W, L, S, state, order, N, count, r, last):
         if S[SIZE, k] < CLEAR * S[H, k]:
             for j in range(q):
                 take_out(W, L, order, k, j, N)
-            S[SIZE, k] = dot(W, k, W, k, N)
+        S[SIZE, k] = dot(W, k, W, k, N)
         size = math.sqrt(S[SIZE, k])
         L[k, q] = size
         for i in range(N):
@@ -127,7 +128,9 @@ def span(P, W, L, S, state, order, N, count, r, last):
         for c in range(count, K):
             if S[SIZE, c] >= 0.0:
                 take_out(W, L, order, c, q, N)
-                S[SIZE, c] = dot(W, c, W, c, N)
+                S[SIZE, c] = max(S[SIZE, c] - L[c, q] * L[c, q], 0.0)
+                if S[SIZE, c] < DOUBTFUL * S[H, c]:
+                    S[SIZE, c] = dot(W, c, W, c, N)
         q += 1
     return planes, q, dependent
 
