@@ -43,7 +43,9 @@ from .view import LINE, cut
 LEAVE, SLOW, DIRECT = range(3)
 WANTED, MET, SHORT, RELAXED, INEXACT = range(5)
 FULL, CLOCK, ASIDE, EASED, NEAR, SLACK = range(6)  # problems to solve; CLOCK to EASED begin from their own last sets
-SLOWED = 1  # bit 0 of what is known of the last step: it ended with a slower clock; bits 1 to 3: which of these were solved
+SLOWED = (
+    1  # bit 0 of what is known of the last step: it ended with a slower clock; bits 1 to 3: which of these were solved
+)
 FULL_CLOCK = 1e-6  # share of cap from which on a full clock is tried
 LOOSE = 1e-9  # half-planes are loosened by this much more than the least slack, so that their gap exceeds rounding
 CUT_AT = 0.1  # of a joint's speed: where the rate wanted is that far outside the box, the feed-forward is removed
@@ -193,12 +195,16 @@ def keep_set(state, rows, n, count, start):
 
 
 @inner
-def take_set(start, rows, n, count, state):
-    """Start from what was kept."""
-    for i in range(n):
-        state[i] = start[i]
-    for k in range(count):
-        state[rows + k] = start[n + k]
+def take_set(before, stage, active, kept, starts, rows, n, count, state):
+    """Start from what held at the end of this problem in the last step, if it was solved there: of NEAR in the end of all."""
+    if stage == NEAR and before >> EASED & 1:
+        recall(active, kept, rows, n, count, state)
+    elif CLOCK <= stage <= EASED and before >> stage & 1:
+        start = starts[stage - CLOCK]
+        for i in range(n):
+            state[i] = start[i]
+        for k in range(count):
+            state[rows + k] = start[n + k]
 
 
 @inner
@@ -263,8 +269,8 @@ def constrain(
     WANTED: x is `want`, bit for bit, which lies inside and does the task. MET: the task is done at the rate returned (SLOW: of
     the clock, DIRECT: alpha). SHORT: not all of it can be. RELAXED: the half-planes contradict each other or the box and were
     loosened by the least slack. INEXACT: no optimum was found in the iterations allowed, x is only inside the box. starts
-    (3, n + R + 1) int8 carries on what held in the problems solved on the way, of the clock, of leaving the direction and the damped
-    one: each is solved soonest from its own set. multiplier
+    (3, n + R + 1) int8 carries on what held in the problems of the clock, of leaving the direction and the damped
+    one: each is solved soonest from its own last set. multiplier
     (n + R,): of the bounds, positive at high, then of the half-planes: of the task error (with step, of the damped one), or
     where that has none, of the closeness to `want`.
     """
@@ -299,8 +305,7 @@ def solve_step(
                         cut, loose, mu, P, L, V, S, task)  # fmt: skip
         elif moved:
             bound(scale, low, high, A, b, count, loose, P, V, S)
-        if before >> stage & 1 and CLOCK <= stage <= EASED:
-            take_set(starts[stage - CLOCK], P.shape[1], n, count, state)
+        take_set(before, stage, active, kept, starts, P.shape[1], n, count, state)
         fresh, moved, N, rows = False, False, n, r
         if stage == EASED:
             damped, short = ease(P, V, S, state, task, weight, scale, count, r, n, -1.0 if mode == DIRECT else rate,

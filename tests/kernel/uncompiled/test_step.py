@@ -7,10 +7,11 @@ import pytest
 import random_arms as arms
 from random_arms import make_levels, orders, task
 
+from ik_toolkit.kernel import constrain as constrain_module
 from ik_toolkit.kernel import levels, motion, obey, qp, wanted
 from ik_toolkit.kernel.bench import bench_on, bench_space
 from ik_toolkit.kernel.box import CALM, CALMED, RECOVERING, ROW, SWINGING, calm, watch
-from ik_toolkit.kernel.constrain import DIRECT, LEAVE, SLOW, constrain, make_room, room_on, room_space
+from ik_toolkit.kernel.constrain import DIRECT, LEAVE, SLOW, SLOWED, constrain, make_room, room_on, room_space
 from ik_toolkit.kernel.motion import AA, AT_RATE_AND_STEP, AV, CA, CV, RUNNING, STATE, Law
 from ik_toolkit.kernel.problem import make_desk
 from ik_toolkit.kernel.serial import make_serial
@@ -193,29 +194,38 @@ def test_what_is_wished_beside_the_task_has_no_part_along_it():
         np.testing.assert_allclose(s.v, wanted_rates - pinv @ (s.J.T @ wanted_rates), atol=1e-10)
 
 
-def test_a_step_like_the_last_one_takes_one_iteration_a_problem(monkeypatch):
-    counted, equality = [], qp.equality
+@pytest.mark.parametrize("mode", [SLOW, DIRECT])
+def test_a_step_like_the_last_one_takes_one_iteration_a_problem(monkeypatch, mode):
+    counted, solve = [], constrain_module.solve_levels
+    problems, equality = [], qp.equality
     monkeypatch.setattr(qp, "equality", lambda *parts: counted.append(1) or equality(*parts))
+    monkeypatch.setattr(constrain_module, "solve_levels", lambda *parts: problems.append(1) or solve(*parts))
     rng = np.random.default_rng(3)
-    first, second = [], {0: set(), 1: set(), 2: set()}
+    first, second, slowed = [], [], []
     for _ in range(30):
         J, v, want = rng.normal(size=(7, 6)), rng.normal(size=6), np.zeros(7)
         low, room = rng.uniform(-0.3, 0.1, 7), make_room(7, 6, 1)
         high = low + 0.2
         active, kept, starts = np.zeros(7, np.int8), np.zeros(2, np.int8), np.zeros((3, 9), np.int8)
         x, push, ask = np.empty(7), np.empty(8), rng.choice([0.02, 1.0]) * v
+        step = rng.choice([0.0, 0.01])
         for again in (False, True):
             counted.clear()
+            problems.clear()
             constrain(
-                J, np.ones(6), ask, 0.0 * v, want, want, np.ones(7), low, high, np.empty((1, 7)), np.empty(1), 0, DIRECT, 1.0, 0.0,
-                0.0, room, x, active, kept, starts, push,
+                J, np.ones(6), ask, 0.0 * v, want, want, np.ones(7), low, high, np.empty((1, 7)), np.empty(1), 0, mode, 1.0, 0.0,
+                0.0, room, x, active, kept, starts, push, step,
             )  # fmt: skip
-            if again:
-                second[int(kept[-1])].add(len(counted))
-            else:
-                first.append(len(counted))
-    # All of the task is possible; its clock, then what is beside the direction; in full from rest, but not from the present rates.
-    assert second[0] == {1} and second[1] == {2} and max(second[2]) <= 4 and np.mean(first) > 8.0
+            (second if again else first).append((len(problems), len(counted)))
+            slowed.append(kept[-1] & SLOWED)
+    ways = {problems for (problems, _), way in zip(second, slowed[1::2], strict=True) if way}
+    assert ways == (
+        set() if mode == SLOW else {2, 4}
+    )  # the clock and what is beside the direction; with damping two more
+    for (problems, iterations), way in zip(second, slowed[1::2], strict=True):
+        assert not way or iterations == problems
+    # Where the clock could not help, all is first tried in full, from what held at the end.
+    assert np.mean([a[1] for a in first]) > 2.0 * np.mean([b[1] for b in second])
 
 
 # ----------------------------------------------------------------------------------------------------------- two levels
