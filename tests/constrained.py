@@ -45,7 +45,7 @@ class Step:
         self.weight = np.ones(m) if weight is None else weight
         self.scale = np.ones(n) if scale is None else scale
         self.active, self.kept = np.zeros(n, np.int8), np.zeros(len(self.b) + 1, np.int8)
-        self.starts = np.zeros((3, n + len(self.b) + 1), np.int8)
+        self.starts = np.zeros((4, n + len(self.b) + 1), np.int8)
         self.x, self.push = np.empty(n), np.empty(n + len(self.b))
 
     def __call__(self, feedback, forward, want):

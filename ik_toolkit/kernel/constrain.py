@@ -29,6 +29,7 @@ from .levels import (
     WANT,
     Levels,
     Y,
+    dot,
     from_rest,
     levels_on,
     levels_space,
@@ -48,6 +49,7 @@ SLOWED = (
 )
 FULL_CLOCK = 1e-6  # share of cap from which on a full clock is tried
 LOOSE = 1e-9  # half-planes are loosened by this much more than the least slack, so that their gap exceeds rounding
+TOUCHING = 1e-9  # of a joint's speed: further from a bound it does not hold
 CUT_AT = 0.1  # of a joint's speed: where the rate wanted is that far outside the box, the feed-forward is removed
 
 
@@ -195,11 +197,9 @@ def keep_set(state, rows, n, count, start):
 
 
 @inner
-def take_set(before, stage, active, kept, starts, rows, n, count, state):
-    """Start from what held at the end of this problem in the last step, if it was solved there: of NEAR in the end of all."""
-    if stage == NEAR and before >> EASED & 1:
-        recall(active, kept, rows, n, count, state)
-    elif CLOCK <= stage <= EASED and before >> stage & 1:
+def take_set(before, stage, starts, rows, n, count, state):
+    """Start from what held at the end of this problem in the last step, where it was solved."""
+    if CLOCK <= stage <= NEAR and before >> stage & 1:
         start = starts[stage - CLOCK]
         for i in range(n):
             state[i] = start[i]
@@ -230,6 +230,17 @@ def price(scale, count, unit, V, S, state, multiplier):
         multiplier[n + k] = 0.0
         if k < count and state[V.shape[1] + k] != 0:
             multiplier[n + k] = S[ROW_ONE, k] if S[ROW_ONE, k] != 0.0 else unit * S[ROW_TWO, k]
+
+
+@inner
+def hold_on(start, n, count, P, V, S, state):
+    """Let hold as well what held in the problem before and is still touched: it was in the way of the tip."""
+    for i in range(n):
+        if state[i] == 0 and start[i] != 0 and abs(V[HIGH if start[i] > 0 else LOW, i] - V[Y, i]) <= TOUCHING:
+            state[i] = start[i]
+    for k in range(count):
+        if start[n + k] != 0 and dot(P, k, V, Y, n) >= S[RHS, k] - TOUCHING:
+            state[P.shape[1] + k] = 1
 
 
 @inner
@@ -269,8 +280,8 @@ def constrain(
     WANTED: x is `want`, bit for bit, which lies inside and does the task. MET: the task is done at the rate returned (SLOW: of
     the clock, DIRECT: alpha). SHORT: not all of it can be. RELAXED: the half-planes contradict each other or the box and were
     loosened by the least slack. INEXACT: no optimum was found in the iterations allowed, x is only inside the box. starts
-    (3, n + R + 1) int8 carries on what held in the problems of the clock, of leaving the direction and the damped
-    one: each is solved soonest from its own last set. multiplier
+    (4, n + R + 1) int8 carries on what held in the problems of the clock, of leaving the direction, the damped one and the one near
+    it: each is solved soonest from its own last set. multiplier
     (n + R,): of the bounds, positive at high, then of the half-planes: of the task error (with step, of the damped one), or
     where that has none, of the closeness to `want`.
     """
@@ -295,17 +306,16 @@ def solve_step(
         return WANTED, top
     recall(active, kept, P.shape[1], n, count, state)
     begin = EASED if mu > 0.0 else FULL
-    before, solved = kept[last], 0
-    stage = CLOCK if mode != LEAVE and before & SLOWED else begin
+    stage = CLOCK if mode != LEAVE and kept[last] & SLOWED else begin
     clock_tried, refused, fresh, moved, done = False, False, True, False, False
-    loose, unit, rate, damped, short, r = 0.0, 0.0, top, 1.0, 0.0, 0
+    loose, unit, rate, damped, short, r, solved = 0.0, 0.0, top, 1.0, 0.0, 0, 0
     while True:
         if fresh:
             r = prepare(J, weight, feedback, forward, want, scale, low, high, A, b, count, mode, top, singular, damping,
                         cut, loose, mu, P, L, V, S, task)  # fmt: skip
         elif moved:
             bound(scale, low, high, A, b, count, loose, P, V, S)
-        take_set(before, stage, active, kept, starts, P.shape[1], n, count, state)
+        take_set(kept[last], stage, starts, P.shape[1], n, count, state)
         fresh, moved, N, rows = False, False, n, r
         if stage == EASED:
             damped, short = ease(P, V, S, state, task, weight, scale, count, r, n, -1.0 if mode == DIRECT else rate,
@@ -338,7 +348,7 @@ def solve_step(
         if end == UNMET:
             stage, refused = CLOCK, True
             continue
-        if end == DONE and CLOCK <= stage <= EASED:
+        if end == DONE and CLOCK <= stage <= NEAR:
             keep_set(state, P.shape[1], n, count, starts[stage - CLOCK])
             solved |= 1 << stage
         if stage == EASED and end == DONE and mu == 0.0:
@@ -360,5 +370,7 @@ def solve_step(
         else:
             break
     kept[last] = solved | (SLOWED if rate < top else 0)
+    if stage == NEAR:
+        hold_on(starts[EASED - CLOCK], n, count, P, V, S, state)
     answer(scale, low, high, A, count, V, state, x, active, kept)
     return INEXACT if end != DONE else RELAXED if loose > 0.0 else MET if done else SHORT, rate

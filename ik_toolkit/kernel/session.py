@@ -45,7 +45,7 @@ class Carried(NamedTuple):
     state: Array  # a `State`
     active: Array  # (n,) and kept, int8: the active set of `constrain` ...
     kept: Array
-    starts: Array  # (3, n + rows) int8 ... and those it found on the way
+    starts: Array  # (4, n + rows) int8 ... and those it found on the way
 
 
 @compiled
@@ -80,7 +80,7 @@ def settings_shapes(n, m, rows):
 @shared
 def carried_shapes(n, memory, rows, m):
     """Shapes of `Carried`; bytes in whole numbers of eight."""
-    return (2, n), memory, (2, n), n, (m, m), STATES, (n + 7) // 8, (rows + 7) // 8, (3 * (n + rows) + 7) // 8
+    return (2, n), memory, (2, n), n, (m, m), STATES, (n + 7) // 8, (rows + 7) // 8, (4 * (n + rows) + 7) // 8
 
 
 @shared
@@ -117,7 +117,7 @@ def carried_of(block):
     motion, own, swings, away, basis, state, active, kept, starts = cut(block, np.float64, shapes)
     return Carried(
         block, motion, own, swings, away, basis, state, fold(active, np.int8, 1, n)[0], fold(kept, np.int8, 1, rows)[0],
-        fold(starts, np.int8, 3, n + rows),
+        fold(starts, np.int8, 4, n + rows),
     )  # fmt: skip
 
 

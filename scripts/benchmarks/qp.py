@@ -70,7 +70,7 @@ def measure(n: int, case: tuple, runs: int, rng: np.random.Generator) -> np.ndar
         low, high = -reach * rng.uniform(0.3, 1.0, n), reach * rng.uniform(0.3, 1.0, n)
         A, b = rng.normal(size=(ROWS, n)), reach * rng.uniform(0.0, 0.3, ROWS)
         active, kept = np.zeros(n, np.int8), np.zeros(ROWS + 1, np.int8)
-        starts = np.zeros((3, n + ROWS + 1), np.int8)
+        starts = np.zeros((4, n + ROWS + 1), np.int8)
         for i in range(SAMPLES):
             one = [J[i : i + 1], v[i : i + 1], want[i : i + 1], low, high, A, b, count, mode, singular]
             spent, started = [], (active.copy(), kept.copy(), starts.copy())

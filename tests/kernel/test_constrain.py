@@ -234,12 +234,12 @@ def test_what_held_before_changes_the_way_but_not_the_answer(mode):
         want, ask = 0.3 * rng.normal(size=7), (0.2 * v, rng.choice([0.1, 0.8]) * v)
         cold = Step(J, low, high, rows, mode, step=0.01)
         x = cold(*ask, want)
-        for state in (1, 15):
+        for state in (1, 31):
             other = Step(J, low, high, rows, mode, step=0.01)
             other.active[:] = rng.integers(-1, 2, 7)
             other.kept[:-1], other.kept[-1] = rng.integers(0, 2, cold.count or 1), state
             other.starts[:, :7], other.starts[:, 7:] = (
-                rng.integers(-1, 2, (3, 7)),
+                rng.integers(-1, 2, (4, 7)),
                 rng.integers(0, 2),
             )
             np.testing.assert_allclose(other(*ask, want), x, atol=1e-9)

@@ -142,7 +142,7 @@ def given(mode, roof=0.5, h=0.1, sigma=1.0, plane=None, want=None, mu=0.0):
     if mu > 0.0:  # a step down
         s.ask[:], s.size[:], s.even[:], s.f[:], s.x[:] = s.x, 7.0, 1.0, 0.0, 0.0
     code, active, kept = np.zeros(n, np.uint8), np.zeros(n, np.int8), np.zeros(4, np.int8)
-    starts = np.zeros((3, n + 4), np.int8)
+    starts = np.zeros((4, n + 4), np.int8)
     found = obey.by_constraints(
         law(mode=mode, rows=float(count)), s, count, sigma, mu, h, state, make_room(n, n, 3), active, kept, starts, code
     )
@@ -187,7 +187,7 @@ def test_what_is_wished_beside_the_task_has_no_part_along_it():
         s.size[:], s.weight[:], s.floor[:], s.roof[:] = 1.0, 1.0, -9.0, 9.0
         motion.factor(s.J, m, 0.0, s.G, s.y)
         state[STATE.sigma], wanted_rates = 1.0, s.x.copy()
-        lists = np.zeros(n, np.int8), np.zeros(4, np.int8), np.zeros((3, n + 4), np.int8), np.zeros(n, np.uint8)
+        lists = np.zeros(n, np.int8), np.zeros(4, np.int8), np.zeros((4, n + 4), np.int8), np.zeros(n, np.uint8)
         obey.by_constraints(law(), s, 0, 1.0, 0.0, 0.1, state, make_room(n, m, 3), *lists)
         np.testing.assert_allclose(s.J.T @ s.v, 0.0, atol=1e-12)
         pinv = np.linalg.pinv(s.J.T)
@@ -206,7 +206,7 @@ def test_a_step_like_the_last_one_takes_one_iteration_a_problem(monkeypatch, mod
         J, v, want = rng.normal(size=(7, 6)), rng.normal(size=6), np.zeros(7)
         low, room = rng.uniform(-0.3, 0.1, 7), make_room(7, 6, 1)
         high = low + 0.2
-        active, kept, starts = np.zeros(7, np.int8), np.zeros(2, np.int8), np.zeros((3, 9), np.int8)
+        active, kept, starts = np.zeros(7, np.int8), np.zeros(2, np.int8), np.zeros((4, 9), np.int8)
         x, push, ask = np.empty(7), np.empty(8), rng.choice([0.02, 1.0]) * v
         step = rng.choice([0.0, 0.01])
         for again in (False, True):
