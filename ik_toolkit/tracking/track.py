@@ -158,7 +158,7 @@ def _result(run: Run, robot: Any, references: list[Reference], times: np.ndarray
     clock = np.where(whole[: done + 1], times[np.minimum(np.rint(run.S[:, 0]).astype(int), len(times) - 1)], clock)
     targets = np.stack([one.at(clock)[0] for one in references], axis=1)
     tips = _forward(robot, Q)
-    position, orientation = _errors(run, robot, Q, targets, whole[: done + 1])
+    position, orientation = _errors(run, targets, whole[: done + 1])
     by_tip = robot.by_tip
     between = (
         _between(robot, references[0], Q, R, run.tracker.engine, run.dt, clock) if done and not by_tip else (None, None)
@@ -193,22 +193,18 @@ def _result(run: Run, robot: Any, references: list[Reference], times: np.ndarray
     )
 
 
-def _errors(
-    run: Run, robot: Any, Q: np.ndarray, targets: np.ndarray, whole: np.ndarray
-) -> tuple[np.ndarray, np.ndarray | None]:
-    """Largest position and orientation error (M,) of the tips at Q (M, n); whole (M,): where the clock is at a sample.
+def _errors(run: Run, targets: np.ndarray, whole: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
+    """Largest position and orientation error (M,) of the tips to targets (M, F, 4, 4); whole (M,): where the clock is at a sample.
 
     Between samples the loop sees cubics through the reference's samples; what a run is judged by is the reference itself.
     """
-    errors = run.E.reshape(len(Q), -1, 6)
+    errors, still = run.E.copy(), np.zeros((1, run.E.shape[1]))
+    for k in np.flatnonzero(~whole):
+        errors[k] = run.tracker.error_at(run.Q[k], samples_from(targets[k : k + 1], still, still), run.dt)
+    errors = errors.reshape(len(errors), -1, 6)
     posed = [tip for tip, one in enumerate(run.tracker._judged.posed) if one]
     position = np.linalg.norm(errors[:, :, :3], axis=2).max(axis=1)
-    orientation = np.linalg.norm(errors[:, posed, 3:], axis=2).max(axis=1) if posed else None
-    if not (robot.by_tip or run.tracker.engine.options.in_part or whole.all()):
-        away, turn = _apart(robot.chain.forward(np.ascontiguousarray(Q))[0], targets[:, 0])
-        position = np.where(whole, position, away)
-        orientation = None if orientation is None else np.where(whole, orientation, turn)
-    return position, orientation
+    return position, np.linalg.norm(errors[:, posed, 3:], axis=2).max(axis=1) if posed else None
 
 
 def _apart(T: np.ndarray, wanted: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -273,15 +273,10 @@ class Tracker:
 
     def _watch(self, samples: Samples, h: float, dt: float, left: float) -> None:
         """Let a step taken be looked at: whether the joints are to be led elsewhere."""
-
-        def error_at(q: np.ndarray) -> np.ndarray:
-            self._settings.measured[:] = q
-            return self._now(self.stream.last_of(samples), h, measured=True).E[0]
-
         out, unseen, self._unseen = self._out, self._unseen, 0.0
         taken = Taken(
             self._code, out.S[0, 3] > 0.0, out.E, left, samples.T, self.stream.stand, dt, unseen, self._q, self._rate,
-            self._limits, self._settings.law, error_at,
+            self._limits, self._settings.law, lambda q: self.error_at(q, self.stream.last_of(samples), h),
         )  # fmt: skip
         for way in self._ways:
             way.watch(taken)
@@ -290,6 +285,11 @@ class Tracker:
         """How it is, without a step; it holds until the next call."""
         self.run(samples, h, self._here, **how)
         return self._here
+
+    def error_at(self, q: np.ndarray, samples: Samples, h: float) -> np.ndarray:
+        """What counts (m,) [m, rad] of the error to a target with the joints at q (n,), in kernel units; until the next call."""
+        self._settings.measured[:] = q
+        return self._now(samples, h, measured=True).E[0]
 
     def _end(self, samples: Samples, h: float, out: Record, **how: Any) -> None:
         """Write what is left to the end of a record of one step."""
