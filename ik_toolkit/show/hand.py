@@ -8,14 +8,12 @@ import numpy as np
 from ..errors import InvalidTarget
 from ..robot.pose import length
 from ..tracking.reachable import near_limits
-from ..tracking.step import StepStatus
 from ..tracking.tracker import Tracker
 
 STEP = 0.02  # [s] of robot time
 STEPS = 50  # steps before the page is redrawn: one second
-TOOL = 0.2  # [m] length at which a rotation counts as a distance
 FAR = 1000.0  # reaches: a target farther away is a mistake
-REST, SLOW = 10, 0.999  # the arm counts as at rest unless the error falls to this share within this many steps
+REST = 25  # steps in a row at rest after which the arm has settled: half a second, in which a tracker finds another way
 
 
 class Followed(NamedTuple):
@@ -67,7 +65,7 @@ class Hand:
         Raises InvalidTarget, and what `Tracker` raises.
         """
         robot, tracker, tolerance = self.robot, self._tracker, self.options["tolerance"]
-        errors, settled, at = _errors(robot, q, target), False, q
+        errors, rested, at = _errors(robot, q, target), 0, q
         away = max(position for position, _ in errors.values())
         if not away < FAR * robot.reach:
             raise InvalidTarget(f"the target is {away:.3g} m away, more than {FAR:g} times the reach of the arm")
@@ -75,20 +73,14 @@ class Hand:
         if kinds != self._kinds or not np.array_equal(q, tracker.q):
             tracker.reset(q, rate0=np.zeros(robot.n))
             self._kinds = kinds
-        left = [_size(errors)]
         for _ in range(STEPS):
-            if _met(errors, tolerance):
+            if _met(errors, tolerance) or rested == REST:
                 break
             step = tracker.update(target, STEP)
             at = step.q
             errors = _errors(robot, at, target)
-            left.append(_size(errors))
-            if step.status is StepStatus.RECONFIGURING:  # on the way to another posture the error may grow
-                left = left[-1:]
-            settled = len(left) > REST and left[-1] > SLOW * left[-1 - REST]
-            if settled:
-                break
-        met = _met(errors, tolerance)
+            rested = rested + 1 if step.at_rest else 0
+        met, settled = _met(errors, tolerance), rested == REST
         return Followed(at, met, settled or met, errors, _words(robot, at, errors, met, settled))
 
 
@@ -102,11 +94,6 @@ def _errors(robot: Any, q: np.ndarray, target: Any) -> dict[str, tuple[float, fl
     each = target if robot.by_tip else {robot.tips[0]: target}
     arms = dict(zip(robot.tips, zip(robot.arms, robot.places, strict=True), strict=True))
     return {tip: arms[tip][0]._errors(q[arms[tip][1]], T) for tip, T in each.items()}
-
-
-def _size(errors: dict[str, tuple[float, float | None]]) -> float:
-    """Total error [m]: a rotation counts as the motion of a tool of length TOOL."""
-    return math.hypot(*(x for position, angle in errors.values() for x in (position, TOOL * (angle or 0.0))))
 
 
 def _met(errors: dict[str, tuple[float, float | None]], tolerance: float) -> bool:

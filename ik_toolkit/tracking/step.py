@@ -70,8 +70,8 @@ class Step:
     """One step of a tracker.
 
     q (n,) [rad or m] and rate (n,) to command now; position_error [m] and orientation_error [rad] (None for positions) left to
-    this step's target, of several tips the largest, at `q` or, where joints were measured, at these; status; reason, a sentence
-    ('' when OK).
+    this step's target, of several tips the largest, at `q` or, where joints were measured, at these; at_rest; status; reason, a
+    sentence ('' when OK).
     """
 
     __slots__ = ("_outcome", "q", "rate")
@@ -111,7 +111,7 @@ class Step:
             return StepStatus.LIMITED if leapt else StepStatus.RECONFIGURING
         if o.lag > 0.5:
             return StepStatus.FOLLOWING_ERROR
-        if (held or o.lost or self._rests()) and self._stands() and self._away():
+        if (held or o.lost or self._rests()) and self.at_rest and self._away():
             return StepStatus.BLOCKED if held & box.ROW else StepStatus.AT_LIMIT
         return StepStatus.LIMITED if held else StepStatus.OK
 
@@ -119,7 +119,9 @@ class Step:
         """How far (n,) the joints moved in this step [rad, or reaches]."""
         return np.abs(self.q / self._outcome.by.robot.chain.unit - self._outcome.before)
 
-    def _stands(self) -> bool:
+    @property
+    def at_rest(self) -> bool:
+        """Whether no joint moves, or hardly: at a thousandth of its speed limit at most."""
         return bool((np.abs(self.rate) <= AT_REST * self._outcome.by.speed).all())
 
     def _rests(self) -> bool:
