@@ -76,6 +76,7 @@ class Law(NamedTuple):
     avoid: float  # [1/s] how strongly joints are led away from their limits
     rows: float  # half-planes that hold
     measured: float  # 1: error and Jacobian are taken at the joints measured
+    omit: float  # share of the error that AV and AA leave to later steps
 
 
 PLACE = Law._make(range(len(Law._fields)))  # in the array that Python passes in
@@ -196,11 +197,12 @@ def apply(J, m, G, b, y, out):
 
 # ------------------------------------------------------------------------------------------------ one step
 @dual
-def prepare(p, J, m, ahead, rate, h, G, y, t, move, null, x1, x2):
+def prepare(p, J, m, e, ahead, rate, h, G, y, t, move, null, x1, x2):
     """First half of a step, after `factor`.
 
-    ahead (m,): target at the end of the step minus the tip now. rate (n,): joint velocity. Writes move = J^+ ahead, null =
-    (1 - J^+ J) rate, and the joint velocities x1, x2 of the product (dJ/dt along x1) x2 that `command` wants.
+    e, ahead (m,): target now, and at the end of the step, minus the tip now. rate (n,): joint velocity. Writes move = J^+ ahead
+    (less what of the error is left to later steps), null = (1 - J^+ J) rate, and the joint velocities x1, x2 of the product
+    (dJ/dt along x1) x2 that `command` wants.
     """
     n = J.shape[0]
     code = int(p.code)
@@ -208,7 +210,9 @@ def prepare(p, J, m, ahead, rate, h, G, y, t, move, null, x1, x2):
         move[i] = 0.0
         null[i] = 0.0
     if code == AV or code == AA:
-        apply(J, m, G, ahead, y, move)
+        for k in range(m):
+            t[k] = ahead[k] - p.omit * e[k]
+        apply(J, m, G, t, y, move)
     if code >= CA:
         for k in range(m):
             s = 0.0
@@ -274,7 +278,7 @@ def natural(p, h):
         return p.kappa
     if p.code == CA:
         return p.kp / p.kd if p.kd > 0.0 else 0.0
-    return 1.0 / h
+    return (1.0 - p.omit) / h
 
 
 @dual

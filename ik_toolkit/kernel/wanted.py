@@ -169,7 +169,7 @@ def by_law(law, rule, task, look, weights, s, slack, limits, wish, count, sigma,
     else:
         remember(state, False, False, h)
     blocked = feed_back(law, s, limits, count, h, heavy, beyond)
-    prepare(law, s.J, m, s.ahead, rate, h, s.G, s.y, s.t, s.move, s.null, s.x1, s.x2)
+    prepare(law, s.J, m, s.e, s.ahead, rate, h, s.G, s.y, s.t, s.move, s.null, s.x1, s.x2)
     if law.code >= CA:
         if blocked and law.code == AA and law.reading != AT_RATE:  # no joint takes this step: no second order
             for i in range(n):

@@ -19,7 +19,7 @@ from .modes import (
     mode_speed,
     rest_of,
 )
-from .motion import CV, REGION, STATE
+from .motion import CV, REGION, STATE, natural
 from .records import copy
 from .wishes import STEP, reflect
 
@@ -126,7 +126,7 @@ def note_curve(s, r, part):
 def judge_modes(law, task, look, s, limits, h, rate, away, heavy, state):
     """Judge the directions in which the tip can hardly move, see modes.py; returns whether the target is out of reach in one."""
     n, m = s.J.shape
-    near, beyond, gain = False, False, law.kappa if law.code == CV else GAIN / h
+    near, beyond, gain = False, False, law.kappa if law.code == CV else min(natural(law, h), GAIN / h)
     for r in range(m):
         if s.sv[r] >= REGION * law.damping:
             continue

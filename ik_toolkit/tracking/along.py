@@ -135,7 +135,7 @@ def step_matrices(m: Motion, method: str, h: float, gains: dict[str, float], nul
     eye = np.broadcast_to(np.eye(m.row.shape[-1]), m.row.shape)
     null = null_rate(method, null_damping, h) * (eye - m.row)
     if method == "av":
-        return eye - m.row - h * m.rate
+        return eye - gains["share"] * m.row - h * m.rate
     if method == "cv":
         K = gains["kappa"] * m.row + m.rate
         return _blocks([[eye - 1.5 * h * K, -0.5 * h * eye], [-K, 0.0 * eye]])
@@ -153,7 +153,7 @@ def step_matrices(m: Motion, method: str, h: float, gains: dict[str, float], nul
     # (aad), y is w. A part of J^+ that turns moves the arm behind its tip only.
     g = 0.5 if method == "aa" else gains["gamma"]
     times_w = 1.0 if method == "aa" else 2.0
-    w_by_q, w_by_rate = -(m.row / h + m.rate), eye - m.row
+    w_by_q, w_by_rate = -(gains["share"] * m.row / h + m.rate), eye - m.row
     curve_by_q = times_w * m.rate @ w_by_q + m.second - m.bend
     curve_by_rate = (2.0 - times_w) * m.rate + times_w * m.rate @ w_by_rate
     a_by_q = w_by_q / (g * h) - curve_by_q / (2.0 * g)

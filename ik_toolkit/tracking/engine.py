@@ -44,7 +44,9 @@ class Published:
         self.method = method
         self.name = method.name
         self.gamma = method.rate_weight
-        self.chosen = method.kappa is not None or method.kp is not None  # gains that somebody chose
+        self.chosen = any(
+            one is not None for one in (method.kappa, method.kp, method.share)
+        )  # gains that somebody chose
         self.memory = robot.n  # numbers kept from step to step
         self.loop = servo()
         self.options: Options = make_options(dict(counting))

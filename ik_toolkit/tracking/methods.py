@@ -14,6 +14,9 @@ matrices. Which dJ/dt stands in (25) is not decidable from the text; with w = s/
 1: Jdot(qd) qd (first line of (25)), 2: Jdot(qd) w (second line; the default, as this is the form the paper ends with), 3:
 Jdot(w) w. aa keeps an eigenvalue -1 (the rate may zigzag for ever); aad with gamma > 1/2 damps it at the same accuracy.
 
+av, aa and aad remove all of an error in a step, which bears no delay: of joints measured late they take a share of it (ours),
+s = J^+ (target one step ahead - actual - (1 - share) e).
+
 On a redundant arm the acceleration level adds -k (1 - J^+ J) qd (null_damping), without which null motion grows.
 """
 
@@ -37,10 +40,14 @@ NULL_DAMPING = TAKEN_UP  # [1/s]
 # name: (code in the kernel, options it takes, one line)
 METHODS: dict[str, tuple[int, tuple[str, ...], str]] = {
     "cv": (motion.CV, ("kappa",), "velocity level, error fed back with kappa (classical)"),
-    "av": (motion.AV, (), "one Newton step a sample (alternative velocity level)"),
+    "av": (motion.AV, ("share",), "one Newton step a sample (alternative velocity level)"),
     "ca": (motion.CA, ("kp", "kd", "null_damping"), "acceleration level, error fed back with kp and kd (classical)"),
-    "aa": (motion.AA, ("reading", "null_damping"), "acceleration that removes the error in one step (alternative)"),
-    "aad": (motion.AA, ("gamma", "null_damping"), "aa with its zigzag damped, gamma > 1/2 (ours)"),
+    "aa": (
+        motion.AA,
+        ("reading", "share", "null_damping"),
+        "acceleration that removes the error in one step (alternative)",
+    ),
+    "aad": (motion.AA, ("gamma", "share", "null_damping"), "aa with its zigzag damped, gamma > 1/2 (ours)"),
 }
 
 
@@ -48,9 +55,10 @@ METHODS: dict[str, tuple[int, tuple[str, ...], str]] = {
 class Method:
     """A tracking method and its options; None means the default, which may depend on the sample time.
 
-    kappa [1/s] (cv), kp [1/s^2] and kd [1/s] (ca), not negative: default the best gains for the sample time. reading 1, 2 or 3
-    of eq (25) (aa). gamma (aad). null_damping [1/s] of redundant arms at acceleration level, at most 1/h (ca: 2/3 of it).
-    damping of the pseudo-inverse near singularities (lengths over reach); 0 inverts exactly.
+    kappa [1/s] (cv), kp [1/s^2] and kd [1/s] (ca), not negative: default the best gains for the sample time. share of an error
+    removed in a step (av, aa, aad), above 0 and at most 1: default 1, the published form, but what bears the delay best where
+    joints are measured. reading 1, 2 or 3 of eq (25) (aa). gamma (aad). null_damping [1/s] of redundant arms at acceleration
+    level, at most 1/h (ca: 2/3 of it). damping of the pseudo-inverse near singularities (lengths over reach); 0 inverts exactly.
     """
 
     name: str
@@ -59,15 +67,16 @@ class Method:
     kd: float | None = None
     reading: int = 2
     gamma: float = GAMMA
+    share: float | None = None
     null_damping: float = NULL_DAMPING
     damping: float = DAMPING
 
     def __post_init__(self) -> None:
         """Check name and options. Raises InvalidOption."""
         one_of(self.name, METHODS, "tracking method")
-        for name in ("kappa", "kp", "kd", "reading", "gamma", "null_damping", "damping"):
+        for name in ("kappa", "kp", "kd", "reading", "gamma", "share", "null_damping", "damping"):
             value = getattr(self, name)
-            if value is not None or name not in ("kappa", "kp", "kd"):
+            if value is not None or name not in ("kappa", "kp", "kd", "share"):
                 number(value, name)
         if self.name == "ca" and (self.kp is None) != (self.kd is None):
             raise InvalidOption("ca needs both kp and kd, or neither")
@@ -75,6 +84,8 @@ class Method:
             raise InvalidOption(f"reading must be 1, 2 or 3 (see the docs of aa), not {self.reading}")
         if self.gamma <= 0.0:
             raise InvalidOption(f"gamma must be positive, not {self.gamma:g}")
+        if self.share is not None and not 0.0 < self.share <= 1.0:
+            raise InvalidOption(f"share must be above 0 and at most 1, not {self.share:g}")
         for name in ("kappa", "kp", "kd", "null_damping", "damping"):
             if (getattr(self, name) or 0.0) < 0.0:
                 raise InvalidOption(f"{name} must not be negative, not {getattr(self, name):g}")
@@ -82,7 +93,7 @@ class Method:
     def gains(self, h: float, delay: float = 0.0) -> dict[str, float]:
         """Gains used at sample time h [s] as `check_gains` takes them, for joints measured `delay` samples ago."""
         best = best_gains(self.name, h, delay)
-        given = {"kappa": self.kappa, "kp": self.kp, "kd": self.kd, "gamma": self.gamma}
+        given = {"kappa": self.kappa, "kp": self.kp, "kd": self.kd, "gamma": self.gamma, "share": self.share}
         return {name: best[name] if given[name] is None else float(given[name] or 0.0) for name in best}
 
     @property
@@ -107,6 +118,7 @@ class Method:
             kd=gains.get("kd", 0.0),
             gamma=self.rate_weight,
             null=null_rate(self.name, self.null_damping, h),
+            omit=1.0 - gains.get("share", 1.0),
             damping=self.damping,
             reading=motion.AT_STEP if self.name == "aad" else self.reading - 1,
         )
@@ -204,7 +216,7 @@ def simulate(
         following = path((i + 1) * h)
         ahead = following[0] - system.position(q)
         motion.factor(J, m, made.damping, G, y)
-        motion.prepare(p, J, m, ahead, rate, h, G, y, t_, move, null, x1, x2)
+        motion.prepare(p, J, m, E[-1], ahead, rate, h, G, y, t_, move, null, x1, x2)
         if p.code >= motion.CA:
             bias = system.rate(q, x1, x2)
         ratio = 0.0 if i == 0 and command0 is None else 1.0

@@ -27,9 +27,16 @@ from .inputs import number, one_of, positive
 if TYPE_CHECKING:
     from .along import Growth
 
-GAINS = {"cv": ("kappa",), "av": (), "ca": ("kp", "kd"), "aa": (), "aad": ("gamma",)}  # of each method
+GAINS = {
+    "cv": ("kappa",),
+    "av": ("share",),
+    "ca": ("kp", "kd"),
+    "aa": ("share",),
+    "aad": ("gamma", "share"),
+}  # of each method
 METHODS = tuple(GAINS)
 GAMMA = 0.6  # default of aad: eigenvalue 1 - 1/gamma = -2/3
+WITHOUT = {"gamma": GAMMA, "share": 1.0}  # gains of which there is a default whatever the sample time
 BORDER = 1e-9  # relative distance to the border within which a gain set is called marginal
 
 # Best gains: the smallest spectral radius. cv: a complex pair turns real at k = 2/3. ca: a triple eigenvalue r, which
@@ -38,10 +45,12 @@ BEST_CV = 2.0 / 3.0
 TRIPLE = (1.0 - 4.0 ** (1.0 / 3.0)) / 3.0
 BEST_CA = (4.0 / 3.0 - 2.0 * TRIPLE + 2.0 * TRIPLE**3, 2.0 / 3.0 - TRIPLE - TRIPLE**3)  # (kp h^2, kd h)
 BEST_CA_RADIUS = -TRIPLE
+BEST = {"cv": (BEST_CV,), "ca": BEST_CA, "av": (1.0,)}
 AGE = 2.0  # [samples] that joints given as measured are taken to be old, where nobody says: 20 ms at 100 Hz
 BEST_AT_AGE = {
     "cv": (2.0 / 9.0,),
     "ca": (0.0874083, 0.8358459),
+    "av": (4.0 / 27.0,),  # eigenvalues r^3 = r^2 - share: 2/3 twice
 }  # what `_best_delayed` finds, for which a loop has no time
 MOST_DELAY = 200.0  # samples; the matrix has as many rows
 GRID = 25  # points a side of a grid in the search for the best gains under a delay; four grids, each a quarter as wide
@@ -55,13 +64,14 @@ def mapping_matrix(
     kp: float | None = None,
     kd: float | None = None,
     gamma: float = GAMMA,
+    share: float = 1.0,
     dof: int = 1,
 ) -> np.ndarray:
     """Matrix that carries the linearised state of `method` over one sample of h [s].
 
     State: cv (q, previous command), ca (q, qd, previous command), aa and aad (q, qd), av (q); for `dof` joints each entry
-    is repeated on the diagonal, as in eqs (39)-(42). Gains: kappa [1/s], kp [1/s^2], kd [1/s]. Source: Patko and Zelei
-    (2019), eqs (30), (31), (34), (35), (39)-(42); entry (3,3) of (41) is printed with kp and must have kd.
+    is repeated on the diagonal, as in eqs (39)-(42). Gains: kappa [1/s], kp [1/s^2], kd [1/s], share (1: as published). Source:
+    Patko and Zelei (2019), eqs (30), (31), (34), (35), (39)-(42); entry (3,3) of (41) is printed with kp and must have kd.
     """
     if method == "cv":
         (kappa,) = _needed(method, h, kappa=kappa)
@@ -76,12 +86,12 @@ def mapping_matrix(
             ]
         )
     elif method == "av":
-        _needed(method, h)
-        A = np.zeros((1, 1))
+        (share,) = _needed(method, h, share=share)
+        A = np.array([[1.0 - share]])
     elif method in ("aa", "aad"):
         gamma = 0.5 if method == "aa" else gamma
-        _needed(method, h, gamma=positive(gamma, "gamma"))
-        A = np.array([[0.0, 0.0], [-1.0 / (gamma * h), 1.0 - 1.0 / gamma]])
+        gamma, share = _needed(method, h, gamma=positive(gamma, "gamma"), share=share)
+        A = np.array([[1.0 - share, 0.0], [-share / (gamma * h), 1.0 - 1.0 / gamma]])
     else:
         raise InvalidOption(f"no tracking method '{method}'.{near_match(method, METHODS)}")
     return np.kron(A, np.eye(dof))
@@ -162,30 +172,27 @@ def p_limit(d):
 
 
 def best_gains(method: str, h: float, delay: float = 0.0) -> dict[str, float]:
-    """Gains with the smallest spectral radius at sample time h [s]: cv 0.577 (1/sqrt 3), ca 0.196, aad 0.667; av has none.
+    """Gains with the smallest spectral radius at sample time h [s]: cv 0.577 (1/sqrt 3), ca 0.196, av 0, aa 1, aad 0.667.
 
-    cv: kappa h = 2/3. ca: kp h^2 = 1.7099, kd h = 0.8700, where all three eigenvalues meet. With a measured position `delay`
-    samples old (cv, ca) they are searched for.
+    cv: kappa h = 2/3. ca: kp h^2 = 1.7099, kd h = 0.8700, where all three eigenvalues meet. av, aa, aad: share = 1. With a
+    measured position `delay` samples old they are searched for.
     """
     one_of(method, METHODS, "tracking method")
     h = positive(h, "the sample time [s]")
-    if _samples(delay) and method in ("cv", "ca"):
-        units = {"kappa": h, "kp": h * h, "kd": h}
-        found = BEST_AT_AGE[method] if delay == AGE else _best_delayed(method, float(delay))
-        best = zip(GAINS[method], found, strict=True)
-        return {name: value / units[name] for name, value in best}
-    if method == "cv":
-        return {"kappa": BEST_CV / h}
-    if method == "ca":
-        return {"kp": BEST_CA[0] / (h * h), "kd": BEST_CA[1] / h}
-    return {"gamma": GAMMA} if method == "aad" else {}
+    units = {"kappa": h, "kp": h * h, "kd": h, "share": 1.0}
+    law = method if method in BEST else "av"  # the eigenvalues of aa and aad are those of av and one that is theirs
+    found = BEST[law]
+    if _samples(delay):
+        found = BEST_AT_AGE[law] if delay == AGE else _best_delayed(law, float(delay))
+    best = {name: value / units[name] for name, value in zip(GAINS[law], found, strict=True)}
+    return {name: best.get(name, GAMMA) for name in GAINS[method]}
 
 
 @functools.cache
 def _best_delayed(method: str, delay: float) -> tuple[float, ...]:
     """Best gains times h (kp: h^2) under a delay: grids in log scale, each about the best point of the one before."""
     names = GAINS[method]
-    middle, width = np.log([BEST_CV] if method == "cv" else BEST_CA) - math.log(1.0 + delay), 3.0
+    middle, width = np.log(BEST[method]) - math.log(1.0 + delay), 3.0
     for _ in range(4):
         axes = np.meshgrid(*([np.linspace(-width, width, GRID)] * len(names)), indexing="ij")
         points = middle + np.stack([axis.ravel() for axis in axes], axis=1)
@@ -279,7 +286,7 @@ def check_gains(
     radius = spectral_radius(delayed_matrix(method, h, delay, **gains))
     best = best_gains(method, h, delay)
     longest = longest_step(method, delay, **gains)
-    margin, where, best = _region(method, h, best, **gains)
+    margin, where = _region(method, h, **gains)
     if delay:
         margin, where = 1.0 - radius, f"positions measured {delay:g} samples ago"
     verdict = "marginal" if abs(margin) <= BORDER else "stable" if margin > 0.0 else "unstable"
@@ -297,7 +304,7 @@ def check_gains(
     if path is not None:
         from .along import growth
 
-        complete = {"gamma": GAMMA, **gains} if method == "aad" else gains
+        complete = {name: WITHOUT[name] for name in GAINS[method] if name in WITHOUT} | gains
         found = growth(robot, path, method, h, complete, null_damping=null_damping)
         message += (
             f" Along the path a small error changes by {found.factor:.3g} {'a lap' if found.closed else 'in all'}"
@@ -312,29 +319,27 @@ def check_gains(
 
 def _way_out(method: str, best: dict[str, float], longest: float, delay: float) -> str:
     """Sentence on gains or a sample time that would work."""
-    if delay and method not in ("cv", "ca"):
-        return " A method that takes the whole error away in one step bears no delay: cv and ca with low gains do."
-    if method == "aa":
-        return " aad removes that eigenvalue at the same accuracy."
-    if not best:
-        return ""
     words = " Try " + ", ".join(f"{name} = {value:.5g}" for name, value in best.items())
+    if method == "aa":  # marginal at its best
+        out = " aad removes that eigenvalue at the same accuracy."
+        return f"{words} with aad, which removes aa's eigenvalue -1." if delay else out
     return words + (f", or a rate above {1.0 / longest:.4g} Hz." if math.isfinite(longest) and longest > 0.0 else ".")
 
 
-def _region(method: str, h: float, best: dict[str, float], **gains: float) -> tuple[float, str, dict[str, float]]:
-    """Distance to the border of the closed-form region (negative outside), words for it, and the suggestion."""
+def _region(method: str, h: float, **gains: float) -> tuple[float, str]:
+    """Distance to the border of the closed-form region (negative outside), and words for it."""
     if method == "cv":
         k = gains["kappa"] * h
-        return min(k, 1.0 - k), f"kappa h = {k:.4g}, stable between 0 and 1", best
+        return min(k, 1.0 - k), f"kappa h = {k:.4g}, stable between 0 and 1"
     if method == "ca":
         p, d = gains["kp"] * h * h, gains["kd"] * h
         top = float(p_limit(d)) if d > 0.0 else 0.0
         where = f"kd h = {d:.4g} (stable between 0 and 1), kp h^2 = {p:.4g} (stable between 0 and {top:.4g})"
-        return min(d, 1.0 - d, p, (top - p) / max(top, 1e-300)), where, best
+        return min(d, 1.0 - d, p, (top - p) / max(top, 1e-300)), where
+    share, gamma = gains.get("share", 1.0), gains.get("gamma", GAMMA)
+    margin, where = min(share, 2.0 - share), f"share = {share:.4g}, stable between 0 and 2"
     if method == "aa":
-        return 0.0, "eigenvalue -1 whatever the gains: the joint velocity may zigzag for ever", {}
+        return min(margin, 0.0), "eigenvalue -1 whatever the gains: the joint velocity may zigzag for ever"
     if method == "aad":
-        gamma = gains.get("gamma", GAMMA)
-        return gamma - 0.5, f"gamma = {gamma:.4g}, stable above 0.5", best
-    return 1.0, "eigenvalue 0: no gains to choose", best
+        return min(margin, gamma - 0.5), f"gamma = {gamma:.4g}, stable above 0.5, {where}"
+    return margin, where

@@ -65,7 +65,7 @@ def test_the_published_laws(code, ratio):
     rng = np.random.default_rng(code)
     n, m, h = 7, 6, 0.02
     for reading in (AT_RATE, AT_RATE_AND_STEP, AT_STEP):
-        p = law(code, kappa=3.0, kp=20.0, kd=8.0, gamma=0.7, null=0.9, reading=reading)
+        p = law(code, kappa=3.0, kp=20.0, kd=8.0, gamma=0.7, null=0.9, reading=reading, omit=0.3)
         J, e, v, a, bias, ahead = rng.normal(size=(n, m)), *rng.normal(size=(5, m))
         rate, prev, old = *rng.normal(size=(2, n)), np.empty(n)
         old[:] = prev
@@ -73,8 +73,8 @@ def test_the_published_laws(code, ratio):
         G, y, t = np.zeros((n, n)), np.empty(n), np.empty(m)
         move, null, x1, x2, x = (np.full(n, 9.0) for _ in range(5))
         motion.factor(J, m, 0.0, G, y)
-        motion.prepare(p, J, m, ahead, rate, h, G, y, t, move, null, x1, x2)
-        step = pinv @ ahead if code in (AV, AA) else np.zeros(n)
+        motion.prepare(p, J, m, e, ahead, rate, h, G, y, t, move, null, x1, x2)
+        step = pinv @ (ahead - 0.3 * e) if code in (AV, AA) else np.zeros(n)
         own = rate - pinv @ (J.T @ rate) if code >= CA else np.zeros(n)
         np.testing.assert_allclose(move, step, atol=1e-11)
         np.testing.assert_allclose(null, own, atol=1e-11)
