@@ -12,6 +12,7 @@ from .motion import STATE
 QUICK = 10.0  # [1/s] largest change of the clock's rate
 SPARE = 0.98  # share of the limits that the look-ahead uses: the run is not quite the motion it looks at
 WHOLE = 1e-9  # [samples] within which the clock is at a sample
+MAKE_UP = 0.1  # of a step that a clock slightly faster than allowed gains in order to end in whole ones: of 5 it is what is SPARE
 STILL = 1e-3  # clock rate below which a run counts as standing still ...
 PATIENCE = 1.0  # [s] ... and for how long, before the run continues off the path
 PROGRESS = 0.99  # ratio of errors below which a waiting run counts as getting nearer
@@ -89,6 +90,26 @@ def reference(T, V, A, s, h, Ts, Vs, As):
             between(
                 T[j, k], T[j + 1, k], V[j][a:b], V[j + 1][a:b], A[j][a:b], A[j + 1][a:b], h, f, Ts[k], Vs[a:b], As[a:b]
             )  # fmt: skip
+
+
+@inner
+def to_go(steps, s):
+    """Steps to the end of a reference from the clock s [samples], at the highest rates; steps (N,) from each sample."""
+    j = int(s)
+    if j >= steps.shape[0] - 1:
+        return 0.0
+    return steps[j] + (s - j) * (steps[j + 1] - steps[j])
+
+
+@inner
+def clock_at(steps, s, left):
+    """Clock [samples], not before s, from which there are `left` steps to the end, see `to_go`."""
+    j, last = int(s), steps.shape[0] - 1
+    while j < last and steps[j + 1] > left:
+        j += 1
+    if j >= last:
+        return float(last)
+    return max(j + (steps[j] - left) / (steps[j] - steps[j + 1]), s)
 
 
 @inner

@@ -18,7 +18,7 @@ import numpy as np
 
 from .bench import bench_on, bench_space
 from .box import HELD, UNLIMITED, WINDOW, approach, boxes, calm, clip, move, watch, way_to
-from .clock import QUICK, WHOLE, next_rate, reference, too_far
+from .clock import MAKE_UP, QUICK, SPARE, WHOLE, clock_at, next_rate, reference, to_go, too_far
 from .constrain import SLOW, room_on, room_space
 from .descent import descend, notice, stuck
 from .jit import cached, inline, inner
@@ -90,16 +90,24 @@ def advanced(state, law, sigma):
 
 
 @inner
-def wind(state, law, a, E, cap, left, h):
-    """Rate at which the clock is to run at the end of this step; the target's acceleration a (m,) becomes what it then is."""
+def wind(state, law, a, E, cap, steps, clock, h):
+    """Rate at which the clock is to run at the end of this step; the target's acceleration a (m,) becomes what it then is.
+
+    cap: its highest here; steps: see `to_go`. A short last step would be a jump: the clock goes to the end in whole steps, this
+    one and `more`, all at the same share of what is allowed on the way.
+    """
     if law.mode != SLOW:
         return 1.0
     sigma = next_rate(state, too_far(E, law.tol_p, law.tol_r), cap, h)
-    if sigma > 0.0:  # in whole steps to the end, this one and `more` at its rate: a short last one would be a jump
-        more = max(np.ceil((left - advanced(state, law, sigma)) / sigma - WHOLE), 0.0)
+    if sigma > 0.0:
+        begun = clock + (1.0 - law.gamma) * state[STATE.sigma]
+        left, share = to_go(steps, begun), sigma / cap if cap > 0.0 else 1.0
+        count = left / share
+        more = max(np.ceil(max(count - MAKE_UP, count * max(SPARE, sigma)) - law.gamma - WHOLE), 0.0)
         least = max(state[STATE.sigma] - QUICK * h, 0.0) if more > 0.0 else 0.0
-        whole = (left - (1.0 - law.gamma) * state[STATE.sigma]) / (law.gamma + more)
-        sigma = min(max(whole, least), sigma)
+        whole = (clock_at(steps, begun, left * more / (law.gamma + more)) - begun) / law.gamma
+        if abs(whole - sigma) > WHOLE:  # else it is the same, but for rounding
+            sigma = min(max(whole, least), state[STATE.sigma] + QUICK * h, 1.0)
     for k in range(a.shape[0]):
         a[k] *= sigma * sigma
     return sigma
@@ -211,7 +219,7 @@ def run(step, rows, ends, orders, given, own, samples, out, h, block):
             S[i, 0], S[i, 1], S[i, 2], S[i, 3] = clock, 1.0, -1.0, 0.0
             if i == E.shape[0] - 1 or (law.clocked > 0.0 and clock >= last):
                 return i
-            sigma = wind(state, law, s.a, E[i], cap, last - clock, h)
+            sigma = wind(state, law, s.a, E[i], cap, caps[2], clock, h)
             further = advanced(state, law, sigma) if law.mode == SLOW else 1.0
             boxes(q, rate, limits, law.gamma, h, law.late, s.floor, s.roof, s.why_low, s.why_top)
             if lean(law, rule, s, limits, wish, rate, h):

@@ -56,7 +56,7 @@ class Samples(NamedTuple):
     T: Array  # (N, F, 4, 4) [m]
     V: Array  # (N, m) twist
     A: Array  # (N, m) acceleration
-    caps: Array  # (2, N) highest rate of the clock, joint that sets it
+    caps: Array  # (3, N) highest rate of the clock, joint that sets it, steps to the end at these rates
 
 
 @compiled
@@ -86,7 +86,7 @@ def carried_shapes(n, memory, rows, m):
 @shared
 def samples_shapes(N, F):
     """Shapes of `Samples`."""
-    return (N, F, 4, 4), (N, 6 * F), (N, 6 * F), (2, N)
+    return (N, F, 4, 4), (N, 6 * F), (N, 6 * F), (3, N)
 
 
 @shared

@@ -191,6 +191,8 @@ class Run:
         self.caps[0], self.caps[1] = self.slower, -1.0
         if len(way.Q) > 2:
             look_ahead(way.Q, self.tracker._limits, self.dt, self.caps[0], self.caps[1])
+        pace = np.maximum(np.minimum(self.caps[0, :-1], self.caps[0, 1:]), SLOWEST)
+        self.caps[2] = np.append(np.cumsum(1.0 / pace[::-1])[::-1], 0.0)
 
     def _take(self, way: _Way) -> _Taken:
         """Run from the start to the end once."""

@@ -93,22 +93,27 @@ def test_the_rate_at_the_start():
     assert state[STATE.sigma] == 0.7
 
 
+def steps_at(rate, samples=101):
+    """Steps to the end of a reference from each of its samples, at rates (a number, or one an interval)."""
+    return np.append(np.cumsum((1.0 / np.broadcast_to(rate, samples - 1))[::-1])[::-1], 0.0)
+
+
 def test_the_clock_of_a_run():
     state, E = np.zeros(len(STATE)), np.zeros(6)
-    a = np.ones(6)
-    assert servo.wind(state, law(mode=LEAVE, tol_p=1.0, tol_r=1.0), a, E, 0.5, 9.0, 0.1) == 1.0 and np.all(a == 1.0)
-    slow = law(mode=SLOW, tol_p=1.0, tol_r=1.0, gamma=0.5)
+    a, even = np.ones(6), steps_at(0.8)
+    assert servo.wind(state, law(mode=LEAVE, tol_p=1.0, tol_r=1.0), a, E, 0.5, even, 9.0, 0.1) == 1.0 and np.all(
+        a == 1.0
+    )
     for gamma in (0.5, 0.6, 1.0):
         slow = law(mode=SLOW, tol_p=1.0, tol_r=1.0, gamma=gamma)
         for left in (0.4, 1.5, 1.7, 80.0, 0.8 * 3 + 1e-10):
             for now in (0.6, 0.8, 0.0, 1.0):
                 state[STATE.sigma], a[:] = now, 1.0
-                sigma = servo.wind(state, slow, a, E, 0.8, left, 0.05)
+                sigma = servo.wind(state, slow, a, E, 0.8, even, 100.0 - left, 0.05)
                 np.testing.assert_allclose(a, sigma**2)
                 first = servo.advanced(state, slow, sigma)
-                assert first == pytest.approx(now + gamma * (sigma - now)) and 0.0 <= sigma <= min(
-                    now + 0.5, 0.8 if now < 1.0 else 1.0
-                )
+                assert first == pytest.approx(now + gamma * (sigma - now))
+                assert 0.0 <= sigma <= min(now + 0.5, 0.8 / clock.SPARE if now < 1.0 else 1.0)
                 if sigma > 0.0 and left > first:
                     assert sigma >= now - 0.5 - 1e-12  # 10 1/s
                     more = (left - first) / sigma
@@ -116,14 +121,13 @@ def test_the_clock_of_a_run():
                         assert more == pytest.approx(round(more), abs=1e-8)  # to the end in whole steps
     slow = law(mode=SLOW, tol_p=1.0, tol_r=1.0, gamma=0.5)
     state[STATE.sigma] = 0.8
-    assert servo.wind(state, slow, np.ones(6), E, 0.8, 0.8 * 3 + 1e-10, 0.1) == 0.8
-    assert servo.wind(state, slow, np.ones(6), E, 0.8, 0.4, 0.1) == pytest.approx(0.0)
+    assert servo.wind(state, slow, np.ones(6), E, 0.8, even, 97.6 - 1e-10, 0.1) == pytest.approx(0.8)
+    assert servo.wind(state, slow, np.ones(6), E, 0.8, even, 99.6, 0.1) == pytest.approx(0.0)
     far = np.array([2.0, 0.0, 0.0, 0.0, 0.0, 0.0])  # the clock is to wait, and slows down no faster than 10 1/s
     for left in (0.9, 7.3, 30.0):
-        assert (
-            servo.wind(state, law(mode=SLOW, tol_p=1.0, tol_r=1.0, gamma=0.6), np.ones(6), far, 0.8, left, 0.02)
-            >= 0.6 - 1e-12
-        )
+        slow = law(mode=SLOW, tol_p=1.0, tol_r=1.0, gamma=0.6)
+        assert servo.wind(state, slow, np.ones(6), far, 0.8, even, 100.0 - left, 0.02) >= 0.6 - 1e-12
+    slow = law(mode=SLOW, tol_p=1.0, tol_r=1.0, gamma=0.5)
     assert servo.advanced(state, slow, 0.4) == pytest.approx(0.6)
     state[STATE.sigma] = 0.5
     servo.tick(state, law(mode=LEAVE), 3.0, 0.2)
@@ -135,6 +139,27 @@ def test_the_clock_of_a_run():
     assert state[STATE.clock] == 4.0
     servo.tick(state, slow, 3.5 + 2e-9, 0.5)
     assert state[STATE.clock] != 4.0 and clock.WHOLE == 1e-9
+
+
+@pytest.mark.parametrize("gamma", [0.5, 0.6, 1.0])
+@pytest.mark.parametrize("turn", [0.02, -0.02, 0.05])
+def test_the_clock_ends_in_whole_steps_where_its_highest_rate_changes(gamma, turn):
+    """Up to the last step its rate changes by at most 10 1/s; a short last step, taken at once, was a jump."""
+    h, E = 0.002, np.zeros(6)
+    for count in range(60, 160, 3):
+        caps = np.clip(0.6 + 0.3 * np.sin(turn * np.arange(count + 1)), 0.0, 1.0)
+        steps = steps_at(np.minimum(caps[:-1], caps[1:]), count + 1)
+        state, slow, rates = np.zeros(len(STATE)), law(mode=SLOW, tol_p=1.0, tol_r=1.0, gamma=gamma), [caps[0]]
+        state[STATE.sigma] = caps[0]
+        while state[STATE.clock] < count:
+            at = state[STATE.clock]
+            cap = caps[int(at) : int(at) + 2].min()
+            sigma = servo.wind(state, slow, np.ones(6), E, cap, steps, at, h)
+            servo.tick(state, slow, at, sigma)
+            rates.append(sigma)
+        assert state[STATE.clock] == count
+        assert np.abs(np.diff(rates)).max() <= clock.QUICK * h + 1e-9, (count, rates[-3:])
+        assert max(rates) <= caps.max() / clock.SPARE
 
 
 def test_a_joint_that_has_to_stand_still_leaves_the_jacobian_and_no_other_does():
