@@ -65,7 +65,7 @@ class Hand:
         Raises InvalidTarget, and what `Tracker` raises.
         """
         robot, tracker, tolerance = self.robot, self._tracker, self.options["tolerance"]
-        errors, rested, at = _errors(robot, q, target), 0, q
+        errors, rested, at, between = _errors(robot, q, target), 0, q, None
         away = max(position for position, _ in errors.values())
         if not away < FAR * robot.reach:
             raise InvalidTarget(f"the target is {away:.3g} m away, more than {FAR:g} times the reach of the arm")
@@ -80,8 +80,9 @@ class Hand:
             at = step.q
             errors = _errors(robot, at, target)
             rested = rested + 1 if step.at_rest else 0
+            between = step.between
         met, settled = _met(errors, tolerance), rested == REST
-        return Followed(at, met, settled or met, errors, _words(robot, at, errors, met, settled))
+        return Followed(at, met, settled or met, errors, _words(robot, at, errors, met, settled, between))
 
 
 def prepare(robot: Any, q: np.ndarray, target: Any) -> None:
@@ -100,15 +101,16 @@ def _met(errors: dict[str, tuple[float, float | None]], tolerance: float) -> boo
     return all(position <= tolerance and (angle or 0.0) <= tolerance for position, angle in errors.values())
 
 
-def _words(robot: Any, q: np.ndarray, errors: Any, met: bool, settled: bool) -> str:
-    """The remaining error in a sentence."""
+def _words(robot: Any, q: np.ndarray, errors: Any, met: bool, settled: bool, between: tuple[str, str] | None) -> str:
+    """The remaining error in a sentence; between: names of what would touch."""
     away = max(position for position, _ in errors.values())
     angles = [angle for _, angle in errors.values() if angle is not None]
     left = length(away) + (f" and {math.degrees(max(angles)):.3g} deg" if angles else "")
     if met:
         return f"converged to {left}"
+    touch = f"{' and '.join(between)} would touch" if between else ""
     if not settled:
-        return f"on its way, {left} to go"
+        return f"on its way, {left} to go{touch and ': '}{touch}"
     held = near_limits(robot, q)
     why = f"{', '.join(held)} at {'a limit' if len(held) > 1 else 'its limit'}" if held else "at the edge of its reach"
-    return f"the closest pose is {left} away: {why}"
+    return f"the closest pose is {left} away: {touch or why}"

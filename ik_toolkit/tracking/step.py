@@ -70,8 +70,8 @@ class Step:
     """One step of a tracker.
 
     q (n,) [rad or m] and rate (n,) to command now; position_error [m] and orientation_error [rad] (None for positions) left to
-    this step's target, of several tips the largest, at `q` or, where joints were measured, at these; at_rest; status; reason, a
-    sentence ('' when OK).
+    this step's target, of several tips the largest, at `q` or, where joints were measured, at these; at_rest; between; status;
+    reason, a sentence ('' when OK).
     """
 
     __slots__ = ("_outcome", "q", "rate")
@@ -118,6 +118,11 @@ class Step:
     def _moved(self) -> np.ndarray:
         """How far (n,) the joints moved in this step [rad, or reaches]."""
         return np.abs(self.q / self._outcome.by.robot.chain.unit - self._outcome.before)
+
+    @property
+    def between(self) -> tuple[str, str] | None:
+        """Names of the two that would touch where something in the way holds the arm back; else None."""
+        return self._outcome.between
 
     @property
     def at_rest(self) -> bool:

@@ -92,6 +92,22 @@ def test_a_hand_goes_on_where_it_was_and_starts_again_where_it_is_put():
     assert session._hand is not kept
 
 
+def test_what_is_in_the_way_is_named():
+    """Not the edge of the arm's reach, where it could go on but for an obstacle."""
+    session, place = Session("hydrolek_7w"), np.eye(4)
+    goal = session.poses()["tool"]
+    goal[:3, 3] += (-0.2, -0.1, -0.1)
+    place[:3, 3] = goal[:3, 3]
+    name = session.add_box([0.12, 0.12, 0.12], place)
+    session.avoid = True
+    assert session.follow(goal).message.endswith(f"to go: link_6 and {name} would touch")
+    assert any(session.follow(goal).settled for _ in range(20)) and not session.contacts()[0]
+    assert session.followed.message.startswith("the closest pose is")
+    assert session.followed.message.endswith(f"away: link_6 and {name} would touch")
+    session.avoid = False
+    assert any(session.follow(goal).settled for _ in range(20)) and "touch" not in session.followed.message
+
+
 def test_a_drag_is_told_apart_from_a_solve():
     session = Session("hydrolek_7w")
     goal = session.poses()["tool"]
