@@ -193,7 +193,9 @@ def test_gains_for_a_delay_are_stable_and_the_least_that_a_search_finds():
         assert not st.check_gains(method, 1.001 * longest, delay=delay, **gains).stable
 
 
-@pytest.mark.parametrize("method, delay", [("cv", 0), ("cv", 2), ("ca", 0), ("ca", 2), ("aad", 0), ("av", 0), ("av", 2)])
+@pytest.mark.parametrize(
+    "method, delay", [("cv", 0), ("cv", 2), ("ca", 0), ("ca", 2), ("aad", 0), ("av", 0), ("av", 2)]
+)
 def test_noise_gain_is_what_a_simulation_shows(method, delay):
     h = 0.01
     gains = {"gamma": 0.7} if method == "aad" else st.best_gains(method, h, delay)
@@ -210,8 +212,8 @@ def test_noise_gain_is_what_a_simulation_shows(method, delay):
 
 @pytest.mark.parametrize(("method", "delay", "gains"), [
     ("cv", 2, {}), ("cv", 2, {"kappa": 200.0 / 3.0}), ("cv", 2, {"kappa": 23.0}), ("cv", 5, {"kappa": 12.0}),
-    ("cv", 5, {"kappa": 40.0}), ("ca", 2, {"kp": 870.0, "kd": 84.0}), ("ca", 2, {"kp": 4000.0, "kd": 60.0}), ("av", 2, {}), ("aad", 2, {}),
-    ("aad", 4, {}), ("aad", 2, {"share": 1.0}), ("aad", 4, {"share": 0.5}),
+    ("cv", 5, {"kappa": 40.0}), ("ca", 2, {"kp": 870.0, "kd": 84.0}), ("ca", 2, {"kp": 4000.0, "kd": 60.0}),
+    ("av", 2, {}), ("aad", 2, {}), ("aad", 4, {}), ("aad", 2, {"share": 1.0}), ("aad", 4, {"share": 0.5}),
 ])  # fmt: skip
 def test_a_tracker_rests_or_swings_under_a_delay_as_its_gains_are_judged(method, delay, gains):
     h, robot = 0.01, ik.Robot.load("hydrolek_7w")
