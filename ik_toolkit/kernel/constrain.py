@@ -38,7 +38,7 @@ from .linalg import make_rows_orthogonal
 from .qp import CONTRADICTION, DONE, SAME_TASK, UNMET, solve_levels, unmet
 from .records import Array
 from .singular import damp, regular
-from .stages import add_clock, aside, ease, near, slack
+from .stages import add_clock, aside, ease, even_out, near, slack
 from .view import LINE, cut
 
 LEAVE, SLOW, DIRECT = range(3)
@@ -336,17 +336,16 @@ def solve_step(
         only_whole = mode != LEAVE and stage == FULL and not clock_tried
         end = solve_levels(P, W, L, U, V, S, state, order, N, count, rows, only_whole)
         state[n] = 0
+        if stage == EASED:
+            even_out(P, V, scale, count + r, n, -1.0)
         if stage != NEAR:
             price(scale, count, damped, V, S, state, multiplier)
         if stage == SLACK:
             loose = V[Y, n] * (1.0 + LOOSE) + LOOSE
             stage, fresh, clock_tried, refused = begin, True, False, False
             continue
-        if end == CONTRADICTION and loose == 0.0:
-            stage = SLACK
-            continue
-        if end == UNMET:
-            stage, refused = CLOCK, True
+        if end == UNMET or (end == CONTRADICTION and loose == 0.0):
+            stage, refused = CLOCK if end == UNMET else SLACK, True
             continue
         if end == DONE and CLOCK <= stage <= NEAR:
             keep_set(state, P.shape[1], n, count, starts[stage - CLOCK])

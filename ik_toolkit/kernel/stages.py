@@ -5,9 +5,10 @@ import math
 import numpy as np
 
 from .jit import inner
-from .levels import HIGH, LOW, RHS, TASK_ONE, WANT, Y, dot
+from .levels import HIGH, LOW, ONE, RHS, TASK_ONE, TWO, WANT, Y, dot
 
 SMALL = 1e-4  # size of the clock's column beside the task's largest row: the share its square has against the joints' is 1e-8
+CAUTIOUS = 1.5  # times the bound of the curvature left out: two thirds of the way (see CAUTION in modes.py), as whole ways zigzag
 DIRECTION = 100.0  # weight of deviating from the direction against falling behind along it, where nothing is blocked
 
 
@@ -58,17 +59,39 @@ def aside(P, S, first, r, n, alpha):
 
 
 @inner
+def even_out(P, V, scale, rows, n, sign):
+    """Measure all unknowns by the largest of their speeds (sign 1), or each by its own again (-1)."""
+    fast = 0.0
+    for i in range(n):
+        fast = max(fast, scale[i])
+    for i in range(n):
+        if scale[i] == fast:
+            continue
+        ratio = fast / scale[i] if sign > 0.0 else scale[i] / fast
+        for k in range(rows):
+            P[k, i] *= ratio
+        V[ONE, i] *= ratio
+        V[TWO, i] *= ratio
+        V[LOW, i] /= ratio
+        V[HIGH, i] /= ratio
+        V[WANT, i] /= ratio
+        V[Y, i] /= ratio
+    return fast
+
+
+@inner
 def ease(P, V, S, state, task, weight, scale, first, r, n, rate, step, mu):
     """Let the residual be unknowns from n on, each l of its unit, and be as dear as the joints' motion: l^2, and the share unmet.
 
     rate: of the clock; below 0: what is asked stays. |C y - d|^2 + l^2 |y|^2 is then the second objective, under a task that
     can always be met. The damping is that of Levenberg and Marquardt: the curvature that C leaves out, at most that of a
-    circle of one kernel unit, times the residual. mu above 0, where nothing has been solved before: l^2 is mu, and the joints
-    are drawn to the rate wanted, not to rest.
+    circle of one kernel unit, times the residual. It is the same for all joints, however slow they are (`even_out`). mu above 0,
+    where nothing has been solved before: l^2 is mu, and the joints are drawn to the rate wanted, not to rest.
     """
     square, unmet = mu, 0.0
+    fast = even_out(P, V, scale, first + r, n, 1.0)
     if mu == 0.0:
-        miss, asked, heavy, fast = 0.0, 0.0, 0.0, 0.0
+        miss, asked, heavy = 0.0, 0.0, 0.0
         for k in range(first, first + r):
             miss += S[TASK_ONE, k] * S[TASK_ONE, k]
             if rate >= 0.0:
@@ -77,10 +100,9 @@ def ease(P, V, S, state, task, weight, scale, first, r, n, rate, step, mu):
         for k in range(weight.shape[0]):
             heavy = max(heavy, weight[k])
         for i in range(n):
-            fast = max(fast, scale[i])
             V[WANT, i] = 0.0
         unmet = min(math.sqrt(miss / asked), 1.0) if asked > 0.0 else 1.0
-        square = step * math.sqrt(miss) * heavy * fast * fast
+        square = CAUTIOUS * step * math.sqrt(miss) * heavy * fast * fast
     unit = math.sqrt(square)
     for k in range(first + r):
         for j in range(r):

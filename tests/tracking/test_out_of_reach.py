@@ -88,3 +88,15 @@ def test_beyond_reach_joints_follow_smoothly(name, method, pose):
         target = pin.SE3(turn @ start.rotation, turn @ far).homogeneous
         rates.append(tracker.update(target if pose else target[:3, 3], 0.01).rate)
     assert np.abs(np.diff(rates[200:], axis=0)).max() < 0.02
+
+
+def test_a_slow_joint_is_not_left_behind():
+    """The torso of a TIAGo, up to 65 times slower than the arm's joints, follows what the stretched arm cannot."""
+    robot = ik.Robot.load("tiago")
+    q0 = np.array([0.0, 1.66, -0.527, -1.535, 0.144, 0.681, -1.08, -0.577])
+    tracker = Tracker(robot, q0=q0, rate0=np.zeros(8), acceleration_limits=5.0 * robot.velocity_limits)
+    target, errors = robot.fk(q0).homogeneous, []
+    for _ in range(300):
+        target[:3, 3] += 0.01 * robot.velocity_limits[0] * np.array([-0.5, 0.0, 0.8])
+        errors.append(tracker.update(target, 0.01).position_error)
+    assert max(errors) < 0.03 and max(errors[100:]) < 1e-4
