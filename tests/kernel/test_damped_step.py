@@ -7,6 +7,7 @@ from quadprog import solve_qp
 from scipy.optimize import lsq_linear
 
 from ik_toolkit.kernel.constrain import DIRECT, LEAVE, SHORT, SLOW
+from ik_toolkit.kernel.stages import CAUTIOUS
 
 
 def test_a_residual_damps_the_motion():
@@ -22,7 +23,7 @@ def test_a_residual_damps_the_motion():
         assert eased.status == strict.status
         miss = 3.0 * v - J.T @ strict.x
         U = np.linalg.svd(J.T)[0][:, : np.linalg.matrix_rank(J, 1e-9)]
-        square = 1.5 * 0.01 * np.linalg.norm(U.T @ miss) if strict.status == SHORT else 0.0
+        square = CAUTIOUS * 0.01 * np.linalg.norm(U.T @ miss) if strict.status == SHORT else 0.0
         C, d = np.vstack([J.T, np.sqrt(square) * np.eye(7)]), np.append(3.0 * v, np.zeros(7))
         best = lsq_linear(C, d, (low, high), method="bvls", tol=1e-15)
         np.testing.assert_allclose(np.sum((C @ x - d) ** 2), 2.0 * best.cost, rtol=1e-9, atol=1e-12)

@@ -15,6 +15,7 @@ from ik_toolkit.kernel.constrain import DIRECT, LEAVE, SLOW, SLOWED, constrain, 
 from ik_toolkit.kernel.motion import AA, AT_RATE_AND_STEP, AV, CA, CV, RUNNING, STATE, Law
 from ik_toolkit.kernel.problem import make_desk
 from ik_toolkit.kernel.serial import make_serial
+from ik_toolkit.kernel.stages import CAUTIOUS
 
 
 def law(code=CV, **values):
@@ -158,7 +159,9 @@ def test_what_limits_make_of_the_rates_wanted():
         np.testing.assert_array_equal(x, 0.8)
     sigma, held, x, code, active = given(LEAVE)
     assert sigma == 1.0 and held and code.tolist() == [1, 0, 0, 0, 0, 0] and active[0] == 1
-    np.testing.assert_allclose(x, [0.5, *[1.0 / (1.0 + 0.1 * 0.5)] * 5], atol=1e-9)  # damped by what is left, 0.5
+    np.testing.assert_allclose(
+        x, [0.5, *[1.0 / (1.0 + CAUTIOUS * 0.1 * 0.5)] * 5], atol=1e-9
+    )  # damped by what is left, 0.5
     for mode in (LEAVE, DIRECT):
         _, held, x, code, active = given(mode, mu=0.3)
         assert held and code.tolist() == [1, 0, 0, 0, 0, 0] and active[0] == 1
@@ -168,7 +171,7 @@ def test_what_limits_make_of_the_rates_wanted():
     np.testing.assert_allclose(x, 0.5, atol=1e-6)
     sigma, held, x, code, _ = given(SLOW, h=0.02)  # the clock cannot stop so fast
     assert sigma == pytest.approx(0.8) and held
-    np.testing.assert_allclose(x, [0.5, *[0.8 / (1.0 + 0.02 * 0.3)] * 5], atol=1e-6)
+    np.testing.assert_allclose(x, [0.5, *[0.8 / (1.0 + CAUTIOUS * 0.02 * 0.3)] * 5], atol=1e-6)
     row = np.array([0.0, 0.1, 0.0, 0.9, 0.0, 0.0])
     sigma, held, x, code, active = given(LEAVE, 2.0, plane=(row, 0.3))
     assert held and code.tolist() == [0, 0, 0, ROW, 0, 0] and row @ x == pytest.approx(0.3)
