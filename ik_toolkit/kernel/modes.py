@@ -340,21 +340,32 @@ def by_modes(J, W, U, lost, f, ask, y):
 
 
 @inner
-def hold_back(U, sigma, lost, bend, e, ahead, f, pace):
+def hold_back(U, sigma, lost, bend, e, ahead, f, pace, more):
     """Shrink what is asked for along the directions that are not lost, where what is lost cannot be reached.
 
     bend: the largest curvature of the tip's way. Times the error left it adds to sigma_k^2 of the second derivative, and whole
-    ways J^+ e would go too far and back for ever (Levenberg and Marquardt). Of a target that goes past beyond the edge, the
-    closest pose goes less far, too.
+    ways J^+ e would go too far and back for ever (Levenberg and Marquardt). The error is that of the tips that a direction moves:
+    an arm that is stretched out does not hold back another. Of a target that goes past beyond the edge, the closest pose goes less
+    far, too. more (m,) is scratch.
     """
-    left = 0.0
-    for r in range(lost.shape[0]):
-        if lost[r] > 0.0:
-            left += mode_part(U, r, e) ** 2
-    more = bend * math.sqrt(left)
-    for r in range(lost.shape[0]):
+    m = lost.shape[0]
+    for r in range(m):
+        more[r] = 0.0
+    for first in range(0, m, 6):
+        tip, left = range(first, min(first + 6, m)), 0.0
+        for c in tip:
+            part = 0.0
+            for r in range(m):
+                if lost[r] > 0.0:
+                    part += mode_part(U, r, e) * U[r, c]
+            left += part * part
+        for r in range(m):
+            for c in tip:
+                more[r] += U[r, c] * U[r, c] * left
+    for r in range(m):
         if lost[r] == 0.0:
-            share = more / (sigma[r] * sigma[r] + more)
+            extra = bend * math.sqrt(more[r])
+            share = extra / (sigma[r] * sigma[r] + extra)
             for vector in (e, ahead, f, pace):
                 part = share * mode_part(U, r, vector)
                 for c in range(vector.shape[0]):

@@ -126,7 +126,7 @@ def feed_back(law, s, limits, count, h, heavy, beyond):
     """Shrink the error fed back, see `hold_back` and `ease`; returns whether limits or half-planes are in its way."""
     n, m = s.J.shape
     if beyond:
-        hold_back(s.U, s.sv, s.lost, heavy, s.e, s.ahead, s.f, s.pace)
+        hold_back(s.U, s.sv, s.lost, heavy, s.e, s.ahead, s.f, s.pace, s.y)
     limited = law.mode != CLIP and law.code >= CA
     for i in range(n):
         limited = limited or limits[3, i] < np.inf
