@@ -366,18 +366,6 @@ def test_less_is_asked_for_beside_a_direction_that_is_out_of_reach():
     np.testing.assert_allclose(asked, wanted, atol=1e-14)
 
 
-def test_what_one_tip_cannot_reach_is_nothing_to_a_direction_of_another():
-    rng = np.random.default_rng(8)
-    U, sigma, lost = np.zeros((12, 12)), rng.uniform(0.2, 1.0, 12), np.zeros(12)
-    U[:6, :6], U[6:, 6:] = (np.linalg.qr(rng.normal(size=(6, 6)))[0] for _ in range(2))
-    lost[3] = 1.0
-    asked = rng.normal(size=(4, 12))  # e, ahead, f, pace
-    more = 0.7 * abs(U[3] @ asked[0])
-    wanted = asked - (np.where(np.arange(12) < 6, more / (sigma**2 + more), 0.0) * (1.0 - lost) * (asked @ U.T)) @ U
-    modes.hold_back(U, sigma, lost, 0.7, *asked, np.empty(12))
-    np.testing.assert_allclose(asked, wanted, atol=1e-14)
-
-
 def test_joints_go_down_what_a_bent_direction_leaves_of_a_slope():
     rng = np.random.default_rng(9)
     Q = np.linalg.qr(rng.normal(size=(5, 5)))[0]
