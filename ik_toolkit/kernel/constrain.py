@@ -43,10 +43,8 @@ from .view import LINE, cut
 
 LEAVE, SLOW, DIRECT = range(3)
 WANTED, MET, SHORT, RELAXED, INEXACT = range(5)
-FULL, CLOCK, ASIDE, EASED, NEAR, SLACK = range(6)  # problems to solve; CLOCK to EASED begin from their own last sets
-SLOWED = (
-    1  # bit 0 of what is known of the last step: it ended with a slower clock; bits 1 to 3: which of these were solved
-)
+FULL, CLOCK, ASIDE, EASED, NEAR, SLACK = range(6)  # problems to solve; CLOCK to NEAR begin from their own last sets
+SLOWED = 1  # bit 0 of what is kept of the last step: it ended with a slower clock; bits 1 to 4: those of them that were solved
 FULL_CLOCK = 1e-6  # share of cap from which on a full clock is tried
 LOOSE = 1e-9  # half-planes are loosened by this much more than the least slack, so that their gap exceeds rounding
 TOUCHING = 1e-9  # of a joint's speed: further from a bound it does not hold
