@@ -13,6 +13,7 @@ import numpy as np
 import pinocchio as pin
 
 from ..kernel.clearance import free_until, levers, rows
+from .forms import hull_of
 
 BUILDING = threading.Lock()  # coal stores a hull on its mesh, which other threads may be using
 THIN = 1e-5  # thickness over size below which a mesh counts as flat: qhull fails at 1e-9
@@ -31,7 +32,7 @@ class Near(NamedTuple):
 
 
 def hulls(geometry: pin.GeometryModel, names: Sequence[str], known: dict[Any, Any]) -> pin.GeometryModel:
-    """Copy of a geometry with each mesh replaced by its convex hull; a flat mesh, which has none, is kept.
+    """Copy of a geometry with each mesh replaced by its convex hull, where it has one, see `hull_of`.
 
     names: of the shapes added to the robot, last in the geometry; known: hulls by index or by such a name, extended by new ones.
     """
@@ -41,9 +42,7 @@ def hulls(geometry: pin.GeometryModel, names: Sequence[str], known: dict[Any, An
         if isinstance(mesh, coal.BVHModelBase) and _thick(mesh.vertices()):
             with BUILDING:
                 if key not in known:
-                    # `buildConvexRepresentation` would use the points as they are, convex or not.
-                    mesh.buildConvexHull(False, "Qt")
-                    known[key] = mesh.convex
+                    known[key] = hull_of(mesh)
                 shape.geometry = known[key]
     return made
 

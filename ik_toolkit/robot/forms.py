@@ -31,9 +31,27 @@ def _form(shape: LinkShape) -> Any:
         return PLAIN[shape.kind](*shape.sizes)
     made = surface(shape.mesh, np.array(shape.sizes))
     if shape.convex:
-        made.buildConvexRepresentation(False)
+        try:
+            made.buildConvexRepresentation(False)
+        except RuntimeError:  # a point with too many neighbours
+            return hull_of(made)
         return made.convex
     return made
+
+
+def hull_of(mesh: Any) -> Any:
+    """The convex hull of a mesh, or the mesh where coal cannot make one: it refuses points with more than 255 neighbours.
+
+    It is that of any points; `buildConvexRepresentation` takes them as they are, convex or not.
+    Faces with many corners are divided into triangles that meet in one of them (Qt), or by moving points by rounding errors (QJ).
+    """
+    for how in ("Qt", "QJ"):
+        try:
+            mesh.buildConvexHull(False, how)
+        except RuntimeError:
+            continue
+        return mesh.convex
+    return mesh
 
 
 def request(margin: float) -> coal.CollisionRequest:

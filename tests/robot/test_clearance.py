@@ -94,6 +94,45 @@ def test_a_flat_mesh_has_no_hull_and_does_no_harm(tmp_path):
     assert near.distance == pytest.approx(exact(model, robot.home)[near.pair], abs=1e-6) and near.distance > 0.1
 
 
+@pytest.mark.parametrize("shape", ["cylinder", "cone"])
+def test_a_mesh_with_many_corners_around_a_face(tmp_path, shape):
+    """coal refuses hulls with more than 255 neighbours of a point: a disc divided from one of its corners, a cone's tip."""
+    turn, corners = np.linspace(0.0, 2.0 * np.pi, 300, endpoint=False), range(300)
+    ring = np.column_stack([0.1 * np.cos(turn), 0.1 * np.sin(turn), 0.0 * turn])
+    ends = [[0.0, 0.0, 0.0], [0.0, 0.0, 0.2]]
+    points = np.vstack([ring, ring + ends[1], ends]) if shape == "cylinder" else np.vstack([ring, ends])
+    top, low = len(points) - 1, len(points) - 2
+    sides = [(k, (k + 1) % 300) for k in corners]
+    faces = [(b, a, low) for a, b in sides]
+    if shape == "cylinder":
+        faces += [(a + 300, b + 300, top) for a, b in sides] + [(a, b, a + 300) for a, b in sides]
+        faces += [(b, b + 300, a + 300) for a, b in sides]
+    else:
+        faces += [(a, b, top) for a, b in sides]
+    lines = ["v {:.9g} {:.9g} {:.9g}".format(*p) for p in points] + [
+        "f {} {} {}".format(*(np.add(f, 1))) for f in faces
+    ]
+    (tmp_path / "post.obj").write_text("\n".join(lines))
+    robot = load("planar_2r")
+    model = ik.CollisionModel(robot).add_mesh(tmp_path / "post.obj", (1.0, 0.9, 0.1), name="post")
+    for q in (robot.home, [0.4, 0.3], [1.2, -0.5]):
+        for near in (near for near in model.distances(q) if "post" in near.pair):
+            assert near.distance == pytest.approx(exact(model, q)[near.pair], abs=1e-5)
+    step = ik.Tracker(robot, q0=[0.4, 0.3], avoid_collisions=model).update(robot.fk([0.5, 0.3]).translation, 0.01)
+    assert np.isfinite(step.q).all()
+    pytest.importorskip("mujoco")  # it takes its meshes for convex
+    joint, geom = '<joint name="j{}" axis="0 0 1" range="-2 2"/>', '<geom type="mesh" mesh="post"/>'
+    bodies = [f'<body name="b{k}" pos="0.4 0 0">{joint.format(k)}{geom}' for k in range(3)]
+    tip = '<site name="tip" pos="0.4 0 0"/>'
+    (tmp_path / "arm.xml").write_text(
+        '<mujoco model="arm"><asset><mesh name="post" file="post.obj"/></asset><worldbody>'
+        f"{''.join(bodies)}{tip}{'</body>' * 3}</worldbody></mujoco>"
+    )
+    arm = ik.Robot.load(tmp_path / "arm.xml", tip="tip")
+    near = ik.CollisionModel(arm).distance(arm.home)
+    assert near.distance == pytest.approx(0.6, abs=1e-4)  # 0.8 m between the axes of two posts of radius 0.1
+
+
 @pytest.mark.parametrize("name", ROBOTS)
 def test_no_pair_comes_closer_than_its_levers_say(name):
     model, rng = model_of(name), np.random.default_rng(2)
