@@ -15,6 +15,13 @@ if TYPE_CHECKING:
 
 SHAPES = ("circle", "line", "eight")
 RADIUS, LENGTH, DURATION = 0.1, 0.2, 10.0  # [m, s] where a path is given in part
+PLACE = {  # options that say where a path is and how large; a file says all that itself
+    "circle": ("radius", "axis", "start"),
+    "eight": ("radius", "axis", "start"),
+    "line": ("length", "axis", "start", "end"),
+    "file": (),
+}
+TIMES = ("duration", "law", "turns")
 AXES = ("1 0 0", "0 1 0", "0 0 1", "-1 0 0", "0 -1 0", "0 0 -1")
 
 
@@ -40,12 +47,15 @@ def _line(reference: "Reference") -> str:
 
 def asked_path(arm: Any, line: SimpleNamespace, q: Any, counts: dict[str, Any]) -> Asked:
     """Path of the options; `q` (n,) is --q0 or None, `counts` what counts of the targets. Raises InvalidOption."""
+    from ..tracking.reachable import freed
     from ..tracking.waypoints import reference_from_file
 
+    _check_fit(line)
     if line.path not in SHAPES:
         if Path(line.path).suffix.lower() not in (".csv", ".npz"):
             raise InvalidOption(f"no path '{line.path}'.{near_match(line.path, SHAPES)} Or give a .csv or .npz file.")
-        return Asked(reference_from_file(line.path), q, "")
+        reference = reference_from_file(line.path)
+        return Asked(freed(reference) if line.position_only and not reference.position_only else reference, q, "")
     if _in_part(line):
         return Asked(_drawn(arm, line, q, counts), arm.home if q is None and line.start is None else q, "")
     from ..tracking.placing import place
@@ -55,6 +65,29 @@ def asked_path(arm: Any, line: SimpleNamespace, q: Any, counts: dict[str, Any]) 
         turns=line.turns_, dt=1.0 / line.rate, tolerance=line.position_tolerance, **counts,
     )  # fmt: skip
     return Asked(placed.reference, placed.q0, placed.words)
+
+
+def _check_fit(line: SimpleNamespace) -> None:
+    """Refuse options that the path does not have, rather than pass over them. Raises InvalidOption."""
+    kind = line.path if line.path in SHAPES else "file"
+    given = [
+        name
+        for name in ("radius", "length", "axis", "start", "end", "duration", "law")
+        if getattr(line, name) is not None
+    ]
+    given += ["turns"] * (line.turns_ != 0.0)
+    fit = PLACE[kind] + (TIMES if kind != "file" else ())
+    if line.end is not None and kind == "line":
+        fit = tuple(name for name in fit if name not in ("length", "axis"))
+    odd = [f"--{name}" for name in given if name not in fit]
+    if odd:
+        what = (
+            "a path from a file"
+            if kind == "file"
+            else f"--path {kind}{' with --end' if line.end and kind == 'line' else ''}"
+        )
+        takes = f"; it takes {', '.join(f'--{name}' for name in fit)}" if fit else ", which says all of it"
+        raise InvalidOption(f"{', '.join(odd)} cannot be used with {what}{takes}")
 
 
 def _in_part(line: SimpleNamespace) -> bool:

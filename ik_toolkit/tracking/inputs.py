@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import InvalidOption, floats, near_match
+from ..errors import InvalidConfiguration, InvalidOption, floats, near_match
 
 LATE = 5.0  # longest step, over the first one, after which limits are still kept; a longer one is taken in parts ...
 MOST_PARTS = 100_000  # ... of which this many take some seconds
@@ -48,3 +48,11 @@ def one_of(value: Any, names: Iterable[str], what: str) -> str:
     if not (isinstance(value, str) and value in names):
         raise InvalidOption(f"no {what} '{value!s:.60}'.{near_match(value, names)}")
     return value
+
+
+def rates(robot: Any, rate0: Any) -> np.ndarray:
+    """Joint rates (n,) at the start [rad/s or m/s]. Raises InvalidConfiguration."""
+    found = robot._values(rate0, "rate0")
+    if not np.isfinite(found).all():
+        raise InvalidConfiguration(f"rate0 must be finite, not {found}")
+    return found

@@ -192,7 +192,7 @@ def explain(robot: Joints, reference: References, q0: Any, **options: Any) -> tu
     if elsewhere is not None:
         works.append(f"from q0 = [{', '.join(f'{x:{DIGITS}}' for x in elsewhere)}]")
     tried = f"; it works {', or '.join(works)}" if works else ""
-    return found, f"The path is {found.message}{tried}."
+    return found, f"{'The path is ' if found.until else 'Of the path, '}{found.message}{tried}."
 
 
 # --------------------------------------------------------------------------------------------------------- samples

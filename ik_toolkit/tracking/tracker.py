@@ -19,7 +19,7 @@ from ..robot.robot import Robot
 from ..robot.tree import Tree
 from ..solvers.avoid import collision_model
 from .engine import bind
-from .inputs import LATE, one_of, parts_of, positive, switch
+from .inputs import LATE, one_of, parts_of, positive, rates, switch
 from .leap import STRAIGHT, Leap
 from .limits import LIMIT_NAMES, changed_limits, limit_rows, speeds
 from .methods import Method
@@ -140,7 +140,7 @@ class Tracker:
     ) -> None:
         """Start again from q0 (default home), with the target's pose and motion at this moment if they are known."""
         q = self.robot.check_q(self.robot.home if q0 is None else q0, "q0")
-        self._begin(q, None if rate0 is None else self.robot.check_q(rate0, "rate0"))
+        self._begin(q, None if rate0 is None else rates(self.robot, rate0))
         if self._touching:
             raise InvalidConfiguration(
                 f"at q0 '{self._touching[0]}' touches '{self._touching[1]}'; start where nothing touches"

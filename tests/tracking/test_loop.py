@@ -5,7 +5,7 @@ import pinocchio as pin
 import pytest
 from references import Q0, panda_reference
 
-from ik_toolkit.errors import InvalidOption, InvalidTarget
+from ik_toolkit.errors import InvalidConfiguration, InvalidOption, InvalidTarget
 from ik_toolkit.robot.robot import Robot
 from ik_toolkit.tracking.methods import make_method
 from ik_toolkit.tracking.step import StepStatus
@@ -206,3 +206,14 @@ def test_a_step_in_another_unit_is_refused_before_anything_changes(panda):
         tracker.update(target, 1e6)
     np.testing.assert_array_equal(tracker.q, q)
     assert tracker.update(target, 60.0).status is StepStatus.OK  # a minute's pause is none
+
+
+def test_fast_rates_at_the_start_are_no_angles(caplog):
+    """99 rad/s was doubted as 15.8 turns."""
+    robot = Robot.load("planar_2r")
+    Tracker(robot, rate0=[99.0, -99.0])
+    assert not caplog.records
+    with pytest.raises(InvalidConfiguration, match="rate0 must be finite"):
+        Tracker(robot, rate0=[np.nan, 0.0])
+    with pytest.raises(InvalidConfiguration, match="rate0 must have 2 values"):
+        Tracker(robot, rate0=[1.0])

@@ -3,6 +3,7 @@
 import json
 
 import numpy as np
+import pinocchio as pin
 import pytest
 from robots import have_data
 
@@ -202,6 +203,45 @@ def test_the_command_places_what_is_not_given(capsys):
     assert "orientation free, from home" in json.loads(capsys.readouterr().out)["path_chosen"]
     assert main(["track", "hydrolek_7w", "--axis", "0", "0", "0"]) == 2
     assert "--axis must not be zero" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("--length 0.1", "--length cannot be used with --path circle; it takes --radius, --axis, --start"),
+        ("--path line --radius 0.1 --turns 1", "--radius cannot be used with --path line; it takes --length"),
+        ("--path eight --end 1 0 0", "--end cannot be used with --path eight"),
+        (
+            "--path line --end 1 0 0 --length 0.1 --axis 0 0 1",
+            "--length, --axis cannot be used with --path line with --end",
+        ),
+        (
+            "--path p.csv --turns 2 --law constant",
+            "--law, --turns cannot be used with a path from a file, which says all of it",
+        ),
+    ],
+)
+def test_options_that_the_path_does_not_have_are_refused(words, said, capsys):
+    """They were passed over: `--length 0.1` alone gave a circle of 0.1 m radius."""
+    assert main(["track", "planar_2r", *words.split()]) == 2
+    assert said in capsys.readouterr().err
+
+
+def test_the_orientation_of_a_path_from_a_file_can_be_left_free(arm, tmp_path, capsys):
+    T = arm.fk(arm.home).homogeneous
+    quat, rows = "{:.9g},{:.9g},{:.9g},{:.9g}".format(*pin.Quaternion(T[:3, :3]).coeffs()), []
+    for k, x in enumerate(np.linspace(0.0, 0.05, 6)):
+        rows.append("{:.9g},{:.9g},{:.9g},{:.9g},".format(float(k), *(T[:3, 3] + (0.0, x, 0.0))) + quat)
+    (tmp_path / "p.csv").write_text("\n".join(["t,x,y,z,qx,qy,qz,qw", *rows]))
+    for more, posed in ([], True), (["--position-only"], False):
+        assert main(["track", "hydrolek_7w", "--path", str(tmp_path / "p.csv"), "--json", *more]) == 0
+        assert ("orientation" in json.loads(capsys.readouterr().out)["figures"]) is posed
+
+
+def test_a_start_out_of_reach_is_said():
+    robot = ik.Robot.load("planar_2r")
+    found, words = explain(robot, ik.line((5.0, 0.0, 0.0), (6.0, 0.0, 0.0), duration=5.0), robot.home)
+    assert found.until == 0 and words.startswith("Of the path, its start is out of reach: ")
 
 
 @DATA
