@@ -36,6 +36,7 @@ from .track_path import Asked, advice, asked_path
 
 if TYPE_CHECKING:
     from ..robot.robot import Robot
+    from ..tracking.reachable import Survey
     from ..tracking.result import TrackResult
 
 PathOption = Annotated[
@@ -234,7 +235,7 @@ def track(
 
         draw(result, arm, file=plot)
         notice(f"wrote {plot}")
-    tried = advice(arm, line, asked, first, result.reach, limits=limits, **counts) if result.reach is not None else []
+    tried = [] if result.reach is None else _changes(arm, line, asked, first, result.reach, counts)
     more = {"path_chosen": asked.words} if asked.words else {"works": tried} if result.reach is not None else {}
     tips_of = {"tips": [*arm.tips]} if arm.by_tip else {"tip": arm.tip}
     write_json({**result.to_dict(), "path": asked.shown, **more, "base": arm.base, **tips_of}, as_json)
@@ -248,8 +249,10 @@ def track(
         raise typer.Exit(1)
 
 
-def _run(arm: Any, line: SimpleNamespace, asked: Asked, counts: dict[str, Any]) -> "TrackResult":
-    """Follow the path; warnings are shown as notices."""
+def _run(
+    arm: Any, line: SimpleNamespace, asked: Asked, counts: dict[str, Any], *, quiet: bool = False
+) -> "TrackResult":
+    """Follow the path; warnings are shown as notices, unless quiet."""
     from ..tracking.track import track as follow
     from ..tracking.verdict import ORIENTATION_TOLERANCE
 
@@ -278,8 +281,20 @@ def _run(arm: Any, line: SimpleNamespace, asked: Asked, counts: dict[str, Any]) 
         )
     with warnings.catch_warnings():
         warnings.simplefilter("always")
-        warnings.showwarning = lambda message, *_: notice(f"warning: {message}")
+        warnings.showwarning = lambda message, *_: None if quiet else notice(f"warning: {message}")
         return follow(**own, **options)
+
+
+def _changes(
+    arm: Any, line: SimpleNamespace, asked: Asked, q: Any, found: "Survey", counts: dict[str, Any]
+) -> list[str]:
+    """Other options with which the robot follows the path, each tried with the rest of the command as it is."""
+
+    def follows(path: Any, q0: Any) -> bool:
+        return _run(arm, line, Asked(path, q0, ""), counts, quiet=True).success
+
+    with progress("trying changes", None):
+        return advice(arm, line, asked, q, found, follows, limits=line.limits, **counts)
 
 
 def _show(result: "TrackResult", arm: "Robot", asked: Asked) -> None:

@@ -1,6 +1,6 @@
 """The path of `ik track`: as the options give it, or placed so that the robot can follow it; and what to try if it cannot."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -156,25 +156,33 @@ def _from_to(T: Any, line: SimpleNamespace) -> "Reference":
     )
 
 
-def advice(arm: Any, line: SimpleNamespace, asked: Asked, q: Any, found: "Survey", **options: Any) -> list[str]:
-    """Options, found by trying, with which the robot reaches all of a path given in part or in a file."""
+def advice(
+    arm: Any, line: SimpleNamespace, asked: Asked, q: Any, found: "Survey", follows: Callable[..., bool], **options: Any
+) -> list[str]:
+    """Options with which the robot follows a path given in part or in a file, each found by trying it.
+
+    follows(reference, q0): whether a run with the other options of the command succeeds.
+    """
     from ..tracking.reachable import other_start, trace
 
+    def drawn(more: dict[str, Any]) -> Any:
+        return _drawn(arm, SimpleNamespace(**{**vars(line), **more}), q, options)
+
     if found.whole:
-        share = found.pace[0]
-        seconds = line.duration or DURATION
-        return [f"--duration {float(f'{1.1 * share * seconds:.2g}'):g}"] if share > 1.0 and line.path in SHAPES else []
-    works = [
-        words
-        for words, more in _ways(line, found)
-        if trace(arm, _drawn(arm, SimpleNamespace(**{**vars(line), **more}), q, options), asked.q0, **options)
-        is not None
-    ]
+        share, seconds = found.pace[0], line.duration or DURATION
+        slower = float(f"{1.1 * share * seconds:.2g}")
+        fits = share > 1.0 and line.path in SHAPES and follows(drawn({"duration": slower}), asked.q0)
+        return [f"--duration {slower:g}"] if fits else []
     one: dict[str, str] = {}  # the largest of several sizes, the first of several axes
-    for words in works:
-        one.setdefault(words.split()[0], words)
+    for words, more in _ways(line, found):
+        name = words.split()[0]
+        if name in one:
+            continue
+        path = drawn(more)
+        if trace(arm, path, asked.q0, **options) is not None and follows(path, asked.q0):
+            one[name] = words
     elsewhere = other_start(arm, asked.reference, **options)
-    if elsewhere is not None:
+    if elsewhere is not None and follows(asked.reference, elsewhere):
         shown = (number(float(x), kind, line.deg) for x, kind in zip(elsewhere, arm.joint_kinds, strict=True))
         one["--q0"] = f"--q0 {' '.join(shown)}"
     return [*one.values()]

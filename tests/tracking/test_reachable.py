@@ -205,6 +205,18 @@ def test_the_command_places_what_is_not_given(capsys):
     assert "--axis must not be zero" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("mode", ["leave", "slow"])
+def test_what_is_said_to_work_does_with_the_same_options(mode, capsys):
+    """A path that can be reached may be too fast for a run that does not slow down."""
+    path = "--path eight --rate 50 --duration 3.2 --axis 0 0 1 --law constant --on-limit".split()
+    assert main(["track", "hydrolek_7w", *path, mode, "--radius", "0.331", "--json"]) == 1
+    works = json.loads(capsys.readouterr().out)["works"]
+    assert any(words.startswith("--radius") for words in works) is (mode == "slow")
+    for words in works:
+        size = [] if words.startswith("--radius") else ["--radius", "0.331"]
+        assert main(["track", "hydrolek_7w", *path, mode, *size, *words.split()]) == 0, words
+
+
 @pytest.mark.parametrize(
     ("words", "said"),
     [
