@@ -163,7 +163,8 @@ def way_along(sigma, b, E, own, side, home, h):
             # the second form where the first is a difference of nearly equal numbers
             y = middle + half if middle * half > 0.0 else -2.0 * E / (b * (middle - half))
     else:
-        y = E / sigma if sigma > ZERO else 0.0
+        D -= 2.0 * FLAT * abs(E)  # as for the largest curvature that counts as zero
+        y = min(max(E / sigma, -sigma / FLAT), sigma / FLAT) if sigma > ZERO else 0.0
         kept *= max(1.0 - h / FADE, 0.0)
     weight = D if D > 0.0 else -0.5 * D  # second derivative there of the squared error
     return (weight * y + LEAST * LEAST * kept) / (weight + LEAST * LEAST), D
@@ -302,8 +303,7 @@ def take_out(J, W, U, V, lost, f, G):
             for i in range(n):
                 for c in range(m):
                     J[i, c] -= W[r, i] * U[r, c]
-    wide = n >= m
-    k = m if wide else n
+    wide, k = n >= m, min(n, m)
     gram(J, m, wide, 0.0, G)
     for r in range(m):
         if lost[r] > 0.0:

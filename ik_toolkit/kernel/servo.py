@@ -135,15 +135,24 @@ def leave_out(J, floor, roof):
 
 
 @inline
-def quieten(law, s, rate, swings, count, h, state):
+def quieten(law, s, rate, swings, h, state):
     """Let joints that swing gain speed gradually.
 
-    Not where a published form is asked for or a clock gives way instead; half-planes of obstacles (count) may need more. Nor near
-    a singular pose once the target is in reach again, for as long as a turn of a swing takes: the tip is to follow at once.
+    Not where a published form is asked for or a clock gives way instead. Nor near a singular pose once the target is in reach
+    again, for as long as a turn of a swing takes: the tip is to follow at once.
     """
-    returned = 1.0 <= state[STATE.near] < 1.0 + SIDE - 0.5 * WINDOW
-    if law.mode != CLIP and law.mode != SLOW and count == 0 and not returned:
+    returned = 1.0 < state[STATE.near] < 1.0 + SIDE - 0.5 * WINDOW
+    if law.mode != CLIP and law.mode != SLOW and not returned:
         calm(rate, s.size, swings, h, s.floor, s.roof, s.why_low, s.why_top)
+
+
+@inner
+def any_of(kept, count):
+    """Whether one of the first half-planes, those of obstacles, holds."""
+    some = False
+    for k in range(count):
+        some = some or kept[k] != 0
+    return some
 
 
 @inner
@@ -234,7 +243,7 @@ def run(step, rows, ends, orders, given, own, samples, out, h, block):
         mu = descend(law, s, limits, h, state) if stuck(law, s, limits, square, h, state) else 0.0
         S[i, 3] = min(max(state[STATE.near], 0.0), 1.0)
         if mu == 0.0:
-            quieten(law, s, rate, swings, int(law.rows), h, state)
+            quieten(law, s, rate, swings, h, state)
             S[i, 3] = wanted(
                 law, rule, task, look, weights, s, counts[1], limits, wish, count, sigma, h, rate, memory, away, basis, state
             )  # fmt: skip
@@ -247,7 +256,8 @@ def run(step, rows, ends, orders, given, own, samples, out, h, block):
             clip_rates(law, s, still, h, memory, C[i])
         else:
             done, held = obey(rule, law, s, count, sigma, mu, h, state, work, active, kept, starts, C[i])
-            watch(swings, mu > 0.0 or state[STATE.near] > 0.0, s.before, s.x, s.size, h)
+            held_off = any_of(kept, int(law.rows))
+            watch(swings, mu > 0.0 or state[STATE.near] > 0.0 or held_off, s.before, s.x, s.size, h)
             if held and mu == 0.0:
                 own_up(law, h, ratio, s.w, s.x, s.lead, sigma - done, memory)
         if law.mode == SLOW:

@@ -16,6 +16,9 @@ from ..kernel.clearance import free_until, levers, rows
 from .forms import hull_of
 
 BUILDING = threading.Lock()  # coal stores a hull on its mesh, which other threads may be using
+# Nearest points of a pair leap from one end of an edge to the other. Those found before are kept: as many as an edge of a box can
+# have on a face, and some; as long as they are nearly the nearest; one of those this close to each other.
+CORNERS, NEARBY, APART = 4, 0.03, 0.01  # -, m, m
 THIN = 1e-5  # thickness over size below which a mesh counts as flat: qhull fails at 1e-9
 
 
@@ -93,6 +96,7 @@ class Clearance:
             [self._surface[k] and self._hull_distance(k) <= self.margins[k] for k in range(len(pairs))], dtype=bool
         )
         self.home = self.distances()
+        self._corners, self._held = np.zeros((len(pairs), CORNERS, 2, 3)), np.zeros((len(pairs), CORNERS), dtype=bool)
 
     def _joints(self, shapes: Any) -> None:
         """Find which joint moves which shape, and where each shape lies on its link."""
@@ -186,8 +190,8 @@ class Clearance:
 
     def _locate(self) -> None:
         """Centres of the shapes (root axes)."""
-        at = np.array([M.homogeneous for M in self._frames])
-        self._at = np.ascontiguousarray((at[self._owner] @ self._middle[:, :, None])[:, :3, 0])
+        self._placements = np.array([M.homogeneous for M in self._frames])[self._owner]
+        self._at = np.ascontiguousarray((self._placements @ self._middle[:, :, None])[:, :3, 0])
 
     # ------------------------------------------------------------------------------------------------ motion
     def move(self) -> None:
@@ -206,9 +210,39 @@ class Clearance:
         levers(*joints, self.a, self.b, self.by_a, self.by_b, way, out, spread)
         return out, spread
 
-    def rows(self, ks: np.ndarray, gap: np.ndarray, rate: np.ndarray, *rest: Any) -> int:
-        """Half-planes of pairs ks (K,) as in `kernel.clearance.rows`, from the last measured distances."""
-        return rows(self._V, self.coordinates, self.by_a, self.by_b, ks, self.points(ks), gap, rate, *rest)
+    def forget(self) -> None:
+        """Forget the nearest points found before."""
+        self._held[:] = False
+
+    def facing(self, ks: np.ndarray, distances: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Nearest points of pairs ks (K,), their distances [m] known, and points that were nearest before and nearly still are.
+
+        Returns pairs (R,), points (R, 2, 3) (root axes) and distances (R,) [m], the nearest first; after `move`.
+        """
+        points, each = self.points(ks), np.arange(len(ks))
+        at = self._placements[np.stack([self.a[ks], self.b[ks]], axis=1)]  # (K, 2, 4, 4)
+        turn, origin = at[..., :3, :3], at[..., :3, 3]
+        own = ((points - origin)[..., None, :] @ turn)[..., 0, :]
+        known = self._corners[ks]
+        before = (turn[:, None] @ known[..., None])[..., 0] + origin[:, None]
+        gaps = np.linalg.norm(before[:, :, 1] - before[:, :, 0], axis=2)
+        # Where a corner slides along a face, only the point on the face is another one.
+        same = (np.linalg.norm(known - own[:, None], axis=3) < APART).any(axis=2)
+        held = self._held[ks] & ~same & (gaps < distances[:, None] + NEARBY)
+        new = np.argmax(np.where(held, gaps, np.inf), axis=1)
+        held[each, new] = False
+        pair, corner = np.nonzero(held)
+        held[each, new], self._corners[ks, new] = True, own
+        self._held[ks] = held
+        return (
+            np.concatenate([ks, ks[pair]]),
+            np.concatenate([points, before[pair, corner]]),
+            np.concatenate([distances, gaps[pair, corner]]),
+        )
+
+    def rows(self, ks: np.ndarray, points: np.ndarray, gap: np.ndarray, rate: np.ndarray, *rest: Any) -> int:
+        """Half-planes of pairs ks (K,) as in `kernel.clearance.rows`."""
+        return rows(self._V, self.coordinates, self.by_a, self.by_b, ks, points, gap, rate, *rest)
 
     def free_until(self, ks: np.ndarray, distances: np.ndarray, *rest: Any) -> np.ndarray:
         """How far (K,) pairs ks are certainly free, as in `kernel.clearance.free_until`, from their last measurement."""

@@ -64,6 +64,7 @@ class Guard:
         """Begin at q (n,); returns the names of a pair that touches there, or None."""
         if self._version != self.model.version:  # something was added, moved or removed
             self._bind()
+        self._space.forget()
         self._space.place(q)
         self._low = self._space.distances() - self._space.margins  # lower bounds of the gaps (P,) at q
         self._fresh = np.ones(len(self._low), dtype=bool)  # which of them are measured there
@@ -96,9 +97,10 @@ class Guard:
         ks = ks[(self._low[ks] < reach[ks]) & (self._low[ks] > CONTACT)]
         if not len(ks):
             return 0
-        gap = self._low[ks] - self._keep[ks]
+        ks, points, distances = space.facing(ks, self._low[ks] + space.margins[ks])
+        gap = distances - space.margins[ks] - self._keep[ks]
         rules = self.limits[3], SPEED / (INFLUENCE - KEEP), h, SHARE, FLAT
-        count = space.rows(ks, gap, rate, *rules, self.A, self.b, self._order)
+        count = space.rows(ks, points, gap, rate, *rules, self.A, self.b, self._order)
         self.pairs = [space.name(k) for k in ks[self._order[:count]].tolist()]
         return count
 

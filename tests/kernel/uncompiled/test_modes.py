@@ -75,12 +75,17 @@ def test_the_way_along_a_mode_solves_its_quadratic():
             assert y == pytest.approx((D * root + least * own) / (D + least), rel=1e-9, abs=1e-12)
         else:  # the vertex is as near as it gets
             assert y == pytest.approx((-0.5 * D * middle + least * own) / (-0.5 * D + least), rel=1e-9, abs=1e-12)
+    flat = 0.04 - 2.0 * modes.FLAT * 0.03
     y, D = modes.way_along(0.2, 0.0, 0.03, 0.4, 1.0, False, 0.01)
-    assert D == pytest.approx(0.04) and y == pytest.approx((0.04 * 0.15 + least * 0.4 * 0.9) / (0.04 + least))
-    y, D = modes.way_along(0.0, 0.0, 0.03, 0.4, 1.0, False, 0.01)
+    assert D == pytest.approx(flat) and y == pytest.approx((flat * 0.15 + least * 0.4 * 0.9) / (flat + least))
+    y, D = modes.way_along(
+        1e-4, 0.0, 0.03, 0.0, 1.0, False, 0.01
+    )  # what it moves by is next to nothing: no way to go fast
+    assert D < 0.0 and 0.0 < y < 1e-4 / modes.FLAT
+    y, D = modes.way_along(0.0, 0.0, 0.0, 0.4, 1.0, False, 0.01)
     assert D == 0.0 and y == pytest.approx(0.36)
     assert modes.way_along(0.0, 0.0, 0.03, 0.4, 1.0, False, 0.2)[0] == 0.0
-    assert modes.way_along(0.2, 0.9e-3, 0.03, 0.0, 0.0, False, 0.01)[1] == pytest.approx(0.04)
+    assert modes.way_along(0.2, 0.9e-3, 0.03, 0.0, 0.0, False, 0.01)[1] == pytest.approx(flat)
 
 
 @pytest.mark.parametrize("n", [4, 7])
