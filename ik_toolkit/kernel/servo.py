@@ -256,8 +256,7 @@ def run(step, rows, ends, orders, given, own, samples, out, h, block):
             clip_rates(law, s, still, h, memory, C[i])
         else:
             done, held = obey(rule, law, s, count, sigma, mu, h, state, work, active, kept, starts, C[i])
-            held_off = any_of(kept, int(law.rows))
-            watch(swings, mu > 0.0 or state[STATE.near] > 0.0 or held_off, s.before, s.x, s.size, h)
+            watch(swings, mu > 0.0 or state[STATE.near] > 0.0 or any_of(kept, int(law.rows)), s.before, s.x, s.size, h)
             if held and mu == 0.0:
                 own_up(law, h, ratio, s.w, s.x, s.lead, sigma - done, memory)
         if law.mode == SLOW:

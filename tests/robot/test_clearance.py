@@ -167,7 +167,9 @@ def test_rows_are_how_distances_change(name):
         space.move()
         A, b, order = np.zeros((len(ks), n)), np.zeros(len(ks)), np.zeros(len(ks), dtype=int)
         step = 1e-5 * rng.normal(size=n)
-        count = space.rows(ks, d[ks], np.zeros(n), np.full(n, np.inf), 1.0, 0.01, 0.1, 1e-9, A, b, order)
+        count = space.rows(
+            ks, space.points(ks), d[ks], np.zeros(n), np.full(n, np.inf), 1.0, 0.01, 0.1, 1e-9, A, b, order
+        )
         assert np.allclose(b[:count], d[ks][order[:count]])
         space.place(q + step)
         there = np.array([space.distance(k) for k in ks[order[:count]].tolist()])

@@ -1,7 +1,6 @@
 """Obstacles: for any requested rates, nothing static is touched, and the arm comes to rest inside its limits."""
 
 import numpy as np
-import pinocchio as pin
 import pytest
 from robots import have_data, load
 
@@ -253,35 +252,6 @@ def test_a_target_in_a_box_is_not_reached(name, method):
     assert min(near.distance for near in left if "box" in near.pair) < 0.03  # it went as near as is kept
     away = dragged(robot, model, steps[-1].q, [T.translation] * 80, method=method)
     assert away[-1].position_error < 1e-3
-
-
-def turns_back(Q, dt, limits):
-    """How often a joint of Q (N, n) turns back, both ways faster than 5 % of its limit."""
-    rate = np.diff(Q, axis=0) / dt
-    rate = np.where(np.abs(rate) > 0.05 * limits, np.sign(rate), 0.0)
-    moves = [rate[rate[:, joint] != 0.0, joint] for joint in range(rate.shape[1])]
-    return sum(int((np.diff(signs) != 0.0).sum()) for signs in moves)
-
-
-@pytest.mark.skipif(not have_data(), reason="needs example-robot-data")
-@pytest.mark.parametrize(("name", "seed"), [("panda", 6), ("ur5", 1)])
-def test_joints_do_not_swing_before_a_box(name, seed):
-    """The nearest points of an edge along a face leap from end to end: joints turned back in every sample."""
-    robot, rng = load(name), np.random.default_rng(seed)
-    free = False
-    while not free:
-        q0, q1 = robot.random_q(rng), robot.random_q(rng)
-        begin, end = (pin.SE3(robot.fk(q).homogeneous) for q in (q0, q1))
-        size = (0.3 * robot.reach,) * 3 if seed % 2 else tuple(robot.reach * rng.uniform(0.1, 0.6, 3))
-        place = end.translation if seed % 2 else end.homogeneous
-        model = ik.CollisionModel(robot).add_box(size, place, "box")
-        free = not model.collides(q0)
-    tracker, Q = ik.Tracker(robot, q0=q0, avoid_collisions=model), [q0]
-    for k in range(500):
-        target = pin.SE3.Interpolate(begin, end, min(k / 200, 1.0))
-        target.translation += [0.02 * np.sin(0.01 * k), 0.0, 0.0]
-        Q.append(tracker.update(target.homogeneous if seed % 3 else target.translation, 0.01).q)
-    assert turns_back(np.array(Q), 0.01, robot.velocity_limits) < 150
 
 
 def test_what_stands_before_a_wall_is_blocked_by_it():
