@@ -16,8 +16,8 @@ from ..kernel.clearance import free_until, levers, rows
 from .forms import hull_of
 
 BUILDING = threading.Lock()  # coal stores a hull on its mesh, which other threads may be using
-# Nearest points of a pair leap from one end of an edge to the other. Those found before are kept: as many as an edge of a box can
-# have on a face, and some; as long as they are nearly the nearest; one of those this close to each other.
+# The nearest points of a pair leap from one end of an edge to the other, so those found before are kept: at most CORNERS (the two
+# ends of an edge and two to spare), while they are less than NEARBY from being the nearest, and one of those within APART.
 CORNERS, NEARBY, APART = 4, 0.03, 0.01  # -, m, m
 THIN = 1e-5  # thickness over size below which a mesh counts as flat: qhull fails at 1e-9
 
