@@ -217,7 +217,7 @@ class Clearance:
     def facing(self, ks: np.ndarray, distances: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Nearest points of pairs ks (K,), their distances [m] known, and points that were nearest before and nearly still are.
 
-        Returns pairs (R,), points (R, 2, 3) (root axes) and distances (R,) [m], the nearest first; after `move`.
+        Returns pairs (R,), points (R, 2, 3) (root axes) and distances (R,) [m]: first those of ks, then those before; after `move`.
         """
         points, each = self.points(ks), np.arange(len(ks))
         at = self._placements[np.stack([self.a[ks], self.b[ks]], axis=1)]  # (K, 2, 4, 4)

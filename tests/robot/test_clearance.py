@@ -9,7 +9,7 @@ from robots import BALLS_MIMIC, have_data, load
 import ik_toolkit as ik
 from ik_toolkit.kernel.brake import along, brake
 from ik_toolkit.kernel.clearance import free_until
-from ik_toolkit.robot.clearance import Clearance
+from ik_toolkit.robot.clearance import APART, CORNERS, NEARBY, Clearance
 
 ROBOTS = ["hydrolek_7w", "mimic", "two_arms", *(["panda", "ur5"] if have_data() else [])]
 
@@ -182,6 +182,42 @@ def test_rows_are_how_distances_change(name):
         assert np.median(off) < 0.02 and np.mean(off < 0.1) > 0.8
         checked += count
     assert checked > 20
+
+
+def facing(space, q, within=1.0):
+    """Pairs that are near at q, their distances, and what faces what."""
+    space.place(q)
+    d = space.distances()
+    ks = np.flatnonzero((d > 0.0) & (d < within))
+    d = np.array([space.distance(k) for k in ks.tolist()])
+    space.near(q, within)  # places the middles of the shapes
+    space.move()
+    return ks, d, space.facing(ks, d)
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_points_that_were_nearest_are_kept_while_they_nearly_are(name):
+    model, rng = model_of(name), np.random.default_rng(5)
+    robot, space = model.robot, Clearance(model)
+    kept = 0
+    for start in [robot.random_q(rng) for _ in range(6)]:
+        space.forget()
+        for turn in range(12):
+            ks, d, (pairs, points, gaps) = facing(space, start + 0.03 * rng.normal(size=robot.n))
+            now = len(ks)
+            assert np.array_equal(pairs[:now], ks) and np.array_equal(gaps[:now], d)
+            assert np.allclose(points[:now], space.points(ks))
+            assert turn > 0 or len(pairs) == now  # after `forget` there is nothing to keep
+            least = dict(zip(ks.tolist(), d, strict=True))
+            for k, ends, gap in zip(pairs[now:].tolist(), points[now:], gaps[now:], strict=True):
+                assert gap < least[k] + NEARBY
+                # Points of both hulls: no nearer than the nearest, but for how well coal knows that.
+                assert gap > least[k] - 1e-4 or space._on_surface[k]
+                assert abs(np.linalg.norm(ends[1] - ends[0]) - gap) < 1e-12
+                assert np.linalg.norm(ends - points[ks.tolist().index(k)], axis=1).max() > 0.99 * APART
+            assert np.bincount(pairs).max(initial=0) <= CORNERS
+            kept += len(pairs) - now
+    assert kept > (0 if name != "mimic" else -1)  # of balls one point is the nearest
 
 
 @pytest.mark.parametrize("gamma", [1.0, 0.5])
