@@ -228,7 +228,8 @@ class Clearance:
         gaps = np.linalg.norm(before[:, :, 1] - before[:, :, 0], axis=2)
         # Where a corner slides along a face, only the point on the face is another one.
         same = (np.linalg.norm(known - own[:, None], axis=3) < APART).any(axis=2)
-        held = self._held[ks] & ~same & (gaps < distances[:, None] + NEARBY)
+        hull = ~self._on_surface[ks][:, None]  # points kept of hulls, which may meet, are none of the exact shapes
+        held = self._held[ks] & hull & ~same & (gaps < distances[:, None] + NEARBY)
         new = np.argmax(np.where(held, gaps, np.inf), axis=1)
         held[each, new] = False
         pair, corner = np.nonzero(held)

@@ -195,7 +195,7 @@ def facing(space, q, within=1.0):
     return ks, d, space.facing(ks, d)
 
 
-@pytest.mark.parametrize("name", ROBOTS)
+@pytest.mark.parametrize("name", [name for name in ROBOTS if name != "mimic"])  # of balls one point is the nearest
 def test_points_that_were_nearest_are_kept_while_they_nearly_are(name):
     model, rng = model_of(name), np.random.default_rng(5)
     robot, space = model.robot, Clearance(model)
@@ -212,12 +212,12 @@ def test_points_that_were_nearest_are_kept_while_they_nearly_are(name):
             for k, ends, gap in zip(pairs[now:].tolist(), points[now:], gaps[now:], strict=True):
                 assert gap < least[k] + NEARBY
                 # Points of both hulls: no nearer than the nearest, but for how well coal knows that.
-                assert gap > least[k] - 1e-4 or space._on_surface[k]
+                assert gap > least[k] - 1e-4 and not space._on_surface[k]
                 assert abs(np.linalg.norm(ends[1] - ends[0]) - gap) < 1e-12
                 assert np.linalg.norm(ends - points[ks.tolist().index(k)], axis=1).max() > 0.99 * APART
             assert np.bincount(pairs).max(initial=0) <= CORNERS
             kept += len(pairs) - now
-    assert kept > (0 if name != "mimic" else -1)  # of balls one point is the nearest
+    assert kept > 0
 
 
 @pytest.mark.parametrize("gamma", [1.0, 0.5])

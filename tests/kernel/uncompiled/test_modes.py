@@ -78,9 +78,8 @@ def test_the_way_along_a_mode_solves_its_quadratic():
     flat = 0.04 - 2.0 * modes.FLAT * 0.03
     y, D = modes.way_along(0.2, 0.0, 0.03, 0.4, 1.0, False, 0.01)
     assert D == pytest.approx(flat) and y == pytest.approx((flat * 0.15 + least * 0.4 * 0.9) / (flat + least))
-    y, D = modes.way_along(
-        1e-4, 0.0, 0.03, 0.0, 1.0, False, 0.01
-    )  # what it moves by is next to nothing: no way to go fast
+    # What it moves the tip by is next to nothing: no way to go fast.
+    y, D = modes.way_along(1e-4, 0.0, 0.03, 0.0, 1.0, False, 0.01)
     assert D < 0.0 and 0.0 < y < 1e-4 / modes.FLAT
     y, D = modes.way_along(0.0, 0.0, 0.0, 0.4, 1.0, False, 0.01)
     assert D == 0.0 and y == pytest.approx(0.36)
