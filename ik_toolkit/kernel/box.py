@@ -27,11 +27,12 @@ SPARE = 1e-13  # share of the remaining distance kept as a margin: braking over 
 NOISE = 1e-12  # [rad, or reaches] by which a state may violate viability before it counts as recovering
 UNLIMITED = 1.0  # speed of a joint without a limit [rad/s, or reaches/s], where one is needed for comparison
 SHARE = 0.1  # of the speed limit (or of 1 rad/s, 1 reach/s) at which a joint outside its limits comes back
-SWING = 0.05  # of its speed limit, before or after, above which a joint that turns back may swing
-SWINGING = 3.0  # turns in a row that make it a swing: a single pass through a singular pose may take two
-WINDOW, HOLD = 0.1, 0.2  # [s] without a turn that end a row, and a swing
-# [1/s] by which joints that swing gain speed, as a share of their speed: for what counts as a turn they need half of WINDOW.
-CALM = 1.0
+SWING = 0.05  # of its speed limit, beyond which a joint moves at speed, to one side or the other
+# Turns from one side to the other that make a swing, when less than WINDOW [s] apart; it ends after HOLD [s] without one. Of four
+# turns within 0.1 s, which are chatter, two are less than WINDOW apart, and the next ones take WINDOW each:
+SWINGING = 2.0
+WINDOW, HOLD = 0.05, 0.1
+CALM, GROWTH = 0.75, 10.0  # [1/s] by which joints that swing gain speed, in shares of their limit and of their speed
 
 
 @shared
@@ -136,12 +137,16 @@ def boxes(q, rate, limits, gamma, h, late, low, top, why_low, why_top):
 
 
 @dual
-def watch(swings, singular, before, x, size, h):
-    """Count how often in a row each joint turns back at speed, from a turn near a singular pose on, see `calm`."""
+def watch(swings, rate, x, size, gamma, h):
+    """Count how often in a row each joint turns back at speed, that of its move in a step from rate to x, see `calm`."""
     for i in range(x.shape[0]):
         swings[1, i] += h
-        turned = before[i] * x[i] < 0.0 and max(abs(before[i]), abs(x[i])) > SWING * size[i]
-        if turned and (singular or swings[0, i] > 0.0):
+        v = (1.0 - gamma) * rate[i] + gamma * x[i]
+        side = 0.0 if abs(v) <= SWING * size[i] else 1.0 if v > 0.0 else -1.0
+        turned = side * swings[2, i] < 0.0
+        if side != 0.0:
+            swings[2, i] = side
+        if turned:
             swings[0, i] += 1.0
             swings[1, i] = 0.0
         elif swings[1, i] > (WINDOW if swings[0, i] < SWINGING else HOLD):
@@ -160,12 +165,12 @@ def narrow(i, least, most, low, top, why_low, why_top):
 
 @dual
 def calm(rate, size, swings, h, low, top, why_low, why_top):
-    """Narrow the box (in place) of joints that swing to rates gained gradually; braking is free."""
+    """Narrow the box (in place) of joints that swing to rates gained gradually, from rest on after a turn; braking is free."""
     for i in range(rate.shape[0]):
         if swings[0, i] < SWINGING:
             continue
-        gain = CALM * size[i] * h
-        narrow(i, min(rate[i], 0.0) - gain, max(rate[i], 0.0) + gain, low, top, why_low, why_top)
+        gain, more = CALM * size[i] * h, 1.0 + GROWTH * h
+        narrow(i, more * min(rate[i], 0.0) - gain, more * max(rate[i], 0.0) + gain, low, top, why_low, why_top)
 
 
 @dual

@@ -48,6 +48,7 @@ class State(NamedTuple):
     nearest: int  # weighted error from which it has to come down
     stalled: int  # [s] for which limits or a singular pose have kept it from that; in a step down, since it last did
     turned: int  # how often the joints have turned back meanwhile
+    free: int  # [s] since limits, half-planes or a singular pose have hindered the joints
     pressed: int  # [s] for which errors beyond their slack are closed like others, as half-planes could not be kept
 
 

@@ -17,12 +17,11 @@ from typing import Any
 import numpy as np
 
 from .bench import bench_on, bench_space
-from .box import HELD, UNLIMITED, WINDOW, approach, boxes, calm, clip, move, watch, way_to
+from .box import HELD, HOLD, UNLIMITED, approach, boxes, calm, clip, move, watch, way_to
 from .clock import MAKE_UP, QUICK, SPARE, WHOLE, clock_at, next_rate, reference, to_go, too_far
 from .constrain import SLOW, room_on, room_space
 from .descent import descend, notice, stuck
 from .jit import cached, inline, inner
-from .modes import SIDE
 from .motion import CLIP, GIVEN, MOVING, READY, RUNNING, STATE, Law, apply, factor, own_up, settle
 from .obey import judge, obey, pacing
 from .records import HEAD, TASK, Orders, copy, read
@@ -136,23 +135,16 @@ def leave_out(J, floor, roof):
 
 @inline
 def quieten(law, s, rate, swings, h, state):
-    """Let joints that swing gain speed gradually.
-
-    Not where a published form is asked for or a clock gives way instead. Nor near a singular pose once the target is in reach
-    again, for as long as a turn of a swing takes: the tip is to follow at once.
-    """
-    returned = 1.0 < state[STATE.near] < 1.0 + SIDE - 0.5 * WINDOW
-    if law.mode != CLIP and law.mode != SLOW and not returned:
+    """Let joints that swing gain speed gradually where something hinders them; what a target alone asks for is no swing."""
+    if law.mode != CLIP and state[STATE.free] < HOLD:
         calm(rate, s.size, swings, h, s.floor, s.roof, s.why_low, s.why_top)
 
 
-@inner
-def any_of(kept, count):
-    """Whether one of the first half-planes, those of obstacles, holds."""
-    some = False
-    for k in range(count):
-        some = some or kept[k] != 0
-    return some
+@inline
+def look_on(law, s, held, swings, h, state):
+    """Look at a step from the rates s.before to s.x: whether joints turn back, and what hinders them."""
+    watch(swings, s.before, s.x, s.size, law.gamma, h)
+    state[STATE.free] = 0.0 if held or state[STATE.near] > 0.0 else state[STATE.free] + h
 
 
 @inner
@@ -256,7 +248,7 @@ def run(step, rows, ends, orders, given, own, samples, out, h, block):
             clip_rates(law, s, still, h, memory, C[i])
         else:
             done, held = obey(rule, law, s, count, sigma, mu, h, state, work, active, kept, starts, C[i])
-            watch(swings, mu > 0.0 or state[STATE.near] > 0.0 or any_of(kept, int(law.rows)), s.before, s.x, s.size, h)
+            look_on(law, s, held, swings, h, state)
             if held and mu == 0.0:
                 own_up(law, h, ratio, s.w, s.x, s.lead, sigma - done, memory)
         if law.mode == SLOW:

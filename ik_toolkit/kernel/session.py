@@ -39,7 +39,9 @@ class Carried(NamedTuple):
     block: Array
     motion: Array  # (2, n) joints and their rates
     memory: Array  # of the method, or the rule
-    swings: Array  # (2, n) how often in a row each joint turned back, for how long it has not [s]
+    swings: (
+        Array  # (3, n) how often in a row each joint turned back, for how long it has not [s], its side, see `watch`
+    )
     away: Array  # (n,) where joints go from a pose in which they are straight
     basis: Array  # (m, m) directions of the task at the last singular pose, zeros before one, see modes.py
     state: Array  # a `State`
@@ -80,7 +82,7 @@ def settings_shapes(n, m, rows):
 @shared
 def carried_shapes(n, memory, rows, m):
     """Shapes of `Carried`; bytes in whole numbers of eight."""
-    return (2, n), memory, (2, n), n, (m, m), STATES, (n + 7) // 8, (rows + 7) // 8, (4 * (n + rows) + 7) // 8
+    return (2, n), memory, (3, n), n, (m, m), STATES, (n + 7) // 8, (rows + 7) // 8, (4 * (n + rows) + 7) // 8
 
 
 @shared

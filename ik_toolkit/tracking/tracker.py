@@ -157,6 +157,7 @@ class Tracker:
         unit = self.robot.chain.unit
         self._q[:] = q / unit
         self._rate[:] = 0.0 if rate is None else rate / unit
+        self._carried.swings[:] = 0.0
         self._forget(motion.GIVEN if rate is not None or self._at_rest else motion.MOVING)
         for way in self._ways:
             way.begin()
@@ -166,11 +167,11 @@ class Tracker:
         self._touching = self._guard.restart(q) if self._guard else None
 
     def _forget(self, start: int) -> None:
-        """Forget what was done before, but where the joints are and how they move; start: how the next step begins."""
+        """Forget what was done before, but where the joints are and how they move and swing; start: how the next step begins."""
         own = self._carried
-        joints = own.motion.copy()
+        joints, swings = own.motion.copy(), own.swings.copy()
         own.block[LINE:] = 0.0
-        own.motion[:] = joints
+        own.motion[:], own.swings[:] = joints, swings
         own.state[motion.STATE.start] = start
         self.secondary.side(own.away)
 
@@ -384,7 +385,7 @@ class Tracker:
             return done
         self.put_back(before)
         self._carried.motion[:] = guard.instead(q, rate, next_rate, h) / self._units
-        self._carried.memory[:], self._carried.swings[:] = 0.0, 0.0
+        self._carried.memory[:] = 0.0
         self._state[motion.STATE.start] = motion.READY
         self._state[motion.STATE.sigma] = max(self._state[motion.STATE.sigma] - QUICK * h, 0.0)
         self._between = guard.blocked

@@ -10,7 +10,7 @@ from random_arms import make_levels, orders, task
 from ik_toolkit.kernel import constrain as constrain_module
 from ik_toolkit.kernel import levels, motion, obey, qp, wanted
 from ik_toolkit.kernel.bench import bench_on, bench_space
-from ik_toolkit.kernel.box import CALM, CALMED, RECOVERING, ROW, SWINGING, calm, watch
+from ik_toolkit.kernel.box import RECOVERING, ROW
 from ik_toolkit.kernel.constrain import DIRECT, LEAVE, SLOW, SLOWED, constrain, make_room, room_on, room_space
 from ik_toolkit.kernel.motion import AA, AT_RATE_AND_STEP, AV, CA, CV, RUNNING, STATE, Law
 from ik_toolkit.kernel.problem import make_desk
@@ -335,46 +335,3 @@ def test_signs_and_shares_of_multipliers():
     assert qp.violated(P, V, S, state, 2, 1) == (1, 1)
     V[levels.Y] = [0.5, 3e-12]
     assert qp.violated(P, V, S, state, 2, 1) == (1, 1)
-
-
-def test_joints_that_turn_back_often_swing():
-    swings, size = np.zeros((2, 2)), np.array([1.0, 2.0])
-
-    def turned(before, x, singular=True, h=0.01):
-        watch(swings, singular, np.array(before), np.array(x), size, h)
-        return swings[0].tolist()
-
-    assert turned([0.06, 0.0], [0.06, 0.0]) == [0.0, 0.0]
-    assert turned([0.06, 0.0], [-0.06, 0.0], singular=False) == [0.0, 0.0], "elsewhere the target may want it"
-    assert turned([0.04, -0.1], [-0.04, 0.1]) == turned([0.0, 0.09], [0.0, 1.0]) == [0.0, 0.0], "slow, or no turn"
-    assert turned([0.04, 0.0], [-0.06, 0.0]) == turned([0.0, 0.0], [0.0, 0.0]) == [1.0, 0.0]
-    assert turned([0.2, -0.11], [-0.2, 0.01], singular=False) == [2.0, 0.0], "a row goes on where it does not begin"
-    for _ in range(9):
-        turned([0.0, 0.0], [0.0, 0.0])
-    assert turned([0.0, -0.11], [0.0, 0.01]) == [2.0, 1.0]
-    assert turned([0.0, 0.0], [0.0, 0.0]) == [0.0, 1.0], "each row ends by itself"
-    for k in range(3):
-        assert turned([1.0, 0.0], [-1.0, 0.0])[0] == k + 1.0
-    assert turned([1.0, 0.0], [1.0, 0.0], h=0.19)[0] == SWINGING
-    assert turned([1.0, 0.0], [1.0, 0.0], h=0.02)[0] == 0.0, "a swing ends later"
-
-
-def test_a_calm_box_is_a_part_of_the_box():
-    rng = np.random.default_rng(4)
-    for _ in range(500):
-        rate, size, h = rng.uniform(-1.0, 1.0, 4), rng.uniform(0.1, 30.0, 4), 0.01
-        low = rng.uniform(-1.0, 1.0, 4)
-        top = low + np.maximum(rng.uniform(-0.2, 1.0, 4), 0.0)
-        floor, roof, why = low.copy(), top.copy(), rng.choice([1, 2, 4, 1 | RECOVERING], (2, 4)).astype(np.uint8)
-        swings = np.array([rng.integers(0, 5, 4), np.zeros(4)])
-        code, gain = why.copy(), np.where(swings[0] < SWINGING, np.inf, CALM * size * h)
-        calm(rate, size, swings, h, floor, roof, code[0], code[1])
-        for least in (rate, 0.0 * rate):  # what changes least, and rest
-            near = np.clip(least, low, top)
-            assert (floor <= near).all() and (near <= roof).all()
-        assert np.allclose(floor, np.clip(np.minimum(rate, 0.0) - gain, low, top), atol=1e-15)
-        assert np.allclose(roof, np.clip(np.maximum(rate, 0.0) + gain, low, top), atol=1e-15)
-        for side, moved in ((0, floor > low), (1, roof < top)):
-            assert ((code[side] & CALMED) > 0).tolist() == moved.tolist()
-            assert (code[side][~moved] == why[side][~moved]).all()
-            assert ((code[side] & RECOVERING) == (why[side] & RECOVERING)).all()

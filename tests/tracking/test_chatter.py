@@ -1,0 +1,76 @@
+"""No chatter: no joint turns back more than three times in a tenth of a second at 5 % of its speed limit or more."""
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from robots import have_data, load
+
+import ik_toolkit as ik
+
+DT = 0.01  # s
+
+
+def chatter(Q, limits):
+    """Stretches of less than 0.1 s in which a joint of Q (N, n) turns back four times."""
+    rate, count = np.diff(Q, axis=0) / DT / limits, 0
+    for one in rate.T:
+        fast = np.flatnonzero(np.abs(one) > 0.05)
+        turns = fast[1:][np.diff(np.sign(one[fast])) != 0.0]
+        count += int((turns[3:] - turns[:-3] < round(0.1 / DT)).sum())
+    return count
+
+
+def stream(robot, seed, place):
+    """Targets (400, 3) around a place, in reaches from the base, and a start: slow swings of up to a quarter of the reach."""
+    rng = np.random.default_rng(seed)
+    q0 = robot.random_q(rng)
+    start, way = robot.fk(q0).translation, rng.normal(size=3)
+    size, tempo, phase = rng.choice([0.03, 0.1, 0.25]), rng.uniform(0.1, 1.5, 3), rng.uniform(0.0, 2.0 * np.pi, 3)
+    t = DT * np.arange(400)[:, None]
+    share = np.minimum(t, 1.0) ** 2 * (3.0 - 2.0 * np.minimum(t, 1.0))
+    swings = size * robot.reach * share * np.sin(2.0 * np.pi * tempo * t + phase)
+    return q0, start + share * (place * robot.reach * way / np.linalg.norm(way) - start) + swings
+
+
+@pytest.mark.parametrize("method", ["cv", "aad"])
+@pytest.mark.parametrize("name", ["hydrolek_7w", "inspection_7dof", "planar_3r", "panda", "ur5"])
+def test_none_where_limits_and_the_edge_of_reach_take_turns(name, method):
+    robot = ik.Robot.load(name)
+    for seed in range(12):
+        q0, targets = stream(robot, seed, (0.6, 0.95, 1.3)[seed % 3])
+        tracker = ik.Tracker(robot, method, q0=q0)
+        Q = np.array([q0, *(tracker.update(target, DT).q for target in targets)])
+        assert chatter(Q, robot.velocity_limits) == 0, seed
+
+
+def before_a_box(seed):
+    """A Panda, joint values free of contact, and poses of the tip there and inside a box."""
+    robot, rng = load("panda"), np.random.default_rng(seed)
+    while True:
+        q0, q1 = robot.random_q(rng), robot.random_q(rng)
+        begin, end = (pin.SE3(robot.fk(q).homogeneous) for q in (q0, q1))
+        size = tuple(robot.reach * rng.uniform(0.1, 0.6, 3))
+        model = ik.CollisionModel(robot).add_box(size, end.homogeneous, "box")
+        if not model.collides(q0):
+            return robot, model, q0, begin, end
+
+
+@pytest.mark.skipif(not have_data(), reason="needs example-robot-data")
+@pytest.mark.parametrize("seed", [6, 9])
+def test_none_before_a_box(seed):
+    """The nearest points of an edge along a face leap from end to end: joints turned back in every sample."""
+    robot, model, q0, begin, end = before_a_box(seed)
+    tracker, Q = ik.Tracker(robot, "cv", q0=q0, avoid_collisions=model), [q0]
+    for k in range(600):
+        target = pin.SE3.Interpolate(begin, end, min(k / 200, 1.0))
+        target.translation += [0.02 * np.sin(0.01 * k), 0.0, 0.0]
+        Q.append(tracker.update(target.translation, DT).q)
+    assert chatter(np.array(Q), robot.velocity_limits) == 0
+
+
+@pytest.mark.skipif(not have_data(), reason="needs example-robot-data")
+def test_none_before_a_box_where_the_clock_waits():
+    robot, model, q0, begin, end = before_a_box(9)
+    reference = ik.line(begin.homogeneous, end.homogeneous, duration=2.0, law="minimum-jerk")
+    run = ik.track(robot, reference, q0=q0, avoid_collisions=model)
+    assert run.status.name == "LOST" and chatter(run.q, robot.velocity_limits) == 0
