@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ..kernel.box import advance
 from ..kernel.brake import along, brake
 from ..robot.clearance import Clearance
 
@@ -27,7 +28,7 @@ PIECES = 20_000  # of braking that is followed, some milliseconds; braking that 
 
 
 class Path(NamedTuple):
-    """A step and its brake: joint values, rates and lengths gone (K + 1, n) between K pieces of h [s] each."""
+    """A step and its brake: joint values, rates and lengths gone (K + 1, n) between K pieces, of h [s] each of the brake."""
 
     q: np.ndarray
     rate: np.ndarray
@@ -139,12 +140,24 @@ class Guard:
         It brakes as was proven free with the last step, unless the step's length has changed and braking anew is free as well.
         """
         blocked, path = self.blocked, self._path
+        if self._at_once:  # a part of the way that was proven with the last step, whatever this one's length
+            q1, rate1 = q.copy(), rate.copy()
+            late, codes = max(self.late, h), np.empty(len(q), np.uint8)
+            advance(q1, rate1, np.zeros(len(q)), self.gamma, h, late, self.limits, codes)
+            self._take(np.array([q, q1]), np.array([rate, rate1]), h, anyway=True)
+            self.blocked = blocked
+            return q1, rate1
         if path is None or path.h != h:
             self._take(q[None], rate[None], h, anyway=path is None)  # without a path no step of ours led here
         self.blocked = blocked
         if self._path is None:
             return q.copy(), np.zeros_like(q)
         return self._go_on(self._path, self._done + h / self._path.h)
+
+    @property
+    def _at_once(self) -> bool:
+        """Whether all joints may come to rest in one step, evenly: along one line, the further the longer the step is."""
+        return self.gamma < 1.0 and bool(np.isinf(self.limits[3]).all())
 
     def _go_on(self, path: Path, u: float) -> tuple[np.ndarray, np.ndarray]:
         """Joint values and rates u pieces along the path, which is where the robot is now."""
@@ -202,11 +215,13 @@ class Guard:
         back = (
             (Q[-1] < self.limits[0]) | (Q[-1] > self.limits[1])
         ).any()  # it first comes inside, however long that takes
-        size, first = PIECES if back else int(steps) + 6, len(Q) - 1
+        size, first, late = PIECES if back else int(steps) + 6, len(Q) - 1, max(self.late, h)
+        piece = late if self._at_once else h
         all_q, rates, lengths = np.empty((3, size, self.robot.n))
         all_q[: first + 1], rates[: first + 1] = Q, R
-        end = brake(first, self.gamma, h, max(self.late, h), self.limits, all_q, rates, lengths) + 1
-        return Path(all_q[:end], rates[:end], lengths[:end], h) if end else None
+        rates[:first] *= h / piece  # the step itself is shorter
+        end = brake(first, self.gamma, piece, late, self.limits, all_q, rates, lengths) + 1
+        return Path(all_q[:end], rates[:end], lengths[:end], piece) if end else None
 
     def _prove(self, path: Path, ks: np.ndarray, levers: np.ndarray) -> tuple[str, str] | None:
         """None when the pairs ks, measured at the start, touch nowhere on a path; otherwise the names of an unproven one."""

@@ -57,6 +57,7 @@ def drive(robot, model, want, steps, h=0.01, gamma=1.0, acceleration=10.0, q=Non
     """Run a guard over rates want(k, q); returns states (N + 1, n), smallest distance and how many steps were not allowed."""
     limits = limits_of(robot, acceleration)
     guard = Guard(robot, model, limits, gamma)
+    guard.late = np.max(h)
     q, rate = (robot.home if q is None else q).copy(), np.zeros(robot.n)
     assert guard.restart(q) is None
     Q, refused = [q], 0
@@ -106,11 +107,13 @@ def test_no_contact_with_any_brake(acceleration):
     drive(robot, model, wanderer(robot, 4), 250, acceleration=acceleration, q=q, obey=False)
 
 
-def test_no_contact_when_the_step_changes():
+@pytest.mark.parametrize(("gamma", "acceleration"), [(1.0, 10.0), (0.5, np.inf), (0.6, np.inf)])
+def test_no_contact_when_the_step_changes(gamma, acceleration):
     robot, model, q = scene("two_arms")
     h = np.random.default_rng(5).choice([0.001, 0.01, 0.05], 300)
     for seed in range(3):
-        drive(robot, model, wanderer(robot, seed, hold=40), 300, h=h, q=q, obey=False)
+        way = {"h": h, "q": q, "obey": False, "gamma": gamma, "acceleration": acceleration}
+        drive(robot, model, wanderer(robot, seed, hold=40), 300, **way)
 
 
 def ball_in_the_way(gap):
