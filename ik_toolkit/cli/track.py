@@ -89,7 +89,9 @@ GainD = Annotated[
 ]
 Params = Annotated[
     list[str] | None,
-    typer.Option("-p", "--param", metavar="NAME=VALUE", help="Other options: gamma, reading, null_damping, damping."),
+    typer.Option(
+        "-p", "--param", metavar="NAME=VALUE", help="Other options: gamma, share, reading, null_damping, damping."
+    ),
 ]
 Q0 = Annotated[
     str | None, typer.Option("--q0", metavar="Q1 Q2 ...", help="Start configuration; default: home, or solved for.")
@@ -123,7 +125,7 @@ Obstacles = Annotated[
 ]
 Settle = Annotated[
     float | None,
-    typer.Option(metavar="S", help="Time before errors count; default: 0, or 0.5 with --acceleration (start at rest)."),
+    typer.Option(metavar="S", help="Leave out the errors of the first S seconds; default: 0, or 0.5 with --acceleration (start at rest)."),
 ]
 OnLimit = Annotated[
     str,
@@ -302,6 +304,7 @@ def _show(result: "TrackResult", arm: "Robot", asked: Asked) -> None:
     gains = ", ".join(f"{name} = {value:.5g}" for name, value in result.options.items())
     check = result.gain_check
     steps = len(result.t) - 1
+    tried = f", {result.searched:.3g} s of trying other runs" if result.searched > result.elapsed else ""
     show(
         facts(
             {
@@ -310,7 +313,7 @@ def _show(result: "TrackResult", arm: "Robot", asked: Asked) -> None:
                 "method": f"{result.method}{', ' + gains if gains else ''}; {steps} steps of {result.dt:.5g} s",
                 "stability": None if check is None else f"{check.verdict} at rest, spectral radius {check.radius:.4g}",
                 "status": f"{result.status.name}: {result.message}",
-                "time": f"{result.elapsed:.3g} s of stepping",
+                "time": f"{result.elapsed:.3g} s of stepping{tried}",
             }
         )
     )

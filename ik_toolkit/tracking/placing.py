@@ -148,7 +148,8 @@ def _acceleration(reference: References) -> float:
 def _words(robot: Joints, kind: str, size: float, way: np.ndarray, free: bool, seconds: float, q: np.ndarray) -> str:
     """The choice, in words."""
     if not size:
-        return f"no path was found that {robot.name} can follow: it holds still for {seconds:g} s"
+        why = "" if (robot.upper > robot.lower).any() else ", as no joint can move"
+        return f"no path was found that {robot.name} can follow{why}: it holds still for {seconds:g} s"
     along = next((name for name, axis in zip(AXIS_NAMES, BASE_AXES, strict=True) if np.array_equal(axis, way)), "")
     along = along or f"({' '.join(f'{x:.4g}' for x in way + 0.0)})"
     what = {

@@ -61,7 +61,8 @@ class Survey:
         )
         where = f"reachable up to {far} of {whole}" if self.until else "its start is out of reach"
         at = f"{', '.join(self.joints)} at {'their limits' if len(self.joints) > 1 else 'its limit'}"
-        few = f", or its {self.robot.n} joints cannot keep the orientation" if self.posed and self.robot.n < 6 else ""
+        few = self.robot.n < (6 if self.posed else 4)  # three may move the tip in a plane alone
+        few = f", or its {self.robot.n} joints cannot move the tip along this path" if few else ""
         return f"{where}: {at if self.joints else f'the arm is at the edge of its reach{few}'}"
 
     def to_dict(self) -> dict[str, Any]:

@@ -42,9 +42,9 @@ class TrackResult:
     [m], base axes, of several `tips` (N+1, tips, 3); position_error (N+1,) [m], orientation_error (N+1,) [rad] or None, of
     several tips the largest; limited (N, n) bits: held back by a limit on 1 position, 2 speed, 4 acceleration, by 8 a step
     that was not finite, 16 being outside its limits, 32 a contact ahead, 64 what calms a swing; damped (N,) whether the
-    pseudo-inverse was damped; between_position, between_orientation (N,) largest error inside each step; figures (see
-    `figures`); elapsed [s] of stepping; gain_check. The verdict reads position_tolerance [m] and orientation_tolerance [rad] at
-    every sample from settle [s] on.
+    pseudo-inverse was damped; between_position, between_orientation (N,) largest error in each step, its ends included;
+    figures (see `figures`); elapsed [s] of stepping, searched [s] of what else was tried; gain_check. The verdict reads
+    position_tolerance [m] and orientation_tolerance [rad] at every sample from settle [s] on.
 
     clock (N+1,) [s]: the reference's time at each t, against which errors are; sigma (N,) its rate in each step, 0 to 1; pace
     (N,) the joint that held it back, -1 for none. end [s]: reference time that the run was to reach. Without them the clock is t.
@@ -77,6 +77,7 @@ class TrackResult:
     sigma: np.ndarray = None  # type: ignore[assignment]
     pace: np.ndarray = None  # type: ignore[assignment]
     end: float = float("nan")
+    searched: float = 0.0
     figures: dict[str, Any] = field(default_factory=dict)
     status: TrackStatus = TrackStatus.COMPLETED
     message: str = ""
@@ -144,6 +145,7 @@ class TrackResult:
             "added_time": self.added_time,
             "pace_joint": self.pace_joint,
             "elapsed": self.elapsed,
+            "searched": self.searched,
             "stability": None
             if check is None
             else {"verdict": check.verdict, "radius": check.radius, "message": check.message},
@@ -190,7 +192,7 @@ class TrackResult:
 def figures(result: TrackResult, jump: np.ndarray) -> dict[str, Any]:
     """Figures of a run, as plain numbers.
 
-    position (orientation): max, rms, final, settled_max (second half) and between_max (inside steps). Joints, by finite
+    position (orientation): max, rms, final, settled_max (second half) and between_max (between samples as well). Joints, by finite
     differences of the samples: peak_speed, peak_acceleration, peak_jerk (n,) [rad or m per s, s^2, s^3];
     largest_move with its joint and time; jumps, the number of steps with a move above `jump` (n,). time_at_limits [s] (of any
     joint, see `at_limits`), time_at_limits_by_joint; damped_time [s] (near a singularity); slowed_time [s] (the clock went slower),

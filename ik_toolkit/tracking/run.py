@@ -53,6 +53,7 @@ class _Taken(NamedTuple):
     missed: int  # samples off the path
     arrays: list[np.ndarray]  # Q, R, E, S, C, see kernel/session.py
     end: np.ndarray  # of the tracker
+    elapsed: float  # [s] of stepping
 
 
 class Run:
@@ -89,7 +90,7 @@ class Run:
         self.again = mode == SLOW and tracker.engine.waits and not tracker.one_by_one
         tracker._late = LATE * dt
         self.start = tracker.carried()
-        self.elapsed = 0.0
+        self.elapsed, self.searched = 0.0, 0.0  # [s] of stepping, and of the runs that others are better than
 
     def go(self) -> None:
         """Run to the end; again where the clock may be slowed and that helps."""
@@ -104,6 +105,8 @@ class Run:
             last = np.inf
             for _ in range(RETAKES + 1):
                 made.append(self._take(way))
+                # Nothing helps a run that begins off its path.
+                self.again = self.again and self._excess(made[-1].arrays[2][:1])[0] <= 1.0
                 if not self.again or made[-1].missed == 0 or made[-1].missed > HELPED * last:
                     break
                 last = made[-1].missed
@@ -113,7 +116,8 @@ class Run:
         best = min(made, key=lambda taken: taken.missed)
         self.Q, self.R, self.E, self.S, self.C = best.arrays
         tracker.put_back(best.end)
-        self.elapsed = time.perf_counter() - began
+        self.elapsed = best.elapsed
+        self.searched = time.perf_counter() - began - best.elapsed
 
     def _record(self, steps: int) -> Record:
         """Room for so many steps."""
@@ -196,7 +200,7 @@ class Run:
 
     def _take(self, way: _Way) -> _Taken:
         """Run from the start to the end once."""
-        tracker, left = self.tracker, self.most
+        tracker, left, began = self.tracker, self.most, time.perf_counter()
         self._begin(way.beside)
         self._limit_clock(way)
         made = []
@@ -219,7 +223,7 @@ class Run:
         if self.mode == SLOW and clock < self.count - 1:
             # A reference not followed to its end is worse than that, and worst of all a run that was given up.
             missed += round((self.count - (0.0 if astray else clock)) * self.most)
-        return _Taken(missed, arrays, tracker.carried())
+        return _Taken(missed, arrays, tracker.carried(), time.perf_counter() - began)
 
     def _lead(self, way: _Way) -> None:
         """Ask for the posture of a way at the next step, and for its speed; and for its side where it is nearly singular."""

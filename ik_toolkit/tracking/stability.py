@@ -267,7 +267,9 @@ def check_gains(
     null_damping: float = 0.0,
     **gains: float,
 ) -> GainCheck:
-    """Judge a method's gains (cv: kappa; ca: kp, kd; aad: gamma) at sample time h [s], with a sentence and a suggestion.
+    """Judge a method's gains at sample time h [s], with a sentence and a suggestion.
+
+    gains: kappa of cv; kp and kd of ca; share of av and aa; gamma and share of aad.
 
     At rest the verdict comes from the closed-form region, the radius from the eigenvalues. delay: age of the measured joint
     positions in samples (20 ms at h = 0.01 s: 2; parts count), as `Tracker.update(q=...)` gets them; then the eigenvalues
@@ -323,7 +325,9 @@ def _way_out(method: str, best: dict[str, float], longest: float, delay: float) 
     if method == "aa":  # marginal at its best
         out = " aad removes that eigenvalue at the same accuracy."
         return f"{words} with aad, which removes aa's eigenvalue -1." if delay else out
-    return words + (f", or a rate above {1.0 / longest:.4g} Hz." if math.isfinite(longest) and longest > 0.0 else ".")
+    if delay or not 0.0 < longest < math.inf:  # at a higher rate the same time is more samples
+        return f"{words}."
+    return f"{words}, or a rate above {1.0 / longest:.4g} Hz."
 
 
 def _region(method: str, h: float, **gains: float) -> tuple[float, str]:

@@ -21,7 +21,8 @@ RESTING = 1e-6  # the same of a joint that no feedback moves: a gain of 0.1/s as
 class StepStatus(Enum):
     """How one step went.
 
-    OK. LIMITED: a limit held a joint back. AT_LIMIT: the arm rests about as close as a joint's limit, or its reach, allows.
+    OK: nothing holds the arm back. LIMITED: a limit held a joint back, or the tip can hardly get nearer to its target.
+    AT_LIMIT: the arm rests about as close as a joint's limit, or its reach, allows.
     BLOCKED: as near as what is in the way allows. RECONFIGURING: the arm moves to another posture, which reaches the target.
     RECOVERING: a joint outside its limits comes back, or brakes. FOLLOWING_ERROR: the joints measured are far from those
     commanded. JUMPED: a joint moved far, or the tracker started anew from the joints measured. HELD: no usable command.
@@ -55,6 +56,7 @@ class Outcome(NamedTuple):
     before: np.ndarray  # (n,) the command before, in kernel units
     errors: np.ndarray  # (2, m) before it and left [m, rad]
     lost: float  # directions in which the tip can hardly move
+    down: bool  # whether the step was one towards the closest pose nearby, see kernel/descent.py
     finite: bool
     lag: float  # of the joints measured, over what is allowed
     resynced: bool
@@ -113,7 +115,7 @@ class Step:
             return StepStatus.FOLLOWING_ERROR
         if (held or o.lost or self._rests()) and self.at_rest and self._away():
             return StepStatus.BLOCKED if held & box.ROW else StepStatus.AT_LIMIT
-        return StepStatus.LIMITED if held else StepStatus.OK
+        return StepStatus.LIMITED if held or ((o.lost or o.down) and self._away()) else StepStatus.OK
 
     def _moved(self) -> np.ndarray:
         """How far (n,) the joints moved in this step [rad, or reaches]."""
@@ -158,6 +160,8 @@ class Step:
         if status is StepStatus.AT_LIMIT:
             limited = not o.lost and o.code.any()
             parts.append(f"about as close as {'the limits allow' if limited else 'the arm reaches from here'}")
+        elif status is StepStatus.LIMITED and not o.code.any():
+            parts.append("the tip can hardly get nearer to its target from here")
         if o.way is not None:
             parts.append(_on_the_way(o.way))
         words = (

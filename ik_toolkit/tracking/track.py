@@ -34,7 +34,7 @@ from .verdict import ORIENTATION_TOLERANCE, POSITION_TOLERANCE, settling, verdic
 MODES = {"slow": SLOW, "leave": LEAVE, "clip": CLIP}
 COUNTS = ("mask", "slack", "free_turn", "frame", "relative_to")  # options that say what counts
 MAX_STRETCH = 10.0  # how many times longer than its reference a run may take by default
-FRACTIONS = (0.25, 0.5, 0.75)  # where between two samples the error is evaluated
+FRACTIONS = (0.0, 0.25, 0.5, 0.75, 1.0)  # of a step, where the error is evaluated
 
 
 def track(
@@ -56,9 +56,9 @@ def track(
 ) -> TrackResult:
     """Follow a reference with a method, one step each dt [s]; returns a TrackResult with arrays and figures.
 
-    reference: of a Tree a dict by tip. method: cv, av, ca, aa or aad, options as in `Method` (kappa, kp, kd, reading, gamma,
-    null_damping, damping), and those of `Tracker`. q0 (n,): default home if the reference starts there, else a solution for the
-    reference's start. rate0, limits and acceleration_limits as in `Tracker`.
+    reference: of a Tree a dict by tip. method: cv, av, ca, aa or aad, options as in `Method` (kappa, kp, kd, share, reading,
+    gamma, null_damping, damping), and those of `Tracker`. q0 (n,): default home if the reference starts there, else a solution
+    for the reference's start. rate0, limits and acceleration_limits as in `Tracker`.
 
     on_limit: "slow": where limits bind, or the error is above a tolerance, the reference's clock runs slower than time, so
     that the tip stays on its path; the run ends when the clock does, or after max_stretch times the reference's duration.
@@ -181,6 +181,7 @@ def _result(run: Run, robot: Any, references: list[Reference], times: np.ndarray
         between_position=between[0],
         between_orientation=between[1],
         elapsed=run.elapsed,
+        searched=run.searched,
         gain_check=check,
         position_tolerance=run.tolerances[0],
         orientation_tolerance=run.tolerances[1],
@@ -256,7 +257,7 @@ def _start(robot: Any, references: list[Reference], avoid: Any) -> np.ndarray:
 def _between(
     robot: Any, reference: Reference, Q: np.ndarray, R: np.ndarray, engine: Any, dt: float, clock: np.ndarray
 ) -> tuple[np.ndarray | None, np.ndarray | None]:
-    """Largest position and orientation error (N,) inside each step, on the motion the method itself assumes."""
+    """Largest position and orientation error (N,) in each step, its ends included, on the motion the method itself assumes."""
     if any(one is not None for one in (engine.options.mask, engine.options.slack, engine.options.free_turn)):
         return None, None  # the kernel decides which part of the error counts
     worst_p, worst_o = np.zeros(len(Q) - 1), np.zeros(len(Q) - 1)

@@ -236,8 +236,8 @@ class Tracker:
             stream.step_on()
         now = self._carried.motion * self._units
         out = make_outcome((
-            self._judged, code, before, self._out.E.copy(), lost, finite, lag, resynced, self._between,
-            self._goes.why if self._goes else None,
+            self._judged, code, before, self._out.E.copy(), lost, self._state[motion.STATE.share] > 0.0, finite, lag, resynced,
+            self._between, self._goes.why if self._goes else None,
         ))  # fmt: skip
         return Step(now[0], now[1], out)
 

@@ -11,6 +11,7 @@ from .result import TrackResult, TrackStatus
 POSITION_TOLERANCE = 1e-3  # [m] what a path is commonly followed to
 ORIENTATION_TOLERANCE = np.radians(0.1)  # [rad] moves a tool of half a metre by about as much
 SETTLE = 0.5  # [s] given to an arm that has to get going first
+MORE = 1.01  # times the error at the samples, from which on that between them is a larger one
 LIMITS = ((box.POSITION, "position"), (box.VELOCITY, "speed"), (box.ACCELERATION, "acceleration"))
 
 
@@ -44,13 +45,18 @@ def verdict(result: TrackResult, stop: int, steps: int) -> tuple[TrackStatus, st
         return TrackStatus.LOST, _stopped(result, outside) + note
     if outside.any():
         status = TrackStatus.LOST if outside[-1] else TrackStatus.LEFT
+        if outside[0]:
+            note += " It begins off the reference: leave out q0, or give it time to get there with settle."
+        if result.gain_check is not None and result.gain_check.verdict == "unstable":
+            note += " The gains are unstable at this sample time."
         return status, f"{_away(result, outside)}{_added(result, '; took ')}.{note}"
     judged = result.t >= result.settle
     worst = _error_words(result.position_error[judged].max(), result.orientation_error, judged)
     after = f" after {result.settle:g} s" if result.settle else ""
     off = f"error at most {worst} at every sample{after}.{note}"
     if result.added_time:
-        return TrackStatus.SLOWED, f"followed the reference{_added(result, ', ')}: {off}"
+        why = "" if result.pace_joint else ", to keep within its tolerance"
+        return TrackStatus.SLOWED, f"followed the reference{_added(result, ', ')}{why}: {off}"
     return TrackStatus.COMPLETED, f"followed the reference: {off}"
 
 
@@ -58,7 +64,7 @@ def _away(result: TrackResult, outside: np.ndarray) -> str:
     """How far a run was from its reference, when, what was allowed, and whether it came back."""
     judged = result.t >= result.settle
     k = _worst(result, judged)
-    away = _error_words(result.position_error[k], result.orientation_error, np.arange(len(result.t)) == k)
+    away = _error_words(result.position_error[judged].max(), result.orientation_error, judged)
     allowed = length(result.position_tolerance)
     if result.orientation_error is not None:
         allowed += f" and {np.degrees(result.orientation_tolerance):.3g} deg"
@@ -66,7 +72,7 @@ def _away(result: TrackResult, outside: np.ndarray) -> str:
     when = f"from t = {first:.4g} s to " + ("the end" if outside[-1] else f"{last:.4g} s, within it again at the end")
     after = f" after {result.settle:g} s" if result.settle else ""
     return (
-        f"{away} from the reference at t = {result.t[k]:.4g} s (tolerance {allowed}); "
+        f"up to {away} from the reference, worst at t = {result.t[k]:.4g} s (tolerance {allowed}); "
         f"out of tolerance in {outside.sum()} of {judged.sum()} samples{after}, {when}"
     )
 
@@ -106,14 +112,18 @@ def _limit(result: TrackResult, joint: int) -> str:
 
 
 def _between_samples(result: TrackResult) -> str:
-    """Sentence on the error inside the steps, which the verdict does not read."""
+    """Sentence on the error inside the steps as well, which the verdict does not read."""
     if result.between_position is None:
         return ""
     judged = result.t[:-1] >= result.settle
     if not judged.any():
         return ""
+    at_samples = result.t >= result.settle
+    more = result.between_position[judged].max() > MORE * result.position_error[at_samples].max()
+    if result.between_orientation is not None and result.orientation_error is not None:
+        more = more or result.between_orientation[judged].max() > MORE * result.orientation_error[at_samples].max()
     words = _error_words(result.between_position[judged].max(), result.between_orientation, judged)
-    return f" Between samples: at most {words}."
+    return f" Between samples: at most {words}." if more else " No more between samples."
 
 
 def _error_words(position: float, angle: np.ndarray | None, rows: np.ndarray) -> str:

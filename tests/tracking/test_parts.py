@@ -14,13 +14,15 @@ from ik_toolkit.tracking.stream import Stream
 UNITS = np.array([1.0, 2.0])
 
 
-def step(errors=((0.0,) * 6, (0.0,) * 6), code=(0, 0), lost=0.0, q=(0.0, 0.0), rate=(0.0, 0.0), before=(0.0, 0.0)):
+def step(
+    errors=((0.0,) * 6, (0.0,) * 6), code=(0, 0), lost=0.0, down=False, q=(0.0, 0.0), rate=(0.0, 0.0), before=(0.0, 0.0)
+):
     """A step of two joints, the second a slide of 2 m a unit, with these errors of two tips."""
     robot = SimpleNamespace(joint_names=("turn", "slide"), chain=SimpleNamespace(unit=UNITS))
     left = np.concatenate(errors)
     out = (
         Judged(robot, (True, True), 0.5, np.ones(2)), np.array(code, np.uint8), np.array(before), np.array([left, left]),
-        lost, True, 0.0, False, None, None,
+        lost, down, True, 0.0, False, None, None,
     )  # fmt: skip
     return Step(np.array(q), np.array(rate), make_outcome(out))
 
@@ -42,7 +44,9 @@ def test_what_a_step_that_rests_says():
     assert slowly.status is StepStatus.AT_LIMIT, "it hardly moves"
     assert step(turned, (box.ROW, 0)).status is StepStatus.BLOCKED
     moving = step(turned, lost=1.0, rate=(0.01, 0.0))  # above what counts as rest
-    assert moving.status is StepStatus.OK
+    assert moving.status is StepStatus.LIMITED and "hardly get nearer" in moving.reason
+    assert step(turned, down=True, rate=(0.01, 0.0)).status is StepStatus.LIMITED
+    assert step(lost=1.0, down=True, rate=(0.01, 0.0)).status is StepStatus.OK, "it is at its target"
 
 
 def test_a_jump_is_told_in_the_joints_own_unit():
