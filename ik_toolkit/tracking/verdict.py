@@ -55,7 +55,7 @@ def verdict(result: TrackResult, stop: int, steps: int) -> tuple[TrackStatus, st
     after = f" after {result.settle:g} s" if result.settle else ""
     off = f"error at most {worst} at every sample{after}.{note}"
     if result.added_time:
-        why = "" if result.pace_joint else ", to keep within its tolerance"
+        why = "" if result.pace_joint or result.settle else ", to keep within its tolerance"  # or to get going
         return TrackStatus.SLOWED, f"followed the reference{_added(result, ', ')}{why}: {off}"
     return TrackStatus.COMPLETED, f"followed the reference: {off}"
 
