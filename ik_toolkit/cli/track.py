@@ -125,7 +125,10 @@ Obstacles = Annotated[
 ]
 Settle = Annotated[
     float | None,
-    typer.Option(metavar="S", help="Leave out the errors of the first S seconds; default: 0, or 0.5 with --acceleration (start at rest)."),
+    typer.Option(
+        metavar="S",
+        help="Leave out the errors of the first S seconds; default: 0, or 0.5 with --acceleration (start at rest).",
+    ),
 ]
 OnLimit = Annotated[
     str,

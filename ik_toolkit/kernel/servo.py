@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from .bench import bench_on, bench_space
-from .box import HELD, HOLD, UNLIMITED, approach, boxes, calm, clip, move, watch, way_to
+from .box import CALMED, HELD, HOLD, UNLIMITED, approach, boxes, calm, clip, move, watch, way_to
 from .clock import MAKE_UP, QUICK, SPARE, WHOLE, clock_at, next_rate, reference, to_go, too_far
 from .constrain import SLOW, room_on, room_space
 from .descent import descend, notice, stuck
@@ -141,10 +141,13 @@ def quieten(law, s, rate, swings, h, state):
 
 
 @inline
-def look_on(law, s, held, swings, h, state):
-    """Look at a step from the rates s.before to s.x: whether joints turn back, and what hinders them."""
+def look_on(law, s, code, swings, h, state):
+    """Look at a step from the rates s.before to s.x: whether joints turn back, and what but `calm` hinders them."""
     watch(swings, s.before, s.x, s.size, law.gamma, h)
-    state[STATE.free] = 0.0 if held or state[STATE.near] > 0.0 else state[STATE.free] + h
+    hindered = state[STATE.near] > 0.0
+    for i in range(code.shape[0]):
+        hindered = hindered or (code[i] | CALMED) != CALMED
+    state[STATE.free] = 0.0 if hindered else state[STATE.free] + h
 
 
 @inner
@@ -248,7 +251,7 @@ def run(step, rows, ends, orders, given, own, samples, out, h, block):
             clip_rates(law, s, still, h, memory, C[i])
         else:
             done, held = obey(rule, law, s, count, sigma, mu, h, state, work, active, kept, starts, C[i])
-            look_on(law, s, held, swings, h, state)
+            look_on(law, s, C[i], swings, h, state)
             if held and mu == 0.0:
                 own_up(law, h, ratio, s.w, s.x, s.lead, sigma - done, memory)
         if law.mode == SLOW:

@@ -74,3 +74,18 @@ def test_none_before_a_box_where_the_clock_waits():
     reference = ik.line(begin.homogeneous, end.homogeneous, duration=2.0, law="minimum-jerk")
     run = ik.track(robot, reference, q0=q0, avoid_collisions=model)
     assert run.status.name == "LOST" and chatter(run.q, robot.velocity_limits) == 0
+
+
+@pytest.mark.parametrize("method", ["cv", "aad"])
+def test_a_fast_vibration_is_followed_again_after_a_limit_was_met(method):
+    """What calms a swing hinders the joints, too: it went on for ever."""
+    robot = ik.Robot.load("inspection_7dof")
+    q0 = 0.5 * (robot.lower + robot.upper) + 0.4
+    target, errors = robot.fk(np.clip(q0, robot.lower + 0.1, robot.upper - 0.1)).homogeneous, []
+    tracker = ik.Tracker(robot, method, q0=np.clip(q0, robot.lower + 0.1, robot.upper - 0.1))
+    for k in range(1, 400):
+        now = target.copy()
+        now[:3, 3] += 0.0005 * min(k / 60, 1.0) * np.sin(2.0 * np.pi * 12.0 * 0.005 * k)
+        now[2, 3] += 0.2 * (k == 100)
+        errors.append(tracker.update(now, 0.005).position_error)
+    assert max(errors[99:110]) > 0.05 and max(errors[300:]) < 1e-4

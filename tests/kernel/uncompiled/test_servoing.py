@@ -355,13 +355,14 @@ def test_errors_and_excess_of_a_wanted_rate():
 
 @pytest.mark.parametrize("mode", [LEAVE, SLOW, CLIP])
 def test_joints_that_swing_gain_speed_gradually_where_something_hinders_them(mode):
-    for held, near, hindered in ((True, 0.0, True), (False, 1.0, True), (False, 0.0, False), (False, -1.0, False)):
+    calmed, cases = box.CALMED, ((box.VELOCITY, 0.0, True), (0, 1.0, True), (0, 0.0, False), (0, -1.0, False))
+    for why, near, hindered in (*cases, (calmed, 0.0, False), (calmed | box.POSITION, 0.0, True)):
         s = scratch(np.random.default_rng(5))
         s.size, swings, state = np.full(7, 0.8), np.zeros((3, 7)), np.zeros(len(STATE))
         s.why_low, s.why_top = np.zeros((2, 7), np.uint8)
         s.before, s.x, state[STATE.near] = np.ones(7), np.ones(7), near
         for _ in range(1 if hindered else 11):  # for a tenth of a second after the last hindrance
-            servo.look_on(law(mode=mode, gamma=1.0), s, held, swings, 0.01, state)
+            servo.look_on(law(mode=mode, gamma=1.0), s, np.array([0] * 6 + [why], np.uint8), swings, 0.01, state)
         swings[0, 0] = 3.0
         servo.quieten(law(mode=mode), s, np.zeros(7), swings, 0.01, state)
         gain = box.CALM * 0.8 * 0.01 if hindered and mode != CLIP else 1.0
