@@ -41,7 +41,8 @@ MotionFile = Annotated[
     typer.Option(
         "--motion",
         metavar="FILE",
-        help="Show a motion written by ik path: a path (.csv, .npz, .json) or a trajectory (.csv, .json).",
+        help="Show a motion from a file: of ik path a path (.csv, .npz, .json) or a trajectory (.csv, .json), "
+        "of ik track a run (.csv, .npz, .json).",
     ),
 ]
 Follow = Annotated[

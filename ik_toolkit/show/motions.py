@@ -81,7 +81,7 @@ def of_trajectory(trajectory: Any) -> Motion:
 
 
 def from_file(robot: Joints, file: str | Path) -> Motion:
-    """Motion from a file written by `ik path` (a path or a trajectory), with the speed of the fastest tip between samples.
+    """Motion from a file of `ik path` (a path or a trajectory) or `ik track`, with the speed of the fastest tip between samples.
 
     Raises InvalidConfiguration for a file that cannot be read, or whose joints are not the robot's.
     """
@@ -167,7 +167,7 @@ def _coloured(
 
 # ------------------------------------------------------------------------------------------------------------- read back
 def read_motion(robot: Joints, file: str | Path) -> tuple[np.ndarray | None, np.ndarray]:
-    """Times (N,) [s] or None, and joint values (N, n), from a file written by `ik path`: a path, or a trajectory.
+    """Times (N,) [s] or None, and joint values (N, n), from a file of `ik path` (a path or a trajectory) or `ik track`.
 
     Raises InvalidConfiguration for a file that cannot be read, or whose joints are not the robot's.
     """
@@ -192,7 +192,12 @@ def _read(path: Path) -> tuple[list[str], np.ndarray, np.ndarray | None]:
     suffix = path.suffix.lower()
     if suffix == ".npz":
         with np.load(path, allow_pickle=False) as arrays:
-            return arrays["joint_names"].tolist(), arrays["curve"], None
+            names = arrays["joint_names"].tolist() if "joint_names" in arrays else []
+            if "curve" in arrays:
+                return names, arrays["curve"], None
+            if "q" not in arrays or "t" not in arrays:
+                raise ValueError("it has neither 'curve', as ik path writes it, nor 't' and 'q', as ik track does")
+            return names, arrays["q"], arrays["t"]
     if suffix == ".json":
         content = json.loads(path.read_text(encoding="utf-8"))
         if "points" not in content:

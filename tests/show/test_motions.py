@@ -56,6 +56,22 @@ def test_paths_are_read_back_without_the_poses_not_reached(tmp_path):
         np.testing.assert_allclose(read.q, rows[np.isfinite(rows).all(axis=1)])
 
 
+@pytest.mark.parametrize("suffix", [".npz", ".csv", ".json"])
+def test_tracking_runs_are_read_back_with_their_times(suffix, tmp_path):
+    robot = motions.load("planar_2r")
+    run = ik.track(robot, ik.circle(robot.fk(robot.home).translation, 0.1, duration=0.5), "cv", dt=0.05)
+    read = from_file(robot, run.save(tmp_path / f"run{suffix}"))
+    np.testing.assert_allclose(read.q, run.q)
+    np.testing.assert_allclose(read.t, run.t, atol=1e-9)
+    assert np.isfinite(read.values).all()
+
+
+def test_arrays_of_no_motion_are_refused_with_what_is_missing(tmp_path):
+    np.savez(tmp_path / "bad.npz", joint_names=["joint_1", "joint_2"], x=np.zeros(3))
+    with pytest.raises(InvalidConfiguration, match=r"cannot read the motion in 'bad\.npz': it has neither 'curve'"):
+        from_file(motions.load("planar_2r"), tmp_path / "bad.npz")
+
+
 def test_files_of_another_robot_are_refused(tmp_path):
     made = result()
     file = made.save(tmp_path / "p.csv")
