@@ -16,6 +16,7 @@ settings.load_profile("repeatable")
 # kernels of two groups belongs to none.
 TOGETHER = {
     "tests/tracking/": "tracker",
+    "tests/cli/test_track.py": "tracker",
     "tests/papers/test_patko_2019.py": "tracker",
     "tests/kernel/test_constrain.py": "tracker",
     "tests/kernel/test_damped_step.py": "tracker",

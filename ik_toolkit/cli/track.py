@@ -1,5 +1,6 @@
 """`ik track`: follow a path with one of the tracking methods."""
 
+import math
 import warnings
 from pathlib import Path
 from types import SimpleNamespace
@@ -31,7 +32,7 @@ from .arguments import (
 )
 from .by_tip import choose_tips
 from .obstacles import avoided
-from .output import facts, notice, progress, show, table, turns, write_json
+from .output import facts, notice, progress, show, table, turns, unit, write_json
 from .track_path import Asked, advice, asked_path
 
 if TYPE_CHECKING:
@@ -248,7 +249,7 @@ def track(
         works = f"; works with {' or '.join(tried)}" if tried else ""
         notice(f"{result.reach.message or 'every pose can be reached, but not at this speed'}{works}")
     if not as_json:
-        _show(result, arm, asked)
+        _show(result, arm, asked, deg)
     if not result.success:
         notice(f"{result.status.name}: {result.message}")
         raise typer.Exit(1)
@@ -302,8 +303,9 @@ def _changes(
         return advice(arm, line, asked, q, found, follows, limits=line.limits, **counts)
 
 
-def _show(result: "TrackResult", arm: "Robot", asked: Asked) -> None:
+def _show(result: "TrackResult", arm: "Robot", asked: Asked, deg: bool) -> None:
     figures = result.figures
+    angle, of_angle = unit("revolute", deg), math.degrees(1.0) if deg else 1.0
     gains = ", ".join(f"{name} = {value:.5g}" for name, value in result.options.items())
     check = result.gain_check
     steps = len(result.t) - 1
@@ -321,26 +323,29 @@ def _show(result: "TrackResult", arm: "Robot", asked: Asked) -> None:
         )
     )
     errors = table("<error", ">max", ">RMS", ">final", ">max,\n2nd half", ">between\nsamples")
-    for name, unit in (("position", "m"), ("orientation", "rad")):
+    for name, measure, factor in (("position", "m", 1.0), ("orientation", angle, of_angle)):
         if name in figures:
             row = figures[name]
             keys = ("max", "rms", "final", "settled_max", "between_max")
-            errors.add_row(f"{name} [{unit}]", *(f"{row[key]:.3g}" if key in row else "-" for key in keys))
-    unit = "rad" if all(turns(kind) for kind in arm.joint_kinds) else "unit"
-    peaks = (f">{name}\n[{unit}/{per}]" for name, per in (("speed", "s"), ("accel.", "s2"), ("jerk", "s3")))
+            errors.add_row(f"{name} [{measure}]", *(f"{factor * row[key]:.3g}" if key in row else "-" for key in keys))
+    same = all(turns(kind) for kind in arm.joint_kinds)
+    peaks = (
+        f">{name}\n[{angle if same else 'unit'}/{per}]"
+        for name, per in (("speed", "s"), ("accel.", "s2"), ("jerk", "s3"))
+    )
     joints = table("<joint", *peaks, ">of\nlimit", ">at\nlimit")
     for i, (name, kind) in enumerate(zip(result.joint_names, arm.joint_kinds, strict=True)):
         limit = float(arm.velocity_limits[i])
-        speed = figures["peak_speed"][i]
+        speed, factor = figures["peak_speed"][i], of_angle if turns(kind) else 1.0
         joints.add_row(
-            name if unit == "rad" else f"{name} [{'rad' if turns(kind) else 'm'}]",
-            *(f"{figures[key][i]:.3g}" for key in ("peak_speed", "peak_acceleration", "peak_jerk")),
+            name if same else f"{name} [{unit(kind, deg)}]",
+            *(f"{factor * figures[key][i]:.3g}" for key in ("peak_speed", "peak_acceleration", "peak_jerk")),
             f"{100 * speed / limit:.0f} %" if 0.0 < limit < float("inf") else "-",
             f"{figures['time_at_limits_by_joint'][name]:.3g} s",
         )
     show(errors, joints)
     if figures["jumps"]:
         move = figures["largest_move"]
-        notice(
-            f"{figures['jumps']} step(s) moved a joint far: {move['joint']} by {move['value']:.3g} at t = {move['time']:.4g} s"
-        )
+        kind = arm.joint_kinds[result.joint_names.index(move["joint"])]
+        by = f"{(of_angle if turns(kind) else 1.0) * move['value']:.3g} {unit(kind, deg)}"
+        notice(f"{figures['jumps']} step(s) moved a joint far: {move['joint']} by {by} at t = {move['time']:.4g} s")
