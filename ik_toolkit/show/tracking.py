@@ -119,8 +119,9 @@ def _clock(ax: Any, result: TrackResult) -> None:
 
 
 def _positions(ax: Any, result: TrackResult, robot: Joints) -> None:
-    middle = np.where(np.isfinite(robot.lower + robot.upper), 0.5 * (robot.lower + robot.upper), 0.0)
-    half = np.where(np.isfinite(robot.upper - robot.lower), 0.5 * (robot.upper - robot.lower), np.pi)
+    bounded = np.isfinite(robot.upper - robot.lower)
+    lower, upper = np.where(bounded, robot.lower, -np.pi), np.where(bounded, robot.upper, np.pi)
+    middle, half = 0.5 * (lower + upper), 0.5 * (upper - lower)
     for i, name in enumerate(result.joint_names):
         shown = (result.q[:, i] - middle[i]) / half[i]
         ax.plot(result.t, shown, color=COLOURS[i % 8], lw=1.3, label=plain(name), ls=DASHES[i // 8 % 8])

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from robots import load
+from robots import CONTINUOUS, load
 
 import ik_toolkit as ik
 from ik_toolkit.errors import InvalidConfiguration, InvalidOption
@@ -148,6 +148,17 @@ def test_the_picture_of_a_run_prints_nothing_over_anything(slowed):
     boxes += [ax.get_legend().get_window_extent() for ax in axes if ax.get_legend()]
     for i, box in enumerate(boxes):  # one pixel is what rounding leaves
         assert not [other for other in boxes[:i] if box.padded(-1).overlaps(other)], titles
+
+
+def test_joints_without_limits_are_drawn_within_a_half_turn_of_zero():
+    robot = ik.Robot.load(CONTINUOUS)
+    run = ik.track(
+        robot, ik.line(robot.fk(robot.home).translation, robot.fk(robot.home + 0.1).translation, duration=0.5)
+    )
+    positions = lines(ik.plot(run, robot).axes[2])
+    for i, name in enumerate(robot.joint_names):
+        shown = run.q[:, i] / (np.pi if np.isinf(robot.upper[i]) else 2.0)
+        np.testing.assert_allclose(positions[name], shown, atol=1e-12)
 
 
 def test_a_backend_loaded_by_a_chart_stays_interactive():
