@@ -17,7 +17,7 @@ from .arguments import Command, join_vectors
 from .examples import EXAMPLES
 from .output import LogNotices, notice
 from .streams import Output, on_sigterm, open_standard_streams
-from .usage import Group
+from .usage import Group, UsageError
 
 MODULES = (
     "robots",
@@ -36,8 +36,6 @@ MODULES = (
     "doctor",
 )  # a new group of commands is one module and its name here
 NOT_SOLVED, BAD_INPUT, MISSING_EXTRA, BUG, INTERRUPTED, TERMINATED = 1, 2, 3, 70, 130, 143
-# Typer carries its own copy of click in some versions; this is the root of its usage errors in all of them.
-UsageError = typer.BadParameter.mro()[2]
 
 
 def _version(value: bool) -> None:

@@ -13,7 +13,7 @@ import typer.core
 from ..errors import FrameNotFound, InvalidConfiguration, InvalidOption, MissingExtra
 from ..text import numbers, vector
 from .output import turns
-from .usage import help_text
+from .usage import UsageError, help_text
 
 if TYPE_CHECKING:
     import numpy as np
@@ -82,7 +82,11 @@ class Command(typer.core.TyperCommand):
         for option in self.params:
             if option.name in TARGET and sum(word.partition("=")[0] in option.opts for word in args) > 1:
                 raise InvalidOption(f"{option.opts[0]} is given twice; {MANY}")
-        return super().parse_args(ctx, args)
+        try:
+            return super().parse_args(ctx, args)
+        except UsageError as error:
+            error.ctx = ctx  # type: ignore[attr-defined]  # a missing value comes without: whose help to see
+            raise
 
     def format_help(self, ctx: Any, formatter: Any) -> None:
         """Write the help."""

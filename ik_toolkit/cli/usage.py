@@ -6,6 +6,8 @@ from typing import Any
 
 import typer.core
 
+# Typer carries its own copy of click in some versions; this is the root of its usage errors in all of them.
+UsageError = typer.BadParameter.mro()[2]
 WIDEST = 100  # columns; longer lines are hard to read
 COLUMN = 30  # where the explanations begin
 LAST = ("Robot", "Output", "Other")  # groups at the end; the others come before them, as declared

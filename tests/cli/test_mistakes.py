@@ -70,6 +70,7 @@ SOLVE = ["solve", "hydrolek_7w", "--xyz", "1.0", "0.1", "0.2"]
             "--tolerance-position (Possible options: --position-tolerance)",
         ),
         (["solve", "brokk_hydrolek", "--xyz", "1", "0", "0"], "choose one with --tip: left_tip, right_tip"),
+        (["track", "planar_2r", "--q0"], "Option '--q0' requires an argument. See ik track --help"),
         (["fk", "hydrolek_7w", "--q", "1"], "--q takes 6 values"),
         (["solvers", "lmm"], "Did you mean 'lm'"),
         (["dh", "nothing.toml"], "cannot read"),
