@@ -8,7 +8,7 @@ import difflib
 import logging
 import math
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -136,13 +136,22 @@ def masked(value: Any) -> bool:
     return isinstance(value, np.ma.MaskedArray) and bool(np.ma.is_masked(value))
 
 
-def doubt_angle(where: str, value: float) -> None:
-    """Warn that an angle [rad] of several turns may have been meant in degrees; only once per `where`, as it may be in a loop."""
-    if where in DOUBTED:
+def doubt_angles(what: str, angles: Mapping[str, float]) -> None:
+    """Warn that angles [rad] of several turns, by joint ('' if of none), may have been meant in degrees.
+
+    Once for a joint of one `what`, as it may be in a loop; and once for a joint's value, whatever it is called on its way.
+    """
+    known = {joint for joint, x in angles.items() if DOUBTED.intersection((f"{what}, {joint}", f"{joint}: {x!r}"))}
+    DOUBTED.update(f"{what}, {joint}" for joint in angles)
+    new = {joint: x for joint, x in angles.items() if joint not in known}
+    if not new:
         return
-    DOUBTED.add(where)
-    turns = abs(value) / (2.0 * math.pi)
-    logging.getLogger("ik_toolkit").warning("%s: %g rad is %.3g turns; were degrees meant?", where, value, turns)
+    DOUBTED.update(f"{joint}: {x!r}" for joint, x in new.items())
+    x = max(new.values(), key=abs)
+    where = f"{what}, joint{'s' * (len(new) > 1)} {', '.join(new)}" if any(new) else what
+    logging.getLogger("ik_toolkit").warning(
+        "%s: %g rad is %.3g turns; were degrees meant?", where, x, abs(x) / (2.0 * math.pi)
+    )
 
 
 def extras() -> dict[str, list[str]]:

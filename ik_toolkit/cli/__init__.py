@@ -83,7 +83,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     arguments = join_vectors(sys.argv[1:] if argv is None else argv)
     debug = "--debug" in arguments
     arguments = [argument for argument in arguments if argument != "--debug"]
-    shown = LogNotices()
+    shown = LogNotices("" if "--deg" in arguments else " Then add --deg.")
     shown.addFilter(lambda _: not first_use.said_before())
     logging.getLogger("ik_toolkit.compile").setLevel(logging.INFO)
     logging.getLogger("ik_toolkit").addHandler(shown)

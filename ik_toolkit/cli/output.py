@@ -38,14 +38,23 @@ def notice_once(text: str) -> None:
 
 
 class LogNotices(logging.Handler):
-    """Shows the package's log on stderr; compiling is reported once, whatever the number of kernels."""
+    """Shows the package's log on stderr; compiling is reported once, whatever the number of kernels.
+
+    hint: what to do about angles that look like degrees.
+    """
+
+    def __init__(self, hint: str = "") -> None:
+        """Handle every level."""
+        super().__init__()
+        self.hint = hint
 
     def emit(self, record: logging.LogRecord) -> None:
         """Print one record."""
         if record.name == "ik_toolkit.compile":
             notice_once(f"compiling the solver ({record.args[1]}) ...")  # type: ignore[index]
         else:
-            notice(f"{record.levelname.lower()}: {record.getMessage()}")
+            said = record.getMessage()
+            notice(f"{record.levelname.lower()}: {said}{self.hint if said.endswith('degrees meant?') else ''}")
 
 
 def partial(output: Path) -> Path:

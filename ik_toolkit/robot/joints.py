@@ -15,7 +15,7 @@ from ..errors import (
     FrameNotFound,
     InvalidConfiguration,
     InvalidOption,
-    doubt_angle,
+    doubt_angles,
     floats,
     near_match,
     whole,
@@ -122,11 +122,11 @@ class Joints:
                 bad = ", ".join(j for j, x in zip(self.joint_names, array, strict=True) if not np.isfinite(x))
                 raise InvalidConfiguration(f"{name} is not finite at joint {bad}")
             meant = (self.lower <= array) & (array <= self.upper) & (self.upper - self.lower < np.inf)
-            for joint, kind, x in zip(self.joint_names, self.joint_kinds, np.where(meant, 0.0, array), strict=True):
-                if (
-                    kind != "prismatic" and abs(x) > FEW_TURNS
-                ):  # a value inside the limits is not a mistake, and often our own
-                    doubt_angle(f"{name}, joint {joint}", float(x))
+            # A value inside the limits is not a mistake, and often our own.
+            values = zip(self.joint_names, self.joint_kinds, np.where(meant, 0.0, array).tolist(), strict=True)
+            far = {joint: x for joint, kind, x in values if kind != "prismatic" and abs(x) > FEW_TURNS}
+            if far:
+                doubt_angles(name, far)
         return array
 
     def _values(self, q: Any, name: str = "q") -> np.ndarray:

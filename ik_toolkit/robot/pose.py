@@ -7,7 +7,7 @@ from typing import Any, Literal, overload
 
 import numpy as np
 
-from ..errors import FEW_TURNS, InvalidTarget, doubt_angle, floats
+from ..errors import FEW_TURNS, InvalidTarget, doubt_angles, floats
 from ..kernel.checks import FAR, LAST_ROW
 
 LAST = (0.0, 0.0, 0.0, 1.0)  # last row of every pose
@@ -189,7 +189,7 @@ def pose(
     if rpy is not None:
         angles = _numbers(rpy, 3, "rpy")
         if np.abs(angles).max() > FEW_TURNS:
-            doubt_angle("rpy", float(angles[np.abs(angles).argmax()]))
+            doubt_angles("rpy", {"": float(angles[np.abs(angles).argmax()])})
         R = rpy_matrix(angles)
     elif quat_xyzw is not None:
         R = quat_matrix(quat_xyzw)

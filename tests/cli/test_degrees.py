@@ -24,6 +24,16 @@ def test_angles_that_look_like_degrees_are_doubted_once(run, caplog):
     assert ik.Robot.load("cartesian_pp").fk([90, 45]) is not None and len(caplog.records) == 1
 
 
+def test_one_vector_is_doubted_in_one_sentence_however_it_is_called_on_its_way(run):
+    errors.DOUBTED.clear()
+    _, _, err = run("track", "hydrolek_7w", "--q0", "90", "0", "0", "-90", "0", "0.1")
+    said = "--q0, joints azimuth_yaw, forearm_roll: 90 rad is 14.3 turns; were degrees meant? Then add --deg."
+    assert err.count("meant?") == 1 and said in err
+    errors.DOUBTED.clear()
+    _, _, err = run("fk", "planar_2r", "--q", "9000", "0", "--deg")
+    assert "were degrees meant?\n" in err and "--deg" not in err
+
+
 def test_angles_that_limits_allow_are_not_taken_for_degrees(caplog):
     far = robots.urdf(
         dict(kind="revolute", limits=(20.0, 30.0)), dict(kind="revolute", axis="0 1 0", limits=(-2.0, 2.0))
