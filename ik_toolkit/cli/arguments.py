@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 import typer.core
 
-from ..errors import FrameNotFound, InvalidConfiguration, InvalidOption, MissingExtra
+from ..errors import FrameNotFound, IKError, InvalidConfiguration, InvalidOption, MissingExtra
 from ..text import numbers, vector
 from .output import turns
-from .usage import UsageError, help_text
+from .usage import UsageError, help_text, in_flags
 
 if TYPE_CHECKING:
     import numpy as np
@@ -108,7 +108,11 @@ class Command(typer.core.TyperCommand):
                         raise InvalidOption(
                             f"'{output}' would overwrite '{given}', which is an input; choose another name"
                         )
-        return super().invoke(ctx)
+        try:
+            return super().invoke(ctx)
+        except IKError as error:
+            error.args = (in_flags(str(error), self), *error.args[1:])
+            raise
 
 
 def _same(one: str | Path, other: str | Path) -> bool:
@@ -311,9 +315,7 @@ def load_robot(
         except FrameNotFound as several:
             if not several.tips:
                 raise
-            ends = FrameNotFound(
-                str(several).replace("tip=,", "--tip,").partition(", or solve")[0] + "; ik info --list-tips shows all"
-            )
+            ends = FrameNotFound(str(several).partition(", or solve")[0] + "; ik info --list-tips shows all")
             ends.tips = several.tips
             raise ends from None
     if not lock:

@@ -259,9 +259,13 @@ def _run(
     arm: Any, line: SimpleNamespace, asked: Asked, counts: dict[str, Any], *, quiet: bool = False
 ) -> "TrackResult":
     """Follow the path; warnings are shown as notices, unless quiet."""
+    from ..tracking.reference import MAX_STEPS
     from ..tracking.track import track as follow
     from ..tracking.verdict import ORIENTATION_TOLERANCE
 
+    seconds = max(one.duration for one in (asked.reference.values() if arm.by_tip else [asked.reference]))
+    if (steps := line.rate * seconds) > MAX_STEPS:
+        raise InvalidOption(f"--rate {line.rate:g} over {seconds:g} s is {steps:.3g} steps; at most {MAX_STEPS:g}")
     options = {name: getattr(line, name) for name in ("kappa", "kp", "kd") if getattr(line, name) is not None}
     options |= {name: parameter(name, text) for name, text in assignments(line.param, "-p").items()}
     options |= avoided(arm, line)

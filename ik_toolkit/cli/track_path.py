@@ -62,7 +62,7 @@ def asked_path(arm: Any, line: SimpleNamespace, q: Any, counts: dict[str, Any]) 
 
     placed = place(
         arm, line.path, q0=q, axis=_axis(line), position_only=line.position_only, duration=line.duration, law=line.law,
-        turns=line.turns_, dt=1.0 / line.rate, tolerance=line.position_tolerance, **counts,
+        turns=line.turns_, dt=1.0 / line.rate, position_tolerance=line.position_tolerance, **counts,
     )  # fmt: skip
     return Asked(placed.reference, placed.q0, placed.words)
 

@@ -1,5 +1,6 @@
 """What `--help` prints: options in groups, names whole whatever the terminal's width, examples last."""
 
+import re
 import shutil
 import textwrap
 from typing import Any
@@ -8,6 +9,11 @@ import typer.core
 
 # Typer carries its own copy of click in some versions; this is the root of its usage errors in all of them.
 UsageError = typer.BadParameter.mro()[2]
+PYTHON_NAMES = {"acceleration_limits": "acceleration", "relative_to": "relative"}  # of parameters called otherwise here
+SUBJECT = re.compile(r"^(no )?([a-z]\w*)()(?=: | \[| must | is | has | ')")  # of a sentence
+WITH_VALUE = re.compile(
+    r"(?<![\w'.])()([a-z]\w*)=(True|False)?(?=[\s,.;)]|$)"
+)  # limits=False, tip=; not what somebody typed
 WIDEST = 100  # columns; longer lines are hard to read
 COLUMN = 30  # where the explanations begin
 LAST = ("Robot", "Output", "Other")  # groups at the end; the others come before them, as declared
@@ -85,6 +91,28 @@ def _row(left: str, right: str, column: int, width: int) -> str:
     lines = textwrap.wrap(right, max(width - column, 20), break_on_hyphens=False) or [""]
     first = f"  {left}".ljust(column) + lines.pop(0) if len(left) + 4 <= column else f"  {left}"
     return "\n".join([first.rstrip(), *(" " * column + line for line in lines)])
+
+
+def in_flags(text: str, command: Any) -> str:
+    """Text of an error of the library with the options of a command as they are typed: acceleration_limits as --acceleration.
+
+    Many names are words, too. They are taken for options where a sentence says something about them, or before "=".
+    """
+    options = {one.name.rstrip("_"): one for one in command.params if one.param_type_name == "option"}
+    options = {
+        name: one for name, one in options.items() if f"--{name.replace('_', '-')}" in one.opts
+    }  # `targets` is no --target
+    options |= {name: options[own] for name, own in PYTHON_NAMES.items() if own in options}
+
+    def flag(found: re.Match[str]) -> str:
+        no, name, value = found.groups()
+        if name not in options or (no and "_" not in name):
+            return found[0]
+        option = options[name]
+        names = option.secondary_opts if value == "False" else option.opts
+        return (no or "") + next((one for one in names if one.startswith("--")), found[0])
+
+    return WITH_VALUE.sub(flag, SUBJECT.sub(flag, text))
 
 
 class Group(typer.core.TyperGroup):

@@ -25,7 +25,7 @@ def limit_rows(robot: Robot | Tree, limits: bool, acceleration_limits: Any) -> n
         rows[2] = np.where(speed > 0.0, speed, np.inf) / unit
     if acceleration_limits is not None:
         if not limits:
-            raise InvalidOption("acceleration_limits need limits=True")
+            raise InvalidOption("acceleration_limits must go with limits=True")
         what = f"acceleration_limits must be a number or {n} numbers"
         a = floats(acceleration_limits, what, InvalidOption)
         if a.shape not in ((), (n,)):

@@ -104,12 +104,12 @@ def place(
     law: str | None = None,
     turns: float = 0.0,
     dt: float = 0.01,
-    tolerance: float = POSITION_TOLERANCE,
+    position_tolerance: float = POSITION_TOLERANCE,
     **counts: Any,
 ) -> Placed:
     """Path of a kind that the robot can follow, each tip its own, at half of the joints' speed limits at most.
 
-    dt [s]: time between samples; where they are few, the path is slow enough to be followed within the tolerance [m].
+    dt [s]: time between samples; where they are few, the path is slow enough to be followed within position_tolerance [m].
 
     Whatever is not given is chosen, the first that works: the orientation kept, from home, large, along or about a base axis.
     Where nothing works (no joint can move) the path is a line without length. counts: what counts, as for `ik.solve`; a tip
@@ -131,7 +131,12 @@ def place(
         share = 0.0 if way_there is None else pace(robot, *way_there)[0]
         seconds = max(DURATION, float(np.ceil(DURATION * share / SPEED)))
         bend = _acceleration(paths(robot, start, kind, size, way, free, relative, duration=seconds, **rest))
-        missed = 0.5 * positive(dt, "dt [s]") ** 2 * bend / (STRAIGHT * positive(tolerance, "tolerance [m]"))
+        missed = (
+            0.5
+            * positive(dt, "dt [s]") ** 2
+            * bend
+            / (STRAIGHT * positive(position_tolerance, "position_tolerance [m]"))
+        )
         seconds = max(seconds, float(np.ceil(seconds * np.sqrt(missed))))
     reference = paths(robot, start, kind, size, way, free, relative, duration=seconds, **rest)
     return Placed(reference, start, size, way, free, _words(robot, kind, size, way, free, seconds, start))

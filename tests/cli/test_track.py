@@ -1,6 +1,7 @@
 """`ik track`: its tables, what it refuses and what it doubts."""
 
 import numpy as np
+import pytest
 
 
 def figures(out):
@@ -18,3 +19,35 @@ def test_tables_of_a_run_follow_deg_and_lengths_stay_in_metres(run):
         np.testing.assert_allclose(np.radians(found[f"{name} [deg]"]), wanted[f"{name} [rad]"], rtol=0.02)
     assert found["lift [m]"] == wanted["lift [m]"] and found["position [m]"] == wanted["position [m]"]
     assert "[deg/s]" in run("track", "planar_2r", "--duration", "2", "--deg")[1]
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        ("--on-limit slwo", "ik: no --on-limit 'slwo'. Did you mean 'slow'?"),
+        ("--acceleration -2", "ik: --acceleration must be positive, not -2"),
+        ("--acceleration 2 --no-limits", "ik: --acceleration must go with --limits"),
+        ("--position-tolerance 0", "ik: --position-tolerance [m] must be a positive number, not 0"),
+        ("--radius 0.1 --position-tolerance 0", "ik: --position-tolerance [m] must be a positive number, not 0"),
+        ("--orientation-tolerance 0", "ik: --orientation-tolerance [rad] must be a positive number, not 0"),
+        ("--max-stretch 0.5", "ik: --max-stretch must be at least 1, not 0.5"),
+        ("--duration -1", "ik: --duration [s] must be a positive number, not -1"),
+        ("--rate 1e9", "ik: --rate 1e+09 over 10 s is 1e+10 steps; at most 1e+07"),
+        ("--kp 20", "ik: --kp is an option of ca, not of cv\n"),
+        ("-p gamma=1", "ik: gamma is an option of aad, not of cv\n"),
+        ("--q0 5 0", "ik: --q0 is outside the limits of joint_1; move it inside or use --no-limits"),
+    ],
+)
+def test_errors_name_options_as_they_are_typed(run, words, says):
+    code, out, err = run("track", "planar_2r", "--position-only", *words.split())
+    assert code == 2 and not out and err.startswith(says) and err.count("\n") == 1
+
+
+def test_words_and_what_somebody_typed_are_not_taken_for_options(run):
+    for words, says in (
+        (["--tip", "tip=,"], "'tip=,'"),
+        (["--path", "limits=False"], "no path 'limits=False'"),
+        (["-p", "on_limit=slow"], "-p cannot set on_limit"),
+    ):
+        code, _, err = run("track", "planar_2r", *words)
+        assert code == 2 and says in err

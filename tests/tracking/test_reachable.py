@@ -36,7 +36,7 @@ def test_a_placed_path_is_slow_enough_for_few_samples(arm, kind, rate):
     run = ik.track(arm, placed.reference, "cv", dt=1.0 / rate, q0=placed.q0)
     assert run.status.name == "COMPLETED" and run.position_error.max() > 0.05e-3 * (rate < 10.0)
     assert (placed.reference.duration > 10.0) is (rate < 10.0)
-    fine = place(arm, kind, dt=1.0 / rate, tolerance=1e-5)
+    fine = place(arm, kind, dt=1.0 / rate, position_tolerance=1e-5)
     run = ik.track(arm, fine.reference, "cv", dt=1.0 / rate, q0=fine.q0, position_tolerance=1e-5)
     assert run.success and fine.size == placed.size
 

@@ -90,4 +90,4 @@ def test_the_verdict_of_the_command(capsys):
     assert main([*words, "--position-tolerance", "1e-9"]) == 1
     assert "1 nm" in capsys.readouterr().err
     assert main([*words, "--orientation-tolerance", "0"]) == 2
-    assert "orientation_tolerance" in capsys.readouterr().err
+    assert "--orientation-tolerance" in capsys.readouterr().err
