@@ -67,7 +67,7 @@ Start = Annotated[
 ]
 End = Annotated[str | None, typer.Option(metavar="X Y Z", help="End of the line [m]; default: --length along --axis.")]
 Turns = Annotated[
-    float,
+    float | None,
     typer.Option("--turns", metavar="N", help="Turns of circle or eight (default 1); rounds of a line, 0: one way."),
 ]
 Duration = Annotated[
@@ -174,7 +174,7 @@ def track(
     axis: Axis = None,
     start: Start = None,
     end: End = None,
-    turns_: Turns = 0.0,
+    turns_: Turns = None,
     duration: Duration = None,
     rate: Rate = 100.0,
     law: Law = None,
@@ -267,8 +267,8 @@ def _run(
     if (steps := line.rate * seconds) > MAX_STEPS:
         raise InvalidOption(f"--rate {line.rate:g} over {seconds:g} s is {steps:.3g} steps; at most {MAX_STEPS:g}")
     options = {name: getattr(line, name) for name in ("kappa", "kp", "kd") if getattr(line, name) is not None}
-    options |= {name: parameter(name, text) for name, text in assignments(line.param, "-p").items()}
-    options |= avoided(arm, line)
+    params = {name: parameter(name, text) for name, text in assignments(line.param, "-p").items()}
+    options |= params | avoided(arm, line)
     angle = ORIENTATION_TOLERANCE if line.orientation_tolerance is None else line.orientation_tolerance
     own = {
         "robot": arm,
@@ -285,7 +285,7 @@ def _run(
         "max_stretch": line.max_stretch,
         **counts,
     }
-    if twice := own.keys() & options.keys():
+    if twice := params.keys() & (own.keys() | vars(line).keys()):
         raise InvalidOption(
             f"-p cannot set {', '.join(sorted(twice))}: the command has options for that, see its --help"
         )

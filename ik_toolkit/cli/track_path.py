@@ -62,7 +62,7 @@ def asked_path(arm: Any, line: SimpleNamespace, q: Any, counts: dict[str, Any]) 
 
     placed = place(
         arm, line.path, q0=q, axis=_axis(line), position_only=line.position_only, duration=line.duration, law=line.law,
-        turns=line.turns_, dt=1.0 / line.rate, position_tolerance=line.position_tolerance, **counts,
+        turns=line.turns_ or 0.0, dt=1.0 / line.rate, position_tolerance=line.position_tolerance, **counts,
     )  # fmt: skip
     return Asked(placed.reference, placed.q0, placed.words)
 
@@ -72,10 +72,9 @@ def _check_fit(line: SimpleNamespace) -> None:
     kind = line.path if line.path in SHAPES else "file"
     given = [
         name
-        for name in ("radius", "length", "axis", "start", "end", "duration", "law")
-        if getattr(line, name) is not None
+        for name in ("radius", "length", "axis", "start", "end", "duration", "law", "turns")
+        if getattr(line, "turns_" if name == "turns" else name) is not None
     ]
-    given += ["turns"] * (line.turns_ != 0.0)
     fit = PLACE[kind] + (TIMES if kind != "file" else ())
     if line.end is not None and kind == "line":
         fit = tuple(name for name in fit if name not in ("length", "axis"))
@@ -88,6 +87,8 @@ def _check_fit(line: SimpleNamespace) -> None:
         )
         takes = f"; it takes {', '.join(f'--{name}' for name in fit)}" if fit else ", which says all of it"
         raise InvalidOption(f"{', '.join(odd)} cannot be used with {what}{takes}")
+    if line.turns_ == 0.0 and kind != "line":
+        raise InvalidOption(f"--turns must not be 0 with --path {kind}; only a line has none, which is one way")
 
 
 def _in_part(line: SimpleNamespace) -> bool:
@@ -127,7 +128,7 @@ def _rest(line: SimpleNamespace) -> dict[str, Any]:
     return {
         "duration": DURATION if line.duration is None else line.duration,
         "law": line.law,
-        "turns": line.turns_,
+        "turns": line.turns_ or 0.0,
     }
 
 
@@ -152,7 +153,7 @@ def _from_to(T: Any, line: SimpleNamespace) -> "Reference":
         end if line.position_only else T1,
         duration=seconds,
         law=law,
-        rounds=whole(line.turns_, "rounds of a line", 0),
+        rounds=whole(line.turns_ or 0.0, "rounds of a line", 0),
     )
 
 

@@ -1,5 +1,7 @@
 """`ik track`: its tables, what it refuses and what it doubts."""
 
+import json
+
 import numpy as np
 import pytest
 
@@ -34,6 +36,10 @@ def test_tables_of_a_run_follow_deg_and_lengths_stay_in_metres(run):
         ("--duration -1", "ik: --duration [s] must be a positive number, not -1"),
         ("--rate 1e9", "ik: --rate 1e+09 over 10 s is 1e+10 steps; at most 1e+07"),
         ("--kp 20", "ik: --kp is an option of ca, not of cv\n"),
+        ("--kappa 5 -p kappa=3", "ik: -p cannot set kappa: the command has options for that"),
+        ("--turns 0", "ik: --turns must not be 0 with --path circle"),
+        ("--turns 0 --path eight --radius 0.1", "ik: --turns must not be 0 with --path eight"),
+        ("--turns 1.5 --path line", "ik: rounds of a line must be a whole number of at least 0, not 1.5"),
         ("-p gamma=1", "ik: gamma is an option of aad, not of cv\n"),
         ("--q0 5 0", "ik: --q0 is outside the limits of joint_1; move it inside or use --no-limits"),
     ],
@@ -51,3 +57,9 @@ def test_words_and_what_somebody_typed_are_not_taken_for_options(run):
     ):
         code, _, err = run("track", "planar_2r", *words)
         assert code == 2 and says in err
+
+
+def test_a_line_of_no_turns_goes_one_way(run):
+    words = ("track", "planar_2r", "--path", "line", "--position-only", "--duration", "2", "--json")
+    shown = [json.loads(run(*words, *turns)[1])["figures"]["peak_speed"] for turns in ((), ("--turns", "0"))]
+    assert shown[0] == shown[1]
