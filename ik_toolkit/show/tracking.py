@@ -10,6 +10,8 @@ from ..style import COLOURS, DASHES, GREY, PALE
 from ..tracking.result import TrackResult
 from .plots import FLOOR, drawing, plain
 
+COLUMNS = 5  # of the legend of the joints, at most
+
 
 def skeleton(robot: Any, q: np.ndarray) -> np.ndarray:
     """Points (k, 3) [m] of base, joints and tip at q in the base frame: the arm as a polyline."""
@@ -42,10 +44,12 @@ def plot_track(result: TrackResult, robot: Joints) -> Any:
         for ax in axes[:-1]:
             ax.tick_params(labelbottom=False)
         axes[-1].set_xlabel("time [s]")
-        handles, labels = axes[2].get_legend_handles_labels()
-        axes[-1].legend(
-            handles, labels, fontsize=7.5, ncols=4, loc="upper center", bbox_to_anchor=(0.5, -0.5 if slowed else -0.28)
-        )
+        joints = axes[2].get_legend_handles_labels()
+        for columns in range(COLUMNS, 0, -1):  # as many as fit: names may be long
+            legend = figure.legend(*joints, fontsize=7.5, ncols=columns, loc="outside lower right")
+            if columns == 1 or legend.get_window_extent().width < figure.bbox.width:
+                break
+            legend.remove()
         settings = ", ".join(f"{k} {v:.4g}" for k, v in result.options.items())
         figure.suptitle(
             plain(

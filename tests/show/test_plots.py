@@ -130,22 +130,29 @@ def test_history_says_what_the_result_says():
 
 
 @pytest.mark.parametrize("slowed", [False, True])
-def test_the_picture_of_a_run_prints_nothing_over_anything(slowed):
+def test_the_picture_of_a_run_prints_nothing_over_anything_and_no_legend_beyond_its_edge(slowed):
     robot = ik.Robot.load("hydrolek_7w")
     run = ik.track(robot, ik.circle(robot.fk(robot.home), 0.02, duration=2.0), dt=0.04, q0=robot.home)
     if slowed:
         run.sigma = np.linspace(1.0, 0.3, 50)
         run.clock, run.pace = np.r_[0.0, np.cumsum(run.sigma) * run.dt], np.full(50, 2)
         run.limited[20:, 2] = 2
+    run.joint_names = (
+        tuple(f"{name}_of_an_arm_with_long_names" for name in robot.joint_names) if slowed else robot.joint_names
+    )
     figure = ik.plot(run, robot)
     figure.canvas.draw()
     axes = [ax for ax in figure.axes if ax.name != "3d"]
     titles = [ax.get_title(loc="left") for ax in axes]
     assert len(axes) == 3 + slowed and any("clock rate" in title for title in titles) == slowed
     if slowed:
-        assert "limited by elbow_pitch" in titles[-1]
+        assert "limited by elbow_pitch_of_an_arm_with_long_names" in titles[-1]
     boxes = [ax._left_title.get_window_extent() for ax in axes] + [ax.bbox for ax in axes]
     boxes += [ax.get_legend().get_window_extent() for ax in axes if ax.get_legend()]
+    (joints,) = figure.legends
+    boxes.append(joints.get_window_extent())
+    assert (joints._ncols < 5) == slowed
+    assert figure.bbox.x0 <= boxes[-1].x0 and boxes[-1].x1 <= figure.bbox.x1 and figure.bbox.y0 <= boxes[-1].y0
     for i, box in enumerate(boxes):  # one pixel is what rounding leaves
         assert not [other for other in boxes[:i] if box.padded(-1).overlaps(other)], titles
 
