@@ -44,7 +44,10 @@ PathOption = Annotated[
     str, typer.Option("--path", metavar="SHAPE|FILE", help="circle, line, eight, or a .csv or .npz file.")
 ]
 Method = Annotated[
-    str, typer.Option("-m", "--method", metavar="NAME", help="cv, av, ca, aa, aad, or a solver (see ik solvers).")
+    str,
+    typer.Option(
+        "-m", "--method", metavar="NAME", help="cv, av, ca, aa, aad, or a solver that can track, as lm and dls can."
+    ),
 ]
 Radius = Annotated[
     float | None,

@@ -148,8 +148,13 @@ def check_options(method: Any, options: Iterable[str], known: Iterable[str]) -> 
         name = method if isinstance(method, str) else method.name
         allowed = (*METHODS[name][1], "damping", *WORDS)
     else:
-        rules = [row.name for row in list_rows() if row.tracks]
+        rows = list_rows()
+        rules = [row.name for row in rows if row.tracks]
         if method is None or (isinstance(method, str) and method not in rules):
+            if method in {row.name for row in rows}:
+                raise InvalidOption(
+                    f"'{method}' is a solver that cannot track; methods that can: {', '.join((*METHODS, *rules))}"
+                )
             raise InvalidOption(f"no tracking method '{method}'.{near_match(method, (*METHODS, *rules))}")
         row = find_row(method)
         name = row.name

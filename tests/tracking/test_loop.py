@@ -141,7 +141,10 @@ def test_mistakes_in_the_loop_are_typed(panda):
     for dt in (0.0, -1.0, np.nan, np.inf, None, "slow", [0.01]):
         with pytest.raises(InvalidOption, match="dt"):
             tracker.update(panda.fk(Q0), dt)
-    for bad, words in (("cw", "Did you mean 'cv'"), ("newton", "no tracking method")):
+    for bad, words in (
+        ("cw", "Did you mean 'cv'"),
+        ("newton", "'newton' is a solver that cannot track; methods that can: cv, "),
+    ):
         with pytest.raises(InvalidOption, match=words):
             Tracker(panda, bad)
     with pytest.raises(InvalidOption, match=r"has no option 'kapa'.*kappa"):
