@@ -11,6 +11,8 @@ from ..errors import InvalidConfiguration, InvalidOption, floats, near_match
 LATE = 5.0  # longest step, over the first one, after which limits are still kept; a longer one is taken in parts ...
 MOST_PARTS = 100_000  # ... of which this many take some seconds
 
+ELSEWHERE = {"on_limit": {"slow": "ik.track", "direct": "ik.Tracker"}}  # values that only one of two calls takes
+
 
 def number(value: Any, name: str) -> float:
     """Return a finite number. Raises InvalidOption."""
@@ -46,7 +48,9 @@ def switch(value: Any, name: str) -> bool:
 def one_of(value: Any, names: Iterable[str], what: str) -> str:
     """Return a name that exists. Raises InvalidOption, "no WHAT 'VALUE'", with a near match."""
     if not (isinstance(value, str) and value in names):
-        raise InvalidOption(f"no {what} '{value!s:.60}'.{near_match(value, names)}")
+        taken_by = ELSEWHERE.get(what, {}).get(str(value))
+        meant = f"; '{value}' is for {taken_by}" if taken_by else ""
+        raise InvalidOption(f"no {what} '{value!s:.60}'{meant}.{near_match(value, names)}")
     return value
 
 

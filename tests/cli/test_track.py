@@ -40,6 +40,7 @@ def test_tables_of_a_run_follow_deg_and_lengths_stay_in_metres(run):
         ("--turns 0", "ik: --turns must not be 0 with --path circle"),
         ("--turns 0 --path eight --radius 0.1", "ik: --turns must not be 0 with --path eight"),
         ("--turns 1.5 --path line", "ik: rounds of a line must be a whole number of at least 0, not 1.5"),
+        ("--on-limit direct", "ik: no --on-limit 'direct'; 'direct' is for ik.Tracker. Available: slow, leave, clip."),
         ("-m newton", "ik: 'newton' is a solver that cannot track; methods that can: cv, av, ca, aa, aad, lm, dls"),
         ("-p gamma=1", "ik: gamma is an option of aad, not of cv\n"),
         ("--q0 5 0", "ik: --q0 is outside the limits of joint_1; move it inside or use --no-limits"),

@@ -147,6 +147,10 @@ def test_mistakes_in_the_loop_are_typed(panda):
     ):
         with pytest.raises(InvalidOption, match=words):
             Tracker(panda, bad)
+    with pytest.raises(InvalidOption, match=r"no on_limit 'slow'; 'slow' is for ik\.track\."):
+        Tracker(panda, on_limit="slow")
+    with pytest.raises(InvalidOption, match=r"no on_limit 'direct'; 'direct' is for ik\.Tracker\."):
+        track(panda, panda_reference(panda, True), on_limit="direct")
     with pytest.raises(InvalidOption, match=r"has no option 'kapa'.*kappa"):
         Tracker(panda, "cv", kapa=3.0)
     with pytest.raises(InvalidOption, match="Did you mean 'avoid_limits'"):
