@@ -86,7 +86,7 @@ def table(*columns: str) -> "Table":
 def show(*things: Any) -> None:
     """Print tables and lines on stdout: as wide as the terminal, 100 columns where there is none.
 
-    A table too wide for that loses its padding, and then its names wrap; numbers never do.
+    A table too wide for that loses its padding, then names of files break after a folder, then all names wrap; numbers never do.
     """
     from rich.console import Console
     from rich.segment import Segment, Segments
@@ -97,6 +97,14 @@ def show(*things: Any) -> None:
     for thing in things:
         if _least(thing) > room:
             thing.padding = 0
+        for column in getattr(thing, "columns", ()):
+            if (over := _least(thing) - room) > 0 and column.no_wrap and column.justify == "left":
+                cells: list[Any] = [*column.cells]
+                fits = max(map(len, cells), default=0) - over
+                wide = [isinstance(cell, str) and len(cell) > fits for cell in cells]
+                column._cells = [
+                    "/\n".join(cell.rsplit("/", 1)) if long else cell for cell, long in zip(cells, wide, strict=True)
+                ]
         if _least(thing) > room:
             for column in thing.columns:
                 column.no_wrap = column.no_wrap and column.justify == "right"

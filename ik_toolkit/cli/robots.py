@@ -82,7 +82,7 @@ def robots(everything: Everything = False, as_json: Json = False, csv_file: Csv 
     if as_json:
         return
     ours = table("<name", "<tips", "description", "paper")
-    theirs = table("<name", "<tips", "file")
+    theirs = table("<name", "<tips", "<file")
     for row in rows:
         tips = "\n".join(row["tips"])
         if row["shipped"]:

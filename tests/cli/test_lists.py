@@ -193,3 +193,14 @@ def test_a_table_too_wide_is_set_closer_before_its_names_wrap_and_numbers_never_
     for width in (38, 20):
         narrow = shown(width)
         assert "a_name_of_twenty_four_ch" not in narrow and "-1.234567 -2.345678" in narrow
+
+
+def test_a_file_name_too_wide_breaks_after_its_folder(capsys, monkeypatch):
+    monkeypatch.setenv("COLUMNS", "40")
+    made = table("<name", "<file")
+    made.add_row("ur10", "ur_description/urdf/ur10.urdf")
+    made.add_row("ur10_limited", "ur_description/urdf/ur10_limited.urdf")
+    show(made)
+    rows = [line.split() for line in capsys.readouterr().out.splitlines()]
+    assert ["ur10_limited", "ur_description/urdf/"] in rows and ["ur10_limited.urdf"] in rows
+    assert ["ur10", "ur_description/urdf/", "ur10.urdf"] not in rows and ["ur10", "ur_description/urdf/"] in rows
