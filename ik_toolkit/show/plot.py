@@ -17,7 +17,7 @@ from ..study.workspace import Workspace
 from ..style import COLOURS
 from ..tracking.result import TrackResult
 from .paths import plot_motion
-from .plots import convergence, drawing, plain, save, tracking_errors
+from .plots import SUFFIXES, convergence, drawing, plain, save, tracking_errors
 from .studies import plot_benchmark, plot_tuning, plot_workspace
 from .tracking import plot_track, skeleton
 
@@ -31,6 +31,13 @@ def plot(what: Any, robot: Joints | None = None, *, target: Any = None, file: st
     from above, with a target (pose or position [m]) as a cross. file: also write it (.png, .pdf, .svg). Raises InvalidOption,
     InvalidConfiguration, InvalidTarget, MissingExtra.
     """
+    if isinstance(robot, str | Path):
+        meant = (
+            f"to write the chart give file={str(robot)!r}"
+            if Path(robot).suffix.lower() in SUFFIXES
+            else "see Robot.load"
+        )
+        raise InvalidOption(f"a Robot or a Tree is needed as robot=, not {str(robot)!r:.60}; {meant}")
     several = tuple(what.values()) if isinstance(what, Mapping) else (what,)
     if isinstance(what, PathResult | Trajectory):
         figure = plot_motion(what)

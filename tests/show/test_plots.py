@@ -204,5 +204,8 @@ def test_plot_takes_what_the_calls_return(tmp_path):
             ik.plot(*wrong)
     with pytest.raises(InvalidOption, match="a Robot or a Tree is needed"):
         ik.plot(robot.home, "hydrolek_7w")
+    for what in (run, path, result):
+        with pytest.raises(InvalidOption, match=r"as robot=, not 'p\.png'; to write the chart give file='p\.png'"):
+            ik.plot(what, "p.png")
     with pytest.raises(InvalidConfiguration):
         ik.plot("something", robot)
