@@ -33,7 +33,7 @@ from .arguments import (
 from .by_tip import choose_tips
 from .obstacles import avoided
 from .output import facts, notice, progress, show, table, turns, unit, write_json
-from .track_path import Asked, advice, asked_path
+from .track_path import Asked, advice, asked_path, doubt_metres
 
 if TYPE_CHECKING:
     from ..robot.robot import Robot
@@ -236,6 +236,7 @@ def track(
     first = None if q0 is None else joint_vector(arm, q0, "--q0", deg)
     with progress("tracking", None):
         asked = asked_path(arm, line, first, counts)
+        doubt_metres(arm, asked.reference)
         result = _run(arm, line, asked, counts)
     if output is not None:
         notice(f"wrote {result.save(output)}")

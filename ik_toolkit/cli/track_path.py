@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from ..errors import InvalidOption, near_match, whole
 from ..text import vector
-from .output import number
+from .output import notice, number
 
 if TYPE_CHECKING:
     from ..tracking.reachable import References, Survey
@@ -21,6 +21,8 @@ PLACE = {  # options that say where a path is and how large; a file says all tha
     "line": ("length", "axis", "start", "end"),
     "file": (),
 }
+FAR = 20.0  # times the reach: a path that goes further away is more often in millimetres
+SEEN = 65  # points of a path that are looked at for that
 TIMES = ("duration", "law", "turns")
 AXES = ("1 0 0", "0 1 0", "0 0 1", "-1 0 0", "0 -1 0", "0 0 -1")
 
@@ -65,6 +67,22 @@ def asked_path(arm: Any, line: SimpleNamespace, q: Any, counts: dict[str, Any]) 
         turns=line.turns_ or 0.0, dt=1.0 / line.rate, position_tolerance=line.position_tolerance, **counts,
     )  # fmt: skip
     return Asked(placed.reference, placed.q0, placed.words)
+
+
+def doubt_metres(arm: Any, reference: "References") -> None:
+    """Warn, once, that a path far beyond the reach may have been meant in millimetres."""
+    import numpy as np
+
+    at = arm.fk(arm.home)
+    tips = at if arm.by_tip else {arm.tip: at}
+    each = reference if isinstance(reference, Mapping) else {arm.tip: reference}
+    for tip, one in each.items():
+        way = one.at(np.linspace(0.0, one.duration, SEEN))[0][:, :3, 3] - tips[tip].translation
+        away = float(np.linalg.norm(way, axis=1).max())
+        if away > FAR * arm.reach:
+            times = f"{away / arm.reach:.3g} times its reach" if arm.reach > 0.0 else "which cannot move"
+            notice(f"warning: the path goes {away:.4g} m away from {tip} at home, {times}; were millimetres meant?")
+            return
 
 
 def _check_fit(line: SimpleNamespace) -> None:
