@@ -160,7 +160,7 @@ class Step:
         if status is StepStatus.AT_LIMIT:
             limited = not o.lost and o.code.any()
             parts.append(f"about as close as {'the limits allow' if limited else 'the arm reaches from here'}")
-        elif status is StepStatus.LIMITED and not o.code.any():
+        elif status is StepStatus.LIMITED and o.way is None and not o.code.any():
             parts.append("the tip can hardly get nearer to its target from here")
         if o.way is not None:
             parts.append(_on_the_way(o.way))

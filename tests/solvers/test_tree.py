@@ -361,7 +361,7 @@ def test_command_line_takes_positions_starts_and_locked_joints(run, brokk):
         (["--target", "left_tip:1,0"], "TIP:X,Y,Z"),
         (["--target", "left_tip"], "TIP:X,Y,Z"),
         (["--target", "left_tip:1,0,1", "--target", "left_tip:1,0,1"], "twice"),
-        (["--target", "left_tip:1,0,1,0,0,0,0"], "quat_xyzw has length 0"),
+        (["--target", "left_tip:1,0,1,0,0,0,0"], "--quat-xyzw has length 0"),
         (["--target", "left_tip:nan,0,1"], "finite"),
         (["--target", "left_tip:1,0,1", "--xyz", "1", "0", "0"], "omit --xyz"),
         (["--target", "left_tip:1,0,1", "-s", "state-space"], "for several use 'lm'"),
