@@ -237,8 +237,8 @@ def run(step, rows, ends, orders, given, own, samples, out, h, block):
         ratio = h / state[STATE.period] if state[STATE.start] == RUNNING else 0.0
         mu = descend(law, s, limits, h, state) if stuck(law, s, limits, square, h, state) else 0.0
         S[i, 3] = min(max(state[STATE.near], 0.0), 1.0)
+        quieten(law, s, rate, swings, h, state)
         if mu == 0.0:
-            quieten(law, s, rate, swings, h, state)
             S[i, 3] = wanted(
                 law, rule, task, look, weights, s, counts[1], limits, wish, count, sigma, h, rate, memory, away, basis, state
             )  # fmt: skip

@@ -157,7 +157,7 @@ class Tracker:
         unit = self.robot.chain.unit
         self._q[:] = q / unit
         self._rate[:] = 0.0 if rate is None else rate / unit
-        self._carried.swings[:] = 0.0
+        self._carried.swings[:], self._state[motion.STATE.free] = 0.0, box.HOLD
         self._forget(motion.GIVEN if rate is not None or self._at_rest else motion.MOVING)
         for way in self._ways:
             way.begin()
@@ -169,9 +169,9 @@ class Tracker:
     def _forget(self, start: int) -> None:
         """Forget what was done before, but where the joints are and how they move and swing; start: how the next step begins."""
         own = self._carried
-        joints, swings = own.motion.copy(), own.swings.copy()
+        joints, swings, free = own.motion.copy(), own.swings.copy(), own.state[motion.STATE.free]
         own.block[LINE:] = 0.0
-        own.motion[:], own.swings[:] = joints, swings
+        own.motion[:], own.swings[:], own.state[motion.STATE.free] = joints, swings, free
         own.state[motion.STATE.start] = start
         self.secondary.side(own.away)
 

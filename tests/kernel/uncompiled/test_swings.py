@@ -30,7 +30,7 @@ def test_joints_that_turn_back_often_swing():
 @pytest.mark.parametrize("gamma", [0.5, 0.6, 1.0])
 @pytest.mark.parametrize("h", [0.001, 0.004, 0.01, 0.03])
 def test_calmed_joints_turn_at_most_three_times_in_a_tenth_of_a_second(h, gamma):
-    """Whatever is wanted of them, at 5 % of their speed limit and more."""
+    """Where they are asked to turn back as soon as they can, or now and then; at 5 % of their speed limit and more."""
     rng, n = np.random.default_rng(8), 10
     size, turns = np.linspace(0.2, 3.0, n), [[] for _ in range(n)]
     swings, rate, side = np.zeros((3, n)), np.zeros(n), np.zeros(n)
