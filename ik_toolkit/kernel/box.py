@@ -32,6 +32,7 @@ SWING = 0.05  # of its speed limit, beyond which a joint moves at speed, to one 
 # turns within 0.1 s, which are chatter, two are less than WINDOW apart, and the next ones take WINDOW each:
 SWINGING = 2.0
 WINDOW, HOLD = 0.05, 0.1
+LASTING = 0.2  # [s] after the last hindrance but this one in which joints are calmed
 CALM, GROWTH = 0.75, 10.0  # [1/s] by which joints that swing gain speed, in shares of their limit and of their speed
 
 

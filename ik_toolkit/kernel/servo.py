@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from .bench import bench_on, bench_space
-from .box import CALMED, HELD, HOLD, UNLIMITED, approach, boxes, calm, clip, move, watch, way_to
+from .box import CALMED, HELD, LASTING, UNLIMITED, approach, boxes, calm, clip, move, watch, way_to
 from .clock import MAKE_UP, QUICK, SPARE, WHOLE, clock_at, next_rate, reference, to_go, too_far
 from .constrain import SLOW, room_on, room_space
 from .descent import descend, notice, stuck
@@ -136,7 +136,7 @@ def leave_out(J, floor, roof):
 @inline
 def quieten(law, s, rate, swings, h, state):
     """Let joints that swing gain speed gradually where something hinders them; what a target alone asks for is no swing."""
-    if law.mode != CLIP and state[STATE.free] < HOLD:
+    if law.mode != CLIP and state[STATE.free] < LASTING:
         calm(rate, s.size, swings, h, s.floor, s.roof, s.why_low, s.why_top)
 
 

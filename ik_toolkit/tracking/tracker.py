@@ -157,7 +157,7 @@ class Tracker:
         unit = self.robot.chain.unit
         self._q[:] = q / unit
         self._rate[:] = 0.0 if rate is None else rate / unit
-        self._carried.swings[:], self._state[motion.STATE.free] = 0.0, box.HOLD
+        self._carried.swings[:], self._state[motion.STATE.free] = 0.0, box.LASTING
         self._forget(motion.GIVEN if rate is not None or self._at_rest else motion.MOVING)
         for way in self._ways:
             way.begin()

@@ -361,7 +361,7 @@ def test_joints_that_swing_gain_speed_gradually_where_something_hinders_them(mod
         s.size, swings, state = np.full(7, 0.8), np.zeros((3, 7)), np.zeros(len(STATE))
         s.why_low, s.why_top = np.zeros((2, 7), np.uint8)
         s.before, s.x, state[STATE.near] = np.ones(7), np.ones(7), near
-        for _ in range(1 if hindered else 11):  # for a tenth of a second after the last hindrance
+        for _ in range(1 if hindered else 21):  # for 0.2 s after the last hindrance
             servo.look_on(law(mode=mode, gamma=1.0), s, np.array([0] * 6 + [why], np.uint8), swings, 0.01, state)
         swings[0, 0] = 3.0
         servo.quieten(law(mode=mode), s, np.zeros(7), swings, 0.01, state)
