@@ -2,6 +2,7 @@
 
 import math
 import warnings
+from collections.abc import Mapping
 from pathlib import Path
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Annotated, Any
@@ -267,7 +268,8 @@ def _run(
     from ..tracking.track import track as follow
     from ..tracking.verdict import ORIENTATION_TOLERANCE
 
-    seconds = max(one.duration for one in (asked.reference.values() if arm.by_tip else [asked.reference]))
+    references = asked.reference.values() if isinstance(asked.reference, Mapping) else [asked.reference]
+    seconds = max(one.duration for one in references)
     if (steps := line.rate * seconds) > MAX_STEPS:
         raise InvalidOption(f"--rate {line.rate:g} over {seconds:g} s is {steps:.3g} steps; at most {MAX_STEPS:g}")
     options = {name: getattr(line, name) for name in ("kappa", "kp", "kd") if getattr(line, name) is not None}

@@ -8,7 +8,7 @@ from typing import Any
 import typer.core
 
 # Typer carries its own copy of click in some versions; this is the root of its usage errors in all of them.
-UsageError = typer.BadParameter.mro()[2]
+UsageError: type[Exception] = typer.BadParameter.mro()[2]
 PYTHON_NAMES = {"acceleration_limits": "acceleration", "relative_to": "relative"}  # of parameters called otherwise here
 SUBJECT = re.compile(r"^(no )?([a-z]\w*)()(?=: | \[| must | is | has | ')")  # of a sentence
 WITH_VALUE = re.compile(
