@@ -1,12 +1,15 @@
 """The guide's examples run as printed, each page in one go; every page is reachable."""
 
 import ast
+import importlib.util
+import inspect
 import re
 import shlex
 
 import pytest
 from folders import ROOT
 
+import ik_toolkit as ik
 from ik_toolkit.cli import main
 
 DOCS = ROOT / "docs"
@@ -74,6 +77,16 @@ def names_in(file, constant):
     tree = ast.parse(file.read_text(encoding="utf-8"))
     lines = [node for node in tree.body if isinstance(node, ast.Assign)]
     return next(ast.literal_eval(line.value) for line in lines if ast.unparse(line.targets[0]) == constant)
+
+
+def test_every_attribute_is_explained():
+    """The API pages say of each attribute of a public class what it is, and of none that it has not."""
+    spec = importlib.util.spec_from_file_location("generate", DOCS / "_generate.py")
+    generate = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(generate)
+    public = [getattr(ik, name) for name in ik._NAMES]
+    rows = [len(generate.attributes_of(value)) for value in public if inspect.isclass(value)]
+    assert sum(rows) > 100
 
 
 def test_there_is_something_to_run():
