@@ -49,7 +49,8 @@ class TrackResult:
     clock (N+1,) [s]: the reference's time at each t, against which errors are; sigma (N,) its rate in each step, 0 to 1; pace
     (N,) the joint that held it back, -1 for none. end [s]: reference time that the run was to reach. Without them the clock is t.
 
-    reach: of a run that left its reference, where along it the poses can be reached at all (a `Survey`), else None.
+    between: names of the two that most often would have touched where a contact ahead held the robot back, else None. reach: of a
+    run that left its reference, where along it the poses can be reached at all (a `Survey`), else None.
     """
 
     robot: str
@@ -78,6 +79,7 @@ class TrackResult:
     pace: np.ndarray = None  # type: ignore[assignment]
     end: float = float("nan")
     searched: float = 0.0
+    between: tuple[str, str] | None = None
     figures: dict[str, Any] = field(default_factory=dict)
     status: TrackStatus = TrackStatus.COMPLETED
     message: str = ""
@@ -146,6 +148,7 @@ class TrackResult:
             "pace_joint": self.pace_joint,
             "elapsed": self.elapsed,
             "searched": self.searched,
+            "between": self.between,
             "stability": None
             if check is None
             else {"verdict": check.verdict, "radius": check.radius, "message": check.message},

@@ -1,6 +1,7 @@
 """The run of `track`, from the start to the end of a reference; taken again, slower, where it left its path."""
 
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
@@ -54,6 +55,7 @@ class _Taken(NamedTuple):
     arrays: list[np.ndarray]  # Q, R, E, S, C, see kernel/session.py
     end: np.ndarray  # of the tracker
     elapsed: float  # [s] of stepping
+    between: tuple[str, str] | None  # names of the two that most often would have touched
 
 
 class Run:
@@ -116,7 +118,7 @@ class Run:
         best = min(made, key=lambda taken: taken.missed)
         self.Q, self.R, self.E, self.S, self.C = best.arrays
         tracker.put_back(best.end)
-        self.elapsed = best.elapsed
+        self.elapsed, self.between = best.elapsed, best.between
         self.searched = time.perf_counter() - began - best.elapsed
 
     def _record(self, steps: int) -> Record:
@@ -203,13 +205,15 @@ class Run:
         tracker, left, began = self.tracker, self.most, time.perf_counter()
         self._begin(way.beside)
         self._limit_clock(way)
-        made = []
+        made, pairs = [], Counter[tuple[str, str]]()
         while True:
             steps = 1 if tracker.one_by_one or way.lead else min(self.count, left)
             if way.lead:
                 self._lead(way)
             record = self._record(steps)
             done = tracker.take(self.samples, self.dt, record, mode=self.mode, clock=self.clock, runaway=RUNAWAY)
+            if tracker._between:
+                pairs[tracker._between] += 1
             left -= done
             clock, stop = (tracker._state[at] for at in (motion.STATE.clock, motion.STATE.stop))
             astray = way.lead > 0.0 and tracker._state[motion.STATE.leaving] > 0.0  # and no longer on the way planned
@@ -223,7 +227,8 @@ class Run:
         if self.mode == SLOW and clock < self.count - 1:
             # A reference not followed to its end is worse than that, and worst of all a run that was given up.
             missed += round((self.count - (0.0 if astray else clock)) * self.most)
-        return _Taken(missed, arrays, tracker.carried(), time.perf_counter() - began)
+        most = max(pairs, key=lambda pair: pairs[pair], default=None)
+        return _Taken(missed, arrays, tracker.carried(), time.perf_counter() - began, most)
 
     def _lead(self, way: _Way) -> None:
         """Ask for the posture of a way at the next step, and for its speed; and for its side where it is nearly singular."""

@@ -182,6 +182,7 @@ def _result(run: Run, robot: Any, references: list[Reference], times: np.ndarray
         between_orientation=between[1],
         elapsed=run.elapsed,
         searched=run.searched,
+        between=run.between,
         gain_check=check,
         position_tolerance=run.tolerances[0],
         orientation_tolerance=run.tolerances[1],

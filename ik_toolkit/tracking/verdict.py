@@ -38,7 +38,8 @@ def verdict(result: TrackResult, stop: int, steps: int) -> tuple[TrackStatus, st
         )
     limited, blocked = (int(one.any(axis=1).sum()) for one in (result.at_limits, result.limited & box.ROW))
     note = f" A joint limit was active in {limited} of {done} steps." if limited else ""
-    note += f" A contact ahead held the robot back in {blocked} of {done} steps." if blocked else ""
+    pair = " between '{}' and '{}'".format(*result.between) if result.between else ""
+    note += f" A contact ahead{pair} held the robot back in {blocked} of {done} steps." if blocked else ""
     note += _between_samples(result)
     outside = result.outside()
     if result.clock[-1] < result.end - result.dt:  # the last step may fall short of the end

@@ -302,7 +302,9 @@ def test_a_run_stops_before_what_is_in_its_way(on_limit):
     result = ik.track(robot, line, dt=0.02, on_limit=on_limit, max_stretch=2, avoid_collisions=model)
     assert not result.success and (result.limited & box.ROW).any()
     limits, contacts = ((result.limited & bits > 0).any(axis=1).sum() for bits in (7, box.ROW))
-    assert f"A contact ahead held the robot back in {contacts} of {len(result.limited)} steps" in result.message
+    assert result.between == result.to_dict()["between"] and "box" in result.between
+    pair = "between '{}' and '{}'".format(*result.between)
+    assert f"A contact ahead {pair} held the robot back in {contacts} of {len(result.limited)} steps" in result.message
     assert ("A joint limit was active" in result.message) == (limits > 0)
     assert result.figures["time_at_limits"] == pytest.approx(0.02 * limits)
     assert not any(model.collides(q) for q in result.q)
