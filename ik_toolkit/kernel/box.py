@@ -137,7 +137,7 @@ def boxes(q, rate, limits, gamma, h, late, low, top, why_low, why_top):
     return recovering
 
 
-@dual
+@shared
 def watch(swings, rate, x, size, gamma, h):
     """Count how often in a row each joint turns back at speed, that of its move in a step from rate to x, see `calm`."""
     for i in range(x.shape[0]):

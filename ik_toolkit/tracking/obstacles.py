@@ -9,7 +9,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..kernel.box import advance
 from ..kernel.brake import along, brake
 from ..robot.clearance import Clearance
 
@@ -45,13 +44,14 @@ class Guard:
     """
 
     def __init__(self, robot: Any, model: Any, limits: np.ndarray, gamma: float) -> None:
-        """Bind; `restart` comes next."""
+        """Bind, and compile (or load) all that is needed later; `restart` comes next."""
         self.robot, self.model, self.limits, self.gamma = robot, model, limits, gamma
         self.A, self.b, self._order = np.zeros((ROWS, robot.n)), np.zeros(ROWS), np.zeros(ROWS, dtype=int)
         self.pairs: list[tuple[str, str]] = []
         self.blocked: tuple[str, str] | None = None
         self.late = 0.0  # longest step [s] that may follow
         self._bind()
+        self._get_ready()
 
     def _bind(self) -> None:
         """Take the model as it is now."""
@@ -60,6 +60,21 @@ class Guard:
         # A robot's parts may be closer to each other than the distance to keep: then half of their distance is kept.
         home = space.home - space.margins
         self._keep = np.where(space.own & (home > 0.0), np.minimum(0.5 * home, KEEP), KEEP)
+
+    def _get_ready(self) -> None:
+        """Call what would otherwise be compiled in a control loop, when the arm has to brake."""
+        space, q, still = self._space, self.robot.home, np.zeros(self.robot.n)
+        path, ks = self._follow(q[None], still[None], 1.0), np.arange(len(self._keep))[:1]
+        if path is None:
+            return
+        space.place(q)
+        space.move()
+        way = path.q, path.rate, path.length, self.gamma, path.h
+        along(*way, 0.0, still, np.empty_like(still))
+        levers, _ = space.levers(path.length[-1])
+        space.free_until(ks, np.ones(len(ks)), levers, *way, 0.0)
+        rules = self.limits[3], 1.0, 1.0, SHARE, FLAT
+        space.rows(ks, space.points(ks), np.ones(len(ks)), still, *rules, self.A, self.b, self._order)
 
     def restart(self, q: np.ndarray) -> tuple[str, str] | None:
         """Begin at q (n,); returns the names of a pair that touches there, or None."""
@@ -141,12 +156,12 @@ class Guard:
         """
         blocked, path = self.blocked, self._path
         if self._at_once:  # a part of the way that was proven with the last step, whatever this one's length
-            q1, rate1 = q.copy(), rate.copy()
-            late, codes = max(self.late, h), np.empty(len(q), np.uint8)
-            advance(q1, rate1, np.zeros(len(q)), self.gamma, h, late, self.limits, codes)
-            self._take(np.array([q, q1]), np.array([rate, rate1]), h, anyway=True)
+            Q, R, lengths = np.empty((3, 2, len(q)))
+            Q[0], R[0] = q, rate
+            brake(0, self.gamma, h, max(self.late, h), self.limits, Q, R, lengths)
+            self._take(Q, R, h, anyway=True)
             self.blocked = blocked
-            return q1, rate1
+            return Q[1], R[1]
         if path is None or path.h != h:
             self._take(q[None], rate[None], h, anyway=path is None)  # without a path no step of ours led here
         self.blocked = blocked

@@ -373,22 +373,22 @@ class Tracker:
             return self.run(samples, h, out, clock=clock, brake=brake, **how)
         guard.late = max(self._late, h)
         q, rate = self._carried.motion * self._units
-        self.rows = guard.rows(q, rate, h)
-        lines, level = self._settings.lines, self._settings.level
-        lines[: self.rows], level[: self.rows] = guard.A[: self.rows] * unit, guard.b[: self.rows]
+        self.rows = r = guard.rows(q, rate, h)
+        self._settings.lines[:r], self._settings.level[:r] = guard.A[:r] * unit, guard.b[:r]
         before = self.carried()
         done = self.run(samples, h, out, clock=clock, brake=brake, **how)
-        held = np.flatnonzero(self._carried.kept[: self.rows])
+        held = np.flatnonzero(self._carried.kept[:r])
         self._between = guard.pairs[held[0]] if len(held) and out.C[0].any() else None
         next_q, next_rate = self._carried.motion * self._units
         if not done or guard.allows(q, out.R[0] * unit, next_q, next_rate, h):
             return done
         self.put_back(before)
         self._carried.motion[:] = guard.instead(q, rate, next_rate, h) / self._units
-        self._carried.memory[:] = 0.0
-        self._state[motion.STATE.start] = motion.READY
-        self._state[motion.STATE.sigma] = max(self._state[motion.STATE.sigma] - QUICK * h, 0.0)
-        self._between = guard.blocked
+        move = (self._q - q / unit) / h
+        box.watch(self._carried.swings, move, move, speeds(self._limits), 1.0, h)
+        state, at = self._state, motion.STATE
+        state[at.start], state[at.free], state[at.sigma] = motion.READY, 0.0, max(state[at.sigma] - QUICK * h, 0.0)
+        self._carried.memory[:], self._between = 0.0, guard.blocked
         out.S[0, 1:3] = 0.0, -1.0  # the clock stood still
         self._end(samples if clock is not None else self.stream.last_of(samples), h, out, clock=clock, **how)
         out.C[0] = np.where(self._rate == 0.0, box.ROW, box.ROW | box.ACCELERATION) | (box.HELD if brake else 0)

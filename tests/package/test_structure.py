@@ -2,6 +2,7 @@
 
 import ast
 import functools
+import importlib
 
 import pytest
 from folders import ROOT
@@ -142,3 +143,37 @@ def test_parts_of_kernels_make_no_arrays():
         called = {ast.unparse(node.func) for node in ast.walk(function) if isinstance(node, ast.Call)}
         made = {name for name in called if name in counting | makers or name.endswith(".copy")}
         assert not made, f"{function.name} makes arrays by {', '.join(sorted(made))}: compile it by `build`"
+
+
+def called_from_python(tree):
+    """Calls in a module's functions and classes, but in decorated ones, which may be compiled themselves."""
+    for node in ast.iter_child_nodes(tree):
+        if not getattr(node, "decorator_list", None):
+            if isinstance(node, ast.Call):
+                yield node
+            yield from called_from_python(node)
+
+
+def meant(call, module):
+    """What a call calls, where that is a global of the module or of one imported there."""
+    function = call.func
+    if isinstance(function, ast.Attribute):
+        return getattr(getattr(module, getattr(function.value, "id", ""), None), function.attr, None)
+    return getattr(module, getattr(function, "id", ""), None)
+
+
+def test_kernels_called_from_python_are_kept_on_disk():
+    """Others would be compiled in every process, for seconds, at their first call: in a control loop, say."""
+    from numba.core.dispatcher import Dispatcher
+
+    from ik_toolkit.kernel.cache import DiskCache
+
+    found = []
+    for name, path in modules().items():
+        # The methods are compiled into the loop, as rules of solvers are.
+        if name.split(".")[1:2] in (["tracking"], ["robot"], ["paths"]) and name != "ik_toolkit.tracking.methods":
+            module = importlib.import_module(name)
+            calls = [(call.lineno, meant(call, module)) for call in called_from_python(parsed(path))]
+            found += [(f"{name}:{line}", one) for line, one in calls if isinstance(one, Dispatcher)]
+    assert len(found) > 10
+    assert [f"{where} calls {one.__name__}" for where, one in found if not isinstance(one._cache, DiskCache)] == []

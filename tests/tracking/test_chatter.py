@@ -69,6 +69,24 @@ def test_none_before_a_box(seed):
 
 
 @pytest.mark.skipif(not have_data(), reason="needs example-robot-data")
+def test_none_among_boxes_where_steps_are_refused():
+    """The turns of steps in place of refused ones count as well: joints of a UR5 turned back four times."""
+    robot, rng = load("ur5"), np.random.default_rng(1009)
+    T, model = robot.fk(robot.home), ik.CollisionModel(robot)
+    while len(model.obstacles) < 4:
+        middle, size = T.translation + rng.uniform(-0.4, 0.4, 3), rng.uniform(0.05, 0.2, 3)
+        if not ik.CollisionModel(robot).add_box(size, middle).collides(robot.home):
+            model.add_box(size, middle, f"box{len(model.obstacles)}")
+    phase, tempo = rng.uniform(0, 6, 6)[:3], rng.uniform(0.5, 3)
+    tracker, Q = ik.Tracker(robot, "ca", avoid_collisions=model), [robot.home]
+    for k in range(800):
+        target = T.homogeneous
+        target[:3, 3] += 0.3 * (np.sin(k * DT * tempo * np.array([1.1, 1.7, 0.8]) + phase) - np.sin(phase))
+        Q.append(tracker.update(target, DT).q)
+    assert chatter(np.array(Q), robot.velocity_limits) == 0
+
+
+@pytest.mark.skipif(not have_data(), reason="needs example-robot-data")
 def test_none_before_a_box_where_the_clock_waits():
     robot, model, q0, begin, end = before_a_box(9)
     reference = ik.line(begin.homogeneous, end.homogeneous, duration=2.0, law="minimum-jerk")
