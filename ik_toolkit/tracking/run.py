@@ -224,7 +224,7 @@ class Run:
                 break
         arrays = [np.concatenate(part) for part in zip(*made, strict=True)]
         missed = int((self._excess(arrays[2]) > 1.0).sum())
-        if self.mode == SLOW and clock < self.count - 1:
+        if self.mode == SLOW and clock < self.count:
             # A reference not followed to its end is worse than that, and worst of all a run that was given up.
             missed += round((self.count - (0.0 if astray else clock)) * self.most)
         most = max(pairs, key=lambda pair: pairs[pair], default=None)

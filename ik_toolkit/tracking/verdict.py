@@ -6,7 +6,7 @@ from ..errors import InvalidOption
 from ..kernel import box, motion
 from ..robot.pose import length
 from .inputs import number
-from .result import TrackResult, TrackStatus
+from .result import ROUNDING, TrackResult, TrackStatus
 
 POSITION_TOLERANCE = 1e-3  # [m] what a path is commonly followed to
 ORIENTATION_TOLERANCE = np.radians(0.1)  # [rad] moves a tool of half a metre by about as much
@@ -42,7 +42,7 @@ def verdict(result: TrackResult, stop: int, steps: int) -> tuple[TrackStatus, st
     note += f" A contact ahead{pair} held the robot back in {blocked} of {done} steps." if blocked else ""
     note += _between_samples(result)
     outside = result.outside()
-    if result.clock[-1] < result.end - result.dt:  # the last step may fall short of the end
+    if result.clock[-1] < result.end - ROUNDING * result.dt:
         return TrackStatus.LOST, _stopped(result, outside) + note
     if outside.any():
         status = TrackStatus.LOST if outside[-1] else TrackStatus.LEFT

@@ -6,6 +6,7 @@ import json
 import numpy as np
 import pytest
 
+import ik_toolkit as ik
 from ik_toolkit.kernel import box, motion
 from ik_toolkit.tracking.result import TrackResult, figures
 from ik_toolkit.tracking.verdict import verdict
@@ -83,8 +84,19 @@ def test_a_run_that_does_not_reach_the_end_is_lost_and_names_the_joint():
     assert "reached 0.2 of 0.5 s of the reference in 0.5 s, limited by shoulder (position limit)" in run.message
     off = made([0.0, 0.0, 0.01, 0.01], sigma=[1, 1, 0], pace=[-1, -1, 1], end=1.0)
     assert off.status.name == "LOST" and "limited by elbow" in off.message and "10 mm from the reference" in off.message
-    # the reference need not be a whole number of steps
-    assert made([0.0] * 4, sigma=[1, 1, 1], end=0.35).status.name == "COMPLETED"
+    nearly = made([0.0] * 4, sigma=[1, 1, 0.5], pace=[-1, -1, 1], end=0.3)
+    assert nearly.status.name == "LOST" and "reached 0.25 of 0.3 s" in nearly.message
+
+
+def test_a_reference_of_one_sample_that_was_given_up_is_lost():
+    robot = ik.Robot.load("hydrolek_7w")
+    start = robot.fk(robot.home).homogeneous
+    end = start.copy()
+    end[:3, 3] += (-0.1, 0.1, 0.0)
+    line = ik.line(start, end, duration=0.015)
+    run = ik.track(robot, line, dt=0.01, acceleration_limits=2.0)
+    assert run.clock[-1] < 0.9 * run.end
+    assert run.status.name == "LOST" and not run.success and f"of {run.end:.4g} s of the reference" in run.message
 
 
 def test_errors_before_the_arm_has_settled_do_not_count():
