@@ -26,6 +26,7 @@ MOVING, GIVEN, RUNNING, READY = range(4)  # start with the reference's rate, wit
 FINE, NOT_FINITE, RUNAWAY = range(3)
 SINGLE = 1e-24  # share of the largest diagonal entry of JJ' below which the joints cannot move along a row
 FAR = 0.25  # of curvature times error: damped by it, a direction asks for at most the root of error over curvature
+SLOW = 0.1  # of the fastest joint's speed, below which others are asked first
 AT = 1e-9  # [rad, or reaches] from a limit within which a joint counts as at the limit
 REGION = 2.0  # damping fades in where the smallest singular value falls below REGION * damping
 
@@ -283,6 +284,61 @@ def natural(p, h):
 
 
 @dual
+def possible(c, pace, h, q, limits, fast, quick, walls):
+    """Share of a correction c (n,) that all joints can brake before, and whether a joint at its limit is in its way, see `ease`."""
+    f, stopped = 1.0, False
+    for i in range(c.shape[0]):
+        size = abs(c[i])
+        if walls and (q[i] >= limits[1, i] - AT if c[i] > 0.0 else q[i] <= limits[0, i] + AT):
+            stopped = True
+            continue
+        cap = fast * limits[2, i]
+        if limits[3, i] < np.inf:
+            cap = min(cap, approach(size, 0.0, 1.0, h, quick * limits[3, i], h))
+        if pace * size > cap > 0.0:  # a locked joint does not count: the others close the error
+            f = min(f, cap / (pace * size))
+    return f, stopped
+
+
+@dual
+def spare(J, m, e, limits, H, y, c):
+    """Correction c (n,) of e that spares slow joints; False, and nothing done, where no joint is slow, or it has no number.
+
+    The pseudo-inverse weighted by speed; by powers of 2, so that J is afterwards what it was before.
+    """
+    top, slow = 0.0, False
+    for i in range(c.shape[0]):
+        top = max(top, limits[2, i] if limits[2, i] < np.inf else 0.0)
+    for i in range(c.shape[0]):
+        slow = slow or halved(limits[2, i], top) < 1.0
+    if not slow:
+        return False
+    for i in range(c.shape[0]):
+        for k in range(m):
+            J[i, k] *= halved(limits[2, i], top)
+    gram(J, m, True, 0.0, H)
+    cholesky(H, m, 0.0)
+    apply(J, m, H, e, y, c)
+    known = True
+    for i in range(c.shape[0]):
+        w = halved(limits[2, i], top)
+        c[i] *= w
+        known = known and abs(c[i]) < np.inf
+        for k in range(m):
+            J[i, k] /= w
+    return known
+
+
+@dual
+def halved(speed, top):
+    """The weight of a joint: 1, for a slow one the largest power of 2 that is not above its share of the top speed."""
+    w = 1.0
+    while 0.0 < speed < SLOW * top and speed < w * top:
+        w *= 0.5
+    return w
+
+
+@dual
 def ease(p, J, m, e, ahead, h, q, limits, planes, edges, count, fast, quick, walls, bend, G, H, y, c):
     """Shrink the error fed back (e and ahead, in place) until the joints can brake before it reaches zero.
 
@@ -298,24 +354,17 @@ def ease(p, J, m, e, ahead, h, q, limits, planes, edges, count, fast, quick, wal
             gram(J, m, wide, FAR * bend, H)
             cholesky(H, m if wide else J.shape[0], 0.0)
         apply(J, m, H if damped else G, e, y, c)
-        f = 1.0
         for k in range(count if walls else 0):
             over = -max(edges[k], 0.0) / pace
             for i in range(c.shape[0]):
                 over += planes[k, i] * c[i]
             blocked = blocked or over > 0.0
-        for i in range(c.shape[0]):
-            size = abs(c[i])
-            if walls and (q[i] >= limits[1, i] - AT if c[i] > 0.0 else q[i] <= limits[0, i] + AT):
-                blocked = True
-                continue
-            cap = fast * limits[2, i]
-            if limits[3, i] < np.inf:
-                cap = min(cap, approach(size, 0.0, 1.0, h, quick * limits[3, i], h))
-            if pace * size > cap > 0.0:  # a locked joint does not count: the others close the error
-                f = min(f, cap / (pace * size))
+        f, stopped = possible(c, pace, h, q, limits, fast, quick, walls)
+        blocked = blocked or stopped
         if f == 1.0 or not blocked or bend == 0.0:
             break
+    if f < 1.0 and walls and wide and spare(J, m, e, limits, H, y, c):
+        f = max(f, possible(c, pace, h, q, limits, fast, quick, walls)[0])
     if f < 1.0:
         for k in range(m):
             ahead[k] -= (1.0 - f) * e[k]

@@ -27,6 +27,7 @@ TORN = 4.0  # times as long, from which on the joints do not follow the straight
 NEAR = 2e-3  # [m] error, angles at LEVER, that is left to the method
 TINY = 1e-300  # divided by where a joint does not move
 SLOW = 0.5  # share of the error left by a step above which the method is hindered: gains leave a third, or nothing
+SOONER = 0.5  # of the time to the nearest posture, below which one that spares slow joints is gone to instead
 CLOSE = 1e-3  # [s] left at full speed: as good as there
 
 
@@ -96,6 +97,10 @@ class Leap:
         if (not taken.stand[STAND.leapt] and (taken.code & POSITION).any()) or locked(limits):
             return
         found, _ = self.postures.find(T[1:], q[None], q, limits)
+        if len(found):
+            sooner, _ = self.postures.find(T[1:], q[None], q, limits, quick=True)
+            if len(sooner) and time_left(q, sooner[0], limits) < SOONER * time_left(q, found[0], limits):
+                found = sooner
         self._enough = max(self._patience(taken.law), CLOSE)
         if len(found) and time_left(q, found[0], limits) > self._enough:
             self._set_out(found[0], taken)

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,6 +19,7 @@ from ..solvers.registry import GENERAL, find_row
 from .engine import LEVER
 
 TOLERANCE = 1e-5  # [m, rad] of a posture: the tracker itself comes closer
+TINY = 1e-300  # divided by where no joint has a speed
 REACHED = 1e-3  # [m] error, angles at LEVER, below which a target counts as reached
 
 
@@ -42,13 +44,16 @@ class Taken(NamedTuple):
 class Postures:
     """Finds joint values for targets of the kinds that `ready` was told. Kernel units."""
 
-    def __init__(self, robot: Any, options: Options) -> None:
-        """options: what counts."""
+    def __init__(self, robot: Any, options: Options, speed: np.ndarray) -> None:
+        """options: what counts; speed (n,) of the joints."""
         self.robot = robot
         o = {name: getattr(options, name) for name in (*COUNTING, "relative_to")}
         exact = {"position_tolerance": TOLERANCE, "orientation_tolerance": TOLERANCE}
         row = find_row(GENERAL)
-        self.plan = Plan(robot, row, row.load()(), Options(restarts=0, **exact, **o))
+        one_attempt = Options(restarts=0, **exact, **o)
+        self.plan = Plan(robot, row, row.load()(), one_attempt)
+        weights = tuple((speed / max(speed.max(), TINY)).tolist())
+        self.quick = Plan(robot, row, row.load()(), replace(one_attempt, joint_weights=weights))
         box = Ends(robot.chain.ends.reshape(len(robot.tips), -1)[0], robot.n)
         self._lever = np.tile([1.0] * 3 + [LEVER] * 3, len(robot.tips))
         self._turning = np.array([box.turns(i) > 0.0 for i in range(robot.n)])
@@ -58,15 +63,19 @@ class Postures:
         self.kinds = kinds
         q = self.robot.home / self.robot.chain.unit
         unlimited = np.outer([-1.0, 1.0, 1.0, 1.0], np.full(len(q), np.inf))
-        self.find(np.tile(np.eye(4), (1, len(kinds), 1, 1)), q[None], q, unlimited)
+        for quick in (False, True):
+            self.find(np.tile(np.eye(4), (1, len(kinds), 1, 1)), q[None], q, unlimited, quick=quick)
         travel(q, np.zeros_like(q), q, *UNKNOWN, 0.0, 1.0, WAIT, WAIT, unlimited, np.zeros(len(q), np.uint8))
 
-    def find(self, T: np.ndarray, starts: np.ndarray, q: np.ndarray, limits: np.ndarray) -> tuple[np.ndarray, bool]:
+    def find(
+        self, T: np.ndarray, starts: np.ndarray, q: np.ndarray, limits: np.ndarray, *, quick: bool = False
+    ) -> tuple[np.ndarray, bool]:
         """Joint values (K, n) of the attempts for targets T (N, F, 4, 4) from starts (N, n) that end inside limits (4, n).
 
-        They are in order, and as near to q (n,) as full turns allow. Also True when a target is out of all reach.
+        They are in order, and as near to q (n,) as full turns allow. quick: slow joints are to move less. Also True when a target
+        is out of all reach.
         """
-        plan, unit, n = self.plan, self.robot.chain.unit, self.robot.n
+        plan, unit, n = self.quick if quick else self.plan, self.robot.chain.unit, self.robot.n
         rows = np.zeros((len(starts), plan.width))
         plan.run(T if self.robot.by_tip else T[:, 0], self.kinds, starts * unit, True, rows)
         status = rows[:, AT.status]

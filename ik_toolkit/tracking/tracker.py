@@ -116,7 +116,7 @@ class Tracker:
         elsewhere = switch(reconfigure, "reconfigure")
         longest = math.inf if isinstance(straight, float) and straight == math.inf else positive(straight, "straight")
         if limits and self._mode == DIRECT:
-            self._postures = Postures(robot, self.engine.options)
+            self._postures = Postures(robot, self.engine.options, speeds(self._limits))
             other = Reconfiguration(robot, self._postures, self._guard and self._guard.model) if elsewhere else None
             self._ways = [Leap(self._postures, self.engine.chosen, longest, other), *([other] if other else [])]
         self._settings, self._out, self._here = new_settings(n, m, ROWS), new_record(2, n, m), new_record(1, n, m)

@@ -128,6 +128,31 @@ def test_large_errors_are_closed_no_faster_than_the_joints_brake():
                 np.testing.assert_allclose(front, ahead - (1.0 - f) * e, rtol=1e-9, atol=1e-12)
 
 
+def test_slow_joints_are_spared_where_others_can_close_the_error():
+    rng = np.random.default_rng(4)
+    p, h, n, m = law(CV, kappa=4.0), 0.01, 8, 4
+    shares = np.array([1.0, 0.004, 0.5, 1.0, 0.03, 0.2, 1.0, 1.0])
+    weights = np.array([1.0, 2.0**-8, 1.0, 1.0, 2.0**-6, 1.0, 1.0, 1.0])
+    limits = np.array([np.full(n, -9.0), np.full(n, 9.0), 2.0 * shares, np.full(n, 5.0)])
+    J, e = rng.normal(size=(n, m)), rng.normal(size=m)
+    kept, G, H, y, c = J.copy(), np.zeros((n, n)), np.zeros((n, n)), np.empty(n), np.empty(n)
+    assert motion.spare(J, m, e, limits, H, y, c)
+    assert np.array_equal(J, kept)
+    np.testing.assert_allclose(c, weights * (np.linalg.pinv(J.T * weights) @ e), rtol=1e-6, atol=1e-12)
+    motion.factor(J, m, 0.0, G, y)
+    eased = {}
+    for name, walls in (("published", False), ("spared", True)):  # walls: all but the published form
+        eased[name] = e.copy()
+        motion.ease(
+            p, J, m, eased[name], e.copy(), h, np.zeros(n), limits, np.empty((0, n)), np.empty(0), 0, 0.5, 0.4, walls, 0.0, G, H,
+            y, c,
+        )  # fmt: skip
+    assert np.linalg.norm(eased["spared"]) > 5.0 * np.linalg.norm(eased["published"])
+    limits[2] = np.linspace(0.2, 2.0, n)  # none below a tenth of the fastest
+    before = c.copy()
+    assert not motion.spare(J, m, e, limits, H, y, c) and np.array_equal(c, before)
+
+
 def test_a_way_that_is_barred_is_not_as_far_as_it_seems():
     """Two unit links nearly stretched out, a target beyond: the joints go some way, not the hundreds of radians of J^+ e."""
     p, h, bend, limits = law(AA), 0.01, 0.01, np.array([[-9.0] * 2, [9.0] * 2, [2.0] * 2, [5.0] * 2])
