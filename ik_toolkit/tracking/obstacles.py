@@ -182,7 +182,8 @@ class Guard:
         along(path.q, path.rate, path.length, self.gamma, path.h, u, q1, way1)
         self._moved(way1 - way)
         before, self._done = self._done, u
-        if self.gamma == 1.0 and not (before.is_integer() and u.is_integer()):  # the step's rate is that of its whole move
+        pieces = before.is_integer() and u.is_integer()
+        if self.gamma == 1.0 and not pieces:  # the step's rate is that of its whole move
             return q1, (q1 - q) / ((u - before) * path.h) if u > before else np.zeros_like(q)
         k = min(int(u), len(path.q) - 2)
         return q1, path.rate[k] + (u - k) * (path.rate[k + 1] - path.rate[k])
