@@ -11,9 +11,8 @@ import typer.core
 UsageError: type[Exception] = typer.BadParameter.mro()[2]
 PYTHON_NAMES = {"acceleration_limits": "acceleration", "relative_to": "relative"}  # of parameters called otherwise here
 SUBJECT = re.compile(r"^(no )?([a-z]\w*)()(?=: | \[| must | is | has | ')")  # of a sentence
-WITH_VALUE = re.compile(
-    r"(?<![\w'.])()([a-z]\w*)=(True|False)?(?=[\s,.;)]|$)"
-)  # limits=False, tip=; not what somebody typed
+# limits=False, tip=; not what somebody typed
+WITH_VALUE = re.compile(r"(?<![\w'.])()([a-z]\w*)=(True|False)?(?=[\s,.;)]|$)")
 WIDEST = 100  # columns; longer lines are hard to read
 COLUMN = 30  # where the explanations begin
 LAST = ("Robot", "Output", "Other")  # groups at the end; the others come before them, as declared

@@ -26,7 +26,7 @@ MOVING, GIVEN, RUNNING, READY = range(4)  # start with the reference's rate, wit
 FINE, NOT_FINITE, RUNAWAY = range(3)
 SINGLE = 1e-24  # share of the largest diagonal entry of JJ' below which the joints cannot move along a row
 FAR = 0.25  # of curvature times error: damped by it, a direction asks for at most the root of error over curvature
-SLOW = 0.1  # of the fastest joint's speed, below which others are asked first
+SLUGGISH = 0.1  # of the fastest joint's speed, below which others are asked first
 AT = 1e-9  # [rad, or reaches] from a limit within which a joint counts as at the limit
 REGION = 2.0  # damping fades in where the smallest singular value falls below REGION * damping
 
@@ -302,7 +302,7 @@ def possible(c, pace, h, q, limits, fast, quick, walls):
 
 @dual
 def spare(J, m, e, limits, H, y, c):
-    """Correction c (n,) of e that spares slow joints; False, and nothing done, where no joint is slow, or it has no number.
+    """Correction c (n,) of e that spares slow joints; False where none is slow, or where it is not finite.
 
     The pseudo-inverse weighted by speed; by powers of 2, so that J is afterwards what it was before.
     """
@@ -314,26 +314,27 @@ def spare(J, m, e, limits, H, y, c):
     if not slow:
         return False
     for i in range(c.shape[0]):
+        w = halved(limits[2, i], top)
         for k in range(m):
-            J[i, k] *= halved(limits[2, i], top)
+            J[i, k] *= w
     gram(J, m, True, 0.0, H)
     cholesky(H, m, 0.0)
     apply(J, m, H, e, y, c)
-    known = True
+    finite = True
     for i in range(c.shape[0]):
         w = halved(limits[2, i], top)
         c[i] *= w
-        known = known and abs(c[i]) < np.inf
+        finite = finite and abs(c[i]) < np.inf
         for k in range(m):
             J[i, k] /= w
-    return known
+    return finite
 
 
 @dual
 def halved(speed, top):
     """The weight of a joint: 1, for a slow one the largest power of 2 that is not above its share of the top speed."""
     w = 1.0
-    while 0.0 < speed < SLOW * top and speed < w * top:
+    while 0.0 < speed < SLUGGISH * top and speed < w * top:
         w *= 0.5
     return w
 

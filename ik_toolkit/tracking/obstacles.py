@@ -167,24 +167,23 @@ class Guard:
         self.blocked = blocked
         if self._path is None:
             return q.copy(), np.zeros_like(q)
-        return self._go_on(self._path, self._done + h / self._path.h)
+        return self._go_on(self._path, h)
 
     @property
     def _at_once(self) -> bool:
         """Whether all joints may come to rest in one step, evenly: along one line, the further the longer the step is."""
         return self.gamma < 1.0 and bool(np.isinf(self.limits[3]).all())
 
-    def _go_on(self, path: Path, u: float) -> tuple[np.ndarray, np.ndarray]:
-        """Joint values and rates u pieces along the path, which is where the robot is now."""
+    def _go_on(self, path: Path, h: float) -> tuple[np.ndarray, np.ndarray]:
+        """Joint values and rates h [s] further along the path, which is where the robot is then."""
         q, q1, way, way1 = (np.empty(self.robot.n) for _ in range(4))
-        u = min(u, len(path.q) - 1.0)
+        u = min(self._done + h / path.h, len(path.q) - 1.0)
         along(path.q, path.rate, path.length, self.gamma, path.h, self._done, q, way)
         along(path.q, path.rate, path.length, self.gamma, path.h, u, q1, way1)
         self._moved(way1 - way)
-        before, self._done = self._done, u
-        pieces = before.is_integer() and u.is_integer()
-        if self.gamma == 1.0 and not pieces:  # the step's rate is that of its whole move
-            return q1, (q1 - q) / ((u - before) * path.h) if u > before else np.zeros_like(q)
+        self._done = u
+        if self.gamma == 1.0 and h != path.h:  # the rate of a step is that of its whole move
+            return q1, (q1 - q) / h
         k = min(int(u), len(path.q) - 2)
         return q1, path.rate[k] + (u - k) * (path.rate[k + 1] - path.rate[k])
 

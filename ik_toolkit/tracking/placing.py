@@ -131,12 +131,8 @@ def place(
         share = 0.0 if way_there is None else pace(robot, *way_there)[0]
         seconds = max(DURATION, float(np.ceil(DURATION * share / SPEED)))
         bend = _acceleration(paths(robot, start, kind, size, way, free, relative, duration=seconds, **rest))
-        missed = (
-            0.5
-            * positive(dt, "dt [s]") ** 2
-            * bend
-            / (STRAIGHT * positive(position_tolerance, "position_tolerance [m]"))
-        )
+        allowed = STRAIGHT * positive(position_tolerance, "position_tolerance [m]")
+        missed = 0.5 * positive(dt, "dt [s]") ** 2 * bend / allowed
         seconds = max(seconds, float(np.ceil(seconds * np.sqrt(missed))))
     reference = paths(robot, start, kind, size, way, free, relative, duration=seconds, **rest)
     return Placed(reference, start, size, way, free, _words(robot, kind, size, way, free, seconds, start))

@@ -1,5 +1,6 @@
 """Obstacles: for any requested rates, nothing static is touched, and the arm comes to rest inside its limits."""
 
+import numba
 import numpy as np
 import pytest
 from robots import have_data, load
@@ -8,6 +9,8 @@ import ik_toolkit as ik
 from ik_toolkit.errors import InvalidConfiguration, InvalidOption
 from ik_toolkit.kernel import box
 from ik_toolkit.kernel.brake import brake
+from ik_toolkit.robot import clearance
+from ik_toolkit.tracking import obstacles
 from ik_toolkit.tracking.obstacles import CONTACT, Guard
 from ik_toolkit.tracking.step import StepStatus
 
@@ -345,3 +348,43 @@ def test_no_target_and_limits_that_change():
         assert not model.collides(one.q)
         assert (one.status is StepStatus.HELD) == (k % 30 > 24)
     assert one.q[0] <= q[0] + 0.2
+
+
+@pytest.mark.parametrize("method", ["cv", "aad"])
+def test_nothing_is_left_to_compile_in_a_control_loop(method, monkeypatch):
+    """Every kernel a guard calls was called before with arguments of these types: a new type would be compiled for seconds."""
+    known, new, bound = set(), set(), []
+
+    def noted(kernel):
+        def call(*arguments):
+            key = kernel.__name__, *(numba.typeof(one) for one in arguments)
+            (new if bound and key not in known else known).add(key)
+            return kernel(*arguments)
+
+        return call
+
+    for module, names in ((obstacles, ("along", "brake")), (clearance, ("levers", "rows", "free_until"))):
+        for name in names:
+            monkeypatch.setattr(module, name, noted(getattr(module, name)))
+    robot, model, q = scene("hydrolek_7w")
+    rate, limits = np.zeros(robot.n), limits_of(robot, np.inf if method == "aad" else 10.0)
+    guard = Guard(robot, model, limits, 0.5 if method == "aad" else 1.0)
+    bound.append(True)
+    guard.restart(q)
+    rng, refused = np.random.default_rng(3), 0
+    for k in range(300):
+        h = (0.01, 0.02)[k % 2]
+        guard.late = 0.02
+        guard.rows(q, rate, h)
+        wanted = np.clip(rate + rng.normal(size=robot.n) * (0.2 if k % 40 else 2.0), -1.0, 1.0)
+        q1 = q + h * ((1.0 - guard.gamma) * rate + guard.gamma * wanted)
+        if guard.allows(q, rate, q1, wanted, h):
+            q, rate = q1, wanted
+        else:
+            refused += 1
+            before = q
+            q, rate = guard.instead(q, rate, wanted, h)
+            if guard.gamma == 1.0:
+                np.testing.assert_allclose(rate, (q - before) / h, atol=1e-12)
+    assert refused and {key[0] for key in known} == {"along", "brake", "levers", "rows", "free_until"}
+    assert not new
