@@ -80,7 +80,8 @@ def check(
         raise InvalidOption("--samples and -o belong to --self-collision")
     from rich.text import Text
 
-    from ..robot.check import Finding, check_urdf
+    from ..robot.check import check_urdf
+    from ..robot.finding import wrong
     from ..robot.library import find
     from ..robot.load import urdf_of
 
@@ -92,7 +93,7 @@ def check(
         text, findings = read.text, check_urdf(read.text, read.package_dirs, file=read.file)
     except ModelError as error:
         text = ""
-        findings = [Finding("error", "file", str(error), "give a URDF, xacro or MJCF file that can be read")]
+        findings = [wrong("file", str(error), "give a URDF, xacro or MJCF file that can be read", 0)]
     errors = [finding for finding in findings if finding.severity == "error"]
     rows = [asdict(finding) for finding in findings]
     forms = {} if errors else _closed_forms(entry.tips, text)
@@ -103,10 +104,10 @@ def check(
         payload["self_collision"] = {**asdict(found), "reasons": pairs, "counts": found.counts()}
     write_json(payload, as_json)
     if not as_json:
-        made = table("<severity", "element", "problem", "what to do")
+        made = table("<severity", ">line", "element", "problem", "what to do")
         for finding in findings:
-            colour = "red" if finding.severity == "error" else "yellow"
-            made.add_row(Text(finding.severity, colour), finding.element, finding.problem, finding.advice)
+            colour, line = "red" if finding.severity == "error" else "yellow", str(finding.line or "")
+            made.add_row(Text(finding.severity, colour), line, finding.element, finding.problem, finding.advice)
         if findings:
             show(made)
         warnings = len(findings) - len(errors)

@@ -55,7 +55,7 @@ def read(
     """Read a source: its entry, and the model, name, text and folders that `Robot` needs. Raises as `Robot.load` does."""
     entry = find(source)
     text, file, folders, notes, states = urdf_of(entry, package_dirs, xacro_args)
-    require_loadable(text)
+    notes = (*notes, *require_loadable(text))
     try:
         model = build_model(text)
     except Exception as error:

@@ -10,7 +10,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
-from .read import Item, numbers, parse
+from .read import Item, numbers, parse, span
 
 MOVING = ("revolute", "continuous", "prismatic")
 
@@ -64,7 +64,7 @@ def mimic_limits(text: str) -> dict[str, tuple[str, float, float, float, float]]
             continue
         limit, lower, upper = item.first("limit"), -math.inf, math.inf
         if limit is not None and item.attributes.get("type") != "continuous":
-            lower, upper = float(limit.get("lower", 0.0)), float(limit.get("upper", 0.0))
+            lower, upper = span(limit)
         found[item.name] = (*tied[item.name], lower, upper)
     return found
 

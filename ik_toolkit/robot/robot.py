@@ -241,7 +241,7 @@ class Robot(Joints):
         self.tips, self.places = (self.tip,), (np.arange(self.n),)
         self.lower, self.upper = lower, upper = limits(model, path, mimic_limits(self.urdf) if self.urdf else {})
         speeds = np.asarray(model.upperVelocityLimit)[[model.joints[j].idx_v for j in path.leaders]]
-        self.velocity_limits = np.where(speeds > NO_LIMIT, np.inf, speeds)
+        self.velocity_limits = np.where((speeds > 0.0) & (speeds <= NO_LIMIT), speeds, np.inf)
         free = [joint for joint in self._slides if joint in self.joint_names and self._endless(joint)]
         if free:
             raise InvalidOption(f"base_limits= is needed: the lower and upper limits [m] of {', '.join(free)}")
