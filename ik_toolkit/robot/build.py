@@ -71,7 +71,8 @@ def _joint(joint: Item, found: Followers, lent: Mapping[str, str], both: bool) -
         limit = joint.first("limit")
         low, high = (-ENDLESS, ENDLESS) if kind == "continuous" else span(limit)
         effort, velocity = (_most(limit, key) for key in ("effort", "velocity"))
-        yield f'<limit lower="{low!r}" upper="{high!r}" effort="{effort!r}" velocity="{velocity!r}"/>'
+        if shown != "continuous" or limit is not None:
+            yield f'<limit lower="{low!r}" upper="{high!r}" effort="{effort!r}" velocity="{velocity!r}"/>'
         losses = _numbers(joint.first("dynamics") or {}, ("damping", "friction"))
         if losses:
             yield f"<dynamics {_pairs(losses)}/>"

@@ -99,13 +99,16 @@ class Joints:
 
     @property
     def named(self) -> Named:
-        """Configurations by name: those of the SRDF that set any joint of q (the others stay at home), and always "home"."""
-        found = Named()
-        for state, values in {"home": {}, **self.srdf.states}.items():
-            given = {i: values[joint][0] for i, joint in enumerate(self.joint_names) if len(values.get(joint, ())) == 1}
-            if given or state == "home":
-                found[state] = self.home.copy()
-                found[state][list(given)] = list(given.values())
+        """Configurations by name: those of the SRDF that set any joint of q (the others stay at home), and always "home".
+
+        Where several groups of the SRDF use a name, see `Srdf.state`.
+        """
+        found = Named(home=self.home.copy())
+        for name in self.srdf.states:
+            given = self.srdf.state(name, self.joint_names, self.tips, self.model)
+            if given:
+                found[name] = self.home.copy()
+                found[name][[self.joint_names.index(joint) for joint in given]] = list(given.values())
         return found
 
     def check_tips(self, names: Iterable[Any]) -> None:

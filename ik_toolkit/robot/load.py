@@ -5,8 +5,6 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import pinocchio as pin
-
 from ..errors import InvalidOption, ModelError
 from .base import carried
 from .build import build_model
@@ -68,18 +66,20 @@ def read(
 
 
 def default_base(
-    entry: RobotEntry, model: pin.Model, base: str | None, tip: str | None, on_base: Any, base_limits: Any
+    entry: RobotEntry, made: dict[str, Any], base: str | None, tip: str | None, on_base: Any, base_limits: Any
 ) -> str | None:
-    """Base frame to use: the one given, the known one, or the link above the tip that a free joint without limits carries."""
-    if base is not None or on_base is not None:
-        return base
+    """Base frame to use: the one given, the known one, or the link above the tip that a free joint without limits carries.
+
+    made: what `read` returns; its notes then say that the joint is held.
+    """
+    model = made["model"]
     tip = tip or next(iter(entry.tips or guess_tip(model).tips), None)
     held = carried(model, tip) if base_limits is None and tip else None
-    if held is None:
-        return entry.base
-    LOG.warning(
-        "%s: joint '%s' is held still and poses are given in '%s'; base_limits= lets it move", entry.name, *held
-    )
+    if held is None or base is not None or on_base is not None:
+        return base if base is not None or on_base is not None else entry.base
+    note = "joint '{}' is held still and poses are given in '{}'; base_limits= lets it move".format(*held)
+    made["notes"] = (*made["notes"], note)
+    LOG.warning("%s: %s", entry.name, note)
     return entry.base or held[1]
 
 

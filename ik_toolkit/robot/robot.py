@@ -98,7 +98,9 @@ class Robot(Joints):
         self.base = (
             self._frame(base) if base is not None else "universe" if on_base is not None else root_link(self.model)
         )
-        self.tip = self._frame(tip) if tip is not None else only_tip(self.model, self.name)
+        self.tip = (
+            self._frame(tip) if tip is not None else only_tip(model, self.name)
+        )  # before a free joint becomes six
         self.tool = pin.SE3.Identity()
         self.tool_shapes: tuple[tuple[Shape, pin.SE3], ...] = ()  # with their poses from the tip frame
         self.rest = pin.neutral(self.model)
@@ -141,7 +143,7 @@ class Robot(Joints):
         """
         tip = one_word(tip, ee_link)
         entry, made = read(source, package_dirs, xacro_args)
-        made["srdf"] = srdf_of(srdf, made["model"], entry.path, made.pop("states"))
+        made["srdf"] = srdf_of(srdf, made["model"], entry.path, made.pop("states"), group)
         if group is not None:
             start, end = one_tip(made["srdf"], group, made["model"], tip)
             tip, base = end, base if base or on_base is not None else start
@@ -151,10 +153,10 @@ class Robot(Joints):
                 f"ik.Tree.load(source, tips=[...]): {', '.join(entry.tips)}"
             )
         known = tip in (None, entry.tip) and base in (None, entry.base)
+        made["base"] = default_base(entry, made, base, tip, on_base, base_limits)
         robot = cls(
             **made,
             tip=tip if tip is not None else entry.tip,
-            base=default_base(entry, made["model"], base, tip, on_base, base_limits),
             home=entry.home if known else None,
             on_base=on_base,
             base_limits=base_limits,

@@ -110,7 +110,7 @@ class Tree(Joints):
         which sets base and tips. Raises as Robot.load does; without tips, FrameNotFound lists the path ends.
         """
         entry, made = read(source, package_dirs, xacro_args)
-        made["srdf"] = srdf_of(srdf, made["model"], entry.path, made.pop("states"))
+        made["srdf"] = srdf_of(srdf, made["model"], entry.path, made.pop("states"), group)
         if group is not None:
             start, ends = made["srdf"].ends(group, made["model"])
             tips, base = tips or list(ends), base if base or on_base is not None else start
@@ -130,7 +130,7 @@ class Tree(Joints):
         if not tips:
             raise FrameNotFound("tips=[] is empty; give at least one tip")
         known = base in (None, entry.base)
-        made["base"] = default_base(entry, made["model"], base, tips[0], on_base, base_limits)
+        made["base"] = default_base(entry, made, base, tips[0], on_base, base_limits)
         made |= {"on_base": on_base, "base_limits": base_limits}
         arms = [Robot(**made, tip=tip) for tip in tips]
         tree = cls(arms)
