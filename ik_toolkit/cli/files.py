@@ -146,13 +146,17 @@ def _self_collision(entry: Any, options: dict[str, Any], samples: int | None, se
 
 def _closed_forms(tips: Sequence[str], text: str) -> dict[str, str]:
     """Description by tip of the closed form that fits there; text: a URDF that can be loaded."""
+    from ..robot.base import carried
+    from ..robot.build import build_model
     from ..robot.robot import Robot
+    from ..robot.tips import guess_tip
     from ..solvers.closed_form import describe
 
-    found = {}
-    for tip in tips or (None,):
+    found, model = {}, build_model(text)
+    for tip in tips or (guess_tip(model).tips if len(guess_tip(model).tips) == 1 else ()):
+        held = carried(model, tip)
         try:
-            robot = Robot.load(text, tip=tip)
+            robot = Robot(model, tip=tip, base=held[1] if held else None, urdf=text)
         except IKError:  # several ends and none named: no single arm to describe
             continue
         if describe(robot):

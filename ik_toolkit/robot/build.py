@@ -13,7 +13,6 @@ import numpy as np
 import pinocchio as pin
 
 from .mimic import MOVING, Followers, followers
-from .pose import turn_onto
 from .read import ENDLESS, Item, numbers, parse, plain_origin, span
 
 INERTIA = ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")
@@ -96,7 +95,7 @@ def _turn_plane(model: pin.Model, joint: Item) -> None:
     The frame of the joint is turned by the shortest rotation of z onto the axis, and all that it carries back.
     """
     axis = np.array(axis_of(joint))
-    R = pin.SE3(turn_onto(np.array([0.0, 0.0, 1.0]), axis / math.hypot(*axis)), np.zeros(3))
+    R = pin.SE3(pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), axis), np.zeros(3))
     back = R.inverse()
     j = model.getJointId(joint.name)
     model.jointPlacements[j] = model.jointPlacements[j] * R

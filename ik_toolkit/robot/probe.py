@@ -16,6 +16,7 @@ import pinocchio as pin
 from ..errors import ModelError
 from ..kernel.chain import ROW, WINDING, Chain, evaluate, pack
 from .pose import turn_onto
+from .values import reversed_advice
 
 SAMPLES = 24  # configurations at which a chain is compared with Pinocchio
 AGREE = 1e-9  # largest difference allowed there [rad, or fraction of the robot's size]: a thousandth of the default tolerance
@@ -117,11 +118,13 @@ def limits(
         rounding = 8.0 * math.ulp(max(abs(low), abs(high), abs(offset))) / abs(ratio)
         if 0.0 < lower[i] - upper[i] <= rounding:  # equal up to rounding
             lower[i] = upper[i] = min(max(lower[i], own_lower[i]), own_upper[i])
+    turns = [np.asarray(model.joints[j].createData().S).reshape(6)[3:].any() for j in path.leaders]
     for i in np.flatnonzero(~(lower <= upper)).tolist():
         own = f"lower limit {own_lower[i]:g}, upper limit {own_upper[i]:g}"
+        if own_lower[i] > own_upper[i]:
+            own += f"; {reversed_advice(own_lower[i], own_upper[i], bool(turns[i]))}"
         by = f"; the limits of the joints that mimic it allow: {', '.join(narrowed[i])}" if i in narrowed else ""
         raise ModelError(f"joint '{model.names[path.leaders[i]]}' has no legal position: {own}{by}")
-    turns = [np.asarray(model.joints[j].createData().S).reshape(6)[3:].any() for j in path.leaders]
     size = sum(math.hypot(*model.jointPlacements[j].translation) for j in path.joints)
     far = np.where(turns, NO_TURN_LIMIT, NO_STROKE * size if size > 0.0 else NO_LIMIT)
     # Adding 0 turns -0.0 into 0.0: numpy's generators reject the range 0.0 to -0.0 as negative.

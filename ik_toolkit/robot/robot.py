@@ -92,9 +92,7 @@ class Robot(Joints):
         self.notes = tuple(notes)
         self._settle(model)
         self.name = name or model.name
-        self.urdf = urdf
-        self.path = path
-        self.package_dirs = tuple(folders_of(package_dirs))
+        self.urdf, self.path, self.package_dirs = urdf, path, tuple(folders_of(package_dirs))
         self.base = (
             self._frame(base) if base is not None else "universe" if on_base is not None else root_link(self.model)
         )

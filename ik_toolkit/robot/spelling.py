@@ -20,6 +20,8 @@ ELEMENTS: Mapping[str, tuple[str, ...]] = {  # item or element -> elements that 
     "geometry": ("box", "sphere", "cylinder", "capsule", "mesh"),
 }
 ATTRIBUTES: Mapping[str, tuple[str, ...]] = {
+    "link": ("name",),
+    "joint": ("name", "type"),
     "origin": ("xyz", "rpy", "quat_xyzw"),
     "axis": ("xyz",),
     "limit": ("lower", "upper", "velocity", "effort"),
@@ -32,13 +34,7 @@ ATTRIBUTES: Mapping[str, tuple[str, ...]] = {
     "capsule": ("radius", "length"),
     "mesh": ("filename", "scale"),
 }
-ALONE = ("joint", "link")  # their attributes besides the name and, of a joint, the type are anybody's
-# Attributes that other programs read, where they differ from ours.
-OTHERS = {
-    "limit": ("acceleration", "deceleration", "jerk"),
-    "mesh": ("submesh", "convex"),
-    "box": ("name",),
-}
+CLOSED = ("origin", "axis", "mimic", "parent", "child")  # elements to which no program adds attributes of its own
 KINEMATIC = ("xyz", "rpy", "quat_xyzw", "quat_wxyz", "lower", "upper", "multiplier", "rotation", "translation")
 SINGLE = ("origin", "parent", "child", "axis", "limit", "mimic")
 NEAR = 0.75  # likeness from which a name counts as misspelled
@@ -75,15 +71,13 @@ def _part(item: Item, part: Part) -> Iterator[Finding]:
 
 
 def _attributes(item: Item, part: Part) -> Iterator[Finding]:
-    known = ("name", "type") if part.tag in ALONE else ATTRIBUTES.get(part.tag)
-    if known is None:
-        return
-    for key in part.attributes:
-        if key in known or key in OTHERS.get(part.tag, ()) or key.startswith("xmlns"):
+    known = ATTRIBUTES.get(part.tag, ())
+    for key in part.attributes if known else ():
+        if key in known or key.startswith("xmlns"):
             continue
         near = _near(key, known)
         # An attribute of a namespace is an extension unless it has one of our names.
-        if near or (":" not in key and part.tag not in ALONE):
+        if near or (":" not in key and part.tag in CLOSED):
             yield _unknown(item, f"{key}= of <{part.tag}>", f"{near}=" if near else "", part.line)
 
 

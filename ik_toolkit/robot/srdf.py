@@ -309,7 +309,7 @@ def _some(names: Iterable[str], what: str) -> str:
 
 def _meant(names: set[str], known: Iterable[str]) -> str:
     """Return '. Did you mean ...?' for one unknown name, or ''."""
-    near = did_you_mean(*names, known) if len(names) == 1 else ""
+    near = did_you_mean(min(names), known) if len(names) == 1 else ""
     return f".{near}" if near else ""
 
 
