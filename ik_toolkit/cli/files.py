@@ -81,7 +81,7 @@ def check(
     from rich.text import Text
 
     from ..robot.check import check_urdf
-    from ..robot.finding import wrong
+    from ..robot.finding import odd, wrong
     from ..robot.library import find
     from ..robot.load import urdf_of
 
@@ -91,6 +91,7 @@ def check(
     try:
         read = urdf_of(entry, **options)
         text, findings = read.text, check_urdf(read.text, read.package_dirs, file=read.file)
+        findings += [odd("MJCF", note, "see MJCF in the guide", 0) for note in read.notes]
     except ModelError as error:
         text = ""
         findings = [wrong("file", str(error), "give a URDF, xacro or MJCF file that can be read", 0)]

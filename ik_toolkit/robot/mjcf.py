@@ -96,6 +96,9 @@ class _Writer:
         model = self.model
         bodies = [self._link(body["name"] or (f"body{i}" if i else "world")) for i, body in enumerate(model["bodies"])]
         self._shapes(bodies)
+        back = [joint["name"] or "?" for joint in model["joints"] if joint["reversed"]]
+        if back:
+            self.notes.append(f"the range of {', '.join(back)} is reversed, from which MuJoCo makes no limits")
         joints = [_free(joint["name"] or f"{bodies[joint['body']]}_joint", self.names) for joint in model["joints"]]
         leaders = self._equalities(joints)
         for i, body in enumerate(model["bodies"][1:], 1):

@@ -50,6 +50,7 @@ def describe(m: Any) -> dict:
                 "pos": m.jnt_pos[i].tolist(),
                 "axis": m.jnt_axis[i].tolist(),
                 "range": m.jnt_range[i].tolist() if m.jnt_limited[i] else None,
+                "reversed": bool(m.jnt_range[i][0] > m.jnt_range[i][1]),
                 "ref": float(m.qpos0[m.jnt_qposadr[i]]),
                 "place": int(m.jnt_qposadr[i]),
             },

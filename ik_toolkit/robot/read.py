@@ -263,7 +263,8 @@ def plain_origin(origin: Mapping[str, str]) -> Mapping[str, str]:
     quaternion = numbers(origin.get("quat_xyzw", "")) or []
     if "rpy" in origin or len(quaternion) != 4 or not 1e-6 < math.hypot(*quaternion) < math.inf:
         return origin
-    rpy = " ".join(map(repr, matrix_rpy(quat_matrix(quaternion)).tolist()))
+    unit = [x / math.hypot(*quaternion) for x in quaternion]
+    rpy = " ".join(map(repr, matrix_rpy(quat_matrix(unit)).tolist()))
     return {key: value for key, value in origin.items() if key != "quat_xyzw"} | {"rpy": rpy}
 
 

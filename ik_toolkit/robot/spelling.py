@@ -37,7 +37,7 @@ ATTRIBUTES: Mapping[str, tuple[str, ...]] = {
 CLOSED = ("origin", "axis", "mimic", "parent", "child")  # elements to which no program adds attributes of its own
 KINEMATIC = ("xyz", "rpy", "quat_xyzw", "quat_wxyz", "lower", "upper", "multiplier", "rotation", "translation")
 SINGLE = ("origin", "parent", "child", "axis", "limit", "mimic")
-NEAR = 0.75  # likeness from which a name counts as misspelled
+NEAR = 0.82  # likeness from which a name counts as misspelled: "gear_velocity" of some files is no "velocity"
 
 
 def misspelled(items: Iterable[Item]) -> Iterator[Finding]:
@@ -63,7 +63,11 @@ def _part(item: Item, part: Part) -> Iterator[Finding]:
     if part.tag in known:
         yield from _attributes(item, part)
         return
-    near = _near(part.tag, (*known, *(ROOT[:2] if not part.above else ())))
+    if part.tag in ("link", "joint") and not part.above:
+        told = f"the <{part.tag}> inside it is ignored"
+        yield odd(item, told, "write it directly below <robot>", part.line, at_load=True)
+        return
+    near = _near(part.tag, known)
     if near:
         yield _unknown(item, f"<{part.tag}>", f"<{near}>", part.line)
     elif ":" not in part.tag and item.tag == "joint" and any(key in KINEMATIC for key in part.attributes):

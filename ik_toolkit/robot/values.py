@@ -5,7 +5,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 
 from .finding import Finding, did_you_mean, odd, wrong
 from .mimic import MOVING
-from .read import NUMBERS, Item, Part, numbers, plain_origin
+from .read import ENDLESS, NUMBERS, Item, Part, numbers, plain_origin
 
 TYPES = (*MOVING, "fixed", "floating", "planar")
 UNIT = 0.01  # a quaternion's or an axis' length may differ from 1 by this much without a remark
@@ -115,7 +115,7 @@ def unversioned(items: Sequence[Item]) -> Iterator[Finding]:
     used = [
         (item, part)
         for item in items
-        for part in item.inside
+        for part in (item.own("origin")[:1] if item.tag == "joint" else item.inside)
         if part.tag == "origin" and "quat_xyzw" in part.attributes
     ]
     if used and version[0] < 1.1:
@@ -174,7 +174,9 @@ def _ends(joint: Item, kind: str, limit: Mapping[str, str], low: float, high: fl
     if missing:
         told = f"its <limit> has no {' and no '.join(missing)}: read as 0"
         yield odd(joint, told, "write both limits", line, at_load=True)
-    if low > high:
+    if low >= ENDLESS or high <= -ENDLESS:
+        yield wrong(joint, f"its limits {low:g} to {high:g} leave it no position", "-inf to inf is no limit", line)
+    elif low > high:
         told = f"its lower limit {low:g} is above its upper limit {high:g}: no tip can use it"
         yield odd(joint, told, reversed_advice(low, high, kind == "revolute"), line)
     if low == high:
