@@ -90,10 +90,11 @@ def check(
     options["xacro_args"] = assignments(xacro_arg, "--xacro-arg", ":=") or None
     try:
         read = urdf_of(entry, **options)
+        expanded = read.made
         text, findings = read.text, check_urdf(read.text, read.package_dirs, file=read.file)
         findings += [odd("MJCF", note, "see MJCF in the guide", 0) for note in read.notes]
     except ModelError as error:
-        text = ""
+        text, expanded = "", False
         findings = [wrong("file", str(error), "give a URDF, xacro or MJCF file that can be read", 0)]
     errors = [finding for finding in findings if finding.severity == "error"]
     rows = [asdict(finding) for finding in findings]
@@ -111,6 +112,8 @@ def check(
             made.add_row(Text(finding.severity, colour), line, finding.element, finding.problem, finding.advice)
         if findings:
             show(made)
+        if any(finding.line for finding in findings) and expanded:
+            show("the lines are those of the URDF that ik convert writes")
         warnings = len(findings) - len(errors)
         counts = f"{len(errors)} error{'s' * (len(errors) != 1)}, {warnings} warning{'s' * (warnings != 1)}"
         show(f"{entry.name}: {counts if findings else 'no problems found'}")

@@ -50,17 +50,17 @@ def check_urdf(
     return [*errors, *(finding for finding in found if finding.severity == "warning")]
 
 
-def require_loadable(text: str) -> tuple[str, ...]:
+def require_loadable(text: str, lines: bool = True) -> tuple[str, ...]:
     """Raise ModelError naming the first invalid element of a URDF's kinematics (`check_urdf` lists all).
 
-    Returns what loading says about the others.
+    Returns what loading says about the others; lines: whether those of the text are the file's.
     """
     found = findings(text)
     errors = [finding for finding in found if finding.severity == "error"]
     if errors:
         more = f" (and {len(errors) - 1} more; `ik check` lists them)" if len(errors) > 1 else ""
         raise ModelError(f"the URDF cannot be used: {errors[0]}{more}; {errors[0].advice}")
-    return notes(found)
+    return notes(found, lines)
 
 
 @functools.lru_cache(maxsize=4)

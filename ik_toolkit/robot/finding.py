@@ -35,16 +35,21 @@ def odd(element: object, problem: str, advice: str, line: int, at_load: bool = F
     return Finding("warning", str(element), problem, advice, line, at_load)
 
 
-def notes(findings: Iterable[Finding]) -> tuple[str, ...]:
-    """One sentence for each kind of finding that loading says (those of a kind give the same advice)."""
+def notes(findings: Iterable[Finding], lines: bool = True) -> tuple[str, ...]:
+    """One sentence for each kind of finding that loading says (those of a kind give the same advice).
+
+    lines: whether to say where.
+    """
     kinds: dict[str, list[Finding]] = {}
     for finding in findings:
         if finding.at_load:
             kinds.setdefault(finding.advice, []).append(finding)
-    return tuple(
-        f"{first} (line {first.line}{f'; {len(more)} more, see ik check' if more else ''}): {advice}"
-        for advice, (first, *more) in kinds.items()
-    )
+    said = []
+    for advice, (first, *more) in kinds.items():
+        where = [f"line {first.line}"] * lines + [f"{len(more)} more, see ik check"] * bool(more)
+        place = f" ({'; '.join(where)})" if where else ""
+        said.append(f"{first}{place}: {advice}")
+    return tuple(said)
 
 
 def did_you_mean(name: str, options: Iterable[str] | Mapping[str, object]) -> str:

@@ -19,13 +19,17 @@ LOG = logging.getLogger("ik_toolkit")
 
 
 class Urdf(NamedTuple):
-    """URDF text of a source; file: base of relative paths; notes, states: further contents of MJCF (see `Read`)."""
+    """URDF text of a source; file: base of relative paths; notes, states: further contents of MJCF (see `Read`).
+
+    made: whether the text, and with it the lines that findings give, is not the file's own (xacro, MJCF).
+    """
 
     text: str
     file: Path | None
     package_dirs: list[Path]
     notes: tuple[str, ...] = ()
     states: Mapping[str, Mapping[str, tuple[float, ...]]] = {}
+    made: bool = False
 
 
 def urdf_of(entry: RobotEntry, package_dirs: Iterable[str | Path], xacro_args: Mapping[str, Any] | None = None) -> Urdf:
@@ -39,11 +43,12 @@ def urdf_of(entry: RobotEntry, package_dirs: Iterable[str | Path], xacro_args: M
         if entry.path is None:
             raise
         text = safe_read(expand(entry.path, folders, {**entry.xacro_args, **(xacro_args or {})}))
+        return Urdf(text, entry.path, folders, made=True)
     except IsMjcf:
         if xacro_args:
             raise InvalidOption(f"xacro_args are for xacro files, and {entry.name} is MJCF") from None
         flat = to_urdf(source_text(entry.source, "MJCF"), entry.path, folders)
-        return Urdf(safe_read(flat.urdf), entry.path, folders, tuple(flat.notes), flat.states)
+        return Urdf(safe_read(flat.urdf), entry.path, folders, tuple(flat.notes), flat.states, made=True)
     return Urdf(text, entry.path, folders)
 
 
@@ -52,8 +57,8 @@ def read(
 ) -> tuple[RobotEntry, dict[str, Any]]:
     """Read a source: its entry, and the model, name, text and folders that `Robot` needs. Raises as `Robot.load` does."""
     entry = find(source)
-    text, file, folders, notes, states = urdf_of(entry, package_dirs, xacro_args)
-    notes = (*notes, *require_loadable(text))
+    text, file, folders, notes, states, expanded = urdf_of(entry, package_dirs, xacro_args)
+    notes = (*notes, *require_loadable(text, lines=not expanded))
     try:
         model = build_model(text)
     except Exception as error:
