@@ -8,51 +8,12 @@ import pickle
 import numpy as np
 import pytest
 import robots
-from second_fk import SecondFK, pose_errors
+from elbow_arm import LIMIT, TURN, arm, elbow, said, same_fk
 
 import ik_toolkit as ik
 from ik_toolkit.errors import ModelError
 from ik_toolkit.robot.check import check_urdf
 from ik_toolkit.robot.convert import convert
-
-LIMIT = '<limit lower="-2" upper="2" effort="1" velocity="1"/>'
-TURN = 'quat_xyzw="0.1 -0.2 0.3 0.9"'
-
-
-def arm(
-    elbow='<origin xyz="0.4 0 0"/><axis xyz="0 1 0"/>' + LIMIT,
-    kind="revolute",
-    robot="",
-    extra="",
-    head="",
-    name="elbow",
-):
-    """Two joints; `elbow` is inside the second one, which begins in line 4."""
-    return (
-        f'{head}<robot name="arm"{robot}><link name="base"/><link name="upper"/><link name="hand"/>{extra}'
-        '<joint name="shoulder" type="revolute"><parent link="base"/><child link="upper"/><origin xyz="0 0 0.3"/>'
-        f'<axis xyz="0 0 1"/>{LIMIT}</joint>\n\n\n'
-        f'<joint name="{name}" type="{kind}"><parent link="upper"/><child link="hand"/>\n{elbow}</joint></robot>'
-    )
-
-
-def elbow(origin='<origin xyz="0.4 0 0"/>', axis='<axis xyz="0 1 0"/>', limit=LIMIT, **options):
-    return arm(f"{origin}{axis}{limit}", **options)
-
-
-def said(text):
-    """Elements and problems that check reports, each with its line."""
-    return [(finding.line, str(finding)) for finding in check_urdf(text)]
-
-
-def same_fk(text, seed=0, **options):
-    """The robot of a text, whose FK is that of the second reader."""
-    robot = ik.Robot.load(text, **options)
-    Q = robot.random_q(np.random.default_rng(seed), 5)
-    T = np.array([robot.fk(q).homogeneous for q in Q])
-    position, angle = pose_errors(T, SecondFK(text, robot.base, robot.tip).fk(Q, robot.joint_names))
-    assert position.max() < 1e-12 and angle.max() < 1e-12
-    return robot
 
 
 # ------------------------------------------------------------------------------------------------------------- rotations
@@ -348,57 +309,6 @@ def test_a_left_over_xacro_element_is_said():
     for needed in ('<xacro:include filename="a"/>', '<xacro:property name="a" value="1"/>', '<link name="${a}"/>'):
         with pytest.raises(ModelError, match="has xacro macros"):
             ik.Robot.load(elbow(extra=needed))
-
-
-@pytest.mark.parametrize(
-    ("declared", "codec", "letter"),
-    [
-        ("ISO-8859-1", "latin-1", "ä"),
-        ("windows-1252", "cp1252", "ä"),
-        ("Shift_JIS", "shift_jis", "腕"),
-        ("EUC-JP", "euc_jp", "腕"),
-        ("GB18030", "gb18030", "腕"),
-        ("KOI8-R", "koi8-r", "я"),
-        ("UTF-16", "utf-16", "ä腕"),
-        (None, "utf-16-le", "ä"),
-        ("utf-8", "utf-8-sig", "ä"),
-        ("UTF-16", "utf-8", "ä"),  # saved anew by an editor
-        ("klingon", "utf-8", "ä"),
-    ],
-)
-def test_declared_encodings(declared, codec, letter, tmp_path):
-    head = f'<?xml version="1.0" encoding="{declared}"?>\n' if declared else '<?xml version="1.0"?>\n'
-    file = tmp_path / "arm.urdf"
-    file.write_bytes(elbow(head=head, name=f"joint_{letter}").encode(codec))
-    robot = ik.Robot.load(file)
-    assert robot.joint_names[1] == f"joint_{letter}"
-    assert pickle.loads(pickle.dumps(robot)).joint_names == robot.joint_names
-    SecondFK(robot.urdf)  # its text can be read again
-    assert convert(file).text.encode("utf-8").decode("utf-8").count(letter) == 1
-
-
-@pytest.mark.parametrize(
-    "codec", ["zip", "hex", "rot13", "base64", "utf-7", "unicode_escape", "idna", "punycode", "../x"]
-)
-def test_only_encodings_of_text_are_decoded(codec, tmp_path):
-    """Others are read as UTF-8, and refused where that fails."""
-    file = tmp_path / "arm.urdf"
-    head = f'<?xml version="1.0" encoding="{codec}"?>'
-    file.write_text(elbow(head=head))
-    assert ik.Robot.load(file).n == 2
-    file.write_bytes(elbow(head=head, name="ä").encode("latin-1"))
-    with pytest.raises(ModelError, match=f"is not UTF-8 text.*declares '{codec}', which is not read"):
-        ik.Robot.load(file)
-
-
-def test_bytes_that_are_not_what_is_declared(tmp_path):
-    file = tmp_path / "arm.urdf"
-    file.write_bytes(elbow(head='<?xml version="1.0" encoding="ascii"?>', name="ä").encode())
-    with pytest.raises(ModelError, match=r"'arm.urdf' is not ascii text \(byte \d+\); save it as UTF-8"):
-        ik.Robot.load(file)
-    file.write_bytes(b'<?xml version="1.0" encoding="gbk"?><robot name="r">' + b"\x81\x30" * 9_000_000)
-    with pytest.raises(ModelError, match=r"larger than 20 MB|is not gbk text"):
-        ik.Robot.load(file)
 
 
 def test_notes_are_said_once_a_kind(caplog):
