@@ -40,7 +40,7 @@ def decode(raw: bytes, name: str) -> str:
 
 def undeclared(text: str) -> str:
     """Text whose XML declaration names no encoding but UTF-8: it is decoded already, and later readers would do it again."""
-    head = DECLARED.match(text)
+    head = DECLARED.match(text[:1024])
     return text if head is None or head[2].lower() == "utf-8" else head[1] + text[head.end() :]
 
 

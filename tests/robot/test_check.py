@@ -182,6 +182,8 @@ GROWING = {
     "shapes": lambda n: f'<link name="l0">{SPHERE * n}</link>',
     "meshes": lambda n: f'<link name="l0">{MESH * n}</link>',
     "numbers": lambda n: f'<link name="l0"><inertial><origin xyz="{"0 " * n}"/></inertial></link>',
+    "unknown elements": lambda n: links(2) + joints(1, ENDS + "".join(f"<orgin{i} x{i}='1'/>" for i in range(n))),
+    "unknown items": lambda n: links(2) + "".join(f"<Joint{i}/>" for i in range(n)),
     "several mimics": lambda n: links(2) + joints(1, ENDS + '<mimic joint="j0"/>' * n),
 }
 SPHERE = '<visual><geometry><sphere radius="0"/></geometry></visual>'
