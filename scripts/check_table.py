@@ -39,7 +39,7 @@ three of the kind). An entry in **bold** is also said when the robot is loaded.
 
 def main(arguments: list[str]) -> None:
     """Write the page."""
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("where", nargs="+", metavar="NAME=FOLDER")
     parser.add_argument("-o", "--output", type=Path, default=Path("docs/guide/checked_robots.md"))
     given = parser.parse_args(arguments)
