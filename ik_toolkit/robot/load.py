@@ -37,6 +37,8 @@ def urdf_of(entry: RobotEntry, package_dirs: Iterable[str | Path], xacro_args: M
     folders = list(dict.fromkeys((*folders_of(package_dirs), *entry.package_dirs)))
     try:
         text = safe_read(entry.source)
+        if entry.path is not None and entry.path.suffix == ".xacro" and "<xacro:" in text:
+            raise HasMacros("it calls macros")  # left over only in a file that says it is a URDF
         if xacro_args:
             raise InvalidOption(f"xacro_args are for xacro files, and {entry.name} is a plain URDF")
     except HasMacros:
