@@ -18,6 +18,7 @@ import pinocchio as pin
 from ..errors import FrameNotFound, InvalidOption, ModelError, near_match
 from .probe import find_path
 from .read import HasMacros, check_names, numbers, source_text, walk
+from .xacro import expanded
 
 LOG = logging.getLogger("ik_toolkit")
 BESIDE = ("", "../srdf")  # folders searched for the SRDF, relative to that of the URDF
@@ -155,6 +156,7 @@ def read_srdf(source: "str | Path | Srdf") -> Srdf:
         return source
     if not isinstance(source, str | Path):
         raise InvalidOption(f"srdf= takes a file, SRDF text or False, not {source!r:.60}")
+    source = expanded(source)
     text = source_text(source, "SRDF")
     is_text = isinstance(source, str) and source.lstrip("\ufeff \t\r\n").startswith("<")
     return _parse(text, None if is_text else Path(source).expanduser().absolute())
@@ -280,7 +282,9 @@ def _parse(text: str, path: Path | None) -> Srdf:
             name = given.get("name", "")
             return
         if tag.startswith("xacro:"):
-            raise HasMacros(f"line {line} of the SRDF has xacro macros; expand it first: xacro IN.xacro > OUT.srdf")
+            raise HasMacros(
+                f"line {line} of the SRDF has xacro macros; name the file .srdf.xacro, so that it is expanded"
+            )
         of_state = list(above[1:]) == ["group_state"] and tag == "joint"
         of_group = list(above[1:]) == ["group"] and tag in MEMBERS
         if not (of_state or of_group or (len(above) == 1 and tag in FACTS)):

@@ -39,7 +39,7 @@ def library(values: ModuleType, evaluator: Any) -> dict[str, dict[str, Any]]:
         return round(value) if digits is None else round(value, digits)
 
     def ranged(*given: int) -> range:
-        values.small(len(range(*given)) if all(abs(one) < 2**62 for one in given) else LARGEST + 1)
+        values.small(len(range(*given)) if all(abs(one) < 2**62 for one in given) else values.LARGEST + 1)
         return range(*given)
 
     def texts(value: Any = "") -> str:

@@ -17,7 +17,6 @@ LARGEST = 100_000  # characters and members of a value, counting shared ones as 
 BITS = 4096  # of a whole number
 DEEP = 60  # nesting of an expression, and of lists
 WIDTH = 99  # of a formatted number
-
 PLAIN = (bool, int, float, str, type(None))
 METHODS: dict[type, tuple[str, ...]] = {
     str: (
@@ -48,11 +47,11 @@ class Function:
     """A function that a file may call, and may hand to `map` and its like."""
 
     def __init__(self, name: str, does: Callable[..., Any], kind: type | None = None) -> None:
-        """Take its name in the file, what it does, and the type it stands for in `isinstance`."""
+        """Take its name, what it does, and the type it stands for in `isinstance`."""
         self.name, self.does, self.kind = name, does, kind
 
     def __call__(self, *given: Any, **named: Any) -> Any:
-        """Call it."""
+        """Its value."""
         return self.does(*given, **named)
 
     def __repr__(self) -> str:
@@ -84,9 +83,7 @@ class Evaluator:
                 self.checked(value)
             return value
         except Refused as error:
-            if len(error.args) > 1:  # it names its expression already
-                raise
-            raise Refused(error.args[0], text) from None
+            raise (error if len(error.args) > 1 else Refused(*error.args, text)) from None
         except SyntaxError as error:
             raise Refused(f"it is not an expression: {error.msg}", text) from None
         except KeyError as error:
@@ -234,13 +231,10 @@ class Evaluator:
             star = isinstance(part, ast.Starred)
             value = self.value(part.value if isinstance(part, ast.Starred) else part, names, depth)
             made += self.members(value) if star else [value]
-        return self.checked(made)
+        self.checked(made)
+        return {ast.Tuple: tuple, ast.Set: set}.get(type(node), list)(made)
 
-    def of_Tuple(self, node: ast.Tuple, names: Mapping[str, Any], depth: int) -> Any:  # noqa: D102
-        return tuple(self.of_List(node, names, depth))
-
-    def of_Set(self, node: ast.Set, names: Mapping[str, Any], depth: int) -> Any:  # noqa: D102
-        return set(self.of_List(node, names, depth))
+    of_Tuple = of_Set = of_List
 
     def of_Dict(self, node: ast.Dict, names: Mapping[str, Any], depth: int) -> Any:  # noqa: D102
         made: dict[Any, Any] = {}
@@ -288,20 +282,13 @@ class Inner(Mapping[str, Any]):
     """Names inside a comprehension: its own, then those outside."""
 
     def __init__(self, outside: Mapping[str, Any], own: dict[str, Any]) -> None:
-        """Take both."""
         self.outside, self.own = outside, own
 
     def __getitem__(self, name: str) -> Any:
         """Value of a name."""
         return self.own[name] if name in self.own else self.outside[name]
 
-    def __iter__(self):
-        """Its own names; nothing asks for all."""
-        return iter(self.own)
-
-    def __len__(self) -> int:
-        """How many names are its own."""
-        return len(self.own)
+    __iter__ = __len__ = None  # pyright: ignore[reportAssignmentType]
 
 
 def _unpacked(target: ast.expr, value: Any) -> dict[str, Any]:
@@ -373,14 +360,12 @@ def total(values: Iterable[Any], start: Any = 0) -> Any:
     if type(start) is list:
         made = [*start]
         for value in values:
-            made += value if type(value) is list else _no_list(value)
+            if type(value) is not list:
+                raise Refused(f"a list and {_called(value)} cannot be added")
+            made += value
             small(len(made))
         return made
     return sum(values, start)
-
-
-def _no_list(value: Any) -> list:
-    raise TypeError(f"a list and {_called(value)} cannot be added")
 
 
 def remainder(left: Any, right: Any) -> Any:

@@ -1,8 +1,8 @@
 """Subprocess that expands xacro for `xacro.py`. No text of a file is evaluated as Python: expressions go to xacro_values.py.
 
-It imports nothing from the toolkit except packages.py, mesh_worker.py and the other two of xacro. Job (JSON on stdin): file, arguments
-(name -> value), package_dirs, folders (files are read only from these and from packages that are found), environment (ROS package
-path variables), memory [bytes], seconds. It prints one line of JSON: {"urdf": text, "asked": names} or {"error": sentence}.
+It imports nothing from the toolkit except packages.py, mesh_worker.py and the xacro_*.py. Job (JSON on stdin): file, arguments
+(name -> value), package_dirs, folders (files are read only from these and from packages that are found), environment (ROS
+package path variables), memory [bytes], seconds. It prints one line of JSON: {"urdf": text, "asked": names} or {"error": sentence}.
 """
 
 import contextlib
@@ -18,15 +18,9 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import ModuleType
 from typing import Any
-from xml.dom import minidom
-from xml.parsers import expat
 
 BYTES = 20_000_000  # of all files together
-YAML_BYTES, YAML_SCALAR = 2_000_000, 2_000  # of a YAML file, characters of one value in it
-NESTED = 200  # depth of XML elements
-ELEMENTS = 200_000  # of all files together
 FILES = 1_000  # that one include may match
-UNITS = {"radians": 1.0, "degrees": "pi/180", "meters": 1.0, "millimeters": 0.001, "foot": 0.3048, "inches": 0.0254}
 # What xacro must have for the walls to stand where it is replaced below.
 REPLACED = {
     "xacro": ("eval_all", "eval_text", "safe_eval", "load_yaml", "parse", "get_include_files", "abs_filename_spec",
@@ -72,110 +66,6 @@ class Asked(dict):
         return super().__getitem__(name)
 
 
-class Files:
-    """Files below the allowed folders, symbolic links followed first, and what all of them come to."""
-
-    def __init__(self, folders: list[str]) -> None:
-        """Take the folders."""
-        self.folders = [os.path.realpath(folder) for folder in folders]
-        self.bytes = self.elements = 0
-
-    def read(self, path: str, most: int) -> bytes:
-        """Bytes of a file. Raises Refused, and FileNotFoundError for one that could be read but is not there."""
-        path = os.path.abspath(path)
-        real = os.path.realpath(path)
-        if not any(real.startswith(os.path.join(folder, "")) for folder in self.folders):
-            raise Refused(
-                f"it reads '{path[-120:]}', which is not allowed; if it may, name its folder: "
-                f"package_dirs=['{os.path.dirname(path)[-100:]}'], in the shell --package-dir"
-            )
-        if os.path.exists(real) and not os.path.isfile(real):
-            raise Refused(f"'{path[-120:]}' is not a regular file")
-        with open(real, "rb") as file:
-            raw = file.read(most + 1)
-        self.bytes += len(raw)
-        if len(raw) > most or self.bytes > BYTES:
-            raise Refused(f"'{os.path.basename(path)[:100]}' and what is read before it are too large")
-        return raw
-
-    def xml(self, path: str) -> Any:
-        """Document of an XML file. Raises Refused."""
-        raw, depth = self.read(path, BYTES), 0
-
-        def start(tag: str, attributes: dict) -> None:
-            nonlocal depth
-            depth, self.elements = depth + 1, self.elements + 1
-            if depth > NESTED or self.elements > ELEMENTS:
-                raise Refused(f"its elements are nested more than {NESTED} deep, or more than {ELEMENTS:,}")
-
-        def end(tag: str) -> None:
-            nonlocal depth
-            depth -= 1
-
-        def refuse(*_: object) -> None:
-            raise Refused("it has a DOCTYPE or entity declarations; these are never expanded or fetched")
-
-        parser = expat.ParserCreate()
-        parser.StartElementHandler, parser.EndElementHandler = start, end
-        parser.StartDoctypeDeclHandler = parser.EntityDeclHandler = parser.ExternalEntityRefHandler = refuse
-        try:
-            parser.Parse(raw, True)
-        except expat.ExpatError as error:
-            reason = expat.ErrorString(error.code)
-            raise Refused(f"it is not well-formed XML: {reason} in line {error.lineno}") from None
-        return minidom.parseString(raw)  # noqa: S318 - it was checked above
-
-    def yaml(self, path: str, number: Callable[[str], float]) -> Any:
-        """Plain values of a YAML file; number: value of a text with a unit. Raises Refused."""
-        import yaml
-
-        raw = self.read(path, YAML_BYTES)
-
-        class Loader(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):
-            pass
-
-        for unit, factor in UNITS.items():
-            Loader.add_constructor(f"!{unit}", lambda _, node, times=factor: number(f"({node.value})*{times}"))
-        for plain in ("timestamp", "binary"):  # a date of calibration is no quantity of a robot
-            Loader.add_constructor(f"tag:yaml.org,2002:{plain}", lambda _, node: str(node.value))
-        try:
-            weigh(yaml.parse(raw, Loader))
-            return yaml.load(raw, Loader)  # noqa: S506 - a safe loader
-        except (yaml.YAMLError, ValueError) as error:
-            said = " ".join(str(error).split())[:160]
-            raise Refused(f"'{os.path.basename(path)[:60]}' cannot be read as YAML: {said}") from None
-
-
-def weigh(events: Any) -> None:
-    """Raise Refused for YAML that is too large once its anchors are put in, or nested too deep."""
-    known: dict[str, int] = {}
-    open_: list[tuple[str | None, int]] = [(None, 0)]
-    for event in events:
-        kind, anchor, weight = type(event).__name__, getattr(event, "anchor", None), 1
-        if kind in ("MappingStartEvent", "SequenceStartEvent"):
-            open_.append((anchor, 1))
-            if len(open_) > values.DEEP:
-                raise Refused(f"YAML is nested more than {values.DEEP} deep")
-            continue
-        if kind in ("MappingEndEvent", "SequenceEndEvent"):
-            anchor, weight = open_.pop()
-        elif kind == "ScalarEvent":
-            weight += len(event.value)
-            if weight > YAML_SCALAR:
-                raise Refused(f"a value in YAML has more than {YAML_SCALAR:,} characters")
-        elif kind == "AliasEvent":
-            weight = known.get(anchor or "", 1)
-            anchor = None
-        else:
-            continue
-        if anchor:
-            known[anchor] = weight
-        above, before = open_[-1]
-        open_[-1] = above, before + weight
-        if before + weight > YAML_BYTES:
-            raise Refused("YAML is too large once its anchors are put in")
-
-
 class Expansion:
     """xacro with everything that evaluates or reads replaced."""
 
@@ -185,14 +75,15 @@ class Expansion:
         import xacro.substitution_args as substitution
 
         self.job, self.xacro = job, xacro
-        self.files, self.evaluator, self.arguments = Files(job["folders"]), values.Evaluator(), Asked(job["arguments"])
+        self.files = beside("xacro_files").Files(values, job["folders"])
+        self.evaluator, self.arguments = values.Evaluator(), Asked(job["arguments"])
         self.packages, self.known = beside("packages"), dict[str, str]()
         self.written = 0
         for module in (xacro, substitution):
             for name in REPLACED[module.__name__]:
                 if not hasattr(module, name):
                     raise Refused(f"this version of xacro has no {name}; install the version that the toolkit knows")
-            vars(module).update(dict.fromkeys(("eval", "exec", "compile", "open"), _never))
+            module.__dict__.update(dict.fromkeys(("eval", "exec", "compile", "open"), _never))
         self._all, self._text = xacro.eval_all, xacro.eval_text
         plain = beside("xacro_library").library(values, self.evaluator)
         self.symbols: dict[str, Any] = {**plain[""], "None": None}
@@ -203,7 +94,7 @@ class Expansion:
                 self.symbols[name].update(inside)
         for name in ("arg", "message", "warning", "error", "print_location", "fatal", "tokenize"):
             del self.symbols[name]  # in their namespace only
-        vars(xacro).update(
+        xacro.__dict__.update(
             eval_all=self.eval_all,
             eval_text=self.eval_text,
             safe_eval=lambda text, names, locals=None: self.evaluator.evaluate(str(text), names),
@@ -213,7 +104,7 @@ class Expansion:
             abs_filename_spec=self.absolute(xacro.abs_filename_spec),
             _global_symbols=self.symbols,
         )
-        vars(substitution).update(
+        substitution.__dict__.update(
             _eval=self.eval_eval,
             _eval_arg=lambda name, args: args[name],
             _eval_dirname=self.dirname,
