@@ -156,10 +156,10 @@ def read_srdf(source: "str | Path | Srdf") -> Srdf:
         return source
     if not isinstance(source, str | Path):
         raise InvalidOption(f"srdf= takes a file, SRDF text or False, not {source!r:.60}")
-    source = expanded(source)
-    text = source_text(source, "SRDF")
-    is_text = isinstance(source, str) and source.lstrip("\ufeff \t\r\n").startswith("<")
-    return _parse(text, None if is_text else Path(source).expanduser().absolute())
+    given: str | Path = expanded(source)
+    text = source_text(given, "SRDF")
+    is_text = isinstance(given, str) and given.lstrip("\ufeff \t\r\n").startswith("<")
+    return _parse(text, None if is_text else Path(given).expanduser().absolute())
 
 
 def srdf_of(
