@@ -131,9 +131,9 @@ def _copies(element: ET.Element) -> int:
     if element.tag != "replicate":
         return 1 + inside
     try:
-        return max(int(element.get("count", "1")), 1) * (1 + inside)
+        return max(int(element.get("count", "1")), 1) * max(inside, 1)
     except ValueError:
-        return 1 + inside  # MuJoCo says what is wrong
+        return inside  # MuJoCo says what is wrong
 
 
 def _directories(root: ET.Element) -> Mapping[str, str]:

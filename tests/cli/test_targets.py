@@ -3,6 +3,7 @@
 import csv
 import json
 import signal
+import tracemalloc
 
 import numpy as np
 import pytest
@@ -136,11 +137,27 @@ def test_bad_arrays_are_named(tmp_path, capsys):
             "give only one of them",
         ),
         ({"targets": np.full((2, 3), np.inf)}, "target 0"),
-        ({"targets": np.array([None, None])}, "cannot read"),
+        ({"targets": np.array([None, None])}, "targets holds values of the type object, not real numbers"),
+        ({"targets": np.array([["2020-01-01"] * 3], dtype="M8[D]")}, "datetime64[D], not real numbers"),
+        ({"targets": np.array([["1", "2", "3"]])}, "targets holds values of the type <U1, not real numbers"),
+        ({"xyz": np.ones((1, 3)) * 1j}, "xyz holds values of the type complex128, not real numbers"),
+        ({"xyz": np.ones((1, 3), dtype=bool)}, "xyz holds values of the type bool, not real numbers"),
+        ({"xyz": np.ones((1, 3)), "quat_xyzw": np.full((1, 4), "1")}, "quat_xyzw holds values of the type <U1"),
+        ({"targets": np.zeros(1, dtype=[("a", "f8")])}, "targets holds values of the type"),
     ):
         np.savez(tmp_path / "bad.npz", **arrays)
         assert run("--targets", tmp_path / "bad.npz", "-o", tmp_path / "out.npz") == 2
         assert words in capsys.readouterr().err
+    for arrays in (
+        {"targets": np.zeros((3 * 10**6, 3))},
+        {"tips": np.zeros(10**6, dtype="U1"), "xyz": np.zeros((1, 3))},
+    ):
+        np.savez_compressed(tmp_path / "bad.npz", **arrays)
+        tracemalloc.start()
+        assert run("--targets", tmp_path / "bad.npz", "-o", tmp_path / "out.npz") == 2
+        assert tracemalloc.get_traced_memory()[1] < 50e6
+        tracemalloc.stop()
+        assert "save it with numpy.savez" in capsys.readouterr().err or "tips" in arrays  # which one tip does not read
     (tmp_path / "bad.npz").write_bytes(b"not a zip")
     assert run("--targets", tmp_path / "bad.npz", "-o", tmp_path / "out.npz") == 2
     said = capsys.readouterr().err

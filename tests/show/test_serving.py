@@ -162,6 +162,8 @@ def test_the_scene_is_shown_to_nobody_without_its_token():
         open_tab(f"{root}x/"),
         open_tab(url, Origin="http://elsewhere.example"),
         open_tab(url, Host="rebound.example"),
+        open_tab(url, Accept="*/*\r\nHost: rebound.example"),
+        open_tab(url, Accept="*/*\r\nOrigin: http://elsewhere.example"),
     ):
         assert status in (403, 404)
         stream.close()
