@@ -169,7 +169,7 @@ def _run(paths: Sequence[Path], kind: str, folders: Sequence[Path]) -> dict[Path
                 stdout=subprocess.PIPE,
                 stderr=subprocess.DEVNULL,
                 text=True,
-                timeout=3.0 * math.fsum(seconds),  # wall time: allows for a busy machine or a slow disk
+                timeout=6.0 * math.fsum(seconds),  # wall time: allows for a busy machine or a slow disk
                 env={**os.environ, **threads},
                 check=False,
             )

@@ -12,7 +12,7 @@ from .worker import ask
 
 WORKER = Path(__file__).with_name("xacro_worker.py")
 MEMORY = 1_000_000_000  # bytes; large robots take 0.1 GB
-SECONDS = 4  # of processor time, where the count of steps does not end it before; large robots take 1 s
+SECONDS = 3  # of processor time, where the count of steps does not end it before; robots take 0.1 to 0.3 s
 ENVIRONMENT = ("ROS_PACKAGE_PATH", "AMENT_PREFIX_PATH")
 
 

@@ -24,9 +24,14 @@ FILES = 1_000  # that one include may match
 # What xacro must have for the walls to stand where it is replaced below.
 REPLACED = {
     "xacro": ("eval_all", "eval_text", "safe_eval", "load_yaml", "parse", "get_include_files", "abs_filename_spec",
-              "_global_symbols"),
+              "_global_symbols", "replace_node", "resolve_macro", "re_macro_arg"),
     "xacro.substitution_args": ("_eval", "_eval_arg", "_eval_dirname", "_eval_env", "_eval_find", "_eval_optenv"),
 }  # fmt: skip
+
+# Parameters of a macro, as in xacro; there [^\s'"] is repeated inside a repetition, which takes exponential time.
+DEFAULTS = re.compile(
+    r"""^\s*([^\s:=]+?)\s*:?=\s*(\^\|?)?(\$\{.*?\}|\$\(.*?\)|(?:'.*?'|".*?"|[^\s'"])+|)(?:\s+|$)(.*)"""
+)
 
 
 def beside(name: str) -> ModuleType:
@@ -85,6 +90,8 @@ class Expansion:
                     raise Refused(f"this version of xacro has no {name}; install the version that the toolkit knows")
             module.__dict__.update(dict.fromkeys(("eval", "exec", "compile", "open"), _never))
         self._all, self._text = xacro.eval_all, xacro.eval_text
+        self._resolve, self._replace = xacro.resolve_macro, xacro.replace_node
+        self.bodies: dict[int, tuple[Any, int]] = {}  # of macros, by their id, with what a copy costs
         plain = beside("xacro_library").library(values, self.evaluator)
         self.symbols: dict[str, Any] = {**plain[""], "None": None}
         self.symbols |= {name: values.Function(name, does) for name, does in self.own().items()}
@@ -97,6 +104,9 @@ class Expansion:
         xacro.__dict__.update(
             eval_all=self.eval_all,
             eval_text=self.eval_text,
+            resolve_macro=self.resolve_macro,
+            replace_node=self.replace_node,
+            re_macro_arg=DEFAULTS,
             safe_eval=lambda text, names, locals=None: self.evaluator.evaluate(str(text), names),
             load_yaml=self.load_yaml,
             parse=self.parse,
@@ -137,8 +147,24 @@ class Expansion:
 
     def eval_all(self, node: Any, macros: Any, symbols: Any) -> None:
         """Expand an element; counted."""
-        self.evaluator.spend(1 + len(node.childNodes))
+        self.evaluator.spend(4 + len(node.childNodes))
         self._all(node, macros, symbols)
+
+    def resolve_macro(self, name: str, macros: Any, symbols: Any) -> Any:
+        """A macro, whose body is about to be copied; counted."""
+        found = self._resolve(name, macros, symbols)
+        body = found[2].body
+        if id(body) not in self.bodies:
+            self.bodies[id(body)] = body, _weight(body)
+        self.evaluator.spend(self.bodies[id(body)][1])
+        return found
+
+    def replace_node(self, node: Any, by: Any, content_only: bool = False) -> None:
+        """Put other nodes in the place of one; counted, because each is searched for among its new neighbours."""
+        others = by if isinstance(by, list) else [by] if by is not None else []
+        parts = sum(len(other.childNodes) if content_only else 1 for other in others)
+        self.evaluator.spend((1 + parts) * (parts + len(node.parentNode.childNodes)) // 100)
+        self._replace(node, by, content_only)
 
     def eval_text(self, text: str, symbols: Any) -> Any:
         """Value of a text with expressions; counted."""
@@ -246,6 +272,12 @@ class Expansion:
         return made
 
 
+def _weight(node: Any) -> int:
+    """What a copy of a node costs, in steps."""
+    own = len(node.data) // 100 if node.nodeType in (node.TEXT_NODE, node.COMMENT_NODE) else 1
+    return own + sum(map(_weight, node.childNodes))
+
+
 def _never(*_: object, **__: object) -> None:
     raise Refused("it asks xacro for something that is never done here")
 
@@ -302,6 +334,7 @@ def main() -> None:
     limit("CORE", 0)
     limit("AS", job["memory"])
     limit("CPU", job["seconds"])
+    sys.setrecursionlimit(3000)  # loops of xacro are macros that call themselves, ten calls here a turn
     print(json.dumps(expand(job)))
 
 

@@ -104,7 +104,7 @@ def test_packages_are_found_where_ros_looks(package, tmp_path, monkeypatch):
         ('<link name="${[x for x in range(10**12)]}"/>', "cannot be expanded"),
         ("<xacro:seg/>", "seg"),
         ('<link name="${(lambda: ().__class__)()}"/>', "it uses a lambda, which is not evaluated, in the expression"),
-        ('<link name="$(eval ().__class__)"/>', "it uses '.__class__', which is not allowed"),
+        ('<link name="$(eval [].__class__)"/>', "it uses '.__class__', which is not allowed"),
         ('<link name="$(command ls)"/>', "Unknown substitution command"),
         ('<link name="$(anon a)"/>', "Unknown substitution command"),
         ('<xacro:include filename="way_out.xacro"/>', "way_out.xacro', which is not allowed"),
@@ -116,7 +116,7 @@ def test_packages_are_found_where_ros_looks(package, tmp_path, monkeypatch):
         ('<xacro:include filename="entities.xacro"/>', "DOCTYPE"),
         ("PROPERTIES", "more than 100,000 characters"),
         ("MACROS", "more than 150,000 steps"),
-        ('<xacro:macro name="m" params="a:=' + "a" * 60 + "'" + '"/>', "too much time"),
+        ('<xacro:macro name="m" params="a:=' + "a" * 60 + "'" + '"/>', "no robot"),
         (
             '<xacro:property name="a" value="${b}"/><xacro:property name="b" value="${a}"/><link name="${a}"/>',
             "circular",
@@ -178,11 +178,11 @@ def test_packages_go_by_the_name_in_their_manifest(tmp_path):
     near, far = tmp_path / "ws" / "cfg" / "arm.urdf.xacro", tmp_path / "away" / "arm.urdf.xacro"
     near.write_text(text)
     far.write_text(text)
-    assert ik.Robot.load(near).fk([0.0])[0, 3] == 0.6
+    assert ik.Robot.load(near).fk([0.0]).translation[0] == 0.6
     with pytest.raises(ModelError, match=r"no package 'arm_parts'; name its folder.*package_dirs"):
         ik.Robot.load(far)
     for folder in (parts, parts.parent, tmp_path):
-        assert ik.Robot.load(far, package_dirs=[folder]).fk([0.0])[0, 3] == 0.6
+        assert ik.Robot.load(far, package_dirs=[folder]).fk([0.0]).translation[0] == 0.6
     assert mesh_packages(["package://arm_parts/a.stl"], near, []) == {"arm_parts": parts}
 
 
@@ -202,7 +202,7 @@ def test_a_file_above_names_its_remedy_which_works(tmp_path):
     with pytest.raises(ModelError) as caught:
         ik.Robot.load(file)
     assert f"package_dirs=['{tmp_path / 'common'}']"[-80:] in str(caught.value)
-    assert ik.Robot.load(file, package_dirs=[tmp_path / "common"]).fk([0.0])[0, 3] == 0.6
+    assert ik.Robot.load(file, package_dirs=[tmp_path / "common"]).fk([0.0]).translation[0] == 0.6
 
 
 def test_an_srdf_may_be_xacro(tmp_path):
@@ -226,4 +226,4 @@ def test_units_and_dates_in_yaml(tmp_path):
     text = ONE.replace("LENGTH", "${v.limits.j.reach}").replace('upper="1"', """upper="${v['limits'].j['upper']}\"""")
     file.write_text(HEAD + load + text)
     robot = ik.Robot.load(file)
-    assert robot.upper == pytest.approx([1.5707963267948966]) and robot.fk([0.0])[0, 3] == pytest.approx(0.254)
+    assert robot.upper == pytest.approx([1.5707963267948966]) and robot.fk([0.0]).translation[0] == pytest.approx(0.254)
