@@ -46,9 +46,9 @@ class Refused(Exception):
 class Function:
     """A function that a file may call, and may hand to `map` and its like."""
 
-    def __init__(self, name: str, does: Callable[..., Any], kind: type | None = None) -> None:
-        """Take its name, what it does, and the type it stands for in `isinstance`."""
-        self.name, self.does, self.kind = name, does, kind
+    def __init__(self, name: str, does: Callable[..., Any], kind: type | None = None, weighed: bool = False) -> None:
+        """Take its name, what it does, the type it stands for in `isinstance`, and whether it weighs what it makes."""
+        self.name, self.does, self.kind, self.weighed = name, does, kind, weighed
 
     def __call__(self, *given: Any, **named: Any) -> Any:
         """Its value."""
@@ -79,8 +79,8 @@ class Evaluator:
                 raise Refused(f"an expression has more than {LONGEST:,} characters")
             self.spend(1 + len(text) // 100)
             value = self.value(ast.parse(text.strip(), mode="eval").body, names, 0)
-            if not isinstance(value, Function):
-                self.checked(value)
+            if isinstance(value, Mapping) and type(value) is not dict:  # all else was looked at when it was made
+                raise Refused(f"it makes {_called(value)}, which is not allowed")
             return value
         except Refused as error:
             raise (error if len(error.args) > 1 else Refused(*error.args, text)) from None
@@ -106,7 +106,7 @@ class Evaluator:
     def checked(self, value: Any) -> Any:
         """The value, if it is of a kind that a file may have and not too large. Raises Refused."""
         weight = _weight(value, 0, 0)
-        self.spend(weight // 20)
+        self.spend(weight // 50)
         return value
 
     def of_Constant(self, node: ast.Constant, names: Mapping[str, Any], depth: int) -> Any:  # noqa: D102
@@ -122,14 +122,13 @@ class Evaluator:
 
     def of_Attribute(self, node: ast.Attribute, names: Mapping[str, Any], depth: int) -> Any:  # noqa: D102
         owner, name = self.value(node.value, names, depth), node.attr
-        shown = f"'.{name[:60]}'"
         if name.startswith("_"):
-            raise Refused(f"it uses {shown}, which is not allowed")
+            raise Refused(f"it uses '.{name[:60]}', which is not allowed")
         if isinstance(owner, Mapping) and type(owner) is not dict:  # a namespace
             try:
                 return owner[name]
             except KeyError:
-                raise Refused(f"the name {shown} is not defined") from None
+                raise Refused(f"the name '.{name[:60]}' is not defined") from None
         kind = set if isinstance(owner, frozenset) else type(owner)
         if name in METHODS.get(kind, ()):
             return Function(name, lambda *given, **named: self._method(owner, name, given, named))
@@ -137,7 +136,7 @@ class Evaluator:
             if name in owner:
                 return owner[name]
             raise Refused(f"there is no key '{name[:60]}'")
-        raise Refused(f"it uses {shown} of {_called(owner)}, which is not allowed")
+        raise Refused(f"it uses '.{name[:60]}' of {_called(owner)}, which is not allowed")
 
     def _method(self, owner: Any, name: str, given: tuple, named: dict) -> Any:
         """Call a method of a value after a look at how much it makes."""
@@ -179,7 +178,8 @@ class Evaluator:
             named |= value if word.arg is None else {word.arg: value}
         for value in (*given, *named.values()):
             self.checked(value)
-        return self.checked(does(*given, **named))
+        made = does(*given, **named)
+        return made if does.weighed else self.checked(made)
 
     def of_BinOp(self, node: ast.BinOp, names: Mapping[str, Any], depth: int) -> Any:  # noqa: D102
         left, right = self.value(node.left, names, depth), self.value(node.right, names, depth)

@@ -94,8 +94,9 @@ class Expansion:
         self.bodies: dict[int, tuple[Any, int]] = {}  # of macros, by their id, with what a copy costs
         plain = beside("xacro_library").library(values, self.evaluator)
         self.symbols: dict[str, Any] = {**plain[""], "None": None}
-        self.symbols |= {name: values.Function(name, does) for name, does in self.own().items()}
-        for name, inside in {**plain, "xacro": {n: values.Function(n, does) for n, does in self.own().items()}}.items():
+        own = {name: values.Function(name, does, weighed=name == "load_yaml") for name, does in self.own().items()}
+        self.symbols |= own
+        for name, inside in {**plain, "xacro": own}.items():
             if name:
                 self.symbols[name] = xacro.NameSpace()
                 self.symbols[name].update(inside)
