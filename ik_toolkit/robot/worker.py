@@ -26,7 +26,7 @@ def ask(
             stderr=subprocess.DEVNULL,
             text=True,
             cwd=folder,
-            timeout=6.0 * seconds,  # wall time: allows for a busy machine
+            timeout=10.0 * seconds,  # wall time: allows for a busy machine, on which others hold the processor
             check=False,
         )
         return json.loads((done.stdout.strip().splitlines() or [""])[-1])

@@ -4,6 +4,7 @@ It imports nothing from the toolkit, because the subprocess that expands xacro l
 """
 
 import os
+import re
 from collections.abc import Callable
 from types import ModuleType
 from typing import Any
@@ -12,6 +13,8 @@ from xml.parsers import expat
 
 BYTES = 20_000_000  # of all files together
 YAML_BYTES, YAML_SCALAR = 2_000_000, 2_000  # of a YAML file, characters of one value in it
+DECLARED = re.compile(rb"""(\s*<\?xml[^>]*?encoding=["'])([A-Za-z0-9._-]{1,40})""")
+KNOWN = (b"utf-8", b"us-ascii", b"iso-8859-1", b"utf-16")  # to expat
 NESTED = 200  # depth of XML elements
 ELEMENTS = 200_000  # of all files together
 UNITS = {"radians": 1.0, "degrees": "pi/180", "meters": 1.0, "millimeters": 0.001, "foot": 0.3048, "inches": 0.0254}
@@ -47,6 +50,12 @@ class Files:
     def xml(self, path: str) -> Any:
         """Document of an XML file. Raises Refused."""
         raw, depth = self.read(path, BYTES), 0
+        declared = DECLARED.match(raw)
+        if declared and declared[2].lower() not in KNOWN:
+            try:
+                raw = declared[1] + b"utf-8" + raw[declared.end(2) :].decode(declared[2].decode()).encode()
+            except (LookupError, UnicodeError):
+                raise self.values.Refused(f"it is not text of the encoding {declared[2].decode()}") from None
 
         def start(tag: str, attributes: dict) -> None:
             nonlocal depth

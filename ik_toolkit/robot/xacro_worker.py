@@ -317,7 +317,8 @@ def told(cause: BaseException, stack: list[str]) -> str:
         where = f"in the expression '{text[:60]}{'...' * (len(text) > 60)}'" + (f" of {where}" if where else "")
         return f"{said}, {where}"
     if isinstance(cause, FileNotFoundError):
-        said, where = f"there is no file '{cause.filename}'", f"'{stack[-2]}'" if len(stack) > 1 else ""
+        others = [name for name in stack if name != os.path.basename(cause.filename)]
+        said, where = f"there is no file '{cause.filename}'", f"'{others[-1]}'" if others else ""
     elif isinstance(cause, RecursionError):
         macros = sys.modules["xacro"].macrostack
         name = macros[-1].body.getAttribute("name")[:60] if macros else ""

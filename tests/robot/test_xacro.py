@@ -234,3 +234,15 @@ def test_a_quote_left_open_among_parameters_takes_no_time(tmp_path):
     macro = f"""<xacro:macro name="m" params="a:={"a" * 60}'"/>"""
     file.write_text(HEAD + macro + ONE.replace("LENGTH", "0.3"))
     assert ik.Robot.load(file).n == 1
+
+
+@pytest.mark.parametrize("encoding", ["iso-8859-1", "utf-16", "shift_jis"])
+def test_declared_encodings(tmp_path, encoding):
+    from ik_toolkit.robot.xacro import expand
+
+    name = "ア" if encoding == "shift_jis" else "Gelenk_ä"
+    file = tmp_path / "arm.urdf.xacro"
+    file.write_bytes(
+        f'<?xml version="1.0" encoding="{encoding}"?>{HEAD}<link name="{name}${{1+1}}"/></robot>'.encode(encoding)
+    )
+    assert f'<link name="{name}2"/>' in expand(file)
