@@ -13,7 +13,7 @@ from .library import RobotEntry, find
 from .mjcf import to_urdf
 from .read import HasMacros, IsMjcf, safe_read, source_text
 from .tips import guess_tip
-from .xacro import expand
+from .xacro import expand, expanded, has_macros
 
 LOG = logging.getLogger("ik_toolkit")
 
@@ -32,14 +32,19 @@ class Urdf(NamedTuple):
     made: bool = False
 
 
-def urdf_of(entry: RobotEntry, package_dirs: Iterable[str | Path], xacro_args: Mapping[str, Any] | None = None) -> Urdf:
-    """URDF text of a URDF, xacro or MJCF source. Raises as `Robot.load` does for files that cannot be read."""
+def urdf_of(
+    entry: RobotEntry,
+    package_dirs: Iterable[str | Path],
+    xacro_args: Mapping[str, Any] | None = None,
+    elsewhere: bool = False,
+) -> Urdf:
+    """URDF text of a URDF, xacro or MJCF source; elsewhere: another file may use the arguments. Raises as `Robot.load` does."""
     folders = list(dict.fromkeys((*folders_of(package_dirs), *entry.package_dirs)))
     try:
         text = safe_read(entry.source)
         if entry.path is not None and entry.path.suffix == ".xacro" and "<xacro:" in text:
             raise HasMacros("it calls macros")  # left over only in a file that says it is a URDF
-        if xacro_args:
+        if xacro_args and not elsewhere:
             raise InvalidOption(f"xacro_args are for xacro files, and {entry.name} is a plain URDF")
     except HasMacros:
         if entry.path is None:
@@ -47,7 +52,7 @@ def urdf_of(entry: RobotEntry, package_dirs: Iterable[str | Path], xacro_args: M
         text = safe_read(expand(entry.path, folders, {**entry.xacro_args, **(xacro_args or {})}))
         return Urdf(text, entry.path, folders, made=True)
     except IsMjcf:
-        if xacro_args:
+        if xacro_args and not elsewhere:
             raise InvalidOption(f"xacro_args are for xacro files, and {entry.name} is MJCF") from None
         flat = to_urdf(source_text(entry.source, "MJCF"), entry.path, folders)
         return Urdf(safe_read(flat.urdf), entry.path, folders, tuple(flat.notes), flat.states, made=True)
@@ -55,12 +60,15 @@ def urdf_of(entry: RobotEntry, package_dirs: Iterable[str | Path], xacro_args: M
 
 
 def read(
-    source: str | Path, package_dirs: Iterable[str | Path], xacro_args: Mapping[str, Any] | None = None
+    source: str | Path,
+    package_dirs: Iterable[str | Path],
+    xacro_args: Mapping[str, Any] | None = None,
+    elsewhere: bool = False,
 ) -> tuple[RobotEntry, dict[str, Any]]:
     """Read a source: its entry, and the model, name, text and folders that `Robot` needs. Raises as `Robot.load` does."""
     entry = find(source)
-    text, file, folders, notes, states, expanded = urdf_of(entry, package_dirs, xacro_args)
-    notes = (*notes, *require_loadable(text, lines=not expanded))
+    text, file, folders, notes, states, written = urdf_of(entry, package_dirs, xacro_args, elsewhere)
+    notes = (*notes, *require_loadable(text, lines=not written))
     try:
         model = build_model(text)
     except Exception as error:
@@ -70,6 +78,14 @@ def read(
         LOG.warning("%s: %s", entry.name, note)
     made = {"model": model, "name": name, "urdf": text, "path": file, "package_dirs": folders}
     return entry, made | {"notes": notes, "states": states}
+
+
+def read_both(
+    source: str | Path, package_dirs: Iterable[str | Path], xacro_args: Mapping[str, Any] | None, srdf: Any
+) -> tuple[RobotEntry, dict[str, Any], Any]:
+    """What `read` returns, and the SRDF, as text where it is named as a xacro file, which may use the arguments too."""
+    entry, made = read(source, package_dirs, xacro_args, has_macros(srdf))
+    return entry, made, expanded(srdf, made["package_dirs"], xacro_args)
 
 
 def default_base(

@@ -24,7 +24,7 @@ from .write import numbers_text, origin, to_text
 
 WORKER = Path(__file__).with_name("mjcf_worker.py")
 MEMORY = 2_000_000_000  # bytes; a humanoid takes 0.2 GB, MuJoCo itself most of it
-SECONDS = 20  # of processor time; large robots take 1 s
+SECONDS = 4  # of processor time; large robots take 1 s
 ENDLESS = "1e16"  # stands for "no limit" (see NO_LIMIT in probe.py)
 HIDDEN = 3  # shape groups from this one on are not drawn, as in MuJoCo's viewer
 BALL_AXES = ((0, 0, 1), (0, 1, 0), (1, 0, 0))

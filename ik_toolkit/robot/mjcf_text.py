@@ -9,6 +9,7 @@ from ..errors import ModelError
 from .meshes import lies_in
 from .read import MAX_BYTES, check_names, source_text, walk
 
+MAX_COPIES = 20_000  # elements once replication is carried out, and keyframes times bodies
 MAX_INCLUDES = 200  # files; the largest model of the MuJoCo Menagerie has 5
 KEPT = ("compiler", "default", "asset", "worldbody", "equality", "keyframe")
 SHAPED = {"mesh": ("name", "class", "scale"), "material": ("name", "class", "rgba"), "hfield": ("name",)}
@@ -98,6 +99,7 @@ def flatten(text: str, path: Path | None, folders: list[Path]) -> Flat:
     flattener = Flattener(path, folders)
     root = tree(text)
     flattener.put_in(root, flattener.home, (path.resolve(),) if path else ())
+    _check_copies(root)
     flat = Flat("")
     folders_of = _directories(root)
     for section in list(root):
@@ -105,12 +107,33 @@ def flatten(text: str, path: Path | None, folders: list[Path]) -> Flat:
             root.remove(section)
     _strip(root, flat, folders_of)
     for section in root:
+        if section.tag == "compiler":
+            section[:] = []
         if section.tag == "keyframe":
+            bodies = sum(1 for _ in root.iter("body"))
+            section[:] = section[: max(MAX_COPIES // max(bodies, 1), 1)]
             for key in section:
                 for attribute in set(key.attrib) - {"name", "qpos", "time"}:
                     del key.attrib[attribute]
     flat.xml = ET.tostring(root, "unicode")
     return flat
+
+
+def _check_copies(root: ET.Element) -> None:
+    """Raise ModelError for more elements than any robot has once <replicate> has copied them."""
+    if next(root.iter("replicate"), None) is not None and (copies := _copies(root)) > MAX_COPIES:
+        raise ModelError(f"its <replicate> comes to {copies:,} elements, more than {MAX_COPIES:,}; it is not read")
+
+
+def _copies(element: ET.Element) -> int:
+    """Elements that one comes to."""
+    inside = sum(map(_copies, element))
+    if element.tag != "replicate":
+        return 1 + inside
+    try:
+        return max(int(element.get("count", "1")), 1) * max(inside, 1)
+    except ValueError:
+        return inside  # MuJoCo says what is wrong
 
 
 def _directories(root: ET.Element) -> Mapping[str, str]:

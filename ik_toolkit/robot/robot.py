@@ -28,7 +28,7 @@ from ..kernel.records import POINTS
 from .base import settle
 from .build import build_model
 from .joints import Joints, values_by_joint
-from .load import default_base, folders_of, read
+from .load import default_base, folders_of, read_both
 from .mimic import followers, mimic_limits
 from .pose import as_matrix, check_target
 from .probe import AGREE, NO_LIMIT, configurations, difference, find_path, good_start, limits, probe
@@ -140,7 +140,7 @@ class Robot(Joints):
         (xacro).
         """
         tip = one_word(tip, ee_link)
-        entry, made = read(source, package_dirs, xacro_args)
+        entry, made, srdf = read_both(source, package_dirs, xacro_args, srdf)
         made["srdf"] = srdf_of(srdf, made["model"], entry.path, made.pop("states"), group)
         if group is not None:
             start, end = one_tip(made["srdf"], group, made["model"], tip)

@@ -18,6 +18,7 @@ from .finding import did_you_mean
 from .probe import find_path
 from .read import source_text
 from .srdf_text import EndEffector, Group, contents
+from .xacro import expanded
 
 LOG = logging.getLogger("ik_toolkit")
 BESIDE = ("", "../srdf")  # folders searched for the SRDF, relative to that of the URDF
@@ -162,9 +163,10 @@ def read_srdf(source: "str | Path | Srdf") -> Srdf:
         return source
     if not isinstance(source, str | Path):
         raise InvalidOption(f"srdf= takes a file, SRDF text or False, not {source!r:.60}")
-    text = source_text(source, "SRDF")
-    is_text = isinstance(source, str) and source.lstrip("\ufeff \t\r\n").startswith("<")
-    return Srdf(path=None if is_text else Path(source).expanduser().absolute(), **contents(text))
+    given: str | Path = expanded(source)
+    text = source_text(given, "SRDF")
+    is_text = isinstance(given, str) and given.lstrip("\ufeff \t\r\n").startswith("<")
+    return Srdf(path=None if is_text else Path(given).expanduser().absolute(), **contents(text))
 
 
 def srdf_of(

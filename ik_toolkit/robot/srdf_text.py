@@ -71,7 +71,7 @@ def contents(text: str) -> dict[str, Any]:
             name = given.get("name", "")
             return
         if tag.startswith("xacro:"):
-            raise HasMacros(f"line {line} of the SRDF has xacro macros; expand it first: xacro IN.xacro > OUT.srdf")
+            raise HasMacros(f"line {line} of the SRDF has xacro macros; name the file .srdf.xacro to expand it")
         of_state = list(above[1:]) == ["group_state"] and tag == "joint"
         of_group = list(above[1:]) == ["group"] and tag in MEMBERS
         if not (of_state or of_group or (len(above) == 1 and tag in FACTS)):

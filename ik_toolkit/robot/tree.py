@@ -10,7 +10,7 @@ import pinocchio as pin
 from ..errors import FrameNotFound, InvalidOption, InvalidTarget, ModelError
 from ..kernel.tree_chain import TreeChain, pack_tree
 from .joints import Joints, values_by_joint
-from .load import default_base, read
+from .load import default_base, read_both
 from .probe import Path as JointPath
 from .robot import Robot
 from .srdf import Srdf, srdf_of
@@ -109,7 +109,7 @@ class Tree(Joints):
         joint by joint. on_base, base_limits: see Robot.load; the base is shared. srdf: as in Robot.load; group: an SRDF group,
         which sets base and tips. Raises as Robot.load does; without tips, FrameNotFound lists the path ends.
         """
-        entry, made = read(source, package_dirs, xacro_args)
+        entry, made, srdf = read_both(source, package_dirs, xacro_args, srdf)
         made["srdf"] = srdf_of(srdf, made["model"], entry.path, made.pop("states"), group)
         if group is not None:
             start, ends = made["srdf"].ends(group, made["model"])

@@ -9,6 +9,7 @@ import numpy as np
 
 from ..errors import InvalidConfiguration
 from ..robot.joints import Joints
+from ..robot.pose_files import check_arrays
 from .parts import Shape, need_trimesh, smooth
 
 OBSTACLE = (0.55, 0.58, 0.62)
@@ -174,7 +175,9 @@ def read_motion(robot: Joints, file: str | Path) -> tuple[np.ndarray | None, np.
     path = Path(file)
     try:
         names, values, t = _read(path)
-    except (OSError, ValueError, KeyError, TypeError, IndexError, StopIteration) as error:
+    except InvalidConfiguration:
+        raise
+    except Exception as error:  # damaged files raise many types: zip, zlib, npy, json and csv errors
         raise InvalidConfiguration(f"cannot read the motion in '{path.name}': {error}") from None
     missing = [joint for joint in robot.joint_names if joint not in names]
     if missing:
@@ -191,6 +194,7 @@ def read_motion(robot: Joints, file: str | Path) -> tuple[np.ndarray | None, np.
 def _read(path: Path) -> tuple[list[str], np.ndarray, np.ndarray | None]:
     suffix = path.suffix.lower()
     if suffix == ".npz":
+        check_arrays(path, ("joint_names", "curve", "q", "t"), ("joint_names",), InvalidConfiguration)
         with np.load(path, allow_pickle=False) as arrays:
             names = arrays["joint_names"].tolist() if "joint_names" in arrays else []
             if "curve" in arrays:

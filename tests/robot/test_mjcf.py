@@ -135,6 +135,11 @@ def test_a_free_joint_is_held_unless_it_has_limits(caplog):
     )
 
 
+DEFAULTS = "".join(
+    f'<default class="a{k}"><geom size="1"/></default>' for k in range(30_000)
+)  # MuJoCo takes their square
+
+
 @pytest.mark.parametrize(
     ("text", "said"),
     [
@@ -157,7 +162,15 @@ def test_a_free_joint_is_held_unless_it_has_limits(caplog):
         (BARE.format("<body>" * 80 + "</body>" * 80), "nested more than 64 deep"),
         (
             BARE.format('<replicate count="100000000" offset="1 0 0"><geom size=".1"/></replicate>'),
-            "cannot read 'arm.xml'",
+            "its <replicate> comes to 100,000,00",
+        ),
+        (
+            BARE.format('<replicate count="500"><replicate count="500"><geom size=".1"/></replicate></replicate>'),
+            "its <replicate> comes to 250,00",
+        ),
+        (
+            BARE.format("").replace("</worldbody>", "</worldbody><default>" + DEFAULTS + "</default>"),
+            "cannot read 'arm.xml': it crashed MuJoCo, or took too much time or memory",
         ),
         (BARE.format('<geom type="mesh" mesh="none"/>'), "cannot read 'arm.xml': Error"),
         (BARE.format("</geom>"), "well-formed"),
@@ -168,7 +181,7 @@ def test_a_free_joint_is_held_unless_it_has_limits(caplog):
     ids=lambda value: value[:60] if value.startswith("<") else None,
 )
 def test_hostile_files_are_harmless(tmp_path, text, said, monkeypatch):
-    monkeypatch.setattr("ik_toolkit.robot.mjcf.SECONDS", 3)  # of processor time, for the one that would take all of it
+    monkeypatch.setattr("ik_toolkit.robot.mjcf.SECONDS", 1)  # of processor time, for the one that would take all of it
     (tmp_path / "secret.xml").write_text('<mujoco><worldbody><body name="secret"/></worldbody></mujoco>')
     (tmp_path / "a").mkdir()
     (tmp_path / "a" / "link.xml").symlink_to(tmp_path / "secret.xml")
