@@ -69,6 +69,21 @@ def mimic_limits(text: str) -> dict[str, tuple[str, float, float, float, float]]
     return found
 
 
+def mimic_speeds(text: str) -> dict[str, tuple[float, float]]:
+    """Follower joint -> (multiplier, its own velocity limit [rad/s or m/s]), of those that have one.
+
+    A velocity of 0 counts as none, because a follower that may not move is not meant.
+    """
+    tied = followers(text).tied
+    found = {}
+    for item in parse(text):
+        limit = item.first("limit") if item.tag == "joint" and item.name in tied else None
+        speed = float(limit.get("velocity", 0.0)) if limit is not None else 0.0
+        if speed > 0.0 and tied[item.name].ratio != 0.0:
+            found[item.name] = (tied[item.name].ratio, speed)
+    return found
+
+
 def ties(items: Sequence[Item]) -> tuple[dict[str, Tie], dict[str, str]]:
     """Followers tied to an independent joint, and for each of the others why it cannot be tied.
 

@@ -29,9 +29,9 @@ from .base import settle
 from .build import build_model
 from .joints import Joints, values_by_joint
 from .load import default_base, folders_of, read
-from .mimic import followers, mimic_limits
+from .mimic import followers, mimic_limits, mimic_speeds
 from .pose import as_matrix, check_target
-from .probe import AGREE, NO_LIMIT, configurations, difference, find_path, good_start, limits, probe
+from .probe import AGREE, NO_LIMIT, configurations, difference, find_path, good_start, limits, probe, speeds
 from .probe import Path as JointPath
 from .read import is_text
 from .shape import Shape, is_shape
@@ -72,14 +72,16 @@ class Robot(Joints):
         base_limits: Any = None,
         srdf: str | Path | Srdf | None = None,
         notes: Sequence[str] = (),
+        others: Sequence[str] = (),
     ) -> None:
         """Wrap an existing model.
 
         tip (or its other name ee_link), base: frame names (base default: the root; tip may be omitted when only one candidate
         exists). home (n,): a good non-singular start; default mid-range. locked: joint name -> value [rad or m], held
         constant and left out of q. on_base, base_limits: see `load`; a free-flyer of the model is treated as a floating base,
-        and needs base_limits. srdf: a file or text of SRDF; its passive joints are held. Raises FrameNotFound, JointNotFound,
-        ModelError, InvalidConfiguration, InvalidOption.
+        and needs base_limits. srdf: a file or text of SRDF; its passive joints are held. others: joints that move for other tips
+        (see Tree); those that move the base's branch are coordinates too. Raises FrameNotFound, JointNotFound, ModelError,
+        InvalidConfiguration, InvalidOption.
         """
         tip = one_word(tip, ee_link)
         if not isinstance(model, pin.Model):
@@ -90,6 +92,7 @@ class Robot(Joints):
             raise InvalidOption("on_base places the robot in the world, in which poses are then given; omit base")
         self.on_base, self.base_limits = on_base, base_limits
         self.notes = tuple(notes)
+        self._others = tuple(others)
         self._settle(model)
         self.name = name or model.name
         self.urdf = urdf
@@ -229,7 +232,8 @@ class Robot(Joints):
         model = self.model
         base_id, tip_id = self._frame_id(self.base), self._frame_id(self.tip)
         locked = {model.getJointId(joint) for joint in self.locked_joints}
-        path = find_path(model, base_id, tip_id, locked)
+        others = [model.getJointId(joint) for joint in self._others]
+        path = find_path(model, base_id, tip_id, locked, others)
         self._path: JointPath = path
         loose = followers(self.urdf).loose if self.urdf else {}
         for joint in (model.names[j] for j in path.joints):
@@ -240,8 +244,7 @@ class Robot(Joints):
         self.joint_names = tuple(model.names[j] for j in path.leaders)
         self.tips, self.places = (self.tip,), (np.arange(self.n),)
         self.lower, self.upper = lower, upper = limits(model, path, mimic_limits(self.urdf) if self.urdf else {})
-        speeds = np.asarray(model.upperVelocityLimit)[[model.joints[j].idx_v for j in path.leaders]]
-        self.velocity_limits = np.where(speeds > NO_LIMIT, np.inf, speeds)
+        self.velocity_limits = speeds(model, path, mimic_speeds(self.urdf) if self.urdf else {})
         free = [joint for joint in self._slides if joint in self.joint_names and self._endless(joint)]
         if free:
             raise InvalidOption(f"base_limits= is needed: the lower and upper limits [m] of {', '.join(free)}")
@@ -345,6 +348,21 @@ class Robot(Joints):
         """Copy that shares the model and has none of the caches."""
         other = Robot.__new__(Robot)
         other.__dict__.update({key: value for key, value in self.__dict__.items() if key not in CACHES})
+        return other
+
+    def among(self, names: Sequence[str], home: Mapping[str, float]) -> "Robot":
+        """The robot as an arm of a tree, of which these joints move: with those as coordinates that move its base's branch.
+
+        home: of all joints by name [rad or m]. It is the robot itself where nothing is added.
+        """
+        model = self.model
+        locked = {model.getJointId(joint) for joint in self.locked_joints}
+        path = find_path(model, *self._ids, locked, [model.getJointId(joint) for joint in names])
+        if set(path.leaders) == set(self._path.leaders):
+            return self
+        other = self._variant()
+        other._others = tuple(names)
+        other._build([home[model.names[j]] for j in path.leaders])
         return other
 
     def _locked(self, joints: Mapping[str, float]) -> "Robot":
