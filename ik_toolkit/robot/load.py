@@ -11,6 +11,7 @@ from ..errors import InvalidOption, ModelError
 from .base import carried
 from .build import build_model
 from .check import require_loadable
+from .constraints import Constraint
 from .library import RobotEntry, find
 from .mjcf import to_urdf
 from .read import HasMacros, IsMjcf, safe_read, source_text
@@ -21,13 +22,14 @@ LOG = logging.getLogger("ik_toolkit")
 
 
 class Urdf(NamedTuple):
-    """URDF text of a source; file: base of relative paths; notes, states: further contents of MJCF (see `Read`)."""
+    """URDF text of a source; file: base of relative paths; notes, states, constraints: contents of MJCF (see `Read`)."""
 
     text: str
     file: Path | None
     package_dirs: list[Path]
     notes: tuple[str, ...] = ()
     states: Mapping[str, Mapping[str, tuple[float, ...]]] = {}
+    constraints: tuple[Constraint, ...] = ()
 
 
 def urdf_of(entry: RobotEntry, package_dirs: Iterable[str | Path], xacro_args: Mapping[str, Any] | None = None) -> Urdf:
@@ -45,7 +47,7 @@ def urdf_of(entry: RobotEntry, package_dirs: Iterable[str | Path], xacro_args: M
         if xacro_args:
             raise InvalidOption(f"xacro_args are for xacro files, and {entry.name} is MJCF") from None
         flat = to_urdf(source_text(entry.source, "MJCF"), entry.path, folders)
-        return Urdf(safe_read(flat.urdf), entry.path, folders, tuple(flat.notes), flat.states)
+        return Urdf(safe_read(flat.urdf), entry.path, folders, tuple(flat.notes), flat.states, flat.constraints)
     return Urdf(text, entry.path, folders)
 
 
@@ -54,7 +56,7 @@ def read(
 ) -> tuple[RobotEntry, dict[str, Any]]:
     """Read a source: its entry, and the model, name, text and folders that `Robot` needs. Raises as `Robot.load` does."""
     entry = find(source)
-    text, file, folders, notes, states = urdf_of(entry, package_dirs, xacro_args)
+    text, file, folders, notes, states, constraints = urdf_of(entry, package_dirs, xacro_args)
     require_loadable(text)
     try:
         model = build_model(text)
@@ -64,7 +66,7 @@ def read(
     for note in notes:
         LOG.warning("%s: %s", entry.name, note)
     made = {"model": model, "name": name, "urdf": text, "path": file, "package_dirs": folders}
-    return entry, made | {"notes": notes, "states": states}
+    return entry, made | {"notes": notes, "states": states, "constraints": constraints}
 
 
 def default_base(

@@ -27,6 +27,7 @@ from ..kernel.chain import Chain
 from ..kernel.records import POINTS
 from .base import settle
 from .build import build_model
+from .constraints import Constraint
 from .joints import Joints, values_by_joint
 from .load import default_base, folders_of, read
 from .mimic import followers, mimic_limits, mimic_speeds
@@ -72,6 +73,7 @@ class Robot(Joints):
         base_limits: Any = None,
         srdf: str | Path | Srdf | None = None,
         notes: Sequence[str] = (),
+        constraints: Sequence[Constraint] = (),
         others: Sequence[str] = (),
     ) -> None:
         """Wrap an existing model.
@@ -91,7 +93,7 @@ class Robot(Joints):
         if on_base is not None and base is not None:
             raise InvalidOption("on_base places the robot in the world, in which poses are then given; omit base")
         self.on_base, self.base_limits = on_base, base_limits
-        self.notes = tuple(notes)
+        self.notes, self.constraints = tuple(notes), tuple(constraints)
         self._others = tuple(others)
         self._settle(model)
         self.name = name or model.name

@@ -73,6 +73,7 @@ class Tree(Joints):
         self.name, self.model, self.base, self.rest = first.name, first.model, first.base, first.rest
         self._original, self._given = first._original, first._given
         self.on_base, self.base_limits, self.notes = first.on_base, first.base_limits, first.notes
+        self.constraints = first.constraints
         self.urdf, self.path, self.package_dirs = first.urdf, first.path, first.package_dirs
         self.srdf = first.srdf
         self.joint_names = names = union(arms)
