@@ -4,6 +4,7 @@ No solver keeps them. They are evaluated at a finished q, with Pinocchio on the 
 to close the loops that the joints of q take part in, and what stays open is said. Robots without constraints pay nothing.
 """
 
+import functools
 from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
@@ -16,6 +17,7 @@ from .probe import Path, limits
 
 STEPS, TRIES = 40, 5  # Gauss-Newton steps and starts for closing a loop with the joints off the path
 CLOSED = 1e-10  # residual [m or rad] at which closing ends
+SLOW = 1e-4  # share of the residual that a step must take off it for another one
 LINKS = (pin.FrameType.BODY, pin.FrameType.OP_FRAME)
 
 
@@ -80,6 +82,16 @@ def constraints_at(robot: Any, q: np.ndarray, position: float, orientation: floa
     return closure.at(robot._fill(robot.rest.copy(), q), position, orientation)
 
 
+def first_open(robot: Any, Q: np.ndarray, position: float, orientation: float) -> tuple[int, str] | None:
+    """Number of the first row of Q (N, n) that breaks a constraint, and what it does; None if none does. NaN rows are skipped."""
+    if robot.constraints:
+        for k in np.flatnonzero(np.isfinite(Q).all(axis=1)):
+            kept = constraints_at(robot, Q[k], position, orientation)
+            if not kept.holds:
+                return int(k), kept.text
+    return None
+
+
 class Group(NamedTuple):
     """Constraints that share joints off the path, and those joints: ids, limits (m,)."""
 
@@ -141,8 +153,12 @@ class Closure:
         above = [set(self.model.supports[self.model.frames[self._frame(end)].parentJoint]) for end in (a, b)]
         return (above[0] ^ above[1]) - {0}
 
+    @functools.cached_property
+    def _frames(self) -> dict[str, int]:
+        return {f.name: i for i, f in enumerate(self.model.frames) if f.type in LINKS}
+
     def _frame(self, end: End) -> int:
-        return next(i for i, f in enumerate(self.model.frames) if f.name == end.link and f.type in LINKS)
+        return self._frames[end.link]
 
     # -------------------------------------------------------------------------------------------- evaluating
     def at(self, full: np.ndarray, position: float, orientation: float) -> Kept:
@@ -170,8 +186,11 @@ class Closure:
 
     def residual(self, constraint: Constraint, full: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """What is left of a constraint [m, rad] at a full configuration (nq,), and its derivative with respect to v (., nv)."""
-        data = self.robot.arms[0].data
-        pin.computeJointJacobians(self.model, data, full)
+        pin.computeJointJacobians(self.model, self.robot.arms[0].data, full)
+        return self._residual(constraint, full)
+
+    def _residual(self, constraint: Constraint, full: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The same at the configuration at which Jacobians were last computed."""
         if isinstance(constraint, Relation):
             return self._relation(constraint, full)
         (p, J, R), (s, K, S) = (self._point(end) for end in constraint.ends)
@@ -247,10 +266,10 @@ class Closure:
     def _stack(self, group: Group, full: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Residuals of a group, and their derivatives with respect to its joints."""
         self._write(group, full, x)
+        pin.computeJointJacobians(self.model, self.robot.arms[0].data, full)
         columns = [self.model.joints[j].idx_v for j in group.joints]
-        parts = [
-            part for part in (self.residual(one, full) for one in group.constraints) if not np.isnan(part[0]).any()
-        ]
+        each = [self._residual(one, full) for one in group.constraints]
+        parts = [part for part in each if not np.isnan(part[0]).any()]
         if not parts:
             return np.zeros(1), np.zeros((1, len(x)))
         return np.concatenate([off for off, _ in parts]), np.vstack([slope[:, columns] for _, slope in parts])
@@ -269,8 +288,12 @@ class Closure:
             step[free] = np.linalg.solve(A.T @ A + damping * np.eye(A.shape[1]), -slope[free])
             near = (x + step).clip(group.lower, group.upper)
             new, K = self._stack(group, full, near)
-            if np.linalg.norm(new) < np.linalg.norm(off):
+            gained = np.linalg.norm(off) - np.linalg.norm(new)
+            if gained > 0.0:
+                stands = gained < SLOW * np.linalg.norm(new)
                 x, off, J, damping = near, new, K, max(0.1 * damping, 1e-12)
+                if stands:
+                    break
             else:
                 damping = 10.0 * damping
                 if damping > 1e6:
