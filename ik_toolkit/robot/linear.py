@@ -19,8 +19,9 @@ class Equation(NamedTuple):
 
 
 class Solved(NamedTuple):
-    """tied: follower -> (leader, ratio, offset); held: joint -> value; left: equations that tie several free joints;
-    against: equations that contradict those before them.
+    """tied: follower -> (leader, ratio, offset); held: joint -> value; against: equations that contradict those before them.
+
+    left: equations that tie several free joints, and those against with all that share joints with them, in any number of steps.
     """
 
     tied: dict[int, tuple[int, float, float]]
@@ -90,9 +91,23 @@ def solve_linear(equations: Sequence[Equation]) -> Solved:
                 continue
             ratio = float(slopes @ same[1] / (same[1] @ same[1]))
             tied[joint] = (same[0], ratio, offset - ratio * same[2])
-    made = Solved(tied, held, [], against)
-    left = [one for one in equations if one not in against and len(made.free(one.terms)[0]) > 0]
-    return made._replace(left=left)
+    if against:
+        bad = _connected(equations, against)
+        rest = solve_linear([one for one in equations if one not in bad])
+        return Solved(rest.tied, rest.held, [*rest.left, *bad], against)
+    made = Solved(tied, held, [], [])
+    return made._replace(left=[one for one in equations if made.free(one.terms)[0]])
+
+
+def _connected(equations: Sequence[Equation], some: Sequence[Equation]) -> list[Equation]:
+    """The equations that share a joint with some, or with one that does."""
+    joints = {joint for one in some for joint in one.terms}
+    while True:
+        found = [one for one in equations if joints & one.terms.keys()]
+        more = {joint for one in found for joint in one.terms}
+        if more <= joints:
+            return found
+        joints |= more
 
 
 def _parallel(a: np.ndarray, b: np.ndarray) -> bool:

@@ -60,8 +60,7 @@ class _Reader:
             else:
                 notes.append(f"equality '{equality['name']}' ({equality['type']}) is left out")
         solved = solve_linear([linear for _, linear in equations])
-        unkept = [*solved.left, *solved.against]
-        curved += [one for one, linear in equations if linear in unkept]
+        curved += [one for one, linear in equations if linear in solved.left]
         notes += [
             f"equality '{one.name}' contradicts those before it: no configuration keeps them all"
             for one in solved.against
@@ -82,7 +81,8 @@ class _Reader:
             (Relation, "is not kept by the solvers, and each result says what it does to it"),
         ):
             notes += [f"{_what(one)} '{one.name}' {said}" for one in curved if isinstance(one, kind)]
-        return Ties(tied, solved.held, ranges, tuple(curved), notes)
+        held = {self.joints[j]: value for j, value in solved.held.items()}
+        return Ties(tied, solved.held, ranges, tuple(_with_held(one, held) for one in curved), notes)
 
     # ------------------------------------------------------------------------------------------------ parts
     def _range(
@@ -178,6 +178,18 @@ def _equation(one: Relation, joints: Sequence[str], first: bool) -> Equation | N
             terms[joints.index(name)] = terms.get(joints.index(name), 0.0) - ratio * c
         value -= ratio * x.zero
     return Equation(one.name, terms, value, joints.index(one.y.joints[0][0]) if first else -1)
+
+
+def _with_held(one: Constraint, held: dict[str, float]) -> Constraint:
+    """The constraint with the values of joints that stand still, which the URDF does not have as joints."""
+    if isinstance(one, Loop):
+        return one
+
+    def without(length: Length) -> Length:
+        zero = length.zero - sum(c * held[name] for name, c in length.joints if name in held)
+        return length._replace(zero=zero, joints=tuple(part for part in length.joints if part[0] not in held))
+
+    return one._replace(y=without(one.y), x=None if one.x is None else without(one.x))
 
 
 def _what(one: Constraint) -> str:
