@@ -1,5 +1,7 @@
 """Random MJCF models with limited balls, chained equalities and fixed tendons, and MuJoCo as the judge of what is made of them."""
 
+import re
+
 import mujoco
 import numpy as np
 
@@ -32,9 +34,7 @@ def random_mjcf(rng):
         body += f'<body pos="{_triple(rng, 0.3)}" euler="{turn}"><geom size="0.01"/>{text}{beside}'
     body += '<site name="tip" pos="0.1 0.02 0.05"/>' + "</body>" * count
     ties, tendons = _ties(rng, joints, slack)
-    return (
-        f"<mujoco><worldbody>{body}</worldbody><tendon>{tendons}</tendon><equality>{ties}</equality></mujoco>"
-    )
+    return f"<mujoco><worldbody>{body}</worldbody><tendon>{tendons}</tendon><equality>{ties}</equality></mujoco>"
 
 
 def _triple(rng, size):
@@ -77,9 +77,13 @@ class Judge:
         self.model.opt.jacobian = mujoco.mjtJacobian.mjJAC_DENSE
         self.data = mujoco.MjData(self.model)
 
-    def put(self, names, q):
-        """Set the joints of q; those that are not in it go where MuJoCo's equalities want them."""
+    def put(self, names, q, said=""):
+        """Set the joints of q; those that are not in it go where MuJoCo's equalities want them.
+
+        said: a result's notice, which gives values of joints that close loops ("kept with s1 = 0.3").
+        """
         m, d, values = self.model, self.data, dict(zip(names, q, strict=True))
+        values |= {name: float(x) for name, x in re.findall(r"(\w+) = ([-+.\de]+\d)", said)}
         d.qpos[:] = m.qpos0
         unknown = []
         for j in range(m.njnt):

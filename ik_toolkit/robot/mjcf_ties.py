@@ -137,14 +137,15 @@ class _Reader:
     def _site(self, i: int) -> End:
         site = self.model["sites"][i]
         turn = quat_matrix(site["quat"], "wxyz").ravel().tolist()
-        return End(self.bodies[site["body"]], tuple(site["pos"]), tuple(turn))
+        return End(self.bodies[int(site["body"])], tuple(site["pos"]), tuple(turn))
 
     def _tendon(self, tendon: dict[str, Any]) -> Length:
         """Length of a tendon: linear in joints, or along sites; around shapes it is not known."""
         if all(kind == JOINT for kind, _, _ in tendon["parts"]):
             sums: dict[str, float] = {}
             for _, j, c in tendon["parts"]:
-                sums[self.joints[j]] = sums.get(self.joints[j], 0.0) + c
+                name = self.joints[int(j)]
+                sums[name] = sums.get(name, 0.0) + c
             metres = any(self.model["joints"][j]["type"] == "slide" for _, j, _ in tendon["parts"])
             return Length(tuple(sums.items()), zero=tendon["rest"], metres=metres)
         lines, last, share, known = [], None, 1.0, True

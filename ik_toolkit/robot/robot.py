@@ -33,7 +33,6 @@ from .load import default_base, folders_of, read
 from .mimic import followers, mimic_limits, mimic_speeds
 from .pose import as_matrix, check_target
 from .probe import AGREE, NO_LIMIT, configurations, difference, find_path, good_start, limits, probe, speeds
-from .probe import Path as JointPath
 from .read import is_text
 from .shape import Shape, is_shape
 from .srdf import Srdf, held_joints, one_tip, read_srdf, srdf_of
@@ -97,15 +96,13 @@ class Robot(Joints):
         self._others = tuple(others)
         self._settle(model)
         self.name = name or model.name
-        self.urdf = urdf
-        self.path = path
+        self.urdf, self.path = urdf, path
         self.package_dirs = tuple(folders_of(package_dirs))
         self.base = (
             self._frame(base) if base is not None else "universe" if on_base is not None else root_link(self.model)
         )
         self.tip = self._frame(tip) if tip is not None else only_tip(self.model, self.name)
-        self.tool = pin.SE3.Identity()
-        self.tool_shapes: tuple[tuple[Shape, pin.SE3], ...] = ()  # with their poses from the tip frame
+        self.tool, self.tool_shapes = pin.SE3.Identity(), ()  # shapes with their poses from the tip frame
         self.rest = pin.neutral(self.model)
         self.locked_joints: dict[str, float] = {}
         self.srdf = read_srdf(srdf) if srdf is not None else Srdf()
@@ -235,8 +232,7 @@ class Robot(Joints):
         base_id, tip_id = self._frame_id(self.base), self._frame_id(self.tip)
         locked = {model.getJointId(joint) for joint in self.locked_joints}
         others = [model.getJointId(joint) for joint in self._others]
-        path = find_path(model, base_id, tip_id, locked, others)
-        self._path: JointPath = path
+        self._path = path = find_path(model, base_id, tip_id, locked, others)
         loose = followers(self.urdf).loose if self.urdf else {}
         for joint in (model.names[j] for j in path.joints):
             if joint in loose:
@@ -350,21 +346,6 @@ class Robot(Joints):
         """Copy that shares the model and has none of the caches."""
         other = Robot.__new__(Robot)
         other.__dict__.update({key: value for key, value in self.__dict__.items() if key not in CACHES})
-        return other
-
-    def among(self, names: Sequence[str], home: Mapping[str, float]) -> "Robot":
-        """The robot as an arm of a tree, of which these joints move: with those as coordinates that move its base's branch.
-
-        home: of all joints by name [rad or m]. It is the robot itself where nothing is added.
-        """
-        model = self.model
-        locked = {model.getJointId(joint) for joint in self.locked_joints}
-        path = find_path(model, *self._ids, locked, [model.getJointId(joint) for joint in names])
-        if set(path.leaders) == set(self._path.leaders):
-            return self
-        other = self._variant()
-        other._others = tuple(names)
-        other._build([home[model.names[j]] for j in path.leaders])
         return other
 
     def _locked(self, joints: Mapping[str, float]) -> "Robot":

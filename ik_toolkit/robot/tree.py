@@ -11,7 +11,7 @@ from ..errors import FrameNotFound, InvalidOption, InvalidTarget, ModelError
 from ..kernel.tree_chain import TreeChain, pack_tree
 from .joints import Joints, values_by_joint
 from .load import default_base, read
-from .probe import Motionless
+from .probe import Motionless, find_path
 from .probe import Path as JointPath
 from .robot import Robot
 from .srdf import Srdf, srdf_of
@@ -42,6 +42,22 @@ def arms_of(made: Mapping[str, Any], tips: Sequence[str]) -> list[Robot]:
         raise problem
     moving = union(list(found.values()))
     return [found[tip] if tip in found else Robot(**made, tip=tip, others=moving) for tip in tips]
+
+
+def _among(arm: Robot, names: Sequence[str], home: Mapping[str, float]) -> Robot:
+    """An arm of a tree of which these joints move: with those as coordinates that move the base's branch.
+
+    home: of all joints by name [rad or m]. It is the arm itself where nothing is added.
+    """
+    model = arm.model
+    locked = {model.getJointId(joint) for joint in arm.locked_joints}
+    path = find_path(model, *arm._ids, locked, [model.getJointId(joint) for joint in names])
+    if set(path.leaders) == set(arm._path.leaders):
+        return arm
+    other = arm._variant()
+    other._others = tuple(names)
+    other._build([home[model.names[j]] for j in path.leaders])
+    return other
 
 
 class Tree(Joints):
@@ -78,7 +94,7 @@ class Tree(Joints):
         self.srdf = first.srdf
         self.joint_names = names = union(arms)
         homes = {joint: x for arm in reversed(arms) for joint, x in zip(arm.joint_names, arm.home, strict=True)}
-        self.arms = arms = tuple(arm.among(names, homes) for arm in arms)
+        self.arms = arms = tuple(_among(arm, names, homes) for arm in arms)
         self.locked_joints = {joint: x for arm in arms for joint, x in arm.locked_joints.items()}
         for joint in names:
             if joint in self.locked_joints:

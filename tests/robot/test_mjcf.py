@@ -87,7 +87,7 @@ def test_followers_of_equalities(arm):
 
 def test_what_a_urdf_does_not_hold_is_said(arm, caplog, capsys):
     robot = ik.Robot.load(arm, tip="tool")
-    assert "1 loop (connect, weld) left open" in caplog.text
+    assert "the loop 'connect lower and column' is left open" in caplog.text
     said = "ball joint 'shoulder' becomes three revolute joints: shoulder_yaw, shoulder_pitch, shoulder_roll"
     assert said in robot.notes and "shapes that a URDF cannot hold are left out: ellipsoid" in robot.notes
     assert cli.main(["info", str(arm), "--tip", "tool"]) == 0
