@@ -170,7 +170,9 @@ class Closure:
                 off = self.residual(constraint, full)[0]
                 open_by = self._open(constraint, off, position, orientation)
                 holds &= not open_by
-                said.append(f"the {_kind(constraint)} '{constraint.name}' of the description {_state(open_by, moved)}")
+                said.append(
+                    f"the {_kind(constraint)} '{constraint.name}' of the description {_state(constraint, open_by, moved)}"
+                )
         return Kept(holds, "; ".join(said))
 
     def _open(self, constraint: Constraint, off: np.ndarray, position: float, orientation: float) -> str:
@@ -315,12 +317,13 @@ def _kind(constraint: Constraint) -> str:
     return "equality" if constraint.low == constraint.high else "range"
 
 
-def _state(open_by: str, moved: Sequence[tuple[str, float]]) -> str:
+def _state(constraint: Constraint, open_by: str, moved: Sequence[tuple[str, float]]) -> str:
     """Words on a constraint that is open by so much, or kept ('')."""
     values = ", ".join(f"{name} = {value:.6g}" for name, value in moved)
     if open_by == "unknown":
         return "may not be kept: a tendon around a shape is not computed here"
     if open_by:
         names = ", ".join(name for name, _ in moved)
-        return f"is not kept: this q opens it by {open_by}" + (f", with {names} moved to close it" if moved else "")
+        off = f"opens it by {open_by}" if isinstance(constraint, Loop) else f"is {open_by} off"
+        return f"is not kept: this q {off}" + (f", with {names} moved to close it" if moved else "")
     return f"is kept with {values}" if moved else "is kept"

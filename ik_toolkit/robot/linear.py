@@ -92,11 +92,16 @@ def solve_linear(equations: Sequence[Equation]) -> Solved:
             ratio = float(slopes @ same[1] / (same[1] @ same[1]))
             tied[joint] = (same[0], ratio, offset - ratio * same[2])
     if against:
-        bad = _connected(equations, against)
-        rest = solve_linear([one for one in equations if one not in bad])
-        return Solved(rest.tied, rest.held, [*rest.left, *bad], against)
+        return set_apart(equations, against)._replace(against=against)
     made = Solved(tied, held, [], [])
     return made._replace(left=[one for one in equations if made.free(one.terms)[0]])
+
+
+def set_apart(equations: Sequence[Equation], some: Sequence[Equation]) -> Solved:
+    """Solve without some equations, which no configuration keeps, and without all that are connected with them: these are left."""
+    bad = _connected(equations, some)
+    rest = solve_linear([one for one in equations if one not in bad])
+    return rest._replace(left=[*rest.left, *bad])
 
 
 def _connected(equations: Sequence[Equation], some: Sequence[Equation]) -> list[Equation]:

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from .constraints import Constraint, End, Length, Loop, Relation
-from .linear import Equation, solve_linear
+from .linear import Equation, Solved, set_apart, solve_linear
 from .pose import quat_matrix
 
 SCALAR = ("hinge", "slide")
@@ -59,7 +59,7 @@ class _Reader:
                     equations.append((one, linear))
             else:
                 notes.append(f"equality '{equality['name']}' ({equality['type']}) is left out")
-        solved = solve_linear([linear for _, linear in equations])
+        solved = self._within([linear for _, linear in equations], notes)
         curved += [one for one, linear in equations if linear in solved.left]
         notes += [
             f"equality '{one.name}' contradicts those before it: no configuration keeps them all"
@@ -70,9 +70,7 @@ class _Reader:
             if tendon["range"] is not None:
                 self._range(tendon, length, solved, ranges, curved)
         for j, value in solved.held.items():
-            low, high = self.model["joints"][j]["range"] or (-np.inf, np.inf)
-            beyond = "" if low <= value <= high else f", outside its range {low:g} to {high:g}"
-            notes.append(f"joint '{self.joints[j]}' is held at {value:.6g} by an equality{beyond}")
+            notes.append(f"joint '{self.joints[j]}' is held at {value:.6g} by an equality")
         tied = {
             self.joints[j]: (self.joints[leader], ratio, offset) for j, (leader, ratio, offset) in solved.tied.items()
         }
@@ -108,6 +106,22 @@ class _Reader:
                     return
         name = tendon["name"] or "tendon"
         curved.append(Relation(name, length._replace(zero=0.0), None, (0.0,), low, high))
+
+    def _within(self, equations: Sequence[Equation], notes: list[str]) -> Solved:
+        """Solve linear equations; those that would hold a joint outside its own range, which no configuration keeps, are left."""
+        solved = solve_linear(equations)
+        beyond = set()
+        for j, value in solved.held.items():
+            low, high = self.model["joints"][j]["range"] or (-np.inf, np.inf)
+            if not low <= value <= high:
+                beyond.add(j)
+                notes.append(
+                    f"joint '{self.joints[j]}' would be held at {value:.6g} by equalities, outside its range {low:g} to {high:g}"
+                )
+        if not beyond:
+            return solved
+        apart = set_apart(equations, [one for one in equations if beyond & one.terms.keys()])
+        return apart._replace(against=solved.against)
 
     def _relation(self, equality: dict[str, Any]) -> Relation:
         first, second = int(equality["first"]), int(equality["second"])

@@ -68,10 +68,10 @@ class Result:
     all of them; iterations (steps taken), restarts, fk_evaluations (all
     tips count as one); attempt (the one q comes from: 0 is the first, which starts at q0 when that was given); limited_joints
     (names standing on a limit); elapsed [s]; seed; solver (name); notice (what was corrected in the input, or that q comes
-    from another attempt than the one from q0 or is half a turn from it, and what q does to loops of the description, or ''); collision (pair of names that touch at q,
-    when collisions are avoided and no answer without one was found, else None); history (dict of arrays q, position_error,
-    orientation_error and attempt, one row per evaluation, or None; attempt is -1 in later attempts than the first 12 and the one
-    that q comes from).
+    from another attempt than the one from q0 or is half a turn from it, and what q does to loops of the description, or '');
+    collision (pair of names that touch at q, when collisions are avoided and no answer without one was found, else None);
+    history (dict of arrays q, position_error, orientation_error and attempt, one row per evaluation, or None; attempt is -1 in
+    later attempts than the first 12 and the one that q comes from).
     """
 
     __slots__ = ("_of",)
