@@ -26,12 +26,14 @@ class Tie(NamedTuple):
 class Followers(NamedTuple):
     """The followers of a robot: tied (name -> Tie), loose (name -> why it cannot be tied and stays fixed), order of all joints.
 
-    order is empty if Pinocchio's own order already has every leader before its followers.
+    order is empty if Pinocchio's own order already has every leader before its followers. rest: leaders in place of the file's ->
+    value [rad or m] at which the file's leader is at 0, where a joint that is not moved stands.
     """
 
     tied: dict[str, Tie]
     loose: dict[str, str]
     order: list[str]
+    rest: dict[str, float] = {}
 
 
 @functools.lru_cache(maxsize=4)
@@ -49,7 +51,8 @@ def followers(text: str) -> Followers:
             tied = first_leads(given, turned, own)
             order, late = leaders_first(items, tied)
     tied = {name: tie for name, tie in tied.items() if name not in late}
-    return Followers(tied, loose | late, order if order != own else [])
+    rest = {tie.leader: given[tie.leader].offset for tie in tied.values() if tie.leader in given}
+    return Followers(tied, loose | late, order if order != own else [], rest)
 
 
 def mimic_limits(text: str) -> dict[str, tuple[str, float, float, float, float]]:

@@ -106,6 +106,8 @@ class Robot(Joints):
         self.rest = pin.neutral(self.model)
         self.locked_joints: dict[str, float] = {}
         self.srdf = read_srdf(srdf) if srdf is not None else Srdf()
+        for joint, value in (followers(urdf).rest if urdf else {}).items():
+            self._set_rest(joint, value, False)
         held = held_joints(
             self.srdf, self.model, self._frame_id(self.base), self._frame_id(self.tip), values_by_joint(locked)
         )

@@ -73,7 +73,7 @@ def test_what_is_linear_becomes_mimic(ties, left):
 
 def test_random_models_keep_what_mujoco_says():
     """The same models as scripts/break/robots.py --kind mjcf tries by the hundred."""
-    for seed in range(8):
+    for seed in range(4):
         text = random_mjcf(rng := np.random.default_rng([7, seed]))
         robot, judge = ik.Robot.load(text, tip="tip"), Judge(text)
         for q in robot.random_q(rng, 3):
@@ -166,8 +166,8 @@ def test_paths_and_runs_say_that_a_loop_opens():
     path = ik.solve_path(robot, poses)
     assert path.status.name == "CONSTRAINT_OPEN" and not path.success and "but at pose 3" in path.message
     assert ik.solve_path(robot, poses[:2]).success
-    ends = [robot.fk(q).translation for q in ([-0.1, 0.2], [-0.5, 0.2])]
-    run = ik.track(robot, ik.line(*ends, duration=4.0), q0=Q[0], dt=0.05, position_tolerance=0.05)
+    ends = [robot.fk(q).translation for q in ([-0.1, 0.2], [-0.65, 0.2])]
+    run = ik.track(robot, ik.line(*ends, duration=4.0), q0=Q[0], dt=0.05, position_tolerance=0.02, settle=0.5)
     assert run.status.name == "CONSTRAINT_OPEN" and not run.success and "s the loop 'bar' of" in run.message
 
 
