@@ -233,8 +233,9 @@ class Robot(Joints):
         model = self.model
         base_id, tip_id = self._frame_id(self.base), self._frame_id(self.tip)
         locked = {model.getJointId(joint) for joint in self.locked_joints}
-        others = [model.getJointId(joint) for joint in self._others]
-        self._path = path = find_path(model, base_id, tip_id, locked, others)
+        self._path = path = find_path(
+            model, base_id, tip_id, locked, [model.getJointId(joint) for joint in self._others]
+        )
         loose = followers(self.urdf).loose if self.urdf else {}
         for joint in (model.names[j] for j in path.joints):
             if joint in loose:
@@ -253,10 +254,9 @@ class Robot(Joints):
         middle = np.clip(0.0, lower, upper)
         middle[bounded] = lower[bounded] + 0.5 * (upper - lower)[bounded]
         self.home = middle
-        data = model.createData()
+        self._ids, data = (base_id, tip_id), model.createData()
         pin.framesForwardKinematics(model, data, self.rest)
         self._base_inverse = data.oMf[base_id].inverse()
-        self._ids = (base_id, tip_id)
         self.chain: Chain = probe(model, path, self.rest, base_id, tip_id, self.tool, lower, upper, middle)
         rows = self.chain.rows
         kinds = ["revolute" if rows[rows[:, 8] == i, 9].any() else "prismatic" for i in range(self.n)]

@@ -72,7 +72,9 @@ def test_kinematics_are_those_of_mujoco(arm, capfd):
         assert np.abs(T.rotation.ravel() - data.site("tool").xmat).max() < 1e-12
     Q = robot.random_q(rng, 50)
     solved = ik.solve_batch(robot, np.array([robot.fk(q).homogeneous for q in Q]))
-    assert set(solved.counts()) == {"CONSTRAINT_OPEN"} and solved.position_error.max() < 1e-6  # the loop's joints are in q
+    assert (
+        set(solved.counts()) == {"CONSTRAINT_OPEN"} and solved.position_error.max() < 1e-6
+    )  # the loop's joints are in q
     again = pickle.loads(pickle.dumps(robot))
     assert np.array_equal(again.fk(Q[0]).homogeneous, robot.fk(Q[0]).homogeneous) and again.notes == robot.notes
     said = capfd.readouterr()
