@@ -33,7 +33,7 @@ class Followers(NamedTuple):
     tied: dict[str, Tie]
     loose: dict[str, str]
     order: list[str]
-    rest: dict[str, float] = {}
+    rest: dict[str, float]
 
 
 @functools.lru_cache(maxsize=4)
@@ -42,7 +42,7 @@ def followers(text: str) -> Followers:
     items = parse(text)
     tied, loose = ties(items)
     if not tied:
-        return Followers(tied, loose, [])
+        return Followers(tied, loose, [], {})
     own = leaders_first(items, {})[0]
     given = tied
     order, late = leaders_first(items, given)

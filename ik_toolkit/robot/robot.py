@@ -98,9 +98,8 @@ class Robot(Joints):
         self.name = name or model.name
         self.urdf, self.path = urdf, path
         self.package_dirs = tuple(folders_of(package_dirs))
-        self.base = (
-            self._frame(base) if base is not None else "universe" if on_base is not None else root_link(self.model)
-        )
+        root = "universe" if on_base is not None else root_link(self.model)
+        self.base = root if base is None else self._frame(base)
         self.tip = self._frame(tip) if tip is not None else only_tip(self.model, self.name)
         self.tool, self.tool_shapes = pin.SE3.Identity(), ()  # shapes with their poses from the tip frame
         self.rest = pin.neutral(self.model)
@@ -233,9 +232,8 @@ class Robot(Joints):
         model = self.model
         base_id, tip_id = self._frame_id(self.base), self._frame_id(self.tip)
         locked = {model.getJointId(joint) for joint in self.locked_joints}
-        self._path = path = find_path(
-            model, base_id, tip_id, locked, [model.getJointId(joint) for joint in self._others]
-        )
+        others = [model.getJointId(joint) for joint in self._others]
+        self._path = path = find_path(model, base_id, tip_id, locked, others)
         loose = followers(self.urdf).loose if self.urdf else {}
         for joint in (model.names[j] for j in path.joints):
             if joint in loose:
