@@ -165,10 +165,10 @@ class SecondFK:
         return J
 
     def limits(self, joint_names):
-        """Lower and upper (n,) [rad or m] that the URDF allows, those of the followers on the path included."""
+        """Lower and upper (n,) [rad or m] that the URDF allows, those of all followers included."""
         lower, upper = np.full(len(joint_names), -np.inf), np.full(len(joint_names), np.inf)
         for i, leader in enumerate(joint_names):
-            for name in {leader, *self.up, *self.down}:
+            for name in self.joints:
                 led, ratio, offset = self.leads(name)
                 limit = self.joints[name].find("limit")
                 if led != leader or limit is None or self.kind(name) not in ("revolute", "prismatic") or ratio == 0.0:
@@ -184,7 +184,7 @@ class SecondFK:
         """
         Q, names = np.atleast_2d(Q), list(joint_names)
         bad = np.zeros(len(Q), dtype=bool)
-        for name in {*names, *self.up, *self.down}:
+        for name in self.joints:
             limit = self.joints[name].find("limit")
             leader, ratio, offset = self.leads(name)
             if limit is None or self.kind(name) not in ("revolute", "prismatic") or leader not in names:

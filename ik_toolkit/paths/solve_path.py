@@ -9,6 +9,7 @@ from typing import Any, Unpack
 import numpy as np
 
 from ..errors import InvalidOption, InvalidTarget, check_progress, floats, whole
+from ..robot.constraints import first_open
 from ..robot.pose import FAR, LAST
 from ..robot.robot import Robot
 from ..robot.tree import Tree
@@ -233,4 +234,10 @@ def _result(
         unreachable=missing, max_step=step, path_tolerance=tolerance, collision=model, seed=seed,
         elapsed=perf_counter() - began,
     )  # fmt: skip
-    return replace(result, message=sentence(result, needed, allowed))
+    result = replace(result, message=sentence(result, needed, allowed))
+    o = problem.single.options
+    broken = first_open(problem.robot, q, o.position_tolerance, o.orientation_tolerance) if result.success else None
+    if broken is None:
+        return result
+    message = f"{result.message}; but at pose {broken[0]} {broken[1]}"
+    return replace(result, status=PathStatus.CONSTRAINT_OPEN, message=message)

@@ -9,6 +9,7 @@ from ..errors import InvalidOption, ModelError
 from .base import carried
 from .build import build_model
 from .check import require_loadable
+from .constraints import Constraint
 from .library import RobotEntry, find
 from .mjcf import to_urdf
 from .read import HasMacros, IsMjcf, safe_read, source_text
@@ -19,7 +20,7 @@ LOG = logging.getLogger("ik_toolkit")
 
 
 class Urdf(NamedTuple):
-    """URDF text of a source; file: base of relative paths; notes, states: further contents of MJCF (see `Read`).
+    """URDF text of a source; file: base of relative paths; notes, states, constraints: contents of MJCF (see `Read`).
 
     made: whether the text, and with it the lines that findings give, is not the file's own (xacro, MJCF).
     """
@@ -29,6 +30,7 @@ class Urdf(NamedTuple):
     package_dirs: list[Path]
     notes: tuple[str, ...] = ()
     states: Mapping[str, Mapping[str, tuple[float, ...]]] = {}
+    constraints: tuple[Constraint, ...] = ()
     made: bool = False
 
 
@@ -55,7 +57,9 @@ def urdf_of(
         if xacro_args and not elsewhere:
             raise InvalidOption(f"xacro_args are for xacro files, and {entry.name} is MJCF") from None
         flat = to_urdf(source_text(entry.source, "MJCF"), entry.path, folders)
-        return Urdf(safe_read(flat.urdf), entry.path, folders, tuple(flat.notes), flat.states, made=True)
+        return Urdf(
+            safe_read(flat.urdf), entry.path, folders, tuple(flat.notes), flat.states, flat.constraints, made=True
+        )
     return Urdf(text, entry.path, folders)
 
 
@@ -67,7 +71,7 @@ def read(
 ) -> tuple[RobotEntry, dict[str, Any]]:
     """Read a source: its entry, and the model, name, text and folders that `Robot` needs. Raises as `Robot.load` does."""
     entry = find(source)
-    text, file, folders, notes, states, written = urdf_of(entry, package_dirs, xacro_args, elsewhere)
+    text, file, folders, notes, states, constraints, written = urdf_of(entry, package_dirs, xacro_args, elsewhere)
     notes = (*notes, *require_loadable(text, lines=not written))
     try:
         model = build_model(text)
@@ -77,7 +81,7 @@ def read(
     for note in notes:
         LOG.warning("%s: %s", entry.name, note)
     made = {"model": model, "name": name, "urdf": text, "path": file, "package_dirs": folders}
-    return entry, made | {"notes": notes, "states": states}
+    return entry, made | {"notes": notes, "states": states, "constraints": constraints}
 
 
 def read_both(

@@ -11,7 +11,7 @@ from .read import MAX_BYTES, check_names, source_text, walk
 
 MAX_COPIES = 20_000  # elements once replication is carried out, and keyframes times bodies
 MAX_INCLUDES = 200  # files; the largest model of the MuJoCo Menagerie has 5
-KEPT = ("compiler", "default", "asset", "worldbody", "equality", "keyframe")
+KEPT = ("compiler", "default", "asset", "worldbody", "tendon", "equality", "keyframe")
 SHAPED = {"mesh": ("name", "class", "scale"), "material": ("name", "class", "rgba"), "hfield": ("name",)}
 NO_BODY = ("attach", "plugin", "composite", "flexcomp", "flex", "skin", "model", "light", "camera")
 # A placeholder for every mesh: a tetrahedron. MuJoCo moves a mesh to its centre of mass and reports the offset.
@@ -155,8 +155,9 @@ def _strip(element: ET.Element, flat: Flat, where: Mapping[str, str], asset: boo
             if child.tag in ("attach", "composite", "flexcomp"):
                 flat.notes.append(f"<{child.tag}> is not read")
             continue
-        if element.tag == "equality" and child.tag not in ("joint", "connect", "weld"):
+        if element.tag == "equality" and child.tag not in ("joint", "connect", "weld", "tendon"):
             element.remove(child)
+            flat.notes.append(f"an equality of <{child.tag}> is left out")
             continue
         if asset:
             _asset(child, flat, where)

@@ -7,7 +7,7 @@ anything but one fixed screw is rejected by name.
 """
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -36,16 +36,22 @@ class Path(NamedTuple):
     joints: list[int]  # joint ids, base to tip
     up: int  # number of leading joints that run from the base towards the root, up to the last link it shares with the tip
     leaders: list[int]  # joint id per coordinate, in order of first use
-    owner: dict[int, int]  # joint id -> coordinate; a joint not listed here does not move
+    own: int  # number of leading coordinates that move the tip's branch; those after it move the base's for another tip only
+    owner: dict[int, int]  # joint id -> coordinate, of all joints of the model; a joint not listed here does not move
     idx_q: np.ndarray  # (n,)
     circle: np.ndarray  # (n,) whether stored as (cos, sin)
 
 
-def find_path(model: pin.Model, base: int, tip: int, locked: set[int]) -> Path:
+class Motionless(ModelError):
+    """No joint moves the tip."""
+
+
+def find_path(model: pin.Model, base: int, tip: int, locked: set[int], others: Sequence[int] = ()) -> Path:
     """Joints from the base frame to the tip frame (frame ids).
 
     The unlocked joints above the tip are the coordinates, or follow them. If the base is on another branch, the joints of that
-    branch do not move unless they follow (or lead) one of these.
+    branch do not move unless they follow (or lead) one of these, or one of `others`: joints that move for another tip.
+    Raises Motionless, ModelError.
     """
 
     def above(frame: int) -> list[int]:
@@ -73,15 +79,21 @@ def find_path(model: pin.Model, base: int, tip: int, locked: set[int]) -> Path:
             )
         if leader not in leaders:
             leaders.append(leader)
+    own = len(leaders)
+    carry = {lead.get(j, j) for j in up if j not in still}
+    leaders += [j for j in others if j in carry and j not in locked and j not in leaders]
     if not leaders:
-        raise ModelError(
+        raise Motionless(
             f"no moving joint between base '{model.frames[base].name}' and tip '{model.frames[tip].name}': nothing to solve"
         )
     joints = up + down
-    owner = {j: leaders.index(lead.get(j, j)) for j in joints if lead.get(j, j) in leaders and j not in still}
+    place = {j: i for i, j in enumerate(leaders)}
+    owner = {
+        j: place[leader] for j in range(1, model.njoints) if (leader := lead.get(j, j)) in place and j not in still
+    }
     idx_q = np.array([model.joints[j].idx_q for j in leaders])
     circle = np.array([model.joints[j].nq == 2 for j in leaders])
-    return Path(joints, len(up), leaders, owner, idx_q, circle)
+    return Path(joints, len(up), leaders, own, owner, idx_q, circle)
 
 
 def _leader_range(ratio: float, offset: float, low: float, high: float) -> tuple[float, float]:
@@ -101,8 +113,8 @@ def limits(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Lower and upper limits (n,) [rad or m] of the coordinates, infinite where there are none.
 
-    followers: as returned by `mimic_limits`; those on the path keep their leader inside their own limits. Raises ModelError
-    where that leaves a joint no legal position.
+    followers: as returned by `mimic_limits`; each keeps its leader inside its own limits, on the path or off it: it moves
+    either way. Raises ModelError where that leaves a joint no legal position.
     """
     own_lower = np.where(path.circle, -np.inf, model.lowerPositionLimit[path.idx_q])
     own_upper = np.where(path.circle, np.inf, model.upperPositionLimit[path.idx_q])
@@ -129,6 +141,20 @@ def limits(
     far = np.where(turns, NO_TURN_LIMIT, NO_STROKE * size if size > 0.0 else NO_LIMIT)
     # Adding 0 turns -0.0 into 0.0: numpy's generators reject the range 0.0 to -0.0 as negative.
     return np.where(lower < -far, -np.inf, lower + 0.0), np.where(upper > far, np.inf, upper + 0.0)
+
+
+def speeds(model: pin.Model, path: Path, followers: Mapping[str, tuple[float, float]]) -> np.ndarray:
+    """Velocity limits (n,) [rad/s or m/s] of the coordinates, infinite where there are none.
+
+    followers: as returned by `mimic_speeds`: each keeps its leader slow enough for its own limit.
+    """
+    own = np.asarray(model.upperVelocityLimit)[[model.joints[j].idx_v for j in path.leaders]]
+    most = np.where((own > 0.0) & (own <= NO_LIMIT), own, np.inf)
+    for joint, (ratio, speed) in followers.items():
+        i = path.owner.get(model.getJointId(joint)) if model.existJointName(joint) else None
+        if i is not None:
+            most[i] = min(most[i], speed / abs(ratio))
+    return most
 
 
 def _split(R: np.ndarray) -> tuple[float, float, float]:

@@ -27,12 +27,12 @@ from ..kernel.chain import Chain
 from ..kernel.records import POINTS
 from .base import settle
 from .build import build_model
+from .constraints import Constraint
 from .joints import Joints, values_by_joint
 from .load import default_base, folders_of, read_both
-from .mimic import followers, mimic_limits
+from .mimic import followers, mimic_limits, mimic_speeds
 from .pose import as_matrix, check_target
-from .probe import AGREE, NO_LIMIT, configurations, difference, find_path, good_start, limits, probe
-from .probe import Path as JointPath
+from .probe import AGREE, NO_LIMIT, configurations, difference, find_path, good_start, limits, probe, speeds
 from .read import is_text
 from .shape import Shape, is_shape
 from .srdf import Srdf, held_joints, one_tip, read_srdf, srdf_of
@@ -72,14 +72,17 @@ class Robot(Joints):
         base_limits: Any = None,
         srdf: str | Path | Srdf | None = None,
         notes: Sequence[str] = (),
+        constraints: Sequence[Constraint] = (),
+        others: Sequence[str] = (),
     ) -> None:
         """Wrap an existing model.
 
         tip (or its other name ee_link), base: frame names (base default: the root; tip may be omitted when only one candidate
         exists). home (n,): a good non-singular start; default mid-range. locked: joint name -> value [rad or m], held
         constant and left out of q. on_base, base_limits: see `load`; a free-flyer of the model is treated as a floating base,
-        and needs base_limits. srdf: a file or text of SRDF; its passive joints are held. Raises FrameNotFound, JointNotFound,
-        ModelError, InvalidConfiguration, InvalidOption.
+        and needs base_limits. srdf: a file or text of SRDF; its passive joints are held. others: joints that move for other tips
+        (see Tree); those that move the base's branch are coordinates too. Raises FrameNotFound, JointNotFound, ModelError,
+        InvalidConfiguration, InvalidOption.
         """
         tip = one_word(tip, ee_link)
         if not isinstance(model, pin.Model):
@@ -89,21 +92,21 @@ class Robot(Joints):
         if on_base is not None and base is not None:
             raise InvalidOption("on_base places the robot in the world, in which poses are then given; omit base")
         self.on_base, self.base_limits = on_base, base_limits
-        self.notes = tuple(notes)
+        self.notes, self.constraints = tuple(notes), tuple(constraints)
+        self._others = tuple(others)
         self._settle(model)
         self.name = name or model.name
         self.urdf, self.path, self.package_dirs = urdf, path, tuple(folders_of(package_dirs))
-        self.base = (
-            self._frame(base) if base is not None else "universe" if on_base is not None else root_link(self.model)
-        )
-        self.tip = (
-            self._frame(tip) if tip is not None else only_tip(model, self.name)
-        )  # before a free joint becomes six
-        self.tool = pin.SE3.Identity()
-        self.tool_shapes: tuple[tuple[Shape, pin.SE3], ...] = ()  # with their poses from the tip frame
+        root = "universe" if on_base is not None else root_link(self.model)
+        self.base = root if base is None else self._frame(base)
+        # Guessed before a free joint becomes six.
+        self.tip = self._frame(tip) if tip is not None else only_tip(model, self.name)
+        self.tool, self.tool_shapes = pin.SE3.Identity(), ()  # shapes with their poses from the tip frame
         self.rest = pin.neutral(self.model)
         self.locked_joints: dict[str, float] = {}
         self.srdf = read_srdf(srdf) if srdf is not None else Srdf()
+        for joint, value in (followers(urdf).rest if urdf else {}).items():
+            self._set_rest(joint, value, False)
         held = held_joints(
             self.srdf, self.model, self._frame_id(self.base), self._frame_id(self.tip), values_by_joint(locked)
         )
@@ -229,8 +232,8 @@ class Robot(Joints):
         model = self.model
         base_id, tip_id = self._frame_id(self.base), self._frame_id(self.tip)
         locked = {model.getJointId(joint) for joint in self.locked_joints}
-        path = find_path(model, base_id, tip_id, locked)
-        self._path: JointPath = path
+        others = [model.getJointId(joint) for joint in self._others]
+        self._path = path = find_path(model, base_id, tip_id, locked, others)
         loose = followers(self.urdf).loose if self.urdf else {}
         for joint in (model.names[j] for j in path.joints):
             if joint in loose:
@@ -240,8 +243,7 @@ class Robot(Joints):
         self.joint_names = tuple(model.names[j] for j in path.leaders)
         self.tips, self.places = (self.tip,), (np.arange(self.n),)
         self.lower, self.upper = lower, upper = limits(model, path, mimic_limits(self.urdf) if self.urdf else {})
-        speeds = np.asarray(model.upperVelocityLimit)[[model.joints[j].idx_v for j in path.leaders]]
-        self.velocity_limits = np.where((speeds > 0.0) & (speeds <= NO_LIMIT), speeds, np.inf)
+        self.velocity_limits = speeds(model, path, mimic_speeds(self.urdf) if self.urdf else {})
         free = [joint for joint in self._slides if joint in self.joint_names and self._endless(joint)]
         if free:
             raise InvalidOption(f"base_limits= is needed: the lower and upper limits [m] of {', '.join(free)}")
@@ -250,10 +252,9 @@ class Robot(Joints):
         middle = np.clip(0.0, lower, upper)
         middle[bounded] = lower[bounded] + 0.5 * (upper - lower)[bounded]
         self.home = middle
-        data = model.createData()
+        self._ids, data = (base_id, tip_id), model.createData()
         pin.framesForwardKinematics(model, data, self.rest)
         self._base_inverse = data.oMf[base_id].inverse()
-        self._ids = (base_id, tip_id)
         self.chain: Chain = probe(model, path, self.rest, base_id, tip_id, self.tool, lower, upper, middle)
         rows = self.chain.rows
         kinds = ["revolute" if rows[rows[:, 8] == i, 9].any() else "prismatic" for i in range(self.n)]

@@ -14,6 +14,7 @@ from .finish import confirmed
 from .plan import Plan
 from .search_all import distinct_rows, sample, search
 from .solutions import Solutions, SolutionsBatch
+from .status import constraints_of
 from .task import POSES, read_target
 
 
@@ -42,6 +43,13 @@ def find_all(solver: Any, target: Any, q0: Any, starts: int, count: int) -> Any:
         if not good.all():
             found = found.keep(good)
             found.message += f"; {len(good) - good.sum()} are not confirmed by Pinocchio and left out"
+    if plan.robot.constraints and len(found):
+        good = np.array([constraints_of(plan.robot, q, o).holds for q in found.q], dtype=bool)
+        if not good.all():
+            found = found.keep(good)
+            found.message += (
+                f"; {len(good) - good.sum()} do not keep the constraints of the description and are left out"
+            )
     if not len(found):
         failed = solver(target, q0)
         if not failed.success:

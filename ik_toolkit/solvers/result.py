@@ -12,7 +12,7 @@ from ..kernel.task import FREE, POSITION
 from ..robot.ros import header
 from ..style import BAD, GOOD
 from .registry import GENERAL
-from .status import SEARCHED, Status, sentence
+from .status import SEARCHED, Status, constraints_of, sentence
 from .task import all_errors
 
 if TYPE_CHECKING:
@@ -68,10 +68,10 @@ class Result:
     all of them; iterations (steps taken), restarts, fk_evaluations (all
     tips count as one); attempt (the one q comes from: 0 is the first, which starts at q0 when that was given); limited_joints
     (names standing on a limit); elapsed [s]; seed; solver (name); notice (what was corrected in the input, or that q comes
-    from another attempt than the one from q0 or is half a turn from it, or ''); collision (pair of names that touch at q,
-    when collisions are avoided and no answer without one was found, else None); history (dict of arrays q, position_error,
-    orientation_error and attempt, one row per evaluation, or None; attempt is -1 in later attempts than the first 12 and the one
-    that q comes from).
+    from another attempt than the one from q0 or is half a turn from it, and what q does to loops of the description, or '');
+    collision (pair of names that touch at q, when collisions are avoided and no answer without one was found, else None);
+    history (dict of arrays q, position_error, orientation_error and attempt, one row per evaluation, or None; attempt is -1 in
+    later attempts than the first 12 and the one that q comes from).
     """
 
     __slots__ = ("_of",)
@@ -92,7 +92,7 @@ class Result:
 
     @property
     def success(self) -> bool:
-        """Whether all errors are inside their tolerances."""
+        """Whether all errors are inside their tolerances, and the constraints of the description hold."""
         return self.status == Status.CONVERGED
 
     @property
@@ -155,7 +155,9 @@ class Result:
 
     @property
     def notice(self) -> str:
-        """What was corrected in the input, and whether q is another attempt's, or half a turn or more from q0; or ''."""
+        """What was corrected in the input, whether q is another attempt's or half a turn or more from q0, and what q does to
+        the constraints of the description; or ''.
+        """
         jump, of = "", self._of
         if of.given and not of.plan.options.closest:
             if self.attempt:
@@ -165,7 +167,8 @@ class Result:
                 jump = f"joint {joint} went to the other end of its range, more than half a turn from q0"
         if jump:
             jump += "; in a loop use follow=True"
-        return "; ".join(filter(None, (of.notice, jump)))
+        kept = constraints_of(self.robot, self.q, of.plan.options).text
+        return "; ".join(filter(None, (of.notice, jump, kept)))
 
     @property
     def fk_evaluations(self) -> int:

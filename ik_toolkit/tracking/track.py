@@ -29,7 +29,7 @@ from .result import TrackResult, TrackStatus, figures
 from .run import Run
 from .stream import samples_from
 from .tracker import JUMP, Tracker, read_mode
-from .verdict import ORIENTATION_TOLERANCE, POSITION_TOLERANCE, settling, verdict
+from .verdict import ORIENTATION_TOLERANCE, POSITION_TOLERANCE, hold_against, settling, verdict
 
 MODES = {"slow": SLOW, "leave": LEAVE, "clip": CLIP}
 COUNTS = ("mask", "slack", "free_turn", "frame", "relative_to")  # options that say what counts
@@ -120,6 +120,7 @@ def track(
     result = _result(run, robot, references, times, check)
     result.figures = figures(result, robot.chain.unit * JUMP)
     result.status, result.message = verdict(result, int(tracker._state[motion.STATE.stop]), len(times) - 1)
+    hold_against(result, robot)
     if result.status in (TrackStatus.LEFT, TrackStatus.LOST):
         result.reach, words = explain(robot, reference, q0, limits=limits, **counts)
         result.message = f"{result.message} {words}".rstrip()

@@ -71,7 +71,10 @@ def test_kinematics_are_those_of_mujoco(arm, capfd):
         assert np.abs(T.translation - data.site("tool").xpos).max() < 1e-12
         assert np.abs(T.rotation.ravel() - data.site("tool").xmat).max() < 1e-12
     Q = robot.random_q(rng, 50)
-    assert ik.solve_batch(robot, np.array([robot.fk(q).homogeneous for q in Q])).success.all()
+    solved = ik.solve_batch(robot, np.array([robot.fk(q).homogeneous for q in Q]))
+    assert (
+        set(solved.counts()) == {"CONSTRAINT_OPEN"} and solved.position_error.max() < 1e-6
+    )  # the loop's joints are in q
     again = pickle.loads(pickle.dumps(robot))
     assert np.array_equal(again.fk(Q[0]).homogeneous, robot.fk(Q[0]).homogeneous) and again.notes == robot.notes
     said = capfd.readouterr()
@@ -87,7 +90,7 @@ def test_followers_of_equalities(arm):
 
 def test_what_a_urdf_does_not_hold_is_said(arm, caplog, capsys):
     robot = ik.Robot.load(arm, tip="tool")
-    assert "1 loop (connect, weld) left open" in caplog.text
+    assert "the loop 'connect lower and column' is left open" in caplog.text
     said = "ball joint 'shoulder' becomes three revolute joints: shoulder_yaw, shoulder_pitch, shoulder_roll"
     assert said in robot.notes and "shapes that a URDF cannot hold are left out: ellipsoid" in robot.notes
     assert cli.main(["info", str(arm), "--tip", "tool"]) == 0
