@@ -93,6 +93,7 @@ def solve_path(
             )
     check_progress(progress, "a fraction and a text")
     solver = Solver(robot, seed=seed, **options)
+    robot = solver.robot  # the variant with narrower limits, where they are given
     T, kinds = _read(robot, poses)
     step, tolerance = _pair("max_step", max_step, STEP), _between(path_tolerance, solver.options)
     asked = avoided(avoid_collisions)

@@ -14,6 +14,7 @@ from ..errors import InvalidOption
 from ..kernel.checks import BAD_TARGET
 from ..kernel.records import AT
 from ..kernel.task import POSE, POSITION
+from ..robot.narrow import with_limits
 from ..robot.robot import Robot
 from ..robot.tree import Tree
 from .closed_form import fits
@@ -44,6 +45,7 @@ class Solver:
     def __init__(self, robot: Robot | Tree, solver: Any = "auto", **options: Unpack[SolveOptions]) -> None:
         """Validate everything once; the loop is compiled at the first call."""
         require_robot(robot)
+        robot = narrowed_for(robot, options)
         options.setdefault("check", False)
         auto = is_auto(solver)
         self._plans: dict[tuple, Plan] = {}  # by kind of target, where it is not `plan`
@@ -125,6 +127,15 @@ def require_robot(robot: Any) -> None:
         raise InvalidOption(f"a Robot or a Tree is needed (see Robot.load), not {type(robot).__name__}")
 
 
+def narrowed_for(robot: Any, options: Any) -> Any:
+    """The robot to solve for: a variant where `limits` narrows its limits, in place of which True is put into the options."""
+    limits = options.get("limits", True)
+    if limits is True or limits is False:
+        return robot
+    robot, options["limits"] = with_limits(robot, limits)
+    return robot
+
+
 def make_plan(robot: Any, solver: Any, options: Mapping[str, Any]) -> Plan:
     """Plan of a solver by name, rule class or instance. Raises UnknownSolver, InvalidOption."""
     row = find_row(solver)
@@ -142,8 +153,9 @@ def make_plan(robot: Any, solver: Any, options: Mapping[str, Any]) -> Plan:
 _SOLVERS_LOCK = threading.Lock()
 
 
-def bound(robot: Any, solver: Any, options: Mapping[str, Any]) -> Solver:
+def bound(robot: Any, solver: Any, options: Any) -> Solver:
     """Return a Solver for these arguments, the same one each time they can be hashed."""
+    robot = narrowed_for(robot, options)
     kept = robot.memo.setdefault("solvers", {})
     try:
         # Types too: named tuples of equal numbers are equal, and so are 1 and True.
@@ -183,7 +195,8 @@ def solve(
     a dict of these by tip, or a list in the order of its tips. solver: a name, a rule class or an instance with its
     parameters; 'auto' uses a closed form where one fits and the search otherwise. q0 (n,): where the first attempt starts;
     without it the answer may be any solution (fastest), so give q0 to stay near it. follow: for loops, one attempt that moves
-    no joint further than this from q0. closest=q_ref (n,): the nearest of several solutions. Options, see `Options`:
+    no joint further than this from q0. closest=q_ref (n,): the nearest of several solutions. limits: True, False, or narrower
+    ones, {joint: (lower, upper)} [rad or m] or a pair of arrays (see `Joints.narrowed`). Options, see `Options`:
     tolerance (both), position_tolerance [m], orientation_tolerance [rad], max_iterations, restarts, max_evaluations, timeout
     [s], seed, limits, q0_outside, mask, slack, free_turn, frame, joint_weights, objective, avoid_collisions, history; and the
     parameters of the solver. Success is re-checked with Pinocchio. Raises InvalidTarget, InvalidConfiguration, UnknownSolver,

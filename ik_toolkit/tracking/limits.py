@@ -9,7 +9,7 @@ from ..errors import InvalidOption, floats, near_match
 from ..kernel.box import UNLIMITED
 from ..robot.robot import Robot
 from ..robot.tree import Tree
-from .inputs import switch
+from .inputs import one_of, switch
 
 LIMIT_NAMES = ("lower", "upper", "speed", "acceleration")
 
@@ -69,3 +69,8 @@ def changed_limits(robot: Robot | Tree, rows: np.ndarray, given: Mapping[str, An
     if (rows[0] > rows[1]).any():
         raise InvalidOption("lower limits must not be above the upper ones")
     return rows
+
+
+def read_mode(on_limit: Any, modes: Mapping[str, int]) -> int:
+    """Number of a way to treat limits. Raises InvalidOption."""
+    return modes[one_of(on_limit, modes, "on_limit")]

@@ -1,7 +1,6 @@
 """`Tracker`: follow targets that arrive one by one, for somebody's control loop."""
 
 import math
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -15,13 +14,14 @@ from ..kernel.motion import CLIP
 from ..kernel.session import Record, Samples, carried_of, new_carried, new_record, new_settings
 from ..kernel.task import POSITION
 from ..kernel.view import LINE
+from ..robot.narrow import with_limits
 from ..robot.robot import Robot
 from ..robot.tree import Tree
 from ..solvers.avoid import collision_model
 from .engine import bind
-from .inputs import LATE, one_of, parts_of, positive, rates, switch
+from .inputs import LATE, parts_of, positive, rates, switch
 from .leap import STRAIGHT, Leap
-from .limits import LIMIT_NAMES, changed_limits, limit_rows, speeds
+from .limits import LIMIT_NAMES, changed_limits, limit_rows, read_mode, speeds
 from .methods import Method
 from .obstacles import ROWS, Guard
 from .postures import REACHED, Postures, Taken
@@ -42,8 +42,8 @@ class Tracker:
 
     robot: a Robot, or a Tree (several tips). method: cv, av, ca, aa, aad with its options, see `Method`, or a solver that
     tracks. q0 (n,): start, default home. rate0 (n,): joint rate at the start, default the target's (at rest when acceleration
-    limits are given). limits: keep joint positions and speeds of the robot, and accelerations [rad/s^2 or m/s^2] when
-    acceleration_limits gives them (number or (n,)): at every sample and in between, for any dt up to dt_max [s] (default five
+    limits are given). limits: keep the robot's (or narrower ones, as in `ik.solve`) and its
+    speeds, and accelerations [rad/s^2 or m/s^2] when acceleration_limits gives them (number or (n,)): at every sample and in between, for any dt up to dt_max [s] (default five
     times the first; a longer step is taken in parts). A joint outside its limits is brought back.
 
     on_limit: what gives way where limits bind. "direct": the tip falls behind, but towards its target (for an operator);
@@ -76,7 +76,7 @@ class Tracker:
         *,
         q0: Any = None,
         rate0: Any = None,
-        limits: bool = True,
+        limits: Any = True,
         acceleration_limits: Any = None,
         on_limit: str = "direct",
         dt_max: float | None = None,
@@ -95,7 +95,7 @@ class Tracker:
         """Bind a robot and a method."""
         if not isinstance(robot, Robot | Tree):
             raise InvalidOption(f"tracking takes a Robot (see Robot.load) or a Tree, not {type(robot).__name__}")
-        self.robot = robot
+        robot, limits = self.robot, limits = with_limits(robot, limits)
         self.engine = bind(robot, method, limits, options, Tracker.__init__.__kwdefaults__ or ())
         self._mode = read_mode(on_limit, MODES)
         self.jump, self.resync = positive(jump, "jump"), positive(resync, "resync")
@@ -393,8 +393,3 @@ class Tracker:
         self._end(samples if clock is not None else self.stream.last_of(samples), h, out, clock=clock, **how)
         out.C[0] = np.where(self._rate == 0.0, box.ROW, box.ROW | box.ACCELERATION) | (box.HELD if brake else 0)
         return 1
-
-
-def read_mode(on_limit: Any, modes: Mapping[str, int]) -> int:
-    """Number of a way to treat limits. Raises InvalidOption."""
-    return modes[one_of(on_limit, modes, "on_limit")]
