@@ -13,6 +13,7 @@ class ReadOnly:
     LOOSE, stay free.
     """
 
+    __slots__ = ()
     LOOSE: ClassVar[tuple[str, ...]] = ()
 
     INSTEAD: ClassVar[Mapping[str, str]] = {"": "make a new one"}
@@ -28,7 +29,7 @@ class ReadOnly:
 
     def __setattr__(self, name: str, value: Any) -> None:
         """Set an attribute; raises ReadOnlyAttribute for a public one of a sealed object."""
-        if self._sealed and name[0] != "_" and name not in self.LOOSE:
+        if name[0] != "_" and self._sealed and name not in self.LOOSE:
             kind = type(self).__name__
             instead = self.INSTEAD.get(name, self.INSTEAD.get("", ""))
             raise ReadOnlyAttribute(f"{name} of a {kind} cannot be assigned; {instead}")

@@ -16,22 +16,35 @@ ASKED = (
 
 def narrowed(robot: Any, limits: Any) -> Any:
     """The variant of a robot or tree with narrower limits, the same one each time; see `Joints.narrowed`."""
-    lower, upper = _ends(robot, limits)
-    _check(robot, lower, upper)
-    if np.array_equal(lower, robot.lower) and np.array_equal(upper, robot.upper):
-        return robot
     kept = robot.memo.setdefault("narrowed", {})
-    key = lower.tobytes() + upper.tobytes()
-    found = kept.get(key)
+    try:
+        if isinstance(limits, Mapping):
+            key: Any = tuple(limits.items())
+        else:
+            key = tuple((x.dtype, x.shape, x.tobytes()) for x in limits)
+        found = kept.get(key)
+    except (AttributeError, TypeError):  # lists among them
+        key = found = None
     if found is None:
-        made = robot._narrowed(
-            dict(zip(robot.joint_names, zip(lower.tolist(), upper.tolist(), strict=True), strict=True))
-        )
-        made._wide = robot if robot._wide is None else robot._wide
-        found = kept.setdefault(key, made)
+        lower, upper = _ends(robot, limits)
+        found = _variant(robot, lower, upper, kept)
+        kept[key or (lower.tobytes(), upper.tobytes())] = found
         if len(kept) > KEPT:
             kept.pop(next(iter(kept)), None)
     return found
+
+
+def _variant(robot: Any, lower: np.ndarray, upper: np.ndarray, kept: dict[Any, Any]) -> Any:
+    """The robot within lower, upper (n,): itself, one of those it keeps, or a new one."""
+    _check(robot, lower, upper)
+    if np.array_equal(lower, robot.lower) and np.array_equal(upper, robot.upper):
+        return robot
+    for one in list(kept.values()):
+        if np.array_equal(lower, one.lower) and np.array_equal(upper, one.upper):
+            return one
+    made = robot._narrowed(dict(zip(robot.joint_names, zip(lower.tolist(), upper.tolist(), strict=True), strict=True)))
+    made._wide = robot if robot._wide is None else robot._wide
+    return made
 
 
 def with_limits(robot: Any, limits: Any) -> tuple[Any, bool]:

@@ -6,7 +6,7 @@ One hop from here to the loop: a bound solver picks its plan by the kind of targ
 import threading
 from collections.abc import Mapping
 from time import perf_counter
-from typing import Any, Unpack
+from typing import Any, ClassVar, Unpack
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from ..errors import InvalidOption
 from ..kernel.checks import BAD_TARGET
 from ..kernel.records import AT
 from ..kernel.task import POSE, POSITION
+from ..readonly import ReadOnly
 from ..robot.narrow import with_limits
 from ..robot.robot import Robot
 from ..robot.tree import Tree
@@ -32,7 +33,7 @@ EXACT = {  # options that a closed form honours or ignores; 'auto' takes the sea
 }  # fmt: skip
 
 
-class Solver:
+class Solver(ReadOnly):
     """A solver bound to a robot, for hot loops: `solver(target, q0=None) -> Result`, a few microseconds.
 
     robot: a Robot, or a Tree (several tips solved together). solver: name, rule class or instance; parameters of the rule and
@@ -41,6 +42,8 @@ class Solver:
     check=True. Safe to call from several threads. Attributes: robot, name, plan (see `plan.Plan`). Raises UnknownSolver,
     InvalidOption.
     """
+
+    INSTEAD: ClassVar[Mapping[str, str]] = {"": "make a Solver with the robot, solver and options that are meant"}
 
     def __init__(self, robot: Robot | Tree, solver: Any = "auto", **options: Unpack[SolveOptions]) -> None:
         """Validate everything once; the loop is compiled at the first call."""
@@ -58,6 +61,7 @@ class Solver:
         self._shape = (robot.n,)
         self._pose = (len(robot.tips), 4, 4) if robot.by_tip else (4, 4)
         self._kinds = POSES * len(robot.tips)
+        self._seal()
 
     @property
     def rule(self) -> Any:
