@@ -19,6 +19,7 @@ from ..robot.pose import angles_between
 from ..solvers.task import relatives, what_counts
 from ..tracking.reference import exp
 from .contact import find_contacts
+from .freedom import freedom, missed
 from .proof import Continuity
 
 ROUNDS = (
@@ -49,15 +50,16 @@ def check(
 ) -> Continuity:
     """Verify the motion along a curve (M, n) whose rows are at places `at` (M,) among the poses T (N, F, 4, 4).
 
-    Every row without NaN must be inside the tolerances of its target. cut (M-1,): where the motion breaks. collision: a
-    CollisionModel, or None.
+    Every row without NaN must be inside the tolerances of its target, or as near as the arm comes (see freedom.py). cut (M-1,):
+    where the motion breaks. collision: a CollisionModel, or None.
     """
     deviation, turn = bounds(plan, kinds, curve, at, T)
+    lacking = missed(plan, kinds, curve, interpolate(T, at, kinds))
+    deviation, turn = deviation + lacking[0], turn + lacking[1]
     moving = ~cut & np.isfinite(curve[1:] + curve[:-1]).all(axis=1)
     deviation[~moving], turn[~moving] = np.nan, np.nan
-    if collision is None:
-        return Continuity(deviation, turn)
-    return Continuity(deviation, turn, *find_contacts(collision, curve, at, moving))
+    found = () if collision is None else find_contacts(collision, curve, at, moving)
+    return Continuity(deviation, turn, *found, lacking=lacking)
 
 
 def densify(
@@ -106,7 +108,7 @@ def densify(
         places = np.append(at[first] + share * (at[first + 1] - at[first]), at[-1])
         rows = np.vstack([curve[first] + share[:, None] * (curve[first + 1] - curve[first]), curve[-1:]])
         new = np.append(share > 0.0, False)
-        rows[new], good = settle(plan, kinds, rows[new], interpolate(T, places[new], kinds))
+        rows[new], good = settle_between(plan, kinds, rows[new], interpolate(T, places[new], kinds))
         # Give up on a segment with an unsolved row.
         given_up[np.unique(places[new][~good].astype(int))] = True
         keep = ~new | ~given_up[np.minimum(places, len(q) - 2).astype(int)]
@@ -121,6 +123,12 @@ def settle(plan: Any, kinds: tuple, q: np.ndarray, T: np.ndarray) -> tuple[np.nd
     q, good = np.array(q, dtype=float), np.zeros(len(q), dtype=bool)
     settle_rows(*plan.chain[:2], targets(plan.robot, T), q, plan.orders(kinds, True), good)
     return q, good
+
+
+def settle_between(plan: Any, kinds: tuple, q: np.ndarray, T: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """As `settle`, for interpolated poses: an arm that cannot reach them is brought as near as it comes."""
+    q, good = settle(plan, kinds, q, T)
+    return q, good | (np.isfinite(q).all(axis=1) & freedom(plan, kinds).lacks)
 
 
 def targets(robot: Any, T: np.ndarray) -> np.ndarray:
