@@ -18,6 +18,7 @@ from .arguments import (
     Deg,
     Group,
     Json,
+    Limit,
     Lock,
     Out,
     PackageDir,
@@ -26,6 +27,7 @@ from .arguments import (
     Tips,
     XacroArg,
     load_robot,
+    narrowed,
 )
 from .by_tip import choose_tips, in_base
 from .output import facts, notice, number, show, table, unit, write_json
@@ -90,6 +92,7 @@ def solve(
     base_xyz: BaseXyz = None,
     base_rpy: BaseRpy = None,
     lock: Lock = None,
+    limit: Limit = None,
     package_dir: PackageDir = None,
     xacro_arg: XacroArg = None,
     srdf: SrdfFile = None,
@@ -121,6 +124,7 @@ def solve(
     method = asked.choose_solver(solver, param, preset)
     tips = choose_tips(robot, tip, target if targets else None, relative, asked.is_posed(line), group)
     arm = load_robot(robot, tips, base, lock, package_dir, deg, xacro_arg, base_xyz, base_rpy, srdf, group)
+    arm = narrowed(arm, limit, deg, limits)
     if from_q is not None:
         target = asked.reached(line, arm)
     options = asked.read_options(line, arm)

@@ -23,7 +23,7 @@ from .freedom import freedom, missed
 from .proof import Continuity
 
 ROUNDS = (
-    8  # rounds of insertion: the bound falls with the square of the number of pieces, so two or three usually suffice
+    12  # rounds of insertion: the bound falls with the square of the number of pieces, so two or three usually suffice
 )
 MOST_PIECES = 256  # per segment between two poses; if that many do not help, the path is not continuous there
 MOST_ROWS = 200_000  # of a curve: twenty for each of ten thousand poses
