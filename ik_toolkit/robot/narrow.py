@@ -61,7 +61,8 @@ def _ends(robot: Any, limits: Any) -> tuple[np.ndarray, np.ndarray]:
         for joint, pair in limits.items():
             if joint not in robot.joint_names:
                 raise JointNotFound(
-                    f"limits: robot '{robot.name}' has no joint '{joint}' to narrow.{near_match(joint, robot.joint_names)}"
+                    f"robot '{robot.name}' has no joint '{joint}' whose limits could be narrowed."
+                    f"{near_match(joint, robot.joint_names)}"
                 )
             i, what = robot.joint_names.index(joint), f"limits of joint '{joint}' must be (lower, upper)"
             if not isinstance(pair, list | tuple | np.ndarray) or len(pair) != 2:
