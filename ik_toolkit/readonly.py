@@ -9,14 +9,14 @@ from .errors import ReadOnlyAttribute
 class ReadOnly:
     """Once sealed, an object refuses to have a public attribute assigned: what was made from it would not follow.
 
-    INSTEAD: what to use in place of an assignment, by name ("" for all others). Names with an underscore, and those in
-    LOOSE, stay free.
+    _INSTEAD: what to use in place of an assignment, by name ("" for all others). Names with an underscore, and those in
+    _LOOSE, stay free.
     """
 
     __slots__ = ()
-    LOOSE: ClassVar[tuple[str, ...]] = ()
+    _LOOSE: ClassVar[tuple[str, ...]] = ()
 
-    INSTEAD: ClassVar[Mapping[str, str]] = {"": "make a new one"}
+    _INSTEAD: ClassVar[Mapping[str, str]] = {"": "make a new one"}
     _sealed = False
 
     def _seal(self) -> None:
@@ -29,8 +29,8 @@ class ReadOnly:
 
     def __setattr__(self, name: str, value: Any) -> None:
         """Set an attribute; raises ReadOnlyAttribute for a public one of a sealed object."""
-        if name[0] != "_" and self._sealed and name not in self.LOOSE:
+        if name[0] != "_" and self._sealed and name not in self._LOOSE:
             kind = type(self).__name__
-            instead = self.INSTEAD.get(name, self.INSTEAD.get("", ""))
+            instead = self._INSTEAD.get(name, self._INSTEAD.get("", ""))
             raise ReadOnlyAttribute(f"{name} of a {kind} cannot be assigned; {instead}")
         object.__setattr__(self, name, value)

@@ -347,8 +347,8 @@ def narrowed(robot: Any, limit: Sequence[str] | None, deg: bool, limits: bool = 
     ranges = {}
     for text in limit:
         joint, *ends = text.rsplit(":", 2)
-        values = [numbers(end) if end.strip() else [None] for end in ends]
-        if len(ends) != 2 or any(value is None or len(value) != 1 for value in values):
+        values = [numbers(end) or () if end.strip() else (None,) for end in ends]
+        if len(ends) != 2 or any(len(value) != 1 for value in values):
             raise InvalidOption(f"--limit takes JOINT:LOWER:UPPER, two numbers or one of them, not '{text}'")
         if joint in ranges:
             raise InvalidOption(f"--limit names joint '{joint}' twice")

@@ -57,8 +57,9 @@ def check(
     lacking = np.array([deviation - judged[0], turn - judged[1]])
     moving = ~cut & np.isfinite(curve[1:] + curve[:-1]).all(axis=1)
     deviation[~moving], turn[~moving] = np.nan, np.nan
-    found = () if collision is None else find_contacts(collision, curve, at, moving)
-    return Continuity(deviation, turn, *found, lacking=lacking)
+    if collision is None:
+        return Continuity(deviation, turn, lacking=lacking)
+    return Continuity(deviation, turn, *find_contacts(collision, curve, at, moving), lacking=lacking)
 
 
 def densify(

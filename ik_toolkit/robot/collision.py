@@ -37,7 +37,7 @@ class CollisionModel(Surroundings):
     mesh that cannot be read), InvalidOption.
     """
 
-    INSTEAD: ClassVar[Mapping[str, str]] = {
+    _INSTEAD: ClassVar[Mapping[str, str]] = {
         "margin": "make a CollisionModel with margin=",
         "ignore": "make a CollisionModel with ignore=",
         "obstacles": "use add, move and remove",

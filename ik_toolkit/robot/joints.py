@@ -57,8 +57,8 @@ class Joints(ReadOnly):
     the name: solvers are made from them.
     """
 
-    LOOSE = ("name",)
-    INSTEAD: ClassVar[Mapping[str, str]] = {
+    _LOOSE = ("name",)
+    _INSTEAD: ClassVar[Mapping[str, str]] = {
         "lower": "narrow limits with limits= of a call, or robot.narrowed({joint: (lower, upper)})",
         "upper": "narrow limits with limits= of a call, or robot.narrowed({joint: (lower, upper)})",
         "limits": "narrow limits with limits= of a call, or robot.narrowed({joint: (lower, upper)})",

@@ -43,7 +43,7 @@ class Solver(ReadOnly):
     InvalidOption.
     """
 
-    INSTEAD: ClassVar[Mapping[str, str]] = {"": "make a Solver with the robot, solver and options that are meant"}
+    _INSTEAD: ClassVar[Mapping[str, str]] = {"": "make a Solver with the robot, solver and options that are meant"}
 
     def __init__(self, robot: Robot | Tree, solver: Any = "auto", **options: Unpack[SolveOptions]) -> None:
         """Validate everything once; the loop is compiled at the first call."""

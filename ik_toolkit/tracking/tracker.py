@@ -70,7 +70,7 @@ class Tracker(ReadOnly):
     InvalidOption, InvalidConfiguration.
     """
 
-    INSTEAD = INSTEAD
+    _INSTEAD = INSTEAD
 
     def __init__(
         self,

@@ -5,6 +5,8 @@ import pytest
 from robots import have_data, urdf
 
 import ik_toolkit as ik
+from ik_toolkit.kernel.task import POSE
+from ik_toolkit.paths.interpolate import interpolate
 from ik_toolkit.paths.result import PathStatus
 
 POSES = 15
@@ -48,6 +50,22 @@ def test_full_poses_that_the_arm_draws_itself_are_one_motion(count, slides):
         assert step.max() <= 1.0 + 1e-9
         if gap < 0.1:
             assert made.deviation[0] < made.path_tolerance[0] and made.deviation[1] < made.path_tolerance[1]
+
+
+def test_the_distance_from_the_interpolated_poses_is_bounded_and_told_apart():
+    """Five joints, poses 0.1 rad apart: sampled finely, no error is above its bound, nor what is left beyond what is lacking."""
+    robot = arm(5, 25)
+    _, T = drawn(robot, 0.1, 5)
+    made = ik.solve_path(robot, T)
+    proof = made.continuity
+    assert proof.lacking.max() > 0.0 and (proof.judged[0] <= made.path_tolerance[0]).all()
+    assert (proof.judged[1] <= made.path_tolerance[1]).all()
+    for k in range(len(made.curve) - 1):
+        places = made.at[k] + np.linspace(0.0, 1.0, 5) * (made.at[k + 1] - made.at[k])
+        goals = interpolate(T[:, None], places, (POSE,))[:, 0]
+        rows = np.linspace(made.curve[k], made.curve[k + 1], 5)
+        errors = np.array([robot.errors(q, goal) for q, goal in zip(rows, goals, strict=True)])
+        assert errors[:, 0].max() <= proof.deviation[k] and errors[:, 1].max() <= proof.turn[k]
 
 
 @pytest.mark.parametrize("count", [1, 2])
