@@ -125,17 +125,14 @@ def solve(
     tips = choose_tips(robot, tip, target if targets else None, relative, asked.is_posed(line), group)
     arm = load_robot(robot, tips, base, lock, package_dir, deg, xacro_arg, base_xyz, base_rpy, srdf, group)
     arm = narrowed(arm, limit, deg, limits)
-    if from_q is not None:
-        target = asked.reached(line, arm)
+    target = target if from_q is None else asked.reached(line, arm)
     options = asked.read_options(line, arm)
     start = options.pop("q0")
     if file is not None:
         from .targets import solve_file
 
-        solve_file(
-            arm, file, output, method, start, options,
-            threads=threads, cluster=cluster, deg=deg, as_json=as_json,
-        )  # fmt: skip
+        asked_for = {"threads": threads, "cluster": cluster, "deg": deg, "as_json": as_json}
+        solve_file(arm, file, output, method, start, options, **asked_for)
     elif every:
         _solve_all(arm, target, method, start, options, line)
     else:
