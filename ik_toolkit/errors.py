@@ -70,6 +70,10 @@ class InvalidOption(IKError, ValueError):
     """An option or parameter that does not exist or whose value is out of range."""
 
 
+class ReadOnlyAttribute(IKError, AttributeError):
+    """An attribute that was read when its object was built: assigning it would change nothing. The message says what does."""
+
+
 class UnknownSolver(IKError, KeyError):
     """No solver of that name, or one that does not fit this robot."""
 

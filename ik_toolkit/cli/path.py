@@ -19,6 +19,7 @@ from .arguments import (
     Deg,
     Group,
     Json,
+    Limit,
     Lock,
     PackageDir,
     RobotArg,
@@ -27,6 +28,7 @@ from .arguments import (
     XacroArg,
     joint_vector,
     load_robot,
+    narrowed,
     writes,
 )
 from .obstacles import avoided
@@ -129,6 +131,7 @@ def path(
     base_xyz: BaseXyz = None,
     base_rpy: BaseRpy = None,
     lock: Lock = None,
+    limit: Limit = None,
     package_dir: PackageDir = None,
     xacro_arg: XacroArg = None,
     srdf: SrdfFile = None,
@@ -155,6 +158,7 @@ def path(
 
     tips = by_tip.choose_tips(robot, tip, None, None, False, group)
     arm = load_robot(robot, tips, base, lock, package_dir, deg, xacro_arg, base_xyz, base_rpy, srdf, group)
+    arm = narrowed(arm, limit, deg)
     _, blocks = read_poses(poses, "poses", deg=deg, tips=arm.tips if arm.by_tip else ())
     targets = _joined([block.poses for block in blocks], poses.name)
     options = _options(line, arm)

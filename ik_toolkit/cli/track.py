@@ -20,6 +20,7 @@ from .arguments import (
     Deg,
     Group,
     Json,
+    Limit,
     Lock,
     PackageDir,
     RobotArg,
@@ -29,6 +30,7 @@ from .arguments import (
     assignments,
     joint_vector,
     load_robot,
+    narrowed,
     writes,
 )
 from .by_tip import choose_tips
@@ -208,6 +210,7 @@ def track(
     base_xyz: BaseXyz = None,
     base_rpy: BaseRpy = None,
     lock: Lock = None,
+    limit: Limit = None,
     package_dir: PackageDir = None,
     xacro_arg: XacroArg = None,
     srdf: SrdfFile = None,
@@ -234,6 +237,7 @@ def track(
     counts = shared.read_counting(line)
     tips = choose_tips(robot, tip, None, relative, False, group)
     arm = load_robot(robot, tips, base, lock, package_dir, deg, xacro_arg, base_xyz, base_rpy, srdf, group)
+    arm = narrowed(arm, limit, deg, limits)
     first = None if q0 is None else joint_vector(arm, q0, "--q0", deg)
     with progress("tracking", None):
         asked = asked_path(arm, line, first, counts)

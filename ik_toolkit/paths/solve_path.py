@@ -23,6 +23,7 @@ from ..solvers.task import counted_errors
 from ..tracking.reference import Reference
 from .between import collapsed, gaps, inserted
 from .finish import finished
+from .freedom import freedom
 from .half_turns import HalfTurns
 from .problem import STEP, Problem
 from .result import PathResult, PathStatus, Reconfiguration
@@ -94,6 +95,7 @@ def solve_path(
             )
     check_progress(progress, "a fraction and a text")
     solver = Solver(robot, seed=seed, **options)
+    robot = solver.robot  # the variant with narrower limits, where they are given
     T, kinds = _read(robot, poses)
     step, tolerance = _pair("max_step", max_step, STEP), _between(path_tolerance, solver.options)
     asked = avoided(avoid_collisions)
@@ -103,7 +105,9 @@ def solve_path(
     threads = available_cores() if threads is None else whole(threads, "threads")
 
     def fresh() -> Search:
-        poses, at = inserted(robot, turns.poses(), kinds)
+        poses, at = turns.poses(), None
+        if not freedom(solver.plan_for(kinds), kinds).lacks:
+            poses, at = inserted(robot, poses, kinds)
         problem = Problem(solver, poses if robot.by_tip else poses[:, 0], kinds, step, tolerance, q0, at)
         ends = [None if q is None else q / problem.unit for q in (q0, q_end)]
         return Search(problem, model, ends[0], ends[1], threads, seed, progress or _silent)

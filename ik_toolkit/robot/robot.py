@@ -32,14 +32,14 @@ from .joints import Joints, values_by_joint
 from .load import default_base, folders_of, read_both
 from .mimic import followers, mimic_limits, mimic_speeds
 from .pose import as_matrix, check_target
-from .probe import AGREE, NO_LIMIT, configurations, difference, find_path, good_start, limits, probe, speeds
+from .probe import AGREE, difference, find_path, good_start, kinds, limits, middle, probe, speeds
 from .read import is_text
 from .shape import Shape, is_shape
 from .srdf import Srdf, held_joints, one_tip, read_srdf, srdf_of
 from .tips import one_word, only_tip, root_link
 
 # Attributes that a copy must not share: caches and thread-local state.
-CACHES = ("_local", "_sampling", "_circles", "memo")
+CACHES = ("_local", "_sampling", "_circles", "memo", "_sealed")
 LINKS = (pin.FrameType.BODY, pin.FrameType.OP_FRAME, pin.FrameType.SENSOR)  # frame types a base or a tip may have
 FRAMES = (*LINKS, pin.FrameType.JOINT, pin.FrameType.FIXED_JOINT)
 
@@ -104,6 +104,7 @@ class Robot(Joints):
         self.tool, self.tool_shapes = pin.SE3.Identity(), ()  # shapes with their poses from the tip frame
         self.rest = pin.neutral(self.model)
         self.locked_joints: dict[str, float] = {}
+        self._ranges: Mapping[str, tuple[float, float]] = {}  # narrower limits asked for, by joint
         self.srdf = read_srdf(srdf) if srdf is not None else Srdf()
         for joint, value in (followers(urdf).rest if urdf else {}).items():
             self._set_rest(joint, value, False)
@@ -223,12 +224,9 @@ class Robot(Joints):
             model, self.on_base, self.base_limits
         )
 
-    def _endless(self, joint: str) -> bool:
-        """Whether a joint has no limits."""
-        return self.model.upperPositionLimit[self.model.joints[self.model.getJointId(joint)].idx_q] > NO_LIMIT
-
     def _build(self, home: Sequence[float] | np.ndarray | None) -> None:
         self.memo: dict[Any, Any] = {}
+        self._wide = None
         model = self.model
         base_id, tip_id = self._frame_id(self.base), self._frame_id(self.tip)
         locked = {model.getJointId(joint) for joint in self.locked_joints}
@@ -242,41 +240,37 @@ class Robot(Joints):
                 )
         self.joint_names = tuple(model.names[j] for j in path.leaders)
         self.tips, self.places = (self.tip,), (np.arange(self.n),)
-        self.lower, self.upper = lower, upper = limits(model, path, mimic_limits(self.urdf) if self.urdf else {})
-        self.velocity_limits = speeds(model, path, mimic_speeds(self.urdf) if self.urdf else {})
-        free = [joint for joint in self._slides if joint in self.joint_names and self._endless(joint)]
+        lower, upper, notes = limits(model, path, mimic_limits(self.urdf) if self.urdf else {})
+        self._note(notes)
+        ends = dict(zip(self.joint_names, upper.tolist(), strict=True))
+        free = [joint for joint in self._slides if math.isinf(ends.get(joint, 0.0))]
         if free:
             raise InvalidOption(f"base_limits= is needed: the lower and upper limits [m] of {', '.join(free)}")
+        for i, joint in enumerate(self.joint_names):
+            lower[i], upper[i] = self._ranges.get(joint, (lower[i], upper[i]))
+        self.lower, self.upper = lower, upper
+        self.velocity_limits = speeds(model, path, mimic_speeds(self.urdf) if self.urdf else {})
         based = np.array([joint in self._of_base for joint in self.joint_names])
-        bounded = np.isfinite(lower) & np.isfinite(upper) & ~based
-        middle = np.clip(0.0, lower, upper)
-        middle[bounded] = lower[bounded] + 0.5 * (upper - lower)[bounded]
-        self.home = middle
+        self.home = start = middle(lower, upper, ~based)
         self._ids, data = (base_id, tip_id), model.createData()
         pin.framesForwardKinematics(model, data, self.rest)
         self._base_inverse = data.oMf[base_id].inverse()
-        self.chain: Chain = probe(model, path, self.rest, base_id, tip_id, self.tool, lower, upper, middle)
-        rows = self.chain.rows
-        kinds = ["revolute" if rows[rows[:, 8] == i, 9].any() else "prismatic" for i in range(self.n)]
-        self.joint_kinds = tuple(
-            "continuous" if kind == "revolute" and np.isinf(lower[i]) and np.isinf(upper[i]) else kind
-            for i, kind in enumerate(kinds)
-        )
+        self.chain: Chain = probe(model, path, self.rest, base_id, tip_id, self.tool, lower, upper, start)
+        self.joint_kinds = kinds(self.chain)
         self._local = threading.local()
         self._compare()
         if home is not None and len(home) == self.n - based.sum():  # home of the robot without its moving base
-            home = np.concatenate([middle[based], home])
-        self.home = self.check_home(home) if home is not None else good_start(self.chain, lower, upper, middle, ~based)
-        start = POINTS + 6 * self.n
-        self.chain.ends[start : start + self.n] = self.home / self.chain.unit
+            home = np.concatenate([start[based], home])
+        self.home = self.check_home(home) if home is not None else good_start(self.chain, lower, upper, start, ~based)
+        at = POINTS + 6 * self.n
+        self.chain.ends[at : at + self.n] = self.home / self.chain.unit
         for array in (self.lower, self.upper, self.home, self.velocity_limits, self.rest):
             array.setflags(write=False)
+        self._seal()
 
     def _compare(self) -> None:
         """Reject a robot whose chain disagrees with Pinocchio: its results would be silently wrong."""
-        Q = configurations(self.chain, self.slides)
-        poses, jacobians = zip(*(self._kinematics(q) for q in Q), strict=True)
-        off = difference(self.chain, Q, np.array([T.homogeneous for T in poses]), np.array(jacobians))
+        off = difference(self.chain, self.slides, self._kinematics)
         if not off <= AGREE:  # NaN is refused too
             raise ModelError(
                 f"robot '{self.name}' from '{self.base}' to '{self.tip}' is rejected: its kinematics differ from "
@@ -359,6 +353,12 @@ class Robot(Joints):
         other._build(home if keep else None)
         return other
 
+    def _narrowed(self, ranges: Mapping[str, tuple[float, float]]) -> "Robot":
+        other = self._variant()
+        other._ranges = {**self._ranges, **ranges}
+        other._build(np.clip(self.home, *np.transpose([ranges[joint] for joint in self.joint_names])))
+        return other
+
     def with_tool(self, T_tip_tool: Any, shape: Shape | None = None, T_tip_shape: Any = None) -> "Robot":
         """Return a copy whose tip is moved by T_tip_tool (4x4 or pin.SE3): targets, fk and errors then refer to the tool
         frame.
@@ -391,6 +391,7 @@ class Robot(Joints):
         if self.model is None and self.urdf is not None:
             self._settle(build_model(self.urdf))
         self._local, self.memo = threading.local(), {}
+        self._seal()
 
     def __repr__(self) -> str:
         """One line: name, path and joints."""

@@ -88,7 +88,8 @@ class Tree(Joints):
                 )
         self.name, self.model, self.base, self.rest = first.name, first.model, first.base, first.rest
         self._original, self._given = first._original, first._given
-        self.on_base, self.base_limits, self.notes = first.on_base, first.base_limits, first.notes
+        self.on_base, self.base_limits = first.on_base, first.base_limits
+        self.notes = tuple(dict.fromkeys(note for arm in arms for note in arm.notes))
         self.constraints = first.constraints
         self.urdf, self.path, self.package_dirs = first.urdf, first.path, first.package_dirs
         self.srdf = first.srdf
@@ -125,6 +126,7 @@ class Tree(Joints):
         self.chain: TreeChain = pack_tree([arm.chain for arm in arms], list(self.places), lower, upper, self.home)
         for array in (lower, upper, self.home, self.velocity_limits):
             array.setflags(write=False)
+        self._seal()
 
     @classmethod
     def load(
@@ -213,6 +215,10 @@ class Tree(Joints):
         home = {joint: x for joint, x in zip(self.joint_names, self.home, strict=True) if joint not in joints}
         return Tree(arms, list(home.values()))
 
+    def _narrowed(self, ranges: Mapping[str, tuple[float, float]]) -> "Tree":
+        arms = [arm._narrowed({joint: ranges[joint] for joint in arm.joint_names}) for arm in self.arms]
+        return Tree(arms, np.clip(self.home, *np.transpose([ranges[joint] for joint in self.joint_names])))
+
     def with_tool(self, T_tip_tool: Any, shape: Any = None, T_tip_shape: Any = None) -> "Tree":
         """Return a copy whose tips are moved by T_tip_tool (4x4 or pin.SE3): one for all of them, or a dict by tip.
 
@@ -227,7 +233,7 @@ class Tree(Joints):
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle the arms."""
-        return Tree, (self.arms, self.home)
+        return Tree, (self.arms, self.home), {"_wide": self._wide}
 
     def __repr__(self) -> str:
         """One line: name, tips and joints."""

@@ -6,6 +6,7 @@ import numpy as np
 
 from ..errors import IKError
 from ..kernel.records import ANSWER, AT, MISS
+from ..readonly import ReadOnly
 from .avoid import collision_model
 from .plan import Plan
 from .result import SPOKEN, Outcome, Result
@@ -44,7 +45,7 @@ class BatchCheckFailed(IKError):
         return type(self), (self.result, self.target, self.before)
 
 
-class BatchResult:
+class BatchResult(ReadOnly):
     """Answers of a batch, row k belonging to target k.
 
     q (N, n) [rad or m]; status (N,) numbers of Status; success (N,) bool; position_error (N,) [m]; orientation_error (N,)
@@ -58,6 +59,7 @@ class BatchResult:
         self.kinds = kinds
         self.plan = plan
         self.solver = plan.row.name
+        self._seal()
 
     def of(self, table: np.ndarray) -> "BatchResult":
         """The same batch with other rows."""

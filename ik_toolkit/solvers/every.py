@@ -37,26 +37,28 @@ def find_all(solver: Any, target: Any, q0: Any, starts: int, count: int) -> Any:
         model = collision_model(plan.robot, o.avoid_collisions)
         free = np.array([not model.collides(x) for x in found.q], dtype=bool)
         found = found.keep(free)
-        found.message += f"; {len(free) - free.sum()} of them collide and are left out" * (not free.all())
+        found._put(
+            message=found.message + f"; {len(free) - free.sum()} of them collide and are left out" * (not free.all())
+        )
     if o.check and len(found):
         good = np.array([confirmed(plan, q, T[0], kinds) for q in found.q], dtype=bool)
         if not good.all():
             found = found.keep(good)
-            found.message += f"; {len(good) - good.sum()} are not confirmed by Pinocchio and left out"
+            found._put(message=f"{found.message}; {len(good) - good.sum()} are not confirmed by Pinocchio and left out")
     if plan.robot.constraints and len(found):
         good = np.array([constraints_of(plan.robot, q, o).holds for q in found.q], dtype=bool)
         if not good.all():
             found = found.keep(good)
-            found.message += (
-                f"; {len(good) - good.sum()} do not keep the constraints of the description and are left out"
+            found._put(
+                message=f"{found.message}; {len(good) - good.sum()} do not keep the constraints of the description and are left out"
             )
     if not len(found):
         failed = solver(target, q0)
         if not failed.success:
-            found.message = failed.message
-        found.families = ()
+            found._put(message=failed.message)
+        found._put(families=())
     if notice:
-        found.message = f"{found.message}; {notice}"
+        found._put(message=f"{found.message}; {notice}")
     return found
 
 
@@ -113,7 +115,7 @@ def _listed(plan: Plan, T: np.ndarray, kinds: tuple, start: np.ndarray, starts: 
         result = distinct_rows(result, plan)
     if len(result) > count:
         result = sample(result, count)
-        result.complete = False
+        result._put(complete=False)
     return result
 
 

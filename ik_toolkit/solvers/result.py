@@ -9,6 +9,7 @@ import numpy as np
 from ..errors import NotSolved
 from ..kernel.records import ANSWER, AT, MISS
 from ..kernel.task import FREE, POSITION
+from ..readonly import ReadOnly
 from ..robot.ros import header
 from ..style import BAD, GOOD
 from .registry import GENERAL
@@ -59,7 +60,7 @@ class Outcome(NamedTuple):
 make_outcome = partial(tuple.__new__, Outcome)  # from all its fields: a fifth of a microsecond faster than Outcome(...)
 
 
-class Result:
+class Result(ReadOnly):
     """Answer of one solve, for one tip or several (read-only).
 
     q (n,) [rad or m], evaluated and inside the limits; success; status; message (one sentence, with what to try);
@@ -75,10 +76,11 @@ class Result:
     """
 
     __slots__ = ("_of",)
+    _sealed = True
 
     def __init__(self, outcome: Outcome) -> None:
         """Store the record; everything else is computed on demand."""
-        self._of = outcome
+        object.__setattr__(self, "_of", outcome)
 
     @property
     def q(self) -> np.ndarray:

@@ -9,9 +9,14 @@ from ..errors import InvalidOption, floats, near_match
 from ..kernel.box import UNLIMITED
 from ..robot.robot import Robot
 from ..robot.tree import Tree
-from .inputs import switch
+from .inputs import one_of, switch
 
 LIMIT_NAMES = ("lower", "upper", "speed", "acceleration")
+INSTEAD = {  # of assigning an attribute of a Tracker
+    **dict.fromkeys(("limits", *LIMIT_NAMES), "use change_limits"),
+    "q": "use reset(q0), or pass q= to update where joints are measured",
+    "": "make a Tracker with the robot, method and options that are meant",
+}
 
 
 def limit_rows(robot: Robot | Tree, limits: bool, acceleration_limits: Any) -> np.ndarray:
@@ -69,3 +74,8 @@ def changed_limits(robot: Robot | Tree, rows: np.ndarray, given: Mapping[str, An
     if (rows[0] > rows[1]).any():
         raise InvalidOption("lower limits must not be above the upper ones")
     return rows
+
+
+def read_mode(on_limit: Any, modes: Mapping[str, int]) -> int:
+    """Number of a way to treat limits. Raises InvalidOption."""
+    return modes[one_of(on_limit, modes, "on_limit")]

@@ -15,12 +15,14 @@ from ..kernel import motion
 from ..kernel.constrain import LEAVE, SLOW
 from ..kernel.motion import CLIP
 from ..kernel.task import POSE, POSITION
+from ..robot.narrow import with_limits
 from ..robot.pose import PROJECT_WITHIN, angles_between
 from ..robot.robot import Robot
 from ..robot.tree import Tree
 from ..solvers.avoid import collision_model
 from .engine import check_options
 from .inputs import number, positive
+from .limits import read_mode
 from .methods import Method, interpolate
 from .plan import Planner
 from .reachable import explain
@@ -28,7 +30,7 @@ from .reference import Reference, Samples
 from .result import TrackResult, TrackStatus, figures
 from .run import Run
 from .stream import samples_from
-from .tracker import JUMP, Tracker, read_mode
+from .tracker import JUMP, Tracker
 from .verdict import ORIENTATION_TOLERANCE, POSITION_TOLERANCE, hold_against, settling, verdict
 
 MODES = {"slow": SLOW, "leave": LEAVE, "clip": CLIP}
@@ -45,7 +47,7 @@ def track(
     dt: float = 0.01,
     q0: Any = None,
     rate0: Any = None,
-    limits: bool = True,
+    limits: Any = True,
     acceleration_limits: Any = None,
     on_limit: str = "slow",
     max_stretch: float = MAX_STRETCH,
@@ -73,6 +75,7 @@ def track(
     and would work. Raises InvalidOption, InvalidTarget, InvalidConfiguration.
     """
     references = _references(robot, reference)
+    robot, limits = with_limits(robot, limits)
     own, passed_on = track.__kwdefaults__ or (), Tracker.__init__.__kwdefaults__ or ()
     check_options(method, (name for name in options if name not in passed_on), (*own, *passed_on))
     dt = positive(dt, "dt [s]")

@@ -1,7 +1,6 @@
 """`Tracker`: follow targets that arrive one by one, for somebody's control loop."""
 
 import math
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -15,13 +14,15 @@ from ..kernel.motion import CLIP
 from ..kernel.session import Record, Samples, carried_of, new_carried, new_record, new_settings
 from ..kernel.task import POSITION
 from ..kernel.view import LINE
+from ..readonly import ReadOnly
+from ..robot.narrow import with_limits
 from ..robot.robot import Robot
 from ..robot.tree import Tree
 from ..solvers.avoid import collision_model
 from .engine import bind
-from .inputs import LATE, one_of, parts_of, positive, rates, switch
+from .inputs import LATE, parts_of, positive, rates, switch
 from .leap import STRAIGHT, Leap
-from .limits import LIMIT_NAMES, changed_limits, limit_rows, speeds
+from .limits import INSTEAD, LIMIT_NAMES, changed_limits, limit_rows, read_mode, speeds
 from .methods import Method
 from .obstacles import ROWS, Guard
 from .postures import REACHED, Postures, Taken
@@ -37,14 +38,14 @@ MODES = {"direct": DIRECT, "leave": LEAVE, "clip": CLIP}
 LAWS_KEPT = 64  # lengths of a step for which the numbers of a method are kept
 
 
-class Tracker:
+class Tracker(ReadOnly):
     """Follow targets that arrive one by one.
 
     robot: a Robot, or a Tree (several tips). method: cv, av, ca, aa, aad with its options, see `Method`, or a solver that
     tracks. q0 (n,): start, default home. rate0 (n,): joint rate at the start, default the target's (at rest when acceleration
-    limits are given). limits: keep joint positions and speeds of the robot, and accelerations [rad/s^2 or m/s^2] when
-    acceleration_limits gives them (number or (n,)): at every sample and in between, for any dt up to dt_max [s] (default five
-    times the first; a longer step is taken in parts). A joint outside its limits is brought back.
+    limits are given). limits: keep the robot's joint limits (or narrower ones, as in `ik.solve`) and its speeds, and
+    accelerations [rad/s^2 or m/s^2] when acceleration_limits gives them (number or (n,)): at every sample and in between, for
+    any dt up to dt_max [s] (default five times the first; a longer step is taken in parts). A joint outside is brought back.
 
     on_limit: what gives way where limits bind. "direct": the tip falls behind, but towards its target (for an operator);
     "leave": the error is the least possible now; "clip": the published form, each joint clipped on its own.
@@ -69,6 +70,8 @@ class Tracker:
     InvalidOption, InvalidConfiguration.
     """
 
+    _INSTEAD = INSTEAD
+
     def __init__(
         self,
         robot: Robot | Tree,
@@ -76,7 +79,7 @@ class Tracker:
         *,
         q0: Any = None,
         rate0: Any = None,
-        limits: bool = True,
+        limits: Any = True,
         acceleration_limits: Any = None,
         on_limit: str = "direct",
         dt_max: float | None = None,
@@ -95,7 +98,7 @@ class Tracker:
         """Bind a robot and a method."""
         if not isinstance(robot, Robot | Tree):
             raise InvalidOption(f"tracking takes a Robot (see Robot.load) or a Tree, not {type(robot).__name__}")
-        self.robot = robot
+        robot, limits = self.robot, limits = with_limits(robot, limits)
         self.engine = bind(robot, method, limits, options, Tracker.__init__.__kwdefaults__ or ())
         self._mode = read_mode(on_limit, MODES)
         self.jump, self.resync = positive(jump, "jump"), positive(resync, "resync")
@@ -128,12 +131,13 @@ class Tracker:
         self._q, self._rate = self._carried.motion
         self._state = self._carried.state
         self._units = np.array([robot.chain.unit, robot.chain.unit])
-        self.rows = 0
+        self._rows = 0
         self._laws: dict[tuple[float, bool], np.ndarray] = {}
         self._ordered: tuple = ()  # what the law of the settings was made of
         self._kinds: tuple | None = None
         self._goes: Leap | Reconfiguration | None = None  # what the last step was taken by
         self.reset(q0, rate0=rate0)
+        self._seal()
 
     def reset(
         self, q0: Any = None, target: Any = None, twist: Any = None, acceleration: Any = None, *, rate0: Any = None
@@ -333,7 +337,7 @@ class Tracker:
         """
         # With gains for each step's own time ca swings without end where these times differ.
         pace = max(h, min(self.stream.pace, self._late))
-        ordered = h, pace, brake, measured, runaway, mode, clock, self._late, self.rows, self.secondary.avoid
+        ordered = h, pace, brake, measured, runaway, mode, clock, self._late, self._rows, self.secondary.avoid
         if ordered != self._ordered:
             self._order(*ordered)
             self._ordered = ordered
@@ -373,7 +377,7 @@ class Tracker:
             return self.run(samples, h, out, clock=clock, brake=brake, **how)
         guard.late = max(self._late, h)
         q, rate = self._carried.motion * self._units
-        self.rows = r = guard.rows(q, rate, h)
+        self._rows = r = guard.rows(q, rate, h)
         self._settings.lines[:r], self._settings.level[:r] = guard.A[:r] * unit, guard.b[:r]
         before = self.carried()
         done = self.run(samples, h, out, clock=clock, brake=brake, **how)
@@ -393,8 +397,3 @@ class Tracker:
         self._end(samples if clock is not None else self.stream.last_of(samples), h, out, clock=clock, **how)
         out.C[0] = np.where(self._rate == 0.0, box.ROW, box.ROW | box.ACCELERATION) | (box.HELD if brake else 0)
         return 1
-
-
-def read_mode(on_limit: Any, modes: Mapping[str, int]) -> int:
-    """Number of a way to treat limits. Raises InvalidOption."""
-    return modes[one_of(on_limit, modes, "on_limit")]
