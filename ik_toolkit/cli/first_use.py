@@ -74,19 +74,19 @@ def said_before() -> bool:
     return bool(os.environ.get(AGAIN)) and not _here["past"]
 
 
-def again(arguments: Sequence[str], folder: Path | None, terminated: Sequence[bool]) -> int:
+def again(arguments: Sequence[str], folder: Path | None, came: Sequence[int]) -> int:
     """Run the command without compilation, then compile in the background; return its exit code.
 
-    terminated: not empty when it is SIGTERM that raises KeyboardInterrupt.
+    came: signals that have raised KeyboardInterrupt.
     """
     # The module path of this process, not the current folder in front of it as `-m` has: files there must not be run.
     start = f"import sys; sys.path[:] = {sys.path!r}; from ik_toolkit.cli import main; sys.exit(main())"
     command = [sys.executable, "-c", start]
     waiting = {**os.environ, WAIT: "1"}
     without = {**os.environ, AGAIN: "1", INTERPRETED: "1", "NUMBA_DISABLE_JIT": "1"}
-    code = _run([*command, *arguments], without, terminated)
+    code = _run([*command, *arguments], without, came)
     if code == NOT_ANSWERED:
-        return _run([*command, *arguments], {**waiting, AGAIN: "1"}, terminated)
+        return _run([*command, *arguments], {**waiting, AGAIN: "1"}, came)
     if code not in (0, 1):  # a mistake or an interruption, already explained
         return code
     if folder is None:
@@ -106,7 +106,7 @@ def again(arguments: Sequence[str], folder: Path | None, terminated: Sequence[bo
     return code
 
 
-def _run(command: Sequence[str], environment: dict[str, str], terminated: Sequence[bool]) -> int:
+def _run(command: Sequence[str], environment: dict[str, str], came: Sequence[int]) -> int:
     """Exit code of a command run in place of this one: Ctrl-C and SIGTERM end it as well, and it reports them."""
     with subprocess.Popen(command, env=environment) as process:
         try:
@@ -115,7 +115,7 @@ def _run(command: Sequence[str], environment: dict[str, str], terminated: Sequen
             try:
                 process.wait(1.0)  # Ctrl-C in a terminal reaches it as well
             except subprocess.TimeoutExpired:
-                process.send_signal(signal.SIGTERM if terminated else signal.SIGINT)
+                process.send_signal(signal.SIGTERM if signal.SIGTERM in came else signal.SIGINT)
             code = process.wait()
             if code < 0:  # ended before it could report anything
                 raise

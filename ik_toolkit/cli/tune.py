@@ -28,6 +28,7 @@ from .arguments import (
     writes,
 )
 from .output import facts, notice, partial, progress, show, write_json
+from .streams import uninterrupted
 
 if TYPE_CHECKING:
     from ..study.tune import TuneResult
@@ -153,15 +154,16 @@ def tune(
         )
     if result.interrupted:
         preset = partial(preset)
-    result.save(preset)
+    with uninterrupted():
+        result.save(preset)
+        if csv_file is not None:
+            place = partial(csv_file) if result.interrupted else csv_file
+            _write_csv(place, result)
+            notice(f"wrote {place}")
     if plot is not None and not result.interrupted:
         from ..show.plot import plot as draw
 
         draw(result, file=plot)
-    if csv_file is not None:
-        place = partial(csv_file) if result.interrupted else csv_file
-        _write_csv(place, result)
-        notice(f"wrote {place}")
     write_json({**result.to_dict(), "preset": str(preset)}, as_json)
     if not as_json:
         _show(result, preset)

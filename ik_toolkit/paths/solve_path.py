@@ -8,7 +8,7 @@ from typing import Any, Unpack
 
 import numpy as np
 
-from ..errors import InvalidOption, InvalidTarget, check_progress, floats, whole
+from ..errors import InvalidOption, InvalidTarget, Portable, check_progress, floats, whole
 from ..robot.pose import FAR, LAST
 from ..robot.robot import Robot
 from ..robot.tree import Tree
@@ -46,7 +46,7 @@ NOT_HERE = (
 )
 
 
-class PathInterrupted(KeyboardInterrupt):
+class PathInterrupted(Portable, KeyboardInterrupt):
     """Ctrl-C during a path search; `result` is the PathResult of the best path so far."""
 
     def __init__(self, result: PathResult) -> None:

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import IKError
+from ..errors import IKError, Portable
 from ..kernel.records import ANSWER, AT, MISS
 from .avoid import collision_model
 from .plan import Plan
@@ -12,7 +12,7 @@ from .result import SPOKEN, Outcome, Result
 from .status import Status, count_statuses
 
 
-class BatchInterrupted(KeyboardInterrupt):
+class BatchInterrupted(Portable, KeyboardInterrupt):
     """Ctrl-C during a batch; `result` is the BatchResult of the targets finished before it, from the first on."""
 
     def __init__(self, result: "BatchResult") -> None:

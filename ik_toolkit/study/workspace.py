@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import InvalidOption, check_progress, whole
+from ..errors import InvalidOption, Portable, check_progress, whole
 from ..files import PARTIAL, WholeFile, as_path
 from ..robot.robot import Robot
 from ..robot.tree import Tree
@@ -95,7 +95,7 @@ class Workspace:
         }
 
 
-class WorkspaceInterrupted(KeyboardInterrupt):
+class WorkspaceInterrupted(Portable, KeyboardInterrupt):
     """Ctrl-C during a workspace study; `result` is the Workspace of the targets finished before it."""
 
     def __init__(self, result: Workspace) -> None:
