@@ -63,6 +63,20 @@ class Guard:
         home = space.home - space.margins
         self._keep = np.where(space.own & (home > 0.0), np.minimum(0.5 * home, KEEP), KEEP)
 
+    def __getstate__(self) -> dict[str, Any]:
+        """All but the measurements, which belong to this process."""
+        kept = {name: value for name, value in vars(self).items() if name != "_space"}
+        return kept | {"_version": self._version == self.model.version, "corners": self._space.corners()}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Restore; everything is measured again when it is needed, and bound again if it has changed."""
+        corners = state.pop("corners")
+        vars(self).update(state)
+        self._space = Clearance(self.model)
+        self._space.recall(corners)
+        self._version = self.model.version if self._version else None
+        self._fresh, self._known = np.zeros_like(self._fresh), False
+
     def _get_ready(self) -> None:
         """Call what would otherwise be compiled in a control loop, when the arm has to brake."""
         space, q, still = self._space, self.robot.home, np.zeros(self.robot.n)
@@ -196,10 +210,10 @@ class Guard:
     def _slow_down(self, q: np.ndarray, rate: np.ndarray, h: float) -> tuple[np.ndarray, np.ndarray]:
         """Joint values and rates h [s] later, of a brake proven by `_line`."""
         path = self._path
-        assert path is not None and path.aside is not None
+        assert path is not None
         self._left = max(self._left - path.even * h, 0.0)
         own = np.sign(rate) * np.maximum(np.abs(rate) - self.limits[3] * h, 0.0)
-        rate1 = np.where(path.aside > 0.0, own, self._left * path.rate[-1])
+        rate1 = np.where(path.q[-1] == path.q[-2], own, self._left * path.rate[-1])
         self._moved(h * np.abs(rate1))
         return q + h * rate1, rate1
 
@@ -258,7 +272,7 @@ class Guard:
         end = brake(first, self.gamma, piece, late, self.limits, all_q, rates, lengths) + 1
         return Path(all_q[:end], rates[:end], lengths[:end], piece) if end else None
 
-    def _line(self, Q: np.ndarray, R: np.ndarray, h: float) -> Path:
+    def _line(self, Q: np.ndarray, R: np.ndarray, h: float) -> Path | None:
         """States Q, R (1 or 2, n) and a brake after them that steps of any lengths keep to, where a step has one rate throughout.
 
         The acceleration limit allows a short step next to no other rate than that of the long one before it, so the shorter steps
@@ -274,6 +288,8 @@ class Guard:
             alone = (speed > 0.0) & (0.5 * speed > even * room)
             aside = np.where(alone, 0.5 * speed * speed / most, 0.0)
             end = q + np.where(alone, 0.0, 0.5 * rate / even)
+        if even <= 0.0:
+            return None
         all_q = np.concatenate([Q, end[None]])
         length = np.zeros_like(all_q)
         np.cumsum(np.abs(np.diff(all_q, axis=0)), axis=0, out=length[1:])

@@ -20,7 +20,7 @@ from ..robot.robot import Robot
 from ..robot.tree import Tree
 from ..solvers.avoid import collision_model
 from .engine import check_options
-from .inputs import number, positive
+from .inputs import number, one_of, positive
 from .methods import Method, interpolate
 from .plan import Planner
 from .reachable import explain
@@ -28,7 +28,7 @@ from .reference import Reference, Samples
 from .result import TrackResult, TrackStatus, figures
 from .run import Run
 from .stream import samples_from
-from .tracker import JUMP, Tracker, read_mode
+from .tracker import JUMP, Tracker
 from .verdict import ORIENTATION_TOLERANCE, POSITION_TOLERANCE, settling, verdict
 
 MODES = {"slow": SLOW, "leave": LEAVE, "clip": CLIP}
@@ -94,7 +94,7 @@ def track(
         positive(position_tolerance, "position_tolerance [m]"),
         positive(orientation_tolerance, "orientation_tolerance [rad]"),
     )
-    mode = read_mode(on_limit, MODES)
+    mode = MODES[one_of(on_limit, MODES, "on_limit")]
     if limits is False:  # nothing binds
         mode = CLIP
     stretch = number(max_stretch, "max_stretch")

@@ -1,7 +1,6 @@
 """`Tracker`: follow targets that arrive one by one, for somebody's control loop."""
 
 import math
-from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -18,6 +17,7 @@ from ..kernel.view import LINE
 from ..robot.robot import Robot
 from ..robot.tree import Tree
 from ..solvers.avoid import collision_model
+from .copies import Copied
 from .engine import bind
 from .inputs import LATE, one_of, parts_of, positive, rates, switch
 from .leap import STRAIGHT, Leap
@@ -37,7 +37,7 @@ MODES = {"direct": DIRECT, "leave": LEAVE, "clip": CLIP}
 LAWS_KEPT = 64  # lengths of a step for which the numbers of a method are kept
 
 
-class Tracker:
+class Tracker(Copied):
     """Follow targets that arrive one by one.
 
     robot: a Robot, or a Tree (several tips). method: cv, av, ca, aa, aad with its options, see `Method`, or a solver that
@@ -69,6 +69,8 @@ class Tracker:
     InvalidOption, InvalidConfiguration.
     """
 
+    VIEWS, SHARED = ("_code", "_error", "_limits", "_q", "_rate", "_state"), ("robot", "_world")
+
     def __init__(
         self,
         robot: Robot | Tree,
@@ -97,7 +99,7 @@ class Tracker:
             raise InvalidOption(f"tracking takes a Robot (see Robot.load) or a Tree, not {type(robot).__name__}")
         self.robot = robot
         self.engine = bind(robot, method, limits, options, Tracker.__init__.__kwdefaults__ or ())
-        self._mode = read_mode(on_limit, MODES)
+        self._mode = MODES[one_of(on_limit, MODES, "on_limit")]
         self.jump, self.resync = positive(jump, "jump"), positive(resync, "resync")
         self._limits = limit_rows(robot, limits, acceleration_limits)
         self._speed = speeds(self._limits) * robot.chain.unit
@@ -106,10 +108,10 @@ class Tracker:
         self.secondary: Secondary = read_secondary(robot, avoid_limits, posture, elbow, manipulability, cost)
         self.secondary.confine(self._limits)
         self.stream = Stream(robot)
+        self._world = None if avoid_collisions is False else collision_model(robot, avoid_collisions)
         self._guard: Guard | None = None
-        if avoid_collisions is not False:
-            model = collision_model(robot, avoid_collisions)
-            self._guard = Guard(robot, model, self._limits * robot.chain.unit, self.engine.gamma)
+        if self._world is not None:
+            self._guard = Guard(robot, self._world, self._limits * robot.chain.unit, self.engine.gamma)
         n, m = robot.n, 6 * self.stream.tips
         self._postures: Postures | None = None
         self._ways: list[Leap | Reconfiguration] = []  # what leads the joints where the method would not, or too slowly
@@ -117,16 +119,13 @@ class Tracker:
         longest = math.inf if isinstance(straight, float) and straight == math.inf else positive(straight, "straight")
         if limits and self._mode == DIRECT:
             self._postures = Postures(robot, self.engine.options, speeds(self._limits))
-            other = Reconfiguration(robot, self._postures, self._guard and self._guard.model) if elsewhere else None
+            other = Reconfiguration(robot, self._postures, self._world) if elsewhere else None
             self._ways = [Leap(self._postures, self.engine.chosen, longest, other), *([other] if other else [])]
         self._settings, self._out, self._here = new_settings(n, m, ROWS), new_record(2, n, m), new_record(1, n, m)
         for part, values in ((self._settings.limits, self._limits), (self._settings.wish, self.secondary.wish)):
             part[:] = values
-        self._code, self._error = self._out.C[0], self._out.E[1]
-        self._limits, self.secondary.wish = self._settings.limits, self._settings.wish
         self._carried = new_carried(n, self.engine.memory, ROWS + 2 * m + 1, m)  # two rows for each slack
-        self._q, self._rate = self._carried.motion
-        self._state = self._carried.state
+        self._cut()
         self._units = np.array([robot.chain.unit, robot.chain.unit])
         self.rows = 0
         self._laws: dict[tuple[float, bool], np.ndarray] = {}
@@ -134,6 +133,12 @@ class Tracker:
         self._kinds: tuple | None = None
         self._goes: Leap | Reconfiguration | None = None  # what the last step was taken by
         self.reset(q0, rate0=rate0)
+
+    def _cut(self) -> None:
+        """Take the views of what the loop reads and writes."""
+        self._code, self._error = self._out.C[0], self._out.E[1]
+        self._limits, self.secondary.wish = self._settings.limits, self._settings.wish
+        (self._q, self._rate), self._state = self._carried.motion, self._carried.state
 
     def reset(
         self, q0: Any = None, target: Any = None, twist: Any = None, acceleration: Any = None, *, rate0: Any = None
@@ -393,8 +398,3 @@ class Tracker:
         self._end(samples if clock is not None else self.stream.last_of(samples), h, out, clock=clock, **how)
         out.C[0] = np.where(self._rate == 0.0, box.ROW, box.ROW | box.ACCELERATION) | (box.HELD if brake else 0)
         return 1
-
-
-def read_mode(on_limit: Any, modes: Mapping[str, int]) -> int:
-    """Number of a way to treat limits. Raises InvalidOption."""
-    return modes[one_of(on_limit, modes, "on_limit")]
