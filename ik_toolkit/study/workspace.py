@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import InvalidOption, Portable, check_progress, whole
-from ..files import PARTIAL, WholeFile, as_path
+from ..files import PARTIAL, WholeFile, as_path, inert
 from ..robot.robot import Robot
 from ..robot.tree import Tree
 from ..solvers.batch import solve_parts
@@ -278,7 +278,7 @@ class _Table:
         lists = [(part[key] + 0 if key == "success" else part[key]).tolist() for part in columns for key in self.FIELDS]
         text = io.StringIO()
         if self.head:  # written with the first targets: a file with only a header is not worth keeping
-            csv.writer(text).writerow(self.head)
+            csv.writer(text).writerow(map(inert, self.head))
             self.head = []
         csv.writer(text).writerows(zip(*xyz.T.tolist(), *lists, strict=True))
         return text.getvalue()

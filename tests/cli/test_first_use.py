@@ -108,9 +108,9 @@ def needed(*_):
     raise first_use.CompileNeeded(None)
 second = '''
 import sys, time
-from ik_toolkit.cli.streams import on_sigterm
+from ik_toolkit.cli.streams import stoppable
 try:
-    with on_sigterm([]):
+    with stoppable([]):
         print(1, flush=True)
         time.sleep(60)
 except KeyboardInterrupt:
