@@ -5,13 +5,13 @@ from typing import Any
 
 import numpy as np
 
+from ..copying import Blocks
 from ..errors import InvalidTarget, floats
 from ..kernel.arrival import CHECK, DOUBTFUL, READ, REFUSED, STAND, TAKEN, arrive
 from ..kernel.session import Samples, new_samples
 from ..kernel.task import POSE, POSITION
 from ..robot.pose import AxisTarget
 from ..solvers.task import read_one, read_target
-from .copies import Copied
 from .reference import exp, log
 
 FLOAT = np.dtype(np.float64)
@@ -19,7 +19,7 @@ RECENT = 10  # targets: where steps take 0.5 to 1.5 times their mean, ca brings 
 KIND = {(4, 4): POSE, (3,): POSITION}  # of an array, by its shape
 
 
-class Stream(Copied):
+class Stream(Blocks):
     """The last target and the next, `samples`; whether that stands, `stand`; kinds, one a tip.
 
     pace: the longest of the last times between them [s].

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from ..copying import Blocks
 from ..errors import InvalidConfiguration, InvalidOption
 from ..kernel import box, motion
 from ..kernel.arrival import STAND
@@ -17,7 +18,6 @@ from ..kernel.view import LINE
 from ..robot.robot import Robot
 from ..robot.tree import Tree
 from ..solvers.avoid import collision_model
-from .copies import Copied
 from .engine import bind
 from .inputs import LATE, one_of, parts_of, positive, rates, switch
 from .leap import STRAIGHT, Leap
@@ -37,7 +37,7 @@ MODES = {"direct": DIRECT, "leave": LEAVE, "clip": CLIP}
 LAWS_KEPT = 64  # lengths of a step for which the numbers of a method are kept
 
 
-class Tracker(Copied):
+class Tracker(Blocks):
     """Follow targets that arrive one by one.
 
     robot: a Robot, or a Tree (several tips). method: cv, av, ca, aa, aad with its options, see `Method`, or a solver that
