@@ -43,8 +43,8 @@ class Tracker(Blocks):
     robot: a Robot, or a Tree (several tips). method: cv, av, ca, aa, aad with its options, see `Method`, or a solver that
     tracks. q0 (n,): start, default home. rate0 (n,): joint rate at the start, default the target's (at rest when acceleration
     limits are given). limits: keep joint positions and speeds of the robot, and accelerations [rad/s^2 or m/s^2] when
-    acceleration_limits gives them (number or (n,)): at every sample and in between, for any dt up to dt_max [s] (default five
-    times the first; a longer step is taken in parts). A joint outside its limits is brought back.
+    acceleration_limits gives them (number or (n,)), for any dt up to dt_max [s] (default five times the first; a longer step is
+    taken in parts); between samples, too, but cv, av and solvers change rates at once. A joint outside is brought back.
 
     on_limit: what gives way where limits bind. "direct": the tip falls behind, but towards its target (for an operator);
     "leave": the error is the least possible now; "clip": the published form, each joint clipped on its own.

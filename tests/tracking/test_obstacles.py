@@ -75,7 +75,7 @@ def drive(robot, model, want, steps, h=0.01, gamma=1.0, acceleration=10.0, q=Non
             q1, rate1 = guard.brake(q, rate, dt)
         for x in between(q, rate, q1, gamma, dt):
             assert not model.collides(x)
-        assert (np.abs(rate1 - rate) <= acceleration * dt * (1 + 1e-9) + 1e-12).all() or not np.isscalar(h)
+        assert (np.abs(rate1 - rate) <= acceleration * dt * (1 + 1e-9) + 1e-12).all()
         q, rate = q1, rate1
         Q.append(q)
     return np.array(Q), refused
@@ -108,6 +108,34 @@ def test_no_contact_with_any_brake(acceleration):
     robot, model, q = scene("hydrolek_7w")
     drive(robot, model, wanderer(robot, 3), 250, acceleration=acceleration, q=q)
     drive(robot, model, wanderer(robot, 4), 250, acceleration=acceleration, q=q, obey=False)
+
+
+@pytest.mark.parametrize("acceleration", [2.0, 10.0])
+@pytest.mark.parametrize("name", ["hydrolek_7w", "two_arms"])
+def test_accelerations_are_kept_however_the_step_changes(name, acceleration):
+    """A step of 10 us after one of 50 ms may hardly change the rates: the brake must have room for it."""
+    robot, model, q = scene(name)
+    h = 10.0 ** np.random.default_rng(11).uniform(-5.0, np.log10(0.05), 400)
+    for seed in range(2):
+        _, refused = drive(robot, model, wanderer(robot, seed, 100), 400, h, 1.0, acceleration, q, obey=False)
+        assert refused or name == "hydrolek_7w"
+
+
+@pytest.mark.parametrize("method", ["cv", "av", "ca", "aad"])
+def test_a_tracker_brakes_within_its_limits_in_steps_of_any_length(method):
+    robot = load("planar_3r")
+    way = [robot.fk(q).translation for q in np.linspace((0.2, 0.4, 0.4), (1.2, 0.9, 0.3), 120)]
+    model, top = ik.CollisionModel(robot).add_sphere(0.1, way[90], name="ball"), 4.0
+    tracker = ik.Tracker(
+        robot, method, q0=(0.2, 0.4, 0.4), acceleration_limits=top, avoid_collisions=model, dt_max=0.05
+    )
+    rng, rate, t, braked = np.random.default_rng(3), np.zeros(3), 0.0, 0
+    for dt in 10.0 ** rng.uniform(-5.0, np.log10(0.05), 300):
+        t += dt
+        step = tracker.update(way[min(int(t / 0.02), 119)], dt)
+        assert (np.abs(step.rate - rate) <= 1.001 * top * dt).all() and not model.collides(step.q)
+        rate, braked = step.rate, braked + (step.between is not None)
+    assert braked
 
 
 @pytest.mark.parametrize(("gamma", "acceleration"), [(1.0, 10.0), (0.5, np.inf), (0.6, np.inf)])
