@@ -97,7 +97,10 @@ def _numbers(targets: Any) -> np.ndarray:
     """Targets as an array of real numbers, see `errors.floats`; a view where they are one."""
     if masked(targets):
         raise InvalidTarget("targets must be numbers, and some of these are masked")
-    array = np.asarray(targets)
+    try:
+        array = np.asarray(targets)
+    except (TypeError, ValueError):
+        raise InvalidTarget(f"targets must be {STACKED}, not {type(targets).__name__}") from None
     if array.dtype.kind not in "fiu":
         raise InvalidTarget(f"targets must be numbers, not {array.dtype} of shape {array.shape}")
     return array
