@@ -37,7 +37,7 @@ def main() -> int:
         lap("batch")
     tracker = ik.Tracker(robot, q0=one.q)
     for k in range(20):
-        step = tracker.update(T.translation + (0.0, 0.0, 1e-4 * k), 0.01)
+        step = tracker.update(T.translation + np.array((0.0, 0.0, 1e-4 * k)), 0.01)
     off = np.linalg.norm(robot.fk(step.q).translation - T.translation - (0.0, 0.0, 1.9e-3))
     assert off < 1e-4 and step.status.name == "OK", step
     lap("tracker")

@@ -39,10 +39,6 @@ class BatchCheckFailed(IKError):
         self.target = target
         self.before = before
 
-    def __reduce__(self) -> tuple:
-        """Pickle by its arguments."""
-        return type(self), (self.result, self.target, self.before)
-
 
 class BatchResult:
     """Answers of a batch, row k belonging to target k.

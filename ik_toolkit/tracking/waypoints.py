@@ -31,7 +31,7 @@ def waypoints(
     (cubic, with C2 rotations) starts and ends at rest in position and needs scipy. Raises InvalidTarget, InvalidOption,
     MissingExtra.
     """
-    if not isinstance(targets, Iterable):
+    if not isinstance(targets, Iterable) or getattr(targets, "ndim", 1) == 0:
         raise InvalidTarget(f"waypoints are a list of poses or positions, not {type(targets).__name__}")
     pairs = [split(target) for target in targets]
     if len(pairs) < 2:
