@@ -123,16 +123,14 @@ def test_accelerations_are_kept_however_the_step_changes(name, acceleration):
 
 @pytest.mark.parametrize("method", ["cv", "av", "ca", "aad"])
 def test_a_tracker_brakes_within_its_limits_in_steps_of_any_length(method):
-    robot = load("planar_3r")
-    way = [robot.fk(q).translation for q in np.linspace((0.2, 0.4, 0.4), (1.2, 0.9, 0.3), 120)]
-    model, top = ik.CollisionModel(robot).add_sphere(0.1, way[90], name="ball"), 4.0
-    tracker = ik.Tracker(
-        robot, method, q0=(0.2, 0.4, 0.4), acceleration_limits=top, avoid_collisions=model, dt_max=0.05
-    )
-    rng, rate, t, braked = np.random.default_rng(3), np.zeros(3), 0.0, 0
-    for dt in 10.0 ** rng.uniform(-5.0, np.log10(0.05), 900):
+    robot = load("planar_2r")
+    way = [robot.fk(q).translation for q in np.linspace((0.2, 0.4), (1.2, 0.9), 91)]
+    model, top = ik.CollisionModel(robot).add_sphere(0.3, way[90], name="ball"), 4.0
+    tracker = ik.Tracker(robot, method, q0=(0.2, 0.4), acceleration_limits=top, avoid_collisions=model, dt_max=0.05)
+    rng, rate, t, braked = np.random.default_rng(3), np.zeros(2), 0.0, 0
+    for dt in 10.0 ** rng.uniform(-5.0, np.log10(0.05), 400):
         t += dt
-        step = tracker.update(way[min(int(t / 0.006), 119)], dt)
+        step = tracker.update(way[min(int(t / 0.006), 90)], dt)
         assert (np.abs(step.rate - rate) <= 1.001 * top * dt).all() and not model.collides(step.q)
         rate, braked = step.rate, braked + (step.between is not None)
     assert braked
