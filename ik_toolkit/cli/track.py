@@ -237,27 +237,9 @@ def track(
     tips = choose_tips(robot, tip, None, relative, False, group)
     arm = load_robot(robot, tips, base, lock, package_dir, deg, xacro_arg, base_xyz, base_rpy, srdf, group)
     first = None if q0 is None else joint_vector(arm, q0, "--q0", deg)
-    from ..tracking.track import TrackInterrupted
-
-    stopped = None
-    try:
-        with progress("tracking", None):
-            asked = asked_path(arm, line, first, counts)
-            doubt_metres(arm, asked.reference)
-            result = _run(arm, line, asked, counts)
-    except TrackInterrupted as stop:
-        if output is not None:
-            _keep(stop.result, output)
-        raise
-    if output is not None:
-        with uninterrupted():
-            notice(f"wrote {result.save(output)}")
-    if plot is not None:
-        from ..show.plot import plot as draw
-
-        draw(result, arm, file=plot)
-        notice(f"wrote {plot}")
-    tried: list[str] = []
+    asked, result = _follow(arm, line, first, counts)
+    _write(result, arm, line)
+    stopped, tried = None, []
     try:
         if result.reach is not None:
             tried = _changes(arm, line, asked, first, result.reach, counts)
@@ -279,12 +261,34 @@ def track(
         raise typer.Exit(1)
 
 
-def _keep(part: "TrackResult", output: Path) -> None:
-    """Keep what an interrupted run has reached beside the file asked for."""
-    with uninterrupted():
-        kept = partial(output)
-        part.save(output.with_name(f"{output.stem}.part{output.suffix}")).replace(kept)
-        notice(f"partial: {part.message.partition('; ')[0].rstrip('.')}, in {kept}")
+def _follow(arm: Any, line: SimpleNamespace, first: Any, counts: dict[str, Any]) -> "tuple[Asked, TrackResult]":
+    """What was asked for, and the run; of an interrupted one the part that is done is kept beside the file asked for."""
+    from ..tracking.track import TrackInterrupted
+
+    try:
+        with progress("tracking", None):
+            asked = asked_path(arm, line, first, counts)
+            doubt_metres(arm, asked.reference)
+            return asked, _run(arm, line, asked, counts)
+    except TrackInterrupted as stop:
+        if line.output is not None:
+            with uninterrupted():
+                part, kept = stop.result, partial(line.output)
+                part.save(line.output.with_name(f"{line.output.stem}.part{line.output.suffix}")).replace(kept)
+                notice(f"partial: {part.message.partition('; ')[0].rstrip('.')}, in {kept}")
+        raise
+
+
+def _write(result: "TrackResult", arm: Any, line: SimpleNamespace) -> None:
+    """Write the files asked for."""
+    if line.output is not None:
+        with uninterrupted():
+            notice(f"wrote {result.save(line.output)}")
+    if line.plot is not None:
+        from ..show.plot import plot as draw
+
+        draw(result, arm, file=line.plot)
+        notice(f"wrote {line.plot}")
 
 
 def _run(

@@ -92,8 +92,14 @@ HELD = {
         lambda made: (made.q, made.message, made.complete),
     ),
     "DHTable": (lambda: hydrolek().dh() if hasattr(hydrolek(), "dh") else None, repr),
-    "Step": (lambda: moving(hydrolek()).update(poses(hydrolek())[30], 0.05), lambda step: (step.q, step.rate, step.status, step.reason)),
-    "spline": (lambda: ik.waypoints([(1, 0, 0), (1, 1, 0), (0, 1, 0)], times=(0, 1, 2), law="spline"), lambda one: one.at(0.3)),
+    "Step": (
+        lambda: moving(hydrolek()).update(poses(hydrolek())[30], 0.05),
+        lambda step: (step.q, step.rate, step.status, step.reason),
+    ),
+    "spline": (
+        lambda: ik.waypoints([(1, 0, 0), (1, 1, 0), (0, 1, 0)], times=(0, 1, 2), law="spline"),
+        lambda one: one.at(0.3),
+    ),
     "legs": (lambda: ik.waypoints([(1, 0, 0), (1, 1, 0)], duration=2), lambda one: one.at(0.3)),
     "lissajous": (lambda: ik.lissajous((1, 0, 0)), lambda one: one.at(0.3)),
     "there and back": (lambda: ik.line((1, 0, 0), (1, 1, 0), duration=2, rounds=2), lambda one: one.at(0.3)),

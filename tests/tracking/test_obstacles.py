@@ -6,7 +6,6 @@ import pytest
 from robots import have_data, load
 
 import ik_toolkit as ik
-from ik_toolkit.errors import InvalidConfiguration, InvalidOption
 from ik_toolkit.kernel import box
 from ik_toolkit.kernel.brake import brake
 from ik_toolkit.robot import clearance
@@ -119,21 +118,6 @@ def test_accelerations_are_kept_however_the_step_changes(name, acceleration):
     for seed in range(2):
         _, refused = drive(robot, model, wanderer(robot, seed, 100), 400, h, 1.0, acceleration, q, obey=False)
         assert refused or name == "hydrolek_7w"
-
-
-@pytest.mark.parametrize("method", ["cv", "av", "ca", "aad"])
-def test_a_tracker_brakes_within_its_limits_in_steps_of_any_length(method):
-    robot = load("planar_2r")
-    way = [robot.fk(q).translation for q in np.linspace((0.2, 0.4), (1.2, 0.9), 91)]
-    model, top = ik.CollisionModel(robot).add_sphere(0.3, way[90], name="ball"), 4.0
-    tracker = ik.Tracker(robot, method, q0=(0.2, 0.4), acceleration_limits=top, avoid_collisions=model, dt_max=0.05)
-    rng, rate, t, braked = np.random.default_rng(3), np.zeros(2), 0.0, 0
-    for dt in 10.0 ** rng.uniform(-5.0, np.log10(0.05), 400):
-        t += dt
-        step = tracker.update(way[min(int(t / 0.006), 90)], dt)
-        assert (np.abs(step.rate - rate) <= 1.001 * top * dt).all() and not model.collides(step.q)
-        rate, braked = step.rate, braked + (step.between is not None)
-    assert braked
 
 
 @pytest.mark.parametrize(("gamma", "acceleration"), [(1.0, 10.0), (0.5, np.inf), (0.6, np.inf)])
@@ -337,17 +321,6 @@ def test_a_run_stops_before_what_is_in_its_way(on_limit):
     assert ("A joint limit was active" in result.message) == (limits > 0)
     assert result.figures["time_at_limits"] == pytest.approx(0.02 * limits)
     assert not any(model.collides(q) for q in result.q)
-
-
-def test_what_may_be_asked_of_a_tracker():
-    robot, model, q = ball_in_the_way(0.3)
-    for asked, message in (("yes", "avoid_collisions"), (ik.CollisionModel(load("hydrolek_7w")), "another Robot")):
-        with pytest.raises(InvalidOption, match=message):
-            ik.Tracker(robot, q0=q, avoid_collisions=asked)
-    model.add_sphere(0.2, robot.fk(q), "knot")
-    with pytest.raises(InvalidConfiguration, match="'link_2' touches 'knot'"):
-        ik.Tracker(robot, q0=q, avoid_collisions=model)
-    ik.Tracker(robot, q0=-q, avoid_collisions=True)
 
 
 def test_measured_into_a_contact_it_holds():
