@@ -294,7 +294,7 @@ def _numbers(texts: list[str], columns: list[int], width: int, lines: list[int],
         if len(row) != width:
             hint = "; are decimals written with a comma?" if len(row) > width else ""
             more = "more" if len(row) > width else "fewer"
-            raise InvalidTarget(f"'{name}', line {k}: {len(row)} columns, {more} than the {width} of the header{hint}")
+            raise InvalidTarget(f"'{name}', line {k}: {len(row)} columns, {more} than in the header{hint}")
         for column in columns:
             try:
                 good = np.isfinite(float(row[column]))

@@ -7,6 +7,7 @@ import multiprocessing
 import pickle
 import pkgutil
 from enum import Enum
+from typing import NamedTuple
 
 import numpy as np
 import pytest
@@ -215,7 +216,15 @@ def follow(tracker, targets):
 
 
 def test_what_another_process_would_not_find_is_refused_by_name():
+    @ik.rule
+    class Local(NamedTuple):
+        gain: float = 0.1
+
+        def step(self, p, e):
+            return 0
+
     for thing, what in (
+        (ik.Solver(robots.load("planar_2r"), Local), "the rule of"),
         (ik.Reference(lambda t: t, 1.0), "the function of this reference"),
         (moving(hydrolek(), 1, cost=lambda q: float(q @ q)), "the cost"),
     ):
