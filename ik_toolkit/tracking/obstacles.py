@@ -301,7 +301,7 @@ class Guard:
         space, u, end = self._space, 0.0, len(path.q) - 1.0
         way = path.q, path.rate, path.length, self.gamma, path.h
         q, gone = np.empty(self.robot.n), np.empty(self.robot.n)
-        aside = 0.0 if path.aside is None else levers[ks] @ path.aside[space.coordinates]
+        aside = np.zeros(len(ks)) if path.aside is None else levers[ks] @ path.aside[space.coordinates]
         distances = self._low[ks] - aside
         nearest = np.clip(0.5 * distances, CONTACT, NEAREST)
         for _ in range(LOOKS):
@@ -311,8 +311,7 @@ class Guard:
             left = free < end
             if not left.any():
                 return None
-            ks, free, nearest = ks[left], free[left], nearest[left]
-            aside = aside if np.isscalar(aside) else aside[left]
+            ks, free, nearest, aside = ks[left], free[left], nearest[left], aside[left]
             before, u = u, free.min()
             if u <= before:
                 return space.name(int(ks[np.argmin(free)]))
