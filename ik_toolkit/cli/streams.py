@@ -45,7 +45,8 @@ def stoppable(came: list[int]) -> Iterator[None]:
 
     def dropped(what: Any) -> None:
         if came and issubclass(what.exc_type, KeyboardInterrupt):
-            threading.Timer(RAISED_AGAIN, signal.raise_signal, [came[-1]]).start()
+            main = threading.main_thread().ident  # which may be waiting
+            threading.Timer(RAISED_AGAIN, signal.pthread_kill, [main, came[-1]]).start()
         else:
             show_dropped(what)
 

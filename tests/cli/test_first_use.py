@@ -112,7 +112,7 @@ with first_use.only_one(Path(sys.argv[1])):
 )
 def test_a_compiler_that_died_in_the_background_is_reported(tmp_path, end, dead, monkeypatch, capsys):
     place = folder(tmp_path)
-    place.mkdir(parents=True)
+    place.mkdir(parents=True, exist_ok=True)
     with open(place / first_use.LOG, "wb") as log:
         subprocess.run(
             [sys.executable, "-c", DYING.format(end=end), place], stdout=log, stderr=subprocess.DEVNULL, check=False

@@ -99,13 +99,13 @@ def cases():
         for when in (1, 2, 4):
             for number in SIGNALS:
                 chosen = number == [*SIGNALS][k % 2] and when == (4 if name != "tune" else 1)
-                quick = chosen or (name == "bench" and number == signal.SIGINT)
+                quick = (chosen and name != "reproduce") or (name == "bench" and number == signal.SIGINT)
                 yield pytest.param(
                     name, number, when, marks=() if quick else pytest.mark.slow, id=f"{name}-{number.name}-{when}"
                 )
 
 
-@pytest.mark.parametrize(("name", "number", "when"), cases())
+@pytest.mark.parametrize(("name", "number", "when"), [*cases()])
 def test_a_stopped_command_keeps_what_is_finished(name, number, when, tmp_path, monkeypatch, capsys):
     words, arrange, rows, most = COMMANDS[name]
     monkeypatch.chdir(tmp_path)
