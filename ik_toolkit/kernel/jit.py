@@ -15,7 +15,7 @@ from numba.extending import overload, overload_method, register_jitable
 
 from .cache import make_cache
 
-# Releases of numba whose private interfaces parts.py and quick.py were tried with; scripts/try_numba.sh tries another. Without
+# Releases of numba whose private interfaces parts.py and quick.py were tried with; scripts/try_numba.py tries another. Without
 # the two a release raises at best, and at worst LLVM ends the process, so any other compiles in its usual, slower way.
 TRIED = ("0.66", "0.67", "0.68")
 OWN_WAY = ".".join(numba.__version__.split(".")[:2]) in TRIED
