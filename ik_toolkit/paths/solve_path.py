@@ -8,7 +8,7 @@ from typing import Any, Unpack
 
 import numpy as np
 
-from ..errors import InvalidOption, InvalidTarget, check_progress, floats, whole
+from ..errors import InvalidOption, InvalidTarget, Portable, check_progress, floats, whole
 from ..robot.constraints import first_open
 from ..robot.pose import FAR, LAST
 from ..robot.robot import Robot
@@ -48,7 +48,7 @@ NOT_HERE = (
 )
 
 
-class PathInterrupted(KeyboardInterrupt):
+class PathInterrupted(Portable, KeyboardInterrupt):
     """Ctrl-C during a path search; `result` is the PathResult of the best path so far."""
 
     def __init__(self, result: PathResult) -> None:

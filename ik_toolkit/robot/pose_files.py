@@ -22,6 +22,7 @@ from typing import Any, NamedTuple, TextIO
 import numpy as np
 
 from ..errors import IKError, InvalidTarget, floats, near_match
+from ..files import without_mark
 from .pose import rpy_matrix
 
 LINES = 16384  # rows read at a time
@@ -64,7 +65,7 @@ def read_poses(
         with path.open("rb") as stream:
             rows = max(sum(block.count(b"\n") for block in iter(lambda: stream.read(1 << 20), b"")) - 1, 0)
         columns = _tip_columns(path, tips) if tips else {"": _header(path, times)}
-        return rows, _read_csv(path, columns, times, deg)
+        return rows, _read_csv(path, columns, len(_first_line(path)), times, deg)
     except InvalidTarget:
         raise
     except Exception as error:  # damaged files raise many types: zip, zlib, lzma, npy and csv errors
@@ -214,7 +215,7 @@ def _lines(stream: TextIO, name: str) -> Iterator[str]:
 def _first_line(path: Path) -> list[str]:
     """Names of the columns."""
     with path.open(newline="", encoding="utf-8-sig") as stream:
-        return [cell.strip() for cell in next(csv.reader(_lines(stream, path.name)), [])]
+        return [without_mark(cell.strip()) for cell in next(csv.reader(_lines(stream, path.name)), [])]
 
 
 def _header(path: Path, times: bool) -> list[int]:
@@ -232,6 +233,7 @@ def _places(header: list[str], file: str, needed: list[str], prefix: str) -> lis
     if missing:
         raise InvalidTarget(
             f"'{file}' has no column {', '.join(missing)}; its first line must be {forms}, not {_short(','.join(header))}"
+            f"{_other_separator(header)}"
         )
     quat, rpy = ([name for name in names if name in header] for names in (every_quat, every_rpy))
     if (quat and rpy) or len(quat) not in (0, 4) or len(rpy) not in (0, 3):
@@ -241,6 +243,14 @@ def _places(header: list[str], file: str, needed: list[str], prefix: str) -> lis
     if twice:
         raise InvalidTarget(f"'{file}' has the column {', '.join(twice)} more than once")
     return [header.index(name) for name in names]
+
+
+def _other_separator(header: list[str]) -> str:
+    """Sentence tail for a first line whose names are separated by something else."""
+    other = next(
+        (name for mark, name in ((";", "semicolons"), ("\t", "tabs")) if len(header) == 1 and mark in header[0]), ""
+    )
+    return f" (not {other}: columns are separated by commas, and decimals written with a point)" if other else ""
 
 
 def _tip_columns(path: Path, tips: Sequence[str]) -> dict[str, list[int]]:
@@ -263,20 +273,20 @@ def _tip_columns(path: Path, tips: Sequence[str]) -> dict[str, list[int]]:
         forms = ",".join(f"{tip}.{name}" for tip in tips for name in POSITION)
         raise InvalidTarget(
             f"'{path.name}' has no columns of {', '.join(tips)}; its first line is {forms}, with .qx,.qy,.qz,.qw or "
-            f".roll,.pitch,.yaw of a tip for its poses, not {_short(','.join(header))}"
+            f".roll,.pitch,.yaw of a tip for its poses, not {_short(','.join(header))}{_other_separator(header)}"
         )
     return found
 
 
-def _read_csv(path: Path, columns: dict[str, list[int]], times: bool, deg: bool) -> Iterator[Block]:
-    """Blocks of a file; columns: indices by tip ('' for poses without a name)."""
+def _read_csv(path: Path, columns: dict[str, list[int]], width: int, times: bool, deg: bool) -> Iterator[Block]:
+    """Blocks of a file; columns: indices by tip ('' for poses without a name); width: columns of the first line."""
     every = [place for places in columns.values() for place in places]
     try:
         with path.open(newline="", encoding="utf-8-sig") as stream:
             numbered = ((k, line) for k, line in enumerate(_lines(stream, path.name), 1) if k > 1 and line.strip())
             while block := list(islice(numbered, LINES)):
                 lines = [k for k, _ in block]
-                values = _numbers([line for _, line in block], every, lines, path.name)
+                values = _numbers([line for _, line in block], every, width, lines, path.name)
                 t, values = (values[:, 0], values[:, 1:]) if times else (None, values)
                 made, first = {}, 0
                 for tip, places in columns.items():
@@ -297,9 +307,11 @@ def _part(values: np.ndarray, lines: list[int], name: str, deg: bool, prefix: st
     return _poses(xyz, np.radians(angles) if deg and kind is RPY else angles, kind, lines, name, "line", prefix)
 
 
-def _numbers(texts: list[str], columns: list[int], lines: list[int], name: str) -> np.ndarray:
-    """Finite numbers (m, columns) from lines of text."""
+def _numbers(texts: list[str], columns: list[int], width: int, lines: list[int], name: str) -> np.ndarray:
+    """Finite numbers (m, columns) from lines of text, each with `width` columns."""
     try:
+        if any(text.count(",") != width - 1 for text in texts):  # or a comma in quotes
+            raise ValueError
         values = np.loadtxt(texts, delimiter=",", usecols=columns, ndmin=2, comments=None, quotechar='"')
         if len(values) == len(texts) and np.isfinite(values).all():
             return values
@@ -311,8 +323,10 @@ def _numbers(texts: list[str], columns: list[int], lines: list[int], name: str) 
             row = next(csv.reader([text], strict=True))
         except csv.Error as error:
             raise InvalidTarget(f"'{name}', line {k}: {_said(error)}; unclosed quote?") from None
-        if len(row) <= max(columns):
-            raise InvalidTarget(f"'{name}', line {k}: {len(row)} columns, fewer than in the header")
+        if len(row) != width:
+            hint = "; are decimals written with a comma?" if len(row) > width else ""
+            more = "more" if len(row) > width else "fewer"
+            raise InvalidTarget(f"'{name}', line {k}: {len(row)} columns, {more} than in the header{hint}")
         for column in columns:
             try:
                 good = np.isfinite(float(row[column]))

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..errors import InvalidConfiguration
+from ..files import without_mark
 from ..robot.joints import Joints
 from ..robot.pose_files import check_arrays
 from .parts import Shape, need_trimesh, smooth
@@ -213,7 +214,10 @@ def _read(path: Path) -> tuple[list[str], np.ndarray, np.ndarray | None]:
         raise ValueError("the file must be .csv, .npz or .json")
     with path.open(newline="", encoding="utf-8") as stream:
         rows = csv.reader(stream)
-        head = next(rows)
-        values = np.array([[float(x) if x else np.nan for x in row] for row in rows]).reshape(-1, len(head))
+        head, cells = [without_mark(name) for name in next(rows)], list(rows)
+    for k, row in enumerate(cells, 2):
+        if len(row) != len(head):
+            raise ValueError(f"line {k} has {len(row)} columns, and the header {len(head)}")
+    values = np.array([[float(x) if x else np.nan for x in row] for row in cells]).reshape(-1, len(head))
     t = values[:, head.index("t")] if head[0] == "t" else None
     return [name.removeprefix("q_") if t is not None else name for name in head], values, t

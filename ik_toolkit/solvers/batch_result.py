@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 
-from ..errors import IKError
+from ..errors import IKError, Portable
 from ..kernel.records import ANSWER, AT, MISS
 from ..readonly import ReadOnly
 from .avoid import collision_model
@@ -13,7 +13,7 @@ from .result import SPOKEN, Outcome, Result
 from .status import Status, count_statuses
 
 
-class BatchInterrupted(KeyboardInterrupt):
+class BatchInterrupted(Portable, KeyboardInterrupt):
     """Ctrl-C during a batch; `result` is the BatchResult of the targets finished before it, from the first on."""
 
     def __init__(self, result: "BatchResult") -> None:
@@ -39,10 +39,6 @@ class BatchCheckFailed(IKError):
         self.result = result
         self.target = target
         self.before = before
-
-    def __reduce__(self) -> tuple:
-        """Pickle by its arguments."""
-        return type(self), (self.result, self.target, self.before)
 
 
 class BatchResult(ReadOnly):

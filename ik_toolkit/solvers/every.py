@@ -22,7 +22,8 @@ def find_all(solver: Any, target: Any, q0: Any, starts: int, count: int) -> Any:
     """Solutions of a target, or SolutionsBatch of (N, 4, 4) or (N, 3) targets, by a bound solver: see `Solver.all`."""
     starts, count = whole(starts, "starts"), whole(count, "count")
     several = solver.robot.by_tip
-    shape: tuple[int, ...] = getattr(target, "shape", ())
+    shape = getattr(target, "shape", ())
+    shape = shape if isinstance(shape, tuple) else ()
     if len(shape) == 3 + several or (len(shape) == 2 + several and shape[len(shape) - 1] == 3):
         return SolutionsBatch([find_all(solver, one, q0, starts, count) for one in target])
     T, kinds, notice = _read(solver.robot, target)

@@ -74,8 +74,3 @@ def changed_limits(robot: Robot | Tree, rows: np.ndarray, given: Mapping[str, An
     if (rows[0] > rows[1]).any():
         raise InvalidOption("lower limits must not be above the upper ones")
     return rows
-
-
-def read_mode(on_limit: Any, modes: Mapping[str, int]) -> int:
-    """Number of a way to treat limits. Raises InvalidOption."""
-    return modes[one_of(on_limit, modes, "on_limit")]

@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 
+from ..copying import Blocks
 from ..errors import InvalidConfiguration, InvalidOption
 from ..kernel import box, motion
 from ..kernel.arrival import STAND
@@ -20,9 +21,9 @@ from ..robot.robot import Robot
 from ..robot.tree import Tree
 from ..solvers.avoid import collision_model
 from .engine import bind
-from .inputs import LATE, parts_of, positive, rates, switch
+from .inputs import LATE, one_of, parts_of, positive, rates, switch
 from .leap import STRAIGHT, Leap
-from .limits import INSTEAD, LIMIT_NAMES, changed_limits, limit_rows, read_mode, speeds
+from .limits import INSTEAD, LIMIT_NAMES, changed_limits, limit_rows, speeds
 from .methods import Method
 from .obstacles import ROWS, Guard
 from .postures import REACHED, Postures, Taken
@@ -38,14 +39,15 @@ MODES = {"direct": DIRECT, "leave": LEAVE, "clip": CLIP}
 LAWS_KEPT = 64  # lengths of a step for which the numbers of a method are kept
 
 
-class Tracker(ReadOnly):
+class Tracker(Blocks, ReadOnly):
     """Follow targets that arrive one by one.
 
     robot: a Robot, or a Tree (several tips). method: cv, av, ca, aa, aad with its options, see `Method`, or a solver that
     tracks. q0 (n,): start, default home. rate0 (n,): joint rate at the start, default the target's (at rest when acceleration
     limits are given). limits: keep the robot's joint limits (or narrower ones, as in `ik.solve`) and its speeds, and
-    accelerations [rad/s^2 or m/s^2] when acceleration_limits gives them (number or (n,)): at every sample and in between, for
-    any dt up to dt_max [s] (default five times the first; a longer step is taken in parts). A joint outside is brought back.
+    accelerations [rad/s^2 or m/s^2] when acceleration_limits gives them (number or (n,)), for any dt up to dt_max [s] (default
+    five times the first; a longer step is taken in parts); between samples, too, but cv, av and solvers change rates at once. A
+    joint outside is brought back.
 
     on_limit: what gives way where limits bind. "direct": the tip falls behind, but towards its target (for an operator);
     "leave": the error is the least possible now; "clip": the published form, each joint clipped on its own.
@@ -71,6 +73,7 @@ class Tracker(ReadOnly):
     """
 
     _INSTEAD = INSTEAD
+    VIEWS, SHARED = ("_code", "_error", "_limits", "_q", "_rate", "_state"), ("robot", "_world")
 
     def __init__(
         self,
@@ -100,7 +103,7 @@ class Tracker(ReadOnly):
             raise InvalidOption(f"tracking takes a Robot (see Robot.load) or a Tree, not {type(robot).__name__}")
         robot, limits = self.robot, limits = with_limits(robot, limits)
         self.engine = bind(robot, method, limits, options, Tracker.__init__.__kwdefaults__ or ())
-        self._mode = read_mode(on_limit, MODES)
+        self._mode = MODES[one_of(on_limit, MODES, "on_limit")]
         self.jump, self.resync = positive(jump, "jump"), positive(resync, "resync")
         self._limits = limit_rows(robot, limits, acceleration_limits)
         self._speed = speeds(self._limits) * robot.chain.unit
@@ -109,10 +112,10 @@ class Tracker(ReadOnly):
         self.secondary: Secondary = read_secondary(robot, avoid_limits, posture, elbow, manipulability, cost)
         self.secondary.confine(self._limits)
         self.stream = Stream(robot)
+        self._world = None if avoid_collisions is False else collision_model(robot, avoid_collisions)
         self._guard: Guard | None = None
-        if avoid_collisions is not False:
-            model = collision_model(robot, avoid_collisions)
-            self._guard = Guard(robot, model, self._limits * robot.chain.unit, self.engine.gamma)
+        if self._world is not None:
+            self._guard = Guard(robot, self._world, self._limits * robot.chain.unit, self.engine.gamma)
         n, m = robot.n, 6 * self.stream.tips
         self._postures: Postures | None = None
         self._ways: list[Leap | Reconfiguration] = []  # what leads the joints where the method would not, or too slowly
@@ -120,16 +123,13 @@ class Tracker(ReadOnly):
         longest = math.inf if isinstance(straight, float) and straight == math.inf else positive(straight, "straight")
         if limits and self._mode == DIRECT:
             self._postures = Postures(robot, self.engine.options, speeds(self._limits))
-            other = Reconfiguration(robot, self._postures, self._guard and self._guard.model) if elsewhere else None
+            other = Reconfiguration(robot, self._postures, self._world) if elsewhere else None
             self._ways = [Leap(self._postures, self.engine.chosen, longest, other), *([other] if other else [])]
         self._settings, self._out, self._here = new_settings(n, m, ROWS), new_record(2, n, m), new_record(1, n, m)
         for part, values in ((self._settings.limits, self._limits), (self._settings.wish, self.secondary.wish)):
             part[:] = values
-        self._code, self._error = self._out.C[0], self._out.E[1]
-        self._limits, self.secondary.wish = self._settings.limits, self._settings.wish
         self._carried = new_carried(n, self.engine.memory, ROWS + 2 * m + 1, m)  # two rows for each slack
-        self._q, self._rate = self._carried.motion
-        self._state = self._carried.state
+        self._cut()
         self._units = np.array([robot.chain.unit, robot.chain.unit])
         self._rows = 0
         self._laws: dict[tuple[float, bool], np.ndarray] = {}
@@ -138,6 +138,12 @@ class Tracker(ReadOnly):
         self._goes: Leap | Reconfiguration | None = None  # what the last step was taken by
         self.reset(q0, rate0=rate0)
         self._seal()
+
+    def _cut(self) -> None:
+        """Take the views of what the loop reads and writes."""
+        self._code, self._error = self._out.C[0], self._out.E[1]
+        self._limits, self.secondary.wish = self._settings.limits, self._settings.wish
+        (self._q, self._rate), self._state = self._carried.motion, self._carried.state
 
     def reset(
         self, q0: Any = None, target: Any = None, twist: Any = None, acceleration: Any = None, *, rate0: Any = None
