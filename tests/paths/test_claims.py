@@ -1,0 +1,64 @@
+"""What the result of a path claims beyond its motion: how few reconfigurations there can be, and that contact is ruled out."""
+
+import numpy as np
+import pytest
+from robots import urdf
+
+import ik_toolkit as ik
+from ik_toolkit.paths.result import PathStatus
+
+WOUND = urdf(
+    dict(kind="revolute", xyz="0 0 0", limits=(-1.0, 1.0)),
+    dict(kind="revolute", xyz="1 0 0", limits=(-1.0, 1.0)),
+    dict(kind="revolute", xyz="1 0 0", limits=(-3.5, 3.5)),
+)
+
+
+def planar_pose(x, y, angle):
+    T = np.eye(4)
+    T[:2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
+    T[:2, 3] = x, y
+    return T
+
+
+def spun(degrees):
+    """Path of a tip that turns on the spot, by an arm whose last joint has 401 degrees."""
+    return ik.solve_path(ik.Robot.load(WOUND), np.array([planar_pose(1.8, 0.1, x) for x in np.radians(degrees)]))
+
+
+# ------------------------------------------------------------------------------------------------- how few there can be
+def test_fewest_is_called_proven_only_where_the_bound_is_the_number():
+    """The last joint has 401 degrees, so 800 take three pieces."""
+    dense = spun(np.arange(0.0, 801.0, 2.5))
+    assert dense.status == PathStatus.RECONFIGURES and len(dense.reconfigurations) == 2 == dense.lower_bound
+    assert "with 2 reconfigurations (provably the fewest), after pose" in dense.message
+    # Between poses far apart several breaks would count as one, so no more than one is proven to be needed.
+    coarse = spun(np.arange(0.0, 801.0, 100.0))
+    assert coarse.status == PathStatus.RECONFIGURES and len(coarse.reconfigurations) == 2
+    assert coarse.lower_bound == 1 and "with 2 reconfigurations (the fewest found), after pose" in coarse.message
+
+
+def test_nothing_is_proven_where_a_turn_between_two_poses_may_go_either_way():
+    """At the end it turns by 180 degrees from one pose to the next."""
+    either = spun([*np.arange(0.0, 451.0, 2.5), 630.0])
+    assert either.status == PathStatus.RECONFIGURES and len(either.reconfigurations) == 1
+    assert either.lower_bound is None and "with 1 reconfiguration (the fewest found), after pose" in either.message
+
+
+# ------------------------------------------------------------------------------------------------------------- contact
+def test_a_motion_too_close_to_rule_out_contact_is_said_to_be():
+    """A plate over an arm that moves in a plane: the gap of its ball is the same all the way."""
+    text = urdf(
+        dict(kind="revolute", xyz="0 0 0"), *[dict(kind="revolute", xyz="0.7 0 0")] * 2, dict(kind="fixed", xyz="1 0 0")
+    )
+    ball = '<link name="l4"><collision><geometry><sphere radius="0.05"/></geometry></collision></link>'
+    robot = ik.Robot.load(text.replace('<link name="l4"/>', ball))
+    points = np.array([robot.fk(q).translation for q in np.linspace([0.3, 0.8, 0.5], [0.302, 0.802, 0.5], 2)])
+    for gap, proven in ((5e-5, False), (5e-4, True)):
+        model = ik.CollisionModel(robot).add_box((9.0, 9.0, 0.01), (0.0, 0.0, 0.055 + gap), name="plate")
+        made = ik.solve_path(robot, points, avoid_collisions=model)
+        assert made.status == PathStatus.FOLLOWED and not made.continuity.contacts
+        places = made.continuity.unproven
+        assert (not places) == proven and (made.continuity.clearance > 0.0) == proven
+        told = f"; at {len(places)} place{'s' * (len(places) != 1)} shapes are too close to rule out contact"
+        assert made.message.endswith("rad" if proven else told)
