@@ -1,7 +1,6 @@
 """What the result of a path claims beyond its motion: how few reconfigurations there can be, and that contact is ruled out."""
 
 import numpy as np
-import pytest
 from robots import urdf
 
 import ik_toolkit as ik

@@ -39,7 +39,7 @@ def test_a_start_given_again_finds_the_same():
 def test_a_path_holds_them_where_its_start_has_them():
     robot = robots.load("inspection_7dof")
     q0 = robot.home + 0.03
-    Q = np.linspace(q0, q0 + [0.2, 0.0, 0.1, -0.1, 0.2, 0.1, 0.0], 8)
+    Q = np.linspace(q0, q0 + np.array([0.2, 0.0, 0.1, -0.1, 0.2, 0.1, 0.0]), 8)
     points = np.array([robot.fk(q).translation for q in Q])
     for start in (q0, None):
         made = ik.solve_path(robot, points, q0=start, joint_weights=WEIGHTS)

@@ -19,7 +19,7 @@ def arm():
 @pytest.fixture(scope="module")
 def line(arm):
     start = arm.fk(arm.home).translation
-    return ik.line(start, start + [0.0, 0.05, 0.02], duration=DURATION)
+    return ik.line(start, start + np.array([0.0, 0.05, 0.02]), duration=DURATION)
 
 
 def test_what_happens_before_it_is_not_judged(arm, line):
