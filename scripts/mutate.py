@@ -61,8 +61,9 @@ TESTS = tuple(
 )  # fmt: skip
 SLOW, SLOW_IN_ROOM = 0.8, 4.0  # [s] processor time of a test, uncompiled or not: slower ones are not used
 COMPILING = 120.0  # [s] longest test of a room that needs kernels that are not on disk
+ROOMS = ("robot", "paths", "tracking", "solvers")
 OUTPUT_ROOMS = OUTPUT.with_name("mutation_rooms.json")
-ENOUGH = 8.0  # [s] most test time spent on a surviving mutant
+ENOUGH, ENOUGH_IN_ROOM = 8.0, 5.0  # [s] most test time spent on a surviving mutant
 TOO_LONG, LEAST = 10.0, 4.0  # multiple of a test's time, and [s], after which it counts as an endless loop
 DEAD = ("killed", "timeout")
 
@@ -112,7 +113,7 @@ def in_forks(tasks: list, work: Callable[[Any], Any], seconds: Callable[[Any], f
             if pid == 0:
                 in_fork(work, task)
             running[pid] = task, time.monotonic() + seconds(task)
-        time.sleep(0.005)
+        time.sleep(0.02)
         for pid, (task, ends) in list(running.items()):
             late = time.monotonic() > ends
             if late:
@@ -147,7 +148,8 @@ class Run:
     def __init__(self, given: argparse.Namespace) -> None:
         self.given, self.outcome = given, Outcome()
         self.slow = SLOW_IN_ROOM if given.rooms else SLOW
-        chosen = [f for f in changing.files() if not given.rooms or f.split("/")[0] in given.rooms]
+        chosen = {*ROOMS, *given.rooms}  # what is looked at does not depend on which of the usual rooms are changed
+        chosen = [f for f in changing.files() if not given.rooms or f.split("/")[0] in chosen]
         self.stamps = {f: stamp(changing.HOME / f) for f in chosen}
         self.kills: dict[str, int] = defaultdict(int)
         self.tests: dict[str, dict] = {}
@@ -232,14 +234,16 @@ class Run:
         total, taken = 0.0, []
         for name in sorted(names, key=lambda n: (n != first, self.tests[n]["seconds"] / (1 + self.kills[n]))):
             total += self.tests[name]["seconds"]
-            if taken and total > ENOUGH:
+            if taken and total > (ENOUGH_IN_ROOM if self.given.rooms else ENOUGH):
                 break
             taken.append(name)
         return taken
 
     def plant_all(self) -> None:
         """Try mutants not yet tried on these tests, and write the shares."""
-        wanted = self.given.files or [f for f in self.stamps if self.given.rooms or f not in LEFT_OUT]
+        rooms = self.given.rooms
+        usual = [f for f in self.stamps if (f.split("/")[0] in rooms if rooms else f not in LEFT_OUT)]
+        wanted = self.given.files or usual
         every = [m for f in wanted for m in mutants(f)]
         shuffle(every, self.given.seed, by_line=bool(self.given.rooms))
         todo = every[: self.given.sample] if self.given.sample else every
