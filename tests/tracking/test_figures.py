@@ -154,3 +154,55 @@ def test_a_path_that_is_only_too_fast_says_how_much(flat):
     told = f"Every pose can be reached, but {joint} would need {share:.3g} times its speed limit: go slower."
     assert run.message.endswith(told)
     assert reach.to_dict()["speed"] == {"share_of_limit": share, "joint": joint} and reach.to_dict()["whole"]
+
+
+# ------------------------------------------------------------------------------------------------------ what is written
+def test_every_array_is_in_the_files(arm, tmp_path):
+    run = ik.track(arm, pose_line(arm, arm.home, arm.home + 0.1, 0.3), "cv", q0=arm.home, rate0=np.zeros(arm.n))
+    names = (
+        "t", "q", "rate", "xyz", "target_xyz", "position_error", "orientation_error", "limited", "damped", "clock", "sigma",
+        "pace", "between_position", "between_orientation",
+    )  # fmt: skip
+    with np.load(run.save(tmp_path / "run.npz")) as file:
+        assert set(file.files) == {*names, "joint_names"} and file["joint_names"].tolist() == list(arm.joint_names)
+        for name in names:
+            np.testing.assert_array_equal(file[name], getattr(run, name))
+    text = run.save(tmp_path / "run.csv").read_text().splitlines()
+    joints = [f"q_{name}" for name in arm.joint_names]
+    assert text[0].split(",") == ["t", *joints, "x", "y", "z", "position_error", "orientation_error", "clock"]
+    rows = np.genfromtxt(text, delimiter=",", skip_header=1)
+    columns = [run.t, run.q, run.xyz, run.position_error, run.orientation_error, run.clock]
+    np.testing.assert_array_equal(rows, np.column_stack(columns))
+    told = run.to_dict()
+    for name in (
+        "robot",
+        "method",
+        "dt",
+        "message",
+        "position_tolerance",
+        "orientation_tolerance",
+        "settle",
+        "elapsed",
+        "searched",
+    ):
+        assert told[name] == getattr(run, name), name
+    assert told["status"] == run.status.name and told["between"] is None
+    places = [tuple(point["positions"]) for point in run.to_ros()["points"]]
+    assert places == [tuple(q) for q in run.q.tolist()]
+    speeds = [tuple(point["velocities"]) for point in run.to_ros()["points"]]
+    assert len(speeds) == len(run.t) and speeds[0] == tuple(run.rate[0].tolist())
+
+
+def test_files_of_several_tips(tmp_path):
+    tree = robots.load("two_arms")
+    start = tree.fk(tree.home)
+    each = {tip: ik.line(start[tip].translation, start[tip].translation + 0.02, duration=0.2) for tip in tree.tips}
+    run = ik.track(tree, each, "cv", q0=tree.home)
+    head = run.save(tmp_path / "run.csv").read_text().splitlines()[0].split(",")
+    places = [f"{tip}.{axis}" for tip in tree.tips for axis in "xyz"]
+    assert head == ["t", *(f"q_{name}" for name in tree.joint_names), *places, "position_error", "clock"]
+    rows = np.genfromtxt(tmp_path / "run.csv", delimiter=",", skip_header=1)
+    at = 1 + tree.n
+    np.testing.assert_array_equal(rows[:, at : at + 6], run.xyz.reshape(len(run.t), 6))
+    with np.load(run.save(tmp_path / "run.npz")) as file:
+        assert "orientation_error" not in file.files and "between_position" not in file.files
