@@ -1,6 +1,7 @@
 """What the result of a path claims beyond its motion: how few reconfigurations there can be, and that contact is ruled out."""
 
 import numpy as np
+import pytest
 from robots import urdf
 
 import ik_toolkit as ik
@@ -61,3 +62,12 @@ def test_a_motion_too_close_to_rule_out_contact_is_said_to_be():
         assert (not places) == proven and (made.continuity.clearance > 0.0) == proven
         told = f"; at {len(places)} place{'s' * (len(places) != 1)} shapes are too close to rule out contact"
         assert made.message.endswith("rad" if proven else told)
+
+
+def test_the_clearance_of_a_single_pose_is_the_distance_there():
+    text = urdf(dict(kind="revolute", xyz="0 0 0"), dict(kind="revolute", xyz="1 0 0"), dict(kind="fixed", xyz="1 0 0"))
+    ball = '<link name="l3"><collision><geometry><sphere radius="0.05"/></geometry></collision></link>'
+    robot = ik.Robot.load(text.replace('<link name="l3"/>', ball))
+    model = ik.CollisionModel(robot).add_box((9.0, 9.0, 0.01), (0.0, 0.0, 0.3), name="plate")
+    made = ik.solve_path(robot, robot.fk([0.3, 0.8]).translation[None], avoid_collisions=model)
+    assert made.status == PathStatus.FOLLOWED and made.clearance == pytest.approx(0.3 - 0.005 - 0.05, abs=1e-6)
