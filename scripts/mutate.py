@@ -8,10 +8,10 @@ less than SLOW seconds runs once to record which kernel statements it reaches; t
 statement, the quickest and most successful first. It is killed by the first failure, or by a test that takes TOO_LONG times
 as long as before. Compiled lanes and the compilation itself are left out: they have nothing to run uncompiled.
 
-Without --rooms the kernel is changed and runs interpreted. With --rooms the folders named are changed, each judged by the tests of
-its own name (solvers by those of the contract too); the kernel runs compiled, so what the rooms compile themselves is left out.
-There statements, elements and keywords are dropped as well (mutants.more_changes), a sample is drawn evenly over the lines of
-code, and survivors are printed; the figures go to docs/data/mutation_rooms.json.
+Without --rooms the kernel is changed and runs interpreted. With --rooms the folders named are changed, judged first by the tests of
+their own name, then by those of the other rooms (see mutate_rooms.py). The kernel runs compiled, so what the rooms compile
+themselves is left out. Statements, elements and keywords are dropped as well, a sample is drawn evenly over the lines of code,
+and survivors are printed; the figures go to docs/data/mutation_rooms.json.
 
 pytest collects all tests once. A mutant is planted in a fork of that process: its functions get the changed code. Results are
 kept in build/mutate, keyed by the text of the kernel file and of the test, so that after an edit only the affected pairs run
@@ -19,14 +19,12 @@ again; survivors are tried again when a new test reaches them.
 """
 
 import argparse
-import functools
 import gc
 import hashlib
 import importlib
 import json
 import math
 import os
-import random
 import signal
 import sys
 import time
@@ -37,7 +35,8 @@ from pathlib import Path
 from typing import Any
 
 import mutants as changing
-from mutants import KERNEL, Mutant, diff, key, living, mark_all, marked, mutants, plant, text_of, uses
+from mutants import Mutant, diff, key, living, mark_all, marked, mutants, plant, text_of, uses
+from mutate_rooms import ROOMS, caches, judges, shuffle
 
 ROOT = Path(__file__).resolve().parent.parent
 OUTPUT = ROOT / "docs" / "data" / "mutation.json"
@@ -61,7 +60,6 @@ TESTS = tuple(
 )  # fmt: skip
 SLOW, SLOW_IN_ROOM = 0.8, 4.0  # [s] processor time of a test, uncompiled or not: slower ones are not used
 COMPILING = 120.0  # [s] longest test of a room that needs kernels that are not on disk
-ROOMS = ("robot", "paths", "tracking", "solvers")
 OUTPUT_ROOMS = OUTPUT.with_name("mutation_rooms.json")
 ENOUGH, ENOUGH_IN_ROOM = 8.0, 5.0  # [s] most test time spent on a surviving mutant
 TOO_LONG, LEAST = 10.0, 4.0  # multiple of a test's time, and [s], after which it counts as an endless loop
@@ -226,13 +224,17 @@ class Run:
         at = {(mutant.file, mutant.statement)} if mutant.statement else uses(mutant.constant)
         if mutant.file in changing.scripts():
             at = uses("WORKER") | at
-        folders = judges(mutant.file.split("/")[0]) if self.given.rooms else ("",)
-        return sorted(n for n in self.tests if n.startswith(folders) and not at.isdisjoint(self.lines[n]))
+        return sorted(name for name in self.tests if not at.isdisjoint(self.lines[name]))
 
-    def ordered(self, names: list[str], first: str) -> list[str]:
-        """As many tests as there is time for, those that find most in the least time first."""
+    def ordered(self, names: list[str], first: str, file: str) -> list[str]:
+        """As many tests as there is time for: those of the room first, then those that find most in the least time."""
         total, taken = 0.0, []
-        for name in sorted(names, key=lambda n: (n != first, self.tests[n]["seconds"] / (1 + self.kills[n]))):
+        own = judges(file.split("/")[0]) if self.given.rooms else ("",)
+
+        def rank(n: str) -> tuple:
+            return n != first, not n.startswith(own), self.tests[n]["seconds"] / (1 + self.kills[n])
+
+        for name in sorted(names, key=rank):
             total += self.tests[name]["seconds"]
             if taken and total > (ENOUGH_IN_ROOM if self.given.rooms else ENOUGH):
                 break
@@ -267,7 +269,7 @@ class Run:
         def work(task: tuple) -> dict:
             mutant, names = task
             plant(mutant, self.functions)
-            items = [self.items[n] for n in self.ordered(names, hints.get(key(mutant.name), ""))]
+            items = [self.items[n] for n in self.ordered(names, hints.get(key(mutant.name), ""), mutant.file)]
             for item, following in zip(items, [*items[1:], None], strict=True):
                 limit = max(LEAST, TOO_LONG * self.tests[item.nodeid]["seconds"])
                 if not self.outcome.of(item, following, limit):
@@ -298,35 +300,6 @@ class Run:
     def together(self, names: list[str]) -> str:
         """Hash of the current text of these tests."""
         return hashlib.sha256("".join(f"{n} {self.files[n]}" for n in names).encode()).hexdigest()[:12]
-
-
-def judges(room: str) -> tuple[str, ...]:
-    """Folders of the tests of a room."""
-    return (f"tests/{room}/", *(("tests/contract/",) if room == "solvers" else ()))
-
-
-def shuffle(every: list[Mutant], seed: int, by_line: bool) -> None:
-    """Shuffle mutants; by line: so that every line of code comes up once before any comes up again."""
-    rng = random.Random(seed)  # noqa: S311
-    rng.shuffle(every)
-    if by_line:
-        rounds: dict[tuple, int] = defaultdict(int)
-        place = {}
-        for mutant in every:
-            rounds[mutant.file, mutant.line] += 1
-            place[mutant] = rounds[mutant.file, mutant.line]
-        every.sort(key=place.__getitem__)
-
-
-def caches() -> list[Any]:
-    """Caches of functions, except those of the kernel: emptied before a test, so that it reaches what it needs itself."""
-    found = []
-    for thing in gc.get_objects():
-        if isinstance(thing, functools._lru_cache_wrapper):
-            home = getattr(sys.modules.get(str(thing.__module__)), "__file__", None) or ""
-            if home.startswith(str(ROOT)) and not home.startswith((str(KERNEL), str(ROOT / ".venv"))):
-                found.append(thing)
-    return found
 
 
 def stamp(path: Path) -> str:
@@ -408,7 +381,7 @@ def main() -> None:
     os.chdir(ROOT)
     import pytest
 
-    tests = [f for room in given.rooms for f in judges(room)] or TESTS
+    tests = [f for room in {*ROOMS, *given.rooms} for f in judges(room)] if given.rooms else TESTS
     sys.exit(pytest.main(["-q", "-s", "-p", "no:cacheprovider", "-p", "no:xdist", *tests], plugins=[Run(given)]))
 
 
