@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from robots import urdf
+from robots import load, urdf
 
 import ik_toolkit as ik
 from ik_toolkit.paths.result import PathStatus
@@ -71,3 +71,24 @@ def test_the_clearance_of_a_single_pose_is_the_distance_there():
     model = ik.CollisionModel(robot).add_box((9.0, 9.0, 0.01), (0.0, 0.0, 0.3), name="plate")
     made = ik.solve_path(robot, robot.fk([0.3, 0.8]).translation[None], avoid_collisions=model)
     assert made.status == PathStatus.FOLLOWED and made.clearance == pytest.approx(0.3 - 0.005 - 0.05, abs=1e-6)
+
+
+# ---------------------------------------------------------------------------------------------------------- held joints
+def test_a_path_holds_joints_of_weight_0_where_its_start_has_them():
+    """One of them is the lift, a prismatic joint."""
+    robot, held = load("inspection_7dof"), [1, 6]
+    weights = [0 if j in held else 1 for j in range(7)]
+    for start in (robot.home + 0.03, robot.home):
+        end = start + np.array([0.2, 0.0, 0.1, -0.1, 0.2, 0.1, 0.0])
+        points = np.array([robot.fk(q).translation for q in np.linspace(start, end, 8)])
+        given = None if start is robot.home else start
+        made = ik.solve_path(robot, points, q0=given, joint_weights=weights)
+        assert made.success and np.abs(made.q[:, held] - start[held]).max() < 1e-12
+
+
+def test_a_reference_of_positions_is_followed():
+    robot = load("planar_2r")
+    points = np.array([robot.fk(q).translation for q in ([0.3, 0.8], [0.5, 1.0])])
+    made = ik.solve_path(robot, ik.line(*points, duration=0.1))
+    assert made.status == PathStatus.FOLLOWED and len(made.q) == 11
+    assert np.allclose([robot.fk(q).translation for q in made.q], np.linspace(*points, 11), atol=1e-6)

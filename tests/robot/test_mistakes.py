@@ -7,6 +7,7 @@ import robots
 
 import ik_toolkit as ik
 from ik_toolkit.errors import ConfigurationNotFound, InvalidConfiguration, InvalidOption, InvalidTarget, ModelError
+from ik_toolkit.robot.mimic import followers
 from ik_toolkit.robot.pose import AxisTarget
 
 
@@ -90,3 +91,48 @@ def test_shapes_around_and_held(arm, tree):
     both = ik.CollisionModel(tree).add_sphere(0.01, (3.0, 0.0, 0.0), name="ball")
     with pytest.raises(InvalidOption, match=f"choose with tip= the tip that holds it: {first}, {second}"):
         both.attach("ball", q=tree.home)
+
+
+def test_mesh_files(arm, tmp_path, monkeypatch):
+    from ik_toolkit.robot import meshes
+
+    model = ik.CollisionModel(arm)
+    with pytest.raises(InvalidConfiguration, match=r"there is no mesh file '.*none.stl'"):
+        model.add_mesh(tmp_path / "none.stl", (1.0, 0.0, 0.0))
+    (tmp_path / "bad.stl").write_text("no mesh")
+    with pytest.raises(InvalidConfiguration, match=r"the mesh file '.*bad.stl' cannot be read"):
+        model.add_mesh(tmp_path / "bad.stl", (1.0, 0.0, 0.0))
+    silent = tmp_path / "silent.py"
+    silent.write_text("")
+    monkeypatch.setattr(meshes, "WORKER", silent)
+    (tmp_path / "other.stl").write_text("no mesh either")
+    with pytest.raises(
+        (ModelError, InvalidConfiguration), match="the process that reads meshes ended before it read any"
+    ):
+        model.add_mesh(tmp_path / "other.stl", (1.0, 0.0, 0.0))
+
+
+def test_joints_that_mimic_nothing_they_can_follow():
+    """Why, in the words of each case: itself, in a ring, through another one, and what is not there."""
+    tie = '<mimic joint="{}"/>'
+    text = "".join(
+        (
+            '<robot name="r"><link name="o"/>',
+            robots.joint("self", "revolute", "o", "a", mimic=tie.format("self")),
+            robots.joint("one", "revolute", "o", "b", mimic=tie.format("two")),
+            robots.joint("two", "revolute", "o", "c", mimic=tie.format("one")),
+            robots.joint("after", "revolute", "o", "d", mimic=tie.format("one")),
+            robots.joint("lost", "revolute", "o", "e", mimic=tie.format("nobody")),
+            robots.joint("fixed", "fixed", "o", "f"),
+            robots.joint("stiff", "revolute", "o", "g", mimic=tie.format("fixed")),
+            robots.joint("later", "revolute", "o", "h", mimic=tie.format("lost")),
+            "</robot>",
+        )
+    )
+    loose = followers(text).loose
+    assert loose["self"] == "mimics itself through 'self'"
+    assert {loose["one"], loose["two"]} <= {"mimics itself through 'two'", "mimics itself through 'one'"}
+    assert loose["after"] == f"mimics joint 'one', which {loose['one']}"
+    assert loose["lost"] == "mimics joint 'nobody', which does not exist"
+    assert loose["stiff"] == "mimics joint 'fixed', which does not move"
+    assert loose["later"] == f"mimics joint 'lost', which {loose['lost']}" or loose["later"] == loose["lost"]

@@ -34,14 +34,3 @@ def test_a_start_given_again_finds_the_same():
     first = [solver(point, q0=q0).q for point, q0 in zip(points, Q0, strict=True)]
     back = [solver(point, q0=q0).q for point, q0 in zip(points[::-1], Q0[::-1], strict=True)][::-1]
     assert np.array_equal(first, back)
-
-
-def test_a_path_holds_them_where_its_start_has_them():
-    robot = robots.load("inspection_7dof")
-    q0 = robot.home + 0.03
-    Q = np.linspace(q0, q0 + np.array([0.2, 0.0, 0.1, -0.1, 0.2, 0.1, 0.0]), 8)
-    points = np.array([robot.fk(q).translation for q in Q])
-    for start in (q0, None):
-        made = ik.solve_path(robot, points, q0=start, joint_weights=WEIGHTS)
-        held = robot.home if start is None else start
-        assert made.success and np.abs(made.q[:, HELD] - held[HELD]).max() < 1e-12
