@@ -92,3 +92,52 @@ def test_a_reference_of_positions_is_followed():
     made = ik.solve_path(robot, ik.line(*points, duration=0.1))
     assert made.status == PathStatus.FOLLOWED and len(made.q) == 11
     assert np.allclose([robot.fk(q).translation for q in made.q], np.linspace(*points, 11), atol=1e-6)
+
+
+# ---------------------------------------------------------------------------------------------------------- the sentence
+def test_a_motion_is_told_by_its_length():
+    flat, slides = load("planar_2r"), load("cartesian_pp")
+    points = np.array([flat.fk(q).translation for q in np.linspace([0.3, 0.8], [0.5, 1.0], 3)])
+    made = ik.solve_path(flat, points)
+    assert made.message == f"3 poses followed in one motion of {made.length[0]:.3g} rad" and made.length[1] == 0.0
+    assert ik.solve_path(flat, points[:1]).message == "1 pose followed in one motion of 0 rad"
+    points = np.array([slides.fk(q).translation for q in np.linspace(slides.home, slides.home + 0.02, 3)])
+    made = ik.solve_path(slides, points)
+    assert (
+        made.message == f"3 poses followed in one motion of 0 rad and {made.length[1]:.3g} m" and made.length[1] > 0.0
+    )
+
+
+def test_a_path_that_only_collides_says_what_touches_and_where():
+    text = urdf(dict(kind="revolute", xyz="0 0 0"), dict(kind="revolute", xyz="1 0 0"), dict(kind="fixed", xyz="1 0 0"))
+    ball = '<link name="l3"><collision><geometry><sphere radius="0.05"/></geometry></collision></link>'
+    robot = ik.Robot.load(text.replace('<link name="l3"/>', ball))
+    points = np.array([robot.fk(q).translation for q in np.linspace([0.3, 0.8], [0.5, 1.0], 5)])
+    model = ik.CollisionModel(robot).add_sphere(0.02, points[2], name="post")
+    made = ik.solve_path(robot, points, avoid_collisions=model)
+    assert made.status == PathStatus.COLLISION and not made.success and made.clearance == 0.0
+    touch = made.continuity.contacts[0]
+    assert set(touch.pair) == {"l3", "post"} and 1.0 < touch.place < 2.5
+    where = f"{' and '.join(touch.pair)} touch at pose {touch.place:.4g}"
+    assert made.message == f"5 poses followed, but only in collision ({where}); move the poses or the obstacle"
+
+
+def test_what_ends_a_path_early_is_told():
+    robot = load("planar_3r")
+    s = np.linspace(0.0, 1.0, 101)[:, None]
+    curve = (1 - s) ** 2 * [5.06, -0.36, -0.82] + 2 * s * (1 - s) * [5.78, -1.06, -0.45] + s * s * [5.02, -1.58, 0.28]
+    T = np.array([planar_pose(*one) for one in curve])
+    none = ik.solve_path(robot, T, reconfigurations=0)
+    last = int(np.flatnonzero(np.isfinite(none.q[:, 0]))[-1])
+    assert none.message == (
+        f"with no reconfiguration the path found ends at pose {last} of 101: pose {last + 1} cannot be passed, and the whole "
+        "path needs 1; allow them (reconfigurations='fewest'), or relax the targets (free_turn, slack, mask)"
+    )
+    T[98, 0, 3] += 9.0
+    lost = ik.solve_path(robot, T)
+    assert lost.status == PathStatus.INCOMPLETE and [one.index for one in lost.unreachable] == [98]
+    assert lost.message == (
+        f"{np.isfinite(lost.q[:, 0]).sum()} of 101 poses reached; not pose 98: {lost.unreachable[0].reason}; move the poses, "
+        "relax the targets (free_turn, slack, mask), or widen the limits"
+    )
+    assert lost.unreachable[0].proven and lost.unreachable[0].reason.startswith("beyond reach by ")
