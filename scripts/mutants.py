@@ -1,18 +1,26 @@
-"""Changes of the kernel's source, planting one in a process, and recording which kernel statements run."""
+"""Changes of our source, planting one in a process, and recording which statements run: the kernel, or rooms outside it."""
 
 import ast
+import atexit
 import copy
+import difflib
 import functools
 import gc
 import os
+import shutil
 import sys
+import tempfile
 from collections import defaultdict
 from collections.abc import Iterable, Iterator
 from pathlib import Path
 from types import CodeType, FunctionType
 from typing import Any, NamedTuple
 
-KERNEL = Path(__file__).resolve().parent.parent / "ik_toolkit" / "kernel"
+from mutate_rooms import more_changes
+
+PACKAGE = Path(__file__).resolve().parent.parent / "ik_toolkit"
+KERNEL = PACKAGE / "kernel"
+HOME = KERNEL  # files are named by their path below it; PACKAGE for rooms (see `in_package`)
 REACHED = "__reached__"
 NUMBAS = (
     "overload",
@@ -32,13 +40,29 @@ COMPARISONS = {
     ast.Lt: (ast.LtE, ast.Gt), ast.LtE: (ast.Lt, ast.Gt), ast.Gt: (ast.GtE, ast.Lt), ast.GtE: (ast.Gt, ast.Lt),
     ast.Eq: (ast.NotEq,), ast.NotEq: (ast.Eq,),
 }  # fmt: skip
+COMPILED = (
+    "cached",
+    "inner",
+    "inline",
+    "shared",
+    "build",
+    "compiled",
+    "overload",
+    "rule",
+)  # decorators, outside the kernel
 CALLS = {"min": "max", "max": "min", "sin": "cos", "cos": "sin", "ceil": "floor", "floor": "ceil"}
+
+
+def in_package() -> None:
+    """Name files by their path below the package, and make the changes that matter in plain Python as well."""
+    global HOME
+    HOME = PACKAGE
 
 
 @functools.cache
 def text_of(file: str) -> list[str]:
-    """Lines of a kernel file."""
-    return (KERNEL / file).read_text(encoding="utf-8").splitlines()
+    """Lines of a file."""
+    return (HOME / file).read_text(encoding="utf-8").splitlines()
 
 
 def key(name: str) -> str:
@@ -82,6 +106,9 @@ def changes(node: ast.AST) -> Iterator[tuple[str, Any]]:
             yield "condition negated", lambda n: setattr(n, "test", ast.UnaryOp(ast.Not(), n.test))
     elif isinstance(node, ast.UnaryOp) and isinstance(node.op, ast.USub):
         yield "minus dropped", lambda n: setattr(n, "op", ast.UAdd())
+    elif isinstance(node, ast.Constant) and type(node.value) is int and HOME == PACKAGE and abs(node.value) > 9:
+        yield f"{node.value} -> {2 * node.value}", lambda n: setattr(n, "value", 2 * n.value)
+        yield f"{node.value} -> {node.value // 2}", lambda n: setattr(n, "value", n.value // 2)
     elif isinstance(node, ast.Constant) and type(node.value) in (int, float):
         more = node.value + 1 if isinstance(node.value, int) else 2.0 * node.value if node.value else 1.0
         yield f"{node.value} -> {more}", lambda n: setattr(n, "value", more)
@@ -94,16 +121,30 @@ def changes(node: ast.AST) -> Iterator[tuple[str, Any]]:
             yield f"{name} -> {CALLS[name]}", lambda n: setattr(n.func, key, CALLS[name])
 
 
+def all_changes(node: ast.AST) -> list[tuple[str, Any]]:
+    """The kernel's changes and, outside it, those of plain Python."""
+    return [*changes(node), *(more_changes(node) if HOME == PACKAGE else ())]
+
+
+def is_compiled(top: ast.AST) -> bool:
+    """Whether numba has a version of its own of a function or class; what a test runs is that one."""
+    marks = [ast.unparse(mark) for mark in getattr(top, "decorator_list", ())]
+    if HOME == KERNEL:  # where everything runs uncompiled
+        return any(word in mark for mark in marks for word in NUMBAS)
+    return any(mark.split("(")[0].split(".")[-1] in COMPILED for mark in marks)
+
+
 def functions_of(tree: ast.Module) -> Iterator[ast.AST]:
-    """Nodes inside functions that run uncompiled, and values of numeric constants of the module."""
+    """Nodes inside functions that run uncompiled, and values of constants of the module."""
+    literals = (ast.Constant, ast.BinOp, ast.Tuple, *((ast.List, ast.Set, ast.Dict) if HOME == PACKAGE else ()))
     for top in tree.body:
-        if any(word in ast.unparse(mark) for mark in getattr(top, "decorator_list", ()) for word in NUMBAS):
-            continue  # numba's version of a function; its plain version runs here
+        if is_compiled(top):
+            continue
         if isinstance(top, ast.ClassDef):
             bodies = [f for f in top.body if isinstance(f, ast.FunctionDef)]
         elif isinstance(top, ast.FunctionDef):
             bodies = [top]
-        elif isinstance(top, ast.Assign) and isinstance(top.value, (ast.Constant, ast.BinOp, ast.Tuple)):
+        elif isinstance(top, ast.Assign) and isinstance(top.value, literals):
             yield from ast.walk(top.value)
             continue
         else:
@@ -112,11 +153,21 @@ def functions_of(tree: ast.Module) -> Iterator[ast.AST]:
             if body.name in LOWERING:
                 continue
             for statement in body.body:
-                yield from ast.walk(statement)
+                yield from walk(statement)
+
+
+def walk(statement: ast.AST) -> Iterator[ast.AST]:
+    """Nodes of a statement; outside the kernel without assertions, which check no input, and numbers inside texts."""
+    if HOME == KERNEL:
+        yield from ast.walk(statement)
+    elif not isinstance(statement, (ast.Assert, ast.JoinedStr)):
+        yield statement
+        for child in ast.iter_child_nodes(statement):
+            yield from walk(child)
 
 
 def mutants(file: str) -> list[Mutant]:
-    """All changes of a kernel file."""
+    """All changes of a file."""
     tree = source(file)
     begins, constants = {}, {}
     for top in tree.body:
@@ -130,12 +181,12 @@ def mutants(file: str) -> list[Mutant]:
         Mutant(file, i, k, getattr(node, "lineno", 0), what, 0 if id(node) in constants else begins[id(node)],
                constants.get(id(node), ""))
         for i, node in enumerate(functions_of(tree))
-        for k, (what, _) in enumerate(changes(node))
+        for k, (what, _) in enumerate(all_changes(node))
     ]  # fmt: skip
 
 
 def source(file: str) -> ast.Module:
-    """Syntax tree of a kernel file as first read: the file may be edited while mutants are tried."""
+    """Syntax tree of a file as first read: the file may be edited while mutants are tried."""
     return ast.parse("\n".join(text_of(file)) + "\n")
 
 
@@ -143,45 +194,58 @@ def planted(mutant: Mutant) -> ast.Module:
     """Syntax tree of the file with the change made."""
     tree = source(mutant.file)
     node = list(functions_of(tree))[mutant.node]
-    list(changes(copy.copy(node)))[mutant.change][1](node)
+    all_changes(copy.copy(node))[mutant.change][1](node)
     return ast.fix_missing_locations(tree)
+
+
+def diff(mutant: Mutant) -> str:
+    """The change as lines taken away and lines put in their place."""
+    old, new = (ast.unparse(tree).splitlines() for tree in (source(mutant.file), planted(mutant)))
+    return "\n".join(list(difflib.unified_diff(old, new, n=0, lineterm=""))[3:])
 
 
 @functools.cache
 def uses(names: str) -> set[tuple[str, int]]:
-    """Statements in functions of the kernel that use a constant."""
+    """Statements in functions that use a constant."""
     found = set()
-    for path in KERNEL.glob("*.py"):
-        for function in ast.walk(source(path.name)):
+    for file in files():
+        for function in ast.walk(source(file)):
             for inside in ast.walk(function) if isinstance(function, ast.FunctionDef) else ():
                 if isinstance(inside, ast.stmt) and any(
-                    isinstance(n, ast.Name) and n.id in names.split() for n in ast.walk(inside)
+                    getattr(n, "id", getattr(n, "attr", "")) in names.split() for n in ast.walk(inside)
                 ):
-                    found.add((path.name, inside.lineno))
+                    found.add((file, inside.lineno))
     return found
+
+
+@functools.cache
+def files() -> list[str]:
+    """Names of all files."""
+    return sorted(path.relative_to(HOME).as_posix() for path in HOME.rglob("*.py"))
 
 
 # ------------------------------------------------------------------------------------------------------------ planting
 def codes(tree: ast.Module, file: str) -> dict[tuple[str, int], CodeType]:
-    """Code of every function of a tree, nested ones included, by name and line."""
+    """Code of every function of a tree that runs uncompiled, nested ones included, by name and line."""
     found: dict[tuple[str, int], CodeType] = {}
+    compiled = {top.name for top in tree.body if isinstance(top, (ast.FunctionDef, ast.ClassDef)) and is_compiled(top)}
 
     def visit(code: CodeType) -> None:
         for inner in code.co_consts:
-            if isinstance(inner, CodeType):
+            if isinstance(inner, CodeType) and inner.co_qualname.split(".")[0] not in compiled:
                 found[inner.co_qualname, inner.co_firstlineno] = inner
                 visit(inner)
 
-    visit(compile(tree, str(KERNEL / file), "exec"))
+    visit(compile(tree, str(HOME / file), "exec"))
     return found
 
 
 def living() -> dict[str, list[FunctionType]]:
-    """All loaded functions of the kernel, by file."""
+    """All loaded functions, by file."""
     found = defaultdict(list)
     for thing in gc.get_objects():
-        if type(thing) is FunctionType and thing.__code__.co_filename.startswith(str(KERNEL)):
-            found[os.path.basename(thing.__code__.co_filename)].append(thing)
+        if type(thing) is FunctionType and thing.__code__.co_filename.startswith(f"{HOME}{os.sep}"):
+            found[Path(thing.__code__.co_filename).relative_to(HOME).as_posix()].append(thing)
     return found
 
 
@@ -196,10 +260,15 @@ def exchange(functions: list[FunctionType], new: dict[tuple[str, int], CodeType]
 def plant(mutant: Mutant, functions: dict[str, list[FunctionType]]) -> None:
     """Make the change in this process."""
     tree = planted(mutant)
+    if mutant.file in scripts():
+        plant_script(mutant.file, ast.unparse(tree))
+        return
     if mutant.statement:
         exchange(functions[mutant.file], codes(tree, mutant.file))
         return
-    module = sys.modules[f"ik_toolkit.kernel.{mutant.file[:-3]}"]
+    module = sys.modules[
+        ".".join((HOME / mutant.file).relative_to(PACKAGE.parent).with_suffix("").parts).removesuffix(".__init__")
+    ]
     (assignment,) = (
         top for top in tree.body if isinstance(top, ast.Assign) and top.lineno <= mutant.line <= (top.end_lineno or 0)
     )
@@ -211,6 +280,26 @@ def plant(mutant: Mutant, functions: dict[str, list[FunctionType]]) -> None:
                 module, name
             ):
                 vars(other)[name] = changed[name]
+
+
+@functools.cache
+def scripts() -> set[str]:
+    """Files that run in processes of their own, and what these load from beside them."""
+    return {f for f in files() if f.endswith("_worker.py")} | ({"robot/packages.py"} if HOME == PACKAGE else set())
+
+
+def plant_script(file: str, text: str) -> None:
+    """Let processes that this one starts run a changed copy of a script."""
+    folder = Path(tempfile.mkdtemp(prefix="mutant_"))
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    for beside in (HOME / file).parent.glob("*.py"):
+        (folder / beside.name).write_text(
+            text if beside.name == Path(file).name else beside.read_text(encoding="utf-8")
+        )
+    for module in list(sys.modules.values()):
+        worker = vars(module).get("WORKER") if getattr(module, "__name__", "").startswith("ik_toolkit.") else None
+        if isinstance(worker, Path):
+            module.WORKER = folder / worker.name  # type: ignore[attr-defined]
 
 
 # ------------------------------------------------------------------------------------------------------------ reach

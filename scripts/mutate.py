@@ -1,11 +1,17 @@
-"""Mutation testing of the kernel: plants one mistake at a time, runs the tests interpreted, writes docs/data/mutation.json.
+"""Mutation testing: plants one mistake at a time, runs the tests that reach it, writes docs/data/mutation.json.
 
 Usage: python scripts/mutate.py [--sample 400] [--seed 1] [--workers 2] [--files search.py ...] [-o FILE]
+       python scripts/mutate.py --rooms robot,paths,tracking,solvers --sample 200 [...]
 
 A mutant is one change of the source: another operator, comparison, constant or branch. First, every test in TESTS that takes
 less than SLOW seconds runs once to record which kernel statements it reaches; then each mutant runs the tests that reach its
 statement, the quickest and most successful first. It is killed by the first failure, or by a test that takes TOO_LONG times
 as long as before. Compiled lanes and the compilation itself are left out: they have nothing to run uncompiled.
+
+Without --rooms the kernel is changed and runs interpreted. With --rooms the folders named are changed, judged first by the tests of
+their own name, then by those of the other rooms (see mutate_rooms.py). The kernel runs compiled, so what the rooms compile
+themselves is left out. Statements, elements and keywords are dropped as well, a sample is drawn evenly over the lines of code,
+and survivors are printed; the figures go to docs/data/mutation_rooms.json.
 
 pytest collects all tests once. A mutant is planted in a fork of that process: its functions get the changed code. Results are
 kept in build/mutate, keyed by the text of the kernel file and of the test, so that after an edit only the affected pairs run
@@ -15,10 +21,10 @@ again; survivors are tried again when a new test reaches them.
 import argparse
 import gc
 import hashlib
+import importlib
 import json
 import math
 import os
-import random
 import signal
 import sys
 import time
@@ -28,7 +34,9 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-from mutants import KERNEL, Mutant, key, living, mark_all, marked, mutants, plant, text_of, uses
+import mutants as changing
+from mutants import Mutant, diff, key, living, mark_all, marked, mutants, plant, text_of, uses
+from mutate_rooms import ROOMS, caches, judges, shuffle
 
 ROOT = Path(__file__).resolve().parent.parent
 OUTPUT = ROOT / "docs" / "data" / "mutation.json"
@@ -50,8 +58,10 @@ TESTS = tuple(
     }.items()
     for name in names
 )  # fmt: skip
-SLOW = 0.8  # [s] processor time of a test, uncompiled: slower ones are not used
-ENOUGH = 8.0  # [s] most test time spent on a surviving mutant
+SLOW, SLOW_IN_ROOM = 0.8, 4.0  # [s] processor time of a test, uncompiled or not: slower ones are not used
+COMPILING = 120.0  # [s] longest test of a room that needs kernels that are not on disk
+OUTPUT_ROOMS = OUTPUT.with_name("mutation_rooms.json")
+ENOUGH, ENOUGH_IN_ROOM = 8.0, 5.0  # [s] most test time spent on a surviving mutant
 TOO_LONG, LEAST = 10.0, 4.0  # multiple of a test's time, and [s], after which it counts as an endless loop
 DEAD = ("killed", "timeout")
 
@@ -101,7 +111,7 @@ def in_forks(tasks: list, work: Callable[[Any], Any], seconds: Callable[[Any], f
             if pid == 0:
                 in_fork(work, task)
             running[pid] = task, time.monotonic() + seconds(task)
-        time.sleep(0.005)
+        time.sleep(0.02)
         for pid, (task, ends) in list(running.items()):
             late = time.monotonic() > ends
             if late:
@@ -135,7 +145,10 @@ class Run:
 
     def __init__(self, given: argparse.Namespace) -> None:
         self.given, self.outcome = given, Outcome()
-        self.stamps = {p.name: stamp(p) for p in KERNEL.glob("*.py")}
+        self.slow = SLOW_IN_ROOM if given.rooms else SLOW
+        chosen = {*ROOMS, *given.rooms}  # what is looked at does not depend on which of the usual rooms are changed
+        chosen = [f for f in changing.files() if not given.rooms or f.split("/")[0] in chosen]
+        self.stamps = {f: stamp(changing.HOME / f) for f in chosen}
         self.kills: dict[str, int] = defaultdict(int)
         self.tests: dict[str, dict] = {}
 
@@ -144,9 +157,14 @@ class Run:
         session.config.pluginmanager.register(self.outcome)
         self.items = {item.nodeid: item for item in session.items}
         self.files = {name: stamp(ROOT / name.split("::")[0]) for name in self.items}
-        for path in KERNEL.glob("*.py"):
-            text_of(path.name)  # read before forking
-        self.functions = living()
+        for file in changing.files():
+            text_of(file)  # read before forking
+        for file in self.stamps if self.given.rooms else ():  # some are loaded when first needed
+            if file not in changing.scripts() and not file.endswith("__init__.py"):
+                importlib.import_module("ik_toolkit." + file[:-3].replace("/", "."))
+        gc.unfreeze()  # what is frozen is not found
+        self.caches = caches() if self.given.rooms else []
+        self.functions = {f: found for f, found in living().items() if f in self.stamps}
         gc.collect()
         gc.freeze()  # forks share untouched memory
         self.look()
@@ -156,52 +174,80 @@ class Run:
 
     def look(self) -> None:
         """Find which statements each test reaches, unless already known."""
-        place = KEPT / "reach.json"
+        place = KEPT / ("reach_rooms.json" if self.given.rooms else "reach.json")
         known = json.loads(place.read_text(encoding="utf-8")) if place.exists() else {}
 
         def stands(name: str) -> bool:
             old = known.get(name, {"stamp": ""})
             if old["stamp"] != self.files[name]:
                 return False
-            slow = not old["passed"] or old["seconds"] >= SLOW  # and stays so, whatever changes in the kernel
+            slow = not old["passed"] or old["seconds"] >= self.slow  # and stays so, whatever changes in the kernel
             return slow or all(self.stamps.get(f) == s for f, s in old["kernel"].items())
 
-        def work(name: str) -> dict:
+        def work(names: list[str]) -> dict:
             reached = mark_all(self.functions, new_code)
-            passed = self.outcome.of(self.items[name], None, 2.0 * SLOW)  # the marks take time
-            lines = {f: [n for n, mark in enumerate(marks) if mark] for f, marks in reached.items() if any(marks)}
-            return {"passed": passed, "seconds": self.outcome.seconds, "lines": lines}
+            found = {}
+            for name in names:
+                for marks in reached.values():
+                    marks[:] = bytes(len(marks))
+                for cache in self.caches:
+                    cache.cache_clear()
+                for limit in (
+                    (2.0 * self.slow,) if not self.given.rooms else (COMPILING, 2.0 * self.slow)
+                ):  # the marks take time
+                    passed = self.outcome.of(self.items[name], None, limit)
+                    if self.outcome.seconds < self.slow:
+                        break  # otherwise something may have been compiled: again
+                lines = {f: [n for n, mark in enumerate(marks) if mark] for f, marks in reached.items() if any(marks)}
+                found[name] = {"passed": passed, "seconds": self.outcome.seconds, "lines": lines}
+            return found
 
-        new = [name for name in self.items if not stands(name)]
+        new: dict[str, list[str]] = defaultdict(list)  # by file: its tests need the same kernels
+        for name in self.items:
+            if not stands(name):
+                new[name.split("::")[0] if self.given.rooms else name].append(name)
         new_code = marked(self.functions) if new else {}
-        for i, (name, found) in enumerate(in_forks(new, work, lambda _: 20.0, self.given.workers)):
-            known[name] = found if isinstance(found, dict) else {"passed": False, "seconds": math.inf, "lines": {}}
-            known[name] |= {"stamp": self.files[name], "kernel": {f: self.stamps[f] for f in known[name]["lines"]}}
-            if i % 100 == 99 or i == len(new) - 1:
-                print(f"{i + 1} of {len(new)} tests looked at", flush=True)
+        late = (600.0 if self.given.rooms else 20.0), 4.0 * self.slow  # [s] for all, and for each
+        tasks = in_forks(list(new.values()), work, lambda names: late[0] + late[1] * len(names), self.given.workers)
+        for i, (names, found) in enumerate(tasks):
+            for name in names:
+                nothing = {"passed": False, "seconds": math.inf, "lines": {}}
+                known[name] = found[name] if isinstance(found, dict) else nothing
+                known[name] |= {"stamp": self.files[name], "kernel": {f: self.stamps[f] for f in known[name]["lines"]}}
+            if self.given.rooms or i % 100 == 99 or i == len(new) - 1:
+                print(f"{i + 1} of {len(new)} looked at: {names[-1]}", flush=True)
                 place.write_text(json.dumps(known), encoding="utf-8")
-        self.tests = {n: known[n] for n in self.items if known[n]["passed"] and known[n]["seconds"] < SLOW}
+        self.tests = {n: known[n] for n in self.items if known[n]["passed"] and known[n]["seconds"] < self.slow}
 
     def chosen(self, mutant: Mutant) -> list[str]:
-        """Tests that reach a mutant."""
+        """Tests of its room that reach a mutant."""
         at = {(mutant.file, mutant.statement)} if mutant.statement else uses(mutant.constant)
+        if mutant.file in changing.scripts():
+            at = uses("WORKER") | at
         return sorted(name for name in self.tests if not at.isdisjoint(self.lines[name]))
 
-    def ordered(self, names: list[str], first: str) -> list[str]:
-        """As many tests as there is time for, those that find most in the least time first."""
+    def ordered(self, names: list[str], first: str, file: str) -> list[str]:
+        """As many tests as there is time for: those of the room first, then those that find most in the least time."""
         total, taken = 0.0, []
-        for name in sorted(names, key=lambda n: (n != first, self.tests[n]["seconds"] / (1 + self.kills[n]))):
+        own = judges(file.split("/")[0]) if self.given.rooms else ("",)
+
+        def rank(n: str) -> tuple:
+            return n != first, not n.startswith(own), self.tests[n]["seconds"] / (1 + self.kills[n])
+
+        for name in sorted(names, key=rank):
             total += self.tests[name]["seconds"]
-            if taken and total > ENOUGH:
+            if taken and total > (ENOUGH_IN_ROOM if self.given.rooms else ENOUGH):
                 break
             taken.append(name)
         return taken
 
     def plant_all(self) -> None:
         """Try mutants not yet tried on these tests, and write the shares."""
-        wanted = self.given.files or [p.name for p in sorted(KERNEL.glob("*.py")) if p.name not in LEFT_OUT]
+        rooms = self.given.rooms
+        usual = [f for f in self.stamps if (f.split("/")[0] in rooms if rooms else f not in LEFT_OUT)]
+        wanted = self.given.files or usual
         every = [m for f in wanted for m in mutants(f)]
-        random.Random(self.given.seed).shuffle(every)  # noqa: S311
+        shuffle(every, self.given.seed, by_line=bool(self.given.rooms))
         todo = every[: self.given.sample] if self.given.sample else every
         log = KEPT / "results.jsonl"
         before = [json.loads(line) for line in log.read_text(encoding="utf-8").splitlines()] if log.exists() else []
@@ -223,7 +269,7 @@ class Run:
         def work(task: tuple) -> dict:
             mutant, names = task
             plant(mutant, self.functions)
-            items = [self.items[n] for n in self.ordered(names, hints.get(key(mutant.name), ""))]
+            items = [self.items[n] for n in self.ordered(names, hints.get(key(mutant.name), ""), mutant.file)]
             for item, following in zip(items, [*items[1:], None], strict=True):
                 limit = max(LEAST, TOO_LONG * self.tests[item.nodeid]["seconds"])
                 if not self.outcome.of(item, following, limit):
@@ -275,15 +321,20 @@ def write(given: argparse.Namespace, todo: list[Mutant], done: dict[str, str], e
     names = exact({m.file for m in todo})
     counted = [m for m in todo if names[m.name] not in same]
     rows = {}
-    for file in sorted({m.file for m in counted}):
-        ends = [done[m.name] for m in counted if m.file == file]
+    part = {m: m.file.split("/")[0] if given.rooms else m.file for m in counted}
+    for file in sorted(set(part.values())):
+        ends = [done[m.name] for m in counted if part[m] == file]
         rows[file] = {
             "mutants": len(ends), "killed": sum(e in DEAD for e in ends), "not reached": ends.count("not reached"),
+            **({"in time": ends.count("timeout")} if given.rooms else {}),
         }  # fmt: skip
     total, dead = len(counted), sum(r["killed"] for r in rows.values())
     low, high = wilson(dead, total) if total else (0.0, 1.0)
     kernel = hashlib.sha256("".join(stamps[f] for f in sorted(stamps)).encode()).hexdigest()[:12]
-    command = "python scripts/mutate.py" + (f" --sample {given.sample} --seed {given.seed}" if given.sample else "")
+    given_rooms = f" --rooms {','.join(given.rooms)}" if given.rooms else ""
+    command = f"python scripts/mutate.py{given_rooms}" + (
+        f" --sample {given.sample} --seed {given.seed}" if given.sample else ""
+    )
     result = {
         "command": command, "seed": given.seed, "kernel": kernel, "mutants in all": everything, "tried": len(todo),
         "equivalent in it": len(todo) - total, "counted": total, "killed": dead,
@@ -292,6 +343,8 @@ def write(given: argparse.Namespace, todo: list[Mutant], done: dict[str, str], e
         "equivalent": same,
     }  # fmt: skip
     given.output.write_text(json.dumps(result, indent=1) + "\n", encoding="utf-8")
+    for mutant in (m for m in counted if given.rooms and done[m.name] not in DEAD):
+        print(f"\n{mutant.name} ({done[mutant.name]})\n{names[mutant.name]}\n{diff(mutant)}")
     print(json.dumps({k: result[k] for k in ("tried", "share killed", "95 %", "files")}, indent=1))
 
 
@@ -312,16 +365,24 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--files", nargs="*", default=[])
-    parser.add_argument("-o", "--output", type=Path, default=OUTPUT)
+    parser.add_argument(
+        "--rooms", type=lambda text: text.split(","), default=[], help="folders to change, not the kernel"
+    )
+    parser.add_argument("-o", "--output", type=Path)
     given = parser.parse_args()
-    given.output = given.output.resolve()
-    os.environ["NUMBA_DISABLE_JIT"] = os.environ["IK_TOOLKIT_WAIT"] = "1"
+    given.output = (given.output or (OUTPUT_ROOMS if given.rooms else OUTPUT)).resolve()
+    os.environ["IK_TOOLKIT_WAIT"] = "1"
+    if given.rooms:
+        changing.in_package()
+    else:
+        os.environ["NUMBA_DISABLE_JIT"] = "1"
     sys.path.insert(0, str(ROOT))
     KEPT.mkdir(parents=True, exist_ok=True)
     os.chdir(ROOT)
     import pytest
 
-    sys.exit(pytest.main(["-q", "-s", "-p", "no:cacheprovider", "-p", "no:xdist", *TESTS], plugins=[Run(given)]))
+    tests = [f for room in {*ROOMS, *given.rooms} for f in judges(room)] if given.rooms else TESTS
+    sys.exit(pytest.main(["-q", "-s", "-p", "no:cacheprovider", "-p", "no:xdist", *tests], plugins=[Run(given)]))
 
 
 if __name__ == "__main__":

@@ -40,7 +40,7 @@ PARTS = {
     "tests/show/test_panel_abuse.py": "The panel: twenty visitors, malformed messages, leaving in the middle of a solve, memory",
 }
 HAND = ROOT / "docs" / "reliability_notes.md"
-MUTANTS = ROOT / "docs" / "data" / "mutation.json"
+MUTANTS, MUTANTS_OF_ROOMS = (ROOT / "docs" / "data" / f"{name}.json" for name in ("mutation", "mutation_rooms"))
 
 
 def run(path: str) -> tuple[dict[str, int], float, list[str]]:
@@ -65,9 +65,9 @@ def run(path: str) -> tuple[dict[str, int], float, list[str]]:
     return counts, seconds, notes
 
 
-def mutation() -> list[str]:
-    """Lines on the last mutation run, from the figures of scripts/mutate.py."""
-    found = json.loads(MUTANTS.read_text(encoding="utf-8"))
+def mutation(file: Path) -> list[str]:
+    """Lines on the last mutation run of the kernel or of the rooms, from the figures of scripts/mutate.py."""
+    found = json.loads(file.read_text(encoding="utf-8"))
     low, high = found["95 %"]
     lost = sum(row["not reached"] for row in found["files"].values())
     of = (
@@ -78,21 +78,32 @@ def mutation() -> list[str]:
     dropped = found["equivalent in it"]
     same = f"; {dropped} of them are equivalent to the original and are left out" if dropped else ""
     unseen = f"{lost} of the rest are reached by none of these tests. " if lost else ""
+    kernel = file == MUTANTS
+    what, where, left, tests, first = (
+        "one operator, comparison, constant or branch",
+        "the kernel",
+        "code for vectors of eight lanes, and code that runs only in numba",
+        "the tests that reach it and take less than a second uncompiled",
+        "file",
+    )
+    if not kernel:
+        what += ", statement, element or keyword"
+        where, left, first = "the rooms", "what a room compiles itself", "room"
+        tests = "those tests of the room that reach it and take less than four seconds"
     lines = [
-        "## Mutation tests of the kernel",
+        f"## Mutation tests of {where}",
         "",
-        f"`{found['command']}` changes one operator, comparison, constant or branch of the kernel at a time, "
-        f"{found['mutants in all']:,} changes in all, and runs the tests that reach it and take less than a second uncompiled. "
+        f"`{found['command']}` changes {what} of {where} at a time, {found['mutants in all']:,} changes in all, and runs {tests}. "
         f"{of} (seed {found['seed']}){same}. The tests detect {found['killed']} of {found['counted']}: "
         f"{100 * found['share killed']:.1f} % (95 % interval {100 * low:.1f} to {100 * high:.1f} %, Wilson). "
-        f"{unseen}Not counted: code for vectors of eight lanes, and code that runs only in numba. "
-        "The survivors are listed in `docs/data/mutation.json`. Some led to tests, so a sample never seen would come out lower.",
+        f"{unseen}Not counted: {left}. "
+        f"The survivors are listed in `docs/data/{file.name}`. Some led to tests, so a sample never seen would come out lower.",
         "",
-        "| file | mutants | killed | not reached |",
+        f"| {first} | mutants | killed | not reached |",
         "|---|---:|---:|---:|",
     ]
-    for file, row in found["files"].items():
-        lines.append(f"| `{file}` | {row['mutants']} | {row['killed']} | {row['not reached']} |")
+    for part, row in found["files"].items():
+        lines.append(f"| `{part}` | {row['mutants']} | {row['killed']} | {row['not reached']} |")
     return [*lines, ""]
 
 
@@ -123,7 +134,8 @@ def main() -> None:
         remarks += notes
         print(lines[-1], file=sys.stderr)
     lines += ["", *(f"- {remark}" for remark in remarks), ""]
-    lines += mutation() if MUTANTS.exists() else []
+    for file in (MUTANTS, MUTANTS_OF_ROOMS):
+        lines += mutation(file) if file.exists() else []
     if HAND.exists():
         lines += [HAND.read_text(encoding="utf-8").rstrip(), ""]
     output.write_text("\n".join(lines), encoding="utf-8")

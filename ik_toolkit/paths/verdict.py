@@ -31,8 +31,8 @@ def sentence(path: PathResult, needed: int, allowed: float) -> str:
         touching = path.continuity.contacts[:1]
         where = f" ({' and '.join(touching[0].pair)} touch at pose {touching[0].place:.4g})" if touching else ""
         return f"{_poses(N)} followed, but only in collision{where}; move the poses or the obstacle"
-    near = f"; at {len(path.continuity.unproven)} places shapes are too close to rule out contact"
-    close = near if path.continuity.unproven else ""
+    places = len(path.continuity.unproven)
+    close = f"; at {places} place{'s' * (places != 1)} shapes are too close to rule out contact" if places else ""
     if path.status == PathStatus.FOLLOWED:
         return f"{_poses(N)} followed in one motion of {length}{close}"
     breaks = ", ".join(str(one.index) for one in path.reconfigurations[:5])

@@ -59,3 +59,56 @@ def test_saved_paths_are_read_back(tmp_path):
     assert read["reconfigurations"] == [{"index": 1, "move": [0.8, -0.6]}]
     with pytest.raises(InvalidOption, match=r"\.csv, \.npz or \.json"):
         result.save(tmp_path / "path.txt")
+
+
+def test_every_figure_is_in_the_plain_numbers_and_in_the_files(tmp_path):
+    angles = np.array([0.0, 1e-8, 0.0, np.nan, 2e-8])
+    touching = ik.paths.proof.Contact(2.5, ("arm", "wall"))
+    proof = Continuity(np.array([1e-4, 3e-4, np.nan, np.nan, np.nan]), np.full(5, 0.01), 0.02, (touching,), (0.5,))
+    result = made(
+        orientation_error=angles, continuity=proof, lower_bound=1, seed=4, elapsed=0.5, max_step=(0.1, 0.02),
+        path_tolerance=(1e-3, 0.03),
+    )  # fmt: skip
+    told = result.to_dict()
+    wanted = {
+        "success": True, "status": "RECONFIGURES", "message": "a sentence", "robot": "planar_2r", "base": result.robot.base,
+        "tips": ["tool"], "joint_names": ["joint_1", "joint_2"], "poses": 5, "lower_bound": 1, "at": result.at.tolist(),
+        "position_error": [0.0, 1e-9, 0.0, None, 0.0], "orientation_error": [0.0, 1e-8, 0.0, None, 2e-8],
+        "largest_step": {"rad": result.largest_step[0], "m": 0.0}, "length": {"rad": result.length[0], "m": 0.0},
+        "deviation": {"m": 3e-4, "rad": 0.01}, "clearance": 0.02, "contacts": [{"place": 2.5, "pair": ["arm", "wall"]}],
+        "unproven": [0.5], "max_step": {"rad": 0.1, "m": 0.02}, "path_tolerance": {"m": 1e-3, "rad": 0.03}, "seed": 4,
+        "elapsed": 0.5,
+    }  # fmt: skip
+    assert {key: told[key] for key in wanted} == json.loads(json.dumps(wanted))
+    assert told["curve"][1] == [0.05, 0.1] and told["curve"][4] == [None, None]
+    assert json.loads(result.save(tmp_path / "a.json").read_text()) == told
+    with np.load(result.save(tmp_path / "a.npz")) as file:
+        for name in ("targets", "q", "position_error", "orientation_error", "curve", "at"):
+            np.testing.assert_array_equal(file[name], getattr(result, name))
+        assert file["tips"].tolist() == ["tool"] and file["joint_names"].tolist() == ["joint_1", "joint_2"]
+    text = result.save(tmp_path / "a.csv").read_text().splitlines()
+    assert text[0] == "pose,joint_1,joint_2,position_error,orientation_error" and text[2].split(",")[0] == "1"
+    rows = np.genfromtxt(text, delimiter=",", skip_header=1)
+    np.testing.assert_array_equal(rows[:, 3:], np.column_stack([result.position_error, angles]))
+    positions = made()
+    assert positions.save(tmp_path / "b.csv").read_text().splitlines()[0].endswith(",position_error")
+    with np.load(positions.save(tmp_path / "b.npz")) as file:
+        assert "orientation_error" not in file.files
+    assert repr(positions) == "PathResult(RECONFIGURES, 5 poses, 1 reconfigurations, length 1.6 rad)"
+
+
+def test_revolute_and_prismatic_steps_are_told_apart():
+    robot = ik.Robot.load("cartesian_pp")
+    q = np.array([[0.0, 0.0], [0.1, -0.3], [0.2, 0.1]])
+    proof = Continuity(np.zeros(2), np.zeros(2))
+    fields = {
+        "robot": robot,
+        "q": q,
+        "curve": q,
+        "at": np.arange(3.0),
+        "continuity": proof,
+        "position_error": np.zeros(3),
+    }
+    result = made(PathStatus.FOLLOWED, **fields, reconfigurations=(), unreachable=())
+    assert result.largest_step == pytest.approx((0.0, 0.4)) and result.length == pytest.approx((0.0, 0.9))
+    assert repr(result).endswith("length 0 rad and 0.9 m)")

@@ -178,6 +178,11 @@ def test_robot_descriptions_from_its_cache(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "robot_descriptions", stand_in)
     monkeypatch.setitem(sys.modules, "robot_descriptions.arm_description", arm)
     assert ik.Robot.load("robot_descriptions:arm_description").n == 1
+    entry = find("robot_descriptions:arm_description")
+    assert entry.name == "arm_description" and entry.description == "robot_descriptions: arm_description"
+    assert entry.package_dirs == (tmp_path, tmp_path) and entry.xacro_args == {}
+    arm.XACRO_ARGS = {"length": 3}
+    assert find("robot_descriptions:arm_description").xacro_args == {"length": "3"}
     with pytest.raises(RobotNotFound, match="python -m robot_descriptions pull gone_description"):
         find("robot_descriptions:gone_description")
     with pytest.raises(RobotNotFound, match="robot_descriptions has no 'arn'"):

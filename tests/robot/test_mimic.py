@@ -106,6 +106,41 @@ def test_limits_the_wrong_way_round_matter_on_the_path_only():
         ik.Robot.load(text + "</robot>", tip="bent_link")
 
 
+def test_a_follower_narrows_its_leader_and_never_widens_it():
+    """Each limit of the leader is the narrowest of its own and those of the followers on the path, seen through their ties."""
+    tie = '<mimic joint="lead" multiplier="{}" offset="{}"/>'
+
+    def lead(*followers):
+        parts = ['<robot name="r"><link name="o"/>', joint("lead", "revolute", "o", "l0", limits=(-1.0, 1.5))]
+        for k, (kind, ratio, offset, limits) in enumerate(followers):
+            mimic = tie.format(ratio, offset)
+            parts.append(joint(f"f{k}", kind, f"l{k}", f"l{k + 1}", axis="0 1 0", limits=limits, mimic=mimic))
+        return ik.Robot.load("".join(parts) + "</robot>", tip=f"l{len(followers)}")
+
+    def ends(*followers):
+        robot = lead(*followers)
+        return robot.lower[0], robot.upper[0]
+
+    wide, low = ("revolute", 2.0, 0.1, (-9.0, 9.0)), ("revolute", -2.0, 0.1, (-0.5, 0.9))
+    assert ends(wide) == (-1.0, 1.5)
+    assert ends(("continuous", 2.0, 0.1, None)) == (-1.0, 1.5)
+    assert ends(low) == pytest.approx((-0.4, 0.3), abs=1e-15)  # 0.1 - 2 q between -0.5 and 0.9
+    assert ends(wide, low) == ends(low, wide) == ends(low)
+    slide = ("prismatic", 0.1, 0.05, (0.03, 0.2))
+    assert ends(slide) == pytest.approx((-0.2, 1.5), abs=1e-15)
+    assert ends(low, slide) == pytest.approx((-0.2, 0.3), abs=1e-15)
+    # As rounded: at the ends of the leader's range the follower is inside its own limits, not an ulp outside.
+    rng = np.random.default_rng(8)
+    for _ in range(25):
+        ratio, offset = rng.uniform(0.1, 3.0) * rng.choice([-1.0, 1.0]), rng.uniform(-0.3, 0.3)
+        low, high = sorted(rng.uniform(-0.8, 0.8, 2))
+        try:
+            first, last = ends(("revolute", ratio, offset, (low, high)))
+        except ModelError:
+            continue  # nothing is left of -1 to 1.5
+        assert all(low <= ratio * x + offset <= high for x in (first, last))
+
+
 def test_followers_that_leave_their_leader_no_position_are_named():
     tie = '<mimic joint="lead" multiplier="{}"/>'
     text = "".join(

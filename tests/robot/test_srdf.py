@@ -6,7 +6,8 @@ import re
 import numpy as np
 import pytest
 from folders import DATA
-from robots import have_data
+from robots import have_data, joint
+from second_fk import SecondFK
 from srdf_arm import ARM, SAMPLED, SRDF
 
 import ik_toolkit as ik
@@ -170,6 +171,34 @@ def test_passive_joints_are_held():
     assert ik.Robot.load(ARM, srdf=SRDF, locked={"j4": 0.2}).locked_joints == {"j4": 0.2}
     every = "".join(f'<passive_joint name="j{k}"/>' for k in range(5))
     assert robot(every).n == 5  # nothing would be left to solve for
+
+
+def test_a_passive_joint_beside_the_path_rests_where_it_may_and_is_not_called_locked():
+    """So does one without limits, and one that has several coordinates is left as it is."""
+    text = "".join(
+        (
+            '<robot name="r"><link name="l0"/>',
+            joint("a", "revolute", "l0", "l1", axis="0 1 0"),
+            joint("free", "continuous", "l1", "l2", axis="1 0 0"),
+            joint("b", "revolute", "l2", "l3", axis="0 1 0"),
+            joint("low", "prismatic", "l1", "side", limits=(-0.3, -0.1)),
+            joint("high", "revolute", "side", "end", limits=(0.4, 1.0)),
+            '<link name="far"/><joint name="loose" type="floating"><parent link="l0"/><child link="far"/></joint></robot>',
+        )
+    )
+    passive = "".join(f'<passive_joint name="{name}"/>' for name in ("free", "low", "high", "loose", "nobody"))
+    arm = ik.Robot.load(text, tip="l3", srdf=f'<robot name="r">{passive}</robot>')
+    assert arm.joint_names == ("a", "b") and arm.locked_joints == {"free": 0.0}
+    model = arm.model
+    rests = {name: arm.rest[model.joints[model.getJointId(name)].idx_q] for name in ("low", "high")}
+    assert rests == {"low": -0.1, "high": 0.4}
+    q = [0.3, -0.5]
+    judged = SecondFK(text, tip="l3").fk(np.array([[0.3, 0.0, -0.5]]), ("a", "free", "b"))
+    assert np.abs(arm.fk(q).homogeneous - judged).max() < 1e-12
+    turned = ik.Robot.load(text, tip="l3", srdf=f'<robot name="r">{passive}</robot>', locked={"free": 0.7, "high": 0.5})
+    assert turned.locked_joints == {"free": 0.7, "high": 0.5} and turned.joint_names == ("a", "b")
+    other = ik.Robot.load(text, tip="end", srdf=f'<robot name="r">{passive}</robot>')
+    assert other.joint_names == ("a",) and other.locked_joints == {"low": -0.1, "high": 0.4}
 
 
 # ----------------------------------------------------------------------------------------------------------- where it lies

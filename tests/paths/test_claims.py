@@ -1,0 +1,143 @@
+"""What the result of a path claims beyond its motion: how few reconfigurations there can be, and that contact is ruled out."""
+
+import numpy as np
+import pytest
+from robots import load, urdf
+
+import ik_toolkit as ik
+from ik_toolkit.paths.result import PathStatus
+
+WOUND = urdf(
+    dict(kind="revolute", xyz="0 0 0", limits=(-1.0, 1.0)),
+    dict(kind="revolute", xyz="1 0 0", limits=(-1.0, 1.0)),
+    dict(kind="revolute", xyz="1 0 0", limits=(-3.5, 3.5)),
+)
+
+
+def planar_pose(x, y, angle):
+    T = np.eye(4)
+    T[:2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
+    T[:2, 3] = x, y
+    return T
+
+
+def spun(degrees):
+    """Path of a tip that turns on the spot, by an arm whose last joint has 401 degrees."""
+    return ik.solve_path(ik.Robot.load(WOUND), np.array([planar_pose(1.8, 0.1, x) for x in np.radians(degrees)]))
+
+
+# ------------------------------------------------------------------------------------------------- how few there can be
+def test_fewest_is_called_proven_only_where_the_bound_is_the_number():
+    """The last joint has 401 degrees, so 800 take three pieces."""
+    dense = spun(np.arange(0.0, 801.0, 2.5))
+    assert dense.status == PathStatus.RECONFIGURES and len(dense.reconfigurations) == 2 == dense.lower_bound
+    assert "with 2 reconfigurations (provably the fewest), after pose" in dense.message
+    # Between poses far apart several breaks would count as one, so no more than one is proven to be needed.
+    coarse = spun(np.arange(0.0, 801.0, 100.0))
+    assert coarse.status == PathStatus.RECONFIGURES and len(coarse.reconfigurations) == 2
+    assert coarse.lower_bound == 1 and "with 2 reconfigurations (the fewest found), after pose" in coarse.message
+
+
+def test_nothing_is_proven_where_a_turn_between_two_poses_may_go_either_way():
+    """At the end it turns by 180 degrees from one pose to the next."""
+    either = spun([*np.arange(0.0, 451.0, 2.5), 630.0])
+    assert either.status == PathStatus.RECONFIGURES and len(either.reconfigurations) == 1
+    assert either.lower_bound is None and "with 1 reconfiguration (the fewest found), after pose" in either.message
+
+
+# ------------------------------------------------------------------------------------------------------------- contact
+def test_a_motion_too_close_to_rule_out_contact_is_said_to_be():
+    """A plate over an arm that moves in a plane: the gap of its ball is the same all the way."""
+    text = urdf(
+        dict(kind="revolute", xyz="0 0 0"), *[dict(kind="revolute", xyz="0.7 0 0")] * 2, dict(kind="fixed", xyz="1 0 0")
+    )
+    ball = '<link name="l4"><collision><geometry><sphere radius="0.05"/></geometry></collision></link>'
+    robot = ik.Robot.load(text.replace('<link name="l4"/>', ball))
+    points = np.array([robot.fk(q).translation for q in np.linspace([0.3, 0.8, 0.5], [0.302, 0.802, 0.5], 2)])
+    for gap, proven in ((5e-5, False), (5e-4, True)):
+        model = ik.CollisionModel(robot).add_box((9.0, 9.0, 0.01), (0.0, 0.0, 0.055 + gap), name="plate")
+        made = ik.solve_path(robot, points, avoid_collisions=model)
+        assert made.status == PathStatus.FOLLOWED and not made.continuity.contacts
+        places = made.continuity.unproven
+        assert (not places) == proven and (made.continuity.clearance > 0.0) == proven
+        told = f"; at {len(places)} place{'s' * (len(places) != 1)} shapes are too close to rule out contact"
+        assert made.message.endswith("rad" if proven else told)
+
+
+def test_the_clearance_of_a_single_pose_is_the_distance_there():
+    text = urdf(dict(kind="revolute", xyz="0 0 0"), dict(kind="revolute", xyz="1 0 0"), dict(kind="fixed", xyz="1 0 0"))
+    ball = '<link name="l3"><collision><geometry><sphere radius="0.05"/></geometry></collision></link>'
+    robot = ik.Robot.load(text.replace('<link name="l3"/>', ball))
+    model = ik.CollisionModel(robot).add_box((9.0, 9.0, 0.01), (0.0, 0.0, 0.3), name="plate")
+    made = ik.solve_path(robot, robot.fk([0.3, 0.8]).translation[None], avoid_collisions=model)
+    assert made.status == PathStatus.FOLLOWED and made.clearance == pytest.approx(0.3 - 0.005 - 0.05, abs=1e-6)
+
+
+# ---------------------------------------------------------------------------------------------------------- held joints
+def test_a_path_holds_joints_of_weight_0_where_its_start_has_them():
+    """One of them is the lift, a prismatic joint."""
+    robot, held = load("inspection_7dof"), [1, 6]
+    weights = [0 if j in held else 1 for j in range(7)]
+    for start in (robot.home + 0.03, robot.home):
+        end = start + np.array([0.2, 0.0, 0.1, -0.1, 0.2, 0.1, 0.0])
+        points = np.array([robot.fk(q).translation for q in np.linspace(start, end, 8)])
+        given = None if start is robot.home else start
+        made = ik.solve_path(robot, points, q0=given, joint_weights=weights)
+        assert made.success and np.abs(made.q[:, held] - start[held]).max() < 1e-12
+
+
+def test_a_reference_of_positions_is_followed():
+    robot = load("planar_2r")
+    points = np.array([robot.fk(q).translation for q in ([0.3, 0.8], [0.5, 1.0])])
+    made = ik.solve_path(robot, ik.line(*points, duration=0.1))
+    assert made.status == PathStatus.FOLLOWED and len(made.q) == 11
+    assert np.allclose([robot.fk(q).translation for q in made.q], np.linspace(*points, 11), atol=1e-6)
+
+
+# ---------------------------------------------------------------------------------------------------------- the sentence
+def test_a_motion_is_told_by_its_length():
+    flat, slides = load("planar_2r"), load("cartesian_pp")
+    points = np.array([flat.fk(q).translation for q in np.linspace([0.3, 0.8], [0.5, 1.0], 3)])
+    made = ik.solve_path(flat, points)
+    assert made.message == f"3 poses followed in one motion of {made.length[0]:.3g} rad" and made.length[1] == 0.0
+    assert ik.solve_path(flat, points[:1]).message == "1 pose followed in one motion of 0 rad"
+    points = np.array([slides.fk(q).translation for q in np.linspace(slides.home, slides.home + 0.02, 3)])
+    made = ik.solve_path(slides, points)
+    assert (
+        made.message == f"3 poses followed in one motion of 0 rad and {made.length[1]:.3g} m" and made.length[1] > 0.0
+    )
+
+
+def test_a_path_that_only_collides_says_what_touches_and_where():
+    text = urdf(dict(kind="revolute", xyz="0 0 0"), dict(kind="revolute", xyz="1 0 0"), dict(kind="fixed", xyz="1 0 0"))
+    ball = '<link name="l3"><collision><geometry><sphere radius="0.05"/></geometry></collision></link>'
+    robot = ik.Robot.load(text.replace('<link name="l3"/>', ball))
+    points = np.array([robot.fk(q).translation for q in np.linspace([0.3, 0.8], [0.5, 1.0], 5)])
+    model = ik.CollisionModel(robot).add_sphere(0.02, points[2], name="post")
+    made = ik.solve_path(robot, points, avoid_collisions=model)
+    assert made.status == PathStatus.COLLISION and not made.success and made.clearance == 0.0
+    touch = made.continuity.contacts[0]
+    assert set(touch.pair) == {"l3", "post"} and 1.0 < touch.place < 2.5
+    where = f"{' and '.join(touch.pair)} touch at pose {touch.place:.4g}"
+    assert made.message == f"5 poses followed, but only in collision ({where}); move the poses or the obstacle"
+
+
+def test_what_ends_a_path_early_is_told():
+    robot = load("planar_3r")
+    s = np.linspace(0.0, 1.0, 101)[:, None]
+    curve = (1 - s) ** 2 * [5.06, -0.36, -0.82] + 2 * s * (1 - s) * [5.78, -1.06, -0.45] + s * s * [5.02, -1.58, 0.28]
+    T = np.array([planar_pose(*one) for one in curve])
+    none = ik.solve_path(robot, T, reconfigurations=0)
+    last = int(np.flatnonzero(np.isfinite(none.q[:, 0]))[-1])
+    assert none.message == (
+        f"with no reconfiguration the path found ends at pose {last} of 101: pose {last + 1} cannot be passed, and the whole "
+        "path needs 1; allow them (reconfigurations='fewest'), or relax the targets (free_turn, slack, mask)"
+    )
+    T[98, 0, 3] += 9.0
+    lost = ik.solve_path(robot, T)
+    assert lost.status == PathStatus.INCOMPLETE and [one.index for one in lost.unreachable] == [98]
+    assert lost.message == (
+        f"{np.isfinite(lost.q[:, 0]).sum()} of 101 poses reached; not pose 98: {lost.unreachable[0].reason}; move the poses, "
+        "relax the targets (free_turn, slack, mask), or widen the limits"
+    )
+    assert lost.unreachable[0].proven and lost.unreachable[0].reason.startswith("beyond reach by ")

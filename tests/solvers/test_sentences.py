@@ -1,0 +1,172 @@
+"""The sentence of each status: its figures are those of the result, and it says what to try."""
+
+import numpy as np
+import pytest
+import robots
+
+import ik_toolkit as ik
+from ik_toolkit.solvers.status import ADVICE, Status
+
+NARROW = robots.urdf(
+    dict(kind="revolute", xyz="0 0 0", limits=(-0.5, 0.5)),
+    dict(kind="revolute", xyz="1 0 0", limits=(-0.5, 0.5)),
+    dict(kind="fixed", xyz="1 0 0"),
+)
+
+
+@pytest.fixture(scope="module")
+def arm():
+    return robots.load("hydrolek_7w")
+
+
+@pytest.fixture(scope="module")
+def tree():
+    return robots.load("two_arms")
+
+
+def metres(x, digits=3):
+    return f"{x:.{digits}g} m" if x >= 1.0 else f"{1000 * x:.{digits}g} mm"
+
+
+def left(result):
+    turned = "" if result.orientation_error is None else f", {np.degrees(result.orientation_error):.3g} deg"
+    return metres(result.position_error) + turned
+
+
+def target(arm):
+    return arm.fk(arm.random_q(np.random.default_rng(1)))
+
+
+def test_converged():
+    arm, again = robots.load("inspection_7dof"), set()
+    for q in arm.random_q(np.random.default_rng(4), 25):
+        for goal in (arm.fk(q), arm.fk(q).translation):
+            result = ik.solve(arm, goal, "lm", q0=arm.home)
+            told = f"converged in {result.iterations} iterations to {left(result)}"
+            k = result.restarts
+            assert result.success and result.message == told + (f" after {k} restart{'s' * (k > 1)}" if k else "")
+            again.add(min(k, 2))
+    assert again == {0, 1, 2}
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        (dict(max_iterations=1, restarts=0), "{left} away after 1 iteration; {advice}"),
+        (dict(max_iterations=2, restarts=0), "{left} away after 2 iterations; {advice}"),
+        (
+            dict(max_iterations=1, restarts=2),
+            "closest {left} after 3 starts, each cut off by the limit of iterations; {advice}",
+        ),
+        (
+            dict(max_evaluations=3),
+            "the limit of 3 evaluations was reached after 1 start; closest {left}; raise max_evaluations",
+        ),
+    ],
+)
+def test_cut_off(arm, options, told):
+    result = ik.solve(arm, target(arm), "lm", q0=arm.home, **options)
+    assert result.status == Status.ITERATION_LIMIT
+    assert result.message == told.format(left=left(result), advice=ADVICE[result.status])
+
+
+def test_followed(arm):
+    small = ik.solve(arm, target(arm), "lm", q0=arm.home, follow=0.01)
+    moved = np.abs(small.q - arm.home)
+    assert small.status == Status.TOO_FAR and moved.max() == pytest.approx(0.01, abs=1e-9)
+    ends = [
+        f"{left(small)} away when joint {joint} reached the 0.01 rad it may move from q0; {ADVICE[small.status]}"
+        for joint, far in zip(arm.joint_names, moved, strict=True)
+        if far > 0.01 - 1e-9
+    ]
+    assert small.message in ends
+    cut = ik.solve(arm, target(arm), "lm", q0=arm.home, follow=3.0, max_iterations=2)
+    assert cut.status == Status.ITERATION_LIMIT
+    assert cut.message == f"{left(cut)} away after 2 iterations; move the target in smaller steps, or use the tracker"
+
+
+def test_beyond_reach(arm, tree):
+    for goal, restarts in (((9.0, 0.0, 0.0), 0), ((9.0, 0.0, 0.0), 2), (ik.pose((9.0, 0.0, 0.0)), 2)):
+        result = ik.solve(arm, goal, "lm", q0=arm.home, restarts=restarts)
+        assert result.status == Status.UNREACHABLE
+        starts = f"after {restarts + 1} start{'s' * (restarts > 0)}"
+        head, _, tail = result.message.partition(" (a bound from the link lengths)")
+        beyond = float(head.removeprefix("the target is beyond reach by ").removesuffix(" m"))
+        assert 0.0 < beyond <= result.position_error + 1e-3
+        assert tail.startswith(f"; closest {metres(result.position_error)}") and tail.endswith(
+            f"{starts}; {ADVICE[result.status]}"
+        )
+    first, second = tree.tips
+    both = ik.solve(tree, {first: (9.0, 0.0, 0.0), second: (0.0, 9.0, 0.0)}, "lm", restarts=1)
+    head, _, tail = both.message.partition(" (a bound from the link lengths); ")
+    assert head.startswith(f"beyond reach: {first} by ") and f", {second} by " in head
+    errors = ", ".join(f"{tip} {metres(both.position_errors[tip])}" for tip in tree.tips)
+    assert tail == f"{ADVICE[both.status]}; remaining error at each tip: {errors}"
+    alone = ik.solve(tree, {second: (0.0, 9.0, 0.0)}, "lm", restarts=1)
+    assert alone.message.startswith(f"beyond reach: {second} by ") and first not in alone.message
+
+
+def test_what_is_left_at_each_tip(tree):
+    result = ik.solve(tree, tree.fk(tree.home + 0.1), "lm", q0=tree.home, max_iterations=1, restarts=0)
+    errors = ", ".join(
+        f"{tip} {metres(result.position_errors[tip])} {np.degrees(result.orientation_errors[tip]):.3g} deg"
+        for tip in tree.tips
+    )
+    assert not result.success and result.message.endswith(f"; remaining error at each tip: {errors}")
+
+
+def test_blocked_by_limits():
+    robot = ik.Robot.load(NARROW)
+    for restarts in (0, 3):
+        result = ik.solve(robot, (-1.0, 1.0, 0.0), "lm", restarts=restarts)
+        assert result.status == Status.LIMIT_BLOCKED and result.limited_joints
+        starts = f"{restarts + 1} start{'s' * (restarts > 0)}"
+        told = f"joint limits ({', '.join(result.limited_joints)}) appear to block the target; closest {left(result)}"
+        assert result.message == f"{told} after {starts}; {ADVICE[result.status]}"
+    shut = ik.solve(robot, (-1.0, 1.0, 0.0), "planar-2r")
+    assert shut.status == Status.LIMIT_BLOCKED
+    assert shut.message == (
+        "the target is in reach but every branch violates a joint limit; the closest configuration found within limits is "
+        f"{left(shut)} away, with {', '.join(shut.limited_joints)} at a limit; widen the limits or move the target"
+    )
+
+
+def test_closed_forms():
+    robot = robots.load("planar_2r")
+    result = ik.solve(robot, robot.fk([0.3, 0.9]).translation, "planar-2r")
+    assert result.message == f"closed form: the branch within limits nearest q0; residual {left(result)}"
+    away = ik.solve(robot, (5.0, 0.0, 0.0), "planar-2r")
+    reach = np.linalg.norm(robot.fk([0.0, 0.0]).translation[:2])
+    assert away.status == Status.UNREACHABLE
+    told = f"the target is out of reach by about {metres(5.0 - reach, 4)}; the closest configuration found is {left(away)} away"
+    assert away.message.startswith(told)
+
+
+def test_in_collision(arm):
+    around = ik.CollisionModel(arm).add_sphere(0.3, arm.fk(arm.home).translation, name="ball")
+    result = ik.solve(arm, arm.fk(arm.home), "lm", avoid_collisions=around, restarts=4)
+    assert result.status == Status.COLLISION and "ball" in result.collision
+    told = f"every solution found from 5 starts is in collision; here {' and '.join(result.collision)} touch"
+    assert result.message == f"{told}; {ADVICE[result.status]}"
+
+
+def test_notices():
+    arm = robots.load("inspection_7dof")
+    for q in arm.random_q(np.random.default_rng(4), 25):
+        result = ik.solve(arm, arm.fk(q), "lm", q0=arm.home)
+        far = f"q was found by attempt {result.attempt}, not from q0, and may be far from it; in a loop use follow=True"
+        assert result.notice == (far if result.attempt else "")
+        assert ik.solve(arm, arm.fk(q), "lm").notice == ""  # without q0 there is nothing to be near to
+    out = arm.upper + 0.1
+    held = ik.solve(arm, arm.fk(arm.upper - 0.05), "lm", q0=out)
+    assert held.notice.startswith("q0 was outside the limits at joint") and "clamped" in held.notice
+
+
+def test_all_solutions():
+    robot = ik.Robot.load(NARROW)
+    both = ik.solve_all(robots.load("planar_2r"), robots.load("planar_2r").fk([0.3, 0.9]).translation)
+    assert both.message.startswith("2 of 2 branches") and "are inside the limits" in both.message
+    some = ik.solve_all(robot, robot.fk([0.45, 0.45]).translation)
+    assert len(some) == 1 and some.message.startswith("1 of 2 branches")
+    free = ik.solve_all(robot, robot.fk([0.45, 0.45]).translation, limits=False)
+    assert len(free) == 2 and free.message.startswith("2 branches") and "inside the limits" not in free.message
