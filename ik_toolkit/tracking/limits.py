@@ -9,7 +9,7 @@ from ..errors import InvalidOption, floats, near_match
 from ..kernel.box import UNLIMITED
 from ..robot.robot import Robot
 from ..robot.tree import Tree
-from .inputs import one_of, switch
+from .inputs import switch
 
 LIMIT_NAMES = ("lower", "upper", "speed", "acceleration")
 INSTEAD = {  # of assigning an attribute of a Tracker

@@ -48,10 +48,8 @@ class Tracker(Blocks, ReadOnly):
     accelerations [rad/s^2 or m/s^2] when acceleration_limits gives them (number or (n,)), for any dt up to dt_max [s] (default
     five times the first; a longer step is taken in parts); between samples, too, but cv, av and solvers change rates at once. A
     joint outside is brought back.
-
     on_limit: what gives way where limits bind. "direct": the tip falls behind, but towards its target (for an operator);
     "leave": the error is the least possible now; "clip": the published form, each joint clipped on its own.
-
     What counts: mask, slack, free_turn, frame, relative_to as in `ik.solve`. Beside the task, in its null space: avoid_limits
     (True, False or a rate [1/s]): lead joints away from near limits; posture (n,) [rad or m] to keep, or (posture, rate);
     elbow {joint: 1 or -1}: the side of its zero on which a joint stays; manipulability [1/s]: how strongly it is raised;
@@ -60,14 +58,11 @@ class Tracker(Blocks, ReadOnly):
 
     avoid_collisions: True (the robot's own links) or a CollisionModel: the arm slows down before what is in its way and slides
     along it, and takes no step after which it could not stop without a contact (BLOCKED); for things that stand still.
-
     reconfigure: where the arm stands at limits short of a target that another posture reaches, move there through the joints
     (RECONFIGURING): at once where the target is at rest; while it moves, only when the error has cost as much as the way will.
     Inside all limits and elbow sides, with avoid_collisions free of contacts; not while a joint is locked. Only with "direct".
-
     straight: how many times as long as through the joints the tip's straight way to a target that leapt, and stands, may take;
     where it takes longer the joints go there together (inf: any straight way; without one, another posture). Only with "direct".
-
     jump: joint move [rad, or reaches] in one step reported as JUMPED; resync [rad, or reaches]: see `update`. Raises
     InvalidOption, InvalidConfiguration.
     """
@@ -298,7 +293,7 @@ class Tracker(Blocks, ReadOnly):
         return self._here
 
     def error_at(self, q: np.ndarray, samples: Samples, h: float) -> np.ndarray:
-        """What counts (m,) [m, rad] of the error to a target with the joints at q (n,), in kernel units; until the next call."""
+        """Error (m,) that counts, to a target, with the joints at q (n,), in kernel units; it holds until the next call."""
         self._settings.measured[:] = q
         return self._now(samples, h, measured=True).E[0]
 
