@@ -3,9 +3,11 @@
 from typing import Any
 
 import numpy as np
+from sympy import Abs, Min, atan2, cos, sin, sqrt
 
 from ...kernel.jit import cached
-from ..derivation import Branch, Derivation, Step, Worksheet, joint_step, zero_steps
+from ..explain.worked_solution import Branch, WorkedSolution
+from ..explain.worksheet import Worksheet, zero_angles
 from .planar_arm import ANGLES, L1, L2, every_branch, to_plane
 from .reach import ON_AXIS, planar_branches, planar_margin
 
@@ -26,44 +28,47 @@ def worked_out(p, T, box, head, sols):
     return planar_branches(x, y, p[L1], p[L2], p[ANGLES] * box[2, 0] + p[ANGLES + 1], sols)
 
 
-def derive(robot: Any, p: np.ndarray, T: np.ndarray, box: np.ndarray) -> Derivation:
+def derive(robot: Any, p: np.ndarray, T: np.ndarray, box: np.ndarray) -> WorkedSolution:
     """Formulas and branches of the point of T (4, 4); box as in `geometry.copy_limits`."""
     head, sols = np.empty(4), np.empty((2, 2))
     count = worked_out(p, T, box, head, sols)
     q, broken, marks = np.empty((2, 2)), np.empty(2), np.empty((2, 3), dtype=np.int8)
     every_branch(p, T, box, q, broken, marks)
-    x, y, off, room = head
-    given = (
-        Step("l1", "", p[L1], "m", "first link"),
-        Step("l2", "", p[L2], "m", "second link, to the tip"),
-        Step("x", "", x, "m", "target in the arm's plane, from the first joint"),
-        Step("y", "", y, "m"),
-        *zero_steps({"theta_1": p[ANGLES + 1], "theta_2": p[ANGLES + 3]}),
-    )
-    sheet = Worksheet(given)
-    sheet.add("r", "hypot(x, y)", None, "m", "distance of the target from the first joint")
-    sheet.add("g", "min(l1 + l2 - r, r - abs(l1 - l2))", room, "m", "room left in the reach: below 0, out of reach")
-    sheet.add("psi", "atan2(y, x)", None, "rad", "direction of the target")
+    room = head[3]
+    sheet = Worksheet()
+    l1 = sheet.given("l1", p[L1], "m", "first link")
+    l2 = sheet.given("l2", p[L2], "m", "second link, to the tip")
+    x = sheet.given("x", head[0], "m", "target in the arm's plane, from the first joint")
+    y = sheet.given("y", head[1], "m")
+    zeros = zero_angles(sheet, {"theta_1": p[ANGLES + 1], "theta_2": p[ANGLES + 3]})
+    r = sheet.formula("r", sqrt(x**2 + y**2), "m", "distance of the target from the first joint")
+    margin = Min(l1 + l2 - r, r - Abs(l1 - l2), evaluate=False)
+    sheet.formula("g", margin, "m", "room left in the reach: below 0, out of reach", room)
+    psi = sheet.formula("psi", atan2(y, x), "rad", "direction of the target")
     if room >= 0.0:
-        sheet.add("c2", "(r**2 - l1**2 - l2**2)/(2*l1*l2)", None, "", "cosine of theta_2, by the law of cosines")
-    sheet.add("u", "sqrt(l1 + l2 - r)*sqrt(l1 + l2 + r)", None, "m", "the same triangle, without cancellation")
-    sheet.add("v", "sqrt(r - abs(l1 - l2))*sqrt(r + abs(l1 - l2))", None, "m")
+        c2 = (r**2 - l1**2 - l2**2) / (2 * l1 * l2)
+        sheet.formula("c2", c2, "", "cosine of theta_2, by the law of cosines")
+    u = sheet.formula("u", sqrt(l1 + l2 - r) * sqrt(l1 + l2 + r), "m", "the same triangle, without cancellation")
+    v = sheet.formula("v", sqrt(r - Abs(l1 - l2)) * sqrt(r + Abs(l1 - l2)), "m")
+    folded = max(sheet.values[r], abs(p[L1] - p[L2])) <= ON_AXIS * (p[L1] + p[L2])
     branches = []
     for k in range(count):
-        own = Worksheet((*given, *sheet.steps))
+        own = Worksheet(sheet.steps)
         side = int(marks[k, 1])
-        own.add("theta_2", "2*atan2(u, v)" if side >= 0 else "-2*atan2(u, v)", sols[k, 1], "rad", "has that cosine")
-        own.add("beta", "atan2(l2*sin(theta_2), l1 + l2*cos(theta_2))", None, "rad", "rotation due to the bent elbow")
-        if max(sheet.values["r"], abs(p[L1] - p[L2])) <= ON_AXIS * (p[L1] + p[L2]):
-            own.add("theta_1", "", sols[k, 0], "rad", "free: the links fold back onto the base; kept where it is")
+        bend = 2 * atan2(u, v) * (1 if side >= 0 else -1)
+        theta_2 = own.formula("theta_2", bend, "rad", "has that cosine", sols[k, 1])
+        beta = atan2(l2 * sin(theta_2), l1 + l2 * cos(theta_2))
+        beta = own.formula("beta", beta, "rad", "rotation due to the bent elbow")
+        if folded:
+            words = "free: the links fold back onto the base; kept where it is"
+            theta_1 = own.given("theta_1", sols[k, 0], "rad", words)
         else:
-            own.angle("theta_1", "psi - beta", sols[k, 0])
-        for i in range(2):
-            joint_step(own, i, f"theta_{i + 1}", p[ANGLES + 2 * i], q[k, i], robot.joint_names[i])
+            theta_1 = own.angle("theta_1", psi - beta, sols[k, 0])
+        for i, theta in enumerate((theta_1, theta_2)):
+            own.joint(robot.joint_names[i], theta, i, p[ANGLES + 2 * i], zeros[str(theta)], q[k, i])
         outside = tuple(robot.outside(q[k])) if broken[k] > 0.0 else ()
         branches.append(Branch(LABELS[side], q[k], outside, tuple(own.steps)))
-    words = _words(robot, room, off)
-    return Derivation(given, tuple(sheet.steps), tuple(branches), LEGEND, words, None, BESIDE)
+    return WorkedSolution(tuple(sheet.steps), tuple(branches), LEGEND, _words(robot, room, head[2]), None, BESIDE)
 
 
 def _words(robot: Any, room: float, off: float) -> str:

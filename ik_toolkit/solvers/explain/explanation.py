@@ -7,11 +7,24 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..robot.dh import DHTable
-from .blocks import UNITS, Block, Broken, Formulas, Given, Heading, Table, Words, to_markdown, to_text
-from .derivation import Branch, Derivation
+from ...robot.dh import DHTable
 from .dh_table import dh_blocks
-from .formula import decimals, number, unit_of
+from .layout import (
+    UNITS,
+    Block,
+    Equations,
+    OutsideLimits,
+    Sentence,
+    Table,
+    Title,
+    decimals,
+    number,
+    to_html,
+    to_markdown,
+    to_text,
+    unit_of,
+)
+from .worked_solution import Branch, WorkedSolution
 
 ABREAST = 4  # branches side by side
 FIRST, LAST = 10, 4  # iterations shown of a long run
@@ -47,7 +60,7 @@ class Explanation:
     message: str
     targets: dict[str, np.ndarray]
     tables: dict[str, DHTable | None]
-    derivation: Derivation | None
+    worked_solution: WorkedSolution | None
     form: str
     source: str
     why: str
@@ -63,50 +76,48 @@ class Explanation:
 
     def blocks(self) -> Iterator[Block]:
         """The whole, part by part."""
-        yield Words(f"{self.message[0].upper()}{self.message[1:].rstrip('.')}. Lengths in mm, angles in degrees.")
+        yield Sentence(f"{self.message[0].upper()}{self.message[1:].rstrip('.')}. Lengths in mm, angles in degrees.")
         for arm, place in zip(self.robot.arms, self.robot.places, strict=True):
-            yield Heading("Denavit-Hartenberg table" + (f" of {arm.tip}" if len(self.tables) > 1 else ""))
+            yield Title("Denavit-Hartenberg table" + (f" of {arm.tip}" if len(self.tables) > 1 else ""))
             yield from dh_blocks(arm, self.tables[arm.tip], self.q[np.asarray(place)])
         for tip, T in self.targets.items():
-            yield Heading("Target" + (f" of {tip}" if len(self.tables) > 1 else ""))
+            yield Title("Target" + (f" of {tip}" if len(self.tables) > 1 else ""))
             yield target_table(T, self.places)
-        if self.derivation is not None:
-            yield Heading(f"Closed form '{self.form}'")
-            if self.derivation.free is not None:
-                yield Words(self.free_words())
+        if self.worked_solution is not None:
+            yield Title(f"Closed form '{self.form}'")
+            if self.worked_solution.free is not None:
+                yield Sentence(self.free_words())
             yield from self.formula_blocks(self.chosen or 0)
-            yield Heading("Branches")
+            yield Title("Branches")
             yield from self.branch_blocks()
         else:
-            yield Heading("Closed form")
-            yield Words(self.why)
+            yield Title("Closed form")
+            yield Sentence(self.why)
         if self.iterations is not None:
-            yield Heading(f"Iterations of '{self.iterations.solver}'")
+            yield Title(f"Iterations of '{self.iterations.solver}'")
             yield from self.iteration_blocks()
 
     def formula_blocks(self, k: int) -> Iterator[Block]:
         """Formulas with their numbers, those of branch k."""
-        assert self.derivation is not None
-        made = self.derivation
+        assert self.worked_solution is not None
+        made = self.worked_solution
         if made.words:
-            yield Words(f"{made.words[0].upper()}{made.words[1:]}.")
+            yield Sentence(f"{made.words[0].upper()}{made.words[1:]}.")
         branch = made.branches[k] if made.branches else Branch("", self.q)
-        if not made.given:
-            yield Words("This closed form shows no formulas, only its branches.")
+        if not made.steps:
+            yield Sentence("This closed form shows no formulas, only its branches.")
             return
-        numbers = made.symbols(branch)
-        yield Given(made.given, self.places)
-        yield Formulas(made.shared, numbers, self.places)
+        yield Equations(made.steps, (), self.places)
         if branch.label:
-            yield Words(f"Branch {k + 1}, {branch.label}:")
-        yield Formulas(branch.steps, numbers, self.places)
+            yield Sentence(f"Branch {k + 1}, {branch.label}:")
+        yield Equations(branch.steps, made.steps, self.places)
         if self.source:
-            yield Words(f"Source: {self.source}.")
+            yield Sentence(f"Source: {self.source}.")
 
     def free_words(self) -> str:
         """Ranges of the free joint."""
-        assert self.derivation is not None and self.derivation.free is not None
-        free = self.derivation.free
+        assert self.worked_solution is not None and self.worked_solution.free is not None
+        free = self.worked_solution.free
         name, unit = self.robot.joint_names[free.joint], unit_of(self.robot.joint_kinds[free.joint])
 
         def said(spans: Sequence[tuple[float, float]]) -> str:
@@ -123,10 +134,10 @@ class Explanation:
 
     def branch_blocks(self) -> Iterator[Block]:
         """Branches: label, joint values, error by Pinocchio."""
-        assert self.derivation is not None
-        branches, kinds = self.derivation.branches, self.robot.joint_kinds
+        assert self.worked_solution is not None
+        branches, kinds = self.worked_solution.branches, self.robot.joint_kinds
         if not branches:
-            yield Words("There is none.")
+            yield Sentence("There is none.")
             return
         rows = []
         for k, branch in enumerate(branches):
@@ -140,13 +151,15 @@ class Explanation:
             for i, (name, kind) in enumerate(zip(self.robot.joint_names, kinds, strict=True)):
                 unit = unit_of(kind)
                 values = ((number(branches[k].q[i], unit, self.places), name in branches[k].outside) for k in shown)
-                rows.append((name, *(Broken(text) if bad else text for text, bad in values)))
+                rows.append((name, *(OutsideLimits(text) if bad else text for text, bad in values)))
             rows.append(("FK error", *(f"{1000.0 * self.errors[k][0]:.0e}" for k in shown)))
             yield Table(("joint", *(str(k + 1) for k in shown)), rows)
         marked = "! is outside the joint's limits. " if any(branch.outside for branch in branches) else ""
-        yield Words(f"{marked}FK error: distance from the target by Pinocchio. {self.derivation.legend}".rstrip())
+        yield Sentence(
+            f"{marked}FK error: distance from the target by Pinocchio. {self.worked_solution.legend}".rstrip()
+        )
         if self.chosen is None:
-            yield Words("The solution is not one of these branches.")
+            yield Sentence("The solution is not one of these branches.")
 
     def iteration_blocks(self) -> Iterator[Block]:
         """Errors by iteration."""
@@ -172,25 +185,27 @@ class Explanation:
             rows.append(tuple(cells))
         yield Table(head, rows)
         which = f" Attempt {i.attempt} is shown." if i.attempt else ""
-        yield Words(f"{i.message[0].upper()}{i.message[1:].rstrip('.')}.{which}")
+        yield Sentence(f"{i.message[0].upper()}{i.message[1:].rstrip('.')}.{which}")
 
     # ------------------------------------------------------------------------------------------------------------ written
     def __str__(self) -> str:
         """Plain text, 80 columns wide."""
-        lines: list[str] = []
-        for block in self.blocks():
-            more = to_text(block)
-            lines += more[1:] if isinstance(block, Heading | Words) and not lines else more
-        return "\n".join(lines)
+        return to_text(self.blocks())
 
     def __repr__(self) -> str:
         """One line."""
-        branches = "" if self.derivation is None else f", '{self.form}', {len(self.derivation.branches)} branches"
+        branches = (
+            "" if self.worked_solution is None else f", '{self.form}', {len(self.worked_solution.branches)} branches"
+        )
         return f"Explanation('{self.robot.name}'{branches}; print it to read it)"
 
     def to_markdown(self) -> str:
         """Markdown with the formulas in LaTeX."""
-        return "\n\n".join(to_markdown(block) for block in self.blocks())
+        return to_markdown(self.blocks())
+
+    def to_html(self) -> str:
+        """HTML for inside a page, with the formulas in MathML."""
+        return to_html(self.blocks())
 
     def _repr_markdown_(self) -> str:
         """For notebooks."""
@@ -198,20 +213,20 @@ class Explanation:
 
     def to_dict(self) -> dict[str, Any]:
         """Plain numbers, strings and lists in metres and radians, ready for JSON."""
-        made, i = self.derivation, self.iterations
+        made, i = self.worked_solution, self.iterations
         free = made.free if made is not None else None
         return {
             "closed_form": self.form or None,
             "why": self.why,
             "dh": {tip: _plain_table(table) for tip, table in self.tables.items()},
-            "given": [step._asdict() for step in made.given] if made else [],
-            "steps": [step._asdict() for step in made.shared] if made else [],
+            "given": [step.to_dict() for step in made.steps if step.formula is None] if made else [],
+            "steps": [step.to_dict() for step in made.steps if step.formula is not None] if made else [],
             "branches": [
                 {
                     "label": branch.label,
                     "q": branch.q.tolist(),
                     "outside": list(branch.outside),
-                    "steps": [step._asdict() for step in branch.steps],
+                    "steps": [step.to_dict() for step in branch.steps],
                     "position_error": error[0],
                     "orientation_error": error[1],
                 }
