@@ -74,7 +74,7 @@ class _MathML(_PositiveFirst, MathMLPresentationPrinter):
                 made += BREAK if made and not before else ""
             made += node.toxml() + (BREAK if now == "," else "")
             before = now.replace(")", "").replace("|", "")
-        return made.encode("ascii", "xmlcharrefreplace").decode()
+        return made.replace(">-<", ">&#8722;<").encode("ascii", "xmlcharrefreplace").decode()
 
 
 def _flat(node: Any) -> Iterator[Any]:

@@ -84,11 +84,12 @@ def chains(block: Equations, form: str) -> Iterator[tuple[Step, list[list[str]]]
     first = block.steps[0] if block.steps else None
     for step in block.steps:
         sides = [written(step.symbol, form)]
+        if step.formula is not None:
+            sides.append(written(step.formula, form))
+            if with_numbers(step.formula, "text", texts) != texts[step.name]:  # which would be the same twice
+                sides.append(with_numbers(step.formula, form, texts))
         value = quantity(texts[step.name] + " mm" * (step.unit == "m"), form)
         value = f"<mn>{value}</mn>" if form == "mathml" else value
-        if step.formula is not None:
-            put_in = with_numbers(step.formula, form, texts)
-            sides += [written(step.formula, form), *([put_in] if put_in != value else [])]
         if first is not None and group and (step.words or step.formula is not None or first.formula is not None):
             yield first, group
             group = []
@@ -239,7 +240,7 @@ def _html_lines(step: Step, group: list[list[str]]) -> str:
     from .expression import BREAK
 
     def maths(written: str) -> str:
-        return " ".join(f'<math displaystyle="true">{piece}</math>' for piece in written.split(BREAK) if piece)
+        return "<wbr>".join(f'<math displaystyle="true">{piece}</math>' for piece in written.split(BREAK) if piece)
 
     said = f' <span style="color:{MUTED}">({html.escape(step.words)})</span>' if step.words else ""
     if step.formula is None:

@@ -36,11 +36,9 @@ class Worksheet:
         axes = "xyz"[: len(values if formulas is None else formulas)]
         made = []
         for i, axis in enumerate(axes):
-            value, said = None if values is None else values[i], words if not i else ""
-            if formulas is None:
-                made.append(self.given(f"{name}_{axis}", value, unit, said))
-            else:
-                made.append(self.formula(f"{name}_{axis}", formulas[i], unit, said, value))
+            formula, said = None if formulas is None else formulas[i], words if not i else ""
+            value = self.value(formula) if values is None else float(values[i])
+            made.append(self._add(f"{name}_{axis}", formula, value, unit, said))
         return Matrix(made)
 
     def joint(self, name: str, angle: Any, place: int, sign: float, offset: Any, value: float) -> None:
