@@ -12,6 +12,7 @@ from ..solvers.closed_form import fits
 from ..solvers.explain.dh_table import dh_blocks, dh_of
 from ..solvers.explain.explanation import Explanation, target_table
 from ..solvers.explain.layout import SCALES, UNITS, Sentence, Table, decimals, number, to_html, unit_of
+from ..solvers.explain.worked_solution import Branch, WorkedSolution
 from ..solvers.registry import find_row
 from ..solvers.result import Result
 from ..solvers.solve import solve
@@ -88,16 +89,11 @@ class Lesson:
 
     def at(self, value: float) -> Result:
         """The same target with the free parameter at a value [mm or deg]; the branch shown stays the same."""
-        assert (
-            self.made is not None
-            and self.made.worked_solution is not None
-            and self.made.worked_solution.free is not None
-        )
-        free, label = self.made.worked_solution.free, self.label
+        assert self.made is not None and self.worked is not None and self.worked.free is not None
+        free, label = self.worked.free, self.label
         row = find_row(self.made.form)
         result = self._explain(self.T, row.load()(**{free.parameter: value / self.scale(free.joint)}))
-        assert self.made.worked_solution is not None
-        same = [k for k, branch in enumerate(self.made.worked_solution.branches) if branch.label == label]
+        same = [k for k, branch in enumerate(self.branches) if branch.label == label]
         self.shown = same[0] if same else self.shown
         return result
 
@@ -109,13 +105,14 @@ class Lesson:
         return result
 
     @property
-    def branches(self) -> tuple[Any, ...]:
+    def worked(self) -> WorkedSolution | None:
+        """The closed form worked out for the last inverse, or None."""
+        return self.made.worked if self.made is not None else None
+
+    @property
+    def branches(self) -> tuple[Branch, ...]:
         """Branches of the last inverse."""
-        return (
-            self.made.worked_solution.branches
-            if self.made is not None and self.made.worked_solution is not None
-            else ()
-        )
+        return self.worked.branches if self.worked is not None else ()
 
     @property
     def label(self) -> str:
@@ -124,9 +121,7 @@ class Lesson:
 
     def span(self) -> tuple[float, float] | None:
         """Range [mm or deg] of the free parameter: from the first to the last interval within limits."""
-        free = (
-            self.made.worked_solution.free if self.made is not None and self.made.worked_solution is not None else None
-        )
+        free = self.worked.free if self.worked is not None else None
         if free is None or not free.inside:
             return None
         low, high = (self.scale(free.joint) * x for x in (free.inside[0][0], free.inside[-1][1]))
@@ -278,8 +273,8 @@ class Learn:
         span = lesson.span()
         with self.found:
             if span is not None and span[1] - span[0] > STEP:
-                assert made.worked_solution is not None and made.worked_solution.free is not None
-                i = made.worked_solution.free.joint
+                assert lesson.worked is not None and lesson.worked.free is not None
+                i = lesson.worked.free.joint
                 name = f"{self.robot.joint_names[i]} [{lesson.unit(i)}]  "
                 at = float(np.clip(lesson.scale(i) * made.q[i], *span))
                 self.free = self.gui.add_slider(name, round(span[0], 6), round(span[1], 6), STEP, at)
@@ -317,14 +312,14 @@ class Learn:
                 button.label = f"{k + 1}: {branch.label}" + (" (outside limits)" if branch.outside else "")
             button.color = CHOSEN if k == lesson.shown else QUIET
             button.visible = k < len(lesson.branches)
-        if made.worked_solution is not None and lesson.branches:
-            free = [Sentence(made.free_words())] if made.worked_solution.free is not None else []
+        if made.worked is not None and lesson.branches:
+            free = [Sentence(made.free_words())] if made.worked.free is not None else []
             free += [Sentence("The solver's solution is not one of these branches.")] if made.chosen is None else []
             values = values_table(self.robot, lesson.branches[lesson.shown].q, lesson.places)
-            legend = [Sentence(made.worked_solution.legend)] if made.worked_solution.legend else []
+            legend = [Sentence(made.worked.legend)] if made.worked.legend else []
             self.words.content = to_html([*free, values, *legend])
         self.form.visible = True
-        blocks = made.formula_blocks(lesson.shown) if made.worked_solution is not None else [Sentence(made.why)]
+        blocks = made.formula_blocks(lesson.shown) if made.worked is not None else [Sentence(made.why)]
         self.formulas.content = to_html(blocks)
         self.way.visible = made.iterations is not None
         if made.iterations is not None:

@@ -80,22 +80,22 @@ def test_formulas_give_the_solvers_numbers_and_branches_reach_the_target(arm, po
     for q, T in zip(*sample(arm, 6, seed=3), strict=True):
         target = T if posed else T[:3, 3].copy()
         made = ik.solve(arm, target, q0=q).explain()
-        assert len(made.worked_solution.branches) == (8 if posed else 2)
-        check_steps(made.worked_solution)
-        for branch, (position, angle) in zip(made.worked_solution.branches, made.errors, strict=True):
+        assert len(made.worked.branches) == (8 if posed else 2)
+        check_steps(made.worked)
+        for branch, (position, angle) in zip(made.worked.branches, made.errors, strict=True):
             T_by_pinocchio = arm.fk(branch.q).homogeneous
             assert np.abs(T_by_pinocchio[:3, 3] - T[:3, 3]).max() < 1e-9 and position < 1e-9
             assert not posed or (np.abs(T_by_pinocchio - T).max() < 1e-9 and angle < 1e-9)
             assert branch.outside == tuple(arm.outside(branch.q))
-        assert np.array_equal(made.worked_solution.branches[made.chosen].q.round(9), made.q.round(9))
-        assert apart([q], [branch.q for branch in made.worked_solution.branches]).min() < 1e-6
+        assert np.array_equal(made.worked.branches[made.chosen].q.round(9), made.q.round(9))
+        assert apart([q], [branch.q for branch in made.worked.branches]).min() < 1e-6
 
 
 @pytest.mark.parametrize("case", DATA["configurations"][:6])
 def test_branches_and_lifts_are_those_of_the_reference(case):
     arm = ik.Robot.load("inspection_7dof")
     T = np.array(case["T"])
-    made = ik.solve(arm, T, ik.Inspection(lift=case["q"][1]), limits=False).explain().worked_solution
+    made = ik.solve(arm, T, ik.Inspection(lift=case["q"][1]), limits=False).explain().worked
     expected = np.array(case["solutions_at_lift"])
     d = apart([branch.q for branch in made.branches], expected)
     assert d.min(axis=0).max() < 1e-9 and d.min(axis=1).max() < 1e-9
@@ -107,17 +107,17 @@ def test_singular_poses_are_explained_too(case):
     arm = ik.Robot.load("inspection_7dof")
     q = np.array(case["q"], dtype=float)
     made = ik.solve(arm, np.array(case["T"]), ik.Inspection(lift=q[1]), q0=q, limits=False).explain()
-    assert len(made.worked_solution.branches) == case["solutions_at_lift"] and made.chosen is not None
+    assert len(made.worked.branches) == case["solutions_at_lift"] and made.chosen is not None
     assert max(position for position, _ in made.errors) < 1e-9
-    assert "0" in made.worked_solution.branches[0].label or "free" in str(made) or case["solutions_at_lift"] == 8
+    assert "0" in made.worked.branches[0].label or "free" in str(made) or case["solutions_at_lift"] == 8
 
 
 @pytest.mark.parametrize("case", DATA["unreachable"], ids=lambda c: c["name"])
 def test_an_unreachable_pose_is_said(case):
     arm = ik.Robot.load("inspection_7dof")
     made = ik.solve(arm, np.array(case["T"]), ik.Inspection(lift=0.22), limits=False).explain()
-    assert f"{-1000 * case['reach_margin_at_0_220']:.4g} mm out of reach at lift 220 mm" in made.worked_solution.words
-    assert made.worked_solution.words[1:] in re.sub(r"\s+", " ", str(made))
+    assert f"{-1000 * case['reach_margin_at_0_220']:.4g} mm out of reach at lift 220 mm" in made.worked.words
+    assert made.worked.words[1:] in re.sub(r"\s+", " ", str(made))
 
 
 @pytest.mark.parametrize("case", [c for c in DATA["planar_2r"] if c["status"] == "ok"][:4])
@@ -125,10 +125,10 @@ def test_both_elbows_are_those_of_the_reference(case):
     joints = [("continuous", (x, 0, 0), (0, 0, 0), (0, 0, 1), -1.0, 1.0) for x in (0, case["l1"])]
     limb = urdf(joints, ((case["l2"], 0, 0), (0, 0, 0)))
     made = ik.solve(ik.Robot.load(limb, tip="tip"), (case["x"], case["y"], 0.0)).explain()
-    found, expected = [branch.q for branch in made.worked_solution.branches], np.array(case["solutions"])
+    found, expected = [branch.q for branch in made.worked.branches], np.array(case["solutions"])
     assert len(found) == len(expected) and apart(found, expected).min(axis=1).max() < 1e-9
     labels = {"elbow right (+)": 1, "elbow left (-)": -1}
-    assert all(labels.get(b.label, 0) * math.sin(b.q[1]) >= 0 for b in made.worked_solution.branches)
+    assert all(labels.get(b.label, 0) * math.sin(b.q[1]) >= 0 for b in made.worked.branches)
     i = made.iterations
     assert i.solver == "newton" and (not i.success or i.position[-1] < 1e-6)
 
@@ -197,7 +197,7 @@ def test_the_numbers_of_the_text_can_be_followed_by_hand(name, seed):
         said, unit = re.match(rf"({NUMBER})( deg| mm)?$", sides[-1]).groups()
         scale = math.degrees(1.0) if unit == " deg" else 1.0
         for side in sides[:-1]:
-            numbers = {f"_{k}": x for k, x in enumerate(re.findall(rf"(?<![\w.])(\d+\.\d+( deg)?)", side))}
+            numbers = {f"_{k}": x for k, x in enumerate(re.findall(r"(?<![\w.])(\d+\.\d+( deg)?)", side))}
             plain = side
             for k, (x, _) in numbers.items():
                 plain = plain.replace(x, k, 1)
@@ -242,7 +242,7 @@ def test_text_latex_and_html_show_the_same_numbers(name):
 
 def test_formulas_are_for_sympy():
     """The law of cosines of the two-link arm: its derivative by the distance of the target, and the value at another target."""
-    worked = ik.solve(ik.Robot.load("planar_2r"), (0.9, 0.9, 0.0)).explain().worked_solution
+    worked = ik.solve(ik.Robot.load("planar_2r"), (0.9, 0.9, 0.0)).explain().worked
     steps = {step.name: step for step in worked.steps_of(worked.branches[0])}
     cosine, r, l1, l2 = steps["c2"].formula, *(steps[name].symbol for name in ("r", "l1", "l2"))
     assert (cosine.diff(r) - r / (l1 * l2)).simplify() == 0
@@ -267,7 +267,7 @@ def test_the_papers_sample():
     arm = ik.Robot.load("inspection_7dof")
     case = DATA["sample"]
     made = ik.solve(arm, np.array(case["target"])).explain()
-    assert np.allclose(made.worked_solution.free.every, case["lift_intervals"], atol=1e-6)
+    assert np.allclose(made.worked.free.every, case["lift_intervals"], atol=1e-6)
     assert "from 220.455 to 440.000 mm within its limits, and from 220.455 to 546.057 mm without" in re.sub(
         r"\s+", " ", str(made)
     )
@@ -279,7 +279,7 @@ def test_without_a_closed_form_the_iterations_are_shown():
     q, T = (x[0] for x in sample(arm, 1, seed=2))
     result = ik.solve(arm, T)
     made = result.explain()
-    assert made.worked_solution is None and "No closed form of the toolkit fits 'hydrolek_7w'" in str(made)
+    assert made.worked is None and "No closed form of the toolkit fits 'hydrolek_7w'" in str(made)
     i = made.iterations
     assert i.solver == result.solver == "lm" and np.array_equal(i.q[-1], result.q)
     assert i.position[-1] == pytest.approx(result.position_error, abs=1e-12)
@@ -302,9 +302,9 @@ def test_newton_starts_elsewhere_where_the_start_is_the_answer():
 
 def test_links_folded_onto_the_base_leave_an_angle_free():
     made = ik.solve(ik.Robot.load("planar_2r"), (0.0, 0.0, 0.0), limits=False).explain()
-    (branch,) = made.worked_solution.branches
+    (branch,) = made.worked.branches
     theta = {step.name: step for step in branch.steps}
-    check_steps(made.worked_solution)
+    check_steps(made.worked)
     assert theta["theta_1"].formula is None and "free" in theta["theta_1"].words
 
 

@@ -26,10 +26,6 @@ from .layout import (
 )
 from .worked_solution import Branch, WorkedSolution
 
-ABREAST = 4  # branches side by side
-FIRST, LAST = 10, 4  # iterations shown of a long run
-TOLD = 3  # joints whose values fit next to an iteration's errors
-
 
 class Iterations(NamedTuple):
     """The way of an iterative solver: its name, how it ended, and of each evaluation of the attempt that counts the errors and q.
@@ -51,7 +47,7 @@ class Explanation:
     """How a solution was computed. `str()` gives the text (80 columns), a notebook shows it with formulas rendered.
 
     robot; q (n,) the answer [rad or m]; message of the solve; targets by tip: T (4, 4), or (3,) where no rotation counts; tables by
-    tip (None: there is none); derivation, form (name of the closed form) and source (where it is from), or None and why there is
+    tip (None: there is none); worked, form (name of the closed form) and source (where it is from), or None and why there is
     none; chosen: which branch is the answer, or None; errors of each branch by Pinocchio [m, rad or None]; iterations, or None.
     """
 
@@ -60,7 +56,7 @@ class Explanation:
     message: str
     targets: dict[str, np.ndarray]
     tables: dict[str, DHTable | None]
-    worked_solution: WorkedSolution | None
+    worked: WorkedSolution | None
     form: str
     source: str
     why: str
@@ -83,9 +79,9 @@ class Explanation:
         for tip, T in self.targets.items():
             yield Title("Target" + (f" of {tip}" if len(self.tables) > 1 else ""))
             yield target_table(T, self.places)
-        if self.worked_solution is not None:
+        if self.worked is not None:
             yield Title(f"Closed form '{self.form}'")
-            if self.worked_solution.free is not None:
+            if self.worked.free is not None:
                 yield Sentence(self.free_words())
             yield from self.formula_blocks(self.chosen or 0)
             yield Title("Branches")
@@ -99,8 +95,8 @@ class Explanation:
 
     def formula_blocks(self, k: int) -> Iterator[Block]:
         """Formulas with their numbers, those of branch k."""
-        assert self.worked_solution is not None
-        made = self.worked_solution
+        assert self.worked is not None
+        made = self.worked
         if made.words:
             yield Sentence(f"{made.words[0].upper()}{made.words[1:]}.")
         branch = made.branches[k] if made.branches else Branch("", self.q)
@@ -116,8 +112,8 @@ class Explanation:
 
     def free_words(self) -> str:
         """Ranges of the free joint."""
-        assert self.worked_solution is not None and self.worked_solution.free is not None
-        free = self.worked_solution.free
+        assert self.worked is not None and self.worked.free is not None
+        free = self.worked.free
         name, unit = self.robot.joint_names[free.joint], unit_of(self.robot.joint_kinds[free.joint])
 
         def said(spans: Sequence[tuple[float, float]]) -> str:
@@ -134,8 +130,8 @@ class Explanation:
 
     def branch_blocks(self) -> Iterator[Block]:
         """Branches: label, joint values, error by Pinocchio."""
-        assert self.worked_solution is not None
-        branches, kinds = self.worked_solution.branches, self.robot.joint_kinds
+        assert self.worked is not None
+        branches, kinds = self.worked.branches, self.robot.joint_kinds
         if not branches:
             yield Sentence("There is none.")
             return
@@ -145,19 +141,15 @@ class Explanation:
             said = f"outside {count} limit{'s' * (count > 1)}" if count else "inside the limits"
             rows.append((str(k + 1), branch.label, f"{said}; the answer" if k == self.chosen else said))
         yield Table(("", "branch", ""), rows)
-        for first in range(0, len(branches), ABREAST):
-            shown = range(first, min(first + ABREAST, len(branches)))
-            rows = []
-            for i, (name, kind) in enumerate(zip(self.robot.joint_names, kinds, strict=True)):
-                unit = unit_of(kind)
-                values = ((number(branches[k].q[i], unit, self.places), name in branches[k].outside) for k in shown)
-                rows.append((name, *(OutsideLimits(text) if bad else text for text, bad in values)))
-            rows.append(("FK error", *(f"{1000.0 * self.errors[k][0]:.0e}" for k in shown)))
-            yield Table(("joint", *(str(k + 1) for k in shown)), rows)
+        rows = []
+        for i, (name, kind) in enumerate(zip(self.robot.joint_names, kinds, strict=True)):
+            texts = [number(branch.q[i], unit_of(kind), self.places) for branch in branches]
+            bad = [name in branch.outside for branch in branches]
+            rows.append((name, *(OutsideLimits(x) if y else x for x, y in zip(texts, bad, strict=True))))
+        rows.append(("FK error", *(f"{1000.0 * position:.0e}" for position, _ in self.errors)))
+        yield Table(("joint", *(str(k + 1) for k in range(len(branches)))), rows)
         marked = "! is outside the joint's limits. " if any(branch.outside for branch in branches) else ""
-        yield Sentence(
-            f"{marked}FK error: distance from the target by Pinocchio. {self.worked_solution.legend}".rstrip()
-        )
+        yield Sentence(f"{marked}FK error: distance from the target by Pinocchio. {self.worked.legend}".rstrip())
         if self.chosen is None:
             yield Sentence("The solution is not one of these branches.")
 
@@ -165,24 +157,18 @@ class Explanation:
         """Errors by iteration."""
         assert self.iterations is not None
         i = self.iterations
-        turned, told = not np.isnan(i.orientation).all(), self.robot.n <= TOLD
+        turned = not np.isnan(i.orientation).all()
+        joints = range(self.robot.n if self.robot.n <= 3 else 0)  # more do not fit beside the errors
         units = [unit_of(kind) for kind in self.robot.joint_kinds]
-        head = (
-            "k",
-            "error (mm)",
-            *(["error (deg)"] if turned else []),
-            *(self.robot.joint_names if told else ()),
-        )
-        count, rows = len(i.position), []
-        for k in range(count):
-            if count > FIRST + LAST and FIRST <= k < count - LAST:
-                if k == FIRST:
-                    rows.append(("...", *("" for _ in head[1:])))
-                continue
+        names = [self.robot.joint_names[j] for j in joints]
+        head = ("k", "error (mm)", *["error (deg)"] * turned, *names)
+        rows = []
+        for k in range(len(i.position)):
             cells = [str(k), f"{1000.0 * i.position[k]:.3e}"]
             cells += [f"{math.degrees(i.orientation[k]):.3e}"] if turned else []
-            cells += [number(x, u, self.places) for x, u in zip(i.q[k], units, strict=True)] if told else []
-            rows.append(tuple(cells))
+            rows.append((*cells, *(number(i.q[k, j], units[j], self.places) for j in joints)))
+        if len(rows) > 14:  # of a long run the first ten and the last four
+            rows[10:-4] = [("...", *[""] * (len(head) - 1))]
         yield Table(head, rows)
         which = f" Attempt {i.attempt} is shown." if i.attempt else ""
         yield Sentence(f"{i.message[0].upper()}{i.message[1:].rstrip('.')}.{which}")
@@ -194,9 +180,7 @@ class Explanation:
 
     def __repr__(self) -> str:
         """One line."""
-        branches = (
-            "" if self.worked_solution is None else f", '{self.form}', {len(self.worked_solution.branches)} branches"
-        )
+        branches = "" if self.worked is None else f", '{self.form}', {len(self.worked.branches)} branches"
         return f"Explanation('{self.robot.name}'{branches}; print it to read it)"
 
     def to_markdown(self) -> str:
@@ -213,7 +197,7 @@ class Explanation:
 
     def to_dict(self) -> dict[str, Any]:
         """Plain numbers, strings and lists in metres and radians, ready for JSON."""
-        made, i = self.worked_solution, self.iterations
+        made, i = self.worked, self.iterations
         free = made.free if made is not None else None
         return {
             "closed_form": self.form or None,
