@@ -52,7 +52,7 @@ def arms():
 
 # What the formulas are made of, in plain floats. As in the solvers, a root of less than zero, by rounding, is zero.
 FUNCTIONS = {
-    "sqrt": lambda x: math.sqrt(max(x, 0.0)),
+    "sqrt": lambda x: math.sqrt(0.0 if -1e-9 < x < 0.0 else x),
     **{"sin": math.sin, "cos": math.cos, "atan2": math.atan2, "pi": math.pi, "Abs": abs, "Min": min, "Max": max},
 }
 
@@ -63,7 +63,7 @@ def compiled(formula):
     return compile(str(formula), str(formula), "eval")
 
 
-def check_steps(worked):
+def check_steps(worked, tolerance=1e-9):
     """Formulas of every branch, each with the values before it, give the solver's own values."""
     assert any(step.formula is not None for step in worked.steps) and all(b.steps for b in worked.branches)
     for branch in worked.branches:
@@ -71,7 +71,7 @@ def check_steps(worked):
         for step in worked.steps_of(branch):
             if step.formula is not None:
                 number = eval(compiled(step.formula), {"__builtins__": {}}, FUNCTIONS | values)
-                assert number == pytest.approx(step.value, abs=1e-9), (step, branch.label)
+                assert number == pytest.approx(step.value, abs=tolerance), (step, branch.label)
             values[step.name] = step.value
 
 
@@ -109,6 +109,7 @@ def test_singular_poses_are_explained_too(case):
     made = ik.solve(arm, np.array(case["T"]), ik.Inspection(lift=q[1]), q0=q, limits=False).explain()
     assert len(made.worked.branches) == case["solutions_at_lift"] and made.chosen is not None
     assert max(position for position, _ in made.errors) < 1e-9
+    check_steps(made.worked, 2e-7)  # roots of rounding
     assert "0" in made.worked.branches[0].label or "free" in str(made) or case["solutions_at_lift"] == 8
 
 
@@ -118,6 +119,17 @@ def test_an_unreachable_pose_is_said(case):
     made = ik.solve(arm, np.array(case["T"]), ik.Inspection(lift=0.22), limits=False).explain()
     assert f"{-1000 * case['reach_margin_at_0_220']:.4g} mm out of reach at lift 220 mm" in made.worked.words
     assert made.worked.words[1:] in re.sub(r"\s+", " ", str(made))
+    check_steps(made.worked, 2e-7)  # the elbow is straight: roots of rounding
+    (nearest,) = {tuple(arm.fk(branch.q).homogeneous.round(9).ravel()) for branch in made.worked.branches}
+    assert np.allclose(np.reshape(nearest, (4, 4))[:3, :3], np.array(case["T"])[:3, :3], atol=1e-8)
+
+
+@pytest.mark.parametrize("target", [(3.0, 0.0, 0.0), (2.0, 0.0, 0.0), (-1.0, 2.5, 0.3), (0.2, 0.1, 0.0)])
+@pytest.mark.parametrize("l2", [1.0, 0.6])
+def test_formulas_hold_for_points_out_of_reach_and_at_its_edges(target, l2):
+    joints = [("continuous", (x, 0, 0), (0, 0, 0), (0, 0, 1), -1.0, 1.0) for x in (0.0, 1.0)]
+    made = ik.solve(ik.Robot.load(urdf(joints, ((l2, 0, 0), (0, 0, 0))), tip="tip"), target).explain()
+    check_steps(made.worked)
 
 
 @pytest.mark.parametrize("case", [c for c in DATA["planar_2r"] if c["status"] == "ok"][:4])

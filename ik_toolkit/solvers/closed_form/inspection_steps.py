@@ -87,11 +87,10 @@ def derive(robot: Any, p: np.ndarray, T: np.ndarray, box: np.ndarray) -> WorkedS
         _angles(own, symbols, robot, p, head, row)
         branches.append(Branch(label, q, outside, tuple(own.steps)))
     free, words = None, ""
-    near = EDGE * (p[A4] + p[A6])
     if place >= 0:
         inside = feasible_lifts(p, T, box[0, place], box[1, place])
         free = Free(place, "lift", tuple(inside), tuple(feasible_lifts(p, T)))
-    if head[ROOM] < -near:
+    if _is_far(p, head):
         where = f" at lift {round(1000.0 * value, 6) + 0.0:.6g} mm" if place >= 0 else ""
         words = (
             f"the pose is {1000.0 * head[MOVED]:.4g} mm out of reach{where}; the branches are those of the nearest one with "
@@ -100,10 +99,15 @@ def derive(robot: Any, p: np.ndarray, T: np.ndarray, box: np.ndarray) -> WorkedS
     return WorkedSolution(tuple(sheet.steps), tuple(branches), LEGEND, words, free)
 
 
+def _is_far(p: np.ndarray, head: np.ndarray) -> bool:
+    """Whether the pose is out of reach, so that the formulas are those of the nearest one."""
+    return bool(head[ROOM] < -EDGE * (p[A4] + p[A6]))
+
+
 def _wrist(sheet: Worksheet, p: np.ndarray, T: np.ndarray, head: np.ndarray) -> tuple[Any, Any, dict[str, Any]]:
     """Give the target; return the wrist's rotation, its point, and the angles theta at q = 0 as symbols.
 
-    The point follows by a formula where base and tool only shift: the rotation is then the target's.
+    The point follows by a formula where base and tool only shift and the target is in reach: the rotation is then the target's.
     """
     plain = all(np.abs(p[at : at + 9].reshape(3, 3) - np.eye(3)).max() < ALIGNED for at in (BASE, TOOL))
     of = "the target's rotation" if plain else "the wrist's rotation, in the shoulder's axes"
@@ -114,7 +118,9 @@ def _wrist(sheet: Worksheet, p: np.ndarray, T: np.ndarray, head: np.ndarray) -> 
     R = Matrix.hstack(*columns)
     zeros = zero_angles(sheet, {name: p[JOINTS + 3 * k + 2] for k, name in enumerate(THETA)})
     words = "the wrist, on axis 7 and level with axis 6, from the shoulder at lift 0"
-    if not plain:
+    if _is_far(p, head):
+        words = "the wrist of the nearest pose in reach, from the shoulder at lift 0"
+    if not plain or _is_far(p, head):
         return R, sheet.vector("w", None, "m", words, head[9:12]), zeros
     point = sheet.vector("p", None, "m", "the target's position", T[:3, 3])
     shift, tool = -p[BASE + 9 : BASE + 12], -p[TOOL + 9 : TOOL + 12]
@@ -156,9 +162,12 @@ def _forearm(sheet: Worksheet, p: np.ndarray, T: np.ndarray, head: np.ndarray, l
         v = sheet.formula("v", sqrt(r - Abs(a6 - L)) * sqrt(r + Abs(a6 - L)), "m")
         beta = sheet.formula("beta", 2 * atan2(u, v), "rad", "bend of the elbow", head[BEND])
         inner = atan2(-L * sin(beta), a6 + L * cos(beta))
-        gamma = sheet.formula("gamma", inner, "rad", "rotation due to the bent elbow", head[INNER])
+        gamma = sheet.angle("gamma", inner, head[INNER], "rotation due to the bent elbow")
     words = "direction away from the shoulder"
-    chi = sheet.formula("chi", atan2(-s[1], -s[0]), "rad", words, head[HEADING])
+    if sheet.values[r] <= ON_AXIS * (p[A4] + p[A6]):
+        chi = sheet.given("chi", head[HEADING], "rad", "free: the shoulder lies on axis 7; kept where it is")
+    else:
+        chi = sheet.formula("chi", atan2(-s[1], -s[0]), "rad", words, head[HEADING])
     return {"R": R, "s_z": s[2], "L": L, "beta": beta, "gamma": gamma, "chi": chi, "zeros": zeros}
 
 

@@ -3,7 +3,7 @@
 from typing import Any
 
 import numpy as np
-from sympy import Abs, Min, atan2, cos, sin, sqrt
+from sympy import Abs, Max, Min, atan2, cos, sin, sqrt
 
 from ...kernel.jit import cached
 from ..explain.worked_solution import Branch, WorkedSolution
@@ -45,9 +45,10 @@ def derive(robot: Any, p: np.ndarray, T: np.ndarray, box: np.ndarray) -> WorkedS
     margin = Min(l1 + l2 - r, r - Abs(l1 - l2), evaluate=False)
     sheet.formula("g", margin, "m", "room left in the reach: below 0, out of reach", room)
     psi = sheet.formula("psi", atan2(y, x), "rad", "direction of the target")
-    if room >= 0.0:
-        c2 = (r**2 - l1**2 - l2**2) / (2 * l1 * l2)
-        sheet.formula("c2", c2, "", "cosine of theta_2, by the law of cosines")
+    if room < 0.0:
+        words = "the same of the nearest point that the arm reaches"
+        r = sheet.formula("rho", Min(Max(r, Abs(l1 - l2)), l1 + l2, evaluate=False), "m", words)
+    sheet.formula("c2", (r**2 - l1**2 - l2**2) / (2 * l1 * l2), "", "cosine of theta_2, by the law of cosines")
     u = sheet.formula("u", sqrt(l1 + l2 - r) * sqrt(l1 + l2 + r), "m", "the same triangle, without cancellation")
     v = sheet.formula("v", sqrt(r - Abs(l1 - l2)) * sqrt(r + Abs(l1 - l2)), "m")
     folded = max(sheet.values[r], abs(p[L1] - p[L2])) <= ON_AXIS * (p[L1] + p[L2])
