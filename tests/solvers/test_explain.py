@@ -124,12 +124,14 @@ def test_an_unreachable_pose_is_said(case):
     assert np.allclose(np.reshape(nearest, (4, 4))[:3, :3], np.array(case["T"])[:3, :3], atol=1e-8)
 
 
-@pytest.mark.parametrize("target", [(3.0, 0.0, 0.0), (2.0, 0.0, 0.0), (-1.0, 2.5, 0.3), (0.2, 0.1, 0.0)])
+@pytest.mark.parametrize(
+    "target", [(3.0, 0.0, 0.0), (2.0, 0.0, 0.0), (-1.0, 2.5, 0.3), (0.2, 0.1, 0.0), (-3e-9, 1e-9, 0.0)]
+)
 @pytest.mark.parametrize("l2", [1.0, 0.6])
 def test_formulas_hold_for_points_out_of_reach_and_at_its_edges(target, l2):
     joints = [("continuous", (x, 0, 0), (0, 0, 0), (0, 0, 1), -1.0, 1.0) for x in (0.0, 1.0)]
     made = ik.solve(ik.Robot.load(urdf(joints, ((l2, 0, 0), (0, 0, 0))), tip="tip"), target).explain()
-    check_steps(made.worked)
+    check_steps(made.worked, 2e-7)
 
 
 @pytest.mark.parametrize("case", [c for c in DATA["planar_2r"] if c["status"] == "ok"][:4])
@@ -246,7 +248,8 @@ def test_text_latex_and_html_show_the_same_numbers(name):
     def numbers(text):
         return re.findall(r"\d+\.\d{3,}", text)
 
-    assert numbers(text) == numbers(latex) == numbers(re.sub("<[^>]*>", " ", page)) and len(numbers(text)) > 60
+    shown = [sorted(numbers(each)) for each in (text, latex, re.sub("<[^>]*>", " ", page))]
+    assert shown[0] == shown[1] == shown[2] and len(shown[0]) > 60
     written = "".join(re.findall(r"\$\$(.*?)\$\$", latex)), "".join(re.findall('data-step.*?">(.*?)</div></div>', page))
     signs = sum(side.count("-") for _, sides in equations(text) for side in sides)
     assert signs == written[0].count("-") == written[1].count("\N{MINUS SIGN}") > 10

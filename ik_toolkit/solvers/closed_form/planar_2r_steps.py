@@ -1,5 +1,6 @@
 """The closed form of two parallel axes, worked out step by step for one point."""
 
+import math
 from typing import Any
 
 import numpy as np
@@ -58,8 +59,12 @@ def derive(robot: Any, p: np.ndarray, T: np.ndarray, box: np.ndarray) -> WorkedS
         side = int(marks[k, 1])
         bend = 2 * atan2(u, v) * (1 if side >= 0 else -1)
         theta_2 = own.formula("theta_2", bend, "rad", "has that cosine", sols[k, 1])
-        beta = atan2(l2 * sin(theta_2), l1 + l2 * cos(theta_2))
-        beta = own.formula("beta", beta, "rad", "rotation due to the bent elbow")
+        if side:
+            inner = atan2(l2 * sin(theta_2), l1 + l2 * cos(theta_2))
+            beta = own.formula("beta", inner, "rad", "rotation due to the bent elbow")
+        else:
+            turned = abs(sols[k, 1]) > 1.0 and p[L1] < p[L2]
+            beta = own.given("beta", math.pi * turned, "rad", "the tip is on the line of the first link")
         if folded:
             words = "free: the links fold back onto the base; kept where it is"
             theta_1 = own.given("theta_1", sols[k, 0], "rad", words)
