@@ -6,48 +6,35 @@ from typing import Any
 import numpy as np
 from sympy import Abs, Max, Min, atan2, cos, sin, sqrt
 
-from ...kernel.jit import cached
 from ..explain.worked_solution import Branch, WorkedSolution
 from ..explain.worksheet import Worksheet, zero_angles
-from .planar_arm import ANGLES, L1, L2, every_branch, to_plane
-from .reach import ON_AXIS, planar_branches, planar_margin
+from .planar_arm import ANGLES, HEIGHT, L1, L2, every_branch
+from .reach import ON_AXIS
 
 BESIDE = "newton"  # what Chinyai compares it with
 LABELS = {1: "elbow right (+)", -1: "elbow left (-)", 0: "elbow straight or folded"}
 LEGEND = "Elbow: the sign of theta_2, that is, the side of the elbow as seen along the line from the first joint to the target."
 
 
-@cached
-def worked_out(p, T, box, head, sols):
-    """Fill head (4,) with x, y, height off the arm's plane and room left in the reach [m], sols (2, 2) with the branches.
-
-    Returns how many branches there are.
-    """
-    x, y, off = to_plane(p, T)
-    head[0], head[1], head[2] = x, y, off
-    head[3] = planar_margin(x, y, p[L1], p[L2])
-    return planar_branches(x, y, p[L1], p[L2], p[ANGLES] * box[2, 0] + p[ANGLES + 1], sols)
-
-
 def derive(robot: Any, p: np.ndarray, T: np.ndarray, box: np.ndarray) -> WorkedSolution:
     """Formulas and branches of the point of T (4, 4); box as in `geometry.copy_limits`."""
-    head, sols = np.empty(4), np.empty((2, 2))
-    count = worked_out(p, T, box, head, sols)
-    q, broken, marks = np.empty((2, 2)), np.empty(2), np.empty((2, 3), dtype=np.int8)
-    every_branch(p, T, box, q, broken, marks)
-    room = head[3]
+    q, broken, marks = np.zeros((2, 2)), np.zeros(2), np.zeros((2, 3), dtype=np.int8)
+    count, _ = every_branch(p, T, box, q, broken, marks)
+    angles = p[ANGLES::2][:2] * q + p[ANGLES + 1 :: 2][:2]  # theta_1 and theta_2 of each branch
+    point = p[:9].reshape(3, 3) @ T[:3, 3] + p[9:12]  # in the arm's plane, and its height off it
     sheet = Worksheet()
     l1 = sheet.given("l1", p[L1], "m", "first link")
     l2 = sheet.given("l2", p[L2], "m", "second link, to the tip")
-    x = sheet.given("x", head[0], "m", "target in the arm's plane, from the first joint")
-    y = sheet.given("y", head[1], "m")
+    x = sheet.given("x", point[0], "m", "target in the arm's plane, from the first joint")
+    y = sheet.given("y", point[1], "m")
     zeros = zero_angles(sheet, {"theta_1": p[ANGLES + 1], "theta_2": p[ANGLES + 3]})
     r = sheet.formula("r", sqrt(x**2 + y**2), "m", "distance of the target from the first joint")
     margin = Min(l1 + l2 - r, r - Abs(l1 - l2), evaluate=False)
-    sheet.formula("g", margin, "m", "room left in the reach: below 0, out of reach", room)
+    g = sheet.formula("g", margin, "m", "room left in the reach: below 0, out of reach")
+    room = sheet.values[g]
     psi = sheet.formula("psi", atan2(y, x), "rad", "direction of the target")
     if room < 0.0:
-        words = "the same of the nearest point that the arm reaches"
+        words = "distance of the nearest point that the arm reaches"
         r = sheet.formula("rho", Min(Max(r, Abs(l1 - l2)), l1 + l2, evaluate=False), "m", words)
     sheet.formula("c2", (r**2 - l1**2 - l2**2) / (2 * l1 * l2), "", "cosine of theta_2, by the law of cosines")
     u = sheet.formula("u", sqrt(l1 + l2 - r) * sqrt(l1 + l2 + r), "m", "the same triangle, without cancellation")
@@ -58,23 +45,25 @@ def derive(robot: Any, p: np.ndarray, T: np.ndarray, box: np.ndarray) -> WorkedS
         own = Worksheet(sheet.steps)
         side = int(marks[k, 1])
         bend = 2 * atan2(u, v) * (1 if side >= 0 else -1)
-        theta_2 = own.formula("theta_2", bend, "rad", "has that cosine", sols[k, 1])
+        theta_2 = own.angle("theta_2", bend, angles[k, 1], "has that cosine")
         if side:
             inner = atan2(l2 * sin(theta_2), l1 + l2 * cos(theta_2))
             beta = own.formula("beta", inner, "rad", "rotation due to the bent elbow")
         else:
-            turned = abs(sols[k, 1]) > 1.0 and p[L1] < p[L2]
+            turned = abs(math.sin(0.5 * angles[k, 1])) > 0.5 and p[L1] < p[L2]
             beta = own.given("beta", math.pi * turned, "rad", "the tip is on the line of the first link")
         if folded:
             words = "free: the links fold back onto the base; kept where it is"
-            theta_1 = own.given("theta_1", sols[k, 0], "rad", words)
+            theta_1 = own.given("theta_1", angles[k, 0], "rad", words)
         else:
-            theta_1 = own.angle("theta_1", psi - beta, sols[k, 0])
+            theta_1 = own.angle("theta_1", psi - beta, angles[k, 0])
         for i, theta in enumerate((theta_1, theta_2)):
             own.joint(robot.joint_names[i], theta, i, p[ANGLES + 2 * i], zeros[str(theta)], q[k, i])
         outside = tuple(robot.outside(q[k])) if broken[k] > 0.0 else ()
         branches.append(Branch(LABELS[side], q[k], outside, tuple(own.steps)))
-    return WorkedSolution(tuple(sheet.steps), tuple(branches), LEGEND, _words(robot, room, head[2]), None, BESIDE)
+    return WorkedSolution(
+        tuple(sheet.steps), tuple(branches), LEGEND, _words(robot, room, point[2] - p[HEIGHT]), None, BESIDE
+    )
 
 
 def _words(robot: Any, room: float, off: float) -> str:
