@@ -72,6 +72,8 @@ class _MathML(_PositiveFirst, MathMLPresentationPrinter):
             if now in ("+", "-"):
                 node.setAttribute("form", "infix" if made and not before else "prefix")
                 made += BREAK if made and not before else ""
+            if node.tagName == "msqrt" and before == "&#xB7;":  # roots are long
+                made += BREAK
             made += node.toxml() + (BREAK if now == "," else "")
             before = now.replace(")", "").replace("|", "")
         return made.replace(">-<", ">&#8722;<").encode("ascii", "xmlcharrefreplace").decode()
