@@ -17,7 +17,7 @@ from .status import SEARCHED, Status, constraints_of, sentence
 from .task import all_errors
 
 if TYPE_CHECKING:
-    from .explanation import Explanation
+    from .explain.explanation import Explanation
     from .plan import Plan
 
 Errors = list[tuple[float, float | None]]  # position [m] and rotation angle [rad] (None: free) of each tip
@@ -239,9 +239,10 @@ class Result(ReadOnly):
     def explain(self) -> "Explanation":
         """How the answer comes about: D-H table, closed form with the numbers put in, branches, iterations (see `Explanation`).
 
-        `print` shows it as text, a notebook with formulas. Raises InvalidTarget for a row of a batch, which keeps no target.
+        `print` shows it as text, a notebook with formulas. Raises InvalidTarget for a row of a batch, which keeps no
+        target, and MissingExtra without SymPy where a closed form has formulas to show.
         """
-        from .explain import explain  # which reads this file
+        from .explain.explain import explain  # which reads this file
 
         return explain(self)
 
