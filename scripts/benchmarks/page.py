@@ -8,7 +8,6 @@ benchmark_against.json from the folder given; those that are missing are left ou
 """
 
 import argparse
-import json
 import re
 import textwrap
 from pathlib import Path
@@ -271,7 +270,7 @@ def main() -> None:
     for name in ("solve", "published", "success", "batch", "kernel", "joints", "tree", "servo", "against"):
         path = given.folder / f"benchmark_{name}.json"
         if path.exists():
-            found[name] = json.loads(path.read_text(encoding="utf-8"))
+            found[name] = common.read(path)
     (given.output.parent / "_static").mkdir(parents=True, exist_ok=True)
     parts = [HEAD.strip()]
     if "solve" in found:
