@@ -1,7 +1,7 @@
 """Run the hostile-input, torture, thread and process tests, including the long ones, and put the figures into docs/reliability.md.
 
-Usage: python scripts/reliability.py [-o docs/reliability.md]. Takes some minutes. The counts come from the tests themselves and stand
-between two marks of the page; the rest of it is written by hand.
+Usage: python scripts/reliability.py [-o docs/reliability.md]. Takes some minutes. The counts come from the tests themselves and
+stand between two marks of the page; the rest of it is written by hand.
 """
 
 import argparse

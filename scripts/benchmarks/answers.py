@@ -17,7 +17,7 @@ NAMES = {  # of solvers in the README and the chart, where it is not the key
     "pytracik": "TRAC-IK (pytracik, two threads)",
 }  # fmt: skip
 SHORT = {  # the same beside six columns
-    "ik": "**`ik.Solver`**", "ik.solve": "**`ik.solve`**", "rtb": "Robotics Toolbox", "rtb_free": "the same without limits",
+    "ik": "**`ik.Solver`**", "ik.solve": "**`ik.solve`**", "rtb": "Robotics Toolbox", "rtb_free": "Robotics Toolbox, no limits",
     "pytracik": "TRAC-IK", "eaik": "EAIK", "ssik_built": "ssik, generated code", "cartan": "Cartan", "optik": "OptIK",
     "dynibo": "dynibo", "pink": "Pink", "ikpy": "IKPy",
 }  # fmt: skip
@@ -67,12 +67,12 @@ def beside(found: Found, start: str, most: int | None = None) -> tuple[str, dict
     lines = [
         [
             SHORT.get(key, key),
-            *(common.short(rows[key]["wall"]["median"]) if key in rows else "" for rows in runs.values()),
             worst(ordered[key]),
+            *(common.short(rows[key]["wall"]["median"]) if key in rows else "" for rows in runs.values()),
         ]
         for key in list(ordered)[:most]
     ]
-    return common.table(["median, us", *(ARMS.get(r, r) for r in runs), "solved, %"], lines), ordered
+    return common.table(["median, us", "solved, %", *(ARMS.get(r, r) for r in runs)], lines), ordered
 
 
 def single(found: Found) -> Answer:
@@ -82,7 +82,7 @@ def single(found: Found) -> Answer:
     ratios = [one["faster"]["wall"]["median"] for one in rows["ik"]]
     checked = [one["wall"]["median"] for one in rows["ik.solve"]]
     words = (
-        f"**{span(times)} us**, the median from Python on one thread, {span(ratios)} times faster than the Robotics Toolbox."
+        f"**{span(times)} us**, the median, from Python on one thread: {span(ratios)} times faster than the Robotics Toolbox."
         f" `ik.solve`, which also checks its inputs and lets Pinocchio verify the result, takes {span(checked)} us. *Solved* is the"
         f" share on the robot with the fewest solved, of {max(r['targets'] for r in rows['ik'])} targets (slow packages got fewer);"
         " an empty cell is a robot that the package does not treat. EAIK and ssik are analytic, mink, Pink and dynibo are restarted"
