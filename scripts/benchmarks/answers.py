@@ -269,12 +269,20 @@ def published(found: Found) -> Answer:
     )
     lines = [
         [
-            name, r["joints"], f"{r['published']['percent']:.4g}", r["published"]["ms"],
-            *(part for who in ("here", "ours") for part in (worst([r[who]]), f"{r[who]['ms']:.3f}")),
+            name, *(f"{r[who]['ms']:.3f}" for who in ("ours", "here")), r["published"]["ms"],
+            *(worst([r[who]]) for who in ("ours", "here")), f"{r['published']['percent']:.4g}",
         ]
         for name, r in rows.items()
     ]  # fmt: skip
-    head = ["chain", "joints", "published, %", "published, ms", "TRAC-IK here, %", "ms", "`ik.Solver`, %", "ms"]
+    head = [
+        "mean, ms",
+        "`ik.Solver`",
+        "TRAC-IK here",
+        "published",
+        "solved, %: `ik.Solver`",
+        "TRAC-IK here",
+        "published",
+    ]
     return Answer("How does it do on tables that others published?", words, common.table(head, lines), "published")
 
 
