@@ -1,4 +1,4 @@
-"""One step of a tracker: a published law with a clock, and the effect of limits."""
+"""One step of a tracker: a published law with a clock, the effect of limits, signs of multipliers."""
 
 import numpy as np
 import pytest
@@ -6,7 +6,7 @@ import random_arms as arms
 from random_arms import orders, task
 
 from ik_toolkit.kernel import constrain as constrain_module
-from ik_toolkit.kernel import motion, obey, qp, wanted
+from ik_toolkit.kernel import levels, motion, obey, qp, wanted
 from ik_toolkit.kernel.bench import bench_on, bench_space
 from ik_toolkit.kernel.box import RECOVERING, ROW
 from ik_toolkit.kernel.constrain import DIRECT, LEAVE, SLOW, SLOWED, constrain, make_room
@@ -191,3 +191,35 @@ def test_a_step_like_the_last_one_takes_one_iteration_a_problem(monkeypatch, mod
         assert not way or iterations == problems
     # Where the clock could not help, all is first tried in full, from what held at the end.
     assert np.mean([a[1] for a in first]) > 2.0 * np.mean([b[1] for b in second])
+
+
+# ----------------------------------------------------------------------------------------------------------- two levels
+
+
+def test_signs_and_shares_of_multipliers():
+    for one, two, side, want in (
+        (0.5, -9.0, 1, 0.0), (-0.5, 9.0, 1, 1.5), (0.5, 0.0, -1, 1.5), (0.0, 0.3, 1, 0.0), (0.0, -0.3, 1, 0.3), (0.0, 3.0, -1, 1.0),
+        (0.0, -0.9e-11, 1, 0.0), (0.0, -1.1e-11, 1, 1.1e-11), (0.0, 0.0, 1, 0.0),
+    ):  # fmt: skip
+        assert qp.wrong(one, two, side) == pytest.approx(want, rel=1e-12)
+    assert qp.share(1.0, 2.0, 3.0, -9.0, 1) == (2.0, 0.0)
+    assert qp.share(1.0, 2.0, -1.0, 4.0, 1) == (0.5, (2.0 + 0.5 * 2.0) / 2.0)
+    assert qp.share(0.0, 2.0, 0.0, -2.0, 1) == (0.5, 0.0) and qp.share(0.0, -2.0, 0.0, 2.0, -1) == (0.5, 0.0)
+    assert qp.share(-1.0, 0.0, -3.0, 0.0, 1)[0] == 0.0
+    V, S = np.zeros((8, 2)), np.zeros((12, 1))
+    V[levels.LOW], V[levels.HIGH], V[levels.Y] = -1.0, 1.0, [0.5, 1.4]
+    P, state = np.array([[1.0, 1.0]]), np.zeros(3, np.int8)
+    S[levels.RHS] = 1.8
+    assert qp.violated(P, V, S, state, 2, 1) == (1, 1)
+    V[levels.Y] = [-1.4, 0.5]
+    assert qp.violated(P, V, S, state, 2, 1) == (0, -1)
+    V[levels.Y] = [0.95, 0.95]
+    assert qp.violated(P, V, S, state, 2, 1) == (2, 1)
+    state[2] = 1
+    assert qp.violated(P, V, S, state, 2, 1) == (levels.NONE, 0)
+    V[levels.HIGH], V[levels.Y] = [1e9, 0.0], [1e4, 3e-12]
+    assert qp.violated(P, V, S, state, 2, 1) == (levels.NONE, 0), "the rounding of a large unknown"
+    V[levels.Y, 1] = 3e-8
+    assert qp.violated(P, V, S, state, 2, 1) == (1, 1)
+    V[levels.Y] = [0.5, 3e-12]
+    assert qp.violated(P, V, S, state, 2, 1) == (1, 1)
