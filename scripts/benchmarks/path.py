@@ -4,7 +4,7 @@ python scripts/benchmarks/path.py
 
 Validity is checked here, by Pinocchio and coal, as in CppFlow: every pose within 0.1 mm and 0.1 deg, steps of at most 7 deg and
 2 cm, limits, no contact at the poses and at three places between neighbours. Times start with robot, collision model and kernels
-loaded and include the result's own checks and proof of continuity.
+loaded and include the result's own checks and proof of continuity. The output is written after every part.
 """
 
 import functools
@@ -13,6 +13,7 @@ import os
 import resource
 import subprocess
 import sys
+from pathlib import Path
 from time import perf_counter
 from typing import Any
 
@@ -123,13 +124,20 @@ def main() -> None:
         made["problems"].append(one)
         faulty = {seed: wrong for seed, wrong in enumerate(one["faults"]) if wrong}
         print(f"{name}: {one['valid']} of {one['seeds']} {faulty or ''}", file=sys.stderr)
+        keep(given.output, made, before)
     for count in given.sizes:
         command = [sys.executable, __file__, "--one", str(count)]
         made["sizes"].append(json.loads(subprocess.run(command, capture_output=True, text=True, check=True).stdout))
+        keep(given.output, made, before)
     for what, compare in path_truth.COMPARED.items():
         made["truth"].append({"what": what, **compare(given.paths, given.seed)})
-    made["load_average"] = [before, common.load_average()]
-    common.write(given.output, made, *tables(made))
+        keep(given.output, made, before)
+    print(keep(given.output, made, before))
+
+
+def keep(output: Path, made: dict[str, Any], before: float) -> str:
+    """Write what is measured so far; returns the tables."""
+    return common.keep(output, {**made, "load_average": [before, common.load_average()]}, *tables(made))
 
 
 def tables(made: dict[str, Any]) -> list[str]:
