@@ -3,14 +3,19 @@
 import math
 
 import numpy as np
+import pinocchio as pin
 import pytest
 
-from ik_toolkit.kernel import linalg
-from ik_toolkit.kernel.algebra import M3, V3, Sym3
+from ik_toolkit.kernel import algebra, kinematics, linalg
+from ik_toolkit.kernel.algebra import M3, V3, Blocks, Sym3
 
 
 def m3(A):
     return M3(*(V3(*A[:, k]) for k in range(3)))
+
+
+def matrix(m):
+    return np.column_stack([m.x, m.y, m.z])
 
 
 def symmetric(s):
@@ -32,6 +37,108 @@ def test_vectors_and_matrices():
     np.testing.assert_allclose(f.back(f.scaled(f.forward(u))), np.linalg.solve(S, a), rtol=1e-10)
     L = np.array([[1.0, 0.0, 0.0], [f.l10, 1.0, 0.0], [f.l20, f.l21, 1.0]])
     np.testing.assert_allclose(L @ np.diag(1.0 / np.array(f.pivots)) @ L.T, S, rtol=1e-12)
+
+
+def test_blocks_of_a_damped_step():
+    rng = np.random.default_rng(1)
+    J, w, e = rng.normal(size=(5, 6)), rng.uniform(0.2, 2.0, 5), rng.normal(size=6)
+    full, blocks = 0.3 * np.eye(6), algebra.diagonal(0.3)
+    for i in range(5):
+        u, v = V3(*J[i, :3]), V3(*J[i, 3:])
+        blocks = blocks.with_column(u * w[i], v * w[i], u, v)
+        full += w[i] * np.outer(J[i], J[i])
+    np.testing.assert_allclose(symmetric(blocks.P), full[:3, :3])
+    np.testing.assert_allclose(matrix(blocks.Q), full[3:, :3])
+    np.testing.assert_allclose(symmetric(blocks.S), full[3:, 3:])
+    assert isinstance(blocks, Blocks)
+    np.testing.assert_allclose(
+        np.concatenate(blocks.solve(V3(*e[:3]), V3(*e[3:]))), np.linalg.solve(full, e), rtol=1e-10
+    )
+
+
+def test_places_in_memory():
+    A = np.arange(20.0)
+    assert algebra.at3(A, 2) == (2.0, 3.0, 4.0)
+    m = algebra.rotation_at(A, 4)
+    np.testing.assert_array_equal(matrix(m), A[4:13].reshape(3, 3))
+    out = np.zeros(20)
+    algebra.put_axes(out, 5, m)
+    algebra.put3(out, 1, V3(7.0, 8.0, 9.0))
+    np.testing.assert_array_equal(out, [0, 7, 8, 9, 0, *A[4:13], 0, 0, 0, 0, 0, 0])
+
+
+def test_sine_and_cosine_to_the_last_digits():
+    x = np.concatenate([np.linspace(-40.0, 40.0, 401), np.arange(-9, 10) * 0.5 * math.pi, [3e5, -1e7]])
+    s, c = algebra.sincos(x)
+    assert np.abs(s - np.sin(x)).max() < 1e-14 and np.abs(c - np.cos(x)).max() < 1e-14
+    x = x[np.abs(x) < 30.0]
+    s, c = algebra.sincos(x)
+    assert np.abs(s - np.sin(x)).max() < 1.5e-15 and np.abs(c - np.cos(x)).max() < 1.5e-15
+
+
+def test_rotations_left_and_their_measures():
+    rng = np.random.default_rng(2)
+    for angle in (0.0, 1e-9, 1e-5, 3e-4, 0.4, 1.5, 2.2, 3.0, math.pi - 1e-4, math.pi - 3e-5, math.pi - 1e-6):
+        for _ in range(6):
+            axis = rng.normal(size=3)
+            axis /= np.linalg.norm(axis)
+            now = pin.exp3(rng.normal(size=3))
+            goal = pin.exp3(angle * axis) @ now
+            sine, one = algebra.rotation_left(m3(now), m3(goal))
+            np.testing.assert_allclose(sine, math.sin(angle) * axis, atol=1e-14)
+            assert one == pytest.approx(1.0 + math.cos(angle), abs=1e-14)
+            e = kinematics.rotation_error(m3(now), m3(goal))
+            np.testing.assert_allclose(e, 2.0 * math.sin(0.5 * angle) * axis, atol=1e-14 if angle < 2.0 else 1e-11)
+            assert kinematics.angle_ratio(e.square()) == pytest.approx(
+                0.5 * angle / math.sin(0.5 * angle) if angle else 1.0
+            )
+            steep = 1e-7 if angle > 3.1 else 1e-12
+            assert kinematics.rotation_angle(e.square()) == pytest.approx(angle, abs=steep, rel=1e-12)
+            assert algebra.chord(angle) == pytest.approx((2.0 * math.sin(0.5 * angle)) ** 2, rel=1e-15)
+    assert algebra.chord(math.pi) == algebra.chord(4.0) == 9.0
+    for x in (1e-5, 9e-5, 1.1e-4, 1e-3):  # half the error; series and arcsine agree beyond where one hands over
+        assert kinematics.angle_ratio(4.0 * x * x) == pytest.approx(1.0 + x * x / 6.0 + 3.0 * x**4 / 40.0, rel=1e-15)
+    assert (
+        kinematics.angle_ratio(5.0) == pytest.approx(math.pi / math.sqrt(5.0))
+        and kinematics.rotation_angle(5.0) == math.pi
+    )
+
+
+def test_half_turns_about_every_axis():
+    rng = np.random.default_rng(3)
+    for axis in [*np.eye(3), *-np.eye(3), [1, 1, 0], [0, 1, 1], [1, 0, 1], [1, 1, 1], *rng.normal(size=(8, 3))]:
+        axis = np.array(axis) / np.linalg.norm(axis)
+        now = pin.exp3(rng.normal(size=3))
+        for off in (0.0, 1e-9, 1e-6, 5e-5, -5e-5):
+            goal = pin.exp3((math.pi - off) * axis) @ now
+            e = np.array(kinematics.rotation_error(m3(now), m3(goal)))
+            side = 1.0 if off > 0.0 else -1.0 if off < 0.0 else np.sign(e @ axis)
+            np.testing.assert_allclose(e, 2.0 * side * axis, atol=1e-8)
+
+
+@pytest.mark.parametrize("n", [1, 3, 6, 8])
+def test_damped_steps(n):
+    rng = np.random.default_rng(n)
+    J, w, e = rng.normal(size=(n, 6)), rng.uniform(0.1, 3.0, n), rng.normal(size=6)
+    w[rng.random(n) < 0.3] = 0.0
+    for damping in (1e-6, 0.1):
+        dq = np.empty(n)
+        linalg.damped(J, w, dq, V3(*e[:3]), V3(*e[3:]), damping)
+        want = w * (J @ np.linalg.solve(J.T * w @ J + damping * np.eye(6), e))
+        np.testing.assert_allclose(dq, want, rtol=1e-6, atol=1e-8)
+
+
+def test_damped_steps_of_several_tips():
+    rng = np.random.default_rng(5)
+    n, F = 7, 3
+    J, w, e = rng.normal(size=(n, 6 * F)), rng.uniform(0.1, 3.0, n), rng.normal(size=6 * F)
+    moves = (rng.random((F, n)) < 0.7).astype(float)
+    moves[1] = 0.0
+    J *= np.repeat(moves, 6, axis=0).T
+    w[2] = 0.0
+    dq, A, y = np.empty(n), np.full((18, 18), 9.0), np.empty(18)
+    linalg.damped_stack(J, moves, w, dq, e, 0.05, A, y)
+    np.testing.assert_allclose(dq, w * (J @ np.linalg.solve(J.T * w @ J + 0.05 * np.eye(18), e)), rtol=1e-9, atol=1e-12)
 
 
 def test_cholesky_of_a_part_and_with_lifted_pivots():
@@ -73,6 +180,19 @@ def test_columns_made_orthogonal():
     )
     c, s = linalg.jacobi(2.0, 2.0, 0.7)
     assert c == pytest.approx(math.sqrt(0.5)) and s == pytest.approx(math.sqrt(0.5))
+
+
+def test_columns_of_rounding_end_the_turning(turns):
+    """A Jacobian without full rank, of a locked joint say, took 40 sweeps: what rounding leaves is never orthogonal."""
+    rng = np.random.default_rng(9)
+    A = rng.normal(size=(7, 6))
+    A[[1, 4]] = 0.0
+    B, V = A.copy(), np.empty((6, 6))
+    linalg.make_orthogonal(B, V, 6)
+    assert len(turns) < 15 * 10
+    np.testing.assert_allclose(
+        np.sort(np.linalg.norm(B, axis=0)), np.linalg.svd(A, compute_uv=False)[::-1], atol=1e-14 * np.linalg.norm(A)
+    )
 
 
 def test_pseudo_inverses_leave_out_small_values():

@@ -8,9 +8,32 @@ import pytest
 import random_arms as arms
 from random_arms import PARTS, errors, orders, task
 
+from ik_toolkit.kernel import task as tasks
+from ik_toolkit.kernel.algebra import M3, V3
 from ik_toolkit.kernel.records import Ends
 from ik_toolkit.kernel.serial import make_serial
 from ik_toolkit.kernel.task import BASE, FREE, PART, POSE, POSITION, TARGET, TIP
+
+
+def test_what_a_task_allows_and_counts():
+    t = task(PART, w0=0.5, w1=2.0, s0=3.0, s1=4.0, w3=0.0)
+    assert tasks.allowance(t, 0, 0.1) == pytest.approx(5.2) and tasks.allowance(t, 3, 0.1) == np.inf
+    assert tasks.allowance(task(PART, w5=4.0, s3=1.0), 3, 0.1) == pytest.approx(1.1)
+    for values, want in (
+        ({}, (1.0, 1.0)), ({"w0": 0.0, "w1": 0.0}, (1.0, 1.0)), ({"w0": 0.0, "w1": 0.0, "w2": 0.0}, (0.0, 1.0)),
+        ({"free": 1.0}, (1.0, 0.0)), ({"s3": 4.0, "s4": 4.0, "s5": math.pi}, (1.0, 0.0)), ({"s3": 4.0, "s4": 4.0}, (1.0, 1.0)),
+        ({"s0": np.inf, "s1": np.inf, "s2": np.inf}, (0.0, 1.0)), ({"w3": 0.0, "w4": 0.0, "w5": 0.0}, (1.0, 0.0)),
+    ):  # fmt: skip
+        assert tasks.counts(task(PART, **values)) == want
+    for size in (1e-3, 0.99e-2, 1.01e-2, 0.5, 2.0, 3.1):
+        r = size * np.array([0.6, 0.0, 0.8])
+        K = pin.skew(r)
+        want = np.linalg.inv(pin.Jexp3(r)) - np.eye(3) - 0.5 * K
+        np.testing.assert_allclose(tasks.log_curvature(size * size) * K @ K, want, atol=1e-9)
+    assert tasks.vector_ratio(PART, 0.5) == 1.0 and tasks.vector_ratio(POSE, 0.5) > 1.0
+    assert tasks.angle_left(PART, 0.25) == 0.5 and tasks.angle_left(POSE, 4.0 * math.sin(0.25) ** 2) == pytest.approx(
+        0.5
+    )
 
 
 @pytest.mark.parametrize("frame", [BASE, TIP, TARGET])
@@ -40,6 +63,18 @@ def test_errors_that_count_and_their_derivative(frame, part, kinds):
             )
             np.testing.assert_allclose(J[i], (a - b) / (2 * d), atol=3e-8)
             assert p.slope(look, i) == pytest.approx(J[i] @ p.desk.y)
+
+
+def test_half_a_turn_of_a_free_axis():
+    for axis in ([1.0, 0, 0], [0, 1.0, 0], [0.6, 0.8, 0.0], [0.71, 0.0, math.sqrt(1 - 0.71**2)]):
+        ends = Ends(np.array([*np.eye(3).ravel(), 0, 0, 0, *np.eye(3).ravel(), 0, 0, 0], float), 0)
+        across = np.cross(axis, [0.3, 0.5, 0.9])
+        R = pin.exp3(math.pi * across / np.linalg.norm(across))
+        goal = np.array([*R.ravel(), 0, 0, 0, 0, 0, 0])
+        now = M3(V3(1.0, 0, 0), V3(0, 1.0, 0), V3(0, 0, 1.0))
+        kept, t = np.empty(39), task(PART, free=1.0, ax=axis[0], ay=axis[1], az=axis[2])
+        _, r = tasks.shape(t, ends, goal, now, V3(0.0, 0, 0), V3(0.0, 0, 0), kept)
+        assert np.linalg.norm(r) == pytest.approx(math.pi) and np.dot(r, axis) == pytest.approx(0.0, abs=1e-12)
 
 
 @pytest.mark.parametrize("frame", [BASE, TIP, TARGET])
