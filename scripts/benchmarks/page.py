@@ -91,9 +91,10 @@ class Page(NamedTuple):
 PATH = """\
 Problems of CppFlow with obstacles, figures like those of TORM (with our own sizes and positions), a weld along a pipe, two arms.
 *Valid*, as in CppFlow: every pose within 0.1 mm and 0.1 deg, steps of at most 7 deg and 2 cm, inside the limits, no contact at the
-poses and at three places between neighbours, judged by Pinocchio and coal. Times include the result's own checks and proof of
-continuity; the length is the total rotation of the revolute joints, in rad, the shortest known one TORM's. Processor time is that
-of all threads; it depends little on what else the machine does.
+poses and at three places between neighbours, judged by Pinocchio and coal. Times are processor times of all threads, which
+depend little on what else the machine does; they include the result's own checks and proof of continuity. The length is the total
+rotation of the revolute joints, the shortest known one TORM's. Times by the clock, on an idle machine, are in the
+[guide](../guide/path.md#speed-and-path-length).
 """
 PAGES = (
     Page("single_solves", "Single solves", "solve", SOLVE),

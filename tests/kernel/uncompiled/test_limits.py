@@ -84,6 +84,23 @@ def test_joints_at_a_limit_are_held():
     assert not limits.hold(np.array([-1.0, 1.0]), np.zeros(2), np.ones(2), ends)
 
 
+def test_steps_end_inside_the_limits():
+    ends = ends_of([-1.0, -4.0, -4.0, -np.inf, -1.0, -2.0], [1.0, 3.0, 3.0, 3.0, 1.0, np.inf], [0, 1, 1, 1, 0, 1])
+    q = np.array([0.5, 2.5, -3.5, 2.0, 1.2, -1.9])
+    old = q.copy()
+    moved, far = limits.integrate(q, np.array([0.9, 1.0, -1.0, 2.0, 0.0, -0.5]), True, ends)
+    np.testing.assert_allclose(q, [1.0, 3.5 - TAU, -4.5 + TAU, 4.0 - TAU, 1.2, -2.4 + TAU], atol=1e-15)
+    assert moved == np.abs(q - old).max() and far == np.abs(q).max()
+    q = np.array([0.5, 0.0])
+    assert limits.integrate(q, np.array([2.0, -9.0]), False, ends) == (9.0, 9.0)
+    np.testing.assert_array_equal(q, [2.5, -9.0])
+    q = np.array([-0.5, 0.0])
+    assert limits.integrate(q, np.array([-2.0, 0.0]), True, ends) == (0.5, 1.0) and q[0] == -1.0
+    assert math.isnan(limits.integrate(np.zeros(2), np.array([np.nan, 1.0]), True, ends)[1])
+    assert limits.middle(-np.inf, 3.0) == 3.0 - math.pi and limits.middle(-2.0, np.inf) == math.pi - 2.0
+    assert limits.middle(-2.0, 3.0) == 0.5
+
+
 def test_turns_of_an_answer():
     ends = ends_of([-7.0, -31.0, -7.0, -1.0], [7.0, 31.0, 7.0, 1.0], [1.0, 2.0, 1.0, 0.0])
     assert limits.turn(6.0, 0.0, ends, 0) == 1.0 and limits.turn(13.0, 0.0, ends, 0) == 1.0
