@@ -10,7 +10,6 @@ from xml.parsers import expat
 
 from ..errors import ModelError
 from .decode import decode, undeclared
-from .pose import matrix_rpy, quat_matrix
 
 MAX_BYTES = 20_000_000
 MAX_JOINTS = 1_000  # including fixed and mimic joints: Pinocchio's parser recurses once per joint of a chain
@@ -264,6 +263,8 @@ def plain_origin(origin: Mapping[str, str]) -> Mapping[str, str]:
     if "rpy" in origin or len(quaternion) != 4 or not 1e-6 < math.hypot(*quaternion) < math.inf:
         return origin
     unit = [x / math.hypot(*quaternion) for x in quaternion]
+    from .pose import matrix_rpy, quat_matrix  # loads numba, which a list of robots does without
+
     rpy = " ".join(map(repr, matrix_rpy(quat_matrix(unit)).tolist()))
     return {key: value for key, value in origin.items() if key != "quat_xyzw"} | {"rpy": rpy}
 

@@ -130,23 +130,16 @@ def track(
     )  # fmt: skip
     run.go()
 
-    def judged() -> TrackResult:
-        made = _result(run, robot, references, times, check)
-        made.figures = figures(made, robot.chain.unit * JUMP)
-        made.status, made.message = verdict(made, int(tracker._state[motion.STATE.stop]), len(times) - 1)
-        hold_against(made, robot)
-        return made
-
     result = None
     try:
-        result = judged()
+        result = _judged(run, references, times, check)
         if result.status in (TrackStatus.LEFT, TrackStatus.LOST) and not run.interrupted:
             reach, words = explain(robot, reference, q0, limits=limits, **counts)
             result.reach, result.message = reach, f"{result.message} {words}".rstrip()
     except KeyboardInterrupt:
         run.interrupted = True
     if run.interrupted or result is None:
-        raise TrackInterrupted(result or judged())
+        raise TrackInterrupted(result or _judged(run, references, times, check))
     return result
 
 
@@ -170,6 +163,16 @@ def _references(robot: Any, reference: Any) -> list[Reference]:
             f"the references of the tips must last equally long, not {[one.duration for one in found]} s"
         )
     return found
+
+
+def _judged(run: Run, references: list[Reference], times: np.ndarray, check: Any) -> TrackResult:
+    """What was run, with its verdict."""
+    tracker = run.tracker
+    made = _result(run, tracker.robot, references, times, check)
+    made.figures = figures(made, tracker.robot.chain.unit * JUMP)
+    made.status, made.message = verdict(made, int(tracker._state[motion.STATE.stop]), len(times) - 1)
+    hold_against(made, tracker.robot)
+    return made
 
 
 def _result(run: Run, robot: Any, references: list[Reference], times: np.ndarray, check: Any) -> TrackResult:

@@ -61,8 +61,8 @@ def test_a_limit_of_evaluations_repeats_what_a_timeout_found(name, solver, monke
 def test_a_timeout_ends_a_search_without_contact(monkeypatch):
     robot = robots.load("panda")
     blocked = ik.CollisionModel(robot)
-    monkeypatch.setattr(blocked, "collides", lambda q: True)
-    monkeypatch.setattr(blocked, "collisions", lambda q: [("a", "b")])
+    monkeypatch.setattr(ik.CollisionModel, "collides", lambda self, q: True)
+    monkeypatch.setattr(ik.CollisionModel, "collisions", lambda self, q: [("a", "b")])
     T = robot.fk(robot.home)
     whole = ik.solve(robot, T, avoid_collisions=blocked)
     assert whole.status == ik.Status.COLLISION and whole.restarts >= 256
