@@ -347,13 +347,13 @@ def narrowed(robot: Any, limit: Sequence[str] | None, deg: bool, limits: bool = 
     ranges = {}
     for text in limit:
         joint, *ends = text.rsplit(":", 2)
-        values = [numbers(end) or () if end.strip() else (None,) for end in ends]
+        values: list[Any] = [numbers(end) or [] if end.strip() else [None] for end in ends]
         if len(ends) != 2 or any(len(value) != 1 for value in values):
             raise InvalidOption(f"--limit takes JOINT:LOWER:UPPER, two numbers or one of them, not '{text}'")
         if joint in ranges:
             raise InvalidOption(f"--limit names joint '{joint}' twice")
         degrees = deg and not slides(robot, joint)
-        ranges[joint] = [math.radians(x) if degrees and x is not None else x for (x,) in values]
+        ranges[joint] = [math.radians(x) if degrees and x is not None else x for x, *_ in values]
     return robot.narrowed(ranges)
 
 
