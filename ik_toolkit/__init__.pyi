@@ -2,20 +2,31 @@
 
 from .errors import IKError as IKError
 from .errors import NotSolved as NotSolved
+from .motion.reference import Reference as Reference
+from .motion.shapes import circle as circle
+from .motion.shapes import line as line
+from .motion.shapes import lissajous as lissajous
+from .motion.trajectory import Trajectory as Trajectory
+from .motion.waypoints import reference_from_file as reference_from_file
+from .motion.waypoints import waypoints as waypoints
 from .paths.result import PathResult as PathResult
 from .paths.result import PathStatus as PathStatus
 from .paths.solve_path import PathInterrupted as PathInterrupted
 from .paths.solve_path import solve_path as solve_path
-from .paths.trajectory import Trajectory as Trajectory
-from .robot.collision import CollisionModel as CollisionModel
+from .robot.geometry.collision import CollisionModel as CollisionModel
+from .robot.geometry.shape import Shape as Shape
 from .robot.pose import pose as pose
 from .robot.robot import Robot as Robot
-from .robot.shape import Shape as Shape
 from .robot.tree import Tree as Tree
+from .servo.result import TrackResult as TrackResult
+from .servo.run import track as track
+from .servo.stability import best_gains as best_gains
+from .servo.stability import check_gains as check_gains
+from .servo.tracker import Tracker as Tracker
 from .show.plot import plot as plot
 from .show.scene import view as view
-from .solvers.batch import solve_batch as solve_batch
-from .solvers.batch_result import BatchCheckFailed as BatchCheckFailed
+from .solvers.batch.result import BatchCheckFailed as BatchCheckFailed
+from .solvers.batch.solve_batch import solve_batch as solve_batch
 from .solvers.closed_form.inspection import Inspection as Inspection
 from .solvers.closed_form.planar_2r import Planar2R as Planar2R
 from .solvers.prepare import prepare as prepare
@@ -37,16 +48,5 @@ from .solvers.status import Status as Status
 from .study.benchmark import benchmark as benchmark
 from .study.tune import tune as tune
 from .study.workspace import workspace as workspace
-from .tracking.reference import Reference as Reference
-from .tracking.result import TrackResult as TrackResult
-from .tracking.shapes import circle as circle
-from .tracking.shapes import line as line
-from .tracking.shapes import lissajous as lissajous
-from .tracking.stability import best_gains as best_gains
-from .tracking.stability import check_gains as check_gains
-from .tracking.track import track as track
-from .tracking.tracker import Tracker as Tracker
-from .tracking.waypoints import reference_from_file as reference_from_file
-from .tracking.waypoints import waypoints as waypoints
 
 __version__: str

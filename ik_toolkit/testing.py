@@ -15,10 +15,10 @@ from typing import Any
 import numpy as np
 
 from .errors import InvalidOption, NotSolved, UnknownSolver
-from .kernel.task import POSE
+from .kernel.counted_error import POSE
 from .robot.robot import Robot
 from .robot.tree import Tree
-from .solvers.batch import solve_batch
+from .solvers.batch.solve_batch import solve_batch
 from .solvers.protocol import Asked
 from .solvers.registry import Row, find_row
 from .solvers.result import Result

@@ -13,8 +13,8 @@ from pathlib import Path
 
 from ik_toolkit.errors import IKError
 from ik_toolkit.files import write_whole
-from ik_toolkit.robot.check import check_urdf
-from ik_toolkit.robot.finding import Finding, wrong
+from ik_toolkit.robot.formats.finding import Finding, wrong
+from ik_toolkit.robot.formats.urdf_check import check_urdf
 from ik_toolkit.robot.library import find
 from ik_toolkit.robot.load import urdf_of
 

@@ -80,7 +80,9 @@ def batches(robot: Any, count: int) -> Iterator[tuple[str, Row]]:
     """A batch of reachable and pushed targets, and every solution of a few."""
     rng = np.random.default_rng(2)
     targets = [pose_of(robot, q) for q in robot.random_q(rng, 4 * count)]
-    stacked: Any = {tip: np.array([T[tip] for T in targets]) for tip in targets[0]} if isinstance(targets[0], dict) else targets
+    stacked: Any = (
+        {tip: np.array([T[tip] for T in targets]) for tip in targets[0]} if isinstance(targets[0], dict) else targets
+    )
     batch, row = ik.solve_batch(robot, stacked), Row()
     for status, q, iterations in zip(batch.status, batch.q, batch.iterations, strict=True):
         row.add(q, str(status), int(iterations))
@@ -104,7 +106,9 @@ def motions(robot: Any, count: int) -> Iterator[tuple[str, Row]]:
         ends = robot.random_q(rng, 3)
         way = np.vstack([np.linspace(a, b, 15) for a, b in zip(ends, ends[1:], strict=False)])
         poses = [pose_of(robot, q) for q in way]
-        stacked: Any = {tip: np.array([T[tip] for T in poses]) for tip in poses[0]} if isinstance(poses[0], dict) else poses
+        stacked: Any = (
+            {tip: np.array([T[tip] for T in poses]) for tip in poses[0]} if isinstance(poses[0], dict) else poses
+        )
         path = ik.solve_path(robot, stacked)
         row.add(path.q, path.status.name, path.message)
     yield "solve_path", row

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
-from ik_toolkit.robot.dh import add_arm, add_pedestal, read_dh_table, to_urdf
+from ik_toolkit.robot.formats.dh import add_arm, add_pedestal, read_dh_table, to_urdf
+from ik_toolkit.robot.formats.urdf_write import add_joint, add_link, add_shape, new_robot, shift, to_text
 from ik_toolkit.robot.library import shipped_robots
-from ik_toolkit.robot.write import add_joint, add_link, add_shape, new_robot, shift, to_text
 
 URDF = Path(__file__).resolve().parent.parent / "urdf"
 TABLES = [name for name, entry in shipped_robots().items() if entry.dh_file and entry.dh_file.stem == name]

@@ -1,6 +1,6 @@
 """Try the installed numba: one answer, a batch and a tracker on a robot, compiled from nothing. Prints how long each took.
 
-CI runs this with the lowest release that may be installed. Before another is named in TRIED of kernel/jit.py it
+CI runs this with the lowest release that may be installed. Before another is named in TRIED of compile/jit.py it
 has to be added there and pass here.
 """
 
@@ -15,7 +15,7 @@ import numba
 import numpy as np
 
 import ik_toolkit as ik
-from ik_toolkit.kernel import jit
+from ik_toolkit.compile import jit
 
 
 def main() -> int:

@@ -3,10 +3,10 @@
 import numpy as np
 from numba import config
 
-from ik_toolkit.kernel import constrain as rooms
-from ik_toolkit.kernel.constrain import LEAVE, constrain
-from ik_toolkit.kernel.jit import cached
-from ik_toolkit.kernel.view import keep, view
+from ik_toolkit.compile.array_view import keep, view
+from ik_toolkit.compile.jit import cached
+from ik_toolkit.servo import constrained_step as rooms
+from ik_toolkit.servo.constrained_step import LEAVE, constrain
 
 
 def many(count):

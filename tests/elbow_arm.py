@@ -4,7 +4,7 @@ import numpy as np
 from second_fk import SecondFK, pose_errors
 
 import ik_toolkit as ik
-from ik_toolkit.robot.check import check_urdf
+from ik_toolkit.robot.formats.urdf_check import check_urdf
 
 LIMIT = '<limit lower="-2" upper="2" effort="1" velocity="1"/>'
 TURN = 'quat_xyzw="0.1 -0.2 0.3 0.9"'

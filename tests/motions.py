@@ -3,7 +3,7 @@
 import numpy as np
 
 import ik_toolkit as ik
-from ik_toolkit.kernel.task import POSE
+from ik_toolkit.kernel.counted_error import POSE
 from ik_toolkit.paths.continuity import check, densify
 from ik_toolkit.paths.result import PathResult, PathStatus, Reconfiguration
 from ik_toolkit.solvers.options import make_options

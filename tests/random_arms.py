@@ -6,9 +6,9 @@ import numpy as np
 import pinocchio as pin
 
 from ik_toolkit.kernel.chain import pack
-from ik_toolkit.kernel.levels import levels_on, levels_space
+from ik_toolkit.kernel.counted_error import BASE, POSE, TARGET, TIP
 from ik_toolkit.kernel.records import WHAT, Orders, Task
-from ik_toolkit.kernel.task import BASE, POSE, TARGET, TIP
+from ik_toolkit.servo.equality_qp import levels_on, levels_space
 
 KINDS = "tttstt"  # turning, sliding; "m" a turning follower of joint 0, "n" a sliding one, "o" of a slide
 

@@ -55,7 +55,7 @@ def writes(*suffixes: str) -> Callable[[Path | None], Path | None]:
 
 def solver_named(text: str) -> Any:
     """A solver's name unchanged, or the class of FILE.py:CLASS. Raises InvalidOption."""
-    from ..solvers.from_file import from_file, is_file
+    from ..solvers.solver_file import from_file, is_file
 
     return from_file(text) if is_file(text) else text
 

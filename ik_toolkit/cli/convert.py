@@ -28,7 +28,7 @@ def convert(
 
     Meshes below the folder of the new file are named relative to it, all others by their absolute path.
     """
-    from ..robot.convert import convert as make
+    from ..robot.formats.convert import convert as make
 
     made = make(
         robot,

@@ -58,7 +58,7 @@ def doctor(
 
 
 def _prepare(background: bool) -> None:
-    from ..kernel.cache import folder
+    from ..compile.cache import folder
     from ..solvers.prepare import prepare
 
     place = folder()
@@ -109,7 +109,7 @@ def _compiler() -> dict[str, Any]:
     try:
         import numba
 
-        from ..kernel.jit import OWN_WAY, TRIED
+        from ..compile.jit import OWN_WAY, TRIED
     except Exception as error:
         return _row("compiler", "problem", f"the kernels cannot be imported: {error}")
     if OWN_WAY:
@@ -120,7 +120,7 @@ def _compiler() -> dict[str, Any]:
 
 def _background() -> Iterator[dict[str, Any]]:
     """What became of compiling in the background, if anything."""
-    from ..kernel.cache import folder
+    from ..compile.cache import folder
 
     place = folder()
     if place is None:
@@ -134,7 +134,7 @@ def _background() -> Iterator[dict[str, Any]]:
 def _cache() -> dict[str, Any]:
     """Where compiled kernels are kept, whether there is room, and whether they are whole; what is damaged is removed."""
     try:
-        from ..kernel.cache import damaged, open_to_others
+        from ..compile.cache import damaged, open_to_others
         from ..kernel.chain import forward
 
         folder, broken = damaged(forward)

@@ -42,7 +42,7 @@ def register(app: typer.Typer) -> None:
 
 def dh(table_file: TableArg, output: UrdfOut = None, as_json: Json = False) -> None:
     """Write the URDF of a D-H table (classic or modified), with primitive shapes."""
-    from ..robot.dh import read_dh_table, to_urdf
+    from ..robot.formats.dh import read_dh_table, to_urdf
 
     made = read_dh_table(table_file)
     text = to_urdf(made)
@@ -80,8 +80,8 @@ def check(
         raise InvalidOption("--samples and -o belong to --self-collision")
     from rich.text import Text
 
-    from ..robot.check import check_urdf
-    from ..robot.finding import odd, wrong
+    from ..robot.formats.finding import odd, wrong
+    from ..robot.formats.urdf_check import check_urdf
     from ..robot.library import find
     from ..robot.load import urdf_of
 
@@ -134,8 +134,8 @@ def check(
 
 def _self_collision(entry: Any, options: dict[str, Any], samples: int | None, seed: int) -> Any:
     """Pairs of links that need no test, for any tip: all joints of the model move."""
+    from ..robot.geometry.self_collision import SAMPLES, self_collision
     from ..robot.robot import Robot
-    from ..robot.self_collision import SAMPLES, self_collision
 
     count = SAMPLES if samples is None else samples
     try:
@@ -151,7 +151,7 @@ def _self_collision(entry: Any, options: dict[str, Any], samples: int | None, se
 def _closed_forms(tips: Sequence[str], text: str) -> dict[str, str]:
     """Description by tip of the closed form that fits there; text: a URDF that can be loaded."""
     from ..robot.base import carried
-    from ..robot.build import build_model
+    from ..robot.formats.urdf_model import build_model
     from ..robot.robot import Robot
     from ..robot.tips import guess_tip
     from ..solvers.closed_form import describe

@@ -166,7 +166,7 @@ def _versions() -> str:
     import llvmlite
     import numba
 
-    from ..kernel.cache import KERNEL, stamp_of
+    from ..compile.cache import KERNEL, stamp_of
 
     return f"kernels {stamp_of(KERNEL)}, numba {numba.__version__}, llvmlite {llvmlite.__version__}, {sys.version}"
 

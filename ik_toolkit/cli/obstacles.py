@@ -24,7 +24,7 @@ def avoided(arm: Any, line: SimpleNamespace) -> dict[str, Any]:
 
 def _model(arm: Any, texts: Sequence[str], margin: float | None) -> Any:
     """A model with the obstacles [m, rad] placed in the base frame, and a margin [m]."""
-    from ..robot.collision import CollisionModel
+    from ..robot.geometry.collision import CollisionModel
     from ..robot.pose import pose
 
     model = CollisionModel(arm, margin=margin or 0.0)

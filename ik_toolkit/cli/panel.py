@@ -29,8 +29,8 @@ def panel(
     if not 0 <= port < 65536:
         raise InvalidOption(f"--port must be between 0 and 65535, not {port}")
 
-    from ..show.gate import is_loopback
-    from ..show.panel import Panel
+    from ..show.access import is_loopback
+    from ..show.panel.panel import Panel
     from .pictures import wait
 
     served = Panel(robot, tip, host=host, port=port)

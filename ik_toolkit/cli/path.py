@@ -37,8 +37,8 @@ from .pictures import Html, Live, present
 from .streams import uninterrupted
 
 if TYPE_CHECKING:
+    from ..motion.trajectory import Trajectory
     from ..paths.result import PathResult
-    from ..paths.trajectory import Trajectory
 
 Poses = Annotated[
     Path,

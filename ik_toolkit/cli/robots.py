@@ -120,7 +120,7 @@ def info(
     csv_file: Csv = None,
 ) -> None:
     """Show a robot: joints, limits, home, frames, reach, D-H table, and where it comes from."""
-    from ..robot.dh import read_dh_table
+    from ..robot.formats.dh import read_dh_table
     from ..robot.library import find
     from ..robot.load import read
     from ..robot.tips import tip_candidates

@@ -10,7 +10,7 @@ import numpy as np
 
 from ..errors import InvalidOption
 from ..files import PARTIAL, WholeFile, inert
-from ..solvers.batch_result import BatchResult
+from ..solvers.batch.result import BatchResult
 from ..solvers.status import Status
 from .output import notice
 from .streams import uninterrupted

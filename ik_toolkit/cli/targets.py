@@ -10,8 +10,8 @@ import typer
 
 from ..errors import InvalidOption, MissingExtra
 from ..robot.pose_files import read_poses
-from ..solvers.batch import solve_batch, solve_parts
-from ..solvers.batch_result import BatchCheckFailed, BatchInterrupted, BatchResult
+from ..solvers.batch.result import BatchCheckFailed, BatchInterrupted, BatchResult
+from ..solvers.batch.solve_batch import solve_batch, solve_parts
 from .output import facts, notice, progress, show, write_json
 from .solutions import OUTPUTS, Solutions
 from .streams import uninterrupted

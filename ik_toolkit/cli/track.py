@@ -41,8 +41,8 @@ from .track_path import Asked, advice, asked_path, doubt_metres
 
 if TYPE_CHECKING:
     from ..robot.robot import Robot
-    from ..tracking.reachable import Survey
-    from ..tracking.result import TrackResult
+    from ..servo.path_reach import Survey
+    from ..servo.result import TrackResult
 
 PathOption = Annotated[
     str, typer.Option("--path", metavar="SHAPE|FILE", help="circle, line, eight, or a .csv or .npz file.")
@@ -267,7 +267,7 @@ def track(
 
 def _follow(arm: Any, line: SimpleNamespace, first: Any, counts: dict[str, Any]) -> "tuple[Asked, TrackResult]":
     """What was asked for, and the run; of an interrupted one the part that is done is kept beside the file asked for."""
-    from ..tracking.track import TrackInterrupted
+    from ..servo.run import TrackInterrupted
 
     try:
         with progress("tracking", None):
@@ -299,9 +299,9 @@ def _run(
     arm: Any, line: SimpleNamespace, asked: Asked, counts: dict[str, Any], *, quiet: bool = False
 ) -> "TrackResult":
     """Follow the path; warnings are shown as notices, unless quiet."""
-    from ..tracking.reference import MAX_STEPS
-    from ..tracking.track import track as follow
-    from ..tracking.verdict import ORIENTATION_TOLERANCE
+    from ..motion.reference import MAX_STEPS
+    from ..servo.result import ORIENTATION_TOLERANCE
+    from ..servo.run import track as follow
 
     references = asked.reference.values() if isinstance(asked.reference, Mapping) else [asked.reference]
     seconds = max(one.duration for one in references)

@@ -10,8 +10,8 @@ from ..text import vector
 from .output import notice, number
 
 if TYPE_CHECKING:
-    from ..tracking.reachable import References, Survey
-    from ..tracking.reference import Reference
+    from ..motion.reference import Reference
+    from ..servo.path_reach import References, Survey
 
 SHAPES = ("circle", "line", "eight")
 RADIUS, LENGTH, DURATION = 0.1, 0.2, 10.0  # [m, s] where a path is given in part
@@ -49,8 +49,8 @@ def _line(reference: "Reference") -> str:
 
 def asked_path(arm: Any, line: SimpleNamespace, q: Any, counts: dict[str, Any]) -> Asked:
     """Path of the options; `q` (n,) is --q0 or None, `counts` what counts of the targets. Raises InvalidOption."""
-    from ..tracking.reachable import freed
-    from ..tracking.waypoints import reference_from_file
+    from ..motion.waypoints import reference_from_file
+    from ..servo.path_reach import freed
 
     _check_fit(line)
     if line.path not in SHAPES:
@@ -60,7 +60,7 @@ def asked_path(arm: Any, line: SimpleNamespace, q: Any, counts: dict[str, Any]) 
         return Asked(freed(reference) if line.position_only and not reference.position_only else reference, q, "")
     if _in_part(line):
         return Asked(_drawn(arm, line, q, counts), arm.home if q is None and line.start is None else q, "")
-    from ..tracking.placing import place
+    from ..servo.default_path import place
 
     placed = place(
         arm, line.path, q0=q, axis=_axis(line), position_only=line.position_only, duration=line.duration, law=line.law,
@@ -125,7 +125,7 @@ def _axis(line: SimpleNamespace) -> Any:
 
 def _drawn(arm: Any, line: SimpleNamespace, q: Any, counts: dict[str, Any]) -> "References":
     """The path as it is given: from the tip at --q0 or home, or from --start, with the tip's orientation."""
-    from ..tracking.placing import paths
+    from ..servo.default_path import paths
 
     if line.start is not None or (line.path == "line" and line.end is not None):
         if arm.by_tip:
@@ -154,8 +154,8 @@ def _from_to(T: Any, line: SimpleNamespace) -> "Reference":
     """The path from --start, or to --end, of a tip that stands at T."""
     import numpy as np
 
-    from ..tracking import shapes
-    from ..tracking.placing import draw
+    from ..motion import shapes
+    from ..servo.default_path import draw
 
     if line.start is not None:
         T[:3, 3] = vector(line.start, "--start", 3)
@@ -182,7 +182,7 @@ def advice(
 
     follows(reference, q0): whether a run with the other options of the command succeeds.
     """
-    from ..tracking.reachable import other_start, trace
+    from ..servo.path_reach import other_start, trace
 
     def drawn(more: dict[str, Any]) -> Any:
         return _drawn(arm, SimpleNamespace(**{**vars(line), **more}), q, options)
@@ -209,7 +209,7 @@ def advice(
 
 def _ways(line: SimpleNamespace, found: "Survey") -> Iterator[tuple[str, dict[str, Any]]]:
     """Other options to try: as words, and as changes of the command line."""
-    from ..tracking.reachable import smaller
+    from ..servo.path_reach import smaller
 
     if line.path not in SHAPES or not _in_part(line):
         return

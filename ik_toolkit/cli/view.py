@@ -128,7 +128,7 @@ def view(
         return
     what, solved = arm.home, True
     if motion is not None:
-        from ..show.motions import from_file
+        from ..show.animation import from_file
 
         what = from_file(arm, motion)
     elif q is not None:
@@ -171,8 +171,8 @@ def _alone(option: str, others: dict[str, Any]) -> None:
 
 def _follow(robot: str, tips: Any, port: int, browse: bool) -> None:
     """Serve a page with a target to drag until Ctrl-C."""
-    from ..show.follower import Follower
-    from ..show.panel import Panel
+    from ..show.panel.follower import Follower
+    from ..show.panel.panel import Panel
 
     served = Panel(robot, tips, port=port, desk=Follower)
     wait(f"the robot is at {served.url}", served.url, browse)

@@ -12,8 +12,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba.extending import overload
 
-from .jit import INLINE, compiled, inline
-from .vector import WIDTH, full, load, store, vector
+from ..compile.jit import INLINE, compiled, inline
+from ..compile.simd import WIDTH, full, load, store, vector
 
 Number = Any  # a float, or a vector of eight
 

@@ -2,10 +2,10 @@
 
 import math
 
+from ..compile.jit import cached, inner
 from .algebra import V3, at3, put3, rotation_at
-from .jit import cached, inner
+from .counted_error import allowance
 from .records import WHAT
-from .task import allowance
 
 CONVERGED, STALLED, ITERATION_LIMIT, LIMIT_BLOCKED, UNREACHABLE, SINGULAR, NOT_FINITE, CHECK_FAILED = range(8)
 BAD_TARGET, BAD_START = 8, 9  # never seen by a caller: the target or the start must be examined outside the kernel

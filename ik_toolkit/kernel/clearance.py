@@ -9,11 +9,44 @@ import math
 
 import numpy as np
 
+from ..compile.jit import cached, dual, inline
 from .algebra import at3, put3
-from .brake import position, speeds
-from .jit import cached, dual, inline
 
 FINEST = 1.0 / 64.0  # of a piece: what cannot be proven in parts of this size needs a new measurement
+
+
+@dual
+def travelled(start, change, f):
+    """How far a joint has gone a fraction f into a piece: its speed grows evenly from `start` by `change` [per piece]."""
+    there = start * f + 0.5 * change * f * f
+    turn = -start / change if change != 0.0 else -1.0
+    if 0.0 < turn < f:  # it reverses on the way
+        far = 0.5 * start * turn
+        return abs(far) + abs(there - far)
+    return abs(there)
+
+
+@dual
+def speeds(Q, R, k, j, gamma, h):
+    """Speed of joint j at the start of piece k and its growth [per piece], as the methods assume (see `interpolate`)."""
+    move = Q[k + 1, j] - Q[k, j]
+    start = move if gamma == 1.0 else h * R[k, j]
+    return start, 2.0 * (move - start)
+
+
+@dual
+def position(Q, R, L, k, j, gamma, h, f):
+    """Value of joint j a fraction f into piece k, and how far it has gone by then."""
+    start, change = speeds(Q, R, k, j, gamma, h)
+    return Q[k, j] + start * f + 0.5 * change * f * f, L[k, j] + travelled(start, change, f)
+
+
+@cached
+def along(Q, R, L, gamma, h, u, q, length) -> None:
+    """Joint values q (n,) u pieces along a path of `brake`, and how far (n,) each joint has gone by then."""
+    k = min(int(u), Q.shape[0] - 2)
+    for j in range(q.shape[0]):
+        q[j], length[j] = position(Q, R, L, k, j, gamma, h, u - k)
 
 
 @inline

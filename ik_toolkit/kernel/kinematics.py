@@ -10,8 +10,8 @@ scaling is exact), and everything is expressed in the frame of the first joint; 
 
 import math
 
+from ..compile.jit import inline, inner
 from .algebra import M3, V3, Pose, alike, at, at3, put, put3, rotation_at, rotation_left, sincos
-from .jit import inline, inner
 
 # Columns of a row: cos b, sin b, tx, ty, turn, a0, slide, d0, coordinate, 1 turns / 0 slides.
 # Row 0 has no Rx: its cosine is 1, and never read by `fk`.
@@ -151,3 +151,34 @@ def angle_ratio(rr):
 def rotation_angle(rr):
     """Angle [rad] in 0..pi for rr = |2 sin(angle/2)|^2."""
     return 2.0 * math.asin(min(0.5 * math.sqrt(rr), 1.0))
+
+
+@inner
+def jacobian_rate(rows, joints, J, first, tip, x, y, out):
+    """Return in out (6,) the product (dJ/dt along joint velocity x) y at the tip point.
+
+    joints and the six columns of J from `first` on are as `fk` and `fill` leave them.
+    """
+    zero = V3(0.0, 0.0, 0.0)
+    v = zero  # tip velocity
+    for i in range(J.shape[0]):
+        v = v + V3(J[i, first], J[i, first + 1], J[i, first + 2]) * x[i]
+    turn, speed = zero, zero  # angular velocity before the joint, velocity of the joint's point
+    linear, angular = zero, zero
+    for i in range(rows.shape[0]):
+        k = int(rows[i, 8])
+        axis, point = at3(joints, 6 * i), at3(joints, 6 * i + 3)
+        if i > 0:
+            speed = speed + turn.cross(point - at3(joints, 6 * i - 3))
+        change = turn.cross(axis)  # of the axis
+        ratio = rows[i, 4] + rows[i, 6]
+        f, g = ratio * y[k], ratio * x[k]
+        if rows[i, 9] > 0.0:
+            linear = linear + (change.cross(tip - point) + axis.cross(v - speed)) * f
+            angular = angular + change * f
+            turn = turn + axis * g
+        else:
+            linear = linear + change * f
+            speed = speed + axis * g
+    put3(out, 0, linear)
+    put3(out, 3, angular)

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from .jit import inline, inner
+from ..compile.jit import inline, inner
 from .kinematics import TAU
 
 LARGEST = 1e9  # coordinates above which a start is refused: an angle of that size has seven digits after the point

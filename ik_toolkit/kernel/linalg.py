@@ -2,8 +2,8 @@
 
 import math
 
+from ..compile.jit import inline, inner
 from .algebra import V3, diagonal
-from .jit import inline, inner
 
 TINY = 1e-300  # smallest pivot: its root and the inverse of the root are still finite
 SWEEPS = 40  # of Jacobi rotations; convergence is quadratic, six columns need about ten

@@ -27,13 +27,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ..compile.array_view import cut
+from ..compile.jit import compiled, inline, spliced
 from .algebra import V3, at3, chord, put3, rotation_at
 from .checks import ORTHONORMAL, beyond, edge, rigid
-from .jit import compiled, inline, spliced
+from .counted_error import FREE, PART, POSE, POSITION, count_column, count_goal_column, shape
 from .kinematics import aim, column, fk, pose_error
 from .records import WHAT, Array
-from .task import FREE, PART, POSE, POSITION, count_column, count_goal_column, shape
-from .view import cut
 
 GOAL = 15  # numbers of a goal: pose (12), and its point again where the search aims at the edge of the reach instead
 BEST_OF_ALL, NEAREST, NOW = 0, 1, 2  # places to keep errors: the least, those of the answer nearest q0, any others

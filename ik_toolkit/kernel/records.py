@@ -11,8 +11,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba.extending import overload
 
-from .jit import BUILD, INLINE, compiled, inline
-from .view import View, numbers, put_numbers
+from ..compile.array_view import View, numbers, put_numbers
+from ..compile.jit import BUILD, INLINE, compiled, inline
 
 Array = np.ndarray
 

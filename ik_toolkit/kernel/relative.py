@@ -1,7 +1,7 @@
 """A target given relative to another tip: where it is, and how it moves with that tip."""
 
+from ..compile.jit import inline, inner
 from .algebra import M3, V3, at3, put3, put_axes, rotation_at
-from .jit import inline, inner
 from .kinematics import column
 from .problem import add_column, counted_goal
 from .records import WHAT

@@ -16,6 +16,8 @@ from typing import NamedTuple
 import numpy as np
 from numba.extending import overload
 
+from ..compile.array_view import cut, fold, keep, view
+from ..compile.jit import BUILD, INLINE, cached, compiled, inline, inner
 from .checks import (
     BAD_START,
     BAD_TARGET,
@@ -29,15 +31,13 @@ from .checks import (
     UNREACHABLE,
     standstill,
 )
-from .jit import BUILD, INLINE, cached, compiled, inline, inner
-from .joined import part, scratch
 from .limits import distance, face, held_back, hold, integrate, legal, neighbourhood, other_end
+from .packed_model import part, scratch
 from .problem import BEST_OF_ALL, NEAREST, NOW
 from .records import ANSWER, HEAD, MISS, TASK, Answer, Array, Ends, Orders, copy, read, write
-from .seeds import BEST, FEATURES, sow
 from .serial import make_serial, serial_on
+from .starts import BEST, FEATURES, sow
 from .tree import make_tree, tree_on
-from .view import cut, fold, keep, view
 
 SINGULAR_STEP, WAITING = -1, -2  # what `step` may return instead of 0: no step exists; a zero step that is not a stall
 GOING, STILL = -1, -2  # an attempt that continues, or has stopped moving; the search determines why

@@ -5,11 +5,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ..compile.array_view import cut, space
+from ..compile.jit import build, compiled, spliced
 from .algebra import V3, at3, put3, put_axes, rotation_at
-from .jit import build, compiled, spliced
-from .kinematics import aim, column, own_coordinates, room
+from .counted_error import FREE, KEPT, POSITION, angle_left, counts, turn_axis, vector_ratio
+from .kinematics import aim, column, jacobian_rate, own_coordinates, room
 from .linalg import damped, pseudo_inverse_step
-from .motion import jacobian_rate
 from .problem import (
     GOAL,
     Desk,
@@ -25,9 +26,7 @@ from .problem import (
     tolerances,
 )  # fmt: skip
 from .records import TASK, WHAT, Array, Ends
-from .seeds import nearest, rnd
-from .task import FREE, KEPT, POSITION, angle_left, counts, turn_axis, vector_ratio
-from .view import cut, space
+from .starts import nearest, rnd
 
 
 @compiled

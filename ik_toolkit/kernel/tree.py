@@ -9,12 +9,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ..compile.array_view import cut, fold, space
+from ..compile.jit import build, compiled, inner, spliced
 from .algebra import V3, at3, put3, put_axes, rotation_at
 from .checks import ORTHONORMAL, rigid
-from .jit import build, compiled, inner, spliced
-from .kinematics import aim, room
+from .counted_error import FREE, KEPT, PART, POSE, angle_left, turn_axis, vector_ratio
+from .kinematics import aim, jacobian_rate, room
 from .linalg import damped_stack, pseudo_inverse_step
-from .motion import jacobian_rate
 from .problem import (
     GOAL,
     Desk,
@@ -31,9 +32,7 @@ from .problem import (
 )  # fmt: skip
 from .records import MISS, TASK, WHAT, Array, Ends, Miss, Orders, write
 from .relative import FRAME, LINK, carry, fill_goal, link_to, product
-from .task import FREE, KEPT, PART, POSE, angle_left, turn_axis, vector_ratio
-from .tree_starts import begin_by_tips, choose_moves, draw_some, rank_groups
-from .view import cut, fold, space
+from .starts import begin_by_tips, choose_moves, draw_some, rank_groups
 
 ARRIVED = 1e-4  # squared error (lengths over reach) below which a tip is close enough to its target to keep its joints
 

@@ -16,19 +16,19 @@ class Paper(NamedTuple):
 
 PAPERS: dict[str, Paper] = {
     "burrell": Paper(
-        "ik_toolkit.papers.burrell_2016:reproduce",
+        "ik_toolkit.papers.burrell_2016.paper:reproduce",
         "Burrell et al. 2016: IK-PID and state-space solver of the HydroLek-7W, tuned further, and on other robots",
     ),
     "shanmugasundar": Paper(
-        "ik_toolkit.papers.shanmugasundar_2012:reproduce",
+        "ik_toolkit.papers.shanmugasundar_2012.paper:reproduce",
         "Shanmugasundar and Sivaramakrishnan 2012: closed-form inverse of a 7-joint inspection robot",
     ),
     "patko": Paper(
-        "ik_toolkit.papers.patko_2019:reproduce",
+        "ik_toolkit.papers.patko_2019.paper:reproduce",
         "Patko and Zelei 2019: tracking at velocity and acceleration level, four methods",
     ),
     "chinyai": Paper(
-        "ik_toolkit.papers.chinyai:reproduce",
+        "ik_toolkit.papers.chinyai.paper:reproduce",
         "Chinyai: Newton-Raphson against the closed form on a planar two-link arm",
     ),
 }

@@ -12,8 +12,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from ..robot.clearance import Clearance
-from .proof import Contact
+from ..robot.geometry.distance import Clearance
+from .certificate import Contact
 
 # [rad] largest margin tried, and the factor to each smaller one: up to 1.5 cm at one metre, where tests are still cheap.
 LARGEST, FINER = 0.015, 4.0

@@ -12,14 +12,14 @@ import numpy as np
 
 from ..errors import InvalidOption
 from ..kernel.chain import levers
-from ..kernel.smooth import settle as settle_rows
-from ..kernel.task import FREE, POSITION
+from ..kernel.counted_error import FREE, POSITION
 from ..robot.pose import angles_between
 from ..solvers.task import relatives, what_counts
+from .certificate import Continuity
 from .contact import find_contacts
 from .freedom import freedom, missed
 from .interpolate import interpolate
-from .proof import Continuity
+from .smoothing import settle as settle_rows
 
 ROUNDS = (
     12  # rounds of insertion: the bound falls with the square of the number of pieces, so two or three usually suffice

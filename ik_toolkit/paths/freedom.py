@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ..kernel.task import FREE, POSE, POSITION
+from ..kernel.counted_error import FREE, POSE, POSITION
 from ..solvers.protocol import Asked
 from ..solvers.task import counted_errors, counts_in_part
 from .interpolate import interpolate

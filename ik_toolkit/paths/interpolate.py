@@ -3,8 +3,8 @@
 import numpy as np
 import pinocchio as pin
 
-from ..kernel.task import FREE, POSITION
-from ..tracking.reference import exp
+from ..kernel.counted_error import FREE, POSITION
+from ..motion.reference import exp
 
 
 def interpolate(T: np.ndarray, at: np.ndarray, kinds: tuple) -> np.ndarray:

@@ -13,16 +13,16 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..errors import InvalidOption, MissingExtra, floats, whole
+from ..motion.trajectory import Piece, Trajectory, sample
 from ..robot.joints import Joints
 from ..solvers.plan import Plan
 from ..solvers.registry import GENERAL, find_row
-from ..tracking.inputs import positive
+from ..validate import positive
 from .contact import find_contacts
 from .continuity import bounds, settle_between
 from .free_motion import connect
 from .freedom import missed
 from .interpolate import interpolate
-from .trajectory import Piece, Trajectory, sample
 
 ROUNDS = 12  # rounds of inserting poses: each halves the amount by which corners are cut
 LEAST = 1e-9  # [rad or m] rows of a curve nearer than this are merged

@@ -12,7 +12,7 @@ import numpy as np
 import pinocchio as pin
 
 from ..errors import ModelError
-from .mimic import mimic_limits
+from .formats.mimic import mimic_limits
 from .probe import Path, limits
 
 STEPS, TRIES = 40, 5  # Gauss-Newton steps and starts for closing a loop with the joints off the path

@@ -23,9 +23,9 @@ from ..errors import (
 from ..kernel.records import POINTS
 from ..readonly import ReadOnly
 from .base import Given
+from .formats.srdf import Srdf
 from .narrow import narrowed
 from .probe import Path
-from .srdf import Srdf
 
 LOG = logging.getLogger("ik_toolkit")
 ROWS = {"pose": [*range(6)], "position": [0, 1, 2], "orientation": [3, 4, 5]}  # rows of each tip's Jacobian

@@ -14,8 +14,8 @@ from pathlib import Path
 from typing import Any
 
 from ..errors import MissingExtra, RobotNotFound, near_match
+from .formats.urdf import is_text
 from .packages import MANIFESTS
-from .read import is_text
 
 DATA_PACKAGE = "example-robot-data"
 DESCRIBED = "robot_descriptions:"  # prefix for names of that package

@@ -7,14 +7,14 @@ from typing import Any, NamedTuple
 
 from ..errors import InvalidOption, ModelError
 from .base import carried
-from .build import build_model
-from .check import require_loadable
 from .constraints import Constraint
+from .formats.mjcf import to_urdf
+from .formats.urdf import HasMacros, IsMjcf, safe_read, source_text
+from .formats.urdf_check import require_loadable
+from .formats.urdf_model import build_model
+from .formats.xacro import expand, expanded, has_macros
 from .library import RobotEntry, find
-from .mjcf import to_urdf
-from .read import HasMacros, IsMjcf, safe_read, source_text
 from .tips import guess_tip
-from .xacro import expand, expanded, has_macros
 
 LOG = logging.getLogger("ik_toolkit")
 

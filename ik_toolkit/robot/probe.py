@@ -15,8 +15,8 @@ import pinocchio as pin
 
 from ..errors import ModelError
 from ..kernel.chain import ROW, WINDING, Chain, evaluate, pack
+from .formats.urdf_values import reversed_advice
 from .pose import turn_onto
-from .values import reversed_advice
 
 SAMPLES = 24  # configurations at which a chain is compared with Pinocchio
 AGREE = 1e-9  # largest difference allowed there [rad, or fraction of the robot's size]: a thousandth of the default tolerance

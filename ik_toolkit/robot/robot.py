@@ -26,16 +26,16 @@ from ..errors import (
 from ..kernel.chain import Chain
 from ..kernel.records import POINTS
 from .base import settle
-from .build import build_model
 from .constraints import Constraint
+from .formats.mimic import followers, mimic_limits, mimic_speeds
+from .formats.srdf import Srdf, held_joints, one_tip, read_srdf, srdf_of
+from .formats.urdf import is_text
+from .formats.urdf_model import build_model
+from .geometry.shape import Shape, is_shape
 from .joints import Joints, values_by_joint
 from .load import default_base, folders_of, read_both
-from .mimic import followers, mimic_limits, mimic_speeds
 from .pose import as_matrix, check_target
 from .probe import AGREE, difference, find_path, good_start, kinds, limits, middle, probe, speeds
-from .read import is_text
-from .shape import Shape, is_shape
-from .srdf import Srdf, held_joints, one_tip, read_srdf, srdf_of
 from .tips import one_word, only_tip, root_link
 
 # Attributes that a copy must not share: caches and thread-local state.

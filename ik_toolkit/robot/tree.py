@@ -8,13 +8,13 @@ import numpy as np
 import pinocchio as pin
 
 from ..errors import FrameNotFound, InvalidOption, InvalidTarget, ModelError
-from ..kernel.tree_chain import TreeChain, pack_tree
+from ..kernel.chain import TreeChain, pack_tree
+from .formats.srdf import Srdf, srdf_of
 from .joints import Joints, values_by_joint
 from .load import default_base, read_both
 from .probe import Motionless, find_path
 from .probe import Path as JointPath
 from .robot import Robot
-from .srdf import Srdf, srdf_of
 from .tips import tip_candidates
 
 ENDS = 8  # path ends listed in a message

@@ -21,7 +21,7 @@ import pinocchio as pin
 from ..robot.joints import Joints
 from ..robot.probe import screw
 from ..text import plain
-from .parts import THINNEST, Body, Shape, grid_cell, need_trimesh, smooth
+from .body import THINNEST, Body, Shape, grid_cell, need_trimesh, smooth
 
 Mesh = tuple[np.ndarray, np.ndarray, np.ndarray]  # vertices (N, 3) [m], normals (N, 3), faces (M, 3)
 

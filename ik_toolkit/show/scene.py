@@ -12,10 +12,10 @@ from ..copying import Unique
 from ..errors import InvalidOption, InvalidTarget, floats
 from ..robot.joints import Joints
 from ..robot.pose import AxisTarget, check_target, length
+from .animation import animate, motion_of
 from .attempts import iterates
-from .motions import animate, motion_of
-from .parts import GREY, Body, Shape, grid_cell, need_trimesh, smooth, tube
-from .window import Window, write_page
+from .body import GREY, Body, Shape, grid_cell, need_trimesh, smooth, tube
+from .meshcat_server import Window, write_page
 
 # Colours of Okabe and Ito (2008), as in the plots.
 BLUE, ORANGE, GREEN, PURPLE = (0.0, 0.447, 0.698), (0.835, 0.369, 0.0), (0.0, 0.62, 0.451), (0.8, 0.475, 0.655)

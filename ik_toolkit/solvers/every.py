@@ -6,13 +6,13 @@ import numpy as np
 
 from ..errors import whole
 from ..kernel.checks import is_rigid
+from ..kernel.counted_error import POSITION
 from ..kernel.records import WEIGHTS
-from ..kernel.task import POSITION
-from .avoid import collision_model
-from .closed_form.finish import listed
-from .finish import confirmed
+from .closed_form.polish import listed
+from .collision_free import collision_model
+from .enumerate import distinct_rows, sample, search
 from .plan import Plan
-from .search_all import distinct_rows, sample, search
+from .postprocess import confirmed
 from .solutions import Solutions, SolutionsBatch
 from .status import constraints_of
 from .task import POSES, read_target

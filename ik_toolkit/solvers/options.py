@@ -9,7 +9,7 @@ from typing import Any, Literal, TypedDict
 import numpy as np
 
 from ..errors import InvalidOption, floats, near_match
-from ..robot.collision import CollisionModel, as_margin
+from ..robot.geometry.collision import CollisionModel, as_margin
 
 # Options that choose or finish one answer, left out where a plan is varied to search for more of them.
 PLAIN: dict[str, Any] = {
@@ -18,7 +18,7 @@ PLAIN: dict[str, Any] = {
 MAX_ITERATIONS = 1_000_000
 SLICE = 256  # evaluations that a timed solve makes before it looks at the clock: about a quarter of a millisecond
 FOLLOW = 0.5  # rad (of the reach for slides): what follow=True allows
-OBJECTIVES = {"mid-range": 1, "reference": 2, "manipulability": 3}  # numbers of kernel/refine.py
+OBJECTIVES = {"mid-range": 1, "reference": 2, "manipulability": 3}  # numbers of kernel/null_space.py
 WORDS = {"objective": tuple(OBJECTIVES), "q0_outside": ("clamp", "refuse")}
 OTHERWISE = {  # names from other packages that mean something else here
     "mask_frame": "mask_frame is now called frame: 'base', 'tip' or 'target'",

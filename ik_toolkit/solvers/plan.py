@@ -1,4 +1,7 @@
-"""A robot, a rule and options as arrays of the kernel, made once: what every call runs, and the only cache of it."""
+"""A robot, a rule and options as arrays of the kernel, made once: what every call runs, and the only cache of it.
+
+Starts of a search in which some joints are held: every start has them at their values in the first.
+"""
 
 import copy
 from dataclasses import replace
@@ -8,19 +11,17 @@ import numpy as np
 
 from ..copying import importable
 from ..errors import InvalidConfiguration, InvalidOption, UnknownSolver
-from ..kernel.chain import without_limits, without_wrap
-from ..kernel.joined import join
+from ..kernel.chain import split, table, without_limits, without_wrap
+from ..kernel.counted_error import POSITION
 from ..kernel.limits import LARGEST
-from ..kernel.records import ANSWER, AT, MISS, Orders
-from ..kernel.seeds import BEST
-from ..kernel.task import POSITION
-from ..kernel.tree_chain import split
-from .fallback import with_search
-from .finish import finishing
+from ..kernel.packed_model import join
+from ..kernel.records import ANSWER, AT, MISS, POINTS, Orders
+from ..kernel.starts import BEST
+from .closed_form_then_search import with_search
 from .options import Options
+from .postprocess import finishing
 from .protocol import Asked, misfit, parameters, require
 from .registry import GENERAL, Row, find_row
-from .starts import held_joints, pin, with_seeds
 from .task import kernel_tasks, relatives, what_counts
 
 MARGIN = 1.0 - 1e-9  # the kernel tests a little inside the tolerance, so that Pinocchio's rounding cannot disagree
@@ -222,3 +223,26 @@ class Plan:
         if self.options.q0_outside == "refuse":
             raise InvalidConfiguration(f"q0 is outside the limits at joint {names}")
         return inside[None], f"q0 was outside the limits at joint {names} and was clamped"
+
+
+def held_joints(options: Options) -> np.ndarray:
+    """Places of the joints whose weight is 0."""
+    return np.flatnonzero(np.array(options.joint_weights or (1.0,)) == 0.0)
+
+
+def pin(arrays: tuple, held: np.ndarray, at: np.ndarray) -> tuple:
+    """Arrays of a chain (or a tree's) whose table of starts and random starts have the `held` joints at `at` (kernel units)."""
+    rows, ends, seeds, _ = arrays
+    ends, seeds, n = ends.copy(), seeds.copy(), seeds.shape[1]
+    seeds[:, held] = at
+    ends[..., POINTS + 4 * n + held] = at
+    ends[..., POINTS + 5 * n + held] = 0.0  # width of the range that random starts are drawn from
+    return with_seeds(rows, ends, seeds)
+
+
+def with_seeds(rows: np.ndarray, ends: np.ndarray, seeds: np.ndarray) -> tuple:
+    """Arrays of a chain, or a tree's, with another table of starts (N, n), in kernel units."""
+    if ends.ndim == 1:
+        return rows, ends, seeds, table(rows, ends, seeds)
+    parts = zip(split(rows, ends, seeds.shape[1]), ends, strict=True)
+    return rows, ends, seeds, np.stack([table(part, end, seeds) for part, end in parts])

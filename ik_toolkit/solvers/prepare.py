@@ -9,7 +9,7 @@ from ..errors import InvalidOption, UnknownSolver, check_progress
 from ..robot.library import shipped_robots
 from ..robot.robot import Robot
 from ..robot.tree import Tree
-from .batch import solve_batch
+from .batch.solve_batch import solve_batch
 from .registry import find_row
 from .solve import Solver
 

@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING, Any, Protocol, TypeVar, overload
 
 import numpy as np
 
+from ..compile.jit import compiled
 from ..errors import IKError, InvalidOption, UnknownSolver
-from ..kernel.jit import compiled
+from ..kernel.counted_error import POSE, POSITION
 from ..kernel.search import entry
-from ..kernel.task import POSE, POSITION
 from .options import NAMES, Options
 from .registry import GENERAL, Row, find_row
 from .task import counted_rows, counts_in_part

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from ..errors import NotSolved
+from ..kernel.counted_error import FREE, POSITION
 from ..kernel.records import ANSWER, AT, MISS
-from ..kernel.task import FREE, POSITION
 from ..readonly import ReadOnly
 from ..robot.ros import header
 from ..style import BAD, GOOD
@@ -214,7 +214,7 @@ class Result(ReadOnly):
 
         Measured on demand, as `CollisionModel.distance` does; None without collisions to avoid, or pairs to test.
         """
-        from .avoid import collision_model  # which reads this file
+        from .collision_free import collision_model  # which reads this file
 
         asked = self._of.plan.options.avoid_collisions
         near = None if asked is False else collision_model(self.robot, asked).distance(self.q)

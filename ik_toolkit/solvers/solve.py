@@ -12,8 +12,8 @@ import numpy as np
 
 from ..errors import InvalidOption
 from ..kernel.checks import BAD_TARGET
+from ..kernel.counted_error import POSE, POSITION
 from ..kernel.records import AT
-from ..kernel.task import POSE, POSITION
 from ..readonly import ReadOnly
 from ..robot.narrow import with_limits
 from ..robot.robot import Robot

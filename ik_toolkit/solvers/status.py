@@ -5,8 +5,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from ..kernel.counted_error import FREE
 from ..kernel.records import AT
-from ..kernel.task import FREE
 from ..robot.constraints import Kept, constraints_at
 
 if TYPE_CHECKING:

@@ -7,8 +7,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..errors import InvalidOption, InvalidTarget, near_match
+from ..kernel.counted_error import AXIS, FREE, PART, POSE, POSITION
 from ..kernel.records import Task
-from ..kernel.task import AXIS, FREE, PART, POSE, POSITION
 from ..robot.pose import AxisTarget, check_target, errors
 from .options import COUNTING, FRAMES, Options
 

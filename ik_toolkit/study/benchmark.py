@@ -12,12 +12,11 @@ import numpy as np
 from ..errors import IKError, InvalidOption, Portable, UnknownSolver, check_progress, whole
 from ..robot.robot import Robot
 from ..robot.tree import Tree
-from ..solvers.batch_parts import check_executor
+from ..solvers.batch.parts import check_executor
 from ..solvers.registry import find_row, list_rows
 from ..solvers.solve import Solver, is_auto, require_robot
 from ..solvers.status import Status, count_statuses
-from ..tracking.inputs import one_of
-from .inputs import solver_list
+from ..validate import one_of, solver_list
 from .statistics import wilson
 
 BLOCKS = 10  # blocks of targets on which the solvers alternate, so that background load affects all alike

@@ -8,7 +8,7 @@ import numpy as np
 
 from ..robot.robot import Robot
 from ..robot.tree import require_one_tip
-from ..solvers.batch import solve_batch
+from ..solvers.batch.solve_batch import solve_batch
 from ..solvers.registry import find_row
 from ..solvers.solve import Solver
 from .statistics import wilson

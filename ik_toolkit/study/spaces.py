@@ -7,8 +7,8 @@ from ..errors import InvalidOption, whole
 from ..robot.robot import Robot
 from ..robot.tree import Tree
 from ..solvers.registry import find_row, make_rule
-from ..solvers.space import Parameter, Space
-from ..tracking.inputs import switch
+from ..solvers.tuning_space import Parameter, Space
+from ..validate import switch
 
 RANGES = {
     "damping": (1e-4, 1.0, True),

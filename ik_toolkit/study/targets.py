@@ -9,7 +9,7 @@ from ..errors import InvalidOption, whole
 from ..robot.robot import Robot
 from ..robot.tree import Tree
 from ..solvers.solve import require_robot
-from ..tracking.inputs import one_of, switch
+from ..validate import one_of, switch
 
 HOW = ("joints", "volume")
 CELLS = 40  # voxels along the reach, for volume-uniform targets

@@ -16,13 +16,13 @@ from ..files import as_path, whole_file
 from ..robot.pose_files import check_arrays
 from ..robot.robot import Robot
 from ..robot.tree import Tree
-from ..solvers.batch import solve_batch
+from ..solvers.batch.solve_batch import solve_batch
 from ..solvers.presets import write_preset
 from ..solvers.protocol import misfit
 from ..solvers.registry import Row, find_row, make_rule
 from ..solvers.solve import require_robot
-from ..solvers.space import Space
-from ..tracking.inputs import number, one_of
+from ..solvers.tuning_space import Space
+from ..validate import number, one_of
 from .engines import Evolution, Swarm
 from .spaces import make_space
 from .statistics import wilson

@@ -15,11 +15,11 @@ from ..errors import InvalidOption, Portable, check_progress, whole
 from ..files import PARTIAL, WholeFile, as_path, inert
 from ..robot.robot import Robot
 from ..robot.tree import Tree
-from ..solvers.batch import solve_parts
+from ..solvers.batch.solve_batch import solve_parts
 from ..solvers.registry import GENERAL, find_row
 from ..solvers.solve import is_auto, require_robot
 from ..solvers.status import count_statuses
-from .inputs import solver_list
+from ..validate import solver_list
 from .statistics import wilson
 from .targets import one_tip, sample_targets, stream_targets
 

@@ -36,7 +36,7 @@ def make_item(name: str, robot_name: str):
     import numpy as np
 
     import ik_toolkit as ik
-    from ik_toolkit.kernel.task import POSE
+    from ik_toolkit.kernel.counted_error import POSE
 
     count = COUNTS.get(name, 100)
     rng = np.random.default_rng(3)
@@ -63,7 +63,7 @@ def make_item(name: str, robot_name: str):
     out = np.zeros((count, width))
     rows = lambda: (float((out[:, 0] == 0).mean()), float(out[:, 1].mean()))  # noqa: E731
     if name == "lanes":
-        from ik_toolkit.kernel.lanes import lanes
+        from ik_toolkit.kernel.simd_search import lanes
 
         return lambda: lanes()(*arrays, T, home, out, orders), count, rows
     if name == "python":

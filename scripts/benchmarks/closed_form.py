@@ -12,8 +12,8 @@ import common
 import numpy as np
 
 import ik_toolkit as ik
+from ik_toolkit.kernel.counted_error import POSE
 from ik_toolkit.kernel.records import ANSWER
-from ik_toolkit.kernel.task import POSE
 from ik_toolkit.solvers.closed_form import inspection, reach
 
 TARGETS = 2000

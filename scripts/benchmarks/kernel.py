@@ -15,9 +15,9 @@ import pinocchio as pin  # noqa: E402
 
 import ik_toolkit as ik  # noqa: E402
 from ik_toolkit.kernel.chain import forward  # noqa: E402
-from ik_toolkit.kernel.lanes import lanes  # noqa: E402
+from ik_toolkit.kernel.counted_error import POSE  # noqa: E402
 from ik_toolkit.kernel.records import ANSWER  # noqa: E402
-from ik_toolkit.kernel.task import POSE  # noqa: E402
+from ik_toolkit.kernel.simd_search import lanes  # noqa: E402
 
 UNREACHABLE = "`ik.solve` from Python: a target proven out of reach"
 

@@ -13,8 +13,8 @@ from time import perf_counter  # noqa: E402
 
 import numpy as np  # noqa: E402
 
-from ik_toolkit.kernel.constrain import DIRECT, LEAVE, SLOW, constrain, make_room  # noqa: E402
-from ik_toolkit.kernel.jit import cached  # noqa: E402
+from ik_toolkit.compile.jit import cached  # noqa: E402
+from ik_toolkit.servo.constrained_step import DIRECT, LEAVE, SLOW, constrain, make_room  # noqa: E402
 
 ROWS = 12
 SAMPLES = 40  # consecutive problems, each slightly different from the previous one, as in a run

@@ -14,7 +14,7 @@ import pinocchio as pin
 from servo_best import as_tips, best, closest, errors
 
 import ik_toolkit as ik
-from ik_toolkit.tracking.reference import exp
+from ik_toolkit.motion.reference import exp
 
 DT = 0.01  # s
 BRAKING = 5.0  # 1/s; acceleration limit over speed limit: full speed in 0.2 s, as on common arms

@@ -23,7 +23,7 @@ from typing import Any
 
 import ik_toolkit as ik
 from ik_toolkit.errors import IKError
-from ik_toolkit.robot.check import check_urdf
+from ik_toolkit.robot.formats.urdf_check import check_urdf
 
 SECONDS, MEMORY = 60, 6_000_000_000  # [s] processor time and bytes per case, without the process that reads its meshes
 NUMBERS = [

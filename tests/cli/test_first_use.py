@@ -14,7 +14,7 @@ from numba import config
 
 import ik_toolkit as ik
 from ik_toolkit.cli import doctor, first_use, main
-from ik_toolkit.kernel import cache as kernels
+from ik_toolkit.compile import cache as kernels
 
 SOLVE = ["solve", "hydrolek_7w", "--xyz", "1.0", "0.1", "0.2", "--json"]
 OUT_OF_LIMITS = ["solve", "hydrolek_7w", "--xyz", "-1.2", "0.0", "0.3", "--json"]  # in reach, but not within the limits

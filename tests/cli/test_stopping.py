@@ -15,7 +15,7 @@ import robots
 from ik_toolkit.cli import bench, main, path, targets, tune, workspace
 from ik_toolkit.cli.streams import stoppable
 from ik_toolkit.papers.report import Report
-from ik_toolkit.tracking.run import Run
+from ik_toolkit.servo.samples import Run
 
 SIGNALS = {signal.SIGINT: 130, signal.SIGTERM: 143}
 

@@ -16,12 +16,12 @@ from numba.core.caching import Cache
 from numba.core.dispatcher import Dispatcher
 
 import ik_toolkit
-from ik_toolkit.kernel import cache
+from ik_toolkit.compile import cache
+from ik_toolkit.compile.jit import INLINE, PARTS
+from ik_toolkit.compile.pipeline import PartLibrary
 from ik_toolkit.kernel.chain import forward
-from ik_toolkit.kernel.jit import INLINE, PARTS
-from ik_toolkit.kernel.lanes import lanes
-from ik_toolkit.kernel.parts import PartLibrary
-from ik_toolkit.kernel.refine import refine
+from ik_toolkit.kernel.null_space import refine
+from ik_toolkit.kernel.simd_search import lanes
 
 PACKAGE = Path(ik_toolkit.__file__).parent
 ROBOTS = next(folder for folder in (PACKAGE / "urdf", PACKAGE.parent / "urdf") if folder.is_dir())
@@ -99,7 +99,7 @@ def test_what_is_used_of_numba_is_there(function):
 @pytest.mark.skipif(config.DISABLE_JIT, reason="nothing is compiled")
 def test_parts_are_neither_optimised_nor_made_machine_code_on_their_own():
     """`parts.PartLibrary` overrides what numba calls to do so. When those names move, compiling takes longer in silence."""
-    assert PARTS, "numba has moved what ik_toolkit.kernel.parts uses"
+    assert PARTS, "numba has moved what ik_toolkit.compile.pipeline uses"
     part = njit(**INLINE)(lambda x: x + 1.0)
     part.compile((float64,))
     (result,) = part.overloads.values()
@@ -117,7 +117,7 @@ from numba.core.postproc import PostProcessor
 from numba.core.registry import cpu_target
 from numba.core.typing.context import Context
 from llvmlite.binding import ffi
-from ik_toolkit.kernel.jit import cached, compiled, inline, inner
+from ik_toolkit.compile.jit import cached, compiled, inline, inner
 
 @compiled
 class Pair(NamedTuple):
@@ -196,7 +196,7 @@ def test_with_a_numba_that_was_not_tried_parts_compile_as_it_likes(monkeypatch, 
     jit = importlib.util.module_from_spec(found)
     with monkeypatch.context() as other:
         other.setattr(numba, "__version__", release)
-        other.setitem(sys.modules, "ik_toolkit.kernel.parts", None)  # is not even imported
+        other.setitem(sys.modules, "ik_toolkit.compile.pipeline", None)  # is not even imported
         found.loader.exec_module(jit)
     assert not jit.PARTS and not jit.OWN_WAY
     part = jit.inline(lambda x: x + 1.0)
@@ -247,7 +247,7 @@ RULE = """
 import logging, numpy as np
 from typing import NamedTuple
 import ik_toolkit as ik
-from ik_toolkit.kernel.cache import make_cache
+from ik_toolkit.compile.cache import make_cache
 
 class Mine(NamedTuple):
     gain: float = 0.5

@@ -6,7 +6,7 @@ from constrained import Step, many, planar, problem, some_rows
 from numba import config
 from scipy.optimize import linprog, lsq_linear
 
-from ik_toolkit.kernel.constrain import DIRECT, LEAVE, MET, RELAXED, SHORT, SLOW, SLOWED, WANTED
+from ik_toolkit.servo.constrained_step import DIRECT, LEAVE, MET, RELAXED, SHORT, SLOW, SLOWED, WANTED
 
 
 def test_a_rate_that_fits_is_returned_bit_for_bit():

@@ -6,8 +6,8 @@ from constrained import Step, many, planar, problem, some_rows
 from quadprog import solve_qp
 from scipy.optimize import lsq_linear
 
-from ik_toolkit.kernel.constrain import DIRECT, LEAVE, SHORT, SLOW
-from ik_toolkit.kernel.stages import CAUTIOUS
+from ik_toolkit.servo.constrained_step import DIRECT, LEAVE, SHORT, SLOW
+from ik_toolkit.servo.qp_stages import CAUTIOUS
 
 
 def test_a_residual_damps_the_motion():

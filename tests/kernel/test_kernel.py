@@ -8,9 +8,9 @@ import pinocchio as pin
 import pytest
 import robots
 
-from ik_toolkit.kernel import kinematics, linalg, seeds
+from ik_toolkit.compile.jit import cached
+from ik_toolkit.kernel import kinematics, linalg, starts
 from ik_toolkit.kernel.algebra import at3, put3, rotation_at, sincos
-from ik_toolkit.kernel.jit import cached
 
 ALL = [*robots.SHIPPED, *robots.MADE, "locked", "tool", *(name for name, _ in robots.DATA_ARMS)]
 
@@ -127,7 +127,7 @@ def _random(out):
     state = np.empty(1, np.uint64)
     state[0] = np.uint64(88172645463325252)
     for i in range(out.shape[0]):
-        out[i] = seeds.rnd(state)
+        out[i] = starts.rnd(state)
 
 
 def test_random_sequence_is_uniform():

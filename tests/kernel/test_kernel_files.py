@@ -13,10 +13,10 @@ from numba import config
 from numba.core.serialize import dumps
 
 from ik_toolkit.cli import main, output, robots
-from ik_toolkit.kernel import cache
+from ik_toolkit.compile import cache
 
 SOURCE = """
-from ik_toolkit.kernel.jit import cached
+from ik_toolkit.compile.jit import cached
 
 @cached
 def double(x):

@@ -8,28 +8,28 @@ import robots
 from numba import config, njit
 
 import ik_toolkit as ik
-from ik_toolkit.kernel import vector
+from ik_toolkit.compile import simd
 from ik_toolkit.kernel.algebra import M3, V3, Blocks, Sym3, at3, put3, sincos
 from ik_toolkit.kernel.checks import CONVERGED
-from ik_toolkit.kernel.lanes import LEFT, lanes
+from ik_toolkit.kernel.counted_error import POSE, POSITION
 from ik_toolkit.kernel.records import ANSWER, AT
-from ik_toolkit.kernel.task import POSE, POSITION
+from ik_toolkit.kernel.simd_search import LEFT, lanes
 
 pytestmark = pytest.mark.skipif(config.DISABLE_JIT, reason="vectors exist in compiled code only")
-W = vector.WIDTH
+W = simd.WIDTH
 ARMS = ("hydrolek_7w", "inspection_7dof", "planar_3r", "cartesian_pp", "panda", "ur5", "kinova", "slides_mix")
 
 
 @njit
 def arithmetic(a, b, out):
-    x, y = vector.load(a, 0), vector.load(b, 0)
-    vector.store(out, 0, -x + y * 2.0 - 3.0 / y)
-    vector.store(out, W, vector.choose((x < y) & (x > 0.0) | (y >= 4.0), abs(x), np.rint(y)))
-    vector.store(out, 2 * W, math.sqrt(y) + vector.full(1.5))
+    x, y = simd.load(a, 0), simd.load(b, 0)
+    simd.store(out, 0, -x + y * 2.0 - 3.0 / y)
+    simd.store(out, W, simd.choose((x < y) & (x > 0.0) | (y >= 4.0), abs(x), np.rint(y)))
+    simd.store(out, 2 * W, math.sqrt(y) + simd.full(1.5))
     s, c = sincos(x)
-    vector.store(out, 3 * W, s)
-    vector.store(out, 4 * W, c)
-    return vector.bits(x <= y)
+    simd.store(out, 3 * W, s)
+    simd.store(out, 4 * W, c)
+    return simd.bits(x <= y)
 
 
 def test_vectors_compute_as_numpy_does():

@@ -7,10 +7,10 @@ import pytest
 import quadprog
 from numba import config
 
-from ik_toolkit.kernel import levels
-from ik_toolkit.kernel.jit import cached
-from ik_toolkit.kernel.qp import CONTRADICTION, DONE, solve_levels
-from ik_toolkit.kernel.view import keep, view
+from ik_toolkit.compile.array_view import keep, view
+from ik_toolkit.compile.jit import cached
+from ik_toolkit.servo import equality_qp
+from ik_toolkit.servo.hierarchical_qp import CONTRADICTION, DONE, solve_levels
 
 
 def many(count):
@@ -22,23 +22,23 @@ def many(count):
 def kernel(C, d, want, low, high, A, b, state, y, multipliers):
     """|C y - d|^2 least, then |y - want|^2; multipliers (2, n + R) of the first and of the second, the rows' in their length."""
     n, count, r = want.shape[0], b.shape[0], d.shape[0]
-    block = np.zeros(levels.levels_space(n, count + r + 1))
-    s = levels.levels_on(view(block), n, count + r + 1)
+    block = np.zeros(equality_qp.levels_space(n, count + r + 1))
+    s = equality_qp.levels_on(view(block), n, count + r + 1)
     for i in range(n):
-        s.V[levels.WANT, i], s.V[levels.LOW, i], s.V[levels.HIGH, i] = want[i], low[i], high[i]
+        s.V[equality_qp.WANT, i], s.V[equality_qp.LOW, i], s.V[equality_qp.HIGH, i] = want[i], low[i], high[i]
         s.state[i] = state[i]
     for k in range(count + r):
         for i in range(n):
             s.P[k, i] = A[k, i] if k < count else C[k - count, i]
-        s.S[levels.RHS, k] = b[k] if k < count else d[k - count]
+        s.S[equality_qp.RHS, k] = b[k] if k < count else d[k - count]
     for k in range(count):
         s.state[n + k] = state[n + k]
     end = solve_levels(s.P, s.W, s.L, s.U, s.V, s.S, s.state, s.order, n, count, r, False)
     for i in range(n):
-        y[i] = s.V[levels.Y, i]
-        multipliers[0, i], multipliers[1, i] = s.V[levels.ONE, i], s.V[levels.TWO, i]
+        y[i] = s.V[equality_qp.Y, i]
+        multipliers[0, i], multipliers[1, i] = s.V[equality_qp.ONE, i], s.V[equality_qp.TWO, i]
     for k in range(count):
-        multipliers[0, n + k], multipliers[1, n + k] = s.S[levels.ROW_ONE, k], s.S[levels.ROW_TWO, k]
+        multipliers[0, n + k], multipliers[1, n + k] = s.S[equality_qp.ROW_ONE, k], s.S[equality_qp.ROW_TWO, k]
     for k in range(n + count):
         state[k] = s.state[k]
     keep(block)

@@ -9,7 +9,7 @@ import robots
 from numba import config, njit
 
 import ik_toolkit as ik
-from ik_toolkit.kernel.jit import OPTIONS
+from ik_toolkit.compile.jit import OPTIONS
 from ik_toolkit.kernel.records import Ends
 
 TIPS = ["left_tip", "right_tip"]

@@ -9,13 +9,13 @@ from pathlib import Path
 import pytest
 from numba import config
 
-from ik_toolkit.kernel import view
+from ik_toolkit.compile import array_view
 
 CODE = """
 import numpy as np
 from numba import njit
-from ik_toolkit.kernel.jit import OPTIONS, inner
-from ik_toolkit.kernel.view import keep, view
+from ik_toolkit.compile.jit import OPTIONS, inner
+from ik_toolkit.compile.array_view import keep, view
 
 @inner
 def fill(b):
@@ -51,7 +51,7 @@ def names(call):
 def test_every_array_made_for_a_view_is_kept():
     """An array that a kernel makes and views is kept after the last use of its views."""
     seen = 0
-    for path in sorted(Path(inspect.getfile(view)).parent.glob("*.py")):
+    for path in sorted(Path(inspect.getfile(array_view)).parent.glob("*.py")):
         for function in ast.walk(ast.parse(path.read_text())):
             if not isinstance(function, ast.FunctionDef):
                 continue

@@ -66,7 +66,7 @@ def circles(graph):
 def test_no_module_imports_one_that_imports_it():
     known = modules()
     graph = {name: set(imports(name, path, known)) for name, path in known.items()}
-    assert len(graph) > 100 and "ik_toolkit.kernel.jit" in graph["ik_toolkit.kernel.search"]
+    assert len(graph) > 100 and "ik_toolkit.compile.jit" in graph["ik_toolkit.kernel.search"]
     assert not circles(graph), [sorted(circle) for circle in circles(graph)]
 
 
@@ -116,7 +116,7 @@ def test_no_file_and_no_function_is_too_long_to_read():
 
 
 def test_parts_of_kernels_make_no_arrays():
-    """They borrow what they are given (see kernel/jit.py): one that made an array left other kernels a damaged heap."""
+    """They borrow what they are given (see compile/jit.py): one that made an array left other kernels a damaged heap."""
     makers = {
         f"np.{name}"
         for name in ("empty", "zeros", "ones", "full", "array", "arange", "linspace", "empty_like", "zeros_like")
@@ -166,12 +166,12 @@ def test_kernels_called_from_python_are_kept_on_disk():
     """Others would be compiled in every process, for seconds, at their first call: in a control loop, say."""
     from numba.core.dispatcher import Dispatcher
 
-    from ik_toolkit.kernel.cache import DiskCache
+    from ik_toolkit.compile.cache import DiskCache
 
     found = []
     for name, path in modules().items():
         # The methods are compiled into the loop, as rules of solvers are.
-        if name.split(".")[1:2] in (["tracking"], ["robot"], ["paths"]) and name != "ik_toolkit.tracking.methods":
+        if name.split(".")[1:2] in (["tracking"], ["robot"], ["paths"]) and name != "ik_toolkit.servo.methods":
             module = importlib.import_module(name)
             calls = [(call.lineno, meant(call, module)) for call in called_from_python(parsed(path))]
             found += [(f"{name}:{line}", one) for line, one in calls if isinstance(one, Dispatcher)]

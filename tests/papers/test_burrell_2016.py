@@ -8,7 +8,7 @@ from folders import read_data
 import ik_toolkit as ik
 from ik_toolkit.cli import main
 from ik_toolkit.papers import PAPERS
-from ik_toolkit.papers import burrell_2016 as paper
+from ik_toolkit.papers.burrell_2016.paper import paper
 
 DATA = read_data("burrell")
 SEEDS = DATA["seeds"][:2]
@@ -196,4 +196,4 @@ def test_a_folder_that_cannot_be_written_is_refused_before_the_work(tmp_path, ca
 
 
 def test_paper_is_listed():
-    assert PAPERS["burrell"].target == "ik_toolkit.papers.burrell_2016:reproduce"
+    assert PAPERS["burrell"].target == "ik_toolkit.papers.burrell_2016.paper:reproduce"

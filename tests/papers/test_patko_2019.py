@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 from folders import read_data
 
-from ik_toolkit.papers import patko_2019 as paper
-from ik_toolkit.papers import patko_cases as cases
-from ik_toolkit.tracking import stability as st
-from ik_toolkit.tracking.methods import simulate
+from ik_toolkit.papers.patko_2019.paper import cases, paper
+from ik_toolkit.servo import stability as st
+from ik_toolkit.servo.methods import simulate
 
 ORACLE = read_data("tracking")
 # Case and gain set of each of the oracle's runs; there `aad` has gamma 1.

@@ -4,14 +4,15 @@ import numpy as np
 import pinocchio as pin
 import pytest
 import robots
+from ik_toolkit.papers.burrell_2016.paper.existence import least_distance
+from ik_toolkit.papers.burrell_2016.paper.published import PAPER_OPTIONS, TO_PAPER
+from ik_toolkit.papers.burrell_2016.paper.uncompiled import Interpreted, PlainPinv
 
 import ik_toolkit as ik
-from ik_toolkit.papers import burrell_2016, burrell_gains, burrell_swarm, patko_dynamics
-from ik_toolkit.papers import shanmugasundar_2012 as inspection
-from ik_toolkit.papers.burrell_existence import least_distance
-from ik_toolkit.papers.burrell_published import PAPER_OPTIONS, TO_PAPER
-from ik_toolkit.papers.burrell_steps import Interpreted, PlainPinv
+from ik_toolkit.papers.burrell_2016.paper import gains, paper, swarm
+from ik_toolkit.papers.patko_2019.paper import dynamics
 from ik_toolkit.papers.report import Report
+from ik_toolkit.papers.shanmugasundar_2012.paper import paper as inspection
 from ik_toolkit.papers.timing import rounds, spread
 
 
@@ -33,7 +34,7 @@ def test_rounds_take_turns_and_the_spread_names_the_ends():
 
 def test_the_plain_pseudo_inverse_is_that_by_singular_values(hydrolek):
     """The same iterates, also from a stretched start, where it falls back on singular values."""
-    goals = burrell_2016.goals(hydrolek, 3, 60)
+    goals = paper.goals(hydrolek, 3, 60)
     one, other = (
         ik.solve_batch(hydrolek, goals, rule, q0=hydrolek.home, **PAPER_OPTIONS) for rule in ("pinv", PlainPinv())
     )
@@ -54,7 +55,7 @@ def test_the_plain_pseudo_inverse_is_that_by_singular_values(hydrolek):
 def test_the_interpreted_methods_are_the_compiled_ones(hydrolek):
     """What is timed in numpy is the method that is timed compiled: they agree on which goals are reached."""
     plain = Interpreted(hydrolek)
-    goals = burrell_2016.goals(hydrolek, 8, 6)
+    goals = paper.goals(hydrolek, 8, 6)
     damping = 0.1 / hydrolek.chain.scale
     rules = {
         "J+": "pinv",
@@ -74,54 +75,54 @@ def test_the_distance_to_the_workspace_is_a_minimum(hydrolek):
     for scale, wanted in ((1e-3, 0.5479), (1e-2, 0.5840)):
         found = least_distance(hydrolek, goal * scale, seed=3)
         assert found == pytest.approx(wanted, abs=2e-4)
-    inside = burrell_2016.goals(hydrolek, 5, 1)[0]
+    inside = paper.goals(hydrolek, 5, 1)[0]
     assert least_distance(hydrolek, inside) < 1e-4
 
 
 def test_the_edge_of_a_workspace_is_measured():
     """Planar reach 2 m about the origin, made a sphere by a turn of the plane."""
     arm = robots.load("hydrolek_7w")
-    points = burrell_2016.goals(arm, 100, 30)
-    far = burrell_gains.edge_distance(arm, points)
+    points = paper.goals(arm, 100, 30)
+    far = gains.edge_distance(arm, points)
     stretched = arm.fk(np.clip(np.zeros(6), arm.lower, arm.upper)).translation[None] * 0.999
-    assert set(far) <= {*burrell_gains.EDGE, 2 * burrell_gains.EDGE[-1]}
-    assert far.max() > burrell_gains.EDGE[0] and burrell_gains.edge_distance(arm, stretched)[0] <= 0.1
+    assert set(far) <= {*gains.EDGE, 2 * gains.EDGE[-1]}
+    assert far.max() > gains.EDGE[0] and gains.edge_distance(arm, stretched)[0] <= 0.1
 
 
 def test_the_swarm_searches_all_90_entries(hydrolek, monkeypatch):
     published = ik.StateSpace.preset("burrell-2016")
-    space = burrell_swarm.all_entries(published)
+    space = swarm.all_entries(published)
     assert space.size == 90
     start = space.build(space.start)
     assert all(np.allclose(getattr(start, key), getattr(published, key)) for key in "ABC")
     for name, value in (("GENERATIONS", 2), ("PARTICLES", 6), ("GOALS", 60)):
-        monkeypatch.setattr(burrell_swarm, name, value)
-    rule, evaluations = burrell_swarm.search(hydrolek, space, hydrolek.home)
+        monkeypatch.setattr(swarm, name, value)
+    rule, evaluations = swarm.search(hydrolek, space, hydrolek.home)
     assert evaluations == 12 and np.shape(rule.A) == (6, 6) and np.shape(rule.C) == (6, 6)
 
 
 # ------------------------------------------------------------------------------------------------------ Patko, eqs. 1-4
 def test_inverse_dynamics_cancels_the_arm():
     """M and C of the equation of motion, from Pinocchio's own matrices: u = M v + C is what `rnea` gives."""
-    model = patko_dynamics.heavy_arm()
+    model = dynamics.heavy_arm()
     data = model.createData()
     q, rate, v = np.array([0.4, -1.1]), np.array([0.7, 0.3]), np.array([2.0, -1.0])
     u = pin.crba(model, data, q) @ v + pin.nonLinearEffects(model, data, q, rate)
     assert np.abs(u - pin.rnea(model, data, q, rate, v)).max() < 1e-12
     assert np.linalg.norm(pin.computeGeneralizedGravity(model, data, q)) > 1.0  # gravity counts in this plane
-    assert patko_dynamics.cancellation(model) < 1e-11
+    assert dynamics.cancellation(model) < 1e-11
 
 
 def test_the_closed_loop_obeys_equation_4(monkeypatch):
-    monkeypatch.setattr(patko_dynamics, "STEPS", 800)
-    model = patko_dynamics.heavy_arm()
-    wanted = patko_dynamics.linear_error(40.0, 4.0)
-    assert wanted[0] == pytest.approx(patko_dynamics.SHIFT)
+    monkeypatch.setattr(dynamics, "STEPS", 800)
+    model = dynamics.heavy_arm()
+    wanted = dynamics.linear_error(40.0, 4.0)
+    assert wanted[0] == pytest.approx(dynamics.SHIFT)
     rate, change = np.gradient(wanted[:, 0], 1e-3), np.gradient(np.gradient(wanted[:, 0], 1e-3), 1e-3)
     assert np.abs(change + 4.0 * rate + 40.0 * wanted[:, 0])[3:-3].max() < 1e-3 * np.abs(change).max()
-    assert np.abs(patko_dynamics.follow(model, model, 40.0, 4.0) - wanted).max() < 1e-9
-    heavier = patko_dynamics.heavy_arm(1.2 * patko_dynamics.MASS)
-    assert np.abs(patko_dynamics.follow(heavier, model, 40.0, 4.0) - wanted).max() > 1e-3
+    assert np.abs(dynamics.follow(model, model, 40.0, 4.0) - wanted).max() < 1e-9
+    heavier = dynamics.heavy_arm(1.2 * dynamics.MASS)
+    assert np.abs(dynamics.follow(heavier, model, 40.0, 4.0) - wanted).max() > 1e-3
 
 
 # -------------------------------------------------------------------------------------------------------- Shanmugasundar

@@ -10,11 +10,12 @@ from folders import read_data
 
 from ik_toolkit.cli import main
 from ik_toolkit.errors import MissingExtra
-from ik_toolkit.papers import PAPERS, chinyai
-from ik_toolkit.papers import chinyai_formulas as planar
-from ik_toolkit.papers import shanmugasundar_2012 as shan
-from ik_toolkit.papers import shanmugasundar_formulas as printed
+from ik_toolkit.papers import PAPERS
+from ik_toolkit.papers.chinyai.paper import formulas as planar
+from ik_toolkit.papers.chinyai.paper import paper
 from ik_toolkit.papers.report import Report
+from ik_toolkit.papers.shanmugasundar_2012.paper import formulas as printed
+from ik_toolkit.papers.shanmugasundar_2012.paper import paper as shan
 
 DATA = read_data("closed_form")["sample"]
 
@@ -35,7 +36,7 @@ def inspection_report():
 
 @pytest.fixture(scope="module")
 def planar_report():
-    return chinyai.reproduce(count=2000)
+    return paper.reproduce(count=2000)
 
 
 def test_all_twelve_numbers_of_the_target_are_explained(inspection_report):
@@ -167,7 +168,7 @@ def test_command_line(tmp_path, monkeypatch, capsys):
     assert "chinyai" in capsys.readouterr().err
     report = Report("chinyai", "Short")
     report.number("answer", 42)
-    monkeypatch.setattr(chinyai, "reproduce", lambda: report)
+    monkeypatch.setattr(paper, "reproduce", lambda: report)
     assert main(["reproduce", "chinyai", "-o", str(tmp_path / "r"), "--json"]) == 0
     out = json.loads(capsys.readouterr().out)
     assert out["answer"] == 42 and all(Path(file).exists() for file in out["files"])

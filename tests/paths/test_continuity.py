@@ -9,7 +9,7 @@ import robots
 import trees
 
 import ik_toolkit as ik
-from ik_toolkit.kernel.task import AXIS, POSE, POSITION
+from ik_toolkit.kernel.counted_error import AXIS, POSE, POSITION
 from ik_toolkit.paths.continuity import bounds, check, densify, interpolate, settle
 from ik_toolkit.solvers.options import make_options
 from ik_toolkit.solvers.plan import Plan

@@ -5,7 +5,7 @@ import pytest
 from robots import have_data, urdf
 
 import ik_toolkit as ik
-from ik_toolkit.kernel.task import POSE
+from ik_toolkit.kernel.counted_error import POSE
 from ik_toolkit.paths.interpolate import interpolate
 from ik_toolkit.paths.result import PathStatus
 

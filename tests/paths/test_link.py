@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from ik_toolkit.paths import link
-from ik_toolkit.paths.link import LEAP, Program
+from ik_toolkit.paths import shortest_path
+from ik_toolkit.paths.shortest_path import LEAP, Program
 
 TAU = 2.0 * np.pi
 
@@ -63,8 +63,8 @@ def test_contact_is_looked_for_beside_the_path_only_where_it_is_met():
     def searched(touching):
         tests.clear()
         program = Program(Q, np.tile([0, len(Q) - 1], (Q.shape[1], 1)), np.full(3, 0.2), np.array([False, True, False]))
-        tester = link.Tester(lambda q: asked(q, touching), np.ones(3), 10_000)
-        tracks, _ = link.free_path(program, tester.of(program))
+        tester = shortest_path.Tester(lambda q: asked(q, touching), np.ones(3), 10_000)
+        tracks, _ = shortest_path.free_path(program, tester.of(program))
         return Q[np.arange(len(Q)), tracks]
 
     free = searched(lambda q: False)

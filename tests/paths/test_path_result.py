@@ -7,7 +7,7 @@ import pytest
 
 import ik_toolkit as ik
 from ik_toolkit.errors import InvalidOption, NotSolved
-from ik_toolkit.paths.proof import Continuity
+from ik_toolkit.paths.certificate import Continuity
 from ik_toolkit.paths.result import PathResult, PathStatus, Reconfiguration, Unreachable
 from ik_toolkit.solvers.options import Options
 

@@ -8,11 +8,11 @@ import pytest
 import trees
 
 import ik_toolkit as ik
-from ik_toolkit.kernel.band import band_cholesky, band_solve
-from ik_toolkit.kernel.jit import jit
-from ik_toolkit.kernel.task import POSE, POSITION
+from ik_toolkit.compile.jit import jit
+from ik_toolkit.kernel.counted_error import POSE, POSITION
 from ik_toolkit.paths.continuity import settle
-from ik_toolkit.paths.refine import smooth
+from ik_toolkit.paths.finish import smooth
+from ik_toolkit.paths.smoothing import band_cholesky, band_solve
 from ik_toolkit.solvers.options import make_options
 from ik_toolkit.solvers.plan import Plan
 from ik_toolkit.solvers.registry import find_row

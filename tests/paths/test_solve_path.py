@@ -10,7 +10,7 @@ from serial_arms import urdf
 
 import ik_toolkit as ik
 from ik_toolkit.errors import InvalidConfiguration, InvalidOption, InvalidTarget
-from ik_toolkit.paths.complete import solutions
+from ik_toolkit.paths.exact_branches import solutions
 from ik_toolkit.paths.result import PathStatus
 
 

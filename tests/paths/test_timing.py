@@ -11,7 +11,7 @@ import trees
 
 import ik_toolkit as ik
 from ik_toolkit.errors import InvalidOption, NotSolved
-from ik_toolkit.kernel.task import POSITION
+from ik_toolkit.kernel.counted_error import POSITION
 from ik_toolkit.paths.continuity import interpolate
 from ik_toolkit.paths.free_motion import connect
 from ik_toolkit.paths.result import PathStatus

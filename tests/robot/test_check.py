@@ -12,11 +12,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ik_toolkit.errors import ModelError, near_match
-from ik_toolkit.robot.build import build_model
-from ik_toolkit.robot.check import check_urdf, require_loadable, safe_read
+from ik_toolkit.robot.formats.mimic import mimic_limits
+from ik_toolkit.robot.formats.urdf import parse
+from ik_toolkit.robot.formats.urdf_check import check_urdf, require_loadable, safe_read
+from ik_toolkit.robot.formats.urdf_model import build_model
 from ik_toolkit.robot.library import shipped_robots
-from ik_toolkit.robot.mimic import mimic_limits
-from ik_toolkit.robot.read import parse
 
 CORPUS = DATA / "bad_urdf"
 EXPECTED = json.loads((CORPUS / "expected.json").read_text())

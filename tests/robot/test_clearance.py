@@ -7,9 +7,9 @@ import pytest
 from robots import BALLS_MIMIC, have_data, load
 
 import ik_toolkit as ik
-from ik_toolkit.kernel.brake import along, brake
-from ik_toolkit.kernel.clearance import free_until
-from ik_toolkit.robot.clearance import APART, CORNERS, NEARBY, Clearance
+from ik_toolkit.kernel.clearance import along, free_until
+from ik_toolkit.robot.geometry.distance import APART, CORNERS, NEARBY, Clearance
+from ik_toolkit.servo.viability import brake
 
 ROBOTS = ["hydrolek_7w", "mimic", "two_arms", *(["panda", "ur5"] if have_data() else [])]
 

@@ -9,7 +9,7 @@ from folders import DATA
 import ik_toolkit as ik
 from ik_toolkit import cli
 from ik_toolkit.errors import InvalidOption, ModelError, RobotNotFound
-from ik_toolkit.robot.convert import convert
+from ik_toolkit.robot.formats.convert import convert
 
 TRIANGLE = (DATA / "bad_urdf" / "triangle.stl").read_bytes()
 MESHES = ("package://my_arm/meshes/a.stl", "../meshes/a.stl", "package://nowhere/b.stl", "/etc/passwd.stl")

@@ -8,7 +8,7 @@ from second_fk import SecondFK
 
 import ik_toolkit as ik
 from ik_toolkit.errors import ModelError
-from ik_toolkit.robot.convert import convert
+from ik_toolkit.robot.formats.convert import convert
 
 
 @pytest.mark.parametrize(

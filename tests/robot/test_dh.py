@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ik_toolkit.errors import InvalidConfiguration, ModelError
-from ik_toolkit.robot.check import check_urdf
-from ik_toolkit.robot.dh import dh_fk, dh_table, read_dh_table, to_urdf
+from ik_toolkit.robot.formats.dh import dh_fk, dh_table, read_dh_table, to_urdf
+from ik_toolkit.robot.formats.urdf_check import check_urdf
 from ik_toolkit.robot.library import shipped_robots
 
 TABLED = [name for name, entry in shipped_robots().items() if entry.tip]

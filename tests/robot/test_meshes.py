@@ -10,10 +10,11 @@ from robots import urdf
 
 import ik_toolkit as ik
 from ik_toolkit.errors import InvalidConfiguration, ModelError
-from ik_toolkit.robot import meshes, shapes
-from ik_toolkit.robot.check import check_urdf
-from ik_toolkit.robot.shapes import link_shapes
-from ik_toolkit.show.parts import Body
+from ik_toolkit.robot.formats.urdf_check import check_urdf
+from ik_toolkit.robot.geometry import link_shapes as shapes
+from ik_toolkit.robot.geometry import meshes
+from ik_toolkit.robot.geometry.link_shapes import link_shapes
+from ik_toolkit.show.body import Body
 
 SOLID = "solid a\nfacet normal 0 0 1\nouter loop\nvertex {} 0 0\nvertex 1 0 0\nvertex 0 1 0\nendloop\nendfacet\nendsolid a\n"
 STL = SOLID.format(0)

@@ -7,7 +7,7 @@ from second_fk import SecondFK, pose_errors
 
 import ik_toolkit as ik
 from ik_toolkit.errors import ModelError
-from ik_toolkit.robot.check import check_urdf
+from ik_toolkit.robot.formats.urdf_check import check_urdf
 
 # Two fingers on a turning hand; the thumb leads, and its branch comes after the index finger's in the order of the names.
 HAND = "".join(

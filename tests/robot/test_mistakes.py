@@ -7,7 +7,7 @@ import robots
 
 import ik_toolkit as ik
 from ik_toolkit.errors import ConfigurationNotFound, InvalidConfiguration, InvalidOption, InvalidTarget, ModelError
-from ik_toolkit.robot.mimic import followers
+from ik_toolkit.robot.formats.mimic import followers
 from ik_toolkit.robot.pose import AxisTarget
 
 
@@ -94,7 +94,7 @@ def test_shapes_around_and_held(arm, tree):
 
 
 def test_mesh_files(arm, tmp_path, monkeypatch):
-    from ik_toolkit.robot import meshes
+    from ik_toolkit.robot.geometry import meshes
 
     model = ik.CollisionModel(arm)
     with pytest.raises(InvalidConfiguration, match=r"there is no mesh file '.*none.stl'"):

@@ -184,7 +184,9 @@ DEFAULTS = "".join(
     ids=lambda value: value[:60] if value.startswith("<") else None,
 )
 def test_hostile_files_are_harmless(tmp_path, text, said, monkeypatch):
-    monkeypatch.setattr("ik_toolkit.robot.mjcf.SECONDS", 1)  # of processor time, for the one that would take all of it
+    monkeypatch.setattr(
+        "ik_toolkit.robot.formats.mjcf.SECONDS", 1
+    )  # of processor time, for the one that would take all of it
     (tmp_path / "secret.xml").write_text('<mujoco><worldbody><body name="secret"/></worldbody></mujoco>')
     (tmp_path / "a").mkdir()
     (tmp_path / "a" / "link.xml").symlink_to(tmp_path / "secret.xml")

@@ -11,7 +11,7 @@ from ik_toolkit.cli import main
 from ik_toolkit.errors import InvalidTarget
 from ik_toolkit.files import inert, without_mark, write_table
 from ik_toolkit.robot.pose_files import read_poses
-from ik_toolkit.show.motions import read_motion
+from ik_toolkit.show.animation import read_motion
 
 
 def poses_of(tmp_path, text):

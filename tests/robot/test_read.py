@@ -12,8 +12,8 @@ from elbow_arm import LIMIT, TURN, arm, elbow, said, same_fk
 
 import ik_toolkit as ik
 from ik_toolkit.errors import ModelError
-from ik_toolkit.robot.check import check_urdf
-from ik_toolkit.robot.convert import convert
+from ik_toolkit.robot.formats.convert import convert
+from ik_toolkit.robot.formats.urdf_check import check_urdf
 
 
 # ------------------------------------------------------------------------------------------------------------- rotations

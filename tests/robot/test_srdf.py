@@ -12,8 +12,8 @@ from srdf_arm import ARM, SAMPLED, SRDF
 
 import ik_toolkit as ik
 from ik_toolkit.errors import ConfigurationNotFound, FrameNotFound, InvalidOption, ModelError
-from ik_toolkit.robot.self_collision import self_collision
-from ik_toolkit.robot.srdf import read_srdf
+from ik_toolkit.robot.formats.srdf import read_srdf
+from ik_toolkit.robot.geometry.self_collision import self_collision
 
 BAD = DATA / "bad_urdf"
 

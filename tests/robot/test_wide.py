@@ -10,8 +10,8 @@ from robots import have_data
 
 import ik_toolkit as ik
 from ik_toolkit.errors import FrameNotFound, ModelError
+from ik_toolkit.robot.geometry.link_shapes import geometry_model, link_shapes
 from ik_toolkit.robot.library import example_robot_data, list_robots
-from ik_toolkit.robot.shapes import geometry_model, link_shapes
 
 pytestmark = pytest.mark.skipif(not have_data(), reason="example-robot-data is not installed")
 FOLDER = example_robot_data("panda")[0].parents[2] if have_data() else Path()

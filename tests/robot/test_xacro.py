@@ -7,7 +7,7 @@ import pytest
 
 import ik_toolkit as ik
 from ik_toolkit.errors import InvalidOption, ModelError
-from ik_toolkit.robot.meshes import mesh_packages
+from ik_toolkit.robot.geometry.meshes import mesh_packages
 from ik_toolkit.robot.packages import find_package
 
 pytest.importorskip("xacro")
@@ -238,7 +238,7 @@ def test_a_quote_left_open_among_parameters_takes_no_time(tmp_path):
 
 @pytest.mark.parametrize("encoding", ["iso-8859-1", "utf-16", "shift_jis"])
 def test_declared_encodings(tmp_path, encoding):
-    from ik_toolkit.robot.xacro import expand
+    from ik_toolkit.robot.formats.xacro import expand
 
     name = "ア" if encoding == "shift_jis" else "Gelenk_ä"
     file = tmp_path / "arm.urdf.xacro"

@@ -4,7 +4,7 @@ from time import perf_counter
 
 import pytest
 
-from ik_toolkit.robot import xacro_library, xacro_values
+from ik_toolkit.robot.formats import xacro_library, xacro_values
 
 
 class Names(dict):

@@ -6,10 +6,10 @@ import pytest
 
 import ik_toolkit as ik
 from ik_toolkit.errors import InvalidConfiguration
-from ik_toolkit.kernel.task import POSITION
+from ik_toolkit.kernel.counted_error import POSITION
 
 pytest.importorskip("meshcat")
-from ik_toolkit.show.motions import from_file, motion_of
+from ik_toolkit.show.animation import from_file, motion_of
 
 
 def result(breaks=()):

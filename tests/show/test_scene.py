@@ -13,7 +13,7 @@ from ik_toolkit.errors import InvalidConfiguration, InvalidOption, ModelError
 pytest.importorskip("meshcat", reason="meshcat is not installed (extra 'view')")
 pytest.importorskip("trimesh", reason="trimesh is not installed (extra 'view')")
 
-from ik_toolkit.show.parts import Body, Shape, tube
+from ik_toolkit.show.body import Body, Shape, tube
 from ik_toolkit.show.scene import Scene, view
 
 DATA = pytest.mark.skipif(not have_data(), reason="example-robot-data is not installed (extra 'robots')")

@@ -44,7 +44,7 @@ def test_a_cluster_gives_the_same_bytes(cluster, targets):
     robot, T = targets
     with Client(cluster) as client:
         far = ik.solve_batch(robot, T, "lm", executor=client.get_executor(), seed=5)
-        worked = client.run(lambda: "ik_toolkit.solvers.batch_parts" in __import__("sys").modules)
+        worked = client.run(lambda: "ik_toolkit.solvers.batch.parts" in __import__("sys").modules)
     assert far.table.tobytes() == ik.solve_batch(robot, T, "lm", seed=5).table.tobytes()
     assert len(worked) == 2 and all(worked.values())
 

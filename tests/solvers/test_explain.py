@@ -15,7 +15,7 @@ from serial_arms import apart, urdf
 
 import ik_toolkit as ik
 from ik_toolkit.errors import InvalidTarget, MissingExtra
-from ik_toolkit.robot.dh import dh_fk
+from ik_toolkit.robot.formats.dh import dh_fk
 from ik_toolkit.text import plain as plain_numbers
 
 DATA = read_data("closed_form")

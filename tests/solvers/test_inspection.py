@@ -11,7 +11,7 @@ from serial_arms import apart
 
 import ik_toolkit as ik
 from ik_toolkit.errors import InvalidOption
-from ik_toolkit.kernel.task import POSE, POSITION
+from ik_toolkit.kernel.counted_error import POSE, POSITION
 from ik_toolkit.solvers.closed_form import fits, inspection, reach
 
 DATA = read_data("closed_form")

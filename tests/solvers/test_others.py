@@ -12,8 +12,8 @@ import robots
 import ik_toolkit as ik
 from ik_toolkit.cli import main
 from ik_toolkit.errors import InvalidOption, UnknownSolver
-from ik_toolkit.solvers.from_file import from_file
 from ik_toolkit.solvers.registry import ROWS, Length, find_row, list_rows, registered
+from ik_toolkit.solvers.solver_file import from_file
 
 RULE = '''
 from typing import NamedTuple

@@ -10,7 +10,7 @@ from serial_arms import apart, urdf
 
 import ik_toolkit as ik
 from ik_toolkit.errors import InvalidOption, UnknownSolver
-from ik_toolkit.kernel.task import POSE, POSITION
+from ik_toolkit.kernel.counted_error import POSE, POSITION
 from ik_toolkit.solvers.closed_form import describe, fits, inspection, planar_2r
 
 PI = math.pi

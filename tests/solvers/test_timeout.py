@@ -8,7 +8,7 @@ import robots
 
 import ik_toolkit as ik
 from ik_toolkit.errors import InvalidOption
-from ik_toolkit.solvers import finish
+from ik_toolkit.solvers import postprocess
 
 LONG = 600.0  # s: never used up
 
@@ -44,7 +44,7 @@ def test_a_long_timeout_changes_nothing(name, solver):
 def test_a_limit_of_evaluations_repeats_what_a_timeout_found(name, solver, monkeypatch):
     robot = robots.load(name)
     ticks = itertools.count(0.0, 1e-3)  # each look at the clock is a millisecond after the last
-    monkeypatch.setattr(finish, "perf_counter", lambda: next(ticks))
+    monkeypatch.setattr(postprocess, "perf_counter", lambda: next(ticks))
     whole, struck = ik.Solver(robot, solver), 0
     for T in targets(robot, 16):
         timed = ik.solve(robot, T, solver, timeout=0.005, history=True)

@@ -8,10 +8,10 @@ from folders import read_data
 from references import Q0, panda_reference
 
 import ik_toolkit as ik
-from ik_toolkit.papers import patko_cases as cases
+from ik_toolkit.papers.patko_2019.paper import cases
 from ik_toolkit.robot.robot import Robot
-from ik_toolkit.tracking.methods import simulate
-from ik_toolkit.tracking.track import track
+from ik_toolkit.servo.methods import simulate
+from ik_toolkit.servo.run import track
 
 ORACLE = read_data("tracking")
 METHODS = cases.METHODS

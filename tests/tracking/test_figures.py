@@ -6,7 +6,7 @@ import robots
 
 import ik_toolkit as ik
 from ik_toolkit.robot.pose import length
-from ik_toolkit.tracking.reachable import survey
+from ik_toolkit.servo.path_reach import survey
 
 
 @pytest.fixture(scope="module")

@@ -5,9 +5,9 @@ import pinocchio as pin
 import pytest
 from references import MIMIC
 
-from ik_toolkit.kernel import motion
+from ik_toolkit.compile.jit import cached
+from ik_toolkit.kernel import kinematics
 from ik_toolkit.kernel.algebra import at3
-from ik_toolkit.kernel.jit import cached
 from ik_toolkit.kernel.kinematics import fk, own_coordinates, room
 from ik_toolkit.kernel.problem import fill
 from ik_toolkit.kernel.records import TASK
@@ -22,7 +22,7 @@ def _rate(rows, ends, q, x, y, out):
     now = fk(rows, q, joints, trig)
     tip = now.point + now.axes.times(at3(ends, 21))
     fill(rows, own_coordinates(rows, n), np.zeros(TASK), np.empty(0), joints, tip, J, 0)
-    motion.jacobian_rate(rows, joints, J, 0, tip, x, y, out)
+    kinematics.jacobian_rate(rows, joints, J, 0, tip, x, y, out)
 
 
 def jacobian_rate(robot, q, x, y):

@@ -8,7 +8,7 @@ from robots import have_data
 
 import ik_toolkit as ik
 from ik_toolkit.errors import InvalidOption
-from ik_toolkit.tracking.step import StepStatus
+from ik_toolkit.servo.step import StepStatus
 
 DT = 0.01
 

@@ -7,10 +7,10 @@ from references import Q0, panda_reference
 
 from ik_toolkit.errors import InvalidConfiguration, InvalidOption, InvalidTarget
 from ik_toolkit.robot.robot import Robot
-from ik_toolkit.tracking.methods import make_method
-from ik_toolkit.tracking.step import StepStatus
-from ik_toolkit.tracking.track import track
-from ik_toolkit.tracking.tracker import Tracker
+from ik_toolkit.servo.methods import make_method
+from ik_toolkit.servo.run import track
+from ik_toolkit.servo.step import StepStatus
+from ik_toolkit.servo.tracker import Tracker
 
 LIMITED: dict = {}
 

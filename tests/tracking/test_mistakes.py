@@ -6,7 +6,7 @@ import robots
 
 import ik_toolkit as ik
 from ik_toolkit.errors import InvalidConfiguration, InvalidOption, InvalidTarget
-from ik_toolkit.tracking.methods import Method
+from ik_toolkit.servo.methods import Method
 
 
 @pytest.fixture(scope="module")
@@ -120,7 +120,7 @@ def test_times_of_waypoints(times, said):
 
 
 def test_files_of_references(tmp_path):
-    from ik_toolkit.tracking.waypoints import reference_from_file
+    from ik_toolkit.motion.waypoints import reference_from_file
 
     with pytest.raises(InvalidTarget, match="a reference file is named by a path, not list"):
         reference_from_file([1])

@@ -9,10 +9,10 @@ from references import MIMIC, Q0, panda_reference
 
 import ik_toolkit as ik
 from ik_toolkit.errors import InvalidConfiguration, InvalidOption
-from ik_toolkit.kernel import box
 from ik_toolkit.robot.robot import Robot
-from ik_toolkit.tracking.limits import LIMIT_NAMES, changed_limits, limit_rows
-from ik_toolkit.tracking.track import track
+from ik_toolkit.servo import viability
+from ik_toolkit.servo.motion_limits import LIMIT_NAMES, changed_limits, limit_rows
+from ik_toolkit.servo.run import track
 
 
 def motions(count, steps, seed):
@@ -35,8 +35,8 @@ def motions(count, steps, seed):
             side[rng.random(count) < 0.05] *= -1.0
             x = np.where(rng.random(count) < 0.7, side * 1e9, rng.normal(size=count))
             before = q.copy(), rate.copy()
-            box.advance(q, rate, x, gamma, h, late, limits, code)
-            assert not (code & box.RECOVERING).any()
+            viability.advance(q, rate, x, gamma, h, late, limits, code)
+            assert not (code & viability.RECOVERING).any()
             yield limits, *before, q, rate, h, gamma
 
 
@@ -74,12 +74,12 @@ def test_limits_hold_in_steps_of_any_length_and_between_them(seed):
 )
 def test_the_approach_can_brake_in_time_and_is_the_fastest_that_can(distance, share, gamma, h, a):
     """With later steps of h the way to rest ends inside; with steps of the worst length it ends at the distance itself."""
-    v = share * box.approach(distance, 0.0, gamma, 0.0, a, h)  # one that can stop
-    rate = box.approach(distance, v, gamma, h, a, h)
+    v = share * viability.approach(distance, 0.0, gamma, 0.0, a, h)  # one that can stop
+    rate = viability.approach(distance, v, gamma, h, a, h)
     if rate < 0.0:
         return  # it has to brake at once
     way = h * ((1.0 - gamma) * v + gamma * rate)
-    assert way + box.stopping(rate, gamma, a, h) == pytest.approx(distance, rel=1e-9)
+    assert way + viability.stopping(rate, gamma, a, h) == pytest.approx(distance, rel=1e-9)
     if rate / (a * h) < 5000:
         now = rate
         while now > 0.0:
@@ -94,12 +94,12 @@ def test_a_joint_outside_its_limits_comes_back_without_turning_round():
         q, rate, code = np.array([1.3, 1.3, -1.2, 1.0 + 1e-9]), np.zeros(4), np.zeros(4, np.uint8)
         outside = [np.abs(q)]
         for _ in range(600):
-            box.advance(q, rate, np.array([9.0, 9.0, -9.0, 9.0]), gamma, 0.01, 0.05, limits, code)
-            assert ((code & box.RECOVERING) > 0)[outside[-1] > 1.0 + 1e-12].all()
+            viability.advance(q, rate, np.array([9.0, 9.0, -9.0, 9.0]), gamma, 0.01, 0.05, limits, code)
+            assert ((code & viability.RECOVERING) > 0)[outside[-1] > 1.0 + 1e-12].all()
             outside.append(np.abs(q))
         excess = np.maximum(np.array(outside) - 1.0, 0.0)
         assert (np.diff(excess, axis=0) <= 0.0).all() and (excess[-1] <= 1e-12).all()
-        assert (np.abs(rate) <= 0.2).all() and not (code & box.RECOVERING).any()
+        assert (np.abs(rate) <= 0.2).all() and not (code & viability.RECOVERING).any()
 
 
 @pytest.mark.parametrize("gamma", [1.0, 0.5, 0.6, 0.8])
@@ -109,7 +109,7 @@ def test_a_joint_that_may_hardly_move_any_more_comes_to_rest(gamma, speed):
     limits = np.array([[-9.0] * 4, [9.0] * 4, [speed] * 4, [4.0] * 4])
     q, rate, code = np.zeros(4), np.array([1.0, -1.0, 0.03, -0.03]), np.zeros(4, np.uint8)
     for _ in range(60):
-        box.advance(q, rate, np.zeros(4), gamma, 0.01, 0.05, limits, code)
+        viability.advance(q, rate, np.zeros(4), gamma, 0.01, 0.05, limits, code)
     assert (rate == 0.0).all() and np.abs(q[2:]).max() <= 0.03 * 0.01
 
 
@@ -117,9 +117,9 @@ def test_a_limit_that_falls_below_the_speed_is_met_with_full_deceleration():
     limits = np.array([[-9.0], [9.0], [1.0], [4.0]])
     q, rate, code = np.zeros(1), np.array([2.0]), np.zeros(1, np.uint8)
     for k in range(30):
-        box.advance(q, rate, np.array([9.0]), 1.0, 0.01, 0.05, limits, code)
+        viability.advance(q, rate, np.array([9.0]), 1.0, 0.01, 0.05, limits, code)
         assert rate[0] == pytest.approx(max(2.0 - 0.04 * (k + 1), 1.0), abs=1e-12)
-        assert bool(code[0] & box.RECOVERING) == (k < 24)
+        assert bool(code[0] & viability.RECOVERING) == (k < 24)
 
 
 @settings(max_examples=24, deadline=None, derandomize=True)

@@ -6,12 +6,11 @@ import pytest
 from robots import have_data, load
 
 import ik_toolkit as ik
-from ik_toolkit.kernel import box
-from ik_toolkit.kernel.brake import brake
-from ik_toolkit.robot import clearance
-from ik_toolkit.tracking import obstacles
-from ik_toolkit.tracking.obstacles import CONTACT, Guard
-from ik_toolkit.tracking.step import StepStatus
+from ik_toolkit.robot.geometry import distance
+from ik_toolkit.servo import collision_guard, viability
+from ik_toolkit.servo.collision_guard import CONTACT, Guard
+from ik_toolkit.servo.step import StepStatus
+from ik_toolkit.servo.viability import brake
 
 SLOW = pytest.param("ur5", marks=pytest.mark.slow)  # its meshes take time to test exactly
 ROBOTS = ["hydrolek_7w", "planar_2r", "two_arms", *(["panda", SLOW] if have_data() else [])]
@@ -221,7 +220,7 @@ def test_a_brake_is_that_of_the_limits():
         count = brake(0, gamma, 0.01, 0.01, limits, Q, R, L)
         fall = 0.02 / max(
             2.0 * gamma if gamma < 1.0 else 1.0, 1.0
-        )  # between samples it brakes harder then, see kernel/box.py
+        )  # between samples it brakes harder then, see servo/viability.py
         assert count in (round(0.5 / fall), round(0.5 / fall) + 1)  # by rounding
         assert np.allclose(R[: count + 1, 0], np.maximum(0.5 - fall * np.arange(count + 1), 0.0)) and not R[count].any()
         assert np.allclose(L[: count + 1], np.abs(Q[: count + 1] - Q[0]), atol=0.001)
@@ -313,8 +312,8 @@ def test_a_run_stops_before_what_is_in_its_way(on_limit):
     T, model, targets = box_beside(robot)
     line = ik.line(T.translation, targets[-1], duration=2.0)
     result = ik.track(robot, line, dt=0.02, on_limit=on_limit, max_stretch=2, avoid_collisions=model)
-    assert not result.success and (result.limited & box.ROW).any()
-    limits, contacts = ((result.limited & bits > 0).any(axis=1).sum() for bits in (7, box.ROW))
+    assert not result.success and (result.limited & viability.ROW).any()
+    limits, contacts = ((result.limited & bits > 0).any(axis=1).sum() for bits in (7, viability.ROW))
     assert result.between == result.to_dict()["between"] and "box" in result.between
     pair = "between '{}' and '{}'".format(*result.between)
     assert f"A contact ahead {pair} held the robot back in {contacts} of {len(result.limited)} steps" in result.message
@@ -362,7 +361,7 @@ def test_nothing_is_left_to_compile_in_a_control_loop(method, monkeypatch):
 
         return call
 
-    for module, names in ((obstacles, ("along", "brake")), (clearance, ("levers", "rows", "free_until"))):
+    for module, names in ((collision_guard, ("along", "brake")), (distance, ("levers", "rows", "free_until"))):
         for name in names:
             monkeypatch.setattr(module, name, noted(getattr(module, name)))
     robot, model, q = scene("hydrolek_7w")

@@ -10,8 +10,8 @@ from robots import have_data
 import ik_toolkit as ik
 from ik_toolkit.cli import main
 from ik_toolkit.errors import InvalidOption
-from ik_toolkit.tracking.placing import draw, eight, place
-from ik_toolkit.tracking.reachable import explain, survey
+from ik_toolkit.servo.default_path import draw, eight, place
+from ik_toolkit.servo.path_reach import explain, survey
 
 DATA = pytest.mark.skipif(not have_data(), reason="example-robot-data is not installed (extra 'robots')")
 SHIPPED = ("hydrolek_7w", "planar_3r", "planar_2r", "cartesian_pp", "inspection_7dof")

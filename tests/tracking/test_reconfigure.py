@@ -5,9 +5,9 @@ import pytest
 
 import ik_toolkit as ik
 from ik_toolkit.errors import InvalidOption
-from ik_toolkit.tracking.postures import gap
-from ik_toolkit.tracking.reference import exp
-from ik_toolkit.tracking.step import StepStatus
+from ik_toolkit.motion.reference import exp
+from ik_toolkit.servo.reconfigure import gap
+from ik_toolkit.servo.step import StepStatus
 
 DT = 0.01
 REST = 4.0  # [s]

@@ -8,8 +8,8 @@ import pytest
 
 import ik_toolkit as ik
 from ik_toolkit.errors import IKError, InvalidOption, InvalidTarget
-from ik_toolkit.tracking.methods import Method, make_method
-from ik_toolkit.tracking.stability import best_gains, check_gains
+from ik_toolkit.servo.methods import Method, make_method
+from ik_toolkit.servo.stability import best_gains, check_gains
 
 START = pin.SE3(pin.exp3(np.array([0.3, -0.8, 0.5])), np.array([0.4, -0.2, 0.6])).homogeneous
 END = pin.SE3(pin.exp3(np.array([-0.9, 0.4, 1.1])), np.array([0.1, 0.3, 0.2])).homogeneous

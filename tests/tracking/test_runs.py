@@ -11,8 +11,8 @@ from references import Q0, panda_reference
 import ik_toolkit as ik
 from ik_toolkit.cli import main
 from ik_toolkit.errors import IKError, InvalidConfiguration, InvalidOption, InvalidTarget
-from ik_toolkit.tracking.track import track
-from ik_toolkit.tracking.tracker import Tracker
+from ik_toolkit.servo.run import track
+from ik_toolkit.servo.tracker import Tracker
 
 
 @pytest.mark.parametrize(("rule", "position", "orientation"), [

@@ -8,8 +8,8 @@ import robots
 
 import ik_toolkit as ik
 from ik_toolkit.robot.pose import length
-from ik_toolkit.tracking.result import TrackStatus
-from ik_toolkit.tracking.step import StepStatus
+from ik_toolkit.servo.result import TrackStatus
+from ik_toolkit.servo.step import StepStatus
 
 Q = np.array([0.3, 0.9])
 

@@ -7,10 +7,10 @@ from references import Q0, panda_reference
 
 import ik_toolkit as ik
 from ik_toolkit.errors import InvalidConfiguration, InvalidOption
-from ik_toolkit.kernel import box
-from ik_toolkit.tracking.step import StepStatus
-from ik_toolkit.tracking.track import track
-from ik_toolkit.tracking.tracker import Tracker
+from ik_toolkit.servo import viability
+from ik_toolkit.servo.run import track
+from ik_toolkit.servo.step import StepStatus
+from ik_toolkit.servo.tracker import Tracker
 
 
 def sign_changes(run, amplitude=0.05):
@@ -380,7 +380,7 @@ def test_several_tips():
     at = tree.fk(step.q)
     held = np.linalg.inv(at["left_tip"].homogeneous) @ at["right_tip"].homogeneous
     assert np.abs(held - between).max() < 1e-3 and step.status is StepStatus.OK
-    assert not (box.HELD & step._outcome.code).any()
+    assert not (viability.HELD & step._outcome.code).any()
 
 
 def test_a_slowed_run_ends_without_a_jump(panda):

@@ -6,7 +6,7 @@ import robots
 
 import ik_toolkit as ik
 from ik_toolkit.errors import InvalidOption
-from ik_toolkit.tracking.result import TrackStatus
+from ik_toolkit.servo.result import TrackStatus
 
 DURATION = 2.0
 

@@ -6,7 +6,7 @@ from references import Q0
 from robots import have_data
 
 import ik_toolkit as ik
-from ik_toolkit.tracking.tracker import Tracker
+from ik_toolkit.servo.tracker import Tracker
 
 
 def turns_back(Q, speed, h=0.01):

@@ -8,8 +8,8 @@ from folders import read_data
 
 import ik_toolkit as ik
 from ik_toolkit.errors import InvalidOption, InvalidTarget
-from ik_toolkit.tracking import along, methods
-from ik_toolkit.tracking import stability as st
+from ik_toolkit.servo import methods, orbit_stability
+from ik_toolkit.servo import stability as st
 
 ORACLE = read_data("tracking")["stability"]
 
@@ -284,8 +284,8 @@ def test_a_disturbance_grows_over_an_open_path_as_two_runs_show(method, gains, s
     found = st.check_gains(method, h, robot=robot, path=path, **gains).along
     assert not found.closed
     times = path.times(h)
-    made = along.exact_motion(robot, path, times)
-    matrices = along.step_matrices(made, method, h, gains)[:steps]
+    made = orbit_stability.exact_motion(robot, path, times)
+    matrices = orbit_stability.step_matrices(made, method, h, gains)[:steps]
     n, size = 2, matrices.shape[-1] // 2
     system = methods.System(
         lambda q: robot.fk(q).translation[:2],

@@ -7,14 +7,13 @@ import numpy as np
 import pytest
 
 import ik_toolkit as ik
-from ik_toolkit.kernel import box, motion
-from ik_toolkit.tracking.result import TrackResult, figures
-from ik_toolkit.tracking.verdict import verdict
+from ik_toolkit.servo import laws, viability
+from ik_toolkit.servo.result import TrackResult, figures, verdict
 
 JOINTS = ("shoulder", "elbow")
 
 
-def made(error, *, turn=None, sigma=None, pace=None, limited=None, end=None, dt=0.1, settle=0.0, stop=motion.FINE):
+def made(error, *, turn=None, sigma=None, pace=None, limited=None, end=None, dt=0.1, settle=0.0, stop=laws.FINE):
     """A run with these position errors [m] at its samples, judged at 1 mm and 0.1 deg."""
     error = np.asarray(error, dtype=float)
     steps = len(error) - 1
@@ -46,7 +45,7 @@ def test_completed_is_inside_all_the_time_and_on_time():
 
 def test_slowed_says_how_much_longer_and_which_joint_set_the_pace():
     limited = np.zeros((6, 2))
-    limited[2:4, 1] = box.VELOCITY
+    limited[2:4, 1] = viability.VELOCITY
     run = made([1e-4] * 7, sigma=[1, 0.9, 0.25, 0.25, 0.6, 1], pace=[-1, 0, 1, 1, 0, -1], limited=limited)
     assert run.status.name == "SLOWED" and run.success
     assert "0.2 s longer than its 0.4 s, limited by elbow (speed limit)" in run.message
@@ -78,7 +77,7 @@ def test_lost_is_outside_at_the_end(error, turn):
 
 def test_a_run_that_does_not_reach_the_end_is_lost_and_names_the_joint():
     limited = np.zeros((5, 2))
-    limited[2:, 0] = box.POSITION
+    limited[2:, 0] = viability.POSITION
     run = made([1e-4] * 6, sigma=[1, 1, 0, 0, 0], pace=[-1, -1, 0, 0, 0], limited=limited, end=0.5)
     assert run.status.name == "LOST" and not run.success
     assert "reached 0.2 of 0.5 s of the reference in 0.5 s, limited by shoulder (position limit)" in run.message
@@ -105,8 +104,8 @@ def test_errors_before_the_arm_has_settled_do_not_count():
 
 
 def test_a_stop_of_the_loop_comes_first():
-    assert made([0.0, 9.0], stop=motion.RUNAWAY).status.name == "DIVERGED"
-    assert made([0.0, 0.0], stop=motion.NOT_FINITE).status.name == "NOT_FINITE"
+    assert made([0.0, 9.0], stop=laws.RUNAWAY).status.name == "DIVERGED"
+    assert made([0.0, 0.0], stop=laws.NOT_FINITE).status.name == "NOT_FINITE"
 
 
 def test_the_clock_is_saved(tmp_path):

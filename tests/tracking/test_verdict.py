@@ -10,7 +10,7 @@ from robots import have_data
 import ik_toolkit as ik
 from ik_toolkit.cli import main
 from ik_toolkit.errors import InvalidOption
-from ik_toolkit.tracking.track import track
+from ik_toolkit.servo.run import track
 
 DATA = pytest.mark.skipif(not have_data(), reason="example-robot-data is not installed (extra 'robots')")
 

@@ -21,7 +21,7 @@ def fit(robot: Any, kind: int) -> tuple[str, float] | None:
 
 def describe(robot: Any) -> str:
     """One sentence on the closed form that fits a robot and how well, or ''."""
-    from ...kernel.task import POSE, POSITION
+    from ...kernel.counted_error import POSE, POSITION
     from .geometry import FIT
 
     for kind in (POSE, POSITION):
@@ -38,7 +38,7 @@ def describe(robot: Any) -> str:
 
 
 def _recognise(chain: Any) -> dict[int, tuple[str, float]]:
-    from ...kernel.task import POSE, POSITION
+    from ...kernel.counted_error import POSE, POSITION
     from ..registry import ROWS
 
     found: dict[int, tuple[str, float]] = {}

@@ -5,9 +5,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ...compile.jit import cached, inline
 from ...errors import MissingExtra
 from ...kernel.chain import Chain
-from ...kernel.jit import cached, inline
 from ..protocol import closed_form
 from .geometry import Branches, Fit, legal_turn, no_fit, read_screws
 

@@ -9,14 +9,14 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ...compile.jit import inline, shared
 from ...kernel.algebra import at3
 from ...kernel.chain import Chain, evaluate
 from ...kernel.checks import CONVERGED, LIMIT_BLOCKED, STALLED, UNREACHABLE
-from ...kernel.jit import inline, shared
+from ...kernel.counted_error import POSITION
 from ...kernel.kinematics import TAU, aim, fk, pose_error, rotation_angle
 from ...kernel.limits import LIGHTEST, legal
 from ...kernel.records import ANSWER, HEAD, WEIGHTS, Answer, Ends, Orders, read, write
-from ...kernel.task import POSITION
 
 FIT = 1e-9  # how far [rad, or of the reach] axes may be off a structure that is taken as exact
 NEAR = 1e-4  # largest deviation accepted: files written with five digits have it, and Newton steps correct it

@@ -11,15 +11,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ...compile.jit import cached
 from ...errors import InvalidOption
 from ...kernel.chain import Chain
 from ...kernel.checks import BAD_START, BAD_TARGET, LIMIT_BLOCKED, ORTHONORMAL, rigid
-from ...kernel.jit import cached
 from ...kernel.kinematics import room
 from ...kernel.records import AT, ORDER, WEIGHTS, copy
 from ..explain.worked_solution import WorkedSolution
 from ..protocol import Asked, closed_form, fitted
-from .finish import polish
 from .geometry import (
     FIT,
     NEAR,
@@ -54,6 +53,7 @@ from .lift_arm import (
     wrist_pose,
 )
 from .lift_list import every_branch, feasible_lifts, listing, nearest_pose
+from .polish import polish
 from .reach import inspection_branches, inspection_margin, inspection_nearest, lift_intervals
 
 __all__ = ["Inspection", "every_branch", "feasible_lifts", "nearest_pose", "recognise", "wrist_pose"]

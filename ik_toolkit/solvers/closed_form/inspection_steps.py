@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from sympy import Abs, Matrix, Max, Min, atan2, cos, pi, sin, sqrt
 
-from ...kernel.jit import cached
+from ...compile.jit import cached
 from ..explain.worked_solution import Branch, Free, WorkedSolution
 from ..explain.worksheet import Worksheet, zero_angles
 from .lift_arm import A4, A6, GIVEN, JOINTS, LIFT, joint_values, near_angles, wrist_pose

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from ...kernel.jit import inline, inner, shared
+from ...compile.jit import inline, inner, shared
 from ...kernel.kinematics import TAU
 from ...kernel.records import copy
 from .geometry import clamp, legal_turn

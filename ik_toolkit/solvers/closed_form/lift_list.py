@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from ...kernel.jit import cached
+from ...compile.jit import cached
 from ...kernel.kinematics import TAU
 from . import reach
 from .geometry import Branches, Family

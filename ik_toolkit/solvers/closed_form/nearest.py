@@ -5,13 +5,13 @@ from typing import Any
 
 import numpy as np
 
+from ...compile.jit import cached
 from ...kernel.checks import BAD_START, BAD_TARGET, is_rigid
-from ...kernel.jit import cached
 from ...kernel.kinematics import room
 from ...kernel.limits import LIGHTEST
 from ...kernel.records import AT, ORDER, WEIGHTS, copy
-from .finish import polish
 from .geometry import copy_limits, legal_start, measure_tip
+from .polish import polish
 
 SAMPLE = 64  # branches asked for where a family has no end
 

@@ -6,14 +6,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ...compile.jit import cached, inner
 from ...kernel.chain import Chain
 from ...kernel.checks import BAD_START, BAD_TARGET, ORTHONORMAL, rigid
-from ...kernel.jit import cached, inner
 from ...kernel.kinematics import room
 from ...kernel.records import AT, ORDER, WEIGHTS, copy
 from ..explain.worked_solution import WorkedSolution
 from ..protocol import closed_form
-from .finish import polish
 from .geometry import (
     FIT,
     NEAR,
@@ -30,6 +29,7 @@ from .geometry import (
     read_screws,
 )
 from .planar_arm import ANGLES, L1, L2, NEARLY, every_branch, joint_values, to_plane
+from .polish import polish
 from .reach import planar_branches, planar_margin
 
 STEPS = 8  # Newton steps that finish a branch of an arm whose axes are only nearly parallel

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from ...kernel.jit import cached, inline, inner
+from ...compile.jit import cached, inline, inner
 from .geometry import legal_turn
 from .reach import planar_branches
 

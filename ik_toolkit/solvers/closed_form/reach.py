@@ -7,7 +7,7 @@ px) has no basis, and the lift is the arm's one free parameter.
 
 import math
 
-from ...kernel.jit import cached, shared
+from ...compile.jit import cached, shared
 from ...kernel.kinematics import TAU
 
 MERGED = 1e-7  # sin of an elbow angle below which its two branches are one (costs 1e-15 of the length)

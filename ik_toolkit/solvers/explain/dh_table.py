@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from ...errors import IKError
-from ...robot.dh import DHRow, DHTable, dh_fk, read_dh_table
+from ...robot.formats.dh import DHRow, DHTable, dh_fk, read_dh_table
 from ...robot.library import shipped_robots
 from ..closed_form.geometry import across, angle_about, read_screws
 from .layout import Block, Sentence, Table, Variable, decimals, number

@@ -6,11 +6,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ...errors import InvalidTarget, MissingExtra
+from ...kernel.counted_error import FREE, POSE, POSITION
 from ...kernel.records import AT, WEIGHTS
-from ...kernel.task import FREE, POSE, POSITION
 from ..closed_form import fits
-from ..finish import record
 from ..plan import Plan
+from ..postprocess import record
 from ..protocol import Asked, refusal
 from ..registry import GENERAL, find_row
 from ..status import SEARCHED

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ...robot.dh import DHTable
+from ...robot.formats.dh import DHTable
 from .dh_table import dh_blocks
 from .layout import (
     UNITS,

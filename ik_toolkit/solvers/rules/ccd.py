@@ -2,7 +2,7 @@
 
 from typing import Any, NamedTuple
 
-from ...kernel.jit import compiled
+from ...compile.jit import compiled
 from ...kernel.search import WAITING
 from ..protocol import Asked, rule
 

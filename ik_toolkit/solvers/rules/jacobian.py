@@ -6,7 +6,7 @@ Each class is a rule: its fields are its parameters, which its compiled `step` r
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-from ...kernel.jit import compiled
+from ...compile.jit import compiled
 from ...kernel.linalg import lu_solve
 from ...kernel.search import SINGULAR_STEP
 from ..protocol import Asked, rule
@@ -37,7 +37,7 @@ class LM(NamedTuple):
 
     def lanes(self) -> Callable:
         """These steps for eight targets side by side."""
-        from ...kernel.lanes import lanes
+        from ...kernel.simd_search import lanes
 
         return lanes()
 

@@ -6,13 +6,13 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ...compile.jit import compiled
 from ...errors import InvalidOption
-from ...kernel.jit import compiled
 from ...kernel.records import POINTS
 from ...kernel.search import WAITING
 from ..presets import check_starts, load_preset
 from ..protocol import Asked, rule
-from ..space import Parameter, Space, start_parameter
+from ..tuning_space import Parameter, Space, start_parameter
 
 UNITS = {"si": 1.0, "mm-deg": 1000.0 * math.pi / 180.0}  # rad/m per unit of gain
 

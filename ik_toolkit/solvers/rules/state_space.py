@@ -12,14 +12,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ...compile.jit import compiled
 from ...errors import InvalidOption
-from ...kernel.jit import compiled
 from ...kernel.kinematics import TAU
 from ...kernel.records import Array
 from ...kernel.search import WAITING
 from ..presets import check_starts, load_preset
 from ..protocol import Asked, rule
-from ..space import Parameter, Space, sampling_box, start_parameter
+from ..tuning_space import Parameter, Space, sampling_box, start_parameter
 
 UNITS = {"si": (1.0, 1.0), "mm-deg": (1000.0, np.pi / 180.0)}  # per metre of error, rad per unit of increment
 HEAD = 4  # states, maps, whether there is a D, whether the map is chosen anew in every step

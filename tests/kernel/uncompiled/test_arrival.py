@@ -4,8 +4,8 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from ik_toolkit.kernel import session
-from ik_toolkit.kernel.arrival import CHECK, DOUBTFUL, HELD, JUMP, READ, REFUSED, STAND, STILL, TAKEN, WAIT, arrive
+from ik_toolkit.servo import workspace
+from ik_toolkit.servo.target_stream import CHECK, DOUBTFUL, HELD, JUMP, READ, REFUSED, STAND, STILL, TAKEN, WAIT, arrive
 
 
 def turned(rng, tips, angle):
@@ -26,7 +26,7 @@ def unknown(tips):
 
 def arrived(samples, T, slot=1, how=CHECK, posed=-1, first=0, moved=0, V=None, A=None, dt=0.1, stand=None):
     """What `arrive` says of targets T (F, 4, 4)."""
-    given = session.new_samples(1, len(T))
+    given = workspace.new_samples(1, len(T))
     given.T[0] = T
     given.V[0], given.A[0] = 0.0 if V is None else V, 0.0 if A is None else A
     stand = unknown(len(T)) if stand is None else stand
@@ -36,7 +36,7 @@ def arrived(samples, T, slot=1, how=CHECK, posed=-1, first=0, moved=0, V=None, A
 @pytest.mark.parametrize("angle", [0.0, 1e-12, 1e-3, 2.5, 3.1])
 def test_without_a_twist_it_is_that_from_the_last_target_to_the_next(angle):
     pin.seed(3)
-    rng, samples = np.random.default_rng(3), session.new_samples(2, 2)
+    rng, samples = np.random.default_rng(3), workspace.new_samples(2, 2)
     last, now, turn = turned(rng, 2, angle)
     assert arrived(samples, last, first=1) == TAKEN
     assert not samples.V.any() and np.array_equal(samples.T[0], last)
@@ -51,7 +51,7 @@ def test_without_a_twist_it_is_that_from_the_last_target_to_the_next(angle):
 
 def test_what_is_given_counts_and_a_position_leaves_the_rotation():
     pin.seed(4)
-    rng, samples = np.random.default_rng(4), session.new_samples(2, 1)
+    rng, samples = np.random.default_rng(4), workspace.new_samples(2, 1)
     last, now, _ = turned(rng, 1, 0.5)
     V, A = rng.normal(size=(2, 6))
     assert arrived(samples, last, slot=0, first=1, V=V) == TAKEN
@@ -64,7 +64,7 @@ def test_what_is_given_counts_and_a_position_leaves_the_rotation():
 
 def test_what_is_no_pose_is_doubtful_and_what_is_not_finite_is_held_against():
     pin.seed(5)
-    rng, samples = np.random.default_rng(5), session.new_samples(2, 2)
+    rng, samples = np.random.default_rng(5), workspace.new_samples(2, 2)
     last, now, _ = turned(rng, 2, 0.5)
     arrived(samples, last, first=1)
     for r, c in np.ndindex(4, 4):
@@ -87,7 +87,7 @@ def test_what_is_no_pose_is_doubtful_and_what_is_not_finite_is_held_against():
 
 def standing(way, dt=0.01):
     """What is known of a target that moves along x, sample by sample."""
-    samples, stand, T, told = session.new_samples(2, 1), unknown(1), np.eye(4)[None], []
+    samples, stand, T, told = workspace.new_samples(2, 1), unknown(1), np.eye(4)[None], []
     for k, x in enumerate(way):
         T[0, 0, 3] = x
         assert arrived(samples, T, first=k == 0, moved=k > 0, dt=dt, stand=stand) == TAKEN
@@ -120,6 +120,6 @@ def test_whether_a_target_stands():
 
 
 def test_a_target_that_is_refused_or_where_it_begins_is_not_looked_at():
-    samples, stand, T = session.new_samples(2, 1), unknown(1), np.eye(4)[None]
+    samples, stand, T = workspace.new_samples(2, 1), unknown(1), np.eye(4)[None]
     assert arrived(samples, T, slot=0, first=1, stand=stand) == TAKEN and not stand[STAND.known]
     assert arrived(samples, np.full_like(T, np.nan), stand=stand) == HELD and not stand[STAND.known]

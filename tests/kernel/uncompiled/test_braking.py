@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicHermiteSpline
 
-from ik_toolkit.kernel import box, brake, travel
-from ik_toolkit.kernel.box import ACCELERATION, POSITION, RECOVERING, VELOCITY
+from ik_toolkit.servo import viability
+from ik_toolkit.servo.viability import ACCELERATION, POSITION, RECOVERING, VELOCITY
 
 GAMMAS = (1.0, 0.5, 0.75, 0.3)
 
@@ -22,7 +22,7 @@ def test_the_longest_way_to_rest(gamma):
         else:  # braked in full down to u, then to rest in one step of `late`
             u = np.append(np.linspace(0.0, min(v, a * late), 4001), min(0.5 * a * late, v))
             want = ((v * v - u * u) / (2.0 * a) + 0.5 * u * late).max() + max(0.5 - gamma, 0.0) * v * late
-        assert box.stopping(v, gamma, a, late) == pytest.approx(want, rel=1e-12, abs=1e-15)
+        assert viability.stopping(v, gamma, a, late) == pytest.approx(want, rel=1e-12, abs=1e-15)
 
 
 @pytest.mark.parametrize("gamma", GAMMAS)
@@ -32,46 +32,50 @@ def test_the_highest_rate_leaves_the_way_to_rest(gamma):
     for _ in range(300):
         a, late = rng.uniform(0.2, 5.0), rng.uniform(0.02, 0.3)
         h, v, distance = rng.uniform(0.005, late), rng.normal() * 0.5, 10.0 ** rng.uniform(-4.0, 0.5)
-        w = box.approach(distance, v, gamma, h, a, late)
+        w = viability.approach(distance, v, gamma, h, a, late)
         left = distance - h * ((1.0 - gamma) * v + gamma * w)
         if w <= 0.0:
             assert left == pytest.approx(0.0, abs=1e-12) or distance - h * (1.0 - gamma) * v > 0.0
             kinds.add("back")
         else:
-            assert box.stopping(w, gamma, a, late) == pytest.approx(left, rel=1e-9, abs=1e-14)
+            assert viability.stopping(w, gamma, a, late) == pytest.approx(left, rel=1e-9, abs=1e-14)
             kinds.add("slow" if w <= 0.5 * a * late else "fast")
     assert kinds >= {"slow", "fast"}
-    assert box.approach(np.inf, 1.0, gamma, 0.1, 1.0, 0.1) == np.inf
-    assert box.approach(0.3, 0.0, gamma, 0.1, np.inf, 0.1) == pytest.approx(
+    assert viability.approach(np.inf, 1.0, gamma, 0.1, 1.0, 0.1) == np.inf
+    assert viability.approach(0.3, 0.0, gamma, 0.1, np.inf, 0.1) == pytest.approx(
         0.3 / (gamma * 0.1 + (0 if gamma == 1 else 0.05 + max(0.5 - gamma, 0) * 0.1))
     )
-    assert box.approach(-0.2, 0.0, gamma, 0.1, 1.0, 0.1) == pytest.approx(-0.2 / (gamma * 0.1))
-    assert box.approach(-0.2, 0.0, gamma, 0.0, 1.0, 0.1) == 0.0
+    assert viability.approach(-0.2, 0.0, gamma, 0.1, 1.0, 0.1) == pytest.approx(-0.2 / (gamma * 0.1))
+    assert viability.approach(-0.2, 0.0, gamma, 0.0, 1.0, 0.1) == 0.0
 
 
 def test_the_way_to_a_limit():
-    assert box.way_to(np.inf, 3.0, 1.0) == np.inf and box.way_to(-np.inf, 3.0, -1.0) == np.inf
+    assert viability.way_to(np.inf, 3.0, 1.0) == np.inf and viability.way_to(-np.inf, 3.0, -1.0) == np.inf
     for limit, q, sign in ((2.0, 0.5, 1.0), (-2.0, 0.5, -1.0), (1e-3, -1e3, 1.0)):
         way = sign * (limit - q)
-        got = box.way_to(limit, q, sign)
+        got = viability.way_to(limit, q, sign)
         assert (
             way * (1 - 1.1e-13) - 4.1e-16 * (abs(limit) + abs(q))
             <= got
             <= way * (1 - 0.9e-13) - 3.9e-16 * (abs(limit) + abs(q))
         )
-    assert box.way_to(1.0, 1.0, 1.0) == 0.0 and box.way_to(1.0, 1.0 + 0.9e-12, 1.0) == 0.0
-    assert box.way_to(1.0, 1.5, 1.0) == -0.5 and box.way_to(1.0, 0.5, -1.0) == -0.5
-    assert box.way_to(1.0, 1.0 + 1.1e-12, 1.0) < 0.0
+    assert viability.way_to(1.0, 1.0, 1.0) == 0.0 and viability.way_to(1.0, 1.0 + 0.9e-12, 1.0) == 0.0
+    assert viability.way_to(1.0, 1.5, 1.0) == -0.5 and viability.way_to(1.0, 0.5, -1.0) == -0.5
+    assert viability.way_to(1.0, 1.0 + 1.1e-12, 1.0) < 0.0
 
 
 def test_towards_and_back_inside():
     for gamma in GAMMAS:
-        assert box.towards(0.4, 0.1, 2.0, gamma, 0.01, 1.0, 0.02) == box.approach(0.4, 0.1, gamma, 0.01, 1.0, 0.02)
-        assert box.towards(-0.4, 0.1, 2.0, gamma, 0.01, 1.0, 0.02) == -0.1
-        assert box.towards(-0.4, 0.1, 0.5, gamma, 0.01, 1.0, 0.02) == -0.05
-        assert box.towards(-1e-4, 0.0, 2.0, gamma, 0.01, 1.0, 0.02) == -box.approach(1e-4, 0.0, gamma, 0.01, 1.0, 0.02)
-        assert box.towards(-1e-9, -1.0, 2.0, gamma, 0.01, 1.0, 0.02) == -max(
-            box.approach(1e-9, 1.0, gamma, 0.01, 1.0, 0.02), 0.0
+        assert viability.towards(0.4, 0.1, 2.0, gamma, 0.01, 1.0, 0.02) == viability.approach(
+            0.4, 0.1, gamma, 0.01, 1.0, 0.02
+        )
+        assert viability.towards(-0.4, 0.1, 2.0, gamma, 0.01, 1.0, 0.02) == -0.1
+        assert viability.towards(-0.4, 0.1, 0.5, gamma, 0.01, 1.0, 0.02) == -0.05
+        assert viability.towards(-1e-4, 0.0, 2.0, gamma, 0.01, 1.0, 0.02) == -viability.approach(
+            1e-4, 0.0, gamma, 0.01, 1.0, 0.02
+        )
+        assert viability.towards(-1e-9, -1.0, 2.0, gamma, 0.01, 1.0, 0.02) == -max(
+            viability.approach(1e-9, 1.0, gamma, 0.01, 1.0, 0.02), 0.0
         )
 
 
@@ -83,7 +87,7 @@ def allowed(w, q, v, lower, upper, speed, a, gamma, h, late, slack=0.0):
     fine = abs(left) * bend <= a * h + slack and abs(w) <= speed + slack and abs(end) <= speed + slack
     there = q + h * ((1.0 - gamma) * v + gamma * w)
     for way, rate in ((upper - there, w), (there - lower, -w)):
-        if way < box.stopping(max(rate, 0.0), gamma, a / bend, late) - slack:
+        if way < viability.stopping(max(rate, 0.0), gamma, a / bend, late) - slack:
             fine = False
     return fine
 
@@ -106,7 +110,7 @@ def test_the_box_is_what_the_limits_allow(gamma):
         bend = 2.0 * gamma if 0.5 < gamma < 1.0 else 1.0
         if not any(allowed(w, *args) for w in (max(v - a * h / bend, 0.0), min(v + a * h / bend, 0.0))):
             continue
-        low, top, why_low, why_top = box.box(*args)
+        low, top, why_low, why_top = viability.box(*args)
         assert low <= top and not why_top & RECOVERING and not why_low & RECOVERING
         for w in (low, top, 0.5 * (low + top)):
             assert allowed(w, *args, slack=1e-9)
@@ -127,22 +131,24 @@ def test_the_box_is_what_the_limits_allow(gamma):
 def test_limits_that_contradict_each_other_leave_one_rate():
     wide = (-9.0, 9.0, 1.0, 2.0, 1.0, 0.1, 0.1)
     for v, want in ((5.0, 4.8), (-5.0, -4.8)):  # too fast: as slow as the acceleration allows
-        low, top, why, other = box.box(0.0, v, *wide)
+        low, top, why, other = viability.box(0.0, v, *wide)
         assert (
             low == top == pytest.approx(want)
             and why == other
             and why & (POSITION | ACCELERATION) == POSITION | ACCELERATION
         )
         assert why & RECOVERING
-    low, top, why, _ = box.box(0.9, 0.8, -1.0, 1.0, 1.0, 2.0, 1.0, 0.1, 0.1)  # cannot stop before the limit
+    low, top, why, _ = viability.box(0.9, 0.8, -1.0, 1.0, 1.0, 2.0, 1.0, 0.1, 0.1)  # cannot stop before the limit
     assert low == top == pytest.approx(0.6) and why & RECOVERING
-    low, top, why, _ = box.box(-0.9, -0.8, -1.0, 1.0, 1.0, 2.0, 1.0, 0.1, 0.1)
+    low, top, why, _ = viability.box(-0.9, -0.8, -1.0, 1.0, 1.0, 2.0, 1.0, 0.1, 0.1)
     assert low == top == pytest.approx(-0.6) and why & RECOVERING
-    low, top, _, why = box.box(1.5, 0.0, -1.0, 1.0, 1.0, 2.0, 1.0, 0.1, 0.1)  # outside: back at a tenth of the speed
+    low, top, _, why = viability.box(
+        1.5, 0.0, -1.0, 1.0, 1.0, 2.0, 1.0, 0.1, 0.1
+    )  # outside: back at a tenth of the speed
     assert top == pytest.approx(-0.1) and low == pytest.approx(-0.2) and why & RECOVERING
-    low, top, why, _ = box.box(-1.5, 0.0, -1.0, 1.0, 1.0, 2.0, 1.0, 0.1, 0.1)
+    low, top, why, _ = viability.box(-1.5, 0.0, -1.0, 1.0, 1.0, 2.0, 1.0, 0.1, 0.1)
     assert low == pytest.approx(0.1) and top == pytest.approx(0.2) and why & RECOVERING
-    low, top, *_ = box.box(
+    low, top, *_ = viability.box(
         0.0, 3.0, -9.0, 9.0, 0.1, 900.0, 0.75, 0.1, 0.1
     )  # a parabola too fast for its limit: rest is soonest
     assert low == top == 0.0
@@ -160,26 +166,26 @@ def test_all_joints_at_once(gamma):
     rng = np.random.default_rng(4)
     limits, q, rate = arrays(rng)
     low, top, why = np.empty(4), np.empty(4), np.empty((2, 4), np.uint8)
-    assert not box.boxes(q, rate, limits, gamma, 0.02, 0.03, low, top, why[0], why[1])
+    assert not viability.boxes(q, rate, limits, gamma, 0.02, 0.03, low, top, why[0], why[1])
     for i in range(4):
-        assert (low[i], top[i], *why[:, i]) == box.box(q[i], rate[i], *limits[:, i], gamma, 0.02, 0.03)
+        assert (low[i], top[i], *why[:, i]) == viability.box(q[i], rate[i], *limits[:, i], gamma, 0.02, 0.03)
     x, code = np.array([9.0, -9.0, 0.5 * (low[2] + top[2]), top[3]]), np.full(4, 7, np.uint8)
-    assert box.clip(x, low, top, why[0], why[1], code)
+    assert viability.clip(x, low, top, why[0], why[1], code)
     np.testing.assert_array_equal(x, [top[0], low[1], 0.5 * (low[2] + top[2]), top[3]])
     np.testing.assert_array_equal(code, [why[1, 0], why[0, 1], 0, 0])
-    assert not box.clip(x, low, top, why[0], why[1], code)
+    assert not viability.clip(x, low, top, why[0], why[1], code)
     q2, rate2 = q.copy(), rate.copy()
-    box.move(q2, rate2, x, gamma, 0.02)
+    viability.move(q2, rate2, x, gamma, 0.02)
     np.testing.assert_allclose(q2, q + 0.02 * (x if gamma == 1.0 else (1 - gamma) * rate + gamma * x), rtol=1e-15)
     np.testing.assert_array_equal(rate2, x)
     q3, rate3 = q.copy(), rate.copy()
-    assert box.advance(q3, rate3, np.array([9.0, -9.0, *x[2:]]), gamma, 0.02, 0.03, limits, code)
+    assert viability.advance(q3, rate3, np.array([9.0, -9.0, *x[2:]]), gamma, 0.02, 0.03, limits, code)
     np.testing.assert_array_equal(q3, q2)
     q[0], rate[0] = 1.5 * limits[1, 0], 0.0
-    assert box.boxes(q, rate, limits, gamma, 0.02, 0.03, low, top, why[0], why[1])
+    assert viability.boxes(q, rate, limits, gamma, 0.02, 0.03, low, top, why[0], why[1])
     x = np.zeros(4)
     x[0] = 0.5 * (low[0] + top[0])
-    assert box.clip(x, low, top, why[0], why[1], code) and code[0] == RECOVERING
+    assert viability.clip(x, low, top, why[0], why[1], code) and code[0] == RECOVERING
 
 
 def test_how_far_a_joint_has_gone():
@@ -188,7 +194,7 @@ def test_how_far_a_joint_has_gone():
         for part in (1.0, 0.35):
             there = part * f
             want = np.abs(np.diff(start * there + 0.5 * change * there**2)).sum()
-            assert brake.travelled(start, change, part) == pytest.approx(want, abs=1e-7)
+            assert viability.travelled(start, change, part) == pytest.approx(want, abs=1e-7)
 
 
 @pytest.mark.parametrize("gamma", [1.0, 0.5, 0.75])
@@ -201,34 +207,34 @@ def test_the_full_brake_and_the_way_along_it(gamma):
         Q[0], R[0] = q, rate
         for k in range(first):
             Q[k + 1], R[k + 1] = Q[k], R[k]
-            box.move(Q[k + 1], R[k + 1], R[k] * 0.9, gamma, h)
-        end = brake.brake(first, gamma, h, late, limits, Q, R, L)
+            viability.move(Q[k + 1], R[k + 1], R[k] * 0.9, gamma, h)
+        end = viability.brake(first, gamma, h, late, limits, Q, R, L)
         assert end > first and not R[end].any() and R[end - 1].any()
         now, speed, code = Q[first].copy(), R[first].copy(), np.empty(4, np.uint8)
         for k in range(first, end):
             np.testing.assert_array_equal(Q[k], now)
             np.testing.assert_array_equal(R[k], speed)
-            box.advance(now, speed, np.zeros(4), gamma, h, late, limits, code)
+            viability.advance(now, speed, np.zeros(4), gamma, h, late, limits, code)
         got, gone, before, walked = np.empty(4), np.empty(4), q.copy(), np.zeros(4)
         for u in np.linspace(0.0, end, 40 * end + 1):
-            brake.along(Q, R, L, gamma, h, u, got, gone)
+            viability.along(Q, R, L, gamma, h, u, got, gone)
             walked += np.abs(got - before)
             before = got.copy()
             np.testing.assert_allclose(gone, walked, atol=2e-5)
         np.testing.assert_allclose(got, Q[end], atol=1e-13)
         for k in range(end):  # the ends and, halfway, what the rates say
-            brake.along(Q, R, L, gamma, h, float(k), got, gone)
+            viability.along(Q, R, L, gamma, h, float(k), got, gone)
             np.testing.assert_allclose(got, Q[k], atol=1e-14)
             np.testing.assert_allclose(gone, L[k], atol=1e-14)
-            brake.along(Q, R, L, gamma, h, k + 0.5, got, gone)
+            viability.along(Q, R, L, gamma, h, k + 0.5, got, gone)
             middle = 0.5 * (Q[k] + Q[k + 1])
             if gamma != 1.0:
                 middle = Q[k] + 0.5 * h * R[k] + 0.25 * (Q[k + 1] - Q[k] - h * R[k])
             np.testing.assert_allclose(got, middle, atol=1e-14)
     Q, R, L = np.zeros((3, 4)), np.zeros((3, 4)), np.zeros((3, 4))
-    assert brake.brake(0, gamma, h, late, limits, Q, R, L) == 1  # at rest already
+    assert viability.brake(0, gamma, h, late, limits, Q, R, L) == 1  # at rest already
     R[0] = 5.0
-    assert brake.brake(0, gamma, h, late, limits, Q, R, L) == -1
+    assert viability.brake(0, gamma, h, late, limits, Q, R, L) == -1
     assert math.isfinite(Q.sum())
 
 
@@ -240,12 +246,12 @@ def test_joints_travel_to_a_goal_in_the_least_time(gamma, a):
     for _ in range(5):
         goal, speed = rng.uniform(-2.0, 2.0, 4), np.array([1.0, 2.0, 0.5, np.inf])
         limits = np.array([np.full(4, -2.5), np.full(4, 2.5), speed, np.full(4, a)])
-        usual = np.where(speed < np.inf, speed, travel.UNLIMITED)
+        usual = np.where(speed < np.inf, speed, viability.UNLIMITED)
         q, rate, code, steps = np.zeros(4), np.zeros(4), np.zeros(4, np.uint8), 0
         least = (np.abs(goal) / usual + usual / a).max()
         while np.abs(q - goal).max() > 1e-3:
             was = rate.copy()
-            left = travel.travel(q, rate, goal, *travel.UNKNOWN, 0.0, gamma, h, late, limits, code)
+            left = viability.travel(q, rate, goal, *viability.UNKNOWN, 0.0, gamma, h, late, limits, code)
             assert left == pytest.approx((np.abs(goal - q) / usual).max())
             assert (np.abs(rate) <= speed * (1.0 + 1e-12)).all() and (np.abs(rate - was) <= a * h * (1.0 + 1e-12)).all()
             assert ((q - goal) * np.sign(goal) <= 1e-12).all()
@@ -266,7 +272,7 @@ def test_joints_travel_along_a_known_motion(gamma, a):
     want = CubicHermiteSpline(times, points, rates)
     q, rate, goal = np.array([0.01, -0.01]), np.zeros(2), points[-1]
     for k in range(1, 110):
-        left = travel.travel(q, rate, goal, times, points, rates, k * h, gamma, h, h, limits, np.zeros(2, np.uint8))
+        left = viability.travel(q, rate, goal, times, points, rates, k * h, gamma, h, h, limits, np.zeros(2, np.uint8))
         if 30 <= k < 100:
             assert np.abs(q - want(k * h)).max() < (1e-12 if a == math.inf and gamma == 1.0 else 1e-3)
     assert left < 1e-6 and np.abs(q - goal).max() < 1e-6
@@ -278,7 +284,9 @@ def test_no_step_where_a_goal_is_beyond_a_limit_or_a_joint_locked(change):
     limits[change[0]] = change[1]
     q, rate = np.array([0.4]), np.array([0.1])
     assert (
-        travel.travel(q, rate, np.array([0.5]), *travel.UNKNOWN, 0.0, 1.0, 0.01, 0.01, limits, np.zeros(1, np.uint8))
+        viability.travel(
+            q, rate, np.array([0.5]), *viability.UNKNOWN, 0.0, 1.0, 0.01, 0.01, limits, np.zeros(1, np.uint8)
+        )
         == -1.0
     )
     assert q[0] == 0.4 and rate[0] == 0.1

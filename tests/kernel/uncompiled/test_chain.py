@@ -9,7 +9,7 @@ import random_arms as arms
 from ik_toolkit.kernel import chain as chains
 from ik_toolkit.kernel.chain import evaluate, levers, run, segments, without_limits, without_wrap
 from ik_toolkit.kernel.records import POINTS, Ends
-from ik_toolkit.kernel.seeds import SEEDS
+from ik_toolkit.kernel.starts import SEEDS
 
 MIXES = ("tttstt", "tmtsnt", "stotmt", "tt")
 

@@ -4,9 +4,9 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from ik_toolkit.kernel import clock, motion, wishes
 from ik_toolkit.kernel.algebra import V3
-from ik_toolkit.kernel.motion import CV, STATE, Law
+from ik_toolkit.servo import laws, null_space_motion, time_scaling
+from ik_toolkit.servo.laws import CV, STATE, Law
 
 
 def law(code=CV, **values):
@@ -24,15 +24,15 @@ def test_rotations_are_mirrored():
     n /= np.linalg.norm(n)
     flip, y, J = np.array([[0.0, 0, 0], n]), rng.normal(size=12), rng.normal(size=(4, 12))
     got, K = y.copy(), J.copy()
-    wishes.reflect(flip, got)
+    null_space_motion.reflect(flip, got)
     np.testing.assert_allclose(got, [*y[:9], *mirror(n) @ y[9:]], atol=1e-15)
     e = y.copy()
-    wishes.lay_aside(flip, K, e)
+    null_space_motion.lay_aside(flip, K, e)
     np.testing.assert_allclose(e, [*got[:11], 0.0], atol=1e-15)
     np.testing.assert_allclose(K, np.column_stack([J[:, :9], (J[:, 9:] @ mirror(n))[:, :2], np.zeros(4)]), atol=1e-15)
     for axis in np.eye(3):  # any one place says that a turn is free
         e, K = np.ones(6), np.ones((1, 6))
-        wishes.lay_aside(axis[None], K, e)
+        null_space_motion.lay_aside(axis[None], K, e)
         assert e[5] == K[0, 5] == 0.0 and not np.any(e[:5] == 0.0)
 
 
@@ -47,7 +47,7 @@ def test_errors_with_slack_become_half_planes():
     e[1], e[3] = 0.1, -1.5 * (1.0 + 5e-4)  # what may be rounding is no part of the task
     old, left, weight = J.copy(), [v.copy() for v in (e, f, ahead, a)], np.ones(4)
     A, b = np.zeros((6, 3)), np.zeros(6)
-    assert wishes.slack_rows(slack, weight, J, e, f, ahead, a, h, pressed(0.05), A, b, 1) == 5
+    assert null_space_motion.slack_rows(slack, weight, J, e, f, ahead, a, h, pressed(0.05), A, b, 1) == 5
     x = rng.normal(size=3)
     for k, row in ((1, 1), (3, 3)):
         grow = left[1][k] - old[:, k] @ x  # d/dt of the error at these rates
@@ -74,11 +74,11 @@ def test_errors_are_brought_back_by_half_planes_where_these_can_be_kept():
         J, v = np.ones((3, 2)), np.zeros((4, 2))
         v[0] = 0.2 + over, 0.1
         planes = np.zeros((4, 3)), np.zeros(4)
-        assert wishes.slack_rows(slack, np.ones(2), J, *v, 0.1, state, *planes, 0) == count
+        assert null_space_motion.slack_rows(slack, np.ones(2), J, *v, 0.1, state, *planes, 0) == count
         assert J[:, 0].any() == (count == 2)
-    assert state[STATE.pressed] == wishes.PRESSED
-    wishes.slack_rows(slack, np.ones(2), J, *np.zeros((4, 2)), 0.03, state, *planes, 0)
-    assert state[STATE.pressed] == pytest.approx(wishes.PRESSED - 0.03)
+    assert state[STATE.pressed] == null_space_motion.PRESSED
+    null_space_motion.slack_rows(slack, np.ones(2), J, *np.zeros((4, 2)), 0.03, state, *planes, 0)
+    assert state[STATE.pressed] == pytest.approx(null_space_motion.PRESSED - 0.03)
 
 
 def test_what_of_an_error_is_beyond_its_slack_is_one_to_close():
@@ -88,8 +88,8 @@ def test_what_of_an_error_is_beyond_its_slack_is_one_to_close():
         e[1] = sign * 0.3
         old, left = J.copy(), [v.copy() for v in (e, f, ahead, a)]
         slack, planes, state = np.array([0.0, 0.2]), (np.zeros((2, 3)), np.zeros(2), 0), pressed(0.05)
-        assert wishes.slack_rows(slack, weight, J, e, f, ahead, a, 0.1, state, *planes) == 0
-        assert state[STATE.pressed] == wishes.PRESSED  # for as long as it is outside, and somewhat longer
+        assert null_space_motion.slack_rows(slack, weight, J, e, f, ahead, a, 0.1, state, *planes) == 0
+        assert state[STATE.pressed] == null_space_motion.PRESSED  # for as long as it is outside, and somewhat longer
         left[0][1] -= sign * 0.2
         left[2][1] -= sign * 0.2
         np.testing.assert_array_equal(J, old)
@@ -100,7 +100,7 @@ def test_what_of_an_error_is_beyond_its_slack_is_one_to_close():
 def test_joints_are_led_away_from_their_limits():
     limits = np.array([[-1.0, -1.0, -1.0, -np.inf, 2.0, -1.0], [3.0, 3.0, 3.0, 1.0, 2.0, 3.0]])
     q, g = np.array([2.9, -0.8, 1.0, 0.9, 2.0, 2.4]), np.full(6, 0.5)
-    wishes.away_from_limits(q, limits, 2.0, g)
+    null_space_motion.away_from_limits(q, limits, 2.0, g)
     edge = 0.15 * 4.0
     push = [-2.0 * edge * (1 - 0.1 / edge) ** 2, 2.0 * edge * (1 - 0.2 / edge) ** 2, 0.0, 0.0, 0.0, 0.0]
     np.testing.assert_allclose(g, 0.5 + np.array(push), rtol=1e-12)
@@ -111,13 +111,13 @@ def test_wishes_keep_half_of_the_room():
     for g, scale in (([0.4, -0.4, 0.2], 1.0), ([2.0, 0.0, 0.0], 0.25), ([0.0, -1.0, 0.0], 0.5), ([0.0, 0.1, 0.5], 0.5),
                      ([0.0, 0.0, -3.0], 0.25)):  # fmt: skip
         out = np.array(g)
-        wishes.clip_wish(out, x, low, top)
+        null_space_motion.clip_wish(out, x, low, top)
         np.testing.assert_allclose(out, scale * np.array(g), rtol=1e-14)
     out = np.array([0.1, 0.0, 0.0])
-    wishes.clip_wish(out, np.array([1.5, 0.0, 0.0]), low, top)
+    null_space_motion.clip_wish(out, np.array([1.5, 0.0, 0.0]), low, top)
     np.testing.assert_array_equal(out, 0.0)
     out = np.array([-0.1, 0.0, 0.0])
-    wishes.clip_wish(out, np.array([-1.5, 0.0, 0.0]), low, top)
+    null_space_motion.clip_wish(out, np.array([-1.5, 0.0, 0.0]), low, top)
     np.testing.assert_array_equal(out, 0.0)
 
 
@@ -125,8 +125,8 @@ def test_wishes_go_into_the_null_space():
     rng = np.random.default_rng(5)
     J, g = rng.normal(size=(7, 6)), rng.normal(size=7)
     G, y, t, part, out = np.zeros((7, 7)), np.empty(7), np.empty(6), np.empty(7), g.copy()
-    motion.factor(J, 6, 0.0, G, y)
-    wishes.into_null_space(J, 6, G, y, t, out, part)
+    laws.factor(J, 6, 0.0, G, y)
+    null_space_motion.into_null_space(J, 6, G, y, t, out, part)
     np.testing.assert_allclose(out, g - np.linalg.pinv(J.T) @ (J.T @ g), atol=1e-10)
 
 
@@ -134,12 +134,12 @@ def test_wishes_go_into_the_null_space():
 def test_cubics_meet_both_ends():
     rng = np.random.default_rng(6)
     a, b, u, v = (V3(*rng.normal(size=3)) for _ in range(4))
-    np.testing.assert_allclose(np.concatenate(clock.cubic(a, b, u, v, 0.0)), [*a, *u])
-    np.testing.assert_allclose(np.concatenate(clock.cubic(a, b, u, v, 1.0)), [*b, *v], atol=1e-14)
+    np.testing.assert_allclose(np.concatenate(time_scaling.cubic(a, b, u, v, 0.0)), [*a, *u])
+    np.testing.assert_allclose(np.concatenate(time_scaling.cubic(a, b, u, v, 1.0)), [*b, *v], atol=1e-14)
     for f in (0.2, 0.7):
         s = np.array([2 * f**3 - 3 * f**2 + 1, 3 * f**2 - 2 * f**3, f**3 - 2 * f**2 + f, f**3 - f**2])
         d = np.array([6 * f**2 - 6 * f, 6 * f - 6 * f**2, 3 * f**2 - 4 * f + 1, 3 * f**2 - 2 * f])
-        value, slope = clock.cubic(a, b, u, v, f)
+        value, slope = time_scaling.cubic(a, b, u, v, f)
         np.testing.assert_allclose(value, s @ np.array([a, b, u, v]), atol=1e-14)
         np.testing.assert_allclose(slope, d @ np.array([a, b, u, v]), atol=1e-14)
 
@@ -151,9 +151,9 @@ def test_turns_of_a_reference():
         r *= size / np.linalg.norm(r)
         T0, T1 = np.eye(4), np.eye(4)
         T0[:3, :3] = pin.exp3(rng.normal(size=3))
-        clock.turned(T0, V3(*r), T1)
+        time_scaling.turned(T0, V3(*r), T1)
         np.testing.assert_allclose(T1[:3, :3], pin.exp3(r) @ T0[:3, :3], rtol=0.0, atol=1e-14)
-        np.testing.assert_allclose(clock.turn_left(T0, T1), r, atol=1e-12)
+        np.testing.assert_allclose(time_scaling.turn_left(T0, T1), r, atol=1e-12)
 
 
 def samples(rng, N, F):
@@ -171,7 +171,7 @@ def test_references_between_samples():
 
     def at(s):
         out = np.full((F, 4, 4), 7.0), np.full(6 * F, 7.0), np.full(6 * F, 7.0)
-        clock.reference(T, V, A, s, h, *out)
+        time_scaling.reference(T, V, A, s, h, *out)
         return out
 
     for s in (0.0, 2.0, 3.0, 3.6, 8.0):
@@ -197,7 +197,7 @@ def test_references_between_samples():
             np.testing.assert_allclose(twist[6 * k : 6 * k + 3], speed, atol=1e-6)
             np.testing.assert_array_equal(pose[k, 3], [0, 0, 0, 1])
             start = pin.log3(T[j + 1, k, :3, :3] @ T[j, k, :3, :3].T)
-            r, w = clock.cubic(
+            r, w = time_scaling.cubic(
                 V3(0, 0, 0),
                 V3(*start),
                 V3(*(V[j, 6 * k + 3 : 6 * k + 6] * h)),
@@ -210,8 +210,10 @@ def test_references_between_samples():
 
 def test_errors_over_their_tolerance():
     E = np.array([0.3, 0.4, 0.0, 0.0, 0.6, 0.8, 0.0, 0.0, 2.0, 0.1, 0.0, 0.0])
-    assert clock.too_far(E, 1.0, 1.0) == 2.0 and clock.too_far(E[:6], 0.1, 1.0) == pytest.approx(5.0)
-    assert clock.too_far(E[:6], 1.0, 0.1) == pytest.approx(10.0) and clock.too_far(E, 1.0, 0.05) == pytest.approx(20.0)
+    assert time_scaling.too_far(E, 1.0, 1.0) == 2.0 and time_scaling.too_far(E[:6], 0.1, 1.0) == pytest.approx(5.0)
+    assert time_scaling.too_far(E[:6], 1.0, 0.1) == pytest.approx(10.0) and time_scaling.too_far(
+        E, 1.0, 0.05
+    ) == pytest.approx(20.0)
 
 
 def clocked(**values):
@@ -223,50 +225,52 @@ def clocked(**values):
 
 def test_the_clock_waits_until_the_error_is_small_again():
     state = clocked(sigma=0.5)
-    assert clock.next_rate(state, 0.9, 0.8, 0.1) == 0.8 and state[STATE.waiting] == 0.0
-    assert clock.next_rate(clocked(sigma=0.5), 0.9, 2.0, 0.1) == 1.0
-    assert clock.next_rate(clocked(sigma=0.5), 0.9, 1.0, 0.01) == pytest.approx(0.6)
-    assert clock.next_rate(clocked(sigma=0.5), 0.9, 0.0, 0.01) == pytest.approx(0.4)
-    assert clock.next_rate(state, 1.0, 0.8, 1.0) == 0.8
-    assert clock.next_rate(state, 1.1, 0.8, 1.0) == 0.0 and state[STATE.waiting] == 1.0
-    assert clock.next_rate(state, 0.5, 0.8, 1.0) == 0.0 and state[STATE.waiting] == 1.0
-    assert clock.next_rate(state, 0.49, 0.8, 1.0) == 0.8 and state[STATE.waiting] == 0.0
+    assert time_scaling.next_rate(state, 0.9, 0.8, 0.1) == 0.8 and state[STATE.waiting] == 0.0
+    assert time_scaling.next_rate(clocked(sigma=0.5), 0.9, 2.0, 0.1) == 1.0
+    assert time_scaling.next_rate(clocked(sigma=0.5), 0.9, 1.0, 0.01) == pytest.approx(0.6)
+    assert time_scaling.next_rate(clocked(sigma=0.5), 0.9, 0.0, 0.01) == pytest.approx(0.4)
+    assert time_scaling.next_rate(state, 1.0, 0.8, 1.0) == 0.8
+    assert time_scaling.next_rate(state, 1.1, 0.8, 1.0) == 0.0 and state[STATE.waiting] == 1.0
+    assert time_scaling.next_rate(state, 0.5, 0.8, 1.0) == 0.0 and state[STATE.waiting] == 1.0
+    assert time_scaling.next_rate(state, 0.49, 0.8, 1.0) == 0.8 and state[STATE.waiting] == 0.0
 
 
 def test_where_waiting_does_not_help_the_run_goes_on():
     state = clocked(sigma=0.5, waiting=1.0, least=5.0)
     h = 0.125
-    assert clock.next_rate(state, 2.0, 1.0, h) == 0.0  # nearer than ever
+    assert time_scaling.next_rate(state, 2.0, 1.0, h) == 0.0  # nearer than ever
     assert state[STATE.idle] == 0.0 and state[STATE.least] == 2.0
     for k in range(8):
-        clock.next_rate(state, 1.99, 1.0, h)
+        time_scaling.next_rate(state, 1.99, 1.0, h)
         assert state[STATE.idle] == (k + 1) * h and state[STATE.leaving] == 0.0 and state[STATE.least] == 2.0
     state[STATE.sigma] = 0.0
-    assert clock.next_rate(state, 1.99, 1.0, h) == 1.0
+    assert time_scaling.next_rate(state, 1.99, 1.0, h) == 1.0
     assert state[STATE.leaving] == 1.0 and state[STATE.idle] == 0.0
-    assert clock.next_rate(state, 1.5, 1.0, h) == 1.0 and state[STATE.leaving] == 2.0 and state[STATE.idle] == 0.0
-    assert clock.next_rate(state, 0.6, 1.0, h) == 1.0 and state[STATE.leaving] == 2.0
-    clock.next_rate(state, 0.4, 1.0, h)
+    assert (
+        time_scaling.next_rate(state, 1.5, 1.0, h) == 1.0 and state[STATE.leaving] == 2.0 and state[STATE.idle] == 0.0
+    )
+    assert time_scaling.next_rate(state, 0.6, 1.0, h) == 1.0 and state[STATE.leaving] == 2.0
+    time_scaling.next_rate(state, 0.4, 1.0, h)
     assert state[STATE.leaving] == 0.0 and state[STATE.waiting] == 0.0
     state = clocked(leaving=1.0, idle=0.99, least=1.0, sigma=0.0)  # and back
-    clock.next_rate(state, 0.7 * 1.5, 1.0, h)
+    time_scaling.next_rate(state, 0.7 * 1.5, 1.0, h)
     assert state[STATE.leaving] == 2.0 and state[STATE.idle] == 0.0
     state = clocked(leaving=1.0, idle=0.99, least=0.8, sigma=0.0)
-    clock.next_rate(state, 0.8, 1.0, h)
+    time_scaling.next_rate(state, 0.8, 1.0, h)
     assert state[STATE.leaving] == 0.0 and state[STATE.idle] == 0.0
     state = clocked(sigma=0.0009, least=0.1)  # stands still without waiting
-    clock.next_rate(state, 0.3, 1.0, h)
+    time_scaling.next_rate(state, 0.3, 1.0, h)
     assert state[STATE.idle] == h
     state = clocked(sigma=0.0011, least=0.1)
-    clock.next_rate(state, 0.3, 1.0, h)
+    time_scaling.next_rate(state, 0.3, 1.0, h)
     assert state[STATE.idle] == 0.0 and state[STATE.least] == 0.3
 
 
 def test_slopes_of_the_square_of_the_rate():
-    assert clock.slope_range(1.0, 0.5, 2.0, 3.0, 4.0) == ((-4.0 - 1.5) / 2.0, (4.0 - 1.5) / 2.0)
-    assert clock.slope_range(1.0, 0.5, -2.0, 3.0, 4.0) == ((4.0 - 1.5) / -2.0, (-4.0 - 1.5) / -2.0)
-    assert clock.slope_range(1.0, 0.5, 0.9e-12, 3.0, 4.0) == (-np.inf, np.inf)
-    assert clock.slope_range(1.0, 0.5, 1.1e-12, 3.0, 4.0)[1] < np.inf
+    assert time_scaling.slope_range(1.0, 0.5, 2.0, 3.0, 4.0) == ((-4.0 - 1.5) / 2.0, (4.0 - 1.5) / 2.0)
+    assert time_scaling.slope_range(1.0, 0.5, -2.0, 3.0, 4.0) == ((4.0 - 1.5) / -2.0, (-4.0 - 1.5) / -2.0)
+    assert time_scaling.slope_range(1.0, 0.5, 0.9e-12, 3.0, 4.0) == (-np.inf, np.inf)
+    assert time_scaling.slope_range(1.0, 0.5, 1.1e-12, 3.0, 4.0)[1] < np.inf
 
 
 def controllable(Q, limits, h, cap, z_end=1.0):
@@ -306,7 +310,7 @@ def test_the_look_ahead_finds_the_fastest_clock():
             limits[2] = np.inf
         given = np.where(rng.random(N + 1) < 0.2, 0.5, 1.0)
         cap, joint = given.copy(), np.full(N + 1, -5.0)
-        clock.look_ahead(Q, limits, h, cap, joint)
+        time_scaling.look_ahead(Q, limits, h, cap, joint)
         want = controllable(Q, limits, h, given)
         np.testing.assert_allclose(cap, want, atol=3e-4)
         slower += np.sum(want < given - 1e-3)
@@ -315,10 +319,10 @@ def test_the_look_ahead_finds_the_fastest_clock():
     assert slower > 10
     Q = np.zeros((4, 2))
     cap, joint = np.ones(4), np.zeros(4)
-    clock.look_ahead(Q, np.ones((4, 2)), 0.1, cap, joint)
+    time_scaling.look_ahead(Q, np.ones((4, 2)), 0.1, cap, joint)
     np.testing.assert_array_equal(cap, 1.0)
     np.testing.assert_array_equal(joint, -1.0)
     Q[:, 1] = [0.0, 0.2, 0.4, 0.6]  # twice as fast as it may be: 0.98 of 1 of 2
-    clock.look_ahead(Q, np.array([[-9.0] * 2, [9.0] * 2, [1.0] * 2, [np.inf] * 2]), 0.1, cap, joint)
+    time_scaling.look_ahead(Q, np.array([[-9.0] * 2, [9.0] * 2, [1.0] * 2, [np.inf] * 2]), 0.1, cap, joint)
     np.testing.assert_allclose(cap, 0.49)
     np.testing.assert_array_equal(joint, 1.0)

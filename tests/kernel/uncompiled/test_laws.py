@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from ik_toolkit.kernel import motion, obey
-from ik_toolkit.kernel.box import RECOVERING, approach
-from ik_toolkit.kernel.motion import AA, AT_RATE, AT_RATE_AND_STEP, AT_STEP, AV, CA, CLIP, CV, STATE, Law
+from ik_toolkit.servo import laws, limited_step
+from ik_toolkit.servo.laws import AA, AT_RATE, AT_RATE_AND_STEP, AT_STEP, AV, CA, CLIP, CV, STATE, Law
+from ik_toolkit.servo.viability import RECOVERING, approach
 
 
 def law(code=CV, **values):
@@ -21,18 +21,18 @@ def test_pseudo_inverses_of_tasks(n):
             J[:, 1] = 0.0  # a row that the joints cannot move
         k = max(n, m)
         G, y, out = np.zeros((k, k)), np.empty(k), np.empty(n)
-        assert motion.factor(J, m, 0.0, G, y) == 0.0
-        motion.apply(J, m, G, b, y, out)
+        assert laws.factor(J, m, 0.0, G, y) == 0.0
+        laws.apply(J, m, G, b, y, out)
         np.testing.assert_allclose(out, np.linalg.pinv(J.T) @ b, rtol=1e-7, atol=1e-9)
         wide = n >= m
         S = (J.T @ J if wide else J @ J.T) + 0.0
-        motion.gram(J, m, wide, 0.25, G)
+        laws.gram(J, m, wide, 0.25, G)
         size = m if wide else n
         want = S + 0.25 * np.eye(size)
         if n > 3 and wide:
             want[1, 1] = 1.0
         np.testing.assert_allclose(np.tril(G[:size, :size]), np.tril(want), rtol=1e-13)
-        low = motion.invert(G, size, y)
+        low = laws.invert(G, size, y)
         assert low == pytest.approx(1.0 / np.trace(np.linalg.inv(want)), rel=1e-10)
         lowest = np.linalg.eigvalsh(want)[0]
         assert lowest / size <= low <= lowest
@@ -48,12 +48,12 @@ def test_damping_fades_in_near_singular_poses():
             values = np.append(np.full(k - 1, 2.0), last)
             J = U[:, :k] * values @ V[:, :k].T
             G, y, out = np.zeros((8, 8)), np.empty(8), np.empty(n)
-            extra = motion.factor(J, 6, 0.1, G, y)
+            extra = laws.factor(J, 6, 0.1, G, y)
             s2 = 1.0 / ((k - 1) / 4.0 + 1.0 / last**2)
             want = 0.01 * (1.0 - s2 / 0.04) if s2 < 0.04 else 0.0
             assert extra == pytest.approx(want, rel=1e-5, abs=1e-15)
             b = rng.normal(size=6)
-            motion.apply(J, 6, G, b, y, out)
+            laws.apply(J, 6, G, b, y, out)
             np.testing.assert_allclose(
                 out, U[:, :k] @ (values / (values**2 + extra) * (V[:, :k].T @ b)), rtol=1e-5, atol=1e-8
             )
@@ -72,8 +72,8 @@ def test_the_published_laws(code, ratio):
         pinv = np.linalg.pinv(J.T)
         G, y, t = np.zeros((n, n)), np.empty(n), np.empty(m)
         move, null, x1, x2, x = (np.full(n, 9.0) for _ in range(5))
-        motion.factor(J, m, 0.0, G, y)
-        motion.prepare(p, J, m, e, ahead, rate, h, G, y, t, move, null, x1, x2)
+        laws.factor(J, m, 0.0, G, y)
+        laws.prepare(p, J, m, e, ahead, rate, h, G, y, t, move, null, x1, x2)
         step = pinv @ (ahead - 0.3 * e) if code in (AV, AA) else np.zeros(n)
         own = rate - pinv @ (J.T @ rate) if code >= CA else np.zeros(n)
         np.testing.assert_allclose(move, step, atol=1e-11)
@@ -85,7 +85,7 @@ def test_the_published_laws(code, ratio):
             ]
             np.testing.assert_allclose(x1, first, atol=1e-9)
             np.testing.assert_allclose(x2, second, atol=1e-9)
-        motion.command(p, J, m, e, v, a, bias, rate, prev, h, ratio, G, y, t, move, null, x)
+        laws.command(p, J, m, e, v, a, bias, rate, prev, h, ratio, G, y, t, move, null, x)
         if code == CV:
             u = pinv @ (v + 3.0 * e)
             want = u + 0.5 * ratio * (u - old)
@@ -112,7 +112,7 @@ def test_large_errors_are_closed_no_faster_than_the_joints_brake():
                 limits = np.array([np.full(n, -9.0), np.full(n, 9.0), rng.uniform(0.5, 1.0, n), np.full(n, a)])
                 limits[2, 3] = 0.0  # locked
                 G, y, c = np.zeros((n, n)), np.empty(n), np.empty(n)
-                motion.factor(J, m, 0.0, G, y)
+                laws.factor(J, m, 0.0, G, y)
                 want = np.abs(np.linalg.pinv(J.T) @ e)
                 f = 1.0
                 for i in (0, 1, 2, 4, 5, 6):
@@ -122,7 +122,7 @@ def test_large_errors_are_closed_no_faster_than_the_joints_brake():
                     f = min(f, cap / (natural * want[i]))
                 eased, front = e.copy(), ahead.copy()
                 free = np.zeros(n), limits, np.empty((0, n)), np.empty(0), 0
-                blocked = motion.ease(p, J, m, eased, front, h, *free, 0.5, 0.4, False, 0.0, G, np.zeros((n, n)), y, c)
+                blocked = laws.ease(p, J, m, eased, front, h, *free, 0.5, 0.4, False, 0.0, G, np.zeros((n, n)), y, c)
                 assert not blocked
                 np.testing.assert_allclose(eased, f * e, rtol=1e-9)
                 np.testing.assert_allclose(front, ahead - (1.0 - f) * e, rtol=1e-9, atol=1e-12)
@@ -136,21 +136,21 @@ def test_slow_joints_are_spared_where_others_can_close_the_error():
     limits = np.array([np.full(n, -9.0), np.full(n, 9.0), 2.0 * shares, np.full(n, 5.0)])
     J, e = rng.normal(size=(n, m)), rng.normal(size=m)
     kept, G, H, y, c = J.copy(), np.zeros((n, n)), np.zeros((n, n)), np.empty(n), np.empty(n)
-    assert motion.spare(J, m, e, limits, H, y, c)
+    assert laws.spare(J, m, e, limits, H, y, c)
     assert np.array_equal(J, kept)
     np.testing.assert_allclose(c, weights * (np.linalg.pinv(J.T * weights) @ e), rtol=1e-6, atol=1e-12)
-    motion.factor(J, m, 0.0, G, y)
+    laws.factor(J, m, 0.0, G, y)
     eased = {}
     for name, walls in (("published", False), ("spared", True)):  # walls: all but the published form
         eased[name] = e.copy()
-        motion.ease(
+        laws.ease(
             p, J, m, eased[name], e.copy(), h, np.zeros(n), limits, np.empty((0, n)), np.empty(0), 0, 0.5, 0.4, walls, 0.0, G, H,
             y, c,
         )  # fmt: skip
     assert np.linalg.norm(eased["spared"]) > 5.0 * np.linalg.norm(eased["published"])
     limits[2] = np.linspace(0.2, 2.0, n)  # none below a tenth of the fastest
     before = c.copy()
-    assert not motion.spare(J, m, e, limits, H, y, c) and np.array_equal(c, before)
+    assert not laws.spare(J, m, e, limits, H, y, c) and np.array_equal(c, before)
 
 
 def test_a_way_that_is_barred_is_not_as_far_as_it_seems():
@@ -158,13 +158,13 @@ def test_a_way_that_is_barred_is_not_as_far_as_it_seems():
     p, h, bend, limits = law(AA), 0.01, 0.01, np.array([[-9.0] * 2, [9.0] * 2, [2.0] * 2, [5.0] * 2])
     J = np.array([[-np.sin(bend), 1.0 + np.cos(bend)], [-np.sin(bend), np.cos(bend)]])
     eased, G, y, c = {}, np.zeros((2, 2)), np.empty(2), np.empty(2)
-    motion.factor(J, 2, 0.0, G, y)
+    laws.factor(J, 2, 0.0, G, y)
     for name, at, planes, curved in (
         ("free", 0.0, [], 1.0), ("at its limit", 9.0, [], 1.0), ("wall", 0.0, [[0.0, -1.0]], 1.0), ("near", 9.0, [], 0.0),
     ):  # fmt: skip
         e, ahead, count = np.array([1.0, 0.0]), np.array([1.0, 0.0]), len(planes)
         planes = np.array(planes).reshape(count, 2)
-        blocked = motion.ease(
+        blocked = laws.ease(
             p, J, 2, e, ahead, h, np.array([at, at]), limits, planes, np.zeros(count), count, 1.0, 0.5, True, curved, G,
             np.zeros((2, 2)), y, c,
         )  # fmt: skip
@@ -178,12 +178,12 @@ def test_what_was_held_back_becomes_the_earlier_command():
     before, x, code = np.array([1.0, 2.0, 3.0]), np.array([1.5, 1.0, 9.0]), np.array([1, 0, 4])
     for kind, want in ((CV, [1.5, 7.0, 9.0]), (CA, [5.0, 7.0, 60.0]), (AV, [7.0] * 3), (AA, [7.0] * 3)):
         prev = np.full(3, 7.0)
-        motion.settle(law(kind), 0.1, before, x, code, prev)
+        laws.settle(law(kind), 0.1, before, x, code, prev)
         np.testing.assert_allclose(prev, want)
     lead, wanted, h, ratio, slower = np.array([0.3, -0.2, 0.5]), np.array([1.0, 2.0, 3.0]), 0.1, 0.8, 0.25
     for kind in (CV, AV, CA, AA):
         prev = np.full(3, 7.0)
-        motion.own_up(law(kind), h, ratio, wanted, x, lead, slower, prev)
+        laws.own_up(law(kind), h, ratio, wanted, x, lead, slower, prev)
         if kind == CV:  # the rates taken are u + ratio/2 (u - old), less the clock's
             change = (x - wanted - 0.4 * lead * slower) / 1.4
         elif kind == CA:
@@ -200,7 +200,7 @@ def test_rates_that_cannot_be_followed():
         (CLIP, 1.0, 1.0, [30.0, 1.0], 1.0, -1), (0, 1.0, 0.0, [1.1e300, 0.0], 0.1, 1), (0, 1.0, 0.0, [-0.9e300, 0.0], 0.1, 0),
     ):  # fmt: skip
         x, state = np.array(wanted), np.zeros(len(STATE))
-        ended, still = obey.judge(x, h, law(mode=mode, runaway=runaway, brake=brake), state)
+        ended, still = limited_step.judge(x, h, law(mode=mode, runaway=runaway, brake=brake), state)
         assert ended == (stop > 0) and still == (stop < 0) and state[STATE.stop] == max(stop, 0)
         np.testing.assert_array_equal(x, [0.0, 0.0] if still else wanted)
 
@@ -213,5 +213,5 @@ def test_the_joint_that_sets_the_clock():
         ([1, -1, 0, 1], 0.5, 0.6, 7.0, 1.0), ([1, 0, 2, 1], 0.5, 0.6, 7.0, 3.0), ([1, 0, 2, 0], 0.5, 0.6, 7.0, 0.0),
         ([0, 0, 2, 0], 0.5, 0.6, 7.0, 7.0), ([1, 1, 1, 1], 0.6, 0.6, 7.0, 7.0), ([1, 1, 1, 1], 1.0, 1.0, 7.0, -1.0),
     ):  # fmt: skip
-        assert obey.pacing(Bench, np.array(active), done, sigma, ahead) == joint
+        assert limited_step.pacing(Bench, np.array(active), done, sigma, ahead) == joint
     assert RECOVERING == 16

@@ -6,7 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from ik_toolkit.kernel import checks, limits, seeds
+from ik_toolkit.kernel import checks, limits, starts
 from ik_toolkit.kernel.records import POINTS, WHAT, Ends, Task
 
 TAU = 2.0 * math.pi
@@ -270,17 +270,17 @@ def xorshift(x):
 def test_random_numbers_are_those_of_xorshift64star():
     state = np.empty(1, np.uint64)
     for seed in (0, 1, 12345, 2**63):
-        seeds.sow(state, seed)
+        starts.sow(state, seed)
         x = 88172645463325252 ^ ((seed * 0x9E3779B97F4A7C15) % 2**64)
         assert int(state[0]) == x
         for _ in range(20):
             x, number = xorshift(x)
-            assert seeds.rnd(state) == number / 2**53
+            assert starts.rnd(state) == number / 2**53
             assert int(state[0]) == x
     rng = np.random.default_rng(0)
     for a, b in rng.integers(0, 2**63, (50, 2)):
         assert (
-            int(seeds.product(np.uint64(2 * int(a) + 1), np.uint64(2 * int(b) + 1)))
+            int(starts.product(np.uint64(2 * int(a) + 1), np.uint64(2 * int(b) + 1)))
             == (2 * int(a) + 1) * (2 * int(b) + 1) % 2**64
         )
 
@@ -289,14 +289,14 @@ def test_the_nearest_entries_of_a_table():
     rng = np.random.default_rng(1)
     count = 64
     T, R = rng.normal(size=(count, 3)), np.array([np.linalg.qr(rng.normal(size=(3, 3)))[0] for _ in range(count)])
-    feat = np.zeros((13, count + seeds.PAD), np.float32)
+    feat = np.zeros((13, count + starts.PAD), np.float32)
     feat[:3, :count], feat[3:12, :count] = -2.0 * T.T, -2.0 * 0.05 * R.reshape(count, 9).T
     feat[12, :count] = (T**2).sum(1)
     for wp, wr in ((1.0, 1.0), (1.0, 0.0), (0.0, 1.0)):
         goal = np.array([*R[5].ravel(), *rng.normal(size=3)])
         score, val = np.empty(count, np.float32), np.empty(8, np.float32)
         best = np.empty(8, np.int64)
-        seeds.nearest(feat, goal, wp, wr, score, val, best)
+        starts.nearest(feat, goal, wp, wr, score, val, best)
         want = wp * (((T - goal[9:]) ** 2).sum(1) - goal[9:] @ goal[9:]) - wr * 0.1 * (R.reshape(count, 9) @ goal[:9])
         np.testing.assert_allclose(score, want, atol=1e-5)
         groups = {int(g): int(g + 8 * np.argmin(want[g::8])) for g in range(8)}

@@ -8,11 +8,11 @@ import pytest
 import random_arms as arms
 from random_arms import PARTS, errors, orders, task
 
-from ik_toolkit.kernel import task as tasks
+from ik_toolkit.kernel import counted_error as tasks
 from ik_toolkit.kernel.algebra import M3, V3
+from ik_toolkit.kernel.counted_error import BASE, FREE, PART, POSE, POSITION, TARGET, TIP
 from ik_toolkit.kernel.records import Ends
 from ik_toolkit.kernel.serial import make_serial
-from ik_toolkit.kernel.task import BASE, FREE, PART, POSE, POSITION, TARGET, TIP
 
 
 def test_what_a_task_allows_and_counts():

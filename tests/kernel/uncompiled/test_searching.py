@@ -6,12 +6,13 @@ from types import SimpleNamespace
 import numpy as np
 import random_arms as arms
 
-from ik_toolkit.kernel import search, tree_starts
+from ik_toolkit.kernel import search
+from ik_toolkit.kernel import starts as tree_starts
 from ik_toolkit.kernel.checks import CONVERGED
-from ik_toolkit.kernel.joined import join
+from ik_toolkit.kernel.counted_error import FREE, POSE
+from ik_toolkit.kernel.packed_model import join
 from ik_toolkit.kernel.records import ANSWER, AT, Orders, Task
-from ik_toolkit.kernel.seeds import rnd
-from ik_toolkit.kernel.task import FREE, POSE
+from ik_toolkit.kernel.starts import rnd
 from ik_toolkit.solvers.registry import find_row
 
 BASIC = Orders(**{

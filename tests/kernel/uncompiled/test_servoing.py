@@ -5,11 +5,11 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from ik_toolkit.kernel import box, clock, motion, obey, servo, wanted, weak
-from ik_toolkit.kernel.box import HELD
-from ik_toolkit.kernel.constrain import LEAVE, SLOW
-from ik_toolkit.kernel.motion import AA, AV, CA, CLIP, CV, GIVEN, MOVING, READY, STATE, Law
 from ik_toolkit.kernel.search import SINGULAR_STEP
+from ik_toolkit.servo import command, laws, limited_step, loop, singular_directions, time_scaling, viability
+from ik_toolkit.servo.constrained_step import LEAVE, SLOW
+from ik_toolkit.servo.laws import AA, AV, CA, CLIP, CV, GIVEN, MOVING, READY, STATE, Law
+from ik_toolkit.servo.viability import HELD
 
 
 def law(code=CV, **values):
@@ -37,7 +37,7 @@ def scratch(rng, n=7, m=6):
     for name in ("g", "v", "at", "x", "x1", "x2", "probe", "before", "lead", "w"):
         setattr(s, name, np.zeros(n))
     s.floor, s.roof = np.full(n, -1.0), np.full(n, 1.0)
-    motion.factor(s.J, m, 0.0, s.G, s.y)
+    laws.factor(s.J, m, 0.0, s.G, s.y)
     return s
 
 
@@ -56,14 +56,14 @@ def test_the_rate_at_the_start():
             for at in (0.0, 0.995):
                 q, rate, state = np.full(n, at), np.full(n, 9.0), np.zeros(len(STATE))
                 state[STATE.start] = MOVING
-                servo.set_out(
+                loop.set_out(
                     law(mode=mode, late=0.05), J, f, np.zeros((n, n)), np.empty(n), limits, cap, q, rate, state
                 )
                 top = [
                     min(
                         0.3,
-                        box.approach(
-                            max(box.way_to(1.0 if v > 0 else -1.0, at, 1.0 if v > 0 else -1.0), 0.0),
+                        viability.approach(
+                            max(viability.way_to(1.0 if v > 0 else -1.0, at, 1.0 if v > 0 else -1.0), 0.0),
                             0.0,
                             1.0,
                             0.0,
@@ -79,14 +79,14 @@ def test_the_rate_at_the_start():
     for rates, want in ((0.5 * own, 0.5), (2.0 * own, 0.8), (-own, 0.0)):
         state = np.zeros(len(STATE))
         state[STATE.start] = GIVEN
-        servo.set_out(law(), J, f, np.zeros((n, n)), np.empty(n), limits, 0.8, np.zeros(n), rates.copy(), state)
+        loop.set_out(law(), J, f, np.zeros((n, n)), np.empty(n), limits, 0.8, np.zeros(n), rates.copy(), state)
         assert state[STATE.sigma] == pytest.approx(want)
         limits_off = limits.copy()
         limits_off[3] = np.inf
-        servo.set_out(law(), J, f, np.zeros((n, n)), np.empty(n), limits_off, 0.8, np.zeros(n), rates.copy(), state)
+        loop.set_out(law(), J, f, np.zeros((n, n)), np.empty(n), limits_off, 0.8, np.zeros(n), rates.copy(), state)
         assert state[STATE.sigma] == 0.8
     state[STATE.start] = GIVEN
-    servo.set_out(law(), J, 0.0 * f, np.zeros((n, n)), np.empty(n), limits, 0.7, np.zeros(n), own.copy(), state)
+    loop.set_out(law(), J, 0.0 * f, np.zeros((n, n)), np.empty(n), limits, 0.7, np.zeros(n), own.copy(), state)
     assert state[STATE.sigma] == 0.7
 
 
@@ -98,7 +98,7 @@ def steps_at(rate, samples=101):
 def test_the_clock_of_a_run():
     state, E = np.zeros(len(STATE)), np.zeros(6)
     a, even = np.ones(6), steps_at(0.8)
-    assert servo.wind(state, law(mode=LEAVE, tol_p=1.0, tol_r=1.0), a, E, 0.5, even, 9.0, 0.1) == 1.0 and np.all(
+    assert loop.wind(state, law(mode=LEAVE, tol_p=1.0, tol_r=1.0), a, E, 0.5, even, 9.0, 0.1) == 1.0 and np.all(
         a == 1.0
     )
     for gamma in (0.5, 0.6, 1.0):
@@ -106,11 +106,11 @@ def test_the_clock_of_a_run():
         for left in (0.4, 1.5, 1.7, 80.0, 0.8 * 3 + 1e-10):
             for now in (0.6, 0.8, 0.0, 1.0):
                 state[STATE.sigma], a[:] = now, 1.0
-                sigma = servo.wind(state, slow, a, E, 0.8, even, 100.0 - left, 0.05)
+                sigma = loop.wind(state, slow, a, E, 0.8, even, 100.0 - left, 0.05)
                 np.testing.assert_allclose(a, sigma**2)
-                first = servo.advanced(state, slow, sigma)
+                first = loop.advanced(state, slow, sigma)
                 assert first == pytest.approx(now + gamma * (sigma - now))
-                assert 0.0 <= sigma <= min(now + 0.5, 0.8 / clock.SPARE if now < 1.0 else 1.0)
+                assert 0.0 <= sigma <= min(now + 0.5, 0.8 / time_scaling.SPARE if now < 1.0 else 1.0)
                 if sigma > 0.0 and left > first:
                     assert sigma >= now - 0.5 - 1e-12  # 10 1/s
                     more = (left - first) / sigma
@@ -118,24 +118,24 @@ def test_the_clock_of_a_run():
                         assert more == pytest.approx(round(more), abs=1e-8)  # to the end in whole steps
     slow = law(mode=SLOW, tol_p=1.0, tol_r=1.0, gamma=0.5)
     state[STATE.sigma] = 0.8
-    assert servo.wind(state, slow, np.ones(6), E, 0.8, even, 97.6 - 1e-10, 0.1) == pytest.approx(0.8)
-    assert servo.wind(state, slow, np.ones(6), E, 0.8, even, 99.6, 0.1) == pytest.approx(0.0)
+    assert loop.wind(state, slow, np.ones(6), E, 0.8, even, 97.6 - 1e-10, 0.1) == pytest.approx(0.8)
+    assert loop.wind(state, slow, np.ones(6), E, 0.8, even, 99.6, 0.1) == pytest.approx(0.0)
     far = np.array([2.0, 0.0, 0.0, 0.0, 0.0, 0.0])  # the clock is to wait, and slows down no faster than 10 1/s
     for left in (0.9, 7.3, 30.0):
         slow = law(mode=SLOW, tol_p=1.0, tol_r=1.0, gamma=0.6)
-        assert servo.wind(state, slow, np.ones(6), far, 0.8, even, 100.0 - left, 0.02) >= 0.6 - 1e-12
+        assert loop.wind(state, slow, np.ones(6), far, 0.8, even, 100.0 - left, 0.02) >= 0.6 - 1e-12
     slow = law(mode=SLOW, tol_p=1.0, tol_r=1.0, gamma=0.5)
-    assert servo.advanced(state, slow, 0.4) == pytest.approx(0.6)
+    assert loop.advanced(state, slow, 0.4) == pytest.approx(0.6)
     state[STATE.sigma] = 0.5
-    servo.tick(state, law(mode=LEAVE), 3.0, 0.2)
+    loop.tick(state, law(mode=LEAVE), 3.0, 0.2)
     assert state[STATE.clock] == 4.0 and state[STATE.sigma] == 0.5
-    servo.tick(state, slow, 3.0, 0.3)
+    loop.tick(state, slow, 3.0, 0.3)
     assert state[STATE.clock] == pytest.approx(3.4) and state[STATE.sigma] == 0.3
     state[STATE.sigma] = 0.5
-    servo.tick(state, slow, 3.5 + 0.5e-9, 0.5)
+    loop.tick(state, slow, 3.5 + 0.5e-9, 0.5)
     assert state[STATE.clock] == 4.0
-    servo.tick(state, slow, 3.5 + 2e-9, 0.5)
-    assert state[STATE.clock] != 4.0 and clock.WHOLE == 1e-9
+    loop.tick(state, slow, 3.5 + 2e-9, 0.5)
+    assert state[STATE.clock] != 4.0 and time_scaling.WHOLE == 1e-9
 
 
 @pytest.mark.parametrize("gamma", [0.5, 0.6, 1.0])
@@ -151,38 +151,38 @@ def test_the_clock_ends_in_whole_steps_where_its_highest_rate_changes(gamma, tur
         while state[STATE.clock] < count:
             at = state[STATE.clock]
             cap = caps[int(at) : int(at) + 2].min()
-            sigma = servo.wind(state, slow, np.ones(6), E, cap, steps, at, h)
-            servo.tick(state, slow, at, sigma)
+            sigma = loop.wind(state, slow, np.ones(6), E, cap, steps, at, h)
+            loop.tick(state, slow, at, sigma)
             rates.append(sigma)
         assert state[STATE.clock] == count
-        assert np.abs(np.diff(rates)).max() <= clock.QUICK * h + 1e-9, (count, rates[-3:])
-        assert max(rates) <= caps.max() / clock.SPARE
+        assert np.abs(np.diff(rates)).max() <= time_scaling.QUICK * h + 1e-9, (count, rates[-3:])
+        assert max(rates) <= caps.max() / time_scaling.SPARE
 
 
 def test_a_joint_that_has_to_stand_still_leaves_the_jacobian_and_no_other_does():
     J = np.random.default_rng(3).normal(size=(5, 6))
     floor, roof = np.array([-1.0, 0.0, 0.0, -1.0, 0.0]), np.array([1.0, 0.0, 1.0, 0.0, 0.0])
     left = J.copy()
-    servo.leave_out(left, floor, roof)
+    loop.leave_out(left, floor, roof)
     assert not left[[1, 4]].any() and np.array_equal(left[[0, 2, 3]], J[[0, 2, 3]])
 
 
 def test_half_planes_are_gathered_and_rates_clipped():
     lines, level = np.arange(12.0).reshape(4, 3), np.arange(4.0)
     planes, edges = np.zeros((6, 3)), np.zeros(6)
-    assert servo.gather(law(rows=2.0), lines, level, planes, edges) == 2
+    assert loop.gather(law(rows=2.0), lines, level, planes, edges) == 2
     np.testing.assert_array_equal(planes, [*lines[:2], *np.zeros((4, 3))])
     np.testing.assert_array_equal(edges, [0, 1, 0, 0, 0, 0])
     for still in (False, True):
         s = SimpleNamespace(x=np.array([3.0, 0.2, -3.0]), floor=np.full(3, -1.0), roof=np.ones(3), before=np.array([0.5, 0.1, 0.0]),
                             why_low=np.array([1, 1, 2], np.uint8), why_top=np.array([4, 1, 2], np.uint8))  # fmt: skip
         memory, code = np.full(3, 7.0), np.zeros(3, np.uint8)
-        servo.clip_rates(law(CA), s, still, 0.1, memory, code)
+        loop.clip_rates(law(CA), s, still, 0.1, memory, code)
         np.testing.assert_array_equal(s.x, [1.0, 0.2, -1.0])
         np.testing.assert_array_equal(code, np.array([4, 0, 2]) | (HELD if still else 0))
         np.testing.assert_allclose(memory, 0.0 if still else [5.0, 7.0, -10.0])
     s.x[:] = [3.0, 0.2, -3.0]
-    assert obey.by_clipping(law(), s, 0, 0.7, 0.0, 0.1, None, None, None, None, None, code) == (0.7, False)
+    assert limited_step.by_clipping(law(), s, 0, 0.7, 0.0, 0.1, None, None, None, None, None, code) == (0.7, False)
     np.testing.assert_array_equal(s.x, [1.0, 0.2, -1.0])
 
 
@@ -196,11 +196,11 @@ def test_wishes_are_found_and_added():
     for avoid in (0.0, 0.4):
         goal = wish[1] * (wish[0] - s.at) + wish[2]
         if avoid:
-            from ik_toolkit.kernel.wishes import away_from_limits
+            from ik_toolkit.servo.null_space_motion import away_from_limits
 
             away_from_limits(s.at, limits, avoid, goal)
         base = 0.1 * rng.normal(size=n)
-        assert wanted.find_wishes(law(avoid=avoid), s, limits, wish, base)
+        assert command.find_wishes(law(avoid=avoid), s, limits, wish, base)
         want = null(s.J) @ goal
         room = np.where(want > 0, 0.5 * (1.0 - base), 0.5 * (base + 1.0))
         want *= min(1.0, (room / np.abs(want)).min())
@@ -215,24 +215,24 @@ def test_wishes_are_found_and_added():
             (AA, 0.01, 40.0),
         ):
             s.x[:], memory = base, np.full(n, 7.0)
-            wanted.add_wishes(law(code, avoid=avoid, null=damped), s, limits, wish, 0.6, h, memory)
+            command.add_wishes(law(code, avoid=avoid, null=damped), s, limits, wish, 0.6, h, memory)
             # With the damping of the law, which is elsewhere, the joints' own motion comes to what is wished, at 20 1/s or more,
             # or in one step (ca: two thirds of it).
             rate = max(min(20.0, (2.0 / 3.0 if code == CA else 1.0) / h), damped)
-            much = np.linalg.norm(want) / (np.linalg.norm(want) + wanted.LITTLE)
+            much = np.linalg.norm(want) / (np.linalg.norm(want) + command.LITTLE)
             more = min(rate * h, 1.0) * much * (want - (1.0 - damped / rate) * s.null) if code >= CA else want
             kept = {CV: 1.0, CA: 1.0 / h}.get(code, 0.0)
             np.testing.assert_allclose(s.x, base + (1.3 if code in (CV, CA) else 1.0) * more, atol=1e-12)
             np.testing.assert_allclose(memory, 7.0 + kept * more, atol=1e-12)
-    assert not wanted.find_wishes(law(mode=CLIP), s, limits, wish, base)
-    assert not wanted.find_wishes(law(), s, limits, 0.0 * wish, base)
+    assert not command.find_wishes(law(mode=CLIP), s, limits, wish, base)
+    assert not command.find_wishes(law(), s, limits, 0.0 * wish, base)
     old = s.at.copy()
-    assert wanted.lean_over(law(), None, s, limits, wish, base, 0.1)
+    assert command.lean_over(law(), None, s, limits, wish, base, 0.1)
     np.testing.assert_allclose(s.at, old + 0.1 * s.g)
-    assert s.g.any() and not wanted.lean_over(law(), None, s, limits, 0.0 * wish, base, 0.1) and not s.g.any()
+    assert s.g.any() and not command.lean_over(law(), None, s, limits, 0.0 * wish, base, 0.1) and not s.g.any()
     s.g[:] = 1.0
-    assert not wanted.lean_over(law(mode=CLIP), None, s, limits, wish, base, 0.1) and not s.g.any()
-    assert not wanted.lean_not(None, None, None, None, None, None, None)
+    assert not command.lean_over(law(mode=CLIP), None, s, limits, wish, base, 0.1) and not s.g.any()
+    assert not command.lean_not(None, None, None, None, None, None, None)
 
 
 class Bent:
@@ -267,13 +267,13 @@ def test_curvature_by_differences():
     s.at[:], s.x1[:], s.x2[:] = rng.normal(size=(3, 7))
     n = rng.normal(size=3)
     s.flip = (n / np.linalg.norm(n))[None]
-    weak.by_difference(task, s)
+    singular_directions.by_difference(task, s)
     want = np.einsum("k,kim,i->m", s.x1, task.slope, s.x2)
     want[3:] -= 2.0 * s.flip[0] * (s.flip[0] @ want[3:])
     want[2] = 0.0
     np.testing.assert_allclose(s.bias, want, atol=1e-8)
     s.x1[:] = 0.0
-    weak.by_difference(task, s)
+    singular_directions.by_difference(task, s)
     np.testing.assert_array_equal(s.bias, 0.0)
 
 
@@ -295,20 +295,20 @@ def test_a_step_of_a_rule():
             return self.code
 
     args = (law(), Rule(), task, None, weights, s, None, None, None, 0, 1.0, 0.1, None)
-    assert wanted.by_rule(*args, memory, None, None, None) == 0.0 and task.asked == 0
+    assert command.by_rule(*args, memory, None, None, None) == 0.0 and task.asked == 0
     np.testing.assert_allclose(s.x, 5.0)
     np.testing.assert_array_equal(memory, 3.0)
     memory[:], s.g[3] = old, 0.25
-    wanted.by_rule(*args, memory, None, None, None)
+    command.by_rule(*args, memory, None, None, None)
     np.testing.assert_allclose(s.x, 5.0 + s.g)
     assert task.asked == 1
     Rule.code, memory[:] = SINGULAR_STEP, old
-    wanted.by_rule(*args, memory, None, None, None)
+    command.by_rule(*args, memory, None, None, None)
     np.testing.assert_array_equal(s.x, s.g)
     out = np.zeros((3, 2))
-    weak.copy_column(np.arange(3.0), out, 1)
+    singular_directions.copy_column(np.arange(3.0), out, 1)
     np.testing.assert_array_equal(out, [[0, 0], [0, 1], [0, 2]])
-    wanted.copy_rows(np.arange(6.0).reshape(3, 2), out)
+    command.copy_rows(np.arange(6.0).reshape(3, 2), out)
     np.testing.assert_array_equal(out, np.arange(6.0).reshape(3, 2))
 
 
@@ -317,16 +317,19 @@ def test_a_step_of_a_rule():
 
 @pytest.mark.parametrize("mode", [LEAVE, SLOW, CLIP])
 def test_joints_that_swing_gain_speed_gradually_where_something_hinders_them(mode):
-    calmed, cases = box.CALMED, ((box.VELOCITY, 0.0, True), (0, 1.0, True), (0, 0.0, False), (0, -1.0, False))
-    for why, near, hindered in (*cases, (calmed, 0.0, False), (calmed | box.POSITION, 0.0, True)):
+    calmed, cases = (
+        viability.CALMED,
+        ((viability.VELOCITY, 0.0, True), (0, 1.0, True), (0, 0.0, False), (0, -1.0, False)),
+    )
+    for why, near, hindered in (*cases, (calmed, 0.0, False), (calmed | viability.POSITION, 0.0, True)):
         s = scratch(np.random.default_rng(5))
         s.size, swings, state = np.full(7, 0.8), np.zeros((3, 7)), np.zeros(len(STATE))
         s.why_low, s.why_top = np.zeros((2, 7), np.uint8)
         s.before, s.x, state[STATE.near] = np.ones(7), np.ones(7), near
         for _ in range(1 if hindered else 21):  # for 0.2 s after the last hindrance
-            servo.look_on(law(mode=mode, gamma=1.0), s, np.array([0] * 6 + [why], np.uint8), swings, 0.01, state)
+            loop.look_on(law(mode=mode, gamma=1.0), s, np.array([0] * 6 + [why], np.uint8), swings, 0.01, state)
         swings[0, 0] = 3.0
-        servo.quieten(law(mode=mode), s, np.zeros(7), swings, 0.01, state)
-        gain = box.CALM * 0.8 * 0.01 if hindered and mode != CLIP else 1.0
+        loop.quieten(law(mode=mode), s, np.zeros(7), swings, 0.01, state)
+        gain = viability.CALM * 0.8 * 0.01 if hindered and mode != CLIP else 1.0
         assert s.roof.tolist() == [gain, *[1.0] * 6] and s.floor.tolist() == [-gain, *[-1.0] * 6]
         assert (swings[2] == 1.0).all()

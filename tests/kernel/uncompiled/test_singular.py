@@ -5,22 +5,22 @@ import itertools
 import numpy as np
 import pytest
 
-from ik_toolkit.kernel import modes, wanted, weak, wishes
-from ik_toolkit.kernel.bench import bench_on, bench_space
-from ik_toolkit.kernel.box import approach
-from ik_toolkit.kernel.constrain import LEAVE
-from ik_toolkit.kernel.modes import SIDE
-from ik_toolkit.kernel.motion import AV, CV, STATE, Law
+from ik_toolkit.servo import command, null_space_motion, singular_directions, singular_step
+from ik_toolkit.servo.constrained_step import LEAVE
+from ik_toolkit.servo.laws import AV, CV, STATE, Law
+from ik_toolkit.servo.singular_step import SIDE
+from ik_toolkit.servo.viability import approach
+from ik_toolkit.servo.workspace import bench_on, bench_space
 
 
 def test_modes_of_a_pose_nearby_are_a_start(turns):
     rng = np.random.default_rng(12)
     J = rng.normal(size=(7, 6))
     W, near, U, sigma = np.empty((6, 7)), np.zeros((6, 6)), np.empty((6, 6)), np.empty(6)
-    modes.modes(J, near, W, U, sigma)
+    singular_step.modes(J, near, W, U, sigma)
     cold = len(turns)
     J += 1e-4 * rng.normal(size=J.shape)
-    modes.modes(J, near, W, U, sigma)
+    singular_step.modes(J, near, W, U, sigma)
     np.testing.assert_allclose(near, U, rtol=1e-14)
     np.testing.assert_allclose(np.linalg.norm(near, axis=1), 1.0, rtol=1e-15)
     assert len(turns) - cold < 0.7 * cold
@@ -28,7 +28,7 @@ def test_modes_of_a_pose_nearby_are_a_start(turns):
     np.testing.assert_allclose(U @ U.T, np.eye(6), atol=1e-12)
     np.testing.assert_allclose(np.sort(sigma)[::-1], np.linalg.svd(J, compute_uv=False), atol=1e-12)
     before = len(turns)
-    modes.modes(J, near, W, U, sigma)
+    singular_step.modes(J, near, W, U, sigma)
     assert len(turns) < before + 15  # once round, for what rounding leaves
 
 
@@ -53,7 +53,7 @@ def speed(
     limits = np.array([[-9.0] * 2, [9.0] * 2, [top] * 2, [a] * 2])
     lost, xk, side = np.zeros(1), np.full(1, np.nan), np.array(away)
     full = sigma if full is None else full
-    out = modes.mode_speed(
+    out = singular_step.mode_speed(
         V, 0, full, sigma, np.array(curve), rest, own, left, moved, gain, h, slow, limits, lost, xk, near, side
     )
     return (xk[0] if lost[0] else None), out, side
@@ -65,7 +65,7 @@ def test_the_speed_along_a_singular_direction():
         for left, moved in ((2e-4, 1e-5), (-1e-4, 0.0), (0.0, 2e-5)):
             E = moved + h * gain * left - 0.5 * 4e-6
             sigma = 3e-3 + 0.5 * (9e-6 - 1e-6 - 4e-6)  # what moves beside it changes the direction's own sigma
-            y = modes.way_along(sigma, 1e-6, E, h * own, 0.0, False, h)[0]
+            y = singular_step.way_along(sigma, 1e-6, E, h * own, 0.0, False, h)[0]
             x, out, _ = speed(3e-3, [1e-6, 4e-6, 9e-6], own, left, moved)
             assert x == pytest.approx(np.clip(y / h, -cap, cap), rel=1e-9) and not out
     assert speed(3e-3, [0.0, 0.0, 0.0], left=1.0)[0] == pytest.approx(cap)
@@ -94,15 +94,15 @@ def test_a_singular_direction_brakes_in_time():
     h, gain, a = 0.01, 5.0, 0.5
     limit = a / 0.8
     for left in (1e-3, 1e-2):
-        y = modes.way_along(4e-3, 0.0, left, 0.0, 0.0, False, h)[0]
+        y = singular_step.way_along(4e-3, 0.0, left, 0.0, 0.0, False, h)[0]
         most = approach(abs(y), 0.0, 1.0, h, 0.5 * limit, h)
         less = left * min(1.0, most / (gain * abs(y)))
-        again = modes.way_along(4e-3, 0.0, h * gain * less, 0.0, 0.0, False, h)[0]
+        again = singular_step.way_along(4e-3, 0.0, h * gain * less, 0.0, 0.0, False, h)[0]
         assert speed(4e-3, [0.0, 0.0, 0.0], left=left, a=a)[0] == pytest.approx(
             np.clip(again / h, -1.25, 1.25), rel=1e-9
         )
     x, out, _ = speed(4e-3, [-1.0, 0.0, -1.0], left=1e-2, a=a)
-    y = modes.way_along(4e-3, -1.0, 1e-2, 0.0, 0.0, False, h)[0]
+    y = singular_step.way_along(4e-3, -1.0, 1e-2, 0.0, 0.0, False, h)[0]
     assert out and abs(x) <= approach(abs(y), 0.0, 1.0, h, 0.5 * limit, h) + 1e-9
 
 
@@ -146,15 +146,15 @@ def test_of_two_directions_that_move_nothing_the_bent_one_is_taken():
     for away in (np.zeros(7), 0.9 * bent + 2.0 * Q[:, 0], -0.9 * bent):  # what is known counts, if anything is
         V[:, 1] = Q[:, 1]
         x, slope = np.empty(7), np.empty(7)
-        modes.begin_bent(W, V, sigma, 1, away, x)
+        singular_step.begin_bent(W, V, sigma, 1, away, x)
         np.testing.assert_allclose(x, np.sign(away @ bent) * bent if away.any() else Q[:, 1], atol=1e-12)
         slope[:] = 0.2 * (x @ bent) * bent + 0.4 * Q[:, 0] - 0.1 * Q[:, 2]  # what other modes move is not free
-        thin = modes.bent_direction(W, V, sigma, 1, slope)
+        thin = singular_step.bent_direction(W, V, sigma, 1, slope)
         np.testing.assert_allclose(V[:, 1], bent, atol=1e-12)
         assert thin == pytest.approx(0.3 * 2e-3)
     V[:, 1] = Q[:, 1]
     slope[:] = 0.5e-3 * straight  # hardly bent
-    assert modes.bent_direction(W, V, sigma, 1, slope) == 2e-3
+    assert singular_step.bent_direction(W, V, sigma, 1, slope) == 2e-3
     np.testing.assert_array_equal(V[:, 1], Q[:, 1])
 
 
@@ -217,7 +217,7 @@ def test_only_the_singular_direction_leaves_the_task(code, n):
             np.zeros((m, m)),
             state,
         )
-        lost = wanted.by_law(*args)
+        lost = command.by_law(*args)
         want = U.T @ (f + 4.0 * e if code == CV else ahead / h)
         done = U.T @ (J.T @ s.x)
         if state[STATE.near] != 1.0 + SIDE:  # else the others are fed back less
@@ -233,16 +233,16 @@ def test_only_the_singular_direction_leaves_the_task(code, n):
                 v *= np.sign(v @ W[:, k - 1]) / np.linalg.norm(v)
             own, curve = v @ rate, np.empty(3)
             for part in range(3):
-                x = (part != modes.BESIDE) * v + (part != modes.ALONG) * h * (rate - own * v)
+                x = (part != singular_step.BESIDE) * v + (part != singular_step.ALONG) * h * (rate - own * v)
                 task.bending(None, x, x, s.bias)
                 curve[part] = u @ s.bias
             gain = 4.0 if code == CV else 2.0 / 3.0 / h
-            known = near > 0.0 or last < modes.CLEAR
+            known = near > 0.0 or last < singular_step.CLEAR
             lost_, xk, side = np.zeros(1), np.zeros(1), known * W[:, k - 1]
             full = last if last > 1e-9 else s.sv.min()
             rest = np.sqrt(e @ e - (u @ e) ** 2) if near == 1.0 + SIDE else 0.0
             asked = rest, own, u @ e, u @ ahead - u @ e, gain, h, False
-            modes.mode_speed(
+            singular_step.mode_speed(
                 v[:, None], 0, full, full * (v @ W[:, k - 1]), curve, *asked, limits, lost_, xk, near, side
             )
             assert v @ s.x == pytest.approx(xk[0], rel=1e-6, abs=1e-9)
@@ -260,10 +260,10 @@ def test_what_is_kept_of_singular_poses():
         (False, False, -1.0),  # met once: `away` stays what it is
         (True, False, 1.0),
     ):
-        weak.remember(state, near, beyond, h)
+        singular_directions.remember(state, near, beyond, h)
         assert state[STATE.near] == pytest.approx(kept)
         before = away.copy()
-        weak.forget_default(state, away)
+        singular_directions.forget_default(state, away)
         np.testing.assert_array_equal(away, before * (kept != 0.0))
         away[:] = 1.0
 
@@ -274,7 +274,7 @@ def test_joints_that_have_to_stand_still_take_no_part_in_bending():
     s.U[2], s.bias[:] = np.arange(6.0), 1.0
     s.floor[:], s.roof[:] = (-1.0, 0.0, 0.0, -1.0), (1.0, 0.0, 1.0, 0.0)
     for part in range(-n, 1):
-        weak.note_curve(s, 2, part)
+        singular_directions.note_curve(s, 2, part)
     np.testing.assert_array_equal(s.null, [15.0, 0.0, 15.0, 15.0])
     assert s.t[0] == 15.0
 
@@ -285,9 +285,9 @@ def test_less_is_asked_for_beside_a_direction_that_is_out_of_reach():
     sigma, lost, bend = np.array([1.0, 0.5, 0.2, 0.0]), np.array([0.0, 0.0, 1.0, 1.0]), 0.7
     asked = rng.normal(size=(4, 4))  # e, ahead, f, pace
     more = bend * np.hypot(U[2] @ asked[0], U[3] @ asked[0])
-    wanted = asked - (np.where(lost, 0.0, more / (sigma**2 + more)) * (asked @ U.T)) @ U
-    modes.hold_back(U, sigma, lost, bend, *asked, np.empty(4))
-    np.testing.assert_allclose(asked, wanted, atol=1e-14)
+    command = asked - (np.where(lost, 0.0, more / (sigma**2 + more)) * (asked @ U.T)) @ U
+    singular_step.hold_back(U, sigma, lost, bend, *asked, np.empty(4))
+    np.testing.assert_allclose(asked, command, atol=1e-14)
 
 
 def test_joints_go_down_what_a_bent_direction_leaves_of_a_slope():
@@ -302,18 +302,18 @@ def test_joints_go_down_what_a_bent_direction_leaves_of_a_slope():
     for pull, speeds, (sigma, share) in ways:
         x = rng.normal(size=5)
         along = -4e-3 * pull * speeds if pull else Q[:, 1] @ x
-        wanted = x + share * (along - Q[:, 1] @ x) * Q[:, 1]
-        modes.down_slopes(W, V, np.array([1.0, sigma]), np.array([0.0, pull]), x, speeds)
-        np.testing.assert_allclose(x, wanted, atol=1e-14)
+        command = x + share * (along - Q[:, 1] @ x) * Q[:, 1]
+        singular_step.down_slopes(W, V, np.array([1.0, sigma]), np.array([0.0, pull]), x, speeds)
+        np.testing.assert_allclose(x, command, atol=1e-14)
     W[1] = 3e-4 * Q[:, 0]  # nothing is left of it
-    modes.down_slopes(W, V, np.array([1.0, 6e-3]), np.array([0.0, 50.0]), x, 1.0)
-    np.testing.assert_allclose(x, wanted, atol=1e-12)
+    singular_step.down_slopes(W, V, np.array([1.0, 6e-3]), np.array([0.0, 50.0]), x, 1.0)
+    np.testing.assert_allclose(x, command, atol=1e-12)
 
 
 def test_rows_of_a_task_are_weighed():
     rng = np.random.default_rng(8)
     weight, J, rows = np.array([0.5, 3.0, 2.0]), rng.normal(size=(4, 3)), rng.normal(size=(4, 3))
-    wanted = J * weight, rows * weight
-    assert wishes.weigh(weight, J, *rows) == 3.0
-    np.testing.assert_array_equal(J, wanted[0])
-    np.testing.assert_array_equal(rows, wanted[1])
+    command = J * weight, rows * weight
+    assert null_space_motion.weigh(weight, J, *rows) == 3.0
+    np.testing.assert_array_equal(J, command[0])
+    np.testing.assert_array_equal(rows, command[1])

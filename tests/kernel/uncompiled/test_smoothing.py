@@ -5,11 +5,12 @@ import pytest
 import random_arms as arms
 from scipy.optimize import approx_fprime
 
-from ik_toolkit.kernel import band, refine, smooth
+from ik_toolkit.kernel import null_space
+from ik_toolkit.kernel.counted_error import POSE, POSITION
+from ik_toolkit.kernel.null_space import MANIPULABILITY, MID_RANGE, REFERENCE, Bounds, make_bounds
 from ik_toolkit.kernel.records import ANSWER, AT, Ends, Orders, Task
-from ik_toolkit.kernel.refine import MANIPULABILITY, MID_RANGE, REFERENCE, Bounds, make_bounds
 from ik_toolkit.kernel.serial import make_serial
-from ik_toolkit.kernel.task import POSE, POSITION
+from ik_toolkit.paths import smoothing
 
 ORDERS = Orders(**{**dict.fromkeys(Orders._fields, 0.0), "tol_p": 1e-9, "tol_r": 1e-9, "limits": 1.0})
 
@@ -35,11 +36,11 @@ def test_bands():
         A[:, b] = 8.0 + rng.random(M)
         S, x = full(A), rng.normal(size=M)
         y = x.copy()
-        band.band_cholesky(A, 1e-12)
-        band.band_solve(A, y)
+        smoothing.band_cholesky(A, 1e-12)
+        smoothing.band_solve(A, y)
         np.testing.assert_allclose(y, np.linalg.solve(S, x), rtol=1e-10, atol=1e-12)
     A = np.array([[0.0, 4.0], [0.0, -1.0], [0.0, 9.0]])
-    band.band_cholesky(A, 0.25)
+    smoothing.band_cholesky(A, 0.25)
     np.testing.assert_allclose(A[:, 1], [0.5, 2.0, 1.0 / 3.0])
 
 
@@ -52,12 +53,14 @@ def test_what_a_path_costs_and_its_derivatives():
         D = np.diff(x.reshape(N, n), axis=0)
         return first * (np.sqrt(D**2 + rounding**2) - rounding).sum() + 0.5 * second * (np.diff(D, axis=0) ** 2).sum()
 
-    total, worst = smooth.cost_of(Q, first, second, rounding, longest)
+    total, worst = smoothing.cost_of(Q, first, second, rounding, longest)
     assert total == pytest.approx(cost(Q.ravel()), rel=1e-12)
     assert worst == pytest.approx((np.abs(np.diff(Q, axis=0)) / longest).max())
-    assert smooth.cost_of(Q, first, second, rounding, 10.0 * longest)[1] == pytest.approx(0.1 * worst)  # below 1, too
+    assert smoothing.cost_of(Q, first, second, rounding, 10.0 * longest)[1] == pytest.approx(
+        0.1 * worst
+    )  # below 1, too
     H, g = np.full((N * n, 2 * n + 1), 7.0), np.full(N * n, 7.0)
-    smooth.differences(Q, first, second, rounding, H, g)
+    smoothing.differences(Q, first, second, rounding, H, g)
     np.testing.assert_allclose(g, approx_fprime(Q.ravel(), cost, 1e-7), atol=2e-6)
     w = first / np.sqrt(np.diff(Q, axis=0) ** 2 + rounding**2)
     D = np.kron(np.diff(np.eye(N), axis=0), np.eye(n))
@@ -67,7 +70,7 @@ def test_what_a_path_costs_and_its_derivatives():
     )
     held = rng.random(N * n) < 0.3
     A, x = np.full_like(H, 5.0), np.empty(N * n)
-    smooth.held_system(H, g, held, A, x)
+    smoothing.held_system(H, g, held, A, x)
     want = full(H)
     want[held], want[:, held] = 0.0, 0.0
     want[held, held] = 1.0
@@ -89,7 +92,7 @@ def test_a_newton_step_holds_what_would_leave_its_limits():
         g, held = rng.normal(size=M), np.zeros(M, bool)
         A, x = np.empty_like(H), np.empty(M)
         fixed, weights = np.array([False, False, False, True]), np.array([1.0, 1.0])
-        smooth.newton_step(H, g, now, fixed, weights, box, held, A, x)
+        smoothing.newton_step(H, g, now, fixed, weights, box, held, A, x)
         S, want, still = full(H), np.zeros(M), np.repeat(fixed, n)
         while True:
             free = ~still
@@ -102,7 +105,7 @@ def test_a_newton_step_holds_what_would_leave_its_limits():
         np.testing.assert_allclose(x, want, atol=1e-12)
         np.testing.assert_array_equal(held, still)
     held[:] = False
-    smooth.newton_step(H, g, now, fixed, np.array([0.0, 1.0]), box, held, A, x)
+    smoothing.newton_step(H, g, now, fixed, np.array([0.0, 1.0]), box, held, A, x)
     assert not x[::2].any() and held[::2].all() and not held[[1]].all() == bool(x[1])
 
 
@@ -122,7 +125,7 @@ def test_poses_are_brought_back_onto_their_targets():
     weights = np.ones(chain.n)
     weights[2] = 0.0
     box = box_of(chain.lower / chain.unit, chain.upper / chain.unit)
-    for way in (lambda: smooth.bring_back(p, weights, box), lambda: refine.correct(p, weights, box)):
+    for way in (lambda: smoothing.bring_back(p, weights, box), lambda: null_space.correct(p, weights, box)):
         p.desk.q[:] = q / chain.unit + 0.05 * rng.normal(size=chain.n)
         kept = p.desk.q[2]
         e = way()
@@ -130,13 +133,13 @@ def test_poses_are_brought_back_onto_their_targets():
         pose = arms.fk(rows, base, tip, p.desk.q * chain.unit)[0]
         np.testing.assert_allclose(pose, T, atol=3e-9)
     p.desk.q[:] = q / chain.unit
-    assert smooth.bring_back(p, weights, box).ee <= 1e-24
+    assert smoothing.bring_back(p, weights, box).ee <= 1e-24
     near = box_of(q / chain.unit - 0.03, q / chain.unit + 0.03)
     p.desk.q[:] = q / chain.unit + np.clip(0.05 * rng.normal(size=chain.n), -0.03, 0.03)
-    smooth.bring_back(p, np.ones(chain.n), near)
+    smoothing.bring_back(p, np.ones(chain.n), near)
     assert np.all(np.abs(p.desk.q - q / chain.unit) <= 0.03 + 1e-15)
     out = np.array([0.5, -0.5, 0.0])
-    refine.move(out, np.array([1.0, -1.0, 1.0]), 0.5, box_of([-0.7] * 3, [0.7] * 3))
+    null_space.move(out, np.array([1.0, -1.0, 1.0]), 0.5, box_of([-0.7] * 3, [0.7] * 3))
     np.testing.assert_allclose(out, [0.7, -0.7, 0.5])
 
 
@@ -173,7 +176,7 @@ def test_objectives_and_where_they_fall(kind):
     def value(what, y):
         p.desk.q[:] = y
         p.jacobian(p.evaluate(p.desk.q))
-        return refine.objective(p, what, ends, box, ref)
+        return null_space.objective(p, what, ends, box, ref)
 
     middle = 0.5 * (chain.lower + chain.upper) / chain.unit
     counted = np.array([box.counted(i) for i in range(n)])
@@ -183,10 +186,10 @@ def test_objectives_and_where_they_fall(kind):
     z = np.empty(n)
     for what, goal in ((MID_RANGE, middle), (REFERENCE, ref / chain.unit)):
         value(what, x)
-        refine.downhill(p, what, ends, box, ref, 0.0, z)
+        null_space.downhill(p, what, ends, box, ref, 0.0, z)
         np.testing.assert_allclose(z, counted * (goal - x), rtol=1e-12)
     now = value(MANIPULABILITY, x)
-    refine.downhill(p, MANIPULABILITY, ends, box, ref, now, z)
+    null_space.downhill(p, MANIPULABILITY, ends, box, ref, now, z)
     slope = [(volume(x + 1e-4 * e) - volume(x - 1e-4 * e)) / 2e-4 for e in np.eye(n)]
     np.testing.assert_allclose(2.0 * z, slope, atol=5e-4)
     np.testing.assert_allclose(p.desk.q, x, atol=1e-12)
@@ -204,7 +207,7 @@ def test_what_moves_no_tip():
     J, z, w = p.desk.J.copy(), rng.normal(size=n), rng.uniform(0.5, 2.0, n)
     wide = box_of(chain.lower / chain.unit, chain.upper / chain.unit)
     p.desk.w[:] = w
-    refine.direction(p, z, wide)
+    null_space.direction(p, z, wide)
     JW = J * w[:, None]
     want = z - JW @ np.linalg.solve(J.T @ JW + 1e-10 * np.eye(6), J.T @ z)
     np.testing.assert_allclose(p.desk.dq, want, atol=1e-6)
@@ -213,16 +216,16 @@ def test_what_moves_no_tip():
     i = int(np.argmax(np.abs(p.desk.dq)))
     tight.limits[1 if p.desk.dq[i] > 0 else 0, i] = x[i]
     p.desk.w[:] = w
-    refine.direction(p, z, tight)
+    null_space.direction(p, z, tight)
     assert p.desk.dq[i] == 0.0 and p.desk.w[i] == 0.0
     old, before, way, dq = rng.normal(size=(4, n))
     s, y = old - before, way - dq
-    gain = refine.secant(old, before, way, dq, 0.37)
+    gain = null_space.secant(old, before, way, dq, 0.37)
     assert gain == pytest.approx(min(max(s @ s / (s @ y), 1e-3), 1e3) if s @ y > 1e-12 * s @ s else 0.37)
-    assert refine.secant(old, before, way, way - s, 0.37) == pytest.approx(1.0)
-    assert refine.secant(old, before, way, way + s, 0.37) == 0.37
-    assert refine.secant(old, before, way, way - 1e-6 * s, 0.37) == 1e3
-    assert refine.secant(old, before, way, way - 1e6 * s, 0.37) == 1e-3
+    assert null_space.secant(old, before, way, way - s, 0.37) == pytest.approx(1.0)
+    assert null_space.secant(old, before, way, way + s, 0.37) == 0.37
+    assert null_space.secant(old, before, way, way - 1e-6 * s, 0.37) == 1e3
+    assert null_space.secant(old, before, way, way - 1e6 * s, 0.37) == 1e-3
 
 
 @pytest.mark.parametrize("what", [MID_RANGE, REFERENCE, MANIPULABILITY])
@@ -234,7 +237,7 @@ def test_a_solution_is_improved_to_where_it_cannot_be_any_more(what):
     o = ORDERS._replace(tol_p=1e-8, tol_r=1e-8)
     ref = 0.5 * (chain.lower + chain.upper) if what == REFERENCE else np.zeros(n)
     pack = np.array([*o, *Task(float(POSE)), *np.ones(n)])
-    refine.refine(chain.rows, chain.ends, T[None], row, ref, pack, what, 60)
+    null_space.refine(chain.rows, chain.ends, T[None], row, ref, pack, what, 60)
     x = row[ANSWER:]
     np.testing.assert_allclose(arms.fk(rows, base, tip, x)[0], T, atol=3e-8)
     assert row[AT.position] < 1e-8 and row[AT.rotation] < 1e-8
@@ -265,21 +268,23 @@ def test_a_path_gets_smooth_and_keeps_its_poses():
     noise[[0, 4, -1]] = 0.0
     Q, good = goals + noise, np.zeros(N, bool)
     pack = np.array([*ORDERS._replace(tol_p=1e-8, tol_r=1e-8), *Task(float(POSE)), *np.ones(n)])
-    smooth.settle(chain.rows, chain.ends, T, Q, pack, good)
+    smoothing.settle(chain.rows, chain.ends, T, Q, pack, good)
     assert good.all()
     for k in range(N):
         np.testing.assert_allclose(arms.fk(rows, base, tip, Q[k])[0], T[k], atol=1e-9)
     fixed = np.zeros(N, bool)
     fixed[[0, 4]] = True
     start, longest = Q.copy(), 2.0 * np.abs(np.diff(Q, axis=0)).max(axis=0)
-    taken, before, after = smooth.smooth(chain.rows, chain.ends, T, Q, fixed, pack, 1.0, 20.0, 1e-3, longest, 30, good)
+    taken, before, after = smoothing.smooth_rows(
+        chain.rows, chain.ends, T, Q, fixed, pack, 1.0, 20.0, 1e-3, longest, 30, good
+    )
     size = longest / chain.unit
     assert taken > 0 and after < before
-    assert before == pytest.approx(smooth.cost_of(start / chain.unit, 1.0, 20.0, 1e-3, size)[0])
-    assert after == pytest.approx(smooth.cost_of(Q / chain.unit, 1.0, 20.0, 1e-3, size)[0])
+    assert before == pytest.approx(smoothing.cost_of(start / chain.unit, 1.0, 20.0, 1e-3, size)[0])
+    assert after == pytest.approx(smoothing.cost_of(Q / chain.unit, 1.0, 20.0, 1e-3, size)[0])
     np.testing.assert_array_equal(Q[fixed], start[fixed])
     assert good.all() and np.all(np.abs(np.diff(Q, axis=0)) <= longest)
     for k in range(N):
         np.testing.assert_allclose(arms.fk(rows, base, tip, Q[k])[0], T[k], atol=1e-9)
-    assert after <= 1.02 * smooth.cost_of(goals / chain.unit, 1.0, 20.0, 1e-3, size)[0]
-    assert smooth.smooth(chain.rows, chain.ends, T, Q, fixed, pack, 1.0, 20.0, 1e-3, longest, 0, good)[0] == 0
+    assert after <= 1.02 * smoothing.cost_of(goals / chain.unit, 1.0, 20.0, 1e-3, size)[0]
+    assert smoothing.smooth_rows(chain.rows, chain.ends, T, Q, fixed, pack, 1.0, 20.0, 1e-3, longest, 0, good)[0] == 0

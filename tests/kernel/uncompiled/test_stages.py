@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from random_arms import make_levels
 
-from ik_toolkit.kernel import constrain
-from ik_toolkit.kernel.constrain import DIRECT
-from ik_toolkit.kernel.levels import HIGH, LOW, RHS, WANT
+from ik_toolkit.servo import constrained_step
+from ik_toolkit.servo.constrained_step import DIRECT
+from ik_toolkit.servo.equality_qp import HIGH, LOW, RHS, WANT
 
 
 def loaded(rng, n=5, rows=3):
@@ -19,8 +19,8 @@ def loaded(rng, n=5, rows=3):
     A, b = rng.normal(size=(rows, n)), rng.normal(size=rows)
     A[1] = 0.0
     s, task = make_levels(n + 7, rows + 7), np.zeros((rows + 7, 2))
-    constrain.bound(scale, low, high, A, b, rows, 0.01, s.P, s.V, s.S)
-    r = constrain.load(J, weight, back, front, want, scale, rows, 0.8, s.P, s.V, s.S, task)
+    constrained_step.bound(scale, low, high, A, b, rows, 0.01, s.P, s.V, s.S)
+    r = constrained_step.load(J, weight, back, front, want, scale, rows, 0.8, s.P, s.V, s.S, task)
     return J, weight, back, front, want, scale, low, high, A, b, s, task, r
 
 
@@ -40,13 +40,13 @@ def test_a_problem_in_scaled_unknowns():
         np.testing.assert_allclose(s.P[place, :n], weight[c] * J[:, c] * scale)
         np.testing.assert_allclose(task[place], [weight[c] * back[c], weight[c] * front[c]])
         assert s.S[RHS, place] == pytest.approx(weight[c] * (back[c] + 0.8 * front[c]))
-    unit = constrain.add_clock(s.P, s.V, s.S, task, rows, r, n, 0.8)
+    unit = constrained_step.add_clock(s.P, s.V, s.S, task, rows, r, n, 0.8)
     lengths = (s.P[rows : rows + r, :n] ** 2).sum(axis=1)
     assert unit == pytest.approx(1e-4 * math.sqrt(lengths.max() / (task[rows : rows + r, 1] ** 2).sum()))
     np.testing.assert_allclose(s.P[: rows + r, n], [0, 0, 0, *(unit * task[rows : rows + r, 1])])
     np.testing.assert_allclose(s.V[[WANT, LOW, HIGH], n], [0.0, 0.0, 0.8 / unit])
     task[:, 1] = 0.0
-    assert constrain.add_clock(s.P, s.V, s.S, task, rows, r, n, 0.8) == 0.0
+    assert constrained_step.add_clock(s.P, s.V, s.S, task, rows, r, n, 0.8) == 0.0
 
 
 def test_leaving_the_direction_costs_more_than_falling_behind():
@@ -58,7 +58,7 @@ def test_leaving_the_direction_costs_more_than_falling_behind():
     for alpha, size in ((0.0, 0.5), (0.4, 0.5), (0.0, 16.0), (0.02, 16.0), (0.1, 16.0)):
         d *= size * most / np.linalg.norm(d)
         s.P[rows : rows + r, :n], s.S[RHS, rows : rows + r] = C, d
-        constrain.aside(s.P, s.S, rows, r, n, alpha)
+        constrained_step.aside(s.P, s.S, rows, r, n, alpha)
         more = max(size, 1.0)
         weight = 1.0 + (100.0 * math.sqrt(more) - 1.0) * min(alpha * more, 1.0)
         along = np.outer(d, d) / (d @ d)
@@ -72,7 +72,7 @@ def test_the_least_slack_is_a_problem_of_its_own():
     *_, s, task, r = loaded(rng)
     n, rows = 5, 3
     s.V[WANT, :n], s.state[:] = 5.0, 1
-    constrain.slack(s.P, s.V, s.S, s.state, n, rows)
+    constrained_step.slack(s.P, s.V, s.S, s.state, n, rows)
     np.testing.assert_array_equal(s.P[:rows, n], [-1.0, 0.0, -1.0])
     np.testing.assert_array_equal(s.P[rows, : n + 1], [0, 0, 0, 0, 0, 1])
     np.testing.assert_array_equal(s.V[WANT, :n], s.V[HIGH, :n])
@@ -80,6 +80,6 @@ def test_the_least_slack_is_a_problem_of_its_own():
     assert s.S[RHS, rows] == 0.0 and not s.state[:n].any() and not s.state[s.P.shape[1] : s.P.shape[1] + rows].any()
     assert s.state[n] == 1 and DIRECT == 2
     x, active, kept, push = np.empty(3), np.ones(3, np.int8), np.ones(2, np.int8), np.ones(4)
-    constrain.as_wanted(np.arange(3.0), x, active, kept, push)
+    constrained_step.as_wanted(np.arange(3.0), x, active, kept, push)
     np.testing.assert_array_equal(x, [0, 1, 2])
     assert not active.any() and not kept.any() and not push.any()

@@ -5,14 +5,14 @@ import pytest
 import random_arms as arms
 from random_arms import orders, task
 
-from ik_toolkit.kernel import constrain as constrain_module
-from ik_toolkit.kernel import levels, motion, obey, qp, wanted
-from ik_toolkit.kernel.bench import bench_on, bench_space
-from ik_toolkit.kernel.box import RECOVERING, ROW
-from ik_toolkit.kernel.constrain import DIRECT, LEAVE, SLOW, SLOWED, constrain, make_room
-from ik_toolkit.kernel.motion import AA, AT_RATE_AND_STEP, AV, CA, CV, RUNNING, STATE, Law
 from ik_toolkit.kernel.serial import make_serial
-from ik_toolkit.kernel.stages import CAUTIOUS
+from ik_toolkit.servo import command, equality_qp, hierarchical_qp, laws, limited_step
+from ik_toolkit.servo import constrained_step as constrain_module
+from ik_toolkit.servo.constrained_step import DIRECT, LEAVE, SLOW, SLOWED, constrain, make_room
+from ik_toolkit.servo.laws import AA, AT_RATE_AND_STEP, AV, CA, CV, RUNNING, STATE, Law
+from ik_toolkit.servo.qp_stages import CAUTIOUS
+from ik_toolkit.servo.viability import RECOVERING, ROW
+from ik_toolkit.servo.workspace import bench_on, bench_space
 
 
 def law(code=CV, **values):
@@ -43,7 +43,7 @@ def test_a_law_with_a_clock_that_changes_its_rate(code, mode):
     rule = law(code, mode=mode, kappa=3.0, kp=20.0, kd=8.0, gamma=0.7, null=0.9, reading=AT_RATE_AND_STEP)
     limits = np.array([np.full(n, -9e9), np.full(n, 9e9), np.full(n, 1e12), np.full(n, np.inf)])
     sigma = 0.75
-    lost = wanted.by_law(
+    lost = command.by_law(
         rule,
         None,
         p,
@@ -100,13 +100,13 @@ def given(mode, roof=0.5, h=0.1, sigma=1.0, plane=None, want=None, mu=0.0):
     count = 0
     if plane is not None:
         s.planes[0], s.edges[0], count = plane[0], plane[1], 1
-    motion.factor(s.J, n, 0.0, s.G, s.y)
+    laws.factor(s.J, n, 0.0, s.G, s.y)
     state[STATE.sigma] = sigma
     if mu > 0.0:  # a step down
         s.ask[:], s.size[:], s.even[:], s.f[:], s.x[:] = s.x, 7.0, 1.0, 0.0, 0.0
     code, active, kept = np.zeros(n, np.uint8), np.zeros(n, np.int8), np.zeros(4, np.int8)
     starts = np.zeros((4, n + 4), np.int8)
-    found = obey.by_constraints(
+    found = limited_step.by_constraints(
         law(mode=mode, rows=float(count)), s, count, sigma, mu, h, state, make_room(n, n, 3), active, kept, starts, code
     )
     holds = [k < count and bool(abs(s.planes[k] @ s.x - s.edges[k]) < 1e-9) for k in range(3)]
@@ -150,10 +150,10 @@ def test_what_is_wished_beside_the_task_has_no_part_along_it():
         s, state = bench(n, m), np.zeros(len(STATE))
         s.J[:], s.f[:], s.x[:] = rng.normal(size=(n, m)), rng.normal(size=m), rng.normal(size=n)
         s.size[:], s.weight[:], s.floor[:], s.roof[:] = 1.0, 1.0, -9.0, 9.0
-        motion.factor(s.J, m, 0.0, s.G, s.y)
+        laws.factor(s.J, m, 0.0, s.G, s.y)
         state[STATE.sigma], wanted_rates = 1.0, s.x.copy()
         lists = np.zeros(n, np.int8), np.zeros(4, np.int8), np.zeros((4, n + 4), np.int8), np.zeros(n, np.uint8)
-        obey.by_constraints(law(), s, 0, 1.0, 0.0, 0.1, state, make_room(n, m, 3), *lists)
+        limited_step.by_constraints(law(), s, 0, 1.0, 0.0, 0.1, state, make_room(n, m, 3), *lists)
         np.testing.assert_allclose(s.J.T @ s.v, 0.0, atol=1e-12)
         pinv = np.linalg.pinv(s.J.T)
         np.testing.assert_allclose(s.v, wanted_rates - pinv @ (s.J.T @ wanted_rates), atol=1e-10)
@@ -162,8 +162,8 @@ def test_what_is_wished_beside_the_task_has_no_part_along_it():
 @pytest.mark.parametrize("mode", [SLOW, DIRECT])
 def test_a_step_like_the_last_one_takes_one_iteration_a_problem(monkeypatch, mode):
     counted, solve = [], constrain_module.solve_levels
-    problems, equality = [], qp.equality
-    monkeypatch.setattr(qp, "equality", lambda *parts: counted.append(1) or equality(*parts))
+    problems, equality = [], hierarchical_qp.equality
+    monkeypatch.setattr(hierarchical_qp, "equality", lambda *parts: counted.append(1) or equality(*parts))
     monkeypatch.setattr(constrain_module, "solve_levels", lambda *parts: problems.append(1) or solve(*parts))
     rng = np.random.default_rng(3)
     first, second, slowed = [], [], []
@@ -201,25 +201,27 @@ def test_signs_and_shares_of_multipliers():
         (0.5, -9.0, 1, 0.0), (-0.5, 9.0, 1, 1.5), (0.5, 0.0, -1, 1.5), (0.0, 0.3, 1, 0.0), (0.0, -0.3, 1, 0.3), (0.0, 3.0, -1, 1.0),
         (0.0, -0.9e-11, 1, 0.0), (0.0, -1.1e-11, 1, 1.1e-11), (0.0, 0.0, 1, 0.0),
     ):  # fmt: skip
-        assert qp.wrong(one, two, side) == pytest.approx(want, rel=1e-12)
-    assert qp.share(1.0, 2.0, 3.0, -9.0, 1) == (2.0, 0.0)
-    assert qp.share(1.0, 2.0, -1.0, 4.0, 1) == (0.5, (2.0 + 0.5 * 2.0) / 2.0)
-    assert qp.share(0.0, 2.0, 0.0, -2.0, 1) == (0.5, 0.0) and qp.share(0.0, -2.0, 0.0, 2.0, -1) == (0.5, 0.0)
-    assert qp.share(-1.0, 0.0, -3.0, 0.0, 1)[0] == 0.0
+        assert hierarchical_qp.wrong(one, two, side) == pytest.approx(want, rel=1e-12)
+    assert hierarchical_qp.share(1.0, 2.0, 3.0, -9.0, 1) == (2.0, 0.0)
+    assert hierarchical_qp.share(1.0, 2.0, -1.0, 4.0, 1) == (0.5, (2.0 + 0.5 * 2.0) / 2.0)
+    assert hierarchical_qp.share(0.0, 2.0, 0.0, -2.0, 1) == (0.5, 0.0) and hierarchical_qp.share(
+        0.0, -2.0, 0.0, 2.0, -1
+    ) == (0.5, 0.0)
+    assert hierarchical_qp.share(-1.0, 0.0, -3.0, 0.0, 1)[0] == 0.0
     V, S = np.zeros((8, 2)), np.zeros((12, 1))
-    V[levels.LOW], V[levels.HIGH], V[levels.Y] = -1.0, 1.0, [0.5, 1.4]
+    V[equality_qp.LOW], V[equality_qp.HIGH], V[equality_qp.Y] = -1.0, 1.0, [0.5, 1.4]
     P, state = np.array([[1.0, 1.0]]), np.zeros(3, np.int8)
-    S[levels.RHS] = 1.8
-    assert qp.violated(P, V, S, state, 2, 1) == (1, 1)
-    V[levels.Y] = [-1.4, 0.5]
-    assert qp.violated(P, V, S, state, 2, 1) == (0, -1)
-    V[levels.Y] = [0.95, 0.95]
-    assert qp.violated(P, V, S, state, 2, 1) == (2, 1)
+    S[equality_qp.RHS] = 1.8
+    assert hierarchical_qp.violated(P, V, S, state, 2, 1) == (1, 1)
+    V[equality_qp.Y] = [-1.4, 0.5]
+    assert hierarchical_qp.violated(P, V, S, state, 2, 1) == (0, -1)
+    V[equality_qp.Y] = [0.95, 0.95]
+    assert hierarchical_qp.violated(P, V, S, state, 2, 1) == (2, 1)
     state[2] = 1
-    assert qp.violated(P, V, S, state, 2, 1) == (levels.NONE, 0)
-    V[levels.HIGH], V[levels.Y] = [1e9, 0.0], [1e4, 3e-12]
-    assert qp.violated(P, V, S, state, 2, 1) == (levels.NONE, 0), "the rounding of a large unknown"
-    V[levels.Y, 1] = 3e-8
-    assert qp.violated(P, V, S, state, 2, 1) == (1, 1)
-    V[levels.Y] = [0.5, 3e-12]
-    assert qp.violated(P, V, S, state, 2, 1) == (1, 1)
+    assert hierarchical_qp.violated(P, V, S, state, 2, 1) == (equality_qp.NONE, 0)
+    V[equality_qp.HIGH], V[equality_qp.Y] = [1e9, 0.0], [1e4, 3e-12]
+    assert hierarchical_qp.violated(P, V, S, state, 2, 1) == (equality_qp.NONE, 0), "the rounding of a large unknown"
+    V[equality_qp.Y, 1] = 3e-8
+    assert hierarchical_qp.violated(P, V, S, state, 2, 1) == (1, 1)
+    V[equality_qp.Y] = [0.5, 3e-12]
+    assert hierarchical_qp.violated(P, V, S, state, 2, 1) == (1, 1)

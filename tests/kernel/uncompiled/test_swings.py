@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from ik_toolkit.kernel.box import CALM, CALMED, GROWTH, RECOVERING, SWINGING, calm, watch
+from ik_toolkit.servo.viability import CALM, CALMED, GROWTH, RECOVERING, SWINGING, calm, watch
 
 
 def test_joints_that_turn_back_often_swing():

@@ -9,10 +9,10 @@ import random_arms as arms
 from random_arms import PARTS, errors, orders, task
 
 from ik_toolkit.kernel import chain as chains
+from ik_toolkit.kernel.chain import pack_tree
+from ik_toolkit.kernel.counted_error import BASE, FREE, PART, POSE, POSITION, TARGET, TIP
 from ik_toolkit.kernel.records import WHAT, Ends
-from ik_toolkit.kernel.task import BASE, FREE, PART, POSE, POSITION, TARGET, TIP
 from ik_toolkit.kernel.tree import make_tree
-from ik_toolkit.kernel.tree_chain import pack_tree
 
 
 def pair(rng, left="tttstt", right="tttst"):

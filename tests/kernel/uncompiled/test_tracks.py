@@ -7,9 +7,9 @@ import pinocchio as pin
 import pytest
 import random_arms as arms
 
-from ik_toolkit.kernel import path_link, path_track
+from ik_toolkit.kernel.counted_error import POSE
 from ik_toolkit.kernel.records import Orders, Task
-from ik_toolkit.kernel.task import POSE
+from ik_toolkit.paths import continuation, shortest_path
 
 ORDERS = Orders(**{**dict.fromkeys(Orders._fields, 0.0), "tol_p": 1e-9, "tol_r": 1e-9, "limits": 1.0})
 
@@ -24,14 +24,16 @@ def test_poses_between_poses():
         B[:3, :3] = pin.exp3(axis) @ A[:3, :3]
         flat, out = np.array([[A.ravel()], [B.ravel()]]), np.empty((1, 16))
         for s in (0.0, 0.25, 0.8, 1.0):
-            path_track.blend(flat, 0, 1, s, out)
+            continuation.blend(flat, 0, 1, s, out)
             got = out.reshape(4, 4)
             np.testing.assert_allclose(got[:3, 3], A[:3, 3] + s * (B[:3, 3] - A[:3, 3]), atol=1e-15)
             np.testing.assert_allclose(got[:3, :3], pin.exp3(s * axis) @ A[:3, :3], atol=1e-9 if angle > 3 else 1e-12)
             np.testing.assert_array_equal(got[3], [0, 0, 0, 1])
     q, old, most = np.array([0.1, -0.2]), np.zeros(2), np.array([0.1, 0.2])
-    assert path_track.within(q, old, most) and not path_track.within(q * 1.0001, old, most)
-    assert not path_track.within(np.array([np.nan, 0.0]), old, most) and not path_track.within(-q * 1.0001, old, most)
+    assert continuation.within(q, old, most) and not continuation.within(q * 1.0001, old, most)
+    assert not continuation.within(np.array([np.nan, 0.0]), old, most) and not continuation.within(
+        -q * 1.0001, old, most
+    )
 
 
 def test_solutions_are_carried_along_poses():
@@ -49,7 +51,7 @@ def test_solutions_are_carried_along_poses():
         poses = T.copy()
         if broken is not None:
             poses[broken, :3, 3] += 9.0
-        path_track.extend(
+        continuation.extend(
             chain.rows,
             chain.ends,
             poses,
@@ -87,7 +89,7 @@ def best_path(Q, span, state, most, endless, price, begin, toll, blocked, near=T
     """Counts and costs of the cheapest way to each state by trying all pairs of each layer (Bellman)."""
     N, K, n = Q.shape
     counts, costs = np.zeros((N, K)), np.zeros((N, K))
-    alive = state != path_link.DEAD
+    alive = state != shortest_path.DEAD
     last = -1
     for t in range(N):
         for b in np.flatnonzero(alive[t]):
@@ -111,7 +113,7 @@ def best_path(Q, span, state, most, endless, price, begin, toll, blocked, near=T
                     ways.append((counts[last, a], costs[last, a] + (price[0] * d + price[1] * d * d).sum() + extra))
             counts[t, b], costs[t, b] = min(ways)
             costs[t, b] += toll[t, b]
-            counts[t, b] += (1 << 20) * (state[t, b] == path_link.TOUCHING)
+            counts[t, b] += (1 << 20) * (state[t, b] == shortest_path.TOUCHING)
         if alive[t].any():
             last = t
     return counts, costs
@@ -128,10 +130,12 @@ def test_the_program_over_tracks(seed):
         Q[..., 0] -= np.float32(2 * np.pi) * np.rint(Q[..., 0] / (2 * np.pi)).astype(np.float32)
     span = np.sort(rng.integers(0, N, (K, 2)), axis=1)
     state = rng.choice(
-        [path_link.DEAD, path_link.UNTESTED, path_link.FREE, path_link.TOUCHING], (N, K), p=[0.3, 0.2, 0.4, 0.1]
+        [shortest_path.DEAD, shortest_path.UNTESTED, shortest_path.FREE, shortest_path.TOUCHING],
+        (N, K),
+        p=[0.3, 0.2, 0.4, 0.1],
     )
     if seed % 3 == 0:
-        state[3] = path_link.DEAD
+        state[3] = shortest_path.DEAD
     most, price = np.array([0.35, 0.3]), np.array([[1.0, 0.7], [0.5, 0.3], [5.0, 2.5]])
     begin = np.array([rng.integers(0, 2, K), rng.random(K)], float)
     toll = np.where(rng.random((N, K)) < 0.3, rng.random((N, K)), 0.0)
@@ -141,9 +145,9 @@ def test_the_program_over_tracks(seed):
     counts, costs = np.zeros((N, K), int), np.zeros((N, K))
     parents, prior = np.full((N, K), 99), np.full(N, 99)
     args = (Q, span, state, most, endless, price, begin, toll, blocked, 0)
-    path_link.link(*args, 0, counts, costs, parents, prior)
+    shortest_path.link(*args, 0, counts, costs, parents, prior)
     wanted, paid = best_path(Q, span, state, most, endless, price, begin, toll, blocked)
-    alive = state != path_link.DEAD
+    alive = state != shortest_path.DEAD
     np.testing.assert_array_equal(counts[alive], wanted[alive])
     np.testing.assert_allclose(costs[alive], paid[alive], rtol=1e-12)
     layers = np.flatnonzero(alive.any(axis=1))
@@ -152,17 +156,17 @@ def test_the_program_over_tracks(seed):
         assert prior[t] == (before[-1] if len(before) else -1)
         for b in range(K):
             if not alive[t, b] or prior[t] < 0:
-                assert parents[t, b] == path_link.NONE
+                assert parents[t, b] == shortest_path.NONE
                 continue
             k = parents[t, b]
             a = k if k >= 0 else -2 - k
-            again = counts[prior[t], a] + (k < 0) + (1 << 20) * (state[t, b] == path_link.TOUCHING)
+            again = counts[prior[t], a] + (k < 0) + (1 << 20) * (state[t, b] == shortest_path.TOUCHING)
             assert alive[prior[t], a] and counts[t, b] == again
     for first in (1, 4):  # what stands is gone on from
         more = [v.copy() for v in (counts, costs, parents, prior)]
         for v in more:
             v[first:] = 77
-        path_link.link(*args, first, *more)
+        shortest_path.link(*args, first, *more)
         for one, other in zip(more, (counts, costs, parents, prior), strict=True):
             np.testing.assert_array_equal(
                 one[first:][alive[first:]] if one.ndim > 1 else one,
@@ -173,6 +177,6 @@ def test_the_program_over_tracks(seed):
 def test_where_keys_begin():
     keys = np.array([-1.0, 0.0, 0.0, 2.0, 9.0])
     for low, place in ((-2.0, 0), (-1.0, 0), (-0.5, 1), (0.0, 1), (0.1, 3), (2.0, 3), (3.0, 4), (3.5, 4)):
-        assert path_link.window(keys, 4, low) == place
-    assert path_link.turned(4.0, 1.0) == pytest.approx(4.0 - 2 * math.pi) and path_link.turned(4.0, 0.0) == 4.0
-    assert path_link.turned(-3.1, 1.0) == -3.1
+        assert shortest_path.window(keys, 4, low) == place
+    assert shortest_path.turned(4.0, 1.0) == pytest.approx(4.0 - 2 * math.pi) and shortest_path.turned(4.0, 0.0) == 4.0
+    assert shortest_path.turned(-3.1, 1.0) == -3.1

@@ -1,0 +1,256 @@
+"""Levenberg-Marquardt for eight targets side by side, one in each lane of a vector: twice the solves a second of `search`.
+
+The same formulas, starts, give-up and tests as the search with the rule LM; limits differ in that the sign of the gradient,
+not of the step, says which joints to hold (some lane would want the step redone almost always). A lane that is done takes
+the next target, and lanes never see each other, so an answer depends on its target alone. What takes a lane too long or
+needs care (unreachable, half a turn off, refused) is left to the search.
+"""
+
+# numba itself gives an intrinsic its first argument, which type checkers cannot know.
+# pyright: reportCallIssue=false, reportGeneralTypeIssues=false
+import functools
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from ..compile.array_view import cut, keep, space, view
+from ..compile.jit import cached, compiled, inline, spliced
+from ..compile.simd import WIDTH, bits, choose, full
+from .algebra import at, at3, diagonal, put, put3, rotation_at, rotation_left
+from .checks import CONVERGED
+from .counted_error import POSITION
+from .kinematics import TAU, column, fk, rotation_angle
+from .limits import face, legal, middle
+from .problem import BEST_OF_ALL
+from .records import ANSWER, HEAD, TASK, WHAT, Answer, Array, Ends, Orders, copy, read, write
+from .search import ROUNDING, make_table
+from .serial import serial_on
+from .starts import BEST, rnd, sow
+
+LEFT = -1  # status of a target left to the search
+HALF_TURN = 5e-4  # 1 + cos below which an attempt is given up: the axis cannot be determined
+ATTEMPTS = 32  # evaluations of one target before it is left to the search: others would have to wait for it
+ALL = (1 << WIDTH) - 1
+
+
+@compiled
+class Lanes(NamedTuple):
+    """Eight attempts; the last axis of an array, or the only one, is the lane."""
+
+    Q: Array  # (n, 8)
+    joints: Array  # (6 n, 8) axes and points, then the Jacobian
+    trig: Array  # (3 n, 8)
+    goals: Array  # (12, 8)
+    ceiling: Array  # (8,) an attempt whose squared error is above this is given up ...
+    decay: Array  # ... and this factor lowers it every iteration
+    age: Array  # evaluations of this attempt
+    spent: Array  # evaluations of this target
+    pp: Array  # squared errors of the last look
+    rr: Array
+    which: Array  # target in each lane, -1: none
+    tries: Array
+    starts: Array  # (8, BEST) rows of the table
+    state: Array  # (8, 1) of the random sequences
+
+
+@spliced
+def make_lanes(block, n):
+    """No target in any lane."""
+    W = WIDTH
+    Q, joints, trig, goals, ceiling, decay, age, spent, pp, rr = cut(
+        block, np.float64, ((n, W), (6 * n, W), (3 * n, W), (12, W), (1, W), (1, W), (1, W), (1, W), (1, W), (1, W))
+    )
+    which, tries, starts = cut(block, np.int64, (W, W, (W, BEST)))
+    (state,) = cut(block, np.uint64, ((W, 1),))
+    s = Lanes(Q, joints, trig, goals, ceiling, decay, age, spent, pp, rr, which, tries, starts, state)
+    for lane in range(W):  # a lane without a target is computed like the others, so it needs valid numbers
+        for i in range(n):
+            Q[i, lane] = 0.0
+        for i in range(12):
+            goals[i, lane] = 0.0
+        ceiling[0, lane], decay[0, lane], age[0, lane], spent[0, lane] = np.inf, 1.0, 0.0, 0.0
+        which[lane], tries[lane] = -1, 0
+    return s
+
+
+@spliced
+def errors(rows, tip, s, turning):
+    """Tip, errors (linear, angular) and 1 + cos of the angle left; below HALF_TURN only the latter is right."""
+    now = fk(rows, s.Q, s.joints, s.trig)
+    point = now.point + now.axes.times(tip)
+    sine, cos1 = rotation_left(now.axes, rotation_at(s.goals, 0))
+    angular = sine * (turning * math.sqrt(2.0 / choose(cos1 > HALF_TURN, cos1, full(1.0))))
+    return point, at3(s.goals, 9) - point, angular, cos1
+
+
+@spliced
+def move(rows, s, ends, turning, point, linear, angular, damping):
+    """The damped step with joints held by the sign of the gradient, inside the limits. s.joints becomes the Jacobian."""
+    n = rows.shape[0]
+    zero, one = full(0.0), full(1.0)
+    blocks = diagonal(damping)
+    for i in range(n):
+        u, v = column(rows, s.joints, i, point)
+        v = v * turning
+        if ends.turns(i) == 0.0:
+            slope, q = u.dot(linear) + v.dot(angular), at(s.Q, i)
+            out = ((q <= ends.lower(i)) & (slope < 0.0)) | ((q >= ends.upper(i)) & (slope > 0.0))
+            w = choose(out, zero, one)
+            u, v = u * w, v * w
+        put3(s.joints, 6 * i, u)
+        put3(s.joints, 6 * i + 3, v)
+        blocks = blocks.with_column(u, v, u, v)
+    y, z = blocks.solve(linear, angular)
+    for i in range(n):
+        q = at(s.Q, i) + (at3(s.joints, 6 * i).dot(y) + at3(s.joints, 6 * i + 3).dot(z))
+        low, high = ends.lower(i), ends.upper(i)
+        if ends.turns(i) > 0.0:
+            back = q - TAU * np.rint((q - middle(low, high)) * (1.0 / TAU))
+            q = choose((q < low) | (q > high), back, q)
+        q = choose(q < low, full(low), q)  # after a turn too: it may end a rounding outside
+        q = choose(q > high, full(high), q)
+        put(s.Q, i, q)
+
+
+@spliced
+def take_target(p, o, ends, table, s, lane, t, T, Q0, out):
+    """Put target t into a lane; False when it has to be left to the search."""
+    out[t, 0] = LEFT
+    excess = p.aim(T[t], o)
+    given = o.given > 0.0
+    if excess != 0.0 or (given and not legal(Q0[t if Q0.shape[0] > 1 else 0], ends, True)):
+        return False
+    p.rank(table)
+    copy(table.best, s.starts[lane])
+    for k in range(12):
+        s.goals[k, lane] = p.goal[k]
+    sow(s.state[lane], o.seed)
+    s.tries[lane] = 0
+    s.spent[0, lane] = 0.0
+    s.which[lane] = t
+    return True
+
+
+@spliced
+def begin_attempt(o, ends, seeds, s, lane, Q0):
+    """Start of the next attempt of the target in a lane."""
+    n = s.Q.shape[0]
+    k = s.tries[lane] - int(o.given)
+    s.ceiling[0, lane], s.decay[0, lane] = o.c_free, o.rho_free
+    if k < 0:
+        t = s.which[lane] if Q0.shape[0] > 1 else 0
+        for i in range(n):
+            s.Q[i, lane] = Q0[t, i] / ends.unit(i)
+    elif k < BEST:
+        s.ceiling[0, lane], s.decay[0, lane] = o.c, o.rho
+        for i in range(n):
+            s.Q[i, lane] = seeds[s.starts[lane, k], i]
+    else:
+        for i in range(n):
+            s.Q[i, lane] = ends.low(i) + ends.span(i) * rnd(s.state[lane])
+    s.tries[lane] += 1
+
+
+@spliced
+def hand_in(p, o, ends, s, lane, wanted, Q0, out):
+    """Write the answer of a lane."""
+    t, q, n = s.which[lane], p.desk.q, s.Q.shape[0]
+    for i in range(n):
+        q[i] = s.Q[i, lane]
+        wanted[i] = Q0[t if Q0.shape[0] > 1 else 0, i] / ends.unit(i) if o.given > 0.0 else ends.home(i)
+    count = s.spent[0, lane]
+    position, rotation = math.sqrt(s.pp[0, lane]) * ends.scale(), rotation_angle(s.rr[0, lane])
+    if face(q, wanted, ends):
+        count += 1.0
+        for k in range(12):
+            p.goal[k] = s.goals[k, lane]
+        put3(p.goal, 12, at3(p.goal, 9))  # it is in reach, so the aim is the target itself
+        e = p.evaluate(q)
+        if not e.good:  # rounding of the turn broke a tolerance at its edge
+            return
+        p.keep(e, BEST_OF_ALL)
+        position, rotation = p.left(BEST_OF_ALL)
+    tries = float(s.tries[lane])
+    steps = s.spent[0, lane] - tries
+    found = tries - 1.0
+    write(out[t], 0, Answer(float(CONVERGED), steps, found, position, rotation, count, 0.0, 0.0, found, -1.0))
+    for i in range(n):
+        out[t, ANSWER + i] = q[i] * ends.unit(i)
+
+
+@inline
+def run(rows, chain, seeds, features, T, Q0, out, orders, block):
+    """Until every target is done or left: arguments as of `lanes`, as views."""
+    n = seeds.shape[1]
+    o, ends = read(Orders, orders), Ends(chain, n)
+    block[0] = 0.0
+    p = serial_on(block, rows, chain, orders[HEAD:], n, o)
+    table, s = make_table(block, seeds, features, 1), make_lanes(block, n)
+    (wanted,) = cut(block, np.float64, (n,))
+    damping = orders[HEAD + TASK + n]
+    W, N = WIDTH, T.shape[0]
+    tip = at3(ends.flat, 21)
+    turning = 0.0 if int(p.task[WHAT.kind]) == POSITION else 1.0
+    attempts = min(int(o.attempts), ATTEMPTS)
+    following, live, renew = 0, 0, ALL
+    while True:
+        if renew != 0:
+            for lane in range(W):
+                if (renew >> lane) & 1 == 0:
+                    continue
+                if s.which[lane] >= 0 and s.tries[lane] >= attempts:
+                    s.which[lane] = -1
+                    live -= 1
+                while s.which[lane] < 0 and following < N:
+                    if take_target(p, o, ends, table, s, lane, following, T, Q0, out):
+                        live += 1
+                    following += 1
+                s.age[0, lane] = 0.0
+                if s.which[lane] < 0:
+                    s.ceiling[0, lane] = np.inf
+                else:
+                    begin_attempt(o, ends, table.seeds, s, lane, Q0)
+        if live == 0:
+            break
+        point, linear, angular, cos1 = errors(rows, tip, s, turning)
+        pp, rr = linear.square(), angular.square()
+        ee = pp + rr
+        seen = (cos1 > HALF_TURN) | (full(turning) < 0.5)
+        age, ceiling = at(s.age, 0), at(s.ceiling, 0)
+        done = bits((pp < p.tp) & (rr < p.tr) & seen)
+        renew = (bits(((ee > ceiling) & (ee > ROUNDING)) | (age >= o.iterations)) | ~bits(seen)) & ALL
+        put(s.age, 0, age + 1.0)
+        put(s.spent, 0, at(s.spent, 0) + 1.0)
+        put(s.ceiling, 0, ceiling * at(s.decay, 0))
+        if done != 0:
+            renew = renew | done
+            put(s.pp, 0, pp)
+            put(s.rr, 0, rr)
+            for lane in range(W):
+                if s.which[lane] >= 0 and (done >> lane) & 1:
+                    hand_in(p, o, ends, s, lane, wanted, Q0, out)
+                    s.which[lane] = -1
+                    live -= 1
+        move(rows, s, ends, turning, point, linear, angular, damping * ee + 1e-12)
+
+
+@functools.cache
+def lanes() -> Callable:
+    """Return the compiled solve(rows, ends, seeds, features, T, Q0, out, orders), arguments as for `search.entry` with LM.
+
+    For poses and positions of chains without mimic joints, with limits, equal joint weights, no `closest` and no budget
+    of evaluations; rows of `out` with the status LEFT are for the search.
+    """
+
+    def solve(rows, ends, seeds, features, T, Q0, out, orders):
+        L, N = rows.shape[0], seeds.shape[0]
+        lanes_take = WIDTH * (10 * L + 64)  # see make_lanes
+        block = np.empty(space(seeds.shape[1], 6, L, N) + lanes_take)
+        run(
+            view(rows), view(ends), view(seeds), view(features), view(T), view(Q0), view(out), view(orders), view(block)
+        )  # fmt: skip
+        keep(block)
+
+    return cached(solve)

@@ -1,0 +1,163 @@
+"""References: where the tip should be at time t, with exact velocity and acceleration.
+
+All in the robot's base axes. A reference made from a pose (4, 4) asks for position and orientation; one made from a
+position (3,) leaves the orientation free.
+"""
+
+import math
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from ..copying import Holds
+from ..errors import InvalidOption, InvalidTarget, floats
+from ..robot.pose import check_target
+from ..validate import number, one_of, positive, switch
+
+Samples = tuple[np.ndarray, np.ndarray, np.ndarray]  # values, first and second derivatives
+MAX_STEPS = 1e7
+
+
+class Reference(Holds):
+    """A moving target.
+
+    function(t) with t (N,) [s] returns T_base_tip (N, 4, 4) [m], twist (N, 6) and acceleration (N, 6): linear velocity
+    (acceleration) of the tip point, then angular velocity (acceleration), base axes. With position_only the rotation of T
+    is ignored and the angular parts should be zero. duration [s] is how long a run lasts.
+    """
+
+    FUNCTION = "function"
+
+    def __init__(
+        self,
+        function: Callable[[np.ndarray], Samples],
+        duration: float,
+        *,
+        position_only: bool = False,
+        name: str = "custom",
+    ) -> None:
+        """Wrap a function of time.
+
+        Raises InvalidOption when it is not callable, the duration is not a positive number or position_only not True or False.
+        """
+        if not callable(function):
+            raise InvalidOption(f"a reference is made from a function of time, not {type(function).__name__}")
+        self.duration = positive(duration, "duration [s]")
+        self.function = function
+        self.position_only = switch(position_only, "position_only")
+        self.name = name
+
+    def at(self, t: Any) -> Samples:
+        """Pose, twist and acceleration at t [s]: (4, 4), (6,), (6,) for a number; with a leading N for an array (N,)."""
+        times = np.atleast_1d(floats(t, "t must be times [s]", InvalidOption))
+        if times.ndim > 1 or not np.isfinite(times).all():
+            raise InvalidOption(f"t must be a finite number or an array (N,) of them [s], not {repr(t)[:60]}")
+        n = len(times)
+        wanted = f"reference '{self.name}' must give arrays ({n}, 4, 4), ({n}, 6), ({n}, 6) for {n} times"
+        made = self.function(times)
+        if not (isinstance(made, tuple | list) and len(made) == 3):
+            raise InvalidTarget(f"{wanted}, not {type(made).__name__}")
+        T, V, A = (floats(part, wanted, InvalidTarget) for part in made)
+        if (T.shape, V.shape, A.shape) != ((n, 4, 4), (n, 6), (n, 6)):
+            raise InvalidTarget(f"{wanted}, not {T.shape}, {V.shape}, {A.shape}")
+        return (T, V, A) if np.ndim(t) else (T[0], V[0], A[0])
+
+    def target(self, t: float) -> np.ndarray:
+        """Target at t as the solvers take it: (4, 4), or (3,) when the orientation is free."""
+        T = self.at(number(t, "t [s]"))[0]
+        return T[:3, 3].copy() if self.position_only else T
+
+    def times(self, dt: float) -> np.ndarray:
+        """Sample times 0, dt, ... up to the duration [s]. Raises InvalidOption beyond ten million of them."""
+        steps = self.duration / positive(dt, "dt [s]")
+        if steps > MAX_STEPS:
+            raise InvalidOption(
+                f"dt = {dt:g} s makes {steps:.3g} steps of {self.duration:g} s; at most {MAX_STEPS:g} are taken"
+            )
+        return np.arange(math.floor(steps + 1e-9) + 1) * dt
+
+    def __repr__(self) -> str:
+        """One line: kind, duration and what is asked for."""
+        return f"Reference({self.name}, {self.duration:g} s, {'position' if self.position_only else 'pose'})"
+
+
+# ------------------------------------------------------------------------------------------------ time laws
+def _constant(x: np.ndarray) -> Samples:
+    return x, np.ones_like(x), np.zeros_like(x)
+
+
+def minimum_jerk(x: np.ndarray) -> Samples:
+    """Rest to rest with the least integral of squared jerk (Flash and Hogan, 1985)."""
+    x = np.clip(x, 0.0, 1.0)
+    return x**3 * (10 - 15 * x + 6 * x * x), 30 * x * x * (1 - x) ** 2, 60 * x * (1 - x) * (1 - 2 * x)
+
+
+LAWS = {"constant": _constant, "minimum-jerk": minimum_jerk}
+
+
+def law_of(name: str) -> Callable[[np.ndarray], Samples]:
+    """Time law by name. Raises InvalidOption."""
+    return LAWS[one_of(name, LAWS, "time law")]
+
+
+def on_path(
+    path: Callable[[np.ndarray], Samples],
+    law: Callable[[np.ndarray], Samples],
+    duration: float,
+    R0: np.ndarray | None,
+    name: str,
+    turn: np.ndarray | None = None,
+) -> Reference:
+    """Reference along path(s), s in 0..1, with s = law(t / duration); turn: rotation vector in the frame R0, times s."""
+    duration = positive(duration, "duration [s]")
+    return Reference(partial(_along, path, law, duration, R0, turn), duration, position_only=R0 is None, name=name)
+
+
+def _along(
+    path: Callable, law: Callable, duration: float, R0: np.ndarray | None, turn: np.ndarray | None, t: np.ndarray
+) -> Samples:
+    s, s1, s2 = law(t / duration)
+    s1, s2 = (s1 / duration)[:, None], (s2 / duration**2)[:, None]
+    p, p1, p2 = path(s)
+    T, V, A = still(len(t), R0)
+    T[:, :3, 3] = p
+    V[:, :3] = p1 * s1
+    A[:, :3] = p2 * s1**2 + p1 * s2
+    if turn is not None and R0 is not None:
+        T[:, :3, :3] = R0 @ exp(s[:, None] * turn)
+        V[:, 3:] = (R0 @ turn) * s1
+        A[:, 3:] = (R0 @ turn) * s2
+    return T, V, A
+
+
+def still(count: int, R0: np.ndarray | None) -> Samples:
+    """Samples of a tip that rests at the origin with the rotation R0 (none: identity); shapes write their motion over it."""
+    T = np.zeros((count, 4, 4))
+    T[:, :3, :3] = np.eye(3) if R0 is None else R0
+    T[:, 3, 3] = 1.0
+    return T, np.zeros((count, 6)), np.zeros((count, 6))
+
+
+def exp(w: np.ndarray) -> np.ndarray:
+    """Rotations (N, 3, 3) of rotation vectors (N, 3)."""
+    angle = np.linalg.norm(w, axis=1)[:, None, None]
+    K = np.zeros((len(w), 3, 3))
+    K[:, 0, 1], K[:, 0, 2], K[:, 1, 2] = -w[:, 2], w[:, 1], -w[:, 0]
+    K -= np.swapaxes(K, 1, 2)
+    half = np.sinc(angle / (2 * np.pi))  # sin(x/2) / (x/2)
+    return np.eye(3) + np.sinc(angle / np.pi) * K + 0.5 * half * half * (K @ K)
+
+
+def log(R: np.ndarray) -> np.ndarray:
+    """Rotation vector (3,) of a rotation (3, 3)."""
+    import pinocchio as pin
+
+    return pin.log3(np.asarray(R))
+
+
+def split(target: Any) -> tuple[np.ndarray, np.ndarray | None]:
+    """Position (3,) and rotation (3, 3), None when it is free, of a target. Raises InvalidTarget."""
+    T, _ = check_target(target)
+    return (T, None) if T.ndim == 1 else (T[:3, 3].copy(), T[:3, :3].copy())

@@ -1,0 +1,114 @@
+"""References along simple shapes: line, circle, Lissajous figure."""
+
+from collections.abc import Sequence
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from ..errors import InvalidOption, InvalidTarget, floats, whole
+from ..robot.pose import check_target
+from ..validate import number, positive
+from .reference import Reference, Samples, law_of, log, on_path, split
+
+
+def line(start: Any, end: Any, *, duration: float, law: str = "constant", rounds: int = 0) -> Reference:
+    """Straight line from start to end (both poses or both positions, base frame [m]), the orientation turning about one axis.
+
+    duration [s]. law: "constant" speed or "minimum-jerk" (rest to rest). rounds > 0 goes there and back that many times, with s =
+    (1 - cos) / 2, so the line is retraced and the speed is zero at both ends; law is then not used. Raises InvalidTarget,
+    InvalidOption.
+    """
+    (p0, R0), (p1, R1) = split(start), split(end)
+    if (R0 is None) != (R1 is None):
+        raise InvalidTarget("a line needs two poses or two positions, not one of each")
+    turn = log(R0.T @ R1) if R0 is not None and R1 is not None else None
+    d = p1 - p0
+    rounds = whole(rounds, "rounds", 0)
+    pace = partial(_there_and_back, 2 * np.pi * rounds) if rounds else law_of(law)
+    return on_path(partial(_straight, p0, d), pace, duration, R0, "line", turn)
+
+
+def _straight(p: np.ndarray, d: np.ndarray, s: np.ndarray) -> Samples:
+    return p + s[:, None] * d, np.broadcast_to(d, (len(s), 3)), np.zeros((len(s), 3))
+
+
+def _there_and_back(k: float, x: np.ndarray) -> Samples:
+    return 0.5 * (1 - np.cos(k * x)), 0.5 * k * np.sin(k * x), 0.5 * k * k * np.cos(k * x)
+
+
+def circle(
+    start: Any = None,
+    radius: float = 0.1,
+    *,
+    center: Any = None,
+    normal: Sequence[float] = (0.0, 0.0, 1.0),
+    turns: float = 1.0,
+    duration: float = 10.0,
+    law: str = "constant",
+) -> Reference:
+    """Circle of `radius` [m] about `normal` (base axes), counter-clockwise for turns > 0, at a fixed orientation.
+
+    Give start (the tip's first pose or position; the centre lies `radius` back along the base x axis laid into the plane,
+    y where x is the normal) or center (the start is then `radius` ahead of it). All turns take duration [s]; law as in `line`.
+    Raises InvalidTarget, InvalidOption.
+    """
+    if (start is None) == (center is None):
+        raise InvalidOption("a circle needs either start= or center=")
+    radius = positive(radius, "radius [m]")
+    p, R0 = split(start if center is None else center)
+    u, w = plane(normal)
+    c = p - radius * u if center is None else p
+    k = 2 * np.pi * number(turns, "turns")
+    return on_path(partial(_round, c, radius, u, w, k), law_of(law), duration, R0, "circle")
+
+
+def _round(c: np.ndarray, radius: float, u: np.ndarray, w: np.ndarray, k: float, s: np.ndarray) -> Samples:
+    x, y = radius * np.cos(k * s)[:, None] * u, radius * np.sin(k * s)[:, None] * w
+    x1, y1 = radius * np.sin(k * s)[:, None] * u, radius * np.cos(k * s)[:, None] * w
+    return c + x + y, k * (y1 - x1), -k * k * (x + y)
+
+
+def plane(normal: Sequence[float]) -> tuple[np.ndarray, np.ndarray]:
+    """Two unit vectors across `normal`, the first as near to base x as possible (y where x is the normal)."""
+    n = check_target(normal)[0]
+    if n.shape != (3,) or not np.linalg.norm(n) > 1e-12:
+        raise InvalidOption(f"normal must be a direction of 3 numbers, not {normal!r}")
+    n = n / np.linalg.norm(n)
+    axis = np.array([1.0, 0.0, 0.0]) if abs(n[0]) < 0.99 else np.array([0.0, 1.0, 0.0])
+    u = axis - (axis @ n) * n
+    u /= np.linalg.norm(u)
+    return u, np.cross(n, u)
+
+
+def lissajous(
+    center: Any,
+    amplitudes: Sequence[float] = (0.1, 0.1, 0.0),
+    *,
+    cycles: Sequence[float] = (1.0, 2.0, 1.0),
+    phases: Sequence[float] = (0.0, 0.0, 0.0),
+    duration: float = 10.0,
+    law: str = "constant",
+) -> Reference:
+    """Lissajous figure about `center` (pose or position): along each base axis amplitude times sin(2 pi cycles s + phase).
+
+    amplitudes (3,) [m], cycles (3,), phases (3,) [rad]; s goes from 0 to 1 in duration [s], law as in `line`. The default is a
+    figure of eight in the horizontal plane through the centre. Raises InvalidTarget, InvalidOption.
+    """
+    p, R0 = split(center)
+    amp, cyc, pha = (
+        _three(x, name) for x, name in ((amplitudes, "amplitudes"), (cycles, "cycles"), (phases, "phases"))
+    )
+    return on_path(partial(_swinging, p, amp, 2 * np.pi * cyc, pha), law_of(law), duration, R0, "lissajous")
+
+
+def _swinging(p: np.ndarray, amp: np.ndarray, k: np.ndarray, phase: np.ndarray, s: np.ndarray) -> Samples:
+    angle = k * s[:, None] + phase
+    return p + amp * np.sin(angle), amp * k * np.cos(angle), -amp * k * k * np.sin(angle)
+
+
+def _three(values: Sequence[float], name: str) -> np.ndarray:
+    array = floats(values, f"{name} must be 3 numbers, one per base axis", InvalidOption)
+    if array.shape != (3,) or not np.isfinite(array).all():
+        raise InvalidOption(f"{name} must be 3 finite numbers, one per base axis, not {values!r}")
+    return array

@@ -1,0 +1,1 @@
+"""Burrell et al. 2016, reproduced."""

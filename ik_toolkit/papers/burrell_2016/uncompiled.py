@@ -1,0 +1,162 @@
+"""The methods timed by Burrell et al. (2016) in plain form: J+ without singular values, and all of them in numpy.
+
+The interpreted versions (4x4 products, one goal at a time) exist to compare costs in an interpreter, as the paper did in
+MATLAB; the toolkit's solvers do not use them.
+"""
+
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+from ...kernel.algebra import V3, Sym3
+from ...robot.formats.dh import read_dh_table
+from ...robot.library import find
+from ...robot.robot import Robot
+from ...solvers.protocol import Asked, rule
+from ...solvers.rules.state_space import StateSpace
+
+LIMIT = 1000  # iterations
+NEAR_SINGULAR = (
+    1e-8  # det(JJ') over (trace / 3)^3: above a condition number of J of about 1e4 the inverse is inaccurate
+)
+
+
+@rule
+class PlainPinv(NamedTuple):
+    """Pseudo-inverse for positions by dq = J'(JJ')^-1 e, eq. (8); by singular values near a singularity.
+
+    rcond: singular values below this share of the largest count as zero there.
+    """
+
+    rcond: float = 1e-8
+
+    def refuses(self, asked: Asked) -> str:
+        """Why it cannot solve the task, or ''."""
+        return "" if asked.rows == 3 else f"is for positions in space, and this task has {asked.rows} rows"
+
+    def step(self, p, e):
+        s = p.desk
+        gram = Sym3(0.0, 0.0, 0.0, 0.0, 0.0, 0.0)  # JJ'
+        for i in range(s.dq.shape[0]):
+            u = V3(s.J[i, 0], s.J[i, 1], s.J[i, 2])
+            gram = gram.plus(u, u)
+        mean = (gram.xx + gram.yy + gram.zz) / 3.0
+        if gram.determinant() > NEAR_SINGULAR * mean * mean * mean:
+            f = gram.factors()
+            y = f.back(f.scaled(f.forward(e.linear)))
+            for i in range(s.dq.shape[0]):
+                s.dq[i] = V3(s.J[i, 0], s.J[i, 1], s.J[i, 2]).dot(y)
+        else:
+            p.pseudo(e, self.rcond)
+        return 0
+
+
+# --------------------------------------------------------------------------------------------------------- interpreted
+class Interpreted:
+    """The methods in numpy on a robot with a D-H table: `run(name, goal, start, tolerance)` returns whether it converged."""
+
+    def __init__(self, robot: Robot) -> None:
+        """Read the D-H rows, and the matrices of the tuned one-map state-space solver."""
+        path = find(robot.name).path
+        assert path is not None
+        rows = read_dh_table(path.parent / "dh" / f"{robot.name}.toml").rows
+        self.joints = [(row.theta, row.d, row.a, math.cos(row.alpha), math.sin(row.alpha)) for row in rows]
+        self.lower, self.upper = robot.lower, robot.upper
+        tuned = StateSpace.preset("hydrolek-7w-one-map")
+        self.A, self.B, self.C = (np.asarray(part, dtype=float) for part in (tuned.A, tuned.B, tuned.C))
+        self.own_start = np.asarray(tuned.starts, dtype=float)[0]
+        self.steps: dict[str, Callable[[list[np.ndarray], np.ndarray], np.ndarray]] = {
+            "J+": lambda frames, e: np.linalg.pinv(jacobian(frames)) @ e,
+            "J+, plain": self._plain,
+            "J^T": self._transpose,
+            "DLS, clipped": self._damped,
+        }
+        self.names = (*self.steps, "IK-PID", "state space")
+
+    def frames(self, q: np.ndarray) -> list[np.ndarray]:
+        """Frames 0 to n."""
+        T = np.eye(4)
+        found = [T]
+        for (offset, d, a, ca, sa), x in zip(self.joints, q.tolist(), strict=True):
+            c, s = math.cos(x + offset), math.sin(x + offset)
+            T = T @ np.array([[c, -s * ca, s * sa, a * c], [s, c * ca, -c * sa, a * s], [0, sa, ca, d], [0, 0, 0, 1]])
+            found.append(T)
+        return found
+
+    def run(self, name: str, goal: np.ndarray, start: np.ndarray, tolerance: float) -> bool:
+        """Solve one goal (3,) [m] from `start` (n,); the state-space solver has its own start."""
+        if name == "IK-PID":
+            return self._pid(goal, start, tolerance)
+        step = self.steps.get(name)
+        q, x = (self.own_start if step is None else start).copy(), np.zeros(len(start))
+        for _ in range(LIMIT):
+            frames = self.frames(q)
+            e = goal - frames[-1][:3, 3]
+            if math.sqrt(e @ e) < tolerance:
+                return True
+            if step is None:
+                dq = self.C @ x
+                x = self.A @ x + self.B @ e
+            else:
+                dq = step(frames, e)
+            new = np.minimum(np.maximum(q + dq, self.lower), self.upper)
+            if step is not None and np.abs(new - q).max() < 1e-9:
+                return False
+            q = new
+        return False
+
+    def _pid(self, goal: np.ndarray, start: np.ndarray, tolerance: float) -> bool:
+        """Algorithm I with the published gains (mm, degrees)."""
+        kp, ki, kd = (gain * 1000.0 * math.pi / 180.0 for gain in (0.012, 1e-7, 0.08))
+        q = start.copy()
+
+        def error(trial: np.ndarray) -> float:
+            e = goal - self.frames(trial)[-1][:3, 3]
+            return math.sqrt(e @ e)
+
+        now = last = error(q)
+        total = 0.0
+        for _ in range(LIMIT):
+            moved = False
+            for i in reversed(range(len(q))):
+                total += now
+                delta = kp * now + ki * total + kd * (now - last)
+                last = now
+                best = q
+                for trial in (q[i] + delta, q[i] - delta):
+                    other = q.copy()
+                    other[i] = min(max(trial, self.lower[i]), self.upper[i])
+                    value = error(other)
+                    if value < now:
+                        now, best, moved = value, other, True
+                q = best
+                if now < tolerance:
+                    return True
+            if not moved:
+                return False
+        return False
+
+    @staticmethod
+    def _plain(frames: list[np.ndarray], e: np.ndarray) -> np.ndarray:
+        J = jacobian(frames)
+        return J.T @ np.linalg.solve(J @ J.T, e)
+
+    @staticmethod
+    def _transpose(frames: list[np.ndarray], e: np.ndarray) -> np.ndarray:
+        J = jacobian(frames)
+        g = J.T @ e
+        h = J @ g
+        return (g @ g) / max(h @ h, 1e-300) * g
+
+    @staticmethod
+    def _damped(frames: list[np.ndarray], e: np.ndarray) -> np.ndarray:
+        J = jacobian(frames)
+        return J.T @ np.linalg.solve(J @ J.T + 0.01 * np.eye(3), e)  # 100 mm, squared
+
+
+def jacobian(frames: list[np.ndarray]) -> np.ndarray:
+    """Position Jacobian (3, n) from the frames of a chain of revolute joints."""
+    tip = frames[-1][:3, 3]
+    return np.array([np.cross(T[:3, 2], tip - T[:3, 3]) for T in frames[:-1]]).T

@@ -1,0 +1,1 @@
+"""Chinyai, reproduced."""

@@ -1,0 +1,339 @@
+"""Chinyai, "Numerical optimization - inverse kinematics in robotic manipulators": Newton-Raphson against the closed form.
+
+The paper claims that Newton-Raphson is faster on a planar two-link arm and prints no number: its section "Application" is
+empty. So the claim is tested here. Lengths in metres, angles in radians unless a name says otherwise.
+"""
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from ...robot.robot import Robot
+from ...solvers.solve import Solver
+from ..report import Report
+from ..timing import Work, rounds, spread
+from .figures import start_basins, target_basins
+from .formulas import (
+    ITERATIONS,
+    LEVENBERG,
+    LIMIT,
+    LONGEST,
+    NO_CLIP,
+    PLAIN,
+    SEARCH,
+    STEP,
+    TOLERANCE,
+    closed_form,
+    closed_form_all,
+    closed_form_numpy,
+    converge,
+    newton,
+    newton_all,
+    newton_numpy,
+    targets,
+)
+
+ROUNDS = 15
+
+
+def reproduce(count: int = 20_000, seed: int = 0) -> Report:
+    """Compute the report: `count` random targets for the convergence table."""
+    with Report("chinyai", "Chinyai: Newton-Raphson against the closed form, tested") as report:
+        report.text(
+            "The paper compares Newton-Raphson with the closed form of a planar two-link arm and concludes that Newton "
+            "is faster. It prints **no number**: no link lengths, start, tolerance, iteration count, machine or time, "
+            "and its section 'Application' is empty. So only the formulas and the claim can be checked; "
+            "both are tested here."
+        )
+        rng = np.random.default_rng(seed)
+        _formulas(report, rng, count)
+        ratio = _speed(report, rng)
+        _convergence(report, rng, count)
+        _failures(report, rng)
+        report.heading("Verdict")
+        slower = min(values.min() for values in ratio.values()) > 1.0
+        words = {name: spread(values) for name, values in ratio.items()}
+        report.text(
+            f"The claim {'does not hold' if slower else 'holds in part'} on this arm: in this run Newton-Raphson from a "
+            f"fixed start takes {words['compiled']} times as long as the closed form when both are compiled, "
+            f"{words['python']} times in plain Python and {words['numpy']} times in numpy, and still {words['warm']} times "
+            f"from a start 0.001 rad away (compiled; median [min-max] of {ROUNDS} rounds); and it returns one answer, or "
+            "none, where the closed form returns both. The other half of the argument holds: Newton needs only the "
+            "forward kinematics and the Jacobian, so it also serves arms without a closed form. The claim may "
+            "come from timing a symbolic solve of the two equations against a numeric loop."
+        )
+        _misprints(report)
+    return report
+
+
+def _formulas(report: Report, rng: np.random.Generator, count: int) -> None:
+    report.heading("The closed form as printed")
+    l1, l2 = 1.0, 0.8
+    X = targets(rng, count, l1, l2)
+    x, y = X.T
+    c2 = np.clip((x**2 + y**2 - l1**2 - l2**2) / (2 * l1 * l2), -1, 1)
+    rows = []
+
+    def correct(theta_1: np.ndarray, theta_2: np.ndarray) -> float:
+        reached = np.column_stack(
+            [
+                l1 * np.cos(theta_1) + l2 * np.cos(theta_1 + theta_2),
+                l1 * np.sin(theta_1) + l2 * np.sin(theta_1 + theta_2),
+            ]
+        )
+        return 100.0 * float(np.mean(np.linalg.norm(reached - X, axis=1) < 1e-9))
+
+    for sign, name in ((-1.0, "upper"), (1.0, "lower")):
+        t2 = sign * np.arccos(c2)
+        literal, signed = 1 - c2**2, np.sin(t2)  # (2) prints sqrt((1 - cos^2)) squared
+        rows.append(
+            [
+                f"(4), (5), {name} signs, sine as printed in (2)",
+                correct(np.arctan(y / x) + sign * np.arctan(l2 * literal / (l1 + l2 * c2)), t2),
+            ]
+        )
+        rows.append(
+            [
+                f"(4), (5), {name} signs, sin(theta_2) with its sign",
+                correct(np.arctan(y / x) + sign * np.arctan(l2 * signed / (l1 + l2 * c2)), t2),
+            ]
+        )
+        rows.append(
+            [
+                f"the same with atan2 for both arctan, {name} signs",
+                correct(np.arctan2(y, x) + sign * np.arctan2(l2 * signed, l1 + l2 * c2), t2),
+            ]
+        )
+        rows.append(
+            [
+                f"corrected (always minus, signed sine, atan2), {name} sign of theta_2",
+                correct(np.arctan2(y, x) - np.arctan2(l2 * signed, l1 + l2 * c2), t2),
+            ]
+        )
+    report.table("formulas", ["formulas", "targets reached (%)"], rows)
+    report.text(
+        f"{count} targets uniform over the reach of links 1 and 0.8, reached within 1e-9. In (4) and (5) only "
+        "the upper signs are right: the sine already carries the sign of theta_2. (1), (8) and (9) "
+        "are right; det J = l1 l2 sin(theta_2)."
+    )
+
+
+def _measure(rng: np.random.Generator) -> tuple[dict[str, np.ndarray], dict[str, tuple[float, float]]]:
+    """Times [s] by implementation and start; mean steps and converged share [%] by start."""
+    l1, l2, n, few = 1.0, 0.8, 20_000, 200
+    X = targets(rng, n, l1, l2)
+    both, out = np.empty((n, 4)), np.empty((n, 4))
+    closed_form_all(X, l1, l2, both)
+    fixed = np.array([[math.radians(45.0), math.radians(90.0)]])
+    starts = {"fixed": fixed}
+    for name, away in (("0.01", 0.01), ("0.001", 0.001)):
+        starts[name] = both[:, :2] + rng.uniform(-away, away, (n, 2))
+    python_closed = getattr(closed_form, "py_func", closed_form)
+    python_newton = getattr(newton, "py_func", newton)
+    tolerance = TOLERANCE * (l1 + l2)
+
+    def loop(function: Callable, start: np.ndarray | None, *rest: Any) -> Callable[[], None]:
+        arguments = [
+            (float(x), float(y), l1, l2, *(() if start is None else start[i % len(start)].tolist()), *rest)
+            for i, (x, y) in enumerate(X[:few])
+        ]
+
+        def run() -> None:
+            for a in arguments:
+                function(*a)
+
+        return run
+
+    arm = Robot.load("planar_2r")
+    tips = arm.chain.forward(np.array([arm.random_q(rng) for _ in range(few)]))[0][:, :3, 3].copy()
+
+    def calls(solver: Solver) -> Callable[[], None]:
+        def run() -> None:
+            for tip in tips:
+                solver(tip)
+
+        return run
+
+    extra = (PLAIN, NO_CLIP, tolerance, ITERATIONS)
+    works: dict[str, Work] = {
+        "compiled, closed form": (lambda: closed_form_all(X, l1, l2, both), n),
+        "python, closed form": (loop(python_closed, None), few),
+        "numpy, closed form": (loop(closed_form_numpy, None), few),
+        "toolkit, closed form": (calls(Solver(arm, "planar-2r")), few),
+        "toolkit, fixed": (calls(Solver(arm, "newton")), few),
+    }
+    counts: dict[str, tuple[float, float]] = {}
+    for name, start in starts.items():
+        works[f"compiled, {name}"] = (lambda start=start: newton_all(X, l1, l2, start, PLAIN, NO_CLIP, out), n)
+        works[f"python, {name}"] = (loop(python_newton, start, *extra), few)
+        works[f"numpy, {name}"] = (loop(newton_numpy, start), few)
+        row = converge(X, l1, l2, start, PLAIN)
+        good = row[:, 2] >= 0
+        counts[name] = (float(row[good, 2].mean()), 100.0 * float(good.mean()))
+    return rounds(works, ROUNDS), counts
+
+
+def _speed(report: Report, rng: np.random.Generator) -> dict[str, np.ndarray]:
+    """Add the table of times; returns Newton over closed form by round: compiled, Python, numpy, and compiled from a warm start."""
+    report.heading("Time per solve")
+    times, counts = _measure(rng)
+    rows = []
+    for key, label in (
+        ("compiled", "compiled (numba), both branches"),
+        ("python", "plain Python"),
+        ("numpy", "numpy, small arrays"),
+    ):
+        rows.append([label, "-", *(spread(1e6 * times[f"{key}, {name}"]) for name in ("closed form", *counts))])
+    rows.append(
+        [
+            "the toolkit's bound solvers from Python",
+            "-",
+            spread(1e6 * times["toolkit, closed form"]),
+            spread(1e6 * times["toolkit, fixed"]),
+            "-",
+            "-",
+        ]
+    )
+    report.table(
+        "time_us",
+        [
+            "implementation",
+            "published",
+            "closed form (us)",
+            "Newton, start (45, 90) deg (us)",
+            "start within 0.01 rad (us)",
+            "start within 0.001 rad (us)",
+        ],
+        rows,
+    )
+    words = "; ".join(
+        f"{name}: {k:.1f} steps on average where it converges, {share:.1f} % do" for name, (k, share) in counts.items()
+    )
+    report.text(
+        f"Median [min-max] of {ROUNDS} interleaved rounds, processor time, on this machine; links 1 "
+        "and 0.8 (toolkit row: 1 and 1, from home), "
+        f"tolerance 1e-10 of the reach, at most {ITERATIONS} steps. Newton by start: {words}. The toolkit's row "
+        "includes validation and the result object, the same for both."
+    )
+    pairs = {"compiled": "fixed", "python": "fixed", "numpy": "fixed", "warm": "0.001"}
+    ratio = {}
+    for name, start in pairs.items():
+        kind = "compiled" if name == "warm" else name
+        ratio[name] = times[f"{kind}, {start}"] / times[f"{kind}, closed form"]
+    report.number("newton_over_closed_form", ratio)
+    return ratio
+
+
+STARTS = {  # arm (l1, l2) -> starts in degrees
+    (1.0, 1.0): ((0.0, 5.7), (0.0, 0.06), (28.6, 28.6), (0.0, 90.0), (45.0, 90.0), (0.0, 143.0), (0.0, 0.0)),
+    (1.0, 0.6): ((0.0, 5.7), (45.0, 90.0), (0.0, 143.0), (0.0, 0.0)),
+}
+
+
+def _convergence(report: Report, rng: np.random.Generator, count: int) -> None:
+    report.heading("Where Newton converges")
+    rows = []
+    for (l1, l2), starts in STARTS.items():
+        X = targets(rng, count, l1, l2)
+        for start in starts:
+            q0 = np.radians(start)
+            row: list[Any] = [f"{l1:g}, {l2:g}", f"{start[0]:g}, {start[1]:g}"]
+            for kind, clip in (
+                (PLAIN, NO_CLIP),
+                (SEARCH, NO_CLIP),
+                (LEVENBERG, NO_CLIP),
+                (STEP, NO_CLIP),
+                (PLAIN, LIMIT),
+                (STEP, LIMIT),
+            ):
+                row.append(100.0 * float(np.mean(converge(X, l1, l2, q0, kind, clip)[:, 2] >= 0)))
+            rows.append(row)
+    head = ["l1, l2", "start (deg)", "plain", "search", "LM", "step", "plain + clip", "step + clip"]
+    report.table("convergence", head, rows)
+    X = targets(rng, count, 1.0, 1.0)
+    both = np.empty((count, 4))
+    closed_form_all(X, 1.0, 1.0, both)
+    both = np.remainder(both + math.pi, 2 * math.pi) - math.pi
+    legal = (np.abs(both[:, :2]).max(axis=1) <= LIMIT) | (np.abs(both[:, 2:]).max(axis=1) <= LIMIT)
+    share = report.number("closed_form_inside_limits_percent", 100.0 * float(legal.mean()))
+    report.text(
+        f"Percent of {count} targets, uniform over the reach, solved to 1e-10 in at most {ITERATIONS} steps; "
+        "published: nothing. search: the step is halved until the error falls; LM: Levenberg-Marquardt; step: at "
+        f"most {LONGEST} rad a joint; clip: joints cut to +-150 deg after each step. With those limits the two "
+        f"branches of the closed form, filtered, solve {share:.1f} % of the targets of the arm 1, 1: all that can be "
+        "solved."
+    )
+    report.figure(
+        "targets.png",
+        "Links 1 and 1, start (45, 90) deg, marked: which of the two solutions each target of the workspace leads "
+        "to. Plain Newton fails in the white regions and jumps between the branches; clipping at limits loses more.",
+        target_basins(converge, LIMIT),
+    )
+    report.figure(
+        "starts.png",
+        "Links 1 and 1, target (1.1, 0.6): the basins of the two solutions over all starting angles. Plain Newton's "
+        "are endlessly interleaved near theta_2 = 0 and 180 deg, where det J = 0.",
+        start_basins(converge, (1.1, 0.6)),
+    )
+
+
+def _failures(report: Report, rng: np.random.Generator) -> None:
+    report.heading("How it fails")
+    X = targets(rng, 20_000, 1.0, 1.0)
+    out = converge(X, 1.0, 1.0, np.radians((0.0, 0.06)), PLAIN)
+    good = out[:, 2] >= 0
+    outside = 100.0 * float(np.mean(np.abs(out[good, :2]).max(axis=1) > math.pi))
+    other = 100.0 * float(np.mean(np.sin(out[good, 1]) < 0))
+    border = {r: converge(np.array([[r, 0.0]]), 1.0, 1.0, np.radians((45.0, 90.0)), SEARCH)[0] for r in (2.0, 1.9)}
+    angle = rng.uniform(-np.pi, np.pi, 2000)
+    far = 2.4 * np.column_stack([np.cos(angle), np.sin(angle)])
+    lost = {kind: converge(far, 1.0, 1.0, np.radians((45.0, 90.0)), kind) for kind in (PLAIN, LEVENBERG)}
+    line = converge(np.array([[1.2, 0.0]]), 1.0, 1.0, (0.0, 0.0), LEVENBERG)[0]
+    rows = [
+        [
+            "start with theta_2 = 0 or 180 deg",
+            "det J = 0: no step exists; LM leaves it, "
+            + ("and " if line[2] >= 0 else "but not ")
+            + "for a target on the arm's own line",
+        ],
+        [
+            "start with small sin(theta_2), (0, 0.06) deg",
+            f"huge first step: {outside:.0f} % of the answers lie outside +-180 deg, {other:.0f} % in the other "
+            "elbow branch",
+        ],
+        [
+            "target on the border, r = l1 + l2",
+            f"double root: {abs(int(border[2.0][2]))} steps against {int(border[1.9][2])} at r = 1.9, theta_2 off by "
+            f"{abs(border[2.0][1]):.1e} rad",
+        ],
+        [
+            "unreachable target, r = 2.4",
+            f"plain Newton never stops: |e| = {np.median(lost[PLAIN][:, 3]):.2f} m at the end (best possible 0.40), "
+            f"angles up to {np.abs(lost[PLAIN][:, :2]).max():.0e} rad; LM ends at "
+            f"{np.median(lost[LEVENBERG][:, 3]):.2f} m",
+        ],
+    ]
+    report.table("failures", ["case", "what happens"], rows)
+    report.number("lm_unreachable_median_error", float(np.median(lost[LEVENBERG][:, 3])))
+
+
+def _misprints(report: Report) -> None:
+    report.heading("Misprints")
+    rows = [
+        ["(2) sin(theta_2) = sqrt((1 - cos^2))^2", "that is the square of the sine", "+-sqrt(1 - cos^2)"],
+        ["(3) theta_1 = gamma - beta", "for theta_2 > 0 only", "gamma - atan2(l2 s2, l1 + l2 c2), s2 signed"],
+        ["(4), (5) paired signs", "the lower ones are wrong", "always minus, s2 signed"],
+        [
+            "arctan(y/x), arctan(a2 s2/(a1 + a2 c2))",
+            "wrong quadrant for a negative denominator, undefined at 0",
+            "atan2",
+        ],
+        ["a1, a2 beside l1, l2", "two names for one thing", "l1, l2"],
+        ["'error = desired - current joint angles'", "contradicts (9)", "position error f(theta) - x_d"],
+        ["(6) (x - x_n)", "not the residual", "f(theta_n) - x_d, as (9)"],
+        ["'minimise'", "(7) looks for a root; where there is none it wanders", "reach test, or Levenberg-Marquardt"],
+        ["stop rule, singular case, reach test, numbers", "absent", "above"],
+    ]
+    report.table("misprints", ["published", "what is wrong", "reading used"], rows)

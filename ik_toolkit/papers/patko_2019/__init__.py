@@ -1,0 +1,1 @@
+"""Patko and Zelei 2019, reproduced."""

@@ -1,0 +1,179 @@
+"""Patko and Zelei (2019): the published systems, gains and paths, and measures of a run on them."""
+
+import functools
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ...servo import stability as st
+from ...servo.methods import Run, System, simulate
+
+Path = Callable[[float], tuple[np.ndarray, np.ndarray, np.ndarray]]
+FRACTIONS = np.linspace(0.1, 0.9, 9)
+# Methods by their names in the report; aad is ours.
+METHODS: dict[str, tuple[str, dict[str, Any]]] = {
+    "cv": ("cv", {}),
+    "av": ("av", {}),
+    "ca": ("ca", {}),
+    "aa1": ("aa", {"reading": 1}),
+    "aa2": ("aa", {"reading": 2}),
+    "aa3": ("aa", {"reading": 3}),
+    "aad": ("aad", {"gamma": 0.6}),
+}
+
+
+@dataclass(frozen=True)
+class GainSet:
+    """One published gain set: h [s], kappa [1/s], kp [1/s^2], kd [1/s], the paper's verdict and figure."""
+
+    name: str
+    h: float
+    kappa: float
+    kp: float
+    kd: float
+    paper: str
+    where: str
+
+
+SETS = {
+    "1-DoF": GainSet("1-DoF", 0.12, 5.5, 110.0, 6.5, "stable", "Fig. 4"),
+    "PP bad": GainSet("PP bad", 0.0628, 17.0, 400.0, 6.0, "unstable", "Figs. 5, 6 left"),
+    "PP good": GainSet("PP good", 0.0628, 11.5, 365.0, 12.5, "stable", "Figs. 5, 6 right"),
+    "RR bad": GainSet("RR bad", 0.2, 5.0, 61.0, 3.8, "unstable", "Figs. 7, 8 left"),
+    "RR good": GainSet("RR good", 0.2, 3.25, 40.0, 4.0, "stable", "Figs. 7, 8 right"),
+}
+
+
+# ------------------------------------------------------------------------------------------------ the three systems
+def one_dof(c: float = 0.2) -> System:
+    """Eq. (37): r = c + sqrt(q), not defined for q < 0."""
+    return System(
+        lambda q: c + np.sqrt(q),
+        lambda q: np.array([[0.5 / np.sqrt(q[0])]]),
+        lambda q, x, y: np.array([-0.25 * q[0] ** -1.5 * x[0] * y[0]]),
+    )
+
+
+def pp_arm(length: float = 0.5) -> System:
+    """Eq. (38): two perpendicular prismatic joints."""
+    return System(lambda q: length + q, lambda q: np.eye(2), lambda q, x, y: np.zeros(2))
+
+
+def rr_arm(length: float = 1.0) -> System:
+    """Eq. (43): two links, both angles measured from the base."""
+    return System(
+        lambda q: length * np.array([np.cos(q).sum(), np.sin(q).sum()]),
+        lambda q: length * np.array([-np.sin(q), np.cos(q)]),
+        lambda q, x, y: -length * np.array([np.cos(q) @ (x * y), np.sin(q) @ (x * y)]),
+    )
+
+
+def rr_inverse(p: np.ndarray, length: float = 1.0) -> np.ndarray:
+    """Absolute angles of the RR arm at p, elbow to the left of the line (the second angle is the larger)."""
+    spread = np.arccos(np.hypot(p[0], p[1]) / (2.0 * length))
+    return np.arctan2(p[1], p[0]) + np.array([-spread, spread])
+
+
+def sine(t: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Eq. (36): r_d = a0 + a1 sin(w t), with its derivatives."""
+    a, w = 0.6, 0.28
+    s, c = np.sin(w * t), np.cos(w * t)
+    return np.array([1.2 + a * s]), np.array([a * w * c]), np.array([-a * w * w * s])
+
+
+def circle(center: tuple[float, float], radius: float, w: float) -> Path:
+    """Circle in the plane at w [rad/s], with its derivatives."""
+
+    def path(t: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        u = np.array([np.cos(w * t), np.sin(w * t)])
+        return center + radius * u, radius * w * np.array([-u[1], u[0]]), -radius * w * w * u
+
+    return path
+
+
+@dataclass(frozen=True)
+class Case:
+    """A system on a path: steps of a run, and its start for a given initial error (opposite in sign to target - actual)."""
+
+    system: System
+    path: Path
+    steps: int
+    start: Callable[[np.ndarray], np.ndarray]
+    offset: np.ndarray
+
+
+CASES = {
+    "1-DoF": Case(one_dof(), sine, 1870, lambda p: (p - 0.2) ** 2, np.array([0.1])),
+    "PP": Case(pp_arm(), circle((1.0, 1.0), 0.3, 1.0), 1000, lambda p: p - 0.5, np.array([0.1, -0.05])),
+    "RR": Case(rr_arm(), circle((1.0, 0.6), 0.35, 0.5), 630, rr_inverse, np.array([0.05, -0.05])),
+}
+
+
+def run(case: Case, gains: GainSet, key: str, offset: np.ndarray | float = 0.0, **changes: Any) -> Run:
+    """Run one method of METHODS on a case with an initial error of `offset` [m]; changes: h, steps, rate0."""
+    name, options = METHODS[key]
+    options = dict(options)
+    if name == "cv":
+        options["kappa"] = gains.kappa
+    elif name == "ca":
+        options.update(kp=gains.kp, kd=gains.kd)
+    options.update(changes)
+    h, steps = options.pop("h", gains.h), options.pop("steps", case.steps)
+    with np.errstate(all="ignore"):  # leaving the domain is reported, not warned about
+        return simulate(case.system, case.path, name, h, steps, case.start(case.path(0.0)[0] + offset), **options)
+
+
+@functools.cache
+def known_run(name: str, gains: GainSet, key: str, start: float = 0.0, **changes: Any) -> Run:
+    """Run a method on the case of that name, from `start` times its initial error; the same run is made once. Not to be changed."""
+    case = CASES[name]
+    return run(case, gains, key, start * case.offset, **changes)
+
+
+def settled(case: Case, made: Run) -> dict[str, float]:
+    """Largest and RMS error of the second half, RMS of the whole run, largest between samples (second half); NaN after a stop."""
+    if made.stopped:
+        return dict.fromkeys(("max", "rms", "rms_all", "dense"), np.nan)
+    e = np.linalg.norm(made.error, axis=1)
+    late = slice(len(e) // 2, None)
+    half = e[late]
+    later = made._replace(t=made.t[late], q=made.q[late], rate=made.rate[late], error=made.error[late])
+    dense = later.between(case.system, lambda t: case.path(t)[0], FRACTIONS)
+    return {
+        "max": float(half.max()),
+        "rms": float(np.sqrt((half**2).mean())),
+        "rms_all": float(np.sqrt((e**2).mean())),
+        "dense": float(dense.max()),
+    }
+
+
+def growth(case: Case, gains: GainSet, key: str, lap: float, disturbance: float = 1e-6) -> float:
+    """Largest factor by which a small disturbance is multiplied in one lap [s] of the moving target (Floquet multiplier).
+
+    The state (angles, and rates or the previous command if the method has them) is disturbed one component at a time at the
+    start of a lap; returns the spectral radius of the resulting matrix. h is adjusted to divide the lap.
+    """
+    steps = round(lap / gains.h)
+    h = lap / steps
+    q0 = case.start(case.path(0.0)[0])
+    n = len(q0)
+    rate0 = np.linalg.solve(case.system.jacobian(q0), case.path(0.0)[1])
+    command0 = rate0 if key == "cv" else run(case, gains, key, h=h, steps=1, rate0=rate0).command
+    sizes = {"cv": (0, 2), "av": (0,), "ca": (0, 1, 2)}.get(key, (0, 1))  # which of q, rate, command are states
+    start = np.concatenate([q0, rate0, command0])
+
+    def after_a_lap(state: np.ndarray) -> np.ndarray:
+        task = case.system.position(state[:n]) - case.path(0.0)[0]
+        made = run(case, gains, key, task, h=h, steps=steps, rate0=state[n : 2 * n], command0=state[2 * n :])
+        return np.concatenate([made.q[-1], made.rate[-1], made.command])
+
+    columns = [i + n * part for part in sizes for i in range(n)]
+    M = np.zeros((len(columns), len(columns)))
+    for j, column in enumerate(columns):
+        moved = [start.copy(), start.copy()]
+        moved[0][column] += disturbance
+        moved[1][column] -= disturbance
+        M[:, j] = ((after_a_lap(moved[0]) - after_a_lap(moved[1])) / (2.0 * disturbance))[columns]
+    return st.spectral_radius(M)

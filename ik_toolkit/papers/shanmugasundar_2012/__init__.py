@@ -1,0 +1,1 @@
+"""Shanmugasundar et al. 2012, reproduced."""

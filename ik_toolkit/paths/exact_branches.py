@@ -1,0 +1,207 @@
+"""All solutions of all poses, for two structures: three parallel axes, and six axes of which 2, 3, 4 are parallel and 5, 6 meet.
+
+The second is that of Universal Robots. Vectorised over poses: a path needs this to prove that it has the fewest
+reconfigurations. Source: the geometry of Hawkins (2013), "Analytic inverse kinematics for the Universal Robots UR-5/UR-10 arms",
+with screws instead of its tables.
+
+Joints with more than a full turn: copies of a track on other turns, and the turn chosen for each piece of a path.
+
+The limits of such a joint apply to a whole continuous piece: the total winding must fit. That cannot be seen from state to state,
+so paths are first searched without these limits. If the best one fits, nothing is lost; if not, the joint's tracks are copied to
+every turn, and its limits are enforced from state to state.
+"""
+
+from typing import Any
+
+import numpy as np
+
+from ..kernel.kinematics import TAU
+from ..solvers.closed_form.geometry import Screws, read_screws
+
+PARALLEL = 1e-6  # sine of the angle, and distance over the reach, that still count as zero
+DOUBTFUL = 1e-7  # nearness of a cosine to 1 or of a length to 0 at which two solutions merge, or a whole family exists
+EXACT = 1e-5  # [m, rad] largest errors of a solution: the precision to which models are written
+
+
+def solutions(robot: Any, T: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
+    """All solutions (N, K, n) of poses T (N, 4, 4), and whether these are certainly all (N,).
+
+    Limits and full turns are ignored; NaN where there are fewer. None for a robot of another structure.
+    """
+    s = None if robot.by_tip else read_screws(robot.chain)
+    if not isinstance(s, Screws) or not s.turns.all():
+        return None
+    made = None
+    with np.errstate(invalid="ignore", divide="ignore"):
+        if robot.n == 3 and _parallel(s.axis):
+            made = _planar(s, 0, T @ np.linalg.inv(s.T))
+        elif robot.n == 6 and _parallel(s.axis[1:4]) and not _parallel(s.axis[:2]):
+            meet = _meeting(s, robot.chain.reach)
+            made = None if meet is None else _arm(s, meet, T)
+    if made is None:
+        return None
+    Q, sure = made
+    reached = robot.chain.forward(np.nan_to_num(Q.reshape(-1, robot.n)))[0].reshape(*Q.shape[:2], 4, 4)
+    Q[np.abs(reached - T[:, None]).max(axis=(2, 3)) > EXACT] = np.nan
+    return Q, sure
+
+
+def _parallel(axes: np.ndarray) -> bool:
+    return bool(np.linalg.norm(np.cross(axes[1:], axes[0]), axis=1).max() < PARALLEL)
+
+
+def _meeting(s: Screws, reach: float) -> np.ndarray | None:
+    """Point where axes 5 and 6 meet, or None."""
+    across = np.cross(s.axis[4], s.axis[5])
+    size = np.linalg.norm(across)
+    if size < PARALLEL or abs((s.point[5] - s.point[4]) @ across) > PARALLEL * reach * size:
+        return None
+    along = np.cross(s.point[5] - s.point[4], s.axis[5]) @ across / size**2
+    return s.point[4] + along * s.axis[4]
+
+
+def _turn(axis: np.ndarray, angle: np.ndarray) -> np.ndarray:
+    """Rotations (N, 3, 3) about a unit axis."""
+    K = np.cross(axis, np.eye(3)).T
+    c, d = np.cos(angle)[:, None, None], np.sin(angle)[:, None, None]
+    return c * np.eye(3) + d * K + (1.0 - c) * np.outer(axis, axis)
+
+
+def _screw(s: Screws, i: int, angle: np.ndarray) -> np.ndarray:
+    """Transforms (N, 4, 4) of joint i at angles (N,)."""
+    made = np.tile(np.eye(4), (len(angle), 1, 1))
+    made[:, :3, :3] = _turn(s.axis[i], angle)
+    made[:, :3, 3] = s.point[i] - made[:, :3, :3] @ s.point[i]
+    return made
+
+
+def _wave(a: Any, b: Any, c: Any) -> tuple[list[np.ndarray], np.ndarray]:
+    """Both solutions of a cos q + b sin q = c, NaN where there is none, and where the count is certain."""
+    size = np.hypot(a, b)
+    cosine = c / size
+    swing = np.arccos(cosine)
+    middle = np.arctan2(b, a)
+    return [middle + swing, middle - swing], (size > DOUBTFUL) & (np.abs(np.abs(cosine) - 1.0) > DOUBTFUL)
+
+
+def _angle(axis: np.ndarray, start: np.ndarray, end: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Angles that rotate start onto end (N, 3) about a unit axis, and where these are certain."""
+    x = start - (start @ axis)[:, None] * axis
+    y = end - (end @ axis)[:, None] * axis
+    return np.arctan2(np.cross(x, y) @ axis, (x * y).sum(axis=1)), (x * x).sum(axis=1) > DOUBTFUL
+
+
+def _planar(s: Screws, k: int, E: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Solutions (N, 2, 3) of joints k, k + 1, k + 2, whose axes are parallel, for transforms E (N, 4, 4)."""
+    a, N = s.axis[k], len(E)
+    signs = np.sign(s.axis[k : k + 3] @ a)
+    first, second = (v - (v @ a) * a for v in np.diff(s.point[k : k + 3], axis=0))
+    r = E[:, :3, :3] @ s.point[k + 2] + E[:, :3, 3] - s.point[k]
+    r -= (r @ a)[:, None] * a
+    side = np.cross(a, np.eye(3)[np.argmin(np.abs(a))])
+    total, _ = _angle(a, np.tile(side, (N, 1)), E[:, :3, :3] @ side)
+    inside = 0.5 * ((r * r).sum(axis=1) - first @ first - second @ second)
+    elbows, sure = _wave(first @ second, first @ np.cross(a, second), inside)
+    Q = np.empty((N, 2, 3))
+    for j, elbow in enumerate(elbows):
+        shoulder, clear = _angle(a, first + _turn(a, elbow) @ second, r)
+        sure &= clear | np.isnan(elbow)
+        Q[:, j] = np.column_stack([shoulder, elbow, total - shoulder - elbow]) * signs
+    return Q, sure
+
+
+def _arm(s: Screws, w: np.ndarray, T: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Solutions (N, 8, 6) of six joints with axes 2, 3, 4 parallel and axes 5, 6 through w (3,)."""
+    a, N = s.axis, len(T)
+    D = T @ np.linalg.inv(s.T)
+    v = D[:, :3, :3] @ w + D[:, :3, 3] - s.point[0]
+    along = v @ a[0]
+    v -= along[:, None] * a[0]
+    firsts, sure = _wave(v @ a[1], -np.cross(a[0], v) @ a[1], a[1] @ (w - s.point[0]) - (a[1] @ a[0]) * along)
+    Q, place = np.full((N, 8, 6), np.nan), 0
+    tilt = a[5] - (a[4] @ a[5]) * a[4]
+    for q1 in firsts:
+        back = _screw(s, 0, -q1) @ D
+        R = back[:, :3, :3]
+        fifths, known = _wave(a[1] @ tilt, a[1] @ np.cross(a[4], a[5]), R @ a[5] @ a[1] - (a[1] @ a[4]) * (a[4] @ a[5]))
+        sure &= known | np.isnan(q1)
+        for q5 in fifths:
+            q6, known = _angle(a[5], np.swapaxes(R, 1, 2) @ a[1], _turn(a[4], -q5) @ a[1])
+            sure &= known | np.isnan(q5)
+            arm, known = _planar(s, 1, back @ _screw(s, 5, -q6) @ _screw(s, 4, -q5))
+            sure &= known | np.isnan(q5)
+            for j in range(2):
+                Q[:, place] = np.column_stack([q1, arm[:, j], q5, q6])
+                place += 1
+    return Q, sure
+
+
+ROUNDING = 1e-6  # rad: tracks are stored in single precision
+
+
+def alive(Q: np.ndarray, span: np.ndarray, limits: np.ndarray, joints: np.ndarray) -> np.ndarray:
+    """Which states (N, K) of the tracks Q (N, K, n) exist (spans (K, 2)) and keep the limits (2, n) of the given joints (n,)."""
+    t = np.arange(len(Q))[:, None]
+    there = (span[:, 0] <= t) & (t <= span[:, 1])
+    for i in np.flatnonzero(joints):
+        there &= (Q[:, :, i] >= limits[0, i] - ROUNDING) & (Q[:, :, i] <= limits[1, i] + ROUNDING)
+    return there
+
+
+def copies(Q: np.ndarray, span: np.ndarray, i: int, low: float, high: float) -> tuple[np.ndarray, np.ndarray]:
+    """Tracks and spans with joint i on every turn that lies inside its limits somewhere."""
+    t = np.arange(len(Q))[:, None]
+    there = (span[:, 0] <= t) & (t <= span[:, 1])
+    least = np.where(there, Q[:, :, i], np.inf).min(axis=0)
+    most = np.where(there, Q[:, :, i], -np.inf).max(axis=0)
+    first = np.ceil((low - ROUNDING - most) / TAU).astype(int)
+    last = np.floor((high + ROUNDING - least) / TAU).astype(int)
+    made, spans = [], []
+    for turn in range(int(first.min()), int(last.max()) + 1):
+        fits = (first <= turn) & (turn <= last)
+        part = Q[:, fits].copy()
+        part[:, :, i] += np.float32(TAU * turn)
+        made.append(part)
+        spans.append(span[fits])
+    return np.concatenate(made, axis=1), np.concatenate(spans)
+
+
+def unwound(
+    q: np.ndarray,
+    breaks: list[int],
+    free: np.ndarray,
+    limits: np.ndarray,
+    ends: tuple[np.ndarray | None, np.ndarray | None],
+    fixed: list[bool],
+) -> set[int]:
+    """Unwrap joints `free` (n,) of a path q (N, n) in place, piece by piece; returns the joints that do not fit their limits.
+
+    breaks: poses after which it reconfigures; limits (2, n), infinite for continuous joints. Each piece is put on the legal turn
+    nearest to the end of the previous one, the first on that nearest ends[0], the last, if fixed[1], on that of ends[1].
+    """
+    unfit: set[int] = set()
+    there = np.flatnonzero(np.isfinite(q[:, 0]))
+    if not len(there):
+        return unfit
+    cut = np.isin(there[:-1], breaks) | (np.diff(there) > 1)
+    pieces = np.split(there, np.flatnonzero(cut) + 1)
+    before = ends[0]
+    for k, piece in enumerate(pieces):
+        near, at, must = before, piece[0], k == 0 and fixed[0]
+        if piece is pieces[-1] and fixed[1] and not must:
+            near, at, must = ends[1], piece[-1], True
+        for i in np.flatnonzero(free):
+            q[piece, i] = np.unwrap(q[piece, i])
+            low, high = limits[:, i]
+            first = np.ceil((low - ROUNDING - q[piece, i].min()) / TAU)
+            last = np.floor((high + ROUNDING - q[piece, i].max()) / TAU)
+            aim = near[i] if near is not None else 0.5 * (low + high) if np.isfinite(high - low) else 0.0
+            turn = np.rint((aim - q[at, i]) / TAU)
+            if first > last or (must and not first <= turn <= last):
+                unfit.add(int(i))
+            q[piece, i] += TAU * np.clip(turn, first, max(first, last))
+            far = len(pieces) == 1 and fixed[0] and fixed[1] and abs(q[-1, i] - ends[1][i]) > np.pi  # pyright: ignore
+            if far and np.isfinite(high - low):
+                unfit.add(int(i))
+        before = q[piece[-1]]
+    return unfit

@@ -1,0 +1,344 @@
+"""The path through tracks of solutions with the fewest reconfigurations, and of these the cheapest: a dynamic program.
+
+A state is a track at a pose. From one pose to the next a path stays on its track, changes to one within reach of a step, or
+reconfigures: to any state at all, from the best of the pose before. So a layer costs the near pairs, not all pairs.
+
+Dynamic program over tracks, with lazy contact tests: test the best path, exclude what touches, repeat.
+"""
+
+import itertools
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from ..compile.jit import cached, inline, inner
+from ..kernel.kinematics import TAU
+
+DEAD, UNTESTED, FREE, TOUCHING = range(4)  # what is known of a state
+NONE = -1  # no parent; below that -2 - parent: a reconfiguration
+CONTACT = 1 << 20  # a pose in contact counts as this many reconfigurations: any number of them is better
+
+
+@inline
+def turned(d, endless):
+    """A coordinate, or a difference of two; of an endless joint without full turns."""
+    return d - TAU * np.rint(d / TAU) if endless > 0.0 and abs(d) > 0.5 * TAU else d
+
+
+@inner
+def step(Q, t, a, u, b, most, endless, price, near, enough):
+    """Cost of moving from state a to b; inf where that is `enough` or more.
+
+    Where these are not near states (near > 0), a joint moves further than it may.
+    """
+    total, over = 0.0, 0.0
+    for i in range(most.shape[0]):
+        d = abs(turned(float(Q[u, b, i]) - float(Q[t, a, i]), endless[i]))
+        if d > most[i]:
+            if near > 0:
+                return np.inf
+            over = 1.0
+        total += price[0, i] * d + price[1, i] * d * d
+        if total >= enough:
+            return np.inf
+    return total + over * price[2, 0]
+
+
+@inner
+def barred(blocked, low, high, a, b):
+    """Whether the edge from a to b is among blocked[low:high]."""
+    for k in range(low, high):
+        if blocked[k, 1] == a and blocked[k, 2] == b:
+            return True
+    return False
+
+
+@inner
+def window(keys, size, low):
+    """First place in keys[:size], ascending, that is not below `low`."""
+    a, b = 0, size
+    while a < b:
+        m = (a + b) // 2
+        if keys[m] < low:
+            a = m + 1
+        else:
+            b = m
+    return a
+
+
+@cached
+def link(Q, span, state, most, endless, price, begin, toll, blocked, axis, first, counts, costs, parents, prior):
+    """Fill counts (N, K), costs (N, K), parents (N, K) and prior (N,) from layer `first` on; those before stand.
+
+    Q (N, K, n): tracks, whole from span[k, 0] to span[k, 1]; state (N, K): DEAD, UNTESTED, FREE, TOUCHING; most (n,): largest
+    step; endless (n,): 1 where full turns do not count; price (3, n): of a joint's move, of its square, and (first) of a step
+    longer than it may be; begin (2, K): count and cost of starting on a track; toll (N, K): cost of a state; blocked (B, 3): edges
+    (pose they lead to, from, to) that are none, by pose; axis: the joint by which near states are looked up. prior[t]
+    is the layer the parents of t are in, -1 where t is the first with states; a layer without states has none.
+    """
+    N, K, _ = Q.shape
+    keys, order = np.empty(K), np.empty(K, np.int64)
+    near = np.empty(K, np.int64)
+    reach, round = most[axis], endless[axis]
+    last = -1
+    for t in range(first):
+        for k in range(K):
+            if state[t, k] != DEAD:
+                last = t
+                break
+    bar = 0
+    for t in range(first, N):
+        while bar < blocked.shape[0] and blocked[bar, 0] < t:
+            bar += 1
+        stop = bar
+        while stop < blocked.shape[0] and blocked[stop, 0] == t:
+            stop += 1
+        prior[t] = last
+        size, best = 0, -1
+        if last >= 0:
+            for a in range(K):
+                if parents[last, a] == NONE and prior[last] >= 0:
+                    continue
+                if state[last, a] == DEAD:
+                    continue
+                near[size] = a
+                size += 1
+                if (
+                    best < 0
+                    or counts[last, a] < counts[last, best]
+                    or (counts[last, a] == counts[last, best] and costs[last, a] < costs[last, best])
+                ):
+                    best = a
+            for j in range(size):
+                keys[j] = turned(float(Q[last, near[j], axis]), round)
+            ranks = np.argsort(keys[:size])
+            for j in range(size):
+                order[j] = near[ranks[j]]
+            for j in range(size):
+                keys[j] = turned(float(Q[last, order[j], axis]), round)
+        some = False
+        for b in range(K):
+            parents[t, b] = NONE
+            if state[t, b] == DEAD:
+                continue
+            some = True
+            if last < 0:
+                counts[t, b], costs[t, b] = int(begin[0, b]), begin[1, b]
+            else:
+                count, cost, parent = counts[last, best] + 1, costs[last, best] + price[2, 1], -2 - best
+                if last == t - 1:
+                    if state[last, b] != DEAD and span[b, 0] < t <= span[b, 1] and counts[last, b] <= count:
+                        c = costs[last, b] + step(Q, last, b, t, b, most, endless, price, 0, np.inf)
+                        if counts[last, b] < count or c < cost:
+                            if not barred(blocked, bar, stop, b, b):
+                                count, cost, parent = counts[last, b], c, b
+                    at = turned(float(Q[t, b, axis]), round)
+                    low = window(keys, size, turned(at - reach, round))
+                    for j in range(low, size if round == 0.0 else low + size):
+                        j -= size if j >= size else 0  # on an endless joint the first comes after the last
+                        if turned(keys[j] - at, round) > reach:
+                            break
+                        a = order[j]
+                        if a == b or counts[last, a] > count or (counts[last, a] == count and costs[last, a] >= cost):
+                            continue
+                        enough = np.inf if counts[last, a] < count else cost - costs[last, a]
+                        c = costs[last, a] + step(Q, last, a, t, b, most, endless, price, 1, enough)
+                        if c < np.inf and (counts[last, a] < count or c < cost):
+                            if not barred(blocked, bar, stop, a, b):
+                                count, cost, parent = counts[last, a], c, a
+                counts[t, b], costs[t, b], parents[t, b] = count, cost, parent
+            costs[t, b] += toll[t, b]
+            if state[t, b] == TOUCHING:
+                counts[t, b] += CONTACT
+        if some:
+            last = t
+        bar = stop
+
+
+LONG = 1e3  # cost of a step longer than allowed: more than the length of any path
+LEAP = 1.0  # cost of a reconfiguration in addition to its count; the move itself is not part of the path
+SUSPECT = 50.0  # toll on an untested state between two touching ones of its track, so that it is tried last
+HITS = 4  # touching states found before the program is run again for the first time
+SAMPLED, PAIRED = 5, 64  # poses and tracks sampled to choose the joint by which nearby states are looked up
+COARSE = 16  # every so many poses of a track are tested first
+
+
+class Program:
+    """Tracks Q (N, K, n) in kernel units, whole over span (K, 2), and the best path through them.
+
+    state (N, K): see kernel.path_link; begin, end (2, K): count and cost for a path that begins or ends on each track.
+    """
+
+    def __init__(self, Q: np.ndarray, span: np.ndarray, most: np.ndarray, endless: np.ndarray) -> None:
+        """Start with every state untested."""
+        N, K, _ = Q.shape
+        self.Q, self.span, self.most, self.endless = Q, span, most, endless.astype(float)
+        t = np.arange(N)[:, None]
+        self.state = np.where((t >= span[:, 0]) & (t <= span[:, 1]), UNTESTED, DEAD).astype(np.int8)
+        self.price = np.zeros((3, max(Q.shape[2], 2)))  # the last row holds two prices, whatever the number of joints
+        self.price[0] = 1.0
+        self.price[1] = 1.0 / most
+        self.price[2, :2] = LONG, LEAP
+        self.begin, self.end = np.zeros((2, K)), np.zeros((2, K))
+        self.toll = np.zeros((N, K), np.float32)
+        self.blocked: set[tuple[int, int, int]] = set()
+        self.counts, self.costs = np.zeros((N, K), np.int32), np.zeros((N, K))
+        self.parents, self.prior = np.full((N, K), NONE, np.int16), np.full(N, -1)
+        self.changed = 0  # first layer that must be run again
+        self.axis = self._telling()
+
+    def _telling(self) -> int:
+        """The joint in which the fewest sampled pairs of states are near each other."""
+        N, K, n = self.Q.shape
+        some = np.unique(np.linspace(0, N - 1, SAMPLED).astype(int))[:, None]
+        Q = self.Q[some, np.unique(np.linspace(0, K - 1, PAIRED).astype(int))] if K else np.zeros((1, 1, n))
+        d = Q[:, :, None] - Q[:, None]
+        d -= self.endless * TAU * np.rint(d / TAU)
+        return int(np.argmin((np.abs(d) <= self.most).mean(axis=(0, 1, 2))))
+
+    def run(self) -> None:
+        """Bring the program up to date."""
+        if self.changed >= len(self.Q):
+            return
+        blocked = np.array(sorted(self.blocked), dtype=np.int64).reshape(-1, 3)
+        link(
+            self.Q, self.span, self.state, self.most, self.endless, self.price, self.begin, self.toll, blocked, self.axis,
+            self.changed, self.counts, self.costs, self.parents, self.prior,
+        )  # fmt: skip
+        self.changed = len(self.Q)
+
+    def mark(self, t: int, k: int, touching: bool) -> None:
+        """Store the result of a contact test."""
+        self.state[t, k] = TOUCHING if touching else FREE
+        if touching:
+            self.changed = min(self.changed, t)
+
+    def best(self, t: int) -> tuple[int, int]:
+        """Track and count of the best path to layer t; -1 if there is none."""
+        alive = self.state[t] != DEAD
+        if not alive.any():
+            return -1, 0
+        last = t == len(self.Q) - 1
+        counts = self.counts[t] + (self.end[0] if last else 0)
+        costs = self.costs[t] + (self.end[1] if last else 0)
+        k = int(np.lexsort((costs, counts, ~alive))[0])
+        return k, int(counts[k])
+
+    def path(self, t: int) -> tuple[np.ndarray, np.ndarray]:
+        """Tracks (t + 1,) of the best path to layer t, -1 for a layer without one; and where it reconfigures, (t + 1,) bool."""
+        tracks, jumps = np.full(t + 1, -1), np.zeros(t + 1, dtype=bool)
+        while t >= 0 and not (self.state[t] != DEAD).any():
+            t -= 1
+        k = self.best(t)[0] if t >= 0 else -1
+        while t >= 0 and k >= 0:
+            tracks[t] = k
+            parent, t_before = int(self.parents[t, k]), int(self.prior[t])
+            if t_before < 0:
+                break
+            jumps[t] = parent < NONE
+            k, t = (-2 - parent if parent < NONE else parent), t_before
+        return tracks, jumps
+
+
+def middle_first(size: int) -> np.ndarray:
+    """Indices 0 ... size - 1 in bisection order: the ends first, then the middles in between."""
+    if size < 1:
+        return np.empty(0, dtype=int)
+    step, seen, order = 1 << max(0, (size - 1).bit_length()), np.zeros(size, dtype=bool), []
+    while step >= 1:
+        places = np.append(np.arange(0, size, step), size - 1)
+        places = places[~seen[places]]
+        order.extend(dict.fromkeys(places.tolist()))
+        seen[places] = True
+        step //= 2
+    return np.array(order)
+
+
+class Tester:
+    """Contact tests of a program's states, each at most once, within a budget of `left` tests."""
+
+    def __init__(self, collides: Callable[[Any], bool], unit: np.ndarray, budget: int) -> None:
+        """Test with collides(q) (n,) [rad, m]."""
+        self.collides, self.unit, self.left = collides, unit, budget
+        self.program: Any = None
+        self.looked = False  # whether contact occurred and all tracks were looked over
+
+    def of(self, program: Program) -> "Tester":
+        """Reuse the tester for a program whose first tracks are those of the previous one, whose results stay valid."""
+        if self.program is not None and np.shares_memory(self.program.Q, program.Q):  # otherwise the columns differ
+            K = self.program.state.shape[1]
+            known = self.program.state >= FREE
+            program.state[:, :K][known] = self.program.state[known]
+        self.program = program
+        if self.looked:
+            self.look_over()
+        return self
+
+    def touches(self, t: int, k: int) -> bool:
+        """Whether state k of layer t touches."""
+        p = self.program
+        if p.state[t, k] == UNTESTED and self.left > 0:
+            self.left -= 1
+            p.mark(t, k, self.collides(p.Q[t, k].astype(float) * self.unit))
+        return p.state[t, k] == TOUCHING
+
+    def look_over(self) -> None:
+        """Test every COARSE-th state of every track; states between two that touch are suspect."""
+        program, self.looked = self.program, True
+        for k, (low, high) in enumerate(program.span):
+            before = -1
+            for t in range(low + (-low) % COARSE, high + 1, COARSE):
+                touching = self.touches(t, k)
+                if touching and before >= 0:
+                    program.toll[before + 1 : t, k] = SUSPECT
+                before = t if touching else -1
+        program.changed = 0
+
+    def grow(self, t: int, k: int) -> None:
+        """After a hit, find how far along the track contact extends: by doubling steps, then by bisection."""
+        p = self.program
+        for way in (-1, 1):
+            edge = p.span[k, 0 if way < 0 else 1]
+            inside, step = t, 1
+            outside = edge + way
+            while inside != edge:
+                following = inside + way * min(step, abs(edge - inside))
+                if not self.touches(following, k):
+                    outside = following
+                    break
+                inside, step = following, 2 * step
+            while abs(outside - inside) > 1 and outside != edge + way:
+                half = (inside + outside) // 2
+                if self.touches(half, k):
+                    inside = half
+                else:
+                    outside = half
+            low, high = sorted((t, inside))
+            unknown = p.state[low : high + 1, k] == UNTESTED
+            p.toll[low : high + 1, k][unknown] = SUSPECT
+            if unknown.any():
+                p.changed = min(p.changed, low)
+
+
+def free_path(program: Program, tester: Tester) -> tuple[np.ndarray, np.ndarray]:
+    """Best path whose states are all tested, or the best so far when the budget runs out; see `Program.path`."""
+    N = len(program.Q)
+    order = middle_first(N)
+    for most in itertools.count(HITS):  # more hits per round the longer it takes
+        program.run()
+        tracks, jumps = program.path(N - 1)
+        hits = 0
+        for t in order:
+            k = int(tracks[t])
+            if k >= 0 and program.state[t, k] == UNTESTED:
+                if tester.touches(t, k):
+                    tester.grow(t, k)
+                    hits += 1
+                    if hits >= most:
+                        break
+        if hits == 0 or tester.left <= 0:
+            break
+        if not tester.looked:
+            tester.look_over()
+    return tracks, jumps

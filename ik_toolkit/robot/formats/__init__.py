@@ -1,0 +1,1 @@
+"""Descriptions of robots: URDF, xacro, SRDF, MJCF and Denavit-Hartenberg tables."""

@@ -1,0 +1,211 @@
+"""Mimic joints: the leader and limits of each follower, and an order of the joints in which leaders come first.
+
+Pinocchio can tie a follower only to a leader it has already met. It traverses the tree branch by branch, in the order of the
+joint names, so whether a file can be read would depend on how its author named the joints. Where no order puts every leader
+first (a follower that carries its leader), the roles are swapped: the same linear relation, solved for the other joint.
+"""
+
+import functools
+import math
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+from .urdf import Item, numbers, parse, span
+
+MOVING = ("revolute", "continuous", "prismatic")
+
+
+class Tie(NamedTuple):
+    """A follower: its coordinate is ratio times the leader's, plus offset [rad or m]."""
+
+    leader: str
+    ratio: float
+    offset: float
+
+
+class Followers(NamedTuple):
+    """The followers of a robot: tied (name -> Tie), loose (name -> why it cannot be tied and stays fixed), order of all joints.
+
+    order is empty if Pinocchio's own order already has every leader before its followers. rest: leaders in place of the file's ->
+    value [rad or m] at which the file's leader is at 0, where a joint that is not moved stands.
+    """
+
+    tied: dict[str, Tie]
+    loose: dict[str, str]
+    order: list[str]
+    rest: dict[str, float]
+
+
+@functools.lru_cache(maxsize=4)
+def followers(text: str) -> Followers:
+    """Return the followers in a URDF text that `safe_read` has accepted."""
+    items = parse(text)
+    tied, loose = ties(items)
+    if not tied:
+        return Followers(tied, loose, [], {})
+    own = leaders_first(items, {})[0]
+    given = tied
+    order, late = leaders_first(items, given)
+    for turned in ({given[name].leader for name in late}, {tie.leader for tie in given.values()}):
+        if late:  # no order has every leader first: change leaders, only in these groups if that is enough, else in all
+            tied = first_leads(given, turned, own)
+            order, late = leaders_first(items, tied)
+    tied = {name: tie for name, tie in tied.items() if name not in late}
+    rest = {tie.leader: given[tie.leader].offset for tie in tied.values() if tie.leader in given}
+    return Followers(tied, loose | late, order if order != own else [], rest)
+
+
+def mimic_limits(text: str) -> dict[str, tuple[str, float, float, float, float]]:
+    """Follower joint -> (leader, multiplier, offset, lower, upper) [rad or m]: q = multiplier q_leader + offset.
+
+    The limits are the follower's own (infinite if it has none); Pinocchio drops them.
+    """
+    tied = followers(text).tied
+    found = {}
+    for item in parse(text):
+        if item.tag != "joint" or item.name not in tied:
+            continue
+        limit, lower, upper = item.first("limit"), -math.inf, math.inf
+        if limit is not None and item.attributes.get("type") != "continuous":
+            lower, upper = span(limit)
+        found[item.name] = (*tied[item.name], lower, upper)
+    return found
+
+
+def mimic_speeds(text: str) -> dict[str, tuple[float, float]]:
+    """Follower joint -> (multiplier, its own velocity limit [rad/s or m/s]), of those that have one.
+
+    A velocity of 0 counts as none, because a follower that may not move is not meant.
+    """
+    tied = followers(text).tied
+    found = {}
+    for item in parse(text):
+        limit = item.first("limit") if item.tag == "joint" and item.name in tied else None
+        speed = float(limit.get("velocity", 0.0)) if limit is not None else 0.0
+        if speed > 0.0 and tied[item.name].ratio != 0.0:
+            found[item.name] = (tied[item.name].ratio, speed)
+    return found
+
+
+def ties(items: Sequence[Item]) -> tuple[dict[str, Tie], dict[str, str]]:
+    """Followers tied to an independent joint, and for each of the others why it cannot be tied.
+
+    A follower of a follower is tied to the leader of both.
+    """
+    joints = {item.name: item for item in items if item.tag == "joint"}
+    given = {name: mimic for name, item in joints.items() if (mimic := item.first("mimic")) is not None}
+    tied: dict[str, Tie] = {}
+    loose: dict[str, str] = {}
+    for name in given:
+        walk = [name]  # follower, its leader, ...: up to one whose tie is known or that follows nothing
+        while walk[-1] in given and walk[-1] not in tied and walk[-1] not in loose:
+            leader = given[walk[-1]].get("joint", "")
+            if leader in walk:
+                loose |= dict.fromkeys(walk, f"mimics itself through '{leader}'")
+                break
+            walk.append(leader)
+        end = walk.pop()
+        if end in loose:
+            why = loose[end] if end in walk else f"mimics joint '{end}', which {loose[end]}"
+        elif end in tied or end in joints:
+            moves = end in tied or joints[end].attributes.get("type") in MOVING
+            why = "" if moves else f"mimics joint '{end}', which does not move"
+        else:
+            why = f"mimics joint '{end}', which does not exist"
+        for follower in reversed(walk):
+            if follower in loose:
+                continue
+            if why:
+                loose[follower] = why
+                continue
+            mimic = given[follower]
+            ratio, offset = (
+                (numbers(mimic.get(key, "")) or [default])[0] for key, default in (("multiplier", 1.0), ("offset", 0.0))
+            )
+            above = tied.get(mimic.get("joint", ""), Tie(mimic.get("joint", ""), 1.0, 0.0))
+            tied[follower] = Tie(above.leader, ratio * above.ratio, ratio * above.offset + offset)
+    return tied, loose
+
+
+def first_leads(tied: Mapping[str, Tie], leaders: set[str], order: Sequence[str]) -> dict[str, Tie]:
+    """The ties, with the first joint of `order` made the leader of each group that had one of these leaders.
+
+    The motion is the same: q_leader = (q_follower - offset) / ratio. A follower with ratio 0 cannot become a leader.
+    """
+    found = dict(tied)
+    for leader in leaders:
+        group = {name: tie for name, tie in tied.items() if tie.leader == leader}
+        first = next(name for name in order if name == leader or (name in group and group[name].ratio != 0.0))
+        if first == leader:
+            continue
+        _, ratio, offset = group.pop(first)
+        del found[first]
+        found[leader] = Tie(first, 1.0 / ratio, -offset / ratio)
+        for name, tie in group.items():
+            found[name] = Tie(first, tie.ratio / ratio, tie.offset - tie.ratio * offset / ratio)
+    return found
+
+
+def leaders_first(items: Sequence[Item], tied: Mapping[str, Tie]) -> tuple[list[str], dict[str, str]]:
+    """Names of all joints in a depth-first order with leaders before followers, and why some followers cannot come later.
+
+    Branches of a link are in the order of the joint names, as in Pinocchio, unless a leader requires another order.
+    """
+    joints = {item.name: item for item in items if item.tag == "joint"}
+    ends = {
+        name: tuple((item.first(role) or {}).get("link", "") for role in ("parent", "child"))
+        for name, item in joints.items()
+    }
+    above = {child: name for name, (_, child) in ends.items()}
+    branches: dict[str, list[str]] = {}
+    for name in sorted(joints):
+        branches.setdefault(ends[name][0], []).append(name)
+    before: dict[str, set[str]] = {}  # branch -> branches of the same link that must come earlier
+    loose: dict[str, str] = {}
+
+    def path(joint: str) -> list[str]:
+        walk = [joint]
+        while ends[walk[-1]][0] in above:
+            walk.append(above[ends[walk[-1]][0]])
+        return walk[::-1]
+
+    for follower, tie in tied.items():
+        down, up = path(follower), path(tie.leader)
+        if tie.leader in down:
+            continue
+        fork = next((pair for pair in zip(down, up, strict=False) if pair[0] != pair[1]), None)
+        if fork is None:
+            loose[follower] = f"mimics joint '{tie.leader}', which it carries"
+        elif fork[1] not in before.get(fork[0], ()) and _reaches(before, fork[1], fork[0]):
+            loose[follower] = f"mimics joint '{tie.leader}' in a branch that follows its own"
+        else:
+            before.setdefault(fork[0], set()).add(fork[1])
+    order: list[str] = []
+    seen: set[str] = set()
+    roots = [link for link in branches if link not in above]
+    waiting = [name for link in reversed(roots) for name in reversed(branches[link])]
+    while waiting:
+        name = waiting[-1]
+        earlier = sorted(before.get(name, set()) - seen)
+        if name in seen:
+            waiting.pop()
+        elif earlier:
+            waiting += reversed(earlier)
+        else:
+            seen.add(name)
+            order.append(waiting.pop())
+            waiting += reversed(branches.get(ends[name][1], []))
+    return order, loose
+
+
+def _reaches(before: Mapping[str, set[str]], start: str, end: str) -> bool:
+    """Whether `end` must already come before `start`."""
+    waiting, seen = [start], set()
+    while waiting:
+        branch = waiting.pop()
+        if branch == end:
+            return True
+        if branch not in seen:
+            seen.add(branch)
+            waiting += before.get(branch, ())
+    return False

@@ -1,0 +1,315 @@
+"""MJCF -> URDF text: MuJoCo compiles it (defaults, includes, frames, angles), and the result is written link by link.
+
+So MJCF has the same caps, meshes, collisions and pictures as a URDF. What a URDF cannot express is noted: ball joints become
+revolute joints, loops become constraints that results are held against, shapes of other kinds are left out. Keyframes become
+named configurations, sites links.
+"""
+
+import importlib.util
+import math
+import tempfile
+import xml.etree.ElementTree as ET
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ...errors import MissingExtra, ModelError
+from ..base import BALL_PITCH, TURNS
+from ..constraints import Constraint
+from ..geometry.meshes import mesh_folders
+from ..pose import matrix_rpy, quat_matrix
+from .mjcf_constraints import Ties, read_ties
+from .mjcf_text import flatten
+from .sandbox import ask
+from .urdf_write import numbers_text, origin, to_text
+
+WORKER = Path(__file__).with_name("mjcf_worker.py")
+MEMORY = 2_000_000_000  # bytes; a humanoid takes 0.2 GB, MuJoCo itself most of it
+SECONDS = 4  # of processor time; large robots take 1 s
+ENDLESS = "1e16"  # stands for "no limit" (see NO_LIMIT in probe.py)
+HIDDEN = 3  # shape groups from this one on are not drawn, as in MuJoCo's viewer
+AXIS_ANGLE = ("azimuth", "tilt", "angle", "tilt_back", "azimuth_back")  # joints of a ball with a range
+BALL_AXES = ((0, 0, 1), (0, 1, 0), (1, 0, 0))
+
+
+class Read(NamedTuple):
+    """URDF text of an MJCF model; states: keyframes (name -> {joint: (value,)}, as in an SRDF); notes: what the URDF lacks.
+
+    constraints: loops and relations that the URDF does not hold.
+    """
+
+    urdf: str
+    states: dict[str, dict[str, tuple[float, ...]]]
+    notes: list[str]
+    constraints: tuple[Constraint, ...] = ()
+
+
+def to_urdf(text: str, path: Path | None, package_dirs: Iterable[str | Path] = ()) -> Read:
+    """URDF text of an MJCF text (path: its file). Raises MissingExtra (mujoco), ModelError."""
+    if importlib.util.find_spec("mujoco") is None:
+        raise MissingExtra("mujoco", "formats")
+    name = path.name if path else "MJCF text"
+    flat = flatten(text, path, mesh_folders(path, package_dirs))
+    model = _compile(flat.xml, name)
+    return _Writer(model, path.stem if path else "", flat.meshes, flat.notes).read()
+
+
+def _compile(xml: str, name: str) -> dict[str, Any]:
+    """The model that MuJoCo compiles from MJCF text, in a subprocess."""
+    silent = "it crashed MuJoCo, or took too much time or memory"
+    with tempfile.TemporaryDirectory(prefix="ik_mjcf_") as folder:  # MuJoCo writes its log to the current folder
+        answer = ask(WORKER, "reads MJCF", silent, memory=MEMORY, seconds=SECONDS, folder=folder, xml=xml)
+    if "error" in answer:
+        raise ModelError(f"MuJoCo cannot read '{name}': {answer['error']}")
+    return answer
+
+
+def _matrix(pos: Sequence[float], quat: Sequence[float]) -> np.ndarray:
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = quat_matrix(quat, "wxyz"), pos
+    return T
+
+
+def _shift(pos: Sequence[float] | np.ndarray) -> np.ndarray:
+    T = np.eye(4)
+    T[:3, 3] = pos
+    return T
+
+
+def _free(name: str, taken: set[str]) -> str:
+    """Return the name, or a variant that is not taken, and mark it as taken."""
+    k, free = 1, name
+    while free in taken:
+        k += 1
+        free = f"{name}_{k}"
+    taken.add(free)
+    return free
+
+
+class _Writer:
+    """Writes one model as URDF."""
+
+    def __init__(self, model: dict[str, Any], name: str, meshes: dict[str, str], notes: list[str]) -> None:
+        self.model, self.meshes, self.notes = model, meshes, list(notes)
+        self.robot = ET.Element("robot", name=model["name"] or name or "robot")
+        self.links: set[str] = set()
+        self.names: set[str] = set()
+        self.values: list[Any] = []  # keyframe -> {joint: value}, one function per joint
+        self.back: dict[str, tuple[str, float, float]] = {}  # joints of balls that turn back -> (leader, ratio, offset)
+        self.left_out: set[str] = set()
+
+    def read(self) -> Read:
+        """Write the whole model."""
+        model = self.model
+        bodies = [self._link(body["name"] or (f"body{i}" if i else "world")) for i, body in enumerate(model["bodies"])]
+        self._shapes(bodies)
+        joints = [_free(joint["name"] or f"{bodies[joint['body']]}_joint", self.names) for joint in model["joints"]]
+        self._doubtful(joints)
+        ties = read_ties(model, joints, bodies)
+        self.notes += ties.notes
+        for i, body in enumerate(model["bodies"][1:], 1):
+            own = [j for j, joint in enumerate(model["joints"]) if joint["body"] == i]
+            self._body(body, bodies[i], bodies[body["parent"]], [(j, joints[j]) for j in own], ties)
+        for site in model["sites"]:
+            if site["name"]:
+                link = self._link(site["name"] if site["name"] not in self.links else f"{site['name']}_site")
+                self._joint(
+                    _free(link, self.names), "fixed", bodies[site["body"]], link, _matrix(site["pos"], site["quat"])
+                )
+        if self.left_out:
+            self.notes.append(f"shapes that a URDF cannot hold are left out: {', '.join(sorted(self.left_out))}")
+        return Read(to_text(self.robot), self._states(), self.notes, ties.constraints)
+
+    def _states(self) -> dict[str, dict[str, tuple[float, ...]]]:
+        """Configurations of the keyframes; one with a value that is not a finite number is left out, with a note."""
+        states = {}
+        for k, key in enumerate(self.model["keys"]):
+            name = key["name"] or f"key{k}"
+            if np.isfinite(key["qpos"]).all():
+                states[name] = {joint: (x,) for one in self.values for joint, x in one(key["qpos"])}
+            else:
+                self.notes.append(f"keyframe '{name}' is left out: a value in its qpos is not a finite number")
+        return states
+
+    def _doubtful(self, joints: Sequence[str]) -> None:
+        """Note ranges that MuJoCo ignores because their ends are reversed or equal."""
+        for name, joint in zip(joints, self.model["joints"], strict=True):
+            low, high = joint["given"]
+            if joint["range"] is None and low >= high and (low, high) != (0.0, 0.0):
+                self.notes.append(
+                    f"joint '{name}' has no limits, as in MuJoCo: its range {low:g} {high:g} does not go from lower to upper"
+                )
+
+    # ------------------------------------------------------------------------------------------------ elements
+    def _link(self, name: str) -> str:
+        """Append a link of this name, or of a variant if it is taken."""
+        name = _free(name, self.links)
+        ET.SubElement(self.robot, "link", name=name)
+        return name
+
+    def _joint(
+        self,
+        name: str,
+        kind: str,
+        parent: str,
+        child: str,
+        T: np.ndarray,
+        axis: Sequence[float] | None = None,
+        limits: Sequence[float] | None = None,
+    ) -> ET.Element:
+        joint = ET.SubElement(self.robot, "joint", name=name, type=kind)
+        origin(joint, T)
+        ET.SubElement(joint, "parent", link=parent)
+        ET.SubElement(joint, "child", link=child)
+        if axis is not None:
+            ET.SubElement(joint, "axis", xyz=numbers_text(axis))
+            limit = ET.SubElement(joint, "limit", effort=ENDLESS, velocity=ENDLESS)
+            if limits is not None:
+                limit.set("lower", repr(float(limits[0])))
+                limit.set("upper", repr(float(limits[1])))
+        return joint
+
+    def _body(
+        self,
+        body: dict[str, Any],
+        link: str,
+        parent: str,
+        joints: Sequence[tuple[int, str]],
+        ties: Ties,
+    ) -> None:
+        """Write the joints between a body and its parent; several, or one off its origin, get empty links in between."""
+        T = _matrix(body["pos"], body["quat"])
+        if not joints:
+            self._joint(_free(f"{link}_fixed", self.names), "fixed", parent, link, T)
+            return
+        if self.model["joints"][joints[0][0]]["type"] == "free":
+            self.notes.append(
+                f"free joint '{joints[0][1]}' of '{link}' is held still; that of the robot's own base moves with base_limits="
+            )
+            self._joint(joints[0][1], "floating", parent, link, np.eye(4))  # MuJoCo stores the pose in the world
+            return
+        steps: list[tuple[str, str, np.ndarray, Sequence[float], Sequence[float] | None]] = []
+        for j, name in joints:
+            joint = self.model["joints"][j]
+            T = T @ _shift(joint["pos"])
+            if joint["type"] == "ball":
+                self._ball(name, joint, steps, T)
+            else:
+                steps.append(self._single(name, joint, T, ties.held.get(j), ties.ranges.get(j) or joint["range"]))
+            T = _shift(-np.array(joint["pos"]))
+        off = bool(np.abs(T[:3, 3]).max() > 0.0)
+        for k, (name, kind, at, axis, limits) in enumerate(steps):
+            child = link if k == len(steps) - 1 and not off else self._link(f"{link}_at_{name}")
+            made = self._joint(name, kind, parent, child, at, axis, limits)
+            mimic = ties.tied.get(name) or self.back.get(name)
+            if mimic is not None:
+                leader, ratio, offset = mimic
+                ET.SubElement(made, "mimic", joint=leader, multiplier=repr(ratio), offset=repr(offset))
+            parent = child
+        if off:
+            self._joint(_free(f"{link}_fixed", self.names), "fixed", parent, link, T)
+
+    def _single(
+        self, name: str, joint: dict[str, Any], T: np.ndarray, held: float | None, limits: Sequence[float] | None
+    ) -> tuple:
+        """A hinge or slide joint, fixed where it is held at a value; its value is relative to MuJoCo's `ref`."""
+        axis, place = np.array(joint["axis"]), joint["place"]
+        shift = (0.0 if held is None else held) - joint["ref"]
+        if joint["type"] == "slide":
+            T = T @ _shift(shift * axis)
+        else:
+            T = T @ _matrix((0, 0, 0), (math.cos(0.5 * shift), *(math.sin(0.5 * shift) * axis)))
+        if held is not None:
+            return name, "fixed", T, None, None
+        self.values.append(lambda qpos: [(name, qpos[place])])
+        if joint["type"] == "slide":
+            return name, "prismatic", T, axis, limits or (-1e16, 1e16)
+        if limits is not None and not np.isfinite(limits).all():  # of a tendon, which limits one side only
+            limits = np.nan_to_num(limits, posinf=1e16, neginf=-1e16).tolist()
+        return name, "revolute" if limits else "continuous", T, axis, limits
+
+    def _ball(self, name: str, joint: dict[str, Any], steps: list, T: np.ndarray) -> None:
+        """Write a ball as revolute joints: Rz Ry Rx, or with a range as one turn about an axis in any direction."""
+        most = joint["range"][1] if joint["range"] else math.inf
+        place = joint["place"]
+        if most < math.pi:  # no two rotations are further apart than half a turn
+            self._limited_ball(name, most, place, steps, T)
+            return
+        names = [_free(f"{name}_{turn}", self.names) for turn in TURNS]
+
+        def values(qpos: Sequence[float]) -> list[tuple[str, float]]:
+            return list(
+                zip(names, matrix_rpy(quat_matrix(qpos[place : place + 4], "wxyz"))[::-1].tolist(), strict=True)
+            )
+
+        self.values.append(values)
+        for part, axis in zip(names, BALL_AXES, strict=True):
+            limits = (-BALL_PITCH, BALL_PITCH) if axis == BALL_AXES[1] else None
+            steps.append((part, "revolute" if limits else "continuous", T, axis, limits))
+            T = np.eye(4)
+        self.notes.append(f"ball joint '{name}' becomes three revolute joints: {', '.join(names)}")
+
+    def _limited_ball(self, name: str, most: float, place: int, steps: list, T: np.ndarray) -> None:
+        """Rz(a) Ry(b) Rz(angle) Ry(-b) Rz(-a): a turn by `angle` about an axis, so that MuJoCo's range is the limit of one joint.
+
+        The last two joints mimic the first two.
+        """
+        a, b, angle, down, back = (_free(f"{name}_{part}", self.names) for part in AXIS_ANGLE)
+        self.back |= {down: (b, -1.0, 0.0), back: (a, -1.0, 0.0)}
+
+        def values(qpos: Sequence[float]) -> list[tuple[str, float]]:
+            w, x, y, z = qpos[place : place + 4]
+            turn = 2.0 * math.atan2(math.hypot(x, y, z), w)
+            turn -= 2.0 * math.pi * (turn > math.pi)
+            return [(a, math.atan2(y, x)), (b, math.atan2(math.hypot(x, y), z)), (angle, turn)]
+
+        self.values.append(values)
+        z, y = BALL_AXES[:2]
+        for part, axis in ((a, z), (b, y), (angle, z), (down, y), (back, z)):
+            limits = (-most, most) if part == angle else None
+            steps.append((part, "revolute" if limits else "continuous", T, axis, limits))
+            T = np.eye(4)
+        self.notes.append(
+            f"ball joint '{name}' becomes a turn by {angle} about an axis whose direction {a} and {b} set (Rz Ry Rz); "
+            f"its range is the limit of {angle}: +-{math.degrees(most):.6g} degrees"
+        )
+
+    # ------------------------------------------------------------------------------------------------ shapes
+    def _shapes(self, bodies: Sequence[str]) -> None:
+        by_name = {link.get("name"): link for link in self.robot.iter("link")}
+        for geom in self.model["geoms"]:
+            roles = ["visual"] * (geom["group"] < HIDDEN) + ["collision"] * geom["touches"]
+            made = self._geometry(geom) if roles else None
+            if made is None:
+                continue
+            element, T = made
+            for role in roles:
+                part = ET.SubElement(by_name[bodies[int(geom["body"])]], role)
+                origin(part, T)
+                ET.SubElement(part, "geometry").append(element)
+                if role == "visual":
+                    colour = ET.SubElement(part, "material", name=" ".join(f"{x:.3g}" for x in geom["rgba"]))
+                    ET.SubElement(colour, "color", rgba=numbers_text(geom["rgba"]))
+
+    def _geometry(self, geom: dict[str, Any]) -> tuple[ET.Element, np.ndarray] | None:
+        """Element of a shape and its pose, or None if a URDF cannot express it."""
+        size, kind, T = geom["size"], geom["type"], _matrix(geom["pos"], geom["quat"])
+        if kind == "mesh":
+            mesh = self.model["meshes"][geom["mesh"]]
+            file = self.meshes.get(mesh["name"])
+            if file is None:
+                self.left_out.add("meshes written out")
+                return None
+            T = T @ np.linalg.inv(_matrix(mesh["pos"], mesh["quat"]))
+            return ET.Element("mesh", filename=file, scale=numbers_text(mesh["scale"])), T
+        if kind == "box":
+            return ET.Element("box", size=numbers_text([2.0 * x for x in size])), T
+        if kind == "sphere" or (kind == "ellipsoid" and len(set(size)) == 1):
+            return ET.Element("sphere", radius=repr(size[0])), T
+        if kind in ("cylinder", "capsule"):
+            return ET.Element(kind, radius=repr(size[0]), length=repr(2.0 * size[1])), T
+        if kind != "plane":  # the floor of a scene is not part of the robot
+            self.left_out.add(kind)
+        return None

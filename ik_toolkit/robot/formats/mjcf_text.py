@@ -1,0 +1,186 @@
+"""MJCF text made safe before MuJoCo sees it: includes from the model's folders are inlined, other file references removed."""
+
+import xml.etree.ElementTree as ET
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from ...errors import ModelError
+from ..geometry.meshes import lies_in
+from .urdf import MAX_BYTES, check_names, source_text, walk
+
+MAX_COPIES = 20_000  # elements once replication is carried out, and keyframes times bodies
+MAX_INCLUDES = 200  # files; the largest model of the MuJoCo Menagerie has 5
+KEPT = ("compiler", "default", "asset", "worldbody", "tendon", "equality", "keyframe")
+SHAPED = {"mesh": ("name", "class", "scale"), "material": ("name", "class", "rgba"), "hfield": ("name",)}
+NO_BODY = ("attach", "plugin", "composite", "flexcomp", "flex", "skin", "model", "light", "camera")
+# A placeholder for every mesh: a tetrahedron. MuJoCo moves a mesh to its centre of mass and reports the offset.
+TETRAHEDRON = "0 0 0 1 0 0 0 1 0 0 0 1"
+
+
+@dataclass
+class Flat:
+    """MJCF text without file references, and the file of each mesh (name -> path as written, below the model's folder)."""
+
+    xml: str
+    meshes: dict[str, str] = field(default_factory=dict)
+    notes: list[str] = field(default_factory=list)
+
+
+def tree(text: str) -> ET.Element:
+    """Elements of an MJCF text, read with the same caps as a URDF. Raises ModelError."""
+    nodes: list[ET.Element] = []
+    roots: list[ET.Element] = []
+
+    def start(tag: str, attributes: dict[str, str], above: Sequence[str], line: int) -> None:
+        check_names({"name": attributes.get("name", "")}, "MJCF", line)
+        element = ET.Element(tag, attributes)
+        del nodes[len(above) :]
+        (nodes[-1].append if nodes else roots.append)(element)
+        nodes.append(element)
+
+    walk(text, "MJCF", start)
+    return roots[0]
+
+
+class Flattener:
+    """Reads a file and its includes, all of them inside the folders."""
+
+    def __init__(self, path: Path | None, folders: list[Path]) -> None:
+        self.home = path.resolve().parent if path else None
+        self.folders, self.bytes = folders, MAX_BYTES
+        self.included: list[Path] = []
+
+    def find(self, name: str, beside: Path | None) -> Path:
+        """Real path of an included file. Raises ModelError."""
+        if not name or "\0" in name or self.home is None:
+            raise ModelError(f"<include file='{name[:100]}'> cannot be found without a folder")
+        places = [folder / name for folder in dict.fromkeys((self.home, beside or self.home))]
+        try:
+            real = [place.resolve() for place in places]
+            found = [place for place in real if lies_in(place, self.folders)]
+            there = next((place for place in found if place.is_file()), None)
+        except (OSError, ValueError, RuntimeError):
+            raise ModelError(f"<include file='{name[:100]}'> cannot be read") from None
+        if not found:
+            raise ModelError(
+                f"<include file='{name[:100]}'> lies outside the model's folder; name its folder with package_dirs"
+            )
+        if there is None:
+            raise ModelError(f"<include file='{name[:100]}'>: there is no such file")
+        return there
+
+    def put_in(self, element: ET.Element, beside: Path | None, above: tuple[Path, ...]) -> None:
+        """Replace the includes below an element with their contents."""
+        children: list[ET.Element] = []
+        for child in element:
+            if child.tag != "include":
+                self.put_in(child, beside, above)
+                children.append(child)
+                continue
+            file = self.find(child.get("file", ""), beside)
+            if file in above:
+                raise ModelError(f"'{file.name}' includes itself")
+            self.included.append(file)
+            if len(self.included) > MAX_INCLUDES:
+                raise ModelError(f"the model includes more than {MAX_INCLUDES} files; it is not read")
+            text = source_text(file, "MJCF")
+            self.bytes -= len(text)
+            if self.bytes < 0:
+                raise ModelError(f"the model and what it includes are larger than {MAX_BYTES // 1_000_000} MB")
+            inner = tree(text)
+            self.put_in(inner, file.parent, (*above, file))
+            children += list(inner)
+        element[:] = children
+
+
+def flatten(text: str, path: Path | None, folders: list[Path]) -> Flat:
+    """MJCF text as a single safe text. Raises ModelError."""
+    flattener = Flattener(path, folders)
+    root = tree(text)
+    flattener.put_in(root, flattener.home, (path.resolve(),) if path else ())
+    _check_copies(root)
+    flat = Flat("")
+    folders_of = _directories(root)
+    for section in list(root):
+        if section.tag not in KEPT:
+            root.remove(section)
+    _strip(root, flat, folders_of)
+    for section in root:
+        if section.tag == "compiler":
+            section[:] = []
+        if section.tag == "keyframe":
+            bodies = sum(1 for _ in root.iter("body"))
+            section[:] = section[: max(MAX_COPIES // max(bodies, 1), 1)]
+            for key in section:
+                for attribute in set(key.attrib) - {"name", "qpos", "time"}:
+                    del key.attrib[attribute]
+    flat.xml = ET.tostring(root, "unicode")
+    return flat
+
+
+def _check_copies(root: ET.Element) -> None:
+    """Raise ModelError for more elements than any robot has once <replicate> has copied them."""
+    if next(root.iter("replicate"), None) is not None and (copies := _copies(root)) > MAX_COPIES:
+        raise ModelError(f"its <replicate> comes to {copies:,} elements, more than {MAX_COPIES:,}; it is not read")
+
+
+def _copies(element: ET.Element) -> int:
+    """Elements that one comes to."""
+    inside = sum(map(_copies, element))
+    if element.tag != "replicate":
+        return 1 + inside
+    try:
+        return max(int(element.get("count", "1")), 1) * max(inside, 1)
+    except ValueError:
+        return inside  # MuJoCo says what is wrong
+
+
+def _directories(root: ET.Element) -> Mapping[str, str]:
+    """Mesh location from the <compiler> settings: folder, and whether paths are stripped."""
+    found = {"folder": "", "strip": ""}
+    for compiler in root.iter("compiler"):
+        found["folder"] = compiler.get("meshdir", compiler.get("assetdir", found["folder"]))
+        found["strip"] = "1" if compiler.get("strippath", "false") == "true" else found["strip"]
+        for attribute in ("meshdir", "texturedir", "assetdir", "strippath"):
+            compiler.attrib.pop(attribute, None)
+    return found
+
+
+def _strip(element: ET.Element, flat: Flat, where: Mapping[str, str], asset: bool = False) -> None:
+    """Remove references to files and everything irrelevant to a robot's shape or motion."""
+    for child in list(element):
+        if child.tag in NO_BODY or (asset and child.tag not in SHAPED):
+            element.remove(child)
+            if child.tag in ("attach", "composite", "flexcomp"):
+                flat.notes.append(f"<{child.tag}> is not read")
+            continue
+        if element.tag == "equality" and child.tag not in ("joint", "connect", "weld", "tendon"):
+            element.remove(child)
+            flat.notes.append(f"an equality of <{child.tag}> is left out")
+            continue
+        if asset:
+            _asset(child, flat, where)
+        for attribute in ("file", "fileright", "fileleft", "fileup", "filedown", "filefront", "fileback"):
+            child.attrib.pop(attribute, None)
+        _strip(child, flat, where, child.tag == "asset")
+
+
+def _asset(child: ET.Element, flat: Flat, where: Mapping[str, str]) -> None:
+    """Replace a mesh by the placeholder, a height field by a flat one, a material by a plain one."""
+    file = child.get("file", "").replace("\\", "/")
+    given = {key: child.get(key, "") for key in SHAPED[child.tag] if child.get(key) is not None}
+    if child.tag in ("mesh", "hfield") and "name" not in given and file:
+        given["name"] = Path(file).stem
+    if child.tag == "mesh":
+        inline = child.get("vertex") is not None or child.get("builtin") is not None
+        if file and not inline:
+            file = Path(file).name if where["strip"] else file
+            folder = where["folder"].rstrip("/")
+            flat.meshes[given["name"]] = f"{folder}/{file}" if folder and not file.startswith("/") else file
+        given["vertex"] = TETRAHEDRON
+    elif child.tag == "hfield":
+        given |= {"nrow": "2", "ncol": "2", "size": "1 1 1 1"}
+    child.attrib.clear()
+    child.attrib.update(given)
+    child[:] = []

@@ -1,0 +1,319 @@
+"""SRDF: what a URDF leaves out: allowed collisions, groups, end effectors, named configurations, passive joints.
+
+Read like a URDF: one streaming parse with size caps, no entities, nothing fetched. Names that the robot does not have are
+not an error, because one SRDF often serves several URDFs; `Srdf.remarks` lists them.
+"""
+
+import logging
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from ...errors import FrameNotFound, InvalidOption, ModelError, near_match
+from ..probe import find_path
+from .finding import did_you_mean
+from .srdf_text import EndEffector, Group, contents
+from .urdf import source_text
+from .xacro import expanded
+
+LOG = logging.getLogger("ik_toolkit")
+BESIDE = ("", "../srdf")  # folders searched for the SRDF, relative to that of the URDF
+MOST = 64  # SRDF files looked at in each folder
+SHOWN = 3  # names listed in one remark
+State = Mapping[str, tuple[float, ...]]  # joint -> its values
+
+
+@dataclass(frozen=True)
+class Srdf:
+    """The contents of an SRDF.
+
+    name (of the robot); path (None: text); groups and end_effectors by name; states: joint values [rad or m] by configuration
+    name and, below it, by the group it belongs to ('' if none is given); passive_joints; disabled: pairs of links that may touch
+    -> reason; quiet: links that may touch anything except the pairs in `enabled`; remarks: sentences on what cannot be used;
+    group: the group chosen, whose configurations take precedence.
+    """
+
+    name: str = ""
+    path: Path | None = None
+    groups: Mapping[str, Group] = field(default_factory=dict)
+    end_effectors: Mapping[str, EndEffector] = field(default_factory=dict)
+    states: Mapping[str, Mapping[str, State]] = field(default_factory=dict)
+    passive_joints: tuple[str, ...] = ()
+    disabled: Mapping[tuple[str, str], str] = field(default_factory=dict)
+    quiet: tuple[str, ...] = ()
+    enabled: tuple[tuple[str, str], ...] = ()
+    remarks: tuple[str, ...] = ()
+    group: str = ""
+
+    def state(self, name: str, joints: Sequence[str], tips: Sequence[str], model: pin.Model) -> dict[str, float]:
+        """Values [rad or m] that a configuration gives the joints of q of a robot with these tips.
+
+        A configuration belongs to its group. That of the chosen group counts alone. Without one, groups are taken in this
+        order: those that end in the robot's tips, those that set more joints of q, those first in the file; one that sets a
+        joint of an earlier one is left out, so that no two readings are mixed.
+        """
+        given = {
+            group: {joint: x[0] for joint, x in values.items() if len(x) == 1}
+            for group, values in self.states[name].items()
+        }
+        if self.group in given:
+            given = {self.group: given[self.group]}
+        if len(given) > 1:
+            order = sorted(
+                given, key=lambda group: (not self._fits(group, tips, model), -len({*joints} & {*given[group]}))
+            )
+            given = {group: given[group] for group in order}
+        found: dict[str, float] = {}
+        for values in given.values():
+            if not found.keys() & values.keys():
+                found |= values
+        return {joint: x for joint, x in found.items() if joint in joints}
+
+    def _fits(self, group: str, tips: Sequence[str], model: pin.Model) -> bool:
+        """Whether a group ends in these tips."""
+        try:
+            return {*self.ends(group, model)[1]} == {*tips}
+        except InvalidOption:
+            return False
+
+    def may_touch(self, links: Sequence[str]) -> dict[tuple[str, str], str]:
+        """Pairs of these links that need no collision test -> reason."""
+        known, out = set(links), dict[tuple[str, str], str]()
+        on = {frozenset(pair) for pair in self.enabled}
+        for link in known.intersection(self.quiet):
+            out |= {(link, other): "Default" for other in links if other != link}
+        out |= {pair: reason for pair, reason in self.disabled.items() if known.issuperset(pair)}
+        return {pair: reason for pair, reason in out.items() if frozenset(pair) not in on}
+
+    def ends(self, group: str, model: pin.Model) -> tuple[str | None, tuple[str, ...]]:
+        """Base frame (None: the root) and tips of a group on a model. Raises InvalidOption: no such group, or it has no tip."""
+        found = self._members(group)
+        chains = [chain for chain in found.chains if all(model.existFrame(link) for link in chain)]
+        bases, tips = ([*dict.fromkeys(chain[k] for chain in chains)] for k in (0, 1))
+        if chains:  # a chain that ends where others begin carries them
+            inner = [tip for tip in tips if tip in bases]
+            bases, tips = [b for b in bases if b not in tips] or bases, [t for t in tips if t not in inner] or tips
+        else:
+            bases, tips = _ends_of_joints(found, model)
+            mounted = [e for e in self.end_effectors.values() if group in (e.parent_group, e.group)]
+            carried = [e.parent_link for e in mounted if model.existFrame(e.parent_link)]
+            if len(tips) == 1 and len(carried) == 1 and _above(model, tips[0], carried[0]):
+                tips = carried
+        if not tips:
+            links = [frame.name for frame in model.frames if frame.type == pin.FrameType.BODY]
+            lost = [link for chain in found.chains for link in chain if not model.existFrame(link)] or [
+                *(link for link in found.links if not model.existFrame(link)),
+                *(joint for joint in found.joints if not model.existFrame(joint)),
+            ]
+            told = f": the robot has no '{lost[0]}'.{did_you_mean(lost[0], [*links, *model.names])}" if lost else ""
+            raise InvalidOption(f"group '{group}' of the SRDF has no chain or moving joint of this robot{told}")
+        return (bases[0] if len(bases) == 1 else None), tuple(tips)
+
+    def _members(self, name: str) -> Group:
+        """A group merged with all its subgroups. Raises InvalidOption."""
+        if name not in self.groups:
+            raise InvalidOption(f"the SRDF has no group '{name}'.{near_match(name, self.groups)}")
+        waiting, seen, found = [name], set[str](), Group(name)
+        while waiting:
+            group = self.groups.get(waiting.pop(0))
+            if group is None or group.name in seen:
+                continue
+            seen.add(group.name)
+            waiting += group.groups
+            found = replace(
+                found,
+                links=found.links + group.links,
+                joints=found.joints + group.joints,
+                chains=found.chains + group.chains,
+            )
+        return found
+
+    def against(self, model: pin.Model) -> tuple[str, ...]:
+        """Remarks, including those on names that a model lacks and joints given several values."""
+        out, links = list(self.remarks), {frame.name for frame in model.frames}
+        strange = {link for pair in self.disabled for link in pair if link not in links}
+        if strange:
+            out.append(f"pairs that may touch: {_some(strange, 'link')} {_is(strange)} not in the robot")
+        for what, names in (
+            ("ends of chains", {link for group in self.groups.values() for chain in group.chains for link in chain}),
+            ("end effectors", {e.parent_link for e in self.end_effectors.values()}),
+        ):
+            if names - links:
+                near = _meant(names - links, links)
+                out.append(f"{what}: {_some(names - links, 'link')} {_is(names - links)} not in the robot{near}")
+        for state, groups in self.states.items():
+            given = [item for values in groups.values() for item in values.items()]
+            missing = {joint for joint, _ in given if not model.existJointName(joint) and joint not in links}
+            other = {joint for joint, x in given if joint not in missing and len(x) != 1}
+            if missing:
+                near = _meant(missing, model.names)
+                out.append(f"configuration '{state}': {_some(missing, 'joint')} {_is(missing)} not in the robot{near}")
+            if other:
+                out.append(f"configuration '{state}': {_some(other, 'joint')} with several values {_is(other)} ignored")
+        return tuple(out)
+
+
+def read_srdf(source: "str | Path | Srdf") -> Srdf:
+    """Return an Srdf of a file, or of text; ModelError in one sentence, with the line, when it is broken or over a cap."""
+    if isinstance(source, Srdf):
+        return source
+    if not isinstance(source, str | Path):
+        raise InvalidOption(f"srdf= takes a file, SRDF text or False, not {source!r:.60}")
+    given: str | Path = expanded(source)
+    text = source_text(given, "SRDF")
+    is_text = isinstance(given, str) and given.lstrip("\ufeff \t\r\n").startswith("<")
+    return Srdf(path=None if is_text else Path(given).expanduser().absolute(), **contents(text))
+
+
+def srdf_of(
+    given: Any, model: pin.Model, path: Path | None, states: Mapping[str, State], group: str | None = None
+) -> Srdf:
+    """Srdf of a model read from `path`: the given one; None: the one next to the file, if any (see `srdf_beside`); False: none.
+
+    states: named configurations of the description itself; those of the SRDF take precedence. group: the one chosen.
+    """
+    found = _srdf_of(given, model, path)
+    return replace(
+        found, states={**{name: {"": one} for name, one in states.items()}, **found.states}, group=group or ""
+    )
+
+
+def _srdf_of(given: Any, model: pin.Model, path: Path | None) -> Srdf:
+    """The given or found Srdf.
+
+    Unusable parts of a given one are logged; a broken one next to the file is logged and ignored.
+    """
+    if given is None or given is True:
+        beside = srdf_beside(path, model.name) if path is not None else None
+        if beside is None:
+            return Srdf()
+        try:
+            found = read_srdf(beside)
+            for remark in found.remarks:
+                LOG.warning("'%s' next to the robot: %s", beside.name, remark)
+            return found
+        except ModelError as error:
+            LOG.warning("'%s' next to the robot is not used: %s", beside.name, error)
+            return Srdf(remarks=(f"'{beside.name}' is not used: {error}",))
+    if given is False:
+        return Srdf()
+    found = read_srdf(given)
+    for remark in found.against(model):
+        LOG.warning("SRDF: %s", remark)
+    return found
+
+
+def one_tip(srdf: Srdf, group: str, model: pin.Model, tip: str | None) -> tuple[str | None, str]:
+    """Base (None: the root) and tip of a group for a Robot; tip: the one chosen. Raises InvalidOption, FrameNotFound."""
+    base, (end, *more) = srdf.ends(group, model)
+    if tip is None and more:
+        raise FrameNotFound(
+            f"group '{group}' has {1 + len(more)} tips; choose one with tip=, or solve for several with "
+            f"ik.Tree.load(source, group='{group}'): {', '.join([end, *more])}"
+        )
+    return base, tip or end
+
+
+def held_joints(
+    srdf: Srdf, model: pin.Model, base: int, tip: int, locked: Mapping[str, float]
+) -> dict[str, tuple[float, bool]]:
+    """Value [rad or m] at which each locked or passive joint is held, and whether it counts as locked.
+
+    A passive joint counts if it lies on the path from base to tip (frames). If only passive joints lie there, none is held.
+    """
+    given = {joint: (value, True) for joint, value in locked.items()}
+    passive = [name for name in srdf.passive_joints if model.existJointName(name) and name not in locked]
+    joints = [j for name in passive if model.joints[j := model.getJointId(name)].nv == 1]
+    if not joints:
+        return given
+    path = find_path(model, base, tip, {model.getJointId(name) for name in locked if model.existJointName(name)})
+    if not set(path.leaders) - set(joints):
+        return given
+    for j in joints:
+        joint, value = model.joints[j], 0.0
+        low, high = (limit[joint.idx_q] for limit in (model.lowerPositionLimit, model.upperPositionLimit))
+        if joint.nq == 1 and low <= high:
+            value = float(np.clip(0.0, low, high))
+        given[model.names[j]] = value, j in path.leaders
+    return given
+
+
+def srdf_beside(file: Path, name: str) -> Path | None:
+    """SRDF that belongs to the URDF file of a robot called `name`, in the same folder or in ../srdf; None if there is none.
+
+    Its file name equals or begins that of the URDF ('ur5.srdf' for 'ur5_robot.urdf'; the longest wins), or it is the only one
+    whose robot has this name. Symbolic links that lead out of these folders are not followed.
+    """
+    home = file.expanduser().resolve().parent
+    found: list[Path] = []
+    for inner in BESIDE:
+        folder = (home / inner).resolve()
+        files = sorted(folder.glob("*.srdf"))[:MOST] if folder.is_dir() else []
+        found += [path for path in files if path.resolve().parent == folder and path.is_file()]
+    stem = file.name.removesuffix(".xacro").removesuffix(".urdf")
+    begins = [path for path in found if stem == path.stem or stem.startswith((f"{path.stem}_", f"{path.stem}."))]
+    begins += [path for path in found if stem.startswith(f"{path.stem}-")]
+    if begins:
+        return max(begins, key=lambda path: len(path.stem))
+    same = [path for path in found if name and _name(path).lower() == name.lower()]
+    return same[0] if len(same) == 1 else None
+
+
+def _name(path: Path) -> str:
+    """Robot name in an SRDF file, '' when it cannot be read."""
+    try:
+        return read_srdf(path).name
+    except ModelError:
+        return ""
+
+
+def _ends_of_joints(group: Group, model: pin.Model) -> tuple[list[str], list[str]]:
+    """Parent links of the first joints and child links of the last ones, in a group that lists joints or their child links."""
+    frames = model.frames
+    ids = {frame.name: i for i, frame in enumerate(frames)}
+    bodies = {frame.parentFrame: i for i, frame in enumerate(frames) if frame.type == pin.FrameType.BODY}
+    joints = [ids[joint] for joint in group.joints if joint in ids and ids[joint] in bodies]
+    joints += [frames[ids[link]].parentFrame for link in group.links if link in ids]
+    joints = [j for j in dict.fromkeys(joints) if j in bodies]
+    if not any(frames[j].name in model.names for j in joints):
+        return [], []
+    lines = {j: _line(model, frames[j].parentFrame) for j in joints}
+    last = [j for j in joints if not any(j in line for line in lines.values())]
+    first = [j for j in joints if not lines[j] & set(joints)]
+    return [*dict.fromkeys(frames[frames[j].parentFrame].name for j in first)], [frames[bodies[j]].name for j in last]
+
+
+def _line(model: pin.Model, frame: int) -> set[int]:
+    """A frame and all its ancestors."""
+    seen = set[int]()
+    while frame not in seen:
+        seen.add(frame)
+        frame = model.frames[frame].parentFrame
+    return seen
+
+
+def _above(model: pin.Model, link: str, other: str) -> bool:
+    """Whether `other` is `link` or a descendant of it."""
+    return model.getFrameId(link) in _line(model, model.getFrameId(other))
+
+
+def _some(names: Iterable[str], what: str) -> str:
+    some = sorted(names)
+    listed = ", ".join(f"'{name}'" for name in some[:SHOWN]) + (
+        f" and {len(some) - SHOWN} more" if len(some) > SHOWN else ""
+    )
+    return f"{what}{'s' * (len(some) > 1)} {listed}"
+
+
+def _meant(names: set[str], known: Iterable[str]) -> str:
+    """Return '. Did you mean ...?' for one unknown name, or ''."""
+    near = did_you_mean(min(names), known) if len(names) == 1 else ""
+    return f".{near}" if near else ""
+
+
+def _is(names: Sequence[str] | set[str]) -> str:
+    return "are" if len(names) > 1 else "is"

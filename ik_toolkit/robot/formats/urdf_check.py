@@ -1,0 +1,170 @@
+"""Checks a URDF must pass before Pinocchio sees it, and the findings of `ik check`, element by element.
+
+Pinocchio's parser accepts zero axes, reversed limits and negative sizes, rejects an invalid tree without naming the
+element, and crashes the process on a very long chain. So every file first goes through our own streaming parse: capped,
+with no DOCTYPE, no entity expanded and nothing fetched.
+"""
+
+import functools
+import re
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+from ...errors import ModelError
+from ..geometry.meshes import find_mesh, mesh_folders, mesh_packages
+from .finding import Finding, did_you_mean, notes, odd, wrong
+from .mimic import followers
+from .spelling import misspelled
+from .urdf import Item, is_text, parse, safe_read
+from .urdf_values import joint_values, link_values, still, unversioned
+
+HINTS = 10  # near matches searched for in one file: each compares a name with every other
+
+
+def check_urdf(
+    source: str | Path, package_dirs: Iterable[str | Path] = (), *, file: Path | None = None
+) -> list[Finding]:
+    """Everything wrong with a URDF (path or text): errors, which prevent loading, then warnings.
+
+    file: the file a text came from. Meshes are searched for only in the file's folder, its ROS package and package_dirs;
+    network addresses are never opened.
+    """
+    try:
+        text = safe_read(source)
+    except ModelError as error:
+        return [wrong("file", str(error), "give a plain URDF file", 0)]
+    items = parse(text)
+    file = file if is_text(source) else Path(source)
+    names = [part.attributes.get("filename", "") for item in items for part in item.inside if part.tag == "mesh"]
+    packages, folders = mesh_packages(names, file, package_dirs), mesh_folders(file, package_dirs)
+    found = [*findings(text), *(finding for item in items for finding in _meshes(item, folders, packages))]
+    errors = [finding for finding in found if finding.severity == "error"]
+    if not errors:
+        from .urdf_model import build_model
+
+        try:
+            build_model(text)
+        except Exception as error:
+            said = str(error).strip().splitlines()[-1]
+            errors.append(wrong("robot", f"Pinocchio rejects it: {said}", "this is Pinocchio's own message", 0))
+    return [*errors, *(finding for finding in found if finding.severity == "warning")]
+
+
+def require_loadable(text: str, lines: bool = True) -> tuple[str, ...]:
+    """Raise ModelError naming the first invalid element of a URDF's kinematics (`check_urdf` lists all).
+
+    Returns what loading says about the others; lines: whether those of the text are the file's.
+    """
+    found = findings(text)
+    errors = [finding for finding in found if finding.severity == "error"]
+    if errors:
+        more = f" (and {len(errors) - 1} more; `ik check` lists them)" if len(errors) > 1 else ""
+        raise ModelError(f"the URDF cannot be used: {errors[0]}{more}; {errors[0].advice}")
+    return notes(found, lines)
+
+
+@functools.lru_cache(maxsize=4)
+def findings(text: str) -> tuple[Finding, ...]:
+    """Errors and warnings about a text that `safe_read` has accepted, without those about its meshes."""
+    return tuple(_findings(text))
+
+
+def _findings(text: str) -> Iterator[Finding]:
+    items = parse(text)
+    links = [item for item in items if item.tag == "link"]
+    joints = [item for item in items if item.tag == "joint"]
+    if not links:
+        yield wrong("robot", "it has no link", "a robot has at least a base link", items[0].line)
+    for group in (links, joints):
+        seen: dict[str, Item] = {}
+        for item in group:
+            if not item.name:
+                yield wrong(item, "it has no name", "give it a unique name", item.line)
+            elif item.name in seen:
+                lines = f"lines {seen[item.name].line} and {item.line}"
+                yield wrong(item, f"the name is used twice ({lines})", "rename one of them", item.line)
+            seen.setdefault(item.name, item)
+    for joint in joints:
+        if joint.name == "universe":
+            yield wrong(joint, "Pinocchio reserves this name for the world", "rename it", joint.line)
+        yield from joint_values(joint)
+    if links:
+        yield from _tree(links, joints)
+    yield from still(joints)
+    yield from unversioned(items)
+    yield from misspelled(items)
+    for link in links:
+        yield from link_values(link)
+    for item in items:
+        if item.tag.startswith("xacro:"):
+            told = f"<{item.tag}> calls a macro that the file does not define; it is ignored"
+            yield odd("robot", told, "expand the original file with xacro, or remove it", item.line, at_load=True)
+    yield from _loose(text, joints)
+
+
+def _near(name: str, options: Iterable[str], before: int) -> str:
+    """Return '. Did you mean ...?' or '', without the list of all names; before: number of hints searched for so far."""
+    found = did_you_mean(name, options) if before < HINTS else ""
+    return f".{found}" if found else ""
+
+
+def _tree(items: list[Item], joints: list[Item]) -> Iterator[Finding]:
+    lines = {item.name: item.line for item in reversed(items)}
+    links = set(lines)
+    parent_of: dict[str, str] = {}
+    names, broken = sorted(links), 0
+    for joint in joints:
+        ends = {}
+        for role in ("parent", "child"):
+            link = ends[role] = (joint.first(role) or {}).get("link", "")
+            if link not in links:
+                said = f"it has no {role} link" if not link else f"its {role} link '{link}' does not exist"
+                yield wrong(joint, said, f"name an existing link{_near(link, names, broken)}", joint.line)
+                broken += 1
+        if ends["child"] in parent_of and ends["child"] in links:
+            told = f"joint '{joint.name}' is a second parent joint"
+            yield wrong(f"link '{ends['child']}'", told, "a link has exactly one parent joint", joint.line)
+            broken += 1
+        parent_of.setdefault(ends["child"], ends["parent"])
+    if broken:
+        return  # wrong roots and cycles would only repeat the above
+    done = links - parent_of.keys()
+    if len(done) > 1:
+        told = f"it has {len(done)} root links: {_some(done)}"
+        yield wrong("robot", told, "connect them by joints to one root", min(lines[link] for link in done))
+    for link in names:
+        walk: dict[str, None] = {}
+        while link not in done and link not in walk:
+            walk[link] = None
+            link = parent_of[link]
+        if link in walk:
+            loop = list(walk)[list(walk).index(link) :]
+            told = f"it is its own ancestor: {_some(loop)} form a loop"
+            yield wrong(f"link '{link}'", told, "a URDF is a tree: remove one joint", lines[link])
+        done.update(walk)
+
+
+def _some(names: Iterable[str]) -> str:
+    listed = sorted(names)
+    return ", ".join(f"'{name}'" for name in listed[:5]) + (f" and {len(listed) - 5} more" if len(listed) > 5 else "")
+
+
+def _loose(text: str, joints: list[Item]) -> Iterator[Finding]:
+    """Warnings about mimic joints that stay fixed because they cannot follow their leaders."""
+    names = {joint.name: joint.line for joint in reversed(joints)}
+    for count, (joint, why) in enumerate(followers(text).loose.items()):
+        leader = re.search("'(.*)'", why)
+        hint = _near(leader[1], names, count) if leader and leader[1] not in names else ""
+        yield odd(f"joint '{joint}'", f"it {why}: it stays fixed", f"name a joint that moves{hint}", names[joint])
+
+
+def _meshes(item: Item, folders: list[Path], packages: dict[str, Path]) -> Iterator[Finding]:
+    for part in item.inside:
+        if part.tag != "mesh":
+            continue
+        name = part.attributes.get("filename", "")
+        try:
+            find_mesh(name, folders, packages)
+        except ModelError as error:
+            advice = "needed only for display and collision checking; see package_dirs"
+            yield odd(item, f"mesh '{name[:200]}' {error}", advice, part.line)

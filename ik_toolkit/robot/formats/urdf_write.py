@@ -1,0 +1,137 @@
+"""URDF elements: links, joints and primitive shapes, written with only the standard library's XML."""
+
+import xml.etree.ElementTree as ET
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from ..pose import matrix_rpy
+
+COLOURS = {"steel": "0.23 0.26 0.30 1", "orange": "0.93 0.52 0.11 1", "silver": "0.72 0.74 0.77 1"}
+
+
+def new_robot(name: str) -> ET.Element:
+    """Return an empty <robot> with the materials defined."""
+    robot = ET.Element("robot", name=name)
+    for colour, rgba in COLOURS.items():
+        ET.SubElement(ET.SubElement(robot, "material", name=colour), "color", rgba=rgba)
+    return robot
+
+
+def to_text(robot: ET.Element) -> str:
+    """Indented XML text of a robot element."""
+    ET.indent(robot)
+    return '<?xml version="1.0" encoding="utf-8"?>\n' + ET.tostring(robot, encoding="unicode") + "\n"
+
+
+def add_link(robot: ET.Element, name: str) -> ET.Element:
+    """Append an empty link."""
+    return ET.SubElement(robot, "link", name=name)
+
+
+def add_joint(
+    robot: ET.Element,
+    name: str,
+    kind: str,
+    parent: str,
+    child: str,
+    T: np.ndarray,
+    limit: Mapping[str, float] | None = None,
+) -> None:
+    """Append a joint at T (4x4) in the parent link; a moving one rotates about or slides along z and has limits.
+
+    limit: lower, upper [rad or m] (none for a continuous joint), effort, velocity (required by Pinocchio).
+    """
+    joint = ET.SubElement(robot, "joint", name=name, type=kind)
+    origin(joint, T)
+    ET.SubElement(joint, "parent", link=parent)
+    ET.SubElement(joint, "child", link=child)
+    if limit is not None:
+        ET.SubElement(joint, "axis", xyz="0 0 1")
+        ET.SubElement(joint, "limit", {key: _text(value) for key, value in limit.items()})
+
+
+def add_shape(
+    link: ET.Element, shape: str, size: Sequence[float], T: np.ndarray, colour: str, solid: bool = False
+) -> None:
+    """Append a visual (and a collision shape when solid): 'box' (x, y, z) or 'cylinder' (radius, length on z) [m]."""
+    if min(size) <= 0.0:
+        return  # a prismatic joint without a stroke has no tube to draw
+    for tag in ("visual", "collision") if solid else ("visual",):
+        part = ET.SubElement(link, tag)
+        origin(part, T)
+        geometry = ET.SubElement(part, "geometry")
+        if shape == "box":
+            ET.SubElement(geometry, "box", size=numbers_text(size))
+        else:
+            ET.SubElement(geometry, "cylinder", radius=_text(size[0]), length=_text(size[1]))
+        if tag == "visual":
+            ET.SubElement(part, "material", name=colour)
+
+
+def add_bar(link: ET.Element, a: np.ndarray, b: np.ndarray, r: float) -> None:
+    """Draw a bar: round along z, a flat-sided boom otherwise; its collision shape stops short of the joint drums."""
+    length = float(np.linalg.norm(b - a))
+    T = _along(a, b)
+    if abs(T[2, 2]) > 0.999:
+        add_shape(link, "cylinder", (0.9 * r, length), T, "steel")
+    else:
+        add_shape(link, "box", (1.7 * r, 1.3 * r, length), T, "steel")
+        if length > 6.0 * r:
+            add_shape(link, "box", (0.9 * r, 1.6 * r, length - 4.5 * r), T, "orange")
+    if length > 3.5 * r:
+        link.append(_solid(T, 0.9 * r, length - 3.0 * r))
+
+
+def _solid(T: np.ndarray, radius: float, length: float) -> ET.Element:
+    part = ET.Element("collision")
+    origin(part, T)
+    ET.SubElement(ET.SubElement(part, "geometry"), "cylinder", radius=_text(radius), length=_text(length))
+    return part
+
+
+def add_gripper(link: ET.Element, a: np.ndarray, b: np.ndarray, r: float) -> None:
+    """Draw a palm and two fingers whose ends enclose the point b."""
+    size = min(r, float(np.linalg.norm(b - a)) / 5.2)
+    T = _along(a, b)
+    T[:3, 3] = b
+    add_shape(link, "box", (2.6 * size, 1.4 * size, 0.7 * size), T @ shift(z=-2.4 * size), "silver")
+    for side in (-1.0, 1.0):
+        add_shape(
+            link, "box", (0.4 * size, 0.9 * size, 2.2 * size), T @ shift(x=side * 1.0 * size, z=-1.1 * size), "orange"
+        )
+
+
+def shift(x: float = 0.0, y: float = 0.0, z: float = 0.0) -> np.ndarray:
+    """Transform (4x4) of a pure translation [m]."""
+    T = np.eye(4)
+    T[:3, 3] = x, y, z
+    return T
+
+
+def _along(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Frame midway between a and b with z from a to b; a boom stays upright on the joint's axis."""
+    z = (b - a) / np.linalg.norm(b - a)
+    side = np.array([0.0, 0.0, 1.0]) if abs(z[2]) < 0.9 else np.array([1.0, 0.0, 0.0])
+    y = np.cross(z, side)
+    y /= np.linalg.norm(y)
+    T = shift(*(0.5 * (a + b)))
+    T[:3, :3] = np.column_stack([np.cross(y, z), y, z])
+    return T
+
+
+# ------------------------------------------------------------------------------------------------------------- text
+def origin(parent: ET.Element, T: np.ndarray) -> None:
+    """Append an <origin> for a pose T (4, 4)."""
+    ET.SubElement(parent, "origin", xyz=numbers_text(T[:3, 3]), rpy=numbers_text(matrix_rpy(T[:3, :3])))
+
+
+def numbers_text(values: Sequence[float] | np.ndarray) -> str:
+    """Numbers as attribute text that reads back unchanged."""
+    return " ".join(_text(value) for value in values)
+
+
+def _text(value: float) -> str:
+    """Shortest text that reads back as the same number; -0 becomes 0."""
+    number = float(value) + 0.0
+    return str(int(number)) if number.is_integer() and abs(number) < 1e15 else repr(number)

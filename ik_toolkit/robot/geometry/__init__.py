@@ -1,0 +1,1 @@
+"""Shapes of links and obstacles, their distances and collisions."""

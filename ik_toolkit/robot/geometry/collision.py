@@ -1,0 +1,309 @@
+"""Collisions of a robot with itself and with shapes around it or in its hand, by Pinocchio and coal.
+
+A broad phase compares bounding boxes first (a tree of them, in C++); shapes are tested exactly only where boxes overlap.
+"""
+
+import threading
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+from typing import Any, ClassVar
+
+import numpy as np
+import pinocchio as pin
+
+from ...errors import InvalidOption, ModelError, floats, near_match
+from ..base import put_on
+from ..robot import Robot
+from ..tree import Tree
+from .convex import is_flat, owner_above, read_shapes, request
+from .distance import Clearance, Near
+from .surroundings import Placed, Surroundings
+
+SAMPLES = 8  # random configurations that show which links move relative to each other
+STILL = 1e-9  # [m or entries of a rotation] change of relative placement below which two parts do not move
+
+
+class CollisionModel(Surroundings):
+    """What can collide: the robot's own links and tools, shapes around it, and shapes it holds.
+
+    robot: the Robot or Tree (its arms against each other, too) whose collision shapes are read from its URDF (meshes from the
+    URDF's folder, its ROS package and package_dirs only), or from `geometry`, a pin.GeometryModel. ignore: pairs of
+    link names that may touch. margin [m]: two parts touch when they are nearer than this; links that are nearer than it at home
+    keep half of that distance. Never tested: links joined by one joint, links that cannot move relative to each other, pairs that
+    the robot's SRDF allows to touch, and pairs that touch both at home and at zero (if legal), which are listed in `excluded`.
+    Attributes: links, obstacles, attached (names), pairs (tested, by name), excluded (pairs of link names), allowed (pairs of link
+    names in the SRDF -> reason), margin. Shapes may be added, moved and removed between calls; what uses the model sees them from
+    its next call on, and a tracker from its next step. Raises ModelError (no collision shapes, over 300, one without extent, or a
+    mesh that cannot be read), InvalidOption.
+    """
+
+    _INSTEAD: ClassVar[Mapping[str, str]] = {
+        "margin": "make a CollisionModel with margin=",
+        "ignore": "make a CollisionModel with ignore=",
+        "obstacles": "use add, move and remove",
+        "attached": "use attach and detach",
+        "": "make a new CollisionModel",
+    }
+
+    def __init__(
+        self,
+        robot: Robot | Tree,
+        *,
+        geometry: pin.GeometryModel | None = None,
+        ignore: Iterable[Sequence[str]] = (),
+        margin: float = 0.0,
+    ) -> None:
+        """Read the shapes and decide which pairs count."""
+        if not isinstance(robot, Robot | Tree):
+            raise InvalidOption(f"a CollisionModel needs a Robot or a Tree, not a {type(robot).__name__}")
+        self.robot = robot
+        try:
+            self.ignore = [tuple(pair) for pair in ignore]
+        except TypeError:
+            raise InvalidOption(f"ignore takes pairs of links with collision shapes, not {ignore!r:.60}") from None
+        if not isinstance(geometry, pin.GeometryModel | None):
+            raise InvalidOption(f"geometry must be a pin.GeometryModel, not {type(geometry).__name__}")
+        self.margin = as_margin(margin)
+        self._given = None if geometry is None else geometry.clone()
+        self._own = read_shapes(robot) if geometry is None else geometry.clone()
+        self._own.removeAllCollisionPairs()
+        if geometry is not None and robot._original is not None:
+            put_on(self._own, robot._original, robot.model)
+        self._links = [robot.model.frames[o.parentFrame].name for o in self._own.geometryObjects]
+        self._tools = len(self._links)
+        self._add_tools()
+        if not self._links:
+            raise ModelError(
+                f"robot '{robot.name}' has no collision shapes (<collision> elements): there is nothing to test; "
+                "add them to the URDF, or pass geometry="
+            )
+        self.links = tuple(dict.fromkeys(self._links))
+        for pair in self.ignore:
+            unknown = [name for name in pair if name not in self.links]
+            if len(pair) != 2 or unknown:
+                close = near_match(next(iter(unknown or pair), ""), self.links)
+                raise InvalidOption(f"ignore takes pairs of links with collision shapes, not {pair}.{close}")
+        super().__init__()
+        self._closer: dict[tuple[int, int], float] = {}
+        self.excluded: tuple[tuple[str, str], ...] = ()
+        self._pair_links()
+        self._seal()
+
+    # ------------------------------------------------------------------------------------------------ what is tested
+    def _add_tools(self) -> None:
+        """Attach the arms' tools to their tips."""
+        model = self.robot.model
+        for arm in self.robot.arms:
+            frame = model.frames[arm._ids[1]]
+            for k, (shape, T) in enumerate(arm.tool_shapes):
+                name = f"tool at {arm.tip}" + f" {k + 1}" * (k > 0)
+                place = frame.placement * T
+                self._own.addGeometryObject(
+                    pin.GeometryObject(name, frame.parentJoint, arm._ids[1], place, shape.form())
+                )
+                self._links.append(name)
+
+    def _pair_links(self) -> None:
+        robot, model = self.robot, self.robot.model
+        owners = [o.parentJoint for o in self._own.geometryObjects]
+        hands = [model.frames[arm._ids[1]].parentJoint for arm in robot.arms]
+        placements = self._sample([0, *owners, *hands])
+        joints = list(placements)
+        apart = np.zeros((len(joints), len(joints)), dtype=bool)  # whether two joints move relative to each other
+        for b, jb in enumerate(joints):
+            for a, ja in enumerate(joints[:b]):
+                between = np.linalg.inv(placements[ja]) @ placements[jb]
+                apart[a, b] = apart[b, a] = np.ptp(between, axis=0).max() > STILL
+        of_shape = np.array([joints.index(j) for j in owners])
+        carriers = set(owners[: self._tools])
+        above = [owner_above(model, j, carriers) for j in joints]
+        joined = np.array(
+            [[above[a] == jb or above[b] == ja for b, jb in enumerate(joints)] for a, ja in enumerate(joints)]
+        )
+        links = np.arange(len(owners)) < self._tools
+        self._tested = np.triu(apart[of_shape[:, None], of_shape], 1)
+        self._tested &= ~(joined[of_shape[:, None], of_shape] & links & links[:, None])
+        self._moving = apart[0][of_shape]
+        self._in_hand = [apart[joints.index(hand)][of_shape] for hand in hands]
+        self._hand_moves = [bool(apart[0, joints.index(hand)]) for hand in hands]
+        self._between_hands = [[bool(apart[joints.index(a), joints.index(b)]) for b in hands] for a in hands]
+        places = {name: [k for k, other in enumerate(self._links) if other == name] for name in self.links}
+
+        def leave_out(pairs: Iterable[tuple[str, ...]]) -> None:
+            for first, second in pairs:
+                self._tested[np.ix_(places[first], places[second])] = False
+                self._tested[np.ix_(places[second], places[first])] = False
+            self._rebuild()
+
+        self.allowed = robot.srdf.may_touch(self.links)
+        margin, self.margin = self.margin, 0.0
+        leave_out([*self.ignore, *self.allowed])
+        zero = np.zeros(robot.n)
+        touching = dict.fromkeys(self.collisions(robot.home))
+        if not robot.outside(zero):  # contact at only one of them may be real: a folded arm
+            touching = {pair: None for pair in self.collisions(zero) if pair in touching}
+        self.excluded = tuple(touching)
+        leave_out(self.excluded)
+        if margin > 0.0:
+            near = Clearance(self).near(robot.home, margin)
+            self._closer = {pair: max(0.5 * found.distance, 0.0) for pair, found in near}
+            self.margin = margin
+            self._rebuild()
+
+    def _sample(self, owners: list[int]) -> dict[int, np.ndarray]:
+        """Placements (SAMPLES, 4, 4) of the joints that carry shapes, all at the same random configurations."""
+        robot, data = self.robot, self.robot.model.createData()
+        rng = np.random.default_rng(0)
+        found: dict[int, list] = {j: [] for j in owners}
+        for _ in range(SAMPLES):
+            pin.forwardKinematics(robot.model, data, robot._fill(robot.rest.copy(), robot.random_q(rng)))
+            for j, list_j in found.items():
+                list_j.append(data.oMi[j].homogeneous)
+        return {j: np.array(list_j) for j, list_j in found.items()}
+
+    def _rebuild(self) -> None:
+        """Rebuild geometry, pairs and margins; existing workspaces keep their own."""
+        geometry, own = self._own.copy(), len(self._links)
+        tested = np.zeros((own + len(self._placed), own + len(self._placed)), dtype=bool)
+        tested[:own, :own] = self._tested
+        placed = list(self._placed.items())
+        for k, (name, one) in enumerate(placed, own):
+            geometry.addGeometryObject(self._object(name, one))
+            moves = self._moving if one.arm is None else self._in_hand[one.arm]
+            tested[:own, k] = moves & np.array([link not in one.touch for link in self._links])
+            for i, (other, two) in enumerate(placed[: k - own], own):
+                tested[i, k] = self._meet(one, two) and other not in one.touch and name not in two.touch
+        geometry.setCollisionPairs(tested)
+        pairs = [(pair.first, pair.second) for pair in geometry.collisionPairs]
+        margins = np.array([self._closer.get(pair, self.margin) for pair in pairs])
+        self._names = [*self._links, *self._placed]
+        self._state = geometry, margins
+        self._local = threading.local()
+        self._put(version=self.version + 1)
+
+    def _moved(self, name: str) -> None:
+        shape = self.geometry.geometryObjects[self._names.index(name)]
+        shape.placement = self._object(name, self._placed[name]).placement
+        self._put(version=self.version + 1)
+
+    def _meet(self, one: Placed, two: Placed) -> bool:
+        """Whether two added shapes can move relative to each other."""
+        if one.arm is None or two.arm is None:
+            arm = two.arm if one.arm is None else one.arm
+            return arm is not None and self._hand_moves[arm]
+        return self._between_hands[one.arm][two.arm]
+
+    @property
+    def geometry(self) -> pin.GeometryModel:
+        """All shapes and the tested pairs as Pinocchio sees them; rebuilt when a shape is added or removed."""
+        return self._state[0]
+
+    @property
+    def margins(self) -> np.ndarray:
+        """Distance [m] below which each of the geometry's pairs (P,) counts as touching."""
+        return self._state[1]
+
+    @property
+    def pairs(self) -> tuple[tuple[str, str], ...]:
+        """Pairs of names (links, obstacles and attached shapes) that are tested."""
+        named = ((self._names[p.first], self._names[p.second]) for p in self.geometry.collisionPairs)
+        return tuple(dict.fromkeys(named))
+
+    # ------------------------------------------------------------------------------------------------ questions
+    def _workspace(self) -> tuple[Any, Any, Any, pin.GeometryModel]:
+        """Model data, geometry data, box tree or None (all local to the calling thread), and the geometry."""
+        local = self._local
+        if not hasattr(local, "space"):
+            geometry = self.geometry
+            local.space = (*self.workspace(0.0), geometry)
+        return local.space
+
+    def workspace(self, more: float | np.ndarray) -> tuple[Any, Any, Any]:
+        """New workspace (see `_workspace`) where a pair nearer than its margin plus `more` [m] (pairs,) counts as touching."""
+        geometry, margins = self._state
+        data, found = self.robot.model.createData(), geometry.createData()
+        # Pinocchio's default requests reuse the last result as a guess, so a verdict could depend on earlier calls.
+        for k, margin in enumerate((margins + more).tolist()):
+            found.collisionRequests[k] = request(margin)
+        boxes = pin.BroadPhaseManager_DynamicAABBTreeCollisionManager(self.robot.model, geometry, found)
+        # Pinocchio leaves shapes whose box has no volume (flat meshes) out of the tree; then every pair is tested.
+        return data, found, None if any(is_flat(o.geometry) for o in geometry.geometryObjects) else boxes
+
+    def collides(self, q: Any) -> bool:
+        """Whether anything touches (is nearer than the margin) at q (n,) [rad or m]."""
+        if not len(self.geometry.collisionPairs):
+            return False
+        full = self._full(q)
+        data, found, boxes, geometry = self._workspace()
+        if boxes is None:
+            return bool(pin.computeCollisions(self.robot.model, data, geometry, found, full, True))
+        return bool(pin.computeCollisions(self.robot.model, data, boxes, full, True))
+
+    def collisions(self, q: Any) -> list[tuple[str, str]]:
+        """Every pair of names that touches (is nearer than the margin) at q (n,) [rad or m]."""
+        full = self._full(q)
+        data, found, _, geometry = self._workspace()
+        pin.computeCollisions(self.robot.model, data, geometry, found, full, False)
+        hits = [
+            pair for pair, hit in zip(geometry.collisionPairs, found.collisionResults, strict=True) if hit.isCollision()
+        ]
+        return list(
+            dict.fromkeys((self._name(geometry, pair.first), self._name(geometry, pair.second)) for pair in hits)
+        )
+
+    def distances(self, q: Any, within: float = np.inf) -> list[Near]:
+        """Pairs closer than `within` [m] at q (n,) [rad or m], nearest first, with distance, nearest points and normal.
+
+        Measured between the convex hulls of meshes (exact for all other shapes), and between the meshes themselves where the
+        hulls are nearer than the margin, here or at home: a distance is never more than that of the exact shapes, and 0 or less
+        where they touch. Raises InvalidConfiguration, InvalidOption.
+        """
+        if not (isinstance(within, float) and within == np.inf):
+            within = as_margin(within, "within must be a distance [m]")
+        return [found for _, found in self._measure().near(self.robot.check_q(q), within)]
+
+    def distance(self, q: Any) -> Near | None:
+        """The nearest pair at q (n,) [rad or m], as in `distances`; None when no pair is tested."""
+        return self._measure().nearest(self.robot.check_q(q))
+
+    def _measure(self) -> Clearance:
+        """The calling thread's distance computation."""
+        local = self._local
+        if getattr(local, "version", None) != self.version:
+            local.clearance, local.version = Clearance(self), self.version
+        return local.clearance
+
+    def _name(self, geometry: pin.GeometryModel, k: int) -> str:
+        return self._links[k] if k < len(self._links) else geometry.geometryObjects[k].name
+
+    def _full(self, q: Any) -> np.ndarray:
+        return self.robot._fill(self.robot.rest.copy(), self.robot.check_q(q))
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Keep the constructor's arguments; shapes are read again, a given geometry is pickled whole."""
+        placed = {name: replace(one, form=None) for name, one in self._placed.items()}
+        asked = {"robot": self.robot, "geometry": self._given, "ignore": self.ignore, "margin": self.margin}
+        return {"asked": asked, "placed": placed}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Rebuild from the stored arguments."""
+        asked = dict(state["asked"])
+        self.__init__(asked.pop("robot"), **asked)
+        self._placed = {name: replace(one, form=one.shape.form()) for name, one in state["placed"].items()}
+        self._rebuild()
+
+    def __repr__(self) -> str:
+        """One line."""
+        around = f", around it: {', '.join(self.obstacles)}" if self.obstacles else ""
+        held = f", attached: {', '.join(self.attached)}" if self.attached else ""
+        kept = f", margin {self.margin:g} m" if self.margin else ""
+        counts = f"{len(self.pairs)} pairs tested, {len(self.excluded)} excluded"
+        return f"CollisionModel('{self.robot.name}', {counts}{kept}{around}{held})"
+
+
+def as_margin(value: Any, what: str = "margin must be a distance of at least 0 [m]") -> float:
+    """Validate a margin [m]. Raises InvalidOption, "WHAT, not VALUE"."""
+    number = floats(value, what, InvalidOption)
+    if number.shape != () or not 0.0 <= number < np.inf:
+        raise InvalidOption(f"{what}, not {value!r:.60}")
+    return float(number)

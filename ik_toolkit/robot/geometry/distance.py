@@ -1,0 +1,265 @@
+"""Distances between the parts of a robot and its surroundings, and how fast these can shrink.
+
+Distances are between convex hulls, at about a microsecond per pair; the exact shapes, which lie inside their hulls, are measured
+only where hulls meet.
+"""
+
+import threading
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import coal
+import numpy as np
+import pinocchio as pin
+
+from ...kernel.clearance import free_until, levers, rows
+from .convex import hull_of
+
+BUILDING = threading.Lock()  # coal stores a hull on its mesh, which other threads may be using
+# The nearest points of a pair leap from one end of an edge to the other, so those found before are kept: at most CORNERS (the two
+# ends of an edge and two to spare), while they are less than NEARBY from being the nearest, and one of those within APART.
+CORNERS, NEARBY, APART = 4, 0.03, 0.01  # -, m, m
+THIN = 1e-5  # thickness over size below which a mesh counts as flat: qhull fails at 1e-9
+
+
+class Near(NamedTuple):
+    """Two parts by name, their distance [m], their nearest points (2, 3) and the unit normal (3,) from first to second.
+
+    Points and normal are in the axes of the model's root.
+    """
+
+    pair: tuple[str, str]
+    distance: float
+    points: np.ndarray
+    normal: np.ndarray
+
+
+def hulls(geometry: pin.GeometryModel, names: Sequence[str], known: dict[Any, Any]) -> pin.GeometryModel:
+    """Copy of a geometry with each mesh replaced by its convex hull, where it has one, see `hull_of`.
+
+    names: of the shapes added to the robot, last in the geometry; known: hulls by index or by such a name, extended by new ones.
+    """
+    made, own = geometry.copy(), len(geometry.geometryObjects) - len(names)
+    for k, shape in enumerate(made.geometryObjects):
+        mesh, key = shape.geometry, k if k < own else names[k - own]
+        if isinstance(mesh, coal.BVHModelBase) and _thick(mesh.vertices()):
+            with BUILDING:
+                if key not in known:
+                    known[key] = hull_of(mesh)
+                shape.geometry = known[key]
+    return made
+
+
+def _thick(points: np.ndarray) -> bool:
+    """Whether points (N, 3) span enough volume for qhull, which crashes on flat sets."""
+    size = np.abs(points).max(initial=0.0)
+    if not size < np.inf or len(points) < 4:
+        return False
+    return bool(np.linalg.svd(points - points.mean(axis=0), compute_uv=False)[2] > THIN * size)
+
+
+class Clearance:
+    """Distances of all tested pairs of a CollisionModel; a workspace for one thread.
+
+    a, b (P,): shapes of each pair; own (P,): both are the robot's; exact (P,): their hulls meet at home, so they are always
+    measured on the exact shapes; home (P,): distances at home [m]; coordinates (E,): index in q of each moving joint.
+    """
+
+    def __init__(self, model: Any) -> None:
+        """Take the hulls of a CollisionModel and the joints that move its shapes."""
+        self.robot = robot = model.robot
+        self._exact, self.margins = model._state
+        added = [*model._placed]
+        self._names = [*model._links, *added]
+        self._hulls = hulls(self._exact, added, model._hulls)
+        self._data, self._exact_data, self._hull_data = (
+            robot.model.createData(),
+            self._exact.createData(),
+            self._hulls.createData(),
+        )
+        shapes, pairs = self._exact.geometryObjects, self._exact.collisionPairs
+        # References, which follow each placement and measurement: making one takes three times as long as reading it.
+        self._frames = list(self._data.oMi)
+        self._hull_found, self._exact_found = (
+            [data.distanceResults[k] for k in range(len(pairs))] for data in (self._hull_data, self._exact_data)
+        )
+        self.a = np.array([pair.first for pair in pairs], dtype=int)
+        self.b = np.array([pair.second for pair in pairs], dtype=int)
+        robots = np.array([name not in model.obstacles for name in self._names])
+        self.own = robots[self.a] & robots[self.b]
+        solid = np.array([isinstance(s.geometry, coal.BVHModelBase) for s in shapes])
+        self._surface = solid[self.a] | solid[self.b]  # exact shapes that differ from their hulls
+        self._joints(shapes)
+        self.exact, self._on_surface = np.zeros((2, len(pairs)), dtype=bool)
+        self.place(robot.home)
+        self.exact = np.array(
+            [self._surface[k] and self._hull_distance(k) <= self.margins[k] for k in range(len(pairs))], dtype=bool
+        )
+        self.home = self.distances()
+        self._corners, self._held = np.zeros((len(pairs), CORNERS, 2, 3)), np.zeros((len(pairs), CORNERS), dtype=bool)
+
+    def _joints(self, shapes: Any) -> None:
+        """Find which joint moves which shape, and where each shape lies on its link."""
+        model, names = self.robot.model, self.robot.joint_names
+        lead = dict(zip(model.mimicking_joints, model.mimicked_joints, strict=True))
+        moving = [i for i in range(1, model.njoints) if model.names[lead.get(i, i)] in names]
+        self.coordinates = np.array([names.index(model.names[lead.get(i, i)]) for i in moving])
+        self._columns = np.array([model.idx_vExtendeds[i] for i in moving])
+        self._owner = np.array([shape.parentJoint for shape in shapes])
+        above = [set(model.supports[int(i)]) for i in self._owner]
+        moved = np.array([[i in joints for i in moving] for joints in above])
+        self.by_a, self.by_b = moved[self.a] & ~moved[self.b], moved[self.b] & ~moved[self.a]
+        self._middle, self._size = np.ones((len(shapes), 4)), np.empty(len(shapes))
+        for k, shape in enumerate(shapes):
+            shape.geometry.computeLocalAABB()
+            self._middle[k, :3] = shape.placement.act(np.array(shape.geometry.aabb_center))
+            self._size[k] = shape.geometry.aabb_radius
+        self._radius = np.where(moved.any(axis=1), self._size, 0.0)  # a shape that never moves may be an infinite plane
+
+    def name(self, k: int) -> tuple[str, str]:
+        """Names of pair k."""
+        return self._names[self.a[k]], self._names[self.b[k]]
+
+    # ------------------------------------------------------------------------------------------------ distances
+    def place(self, q: np.ndarray) -> None:
+        """Place every shape at configuration q (n,) [rad or m]; the methods below refer to the last placement."""
+        full = self.robot._fill(self.robot.rest.copy(), q)
+        pin.forwardKinematics(self.robot.model, self._data, full)
+        pin.updateGeometryPlacements(self.robot.model, self._data, self._hulls, self._hull_data)
+        self._placed = False
+
+    def _hull_distance(self, k: int) -> float:
+        return pin.computeDistance(self._hulls, self._hull_data, k).min_distance
+
+    def distance(self, k: int) -> float:
+        """Distance [m] of pair k: never more than that of the exact shapes, 0 or less where they touch."""
+        if not self.exact[k]:
+            d = self._hull_distance(k)
+            if d > self.margins[k] or not self._surface[k]:
+                self._on_surface[k] = False
+                return d
+        if not self._placed:
+            pin.updateGeometryPlacements(self.robot.model, self._data, self._exact, self._exact_data)
+            self._placed = True
+        self._on_surface[k] = True
+        return pin.computeDistance(self._exact, self._exact_data, k).min_distance
+
+    def distances(self) -> np.ndarray:
+        """Distances (P,) [m] of all pairs."""
+        return np.array([self.distance(k) for k in range(len(self.a))])
+
+    def gap(self, k: int) -> float:
+        """Distance [m] of pair k less its margin."""
+        return self.distance(k) - self.margins[k]
+
+    def points(self, ks: np.ndarray) -> np.ndarray:
+        """Nearest points (K, 2, 3) of pairs ks (K,) (root axes), after `distance`."""
+        results = [(self._exact_found if self._on_surface[k] else self._hull_found)[k] for k in ks.tolist()]
+        return np.array([(found.getNearestPoint1(), found.getNearestPoint2()) for found in results]).reshape(-1, 2, 3)
+
+    def near(self, q: np.ndarray, within: float) -> list[tuple[tuple[int, int], Near]]:
+        """Pairs closer than `within` [m] at q (n,), nearest first, with the indices of their shapes."""
+        self.place(q)
+        found = [(self.distance(k), k) for k in np.flatnonzero(self._apart() < within).tolist()]
+        close = sorted(pair for pair in found if pair[0] < within)
+        return [((int(self.a[k]), int(self.b[k])), self._near(d, k)) for d, k in close]
+
+    def nearest(self, q: np.ndarray) -> Near | None:
+        """The nearest pair at q (n,); None when there is none."""
+        self.place(q)
+        apart, least, found = self._apart(), np.inf, -1
+        for k in np.argsort(apart, kind="stable").tolist():
+            if not apart[k] < least:
+                break
+            d = self.distance(k)
+            least, found = (d, k) if d < least else (least, found)
+        return None if found < 0 else self._near(least, found)
+
+    def _near(self, distance: float, k: int) -> Near:
+        """Pair k as a Near, from its last measurement."""
+        points = self.points(np.array([k]))[0]
+        gap = points[1] - points[0]
+        return Near(self.name(k), distance, points, gap / max(np.sqrt(gap @ gap), 1e-300))
+
+    def _apart(self) -> np.ndarray:
+        """Distances (P,) between the bounding spheres of all pairs; -inf for infinite shapes."""
+        self._locate()
+        middles = np.sqrt(((self._at[self.a] - self._at[self.b]) ** 2).sum(1))
+        size = self._size[self.a] + self._size[self.b]
+        return np.where(np.isfinite(size) & np.isfinite(middles), middles - size, -np.inf)
+
+    def _locate(self) -> None:
+        """Centres of the shapes (root axes)."""
+        self._placements = np.array([M.homogeneous for M in self._frames])[self._owner]
+        self._at = np.ascontiguousarray((self._placements @ self._middle[:, :, None])[:, :3, 0])
+
+    # ------------------------------------------------------------------------------------------------ motion
+    def move(self) -> None:
+        """Compute the joint Jacobians that `levers` and `rows` need."""
+        pin.computeJointJacobians(self.robot.model, self._data)
+        self._V = np.ascontiguousarray(self._data.J.T[self._columns])
+        self._locate()
+
+    def levers(self, way: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """How much closer (P, E) each pair can come per unit of each moving joint, while joint i moves at most way (n,).
+
+        Also returns the sum (P,) [m] over all joints moving that far.
+        """
+        out, spread = np.empty(self.by_a.shape), np.empty(len(self.a))
+        joints = self._V, self.coordinates, self._at, self._radius
+        levers(*joints, self.a, self.b, self.by_a, self.by_b, way, out, spread)
+        return out, spread
+
+    def forget(self) -> None:
+        """Forget the nearest points found before."""
+        self._held[:] = False
+
+    def corners(self) -> tuple[np.ndarray, np.ndarray]:
+        """The nearest points found before: what `recall` takes."""
+        return self._corners, self._held
+
+    def recall(self, found: tuple[np.ndarray, np.ndarray]) -> None:
+        """Go on with nearest points found before, those of another one of the same model."""
+        self._corners, self._held = (one.copy() for one in found)
+
+    def facing(self, ks: np.ndarray, distances: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Nearest points of pairs ks (K,), their distances [m] known, and points that were nearest before and nearly still are.
+
+        Returns pairs (R,), points (R, 2, 3) (root axes) and distances (R,) [m]: first those of ks, then those before; after `move`.
+        """
+        points, each = self.points(ks), np.arange(len(ks))
+        at = self._placements[np.stack([self.a[ks], self.b[ks]], axis=1)]  # (K, 2, 4, 4)
+        turn, origin = at[..., :3, :3], at[..., :3, 3]
+        own = ((points - origin)[..., None, :] @ turn)[..., 0, :]
+        known = self._corners[ks]
+        before = (turn[:, None] @ known[..., None])[..., 0] + origin[:, None]
+        gaps = np.linalg.norm(before[:, :, 1] - before[:, :, 0], axis=2)
+        # Where a corner slides along a face, only the point on the face is another one.
+        same = (np.linalg.norm(known - own[:, None], axis=3) < APART).any(axis=2)
+        hull = ~self._on_surface[ks][:, None]  # points kept of hulls, which may meet, are none of the exact shapes
+        held = self._held[ks] & hull & ~same & (gaps < distances[:, None] + NEARBY)
+        new = np.argmax(np.where(held, gaps, np.inf), axis=1)
+        held[each, new] = False
+        pair, corner = np.nonzero(held)
+        held[each, new], self._corners[ks, new] = True, own
+        self._held[ks] = held
+        return (
+            np.concatenate([ks, ks[pair]]),
+            np.concatenate([points, before[pair, corner]]),
+            np.concatenate([distances, gaps[pair, corner]]),
+        )
+
+    def rows(self, ks: np.ndarray, points: np.ndarray, gap: np.ndarray, rate: np.ndarray, *rest: Any) -> int:
+        """Half-planes of pairs ks (K,) as in `kernel.clearance.rows`."""
+        return rows(self._V, self.coordinates, self.by_a, self.by_b, ks, points, gap, rate, *rest)
+
+    def free_until(self, ks: np.ndarray, distances: np.ndarray, *rest: Any) -> np.ndarray:
+        """How far (K,) pairs ks are certainly free, as in `kernel.clearance.free_until`, from their last measurement."""
+        gap = self.points(ks)
+        normals = gap[:, 1] - gap[:, 0]
+        normals /= np.maximum(np.sqrt((normals**2).sum(1)), 1e-300)[:, None]
+        normals[self._on_surface[ks]] = 0.0  # non-convex shapes have no separating plane
+        out = np.empty(len(ks))
+        parts = self._at, self._radius, self.a, self.b, self.by_a, self.by_b
+        free_until(self._V, self.coordinates, *parts, ks, normals, distances, *rest, out)
+        return out

@@ -1,0 +1,198 @@
+"""The shapes of a URDF's links, as Pinocchio places and names them, without its mesh reader.
+
+Pinocchio's own reader opens any path a file names, in this process, and drops all shapes of a link with a line on stderr when
+one of them is broken. Here each broken or missing shape is reported.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from ...errors import ModelError
+from ..formats.urdf import Item, numbers, parse
+from ..pose import rpy_matrix
+from .meshes import Mesh, find_mesh, mesh_folders, mesh_packages, read_meshes
+
+MAX_TOTAL = 5_000_000  # triangles per robot: 2 GB as bounding volume trees for collisions; robots have up to 1,000,000
+LARGEST = 1e6  # [m] or factor: largest size, scale and distance of a shape
+SIZES = {  # shape -> attribute -> count of numbers
+    "box": {"size": 3},
+    "sphere": {"radius": 1},
+    "cylinder": {"radius": 1, "length": 1},
+    "capsule": {"radius": 1, "length": 1},
+}
+ROLES = {"surface": "collision", "look": "visual"}
+Problems = list[tuple[str, str]]  # (element, what is wrong with it)
+
+
+@dataclass(frozen=True)
+class LinkShape:
+    """One shape of a link.
+
+    name ("LINK_K"); link; kind ('box', 'sphere', 'cylinder', 'capsule' or 'mesh'); sizes: (x, y, z), (radius,), (radius,
+    length), or the mesh's scale (3,) [m]; T_link_shape; color: (r, g, b, opacity) of the URDF or None; file: the mesh's name in the
+    URDF; convex: whether the mesh is treated as convex; mesh: contents of the file.
+    """
+
+    name: str
+    link: str
+    kind: str
+    sizes: tuple[float, ...]
+    T_link_shape: pin.SE3
+    color: tuple[float, ...] | None = None
+    file: str = ""
+    convex: bool = False
+    mesh: Mesh = field(default_factory=Mesh)
+
+
+def link_shapes(robot: Any, kind: str, most: int) -> tuple[list[LinkShape], Problems]:
+    """Shapes of a robot's links for 'surface' (collisions) or 'look' (visuals), and the problems with unusable ones.
+
+    most: largest number allowed; ModelError beyond it.
+    """
+    role = ROLES[kind]
+    items = [item for item in parse(robot.urdf) if item.tag in ("link", "material")]
+    count = sum(given["role"] == role for item in items for given in item.shapes)
+    if count > most:
+        raise ModelError(f"robot '{robot.name}' has {count:,} {role} shapes; at most {most:,} are read")
+    names = [part.attributes.get("filename", "") for item in items for part in item.inside if part.tag == "mesh"]
+    packages = mesh_packages(names, robot.path, robot.package_dirs)
+    folders, colors = [*mesh_folders(robot.path, robot.package_dirs), *packages.values()], _colors(items)
+    shapes: list[LinkShape] = []
+    problems: Problems = []
+    files = {}
+    for item in items:
+        own = [given for given in item.shapes if given["role"] == role]
+        asked = {(part.tag, part.attributes.get("name")) for part in item.inside}  # in <collision_checking>
+        for k, given in enumerate(own):
+            try:
+                shape = _shape(item, k, given, asked, colors)
+                if shape.file and shape.file not in files:
+                    try:
+                        files[shape.file] = find_mesh(shape.file, folders, packages)
+                    except ModelError as error:
+                        raise ModelError(f"mesh '{shape.file[:200]}' {error}") from None
+                shapes.append(shape)
+            except ModelError as error:
+                problems.append((str(item), str(error)))
+    meshes = read_meshes(files.values(), kind, folders)
+    found = []
+    for shape in shapes:
+        mesh = meshes[files[shape.file]] if shape.file else Mesh()
+        said = [*([mesh.refused] if mesh.refused else []), *mesh.notes]
+        problems += [(f"link '{shape.link}'", f"mesh '{shape.file[:200]}' {problem}") for problem in said]
+        if not mesh.refused:
+            found.append(replace(shape, mesh=mesh))
+    total = sum(len(piece.faces) for shape in found for piece in shape.mesh.pieces)
+    if total > MAX_TOTAL:
+        raise ModelError(
+            f"the {role} meshes of robot '{robot.name}' have {total:,} triangles; at most {MAX_TOTAL:,} are read"
+        )
+    return found, problems
+
+
+def said(problems: Problems) -> str:
+    """One sentence for a list of problems: the first three, and the number of others."""
+    rows = list(dict.fromkeys(f"{element}: {problem}" for element, problem in problems))
+    return "; ".join(rows[:3]) + (f"; and {len(rows) - 3} more" if len(rows) > 3 else "")
+
+
+def geometry_model(model: pin.Model, shapes: Sequence[LinkShape], forms: Sequence[Any]) -> pin.GeometryModel:
+    """Pinocchio's geometry: forms (coal shapes) placed on the links of their shapes."""
+    geometry = pin.GeometryModel()
+    frames: dict[str, int] = {frame.name: i for i, frame in enumerate(model.frames) if frame.type == pin.FrameType.BODY}
+    for shape, form in zip(shapes, forms, strict=True):
+        frame = model.frames[frames[shape.link]]
+        placement = frame.placement * shape.T_link_shape
+        geometry.addGeometryObject(
+            pin.GeometryObject(shape.name, frame.parentJoint, frames[shape.link], placement, form)
+        )
+    return geometry
+
+
+def _shape(
+    item: Item,
+    k: int,
+    given: Mapping[str, Any],
+    asked: set[tuple[str, str | None]],
+    colors: Mapping[str, tuple[float, ...]],
+) -> LinkShape:
+    """Return one shape; ModelError, whose text ends a sentence, if it is invalid.
+
+    asked: (tag, name of a collision shape) where 'capsule' replaces a cylinder or 'convex' a mesh.
+    """
+    tag, attributes = given.get("geometry", ("", {}))
+    kind = "capsule" if tag == "cylinder" and ("capsule", given["name"]) in asked else tag
+    file = attributes.get("filename", "")
+    if kind == "mesh":
+        if not file:
+            raise ModelError("a mesh has no file name")
+        sizes = _numbers("mesh", attributes, {"scale": 3}, "1 1 1")
+        if not all(0.0 < abs(size) <= LARGEST for size in sizes):
+            raise ModelError(f'<mesh scale="{attributes["scale"][:60]}"> is zero or too large')
+    elif kind in SIZES:
+        sizes = _numbers(tag, attributes, SIZES[kind])
+        if not all(0.0 < size <= LARGEST for size in sizes):
+            shown = " ".join(f'{key}="{attributes[key][:60]}"' for key in SIZES[kind])
+            raise ModelError(f"<{tag} {shown}> is not a valid shape: sizes must be positive and at most {LARGEST:g} m")
+    else:
+        known = ", ".join(("mesh", *SIZES))
+        raise ModelError(f"<{tag[:60]}> is not a shape; use one of: {known}" if tag else "a shape has no geometry")
+    origin = given.get("origin", {})
+    if "quat_xyzw" in origin:
+        raise ModelError(
+            f'its shape <origin quat_xyzw="{origin["quat_xyzw"][:60]}"> is no rotation, or rpy is given, too'
+        )
+    xyz, rpy = (_numbers("origin", origin, {key: 3}, "0 0 0") for key in ("xyz", "rpy"))
+    if max(map(abs, xyz)) > LARGEST:
+        raise ModelError(f'its shape <origin xyz="{origin["xyz"][:60]}"> is further than {LARGEST:g} m away')
+    material = given.get("material", {}).get("name", "")
+    color = colors.get(material) or _color(given.get("color", {}))  # a material name refers to its first colour
+    place = pin.SE3(np.array(rpy_matrix(rpy)), np.array(xyz))
+    mesh = kind == "mesh"
+    return LinkShape(
+        f"{item.name}_{k}",
+        item.name,
+        kind,
+        sizes,
+        place,
+        color,
+        file * mesh,
+        convex=mesh and ("convex", given["name"]) in asked,
+    )
+
+
+def _numbers(
+    tag: str, attributes: Mapping[str, str], counts: Mapping[str, int], default: str | None = None
+) -> tuple[float, ...]:
+    values: list[float] = []
+    for key, count in counts.items():
+        text = attributes.get(key, default)
+        if text is None:
+            raise ModelError(f"<{tag}> has no {key}")
+        some = numbers(text)
+        if some is None or len(some) != count or not np.isfinite(some).all():
+            raise ModelError(f'<{tag} {key}="{text[:60]}"> is not {count} finite number{"s" * (count > 1)}')
+        values += some
+    return tuple(values)
+
+
+def _colors(items: Sequence[Item]) -> dict[str, tuple[float, ...]]:
+    """Colours by material name: first the robot's materials, then those defined inside a visual; the first of a name counts."""
+    found: dict[str, tuple[float, ...]] = {}
+    of_robot = [(item.name, item.first("color") or {}) for item in items if item.tag == "material"]
+    written = [(s["material"].get("name", ""), s.get("color", {})) for i in items for s in i.shapes if "material" in s]
+    for name, attributes in [*of_robot, *written]:
+        color = _color(attributes)
+        if name and color:
+            found.setdefault(name, color)
+    return found
+
+
+def _color(attributes: Mapping[str, str]) -> tuple[float, ...] | None:
+    """(r, g, b, opacity) in 0..1 of a <color>, or None."""
+    values = numbers(attributes.get("rgba", "")) or []
+    return tuple(min(max(x, 0.0), 1.0) for x in values) if len(values) == 4 and np.isfinite(values).all() else None

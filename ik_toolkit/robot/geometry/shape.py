@@ -1,0 +1,112 @@
+"""Collision shapes: boxes, spheres, cylinders, capsules and meshes, in the workspace, on a tool or held by the robot."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import coal
+import numpy as np
+
+from ...errors import InvalidConfiguration, InvalidOption, ModelError, floats, near_match
+from ...files import as_path
+from .link_shapes import SIZES
+from .meshes import Mesh, find_mesh, read_meshes
+
+
+@dataclass(frozen=True)
+class Shape:
+    """A shape in its own frame: Shape.box(size), .sphere(radius), .cylinder(radius, length), .capsule(...), .mesh(file).
+
+    kind: 'box', 'sphere', 'cylinder', 'capsule' or 'mesh'; sizes: (x, y, z), (radius,) or (radius, length) [m], or (file, scale)
+    for a mesh. Raises InvalidOption, however it is made.
+    """
+
+    kind: str
+    sizes: Sequence
+
+    def __post_init__(self) -> None:
+        """Check kind and sizes. Raises InvalidOption."""
+        known = {**SIZES, "mesh": {"scale": 1}}
+        if self.kind not in list(known):
+            raise InvalidOption(f"there is no shape '{self.kind}'.{near_match(self.kind, known)}")
+        try:
+            file, given = (self.sizes[:1], self.sizes[1:]) if self.kind == "mesh" else ((), self.sizes)
+        except TypeError:
+            raise InvalidOption(f"the sizes of a {self.kind} must be a tuple, not {self.sizes!r:.60}") from None
+        parts = known[self.kind]
+        sizes = _positive(f"{' and '.join(parts)} of a {self.kind}", given, sum(parts.values()))
+        object.__setattr__(self, "sizes", (*map(str, file), *sizes))
+
+    @classmethod
+    def box(cls, size: Sequence[float]) -> "Shape":
+        """Return a box of size (x, y, z) [m] about its centre. Raises InvalidOption."""
+        return cls("box", size)
+
+    @classmethod
+    def sphere(cls, radius: float) -> "Shape":
+        """Return a sphere of a given radius [m] about its centre. Raises InvalidOption."""
+        return cls("sphere", (radius,))
+
+    @classmethod
+    def cylinder(cls, radius: float, length: float) -> "Shape":
+        """Return a cylinder [m] along z, about its centre. Raises InvalidOption."""
+        return cls("cylinder", (radius, length))
+
+    @classmethod
+    def capsule(cls, radius: float, length: float) -> "Shape":
+        """Return a capsule [m] along z, about its centre: a cylinder with half a ball at each end. Raises InvalidOption."""
+        return cls("capsule", (radius, length))
+
+    @classmethod
+    def mesh(cls, path: str | Path, scale: float = 1.0) -> "Shape":
+        """Return the surface of a scaled mesh file (STL, OBJ, DAE); a part inside it touches nothing. Raises InvalidOption."""
+        return cls("mesh", (as_path(path, "the file of a mesh"), scale))
+
+    def form(self) -> Any:
+        """The shape as a coal object. Raises InvalidConfiguration (a mesh that cannot be read)."""
+        if self.kind != "mesh":
+            return PLAIN[self.kind](*self.sizes)
+        path, scale = self.sizes
+        file = Path(path).expanduser()
+        if not file.is_file():
+            raise InvalidConfiguration(f"there is no mesh file '{path}'")
+        try:
+            real = find_mesh(str(file.absolute()), [file.resolve().parent, file.absolute().parent])
+        except ModelError as error:
+            raise InvalidConfiguration(f"the mesh file '{path}' {error}") from None
+        mesh = read_meshes([real], "surface", [real.parent])[real]
+        if mesh.refused:
+            raise InvalidConfiguration(f"the mesh file '{path}' {mesh.refused}")
+        return surface(mesh, np.full(3, scale))
+
+
+PLAIN = {"box": coal.Box, "sphere": coal.Sphere, "cylinder": coal.Cylinder, "capsule": coal.Capsule}
+
+
+def surface(mesh: Mesh, scale: np.ndarray) -> Any:
+    """The surface of a mesh scaled by (3,), as a coal object."""
+    made = coal.BVHModelOBBRSS()
+    (piece,) = mesh.pieces
+    made.beginModel(len(piece.faces), len(piece.vertices))
+    made.addVertices(piece.vertices * scale)
+    made.addTriangles(piece.faces)
+    made.endModel()
+    return made
+
+
+def is_shape(value: Any) -> Shape:
+    """Return a Shape; InvalidOption for anything else."""
+    if not isinstance(value, Shape):
+        raise InvalidOption(
+            f"a shape must be one of ik.Shape.box, sphere, cylinder, capsule or mesh, not {value!r:.60}"
+        )
+    return value
+
+
+def _positive(what: str, values: Any, count: int) -> tuple[float, ...]:
+    wanted = f"the {what} must be {count} positive number{'s' * (count > 1)} [m]"
+    array = floats(values, wanted, InvalidOption)
+    if array.shape != (count,) or not (np.isfinite(array) & (array > 0)).all():
+        raise InvalidOption(f"{wanted}, not {values!r:.60}")
+    return tuple(array.tolist())

@@ -1,0 +1,198 @@
+"""Shapes around a robot and held by it: added, moved, removed, attached and detached by name."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Self
+
+import numpy as np
+import pinocchio as pin
+
+from ...errors import InvalidOption, near_match
+from ...readonly import ReadOnly
+from ..pose import as_matrix
+from .shape import Shape, is_shape
+
+
+@dataclass(frozen=True)
+class Placed:
+    """A shape around the robot (arm None) or held by an arm: its pose in base or tip frame; names of parts it may touch."""
+
+    shape: Shape
+    form: Any
+    T: np.ndarray
+    arm: int | None = None
+    touch: frozenset[str] = frozenset()
+
+
+class Surroundings(ReadOnly):
+    """The shapes of a CollisionModel that are not part of the robot.
+
+    version: increases with every change; robot: the Robot or Tree.
+    """
+
+    robot: Any
+    _names: list[str]
+
+    def __init__(self) -> None:
+        """Start with no shapes."""
+        self.version = 0
+        self._placed: dict[str, Placed] = {}
+        self._hulls: dict[Any, Any] = {}  # see clearance.hulls
+
+    def _rebuild(self) -> None:
+        """Update after shapes were added or removed."""
+        raise NotImplementedError
+
+    def _moved(self, name: str) -> None:
+        """Update after a shape was moved."""
+        raise NotImplementedError
+
+    def _object(self, name: str, one: Placed) -> pin.GeometryObject:
+        """Pinocchio geometry object of an added shape."""
+        if one.arm is None:
+            base = self.robot.arms[0]._base_inverse.inverse()
+            return pin.GeometryObject(name, 0, base * pin.SE3(one.T), one.form)
+        arm = self.robot.arms[one.arm]
+        frame = self.robot.model.frames[arm._ids[1]]
+        place = frame.placement * arm.tool * pin.SE3(one.T)
+        return pin.GeometryObject(name, frame.parentJoint, arm._ids[1], place, one.form)
+
+    @property
+    def obstacles(self) -> tuple[str, ...]:
+        """Names of the shapes added around the robot."""
+        return tuple(name for name, one in self._placed.items() if one.arm is None)
+
+    @property
+    def attached(self) -> tuple[str, ...]:
+        """Names of the shapes the robot holds."""
+        return tuple(name for name, one in self._placed.items() if one.arm is not None)
+
+    def placed(self) -> list[tuple[str, Shape, np.ndarray]]:
+        """Obstacles: name, shape and pose (4, 4) in the base frame."""
+        return [(name, one.shape, one.T) for name, one in self._placed.items() if one.arm is None]
+
+    # ------------------------------------------------------------------------------------------------ obstacles
+    def add_box(self, size: Sequence[float], pose: Any, name: str | None = None) -> Self:
+        """Add a box of size (x, y, z) [m] centred at a pose (4, 4), pin.SE3 or position (3,) in the base frame."""
+        return self.add(Shape.box(size), pose, name)
+
+    def add_sphere(self, radius: float, position: Any, name: str | None = None) -> Self:
+        """Add a sphere of a radius [m] centred at a position (3,) in the base frame."""
+        return self.add(Shape.sphere(radius), position, name)
+
+    def add_cylinder(self, radius: float, length: float, pose: Any, name: str | None = None) -> Self:
+        """Add a cylinder [m] along z of a pose (4, 4), pin.SE3 or position (3,) in the base frame, centred there."""
+        return self.add(Shape.cylinder(radius, length), pose, name)
+
+    def add_mesh(self, path: str | Path, pose: Any, scale: float = 1.0, name: str | None = None) -> Self:
+        """Add a mesh file (STL, OBJ, DAE) times a scale, at a pose (4, 4), pin.SE3 or position (3,) in the base frame.
+
+        Only its surface counts: a part wholly inside it touches nothing.
+        """
+        return self.add(Shape.mesh(path, scale), pose, name)
+
+    def add(self, shape: Shape, pose: Any, name: str | None = None) -> Self:
+        """Add a shape at a pose (4, 4), pin.SE3 or position (3,) in the base frame. Raises InvalidOption, InvalidTarget."""
+        form, T = is_shape(shape).form(), as_matrix(pose)
+        self._placed[self._new_name(shape, name)] = Placed(shape, form, T)
+        self._rebuild()
+        return self
+
+    def move(self, name: str, pose: Any) -> Self:
+        """Give an obstacle a new pose in the base frame, or an attached shape one in its tip frame.
+
+        Raises InvalidOption, InvalidTarget.
+        """
+        one = self._placed[self._known(name)]
+        self._placed[name] = replace(one, T=as_matrix(pose))
+        self._moved(name)
+        return self
+
+    def remove(self, name: str) -> Self:
+        """Remove an obstacle or an attached shape. Raises InvalidOption."""
+        del self._placed[self._known(name)]
+        self._hulls.pop(name, None)
+        self._rebuild()
+        return self
+
+    def attach(
+        self,
+        shape: Shape | str,
+        T_tip_shape: Any = None,
+        *,
+        q: Any = None,
+        tip: str | None = None,
+        name: str | None = None,
+        touch: Iterable[str] = (),
+    ) -> Self:
+        """Attach a shape to a tip at T_tip_shape (4, 4) or (3,) (default: at the tip), or attach an obstacle given by name.
+
+        An obstacle is grasped where it is with the robot at q (n,) [rad or m], unless T_tip_shape is given. tip: the tip of a Tree
+        that holds it. touch: names of links and obstacles it may touch. It is tested against every part it can move relative to.
+        Raises InvalidOption, InvalidTarget, FrameNotFound.
+        """
+        arm = self._arm(tip)
+        try:
+            touch = frozenset([touch] if isinstance(touch, str) else touch)
+        except TypeError:
+            raise InvalidOption(f"touch must be names of links and obstacles, not {touch!r:.60}") from None
+        for other in touch:
+            if other not in self._names:
+                raise InvalidOption(
+                    f"touch= names '{other}', which is not a known part.{near_match(other, dict.fromkeys(self._names))}"
+                )
+        if isinstance(shape, str):
+            one = self._placed[self._known(shape)]
+            if one.arm is not None:
+                raise InvalidOption(f"'{shape}' is already attached")
+            if T_tip_shape is None and q is None:
+                raise InvalidOption(
+                    f"to attach '{shape}' where it is, give the q at which the robot grasps it, or T_tip_shape"
+                )
+            T = self._tip(arm, q).inverse().homogeneous @ one.T if T_tip_shape is None else as_matrix(T_tip_shape)
+            self._placed[shape] = replace(one, T=T, arm=arm, touch=touch)
+        else:
+            form, T = is_shape(shape).form(), np.eye(4) if T_tip_shape is None else as_matrix(T_tip_shape)
+            self._placed[self._new_name(shape, name)] = Placed(shape, form, T, arm, touch)
+        self._rebuild()
+        return self
+
+    def detach(self, name: str, q: Any = None) -> Self:
+        """Release an attached shape; with q (n,) [rad or m] it becomes an obstacle where it is at q. Raises InvalidOption."""
+        one = self._placed[self._known(name)]
+        if one.arm is None:
+            raise InvalidOption(f"'{name}' is an obstacle, not attached; use remove()")
+        if q is None:
+            return self.remove(name)
+        T = self._tip(one.arm, q).homogeneous @ one.T
+        self._placed[name] = Placed(one.shape, one.form, T)
+        self._rebuild()
+        return self
+
+    def _arm(self, tip: str | None) -> int:
+        if tip is None and len(self.robot.tips) > 1:
+            raise InvalidOption(f"choose with tip= the tip that holds it: {', '.join(self.robot.tips)}")
+        if tip is not None:
+            self.robot.check_tips([tip])
+        return 0 if tip is None else self.robot.tips.index(tip)
+
+    def _tip(self, arm: int, q: Any) -> pin.SE3:
+        """Pose of an arm's tip in the base at q (n,)."""
+        return self.robot.arms[arm]._fk(self.robot.check_q(q)[self.robot.places[arm]])
+
+    def _known(self, name: str) -> str:
+        if not (isinstance(name, str) and name in self._placed):
+            raise InvalidOption(
+                f"there is no obstacle or attached shape named '{name!s:.60}'.{near_match(name, self._placed)}"
+            )
+        return name
+
+    def _new_name(self, shape: Shape, name: str | None) -> str:
+        if name is None:
+            return next(n for n in (f"{shape.kind}_{k}" for k in range(1, 10**6)) if n not in self._names)
+        if not isinstance(name, str):
+            raise InvalidOption(f"name must be text, not {name!r:.60}")
+        if name in self._names:
+            raise InvalidOption(f"there is already a link or obstacle named '{name}'")
+        return name

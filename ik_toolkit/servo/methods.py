@@ -1,0 +1,236 @@
+"""The tracking methods, their options, and a runner for systems that are no robots.
+
+Four published methods (Patko and Zelei, 2019) and one of ours. With e = target - actual (the paper's sign is opposite),
+J^+ the (damped) pseudo-inverse, s = J^+ (target one step ahead - actual):
+
+    cv   u = J^+ (v + kappa e),                                  Adams-Bashforth 2 on the joint rate        (11), (29)
+    av   q' = q + s                                              one Newton step                            (16)
+    ca   a = J^+ (a_d + kd (v - J qd) + kp e - Jdot qd),         AB2 on the rate, trapezoid on the angle    (21), (32), (33)
+    aa   a = 2 s / h^2 - 2 J^+ J qd / h - J^+ Jdot(x) y,         trapezoid                                  (25)-(27)
+    aad  a = (s/h - J^+ J qd) / (gamma h) - J^+ Jdot(w) w / (2 gamma),   q' = q + h qd + gamma h^2 a        ours
+
+(29) and (32) print the indices i+1, i: read "the command computed now, and the one before"; only that gives the paper's
+matrices. Which dJ/dt stands in (25) is not decidable from the text; with w = s/h + (1 - J^+ J) qd the readings are
+1: Jdot(qd) qd (first line of (25)), 2: Jdot(qd) w (second line; the default, as this is the form the paper ends with), 3:
+Jdot(w) w. aa keeps an eigenvalue -1 (the rate may zigzag for ever); aad with gamma > 1/2 damps it at the same accuracy.
+
+av, aa and aad remove all of an error in a step, which bears no delay: of joints measured late they take a share of it (ours),
+s = J^+ (target one step ahead - actual - (1 - share) e).
+
+On a redundant arm the acceleration level adds -k (1 - J^+ J) qd (null_damping), without which null motion grows.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ..errors import InvalidOption, near_match
+from ..validate import number, one_of
+from . import laws, viability
+from .command import TAKEN_UP
+from .orbit_stability import null_rate
+from .stability import GAMMA, best_gains
+
+DAMPING = 0.02  # lengths over the arm's reach; joint speed per tip speed stays below 1 / (2 * 0.02)
+# Slower, what is left of a turn carries joints to where the next one needs more than they have.
+NULL_DAMPING = TAKEN_UP  # [1/s]
+
+# name: (code in the kernel, options it takes, one line)
+METHODS: dict[str, tuple[int, tuple[str, ...], str]] = {
+    "cv": (laws.CV, ("kappa",), "velocity level, error fed back with kappa (classical)"),
+    "av": (laws.AV, ("share",), "one Newton step a sample (alternative velocity level)"),
+    "ca": (laws.CA, ("kp", "kd", "null_damping"), "acceleration level, error fed back with kp and kd (classical)"),
+    "aa": (
+        laws.AA,
+        ("reading", "share", "null_damping"),
+        "acceleration that removes the error in one step (alternative)",
+    ),
+    "aad": (laws.AA, ("gamma", "share", "null_damping"), "aa with its zigzag damped, gamma > 1/2 (ours)"),
+}
+
+
+@dataclass(frozen=True)
+class Method:
+    """A tracking method and its options; None means the default, which may depend on the sample time.
+
+    kappa [1/s] (cv), kp [1/s^2] and kd [1/s] (ca), not negative: default the best gains for the sample time. share of an error
+    removed in a step (av, aa, aad), above 0 and at most 1: default 1, the published form, but what bears the delay best where
+    joints are measured. reading 1, 2 or 3 of eq (25) (aa). gamma (aad). null_damping [1/s] of redundant arms at acceleration
+    level, at most 1/h (ca: 2/3 of it). damping of the pseudo-inverse near singularities (lengths over reach); 0 inverts exactly.
+    """
+
+    name: str
+    kappa: float | None = None
+    kp: float | None = None
+    kd: float | None = None
+    reading: int = 2
+    gamma: float = GAMMA
+    share: float | None = None
+    null_damping: float = NULL_DAMPING
+    damping: float = DAMPING
+
+    def __post_init__(self) -> None:
+        """Check name and options. Raises InvalidOption."""
+        one_of(self.name, METHODS, "tracking method")
+        for name in ("kappa", "kp", "kd", "reading", "gamma", "share", "null_damping", "damping"):
+            value = getattr(self, name)
+            if value is not None or name not in ("kappa", "kp", "kd", "share"):
+                number(value, name)
+        if self.name == "ca" and (self.kp is None) != (self.kd is None):
+            raise InvalidOption("ca needs both kp and kd, or neither")
+        if self.reading not in (1, 2, 3):
+            raise InvalidOption(f"reading must be 1, 2 or 3 (see the docs of aa), not {self.reading}")
+        if self.gamma <= 0.0:
+            raise InvalidOption(f"gamma must be positive, not {self.gamma:g}")
+        if self.share is not None and not 0.0 < self.share <= 1.0:
+            raise InvalidOption(f"share must be above 0 and at most 1, not {self.share:g}")
+        for name in ("kappa", "kp", "kd", "null_damping", "damping"):
+            if (getattr(self, name) or 0.0) < 0.0:
+                raise InvalidOption(f"{name} must not be negative, not {getattr(self, name):g}")
+
+    def gains(self, h: float, delay: float = 0.0) -> dict[str, float]:
+        """Gains used at sample time h [s] as `check_gains` takes them, for joints measured `delay` samples ago."""
+        best = best_gains(self.name, h, delay)
+        given = {"kappa": self.kappa, "kp": self.kp, "kd": self.kd, "gamma": self.gamma, "share": self.share}
+        return {name: best[name] if given[name] is None else float(given[name] or 0.0) for name in best}
+
+    @property
+    def velocity_level(self) -> bool:
+        """Whether the joint rate, not its derivative, is commanded (the motion between samples is straight)."""
+        return self.name in ("cv", "av")
+
+    @property
+    def rate_weight(self) -> float:
+        """Return gamma of q' = q + h ((1 - gamma) rate + gamma rate')."""
+        return 1.0 if self.velocity_level else self.gamma if self.name == "aad" else 0.5
+
+    def pack(self, h: float, delay: float = 0.0) -> np.ndarray:
+        """Parameters as the kernel reads them (a `motion.Law`), see `gains`; what belongs to a run is 0."""
+        gains = self.gains(h, delay)
+        law = laws.Law(
+            *np.zeros(len(laws.Law._fields)),
+        )._replace(
+            code=METHODS[self.name][0],
+            kappa=gains.get("kappa", 0.0),
+            kp=gains.get("kp", 0.0),
+            kd=gains.get("kd", 0.0),
+            gamma=self.rate_weight,
+            null=null_rate(self.name, self.null_damping, h),
+            omit=1.0 - gains.get("share", 1.0),
+            damping=self.damping,
+            reading=laws.AT_STEP if self.name == "aad" else self.reading - 1,
+        )
+        return np.array(law, dtype=float)
+
+
+def make_method(method: str | Method, **options: Any) -> Method:
+    """Return a Method from its name (cv, av, ca, aa, aad) and options. Raises InvalidOption (unknown or out of range)."""
+    made = method if isinstance(method, Method) else Method(method)
+    allowed = (*METHODS[made.name][1], "damping")
+    for option, value in options.items():
+        if option not in allowed:
+            raise InvalidOption(f"{made.name} has no option '{option}'.{near_match(option, allowed)}")
+        number(value, option)  # None, too, is no choice that somebody makes
+    return replace(made, **options)
+
+
+class System(NamedTuple):
+    """Anything with a task: position(q) -> (m,), jacobian(q) -> (m, n), rate(q, x, y) -> (m,), which is (dJ/dt along x) y."""
+
+    position: Callable[[np.ndarray], np.ndarray]
+    jacobian: Callable[[np.ndarray], np.ndarray]
+    rate: Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
+
+
+class Run(NamedTuple):
+    """What `simulate` returns: arrays over the samples that were reached, the last command of cv and ca, and a sentence.
+
+    stopped says why the run ended before its end ('' = it did not).
+    """
+
+    t: np.ndarray
+    q: np.ndarray
+    rate: np.ndarray
+    error: np.ndarray
+    command: np.ndarray
+    gamma: float
+    stopped: str
+
+    def between(self, system: System, path: Callable[[float], np.ndarray], fractions: np.ndarray) -> np.ndarray:
+        """Error norms (N, k) between samples, at the given fractions of a step, on the motion the method itself assumes."""
+        h = self.t[1] - self.t[0]
+        out = np.empty((len(self.t) - 1, len(fractions)))
+        for j, f in enumerate(fractions):
+            q = interpolate(self.q, self.rate, self.gamma, h, f)
+            out[:, j] = [
+                np.linalg.norm(path(t) - system.position(x)) for t, x in zip(self.t[:-1] + f * h, q, strict=True)
+            ]
+        return out
+
+
+def interpolate(q: np.ndarray, rate: np.ndarray, gamma: float, h: float, f: float) -> np.ndarray:
+    """Joint values (N, n) a fraction f into each step: straight at velocity level, else with the constant acceleration."""
+    d = np.diff(q, axis=0)
+    return q[:-1] + f * d if gamma == 1.0 else q[:-1] + f * (1.0 - f) * h * rate[:-1] + f * f * d
+
+
+def simulate(
+    system: System,
+    path: Callable[[float], tuple[np.ndarray, np.ndarray, np.ndarray]],
+    method: str | Method,
+    h: float,
+    steps: int,
+    q0: np.ndarray,
+    *,
+    rate0: np.ndarray | None = None,
+    command0: np.ndarray | None = None,
+    runaway: float = 1e6,
+    **options: Any,
+) -> Run:
+    """Track path(t) -> (position, velocity, acceleration) with a method on any system, for `steps` samples of h [s].
+
+    Same step functions as on robots. rate0: joint rate at the start, default J^+ velocity(0); command0: the command before
+    the first (cv, ca), default equal to the first (an Euler step), as nothing else is published. Ends early, with a sentence,
+    when a value is not finite (left the domain) or a joint moves more than `runaway` in a step. damping defaults to 0 here:
+    the exact inverse.
+    """
+    made = make_method(method, **{"damping": 0.0, **options})
+    p = laws.Law._make(made.pack(h).tolist())
+    q = np.array(q0, dtype=float)
+    n, m = len(q), len(system.position(q))
+    k = max(n, m)
+    G, y, t_, bias = np.empty((k, k)), np.empty(k), np.empty(k), np.zeros(m)
+    move, null, x1, x2, x = (np.empty(n) for _ in range(5))
+    prev = np.zeros(n) if command0 is None else np.array(command0, dtype=float)
+    target, v, a = path(0.0)
+    rate = np.zeros(n) if rate0 is None else np.array(rate0, dtype=float)
+    if rate0 is None:
+        J = np.ascontiguousarray(system.jacobian(q).T)
+        laws.factor(J, m, made.damping, G, y)
+        laws.apply(J, m, G, v, y, rate)
+    Q, R, E, stopped = [q.copy()], [rate.copy()], [target - system.position(q)], ""
+    for i in range(steps):
+        J = np.ascontiguousarray(system.jacobian(q).T)
+        following = path((i + 1) * h)
+        ahead = following[0] - system.position(q)
+        laws.factor(J, m, made.damping, G, y)
+        laws.prepare(p, J, m, E[-1], ahead, rate, h, G, y, t_, move, null, x1, x2)
+        if p.code >= laws.CA:
+            bias = system.rate(q, x1, x2)
+        ratio = 0.0 if i == 0 and command0 is None else 1.0
+        laws.command(p, J, m, E[-1], v, a, bias, rate, prev, h, ratio, G, y, t_, move, null, x)
+        if not (np.isfinite(x).all() and np.abs(x).max() * h <= runaway):
+            stopped = f"the step at t = {i * h:.6g} s is not finite or moves a joint by more than {runaway:g}"
+            break
+        viability.move(q, rate, x, p.gamma, h)
+        target, v, a = following
+        error = target - system.position(q)
+        if not np.isfinite(error).all():
+            stopped = f"q left the domain of the system at t = {(i + 1) * h:.6g} s"
+            break
+        Q.append(q.copy())
+        R.append(rate.copy())
+        E.append(error)
+    return Run(np.arange(len(Q)) * h, np.array(Q), np.array(R), np.array(E), prev, float(p.gamma), stopped)

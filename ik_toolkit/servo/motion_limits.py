@@ -1,0 +1,76 @@
+"""Limits of joints as the compiled loop takes them."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from ..errors import InvalidOption, floats, near_match
+from ..robot.robot import Robot
+from ..robot.tree import Tree
+from ..validate import switch
+from .viability import UNLIMITED
+
+LIMIT_NAMES = ("lower", "upper", "speed", "acceleration")
+INSTEAD = {  # of assigning an attribute of a Tracker
+    **dict.fromkeys(("limits", *LIMIT_NAMES), "use change_limits"),
+    "q": "use reset(q0), or pass q= to update where joints are measured",
+    "": "make a Tracker with the robot, method and options that are meant",
+}
+
+
+def limit_rows(robot: Robot | Tree, limits: bool, acceleration_limits: Any) -> np.ndarray:
+    """Rows lower, upper, speed, acceleration (4, n) in kernel units; infinite where there is none."""
+    n, unit = robot.n, robot.chain.unit
+    rows = np.full((4, n), np.inf)
+    rows[0] = -np.inf
+    if switch(limits, "limits"):
+        speed = np.asarray(robot.velocity_limits, dtype=float)
+        rows[0], rows[1] = robot.lower / unit, robot.upper / unit
+        rows[2] = np.where(speed > 0.0, speed, np.inf) / unit
+    if acceleration_limits is not None:
+        if not limits:
+            raise InvalidOption("acceleration_limits must go with limits=True")
+        what = f"acceleration_limits must be a number or {n} numbers"
+        a = floats(acceleration_limits, what, InvalidOption)
+        if a.shape not in ((), (n,)):
+            raise InvalidOption(f"{what}, not {acceleration_limits!r:.60}")
+        if not (a > 0.0).all():
+            raise InvalidOption(f"acceleration_limits must be positive, not {acceleration_limits!r}")
+        rows[3] = a / unit
+    return rows
+
+
+def speeds(limits: np.ndarray) -> np.ndarray:
+    """Speed (n,) of each joint of limits (4, n), with a usual one where there is no limit."""
+    return np.where(limits[2] < np.inf, limits[2], UNLIMITED)
+
+
+def changed_limits(robot: Robot | Tree, rows: np.ndarray, given: Mapping[str, Any]) -> np.ndarray:
+    """Rows (4, n) with those given by name replaced: a number, (n,), a dict by joint, or None. Raises InvalidOption."""
+    rows, unit = rows.copy(), robot.chain.unit
+    for row, name in zip(rows, LIMIT_NAMES, strict=True):
+        value = given[name]
+        if value is None:
+            continue
+        new = row * unit
+        if isinstance(value, Mapping):
+            for joint, one in value.items():
+                if joint not in robot.joint_names:
+                    raise InvalidOption(f"{name}: no joint '{joint}'.{near_match(joint, robot.joint_names)}")
+                number = floats(one, f"{name} of {joint} must be a number", InvalidOption)
+                if number.ndim:
+                    raise InvalidOption(f"{name} of {joint} must be a number, not {one!r:.60}")
+                new[robot.joint_names.index(joint)] = number
+        else:
+            numbers = floats(value, f"{name} must be a number or {robot.n} numbers", InvalidOption)
+            if numbers.shape not in ((), new.shape):
+                raise InvalidOption(f"{name} must be a number or {robot.n} numbers, not {value!r:.60}")
+            new[:] = numbers
+        least = -np.inf if name in ("lower", "upper") else 0.0
+        if np.isnan(new).any() or (new < least).any():
+            raise InvalidOption(f"{name} must be numbers{'' if least else ' of at least 0'}, not {value!r:.60}")
+        row[:] = new / unit
+    if (rows[0] > rows[1]).any():
+        raise InvalidOption("lower limits must not be above the upper ones")
+    return rows

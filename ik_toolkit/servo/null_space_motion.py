@@ -1,0 +1,226 @@
+"""What a tracker handles besides its task: slack as half-planes, secondary motion in the null space, free turns.
+
+What a tracker does besides its task: options of the null space, read once, and the motion they give at q.
+"""
+
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import numpy as np
+
+from ..compile.jit import inline, inner
+from ..copying import Holds
+from ..errors import InvalidOption, floats, near_match
+from ..validate import number
+from .laws import STATE, apply
+
+FADING = 0.15  # share of its range, next to a limit, in which a joint is moved away from the limit
+STEP = 1e-5  # of a difference [rad, or reaches]: squared it is the error, and what rounding leaves is 1e-16 over it
+NEARLY = 0.5  # share of an error's slack that may be used up in a sample
+# Share of it by which an error is beyond where half-planes cannot be kept: less may be rounding; and [reaches, rad] where they can.
+BEYOND, FAR = 1e-3, 1e-2
+PRESSED = 0.1  # [s] after which half-planes are tried again
+
+
+@inline
+def reflect(flip, y):
+    """Mirror the rotations in y (m,), three a tip, so that the turn that is free comes last."""
+    for f in range(flip.shape[0]):
+        k = 6 * f + 3
+        s = 2.0 * (flip[f, 0] * y[k] + flip[f, 1] * y[k + 1] + flip[f, 2] * y[k + 2])
+        if s != 0.0:
+            for c in range(3):
+                y[k + c] -= s * flip[f, c]
+
+
+@inner
+def lay_aside(flip, J, e):
+    """`reflect` the rows of J (n, m) and the error; the free ones are zero up to rounding and become exactly zero."""
+    reflect(flip, e)
+    for f in range(flip.shape[0]):
+        if flip[f, 0] != 0.0 or flip[f, 1] != 0.0 or flip[f, 2] != 0.0:
+            e[6 * f + 5] = 0.0
+    for i in range(J.shape[0]):
+        reflect(flip, J[i])
+        for f in range(flip.shape[0]):
+            if flip[f, 0] != 0.0 or flip[f, 1] != 0.0 or flip[f, 2] != 0.0:
+                J[i, 6 * f + 5] = 0.0
+
+
+@inner
+def weigh(weight, J, e, ahead, f, a):
+    """Weigh the rows of a task: J (n, m), errors e and ahead, the target's twist and acceleration. Returns the largest weight."""
+    most = 0.0
+    for k in range(e.shape[0]):
+        w = weight[k]
+        most = max(most, w)
+        e[k], ahead[k], f[k], a[k] = w * e[k], w * ahead[k], w * f[k], w * a[k]
+        for i in range(J.shape[0]):
+            J[i, k] *= w
+    return most
+
+
+@inner
+def slack_rows(slack, weight, J, e, f, ahead, a, h, state, A, b, count):
+    """Turn errors with slack into half-planes A x <= b from row `count` on, and leave them out of the task; returns the count.
+
+    Inside its slack an error may use up at most NEARLY of the rest in a sample, a little outside it is brought back. What of an
+    error is further beyond its slack is one to close like any other; and all that is beyond, where half-planes are in the way of
+    the task or contradict the limits (STATE.pressed): hard ones let joints turn at full speed there.
+    """
+    n, m = J.shape
+    pressed = state[STATE.pressed]
+    state[STATE.pressed] = max(pressed - h, 0.0)
+    for k in range(m):
+        if not slack[k] > 0.0:
+            continue
+        inside = min(max(e[k], -slack[k]), slack[k])
+        if abs(e[k] - inside) > (BEYOND * slack[k] if pressed > 0.0 else FAR):
+            state[STATE.pressed] = PRESSED
+            e[k] -= inside
+            ahead[k] -= inside
+            continue
+        for sign in (1.0, -1.0):
+            for i in range(n):
+                A[count, i] = -sign * J[i, k]
+            b[count] = NEARLY * (slack[k] - sign * e[k]) / h - sign * f[k]
+            count += 1
+        for i in range(n):
+            J[i, k] = 0.0
+        weight[k], e[k], f[k], ahead[k], a[k] = 0.0, 0.0, 0.0, 0.0, 0.0
+    return count
+
+
+@inner
+def away_from_limits(q, limits, gain, g):
+    """Add to g (n,) a speed away from near limits: smooth, and 0 in the middle of the range."""
+    for i in range(q.shape[0]):
+        lower, upper = limits[0, i], limits[1, i]
+        wide = upper - lower
+        if not (wide < np.inf and wide > 0.0):
+            continue
+        for sign in (1.0, -1.0):
+            left = (upper - q[i]) if sign > 0.0 else (q[i] - lower)
+            t = 1.0 - left / (FADING * wide)
+            if t > 0.0:
+                g[i] -= sign * gain * FADING * wide * t * t
+
+
+@inner
+def clip_wish(g, x, low, top):
+    """Scale the wish g so that x + g keeps half of the room that x leaves in the box."""
+    scale = 1.0
+    for i in range(x.shape[0]):
+        if g[i] > 0.0:
+            room = 0.5 * max(top[i] - x[i], 0.0)
+        else:
+            room = 0.5 * max(x[i] - low[i], 0.0)
+        if abs(g[i]) > room:
+            scale = min(scale, room / abs(g[i]))
+    for i in range(x.shape[0]):
+        g[i] *= scale
+
+
+@inner
+def into_null_space(J, m, G, y, t, g, part):
+    """g -= J^+ J g, after `factor`."""
+    for k in range(m):
+        s = 0.0
+        for i in range(g.shape[0]):
+            s += J[i, k] * g[i]
+        t[k] = s
+    apply(J, m, G, t, y, part)
+    for i in range(g.shape[0]):
+        g[i] -= part[i]
+
+
+AVOID = 1.0  # [1/s] gain of the motion away from limits; at the limit itself it moves 15 % of the range in a second
+POSTURE = 1.0  # [1/s] gain of the motion towards a posture
+DIFFERENCE = 1e-5  # [rad or m] of the difference that finds the slope of a caller's cost
+
+
+class Secondary(Holds):
+    """Options of the null space, as numbers. See `Tracker`."""
+
+    FUNCTION = "cost"
+
+    def __init__(self, robot: Any, avoid: float, nimble: float, wish: np.ndarray, sides: np.ndarray, cost: Any) -> None:
+        """Keep them; wish (3, n): posture, its rate, a speed asked for [kernel units]."""
+        self.robot, self.avoid, self.nimble, self.wish, self.sides, self.cost = robot, avoid, nimble, wish, sides, cost
+        self.each_step = cost is not None or nimble > 0.0  # whether it must be evaluated at every step
+
+    def confine(self, limits: np.ndarray) -> None:
+        """Keep joints on their side of zero, in limits (4, n)."""
+        limits[0] = np.where(self.sides > 0.0, np.maximum(limits[0], 0.0), limits[0])
+        limits[1] = np.where(self.sides < 0.0, np.minimum(limits[1], 0.0), limits[1])
+
+    def side(self, away: np.ndarray) -> None:
+        """Where joints go from a pose in which they are straight: their side, or anywhere."""
+        away[:] = self.sides if self.sides.any() else 1.0
+
+    def look(self, q: np.ndarray) -> None:
+        """Ask for what lowers the caller's cost, and raises manipulability, at q (n,) [kernel units]."""
+        unit = self.robot.chain.unit
+        at = q * unit
+        slope = np.zeros(len(at))
+        if self.cost is not None:
+            given = floats(self.cost(at.copy()), f"cost must return a number or its slope ({len(at)},)", InvalidOption)
+            slope = self._slope(self.cost, at) if given.shape == () else given
+            if slope.shape != at.shape:
+                raise InvalidOption(f"cost must return a number or its slope ({len(at)},), not shape {slope.shape}")
+            if not np.isfinite(slope).all():
+                name, told = getattr(self.cost, "__name__", type(self.cost).__name__), np.array2string(at, precision=4)
+                what = "is not finite" if np.isfinite(given).all() or given.shape else f"is {given:g}"
+                raise InvalidOption(f"cost ({name}) {what} at or beside q = {told}")
+        if self.nimble > 0.0:
+            slope = slope - self.nimble * self._slope(self._volume, at)
+        self.wish[2] = -slope / unit
+
+    def _slope(self, cost: Callable, at: np.ndarray) -> np.ndarray:
+        """Slope of a number by differences."""
+        steps = DIFFERENCE * np.eye(len(at))
+        return np.array([(float(cost(at + d)) - float(cost(at - d))) / (2.0 * DIFFERENCE) for d in steps])
+
+    def _volume(self, q: np.ndarray) -> float:
+        """Logarithm of the manipulability: the product of the singular values."""
+        arms = zip(self.robot.arms, self.robot.places, strict=True)
+        J = np.zeros((6 * len(self.robot.arms), len(q)))
+        for f, (arm, place) in enumerate(arms):
+            J[6 * f : 6 * f + 6, place] = arm.chain.forward(q[place], jacobian=True)[1][0]
+        return float(np.log(np.maximum(np.linalg.svd(J, compute_uv=False), DIFFERENCE)).sum())
+
+
+def read_secondary(
+    robot: Any, avoid_limits: Any, posture: Any, elbow: Any, manipulability: Any, cost: Any
+) -> Secondary:
+    """Validate the options of the null space. Raises InvalidOption, InvalidConfiguration."""
+    if isinstance(avoid_limits, bool | np.bool_):
+        avoid = AVOID if avoid_limits else 0.0
+    else:
+        avoid = number(avoid_limits, "avoid_limits [1/s]")
+    nimble = number(manipulability, "manipulability [1/s]")
+    if avoid < 0.0 or nimble < 0.0:
+        raise InvalidOption("avoid_limits and manipulability must not be negative")
+    n, unit = robot.n, robot.chain.unit
+    wish = np.zeros((3, n))
+    if posture is not None:
+        rate = POSTURE
+        if isinstance(posture, tuple) and len(posture) == 2 and np.ndim(posture[0]) == 1:
+            posture, rate = posture[0], number(posture[1], "the rate of posture [1/s]")
+            if rate < 0.0:
+                raise InvalidOption("the rate of posture must not be negative")
+        wish[0], wish[1] = robot.check_q(posture, "posture") / unit, rate
+    sides = np.zeros(n)
+    if elbow is not None:
+        if not isinstance(elbow, Mapping):
+            raise InvalidOption(f"elbow is a dict from joint names to 1 or -1, not {elbow!r:.60}")
+        for joint, side in elbow.items():
+            if joint not in robot.joint_names:
+                raise InvalidOption(f"elbow: no joint '{joint}'.{near_match(joint, robot.joint_names)}")
+            sign = floats(side, f"elbow of {joint} must be 1 or -1", InvalidOption)
+            if sign.ndim or abs(sign) != 1.0:
+                raise InvalidOption(f"elbow of {joint} must be 1 or -1, not {side!r:.60}")
+            sides[robot.joint_names.index(joint)] = sign
+    if cost is not None and not callable(cost):
+        raise InvalidOption(f"cost is a function of q, not {type(cost).__name__}")
+    return Secondary(robot, avoid, nimble, wish, sides, cost)

@@ -1,0 +1,165 @@
+"""How a small error grows along a moving target: the tracking methods linearised about the exact motion, sample by sample.
+
+At rest every method has one matrix for every arm (stability.py). In motion dJ/dt enters: with D(x) the derivative of J along
+a joint velocity x, a disturbance dq changes J^+ v by -J^+ D(qd) dq, so cv has kappa I + J^+ D(qd) in place of kappa; the
+acceleration level gets the second derivative of J along the motion, too. The product of the matrices over a closed path is
+the derivative of its lap map; its spectral radius is the factor by which an error grows a lap (Floquet).
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ..errors import InvalidOption, InvalidTarget
+from ..motion.reference import Reference, log
+from ..robot.robot import Robot
+from .command import SHARE
+
+STEP = 1e-5  # rad (lengths over reach) of the differences of J: their error is about 1e-10
+SECOND = 1e-4  # the same for second derivatives: about 1e-8
+LARGEST = 700.0  # nearly the logarithm of the largest factor that a float can hold
+ITERATIONS = 50  # of Newton's method for one sample; it needs two or three
+EXACT = 1e-10  # m and rad: a sample on the path
+SINGULAR = 1e-9  # share of the largest singular value below which the joints cannot move along a direction
+CLOSED = 1e-6  # m, rad and per second: start and end are the same
+
+
+class Growth(NamedTuple):
+    """Growth of a small error of the tip along a path: over all of it, a sample's mean factor, and whether the path is closed."""
+
+    factor: float
+    per_step: float
+    closed: bool
+
+
+class Motion(NamedTuple):
+    """The exact motion, a row a step: J^+ J, J^+ D(qd), J^+ D(qdd), J^+ D(J^+ D(qd) qd), J^+ of J's second derivative; J at both
+    ends.
+    """
+
+    row: np.ndarray
+    rate: np.ndarray
+    acceleration: np.ndarray
+    bend: np.ndarray
+    second: np.ndarray
+    first: np.ndarray
+    last: np.ndarray
+
+
+def growth(
+    robot: Robot, reference: Reference, method: str, h: float, gains: dict[str, float], *, null_damping: float = 0.0
+) -> Growth:
+    """Growth of the error of `method` along a reference, with the gains at sample time h [s] and without limits.
+
+    A closed path gives the spectral radius of its lap map, an open one the largest factor between an error at its start and
+    the one at its end. Raises InvalidTarget where the path cannot be followed, InvalidOption for a path that is not a Reference.
+    """
+    if not isinstance(robot, Robot) or not isinstance(reference, Reference):
+        raise InvalidOption("gains are judged along a path with robot= (a Robot) and path= (a Reference, as ik.circle)")
+    times = reference.times(h)
+    if len(times) < 2:
+        raise InvalidOption(f"h = {h:g} s is longer than the path ({reference.duration:g} s)")
+    made = exact_motion(robot, reference, times)
+    steps = step_matrices(made, method, h, gains, null_damping)
+    size = steps.shape[-1] // robot.n
+    total, scale = np.eye(size * robot.n), 0.0
+    for A in steps:
+        total = A @ total
+        largest = np.abs(total).max()
+        if not 1e-100 < largest < 1e100:  # an unstable path exceeds what a float can hold
+            largest = max(largest, 1e-300)
+            total, scale = total / largest, scale + np.log(largest)
+    # In coordinates of the tip: motion of the arm that leaves the tip where it is does not count as error.
+    blocks = np.eye(size)
+    lap = np.kron(blocks, made.last) @ total @ np.kron(blocks, np.linalg.pinv(made.first, rcond=SINGULAR))
+    T, V, _ = reference.at(np.array([0.0, times[-1]]))
+    off = max(np.abs(T[0] - T[1]).max(), np.abs(V[0] - V[1]).max())
+    closed = bool(off < CLOSED + 2.0 * h * np.abs(V).max())  # the last sample may fall short of the end by a part of h
+    value = np.abs(np.linalg.eigvals(lap)).max() if closed else np.linalg.norm(lap, 2)
+    logarithm = float(np.log(max(value, 1e-300)) + scale)
+    return Growth(float(np.exp(min(logarithm, LARGEST))), float(np.exp(logarithm / len(steps))), closed)
+
+
+def exact_motion(robot: Robot, reference: Reference, times: np.ndarray) -> Motion:
+    """Joint motion that keeps the tip on the reference, without null motion, and the derivatives of J along it."""
+    from ..solvers.solve import solve
+
+    T, V, A = reference.at(times)
+    m = 3 if reference.position_only else 6
+    q, chain = solve(robot, reference.target(0.0), q0=robot.home).q, robot.chain
+    Q = np.empty((len(times), robot.n))
+    for k, goal in enumerate(T):
+        for _ in range(ITERATIONS):
+            now, J = chain.forward(q[None], jacobian=True)
+            e = np.concatenate([goal[:3, 3] - now[0, :3, 3], log(goal[:3, :3] @ now[0, :3, :3].T)])[:m]
+            if np.abs(e).max() < EXACT:
+                break
+            q = q + np.linalg.pinv(J[0, :m], rcond=SINGULAR) @ e
+        else:
+            raise InvalidTarget(f"reference '{reference.name}' cannot be followed at t = {times[k]:g} s")
+        Q[k] = q
+
+    def jacobians(at: np.ndarray) -> np.ndarray:
+        return chain.forward(at, jacobian=True)[1][:, :m]
+
+    def along(x: np.ndarray) -> np.ndarray:
+        """D(x): derivative of J along joint velocities x (N, n)."""
+        size = np.maximum(np.abs(x / chain.unit).max(axis=1), 1e-12)[:, None]
+        move = STEP * x / size
+        return (jacobians(Q + move) - jacobians(Q - move)) * (size / (2.0 * STEP))[:, :, None]
+
+    J = jacobians(Q)
+    inverse = np.linalg.pinv(J, rcond=SINGULAR)
+    qd = np.einsum("kij,kj->ki", inverse, V[:, :m])
+    rate = along(qd)
+    curve = np.einsum("kij,kj->ki", rate, qd)
+    qdd = np.einsum("kij,kj->ki", inverse, A[:, :m] - curve)
+    size = np.maximum(np.abs(qd / chain.unit).max(axis=1), 1e-12)[:, None]
+    move = SECOND * qd / size
+    second = (jacobians(Q + move) - 2.0 * J + jacobians(Q - move)) * ((size / SECOND) ** 2)[:, :, None]
+    bend = along(np.einsum("kij,kj->ki", inverse, curve))
+    row, rate, acceleration, bend, second = ((inverse @ part)[:-1] for part in (J, rate, along(qdd), bend, second))
+    return Motion(row, rate, acceleration, bend, second, J[0], J[-1])
+
+
+def null_rate(method: str, null_damping: float, h: float) -> float:
+    """Damping of null motion [1/s] in steps of h [s]: what is asked for, as far as the method bears it."""
+    return min(null_damping, (SHARE if method == "ca" else 1.0) / h)
+
+
+def step_matrices(m: Motion, method: str, h: float, gains: dict[str, float], null_damping: float = 0.0) -> np.ndarray:
+    """Matrices (N, k n, k n) that carry a small disturbance over each step; states as in `mapping_matrix`.
+
+    aa is taken with its second reading, the default of `Method`.
+    """
+    eye = np.broadcast_to(np.eye(m.row.shape[-1]), m.row.shape)
+    null = null_rate(method, null_damping, h) * (eye - m.row)
+    if method == "av":
+        return eye - gains["share"] * m.row - h * m.rate
+    if method == "cv":
+        K = gains["kappa"] * m.row + m.rate
+        return _blocks([[eye - 1.5 * h * K, -0.5 * h * eye], [-K, 0.0 * eye]])
+    if method == "ca":
+        P = gains["kp"] * m.row + gains["kd"] * m.rate + m.acceleration + m.second
+        D = gains["kd"] * m.row + 2.0 * m.rate + null
+        return _blocks(
+            [
+                [eye - 0.75 * h * h * P, h * eye - 0.75 * h * h * D, -0.25 * h * h * eye],
+                [-1.5 * h * P, eye - 1.5 * h * D, -0.5 * h * eye],
+                [-P, -D, 0.0 * eye],
+            ]
+        )
+    # a = (s / h - J^+ J qd) / (g h) - J^+ D(x) y / (2 g) with s = J^+ ahead and w = s / h + (1 - J^+ J) qd; x is qd (aa) or w
+    # (aad), y is w. A part of J^+ that turns moves the arm behind its tip only.
+    g = 0.5 if method == "aa" else gains["gamma"]
+    times_w = 1.0 if method == "aa" else 2.0
+    w_by_q, w_by_rate = -(gains["share"] * m.row / h + m.rate), eye - m.row
+    curve_by_q = times_w * m.rate @ w_by_q + m.second - m.bend
+    curve_by_rate = (2.0 - times_w) * m.rate + times_w * m.rate @ w_by_rate
+    a_by_q = w_by_q / (g * h) - curve_by_q / (2.0 * g)
+    a_by_rate = -m.row / (g * h) - curve_by_rate / (2.0 * g) - null
+    return _blocks([[eye + g * h * h * a_by_q, h * (eye + g * h * a_by_rate)], [h * a_by_q, eye + h * a_by_rate]])
+
+
+def _blocks(rows: list[list[np.ndarray]]) -> np.ndarray:
+    return np.concatenate([np.concatenate(row, axis=2) for row in rows], axis=1)

@@ -1,0 +1,385 @@
+"""Result of a tracking run: arrays over the samples, figures, and files.
+
+Whether a run followed its reference, once the arm has had time to get going; and if it did not, how far off, when and why.
+"""
+
+import json
+from dataclasses import dataclass, field
+from enum import Enum
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..errors import InvalidOption
+from ..files import as_path, whole_file, write_table, write_whole
+from ..robot.constraints import first_open
+from ..robot.pose import length
+from ..robot.ros import joint_trajectory
+from ..validate import number
+from . import laws, viability
+from .path_reach import Survey
+from .stability import GainCheck
+
+ROUNDING = 1e-6  # of a step: a clock that lags by less was not slowed; its sum is rounded
+
+
+class TrackStatus(Enum):
+    """How a run ended.
+
+    COMPLETED: inside the tolerances at every sample, in the reference's own time. SLOWED: inside, but the clock was slowed.
+    LEFT: outside for a while, inside again at the end. LOST: outside at the end, or ended before the reference did.
+    DIVERGED: joints ran away. NOT_FINITE: no usable step. CONSTRAINT_OPEN: followed, but a loop of the robot's description is open.
+    """
+
+    COMPLETED = "completed"
+    SLOWED = "slowed"
+    LEFT = "left"
+    LOST = "lost"
+    DIVERGED = "diverged"
+    NOT_FINITE = "not finite"
+    CONSTRAINT_OPEN = "constraint open"
+
+
+@dataclass
+class TrackResult:
+    """A tracking run of N steps.
+
+    t (N+1,) [s]; q, rate (N+1, n) joint values and the method's joint rates [rad or m (per s)]; xyz, target_xyz (N+1, 3)
+    [m], base axes, of several `tips` (N+1, tips, 3); position_error (N+1,) [m], orientation_error (N+1,) [rad] or None, of
+    several tips the largest; limited (N, n) bits: held back by a limit on 1 position, 2 speed, 4 acceleration, by 8 a step
+    that was not finite, 16 being outside its limits, 32 a contact ahead, 64 what calms a swing; damped (N,) whether the
+    pseudo-inverse was damped; between_position, between_orientation (N,) largest error in each step, its ends included;
+    figures (see `figures`); elapsed [s] of stepping, searched [s] of what else was tried; gain_check. The verdict reads
+    position_tolerance [m] and orientation_tolerance [rad] at every sample from settle [s] on.
+
+    clock (N+1,) [s]: the reference's time at each t, against which errors are; sigma (N,) its rate in each step, 0 to 1; pace
+    (N,) the joint that held it back, -1 for none. end [s]: reference time that the run was to reach. Without them the clock is t.
+
+    between: names of the two that most often would have touched where a contact ahead held the robot back, else None. reach: of a
+    run that left its reference, where along it the poses can be reached at all (a `Survey`), else None.
+    """
+
+    robot: str
+    method: str
+    options: dict[str, float]
+    dt: float
+    joint_names: tuple[str, ...]
+    t: np.ndarray
+    q: np.ndarray
+    rate: np.ndarray
+    xyz: np.ndarray
+    target_xyz: np.ndarray
+    position_error: np.ndarray
+    orientation_error: np.ndarray | None
+    limited: np.ndarray
+    damped: np.ndarray
+    between_position: np.ndarray | None
+    between_orientation: np.ndarray | None
+    elapsed: float
+    gain_check: GainCheck | None
+    position_tolerance: float
+    orientation_tolerance: float
+    settle: float
+    clock: np.ndarray = None  # type: ignore[assignment]
+    sigma: np.ndarray = None  # type: ignore[assignment]
+    pace: np.ndarray = None  # type: ignore[assignment]
+    end: float = float("nan")
+    searched: float = 0.0
+    between: tuple[str, str] | None = None
+    figures: dict[str, Any] = field(default_factory=dict)
+    status: TrackStatus = TrackStatus.COMPLETED
+    message: str = ""
+    reach: Survey | None = None
+    tips: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Fill in the clock of a run that was not slowed."""
+        steps = len(self.t) - 1
+        self.clock = self.t if self.clock is None else self.clock
+        self.sigma = np.ones(steps) if self.sigma is None else self.sigma
+        self.pace = np.full(steps, -1) if self.pace is None else self.pace
+        self.end = float(self.clock[-1]) if np.isnan(self.end) else self.end
+
+    @property
+    def success(self) -> bool:
+        """Whether the reference was followed to its end, every sample from settle on inside the tolerances."""
+        return self.status in (TrackStatus.COMPLETED, TrackStatus.SLOWED)
+
+    @property
+    def added_time(self) -> float:
+        """How much longer [s] the run took than the stretch of the reference it followed; 0 when the clock was not slowed."""
+        added = float(self.t[-1] - self.clock[-1])
+        return added if added > ROUNDING * self.dt else 0.0
+
+    @property
+    def pace_joint(self) -> str | None:
+        """Name of the joint that held the clock back most, None when none did."""
+        held = self.pace >= 0
+        if not (self.added_time and held.any()):
+            return None
+        lost = np.bincount(self.pace[held], weights=1.0 - self.sigma[held], minlength=len(self.joint_names))
+        return self.joint_names[int(np.argmax(lost))]
+
+    @property
+    def at_limits(self) -> np.ndarray:
+        """Which joints (N, n) a limit of their own held back in which step, on position, speed or acceleration."""
+        return self.limited & (viability.POSITION | viability.VELOCITY | viability.ACCELERATION) > 0
+
+    def outside(self) -> np.ndarray:
+        """Which samples (N+1,) from settle on have an error above a tolerance."""
+        inside = self.position_error <= self.position_tolerance
+        if self.orientation_error is not None:
+            inside &= self.orientation_error <= self.orientation_tolerance
+        return ~inside & (self.t >= self.settle)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Summary for JSON: names, settings, status and figures; the arrays go to `save`."""
+        check = self.gain_check
+        return {
+            "robot": self.robot,
+            "method": self.method,
+            "options": self.options,
+            "dt": self.dt,
+            "steps": len(self.t) - 1,
+            "status": self.status.name,
+            "success": self.success,
+            "message": self.message,
+            "position_tolerance": self.position_tolerance,
+            "orientation_tolerance": self.orientation_tolerance,
+            "settle": self.settle,
+            "samples_outside": int(self.outside().sum()),
+            "duration": float(self.t[-1]),
+            "clock": float(self.clock[-1]),
+            "added_time": self.added_time,
+            "pace_joint": self.pace_joint,
+            "elapsed": self.elapsed,
+            "searched": self.searched,
+            "between": self.between,
+            "stability": None
+            if check is None
+            else {"verdict": check.verdict, "radius": check.radius, "message": check.message},
+            "reach": None if self.reach is None else self.reach.to_dict(),
+            "figures": self.figures,
+        }
+
+    def to_ros(self) -> dict[str, Any]:
+        """Fields of a ROS trajectory_msgs/JointTrajectory, one point per sample, without accelerations."""
+        return joint_trajectory(self.joint_names, "", self.t, self.q, self.rate)
+
+    def save(self, path: str | Path) -> Path:
+        """Write all arrays to .npz, one row per sample to .csv, or what `to_ros` gives to .json.
+
+        Raises InvalidOption for another suffix.
+        """
+        file = as_path(path, "path")
+        if file.suffix.lower() == ".npz":
+            optional = {"orientation_error": self.orientation_error, "between_orientation": self.between_orientation}
+            optional["between_position"] = self.between_position
+            names = ("t", "q", "rate", "xyz", "target_xyz", "position_error", "limited", "damped")
+            names += ("clock", "sigma", "pace")
+            arrays: dict[str, Any] = {name: getattr(self, name) for name in names}
+            arrays |= {name: array for name, array in optional.items() if array is not None}
+            with whole_file(file) as stream:
+                np.savez_compressed(stream, joint_names=np.array(self.joint_names), **arrays)
+        elif file.suffix.lower() == ".csv":
+            places = "xyz" if len(self.tips) < 2 else [f"{tip}.{axis}" for tip in self.tips for axis in "xyz"]
+            head = ["t", *(f"q_{j}" for j in self.joint_names), *places, "position_error"]
+            parts = [self.t[:, None], self.q, self.xyz.reshape(len(self.t), -1), self.position_error[:, None]]
+            if self.orientation_error is not None:
+                head.append("orientation_error")
+                parts.append(self.orientation_error[:, None])
+            head.append("clock")
+            parts.append(self.clock[:, None])
+            write_table(file, head, np.hstack(parts).tolist())
+        elif file.suffix.lower() == ".json":
+            write_whole(file, json.dumps(self.to_ros(), allow_nan=False) + "\n")
+        else:
+            raise InvalidOption(f"a run is saved as .npz, .csv or .json, not '{file.suffix}'")
+        return file
+
+
+def figures(result: TrackResult, jump: np.ndarray) -> dict[str, Any]:
+    """Figures of a run, as plain numbers.
+
+    position (orientation): max, rms, final, settled_max (second half) and between_max (between samples as well). Joints, by finite
+    differences of the samples: peak_speed, peak_acceleration, peak_jerk (n,) [rad or m per s, s^2, s^3];
+    largest_move with its joint and time; jumps, the number of steps with a move above `jump` (n,). time_at_limits [s] (of any
+    joint, see `at_limits`), time_at_limits_by_joint; damped_time [s] (near a singularity); slowed_time [s] (the clock went slower),
+    added_time [s] (how much longer the run took for it), slowest (the least clock rate).
+    """
+    out: dict[str, Any] = {"position": _errors(result.position_error, result.between_position)}
+    if result.orientation_error is not None:
+        out["orientation"] = _errors(result.orientation_error, result.between_orientation)
+    moves = np.diff(result.q, axis=0)
+    for order, name in enumerate(("peak_speed", "peak_acceleration", "peak_jerk"), start=1):
+        d = np.diff(result.q, n=order, axis=0) / result.dt**order
+        out[name] = np.abs(d).max(axis=0).tolist() if len(d) else [0.0] * result.q.shape[1]
+    if len(moves):
+        step, joint = np.unravel_index(int(np.argmax(np.abs(moves))), moves.shape)
+        out["largest_move"] = {
+            "value": float(abs(moves[step, joint])), "joint": result.joint_names[joint], "time": float(result.t[step])
+        }  # fmt: skip
+    out["jumps"] = int((np.abs(moves) > jump).any(axis=1).sum())
+    hit = result.at_limits
+    out["time_at_limits"] = float(hit.any(axis=1).sum() * result.dt)
+    out["time_at_limits_by_joint"] = {
+        j: float(x) for j, x in zip(result.joint_names, hit.sum(axis=0) * result.dt, strict=True)
+    }
+    out["damped_time"] = float(result.damped.sum() * result.dt)
+    out["slowed_time"] = float((result.sigma < 1.0 - ROUNDING).sum() * result.dt)
+    out["added_time"] = result.added_time
+    out["slowest"] = float(result.sigma.min(initial=1.0))
+    return out
+
+
+def _errors(error: np.ndarray, between: np.ndarray | None) -> dict[str, float]:
+    settled = error[len(error) // 2 :]
+    out = {
+        "max": float(error.max()),
+        "rms": float(np.sqrt((error**2).mean())),
+        "final": float(error[-1]),
+        "settled_max": float(settled.max()),
+        "settled_rms": float(np.sqrt((settled**2).mean())),
+    }
+    if between is not None:
+        out["between_max"] = float(between.max())
+        out["between_settled_max"] = float(between[len(between) // 2 :].max())
+    return out
+
+
+POSITION_TOLERANCE = 1e-3  # [m] what a path is commonly followed to
+ORIENTATION_TOLERANCE = np.radians(0.1)  # [rad] moves a tool of half a metre by about as much
+SETTLE = 0.5  # [s] given to an arm that has to get going first
+LOOKED = 200  # samples in which the constraints of a description are evaluated
+MORE = 1.01  # times the error at the samples, from which on that between them is a larger one
+LIMITS = ((viability.POSITION, "position"), (viability.VELOCITY, "speed"), (viability.ACCELERATION, "acceleration"))
+
+
+def settling(settle: float | None, at_rest: bool, duration: float) -> float:
+    """Time [s] from which on the error is judged."""
+    if settle is None:
+        return min(SETTLE, 0.5 * float(duration)) if at_rest else 0.0
+    given = number(settle, "settle [s]")
+    if not 0.0 <= given < duration:
+        raise InvalidOption(f"settle must be between 0 and the length of the run ({duration:g} s), not {given:g} s")
+    return given
+
+
+def verdict(result: TrackResult, stop: int, steps: int) -> tuple[TrackStatus, str]:
+    """Status of a whole run and one sentence."""
+    done = len(result.t) - 1
+    if stop in (laws.RUNAWAY, laws.NOT_FINITE):
+        what = "moved joints without bound" if stop == laws.RUNAWAY else "produced a step that is not finite"
+        check = result.gain_check
+        hint = check.message if check is not None and not check.stable else "Try aad, a smaller dt, or limits=True."
+        return (
+            TrackStatus.DIVERGED if stop == laws.RUNAWAY else TrackStatus.NOT_FINITE,
+            f"{result.method} {what} after {done} of {steps} steps (t = {result.t[-1]:.4g} s). {hint}",
+        )
+    limited, blocked = (int(one.any(axis=1).sum()) for one in (result.at_limits, result.limited & viability.ROW))
+    note = f" A joint limit was active in {limited} of {done} steps." if limited else ""
+    pair = " between '{}' and '{}'".format(*result.between) if result.between else ""
+    note += f" A contact ahead{pair} held the robot back in {blocked} of {done} steps." if blocked else ""
+    note += _between_samples(result)
+    outside = result.outside()
+    if result.clock[-1] < result.end - ROUNDING * result.dt:
+        return TrackStatus.LOST, _stopped(result, outside) + note
+    if outside.any():
+        status = TrackStatus.LOST if outside[-1] else TrackStatus.LEFT
+        if outside[0]:
+            note += " It begins off the reference: leave out q0, or give it time to get there with settle."
+        if result.gain_check is not None and result.gain_check.verdict == "unstable":
+            note += " The gains are unstable at this sample time."
+        return status, f"{_away(result, outside)}{_added(result, '; took ')}.{note}"
+    judged = result.t >= result.settle
+    worst = _error_words(result.position_error[judged].max(), result.orientation_error, judged)
+    after = f" after {result.settle:g} s" if result.settle else ""
+    off = f"error at most {worst} at every sample{after}.{note}"
+    if result.added_time:
+        why = "" if result.pace_joint or result.settle else ", to keep within its tolerance"  # or to get going
+        return TrackStatus.SLOWED, f"followed the reference{_added(result, ', ')}{why}: {off}"
+    return TrackStatus.COMPLETED, f"followed the reference: {off}"
+
+
+def hold_against(result: TrackResult, robot: Any) -> None:
+    """A run followed with a constraint of the robot's description open is no success: looked at in at most LOOKED samples."""
+    if not result.success or not robot.constraints:
+        return
+    rows = np.unique(np.linspace(0, len(result.q) - 1, LOOKED).round().astype(int))
+    broken = first_open(robot, result.q[rows], result.position_tolerance, result.orientation_tolerance)
+    if broken is not None:
+        result.status = TrackStatus.CONSTRAINT_OPEN
+        result.message += f" But at t = {result.t[rows[broken[0]]]:.4g} s {broken[1]}."
+
+
+def _away(result: TrackResult, outside: np.ndarray) -> str:
+    """How far a run was from its reference, when, what was allowed, and whether it came back."""
+    judged = result.t >= result.settle
+    k = _worst(result, judged)
+    away = _error_words(result.position_error[judged].max(), result.orientation_error, judged)
+    allowed = length(result.position_tolerance)
+    if result.orientation_error is not None:
+        allowed += f" and {np.degrees(result.orientation_tolerance):.3g} deg"
+    first, last = result.t[outside][[0, -1]]
+    when = f"from t = {first:.4g} s to " + ("the end" if outside[-1] else f"{last:.4g} s, within it again at the end")
+    after = f" after {result.settle:g} s" if result.settle else ""
+    return (
+        f"up to {away} from the reference, worst at t = {result.t[k]:.4g} s (tolerance {allowed}); "
+        f"out of tolerance in {outside.sum()} of {judged.sum()} samples{after}, {when}"
+    )
+
+
+def _worst(result: TrackResult, judged: np.ndarray) -> int:
+    """Sample with the largest error over its tolerance."""
+    excess = result.position_error / result.position_tolerance
+    if result.orientation_error is not None:
+        excess = np.maximum(excess, result.orientation_error / result.orientation_tolerance)
+    return int(np.argmax(np.where(judged, excess, -1.0)))
+
+
+def _stopped(result: TrackResult, outside: np.ndarray) -> str:
+    """Why a run ended before its reference did."""
+    at = f"reached {result.clock[-1]:.4g} of {result.end:.4g} s of the reference in {result.t[-1]:.4g} s"
+    held = result.pace[result.pace >= 0]
+    if len(held):
+        at += f", limited by {_limit(result, int(held[-1]))}"
+    return f"{at}; {_away(result, outside)}." if outside.any() else f"{at}."
+
+
+def _added(result: TrackResult, before: str) -> str:
+    """How much longer a run took than its reference, and which joint set the pace; '' when the clock was not slowed."""
+    if not result.added_time:
+        return ""
+    words = f"{before}{result.added_time:.3g} s longer than its {result.clock[-1]:.4g} s"
+    joint = result.pace_joint
+    return words if joint is None else f"{words}, limited by {_limit(result, result.joint_names.index(joint))}"
+
+
+def _limit(result: TrackResult, joint: int) -> str:
+    """Name of a joint, with the limit that held it most often while it held the clock back."""
+    codes = result.limited[result.pace == joint, joint]
+    counts = [int((codes & bit > 0).sum()) for bit, _ in LIMITS]
+    name = result.joint_names[joint]
+    return f"{name} ({LIMITS[int(np.argmax(counts))][1]} limit)" if any(counts) else name
+
+
+def _between_samples(result: TrackResult) -> str:
+    """Sentence on the error inside the steps as well, which the verdict does not read."""
+    if result.between_position is None:
+        return ""
+    judged = result.t[:-1] >= result.settle
+    if not judged.any():
+        return ""
+    at_samples = result.t >= result.settle
+    more = result.between_position[judged].max() > MORE * result.position_error[at_samples].max()
+    if result.between_orientation is not None and result.orientation_error is not None:
+        more = more or result.between_orientation[judged].max() > MORE * result.orientation_error[at_samples].max()
+    words = _error_words(result.between_position[judged].max(), result.between_orientation, judged)
+    return f" Between samples: at most {words}." if more else " No more between samples."
+
+
+def _error_words(position: float, angle: np.ndarray | None, rows: np.ndarray) -> str:
+    """A position error, and the largest orientation error of some rows, in words."""
+    turned = "" if angle is None else f" and {np.degrees(angle[rows].max()):.3g} deg"
+    return length(float(position)) + turned

@@ -1,0 +1,305 @@
+"""`track`: follow a whole reference, one step each sample, with the steps of `Tracker`.
+
+Both run the same compiled loop (servo/loop.py), so a run of `track` with on_limit="leave" equals the same targets fed to a
+`Tracker` of that mode.
+"""
+
+import warnings
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from ..errors import InvalidConfiguration, InvalidOption, InvalidTarget, Portable
+from ..kernel.counted_error import POSE, POSITION
+from ..motion.reference import Reference, Samples
+from ..robot.narrow import with_limits
+from ..robot.pose import PROJECT_WITHIN, angles_between
+from ..robot.robot import Robot
+from ..robot.tree import Tree
+from ..solvers.collision_free import collision_model
+from ..validate import number, one_of, positive
+from . import laws
+from .adapters import check_options
+from .branch_plan import Planner
+from .constrained_step import LEAVE, SLOW
+from .laws import CLIP
+from .methods import Method, interpolate
+from .path_reach import explain
+from .result import (
+    ORIENTATION_TOLERANCE,
+    POSITION_TOLERANCE,
+    TrackResult,
+    TrackStatus,
+    figures,
+    hold_against,
+    settling,
+    verdict,
+)
+from .samples import Run
+from .target_stream import samples_from
+from .tracker import JUMP, Tracker
+
+MODES = {"slow": SLOW, "leave": LEAVE, "clip": CLIP}
+COUNTS = ("mask", "slack", "free_turn", "frame", "relative_to")  # options that say what counts
+MAX_STRETCH = 10.0  # how many times longer than its reference a run may take by default
+FRACTIONS = (0.0, 0.25, 0.5, 0.75, 1.0)  # of a step, where the error is evaluated
+
+
+class TrackInterrupted(Portable, KeyboardInterrupt):
+    """Ctrl-C during a run; `result` is the TrackResult of the steps until then, or of the best run if one had ended."""
+
+    def __init__(self, result: TrackResult) -> None:
+        """Keep what was run."""
+        super().__init__(f"interrupted: {result.message}")
+        self.result = result
+
+
+def track(
+    robot: Robot | Tree,
+    reference: Reference | Mapping[str, Reference],
+    method: str | Method = "cv",
+    *,
+    dt: float = 0.01,
+    q0: Any = None,
+    rate0: Any = None,
+    limits: Any = True,
+    acceleration_limits: Any = None,
+    on_limit: str = "slow",
+    max_stretch: float = MAX_STRETCH,
+    position_tolerance: float = POSITION_TOLERANCE,
+    orientation_tolerance: float = ORIENTATION_TOLERANCE,
+    settle: float | None = None,
+    **options: Any,
+) -> TrackResult:
+    """Follow a reference with a method, one step each dt [s]; returns a TrackResult with arrays and figures.
+
+    reference: of a Tree a dict by tip. method: cv, av, ca, aa or aad, options as in `Method` (kappa, kp, kd, share, reading,
+    gamma, null_damping, damping), and those of `Tracker`. q0 (n,): default home if the reference starts there, else a solution
+    for the reference's start. rate0, limits and acceleration_limits as in `Tracker`.
+
+    on_limit: "slow": where limits bind, or the error is above a tolerance, the reference's clock runs slower than time, so
+    that the tip stays on its path; the run ends when the clock does, or after max_stretch times the reference's duration.
+    (A solver always lags a moving target: with one the clock waits for limits only.) "leave": keep time, with the least error
+    possible; "clip": the published form, each joint clipped on its own, as it is without limits.
+
+    COMPLETED or SLOWED when no sample from settle [s] on has an error above position_tolerance [m] and orientation_tolerance
+    [rad], else LEFT or LOST (see `TrackStatus`); settle is 0 by default, and 0.5 (half of a run shorter than 1 s) when the arm
+    starts at rest: with acceleration_limits, or with a rate0 of zeros. Warns (UserWarning) before the run when the gains are
+    unstable at dt. A run that diverges ends there, with a status and a sentence; the arrays hold only what was reached. Of a
+    run that leaves its reference `reach` and the message say where along it the poses can be reached at all, and what was tried
+    and would work. Ctrl-C raises TrackInterrupted, a KeyboardInterrupt whose `result` holds the steps taken (KeyboardInterrupt
+    before the first). Raises InvalidOption, InvalidTarget, InvalidConfiguration.
+    """
+    references = _references(robot, reference)
+    robot, limits = with_limits(robot, limits)
+    own, passed_on = track.__kwdefaults__ or (), Tracker.__init__.__kwdefaults__ or ()
+    check_options(method, (name for name in options if name not in passed_on), (*own, *passed_on))
+    dt = positive(dt, "dt [s]")
+    duration = references[0].duration
+    times = references[0].times(dt)
+    if len(times) < 2:
+        raise InvalidOption(f"dt = {dt:g} s is longer than the reference ({duration:g} s)")
+    tolerances = (
+        positive(position_tolerance, "position_tolerance [m]"),
+        positive(orientation_tolerance, "orientation_tolerance [rad]"),
+    )
+    mode = MODES[one_of(on_limit, MODES, "on_limit")]
+    if limits is False:  # nothing binds
+        mode = CLIP
+    stretch = number(max_stretch, "max_stretch")
+    if stretch < 1.0:
+        raise InvalidOption(f"max_stretch must be at least 1, not {stretch:g}")
+    made = [_samples(one, times) for one in references]
+    T = np.stack([one[0] for one in made], axis=1)
+    V, A = (np.concatenate([one[k] for one in made], axis=1) for k in (1, 2))
+    q0 = _start(robot, references, options.get("avoid_collisions", False)) if q0 is None else q0
+    tracker = Tracker(
+        robot, method, q0=q0, rate0=rate0, limits=limits, acceleration_limits=acceleration_limits,
+        on_limit="clip" if mode == CLIP else "leave", **options,
+    )  # fmt: skip
+    outside = robot.outside(tracker.q) if limits else []
+    if outside:
+        raise InvalidConfiguration(
+            f"q0 is outside the limits of {', '.join(outside)}; move it inside or use limits=False"
+        )
+    engine = tracker.engine
+    check = engine.check(dt)
+    if check is not None and check.verdict == "unstable":
+        warnings.warn(check.message, stacklevel=2)
+    at_rest = tracker._state[laws.STATE.start] == laws.GIVEN and not tracker._rate.any()
+    settle = settling(settle, at_rest, times[-1])
+    tracker.prepare(tuple(POSITION if one.position_only else POSE for one in references))
+    counts = {name: value for name, value in options.items() if name in COUNTS}
+    begin, bounds = tracker.q, tracker._limits * robot.chain.unit
+    run = Run(
+        tracker, samples_from(T, V, A), dt, mode, tolerances, stretch, settle,
+        lambda: Planner(robot, reference, bounds, **counts).paths(begin, times),
+    )  # fmt: skip
+    run.go()
+
+    result = None
+    try:
+        result = _judged(run, references, times, check)
+        if result.status in (TrackStatus.LEFT, TrackStatus.LOST) and not run.interrupted:
+            reach, words = explain(robot, reference, q0, limits=limits, **counts)
+            result.reach, result.message = reach, f"{result.message} {words}".rstrip()
+    except KeyboardInterrupt:
+        run.interrupted = True
+    if run.interrupted or result is None:
+        raise TrackInterrupted(result or _judged(run, references, times, check))
+    return result
+
+
+def _references(robot: Any, reference: Any) -> list[Reference]:
+    """One reference per tip. Raises InvalidOption (no robot), InvalidTarget."""
+    if not isinstance(robot, Robot | Tree):
+        raise InvalidOption(f"tracking takes a Robot (see Robot.load) or a Tree, not {type(robot).__name__}")
+    if not robot.by_tip:
+        if not isinstance(reference, Reference):
+            raise InvalidTarget(f"track follows a Reference (ik.circle, ik.line, ...), not {type(reference).__name__}")
+        return [reference]
+    wanted = f"track follows a dict of References, one for each of {', '.join(robot.tips)}"
+    if not isinstance(reference, Mapping):
+        raise InvalidTarget(f"{wanted}, not {type(reference).__name__}")
+    robot.check_tips(reference)
+    found = [one for one in (reference.get(tip) for tip in robot.tips) if isinstance(one, Reference)]
+    if len(found) < len(robot.tips):
+        raise InvalidTarget(wanted)
+    if len({one.duration for one in found}) > 1:
+        raise InvalidTarget(
+            f"the references of the tips must last equally long, not {[one.duration for one in found]} s"
+        )
+    return found
+
+
+def _judged(run: Run, references: list[Reference], times: np.ndarray, check: Any) -> TrackResult:
+    """What was run, with its verdict."""
+    tracker = run.tracker
+    made = _result(run, tracker.robot, references, times, check)
+    made.figures = figures(made, tracker.robot.chain.unit * JUMP)
+    made.status, made.message = verdict(made, int(tracker._state[laws.STATE.stop]), len(times) - 1)
+    hold_against(made, tracker.robot)
+    return made
+
+
+def _result(run: Run, robot: Any, references: list[Reference], times: np.ndarray, check: Any) -> TrackResult:
+    """What was run, in the caller's units."""
+    unit = robot.chain.unit
+    Q, R = run.Q * unit, run.R * unit
+    done = len(Q) - 1
+    clock = times[-1] * np.minimum(run.S[:, 0] / (len(times) - 1), 1.0) if run.mode == SLOW else times[: done + 1]
+    whole = run.S[:, 0] == np.rint(run.S[:, 0])
+    clock = np.where(whole[: done + 1], times[np.minimum(np.rint(run.S[:, 0]).astype(int), len(times) - 1)], clock)
+    targets = np.stack([one.at(clock)[0] for one in references], axis=1)
+    tips = _forward(robot, Q)
+    position, orientation = _errors(run, targets, whole[: done + 1])
+    by_tip = robot.by_tip
+    between = (
+        _between(robot, references[0], Q, R, run.tracker.engine, run.dt, clock) if done and not by_tip else (None, None)
+    )
+    return TrackResult(
+        robot=robot.name,
+        method=run.tracker.engine.name,
+        options=run.tracker.engine.settings(run.dt),
+        dt=float(run.dt),
+        joint_names=robot.joint_names,
+        t=np.arange(done + 1) * run.dt,
+        q=Q,
+        rate=R,
+        xyz=tips if by_tip else tips[:, 0],
+        target_xyz=targets[:, :, :3, 3] if by_tip else targets[:, 0, :3, 3],
+        position_error=position,
+        orientation_error=orientation,
+        limited=run.C[:done],
+        damped=run.S[:done, 3] > 0.0,
+        between_position=between[0],
+        between_orientation=between[1],
+        elapsed=run.elapsed,
+        searched=run.searched,
+        between=run.between,
+        gain_check=check,
+        position_tolerance=run.tolerances[0],
+        orientation_tolerance=run.tolerances[1],
+        settle=run.settle,
+        clock=clock,
+        sigma=run.S[:done, 1].copy(),
+        pace=run.S[:done, 2].astype(int),
+        end=float(times[-1]),
+        tips=robot.tips,
+    )
+
+
+def _errors(run: Run, targets: np.ndarray, whole: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
+    """Largest position and orientation error (M,) of the tips to targets (M, F, 4, 4); whole (M,): where the clock is at a sample.
+
+    Between samples the loop sees cubics through the reference's samples; what a run is judged by is the reference itself.
+    """
+    errors, still = run.E.copy(), np.zeros((1, run.E.shape[1]))
+    for k in np.flatnonzero(~whole):
+        errors[k] = run.tracker.error_at(run.Q[k], samples_from(targets[k : k + 1], still, still), run.dt)
+    errors = errors.reshape(len(errors), -1, 6)
+    posed = [tip for tip, one in enumerate(run.tracker._judged.posed) if one]
+    position = np.linalg.norm(errors[:, :, :3], axis=2).max(axis=1)
+    return position, np.linalg.norm(errors[:, posed, 3:], axis=2).max(axis=1) if posed else None
+
+
+def _apart(T: np.ndarray, wanted: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Distances (M,) [m] and angles (M,) [rad] between poses (M, 4, 4)."""
+    away = np.linalg.norm(T[:, :3, 3] - wanted[:, :3, 3], axis=1)
+    return away, angles_between(T[:, :3, :3], wanted[:, :3, :3])
+
+
+def _forward(robot: Any, Q: np.ndarray) -> np.ndarray:
+    """Positions of the tips (N, F, 3) [m] at Q (N, n)."""
+    arms = zip(robot.arms, robot.places, strict=True)
+    return np.stack([arm.chain.forward(np.ascontiguousarray(Q[:, at]))[0][:, :3, 3] for arm, at in arms], axis=1)
+
+
+def _samples(reference: Reference, times: np.ndarray) -> Samples:
+    """Pose, twist and acceleration at the samples. Raises InvalidTarget, with the time, where they are none."""
+    T, V, A = reference.at(times)
+    used = T[:, :3, 3] if reference.position_only else T.reshape(len(T), 16)
+    bad = ~np.isfinite(np.hstack([used, V, A])).all(axis=1)
+    what = "is not finite"
+    if not (bad.any() or reference.position_only):  # as for a single target, see `check_target`
+        R = T[:, :3, :3]
+        bad = np.abs(T[:, 3] - (0.0, 0.0, 0.0, 1.0)).max(axis=1) > 1e-9
+        # Where a singular value is further off 1, so is an entry of R^T R by a third of that: most samples need no more.
+        doubtful = np.abs(R.transpose(0, 2, 1) @ R - np.eye(3)).max(axis=(1, 2)) > PROJECT_WITHIN / 3.0
+        bad[doubtful] |= np.abs(np.linalg.svd(R[doubtful], compute_uv=False) - 1.0).max(axis=1) > PROJECT_WITHIN
+        bad |= np.linalg.det(R) < 0.0
+        what = "is no pose (a rotation, a position and the last row 0 0 0 1)"
+    if bad.any():
+        raise InvalidTarget(f"reference '{reference.name}' {what} at t = {times[int(np.argmax(bad))]:g} s")
+    return T, V, A
+
+
+def _start(robot: Any, references: list[Reference], avoid: Any) -> np.ndarray:
+    """Home if the tips are then at the reference's start, else a solution of it (the best one found, if none).
+
+    avoid: see `avoid_collisions`; where something touches at home, another start is sought.
+    """
+    targets = [one.target(0.0) for one in references]
+    errors = robot.errors(robot.home, targets) if robot.by_tip else [robot.errors(robot.home, targets[0])]
+    touches = avoid is not False and collision_model(robot, avoid).collides(robot.home)
+    if not touches and all(position < 1e-9 and (orientation or 0.0) < 1e-9 for position, orientation in errors):
+        return robot.home
+    from ..solvers.solve import solve
+
+    return solve(robot, targets if robot.by_tip else targets[0], q0=robot.home, avoid_collisions=avoid).q
+
+
+def _between(
+    robot: Any, reference: Reference, Q: np.ndarray, R: np.ndarray, engine: Any, dt: float, clock: np.ndarray
+) -> tuple[np.ndarray | None, np.ndarray | None]:
+    """Largest position and orientation error (N,) in each step, its ends included, on the motion the method itself assumes."""
+    if any(one is not None for one in (engine.options.mask, engine.options.slack, engine.options.free_turn)):
+        return None, None  # the kernel decides which part of the error counts
+    worst_p, worst_o = np.zeros(len(Q) - 1), np.zeros(len(Q) - 1)
+    for f in FRACTIONS:
+        T = robot.chain.forward(interpolate(Q, R, engine.gamma, dt, f))[0]
+        wanted = reference.at(clock[:-1] + f * np.diff(clock))[0]
+        away, turn = _apart(T, wanted)
+        worst_p, worst_o = np.maximum(worst_p, away), np.maximum(worst_o, turn)
+    return worst_p, None if reference.position_only else worst_o

@@ -1,0 +1,155 @@
+"""The directions in which the tip can hardly move, one after the other: how its way is bent there, and what is left to each.
+
+What is decided about one, and why, is in modes.py; here it is asked of the task and kept.
+"""
+
+from ..compile.jit import inline, inner
+from ..kernel.records import copy
+from .constrained_step import SLOW
+from .laws import CV, REGION, STATE, natural
+from .null_space_motion import STEP, reflect
+from .singular_step import (
+    ALONG,
+    CLEAR,
+    LOST,
+    SIDE,
+    begin_bent,
+    bent_direction,
+    mode_direction,
+    mode_moved,
+    mode_part,
+    mode_probe,
+    mode_speed,
+    rest_of,
+)
+
+GAIN = 2.0 / 3.0  # share of an error fed back per sample where the method has no gain itself: the best of `cv`
+BEFORE = -1.0  # singular poses were met before, but not in the last step
+
+
+@inline
+def bend(task, look, s, weighed):
+    """s.bias = (dJ/dt along s.x1) s.x2, by the weights of the errors where these are weighed."""
+    if task.plain():
+        task.bending(look, s.x1, s.x2, s.bias)
+    else:
+        by_difference(task, s)
+    if weighed:
+        for k in range(s.bias.shape[0]):
+            s.bias[k] *= s.weight[k]
+
+
+@inline
+def by_difference(task, s):
+    """s.bias = (dJ/dt along s.x1) s.x2 by differences, where only a part of a pose counts or its target moves."""
+    size = 0.0
+    for i in range(s.x1.shape[0]):
+        size = max(size, abs(s.x1[i]))
+    for k in range(s.bias.shape[0]):
+        s.bias[k] = 0.0
+    if size > 0.0:
+        for sign in (1.0, -1.0):
+            for i in range(s.x1.shape[0]):
+                s.probe[i] = s.at[i] + sign * STEP / size * s.x1[i]
+            task.stand(s.probe)
+            task.jacobian(task.see())
+            for k in range(s.bias.shape[0]):
+                for i in range(s.x1.shape[0]):
+                    s.bias[k] += sign * 0.5 * size / STEP * task.desk.J[i, k] * s.x2[i]
+    reflect(s.flip, s.bias)
+    for k in range(s.bias.shape[0]):
+        if s.weight[k] == 0.0:
+            s.bias[k] = 0.0
+
+
+@inner
+def forget_default(state, away):
+    """Where singular poses were never met, `away` (n,) is a default and no side."""
+    if state[STATE.near] == 0.0:
+        for i in range(away.shape[0]):
+            away[i] = 0.0
+
+
+@inner
+def remember(state, near, beyond, h):
+    """Keep whether the pose is a singular one, and for some time that the target was out of reach."""
+    if near:
+        state[STATE.near] = 1.0 + SIDE if beyond else max(state[STATE.near] - h, 1.0)
+    elif state[STATE.near] != 0.0:
+        state[STATE.near] = BEFORE
+
+
+@inner
+def copy_column(source, target, k):
+    """target[:, k] = source."""
+    for i in range(source.shape[0]):
+        target[i, k] = source[i]
+
+
+@inline
+def begin_mode(s, r, free, way, away):
+    """Write the direction of mode r to V, and what its slope is taken along to s.x1; False, and it is lost, where it has none."""
+    there = mode_direction(s.W, s.sv, r, away, way, s.x1)
+    copy_column(s.x1, s.V, r)
+    if not there:
+        s.lost[r], s.xk[r] = 1.0, 0.0
+    elif free:
+        begin_bent(s.W, s.V, s.sv, r, away, s.x1)
+    return there
+
+
+@inline
+def probe_mode(s, r, part, rate, h):
+    """Write to s.x1 and s.x2 the motions of the product that `bend` is to find; returns the joints' own rate along V_r."""
+    n = rate.shape[0]
+    if part < 0:  # along each joint in turn: the slope of the singular value
+        for i in range(n):
+            s.x2[i] = 1.0 if i == part + n else 0.0
+        return 0.0
+    own = mode_probe(s.V, r, rate, part, h, s.x1)
+    copy(s.x1, s.x2)
+    return own
+
+
+@inline
+def note_curve(s, r, part):
+    """Keep what `bend` has found: of the slope in s.null, of the motions in s.t. Joints that have to stand still have none."""
+    curved = mode_part(s.U, r, s.bias)
+    i = part + s.null.shape[0]
+    if part >= 0:
+        s.t[part] = curved
+    else:
+        s.null[i] = curved if s.floor[i] < 0.0 or s.roof[i] > 0.0 else 0.0
+
+
+@inline
+def judge_modes(law, task, look, s, limits, h, rate, away, heavy, state):
+    """Judge the directions in which the tip can hardly move, see modes.py; returns whether the target is out of reach in one."""
+    n, m = s.J.shape
+    near, beyond, gain = False, False, law.kappa if law.code == CV else min(natural(law, h), GAIN / h)
+    for r in range(m):
+        if s.sv[r] >= REGION * law.damping:
+            continue
+        if not near and s.sv[r] > CLEAR:
+            forget_default(state, away)
+        near = True
+        left, moved = mode_part(s.U, r, s.e), mode_moved(s.U, r, s.e, s.ahead, s.f, h)
+        free, thin, own = s.sv[r] < LOST and state[STATE.near] > 1.0, s.sv[r], 0.0
+        if not begin_mode(s, r, free, moved + h * gain * left, away):
+            continue
+        for part in range(-n if free else 0, 3):
+            if part == ALONG and free:
+                thin = bent_direction(s.W, s.V, s.sv, r, s.null)
+            own = probe_mode(s, r, part, rate, h)
+            bend(task, look, s, True)
+            note_curve(s, r, part)
+        rest = heavy * rest_of(s.e, left) if state[STATE.near] == 1.0 + SIDE else 0.0
+        out = mode_speed(
+            s.V, r, s.sv[r], thin, s.t, rest, own, left, moved, gain, h, law.mode == SLOW, limits, s.lost, s.xk, state[STATE.near],
+            away,
+        )  # fmt: skip
+        if free and out:  # damped, as in `hold_back`
+            s.pull[r] = gain * left / (s.sv[r] * s.sv[r] + heavy * abs(left))
+        beyond = beyond or out
+    remember(state, near, beyond, h)
+    return beyond

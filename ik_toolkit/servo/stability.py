@@ -1,0 +1,349 @@
+"""Stability of the tracking methods as sampled systems: mapping matrices, closed-form regions, best gains, a check.
+
+Near a resting point every method maps (error, joint velocity, earlier command) linearly from one sample to the next, and
+the matrices are the same for every arm (Patko and Zelei, 2019, eqs 30-42). Stability depends on dimensionless gains
+only: k = kappa h for `cv`, d = kp-and-kd pair (p, d) = (kp h^2, kd h) for `ca`. From the Jury conditions:
+
+    cv  stable  <=>  0 < k < 1                                      (flip, eigenvalue -1, at k = 1)
+    ca  stable  <=>  0 < d < 1  and  0 < p < (d + sqrt(d (9 d + 16))) / 2
+
+The matrices hold at rest. Along a fast path kappa I becomes kappa I + J^-1 dJ/dt, so gains within a few percent of the
+border can still diverge in motion: `check_gains(..., robot=, path=)` multiplies the matrices along it (along.py).
+
+Where joint values are measured, the error comes late and with noise, while rates and earlier commands stay the tracker's own:
+`delayed_matrix` holds the earlier samples beside the state.
+"""
+
+import functools
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..errors import InvalidOption, near_match
+from ..validate import number, one_of, positive
+
+if TYPE_CHECKING:
+    from .orbit_stability import Growth
+
+GAINS = {
+    "cv": ("kappa",),
+    "av": ("share",),
+    "ca": ("kp", "kd"),
+    "aa": ("share",),
+    "aad": ("gamma", "share"),
+}  # of each method
+METHODS = tuple(GAINS)
+GAMMA = 0.6  # default of aad: eigenvalue 1 - 1/gamma = -2/3
+WITHOUT = {"gamma": GAMMA, "share": 1.0}  # gains of which there is a default whatever the sample time
+BORDER = 1e-9  # relative distance to the border within which a gain set is called marginal
+
+# Best gains: the smallest spectral radius. cv: a complex pair turns real at k = 2/3. ca: a triple eigenvalue r, which
+# solves 9 r^3 - 9 r^2 + 3 r + 1 = 0.
+BEST_CV = 2.0 / 3.0
+TRIPLE = (1.0 - 4.0 ** (1.0 / 3.0)) / 3.0
+BEST_CA = (4.0 / 3.0 - 2.0 * TRIPLE + 2.0 * TRIPLE**3, 2.0 / 3.0 - TRIPLE - TRIPLE**3)  # (kp h^2, kd h)
+BEST_CA_RADIUS = -TRIPLE
+BEST = {"cv": (BEST_CV,), "ca": BEST_CA, "av": (1.0,)}
+AGE = 2.0  # [samples] that joints given as measured are taken to be old, where nobody says: 20 ms at 100 Hz
+BEST_AT_AGE = {
+    "cv": (2.0 / 9.0,),
+    "ca": (0.0874083, 0.8358459),
+    "av": (4.0 / 27.0,),  # eigenvalues r^3 = r^2 - share: 2/3 twice
+}  # what `_best_delayed` finds, for which a loop has no time
+MOST_DELAY = 200.0  # samples; the matrix has as many rows
+GRID = 25  # points a side of a grid in the search for the best gains under a delay; four grids, each a quarter as wide
+
+
+def mapping_matrix(
+    method: str,
+    h: float,
+    *,
+    kappa: float | None = None,
+    kp: float | None = None,
+    kd: float | None = None,
+    gamma: float = GAMMA,
+    share: float = 1.0,
+    dof: int = 1,
+) -> np.ndarray:
+    """Matrix that carries the linearised state of `method` over one sample of h [s].
+
+    State: cv (q, previous command), ca (q, qd, previous command), aa and aad (q, qd), av (q); for `dof` joints each entry
+    is repeated on the diagonal, as in eqs (39)-(42). Gains: kappa [1/s], kp [1/s^2], kd [1/s], share (1: as published). Source:
+    Patko and Zelei (2019), eqs (30), (31), (34), (35), (39)-(42); entry (3,3) of (41) is printed with kp and must have kd.
+    """
+    if method == "cv":
+        (kappa,) = _needed(method, h, kappa=kappa)
+        A = np.array([[1.0 - 1.5 * kappa * h, -0.5 * h], [-kappa, 0.0]])
+    elif method == "ca":
+        kp, kd = _needed(method, h, kp=kp, kd=kd)
+        A = np.array(
+            [
+                [1.0 - 0.75 * kp * h * h, h - 0.75 * kd * h * h, -0.25 * h * h],
+                [-1.5 * kp * h, 1.0 - 1.5 * kd * h, -0.5 * h],
+                [-kp, -kd, 0.0],
+            ]
+        )
+    elif method == "av":
+        (share,) = _needed(method, h, share=share)
+        A = np.array([[1.0 - share]])
+    elif method in ("aa", "aad"):
+        gamma = 0.5 if method == "aa" else gamma
+        gamma, share = _needed(method, h, gamma=positive(gamma, "gamma"), share=share)
+        A = np.array([[1.0 - share, 0.0], [-share / (gamma * h), 1.0 - 1.0 / gamma]])
+    else:
+        raise InvalidOption(f"no tracking method '{method}'.{near_match(method, METHODS)}")
+    return np.kron(A, np.eye(dof))
+
+
+def _needed(method: str, h: float, **gains: float | None) -> list[float]:
+    """Return the gains of a method as numbers; a missing or non-finite gain, or a bad h, is invalid input."""
+    positive(h, "the sample time [s]")
+    return [number(value, f"{method} needs {' and '.join(gains)}: {name}") for name, value in gains.items()]
+
+
+def spectral_radius(A: np.ndarray) -> float:
+    """Largest modulus of the eigenvalues of A (m, m)."""
+    return float(np.abs(np.linalg.eigvals(A)).max())
+
+
+def delayed_matrix(method: str, h: float, delay: float = 0.0, **gains: Any) -> np.ndarray:
+    """Matrix (k, k) of one joint over one sample when the measured position is `delay` samples old (1.5: between two).
+
+    State: that of `mapping_matrix`, then the positions one, two, ... samples ago. Only the position that the error is taken from
+    is late: rates and earlier commands are the tracker's own. Between samples the joint is taken to move straight.
+    """
+    A = mapping_matrix(method, h, **gains)
+    delay = _samples(delay)
+    whole, part = math.floor(delay), delay - math.floor(delay)
+    late = whole + (part > 0.0)
+    n = len(A)
+    M = np.zeros((n + late, n + late))
+    M[:n, :n] = A
+    feedback = feedback_column(A)
+    M[:n, 0] -= feedback
+    for samples, share in ((whole, 1.0 - part), (whole + 1, part)):
+        if share:
+            M[:n, 0 if samples == 0 else n + samples - 1] += share * feedback
+    for k in range(late):
+        M[n + k, 0 if k == 0 else n + k - 1] = 1.0
+    return M
+
+
+def feedback_column(A: np.ndarray) -> np.ndarray:
+    """How a mapping matrix uses the measured position; the rest of its first column keeps the position itself."""
+    return A[:, 0] - np.eye(len(A))[0]
+
+
+def _samples(delay: Any) -> float:
+    """Delay as a number of samples. Raises InvalidOption."""
+    found = number(delay, "delay [samples]")
+    if not 0.0 <= found <= MOST_DELAY:
+        raise InvalidOption(f"delay is a number of samples from 0 to {MOST_DELAY:g}, not {found:g}")
+    return found
+
+
+def noise_gains(method: str, h: float, delay: float = 0.0, **gains: Any) -> tuple[float, float]:
+    """RMS of a joint's position, and of its commanded rate times h, over the RMS of white noise on its measured position at rest.
+
+    H2 norms of the map from noise to both; infinite where the gains are not stable.
+    """
+    M = delayed_matrix(method, h, delay, **gains)
+    if spectral_radius(M) >= 1.0 - BORDER:
+        return math.inf, math.inf
+    B = np.zeros(len(M))
+    column = feedback_column(mapping_matrix(method, h, **gains))
+    B[: len(column)] = column
+    # Covariance P = M P M' + B B' by doubling: P_2k = P_k + M^k P_k M^k'.
+    P, power = np.outer(B, B), M
+    while np.abs(power).max() > 1e-20:
+        P = P + power @ P @ power.T
+        power = power @ power
+    if method in ("ca", "aa", "aad"):  # the rate is a state: more than the step moves, where it zigzags
+        return math.sqrt(P[0, 0]), h * math.sqrt(P[1, 1])
+    move = M[0] - np.eye(len(M))[0]  # from this sample to the next, beside the noise's own share
+    return math.sqrt(P[0, 0]), math.sqrt(move @ P @ move + B[0] ** 2)
+
+
+def p_limit(d):
+    """Upper border of p = kp h^2 for d = kd h (number or array)."""
+    return 0.5 * (d + np.sqrt(d * (9.0 * d + 16.0)))
+
+
+def best_gains(method: str, h: float, delay: float = 0.0) -> dict[str, float]:
+    """Gains with the smallest spectral radius at sample time h [s]: cv 0.577 (1/sqrt 3), ca 0.196, av 0, aa 1, aad 0.667.
+
+    cv: kappa h = 2/3. ca: kp h^2 = 1.7099, kd h = 0.8700, where all three eigenvalues meet. av, aa, aad: share = 1. With a
+    measured position `delay` samples old they are searched for.
+    """
+    one_of(method, METHODS, "tracking method")
+    h = positive(h, "the sample time [s]")
+    units = {"kappa": h, "kp": h * h, "kd": h, "share": 1.0}
+    law = method if method in BEST else "av"  # the eigenvalues of aa and aad are those of av and one that is theirs
+    found = BEST[law]
+    if _samples(delay):
+        found = BEST_AT_AGE[law] if delay == AGE else _best_delayed(law, float(delay))
+    best = {name: value / units[name] for name, value in zip(GAINS[law], found, strict=True)}
+    return {name: best.get(name, GAMMA) for name in GAINS[method]}
+
+
+@functools.cache
+def _best_delayed(method: str, delay: float) -> tuple[float, ...]:
+    """Best gains times h (kp: h^2) under a delay: grids in log scale, each about the best point of the one before."""
+    names = GAINS[method]
+    middle, width = np.log(BEST[method]) - math.log(1.0 + delay), 3.0
+    for _ in range(4):
+        axes = np.meshgrid(*([np.linspace(-width, width, GRID)] * len(names)), indexing="ij")
+        points = middle + np.stack([axis.ravel() for axis in axes], axis=1)
+        tried = (dict(zip(names, np.exp(point).tolist(), strict=True)) for point in points)
+        matrices = np.array([delayed_matrix(method, 1.0, delay, **gains) for gains in tried])
+        middle = points[int(np.argmin(np.abs(np.linalg.eigvals(matrices)).max(axis=1)))]
+        width /= 4.0
+    return tuple(np.exp(middle).tolist())
+
+
+def longest_step(method: str, delay: float = 0.0, **gains: float) -> float:
+    """Longest sample time [s] at which the gains (kappa; kp and kd) are stable; inf where the method has no gains.
+
+    delay: of the measured position, in samples, whatever their length.
+    """
+    if delay and method in ("cv", "ca"):
+        low, high = 0.0, longest_step(method, **gains)  # a delay can only make it shorter
+        for _ in range(50 if high > 0.0 else 0):
+            middle = 0.5 * (low + high)
+            stable = spectral_radius(delayed_matrix(method, middle, delay, **gains)) < 1.0
+            low, high = (middle, high) if stable else (low, middle)
+        return low
+    if method == "cv":
+        return 1.0 / gains["kappa"] if gains["kappa"] > 0.0 else 0.0
+    if method != "ca":
+        return math.inf
+    kp, kd = gains["kp"], gains["kd"]
+    if not (kp > 0.0 and kd > 0.0):
+        return 0.0
+    # The border p = p_limit(d) written in h: kp^2 h^3 - kp kd h^2 - 2 kd^2 h - 4 kd = 0 has one positive root.
+    roots = np.roots([kp * kp, -kp * kd, -2.0 * kd * kd, -4.0 * kd])
+    real = roots[np.abs(roots.imag) < 1e-9 * np.abs(roots)].real
+    return min(1.0 / kd, float(real[real > 0.0].min()))
+
+
+@dataclass(frozen=True)
+class GainCheck:
+    """What `check_gains` found.
+
+    verdict is "stable", "marginal" or "unstable", over all that was asked; radius the spectral radius of the mapping matrix
+    (growth of the error per sample, at rest); message one sentence, more with delay, noise or a path; suggestion the best
+    gains at this sample time and delay; longest_step [s] the slowest sampling at which the same gains are stable. delay
+    [samples] as given; noise_gain: RMS of a joint over the RMS of the noise on its measured position; along: growth on the path
+    (factor, per_step, closed), or None.
+    """
+
+    method: str
+    h: float
+    verdict: str
+    radius: float
+    message: str
+    suggestion: dict[str, float]
+    longest_step: float
+    delay: float = 0.0
+    noise_gain: float = 0.0
+    along: "Growth | None" = None
+
+    @property
+    def stable(self) -> bool:
+        """Whether the gains lie strictly inside the stable region."""
+        return self.verdict == "stable"
+
+
+def check_gains(
+    method: str,
+    h: float,
+    *,
+    delay: float = 0.0,
+    noise: float | None = None,
+    robot: Any = None,
+    path: Any = None,
+    null_damping: float = 0.0,
+    **gains: float,
+) -> GainCheck:
+    """Judge a method's gains at sample time h [s], with a sentence and a suggestion.
+
+    gains: kappa of cv; kp and kd of ca; share of av and aa; gamma and share of aad.
+
+    At rest the verdict comes from the closed-form region, the radius from the eigenvalues. delay: age of the measured joint
+    positions in samples (20 ms at h = 0.01 s: 2; parts count), as `Tracker.update(q=...)` gets them; then the eigenvalues
+    decide. noise: RMS on a measured position [rad or m]; the message says what it becomes. robot and path (a Reference, as
+    ik.circle): also along that path, where the gains are judged by the growth of a small error over it, a lap when it is closed
+    (null_damping [1/s] as in `Method`). Raises InvalidOption on a gain the method does not have or lacks, InvalidTarget where
+    the path cannot be followed.
+    """
+    one_of(method, METHODS, "tracking method")
+    for name in gains:
+        if name not in GAINS[method]:
+            raise InvalidOption(f"{method} has no gain '{name}'.{near_match(name, GAINS[method])}")
+    delay, null_damping = _samples(delay), number(null_damping, "null_damping [1/s]")
+    if (robot is None) != (path is None):
+        raise InvalidOption("gains are judged along a path with both robot= and path=")
+    radius = spectral_radius(delayed_matrix(method, h, delay, **gains))
+    best = best_gains(method, h, delay)
+    longest = longest_step(method, delay, **gains)
+    margin, where = _region(method, h, **gains)
+    if delay:
+        margin, where = 1.0 - radius, f"positions measured {delay:g} samples ago"
+    verdict = "marginal" if abs(margin) <= BORDER else "stable" if margin > 0.0 else "unstable"
+    message = f"{method} at h = {h:.4g} s is {verdict} at rest: {where}; spectral radius {radius:.4g}."
+    gain = noise_gains(method, h, delay, **gains)
+    if noise is not None:
+        rms = positive(noise, "noise")
+        message += (
+            f" Noise of {rms:.3g} on a measured position becomes {rms * gain[0]:.3g} in the joint and {rms * gain[1] / h:.3g} "
+            "per second in its rate."
+            if math.isfinite(gain[0])
+            else " Noise on the measured positions grows without bound."
+        )
+    found = None
+    if path is not None:
+        from .orbit_stability import growth
+
+        complete = {name: WITHOUT[name] for name in GAINS[method] if name in WITHOUT} | gains
+        found = growth(robot, path, method, h, complete, null_damping=null_damping)
+        message += (
+            f" Along the path a small error changes by {found.factor:.3g} {'a lap' if found.closed else 'in all'}"
+        )
+        message += f" ({found.per_step:.5g} a sample)."
+        if verdict == "stable" and not found.factor < 1.0:
+            verdict = "unstable"
+    if verdict != "stable":
+        message += _way_out(method, best, longest, delay)
+    return GainCheck(method, h, verdict, radius, message, best, longest, delay, gain[0], found)
+
+
+def _way_out(method: str, best: dict[str, float], longest: float, delay: float) -> str:
+    """Sentence on gains or a sample time that would work."""
+    words = " Try " + ", ".join(f"{name} = {value:.5g}" for name, value in best.items())
+    if method == "aa":  # marginal at its best
+        out = " aad removes that eigenvalue at the same accuracy."
+        return f"{words} with aad, which removes aa's eigenvalue -1." if delay else out
+    if delay or not 0.0 < longest < math.inf:  # at a higher rate the same time is more samples
+        return f"{words}."
+    return f"{words}, or a rate above {1.0 / longest:.4g} Hz."
+
+
+def _region(method: str, h: float, **gains: float) -> tuple[float, str]:
+    """Distance to the border of the closed-form region (negative outside), and words for it."""
+    if method == "cv":
+        k = gains["kappa"] * h
+        return min(k, 1.0 - k), f"kappa h = {k:.4g}, stable between 0 and 1"
+    if method == "ca":
+        p, d = gains["kp"] * h * h, gains["kd"] * h
+        top = float(p_limit(d)) if d > 0.0 else 0.0
+        where = f"kd h = {d:.4g} (stable between 0 and 1), kp h^2 = {p:.4g} (stable between 0 and {top:.4g})"
+        return min(d, 1.0 - d, p, (top - p) / max(top, 1e-300)), where
+    share, gamma = gains.get("share", 1.0), gains.get("gamma", GAMMA)
+    margin, where = min(share, 2.0 - share), f"share = {share:.4g}, stable between 0 and 2"
+    if method == "aa":
+        return min(margin, 0.0), "eigenvalue -1 whatever the gains: the joint velocity may zigzag for ever"
+    if method == "aad":
+        return min(margin, gamma - 0.5), f"gamma = {gamma:.4g}, stable above 0.5, {where}"
+    return margin, where

@@ -1,0 +1,197 @@
+"""One step of a tracker, as it is returned: numbers at once, the status and its sentence when they are read."""
+
+import math
+from enum import Enum
+from functools import partial
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from . import viability
+from .target_jump import Choice
+
+NEAR = (
+    1e-3,
+    5e-3,
+)  # [m, rad] error above which a joint at its limit, or the edge of the reach, counts as the reason
+AT_REST = 1e-3  # share of a joint's speed limit (of 1 rad/s, 1 reach/s without one) below which it counts as at rest
+RESTING = 1e-6  # the same of a joint that no feedback moves: a gain of 0.1/s asks for 1e-4 where an error is NEAR
+
+
+class StepStatus(Enum):
+    """How one step went.
+
+    OK: nothing holds the arm back. LIMITED: a limit held a joint back, or the tip can hardly get nearer to its target.
+    AT_LIMIT: the arm rests about as close as a joint's limit, or its reach, allows.
+    BLOCKED: as near as what is in the way allows. RECONFIGURING: the arm moves to another posture, which reaches the target.
+    RECOVERING: a joint outside its limits comes back, or brakes. FOLLOWING_ERROR: the joints measured are far from those
+    commanded. JUMPED: a joint moved far, or the tracker started anew from the joints measured. HELD: no usable command.
+    """
+
+    OK = "ok"
+    LIMITED = "limited"
+    AT_LIMIT = "at limit"
+    BLOCKED = "blocked"
+    RECONFIGURING = "reconfiguring"
+    RECOVERING = "recovering"
+    FOLLOWING_ERROR = "following error"
+    JUMPED = "jumped"
+    HELD = "held"
+
+
+class Judged(NamedTuple):
+    """What the steps of a tracker are judged by."""
+
+    robot: Any
+    posed: tuple[bool, ...]  # whether the orientation of a tip counts
+    jump: float
+    speed: np.ndarray  # (n,) limits
+
+
+class Outcome(NamedTuple):
+    """What the status of a step is read from: copies."""
+
+    by: Judged
+    code: np.ndarray  # (n,) bits of limits
+    before: np.ndarray  # (n,) the command before, in kernel units
+    errors: np.ndarray  # (2, m) before it and left [m, rad]
+    lost: float  # directions in which the tip can hardly move
+    down: bool  # whether the step was one towards the closest pose nearby, see servo/damped_descent.py
+    finite: bool
+    lag: float  # of the joints measured, over what is allowed
+    resynced: bool
+    between: tuple[str, str] | None  # names of what would have touched
+    # On the way to another posture, joints at whose limits this one ended; to a target that leapt, which way.
+    way: tuple[str, ...] | Choice | None
+
+
+make_outcome = partial(tuple.__new__, Outcome)  # faster than Outcome(...), as in solvers/result.py
+
+
+class Step:
+    """One step of a tracker.
+
+    q (n,) [rad or m] and rate (n,) to command now; position_error [m] and orientation_error [rad] (None for positions) left to
+    this step's target, of several tips the largest, at `q` or, where joints were measured, at these; at_rest; between; status;
+    reason, a sentence ('' when OK).
+    """
+
+    __slots__ = ("_outcome", "q", "rate")
+
+    def __init__(self, q: np.ndarray, rate: np.ndarray, outcome: Outcome) -> None:
+        """Keep what the status needs."""
+        self.q, self.rate, self._outcome = q, rate, outcome
+
+    @property
+    def position_error(self) -> float:
+        """Distance [m] left to the target."""
+        e = self._outcome.errors[1].reshape(-1, 6)[:, :3]
+        return float(np.sqrt((e * e).sum(axis=1).max()))
+
+    @property
+    def orientation_error(self) -> float | None:
+        """Angle [rad] left to the target; None where no orientation counts."""
+        o = self._outcome
+        if not any(o.by.posed):
+            return None
+        e = o.errors[1].reshape(-1, 6)[list(o.by.posed), 3:]
+        return float(np.sqrt((e * e).sum(axis=1).max()))
+
+    @property
+    def status(self) -> StepStatus:
+        """How it went."""
+        o = self._outcome
+        if o.code[0] & viability.HELD:
+            return StepStatus.HELD
+        if o.resynced or (self._moved() > o.by.jump).any():
+            return StepStatus.JUMPED
+        held = int(np.bitwise_or.reduce(o.code))
+        if held & viability.RECOVERING:
+            return StepStatus.RECOVERING
+        if o.way is not None:
+            leapt = isinstance(o.way, Choice) and o.way.ratio < math.inf
+            return StepStatus.LIMITED if leapt else StepStatus.RECONFIGURING
+        if o.lag > 0.5:
+            return StepStatus.FOLLOWING_ERROR
+        if (held or o.lost or self._rests()) and self.at_rest and self._away():
+            return StepStatus.BLOCKED if held & viability.ROW else StepStatus.AT_LIMIT
+        return StepStatus.LIMITED if held or ((o.lost or o.down) and self._away()) else StepStatus.OK
+
+    def _moved(self) -> np.ndarray:
+        """How far (n,) the joints moved in this step [rad, or reaches]."""
+        return np.abs(self.q / self._outcome.by.robot.chain.unit - self._outcome.before)
+
+    @property
+    def between(self) -> tuple[str, str] | None:
+        """Names of the two that would touch where something in the way holds the arm back; else None."""
+        return self._outcome.between
+
+    @property
+    def at_rest(self) -> bool:
+        """Whether no joint moves, or hardly: at a thousandth of its speed limit at most."""
+        return bool((np.abs(self.rate) <= AT_REST * self._outcome.by.speed).all())
+
+    def _rests(self) -> bool:
+        """Whether an error that was there before the step moves no joint: what is left has no direction in which the tip can go."""
+        before, after = np.abs(self._outcome.errors)
+        return bool((np.abs(self.rate) <= RESTING * self._outcome.by.speed).all() and before.max() > 0.5 * after.max())
+
+    def _away(self) -> bool:
+        return self.position_error > NEAR[0] or (self.orientation_error or 0.0) > NEAR[1]
+
+    @property
+    def reason(self) -> str:
+        """Why the status is not OK."""
+        o, status = self._outcome, self.status
+        if status is StepStatus.OK:
+            return ""
+        parts = []
+        if o.resynced:
+            parts.append("the measured joints were too far from the commanded ones: restarted from the measurement")
+        elif status is StepStatus.JUMPED:
+            i = int(np.argmax(self._moved()))
+            move = self.q[i] - o.before[i] * o.by.robot.chain.unit[i]
+            parts.append(f"joint {o.by.robot.joint_names[i]} moved {move:.3g} in one step")
+        if status is StepStatus.HELD:
+            what = "the step is not finite" if o.finite else "the target is not finite"
+            return "; ".join([*parts, f"{what}: braking and holding"])
+        if status is StepStatus.FOLLOWING_ERROR:
+            parts.append("the measured joints are far from the commanded ones")
+        if status is StepStatus.AT_LIMIT:
+            limited = not o.lost and o.code.any()
+            parts.append(f"about as close as {'the limits allow' if limited else 'the arm reaches from here'}")
+        elif status is StepStatus.LIMITED and o.way is None and not o.code.any():
+            parts.append("the tip can hardly get nearer to its target from here")
+        if o.way is not None:
+            parts.append(_on_the_way(o.way))
+        words = (
+            (viability.RECOVERING, "outside its limits, moving back:"),
+            (viability.POSITION, "position limit on"),
+            (viability.VELOCITY, "speed limit on"),
+            (viability.ACCELERATION, "acceleration limit on"),
+            (viability.CALMED, "kept from swinging or overshooting:"),
+            (
+                viability.ROW,
+                f"{' and '.join(o.between)} would touch: slowing" if o.between else "an obstacle slows",
+            ),
+        )
+        for bit, name in words:
+            held = [j for j, c in zip(o.by.robot.joint_names, o.code, strict=True) if c & bit]
+            if held:
+                parts.append(f"{name} {', '.join(held)}")
+        return "; ".join(parts)
+
+    def __repr__(self) -> str:
+        """Status, error and reason."""
+        reason = self.reason
+        return f"Step({self.status.name}, {self.position_error:.3g} m{', ' + reason if reason else ''})"
+
+
+def _on_the_way(way: tuple[str, ...] | Choice) -> str:
+    """Where the joints go, and why, see `Outcome.way`."""
+    if not isinstance(way, Choice) or way.ratio == math.inf:
+        where = f": the limit of {', '.join(way)} ended the last one" if way and not isinstance(way, Choice) else ""
+        return f"moving to another posture that reaches the target{where}"
+    if way.straight:
+        return "the target leapt: going straight there as fast as the limits allow"
+    return f"the target leapt: going there through the joints, as the straight way takes {way.ratio:.2g} times as long"

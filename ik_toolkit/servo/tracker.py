@@ -1,0 +1,400 @@
+"""`Tracker`: follow targets that arrive one by one, for somebody's control loop."""
+
+import math
+from typing import Any
+
+import numpy as np
+
+from ..compile.array_view import LINE
+from ..copying import Blocks
+from ..errors import InvalidConfiguration, InvalidOption
+from ..kernel.counted_error import POSITION
+from ..readonly import ReadOnly
+from ..robot.narrow import with_limits
+from ..robot.robot import Robot
+from ..robot.tree import Tree
+from ..solvers.collision_free import collision_model
+from ..validate import LATE, one_of, parts_of, positive, rates, switch
+from . import laws, viability
+from .adapters import bind
+from .collision_guard import ROWS, Guard
+from .constrained_step import DIRECT, LEAVE
+from .laws import CLIP
+from .methods import Method
+from .motion_limits import INSTEAD, LIMIT_NAMES, changed_limits, limit_rows, speeds
+from .null_space_motion import Secondary, read_secondary
+from .reconfigure import REACHED, Postures, Reconfiguration, Taken
+from .stability import AGE
+from .step import Judged, Step, make_outcome
+from .target_jump import STRAIGHT, Leap
+from .target_stream import STAND, Stream
+from .time_scaling import QUICK
+from .workspace import Record, Samples, carried_of, new_carried, new_record, new_settings
+
+JUMP = 0.5  # joint move [rad, or reaches] in one step that is reported as a jump
+RESYNC = 0.1  # [rad, or reaches] between joints measured and commanded beyond which a tracker starts anew
+MODES = {"direct": DIRECT, "leave": LEAVE, "clip": CLIP}
+LAWS_KEPT = 64  # lengths of a step for which the numbers of a method are kept
+
+
+class Tracker(Blocks, ReadOnly):
+    """Follow targets that arrive one by one.
+
+    robot: a Robot, or a Tree (several tips). method: cv, av, ca, aa, aad with its options, see `Method`, or a solver that
+    tracks. q0 (n,): start, default home. rate0 (n,): joint rate at the start, default the target's (at rest when acceleration
+    limits are given). limits: keep the robot's joint limits (or narrower ones, as in `ik.solve`) and its speeds, and
+    accelerations [rad/s^2 or m/s^2] when acceleration_limits gives them (number or (n,)), for any dt up to dt_max [s] (default
+    five times the first; a longer step is taken in parts); between samples, too, but cv, av and solvers change rates at once. A
+    joint outside is brought back.
+    on_limit: what gives way where limits bind. "direct": the tip falls behind, but towards its target (for an operator);
+    "leave": the error is the least possible now; "clip": the published form, each joint clipped on its own.
+    What counts: mask, slack, free_turn, frame, relative_to as in `ik.solve`. Beside the task, in its null space: avoid_limits
+    (True, False or a rate [1/s]): lead joints away from near limits; posture (n,) [rad or m] to keep, or (posture, rate);
+    elbow {joint: 1 or -1}: the side of its zero on which a joint stays; manipulability [1/s]: how strongly it is raised;
+    cost: a function of q (n,) [rad or m] to lower, which returns a number or its slope (n,), always finite: else InvalidOption,
+    here for q0 and in `update`, which then takes no step.
+
+    avoid_collisions: True (the robot's own links) or a CollisionModel: the arm slows down before what is in its way and slides
+    along it, and takes no step after which it could not stop without a contact (BLOCKED); for things that stand still.
+    reconfigure: where the arm stands at limits short of a target that another posture reaches, move there through the joints
+    (RECONFIGURING): at once where the target is at rest; while it moves, only when the error has cost as much as the way will.
+    Inside all limits and elbow sides, with avoid_collisions free of contacts; not while a joint is locked. Only with "direct".
+    straight: how many times as long as through the joints the tip's straight way to a target that leapt, and stands, may take;
+    where it takes longer the joints go there together (inf: any straight way; without one, another posture). Only with "direct".
+    jump: joint move [rad, or reaches] in one step reported as JUMPED; resync [rad, or reaches]: see `update`. Raises
+    InvalidOption, InvalidConfiguration.
+    """
+
+    _INSTEAD = INSTEAD
+    VIEWS, SHARED = ("_code", "_error", "_limits", "_q", "_rate", "_state"), ("robot", "_world")
+
+    def __init__(
+        self,
+        robot: Robot | Tree,
+        method: str | Method = "cv",
+        *,
+        q0: Any = None,
+        rate0: Any = None,
+        limits: Any = True,
+        acceleration_limits: Any = None,
+        on_limit: str = "direct",
+        dt_max: float | None = None,
+        jump: float = JUMP,
+        resync: float = RESYNC,
+        avoid_limits: Any = True,
+        posture: Any = None,
+        elbow: Any = None,
+        manipulability: float = 0.0,
+        cost: Any = None,
+        avoid_collisions: Any = False,
+        reconfigure: bool = True,
+        straight: float = STRAIGHT,
+        **options: Any,
+    ) -> None:
+        """Bind a robot and a method."""
+        if not isinstance(robot, Robot | Tree):
+            raise InvalidOption(f"tracking takes a Robot (see Robot.load) or a Tree, not {type(robot).__name__}")
+        robot, limits = self.robot, limits = with_limits(robot, limits)
+        self.engine = bind(robot, method, limits, options, Tracker.__init__.__kwdefaults__ or ())
+        self._mode = MODES[one_of(on_limit, MODES, "on_limit")]
+        self.jump, self.resync = positive(jump, "jump"), positive(resync, "resync")
+        self._limits = limit_rows(robot, limits, acceleration_limits)
+        self._speed = speeds(self._limits) * robot.chain.unit
+        self._longest = 0.0 if dt_max is None else positive(dt_max, "dt_max [s]")
+        self._at_rest = acceleration_limits is not None
+        self.secondary: Secondary = read_secondary(robot, avoid_limits, posture, elbow, manipulability, cost)
+        self.secondary.confine(self._limits)
+        self.stream = Stream(robot)
+        self._world = None if avoid_collisions is False else collision_model(robot, avoid_collisions)
+        self._guard: Guard | None = None
+        if self._world is not None:
+            self._guard = Guard(robot, self._world, self._limits * robot.chain.unit, self.engine.gamma)
+        n, m = robot.n, 6 * self.stream.tips
+        self._postures: Postures | None = None
+        self._ways: list[Leap | Reconfiguration] = []  # what leads the joints where the method would not, or too slowly
+        elsewhere = switch(reconfigure, "reconfigure")
+        longest = math.inf if isinstance(straight, float) and straight == math.inf else positive(straight, "straight")
+        if limits and self._mode == DIRECT:
+            self._postures = Postures(robot, self.engine.options, speeds(self._limits))
+            other = Reconfiguration(robot, self._postures, self._world) if elsewhere else None
+            self._ways = [Leap(self._postures, self.engine.chosen, longest, other), *([other] if other else [])]
+        self._settings, self._out, self._here = new_settings(n, m, ROWS), new_record(2, n, m), new_record(1, n, m)
+        for part, values in ((self._settings.limits, self._limits), (self._settings.wish, self.secondary.wish)):
+            part[:] = values
+        self._carried = new_carried(n, self.engine.memory, ROWS + 2 * m + 1, m)  # two rows for each slack
+        self._cut()
+        self._units = np.array([robot.chain.unit, robot.chain.unit])
+        self._rows = 0
+        self._laws: dict[tuple[float, bool], np.ndarray] = {}
+        self._ordered: tuple = ()  # what the law of the settings was made of
+        self._kinds: tuple | None = None
+        self._goes: Leap | Reconfiguration | None = None  # what the last step was taken by
+        self.reset(q0, rate0=rate0)
+        self._seal()
+
+    def _cut(self) -> None:
+        """Take the views of what the loop reads and writes."""
+        self._code, self._error = self._out.C[0], self._out.E[1]
+        self._limits, self.secondary.wish = self._settings.limits, self._settings.wish
+        (self._q, self._rate), self._state = self._carried.motion, self._carried.state
+
+    def reset(
+        self, q0: Any = None, target: Any = None, twist: Any = None, acceleration: Any = None, *, rate0: Any = None
+    ) -> None:
+        """Start again from q0 (default home), with the target's pose and motion at this moment if they are known."""
+        q = self.robot.check_q(self.robot.home if q0 is None else q0, "q0")
+        self._begin(q, None if rate0 is None else rates(self.robot, rate0))
+        if self._touching:
+            raise InvalidConfiguration(
+                f"at q0 '{self._touching[0]}' touches '{self._touching[1]}'; start where nothing touches"
+            )
+        self._late = self._longest
+        if self.secondary.cost is not None:  # what is wrong with it is said now, not in a control loop
+            self.secondary.look(self._q)
+        self.stream.forget()
+        if target is not None:
+            self.stream.take(0, target, twist, acceleration)
+
+    def _begin(self, q: np.ndarray, rate: np.ndarray | None) -> None:
+        """Stand at q, and forget what was done before."""
+        unit = self.robot.chain.unit
+        self._q[:] = q / unit
+        self._rate[:] = 0.0 if rate is None else rate / unit
+        self._carried.swings[:], self._state[laws.STATE.free] = 0.0, viability.LASTING
+        self._forget(laws.GIVEN if rate is not None or self._at_rest else laws.MOVING)
+        for way in self._ways:
+            way.begin()
+        self.stream.look_anew()
+        self._unseen, self._behind = 0.0, False  # [s] since a step was last looked at; whether it left an error
+        self._between: tuple[str, str] | None = None  # what kept the last step from going on
+        self._touching = self._guard.restart(q) if self._guard else None
+
+    def _forget(self, start: int) -> None:
+        """Forget what was done before, but where the joints are and how they move and swing; start: how the next step begins."""
+        own = self._carried
+        joints, swings, free = own.motion.copy(), own.swings.copy(), own.state[laws.STATE.free]
+        own.block[LINE:] = 0.0
+        own.motion[:], own.swings[:], own.state[laws.STATE.free] = joints, swings, free
+        own.state[laws.STATE.start] = start
+        self.secondary.side(own.away)
+
+    @property
+    def q(self) -> np.ndarray:
+        """Present joint values (n,), as commanded."""
+        return self._q * self.robot.chain.unit
+
+    def change_limits(
+        self, *, lower: Any = None, upper: Any = None, speed: Any = None, acceleration: Any = None
+    ) -> None:
+        """Replace limits from now on: numbers, (n,), or a dict by joint name [rad or m, per s, per s^2].
+
+        What is beyond a new limit is brought back, as fast as the others allow (RECOVERING): a joint of speed 0 brakes and
+        stays. Raises InvalidOption.
+        """
+        given: dict[str, Any] = dict(zip(LIMIT_NAMES, (lower, upper, speed, acceleration), strict=True))
+        self._limits[:] = changed_limits(self.robot, self._limits, given)
+        if self._guard:
+            self._guard.limits = self._limits * self.robot.chain.unit
+
+    def update(self, target: Any, dt: float, twist: Any = None, acceleration: Any = None, *, q: Any = None) -> Step:
+        """Step to where the tip should be dt [s] from now; returns a Step.
+
+        target: T_base_tip (4, 4), pin.SE3, position (3,) or an AxisTarget, of several tips as `ik.Solver` takes them, the same
+        kind every time. twist, acceleration (6,) or (3,), of several tips (F, 6) or a dict by tip: of the target at that moment,
+        base axes; without twist the last two targets give it, without acceleration it is 0. q (n,): the joints as measured now;
+        error and Jacobian are taken there, while limits and the next command go on from the last command; gains not given are
+        those for joints measured two samples ago. Beyond resync from the command the tracker starts anew from q, at rest (JUMPED).
+        A target that is not finite is held against (HELD), not raised. Raises InvalidTarget for a wrong shape, InvalidOption for
+        a dt that is not positive, or absurdly long, InvalidConfiguration for a wrong q.
+        """
+        dt = positive(dt, "dt [s]")
+        parts_of(dt, self._late or LATE * dt)  # before anything has changed
+        stream, lag, resynced = self.stream, 0.0, False
+        finite = stream.take(1, target, twist, acceleration, dt)
+        if stream.kinds != self._kinds or self._kinds is None:
+            self.prepare(stream.kinds or (POSITION,) * stream.tips)
+        before = self._q.copy()
+        if q is not None:
+            found = self.robot.check_q(q, "q")
+            self._settings.measured[:] = found / self.robot.chain.unit
+            lag = float(np.abs(self._settings.measured - self._q).max()) / self.resync
+            resynced = lag > 1.0
+            if resynced:
+                self._begin(found, np.zeros(self.robot.n))
+        self._late = self._late or LATE * dt
+        parts = parts_of(dt, self._late)
+        h = dt / parts
+        for part in stream.divided(parts) if parts > 1 else (stream.samples,):
+            self._step(part, h, not finite, q is not None)
+        code, lost = self._code.copy(), self._out.S[0, 3]
+        if self._postures and finite and not self._goes:
+            self._unseen += dt
+            left = self._postures.size(self._error)
+            behind = left >= REACHED
+            # Of most steps nothing need be looked at: they end at their target, or joints are free to follow one that moves.
+            if (lost or stream.stand[STAND.still] or (code & viability.POSITION).any()) if behind else self._behind:
+                self._watch(stream.samples, h, dt, left)
+                self._behind = behind
+        if finite:
+            stream.step_on()
+        now = self._carried.motion * self._units
+        out = make_outcome((
+            self._judged, code, before, self._out.E.copy(), lost, self._state[laws.STATE.share] > 0.0, finite, lag, resynced,
+            self._between, self._goes.why if self._goes else None,
+        ))  # fmt: skip
+        return Step(now[0], now[1], out)
+
+    def _step(self, samples: Samples, h: float, brake: bool, measured: bool) -> None:
+        """Take one step: to a target that leapt or another posture, or as usual."""
+        self._goes = None if brake else next((way for way in self._ways if way.goal is not None), None)
+        if self._goes:
+            self._go(self._goes, samples, h, brake=brake, measured=measured)
+        else:
+            step = self.run if self._guard is None else self.take
+            step(samples, h, self._out, brake=brake, measured=measured)
+
+    def _go(self, way: Leap | Reconfiguration, samples: Samples, h: float, **how: bool) -> None:
+        """Take a step through the joints, or as usual where something is in the way."""
+        guard, late = self._guard, max(self._late, h)
+        before, (q, rate) = self.carried(), self._carried.motion * self._units
+        goes = way.go(self._q, self._rate, samples.T[1], self.engine.gamma, h, late, self._limits, self._code)
+        if guard and goes:
+            guard.late = late
+            guard.rows(q, rate, h)  # sees what has been added or moved since
+            next_q, next_rate = self._carried.motion * self._units
+            goes = guard.allows(q, rate, next_q, next_rate, h)
+            if not goes:
+                self.put_back(before)
+                way.blocked()
+        if not goes:
+            self._goes = None
+            self.take(samples, h, self._out, **how)
+            return
+        self._forget(laws.READY)
+        self._end(self.stream.last_of(samples), h, self._out, **how)
+        self._code &= viability.RECOVERING  # what else holds joints back on the way is no news
+        self._out.S[0], self._between = 0.0, None
+
+    def _watch(self, samples: Samples, h: float, dt: float, left: float) -> None:
+        """Let a step taken be looked at: whether the joints are to be led elsewhere."""
+        out, unseen, self._unseen = self._out, self._unseen, 0.0
+        taken = Taken(
+            self._code, out.S[0, 3] > 0.0, out.E, left, samples.T, self.stream.stand, dt, unseen, self._q, self._rate,
+            self._limits, self._settings.law, lambda q: self.error_at(q, self.stream.last_of(samples), h),
+        )  # fmt: skip
+        for way in self._ways:
+            way.watch(taken)
+
+    def _now(self, samples: Samples, h: float, **how: Any) -> Record:
+        """How it is, without a step; it holds until the next call."""
+        self.run(samples, h, self._here, **how)
+        return self._here
+
+    def error_at(self, q: np.ndarray, samples: Samples, h: float) -> np.ndarray:
+        """Error (m,) that counts, to a target, with the joints at q (n,), in kernel units; it holds until the next call."""
+        self._settings.measured[:] = q
+        return self._now(samples, h, measured=True).E[0]
+
+    def _end(self, samples: Samples, h: float, out: Record, **how: Any) -> None:
+        """Write what is left to the end of a record of one step."""
+        now = self._now(samples, h, **how)
+        out.Q[1], out.R[1], out.E[1], out.S[1] = now.Q[0], now.R[0], now.E[0], now.S[0]
+
+    def prepare(self, kinds: tuple) -> None:
+        """Pack what depends on the kinds of target."""
+        if self._kinds == kinds:
+            return
+        self._orders, counts = self.engine.orders(kinds)
+        slacks = 2 * int((counts[1] > 0.0).sum())
+        if self._mode == CLIP and slacks:
+            raise InvalidOption("slack is kept by the constrained step, so on_limit cannot be 'clip'")
+        if self._postures:
+            self._postures.ready(kinds)
+        self._settings.counts[:] = counts
+        self._carried.block[3] = (ROWS if self._guard else 0) + slacks + 1
+        self._carried = carried_of(self._carried.block)
+        self._carried.kept[:], self._carried.basis[:] = 0, 0.0
+        posed = tuple(bool(counts[0, 6 * f + 3 : 6 * f + 6].any()) for f in range(len(kinds)))
+        self._judged = Judged(self.robot, posed, self.jump, self._speed)
+        self._kinds = kinds
+
+    def carried(self) -> np.ndarray:
+        """Copy of what is carried from step to step."""
+        return self._carried.block.copy()
+
+    def put_back(self, kept: np.ndarray) -> None:
+        """Be as before: what `carried` returned."""
+        self._carried.block[:] = kept
+
+    def run(
+        self, samples: Samples, h: float, out: Record, *, brake: bool = False, measured: bool = False,
+        runaway: float = math.inf, mode: int | None = None, clock: tuple[float, float] | None = None,
+    ) -> int:  # fmt: skip
+        """Take as many steps of h [s] from the present state as `out` has room for (see servo/loop.py); returns how many.
+
+        clock: tolerances (position [m], orientation [rad]) of a reference that has one.
+        """
+        # With gains for each step's own time ca swings without end where these times differ.
+        pace = max(h, min(self.stream.pace, self._late))
+        ordered = h, pace, brake, measured, runaway, mode, clock, self._late, self._rows, self.secondary.avoid
+        if ordered != self._ordered:
+            self._order(*ordered)
+            self._ordered = ordered
+        if self.secondary.each_step and len(out.E) > 1:  # where no step is taken nothing is wished
+            self.secondary.look(self._q)
+        chain = self.robot.chain
+        return self.engine.loop(
+            chain.rows, chain.ends, self._orders, self._settings.block, self._carried.block, samples.block, out.block, h
+        )
+
+    def _order(self, h, pace, brake, measured, runaway, mode, clock, late, rows, avoid) -> None:
+        """Write the law of a run to the settings."""
+        made = self._laws.get((pace, measured))
+        if made is None:
+            if len(self._laws) >= LAWS_KEPT:
+                self._laws.clear()
+            made = self._laws[pace, measured] = self.engine.law(pace, AGE if measured else 0.0)
+        law, at = self._settings.law, laws.PLACE
+        law[:] = made
+        law[at.brake], law[at.measured], law[at.runaway], law[at.late] = brake, measured, runaway, max(late, h)
+        law[at.rows], law[at.avoid], law[at.clocked] = rows, avoid, clock is not None
+        law[at.mode] = self._mode if mode is None else mode
+        if clock is not None:
+            law[at.tol_p], law[at.tol_r] = clock
+
+    @property
+    def one_by_one(self) -> bool:
+        """Whether something has to be looked at before every step, so that the loop cannot take several."""
+        return self.secondary.each_step or self._guard is not None
+
+    def take(
+        self, samples: Samples, h: float, out: Record, *, clock: Any = None, brake: bool = False, **how: Any
+    ) -> int:
+        """Take a step as `run` does, or brake where it could end in a contact."""
+        guard, unit = self._guard, self.robot.chain.unit
+        if guard is None:
+            return self.run(samples, h, out, clock=clock, brake=brake, **how)
+        guard.late = max(self._late, h)
+        q, rate = self._carried.motion * self._units
+        self._rows = r = guard.rows(q, rate, h)
+        self._settings.lines[:r], self._settings.level[:r] = guard.A[:r] * unit, guard.b[:r]
+        before = self.carried()
+        done = self.run(samples, h, out, clock=clock, brake=brake, **how)
+        held = np.flatnonzero(self._carried.kept[:r])
+        self._between = guard.pairs[held[0]] if len(held) and out.C[0].any() else None
+        next_q, next_rate = self._carried.motion * self._units
+        if not done or guard.allows(q, out.R[0] * unit, next_q, next_rate, h):
+            return done
+        self.put_back(before)
+        self._carried.motion[:] = guard.instead(q, rate, next_rate, h) / self._units
+        move = (self._q - q / unit) / h
+        viability.watch(self._carried.swings, move, move, speeds(self._limits), 1.0, h)
+        state, at = self._state, laws.STATE
+        state[at.start], state[at.free], state[at.sigma] = laws.READY, 0.0, max(state[at.sigma] - QUICK * h, 0.0)
+        self._carried.memory[:], self._between = 0.0, guard.blocked
+        out.S[0, 1:3] = 0.0, -1.0  # the clock stood still
+        self._end(samples if clock is not None else self.stream.last_of(samples), h, out, clock=clock, **how)
+        out.C[0] = np.where(self._rate == 0.0, viability.ROW, viability.ROW | viability.ACCELERATION) | (
+            viability.HELD if brake else 0
+        )
+        return 1

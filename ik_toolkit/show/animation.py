@@ -1,0 +1,223 @@
+"""A path or a trajectory in the scene: the robot moves along it, the tip path is coloured by a value."""
+
+import csv
+import json
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ..errors import InvalidConfiguration
+from ..files import without_mark
+from ..robot.joints import Joints
+from ..robot.pose_files import check_arrays
+from .body import Shape, need_trimesh, smooth
+
+OBSTACLE = (0.55, 0.58, 0.62)
+SLATE = (0.30, 0.34, 0.40)  # colour of the poses, as in the other scenes
+BANDS = (
+    (0.05, 0.03, 0.53), (0.33, 0.01, 0.64), (0.55, 0.04, 0.65), (0.73, 0.20, 0.53), (0.86, 0.37, 0.41), (0.95, 0.53, 0.29),
+    (0.99, 0.75, 0.16),
+)  # fmt: skip
+MAX_FRAMES = 400  # per animation; a longer motion is thinned out
+SECONDS = 12.0  # duration of the animation of a motion without times
+
+
+class Motion(NamedTuple):
+    """A path or a trajectory to show: N configurations, and a value for each.
+
+    q (N, n); t (N,) [s] or None; labels (N,); values (N,), NaN where there is none, with name and unit; targets (N', F, 3) [m]
+    in base axes, or None; breaks: places after which the motion is interrupted; lines: text for the page; collision: the
+    CollisionModel whose obstacles are drawn, or None.
+    """
+
+    q: np.ndarray
+    t: np.ndarray | None
+    labels: list[str]
+    values: np.ndarray
+    name: str
+    unit: str
+    targets: np.ndarray | None = None
+    breaks: tuple[int, ...] = ()
+    lines: tuple[str, ...] = ()
+    collision: Any = None
+
+
+def of_path(result: Any) -> Motion:
+    """Motion of a PathResult, with the bound on its deviation from the poses."""
+    finite = np.flatnonzero(np.isfinite(result.curve).all(axis=1))
+    deviation = np.append(result.continuity.deviation, np.nan)[finite]
+    values = 1e3 * np.fmax(deviation, np.append(np.nan, deviation[:-1]))
+    ends = {piece.stop - 1 for piece in result.pieces[:-1]}
+    labels = [f"pose {place:.1f}{_much(x, 'mm')}" for place, x in zip(result.at[finite], values, strict=True)]
+    return Motion(
+        result.curve[finite], None, labels, values, "largest deviation from the path", "mm",
+        result.targets[:, :, :3, 3] if result.options.relative_to is None else None,
+        tuple(k for k, row in enumerate(finite.tolist()) if row in ends),
+        (f"{result.status.name}: {result.message}",), result.collision,
+    )  # fmt: skip
+
+
+def of_trajectory(trajectory: Any) -> Motion:
+    """Motion of a Trajectory, with the speed of its fastest tip."""
+    speeds = []
+    for arm, columns in zip(trajectory.robot.arms, trajectory.robot.places, strict=True):
+        J = arm.chain.forward(trajectory.q[:, columns], jacobian=True)[1]
+        speeds.append(np.linalg.norm(np.einsum("tij,tj->ti", J[:, :3], trajectory.dq[:, columns]), axis=1))
+    values = np.max(speeds, axis=0)
+    labels = [
+        f"t = {t:.2f} s, {f'pose {place:.1f}' if place == place else 'changing to another branch'}{_much(x, 'm/s')}"
+        for t, place, x in zip(trajectory.t, trajectory.place, values, strict=True)
+    ]
+    lines = (trajectory.message,)
+    return Motion(
+        trajectory.q,
+        trajectory.t,
+        labels,
+        values,
+        "tip speed",
+        "m/s",
+        lines=lines,
+        collision=trajectory.collision,
+    )
+
+
+def from_file(robot: Joints, file: str | Path) -> Motion:
+    """Motion from a file of `ik path` (a path or a trajectory) or `ik track`, with the speed of the fastest tip between samples.
+
+    Raises InvalidConfiguration for a file that cannot be read, or whose joints are not the robot's.
+    """
+    t, q = read_motion(robot, file)
+    values = np.full(len(q), np.nan)
+    if t is not None and len(t) > 1:
+        tips = [arm.chain.forward(q[:, at])[0][:, :3, 3] for arm, at in zip(robot.arms, robot.places, strict=True)]
+        moved = np.max([np.linalg.norm(np.diff(tip, axis=0), axis=1) for tip in tips], axis=0)
+        values[1:] = moved / np.maximum(np.diff(t), 1e-9)
+        values[0] = values[1]
+    labels = [f"row {k}" if t is None else f"t = {t[k]:.2f} s{_much(x, 'm/s')}" for k, x in enumerate(values)]
+    return Motion(q, t, labels, values, "tip speed", "m/s", lines=(Path(file).name,))
+
+
+def motion_of(what: Any) -> Motion | None:
+    """Motion of a PathResult or a Trajectory; None for anything else."""
+    if isinstance(what, Motion):
+        return what
+    if hasattr(what, "curve") and hasattr(what, "continuity"):
+        return of_path(what)
+    return of_trajectory(what) if hasattr(what, "ddq") else None
+
+
+def _much(value: float, unit: str) -> str:
+    return f", {value:.3g} {unit}" if np.isfinite(value) else ""
+
+
+# ------------------------------------------------------------------------------------------------------------- the scene
+def draw_obstacles(scene: Any, model: Any) -> None:
+    """Draw the boxes, spheres, cylinders and capsules of a CollisionModel."""
+    trimesh = need_trimesh()
+    make = {
+        "box": lambda x, y, z: trimesh.creation.box((x, y, z)),
+        "sphere": lambda radius: trimesh.creation.uv_sphere(radius, count=(24, 24)),
+        "capsule": lambda radius, length: trimesh.creation.capsule(length, radius),
+        "cylinder": lambda radius, length: trimesh.creation.cylinder(radius, length, sections=40),
+    }
+    for name, shape, T in model.placed():
+        if shape.kind in make:
+            scene.window.shape(f"obstacle/{name}", Shape(*smooth(make[shape.kind](*shape.sizes), 1.0), OBSTACLE, 0.75))
+            scene.window.place(f"obstacle/{name}", scene.body.T_world_base @ T)
+            corner = (scene.body.T_world_base @ T)[:3, 3]
+            scene._corners.append(np.array([corner, corner]))
+
+
+def animate(scene: Any, motion: Motion) -> None:
+    """Animate the robot of a Scene along a motion; the path of each tip is coloured by the motion's values."""
+    if motion.collision is not None:
+        draw_obstacles(scene, motion.collision)
+    wide = 0.004 * scene._extent()
+    ways = np.array([scene._tips(q) for q in motion.q])
+    for f in range(len(scene.robot.tips)):
+        number = f"{f + 1 if f else ''}"
+        if motion.targets is not None:
+            scene.trail(motion.targets[:, f], f"path{number}", SLATE, 0.45 * wide, "" if f else "poses")
+        _coloured(scene, ways[:, f], motion.values, f"trail{number}", wide, motion.breaks)
+    if np.isfinite(motion.values).any():
+        low, high = np.nanmin(motion.values), np.nanmax(motion.values)
+        bands = ", ".join("#" + "".join(f"{round(255 * c):02x}" for c in band) for band in BANDS)
+        scene._say(f"linear-gradient(90deg, {bands})", f"{motion.name}: {low:.3g} to {high:.3g} {motion.unit}")
+    count = len(motion.q)
+    rows = np.unique(np.linspace(0, count - 1, min(count, MAX_FRAMES)).astype(int))
+    span = SECONDS if motion.t is None else float(motion.t[-1] - motion.t[0])
+    scene.animate(motion.q[rows], [motion.labels[k] for k in rows], fps=max(1.0, (len(rows) - 1) / (span or 1.0)))
+    scene.say(*motion.lines)
+
+
+def _coloured(
+    scene: Any, points: np.ndarray, values: np.ndarray, name: str, radius: float, breaks: tuple[int, ...]
+) -> None:
+    """Draw a trail in pieces of one colour each, by the values at its points; none is drawn across a break."""
+    known = np.isfinite(values)
+    low, high = (values[known].min(), values[known].max()) if known.any() else (0.0, 0.0)
+    share = np.where(known, values - low, 0.0) / (high - low if high > low else 1.0)
+    band = np.minimum((share * len(BANDS)).astype(int), len(BANDS) - 1)
+    first = np.append(True, np.diff(band) != 0)
+    first[[k + 1 for k in breaks]] = True
+    starts = np.flatnonzero(first)
+    for number, (start, stop) in enumerate(zip(starts, [*starts[1:], len(points)], strict=True)):
+        last = stop if stop - 1 in breaks else stop + 1  # up to the start of the next piece
+        scene.trail(points[start:last], f"{name}/{number}", BANDS[band[start]], radius)
+
+
+# ------------------------------------------------------------------------------------------------------------- read back
+def read_motion(robot: Joints, file: str | Path) -> tuple[np.ndarray | None, np.ndarray]:
+    """Times (N,) [s] or None, and joint values (N, n), from a file of `ik path` (a path or a trajectory) or `ik track`.
+
+    Raises InvalidConfiguration for a file that cannot be read, or whose joints are not the robot's.
+    """
+    path = Path(file)
+    try:
+        names, values, t = _read(path)
+    except InvalidConfiguration:
+        raise
+    except Exception as error:  # damaged files raise many types: zip, zlib, npy, json and csv errors
+        raise InvalidConfiguration(f"cannot read the motion in '{path.name}': {error}") from None
+    missing = [joint for joint in robot.joint_names if joint not in names]
+    if missing:
+        raise InvalidConfiguration(
+            f"'{path.name}' has no values of joint {', '.join(missing)}; it has {', '.join(names)}"
+        )
+    Q = values[:, [names.index(joint) for joint in robot.joint_names]]
+    keep = np.isfinite(Q).all(axis=1)
+    if not keep.any():
+        raise InvalidConfiguration(f"'{path.name}' has no row in which every joint has a value")
+    return None if t is None else t[keep], Q[keep]
+
+
+def _read(path: Path) -> tuple[list[str], np.ndarray, np.ndarray | None]:
+    suffix = path.suffix.lower()
+    if suffix == ".npz":
+        check_arrays(path, ("joint_names", "curve", "q", "t"), ("joint_names",), InvalidConfiguration)
+        with np.load(path, allow_pickle=False) as arrays:
+            names = arrays["joint_names"].tolist() if "joint_names" in arrays else []
+            if "curve" in arrays:
+                return names, arrays["curve"], None
+            if "q" not in arrays or "t" not in arrays:
+                raise ValueError("it has neither 'curve', as ik path writes it, nor 't' and 'q', as ik track does")
+            return names, arrays["q"], arrays["t"]
+    if suffix == ".json":
+        content = json.loads(path.read_text(encoding="utf-8"))
+        if "points" not in content:
+            return content["joint_names"], np.array(content["curve"], dtype=float), None
+        stamps = [point["time_from_start"] for point in content["points"]]
+        t = np.array([stamp["sec"] + 1e-9 * stamp["nanosec"] for stamp in stamps])
+        return content["joint_names"], np.array([point["positions"] for point in content["points"]], dtype=float), t
+    if suffix != ".csv":
+        raise ValueError("the file must be .csv, .npz or .json")
+    with path.open(newline="", encoding="utf-8") as stream:
+        rows = csv.reader(stream)
+        head, cells = [without_mark(name) for name in next(rows)], list(rows)
+    for k, row in enumerate(cells, 2):
+        if len(row) != len(head):
+            raise ValueError(f"line {k} has {len(row)} columns, and the header {len(head)}")
+    values = np.array([[float(x) if x else np.nan for x in row] for row in cells]).reshape(-1, len(head))
+    t = values[:, head.index("t")] if head[0] == "t" else None
+    return [name.removeprefix("q_") if t is not None else name for name in head], values, t

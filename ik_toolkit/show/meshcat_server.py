@@ -1,0 +1,347 @@
+"""A meshcat scene inside this process: a self-contained page, or a live one served on loopback by our own thread.
+
+The stock meshcat server is a second process that survives a SIGTERM, and its page cannot set the camera or show an
+animation's frames; here the same viewer script draws, and nothing outlives the program.
+"""
+
+import asyncio
+import base64
+import contextlib
+import gzip
+import html
+import http.client
+import importlib.resources
+import json
+import socket
+import threading
+import warnings
+from collections.abc import Callable, Container
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ..errors import InvalidOption, MissingExtra
+from ..files import as_path, write_whole
+from .access import below, new_token, refusal
+from .body import Shape
+
+HOST = "127.0.0.1"
+ROOT = "/meshcat/"
+MOST_GONE = 1000  # deleted paths remembered for a page that does not read
+SHADE = 0.86  # factor on colours: under the viewer's lights pure white shows no shape
+
+
+def _meshcat() -> Any:
+    """Import meshcat without the warnings about its own imports."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        try:
+            import meshcat
+            import meshcat.commands
+            import meshcat.geometry
+        except ImportError:
+            raise MissingExtra("meshcat", "view") from None
+    return meshcat
+
+
+def _number(color: tuple[float, ...]) -> int:
+    r, g, b = (round(255 * min(1.0, max(0.0, c))) for c in color)
+    return r << 16 | g << 8 | b
+
+
+def _packed(data: bytes) -> str:
+    return base64.b64encode(gzip.compress(data, 6, mtime=0)).decode()
+
+
+def _command(command: dict[str, Any]) -> bytes:
+    import umsgpack
+
+    return umsgpack.packb({**command, "path": ROOT + command["path"]})
+
+
+class Window:
+    """Contents of the drawing: commands by path, transforms for inspection, and the page's text (`about`)."""
+
+    def __init__(self) -> None:
+        """Create an empty scene."""
+        _meshcat()
+        self.objects: dict[str, bytes] = {}
+        self.copies: dict[str, bytes] = {}
+        self.transforms: dict[str, np.ndarray] = {}
+        self.about: dict[str, Any] = {
+            "title": "",
+            "lines": [],
+            "legend": [],
+            "names": [],
+            "camera": None,
+            "animation": None,
+        }
+        self.feeds: set[Feed] = set()
+        self.lock = threading.RLock()
+        self.server: Server | None = None
+
+    def _keep(self, kept: dict[str, bytes], command: dict[str, Any]) -> None:
+        with self.lock:
+            kept[command["path"]] = _command(command)
+            for feed in self.feeds:
+                feed.changed(command["path"])
+
+    def shape(self, path: str, shape: Shape) -> None:
+        """Draw triangles at a path."""
+        g = _meshcat().geometry
+        material = g.MeshPhongMaterial(
+            color=_number(tuple(SHADE * c for c in shape.color)),
+            opacity=shape.opacity,
+            transparent=shape.opacity < 1.0,
+            shininess=22,
+        )
+        mesh = g.Mesh(g.TriangularMeshGeometry(shape.vertices, shape.faces), material)
+        self._keep(self.objects, {"type": "set_object", "path": path, "object": mesh.lower()})
+
+    def points(self, path: str, points: np.ndarray, colors: np.ndarray, size: float) -> None:
+        """Draw a cloud: points (N, 3) [m], colors (N, 3) in 0..1, size [m]."""
+        g = _meshcat().geometry
+        cloud = g.PointsGeometry(points.T.astype(np.float32), colors.T.astype(np.float32))
+        self._keep(
+            self.objects,
+            {"type": "set_object", "path": path, "object": g.Points(cloud, g.PointsMaterial(size=size)).lower()},
+        )
+
+    def copy(self, path: str, source: str, color: tuple[float, float, float], opacity: float) -> None:
+        """Draw the shape of another path again in another colour, without sending its triangles again."""
+        self._keep(
+            self.copies,
+            {"type": "copy", "path": path, "source": ROOT + source, "color": _number(color), "opacity": float(opacity)},
+        )
+
+    def place(self, path: str, T: np.ndarray) -> None:
+        """Set the pose (4, 4) [m] of a path in its parent."""
+        with self.lock:
+            self.transforms[path] = np.array(T, dtype=float)
+            for feed in self.feeds:
+                feed.changed(path)
+
+    def delete(self, path: str) -> None:
+        """Remove a path and everything below it."""
+        with self.lock:
+            for kept in (self.objects, self.copies, self.transforms):
+                for key in [k for k in kept if k == path or k.startswith(path + "/")]:
+                    del kept[key]
+            for feed in self.feeds:
+                feed.deleted(path)
+
+    def say(self, **about: Any) -> None:
+        """Change title, lines, legend, names of frames, camera or animation of the page."""
+        with self.lock:
+            self.about.update(about)
+            for feed in self.feeds:
+                feed.told(about)
+
+    def snapshot(self, paths: Container[str] | None = None) -> list[bytes]:
+        """All commands that rebuild the scene (of some paths only), in order."""
+        with self.lock:
+            return [
+                *(
+                    kept[path]
+                    for kept in (self.objects, self.copies)
+                    for path in kept
+                    if paths is None or path in paths
+                ),
+                *(
+                    _command({"type": "set_transform", "path": path, "matrix": T.T.ravel().tolist()})
+                    for path, T in self.transforms.items()
+                    if paths is None or path in paths
+                ),
+            ]
+
+    # ------------------------------------------------------------------------------------------------------- pages
+    def _page(self, body: str) -> str:
+        files = importlib.resources.files("ik_toolkit.show")
+        page = (files / "scene.html").read_text(encoding="utf-8")
+        # The title last, so that nothing inside a robot's name is replaced.
+        return page.replace("/*@START@*/", body).replace("@TITLE@", html.escape(self.about["title"]))
+
+    def html(self) -> str:
+        """The scene as one page that needs no network."""
+        blob = b"".join(len(d).to_bytes(4, "little") + d for d in self.snapshot())
+        about = json.dumps(self.about).encode()
+        return self._page(f'still("{_packed(viewer_script())}", "{_packed(blob)}", "{_packed(about)}");')
+
+    def serve(self, port: int = 0) -> str:
+        """Serve the live scene on 127.0.0.1 and return its address; a second call returns the same address."""
+        if self.server is None:
+            self.server = Server(self, port)
+        return self.server.url
+
+    def close(self) -> None:
+        """Stop serving."""
+        if self.server is not None:
+            self.server.stop()
+            self.server = None
+
+
+def write_page(path: str | Path, what: str, html: Callable[[], str]) -> Path:
+    """Write the output of `html` to a file, and return its path. Raises InvalidOption if the name does not end in .html."""
+    file = as_path(path, "path")
+    if file.suffix.lower() not in (".html", ".htm"):
+        raise InvalidOption(f"{what} is written as .html, not '{file.suffix or file.name}'")
+    write_whole(file, html())
+    return file
+
+
+def viewer_script() -> bytes:
+    """Return the viewer script of the meshcat package (one file, no external addresses)."""
+    _meshcat()
+    return (importlib.resources.files("meshcat") / "viewer" / "dist" / "main.min.js").read_bytes()
+
+
+class Feed:
+    """Updates not yet sent to one open page: which paths changed, not how often, so an unread page accumulates no frames.
+
+    wake: called when there is an update. Callers of `changed`, `deleted` and `told` hold the window's lock.
+    """
+
+    def __init__(self, window: Window, wake: Callable[[], None]) -> None:
+        """Start with everything unsent."""
+        self.window, self._wake = window, wake
+        self._awake = False
+        self._gone: set[str] = set()
+        self._paths: set[str] = {*window.objects, *window.copies, *window.transforms}
+        self._about = dict(window.about)
+        self._news()
+
+    def _news(self) -> None:
+        if not self._awake:
+            self._awake = True
+            self._wake()
+
+    def changed(self, path: str) -> None:
+        """Note that the drawing or the pose at a path has changed."""
+        self._paths.add(path)
+        self._news()
+
+    def deleted(self, path: str) -> None:
+        """Note that a path and everything below it is gone."""
+        self._paths = {p for p in self._paths if p != path and not p.startswith(path + "/")}
+        self._gone.add(path)
+        if len(self._gone) > MOST_GONE:  # too many names: clear the page and redraw
+            window = self.window
+            self._gone, self._paths = {""}, {*window.objects, *window.copies, *window.transforms}
+        self._news()
+
+    def told(self, about: dict[str, Any]) -> None:
+        """Note a change of the page's text."""
+        self._about.update(about)
+        self._news()
+
+    def take(self) -> list[bytes | str]:
+        """Messages that bring the page up to date."""
+        with self.window.lock:
+            self._awake = False
+            gone, paths, about = self._gone, self._paths, self._about
+            self._gone, self._paths, self._about = set(), set(), {}
+            erased = [_command({"type": "delete", "path": path}) for path in gone]
+            return [*erased, *self.window.snapshot(paths), *([json.dumps(about)] if about else [])]
+
+
+class Server:
+    """Serves one window from a daemon thread: page, script and a web socket below an unguessable path.
+
+    Bound to 127.0.0.1 only; requests from other sites are refused, and nothing is served without the token. The thread ends with
+    the process, even if that is killed.
+    """
+
+    def __init__(self, window: Window, port: int = 0) -> None:
+        """Start; port 0 takes a free one. Raises OSError if the port is taken."""
+        self.window = window
+        self.token = new_token()
+        self._socket = socket.create_server((HOST, port))
+        self._socket.setblocking(False)
+        self.port = self._socket.getsockname()[1]
+        self.url = f"http://{HOST}:{self.port}/{self.token}/"
+        self._ready = threading.Event()
+        self._thread = threading.Thread(target=asyncio.run, args=(self._run(),), daemon=True, name="ik scene server")
+        self._thread.start()
+        self._ready.wait()
+
+    async def _run(self) -> None:
+        import tornado.httpserver
+        import tornado.web
+
+        self._loop, self._stop = asyncio.get_running_loop(), asyncio.Event()
+        names = ("", "viewer.js", "ws")
+        routes = [
+            ("/[^/]*/" + name.replace(".", "[.]"), made, {"token": self.token})
+            for name, made in zip(names, handlers(self.window), strict=True)
+        ]
+        server = tornado.httpserver.HTTPServer(tornado.web.Application(routes, log_function=lambda _: None))
+        server.add_sockets([self._socket])
+        self._ready.set()
+        await self._stop.wait()
+        server.stop()
+        await server.close_all_connections()
+
+    def stop(self) -> None:
+        """Close the port and end the thread."""
+        if self._thread.is_alive():
+            self._loop.call_soon_threadsafe(self._stop.set)
+            self._thread.join(5.0)
+
+
+def handlers(window: Window) -> tuple[Any, Any, Any]:
+    """Page, script and web-socket handlers of a window (made here: tornado is imported only when serving)."""
+    import tornado.iostream
+    import tornado.web
+    import tornado.websocket
+
+    class Door(tornado.web.RequestHandler):
+        def initialize(self, token: str) -> None:
+            self.token = token
+
+        def prepare(self) -> None:
+            if refusal(self.request.headers, HOST):
+                raise tornado.web.HTTPError(http.client.FORBIDDEN)
+            if below(self.request.path, self.token) is None:
+                raise tornado.web.HTTPError(http.client.NOT_FOUND)
+
+    class Page(Door):
+        def get(self) -> None:
+            self.write(window._page("live();"))
+
+    class Script(Door):
+        def get(self) -> None:
+            self.set_header("Content-Type", "text/javascript; charset=utf-8")
+            self.write(viewer_script())
+
+    class Socket(Door, tornado.websocket.WebSocketHandler):
+        def open(self, *args: str, **kwargs: str) -> None:
+            loop, news = asyncio.get_running_loop(), asyncio.Event()
+
+            def wake() -> None:
+                with contextlib.suppress(RuntimeError):  # the server may have stopped in the meantime
+                    loop.call_soon_threadsafe(news.set)
+
+            with window.lock:
+                self.feed = Feed(window, wake)
+                window.feeds.add(self.feed)
+            self.writer = loop.create_task(self.write_all(news))
+
+        async def write_all(self, news: asyncio.Event) -> None:
+            with contextlib.suppress(tornado.websocket.WebSocketClosedError, tornado.iostream.StreamClosedError):
+                while True:
+                    await news.wait()
+                    news.clear()
+                    for data in self.feed.take():
+                        # Waits until the page can take it.
+                        await self.write_message(data, binary=isinstance(data, bytes))
+
+        def on_message(self, message: str | bytes) -> None:
+            """Ignore messages from the page."""
+
+        def on_close(self) -> None:
+            with window.lock:
+                window.feeds.discard(self.feed)
+            self.writer.cancel()
+
+    return Page, Script, Socket

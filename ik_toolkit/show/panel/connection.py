@@ -1,0 +1,154 @@
+"""One thread that runs a visitor's jobs, newest first.
+
+A visitor of the panel: a thread that runs requests, error messages, and camera control.
+"""
+
+import html
+import threading
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from ...errors import IKError
+from ...style import BAD
+from .session import Session
+from .target_widget import Goal
+from .undo import Past
+
+
+class Worker:
+    """Runs jobs one after another in its own thread; a newer job of the same name replaces a waiting one."""
+
+    def __init__(self) -> None:
+        """Start the thread."""
+        self.ended = False
+        self._jobs: dict[str, Callable[[], None]] = {}
+        self._wake = threading.Condition()
+        self._busy = False
+        threading.Thread(target=self._run, daemon=True, name="ik panel visitor").start()
+
+    def post(self, name: str, job: Callable[[], None]) -> None:
+        """Queue a job."""
+        with self._wake:
+            self._jobs[name] = job
+            self._wake.notify_all()
+
+    def _run(self) -> None:
+        while True:
+            with self._wake:
+                self._busy = False
+                self._wake.notify_all()
+                self._wake.wait_for(lambda: self._jobs or self.ended)
+                if self.ended:
+                    self._jobs.clear()  # they keep references to the visitor's scene
+                    return
+                job = self._jobs.pop(next(iter(self._jobs)))
+                self._busy = True
+            job()
+
+    def idle(self, timeout: float = 30.0) -> bool:
+        """Wait until all jobs are done."""
+        with self._wake:
+            return self._wake.wait_for(lambda: not self._jobs and not self._busy, timeout)
+
+    def end(self) -> None:
+        """End the thread after the current job."""
+        with self._wake:
+            self.ended = True
+            self._wake.notify_all()
+
+
+PLAIN = "#37424f"
+LONGEST = 600  # characters of a status message
+STYLE = """<style>@media (max-width: 36em) {  /* a phone: controls below, the robot above them, see stage.FREE */
+div[style*="width: 20em"] { width: 100% !important; max-height: 50% !important }}</style>"""
+
+
+class Visit:
+    """Interaction between a visitor and the controls of a page; Desk builds them."""
+
+    def __init__(
+        self, client: Any, source: str, tips: str | Sequence[str] | None = None, *, files: bool = True
+    ) -> None:
+        """Build the first robot's controls in the visitor's own thread."""
+        self.client, self.gui, self.scene = client, client.gui, client.scene
+        self.stage: Any = None
+        self.chart: Any = None
+        self.aspect = 0.0  # of the picture when the camera was last aimed
+        self.files = files
+        self.session = Session(source, tips)
+        self.kinds: dict[str, str] = {}
+        self.live, self.frames = True, False
+        self.past = Past()
+        self.around: Any = None
+        self.learn: Any = None
+        self.goals: list[Goal] = []
+        self.status: Any = None
+        self.worker = Worker()
+        self.worker.post("build", self._guard(self.build))
+        if hasattr(client, "camera"):  # a server has no camera
+            client.camera.on_update(lambda _: self._resized())
+
+    def close(self) -> None:
+        """End the visitor's thread."""
+        self.worker.end()
+
+    def _guard(self, job: Callable[[], None]) -> Callable[[], None]:
+        """Wrap a job to report user errors as messages, and anything else as a bug. Never ends the thread."""
+
+        def run() -> None:
+            try:
+                job()
+                return
+            except IKError as error:
+                words = str(error)
+            except Exception as error:
+                words = f"unexpected {type(error).__name__}: {error} (a bug of ik_toolkit)"
+            if not self.worker.ended:  # after a visitor has left, the handles no longer exist
+                self.say(words, BAD)
+
+        return run
+
+    def _on(self, handle: Any, name: str, job: Callable[[], None]) -> None:
+        """Run a job when the visitor (not this program) changes or clicks something."""
+        listen = getattr(handle, "on_click", None) or handle.on_update
+
+        @listen
+        def _(event: Any) -> None:
+            if event.client is not None:
+                self._post(name, job)
+
+    def _post(self, name: str, job: Callable[[], None]) -> None:
+        """Queue a visitor's job, and record the state before it in case it moves the robot."""
+
+        def noted() -> None:
+            s, robot, q = self.session, self.session.robot, self.session.q
+            targets = {goal.tip: goal.handle.target for goal in self.goals} if self.stage else {}
+            job()
+            if s.robot is robot and not np.array_equal(s.q, q) and name != "undo":
+                self.past.note(name, q, targets)
+
+        self.worker.post(name, self._guard(noted))
+
+    def say(self, text: str, color: str = PLAIN) -> None:
+        """Show a sentence in the status line."""
+        text = text if len(text) <= LONGEST else f"{text[:LONGEST]} ..."
+        if self.status is None:
+            return
+        self.status.content = (
+            f'{STYLE}<div role="status" style="padding:4px 12px;color:{color};font-size:13px;line-height:1.4;min-height:2.8em">'
+            f"{html.escape(text)}</div>"
+        )
+
+    def _resized(self) -> None:
+        """Aim the camera again after the picture's shape changed: the controls were docked, or a phone was rotated."""
+        width, height = self.client.camera.image_width, self.client.camera.image_height
+        aspect = width / max(height, 1)
+        if abs(aspect - self.aspect) > 0.05 and self.stage is not None:
+            self.aspect = aspect
+            self.worker.post("aim", self._guard(lambda: self.stage.aim(self.session.q)))
+
+    def build(self) -> None:
+        """Rebuild the robot and its controls."""
+        raise NotImplementedError

@@ -1,0 +1,116 @@
+"""A robot that follows targets dragged by hand, using tracker steps in simulated robot time."""
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ...errors import InvalidTarget
+from ...robot.pose import length
+from ...servo.path_reach import near_limits
+from ...servo.tracker import Tracker
+
+STEP = 0.02  # [s] of robot time
+STEPS = 50  # steps before the page is redrawn: one second
+FAR = 1000.0  # reaches: a target farther away is a mistake
+REST = 25  # steps in a row at rest after which the arm has settled: half a second, in which a tracker finds another way
+
+
+class Followed(NamedTuple):
+    """State of a following arm: q (n,), whether at the target, whether at rest, errors by tip [m, rad or None], and a sentence."""
+
+    q: np.ndarray
+    success: bool
+    settled: bool
+    errors: dict[str, tuple[float, float | None]]
+    message: str
+
+
+class Hand:
+    """An arm that goes after a target from call to call, with one `Tracker`.
+
+    q (n,): where it stands; tolerance [m and rad]: for a reached target; limits, avoid_collisions and reconfigure as in
+    `Tracker`. Raises what `Tracker` raises.
+    """
+
+    def __init__(
+        self,
+        robot: Any,
+        q: np.ndarray,
+        *,
+        tolerance: float,
+        limits: bool = True,
+        avoid_collisions: Any = False,
+        reconfigure: bool = True,
+    ) -> None:
+        """Stand at q."""
+        self.robot = robot
+        self.options = {"tolerance": tolerance, "limits": limits, "avoid_collisions": avoid_collisions}
+        self._tracker = Tracker(
+            robot,
+            "cv",
+            q0=q,
+            rate0=np.zeros(robot.n),
+            limits=limits,
+            on_limit="direct",
+            avoid_collisions=avoid_collisions,
+            reconfigure=reconfigure,
+        )
+        self._kinds: list[int] | None = None
+
+    def follow(self, q: np.ndarray, target: Any) -> Followed:
+        """Step from q (n,) towards a target until it is reached, nothing moves any more, or a second has passed.
+
+        Where q is not where it stood it starts again from rest. At the edge of its reach the arm goes on to the closest pose.
+        Raises InvalidTarget, and what `Tracker` raises.
+        """
+        robot, tracker, tolerance = self.robot, self._tracker, self.options["tolerance"]
+        errors, rested, at, between = _errors(robot, q, target), 0, q, None
+        away = max(position for position, _ in errors.values())
+        if not away < FAR * robot.reach:
+            raise InvalidTarget(f"the target is {away:.3g} m away, more than {FAR:g} times the reach of the arm")
+        kinds = [np.ndim(target.get(tip)) for tip in robot.tips] if robot.by_tip else [np.ndim(target)]
+        if kinds != self._kinds or not np.array_equal(q, tracker.q):
+            tracker.reset(q, rate0=np.zeros(robot.n))
+            self._kinds = kinds
+        for _ in range(STEPS):
+            if _met(errors, tolerance) or rested == REST:
+                break
+            step = tracker.update(target, STEP)
+            at = step.q
+            errors = _errors(robot, at, target)
+            rested = rested + 1 if step.at_rest else 0
+            between = step.between
+        met, settled = _met(errors, tolerance), rested == REST
+        return Followed(at, met, settled or met, errors, _words(robot, at, errors, met, settled, between))
+
+
+def prepare(robot: Any, q: np.ndarray, target: Any) -> None:
+    """Compile (or load) what `follow` runs, with one discarded step, before the first drag."""
+    Tracker(robot, "cv", q0=q, rate0=np.zeros(robot.n), on_limit="direct").update(target, STEP)
+
+
+def _errors(robot: Any, q: np.ndarray, target: Any) -> dict[str, tuple[float, float | None]]:
+    """Errors at q by tip, for the tips that have a target."""
+    each = target if robot.by_tip else {robot.tips[0]: target}
+    arms = dict(zip(robot.tips, zip(robot.arms, robot.places, strict=True), strict=True))
+    return {tip: arms[tip][0]._errors(q[arms[tip][1]], T) for tip, T in each.items()}
+
+
+def _met(errors: dict[str, tuple[float, float | None]], tolerance: float) -> bool:
+    return all(position <= tolerance and (angle or 0.0) <= tolerance for position, angle in errors.values())
+
+
+def _words(robot: Any, q: np.ndarray, errors: Any, met: bool, settled: bool, between: tuple[str, str] | None) -> str:
+    """The remaining error in a sentence; between: names of what would touch."""
+    away = max(position for position, _ in errors.values())
+    angles = [angle for _, angle in errors.values() if angle is not None]
+    left = length(away) + (f" and {math.degrees(max(angles)):.3g} deg" if angles else "")
+    if met:
+        return f"converged to {left}"
+    touch = f"{' and '.join(between)} would touch" if between else ""
+    if not settled:
+        return f"on its way, {left} to go{touch and ': '}{touch}"
+    held = near_limits(robot, q)
+    why = f"{', '.join(held)} at {'a limit' if len(held) > 1 else 'its limit'}" if held else "at the edge of its reach"
+    return f"the closest pose is {left} away: {touch or why}"

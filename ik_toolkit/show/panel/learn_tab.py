@@ -1,0 +1,343 @@
+"""The panel's Learn tab: joint values to n, o, a, p and back, with the D-H table, the closed form and its branches."""
+
+import html
+import math
+from typing import Any
+
+import numpy as np
+
+from ...errors import IKError, InvalidConfiguration
+from ...kernel.counted_error import POSE, POSITION
+from ...solvers.closed_form import fits
+from ...solvers.explain.dh_table import dh_blocks, dh_of
+from ...solvers.explain.explanation import Explanation, target_table
+from ...solvers.explain.layout import SCALES, UNITS, Sentence, Table, decimals, number, to_html, unit_of
+from ...solvers.explain.worked_solution import Branch, WorkedSolution
+from ...solvers.registry import find_row
+from ...solvers.result import Result
+from ...solvers.solve import solve
+from ...style import BAD, GOOD
+from .session import Session
+from .tables import sentence
+
+QUIET, CHOSEN = (71, 85, 105), (31, 95, 153)  # colours of the branch buttons
+FREEDOMS = 6  # least number of joints for which the target is a pose, unless a closed form says otherwise
+COLUMNS = ("n", "o", "a")
+STEP = 0.001  # mm or deg, step of the slider of the free parameter
+
+
+class Lesson:
+    """The computations of the tab, without a page: forward, inverse, one value of the free parameter. Millimetres and degrees.
+
+    made: Explanation of the last inverse, or None; shown: which branch of it; T: its target (4, 4) [m].
+    """
+
+    def __init__(self, session: Session) -> None:
+        """Start a lesson on the session's robot, which has one tip."""
+        self.session = session
+        self.robot: Any = session.robot
+        self.made: Explanation | None = None
+        self.shown = 0
+        self.T = np.eye(4)
+        kind = POSE if fits(self.robot, POSE) else POSITION if fits(self.robot, POSITION) else None
+        self.posed = self.robot.n >= FREEDOMS if kind is None else kind == POSE
+        self.places = decimals(self.robot.reach)
+        self.table = dh_of(self.robot)
+
+    def scale(self, i: int) -> float:
+        """Factor from the value of joint i [rad or m] to degrees or millimetres."""
+        return SCALES[unit_of(self.robot.joint_kinds[i])]
+
+    def unit(self, i: int) -> str:
+        """Displayed unit of joint i."""
+        return UNITS[unit_of(self.robot.joint_kinds[i])]
+
+    def read(self, values: list[float], shown: list[float]) -> np.ndarray:
+        """q (n,) [rad or m] from typed joint values; an unchanged one keeps its full precision. Raises InvalidConfiguration."""
+        q = self.session.q.copy()
+        for i, (value, before) in enumerate(zip(values, shown, strict=True)):
+            if value != before:
+                q[i] = value / self.scale(i)
+        if not np.isfinite(q).all():
+            raise InvalidConfiguration("a joint value is not a finite number")
+        return np.clip(q, self.robot.lower, self.robot.upper)
+
+    def columns(self, T: np.ndarray) -> dict[str, tuple[float, float, float]]:
+        """Columns n, o, a and p [mm] of a pose (4, 4)."""
+        places = (6, 6, 6, self.places)
+        scaled = T[:3].T * np.array([1.0, 1.0, 1.0, SCALES["m"]])[:, None]
+        return {
+            name: tuple((column.round(k) + 0.0).tolist())
+            for name, column, k in zip("noap", scaled, places, strict=True)
+        }
+
+    def sample(self) -> np.ndarray | None:
+        """Pose (4, 4) computed in the robot's paper, as printed, or None."""
+        given = self.session.entry.sample
+        if given is None or not self.posed:
+            return None
+        T = np.eye(4)
+        T[:3] = np.column_stack([given[name] for name in "noap"])
+        return T
+
+    def inverse(self, columns: dict[str, Any]) -> Result:
+        """Solve for columns n, o, a and p [mm] from the current q, and explain the result. Raises InvalidTarget."""
+        T = np.eye(4)
+        T[:3] = np.column_stack([columns[name] for name in "noap"])
+        T[:3, 3] /= SCALES["m"]
+        return self._explain(T, "auto")
+
+    def at(self, value: float) -> Result:
+        """The same target with the free parameter at a value [mm or deg]; the branch shown stays the same."""
+        assert self.made is not None and self.worked is not None and self.worked.free is not None
+        free, label = self.worked.free, self.label
+        row = find_row(self.made.form)
+        result = self._explain(self.T, row.load()(**{free.parameter: value / self.scale(free.joint)}))
+        same = [k for k, branch in enumerate(self.branches) if branch.label == label]
+        self.shown = same[0] if same else self.shown
+        return result
+
+    def _explain(self, T: np.ndarray, rule: Any) -> Result:
+        result = solve(self.robot, T if self.posed else T[:3, 3], rule, q0=self.session.q)
+        self.made = result.explain()
+        self.T = self.made.targets[self.robot.tip] if self.posed else T  # its rotation may have been corrected
+        self.shown = self.made.chosen or 0
+        return result
+
+    @property
+    def worked(self) -> WorkedSolution | None:
+        """The closed form worked out for the last inverse, or None."""
+        return self.made.worked if self.made is not None else None
+
+    @property
+    def branches(self) -> tuple[Branch, ...]:
+        """Branches of the last inverse."""
+        return self.worked.branches if self.worked is not None else ()
+
+    @property
+    def label(self) -> str:
+        """Label of the branch shown."""
+        return self.branches[self.shown].label if self.branches else ""
+
+    def span(self) -> tuple[float, float] | None:
+        """Range [mm or deg] of the free parameter: from the first to the last interval within limits."""
+        free = self.worked.free if self.worked is not None else None
+        if free is None or not free.inside:
+            return None
+        low, high = (self.scale(free.joint) * x for x in (free.inside[0][0], free.inside[-1][1]))
+        return math.ceil(low / STEP) * STEP, math.floor(high / STEP) * STEP  # both ends reach the pose
+
+
+class Learn:
+    """Controls of the tab on a visitor's desk."""
+
+    def __init__(self, desk: Any) -> None:
+        """Build the controls; there are none for a robot with several tips."""
+        self.desk, self.gui, self.listen = desk, desk.gui, desk._on
+        session: Session = desk.session
+        self.session = session
+        self.robot: Any = session.robot
+        self.alone = not self.robot.by_tip
+        if self.alone:
+            self._build()
+        else:
+            self.gui.add_html(to_html([Sentence("Choose one tip to see its kinematics step by step.")]))
+
+    # ------------------------------------------------------------------------------------------------------------ build
+    def _build(self) -> None:
+        gui = self.gui
+        self.lesson = Lesson(self.session)
+        with gui.add_folder("Forward: joint values to n, o, a, p"):
+            self._build_forward()
+        with gui.add_folder("Inverse: n, o, a, p to joint values"):
+            self._build_inverse()
+        self.found = gui.add_folder("Branches", visible=False)
+        with gui.add_folder("D-H table"):
+            self.table = gui.add_html("")
+        self.form = gui.add_folder("Closed form", visible=False)
+        with self.form:
+            self.formulas = gui.add_html("")
+        self.way = gui.add_folder("Iterations", visible=False)
+        with self.way:
+            self.iterations = gui.add_html("")
+        self.free: Any = None
+        self.buttons: list[Any] = []
+        self.show(self.session.q)
+
+    def _build_forward(self) -> None:
+        lesson, self.values = self.lesson, []
+        self.shown = [0.0] * self.robot.n
+        for i, name in enumerate(self.robot.joint_names):
+            low, high = (lesson.scale(i) * x for x in self.session.ends(i))
+            field = self.gui.add_number(
+                f"{name} [{lesson.unit(i)}] ", 0.5 * (low + high), min=low, max=high, step=0.0001
+            )
+            self.values.append(field)
+            self.listen(field, "forward", self._forward)
+        self.pose = self.gui.add_html("")
+
+    def _build_inverse(self) -> None:
+        gui, lesson = self.gui, self.lesson
+        self.fields = {
+            name: gui.add_vector3(
+                name, (0.0, 0.0, 0.0), step=1e-6, visible=lesson.posed, hint=f"{name}_x, {name}_y, {name}_z"
+            )
+            for name in COLUMNS
+        }
+        self.fields["p"] = gui.add_vector3("p [mm]", (0.0, 0.0, 0.0), step=10.0**-lesson.places, hint="p_x, p_y, p_z")
+        if not lesson.posed:
+            gui.add_html(to_html([Sentence("The target of this arm is a position; n, o and a follow from it.")]))
+        solve_it = gui.add_button("Joint values", color="blue")
+        self.listen(solve_it, "solve", self._inverse)
+        forward = gui.add_button("Use FK output", color=QUIET)
+        self.listen(forward, "fields", lambda: self._fill(self.session.poses()[self.robot.tip]))
+        sample, given = lesson.sample(), self.session.entry.sample
+        if sample is not None and given is not None:
+            load = gui.add_button("Load the paper's sample", color=QUIET, hint=given["from"])
+            self.listen(load, "fields", lambda: self._fill(sample))
+        clear = gui.add_button("Clear", color=QUIET)
+        self.listen(clear, "fields", self._clear)
+        self.outcome = gui.add_html("")
+
+    # ---------------------------------------------------------------------------------------------------------- actions
+    def show(self, q: np.ndarray) -> None:
+        """Update joint values, matrix and D-H table to q (n,)."""
+        if not self.alone:
+            return
+        lesson = self.lesson
+        for i, field in enumerate(self.values):
+            field.value = self.shown[i] = float(np.clip(round(lesson.scale(i) * q[i], 4), field.min, field.max))
+        T = self.session.poses(q)[self.robot.tip]
+        self.pose.content = to_html([target_table(T, lesson.places), Sentence("Position p in mm.")])
+        self.table.content = to_html(dh_blocks(self.robot, lesson.table, q))
+
+    def _go(self, q: np.ndarray) -> None:
+        """Move the robot to q (n,) and update all controls of the panel."""
+        self.session.q = q.copy()
+        self.desk.show()
+
+    def _forward(self) -> None:
+        self._go(self.lesson.read([field.value for field in self.values], self.shown))
+
+    def _fill(self, T: np.ndarray) -> None:
+        for name, column in self.lesson.columns(T).items():
+            self.fields[name].value = column
+
+    def _clear(self) -> None:
+        for field in self.fields.values():
+            field.value = (0.0, 0.0, 0.0)
+        self.lesson.made = None
+        self.outcome.content = ""
+        self.found.visible = self.form.visible = self.way.visible = False
+        self.desk.stage.ghost(None)
+        self._go(self.session.q)
+
+    def _inverse(self) -> None:
+        try:
+            result = self.lesson.inverse({name: field.value for name, field in self.fields.items()})
+        except IKError as error:
+            self.outcome.content = said(sentence(str(error)), BAD)
+            raise
+        self._branches()
+        self._tell(result)
+        self._go(result.q)
+        goal = self.lesson.T if self.lesson.posed else self.session.poses()[self.robot.tip]
+        goal[:3, 3] = self.lesson.T[:3, 3]
+        self.desk._put({self.robot.tip: goal})
+        self._drawn(result)
+
+    def _at(self, value: float) -> None:
+        """Handle a change of the free parameter."""
+        result = self.lesson.at(value)
+        self._tell(result)
+        self.pick(self.lesson.shown)
+        self._drawn(result)
+
+    def _drawn(self, result: Result) -> None:
+        """Draw the line to a target that is not reached."""
+        if not result.success:
+            self.desk.stage.gaps({self.robot.tip: self.lesson.T})
+
+    def _tell(self, result: Result) -> None:
+        words = f"{sentence(result.message)} {sentence(result.notice)}".strip()
+        self.outcome.content = said(words, GOOD if result.success else BAD)
+        self.desk.say(words, GOOD if result.success else BAD)
+
+    def _branches(self) -> None:
+        """Build the branch buttons and the slider of the free parameter."""
+        lesson, made = self.lesson, self.lesson.made
+        assert made is not None
+        for child in list(self.found._children.values()):
+            child.remove()
+        self.free, self.buttons = None, []
+        span = lesson.span()
+        with self.found:
+            if span is not None and span[1] - span[0] > STEP:
+                assert lesson.worked is not None and lesson.worked.free is not None
+                i = lesson.worked.free.joint
+                name = f"{self.robot.joint_names[i]} [{lesson.unit(i)}]  "
+                at = float(np.clip(lesson.scale(i) * made.q[i], *span))
+                self.free = self.gui.add_slider(name, round(span[0], 6), round(span[1], 6), STEP, at)
+                self.listen(self.free, "free", lambda: self._at(self.free.value))
+            self.words = self.gui.add_html("")
+        self.found.visible = bool(lesson.branches)
+        self._write()
+
+    def pick(self, k: int) -> None:
+        """Show branch k: its configuration and its formulas."""
+        lesson = self.lesson
+        if k >= len(lesson.branches):
+            return
+        lesson.shown = k
+        branch = lesson.branches[k]
+        if branch.outside:
+            self.desk.stage.show(branch.q)
+            self.desk.say(f"{branch.label}: only drawn, outside the limits of {', '.join(branch.outside)}", BAD)
+        else:
+            self._go(branch.q)
+            self.desk.say(f"branch {k + 1}: {branch.label}", GOOD)
+        self._write()
+
+    def _write(self) -> None:
+        """Update formulas, text and button colours for the branch shown."""
+        lesson, made = self.lesson, self.lesson.made
+        assert made is not None
+        for k in range(len(self.buttons), len(lesson.branches)):
+            with self.found:
+                self.buttons.append(self.gui.add_button("", color=QUIET))
+            self.listen(self.buttons[k], "branch", lambda k=k: self.pick(k))
+        for k, button in enumerate(self.buttons):
+            if k < len(lesson.branches):
+                branch = lesson.branches[k]
+                button.label = f"{k + 1}: {branch.label}" + (" (outside limits)" if branch.outside else "")
+            button.color = CHOSEN if k == lesson.shown else QUIET
+            button.visible = k < len(lesson.branches)
+        if made.worked is not None and lesson.branches:
+            free = [Sentence(made.free_words())] if made.worked.free is not None else []
+            free += [Sentence("The solver's solution is not one of these branches.")] if made.chosen is None else []
+            values = values_table(self.robot, lesson.branches[lesson.shown].q, lesson.places)
+            legend = [Sentence(made.worked.legend)] if made.worked.legend else []
+            self.words.content = to_html([*free, values, *legend])
+        self.form.visible = True
+        blocks = made.formula_blocks(lesson.shown) if made.worked is not None else [Sentence(made.why)]
+        self.formulas.content = to_html(blocks)
+        self.way.visible = made.iterations is not None
+        if made.iterations is not None:
+            self.way.label = f"Iterations of {made.iterations.solver}"
+            self.iterations.content = to_html(made.iteration_blocks())
+        others = [branch for k, branch in enumerate(lesson.branches) if k != lesson.shown]
+        self.desk.stage.ghost(others[0].q if len(others) == 1 else None)
+
+
+def said(words: str, color: str) -> str:
+    """A sentence in a colour."""
+    return f'<div style="padding:2px 12px 6px;font-size:13px;color:{color}">{html.escape(words)}</div>'
+
+
+def values_table(robot: Any, q: np.ndarray, places: int) -> Table:
+    """Table of the joint values of one configuration."""
+    units = [unit_of(kind) for kind in robot.joint_kinds]
+    rows = [
+        (name, number(x, unit, places), UNITS[unit]) for name, x, unit in zip(robot.joint_names, q, units, strict=True)
+    ]
+    return Table(("joint", "value", ""), rows)

@@ -1,0 +1,397 @@
+"""The page of one panel visitor: controls and 3-D view (viser) for a Session."""
+
+import html
+from collections.abc import Sequence
+from contextlib import nullcontext
+from typing import Any
+
+import numpy as np
+
+from ...errors import IKError, InvalidConfiguration
+from ...robot.library import list_robots
+from ...style import BAD, GOOD
+from ..body import Body
+from .chart import Chart
+from .connection import PLAIN, Visit
+from .learn_tab import Learn
+from .scene_tab import Around, freedom, slide
+from .session import PATIENCE
+from .solutions_tab import Found
+from .tables import note_html, pose_html, sentence, table_html
+from .target_widget import Goal
+from .undo import Past
+from .viser_scene import Stage
+
+QUIET = (71, 85, 105)  # colour of secondary buttons
+STEPS = 500  # least number of slider steps
+PUSH = 3.0  # [rad, or reaches] of self-motion from the middle of the slider to its end
+MOST_TIPS = 4  # tips that can be chosen on the page
+
+
+class Desk(Visit):
+    """Controls and view of one visitor. client: a viser client (or server). files: whether robots may be loaded by path."""
+
+    # -------------------------------------------------------------------------------------------------------- build
+    def build(self) -> None:
+        """Rebuild the robot and its controls (after a change of robot, tip or units)."""
+        s = self.session
+        body = Body(s.robot)
+        with self.client.atomic():
+            self.gui.reset()
+            self.scene.reset()
+            self.gui.configure_theme(control_width="large", show_logo=False, show_share_button=False)
+            self.gui.main_panel.dock_right()
+            self._build_controls()
+            self.stage = Stage(
+                self.client,
+                body,
+                s.q,
+                s.goals(),
+                self.frames,
+                lambda: self._post("drag", self._dragged),
+                self.stage.widest if self.stage else 0,
+            )
+            if self.around is not None:
+                self.around.join(self.stage)
+            for goal, handle in zip(self.goals, self.stage.handles, strict=True):
+                goal.join(handle)
+        self.show()
+        words = body.notice or f"{s.robot.name}: {s.robot.base} to {' and '.join(s.robot.tips)}, {s.robot.n} joints"
+        self.say(f"{words}. Loading the tracker; the first time it compiles for about half a minute.")
+        self.worker.post("prepare", self._guard(self.session.prepare))
+        self.worker.post("ready", self._guard(lambda: self.say(words)))
+
+    def _build_controls(self) -> None:
+        s, gui = self.session, self.gui
+        names = [entry.name for entry in list_robots()]
+        names = names if s.source in names else [s.source, *names]
+        robots = gui.add_dropdown("Robot", names, initial_value=s.source)
+        self._on(robots, "build", lambda: self._switch(robots.value))
+        self._build_tips()
+        degrees = gui.add_checkbox(
+            "Degrees", s.degrees, hint="Angles in degrees; otherwise radians. Lengths in metres."
+        )
+        self._on(degrees, "build", lambda: self._units(degrees.value))
+        self.status = gui.add_html("")
+        self.facts = gui.add_html("")
+        tabs = gui.add_tab_group()
+        with tabs.add_tab("Joints"):
+            self._build_joints()
+        with tabs.add_tab("Solve"):
+            self._build_solve()
+        with tabs.add_tab("Scene"):
+            self.around = Around(gui, s, self._on, self.show)
+        with tabs.add_tab("Learn"):
+            self.learn = Learn(self)
+        with tabs.add_tab("Robot"):
+            self._build_robot()
+
+    def _build_tips(self) -> None:
+        """A drop-down list for each tip solved for, and one more to add another."""
+        s = self.session
+        chosen, every = s.robot.tips, list(dict.fromkeys([*s.robot.tips, *s.tips]))
+        if len(every) < 2:
+            return
+        none, lists = "none", []
+        for k in range(min(len(chosen) + 1, len(every), MOST_TIPS)):
+            now = chosen[k] if k < len(chosen) else none
+            offered = [tip for tip in every if tip == now or tip not in chosen]
+            label = f"Tip {k + 1}" if k else "Tip"
+            offered = [none, *offered] if k else offered
+            lists.append(self.gui.add_dropdown(label, offered, initial_value=now))
+        for one in lists:
+            self._on(one, "build", lambda: self._switch(s.source, [x.value for x in lists if x.value != none]))
+
+    def _build_joints(self) -> None:
+        s, gui = self.session, self.gui
+        self.sliders = []
+        self.shown = [0.0] * s.robot.n
+        for i, name in enumerate(s.robot.joint_names):
+            low, high = s.range(i)
+            step = 10.0 ** np.floor(np.log10(max(high - low, 1e-6) / STEPS))
+            slider = gui.add_slider(f"{name} [{s.unit(i)}]", low, high, float(step), low)
+            self.sliders.append(slider)
+            self._on(slider, "joints", self._moved)
+        self.push = gui.add_slider(
+            "Self-motion",
+            -1.0,
+            1.0,
+            0.01,
+            0.0,
+            hint="Moves the joints of a redundant arm while its tip stays where it is.",
+        )
+        self.pushed = 0.0
+        self._on(self.push, "push", self._push)
+        for text, name, job in (
+            ("Undo", "undo", self._undo),
+            ("Random pose", "anywhere", self._anywhere),
+            ("Reset to home", "home", self._home),
+            ("Copy as JSON", "json", self._json),
+        ):
+            self._on(gui.add_button(text, color=QUIET), name, job)
+        self.pose = gui.add_html("")
+
+    def _build_solve(self) -> None:
+        s, gui = self.session, self.gui
+        self.goals = []
+        for tip in s.robot.tips:
+            with gui.add_folder(tip) if len(s.robot.tips) > 1 else nullcontext():
+                self.goals.append(Goal(gui, s, tip, self.kinds.get(tip, s.kind), self._on))
+        go = gui.add_button("Solve", color="blue")
+        self._on(go, "solve", self._solve)
+        follow = gui.add_checkbox("Follow while dragging", self.live, hint="Drag the arrows and rings in the view.")
+        self._on(follow, "live", lambda: setattr(self, "live", follow.value))
+        several = len(s.robot.tips) > 1
+        here = gui.add_button("Targets to tips" if several else "Target to tip", color=QUIET)
+        self._on(here, "solve", self._target_to_tip)
+        anywhere = gui.add_button("Random targets" if several else "Random target", color=QUIET)
+        self._on(anywhere, "solve", self._random)
+        every = gui.add_button("All solutions", color=QUIET)
+        self._on(every, "solve", self._solve_all)
+        self.outcome = gui.add_html("", visible=False)
+        self.found = Found(gui, s, self._on, lambda q: self.stage.ghost(q), self._pick)
+        with gui.add_folder("Solver"):
+            choice = gui.add_dropdown("Method", s.choices(), initial_value=s.solver)
+            self._on(choice, "choice", lambda: self._choose(choice.value))
+            self.tolerance = gui.add_text("Tolerance [m, rad]", f"{s.tolerance:g}")
+            limits = gui.add_checkbox(
+                "Joint limits", s.limits, hint="Off: joints may go anywhere, as if they had no limits."
+            )
+            self._on(limits, "build", lambda: self._limits(limits.value))
+            self.parameters = gui.add_folder("Parameters", visible=False)
+        self._fill_parameters()
+        with gui.add_folder("Convergence"):
+            self.chart = Chart(self.client)
+
+    def _build_robot(self) -> None:
+        s, gui = self.session, self.gui
+        frames = gui.add_checkbox("Show joint frames", self.frames)
+        self._on(frames, "frames", lambda: self._show_frames(frames.value))
+        caption, head, rows = s.table()
+        gui.add_html(
+            f'<div style="padding:4px 12px;font-size:12px"><p>{html.escape(s.entry.description)}</p>'
+            f"<p>{html.escape(caption)}</p></div>{table_html(rows, head)}"
+        )
+        if self.files:
+            path = gui.add_text(
+                "Other robot",
+                "",
+                hint="A name (panda, ur5, ...) or the path of a .urdf on the machine the panel runs on.",
+            )
+            load = gui.add_button("Load", color=QUIET)
+            self._on(load, "build", lambda: self._switch(path.value))
+
+    def show(self) -> None:
+        """Update view, sliders and numbers to the session's q."""
+        s = self.session
+        with self.client.atomic():
+            self.stage.show(s.q)
+            self.stage.gaps({})
+            for i, slider in enumerate(self.sliders):
+                rounded = round(s.scale(i) * float(s.q[i]), s.digits(i))
+                slider.value = self.shown[i] = float(np.clip(rounded, slider.min, slider.max))
+        if self.around is not None:
+            self.facts.content = self.around.show()
+        if self.learn is not None:
+            self.learn.show(s.q)
+        self.pose.content = "".join(pose_html(T, s, tip) for tip, T in s.poses().items())
+        self.client.flush()  # at once, not at the end of viser's next interval
+
+    # ------------------------------------------------------------------------------------------------------ actions
+    def _switch(self, source: str, tips: str | Sequence[str] | None = None) -> None:
+        if not self.files and source not in {entry.name for entry in list_robots()}:
+            self.say("robots can be chosen by name only: this panel is open to other machines", BAD)
+            return
+        self.session.load(source, tips)
+        self.session.solver, self.session.parameters, self.kinds = "auto", {}, {}
+        self.past = Past()
+        self.build()
+
+    def _units(self, degrees: bool) -> None:
+        self.session.degrees = degrees
+        self._again()
+
+    def _again(self) -> None:
+        """Rebuild the controls, keeping the kinds of orientation."""
+        self.kinds = {goal.tip: goal.kind for goal in self.goals}
+        self.build()
+
+    def _moved(self) -> None:
+        s = self.session
+        q = s.q.copy()
+        for i, slider in enumerate(self.sliders):
+            if slider.value != self.shown[i]:  # shown values are rounded: an untouched joint keeps its exact value
+                q[i] = slider.value / s.scale(i)
+        if not np.isfinite(q).all():
+            raise InvalidConfiguration("a joint value is not a finite number")
+        s.q = np.clip(q, s.robot.lower, s.robot.upper) if s.limits else q
+        self.show()
+
+    def _push(self) -> None:
+        """Move through the self-motion by the slider's push, holding the tips' orientations only where they are targeted."""
+        s, value = self.session, float(np.clip(self.push.value, -1.0, 1.0))
+        turns = any(goal.posed for goal in self.goals)
+        if not np.isfinite(value) or not len(freedom(s.robot, s.q, turns)):
+            self.say("no self-motion: the tip's pose fixes every joint" + ("; try the orientation 'free'" * turns))
+            return
+        along = np.cos(np.arange(s.robot.n))  # practically never orthogonal to an arm's self-motion
+        s.q = slide(s.robot, s.q, along, PUSH * (value - self.pushed), turns, s.limits)
+        self.pushed = value
+        self.show()
+
+    def _anywhere(self) -> None:
+        """Move the robot to random joint values, and its targets to its tips."""
+        s = self.session
+        s.q = s.robot.random_q(s.random)
+        self.show()
+        self._target_to_tip()
+        self.say("random joint values")
+
+    def _undo(self) -> None:
+        """Undo the last change of the robot's configuration."""
+        before = self.past.back()
+        if before is None:
+            self.say("nothing to undo")
+            return
+        self.session.q, targets = before
+        self._put(targets)
+        self.show()
+        self.say("undone")
+
+    def _limits(self, limits: bool) -> None:
+        """Switch joint limits on or off; when on, move back inside them."""
+        s = self.session
+        s.limits = limits
+        s.q = np.clip(s.q, s.robot.lower, s.robot.upper) if limits else s.q
+        self._again()
+
+    def _home(self) -> None:
+        s = self.session
+        s.q, s.result, s.solutions = s.robot.home.copy(), None, []
+        self.chart.hide()
+        self.found.hide()
+        self.outcome.visible = False
+        self.show()
+        self._target_to_tip()
+        self.say("at home")
+
+    def _json(self) -> None:
+        text = self.session.to_json()
+        modal = self.gui.add_modal("JSON (metres and radians)")
+        with modal:
+            self.gui.add_html(
+                '<textarea id="ik-json" readonly rows="14" style="width:100%;box-sizing:border-box;'
+                f'font:11px monospace">{html.escape(text)}</textarea><button style="margin:6px 0;padding:6px 14px" '
+                "onclick=\"const t=document.getElementById('ik-json');t.select();"
+                "(navigator.clipboard?navigator.clipboard.writeText(t.value):Promise.reject())"
+                ".catch(()=>document.execCommand('copy')).then(()=>this.textContent='Copied')\">Copy</button>"
+            )
+            done = self.gui.add_button("Close")
+        done.on_click(lambda _: modal.close())
+
+    def _choose(self, name: str) -> None:
+        self.session.solver, self.session.parameters = name, {}
+        self._fill_parameters()
+
+    def _fill_parameters(self) -> None:
+        for child in list(self.parameters._children.values()):
+            child.remove()
+        fields = self.session.fields()
+        self.typed_parameters = {}
+        self.parameters.visible = bool(fields)
+        with self.parameters:
+            for name, default in fields.items():
+                hint = "the method's own default" if default is None else f"default {default}"
+                self.typed_parameters[name] = self.gui.add_text(
+                    name, "" if default is None else str(default), hint=hint
+                )
+
+    def _typed(self) -> Any:
+        """Read the target from the fields, and the solver's settings from theirs."""
+        s = self.session
+        fields = s.fields()
+        typed = {name: handle.value for name, handle in self.typed_parameters.items()}
+        s.parameters = {name: text for name, text in typed.items() if text.strip() != str(fields[name])}
+        try:
+            tolerance = float(self.tolerance.value)
+        except ValueError:
+            tolerance = -1.0
+        if not 0.0 < tolerance < 1.0:
+            raise IKError(f"the tolerance must be a number above 0 and below 1, not '{self.tolerance.value}'")
+        s.tolerance = tolerance
+        return self._joined({goal.tip: goal.typed() for goal in self.goals})
+
+    def _joined(self, targets: dict[str, np.ndarray | None]) -> Any:
+        """Targets in the form the robot expects, without the tips that have none."""
+        return self.session.joined({tip: T for tip, T in targets.items() if T is not None})
+
+    def _solve(self) -> None:
+        target = self._typed()
+        self.found.hide()
+        self.say("solving ... (a method's first use compiles it, some seconds)")
+        result = self.session.solve(target)
+        self._verdict()
+        self.chart.show(result)
+
+    def _verdict(self) -> None:
+        result = self.session.result
+        if result is None:
+            return
+        self.show()
+        left = self.session.followed
+        if left is not None:
+            self.stage.gaps({goal.tip: goal.typed() for goal in self.goals})
+        words, _, advice = (result.message, "", "") if left is None else result.message.partition("; ")
+        near = "" if left is None else f" {sentence(left.message)}"
+        self.say(f"{sentence(words)}{near}", GOOD if result.success else BAD)
+        self.outcome.content, self.outcome.visible = table_html(self.session.figures()) + note_html(advice), True
+
+    def _dragged(self, patience: int = PATIENCE) -> None:
+        """Move towards the dragged targets; continue with the next job unless something newer is requested."""
+        targets = {goal.tip: goal.dragged() for goal in self.goals}
+        if not self.live:
+            return
+        found = self.session.follow(self._joined(targets))
+        self.show()
+        self.stage.gaps({} if found.success else targets)
+        self.say(sentence(found.message), GOOD if found.success else PLAIN)
+        self.outcome.content, self.outcome.visible = table_html(self.session.figures()), True
+        if self.chart is not None:
+            self.chart.hide()
+        if not found.settled and patience:
+            self.worker.post("drag", self._guard(lambda: self._dragged(patience - 1)))
+
+    def _put(self, poses: dict[str, np.ndarray]) -> None:
+        """Move the targets to poses by tip."""
+        with self.client.atomic():
+            for goal in self.goals:
+                goal.put(poses[goal.tip])
+
+    def _target_to_tip(self) -> None:
+        self._put(self.session.poses())
+
+    def _random(self) -> None:
+        self._put(self.session.random_poses())
+        if self.live:
+            self._solve()
+
+    def _solve_all(self) -> None:
+        s = self.session
+        target = self._typed()
+        self.outcome.visible = False
+        self.say("searching ...")
+        words, details = s.solve_all(target)
+        self.stage.gaps({})
+        self.found.show(details)
+        self.say(sentence(words), GOOD if s.solutions else BAD)
+
+    def _pick(self, k: int) -> None:
+        s = self.session
+        s.q = s.solutions[k].copy()
+        self.stage.ghost(None)
+        self.show()
+        self.say(f"solution {k + 1} of {len(s.solutions)}", GOOD)
+
+    def _show_frames(self, visible: bool) -> None:
+        self.frames = visible
+        self.stage.show_frames(visible)

@@ -1,0 +1,129 @@
+"""The panel: drive a robot by hand in a browser, with sliders, pose, target and solver.
+
+Every visitor has their own robot (a Session) and one worker thread that runs their requests, newest first, so that drags
+never queue up and visitors do not disturb each other.
+"""
+
+import contextlib
+import errno
+import http.client
+import io
+import socket
+import warnings
+from collections.abc import Sequence
+from typing import Any
+from urllib.parse import urlsplit
+
+from ...copying import Unique
+from ...errors import InvalidOption, MissingExtra
+from ..access import guarded, is_loopback, new_token
+from .page import Desk
+from .session import Session
+
+HEARD = (  # messages accepted from a visitor's page: controls, the target's arrows and rings, the camera
+    "GuiUpdateMessage",
+    "TransformControlsUpdateMessage",
+    "TransformControlsDragStartMessage",
+    "TransformControlsDragEndMessage",
+    "ViewerCameraMessage",
+)
+
+
+class Panel(Unique):
+    """The panel's server. url: its address, including the access token; `close()` stops it. Several browsers may be open."""
+
+    def __init__(
+        self,
+        source: str,
+        tips: str | Sequence[str] | None = None,
+        *,
+        host: str = "127.0.0.1",
+        port: int = 0,
+        desk: type[Desk] = Desk,
+    ) -> None:
+        """Serve a robot given by name or path. tips: one or several, default all known ones. port 0: a free one.
+
+        desk: what each visitor sees.
+
+        Raises MissingExtra, InvalidOption, RobotNotFound, ...
+        """
+        try:
+            import viser
+        except ImportError:
+            raise MissingExtra("viser", "panel") from None
+        _check_address(host, port)
+        warnings.filterwarnings("ignore", "Queued a .* on a closed connection")  # a visitor may leave at any time
+        session = Session(source, tips)  # raises now if the robot is invalid
+        here = session.joined(session.poses())
+        session.solve(here)  # compile now if necessary, so that no visitor has to wait
+        session.follow(here)
+        token = new_token()
+        with guarded(host, token), contextlib.redirect_stdout(io.StringIO()):  # viser prints a banner
+            self.server = viser.ViserServer(host=host, port=port, verbose=False)
+        self.host, self.port = host, self.server.get_port()
+        if port not in (0, self.port):
+            self.close()
+            raise InvalidOption(f"port {port} is in use")
+        name = {"0.0.0.0": "127.0.0.1", "::": "::1"}.get(host, host)  # noqa: S104  compared, not bound
+        self.url = f"http://{f'[{name}]' if ':' in name else name}:{self.port}/{token}/"
+        self._check_guard()
+        _hear_only(self.server.gui._websock_interface, ())  # messages are accepted only by a visitor's desk
+        self.desks: dict[int, Desk] = {}
+        self._desk = desk
+        self.server.gui.set_panel_label("ik panel")
+        local = is_loopback(host)
+        self.server.on_client_connect(lambda client: self._welcome(client, source, tips, local))
+        self.server.on_client_disconnect(lambda client: self._goodbye(client))
+
+    def _welcome(self, client: Any, source: str, tips: str | Sequence[str] | None, local: bool) -> None:
+        _hear_only(client.gui._websock_interface, HEARD)
+        self.desks[client.client_id] = self._desk(client, source, tips, files=local)
+        if client.client_id not in self.server.get_clients():  # left before it was admitted
+            self._goodbye(client)
+
+    def _goodbye(self, client: Any) -> None:
+        desk = self.desks.pop(client.client_id, None)
+        if desk is not None:
+            desk.close()
+
+    def _check_guard(self) -> None:
+        """Check that requests from other sites or without the token are refused; do not serve if this viser answers them."""
+        at = urlsplit(self.url)
+        for path, headers in ((at.path, {"Origin": "http://elsewhere.invalid"}), ("/", {})):
+            client = http.client.HTTPConnection(at.hostname or "", self.port, timeout=10)
+            try:
+                client.request("GET", path, headers=headers)
+                refused = client.getresponse().status == http.client.FORBIDDEN
+            finally:
+                client.close()
+            if not refused:
+                self.close()
+                raise InvalidOption("this release of viser answers unauthorised requests, so the panel is not served")
+
+    def close(self) -> None:
+        """Stop serving and end the visitors' threads."""
+        for desk in list(getattr(self, "desks", {}).values()):
+            desk.close()
+        with contextlib.redirect_stdout(io.StringIO()):
+            self.server.stop()
+
+
+def _check_address(host: str, port: int) -> None:
+    """Reject an address that cannot be listened on; viser would try one port after another for ever."""
+    try:
+        family, kind, protocol, _, address = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)[0]
+        with socket.socket(family, kind, protocol) as probe:
+            probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            probe.bind(address)
+    except OSError as error:
+        if error.errno == errno.EADDRINUSE:
+            raise InvalidOption(f"port {port} is in use") from None
+        at = f"{host}, port {port}" if port else host
+        raise InvalidOption(f"cannot listen on {at}: {error.strerror or error}") from None
+
+
+def _hear_only(interface: Any, names: tuple[str, ...]) -> None:
+    """Accept only some kinds of message from a page: viser would store files, broadcast form values and open tunnels."""
+    for kind in list(interface._incoming_handlers):
+        if kind.__name__ not in names:
+            interface.unregister_handler(kind)

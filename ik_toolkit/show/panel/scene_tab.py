@@ -1,0 +1,171 @@
+"""The panel's Scene tab: contacts, clearance, box obstacles and manipulability.
+
+Self-motion: moving the joints of a redundant arm while its tips stay in place.
+"""
+
+import html
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from ...errors import InvalidTarget
+from ...robot.pose import length
+from ...style import BAD
+from ...text import vector
+from .session import Session
+from .viser_scene import Stage
+
+BOX = (148, 103, 60)
+SIDE = 0.15  # edge of a new box, as a fraction of the robot's size
+NEAR = 0.25  # distances below this fraction of the robot's size are drawn
+
+
+class Around:
+    """Controls and drawings of a robot's surroundings. facts: text below the status line, updated by `show`."""
+
+    def __init__(self, gui: Any, session: Session, listen: Callable[..., None], changed: Callable[[], None]) -> None:
+        """Build the controls; changed() is called after something was moved. listen: see Goal."""
+        self.session, self.listen, self.changed = session, listen, changed
+        self.stage: Stage  # set by `join`
+        avoid = gui.add_checkbox(
+            "Avoid collisions", session.avoid, hint="When solving, listing solutions and dragging."
+        )
+        listen(avoid, "avoid", lambda: self.avoid(avoid.value))
+        self.distance = gui.add_checkbox("Show the nearest pair", True)
+        listen(self.distance, "facts", changed)
+        self.ellipsoid = gui.add_checkbox(
+            "Manipulability ellipsoid",
+            False,
+            hint="How fast each tip can move in each direction at joint speeds of norm 1.",
+        )
+        listen(self.ellipsoid, "facts", changed)
+        self.size = gui.add_text("Box x y z [m]", "")
+        add, remove = (gui.add_button(text, color=(71, 85, 105)) for text in ("Add a box", "Remove the boxes"))
+        listen(add, "boxes", self.add)
+        listen(remove, "boxes", self.clear)
+
+    def join(self, stage: Stage) -> None:
+        """Draw on a new stage, including the existing boxes."""
+        self.stage, self.handles = stage, {}
+        side = float(f"{SIDE * stage.size:.1g}")
+        self.size.value = self.size.value or f"{side:g} {side:g} {side:g}"
+        for name, (size, T) in self.session.boxes.items():
+            self._draw(name, size, T)
+
+    def avoid(self, wanted: bool) -> None:
+        """Switch collision avoidance on or off."""
+        self.session.avoid = wanted
+        self.changed()
+
+    def add(self) -> None:
+        """Add a box of the typed size in front of the robot. Raises InvalidTarget."""
+        size = vector(self.size.value, "the size of the box x y z [m]", 3)
+        if min(size) <= 0.0:
+            raise InvalidTarget("the size of the box x y z [m] must be positive")
+        T = np.eye(4)
+        tips = np.array([pose[:3, 3] for pose in self.session.poses().values()])
+        T[:3, 3] = tips.mean(axis=0)
+        T[2, 3] += 0.5 * size[2] + 0.1 * self.stage.size  # above them
+        self._draw(self.session.add_box(size, T), size, T)
+        self.changed()
+
+    def clear(self) -> None:
+        """Remove all boxes."""
+        for gizmo in self.handles.values():
+            gizmo.remove()
+        self.handles = {}
+        self.session.clear_boxes()
+        self.changed()
+
+    def _draw(self, name: str, size: Any, T: np.ndarray) -> None:
+        gizmo = self.handles[name] = self.stage.box(name, size, T, BOX)
+        self.listen(gizmo, name, lambda: self._moved(name))
+
+    def _moved(self, name: str) -> None:
+        self.session.move_box(name, self.stage.dragged(self.handles[name]))
+        self.changed()
+
+    def show(self) -> str:
+        """Update the drawings to the session's q; returns a line of HTML on contacts, clearance and manipulability."""
+        s, stage = self.session, self.stage
+        touching, near = s.contacts()
+        words, color = "no pair of shapes to test", "inherit"
+        if touching:
+            words, color = f"in collision: {' and '.join(touching[0])}", BAD
+        elif near is not None:
+            words = f"clearance {length(near.distance)} ({near.pair[0]} to {near.pair[1]})"
+        close = near is not None and not touching and near.distance < NEAR * stage.size and self.distance.value
+        stage.line("/near", [near.points] if close and near else [], (70, 70, 70))
+        for k, (axes, radii) in enumerate(s.ellipsoids().values()):
+            stage.ellipsoid(k, axes, radii, self.ellipsoid.value)
+        values = []
+        for tip, size in s.manipulability().items():
+            values.append(f"manipulability{f' of {tip}' if s.robot.by_tip else ''} {size:.3g}")
+        words = html.escape("; ".join([words, *values]))
+        return f'<div style="padding:0 12px 8px;font-size:12px;color:{color}">{words}</div>'
+
+
+STEP = 0.02  # [rad, or reaches] between corrections: the tip error grows with its square
+THIN = 1e-6  # singular value over the largest below which a direction does not move the tips
+CORRECTIONS = 3  # Newton steps, each of which squares the remaining error
+LEFT = 1e-7  # [m, rad] largest tip error that counts as staying in place
+
+
+def freedom(robot: Any, q: np.ndarray, turns: bool) -> np.ndarray:
+    """Null-space directions (k, n) at q (n,): no tip moves; turns: whether the tips' rotations are held, too."""
+    J = _rows(robot, q, turns)
+    _, sizes, V = np.linalg.svd(J, full_matrices=True)
+    return V[int((sizes > THIN * max(sizes.max(initial=0.0), 1e-12)).sum()) :]
+
+
+def slide(robot: Any, q: np.ndarray, along: np.ndarray, far: float, turns: bool, limits: bool) -> np.ndarray:
+    """Move `far` [rad, or reaches] from q (n,) along the self-motion nearest the direction `along` (n,); stops at a joint limit.
+
+    Each step continues in the direction that the null space shares with the previous step, so that moving back is reversible.
+    """
+    start, unit = q, np.where(robot.slides, robot.reach, 1.0)
+    done, at = 0.0, along / unit
+    while done < abs(far):
+        free = freedom(robot, q, turns) / unit
+        free = np.linalg.qr(free.T)[0].T if len(free) else free
+        at = free.T @ (free @ at)
+        if np.linalg.norm(at) < THIN:
+            break
+        at /= np.linalg.norm(at)
+        step = min(STEP, abs(far) - done)
+        new = _corrected(robot, start, q + np.sign(far) * step * at * unit, turns)
+        if new is None or (limits and robot.outside(new)):
+            break
+        q, done = new, done + step
+    return q
+
+
+def _corrected(robot: Any, start: np.ndarray, q: np.ndarray, turns: bool) -> np.ndarray | None:
+    """Nearest q (n,) with the tips where they are at `start`; None if not found."""
+    error = np.zeros(0)
+    for _ in range(CORRECTIONS + 1):
+        error = _away(robot, start, q, turns)
+        if np.abs(error).max() < LEFT:
+            return q
+        q = q + np.linalg.lstsq(_rows(robot, q, turns), error, rcond=THIN)[0]
+    return None
+
+
+def _rows(robot: Any, q: np.ndarray, turns: bool) -> np.ndarray:
+    """Stacked Jacobian of the tips; positions only if rotations are not held."""
+    J = robot.jacobian(q).reshape(-1, 6, robot.n)
+    return (J if turns else J[:, :3]).reshape(-1, robot.n)
+
+
+def _away(robot: Any, start: np.ndarray, q: np.ndarray, turns: bool) -> np.ndarray:
+    """Error from the tips at q to those at `start`: positions [m] and, if they count, rotation vectors [rad]."""
+    import pinocchio as pin
+
+    left = []
+    for arm, place in zip(robot.arms, robot.places, strict=True):
+        goal, now = arm.fk(start[place]), arm.fk(q[place])
+        left.append(goal.translation - now.translation)
+        if turns:
+            left.append(pin.log3(goal.rotation @ now.rotation.T))
+    return np.concatenate(left)

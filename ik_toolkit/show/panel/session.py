@@ -1,0 +1,397 @@
+"""State of one panel visitor: a robot with one or several tips, q, targets and solver. No drawing, no web."""
+
+import contextlib
+import itertools
+import json
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from ...errors import FrameNotFound, InvalidConfiguration, InvalidTarget, ModelError
+from ...kernel.counted_error import POSE, POSITION
+from ...robot.geometry.collision import CollisionModel
+from ...robot.geometry.distance import Near
+from ...robot.library import find
+from ...robot.pose import check_target, length, matrix_quat, matrix_rpy, pose
+from ...robot.robot import Robot
+from ...robot.tips import path_ends
+from ...robot.tree import Tree
+from ...solvers.registry import find_row, list_rows, make_rule
+from ...solvers.result import Result
+from ...solvers.solve import solve
+from ...solvers.solve_all import solve_all
+from ...text import parameter, plain, vector
+from .drag_follower import Followed, Hand, prepare
+
+KINDS = ("roll pitch yaw", "quaternion", "matrix", "free")  # how a typed target's orientation is given
+NONE = "no target"  # for one of several tips
+SHOWN = 16  # most solutions listed
+SAMPLES = 8  # random configurations; at least one of them is not singular
+PATIENCE = 20  # seconds of robot time that an arm may go on towards a target that is no longer being moved
+
+
+class Session:
+    """State of one visitor. q (n,) [rad or m]; target, as the robot takes it, or None; result and solutions of the last solve.
+
+    robot: a Robot, or a Tree; tips: all available ones; ranks: number of directions in which each tip can move (2 for a planar
+    arm). A target is (4, 4) or (3,) [m], for a Tree a dict of these by tip. solver (name) and parameters (name -> text as typed, ''
+    for the default); degrees: unit of typed and shown angles.
+    """
+
+    def __init__(self, source: str, tips: str | Sequence[str] | None = None) -> None:
+        """Start with a robot given by name or path, and one or several tips. Raises RobotNotFound, ModelError, FrameNotFound."""
+        self.degrees = True
+        self.solver = "auto"
+        self.parameters: dict[str, str] = {}
+        self.tolerance = 1e-6
+        self.limits, self.avoid = True, False  # whether joint limits are kept, and collisions avoided
+        self.boxes: dict[str, tuple[list[float], np.ndarray]] = {}  # sizes [m] and poses (4, 4) in the base
+        self.source = ""
+        self.random = np.random.default_rng(0)
+        self.warm: set[tuple] = set()  # solvers and kinds of target that have been solved before
+        self.load(source, tips)
+
+    def load(self, source: str, tips: str | Sequence[str] | None = None) -> None:
+        """Switch to another robot; nothing changes if that fails. tips: default all known ones, or else the first."""
+        source = source.strip()
+        entry = find(source)
+        chosen = [tips] if isinstance(tips, str) else list(tips or entry.tips)
+        robot: Robot | Tree
+        if len(chosen) > 1:
+            robot = Tree.load(source, tips=chosen)
+        else:
+            try:
+                robot = Robot.load(source, tip=chosen[0] if chosen else None)
+            except FrameNotFound as several:
+                if chosen or not several.tips:
+                    raise
+                robot = Robot.load(source, tip=several.tips[0])
+        if source != self.source:
+            self.boxes = {}
+        self.source, self.entry, self.robot = source, entry, robot
+        self._world: CollisionModel | None = None
+        self._hand: Hand | None = None
+        self.tips = tuple(entry.tips) if len(entry.tips) > 1 else path_ends(robot.model)
+        self.q = robot.home.copy()
+        samples = robot.random_q(np.random.default_rng(0), SAMPLES)
+        ranks = [[np.linalg.matrix_rank(J) for J in self._rates(q)] for q in samples]
+        self.ranks = np.max(ranks, axis=0).tolist()
+        self.target: Any = None
+        self.result: Result | None = None
+        self.followed: Followed | None = None
+        self.solutions: list[np.ndarray] = []
+        self.distances: list[float] = []
+        self.branches: np.ndarray | None = None
+
+    # ------------------------------------------------------------------------------------------------------- joints
+    def scale(self, i: int) -> float:
+        """Factor from the value of joint i [rad or m] to the displayed unit."""
+        return math.degrees(1.0) if self.degrees and self.robot.joint_kinds[i] != "prismatic" else 1.0
+
+    def unit(self, i: int) -> str:
+        """Displayed unit of joint i."""
+        return "m" if self.robot.joint_kinds[i] == "prismatic" else "deg" if self.degrees else "rad"
+
+    def digits(self, i: int) -> int:
+        """Displayed decimals of joint i: 0.01 deg, or 0.1 mm and 0.1 mrad."""
+        return 2 if self.unit(i) == "deg" else 4
+
+    @property
+    def kind(self) -> str:
+        """How targets are given at first: as poses to an arm that can reach them at all, otherwise as positions."""
+        return KINDS[0] if min(arm.n for arm in self.robot.arms) >= 6 else "free"
+
+    def range(self, i: int) -> tuple[float, float]:
+        """Slider range of joint i in displayed units, rounded inwards if there is room."""
+        low, high = (self.scale(i) * x for x in self.ends(i))
+        unit = 10.0 ** -self.digits(i)
+        inner = (unit * math.ceil(low / unit - 1e-6), unit * math.floor(high / unit + 1e-6))
+        low, high = inner if inner[1] - inner[0] > 100.0 * unit else (low, high)
+        return round(low, 9), round(high, 9)
+
+    def ends(self, i: int) -> tuple[float, float]:
+        """Slider range of joint i [rad or m]: its limits, or one turn (one reach) without limits."""
+        span = math.pi if self.robot.joint_kinds[i] != "prismatic" else self.robot.reach
+        low, high = float(self.robot.lower[i]), float(self.robot.upper[i])
+        if not self.limits:
+            low, high = min(low, -span), max(high, span)
+        low = low if math.isfinite(low) else min(-span, float(self.q[i]))
+        return low, (high if math.isfinite(high) else max(low + 2.0 * span, float(self.q[i])))
+
+    def poses(self, q: np.ndarray | None = None) -> dict[str, np.ndarray]:
+        """T_base_tip (4, 4) of each tip at q (n,), default the current q."""
+        T: Any = self.robot.fk(self.q if q is None else q)
+        return {tip: (T[tip] if self.robot.by_tip else T).homogeneous for tip in self.robot.tips}
+
+    def random_poses(self) -> dict[str, np.ndarray]:
+        """Random poses that the tips can reach together, new at every call."""
+        return self.poses(self.robot.random_q(self.random))
+
+    def joined(self, targets: dict[str, np.ndarray]) -> Any:
+        """Targets by tip in the form the robot expects: without the name for a single tip."""
+        return targets if self.robot.by_tip else targets[self.robot.tips[0]]
+
+    def goals(self) -> dict[str, np.ndarray]:
+        """Pose (4, 4) of each tip's target; the tip's own pose without a target, the tip's rotation for a position."""
+        given = self.target if self.robot.by_tip else {self.robot.tips[0]: self.target}
+        poses = self.poses()
+        for tip, target in (given or {}).items():
+            if target is not None:
+                poses[tip] = target if target.ndim == 2 else np.r_[np.c_[poses[tip][:3, :3], target], [[0, 0, 0, 1]]]
+        return poses
+
+    # ------------------------------------------------------------------------------------------------------- target
+    def typed(self, xyz: str, kind: str, rotation: str) -> np.ndarray:
+        """Target from typed numbers. Raises InvalidTarget naming the field."""
+        if kind == "matrix":
+            values = vector(rotation.translate(str.maketrans("[],;", "    ")), "the matrix, row by row,")
+            if len(values) not in (12, 16):
+                raise InvalidTarget(f"the matrix, row by row, takes 12 or 16 numbers; got {len(values)}")
+            return check_target(np.reshape([*values, 0.0, 0.0, 0.0, 1.0][:16], (4, 4)))[0]
+        place = vector(xyz, "the position x y z [m]", 3)
+        if kind == "free":
+            return pose(place)
+        if kind == "quaternion":
+            return pose(place, quat_xyzw=vector(rotation, "the quaternion x y z w", 4))
+        angles = vector(rotation, f"roll pitch yaw [{'deg' if self.degrees else 'rad'}]", 3)
+        return pose(place, rpy=[math.radians(a) if self.degrees else a for a in angles])
+
+    def words(self, T: np.ndarray, kind: str) -> tuple[str, str]:
+        """Text of a pose's position and rotation, as `typed` reads them."""
+        at = T if T.ndim == 1 else T[:3, 3]
+        xyz = "  ".join(_figure(x) for x in at)
+        if T.ndim == 1 or kind == "free":
+            return xyz, ""
+        if kind == "matrix":
+            return xyz, "\n".join("  ".join(f"{x + 0.0:.6f}" for x in row) for row in np.round(T, 6))
+        if kind == "quaternion":
+            return xyz, "  ".join(_figure(x) for x in matrix_quat(T[:3, :3]))
+        angles = matrix_rpy(T[:3, :3]) * (math.degrees(1.0) if self.degrees else 1.0)
+        return xyz, "  ".join(_figure(x) for x in angles)
+
+    # -------------------------------------------------------------------------------------------------------- solve
+    def choices(self) -> list[str]:
+        """Names of the solvers available for this robot."""
+        from ...solvers.closed_form import fits
+
+        closed = {fits(self.robot, kind) for kind in (POSITION, POSE)}
+        rows = (row for row in list_rows() if not (self.robot.by_tip and row.one_tip))
+        return ["auto", *(row.name for row in rows if not row.closed or row.name in closed)]
+
+    def fields(self) -> dict[str, Any]:
+        """Parameters of the chosen solver with their defaults."""
+        if self.solver == "auto":
+            return {}
+        cls = find_row(self.solver).load()
+        return {name: cls._field_defaults.get(name) for name in cls._fields if name not in ("tuned", "starts")}
+
+    def rule(self) -> Any:
+        """Solver name, or a rule with the typed parameters. Raises InvalidOption."""
+        given = {name: text.strip() for name, text in self.parameters.items() if text.strip() and name in self.fields()}
+        if not given:
+            return self.solver
+        return make_rule(find_row(self.solver), {name: parameter(name, text) for name, text in given.items()})
+
+    def options(self) -> dict[str, Any]:
+        """Tolerance, limits and collision options for `ik.solve`."""
+        avoided = self.world if self.avoid else False
+        return {"tolerance": self.tolerance, "limits": self.limits, "avoid_collisions": avoided}
+
+    def solve(self, target: Any) -> Result:
+        """Solve from q with history and move to the result, or to the closest pose. Raises what `ik.solve` raises."""
+        self.target, self.followed, rule = _copy(target), None, self.rule()
+        how = self.solver, *(T.ndim for T in (self.target.values() if self.robot.by_tip else [self.target]))
+        for _ in range(
+            1 if how in self.warm else 2
+        ):  # the first call loads or compiles, which would distort the time shown
+            result = solve(self.robot, self.target, rule, q0=self.q, history=True, **self.options())
+        self.warm.add(how)
+        if np.isfinite(result.q).all():
+            self.q = result.q.copy()
+        if not result.success:
+            self._approach()
+        self.result = result
+        return result
+
+    def _approach(self) -> None:
+        """Continue from a failed attempt to the closest pose near it."""
+        with contextlib.suppress(InvalidTarget, InvalidConfiguration):  # too far away, or already in contact
+            # As it stands: where another posture reaches the target, it is not the chosen solver that has found it.
+            hand = Hand(self.robot, self.q, **self.options(), reconfigure=False)
+            for _ in range(PATIENCE):
+                if self._move(hand).settled:
+                    return
+
+    def follow(self, target: Any) -> Followed:
+        """Step towards a dragged target, as far as the arm gets in one second. Raises what `Tracker` raises."""
+        if self.robot.by_tip and not target:
+            raise InvalidTarget(f"give a target for at least one of {', '.join(self.robot.tips)}")
+        self.target, self.result = _copy(target), None
+        if self._hand is None or self._hand.options != self.options():
+            self._hand = Hand(self.robot, self.q, **self.options())
+        return self._move(self._hand)
+
+    def _move(self, hand: Hand) -> Followed:
+        self.followed = hand.follow(self.q, self.target)
+        self.q = self.followed.q.copy()
+        return self.followed
+
+    def prepare(self) -> None:
+        """Load or compile what `follow` needs, without moving."""
+        prepare(self.robot, self.q, self.joined(self.poses()))
+
+    def solve_all(self, target: Any) -> tuple[str, str]:
+        """Find solutions (at most 16 are kept); returns their number in words, and details. Raises what `ik.solve_all` raises."""
+        self.target = _copy(target)
+        found = solve_all(self.robot, self.target, self.rule(), self.q, starts=200, count=SHOWN, **self.options())
+        self.solutions, self.distances = [q.copy() for q in found][:SHOWN], found.distance.tolist()[:SHOWN]
+        self.branches = found.branches
+        if not len(found):
+            return f"no solution: {found.message}", ""
+        more = f"; the nearest {SHOWN} of {len(found)} are listed" if len(found) > SHOWN else ""
+        few = "infinitely many solutions" if found.families else f"{len(found)} solution{'s' * (len(found) > 1)}"
+        return f"{few}{'; these are all' if found.complete else more}", found.message
+
+    # --------------------------------------------------------------------------------------------------- surroundings
+    @property
+    def world(self) -> CollisionModel:
+        """The robot's shapes and the boxes. Raises what CollisionModel raises."""
+        if self._world is None:
+            self._world = CollisionModel(self.robot)
+            for name, (size, T) in self.boxes.items():
+                self._world.add_box(size, T, name)
+        return self._world
+
+    def add_box(self, size: Sequence[float], T: np.ndarray) -> str:
+        """Add a box of size (x, y, z) [m] at a pose (4, 4) in the base; return its name."""
+        name = next(name for k in itertools.count(1) if (name := f"box {k}") not in self.boxes)
+        self.world.add_box(size, T, name)
+        self.boxes[name] = list(size), T
+        self._hand = None
+        return name
+
+    def move_box(self, name: str, T: np.ndarray) -> None:
+        """Move a box to a pose (4, 4) in the base frame."""
+        self.world.move(name, T)
+        self.boxes[name] = self.boxes[name][0], T
+        self._hand = None
+
+    def clear_boxes(self) -> None:
+        """Remove all boxes."""
+        self.boxes, self._world, self._hand = {}, None, None
+
+    def contacts(self) -> tuple[list[tuple[str, str]], Near | None]:
+        """Pairs that touch at the current q, and the nearest pair; none if the robot's shapes cannot be read."""
+        try:
+            return self.world.collisions(self.q), self.world.distance(self.q)
+        except ModelError:
+            return [], None
+
+    def ellipsoids(self) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+        """Velocity ellipsoid of each tip at joint speeds of norm 1: axes (3, 3) in the base and radii (3,) [m/s], by tip."""
+        missing = max(0, 3 - self.robot.n)
+        svd = [np.linalg.svd(np.pad(J, ((0, 0), (0, missing))), full_matrices=False) for J in self._rates(self.q)]
+        return {tip: (U, sizes) for tip, (U, sizes, _) in zip(self.robot.tips, svd, strict=True)}
+
+    def manipulability(self) -> dict[str, float]:
+        """Product of the ellipsoid's radii by tip, without those that are 0 at every q: an area for a planar arm."""
+        radii = (radii for _, radii in self.ellipsoids().values())
+        return {tip: float(np.prod(r[:rank])) for tip, r, rank in zip(self.robot.tips, radii, self.ranks, strict=True)}
+
+    def _rates(self, q: np.ndarray) -> np.ndarray:
+        """Linear rows (tips, 3, n) of the Jacobian at q (n,)."""
+        return self.robot.jacobian(q).reshape(-1, 6, self.robot.n)[:, :3]
+
+    # ------------------------------------------------------------------------------------------------------- display
+    def figures(self) -> list[tuple[str, str]]:
+        """Rows (name, value) about the last solve, or the current state of a drag."""
+        if self.followed is not None and self.result is None:
+            left = self.followed.errors
+            words = {tip: f"{length(position)}, {_angle(angle)}" for tip, (position, angle) in left.items()}
+            return [(tip, words.get(tip, NONE)) for tip in self.robot.tips]
+        r = self.result
+        if r is None:
+            return []
+        errors = [("position error", length(r.position_error)), ("orientation error", _angle(r.orientation_error))]
+        if self.robot.by_tip:
+            errors = []
+            for tip, position in r.position_errors.items():
+                left = f"{length(position)}, {_angle(r.orientation_errors[tip])}"
+                errors.append((tip, left if tip in self.target else NONE))
+        return [
+            ("status", r.status.name),
+            *errors,
+            ("iterations", f"{r.iterations}, restarts {r.restarts}"),
+            ("time", f"{1e3 * r.elapsed:.3g} ms, solver {r.solver}"),
+        ]
+
+    def table(self) -> tuple[str, tuple[str, ...], list[tuple[str, ...]]]:
+        """Caption, header and rows: the D-H table if the robot has one, otherwise its joint axes at home, in base axes."""
+        if self.entry.dh_file is not None and not self.robot.by_tip and self.entry.tips == self.robot.tips:
+            from ...robot.formats.dh import read_dh_table
+
+            table = read_dh_table(self.entry.dh_file)
+            caption = (
+                f"{table.convention.capitalize()} Denavit-Hartenberg table ({self.entry.table or self.entry.name})"
+            )
+            rows = []
+            for r in table.rows:
+                name = f"{r.name}{' (slides)' if r.type == 'prismatic' else ''}"
+                rows.append((name, f"{math.degrees(r.theta):g}", f"{r.d:g}", f"{r.a:g}", f"{math.degrees(r.alpha):g}"))
+            return caption, ("joint", "theta [deg]", "d [m]", "a [m]", "alpha [deg]"), rows
+        seen: dict[str, tuple[str, ...]] = {}
+        for arm, place in zip(self.robot.arms, self.robot.places, strict=True):
+            q = self.robot.home[place]
+            J, p = arm.jacobian(q), arm.fk(q).translation
+            for name, kind, column in zip(arm.joint_names, arm.joint_kinds, J.T, strict=True):
+                v, w = column[:3], column[3:]
+                axis = w if kind != "prismatic" else v
+                through = _triple(p + np.cross(w, v) / (w @ w)) if kind != "prismatic" else "any"
+                seen[name] = (name, kind, _triple(axis / max(float(np.linalg.norm(axis)), 1e-12)), through)
+        rows = [seen[name] for name in self.robot.joint_names]
+        return "Joint axes at home, in base axes", ("joint", "kind", "axis", "through [m]"), rows
+
+    def to_dict(self) -> dict[str, Any]:
+        """Everything on the screen, in metres and radians, ready for JSON."""
+        each = {
+            tip: {
+                "T_base_tip": T.tolist(),
+                "xyz": T[:3, 3].tolist(),
+                "rpy": matrix_rpy(T[:3, :3]).tolist(),
+                "quat_xyzw": matrix_quat(T[:3, :3]).tolist(),
+            }
+            for tip, T in self.poses().items()
+        }
+        return {
+            "robot": self.source,
+            "base": self.robot.base,
+            **({"tips": each} if self.robot.by_tip else {"tip": self.robot.tips[0], **each[self.robot.tips[0]]}),
+            "joint_names": list(self.robot.joint_names),
+            "q": self.q.tolist(),
+            "target": plain(self.target),
+            "result": None if self.result is None else self.result.to_dict(),
+            "followed": None if self.followed is None else self.followed.message,
+        }
+
+    def to_json(self) -> str:
+        """JSON text of `to_dict`."""
+        return json.dumps(self.to_dict(), indent=1)
+
+
+def _copy(target: Any) -> Any:
+    """Copy of a target, or of targets by tip."""
+    return {tip: np.array(T) for tip, T in target.items()} if isinstance(target, dict) else np.array(target)
+
+
+def _angle(value: float | None) -> str:
+    return "free" if value is None else f"{math.degrees(value):.3g} deg"
+
+
+def _figure(value: float) -> str:
+    return f"{round(float(value), 6) + 0.0:.6g}"
+
+
+def _triple(values: np.ndarray) -> str:
+    return " ".join(f"{round(float(x), 4) + 0.0:g}" for x in values)

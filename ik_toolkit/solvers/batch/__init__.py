@@ -1,0 +1,1 @@
+"""Many targets in one call."""

@@ -1,0 +1,199 @@
+"""How the rows of a batch are solved: in parts, on threads or on an executor."""
+
+import functools
+import pickle
+import threading
+from collections import deque
+from collections.abc import Callable, Generator, Iterator
+from concurrent.futures import Executor, ThreadPoolExecutor
+from time import perf_counter
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import config
+
+from ...errors import InvalidConfiguration, InvalidOption
+from ...kernel.checks import BAD_TARGET, CHECK_FAILED, CONVERGED
+from ...kernel.limits import LARGEST
+from ...kernel.records import ANSWER, AT
+from ...kernel.simd_search import LEFT
+from ..plan import Plan
+from ..postprocess import confirmed, mark_open
+from ..result import Outcome
+from ..task import counts_in_part
+from .targets import mended
+
+AHEAD, REMOTE_AHEAD = 4, 64  # parts waiting per thread, and in total at an executor: iterators are never read far ahead
+SLICE = 0.05  # s; how often a thread checks whether to stop
+
+
+def _starts(plan: Plan, q0: np.ndarray, first: int) -> np.ndarray:
+    """Validated starts (1 or m, n), inside the limits."""
+    bad = ~np.isfinite(q0).all(axis=1)
+    if bad.any():
+        raise InvalidConfiguration(f"q0 of target {first + int(np.argmax(bad))} is not finite")
+    inside = np.clip(q0, plan.robot.lower, plan.robot.upper) if plan.options.limits else q0
+    bad = (np.abs(inside / plan.robot.chain.unit) >= LARGEST).any(axis=1)
+    if bad.any():
+        raise InvalidConfiguration(
+            f"q0 of target {first + int(np.argmax(bad))} is too large a number: stay below {LARGEST:g}"
+        )
+    if plan.options.q0_outside == "refuse" and (inside != q0).any():
+        k = int(np.argmax((inside != q0).any(axis=1)))
+        raise InvalidConfiguration(
+            f"q0 of target {first + k} is outside the limits at joint {', '.join(plan.robot.outside(q0[k]))}"
+        )
+    return inside
+
+
+# --------------------------------------------------------------------------------------------------------------- solving
+def lanes_of(plan: Plan, kinds: tuple) -> Callable | None:
+    """Loop that solves eight targets side by side (kernel.lanes), where the rule has one and the options allow it."""
+    o = plan.options
+    plain = not counts_in_part(kinds, o) and o.joint_weights is None and o.max_evaluations is None and o.limits
+    plain = plain and not (o.closest or o.follow) and not plan.robot.by_tip
+    compiled = not config.DISABLE_JIT  # pyright: ignore[reportAttributeAccessIssue]
+    return plan.rule.lanes() if compiled and plain and plan.robot.chain.plain else None
+
+
+class Part(NamedTuple):
+    """Targets that are solved together: T (m, 4, 4) or (m, F, 4, 4), their starts (1 or m, n), the number of the first."""
+
+    T: np.ndarray
+    kinds: tuple
+    start: np.ndarray
+    given: bool
+    first: int
+
+    def rows(self, some: slice) -> "Part":
+        """Some of them."""
+        start = self.start if len(self.start) == 1 else self.start[some]
+        return Part(self.T[some], self.kinds, start, self.given, self.first + some.start)
+
+
+def _solve_rows(plan: Plan, part: Part, out: np.ndarray, side_by_side: Callable | None = None) -> None:
+    """Solve rows (m, width), each from its own target and start alone."""
+    if len(plan.held) and len(part.start) > 1:  # each with a table of starts of its own
+        for k in range(len(part.T)):
+            _solve_rows(plan, part.rows(slice(k, k + 1)), out[k : k + 1])
+        return
+    T, kinds, start, given, first = part
+    if side_by_side is not None:
+        side_by_side(*plan.arrays(kinds, start), T, start, out, plan.orders(kinds, given))
+        left = np.flatnonzero(out[:, AT.status] == LEFT)
+        rest = np.zeros((len(left), out.shape[1]))
+        plan.run(T[left], kinds, start if len(start) == 1 else start[left], given, rest)
+        out[left] = rest
+    else:
+        plan.run(T, kinds, start, given, out)
+    for k in np.flatnonzero(out[:, AT.status] == BAD_TARGET):
+        one = part.rows(slice(k, k + 1))
+        T[k] = mended(T[k], kinds, plan.robot.tips, first + int(k))
+        plan.run(one.T, kinds, one.start, given, out[k : k + 1])
+    if plan.improving:
+        for k in np.flatnonzero(out[:, AT.status] == CONVERGED):
+            one = part.rows(slice(k, k + 1))
+            outcome = Outcome(plan, one.T, kinds, one.start, given, out[k].copy(), 0.0)
+            for step in plan.improving:
+                outcome = step(outcome)
+            out[k] = outcome.row
+
+
+def _sampled(first: int, count: int, share: float) -> Iterator[int]:
+    """Rows of a part to check, so that of the whole batch row ceil(j / share) is, for j = 0, 1, 2, ...
+
+    Whole numbers throughout: any share is met to a row, by the same rows however the batch is cut, and none overflows.
+    """
+    p, q = float(share).as_integer_ratio()
+    j = (first - 1) * p // q + 1
+    while p and (k := -(-j * q // p)) < first + count:
+        yield k - first
+        j += 1
+
+
+def _confirm(plan: Plan, part: Part, out: np.ndarray, share: float) -> None:
+    """Check a share of the rows of the whole batch again with Pinocchio."""
+    n = plan.robot.n
+    for k in _sampled(part.first, len(out), share):
+        if out[k, AT.status] == CONVERGED:
+            if not confirmed(plan, out[k, ANSWER : ANSWER + n], part.T[k], part.kinds):
+                out[k, AT.status] = CHECK_FAILED
+
+
+def _solve_part(plan: Plan, job: "Job", share: float, stop: threading.Event | None = None) -> np.ndarray:
+    """Rows (m, width) of one part, in slices between which it may be stopped (then they are incomplete)."""
+    start = plan.home if job.q0 is None else _starts(plan, job.q0, job.first)
+    part = Part(job.T, job.kinds, start, job.q0 is not None, job.first)
+    out = np.zeros((len(part.T), plan.width))
+    side_by_side = lanes_of(plan, part.kinds)
+    a, size = 0, 1024 if side_by_side is not None else 16
+    while a < len(out) and not (stop is not None and stop.is_set()):
+        began = perf_counter()
+        rows = slice(a, a + size)
+        _solve_rows(plan, part.rows(rows), out[rows], side_by_side)
+        a += size
+        size = max(1, int(size * min(4.0, SLICE / max(perf_counter() - began, 1e-9))))
+    _confirm(plan, part, out, share)
+    mark_open(plan, out)
+    return out
+
+
+@functools.lru_cache(4)
+def _unpacked(payload: bytes) -> Plan:
+    """Plan from its pickle, kept by the worker for the next part."""
+    return pickle.loads(payload)  # noqa: S301  made by on_executor, and sent by the scheduler that already runs our code
+
+
+def _solve_remote(payload: bytes, job: "Job", share: float) -> np.ndarray:
+    """Function that a worker process or machine runs."""
+    return _solve_part(_unpacked(payload), job, share)
+
+
+class Job(NamedTuple):
+    """A part as it is sent to a worker: targets (a copy), their kinds, starts or None, the number of the first target."""
+
+    T: np.ndarray
+    kinds: tuple
+    q0: np.ndarray | None
+    first: int
+
+
+Tables = Generator[np.ndarray, None, None]
+
+
+def on_threads(plan: Plan, jobs: Iterator[Job], share: float, threads: int) -> Tables:
+    """Tables of the jobs, in order, solved on threads of this process."""
+    stop = threading.Event()
+    pool = ThreadPoolExecutor(threads)
+    try:
+        yield from _in_order(lambda job: pool.submit(_solve_part, plan, job, share, stop), jobs, AHEAD * threads)
+    finally:
+        stop.set()
+        pool.shutdown(wait=True, cancel_futures=True)
+
+
+def check_executor(executor: Any) -> None:
+    """Raise InvalidOption unless it is None or takes work as an executor of concurrent.futures does."""
+    if executor is not None and not hasattr(executor, "submit"):
+        raise InvalidOption(f"executor must be a pool with a submit method (concurrent.futures), not {executor!r:.80}")
+
+
+def on_executor(plan: Plan, jobs: Iterator[Job], share: float, executor: Executor) -> Tables:
+    """Tables of the jobs, in order, solved by the workers of an executor."""
+    payload = pickle.dumps(plan)
+    yield from _in_order(lambda job: executor.submit(_solve_remote, payload, job, share), jobs, REMOTE_AHEAD)
+
+
+def _in_order(submit: Callable[[Job], Any], jobs: Iterator[Job], ahead: int) -> Iterator[np.ndarray]:
+    """Results in the order of the jobs, of which no more than `ahead` are under way."""
+    waiting: deque = deque()
+    try:
+        for job in jobs:
+            waiting.append(submit(job))
+            if len(waiting) >= ahead:
+                yield waiting.popleft().result()
+        while waiting:
+            yield waiting.popleft().result()
+    finally:
+        for future in waiting:
+            future.cancel()

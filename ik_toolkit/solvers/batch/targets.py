@@ -1,0 +1,171 @@
+"""Targets of a batch, read part by part in whatever form they come: arrays, dicts by tip, lists, iterators."""
+
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ...errors import InvalidTarget, masked
+from ...kernel.counted_error import FREE, POSE, POSITION
+from ...robot.pose import check_target
+
+SHAPES = {(4, 4): POSE, (3,): POSITION}
+STACKED = "an array (N, 4, 4) or (N, 3), or an iterator of such arrays"
+ROUGH, RIGID = 1e-12, 1e-6  # deviations from orthonormal between which a rotation has few digits and is replaced
+
+
+class Block(NamedTuple):
+    """Targets of N rows: for each tip (N, 4, 4), (N, 3), or None where it is free."""
+
+    parts: tuple[np.ndarray | None, ...]
+    by_tip: bool
+
+    @property
+    def kinds(self) -> tuple:
+        """Kind of target of each tip."""
+        return tuple(FREE if part is None else SHAPES[part.shape[1:]] for part in self.parts)
+
+    @property
+    def rows(self) -> int:
+        """How many targets these are."""
+        return next(len(part) for part in self.parts if part is not None)
+
+    def poses(self, a: int, b: int) -> np.ndarray:
+        """Targets a to b as the kernel takes them, a copy: (m, 4, 4), or of several tips (m, F, 4, 4).
+
+        Rotations of few digits are replaced by the nearest exact ones; worse ones, and NaN, are returned by the kernel.
+        """
+        T = np.tile(np.eye(4), (max(0, min(b, self.rows) - a), len(self.parts), 1, 1))
+        for f, part in enumerate(self.parts):
+            if part is None:
+                continue
+            if part.ndim == 2:
+                T[:, f, :3, 3] = part[a:b]
+            else:
+                T[:, f] = part[a:b]
+                _straighten(T[:, f])
+        return T if self.by_tip else T[:, 0]
+
+
+def _straighten(T: np.ndarray) -> None:
+    """Replace rotations of few digits in T (m, 4, 4) by the nearest exact ones, in place."""
+    x, y, z = (np.ascontiguousarray(T[:, :3, k].T) for k in range(3))
+    off = np.zeros(len(T))
+    with np.errstate(invalid="ignore", over="ignore"):
+        for u, v in ((x, x), (y, y), (z, z), (x, y), (x, z), (y, z)):
+            np.maximum(off, np.abs((u * v).sum(axis=0) - (u is v)), out=off)
+    rough = (off > ROUGH) & (off < RIGID)
+    if rough.any():
+        U, _, Vt = np.linalg.svd(T[rough, :3, :3])
+        T[rough, :3, :3] = U @ Vt
+
+
+def known(targets: Any) -> Any:
+    """Targets as one array or a dict of arrays; None for an iterator."""
+    if isinstance(targets, np.ndarray):
+        if targets.ndim == 0:
+            raise InvalidTarget(f"targets must be {STACKED}, not one value of {targets.dtype}")
+        return targets
+    if isinstance(targets, Mapping):
+        return {tip: _named(tip, known, part) for tip, part in targets.items() if part is not None}
+    if isinstance(targets, Iterator):
+        return None
+    try:
+        return np.array([_plain(target) for target in targets])
+    except (TypeError, ValueError) as error:
+        if isinstance(error, InvalidTarget):
+            raise
+        raise InvalidTarget(f"targets must be {STACKED}") from None
+
+
+def _named(tip: str, read: Callable[[Any], Any], part: Any) -> Any:
+    """Targets of one tip as `read` returns them. Raises InvalidTarget naming the tip."""
+    try:
+        return read(part)
+    except InvalidTarget as error:
+        raise InvalidTarget(f"{tip}: {error}") from None
+
+
+def _plain(target: Any) -> np.ndarray:
+    """One target of a list, or the list of those of several tips, as numbers."""
+    if isinstance(target, list | tuple) and any(hasattr(one, "homogeneous") for one in target):
+        return np.array([_numbers(getattr(one, "homogeneous", one)) for one in target])
+    return _numbers(getattr(target, "homogeneous", target))
+
+
+def _numbers(targets: Any) -> np.ndarray:
+    """Targets as an array of real numbers, see `errors.floats`; a view where they are one."""
+    if masked(targets):
+        raise InvalidTarget("targets must be numbers, and some of these are masked")
+    try:
+        array = np.asarray(targets)
+    except (TypeError, ValueError):
+        raise InvalidTarget(f"targets must be {STACKED}, not {type(targets).__name__}") from None
+    if array.dtype.kind not in "fiu":
+        raise InvalidTarget(f"targets must be numbers, not {array.dtype} of shape {array.shape}")
+    return array
+
+
+def blocks(chunks: Iterator[Any], robot: Any) -> Iterator[Block]:
+    """Chunks as blocks; refuses the wrong shape, or another kind than the first. Their numbers are checked in the kernel."""
+    kinds = None
+    for chunk in chunks:
+        if isinstance(chunk, Mapping):
+            block = _by_tip(chunk, robot)
+        else:
+            array = _numbers(chunk)
+            if array.size == 0 and array.ndim < 2:
+                continue
+            block = _stacked(array, robot)
+        if kinds not in (None, block.kinds):
+            raise InvalidTarget("a batch holds either poses or positions for each tip, not both")
+        kinds = block.kinds
+        yield block
+
+
+def _stacked(array: np.ndarray, robot: Any) -> Block:
+    tips, F = robot.tips, len(robot.tips)
+    if not robot.by_tip:
+        if array.shape[1:] not in SHAPES:
+            raise InvalidTarget(f"targets must be numbers of shape (N, 4, 4) or (N, 3), not of shape {array.shape}")
+        return Block((array,), False)
+    if array.shape[1:] not in ((F, 4, 4), (F, 3)):
+        raise InvalidTarget(
+            f"targets of {', '.join(tips)} must be numbers of shape (N, {F}, 4, 4) or (N, {F}, 3), or a dict by tip, not of "
+            f"shape {array.shape}"
+        )
+    return Block(tuple(array[:, f] for f in range(F)), True)
+
+
+def _by_tip(chunk: Mapping[str, Any], robot: Any) -> Block:
+    tips = robot.tips
+    robot.check_tips(chunk)
+    parts = tuple(None if chunk.get(tip) is None else _named(tip, _numbers, chunk[tip]) for tip in tips)
+    if all(part is None for part in parts):
+        raise InvalidTarget(f"a dict of targets needs at least one of {', '.join(tips)}")
+    for tip, part in zip(tips, parts, strict=True):
+        if part is not None and part.shape[1:] not in SHAPES:
+            raise InvalidTarget(
+                f"{tip}: targets must be numbers of shape (N, 4, 4) or (N, 3), not of shape {part.shape}"
+            )
+    if len({len(part) for part in parts if part is not None}) > 1:
+        counts = ", ".join(f"{tip} {len(part)}" for tip, part in zip(tips, parts, strict=True) if part is not None)
+        raise InvalidTarget(f"every tip needs the same number of targets, not {counts}")
+    return Block(parts, robot.by_tip)
+
+
+def mended(T: np.ndarray, kinds: tuple, tips: tuple[str, ...], number: int) -> np.ndarray:
+    """Target T (4, 4) or (F, 4, 4) that the kernel refused, made exact. Raises InvalidTarget naming the target and the tip."""
+    good = T.copy().reshape(-1, 4, 4)
+    for tip, kind, one in zip(tips, kinds, good, strict=True):
+        if kind == FREE:
+            continue
+        try:
+            if kind == POSITION:
+                check_target(one[:3, 3])
+            else:
+                one[:] = check_target(one)[0]
+        except InvalidTarget as error:
+            name = "" if len(tips) == 1 else f" of {tip}"
+            raise InvalidTarget(f"target {number}{name}: {error}") from None
+    return good.reshape(T.shape)

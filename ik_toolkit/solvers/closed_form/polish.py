@@ -1,0 +1,151 @@
+"""The last steps of every closed form: Newton steps on the real chain, and the list of the branches that count."""
+
+import math
+
+import numpy as np
+
+from ...compile.jit import build, cached, inner
+from ...kernel.counted_error import POSE, POSITION
+from ...kernel.kinematics import aim, rotation_angle
+from ...kernel.limits import hold
+from ...kernel.linalg import damped
+from ...kernel.records import HEAD, ORDER, Ends, Orders, copy, read
+from ...kernel.serial import make_serial
+
+DAMPING = 1e-9  # of the first step: next to nothing, so that it is Newton's
+SOFTEST, STIFFEST = 1e-12, 1e3  # the damping stays between
+
+
+@build
+def polish(rows, ends, opt, T, q, fixed, steps, most):
+    """Improve q (n,) [rad or m] for the target T (4, 4) inside the limits, by at most `steps` damped Newton steps.
+
+    The errors count in units of their tolerances, so that a step into both tolerances is preferred to a smaller error of one.
+    fixed: place of a joint that is not moved, or -1; most: evaluations allowed (inf: any number). Stops when both errors are a
+    thousandth of their tolerances. Returns both errors of q [m], [rad] (inf when it was not evaluated) and the evaluations made.
+    """
+    n = q.shape[0]
+    return newton(make_serial(rows, ends, opt[HEAD:], n, read(Orders, opt)), np.empty(n), opt, T, q, fixed, steps, most)
+
+
+@inner
+def newton(p, old, opt, T, q, fixed, steps, most):
+    """The steps of `polish`, on arrays that it has made."""
+    n, o = q.shape[0], read(Orders, opt)
+    s, box = p.desk, p.ends
+    limited = o.limits > 0.0
+    kind = int(opt[HEAD])
+    x = s.q
+    aim(box, T, p.goal)
+    tp, tr = o.tol_p / box.scale(), o.tol_r
+    least = min(tp, tr) if kind == POSE else tp
+    wp, wr = (least / tp, least / tr) if kind == POSE and least > 0.0 else (1.0, 1.0)
+    for i in range(n):
+        x[i] = q[i] / box.unit(i)
+        old[i] = x[i]
+    best, position, rotation, damping, count = np.inf, np.inf, np.inf, DAMPING, 0
+    for k in range(steps + 1):
+        if count >= most:
+            break
+        e = p.evaluate(x)
+        count += 1
+        size = wp * wp * e.linear.square() + wr * wr * e.angular.square()
+        if size < best:
+            best, position, rotation = (
+                size,
+                math.sqrt(e.linear.square()) * box.scale(),
+                rotation_angle(e.angular.square()),
+            )
+            if kind == POSITION:
+                rotation = 0.0
+            copy(x, old)
+            damping = max(0.1 * damping, SOFTEST)
+            if position <= 1e-3 * o.tol_p and rotation <= 1e-3 * o.tol_r:
+                break
+        else:
+            copy(old, x)
+            damping = max(100.0 * damping, DAMPING)
+            if count >= most:
+                break
+            e = p.evaluate(x)
+            count += 1
+        if k == steps or damping > STIFFEST:
+            break
+        p.jacobian(e)
+        for i in range(n):
+            s.w[i] = 0.0 if i == fixed else 1.0
+            for r in range(3):
+                s.J[i, r] *= wp
+                s.J[i, 3 + r] *= wr
+        for _ in range(n):
+            damped(s.J, s.w, s.dq, e.linear * wp, e.angular * wr, damping * max(wp, wr) ** 2)
+            if not (limited and hold(x, s.dq, s.w, box)):
+                break
+        for i in range(n):
+            a = x[i] + s.dq[i]
+            x[i] = min(max(a, box.lower(i)), box.upper(i)) if limited else a
+    for i in range(n):
+        q[i] = old[i] * box.unit(i)
+    return position, rotation, count
+
+
+@cached
+def listed(rows, ends, opt, T, start, fixed, steps, Q, broken, marks, table, signs):
+    """Fill table (K, 3 + n) and signs (K, 3) with the branches of Q (K, n) that count, nearest to `start` (n,) first.
+
+    They break no limit (broken (K,)) and, after `polish` with `steps`, meet the tolerances of T (4, 4) as evaluated, as new
+    answers. Columns: position error [m], rotation error [rad], distance (angles [rad], lengths over the scale), q. marks (K, 3)
+    are the labels of the branches. Returns how many count and how many are inside the limits.
+    """
+    n = Q.shape[1]
+    box = Ends(ends, n)
+    o = read(Orders, opt)
+    kept = legal = 0
+    q = np.empty(n)
+    for k in range(Q.shape[0]):
+        if broken[k] > 0.0:
+            continue
+        legal += 1
+        copy(Q[k], q)
+        position, rotation, _ = polish(rows, ends, opt, T, q, fixed, steps, np.inf)
+        if not (position < o.tol_p and rotation < o.tol_r):
+            continue
+        distance = 0.0
+        for i in range(n):
+            distance += ((q[i] - start[i]) / box.unit(i)) ** 2
+        distance = math.sqrt(distance)
+        place = kept
+        while place > 0 and table[place - 1, 2] > distance:
+            table[place] = table[place - 1]
+            signs[place] = signs[place - 1]
+            place -= 1
+        table[place, 0], table[place, 1], table[place, 2] = position, rotation, distance
+        table[place, 3:] = q
+        signs[place] = marks[k]
+        kept += 1
+    return kept, legal
+
+
+@cached
+def first_good(rows, ends, opt, T, starts, fixed, steps, most, q):
+    """Fill q (n,) with the first of starts (K, n), polished, that meets the tolerances of T (4, 4).
+
+    most: evaluations allowed in all (inf: any number). Returns its errors, or inf, and the evaluations made.
+    """
+    evaluations = 0
+    for k in range(starts.shape[0]):
+        if evaluations >= most:
+            break
+        copy(starts[k], q)
+        position, rotation, count = polish(rows, ends, opt, T, q, fixed, steps, most - evaluations)
+        evaluations += count
+        if position < opt[ORDER.tol_p] and rotation < opt[ORDER.tol_r]:
+            return position, rotation, evaluations
+    return np.inf, np.inf, evaluations
+
+
+@cached
+def finished(rows, ends, opt, T, Q, steps, errors):
+    """Polish Q (K, n) for T (4, 4) in place; errors (K, 2) receives both errors [m], [rad] of each."""
+    for k in range(Q.shape[0]):
+        errors[k, 0], errors[k, 1], _ = polish(rows, ends, opt, T, Q[k], -1, steps, np.inf)

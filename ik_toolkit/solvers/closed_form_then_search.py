@@ -1,0 +1,155 @@
+"""When a closed form has no answer, the search runs: it may find one; if not, the best configuration is returned."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from ..kernel.checks import BAD_TARGET, CONVERGED, ITERATION_LIMIT, STALLED, UNREACHABLE
+from ..kernel.records import ANSWER, AT, HEAD, ORDER
+from .options import PLAIN
+from .status import SEARCHED
+
+STARTS, STEPS = 64, 24  # of the last search, which is for the tolerances
+COUNTS = [AT.iterations, AT.restarts, AT.evaluations, AT.history]
+
+
+def error_size(rows: np.ndarray, scale: float) -> np.ndarray:
+    """Squared error (N,) of result rows (N, ANSWER + n) as the search measures it: lengths over the scale, chords of angles."""
+    return (rows[:, AT.position] / scale) ** 2 + (2.0 * np.sin(0.5 * rows[:, AT.rotation])) ** 2
+
+
+def with_search(plan: Any, closed: Callable) -> Callable:
+    """Loop of the kernel's signature (see kernel.search.entry): the closed form, and the search for the rows it does not solve.
+
+    plan: that of the closed form; the search gets its options, and keeps joints where the closed form holds them. It begins as
+    usual, and then once where the closed form ended. A row that is not solved either way keeps the closed form's status, unless
+    that is STALLED: then it proves nothing, and the search gives the status. Its q is the best of all.
+    """
+    robot = plan.robot
+    silent = np.empty((0, 2 + robot.n))
+    made: list[tuple[Any, Any, dict[int, float]]] = []
+
+    def searches() -> tuple[Any, Any, dict[int, float]]:
+        """The search, the same for one attempt, and the joints they hold; made when first needed."""
+        if not made:
+            options = dict(PLAIN)
+            held = plan.rule.held(robot)
+            if held:
+                weights = (
+                    np.ones(robot.n) if plan.options.joint_weights is None else np.array(plan.options.joint_weights)
+                )
+                weights[list(held)] = 0.0
+                options["joint_weights"] = tuple(weights.tolist())
+            made.append((plan.search(**options), plan.search(**{**options, "restarts": 0}), held))
+        return made[0]
+
+    def loop(_, T, Q0, flat, opt) -> None:
+        rows, ends, seeds, feat = plan.chain
+        if len(flat) == plan.width:  # one target, and no history: the hot path
+            out, hist = flat[None], silent
+        else:
+            filled = len(T) * plan.width
+            out, hist = flat[:filled].reshape(len(T), -1), flat[filled:].reshape(-1, 2 + robot.n)
+        closed(rows, ends, seeds, feat, T, Q0, out, opt, hist)
+        if len(out) == 1 and out[0, AT.status] == CONVERGED:
+            return
+        failed = np.flatnonzero((out[:, AT.status] != CONVERGED) & (out[:, AT.status] < BAD_TARGET))
+        if not len(failed):
+            return
+        usual, once, held = searches()
+        start = np.array(Q0 if len(Q0) == 1 else Q0[failed])
+        for joint, value in held.items():
+            start[:, joint] = value
+        if plan.options.limits and ((start < robot.lower) | (start > robot.upper)).any():
+            return  # a joint is held where the limits forbid it: there is nothing else to find
+        ended = np.array(out[failed, ANSWER:])
+        kinds = (int(opt[HEAD]),)
+        # With one target the closed form has written one row of the history; with more there is none.
+        given = len(Q0) > 1 or not np.array_equal(Q0[0], robot.home)  # a closed form always gets a start
+        open_ = continue_with(usual, T[failed], start, (kinds, given), failed, out, hist[1:])
+        if open_.any():
+            still = continue_with(once, T[failed[open_]], ended[open_], (kinds, True), failed[open_], out, hist[:0])
+            fixed = next(iter(held), -1)
+            for k in failed[open_][still]:
+                if out[k, AT.status] != UNREACHABLE:
+                    into_tolerances(plan, rows, ends, T[k], opt, fixed, out[k])
+
+    return loop
+
+
+def into_tolerances(
+    plan: Any, rows: np.ndarray, ends: np.ndarray, T: np.ndarray, opt: np.ndarray, fixed: int, row: np.ndarray
+) -> None:
+    """Search once more with errors counted in units of their tolerances: a loose one may be met away from the least error.
+
+    From the best configuration found, and from STARTS others.
+    """
+    from .closed_form.polish import first_good
+
+    robot = plan.robot
+    rng = np.random.default_rng(plan.options.seed)
+    starts = np.array([row[ANSWER:], *(robot.random_q(rng) for _ in range(STARTS))])
+    if fixed >= 0:
+        starts[:, fixed] = row[ANSWER + fixed]
+    q = np.empty(robot.n)
+    left = opt[ORDER.evaluations] - row[AT.evaluations]
+    position, rotation, evaluations = first_good(rows, ends, opt, T, starts, fixed, STEPS, left, q)
+    row[AT.evaluations] += evaluations
+    if position < np.inf:
+        row[ANSWER:] = q
+        row[AT.status], row[AT.position], row[AT.rotation], row[AT.excess] = CONVERGED, position, rotation, SEARCHED
+
+
+def continue_with(
+    search: Any,
+    T: np.ndarray,
+    start: np.ndarray,
+    how: tuple[tuple, bool],
+    failed: np.ndarray,
+    out: np.ndarray,
+    hist: np.ndarray,
+) -> np.ndarray:
+    """Search targets T (M, 4, 4), the rows `failed` (M,) of out (N, ANSWER + n), from start (1 or M, n); tell which stay unsolved.
+
+    how: kinds of target, and whether the starts are given (see Plan.run). Where evaluations are limited, each row is searched with
+    what it has left of them.
+    """
+    budget, still = search.options.budget, np.ones(len(failed), dtype=bool)
+    every = np.arange(len(failed))
+    for some in [every] if budget is None else every[:, None]:
+        plan, rows = search, failed[some]
+        if budget is not None:
+            left = budget - int(out[rows[0], AT.evaluations])
+            if left <= 0:
+                if out[rows[0], AT.status] == STALLED:
+                    out[rows[0], AT.status] = ITERATION_LIMIT
+                continue
+            plan = search.varied(max_evaluations=left)
+        found, starts = np.zeros((len(rows), out.shape[1])), start if len(start) == 1 else start[some]
+        if len(hist):  # one target alone
+            found[0], noted = plan.note(T, start, plan.ready(how[0], start, how[1]), len(hist))
+            hist[: len(noted)] = noted
+        else:
+            plan.run(T[some], how[0], starts, how[1], found)
+        merge(out, rows, found, search.robot.chain.scale)
+        still[some] = found[:, AT.status] != CONVERGED
+    return still
+
+
+def merge(out: np.ndarray, failed: np.ndarray, found: np.ndarray, scale: float) -> None:
+    """Put into the rows `failed` of out (N, ANSWER + n) what the search found (len(failed), ANSWER + n): see `with_search`."""
+    rows = out[failed]
+    counts = rows[:, COUNTS] + found[:, COUNTS]
+    solved = found[:, AT.status] == CONVERGED
+    open_ = rows[:, AT.status] == STALLED
+    better = solved | (error_size(found, scale) < error_size(rows, scale))
+    rows[better, ANSWER:] = found[better, ANSWER:]
+    for place in (AT.position, AT.rotation, AT.attempt):
+        rows[better, place] = found[better, place]
+    taken = solved | open_
+    rows[taken, AT.status] = found[taken, AT.status]
+    rows[taken, AT.excess] = found[taken, AT.excess]
+    rows[solved, AT.excess] = SEARCHED
+    rows[:, COUNTS] = counts
+    out[failed] = rows

@@ -1,0 +1,106 @@
+"""Collision-free solutions: when a solver's answer collides, the search continues from other starts."""
+
+from collections.abc import Callable
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+
+from ..errors import InvalidOption
+from ..kernel.checks import CONVERGED
+from ..kernel.records import ANSWER, AT
+from ..robot.geometry.collision import CollisionModel
+from .options import AVOID, PLAIN, avoided
+from .status import Status
+
+STARTS = 256  # random starts tried before giving up, unless restarts= says otherwise
+ROUND = 16  # starts in one call of the kernel
+COUNTS = [AT.iterations, AT.restarts, AT.evaluations]
+
+
+def collision_model(robot: Any, asked: Any) -> CollisionModel:
+    """What `avoid_collisions` stands for: a model made for this robot, for True (or a margin [m]) one with its own links only.
+
+    A variant with narrower limits has the same shapes and pairs, so it shares those of its robot.
+    """
+    found = avoided(asked)
+    if isinstance(found, CollisionModel):
+        if found.robot is not robot and found.robot is not robot._wide:
+            raise InvalidOption(
+                f"the CollisionModel was made for another Robot object ('{found.robot.name}'); make one with this robot"
+            )
+        return found
+    if found is False:
+        raise InvalidOption(f"{AVOID}, not {asked!r}")
+    robot = robot if robot._wide is None else robot._wide
+    key = "collision model", 0.0 if found is True else found
+    if key not in robot.memo:
+        robot.memo[key] = CollisionModel(robot, margin=key[1])
+    return robot.memo[key]
+
+
+def avoiding(plan: Any, then: tuple[Callable[[Any], Any], ...]) -> Callable[[Any], Any]:
+    """Step that replaces a converged answer that collides by one that does not, and then improves it where that stays free.
+
+    Random starts are solved ROUND at a time, and of each round the solution nearest the start that touches nothing is taken
+    (with `closest` of all starts). The counts are those of all starts; without a free solution the status is COLLISION. then:
+    steps that improve a free answer; a step that causes a contact is undone.
+    """
+    model = collision_model(plan.robot, plan.options.avoid_collisions)
+    single = plan.varied(**PLAIN, timeout=None, **({} if plan.options.follow else {"restarts": 0}))
+
+    def step(outcome: Any) -> Any:
+        if outcome.row[AT.status] != CONVERGED:
+            return outcome
+        n = plan.robot.n
+        if model.collides(outcome.row[ANSWER : ANSWER + n]):
+            outcome = _another(single, model, outcome)
+        for improve in then:
+            better = improve(outcome)
+            if not model.collides(better.row[ANSWER : ANSWER + n]):
+                outcome = better
+        return outcome
+
+    return step
+
+
+def _from(Q0: np.ndarray, single: Any, outcome: Any, budget: float) -> np.ndarray:
+    """Rows of the attempts from Q0 (m, n): all of them at once, or one after the other until the evaluations are used up."""
+    out = np.empty((len(Q0), len(outcome.row)))
+    if budget == np.inf:
+        single.run(np.repeat(outcome.T, len(Q0), axis=0), outcome.kinds, Q0, True, out)
+        return out
+    for k in range(len(Q0)):
+        if budget <= 0:
+            return out[:k]
+        single.varied(max_evaluations=int(budget)).run(outcome.T, outcome.kinds, Q0[k : k + 1], True, out[k : k + 1])
+        budget -= out[k, AT.evaluations]
+    return out
+
+
+def _another(single: Any, model: CollisionModel, outcome: Any) -> Any:
+    """Outcome with a solution that touches nothing, or with the pair that touches and the status COLLISION."""
+    o, robot, row = outcome.plan.options, single.robot, outcome.row.copy()
+    q = slice(ANSWER, ANSWER + robot.n)
+    left = 0 if o.follow else STARTS if o.restarts is None else o.restarts
+    size = max(left, 1) if o.closest else ROUND
+    rng = np.random.default_rng(o.seed)
+    end = np.inf if o.timeout is None else perf_counter() + o.timeout - outcome.elapsed
+    while left > 0 and perf_counter() < end and not (o.max_evaluations and row[AT.evaluations] >= o.max_evaluations):
+        count = min(size, left)
+        left -= count
+        Q0 = robot.random_q(rng, count)
+        Q0[:, single.held] = outcome.start[0, single.held]
+        out = _from(Q0, single, outcome, (o.max_evaluations or np.inf) - row[AT.evaluations])
+        row[AT.iterations] += out[:, AT.iterations].sum()
+        row[AT.evaluations] += out[:, AT.evaluations].sum()
+        row[AT.restarts] += len(out)
+        out = out[out[:, AT.status] == CONVERGED]
+        away = (((out[:, q] - outcome.start) / robot.chain.unit) ** 2).sum(axis=1)
+        for k in np.argsort(away, kind="stable"):
+            if not model.collides(out[k, q]):
+                out[k, COUNTS] = row[COUNTS]
+                out[k, AT.attempt] = row[AT.restarts]
+                return outcome._replace(row=out[k])
+    row[AT.status] = Status.COLLISION
+    return outcome._replace(row=row, collision=model.collisions(row[q])[0])

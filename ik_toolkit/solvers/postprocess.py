@@ -1,0 +1,162 @@
+"""The steps that finish an answer: each takes an Outcome and returns it, changed or not.
+
+`plan.improving` are those that may replace q (collisions, objective); they run on converged answers, of single calls and of
+batches. `plan.steps` are all of a single call: what its timeout still allows, history, improving, and the check by Pinocchio.
+"""
+
+from collections.abc import Callable
+from time import perf_counter
+from typing import Any
+
+import numpy as np
+
+from ..kernel.checks import CHECK_FAILED, CONVERGED
+from ..kernel.records import ANSWER, AT, ORDER
+from ..robot.pose import check_target
+from .options import OBJECTIVES
+from .status import Status, constraints_of
+from .task import POSE, counted_errors
+
+Step = Callable[[Any], Any]
+REFINE_STEPS = 60
+
+
+def finishing(plan: Any) -> tuple[tuple[Step, ...], tuple[Step, ...]]:
+    """Steps of a single call, and those of them that improve an answer, as the options of a plan ask for them."""
+    o = plan.options
+    improving: tuple[Step, ...] = () if o.objective is None else (improve,)
+    if o.avoid_collisions is not False:  # 0.0 is a margin
+        from .collision_free import avoiding
+
+        improving = (avoiding(plan, improving),)
+    steps = [
+        *([] if o.timeout is None else [extend]),
+        *([record] if o.history else []),
+        *improving,
+        *([confirm] if o.check else []),
+        *([constrain] if plan.robot.constraints else []),
+    ]
+    return tuple(steps), improving
+
+
+GROWTH = 4  # of the slices: a search begun anew each time repeats at most a third of its last run
+
+
+def extend(outcome: Any) -> Any:
+    """Continue a search that used up its slice, as far as its timeout allows.
+
+    A search with more evaluations begins as one with fewer, so each slice is a longer run from the beginning, and the answer is
+    that of max_evaluations=result.fk_evaluations. A slice is cut to what the last one's pace fits into the time left.
+    """
+    plan, row, made = outcome.plan, outcome.row, outcome.plan.options.budget
+    began, left, pace = perf_counter(), outcome.plan.options.timeout - outcome.elapsed, outcome.elapsed / made
+    while row[AT.status] != CONVERGED and row[AT.evaluations] >= made:
+        allowed = int(min(GROWTH * made, (left - perf_counter() + began) / pace))
+        if allowed <= made:
+            break
+        plan, started = outcome.plan.varied(max_evaluations=allowed), perf_counter()
+        row = plan.solve(outcome.T, outcome.kinds, outcome.start, outcome.given)
+        pace, made = (perf_counter() - started) / allowed, allowed
+    return outcome._replace(plan=plan, row=row, elapsed=outcome.elapsed + perf_counter() - began)
+
+
+TOLD_APART = 12  # attempts whose rows are known in a history, besides the one that won: as many as a picture shows
+
+
+def record(outcome: Any) -> Any:
+    """Run once more with room for the history; the counts of the first run say how much.
+
+    An answer given full turns nearer to the start was evaluated after the search, so it is the last row.
+    """
+    plan = outcome.plan
+    ready = plan.ready(outcome.kinds, outcome.start, outcome.given)
+    row, history = plan.note(outcome.T, outcome.start, ready, int(outcome.row[AT.evaluations]) + 1)
+    q = row[ANSWER : ANSWER + plan.robot.n]
+    if not (history[:, 2:] == q).all(axis=1).any():
+        history = np.vstack([history, [row[AT.position], row[AT.rotation], *q]])
+    if all(angle is None for _, angle in outcome.left()):
+        history[:, 1] = np.nan
+    columns = {"position_error": history[:, 0], "orientation_error": history[:, 1], "q": history[:, 2:]}
+    return outcome._replace(history=columns | {"attempt": _attempts(outcome, row, len(history))})
+
+
+def _attempts(outcome: Any, row: np.ndarray, rows: int) -> np.ndarray:
+    """Number of the attempt (rows,) that each row of a history is of; -1 in attempts too late to be told apart.
+
+    A search with fewer attempts is the beginning of one with more: how many rows it writes says where its last attempt ends.
+    """
+    plan, made, won, noted = outcome.plan, int(row[AT.restarts]) + 1, int(row[AT.attempt]), int(row[AT.history])
+    number = np.zeros(rows, dtype=int)
+    if made == 1 or plan.row.closed:
+        return number
+    number[:] = -1
+    chain, orders = plan.ready(outcome.kinds, outcome.start, outcome.given)
+    orders = orders.copy()
+    ends = {0: 0, made: noted}
+    for count in {*range(1, min(made, TOLD_APART + 1)), won, won + 1} - {0, made}:
+        orders[ORDER.attempts] = count
+        ends[count] = len(plan.note(outcome.T, outcome.start, (chain, orders), noted)[1])
+    for count in ends:
+        if count + 1 in ends:
+            number[ends[count] : ends[count + 1]] = count
+    number[noted:] = won
+    return number
+
+
+def improve(outcome: Any) -> Any:
+    """Move a solution in the null space; q and its errors are replaced by better ones that were evaluated."""
+    from ..kernel.null_space import refine
+
+    plan, row = outcome.plan, outcome.row
+    if row[AT.status] != CONVERGED:
+        return outcome
+    row, what = row.copy(), OBJECTIVES[plan.options.objective]
+    orders = plan.orders(outcome.kinds, outcome.given)
+    refine(*plan.chain[:2], outcome.T, row, outcome.start[0], orders, what, REFINE_STEPS)
+    return outcome._replace(row=row)
+
+
+def confirm(outcome: Any) -> Any:
+    """Compute the errors again with Pinocchio; a success that it does not confirm becomes a failure."""
+    plan, kinds = outcome.plan, outcome.kinds
+    n = plan.robot.n
+    errors = counted_errors(plan.robot, outcome.row[ANSWER : ANSWER + n], outcome.T[0], kinds, plan.options)
+    outcome = outcome._replace(errors=errors)
+    if outcome.row[AT.status] != CONVERGED or inside(errors, plan.options):
+        return outcome
+    if kinds == (POSE,):
+        mended = check_target(outcome.T[0])[0]  # the angle of a rotation with few digits is no more exact than they are
+        if not np.array_equal(mended, outcome.T[0]):
+            row = plan.solve(mended[None], kinds, outcome.start, outcome.given)
+            again = outcome._replace(T=mended[None], row=row, errors=None)
+            for step in plan.steps:
+                again = step(again)
+            return again
+    row = outcome.row.copy()
+    row[AT.status] = CHECK_FAILED
+    return outcome._replace(row=row)
+
+
+def constrain(outcome: Any) -> Any:
+    """A success whose q breaks a constraint of the description is none."""
+    mark_open(outcome.plan, rows := outcome.row[None].copy())
+    return outcome._replace(row=rows[0])
+
+
+def mark_open(plan: Any, rows: np.ndarray) -> None:
+    """Set the status of converged rows (m, width) whose q breaks a constraint of the robot's description."""
+    if plan.robot.constraints:
+        for k in np.flatnonzero(rows[:, AT.status] == CONVERGED):
+            if not constraints_of(plan.robot, rows[k, ANSWER : ANSWER + plan.robot.n], plan.options).holds:
+                rows[k, AT.status] = Status.CONSTRAINT_OPEN
+
+
+def confirmed(plan: Any, q: np.ndarray, T: np.ndarray, kinds: tuple) -> bool:
+    """Whether Pinocchio finds q (n,) inside the tolerances of the target T (4, 4) or (F, 4, 4)."""
+    return inside(counted_errors(plan.robot, q, T, kinds, plan.options), plan.options)
+
+
+def inside(errors: Any, options: Any) -> bool:
+    """Whether the errors of every tip are inside their tolerances."""
+    p, r = options.position_tolerance, options.orientation_tolerance
+    return all(position <= p and (angle or 0.0) <= r for position, angle in errors)

@@ -1,0 +1,74 @@
+"""Numbers and names given to tracking, validated in one place.
+
+Arguments that several studies share, validated before any work begins.
+"""
+
+import math
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+
+from .errors import InvalidConfiguration, InvalidOption, floats, near_match
+
+LATE = 5.0  # longest step, over the first one, after which limits are still kept; a longer one is taken in parts ...
+MOST_PARTS = 100_000  # ... of which this many take some seconds
+
+ELSEWHERE = {"on_limit": {"slow": "ik.track", "direct": "ik.Tracker"}}  # values that only one of two calls takes
+
+
+def number(value: Any, name: str) -> float:
+    """Return a finite number. Raises InvalidOption."""
+    array = floats(value, f"{name} must be a number", InvalidOption)
+    if array.ndim or not math.isfinite(array):
+        raise InvalidOption(f"{name} must be a finite number, not {value!r:.60}")
+    return float(array)
+
+
+def positive(value: Any, name: str) -> float:
+    """Return a positive, finite number. Raises InvalidOption."""
+    found = value if type(value) is float else number(value, name)  # most are floats, once a sample
+    if not 0.0 < found < math.inf:
+        raise InvalidOption(f"{name} must be a positive number, not {value!r:.60}")
+    return found
+
+
+def parts_of(dt: float, longest: float) -> int:
+    """Return in how many parts a step of dt [s] is taken, none over longest [s]. Raises InvalidOption for more than MOST_PARTS."""
+    if dt > MOST_PARTS * longest:
+        whole = f"{longest:g} s, {LATE:g} times the first one"
+        raise InvalidOption(f"dt [s] is {dt:g}: {dt / longest:,.0f} parts of at most {whole}. Was another unit meant?")
+    return math.ceil(dt / longest)
+
+
+def switch(value: Any, name: str) -> bool:
+    """Return True or False. Raises InvalidOption for anything else: "no" would count as true."""
+    if not isinstance(value, bool | np.bool_):
+        raise InvalidOption(f"{name} is True or False, not {value!r:.60}")
+    return bool(value)
+
+
+def one_of(value: Any, names: Iterable[str], what: str) -> str:
+    """Return a name that exists. Raises InvalidOption, "no WHAT 'VALUE'", with a near match."""
+    if not (isinstance(value, str) and value in names):
+        taken_by = ELSEWHERE.get(what, {}).get(str(value))
+        meant = f"; '{value}' is for {taken_by}" if taken_by else ""
+        raise InvalidOption(f"no {what} '{value!s:.60}'{meant}.{near_match(value, names)}")
+    return value
+
+
+def rates(robot: Any, rate0: Any) -> np.ndarray:
+    """Joint rates (n,) at the start [rad/s or m/s]. Raises InvalidConfiguration."""
+    found = robot._values(rate0, "rate0")
+    if not np.isfinite(found).all():
+        raise InvalidConfiguration(f"rate0 must be finite, not {found}")
+    return found
+
+
+def solver_list(solvers: Any) -> list[Any]:
+    """One solver or several (names, classes or instances) as a list. Raises InvalidOption."""
+    if isinstance(solvers, str | type) or hasattr(type(solvers), "loop"):  # an instance of a rule is a tuple, too
+        return [solvers]
+    if not isinstance(solvers, Iterable):
+        raise InvalidOption(f"solvers must be names, rule classes or instances of them, not {solvers!r:.60}")
+    return list(solvers)
