@@ -114,7 +114,7 @@ def finished(
 
 
 STEPS = 40  # most Gauss-Newton steps; ten usually suffice
-ROOM_FOR_ROUNDING = (
+QUADRATIC_BELOW = (
     0.5  # share of the mean step below which a step's cost is quadratic, so that joints do not stop and start
 )
 SMOOTHNESS = 10.0  # weight of second differences against steps: corners are rounded over its root, some three poses
@@ -143,7 +143,7 @@ def smooth(
     if len(q) < 3 or held.all() or not moves.any():
         return q
     mean = float(moves.mean())
-    cost = (1.0, SMOOTHNESS / mean, ROOM_FOR_ROUNDING * mean)
+    cost = (1.0, SMOOTHNESS / mean, QUADRATIC_BELOW * mean)
     step = np.where(robot.slides, max_step[1], max_step[0])
     window = WINDOW
     for _ in range(ROUNDS):
