@@ -28,7 +28,10 @@ from numba.core.dispatcher import Dispatcher
 from numba.core.runtime.nrt import rtsys
 from numba.core.serialize import dumps
 
-KERNEL = Path(__file__).parent
+STAMPED = (
+    Path(__file__).parent,
+    Path(__file__).parent.parent / "kernel",
+)  # folders that every kernel depends on, as a whole
 HEAD = b"ik_toolkit kernel 1\n"  # of every file; then 32 bytes of SHA-256 over the rest
 PREFIX, SUFFIX = "ik-", ".nbc"
 LOG = logging.getLogger("ik_toolkit.cache")
@@ -60,7 +63,7 @@ class DiskCache(FunctionCache):
 
     def path(self, key: tuple) -> Path:
         """File of a key; the second part of its name identifies the kernel sources it was made from."""
-        name = f"{PREFIX}{self._impl.filename_base}.{stamp_of(KERNEL)[:12]}.{_hash(repr(key).encode())[:16]}{SUFFIX}"
+        name = f"{PREFIX}{self._impl.filename_base}.{stamp_of(*STAMPED)[:12]}.{_hash(repr(key).encode())[:16]}{SUFFIX}"
         return Path(self._cache_path) / name
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
@@ -165,7 +168,7 @@ def damaged(function: Any) -> tuple[Path | None, list[Path]]:
     if not isinstance(cache, DiskCache):
         return None, []
     folder = Path(cache.cache_path)
-    top = KERNEL.parent if folder.name == "__pycache__" else folder.parent
+    top = STAMPED[0].parent if folder.name == "__pycache__" else folder.parent
     return top, [path for path in sorted(top.rglob(f"{PREFIX}*")) if not _whole(path)]
 
 
@@ -192,7 +195,7 @@ def write(path: Path, body: bytes) -> None:
 @functools.cache  # once a process
 def _remove_old(folder: Path) -> None:
     for path in folder.glob(f"{PREFIX}*{SUFFIX}"):
-        if f".{stamp_of(KERNEL)[:12]}." not in path.name:
+        if f".{stamp_of(*STAMPED)[:12]}." not in path.name:
             path.unlink(missing_ok=True)
 
 
@@ -205,7 +208,7 @@ def make_cache(function: Any, parts: tuple[Any, ...]) -> NullCache | DiskCache:
             return MemoryCache(what, f"{part.__name__} is defined {where}; a module of its own would be kept")
     try:
         sources = {source for thing in (function, *parts) for source in _sources(thing)}
-        return DiskCache(function, what, stamp_of(KERNEL, *sorted(sources)))
+        return DiskCache(function, what, stamp_of(*STAMPED, *sorted(sources)))
     except (RuntimeError, OSError) as error:  # no folder to write; no file to watch
         return MemoryCache(what, str(error))
 
@@ -227,20 +230,21 @@ def _hash(data: bytes) -> str:
 
 
 def _sources(thing: Any, seen: set | None = None) -> Iterator[Path]:
-    """Files of a class or function, and of the compiled functions it calls, as far as they are outside the kernel."""
+    """Files of a class or function, and of the compiled functions and records it uses, as far as they are outside STAMPED."""
     seen = set() if seen is None else seen
     thing = getattr(thing, "py_func", thing)
     path = Path(inspect.getsourcefile(thing) or __file__)
-    if thing in seen or path.parent == KERNEL:
+    if thing in seen or path.parent in STAMPED:
         return
     seen.add(thing)
     yield path
-    if not isinstance(thing, types.FunctionType):
-        return
-    found = inspect.getclosurevars(thing)
-    values = [*found.globals.values(), *found.nonlocals.values()]
-    modules = [value for value in values if isinstance(value, types.ModuleType)]
-    values += [vars(module).get(name) for module in modules for name in found.unbound]  # module.function(...)
-    for value in values:
-        if isinstance(value, Dispatcher):
-            yield from _sources(value, seen)
+    for function in filter(inspect.isfunction, vars(thing).values() if isinstance(thing, type) else (thing,)):
+        if function.__code__.co_filename != str(path):
+            continue  # what a NamedTuple generates has no file
+        found = inspect.getclosurevars(function)
+        values = [*found.globals.values(), *found.nonlocals.values()]
+        modules = [value for value in values if isinstance(value, types.ModuleType)]
+        values += [vars(module).get(name) for module in modules for name in found.unbound]  # module.function(...)
+        for value in values:
+            if isinstance(value, Dispatcher) or (isinstance(value, type) and hasattr(value, "_fields")):
+                yield from _sources(value, seen)

@@ -230,7 +230,7 @@ def test_doctor_finds_damaged_files_and_mends_them(copy):
         (row,) = (row for row in json.loads(done.stdout)["checks"] if row["what"] == "compile cache")
         return row["state"], row["detail"]
 
-    path = copy / "ik_toolkit" / "kernel" / "__pycache__" / f"ik-one.{cache.stamp_of(cache.KERNEL)[:12]}.two.nbc"
+    path = copy / "ik_toolkit" / "kernel" / "__pycache__" / f"ik-one.{cache.stamp_of(*cache.STAMPED)[:12]}.two.nbc"
     path.parent.mkdir(exist_ok=True)
     cache.write(path, bytes(2000))
     data = path.read_bytes()

@@ -1,54 +1,11 @@
 """The structure of the code: no import cycles, no overlong files or functions."""
 
 import ast
-import functools
 import importlib
 
 import pytest
 from folders import ROOT
-
-PACKAGE = ROOT / "ik_toolkit"
-
-
-@functools.cache
-def parsed(path):
-    """Syntax tree of a file."""
-    return ast.parse(path.read_text(encoding="utf-8"))
-
-
-def modules():
-    """Path of every module of the package by its dotted name."""
-    paths = {".".join(path.relative_to(ROOT).with_suffix("").parts): path for path in PACKAGE.rglob("*.py")}
-    return {name.removesuffix(".__init__"): path for name, path in paths.items()}
-
-
-def for_type_checkers(node):
-    """Whether a node is a block that only type checkers read: `if TYPE_CHECKING`, or of a module."""
-    test = getattr(node, "test", None)
-    return isinstance(node, ast.If) and "TYPE_CHECKING" in (getattr(test, "id", ""), getattr(test, "attr", ""))
-
-
-def statements(tree):
-    """Every statement that runs, those inside functions too."""
-    for node in tree.orelse if for_type_checkers(tree) else ast.iter_child_nodes(tree):
-        if isinstance(node, ast.stmt | ast.excepthandler | ast.match_case):  # no expression holds a statement
-            yield node
-            yield from statements(node)
-
-
-def imports(name, path, known):
-    """Modules of the package that one of them imports, wherever in its text."""
-    package = name if path.name == "__init__.py" else name.rpartition(".")[0]
-    for node in statements(parsed(path)):
-        if isinstance(node, ast.Import):
-            found = [alias.name for alias in node.names]
-        elif isinstance(node, ast.ImportFrom):
-            parts = package.split(".")[: len(package.split(".")) - node.level + 1] if node.level else []
-            base = ".".join([*parts, *([node.module] if node.module else [])])
-            found = [f"{base}.{alias.name}" if f"{base}.{alias.name}" in known else base for alias in node.names]
-        else:
-            continue
-        yield from (module for module in found if module in known and module != name)
+from sources import PACKAGE, imports, length, modules, parsed, statements
 
 
 def circles(graph):
@@ -76,11 +33,11 @@ def test_no_module_imports_one_that_imports_it():
         ("from . import b", {"p.b"}),
         ("def f():\n    from .b import x", {"p.b"}),
         ("class A:\n    def f(self):\n        if self:\n            import p.b", {"p.b"}),
-        ("from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    from .b import x", set()),
-        ("import typing\nif typing.TYPE_CHECKING:\n    import p.b\nelse:\n    from p import c", {"p.c"}),
+        ("from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    from .b import x", {"p.b"}),
+        ("import typing\nif typing.TYPE_CHECKING:\n    import p.b\nelse:\n    from p import c", {"p.b", "p.c"}),
     ],
 )
-def test_imports_inside_functions_count_and_those_for_type_checkers_do_not(text, found, tmp_path):
+def test_imports_inside_functions_count_and_those_for_type_checkers(text, found, tmp_path):
     path = tmp_path / "a.py"
     path.write_text(text)
     assert set(imports("p.a", path, {"p", "p.a", "p.b", "p.c"})) == found
@@ -94,12 +51,6 @@ def test_a_circle_of_three_is_found():
 # A definition counts whole but for its docstring: signature, comments and blank lines too.
 LINES_OF_A_FILE, LINES_OF_A_FUNCTION = 400, 80
 SOURCES = sorted(path for folder in ("ik_toolkit", "tests", "scripts") for path in (ROOT / folder).rglob("*.py"))
-
-
-def length(function):
-    """Lines of a function without its docstring."""
-    text = ast.get_docstring(function, clean=False)
-    return function.end_lineno - function.lineno + 1 - (len(text.splitlines()) if text else 0)
 
 
 def test_no_file_and_no_function_is_too_long_to_read():
@@ -171,7 +122,7 @@ def test_kernels_called_from_python_are_kept_on_disk():
     found = []
     for name, path in modules().items():
         # The methods are compiled into the loop, as rules of solvers are.
-        if name.split(".")[1:2] in (["tracking"], ["robot"], ["paths"]) and name != "ik_toolkit.servo.methods":
+        if name.split(".")[1:2] in (["servo"], ["robot"], ["paths"]) and name != "ik_toolkit.servo.methods":
             module = importlib.import_module(name)
             calls = [(call.lineno, meant(call, module)) for call in called_from_python(parsed(path))]
             found += [(f"{name}:{line}", one) for line, one in calls if isinstance(one, Dispatcher)]

@@ -128,7 +128,7 @@ def main() -> None:
     job = json.load(sys.stdin)
     warnings.simplefilter("ignore")
     mujoco: Any = importlib.import_module("mujoco")
-    limit = runpy.run_path(str(Path(__file__).with_name("mesh_worker.py")))["limit"]
+    limit = runpy.run_path(str(Path(__file__).parents[1] / "geometry" / "mesh_worker.py"))["limit"]
     limit("CORE", 0)
     limit("AS", job["memory"])
     limit("CPU", job["seconds"])

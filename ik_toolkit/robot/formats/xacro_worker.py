@@ -34,16 +34,16 @@ DEFAULTS = re.compile(
 )
 
 
-def beside(name: str) -> ModuleType:
-    """The module of this name in this folder; a script cannot import it from the package."""
-    spec = importlib.util.spec_from_file_location(name, Path(__file__).with_name(f"{name}.py"))
+def load(place: str) -> ModuleType:
+    """The module at a path from the folder of the robot room; a script cannot import it from the package."""
+    spec = importlib.util.spec_from_file_location(Path(place).stem, Path(__file__).parents[1] / f"{place}.py")
     assert spec is not None and spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
     return module
 
 
-values = beside("xacro_values")
+values = load("formats/xacro_values")
 Refused = values.Refused
 
 
@@ -80,9 +80,9 @@ class Expansion:
         import xacro.substitution_args as substitution
 
         self.job, self.xacro = job, xacro
-        self.files = beside("xacro_files").Files(values, job["folders"])
+        self.files = load("formats/xacro_files").Files(values, job["folders"])
         self.evaluator, self.arguments = values.Evaluator(), Asked(job["arguments"])
-        self.packages, self.known = beside("packages"), dict[str, str]()
+        self.packages, self.known = load("packages"), dict[str, str]()
         self.written = 0
         for module in (xacro, substitution):
             for name in REPLACED[module.__name__]:
@@ -92,7 +92,7 @@ class Expansion:
         self._all, self._text = xacro.eval_all, xacro.eval_text
         self._resolve, self._replace = xacro.resolve_macro, xacro.replace_node
         self.bodies: dict[int, tuple[Any, int]] = {}  # of macros, by their id, with what a copy costs
-        plain = beside("xacro_library").library(values, self.evaluator)
+        plain = load("formats/xacro_library").library(values, self.evaluator)
         self.symbols: dict[str, Any] = {**plain[""], "None": None}
         own = {name: values.Function(name, does, weighed=name == "load_yaml") for name, does in self.own().items()}
         self.symbols |= own
@@ -332,7 +332,7 @@ def told(cause: BaseException, stack: list[str]) -> str:
 def main() -> None:
     """Read the job from stdin, write the answer to stdout."""
     job = json.load(sys.stdin)
-    limit = beside("mesh_worker").limit
+    limit = load("geometry/mesh_worker").limit
     limit("CORE", 0)
     limit("AS", job["memory"])
     limit("CPU", job["seconds"])
