@@ -173,7 +173,8 @@ MEANINGS = {
 
 def statuses_page() -> str:
     """Table of the statuses: what each means, and the advice of its message."""
-    from ik_toolkit.solvers.status import ADVICE, Status
+    from ik_toolkit.solvers.message import ADVICE
+    from ik_toolkit.solvers.status import Status
 
     return table(
         ["status", "meaning", "advice in the message"],

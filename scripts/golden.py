@@ -10,6 +10,7 @@ versions of numba and numpy: compare on one machine only.
 
 import argparse
 import hashlib
+import itertools
 import json
 import sys
 from collections.abc import Iterator
@@ -104,7 +105,7 @@ def motions(robot: Any, count: int) -> Iterator[tuple[str, Row]]:
     for seed in range(max(count // 50, 2)):
         rng = np.random.default_rng(seed)
         ends = robot.random_q(rng, 3)
-        way = np.vstack([np.linspace(a, b, 15) for a, b in zip(ends, ends[1:], strict=False)])
+        way = np.vstack([np.linspace(a, b, 15) for a, b in itertools.pairwise(ends)])
         poses = [pose_of(robot, q) for q in way]
         stacked: Any = (
             {tip: np.array([T[tip] for T in poses]) for tip in poses[0]} if isinstance(poses[0], dict) else poses
@@ -120,8 +121,9 @@ def motions(robot: Any, count: int) -> Iterator[tuple[str, Row]]:
             goal = robot.home
             for k in range(SAMPLES):
                 if k % 100 == 0:
-                    first, goal = goal, robot.random_q(rng)
-                x = min((k % 100) / 60.0, 1.0) if k % 200 < 100 else 1.0
+                    near = np.clip(robot.home + rng.uniform(-0.6, 0.6, robot.n), robot.lower, robot.upper)
+                    first, goal = goal, near if k % 300 else robot.random_q(rng)
+                x = min((k % 100) / 90.0, 1.0) if k % 300 else 1.0
                 step = tracker.update(pose_of(robot, first + x * (goal - first)), dt=0.01)
                 row.add(step.q, step.status.name)
         yield f"Tracker {method}", row

@@ -166,9 +166,9 @@ def _versions() -> str:
     import llvmlite
     import numba
 
-    from ..compile.cache import KERNEL, stamp_of
+    from ..compile.cache import STAMPED, stamp_of
 
-    return f"kernels {stamp_of(KERNEL)}, numba {numba.__version__}, llvmlite {llvmlite.__version__}, {sys.version}"
+    return f"kernels {stamp_of(*STAMPED)}, numba {numba.__version__}, llvmlite {llvmlite.__version__}, {sys.version}"
 
 
 def compiling(folder: Path) -> bool:

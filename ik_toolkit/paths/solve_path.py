@@ -23,7 +23,7 @@ from ..solvers.batch.solve_batch import available_cores
 from ..solvers.batch.targets import blocks, known, mended
 from ..solvers.collision_free import collision_model
 from ..solvers.options import Options, PathOptions, avoided
-from ..solvers.result import SPOKEN
+from ..solvers.outcome import SPOKEN
 from ..solvers.solve import Solver, require_robot
 from ..solvers.task import counted_errors
 from .finish import collapsed, finished, gaps, inserted

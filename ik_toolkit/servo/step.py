@@ -65,7 +65,7 @@ class Outcome(NamedTuple):
     way: tuple[str, ...] | Choice | None
 
 
-make_outcome = partial(tuple.__new__, Outcome)  # faster than Outcome(...), as in solvers/result.py
+make_outcome = partial(tuple.__new__, Outcome)  # faster than Outcome(...), as in solvers/outcome.py
 
 
 class Step:

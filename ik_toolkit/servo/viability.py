@@ -264,8 +264,8 @@ def go_straight(q, rate, goal, gamma, h, limits, x):
 def head_for(q, rate, times, points, rates, time, gamma, h, limits, x):
     """Rates x (n,) to where a known motion is at `time`.
 
-    What is missing is made up for as fast as HELD_BACK of the acceleration can end it, at once where there is no such limit: by half
-    where the rate alone does not set the next place, as whole corrections of a trapezoid turn round in every step.
+    What is missing is made up for as fast as HELD_BACK of the acceleration can end it, at once where there is no such
+    limit: by half where the rate alone does not set the next place, as whole corrections of a trapezoid turn round in every step.
     """
     k = 1
     while times[k] < time:

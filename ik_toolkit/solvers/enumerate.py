@@ -9,9 +9,9 @@ from ..kernel.records import ANSWER, AT
 from .closed_form.geometry import Family
 from .closed_form.polish import finished
 from .options import PLAIN
+from .outcome import SPOKEN
 from .plan import Plan
 from .protocol import Asked
-from .result import SPOKEN
 from .solutions import Solutions
 from .task import counted_rows, counts_in_part
 

@@ -20,9 +20,10 @@ from ..robot.robot import Robot
 from ..robot.tree import Tree
 from .closed_form import fits
 from .options import NAMES, Options, SolveOptions, make_options
+from .outcome import make_outcome
 from .plan import Plan
 from .registry import GENERAL, find_row, make_rule
-from .result import Result, make_outcome
+from .result import Result
 from .task import POSES, read_target
 
 FLOAT = np.dtype(np.float64)  # one object per process, so `is` suffices; other kinds of float take the slow path

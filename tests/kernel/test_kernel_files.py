@@ -107,7 +107,7 @@ def test_a_disk_that_takes_nothing_is_said_once(double, monkeypatch, call, error
 def test_files_of_other_sources_are_removed(double):
     double()
     (path,) = double.files()
-    old = path.with_name(path.name.replace(cache.stamp_of(cache.KERNEL)[:12], "0" * 12))
+    old = path.with_name(path.name.replace(cache.stamp_of(*cache.STAMPED)[:12], "0" * 12))
     path.rename(old)
     cache._remove_old.cache_clear()
     assert double() == [MADE] and double.files() == [path]

@@ -5,7 +5,8 @@ import pytest
 import robots
 
 import ik_toolkit as ik
-from ik_toolkit.solvers.status import ADVICE, Status
+from ik_toolkit.solvers.message import ADVICE
+from ik_toolkit.solvers.status import Status
 
 NARROW = robots.urdf(
     dict(kind="revolute", xyz="0 0 0", limits=(-0.5, 0.5)),

@@ -17,9 +17,9 @@ from ...kernel.checks import BAD_TARGET, CHECK_FAILED, CONVERGED
 from ...kernel.limits import LARGEST
 from ...kernel.records import ANSWER, AT
 from ...kernel.simd_search import LEFT
+from ..outcome import Outcome
 from ..plan import Plan
 from ..postprocess import confirmed, mark_open
-from ..result import Outcome
 from ..task import counts_in_part
 from .targets import mended
 

@@ -8,8 +8,9 @@ from ...errors import IKError, Portable
 from ...kernel.records import ANSWER, AT, MISS
 from ...readonly import ReadOnly
 from ..collision_free import collision_model
+from ..outcome import SPOKEN, Outcome
 from ..plan import Plan
-from ..result import SPOKEN, Outcome, Result
+from ..result import Result
 from ..status import Status, count_statuses
 
 

@@ -1,0 +1,139 @@
+"""How a solve ended, as one sentence that says what to try."""
+
+from typing import Any
+
+import numpy as np
+
+from ..kernel.counted_error import FREE
+from ..kernel.records import AT
+from .status import SEARCHED, Status, constraints_of
+
+ADVICE = {
+    Status.CONVERGED: "",
+    Status.STALLED: "try more restarts, another q0, or a looser tolerance",
+    Status.ITERATION_LIMIT: "try more iterations, restarts, another q0, or the default solver",
+    Status.LIMIT_BLOCKED: "try restarts, another q0, a partial target, or wider limits",
+    Status.UNREACHABLE: "move the target inside the reach",
+    Status.SINGULAR: "start from another q0, or use the default solver with restarts",
+    Status.NOT_FINITE: "lower the gains",
+    Status.CHECK_FAILED: "please report this with the robot and the target",
+    Status.TOO_FAR: "move the target in smaller steps, or allow larger moves (follow)",
+    Status.CONSTRAINT_OPEN: "try another q0 or target; no solver keeps constraints",
+    Status.COLLISION: "try more restarts, another q0, or move the target or the obstacle",
+}
+
+# The configuration returned with a failure is the best that the closed form or the search after it found.
+CLOSED_FORM_SAYS = {
+    Status.CONVERGED: "closed form: the branch within limits nearest q0; residual {left}",
+    Status.UNREACHABLE: "the target is out of reach by about {beyond}{kept}; the closest configuration found is {left} away{at}",
+    Status.LIMIT_BLOCKED: (
+        "the target is in reach but {why}; the closest configuration found within limits is "
+        "{left} away{at}; widen the limits or move the target"
+    ),
+}
+BROKEN = "every branch violates a joint limit"
+
+
+def sentence(result: Any) -> str:
+    """One sentence on how a result ended and what to try; of several tips a failure says what is left at each."""
+    row, status, plan = result._of.row, result.status, result._of.plan
+    left, starts = _left(result), result.restarts + 1
+    if status == Status.CONSTRAINT_OPEN:
+        kept = constraints_of(result.robot, result.q, plan.options)
+        return f"the tip is {left} from its target, but {kept.text}; {ADVICE[status]}"
+    if result.collision is not None:
+        touching = " and ".join(result.collision)
+        text = f"every solution found from {_starts(starts)} is in collision; here {touching} touch"
+        return f"{text}; {ADVICE[status]}"
+    if plan.row.closed and status in CLOSED_FORM_SAYS and row[AT.excess] != SEARCHED:
+        return _closed_form_says(result, left)
+    if status == Status.CONVERGED:
+        text = f"converged in {result.iterations} iterations to {left}"
+        return f"{text} after {result.restarts} restart{'s' * (result.restarts > 1)}" if result.restarts else text
+    budget, timeout = plan.options.budget, plan.options.timeout
+    if budget and row[AT.evaluations] >= budget and status == Status.ITERATION_LIMIT:
+        told = (
+            (f"limit of {budget} evaluations", "max_evaluations")
+            if timeout is None
+            else (f"timeout of {timeout:g} s", "timeout")
+        )
+        text = f"the {told[0]} was reached after {_starts(starts)}; closest {left}; raise {told[1]}"
+    elif status == Status.ITERATION_LIMIT and plan.options.follow:
+        text = f"{left} away after {result.iterations} iterations; move the target in smaller steps, or use the tracker"
+    else:
+        text = f"{_failure(result, left, starts)}; {ADVICE[status]}"
+    return text + _at_each_tip(result)
+
+
+def _left(result: Any) -> str:
+    """Errors left at q, in words."""
+    left = _length(result.position_error)
+    if result.orientation_error is not None:
+        left += f", {np.degrees(result.orientation_error):.3g} deg"
+    return left
+
+
+def _length(metres: float, digits: int = 3) -> str:
+    return f"{metres:.{digits}g} m" if metres >= 1.0 else f"{1000 * metres:.{digits}g} mm"
+
+
+def _starts(count: int) -> str:
+    return f"{count} start{'s' * (count > 1)}"
+
+
+def _at_each_tip(result: Any) -> str:
+    """Errors left at each of several tips that have a target, or ''."""
+    if len(result.robot.tips) == 1:
+        return ""
+    left = []
+    for kind, (tip, position) in zip(result._of.kinds, result.position_errors.items(), strict=True):
+        if kind == FREE:
+            continue
+        angle = result.orientation_errors[tip]
+        left.append(f"{tip} {_length(position)}" + ("" if angle is None else f" {np.degrees(angle):.3g} deg"))
+    return f"; remaining error at each tip: {', '.join(left)}"
+
+
+def _closed_form_says(result: Any, left: str) -> str:
+    row, robot = result._of.row, result.robot
+    joints = ", ".join(result.limited_joints)
+    beyond = _length(float(row[AT.excess]), 4)
+    slides = [j for j, kind in zip(robot.joint_names, robot.joint_kinds, strict=True) if kind == "prismatic"]
+    return CLOSED_FORM_SAYS[result.status].format(
+        left=left,
+        beyond=beyond,
+        why=f"the stroke of {', '.join(slides)} is {beyond} too short" if row[AT.excess] > 0.0 else BROKEN,
+        kept="" if result.position_only else " with its orientation kept",
+        at=f", with {joints} at a limit" if joints else "",
+    )
+
+
+def _failure(result: Any, left: str, starts: int) -> str:
+    """Sentence on a failed search, without the advice."""
+    row, status, robot = result._of.row, result.status, result.robot
+    if status == Status.UNREACHABLE:
+        beyond = [f"{tip} by {_length(x, 4)}" for tip, x in zip(robot.tips, result._of.excess(), strict=True) if x > 0]
+        if len(robot.tips) == 1:
+            by = beyond[0].removeprefix(robot.tips[0])
+            return f"the target is beyond reach{by} (a bound from the link lengths); closest {left} after {_starts(starts)}"
+        return f"beyond reach: {', '.join(beyond)} (a bound from the link lengths)"
+    if status == Status.TOO_FAR:
+        joint, far = int(row[AT.held]), result._of.plan.options.follow
+        most = f"{far * robot.reach:.3g} m" if robot.joint_kinds[joint] == "prismatic" else f"{far:.3g} rad"
+        return f"{left} away when joint {robot.joint_names[joint]} reached the {most} it may move from q0"
+    if status == Status.STALLED and starts > 1:
+        return f"closest {left} after {starts} starts; the target may be unreachable"
+    if status == Status.STALLED:
+        return f"no further progress at {left} from the target: a local minimum of the error"
+    if status == Status.LIMIT_BLOCKED:
+        joints = ", ".join(result.limited_joints)
+        return f"joint limits ({joints}) appear to block the target; closest {left} after {_starts(starts)}"
+    if status == Status.ITERATION_LIMIT and starts > 1:
+        return f"closest {left} after {starts} starts, each cut off by the limit of iterations"
+    if status == Status.ITERATION_LIMIT:
+        return f"{left} away after {result.iterations} iteration{'s' * (result.iterations != 1)}"
+    if status == Status.SINGULAR:
+        return f"singular: no joint motion reduces the error to first order (J'e = 0, or J has no inverse); {left} away"
+    if status == Status.NOT_FINITE:
+        return "the solver diverged; best configuration returned"
+    return "the kernel reports success but Pinocchio does not confirm it"
