@@ -1,7 +1,4 @@
-"""Numbers and names given to tracking, validated in one place.
-
-Arguments that several studies share, validated before any work begins.
-"""
+"""Numbers and names that several calls take, validated in one place before any work begins."""
 
 import math
 from collections.abc import Iterable

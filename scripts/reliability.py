@@ -28,7 +28,7 @@ PARTS = {
     "tests/show/test_hostile_names.py": "Names from files in every page and chart",
     "tests/robot/test_check.py": "Broken and hostile URDFs: a corpus, generated giants, and fuzzing of URDF text",
     "tests/robot/test_dh.py": "D-H tables: random tables against Pinocchio, broken files, fuzzing",
-    "tests/tracking/test_references.py": "Trajectory files: broken and hostile",
+    "tests/servo/test_references.py": "Trajectory files: broken and hostile",
     "tests/robot/test_pose.py": "Targets that are not poses",
     "tests/robot/test_robot.py": "Robots that cannot be loaded; pickling; one robot from eight threads",
     "tests/solvers/test_torture.py": "Numerical torture: half turns, reach boundary, singular poses, absurd lengths, "

@@ -15,7 +15,7 @@ settings.load_profile("repeatable")
 # them twice, and a process compiles a part once. Others go by file, later, when what they need is on disk: a file that needs
 # kernels of two groups belongs to none.
 TOGETHER = {
-    "tests/tracking/": "tracker",
+    "tests/servo/": "tracker",
     "tests/cli/test_track.py": "tracker",
     "tests/papers/test_patko_2019.py": "tracker",
     "tests/kernel/test_constrain.py": "tracker",

@@ -15,8 +15,8 @@ from numba.extending import overload, overload_method, register_jitable
 
 from .cache import make_cache
 
-# Releases of numba whose private interfaces parts.py and quick.py were tried with; scripts/try_numba.py tries another. Without
-# the two a release raises at best, and at worst LLVM ends the process, so any other compiles in its usual, slower way.
+# Releases of numba whose private interfaces pipeline.py and typing_cache.py were tried with; scripts/try_numba.py tries another.
+# In one that was not tried they raise at best, and at worst LLVM ends the process, so any other compiles in its usual, slower way.
 TRIED = ("0.66", "0.67", "0.68")
 OWN_WAY = ".".join(numba.__version__.split(".")[:2]) in TRIED
 PARTS: dict[str, Any] = {}
@@ -31,7 +31,7 @@ if OWN_WAY:
 # No nnan/ninf: a NaN has to fail every test instead of being assumed away.
 OPTIONS: dict[str, Any] = {"fastmath": {"nsz", "arcp", "contract", "afn", "reassoc"}, "error_model": "numpy"}
 jit = njit(**OPTIONS)  # also callable from Python; compiled into its callers, never cached separately
-# What follows is for the kernel alone (see parts.py); a call from Python would crash. Only what makes arrays counts references
+# What follows is for the kernel alone (see pipeline.py); a call from Python would crash. Only what makes arrays counts references
 # (`build`); all the rest borrows them, so a record of arrays costs nothing to pass, and must not return an array, or a record
 # of arrays, to a function that counts.
 # What makes arrays is compiled by plain numba: as a part, its references are counted in full, 5 microseconds a call.

@@ -1,6 +1,6 @@
 """The flat arrays a kernel runs on, and how a chain's geometry is packed into them.
 
-The flat arrays of several tips of one tree: one chain per tip, all reading one shared vector of coordinates.
+Several tips have one chain each, all reading one shared vector of coordinates.
 """
 
 import math

@@ -1,6 +1,6 @@
 """Where attempts start: the nearest entries of a table of known configurations, then a reproducible random sequence.
 
-Where attempts on several tips start: each coordinate as the tip it moves chooses.
+With several tips each coordinate starts where the tip that it moves chooses.
 """
 
 import numpy as np

@@ -3,9 +3,8 @@
 A step is the least joint motion that brings the tip along (the last configuration is the prediction, the damped steps of
 `refine.correct` the correction). It counts only where the joints move less than they may and the tip, the joints being moved
 in a straight line, stays by the straight line between the poses; otherwise it is halved. So what is joined here is one motion,
-never two solutions that happen to be close.
-
-Tracks of solutions: some poses are solved from many starts, and each solution is continued along the whole path.
+never two solutions that happen to be close. A track is what becomes of one solution: some poses are solved from many starts,
+and each solution is continued along the whole path.
 """
 
 import math

@@ -4,9 +4,8 @@ The second is that of Universal Robots. Vectorised over poses: a path needs this
 reconfigurations. Source: the geometry of Hawkins (2013), "Analytic inverse kinematics for the Universal Robots UR-5/UR-10 arms",
 with screws instead of its tables.
 
-Joints with more than a full turn: copies of a track on other turns, and the turn chosen for each piece of a path.
-
-The limits of such a joint apply to a whole continuous piece: the total winding must fit. That cannot be seen from state to state,
+A joint with more than a full turn has copies of each track on other turns, and a turn is chosen for each piece of a path. Its
+limits apply to a whole continuous piece: the total winding must fit. That cannot be seen from state to state,
 so paths are first searched without these limits. If the best one fits, nothing is lost; if not, the joint's tracks are copied to
 every turn, and its limits are enforced from state to state.
 """

@@ -1,8 +1,7 @@
 """Last steps of a path: exact rows, shortened pieces, verification between poses; repeated without the steps that fail.
 
-Shorten and smooth one continuous piece of a path, keeping its poses, its limits and clear of contact.
-
-Poses far apart: others are inserted between them, so that a path is searched along the way and not only at its corners.
+`smooth` shortens one continuous piece, keeping its poses, its limits and clear of contact. `inserted` puts others between poses far
+apart, so that a path is searched along the way and not only at its corners.
 """
 
 from collections.abc import Callable

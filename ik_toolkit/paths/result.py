@@ -1,7 +1,4 @@
-"""Result of `solve_path`: a joint motion through the poses, what is proven about it, and where it breaks.
-
-One sentence on how a path search ended, with advice.
-"""
+"""Result of `solve_path`: a joint motion through the poses, what is proven of it, where it breaks, and a sentence with advice."""
 
 import json
 from dataclasses import dataclass, field

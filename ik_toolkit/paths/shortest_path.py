@@ -2,8 +2,7 @@
 
 A state is a track at a pose. From one pose to the next a path stays on its track, changes to one within reach of a step, or
 reconfigures: to any state at all, from the best of the pose before. So a layer costs the near pairs, not all pairs.
-
-Dynamic program over tracks, with lazy contact tests: test the best path, exclude what touches, repeat.
+Contacts are tested lazily: the best path is tested, what touches is excluded, and the search is repeated.
 """
 
 import itertools

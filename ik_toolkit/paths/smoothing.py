@@ -4,9 +4,8 @@ Gauss-Newton on all poses together. The task is linearised with a weight far abo
 order, and each pose is brought back onto its target after the step. First and second differences couple neighbours: the system
 is a band of twice the number of joints, solved in time linear in the number of poses. Limits are bounds, held as an active set.
 
-Symmetric banded systems: Cholesky of a band, in place, allocating nothing.
-
-A band of half width b keeps row i of the lower half as A[i, k - i + b] for the columns k = i - b ... i, so that the sums below run
+The banded system is solved by Cholesky, in place, allocating nothing. A band of half width b keeps
+row i of the lower half as A[i, k - i + b] for the columns k = i - b ... i, so that the sums below run
 through memory in order.
 """
 

@@ -1,8 +1,7 @@
 """`solve_path`: from poses to one joint motion.
 
-Orientations 180 degrees apart: there are two shortest rotations from one to the next, and one must be chosen.
-
-The choice is made by rotating the second pose by far less than its tolerance, so that everything else finds one shortest way.
+Between orientations 180 degrees apart there are two shortest rotations, and one must be chosen: the second pose is rotated by far
+less than its tolerance, so that everything else finds one shortest way.
 """
 
 import math

@@ -44,7 +44,7 @@ FAST, BRISK = 1.0, 0.5
 
 
 class Published(NamedTuple):
-    """Stands in for a rule: the laws of motion.py, all in one loop."""
+    """Stands in for a rule: the laws of laws.py, all in one loop."""
 
     unused: float
 

@@ -1,7 +1,7 @@
 """One step of joint rates inside a box and half-planes: the task first, then closeness to a rate that is wanted.
 
 Pure linear algebra; what the box and the half-planes come from is the caller's. Unknowns are divided by `scale`, a speed for each
-joint. Never a weighted sum of the two objectives: see qp.py.
+joint. Never a weighted sum of the two objectives: see hierarchical_qp.py.
 
 LEAVE keeps the clock and leaves the task as little as possible. SLOW lets the reference's clock slow down: the task rate is
 feedback + rate * forward with 0 <= rate <= cap, the task error first, then the clock as fast as it can be. DIRECT finds the largest

@@ -1,10 +1,9 @@
-"""Two objectives, the second subject to the first, with the active constraints as equalities: one iteration of qp.py.
+"""Two objectives, the second subject to the first, with the active constraints as equalities: one iteration of hierarchical_qp.py.
 
 Solved from scratch each time, by Gram-Schmidt with pivots and a second pass, at a cost of N r^2: errors do not accumulate.
 
 The arrays of a `Levels` are passed one by one, since records are expensive to pass. Rows of P: half-planes, each of norm 1, then C.
-
-Singular directions of a task, whose rows are orthogonal: damped one by one. Scratch as in levels.py.
+Singular directions of a task, whose rows are orthogonal, are damped one by one before (`truncate` and its like).
 """
 
 import math

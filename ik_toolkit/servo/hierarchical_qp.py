@@ -6,7 +6,7 @@
 
 It is the method of Goldfarb and Idnani (1983) for |y - want|^2 + |C y - d|^2 / eps with eps -> 0 carried out on paper: each
 multiplier is a pair (first / eps + second) that is compared as one number with an infinitesimal. What is left in each iteration
-is a problem with equalities only (levels.py), and the active set of the last step is a start of one iteration.
+is a problem with equalities only (equality_qp.py), and the active set of the last step is a start of one iteration.
 """
 
 import math

@@ -1,7 +1,7 @@
 """Following a moving target, one step: rate of the Jacobian, pseudo-inverse, the published commands, limits.
 
 All pure: `factor` inverts the Jacobian, `prepare` says at which joint velocities dJ/dt is wanted, `command` turns errors
-into the next joint rate; box.py says which rates the limits allow. The compiled loop (servo.py) and the paper's cases that
+into the next joint rate; viability.py says which rates the limits allow. The compiled loop (loop.py) and the paper's cases that
 are no robots (servo/methods.py) call the same functions.
 
 All methods share one form: rate' = rate + h a and q' = q + h ((1 - gamma) rate + gamma rate'). gamma is 1 at velocity
@@ -19,7 +19,7 @@ from ..kernel.linalg import TINY, cholesky, cholesky_solve
 from .viability import approach
 
 CV, AV, CA, AA = range(4)
-CLIP = 3  # beside LEAVE, SLOW and DIRECT of constrain.py: each joint clipped on its own
+CLIP = 3  # beside LEAVE, SLOW and DIRECT of constrained_step.py: each joint clipped on its own
 AT_RATE, AT_RATE_AND_STEP, AT_STEP = range(3)  # where aa takes dJ/dt: readings 1, 2, 3 of eq (25)
 MOVING, GIVEN, RUNNING, READY = range(4)  # start with the reference's rate, with the rate given; go on; all is known
 FINE, NOT_FINITE, RUNAWAY = range(3)
@@ -43,7 +43,7 @@ class State(NamedTuple):
     idle: int  # [s] for which it has stood still
     least: int  # least error over tolerance in that time
     near: int  # 1: near a singular pose in the last step, and [s] for which the target counts as out of reach; -1: once, 0: never
-    share: int  # of the curvature, by which steps down are damped, 0: the method's own steps; see descent.py
+    share: int  # of the curvature, by which steps down are damped, 0: the method's own steps; see damped_descent.py
     lowest: int  # ... which it is not lowered below
     nearest: int  # weighted error from which it has to come down
     stalled: int  # [s] for which limits or a singular pose have kept it from that; in a step down, since it last did

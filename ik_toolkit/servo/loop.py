@@ -1,13 +1,14 @@
 """The compiled tracker loop: from where the target is to the next joint rates, inside every limit, one sample after the other.
 
 A method (a published law, or a solver's rule taken one step a sample) says which joint rates it wants. Their part along
-directions in which the tip can hardly move is replaced (modes.py), secondary wishes are added in the null space, and where
+directions in which the tip can hardly move is replaced (singular_step.py), secondary wishes are added in the null space, and where
 limits or half-planes forbid the outcome `constrain` finds the best that they allow. Where nothing forbids it, the rates wanted
 are taken as they are, so a published form stays one. An arm that is stuck before a target that stands goes down to the least
-error nearby (descent.py). CLIP is the published form whole: damped as a whole near singular poses, each joint clipped on its own.
+error nearby (damped_descent.py). CLIP is the published form whole: damped as a whole near singular
+poses, each joint clipped on its own.
 
 The reference's clock s counts samples. SLOW lets it run slower than time: by the look-ahead, by `constrain`, and while the error
-is above the tolerance (clock.py).
+is above the tolerance (time_scaling.py).
 """
 
 import functools
@@ -273,7 +274,7 @@ def servo(cls: type | None = None) -> Callable:
     for, at most; returns how many.
 
     rows, ends: of the chain (several tips: ends (F, ...)); orders: HEAD, a Task a tip (weights 1 or 0, no slack), joint weights
-    (n,), parameters of the rule. The others are blocks, see session.py. Kernel units, but for h, T, V, A, errors and tolerances.
+    (n,), parameters of the rule. The others are blocks, see workspace.py. Kernel units, but for h, T, V, A, errors and tolerances.
     """
     step: Any = Published if cls is None else step_class(cls)
 

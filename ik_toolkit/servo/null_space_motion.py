@@ -1,6 +1,6 @@
-"""What a tracker handles besides its task: slack as half-planes, secondary motion in the null space, free turns.
+"""What a tracker does besides its task: slack as half-planes, secondary motion in the null space, free turns.
 
-What a tracker does besides its task: options of the null space, read once, and the motion they give at q.
+The options of the null space are read once (`Secondary`); the compiled part turns them into a motion at every step.
 """
 
 from collections.abc import Callable, Mapping

@@ -1,4 +1,4 @@
-"""What the problems that `constrain` solves one after the other change in the first one. Scratch as in levels.py."""
+"""What the problems that `constrain` solves one after the other change in the first one. Scratch as in equality_qp.py."""
 
 import math
 
@@ -8,7 +8,7 @@ from ..compile.jit import inner
 from .equality_qp import HIGH, LOW, ONE, RHS, TASK_ONE, TWO, WANT, Y, dot
 
 SMALL = 1e-4  # size of the clock's column beside the task's largest row: the share its square has against the joints' is 1e-8
-CAUTIOUS = 1.5  # times the bound of the curvature left out: two thirds of the way (see CAUTION in modes.py), as whole ways zigzag
+CAUTIOUS = 1.5  # times the bound of the curvature left out: two thirds of the way (CAUTION in singular_step.py): whole ways zigzag
 DIRECTION = 100.0  # weight of deviating from the direction against falling behind along it, where nothing is blocked
 
 

@@ -1,6 +1,6 @@
-"""Joint values near given ones that reach a tracker's targets, from single attempts of the solver.
+"""Another posture for a tracker: found where the arm stands at limits and only other joint values reach the target.
 
-Another posture for a tracker: found where the arm stands at limits and only other joint values reach the target.
+`Postures` finds joint values near given ones that reach the targets, by single attempts of the solver; `Reconfiguration` decides.
 
 A tracker goes downhill, so a tool that is turned on and on ends where a joint is at its limit and every small motion makes the
 error larger. The solver's attempts from other starts then find joint values for the same target, and the arm moves there through

@@ -1,6 +1,6 @@
-"""Result of a tracking run: arrays over the samples, figures, and files.
+"""Result of a tracking run: arrays over the samples, figures, files, and the verdict.
 
-Whether a run followed its reference, once the arm has had time to get going; and if it did not, how far off, when and why.
+The verdict says whether the run followed its reference, once the arm has had time to get going; if not, how far off, when and why.
 """
 
 import json

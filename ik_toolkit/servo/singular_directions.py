@@ -1,6 +1,6 @@
 """The directions in which the tip can hardly move, one after the other: how its way is bent there, and what is left to each.
 
-What is decided about one, and why, is in modes.py; here it is asked of the task and kept.
+What is decided about one, and why, is in singular_step.py; here it is asked of the task and kept.
 """
 
 from ..compile.jit import inline, inner
@@ -124,7 +124,7 @@ def note_curve(s, r, part):
 
 @inline
 def judge_modes(law, task, look, s, limits, h, rate, away, heavy, state):
-    """Judge the directions in which the tip can hardly move, see modes.py; returns whether the target is out of reach in one."""
+    """Judge directions in which the tip can hardly move (singular_step.py); returns whether the target is out of reach in one."""
     n, m = s.J.shape
     near, beyond, gain = False, False, law.kappa if law.code == CV else min(natural(law, h), GAIN / h)
     for r in range(m):

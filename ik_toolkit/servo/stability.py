@@ -8,7 +8,7 @@ only: k = kappa h for `cv`, d = kp-and-kd pair (p, d) = (kp h^2, kd h) for `ca`.
     ca  stable  <=>  0 < d < 1  and  0 < p < (d + sqrt(d (9 d + 16))) / 2
 
 The matrices hold at rest. Along a fast path kappa I becomes kappa I + J^-1 dJ/dt, so gains within a few percent of the
-border can still diverge in motion: `check_gains(..., robot=, path=)` multiplies the matrices along it (along.py).
+border can still diverge in motion: `check_gains(..., robot=, path=)` multiplies the matrices along it (orbit_stability.py).
 
 Where joint values are measured, the error comes late and with noise, while rates and earlier commands stay the tracker's own:
 `delayed_matrix` holds the earlier samples beside the state.

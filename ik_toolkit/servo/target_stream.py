@@ -1,7 +1,4 @@
-"""Targets as they arrive in a control loop: checked, with the motion from the last one to the next, and whether they stand.
-
-Targets as they arrive in a control loop: read, checked, with the motion between two of them.
-"""
+"""Targets as they arrive in a control loop: read, checked, with the motion from one to the next, and whether they stand."""
 
 import math
 from collections.abc import Mapping
@@ -102,7 +99,7 @@ def look(T, stand, dt):
 def arrive(samples, given, stand, slot, how, posed, first, moved, twist, acceleration, dt):
     """Write the target of `given`, samples of length 1, into the last sample (slot 0) or the next (1) of `samples`.
 
-    Blocks as of session.py; stand (5 + 16 F,) as of `Stand`, of the next. how: READ, CHECK or REFUSED; posed: bit f says that
+    Blocks as of workspace.py; stand (5 + 16 F,) as of `Stand`, of the next. how: READ, CHECK or REFUSED; posed: bit f says that
     tip f has an orientation. first: any target may have come before; moved: the next target has become the last one; twist,
     acceleration: whether they are given, else the last two targets give a twist, in dt [s], and the acceleration is 0. Returns
     TAKEN, DOUBTFUL or HELD.

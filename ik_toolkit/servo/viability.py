@@ -221,9 +221,9 @@ def travel(q, rate, goal, times, points, rates, time, gamma, h, late, limits, co
     """Step q and rate (n,) in place by h [s] towards rest at goal (n,), inside limits (4, n).
 
     Along a known motion, as it is at `time` [s], until it ends: times (K,), points and rates (K, n), cubic between. Else by
-    themselves. Later steps take as long, and at most `late` [s] before limits. code (n,) receives what held a joint back (see
-    box.py). Returns the least time [s] left after it, at full speed; -1, and nothing done, where a joint may not move or not go
-    there. Kernel units.
+    themselves. Later steps take as long, and at most `late` [s] before limits. code (n,) receives what held a joint back.
+    Returns the least time [s] left after it, at full speed; -1, and nothing done, where a joint may not move or not go there.
+    Kernel units.
     """
     n = q.shape[0]
     for j in range(n):

@@ -2,9 +2,7 @@
 
 Python and the kernel cut the parts of a block in the same way: Python once, as arrays, the kernel at every call, as views. The
 first number of a block is that of `cut`; the next ones are counts, from which all lengths follow. A copy of one is a copy of its
-block, cut anew.
-
-Scratch of a tracker.
+block, cut anew. The scratch that a step computes in is cut from a block of its own.
 """
 
 import math
@@ -28,7 +26,7 @@ class Settings(NamedTuple):
     block: Array
     law: Array  # a `Law`
     counts: Array  # (3, m) weights of the errors, slack, slack in m and rad
-    limits: Array  # (4, n), see box.py
+    limits: Array  # (4, n), see viability.py
     wish: Array  # (3, n) posture, gain, speed asked for
     lines: Array  # (rows, n) half-planes lines x <= level, of which the first law.rows hold
     level: Array  # (rows,)
@@ -49,7 +47,7 @@ class Carried(NamedTuple):
         Array  # (3, n) how often in a row each joint turned back, for how long it has not [s], its side, see `watch`
     )
     away: Array  # (n,) where joints go from a pose in which they are straight
-    basis: Array  # (m, m) directions of the task at the last singular pose, zeros before one, see modes.py
+    basis: Array  # (m, m) directions of the task at the last singular pose, zeros before one, see singular_step.py
     state: Array  # a `State`
     active: Array  # (n,) and kept, int8: the active set of `constrain` ...
     kept: Array
@@ -186,7 +184,7 @@ def new_record(N: int, n: int, m: int) -> Record:
 class Bench(NamedTuple):
     """Scratch of a tracker for n joints, a task of m, F tips."""
 
-    why_low: Array  # of the box, see box.py
+    why_low: Array  # of the box, see viability.py
     why_top: Array
     Ts: Array  # (F, 4, 4) reference
     Vs: Array  # (m,)
@@ -204,7 +202,7 @@ class Bench(NamedTuple):
     G: Array  # (max(n, m), max(n, m))
     H: Array  # (max(n, m), max(n, m)) damped
     J: Array  # (n, m) of what is tracked
-    W: Array  # (m, n) modes, see modes.py: sigma_k v_k by rows ...
+    W: Array  # (m, n) modes, see singular_step.py: sigma_k v_k by rows ...
     V: Array  # (n, m) ... v_k of the lost ones by columns ...
     U: Array  # (m, m) ... and u_k by rows
     sv: Array  # (m,)
@@ -225,7 +223,7 @@ class Bench(NamedTuple):
     before: Array
     at: Array  # where error and Jacobian are taken
     size: Array  # a speed for each joint
-    even: Array  # 1 for all, see descent.py
+    even: Array  # 1 for all, see damped_descent.py
     floor: Array  # the box
     roof: Array
     multiplier: Array

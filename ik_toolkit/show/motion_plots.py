@@ -1,6 +1,5 @@
-"""Figure of a tracking run: the arm along its path, the errors, joint positions and speeds relative to their limits.
-
-Plots of a path result and of a trajectory.
+"""Figures of motions: a tracking run (the arm along its path, errors, joints and speeds in shares of their limits), a path, a
+trajectory.
 """
 
 from typing import Any

@@ -1,7 +1,4 @@
-"""`ik.plot`: a chart of any result of the toolkit, in one call.
-
-Figures of studies: benchmarks, convergence of a tuning run, failures over the workspace.
-"""
+"""`ik.plot`: a chart of any result in one call, with the figures of studies (benchmarks, tuning, workspaces)."""
 
 from collections.abc import Mapping
 from pathlib import Path

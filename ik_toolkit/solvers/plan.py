@@ -1,6 +1,6 @@
 """A robot, a rule and options as arrays of the kernel, made once: what every call runs, and the only cache of it.
 
-Starts of a search in which some joints are held: every start has them at their values in the first.
+Where some joints are held, every start of a search has them at their values in the first.
 """
 
 import copy

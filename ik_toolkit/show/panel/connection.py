@@ -1,7 +1,4 @@
-"""One thread that runs a visitor's jobs, newest first.
-
-A visitor of the panel: a thread that runs requests, error messages, and camera control.
-"""
+"""A visitor of the panel: one thread that runs its requests, newest first, error messages, and camera control."""
 
 import html
 import threading

@@ -1,7 +1,4 @@
-"""The panel's Scene tab: contacts, clearance, box obstacles and manipulability.
-
-Self-motion: moving the joints of a redundant arm while its tips stay in place.
-"""
+"""The panel's Scene tab: contacts, clearance, box obstacles, manipulability, and self-motion while the tips stay in place."""
 
 import html
 from collections.abc import Callable
