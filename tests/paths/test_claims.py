@@ -141,3 +141,36 @@ def test_what_ends_a_path_early_is_told():
         "relax the targets (free_turn, slack, mask), or widen the limits"
     )
     assert lost.unreachable[0].proven and lost.unreachable[0].reason.startswith("beyond reach by ")
+
+
+# ------------------------------------------------------------------------------------------------- places and distances
+def balls(*radii):
+    """A planar arm of two links of 1 m, with a ball around the origin of each link."""
+    text = urdf(dict(kind="revolute", xyz="0 0 0"), dict(kind="revolute", xyz="1 0 0"), dict(kind="fixed", xyz="1 0 0"))
+    for k, radius in enumerate(radii):
+        ball = f'<link name="l{k}"><collision><geometry><sphere radius="{radius}"/></geometry></collision></link>'
+        text = text.replace(f'<link name="l{k}"/>', ball if radius else f'<link name="l{k}"/>')
+    return ik.Robot.load(text)
+
+
+def test_a_contact_between_poses_far_apart_is_placed_between_them():
+    robot = balls(0, 0, 0, 0.05)
+    Q = np.linspace([0.3, 0.8], [0.5, 1.0], 3)
+    ends = np.array([robot.fk(q).translation for q in Q[[0, 2]]])
+    model = ik.CollisionModel(robot).add_sphere(0.02, 0.5 * (ends[0] + ends[1]), name="post")
+    made = ik.solve_path(robot, ends, avoid_collisions=model)
+    assert len(made.at) > 3 and made.status == PathStatus.COLLISION
+    assert all(0.2 < touch.place < 0.8 for touch in made.continuity.contacts)
+
+
+def test_joints_that_move_two_links_alike_take_nothing_from_their_clearance():
+    ball = '<link name="{0}"><collision><geometry><sphere radius="0.1"/></geometry></collision></link>'
+    text = urdf(*[dict(kind="revolute", xyz=f"{x} 0 0") for x in (0, 1, 1)], dict(kind="fixed", xyz="0.5 0 0"))
+    for link in ("l1", "l2", "l3", "l4"):
+        text = text.replace(f'<link name="{link}"/>', ball.format(link))
+    robot = ik.Robot.load(text)
+    model = ik.CollisionModel(robot)
+    poses = np.array([robot.fk([x, 1.0, 0.5]).homogeneous for x in np.linspace(0.0, 0.6, 25)])
+    made = ik.solve_path(robot, poses, avoid_collisions=model)
+    assert made.status == PathStatus.FOLLOWED and np.ptp(made.q[:, 1:], axis=0).max() < 1e-5
+    assert made.clearance == pytest.approx(model.distance(made.q[0]).distance, abs=1e-3)

@@ -136,3 +136,10 @@ def test_joints_that_mimic_nothing_they_can_follow():
     assert loose["lost"] == "mimics joint 'nobody', which does not exist"
     assert loose["stiff"] == "mimics joint 'fixed', which does not move"
     assert loose["later"] == f"mimics joint 'lost', which {loose['lost']}" or loose["later"] == loose["lost"]
+
+
+def test_what_is_near_where_there_is_nothing():
+    text = robots.urdf(dict(kind="revolute"), dict(kind="revolute", axis="0 1 0"))
+    ball = '<link name="l2"><collision><geometry><sphere radius="0.1"/></geometry></collision></link>'
+    alone = ik.CollisionModel(ik.Robot.load(text.replace('<link name="l2"/>', ball)))
+    assert alone.distance([0.1, 0.2]) is None and alone.distances([0.1, 0.2]) == [] and not alone.collides([0.1, 0.2])
