@@ -40,7 +40,11 @@ def test_fewest_is_called_proven_only_where_the_bound_is_the_number():
 
 def test_nothing_is_proven_where_a_turn_between_two_poses_may_go_either_way():
     """At the end it turns by 180 degrees from one pose to the next."""
-    either = spun([*np.arange(0.0, 451.0, 2.5), 630.0])
+    degrees = [*np.arange(0.0, 451.0, 2.5), 630.0]
+    either = spun(degrees)
+    robot = ik.Robot.load(WOUND)
+    for q, x in zip(either.q, np.radians(degrees), strict=True):
+        assert max(robot.errors(q, planar_pose(1.8, 0.1, x))) < 1e-5
     assert either.status == PathStatus.RECONFIGURES and len(either.reconfigurations) == 1
     assert either.lower_bound is None and "with 1 reconfiguration (the fewest found), after pose" in either.message
 

@@ -144,3 +144,12 @@ def test_positions_have_no_orientation_that_could_count(arm):
         with pytest.raises(InvalidOption, match="a position has no axes of its own, so frame='target' needs a pose"):
             ik.solve(arm, point, "lm", frame="target", **counts)
         assert ik.solve(arm, point, "lm", q0=arm.home, **counts).success
+
+
+def test_what_a_tip_is_relative_to_is_a_name(tree):
+    first, second = tree.tips
+    for wrong in ({first: 3}, {3: second}, {first: None}, [first, second]):
+        with pytest.raises(
+            InvalidOption, match="relative_to must be a dict from a tip to the tip its target is relative to"
+        ):
+            ik.solve(tree, tree.fk(tree.home), relative_to=wrong)

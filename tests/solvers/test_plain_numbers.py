@@ -101,3 +101,29 @@ def test_of_batches_of_solutions():
     for name in ("q", "distance", "position_error", "branches"):
         assert np.array_equal(getattr(many, name), np.concatenate([getattr(many[k], name) for k in range(3)])), name
     assert many.orientation_error is None
+
+
+def test_of_explanations():
+    robot = robots.load("planar_2r")
+    made = ik.solve(robot, robot.fk([0.3, 0.9]).translation).explain()
+    told, derivation = made.to_dict(), made.derivation
+    assert told["closed_form"] == made.form == "planar-2r" and told["why"] == made.why and told["chosen"] == made.chosen
+    assert len(told["branches"]) == len(derivation.branches) == 2
+    for one, branch, error in zip(told["branches"], derivation.branches, made.errors, strict=True):
+        assert (
+            one["label"] == branch.label != ""
+            and one["q"] == branch.q.tolist()
+            and one["outside"] == list(branch.outside)
+        )
+        assert one["steps"] == [step._asdict() for step in branch.steps] and one["steps"]
+        assert (one["position_error"], one["orientation_error"]) == tuple(error)
+    assert told["given"] == [step._asdict() for step in derivation.given] and told["given"]
+    assert told["steps"] == [step._asdict() for step in derivation.shared] and told["free"] is None
+    table = told["dh"]["tool"]
+    assert set(table) == {"convention", "rows", "base", "tool"} and len(table["rows"]) >= 2
+    assert set(table["rows"][0]) == {"name", "type", "theta", "d", "a", "alpha"} and np.shape(table["base"]) == (4, 4)
+    assert told["iterations"] == made.iterations._asdict()
+    searched = ik.solve(robots.load("hydrolek_7w"), (1.0, 0.1, 0.2), "lm").explain()
+    told, steps = searched.to_dict(), searched.iterations
+    assert told["branches"] == [] == told["given"] == told["steps"] and told["closed_form"] is None and told["why"]
+    assert told["iterations"] == steps._asdict() and told["chosen"] is None
